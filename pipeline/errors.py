@@ -1,0 +1,84 @@
+"""Refusals: what is wrong, where, and what to do about it.
+
+Every refusal carries a stable code that a script may match, and says which of the exit codes of
+the command line it leads to. A refusal is for the user; anything else that escapes is a bug.
+"""
+
+from __future__ import annotations
+
+EXIT_DONE = 0
+EXIT_BUG = 1
+EXIT_CONFIG = 2
+EXIT_LOSSES = 3
+EXIT_IN_USE = 4
+EXIT_STORAGE = 5
+EXIT_REFUSED = 6
+EXIT_INTERRUPTED = 130
+
+
+class UnbendError(Exception):
+    """A refusal with a stable code, a place and a remedy.
+
+    Parameters
+    ----------
+    code : stable upper-case code, for example ``LOG-EMPTY``.
+    what : what is wrong, with the numbers in it.
+    where : the file, line, byte offset, channel or row.
+    remedy : what the user can do.
+
+    >>> print(LogError("LOG-EMPTY", "the file has 0 bytes", where="a.bin", remedy="copy it again"))
+    LOG-EMPTY: the file has 0 bytes
+      where: a.bin
+      to do: copy it again
+    """
+
+    exit_code = EXIT_REFUSED
+
+    def __init__(self, code: str, what: str, *, where: str = "", remedy: str = "") -> None:
+        super().__init__(code, what, where, remedy)
+        self.code = code
+        self.what = what
+        self.where = where
+        self.remedy = remedy
+
+    def __str__(self) -> str:
+        lines = [f"{self.code}: {self.what}"]
+        if self.where:
+            lines.append(f"  where: {self.where}")
+        if self.remedy:
+            lines.append(f"  to do: {self.remedy}")
+        return "\n".join(lines)
+
+
+class ConfigError(UnbendError):
+    """The command line or the mission file cannot be obeyed."""
+
+    exit_code = EXIT_CONFIG
+
+
+class LogError(UnbendError):
+    """A flight log cannot be used."""
+
+
+class InputError(UnbendError):
+    """A table of observations, events or points cannot be used."""
+
+
+class MissionError(UnbendError):
+    """What the inputs hold does not allow this mission to be processed."""
+
+
+class PhysicsError(UnbendError, ValueError):
+    """A scalar call was given values outside the range of a formula."""
+
+
+class OutputInUseError(UnbendError):
+    """Another process is writing to the output folder."""
+
+    exit_code = EXIT_IN_USE
+
+
+class StorageError(UnbendError):
+    """The disk refused, or results on it are damaged."""
+
+    exit_code = EXIT_STORAGE

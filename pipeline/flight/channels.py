@@ -1,0 +1,105 @@
+"""What a log holds, as columns in SI: the only thing that leaves `ingest`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+TimeArray = NDArray[np.int64]
+
+ROLE_COLUMNS: Mapping[str, tuple[str, ...]] = {
+    "position": ("lat_rad", "lon_rad"),
+    "height": ("lat_rad", "lon_rad"),
+    "attitude": ("q_w", "q_x", "q_y", "q_z"),
+    "pressure": ("pressure_pa",),
+    "temperature": ("temperature_k",),
+    "humidity": ("relative_humidity",),
+    "airspeed": ("airspeed_m_s",),
+    "cabin_pressure": ("pressure_pa",),
+    "cabin_temperature": ("temperature_k",),
+    "cabin_humidity": ("relative_humidity",),
+    "events": ("event_index",),
+}
+"""Roles a channel can play, and the columns it needs for that."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Who sent the messages of a channel. ``None`` where the format has no such notion."""
+
+    message: str
+    instance: str | None = None
+    system: int | None = None
+    component: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """One series of measurements from one source.
+
+    Parameters
+    ----------
+    name : the word the config takes, for example ``BARO[1]`` or ``/cabin/pressure``.
+    time_ns : (n,) UTC, Unix nanoseconds, strictly increasing.
+    columns : (n,) arrays by name, SI and radians, NaN where unknown.
+    source : who sent it.
+    boot : (n,) which power-up of the vehicle each sample belongs to, from 0.
+    roles : the roles it may take without being named in the config, best first.
+    rank : the smaller, the sooner it is chosen among candidates for a role.
+    labels : strings that belong to the samples, such as image names.
+
+    Columns in use: lat_rad, lon_rad, h_msl_m, h_ellipsoid_m, h_home_m, east_m, north_m, up_m
+    (local), sigma_h_m, sigma_v_m, fix; q_w, q_x, q_y, q_z (v_ned = R(q) v_body, body forward,
+    right, down); pressure_pa, board_temperature_k, temperature_k, relative_humidity (0-1),
+    airspeed_m_s; event_index, roll_rad, pitch_rad, yaw_rad.
+    """
+
+    name: str
+    time_ns: TimeArray
+    columns: Mapping[str, Array]
+    source: Source
+    boot: NDArray[np.int16] = field(default_factory=lambda: np.empty(0, np.int16))
+    roles: tuple[str, ...] = ()
+    rank: int = 50
+    labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        n = self.time_ns.shape[0]
+        if self.time_ns.dtype != np.int64 or self.time_ns.ndim != 1:
+            raise TypeError(f"channel {self.name}: time_ns must be a vector of int64")
+        if n > 1 and not bool(np.all(np.diff(self.time_ns) > 0)):
+            raise ValueError(f"channel {self.name}: time_ns must increase strictly")
+        if self.boot.shape[0] == 0 and n:
+            object.__setattr__(self, "boot", np.zeros(n, np.int16))
+        for name, column in self.columns.items():
+            if column.shape != (n,):
+                raise ValueError(f"channel {self.name}: {name} has shape {column.shape}, not ({n},)")
+
+    def __len__(self) -> int:
+        return int(self.time_ns.shape[0])
+
+    def __getitem__(self, column: str) -> Array:
+        return self.columns[column]
+
+    def can_play(self, role: str) -> bool:
+        """Whether the columns that a role needs are there."""
+        return all(column in self.columns for column in ROLE_COLUMNS[role])
+
+    @property
+    def rate_hz(self) -> float:
+        """Median sampling rate [1/s]; 0 with fewer than two samples."""
+        if len(self) < 2:
+            return 0.0
+        return 1e9 / float(np.median(np.diff(self.time_ns)))
+
+    def to_pandas(self) -> Any:
+        """The channel as a pandas DataFrame indexed by UTC time."""
+        import pandas as pd
+
+        index = pd.DatetimeIndex(pd.to_datetime(self.time_ns, utc=True), name="time_utc")
+        return pd.DataFrame(dict(self.columns) | dict(self.labels), index=index)

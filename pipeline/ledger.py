@@ -1,0 +1,83 @@
+"""The ledger: what was read, repaired, assumed, skipped and lost, and where.
+
+Every stage adds to it, nothing is removed from it, and it ends in the manifest and the report.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+
+
+class Kind(StrEnum):
+    """How serious an entry is. ``LOSS`` makes a run end with exit code 3."""
+
+    NOTE = "note"  # a choice made, for example which channel plays which role
+    FALLBACK = "fallback"  # an allowed substitute, for example dry air without a hygrometer
+    WARNING = "warning"  # the user should look, but the result stands
+    LOSS = "loss"  # data was lost, damaged, flagged, or something the config names is absent
+
+
+@dataclass(frozen=True, order=True)
+class Entry:
+    """One line of the ledger.
+
+    ``code`` is stable (``BARO-RANGE``); ``where`` a channel, file and byte offset, or column;
+    ``count`` how many messages, bytes, samples or rows it speaks of.
+    """
+
+    kind: Kind
+    code: str
+    what: str
+    where: str = ""
+    count: int = 0
+
+
+class Ledger:
+    """An append-only list of entries.
+
+    >>> ledger = Ledger()
+    >>> ledger.fallback("AIR-DRY", "no humidity sensor: the air is taken as dry")
+    >>> [entry.code for entry in ledger]
+    ['AIR-DRY']
+    >>> ledger.has_losses
+    False
+    """
+
+    def __init__(self, entries: Iterable[Entry] = ()) -> None:
+        self._entries: list[Entry] = list(entries)
+
+    def __iter__(self) -> Iterator[Entry]:
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    @property
+    def has_losses(self) -> bool:
+        return any(entry.kind is Kind.LOSS for entry in self._entries)
+
+    def add(self, entry: Entry) -> None:
+        if entry not in self._entries:
+            self._entries.append(entry)
+
+    def extend(self, entries: Iterable[Entry]) -> None:
+        for entry in entries:
+            self.add(entry)
+
+    def note(self, code: str, what: str, *, where: str = "", count: int = 0) -> None:
+        self.add(Entry(Kind.NOTE, code, what, where, count))
+
+    def fallback(self, code: str, what: str, *, where: str = "", count: int = 0) -> None:
+        self.add(Entry(Kind.FALLBACK, code, what, where, count))
+
+    def warning(self, code: str, what: str, *, where: str = "", count: int = 0) -> None:
+        self.add(Entry(Kind.WARNING, code, what, where, count))
+
+    def loss(self, code: str, what: str, *, where: str = "", count: int = 0) -> None:
+        self.add(Entry(Kind.LOSS, code, what, where, count))
+
+    def rows(self) -> list[dict[str, str | int]]:
+        """The entries as plain dictionaries, sorted, for the manifest."""
+        return [asdict(entry) | {"kind": entry.kind.value} for entry in sorted(self._entries)]

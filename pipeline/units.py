@@ -1,0 +1,26 @@
+"""Constants, each with its source. Everything inside the package is SI and radians."""
+
+from __future__ import annotations
+
+import math
+
+ARCSEC = math.pi / 648_000.0  # [rad]
+DEGREE = math.pi / 180.0  # [rad]
+MICRORADIAN = 1e-6  # [rad]
+HECTOPASCAL = 100.0  # [Pa]
+ZERO_CELSIUS_K = 273.15  # [K]
+NANOSECONDS_PER_SECOND = 1_000_000_000
+
+# US Standard Atmosphere 1976, table 2 and p. 2-4. The 1976 gas constant is kept on purpose: the
+# model's tables are defined by it, not by the CODATA value.
+STANDARD_GRAVITY = 9.80665  # G [m2 s-2 m'-1]; also g0 [m s-2]
+GAS_CONSTANT_1976 = 8314.32  # R* [J kmol-1 K-1]
+MOLAR_MASS_AIR = 28.9644  # M0 [kg kmol-1]
+
+# Ratio of the molar masses of water and dry air enters Tv = T / (1 - 0.378 e / p).
+VAPOUR_DEFICIT = 0.378
+
+WGS84_A = 6_378_137.0  # [m]
+WGS84_F = 1.0 / 298.257223563
+
+UNIX_NS_OF_GPS_EPOCH = 315_964_800 * NANOSECONDS_PER_SECOND  # 1980-01-06T00:00:00Z
