@@ -78,7 +78,7 @@ class Channel:
             object.__setattr__(self, "boot", np.zeros(n, np.int16))
         for name, column in self.columns.items():
             if column.shape != (n,):
-                raise ValueError(f"channel {self.name}: {name} has shape {column.shape}, not ({n},)")
+                raise ValueError(f"channel {self.name}: {name} is {column.shape}, not ({n},)")
 
     def __len__(self) -> int:
         return int(self.time_ns.shape[0])
