@@ -1,0 +1,20 @@
+"""The air: its refractive index, standard atmospheres, and the profile of a flight."""
+
+from pipeline.atmosphere.profile import (
+    Profile,
+    pressure_gradient_layer,
+    pressure_isothermal_layer,
+    profile_from_table,
+    profile_table,
+)
+from pipeline.atmosphere.standard import standard_atmosphere, standard_names
+
+__all__ = [
+    "Profile",
+    "pressure_gradient_layer",
+    "pressure_isothermal_layer",
+    "profile_from_table",
+    "profile_table",
+    "standard_atmosphere",
+    "standard_names",
+]

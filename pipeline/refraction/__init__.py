@@ -1,0 +1,19 @@
+"""Light through the air: the ray, the window, the camera and the image."""
+
+from pipeline.refraction.camera import Camera
+from pipeline.refraction.image import Corrections, Exposures, correct_observations
+from pipeline.refraction.ray import METHODS, RayTable, bend, ray_table, refraction_angle
+from pipeline.refraction.status import STATUS_NAMES
+
+__all__ = [
+    "METHODS",
+    "STATUS_NAMES",
+    "Camera",
+    "Corrections",
+    "Exposures",
+    "RayTable",
+    "bend",
+    "correct_observations",
+    "ray_table",
+    "refraction_angle",
+]

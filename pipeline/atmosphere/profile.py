@@ -1,0 +1,329 @@
+"""The profile of the air: layers linear in temperature, in hydrostatic equilibrium.
+
+Gyer 1996, Eq. 52 and 53. Temperatures of the layers are molecular-scale (virtual) temperatures
+T_M, as in the papers: dry air of that temperature has the density of the moist air. In each layer
+T_M and the vapour fraction e/p are linear in geopotential height; pressure follows in closed form.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pipeline.atmosphere.air import IndexModel
+from pipeline.errors import PhysicsError
+from pipeline.geodesy import Gravity
+from pipeline.units import (
+    GAS_CONSTANT_1976,
+    MOLAR_MASS_AIR,
+    STANDARD_GRAVITY,
+    VAPOUR_DEFICIT,
+)
+
+Array = NDArray[np.float64]
+
+MEASURED = "measured"
+BAROMETRIC = "barometric"
+RELAXED = "relaxed"
+STANDARD = "standard"
+
+# Below this temperature difference across a layer Eq. 53 stands for Eq. 52: they then agree to
+# 1e-13 in pressure for any layer of less than a scale height.
+_ISOTHERMAL_K = 1e-10
+
+
+def pressure_gradient_layer(
+    pressure_base: ArrayLike,
+    temperature_base: ArrayLike,
+    lapse: ArrayLike,
+    rise: ArrayLike,
+    constant: float = STANDARD_GRAVITY * MOLAR_MASS_AIR / GAS_CONSTANT_1976,
+) -> Array:
+    """Pressure [Pa] in a layer with a temperature gradient (Gyer 1996, Eq. 52).
+
+    p = p_b (T_b / (T_b + L_b dH)) ** (G M0 / (R* L_b)), with L_b in the exponent (the paper
+    prints T_b) and the unit geopotential G, since gravity is already in H.
+
+    Parameters
+    ----------
+    pressure_base, temperature_base : values at the base [Pa], [K].
+    lapse : L_b, gradient of temperature [K per geopotential metre], not zero; however small, the
+        result goes over into Eq. 53 without loss of digits.
+    rise : dH, geopotential metres above the base; negative below it.
+    constant : G M0 / R* [K per geopotential metre].
+
+    >>> float(pressure_gradient_layer(101325.0, 288.15, -0.0065, 11000.0).round(2))
+    22632.06
+    """
+    lapse = np.asarray(lapse, dtype=np.float64)
+    warming = np.log1p(lapse * np.asarray(rise) / np.asarray(temperature_base))
+    return np.asarray(pressure_base * np.exp(-constant * warming / lapse))
+
+
+def pressure_isothermal_layer(
+    pressure_base: ArrayLike,
+    temperature_base: ArrayLike,
+    rise: ArrayLike,
+    constant: float = STANDARD_GRAVITY * MOLAR_MASS_AIR / GAS_CONSTANT_1976,
+) -> Array:
+    """Pressure [Pa] in a layer of constant temperature (Gyer 1996, Eq. 53).
+
+    p = p_b exp(-G M0 dH / (R* T_b)); arguments as for `pressure_gradient_layer`.
+
+    >>> float(pressure_isothermal_layer(22632.06, 216.65, 9000.0).round(1))
+    5474.9
+    """
+    return np.asarray(
+        pressure_base * np.exp(-constant * np.asarray(rise) / np.asarray(temperature_base))
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Layers:
+    """Layers between geopotential heights, from the ground up.
+
+    Parameters
+    ----------
+    edge : (m + 1,) boundaries [m'], increasing; layer i spans edge[i] to edge[i + 1].
+    temperature : (m,) T_M at the lower edge [K].
+    lapse : (m,) gradient of T_M [K/m'].
+    pressure : (m,) at the lower edge [Pa].
+    vapour : (m,) e/p at the lower edge; vapour_slope : (m,) its gradient [1/m'].
+    source : (m,) measured | barometric | relaxed | standard.
+    """
+
+    edge: Array
+    temperature: Array
+    lapse: Array
+    pressure: Array
+    vapour: Array
+    vapour_slope: Array
+    source: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        m = self.temperature.shape[0]
+        if self.edge.shape != (m + 1,) or not bool(np.all(np.diff(self.edge) > 0.0)):
+            raise ValueError("layers need one more boundary than layers, increasing")
+        if not bool(np.all(self.temperature > 0.0) and np.all(self.pressure > 0.0)):
+            raise ValueError("temperatures and pressures of layers must be positive")
+
+    @property
+    def equation(self) -> NDArray[np.int16]:
+        """(m,) 52 or 53: which of Gyer's equations gives the pressure."""
+        return np.where(self.lapse == 0.0, 53, 52).astype(np.int16)
+
+
+def stack_layers(
+    edge: Array,
+    temperature: Array,
+    vapour: Array,
+    source: tuple[str, ...],
+    *,
+    anchor: tuple[float, float],
+    constant: float = STANDARD_GRAVITY * MOLAR_MASS_AIR / GAS_CONSTANT_1976,
+) -> Layers:
+    """Layers through temperatures at their edges, with pressure by Eq. 52-53 from one anchor.
+
+    Parameters
+    ----------
+    edge, temperature, vapour : (m + 1,) geopotential heights [m'], T_M [K] and e/p there.
+    source : (m,) where each layer comes from.
+    anchor : geopotential height [m'] within the edges and the pressure there [Pa].
+    """
+    thickness = np.diff(edge)
+    warming = np.diff(temperature)
+    warming[np.abs(warming) < _ISOTHERMAL_K] = 0.0
+    base = temperature[:-1]
+    lapse = warming / thickness
+    fall = _log_pressure_fall(base, lapse, thickness, constant)
+    log_p = np.concatenate([[0.0], np.cumsum(fall)])
+    height, pressure = anchor
+    i = int(np.clip(np.searchsorted(edge, height, side="right") - 1, 0, base.size - 1))
+    inside = _log_pressure_fall(base[i], lapse[i], np.asarray(height - edge[i]), constant)
+    log_p += np.log(pressure) - (log_p[i] + inside)
+    return Layers(
+        edge, base, lapse, np.exp(log_p[:-1]), vapour[:-1], np.diff(vapour) / thickness, source
+    )
+
+
+def _log_pressure_fall(base: Array, lapse: Array, rise: Array, constant: float) -> Array:
+    """ln(p / p_b) by Eq. 52 where the lapse rate is not zero, by Eq. 53 where it is."""
+    gradient = lapse != 0.0
+    safe = np.where(gradient, lapse, 1.0)
+    return np.asarray(
+        np.where(
+            gradient,
+            np.log(pressure_gradient_layer(1.0, base, safe, rise, constant)),
+            np.log(pressure_isothermal_layer(1.0, base, rise, constant)),
+        )
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Temperature, pressure, humidity and refractivity as functions of height.
+
+    Heights are metres above mean sea level, of any shape; outside ``bottom_m`` to ``top_m``
+    the functions return NaN.
+
+    Parameters
+    ----------
+    layers : the layers in geopotential height.
+    gravity : how height becomes geopotential height.
+    index : the formula of the refractive index, and the wavelength.
+    name : a standard's name, or ``adjusted``.
+    constant : G M0 / R* of the model [K/m'].
+    """
+
+    layers: Layers
+    gravity: Gravity
+    index: IndexModel = field(default_factory=IndexModel)
+    name: str = "adjusted"
+    constant: float = STANDARD_GRAVITY * MOLAR_MASS_AIR / GAS_CONSTANT_1976
+
+    @property
+    def bottom_m(self) -> float:
+        return float(self.gravity.height(self.layers.edge[0]))
+
+    @property
+    def top_m(self) -> float:
+        return float(self.gravity.height(self.layers.edge[-1]))
+
+    @property
+    def break_heights_m(self) -> Array:
+        """(m + 1,) heights at which layers meet [m]."""
+        return self.gravity.height(self.layers.edge)
+
+    def layer_of(self, h: ArrayLike) -> NDArray[np.intp]:
+        """Number of the layer at a height, -1 outside the profile."""
+        geopotential = self.gravity.geopotential_height(h)
+        edge = self.layers.edge
+        # A height computed from an edge may miss it by a rounding error.
+        slack = 1e-7
+        i = np.clip(np.searchsorted(edge, geopotential, side="right") - 1, 0, edge.size - 2)
+        inside = (geopotential >= edge[0] - slack) & (geopotential <= edge[-1] + slack)
+        return np.where(inside, i, -1)
+
+    def _state(self, h: ArrayLike) -> tuple[Array, Array, Array]:
+        """T_M, p and e/p at heights; NaN outside."""
+        i = self.layer_of(h)
+        rise = self.gravity.geopotential_height(h) - self.layers.edge[i]
+        rise = np.where(i < 0, np.nan, rise)
+        base, lapse = self.layers.temperature[i], self.layers.lapse[i]
+        log_fall = _log_pressure_fall(base, lapse, rise, self.constant)
+        vapour = self.layers.vapour[i] + self.layers.vapour_slope[i] * rise
+        return base + lapse * rise, self.layers.pressure[i] * np.exp(log_fall), vapour
+
+    def virtual_temperature(self, h: ArrayLike) -> Array:
+        """T_M [K] at heights ``h`` [m]."""
+        return self._state(h)[0]
+
+    def temperature(self, h: ArrayLike) -> Array:
+        """Temperature [K] at heights ``h`` [m above sea level]; NaN outside the profile.
+
+        >>> from pipeline.atmosphere import standard_atmosphere
+        >>> standard_atmosphere("us1976").temperature([0.0, 5000.0]).round(3).tolist()
+        [288.15, 255.676]
+        """
+        t_m, _, vapour = self._state(h)
+        return t_m * (1.0 - VAPOUR_DEFICIT * vapour)
+
+    def pressure(self, h: ArrayLike) -> Array:
+        """Pressure [Pa] at heights ``h`` [m above sea level]; NaN outside the profile.
+
+        >>> from pipeline.atmosphere import standard_atmosphere
+        >>> standard_atmosphere("us1976").pressure(5000.0).round(1).item()
+        54048.3
+        """
+        return self._state(h)[1]
+
+    def vapour_pressure(self, h: ArrayLike) -> Array:
+        """Partial pressure of water vapour [Pa] at heights ``h`` [m above sea level]."""
+        _, p, vapour = self._state(h)
+        return vapour * p
+
+    def refractivity(self, h: ArrayLike) -> Array:
+        """Refractivity n - 1 at heights ``h`` [m above sea level]; NaN outside the profile.
+
+        >>> from pipeline.atmosphere import standard_atmosphere
+        >>> profile = standard_atmosphere("ardc1959", index="gyer")
+        >>> (profile.refractivity(5000.0) * 1e6).round(2).item()
+        166.64
+        """
+        t_m, p, vapour = self._state(h)
+        t = t_m * (1.0 - VAPOUR_DEFICIT * vapour)
+        return self.index.refractivity(t, p, vapour * p)
+
+    def to_pandas(self, h: ArrayLike | None = None) -> Any:
+        """The profile as a pandas DataFrame, at heights [m] or at its layer boundaries."""
+        import pandas as pd
+
+        return pd.DataFrame(profile_table(self, h))
+
+
+def profile_table(profile: Profile, h: ArrayLike | None = None) -> dict[str, Any]:
+    """The profile as columns; each pressure can be retraced from its row by Eq. 52 or 53.
+
+    ``h`` : (n,) heights [m above sea level]; by default the layer boundaries. ``t_base_k`` is the
+    virtual temperature T_M at the layer's base; ``lapse_k_per_m`` is per geopotential metre.
+    """
+    heights = profile.break_heights_m if h is None else np.asarray(h, dtype=np.float64)
+    i = profile.layer_of(heights)
+    if bool(np.any(i < 0)):
+        raise PhysicsError(
+            "PROFILE-RANGE",
+            f"heights of {heights.min():.0f} to {heights.max():.0f} m leave the profile",
+            where=f"profile {profile.name}, {profile.bottom_m:.0f} to {profile.top_m:.0f} m",
+            remedy="ask for heights inside it",
+        )
+    layers = profile.layers
+    return {
+        "h_m": heights,
+        "geopotential_m": profile.gravity.geopotential_height(heights),
+        "temperature_k": profile.temperature(heights),
+        "virtual_temperature_k": profile.virtual_temperature(heights),
+        "pressure_pa": profile.pressure(heights),
+        "vapour_pressure_pa": profile.vapour_pressure(heights),
+        "refractivity": profile.refractivity(heights),
+        "layer": i.astype(np.int32),
+        "equation": layers.equation[i],
+        "h_base_m": profile.gravity.height(layers.edge[i]),
+        "geopotential_base_m": layers.edge[i],
+        "t_base_k": layers.temperature[i],
+        "p_base_pa": layers.pressure[i],
+        "lapse_k_per_m": layers.lapse[i],
+        "source": np.array([layers.source[j] for j in i], dtype=object),
+    }
+
+
+def profile_from_table(
+    h: ArrayLike,
+    temperature_k: ArrayLike,
+    pressure_pa: ArrayLike,
+    vapour_pressure_pa: ArrayLike = 0.0,
+    *,
+    gravity: Gravity,
+    index: IndexModel | None = None,
+    name: str = "table",
+) -> Profile:
+    """A profile through a table of the air, such as a sounding or a known truth.
+
+    Each layer keeps the tabulated pressure at its base; where the table is hydrostatic with the
+    same gravity, pressure is continuous. ``h`` [m above sea level], (n,), increasing.
+    """
+    edge = gravity.geopotential_height(h)
+    t = np.asarray(temperature_k, np.float64)
+    p = np.asarray(pressure_pa, np.float64)
+    vapour = np.broadcast_to(np.asarray(vapour_pressure_pa, np.float64), t.shape) / p
+    t_m = t / (1.0 - VAPOUR_DEFICIT * vapour)
+    layers = stack_layers(
+        edge, t_m, vapour, (MEASURED,) * (edge.size - 1), anchor=(float(edge[0]), float(p[0]))
+    )
+    layers = Layers(
+        layers.edge, layers.temperature, layers.lapse, p[:-1], layers.vapour, layers.vapour_slope,
+        layers.source,
+    )  # fmt: skip
+    return Profile(layers, gravity, index or IndexModel(), name)

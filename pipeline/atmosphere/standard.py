@@ -1,0 +1,103 @@
+"""Standard atmospheres, each with the constants of its own definition.
+
+The breakpoints stand in ``data/standard_atmospheres.csv``: US Standard Atmosphere 1976 and 1962,
+ICAO 1993 (ISO 2533), ARDC Model Atmosphere 1959 (the one behind the tables of Gyer 1996 and
+Bertram 1966) and ICAN (Saastamoinen 1974).
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from functools import lru_cache
+from importlib import resources
+
+import numpy as np
+
+from pipeline.atmosphere.air import DEFAULT_WAVELENGTH_M, IndexModel
+from pipeline.atmosphere.profile import STANDARD, Profile, stack_layers
+from pipeline.errors import PhysicsError
+from pipeline.geodesy import Gravity, lambert_gravity
+from pipeline.units import STANDARD_GRAVITY
+
+SEA_LEVEL_PRESSURE_PA = 101325.0
+LOWEST_GEOPOTENTIAL_M = -5000.0
+"""The troposphere's lapse rate goes on down to here, as ISO 2533 tabulates it."""
+
+
+@lru_cache(maxsize=1)
+def _breakpoints() -> dict[str, list[dict[str, float]]]:
+    text = resources.files("pipeline.atmosphere").joinpath("data/standard_atmospheres.csv")
+    models: dict[str, list[dict[str, float]]] = {}
+    for row in csv.DictReader(text.read_text(encoding="ascii").splitlines()):
+        name = row.pop("name")
+        models.setdefault(name, []).append({key: float(value) for key, value in row.items()})
+    return models
+
+
+def standard_names() -> tuple[str, ...]:
+    """Names that `standard_atmosphere` takes.
+
+    >>> standard_names()
+    ('us1976', 'us1962', 'icao', 'ardc1959', 'ican')
+    """
+    return tuple(_breakpoints())
+
+
+def standard_atmosphere(
+    name: str = "us1976",
+    index: str = "ciddor",
+    wavelength_m: float = DEFAULT_WAVELENGTH_M,
+    latitude: float | None = None,
+) -> Profile:
+    """A standard atmosphere as a profile.
+
+    Parameters
+    ----------
+    name : one of `standard_names`.
+    index : ``ciddor`` or ``gyer`` (Eq. 13, 0.589 um whatever the wavelength).
+    wavelength_m : wavelength of vacuum [m].
+    latitude : [rad] gives Lambert's gravity, as the profile of a mission has; by default the
+        standard keeps the gravity of its own definition.
+
+    Agrees with the tables of its definition to their last printed digit.
+
+    >>> profile = standard_atmosphere("us1976", index="gyer")
+    >>> (profile.refractivity(0.0) * 1e6).round(3).item()
+    277.201
+    """
+    try:
+        rows = _breakpoints()[name]
+    except KeyError:
+        raise PhysicsError(
+            "ATMOSPHERE-NAME",
+            f"no standard atmosphere is called {name!r}",
+            remedy=f"one of {', '.join(standard_names())}",
+        ) from None
+    first = rows[0]
+    gravity = Gravity(first["g0_m_s2"], first["r0_m"])
+    if latitude is not None:
+        if not abs(latitude) <= math.pi / 2.0 + 1e-12:
+            raise PhysicsError(
+                "ATMOSPHERE-LATITUDE",
+                f"a latitude of {latitude:g} rad lies beyond the pole",
+                remedy="give it in radians",
+            )
+        gravity = lambert_gravity(latitude)
+    edge = np.array([row["geopotential_m"] for row in rows])
+    temperature = np.array([row["temperature_k"] for row in rows])
+    lapse = (temperature[1] - temperature[0]) / (edge[1] - edge[0])
+    if edge[0] > LOWEST_GEOPOTENTIAL_M:
+        down = LOWEST_GEOPOTENTIAL_M - edge[0]
+        edge = np.concatenate([[LOWEST_GEOPOTENTIAL_M], edge])
+        temperature = np.concatenate([[temperature[0] + lapse * down], temperature])
+    constant = STANDARD_GRAVITY * first["m0_kg_per_kmol"] / first["r_star_j_per_kmol_k"]
+    layers = stack_layers(
+        edge,
+        temperature,
+        np.zeros(edge.size),
+        (STANDARD,) * (edge.size - 1),
+        anchor=(0.0, SEA_LEVEL_PRESSURE_PA),
+        constant=constant,
+    )
+    return Profile(layers, gravity, IndexModel(index, wavelength_m), name, constant)

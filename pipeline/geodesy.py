@@ -1,0 +1,130 @@
+"""The figure of the earth: radii, normal gravity, geopotential, local frames.
+
+Heights above mean sea level (orthometric) are written ``h``; heights above the ellipsoid
+``h_ellipsoid``; their difference is the undulation, ``h_ellipsoid = h + undulation``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pipeline.units import STANDARD_GRAVITY, WGS84_A, WGS84_F
+
+Array = NDArray[np.float64]
+
+_E2 = WGS84_F * (2.0 - WGS84_F)
+
+
+@dataclass(frozen=True)
+class Gravity:
+    """The two constants that turn a height into a geopotential height.
+
+    Parameters
+    ----------
+    g_phi : gravity at sea level [m s-2].
+    r_phi : effective radius of the earth [m], chosen so that gravity falls off as it really does.
+    latitude_rad : where, or None for a standard atmosphere with constants of its own.
+    """
+
+    g_phi: float
+    r_phi: float
+    latitude_rad: float | None = None
+
+    def geopotential_height(self, h: ArrayLike) -> Array:
+        """Geopotential height H [m'] of heights ``h`` [m] above sea level (Gyer 1996, p. 307).
+
+        >>> float(Gravity(9.80665, 6356766.0).geopotential_height(11019.1).round(1))
+        11000.0
+        """
+        h = np.asarray(h, dtype=np.float64)
+        return self.r_phi * h * self.g_phi / ((self.r_phi + h) * STANDARD_GRAVITY)
+
+    def height(self, geopotential: ArrayLike) -> Array:
+        """Height above sea level [m] of geopotential heights [m']; inverse of the former.
+
+        >>> float(Gravity(9.80665, 6356766.0).height(11000.0).round(1))
+        11019.1
+        """
+        reduced = np.asarray(geopotential, dtype=np.float64) * STANDARD_GRAVITY / self.g_phi
+        return self.r_phi * reduced / (self.r_phi - reduced)
+
+
+def lambert_gravity(latitude_rad: float) -> Gravity:
+    """Sea-level gravity and effective radius at a latitude, after Lambert.
+
+    Valid at all latitudes; the geopotential height stays within 0.10 m of integrated WGS84
+    normal gravity up to 10 km. Source: Gyer 1996, p. 307; List 1958, p. 218, Equation 6.
+
+    >>> gravity = lambert_gravity(0.7853981633974483)
+    >>> round(gravity.g_phi, 5), round(gravity.r_phi)
+    (9.80616, 6356360)
+    """
+    sin2 = np.sin(latitude_rad) ** 2
+    sin2_double = np.sin(2.0 * latitude_rad) ** 2
+    g_phi = 9.780356 * (1.0 + 0.0052885 * sin2 - 0.0000059 * sin2_double)
+    cos2 = np.cos(2.0 * latitude_rad)
+    gradient = 3.085462e-6 + 2.27e-9 * cos2 - 2e-12 * np.cos(4.0 * latitude_rad)
+    return Gravity(float(g_phi), float(2.0 * g_phi / gradient), float(latitude_rad))
+
+
+def euler_radius(latitude_rad: ArrayLike, azimuth_rad: ArrayLike) -> Array:
+    """Radius of curvature [m] of the WGS84 ellipsoid in an azimuth, by Euler's formula.
+
+    ``latitude_rad`` and ``azimuth_rad`` (clockwise from north) broadcast. At a pole every azimuth
+    gives the polar radius of curvature.
+
+    >>> euler_radius(0.0, [0.0, 1.5707963267948966]).round(1).tolist()
+    [6335439.3, 6378137.0]
+    """
+    sin_phi = np.sin(np.asarray(latitude_rad, dtype=np.float64))
+    w2 = 1.0 - _E2 * sin_phi * sin_phi
+    prime_vertical = WGS84_A / np.sqrt(w2)
+    meridian = prime_vertical * (1.0 - _E2) / w2
+    cos_a, sin_a = np.cos(azimuth_rad), np.sin(azimuth_rad)
+    return np.asarray(1.0 / (cos_a * cos_a / meridian + sin_a * sin_a / prime_vertical))
+
+
+def offset_geodetic(
+    latitude_rad: Array, longitude_rad: Array, h_ellipsoid: Array, enu: Array
+) -> tuple[Array, Array, Array]:
+    """Geodetic position reached by a small step in east, north and up.
+
+    ``enu`` is (n, 3) [m]; exact to 1 mm for steps below 1 km, computed in earth-centred
+    coordinates, so poles and the 180th meridian are no special case. Longitudes return in
+    [-pi, pi].
+    """
+    sin_p, cos_p = np.sin(latitude_rad), np.cos(latitude_rad)
+    sin_l, cos_l = np.sin(longitude_rad), np.cos(longitude_rad)
+    e, n, u = enu[:, 0], enu[:, 1], enu[:, 2]
+    radius = WGS84_A / np.sqrt(1.0 - _E2 * sin_p * sin_p)
+    x = (radius + h_ellipsoid) * cos_p * cos_l
+    y = (radius + h_ellipsoid) * cos_p * sin_l
+    z = (radius * (1.0 - _E2) + h_ellipsoid) * sin_p
+    x = x - sin_l * e - sin_p * cos_l * n + cos_p * cos_l * u
+    y = y + cos_l * e - sin_p * sin_l * n + cos_p * sin_l * u
+    z = z + cos_p * n + sin_p * u
+    return geodetic_of_ecef(x, y, z)
+
+
+def geodetic_of_ecef(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
+    """Latitude, longitude [rad] and ellipsoidal height [m] of earth-centred coordinates.
+
+    Bowring's formula iterated three times: 1e-12 rad and 1e-6 m from -10 km to 100 km.
+    """
+    p = np.hypot(x, y)
+    b = WGS84_A * (1.0 - WGS84_F)
+    beta = np.arctan2(z, (1.0 - WGS84_F) * p)
+    second = (WGS84_A**2 - b**2) / b**2
+    latitude = beta
+    for _ in range(3):
+        latitude = np.arctan2(
+            z + second * b * np.sin(beta) ** 3, p - _E2 * WGS84_A * np.cos(beta) ** 3
+        )
+        beta = np.arctan2((1.0 - WGS84_F) * np.sin(latitude), np.cos(latitude))
+    sin_p, cos_p = np.sin(latitude), np.cos(latitude)
+    w = np.sqrt(1.0 - _E2 * sin_p * sin_p)
+    height = p * cos_p + z * sin_p - WGS84_A * w
+    return latitude, np.arctan2(y, x), height

@@ -1,0 +1,231 @@
+"""The compiled part of `ray`: one ray at a time, in double precision.
+
+Symbols are those of Gyer 1996: r = r_e + h, k = n_c r_c sin zeta_c, N = n - 1. Imported only
+when the first ray is computed, because importing numba costs most of a second.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+
+import numba
+import numpy as np
+
+from pipeline.refraction.status import (
+    BAD_MEASUREMENT,
+    BEYOND_GRAZING,
+    MISSES_GROUND,
+    OK,
+    OUTSIDE_PROFILE,
+)
+
+
+def _compile_cache() -> bool:
+    """Whether compiled code can be kept; never in site-packages, which may be read-only."""
+    if not numba.config.CACHE_DIR:
+        user_cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+        numba.config.CACHE_DIR = os.path.join(user_cache, "unbend", "numba")
+    try:
+        os.makedirs(numba.config.CACHE_DIR, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(numba.config.CACHE_DIR, os.W_OK)
+
+
+_jit = numba.njit(cache=_compile_cache(), error_model="numpy")
+
+# The difference form is left where the ray comes this near to grazing the lower of its two ends:
+# (r cos zeta)^2 there is less than 0.3 of that at the upper end.
+_GRAZING_GUARD = 0.3
+
+# No dry land lies lower. A ray whose lowest point is deeper meets the ground before it.
+_LOWEST_TERRAIN_M = -500.0
+
+_X4, _W4 = (0.5 * a for a in np.polynomial.legendre.leggauss(4))
+_X8, _W8 = (0.5 * a for a in np.polynomial.legendre.leggauss(8))
+_X4, _X8 = 0.5 + _X4, 0.5 + _X8
+
+
+@_jit
+def _piece(edge, h):  # type: ignore[no-untyped-def]
+    """Number of the piece of the table that holds height h."""
+    return min(max(np.searchsorted(edge, h, side="right") - 1, 0), edge.size - 2)
+
+
+@_jit
+def _refractivity(edge, coefficient, i, h):  # type: ignore[no-untyped-def]
+    """N at height h by the polynomial of piece i."""
+    u = (h - edge[i]) / (edge[i + 1] - edge[i])
+    value = coefficient[i, 7]
+    for j in range(6, -1, -1):
+        value = value * u + coefficient[i, j]
+    return value
+
+
+@_jit
+def _excess(edge, coefficient, i, h, n_c, h_c, r_e, lift):  # type: ignore[no-untyped-def]
+    """n r - k without cancellation; ``lift`` is n_c r_c (1 - sin zeta_c)."""
+    n = _refractivity(edge, coefficient, i, h)
+    return (r_e + h) * (n - n_c) + (1.0 + n_c) * (h - h_c) + lift
+
+
+@_jit
+def _bend_difference(edge, coefficient, h_c, h_g, sin_c, cos_c, r_e):  # type: ignore[no-untyped-def]
+    """R_c from the difference between straight and bent ray, both on their way to h_g.
+
+    NaN where the bent ray turns before it gets there.
+    """
+    r_c, r_g = r_e + h_c, r_e + h_g
+    n_c = _refractivity(edge, coefficient, _piece(edge, h_c), h_c)
+    index_c = 1.0 + n_c
+    s = r_c * sin_c
+    # (r cos z)^2 along the straight line is linear in r^2.
+    b2_c = (r_c * cos_c) ** 2
+    b2_g = b2_c - (h_c - h_g) * (r_c + r_g)
+    steep = min(b2_g, b2_c) > 0.9 * max(b2_g, b2_c)
+    low, high = min(h_c, h_g), max(h_c, h_g)
+    integral = 0.0
+    for i in range(_piece(edge, low), _piece(edge, high) + 1):
+        h_0, h_1 = max(low, edge[i]), min(high, edge[i + 1])
+        width = h_1 - h_0
+        if width <= 0.0:
+            continue
+        x, w = (_X4, _W4) if steep and width < 260.0 else (_X8, _W8)
+        part = 0.0
+        for j in range(x.size):
+            h = h_0 + width * x[j]
+            r = r_e + h
+            n = _refractivity(edge, coefficient, i, h)
+            straight2 = b2_c - (h_c - h) * (r_c + r)
+            squares = (n - n_c) * (2.0 + n + n_c)  # n^2 - n_c^2
+            bent2 = index_c * index_c * straight2 + squares * r * r
+            if not (bent2 > 0.0 and straight2 > 0.0):
+                return math.nan
+            a = math.sqrt(bent2)
+            b = index_c * math.sqrt(straight2)
+            part += w[j] * squares * r / (a * b * (a + b))
+        integral += part * width
+    # Upwards the bent ray subtends the larger angle, and both signs turn over.
+    sense = 1.0 if h_g < h_c else -1.0
+    half = 0.5 * sense * index_c * s * integral
+    q = math.sqrt(b2_g)
+    z = math.atan2(s, q)
+    chord = abs(h_c - h_g) * (r_c + r_g) / (r_c * abs(cos_c) + q)
+    across = 2.0 * r_g * math.sin(half)
+    return math.atan2(across * math.cos(z - half), chord - sense * across * math.sin(z - half))
+
+
+@_jit
+def _turning_height(edge, coefficient, n_c, h_c, r_e, lift):  # type: ignore[no-untyped-def]
+    """h_90 at or below the camera, where n r = k (Gyer 1996, Eq. 16); NaN below the profile."""
+    i = _piece(edge, h_c)
+    high = h_c
+    while i >= 0:
+        low = edge[i]
+        if _excess(edge, coefficient, i, low, n_c, h_c, r_e, lift) <= 0.0:
+            for _ in range(80):
+                middle = 0.5 * (low + high)
+                if middle <= low or middle >= high:
+                    break
+                if _excess(edge, coefficient, i, middle, n_c, h_c, r_e, lift) > 0.0:
+                    high = middle
+                else:
+                    low = middle
+            return high
+        high = low
+        i -= 1
+    return math.nan
+
+
+@_jit
+def _subtended(edge, coefficient, low, high, turn, n_c, h_c, r_e, lift):  # type: ignore[no-untyped-def]
+    """Angle the ray subtends between two heights (Gyer 1996, Eq. 12) with h = turn + s^2.
+
+    ``turn`` <= ``low`` is where the ray is level, or would be; the substitution takes the
+    singularity out of the integrand. NaN where the ray turns in between.
+    """
+    k = (1.0 + n_c) * (r_e + h_c) - lift
+    total = 0.0
+    for i in range(_piece(edge, low), _piece(edge, high) + 1):
+        h_0, h_1 = max(low, edge[i]), min(high, edge[i + 1])
+        if h_1 <= h_0:
+            continue
+        s_0, s_1 = math.sqrt(max(h_0 - turn, 0.0)), math.sqrt(max(h_1 - turn, 0.0))
+        part = 0.0
+        for j in range(_X8.size):
+            s = s_0 + (s_1 - s_0) * _X8[j]
+            h = turn + s * s
+            excess = _excess(edge, coefficient, i, h, n_c, h_c, r_e, lift)
+            if not excess > 0.0:
+                return math.nan
+            part += _W8[j] * 2.0 * s * k / ((r_e + h) * math.sqrt(excess * (excess + 2.0 * k)))
+        total += part * (s_1 - s_0)
+    return total
+
+
+@_jit
+def _bend_subtended(edge, coefficient, h_c, h_g, sin_c, cos_c, r_e):  # type: ignore[no-untyped-def]
+    """R_c from the subtended angle (Gyer 1996, Eq. 11, 12, 15), good at and beyond grazing."""
+    n_c = _refractivity(edge, coefficient, _piece(edge, h_c), h_c)
+    lift = (1.0 + n_c) * (r_e + h_c) * cos_c * cos_c / (1.0 + sin_c)
+    low, high = min(h_c, h_g), max(h_c, h_g)
+    if h_g > h_c and cos_c > 0.0:  # down through P_90 and up again
+        turn = _turning_height(edge, coefficient, n_c, h_c, r_e, lift)
+        if not turn >= _LOWEST_TERRAIN_M:
+            return math.nan
+        theta = 2.0 * _subtended(edge, coefficient, turn, h_c, turn, n_c, h_c, r_e, lift)
+        theta += _subtended(edge, coefficient, h_c, h_g, turn, n_c, h_c, r_e, lift)
+    else:
+        i = _piece(edge, low)
+        excess = _excess(edge, coefficient, i, low, n_c, h_c, r_e, lift)
+        if not excess >= 0.0:
+            return math.nan
+        step = min(1.0, 0.01 * (edge[i + 1] - edge[i]))
+        slope = (_excess(edge, coefficient, i, low + step, n_c, h_c, r_e, lift) - excess) / step
+        turn = low - excess / slope if slope > 0.0 else low - excess
+        theta = _subtended(edge, coefficient, low, high, turn, n_c, h_c, r_e, lift)
+    across = math.sin(theta)
+    along = (h_c - h_g) / (r_e + h_g) + 2.0 * math.sin(0.5 * theta) ** 2
+    return math.atan2(sin_c * along - cos_c * across, cos_c * along + sin_c * across)
+
+
+@_jit
+def _bend_one(edge, coefficient, h_c, h_g, sin_c, cos_c, r_e):  # type: ignore[no-untyped-def]
+    """R_c and status of one ray."""
+    finite = math.isfinite(h_c) and math.isfinite(h_g) and math.isfinite(r_e)
+    if not (finite and 0.0 <= sin_c <= 1.0 and abs(cos_c) <= 1.0 and r_e > 0.0):
+        return math.nan, BAD_MEASUREMENT
+    slack = 1e-6
+    if min(h_c, h_g) < edge[0] - slack or max(h_c, h_g) > edge[-1] + slack:
+        return math.nan, OUTSIDE_PROFILE
+    if h_g < h_c and cos_c <= 0.0:
+        return math.nan, MISSES_GROUND
+    if h_g == h_c:
+        return 0.0, OK
+    b2_c = ((r_e + h_c) * cos_c) ** 2
+    b2_g = b2_c - (h_c - h_g) * (2.0 * r_e + h_c + h_g)
+    through_turn = h_g > h_c and cos_c > 0.0
+    if through_turn or min(b2_c, b2_g) < _GRAZING_GUARD * max(b2_c, b2_g):
+        r_angle = _bend_subtended(edge, coefficient, h_c, h_g, sin_c, cos_c, r_e)
+    else:
+        r_angle = _bend_difference(edge, coefficient, h_c, h_g, sin_c, cos_c, r_e)
+    if math.isnan(r_angle):
+        return math.nan, MISSES_GROUND
+    if h_g < h_c:
+        floor = max(edge[0], min(_LOWEST_TERRAIN_M, h_g))
+        n_c = _refractivity(edge, coefficient, _piece(edge, h_c), h_c)
+        lift = (1.0 + n_c) * (r_e + h_c) * cos_c * cos_c / (1.0 + sin_c)
+        i = _piece(edge, floor)
+        if _excess(edge, coefficient, i, floor, n_c, h_c, r_e, lift) < 0.0:
+            return r_angle, BEYOND_GRAZING
+    return r_angle, OK
+
+
+@_jit
+def bend_rays(edge, coefficient, h_c, h_g, sin_c, cos_c, r_e, r_angle, status):  # type: ignore[no-untyped-def]
+    """Fill ``r_angle`` [rad] and ``status`` for vectors of rays."""
+    for i in range(h_c.size):
+        r_angle[i], status[i] = _bend_one(
+            edge, coefficient, h_c[i], h_g[i], sin_c[i], cos_c[i], r_e[i]
+        )

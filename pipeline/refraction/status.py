@@ -1,0 +1,24 @@
+"""What became of an observation, as small integers inside and as words in files."""
+
+from __future__ import annotations
+
+OK = 0
+NO_STATION = 1
+NO_GROUND = 2
+BAD_MEASUREMENT = 3
+OUTSIDE_CAMERA = 4
+MISSES_GROUND = 5
+BEYOND_GRAZING = 6
+OUTSIDE_PROFILE = 7
+
+STATUS_NAMES = (
+    "ok",
+    "no_station",
+    "no_ground",
+    "bad_measurement",
+    "outside_camera",
+    "misses_ground",
+    "beyond_grazing",
+    "outside_profile",
+)
+"""Names by code. Observations that are ``ok`` or ``beyond_grazing`` carry corrected values."""
