@@ -1,0 +1,173 @@
+"""Reading a mission file, and saying what is wrong with it: line, key, nearest right key."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import types
+import typing
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from pipeline.config.sections import Mission
+from pipeline.errors import ConfigError
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML 1.2 scalars (1e-6 is a number, no and on are words) and no repeated keys."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if key.value in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"the key {key.value!r} stands here twice", key.start_mark
+                )
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, rule) for tag, rule in rules if tag.rsplit(":", 1)[1] not in ("bool", "float")]
+    for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:bool", re.compile(r"^(?:true|True|false|False)$"), list("tTfF")
+)
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(
+        r"^[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?$|^[-+]?\.(?:inf|Inf|INF)$"
+        r"|^\.(?:nan|NaN|NAN)$"
+    ),
+    list("-+0123456789."),
+)
+
+
+def load_mission(path: Path) -> Mission:
+    """Read and check a mission file; refuses with every mistake, its line and the nearest key.
+
+    Opens nothing but the file itself.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise ConfigError(
+            "CONFIG-MISSING", "there is no such file", where=str(path), remedy="check the path"
+        ) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(
+            "CONFIG-UNREADABLE", f"cannot be read: {error}", where=str(path),
+            remedy="a mission file is YAML in UTF-8",
+        ) from None  # fmt: skip
+    try:
+        node = yaml.compose(text, _Loader)
+        values = yaml.load(text, _Loader)  # _Loader is a SafeLoader
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f":{mark.line + 1}" if mark else ""
+        raise ConfigError(
+            "CONFIG-YAML",
+            str(getattr(error, "problem", None) or error),
+            where=f"{path}{line}",
+            remedy="mend the YAML",
+        ) from None
+    if not isinstance(values, dict):
+        required = [name for name, field in Mission.model_fields.items() if field.is_required()]
+        raise ConfigError(
+            "CONFIG-EMPTY",
+            "holds no sections",
+            where=str(path),
+            remedy=f"it needs {', '.join(required)}",
+        )
+    try:
+        return Mission.model_validate(values)
+    except ValidationError as error:
+        raise _refusal(error, path, node) from None
+
+
+def _refusal(error: ValidationError, path: Path, node: yaml.Node | None) -> ConfigError:
+    """One refusal that names every mistake."""
+    mistakes = []
+    for item in error.errors(include_url=False):
+        key, line = _place(node, item["loc"])
+        what = item["msg"].removeprefix("Value error, ")
+        if item["type"] == "extra_forbidden":
+            what = "unknown key" + _nearest(item["loc"])
+        elif item["type"] == "missing":
+            what = "is missing" + _meaning(item["loc"])
+        mistakes.append((line, f"line {line}: {key}: {what}" if key else f"line {line}: {what}"))
+    # A union reports each of its arms; what stands at the same place is one mistake.
+    ordered = [text for _, text in sorted(dict.fromkeys(mistakes))]
+    code = "CONFIG-UNKNOWN-KEY" if "unknown key" in ordered[0] else "CONFIG-INVALID"
+    return ConfigError(
+        code,
+        ordered[0]
+        if len(ordered) == 1
+        else f"{len(ordered)} mistakes\n    " + "\n    ".join(ordered),
+        where=str(path),
+        remedy="mend the file; README.md lists the keys",
+    )
+
+
+def _place(node: yaml.Node | None, loc: tuple[int | str, ...]) -> tuple[str, int]:
+    """The dotted key and line of a pydantic location, skipping the names of union arms."""
+    keys: list[str] = []
+    line = (node.start_mark.line + 1) if node is not None else 1
+    for i, part in enumerate(loc):
+        if isinstance(node, yaml.MappingNode):
+            match = [(k, v) for k, v in node.value if k.value == str(part)]
+            if match:
+                line, node = match[0][0].start_mark.line + 1, match[0][1]
+                keys.append(str(part))
+            elif i == len(loc) - 1:
+                keys.append(str(part))
+        elif isinstance(node, yaml.SequenceNode) and isinstance(part, int):
+            if part < len(node.value):
+                node = node.value[part]
+            keys.append(f"[{part}]")
+    return ".".join(keys), line
+
+
+def _models_at(loc: tuple[int | str, ...]) -> list[type[BaseModel]]:
+    """Sections that may stand at a location."""
+    models: list[type[BaseModel]] = [Mission]
+    for part in loc:
+        found: list[type[BaseModel]] = []
+        for model in models:
+            if str(part) in model.model_fields:
+                found += _sections_of(model.model_fields[str(part)].annotation)
+        # A camera's name, or the name of a union arm, leads to no other section.
+        models = found or models
+    return models
+
+
+def _sections_of(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    if isinstance(annotation, types.UnionType) or typing.get_origin(annotation):
+        return [s for arg in typing.get_args(annotation) for s in _sections_of(arg)]
+    return []
+
+
+def _nearest(loc: tuple[int | str, ...]) -> str:
+    known = sorted({name for model in _models_at(loc[:-1]) for name in model.model_fields})
+    near = difflib.get_close_matches(str(loc[-1]), known, 1, 0.5)
+    return f"; did you mean {near[0]!r}?" if near else f"; there is {', '.join(known)}"
+
+
+def _meaning(loc: tuple[int | str, ...]) -> str:
+    for model in _models_at(loc[:-1]):
+        field = model.model_fields.get(str(loc[-1]))
+        if field is not None:
+            choices = (
+                [a for a in typing.get_args(field.annotation) if isinstance(a, str)]
+                if typing.get_origin(field.annotation) is Literal
+                else []
+            )
+            hint = f" ({' | '.join(choices)})" if choices else ""
+            return hint + (f": {field.description}" if field.description else "")
+    return ""

@@ -1,0 +1,373 @@
+"""What a mission file may say: one model a section, strict types, no unknown keys."""
+
+from __future__ import annotations
+
+import difflib
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    field_validator,
+    model_validator,
+)
+
+from pipeline.atmosphere import standard_names
+from pipeline.refraction import METHODS, Camera
+
+Positive = Annotated[float, Field(gt=0)]
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
+class Section(BaseModel):
+    """A part of the mission file: strict types, no unknown keys, no NaN."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class MissionSection(Section):
+    """What the mission is called, and what its log cannot say."""
+
+    name: str = Field(
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$",
+        description="name of the mission: letters, digits, dot, dash, underscore",
+    )
+    undulation_m: float | None = Field(
+        None,
+        ge=-120,
+        le=100,
+        description="ellipsoidal height minus height above mean sea level, where the log does "
+        "not carry both",
+    )
+
+
+class NamedChannel(Section):
+    """A channel by its name, with the unit it is really in."""
+
+    name: str
+    unit: Literal["Pa", "hPa", "kPa", "K", "degC", "fraction", "percent", "m/s"] | None = None
+
+
+class ChannelsSection(Section):
+    """Which channel plays which role; names as ``unbend inspect`` prints them."""
+
+    position: str | NamedChannel | None = None
+    height: str | NamedChannel | None = None
+    attitude: str | NamedChannel | None = None
+    pressure: str | NamedChannel | None = None
+    temperature: str | NamedChannel | None = None
+    humidity: str | NamedChannel | None = None
+    airspeed: str | NamedChannel | None = None
+    cabin_pressure: str | NamedChannel | None = None
+    cabin_temperature: str | NamedChannel | None = None
+    cabin_humidity: str | NamedChannel | None = None
+
+    def named(self) -> dict[str, NamedChannel]:
+        """The roles that were named."""
+        given = {role: getattr(self, role) for role in type(self).model_fields}
+        return {
+            role: NamedChannel(name=value) if isinstance(value, str) else value
+            for role, value in given.items()
+            if value is not None
+        }
+
+
+class LocalOrigin(Section):
+    """Where the origin of local (east, north, up) positions lies."""
+
+    lat_deg: float = Field(ge=-90, le=90)
+    lon_deg: float = Field(ge=-180, le=360)
+    h_ellipsoid_m: float = Field(ge=-500, le=50_000)
+
+
+class LogSection(Section):
+    """The flight log."""
+
+    path: str = Field(min_length=1, description="DataFlash .bin, MAVLink .tlog or .mcap")
+    channels: ChannelsSection = ChannelsSection()
+    max_gap_s: Positive = Field(
+        1.0, description="an exposure between two samples farther apart than this is in a gap"
+    )
+    local_origin: LocalOrigin | None = None
+
+
+class ObservationColumns(Section):
+    """What the columns of the table are called."""
+
+    image: str = "image"
+    point: str = "point"
+    x_px: str = "x_px"
+    y_px: str = "y_px"
+
+
+class ObservationsSection(Section):
+    """The table of image measurements."""
+
+    path: str = Field(min_length=1, description="CSV or Parquet")
+    columns: ObservationColumns = ObservationColumns()
+    pixel_origin: Literal["corner", "centre"] = Field(
+        "corner",
+        description="corner: the centre of the upper left pixel is (0.5, 0.5), as in COLMAP; "
+        "centre: it is (0, 0), as in OpenCV",
+    )
+
+
+class DistortionSection(Section):
+    """Brown-Conrady coefficients as OpenCV defines them."""
+
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+
+
+class CabinAir(Section):
+    """Constant air in the compartment."""
+
+    pressure_hpa: float = Field(ge=100, le=1200)
+    temperature_c: float = Field(ge=-60, le=60)
+    relative_humidity: float = Field(0.0, ge=0, le=1)
+
+
+class WindowSection(Section):
+    """The window of a pressurised compartment."""
+
+    cabin: Literal["log"] | CabinAir = Field(
+        description="log: from the cabin channels of the log; or constant values"
+    )
+    normal: Vector = Field(
+        default_factory=lambda: [0.0, 0.0, 1.0],
+        description="direction of the window in the camera frame (x right, y down, z forward)",
+    )
+
+    @field_validator("normal")
+    @classmethod
+    def _points_outside(cls, value: list[float]) -> list[float]:
+        length = float(np.linalg.norm(value))
+        if not length > 0.0 or value[2] <= 0.0:
+            raise ValueError("must point out of the compartment: a positive third component")
+        return [component / length for component in value]
+
+
+class CameraSection(Section):
+    """Interior orientation of one camera."""
+
+    width_px: int = Field(gt=0, le=1_000_000)
+    height_px: int = Field(gt=0, le=1_000_000)
+    f_px: Positive | None = None
+    fx_px: Positive | None = None
+    fy_px: Positive | None = None
+    cx_px: float
+    cy_px: float
+    pixel_origin: Literal["corner", "centre"] = "corner"
+    distortion: DistortionSection = DistortionSection()
+    calibration: Literal["laboratory", "in_flight_uncorrected", "in_flight_corrected"] = Field(
+        description="how it was calibrated. A calibration estimated in flight on uncorrected "
+        "images already contains the nadir refraction of that height"
+    )
+    window: WindowSection | None = None
+
+    @model_validator(mode="after")
+    def _one_principal_distance(self) -> CameraSection:
+        both = self.fx_px is not None and self.fy_px is not None
+        neither = self.fx_px is None and self.fy_px is None
+        if (self.f_px is not None) == both or not (both or neither):
+            raise ValueError("give f_px, or both fx_px and fy_px")
+        return self
+
+    def build(self) -> Camera:
+        """The camera in COLMAP's pixels."""
+        half = 0.5 if self.pixel_origin == "centre" else 0.0
+        return Camera(
+            self.width_px,
+            self.height_px,
+            self.f_px or self.fx_px or 0.0,
+            self.f_px or self.fy_px or 0.0,
+            self.cx_px + half,
+            self.cy_px + half,
+            **self.distortion.model_dump(),
+        )
+
+
+class MountSection(Section):
+    """How a camera sits in the aircraft (body frame: x forward, y right, z down).
+
+    With all angles zero it looks straight down with the top of the image towards the nose; yaw,
+    pitch and roll then turn it about the body's axes, in that order (intrinsic z-y-x).
+    """
+
+    roll_deg: float = 0.0
+    pitch_deg: float = 0.0
+    yaw_deg: float = 0.0
+    lever_arm_m: Vector = Field(
+        default_factory=lambda: [0.0, 0.0, 0.0],
+        description="projection centre minus the point whose position the log gives, in the "
+        "body frame",
+    )
+
+
+class LogEvents(Section):
+    """Exposures of one camera from the log."""
+
+    channel: str | None = Field(None, description="by default the only event channel of the log")
+    image: str = Field(
+        description="name of the image: {index} the log's number, {n} counted from 1; format "
+        "codes as in Python, for example IMG_{index:05d}.tif"
+    )
+    delay_s: float = Field(0.0, ge=-10, le=10, description="shutter time minus event time")
+
+    @field_validator("image")
+    @classmethod
+    def _is_a_pattern(cls, value: str) -> str:
+        try:
+            names = {value.format(index=i, n=i) for i in (1, 2)}
+        except (KeyError, IndexError, ValueError) as error:
+            raise ValueError(f"is not a pattern with {{index}} or {{n}} ({error})") from None
+        if len(names) < 2:
+            raise ValueError("gives every exposure the same name; put {index} or {n} into it")
+        return value
+
+
+class CsvEventColumns(Section):
+    """Columns of a table of exposures: a UTC time, or GPS week and seconds of week."""
+
+    image: str = "image"
+    time_utc: str | None = None
+    gps_week: str | None = None
+    gps_seconds: str | None = None
+    camera: str | None = None
+
+    @model_validator(mode="after")
+    def _one_clock(self) -> CsvEventColumns:
+        gps = (self.gps_week is not None, self.gps_seconds is not None)
+        if (self.time_utc is None) != all(gps) or gps[0] != gps[1]:
+            raise ValueError("give time_utc, or both gps_week and gps_seconds")
+        return self
+
+
+class CsvEvents(Section):
+    """Exposures from a CSV of image names and times."""
+
+    path: str = Field(min_length=1)
+    columns: CsvEventColumns = CsvEventColumns(time_utc="time_utc")
+    camera: str | None = Field(None, description="the camera of every row without a camera column")
+
+
+class EventsSection(Section):
+    """When the images were exposed: from the log, per camera, or from a CSV."""
+
+    log: dict[str, LogEvents] | None = None
+    csv: CsvEvents | None = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> EventsSection:
+        if (self.log is None) == (self.csv is None):
+            raise ValueError("give either log or csv")
+        if self.log is not None and not self.log:
+            raise ValueError("log needs at least one camera")
+        return self
+
+
+class GroundColumn(Section):
+    """Ground heights in a column of the observations."""
+
+    column: str
+
+
+class GroundSection(Section):
+    """Heights of the observed points. There is no default."""
+
+    height: float | GroundColumn = Field(description="metres, or {column: NAME}")
+    reference: Literal["msl", "ellipsoid", "relative"] = Field(
+        description="above mean sea level, above the ellipsoid, or above the take-off point"
+    )
+    home_h_msl_m: float | None = Field(
+        None, description="height of the take-off point, where the log does not tell"
+    )
+
+    @field_validator("height")
+    @classmethod
+    def _on_earth(cls, value: float | GroundColumn) -> float | GroundColumn:
+        if isinstance(value, float) and not -600.0 <= value <= 10_000.0:
+            raise ValueError("is no ground height in metres (-600 to 10000)")
+        return value
+
+
+class AtmosphereSection(Section):
+    """The air."""
+
+    standard: str = "us1976"
+    adjust: bool = Field(True, description="false keeps the standard atmosphere as it is")
+    index: Literal["ciddor", "gyer"] = "ciddor"
+    wavelength_m: float = Field(0.55e-6, ge=0.3e-6, le=1.7e-6)
+    co2_ppm: float = Field(450.0, ge=0, le=2000)
+
+    @field_validator("standard")
+    @classmethod
+    def _is_known(cls, value: str) -> str:
+        if value not in standard_names():
+            raise ValueError(f"is none of {', '.join(standard_names())}")
+        return value
+
+
+class RefractionSection(Section):
+    """How rays are traced."""
+
+    method: str = "spherical"
+    radius_m: float | None = Field(
+        None,
+        ge=6.2e6,
+        le=6.5e6,
+        description="radius of the earth; by default the ellipsoid's in the azimuth of the ray",
+    )
+
+    @field_validator("method")
+    @classmethod
+    def _is_known(cls, value: str) -> str:
+        if value not in METHODS:
+            raise ValueError(f"is none of {', '.join(METHODS)}")
+        return value
+
+
+class OutputSection(Section):
+    """Where the results go."""
+
+    path: str = Field(min_length=1, description="folder of this mission's results")
+    batch_rows: int = Field(250_000, ge=1_000, le=2_000_000)
+
+
+class Mission(Section):
+    """A mission file as understood."""
+
+    mission: MissionSection
+    log: LogSection
+    observations: ObservationsSection
+    cameras: dict[str, CameraSection] = Field(min_length=1)
+    mount: dict[str, MountSection]
+    events: EventsSection
+    ground: GroundSection
+    atmosphere: AtmosphereSection = AtmosphereSection()
+    refraction: RefractionSection = RefractionSection()
+    output: OutputSection
+
+    @model_validator(mode="after")
+    def _cameras_agree(self) -> Mission:
+        known = set(self.cameras)
+        used = {"mount": set(self.mount)}
+        if self.events.log is not None:
+            used["events.log"] = set(self.events.log)
+        if self.events.csv is not None:
+            one = self.events.csv.camera
+            if one is None and self.events.csv.columns.camera is None and len(known) > 1:
+                raise ValueError("events.csv must say which camera: camera or columns.camera")
+            used["events.csv.camera"] = {one} if one else set()
+        for where, names in used.items():
+            for name in sorted(names - known):
+                near = difflib.get_close_matches(name, known, 1, 0.0)
+                raise ValueError(f"{where} speaks of camera {name!r}; did you mean {near[0]!r}?")
+        for name in sorted(known - set(self.mount)):
+            raise ValueError(f"camera {name!r} has no entry under mount")
+        return self
