@@ -1,0 +1,66 @@
+"""Heights above sea level and above the ellipsoid, each from the other where it must be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.flight.channels import Channel
+from pipeline.flight.trajectory import interpolate
+from pipeline.ledger import Ledger
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class HeightSystem:
+    """How the two kinds of height go together; None where the log and the user do not say."""
+
+    undulation_m: float | None = None
+    home_h_msl_m: float | None = None
+
+
+def height_system(
+    roles: Mapping[str, Channel], stated_undulation_m: float | None, ledger: Ledger
+) -> HeightSystem:
+    """Undulation and take-off height, from the mission file or the log itself."""
+    undulation = stated_undulation_m
+    height = roles.get("height")
+    if undulation is None and height is not None:
+        both = _difference(height, "h_ellipsoid_m", "h_msl_m")
+        if both.size:
+            undulation = float(np.median(both))
+            ledger.note(
+                "HEIGHT-UNDULATION",
+                f"undulation {undulation:.2f} m, from the two heights of {height.name}",
+                where=height.name,
+                count=int(both.size),
+            )
+    position = roles.get("position")
+    home = None
+    if position is not None:
+        above_home = _difference(position, "h_msl_m", "h_home_m")
+        home = float(np.median(above_home)) if above_home.size else None
+    return HeightSystem(undulation, home)
+
+
+def _difference(channel: Channel, first: str, second: str) -> Array:
+    if first not in channel.columns or second not in channel.columns:
+        return np.empty(0)
+    difference = channel[first] - channel[second]
+    return difference[np.isfinite(difference)]
+
+
+def heights_at(
+    height: Channel, time_ns: NDArray[np.int64], heights: HeightSystem, max_gap_s: float
+) -> tuple[Array, Array]:
+    """Heights above sea level and above the ellipsoid, each from the other where it must be."""
+    h_msl = interpolate(height, "h_msl_m", time_ns, max_gap_s)
+    h_ell = interpolate(height, "h_ellipsoid_m", time_ns, max_gap_s)
+    if heights.undulation_m is not None:
+        h_msl = np.where(np.isfinite(h_msl), h_msl, h_ell - heights.undulation_m)
+        h_ell = np.where(np.isfinite(h_ell), h_ell, h_msl + heights.undulation_m)
+    return h_msl, h_ell

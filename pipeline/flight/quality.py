@@ -1,0 +1,88 @@
+"""Readings that cannot be true, and units that look wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.errors import MissionError
+from pipeline.flight.channels import Channel
+from pipeline.ledger import Ledger
+
+RANGES: Mapping[str, tuple[float, float]] = {
+    "lat_rad": (-np.pi / 2.0, np.pi / 2.0),
+    "lon_rad": (-2.0 * np.pi, 2.0 * np.pi),
+    "h_msl_m": (-600.0, 60_000.0),
+    "h_ellipsoid_m": (-700.0, 60_000.0),
+    "pressure_pa": (20.0, 120_000.0),
+    "temperature_k": (170.0, 340.0),
+    "relative_humidity": (-0.05, 1.15),
+    "airspeed_m_s": (-5.0, 700.0),
+}
+"""What can be true of the air and the aircraft, in SI."""
+
+# Medians that give a wrong unit away: column -> (low, high, the unit it looks like).
+_DISGUISES: Mapping[str, tuple[float, float, str]] = {
+    "pressure_pa": (100.0, 1_200.0, "hPa"),
+    "temperature_k": (-90.0, 60.0, "degC"),
+    "relative_humidity": (1.2, 100.0, "percent"),
+}
+
+
+def within_reason(channel: Channel, role: str, columns: tuple[str, ...], ledger: Ledger) -> Channel:
+    """The channel without the samples whose ``columns`` are missing or out of range.
+
+    Refuses a channel whose median gives away a wrong unit (hPa where Pa is due); every sample
+    taken out is counted in the ledger.
+    """
+    keep = np.ones(len(channel), dtype=bool)
+    for column in columns:
+        values = channel[column]
+        finite = np.isfinite(values)
+        if column in _DISGUISES and finite.any():
+            _refuse_disguise(channel, role, column, float(np.median(values[finite])))
+        low, high = RANGES.get(column, (-np.inf, np.inf))
+        with np.errstate(invalid="ignore"):
+            outside = finite & ((values < low) | (values > high))
+        for bad, what in (
+            (~finite, "not a number"),
+            (outside, f"outside {low:g} to {high:g}"),
+        ):
+            if bad.any():
+                ledger.loss(
+                    "SENSOR-RANGE",
+                    f"{int(bad.sum())} of {len(channel)} samples of {column} are {what} and are "
+                    "not used",
+                    where=channel.name,
+                    count=int(bad.sum()),
+                )
+        keep &= finite & ~outside
+    return channel if bool(keep.all()) else subset(channel, keep)
+
+
+def _refuse_disguise(channel: Channel, role: str, column: str, median: float) -> None:
+    low, high, unit = _DISGUISES[column]
+    if low <= median <= high:
+        raise MissionError(
+            "CHANNEL-UNIT",
+            f"the median of {column} is {median:.4g}: that looks like {unit}",
+            where=f"channel {channel.name}, role {role}",
+            remedy=f"say so in the mission file: log.channels.{role}: "
+            f"{{name: {channel.name}, unit: {unit}}}",
+        )
+
+
+def subset(channel: Channel, keep: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> Channel:
+    """The samples of a channel that a mask keeps."""
+    return replace(
+        channel,
+        time_ns=channel.time_ns[keep],
+        boot=channel.boot[keep],
+        columns={name: values[keep] for name, values in channel.columns.items()},
+        labels={
+            name: tuple(np.array(values, dtype=object)[keep])
+            for name, values in channel.labels.items()
+        },
+    )

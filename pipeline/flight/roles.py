@@ -1,0 +1,237 @@
+"""Which channel plays which role: named by the user, or found where it is unambiguous."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import MissionError
+from pipeline.flight.channels import ROLE_COLUMNS, Channel
+from pipeline.flight.trajectory import interpolate
+from pipeline.ledger import Ledger
+from pipeline.units import HECTOPASCAL, STANDARD_GRAVITY, ZERO_CELSIUS_K
+
+Array = NDArray[np.float64]
+
+# Roles of which a second sensor is a spare: the first of several equals is taken.
+_SPARES = {"position", "height", "attitude"}
+
+_UNITS: Mapping[str, tuple[str, float, float]] = {
+    "Pa": ("pressure_pa", 1.0, 0.0),
+    "hPa": ("pressure_pa", HECTOPASCAL, 0.0),
+    "kPa": ("pressure_pa", 1000.0, 0.0),
+    "K": ("temperature_k", 1.0, 0.0),
+    "degC": ("temperature_k", 1.0, ZERO_CELSIUS_K),
+    "fraction": ("relative_humidity", 1.0, 0.0),
+    "percent": ("relative_humidity", 0.01, 0.0),
+    "m/s": ("airspeed_m_s", 1.0, 0.0),
+}
+
+
+@dataclass(frozen=True)
+class Wish:
+    """A channel the user named for a role, and the unit its numbers are really in."""
+
+    name: str
+    unit: str | None = None
+
+
+def assign_roles(
+    channels: Iterable[Channel],
+    wishes: Mapping[str, Wish],
+    ledger: Ledger,
+    *,
+    needs_cabin: bool,
+) -> dict[str, Channel]:
+    """The channel of each role that can be filled, by role.
+
+    Parameters
+    ----------
+    channels : all channels of the log.
+    wishes : role -> channel named in the mission file.
+    ledger : receives each choice, and each role left empty.
+    needs_cabin : whether the window asks for cabin air from the log.
+
+    Named channels that are absent refuse the mission where the role is needed, and are a loss in
+    the ledger where it is not. The event channels are chosen by `exposures`, one a camera.
+    """
+    everything = tuple(channels)
+    required = {"position", "attitude"} | ({"cabin_pressure", "cabin_temperature"} & set(wishes))
+    filled: dict[str, Channel] = {}
+    for role, wish in wishes.items():
+        channel = _named(everything, role, wish, role in required, ledger)
+        if channel is not None:
+            filled[role] = channel
+    taken = {channel.name for channel in filled.values()}
+    for role in ("height", "position", "attitude"):
+        _fill(filled, role, everything, set(), ledger, wishes)
+    if "height" not in filled and "position" in filled:
+        filled["height"] = filled["position"]
+    _fill_barometers(filled, everything, taken, ledger, wishes, needs_cabin)
+    others = ["airspeed", "temperature", "humidity"]
+    if needs_cabin:
+        others = ["airspeed", "cabin_temperature", "cabin_humidity", "temperature", "humidity"]
+    for role in others:
+        _fill(filled, role, everything, taken, ledger, wishes)
+    return filled
+
+
+def _named(
+    channels: tuple[Channel, ...], role: str, wish: Wish, required: bool, ledger: Ledger
+) -> Channel | None:
+    """The channel a user named for a role, in the unit he named."""
+    by_name = {channel.name: channel for channel in channels}
+    channel = by_name.get(wish.name)
+    if channel is not None and wish.unit is not None:
+        channel = _in_unit(channel, role, wish)
+    if channel is not None and channel.can_play(role):
+        return channel
+    able = [c.name for c in channels if c.can_play(role)]
+    near = difflib.get_close_matches(wish.name, by_name, 3, 0.4)
+    if channel is not None:
+        what = (
+            f"{wish.name} has no {', '.join(ROLE_COLUMNS[role])}; it has "
+            f"{', '.join(channel.columns)}"
+        )
+    else:
+        what = f"the log has no channel {wish.name!r}" + (
+            f" (near: {', '.join(near)})" if near else ""
+        )
+    instead = f"could play this role: {', '.join(able)}" if able else "nothing else could play it"
+    if required:
+        raise MissionError(
+            "CHANNEL-MISSING",
+            f"{what}; {instead}",
+            where=f"log.channels.{role}",
+            remedy="name a channel as `unbend inspect` prints it",
+        )
+    ledger.loss("CHANNEL-MISSING", f"{what}; {instead}", where=f"log.channels.{role}")
+    return None
+
+
+def _in_unit(channel: Channel, role: str, wish: Wish) -> Channel:
+    """The channel with the role's column computed from the unit the user named."""
+    column, factor, offset = _UNITS[wish.unit or ""]
+    if column not in ROLE_COLUMNS[role]:
+        raise MissionError(
+            "CHANNEL-UNIT",
+            f"{wish.unit} is no unit of {role.replace('_', ' ')}",
+            where=f"log.channels.{role}",
+            remedy=f"its column is {', '.join(ROLE_COLUMNS[role])}",
+        )
+    # What the log's own definition called the quantity was wrong by this unit, or it is a bare
+    # NAMED_VALUE.
+    raw = channel.columns.get("value", channel.columns.get(column))
+    if raw is None:
+        return channel
+    return replace(channel, columns=dict(channel.columns) | {column: raw * factor + offset})
+
+
+def _fill(
+    filled: dict[str, Channel],
+    role: str,
+    channels: tuple[Channel, ...],
+    taken: set[str],
+    ledger: Ledger,
+    wishes: Mapping[str, Wish],
+) -> None:
+    """Fill a role that was not named, from the candidates of the best rank."""
+    if role in filled or role in wishes:
+        return
+    candidates = [c for c in channels if role in c.roles and c.can_play(role)]
+    # A channel may serve a role it was not named for, except that inside is never outside.
+    used = {
+        c.name for r, c in filled.items() if r.startswith("cabin_") != role.startswith("cabin_")
+    }
+    candidates = [c for c in candidates if c.name not in used]
+    while candidates:
+        best = min(candidate.rank for candidate in candidates)
+        equals = [candidate for candidate in candidates if candidate.rank == best]
+        if len(equals) == 1 or role in _SPARES:
+            filled[role] = equals[0]
+            ledger.note("ROLE", f"{role.replace('_', ' ')}: {equals[0].name}", where=role)
+            return
+        ledger.warning(
+            "ROLE-AMBIGUOUS",
+            f"{', '.join(c.name for c in equals)} could each be the {role.replace('_', ' ')}; "
+            "none of them is used",
+            where=f"log.channels.{role}",
+        )
+        candidates = [candidate for candidate in candidates if candidate.rank > best]
+
+
+def _fill_barometers(
+    filled: dict[str, Channel],
+    channels: tuple[Channel, ...],
+    taken: set[str],
+    ledger: Ledger,
+    wishes: Mapping[str, Wish],
+    needs_cabin: bool,
+) -> None:
+    """Tell the barometer outside from the one in the cabin by how pressure follows height."""
+    free = [c for c in channels if "pressure" in c.roles and c.name not in taken]
+    free.sort(key=lambda channel: (channel.rank, channel.name))
+    height = filled.get("height")
+    if "pressure" not in filled and "pressure" not in wishes and height is not None:
+        outside = []
+        for channel in free:
+            verdict = follows_height(channel, height)
+            if verdict is None or verdict:
+                outside.append(channel)
+            else:
+                ledger.note(
+                    "BARO-NOT-OUTSIDE",
+                    f"{channel.name} does not follow the GNSS height as outside air does: it is "
+                    "taken for a barometer in a closed compartment",
+                    where=channel.name,
+                )
+        if outside:
+            filled["pressure"] = outside[0]
+            ledger.note("ROLE", f"pressure: {outside[0].name}", where="pressure")
+    if not needs_cabin or "cabin_pressure" in filled or "cabin_pressure" in wishes:
+        return
+    outside_name = filled["pressure"].name if "pressure" in filled else ""
+    inside = [
+        c
+        for c in free
+        if c.name != outside_name and height is not None and follows_height(c, height) is False
+    ]
+    if len(inside) == 1:
+        filled["cabin_pressure"] = inside[0]
+        ledger.note("ROLE", f"cabin pressure: {inside[0].name}", where="cabin_pressure")
+    elif inside:
+        ledger.warning(
+            "ROLE-AMBIGUOUS",
+            f"{', '.join(c.name for c in inside)} could each be the cabin pressure",
+            where="log.channels.cabin_pressure",
+        )
+
+
+def follows_height(barometer: Channel, height: Channel) -> bool | None:
+    """Whether a barometer's pressure falls with GNSS height as free air does.
+
+    The mean temperature that the fall of ln p implies must lie between 190 and 330 K and leave
+    less than 1 % of pressure unexplained. None where the flight spans under 300 m of height, too
+    little to tell.
+    """
+    column = "h_msl_m" if np.isfinite(height.columns.get("h_msl_m", np.nan)).any() else None
+    column = column or ("h_ellipsoid_m" if "h_ellipsoid_m" in height.columns else None)
+    if column is None:
+        return None
+    h = interpolate(height, column, barometer.time_ns, max_gap_s=5.0)
+    p = barometer["pressure_pa"]
+    use = np.isfinite(h) & (p > 0.0)
+    if use.sum() < 10 or float(np.ptp(h[use])) < 300.0:
+        return None
+    rise, log_p = h[use] - h[use].mean(), np.log(p[use])
+    parabola = np.polyfit(rise, log_p, 2)
+    rest = log_p - np.polyval(parabola, rise)
+    slope = float(parabola[1])
+    if slope >= 0.0:
+        return False
+    implied_k = STANDARD_GRAVITY / 287.05 / -slope
+    return bool(190.0 < implied_k < 330.0 and np.sqrt(np.mean(rest**2)) < 0.01)

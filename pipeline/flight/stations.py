@@ -1,0 +1,134 @@
+"""Stations: one row an exposure, with where the camera was, how it looked, and the air then."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+STATION_OK = "ok"
+OUTSIDE_LOG = "outside_log"
+IN_GAP = "in_gap"
+NO_POSITION = "no_position"
+NO_ATTITUDE = "no_attitude"
+HEIGHT_REFERENCE_UNKNOWN = "height_reference_unknown"
+UNMATCHED = "unmatched"
+SUSPECT = "suspect"
+
+NO_TIME = np.iinfo(np.int64).min
+"""Time of a station that has none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stations:
+    """Exposures; (s,) arrays, SI and radians, NaN where unknown.
+
+    ``quaternion`` (s, 4) is w, x, y, z with v_camera = R(q) v_enu, east-north-up at the station,
+    up along the ellipsoid normal, w >= 0. Positions are those of the projection centre.
+    ``pressure_pa``, ``temperature_k`` and ``vapour_pressure_pa`` were measured outside at the
+    exposure, the ``cabin_`` columns inside. ``status`` is ok or says what is missing.
+    """
+
+    image: NDArray[np.object_]
+    camera: NDArray[np.object_]
+    time_ns: NDArray[np.int64]
+    lat_rad: Array
+    lon_rad: Array
+    h_msl_m: Array
+    h_ellipsoid_m: Array
+    quaternion: Array
+    pressure_pa: Array
+    temperature_k: Array
+    vapour_pressure_pa: Array
+    cabin_pressure_pa: Array
+    cabin_temperature_k: Array
+    cabin_vapour_pressure_pa: Array
+    sigma_horizontal_m: Array
+    sigma_height_m: Array
+    status: NDArray[np.object_]
+
+    def __post_init__(self) -> None:
+        n = self.image.shape[0]
+        for field in fields(self):
+            shape = getattr(self, field.name).shape
+            if shape != ((n, 4) if field.name == "quaternion" else (n,)):
+                raise ValueError(f"stations: {field.name} is {shape} for {n} stations")
+
+    def __len__(self) -> int:
+        return int(self.image.shape[0])
+
+    @property
+    def ok(self) -> NDArray[np.bool_]:
+        """(s,) which stations can be used."""
+        return np.asarray(self.status == STATION_OK)
+
+    def with_status(self, where: NDArray[np.bool_], status: str) -> Stations:
+        """The stations with another status where a mask says so and they were ok."""
+        return replace(self, status=np.where(where & self.ok, status, self.status))
+
+    def to_pandas(self) -> Any:
+        """The stations as a pandas DataFrame with the columns of ``stations.parquet``."""
+        import pandas as pd
+
+        return pd.DataFrame(station_table(self))
+
+
+def empty_stations(
+    image: NDArray[np.object_], camera: NDArray[np.object_], status: str
+) -> Stations:
+    """Stations of which only the name is known."""
+    n = image.shape[0]
+    blank: dict[str, Any] = {
+        field.name: np.full((n, 4) if field.name == "quaternion" else n, np.nan)
+        for field in fields(Stations)
+    }
+    blank |= {
+        "image": image,
+        "camera": camera,
+        "time_ns": np.full(n, NO_TIME, np.int64),
+        "status": np.full(n, status, dtype=object),
+    }
+    return Stations(**blank)
+
+
+def join_stations(parts: list[Stations]) -> Stations:
+    """Stations of several cameras or sources, one after the other."""
+    return Stations(
+        *(
+            np.concatenate([getattr(part, field.name) for part in parts])
+            for field in fields(Stations)
+        )
+    )
+
+
+def station_table(stations: Stations) -> dict[str, Any]:
+    """Columns of ``stations.parquet``: degrees, UTC, null (NaT, NaN) where unknown."""
+    time = stations.time_ns.astype("datetime64[ns]")
+    time[stations.time_ns == NO_TIME] = np.datetime64("NaT")
+    q = stations.quaternion
+    return {
+        "image": stations.image,
+        "camera": stations.camera,
+        "time_utc": time,
+        "lat_deg": np.degrees(stations.lat_rad),
+        "lon_deg": np.degrees(stations.lon_rad),
+        "h_msl_m": stations.h_msl_m,
+        "h_ellipsoid_m": stations.h_ellipsoid_m,
+        "q_w": q[:, 0],
+        "q_x": q[:, 1],
+        "q_y": q[:, 2],
+        "q_z": q[:, 3],
+        "pressure_pa": stations.pressure_pa,
+        "temperature_k": stations.temperature_k,
+        "vapour_pressure_pa": stations.vapour_pressure_pa,
+        "cabin_pressure_pa": stations.cabin_pressure_pa,
+        "cabin_temperature_k": stations.cabin_temperature_k,
+        "cabin_vapour_pressure_pa": stations.cabin_vapour_pressure_pa,
+        "sigma_horizontal_m": stations.sigma_horizontal_m,
+        "sigma_height_m": stations.sigma_height_m,
+        "status": stations.status,
+    }
