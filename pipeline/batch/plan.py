@@ -1,0 +1,120 @@
+"""What a result depends on: inputs, mission file, code. The same again means nothing to do."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import metadata, resources
+from pathlib import Path
+from typing import Any
+
+import pipeline
+from pipeline.batch.store import hash_file
+from pipeline.config import Mission
+from pipeline.errors import InputError
+
+_LIBRARIES = ("numpy", "scipy", "pyarrow", "pandas", "numba", "pymavlink", "mcap")
+
+
+@dataclass(frozen=True)
+class Input:
+    """A file the mission reads: as the mission file names it, where it is, and what it holds."""
+
+    role: str
+    name: str
+    path: Path
+    sha256: str
+    stamp: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A mission with its inputs hashed."""
+
+    mission: Mission
+    inputs: tuple[Input, ...]
+    output: Path
+
+    @property
+    def fingerprint(self) -> str:
+        """Changes when the mission file as understood, an input's content or our code changes."""
+        content = {
+            "config": self.mission.model_dump(mode="json"),
+            "inputs": {item.role: item.sha256 for item in self.inputs},
+            "code": code_hash(),
+        }
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+    def input(self, role: str) -> Input:
+        """The input of a role: log, observations, or events."""
+        return next(item for item in self.inputs if item.role == role)
+
+
+def input_paths(mission: Mission, folder: Path) -> dict[str, tuple[str, Path]]:
+    """role -> (name in the mission file, path) of the files a mission reads."""
+    named = {"log": mission.log.path, "observations": mission.observations.path}
+    if mission.events.csv is not None:
+        named["events"] = mission.events.csv.path
+    return {role: (name, folder / name) for role, name in named.items()}
+
+
+def make_plan(mission: Mission, folder: Path) -> Plan:
+    """Hash the inputs of a mission; relative paths resolve from the mission file's folder."""
+    inputs = []
+    for role, (name, path) in input_paths(mission, folder).items():
+        if not path.is_file():
+            raise InputError(
+                "INPUT-MISSING",
+                f"the {role} file is not there",
+                where=str(path),
+                remedy=f"check {role}.path in the mission file; paths are relative to that file",
+            )
+        try:
+            stamp = _stamp(path)
+            inputs.append(Input(role, name, path, hash_file(path), stamp))
+        except OSError as error:
+            raise InputError(
+                "INPUT-UNREADABLE", str(error.strerror), where=str(path), remedy="mend permissions"
+            ) from None
+    return Plan(mission, tuple(inputs), folder / mission.output.path)
+
+
+def check_unchanged(plan: Plan) -> None:
+    """Refuse results whose inputs changed while they were made."""
+    for item in plan.inputs:
+        if _stamp(item.path) != item.stamp and hash_file(item.path) != item.sha256:
+            raise InputError(
+                "INPUT-CHANGED",
+                f"the {item.role} file changed during the run",
+                where=str(item.path),
+                remedy="run again when nothing writes to it",
+            )
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    status = path.stat()
+    return status.st_mtime_ns, status.st_size
+
+
+@lru_cache(maxsize=1)
+def code_hash() -> str:
+    """SHA-256 over the package's own sources and data."""
+    digest = hashlib.sha256()
+    root = Path(str(resources.files(pipeline)))
+    for path in sorted(root.rglob("*")):
+        if path.suffix in (".py", ".csv"):
+            digest.update(path.relative_to(root).as_posix().encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def versions() -> dict[str, Any]:
+    """Of the code, Python and the libraries that the numbers depend on."""
+    return {
+        "unbend": pipeline.__version__,
+        "code_sha256": code_hash(),
+        "python": platform.python_version(),
+    } | {name: metadata.version(name) for name in _LIBRARIES}

@@ -1,0 +1,111 @@
+"""The columns of every table that leaves the package: types, units, conventions."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+
+import pyarrow as pa
+
+SCHEMA_VERSION = "1"
+
+REFRACTION_KEY = b"unbend.refraction"
+REFRACTION_REMOVED = b"removed"
+
+_F = pa.float64()
+_S = pa.string()
+
+OBSERVATION_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
+    "image": (_S, "", "name of the image"),
+    "point": (_S, "", "name of the point"),
+    "x_px": (_F, "px", "as measured"),
+    "y_px": (_F, "px", "as measured"),
+    "x_corrected_px": (_F, "px", "projection of the straight chord, in the pixels of x_px"),
+    "y_corrected_px": (_F, "px", "projection of the straight chord, in the pixels of y_px"),
+    "zeta_c_rad": (_F, "rad", "apparent nadir angle outside the window"),
+    "r_c_rad": (_F, "rad", "refraction angle, positive: apparent ray farther from the nadir"),
+    "r_cc_rad": (_F, "rad", "window, positive: the cabin moved the image point inward"),
+    "sigma_r_c_rad": (_F, "rad", "standard deviation of r_c_rad; null while not estimated"),
+    "h_g_m": (_F, "m", "height of the point above mean sea level that was used"),
+    "status": (_S, "", "ok, or why there is no correction"),
+}
+
+STATION_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
+    "image": (_S, "", "name of the image"),
+    "camera": (_S, "", "name of the camera in the mission file"),
+    "profile_id": (_S, "", "profile of the air used for the image"),
+    "time_utc": (pa.timestamp("ns", "UTC"), "", "time of the exposure"),
+    "lat_deg": (_F, "deg", "geodetic latitude of the projection centre, WGS84"),
+    "lon_deg": (_F, "deg", "longitude of the projection centre, WGS84"),
+    "h_msl_m": (_F, "m", "height of the projection centre above mean sea level"),
+    "h_ellipsoid_m": (_F, "m", "height of the projection centre above the ellipsoid"),
+    "q_w": (_F, "", "v_camera = R(q) v_enu, Hamilton, q_w >= 0"),
+    "q_x": (_F, "", "camera x right, y down, z forward"),
+    "q_y": (_F, "", "east, north, up at the station, up along the ellipsoid normal"),
+    "q_z": (_F, "", ""),
+    "pressure_pa": (_F, "Pa", "static pressure outside, as logged"),
+    "temperature_k": (_F, "K", "temperature outside, as logged"),
+    "vapour_pressure_pa": (_F, "Pa", "water vapour outside, as logged"),
+    "cabin_pressure_pa": (_F, "Pa", "in the compartment"),
+    "cabin_temperature_k": (_F, "K", "in the compartment"),
+    "cabin_vapour_pressure_pa": (_F, "Pa", "in the compartment"),
+    "sigma_horizontal_m": (_F, "m", "standard deviation per axis, as the receiver gave it"),
+    "sigma_height_m": (_F, "m", "standard deviation, as the receiver gave it"),
+    "status": (_S, "", "ok, or what is missing"),
+}
+
+PROFILE_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
+    "profile_id": (_S, "", ""),
+    "time_utc": (pa.timestamp("ns", "UTC"), "", "middle of the samples"),
+    "h_m": (_F, "m", "height above mean sea level"),
+    "geopotential_m": (_F, "m'", "H = r_phi h g_phi / ((r_phi + h) G)"),
+    "temperature_k": (_F, "K", ""),
+    "virtual_temperature_k": (_F, "K", "T_M = T / (1 - 0.378 e / p)"),
+    "pressure_pa": (_F, "Pa", "by the row's equation from its base values"),
+    "vapour_pressure_pa": (_F, "Pa", ""),
+    "refractivity": (_F, "", "n - 1"),
+    "layer": (pa.int32(), "", "number of the layer, from the ground up"),
+    "equation": (pa.int16(), "", "52 or 53 of Gyer 1996"),
+    "h_base_m": (_F, "m", "height of the layer's base"),
+    "geopotential_base_m": (_F, "m'", "geopotential height of the layer's base, H_b"),
+    "t_base_k": (_F, "K", "T_M at the base, T_b"),
+    "p_base_pa": (_F, "Pa", "pressure at the base, p_b"),
+    "lapse_k_per_m": (_F, "K/m'", "gradient of T_M per geopotential metre, L_b"),
+    "source": (_S, "", "measured | barometric | relaxed | standard"),
+    "standard_temperature_k": (_F, "K", "of the standard atmosphere at the same height"),
+    "standard_pressure_pa": (_F, "Pa", "of the standard atmosphere at the same height"),
+    "sigma_temperature_k": (_F, "K", "null while not estimated"),
+    "sigma_refractivity": (_F, "", "null while not estimated"),
+}
+
+CONVENTIONS: Mapping[str, str] = {
+    "pixels": "COLMAP: the centre of the upper left pixel is (0.5, 0.5); x right, y down, unless "
+    "pixel_origin says centre",
+    "camera": "x right, y down, z forward; v_camera = R(q) v_enu, Hamilton quaternion, q_w >= 0",
+    "frame": "east, north, up at each station, up along the normal of the WGS84 ellipsoid",
+    "refraction": "corrected coordinates are the projection of the straight chord to the point; "
+    "switch refraction off in the adjustment and never correct twice",
+    "signs": "net shift r_c - r_cc; r_c > 0: the apparent ray is farther from the nadir",
+    "not_corrected": "earth curvature, map projection, change of the principal distance with the "
+    "air in the lens, displacement by the window glass, aberration",
+}
+
+
+def schema_of(
+    columns: Mapping[str, tuple[pa.DataType, str, str]],
+    extra: Mapping[str, str],
+    users: list[pa.Field] | None = None,
+) -> pa.Schema:
+    """An Arrow schema with units and meanings in the fields and conventions in the metadata.
+
+    ``extra`` joins the metadata; ``users`` are the user's own columns, after ours.
+    """
+    fields = [
+        pa.field(name, kind, metadata={"unit": unit, "meaning": meaning})
+        for name, (kind, unit, meaning) in columns.items()
+    ]
+    metadata = {
+        "unbend.schema": SCHEMA_VERSION,
+        "unbend.conventions": json.dumps(dict(CONVENTIONS), sort_keys=True),
+    } | dict(extra)
+    return pa.schema(fields + (users or []), metadata=metadata)

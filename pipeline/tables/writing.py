@@ -1,0 +1,112 @@
+"""Results as Arrow tables and Parquet files."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from pipeline.atmosphere.adjust import Adjustment
+from pipeline.atmosphere.profile import profile_table
+from pipeline.errors import StorageError
+from pipeline.flight.stations import Stations, station_table
+from pipeline.refraction.image import Corrections
+from pipeline.refraction.status import STATUS_NAMES
+from pipeline.tables.observations import Batch
+from pipeline.tables.schemas import PROFILE_COLUMNS, STATION_COLUMNS, schema_of
+
+
+def table_of(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
+    """An Arrow table; NaN and NaT become null, a column that is missing is null throughout."""
+    rows = len(next(iter(columns.values())))
+    arrays = []
+    for item in schema:
+        values = columns.get(item.name)
+        if values is None:
+            arrays.append(pa.nulls(rows, item.type))
+        elif isinstance(values, pa.Array):
+            arrays.append(values)
+        else:
+            arrays.append(pa.array(values, item.type, from_pandas=True))
+    return pa.table(arrays, schema=schema)
+
+
+def observation_table(
+    batch: Batch, corrections: Corrections, h_g: Any, schema: pa.Schema
+) -> pa.Table:
+    """The output rows of a batch."""
+    names = pa.array(STATUS_NAMES)
+    return table_of(
+        {
+            "image": batch.image,
+            "point": batch.point,
+            "x_px": batch.x_px,
+            "y_px": batch.y_px,
+            "x_corrected_px": corrections.x_px,
+            "y_corrected_px": corrections.y_px,
+            "zeta_c_rad": corrections.zeta_c_rad,
+            "r_c_rad": corrections.r_c_rad,
+            "r_cc_rad": corrections.r_cc_rad,
+            "h_g_m": h_g,
+            "status": names.take(pa.array(corrections.status)),
+        }
+        | batch.users,
+        schema,
+    )
+
+
+def stations_table(stations: Stations, profile_id: str) -> pa.Table:
+    """``stations.parquet``."""
+    columns = station_table(stations)
+    columns["profile_id"] = [profile_id if ok else None for ok in stations.ok]
+    return table_of(columns, schema_of(STATION_COLUMNS, {}))
+
+
+def profile_arrow(adjustment: Adjustment, profile_id: str) -> pa.Table:
+    """``profile.parquet``: each row's pressure follows from its base values and equation."""
+    profile, standard = adjustment.profile, adjustment.standard
+    columns = profile_table(profile)
+    h = columns["h_m"]
+    columns |= {
+        "profile_id": np.full(h.shape, profile_id, dtype=object),
+        "time_utc": [adjustment.time_ns] * h.size,
+        "standard_temperature_k": standard.temperature(h),
+        "standard_pressure_pa": standard.pressure(h),
+    }
+    gravity = profile.gravity
+    extra = {
+        "unbend.basis": adjustment.basis,
+        "unbend.reason": adjustment.reason,
+        "unbend.standard": standard.name,
+        "unbend.index": profile.index.name,
+        "unbend.wavelength_m": repr(profile.index.wavelength_m),
+        "unbend.co2_ppm": repr(profile.index.co2_ppm),
+        "latitude": ""
+        if gravity.latitude_rad is None
+        else repr(math.degrees(gravity.latitude_rad)),
+        "g_phi": repr(gravity.g_phi),
+        "r_phi": repr(gravity.r_phi),
+        "units": "latitude deg, g_phi m s-2, r_phi m",
+        "unbend.constant_k_per_m": repr(profile.constant),
+        "unbend.pressure": "52: p = p_base (t_base / (t_base + lapse dH)) ** (constant / lapse); "
+        "53: p = p_base exp(-constant dH / t_base); dH = geopotential_m - geopotential_base_m",
+    }
+    return table_of(columns, schema_of(PROFILE_COLUMNS, extra))
+
+
+def write_parquet(table: pa.Table, path: Path) -> None:
+    """Write one complete Parquet file with page checksums."""
+    try:
+        pq.write_table(table, path, compression="zstd", write_page_checksum=True)
+    except OSError as error:
+        raise StorageError(
+            "STORAGE-WRITE",
+            f"cannot write: {error}",
+            where=str(path),
+            remedy="free or mend the disk and run again",
+        ) from None
