@@ -41,6 +41,9 @@ class UnbendError(Exception):
         self.where = where
         self.remedy = remedy
 
+    def __reduce__(self) -> tuple[object, ...]:
+        return _rebuild, (type(self), self.code, self.what, self.where, self.remedy)
+
     def __str__(self) -> str:
         lines = [f"{self.code}: {self.what}"]
         if self.where:
@@ -48,6 +51,11 @@ class UnbendError(Exception):
         if self.remedy:
             lines.append(f"  to do: {self.remedy}")
         return "\n".join(lines)
+
+
+def _rebuild(kind: type[UnbendError], code: str, what: str, where: str, remedy: str) -> UnbendError:
+    """A refusal that crossed from one process to another."""
+    return kind(code, what, where=where, remedy=remedy)
 
 
 class ConfigError(UnbendError):

@@ -130,7 +130,6 @@ def build_adjusted_profile(
     )  # the model's layers in geopotential height, under the gravity of the place
     temperature, pressure = samples.temperature, samples.pressure
     time_ns = _middle_time(temperature or pressure)
-    empty = np.empty(0)
     if temperature is not None and temperature.extent_m >= SMALLEST_CLIMB_M:
         height, binned = bin_by_height(
             gravity.geopotential_height(temperature.h_m), temperature, BIN_M
@@ -161,7 +160,13 @@ def build_adjusted_profile(
         )
     reason = _why_standard(temperature, pressure, standard.name)
     ledger.fallback("AIR-STANDARD", reason)
-    return Adjustment(standard, standard, "standard", reason, time_ns, empty, empty)
+    return unadjusted(standard, reason)
+
+
+def unadjusted(standard: Profile, reason: str) -> Adjustment:
+    """A standard atmosphere in the place of an adjusted profile, with the reason in words."""
+    empty = np.empty(0)
+    return Adjustment(standard, standard, "standard", reason, None, empty, empty)
 
 
 def _why_standard(temperature: Samples | None, pressure: Samples | None, name: str) -> str:

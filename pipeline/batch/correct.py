@@ -10,11 +10,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from pipeline.batch.spread import ImageGrid, Spread
 from pipeline.batch.store import RunFolder
+from pipeline.ledger import Ledger
 from pipeline.refraction.camera import Camera
 from pipeline.refraction.image import Corrections, Exposures, correct_observations
 from pipeline.refraction.ray import RayTable
+from pipeline.refraction.spread import ImageGrid, Spread
 from pipeline.refraction.status import NO_STATION, STATUS_NAMES
 from pipeline.tables.observations import Batch, Observations
 from pipeline.tables.schemas import OBSERVATION_COLUMNS, schema_of
@@ -66,6 +67,17 @@ class Tally:
     refraction_arcsec: Spread = field(default_factory=Spread)
     window_arcsec: Spread = field(default_factory=Spread)
     grids: dict[str, ImageGrid] = field(default_factory=dict)
+
+    def report_flagged(self, ledger: Ledger) -> None:
+        """A line in the ledger for each reason why observations were not corrected."""
+        for name, count in self.status.items():
+            if name == "ok" or count == 0:
+                continue
+            what = f"{count} of {self.rows} observations are {name}"
+            if name == "beyond_grazing":
+                ledger.warning("OBS-BEYOND-GRAZING", what + ": near branch used", count=count)
+            else:
+                ledger.loss("OBS-FLAGGED", what, count=count)
 
 
 def correct_stream(

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import pipeline
-from pipeline.batch.store import hash_file
 from pipeline.config import Mission
 from pipeline.errors import InputError
+from pipeline.ingest import hash_file
 
 _LIBRARIES = ("numpy", "scipy", "pyarrow", "pandas", "numba", "pymavlink", "mcap")
 

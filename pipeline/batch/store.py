@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import errno
 import fcntl
-import hashlib
 import json
 import os
 import shutil
@@ -19,17 +18,12 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import OutputInUseError, StorageError
+from pipeline.ingest import hash_file
 
 MANIFEST = "manifest.json"
 _STAGING = ".staging"
 _LOCK = ".lock"
 _OURS = ("observations", "stations.parquet", "profile.parquet", "report.html")
-
-
-def hash_file(path: Path) -> str:
-    """SHA-256 of a file, hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @contextmanager

@@ -15,7 +15,10 @@ from pydantic import (
 )
 
 from pipeline.atmosphere import standard_names
-from pipeline.refraction import METHODS, Camera
+from pipeline.flight.exposures import Mount
+from pipeline.flight.local import Origin
+from pipeline.refraction import METHODS, Cabin, Camera
+from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K
 
 Positive = Annotated[float, Field(gt=0)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -81,6 +84,10 @@ class LocalOrigin(Section):
     lon_deg: float = Field(ge=-180, le=360)
     h_ellipsoid_m: float = Field(ge=-500, le=50_000)
 
+    def build(self) -> Origin:
+        """In radians."""
+        return Origin(self.lat_deg * DEGREE, self.lon_deg * DEGREE, self.h_ellipsoid_m)
+
 
 class LogSection(Section):
     """The flight log."""
@@ -142,6 +149,16 @@ class WindowSection(Section):
         default_factory=lambda: [0.0, 0.0, 1.0],
         description="direction of the window in the camera frame (x right, y down, z forward)",
     )
+
+    def air(self) -> Cabin:
+        """The air inside, in SI, or that it is in the log."""
+        if isinstance(self.cabin, str):
+            return Cabin(logged=True)
+        return Cabin(
+            pressure_pa=self.cabin.pressure_hpa * HECTOPASCAL,
+            temperature_k=self.cabin.temperature_c + ZERO_CELSIUS_K,
+            relative_humidity=self.cabin.relative_humidity,
+        )
 
     @field_validator("normal")
     @classmethod
@@ -207,6 +224,13 @@ class MountSection(Section):
         description="projection centre minus the point whose position the log gives, in the "
         "body frame",
     )
+
+    def build(self) -> Mount:
+        """In radians."""
+        x, y, z = self.lever_arm_m
+        return Mount(
+            self.roll_deg * DEGREE, self.pitch_deg * DEGREE, self.yaw_deg * DEGREE, (x, y, z)
+        )
 
 
 class LogEvents(Section):

@@ -172,7 +172,7 @@ def build_stations(
         return stations.with_status(np.ones(n, bool), NO_ATTITUDE)
     attitude, where = interpolate_attitude(roles["attitude"], time_ns, max_gap_s)
     stations = _gaps(stations, where)
-    stations = stations.with_status(np.isnan(attitude).any(axis=1), NO_ATTITUDE)
+    stations = stations.with_status(np.asarray(np.isnan(attitude).any(axis=1)), NO_ATTITUDE)
     no_height = np.isnan(h_msl) & np.isnan(h_ell)
     stations = stations.with_status(no_height, IN_GAP)
     stations = stations.with_status(np.isnan(h_msl), HEIGHT_REFERENCE_UNKNOWN)

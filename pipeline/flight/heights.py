@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel
+from pipeline.flight.stations import Stations
 from pipeline.flight.trajectory import interpolate
 from pipeline.ledger import Ledger
 
@@ -64,3 +66,33 @@ def heights_at(
         h_msl = np.where(np.isfinite(h_msl), h_msl, h_ell - heights.undulation_m)
         h_ell = np.where(np.isfinite(h_ell), h_ell, h_msl + heights.undulation_m)
     return h_msl, h_ell
+
+
+def ground_offsets(reference: str, stations: Stations, heights: HeightSystem) -> Array:
+    """(s,) what to add to a ground height to have it above mean sea level [m].
+
+    ``reference`` is msl, ellipsoid (minus the undulation at the station) or relative (the height
+    of the take-off point). Refuses where the log and the mission file leave that unknown.
+    """
+    n = len(stations)
+    if reference == "msl":
+        return np.zeros(n)
+    if reference == "ellipsoid":
+        undulation = stations.h_ellipsoid_m - stations.h_msl_m
+        if not bool(np.isfinite(undulation[stations.ok]).any()) and bool(stations.ok.any()):
+            raise MissionError(
+                "HEIGHT-REFERENCE",
+                "ground heights are above the ellipsoid, but the log gives only heights above "
+                "mean sea level and nothing says how the two go together",
+                where="ground.reference",
+                remedy="give mission.undulation_m (ellipsoidal minus mean sea level)",
+            )
+        return -undulation
+    if heights.home_h_msl_m is None:
+        raise MissionError(
+            "HEIGHT-REFERENCE",
+            "ground heights are relative to the take-off point, whose height the log does not give",
+            where="ground.reference",
+            remedy="give ground.home_h_msl_m",
+        )
+    return np.full(n, heights.home_h_msl_m)

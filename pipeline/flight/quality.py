@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.errors import MissionError
-from pipeline.flight.channels import Channel
+from pipeline.flight.channels import ROLE_COLUMNS, Channel
 from pipeline.ledger import Ledger
 
 RANGES: Mapping[str, tuple[float, float]] = {
@@ -31,14 +31,14 @@ _DISGUISES: Mapping[str, tuple[float, float, str]] = {
 }
 
 
-def within_reason(channel: Channel, role: str, columns: tuple[str, ...], ledger: Ledger) -> Channel:
-    """The channel without the samples whose ``columns`` are missing or out of range.
+def within_reason(channel: Channel, role: str, ledger: Ledger) -> Channel:
+    """The channel without the samples that are missing or out of range in its role's columns.
 
     Refuses a channel whose median gives away a wrong unit (hPa where Pa is due); every sample
     taken out is counted in the ledger.
     """
     keep = np.ones(len(channel), dtype=bool)
-    for column in columns:
+    for column in ROLE_COLUMNS[role]:
         values = channel[column]
         finite = np.isfinite(values)
         if column in _DISGUISES and finite.any():

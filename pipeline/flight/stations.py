@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.ledger import Ledger
+
 Array = NDArray[np.float64]
 
 STATION_OK = "ok"
@@ -65,6 +67,12 @@ class Stations:
     def ok(self) -> NDArray[np.bool_]:
         """(s,) which stations can be used."""
         return np.asarray(self.status == STATION_OK)
+
+    @property
+    def mean_latitude_rad(self) -> float:
+        """Latitude of the flight [rad]; 45 degrees where no station has one."""
+        known = self.lat_rad[np.isfinite(self.lat_rad)]
+        return float(known.mean()) if known.size else float(np.pi / 4.0)
 
     def with_status(self, where: NDArray[np.bool_], status: str) -> Stations:
         """The stations with another status where a mask says so and they were ok."""
@@ -132,3 +140,35 @@ def station_table(stations: Stations) -> dict[str, Any]:
         "sigma_height_m": stations.sigma_height_m,
         "status": stations.status,
     }
+
+
+def name_the_unmatched(stations: Stations, images: tuple[str, ...], ledger: Ledger) -> Stations:
+    """The stations, with a row for every image that was measured but never exposed in the log."""
+    unknown = np.array(sorted(set(images) - set(stations.image.tolist())), dtype=object)
+    seldom = int((~np.isin(stations.image.astype(str), np.array(images, dtype=str))).sum())
+    if seldom:
+        ledger.note("STATIONS-UNUSED", f"{seldom} exposures have no observations", count=seldom)
+    if unknown.size == 0:
+        return stations
+    shown = ", ".join(unknown[:3].tolist()) + (" ..." if unknown.size > 3 else "")
+    ledger.loss(
+        "IMAGES-UNMATCHED",
+        f"{unknown.size} images of the observations have no exposure: {shown}; the log's are "
+        f"called like {stations.image[0]}"
+        if len(stations)
+        else f"{unknown.size} images of the observations have no exposure: {shown}",
+        where="events",
+        count=int(unknown.size),
+    )
+    camera = np.full(unknown.shape, "", dtype=object)
+    return join_stations([stations, empty_stations(unknown, camera, UNMATCHED)])
+
+
+def report_flagged(stations: Stations, ledger: Ledger) -> None:
+    """A loss in the ledger for each reason why stations cannot be used."""
+    for status in sorted(set(stations.status.tolist()) - {STATION_OK, UNMATCHED}):
+        mine = stations.image[stations.status == status]
+        shown = ", ".join(mine[:3].tolist()) + (" ..." if mine.size > 3 else "")
+        ledger.loss(
+            "STATIONS-FLAGGED", f"{mine.size} exposures are {status}: {shown}", count=int(mine.size)
+        )

@@ -20,6 +20,7 @@ from pipeline.refraction.status import (
     NO_STATION,
     OK,
     OUTSIDE_CAMERA,
+    OUTSIDE_PROFILE,
 )
 from pipeline.refraction.window import OPTICAL_AXIS, leave_compartment
 
@@ -143,6 +144,7 @@ def _correct_covered(
     # Rounding may leave the sine of a level ray 1e-16 above one.
     r_c, status = bend(table, h_c, h_g, np.minimum(sin_z, 1.0), np.clip(cos_z, -1.0, 1.0), radius)
     status[np.isnan(r_cc)] = OUTSIDE_CAMERA  # wholly reflected at the window
+    status[np.isnan(exposures.refractivity_outside[row])] = OUTSIDE_PROFILE
 
     towards_chord = lower_ray(apparent, sin_z, cos_z, r_c)
     change = through_window + np.einsum("nij,nj->ni", rotation, towards_chord)
@@ -217,3 +219,16 @@ def landing_point(direction: Array, h_c: Array, h_g: Array, radius: Array) -> Ar
         )
         distance = np.where(distance >= 0.0, distance, np.nan)
     return np.asarray(direction * distance[:, None])
+
+
+def ground_displacement(h_c: float, h_g: float, zeta_c: float, r_c: float, radius: float) -> float:
+    """How far [m] a refraction angle moves the point where a straight ray reaches a height.
+
+    >>> round(ground_displacement(10000.0, 0.0, 0.7853981633974483, 7.94e-5, 6371000.0), 3)
+    1.593
+    """
+    angle = np.array([zeta_c, zeta_c - r_c])
+    rays = np.stack([np.sin(angle), np.zeros(2), -np.cos(angle)], axis=1)
+    ones = np.ones(2)
+    apparent, true = landing_point(rays, h_c * ones, h_g * ones, radius * ones)
+    return float(np.linalg.norm(apparent - true))

@@ -7,10 +7,29 @@ pulled the image point inward; the correction moves it outward.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Cabin:
+    """Air behind a window: logged with each exposure, constant, or the same as outside.
+
+    Pressure [Pa], temperature [K], relative humidity 0 to 1; None and not ``logged`` means that
+    there is no window.
+    """
+
+    logged: bool = False
+    pressure_pa: float | None = None
+    temperature_k: float | None = None
+    relative_humidity: float = 0.0
+
+
+NO_WINDOW = Cabin()
 
 OPTICAL_AXIS = np.array([0.0, 0.0, 1.0])
 

@@ -1,0 +1,264 @@
+"""Words to one call each; errors to exit codes.
+
+Exit codes: 0 done; 1 a bug; 2 command or mission file; 3 done, but data was lost, damaged or
+flagged, or something the mission file names is absent; 4 output folder in use; 5 storage failure,
+or verify found damage; 6 a mission was refused, the others are done; 130, 143 interrupted.
+"""
+
+from __future__ import annotations
+
+import csv as csv_module
+import json
+import signal
+import sys
+from functools import partial
+from pathlib import Path
+from types import FrameType
+from typing import Annotated, Any
+
+import click
+import typer
+from rich.console import Console
+
+import pipeline
+from pipeline.errors import (
+    EXIT_BUG,
+    EXIT_CONFIG,
+    EXIT_DONE,
+    EXIT_INTERRUPTED,
+    EXIT_LOSSES,
+    ConfigError,
+    UnbendError,
+)
+
+app = typer.Typer(
+    name="unbend",
+    help="Removes atmospheric refraction from aerial image observations, with the air the "
+    "aircraft measured.",
+    epilog=__doc__.split("\n\n", 1)[1],
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+def _console(*, stderr: bool = False) -> Console:
+    return Console(stderr=stderr, soft_wrap=False, highlight=False)
+
+
+def _refuse(error: UnbendError, subject: str = "") -> None:
+    print(f"{subject}: {error}" if subject else error, file=sys.stderr)
+
+
+@app.command(epilog="Example: unbend run configs/*.yaml")
+def run(
+    configs: Annotated[list[Path], typer.Argument(help="mission files", metavar="CONFIG...")],
+    jobs: Annotated[int, typer.Option(min=1, help="missions at the same time")] = 1,
+    force: Annotated[bool, typer.Option(help="run even where nothing has changed")] = False,
+) -> None:
+    """Correct missions; one that is refused does not stop the rest."""
+    from pipeline.batch.execute import exit_code_of, run_many
+    from pipeline.report.progress import PatientBar
+    from pipeline.report.terminal import show_run
+    from pipeline.stages import run_mission
+
+    console = _console()
+    ends: list[int] = []
+    one = partial(run_mission, force=force)
+    for config, end in run_many(one, configs, jobs, lambda name: PatientBar(console, name)):
+        if isinstance(end, UnbendError):
+            _refuse(end, str(config))
+            ends.append(end.exit_code)
+            continue
+        show_run(console, end.name, str(end.output), end.manifest, repeated=end.repeated)
+        ends.append(end.exit_code)
+    raise typer.Exit(exit_code_of(ends))
+
+
+@app.command(epilog="Example: unbend check mission.yaml")
+def check(
+    configs: Annotated[list[Path], typer.Argument(help="mission files", metavar="CONFIG...")],
+) -> None:
+    """Validate mission files and their inputs; correct nothing."""
+    from pipeline.batch.execute import exit_code_of
+    from pipeline.report.terminal import show_check, show_ledger
+    from pipeline.stages import check_mission
+
+    console = _console()
+    ends: list[int] = []
+    for config in configs:
+        try:
+            found = check_mission(config)
+        except UnbendError as error:
+            _refuse(error, str(config))
+            ends.append(error.exit_code)
+            continue
+        console.print(f"[bold]{config}[/bold] is sound")
+        show_check(console, found.lines())
+        show_ledger(console, found.ledger.rows())
+        ends.append(EXIT_LOSSES if found.ledger.has_losses else EXIT_DONE)
+    raise typer.Exit(exit_code_of(ends))
+
+
+@app.command(epilog="Example: unbend inspect flight.bin")
+def inspect(
+    log: Annotated[Path, typer.Argument(help="a .bin, .tlog or .mcap file", metavar="LOG")],
+    as_json: Annotated[bool, typer.Option("--json", help="everything, as JSON")] = False,
+) -> None:
+    """Show what a log holds, in the words that a mission file takes."""
+    from pipeline.ingest import open_log
+    from pipeline.report.terminal import show_log
+
+    opened = open_log(log)
+    content = opened.to_json_dict()
+    if as_json:
+        print(json.dumps(content, indent=2))
+    else:
+        show_log(_console(), content, log.name)
+    raise typer.Exit(EXIT_LOSSES if opened.ledger.has_losses else EXIT_DONE)
+
+
+@app.command(
+    epilog="Example: unbend angle --atmosphere us1976 --index gyer --camera-height 10000 "
+    "--ground-height 0 --nadir-angle 75"
+)
+def angle(
+    camera_height: Annotated[float, typer.Option(help="metres above sea level")],
+    ground_height: Annotated[float, typer.Option(help="metres above sea level")],
+    nadir_angle: Annotated[float, typer.Option(help="apparent nadir angle, degrees, 0 to 180")],
+    atmosphere: Annotated[str, typer.Option(help="name of a standard atmosphere")] = "us1976",
+    method: Annotated[str, typer.Option(help="spherical")] = "spherical",
+    index: Annotated[str, typer.Option(help="ciddor or gyer (Eq. 13)")] = "ciddor",
+    radius: Annotated[float, typer.Option(help="radius of the earth, metres")] = 6_371_000.0,
+    as_json: Annotated[bool, typer.Option("--json", help="as JSON")] = False,
+) -> None:
+    """One refraction angle, in arcsec, microradians and metres on the ground."""
+    from pipeline.report.terminal import show_angle
+    from pipeline.stages import one_angle
+
+    result = one_angle(atmosphere, index, camera_height, ground_height, nadir_angle, radius, method)
+    if as_json:
+        print(json.dumps(result, indent=2))
+    else:
+        show_angle(_console(), result)
+
+
+@app.command(epilog="Example: unbend profile mission.yaml --plot air.png")
+def profile(
+    config: Annotated[
+        Path | None, typer.Argument(help="a mission file", metavar="[CONFIG]")
+    ] = None,
+    atmosphere: Annotated[str | None, typer.Option(help="name of a standard atmosphere")] = None,
+    csv: Annotated[Path | None, typer.Option(help="write the profile as CSV")] = None,
+    plot: Annotated[Path | None, typer.Option(help="draw it, .png or .svg")] = None,
+) -> None:
+    """The profile of the air, of a mission or of a standard, as a table, CSV or plot."""
+    from pipeline.stages import profile_sources
+    from pipeline.tables.writing import profile_arrow
+
+    if (config is None) == (atmosphere is None):
+        raise ConfigError(
+            "PROFILE-ARGUMENTS",
+            "give a mission file, or --atmosphere",
+            remedy="for example: unbend profile --atmosphere us1976",
+        )
+    adjustment, samples, ledger = profile_sources(config, atmosphere)
+    rows = profile_arrow(adjustment, "").drop_columns(["profile_id", "time_utc"]).to_pylist()
+    if csv is not None:
+        _write_csv(csv, rows)
+    if plot is not None:
+        from pipeline.report.figures import profile_figure, save_figure
+
+        save_figure(profile_figure(adjustment, samples), plot)
+    if csv is None and plot is None:
+        from pipeline.report.terminal import show_ledger, show_profile
+
+        console = _console()
+        show_profile(console, rows)
+        show_ledger(console, ledger.rows())
+    raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)
+
+
+def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
+    from pipeline.batch.store import translated
+
+    with translated(path), path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv_module.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+@app.command(epilog="Example: unbend simulate flown --height 3000")
+def simulate(
+    out: Annotated[Path, typer.Argument(help="folder to write to", metavar="OUT")],
+    height: Annotated[float, typer.Option(help="metres above ground")] = 3000.0,
+    seed: Annotated[int, typer.Option(help="of the sensor noise")] = 7,
+    noise: Annotated[float, typer.Option(help="of the image measurements, pixels")] = 0.0,
+) -> None:
+    """Fly a survey with known truth: three logs, observations, mission files and the truth."""
+    from pipeline.report.progress import PatientBar
+    from pipeline.simulate import SimulationOptions
+    from pipeline.simulate import simulate as fly
+
+    console = _console()
+    options = SimulationOptions(seed=seed, height_above_ground_m=height, image_noise_px=noise)
+    with PatientBar(console, "simulating") as bar:
+        flown = fly(out, options, bar.show)
+    console.print(
+        f"{out}: {flown.images} images, {flown.observation_count:,} observations of "
+        f"{flown.points:,} points, {flown.duration_s:.0f} s of flight in three logs"
+    )
+    for path in flown.missions.values():
+        console.print(f"  unbend run {path}")
+
+
+@app.command(epilog="Example: unbend verify results/survey")
+def verify(
+    run: Annotated[Path, typer.Argument(help="a folder of results", metavar="RUN")],
+) -> None:
+    """Whether the results of a run are whole and unchanged."""
+    from pipeline.stages import verify_run
+
+    manifest = verify_run(run)
+    _console().print(
+        f"{run}: {len(manifest['outputs'])} files of mission {manifest['mission']} are whole"
+    )
+
+
+@app.callback(invoke_without_command=True)
+def _options(
+    version: Annotated[bool, typer.Option("--version", help="print the version")] = False,
+) -> None:
+    if version:
+        print(f"unbend {pipeline.__version__}")
+        raise typer.Exit
+
+
+def _terminated(_: int, __: FrameType | None) -> None:
+    raise SystemExit(143)
+
+
+def main() -> None:
+    """Run the command line and leave with its exit code."""
+    signal.signal(signal.SIGTERM, _terminated)
+    try:
+        code = app(standalone_mode=False)
+    except UnbendError as error:
+        _refuse(error)
+        code = error.exit_code
+    except click.exceptions.Abort:
+        code = EXIT_INTERRUPTED
+    except KeyboardInterrupt:
+        print("interrupted; run again to finish", file=sys.stderr)
+        code = EXIT_INTERRUPTED
+    except click.ClickException as error:
+        error.show()
+        code = EXIT_CONFIG
+    except BrokenPipeError:
+        sys.stderr.close()
+        code = EXIT_DONE
+    sys.exit(code if isinstance(code, int) else EXIT_DONE)
+
+
+__all__ = ["EXIT_BUG", "app", "main"]

@@ -1,0 +1,140 @@
+"""What a person sees in a terminal 80 columns wide."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.padding import Padding
+from rich.table import Table
+
+from pipeline.report.words import correction_rows, figure, headline, ledger_rows, where_from
+
+_COLOURS = {"loss": "red", "warning": "yellow", "fallback": "cyan", "note": "dim"}
+
+
+def show_run(
+    console: Console, name: str, output: str, manifest: Mapping[str, Any], *, repeated: bool
+) -> None:
+    """The summary at the end of a mission."""
+    console.print(f"[bold]{escape(name)}[/bold]")
+    if repeated:
+        console.print("  nothing to do: mission file, inputs and code are those of the last run")
+    _paragraph(console, headline(manifest))
+    table = Table("", "median", "maximum", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for row in correction_rows(manifest):
+        table.add_row(*row)
+    console.print(Padding(table, (0, 0, 0, 2)))
+    _paragraph(console, where_from(manifest))
+    flagged = {k: n for k, n in manifest["observations"]["status"].items() if k != "ok" and n}
+    if flagged:
+        _paragraph(console, "Flagged rows: " + ", ".join(f"{n:,} {k}" for k, n in flagged.items()))
+    for kind, code, what in ledger_rows(manifest):
+        if kind != "note":
+            console.print(
+                Padding(f"[{_COLOURS[kind]}]{kind}[/] {escape(code)}: {escape(what)}", (0, 0, 0, 2))
+            )
+    console.print(Padding(f"results in {escape(output)}", (0, 0, 0, 2)))
+    console.print(Padding(f"report     {escape(output)}/report.html", (0, 0, 0, 2)))
+
+
+def _paragraph(console: Console, text: str) -> None:
+    console.print(Padding(escape(text), (0, 0, 0, 2)))
+
+
+def show_log(console: Console, log: Mapping[str, Any], name: str) -> None:
+    """What ``unbend inspect`` prints: channels in the words that the mission file takes."""
+    console.print(f"[bold]{escape(name)}[/bold]: {log['format']}, {log['duration_s']:.1f} s")
+    console.print(f"  from {log['start_utc']} to {log['end_utc']}", highlight=False)
+    console.print(f"  time: {escape(log['time_base'])}")
+    counts = f"  {sum(log['messages'].values()):,} messages of {len(log['messages'])} types"
+    boots = f", {log['boots']} boots" if log["boots"] > 1 else ""
+    console.print(f"{counts}{boots}, {log['bad_bytes']:,} bad bytes, {log['lost_messages']:,} lost")
+    table = Table(
+        "channel", "samples", "rate [Hz]", "gaps", "can play", box=None, pad_edge=False,
+        padding=(0, 2, 0, 0),
+    )  # fmt: skip
+    for column in table.columns[1:4]:
+        column.justify = "right"
+    table.columns[0].no_wrap = True
+    for channel in log["channels"]:
+        roles = ", ".join(channel["roles"]) or "only if named"
+        table.add_row(
+            escape(channel["name"]),
+            f"{channel['samples']:,}",
+            f"{channel['rate_hz']:.3g}",
+            str(len(channel["gaps"])),
+            roles,
+        )
+    console.print(Padding(table, (1, 0, 1, 2)))
+    for entry in log["ledger"]:
+        console.print(
+            f"  [{_COLOURS[entry['kind']]}]{entry['kind']}[/] {entry['code']}: "
+            f"{escape(entry['what'])}"
+        )
+
+
+def show_ledger(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
+    """A ledger, the gravest entries first."""
+    for kind, code, what in ledger_rows({"ledger": rows}):
+        console.print(
+            Padding(f"[{_COLOURS[kind]}]{kind}[/] {escape(code)}: {escape(what)}", (0, 0, 0, 2))
+        )
+
+
+def show_angle(console: Console, angle: Mapping[str, Any]) -> None:
+    """One refraction angle in the units people use."""
+    console.print(f"R_c    {angle['r_c_arcsec']:.6f} arcsec", highlight=False)
+    console.print(f"       {angle['r_c_urad']:.6f} microradians", highlight=False)
+    console.print(f"       {angle['ground_m']:.6f} m on the ground", highlight=False)
+    console.print(
+        f"[dim]{angle['atmosphere']}, index {angle['index']}, {angle['method']}, radius "
+        f"{angle['radius_m']:.0f} m[/dim]",
+        highlight=False,
+    )
+
+
+def show_profile(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
+    """A profile as a table."""
+    table = Table(
+        "h [m]", "T [K]", "p [hPa]", "e [hPa]", "(n-1)e6", "Eq.", "source", box=None,
+        pad_edge=False, padding=(0, 2, 0, 0),
+    )  # fmt: skip
+    for column in table.columns[:6]:
+        column.justify = "right"
+    for row in rows:
+        table.add_row(
+            f"{row['h_m']:.0f}",
+            f"{row['temperature_k']:.2f}",
+            f"{row['pressure_pa'] / 100.0:.2f}",
+            f"{row['vapour_pressure_pa'] / 100.0:.2f}",
+            f"{row['refractivity'] * 1e6:.2f}",
+            str(row["equation"]),
+            row["source"],
+        )
+    console.print(table)
+
+
+def show_check(console: Console, lines: Sequence[tuple[str, str]]) -> None:
+    """What ``unbend check`` understood."""
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for label, text in lines:
+        table.add_row(label, escape(text))
+    console.print(Padding(table, (0, 0, 0, 2)))
+
+
+__all__ = [
+    "figure",
+    "show_angle",
+    "show_check",
+    "show_ledger",
+    "show_log",
+    "show_profile",
+    "show_run",
+]

@@ -1,0 +1,88 @@
+"""The sentences of the summary and the report, from a manifest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+_ORDER = ("loss", "warning", "fallback", "note")
+
+
+def headline(manifest: Mapping[str, Any]) -> str:
+    """How large the correction was, in one sentence, without overselling it."""
+    shift = manifest["correction"]["shift_px"]
+    ground = manifest["correction"]["shift_ground_m"]
+    rows = manifest["observations"]["rows"]
+    if not shift["count"]:
+        return f"None of the {rows:,} observations could be corrected."
+    sentence = (
+        f"{shift['count']:,} of {rows:,} observations were corrected, by {figure(shift['median'])} "
+        f"px in the median and {figure(shift['maximum'])} px at most: "
+        f"{figure(ground['median'])} m and {figure(ground['maximum'])} m on the ground."
+    )
+    if shift["maximum"] < 0.05:
+        sentence += " That is far below what can be measured in an image."
+    return sentence
+
+
+def figure(value: float | None) -> str:
+    """A number to three digits, plainly.
+
+    >>> figure(0.006234), figure(12.345), figure(1234.5), figure(None)
+    ('0.00623', '12.3', '1234', '-')
+    """
+    if value is None:
+        return "-"
+    if value == 0.0:
+        return "0"
+    if abs(value) >= 1000.0:
+        return f"{value:.0f}"
+    text = f"{value:.3g}"
+    return f"{value:.9f}".rstrip("0") if "e" in text else text
+
+
+def correction_rows(manifest: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Label, median, maximum."""
+    correction = manifest["correction"]
+    labels = (
+        ("shift_px", "shift in the image [px]"),
+        ("shift_ground_m", "shift on the ground [m]"),
+        ("refraction_arcsec", "refraction angle of the air [arcsec]"),
+        ("window_arcsec", "refraction angle of the window [arcsec]"),
+    )
+    return [
+        (label, figure(correction[key]["median"]), figure(correction[key]["maximum"]))
+        for key, label in labels
+        if key != "window_arcsec" or correction[key]["maximum"]
+    ]
+
+
+def where_from(manifest: Mapping[str, Any]) -> str:
+    """Which air was used, and why."""
+    profile = manifest["profile"]
+    sentence = f"{profile['reason'][:1].upper()}{profile['reason'][1:]}."
+    if profile["basis"] != "standard" and profile["departure_at_cameras_k"] is not None:
+        sentence += (
+            f" At the height of the cameras the air is {profile['departure_at_cameras_k']:+.1f} K "
+            f"against {profile['standard']}."
+        )
+    return sentence
+
+
+def ledger_rows(manifest: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Kind, code and text of the ledger, the gravest first."""
+    rows = [(e["kind"], e["code"], e["what"]) for e in manifest["ledger"]]
+    return sorted(rows, key=lambda row: (_ORDER.index(row[0]), row[1]))
+
+
+def not_removed() -> list[str]:
+    """What the correction leaves in the coordinates, for whoever adjusts them."""
+    return [
+        "The principal distance changes with the air in the lens (130 to 310 ppm at 6 km on a "
+        "153 mm lens, as much as refraction itself): not removed.",
+        "Earth curvature and map projection: adjust in earth-centred or one local east-north-up "
+        "frame.",
+        "Window glass displaces the ray by some millimetres; a calibration through the glass "
+        "contains that.",
+        "Switch the refraction correction off in the adjustment: nothing may be corrected twice.",
+    ]

@@ -1,0 +1,389 @@
+"""The story, in order: what becomes of a mission between its log and its folder of results.
+
+Read from top to bottom. Nothing is computed here; every step is a call into the room that knows.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.atmosphere import Profile, standard_atmosphere
+from pipeline.atmosphere.adjust import (
+    Adjustment,
+    AirSamples,
+    build_adjusted_profile,
+    unadjusted,
+)
+from pipeline.atmosphere.air import IndexModel
+from pipeline.batch.correct import CameraSetup, Ground, Tally, correct_stream
+from pipeline.batch.look import exposures_of, warn_of_calibration
+from pipeline.batch.manifest import Outcome, manifest_of, outcome_of
+from pipeline.batch.plan import Plan, check_unchanged, make_plan
+from pipeline.batch.store import RunFolder, find_damage, open_folder, read_manifest
+from pipeline.config import Mission, load_mission
+from pipeline.errors import MissionError, StorageError
+from pipeline.flight.air import air_samples
+from pipeline.flight.channels import Channel
+from pipeline.flight.exposures import (
+    Events,
+    account_for_triggers,
+    build_stations,
+    choose_event_channel,
+    events_of_channel,
+    refuse_repeated_images,
+    require_cabin_air,
+)
+from pipeline.flight.heights import HeightSystem, ground_offsets, height_system
+from pipeline.flight.local import locate
+from pipeline.flight.quality import within_reason
+from pipeline.flight.roles import Wish, assign_roles
+from pipeline.flight.stations import Stations, join_stations, name_the_unmatched, report_flagged
+from pipeline.ingest import Log, open_log
+from pipeline.ledger import Ledger
+from pipeline.refraction.image import Exposures, ground_displacement
+from pipeline.refraction.ray import ray_table, refraction_angle
+from pipeline.refraction.window import NO_WINDOW
+from pipeline.report.html import write_report
+from pipeline.report.progress import Progress, Silent
+from pipeline.tables.events import EventColumns, read_events
+from pipeline.tables.observations import Observations, open_observations
+from pipeline.tables.schemas import REFRACTION_KEY, REFRACTION_REMOVED
+from pipeline.tables.writing import profile_arrow, stations_table, write_parquet
+from pipeline.units import ARCSEC, DEGREE, MICRORADIAN
+
+PROFILE_ID = "flight"
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """A log after its channels were given their roles."""
+
+    log: Log
+    channels: tuple[Channel, ...]
+    roles: dict[str, Channel]
+    heights: HeightSystem
+
+
+def run_mission(path: Path, *, force: bool = False, progress: Progress | None = None) -> Outcome:
+    """The main job: one mission, from its file to its folder of results."""
+    progress = progress or Silent()
+    mission = load_mission(path)
+    progress.say("hashing the inputs")
+    plan = make_plan(mission, path.parent)
+    with open_folder(plan.output) as folder:
+        earlier = None if force else finished_before(plan)
+        if earlier is not None:
+            return outcome_of(plan, earlier, repeated=True)
+        ledger = Ledger()
+        progress.say("reading the observations")
+        observations = open_inputs(plan, ledger)
+        progress.say("reading the log")
+        flight = read_flight(plan, ledger)
+        stations = find_stations(plan, flight, observations, ledger)
+        samples = air_samples(flight.roles, flight.heights, mission.log.max_gap_s, ledger)
+        adjustment = adjust_air(mission, stations, samples, ledger)
+        progress.begin("correcting", observations.rows)
+        tally = correct(
+            mission, stations, adjustment.profile, observations, folder, ledger, flight.heights,
+            progress.advance,
+        )  # fmt: skip
+        progress.say("writing the report")
+        write_tables(folder, stations, adjustment)
+        ledger.extend(flight.log.ledger)
+        manifest = manifest_of(plan, flight.log, flight.roles, stations, adjustment, tally, ledger)
+        write_report(folder.place("report.html"), manifest, adjustment, samples, tally.grids)
+        folder.seal("report.html")
+        check_unchanged(plan)
+        manifest["outputs"] = folder.outputs()
+        folder.commit(manifest)
+    return outcome_of(plan, manifest, repeated=False)
+
+
+def finished_before(plan: Plan) -> dict[str, Any] | None:
+    """The manifest of an earlier run of exactly this, if its results are still there."""
+    manifest = read_manifest(plan.output)
+    if manifest is None or manifest.get("fingerprint") != plan.fingerprint:
+        return None
+    return None if find_damage(plan.output, manifest, read=False) else manifest
+
+
+def open_inputs(plan: Plan, ledger: Ledger) -> Observations:
+    """The table of observations, checked."""
+    section, ground = plan.mission.observations, plan.mission.ground.height
+    column = None if isinstance(ground, float) else ground.column
+    return open_observations(
+        plan.input("observations").path, section.columns.model_dump(), column, ledger
+    )
+
+
+def read_flight(plan: Plan, ledger: Ledger) -> Flight:
+    """The log, its channels in their roles, and how its heights go together."""
+    section = plan.mission.log
+    log = open_log(plan.input("log").path)
+    channels = log.channels
+    if section.local_origin is not None:
+        origin = section.local_origin.build()
+        channels = tuple(locate(channel, origin) for channel in channels)
+    wishes = {role: Wish(c.name, c.unit) for role, c in section.channels.named().items()}
+    roles = assign_roles(channels, wishes, ledger, needs_cabin=reads_cabin(plan.mission))
+    sound = {role: within_reason(channel, role, ledger) for role, channel in roles.items()}
+    heights = height_system(sound, plan.mission.mission.undulation_m, ledger)
+    stated_home = plan.mission.ground.home_h_msl_m
+    if stated_home is not None:
+        heights = replace(heights, home_h_msl_m=stated_home)
+    return Flight(log, channels, sound, heights)
+
+
+def reads_cabin(mission: Mission) -> bool:
+    """Whether a window takes its cabin air from the log."""
+    return any(c.window is not None and c.window.cabin == "log" for c in mission.cameras.values())
+
+
+def find_events(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -> list[Events]:
+    """When each camera was exposed, from the log or from a table."""
+    section = plan.mission.events
+    if section.log is not None:
+        found = []
+        for camera, how in section.log.items():
+            channel = choose_event_channel(channels, how.channel)
+            account_for_triggers(channels, channel, ledger)
+            found.append(events_of_channel(channel, camera, how.image, how.delay_s, ledger))
+        return found
+    csv = section.csv
+    if csv is None:
+        raise MissionError("EVENTS-NONE", "the mission names no events", where="events")
+    table = read_events(plan.input("events").path, EventColumns(**csv.columns.model_dump()), ledger)
+    only = csv.camera or next(iter(plan.mission.cameras))
+    camera_of = table.camera if table.camera is not None else np.full(table.image.shape, only)
+    for name in sorted(set(camera_of.tolist()) - set(plan.mission.cameras)):
+        raise MissionError(
+            "EVENTS-CAMERA",
+            f"the table of exposures speaks of camera {name!r}",
+            where=str(csv.path),
+            remedy=f"cameras are {', '.join(plan.mission.cameras)}",
+        )
+    return [
+        Events(camera, table.image[camera_of == camera], table.time_ns[camera_of == camera])
+        for camera in plan.mission.cameras
+    ]
+
+
+def find_stations(
+    plan: Plan, flight: Flight, observations: Observations, ledger: Ledger
+) -> Stations:
+    """One row an exposure: position, attitude and air, or the reason why not."""
+    mission = plan.mission
+    events = find_events(plan, flight.channels, ledger)
+    refuse_repeated_images(events)
+    parts = [
+        build_stations(
+            event,
+            flight.roles,
+            mission.mount[event.camera].build(),
+            flight.heights,
+            mission.log.max_gap_s,
+        )
+        for event in events
+    ]
+    stations = join_stations(parts)
+    for name, camera in mission.cameras.items():
+        if camera.window is not None and camera.window.cabin == "log":
+            stations = require_cabin_air(stations, name, ledger)
+    stations = name_the_unmatched(stations, observations.images, ledger)
+    report_flagged(stations, ledger)
+    return stations
+
+
+def adjust_air(
+    mission: Mission, stations: Stations, samples: AirSamples, ledger: Ledger
+) -> Adjustment:
+    """The locally adjusted profile of the flight, or the standard where the user wants that."""
+    section = mission.atmosphere
+    index = IndexModel(section.index, section.wavelength_m, section.co2_ppm)
+    standard = replace(standard_atmosphere(section.standard), index=index)
+    if not section.adjust:
+        ledger.note("AIR-NOT-ADJUSTED", "atmosphere.adjust is false: the standard is kept")
+        return unadjusted(standard, "atmosphere.adjust is false: the standard is kept")
+    return build_adjusted_profile(samples, standard, stations.mean_latitude_rad, ledger)
+
+
+def correct(
+    mission: Mission,
+    stations: Stations,
+    profile: Profile,
+    observations: Observations,
+    folder: RunFolder,
+    ledger: Ledger,
+    heights: HeightSystem,
+    advance: Callable[[int], None],
+) -> Tally:
+    """The stream of observations through window, air and camera."""
+    ground = mission.ground
+    offsets = ground_offsets(ground.reference, stations, heights)
+    constant = ground.height if isinstance(ground.height, float) else None
+    tally = correct_stream(
+        observations,
+        stations.image,
+        stations.camera,
+        look_through(mission, stations, profile, ledger),
+        Ground(constant, offsets),
+        {name: setup_of(mission, name) for name in mission.cameras},
+        ray_table(profile),
+        folder,
+        mission.output.batch_rows,
+        {
+            REFRACTION_KEY.decode(): REFRACTION_REMOVED.decode(),
+            "unbend.mission": mission.mission.name,
+            "unbend.pixel_origin": mission.observations.pixel_origin,
+            "unbend.ground_reference": ground.reference,
+        },
+        advance,
+    )
+    tally.report_flagged(ledger)
+    return tally
+
+
+def look_through(
+    mission: Mission, stations: Stations, profile: Profile, ledger: Ledger
+) -> Exposures:
+    """What the rays of each exposure need to know: attitude, and the air beside the window."""
+    for name, camera in mission.cameras.items():
+        warn_of_calibration(name, camera.calibration, ledger)
+    cabins = {
+        name: camera.window.air() if camera.window is not None else NO_WINDOW
+        for name, camera in mission.cameras.items()
+    }
+    return exposures_of(stations, profile, cabins, mission.refraction.radius_m, ledger)
+
+
+def setup_of(mission: Mission, name: str) -> CameraSetup:
+    """Interior orientation, window, and what takes the user's pixels to COLMAP's."""
+    section = mission.cameras[name]
+    normal = section.window.normal if section.window is not None else [0.0, 0.0, 1.0]
+    offset = 0.5 if mission.observations.pixel_origin == "centre" else 0.0
+    return CameraSetup(section.build(), np.array(normal), offset)
+
+
+def write_tables(folder: RunFolder, stations: Stations, adjustment: Adjustment) -> None:
+    """Stations and profile beside the observations."""
+    for name, table in (
+        ("stations.parquet", stations_table(stations, PROFILE_ID)),
+        ("profile.parquet", profile_arrow(adjustment, PROFILE_ID)),
+    ):
+        write_parquet(table, folder.place(name))
+        folder.seal(name)
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """What can be said of a mission without correcting anything."""
+
+    plan: Plan
+    flight: Flight
+    observations: Observations
+    stations: Stations
+    samples: AirSamples
+    ledger: Ledger
+
+    def lines(self) -> list[tuple[str, str]]:
+        """For a person."""
+        roles = ", ".join(f"{role} {c.name}" for role, c in sorted(self.flight.roles.items()))
+        cameras = Counter(self.stations.camera[self.stations.ok].tolist())
+        return [
+            ("log", f"{self.plan.mission.log.path}: {self.flight.log.format}"),
+            ("channels", roles.replace("_", " ")),
+            ("stations", ", ".join(f"{n} of {name}" for name, n in cameras.items()) or "none"),
+            (
+                "observations",
+                f"{self.observations.rows:,} in {len(self.observations.images)} images",
+            ),
+            ("results", str(self.plan.output)),
+        ]
+
+
+def check_mission(path: Path) -> Checked:
+    """A mission with everything read and found, and nothing corrected or written."""
+    plan = make_plan(load_mission(path), path.parent)
+    ledger = Ledger()
+    observations = open_inputs(plan, ledger)
+    flight = read_flight(plan, ledger)
+    stations = find_stations(plan, flight, observations, ledger)
+    samples = air_samples(flight.roles, flight.heights, plan.mission.log.max_gap_s, ledger)
+    ledger.extend(flight.log.ledger)
+    return Checked(plan, flight, observations, stations, samples, ledger)
+
+
+def profile_of_mission(path: Path) -> tuple[Adjustment, AirSamples, Ledger]:
+    """The profile of the air that a run would use."""
+    found = check_mission(path)
+    ledger = Ledger(found.ledger)
+    return (
+        adjust_air(found.plan.mission, found.stations, found.samples, ledger),
+        found.samples,
+        ledger,
+    )
+
+
+def verify_run(path: Path) -> dict[str, Any]:
+    """The manifest of a run whose results are whole and unchanged; refuses any other."""
+    manifest = read_manifest(path)
+    if manifest is None:
+        raise StorageError(
+            "VERIFY-NO-MANIFEST",
+            "there is no manifest: the run never finished here",
+            where=str(path),
+            remedy="run the mission",
+        )
+    damage = find_damage(path, manifest)
+    if damage:
+        raise StorageError(
+            "VERIFY-DAMAGED",
+            f"{len(damage)} results are damaged\n    " + "\n    ".join(damage),
+            where=str(path),
+            remedy="run the mission again; finished results are made anew",
+        )
+    return manifest
+
+
+def profile_sources(
+    config: Path | None, atmosphere: str | None
+) -> tuple[Adjustment, AirSamples, Ledger]:
+    """The profile of a mission, or a standard atmosphere by its name."""
+    if config is not None:
+        return profile_of_mission(config)
+    standard = standard_atmosphere(atmosphere or "")
+    return unadjusted(standard, f"the standard atmosphere {standard.name}"), AirSamples(), Ledger()
+
+
+def one_angle(
+    atmosphere: str,
+    index: str,
+    camera_height: float,
+    ground_height: float,
+    nadir_angle: float,
+    radius: float,
+    method: str,
+) -> dict[str, Any]:
+    """One refraction angle through a standard atmosphere, in the units people use."""
+    air = standard_atmosphere(atmosphere, index=index)
+    zeta = nadir_angle * DEGREE
+    r_c = refraction_angle(air, camera_height, ground_height, zeta, radius, method)
+    return {
+        "r_c_arcsec": r_c / ARCSEC,
+        "r_c_urad": r_c / MICRORADIAN,
+        "r_c_rad": r_c,
+        "ground_m": ground_displacement(camera_height, ground_height, zeta, r_c, radius),
+        "atmosphere": atmosphere,
+        "index": index,
+        "method": method,
+        "camera_height_m": camera_height,
+        "ground_height_m": ground_height,
+        "nadir_angle_deg": nadir_angle,
+        "radius_m": radius,
+    }
