@@ -1,0 +1,21 @@
+"""A survey flight with known truth: the independent check on everything else.
+
+Nothing here comes from `pipeline.atmosphere` or `pipeline.refraction`: the air, the rays and the
+cameras are written again from the sources, with slow and general methods.
+"""
+
+from pipeline.simulate.air import TrueAir, edlen_index, true_air
+from pipeline.simulate.mission import Simulated, SimulationOptions, mission_yaml, simulate
+from pipeline.simulate.rays import ray_angle_sphere, shoot
+
+__all__ = [
+    "Simulated",
+    "SimulationOptions",
+    "TrueAir",
+    "edlen_index",
+    "mission_yaml",
+    "ray_angle_sphere",
+    "shoot",
+    "simulate",
+    "true_air",
+]

@@ -1,0 +1,175 @@
+"""What a log is once it is read, and what a log format has to offer."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from pipeline.errors import LogError
+from pipeline.flight.channels import Channel
+from pipeline.ledger import Ledger
+
+HASH_BLOCK = 1 << 20
+GAP_FACTOR = 5.0  # an interval this many times the median one ...
+GAP_SECONDS = 1.0  # ... and longer than this is a gap
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a format finds in a file.
+
+    ``messages`` counts every type or topic, wanted or not; ``bad_bytes`` belong to no message;
+    ``lost_messages`` are missing by the log's own numbering or count; ``time_base`` in words.
+    """
+
+    messages: Mapping[str, int]
+    channels: tuple[Channel, ...]
+    bad_bytes: int
+    lost_messages: int
+    boots: int
+    time_base: str
+
+
+class LogFormat(Protocol):
+    """One kind of log: how to recognise it and how to read it."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def title(self) -> str: ...
+
+    @property
+    def extensions(self) -> tuple[str, ...]: ...
+
+    def matches(self, head: bytes) -> bool:
+        """Whether the first 64 KiB of a file look like this format."""
+        ...
+
+    def read(self, path: Path, ledger: Ledger) -> Contents:
+        """Decode the wanted messages; what is damaged or skipped goes into the ledger."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """A log that was read: its channels, and what was found on the way.
+
+    Parameters
+    ----------
+    path, size_bytes, sha256 : the file; hashed before it was read.
+    format : ``dataflash``, ``tlog`` or ``mcap``.
+    messages : count of every message type or topic, sorted by name.
+    channels : sorted by name; none is empty.
+    bad_bytes : bytes that belong to no valid message.
+    lost_messages : missing by the sequence numbers or the statistics of the log.
+    boots : how often the vehicle was powered up in it.
+    time_base : where its UTC comes from, in words.
+    start_ns, end_ns : Unix time [ns] of the first and the last sample of any channel.
+    ledger : what was repaired, assumed, skipped and lost.
+    """
+
+    path: Path
+    format: str
+    sha256: str
+    size_bytes: int
+    messages: Mapping[str, int]
+    channels: tuple[Channel, ...]
+    bad_bytes: int
+    lost_messages: int
+    boots: int
+    time_base: str
+    start_ns: int
+    end_ns: int
+    ledger: Ledger
+
+    @property
+    def duration_s(self) -> float:
+        return (self.end_ns - self.start_ns) / 1e9
+
+    def channel(self, name: str) -> Channel:
+        """The channel of that name, or a LogError that says what there is instead."""
+        for channel in self.channels:
+            if channel.name == name:
+                return channel
+        names = [channel.name for channel in self.channels]
+        near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+        meant = f"did you mean {', '.join(near)}? " if near else ""
+        raise LogError(
+            "LOG-NO-CHANNEL",
+            f"no channel {name}",
+            where=str(self.path),
+            remedy=f"{meant}this log has {', '.join(names)}",
+        )
+
+    def to_pandas(self, name: str) -> Any:
+        """One channel as a pandas DataFrame indexed by UTC time."""
+        return self.channel(name).to_pandas()
+
+    def to_json_dict(self) -> dict[str, Any]:
+        """The log in words and numbers, for ``unbend inspect --json``."""
+        return {
+            "format": self.format,
+            "sha256": self.sha256,
+            "size_bytes": self.size_bytes,
+            "messages": dict(self.messages),
+            "bad_bytes": self.bad_bytes,
+            "lost_messages": self.lost_messages,
+            "boots": self.boots,
+            "channels": [describe(channel) for channel in self.channels],
+            "start_utc": utc_text(self.start_ns),
+            "end_utc": utc_text(self.end_ns),
+            "duration_s": self.duration_s,
+            "time_base": self.time_base,
+            "ledger": self.ledger.rows(),
+        }
+
+
+def utc_text(time_ns: int) -> str:
+    """Unix time [ns] as ISO 8601 with microseconds.
+
+    >>> utc_text(1_482_451_200_000_000_000)
+    '2016-12-23T00:00:00.000000Z'
+    """
+    return f"{np.datetime64(time_ns // 1000, 'us')}Z"
+
+
+def gaps_of(channel: Channel) -> list[tuple[int, float]]:
+    """The gaps of a channel: start [ns] and length [s]. Events come when they come: none."""
+    if "events" in channel.roles or len(channel) < 3:
+        return []
+    steps = np.diff(channel.time_ns) / 1e9
+    found = np.flatnonzero(steps > max(GAP_FACTOR * float(np.median(steps)), GAP_SECONDS))
+    return [(int(channel.time_ns[row]), float(steps[row])) for row in found]
+
+
+def describe(channel: Channel) -> dict[str, Any]:
+    """A channel in words and numbers."""
+    return {
+        "name": channel.name,
+        "roles": list(channel.roles),
+        "columns": sorted(channel.columns),
+        "samples": len(channel),
+        "rate_hz": channel.rate_hz,
+        "start_utc": utc_text(int(channel.time_ns[0])),
+        "end_utc": utc_text(int(channel.time_ns[-1])),
+        "gaps": [
+            {"start_utc": utc_text(start), "seconds": seconds}
+            for start, seconds in gaps_of(channel)
+        ],
+    }
+
+
+def hash_file(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal, read in blocks of 1 MiB."""
+    digest = hashlib.sha256()
+    with path.open("rb") as stream:
+        while block := stream.read(HASH_BLOCK):
+            digest.update(block)
+    return digest.hexdigest()

@@ -1,0 +1,68 @@
+"""Attitudes as logs write them -> the package's one convention.
+
+The convention: v_ned = R(q) v_body, Hamilton, body forward-right-down, q_w >= 0.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.flight.channels import Array
+
+
+def positive_scalar(q: Array) -> Array:
+    """The same rotations with q_w >= 0 and unit length; NaN where the length is zero or infinite.
+
+    Parameters
+    ----------
+    q : (n, 4) w, x, y, z.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        length = np.linalg.norm(q, axis=1, keepdims=True)
+        unit = q / np.where((length > 0.0) & np.isfinite(length), length, np.nan)
+    return np.where(unit[:, :1] < 0.0, -unit, unit)
+
+
+def quaternion_of_euler(roll_rad: Array, pitch_rad: Array, yaw_rad: Array) -> Array:
+    """The quaternion of yaw about down, then pitch about right, then roll about forward.
+
+    Parameters
+    ----------
+    roll_rad, pitch_rad, yaw_rad : (n,) [rad], any range.
+
+    Returns (n, 4) w, x, y, z. Source: MAVLink ATTITUDE and DataFlash ATT use this order (Z-Y-X).
+
+    >>> quaternion_of_euler(np.zeros(1), np.zeros(1), np.array([np.pi / 2])).round(4)
+    array([[0.7071, 0.    , 0.    , 0.7071]])
+    """
+    cr, sr = np.cos(roll_rad / 2.0), np.sin(roll_rad / 2.0)
+    cp, sp = np.cos(pitch_rad / 2.0), np.sin(pitch_rad / 2.0)
+    cy, sy = np.cos(yaw_rad / 2.0), np.sin(yaw_rad / 2.0)
+    q = np.stack(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ],
+        axis=1,
+    )
+    return positive_scalar(q)
+
+
+def ned_frd_of_enu_flu(q: Array) -> Array:
+    """ROS attitude (REP 103: east-north-up, body forward-left-up) -> north-east-down, FRD.
+
+    Parameters
+    ----------
+    q : (n, 4) w, x, y, z with v_enu = R(q) v_flu.
+
+    Returns (n, 4) w, x, y, z: the product of (0, s, s, 0), q and (0, 1, 0, 0), s = 1/sqrt(2), which
+    exchange the axes of the world and of the body.
+
+    >>> ned_frd_of_enu_flu(np.array([[1.0, 0.0, 0.0, 0.0]])).round(4)  # x forward, facing east
+    array([[0.7071, 0.    , 0.    , 0.7071]])
+    """
+    w, x, y, z = q.T
+    with np.errstate(over="ignore"):
+        return positive_scalar(np.sqrt(0.5) * np.stack([w + z, x + y, x - y, w - z], axis=1))

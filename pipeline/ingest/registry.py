@@ -1,0 +1,130 @@
+"""Which formats there are, and opening a log by its content."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pipeline.errors import LogError
+from pipeline.ingest.base import Contents, Log, LogFormat, hash_file
+from pipeline.ingest.dataflash import DATAFLASH
+from pipeline.ingest.mcap import MCAP
+from pipeline.ingest.tlog import TLOG
+from pipeline.ledger import Ledger
+
+FORMATS: tuple[LogFormat, ...] = (MCAP, DATAFLASH, TLOG)  # the surest mark first
+
+HEAD_BYTES = 1 << 16
+KNOWN = ", ".join(f"{form.title} ({' '.join(form.extensions)})" for form in FORMATS)
+
+# Files that users take for a log of ours, with what to do about them.
+_RELATIVES = (
+    (b"ULog", "a PX4 ULog", "convert it to MCAP, or log MAVLink telemetry (.tlog)"),
+    (b"FMT,", "a DataFlash log as text", "use the .bin file that it was made from"),
+    (b"#ROSBAG", "a ROS 1 bag", "convert it to MCAP with ROS 2 messages"),
+    (b"SQLite format 3", "a ROS 2 bag in SQLite", "run: ros2 bag convert, with storage_id mcap"),
+    (b"\x1f\x8b", "compressed with gzip", "unpack it first"),
+    (b"PK\x03\x04", "a ZIP archive", "unpack it first"),
+)
+
+
+def open_log(path: Path | str) -> Log:
+    """Read a flight log: MAVLink telemetry (.tlog), ArduPilot DataFlash (.bin) or ROS 2 MCAP.
+
+    Parameters
+    ----------
+    path : the file; its content and its extension have to agree.
+
+    Returns the log with its channels in SI. Raises LogError (LOG-MISSING, LOG-EMPTY, LOG-FORMAT,
+    LOG-NO-MESSAGES, LOG-UNREADABLE) when nothing can be used. Damage is no reason to refuse: it is
+    counted in the ledger of the log.
+    """
+    path = Path(path)
+    if not path.is_file():
+        what = "it is a folder" if path.is_dir() else "there is no such file"
+        raise LogError("LOG-MISSING", what, where=str(path), remedy="check the path of the log")
+    try:
+        return _read(path)
+    except OSError as error:
+        raise LogError(
+            "LOG-UNREADABLE",
+            f"the system cannot read it: {error.strerror or error}",
+            where=str(path),
+            remedy="check its permissions and the disk, or copy it again",
+        ) from error
+
+
+def _read(path: Path) -> Log:
+    size = path.stat().st_size
+    if size == 0:
+        raise LogError(
+            "LOG-EMPTY",
+            "the file has 0 bytes",
+            where=str(path),
+            remedy="copy it again from the vehicle or the ground station",
+        )
+    with path.open("rb") as stream:
+        head = stream.read(HEAD_BYTES)
+    form = _format_of(path, head)
+    sha256 = hash_file(path)
+    ledger = Ledger()
+    contents = form.read(path, ledger)
+    _refuse_useless(path, form, contents, ledger)
+    return Log(
+        path=path,
+        format=form.name,
+        sha256=sha256,
+        size_bytes=size,
+        messages=dict(sorted(contents.messages.items())),
+        channels=tuple(sorted(contents.channels, key=lambda channel: channel.name)),
+        bad_bytes=contents.bad_bytes,
+        lost_messages=contents.lost_messages,
+        boots=contents.boots,
+        time_base=contents.time_base,
+        start_ns=min(int(channel.time_ns[0]) for channel in contents.channels),
+        end_ns=max(int(channel.time_ns[-1]) for channel in contents.channels),
+        ledger=ledger,
+    )
+
+
+def _format_of(path: Path, head: bytes) -> LogFormat:
+    extension = path.suffix.lower()
+    named = next((form for form in FORMATS if extension in form.extensions), None)
+    found = next((form for form in FORMATS if form.matches(head)), None)
+    if found is not None and found is not named:
+        raise LogError(
+            "LOG-FORMAT",
+            f"its content is {found.title}, its extension is {extension or 'missing'}",
+            where=str(path),
+            remedy=f"rename it to end in {found.extensions[0]} if the content is what you meant",
+        )
+    for mark, what, remedy in _RELATIVES:
+        if found is None and head.startswith(mark):
+            raise LogError("LOG-FORMAT", f"the file is {what}", where=str(path), remedy=remedy)
+    if named is None:
+        raise LogError(
+            "LOG-FORMAT",
+            f"neither content nor extension ({extension or 'none'}) is one of a known format",
+            where=str(path),
+            remedy=f"give one of {KNOWN}",
+        )
+    return named  # a log with a damaged beginning: its reader decides
+
+
+def _refuse_useless(path: Path, form: LogFormat, contents: Contents, ledger: Ledger) -> None:
+    if not contents.messages:
+        damage = "".join(f"; {entry.what} ({entry.where})" for entry in list(ledger)[:2])
+        raise LogError(
+            "LOG-FORMAT",
+            f"no whole message of {form.title} in {path.stat().st_size} bytes{damage}",
+            where=str(path),
+            remedy=f"check that it is the whole log; known are {KNOWN}",
+        )
+    if not contents.channels:
+        kinds = ", ".join(sorted(contents.messages)[:12])
+        raise LogError(
+            "LOG-NO-MESSAGES",
+            f"{sum(contents.messages.values())} messages, but none with a position, an attitude, "
+            "air data or camera events",
+            where=str(path),
+            remedy=f"check what the vehicle logs; this log has {kinds}",
+        )

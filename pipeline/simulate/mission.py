@@ -1,0 +1,305 @@
+"""A simulated mission, from the first draw to the last file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.errors import ConfigError, StorageError
+from pipeline.simulate import sensors, tables
+from pipeline.simulate.air import FIELD_HEIGHT_M, WAVELENGTH_UM, true_air
+from pipeline.simulate.block import choose_points, observe, stations
+from pipeline.simulate.camera import SimulatedCamera, cameras
+from pipeline.simulate.flight import FIELD_LAT_RAD, UNDULATION_M, fly
+from pipeline.simulate.write_dataflash import write_dataflash
+from pipeline.simulate.write_mcap import write_mcap
+from pipeline.simulate.write_tlog import write_tlog
+
+Progress = Callable[[str, int, int], None]
+
+KINDS = ("bin", "tlog", "mcap")
+_LIMITS = {
+    "height_above_ground_m": (300.0, 10_000.0),
+    "lines": (1, 20),
+    "exposures_per_line": (1, 100),
+    "points_per_image": (1, 2000),
+    "image_noise_px": (0.0, 10.0),
+    "focal_px": (5_000.0, 60_000.0),
+    "seed": (0, 2**32 - 1),
+}
+
+
+@dataclass(frozen=True)
+class SimulationOptions:
+    """What to fly: height [m] above the field, lines, exposures, points; one seed for all noise."""
+
+    seed: int = 7
+    height_above_ground_m: float = 3000.0
+    lines: int = 4
+    exposures_per_line: int = 7
+    points_per_image: int = 40
+    image_noise_px: float = 0.0
+    focal_px: float = 20_000.0
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in _LIMITS.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise ConfigError(
+                    "SIM-OPTION",
+                    f"{name} is {value}, outside {low} to {high}",
+                    where=name,
+                    remedy=f"choose {name} between {low} and {high}",
+                )
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """The files written, and how much is in them."""
+
+    folder: Path
+    logs: dict[str, Path]
+    missions: dict[str, Path]
+    observations: Path
+    truth: Path
+    images: int
+    points: int
+    observation_count: int
+    messages: dict[str, int]
+    duration_s: float
+
+
+def simulate(
+    out: Path, options: SimulationOptions | None = None, progress: Progress | None = None
+) -> Simulated:
+    """Fly a survey with known truth and write its logs, observations, truth and mission files.
+
+    out: folder, made where absent; options: see `SimulationOptions`; progress: called with
+    (stage, done, total). Rays by the eikonal equation, 1e-10 rad; the same seed gives the same
+    bytes. Takes a few seconds.
+    """
+    chosen = options or SimulationOptions()
+    steps = _Steps(progress)
+    steps.begin("air and flight")
+    air = true_air(FIELD_LAT_RAD)
+    pair = cameras(chosen.focal_px)
+    flight = fly(chosen.height_above_ground_m, chosen.lines, chosen.exposures_per_line)
+    draw_points, draw_image = (np.random.default_rng([chosen.seed, branch]) for branch in (0, 1))
+
+    steps.begin("rays")
+    block = stations(flight, air, pair)
+    points, station, point = choose_points(
+        flight, block, pair, chosen.points_per_image, draw_points
+    )
+    seen = observe(air, block, points, pair, station, point)
+
+    steps.begin("tables")
+    truth = _folders(out)
+    measured, true = tables.observation_columns(
+        block, points, seen, chosen.image_noise_px, draw_image
+    )
+    tables.write_table(out / "observations.parquet", measured)
+    tables.write_table(truth / "observations.parquet", true)
+    tables.write_table(truth / "stations.parquet", tables.station_columns(block, pair))
+    tables.write_table(truth / "profile.parquet", tables.profile_columns(air))
+    tables.write_table(truth / "points.parquet", tables.point_columns(points))
+
+    samples = sensors.sample(flight, air, chosen.seed, tuple(c.name for c in pair))
+    logs = {kind: out / f"flight.{kind}" for kind in KINDS}
+    messages: dict[str, int] = {}
+    for kind, path in logs.items():
+        steps.begin(path.name)
+        messages[kind] = _WRITERS[kind](path, samples, chosen.seed)
+
+    steps.begin("mission files")
+    missions = {kind: out / f"mission_{kind}.yaml" for kind in KINDS}
+    for kind, path in missions.items():
+        _write_text(path, mission_yaml(kind, pair))
+    _write_text(truth / "truth.json", _truth_json(chosen, pair, flight.duration_s))
+    steps.end()
+    return Simulated(
+        out,
+        logs,
+        missions,
+        out / "observations.parquet",
+        truth,
+        len(block.image),
+        len(points.name),
+        len(seen.station),
+        messages,
+        flight.duration_s,
+    )
+
+
+_WRITERS: dict[str, Callable[[Path, sensors.Samples, int], int]] = {
+    "bin": lambda path, samples, _: write_dataflash(path, samples),
+    "tlog": write_tlog,
+    "mcap": write_mcap,
+}
+
+
+class _Steps:
+    """Tells a progress bar which of the steps is running."""
+
+    total = 4 + len(KINDS)
+
+    def __init__(self, progress: Progress | None) -> None:
+        self.progress = progress
+        self.done = 0
+
+    def begin(self, stage: str) -> None:
+        if self.progress is not None:
+            self.progress(stage, self.done, self.total)
+        self.done += 1
+
+    def end(self) -> None:
+        if self.progress is not None:
+            self.progress("done", self.total, self.total)
+
+
+def _folders(out: Path) -> Path:
+    truth = out / "truth"
+    try:
+        truth.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(
+            "DISK-WRITE",
+            f"the folder cannot be made: {error}",
+            where=str(out),
+            remedy="choose another folder, or free its name",
+        ) from error
+    return truth
+
+
+def _write_text(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise StorageError("DISK-WRITE", str(error), where=str(path)) from error
+
+
+def _truth_json(
+    options: SimulationOptions, pair: tuple[SimulatedCamera, ...], duration_s: float
+) -> str:
+    """What is behind the truth, for whoever finds the folder."""
+    content = {
+        "options": asdict(options),
+        "conventions": tables.CONVENTIONS,
+        "cameras": [asdict(camera) for camera in pair],
+        "field_h_msl_m": FIELD_HEIGHT_M,
+        "undulation_m": UNDULATION_M,
+        "wavelength_um": WAVELENGTH_UM,
+        "index": "modified Edlen (Birch and Downs 1994; NIST water term)",
+        "duration_s": duration_s,
+        "sensors": {
+            "gnss_horizontal_m": sensors.GNSS_HORIZONTAL_M,
+            "gnss_vertical_m": sensors.GNSS_VERTICAL_M,
+            "tilt_deg": sensors.TILT_DEG,
+            "heading_deg": sensors.HEADING_DEG,
+            "barometer_pa": sensors.BAROMETER_PA,
+            "thermometer_k": sensors.THERMOMETER_K,
+            "thermometer_bias_k": sensors.THERMOMETER_BIAS_K,
+            "humidity": sensors.HUMIDITY,
+            "board_heat_k": sensors.BOARD_HEAT_K,
+        },
+    }
+    return json.dumps(content, indent=2) + "\n"
+
+
+_CHANNELS = {
+    "bin": {
+        "pressure": "BARO[0]", "temperature": "HYGR[0]", "humidity": "HYGR[0]",
+        "cabin_pressure": "BARO[1]", "cabin_temperature": "HYGR[1]", "cabin_humidity": "HYGR[1]",
+    },
+    "tlog": {
+        "pressure": "SCALED_PRESSURE", "temperature": "HYGROMETER_SENSOR[0]",
+        "humidity": "HYGROMETER_SENSOR[0]", "cabin_pressure": "SCALED_PRESSURE2",
+        "cabin_temperature": "HYGROMETER_SENSOR[1]", "cabin_humidity": "HYGROMETER_SENSOR[1]",
+    },
+    "mcap": {
+        f"{prefix}{role}": f"/{place}/{role}"
+        for prefix, place in (("", "outside"), ("cabin_", "cabin"))
+        for role in ("pressure", "temperature", "humidity")
+    },
+}  # fmt: skip
+
+
+def mission_yaml(
+    kind: str, pair: tuple[SimulatedCamera, ...], *, inputs: str = "", results: str = "results"
+) -> str:
+    """The mission file for one of the logs: bin, tlog or mcap.
+
+    ``inputs`` and ``results`` are the folders of both, relative to the mission file.
+    """
+    lines = [
+        "mission:",
+        f"  name: simulated_{kind}",
+        f"  undulation_m: {UNDULATION_M}",
+        "log:",
+        f"  path: {inputs}flight.{kind}",
+        "  channels:",
+        *[f"    {role}: {channel}" for role, channel in _CHANNELS[kind].items()],
+        "observations:",
+        f"  path: {inputs}observations.parquet",
+        "cameras:",
+        *[line for camera in pair for line in _camera_yaml(camera)],
+        "mount:",
+        *[line for camera in pair for line in _mount_yaml(camera)],
+        "events:",
+        "  log:",
+        *[line for camera in pair for line in _event_yaml(kind, camera)],
+        "ground:",
+        "  height: {column: h_g_m}",
+        "  reference: msl",
+        "atmosphere:",
+        "  standard: us1976",
+        "output:",
+        f"  path: {results}/simulated_{kind}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _camera_yaml(camera: SimulatedCamera) -> list[str]:
+    # Without exponents: YAML 1.1 reads 8e-05 as a word.
+    k1, k2, p1, p2, k3 = (f"{value:.6f}" for value in camera.distortion)
+    return [
+        f"  {camera.name}:",
+        f"    width_px: {camera.width_px}",
+        f"    height_px: {camera.height_px}",
+        f"    fx_px: {camera.focal_px}",
+        f"    fy_px: {camera.focal_px}",
+        f"    cx_px: {camera.cx_px}",
+        f"    cy_px: {camera.cy_px}",
+        f"    distortion: {{k1: {k1}, k2: {k2}, k3: {k3}, p1: {p1}, p2: {p2}}}",
+        "    calibration: laboratory",
+        "    window: {cabin: log}",
+    ]
+
+
+def _mount_yaml(camera: SimulatedCamera) -> list[str]:
+    lever = ", ".join(str(value) for value in camera.lever_arm_m)
+    return [
+        f"  {camera.name}:",
+        f"    roll_deg: {camera.roll_deg}",
+        f"    pitch_deg: {camera.pitch_deg}",
+        f"    yaw_deg: {camera.yaw_deg}",
+        f"    lever_arm_m: [{lever}]",
+    ]
+
+
+def _event_yaml(kind: str, camera: SimulatedCamera) -> list[str]:
+    channel = {
+        "bin": f"CAM[{camera.instance}]",
+        "tlog": f"CAMERA_FEEDBACK[{camera.instance}]",
+        "mcap": f"/camera/{camera.name}/image/compressed",
+    }[kind]
+    number = "n" if kind == "mcap" else "index"  # an image topic has no number of its own
+    return [
+        f"    {camera.name}:",
+        f"      channel: {channel}",
+        f'      image: "{camera.name}_{{{number}:05d}}"',
+    ]

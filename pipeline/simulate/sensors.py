@@ -1,0 +1,230 @@
+"""What the sensors of the aircraft report: truth sampled on one grid a sensor, noise drawn once.
+
+All three logs carry (a subset of) these samples, so they differ in nothing but their format.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from pipeline.simulate.air import TrueAir, relative_humidity, temperature_k
+from pipeline.simulate.flight import UNDULATION_M, Flight, cabin_air
+from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, WGS84_A, ZERO_CELSIUS_K
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+LOG_BEGINS_UNIX_NS = 1_749_720_600 * NANOSECONDS_PER_SECOND  # 2025-06-12T09:30:00Z
+LOG_BEGINS_BOOT_US = 25_000_000
+LEAP_SECONDS = 18  # GPS minus UTC since 2017
+
+GNSS_HORIZONTAL_M = 0.03
+GNSS_VERTICAL_M = 0.05
+TILT_DEG = 0.02
+HEADING_DEG = 0.05
+BAROMETER_PA = 20.0
+THERMOMETER_K = 0.2
+THERMOMETER_BIAS_K = 0.5
+HUMIDITY = 0.02
+# What the last digit of a sensor is; coarse enough for every log to carry the same number.
+PRESSURE_DIGIT_PA = 1.0
+TEMPERATURE_DIGIT_K = 0.01
+HUMIDITY_DIGIT = 1e-4
+BOARD_HEAT_K = 15.0  # a barometer's own thermometer sits on a warm board
+
+
+@dataclass(frozen=True, eq=False)
+class GnssSamples:
+    """Receiver fixes, 5 Hz, on the receiver's own time: radians, metres, metres per second."""
+
+    time_s: Array
+    lat_rad: Array
+    lon_rad: Array
+    h_msl_m: Array
+    speed_m_s: Array
+    course_rad: Array
+    climb_m_s: Array
+    log_delay_s: Array
+
+    @property
+    def h_ellipsoid_m(self) -> Array:
+        """Height above the ellipsoid (n,) [m]."""
+        return self.h_msl_m + UNDULATION_M
+
+
+@dataclass(frozen=True, eq=False)
+class NavigationSamples:
+    """The autopilot's position and attitude, 20 Hz."""
+
+    time_s: Array
+    lat_rad: Array
+    lon_rad: Array
+    h_msl_m: Array
+    roll_rad: Array
+    pitch_rad: Array
+    yaw_rad: Array
+    climb_m_s: Array
+    speed_m_s: Array
+
+
+@dataclass(frozen=True, eq=False)
+class AirSamples:
+    """One box outside or in the cabin: barometer at 10 Hz, thermometer, hygrometer at 2.5 Hz."""
+
+    pressure_time_s: Array
+    pressure_pa: Array
+    board_k: Array
+    time_s: Array
+    temperature_k: Array
+    humidity: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Everything that goes into the logs."""
+
+    gnss: GnssSamples
+    navigation: NavigationSamples
+    outside: AirSamples
+    cabin: AirSamples
+    exposure_s: Array
+    camera_names: tuple[str, ...]
+
+
+def boot_us(time_s: Array) -> IntArray:
+    """Microseconds since boot (n,) of times since the log began [s]."""
+    return np.asarray(np.rint(time_s * 1e6), np.int64) + LOG_BEGINS_BOOT_US
+
+
+def unix_ns(time_s: Array) -> IntArray:
+    """UTC, Unix nanoseconds (n,), whole microseconds, of times since the log began [s]."""
+    return np.asarray(np.rint(time_s * 1e6), np.int64) * 1000 + LOG_BEGINS_UNIX_NS
+
+
+def gps_week_ms(time_s: Array) -> tuple[IntArray, IntArray]:
+    """GPS week and milliseconds of the week (n,) of times since the log began [s]."""
+    gps_ns = unix_ns(time_s) - UNIX_NS_OF_GPS_EPOCH + LEAP_SECONDS * NANOSECONDS_PER_SECOND
+    week, rest = np.divmod(gps_ns, 604_800 * NANOSECONDS_PER_SECOND)
+    return week, rest // 1_000_000
+
+
+def sample(flight: Flight, air: TrueAir, seed: int, camera_names: tuple[str, ...]) -> Samples:
+    """Draw every sensor's samples; the same seed gives the same numbers."""
+    gnss, navigation, outside, cabin = (
+        np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(4)
+    )
+    return Samples(
+        _gnss(flight, gnss),
+        _navigation(flight, navigation),
+        _outside(flight, air, outside),
+        _cabin(flight, air, cabin),
+        flight.exposure_s,
+        camera_names,
+    )
+
+
+def _grid(flight: Flight, period_s: float, first_s: float) -> Array:
+    """Sampling times, whole milliseconds as the messages carry them."""
+    count = int((flight.duration_s - first_s - 0.1) / period_s)
+    return np.round(first_s + period_s * np.arange(count), 3)
+
+
+def _slow(rng: np.random.Generator, count: int, samples: float) -> Array:
+    """Correlated noise of unit variance: white noise under a Gaussian of that many samples."""
+    smooth = gaussian_filter1d(rng.standard_normal(count), samples, mode="wrap")
+    return np.asarray(smooth * np.sqrt(2.0 * np.sqrt(np.pi) * samples))
+
+
+def _noise(rng: np.random.Generator, count: int, sigma: float, samples: float) -> Array:
+    """Nine tenths slow, the rest white, together sigma."""
+    white = rng.standard_normal(count)
+    return np.asarray(sigma * (np.sqrt(0.9) * _slow(rng, count, samples) + np.sqrt(0.1) * white))
+
+
+def _displace(
+    lat: Array, lon: Array, rng: np.random.Generator, samples: float
+) -> tuple[Array, Array]:
+    north = _noise(rng, len(lat), GNSS_HORIZONTAL_M, samples)
+    east = _noise(rng, len(lat), GNSS_HORIZONTAL_M, samples)
+    return lat + north / WGS84_A, lon + east / (WGS84_A * np.cos(lat))
+
+
+def _gnss(flight: Flight, rng: np.random.Generator) -> GnssSamples:
+    time = _grid(flight, 0.2, 0.0)
+    truth = flight.at(time)
+    lat, lon = _displace(truth.lat_rad, truth.lon_rad, rng, 100.0)
+    height = truth.h_msl_m + _noise(rng, len(time), GNSS_VERTICAL_M, 100.0)
+    # A time-tagged receiver: the row is written within milliseconds, and now and then late.
+    delay = np.minimum(0.0005 + rng.exponential(0.0015, len(time)), 0.05)
+    return GnssSamples(
+        time,
+        lat,
+        lon,
+        height,
+        truth.speed_m_s,
+        truth.course_rad,
+        truth.climb_m_s,
+        np.asarray(np.round(delay, 6), np.float64),
+    )
+
+
+def _navigation(flight: Flight, rng: np.random.Generator) -> NavigationSamples:
+    time = _grid(flight, 0.05, 0.003)
+    truth = flight.at(time)
+    lat, lon = _displace(truth.lat_rad, truth.lon_rad, rng, 400.0)
+    height = truth.h_msl_m + _noise(rng, len(time), GNSS_VERTICAL_M, 400.0)
+    tilt = np.radians(TILT_DEG)
+    return NavigationSamples(
+        time,
+        lat,
+        lon,
+        height,
+        truth.roll_rad + _noise(rng, len(time), tilt, 400.0),
+        truth.pitch_rad + _noise(rng, len(time), tilt, 400.0),
+        truth.yaw_rad + _noise(rng, len(time), float(np.radians(HEADING_DEG)), 600.0),
+        truth.climb_m_s,
+        truth.speed_m_s,
+    )
+
+
+def _outside(flight: Flight, air: TrueAir, rng: np.random.Generator) -> AirSamples:
+    fast, slow = _grid(flight, 0.1, 0.017), _grid(flight, 0.4, 0.041)
+    h_fast, h_slow = flight.at(fast).h_msl_m, flight.at(slow).h_msl_m
+    warmer = THERMOMETER_BIAS_K + THERMOMETER_K * rng.standard_normal(len(slow))
+    humidity = relative_humidity(h_slow) + HUMIDITY * rng.standard_normal(len(slow))
+    pressure = air.pressure_pa(h_fast) + BAROMETER_PA * rng.standard_normal(len(fast))
+    board = temperature_k(h_fast) + BOARD_HEAT_K
+    return _read_out(fast, pressure, board, slow, temperature_k(h_slow) + warmer, humidity)
+
+
+def _cabin(flight: Flight, air: TrueAir, rng: np.random.Generator) -> AirSamples:
+    fast, slow = _grid(flight, 0.1, 0.053), _grid(flight, 0.4, 0.087)
+    at_fast = cabin_air(air, flight.at(fast).h_msl_m, fast)
+    at_slow = cabin_air(air, flight.at(slow).h_msl_m, slow)
+    humidity = at_slow.humidity + HUMIDITY * rng.standard_normal(len(slow))
+    pressure = at_fast.pressure_pa + BAROMETER_PA * rng.standard_normal(len(fast))
+    temperature = at_slow.temperature_k + THERMOMETER_K * rng.standard_normal(len(slow))
+    board = at_fast.temperature_k + BOARD_HEAT_K
+    return _read_out(fast, pressure, board, slow, temperature, humidity)
+
+
+def _read_out(
+    fast: Array, pressure_pa: Array, board_k: Array, slow: Array, kelvin: Array, humidity: Array
+) -> AirSamples:
+    """Readings to the last digit of each sensor."""
+    return AirSamples(
+        fast,
+        _digits(pressure_pa, PRESSURE_DIGIT_PA),
+        ZERO_CELSIUS_K + _digits(board_k - ZERO_CELSIUS_K, TEMPERATURE_DIGIT_K),
+        slow,
+        ZERO_CELSIUS_K + _digits(kelvin - ZERO_CELSIUS_K, TEMPERATURE_DIGIT_K),
+        np.clip(_digits(humidity, HUMIDITY_DIGIT), 0.0, 1.0),
+    )
+
+
+def _digits(values: Array, digit: float) -> Array:
+    return np.asarray(digit * np.rint(values / digit))

@@ -1,0 +1,267 @@
+"""The flight as an ArduPilot DataFlash log, packed row by row as the FMT rows announce it.
+
+Layouts of ArduPlane 4.6 (FMT rows of a log that its simulator wrote); GPA with the ellipsoidal
+height AEl, as ArduPilot has it since 4.7.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import StorageError
+from pipeline.simulate.air import FIELD_HEIGHT_M
+from pipeline.simulate.sensors import (
+    GNSS_HORIZONTAL_M,
+    GNSS_VERTICAL_M,
+    LOG_BEGINS_BOOT_US,
+    AirSamples,
+    NavigationSamples,
+    Samples,
+    boot_us,
+    gps_week_ms,
+)
+from pipeline.units import ZERO_CELSIUS_K
+
+Array = NDArray[np.float64]
+Row = tuple[int, bytes]
+
+_MAGIC = b"\xa3\x95"
+# Characters of a format string: how a value is packed, and the scale of fixed-point ones.
+_PACK = {
+    "b": "b", "B": "B", "h": "h", "H": "H", "i": "i", "I": "I", "q": "q", "Q": "Q", "f": "f",
+    "d": "d", "n": "4s", "N": "16s", "Z": "64s", "M": "B",
+    "c": "h", "C": "H", "e": "i", "E": "I", "L": "i",
+}  # fmt: skip
+_SCALE = {"c": 100.0, "C": 100.0, "e": 100.0, "E": 100.0, "L": 1e7}
+
+
+@dataclass(frozen=True)
+class _Format:
+    """One FMT row with its units and multipliers."""
+
+    type_id: int
+    name: str
+    format: str
+    columns: str
+    units: str
+    multipliers: str
+
+    @cached_property
+    def struct(self) -> struct.Struct:
+        return struct.Struct("<" + "".join(_PACK[c] for c in self.format))
+
+    def pack(self, *values: float | int | bytes) -> bytes:
+        """One record; fixed-point columns are rounded to their last digit."""
+        body = [
+            round(v * _SCALE[c]) if c in _SCALE and not isinstance(v, bytes) else v
+            for c, v in zip(self.format, values, strict=True)
+        ]
+        return _MAGIC + bytes([self.type_id]) + self.struct.pack(*body)
+
+
+_CAMERA = ("QBHIHLLeeeccC", "TimeUS,I,Img,GPSTime,GPSWeek,Lat,Lng,Alt,RelAlt,GPSAlt,R,P,Y")
+_CAMERA_UNITS = ("s#---DUmmmddd", "F----GGBBBBBB")
+FORMATS = {
+    row[1]: _Format(*row)
+    for row in (
+        (128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns", "-b---", "-----"),
+        (115, "UNIT", "QbZ", "TimeUS,Id,Label", "s--", "F--"),
+        (114, "FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds", "s---", "F---"),
+        (116, "MULT", "Qbd", "TimeUS,Id,Mult", "s--", "F--"),
+        (32, "PARM", "QNff", "TimeUS,Name,Value,Default", "s---", "F---"),
+        (59, "MSG", "QZ", "TimeUS,Message", "s-", "F-"),
+        (201, "VER", "QBHBBBBIZHBB", "TimeUS,BT,BST,Maj,Min,Pat,FWT,GH,FWS,APJ,BU,FV",
+         "s-----------", "F-----------"),
+        (90, "GPS", "QBBIHBcLLeffffB",
+         "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,Yaw,U",
+         "s#-s-S-DUmnhnh-", "F--C-0BGGB000--"),
+        (91, "GPA", "QBCCCCfBIHeHH",
+         "TimeUS,I,VDop,HAcc,VAcc,SAcc,YAcc,VV,SMS,Delta,AEl,RTCMFU,RTCMFD",
+         "s#-mmnd-ssm--", "F-BBBB0-CCB--"),
+        (70, "ATT", "QccccCCCCB",
+         "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw,AEKF",
+         "sddddhhdh-", "FBBBBBBBB-"),
+        (72, "POS", "QLLfff", "TimeUS,Lat,Lng,Alt,RelHomeAlt,RelOriginAlt", "sDUmmm", "FGG000"),
+        (64, "BARO", "QBfffcfIffB",
+         "TimeUS,I,Alt,AltAMSL,Press,Temp,CRt,SMS,Offset,GndTemp,Health",
+         "s#mmPOnsmO-", "F-000B0C?0-"),
+        (110, "ARSP", "QBffcffBBffB",
+         "TimeUS,I,Airspeed,DiffPress,Temp,RawPress,Offset,U,H,Hp,TR,Pri",
+         "s#nPOPP-----", "F-00B00-----"),
+        (111, "HYGR", "QBff", "TimeUS,Id,Humidity,Temp", "s#%O", "F---"),
+        (81, "TRIG", *_CAMERA, *_CAMERA_UNITS),
+        (80, "CAM", *_CAMERA, *_CAMERA_UNITS),
+    )
+}  # fmt: skip
+_UNITS = {
+    "-": "", "#": "instance", "s": "s", "m": "m", "d": "deg", "h": "degheading",
+    "D": "deglatitude", "U": "deglongitude", "n": "m/s", "P": "Pa", "O": "degC", "%": "%",
+    "S": "satellites", "b": "B",
+}  # fmt: skip
+_MULTIPLIERS = {
+    "-": 0.0, "?": 1.0, "0": 1.0, "B": 1e-2, "C": 1e-3, "F": 1e-6, "G": 1e-7,
+}  # fmt: skip
+# Camera feedback pins: CAM rows then carry the instant of the shutter, TRIG the command before it.
+_PARAMETERS = {
+    "FORMAT_VERSION": 13.0, "SYSID_THISMAV": 1.0, "CAM1_TYPE": 1.0, "CAM1_FEEDBAK_PIN": 54.0,
+    "CAM2_TYPE": 1.0, "CAM2_FEEDBAK_PIN": 55.0, "GPS_TYPE": 5.0,
+}  # fmt: skip
+_SHUTTER_LAG_US = 85_000
+
+
+def write_dataflash(path: Path, samples: Samples) -> int:
+    """Write the log; returns the number of messages, announcements included."""
+    head = _announcements()
+    rows = [
+        *_gnss_rows(samples),
+        *_navigation_rows(samples.navigation),
+        *_air_rows(samples),
+        *_camera_rows(samples),
+    ]
+    rows.sort(key=lambda row: row[0])
+    try:
+        path.write_bytes(b"".join([*head, *(record for _, record in rows)]))
+    except OSError as error:
+        raise StorageError("DISK-WRITE", str(error), where=str(path)) from error
+    return len(head) + len(rows)
+
+
+def _announcements() -> list[bytes]:
+    """FMT, UNIT, MULT, FMTU, PARM, VER and MSG, as at the start of every log."""
+    begin = LOG_BEGINS_BOOT_US - 500_000
+    fmt, fmtu = FORMATS["FMT"], FORMATS["FMTU"]
+    rows = [
+        fmt.pack(f.type_id, f.struct.size + 3, f.name.encode(), f.format.encode(),
+                 f.columns.encode())
+        for f in FORMATS.values()
+    ]  # fmt: skip
+    rows += [FORMATS["UNIT"].pack(begin, ord(k), v.encode()) for k, v in _UNITS.items()]
+    rows += [FORMATS["MULT"].pack(begin, ord(k), v) for k, v in _MULTIPLIERS.items()]
+    rows += [
+        fmtu.pack(begin, f.type_id, f.units.encode(), f.multipliers.encode())
+        for f in FORMATS.values()
+    ]
+    rows += [FORMATS["PARM"].pack(begin, k.encode(), v, v) for k, v in _PARAMETERS.items()]
+    firmware = b"ArduPlane V4.7.0-dev (simulated by unbend)"
+    rows.append(FORMATS["VER"].pack(begin, 3, 65535, 4, 7, 0, 0, 0, firmware, 0, 3, 2))
+    rows.append(FORMATS["MSG"].pack(begin, firmware))
+    return rows
+
+
+def _gnss_rows(samples: Samples) -> list[Row]:
+    g = samples.gnss
+    week, ms = gps_week_ms(g.time_s)
+    written = boot_us(g.time_s + g.log_delay_s)
+    taken_ms = boot_us(g.time_s) // 1000
+    lat, lon = np.degrees(g.lat_rad), np.degrees(g.lon_rad)
+    course = np.degrees(g.course_rad) % 360.0
+    rows: list[Row] = []
+    for i, time in enumerate(written.tolist()):
+        rows.append((time, FORMATS["GPS"].pack(
+            time, 0, 6, int(ms[i]), int(week[i]), 18, 0.71, lat[i], lon[i], g.h_msl_m[i],
+            g.speed_m_s[i], course[i], -g.climb_m_s[i], 0.0, 1,
+        )))  # fmt: skip
+        rows.append((time, FORMATS["GPA"].pack(
+            time, 0, 1.1, GNSS_HORIZONTAL_M, GNSS_VERTICAL_M, 0.05, 0.0, 1, int(taken_ms[i]),
+            200, g.h_ellipsoid_m[i], 0, 0,
+        )))  # fmt: skip
+    return rows
+
+
+def _navigation_rows(nav: NavigationSamples) -> list[Row]:
+    """ATT and POS at 10 Hz: every second of the autopilot's samples."""
+    times = boot_us(nav.time_s)
+    lat, lon = np.degrees(nav.lat_rad), np.degrees(nav.lon_rad)
+    roll, pitch = np.degrees(nav.roll_rad), np.degrees(nav.pitch_rad)
+    yaw = _centidegrees(np.degrees(nav.yaw_rad))
+    rows: list[Row] = []
+    for i in range(0, len(times), 2):
+        time = int(times[i])
+        rows.append((time, FORMATS["ATT"].pack(
+            time, roll[i], roll[i], pitch[i], pitch[i], yaw[i], yaw[i], 0.0, 0.0, 3
+        )))  # fmt: skip
+        above = nav.h_msl_m[i] - FIELD_HEIGHT_M
+        rows.append((time, FORMATS["POS"].pack(
+            time, lat[i], lon[i], nav.h_msl_m[i], above, above
+        )))  # fmt: skip
+    return rows
+
+
+def _centidegrees(degrees: Array) -> Array:
+    """Headings (n,) in [0, 360) after rounding to the column's last digit."""
+    return np.asarray(np.round(degrees % 360.0, 2) % 360.0)
+
+
+def _air_rows(samples: Samples) -> list[Row]:
+    rows: list[Row] = []
+    for instance, box in enumerate((samples.outside, samples.cabin)):
+        rows += _barometer_rows(instance, box)
+        times = boot_us(box.time_s)
+        celsius = box.temperature_k - ZERO_CELSIUS_K
+        for i, time in enumerate(times.tolist()):
+            rows.append((time, FORMATS["HYGR"].pack(
+                time, instance, 100.0 * box.humidity[i], celsius[i]
+            )))  # fmt: skip
+    return rows + _airspeed_rows(samples)
+
+
+def _barometer_rows(instance: int, box: AirSamples) -> list[Row]:
+    times = boot_us(box.pressure_time_s)
+    celsius = box.board_k - ZERO_CELSIUS_K
+    # ArduPilot's Alt is a height in the standard atmosphere against the pressure at boot.
+    height = 44_330.8 * (1.0 - (box.pressure_pa / 101_325.0) ** 0.190263)
+    above = height - height[0]
+    rows: list[Row] = []
+    for i, time in enumerate(times.tolist()):
+        rows.append((time, FORMATS["BARO"].pack(
+            time, instance, above[i], above[i] + FIELD_HEIGHT_M, box.pressure_pa[i], celsius[i],
+            0.0, time // 1000, 0.0, celsius[0], 1,
+        )))  # fmt: skip
+    return rows
+
+
+def _airspeed_rows(samples: Samples) -> list[Row]:
+    """A pitot with the outside thermometer in it: the readings of that thermometer again."""
+    box = samples.outside
+    nav = samples.navigation
+    speed = np.interp(box.time_s, nav.time_s, nav.speed_m_s)
+    pressure = np.interp(box.time_s, box.pressure_time_s, box.pressure_pa)
+    dynamic = 0.5 * pressure / (287.05 * box.temperature_k) * speed**2
+    indicated = np.sqrt(2.0 * dynamic / 1.225)
+    celsius = box.temperature_k - ZERO_CELSIUS_K
+    rows: list[Row] = []
+    for i, time in enumerate(boot_us(box.time_s).tolist()):
+        rows.append((time, FORMATS["ARSP"].pack(
+            time, 0, indicated[i], dynamic[i], celsius[i], dynamic[i], 0.0, 1, 1, 1.0, 0.0, 0
+        )))  # fmt: skip
+    return rows
+
+
+def _camera_rows(samples: Samples) -> list[Row]:
+    """TRIG at the command and CAM at the shutter, one of each for every camera."""
+    nav, gnss = samples.navigation, samples.gnss
+    shutter = boot_us(samples.exposure_s)
+    rows: list[Row] = []
+    for message, times_us in (("TRIG", shutter - _SHUTTER_LAG_US), ("CAM", shutter)):
+        at = (times_us - LOG_BEGINS_BOOT_US) * 1e-6
+        lat = np.degrees(np.interp(at, nav.time_s, nav.lat_rad))
+        lon = np.degrees(np.interp(at, nav.time_s, nav.lon_rad))
+        alt = np.interp(at, nav.time_s, nav.h_msl_m)
+        roll = np.degrees(np.interp(at, nav.time_s, nav.roll_rad))
+        pitch = np.degrees(np.interp(at, nav.time_s, nav.pitch_rad))
+        yaw = _centidegrees(np.degrees(np.interp(at, nav.time_s, nav.yaw_rad)))
+        last_fix = np.searchsorted(gnss.time_s + gnss.log_delay_s, at, side="right") - 1
+        week, ms = gps_week_ms(gnss.time_s[last_fix])
+        for instance in range(len(samples.camera_names)):
+            for i, time in enumerate(times_us.tolist()):
+                rows.append((time, FORMATS[message].pack(
+                    time, instance, i + 1, int(ms[i]), int(week[i]), lat[i], lon[i], alt[i],
+                    alt[i] - FIELD_HEIGHT_M, gnss.h_msl_m[last_fix[i]], roll[i], pitch[i], yaw[i],
+                )))  # fmt: skip
+    return rows

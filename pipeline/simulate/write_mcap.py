@@ -1,0 +1,213 @@
+"""The flight as a ROS 2 recording: CDR messages in zstd chunks, written by mcap-ros2-support."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap_ros2.writer import Writer
+from numpy.typing import NDArray
+
+from pipeline.errors import StorageError
+from pipeline.simulate.camera import NED_FROM_ENU, body_rotation, quaternion
+from pipeline.simulate.sensors import (
+    BAROMETER_PA,
+    GNSS_HORIZONTAL_M,
+    GNSS_VERTICAL_M,
+    HEADING_DEG,
+    HUMIDITY,
+    THERMOMETER_K,
+    TILT_DEG,
+    AirSamples,
+    Samples,
+    unix_ns,
+)
+from pipeline.units import NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
+
+_BAR = "=" * 80
+_HEADER = f"""{_BAR}
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+{_BAR}
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+_SCHEMAS = {
+    "sensor_msgs/msg/NavSatFix": f"""uint8 COVARIANCE_TYPE_UNKNOWN = 0
+uint8 COVARIANCE_TYPE_APPROXIMATED = 1
+uint8 COVARIANCE_TYPE_DIAGONAL_KNOWN = 2
+uint8 COVARIANCE_TYPE_KNOWN = 3
+std_msgs/Header header
+sensor_msgs/NavSatStatus status
+float64 latitude
+float64 longitude
+float64 altitude
+float64[9] position_covariance
+uint8 position_covariance_type
+{_HEADER}{_BAR}
+MSG: sensor_msgs/NavSatStatus
+int8 STATUS_NO_FIX = -1
+int8 STATUS_FIX = 0
+int8 STATUS_SBAS_FIX = 1
+int8 STATUS_GBAS_FIX = 2
+uint16 SERVICE_GPS = 1
+uint16 SERVICE_GLONASS = 2
+uint16 SERVICE_COMPASS = 4
+uint16 SERVICE_GALILEO = 8
+int8 status
+uint16 service
+""",
+    "sensor_msgs/msg/Imu": f"""std_msgs/Header header
+geometry_msgs/Quaternion orientation
+float64[9] orientation_covariance
+geometry_msgs/Vector3 angular_velocity
+float64[9] angular_velocity_covariance
+geometry_msgs/Vector3 linear_acceleration
+float64[9] linear_acceleration_covariance
+{_HEADER}{_BAR}
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w
+{_BAR}
+MSG: geometry_msgs/Vector3
+float64 x
+float64 y
+float64 z
+""",
+    "sensor_msgs/msg/FluidPressure": f"""std_msgs/Header header
+float64 fluid_pressure
+float64 variance
+{_HEADER}""",
+    "sensor_msgs/msg/Temperature": f"""std_msgs/Header header
+float64 temperature
+float64 variance
+{_HEADER}""",
+    "sensor_msgs/msg/RelativeHumidity": f"""std_msgs/Header header
+float64 relative_humidity
+float64 variance
+{_HEADER}""",
+    "sensor_msgs/msg/CompressedImage": f"""std_msgs/Header header
+string format
+uint8[] data
+{_HEADER}""",
+}
+_FLU_FROM_FRD = np.diag([1.0, -1.0, -1.0])
+_CHUNK_BYTES = 1024 * 1024
+
+# header.stamp [ns], topic, schema, the fields beside the header.
+Row = tuple[int, str, str, Mapping[str, Any]]
+
+
+def write_mcap(path: Path, samples: Samples, seed: int) -> int:
+    """Write the recording; returns the number of messages.
+
+    header.stamp is when a sensor measured; log_time, when the recorder got it, is 2-15 ms later.
+    """
+    rows = [
+        *_fix_rows(samples),
+        *_imu_rows(samples),
+        *_air_rows("outside", samples.outside),
+        *_air_rows("cabin", samples.cabin),
+        *_image_rows(samples),
+    ]
+    late = np.random.default_rng([seed, 3]).uniform(2e6, 15e6, len(rows)).astype(np.int64)
+    arrival = np.array([row[0] for row in rows]) + late
+    order = np.argsort(arrival, kind="stable")
+    sequence = dict.fromkeys((row[1] for row in rows), 0)
+    try:
+        with path.open("wb") as stream:
+            writer = Writer(stream, chunk_size=_CHUNK_BYTES)
+            schemas = {name: writer.register_msgdef(name, text) for name, text in _SCHEMAS.items()}
+            for i in order.tolist():
+                stamp, topic, schema, fields = rows[i]
+                writer.write_message(
+                    topic, schemas[schema], {"header": _header(stamp, topic), **fields},
+                    log_time=int(arrival[i]), publish_time=int(arrival[i]),
+                    sequence=sequence[topic],
+                )  # fmt: skip
+                sequence[topic] += 1
+            writer.finish()
+    except OSError as error:
+        raise StorageError("DISK-WRITE", str(error), where=str(path)) from error
+    return len(rows)
+
+
+def _header(stamp_ns: int, topic: str) -> dict[str, Any]:
+    sec, nanosec = divmod(stamp_ns, NANOSECONDS_PER_SECOND)
+    return {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": topic.split("/")[1]}
+
+
+def _fix_rows(samples: Samples) -> list[Row]:
+    """/fix at 5 Hz: NavSatFix.altitude is the height above the ellipsoid."""
+    g = samples.gnss
+    lat, lon = np.degrees(g.lat_rad).tolist(), np.degrees(g.lon_rad).tolist()
+    height = g.h_ellipsoid_m.tolist()
+    covariance = np.diag([GNSS_HORIZONTAL_M**2] * 2 + [GNSS_VERTICAL_M**2]).ravel().tolist()
+    return [
+        (stamp, "/fix", "sensor_msgs/msg/NavSatFix", {
+            "status": {"status": 2, "service": 9}, "latitude": lat[i], "longitude": lon[i],
+            "altitude": height[i], "position_covariance": covariance,
+            "position_covariance_type": 2,
+        })
+        for i, stamp in enumerate(unix_ns(g.time_s).tolist())
+    ]  # fmt: skip
+
+
+def _imu_rows(samples: Samples) -> list[Row]:
+    """/imu/data at 20 Hz: orientation of forward-left-up axes in east-north-up (REP 103)."""
+    nav = samples.navigation
+    tilt, heading = np.radians(TILT_DEG), np.radians(HEADING_DEG)
+    covariance = np.diag([tilt**2, tilt**2, heading**2]).ravel().tolist()
+    unknown = [-1.0] + [0.0] * 8  # sensor_msgs/Imu: no estimate of this element
+    zero = {"x": 0.0, "y": 0.0, "z": 0.0}
+    rows: list[Row] = []
+    for i, stamp in enumerate(unix_ns(nav.time_s).tolist()):
+        w, x, y, z = _orientation(nav.roll_rad[i], nav.pitch_rad[i], nav.yaw_rad[i]).tolist()
+        rows.append((stamp, "/imu/data", "sensor_msgs/msg/Imu", {
+            "orientation": {"x": x, "y": y, "z": z, "w": w},
+            "orientation_covariance": covariance,
+            "angular_velocity": zero, "angular_velocity_covariance": unknown,
+            "linear_acceleration": zero, "linear_acceleration_covariance": unknown,
+        }))  # fmt: skip
+    return rows
+
+
+def _orientation(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
+    """Quaternion with v_enu = R(q) v_flu."""
+    return quaternion(NED_FROM_ENU.T @ body_rotation(roll, pitch, yaw) @ _FLU_FROM_FRD)
+
+
+def _air_rows(place: str, box: AirSamples) -> list[Row]:
+    """Pressure of one place at 5 Hz, temperature and humidity at 2.5 Hz."""
+    rows: list[Row] = [
+        (stamp, f"/{place}/pressure", "sensor_msgs/msg/FluidPressure",
+         {"fluid_pressure": value, "variance": BAROMETER_PA**2})
+        for stamp, value in zip(
+            unix_ns(box.pressure_time_s[::2]).tolist(), box.pressure_pa[::2].tolist(), strict=True
+        )
+    ]  # fmt: skip
+    # Rounded to what the sensors read: the digits of a subtraction in binary are not theirs.
+    celsius = np.round(box.temperature_k - ZERO_CELSIUS_K, 2).tolist()
+    humidity = np.round(box.humidity, 4).tolist()
+    for i, stamp in enumerate(unix_ns(box.time_s).tolist()):
+        rows.append((stamp, f"/{place}/temperature", "sensor_msgs/msg/Temperature",
+                     {"temperature": celsius[i], "variance": THERMOMETER_K**2}))  # fmt: skip
+        rows.append((stamp, f"/{place}/humidity", "sensor_msgs/msg/RelativeHumidity",
+                     {"relative_humidity": humidity[i], "variance": HUMIDITY**2}))  # fmt: skip
+    return rows
+
+
+def _image_rows(samples: Samples) -> list[Row]:
+    """Image topics whose pictures were left out of the recording: the stamp is the shutter."""
+    return [
+        (stamp, f"/camera/{name}/image/compressed", "sensor_msgs/msg/CompressedImage",
+         {"format": "jpeg", "data": b""})
+        for name in samples.camera_names
+        for stamp in unix_ns(samples.exposure_s).tolist()
+    ]  # fmt: skip

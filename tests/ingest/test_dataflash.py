@@ -1,0 +1,312 @@
+"""DataFlash against pymavlink, against a writer with known content, and with damage."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pipeline.errors import LogError
+from pipeline.flight.clock import utc_of_gps
+from pipeline.ingest import Log, open_log
+from pipeline.ingest.dataflash_records import walk
+
+DEGREE = np.pi / 180.0
+
+
+def library_rows(path: Path, message: str) -> list:
+    from pymavlink.DFReader import DFReader_binary
+
+    reader = DFReader_binary(str(path))
+    rows = []
+    while (row := reader.recv_match(type=message)) is not None:
+        rows.append(row)
+    reader.data_map.close()
+    reader.filehandle.close()
+    return rows
+
+
+def entries(log: Log, code: str) -> list:
+    return [entry for entry in log.ledger if entry.code == code]
+
+
+@pytest.mark.parametrize("name", ["pymavlink_test.BIN", "beastayyg_sample.bin"])
+def test_columns_are_those_of_the_library_bit_for_bit(
+    name: str, real_log: Callable[[str], Path]
+) -> None:
+    path = real_log(name)
+    log = open_log(path)
+    expected = {
+        ("POS", "lat_rad"): ("Lat", DEGREE, 0.0),
+        ("POS", "lon_rad"): ("Lng", DEGREE, 0.0),
+        ("POS", "h_home_m"): ("RelHomeAlt", 1.0, 0.0),
+        ("GPS", "h_msl_m"): ("Alt", 1.0, 0.0),
+        ("GPS", "lon_rad"): ("Lng", DEGREE, 0.0),
+        ("BARO", "pressure_pa"): ("Press", 1.0, 0.0),
+        ("BARO", "board_temperature_k"): ("Temp", 1.0, 273.15),
+    }
+    for (channel, column), (field, factor, offset) in expected.items():
+        rows = library_rows(path, channel)
+        theirs = np.array([getattr(row, field) for row in rows]) * factor + offset
+        np.testing.assert_array_equal(log.channel(channel)[column], theirs)
+        times = np.array([row.TimeUS for row in rows], np.int64)
+        np.testing.assert_array_equal(np.diff(log.channel(channel).time_ns), np.diff(times) * 1000)
+    attitude = library_rows(path, "ATT")
+    angles = np.array([(row.Yaw, row.Pitch, row.Roll) for row in attitude])
+    theirs = Rotation.from_euler("ZYX", angles, degrees=True)
+    channel = log.channel("ATT")
+    ours = Rotation.from_quat(np.stack([channel[f"q_{axis}"] for axis in "xyzw"], axis=1))
+    assert (ours.inv() * theirs).magnitude().max() < 1e-12
+
+
+def test_utc_agrees_with_the_gps_rows(real_log: Callable[[str], Path]) -> None:
+    path = real_log("beastayyg_sample.bin")
+    rows = library_rows(path, "GPS")
+    told = utc_of_gps(
+        np.array([row.GWk for row in rows]), np.array([row.GMS for row in rows]) / 1e3
+    )
+    late_s = (open_log(path).channel("GPS").time_ns - told) / 1e9
+    assert abs(np.median(late_s)) < 1e-6
+    assert np.percentile(np.abs(late_s), 95) < 0.04  # LOGS.md: 20-39 ms from p5 to p95
+
+
+def test_two_cameras_and_triggers_are_apart(real_log: Callable[[str], Path]) -> None:
+    log = open_log(real_log("sitl_belowsea_2cam.BIN"))
+    counts = {name: len(log.channel(name)) for name in ("CAM[0]", "CAM[1]", "TRIG[0]")}
+    assert counts == {"CAM[0]": 127, "CAM[1]": 128, "TRIG[0]": 142}
+    assert log.channel("POS")["h_msl_m"][0] == pytest.approx(-428, abs=2)
+
+
+def test_barometers_by_instance_and_no_utc_without_gps(real_log: Callable[[str], Path]) -> None:
+    log = open_log(real_log("ardusub_small.BIN"))
+    hull, outside = log.channel("BARO[0]"), log.channel("BARO[1]")
+    assert np.median(hull["board_temperature_k"]) == pytest.approx(273.15 + 47, abs=1)
+    assert np.median(outside["board_temperature_k"]) < 273.15 + 40
+    assert "temperature_k" not in hull.columns
+    assert len(entries(log, "TIME-NO-UTC")) == 1
+    assert log.start_ns < 86_400 * 10**9
+
+
+@pytest.fixture
+def flight(dataflash_writer: Callable) -> Callable:
+    """A small flight with two GPS, GPA with ellipsoidal heights, hygrometer, cabin and camera."""
+
+    def write(rows: int = 40) -> bytes:
+        writer = dataflash_writer()
+        writer.define(20, "GPS", "QBBIHBcLLe", "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt")
+        writer.define(21, "GPA", "QBCCCe", "TimeUS,I,VDop,HAcc,VAcc,AEl")
+        writer.define(22, "ATT", "QccC", "TimeUS,Roll,Pitch,Yaw")
+        writer.define(23, "BARO", "QBfc", "TimeUS,I,Press,Temp")
+        writer.define(24, "HYGR", "QBff", "TimeUS,Id,Humidity,Temp")
+        writer.define(25, "TEMP", "QBf", "TimeUS,Instance,Temp")
+        writer.define(
+            26, "CAM", "QIHLLeeeccC",
+            "TimeUS,GPSTime,GPSWeek,Lat,Lng,Alt,RelAlt,GPSAlt,Roll,Pitch,Yaw",
+        )  # fmt: skip
+        for k in range(rows):
+            t = 5_000_000 + k * 200_000
+            status = 1 if k < 4 else 3
+            for unit in (0, 1):
+                writer.row(
+                    "GPS", t + unit, unit, status, 1000 + 200 * k, 1928, 12, 0.8,
+                    47.0 + k * 1e-4, -122.5, 600.25 + k,
+                )  # fmt: skip
+            # the second receiver does not know its ellipsoidal height: INT32_MIN
+            writer.row("GPA", t, 0, 1.1, 0.5, 0.75, 580.5 + k)
+            writer.row("GPA", t + 1, 1, 1.1, 0.25, 0.5, -(2**31) / 100)
+            writer.row("ATT", t + 10, 1.5, -2.25, 350.0)
+            writer.row("BARO", t + 20, 0, 94_000.0 - k, 35.0)
+            writer.row("HYGR", t + 30, 3, 55.0, 12.5)
+            writer.row("TEMP", t + 40, 1, 21.5)
+            if k % 10 == 5:
+                writer.row("CAM", t + 50, 1000, 1928, 47.0, -122.5, 610, 30, 611, 1, 2, 3)
+        return writer.data
+
+    return write
+
+
+def opened(tmp_path: Path, data: bytes) -> Log:
+    path = tmp_path / "flight.bin"
+    path.write_bytes(data)
+    return open_log(path)
+
+
+def test_known_flight(tmp_path: Path, flight: Callable) -> None:
+    log = opened(tmp_path, flight())
+    first, second = log.channel("GPS[0]"), log.channel("GPS[1]")
+    assert (len(first), first.rank, second.rank) == (36, 20, 30)
+    assert first.roles == ("height", "position")
+    np.testing.assert_array_equal(first["h_ellipsoid_m"], 584.5 + np.arange(36))
+    np.testing.assert_array_equal(first["sigma_h_m"], np.full(36, 0.5))
+    assert "h_ellipsoid_m" not in second.columns
+    np.testing.assert_array_equal(second["sigma_v_m"], np.full(36, 0.5))
+    assert entries(log, "POSITION-NO-FIX")[0].count == 4
+    # week 1928 is December 2016: 17 leap seconds; the first row with a fix is 1.8 s into it
+    start = 1_482_019_200 - 17
+    assert first.time_ns[0] == (start * 10**9) + 1_800_000_000
+    assert log.channel("HYGR[3]")["relative_humidity"][0] == pytest.approx(0.55, abs=1e-15)
+    assert log.channel("HYGR[3]")["temperature_k"][0] == 285.65
+    cabin = log.channel("TEMP[1]")
+    assert cabin.roles == ("cabin_temperature", "temperature")
+    shots = log.channel("CAM")
+    np.testing.assert_array_equal(shots["event_index"], [0, 1, 2, 3])
+    assert shots["yaw_rad"][0] == pytest.approx(3 * DEGREE, abs=1e-15)
+    assert (log.boots, log.bad_bytes, log.lost_messages) == (1, 0, 0)
+    assert not log.ledger.has_losses
+
+
+@pytest.mark.parametrize("new_type", [0x00, 0x7F, 21, 22, 23, 26, 128])
+def test_a_flipped_type_byte_costs_one_message(
+    tmp_path: Path, flight: Callable, new_type: int
+) -> None:
+    data = flight()
+    whole = walk(data)
+    gps = next(n for n, form in enumerate(whole.definitions) if form.name == "GPS")
+    victim = int(whole.offsets[whole.numbers == gps][30])
+    damaged = bytearray(data)
+    damaged[victim + 2] = new_type
+    found = walk(bytes(damaged))
+    kept = set(zip(found.offsets.tolist(), found.numbers.tolist(), strict=True))
+    expected = set(zip(whole.offsets.tolist(), whole.numbers.tolist(), strict=True))
+    assert {offset for offset, _ in expected - kept} == {victim}
+    assert not kept - expected
+    log = opened(tmp_path, bytes(damaged))
+    loss = entries(log, "LOG-BAD-BYTES")[0]
+    assert loss.count == log.bad_bytes == whole.definitions[gps].length
+    assert f"byte {victim}" in loss.where
+    assert log.ledger.has_losses
+
+
+def test_every_bit_of_every_header_of_a_stretch(flight: Callable) -> None:
+    data = flight(8)
+    whole = walk(data)
+    for victim in whole.offsets[-25:-1].tolist():
+        for bit in range(24):
+            damaged = bytearray(data)
+            damaged[victim + bit // 8] ^= 1 << bit % 8
+            lost = set(whole.offsets.tolist()) - set(walk(bytes(damaged)).offsets.tolist())
+            assert lost <= {victim}, (victim, bit)
+
+
+def test_a_hole_of_zeros_costs_what_it_covers(tmp_path: Path, flight: Callable) -> None:
+    data = bytearray(flight())
+    whole = walk(bytes(data))
+    begin = int(whole.offsets[100]) + 20  # inside a record
+    data[begin : begin + 512] = bytes(512)
+    found = walk(bytes(data))
+    covered = whole.offsets[(whole.offsets > begin - 20) & (whole.offsets < begin + 512)]
+    lost = set(whole.offsets.tolist()) - set(found.offsets.tolist())
+    assert lost == set(covered.tolist()) | {begin - 20}
+    assert opened(tmp_path, bytes(data)).bad_bytes == found.bad_bytes >= 512
+
+
+def test_a_cut_last_record_is_no_loss(tmp_path: Path, flight: Callable) -> None:
+    data = flight()
+    whole = walk(data)
+    last = int(whole.offsets[-1])
+    for end in range(last + 1, len(data)):
+        found = walk(data[:end])
+        assert (found.offsets.shape[0], found.bad_bytes) == (whole.offsets.shape[0] - 1, 0)
+        assert found.cut_bytes == end - last
+    log = opened(tmp_path, data[:-5])
+    assert entries(log, "LOG-TRUNCATED")[0].kind == "warning"
+    assert not log.ledger.has_losses
+
+
+def test_a_time_that_fits_nothing_is_dropped_and_no_boot(tmp_path: Path, flight: Callable) -> None:
+    data = bytearray(flight())
+    whole = walk(bytes(data))
+    baro = next(n for n, form in enumerate(whole.definitions) if form.name == "BARO")
+    data[int(whole.offsets[whole.numbers == baro][20]) + 3 + 5] ^= 1
+    log = opened(tmp_path, bytes(data))
+    assert (log.boots, len(log.channel("BARO[0]"))) == (1, 39)
+    assert entries(log, "TIME-STRAY")[0].count == 1
+
+
+def test_two_logs_in_one_file_are_two_boots(tmp_path: Path, flight: Callable) -> None:
+    later = flight()
+    log = opened(tmp_path, later + later)
+    assert log.boots == 2
+    # the same flight twice: the second has the same UTC and is not counted again
+    assert entries(log, "TIME-BACKWARD")
+    assert len(log.channel("BARO[0]")) == 40
+
+
+def test_a_definition_that_changes_in_the_file(
+    tmp_path: Path, flight: Callable, dataflash_writer: Callable
+) -> None:
+    writer = dataflash_writer()
+    writer.data = flight(20)
+    writer.define(23, "BARO", "QBffc", "TimeUS,I,Alt,Press,Temp")
+    for k in range(5):
+        writer.row("BARO", 30_000_000 + k * 100_000, 0, 12.0, 95_000.0 + k, 30.0)
+    channel = opened(tmp_path, writer.data).channel("BARO[0]")
+    assert len(channel) == 25
+    np.testing.assert_array_equal(channel["pressure_pa"][-5:], 95_000.0 + np.arange(5))
+    np.testing.assert_array_equal(channel["pressure_pa"][:5], 94_000.0 - np.arange(5))
+
+
+def test_not_a_number_is_kept_as_a_row(tmp_path: Path, dataflash_writer: Callable) -> None:
+    writer = dataflash_writer()
+    writer.define(23, "BARO", "QBfc", "TimeUS,I,Press,Temp")
+    for k, pressure in enumerate((1e5, float("nan"), float("inf"), 1e5)):
+        writer.row("BARO", 1_000_000 + k, 0, pressure, 20.0)
+    channel = opened(tmp_path, writer.data).channel("BARO[0]")
+    np.testing.assert_array_equal(np.isnan(channel["pressure_pa"]), [False, True, True, False])
+
+
+def test_a_definition_that_makes_no_sense_is_a_loss(
+    tmp_path: Path, flight: Callable, dataflash_writer: Callable
+) -> None:
+    writer = dataflash_writer()
+    writer.data = flight()
+    writer.define(60, "XYZ", "QB", "TimeUS,A", length=77)
+    log = opened(tmp_path, writer.data)
+    assert entries(log, "LOG-BAD-FORMAT")[0].kind == "loss"
+
+
+def test_an_accuracy_message_that_is_defined_and_never_sent(
+    tmp_path: Path, dataflash_writer: Callable
+) -> None:
+    writer = dataflash_writer()
+    writer.define(20, "GPS", "QBIHLLe", "TimeUS,Status,GMS,GWk,Lat,Lng,Alt")
+    writer.define(21, "GPA", "QCCe", "TimeUS,HAcc,VAcc,AEl")
+    writer.row("GPS", 1_000_000, 3, 1000, 2300, 47.0, -122.5, 600.25)
+    channel = opened(tmp_path, writer.data).channel("GPS")
+    assert sorted(channel.columns) == ["fix", "h_msl_m", "lat_rad", "lon_rad"]
+
+
+def test_a_definition_without_a_needed_field_is_a_loss(
+    tmp_path: Path, flight: Callable, dataflash_writer: Callable
+) -> None:
+    writer = dataflash_writer()
+    writer.data = flight()
+    writer.define(40, "AHR2", "Qcc", "TimeUS,Roll,Pitch")
+    writer.row("AHR2", 20_000_000, 1.0, 2.0)
+    log = opened(tmp_path, writer.data)
+    loss = entries(log, "LOG-FIELDS")[0]
+    assert (loss.kind, loss.where, loss.count) == ("loss", "AHR2", 1)
+    assert "yaw_rad" in loss.what
+
+
+def test_any_damage_opens_or_refuses(tmp_path: Path, flight: Callable) -> None:
+    data, whole = flight(), walk(flight())
+    source = random.Random(11)
+    for _ in range(60):
+        damaged = bytearray(data)
+        for _ in range(source.choice((1, 20, 200))):
+            damaged[source.randrange(len(damaged))] ^= 1 << source.randrange(8)
+        cut = source.randrange(len(damaged))
+        del damaged[cut : cut + source.randrange(400)]
+        try:
+            log = opened(tmp_path, bytes(damaged))
+        except LogError as error:
+            outcome = error.code
+        else:
+            outcome = "opened"
+            assert sum(log.messages.values()) <= whole.offsets.shape[0]
+        assert outcome in {"opened", "LOG-FORMAT", "LOG-NO-MESSAGES"}

@@ -1,0 +1,313 @@
+"""MCAP: messages written with the real writers, a real log, and damage."""
+
+from __future__ import annotations
+
+import io
+import json
+import random
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.errors import LogError
+from pipeline.ingest import Log, open_log
+from pipeline.ingest.mcap_records import MAX_CHUNK
+
+SECOND = 10**9
+START = 1_763_073_169 * SECOND + 920_749_554
+
+SEPARATOR = "\n" + "=" * 80 + "\n"
+TIME = "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec"
+HEADER = "MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id"
+STATUS = "MSG: sensor_msgs/NavSatStatus\nint8 status\nuint16 service"
+QUATERNION = "MSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w"
+VECTOR = "MSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z"
+POINT = "MSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z"
+POSE = "MSG: geometry_msgs/Pose\ngeometry_msgs/Point position\ngeometry_msgs/Quaternion orientation"
+
+SCHEMAS = {
+    "sensor_msgs/msg/NavSatFix": (
+        "std_msgs/Header header\nsensor_msgs/NavSatStatus status\nfloat64 latitude\n"
+        "float64 longitude\nfloat64 altitude\nfloat64[9] position_covariance\n"
+        "uint8 position_covariance_type",
+        HEADER, TIME, STATUS,
+    ),
+    "sensor_msgs/msg/Imu": (
+        "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\n"
+        "float64[9] orientation_covariance\ngeometry_msgs/Vector3 angular_velocity\n"
+        "float64[9] angular_velocity_covariance\ngeometry_msgs/Vector3 linear_acceleration\n"
+        "float64[9] linear_acceleration_covariance",
+        HEADER, TIME, QUATERNION, VECTOR,
+    ),
+    "sensor_msgs/msg/FluidPressure": (
+        "std_msgs/Header header\nfloat64 fluid_pressure\nfloat64 variance", HEADER, TIME,
+    ),
+    "sensor_msgs/msg/Temperature": (
+        "std_msgs/Header header\nfloat64 temperature\nfloat64 variance", HEADER, TIME,
+    ),
+    "sensor_msgs/msg/RelativeHumidity": (
+        "std_msgs/Header header\nfloat64 relative_humidity\nfloat64 variance", HEADER, TIME,
+    ),
+    "sensor_msgs/msg/CompressedImage": (
+        "std_msgs/Header header\nstring format\nuint8[] data", HEADER, TIME,
+    ),
+    "geometry_msgs/msg/PoseStamped": (
+        "std_msgs/Header header\ngeometry_msgs/Pose pose", HEADER, TIME, POSE, POINT, QUATERNION,
+    ),
+    "std_msgs/msg/String": ("string data",),
+}  # fmt: skip
+
+
+def stamp(time_ns: int, frame_id: str = "base") -> dict:
+    sec, nanosec = divmod(time_ns, SECOND)
+    return {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": frame_id}
+
+
+class Bag:
+    """A ROS 2 bag in memory, by the writer of mcap-ros2-support."""
+
+    def __init__(self, **options) -> None:
+        from mcap_ros2.writer import Writer
+
+        self.file = io.BytesIO()
+        self.writer = Writer(self.file, chunk_size=4096, **options)
+        self.schemas = {
+            name: self.writer.register_msgdef(name, SEPARATOR.join(parts))
+            for name, parts in SCHEMAS.items()
+        }
+
+    def write(self, topic: str, kind: str, time_ns: int, log_time: int = 0, **fields) -> None:
+        fields.setdefault("header", stamp(time_ns))
+        schema = next(schema for name, schema in self.schemas.items() if name.endswith(kind))
+        self.writer.write_message(topic, schema, fields, log_time or time_ns + 7_000_000)
+
+    @property
+    def data(self) -> bytes:
+        self.writer.finish()
+        return self.file.getvalue()
+
+
+def flight(rows: int = 60, **options) -> Bag:
+    bag = Bag(**options)
+    for k in range(rows):
+        t = START + k * SECOND // 10
+        bag.write(
+            "/fix", "NavSatFix", t, latitude=47.0 + 1e-4 * k, longitude=-122.5, altitude=580.25,
+            status={"status": -1 if k < 2 else 0, "service": 1},
+            position_covariance=[4.0, 0, 0, 0, 2.0, 0, 0, 0, 9.0], position_covariance_type=2,
+        )  # fmt: skip
+        bag.write(
+            "/imu", "Imu", t, orientation={"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
+            orientation_covariance=[-1.0 if k == 3 else 0.0] + [0.0] * 8,
+            angular_velocity={"x": 0.0, "y": 0.0, "z": 0.0}, angular_velocity_covariance=[0.0] * 9,
+            linear_acceleration={"x": 0.0, "y": 0.0, "z": 0.0},
+            linear_acceleration_covariance=[0.0] * 9,
+        )  # fmt: skip
+        bag.write("/outside/pressure", "FluidPressure", t, fluid_pressure=7e4 - k, variance=1.0)
+        bag.write("/cabin/pressure", "FluidPressure", t, fluid_pressure=8.5e4, variance=1.0)
+        bag.write("/outside/air", "Temperature", t, temperature=-12.5, variance=0.0)
+        bag.write("/outside/humidity", "RelativeHumidity", t, relative_humidity=0.45, variance=0.0)
+        bag.write("/note", "String", t, data="nothing of ours")
+        if k % 10 == 0:
+            bag.write("/camera", "CompressedImage", t, header=stamp(t, f"cam{k}"), format="jpeg",
+                      data=bytes(3000))  # fmt: skip
+    return bag
+
+
+def opened(tmp_path: Path, data: bytes) -> Log:
+    path = tmp_path / "flight.mcap"
+    path.write_bytes(data)
+    return open_log(path)
+
+
+def entries(log: Log, code: str) -> list:
+    return [entry for entry in log.ledger if entry.code == code]
+
+
+def compressions() -> list:
+    from mcap.writer import CompressionType
+
+    return [CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD]
+
+
+@pytest.mark.parametrize("compression", compressions(), ids=lambda kind: kind.name)
+def test_known_flight(tmp_path: Path, compression: object) -> None:
+    log = opened(tmp_path, flight(compression=compression).data)
+    assert log.messages["/fix"] == log.messages["/note"] == 60
+    fix = log.channel("/fix")
+    assert (len(fix), fix.roles) == (58, ("height", "position"))
+    assert entries(log, "POSITION-NO-FIX")[0].count == 2
+    np.testing.assert_array_equal(fix["lat_rad"], np.radians(47.0 + 1e-4 * np.arange(2, 60)))
+    np.testing.assert_array_equal(fix["h_ellipsoid_m"], np.full(58, 580.25))
+    np.testing.assert_allclose(fix["sigma_h_m"], np.sqrt(3.0), rtol=1e-15)
+    np.testing.assert_array_equal(fix["sigma_v_m"], np.full(58, 3.0))
+    # the time is that of the header, not that of the recorder 7 ms later
+    np.testing.assert_array_equal(fix.time_ns, START + np.arange(2, 60) * SECOND // 10)
+    imu = log.channel("/imu")
+    assert np.isnan(imu["q_w"][3])
+    np.testing.assert_allclose(  # x forward, facing east: heading 90 degrees
+        [imu[f"q_{axis}"][0] for axis in "wxyz"], [np.sqrt(0.5), 0, 0, np.sqrt(0.5)], atol=1e-15
+    )
+    np.testing.assert_array_equal(
+        log.channel("/outside/pressure")["pressure_pa"], 7e4 - np.arange(60)
+    )
+    assert log.channel("/cabin/pressure").roles == ("pressure", "cabin_pressure")
+    assert log.channel("/outside/air")["temperature_k"][0] == 273.15 - 12.5
+    assert log.channel("/outside/humidity")["relative_humidity"][0] == 0.45
+    images = log.channel("/camera")
+    np.testing.assert_array_equal(images["event_index"], np.arange(6))
+    assert images.labels["frame_id"] == tuple(f"cam{k}" for k in range(0, 60, 10))
+    np.testing.assert_array_equal(images.time_ns, START + np.arange(6) * SECOND)
+    assert (log.bad_bytes, log.lost_messages, log.boots) == (0, 0, 1)
+    assert not log.ledger.has_losses
+
+
+def test_real_flight(real_log: Callable[[str], Path]) -> None:
+    path = real_log("cubs2_cub_stabilize.mcap")
+    log = open_log(path)
+    assert dict(log.messages) == {"/cub1/joy_serial_status": 1555, "/cub1/pose": 19703}
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    pose = log.channel("/cub1/pose")
+    with path.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        for k, (_, _, _, message) in enumerate(reader.iter_decoded_messages(["/cub1/pose"])):
+            if k == 500:
+                break
+            time = message.header.stamp
+            assert pose.time_ns[k] == time.sec * SECOND + time.nanosec
+            assert pose["east_m"][k] == message.pose.position.x
+            assert pose["up_m"][k] == message.pose.position.z
+    assert pose.roles == ("attitude",)
+
+
+def test_a_truncated_log_gives_every_complete_chunk(tmp_path: Path) -> None:
+    data = flight(200).data
+    whole = sum(opened(tmp_path, data).messages.values())
+    log = opened(tmp_path, data[: len(data) // 2])
+    assert whole * 0.3 < sum(log.messages.values()) < whole
+    assert entries(log, "LOG-TRUNCATED")[0].kind == "loss"
+    assert log.bad_bytes > 0
+
+
+def outcome(tmp_path: Path, data: bytes) -> str:
+    try:
+        log = opened(tmp_path, data)
+    except LogError as error:
+        return error.code
+    return "losses" if log.ledger.has_losses else "whole"
+
+
+def test_every_truncation_opens_or_refuses(tmp_path: Path) -> None:
+    data = flight(12).data
+    outcomes = {outcome(tmp_path, data[:end]) for end in range(1, len(data), 211)}
+    assert outcomes == {"LOG-FORMAT", "LOG-NO-MESSAGES", "losses"}
+    assert outcome(tmp_path, data) == "whole"
+
+
+def test_zeros_in_a_chunk_without_a_checksum_are_noticed(tmp_path: Path) -> None:
+    from mcap.writer import CompressionType
+
+    data = bytearray(flight(compression=CompressionType.NONE, enable_crcs=False).data)
+    at = data.index(b"nothing of ours", 20_000)
+    data[at : at + 500] = bytes(500)
+    log = opened(tmp_path, bytes(data))
+    assert log.lost_messages > 0
+    assert entries(log, "LOG-INCONSISTENT")[0].kind == "loss"
+
+
+def test_a_chunk_that_fails_its_checksum_is_left_out(tmp_path: Path) -> None:
+    from mcap.writer import CompressionType
+
+    data = bytearray(flight(compression=CompressionType.NONE).data)
+    data[data.index(b"nothing of ours", 20_000)] ^= 1
+    log = opened(tmp_path, bytes(data))
+    assert entries(log, "LOG-CRC")
+    assert entries(log, "LOG-INCONSISTENT")[0].count == log.lost_messages > 0
+
+
+def test_a_chunk_that_inflates_beyond_the_limit_is_refused(tmp_path: Path) -> None:
+    import zstandard
+
+    data = flight().data
+    bomb = zstandard.ZstdCompressor().compress(bytes(MAX_CHUNK + 1000))
+    for promised in (MAX_CHUNK + 1000, 1000):
+        content = struct.pack("<QQQII", 0, 0, promised, 0, 4) + b"zstd"
+        content += struct.pack("<Q", len(bomb)) + bomb
+        record = struct.pack("<BQ", 6, len(content)) + content
+        header = 8 + 9 + struct.unpack_from("<Q", data, 9)[0]  # magic and header record
+        log = opened(tmp_path, data[:header] + record + data[header:])
+        codes = {entry.code for entry in log.ledger if entry.kind == "loss"}
+        assert codes == {"LOG-TOO-LARGE" if promised > MAX_CHUNK else "LOG-BAD-BYTES"}
+        assert len(log.channel("/imu")) == 60
+
+
+def test_without_a_header_stamp_the_recorders_time_is_a_stated_fallback(tmp_path: Path) -> None:
+    bag = Bag()
+    for k in range(5):
+        bag.write("/air", "Temperature", 0, log_time=START + k, temperature=20.0, variance=0.0)
+    log = opened(tmp_path, bag.data)
+    np.testing.assert_array_equal(log.channel("/air").time_ns, START + np.arange(5))
+    assert entries(log, "TIME-LOG-TIME")[0].kind == "fallback"
+
+
+def test_a_message_that_does_not_fit_its_schema_is_a_loss(tmp_path: Path) -> None:
+    bag = flight()
+    channel = bag.writer._channel_ids["/outside/air"]
+    bag.writer._writer.add_message(channel, START, b"\x00\x01\x00\x00abc", START, 0)
+    log = opened(tmp_path, bag.data)
+    assert entries(log, "LOG-DECODE")[0].count == 1
+    assert len(log.channel("/outside/air")) == 60
+
+
+def test_json_is_counted_and_not_read(tmp_path: Path) -> None:
+    from mcap.writer import Writer
+
+    file = io.BytesIO()
+    writer = Writer(file)
+    writer.start(profile="", library="test")
+    schema = writer.register_schema("sensor_msgs/msg/NavSatFix", "jsonschema", b"{}")
+    channel = writer.register_channel("/json", "json", schema)
+    ros = writer.register_schema(
+        "sensor_msgs/msg/Temperature",
+        "ros2msg",
+        SEPARATOR.join(SCHEMAS["sensor_msgs/msg/Temperature"]).encode(),
+    )
+    air = writer.register_channel("/air", "cdr", ros)
+    # CDR: little-endian, sec, nanosec, frame_id "", padding to 8, temperature, variance
+    body = b"\x00\x01\x00\x00" + struct.pack("<iII", 1_763_073_169, 5, 1) + b"\0" + bytes(3)
+    body += struct.pack("<dd", 15.0, 0.0)
+    for k in range(3):
+        writer.add_message(channel, START + k, json.dumps({"latitude": 1}).encode(), START + k)
+    writer.add_message(air, START, body, START)
+    writer.finish()
+    log = opened(tmp_path, file.getvalue())
+    assert log.messages["/json"] == 3
+    assert entries(log, "LOG-NOT-ROS2")[0].where == "/json"
+    assert log.channel("/air").time_ns[0] == 1_763_073_169 * SECOND + 5
+    assert log.channel("/air")["temperature_k"][0] == 288.15
+
+
+def test_any_damage_opens_or_refuses(tmp_path: Path) -> None:
+    logs = [
+        flight(12, compression=kind, enable_crcs=crcs).data
+        for kind in compressions()
+        for crcs in (True, False)
+    ]
+    source = random.Random(5)
+    for _ in range(120):
+        damaged = bytearray(source.choice(logs))
+        for _ in range(source.choice((1, 5, 20))):
+            damaged[source.randrange(len(damaged))] ^= 1 << source.randrange(8)
+        cut = source.randrange(len(damaged))
+        del damaged[cut : cut + source.choice((0, 0, 500))]
+        assert outcome(tmp_path, bytes(damaged)) in {
+            "LOG-FORMAT",
+            "LOG-NO-MESSAGES",
+            "losses",
+            "whole",
+        }

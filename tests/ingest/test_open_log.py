@@ -1,0 +1,130 @@
+"""Opening: refusals, every real log, and what a log says about itself."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import random
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.errors import LogError
+from pipeline.ingest import hash_file, open_log
+
+# Message totals and types by a loop of recv_msg over the file (pymavlink 2.4.50, BAD_DATA left
+# out) and by the Statistics record of the MCAP.
+REAL = {
+    "beastayyg_sample.bin": ("dataflash", 24_837, 52),
+    "ardusub_small.BIN": ("dataflash", 7_510, 39),
+    "pymavlink_test.BIN": ("dataflash", 1_731, 47),
+    "sitl_survey.BIN": ("dataflash", 564_101, 54),
+    "sitl_belowsea_2cam.BIN": ("dataflash", 425_135, 52),
+    "ardusub_small.tlog": ("tlog", 35_912, 46),
+    "pymavlink_swift_flight.tlog": ("tlog", 163_851, 38),
+    "sitl_survey.tlog": ("tlog", 118_791, 41),
+    "sitl_belowsea_2cam.tlog": ("tlog", 72_265, 41),
+    "cubs2_cub_stabilize.mcap": ("mcap", 21_258, 2),
+}
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_every_real_log_opens(name: str, real_log: Callable[[str], Path]) -> None:
+    path = real_log(name)
+    log = open_log(path)
+    form, messages, kinds = REAL[name]
+    assert (log.format, sum(log.messages.values()), len(log.messages)) == (form, messages, kinds)
+    assert log.bad_bytes == 0
+    assert log.size_bytes == path.stat().st_size
+    assert log.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert list(log.messages) == sorted(log.messages)
+    assert len({channel.name for channel in log.channels}) == len(log.channels)
+    assert not log.ledger.has_losses
+    for channel in log.channels:
+        assert len(channel) > 0
+        assert all(channel.can_play(role) for role in channel.roles)
+        assert log.start_ns <= channel.time_ns[0] <= channel.time_ns[-1] <= log.end_ns
+    assert json.loads(json.dumps(log.to_json_dict()))["format"] == form
+
+
+def refused(path: Path, code: str) -> LogError:
+    with pytest.raises(LogError) as caught:
+        open_log(path)
+    assert caught.value.code == code
+    assert str(path) in caught.value.where
+    assert caught.value.remedy
+    return caught.value
+
+
+@pytest.mark.parametrize("extension", [".bin", ".tlog", ".mcap", ".csv"])
+def test_empty_file(tmp_path: Path, extension: str) -> None:
+    path = tmp_path / f"flight{extension}"
+    path.touch()
+    assert "0 bytes" in refused(path, "LOG-EMPTY").what
+
+
+def test_missing_file_and_folder(tmp_path: Path) -> None:
+    refused(tmp_path / "none.bin", "LOG-MISSING")
+    refused(tmp_path, "LOG-MISSING")
+
+
+@pytest.mark.parametrize("extension", [".bin", ".BIN", ".tlog", ".mcap", ".txt"])
+def test_random_bytes(tmp_path: Path, extension: str) -> None:
+    path = tmp_path / f"flight{extension}"
+    path.write_bytes(random.Random(3).randbytes(200_000))
+    refused(path, "LOG-FORMAT")
+
+
+def test_wrong_extension(tmp_path: Path, real_log: Callable[[str], Path]) -> None:
+    content = real_log("pymavlink_test.BIN").read_bytes()
+    for extension in (".tlog", ".mcap", ".log", ""):
+        path = tmp_path / f"flight{extension}"
+        path.write_bytes(content)
+        assert "DataFlash" in refused(path, "LOG-FORMAT").what
+
+
+def test_relatives_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "flight.bin"
+    path.write_bytes(b"ULog\x01\x12\x35" + bytes(100))
+    assert "ULog" in refused(path, "LOG-FORMAT").what
+
+
+def test_a_log_without_flight_data_says_what_it_holds(
+    tmp_path: Path, dataflash_writer: Callable
+) -> None:
+    writer = dataflash_writer()
+    writer.define(10, "MODE", "QB", "TimeUS,Mode")
+    for k in range(5):
+        writer.row("MODE", k * 10**6, 1)
+    path = tmp_path / "flight.bin"
+    path.write_bytes(writer.data)
+    assert "MODE" in refused(path, "LOG-NO-MESSAGES").remedy
+
+
+def test_unknown_channel_names_the_near_ones(real_log: Callable[[str], Path]) -> None:
+    log = open_log(real_log("ardusub_small.BIN"))
+    with pytest.raises(LogError, match="BARO") as caught:
+        log.channel("BARO[2]")
+    assert caught.value.code == "LOG-NO-CHANNEL"
+    assert "did you mean BARO[" in caught.value.remedy
+    assert "ATT" in caught.value.remedy
+
+
+def test_gaps_rates_and_pandas(real_log: Callable[[str], Path]) -> None:
+    log = open_log(real_log("beastayyg_sample.bin"))
+    told = {channel["name"]: channel for channel in log.to_json_dict()["channels"]}
+    gaps = told["BARO"]["gaps"]
+    assert len(gaps) == 1
+    assert gaps[0]["seconds"] == pytest.approx(628, abs=1)  # LOGS.md: disarmed in the middle
+    assert told["BARO"]["rate_hz"] == pytest.approx(10, rel=0.02)
+    frame = log.to_pandas("BARO")
+    assert str(frame.index.tz) == "UTC"
+    np.testing.assert_array_equal(frame["pressure_pa"], log.channel("BARO")["pressure_pa"])
+
+
+def test_hash_is_that_of_the_library(tmp_path: Path) -> None:
+    path = tmp_path / "blob"
+    path.write_bytes(b"x" * 3_000_001)
+    assert hash_file(path) == hashlib.sha256(b"x" * 3_000_001).hexdigest()

@@ -1,0 +1,329 @@
+"""Telemetry logs against pymavlink, against packets of its own writer, and with damage."""
+
+from __future__ import annotations
+
+import random
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.ingest import Log, open_log
+from pipeline.ingest.tlog_frames import lost_by_source, walk
+
+DEGREE = np.pi / 180.0
+SECOND = 10**9
+START_US = 1_700_000_000_000_000  # the ground station's clock when the log begins
+BOOT_UTC_US = 1_700_000_000_000_000 + 1_260_000 - 60_000_000  # it is 1.26 s slow
+
+
+def library_rows(path: Path, *messages: str) -> dict[str, list]:
+    from pymavlink import mavutil
+
+    reader = mavutil.mavlink_connection(str(path), dialect="all")
+    rows: dict[str, list] = {message: [] for message in messages}
+    while (row := reader.recv_match(type=list(messages))) is not None:
+        rows[row.get_type()].append(row)
+    reader.close()
+    return rows
+
+
+def entries(log: Log, code: str) -> list:
+    return [entry for entry in log.ledger if entry.code == code]
+
+
+def test_columns_are_those_of_the_library_bit_for_bit(real_log: Callable[[str], Path]) -> None:
+    path = real_log("pymavlink_swift_flight.tlog")
+    log = open_log(path)
+    expected = {
+        ("SCALED_PRESSURE", "pressure_pa"): ("press_abs", 1.0, 100.0, 0.0),
+        ("SCALED_PRESSURE", "board_temperature_k"): ("temperature", 100.0, 1.0, 273.15),
+        ("GLOBAL_POSITION_INT", "lat_rad"): ("lat", 1e7, DEGREE, 0.0),
+        ("GLOBAL_POSITION_INT", "h_msl_m"): ("alt", 1e3, 1.0, 0.0),
+        ("GPS_RAW_INT", "lon_rad"): ("lon", 1e7, DEGREE, 0.0),
+        ("VFR_HUD", "airspeed_m_s"): ("airspeed", 1.0, 1.0, 0.0),
+    }
+    rows = library_rows(path, *{channel for channel, _ in expected})
+    for (name, column), (field, divisor, factor, offset) in expected.items():
+        theirs = np.array([getattr(row, field) for row in rows[name]], np.float64)
+        np.testing.assert_array_equal(log.channel(name)[column], theirs / divisor * factor + offset)
+    # MAVLink 1: no ellipsoidal height was sent, none is made up
+    assert "h_ellipsoid_m" not in log.channel("GPS_RAW_INT").columns
+
+
+def test_five_boots(real_log: Callable[[str], Path]) -> None:
+    path = real_log("pymavlink_swift_flight.tlog")
+    log = open_log(path)
+    assert log.boots == 5
+    channel = log.channel("SCALED_PRESSURE")
+    rows = library_rows(path, "SCALED_PRESSURE")["SCALED_PRESSURE"]
+    since_boot = np.array([row.time_boot_ms for row in rows], np.int64) * 1_000_000
+    boots = np.concatenate([[0], np.cumsum(np.diff(since_boot) < 0)])
+    np.testing.assert_array_equal(channel.boot, boots)
+    for boot in range(5):  # within a boot, time is the vehicle's, moved as a whole
+        mine = boots == boot
+        assert np.ptp(channel.time_ns[mine] - since_boot[mine]) == 0
+    assert [entry.where[-6:] for entry in entries(log, "TIME-FIT")] == [
+        f"boot {k}" for k in range(5)
+    ]
+
+
+def test_repeats_and_the_empty_row_of_the_camera_feedback(
+    real_log: Callable[[str], Path],
+) -> None:
+    log = open_log(real_log("sitl_belowsea_2cam.tlog"))
+    assert log.messages["CAMERA_FEEDBACK"] == 510
+    assert len(log.channel("CAMERA_FEEDBACK[0]")) == 127
+    assert len(log.channel("CAMERA_FEEDBACK[1]")) == 128
+    assert sum(entry.count for entry in entries(log, "EVENT-REPEAT")) == 254
+    assert [entry.count for entry in entries(log, "EVENT-EMPTY")] == [1]
+    assert entries(log, "EVENT-NO-PULSE")[0].where == "CAMERA_FEEDBACK[0]"
+
+
+def test_the_two_logs_of_one_flight_agree(real_log: Callable[[str], Path]) -> None:
+    tlog = open_log(real_log("sitl_belowsea_2cam.tlog"))
+    flash = open_log(real_log("sitl_belowsea_2cam.BIN"))
+    for camera in (0, 1):
+        ours, theirs = tlog.channel(f"CAMERA_FEEDBACK[{camera}]"), flash.channel(f"CAM[{camera}]")
+        # two clocks fitted to UTC apart; the receiver's time moves in steps of 200 ms
+        apart = (ours.time_ns - theirs.time_ns) / 1e9
+        assert np.abs(apart).max() < 0.25
+        assert np.ptp(apart) < 2e-5  # camera 1 is stamped once for each log
+        np.testing.assert_array_equal(ours["event_index"], theirs["event_index"])
+        np.testing.assert_allclose(ours["lat_rad"], theirs["lat_rad"], atol=1e-15)
+
+
+def test_a_ground_station_with_its_own_system_time_is_not_the_vehicle(
+    real_log: Callable[[str], Path],
+) -> None:
+    log = open_log(real_log("ardusub_small.tlog"))
+    assert log.messages["SYSTEM_TIME"] == 794  # 792 of the vehicle, 2 of the ground station
+    assert [entry.kind for entry in entries(log, "TIME-HOST-CLOCK")] == ["fallback"]
+    assert log.channel("NAMED_VALUE_FLOAT[Lights1]").roles == ()
+    assert sum(entry.count for entry in entries(log, "LOG-DIALECT")) == 4
+
+
+class TlogWriter:
+    """Packets of pymavlink's own encoder with the stamps of a ground station."""
+
+    def __init__(self, version: int = 2) -> None:
+        from pymavlink.dialects.v20 import all as dialect
+
+        self.dialect = dialect
+        self.version = version
+        self.senders: dict[tuple[int, int], object] = {}
+        self.frames: list[bytes] = []
+
+    def send(self, kind: str, at_ms: int, /, *, source: tuple[int, int] = (1, 1), **fields) -> None:
+        """A message sent at_ms after boot; it arrives 40 ms later."""
+        library = self.dialect
+        if source not in self.senders:
+            self.senders[source] = library.MAVLink(None, *source)
+        message = getattr(library, f"MAVLink_{kind}_message")(**fields)
+        packet = message.pack(self.senders[source], force_mavlink1=self.version == 1)
+        self.senders[source].seq = (self.senders[source].seq + 1) % 256
+        stamp = START_US + (at_ms - 60_000) * 1000 + 40_000
+        self.frames.append(struct.pack(">Q", stamp) + packet)
+
+    @property
+    def data(self) -> bytes:
+        return b"".join(self.frames)
+
+
+def flight(
+    version: int = 2, *, utc: bool = True, seconds: int = 20, cabin_system: int = 1
+) -> TlogWriter:
+    writer = TlogWriter(version)
+    for k in range(seconds * 5):
+        ms = 60_000 + 200 * k
+        unix = BOOT_UTC_US + ms * 1000 if utc else 0
+        if k % 5 == 0:
+            writer.send("system_time", ms, time_unix_usec=unix, time_boot_ms=ms)
+            writer.send(
+                "system_time", ms, source=(255, 190), time_unix_usec=1_600_000_000_000_000,
+                time_boot_ms=5,
+            )  # fmt: skip
+            if version == 2:  # MAVLink 1 has no ids above 255
+                writer.send("hygrometer_sensor", ms, id=2, temperature=-1250, humidity=4725)
+                writer.send("airspeed", ms, id=0, airspeed=41.5, temperature=32767,
+                            raw_press=1.0, flags=0)  # fmt: skip
+            writer.send("named_value_float", ms, time_boot_ms=ms, name=b"CabT", value=21.5)
+        writer.send("attitude", ms, time_boot_ms=ms, roll=0.1, pitch=-0.2, yaw=3.0, rollspeed=0.0,
+                    pitchspeed=0.0, yawspeed=0.0)  # fmt: skip
+        writer.send("scaled_pressure", ms, time_boot_ms=ms, press_abs=700.25, press_diff=0.0,
+                    temperature=4500, temperature_press_diff=0)  # fmt: skip
+        writer.send(
+            "scaled_pressure", ms, source=(cabin_system, 25), time_boot_ms=ms, press_abs=850.5,
+            press_diff=0.0, temperature=2500, temperature_press_diff=0,
+        )  # fmt: skip
+        writer.send(
+            "gps_raw_int", ms, time_usec=ms * 1000, fix_type=3, lat=470000000 + k,
+            lon=-1225000000, alt=600_250, eph=80, epv=90, vel=0, cog=0, satellites_visible=12,
+            alt_ellipsoid=580_500 if k >= 50 else 0, h_acc=450, v_acc=0,
+        )  # fmt: skip
+    return writer
+
+
+def opened(tmp_path: Path, data: bytes) -> Log:
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(data)
+    return open_log(path)
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_known_flight(tmp_path: Path, version: int) -> None:
+    log = opened(tmp_path, flight(version).data)
+    vehicle, cabin = log.channel("SCALED_PRESSURE@1/1"), log.channel("SCALED_PRESSURE@1/25")
+    np.testing.assert_array_equal(vehicle["pressure_pa"], np.full(100, 70_025.0))
+    assert cabin["pressure_pa"][0] == 85_050.0
+    utc_ns = (BOOT_UTC_US + 60_000_000) * 1000
+    np.testing.assert_array_equal(vehicle.time_ns, utc_ns + np.arange(100) * SECOND // 5)
+    np.testing.assert_array_equal(log.channel("ATTITUDE").time_ns, vehicle.time_ns)
+    gps = log.channel("GPS_RAW_INT")
+    np.testing.assert_array_equal(gps.time_ns, vehicle.time_ns)
+    if version == 2:
+        assert np.isnan(gps["h_ellipsoid_m"][:50]).all()
+        np.testing.assert_array_equal(gps["h_ellipsoid_m"][50:], np.full(50, 580.5))
+        assert gps["sigma_h_m"][0] == 0.45
+        assert "sigma_v_m" not in gps.columns
+        air = log.channel("HYGROMETER_SENSOR[2]")
+        assert air["temperature_k"][0] == 273.15 - 12.5
+        assert air["relative_humidity"][0] == 0.4725
+        # no time of its own: the vehicle's time, by the messages it arrived with
+        expected = utc_ns + np.arange(20) * SECOND
+        np.testing.assert_allclose(air.time_ns - utc_ns, expected - utc_ns, atol=1e6)
+        assert log.channel("AIRSPEED[0]").roles == ("airspeed",)
+        assert "temperature_k" not in log.channel("AIRSPEED[0]").columns
+    assert log.channel("NAMED_VALUE_FLOAT[CabT]")["value"][3] == 21.5
+    assert (log.boots, log.bad_bytes, log.lost_messages) == (1, 0, 0)
+    assert "SYSTEM_TIME" in log.time_base
+    assert not log.ledger.has_losses
+
+
+def test_without_utc_the_ground_stations_clock_is_a_stated_fallback(tmp_path: Path) -> None:
+    log = opened(tmp_path, flight(utc=False).data)
+    assert {entry.kind for entry in entries(log, "TIME-HOST-CLOCK")} == {"fallback"}
+    attitude = log.channel("ATTITUDE")
+    assert attitude.time_ns[0] == START_US * 1000 + 40_000_000
+    assert np.ptp(np.diff(attitude.time_ns)) == 0
+    assert not log.ledger.has_losses
+
+
+def test_a_new_boot_in_a_fresh_log(tmp_path: Path) -> None:
+    first, second = flight(seconds=10), flight(seconds=10)
+    hour = 3_600 * 1_000_000
+    for k, frame in enumerate(second.frames):
+        stamp = struct.unpack(">Q", frame[:8])[0] + hour
+        second.frames[k] = struct.pack(">Q", stamp) + frame[8:]
+    log = opened(tmp_path, first.data + second.data)
+    assert log.boots == 2
+
+
+def test_camera_feedback_in_unix_time_and_in_time_since_boot(tmp_path: Path) -> None:
+    place = {"target_system": 0, "lat": 470000000, "lng": -1225000000, "alt_msl": 600.0,
+             "alt_rel": 30.0, "roll": 1.0, "pitch": 2.0, "yaw": 3.0, "foc_len": 0.0,
+             "flags": 0}  # fmt: skip
+    writer = flight()
+    for k in range(3):
+        ms = 64_000 + k * 1000
+        shots = ((0, ms * 1000), (1, BOOT_UTC_US + ms * 1000))
+        for camera, stamp in shots:
+            writer.send("camera_feedback", ms, cam_idx=camera, img_idx=k, time_usec=stamp, **place)
+        writer.send("camera_trigger", ms, time_usec=ms * 1000, seq=k + 7)
+    log = opened(tmp_path, writer.data)
+    first, second = log.channel("CAMERA_FEEDBACK[0]"), log.channel("CAMERA_FEEDBACK[1]")
+    np.testing.assert_array_equal(first.time_ns, second.time_ns)
+    np.testing.assert_array_equal(first.time_ns, log.channel("CAMERA_TRIGGER").time_ns)
+    assert first.time_ns[0] == (BOOT_UTC_US + 64_000_000) * 1000
+    np.testing.assert_array_equal(log.channel("CAMERA_TRIGGER")["event_index"], [7, 8, 9])
+    assert first["pitch_rad"][0] == pytest.approx(2 * DEGREE, abs=1e-15)
+
+
+def test_a_late_first_feedback_is_put_in_order(tmp_path: Path) -> None:
+    writer = flight()
+    for k in (0, 2, 1):
+        writer.send("camera_feedback", 70_000 + k, cam_idx=0, img_idx=k, target_system=0,
+                    time_usec=(62 + k) * 10**6, lat=1, lng=1, alt_msl=1.0, alt_rel=1.0, roll=0.0,
+                    pitch=0.0, yaw=0.0, foc_len=0.0, flags=0)  # fmt: skip
+    log = opened(tmp_path, writer.data)
+    np.testing.assert_array_equal(log.channel("CAMERA_FEEDBACK[0]")["event_index"], [0, 1, 2])
+
+
+def test_a_flipped_payload_bit_costs_one_message_and_is_a_loss(tmp_path: Path) -> None:
+    writer = flight()
+    whole = opened(tmp_path, writer.data)
+    victim = next(k for k, frame in enumerate(writer.frames) if frame[15] == 30 and k > 50)
+    frame = bytearray(writer.frames[victim])
+    frame[20] ^= 4
+    writer.frames[victim] = bytes(frame)
+    log = opened(tmp_path, writer.data)
+    assert log.messages["ATTITUDE"] == whole.messages["ATTITUDE"] - 1
+    assert log.bad_bytes == len(frame)
+    assert entries(log, "LOG-CRC")[0].kind == "loss"
+
+
+@pytest.mark.parametrize("byte", [0, 1, 8, 9, 10])
+def test_a_flipped_header_costs_one_message(tmp_path: Path, byte: int) -> None:
+    writer = flight()
+    count = len(writer.frames)
+    frame = bytearray(writer.frames[60])
+    frame[byte] ^= 0x10 if byte != 10 else 1
+    writer.frames[60] = bytes(frame)
+    log = opened(tmp_path, writer.data)
+    assert sum(log.messages.values()) == count - 1
+    assert log.bad_bytes == len(frame)
+    assert log.ledger.has_losses
+
+
+def test_garbage_between_frames_is_counted(tmp_path: Path) -> None:
+    writer = flight()
+    writer.frames.insert(100, b"\xfd\xfe" * 150)
+    log = opened(tmp_path, writer.data)
+    assert sum(log.messages.values()) == len(writer.frames) - 1
+    assert (log.bad_bytes, entries(log, "LOG-BAD-BYTES")[0].count) == (300, 300)
+
+
+def test_a_cut_last_message_is_no_loss(tmp_path: Path) -> None:
+    data = flight().data
+    log = opened(tmp_path, data[:-3])
+    assert entries(log, "LOG-TRUNCATED")[0].kind == "warning"
+    assert log.bad_bytes == 0
+    assert not log.ledger.has_losses
+
+
+def test_messages_lost_by_the_link_are_counted_by_sequence(tmp_path: Path) -> None:
+    writer = flight()
+    mine = [k for k, frame in enumerate(writer.frames) if frame[13:15] == b"\x01\x01"]
+    for k in mine[40:47][::-1] + mine[10:11]:
+        del writer.frames[k]
+    log = opened(tmp_path, writer.data)
+    assert log.lost_messages == 8
+    assert entries(log, "LOG-LINK-LOSS")[0].kind == "warning"
+    extras = {key: found.crc_extra for key, found in writer.dialect.mavlink_map.items()}
+    assert lost_by_source(walk(writer.data, extras).frames)[(255, 190)] == 0
+
+
+def test_a_message_of_an_unknown_id_is_counted(tmp_path: Path) -> None:
+    writer = flight()
+    unknown = b"\xfd" + bytes([3, 0, 0, 0, 1, 99]) + (60_001).to_bytes(3, "little") + b"abcXY"
+    writer.frames.insert(50, writer.frames[50][:8] + unknown)
+    log = opened(tmp_path, writer.data)
+    assert log.messages["UNKNOWN_60001"] == 1
+    assert entries(log, "LOG-UNKNOWN-ID")[0].count == 1
+    assert log.bad_bytes == 0
+
+
+def test_any_damage_opens_or_refuses(tmp_path: Path) -> None:
+    data = flight(seconds=6).data
+    source = random.Random(2)
+    for _ in range(40):
+        damaged = bytearray(data)
+        for _ in range(source.choice((1, 20, 200))):
+            damaged[source.randrange(len(damaged))] ^= 1 << source.randrange(8)
+        cut = source.randrange(len(damaged))
+        del damaged[cut : cut + source.randrange(400)]
+        log = opened(tmp_path, bytes(damaged))
+        assert log.ledger.has_losses
+        assert log.bad_bytes > 0

@@ -1,0 +1,85 @@
+"""The true air against published figures and against the equations it claims to solve."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.simulate.air import (
+    edlen_index,
+    normal_gravity,
+    relative_humidity,
+    saturation_pressure_pa,
+    temperature_k,
+    true_air,
+    vapour_pressure_pa,
+)
+
+LATITUDE = np.radians(47.4)
+
+
+@pytest.mark.parametrize(
+    ("celsius", "vapour_pa", "kpa", "nanometres", "published"),
+    [
+        # Ciddor (1996), CO2 450 ppm; the Edlen equation agrees to 4e-8.
+        (20.0, 0.0, 101.325, 633.0, 271_800e-9),
+        (20.0, 0.0, 60.0, 633.0, 160_924e-9),
+        (50.0, 0.0, 100.0, 633.0, 243_285e-9),
+        (5.0, 0.0, 100.0, 633.0, 282_756e-9),
+        (20.0, 2339.2, 100.0, 633.0, 267_394e-9),
+    ],
+)
+def test_index_agrees_with_ciddor(celsius, vapour_pa, kpa, nanometres, published):
+    n = edlen_index(
+        np.array(kpa * 1e3), np.array(celsius + 273.15), np.array(vapour_pa), nanometres / 1e3
+    )
+    assert float(n) - 1.0 == pytest.approx(published, abs=4e-8)
+
+
+def test_index_reproduces_the_published_edlen_value():
+    n = edlen_index(np.array(101_325.0), np.array(293.15), np.array(0.0), 0.633)
+    assert float(n) - 1.0 == pytest.approx(271_799e-9, abs=1e-9)
+
+
+def test_normal_gravity_at_equator_pole_and_aloft():
+    assert normal_gravity(0.0, 0.0) == pytest.approx(9.7803253359, rel=1e-10)
+    assert normal_gravity(np.pi / 2.0, 0.0) == pytest.approx(9.8321849378, rel=1e-10)
+    fall = normal_gravity(np.pi / 4.0, 0.0) - normal_gravity(np.pi / 4.0, 1000.0)
+    assert fall == pytest.approx(3.086e-3, rel=1e-3)  # the free-air gradient, 0.3086 mGal/m
+
+
+@pytest.mark.parametrize(
+    ("celsius", "steam_table_pa"), [(0.01, 611.66), (20.0, 2339), (40.0, 7384)]
+)
+def test_saturation_pressure_agrees_with_steam_tables(celsius, steam_table_pa):
+    pressure = saturation_pressure_pa(np.array(celsius + 273.15))
+    assert float(pressure) == pytest.approx(steam_table_pa, rel=1e-3)
+
+
+def test_pressure_obeys_the_hydrostatic_equation():
+    air = true_air(LATITUDE)
+    h = np.linspace(-80.0, 30_000.0, 400)
+    slope = (air.pressure_pa(h + 0.5) - air.pressure_pa(h - 0.5)) / 1.0
+    p, t, e = air.pressure_pa(h), temperature_k(h), vapour_pressure_pa(h)
+    dry, vapour = (p - e) * 28.9644, e * 28.9644 * 0.622  # molar masses [kg/kmol]
+    density = (dry + vapour) / (8314.32 * t)
+    gravity = np.array([normal_gravity(LATITUDE, x) for x in h])
+    np.testing.assert_allclose(slope, -density * gravity, rtol=2e-6)
+    assert float(air.pressure_pa(np.array(450.0))) == pytest.approx(96_850.0, rel=1e-12)
+
+
+def test_index_and_its_slope_belong_together():
+    air = true_air(LATITUDE)
+    h = np.linspace(-50.0, 12_000.0, 997)
+    direct = edlen_index(air.pressure_pa(h), temperature_k(h), vapour_pressure_pa(h))
+    np.testing.assert_allclose(air.n(h), direct, rtol=0.0, atol=2e-14)
+    slope = (air.n(h + 1.0) - air.n(h - 1.0)) / 2.0
+    np.testing.assert_allclose(air.dn_dh(h), slope, rtol=0.0, atol=3e-12)
+
+
+def test_the_air_is_no_standard():
+    h = np.array([450.0, 1000.0, 2000.0, 3450.0])
+    warmer = temperature_k(h) - (288.15 - 6.5e-3 * h)
+    assert np.all(warmer > 3.0)
+    assert temperature_k(np.array(1480.0)) - temperature_k(np.array(1220.0)) > 3.0
+    assert relative_humidity(np.array(2000.0)) < 0.5 * relative_humidity(np.array(900.0))
