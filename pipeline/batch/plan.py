@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import platform
 from dataclasses import dataclass
 from functools import lru_cache
@@ -79,7 +80,7 @@ def make_plan(mission: Mission, folder: Path) -> Plan:
             raise InputError(
                 "INPUT-UNREADABLE", str(error.strerror), where=str(path), remedy="mend permissions"
             ) from None
-    return Plan(mission, tuple(inputs), folder / mission.output.path)
+    return Plan(mission, tuple(inputs), Path(os.path.normpath(folder / mission.output.path)))
 
 
 def check_unchanged(plan: Plan) -> None:

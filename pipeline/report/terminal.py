@@ -27,7 +27,7 @@ def show_run(
     for column in table.columns[1:]:
         column.justify = "right"
     for row in correction_rows(manifest):
-        table.add_row(*row)
+        table.add_row(*(escape(cell) for cell in row))
     console.print(Padding(table, (0, 0, 0, 2)))
     _paragraph(console, where_from(manifest))
     flagged = {k: n for k, n in manifest["observations"]["status"].items() if k != "ok" and n}
@@ -55,7 +55,7 @@ def show_log(console: Console, log: Mapping[str, Any], name: str) -> None:
     boots = f", {log['boots']} boots" if log["boots"] > 1 else ""
     console.print(f"{counts}{boots}, {log['bad_bytes']:,} bad bytes, {log['lost_messages']:,} lost")
     table = Table(
-        "channel", "samples", "rate [Hz]", "gaps", "can play", box=None, pad_edge=False,
+        "channel", "samples", r"rate \[Hz]", "gaps", "can play", box=None, pad_edge=False,
         padding=(0, 2, 0, 0),
     )  # fmt: skip
     for column in table.columns[1:4]:
@@ -100,10 +100,8 @@ def show_angle(console: Console, angle: Mapping[str, Any]) -> None:
 
 def show_profile(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
     """A profile as a table."""
-    table = Table(
-        "h [m]", "T [K]", "p [hPa]", "e [hPa]", "(n-1)e6", "Eq.", "source", box=None,
-        pad_edge=False, padding=(0, 2, 0, 0),
-    )  # fmt: skip
+    heads = ("h [m]", "T [K]", "p [hPa]", "e [hPa]", "(n-1)e6", "Eq.", "source")
+    table = Table(*(escape(head) for head in heads), box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for column in table.columns[:6]:
         column.justify = "right"
     for row in rows:
