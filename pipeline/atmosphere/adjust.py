@@ -21,7 +21,6 @@ from pipeline.atmosphere.profile import (
     MEASURED,
     RELAXED,
     STANDARD,
-    Layers,
     Profile,
     stack_layers,
 )
@@ -324,18 +323,7 @@ def _anchored(
     profile = Profile(layers, standard.gravity, standard.index, "adjusted", standard.constant)
     if pressure is None or not bool(pressure.accepted.any()):
         return profile
-    h, measured = pressure.used()
-    level = float(np.median(np.log(measured / profile.pressure(h))))
-    layers = Layers(
-        layers.edge,
-        layers.temperature,
-        layers.lapse,
-        layers.pressure * np.exp(level),
-        layers.vapour,
-        layers.vapour_slope,
-        layers.source,
-    )
-    return Profile(layers, standard.gravity, standard.index, "adjusted", standard.constant)
+    return profile.at_level(*pressure.used())
 
 
 def _note_anchor(profile: Profile, pressure: Samples | None, ledger: Ledger) -> None:

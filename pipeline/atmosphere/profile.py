@@ -7,7 +7,7 @@ T_M and the vapour fraction e/p are linear in geopotential height; pressure foll
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -257,6 +257,15 @@ class Profile:
         t = t_m * (1.0 - VAPOUR_DEFICIT * vapour)
         return self.index.refractivity(t, p, vapour * p)
 
+    def at_level(self, h: ArrayLike, pressure_pa: ArrayLike) -> Profile:
+        """The profile with its pressure at the level of measured ones, in the median.
+
+        ``h`` (n,) heights [m above sea level], ``pressure_pa`` (n,) what was measured there.
+        """
+        log_ratio = np.log(np.asarray(pressure_pa, np.float64) / self.pressure(h))
+        factor = float(np.exp(np.nanmedian(log_ratio)))
+        return replace(self, layers=replace(self.layers, pressure=self.layers.pressure * factor))
+
     def to_pandas(self, h: ArrayLike | None = None) -> Any:
         """The profile as a pandas DataFrame, at heights [m] or at its layer boundaries."""
         import pandas as pd
@@ -311,19 +320,16 @@ def profile_from_table(
 ) -> Profile:
     """A profile through a table of the air, such as a sounding or a known truth.
 
-    Each layer keeps the tabulated pressure at its base; where the table is hydrostatic with the
-    same gravity, pressure is continuous. ``h`` [m above sea level], (n,), increasing.
+    Temperature and humidity pass through the table. Pressure is hydrostatic (Eq. 52-53), at the
+    level that the tabulated pressures have in the median: jumps of pressure between layers would
+    be mirrors in the sky. ``h`` [m above sea level], (n,), increasing.
     """
     edge = gravity.geopotential_height(h)
     t = np.asarray(temperature_k, np.float64)
     p = np.asarray(pressure_pa, np.float64)
     vapour = np.broadcast_to(np.asarray(vapour_pressure_pa, np.float64), t.shape) / p
     t_m = t / (1.0 - VAPOUR_DEFICIT * vapour)
-    layers = stack_layers(
-        edge, t_m, vapour, (MEASURED,) * (edge.size - 1), anchor=(float(edge[0]), float(p[0]))
-    )
-    layers = Layers(
-        layers.edge, layers.temperature, layers.lapse, p[:-1], layers.vapour, layers.vapour_slope,
-        layers.source,
-    )  # fmt: skip
-    return Profile(layers, gravity, index or IndexModel(), name)
+    anchor = (float(edge[0]), float(p[0]))
+    layers = stack_layers(edge, t_m, vapour, (MEASURED,) * (edge.size - 1), anchor=anchor)
+    profile = Profile(layers, gravity, index or IndexModel(), name)
+    return profile.at_level(gravity.height(edge), p)

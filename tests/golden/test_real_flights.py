@@ -1,0 +1,125 @@
+"""Logs of real flights run to the end; their events and measurements are made up here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pipeline.batch.manifest import Outcome
+from pipeline.errors import MissionError
+from pipeline.ingest import open_log
+from pipeline.stages import run_mission
+
+from .conftest import SHARED, needs_shared, read_observations, write_mission
+from .test_autopilot_logs import CAMERA
+
+pytestmark = needs_shared
+
+
+def fly(
+    folder: Path,
+    name: str,
+    ground: dict[str, object],
+    undulation_m: float | None = None,
+    **log: object,
+) -> Outcome:
+    """Exposures every few seconds over the attitude channel, five points in each image."""
+    path = SHARED / "logs" / name
+    attitude = min(
+        (c for c in open_log(path).channels if "attitude" in c.roles), key=lambda c: c.rank
+    )
+    start, end = attitude.time_ns[0], attitude.time_ns[-1]
+    time_ns = np.linspace(start + 10**9, end - 10**9, 60).astype(np.int64)
+    images = [f"img_{i:03d}" for i in range(60)]
+    stamps = pd.to_datetime(time_ns, utc=True).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    pd.DataFrame({"image": images, "time_utc": stamps}).to_csv(folder / "events.csv", index=False)
+    rng = np.random.default_rng(5)
+    pd.DataFrame(
+        {
+            "image": np.repeat(images, 5),
+            "point": [f"p{i}" for i in range(300)],
+            "x_px": rng.uniform(0, 6000, 300),
+            "y_px": rng.uniform(0, 4000, 300),
+        }
+    ).to_csv(folder / "observations.csv", index=False)
+    return run_mission(
+        write_mission(
+            folder / "mission.yaml",
+            mission={"name": Path(name).stem, "undulation_m": undulation_m},
+            log={"path": str(path), **log},
+            observations={"path": "observations.csv"},
+            cameras={"cam": dict(CAMERA)},
+            mount={"cam": {}},
+            events={"csv": {"path": "events.csv"}},
+            ground=ground,
+            output={"path": "results"},
+        )
+    )
+
+
+def checked(outcome: Outcome) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Stations and observations; every row has values or a reason."""
+    stations = pd.read_parquet(outcome.output / "stations.parquet")
+    observations = read_observations(outcome.output)
+    assert len(observations) == 300
+    good = observations["status"].isin(["ok", "beyond_grazing"])
+    assert (
+        observations.loc[good, ["x_corrected_px", "y_corrected_px", "r_c_rad"]].notna().all().all()
+    )
+    assert observations.loc[~good, "x_corrected_px"].isna().all()
+    assert (
+        stations.loc[stations["status"] == "ok", ["lat_deg", "h_msl_m", "q_w"]].notna().all().all()
+    )
+    return stations, observations
+
+
+def test_copter_with_a_gap_in_the_log(tmp_path: Path) -> None:
+    ground = {"height": 45.0, "reference": "msl"}
+    outcome = fly(tmp_path, "beastayyg_sample.bin", ground)
+    stations, observations = checked(outcome)
+    # 628 of the 700 s are a gap (disarmed): most exposures must fall into it.
+    counts = stations["status"].value_counts()
+    assert counts["in_gap"] > 40
+    assert counts["ok"] >= 5
+    assert outcome.exit_code == 3
+    assert outcome.manifest["profile"]["basis"] == "standard"
+    assert (observations["status"] == "ok").sum() > 20
+
+
+def test_telemetry_with_five_boots(tmp_path: Path) -> None:
+    ground = {"height": 570.0, "reference": "msl"}
+    outcome = fly(tmp_path, "pymavlink_swift_flight.tlog", ground)
+    stations, observations = checked(outcome)
+    assert outcome.manifest["log"]["boots"] == 5
+    assert (stations["status"] == "ok").sum() > 30
+    assert (observations["status"] == "ok").sum() > 100
+
+
+def test_motion_capture_has_attitude_and_time(tmp_path: Path) -> None:
+    origin = {"lat_deg": 40.4, "lon_deg": -86.9, "h_ellipsoid_m": 150.0}
+    ground = {"height": 183.0, "reference": "msl"}
+    channels = {"position": "/cub1/pose", "attitude": "/cub1/pose"}
+    with pytest.raises(MissionError, match="CHANNEL-MISSING"):
+        fly(tmp_path, "cubs2_cub_stabilize.mcap", ground, channels=channels)
+    outcome = fly(tmp_path, "cubs2_cub_stabilize.mcap", ground)
+    stations, _ = checked(outcome)
+    assert (stations["status"] == "no_position").all()
+    assert outcome.exit_code == 3
+    located = fly(tmp_path, "cubs2_cub_stabilize.mcap", ground, local_origin=origin)
+    stations, _ = checked(located)
+    assert (stations["status"] == "height_reference_unknown").all()
+    assert stations["q_w"].notna().all()
+    assert np.abs(stations["lat_deg"] - 40.4).max() < 0.001
+    whole = fly(
+        tmp_path,
+        "cubs2_cub_stabilize.mcap",
+        {**ground, "height": 150.0},
+        -33.0,
+        local_origin=origin,
+    )
+    stations, observations = checked(whole)
+    assert (stations["status"] == "ok").all()
+    assert (observations["status"] == "ok").sum() > 50
