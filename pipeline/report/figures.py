@@ -72,22 +72,40 @@ def save_figure(figure: Figure, path: Path) -> None:
 def profile_figure(adjustment: Adjustment, samples: AirSamples) -> Figure:
     """Temperature and refractivity of the adjusted profile and the standard, with the samples."""
     figure, (left, right) = _new_figure(2, 7.6, 3.6)
+    _draw_temperature(left, adjustment, samples)
     profile, standard = adjustment.profile, adjustment.standard
-    low, high = _height_range(samples)
-    h = np.linspace(low, high, 400)
-    if samples.temperature is not None:
-        _scatter(left, samples.temperature)
-    left.plot(standard.temperature(h) - 273.15, h, color=_STANDARD, lw=1.2, label=standard.name)
-    left.plot(profile.temperature(h) - 273.15, h, color=_ADJUSTED, lw=1.4, label=profile.name)
-    left.set_xlabel("temperature [°C]")
-    left.set_ylabel("height above sea level [m]")
-    left.legend(frameon=False)
+    h = np.linspace(*_height_range(samples), 400)
     excess = 100.0 * (profile.refractivity(h) / standard.refractivity(h) - 1.0)
     right.axvline(0.0, color=_STANDARD, lw=1.2)
     right.plot(excess, h, color=_ADJUSTED, lw=1.4)
     right.set_xlabel(f"refractivity against {standard.name} [%]")
     right.tick_params(labelleft=False)
     return figure
+
+
+def effect_figure(
+    adjustment: Adjustment, samples: AirSamples, camera: str, grid: ImageGrid
+) -> Figure:
+    """The air of a flight beside what it does to the images of one camera."""
+    figure, (left, right) = _new_figure(2, 8.2, 3.4)
+    _draw_temperature(left, adjustment, samples)
+    left.set_title("the air: measured against standard", fontsize=9)
+    _draw_shifts(figure, right, grid)
+    right.set_title(f"what it does to the {camera} image", fontsize=9)
+    return figure
+
+
+def _draw_temperature(axis: Axes, adjustment: Adjustment, samples: AirSamples) -> None:
+    profile, standard = adjustment.profile, adjustment.standard
+    h = np.linspace(*_height_range(samples), 400)
+    if samples.temperature is not None:
+        _scatter(axis, samples.temperature)
+    axis.plot(standard.temperature(h) - 273.15, h, color=_STANDARD, lw=1.2, label=standard.name)
+    if profile is not standard:
+        axis.plot(profile.temperature(h) - 273.15, h, color=_ADJUSTED, lw=1.4, label=profile.name)
+    axis.set_xlabel("temperature [°C]")
+    axis.set_ylabel("height above sea level [m]")
+    axis.legend(frameon=False, markerscale=4.0)
 
 
 def _height_range(samples: AirSamples) -> tuple[float, float]:
@@ -123,22 +141,27 @@ def correction_figure(grids: Mapping[str, ImageGrid]) -> Figure:
     shown = {name: grid for name, grid in grids.items() if grid.sums[2].any()} or dict(grids)
     figure, axes = _new_figure(len(shown), 3.9 * len(shown), 3.4)
     for axis, (name, grid) in zip(axes, shown.items(), strict=True):
-        x, y, dx, dy = grid.means()
-        size = np.hypot(dx, dy)
-        axis.set_title(f"{name}", fontsize=9)
-        axis.set_xlim(0, grid.width_px)
-        axis.set_ylim(grid.height_px, 0)
-        axis.set_aspect("equal")
-        axis.set_xlabel("x [px]")
-        axis.set_ylabel("y [px]")
-        if size.size == 0:
-            continue
-        arrows = axis.quiver(
-            x, y, *_arrow_lengths(grid, dx, dy, size), size, angles="xy", scale_units="xy",
-            scale=1.0, width=0.005, cmap="viridis",
-        )  # fmt: skip
-        figure.colorbar(arrows, ax=axis, label="correction [px]", shrink=0.8)
+        axis.set_title(name, fontsize=9)
+        _draw_shifts(figure, axis, grid)
     return figure
+
+
+def _draw_shifts(figure: Figure, axis: Axes, grid: ImageGrid) -> None:
+    axis.set_xlim(0, grid.width_px)
+    axis.set_ylim(grid.height_px, 0)
+    axis.set_aspect("equal")
+    axis.locator_params(axis="x", nbins=5)
+    axis.set_xlabel("x [px]")
+    axis.set_ylabel("y [px]")
+    x, y, dx, dy = grid.means()
+    size = np.hypot(dx, dy)
+    if size.size == 0:
+        return
+    arrows = axis.quiver(
+        x, y, *_arrow_lengths(grid, dx, dy, size), size, angles="xy", scale_units="xy",
+        scale=1.0, width=0.005, cmap="viridis",
+    )  # fmt: skip
+    figure.colorbar(arrows, ax=axis, label="correction [px]", shrink=0.8)
 
 
 def _arrow_lengths(

@@ -1,0 +1,55 @@
+"""Memory does not depend on the number of observations."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from .conftest import REPOSITORY, sample_sections, write_mission
+
+ROWS = 10_000_000
+
+_RUN = """
+import json, resource, sys
+from pathlib import Path
+from pipeline.stages import run_mission
+outcome = run_mission(Path(sys.argv[1]))
+peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+print(json.dumps({"rows": outcome.manifest["observations"]["rows"], "peak": peak}))
+"""
+
+
+def peak_of(folder: Path, rows: int) -> tuple[int, int]:
+    """Rows corrected, and the largest resident memory [bytes] of a process that did it."""
+    small = pq.read_table(REPOSITORY / "sample_logs" / "observations.parquet")
+    block = pa.concat_tables([small] * 200).combine_chunks()
+    folder.mkdir()
+    with pq.ParquetWriter(folder / "observations.parquet", small.schema) as writer:
+        for first in range(0, rows, len(block)):
+            writer.write_table(block.slice(0, min(len(block), rows - first)))
+    sections = sample_sections("bin", folder / "results")
+    sections["observations"]["path"] = str(folder / "observations.parquet")
+    mission = write_mission(folder / "mission.yaml", **sections)
+    done = subprocess.run(
+        [sys.executable, "-c", _RUN, str(mission)], capture_output=True, text=True, check=True
+    )
+    found = json.loads(done.stdout)
+    return found["rows"], found["peak"]
+
+
+def test_ten_million_observations_in_a_gigabyte(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    few_rows, few_peak = peak_of(tmp_path / "few", 1_000_000)
+    rows, peak = peak_of(tmp_path / "many", ROWS)
+    with capsys.disabled():
+        print(f"\npeak memory: {few_peak / 1e6:.0f} MB at 1 M, {peak / 1e6:.0f} MB at 10 M rows")
+    assert (few_rows, rows) == (1_000_000, ROWS)
+    assert peak < 1e9
+    assert peak < few_peak + 100e6

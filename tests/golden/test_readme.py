@@ -1,0 +1,90 @@
+"""What README.md shows works, and the adjustment it leads to is better for it."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pipeline.batch.manifest import Outcome
+from pipeline.config import load_mission
+
+from .conftest import REPOSITORY
+
+README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+SNIPPETS = dict(re.findall(r"### (\w+)\n[^#]*?```python\n(.*?)```", README, re.S))
+
+
+@pytest.fixture
+def beside_results(
+    runs: dict[str, Outcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Path:
+    """A folder as it looks after `make sample`."""
+    shutil.copytree(runs["bin"].output, tmp_path / "results" / "sample_bin")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def execute(code: str) -> dict[str, Any]:
+    names: dict[str, Any] = {}
+    exec(compile(code, "README.md", "exec"), names)
+    return names
+
+
+def test_the_mission_file_of_the_readme_is_sound(tmp_path: Path) -> None:
+    text = re.search(r"```yaml\n(.*?)```", README, re.S)
+    assert text is not None
+    path = tmp_path / "mission.yaml"
+    path.write_text(text.group(1), encoding="utf-8")
+    mission = load_mission(path)
+    assert mission.cameras["oblique"].build().k1 == -0.015
+
+
+@pytest.mark.parametrize("name", ["pandas", "duckdb"])
+def test_tables_open_as_the_readme_says(
+    name: str, beside_results: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    execute(SNIPPETS[name])
+    assert len(capsys.readouterr().out) > 100
+
+
+def height_error(code: str, truth: dict[str, pd.DataFrame]) -> float:
+    """RMS error in height [m] of the points that the README's adjustment finds."""
+    found = execute(code)
+    true = truth["points"].set_index("point").loc[list(found["points"])]
+    ecef = np.stack(
+        found["ecef"].transform(true["lon_deg"], true["lat_deg"], true["h_ellipsoid_m"]), axis=1
+    )
+    expected = found["enu"](found["lat0"], found["lon0"]).apply(ecef - found["origin"])
+    error = np.array(list(found["points"].values())) - expected
+    assert len(error) > 500
+    return float(np.sqrt(np.mean(error[:, 2] ** 2)))
+
+
+def test_the_adjustment_is_free_of_refraction(
+    beside_results: Path, truth: dict[str, pd.DataFrame], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exterior orientation held at its true values, so that refraction is the only error."""
+    truth["stations"].assign(status="ok").to_parquet("stations.parquet")
+    code = SNIPPETS["pycolmap"].replace('f"{run}/stations.parquet"', '"stations.parquet"')
+    assert "x_corrected_px" in code
+    uncorrected = code.replace("x_corrected_px", "x_px").replace("y_corrected_px", "y_px")
+    twice = code.replace(
+        ".to_numpy()\n    camera_id",
+        ".to_numpy() * 2 - rows[s.image][['x_px', 'y_px']].to_numpy()\n    camera_id",
+    )
+    assert twice != code
+    errors = {
+        name: height_error(text, truth)
+        for name, text in (("with", code), ("without", uncorrected), ("twice", twice))
+    }
+    with capsys.disabled():
+        print("\nheight rms [m] " + ", ".join(f"{k} {v:.4f}" for k, v in errors.items()))
+    assert errors["with"] < 0.1 * errors["without"]
+    assert errors["with"] < 0.02
+    assert errors["twice"] > 5.0 * errors["with"]
