@@ -77,6 +77,16 @@ def assign_roles(
         others = ["airspeed", "cabin_temperature", "cabin_humidity", "temperature", "humidity"]
     for role in others:
         _fill(filled, role, everything, taken, ledger, wishes)
+    needed = ["position", "attitude"] + (["cabin_pressure", "cabin_temperature"] * needs_cabin)
+    for role in needed:
+        if role not in filled and role not in wishes:
+            there = ", ".join(channel.name for channel in everything) or "no channel at all"
+            ledger.loss(
+                "CHANNEL-MISSING",
+                f"no channel of the log can be taken for the {role.replace('_', ' ')}; it has "
+                f"{there}",
+                where=f"log.channels.{role}",
+            )
     return filled
 
 

@@ -17,7 +17,10 @@ from pipeline.config import load_mission
 from .conftest import REPOSITORY
 
 README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
-SNIPPETS = dict(re.findall(r"### (\w+)\n[^#]*?```python\n(.*?)```", README, re.S))
+SNIPPETS = {
+    name.lower(): code
+    for name, code in re.findall(r"### (\w+)\n[^#]*?```python\n(.*?)```", README, re.S)
+}
 
 
 @pytest.fixture

@@ -1,0 +1,248 @@
+"""From events to stations: mounts, lever arms, heights, reasons. Expected values by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyproj
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pipeline.errors import MissionError
+from pipeline.flight.channels import Channel, Source
+from pipeline.flight.exposures import (
+    Events,
+    Mount,
+    account_for_triggers,
+    build_stations,
+    choose_event_channel,
+    events_of_channel,
+    refuse_repeated_images,
+    require_cabin_air,
+)
+from pipeline.flight.heights import HeightSystem, ground_offsets, height_system
+from pipeline.flight.local import Origin, locate
+from pipeline.flight.stations import name_the_unmatched, report_flagged
+from pipeline.ledger import Ledger
+
+SECOND = 1_000_000_000
+LATITUDE, LONGITUDE = np.radians(47.0), np.radians(8.0)
+
+
+def channel(name: str, seconds: object, rank: int = 50, **columns: object) -> Channel:
+    time_ns = (np.atleast_1d(np.asarray(seconds, float)) * SECOND).astype(np.int64)
+    arrays = {k: np.broadcast_to(np.asarray(v, float), time_ns.shape) for k, v in columns.items()}
+    message, _, instance = name.partition("[")
+    return Channel(
+        name, time_ns, arrays, Source(message, instance.rstrip("]") or None), rank=rank,
+        roles=("events",) if "event_index" in arrays else (),
+    )  # fmt: skip
+
+
+def roles(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0, **more: Channel):
+    seconds = np.arange(0.0, 10.0, 0.1)
+    q = Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True).as_quat()
+    place = {"lat_rad": LATITUDE, "lon_rad": LONGITUDE}
+    return {
+        "position": channel("POS", seconds, **place),
+        "height": channel("GPS[0]", seconds, **place, h_msl_m=1000.0),
+        "attitude": channel("ATT", seconds, q_x=q[0], q_y=q[1], q_z=q[2], q_w=q[3]),
+        **more,
+    }
+
+
+def events(*seconds: float) -> Events:
+    names = np.array([f"image_{i}" for i in range(len(seconds))], dtype=object)
+    return Events("cam", names, (np.array(seconds) * SECOND).astype(np.int64))
+
+
+def one_station(mount: Mount = Mount(), heights: HeightSystem = HeightSystem(), **kwargs: object):  # noqa: B008
+    return build_stations(events(5.0), roles(**kwargs), mount, heights, 1.0)
+
+
+def looks(station, direction: list[float]) -> np.ndarray:
+    """Where a direction of the camera points, in east, north, up."""
+    q = station.quaternion[0][[1, 2, 3, 0]]
+    return Rotation.from_quat(q).inv().apply(direction)
+
+
+FORWARD, RIGHT, UP_IN_IMAGE = [0, 0, 1], [1, 0, 0], [0, -1, 0]
+
+
+def test_level_flight_north_looks_down_with_the_top_of_the_image_north() -> None:
+    station = one_station()
+    assert looks(station, FORWARD) == pytest.approx([0, 0, -1], abs=1e-12)
+    assert looks(station, UP_IN_IMAGE) == pytest.approx([0, 1, 0], abs=1e-12)
+    assert looks(station, RIGHT) == pytest.approx([1, 0, 0], abs=1e-12)
+
+
+def test_flight_east_turns_the_image() -> None:
+    assert looks(one_station(yaw=90.0), UP_IN_IMAGE) == pytest.approx([1, 0, 0], abs=1e-12)
+
+
+def test_right_bank_makes_the_camera_look_left() -> None:
+    """The right wing down: the belly turns to the left, which is west when flying north."""
+    sine = np.sin(np.radians(10.0))
+    assert looks(one_station(roll=10.0), FORWARD)[0] == pytest.approx(-sine, abs=1e-12)
+
+
+def test_nose_up_makes_the_camera_look_ahead() -> None:
+    sine = np.sin(np.radians(10.0))
+    assert looks(one_station(pitch=10.0), FORWARD)[1] == pytest.approx(sine, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("mount", "expected"),
+    [
+        (Mount(roll_rad=-np.pi / 4), [np.sqrt(0.5), 0, -np.sqrt(0.5)]),  # to the right: east
+        (Mount(pitch_rad=np.pi / 4), [0, np.sqrt(0.5), -np.sqrt(0.5)]),  # ahead: north
+        (Mount(pitch_rad=np.pi / 4, yaw_rad=np.pi / 2), [np.sqrt(0.5), 0, -np.sqrt(0.5)]),
+    ],
+)
+def test_mounts(mount: Mount, expected: list[float]) -> None:
+    assert looks(one_station(mount), FORWARD) == pytest.approx(expected, abs=1e-12)
+
+
+def test_lever_arm_moves_the_projection_centre() -> None:
+    mount = Mount(lever_arm_m=(3.0, 2.0, 1.0))  # forward, right, down; flying east
+    station = one_station(mount, HeightSystem(undulation_m=40.0), yaw=90.0)
+    geodesic = pyproj.Geod(ellps="WGS84")
+    azimuth, _, distance = geodesic.inv(
+        np.degrees(LONGITUDE), np.degrees(LATITUDE),
+        np.degrees(station.lon_rad[0]), np.degrees(station.lat_rad[0]),
+    )  # fmt: skip
+    east, north = distance * np.sin(np.radians(azimuth)), distance * np.cos(np.radians(azimuth))
+    # On the ellipsoid, 1040 m below: shorter by 1.6e-4.
+    assert (east, north) == pytest.approx((3.0, -2.0), abs=1e-3)
+    assert station.h_msl_m[0] == pytest.approx(999.0, abs=1e-5)
+    assert station.h_ellipsoid_m[0] == pytest.approx(1039.0, abs=1e-5)
+
+
+def test_unknown_ellipsoidal_height_stays_unknown() -> None:
+    station = one_station(Mount(lever_arm_m=(0.0, 0.0, 1.0)))
+    assert station.h_msl_m[0] == pytest.approx(999.0, abs=1e-5)
+    assert np.isnan(station.h_ellipsoid_m[0])
+    assert station.status[0] == "ok"
+
+
+def test_ellipsoidal_height_alone_is_no_height_above_the_sea() -> None:
+    seconds = np.arange(0.0, 10.0, 0.1)
+    gnss = channel("/fix", seconds, lat_rad=LATITUDE, lon_rad=LONGITUDE, h_ellipsoid_m=1048.0)
+    station = one_station(height=gnss)
+    assert station.status[0] == "height_reference_unknown"
+    known = one_station(heights=HeightSystem(undulation_m=48.0), height=gnss)
+    assert (known.status[0], known.h_msl_m[0]) == ("ok", pytest.approx(1000.0))
+
+
+def test_each_reason_has_its_name() -> None:
+    early_attitude = channel("ATT", np.arange(0, 4, 0.1), q_x=0, q_y=0, q_z=0, q_w=1)
+    torn = np.concatenate([np.arange(0, 3, 0.1), np.arange(7, 10, 0.1)])
+    gap = channel("POS", torn, lat_rad=LATITUDE, lon_rad=LONGITUDE)
+    when = events(-1.0, 2.0, 5.0, 9.95)
+    with_gap = build_stations(when, roles(position=gap), Mount(), HeightSystem(), 1.0)
+    assert with_gap.status.tolist() == ["outside_log", "ok", "in_gap", "outside_log"]
+    late = build_stations(
+        events(2.0, 5.0), roles(attitude=early_attitude), Mount(), HeightSystem(), 1
+    )
+    assert late.status.tolist() == ["ok", "outside_log"]
+    bare = roles()
+    del bare["attitude"]
+    assert build_stations(when, bare, Mount(), HeightSystem(), 1.0).status[1] == "no_attitude"
+    assert build_stations(when, {}, Mount(), HeightSystem(), 1.0).status[1] == "no_position"
+    ledger = Ledger()
+    report_flagged(with_gap, ledger)
+    assert {e.code for e in ledger} == {"STATIONS-FLAGGED"}
+    assert ledger.has_losses
+
+
+def test_air_at_the_exposure() -> None:
+    seconds = np.arange(0.0, 10.0, 0.5)
+    rising = channel("BARO[1]", seconds, pressure_pa=80_000.0 + 100.0 * seconds)
+    warm = channel("TEMP[0]", seconds, temperature_k=293.15)
+    humid = channel("HYGR[1]", seconds, relative_humidity=0.5)
+    station = one_station(cabin_pressure=rising, cabin_temperature=warm, cabin_humidity=humid)
+    assert station.cabin_pressure_pa[0] == pytest.approx(80_500.0)
+    # 2339.2 Pa is the saturation pressure at 20 degrees; moist air holds 0.3 % more.
+    assert station.cabin_vapour_pressure_pa[0] == pytest.approx(0.5 * 2339.2 * 1.0034, rel=1e-3)
+    assert np.isnan(station.pressure_pa[0])
+    ledger = Ledger()
+    assert require_cabin_air(station, "cam", ledger).status[0] == "ok"
+    assert require_cabin_air(one_station(), "cam", ledger).status[0] == "suspect"
+    assert [e.code for e in ledger] == ["CABIN-MISSING"]
+
+
+def test_image_names_and_lost_numbers() -> None:
+    shots = channel("CAM[0]", [1, 2, 3, 4], event_index=[7, 8, 10, 11])
+    ledger = Ledger()
+    named = events_of_channel(shots, "cam", "IMG_{index:03d}_{n}", 0.5, ledger)
+    assert named.image.tolist() == ["IMG_007_1", "IMG_008_2", "IMG_010_3", "IMG_011_4"]
+    assert named.time_ns[0] == 1_500_000_000
+    (entry,) = ledger
+    assert (entry.code, entry.count) == ("EVENTS-LOST", 1)
+    assert "9" in entry.what
+
+
+def test_triggers_without_a_shutter_are_counted() -> None:
+    shots = channel("CAM[0]", [1, 2, 3], event_index=[1, 2, 3])
+    triggers = channel("TRIG[0]", [1, 2, 3, 4, 5], rank=40, event_index=[1, 2, 3, 4, 5])
+    ledger = Ledger()
+    account_for_triggers((shots, triggers), shots, ledger)
+    assert [e.count for e in ledger] == [2]
+
+
+def test_repeated_names_are_refused() -> None:
+    with pytest.raises(MissionError, match="EVENTS-REPEATED"):
+        refuse_repeated_images([events(1.0, 2.0), events(3.0)])
+
+
+def test_choice_of_the_event_channel() -> None:
+    first = channel("CAM[0]", [1], rank=10, event_index=[1])
+    second = channel("CAM[1]", [1], rank=10, event_index=[1])
+    trigger = channel("TRIG[0]", [1], rank=40, event_index=[1])
+    assert choose_event_channel((trigger, first), None) is first
+    assert choose_event_channel((trigger, first, second), "CAM[1]") is second
+    with pytest.raises(MissionError, match=r"CAM\[0\].*CAM\[1\]"):
+        choose_event_channel((first, second), None)
+    with pytest.raises(MissionError, match="EVENTS-CHANNEL"):
+        choose_event_channel((first,), "CAM[3]")
+
+
+def test_undulation_and_home_from_the_log() -> None:
+    seconds = np.arange(0.0, 3.0)
+    both = channel("GPS[0]", seconds, h_msl_m=[1, 2, 3], h_ellipsoid_m=[49, 50, np.nan])
+    home = channel("POS", seconds, h_msl_m=[500.0, 510, 520], h_home_m=[0, 10, 20])
+    system = height_system({"height": both, "position": home}, None, Ledger())
+    assert (system.undulation_m, system.home_h_msl_m) == (48.0, 500.0)
+    assert height_system({"height": both}, 47.0, Ledger()).undulation_m == 47.0
+
+
+def test_ground_heights_of_three_kinds() -> None:
+    station = one_station(heights=HeightSystem(undulation_m=48.0))
+    heights = HeightSystem(48.0, 430.0)
+    assert ground_offsets("msl", station, heights).tolist() == [0.0]
+    assert ground_offsets("ellipsoid", station, heights) == pytest.approx([-48.0])
+    assert ground_offsets("relative", station, heights).tolist() == [430.0]
+    with pytest.raises(MissionError, match="take-off"):
+        ground_offsets("relative", station, HeightSystem())
+    with pytest.raises(MissionError, match="undulation"):
+        ground_offsets("ellipsoid", one_station(), HeightSystem())
+
+
+def test_images_without_an_exposure_get_a_row() -> None:
+    ledger = Ledger()
+    joined = name_the_unmatched(one_station(), ("image_0", "stray"), ledger)
+    assert joined.image.tolist() == ["image_0", "stray"]
+    assert joined.status.tolist() == ["ok", "unmatched"]
+    assert ledger.has_losses
+
+
+def test_local_positions_get_a_place() -> None:
+    pose = channel("/pose", [0.0, 1.0], east_m=[0, 100], north_m=[0, 200], up_m=[0, 10])
+    placed = locate(pose, Origin(LATITUDE, LONGITUDE, 500.0))
+    to_ecef = pyproj.Transformer.from_crs(4979, 4978)
+    a, b = np.transpose(
+        to_ecef.transform(
+            np.degrees(placed["lat_rad"]), np.degrees(placed["lon_rad"]), placed["h_ellipsoid_m"]
+        )
+    )
+    assert np.linalg.norm(b - a) == pytest.approx(np.sqrt(100**2 + 200**2 + 10**2), abs=1e-6)
+    assert placed["h_ellipsoid_m"][0] == pytest.approx(500.0, abs=1e-6)

@@ -1,0 +1,177 @@
+"""Which channel plays which role, and what is not believed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.errors import MissionError
+from pipeline.flight.air import air_samples
+from pipeline.flight.channels import Channel, Source
+from pipeline.flight.heights import HeightSystem
+from pipeline.flight.quality import within_reason
+from pipeline.flight.roles import Wish, assign_roles, follows_height
+from pipeline.ledger import Kind, Ledger
+
+SECONDS = np.arange(0.0, 900.0, 1.0)
+TIME = (SECONDS * 1e9).astype(np.int64)
+# 60 s on the ground, up to 2450 m at 5 m/s, level, and down again.
+HEIGHT = 450.0 + np.clip(np.minimum(SECONDS - 60.0, 860.0 - SECONDS) * 5.0, 0.0, 2000.0)
+
+
+def channel(name: str, rank: int, *roles: str, **columns: object) -> Channel:
+    arrays = {
+        k: np.broadcast_to(np.asarray(v, float), TIME.shape).copy() for k, v in columns.items()
+    }
+    return Channel(name, TIME, arrays, Source(name), roles=roles, rank=rank)
+
+
+def free_air(h: np.ndarray) -> np.ndarray:
+    return 101_325.0 * (1.0 - 0.0065 * h / 288.15) ** 5.2559
+
+
+PLACE = {"lat_rad": 0.8, "lon_rad": 0.1}
+POS = channel("POS", 10, "position", **PLACE)
+GPS = channel("GPS[0]", 20, "height", "position", h_msl_m=HEIGHT, **PLACE)
+GPS2 = channel("GPS[1]", 20, "height", "position", h_msl_m=HEIGHT, **PLACE)
+ATT = channel("ATT", 10, "attitude", q_w=1, q_x=0, q_y=0, q_z=0)
+BARO = channel("BARO[0]", 10, "pressure", "cabin_pressure", pressure_pa=free_air(HEIGHT))
+CABIN = channel(
+    "BARO[1]", 10, "pressure", "cabin_pressure", pressure_pa=free_air(np.minimum(HEIGHT, 1200.0))
+)
+SEALED = channel("BARO[2]", 10, "pressure", "cabin_pressure", pressure_pa=100_000.0)
+AIR = ("temperature", "humidity", "cabin_temperature", "cabin_humidity")
+OUT = channel("HYGR[0]", 10, *AIR, temperature_k=280.0, relative_humidity=0.5)
+IN = channel("HYGR[1]", 10, *AIR, temperature_k=294.0, relative_humidity=0.3)
+ARSP = channel("ARSP[0]", 30, "temperature", "airspeed", temperature_k=281.0, airspeed_m_s=60)
+
+
+def assign(*channels: Channel, cabin: bool = False, **wishes: str):
+    ledger = Ledger()
+    named = {role: Wish(name) for role, name in wishes.items()}
+    roles = assign_roles(channels, named, ledger, needs_cabin=cabin)
+    return {role: c.name for role, c in roles.items()}, ledger
+
+
+def test_filter_for_position_receiver_for_height() -> None:
+    roles, _ = assign(POS, GPS, GPS2, ATT, BARO)
+    assert (roles["position"], roles["height"], roles["attitude"]) == ("POS", "GPS[0]", "ATT")
+
+
+def test_barometers_are_told_apart_by_what_they_measure() -> None:
+    assert follows_height(BARO, GPS) is True
+    assert follows_height(CABIN, GPS) is False
+    assert follows_height(SEALED, GPS) is False
+    level = channel("GPS[0]", 20, "height", h_msl_m=450.0 + HEIGHT * 0.01, **PLACE)
+    assert follows_height(BARO, level) is None
+    roles, ledger = assign(POS, GPS, ATT, CABIN, BARO, cabin=True)
+    assert (roles["pressure"], roles["cabin_pressure"]) == ("BARO[0]", "BARO[1]")
+    assert "BARO-NOT-OUTSIDE" in {e.code for e in ledger}
+
+
+def test_two_cabins_are_not_guessed_between() -> None:
+    roles, ledger = assign(POS, GPS, ATT, BARO, CABIN, SEALED, cabin=True)
+    assert "cabin_pressure" not in roles
+    assert any(e.code == "ROLE-AMBIGUOUS" and "BARO[2]" in e.what for e in ledger)
+    assert ledger.has_losses
+
+
+def test_two_thermometers_of_one_rank_are_not_guessed_between() -> None:
+    roles, ledger = assign(POS, GPS, ATT, OUT, IN, ARSP)
+    assert roles["temperature"] == "ARSP[0]"
+    assert "humidity" not in roles
+    assert sum(e.code == "ROLE-AMBIGUOUS" for e in ledger) == 2
+    alone, _ = assign(POS, GPS, ATT, OUT, ARSP)
+    assert (alone["temperature"], alone["humidity"]) == ("HYGR[0]", "HYGR[0]")
+
+
+def test_inside_is_never_outside() -> None:
+    roles, _ = assign(
+        POS, GPS, ATT, IN, cabin=True, cabin_temperature="HYGR[1]", cabin_humidity="HYGR[1]"
+    )
+    assert "temperature" not in roles
+    assert "humidity" not in roles
+
+
+def test_board_temperature_is_never_the_air() -> None:
+    board = channel(
+        "BARO[0]", 10, "pressure", pressure_pa=free_air(HEIGHT), board_temperature_k=310
+    )
+    roles, _ = assign(POS, GPS, ATT, board)
+    assert "temperature" not in roles
+    with pytest.raises(MissionError, match=r"board_temperature_k"):
+        assign(POS, GPS, board, ATT, attitude="BARO[0]")
+    roles, ledger = assign(POS, GPS, ATT, board, temperature="BARO[0]")
+    assert "temperature" not in roles
+    assert ledger.has_losses
+
+
+def test_a_named_channel_that_is_not_there() -> None:
+    with pytest.raises(MissionError, match=r"near: .*GPS\[0\]") as refusal:
+        assign(POS, GPS, ATT, position="GPS[3]")
+    assert "POS" in refusal.value.what
+    _, ledger = assign(POS, GPS, ATT, OUT, humidity="HYGR[5]")
+    assert [e.code for e in ledger if e.kind is Kind.LOSS] == ["CHANNEL-MISSING"]
+
+
+def test_no_position_at_all_says_what_there_is() -> None:
+    _, ledger = assign(ATT, BARO)
+    (entry,) = (e for e in ledger if e.kind is Kind.LOSS)
+    assert "position" in entry.what
+    assert "BARO[0]" in entry.what
+
+
+def test_a_unit_may_be_stated() -> None:
+    mystery = channel("NAMED_VALUE_FLOAT[CabP]", 50, value=812.5)
+    wishes = {"cabin_pressure": Wish(mystery.name, "hPa")}
+    roles = assign_roles((POS, GPS, ATT, mystery), wishes, Ledger(), needs_cabin=False)
+    assert roles["cabin_pressure"]["pressure_pa"][0] == pytest.approx(81_250.0)
+    with pytest.raises(MissionError, match="CHANNEL-UNIT"):
+        assign_roles(
+            (mystery,), {"pressure": Wish(mystery.name, "degC")}, Ledger(), needs_cabin=False
+        )
+
+
+@pytest.mark.parametrize(
+    ("role", "column", "value", "unit"),
+    [
+        ("pressure", "pressure_pa", 1013.25, "hPa"),
+        ("temperature", "temperature_k", 15.0, "degC"),
+        ("humidity", "relative_humidity", 65.0, "percent"),
+    ],
+)
+def test_a_wrong_unit_is_refused(role: str, column: str, value: float, unit: str) -> None:
+    with pytest.raises(MissionError, match=f"looks like {unit}") as refusal:
+        within_reason(channel("X", 50, **{column: value}), role, Ledger())
+    assert f"unit: {unit}" in refusal.value.remedy
+
+
+def test_impossible_readings_are_taken_out_and_counted() -> None:
+    pressure = free_air(HEIGHT)
+    pressure[:3], pressure[10] = np.nan, 1e9
+    ledger = Ledger()
+    sound = within_reason(channel("BARO[0]", 10, pressure_pa=pressure), "pressure", ledger)
+    assert len(sound) == len(TIME) - 4
+    assert sorted(e.count for e in ledger) == [1, 3]
+    assert ledger.has_losses
+
+
+def test_the_ground_and_the_first_minute_are_not_the_air() -> None:
+    roles = {"height": GPS, "temperature": OUT, "pressure": BARO}
+    ledger = Ledger()
+    found = air_samples(roles, HeightSystem(), 5.0, ledger)
+    assert found.temperature is not None
+    assert found.pressure is not None
+    took_off = 60.0 + 20.0 / 5.0
+    used = SECONDS[found.temperature.accepted]
+    assert used.min() == pytest.approx(took_off + 60.0, abs=2.0)
+    assert used.max() == pytest.approx(860.0 - 4.0, abs=2.0)
+    assert found.pressure.accepted.all()
+    assert "AIR-GROUND-SOAK" in {e.code for e in ledger}
+
+
+def test_a_log_that_begins_in_the_air_has_no_take_off() -> None:
+    flying = channel("GPS[0]", 20, "height", h_msl_m=2000.0 + SECONDS, **PLACE)
+    found = air_samples({"height": flying, "temperature": OUT}, HeightSystem(), 5.0, Ledger())
+    assert found.temperature is not None
+    assert found.temperature.accepted.mean() > 0.9
