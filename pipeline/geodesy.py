@@ -56,7 +56,8 @@ def lambert_gravity(latitude_rad: float) -> Gravity:
     """Sea-level gravity and effective radius at a latitude, after Lambert.
 
     Valid at all latitudes; the geopotential height stays within 0.10 m of integrated WGS84
-    normal gravity up to 10 km. Source: Gyer 1996, p. 307; List 1958, p. 218, Equation 6.
+    normal gravity up to 10 km (0.11 m at the poles) and within 0.27 m up to 25 km.
+    Source: Gyer 1996, p. 307; List 1958, p. 218, Equation 6.
 
     >>> gravity = lambert_gravity(0.7853981633974483)
     >>> round(gravity.g_phi, 5), round(gravity.r_phi)

@@ -59,7 +59,8 @@ class Samples:
     """One sensor's readings against height; (n,) arrays.
 
     ``time_ns`` UTC, ``h_m`` above sea level, ``value`` in SI (K, Pa, or relative humidity 0-1),
-    ``accepted`` False for readings a gate has taken out (they are shown, not used).
+    ``accepted`` False for readings a gate has taken out (they are shown, not used); it becomes
+    False where height or value is no number.
     """
 
     time_ns: NDArray[np.int64]
@@ -67,6 +68,10 @@ class Samples:
     value: Array
     accepted: NDArray[np.bool_]
     name: str = ""
+
+    def __post_init__(self) -> None:
+        known = np.isfinite(self.h_m) & np.isfinite(self.value)
+        object.__setattr__(self, "accepted", self.accepted & known)
 
     def used(self) -> tuple[Array, Array]:
         """Heights and values that were accepted."""

@@ -14,7 +14,7 @@ LAYER_M = 500.0
 
 _BIN_M = 50.0
 _PRESSURE_NOISE = 3e-4  # of p: 0.2 hPa of barometer and 1.5 m of GNSS height, averaged in a bin
-_KINK_K = 2.0  # how far the departure from the standard bends from one layer to the next [K]
+_KINK_K = 4.0  # how far the departure from the standard bends from one layer to the next [K]
 _DEPARTURE_K = 20.0
 
 

@@ -32,7 +32,7 @@ STANDARD = "standard"
 
 # Below this temperature difference across a layer Eq. 53 stands for Eq. 52: they then agree to
 # 1e-13 in pressure for any layer of less than a scale height.
-_ISOTHERMAL_K = 1e-10
+_ISOTHERMAL_K = 1e-7
 
 
 def pressure_gradient_layer(

@@ -43,9 +43,10 @@ class Camera:
     @cached_property
     def largest_radius(self) -> float:
         """Ideal radius (tan of the field angle) up to which the distortion can be inverted."""
-        roots = np.roots([7.0 * self.k3, 5.0 * self.k2, 3.0 * self.k1, 1.0])
-        real = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots.real)) & (roots.real > 0.0)]
-        return float(np.sqrt(real.min())) if real.size else np.inf
+        # Where d(r_d)/dr = 0, in 1/r^2: so nothing is divided by a coefficient that may be tiny.
+        roots = np.roots([1.0, 3.0 * self.k1, 5.0 * self.k2, 7.0 * self.k3])
+        real = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots.real)) & (roots.real > 1e-12)]
+        return float(1.0 / np.sqrt(real.max())) if real.size else np.inf
 
     def distort(self, u: Array, v: Array) -> tuple[Array, Array]:
         """Distorted image coordinates of ideal ones, both in units of the principal distance."""

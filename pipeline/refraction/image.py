@@ -217,6 +217,7 @@ def landing_point(direction: Array, h_c: Array, h_g: Array, radius: Array) -> Ar
             (h_c - h_g) * (r_c + r_g) / (r_c * cos_z + q),
             r_c * cos_z + q,
         )
+        distance = np.where(h_c == h_g, 0.0, distance)
         distance = np.where(distance >= 0.0, distance, np.nan)
     return np.asarray(direction * distance[:, None])
 
@@ -225,7 +226,7 @@ def ground_displacement(h_c: float, h_g: float, zeta_c: float, r_c: float, radiu
     """How far [m] a refraction angle moves the point where a straight ray reaches a height.
 
     >>> round(ground_displacement(10000.0, 0.0, 0.7853981633974483, 7.94e-5, 6371000.0), 3)
-    1.593
+    1.592
     """
     angle = np.array([zeta_c, zeta_c - r_c])
     rays = np.stack([np.sin(angle), np.zeros(2), -np.cos(angle)], axis=1)

@@ -1,0 +1,334 @@
+"""What the adjustment does with good, bad and missing sensors, in an air known by construction."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from pipeline.atmosphere import standard_atmosphere
+from pipeline.atmosphere.adjust import (
+    AirSamples,
+    Samples,
+    bin_by_height,
+    build_adjusted_profile,
+    unadjusted,
+)
+from pipeline.ledger import Kind, Ledger
+from pipeline.simulate.air import TrueAir, relative_humidity, temperature_k, true_air
+
+LATITUDE = math.radians(47.4)
+FIELD_M = 450.0
+US1976 = standard_atmosphere("us1976")
+
+
+@pytest.fixture(scope="module")
+def air() -> TrueAir:
+    """An inversion and humidity; integrated with WGS84 gravity, apart from the estimator."""
+    return true_air(LATITUDE)
+
+
+def flight(climb: float, rate: float = 5.0) -> tuple[np.ndarray, np.ndarray]:
+    """Times [ns] and heights [m] of a climb and a descent, once a second."""
+    up = FIELD_M + np.arange(0.0, climb + 0.1, rate)
+    h = np.concatenate([up, up[::-1]])
+    return (1_600_000_000 + np.arange(h.size)).astype(np.int64) * 10**9, h
+
+
+def samples(time_ns, h, value, name="sensor", accepted=None) -> Samples:
+    used = np.ones(h.size, bool) if accepted is None else accepted
+    return Samples(time_ns, h, np.asarray(value, float), used, name)
+
+
+def measured(air: TrueAir, climb: float, *, t=True, p=True, rh=True, **change) -> AirSamples:
+    """Clean readings of a flight; ``change`` replaces values of temperature, pressure, humidity."""
+    time_ns, h = flight(climb)
+    values = {
+        "temperature": temperature_k(h) if t else None,
+        "pressure": air.pressure_pa(h) if p else None,
+        "humidity": relative_humidity(h) if rh else None,
+    } | change
+    return AirSamples(
+        **{name: None if v is None else samples(time_ns, h, v, name) for name, v in values.items()}
+    )
+
+
+def adjust(air_samples: AirSamples, standard=US1976):
+    ledger = Ledger()
+    return build_adjusted_profile(air_samples, standard, LATITUDE, ledger), ledger
+
+
+def codes(ledger: Ledger, kind: Kind | None = None) -> list[str]:
+    return [entry.code for entry in ledger if kind is None or entry.kind is kind]
+
+
+def test_the_profile_is_the_air_that_was_measured(air):
+    adjusted, ledger = adjust(measured(air, 3000.0))
+    h = np.linspace(FIELD_M + 30.0, FIELD_M + 2970.0, 500)
+    assert adjusted.basis == "thermometer"
+    # 50 m layers through an inversion 90 m thick: reached 0.12 K.
+    assert np.abs(adjusted.profile.temperature(h) - temperature_k(h)).max() < 0.2
+    assert np.abs(adjusted.profile.pressure(h) - air.pressure_pa(h)).max() < 8.0
+    e = adjusted.profile.vapour_pressure(h)
+    assert np.abs(adjusted.profile.refractivity(h) + 1.0 - air.n(h)).max() < 2.5e-7
+    assert e[0] > 800.0 > e[-1]
+    assert codes(ledger) == ["AIR-ANCHOR"]
+    assert not ledger.has_losses
+
+
+def test_it_relaxes_to_the_standard_far_above(air):
+    adjusted, _ = adjust(measured(air, 3000.0))
+    standard, profile = adjusted.standard, adjusted.profile
+    top = FIELD_M + 3000.0
+    departure = profile.temperature(top) - standard.temperature(top)
+    assert abs(departure) > 2.0
+    away = np.array([2500.0, 5000.0, 10_000.0])
+    left = profile.temperature(top + away) - standard.temperature(top + away)
+    # Falls by e in 2500 m', as the constant says; the vapour held above adds a little.
+    np.testing.assert_allclose(left, departure * np.exp(-away / 2500.0), atol=0.15)
+    far = top + 25_000.0
+    assert profile.temperature(far).item() == pytest.approx(standard.temperature(far).item(), 1e-5)
+    # Pressure keeps the surplus of the warm air below: it is never forced back.
+    assert profile.pressure(far).item() != pytest.approx(standard.pressure(far).item(), rel=1e-3)
+
+
+def test_where_each_layer_comes_from(air):
+    adjusted, _ = adjust(measured(air, 3000.0))
+    layers = adjusted.profile.layers
+    gravity = adjusted.profile.gravity
+    low, high = (float(gravity.geopotential_height(FIELD_M + d)) for d in (25.0, 2975.0))
+    for lower, upper, source in zip(layers.edge[:-1], layers.edge[1:], layers.source, strict=True):
+        if lower >= low and upper <= high:
+            assert source == "measured"
+        elif lower > high + 20_001.0:
+            assert source == "standard"
+        elif lower > high + 60.0 or upper < low - 60.0:
+            assert source == "relaxed"
+    assert set(adjust(measured(air, 4000.0, t=False))[0].profile.layers.source) == {
+        "barometric",
+        "relaxed",
+        "standard",
+    }
+
+
+def test_a_gap_in_the_heights_is_not_called_measured(air):
+    time_ns, h = flight(3000.0)
+    gap = (h > 1500.0) & (h < 2300.0)
+    given = AirSamples(
+        samples(time_ns[~gap], h[~gap], temperature_k(h[~gap])),
+        samples(time_ns, h, air.pressure_pa(h)),
+    )
+    profile = adjust(given)[0].profile
+    i = int(profile.layer_of(1900.0))
+    assert profile.layers.source[i] == "relaxed"
+    assert profile.layers.source[int(profile.layer_of(1200.0))] == "measured"
+    assert profile.layers.source[int(profile.layer_of(2600.0))] == "measured"
+
+
+def test_lag_of_climb_and_descent_cancels(air):
+    time_ns, h = flight(3000.0)
+    # A sensor 20 s late at 5 m/s feels the air 100 m behind: lower in the climb, higher after.
+    half = h.size // 2
+    behind = np.where(np.arange(h.size) < half, h - 100.0, h + 100.0)
+    both = adjust(measured(air, 3000.0, temperature=temperature_k(behind)))[0].profile
+    climb_only = AirSamples(
+        samples(time_ns[:half], h[:half], temperature_k(behind[:half])),
+        samples(time_ns, h, air.pressure_pa(h)),
+    )
+    one = adjust(climb_only)[0].profile
+    # Away from the inversion, where the lapse rate is constant, the lag cancels.
+    quiet = np.concatenate([np.arange(600.0, 1050.0, 25.0), np.arange(1700.0, 3300.0, 25.0)])
+    truth = temperature_k(quiet)
+    assert np.abs(both.temperature(quiet) - truth).max() < 0.1
+    assert np.median(np.abs(one.temperature(quiet) - truth)) > 0.5
+
+
+def test_outliers_do_not_matter(air):
+    rng = np.random.default_rng(12)
+    _, h = flight(3000.0)
+    noisy = temperature_k(h) + rng.normal(0.0, 0.2, h.size)
+    clean = adjust(measured(air, 3000.0, temperature=noisy))[0].profile
+    bad = noisy.copy()
+    bad[rng.random(h.size) < 0.03] += 15.0
+    assert (bad != noisy).sum() > 20
+    dirty = adjust(measured(air, 3000.0, temperature=bad))[0].profile
+    inside = np.linspace(500.0, 3400.0, 300)
+    assert np.abs(dirty.temperature(inside) - clean.temperature(inside)).max() < 0.25
+    ratio = (dirty.refractivity(500.0) - dirty.refractivity(3400.0)) / (
+        clean.refractivity(500.0) - clean.refractivity(3400.0)
+    )
+    assert abs(float(ratio) - 1.0) < 5e-4
+
+
+def test_readings_a_gate_took_out_and_gaps_are_not_used(air):
+    time_ns, h = flight(3000.0)
+    soaked = time_ns < time_ns[0] + 60 * 10**9
+    t = np.where(soaked, temperature_k(h) + 12.0, temperature_k(h))
+    t[500:520] = np.nan
+    pressure = samples(time_ns, h, air.pressure_pa(h))
+    gated = adjust(AirSamples(samples(time_ns, h, t, accepted=~soaked), pressure))[0].profile
+    open_gate = adjust(AirSamples(samples(time_ns, h, t), pressure))[0].profile
+    low = FIELD_M + np.array([50.0, 150.0, 250.0])
+    assert np.abs(gated.temperature(low) - temperature_k(low)).max() < 0.15
+    assert np.abs(open_gate.temperature(low) - temperature_k(low)).min() > 2.0
+
+
+def test_without_humidity_the_air_is_dry_and_that_is_said(air):
+    adjusted, ledger = adjust(measured(air, 3000.0, rh=False))
+    assert "AIR-DRY" in codes(ledger, Kind.FALLBACK)
+    assert not ledger.has_losses
+    assert float(adjusted.profile.vapour_pressure(600.0)) == 0.0
+    # Water in the air lowers the index.
+    moist = adjust(measured(air, 3000.0))[0].profile
+    assert float(moist.refractivity(600.0)) < float(adjusted.profile.refractivity(600.0))
+
+
+def test_humidity_changes_the_weight_of_the_air_too(air):
+    dry = adjust(measured(air, 3000.0, rh=False))[0].profile
+    moist = adjust(measured(air, 3000.0))[0].profile
+    thickness = [math.log(float(p.pressure(500.0) / p.pressure(3400.0))) for p in (dry, moist)]
+    truth = math.log(float(air.pressure_pa(500.0) / air.pressure_pa(3400.0)))
+    assert abs(thickness[1] - truth) < 0.1 * abs(thickness[0] - truth)
+
+
+def test_barometer_alone_passes_through_the_pressures(air):
+    adjusted, ledger = adjust(measured(air, 3000.0, t=False, rh=False))
+    assert adjusted.basis == "barometer"
+    assert set(codes(ledger, Kind.FALLBACK)) == {"AIR-BAROMETRIC", "AIR-DRY"}
+    _, h = flight(3000.0)
+    residual = (air.pressure_pa(h) - adjusted.profile.pressure(h)) / 100.0
+    assert np.abs(residual).max() < 0.3  # hPa; reached 0.05
+    assert "500 m" in adjusted.reason
+
+
+def test_a_short_climb_without_a_thermometer_keeps_the_standard(air):
+    for climb in (150.0, 1000.0, 1990.0):
+        adjusted, ledger = adjust(measured(air, climb, t=False, rh=False))
+        assert adjusted.basis == "standard"
+        assert codes(ledger) == ["AIR-STANDARD"]
+        h = np.linspace(0.0, 20_000.0, 200)
+        # Unscaled: the measured pressure, 10 hPa off the standard's, is not forced on it.
+        own = standard_atmosphere("us1976", latitude=LATITUDE)
+        np.testing.assert_allclose(adjusted.profile.pressure(h), own.pressure(h), rtol=1e-12)
+        np.testing.assert_allclose(adjusted.profile.temperature(h), own.temperature(h), rtol=1e-12)
+        assert f"{climb:.0f} m" in adjusted.reason
+        assert "2000 m" in adjusted.reason
+    assert adjust(measured(air, 2010.0, t=False, rh=False))[0].basis == "barometer"
+
+
+def test_a_short_hop_with_a_thermometer(air):
+    adjusted, ledger = adjust(measured(air, 290.0))
+    assert adjusted.basis == "standard"
+    assert "AIR-STANDARD" in codes(ledger)
+    assert adjust(measured(air, 310.0))[0].basis == "thermometer"
+
+
+def test_a_short_thermometer_leaves_a_long_barometer_its_say(air):
+    time_ns, h = flight(3000.0)
+    early = h < 600.0
+    given = AirSamples(
+        samples(time_ns[early], h[early], temperature_k(h[early])),
+        samples(time_ns, h, air.pressure_pa(h)),
+    )
+    assert adjust(given)[0].basis == "barometer"
+
+
+def test_a_log_without_a_barometer(air):
+    adjusted, ledger = adjust(measured(air, 3000.0, p=False))
+    assert adjusted.basis == "thermometer"
+    assert "AIR-NO-BAROMETER" in codes(ledger, Kind.FALLBACK)
+    # The standard's pressure at sea level stays.
+    assert float(adjusted.profile.pressure(0.0)) == pytest.approx(101_325.0, rel=1e-12)
+
+
+def test_a_log_without_any_sensor():
+    adjusted, ledger = adjust(AirSamples())
+    assert (adjusted.basis, adjusted.time_ns) == ("standard", None)
+    assert codes(ledger) == ["AIR-STANDARD"]
+    assert "no thermometer and no barometer" in adjusted.reason
+
+
+@pytest.mark.parametrize("empty", ["none accepted", "no samples", "heights unknown"])
+def test_sensors_that_say_nothing(air, empty):
+    time_ns, h = flight(3000.0)
+    used = np.ones(h.size, bool)
+    if empty == "none accepted":
+        used[:] = False
+    elif empty == "no samples":
+        time_ns, h, used = time_ns[:0], h[:0], used[:0]
+    else:
+        h, used = np.full(h.size, np.nan), np.zeros(h.size, bool)
+    t = np.full(h.size, 280.0)
+    given = AirSamples(
+        samples(time_ns, h, t, accepted=used),
+        samples(time_ns, h, 9e4 + 0.0 * t, accepted=used),
+        samples(time_ns, h, 0.5 + 0.0 * t, accepted=used),
+    )
+    adjusted, ledger = adjust(given)
+    assert adjusted.basis == "standard"
+    assert "AIR-STANDARD" in codes(ledger)
+
+
+def test_the_index_formula_and_the_model_of_the_standard_are_kept(air):
+    standard = standard_atmosphere("ardc1959", index="gyer")
+    profile = adjust(measured(air, 3000.0), standard)[0].profile
+    assert profile.index.name == "gyer"
+    assert profile.constant == standard.constant
+    assert profile.gravity.latitude_rad == pytest.approx(LATITUDE)
+
+
+def test_a_pressure_sensor_off_by_a_constant_moves_the_level_only(air):
+    _, h = flight(3000.0)
+    off = adjust(measured(air, 3000.0, pressure=air.pressure_pa(h) + 150.0))[0].profile
+    right = adjust(measured(air, 3000.0))[0].profile
+    ratio = off.pressure(h) / right.pressure(h)
+    assert np.ptp(ratio) < 2e-5
+    assert float(ratio.mean()) == pytest.approx(1.0 + 150.0 / 82_000.0, rel=5e-4)
+
+
+def test_bins_weigh_climb_and_descent_alike():
+    # A slow climb through the bin, and a fast way down: 90 readings against 9.
+    h = np.concatenate([np.arange(50.0, 200.0, 0.5), np.arange(200.0, 50.0, -5.0)])
+    time_ns = np.arange(h.size, dtype=np.int64) * 10**9
+    value = np.where(np.arange(h.size) < 300, 280.0, 282.0)
+    height, binned = bin_by_height(h, samples(time_ns, h, value), 50.0)
+    np.testing.assert_allclose(binned[:2], 281.0, atol=1e-12)
+    np.testing.assert_allclose(height[:2], [75.0, 125.0], atol=2.0)
+
+
+def test_too_few_readings_make_no_layer():
+    h = np.array([10.0, 11.0, 60.0, 61.0, 62.0])
+    time_ns = np.arange(5, dtype=np.int64) * 10**9
+    height, binned = bin_by_height(h, samples(time_ns, h, np.full(5, 280.0)), 50.0)
+    np.testing.assert_allclose(height, [61.0])
+    assert binned.tolist() == [280.0]
+
+
+def test_readings_that_are_no_numbers_are_never_used(air):
+    time_ns, h = flight(3000.0)
+    p = air.pressure_pa(h)
+    p[::7] = np.nan
+    holes = h.copy()
+    holes[3::11] = np.nan
+    given = AirSamples(None, samples(time_ns, holes, p), None)
+    assert not given.pressure.accepted[0]
+    adjusted, ledger = adjust(given)
+    assert adjusted.basis == "barometer"
+    assert "nan" not in " ".join(entry.what for entry in ledger)
+    known = np.isfinite(p)
+    residual = p[known] - adjusted.profile.pressure(h[known])
+    assert np.abs(residual).max() < 30.0
+
+
+def test_unadjusted_says_why():
+    adjusted = unadjusted(US1976, "the config asks for it")
+    assert adjusted.profile is US1976
+    assert (adjusted.basis, adjusted.reason) == ("standard", "the config asks for it")
+    assert adjusted.bin_h_m.size == 0
+
+
+def test_the_middle_of_the_flight_dates_the_profile(air):
+    time_ns, _ = flight(3000.0)
+    adjusted, _ = adjust(measured(air, 3000.0))
+    assert adjusted.time_ns == int(time_ns[0]) + (int(time_ns[-1]) - int(time_ns[0])) // 2

@@ -1,0 +1,91 @@
+"""The lens: there and back, and where it stops."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipeline.refraction import Camera
+from pipeline.simulate.camera import SimulatedCamera
+
+WIDTH, HEIGHT, FOCAL = 14_000, 10_600, 11_000.0
+
+cameras = st.builds(
+    Camera,
+    st.just(WIDTH), st.just(HEIGHT), st.floats(8_000.0, 30_000.0), st.floats(8_000.0, 30_000.0),
+    st.floats(6_800.0, 7_200.0), st.floats(5_100.0, 5_500.0),
+    k1=st.floats(-0.15, 0.15), k2=st.floats(-0.03, 0.03), k3=st.floats(-0.01, 0.01),
+    p1=st.floats(-2e-3, 2e-3), p2=st.floats(-2e-3, 2e-3),
+)  # fmt: skip
+
+
+@settings(max_examples=100, deadline=None)
+@given(cameras, st.lists(st.tuples(st.floats(0, WIDTH), st.floats(0, HEIGHT)), min_size=1))
+def test_there_and_back(camera, pixels):
+    x, y = np.array(pixels, dtype=np.float64).T
+    u, v, covered = camera.rays(x, y)
+    np.testing.assert_array_equal(np.isnan(u), ~covered)
+    x_again, y_again = camera.project(u[covered], v[covered])
+    np.testing.assert_allclose(x_again, x[covered], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(y_again, y[covered], rtol=0.0, atol=1e-9)
+
+
+def test_a_moderate_lens_covers_its_whole_image():
+    camera = Camera(
+        WIDTH, HEIGHT, FOCAL, FOCAL, 7012.4, 5291.7,
+        k1=-0.018, k2=0.009, k3=-0.002, p1=1.5e-4, p2=-1e-4,
+    )  # fmt: skip
+    x, y = (a.ravel() for a in np.meshgrid(np.linspace(0, WIDTH, 29), np.linspace(0, HEIGHT, 23)))
+    u, v, covered = camera.rays(x, y)
+    assert covered.all()
+    # The simulator's projection is written apart from this one, from OpenCV's manual.
+    other = SimulatedCamera(
+        "x", 0, FOCAL, 7012.4, 5291.7, (-0.018, 0.009, 1.5e-4, -1e-4, -0.002), 0.0, (0.0, 0.0, 0.0)
+    )
+    x_other, y_other = other.project(np.stack([u, v, np.ones_like(u)], axis=-1))
+    np.testing.assert_allclose(x_other, x, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(y_other, y, rtol=0.0, atol=1e-9)
+
+
+def test_the_distortion_is_opencvs():
+    # Worked by hand: u = 0.5, v = -0.25, r^2 = 0.3125.
+    camera = Camera(10, 10, 1.0, 1.0, 0.0, 0.0, k1=0.1, k2=0.2, k3=0.3, p1=0.01, p2=0.02)
+    radial = 1.0 + 0.1 * 0.3125 + 0.2 * 0.3125**2 + 0.3 * 0.3125**3
+    u, v = camera.distort(np.array([0.5]), np.array([-0.25]))
+    assert u[0] == pytest.approx(0.5 * radial + 2 * 0.01 * -0.125 + 0.02 * (0.3125 + 0.5), 1e-14)
+    assert v[0] == pytest.approx(
+        -0.25 * radial + 0.01 * (0.3125 + 0.125) + 2 * 0.02 * -0.125, 1e-14
+    )
+
+
+def test_beyond_the_calibrated_radius_is_not_covered():
+    # r (1 - 0.5 r^2) turns over at r = sqrt(2/3) and reaches 0.544 there.
+    camera = Camera(2000, 2000, 1000.0, 1000.0, 1000.0, 1000.0, k1=-0.5)
+    assert camera.largest_radius == pytest.approx(np.sqrt(2.0 / 3.0), rel=1e-12)
+    u, v, covered = camera.rays(np.array([1540.0, 1550.0, 2000.0]), np.full(3, 1000.0))
+    assert covered.tolist() == [True, False, False]
+    assert np.isnan(u[1:]).all()
+    assert np.isnan(v[1:]).all()
+    assert Camera(10, 10, 1.0, 1.0, 5.0, 5.0).largest_radius == np.inf
+
+
+@pytest.mark.parametrize("tiny", [0.0, 5e-324, -1e-310, 1e-200, -1e-20])
+def test_coefficients_of_no_size_do_no_harm(tiny):
+    camera = Camera(2000, 2000, 1000.0, 1000.0, 1000.0, 1000.0, k1=-0.5, k2=tiny, k3=tiny)
+    assert camera.largest_radius == pytest.approx(np.sqrt(2.0 / 3.0), rel=1e-9)
+    assert Camera(10, 10, 1.0, 1.0, 5.0, 5.0, k1=tiny, k3=tiny).largest_radius > 1e3
+
+
+def test_outside_the_format_is_not_covered():
+    camera = Camera(100, 80, 90.0, 90.0, 50.0, 40.0)
+    x = np.array([-0.01, 0.0, 100.0, 100.01, 50.0, 50.0, np.nan, np.inf])
+    y = np.array([40.0, 40.0, 40.0, 40.0, -0.01, 80.0, 40.0, 40.0])
+    covered = camera.rays(x, y)[2]
+    assert covered.tolist() == [False, True, True, False, False, True, False, False]
+
+
+def test_no_pixels_no_rays():
+    u, _, covered = Camera(100, 80, 90.0, 90.0, 50.0, 40.0).rays(np.empty(0), np.empty(0))
+    assert u.shape == covered.shape == (0,)

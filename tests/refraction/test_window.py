@@ -1,0 +1,70 @@
+"""The compartment window against scalar Snell's law with 40 digits."""
+
+from __future__ import annotations
+
+import math
+
+import mpmath as mp
+import numpy as np
+import pytest
+
+from pipeline.refraction.window import OPTICAL_AXIS, leave_compartment
+
+OUTSIDE, CABIN = 93.57e-6, 187.84e-6
+
+
+def unit(v):
+    return np.asarray(v, float) / np.linalg.norm(v)
+
+
+@pytest.mark.parametrize(("cabin", "outside"), [(CABIN, OUTSIDE), (OUTSIDE, CABIN), (2e-4, 2e-4)])
+@pytest.mark.parametrize("degrees", [0.0, 1e-3, 20.0, 45.0, 70.0, 85.0])
+@pytest.mark.parametrize("normal", [OPTICAL_AXIS, unit([0.2, -0.1, 1.0]), unit([0.0, 1.0, 0.3])])
+def test_against_scalar_snell(normal, degrees, cabin, outside):
+    # A ray at the angle from the normal, in some plane through it.
+    across = unit(np.cross(normal, [0.3, 0.7, -0.2]))
+    zeta = math.radians(degrees)
+    ray = math.cos(zeta) * normal + math.sin(zeta) * across
+    change, r_cc = leave_compartment(ray[None], cabin, outside, normal)
+    with mp.workdps(40):
+        sine = mp.norm(mp.matrix(np.cross(ray, normal).tolist()))
+        inside = mp.atan2(sine, mp.mpf(float(ray @ normal)))
+        bent = mp.asin(mp.sin(inside) * (1 + mp.mpf(cabin)) / (1 + mp.mpf(outside)))
+        expected = float(bent - inside)
+    # Reached: 1e-17 rad; the cosine of the oracle's angle is known to 1e-16.
+    assert r_cc[0] == pytest.approx(expected, abs=2e-17 + 1e-11 * abs(expected))
+    out = ray + change[0]
+    assert np.linalg.norm(out) == pytest.approx(1.0, abs=4e-16)
+    # In the plane of incidence, at the angle that Snell's law has.
+    assert abs(np.dot(out, np.cross(normal, across))) < 1e-15
+    assert math.atan2(out @ across, out @ normal) == pytest.approx(float(bent), abs=4e-16)
+
+
+def test_first_order():
+    """R_cc = tan(zeta_f) (n_cc - n_a) / n_a: Gyer 1996, Eq. 38 with the sign of Eq. 39."""
+    ray = unit([math.tan(0.6), 0.0, 1.0])[None]
+    r_cc = float(leave_compartment(ray, CABIN, OUTSIDE)[1][0])
+    assert r_cc == pytest.approx(math.tan(0.6) * (CABIN - OUTSIDE), rel=3e-4)
+
+
+def test_denser_cabin_air_had_pulled_the_point_inward():
+    rays = np.array([unit([0.5, 0.0, 1.0]), unit([-0.5, 0.2, 1.0])])
+    change, r_cc = leave_compartment(rays, CABIN, OUTSIDE)
+    assert np.all(r_cc > 0.0)
+    out = rays + change
+    assert np.all(np.hypot(*out[:, :2].T) / out[:, 2] > np.hypot(*rays[:, :2].T) / rays[:, 2])
+
+
+def test_one_index_a_ray():
+    rays = np.repeat(unit([0.5, 0.0, 1.0])[None], 3, axis=0)
+    _, r_cc = leave_compartment(rays, np.array([CABIN, OUTSIDE, 0.0]), OUTSIDE)
+    assert r_cc[0] > 0.0
+    assert r_cc[1] == 0.0
+    assert r_cc[2] < 0.0
+
+
+def test_total_reflection_is_nan():
+    ray = unit([1.0, 0.0, 1e-4])[None]
+    change, r_cc = leave_compartment(ray, 3e-4, 0.0)
+    assert np.isnan(r_cc).all()
+    assert np.isnan(change).any()
