@@ -9,16 +9,18 @@ from __future__ import annotations
 
 import csv as csv_module
 import json
+import os
 import signal
 import sys
+import traceback
 from functools import partial
 from pathlib import Path
-from types import FrameType
-from typing import Annotated, Any
+from types import FrameType, TracebackType
+from typing import Annotated, Any, NoReturn
 
-import click
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 import pipeline
 from pipeline.errors import (
@@ -43,8 +45,21 @@ app = typer.Typer(
 )
 
 
-def _console(*, stderr: bool = False) -> Console:
-    return Console(stderr=stderr, soft_wrap=False, highlight=False)
+# The root of what a mistaken command line raises: click's class, or that of the copy of click
+# that newer versions of typer carry.
+_USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
+
+
+class _Console(Console):
+    """A console that leaves it to `main` what a reader who went away means."""
+
+    def on_broken_pipe(self) -> NoReturn:
+        """Let it through; rich would leave with the code of a bug."""
+        raise BrokenPipeError
+
+
+def _console() -> Console:
+    return _Console(soft_wrap=False, highlight=False)
 
 
 def _refuse(error: UnbendError, subject: str = "") -> None:
@@ -58,7 +73,7 @@ def run(
     force: Annotated[bool, typer.Option(help="run even where nothing has changed")] = False,
 ) -> None:
     """Correct missions; one that is refused does not stop the rest."""
-    from pipeline.batch.execute import exit_code_of, run_many
+    from pipeline.batch.execute import Bug, exit_code_of, run_many
     from pipeline.report.progress import PatientBar
     from pipeline.report.terminal import show_run
     from pipeline.stages import run_mission
@@ -70,6 +85,10 @@ def run(
         if isinstance(end, UnbendError):
             _refuse(end, str(config))
             ends.append(end.exit_code)
+            continue
+        if isinstance(end, Bug):
+            _own_up(end.traceback, str(config))
+            ends.append(EXIT_BUG)
             continue
         show_run(console, end.name, str(end.output), end.manifest, repeated=end.repeated)
         ends.append(end.exit_code)
@@ -94,7 +113,7 @@ def check(
             _refuse(error, str(config))
             ends.append(error.exit_code)
             continue
-        console.print(f"[bold]{config}[/bold] is sound")
+        console.print(f"[bold]{escape(str(config))}[/bold] is sound")
         show_check(console, found.lines())
         show_ledger(console, found.ledger.rows())
         ends.append(EXIT_LOSSES if found.ledger.has_losses else EXIT_DONE)
@@ -206,11 +225,11 @@ def simulate(
     with PatientBar(console, "simulating") as bar:
         flown = fly(out, options, bar.show)
     console.print(
-        f"{out}: {flown.images} images, {flown.observation_count:,} observations of "
+        f"{escape(str(out))}: {flown.images} images, {flown.observation_count:,} observations of "
         f"{flown.points:,} points, {flown.duration_s:.0f} s of flight in three logs"
     )
     for path in flown.missions.values():
-        console.print(f"  unbend run {path}")
+        console.print(f"  unbend run {escape(str(path))}")
 
 
 @app.command(epilog="Example: unbend verify results/survey")
@@ -222,7 +241,8 @@ def verify(
 
     manifest = verify_run(run)
     _console().print(
-        f"{run}: {len(manifest['outputs'])} files of mission {manifest['mission']} are whole"
+        f"{escape(str(run))}: {len(manifest['outputs'])} files of mission "
+        f"{escape(str(manifest['mission']))} are whole"
     )
 
 
@@ -239,26 +259,44 @@ def _terminated(_: int, __: FrameType | None) -> None:
     raise SystemExit(143)
 
 
+def _own_up(text: str, subject: str = "") -> None:
+    """Say that an error is ours, with all that is needed to find it."""
+    where = f"{subject}: " if subject else ""
+    print(f"{text}\n{where}this is a bug in unbend: please report the lines above", file=sys.stderr)
+
+
+def _unexpected(kind: type[BaseException], error: BaseException, at: TracebackType | None) -> None:
+    """What Python calls for an exception that nothing caught; it then leaves with exit code 1."""
+    _own_up("".join(traceback.format_exception(kind, error, at)))
+
+
 def main() -> None:
     """Run the command line and leave with its exit code."""
+    sys.excepthook = _unexpected
     signal.signal(signal.SIGTERM, _terminated)
+    code = EXIT_DONE
+    # typer's own main would turn a bug, Ctrl-C and a broken pipe into codes and words of its own.
+    command = typer.main.get_command(app)
     try:
-        code = app(standalone_mode=False)
+        with command.make_context("unbend", sys.argv[1:]) as context:
+            command.invoke(context)
+        sys.stdout.flush()
+    except typer.Exit as end:
+        code = end.exit_code
     except UnbendError as error:
         _refuse(error)
         code = error.exit_code
-    except click.exceptions.Abort:
-        code = EXIT_INTERRUPTED
-    except KeyboardInterrupt:
+    except (typer.Abort, KeyboardInterrupt):
         print("interrupted; run again to finish", file=sys.stderr)
         code = EXIT_INTERRUPTED
-    except click.ClickException as error:
-        error.show()
+    except _USAGE_ERROR as error:
+        error.show()  # type: ignore[attr-defined]
         code = EXIT_CONFIG
     except BrokenPipeError:
-        sys.stderr.close()
-        code = EXIT_DONE
-    sys.exit(code if isinstance(code, int) else EXIT_DONE)
+        # Whoever read our words has gone; what is still buffered must not complain at the exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = EXIT_INTERRUPTED
+    sys.exit(code)
 
 
-__all__ = ["EXIT_BUG", "app", "main"]
+__all__ = ["app", "main"]

@@ -79,6 +79,8 @@ class MissionError(UnbendError):
 class PhysicsError(UnbendError, ValueError):
     """A scalar call was given values outside the range of a formula."""
 
+    exit_code = EXIT_CONFIG
+
 
 class OutputInUseError(UnbendError):
     """Another process is writing to the output folder."""

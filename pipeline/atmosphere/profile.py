@@ -30,8 +30,8 @@ BAROMETRIC = "barometric"
 RELAXED = "relaxed"
 STANDARD = "standard"
 
-# Below this temperature difference across a layer Eq. 53 stands for Eq. 52: they then agree to
-# 1e-13 in pressure for any layer of less than a scale height.
+# Below this temperature difference across a layer Eq. 53 stands for Eq. 52: they agree to 2e-10 of
+# pressure, while Eq. 52 evaluated as it is printed loses ever more digits (4e-9 here).
 _ISOTHERMAL_K = 1e-7
 
 

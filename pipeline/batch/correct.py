@@ -99,8 +99,9 @@ def correct_stream(
     """
     schema = schema_of(OBSERVATION_COLUMNS, metadata, list(observations.user_fields))
     names = pa.array(stations_image, pa.string())
-    camera_names = list(cameras)
-    camera_of = np.array([camera_names.index(c) for c in stations_camera], np.int64)
+    number_of = {name: number for number, name in enumerate(cameras)}
+    # An image that no exposure was found for has a station without a camera.
+    camera_of = np.array([number_of.get(name, -1) for name in stations_camera], np.int64)
     tally = Tally(
         grids={
             name: ImageGrid(s.camera.width_px, s.camera.height_px) for name, s in cameras.items()

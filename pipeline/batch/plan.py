@@ -17,6 +17,7 @@ from pipeline.config import Mission
 from pipeline.errors import InputError
 from pipeline.ingest import hash_file
 
+_KEY = {"log": "log.path", "observations": "observations.path", "events": "events.csv.path"}
 _LIBRARIES = ("numpy", "scipy", "pyarrow", "pandas", "numba", "pymavlink", "mcap")
 
 
@@ -66,14 +67,14 @@ def make_plan(mission: Mission, folder: Path) -> Plan:
     """Hash the inputs of a mission; relative paths resolve from the mission file's folder."""
     inputs = []
     for role, (name, path) in input_paths(mission, folder).items():
-        if not path.is_file():
-            raise InputError(
-                "INPUT-MISSING",
-                f"the {role} file is not there",
-                where=str(path),
-                remedy=f"check {role}.path in the mission file; paths are relative to that file",
-            )
         try:
+            if not path.is_file():
+                raise InputError(
+                    "INPUT-MISSING",
+                    f"the {role} file is not there",
+                    where=str(path),
+                    remedy=f"check {_KEY[role]} in the mission file; paths are relative to it",
+                )
             stamp = _stamp(path)
             inputs.append(Input(role, name, path, hash_file(path), stamp))
         except OSError as error:

@@ -21,6 +21,7 @@ from pipeline.errors import OutputInUseError, StorageError
 from pipeline.ingest import hash_file
 
 MANIFEST = "manifest.json"
+_MANIFEST_KEYS = {"fingerprint", "mission", "outputs", "exit_code"}
 _STAGING = ".staging"
 _LOCK = ".lock"
 _OURS = ("observations", "stations.parquet", "profile.parquet", "report.html")
@@ -108,6 +109,20 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
+def _refuse_strangers(path: Path) -> None:
+    """Refuse a folder that holds files of our names which no run of ours put there."""
+    if (path / _LOCK).exists() or (path / MANIFEST).exists():
+        return
+    strangers = [name for name in _OURS if os.path.lexists(path / name)]
+    if strangers:
+        raise StorageError(
+            "STORAGE-NOT-OURS",
+            f"{', '.join(strangers)} would be replaced, but no run of unbend left traces here",
+            where=str(path),
+            remedy="choose an output.path of its own for the results",
+        )
+
+
 @contextmanager
 def open_folder(path: Path) -> Iterator[RunFolder]:
     """Lock an output folder and clear what an interrupted run left in it.
@@ -117,6 +132,7 @@ def open_folder(path: Path) -> Iterator[RunFolder]:
     """
     with translated(path):
         path.mkdir(parents=True, exist_ok=True)
+        _refuse_strangers(path)
     for name in (_STAGING, *_OURS, MANIFEST):
         if (path / name).is_symlink():
             raise StorageError(
@@ -164,7 +180,14 @@ def read_manifest(path: Path) -> dict[str, Any] | None:
             where=str(path / MANIFEST),
             remedy="run the mission again with --force",
         ) from None
-    return manifest if isinstance(manifest, dict) else None
+    if not isinstance(manifest, dict) or not manifest.keys() >= _MANIFEST_KEYS:
+        raise StorageError(
+            "MANIFEST-UNREADABLE",
+            "manifest.json is not one that unbend wrote",
+            where=str(path / MANIFEST),
+            remedy="choose another folder, or remove that file",
+        )
+    return manifest
 
 
 def find_damage(path: Path, manifest: dict[str, Any], *, read: bool = True) -> list[str]:

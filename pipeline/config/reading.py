@@ -15,13 +15,19 @@ from pydantic import BaseModel, ValidationError
 from pipeline.config.sections import Mission
 from pipeline.errors import ConfigError
 
+_REPLACED = ("bool", "int", "float", "timestamp")
+
 
 class _Loader(yaml.SafeLoader):
-    """YAML 1.2 scalars (1e-6 is a number, no and on are words) and no repeated keys."""
+    """YAML 1.2 scalars (1e-6 is a number, no, on and 1:30 are words) and no repeated keys."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
         for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise yaml.constructor.ConstructorError(
+                    None, None, "a key must be a word", key.start_mark
+                )
             if key.value in seen:
                 raise yaml.constructor.ConstructorError(
                     None, None, f"the key {key.value!r} stands here twice", key.start_mark
@@ -31,11 +37,15 @@ class _Loader(yaml.SafeLoader):
 
 
 _Loader.yaml_implicit_resolvers = {
-    first: [(tag, rule) for tag, rule in rules if tag.rsplit(":", 1)[1] not in ("bool", "float")]
+    first: [(tag, rule) for tag, rule in rules if tag.rsplit(":", 1)[1] not in _REPLACED]
     for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:bool", re.compile(r"^(?:true|True|false|False)$"), list("tTfF")
+)
+# A leading zero is left to the next rule: YAML 1.1 would read 0100 as 64.
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:int", re.compile(r"^[-+]?(?:0|[1-9][0-9]*)$"), list("-+0123456789")
 )
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
@@ -64,8 +74,9 @@ def load_mission(path: Path) -> Mission:
             remedy="a mission file is YAML in UTF-8",
         ) from None  # fmt: skip
     try:
-        node = yaml.compose(text, _Loader)
-        values = yaml.load(text, _Loader)  # _Loader is a SafeLoader
+        loader = _Loader(text)
+        node = loader.get_single_node()
+        values = loader.construct_document(node) if node is not None else None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         mark = getattr(error, "problem_mark", None)
         line = f":{mark.line + 1}" if mark else ""
@@ -102,7 +113,8 @@ def _refusal(error: ValidationError, path: Path, node: yaml.Node | None) -> Conf
         mistakes.append((line, f"line {line}: {key}: {what}" if key else f"line {line}: {what}"))
     # A union reports each of its arms; what stands at the same place is one mistake.
     ordered = [text for _, text in sorted(dict.fromkeys(mistakes))]
-    code = "CONFIG-UNKNOWN-KEY" if "unknown key" in ordered[0] else "CONFIG-INVALID"
+    unknown = any(item["type"] == "extra_forbidden" for item in error.errors())
+    code = "CONFIG-UNKNOWN-KEY" if unknown else "CONFIG-INVALID"
     return ConfigError(
         code,
         ordered[0]
@@ -135,13 +147,15 @@ def _place(node: yaml.Node | None, loc: tuple[int | str, ...]) -> tuple[str, int
 def _models_at(loc: tuple[int | str, ...]) -> list[type[BaseModel]]:
     """Sections that may stand at a location."""
     models: list[type[BaseModel]] = [Mission]
+    a_name_follows = False
     for part in loc:
-        found: list[type[BaseModel]] = []
-        for model in models:
-            if str(part) in model.model_fields:
-                found += _sections_of(model.model_fields[str(part)].annotation)
-        # A camera's name, or the name of a union arm, leads to no other section.
-        models = found or models
+        if a_name_follows:  # of a camera, which may be called like one of our keys
+            a_name_follows = False
+            continue
+        fields = [m.model_fields[str(part)] for m in models if str(part) in m.model_fields]
+        a_name_follows = any("dict[" in str(field.annotation) for field in fields)
+        # The name of a union arm leads to no other section.
+        models = [s for field in fields for s in _sections_of(field.annotation)] or models
     return models
 
 

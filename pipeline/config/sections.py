@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import difflib
+import re
+import string
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    field_validator,
-    model_validator,
-)
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from pipeline.atmosphere import standard_names
 from pipeline.flight.exposures import Mount
@@ -20,6 +16,9 @@ from pipeline.flight.local import Origin
 from pipeline.refraction import METHODS, Cabin, Camera
 from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K
 
+_NUMBER_FORMAT = re.compile(r"^0?[0-9]{0,2}d?$")
+
+PathText = Annotated[str, Field(min_length=1, pattern=r"^[^\x00]+$")]
 Positive = Annotated[float, Field(gt=0)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 
@@ -92,7 +91,7 @@ class LocalOrigin(Section):
 class LogSection(Section):
     """The flight log."""
 
-    path: str = Field(min_length=1, description="DataFlash .bin, MAVLink .tlog or .mcap")
+    path: PathText = Field(description="DataFlash .bin, MAVLink .tlog or .mcap")
     channels: ChannelsSection = ChannelsSection()
     max_gap_s: Positive = Field(
         1.0, description="an exposure between two samples farther apart than this is in a gap"
@@ -112,7 +111,7 @@ class ObservationColumns(Section):
 class ObservationsSection(Section):
     """The table of image measurements."""
 
-    path: str = Field(min_length=1, description="CSV or Parquet")
+    path: PathText = Field(description="CSV or Parquet")
     columns: ObservationColumns = ObservationColumns()
     pixel_origin: Literal["corner", "centre"] = Field(
         "corner",
@@ -212,9 +211,8 @@ class CameraSection(Section):
 class MountSection(Section):
     """How a camera sits in the aircraft (body frame: x forward, y right, z down).
 
-    With all angles zero it looks straight down with the top of the image towards the nose; yaw,
-    pitch and roll then turn it about the body's axes, in that order (intrinsic z-y-x).
-    """
+    With all angles zero it looks straight down, the top of the image towards the nose; yaw, pitch
+    and roll then turn it about the body's axes, in that order (intrinsic z-y-x)."""
 
     roll_deg: float = 0.0
     pitch_deg: float = 0.0
@@ -247,10 +245,14 @@ class LogEvents(Section):
     @classmethod
     def _is_a_pattern(cls, value: str) -> str:
         try:
-            names = {value.format(index=i, n=i) for i in (1, 2)}
-        except (KeyError, IndexError, ValueError) as error:
+            pieces = list(string.Formatter().parse(value))
+        except ValueError as error:
             raise ValueError(f"is not a pattern with {{index}} or {{n}} ({error})") from None
-        if len(names) < 2:
+        fields = [piece[1:] for piece in pieces if piece[1] is not None]
+        for name, code, conversion in fields:
+            if name not in ("index", "n") or conversion or not _NUMBER_FORMAT.match(code or ""):
+                raise ValueError("is not a pattern with {index} or {n}, as in IMG_{index:05d}.tif")
+        if not fields:
             raise ValueError("gives every exposure the same name; put {index} or {n} into it")
         return value
 
@@ -275,7 +277,7 @@ class CsvEventColumns(Section):
 class CsvEvents(Section):
     """Exposures from a CSV of image names and times."""
 
-    path: str = Field(min_length=1)
+    path: PathText
     columns: CsvEventColumns = CsvEventColumns(time_utc="time_utc")
     camera: str | None = Field(None, description="the camera of every row without a camera column")
 
@@ -359,7 +361,7 @@ class RefractionSection(Section):
 class OutputSection(Section):
     """Where the results go."""
 
-    path: str = Field(min_length=1, description="folder of this mission's results")
+    path: PathText = Field(description="folder of this mission's results")
     batch_rows: int = Field(250_000, ge=1_000, le=2_000_000)
 
 
@@ -392,6 +394,7 @@ class Mission(Section):
             for name in sorted(names - known):
                 near = difflib.get_close_matches(name, known, 1, 0.0)
                 raise ValueError(f"{where} speaks of camera {name!r}; did you mean {near[0]!r}?")
-        for name in sorted(known - set(self.mount)):
-            raise ValueError(f"camera {name!r} has no entry under mount")
+        for where, names in used.items():
+            for name in sorted(known - names) if where != "events.csv.camera" else ():
+                raise ValueError(f"camera {name!r} has no entry under {where}")
         return self

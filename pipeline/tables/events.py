@@ -40,13 +40,7 @@ def read_events(path: Path, columns: EventColumns, ledger: Ledger) -> EventTable
 
     Times without a zone are UTC. GPS seconds are reduced by the leap seconds of their date.
     """
-    try:
-        table = pd.read_csv(path, dtype=str, keep_default_na=False, skipinitialspace=True)
-    except (OSError, ValueError) as error:
-        raise InputError(
-            "EVENTS-CSV", f"is no readable CSV: {error}", where=str(path),
-            remedy="a table of exposures has a header line and commas",
-        ) from None  # fmt: skip
+    table = _table(path)
     for name in (columns.image, columns.time_utc, columns.gps_week, columns.gps_seconds,
                  columns.camera):  # fmt: skip
         if name is not None and name not in table.columns:
@@ -75,6 +69,32 @@ def read_events(path: Path, columns: EventColumns, ledger: Ledger) -> EventTable
     table, time_ns = table[good], time_ns[good]
     camera = table[columns.camera].to_numpy(object) if columns.camera else None
     return EventTable(table[columns.image].to_numpy(object), camera, time_ns)
+
+
+def _table(path: Path) -> pd.DataFrame:
+    """All fields as text, under the names of the first line; a field that is not there is empty."""
+    try:
+        # The header is read as a row: pandas takes longer rows for an index and renames repeats.
+        rows = pd.read_csv(
+            path, header=None, dtype=str, keep_default_na=False, skipinitialspace=True,
+            encoding="utf-8-sig",
+        ).fillna("")  # fmt: skip
+    except (OSError, ValueError) as error:
+        raise _no_csv(path, str(error).strip()) from None
+    names = rows.iloc[0].tolist()
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise _no_csv(path, f"the columns {', '.join(twice)} stand there twice")
+    return rows.iloc[1:].set_axis(names, axis="columns").reset_index(drop=True)
+
+
+def _no_csv(path: Path, why: str) -> InputError:
+    return InputError(
+        "EVENTS-CSV",
+        f"is no readable CSV: {why}",
+        where=str(path),
+        remedy="a table of exposures has a header line, commas, and as many fields in every row",
+    )
 
 
 def _times(

@@ -91,8 +91,10 @@ def open_observations(
 
     Refuses a table that is already free of refraction, lacks a column, or repeats a name.
     """
-    schema, csv_types = _schema(path, {columns["x_px"], columns["y_px"], ground_column or ""})
+    numbers = {columns["x_px"], columns["y_px"], ground_column or ""}
+    schema, csv_types = _schema(path, numbers, {columns["image"], columns["point"]})
     _refuse_corrected(path, schema)
+    _refuse_one_for_two(path, columns)
     needed = dict(columns) | ({"ground height": ground_column} if ground_column else {})
     for role, name in needed.items():
         _require(path, schema, role, name)
@@ -126,7 +128,9 @@ def open_observations(
     )
 
 
-def _schema(path: Path, numbers: set[str]) -> tuple[pa.Schema, dict[str, pa.DataType]]:
+def _schema(
+    path: Path, numbers: set[str], texts: set[str]
+) -> tuple[pa.Schema, dict[str, pa.DataType]]:
     """The Arrow schema of the file; for CSV also types under which every row can be read."""
     if not path.is_file():
         raise InputError(
@@ -138,14 +142,16 @@ def _schema(path: Path, numbers: set[str]) -> tuple[pa.Schema, dict[str, pa.Data
     suffix = path.suffix.lower()
     if suffix in (".parquet", ".pq"):
         try:
-            return pq.read_schema(path), {}
+            schema = pq.read_schema(path)
+            _refuse_repeated(path, schema)
+            return schema, {}
         except (pa.ArrowInvalid, OSError) as error:
             raise InputError(
                 "OBS-PARQUET", f"is no readable Parquet file: {error}", where=str(path),
                 remedy="write it again",
             ) from None  # fmt: skip
     if suffix in (".csv", ".txt"):
-        return _csv_schema(path, numbers)
+        return _csv_schema(path, numbers, texts)
     raise InputError(
         "OBS-FORMAT",
         f"a table of observations is .csv or .parquet, not {suffix or 'a file without extension'}",
@@ -154,40 +160,75 @@ def _schema(path: Path, numbers: set[str]) -> tuple[pa.Schema, dict[str, pa.Data
     )
 
 
-def _csv_schema(path: Path, numbers: set[str]) -> tuple[pa.Schema, dict[str, pa.DataType]]:
-    """Types from the first block, given up for text where a later row contradicts them."""
-    types: dict[str, pa.DataType] = {}
-    try:
-        with pa_csv.open_csv(path, read_options=_read_options()) as reader:
-            schema = reader.schema
-    except (pa.ArrowInvalid, OSError) as error:
-        raise _csv_refusal(path, error) from None
-    if len(set(schema.names)) != len(schema.names):
-        twice = sorted({name for name in schema.names if schema.names.count(name) > 1})
+def _refuse_repeated(path: Path, schema: pa.Schema) -> None:
+    twice = sorted({name for name in schema.names if schema.names.count(name) > 1})
+    if twice:
         raise InputError(
             "OBS-REPEATED-COLUMN", f"the columns {', '.join(twice)} stand there twice",
             where=str(path), remedy="rename one of each",
         )  # fmt: skip
+
+
+def _csv_schema(
+    path: Path, numbers: set[str], texts: set[str]
+) -> tuple[pa.Schema, dict[str, pa.DataType]]:
+    """Types from the first block, given up for text where a later row contradicts them.
+
+    Names are text whatever they look like: image 0012 is not image 12.
+    """
+    types: dict[str, pa.DataType] = {}
+    try:
+        with _open_csv(path, {}, None) as reader:
+            schema = reader.schema
+        _refuse_repeated(path, schema)
+        if len(schema) == 1 and any(mark in schema.names[0] for mark in ";\t|"):
+            raise pa.ArrowInvalid("its fields are not separated by commas")
+        whole = [item.name for item in schema if pa.types.is_integer(item.type)]
+        codes = _with_leading_zeros(path, [name for name in whole if name not in numbers | texts])
+    except (pa.ArrowInvalid, OSError) as error:
+        raise _csv_refusal(path, error) from None
     for item in schema:
         types[item.name] = pa.float64() if item.name in numbers else item.type
-        if pa.types.is_null(types[item.name]):
+        if item.name in texts | codes or pa.types.is_null(types[item.name]):
             types[item.name] = pa.string()
-    suspects = [name for name, kind in types.items() if not pa.types.is_string(kind)]
     try:
         _read_through(path, types)
     except pa.ArrowInvalid:
-        for name in suspects:
-            try:
-                _read_through(path, types, [name])
-            except pa.ArrowInvalid as error:
-                if "conversion error" not in str(error):
-                    raise _csv_refusal(path, error) from None
-                types[name] = pa.string()
+        types = {name: _type_that_fits(path, name, kind) for name, kind in types.items()}
         try:
             _read_through(path, types)
         except pa.ArrowInvalid as error:
             raise _csv_refusal(path, error) from None
     return pa.schema([pa.field(name, kind) for name, kind in types.items()]), types
+
+
+def _type_that_fits(path: Path, name: str, kind: pa.DataType) -> pa.DataType:
+    """The type of a column under which all of it can be read, the plainest being text."""
+    ladder = [kind, pa.float64()] if pa.types.is_integer(kind) else [kind]
+    for candidate in ladder:
+        try:
+            _read_through(path, {name: candidate}, [name])
+        except pa.ArrowInvalid as error:
+            if "conversion error" not in str(error):
+                raise _csv_refusal(path, error) from None
+        else:
+            return candidate
+    return pa.string()
+
+
+def _with_leading_zeros(path: Path, names: list[str]) -> set[str]:
+    """Which columns of digits are codes rather than numbers: 007 must leave as it came."""
+    if not names:
+        return set()
+    with _open_csv(path, dict.fromkeys(names, pa.string()), names) as reader:
+        first = next(iter(reader), None)
+    if first is None:
+        return set()
+    return {
+        name
+        for name in names
+        if pc.any(pc.match_substring_regex(first[name], "^[-+]?0[0-9]")).as_py()
+    }
 
 
 def _read_options() -> pa_csv.ReadOptions:
@@ -205,13 +246,18 @@ def _read_through(
 def _open_csv(
     path: Path, types: Mapping[str, pa.DataType], only: list[str] | None
 ) -> pa_csv.CSVStreamingReader:
+    # Only an empty field is null: NA is a country, and "nan" reads as a number where one is due.
     options = pa_csv.ConvertOptions(
         column_types=types,
         include_columns=only,
+        null_values=[""],
         strings_can_be_null=True,
         quoted_strings_can_be_null=False,
     )
-    return pa_csv.open_csv(path, read_options=_read_options(), convert_options=options)
+    parsing = pa_csv.ParseOptions(newlines_in_values=True)
+    return pa_csv.open_csv(
+        path, read_options=_read_options(), parse_options=parsing, convert_options=options
+    )
 
 
 def _csv_refusal(path: Path, error: BaseException) -> InputError:
@@ -236,7 +282,7 @@ def _record_batches(
         else:
             with pq.ParquetFile(path, memory_map=True) as file:
                 yield from file.iter_batches(batch_size=batch_rows, columns=only)
-    except (pa.ArrowInvalid, OSError) as error:
+    except (pa.ArrowException, OSError) as error:
         raise InputError(
             "OBS-DAMAGED", f"reading failed: {error}", where=str(path), remedy="write it again"
         ) from None
@@ -291,14 +337,25 @@ def _refuse_corrected(path: Path, schema: pa.Schema) -> None:
         )
 
 
+def _refuse_one_for_two(path: Path, columns: Mapping[str, str]) -> None:
+    names = list(columns.values())
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError(
+            "OBS-COLUMN", f"the column {twice[0]!r} is named for two quantities", where=str(path),
+            remedy="mend observations.columns",
+        )  # fmt: skip
+
+
 def _require(path: Path, schema: pa.Schema, role: str, name: str) -> None:
     if name in schema.names:
         kind = schema.field(name).type
-        if role in ("image", "point") or pa.types.is_string(kind) or _is_number(kind):
+        named = role in ("image", "point")
+        if _is_text(kind) or _is_number(kind):
             return
         raise InputError(
-            "OBS-TYPE", f"the column {name} holds {kind}, not numbers", where=str(path),
-            remedy="write it as float64",
+            "OBS-TYPE", f"the column {name} holds {kind}, not {'names' if named else 'numbers'}",
+            where=str(path), remedy=f"write it as {'text' if named else 'float64'}",
         )  # fmt: skip
     near = difflib.get_close_matches(name, schema.names, 1, 0.5)
     hint = f"; did you mean {near[0]!r}?" if near else ""
@@ -312,11 +369,18 @@ def _require(path: Path, schema: pa.Schema, role: str, name: str) -> None:
     )
 
 
+def _is_text(kind: Any) -> bool:
+    if pa.types.is_dictionary(kind):
+        kind = kind.value_type
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
+
+
 def _is_number(kind: Any) -> bool:
+    if pa.types.is_dictionary(kind):
+        kind = kind.value_type
     return bool(
         pa.types.is_floating(kind)
         or pa.types.is_integer(kind)
         or pa.types.is_decimal(kind)
         or pa.types.is_null(kind)
-        or pa.types.is_dictionary(kind)
     )

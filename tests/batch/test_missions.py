@@ -1,0 +1,337 @@
+"""Missions told in other ways: other heights, pixels, tables, units; the same answer."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import struct
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pq
+import pytest
+import yaml
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from pymavlink import DFReader
+
+pytestmark = pytest.mark.usefixtures("plain_report")
+
+UNDULATION_M = 47.6
+LEAP_SECONDS = 18
+
+
+def corrected(mission) -> np.ndarray:
+    table = mission.results()
+    return np.stack([table[c].to_numpy(zero_copy_only=False)
+                     for c in ("x_corrected_px", "y_corrected_px")], axis=1)  # fmt: skip
+
+
+def ran(mission, exit_code: int = 0) -> dict:
+    ended = mission.run()
+    assert ended.code == exit_code, ended.text
+    assert "Traceback" not in ended.text
+    return json.loads((mission.output / "manifest.json").read_text(encoding="utf-8"))
+
+
+def codes(manifest: dict, kind: str) -> set[str]:
+    return {e["code"] for e in manifest["ledger"] if e["kind"] == kind}
+
+
+def shifted_ground(mission, by: float) -> None:
+    table = mission.measurements()
+    h = table["h_g_m"].to_numpy() + by
+    mission.observe(table.set_column(4, "h_g_m", pa.array(h)))
+
+
+def test_ground_above_the_ellipsoid(mission, baseline):
+    shifted_ground(mission, UNDULATION_M)
+    mission.config["ground"]["reference"] = "ellipsoid"
+    ran(mission)
+    np.testing.assert_allclose(corrected(mission), corrected(baseline), atol=1e-6)
+    np.testing.assert_allclose(mission.results()["h_g_m"].to_numpy(),
+                               baseline.results()["h_g_m"].to_numpy(), atol=1e-6)  # fmt: skip
+
+
+def test_ground_above_the_ellipsoid_when_the_log_knows_the_undulation(mission, baseline):
+    shifted_ground(mission, UNDULATION_M)
+    mission.config["ground"]["reference"] = "ellipsoid"
+    del mission.config["mission"]["undulation_m"]
+    manifest = ran(mission)
+    assert "HEIGHT-UNDULATION" in codes(manifest, "note")
+    np.testing.assert_allclose(corrected(mission), corrected(baseline), atol=1e-3)
+
+
+def test_nothing_is_guessed_about_the_undulation(mission_factory, tmp_path):
+    """NavSatFix has heights above the ellipsoid alone: without the undulation, no station."""
+    mission = mission_factory(tmp_path, "mcap")
+    del mission.config["mission"]["undulation_m"]
+    manifest = ran(mission, 3)
+    assert manifest["stations"] == {"height_reference_unknown": 6}
+    assert mission.results()["x_corrected_px"].null_count == mission.results().num_rows
+
+
+def test_heights_above_an_unknown_take_off_point(mission_factory, tmp_path):
+    mission = mission_factory(tmp_path, "mcap")
+    mission.config["ground"]["reference"] = "relative"
+    ended = mission.run()
+    assert ended.code == 6
+    assert "HEIGHT-REFERENCE" in ended.err
+    assert "ground.home_h_msl_m" in ended.err
+
+
+def test_ground_above_the_take_off_point(mission, baseline):
+    shifted_ground(mission, -600.0)
+    mission.config["ground"] |= {"reference": "relative", "home_h_msl_m": 600.0}
+    ran(mission)
+    np.testing.assert_allclose(corrected(mission), corrected(baseline), atol=1e-9)
+
+
+def test_constant_ground_height(mission, baseline):
+    table = mission.measurements()
+    mission.config["ground"]["height"] = 650.0
+    ran(mission)
+    constant = mission.results()
+    assert set(constant["h_g_m"].to_pylist()) == {650.0}
+    assert constant["h_g_m_input"].equals(table["h_g_m"])
+    mission.observe(table.set_column(4, "h_g_m", pa.array(np.full(table.num_rows, 650.0))))
+    mission.config["ground"]["height"] = {"column": "h_g_m"}
+    ran(mission)
+    np.testing.assert_array_equal(
+        corrected(mission), np.stack([constant[c].to_numpy()
+                                      for c in ("x_corrected_px", "y_corrected_px")], 1)
+    )  # fmt: skip
+
+
+def test_pixels_counted_from_the_centre_of_the_first(mission, baseline):
+    table = mission.measurements()
+    for i, name in ((2, "x_px"), (3, "y_px")):
+        table = table.set_column(i, name, pa.array(table[name].to_numpy() - 0.5))
+    mission.observe(table)
+    mission.config["observations"]["pixel_origin"] = "centre"
+    ran(mission)
+    np.testing.assert_allclose(corrected(mission) + 0.5, corrected(baseline), atol=1e-8)
+    np.testing.assert_array_equal(mission.results()["x_px"].to_numpy(), table["x_px"].to_numpy())
+    for camera in mission.config["cameras"].values():
+        camera["pixel_origin"] = "centre"
+        camera["cx_px"] -= 0.5
+        camera["cy_px"] -= 0.5
+    ran(mission)
+    np.testing.assert_allclose(corrected(mission) + 0.5, corrected(baseline), atol=1e-8)
+
+
+def test_csv_gives_what_parquet_gives(mission, baseline):
+    pa_csv.write_csv(mission.measurements(), mission.folder / "own.csv")
+    mission.config["observations"]["path"] = "own.csv"
+    ran(mission)
+    np.testing.assert_allclose(corrected(mission), corrected(baseline), atol=1e-9, rtol=0)
+    assert mission.results()["quality"].to_pylist() == baseline.results()["quality"].to_pylist()
+    assert mission.results()["point"].to_pylist() == baseline.results()["point"].to_pylist()
+
+
+def events_csv(baseline, how: str) -> str:
+    stations = baseline.stations().to_pandas(timestamp_as_object=False)
+    epoch = pd.Timestamp("1980-01-06", tz="UTC")
+    head = "image,week,seconds,camera" if how == "gps" else "image,time_utc,camera"
+    lines = [head]
+    for row in stations.itertuples():
+        since = (row.time_utc - epoch).value + LEAP_SECONDS * 10**9
+        week, rest = divmod(since, 604_800 * 10**9)
+        when = {
+            "utc": row.time_utc.isoformat().replace("+00:00", "Z"),
+            "naive": row.time_utc.tz_localize(None).isoformat(sep=" "),
+            "gps": f"{week},{rest / 1e9:.7f}",
+        }[how]
+        lines.append(f"{row.image},{when},{row.camera}")
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("how", ["utc", "naive", "gps"])
+def test_exposures_from_a_table(mission, baseline, how):
+    (mission.folder / "events.csv").write_text(events_csv(baseline, how))
+    columns = {"image": "image", "camera": "camera"}
+    columns |= {"gps_week": "week", "gps_seconds": "seconds"} if how == "gps" else {
+        "time_utc": "time_utc"}  # fmt: skip
+    mission.config["events"] = {"csv": {"path": "events.csv", "columns": columns}}
+    manifest = ran(mission)
+    assert {i["role"] for i in manifest["inputs"]} == {"log", "observations", "events"}
+    got, want = (m.stations().to_pandas() for m in (mission, baseline))
+    assert got["image"].tolist() == want["image"].tolist()
+    late = (got["time_utc"] - want["time_utc"]).abs().max()
+    assert late <= pd.Timedelta(microseconds=1)
+    for column, tolerance in (("lat_deg", 1e-9), ("h_msl_m", 1e-4), ("q_w", 1e-7)):
+        np.testing.assert_allclose(got[column], want[column], atol=tolerance)
+    np.testing.assert_allclose(corrected(mission), corrected(baseline), atol=1e-6)
+
+
+def test_exposures_outside_the_log_and_in_a_gap(mission, baseline):
+    """One exposure a day late, and one where the attitude was cut from the log."""
+    lines = events_csv(baseline, "utc").splitlines()
+    head, rows = lines[0], [line.split(",") for line in lines[1:]]
+    late = pd.Timestamp(rows[0][1]) + dt.timedelta(days=1)
+    rows[0][1] = late.isoformat().replace("+00:00", "Z")
+    (mission.folder / "events.csv").write_text(
+        "\n".join([head, *(",".join(row) for row in rows)]) + "\n"
+    )
+    mission.config["events"] = {"csv": {"path": "events.csv", "columns": {
+        "image": "image", "time_utc": "time_utc", "camera": "camera"}}}  # fmt: skip
+    manifest = ran(mission, 3)
+    stations = mission.stations().to_pandas().set_index("image")
+    image = rows[0][0]
+    assert stations.loc[image, "status"] == "outside_log"
+    assert np.isnan(stations.loc[image, "lat_deg"])
+    assert manifest["stations"]["outside_log"] == 1
+    result = mission.results().to_pandas()
+    assert set(result.loc[result["image"] == image, "status"]) == {"no_station"}
+    assert result.loc[result["image"] == image, "x_corrected_px"].isna().all()
+    assert set(result.loc[result["image"] != image, "status"]) == {"ok"}
+    assert "STATIONS-FLAGGED" in codes(manifest, "loss")
+
+
+def without_attitude(content: bytes, first_us: float, last_us: float) -> bytes:
+    """A DataFlash log whose ATT records between two times are gone."""
+    formats: dict[int, tuple[str, int]] = {}
+    kept, i = bytearray(), 0
+    while i + 3 <= len(content):
+        assert content[i : i + 2] == b"\xa3\x95"
+        kind = content[i + 2]
+        if kind == 128:
+            name = content[i + 5 : i + 9].rstrip(b"\0").decode()
+            formats[content[i + 3]] = (name, content[i + 4])
+            length = 89
+        else:
+            length = formats[kind][1]
+        record = content[i : i + length]
+        when = int.from_bytes(record[3:11], "little")
+        if kind == 128 or formats[kind][0] != "ATT" or not first_us <= when <= last_us:
+            kept += record
+        i += length
+    return bytes(kept)
+
+
+def test_attitude_with_a_hole_and_without_any(mission, baseline):
+    content = mission.log.read_bytes()
+    reader = DFReader.DFReader_binary(str(mission.log))
+    cam = []
+    while (message := reader.recv_match(type=["CAM"])) is not None:
+        cam.append((message.TimeUS, message.I))
+    reader.close()
+    when = min(cam)[0]
+    mission.log.write_bytes(without_attitude(content, when - 2e6, when + 2e6))
+    manifest = ran(mission, 3)
+    assert manifest["stations"]["in_gap"] == 2
+    assert manifest["stations"]["ok"] == 4
+    mission.log.write_bytes(without_attitude(content, 0, 1e18))
+    manifest = ran(mission, 3)
+    assert "CHANNEL-MISSING" in codes(manifest, "loss")
+    assert set(mission.stations()["status"].to_pylist()) == {"no_attitude"}
+    assert mission.results()["x_corrected_px"].null_count == mission.results().num_rows
+    assert mission.results().num_rows == baseline.results().num_rows
+
+
+def test_exposures_of_an_image_nobody_measured(mission):
+    table = mission.measurements()
+    first = table["image"][0].as_py()
+    mission.observe(table.filter(pa.compute.not_equal(table["image"], first)))
+    manifest = ran(mission)
+    assert "STATIONS-UNUSED" in {e["code"] for e in manifest["ledger"]}
+    assert mission.stations().num_rows == 6
+
+
+def in_hectopascal(source, target) -> None:
+    """The recording again, its static pressure outside divided by a hundred.
+
+    FluidPressure ends with two doubles, the pressure and its variance.
+    """
+    with source.open("rb") as stream, target.open("wb") as out:
+        writer = Writer(out)
+        writer.start("ros2", "test")
+        schemas: dict[int, int] = {}
+        channels: dict[int, int] = {}
+        for schema, channel, message in make_reader(stream).iter_messages():
+            if schema.id not in schemas:
+                schemas[schema.id] = writer.register_schema(
+                    schema.name, schema.encoding, schema.data
+                )
+            if channel.id not in channels:
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schemas[schema.id]
+                )
+            data = message.data
+            if channel.topic == "/outside/pressure":
+                pressure, variance = struct.unpack("<2d", data[-16:])
+                data = data[:-16] + struct.pack("<2d", pressure / 100.0, variance)
+            writer.add_message(
+                channels[channel.id], message.log_time, data, message.publish_time,
+                message.sequence,
+            )  # fmt: skip
+        writer.finish()
+
+
+def test_hectopascal_where_pascal_is_due(mission_factory, tmp_path):
+    sound, wrong = mission_factory(tmp_path / "a", "mcap"), mission_factory(tmp_path / "b", "mcap")
+    in_hectopascal(sound.log, wrong.log)
+    ended = wrong.run()
+    assert ended.code == 6
+    assert "CHANNEL-UNIT" in ended.err
+    remedy = ended.err[ended.err.index("to do:") :].split("log.channels.pressure: ")[1]
+    wrong.config["log"]["channels"]["pressure"] = yaml.safe_load(remedy)
+    ran(sound)
+    ran(wrong)
+    np.testing.assert_allclose(corrected(wrong), corrected(sound), atol=1e-6)
+    profile = pq.read_table(wrong.output / "profile.parquet")
+    np.testing.assert_allclose(
+        profile["pressure_pa"].to_numpy(),
+        pq.read_table(sound.output / "profile.parquet")["pressure_pa"].to_numpy(), rtol=1e-9,
+    )  # fmt: skip
+
+
+def test_the_three_logs_of_one_flight_agree(mission_factory, tmp_path, baseline):
+    for kind in ("tlog", "mcap"):
+        other = mission_factory(tmp_path / kind, kind)
+        ran(other)
+        assert np.abs(corrected(other) - corrected(baseline)).max() < 0.01
+
+
+def test_calibration_in_flight_warns(mission):
+    mission.config["cameras"]["nadir"]["calibration"] = "in_flight_uncorrected"
+    mission.config["cameras"]["oblique"]["calibration"] = "in_flight_corrected"
+    manifest = ran(mission)
+    found = [e for e in manifest["ledger"] if e["code"] == "CALIBRATION-IN-FLIGHT"]
+    assert [e["where"] for e in found] == ["cameras.nadir.calibration"]
+    assert "warning CALIBRATION-IN-FLIGHT" in mission.run().out
+
+
+def test_windows(mission, baseline):
+    """No window: no compartment. Constant air near the logged one: nearly the same."""
+    for camera in mission.config["cameras"].values():
+        del camera["window"]
+    ran(mission)
+    assert set(mission.results()["r_cc_rad"].to_pylist()) == {0.0}
+    stations = baseline.stations().to_pandas()
+    air = {"pressure_hpa": float(stations["cabin_pressure_pa"].mean() / 100.0),
+           "temperature_c": float(stations["cabin_temperature_k"].mean() - 273.15)}  # fmt: skip
+    for camera in mission.config["cameras"].values():
+        camera["window"] = {"cabin": air}
+    ran(mission)
+    r_cc = mission.results()["r_cc_rad"].to_numpy()
+    want = baseline.results()["r_cc_rad"].to_numpy()
+    np.testing.assert_allclose(r_cc, want, rtol=0.03, atol=1e-9)
+
+
+def test_standard_atmosphere_kept(mission, baseline):
+    mission.config["atmosphere"]["adjust"] = False
+    manifest = ran(mission)
+    assert manifest["profile"]["basis"] == "standard"
+    assert "AIR-NOT-ADJUSTED" in codes(manifest, "note")
+    assert 1e-4 < np.abs(corrected(mission) - corrected(baseline)).max() < 0.2
+
+
+def test_side_by_side_is_one_after_the_other(mission_factory, tmp_path, baseline, unbend):
+    missions = [mission_factory(tmp_path / name) for name in ("a", "b")]
+    ended = unbend("run", *(m.save() for m in missions), "--jobs", "2")
+    assert ended.code == 0, ended.text
+    for mission in missions:
+        np.testing.assert_array_equal(corrected(mission), corrected(baseline))

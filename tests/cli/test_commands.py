@@ -1,0 +1,242 @@
+"""Every command as a person meets it: help, words, numbers, exit codes, eighty columns."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+
+import pyarrow.parquet as pq
+import pytest
+
+import pipeline
+from pipeline import stages
+
+COMMANDS = ("run", "check", "inspect", "angle", "profile", "simulate", "verify")
+
+
+@pytest.fixture(autouse=True)
+def eighty_columns(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("LINES", "25")
+
+
+def longest(text: str) -> int:
+    return max(len(line.rstrip()) for line in text.splitlines())
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help_with_an_example(unbend, command):
+    ended = unbend(command, "--help")
+    assert ended.code == 0
+    assert f"Example: unbend {command} " in ended.out
+    assert longest(ended.out) <= 80
+    assert command in unbend("--help").out
+
+
+def test_the_help_is_the_manual(unbend):
+    text = unbend("--help").out
+    assert "Exit codes: 0 done; 1 a bug; 2 command or mission file" in text
+    assert longest(text) <= 80
+
+
+def test_version(unbend):
+    assert unbend("--version").out == f"unbend {pipeline.__version__}\n"
+    assert unbend("--version").code == 0
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        (), ("fly",), ("run",), ("check",), ("inspect",), ("verify",), ("run", "--fast", "a.yaml"),
+        ("run", "a.yaml", "--jobs", "0"), ("run", "a.yaml", "--jobs", "two"), ("--verbose",),
+        ("angle", "--camera-height", "high", "--ground-height", "0", "--nadir-angle", "1"),
+        ("angle", "--camera-height", "1"), ("inspect", "a.bin", "b.bin"), ("simulate",),
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_a_command_that_cannot_be_obeyed(unbend, words):
+    ended = unbend(*words)
+    assert ended.code == 2
+    assert "Usage: unbend" in ended.text
+    assert "Traceback" not in ended.text
+
+
+ANGLES = {
+    (10000, 0, 75): 61.778543, (10000, 0, 45): 16.378452, (3000, 0, 45): 7.088778,
+    (120, 0, 45): 0.327323, (20000, 0, 85): 327.014637,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("at", ANGLES, ids=str)
+def test_angle(unbend, at):
+    words = (
+        "angle", "--atmosphere", "us1976", "--index", "gyer", "--radius", "6371000",
+        "--camera-height", at[0], "--ground-height", at[1], "--nadir-angle", at[2],
+    )  # fmt: skip
+    plain, as_json = unbend(*words), unbend(*words, "--json")
+    assert plain.code == as_json.code == 0
+    found = json.loads(as_json.out)
+    assert found["r_c_arcsec"] == pytest.approx(ANGLES[at], abs=1e-6)
+    assert found["r_c_urad"] == pytest.approx(found["r_c_arcsec"] * 4.84813681109536, rel=1e-12)
+    assert found["ground_m"] > 0.0
+    assert f"{found['r_c_arcsec']:.6f} arcsec" in plain.out
+    assert "microradians" in plain.out
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "code"),
+    [
+        ("--atmosphere", "us1967", "ATMOSPHERE-NAME"), ("--method", "magic", "METHOD-NAME"),
+        ("--index", "edlen", "AIR-INDEX"), ("--nadir-angle", "200", "RAY-BAD-MEASUREMENT"),
+        ("--camera-height", "nan", "RAY-BAD-MEASUREMENT"),
+        ("--camera-height", "1e9", "RAY-OUTSIDE-PROFILE"),
+        ("--nadir-angle", "120", "RAY-MISSES-GROUND"),
+    ],
+)  # fmt: skip
+def test_an_angle_that_does_not_exist(unbend, option, value, code):
+    words = {"--camera-height": "3000", "--ground-height": "0", "--nadir-angle": "45"}
+    words[option] = value
+    ended = unbend("angle", *(word for pair in words.items() for word in pair))
+    assert ended.code == 2
+    assert ended.err.startswith(f"{code}: ")
+    assert "to do: " in ended.err
+
+
+KEYS = {"format", "messages", "bad_bytes", "lost_messages", "boots", "channels", "duration_s"}
+
+
+@pytest.mark.parametrize("kind", ["bin", "tlog", "mcap"])
+def test_inspect(unbend, flown, kind):
+    plain, as_json = (
+        unbend("inspect", flown.logs[kind]),
+        unbend("inspect", flown.logs[kind], "--json"),
+    )
+    assert plain.code == as_json.code == 0
+    assert longest(plain.out) <= 80
+    assert "rate [Hz]" in plain.out
+    found = json.loads(as_json.out)
+    assert set(found) >= KEYS
+    assert sum(found["messages"].values()) == flown.messages[kind]
+    assert found["boots"] == 1
+    assert found["bad_bytes"] == found["lost_messages"] == 0
+    assert found["duration_s"] == pytest.approx(flown.duration_s, abs=30.0)
+    for channel in found["channels"]:
+        assert channel["name"] in plain.out
+
+
+def test_inspect_speaks_the_words_of_the_mission_file(unbend, flown, baseline):
+    found = json.loads(unbend("inspect", flown.logs["bin"], "--json").out)
+    names = {channel["name"] for channel in found["channels"]}
+    assert set(baseline.config["log"]["channels"].values()) <= names
+    assert {e["channel"] for e in baseline.config["events"]["log"].values()} <= names
+
+
+def test_inspect_of_what_is_no_log(unbend, tmp_path):
+    ended = unbend("inspect", tmp_path / "none.bin")
+    assert ended.code == 6
+    assert ended.err.startswith("LOG-MISSING: ")
+
+
+def test_inspect_of_a_cut_log_ends_with_the_code_of_losses(unbend, flown, tmp_path):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(flown.logs["mcap"].read_bytes()[:-5000])
+    ended = unbend("inspect", cut)
+    assert ended.code == 3
+    assert "loss LOG-" in ended.out
+
+
+def test_check_says_what_it_understood_and_writes_nothing(unbend, mission):
+    before = sorted(p.name for p in mission.folder.iterdir())
+    ended = unbend("check", mission.save())
+    assert ended.code == 0
+    for words in ("is sound", "3 of nadir, 3 of oblique", "59 in 6 images", "BARO[0]", "dataflash"):
+        assert words in ended.out
+    assert sorted(p.name for p in mission.folder.iterdir()) == sorted([*before, "mission.yaml"])
+    mission.config["log"]["channels"]["humidity"] = "HYGR[9]"
+    ended = unbend("check", mission.save())
+    assert ended.code == 3
+    assert "CHANNEL-MISSING" in ended.out
+    mission.config["log"]["path"] = "none.bin"
+    ended = unbend("check", mission.save())
+    assert ended.code == 6
+    assert "INPUT-MISSING" in ended.err
+
+
+def test_brackets_in_a_path_are_no_markup(unbend, mission_factory, tmp_path):
+    mission = mission_factory(tmp_path / "[bold]strip[1]")
+    assert "[bold]strip[1]" in re.sub(r"\n\s*", "", unbend("check", mission.save()).out)
+
+
+def test_summary_of_a_run(baseline):
+    ended = baseline.run()
+    assert ended.code == 0
+    assert ended.err == ""
+    assert "59 of 59 observations were corrected" in ended.out
+    for words in ("px in the median", "m on the ground", "[px]", "[arcsec]", "results"):
+        assert words in ended.out
+    assert longest(ended.out) <= 80
+
+
+def test_profile_of_a_standard(unbend, tmp_path):
+    ended = unbend("profile", "--atmosphere", "us1976")
+    assert ended.code == 0
+    assert longest(ended.out) <= 80
+    assert "(n-1)e6" in ended.out
+    target = tmp_path / "air.csv"
+    assert unbend("profile", "--atmosphere", "us1976", "--csv", target).code == 0
+    with target.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    ground = min(rows, key=lambda row: abs(float(row["h_m"])))
+    assert float(ground["temperature_k"]) == pytest.approx(288.15, abs=2.0)
+    isothermal = [r for r in rows if r["equation"] == "53" and float(r["h_m"]) < 21_000]
+    assert isothermal
+    for row in isothermal:
+        assert float(row["temperature_k"]) == pytest.approx(216.65, abs=1e-9)
+
+
+def test_profile_of_a_mission(unbend, mission, baseline, tmp_path):
+    target, plot = tmp_path / "air.csv", tmp_path / "air.png"
+    ended = unbend("profile", mission.save(), "--csv", target, "--plot", plot)
+    assert ended.code == 0
+    assert plot.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    with target.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    written = pq.read_table(baseline.output / "profile.parquet")
+    assert [float(row["pressure_pa"]) for row in rows] == written["pressure_pa"].to_pylist()
+    assert not mission.output.exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "exit_code"),
+    [
+        ((), "PROFILE-ARGUMENTS", 2),
+        (("a.yaml", "--atmosphere", "us1976"), "PROFILE-ARGUMENTS", 2),
+        (("a.yaml",), "CONFIG-MISSING", 2), (("--atmosphere", "mars"), "ATMOSPHERE-NAME", 2),
+        (("--atmosphere", "us1976", "--plot", "air.pdf"), "PLOT-FORMAT", 2),
+        (("--atmosphere", "us1976", "--csv", "none/air.csv"), "STORAGE-WRITE", 5),
+        (("--atmosphere", "us1976", "--plot", "none/air.png"), "STORAGE-WRITE", 5),
+    ],
+)  # fmt: skip
+def test_a_profile_that_cannot_be_had(unbend, words, code, exit_code, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    ended = unbend("profile", *words)
+    assert ended.code == exit_code
+    assert ended.err.startswith(f"{code}: ")
+
+
+def test_a_flight_that_cannot_be_simulated(unbend, tmp_path):
+    ended = unbend("simulate", tmp_path / "flown", "--height", "-5")
+    assert ended.code == 2
+    assert ended.err.startswith("SIM-OPTION: ")
+
+
+def test_interrupted(unbend, monkeypatch):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(stages, "one_angle", interrupt)
+    words = ("angle", "--camera-height", 1, "--ground-height", 0, "--nadir-angle", 0)
+    ended = unbend(*words)
+    assert ended.code == 130
+    assert "interrupted" in ended.err

@@ -1,0 +1,441 @@
+"""The mission file: every key misspelt, removed, repeated or given a wrong value."""
+
+from __future__ import annotations
+
+import copy
+import random
+import re
+import string
+import time
+import typing
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from pydantic import BaseModel
+
+from pipeline.config import Mission, load_mission
+from pipeline.errors import ConfigError
+
+CHANNELS = {
+    role: {"name": role.upper(), "unit": unit}
+    for role, unit in {
+        "position": None, "height": None, "attitude": None, "pressure": "hPa",
+        "temperature": "degC", "humidity": "percent", "airspeed": "m/s", "cabin_pressure": "kPa",
+        "cabin_temperature": "K", "cabin_humidity": "fraction",
+    }.items()
+}  # fmt: skip
+
+FULL: dict[str, Any] = {
+    "mission": {"name": "survey", "undulation_m": 47.5},
+    "log": {
+        "path": "a.bin",
+        "channels": CHANNELS,
+        "max_gap_s": 1.5,
+        "local_origin": {"lat_deg": 47.0, "lon_deg": 11.0, "h_ellipsoid_m": 600.0},
+    },
+    "observations": {
+        "path": "o.parquet",
+        "columns": {"image": "i", "point": "p", "x_px": "x", "y_px": "y"},
+        "pixel_origin": "corner",
+    },
+    "cameras": {
+        "nadir": {
+            "width_px": 14000, "height_px": 10600, "fx_px": 20000.0, "fy_px": 20000.0,
+            "cx_px": 7000.0, "cy_px": 5300.0, "pixel_origin": "centre",
+            "distortion": {"k1": 0.1, "k2": 0.1, "k3": 0.1, "p1": 0.1, "p2": 0.1},
+            "calibration": "laboratory",
+            "window": {
+                "cabin": {"pressure_hpa": 800.0, "temperature_c": 20.0, "relative_humidity": 0.3},
+                "normal": [0.0, 0.0, 1.0],
+            },
+        },
+        "window": {  # a camera may be called like one of our keys
+            "width_px": 100, "height_px": 100, "f_px": 200.0, "cx_px": 50.0, "cy_px": 50.0,
+            "calibration": "in_flight_corrected", "window": {"cabin": "log"},
+        },
+    },
+    "mount": {
+        "nadir": {
+            "roll_deg": 0.0, "pitch_deg": 1.0, "yaw_deg": 2.0, "lever_arm_m": [0.1, 0.2, 0.3],
+        },
+        "window": {"roll_deg": 45.0},
+    },
+    "events": {
+        "log": {
+            "nadir": {"channel": "CAM[0]", "image": "n{index:05d}", "delay_s": 0.1},
+            "window": {"channel": "CAM[1]", "image": "w{n}.tif"},
+        },
+    },
+    "ground": {"height": {"column": "h_g_m"}, "reference": "msl", "home_h_msl_m": 580.0},
+    "atmosphere": {
+        "standard": "us1976", "adjust": True, "index": "gyer", "wavelength_m": 5.5e-7,
+        "co2_ppm": 420.0,
+    },
+    "refraction": {"method": "spherical", "radius_m": 6371000.0},
+    "output": {"path": "results", "batch_rows": 100000},
+}  # fmt: skip
+
+CSV_EVENTS = {
+    "csv": {
+        "path": "e.csv",
+        "columns": {"image": "i", "gps_week": "w", "gps_seconds": "s", "camera": "c"},
+        "camera": "nadir",
+    }
+}
+
+
+def with_csv_events() -> dict[str, Any]:
+    return FULL | {"events": CSV_EVENTS}
+
+
+Keys = tuple[str, ...]
+NAMES = {"nadir", "window"}
+
+
+def keys_of(tree: Any, above: Keys = ()) -> Iterator[Keys]:
+    """Every path of keys in a dictionary."""
+    if isinstance(tree, dict):
+        for key, value in tree.items():
+            yield (*above, key)
+            yield from keys_of(value, (*above, key))
+
+
+def is_camera_name(keys: Keys) -> bool:
+    return keys[-1] in NAMES and keys[:-1] in {("cameras",), ("mount",), ("events", "log")}
+
+
+def at(tree: dict[str, Any], keys: Keys) -> Any:
+    for key in keys:
+        tree = tree[key]
+    return tree
+
+
+def changed(tree: dict[str, Any], keys: Keys, value: Any) -> dict[str, Any]:
+    tree = copy.deepcopy(tree)
+    at(tree, keys[:-1])[keys[-1]] = value
+    return tree
+
+
+def renamed(tree: dict[str, Any], keys: Keys, name: str) -> dict[str, Any]:
+    tree = copy.deepcopy(tree)
+    parent = at(tree, keys[:-1])
+    items = [(name if key == keys[-1] else key, value) for key, value in parent.items()]
+    parent.clear()
+    parent.update(items)
+    return tree
+
+
+def without(tree: dict[str, Any], keys: Keys) -> dict[str, Any]:
+    tree = copy.deepcopy(tree)
+    del at(tree, keys[:-1])[keys[-1]]
+    return tree
+
+
+def line_of(text: str, keys: Keys) -> int:
+    """The line where a key stands, by YAML's own account."""
+    node = yaml.compose(text)
+    for key in keys:
+        found = next((k, v) for k, v in node.value if k.value == key)
+        line, node = found[0].start_mark.line + 1, found[1]
+    return line
+
+
+@pytest.fixture
+def refused(tmp_path: Path):
+    """Loads a mission and gives the refusal; fails when there is none or it took a second."""
+
+    def attempt(content: dict[str, Any] | str) -> ConfigError:
+        path = tmp_path / "mission.yaml"
+        text = content if isinstance(content, str) else yaml.safe_dump(content, sort_keys=False)
+        path.write_text(text, encoding="utf-8")
+        begin = time.process_time()
+        with pytest.raises(ConfigError) as caught:
+            load_mission(path)
+        assert time.process_time() - begin < 1.0
+        assert str(path) in caught.value.where
+        assert caught.value.remedy
+        assert "pydantic" not in str(caught.value).lower()
+        assert "http" not in str(caught.value)
+        return caught.value
+
+    return attempt
+
+
+@pytest.fixture
+def accepted(tmp_path: Path):
+    def load(content: dict[str, Any] | str) -> Mission:
+        path = tmp_path / "mission.yaml"
+        text = content if isinstance(content, str) else yaml.safe_dump(content, sort_keys=False)
+        path.write_text(text, encoding="utf-8")
+        return load_mission(path)
+
+    return load
+
+
+def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for argument in typing.get_args(annotation):
+        yield from models_in(argument)
+
+
+def fields_of(model: type[BaseModel], seen: set[type[BaseModel]]) -> Iterator[str]:
+    if model in seen:
+        return
+    seen.add(model)
+    for name, field in model.model_fields.items():
+        yield name
+        for inner in models_in(field.annotation):
+            yield from fields_of(inner, seen)
+
+
+def test_the_examples_here_use_every_key_there_is(accepted):
+    used = {keys[-1] for tree in (FULL, with_csv_events()) for keys in keys_of(tree)}
+    known = set(fields_of(Mission, set())) - {"time_utc"}
+    assert known <= used
+    accepted(FULL)
+    accepted(with_csv_events())
+
+
+def typos(word: str, draw: random.Random) -> Iterator[str]:
+    """One letter too few, too many, wrong, and two swapped."""
+    letters = string.ascii_lowercase + "_"
+    i = draw.randrange(len(word))
+    yield word[:i] + word[i + 1 :]
+    yield word[:i] + draw.choice(letters) + word[i:]
+    yield word[:i] + draw.choice(letters) + word[i + 1 :]
+    if len(word) > 1:
+        j = draw.randrange(len(word) - 1)
+        yield word[:j] + word[j + 1] + word[j] + word[j + 2 :]
+
+
+def test_a_misspelt_key_is_refused_with_its_line_and_the_right_one(refused):
+    draw = random.Random(20240607)
+    tried, right = 0, 0
+    wrong = []
+    for tree in (FULL, with_csv_events()):
+        for keys in keys_of(tree):
+            if is_camera_name(keys) or (tree is not FULL and keys[0] != "events"):
+                continue
+            for typo in draw.sample(list(typos(keys[-1], draw)), 2):
+                if not typo or typo in set(fields_of(Mission, set())):
+                    continue
+                spoilt = renamed(tree, keys, typo)
+                text = yaml.safe_dump(spoilt, sort_keys=False)
+                error = refused(text)
+                dotted = ".".join((*keys[:-1], typo))
+                line = line_of(text, (*keys[:-1], typo))
+                assert error.code == "CONFIG-UNKNOWN-KEY", (typo, error)
+                assert f"line {line}: {dotted}: unknown key" in error.what, (typo, error)
+                tried += 1
+                if f"{dotted}: unknown key; did you mean {keys[-1]!r}?" in error.what:
+                    right += 1
+                else:
+                    wrong.append((typo, keys[-1]))
+    assert tried > 180
+    assert right / tried >= 0.95, wrong
+
+
+def test_a_required_key_that_is_missing_is_named(refused):
+    required = [
+        ("mission",), ("log",), ("observations",), ("cameras",), ("mount",), ("events",),
+        ("ground",), ("output",), ("mission", "name"), ("log", "path"), ("observations", "path"),
+        ("cameras", "nadir", "width_px"), ("cameras", "nadir", "height_px"),
+        ("cameras", "nadir", "cx_px"), ("cameras", "nadir", "cy_px"),
+        ("cameras", "nadir", "calibration"), ("cameras", "nadir", "window", "cabin"),
+        ("events", "log", "nadir", "image"), ("ground", "height"), ("ground", "reference"),
+        ("output", "path"), ("log", "local_origin", "lat_deg"),
+        ("log", "local_origin", "h_ellipsoid_m"), ("log", "channels", "pressure", "name"),
+        ("cameras", "nadir", "window", "cabin", "pressure_hpa"),
+    ]  # fmt: skip
+    for keys in required:
+        error = refused(without(FULL, keys))
+        assert ".".join(keys) in error.what, error
+        assert "is missing" in error.what, error
+
+
+def test_nothing_is_assumed_about_calibration_and_ground(refused):
+    for keys, choices in (
+        (("cameras", "nadir", "calibration"), "laboratory | in_flight_uncorrected"),
+        (("ground", "reference"), "msl | ellipsoid | relative"),
+    ):
+        assert choices in refused(without(FULL, keys)).what
+    assert "column" in refused(without(FULL, ("ground", "height"))).what
+    required = [
+        (m.__name__, n) for m in models_in(Mission.model_fields["ground"].annotation)
+        for n in ("height", "reference") if not m.model_fields[n].is_required()
+    ]  # fmt: skip
+    assert required == []
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+def test_no_number_may_be_infinite_or_nan(refused, value):
+    numbers = [
+        k for k in keys_of(FULL) if type(at(FULL, k)) in (int, float)
+    ] + [("cameras", "nadir", "window", "normal"), ("mount", "nadir", "lever_arm_m")]  # fmt: skip
+    assert len(numbers) > 35
+    for keys in numbers:
+        spoilt = [value, 0.0, 1.0] if isinstance(at(FULL, keys), list) else value
+        error = refused(changed(FULL, keys, spoilt))
+        assert ".".join(keys) in error.what, error
+
+
+def test_a_value_of_the_wrong_type_is_refused_where_it_stands(refused):
+    for keys in keys_of(FULL):
+        right = at(FULL, keys)
+        wrongs: list[Any] = [{"surprise": 1}] if isinstance(right, list) else [["a", "b"]]
+        if isinstance(right, (int, float)) and not isinstance(right, bool):
+            wrongs += ["12"]
+        if isinstance(right, (str, bool)):
+            wrongs += [7]
+        if isinstance(right, bool):
+            wrongs += ["yes"]
+        for wrong in wrongs:
+            spoilt = changed(FULL, keys, wrong)
+            error = refused(spoilt)
+            assert keys[0] in error.what, (keys, wrong, error)
+            assert re.search(r"line \d+", error.what), (keys, wrong, error)
+
+
+@pytest.mark.parametrize(
+    ("keys", "value"),
+    [
+        (("mission", "name"), "../up"), (("mission", "name"), ""), (("mission", "name"), "a/b"),
+        (("mission", "name"), "a\nb"), (("mission", "name"), "x" * 300),
+        (("mission", "undulation_m"), 500.0), (("log", "max_gap_s"), 0.0),
+        (("log", "max_gap_s"), -1.0), (("log", "path"), ""), (("log", "path"), "a\0b"),
+        (("output", "path"), "a\0b"), (("output", "batch_rows"), 10),
+        (("cameras", "nadir", "width_px"), 0), (("cameras", "nadir", "width_px"), 100.5),
+        (("cameras", "nadir", "fx_px"), -1.0), (("cameras", "nadir", "calibration"), "lab"),
+        (("cameras", "nadir", "window", "normal"), [0.0, 0.0, 0.0]),
+        (("cameras", "nadir", "window", "normal"), [0.0, 1.0, -0.1]),
+        (("cameras", "nadir", "window", "normal"), [0.0, 1.0]),
+        (("cameras", "nadir", "window", "cabin"), "constant"),
+        (("cameras", "nadir", "window", "cabin", "pressure_hpa"), 80000.0),
+        (("events", "log", "nadir", "image"), "same.tif"),
+        (("events", "log", "nadir", "image"), "{number}.tif"),
+        (("events", "log", "nadir", "image"), "{index.real}"),
+        (("events", "log", "nadir", "image"), "{index!r}"),
+        (("events", "log", "nadir", "image"), "{index:999999999d}"),
+        (("events", "log", "nadir", "image"), "{index"),
+        (("ground", "height"), 40000.0), (("ground", "reference"), "wgs84"),
+        (("atmosphere", "standard"), "us1967"), (("atmosphere", "index"), "edlen"),
+        (("refraction", "method"), "magic"), (("refraction", "radius_m"), 6371.0),
+    ],
+)  # fmt: skip
+def test_a_value_out_of_range_is_refused(refused, keys, value):
+    assert ".".join(keys) in refused(changed(FULL, keys, value)).what
+
+
+def test_one_principal_distance(refused, accepted):
+    nadir = ("cameras", "nadir")
+    accepted(changed(without(without(FULL, (*nadir, "fx_px")), (*nadir, "fy_px")),
+                     (*nadir, "f_px"), 20000.0))  # fmt: skip
+    for spoilt in (
+        changed(FULL, (*nadir, "f_px"), 1.0),
+        without(FULL, (*nadir, "fx_px")),
+        without(without(FULL, (*nadir, "fx_px")), (*nadir, "fy_px")),
+    ):
+        assert "f_px" in refused(spoilt).what
+
+
+def test_cameras_must_agree(refused):
+    for where in (("mount",), ("events", "log"), ("cameras",)):
+        error = refused(renamed(FULL, (*where, "nadir"), "nadri"))
+        assert "nadri" in error.what
+        assert "nadir" in error.what
+    for where in ("mount", "events.log"):
+        keys = (*where.split("."), "nadir")
+        assert f"'nadir' has no entry under {where}" in refused(without(FULL, keys)).what
+    error = refused(changed(with_csv_events(), ("events", "csv", "camera"), "oblique"))
+    assert "oblique" in error.what
+    silent = without(with_csv_events(), ("events", "csv", "camera"))
+    assert "which camera" in refused(without(silent, ("events", "csv", "columns", "camera"))).what
+
+
+def test_exposures_have_one_source_and_one_clock(refused):
+    assert "either log or csv" in refused(changed(FULL, ("events",), {})).what
+    assert (
+        "either log or csv" in refused(changed(FULL, ("events",), FULL["events"] | CSV_EVENTS)).what
+    )
+    columns = ("events", "csv", "columns")
+    for given in ({"time_utc": "t", "gps_week": "w", "gps_seconds": "s"}, {"gps_week": "w"}, {}):
+        assert "time_utc" in refused(changed(with_csv_events(), columns, given)).what
+
+
+@pytest.mark.parametrize("keys", [k for k in keys_of(FULL) if len(k) < 3])
+def test_a_key_that_stands_there_twice_is_refused(refused, keys):
+    text = yaml.safe_dump(FULL, sort_keys=False)
+    lines = text.splitlines()
+    line = line_of(text, keys)
+    lines.insert(line - 1, " " * (len(lines[line - 1]) - len(lines[line - 1].lstrip()))
+                 + f"{keys[-1]}: twice")  # fmt: skip
+    error = refused("\n".join(lines))
+    assert error.code == "CONFIG-YAML"
+    assert repr(keys[-1]) in error.what
+    assert error.where.endswith(f":{line + 1}")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "!!python/object/apply:os.system ['touch owned']",
+        "mission: !!python/object/apply:os.system ['touch owned']",
+        "mission: {name: !!python/name:os.system }",
+        "a: [1, 2", "\tmission: 1", "mission: {name: x", "a: &x [*x]\nb: *y", "? [a, b]\n: 1",
+        "? {a: b}\n: 1", "{}: 3", "- 1\n- 2", "just words", "", "# nothing\n", "null", "a: b: c",
+        "mission: {name: a, <<: 7}", "--- {a: 1}\n--- {b: 2}\n", "a: \x07", "[" * 400,
+    ],
+)  # fmt: skip
+def test_text_that_is_no_mission_file(refused, text, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert refused(text).code in ("CONFIG-YAML", "CONFIG-EMPTY", "CONFIG-INVALID",
+                                  "CONFIG-UNKNOWN-KEY")  # fmt: skip
+    assert not (tmp_path / "owned").exists()
+
+
+def test_bytes_that_are_no_text(tmp_path):
+    path = tmp_path / "mission.yaml"
+    for content in (b"\xff\xfe\x00\x01", bytes(range(256)) * 10, "mission".encode("utf-16")):
+        path.write_bytes(content)
+        with pytest.raises(ConfigError, match="CONFIG-"):
+            load_mission(path)
+    with pytest.raises(ConfigError, match="CONFIG-MISSING"):
+        load_mission(tmp_path / "none.yaml")
+    with pytest.raises(ConfigError, match="CONFIG-UNREADABLE"):
+        load_mission(tmp_path)
+
+
+def test_words_and_numbers_are_those_of_yaml_1_2(accepted, refused):
+    text = yaml.safe_dump(FULL, sort_keys=False)
+    plain = text.replace("name: survey", "name: no").replace("wavelength_m: 5.5e-07",
+                                                             "wavelength_m: 55e-8")  # fmt: skip
+    assert "55e-8" in plain
+    mission = accepted(plain)
+    assert mission.mission.name == "no"
+    assert mission.atmosphere.wavelength_m == pytest.approx(0.55e-6)
+    for word in ("on", "off", "yes", "y"):
+        assert accepted(text.replace("name: survey", f"name: {word}")).mission.name == word
+    assert accepted(text.replace("co2_ppm: 420.0", "co2_ppm: 0420")).atmosphere.co2_ppm == 420.0
+    for odd in ("1:30", "1_000", "0x10", "yes", "2024-05-01"):
+        assert "co2_ppm" in refused(text.replace("co2_ppm: 420.0", f"co2_ppm: {odd}")).what
+
+
+def test_every_mistake_is_told_at_once_in_the_order_of_the_file(refused):
+    spoilt = renamed(changed(FULL, ("ground", "reference"), "sea"), ("log", "path"), "pth")
+    spoilt = changed(spoilt, ("cameras", "nadir", "width_px"), "wide")
+    what = refused(spoilt).what
+    assert "4 mistakes" in what
+    lines = [int(n) for n in re.findall(r"line (\d+):", what)]
+    assert lines == sorted(lines)
+    assert len(lines) == 4
+
+
+def test_aliases_cannot_swell(refused):
+    bomb = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n"
+    for i in range(1, 30):
+        bomb += f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n"
+    assert refused(bomb).code == "CONFIG-UNKNOWN-KEY"

@@ -1,0 +1,159 @@
+"""A small simulated mission that tests may copy, spoil and run through the command line."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import shutil
+import signal
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import yaml
+
+from pipeline.simulate import Simulated, SimulationOptions, simulate
+
+SMALL = SimulationOptions(
+    seed=5, height_above_ground_m=2500.0, lines=1, exposures_per_line=3, points_per_image=12
+)
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended, and what it said."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def text(self) -> str:
+        return self.out + self.err
+
+
+def run_command(*words: object) -> Ended:
+    """`unbend` with these words, in this process."""
+    from pipeline.cli import main
+
+    out, err = io.StringIO(), io.StringIO()
+    kept = sys.argv, sys.excepthook, signal.getsignal(signal.SIGTERM)
+    sys.argv = ["unbend", *(str(word) for word in words)]
+    try:
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            main()
+        code = 0
+    except SystemExit as end:
+        code = int(end.code or 0)
+    finally:
+        sys.argv, sys.excepthook = kept[0], kept[1]
+        signal.signal(signal.SIGTERM, kept[2])
+    return Ended(code, out.getvalue(), err.getvalue())
+
+
+@dataclass
+class MissionFolder:
+    """A folder with a mission file, which a test changes as a dictionary, and its inputs."""
+
+    folder: Path
+    kind: str
+    config: dict[str, Any]
+
+    @property
+    def file(self) -> Path:
+        return self.folder / "mission.yaml"
+
+    @property
+    def log(self) -> Path:
+        return self.folder / self.config["log"]["path"]
+
+    @property
+    def output(self) -> Path:
+        return self.folder / self.config["output"]["path"]
+
+    def save(self) -> Path:
+        self.file.write_text(yaml.safe_dump(self.config, sort_keys=False), encoding="utf-8")
+        return self.file
+
+    def run(self, *options: str) -> Ended:
+        return run_command("run", self.save(), *options)
+
+    def measurements(self) -> pa.Table:
+        return pq.read_table(self.folder / "observations.parquet").replace_schema_metadata(None)
+
+    def observe(self, table: pa.Table, name: str = "own.parquet") -> None:
+        """Make a table the observations of the mission."""
+        pq.write_table(table, self.folder / name)
+        self.config["observations"]["path"] = name
+
+    def observe_text(self, text: str | bytes, name: str = "own.csv") -> None:
+        """Make a CSV the observations of the mission."""
+        content = text.encode() if isinstance(text, str) else text
+        (self.folder / name).write_bytes(content)
+        self.config["observations"]["path"] = name
+
+    def results(self) -> pa.Table:
+        return pq.read_table(self.output / "observations")
+
+    def stations(self) -> pa.Table:
+        return pq.read_table(self.output / "stations.parquet")
+
+
+@pytest.fixture(scope="session")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Simulated:
+    """A flight of one line: three logs, six images, some sixty observations."""
+    return simulate(tmp_path_factory.mktemp("flown"), SMALL)
+
+
+@pytest.fixture(scope="session")
+def mission_factory(flown: Simulated) -> Callable[..., MissionFolder]:
+    """Copies the simulated mission into a folder."""
+
+    def make(folder: Path, kind: str = "bin") -> MissionFolder:
+        folder.mkdir(parents=True, exist_ok=True)
+        shutil.copy(flown.logs[kind], folder)
+        shutil.copy(flown.observations, folder)
+        config = yaml.safe_load(flown.missions[kind].read_text(encoding="utf-8"))
+        config["output"]["path"] = "results"
+        return MissionFolder(folder, kind, config)
+
+    return make
+
+
+@pytest.fixture
+def mission(mission_factory: Callable[..., MissionFolder], tmp_path: Path) -> MissionFolder:
+    """The simulated mission with its DataFlash log, in a folder of the test's own."""
+    return mission_factory(tmp_path / "mission")
+
+
+@pytest.fixture(scope="session")
+def baseline(
+    mission_factory: Callable[..., MissionFolder], tmp_path_factory: pytest.TempPathFactory
+) -> MissionFolder:
+    """The mission as simulated, after a run. Not to be changed."""
+    done = mission_factory(tmp_path_factory.mktemp("baseline") / "mission")
+    ended = done.run()
+    assert ended.code == 0, ended.text
+    return done
+
+
+@pytest.fixture
+def plain_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A report without plots, which take most of the time of a small run."""
+    from pipeline import stages
+
+    def write_report(path: Path, manifest: dict[str, Any], *_: object) -> None:
+        path.write_text(manifest["mission"], encoding="utf-8")
+
+    monkeypatch.setattr(stages, "write_report", write_report)
+
+
+@pytest.fixture
+def unbend() -> Callable[..., Ended]:
+    """`unbend` with some words, in this process."""
+    return run_command

@@ -1,0 +1,108 @@
+"""Every code of a refusal and of the ledger: named once here, raised by a test or explained."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import pipeline
+from pipeline import errors
+
+PACKAGE = Path(pipeline.__file__).parent
+TESTS = Path(__file__).resolve().parents[1]
+
+REFUSALS = {
+    name for name, kind in vars(errors).items()
+    if isinstance(kind, type) and issubclass(kind, errors.UnbendError)
+}  # fmt: skip
+LEDGER = {"note", "fallback", "warning", "loss"}
+
+# What no test raises, and why.
+EXPLAINED = {
+    "STORAGE-LOCK": "flock fails for another reason than a lock: no lock manager on the disk",
+    "WORKER-LOST": "a worker killed by the system; raising it needs a machine short of memory",
+    "EVENTS-NONE": "the mission file cannot say that: its model asks for log or csv",
+    "LOG-UNREADABLE": "a disk that fails while a log is read; tests run as any user, root too",
+    "OBS-MISSING": "a table that vanishes between hashing and reading; INPUT-MISSING comes first",
+    "SIM-ODE": "scipy's integrator giving up; no input is known that makes it",
+    "SIM-PATH": "as SIM-ODE",
+    "SIM-GRAZING": "a ray below the horizon; the simulator's own limits keep it away",
+    "SIM-POINTS": "a block without points; the simulator's own limits keep it away",
+    "LOG-DIALECT": "a pymavlink without its dialects",
+}
+
+
+def first_words(call: ast.Call) -> str | None:
+    first = call.args[0] if call.args else None
+    return first.value if isinstance(first, ast.Constant) and isinstance(first.value, str) else None
+
+
+def codes(callers: set[str]) -> dict[str, str]:
+    """Code -> file of every call of these functions with a literal code."""
+    found = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call):
+                continue
+            name = node.func.id if isinstance(node.func, ast.Name) else getattr(
+                node.func, "attr", "")  # fmt: skip
+            code = first_words(node)
+            if name in callers and code and code == code.upper() and " " not in code:
+                found[code] = f"{path.relative_to(PACKAGE)}:{node.lineno}"
+    return found
+
+
+@pytest.fixture(scope="module")
+def said_in_tests() -> str:
+    here = Path(__file__).resolve()
+    return "\n".join(
+        p.read_text(encoding="utf-8") for p in sorted(TESTS.rglob("*.py")) if p.resolve() != here
+    )
+
+
+def test_refusals_are_found():
+    found = codes(REFUSALS)
+    assert len(found) > 40
+    for code in found:
+        assert code.replace("-", "").isalnum(), code
+        assert "-" in code, code
+
+
+def test_every_refusal_is_raised_by_a_test_or_explained(said_in_tests):
+    missing = {
+        code: where for code, where in codes(REFUSALS).items()
+        if code not in said_in_tests and code not in EXPLAINED
+    }  # fmt: skip
+    assert not missing, missing
+
+
+def test_nothing_is_explained_that_does_not_exist():
+    known = codes(REFUSALS) | codes(LEDGER)
+    assert not set(EXPLAINED) - set(known), set(EXPLAINED) - set(known)
+
+
+def test_every_refusal_says_what_to_do():
+    """A refusal of the user's input carries a remedy; the file that cannot be written may not."""
+    without = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                code = first_words(node)
+                given = {keyword.arg for keyword in node.keywords}
+                if node.func.id in REFUSALS and code and "remedy" not in given:
+                    without.append((code, f"{path.relative_to(PACKAGE)}:{node.lineno}"))
+    allowed = {"DISK-WRITE", "EVENTS-NONE", "STORAGE-LOCK", "SIM-ODE", "SIM-PATH", "SIM-GRAZING"}
+    assert {code for code, _ in without} <= allowed, without
+
+
+def test_a_refusal_survives_the_way_between_processes():
+    import pickle
+
+    for name in sorted(REFUSALS):
+        error = getattr(errors, name)("SOME-CODE", "what", where="where", remedy="remedy")
+        back = pickle.loads(pickle.dumps(error))
+        assert type(back) is type(error)
+        assert str(back) == str(error)
+        assert back.exit_code == error.exit_code

@@ -1,0 +1,76 @@
+"""The rule of the rooms, and how light the package is to import."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def python(code: str, *options: str) -> str:
+    done = subprocess.run(
+        [sys.executable, *options, "-c", code], capture_output=True, text=True, cwd=ROOT
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_rooms_keep_to_the_import_rule():
+    tool = Path(sys.executable).with_name("lint-imports")
+    command = str(tool) if tool.exists() else shutil.which("lint-imports")
+    if command is None:
+        pytest.skip("import-linter is not installed")
+    done = subprocess.run([command, "--no-cache"], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stdout
+    assert "0 broken" in done.stdout
+
+
+HEAVY = ("numba", "pyarrow", "pandas", "scipy", "numpy", "matplotlib", "pymavlink", "yaml")
+
+
+def test_importing_the_package_is_nothing():
+    code = (
+        "import time, sys, json; t = time.process_time(); import pipeline\n"
+        "print(json.dumps([time.process_time() - t, sorted(sys.modules)]))"
+    )
+    seconds, modules = json.loads(python(code))
+    assert seconds < 0.3
+    assert not set(HEAVY) & set(modules)
+
+
+def test_the_command_line_is_light_until_it_works():
+    modules = json.loads(
+        python("import sys, json; import pipeline.cli; print(json.dumps(sorted(sys.modules)))")
+    )
+    assert not set(HEAVY) & set(modules)
+
+
+def test_the_physics_needs_numpy_and_numba_alone():
+    """And numba not before the first ray."""
+    code = (
+        "import sys, json\nimport pipeline.atmosphere, pipeline.refraction\n"
+        "print(json.dumps(sorted(m.split('.')[0] for m in sys.modules)))"
+    )
+    modules = set(json.loads(python(code)))
+    assert "numpy" in modules
+    assert not {"numba", "pyarrow", "pandas", "pymavlink", "mcap", "yaml", "pydantic"} & modules
+
+
+@pytest.mark.parametrize(
+    "module", ["pipeline.stages", "pipeline.cli", "pipeline.simulate", "pipeline.ingest"]
+)
+def test_importing_warns_of_nothing(module):
+    python(f"import {module}", "-W", "error")
+
+
+def test_no_assert_in_the_package():
+    """`python -O` must refuse what `python` refuses."""
+    for path in (ROOT / "pipeline").rglob("*.py"):
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+            assert not line.lstrip().startswith("assert "), f"{path}:{number}"
