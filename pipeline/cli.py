@@ -101,6 +101,7 @@ def check(
 ) -> None:
     """Validate mission files and their inputs; correct nothing."""
     from pipeline.batch.execute import exit_code_of
+    from pipeline.report.progress import PatientBar
     from pipeline.report.terminal import show_check, show_ledger
     from pipeline.stages import check_mission
 
@@ -108,12 +109,13 @@ def check(
     ends: list[int] = []
     for config in configs:
         try:
-            found = check_mission(config)
+            with PatientBar(console, f"checking {config.name}"):
+                found = check_mission(config)
         except UnbendError as error:
             _refuse(error, str(config))
             ends.append(error.exit_code)
             continue
-        console.print(f"[bold]{escape(str(config))}[/bold] is sound")
+        console.print(f"[bold]{escape(str(config))}[/bold] can be run")
         show_check(console, found.lines())
         show_ledger(console, found.ledger.rows())
         ends.append(EXIT_LOSSES if found.ledger.has_losses else EXIT_DONE)
@@ -127,14 +129,17 @@ def inspect(
 ) -> None:
     """Show what a log holds, in the words that a mission file takes."""
     from pipeline.ingest import open_log
+    from pipeline.report.progress import PatientBar
     from pipeline.report.terminal import show_log
 
-    opened = open_log(log)
+    console = _console()
+    with PatientBar(console, f"reading {log.name}"):
+        opened = open_log(log)
     content = opened.to_json_dict()
     if as_json:
         print(json.dumps(content, indent=2))
     else:
-        show_log(_console(), content, log.name)
+        show_log(console, content, log.name)
     raise typer.Exit(EXIT_LOSSES if opened.ledger.has_losses else EXIT_DONE)
 
 
@@ -163,7 +168,10 @@ def angle(
         show_angle(_console(), result)
 
 
-@app.command(epilog="Example: unbend profile mission.yaml --plot air.png")
+@app.command(
+    epilog="Example: unbend profile mission.yaml --plot air.png; "
+    "unbend profile --atmosphere us1976 --step 1000"
+)
 def profile(
     config: Annotated[
         Path | None, typer.Argument(help="a mission file", metavar="[CONFIG]")
@@ -171,8 +179,14 @@ def profile(
     atmosphere: Annotated[str | None, typer.Option(help="name of a standard atmosphere")] = None,
     csv: Annotated[Path | None, typer.Option(help="write the profile as CSV")] = None,
     plot: Annotated[Path | None, typer.Option(help="draw it, .png or .svg")] = None,
+    step: Annotated[
+        float | None,
+        typer.Option(min=1, max=10_000, help="metres between rows; by default the layers' edges"),
+    ] = None,
 ) -> None:
     """The profile of the air, of a mission or of a standard, as a table, CSV or plot."""
+    from pipeline.atmosphere.profile import heights_every
+    from pipeline.report.progress import PatientBar
     from pipeline.stages import profile_sources
     from pipeline.tables.writing import profile_arrow
 
@@ -182,8 +196,12 @@ def profile(
             "give a mission file, or --atmosphere",
             remedy="for example: unbend profile --atmosphere us1976",
         )
-    adjustment, samples, ledger = profile_sources(config, atmosphere)
-    rows = profile_arrow(adjustment, "").drop_columns(["profile_id", "time_utc"]).to_pylist()
+    console = _console()
+    with PatientBar(console, "finding the air"):
+        adjustment, samples, ledger = profile_sources(config, atmosphere)
+    heights = None if step is None else heights_every(adjustment.profile, step)
+    table = profile_arrow(adjustment, "", heights).drop_columns(["profile_id", "time_utc"])
+    rows = table.to_pylist()
     if csv is not None:
         _write_csv(csv, rows)
     if plot is not None:
@@ -193,7 +211,6 @@ def profile(
     if csv is None and plot is None:
         from pipeline.report.terminal import show_ledger, show_profile
 
-        console = _console()
         show_profile(console, rows)
         show_ledger(console, ledger.rows())
     raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)

@@ -25,7 +25,13 @@ from pipeline.batch.correct import CameraSetup, Ground, Tally, correct_stream
 from pipeline.batch.look import exposures_of, warn_of_calibration
 from pipeline.batch.manifest import Outcome, manifest_of, outcome_of
 from pipeline.batch.plan import Plan, check_unchanged, make_plan
-from pipeline.batch.store import RunFolder, find_damage, open_folder, read_manifest
+from pipeline.batch.store import (
+    RunFolder,
+    find_damage,
+    open_folder,
+    read_manifest,
+    translated,
+)
 from pipeline.config import Mission, load_mission
 from pipeline.errors import MissionError, StorageError
 from pipeline.flight.air import air_samples
@@ -97,7 +103,10 @@ def run_mission(path: Path, *, force: bool = False, progress: Progress | None = 
         write_tables(folder, stations, adjustment)
         ledger.extend(flight.log.ledger)
         manifest = manifest_of(plan, flight.log, flight.roles, stations, adjustment, tally, ledger)
-        write_report(folder.place("report.html"), manifest, adjustment, samples, tally.grids)
+        report = folder.place("report.html")
+        with translated(report):
+            grids = {name: extent.grid for name, extent in tally.extents.items()}
+            write_report(report, manifest, adjustment, samples, grids)
         folder.seal("report.html")
         check_unchanged(plan)
         manifest["outputs"] = folder.outputs()

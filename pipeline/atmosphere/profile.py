@@ -308,6 +308,18 @@ def profile_table(profile: Profile, h: ArrayLike | None = None) -> dict[str, Any
     }
 
 
+def heights_every(profile: Profile, step: float) -> Array:
+    """Heights [m above sea level] at whole multiples of ``step`` inside a profile, to 30 km.
+
+    >>> from pipeline.atmosphere import standard_atmosphere
+    >>> heights_every(standard_atmosphere("us1976"), 10000.0).tolist()
+    [0.0, 10000.0, 20000.0, 30000.0]
+    """
+    first = np.ceil(profile.bottom_m / step)
+    last = np.floor(min(profile.top_m, 30_000.0) / step)
+    return np.arange(first, last + 1.0) * step + 0.0
+
+
 def profile_from_table(
     h: ArrayLike,
     temperature_k: ArrayLike,

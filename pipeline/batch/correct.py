@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -15,7 +16,7 @@ from pipeline.ledger import Ledger
 from pipeline.refraction.camera import Camera
 from pipeline.refraction.image import Corrections, Exposures, correct_observations
 from pipeline.refraction.ray import RayTable
-from pipeline.refraction.spread import ImageGrid, Spread
+from pipeline.refraction.spread import SPREADS, Extent, ImageGrid, Spread
 from pipeline.refraction.status import NO_STATION, STATUS_NAMES
 from pipeline.tables.observations import Batch, Observations
 from pipeline.tables.schemas import OBSERVATION_COLUMNS, schema_of
@@ -57,16 +58,20 @@ class Ground:
 
 @dataclass
 class Tally:
-    """What the stream amounted to: counts, and how large the correction was."""
+    """What the stream amounted to: counts, and how large the correction was in each camera."""
 
+    extents: dict[str, Extent]
     rows: int = 0
     parts: int = 0
     status: dict[str, int] = field(default_factory=dict)
-    shift_px: Spread = field(default_factory=Spread)
-    shift_ground_m: Spread = field(default_factory=Spread)
-    refraction_arcsec: Spread = field(default_factory=Spread)
-    window_arcsec: Spread = field(default_factory=Spread)
-    grids: dict[str, ImageGrid] = field(default_factory=dict)
+
+    def correction(self) -> dict[str, Any]:
+        """How large the correction was, over all and camera by camera, for the manifest."""
+        together = {
+            name: sum((e.spreads()[name] for e in self.extents.values()), Spread()).summary()
+            for name in SPREADS
+        }
+        return together | {"cameras": {n: e.summary() for n, e in self.extents.items()}}
 
     def report_flagged(self, ledger: Ledger) -> None:
         """A line in the ledger for each reason why observations were not corrected."""
@@ -103,9 +108,7 @@ def correct_stream(
     # An image that no exposure was found for has a station without a camera.
     camera_of = np.array([number_of.get(name, -1) for name in stations_camera], np.int64)
     tally = Tally(
-        grids={
-            name: ImageGrid(s.camera.width_px, s.camera.height_px) for name, s in cameras.items()
-        }
+        {n: Extent(ImageGrid(s.camera.width_px, s.camera.height_px)) for n, s in cameras.items()}
     )
     for number, batch in enumerate(observations.batches(batch_rows)):
         row = _station_rows(batch.image, names)
@@ -116,7 +119,7 @@ def correct_stream(
         name = f"observations/part-{number:05d}.parquet"
         write_parquet(observation_table(batch, corrections, h_g, schema), folder.place(name))
         folder.seal(name)
-        _count(tally, batch, corrections, cameras, np.append(camera_of, -1)[row])
+        _count(tally, batch, corrections, np.append(camera_of, -1)[row])
         tally.parts = number + 1
         progress(len(batch))
     return tally
@@ -172,21 +175,12 @@ def _count(
     tally: Tally,
     batch: Batch,
     corrections: Corrections,
-    cameras: Mapping[str, CameraSetup],
     camera: NDArray[np.int64],
 ) -> None:
     tally.rows += len(batch)
     counts = np.bincount(corrections.status, minlength=len(STATUS_NAMES))
     for name, count in zip(STATUS_NAMES, counts.tolist(), strict=True):
         tally.status[name] = tally.status.get(name, 0) + int(count)
-    good = np.isfinite(corrections.dx_px)
-    arcsec = 180.0 * 3600.0 / np.pi
-    tally.shift_px.add(np.hypot(corrections.dx_px[good], corrections.dy_px[good]))
-    tally.shift_ground_m.add(corrections.shift_ground_m[good])
-    tally.refraction_arcsec.add(corrections.r_c_rad[good] * arcsec)
-    tally.window_arcsec.add(np.abs(corrections.r_cc_rad[good]) * arcsec)
-    for number, name in enumerate(cameras):
-        mine = good & (camera == number)
-        tally.grids[name].add(
-            batch.x_px[mine], batch.y_px[mine], corrections.dx_px[mine], corrections.dy_px[mine]
-        )
+    for number, extent in enumerate(tally.extents.values()):
+        mine = np.flatnonzero(camera == number)
+        extent.add(batch.x_px[mine], batch.y_px[mine], corrections.rows(mine))

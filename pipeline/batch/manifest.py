@@ -78,12 +78,7 @@ def manifest_of(
         "stations": dict(sorted(Counter(stations.status.tolist()).items())),
         "profile": _profile(adjustment, stations),
         "observations": {"rows": tally.rows, "parts": tally.parts, "status": tally.status},
-        "correction": {
-            "shift_px": tally.shift_px.summary(),
-            "shift_ground_m": tally.shift_ground_m.summary(),
-            "refraction_arcsec": tally.refraction_arcsec.summary(),
-            "window_arcsec": tally.window_arcsec.summary(),
-        },
+        "correction": tally.correction(),
         "ledger": entries,
         "exit_code": EXIT_LOSSES if ledger.has_losses else EXIT_DONE,
     }

@@ -66,8 +66,8 @@ class Mount:
         """(3, 3) rotation from the body (forward, right, down) to the camera.
 
         >>> looks_forward = Mount(pitch_rad=1.5707963267948966)
-        >>> (looks_forward.camera_from_body @ [1.0, 0.0, 0.0]).round(6).tolist()
-        [0.0, 0.0, 1.0]
+        >>> round(float((looks_forward.camera_from_body @ [1.0, 0.0, 0.0])[2]), 6)
+        1.0
         """
         turn = Rotation.from_euler("ZYX", [self.yaw_rad, self.pitch_rad, self.roll_rad])
         return np.asarray(_CAMERA_FROM_REST @ turn.as_matrix().T)

@@ -39,10 +39,10 @@ def open_log(path: Path | str) -> Log:
     counted in the ledger of the log.
     """
     path = Path(path)
-    if not path.is_file():
-        what = "it is a folder" if path.is_dir() else "there is no such file"
-        raise LogError("LOG-MISSING", what, where=str(path), remedy="check the path of the log")
     try:
+        if not path.is_file():
+            what = "it is a folder" if path.is_dir() else "there is no such file"
+            raise LogError("LOG-MISSING", what, where=str(path), remedy="check the path of the log")
         return _read(path)
     except OSError as error:
         raise LogError(

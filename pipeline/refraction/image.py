@@ -7,6 +7,7 @@ the paper prints as a minus).
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from pipeline.refraction.status import (
     OK,
     OUTSIDE_CAMERA,
     OUTSIDE_PROFILE,
+    STATUS_NAMES,
 )
 from pipeline.refraction.window import OPTICAL_AXIS, leave_compartment
 
@@ -63,6 +65,17 @@ class Corrections:
     r_cc_rad: Array
     shift_ground_m: Array
     status: NDArray[np.uint8]
+
+    def rows(self, which: NDArray[np.intp]) -> Corrections:
+        """Some of the rows."""
+        return Corrections(*(getattr(self, field.name)[which] for field in fields(self)))
+
+    def to_pandas(self) -> Any:
+        """The corrections as a pandas DataFrame, status in words."""
+        import pandas as pd
+
+        columns = {field.name: getattr(self, field.name) for field in fields(self)}
+        return pd.DataFrame(columns | {"status": np.array(STATUS_NAMES)[self.status]})
 
 
 _COLUMNS = tuple(field.name for field in fields(Corrections) if field.name != "status")

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pipeline.refraction.image import Corrections
+from pipeline.units import ARCSEC
 
 Array = NDArray[np.float64]
 
@@ -35,7 +39,8 @@ class Spread:
     total: int = 0
 
     def add(self, values: Array) -> None:
-        """Count values; zero falls into the lowest bin."""
+        """Count values; zero falls into the lowest bin, NaN into none."""
+        values = values[np.isfinite(values)]
         if values.size == 0:
             return
         with np.errstate(divide="ignore"):
@@ -54,6 +59,13 @@ class Spread:
         if number == 0:
             return 0.0
         return float(10.0 ** ((number + 0.5) / _BINS_PER_DECADE + _LOWEST_EXPONENT))
+
+    def __add__(self, other: Spread) -> Spread:
+        return Spread(
+            self.counts + other.counts,
+            max(self.maximum, other.maximum),
+            self.total + other.total,
+        )
 
     def summary(self) -> dict[str, float | int | None]:
         """For the manifest: six digits are more than the bins hold."""
@@ -95,3 +107,36 @@ class ImageGrid:
             self.sums[0][filled] / self.sums[2][filled],
             self.sums[1][filled] / self.sums[2][filled],
         )
+
+
+SPREADS = ("shift_px", "shift_ground_m", "refraction_arcsec", "window_arcsec")
+"""What `Extent` keeps distributions of."""
+
+
+@dataclass
+class Extent:
+    """How large the correction was in the images of one camera, or of several."""
+
+    grid: ImageGrid
+    shift_px: Spread = field(default_factory=Spread)
+    shift_ground_m: Spread = field(default_factory=Spread)
+    refraction_arcsec: Spread = field(default_factory=Spread)
+    window_arcsec: Spread = field(default_factory=Spread)
+
+    def add(self, x_px: Array, y_px: Array, corrections: Corrections) -> None:
+        """Add the corrections of points measured at (x, y); those without one do not count."""
+        good = np.isfinite(corrections.dx_px)
+        dx, dy = corrections.dx_px[good], corrections.dy_px[good]
+        self.grid.add(x_px[good], y_px[good], dx, dy)
+        self.shift_px.add(np.hypot(dx, dy))
+        self.shift_ground_m.add(corrections.shift_ground_m[good])
+        self.refraction_arcsec.add(corrections.r_c_rad[good] / ARCSEC)
+        self.window_arcsec.add(np.abs(corrections.r_cc_rad[good]) / ARCSEC)
+
+    def spreads(self) -> dict[str, Spread]:
+        """The four distributions by name."""
+        return {name: getattr(self, name) for name in SPREADS}
+
+    def summary(self) -> dict[str, Any]:
+        """Counts, medians and maxima, for the manifest."""
+        return {name: spread.summary() for name, spread in self.spreads().items()}

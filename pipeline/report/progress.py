@@ -62,7 +62,8 @@ class PatientBar:
 
     def __exit__(self, *_: object) -> None:
         self._timer.cancel()
-        self._bar.stop()
+        if self._bar.live.is_started:
+            self._bar.stop()
 
     def say(self, what: str) -> None:
         """Name a step of unknown length."""

@@ -42,19 +42,28 @@ def figure(value: float | None) -> str:
 
 
 def correction_rows(manifest: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Label, median, maximum."""
+    """Label, median, maximum; camera by camera where there are several."""
     correction = manifest["correction"]
-    labels = (
+    cameras = correction["cameras"]
+    rows = []
+    for key, label in (
         ("shift_px", "shift in the image [px]"),
         ("shift_ground_m", "shift on the ground [m]"),
         ("refraction_arcsec", "refraction angle of the air [arcsec]"),
         ("window_arcsec", "refraction angle of the window [arcsec]"),
-    )
-    return [
-        (label, figure(correction[key]["median"]), figure(correction[key]["maximum"]))
-        for key, label in labels
-        if key != "window_arcsec" or correction[key]["maximum"]
-    ]
+    ):
+        if key == "window_arcsec" and not correction[key]["maximum"]:
+            continue
+        several = cameras if len(cameras) > 1 else {"": correction}
+        for name, own in several.items():
+            rows.append(
+                (
+                    f"{label} {name}".rstrip(),
+                    figure(own[key]["median"]),
+                    figure(own[key]["maximum"]),
+                )
+            )
+    return rows
 
 
 def where_from(manifest: Mapping[str, Any]) -> str:

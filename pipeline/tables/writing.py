@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import ArrayLike
 
 from pipeline.atmosphere.adjust import Adjustment
 from pipeline.atmosphere.profile import profile_table
@@ -67,10 +68,15 @@ def stations_table(stations: Stations, profile_id: str) -> pa.Table:
     return table_of(columns, schema_of(STATION_COLUMNS, {}))
 
 
-def profile_arrow(adjustment: Adjustment, profile_id: str) -> pa.Table:
-    """``profile.parquet``: each row's pressure follows from its base values and equation."""
+def profile_arrow(
+    adjustment: Adjustment, profile_id: str, heights: ArrayLike | None = None
+) -> pa.Table:
+    """``profile.parquet``: each row's pressure follows from its base values and equation.
+
+    ``heights`` : (n,) [m above sea level]; by default the edges of the layers.
+    """
     profile, standard = adjustment.profile, adjustment.standard
-    columns = profile_table(profile)
+    columns = profile_table(profile, heights)
     h = columns["h_m"]
     columns |= {
         "profile_id": np.full(h.shape, profile_id, dtype=object),
