@@ -150,7 +150,13 @@ def test_check_says_what_it_understood_and_writes_nothing(unbend, mission):
     before = sorted(p.name for p in mission.folder.iterdir())
     ended = unbend("check", mission.save())
     assert ended.code == 0
-    for words in ("can be run", "3 of nadir, 3 of oblique", "59 in 6 images", "BARO[0]", "dataflash"):
+    for words in (
+        "can be run",
+        "3 of nadir, 3 of oblique",
+        "59 in 6 images",
+        "BARO[0]",
+        "dataflash",
+    ):
         assert words in ended.out
     assert sorted(p.name for p in mission.folder.iterdir()) == sorted([*before, "mission.yaml"])
     mission.config["log"]["channels"]["humidity"] = "HYGR[9]"
