@@ -287,19 +287,28 @@ def _unexpected(kind: type[BaseException], error: BaseException, at: TracebackTy
     _own_up("".join(traceback.format_exception(kind, error, at)))
 
 
+def _obey(words: list[str]) -> int:
+    """Run one command; its exit code.
+
+    typer's own main would turn a bug, Ctrl-C and a broken pipe into codes and words of its own.
+    """
+    command = typer.main.get_command(app)
+    try:
+        with command.make_context("unbend", words) as context:
+            command.invoke(context)
+    except typer.Exit as end:
+        return end.exit_code
+    return EXIT_DONE
+
+
 def main() -> None:
     """Run the command line and leave with its exit code."""
     sys.excepthook = _unexpected
     signal.signal(signal.SIGTERM, _terminated)
     code = EXIT_DONE
-    # typer's own main would turn a bug, Ctrl-C and a broken pipe into codes and words of its own.
-    command = typer.main.get_command(app)
     try:
-        with command.make_context("unbend", sys.argv[1:]) as context:
-            command.invoke(context)
+        code = _obey(sys.argv[1:])
         sys.stdout.flush()
-    except typer.Exit as end:
-        code = end.exit_code
     except UnbendError as error:
         _refuse(error)
         code = error.exit_code
