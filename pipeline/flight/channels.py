@@ -97,6 +97,15 @@ class Channel:
             return 0.0
         return 1e9 / float(np.median(np.diff(self.time_ns)))
 
+    def gap_limit_s(self, max_gap_s: float = 1.0) -> float:
+        """The longest interval between two samples that is no gap [s].
+
+        ``max_gap_s``, or three of the channel's usual intervals where it is slower than that.
+        """
+        if len(self) < 2:
+            return max_gap_s
+        return max(max_gap_s, 3e-9 * float(np.median(np.diff(self.time_ns))))
+
     def to_pandas(self) -> Any:
         """The channel as a pandas DataFrame indexed by UTC time."""
         import pandas as pd

@@ -45,9 +45,9 @@ def bracket(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Bracket:
     hit = stamps[after] == time_ns
     before = np.where(hit, after, np.maximum(after - 1, 0))
     interval = stamps[after] - stamps[before]
-    usual = float(np.median(np.diff(stamps))) if stamps.size > 1 else 0.0
-    limit = max(max_gap_s * 1e9, 3.0 * usual)
-    torn = (interval > limit) | (channel.boot[after] != channel.boot[before])
+    torn = (interval > channel.gap_limit_s(max_gap_s) * 1e9) | (
+        channel.boot[after] != channel.boot[before]
+    )
     outside = (time_ns < stamps[0]) | (time_ns > stamps[-1])
     fraction = (time_ns - stamps[before]) / np.maximum(interval, 1)
     verdict = np.select([outside, torn & ~hit], [OUTSIDE_LOG, IN_GAP], INSIDE)
