@@ -16,11 +16,12 @@ import numpy as np
 from pipeline.atmosphere import Profile, standard_atmosphere
 from pipeline.atmosphere.adjust import (
     Adjustment,
-    AirSamples,
     build_adjusted_profile,
     unadjusted,
+    under_gravity,
 )
 from pipeline.atmosphere.air import IndexModel
+from pipeline.atmosphere.samples import AirSamples
 from pipeline.batch.correct import CameraSetup, Ground, Tally, correct_stream
 from pipeline.batch.look import exposures_of, warn_of_calibration
 from pipeline.batch.manifest import Outcome, manifest_of, outcome_of
@@ -218,6 +219,7 @@ def adjust_air(
     standard = replace(standard_atmosphere(section.standard), index=index)
     if not section.adjust:
         ledger.note("AIR-NOT-ADJUSTED", "atmosphere.adjust is false: the standard is kept")
+        standard = under_gravity(standard, stations.mean_latitude_rad)
         return unadjusted(standard, "atmosphere.adjust is false: the standard is kept")
     return build_adjusted_profile(samples, standard, stations.mean_latitude_rad, ledger)
 

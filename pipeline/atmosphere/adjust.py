@@ -1,21 +1,26 @@
 """The locally adjusted profile: the standard, moved to what the flight measured.
 
 Temperatures sampled in climb and descent become layers; pressure is anchored to the barometer and
-integrated by Eq. 52-53; beyond the sampled heights the profile relaxes to the standard. Without a
-thermometer outside, the layer temperatures come from pressure against GNSS height. This is the
-first form of the estimator: point values, no covariance.
+integrated by Eq. 52-53; beyond the sampled heights the profile relaxes to the standard. Where no
+thermometer sampled, layer temperatures come from pressure against GNSS height. This is the first
+form of the estimator: point values, no covariance.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.atmosphere.air import vapour_pressure
-from pipeline.atmosphere.hypsometry import temperatures_from_pressure
+from pipeline.atmosphere.hypsometry import (
+    COLDEST_K,
+    LAYER_M,
+    WARMEST_K,
+    implied_temperature,
+    temperatures_from_pressure,
+)
 from pipeline.atmosphere.profile import (
     BAROMETRIC,
     MEASURED,
@@ -24,12 +29,10 @@ from pipeline.atmosphere.profile import (
     Profile,
     stack_layers,
 )
+from pipeline.atmosphere.samples import AirSamples, Samples, bin_by_height
 from pipeline.geodesy import lambert_gravity
 from pipeline.ledger import Ledger
 from pipeline.units import HECTOPASCAL, VAPOUR_DEFICIT
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
 
 Array = NDArray[np.float64]
 
@@ -51,63 +54,40 @@ SMALLEST_CLIMB_M = 300.0
 SMALLEST_BAROMETRIC_CLIMB_M = 2000.0
 """... and without one (the error stays above 10 % of R below 1 km, whatever is done) [m]."""
 
-_FEWEST_IN_BIN = 3
+LARGEST_DISAGREEMENT_K = 8.0
+"""Thermometer against barometer and GNSS, mean over the common heights: more is a wrong sensor."""
 
+CLIMB_TO_COMPARE_M = 1000.0
+"""... but over less height than this the comparison itself is no better [m]."""
 
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """One sensor's readings against height; (n,) arrays.
+ANCHOR_WARNING_PA, ANCHOR_LOSS_PA = 150.0, 500.0
+"""Residuals of the barometer against the profile that a sound pair of sensors does not reach."""
 
-    ``time_ns`` UTC, ``h_m`` above sea level, ``value`` in SI (K, Pa, or relative humidity 0-1),
-    ``accepted`` False for readings a gate has taken out (they are shown, not used); it becomes
-    False where height or value is no number.
-    """
-
-    time_ns: NDArray[np.int64]
-    h_m: Array
-    value: Array
-    accepted: NDArray[np.bool_]
-    name: str = ""
-
-    def __post_init__(self) -> None:
-        known = np.isfinite(self.h_m) & np.isfinite(self.value)
-        object.__setattr__(self, "accepted", self.accepted & known)
-
-    def used(self) -> tuple[Array, Array]:
-        """Heights and values that were accepted."""
-        return self.h_m[self.accepted], self.value[self.accepted]
-
-    @property
-    def extent_m(self) -> float:
-        """Height spanned by the accepted readings [m]."""
-        h = self.h_m[self.accepted]
-        return float(np.ptp(h)) if h.size else 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class AirSamples:
-    """What a flight measured of the air outside; None where there was no sensor."""
-
-    temperature: Samples | None = None
-    pressure: Samples | None = None
-    humidity: Samples | None = None
+_NODE_M = 250.0  # spacing of the nodes that carry the relaxation [m']
 
 
 @dataclass(frozen=True, eq=False)
 class Adjustment:
     """A profile, and how it came about.
 
-    ``basis`` is thermometer | barometer | standard; ``reason`` says why in words; ``bin_h_m`` and
-    ``bin_temperature_k`` are the binned temperatures that became layers.
+    ``basis`` is thermometer | both | barometer | standard; ``reason`` says why in words;
+    ``time_ns`` is the middle of the samples that were used.
     """
 
     profile: Profile
     standard: Profile
     basis: str
     reason: str
-    time_ns: int | None
-    bin_h_m: Array
-    bin_temperature_k: Array
+    time_ns: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Nodes:
+    """Temperatures found at geopotential heights; ``virtual`` where they are T_M, from pressure."""
+
+    height: Array
+    temperature: Array
+    virtual: NDArray[np.bool_]
 
 
 def build_adjusted_profile(
@@ -123,60 +103,65 @@ def build_adjusted_profile(
     samples : what the flight measured outside.
     standard : the standard atmosphere to relax to; its index formula is kept.
     latitude_rad : of the flight, for gravity.
-    ledger : receives every fallback.
+    ledger : receives every fallback, and every sensor that is not believed.
 
-    On seven real soundings the temperature of the climb leaves 1.8 / 0.9 / 0.5 % of R at
-    1 / 3 / 6 km without humidity, 0.6 / 0.2 / 0.2 % with one; barometer alone 3 % at 3 km.
+    On seven real soundings (tests/atmosphere/test_soundings.py) the temperature of the climb
+    leaves 1.4 / 0.9 / 0.5 % of R at 1 / 3 / 6 km without humidity, 0.5 / 0.3 / 0.1 % with one;
+    barometer and GNSS alone 1.7 / 1.0 % at 3 / 6 km; US 1976 18 / 13 / 7 %.
     """
-    gravity = lambert_gravity(latitude_rad)
-    standard = Profile(
-        standard.layers, gravity, standard.index, standard.name, standard.constant
-    )  # the model's layers in geopotential height, under the gravity of the place
+    standard = under_gravity(standard, latitude_rad)
+    samples = _believable(samples, standard, ledger)
     temperature, pressure = samples.temperature, samples.pressure
-    time_ns = _middle_time(temperature or pressure)
-    if temperature is not None and temperature.extent_m >= SMALLEST_CLIMB_M:
-        height, binned = bin_by_height(
-            gravity.geopotential_height(temperature.h_m), temperature, BIN_M
-        )
-        if height.size >= 2:
-            profile = _from_temperatures(height, binned, samples, standard, ledger)
-            reason = (
-                f"temperatures of {temperature.name} over {temperature.extent_m:.0f} m of height, "
-                f"{height.size} layers"
-            )
-            return Adjustment(
-                profile, standard, "thermometer", reason, time_ns, gravity.height(height), binned
-            )
-    if pressure is not None and pressure.extent_m >= SMALLEST_BAROMETRIC_CLIMB_M:
-        nodes, virtual = temperatures_from_pressure(
-            gravity.geopotential_height(pressure.h_m[pressure.accepted]),
-            pressure.value[pressure.accepted],
-            standard,
-        )
-        profile = _from_virtual_nodes(nodes, virtual, samples, standard, ledger)
+    warm = _measured_nodes(temperature, standard)
+    barometric = _barometric_nodes(pressure, standard, ledger)
+    if warm is not None and barometric is not None and _spans_more(barometric, warm):
+        nodes, basis, source = _joined(warm, barometric), "both", temperature
         reason = (
-            f"no thermometer outside: temperatures from {pressure.name} against GNSS height over "
-            f"{pressure.extent_m:.0f} m, in layers of {np.diff(nodes).mean():.0f} m"
+            f"temperatures of {_named(temperature)} over {np.ptp(warm.height):.0f} m of height; "
+            f"above and below them from {_named(pressure)} against GNSS height over "
+            f"{np.ptp(barometric.height):.0f} m"
         )
-        ledger.fallback("AIR-BAROMETRIC", reason, where=pressure.name)
-        return Adjustment(
-            profile, standard, "barometer", reason, time_ns, gravity.height(nodes), virtual
+    elif warm is not None:
+        nodes, basis, source = warm, "thermometer", temperature
+        reason = (
+            f"temperatures of {_named(temperature)} over {np.ptp(warm.height):.0f} m of height, "
+            f"{warm.height.size} layers"
         )
-    reason = _why_standard(temperature, pressure, standard.name)
-    ledger.fallback("AIR-STANDARD", reason)
-    return unadjusted(standard, reason)
+    elif barometric is not None:
+        nodes, basis, source = barometric, "barometer", pressure
+        reason = (
+            f"no thermometer outside: temperatures from {_named(pressure)} against GNSS height "
+            f"over {np.ptp(barometric.height):.0f} m, in layers of "
+            f"{np.diff(barometric.height).mean():.0f} m"
+        )
+        ledger.fallback("AIR-BAROMETRIC", reason, where=_named(pressure))
+    else:
+        reason = _why_standard(temperature, pressure, standard.name)
+        ledger.fallback("AIR-STANDARD", reason)
+        return Adjustment(standard, standard, "standard", reason)
+    profile = _profile_through(nodes, samples, standard, ledger)
+    time_ns = source.middle_ns if source is not None else None
+    return Adjustment(profile, standard, basis, reason, time_ns)
+
+
+def under_gravity(standard: Profile, latitude_rad: float) -> Profile:
+    """A standard's layers in geopotential height, under the gravity of a latitude."""
+    return replace(standard, gravity=lambert_gravity(latitude_rad))
 
 
 def unadjusted(standard: Profile, reason: str) -> Adjustment:
     """A standard atmosphere in the place of an adjusted profile, with the reason in words."""
-    empty = np.empty(0)
-    return Adjustment(standard, standard, "standard", reason, None, empty, empty)
+    return Adjustment(standard, standard, "standard", reason)
+
+
+def _named(samples: Samples | None) -> str:
+    return samples.name if samples is not None else ""
 
 
 def _why_standard(temperature: Samples | None, pressure: Samples | None, name: str) -> str:
     kept = f"the standard atmosphere {name} is kept unchanged"
     if temperature is None and pressure is None:
-        return f"no thermometer and no barometer outside: {kept}"
+        return f"no thermometer and no barometer outside that can be used: {kept}"
     spans = []
     if temperature is not None:
         spans.append(
@@ -191,127 +176,164 @@ def _why_standard(temperature: Samples | None, pressure: Samples | None, name: s
     return f"{'; '.join(spans)}: {kept}"
 
 
-def _middle_time(samples: Samples | None) -> int | None:
-    if samples is None or samples.time_ns.size == 0:
-        return None
-    first, last = int(samples.time_ns[0]), int(samples.time_ns[-1])
-    return first + (last - first) // 2
+def _believable(samples: AirSamples, standard: Profile, ledger: Ledger) -> AirSamples:
+    """The samples without the sensors that contradict physics, or one another.
 
-
-def bin_by_height(geopotential: Array, samples: Samples, width: float) -> tuple[Array, Array]:
-    """Medians of the accepted readings in bins of height, climb and descent weighing alike.
-
-    The lag of a sensor has opposite signs in climb and descent, so where a bin holds both, their
-    two medians are averaged. Returns the mean heights [m'] and the values of bins with at least
-    three readings, from the ground up.
+    Pressure must fall with GNSS height as it does in air of 180 to 335 K; a thermometer must agree
+    with the temperature that this implies, or it measures something else (a board, the cabin).
     """
-    rising = _is_climbing(samples.time_ns, geopotential)
-    use = samples.accepted & np.isfinite(samples.value) & np.isfinite(geopotential)
-    height, value, rising = geopotential[use], samples.value[use], rising[use]
-    number = np.floor(height / width).astype(np.int64)
-    heights, values = [], []
-    for i in np.unique(number):
-        inside = number == i
-        if inside.sum() < _FEWEST_IN_BIN:
-            continue
-        ways = [inside & rising, inside & ~rising]
-        ways = [way for way in ways if way.sum() >= _FEWEST_IN_BIN] or [inside]
-        heights.append(float(np.mean([height[way].mean() for way in ways])))
-        values.append(float(np.mean([np.median(value[way]) for way in ways])))
-    return np.array(heights), np.array(values)
+    temperature, pressure = samples.temperature, samples.pressure
+    if pressure is None or pressure.extent_m < CLIMB_TO_COMPARE_M:
+        return samples
+    implied = implied_temperature(pressure, standard)
+    if implied is None or not COLDEST_K < implied < WARMEST_K:
+        found = "does not fall with height" if implied is None else f"implies {implied:.0f} K"
+        ledger.loss(
+            "AIR-NOT-OUTSIDE",
+            f"the pressure of {pressure.name} {found} over {pressure.extent_m:.0f} m of GNSS "
+            "height: it is not that of the air outside and is not used",
+            where=pressure.name,
+        )
+        return replace(samples, pressure=None)
+    excess = _excess_over_pressure(temperature, pressure, standard)
+    if temperature is None or excess is None or abs(excess) <= LARGEST_DISAGREEMENT_K:
+        return samples
+    ledger.loss(
+        "AIR-THERMOMETER",
+        f"{temperature.name} reads {excess:+.1f} K against what {pressure.name} and GNSS height "
+        "imply: it does not measure the air outside and is not used",
+        where=temperature.name,
+    )
+    return replace(samples, temperature=None)
 
 
-def _is_climbing(time_ns: NDArray[np.int64], height: Array) -> NDArray[np.bool_]:
-    """Whether height rises over ten seconds around each sample."""
-    if time_ns.size < 2:
-        return np.ones(time_ns.shape, dtype=bool)
-    seconds = (time_ns - time_ns[0]) * 1e-9
-    known = np.isfinite(height)
-    if known.sum() < 2:
-        return np.ones(time_ns.shape, dtype=bool)
-    before = np.interp(seconds - 5.0, seconds[known], height[known])
-    after = np.interp(seconds + 5.0, seconds[known], height[known])
-    return np.asarray(after >= before)
+def _excess_over_pressure(
+    temperature: Samples | None, pressure: Samples, standard: Profile
+) -> float | None:
+    """Mean excess [K] of a thermometer over what pressure implies for the same heights."""
+    if temperature is None or temperature.extent_m < CLIMB_TO_COMPARE_M:
+        return None
+    low, high = np.min(temperature.used()[0]), np.max(temperature.used()[0])
+    with np.errstate(invalid="ignore"):
+        common = pressure.accepted & (pressure.h_m >= low) & (pressure.h_m <= high)
+    beside = replace(pressure, accepted=common)
+    if beside.extent_m < CLIMB_TO_COMPARE_M:
+        return None
+    implied = implied_temperature(beside, standard)
+    geopotential = standard.gravity.geopotential_height(temperature.h_m)
+    _, binned = bin_by_height(geopotential, temperature, BIN_M)
+    return None if implied is None or binned.size == 0 else float(np.mean(binned)) - implied
 
 
-def _relaxed_nodes(height: Array, departure: Array, standard: Profile) -> tuple[Array, Array]:
-    """Nodes over the whole standard, with a departure that dies away from the measured ones."""
-    edge = standard.layers.edge
-    low, high = height[0], height[-1]
-    reach = 8.0 * RELAXATION_M
-    below = np.arange(low - 250.0, max(edge[0], low - reach), -250.0)
-    above = np.arange(high + 250.0, min(edge[-1], high + reach), 250.0)
-    nodes = np.union1d(np.union1d(edge[(edge < low) | (edge > high)], height), below)
-    nodes = np.union1d(nodes, above)
-    # No sliver of a layer beside a breakpoint of the standard.
-    keep = np.concatenate([[True], np.diff(nodes) > 1.0])
-    keep |= np.isin(nodes, height)
-    nodes = nodes[keep]
-    inside = np.interp(nodes, height, departure)
-    distance = np.maximum(np.maximum(low - nodes, nodes - high), 0.0)
-    fading = np.exp(-distance / RELAXATION_M)
-    return nodes, np.where(distance < reach, inside * fading, 0.0)
+def _measured_nodes(temperature: Samples | None, standard: Profile) -> _Nodes | None:
+    """Binned temperatures, where a thermometer sampled enough height."""
+    if temperature is None or temperature.extent_m < SMALLEST_CLIMB_M:
+        return None
+    height, binned = bin_by_height(
+        standard.gravity.geopotential_height(temperature.h_m), temperature, BIN_M
+    )
+    if height.size < 2 or float(np.ptp(height)) < SMALLEST_CLIMB_M - 2.0 * BIN_M:
+        return None
+    return _Nodes(height, binned, np.zeros(height.size, dtype=bool))
 
 
-def _sources(nodes: Array, height: Array, departure: Array, measured: str) -> tuple[str, ...]:
-    """Where each layer comes from: both its ends measured, relaxed, or the standard itself."""
-    own = np.isin(nodes, height)
-    names = []
-    for i in range(nodes.size - 1):
-        if own[i] and own[i + 1] and nodes[i + 1] - nodes[i] <= WIDEST_GAP_M:
-            names.append(measured)
-        elif departure[i] != 0.0 or departure[i + 1] != 0.0:
-            names.append(RELAXED)
-        else:
-            names.append(STANDARD)
-    return tuple(names)
+def _barometric_nodes(pressure: Samples | None, standard: Profile, ledger: Ledger) -> _Nodes | None:
+    """Virtual temperatures from pressure, where a barometer sampled enough height."""
+    if pressure is None or pressure.extent_m < SMALLEST_BAROMETRIC_CLIMB_M:
+        return None
+    found = temperatures_from_pressure(pressure, standard)
+    if found is None:
+        ledger.warning(
+            "AIR-NO-FIT",
+            f"the pressures of {pressure.name} at GNSS heights fit no air of {COLDEST_K:.0f} to "
+            f"{WARMEST_K:.0f} K: no temperatures are taken from them",
+            where=pressure.name,
+        )
+        return None
+    height, virtual = found
+    return _Nodes(height, virtual, np.ones(height.size, dtype=bool))
 
 
-def _from_temperatures(
-    height: Array, binned: Array, samples: AirSamples, standard: Profile, ledger: Ledger
+def _spans_more(barometric: _Nodes, warm: _Nodes) -> bool:
+    """Whether the barometer sampled a layer or more beyond the thermometer."""
+    above = barometric.height[-1] - warm.height[-1]
+    below = warm.height[0] - barometric.height[0]
+    return bool(max(above, below) > LAYER_M)
+
+
+def _joined(warm: _Nodes, barometric: _Nodes) -> _Nodes:
+    """Measured temperatures, and barometric ones half a layer and more away from them."""
+    clear = (barometric.height < warm.height[0] - 0.5 * LAYER_M) | (
+        barometric.height > warm.height[-1] + 0.5 * LAYER_M
+    )
+    height = np.concatenate([warm.height, barometric.height[clear]])
+    order = np.argsort(height)
+    return _Nodes(
+        height[order],
+        np.concatenate([warm.temperature, barometric.temperature[clear]])[order],
+        np.concatenate([warm.virtual, barometric.virtual[clear]])[order],
+    )
+
+
+def _profile_through(
+    found: _Nodes, samples: AirSamples, standard: Profile, ledger: Ledger
 ) -> Profile:
-    """Layers through measured temperatures; three passes settle humidity against pressure."""
-    at_standard = standard.temperature(standard.gravity.height(height))
-    nodes, departure = _relaxed_nodes(height, binned - at_standard, standard)
-    source = _sources(nodes, height, departure, MEASURED)
+    """Layers through the temperatures found; three passes settle humidity against pressure."""
+    departure = found.temperature - standard.temperature(standard.gravity.height(found.height))
+    nodes, departure = _relaxed(found.height, departure, standard)
+    own = np.isin(nodes, found.height)
+    virtual = np.zeros(nodes.size, dtype=bool)
+    virtual[own] = found.virtual
+    source = _sources(nodes, own, virtual, departure)
     temperature = standard.temperature(standard.gravity.height(nodes)) + departure
     relative = _humidity_at(nodes, samples.humidity, standard, ledger)
     vapour = np.zeros(nodes.size)
     profile = standard
     for _ in range(3):
-        virtual = temperature / (1.0 - VAPOUR_DEFICIT * vapour)
-        profile = _anchored(nodes, virtual, vapour, source, samples.pressure, standard)
+        dryness = 1.0 - VAPOUR_DEFICIT * vapour
+        t_m = np.where(virtual, temperature, temperature / dryness)
+        profile = _anchored(nodes, t_m, vapour, source, samples.pressure, standard)
         if relative is None:
             break
-        vapour = _vapour_fraction(nodes, temperature, relative, profile, samples.humidity)
-    _note_anchor(profile, samples.pressure, ledger)
+        kinetic = np.where(virtual, temperature * dryness, temperature)
+        vapour = _vapour_fraction(nodes, kinetic, relative, profile, samples.humidity)
+    _judge_anchor(profile, samples.pressure, ledger)
     return profile
 
 
-def _from_virtual_nodes(
-    nodes: Array, virtual: Array, samples: AirSamples, standard: Profile, ledger: Ledger
-) -> Profile:
-    """Layers through virtual temperatures that pressure gave; pressure needs no humidity then."""
-    at_standard = standard.virtual_temperature(standard.gravity.height(nodes))
-    height = nodes
-    nodes, departure = _relaxed_nodes(height, virtual - at_standard, standard)
-    everywhere = standard.virtual_temperature(standard.gravity.height(nodes)) + departure
-    # Layers between barometric nodes are wide on purpose.
-    own = np.isin(nodes, height)
-    source = tuple(
-        BAROMETRIC if own[i] and own[i + 1] else RELAXED if departure[i] else STANDARD
-        for i in range(nodes.size - 1)
-    )
-    relative = _humidity_at(nodes, samples.humidity, standard, ledger)
-    vapour = np.zeros(nodes.size)
-    profile = _anchored(nodes, everywhere, vapour, source, samples.pressure, standard)
-    if relative is not None:
-        for _ in range(2):
-            temperature = everywhere * (1.0 - VAPOUR_DEFICIT * vapour)
-            vapour = _vapour_fraction(nodes, temperature, relative, profile, samples.humidity)
-        profile = _anchored(nodes, everywhere, vapour, source, samples.pressure, standard)
-    _note_anchor(profile, samples.pressure, ledger)
-    return profile
+def _relaxed(height: Array, departure: Array, standard: Profile) -> tuple[Array, Array]:
+    """Nodes over the whole standard, with a departure that dies away from the found ones."""
+    edge = standard.layers.edge
+    low, high = height[0], height[-1]
+    reach = 8.0 * RELAXATION_M
+    below = np.arange(low - _NODE_M, max(edge[0], low - reach), -_NODE_M)
+    above = np.arange(high + _NODE_M, min(edge[-1], high + reach), _NODE_M)
+    outside = edge[(edge < low) | (edge > high)]
+    nodes = np.unique(np.concatenate([outside, height, below, above]))
+    # No sliver of a layer beside a breakpoint of the standard.
+    keep = np.concatenate([[True], np.diff(nodes) > 1.0]) | np.isin(nodes, height)
+    nodes = nodes[keep]
+    distance = np.maximum(np.maximum(low - nodes, nodes - high), 0.0)
+    fading = np.where(distance < reach, np.exp(-distance / RELAXATION_M), 0.0)
+    return nodes, np.interp(nodes, height, departure) * fading
+
+
+def _sources(
+    nodes: Array, own: NDArray[np.bool_], virtual: NDArray[np.bool_], departure: Array
+) -> tuple[str, ...]:
+    """Where each layer comes from: both its ends found, relaxed, or the standard itself."""
+    names = []
+    for i in range(nodes.size - 1):
+        thickness = nodes[i + 1] - nodes[i]
+        from_pressure = bool(virtual[i] or virtual[i + 1])
+        widest = 2.0 * LAYER_M if from_pressure else WIDEST_GAP_M
+        if own[i] and own[i + 1] and thickness <= widest:
+            names.append(BAROMETRIC if from_pressure else MEASURED)
+        elif departure[i] != 0.0 or departure[i + 1] != 0.0:
+            names.append(RELAXED)
+        else:
+            names.append(STANDARD)
+    return tuple(names)
 
 
 def _anchored(
@@ -331,7 +353,8 @@ def _anchored(
     return profile.at_level(*pressure.used())
 
 
-def _note_anchor(profile: Profile, pressure: Samples | None, ledger: Ledger) -> None:
+def _judge_anchor(profile: Profile, pressure: Samples | None, ledger: Ledger) -> None:
+    """Say how well the measured pressures agree with the profile through the temperatures."""
     if pressure is None or not bool(pressure.accepted.any()):
         ledger.fallback(
             "AIR-NO-BAROMETER",
@@ -339,14 +362,20 @@ def _note_anchor(profile: Profile, pressure: Samples | None, ledger: Ledger) -> 
         )
         return
     h, measured = pressure.used()
-    residual = (measured - profile.pressure(h)) / HECTOPASCAL
-    ledger.note(
-        "AIR-ANCHOR",
-        f"pressure anchored to {pressure.name}: residuals {np.sqrt(np.mean(residual**2)):.2f} hPa "
-        f"rms, {np.abs(residual).max():.2f} hPa at most",
-        where=pressure.name,
-        count=int(measured.size),
+    residual = np.abs(measured - profile.pressure(h))
+    middle = float(np.nanmedian(residual))
+    what = (
+        f"pressure anchored to {pressure.name}: residuals of {middle / HECTOPASCAL:.2f} hPa in the "
+        f"median, {np.nanmax(residual) / HECTOPASCAL:.2f} hPa at most"
     )
+    tell = ledger.note
+    if middle > ANCHOR_LOSS_PA:
+        tell = ledger.loss
+        what += ": temperature and pressure cannot both be those of the air outside"
+    elif middle > ANCHOR_WARNING_PA:
+        tell = ledger.warning
+        what += ": the sensors outside disagree"
+    tell("AIR-ANCHOR", what, where=pressure.name, count=int(measured.size))
 
 
 def _humidity_at(
@@ -358,13 +387,14 @@ def _humidity_at(
         height, value = bin_by_height(geopotential, humidity, 2.0 * BIN_M)
         if height.size:
             return np.clip(np.interp(nodes, height, value), 0.0, 1.0)
-    ledger.fallback("AIR-DRY", "no humidity measured outside: the air is taken as dry")
+    few = "too few readings of humidity" if humidity is not None else "no humidity measured"
+    ledger.fallback("AIR-DRY", f"{few} outside: the air is taken as dry")
     return None
 
 
 def _vapour_fraction(
     nodes: Array,
-    temperature: ArrayLike,
+    temperature: Array,
     relative: Array,
     profile: Profile,
     humidity: Samples | None,

@@ -263,7 +263,10 @@ class Profile:
         ``h`` (n,) heights [m above sea level], ``pressure_pa`` (n,) what was measured there.
         """
         log_ratio = np.log(np.asarray(pressure_pa, np.float64) / self.pressure(h))
-        factor = float(np.exp(np.nanmedian(log_ratio)))
+        known = log_ratio[np.isfinite(log_ratio)]
+        if known.size == 0:
+            return self
+        factor = float(np.exp(np.median(known)))
         return replace(self, layers=replace(self.layers, pressure=self.layers.pressure * factor))
 
     def to_pandas(self, h: ArrayLike | None = None) -> Any:

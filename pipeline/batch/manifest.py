@@ -87,7 +87,7 @@ def manifest_of(
 def _profile(adjustment: Adjustment, stations: Stations) -> dict[str, Any]:
     """How the air was found, and by how much it differs from the standard at the cameras."""
     profile, standard = adjustment.profile, adjustment.standard
-    heights = stations.h_msl_m[stations.ok]
+    heights, latitude = stations.h_msl_m[stations.ok], profile.gravity.latitude_rad
     difference = None
     if heights.size:
         level = float(np.median(heights))
@@ -97,6 +97,6 @@ def _profile(adjustment: Adjustment, stations: Stations) -> dict[str, Any]:
         "reason": adjustment.reason,
         "standard": standard.name,
         "layers": dict(sorted(Counter(profile.layers.source).items())),
-        "latitude_deg": round(float(np.degrees(profile.gravity.latitude_rad or 0.0)), 6),
+        "latitude_deg": round(float(np.degrees(latitude)), 6) if latitude is not None else None,
         "departure_at_cameras_k": difference,
     }

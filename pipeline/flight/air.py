@@ -7,18 +7,21 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.adjust import AirSamples, Samples
+from pipeline.atmosphere.samples import AirSamples, Samples
 from pipeline.flight.channels import Channel
 from pipeline.flight.heights import HeightSystem, heights_at
 from pipeline.ledger import Ledger
 
 Array = NDArray[np.float64]
 
-TAKE_OFF_RISE_M = 20.0
-"""So far above the first fix the aircraft is taken to have left the ground [m]."""
-
 SOAK_SECONDS = 60.0
 """A thermometer still carries the heat of the ground for so long after take-off [s]."""
+
+GROUND_RISE_M = 20.0
+"""So near the lowest height of the log an aircraft that does not move stands on the ground [m]."""
+
+STILL_M_S = 1.0
+"""Slower than this, over ten seconds, an aircraft does not move [m/s]."""
 
 
 def air_samples(
@@ -32,7 +35,7 @@ def air_samples(
     height = roles.get("height")
     if height is None:
         return AirSamples()
-    left_ground, landed = _time_in_the_air(height)
+    stood = _times_on_the_ground(height)
     found: dict[str, Samples] = {}
     for role, column in (
         ("temperature", "temperature_k"),
@@ -45,7 +48,7 @@ def air_samples(
         h, _ = heights_at(height, channel.time_ns, heights, max_gap_s)
         accepted = np.isfinite(h)
         if role != "pressure":
-            soaked = (channel.time_ns < left_ground) | (channel.time_ns > landed)
+            soaked = _soaked(channel.time_ns, stood)
             if bool((soaked & accepted).any()):
                 ledger.note(
                     "AIR-GROUND-SOAK",
@@ -59,28 +62,42 @@ def air_samples(
     return AirSamples(**found)
 
 
-def _time_in_the_air(height: Channel) -> tuple[int, int]:
-    """When the thermometer begins and ceases to feel free air [Unix ns].
+def _times_on_the_ground(height: Channel) -> NDArray[np.int64]:
+    """Times [Unix ns] at which the aircraft stood on the ground, increasing.
 
-    A log that begins in the air has no take-off to gate; one that ends there no landing.
+    It stands where it moves neither along nor up over ten seconds, near the lowest height of the
+    log; so each landing and take-off of a log with several flights is seen.
     """
     column = "h_msl_m" if np.isfinite(height.columns.get("h_msl_m", [np.nan])).any() else None
-    h = height[column] if column else height["h_ellipsoid_m"]
-    finite = np.isfinite(h)
-    first, last = int(height.time_ns[0]), int(height.time_ns[-1])
-    if not bool(finite.any()):
-        return first, last
-    time_ns, h = height.time_ns[finite], h[finite]
-    ground_before, ground_after = float(h[0]), float(h[-1])
-    airborne = np.flatnonzero(h > ground_before + TAKE_OFF_RISE_M)
-    if airborne.size == 0:
-        return first, last
-    begins = first
-    seconds_on_ground = (time_ns[airborne[0]] - time_ns[0]) * 1e-9
-    if seconds_on_ground > 5.0:
-        begins = int(time_ns[airborne[0]] + SOAK_SECONDS * 1e9)
-    still_up = np.flatnonzero(h > ground_after + TAKE_OFF_RISE_M)
-    ends = last
-    if still_up.size and (time_ns[-1] - time_ns[still_up[-1]]) * 1e-9 > 5.0:
-        ends = int(time_ns[still_up[-1]])
-    return begins, ends
+    h = height[column] if column else height.columns.get("h_ellipsoid_m", np.empty(0))
+    known = np.isfinite(h) & np.isfinite(height["lat_rad"]) if h.size else np.zeros(0, bool)
+    if known.sum() < 3:
+        return np.empty(0, np.int64)
+    time_ns, h = height.time_ns[known], h[known]
+    seconds = (time_ns - time_ns[0]) * 1e-9
+    lat, lon = height["lat_rad"][known], np.unwrap(height["lon_rad"][known])
+    north = (lat - lat[0]) * _EARTH_M
+    east = (lon - lon[0]) * _EARTH_M * np.cos(lat)
+    track = (north, east, h)
+    # The ten seconds before see the take-off, the ten seconds after the landing.
+    still = (_speed(seconds, track, -10.0) < STILL_M_S) | (_speed(seconds, track, 10.0) < STILL_M_S)
+    lowest = float(np.percentile(h, 0.5))
+    return np.asarray(time_ns[still & (h < lowest + GROUND_RISE_M)])
+
+
+_EARTH_M = 6.37e6
+
+
+def _speed(seconds: Array, track: tuple[Array, ...], window: float) -> Array:
+    """Mean speed over a window [s] that ends (negative) or begins at each sample [m/s]."""
+    moved = [np.interp(seconds + window, seconds, values) - values for values in track]
+    return np.asarray(np.sqrt(np.sum(np.square(moved), axis=0)) / abs(window))
+
+
+def _soaked(time_ns: NDArray[np.int64], stood: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether readings were taken on the ground or within the soak after it."""
+    if stood.size == 0:
+        return np.zeros(time_ns.shape, dtype=bool)
+    last = np.searchsorted(stood, time_ns, side="right") - 1
+    since = (time_ns - stood[np.maximum(last, 0)]) * 1e-9
+    return np.asarray((last >= 0) & (since < SOAK_SECONDS))

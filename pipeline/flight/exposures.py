@@ -82,18 +82,29 @@ def events_of_channel(
     """
     index = channel["event_index"].astype(np.int64)
     names = [pattern.format(index=int(i), n=n) for n, i in enumerate(index, start=1)]
-    skipped = np.setdiff1d(np.arange(index.min(), index.max() + 1), index) if index.size else index
-    if 0 < skipped.size <= index.size:
-        shown = ", ".join(str(i) for i in skipped[:5]) + (" ..." if skipped.size > 5 else "")
-        ledger.warning(
-            "EVENTS-LOST",
-            f"{skipped.size} numbers between {index.min()} and {index.max()} have no event: "
-            f"{shown}",
-            where=channel.name,
-            count=int(skipped.size),
-        )
+    _report_skipped(channel.name, index, ledger)
     time_ns = channel.time_ns + round(delay_s * 1e9)
     return Events(camera, np.array(names, dtype=object), time_ns)
+
+
+def _report_skipped(name: str, index: NDArray[np.int64], ledger: Ledger) -> None:
+    known = np.unique(index)
+    gaps = np.diff(known) - 1
+    lost = int(gaps.sum())
+    if lost == 0:
+        return
+    first = [
+        f"{low + 1}" if gap == 1 else f"{low + 1} to {low + gap}"
+        for low, gap in zip(known[:-1][gaps > 0][:4], gaps[gaps > 0][:4], strict=True)
+    ]
+    more = " ..." if np.count_nonzero(gaps) > 4 else ""
+    ledger.loss(
+        "EVENTS-LOST",
+        f"{lost} numbers between {known[0]} and {known[-1]} have no event: "
+        f"{', '.join(first)}{more}",
+        where=name,
+        count=lost,
+    )
 
 
 def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Channel:
@@ -120,7 +131,7 @@ def account_for_triggers(channels: tuple[Channel, ...], chosen: Channel, ledger:
         return
     for channel in channels:
         if channel.source.message == "TRIG" and len(channel) > len(chosen):
-            ledger.warning(
+            ledger.loss(
                 "EVENTS-LOST",
                 f"{len(channel)} triggers of {channel.name}, {len(chosen)} shutter events of "
                 f"{chosen.name}: {len(channel) - len(chosen)} pulses were lost, their images "

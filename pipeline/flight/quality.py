@@ -6,10 +6,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.errors import MissionError
 from pipeline.flight.channels import ROLE_COLUMNS, Channel
 from pipeline.ledger import Ledger
+
+Array = NDArray[np.float64]
 
 RANGES: Mapping[str, tuple[float, float]] = {
     "lat_rad": (-np.pi / 2.0, np.pi / 2.0),
@@ -22,6 +25,9 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "airspeed_m_s": (-5.0, 700.0),
 }
 """What can be true of the air and the aircraft, in SI."""
+
+FASTEST_CLIMB_M_S = 200.0
+"""No survey aircraft climbs or sinks faster [m/s]."""
 
 # Medians that give a wrong unit away: column -> (low, high, the unit it looks like).
 _DISGUISES: Mapping[str, tuple[float, float, str]] = {
@@ -37,6 +43,8 @@ def within_reason(channel: Channel, role: str, ledger: Ledger) -> Channel:
     Refuses a channel whose median gives away a wrong unit (hPa where Pa is due); every sample
     taken out is counted in the ledger.
     """
+    if role in ("position", "height"):
+        channel = _without_wild_heights(channel, ledger)
     keep = np.ones(len(channel), dtype=bool)
     for column in ROLE_COLUMNS[role]:
         values = channel[column]
@@ -60,6 +68,46 @@ def within_reason(channel: Channel, role: str, ledger: Ledger) -> Channel:
                 )
         keep &= finite & ~outside
     return channel if bool(keep.all()) else subset(channel, keep)
+
+
+def _without_wild_heights(channel: Channel, ledger: Ledger) -> Channel:
+    """The channel with impossible heights unknown: out of range, or a jump there and back.
+
+    The row keeps its latitude and longitude.
+    """
+    columns = dict(channel.columns)
+    for column in ("h_msl_m", "h_ellipsoid_m"):
+        if column not in columns:
+            continue
+        height = columns[column]
+        low, high = RANGES[column]
+        with np.errstate(invalid="ignore"):
+            wild = (height < low) | (height > high)
+        wild |= _spikes(channel, np.where(wild, np.nan, height))
+        if bool(wild.any()):
+            first = int(np.flatnonzero(wild)[0])
+            ledger.loss(
+                "SENSOR-RANGE",
+                f"{int(wild.sum())} of {len(channel)} values of {column} are impossible or jump "
+                f"there and back, the first {height[first]:.0f} m in row {first}; not used",
+                where=channel.name,
+                count=int(wild.sum()),
+            )
+            columns[column] = np.where(wild, np.nan, height)
+    return replace(channel, columns=columns)
+
+
+def _spikes(channel: Channel, height: Array) -> NDArray[np.bool_]:
+    """Single samples that would need more than 200 m/s there and 200 m/s back."""
+    known = np.flatnonzero(np.isfinite(height))
+    spike = np.zeros(height.shape, dtype=bool)
+    if known.size < 3:
+        return spike
+    speed = np.diff(height[known]) / (np.diff(channel.time_ns[known]) * 1e-9)
+    there, back = speed[:-1], speed[1:]
+    too_fast = (np.abs(there) > FASTEST_CLIMB_M_S) & (np.abs(back) > FASTEST_CLIMB_M_S)
+    spike[known[1:-1][too_fast & (there * back < 0.0)]] = True
+    return spike
 
 
 def _refuse_disguise(channel: Channel, role: str, column: str, median: float) -> None:

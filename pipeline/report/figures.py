@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.adjust import Adjustment, AirSamples, Samples
+from pipeline.atmosphere.adjust import Adjustment
+from pipeline.atmosphere.samples import AirSamples, Samples
 from pipeline.errors import ConfigError, StorageError
 from pipeline.refraction.spread import ImageGrid
 

@@ -7,7 +7,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from pipeline.atmosphere.adjust import Adjustment, AirSamples
+from pipeline.atmosphere.adjust import Adjustment
+from pipeline.atmosphere.samples import AirSamples
 from pipeline.refraction.spread import ImageGrid
 from pipeline.report.figures import as_svg, correction_figure, profile_figure
 from pipeline.report.words import correction_rows, headline, ledger_rows, not_removed, where_from

@@ -8,13 +8,8 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.adjust import (
-    AirSamples,
-    Samples,
-    bin_by_height,
-    build_adjusted_profile,
-    unadjusted,
-)
+from pipeline.atmosphere.adjust import build_adjusted_profile, unadjusted
+from pipeline.atmosphere.samples import AirSamples, Samples, bin_by_height
 from pipeline.ledger import Kind, Ledger
 from pipeline.simulate.air import TrueAir, relative_humidity, temperature_k, true_air
 
@@ -199,7 +194,7 @@ def test_barometer_alone_passes_through_the_pressures(air):
     _, h = flight(3000.0)
     residual = (air.pressure_pa(h) - adjusted.profile.pressure(h)) / 100.0
     assert np.abs(residual).max() < 0.3  # hPa; reached 0.05
-    assert "500 m" in adjusted.reason
+    assert "in layers of 492 m" in adjusted.reason
 
 
 def test_a_short_climb_without_a_thermometer_keeps_the_standard(air):
@@ -325,10 +320,103 @@ def test_unadjusted_says_why():
     adjusted = unadjusted(US1976, "the config asks for it")
     assert adjusted.profile is US1976
     assert (adjusted.basis, adjusted.reason) == ("standard", "the config asks for it")
-    assert adjusted.bin_h_m.size == 0
 
 
 def test_the_middle_of_the_flight_dates_the_profile(air):
     time_ns, _ = flight(3000.0)
     adjusted, _ = adjust(measured(air, 3000.0))
     assert adjusted.time_ns == int(time_ns[0]) + (int(time_ns[-1]) - int(time_ns[0])) // 2
+
+
+def refraction_error(air, profile, climb: float) -> float:
+    """Relative error of R at 45 degrees, from the field to the top of the climb."""
+    from pipeline.atmosphere import profile_from_table
+    from pipeline.geodesy import lambert_gravity
+    from pipeline.refraction import refraction_angle
+
+    h = np.arange(FIELD_M - 100.0, FIELD_M + climb + 200.0, 10.0)
+    true = profile_from_table(
+        h, temperature_k(h), air.pressure_pa(h), relative_humidity(h) * 0.0,
+        gravity=lambert_gravity(LATITUDE),
+    )  # fmt: skip
+    place = (FIELD_M + climb, FIELD_M, math.radians(45.0))
+    return refraction_angle(profile, *place) / refraction_angle(true, *place) - 1.0
+
+
+@pytest.mark.parametrize("share", [0.001, 0.01, 0.03])
+def test_spikes_of_pressure_do_not_matter(air, share):
+    """A barometer alone is the usual autopilot; 300 hPa is inside the range of the possible."""
+    _, h = flight(3000.0)
+    pressure = air.pressure_pa(h)
+    spiked = pressure.copy()
+    count = max(2, round(share * h.size))
+    spiked[np.random.default_rng(2).choice(h.size, count, replace=False)] = 30_000.0
+    clean, _ = adjust(measured(air, 3000.0, t=False, rh=False))
+    adjusted, _ = adjust(measured(air, 3000.0, t=False, rh=False, pressure=spiked))
+    assert adjusted.basis == "barometer"
+    difference = refraction_error(air, adjusted.profile, 3000.0) - refraction_error(
+        air, clean.profile, 3000.0
+    )
+    assert abs(difference) < 0.003
+
+
+@pytest.mark.parametrize("reached", [320.0, 620.0, 1200.0])
+def test_a_thermometer_that_fails_early_does_not_silence_the_barometer(air, reached):
+    time_ns, h = flight(3000.0)
+    short = measured(air, 3000.0, rh=False)
+    accepted = h < FIELD_M + reached
+    temperature = samples(time_ns, h, temperature_k(h), "thermometer", accepted)
+    both, _ = adjust(AirSamples(temperature, short.pressure))
+    alone, _ = adjust(measured(air, 3000.0, t=False, rh=False))
+    assert both.basis == "both"
+    assert "thermometer" in both.reason
+    assert "pressure" in both.reason
+    assert {"measured", "barometric"} <= set(both.profile.layers.source)
+    assert abs(refraction_error(air, both.profile, 3000.0)) < 0.03
+    assert abs(refraction_error(air, both.profile, 3000.0)) < 0.01 + abs(
+        refraction_error(air, alone.profile, 3000.0)
+    )
+
+
+def test_the_pressure_of_a_cabin_is_not_the_air_outside(air):
+    _, h = flight(3000.0)
+    held = air.pressure_pa(np.minimum(h, FIELD_M + 300.0))
+    adjusted, ledger = adjust(measured(air, 3000.0, pressure=held))
+    assert "AIR-NOT-OUTSIDE" in codes(ledger, Kind.LOSS)
+    assert adjusted.basis == "thermometer"
+    alone, _ = adjust(measured(air, 3000.0, t=False, pressure=held))
+    assert alone.basis == "standard"
+
+
+def test_a_thermometer_indoors_is_not_the_air_outside(air):
+    _, h = flight(3000.0)
+    adjusted, ledger = adjust(measured(air, 3000.0, temperature=np.full(h.size, 294.0)))
+    assert "AIR-THERMOMETER" in codes(ledger, Kind.LOSS)
+    assert adjusted.basis == "barometer"
+    warmed, ledger = adjust(measured(air, 3000.0, temperature=temperature_k(h) + 3.0))
+    assert warmed.basis == "thermometer"
+    assert not ledger.has_losses
+
+
+def test_sensors_that_disagree_are_told_of(air):
+    time_ns, h = flight(900.0)  # too little height to say which of them is wrong
+    bent = air.pressure_pa(h) * (1.0 + 0.01 * np.sin(h / 100.0))
+    _, ledger = adjust(measured(air, 900.0, pressure=bent))
+    assert [e.code for e in ledger if e.kind is Kind.LOSS] == ["AIR-ANCHOR"]
+    slightly = air.pressure_pa(h) * (1.0 + 0.004 * np.sin(h / 100.0))
+    _, ledger = adjust(measured(air, 900.0, pressure=slightly))
+    assert [e.code for e in ledger if e.kind is Kind.WARNING] == ["AIR-ANCHOR"]
+    assert time_ns.size == h.size
+
+
+def test_wild_heights_crash_nothing(air):
+    time_ns, h = flight(3000.0)
+    wild = h.copy()
+    wild[::97] = 59_000.0
+    air_samples = AirSamples(
+        samples(time_ns, wild, temperature_k(h)), samples(time_ns, wild, air.pressure_pa(h))
+    )
+    adjusted, _ = adjust(air_samples)
+    assert np.isfinite(adjusted.profile.refractivity(1000.0))
+    far = AirSamples(pressure=samples(time_ns, h + 90_000.0, air.pressure_pa(h)))
+    assert adjust(far)[0].basis == "standard"

@@ -18,7 +18,8 @@ from scipy.integrate import cumulative_simpson
 from scipy.io import netcdf_file
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.adjust import AirSamples, Samples, build_adjusted_profile
+from pipeline.atmosphere.adjust import build_adjusted_profile
+from pipeline.atmosphere.samples import AirSamples, Samples
 from pipeline.ledger import Ledger
 from pipeline.simulate.air import edlen_index, normal_gravity, saturation_pressure_pa
 

@@ -181,6 +181,13 @@ def test_image_names_and_lost_numbers() -> None:
     assert "9" in entry.what
 
 
+def test_many_lost_numbers_are_counted_too() -> None:
+    shots = channel("CAM[0]", np.arange(100), event_index=np.arange(1, 301, 3))
+    ledger = Ledger()
+    events_of_channel(shots, "cam", "{index}", 0.0, ledger)
+    assert [(e.count, e.kind) for e in ledger] == [(198, "loss")]
+
+
 def test_triggers_without_a_shutter_are_counted() -> None:
     shots = channel("CAM[0]", [1, 2, 3], event_index=[1, 2, 3])
     triggers = channel("TRIG[0]", [1, 2, 3, 4, 5], rank=40, event_index=[1, 2, 3, 4, 5])
