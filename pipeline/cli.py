@@ -158,8 +158,8 @@ def angle(
     as_json: Annotated[bool, typer.Option("--json", help="as JSON")] = False,
 ) -> None:
     """One refraction angle, in arcsec, microradians and metres on the ground."""
+    from pipeline.refraction.angle import one_angle
     from pipeline.report.terminal import show_angle
-    from pipeline.stages import one_angle
 
     result = one_angle(atmosphere, index, camera_height, ground_height, nadir_angle, radius, method)
     if as_json:

@@ -53,16 +53,15 @@ from pipeline.flight.roles import Wish, assign_roles
 from pipeline.flight.stations import Stations, join_stations, name_the_unmatched, report_flagged
 from pipeline.ingest import Log, open_log
 from pipeline.ledger import Ledger
-from pipeline.refraction.image import Exposures, ground_displacement
-from pipeline.refraction.ray import ray_table, refraction_angle
-from pipeline.refraction.window import NO_WINDOW
+from pipeline.refraction.image import Exposures
+from pipeline.refraction.ray import ray_table
+from pipeline.refraction.window import NO_WINDOW, OPTICAL_AXIS
 from pipeline.report.html import write_report
 from pipeline.report.progress import Progress, Silent
 from pipeline.tables.events import EventColumns, read_events
 from pipeline.tables.observations import Observations, open_observations
 from pipeline.tables.schemas import REFRACTION_KEY, REFRACTION_REMOVED
 from pipeline.tables.writing import profile_arrow, stations_table, write_parquet
-from pipeline.units import ARCSEC, DEGREE, MICRORADIAN
 
 PROFILE_ID = "flight"
 
@@ -275,10 +274,9 @@ def look_through(
 
 def setup_of(mission: Mission, name: str) -> CameraSetup:
     """Interior orientation, window, and what takes the user's pixels to COLMAP's."""
-    section = mission.cameras[name]
-    normal = section.window.normal if section.window is not None else [0.0, 0.0, 1.0]
-    offset = 0.5 if mission.observations.pixel_origin == "centre" else 0.0
-    return CameraSetup(section.build(), np.array(normal), offset)
+    camera = mission.cameras[name]
+    normal = OPTICAL_AXIS if camera.window is None else np.array(camera.window.normal)
+    return CameraSetup(camera.build(), normal, mission.observations.offset_px)
 
 
 def write_tables(folder: RunFolder, stations: Stations, adjustment: Adjustment) -> None:
@@ -370,31 +368,3 @@ def profile_sources(
         return profile_of_mission(config)
     standard = standard_atmosphere(atmosphere or "")
     return unadjusted(standard, f"the standard atmosphere {standard.name}"), AirSamples(), Ledger()
-
-
-def one_angle(
-    atmosphere: str,
-    index: str,
-    camera_height: float,
-    ground_height: float,
-    nadir_angle: float,
-    radius: float,
-    method: str,
-) -> dict[str, Any]:
-    """One refraction angle through a standard atmosphere, in the units people use."""
-    air = standard_atmosphere(atmosphere, index=index)
-    zeta = nadir_angle * DEGREE
-    r_c = refraction_angle(air, camera_height, ground_height, zeta, radius, method)
-    return {
-        "r_c_arcsec": r_c / ARCSEC,
-        "r_c_urad": r_c / MICRORADIAN,
-        "r_c_rad": r_c,
-        "ground_m": ground_displacement(camera_height, ground_height, zeta, r_c, radius),
-        "atmosphere": atmosphere,
-        "index": index,
-        "method": method,
-        "camera_height_m": camera_height,
-        "ground_height_m": ground_height,
-        "nadir_angle_deg": nadir_angle,
-        "radius_m": radius,
-    }

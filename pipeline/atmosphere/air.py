@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.errors import PhysicsError
-from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K
+from pipeline.units import HECTOPASCAL, VAPOUR_DEFICIT, ZERO_CELSIUS_K
 
 Array = NDArray[np.float64]
 
 DEFAULT_WAVELENGTH_M = 0.55e-6
 DEFAULT_CO2_PPM = 450.0
-GYER_WAVELENGTH_M = 0.589e-6
 
 
 def refractivity_gyer(
@@ -89,7 +88,7 @@ def virtual_temperature(
     303.44
     """
     fraction = np.asarray(vapour_pressure_pa, np.float64) / np.asarray(pressure_pa, np.float64)
-    return np.asarray(np.asarray(temperature_k, np.float64) / (1.0 - 0.378 * fraction))
+    return np.asarray(np.asarray(temperature_k, np.float64) / (1.0 - VAPOUR_DEFICIT * fraction))
 
 
 def _compressibility(t: Array, p: Array, x_w: Array) -> Array:

@@ -94,7 +94,9 @@ class LogSection(Section):
     path: PathText = Field(description="DataFlash .bin, MAVLink .tlog or .mcap")
     channels: ChannelsSection = ChannelsSection()
     max_gap_s: Positive = Field(
-        1.0, description="an exposure between two samples farther apart than this is in a gap"
+        1.0,
+        description="an exposure between two samples farther apart than this, or than three usual intervals "
+        "of a slower sensor, is in a gap",
     )
     local_origin: LocalOrigin | None = None
 
@@ -118,6 +120,16 @@ class ObservationsSection(Section):
         description="corner: the centre of the upper left pixel is (0.5, 0.5), as in COLMAP; "
         "centre: it is (0, 0), as in OpenCV",
     )
+
+    @property
+    def offset_px(self) -> float:
+        """What takes the user's pixels to COLMAP's."""
+        return _offset_px(self.pixel_origin)
+
+
+def _offset_px(pixel_origin: str) -> float:
+    """COLMAP's pixel minus one counted from ``pixel_origin``."""
+    return 0.5 if pixel_origin == "centre" else 0.0
 
 
 class DistortionSection(Section):
@@ -196,14 +208,14 @@ class CameraSection(Section):
 
     def build(self) -> Camera:
         """The camera in COLMAP's pixels."""
-        half = 0.5 if self.pixel_origin == "centre" else 0.0
+        offset = _offset_px(self.pixel_origin)
         return Camera(
             self.width_px,
             self.height_px,
             self.f_px or self.fx_px or 0.0,
             self.f_px or self.fy_px or 0.0,
-            self.cx_px + half,
-            self.cy_px + half,
+            self.cx_px + offset,
+            self.cy_px + offset,
             **self.distortion.model_dump(),
         )
 
@@ -219,8 +231,8 @@ class MountSection(Section):
     yaw_deg: float = 0.0
     lever_arm_m: Vector = Field(
         default_factory=lambda: [0.0, 0.0, 0.0],
-        description="projection centre minus the point whose position the log gives, in the "
-        "body frame",
+        description="projection centre minus the point whose position the log gives (horizontally "
+        "the filter's, in height the GNSS antenna's), in the body frame",
     )
 
     def build(self) -> Mount:

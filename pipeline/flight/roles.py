@@ -67,16 +67,19 @@ def assign_roles(
         if channel is not None:
             filled[role] = channel
     taken = {channel.name for channel in filled.values()}
-    for role in ("height", "position", "attitude"):
-        _fill(filled, role, everything, set(), ledger, wishes)
+    for role in ("height", "position", "attitude", "airspeed"):
+        _fill(filled, role, everything, ledger, wishes)
     if "height" not in filled and "position" in filled:
         filled["height"] = filled["position"]
     _fill_barometers(filled, everything, taken, ledger, wishes, needs_cabin)
-    others = ["airspeed", "temperature", "humidity"]
-    if needs_cabin:
-        others = ["airspeed", "cabin_temperature", "cabin_humidity", "temperature", "humidity"]
-    for role in others:
-        _fill(filled, role, everything, taken, ledger, wishes)
+    for role in ("temperature", "humidity"):
+        inside = f"cabin_{role}"
+        if needs_cabin and not {role, inside} & (filled.keys() | wishes.keys()):
+            _warn_of_both(role, everything, ledger)
+            continue
+        _fill(filled, role, everything, ledger, wishes)
+        if needs_cabin:
+            _fill(filled, inside, everything, ledger, wishes)
     needed = ["position", "attitude"] + (["cabin_pressure", "cabin_temperature"] * needs_cabin)
     for role in needed:
         if role not in filled and role not in wishes:
@@ -145,7 +148,6 @@ def _fill(
     filled: dict[str, Channel],
     role: str,
     channels: tuple[Channel, ...],
-    taken: set[str],
     ledger: Ledger,
     wishes: Mapping[str, Wish],
 ) -> None:
@@ -172,6 +174,18 @@ def _fill(
             where=f"log.channels.{role}",
         )
         candidates = [candidate for candidate in candidates if candidate.rank > best]
+
+
+def _warn_of_both(role: str, channels: tuple[Channel, ...], ledger: Ledger) -> None:
+    """A sensor that may sit outside or in the cabin is not guessed at, if both are asked for."""
+    either = [c.name for c in channels if {role, f"cabin_{role}"} <= set(c.roles)]
+    if either:
+        ledger.warning(
+            "ROLE-AMBIGUOUS",
+            f"{', '.join(either)}: is it the {role} outside or in the cabin? none of them is used; "
+            f"name log.channels.{role} and log.channels.cabin_{role}",
+            where=f"log.channels.{role}",
+        )
 
 
 def _fill_barometers(

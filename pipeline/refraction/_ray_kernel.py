@@ -21,19 +21,21 @@ from pipeline.refraction.status import (
 )
 
 
-def _compile_cache() -> bool:
-    """Whether compiled code can be kept; never in site-packages, which may be read-only."""
-    if not numba.config.CACHE_DIR:
-        user_cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-        numba.config.CACHE_DIR = os.path.join(user_cache, "unbend", "numba")
+def _user_cache() -> str | None:
+    """A folder of the user's for compiled code; never site-packages, which may be read-only."""
+    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    folder = numba.config.CACHE_DIR or os.path.join(base, "unbend", "numba")
     try:
-        os.makedirs(numba.config.CACHE_DIR, exist_ok=True)
+        os.makedirs(folder, exist_ok=True)
     except OSError:
-        return False
-    return os.access(numba.config.CACHE_DIR, os.W_OK)
+        return None
+    return folder if os.access(folder, os.W_OK) else None
 
 
-_jit = numba.njit(cache=_compile_cache(), error_model="numpy")
+_CACHE = _user_cache()
+# numba looks for the folder when a function is decorated; others in this process keep their own.
+_CACHE_OF_OTHERS, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _CACHE or ""
+_jit = numba.njit(cache=_CACHE is not None, error_model="numpy")
 
 # The difference form is left where the ray comes this near to grazing the lower of its two ends:
 # (r cos zeta)^2 there is less than half of that at the upper end. Over a single piece of the table
@@ -283,3 +285,6 @@ def bend_rays(  # type: ignore[no-untyped-def]
         r_angle[i], status[i] = _bend_one(
             edge, coefficient, h_c[i], h_g[i], sin_c[i], cos_c[i], r_e[i]
         )
+
+
+numba.config.CACHE_DIR = _CACHE_OF_OTHERS

@@ -37,8 +37,8 @@ Array = NDArray[np.float64]
 
 DEFAULT_RADIUS_M = 6_371_000.0
 
-# Pieces of the profile on which ln(n - 1) is a polynomial of degree 7 in height. At 500 m a
-# troposphere is reproduced to 1e-14 of n - 1.
+# Pieces of the profile on which n - 1 is a polynomial of degree 7 in height: at 500 m a
+# troposphere is reproduced to 1e-13 of n - 1.
 _PIECE_M = 500.0
 _DEGREE = 7
 
@@ -107,7 +107,7 @@ def bend(
         the straight one; NaN where ``status`` says there is none.
     status : codes of `pipeline.refraction.status`.
 
-    Against an independent ODE: better than 1e-8 arcsec below 85 degrees.
+    Against 40-digit arithmetic 1e-9 arcsec, also near grazing; 1e-7 through P_90.
     """
     arrays = np.broadcast_arrays(
         *(np.asarray(a, np.float64) for a in (h_c, h_g, sin_zeta_c, cos_zeta_c, radius))

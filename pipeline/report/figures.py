@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,17 +20,32 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+P = ParamSpec("P")
+R = TypeVar("R")
+
 _MEASURED = "#c2410c"
 _ADJUSTED = "#1d4ed8"
 _STANDARD = "#64748b"
 _MOST_POINTS = 1500
 
 
+def _styled(draw: Callable[P, R]) -> Callable[P, R]:
+    """Draw in our style, and leave that of whoever called as it was."""
+
+    @wraps(draw)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> R:
+        import matplotlib as mpl
+
+        style = {"svg.hashsalt": "unbend", "svg.fonttype": "path", "font.size": 9}
+        with mpl.rc_context(style):
+            return draw(*args, **kwargs)
+
+    return drawn
+
+
 def _new_figure(columns: int, width: float, height: float) -> tuple[Figure, list[Axes]]:
-    import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    mpl.rcParams.update({"svg.hashsalt": "unbend", "font.size": 9, "svg.fonttype": "path"})
     figure = Figure(figsize=(width, height), layout="constrained")
     axes = figure.subplots(1, columns, squeeze=False)[0]
     for axis in axes:
@@ -39,6 +55,7 @@ def _new_figure(columns: int, width: float, height: float) -> tuple[Figure, list
     return figure, list(axes)
 
 
+@_styled
 def as_svg(figure: Figure) -> str:
     """The figure as an SVG element; the same figure gives the same text."""
     buffer = io.StringIO()
@@ -47,6 +64,7 @@ def as_svg(figure: Figure) -> str:
     return text[text.index("<svg") :]
 
 
+@_styled
 def as_png(figure: Figure, dpi: int = 130) -> bytes:
     """The figure as a PNG file."""
     buffer = io.BytesIO()
@@ -70,6 +88,7 @@ def save_figure(figure: Figure, path: Path) -> None:
         ) from None
 
 
+@_styled
 def profile_figure(adjustment: Adjustment, samples: AirSamples) -> Figure:
     """Temperature and refractivity of the adjusted profile and the standard, with the samples."""
     figure, (left, right) = _new_figure(2, 7.6, 3.6)
@@ -84,6 +103,7 @@ def profile_figure(adjustment: Adjustment, samples: AirSamples) -> Figure:
     return figure
 
 
+@_styled
 def effect_figure(
     adjustment: Adjustment, samples: AirSamples, camera: str, grid: ImageGrid
 ) -> Figure:
@@ -137,6 +157,7 @@ def _scatter(axis: Axes, samples: Samples) -> None:
             )  # fmt: skip
 
 
+@_styled
 def correction_figure(grids: Mapping[str, ImageGrid]) -> Figure:
     """Mean shift of the image points over the format of each camera, as arrows and colour."""
     shown = {name: grid for name, grid in grids.items() if grid.sums[2].any()} or dict(grids)

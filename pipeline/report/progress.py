@@ -52,8 +52,10 @@ class PatientBar:
             transient=True,
         )
         self._task = self._bar.add_task(title, total=None)
-        self._timer = threading.Timer(PATIENCE_S, self._bar.start)
+        self._timer = threading.Timer(PATIENCE_S, self._appear)
         self._timer.daemon = True
+        self._lock = threading.Lock()
+        self._over = False
 
     def __enter__(self) -> PatientBar:
         if self._bar.console.is_terminal:
@@ -62,8 +64,16 @@ class PatientBar:
 
     def __exit__(self, *_: object) -> None:
         self._timer.cancel()
-        if self._bar.live.is_started:
-            self._bar.stop()
+        with self._lock:
+            self._over = True
+            if self._bar.live.is_started:
+                self._bar.stop()
+
+    def _appear(self) -> None:
+        # The timer may have run out just as the work ended: then it comes too late to be cancelled.
+        with self._lock:
+            if not self._over:
+                self._bar.start()
 
     def say(self, what: str) -> None:
         """Name a step of unknown length."""

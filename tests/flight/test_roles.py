@@ -85,6 +85,19 @@ def test_two_thermometers_of_one_rank_are_not_guessed_between() -> None:
     assert (alone["temperature"], alone["humidity"]) == ("HYGR[0]", "HYGR[0]")
 
 
+def test_outside_or_cabin_is_not_guessed() -> None:
+    roles, ledger = assign(POS, GPS, ATT, BARO, CABIN, OUT, IN, cabin=True)
+    assert not {"temperature", "cabin_temperature", "humidity", "cabin_humidity"} & roles.keys()
+    assert sum(e.code == "ROLE-AMBIGUOUS" for e in ledger) == 2
+    assert ledger.has_losses  # no cabin temperature: the window cannot be corrected
+    named, ledger = assign(
+        POS, GPS, ATT, BARO, CABIN, OUT, IN, cabin=True, cabin_temperature="HYGR[1]",
+        cabin_humidity="HYGR[1]",
+    )  # fmt: skip
+    assert (named["temperature"], named["humidity"]) == ("HYGR[0]", "HYGR[0]")
+    assert not ledger.has_losses
+
+
 def test_inside_is_never_outside() -> None:
     roles, _ = assign(
         POS, GPS, ATT, IN, cabin=True, cabin_temperature="HYGR[1]", cabin_humidity="HYGR[1]"
