@@ -95,8 +95,8 @@ class LogSection(Section):
     channels: ChannelsSection = ChannelsSection()
     max_gap_s: Positive = Field(
         1.0,
-        description="an exposure between two samples farther apart than this, or than three usual intervals "
-        "of a slower sensor, is in a gap",
+        description="an exposure between two samples farther apart than this, or than three usual "
+        "intervals of a slower sensor, is in a gap",
     )
     local_origin: LocalOrigin | None = None
 
