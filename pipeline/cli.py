@@ -13,6 +13,7 @@ import os
 import signal
 import sys
 import traceback
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from types import FrameType, TracebackType
@@ -81,17 +82,18 @@ def run(
     console = _console()
     ends: list[int] = []
     one = partial(run_mission, force=force)
-    for config, end in run_many(one, configs, jobs, lambda name: PatientBar(console, name)):
-        if isinstance(end, UnbendError):
-            _refuse(end, str(config))
+    with closing(run_many(one, configs, jobs, lambda name: PatientBar(console, name))) as running:
+        for config, end in running:
+            if isinstance(end, UnbendError):
+                _refuse(end, str(config))
+                ends.append(end.exit_code)
+                continue
+            if isinstance(end, Bug):
+                _own_up(end.traceback, str(config))
+                ends.append(EXIT_BUG)
+                continue
+            show_run(console, end.name, str(end.output), end.manifest, repeated=end.repeated)
             ends.append(end.exit_code)
-            continue
-        if isinstance(end, Bug):
-            _own_up(end.traceback, str(config))
-            ends.append(EXIT_BUG)
-            continue
-        show_run(console, end.name, str(end.output), end.manifest, repeated=end.repeated)
-        ends.append(end.exit_code)
     raise typer.Exit(exit_code_of(ends))
 
 

@@ -43,14 +43,21 @@ from pipeline.flight.exposures import (
     build_stations,
     choose_event_channel,
     events_of_channel,
+    events_of_table,
     refuse_repeated_images,
     require_cabin_air,
 )
 from pipeline.flight.heights import HeightSystem, ground_offsets, height_system
 from pipeline.flight.local import locate
 from pipeline.flight.quality import within_reason
-from pipeline.flight.roles import Wish, assign_roles
-from pipeline.flight.stations import Stations, join_stations, name_the_unmatched, report_flagged
+from pipeline.flight.roles import Wish, assign_roles, warn_of_gimbal
+from pipeline.flight.stations import (
+    Stations,
+    doubt_heights,
+    join_stations,
+    name_the_unmatched,
+    report_flagged,
+)
 from pipeline.ingest import Log, open_log
 from pipeline.ledger import Ledger
 from pipeline.refraction.image import Exposures
@@ -94,6 +101,8 @@ def run_mission(path: Path, *, force: bool = False, progress: Progress | None = 
         stations = find_stations(plan, flight, observations, ledger)
         samples = air_samples(flight.roles, flight.heights, mission.log.max_gap_s, ledger)
         adjustment = adjust_air(mission, stations, samples, ledger)
+        if adjustment.basis != "standard":
+            stations = doubt_heights(stations, adjustment.profile, ledger)
         progress.begin("correcting", observations.rows)
         tally = correct(
             mission, stations, adjustment.profile, observations, folder, ledger, flight.heights,
@@ -127,7 +136,11 @@ def open_inputs(plan: Plan, ledger: Ledger) -> Observations:
     section, ground = plan.mission.observations, plan.mission.ground.height
     column = None if isinstance(ground, float) else ground.column
     return open_observations(
-        plan.input("observations").path, section.columns.model_dump(), column, ledger
+        plan.input("observations").path,
+        section.columns.model_dump(),
+        column,
+        ledger,
+        ground_is_msl=plan.mission.ground.reference == "msl",
     )
 
 
@@ -142,6 +155,7 @@ def read_flight(plan: Plan, ledger: Ledger) -> Flight:
     wishes = {role: Wish(c.name, c.unit) for role, c in section.channels.named().items()}
     roles = assign_roles(channels, wishes, ledger, needs_cabin=reads_cabin(plan.mission))
     sound = {role: within_reason(channel, role, ledger) for role, channel in roles.items()}
+    warn_of_gimbal(log.messages, ledger)
     heights = height_system(sound, plan.mission.mission.undulation_m, ledger)
     stated_home = plan.mission.ground.home_h_msl_m
     if stated_home is not None:
@@ -178,7 +192,7 @@ def find_events(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -> li
             remedy=f"cameras are {', '.join(plan.mission.cameras)}",
         )
     return [
-        Events(camera, table.image[camera_of == camera], table.time_ns[camera_of == camera])
+        events_of_table(table.image, camera_of, table.time_ns, camera, csv.delay_s)
         for camera in plan.mission.cameras
     ]
 
@@ -276,7 +290,8 @@ def setup_of(mission: Mission, name: str) -> CameraSetup:
     """Interior orientation, window, and what takes the user's pixels to COLMAP's."""
     camera = mission.cameras[name]
     normal = OPTICAL_AXIS if camera.window is None else np.array(camera.window.normal)
-    return CameraSetup(camera.build(), normal, mission.observations.offset_px)
+    observed = mission.observations
+    return CameraSetup(camera.build(observed.pixel_origin), normal, observed.offset_px)
 
 
 def write_tables(folder: RunFolder, stations: Stations, adjustment: Adjustment) -> None:
@@ -302,11 +317,14 @@ class Checked:
 
     def lines(self) -> list[tuple[str, str]]:
         """For a person."""
-        roles = ", ".join(f"{role} {c.name}" for role, c in sorted(self.flight.roles.items()))
+        roles = ", ".join(
+            f"{role.replace('_', ' ')} {channel.name}"
+            for role, channel in sorted(self.flight.roles.items())
+        )
         cameras = Counter(self.stations.camera[self.stations.ok].tolist())
         return [
             ("log", f"{self.plan.mission.log.path}: {self.flight.log.format}"),
-            ("channels", roles.replace("_", " ")),
+            ("channels", roles),
             ("stations", ", ".join(f"{n} of {name}" for name, n in cameras.items()) or "none"),
             (
                 "observations",

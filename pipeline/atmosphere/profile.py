@@ -282,8 +282,12 @@ def profile_table(profile: Profile, h: ArrayLike | None = None) -> dict[str, Any
     ``h`` : (n,) heights [m above sea level]; by default the layer boundaries. ``t_base_k`` is the
     virtual temperature T_M at the layer's base; ``lapse_k_per_m`` is per geopotential metre.
     """
-    heights = profile.break_heights_m if h is None else np.asarray(h, dtype=np.float64)
-    i = profile.layer_of(heights)
+    if h is None:  # each layer at its lower edge, and the top of the last
+        heights = profile.break_heights_m
+        i = np.minimum(np.arange(heights.size), heights.size - 2)
+    else:
+        heights = np.asarray(h, dtype=np.float64)
+        i = profile.layer_of(heights)
     if bool(np.any(i < 0)):
         raise PhysicsError(
             "PROFILE-RANGE",

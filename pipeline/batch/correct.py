@@ -34,6 +34,10 @@ class CameraSetup:
     pixel_offset: float
 
 
+LOWEST_GROUND_M, HIGHEST_GROUND_M = -600.0, 10_000.0
+"""Ground heights outside this are no ground heights [m]."""
+
+
 @dataclass(frozen=True, eq=False)
 class Ground:
     """Heights of the points above sea level: a constant, or a column plus what makes it so.
@@ -51,6 +55,7 @@ class Ground:
             given = batch.ground
         else:
             given = np.full(len(batch), self.constant_m, dtype=np.float64)
+        given = np.where((given >= LOWEST_GROUND_M) & (given <= HIGHEST_GROUND_M), given, np.nan)
         offset = np.append(self.offset_m, np.nan)[row]
         # Without a station there is nothing to reduce with; the status says no_station anyway.
         return np.asarray(given + np.where(row < 0, 0.0, offset))
@@ -80,7 +85,7 @@ class Tally:
                 continue
             what = f"{count} of {self.rows} observations are {name}"
             if name == "beyond_grazing":
-                ledger.warning("OBS-BEYOND-GRAZING", what + ": near branch used", count=count)
+                ledger.loss("OBS-BEYOND-GRAZING", what + ": near branch used", count=count)
             else:
                 ledger.loss("OBS-FLAGGED", what, count=count)
 

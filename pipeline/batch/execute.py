@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
-import traceback
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+import os
+from collections.abc import Callable, Generator, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
-from typing import Any, Protocol
+from typing import Any
 
-from pipeline.batch.manifest import Outcome
+from pipeline.batch.workers import Bug, End, RunOne, attempt, side_by_side
 from pipeline.config import load_mission
 from pipeline.errors import (
     EXIT_BUG,
     EXIT_DONE,
-    EXIT_INTERRUPTED,
     EXIT_LOSSES,
     EXIT_REFUSED,
     ConfigError,
@@ -28,28 +21,12 @@ from pipeline.errors import (
 )
 
 
-class RunOne(Protocol):
-    """Runs one mission file."""
-
-    def __call__(self, path: Path, *, progress: Any = None) -> Outcome: ...
-
-
-@dataclass(frozen=True)
-class Bug:
-    """A mission that ended in an error of ours."""
-
-    traceback: str
-
-
-End = Outcome | UnbendError | Bug
-
-
 def run_many(
     one: RunOne,
     configs: Sequence[Path],
     jobs: int,
     bar: Callable[[str], AbstractContextManager[Any]],
-) -> Iterator[tuple[Path, End]]:
+) -> Generator[tuple[Path, End]]:
     """Run mission files; yields how each ended, as soon as it did.
 
     With one job, ``bar`` shows the progress of each; side by side they stay silent.
@@ -64,57 +41,26 @@ def run_many(
     if jobs == 1 or len(todo) < 2:
         for config in todo:
             with bar(config.stem) as progress:
-                end = _attempt(one, config, progress)
+                end = attempt(one, config, progress)
             yield config, end
         return
-    yield from _side_by_side(one, todo, jobs)
-
-
-def _side_by_side(one: RunOne, configs: Sequence[Path], jobs: int) -> Iterator[tuple[Path, End]]:
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(jobs, len(configs)), context, _begin_worker) as pool:
-        futures = {pool.submit(_attempt, one, config, None): config for config in configs}
-        try:
-            for future in as_completed(futures):
-                yield futures[future], _end_of(future, futures[future])
-        except BaseException:
-            # Interrupted: the workers clean up after themselves and leave, too.
-            pool.shutdown(wait=False, cancel_futures=True)
-            for worker in multiprocessing.active_children():
-                worker.terminate()
-            raise
-
-
-def _begin_worker() -> None:
-    """Leave Ctrl-C to the parent, which then asks every worker to stop in order."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, _stop)
-
-
-def _stop(_: int, __: FrameType | None) -> None:
-    raise SystemExit(EXIT_INTERRUPTED)
-
-
-def _end_of(future: Future[End], config: Path) -> End:
-    try:
-        return future.result()
-    except BrokenProcessPool:
-        return MissionError(
-            "WORKER-LOST",
-            "the process that ran this mission died",
-            where=str(config),
-            remedy="run it again alone; the machine may be short of memory",
-        )
-
-
-def _attempt(one: RunOne, config: Path, progress: Any) -> End:
-    try:
-        return one(config, progress=progress)
-    except UnbendError as error:
-        return error
-    except Exception:
-        # The one broad net: an error of ours in one mission must not cost the user the others.
-        return Bug(traceback.format_exc())
+    lost: list[Path] = []
+    yield from side_by_side(one, todo, jobs, lost)
+    # Whatever killed their workers, for want of memory most likely: now each has the machine alone.
+    for config in lost:
+        again: list[Path] = []
+        yield from side_by_side(one, [config], 1, again)
+        if again:
+            yield (
+                config,
+                MissionError(
+                    "WORKER-LOST",
+                    "the process that ran this mission died, and so did a second one",
+                    where=str(config),
+                    remedy="the machine may be short of memory: lower output.batch_rows, or run it "
+                    "on a larger one",
+                ),
+            )
 
 
 def shared_outputs(configs: Sequence[Path]) -> dict[Path, UnbendError]:
@@ -126,7 +72,7 @@ def shared_outputs(configs: Sequence[Path]) -> dict[Path, UnbendError]:
             mission = load_mission(config)
         except UnbendError:
             continue  # said again, and reported, when its turn comes
-        output = (config.parent / mission.output.path).resolve()
+        output = Path(os.path.realpath(config.parent / mission.output.path))
         first = taken.setdefault(output, config)
         if first is not config:
             refused[config] = ConfigError(
@@ -152,3 +98,6 @@ def exit_code_of(ends: Sequence[int]) -> int:
         return EXIT_BUG
     done = (EXIT_DONE, EXIT_LOSSES)
     return max(end if end in done else EXIT_REFUSED for end in ends)
+
+
+__all__ = ["Bug", "End", "exit_code_of", "run_many", "shared_outputs"]

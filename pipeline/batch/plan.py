@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import pipeline
+from pipeline.batch.store import would_replace
 from pipeline.config import Mission
-from pipeline.errors import InputError
+from pipeline.errors import ConfigError, InputError
 from pipeline.ingest import hash_file
 
 _KEY = {"log": "log.path", "observations": "observations.path", "events": "events.csv.path"}
@@ -64,7 +65,12 @@ def input_paths(mission: Mission, folder: Path) -> dict[str, tuple[str, Path]]:
 
 
 def make_plan(mission: Mission, folder: Path) -> Plan:
-    """Hash the inputs of a mission; relative paths resolve from the mission file's folder."""
+    """Hash the inputs of a mission; relative paths resolve from the mission file's folder.
+
+    Refuses a mission that would write its results over one of its inputs.
+    """
+    output = Path(os.path.normpath(folder / mission.output.path))
+    _refuse_among_results("mission", folder, output)
     inputs = []
     for role, (name, path) in input_paths(mission, folder).items():
         try:
@@ -75,13 +81,24 @@ def make_plan(mission: Mission, folder: Path) -> Plan:
                     where=str(path),
                     remedy=f"check {_KEY[role]} in the mission file; paths are relative to it",
                 )
+            _refuse_among_results(role, path, output)
             stamp = _stamp(path)
             inputs.append(Input(role, name, path, hash_file(path), stamp))
         except OSError as error:
             raise InputError(
                 "INPUT-UNREADABLE", str(error.strerror), where=str(path), remedy="mend permissions"
             ) from None
-    return Plan(mission, tuple(inputs), Path(os.path.normpath(folder / mission.output.path)))
+    return Plan(mission, tuple(inputs), output)
+
+
+def _refuse_among_results(role: str, path: Path, output: Path) -> None:
+    if would_replace(output, path):
+        raise ConfigError(
+            "OUTPUT-OVER-INPUT",
+            f"the {role} file is among the results that a run replaces in {output}",
+            where=str(path),
+            remedy="move it elsewhere, or choose another output.path",
+        )
 
 
 def check_unchanged(plan: Plan) -> None:

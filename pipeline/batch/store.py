@@ -10,6 +10,7 @@ import errno
 import fcntl
 import json
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -24,7 +25,10 @@ MANIFEST = "manifest.json"
 _MANIFEST_KEYS = {"fingerprint", "mission", "outputs", "exit_code"}
 _STAGING = ".staging"
 _LOCK = ".lock"
-_OURS = ("observations", "stations.parquet", "profile.parquet", "report.html")
+_OWNED = "The files of this folder that manifest.json names were written by unbend.\n"
+_PARTS = "observations"
+_PART = re.compile(r"part-[0-9]{5,}\.parquet")
+_OURS = (_PARTS, "stations.parquet", "profile.parquet", "report.html")
 
 
 @contextmanager
@@ -82,13 +86,19 @@ class RunFolder:
             _sync(draft)
             for folder in {(self.staging / name).parent for name in self._seals}:
                 _sync(folder)
+            # From here on the folder is ours, even if we die before the manifest is written.
+            (self.path / _LOCK).write_text(_OWNED, encoding="ascii")
             (self.path / MANIFEST).unlink(missing_ok=True)
             _sync(self.path)
-            for name in _OURS:
-                _remove(self.path / name)
-            for name in sorted({name.split("/")[0] for name in self._seals}):
-                (self.staging / name).rename(self.path / name)
-            _sync(self.path)
+            for part in (self.path / _PARTS).glob("part-*.parquet"):
+                if _PART.fullmatch(part.name) and f"{_PARTS}/{part.name}" not in self._seals:
+                    part.unlink()
+            for name in sorted(self._seals):
+                target = self.path / name
+                target.parent.mkdir(exist_ok=True)
+                (self.staging / name).replace(target)
+            for folder in {(self.path / name).parent for name in self._seals}:
+                _sync(folder)
             draft.rename(self.path / MANIFEST)
             _sync(self.path)
             _remove(self.staging)
@@ -109,9 +119,27 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
+def would_replace(folder: Path, path: Path) -> bool:
+    """Whether a run that writes to a folder removes this file, or writes in its place.
+
+    >>> would_replace(Path("/r"), Path("/r/observations/own.parquet"))
+    True
+    >>> would_replace(Path("/r"), Path("/r/flight.bin"))
+    False
+    """
+    ours = {*_OURS, MANIFEST, _STAGING, _LOCK}
+    # A link may stand in one place and lead to another: neither may be touched.
+    for place in (os.path.abspath, os.path.realpath):
+        holds, held = Path(place(folder)), Path(place(path))
+        if held.is_relative_to(holds) and {*held.relative_to(holds).parts[:1]} & ours:
+            return True
+    return False
+
+
 def _refuse_strangers(path: Path) -> None:
     """Refuse a folder that holds files of our names which no run of ours put there."""
-    if (path / _LOCK).exists() or (path / MANIFEST).exists():
+    lock = path / _LOCK
+    if (lock.is_file() and lock.stat().st_size > 0) or (path / MANIFEST).exists():
         return
     strangers = [name for name in _OURS if os.path.lexists(path / name)]
     if strangers:
@@ -132,7 +160,6 @@ def open_folder(path: Path) -> Iterator[RunFolder]:
     """
     with translated(path):
         path.mkdir(parents=True, exist_ok=True)
-        _refuse_strangers(path)
     for name in (_STAGING, *_OURS, MANIFEST):
         if (path / name).is_symlink():
             raise StorageError(
@@ -142,6 +169,7 @@ def open_folder(path: Path) -> Iterator[RunFolder]:
                 remedy="remove it: results are never written through a link",
             )
     with translated(path):
+        _refuse_strangers(path)
         lock = os.open(path / _LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
     try:
         try:
@@ -167,6 +195,11 @@ def open_folder(path: Path) -> Iterator[RunFolder]:
         os.close(lock)
 
 
+def _listed(manifest: dict[str, Any]) -> list[Any]:
+    outputs = manifest["outputs"]
+    return outputs if isinstance(outputs, list) else [outputs]
+
+
 def read_manifest(path: Path) -> dict[str, Any] | None:
     """The manifest of a run's folder; None where there is none."""
     try:
@@ -180,20 +213,22 @@ def read_manifest(path: Path) -> dict[str, Any] | None:
             where=str(path / MANIFEST),
             remedy="run the mission again with --force",
         ) from None
-    if not isinstance(manifest, dict) or not manifest.keys() >= _MANIFEST_KEYS:
+    whole = isinstance(manifest, dict) and manifest.keys() >= _MANIFEST_KEYS
+    if not whole or not all(isinstance(item, dict) for item in _listed(manifest)):
         raise StorageError(
             "MANIFEST-UNREADABLE",
             "manifest.json is not one that unbend wrote",
             where=str(path / MANIFEST),
             remedy="choose another folder, or remove that file",
         )
-    return manifest
+    found: dict[str, Any] = manifest
+    return found
 
 
 def find_damage(path: Path, manifest: dict[str, Any], *, read: bool = True) -> list[str]:
     """What is missing or changed in a run's folder, one line each; empty when it is whole.
 
-    ``read=False`` looks at names and sizes only.
+    ``read=False`` reads the small files, but of the parts only names and sizes.
     """
     damage = []
     known = {str(item["name"]) for item in manifest["outputs"]}
@@ -203,8 +238,8 @@ def find_damage(path: Path, manifest: dict[str, Any], *, read: bool = True) -> l
             damage.append(f"{item['name']}: is missing")
         elif file.stat().st_size != item["bytes"]:
             damage.append(f"{item['name']}: {file.stat().st_size} bytes, not {item['bytes']}")
-        elif read and hash_file(file) != item["sha256"]:
+        elif (read or file.parent == path) and hash_file(file) != item["sha256"]:
             damage.append(f"{item['name']}: its content has changed")
-    found = {f"observations/{p.name}" for p in (path / "observations").glob("part-*.parquet")}
+    found = {f"{_PARTS}/{p.name}" for p in (path / _PARTS).glob("part-*.parquet")}
     damage += [f"{name}: belongs to no run" for name in sorted(found - known)]
     return damage

@@ -20,7 +20,14 @@ _NUMBER_FORMAT = re.compile(r"^0?[0-9]{0,2}d?$")
 
 PathText = Annotated[str, Field(min_length=1, pattern=r"^[^\x00]+$")]
 Positive = Annotated[float, Field(gt=0)]
+PrincipalDistance = Annotated[float, Field(ge=10, le=1e6)]
+Coefficient = Annotated[float, Field(ge=-10, le=10)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
+LeverArm = Annotated[
+    list[Annotated[float, Field(ge=-100, le=100)]], Field(min_length=3, max_length=3)
+]
 
 
 class Section(BaseModel):
@@ -93,10 +100,12 @@ class LogSection(Section):
 
     path: PathText = Field(description="DataFlash .bin, MAVLink .tlog or .mcap")
     channels: ChannelsSection = ChannelsSection()
-    max_gap_s: Positive = Field(
-        1.0,
-        description="an exposure between two samples farther apart than this, or than three usual "
-        "intervals of a slower sensor, is in a gap",
+    max_gap_s: float = Field(
+        2.0,
+        gt=0,
+        le=60,
+        description="an exposure between two positions or attitudes farther apart than this is in "
+        "a gap",
     )
     local_origin: LocalOrigin | None = None
 
@@ -135,11 +144,11 @@ def _offset_px(pixel_origin: str) -> float:
 class DistortionSection(Section):
     """Brown-Conrady coefficients as OpenCV defines them."""
 
-    k1: float = 0.0
-    k2: float = 0.0
-    k3: float = 0.0
-    p1: float = 0.0
-    p2: float = 0.0
+    k1: Coefficient = 0.0
+    k2: Coefficient = 0.0
+    k3: Coefficient = 0.0
+    p1: Coefficient = 0.0
+    p2: Coefficient = 0.0
 
 
 class CabinAir(Section):
@@ -185,12 +194,14 @@ class CameraSection(Section):
 
     width_px: int = Field(gt=0, le=1_000_000)
     height_px: int = Field(gt=0, le=1_000_000)
-    f_px: Positive | None = None
-    fx_px: Positive | None = None
-    fy_px: Positive | None = None
-    cx_px: float
-    cy_px: float
-    pixel_origin: Literal["corner", "centre"] = "corner"
+    f_px: PrincipalDistance | None = None
+    fx_px: PrincipalDistance | None = None
+    fy_px: PrincipalDistance | None = None
+    cx_px: float = Field(ge=-1e6, le=1e6)
+    cy_px: float = Field(ge=-1e6, le=1e6)
+    pixel_origin: Literal["corner", "centre"] | None = Field(
+        None, description="of the principal point; by default that of the observations"
+    )
     distortion: DistortionSection = DistortionSection()
     calibration: Literal["laboratory", "in_flight_uncorrected", "in_flight_corrected"] = Field(
         description="how it was calibrated. A calibration estimated in flight on uncorrected "
@@ -206,9 +217,9 @@ class CameraSection(Section):
             raise ValueError("give f_px, or both fx_px and fy_px")
         return self
 
-    def build(self) -> Camera:
-        """The camera in COLMAP's pixels."""
-        offset = _offset_px(self.pixel_origin)
+    def build(self, pixel_origin: str = "corner") -> Camera:
+        """The camera in COLMAP's pixels; ``pixel_origin`` where it names none itself."""
+        offset = _offset_px(self.pixel_origin or pixel_origin)
         return Camera(
             self.width_px,
             self.height_px,
@@ -229,7 +240,7 @@ class MountSection(Section):
     roll_deg: float = 0.0
     pitch_deg: float = 0.0
     yaw_deg: float = 0.0
-    lever_arm_m: Vector = Field(
+    lever_arm_m: LeverArm = Field(
         default_factory=lambda: [0.0, 0.0, 0.0],
         description="projection centre minus the point whose position the log gives (horizontally "
         "the filter's, in height the GNSS antenna's), in the body frame",
@@ -292,6 +303,9 @@ class CsvEvents(Section):
     path: PathText
     columns: CsvEventColumns = CsvEventColumns(time_utc="time_utc")
     camera: str | None = Field(None, description="the camera of every row without a camera column")
+    delay_s: float = Field(
+        0.0, ge=-86_400, le=86_400, description="true time minus the table's (the camera's clock)"
+    )
 
 
 class EventsSection(Section):
@@ -323,7 +337,10 @@ class GroundSection(Section):
         description="above mean sea level, above the ellipsoid, or above the take-off point"
     )
     home_h_msl_m: float | None = Field(
-        None, description="height of the take-off point, where the log does not tell"
+        None,
+        ge=-600,
+        le=10_000,
+        description="height of the take-off point, where the log does not tell",
     )
 
     @field_validator("height")

@@ -5,6 +5,7 @@ Every device in a log has a clock of its own. What leaves this module is int64 U
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.flight.channels import Array, TimeArray
+from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH
 
 SECONDS_PER_WEEK = 604_800
@@ -49,6 +51,8 @@ UNIX_US_FROM = 10**15
 UNIX_NS_FROM = UNIX_US_FROM * 1000
 
 BOOT_STEP_NS = NANOSECONDS_PER_SECOND  # loggers write records up to some ms out of order
+STRAY_ROWS = 4  # this many rows in a row can be one glitch; a power-up writes more
+SET_BACKS = 16  # a clock that was set back more often than this is no clock
 
 
 def utc_of_gps(week: ArrayLike, seconds: ArrayLike) -> TimeArray:
@@ -90,45 +94,110 @@ def boots_of(time_ns: TimeArray, step_ns: int = BOOT_STEP_NS) -> NDArray[np.int1
     """
     if time_ns.shape[0] == 0:
         return np.empty(0, np.int16)
-    back = np.diff(time_ns) < -step_ns
-    return np.concatenate([[0], np.cumsum(back)]).astype(np.int16)
+    boots = np.zeros(time_ns.shape, np.int16)
+    np.cumsum(np.diff(time_ns) < -step_ns, out=boots[1:])
+    return boots
 
 
 def stray_times(time_ns: TimeArray, limit_ns: int = BOOT_STEP_NS) -> NDArray[np.bool_]:
-    """Mark single time stamps far from both neighbours, which agree with each other.
+    """Mark time stamps far from those on both sides, which agree with each other.
 
     Parameters
     ----------
     time_ns : (n,) [ns] in the order of the file.
     limit_ns : [ns] how far is far.
 
-    Returns (n,) True where the stamp is stray, as after a flipped bit. Gaps and new boots are not:
-    there the neighbours disagree. The first and the last row are never marked.
+    Returns (n,) True where a stamp is stray, as after a flipped bit; up to `STRAY_ROWS` in a row.
+    Gaps and new boots are not: there both sides disagree. At the ends of the file as few rows
+    are stray where time steps back from or to them, since a boot of so few rows is none.
 
     >>> stray_times(np.array([0.0, 0.1, 70.0, 0.3, 0.4]) * 1e9)
     array([False, False,  True, False, False])
     """
-    stray = np.zeros(time_ns.shape, np.bool_)
-    if time_ns.shape[0] >= 3:
-        before, here, after = time_ns[:-2], time_ns[1:-1], time_ns[2:]
-        stray[1:-1] = (
-            (np.abs(here - before) > limit_ns)
-            & (np.abs(here - after) > limit_ns)
-            & (np.abs(after - before) <= limit_ns)
-        )
-    return stray
+    n = time_ns.shape[0]
+    steps = np.diff(time_ns)
+    first = np.concatenate([[0], np.flatnonzero(np.abs(steps, out=steps) > limit_ns) + 1])
+    if n == 0 or first.shape[0] == 1:
+        return np.zeros(n, np.bool_)
+    length = np.diff(np.append(first, n))
+    begin, end = time_ns[first], time_ns[first + length - 1]
+    short = length <= STRAY_ROWS
+    stray = np.zeros(first.shape, np.bool_)
+    stray[0] = short[0] and not short[1] and begin[1] < end[0]
+    stray[-1] = short[-1] and not short[-2] and begin[-1] < end[-2]
+    last = begin[1] if stray[0] else end[0]  # the last stamp that can be believed
+    for k in range(1, first.shape[0] - 1):
+        far = abs(begin[k] - last) > limit_ns
+        stray[k] = short[k] and far and abs(begin[k + 1] - last) <= limit_ns
+        last = last if stray[k] else end[k]
+    return np.repeat(stray, length)
 
 
 def increasing(time_ns: TimeArray) -> NDArray[np.bool_]:
-    """Mark the rows that are later than every row before them.
+    """Mark the most rows whose times increase strictly, in the order they have.
 
-    >>> increasing(np.array([1, 3, 2, 3, 4]))
-    array([ True,  True, False, False,  True])
+    A longest increasing subsequence: one wrong stamp costs one row, whatever it says. Of equal
+    stamps the first is marked.
+
+    >>> increasing(np.array([1, 3, 900, 4, 5, 5]))
+    array([ True,  True, False,  True,  True, False])
     """
-    keep = np.ones(time_ns.shape, np.bool_)
-    if time_ns.shape[0] > 1:
-        keep[1:] = time_ns[1:] > np.maximum.accumulate(time_ns)[:-1]
+    if bool(np.all(np.diff(time_ns) > 0)):
+        return np.ones(time_ns.shape, np.bool_)
+    ends: list[int] = []  # the smallest time that ends an increasing run of each length
+    row_of_end: list[int] = []
+    before = [-1] * time_ns.shape[0]
+    for row, time in enumerate(time_ns.tolist()):
+        length = len(ends) if not ends or time > ends[-1] else bisect_left(ends, time)
+        if length < len(ends) and ends[length] == time:
+            continue
+        before[row] = row_of_end[length - 1] if length else -1
+        ends[length : length + 1] = [time]
+        row_of_end[length : length + 1] = [row]
+    keep = np.zeros(time_ns.shape, np.bool_)
+    row = row_of_end[-1]
+    while row >= 0:
+        keep[row] = True
+        row = before[row]
     return keep
+
+
+def untangled(time_ns: TimeArray) -> tuple[NDArray[np.intp], NDArray[np.int16]]:
+    """Rows in the order of their time, without strays, also where the clock was set back.
+
+    Parameters
+    ----------
+    time_ns : (n,) [ns] in the order of the file.
+
+    Returns (m,) rows whose times increase strictly, and (m,) the number of the stretch between
+    two settings of the clock, from 0. Few rows out of order are left out (`increasing`); more than
+    `STRAY_ROWS` in a row are a clock that was set. Rows of before that the clock then passed
+    again are left out: which of the two was meant is unknowable, and stretches must not mix.
+
+    >>> untangled(np.array([0, 1, 2, 3, 90, 91, 92, 93, 94, 40, 41, 42, 43, 44, 45, 46]))[0]
+    array([ 0,  1,  2,  3,  9, 10, 11, 12, 13, 14, 15,  4,  5,  6,  7,  8])
+    """
+    keep = increasing(time_ns)
+    rows = np.flatnonzero(keep | _in_long_runs(~keep))
+    back = np.diff(time_ns[rows]) <= 0
+    if not 0 < int(np.count_nonzero(back)) <= SET_BACKS:
+        rows = np.flatnonzero(keep)
+        return rows, np.zeros(rows.shape, np.int16)
+    stretch = np.concatenate([[0], np.cumsum(back)]).astype(np.int16)
+    time = time_ns[rows]
+    stays = np.ones(rows.shape, np.bool_)
+    for number in range(1, int(stretch[-1]) + 1):
+        later = time[stretch == number]
+        stays &= (stretch >= number) | (time < later[0]) | (time > later[-1])
+    order = np.argsort(time[stays], kind="stable")
+    return rows[stays][order], stretch[stays][order]
+
+
+def _in_long_runs(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Where a mask is True more than `STRAY_ROWS` times in a row."""
+    begin = np.flatnonzero(np.diff(mask, prepend=~mask[:1]))
+    length = np.diff(np.append(begin, mask.shape[0]))
+    return mask & np.repeat(length > STRAY_ROWS, length)
 
 
 @dataclass(frozen=True)
@@ -203,3 +272,20 @@ def along(from_ns: TimeArray, to_ns: TimeArray) -> Callable[[TimeArray], TimeArr
         return np.asarray(since + base_to + np.rint(shift).astype(np.int64), np.int64)
 
     return mapped
+
+
+LARGEST_SPREAD_NS = 200_000_000  # real logs: 1 to 40 ms; a receiver's time step is a second or more
+
+
+def report_fit(ledger: Ledger, source: str, spread_ns: int, where: str, count: int) -> None:
+    """Say how well the stamps agree that tie a vehicle's clock to UTC; a spread is a loss."""
+    what = f"UTC from {source}, which agree within {spread_ns / 1e6:.0f} ms (p5 to p95)"
+    if spread_ns <= LARGEST_SPREAD_NS:
+        ledger.note("TIME-FIT", what, where=where, count=count)
+        return
+    ledger.loss(
+        "TIME-FIT",
+        f"{what}: one of the two clocks stepped, and exposures by UTC may be that far off",
+        where=where,
+        count=count,
+    )

@@ -82,17 +82,36 @@ def events_of_channel(
     """
     index = channel["event_index"].astype(np.int64)
     names = [pattern.format(index=int(i), n=n) for n, i in enumerate(index, start=1)]
-    _report_skipped(channel.name, index, ledger)
+    if _report_skipped(channel.name, index, ledger) and "{n" in pattern:
+        raise MissionError(
+            "EVENTS-COUNTED",
+            "the log has lost events: images counted by {n} would get the stations of others",
+            where=f"events.log.{camera}, channel {channel.name}",
+            remedy="name the images by {index}, or give their times in events.csv",
+        )
     time_ns = channel.time_ns + round(delay_s * 1e9)
     return Events(camera, np.array(names, dtype=object), time_ns)
 
 
-def _report_skipped(name: str, index: NDArray[np.int64], ledger: Ledger) -> None:
+def events_of_table(
+    image: NDArray[np.object_],
+    camera_of: NDArray[Any],
+    time_ns: NDArray[np.int64],
+    camera: str,
+    delay_s: float,
+) -> Events:
+    """Exposures of one camera from a table, with the offset of the table's clock taken out."""
+    mine = camera_of == camera
+    return Events(camera, image[mine], time_ns[mine] + round(delay_s * 1e9))
+
+
+def _report_skipped(name: str, index: NDArray[np.int64], ledger: Ledger) -> int:
+    """How many numbers between the first and the last have no event; they go into the ledger."""
     known = np.unique(index)
     gaps = np.diff(known) - 1
     lost = int(gaps.sum())
     if lost == 0:
-        return
+        return 0
     first = [
         f"{low + 1}" if gap == 1 else f"{low + 1} to {low + gap}"
         for low, gap in zip(known[:-1][gaps > 0][:4], gaps[gaps > 0][:4], strict=True)
@@ -105,6 +124,7 @@ def _report_skipped(name: str, index: NDArray[np.int64], ledger: Ledger) -> None
         where=name,
         count=lost,
     )
+    return lost
 
 
 def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Channel:
@@ -129,8 +149,10 @@ def account_for_triggers(channels: tuple[Channel, ...], chosen: Channel, ledger:
     """Say how many triggers of the log have no shutter event in the chosen channel."""
     if chosen.source.message not in ("CAM", "CAMERA_FEEDBACK"):
         return
-    for channel in channels:
-        if channel.source.message == "TRIG" and len(channel) > len(chosen):
+    triggers = [c for c in channels if c.source.message == "TRIG"]
+    own = [c for c in triggers if c.source.instance == chosen.source.instance]
+    for channel in own or triggers[:1]:
+        if len(channel) > len(chosen):
             ledger.loss(
                 "EVENTS-LOST",
                 f"{len(channel)} triggers of {channel.name}, {len(chosen)} shutter events of "
@@ -149,9 +171,10 @@ def refuse_repeated_images(events: list[Events]) -> None:
         twice = unique[count > 1]
         raise MissionError(
             "EVENTS-REPEATED",
-            f"{twice.size} image names stand for more than one exposure, for example {twice[0]!r}",
+            f"{twice.size} image names stand for more than one exposure, for example '{twice[0]}'",
             where="events",
-            remedy="use {n} instead of {index} in the pattern, or give each camera its own",
+            remedy="give each exposure a name of its own: a pattern for each camera, or one row "
+            "an image in events.csv",
         )
 
 
@@ -250,7 +273,7 @@ def _with_air(stations: Stations, roles: Mapping[str, Channel], max_gap_s: float
         ):
             channel = roles.get(prefix + role)
             reading[role] = (
-                interpolate(channel, column, stations.time_ns, max_gap_s)
+                interpolate(channel, column, stations.time_ns, channel.gap_limit_s(max_gap_s))
                 if channel is not None
                 else np.full(len(stations), np.nan)
             )

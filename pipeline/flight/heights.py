@@ -17,6 +17,10 @@ from pipeline.ledger import Ledger
 Array = NDArray[np.float64]
 
 
+STEADY_HOME_M = 2.0
+"""The take-off height of a flight does not change by more than this [m]."""
+
+
 @dataclass(frozen=True)
 class HeightSystem:
     """How the two kinds of height go together; None where the log and the user do not say."""
@@ -42,11 +46,31 @@ def height_system(
                 count=int(both.size),
             )
     position = roles.get("position")
-    home = None
-    if position is not None:
-        above_home = _difference(position, "h_msl_m", "h_home_m")
-        home = float(np.median(above_home)) if above_home.size else None
+    home = _home(position, ledger) if position is not None else None
     return HeightSystem(undulation, home)
+
+
+def _home(position: Channel, ledger: Ledger) -> float | None:
+    """Height of the take-off point above sea level [m], if the log has one and only one.
+
+    Before an autopilot sets its home, it gives both heights alike; those rows do not count.
+    """
+    home = _difference(position, "h_msl_m", "h_home_m")
+    is_set = np.abs(home) > 0.01
+    home = home[is_set] if bool(is_set.any()) else home
+    if home.size == 0:
+        return None
+    low, middle, high = np.percentile(home, [5.0, 50.0, 95.0])
+    if high - low > STEADY_HOME_M:
+        ledger.note(
+            "HEIGHT-HOME",
+            f"the take-off height of {position.name} changes between {low:.1f} and {high:.1f} m: "
+            "it is not used",
+            where=position.name,
+        )
+        return None
+    ledger.note("HEIGHT-HOME", f"take-off height {middle:.2f} m", where=position.name)
+    return float(middle)
 
 
 def _difference(channel: Channel, first: str, second: str) -> Array:
@@ -91,7 +115,8 @@ def ground_offsets(reference: str, stations: Stations, heights: HeightSystem) ->
     if heights.home_h_msl_m is None:
         raise MissionError(
             "HEIGHT-REFERENCE",
-            "ground heights are relative to the take-off point, whose height the log does not give",
+            "ground heights are relative to the take-off point, of which the log gives no height, "
+            "or more than one",
             where="ground.reference",
             remedy="give ground.home_h_msl_m",
         )

@@ -66,6 +66,7 @@ def assign_roles(
         channel = _named(everything, role, wish, role in required, ledger)
         if channel is not None:
             filled[role] = channel
+    _refuse_twins(filled)
     taken = {channel.name for channel in filled.values()}
     for role in ("height", "position", "attitude", "airspeed"):
         _fill(filled, role, everything, ledger, wishes)
@@ -91,6 +92,20 @@ def assign_roles(
                 where=f"log.channels.{role}",
             )
     return filled
+
+
+_GIMBALS = ("MNT", "MOUNT_STATUS", "MOUNT_ORIENTATION", "GIMBAL_DEVICE_ATTITUDE_STATUS")
+
+
+def warn_of_gimbal(messages: Mapping[str, int], ledger: Ledger) -> None:
+    """Say that a gimbal the log speaks of is not followed: the mount is taken as rigid."""
+    found = [f"{messages[name]} {name}" for name in _GIMBALS if messages.get(name)]
+    if found:
+        ledger.warning(
+            "GIMBAL-IGNORED",
+            f"the log has {', '.join(found)} of a gimbal: they are not read, every camera is taken "
+            "as fixed to the aircraft by its mount",
+        )
 
 
 def _named(
@@ -126,6 +141,29 @@ def _named(
     return None
 
 
+def _refuse_twins(filled: Mapping[str, Channel]) -> None:
+    """Refuse one channel for the air outside and in the cabin."""
+    for role in ("pressure", "temperature", "humidity"):
+        outside, inside = filled.get(role), filled.get(f"cabin_{role}")
+        if outside is not None and inside is not None and outside.name == inside.name:
+            raise MissionError(
+                "CHANNEL-TWICE",
+                f"{outside.name} is named for the {role} outside and in the cabin",
+                where=f"log.channels.{role}, log.channels.cabin_{role}",
+                remedy="name two sensors, or leave the window away where there is no cabin",
+            )
+
+
+def _logged_in(channel: Channel, column: str) -> str:
+    """The unit that a message gives a quantity in, by the definition of its format."""
+    message = channel.source.message
+    if column == "pressure_pa":
+        return "hPa" if message.startswith(("SCALED_PRESSURE", "HIGHRES_IMU")) else "Pa"
+    if column == "relative_humidity":
+        return "percent" if message in ("HYGR", "HYGROMETER_SENSOR") else "fraction"
+    return "degC" if column == "temperature_k" else "m/s"
+
+
 def _in_unit(channel: Channel, role: str, wish: Wish) -> Channel:
     """The channel with the role's column computed from the unit the user named."""
     column, factor, offset = _UNITS[wish.unit or ""]
@@ -136,9 +174,10 @@ def _in_unit(channel: Channel, role: str, wish: Wish) -> Channel:
             where=f"log.channels.{role}",
             remedy=f"its column is {', '.join(ROLE_COLUMNS[role])}",
         )
-    # What the log's own definition called the quantity was wrong by this unit, or it is a bare
-    # NAMED_VALUE.
-    raw = channel.columns.get("value", channel.columns.get(column))
+    raw = channel.columns.get("value")  # a bare NAMED_VALUE
+    if raw is None and column in channel.columns:
+        _, logged_factor, logged_offset = _UNITS[_logged_in(channel, column)]
+        raw = (channel[column] - logged_offset) / logged_factor
     if raw is None:
         return channel
     return replace(channel, columns=dict(channel.columns) | {column: raw * factor + offset})

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.atmosphere.profile import Profile
 from pipeline.ledger import Ledger
+from pipeline.units import HECTOPASCAL
 
 Array = NDArray[np.float64]
 
@@ -153,15 +155,37 @@ def name_the_unmatched(stations: Stations, images: tuple[str, ...], ledger: Ledg
     shown = ", ".join(unknown[:3].tolist()) + (" ..." if unknown.size > 3 else "")
     ledger.loss(
         "IMAGES-UNMATCHED",
-        f"{unknown.size} images of the observations have no exposure: {shown}; the log's are "
-        f"called like {stations.image[0]}"
-        if len(stations)
-        else f"{unknown.size} images of the observations have no exposure: {shown}",
+        f"{unknown.size} images of the observations have no exposure: {shown}"
+        + (f"; the log's are called like '{stations.image[0]}'" if len(stations) else ""),
         where="events",
         count=int(unknown.size),
     )
     camera = np.full(unknown.shape, "", dtype=object)
     return join_stations([stations, empty_stations(unknown, camera, UNMATCHED)])
+
+
+LARGEST_PRESSURE_MISFIT_PA = 800.0
+"""Barometer against profile at one exposure: 8 hPa are some 80 m of height."""
+
+
+def doubt_heights(stations: Stations, profile: Profile, ledger: Ledger) -> Stations:
+    """Mark stations as suspect whose GNSS height contradicts their barometer.
+
+    The profile was made from the whole flight; a station where the pressure measured and that of
+    the profile are 8 hPa apart has a wrong height, or its barometer failed.
+    """
+    misfit = stations.pressure_pa - profile.pressure(stations.h_msl_m)
+    with np.errstate(invalid="ignore"):
+        wrong = stations.ok & (np.abs(misfit) > LARGEST_PRESSURE_MISFIT_PA)
+    if bool(wrong.any()):
+        worst = float(np.nanmax(np.abs(misfit[wrong]))) / HECTOPASCAL
+        ledger.loss(
+            "STATIONS-HEIGHT",
+            f"{int(wrong.sum())} stations are suspect: barometer and GNSS height are up to "
+            f"{worst:.0f} hPa apart there, the first {stations.image[np.argmax(wrong)]}",
+            count=int(wrong.sum()),
+        )
+    return stations.with_status(wrong, SUSPECT)
 
 
 def report_flagged(stations: Stations, ledger: Ledger) -> None:

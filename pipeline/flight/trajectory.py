@@ -32,9 +32,8 @@ class Bracket:
 def bracket(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Bracket:
     """The samples on either side of instants.
 
-    A gap is an interval longer than ``max_gap_s``, or than three of the channel's usual intervals
-    if they are longer, or one in which the vehicle restarted. An instant that a sample hits is
-    never in a gap.
+    A gap is an interval longer than ``max_gap_s``, or one in which the vehicle restarted. An
+    instant that a sample hits is never in a gap.
     """
     stamps = channel.time_ns
     if stamps.size == 0:
@@ -45,9 +44,7 @@ def bracket(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Bracket:
     hit = stamps[after] == time_ns
     before = np.where(hit, after, np.maximum(after - 1, 0))
     interval = stamps[after] - stamps[before]
-    torn = (interval > channel.gap_limit_s(max_gap_s) * 1e9) | (
-        channel.boot[after] != channel.boot[before]
-    )
+    torn = (interval > max_gap_s * 1e9) | (channel.boot[after] != channel.boot[before])
     outside = (time_ns < stamps[0]) | (time_ns > stamps[-1])
     fraction = (time_ns - stamps[before]) / np.maximum(interval, 1)
     verdict = np.select([outside, torn & ~hit], [OUTSIDE_LOG, IN_GAP], INSIDE)

@@ -16,8 +16,6 @@ from pipeline.flight.channels import Channel
 from pipeline.ledger import Ledger
 
 HASH_BLOCK = 1 << 20
-GAP_FACTOR = 5.0  # an interval this many times the median one ...
-GAP_SECONDS = 1.0  # ... and longer than this is a gap
 
 
 @dataclass(frozen=True)
@@ -131,6 +129,35 @@ class Log:
         }
 
 
+def report_damage(
+    ledger: Ledger, name: str, unit: str, bad_bytes: int, first_bad: int, cut_bytes: int
+) -> None:
+    """Enter what lies between the messages of a log that has no end mark.
+
+    Parameters
+    ----------
+    name : of the file.
+    unit : what the format calls a message.
+    bad_bytes, first_bad : bytes outside all messages, and the place of the first.
+    cut_bytes : of a last message that the end of the file cuts off.
+    """
+    if bad_bytes:
+        ledger.loss(
+            "LOG-BAD-BYTES",
+            f"{bad_bytes} bytes belong to no {unit}",
+            where=f"{name}, first at byte {first_bad}",
+            count=bad_bytes,
+        )
+    if cut_bytes:
+        ledger.warning(
+            "LOG-TRUNCATED",
+            f"the last {unit} is cut off, {cut_bytes} bytes of it are there: this format has no "
+            "end mark and its logs end so when the power goes; every whole one before it was read",
+            where=name,
+            count=cut_bytes,
+        )
+
+
 def utc_text(time_ns: int) -> str:
     """Unix time [ns] as ISO 8601 with microseconds.
 
@@ -145,7 +172,7 @@ def gaps_of(channel: Channel) -> list[tuple[int, float]]:
     if "events" in channel.roles or len(channel) < 3:
         return []
     steps = np.diff(channel.time_ns) / 1e9
-    found = np.flatnonzero(steps > max(GAP_FACTOR * float(np.median(steps)), GAP_SECONDS))
+    found = np.flatnonzero(steps > channel.gap_limit_s())
     return [(int(channel.time_ns[row]), float(steps[row])) for row in found]
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.flight.channels import Array, Channel, Source, TimeArray
-from pipeline.flight.clock import increasing
+from pipeline.flight.clock import fresh, untangled
+from pipeline.ingest.base import utc_text
 from pipeline.ingest.fields import MessageMap
 from pipeline.ingest.frames import positive_scalar, quaternion_of_euler
 from pipeline.ledger import Entry, Kind, Ledger
@@ -46,7 +47,7 @@ class Rows:
         )
 
 
-def channel_of(rows: Rows, spec: MessageMap, rank: int, ledger: Ledger) -> Channel | None:
+def channel_of(rows: Rows, spec: MessageMap, ledger: Ledger) -> Channel | None:
     """A channel from decoded rows, or None when nothing is left; drops are in the ledger."""
     needed = {"lat_rad", "lon_rad"} if spec.position else set()
     if spec.attitude:
@@ -58,22 +59,20 @@ def channel_of(rows: Rows, spec: MessageMap, rank: int, ledger: Ledger) -> Chann
         return None
     if spec.position:
         rows = _with_fix(rows, ledger)
-    rows = _rising(rows, ledger, event=spec.event)
+    rows = _without_repeats(rows, ledger, event=spec.event)
+    if spec.event:  # before rows are lost: the number of an image is not to shift by that
+        rows = replace(rows, columns=_event(dict(rows.columns), len(rows)))
+    rows = _rising(rows, ledger)
     columns = _attitude(dict(rows.columns)) if spec.attitude else dict(rows.columns)
-    if spec.event and len(rows):
-        columns = _event(columns, len(rows))
-    columns = {
-        name: values for name, values in columns.items() if bool(np.any(np.isfinite(values)))
-    }
+    columns = {name: values for name, values in columns.items() if np.isfinite(values).any()}
     if len(rows) == 0 or not columns:
         return None
+    rank = spec.rank_of(rows.source.instance)
     channel = Channel(
         rows.name, rows.time_ns, columns, rows.source, rows.boot, (), rank, rows.labels
     )
     roles = tuple(role for role in spec.roles if channel.can_play(role))
-    return Channel(
-        rows.name, rows.time_ns, columns, rows.source, rows.boot, roles, rank, rows.labels
-    )
+    return replace(channel, roles=roles)
 
 
 def _with_fix(rows: Rows, ledger: Ledger) -> Rows:
@@ -92,17 +91,57 @@ def _with_fix(rows: Rows, ledger: Ledger) -> Rows:
     return rows.take(good)
 
 
-def _rising(rows: Rows, ledger: Ledger, *, event: bool) -> Rows:
-    keep = increasing(rows.time_ns)
-    dropped = int(np.count_nonzero(~keep))
-    if not dropped:
+def _without_repeats(rows: Rows, ledger: Ledger, *, event: bool) -> Rows:
+    if bool(np.all(np.diff(rows.time_ns) > 0)):
         return rows
-    equal = bool(np.all(rows.time_ns[~keep] == np.maximum.accumulate(rows.time_ns)[~keep]))
-    step = "repeat the time of" if equal else "are not later than"
-    what = f"{dropped} of {len(rows)} rows {step} a row before and are not used"
-    kind = Kind.LOSS if event else Kind.NOTE if equal else Kind.WARNING
-    ledger.add(Entry(kind, "TIME-BACKWARD", what, rows.name, dropped))
-    return rows.take(keep)
+    repeats = _repeats(rows)
+    if not repeats.any():
+        return rows
+    count = int(np.count_nonzero(repeats))
+    what = f"{count} of {len(rows)} rows repeat the time of a row before and are not used"
+    kind = Kind.LOSS if event else Kind.NOTE
+    ledger.add(Entry(kind, "TIME-REPEAT", what, rows.name, count))
+    return rows.take(~repeats)
+
+
+def _rising(rows: Rows, ledger: Ledger) -> Rows:
+    """The rows in strictly increasing time; what that costs is in the ledger."""
+    if bool(np.all(np.diff(rows.time_ns) > 0)):
+        return rows
+    kept, stretch = untangled(rows.time_ns)
+    lost = np.setdiff1d(np.arange(len(rows)), kept)
+    if lost.shape[0]:
+        first = utc_text(int(rows.time_ns[lost[0]]))
+        ledger.loss(
+            "TIME-BACKWARD",
+            f"{lost.shape[0]} of {len(rows)} rows are out of order in time and are not used",
+            where=f"{rows.name}, first at row {lost[0]}, stamped {first}",
+            count=int(lost.shape[0]),
+        )
+    result = rows.take(kept)
+    if not stretch.any():
+        return result
+    ledger.warning(
+        "TIME-SET-BACK",
+        f"the clock of these messages was set back, {int(stretch.max())} times: nothing is "
+        "interpolated from before to after",
+        where=rows.name,
+        count=int(stretch.max()),
+    )
+    numbers = np.stack([result.boot, stretch])
+    boot = np.unique(numbers, axis=1, return_inverse=True)[1].reshape(-1)
+    return replace(result, boot=boot.astype(np.int16))
+
+
+def _repeats(rows: Rows) -> NDArray[np.bool_]:
+    """Rows with the time of the row before, or equal to an earlier row in everything."""
+    _, first, group = np.unique(rows.time_ns, return_index=True, return_inverse=True)
+    original = first[group]
+    equal = (original != np.arange(len(rows))) & bool(rows.columns)
+    for column in rows.columns.values():
+        same = column == column[original]
+        equal &= same | (np.isnan(column) & np.isnan(column[original]))
+    return np.asarray(equal | ~fresh(rows.time_ns), np.bool_)
 
 
 def _attitude(columns: dict[str, Array]) -> dict[str, Array]:

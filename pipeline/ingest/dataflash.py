@@ -12,8 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.flight.channels import Array, Channel, Source, TimeArray
-from pipeline.flight.clock import Offset, boots_of, fit_offset, fresh, stray_times, utc_of_gps
-from pipeline.ingest.base import Contents
+from pipeline.flight.clock import (
+    Offset,
+    boots_of,
+    fit_offset,
+    fresh,
+    report_fit,
+    stray_times,
+    utc_of_gps,
+)
+from pipeline.ingest.base import Contents, report_damage
 from pipeline.ingest.build import LOWEST_FIX, Rows, channel_of
 from pipeline.ingest.dataflash_fields import (
     ACCURACY,
@@ -21,7 +29,15 @@ from pipeline.ingest.dataflash_fields import (
     INSTANCE_FIELDS,
     MESSAGES,
 )
-from pipeline.ingest.dataflash_records import FMT_START, HEADER, Definition, Walk, gather, walk
+from pipeline.ingest.dataflash_records import (
+    FMT_START,
+    HEADER,
+    Definition,
+    Walk,
+    byte_rows,
+    gather,
+    walk,
+)
 from pipeline.ingest.fields import extract
 from pipeline.ledger import Ledger
 
@@ -59,20 +75,7 @@ DATAFLASH = DataFlash()
 
 
 def _report_damage(found: Walk, path: Path, ledger: Ledger) -> None:
-    if found.bad_bytes:
-        ledger.loss(
-            "LOG-BAD-BYTES",
-            f"{found.bad_bytes} bytes belong to no record",
-            where=f"{path.name}, first at byte {found.first_bad}",
-            count=found.bad_bytes,
-        )
-    if found.cut_bytes:
-        ledger.warning(
-            "LOG-TRUNCATED",
-            f"the last record is cut off: {found.cut_bytes} bytes of it are there",
-            where=path.name,
-            count=found.cut_bytes,
-        )
+    report_damage(ledger, path.name, "record", found.bad_bytes, found.first_bad, found.cut_bytes)
     for refused in found.refused:
         ledger.loss(
             "LOG-BAD-FORMAT", f"an FMT record makes no sense: {refused}", where=path.name, count=1
@@ -99,7 +102,7 @@ def _timed(definition: Definition) -> bool:
 
 def _microseconds(raw: NDArray[np.uint64]) -> TimeArray:
     """Time fields as int64; beyond 2^52 us (142 years) is damage, cut off so that ns fit too."""
-    return np.asarray(np.minimum(raw, np.uint64(1 << 52)).astype(np.int64), np.int64)
+    return np.minimum(raw, np.uint64(1 << 52)).view(np.int64)
 
 
 def _fields(records: NDArray[Any], definition: Definition) -> Table:
@@ -159,13 +162,7 @@ class _Clock:
         for number, fit in enumerate(fits):
             where = f"boot {number}"
             if fit is not None:
-                ledger.note(
-                    "TIME-FIT",
-                    f"UTC from {fit.rows} GPS rows, which agree within "
-                    f"{fit.spread_ns / 1e6:.0f} ms (p5 to p95)",
-                    where=where,
-                    count=fit.rows,
-                )
+                report_fit(ledger, f"{fit.rows} GPS rows", fit.spread_ns, where, fit.rows)
             else:
                 ledger.fallback(
                     "TIME-NO-UTC",
@@ -194,8 +191,9 @@ def _boots(data: bytes, found: Walk, ledger: Ledger) -> tuple[NDArray[np.int16],
     boot = np.zeros(found.offsets.shape, np.int16)
     if rows.shape[0] == 0:
         return boot, good
-    raw = np.frombuffer(data, np.uint8)[found.offsets[rows, None] + HEADER + np.arange(8)]
-    time_ns = _microseconds(raw.view("<u8")[:, 0]) * 1000
+    # in place: a log has millions of records, and here lies the peak of memory
+    time_ns = _microseconds(byte_rows(data, found.offsets[rows] + HEADER, 8).view("<u8")[:, 0])
+    time_ns *= 1000
     stray = stray_times(time_ns)
     good[rows] = ~stray
     if stray.any():
@@ -205,10 +203,11 @@ def _boots(data: bytes, found: Walk, ledger: Ledger) -> tuple[NDArray[np.int16],
             where=f"first at byte {int(found.offsets[rows[stray][0]])}",
             count=int(stray.sum()),
         )
-    steady = rows[~stray]
     boot_of = boots_of(time_ns[~stray])
-    nearest = np.searchsorted(steady, np.arange(found.offsets.shape[0]), side="right") - 1
-    return boot_of[np.maximum(nearest, 0)], good
+    steady = np.zeros(found.offsets.shape, np.bool_)
+    steady[rows[~stray]] = True
+    nearest = np.cumsum(steady, dtype=np.int32) - 1
+    return boot_of[np.maximum(nearest, 0, out=nearest)], good
 
 
 def _fit_boot(
@@ -251,9 +250,7 @@ def _channels(data: bytes, found: Walk, clock: _Clock, ledger: Ledger) -> tuple[
             accuracy, _ = _decode(data, found, ACCURACY_MESSAGE)
             table = _joined(table, accuracy)
         for rows in _instances(message, table, places, clock):
-            first = rows.source.instance in (None, "0")
-            rank = spec.first_rank if first else spec.other_rank
-            channel = channel_of(rows, spec, rank, ledger)
+            channel = channel_of(rows, spec, ledger)
             if channel is not None:
                 channels.append(channel)
     return tuple(channels)

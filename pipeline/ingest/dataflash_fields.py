@@ -36,24 +36,22 @@ MESSAGES: Mapping[str, MessageMap] = {
         (*_PLACE, column("h_msl_m", "Alt"), column("h_home_m", "RelHomeAlt RelAlt")),
         ("position",),
         10,
-        10,
         position=True,
     ),
-    "GPS": MessageMap(_GPS, _GNSS, 20, 30, position=True),
-    "GPS2": MessageMap(_GPS, _GNSS, 30, 30, position=True),
-    "ATT": MessageMap(_EULER, _ATTITUDE, 10, 10, attitude=True),
-    "AHR2": MessageMap(_EULER, _ATTITUDE, 40, 40, attitude=True),
-    "XKQ": MessageMap(_QUATERNION, _ATTITUDE, 50, 51, attitude=True),
-    "XKQ1": MessageMap(_QUATERNION, _ATTITUDE, 50, 50, attitude=True),
-    "NKQ1": MessageMap(_QUATERNION, _ATTITUDE, 50, 50, attitude=True),
-    "BARO": MessageMap(_BARO, _PRESSURE, 10, 20),
-    "BAR2": MessageMap(_BARO, _PRESSURE, 20, 20),
-    "BAR3": MessageMap(_BARO, _PRESSURE, 30, 30),
+    "GPS": MessageMap(_GPS, _GNSS, 20, position=True, spare_rank=30),
+    "GPS2": MessageMap(_GPS, _GNSS, 30, position=True),
+    "ATT": MessageMap(_EULER, _ATTITUDE, 10, attitude=True),
+    "AHR2": MessageMap(_EULER, _ATTITUDE, 40, attitude=True),
+    "XKQ": MessageMap(_QUATERNION, _ATTITUDE, 50, attitude=True, spare_rank=51),
+    "XKQ1": MessageMap(_QUATERNION, _ATTITUDE, 50, attitude=True),
+    "NKQ1": MessageMap(_QUATERNION, _ATTITUDE, 50, attitude=True),
+    "BARO": MessageMap(_BARO, _PRESSURE, 10, spare_rank=20),
+    "BAR2": MessageMap(_BARO, _PRESSURE, 20),
+    "BAR3": MessageMap(_BARO, _PRESSURE, 30),
     "ARSP": MessageMap(
         (column("temperature_k", "Temp", "degC"), column("airspeed_m_s", "Airspeed")),
         ("temperature", "airspeed"),
         30,
-        31,
     ),
     "HYGR": MessageMap(
         (
@@ -62,13 +60,11 @@ MESSAGES: Mapping[str, MessageMap] = {
         ),
         ("temperature", "humidity", "cabin_temperature", "cabin_humidity"),
         20,
-        21,
     ),
-    "TEMP": MessageMap(
-        (column("temperature_k", "Temp", "degC"),), ("cabin_temperature", "temperature"), 40, 41
-    ),
-    "CAM": MessageMap(_SHOT, ("events",), 10, 10),
-    "TRIG": MessageMap(_SHOT, ("events",), 40, 40),
+    # A probe anywhere: motor, battery, cabin, air. It plays only when the user names it.
+    "TEMP": MessageMap((column("temperature_k", "Temp", "degC"),)),
+    "CAM": MessageMap(_SHOT, ("events",), 10),
+    "TRIG": MessageMap(_SHOT, ("events",), 40),
 }
 
 # Accuracy, and the ellipsoidal height of new logs (INT32_MIN / 100 means unknown), come in a

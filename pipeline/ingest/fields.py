@@ -60,18 +60,25 @@ class MessageMap:
     """One message and the channel it becomes.
 
     ``id_field`` names the field that tells instances apart, ``time_field`` the message's own time;
-    ``first_rank`` is for the first instance, every other one ranks at ``other_rank``.
+    ``spare_rank`` is the rank of all instances but the first, where those are spares. Where it is
+    not given they all rank alike: which thermometer is outside is nothing their numbers tell.
     ``position`` drops rows without a fix, ``attitude`` turns Euler angles into a quaternion.
     """
 
     columns: tuple[Column, ...]
     roles: tuple[str, ...] = ()
-    first_rank: int = 50
-    other_rank: int = 50
+    rank: int = 50
     id_field: str = ""
     time_field: str = ""
     position: bool = False
     attitude: bool = False
+    spare_rank: int | None = None
+
+    def rank_of(self, instance: str | None) -> int:
+        """The rank of an instance; None where the message has no instances."""
+        if self.spare_rank is None or instance in (None, "0"):
+            return self.rank
+        return self.spare_rank
 
     @property
     def event(self) -> bool:

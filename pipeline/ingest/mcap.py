@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from array import array
 from collections import Counter
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
@@ -24,7 +25,6 @@ from pipeline.ingest.mcap_records import (
     MAGIC,
     MESSAGE,
     MESSAGE_RECORD,
-    PARSE_ERRORS,
     SCHEMA,
     STATISTICS,
     Damage,
@@ -33,6 +33,9 @@ from pipeline.ingest.mcap_records import (
 from pipeline.ledger import Ledger
 
 _LAST_NS = 2**63 - 1  # log_time is unsigned in the file; times inside are int64
+
+# What the library's parsers of records raise on damaged lengths and text, beside McapError.
+_PARSE_ERRORS = (struct.error, ValueError, OverflowError)
 
 Decoder = Callable[[bytes], tuple[int, str, list[float]]]
 
@@ -97,10 +100,9 @@ class _Topic:
     name: str
     schema: str
     decode: Decoder
-    stamps: list[int] = field(default_factory=list)
-    log_times: list[int] = field(default_factory=list)
+    stamps: array[int] = field(default_factory=lambda: array("q"))
     frames: list[str] = field(default_factory=list)
-    values: list[list[float]] = field(default_factory=list)
+    values: array[float] = field(default_factory=lambda: array("d"))
     without_stamp: int = 0
     failed: int = 0
 
@@ -113,17 +115,18 @@ class _Topic:
         if stamp == 0:
             self.without_stamp += 1
         self.stamps.append(stamp or log_time)
-        self.log_times.append(log_time)
-        self.frames.append(frame)
-        self.values.append(values)
+        self.values.extend(values)
+        if SCHEMAS[self.schema].event:
+            self.frames.append(frame)
 
     def channel(self, ledger: Ledger) -> Channel | None:
         spec = SCHEMAS[self.schema]
         self._report(ledger)
-        order = np.argsort(np.array(self.log_times, np.int64), kind="stable")
-        table = np.array(self.values, np.float64).reshape(len(self.values), len(spec.columns))
+        table = np.array(self.values, np.float64).reshape(len(self.stamps), len(spec.columns))
         fields = {part.fields[0]: table[:, k] for k, part in enumerate(spec.columns)}
         labels = {"frame_id": tuple(self.frames)} if spec.event else {}
+        # In the order of the file, never of log_time: a recorder whose clock was set back would
+        # shuffle two parts of the flight into each other.
         rows = Rows(
             self.name,
             Source(self.schema),
@@ -132,7 +135,7 @@ class _Topic:
             finished(extract(fields, spec.columns)),
             labels,
         )
-        return channel_of(rows.take(order), spec, spec.first_rank, ledger)
+        return channel_of(rows, spec, ledger)
 
     def _report(self, ledger: Ledger) -> None:
         if self.failed:
@@ -204,7 +207,7 @@ class _Reader:
         }
         try:
             record = kinds[opcode].read(ReadDataStream(BytesIO(content)))
-        except (McapError, *PARSE_ERRORS) as error:
+        except (McapError, *_PARSE_ERRORS) as error:
             self.ledger.loss(
                 "LOG-BAD-BYTES",
                 f"a definition (opcode {opcode}) cannot be read: {error}",

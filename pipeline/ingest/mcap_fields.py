@@ -27,7 +27,7 @@ def _local(path: str) -> tuple[Column, ...]:
     return tuple(column(name, f"{path}.{axis}") for name, axis in axes)
 
 
-_IMAGE = MessageMap((), ("events",), 20, 20)
+_IMAGE = MessageMap((), ("events",), 20)
 
 SCHEMAS: Mapping[str, MessageMap] = {
     "sensor_msgs/NavSatFix": MessageMap(
@@ -41,13 +41,11 @@ SCHEMAS: Mapping[str, MessageMap] = {
         ),
         ("height", "position"),
         20,
-        20,
         position=True,
     ),
     "sensor_msgs/Imu": MessageMap(
         (*_orientation("orientation"), column("covariance_0", "orientation_covariance.0")),
         ("attitude",),
-        20,
         20,
         attitude=True,
     ),
@@ -55,27 +53,24 @@ SCHEMAS: Mapping[str, MessageMap] = {
         (*_local("pose.pose.position"), *_orientation("pose.pose.orientation")),
         ("attitude",),
         30,
-        30,
         attitude=True,
     ),
     "geometry_msgs/PoseStamped": MessageMap(
         (*_local("pose.position"), *_orientation("pose.orientation")),
         ("attitude",),
         40,
-        40,
         attitude=True,
     ),
     "sensor_msgs/FluidPressure": MessageMap(
-        (column("pressure_pa", "fluid_pressure"),), ("pressure", "cabin_pressure"), 10, 10
+        (column("pressure_pa", "fluid_pressure"),), ("pressure", "cabin_pressure"), 10
     ),
     "sensor_msgs/Temperature": MessageMap(
         (column("temperature_k", "temperature", "degC"),),
         ("temperature", "cabin_temperature"),
         20,
-        20,
     ),
     "sensor_msgs/RelativeHumidity": MessageMap(
-        (column("relative_humidity", "relative_humidity"),), ("humidity", "cabin_humidity"), 20, 20
+        (column("relative_humidity", "relative_humidity"),), ("humidity", "cabin_humidity"), 20
     ),
     "sensor_msgs/Image": _IMAGE,
     "sensor_msgs/CompressedImage": _IMAGE,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import Channel, Source, TimeArray
 from pipeline.flight.clock import UNIX_US_FROM
-from pipeline.ingest.base import Contents
+from pipeline.ingest.base import Contents, report_damage
 from pipeline.ingest.build import Rows, channel_of
 from pipeline.ingest.fields import MessageMap, extract
 from pipeline.ingest.tlog_clock import Clocks, Timed, clocks_of
@@ -137,20 +137,7 @@ def _counts(frames: Frames, dialect: Dialect) -> dict[str, int]:
 
 def _report_damage(found: FrameWalk, dialect: Dialect, path: Path, ledger: Ledger) -> int:
     """Enter the damage; returns the bytes of frames whose checksum fails by damage."""
-    if found.bad_bytes:
-        ledger.loss(
-            "LOG-BAD-BYTES",
-            f"{found.bad_bytes} bytes belong to no message",
-            where=f"{path.name}, first at byte {found.first_bad}",
-            count=found.bad_bytes,
-        )
-    if found.cut_bytes:
-        ledger.warning(
-            "LOG-TRUNCATED",
-            f"the last message is cut off: {found.cut_bytes} bytes of it are there",
-            where=path.name,
-            count=found.cut_bytes,
-        )
+    report_damage(ledger, path.name, "message", found.bad_bytes, found.first_bad, found.cut_bytes)
     strange = ~np.isin(found.frames.message_id, list(dialect.names))
     if strange.any():
         ids = np.unique(found.frames.message_id[strange]).tolist()
@@ -230,9 +217,7 @@ def _channels(tables: _Tables, clocks: Clocks, ledger: Ledger) -> tuple[Channel,
                 rows = rows.take(_distinct(records, rows.name, ledger))
             if spec.event:  # the link may deliver an exposure late
                 rows = rows.take(np.argsort(rows.time_ns, kind="stable"))
-            first = rows.source.instance in (None, "0")
-            rank = spec.first_rank if first else spec.other_rank
-            channel = channel_of(rows, spec, rank, ledger)
+            channel = channel_of(rows, spec, ledger)
             if channel is not None:
                 channels.append(channel)
     return tuple(channels)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.flight.channels import TimeArray
-from pipeline.flight.clock import along, boots_of, fit_offset
+from pipeline.flight.clock import along, boots_of, fit_offset, report_fit, stray_times
 from pipeline.ingest.tlog_frames import Frames
 from pipeline.ledger import Ledger
 
@@ -131,6 +131,8 @@ def _fit(
     leader: _Sender | None,
 ) -> tuple[_Sender, list[int]]:
     """A sender's clock, and by boot how far the rows scatter about it (p95 - p5) [ns]."""
+    steady = ~stray_times(boot_ns)  # a glitch of the sender's clock is no boot
+    rows, boot_ns, utc_ns = rows[steady], boot_ns[steady], utc_ns[steady]
     host_ns = host_ns[rows]
     boot = boots_of(boot_ns)
     offsets, in_utc, spreads = [], [], []
@@ -158,9 +160,7 @@ def _report(source: Key, sender: _Sender, spread_ns: Sequence[int], ledger: Ledg
         where = f"system {source[0]}, component {source[1]}, boot {number}"
         scatter = f"they agree within {spread_ns[number] / 1e6:.0f} ms (p5 to p95)"
         if known:
-            ledger.note(
-                "TIME-FIT", f"UTC from SYSTEM_TIME messages; {scatter}", where=where, count=count
-            )
+            report_fit(ledger, "SYSTEM_TIME messages", spread_ns[number], where, count)
         else:
             ledger.fallback(
                 "TIME-HOST-CLOCK",

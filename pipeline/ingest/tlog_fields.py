@@ -35,13 +35,11 @@ _PRESSURE = ("pressure", "cabin_pressure")
 _ATTITUDE = ("attitude",)
 _BOOT_MS, _USEC = "time_boot_ms", "time_usec"
 
+_PITOT = MessageMap(_DIFFERENTIAL, ("temperature",), 40, time_field=_BOOT_MS)
+
 
 def _baro(rank: int) -> MessageMap:
-    return MessageMap(_BARO, _PRESSURE, rank, rank, time_field=_BOOT_MS)
-
-
-def _differential(rank: int) -> MessageMap:
-    return MessageMap(_DIFFERENTIAL, ("temperature",), rank, rank, time_field=_BOOT_MS)
+    return MessageMap(_BARO, _PRESSURE, rank, time_field=_BOOT_MS)
 
 
 MESSAGES: Mapping[str, MessageMap] = {
@@ -49,28 +47,26 @@ MESSAGES: Mapping[str, MessageMap] = {
         (*_PLACE, column("h_msl_m", "alt", "mm"), column("h_home_m", "relative_alt", "mm")),
         ("position",),
         10,
-        10,
         time_field=_BOOT_MS,
         position=True,
     ),
-    "GPS_RAW_INT": MessageMap(_GPS, _GNSS, 20, 20, time_field=_USEC, position=True),
-    "GPS2_RAW": MessageMap(_GPS, _GNSS, 30, 30, time_field=_USEC, position=True),
-    "ATTITUDE": MessageMap(_EULER, _ATTITUDE, 10, 10, time_field=_BOOT_MS, attitude=True),
+    "GPS_RAW_INT": MessageMap(_GPS, _GNSS, 20, time_field=_USEC, position=True),
+    "GPS2_RAW": MessageMap(_GPS, _GNSS, 30, time_field=_USEC, position=True),
+    "ATTITUDE": MessageMap(_EULER, _ATTITUDE, 10, time_field=_BOOT_MS, attitude=True),
     "ATTITUDE_QUATERNION": MessageMap(
         tuple(column(f"q_{axis}", f"q{k}") for k, axis in enumerate("wxyz", 1)),
         _ATTITUDE,
         20,
-        20,
         time_field=_BOOT_MS,
         attitude=True,
     ),
-    "AHRS2": MessageMap(_EULER, _ATTITUDE, 40, 40, attitude=True),
+    "AHRS2": MessageMap(_EULER, _ATTITUDE, 40, attitude=True),
     "SCALED_PRESSURE": _baro(10),
     "SCALED_PRESSURE2": _baro(20),
     "SCALED_PRESSURE3": _baro(30),
-    "SCALED_PRESSURE.temperature_press_diff": _differential(40),
-    "SCALED_PRESSURE2.temperature_press_diff": _differential(41),
-    "SCALED_PRESSURE3.temperature_press_diff": _differential(42),
+    "SCALED_PRESSURE.temperature_press_diff": _PITOT,
+    "SCALED_PRESSURE2.temperature_press_diff": _PITOT,
+    "SCALED_PRESSURE3.temperature_press_diff": _PITOT,
     "HIGHRES_IMU": MessageMap(
         (
             column("pressure_pa", "abs_pressure", "hPa", missing=0.0),
@@ -78,9 +74,9 @@ MESSAGES: Mapping[str, MessageMap] = {
         ),
         _PRESSURE,
         15,
-        16,
         id_field="id",
         time_field=_USEC,
+        spare_rank=16,
     ),
     "HYGROMETER_SENSOR": MessageMap(
         (
@@ -89,7 +85,6 @@ MESSAGES: Mapping[str, MessageMap] = {
         ),
         ("temperature", "humidity", "cabin_temperature", "cabin_humidity"),
         20,
-        21,
         id_field="id",
     ),
     "AIRSPEED": MessageMap(
@@ -99,10 +94,9 @@ MESSAGES: Mapping[str, MessageMap] = {
         ),
         ("temperature", "airspeed"),
         30,
-        31,
         id_field="id",
     ),
-    "VFR_HUD": MessageMap((column("airspeed_m_s", "airspeed"),), ("airspeed",), 60, 60),
+    "VFR_HUD": MessageMap((column("airspeed_m_s", "airspeed"),), ("airspeed",), 60),
     "NAMED_VALUE_FLOAT": MessageMap(
         (column("value", "value"),), id_field="name", time_field=_BOOT_MS
     ),
@@ -115,11 +109,10 @@ MESSAGES: Mapping[str, MessageMap] = {
         ),
         ("events",),
         10,
-        10,
         id_field="cam_idx",
         time_field=_USEC,
     ),
     "CAMERA_TRIGGER": MessageMap(
-        (column("event_index", "seq"),), ("events",), 30, 30, time_field=_USEC
+        (column("event_index", "seq"),), ("events",), 30, time_field=_USEC
     ),
 }

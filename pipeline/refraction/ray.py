@@ -113,7 +113,7 @@ def bend(
         *(np.asarray(a, np.float64) for a in (h_c, h_g, sin_zeta_c, cos_zeta_c, radius))
     )
     shape = arrays[0].shape
-    flat = [np.ascontiguousarray(a).reshape(-1) for a in arrays]
+    flat = [np.array(a).reshape(-1) for a in arrays]  # the broadcast views are read-only
     r_c = np.empty(flat[0].shape)
     status = np.empty(flat[0].shape, np.uint8)
     _kernel()(table.edge_m, table.coefficient, *flat, r_c, status)

@@ -28,17 +28,18 @@ def headline(manifest: Mapping[str, Any]) -> str:
 def figure(value: float | None) -> str:
     """A number to three digits, plainly.
 
-    >>> figure(0.006234), figure(12.345), figure(1234.5), figure(None)
-    ('0.00623', '12.3', '1234', '-')
+    >>> figure(0.006234), figure(12.345), figure(1234.5), figure(2e-9), figure(None)
+    ('0.00623', '12.3', '1234', '<0.001', '-')
     """
     if value is None:
         return "-"
     if value == 0.0:
         return "0"
+    if abs(value) < 5e-4:
+        return "<0.001"
     if abs(value) >= 1000.0:
         return f"{value:.0f}"
-    text = f"{value:.3g}"
-    return f"{value:.9f}".rstrip("0") if "e" in text else text
+    return f"{value:.3g}"
 
 
 def correction_rows(manifest: Mapping[str, Any]) -> list[tuple[str, str, str]]:

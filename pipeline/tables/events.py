@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from pipeline.errors import InputError
 from pipeline.flight.clock import utc_of_gps
 from pipeline.ledger import Ledger
+from pipeline.tables.naming import no_such_column
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +44,8 @@ def read_events(path: Path, columns: EventColumns, ledger: Ledger) -> EventTable
     for name in (columns.image, columns.time_utc, columns.gps_week, columns.gps_seconds,
                  columns.camera):  # fmt: skip
         if name is not None and name not in table.columns:
-            near = difflib.get_close_matches(name, table.columns, 1, 0.5)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise InputError(
-                "EVENTS-COLUMN",
-                f"there is no column {name!r}{hint}; there is {', '.join(table.columns)}",
-                where=str(path),
-                remedy="say what it is called: events.csv.columns",
+            raise no_such_column(
+                "EVENTS-COLUMN", path, name, list(table.columns), "events.csv.columns"
             )
     time_ns, good = _times(table, columns)
     if not bool(good.all()):

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,17 +11,16 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
+from pipeline.tables.delimited import csv_names, open_csv, survey_csv
+from pipeline.tables.naming import no_such_column
 from pipeline.tables.schemas import OBSERVATION_COLUMNS, REFRACTION_KEY, REFRACTION_REMOVED
 
 Array = NDArray[np.float64]
-
-_CSV_BLOCK_BYTES = 4 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +77,12 @@ class Observations:
 
 
 def open_observations(
-    path: Path, columns: Mapping[str, str], ground_column: str | None, ledger: Ledger
+    path: Path,
+    columns: Mapping[str, str],
+    ground_column: str | None,
+    ledger: Ledger,
+    *,
+    ground_is_msl: bool = True,
 ) -> Observations:
     """Check a table of observations: its columns, its marks, its images.
 
@@ -88,50 +91,86 @@ def open_observations(
     path : ``.csv`` or ``.parquet``.
     columns : image, point, x_px, y_px -> the user's name of the column.
     ground_column : the column of ground heights, or None where they are constant.
+    ground_is_msl : whether these heights are above mean sea level, as our ``h_g_m`` is; any other
+        column of that name is the user's own and leaves as ``h_g_m_input``.
 
     Refuses a table that is already free of refraction, lacks a column, or repeats a name.
     """
-    numbers = {columns["x_px"], columns["y_px"], ground_column or ""}
-    schema, csv_types = _schema(path, numbers, {columns["image"], columns["point"]})
+    schema = _schema(path)
+    _refuse_repeated(path, schema)
     _refuse_corrected(path, schema)
     _refuse_one_for_two(path, columns)
-    needed = dict(columns) | ({"ground height": ground_column} if ground_column else {})
-    for role, name in needed.items():
-        _require(path, schema, role, name)
+    for role, name in columns.items():
+        _require(path, schema, role, name, f"observations.columns.{role}")
+    if ground_column:
+        _require(path, schema, "ground height", ground_column, "ground.height.column")
+    csv_types: Mapping[str, pa.DataType] = {}
+    if _is_csv(path):
+        numbers = {columns["x_px"], columns["y_px"], ground_column or ""} & set(schema.names)
+        found = survey_csv(path, schema.names, columns["image"], columns["point"], numbers)
+        rows, images, csv_types = found.rows, found.images, found.types
+        schema = pa.schema(list(csv_types.items()))
+        _note_codes(found.codes, ledger)
+    else:
+        rows, images = _count(path, columns["image"])
+    if rows == 0:
+        raise InputError(
+            "OBS-EMPTY", "the table has no rows", where=str(path), remedy="write observations to it"
+        )
     taken = set(columns.values())
-    if ground_column == "h_g_m":
+    if ground_column == "h_g_m" and ground_is_msl:
         taken.add("h_g_m")
-    sources, fields = {}, []
-    for item in schema:
-        if item.name in taken:
-            continue
+    leaving = _leaving([item for item in schema if item.name not in taken], ledger)
+    return Observations(
+        path,
+        columns,
+        ground_column,
+        rows,
+        tuple(sorted(images)),
+        tuple(pa.field(name, item.type) for name, item in leaving.items()),
+        {name: item.name for name, item in leaving.items()},
+        csv_types,
+    )
+
+
+def _leaving(users: list[pa.Field], ledger: Ledger) -> dict[str, pa.Field]:
+    """The user's columns under the names they leave with, none of them one of ours."""
+    leaving: dict[str, pa.Field] = {}
+    for item in users:
         name = item.name
-        while name in OBSERVATION_COLUMNS or name in sources:
+        while name in OBSERVATION_COLUMNS or name in leaving:
             name += "_input"
         if name != item.name:
             ledger.note(
                 "OBS-RENAMED", f"your column {item.name} leaves as {name}: the name is ours"
             )
-        sources[name] = item.name
-        fields.append(pa.field(name, item.type))
+        leaving[name] = item
+    return leaving
+
+
+def _note_codes(names: Iterable[str], ledger: Ledger) -> None:
+    for name in names:
+        ledger.note(
+            "OBS-CODES",
+            f"your column {name} leaves as text: some of its digits are no plain number",
+        )
+
+
+def _count(path: Path, image: str) -> tuple[int, set[str]]:
+    """The rows of a Parquet file, and the images they speak of."""
     rows, images = 0, set()
-    for batch in _record_batches(path, csv_types, 1 << 20, [columns["image"]]):
+    for batch in _record_batches(path, {}, 1 << 20, [image]):
         rows += batch.num_rows
         images.update(pc.unique(batch.column(0).cast(pa.string())).to_pylist())
-    if rows == 0:
-        raise InputError(
-            "OBS-EMPTY", "the table has no rows", where=str(path), remedy="write observations to it"
-        )
-    names = tuple(sorted(name for name in images if name is not None))
-    return Observations(
-        path, columns, ground_column, rows, names, tuple(fields), sources, csv_types
-    )
+    return rows, images - {None}
 
 
-def _schema(
-    path: Path, numbers: set[str], texts: set[str]
-) -> tuple[pa.Schema, dict[str, pa.DataType]]:
-    """The Arrow schema of the file; for CSV also types under which every row can be read."""
+def _is_csv(path: Path) -> bool:
+    return path.suffix.lower() in (".csv", ".txt")
+
+
+def _schema(path: Path) -> pa.Schema:
+    """The Arrow schema of the file; that of a CSV is all text until it is surveyed."""
     if not path.is_file():
         raise InputError(
             "OBS-MISSING",
@@ -139,19 +178,17 @@ def _schema(
             where=str(path),
             remedy="check observations.path",
         )
+    if _is_csv(path):
+        return pa.schema([(name, pa.string()) for name in csv_names(path)])
     suffix = path.suffix.lower()
     if suffix in (".parquet", ".pq"):
         try:
-            schema = pq.read_schema(path)
-            _refuse_repeated(path, schema)
-            return schema, {}
+            return pq.read_schema(path)
         except (pa.ArrowInvalid, OSError) as error:
             raise InputError(
                 "OBS-PARQUET", f"is no readable Parquet file: {error}", where=str(path),
                 remedy="write it again",
             ) from None  # fmt: skip
-    if suffix in (".csv", ".txt"):
-        return _csv_schema(path, numbers, texts)
     raise InputError(
         "OBS-FORMAT",
         f"a table of observations is .csv or .parquet, not {suffix or 'a file without extension'}",
@@ -169,106 +206,6 @@ def _refuse_repeated(path: Path, schema: pa.Schema) -> None:
         )  # fmt: skip
 
 
-def _csv_schema(
-    path: Path, numbers: set[str], texts: set[str]
-) -> tuple[pa.Schema, dict[str, pa.DataType]]:
-    """Types from the first block, given up for text where a later row contradicts them.
-
-    Names are text whatever they look like: image 0012 is not image 12.
-    """
-    types: dict[str, pa.DataType] = {}
-    try:
-        with _open_csv(path, {}, None) as reader:
-            schema = reader.schema
-        _refuse_repeated(path, schema)
-        if len(schema) == 1 and any(mark in schema.names[0] for mark in ";\t|"):
-            raise pa.ArrowInvalid("its fields are not separated by commas")
-        whole = [item.name for item in schema if pa.types.is_integer(item.type)]
-        codes = _with_leading_zeros(path, [name for name in whole if name not in numbers | texts])
-    except (pa.ArrowInvalid, OSError) as error:
-        raise _csv_refusal(path, error) from None
-    for item in schema:
-        types[item.name] = pa.float64() if item.name in numbers else item.type
-        if item.name in texts | codes or pa.types.is_null(types[item.name]):
-            types[item.name] = pa.string()
-    try:
-        _read_through(path, types)
-    except pa.ArrowInvalid:
-        types = {name: _type_that_fits(path, name, kind) for name, kind in types.items()}
-        try:
-            _read_through(path, types)
-        except pa.ArrowInvalid as error:
-            raise _csv_refusal(path, error) from None
-    return pa.schema([pa.field(name, kind) for name, kind in types.items()]), types
-
-
-def _type_that_fits(path: Path, name: str, kind: pa.DataType) -> pa.DataType:
-    """The type of a column under which all of it can be read, the plainest being text."""
-    ladder = [kind, pa.float64()] if pa.types.is_integer(kind) else [kind]
-    for candidate in ladder:
-        try:
-            _read_through(path, {name: candidate}, [name])
-        except pa.ArrowInvalid as error:
-            if "conversion error" not in str(error):
-                raise _csv_refusal(path, error) from None
-        else:
-            return candidate
-    return pa.string()
-
-
-def _with_leading_zeros(path: Path, names: list[str]) -> set[str]:
-    """Which columns of digits are codes rather than numbers: 007 must leave as it came."""
-    if not names:
-        return set()
-    with _open_csv(path, dict.fromkeys(names, pa.string()), names) as reader:
-        first = next(iter(reader), None)
-    if first is None:
-        return set()
-    return {
-        name
-        for name in names
-        if pc.any(pc.match_substring_regex(first[name], "^[-+]?0[0-9]")).as_py()
-    }
-
-
-def _read_options() -> pa_csv.ReadOptions:
-    return pa_csv.ReadOptions(block_size=_CSV_BLOCK_BYTES)
-
-
-def _read_through(
-    path: Path, types: Mapping[str, pa.DataType], only: list[str] | None = None
-) -> None:
-    with _open_csv(path, types, only) as reader:
-        for _ in reader:
-            pass
-
-
-def _open_csv(
-    path: Path, types: Mapping[str, pa.DataType], only: list[str] | None
-) -> pa_csv.CSVStreamingReader:
-    # Only an empty field is null: NA is a country, and "nan" reads as a number where one is due.
-    options = pa_csv.ConvertOptions(
-        column_types=types,
-        include_columns=only,
-        null_values=[""],
-        strings_can_be_null=True,
-        quoted_strings_can_be_null=False,
-    )
-    parsing = pa_csv.ParseOptions(newlines_in_values=True)
-    return pa_csv.open_csv(
-        path, read_options=_read_options(), parse_options=parsing, convert_options=options
-    )
-
-
-def _csv_refusal(path: Path, error: BaseException) -> InputError:
-    return InputError(
-        "OBS-CSV",
-        f"is no readable CSV: {error}",
-        where=str(path),
-        remedy="a table has a header line, commas, and as many fields in every row",
-    )
-
-
 def _record_batches(
     path: Path,
     csv_types: Mapping[str, pa.DataType],
@@ -277,7 +214,7 @@ def _record_batches(
 ) -> Iterator[pa.RecordBatch]:
     try:
         if csv_types:
-            with _open_csv(path, csv_types, only) as reader:
+            with open_csv(path, csv_types, only) as reader:
                 yield from reader
         else:
             with pq.ParquetFile(path, memory_map=True) as file:
@@ -347,26 +284,16 @@ def _refuse_one_for_two(path: Path, columns: Mapping[str, str]) -> None:
         )  # fmt: skip
 
 
-def _require(path: Path, schema: pa.Schema, role: str, name: str) -> None:
-    if name in schema.names:
-        kind = schema.field(name).type
+def _require(path: Path, schema: pa.Schema, role: str, name: str, key: str) -> None:
+    if name not in schema.names:
+        raise no_such_column("OBS-COLUMN", path, name, schema.names, key, role)
+    kind = schema.field(name).type
+    if not (_is_text(kind) or _is_number(kind)):
         named = role in ("image", "point")
-        if _is_text(kind) or _is_number(kind):
-            return
         raise InputError(
             "OBS-TYPE", f"the column {name} holds {kind}, not {'names' if named else 'numbers'}",
             where=str(path), remedy=f"write it as {'text' if named else 'float64'}",
         )  # fmt: skip
-    near = difflib.get_close_matches(name, schema.names, 1, 0.5)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
-    raise InputError(
-        "OBS-COLUMN",
-        f"there is no column {name!r} for the {role}{hint}; there is {', '.join(schema.names)}",
-        where=str(path),
-        remedy=f"say what it is called: observations.columns.{role}"
-        if role != "ground height"
-        else "say what it is called: ground.height.column",
-    )
 
 
 def _is_text(kind: Any) -> bool:

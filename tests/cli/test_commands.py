@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import pipeline
-from pipeline import stages
+from pipeline.refraction import angle
 
 COMMANDS = ("run", "check", "inspect", "angle", "profile", "simulate", "verify")
 
@@ -241,7 +241,7 @@ def test_interrupted(unbend, monkeypatch):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(stages, "one_angle", interrupt)
+    monkeypatch.setattr(angle, "one_angle", interrupt)
     words = ("angle", "--camera-height", 1, "--ground-height", 0, "--nadir-angle", 0)
     ended = unbend(*words)
     assert ended.code == 130

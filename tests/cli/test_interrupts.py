@@ -26,15 +26,15 @@ def stall(real, after):
         return result
     return stalled
 if step == "commit":
-    rename = store.Path.rename
+    replace = store.Path.replace
     seen = []
     def slow(self, target):
-        rename(self, target)
+        replace(self, target)
         seen.append(target)
         if len(seen) == 2:
             print("stalled", flush=True)
             time.sleep(60)
-    store.Path.rename = slow
+    store.Path.replace = slow
 else:
     setattr(stages, step, stall(getattr(stages, step), mode == "after"))
 from pipeline.cli import main

@@ -345,6 +345,67 @@ def test_a_folder_with_files_of_others_is_left_alone(mission):
     assert (own / "mine.csv").read_text() == "do not lose this"
 
 
+@pytest.mark.parametrize(
+    ("section", "name"),
+    [("observations", "observations/own.parquet"), ("observations", "stations.parquet"),
+     ("log", "observations/deeper/flight.bin"), ("log", ".staging/flight.bin")],
+)  # fmt: skip
+def test_an_input_among_the_results_is_not_replaced(mission, unbend, section, name):
+    given = mission.folder / mission.config[section]["path"]
+    mine = mission.output / name
+    mine.parent.mkdir(parents=True)
+    (mission.output / ".lock").touch()
+    given.rename(mine)
+    content = mine.read_bytes()
+    mission.config[section]["path"] = f"results/{name}"
+    assert name in refused(mission.run(), "OUTPUT-OVER-INPUT", 2)
+    refused(unbend("check", mission.save()), "OUTPUT-OVER-INPUT", 2)
+    refused(mission.run("--force"), "OUTPUT-OVER-INPUT", 2)
+    assert mine.read_bytes() == content
+
+
+def test_links_to_and_from_the_results(mission, tmp_path):
+    """The link among the results would be lost, and what the link leads to among them, too."""
+    results = mission.output / "observations"
+    results.mkdir(parents=True)
+    (mission.output / ".lock").touch()
+    table = (mission.folder / "observations.parquet").read_bytes()
+    (results / "real.parquet").write_bytes(table)
+    (mission.folder / "link.parquet").symlink_to(results / "real.parquet")
+    (results / "link.parquet").symlink_to(mission.folder / "observations.parquet")
+    for name in ("link.parquet", "results/observations/link.parquet"):
+        mission.config["observations"]["path"] = name
+        refused(mission.run(), "OUTPUT-OVER-INPUT", 2)
+    alias = tmp_path / "alias"
+    alias.symlink_to(mission.output)
+    mission.config["output"]["path"] = str(alias)
+    mission.config["observations"]["path"] = "results/observations/real.parquet"
+    refused(mission.run(), "OUTPUT-OVER-INPUT", 2)
+    assert (results / "real.parquet").read_bytes() == table
+
+
+def test_a_mission_file_among_its_results(mission, unbend):
+    folder = mission.folder / "observations"
+    folder.mkdir()
+    for key in ("log", "observations"):
+        mission.config[key]["path"] = "../" + mission.config[key]["path"]
+    mission.config["output"]["path"] = ".."
+    moved = folder / "mission.yaml"
+    mission.save().rename(moved)
+    (mission.folder / ".lock").touch()
+    refused(unbend("run", moved), "OUTPUT-OVER-INPUT", 2)
+    assert moved.is_file()
+
+
+def test_inputs_beside_the_results_stay(mission):
+    """The results may go into the folder of the inputs, as long as no name is both."""
+    mission.config["output"]["path"] = "."
+    before = {p.name: p.read_bytes() for p in mission.folder.iterdir() if p.is_file()}
+    accepted(mission.run(), 0)
+    for name, content in before.items():
+        assert (mission.folder / name).read_bytes() == content
+
+
 def test_results_are_not_written_through_a_link(mission, tmp_path):
     target = tmp_path / "elsewhere"
     target.mkdir()

@@ -1,9 +1,12 @@
 """Clocks against calendars, the IERS table and hand-made sequences."""
 
 from datetime import UTC, datetime
+from itertools import combinations, pairwise, product
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pipeline.flight.clock import (
     along,
@@ -11,9 +14,12 @@ from pipeline.flight.clock import (
     fit_offset,
     fresh,
     increasing,
+    report_fit,
     stray_times,
+    untangled,
     utc_of_gps,
 )
+from pipeline.ledger import Ledger
 
 SECOND = 10**9
 
@@ -79,9 +85,77 @@ def test_a_boot_and_a_gap_are_not_stray() -> None:
     assert not stray_times(time_ns).any()
 
 
-def test_increasing_keeps_a_strictly_rising_subsequence() -> None:
-    time_ns = np.array([3, 3, 5, 4, 6, 1, 7], np.int64)
-    np.testing.assert_array_equal(time_ns[increasing(time_ns)], [3, 5, 6, 7])
+@pytest.mark.parametrize("rows", [(0,), (40,), (40, 41, 42), (10, 12, 14), (99,)])
+def test_stray_stamps_at_any_place(rows: tuple[int, ...]) -> None:
+    time_ns = 10**12 + np.arange(100, dtype=np.int64) * SECOND // 10
+    for sign in (1, -1) if rows == (40,) else (1,) if rows[0] == 0 else (-1,):
+        damaged = time_ns.copy()
+        damaged[list(rows)] += sign * 950_400 * SECOND
+        np.testing.assert_array_equal(np.flatnonzero(stray_times(damaged)), rows)
+
+
+def longest(times: tuple[int, ...]) -> int:
+    """The length of the longest increasing subsequence, by trying all, longest first."""
+    return next(
+        k
+        for k in range(len(times), -1, -1)
+        if any(all(a < b for a, b in pairwise(some)) for some in combinations(times, k))
+    )
+
+
+def test_increasing_keeps_as_many_rows_as_can_be() -> None:
+    assert increasing(np.empty(0, np.int64)).shape == (0,)
+    for times in product(range(5), repeat=5):
+        kept = np.array(times)[increasing(np.array(times, np.int64))]
+        assert (np.diff(kept) > 0).all()
+        assert kept.shape[0] == longest(times), times
+
+
+def test_of_equal_stamps_the_first_is_kept() -> None:
+    np.testing.assert_array_equal(np.flatnonzero(increasing(np.array([1, 2, 2, 3, 3]))), [0, 1, 3])
+
+
+@pytest.mark.parametrize("row", [0, 5, 500, 999])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_one_wrong_stamp_costs_one_row(row: int, sign: int) -> None:
+    time_ns = np.arange(1000, dtype=np.int64) * SECOND // 10
+    time_ns[row] += sign * 11 * 86_400 * SECOND
+    rows, stretch = untangled(time_ns)
+    # a first stamp too low and a last one too high rise as well: nothing tells them from a gap
+    rises = (row, sign) in {(0, -1), (999, 1)}
+    np.testing.assert_array_equal(np.setdiff1d(np.arange(1000), rows), [] if rises else [row])
+    assert not stretch.any()
+
+
+def test_a_clock_set_back_a_little_costs_what_it_passed_twice() -> None:
+    before = np.arange(0, 1000, dtype=np.int64) * SECOND // 10
+    after = before[-1] - 10 * SECOND + np.arange(1, 801, dtype=np.int64) * SECOND // 10 + 7
+    rows, stretch = untangled(np.concatenate([before, after]))
+    # 90 to 100 s were read twice: that is settled for the later reading, in all channels alike
+    np.testing.assert_array_equal(rows, np.concatenate([np.arange(901), 1000 + np.arange(800)]))
+    np.testing.assert_array_equal(stretch, [0] * 901 + [1] * 800)
+    # the same where the stamps coincide, and where the later part has fewer rows
+    for sparse in (np.arange(800), np.arange(0, 800, 3)):
+        rows, stretch = untangled(np.concatenate([before, after[sparse] - 7]))
+        np.testing.assert_array_equal(rows[stretch == 0], np.arange(900))
+        assert np.count_nonzero(stretch == 1) == sparse.shape[0]
+
+
+def test_a_clock_set_back_by_a_day_costs_nothing() -> None:
+    before = 86_400 * SECOND + np.arange(50, dtype=np.int64) * SECOND
+    time_ns = np.concatenate([before, np.arange(20, dtype=np.int64) * SECOND])
+    rows, stretch = untangled(time_ns)
+    np.testing.assert_array_equal(rows, np.concatenate([50 + np.arange(20), np.arange(50)]))
+    np.testing.assert_array_equal(stretch, [1] * 20 + [0] * 50)
+
+
+@given(st.lists(st.integers(0, 60), max_size=80))
+def test_untangled_always_rises(times: list[int]) -> None:
+    time_ns = np.array(times, np.int64)
+    rows, stretch = untangled(time_ns)
+    assert rows.shape == stretch.shape
+    assert (np.diff(time_ns[rows]) > 0).all()
+    assert (rows.shape[0] > 0) == bool(times)
 
 
 def test_offset_is_robust_and_keeps_nanoseconds() -> None:
@@ -107,3 +181,10 @@ def test_along_follows_a_drifting_clock_and_does_not_extrapolate_the_drift() -> 
     asked = np.array([-5, 5, 15, 30], np.int64) * SECOND + 1_600_000_000 * SECOND
     expected = np.array([-5.0, 5.5, 15.5, 30.0]) * SECOND + 1_700_000_000 * SECOND
     np.testing.assert_array_equal(along(host, vehicle)(asked), expected.astype(np.int64))
+
+
+@pytest.mark.parametrize(("spread_ms", "kind"), [(39, "note"), (5003, "loss")])
+def test_a_stepping_clock_is_a_loss(spread_ms, kind):
+    ledger = Ledger()
+    report_fit(ledger, "10 GPS rows", spread_ms * 1_000_000, "boot 0", 10)
+    assert [(entry.code, entry.kind, entry.count) for entry in ledger] == [("TIME-FIT", kind, 10)]

@@ -173,8 +173,8 @@ def test_air_at_the_exposure() -> None:
 def test_image_names_and_lost_numbers() -> None:
     shots = channel("CAM[0]", [1, 2, 3, 4], event_index=[7, 8, 10, 11])
     ledger = Ledger()
-    named = events_of_channel(shots, "cam", "IMG_{index:03d}_{n}", 0.5, ledger)
-    assert named.image.tolist() == ["IMG_007_1", "IMG_008_2", "IMG_010_3", "IMG_011_4"]
+    named = events_of_channel(shots, "cam", "IMG_{index:03d}", 0.5, ledger)
+    assert named.image.tolist() == ["IMG_007", "IMG_008", "IMG_010", "IMG_011"]
     assert named.time_ns[0] == 1_500_000_000
     (entry,) = ledger
     assert (entry.code, entry.count) == ("EVENTS-LOST", 1)
@@ -186,6 +186,21 @@ def test_many_lost_numbers_are_counted_too() -> None:
     ledger = Ledger()
     events_of_channel(shots, "cam", "{index}", 0.0, ledger)
     assert [(e.count, e.kind) for e in ledger] == [(198, "loss")]
+
+
+def test_counted_names_after_a_lost_event_are_refused() -> None:
+    shots = channel("CAM[0]", [1, 2, 3], event_index=[1, 2, 4])
+    with pytest.raises(MissionError, match="EVENTS-COUNTED"):
+        events_of_channel(shots, "cam", "IMG_{n:03d}", 0.0, Ledger())
+
+
+def test_the_take_off_height_of_two_flights_is_not_guessed() -> None:
+    seconds = np.arange(0.0, 100.0)
+    home = np.where(seconds < 50, 500.0, 507.0)
+    moved = channel("POS", seconds, h_msl_m=home + 10.0, h_home_m=10.0)
+    unset = channel("POS", seconds, h_msl_m=510.0, h_home_m=np.where(seconds < 70, 510.0, 10.0))
+    assert height_system({"position": moved}, None, Ledger()).home_h_msl_m is None
+    assert height_system({"position": unset}, None, Ledger()).home_h_msl_m == 500.0
 
 
 def test_triggers_without_a_shutter_are_counted() -> None:

@@ -145,6 +145,20 @@ def test_a_unit_may_be_stated() -> None:
         )
 
 
+def test_stating_the_unit_that_the_log_has_changes_nothing() -> None:
+    for role, unit in (("humidity", "percent"), ("temperature", "degC")):
+        source = Source("HYGR", "0")
+        plain = Channel("HYGR[0]", TIME, OUT.columns, source, roles=AIR, rank=10)
+        found = assign_roles((plain,), {role: Wish("HYGR[0]", unit)}, Ledger(), needs_cabin=False)
+        column = "relative_humidity" if role == "humidity" else "temperature_k"
+        assert found[role][column][0] == pytest.approx(OUT[column][0])
+
+
+def test_one_channel_is_not_inside_and_outside() -> None:
+    with pytest.raises(MissionError, match="CHANNEL-TWICE"):
+        assign(POS, GPS, ATT, BARO, pressure="BARO[0]", cabin_pressure="BARO[0]", cabin=True)
+
+
 @pytest.mark.parametrize(
     ("role", "column", "value", "unit"),
     [

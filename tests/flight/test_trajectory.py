@@ -51,9 +51,11 @@ def test_nothing_in_a_gap_but_its_edges_stand() -> None:
     assert np.isnan(interpolate(x, "value", at(5.0), 1.0)).all()
 
 
-def test_a_slow_sensor_is_no_gap() -> None:
+def test_the_limit_is_the_limit_but_slow_air_sensors_have_their_own() -> None:
     x = channel([0, 2, 4, 6], value=range(4))
-    assert bracket(x, at(3.0), 1.0).verdict.tolist() == [INSIDE]
+    assert bracket(x, at(3.0), 1.0).verdict.tolist() == [IN_GAP]
+    assert x.gap_limit_s(1.0) == 6.0
+    assert bracket(x, at(3.0), x.gap_limit_s(1.0)).verdict.tolist() == [INSIDE]
 
 
 def test_a_restart_is_a_gap_however_short() -> None:

@@ -12,8 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.errors import LogError
 from pipeline.flight.clock import utc_of_gps
+from pipeline.flight.roles import Wish, assign_roles
 from pipeline.ingest import Log, open_log
 from pipeline.ingest.dataflash_records import walk
+from pipeline.ledger import Ledger
 
 DEGREE = np.pi / 180.0
 
@@ -150,8 +152,9 @@ def test_known_flight(tmp_path: Path, flight: Callable) -> None:
     assert first.time_ns[0] == (start * 10**9) + 1_800_000_000
     assert log.channel("HYGR[3]")["relative_humidity"][0] == pytest.approx(0.55, abs=1e-15)
     assert log.channel("HYGR[3]")["temperature_k"][0] == 285.65
-    cabin = log.channel("TEMP[1]")
-    assert cabin.roles == ("cabin_temperature", "temperature")
+    # a probe may sit in the motor: it plays no role by itself, and any role when it is named
+    probe = log.channel("TEMP[1]")
+    assert (probe.roles, probe.can_play("temperature")) == ((), True)
     shots = log.channel("CAM")
     np.testing.assert_array_equal(shots["event_index"], [0, 1, 2, 3])
     assert shots["yaw_rad"][0] == pytest.approx(3 * DEGREE, abs=1e-15)
@@ -213,7 +216,8 @@ def test_a_cut_last_record_is_no_loss(tmp_path: Path, flight: Callable) -> None:
         assert (found.offsets.shape[0], found.bad_bytes) == (whole.offsets.shape[0] - 1, 0)
         assert found.cut_bytes == end - last
     log = opened(tmp_path, data[:-5])
-    assert entries(log, "LOG-TRUNCATED")[0].kind == "warning"
+    cut = entries(log, "LOG-TRUNCATED")[0]
+    assert (cut.kind, "no end mark" in cut.what) == ("warning", True)
     assert not log.ledger.has_losses
 
 
@@ -227,13 +231,77 @@ def test_a_time_that_fits_nothing_is_dropped_and_no_boot(tmp_path: Path, flight:
     assert entries(log, "TIME-STRAY")[0].count == 1
 
 
+@pytest.mark.parametrize("victims", [(0,), (5,), (5, 6, 7), (999,)])
+def test_stamps_days_ahead_cost_their_own_rows(
+    tmp_path: Path, dataflash_writer: Callable, victims: tuple[int, ...]
+) -> None:
+    writer = dataflash_writer()
+    writer.define(23, "BARO", "QBfc", "TimeUS,I,Press,Temp")
+    for k in range(1000):
+        ahead = 11 * 86_400_000_000 if k in victims else 0
+        writer.row("BARO", 1_000_000 + k * 100_000 + ahead, 0, 95_000.0 - k, 20.0)
+    log = opened(tmp_path, writer.data)
+    assert log.boots == 1
+    lost = 0 if victims == (999,) else len(victims)  # the last one may be late after a gap
+    assert len(log.channel("BARO[0]")) == 1000 - lost
+    assert sum(entry.count for entry in entries(log, "TIME-STRAY")) == lost
+    assert log.ledger.has_losses == bool(lost)
+
+
+def test_a_row_out_of_order_is_a_loss_with_its_place(
+    tmp_path: Path, dataflash_writer: Callable
+) -> None:
+    writer = dataflash_writer()
+    writer.define(23, "BARO", "QBfc", "TimeUS,I,Press,Temp")
+    for k in range(100):
+        late = 250_000 if k == 40 else 0
+        writer.row("BARO", 1_000_000 + k * 100_000 - late, 0, 95_000.0 - k, 20.0)
+    log = opened(tmp_path, writer.data)
+    assert len(log.channel("BARO[0]")) == 99
+    loss = entries(log, "TIME-BACKWARD")[0]
+    assert (loss.kind, loss.count) == ("loss", 1)
+    assert loss.where.startswith("BARO[0], first at row 40, stamped 1970-01-01T00:00:04.75")
+
+
+def test_instances_of_equal_standing_rank_alike(tmp_path: Path, dataflash_writer: Callable) -> None:
+    writer = dataflash_writer()
+    writer.define(24, "HYGR", "QBff", "TimeUS,Id,Humidity,Temp")
+    writer.define(25, "TEMP", "QBf", "TimeUS,Instance,Temp")
+    writer.define(26, "ARSP", "QBfc", "TimeUS,I,Airspeed,Temp")
+    writer.define(23, "BARO", "QBfc", "TimeUS,I,Press,Temp")
+    for k in range(5):
+        for unit in (0, 1):
+            t = 1_000_000 + k * 100_000
+            writer.row("HYGR", t, unit, 50.0, 10.0)
+            writer.row("TEMP", t, unit, 80.0)
+            writer.row("ARSP", t, unit, 50.0, 10.0)
+            writer.row("BARO", t, unit, 95_000.0, 40.0)
+    log = opened(tmp_path, writer.data)
+    ranks = {channel.name: channel.rank for channel in log.channels}
+    for kind in ("HYGR", "TEMP", "ARSP"):
+        assert ranks[f"{kind}[0]"] == ranks[f"{kind}[1]"]
+    assert ranks["BARO[0]"] < ranks["BARO[1]"]
+    # what that means: no hygrometer is guessed to be the one outside, and no probe is air
+    ledger = Ledger()
+    roles = assign_roles(log.channels, {}, ledger, needs_cabin=True)
+    assert not {"temperature", "humidity", "cabin_temperature"} & set(roles)
+    told = " ".join(entry.what for entry in ledger if entry.code == "ROLE-AMBIGUOUS")
+    assert "HYGR[0], HYGR[1]" in told
+    assert "TEMP" not in told
+    named = {"cabin_temperature": Wish("TEMP[1]"), "temperature": Wish("HYGR[1]")}
+    roles = assign_roles(log.channels, named, Ledger(), needs_cabin=True)
+    assert roles["cabin_temperature"].name == "TEMP[1]"
+    assert roles["temperature"].name == "HYGR[1]"
+
+
 def test_two_logs_in_one_file_are_two_boots(tmp_path: Path, flight: Callable) -> None:
     later = flight()
     log = opened(tmp_path, later + later)
     assert log.boots == 2
     # the same flight twice: the second has the same UTC and is not counted again
-    assert entries(log, "TIME-BACKWARD")
+    assert {entry.kind for entry in entries(log, "TIME-REPEAT") if entry.where != "CAM"} == {"note"}
     assert len(log.channel("BARO[0]")) == 40
+    np.testing.assert_array_equal(log.channel("BARO[0]").boot, np.zeros(40))
 
 
 def test_a_definition_that_changes_in_the_file(

@@ -6,7 +6,9 @@ import io
 import json
 import random
 import struct
+import time
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,7 @@ import pytest
 
 from pipeline.errors import LogError
 from pipeline.ingest import Log, open_log
-from pipeline.ingest.mcap_records import MAX_CHUNK
+from pipeline.ingest.mcap_records import FREE_CHUNK, MAX_CHUNK
 
 SECOND = 10**9
 START = 1_763_073_169 * SECOND + 920_749_554
@@ -190,7 +192,8 @@ def test_a_truncated_log_gives_every_complete_chunk(tmp_path: Path) -> None:
     whole = sum(opened(tmp_path, data).messages.values())
     log = opened(tmp_path, data[: len(data) // 2])
     assert whole * 0.3 < sum(log.messages.values()) < whole
-    assert entries(log, "LOG-TRUNCATED")[0].kind == "loss"
+    cut = entries(log, "LOG-TRUNCATED")[0]
+    assert (cut.kind, "without the footer" in cut.what) == ("loss", True)
     assert log.bad_bytes > 0
 
 
@@ -230,20 +233,139 @@ def test_a_chunk_that_fails_its_checksum_is_left_out(tmp_path: Path) -> None:
     assert entries(log, "LOG-INCONSISTENT")[0].count == log.lost_messages > 0
 
 
-def test_a_chunk_that_inflates_beyond_the_limit_is_refused(tmp_path: Path) -> None:
+@cache
+def packed_zeros(compression: str, size: int) -> bytes:
+    import lz4.frame
     import zstandard
 
-    data = flight().data
-    bomb = zstandard.ZstdCompressor().compress(bytes(MAX_CHUNK + 1000))
-    for promised in (MAX_CHUNK + 1000, 1000):
-        content = struct.pack("<QQQII", 0, 0, promised, 0, 4) + b"zstd"
-        content += struct.pack("<Q", len(bomb)) + bomb
-        record = struct.pack("<BQ", 6, len(content)) + content
-        header = 8 + 9 + struct.unpack_from("<Q", data, 9)[0]  # magic and header record
-        log = opened(tmp_path, data[:header] + record + data[header:])
-        codes = {entry.code for entry in log.ledger if entry.kind == "loss"}
-        assert codes == {"LOG-TOO-LARGE" if promised > MAX_CHUNK else "LOG-BAD-BYTES"}
-        assert len(log.channel("/imu")) == 60
+    blocks = [bytes(1 << 20)] * (size >> 20)
+    packer = (
+        lz4.frame.LZ4FrameCompressor()
+        if compression == "lz4"
+        else zstandard.ZstdCompressor().compressobj()
+    )
+    begin = packer.begin() if compression == "lz4" else b""
+    return begin + b"".join(packer.compress(block) for block in blocks) + packer.flush()
+
+
+def bomb(compression: str, promised: int, size: int) -> bytes:
+    """A chunk record of zeros that promises one size and inflates to another."""
+    packed, name = packed_zeros(compression, size), compression.encode()
+    content = struct.pack("<QQQII", 0, 0, promised, 0, len(name)) + name
+    content += struct.pack("<Q", len(packed)) + packed
+    return struct.pack("<BQ", 6, len(content)) + content
+
+
+def spliced(data: bytes, record: bytes) -> bytes:
+    """A file with one more record behind its header record."""
+    at = 8 + 9 + struct.unpack_from("<Q", data, 9)[0]
+    return data[:at] + record + data[at:]
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+@pytest.mark.parametrize("promised", [2 << 30, 2**63, 64 << 20, 1000])
+def test_bombs_are_skipped_at_once(tmp_path: Path, compression: str, promised: int) -> None:
+    import tracemalloc
+
+    path = tmp_path / "flight.mcap"
+    path.write_bytes(spliced(flight().data, bomb(compression, promised, 2 << 30)))
+    begin = time.process_time()
+    log = open_log(path)
+    assert time.process_time() - begin < 1.0
+    codes = {entry.code for entry in log.ledger if entry.kind == "loss"}
+    assert codes == {"LOG-TOO-LARGE" if promised >= MAX_CHUNK else "LOG-BAD-BYTES"}
+    assert len(log.channel("/imu")) == 60
+    tracemalloc.start()
+    open_log(path)
+    assert tracemalloc.get_traced_memory()[1] < 16 << 20
+    tracemalloc.stop()
+
+
+def test_a_chunk_that_shrank_too_far_is_refused_above_the_free_size(tmp_path: Path) -> None:
+    record = bomb("zstd", FREE_CHUNK + (1 << 20), FREE_CHUNK + (1 << 20))
+    log = opened(tmp_path, spliced(flight().data, record))
+    assert {entry.code for entry in log.ledger if entry.kind == "loss"} == {"LOG-TOO-LARGE"}
+
+
+@pytest.mark.parametrize("compression", compressions(), ids=lambda kind: kind.name)
+def test_large_images_cost_no_memory_and_no_messages(tmp_path: Path, compression: object) -> None:
+    import tracemalloc
+
+    from mcap_ros2.writer import Writer
+
+    pixels = random.Random(1).randbytes(1 << 20) * 81  # mono8 10600 x 8000
+    path = tmp_path / "flight.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, compression=compression)
+        images, pressures = (
+            writer.register_msgdef(kind, SEPARATOR.join(SCHEMAS[kind]))
+            for kind in ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/FluidPressure")
+        )
+        for k in range(60):
+            t = START + k * SECOND // 10
+            if k % 40 == 5:
+                image = {"header": stamp(t, f"cam{k}"), "format": "mono8", "data": pixels}
+                writer.write_message("/camera", images, image, t)
+            air = {"header": stamp(t), "fluid_pressure": 7e4 - k, "variance": 0.0}
+            writer.write_message("/air", pressures, air, t)
+        writer.finish()
+    tracemalloc.start()
+    log = open_log(path)
+    assert tracemalloc.get_traced_memory()[1] < 24 << 20
+    tracemalloc.stop()
+    assert not log.ledger.has_losses
+    np.testing.assert_array_equal(log.channel("/air")["pressure_pa"], 7e4 - np.arange(60))
+    assert log.channel("/camera").labels["frame_id"] == ("cam5", "cam45")
+
+
+def test_a_clock_set_back_in_the_recording_mixes_nothing(tmp_path: Path) -> None:
+    bag = Bag()
+    for k in range(400):
+        t = START + k * SECOND // 10 - (10 * SECOND if k >= 300 else 0)
+        bag.write("/air", "FluidPressure", t, fluid_pressure=7e4 - k, variance=0.0)
+        if k % 4 == 0:
+            bag.write("/camera", "CompressedImage", t, header=stamp(t, f"{k}"), format="jpeg",
+                      data=b"")  # fmt: skip
+    log = opened(tmp_path, bag.data)
+    air, camera = log.channel("/air"), log.channel("/camera")
+    # 20 to 30 s were passed twice: the later rows stand for them, and nothing bridges the step
+    np.testing.assert_array_equal(7e4 - air["pressure_pa"], [*range(200), *range(300, 400)])
+    np.testing.assert_array_equal(air.boot, [0] * 200 + [1] * 100)
+    shots = [*range(0, 200, 4), *range(300, 400, 4)]
+    assert [int(name) for name in camera.labels["frame_id"]] == shots
+    # an image keeps its number when images before it are lost
+    np.testing.assert_array_equal(4 * camera["event_index"], shots)
+    assert [(e.kind, e.count) for e in entries(log, "TIME-BACKWARD")] == [
+        ("loss", 100),
+        ("loss", 25),
+    ]
+    assert "/air, first at row 200" in entries(log, "TIME-BACKWARD")[0].where
+    assert {e.kind for e in entries(log, "TIME-SET-BACK")} == {"warning"}
+
+
+@pytest.mark.parametrize("row", [0, 5, 300])
+def test_a_stamp_days_ahead_costs_one_row(tmp_path: Path, row: int) -> None:
+    bag = Bag()
+    for k in range(1000):
+        t = START + k * SECOND // 10 + (11 * 86_400 * SECOND if k == row else 0)
+        bag.write("/air", "FluidPressure", t, fluid_pressure=7e4 - k, variance=0.0)
+    log = opened(tmp_path, bag.data)
+    assert len(log.channel("/air")) == 999
+    loss = entries(log, "TIME-BACKWARD")[0]
+    assert (loss.kind, loss.count) == ("loss", 1)
+    assert f"first at row {row}," in loss.where
+
+
+def test_second_topics_of_a_kind_rank_alike(tmp_path: Path) -> None:
+    bag = flight()
+    for k in range(5):
+        t = START + k * SECOND
+        bag.write("/cabin/air", "Temperature", t, temperature=21.0, variance=0.0)
+        bag.write("/cabin/humidity", "RelativeHumidity", t, relative_humidity=0.3, variance=0.0)
+    log = opened(tmp_path, bag.data)
+    for kind in ("air", "humidity", "pressure"):
+        outside, cabin = log.channel(f"/outside/{kind}"), log.channel(f"/cabin/{kind}")
+        assert (outside.rank, outside.roles) == (cabin.rank, cabin.roles)
 
 
 def test_without_a_header_stamp_the_recorders_time_is_a_stated_fallback(tmp_path: Path) -> None:

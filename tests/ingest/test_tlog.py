@@ -241,6 +241,42 @@ def test_camera_feedback_in_unix_time_and_in_time_since_boot(tmp_path: Path) -> 
     assert first["pitch_rad"][0] == pytest.approx(2 * DEGREE, abs=1e-15)
 
 
+@pytest.mark.parametrize("row", [0, 5, 60])
+def test_a_stamp_days_ahead_costs_one_row(tmp_path: Path, row: int) -> None:
+    writer = TlogWriter()
+    for k in range(1000):
+        ms = 60_000 + 100 * k
+        if k % 10 == 0:
+            writer.send("system_time", ms, time_unix_usec=BOOT_UTC_US + ms * 1000, time_boot_ms=ms)
+            writer.send("hygrometer_sensor", ms, id=2, temperature=-1250, humidity=4725)
+        ahead = 11 * 86_400_000 if k == row else 0
+        writer.send("attitude", ms, time_boot_ms=ms + ahead, roll=0.1, pitch=-0.2, yaw=3.0,
+                    rollspeed=0.0, pitchspeed=0.0, yawspeed=0.0)  # fmt: skip
+    log = opened(tmp_path, writer.data)
+    assert (log.boots, len(log.channel("ATTITUDE"))) == (1, 999)
+    loss = entries(log, "TIME-BACKWARD")[0]
+    assert (loss.kind, loss.count) == ("loss", 1)
+    assert f"first at row {row}," in loss.where
+    # messages without a time of their own keep the vehicle's, before and after
+    air = log.channel("HYGROMETER_SENSOR[2]")
+    expected = (BOOT_UTC_US + 60_000_000) * 1000 + np.arange(100) * SECOND
+    np.testing.assert_allclose((air.time_ns - expected).astype(float), 0.0, atol=1e6)
+
+
+def test_instances_of_equal_standing_rank_alike(tmp_path: Path) -> None:
+    writer = flight()
+    for k in range(5):
+        ms = 64_000 + 200 * k
+        for unit in (0, 1):
+            writer.send("hygrometer_sensor", ms, id=unit, temperature=-1250, humidity=4725)
+            writer.send("airspeed", ms, id=unit, airspeed=41.5, temperature=-1250, raw_press=1.0,
+                        flags=0)  # fmt: skip
+    ranks = {channel.name: channel.rank for channel in opened(tmp_path, writer.data).channels}
+    assert len({ranks[f"HYGROMETER_SENSOR[{unit}]"] for unit in (0, 1, 2)}) == 1
+    assert ranks["AIRSPEED[0]"] == ranks["AIRSPEED[1]"]
+    assert ranks["SCALED_PRESSURE@1/1"] == ranks["SCALED_PRESSURE@1/25"]
+
+
 def test_a_late_first_feedback_is_put_in_order(tmp_path: Path) -> None:
     writer = flight()
     for k in (0, 2, 1):

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import datetime as dt
+
 import numpy as np
 import pyarrow as pa
+import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 import pytest
 
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
+from pipeline.tables import delimited
 from pipeline.tables.events import EventColumns, read_events
 from pipeline.tables.observations import open_observations
 
@@ -55,6 +59,148 @@ def test_words_that_look_empty_are_kept(tmp_path):
     assert np.isnan(found["x_px"][2])
     assert np.isnan(found["ground"][1])
     assert table.images == ("NA", "nan")
+
+
+def users_of(tmp_path, values: list[str]) -> tuple[str, list]:
+    """Type and values with which a column of the user leaves."""
+    rows = "".join(f"a,b,1,2,3,{value}\n" for value in values)
+    table = opened(tmp_path / "o.csv", "image,point,x_px,y_px,h_g_m,own\n" + rows)
+    (own,) = table.user_fields
+    return str(own.type), whole(table)["own"]
+
+
+@pytest.mark.parametrize(
+    ("values", "kind", "left"),
+    [
+        (["5", "-6", "", "0"], "int64", [5, -6, None, 0]),
+        ([" 5", "6 "], "int64", [5, 6]),
+        (["1749722400123456789"], "int64", [1749722400123456789]),
+        (["12345678901234567890"], "string", ["12345678901234567890"]),
+        (["9007199254740993", "0.5"], "string", ["9007199254740993", "0.5"]),
+        (["5", "05"], "string", ["5", "05"]),
+        (["1.5", "007"], "string", ["1.5", "007"]),
+        (["+491701234567"], "string", ["+491701234567"]),
+        (["0x1F", "5"], "string", ["0x1F", "5"]),
+        (["5", "-0"], "double", [5.0, -0.0]),
+        (["1e400"], "string", ["1e400"]),
+        (["1.5", "2", "-3e-5", "1.5e+003", ".5", "inf"], "double",
+         [1.5, 2.0, -3e-5, 1500.0, 0.5, float("inf")]),
+        (["."], "string", ["."]),
+        (["TRUE", "false"], "bool", [True, False]),
+        (["1", "true"], "string", ["1", "true"]),
+        (["2025-02-28"], "date32[day]", [dt.date(2025, 2, 28)]),
+        (["2025-02-28", "2025-02-31"], "string", ["2025-02-28", "2025-02-31"]),
+        (["10:20"], "string", ["10:20"]),
+        (["2025-06-01 10:20:30"], "timestamp[s]", [dt.datetime(2025, 6, 1, 10, 20, 30)]),
+        (["2025-06-01T10:20:30+02:00"], "string", ["2025-06-01T10:20:30+02:00"]),
+        (["", ""], "string", [None, None]),
+        (["5", '""'], "string", ["5", ""]),
+    ],
+)  # fmt: skip
+def test_every_value_can_be_had_back(tmp_path, values, kind, left):
+    assert users_of(tmp_path, values) == (kind, left)
+
+
+def test_fractions_of_seconds_are_kept(tmp_path):
+    kind, values = users_of(tmp_path, ["2025-06-01T10:20:30.123456789Z", "2025-06-01T10:20:31Z"])
+    assert kind == "timestamp[ns, tz=UTC]"
+    assert [value.value for value in values] == [1_748_773_230_123_456_789, 1_748_773_231 * 10**9]
+
+
+def test_text_that_looks_like_numbers_is_told(tmp_path):
+    path = tmp_path / "o.csv"
+    path.write_text("image,point,x_px,y_px,strip,word,n\n01,02,1,2,005,a7,5\n")
+    ledger = Ledger()
+    open_observations(path, COLUMNS, None, ledger)
+    (entry,) = ledger
+    assert (entry.kind, entry.code) == ("note", "OBS-CODES")
+    assert "strip" in entry.what
+
+
+@pytest.mark.parametrize(
+    ("column", "late", "kind"),
+    [(5, "005", "string"), (5, "12345678901234567890", "string"), (6, "1.10", "double"),
+     (8, "0x10", "string")],
+)  # fmt: skip
+def test_a_late_code_keeps_a_column_text(tmp_path, column, late, kind):
+    """The one value that tells stands some five megabytes into the file."""
+    rows = 80_000
+    text = long_csv(rows, {column: late})
+    assert text.index("\n") < 100 < 5 << 20 < len(text)
+    table = opened(tmp_path / "o.csv", text)
+    names = [f.name for f in table.user_fields]
+    name = text.splitlines()[0].split(",")[column]
+    assert str(table.user_fields[names.index(name)].type) == kind
+    found = whole(table, 50_000)[name]
+    assert found[-1] == (1.1 if kind == "double" else late)
+    assert found[7] == (7.0 if kind == "double" else " 7" if name == "late" else "7")
+
+
+def test_a_column_that_begins_empty_is_still_one_of_numbers(tmp_path):
+    lines = ["image,point,x_px,y_px,h_g_m,n,note"]
+    lines += [f"a,b,1,2,3,,{'x' * 90}" for _ in range(60_000)] + ["a,b,1,2,3,17,y"]
+    table = opened(tmp_path / "o.csv", "\n".join(lines) + "\n")
+    assert str(table.user_fields[0].type) == "int64"
+    assert whole(table, 100_000)["n"][-1] == 17
+
+
+def test_a_csv_is_read_twice_at_most(tmp_path, monkeypatch):
+    """One pass for rows, images and types, one for the stream; besides, the header."""
+    blocks = []
+    real = delimited.pa_csv.open_csv
+
+    class Counted:
+        def __init__(self, *args, **kwargs):
+            self.reader, self.schema = real(*args, **kwargs), None
+            self.schema = self.reader.schema
+
+        def __enter__(self):
+            self.reader.__enter__()
+            return self
+
+        def __exit__(self, *how):
+            return self.reader.__exit__(*how)
+
+        def __iter__(self):
+            for batch in self.reader:
+                blocks.append(batch.num_rows)
+                yield batch
+
+    monkeypatch.setattr(delimited.pa_csv, "open_csv", Counted)
+    rows = 80_000
+    table = opened(tmp_path / "o.csv", long_csv(rows, {5: "7.5", 6: "A-17", 2: "n/a"}))
+    assert len(whole(table, rows)["x_px"]) == rows
+    assert sum(blocks) == 2 * rows
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"image,point,x_px,y_px,h_g_m,\xe4\na,b,1,2,3,4\n",
+     b"image,point,x_px,y_px,h_g_m,n\na,b,1,2,3,4\na,b,1,2,3,\xe4\n"],
+)  # fmt: skip
+def test_bytes_that_are_no_utf8(tmp_path, content):
+    with pytest.raises(InputError, match="OBS-CSV") as refusal:
+        opened(tmp_path / "o.csv", content)
+    assert "UTF-8" in refusal.value.remedy
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_ground_heights_that_are_not_above_sea_level_stay_the_users(tmp_path, suffix):
+    path = tmp_path / f"o.{suffix}"
+    given = pa.table({"image": ["a"], "point": ["p"], "x_px": [1.0], "y_px": [2.0],
+                      "h_g_m": [647.6]})  # fmt: skip
+    if suffix == "csv":
+        pa_csv.write_csv(given, path)
+    else:
+        pq.write_table(given, path)
+    ledger = Ledger()
+    table = open_observations(path, COLUMNS, "h_g_m", ledger, ground_is_msl=False)
+    assert [f.name for f in table.user_fields] == ["h_g_m_input"]
+    (batch,) = table.batches(10)
+    assert batch.users["h_g_m_input"].to_pylist() == batch.ground.tolist() == [647.6]
+    assert [entry.code for entry in ledger] == ["OBS-RENAMED"]
+    above_sea = open_observations(path, COLUMNS, "h_g_m", Ledger())
+    assert above_sea.user_fields == ()
 
 
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
@@ -227,3 +373,9 @@ def test_rows_without_a_time_are_counted(tmp_path):
 def test_tables_of_exposures_that_are_none(tmp_path, text, code):
     with pytest.raises(InputError, match=code):
         events(tmp_path, text)
+
+
+def test_a_column_that_nearly_has_the_name(tmp_path):
+    with pytest.raises(InputError, match="did you mean 'tme'") as refusal:
+        events(tmp_path, "image,tme\na,2025-06-12T10:00:00Z\n")
+    assert refusal.value.remedy == "say what it is called: events.csv.columns"
