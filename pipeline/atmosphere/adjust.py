@@ -129,8 +129,14 @@ def build_adjusted_profile(
         )
     elif barometric is not None:
         nodes, basis, source = barometric, "barometer", pressure
+        without = "no thermometer outside"
+        if temperature is not None:
+            without = (
+                f"the thermometer {temperature.name} spans only {temperature.extent_m:.0f} m of "
+                "height"
+            )
         reason = (
-            f"no thermometer outside: temperatures from {_named(pressure)} against GNSS height "
+            f"{without}: temperatures from {_named(pressure)} against GNSS height "
             f"over {np.ptp(barometric.height):.0f} m, in layers of "
             f"{np.diff(barometric.height).mean():.0f} m"
         )

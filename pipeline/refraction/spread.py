@@ -50,15 +50,19 @@ class Spread:
         self.maximum = max(self.maximum, float(values.max()))
         self.total += values.size
 
-    @property
-    def median(self) -> float | None:
-        """None of nothing."""
+    def quantile(self, share: float) -> float | None:
+        """The value that a share of the values does not exceed; None of nothing."""
         if self.total == 0:
             return None
-        number = int(np.searchsorted(np.cumsum(self.counts), 0.5 * self.total))
+        number = int(np.searchsorted(np.cumsum(self.counts), share * self.total))
         if number == 0:
             return 0.0
         return float(10.0 ** ((number + 0.5) / _BINS_PER_DECADE + _LOWEST_EXPONENT))
+
+    @property
+    def median(self) -> float | None:
+        """None of nothing."""
+        return self.quantile(0.5)
 
     def __add__(self, other: Spread) -> Spread:
         return Spread(
@@ -69,10 +73,14 @@ class Spread:
 
     def summary(self) -> dict[str, float | int | None]:
         """For the manifest: six digits are more than the bins hold."""
-        median = self.median
+
+        def short(value: float | None) -> float | None:
+            return None if value is None else float(f"{value:.3g}")
+
         return {
             "count": self.total,
-            "median": None if median is None else float(f"{median:.3g}"),
+            "median": short(self.median),
+            "p95": short(self.quantile(0.95)),
             "maximum": float(f"{self.maximum:.6g}") if self.total else None,
         }
 

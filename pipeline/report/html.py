@@ -11,7 +11,14 @@ from pipeline.atmosphere.adjust import Adjustment
 from pipeline.atmosphere.samples import AirSamples
 from pipeline.refraction.spread import ImageGrid
 from pipeline.report.figures import as_svg, correction_figure, profile_figure
-from pipeline.report.words import correction_rows, headline, ledger_rows, not_removed, where_from
+from pipeline.report.words import (
+    CORRECTION_HEAD,
+    correction_rows,
+    headline,
+    ledger_rows,
+    not_removed,
+    where_from,
+)
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #0f172a; max-width: 52rem;
@@ -39,7 +46,7 @@ def write_report(
         f"<h1>{title}</h1>",
         f'<p class="lead">{escape(headline(manifest))}</p>',
         "<h2>How large the correction is</h2>",
-        _table(("", "median", "maximum"), correction_rows(manifest), numeric=True),
+        _table(CORRECTION_HEAD, correction_rows(manifest), numeric=True),
         as_svg(correction_figure(grids)),
         "<h2>The air</h2>",
         f"<p>{escape(where_from(manifest))}</p>",

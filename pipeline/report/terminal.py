@@ -10,7 +10,14 @@ from rich.markup import escape
 from rich.padding import Padding
 from rich.table import Table
 
-from pipeline.report.words import correction_rows, figure, headline, ledger_rows, where_from
+from pipeline.report.words import (
+    CORRECTION_HEAD,
+    correction_rows,
+    figure,
+    headline,
+    ledger_rows,
+    where_from,
+)
 
 _COLOURS = {"loss": "red", "warning": "yellow", "fallback": "cyan", "note": "dim"}
 
@@ -23,7 +30,7 @@ def show_run(
     if repeated:
         console.print("  nothing to do: mission file, inputs and code are those of the last run")
     _paragraph(console, headline(manifest))
-    table = Table("", "median", "maximum", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    table = Table(*CORRECTION_HEAD, box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for column in table.columns[1:]:
         column.justify = "right"
     for row in correction_rows(manifest):

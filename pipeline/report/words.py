@@ -42,28 +42,26 @@ def figure(value: float | None) -> str:
     return f"{value:.3g}"
 
 
-def correction_rows(manifest: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Label, median, maximum; camera by camera where there are several."""
+CORRECTION_HEAD = ("", "median", "95 %", "maximum")
+
+
+def correction_rows(manifest: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Label, median, 95 % and maximum; camera by camera where there are several."""
     correction = manifest["correction"]
     cameras = correction["cameras"]
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for key, label in (
         ("shift_px", "shift in the image [px]"),
         ("shift_ground_m", "shift on the ground [m]"),
-        ("refraction_arcsec", "refraction angle of the air [arcsec]"),
-        ("window_arcsec", "refraction angle of the window [arcsec]"),
+        ("refraction_arcsec", "refraction of the air [arcsec]"),
+        ("window_arcsec", "refraction of the window [arcsec]"),
     ):
         if key == "window_arcsec" and not correction[key]["maximum"]:
             continue
         several = cameras if len(cameras) > 1 else {"": correction}
         for name, own in several.items():
-            rows.append(
-                (
-                    f"{label} {name}".rstrip(),
-                    figure(own[key]["median"]),
-                    figure(own[key]["maximum"]),
-                )
-            )
+            values = (figure(own[key][part]) for part in ("median", "p95", "maximum"))
+            rows.append((f"{label} {name}".rstrip(), *values))
     return rows
 
 
