@@ -145,6 +145,13 @@ def inspect(
     raise typer.Exit(EXIT_LOSSES if opened.ledger.has_losses else EXIT_DONE)
 
 
+_METHODS = (
+    "spherical, plane, gyer1996, saastamoinen1974, saastamoinen1974_ican, "
+    "saastamoinen1974_quadratic, saastamoinen1974_weather, saastamoinen1974_series, bertram1966, "
+    "manual"
+)
+
+
 @app.command(
     epilog="Example: unbend angle --atmosphere us1976 --index gyer --camera-height 10000 "
     "--ground-height 0 --nadir-angle 75"
@@ -154,7 +161,7 @@ def angle(
     ground_height: Annotated[float, typer.Option(help="metres above sea level")],
     nadir_angle: Annotated[float, typer.Option(help="apparent nadir angle, degrees, 0 to 180")],
     atmosphere: Annotated[str, typer.Option(help="name of a standard atmosphere")] = "us1976",
-    method: Annotated[str, typer.Option(help="spherical")] = "spherical",
+    method: Annotated[str, typer.Option(help=_METHODS)] = "spherical",
     index: Annotated[str, typer.Option(help="ciddor or gyer (Eq. 13)")] = "ciddor",
     radius: Annotated[float, typer.Option(help="radius of the earth, metres")] = 6_371_000.0,
     as_json: Annotated[bool, typer.Option("--json", help="as JSON")] = False,
@@ -168,6 +175,24 @@ def angle(
         print(json.dumps(result, indent=2))
     else:
         show_angle(_console(), result)
+
+
+@app.command(epilog="Example: unbend tables gyer1996 --csv gyer.csv")
+def tables(
+    paper: Annotated[
+        str, typer.Argument(help="gyer1996, saastamoinen1974 or bertram1966", metavar="PAPER")
+    ],
+    csv: Annotated[Path | None, typer.Option(help="write the rows as CSV")] = None,
+) -> None:
+    """Recompute a paper's tables: as printed, as published, and exact."""
+    from pipeline.refraction.papers import paper_tables
+    from pipeline.report.terminal import show_paper
+
+    table = paper_tables(paper)
+    if csv is None:
+        show_paper(_console(), table.rows(), table.notes)
+    else:
+        _write_csv(csv, table.rows())
 
 
 @app.command(

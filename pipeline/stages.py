@@ -61,7 +61,7 @@ from pipeline.flight.stations import (
 from pipeline.ingest import Log, open_log
 from pipeline.ledger import Ledger
 from pipeline.refraction.image import Exposures
-from pipeline.refraction.ray import ray_table
+from pipeline.refraction.ray import rays_by
 from pipeline.refraction.window import NO_WINDOW, OPTICAL_AXIS
 from pipeline.report.html import write_report
 from pipeline.report.progress import Progress, Silent
@@ -258,7 +258,7 @@ def correct(
         look_through(mission, stations, profile, ledger),
         Ground(constant, offsets),
         {name: setup_of(mission, name) for name in mission.cameras},
-        ray_table(profile),
+        rays_by(profile, mission.refraction.method),
         folder,
         mission.output.batch_rows,
         {

@@ -15,7 +15,7 @@ from pipeline.batch.store import RunFolder
 from pipeline.ledger import Ledger
 from pipeline.refraction.camera import Camera
 from pipeline.refraction.image import Corrections, Exposures, correct_observations
-from pipeline.refraction.ray import RayTable
+from pipeline.refraction.ray import PublishedRays, RayTable
 from pipeline.refraction.spread import SPREADS, Extent, ImageGrid, Spread
 from pipeline.refraction.status import NO_STATION, STATUS_NAMES
 from pipeline.tables.observations import Batch, Observations
@@ -97,7 +97,7 @@ def correct_stream(
     exposures: Exposures,
     ground: Ground,
     cameras: Mapping[str, CameraSetup],
-    table: RayTable,
+    table: RayTable | PublishedRays,
     folder: RunFolder,
     batch_rows: int,
     metadata: Mapping[str, str],
@@ -146,7 +146,7 @@ def _correct_batch(
     exposures: Exposures,
     cameras: Mapping[str, CameraSetup],
     camera: NDArray[np.int64],
-    table: RayTable,
+    table: RayTable | PublishedRays,
 ) -> Corrections:
     """The corrections of a batch, camera by camera, back in the order of the rows."""
     n = len(batch)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pipeline.geodesy import euler_radius
 from pipeline.refraction.camera import Camera
-from pipeline.refraction.ray import RayTable, bend
+from pipeline.refraction.ray import PublishedRays, RayTable, bend
 from pipeline.refraction.status import (
     BAD_MEASUREMENT,
     NO_GROUND,
@@ -88,7 +88,7 @@ def correct_observations(
     exposure: NDArray[np.int64],
     exposures: Exposures,
     camera: Camera,
-    table: RayTable,
+    table: RayTable | PublishedRays,
     *,
     window_normal: Array = OPTICAL_AXIS,
 ) -> Corrections:
@@ -100,7 +100,7 @@ def correct_observations(
     h_g : (n,) heights of the targets above sea level [m].
     exposure : (n,) rows of ``exposures``, -1 where the image has none.
     camera : interior orientation; corrected pixels are distorted again.
-    table : refractivity of the air outside.
+    table : the air outside and how rays bend in it, from `rays_by`.
     window_normal : (3,) unit vector in the camera frame.
 
     The change of direction is never a difference of directions; the shift (dx, dy) is good to
@@ -133,7 +133,7 @@ def _correct_covered(
     row: NDArray[np.int64],
     exposures: Exposures,
     camera: Camera,
-    table: RayTable,
+    table: RayTable | PublishedRays,
     window_normal: Array,
 ) -> tuple[dict[str, Array], NDArray[np.uint8]]:
     """The correction where everything it needs is there; columns of `Corrections`, status."""

@@ -21,6 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
+from pipeline.refraction.published import PUBLISHED, Method
+from pipeline.refraction.published.trace import trace
 from pipeline.refraction.status import (
     BAD_MEASUREMENT,
     BEYOND_GRAZING,
@@ -55,6 +57,34 @@ class RayTable:
     coefficient: Array
 
 
+@dataclass(frozen=True, eq=False)
+class PublishedRays:
+    """A profile and the published method that bends rays in it, in the place of a `RayTable`."""
+
+    profile: Profile
+    method: Method
+
+
+def rays_by(profile: Profile, method: str) -> RayTable | PublishedRays:
+    """What `bend` reads, for one of `METHODS`.
+
+    >>> from pipeline.atmosphere import standard_atmosphere
+    >>> air = rays_by(standard_atmosphere("us1976"), "plane")
+    >>> r_c, status = bend(air, 6000.0, 0.0, 0.6, 0.8)
+    >>> (r_c * 1e6).round(2).item(), int(status)
+    (44.25, 0)
+    """
+    if method == "spherical":
+        return ray_table(profile)
+    if method not in PUBLISHED:
+        raise PhysicsError(
+            "METHOD-NAME",
+            f"no refraction method is called {method!r}",
+            remedy=f"one of {', '.join(METHODS)}",
+        )
+    return PublishedRays(profile, PUBLISHED[method])
+
+
 @lru_cache(maxsize=64)
 def ray_table(profile: Profile) -> RayTable:
     """Tabulate the refractivity of a profile for the ray kernel (agreement 1e-13 of n - 1)."""
@@ -84,7 +114,7 @@ def _kernel() -> Callable[..., None]:
 
 
 def bend(
-    table: RayTable,
+    table: RayTable | PublishedRays,
     h_c: ArrayLike,
     h_g: ArrayLike,
     sin_zeta_c: ArrayLike,
@@ -95,7 +125,7 @@ def bend(
 
     Parameters
     ----------
-    table : the profile, from `ray_table`.
+    table : the profile, from `ray_table` or `rays_by`.
     h_c, h_g : heights of camera and target above sea level [m]; broadcast with the others.
     sin_zeta_c, cos_zeta_c : of the apparent nadir angle at the camera, 0 to 180 degrees. Both
         are asked for so that no arccosine loses digits near the nadir.
@@ -109,6 +139,8 @@ def bend(
 
     Against 40-digit arithmetic 1e-9 arcsec, also near grazing; 1e-7 through P_90.
     """
+    if isinstance(table, PublishedRays):
+        return trace(table.method, table.profile, h_c, h_g, sin_zeta_c, cos_zeta_c, radius)
     arrays = np.broadcast_arrays(
         *(np.asarray(a, np.float64) for a in (h_c, h_g, sin_zeta_c, cos_zeta_c, radius))
     )
@@ -120,7 +152,7 @@ def bend(
     return r_c.reshape(shape), status.reshape(shape)
 
 
-METHODS: tuple[str, ...] = ("spherical",)
+METHODS: tuple[str, ...] = ("spherical", *PUBLISHED)
 
 
 def refraction_angle(
@@ -139,7 +171,7 @@ def refraction_angle(
     h_c, h_g : heights of camera and target above sea level [m]; ``h_g`` may lie above ``h_c``.
     zeta_c : apparent nadir angle [rad], 0 to pi.
     radius : of the sphere [m].
-    method : ``spherical``.
+    method : one of `METHODS`; all but ``spherical`` are those of `pipeline.refraction.published`.
 
     Arguments broadcast. Scalars give a float and raise `PhysicsError` where there is no angle;
     arrays give NaN there (`bend` tells why for each).
@@ -152,24 +184,19 @@ def refraction_angle(
     >>> round(refraction_angle(air, 10000.0, 0.0, 45.0 * DEGREE) / ARCSEC, 6)
     16.378452
     """
-    if method not in METHODS:
-        raise PhysicsError(
-            "METHOD-NAME",
-            f"no refraction method is called {method!r}",
-            remedy=f"one of {', '.join(METHODS)}",
-        )
+    air = rays_by(profile, method)
     zeta = np.asarray(zeta_c, dtype=np.float64)
     in_range = (zeta >= 0.0) & (zeta <= math.pi)
     safe = np.where(in_range, zeta, np.nan)
-    r_c, status = bend(ray_table(profile), h_c, h_g, np.sin(safe), np.cos(safe), radius)
+    r_c, status = bend(air, h_c, h_g, np.sin(safe), np.cos(safe), radius)
     if r_c.ndim:
         return r_c
     code = int(status)
     if code not in (OK, BEYOND_GRAZING):
         what = {
             BAD_MEASUREMENT: "the heights and the nadir angle (0 to 180 degrees) must be numbers",
-            OUTSIDE_PROFILE: "the profile does not cover the heights "
-            f"({profile.bottom_m:.0f} to {profile.top_m:.0f} m)",
+            OUTSIDE_PROFILE: f"the profile ({profile.bottom_m:.0f} to {profile.top_m:.0f} m) "
+            f"or the method ({method}) does not cover the heights",
             MISSES_GROUND: "the ray never reaches the target's height",
         }[code]
         raise PhysicsError(

@@ -105,6 +105,44 @@ def show_angle(console: Console, angle: Mapping[str, Any]) -> None:
     )
 
 
+def show_paper(console: Console, rows: Sequence[Mapping[str, Any]], notes: Sequence[str]) -> None:
+    """A paper's figures, table by table: printed, as published, exact."""
+    for head in dict.fromkeys((row["table"], row["quantity"], row["unit"]) for row in rows):
+        names = (
+            "h_c [km]",
+            "h_g [km]",
+            "zeta [deg]",
+            "printed",
+            "as published",
+            "exact",
+            "difference",
+        )
+        table = Table(
+            *(escape(name) for name in names),
+            title=escape(f"Table {head[0]}: {head[1]} [{head[2]}]"), box=None, title_justify="left",
+        )  # fmt: skip
+        for column in table.columns:
+            column.justify = "right"
+        for row in rows:
+            if (row["table"], row["quantity"], row["unit"]) == head:
+                table.add_row(
+                    _number(row["h_c_m"], 3, 1e-3), _number(row["h_g_m"], 3, 1e-3),
+                    _number(row["zeta_c_deg"], 4),
+                    *(_number(row[key], 4) for key in _FIGURES),
+                )  # fmt: skip
+        console.print(table)
+    for note in notes:
+        console.print(Padding(escape(note), (0, 0, 0, 2)))
+
+
+_FIGURES = ("printed", "as_published", "exact", "difference")
+
+
+def _number(value: float | None, digits: int, factor: float = 1.0) -> str:
+    """A figure without trailing zeros; nothing where there is none."""
+    return "" if value is None else f"{value * factor:.{digits}f}".rstrip("0").rstrip(".")
+
+
 def show_profile(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
     """A profile as a table."""
     heads = ("h [m]", "T [K]", "p [hPa]", "e [hPa]", "(n-1)e6", "Eq.", "source")
@@ -140,6 +178,7 @@ __all__ = [
     "show_check",
     "show_ledger",
     "show_log",
+    "show_paper",
     "show_profile",
     "show_run",
 ]

@@ -74,6 +74,9 @@ def where_from(manifest: Mapping[str, Any]) -> str:
             f" At the height of the cameras the air is {profile['departure_at_cameras_k']:+.1f} K "
             f"against {profile['standard']}."
         )
+    method = manifest["config"]["refraction"]["method"]
+    if method != "spherical":
+        sentence += f" Rays by the published method {method}, for comparison, not for work."
     return sentence
 
 

@@ -1,0 +1,177 @@
+"""Gyer 1996, Tables 2 to 7."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pipeline.atmosphere import standard_atmosphere
+from pipeline.atmosphere.air import IndexModel, refractivity_gyer
+from pipeline.atmosphere.profile import Profile, stack_layers
+from pipeline.refraction.papers.rows import Array, Block, block, printed_table
+from pipeline.refraction.published.gyer import STEP_M, gyer1996, plane_first_term, subtended_angle
+from pipeline.refraction.ray import refraction_angle
+from pipeline.refraction.window import leave_compartment
+from pipeline.units import ARCSEC, DEGREE, HECTOPASCAL
+
+GYER_RADIUS_M = 6_378_000.0
+CABIN_TEMPERATURE_K = 294.26  # 70 F
+CABIN_PRESSURE_PA = 701.2 * HECTOPASCAL
+PRESSURISED_ABOVE_M = 3000.0
+
+NOTES = (
+    "Table 2 is the ARDC Model Atmosphere 1959, not US 1976 as its heading says; p at -1 km "
+    "computes as 1139.31 for 1139.30.",
+    "Tables 3 and 4 carry the error of a 1 km step: at 25 km and 85 deg printed 465.69, exact "
+    "457.86.",
+    "Table 5 is the difference to the first term of Eq. 24; the further terms, as they follow from "
+    "Eq. 22, would add up to 6.5 arcsec at 85 deg.",
+    "Table 6: R_c is up to 1.5 arcsec low, the error of thin shells; the size of his shells is not "
+    "printed, 0.2 m are taken here. The distance is the arc r_e theta_c, at sea level.",
+    "Table 7 has the sign of Eq. 39; Eq. 38 prints the opposite one. Its n are up to 0.014e-6 low.",
+)
+
+
+def gyer_air() -> Profile:
+    """The air behind Gyer's Tables 3 to 7.
+
+    The temperatures of ARDC 1959, which his Table 2 shows (its heading says 1976), with M0 and R*
+    as he states them after Eq. 53, and Eq. 13. With ARDC's own constants, 5e-5 apart, Table 2 fits
+    better and Tables 3 and 4 less well (0.0151 arcsec for 0.0146 at worst).
+    """
+    ardc = standard_atmosphere("ardc1959", index="gyer")
+    edge = ardc.layers.edge
+    temperature = ardc.virtual_temperature(ardc.break_heights_m)
+    layers = stack_layers(
+        edge,
+        temperature,
+        np.zeros(edge.size),
+        ardc.layers.source,
+        anchor=(0.0, 101325.0),
+    )
+    return Profile(layers, ardc.gravity, IndexModel("gyer"), "gyer1996")
+
+
+def _arcsec(angle: ArrayLike) -> Array:
+    return np.asarray(angle, np.float64) / ARCSEC
+
+
+def gyer_rows() -> list[Block]:
+    air = gyer_air()
+    return [*_gyer_2(), *_gyer_3_to_5(air), *_gyer_6(air), *_gyer_7(air)]
+
+
+def _gyer_2() -> list[Block]:
+    table = printed_table("gyer1996_table2")
+    h = table["h_km"] * 1e3
+    ardc = standard_atmosphere("ardc1959", index="gyer")
+    columns = (
+        ("temperature", "K", "temperature_k", ardc.temperature(h)),
+        ("pressure", "hPa", "pressure_mbar", ardc.pressure(h) / HECTOPASCAL),
+        ("n - 1", "1e-6", "refractivity_n_minus_1_e6", ardc.refractivity(h) * 1e6),
+    )
+    return [
+        block("2", name, unit, h_c=h, printed=table[key], published=value)
+        for name, unit, key, value in columns
+    ]
+
+
+def _gyer_3_to_5(air: Profile) -> list[Block]:
+    blocks = []
+    for name, label, key in (
+        ("gyer1996_tables3_4", "3-4", "r_c_arcsec"),
+        ("gyer1996_table5", "5", "r_spherical_minus_plane_arcsec"),
+    ):
+        table = printed_table(name)
+        h_c, h_g, degrees = table["h_c_km"] * 1e3, table["h_g_km"] * 1e3, table["zeta_c_deg"]
+        ray = (air, h_c, h_g, degrees * DEGREE, GYER_RADIUS_M)
+        published, exact = gyer1996(*ray), np.asarray(refraction_angle(*ray))
+        quantity = "R_c"
+        if label == "5":
+            published = published - plane_first_term(*ray, step=STEP_M)
+            exact = exact - plane_first_term(*ray)
+            quantity = "R_c spherical - plane"
+        blocks.append(
+            block(
+                label,
+                quantity,
+                "arcsec",
+                h_c=h_c,
+                h_g=h_g,
+                zeta_deg=degrees,
+                printed=table[key],
+                published=_arcsec(published),
+                exact=_arcsec(exact),
+            )
+        )
+    return blocks
+
+
+def grazing_angle(profile: Profile, h_c: Array, h_g: Array, radius: float) -> Array:
+    """Apparent nadir angle [rad] of the ray that is level at ``h_g`` [m] (Gyer 1996, Eq. 1).
+
+    >>> h = np.array([10000.0]), np.array([0.0])
+    >>> (grazing_angle(gyer_air(), *h, GYER_RADIUS_M) / DEGREE).round(4).tolist()
+    [86.9873]
+    """
+    k = (1.0 + profile.refractivity(h_g)) * (radius + h_g)
+    return np.asarray(np.arcsin(k / ((1.0 + profile.refractivity(h_c)) * (radius + h_c))))
+
+
+def _gyer_6(air: Profile) -> list[Block]:
+    table = printed_table("gyer1996_table6")
+    h_c, h_g = table["h_c_km"] * 1e3, table["h_g_km"] * 1e3
+    zeta_c = grazing_angle(air, h_c, h_g, GYER_RADIUS_M)
+    published = gyer1996(air, h_c, h_g, zeta_c, GYER_RADIUS_M)
+    # A rounding error above the true angle would already miss the ground; 1e-12 rad is 2e-6 arcsec
+    # of R_c here.
+    exact = np.asarray(refraction_angle(air, h_c, h_g, zeta_c - 1e-12, GYER_RADIUS_M))
+
+    # His distance is the arc at sea level. It cannot be had from the exact R_c, 1 arcsec of which
+    # is 2 km of it.
+    theta = subtended_angle(air, h_c, h_g, zeta_c, np.full(h_c.shape, GYER_RADIUS_M), STEP_M)
+
+    degrees = zeta_c / DEGREE
+    figures = (
+        ("zeta_c", "deg", "zeta_c_deg_for_zeta_g_90", degrees, degrees),
+        ("distance", "km", "distance_km", GYER_RADIUS_M * theta / 1e3, np.nan),
+        ("R_c", "arcsec", "r_c_arcsec", _arcsec(published), _arcsec(exact)),
+    )
+    return [
+        block(
+            "6", name, unit, h_c=h_c, h_g=h_g, zeta_deg=degrees, printed=table[key],
+            published=first, exact=second,
+        )
+        for name, unit, key, first, second in figures
+    ]  # fmt: skip
+
+
+def _gyer_7(air: Profile) -> list[Block]:
+    table = printed_table("gyer1996_table7")
+    h_c = table["h_c_km"] * 1e3
+    outside = air.refractivity(h_c)
+    pressure = np.where(h_c <= PRESSURISED_ABOVE_M, air.pressure(h_c), CABIN_PRESSURE_PA)
+    cabin = refractivity_gyer(CABIN_TEMPERATURE_K, pressure)
+    ray = np.full((h_c.size, 3), [math.sqrt(0.5), 0.0, math.sqrt(0.5)])
+    bent = (air, h_c, 0.0, 45.0 * DEGREE, GYER_RADIUS_M)
+    r_c, exact = gyer1996(*bent), np.asarray(refraction_angle(*bent))
+    # Eq. 38 with the sign of Eq. 39; tan(zeta_f) = 1.
+    r_cc = (cabin - outside) / (1.0 + outside)
+    exact_cc = leave_compartment(ray, cabin, outside)[1]
+    figures = (
+        ("n_c - 1", "1e-6", "n_c_minus_1_e6", outside * 1e6, outside * 1e6),
+        ("n_cc - 1", "1e-6", "n_cc_minus_1_e6", cabin * 1e6, cabin * 1e6),
+        ("R_c", "arcsec", "r_c_arcsec", _arcsec(r_c), _arcsec(exact)),
+        ("R_cc", "arcsec", "r_cc_arcsec", _arcsec(r_cc), _arcsec(exact_cc)),
+        ("R_c - R_cc", "arcsec", "r_c_minus_r_cc_arcsec", _arcsec(r_c - r_cc),
+         _arcsec(exact - exact_cc)),
+    )  # fmt: skip
+    return [
+        block(
+            "7", name, unit, h_c=h_c, h_g=0.0, zeta_deg=45.0, printed=table[key],
+            published=first, exact=second,
+        )
+        for name, unit, key, first, second in figures
+    ]  # fmt: skip

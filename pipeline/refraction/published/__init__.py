@@ -1,0 +1,72 @@
+"""The refraction methods of Gyer 1996, Saastamoinen 1974, Bertram 1966 and the Manual.
+
+For comparison and for reproducing older work; `pipeline.refraction.refraction_angle` is what one
+computes with. Every method in `PUBLISHED` is a function ``(profile, h_c, h_g, zeta_c, radius)``:
+
+profile : the air.
+h_c, h_g : heights of camera and ground above sea level [m].
+zeta_c : apparent nadir angle at the camera [rad].
+radius : of the sphere [m]; the plane forms do not look at it.
+
+Arguments broadcast. It returns R_c [rad], NaN where the method is not defined: never for
+zeta_c >= 90 degrees, a ground above the camera, or heights that the profile does not cover, and
+within narrower limits where the function says so.
+"""
+
+from __future__ import annotations
+
+from pipeline.refraction.published.bertram import (
+    bertram1966,
+    bertram1966_curved,
+    bertram1966_from_ground,
+)
+from pipeline.refraction.published.gyer import gyer1996, plane, plane_first_term
+from pipeline.refraction.published.manual import manual
+from pipeline.refraction.published.moist import plane_moist
+from pipeline.refraction.published.saastamoinen import (
+    compartment,
+    quadratic_coefficients,
+    saastamoinen1974,
+    saastamoinen1974_fitted,
+    saastamoinen1974_ican,
+    saastamoinen1974_quadratic,
+    saastamoinen1974_series,
+    saastamoinen1974_weather,
+    weather_refraction,
+)
+from pipeline.refraction.published.trace import Method
+
+PUBLISHED: dict[str, Method] = {
+    "plane": plane,
+    "gyer1996": gyer1996,
+    "saastamoinen1974": saastamoinen1974,
+    "saastamoinen1974_ican": saastamoinen1974_ican,
+    "saastamoinen1974_quadratic": saastamoinen1974_quadratic,
+    "saastamoinen1974_weather": saastamoinen1974_weather,
+    "saastamoinen1974_series": saastamoinen1974_series,
+    "bertram1966": bertram1966,
+    "manual": manual,
+}
+"""Methods by the name that ``refraction.method`` and ``unbend angle --method`` take."""
+
+__all__ = [
+    "PUBLISHED",
+    "Method",
+    "bertram1966",
+    "bertram1966_curved",
+    "bertram1966_from_ground",
+    "compartment",
+    "gyer1996",
+    "manual",
+    "plane",
+    "plane_first_term",
+    "plane_moist",
+    "quadratic_coefficients",
+    "saastamoinen1974",
+    "saastamoinen1974_fitted",
+    "saastamoinen1974_ican",
+    "saastamoinen1974_quadratic",
+    "saastamoinen1974_series",
+    "saastamoinen1974_weather",
+    "weather_refraction",
+]
