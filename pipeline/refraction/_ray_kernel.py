@@ -49,9 +49,10 @@ _LEVEL_M = 1e-4
 # No dry land lies lower. A ray whose lowest point is deeper meets the ground before it.
 _LOWEST_TERRAIN_M = -500.0
 
+_X2, _W2 = (0.5 * a for a in np.polynomial.legendre.leggauss(2))
 _X4, _W4 = (0.5 * a for a in np.polynomial.legendre.leggauss(4))
 _X8, _W8 = (0.5 * a for a in np.polynomial.legendre.leggauss(8))
-_X4, _X8 = 0.5 + _X4, 0.5 + _X8
+_X2, _X4, _X8 = 0.5 + _X2, 0.5 + _X4, 0.5 + _X8
 
 
 @_jit
@@ -104,6 +105,7 @@ def _bend_difference(  # type: ignore[no-untyped-def]
     b2_c = (r_c * cos_c) ** 2
     b2_g = b2_c - (h_c - h_g) * (r_c + r_g)
     steep = min(b2_g, b2_c) > 0.9 * max(b2_g, b2_c)
+    steepest = min(b2_g, b2_c) > 0.98 * max(b2_g, b2_c)
     low, high = min(h_c, h_g), max(h_c, h_g)
     integral = 0.0
     for i in range(_piece(edge, low), _piece(edge, high) + 1):
@@ -111,9 +113,16 @@ def _bend_difference(  # type: ignore[no-untyped-def]
         width = h_1 - h_0
         if width <= 0.0:
             continue
-        x, w = (_X4, _W4) if steep and width < 260.0 else (_X8, _W8)
+        # Far from grazing the integrand is nearly linear across a layer: the error of two nodes
+        # over 60 m, and of four over 260 m, is 1e-13 of the whole.
+        if steepest and width < 60.0:
+            x, w, count = _X2, _W2, 2
+        elif steep and width < 260.0:
+            x, w, count = _X4, _W4, 4
+        else:
+            x, w, count = _X8, _W8, 8
         part = 0.0
-        for j in range(x.size):
+        for j in range(count):
             h = h_0 + width * x[j]
             r = r_e + h
             n = _refractivity(edge, coefficient, i, h)
