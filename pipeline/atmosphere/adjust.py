@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.atmosphere.air import vapour_pressure
+from pipeline.atmosphere.belief import believable, judge_anchor
 from pipeline.atmosphere.hypsometry import (
     COLDEST_K,
     LAYER_M,
     WARMEST_K,
-    implied_temperature,
     temperatures_from_pressure,
 )
 from pipeline.atmosphere.profile import (
@@ -29,15 +29,12 @@ from pipeline.atmosphere.profile import (
     Profile,
     stack_layers,
 )
-from pipeline.atmosphere.samples import AirSamples, Samples, bin_by_height
+from pipeline.atmosphere.samples import BIN_M, AirSamples, Samples, bin_by_height
 from pipeline.geodesy import lambert_gravity
 from pipeline.ledger import Ledger
-from pipeline.units import HECTOPASCAL, VAPOUR_DEFICIT
+from pipeline.units import VAPOUR_DEFICIT
 
 Array = NDArray[np.float64]
-
-BIN_M = 50.0
-"""Thickness of the layers where temperature was measured [m']."""
 
 RELAXATION_M = 2500.0
 """The departure from the standard dies away over this distance from the last sample [m']."""
@@ -53,15 +50,6 @@ SMALLEST_CLIMB_M = 300.0
 
 SMALLEST_BAROMETRIC_CLIMB_M = 2000.0
 """... and without one (the error stays above 10 % of R below 1 km, whatever is done) [m]."""
-
-LARGEST_DISAGREEMENT_K = 8.0
-"""Thermometer against barometer and GNSS, mean over the common heights: more is a wrong sensor."""
-
-CLIMB_TO_COMPARE_M = 1000.0
-"""... but over less height than this the comparison itself is no better [m]."""
-
-ANCHOR_WARNING_PA, ANCHOR_LOSS_PA = 150.0, 500.0
-"""Residuals of the barometer against the profile that a sound pair of sensors does not reach."""
 
 _NODE_M = 250.0  # spacing of the nodes that carry the relaxation [m']
 
@@ -110,7 +98,7 @@ def build_adjusted_profile(
     barometer and GNSS alone 1.7 / 1.0 % at 3 / 6 km; US 1976 18 / 13 / 7 %.
     """
     standard = under_gravity(standard, latitude_rad)
-    samples = _believable(samples, standard, ledger)
+    samples = believable(samples, standard, ledger)
     temperature, pressure = samples.temperature, samples.pressure
     warm = _measured_nodes(temperature, standard)
     barometric = _barometric_nodes(pressure, standard, ledger)
@@ -180,55 +168,6 @@ def _why_standard(temperature: Samples | None, pressure: Samples | None, name: s
             f"{SMALLEST_BAROMETRIC_CLIMB_M:.0f} m are needed without a thermometer)"
         )
     return f"{'; '.join(spans)}: {kept}"
-
-
-def _believable(samples: AirSamples, standard: Profile, ledger: Ledger) -> AirSamples:
-    """The samples without the sensors that contradict physics, or one another.
-
-    Pressure must fall with GNSS height as it does in air of 180 to 335 K; a thermometer must agree
-    with the temperature that this implies, or it measures something else (a board, the cabin).
-    """
-    temperature, pressure = samples.temperature, samples.pressure
-    if pressure is None or pressure.extent_m < CLIMB_TO_COMPARE_M:
-        return samples
-    implied = implied_temperature(pressure, standard)
-    if implied is None or not COLDEST_K < implied < WARMEST_K:
-        found = "does not fall with height" if implied is None else f"implies {implied:.0f} K"
-        ledger.loss(
-            "AIR-NOT-OUTSIDE",
-            f"the pressure of {pressure.name} {found} over {pressure.extent_m:.0f} m of GNSS "
-            "height: it is not that of the air outside and is not used",
-            where=pressure.name,
-        )
-        return replace(samples, pressure=None)
-    excess = _excess_over_pressure(temperature, pressure, standard)
-    if temperature is None or excess is None or abs(excess) <= LARGEST_DISAGREEMENT_K:
-        return samples
-    ledger.loss(
-        "AIR-THERMOMETER",
-        f"{temperature.name} reads {excess:+.1f} K against what {pressure.name} and GNSS height "
-        "imply: it does not measure the air outside and is not used",
-        where=temperature.name,
-    )
-    return replace(samples, temperature=None)
-
-
-def _excess_over_pressure(
-    temperature: Samples | None, pressure: Samples, standard: Profile
-) -> float | None:
-    """Mean excess [K] of a thermometer over what pressure implies for the same heights."""
-    if temperature is None or temperature.extent_m < CLIMB_TO_COMPARE_M:
-        return None
-    low, high = np.min(temperature.used()[0]), np.max(temperature.used()[0])
-    with np.errstate(invalid="ignore"):
-        common = pressure.accepted & (pressure.h_m >= low) & (pressure.h_m <= high)
-    beside = replace(pressure, accepted=common)
-    if beside.extent_m < CLIMB_TO_COMPARE_M:
-        return None
-    implied = implied_temperature(beside, standard)
-    geopotential = standard.gravity.geopotential_height(temperature.h_m)
-    _, binned = bin_by_height(geopotential, temperature, BIN_M)
-    return None if implied is None or binned.size == 0 else float(np.mean(binned)) - implied
 
 
 def _measured_nodes(temperature: Samples | None, standard: Profile) -> _Nodes | None:
@@ -303,7 +242,7 @@ def _profile_through(
             break
         kinetic = np.where(virtual, temperature * dryness, temperature)
         vapour = _vapour_fraction(nodes, kinetic, relative, profile, samples.humidity)
-    _judge_anchor(profile, samples.pressure, ledger)
+    judge_anchor(profile, samples.pressure, ledger)
     return profile
 
 
@@ -357,31 +296,6 @@ def _anchored(
     if pressure is None or not bool(pressure.accepted.any()):
         return profile
     return profile.at_level(*pressure.used())
-
-
-def _judge_anchor(profile: Profile, pressure: Samples | None, ledger: Ledger) -> None:
-    """Say how well the measured pressures agree with the profile through the temperatures."""
-    if pressure is None or not bool(pressure.accepted.any()):
-        ledger.fallback(
-            "AIR-NO-BAROMETER",
-            "no static pressure outside: the profile keeps the standard's pressure at sea level",
-        )
-        return
-    h, measured = pressure.used()
-    residual = np.abs(measured - profile.pressure(h))
-    middle = float(np.nanmedian(residual))
-    what = (
-        f"pressure anchored to {pressure.name}: residuals of {middle / HECTOPASCAL:.2f} hPa in the "
-        f"median, {np.nanmax(residual) / HECTOPASCAL:.2f} hPa at most"
-    )
-    tell = ledger.note
-    if middle > ANCHOR_LOSS_PA:
-        tell = ledger.loss
-        what += ": temperature and pressure cannot both be those of the air outside"
-    elif middle > ANCHOR_WARNING_PA:
-        tell = ledger.warning
-        what += ": the sensors outside disagree"
-    tell("AIR-ANCHOR", what, where=pressure.name, count=int(measured.size))
 
 
 def _humidity_at(

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.atmosphere.profile import Profile, stack_layers
-from pipeline.atmosphere.samples import Samples, bin_by_height
+from pipeline.atmosphere.samples import BIN_M, Samples, bin_by_height
 
 Array = NDArray[np.float64]
 
@@ -16,7 +16,6 @@ LAYER_M = 500.0
 COLDEST_K, WARMEST_K = 180.0, 335.0
 """Temperatures that air has; a solution outside them is none [K]."""
 
-_BIN_M = 50.0
 _PRESSURE_NOISE = 3e-4  # of p: 0.2 hPa of barometer and 1.5 m of GNSS height, averaged in a bin
 _KINK_K = 4.0  # how far the departure from the standard bends from one layer to the next [K]
 _DEPARTURE_K = 20.0
@@ -111,7 +110,7 @@ def _binned(pressure: Samples, standard: Profile) -> tuple[Array, Array]:
     geopotential = standard.gravity.geopotential_height(pressure.h_m)
     with np.errstate(invalid="ignore", divide="ignore"):
         departure = np.log(pressure.value) - np.log(standard.pressure(pressure.h_m))
-    height, middle = bin_by_height(geopotential, pressure, _BIN_M, departure)
+    height, middle = bin_by_height(geopotential, pressure, BIN_M, departure)
     if height.size == 0:
         return height, middle
     return height, middle + np.log(standard.pressure(standard.gravity.height(height)))

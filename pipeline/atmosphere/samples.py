@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+BIN_M = 50.0
+"""Thickness of the layers where temperature was measured [m']."""
+
 _FEWEST_IN_BIN = 3
 
 

@@ -32,20 +32,20 @@ def run_many(
     With one job, ``bar`` shows the progress of each; side by side they stay silent.
     """
     shared = shared_outputs(configs)
-    todo = []
+    waiting = []
     for config in configs:
         if config in shared:
             yield config, shared[config]
         else:
-            todo.append(config)
-    if jobs == 1 or len(todo) < 2:
-        for config in todo:
+            waiting.append(config)
+    if jobs == 1 or len(waiting) < 2:
+        for config in waiting:
             with bar(config.stem) as progress:
                 end = attempt(one, config, progress)
             yield config, end
         return
     lost: list[Path] = []
-    yield from side_by_side(one, todo, jobs, lost)
+    yield from side_by_side(one, waiting, jobs, lost)
     # Whatever killed their workers, for want of memory most likely: now each has the machine alone.
     for config in lost:
         again: list[Path] = []
