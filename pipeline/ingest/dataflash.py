@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -253,7 +253,40 @@ def _channels(data: bytes, found: Walk, clock: _Clock, ledger: Ledger) -> tuple[
             channel = channel_of(rows, spec, ledger)
             if channel is not None:
                 channels.append(channel)
+    if _heights_are_ellipsoidal(data, found):
+        ledger.note(
+            "HEIGHT-ELLIPSOID",
+            f"the parameter {HEIGHT_OPTION} says that GNSS heights are above the ellipsoid: so are "
+            "all heights of this log",
+        )
+        channels = [_with_ellipsoidal_heights(channel) for channel in channels]
     return tuple(channels)
+
+
+# AP_GPS.h, DriverOptions::HeightEllipsoid: the receiver's height goes through the filter as it is.
+HEIGHT_OPTION = "GPS_DRV_OPTIONS"
+_HEIGHT_ELLIPSOID = 1 << 4
+
+
+def _heights_are_ellipsoidal(data: bytes, found: Walk) -> bool:
+    """Whether the autopilot was told to give heights above the ellipsoid."""
+    for number, definition in enumerate(found.definitions):
+        names = definition.dtype.names or ()
+        if definition.name != "PARM" or not {"Name", "Value"} <= set(names):
+            continue
+        records, _ = gather(data, found, number)
+        values = records["Value"][records["Name"] == HEIGHT_OPTION.encode()]
+        # Parameters are floats; a damaged one may hold anything.
+        if values.size and 0.0 <= values[-1] < 2**15 and int(values[-1]) & _HEIGHT_ELLIPSOID:
+            return True
+    return False
+
+
+def _with_ellipsoidal_heights(channel: Channel) -> Channel:
+    if "h_msl_m" not in channel.columns:
+        return channel
+    columns = dict(channel.columns)
+    return replace(channel, columns={"h_ellipsoid_m": columns.pop("h_msl_m")} | columns)
 
 
 def _instances(

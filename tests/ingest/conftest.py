@@ -13,7 +13,7 @@ REAL_LOGS = Path(__file__).resolve().parents[2].parent / "shared" / "logs"
 # struct letters and scale of the DataFlash format letters in use here (ArduPilot LogStructure.h)
 LETTERS = {
     "Q": ("Q", 1), "B": ("B", 1), "I": ("I", 1), "H": ("H", 1), "f": ("f", 1),
-    "c": ("h", 100), "C": ("H", 100), "e": ("i", 100), "L": ("i", 10**7),
+    "N": ("16s", 1), "c": ("h", 100), "C": ("H", 100), "e": ("i", 100), "L": ("i", 10**7),
 }  # fmt: skip
 
 
@@ -32,11 +32,11 @@ class DataFlashWriter:
         )
         self.formats[name] = (kind, letters)
 
-    def row(self, name: str, *values: float) -> None:
+    def row(self, name: str, *values: float | bytes) -> None:
         kind, letters = self.formats[name]
         layout = "<" + "".join(LETTERS[letter][0] for letter in letters)
         raw = [
-            value if letter == "f" else round(value * LETTERS[letter][1])
+            value if letter in "fN" else round(value * LETTERS[letter][1])
             for letter, value in zip(letters, values, strict=True)
         ]
         self.data += b"\xa3\x95" + bytes([kind]) + struct.pack(layout, *raw)

@@ -378,3 +378,26 @@ def test_any_damage_opens_or_refuses(tmp_path: Path, flight: Callable) -> None:
             outcome = "opened"
             assert sum(log.messages.values()) <= whole.offsets.shape[0]
         assert outcome in {"opened", "LOG-FORMAT", "LOG-NO-MESSAGES"}
+
+
+@pytest.mark.parametrize(("option", "ellipsoidal"), [(16.0, True), (64.0, False), (0.0, False)])
+def test_heights_above_the_ellipsoid_by_parameter(
+    option: float, ellipsoidal: bool, dataflash_writer: Callable, tmp_path: Path
+) -> None:
+    """ArduPilot, AP_GPS.h: bit 4 of GPS_DRV_OPTIONS makes GPS.Alt a height above the ellipsoid."""
+    writer = dataflash_writer()
+    writer.define(20, "GPS", "QBBIHBcLLe", "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt")
+    writer.define(21, "PARM", "QNf", "TimeUS,Name,Value")
+    writer.row("PARM", 1_000, b"GPS_DELAY_MS", 16.0)
+    writer.row("PARM", 1_000, b"GPS_DRV_OPTIONS", option)
+    for k in range(20):
+        writer.row(
+            "GPS", 5_000_000 + k * 200_000, 0, 3, 1000 + 200 * k, 1928, 12, 0.8, 47.0, 8.0, 600.0
+        )
+    path = tmp_path / "flight.bin"
+    path.write_bytes(writer.data)
+    log = open_log(path)
+    known, unknown = ("h_ellipsoid_m", "h_msl_m")[:: 1 if ellipsoidal else -1]
+    assert log.channel("GPS[0]")[known][0] == 600.0
+    assert unknown not in log.channel("GPS[0]").columns
+    assert bool(entries(log, "HEIGHT-ELLIPSOID")) is ellipsoidal
