@@ -62,7 +62,7 @@ def test_the_profile_is_the_air_that_was_measured(air):
     adjusted, ledger = adjust(measured(air, 3000.0))
     h = np.linspace(FIELD_M + 30.0, FIELD_M + 2970.0, 500)
     assert adjusted.basis == "thermometer"
-    # 50 m layers through an inversion 90 m thick: reached 0.12 K.
+    # 50 m layers through an inversion 90 m thick.
     assert np.abs(adjusted.profile.temperature(h) - temperature_k(h)).max() < 0.2
     assert np.abs(adjusted.profile.pressure(h) - air.pressure_pa(h)).max() < 8.0
     e = adjusted.profile.vapour_pressure(h)
@@ -193,7 +193,7 @@ def test_barometer_alone_passes_through_the_pressures(air):
     assert set(codes(ledger, Kind.FALLBACK)) == {"AIR-BAROMETRIC", "AIR-DRY"}
     _, h = flight(3000.0)
     residual = (air.pressure_pa(h) - adjusted.profile.pressure(h)) / 100.0
-    assert np.abs(residual).max() < 0.3  # hPa; reached 0.05
+    assert np.abs(residual).max() < 0.3  # hPa
     assert "in layers of 492 m" in adjusted.reason
 
 

@@ -100,7 +100,7 @@ def correct_with(
 def test_true_profile_and_true_stations_give_true_points(
     true_profile: Profile, truth: dict[str, pd.DataFrame]
 ) -> None:
-    # Measured: 6e-5 px at most, for the two formulas of the refractive index.
+    # Measured: 1.2e-4 px at most, for the two formulas of the refractive index.
     error, _ = correct_with(true_profile, truth["stations"], truth)
     assert np.isfinite(error).all()
     assert error.max() < 0.001

@@ -104,7 +104,6 @@ def test_against_gyers_scalar_equations(rotation, cabin):
     assert set(found.status.tolist()) == {OK}
     with mp.workdps(30):
         expected = np.array([gyer_scalar(*point, rotation, cabin) for point in POINTS])
-    # Reached: 3e-11 px.
     np.testing.assert_allclose(found.dx_px, expected[:, 0], rtol=0.0, atol=1e-8)
     np.testing.assert_allclose(found.dy_px, expected[:, 1], rtol=0.0, atol=1e-8)
     np.testing.assert_array_equal(found.x_px, x + found.dx_px)

@@ -31,7 +31,7 @@ def test_against_scalar_snell(normal, degrees, cabin, outside):
         inside = mp.atan2(sine, mp.mpf(float(ray @ normal)))
         bent = mp.asin(mp.sin(inside) * (1 + mp.mpf(cabin)) / (1 + mp.mpf(outside)))
         expected = float(bent - inside)
-    # Reached: 1e-17 rad; the cosine of the oracle's angle is known to 1e-16.
+    # The cosine of the oracle's angle is known to 1e-16.
     assert r_cc[0] == pytest.approx(expected, abs=2e-17 + 1e-11 * abs(expected))
     out = ray + change[0]
     assert np.linalg.norm(out) == pytest.approx(1.0, abs=4e-16)
