@@ -83,6 +83,36 @@ class Flight:
     heights: HeightSystem
 
 
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What is known of a mission before anything is corrected."""
+
+    plan: Plan
+    flight: Flight
+    observations: Observations
+    stations: Stations
+    samples: AirSamples
+    ledger: Ledger
+
+    def lines(self) -> list[tuple[str, str]]:
+        """For a person."""
+        roles = ", ".join(
+            f"{role.replace('_', ' ')} {channel.name}"
+            for role, channel in sorted(self.flight.roles.items())
+        )
+        cameras = Counter(self.stations.camera[self.stations.ok].tolist())
+        return [
+            ("log", f"{self.plan.mission.log.path}: {self.flight.log.format}"),
+            ("channels", roles),
+            ("stations", ", ".join(f"{n} of {name}" for name, n in cameras.items()) or "none"),
+            (
+                "observations",
+                f"{self.observations.rows:,} in {len(self.observations.images)} images",
+            ),
+            ("results", str(self.plan.output)),
+        ]
+
+
 def run_mission(path: Path, *, force: bool = False, progress: Progress | None = None) -> Outcome:
     """The main job: one mission, from its file to its folder of results."""
     progress = progress or Silent()
@@ -93,29 +123,23 @@ def run_mission(path: Path, *, force: bool = False, progress: Progress | None = 
         earlier = None if force else finished_before(plan)
         if earlier is not None:
             return outcome_of(plan, earlier, repeated=True)
-        ledger = Ledger()
-        progress.say("reading the observations")
-        observations = open_inputs(plan, ledger)
-        progress.say("reading the log")
-        flight = read_flight(plan, ledger)
-        stations = find_stations(plan, flight, observations, ledger)
-        samples = air_samples(flight.roles, flight.heights, mission.log.max_gap_s, ledger)
-        adjustment = adjust_air(mission, stations, samples, ledger)
+        found = look_at(plan, progress)
+        flight, stations, ledger = found.flight, found.stations, found.ledger
+        adjustment = adjust_air(mission, stations, found.samples, ledger)
         if adjustment.basis != "standard":
             stations = doubt_heights(stations, adjustment.profile, ledger)
-        progress.begin("correcting", observations.rows)
+        progress.begin("correcting", found.observations.rows)
         tally = correct(
-            mission, stations, adjustment.profile, observations, folder, ledger, flight.heights,
-            progress.advance,
+            mission, stations, adjustment.profile, found.observations, folder, ledger,
+            flight.heights, progress.advance,
         )  # fmt: skip
         progress.say("writing the report")
         write_tables(folder, stations, adjustment)
-        ledger.extend(flight.log.ledger)
         manifest = manifest_of(plan, flight.log, flight.roles, stations, adjustment, tally, ledger)
         report = folder.place("report.html")
         with translated(report):
             grids = {name: extent.grid for name, extent in tally.extents.items()}
-            write_report(report, manifest, adjustment, samples, grids)
+            write_report(report, manifest, adjustment, found.samples, grids)
         folder.seal("report.html")
         check_unchanged(plan)
         manifest["outputs"] = folder.outputs()
@@ -129,6 +153,19 @@ def finished_before(plan: Plan) -> dict[str, Any] | None:
     if manifest is None or manifest.get("fingerprint") != plan.fingerprint:
         return None
     return None if find_damage(plan.output, manifest, read=False) else manifest
+
+
+def look_at(plan: Plan, progress: Progress) -> Found:
+    """Read the inputs, and find the stations and what was measured of the air."""
+    ledger = Ledger()
+    progress.say("reading the observations")
+    observations = open_inputs(plan, ledger)
+    progress.say("reading the log")
+    flight = read_flight(plan, ledger)
+    stations = find_stations(plan, flight, observations, ledger)
+    samples = air_samples(flight.roles, flight.heights, plan.mission.log.max_gap_s, ledger)
+    ledger.extend(flight.log.ledger)
+    return Found(plan, flight, observations, stations, samples, ledger)
 
 
 def open_inputs(plan: Plan, ledger: Ledger) -> Observations:
@@ -147,7 +184,8 @@ def open_inputs(plan: Plan, ledger: Ledger) -> Observations:
 def read_flight(plan: Plan, ledger: Ledger) -> Flight:
     """The log, its channels in their roles, and how its heights go together."""
     section = plan.mission.log
-    log = open_log(plan.input("log").path)
+    file = plan.input("log")
+    log = open_log(file.path, file.sha256)
     channels = log.channels
     if section.local_origin is not None:
         origin = section.local_origin.build()
@@ -304,57 +342,16 @@ def write_tables(folder: RunFolder, stations: Stations, adjustment: Adjustment) 
         folder.seal(name)
 
 
-@dataclass(frozen=True, eq=False)
-class Checked:
-    """What can be said of a mission without correcting anything."""
-
-    plan: Plan
-    flight: Flight
-    observations: Observations
-    stations: Stations
-    samples: AirSamples
-    ledger: Ledger
-
-    def lines(self) -> list[tuple[str, str]]:
-        """For a person."""
-        roles = ", ".join(
-            f"{role.replace('_', ' ')} {channel.name}"
-            for role, channel in sorted(self.flight.roles.items())
-        )
-        cameras = Counter(self.stations.camera[self.stations.ok].tolist())
-        return [
-            ("log", f"{self.plan.mission.log.path}: {self.flight.log.format}"),
-            ("channels", roles),
-            ("stations", ", ".join(f"{n} of {name}" for name, n in cameras.items()) or "none"),
-            (
-                "observations",
-                f"{self.observations.rows:,} in {len(self.observations.images)} images",
-            ),
-            ("results", str(self.plan.output)),
-        ]
-
-
-def check_mission(path: Path) -> Checked:
+def check_mission(path: Path) -> Found:
     """A mission with everything read and found, and nothing corrected or written."""
-    plan = make_plan(load_mission(path), path.parent)
-    ledger = Ledger()
-    observations = open_inputs(plan, ledger)
-    flight = read_flight(plan, ledger)
-    stations = find_stations(plan, flight, observations, ledger)
-    samples = air_samples(flight.roles, flight.heights, plan.mission.log.max_gap_s, ledger)
-    ledger.extend(flight.log.ledger)
-    return Checked(plan, flight, observations, stations, samples, ledger)
+    return look_at(make_plan(load_mission(path), path.parent), Silent())
 
 
 def profile_of_mission(path: Path) -> tuple[Adjustment, AirSamples, Ledger]:
     """The profile of the air that a run would use."""
     found = check_mission(path)
-    ledger = Ledger(found.ledger)
-    return (
-        adjust_air(found.plan.mission, found.stations, found.samples, ledger),
-        found.samples,
-        ledger,
-    )
+    adjustment = adjust_air(found.plan.mission, found.stations, found.samples, found.ledger)
+    return adjustment, found.samples, found.ledger
 
 
 def verify_run(path: Path) -> dict[str, Any]:

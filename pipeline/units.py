@@ -16,6 +16,7 @@ NANOSECONDS_PER_SECOND = 1_000_000_000
 STANDARD_GRAVITY = 9.80665  # G [m2 s-2 m'-1]; also g0 [m s-2]
 GAS_CONSTANT_1976 = 8314.32  # R* [J kmol-1 K-1]
 MOLAR_MASS_AIR = 28.9644  # M0 [kg kmol-1]
+HYDROSTATIC_CONSTANT = STANDARD_GRAVITY * MOLAR_MASS_AIR / GAS_CONSTANT_1976  # [K/m']
 
 # Ratio of the molar masses of water and dry air enters Tv = T / (1 - 0.378 e / p).
 VAPOUR_DEFICIT = 0.378

@@ -16,12 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pipeline.atmosphere.air import IndexModel
 from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity
-from pipeline.units import (
-    GAS_CONSTANT_1976,
-    MOLAR_MASS_AIR,
-    STANDARD_GRAVITY,
-    VAPOUR_DEFICIT,
-)
+from pipeline.units import HYDROSTATIC_CONSTANT, VAPOUR_DEFICIT
 
 Array = NDArray[np.float64]
 
@@ -40,7 +35,7 @@ def pressure_gradient_layer(
     temperature_base: ArrayLike,
     lapse: ArrayLike,
     rise: ArrayLike,
-    constant: float = STANDARD_GRAVITY * MOLAR_MASS_AIR / GAS_CONSTANT_1976,
+    constant: float = HYDROSTATIC_CONSTANT,
 ) -> Array:
     """Pressure [Pa] in a layer with a temperature gradient (Gyer 1996, Eq. 52).
 
@@ -67,7 +62,7 @@ def pressure_isothermal_layer(
     pressure_base: ArrayLike,
     temperature_base: ArrayLike,
     rise: ArrayLike,
-    constant: float = STANDARD_GRAVITY * MOLAR_MASS_AIR / GAS_CONSTANT_1976,
+    constant: float = HYDROSTATIC_CONSTANT,
 ) -> Array:
     """Pressure [Pa] in a layer of constant temperature (Gyer 1996, Eq. 53).
 
@@ -123,7 +118,7 @@ def stack_layers(
     source: tuple[str, ...],
     *,
     anchor: tuple[float, float],
-    constant: float = STANDARD_GRAVITY * MOLAR_MASS_AIR / GAS_CONSTANT_1976,
+    constant: float = HYDROSTATIC_CONSTANT,
 ) -> Layers:
     """Layers through temperatures at their edges, with pressure by Eq. 52-53 from one anchor.
 
@@ -182,7 +177,7 @@ class Profile:
     gravity: Gravity
     index: IndexModel = field(default_factory=IndexModel)
     name: str = "adjusted"
-    constant: float = STANDARD_GRAVITY * MOLAR_MASS_AIR / GAS_CONSTANT_1976
+    constant: float = HYDROSTATIC_CONSTANT
 
     @property
     def bottom_m(self) -> float:

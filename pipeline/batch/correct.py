@@ -110,21 +110,21 @@ def correct_stream(
     schema = schema_of(OBSERVATION_COLUMNS, metadata, list(observations.user_fields))
     names = pa.array(stations_image, pa.string())
     number_of = {name: number for number, name in enumerate(cameras)}
-    # An image that no exposure was found for has a station without a camera.
-    camera_of = np.array([number_of.get(name, -1) for name in stations_camera], np.int64)
+    # An image that no exposure was found for has a station without a camera; the last entry is
+    # for observations without a station.
+    camera_of = np.array([number_of.get(name, -1) for name in stations_camera] + [-1], np.int64)
     tally = Tally(
         {n: Extent(ImageGrid(s.camera.width_px, s.camera.height_px)) for n, s in cameras.items()}
     )
     for number, batch in enumerate(observations.batches(batch_rows)):
         row = _station_rows(batch.image, names)
         h_g = ground.heights(batch, row)
-        corrections = _correct_batch(
-            batch, row, h_g, exposures, cameras, np.append(camera_of, -1)[row], table
-        )
+        camera = camera_of[row]
+        corrections = _correct_batch(batch, row, h_g, exposures, cameras, camera, table)
         name = f"observations/part-{number:05d}.parquet"
         write_parquet(observation_table(batch, corrections, h_g, schema), folder.place(name))
         folder.seal(name)
-        _count(tally, batch, corrections, np.append(camera_of, -1)[row])
+        _count(tally, batch, corrections, camera)
         tally.parts = number + 1
         progress(len(batch))
     return tally

@@ -68,9 +68,11 @@ def _times_on_the_ground(height: Channel) -> NDArray[np.int64]:
     It stands where it moves neither along nor up over ten seconds, near the lowest height of the
     log; so each landing and take-off of a log with several flights is seen.
     """
-    column = "h_msl_m" if np.isfinite(height.columns.get("h_msl_m", [np.nan])).any() else None
-    h = height[column] if column else height.columns.get("h_ellipsoid_m", np.empty(0))
-    known = np.isfinite(h) & np.isfinite(height["lat_rad"]) if h.size else np.zeros(0, bool)
+    column = height.height_column
+    if column is None:
+        return np.empty(0, np.int64)
+    h = height[column]
+    known = np.isfinite(h) & np.isfinite(height["lat_rad"])
     if known.sum() < 3:
         return np.empty(0, np.int64)
     time_ns, h = height.time_ns[known], h[known]

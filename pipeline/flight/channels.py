@@ -91,6 +91,13 @@ class Channel:
         return all(column in self.columns for column in ROLE_COLUMNS[role])
 
     @property
+    def height_column(self) -> str | None:
+        """The column of heights above one surface, sea level before ellipsoid; None without."""
+        if np.isfinite(self.columns.get("h_msl_m", np.nan)).any():
+            return "h_msl_m"
+        return "h_ellipsoid_m" if "h_ellipsoid_m" in self.columns else None
+
+    @property
     def rate_hz(self) -> float:
         """Median sampling rate [1/s]; 0 with fewer than two samples."""
         if len(self) < 2:

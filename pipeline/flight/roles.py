@@ -13,7 +13,7 @@ from pipeline.errors import MissionError
 from pipeline.flight.channels import ROLE_COLUMNS, Channel
 from pipeline.flight.trajectory import interpolate
 from pipeline.ledger import Ledger
-from pipeline.units import HECTOPASCAL, STANDARD_GRAVITY, ZERO_CELSIUS_K
+from pipeline.units import HECTOPASCAL, HYDROSTATIC_CONSTANT, ZERO_CELSIUS_K
 
 Array = NDArray[np.float64]
 
@@ -239,37 +239,32 @@ def _fill_barometers(
     free = [c for c in channels if "pressure" in c.roles and c.name not in taken]
     free.sort(key=lambda channel: (channel.rank, channel.name))
     height = filled.get("height")
-    if "pressure" not in filled and "pressure" not in wishes and height is not None:
-        outside = []
-        for channel in free:
-            verdict = follows_height(channel, height)
-            if verdict is None or verdict:
-                outside.append(channel)
-            else:
-                ledger.note(
-                    "BARO-NOT-OUTSIDE",
-                    f"{channel.name} does not follow the GNSS height as outside air does: it is "
-                    "taken for a barometer in a closed compartment",
-                    where=channel.name,
-                )
+    settled = filled.keys() | wishes.keys()
+    seek_cabin = needs_cabin and "cabin_pressure" not in settled
+    if height is None or ("pressure" in settled and not seek_cabin):
+        return
+    indoors = [channel for channel in free if follows_height(channel, height) is False]
+    if "pressure" not in settled:
+        for channel in indoors:
+            ledger.note(
+                "BARO-NOT-OUTSIDE",
+                f"{channel.name} does not follow the GNSS height as outside air does: it is taken "
+                "for a barometer in a closed compartment",
+                where=channel.name,
+            )
+        outside = [channel for channel in free if channel not in indoors]
         if outside:
             filled["pressure"] = outside[0]
             ledger.note("ROLE", f"pressure: {outside[0].name}", where="pressure")
-    if not needs_cabin or "cabin_pressure" in filled or "cabin_pressure" in wishes:
+    if not seek_cabin:
         return
-    outside_name = filled["pressure"].name if "pressure" in filled else ""
-    inside = [
-        c
-        for c in free
-        if c.name != outside_name and height is not None and follows_height(c, height) is False
-    ]
-    if len(inside) == 1:
-        filled["cabin_pressure"] = inside[0]
-        ledger.note("ROLE", f"cabin pressure: {inside[0].name}", where="cabin_pressure")
-    elif inside:
+    if len(indoors) == 1:
+        filled["cabin_pressure"] = indoors[0]
+        ledger.note("ROLE", f"cabin pressure: {indoors[0].name}", where="cabin_pressure")
+    elif indoors:
         ledger.warning(
             "ROLE-AMBIGUOUS",
-            f"{', '.join(c.name for c in inside)} could each be the cabin pressure",
+            f"{', '.join(c.name for c in indoors)} could each be the cabin pressure",
             where="log.channels.cabin_pressure",
         )
 
@@ -281,8 +276,7 @@ def follows_height(barometer: Channel, height: Channel) -> bool | None:
     less than 1 % of pressure unexplained. None where the flight spans under 300 m of height, too
     little to tell.
     """
-    column = "h_msl_m" if np.isfinite(height.columns.get("h_msl_m", np.nan)).any() else None
-    column = column or ("h_ellipsoid_m" if "h_ellipsoid_m" in height.columns else None)
+    column = height.height_column
     if column is None:
         return None
     h = interpolate(height, column, barometer.time_ns, max_gap_s=5.0)
@@ -296,5 +290,5 @@ def follows_height(barometer: Channel, height: Channel) -> bool | None:
     slope = float(parabola[1])
     if slope >= 0.0:
         return False
-    implied_k = STANDARD_GRAVITY / 287.05 / -slope
+    implied_k = HYDROSTATIC_CONSTANT / -slope
     return bool(190.0 < implied_k < 330.0 and np.sqrt(np.mean(rest**2)) < 0.01)

@@ -27,12 +27,13 @@ _RELATIVES = (
 )
 
 
-def open_log(path: Path | str) -> Log:
+def open_log(path: Path | str, sha256: str | None = None) -> Log:
     """Read a flight log: MAVLink telemetry (.tlog), ArduPilot DataFlash (.bin) or ROS 2 MCAP.
 
     Parameters
     ----------
     path : the file; its content and its extension have to agree.
+    sha256 : its hash, where the caller has taken it already; else it is taken here.
 
     Returns the log with its channels in SI. Raises LogError (LOG-MISSING, LOG-EMPTY, LOG-FORMAT,
     LOG-NO-MESSAGES, LOG-UNREADABLE) when nothing can be used. Damage is no reason to refuse: it is
@@ -43,7 +44,7 @@ def open_log(path: Path | str) -> Log:
         if not path.is_file():
             what = "it is a folder" if path.is_dir() else "there is no such file"
             raise LogError("LOG-MISSING", what, where=str(path), remedy="check the path of the log")
-        return _read(path)
+        return _read(path, sha256)
     except OSError as error:
         raise LogError(
             "LOG-UNREADABLE",
@@ -53,7 +54,7 @@ def open_log(path: Path | str) -> Log:
         ) from error
 
 
-def _read(path: Path) -> Log:
+def _read(path: Path, sha256: str | None) -> Log:
     size = path.stat().st_size
     if size == 0:
         raise LogError(
@@ -65,7 +66,7 @@ def _read(path: Path) -> Log:
     with path.open("rb") as stream:
         head = stream.read(HEAD_BYTES)
     form = _format_of(path, head)
-    sha256 = hash_file(path)
+    sha256 = sha256 or hash_file(path)
     ledger = Ledger()
     contents = form.read(path, ledger)
     _refuse_useless(path, form, contents, ledger)
