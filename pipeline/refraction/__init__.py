@@ -2,19 +2,21 @@
 
 from pipeline.refraction.camera import Camera
 from pipeline.refraction.image import Corrections, Exposures, correct_observations
+from pipeline.refraction.lens import LensInAir
 from pipeline.refraction.ray import METHODS, RayTable, bend, ray_table, refraction_angle
 from pipeline.refraction.status import STATUS_NAMES
-from pipeline.refraction.window import NO_WINDOW, Cabin
+from pipeline.refraction.window import Cabin, Window
 
 __all__ = [
     "METHODS",
-    "NO_WINDOW",
     "STATUS_NAMES",
     "Cabin",
     "Camera",
     "Corrections",
     "Exposures",
+    "LensInAir",
     "RayTable",
+    "Window",
     "bend",
     "correct_observations",
     "ray_table",
