@@ -217,12 +217,7 @@ def profile(
     from pipeline.stages import profile_sources
     from pipeline.tables.writing import profile_arrow
 
-    if (config is None) == (atmosphere is None):
-        raise ConfigError(
-            "PROFILE-ARGUMENTS",
-            "give a mission file, or --atmosphere",
-            remedy="for example: unbend profile --atmosphere us1976",
-        )
+    _refuse_two_airs(config, atmosphere)
     console = _console()
     with PatientBar(console, "finding the air"):
         adjustment, samples, ledger = profile_sources(config, atmosphere)
@@ -288,6 +283,111 @@ def verify(
         f"{escape(str(run))}: {len(manifest['outputs'])} files of mission "
         f"{escape(str(manifest['mission']))} are whole"
     )
+
+
+@app.command(epilog="Example: unbend export results/survey --format lattice --out grid.parquet")
+def export(
+    run: Annotated[Path, typer.Argument(help="a folder of results", metavar="RUN")],
+    name: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            help="lattice, lattice-csv: dx, dy on a grid over each image; radial, radial-csv: by "
+            "nadir angle, per flying height",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="the file to write")],
+    columns: Annotated[int, typer.Option(min=2, max=1000, help="of the lattice")] = 21,
+    rows: Annotated[int, typer.Option(min=2, max=1000, help="of the lattice")] = 15,
+    ground_height: Annotated[
+        float | None,
+        typer.Option(
+            help="metres above sea level; by default the median of each image's observations"
+        ),
+    ] = None,
+    force: Annotated[bool, typer.Option(help="replace the file if it is there")] = False,
+) -> None:
+    """Write the results of a run for other programs."""
+    from pipeline.report.progress import PatientBar
+    from pipeline.report.terminal import show_ledger
+    from pipeline.stages import export_run
+    from pipeline.tables.exports import ExportOptions
+
+    console = _console()
+    options = ExportOptions(columns, rows, ground_height)
+    with PatientBar(console, f"exporting {run.name}"):
+        written, ledger = export_run(run, name, out, options, force=force)
+    console.print(f"{escape(str(out))}: {written:,} rows")
+    show_ledger(console, ledger.rows())
+    raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)
+
+
+@app.command(
+    epilog="Example: unbend radial --atmosphere us1976 --camera-height 3000 --camera-height 6000 "
+    "--ground-height 0 --focal-px 20000"
+)
+def radial(
+    camera_height: Annotated[
+        list[float], typer.Option(help="metres above sea level; may be given several times")
+    ],
+    ground_height: Annotated[float, typer.Option(help="metres above sea level")],
+    atmosphere: Annotated[str | None, typer.Option(help="name of a standard atmosphere")] = None,
+    config: Annotated[Path | None, typer.Option(help="a mission file: the air it flew in")] = None,
+    focal_px: Annotated[float | None, typer.Option(help="principal distance, pixels")] = None,
+    max_angle: Annotated[float, typer.Option(help="largest nadir angle, degrees")] = 60.0,
+    step: Annotated[float, typer.Option(min=0.01, help="degrees between rows")] = 5.0,
+    radius: Annotated[float, typer.Option(help="radius of the earth, metres")] = 6_371_000.0,
+    csv: Annotated[Path | None, typer.Option(help="write the rows as CSV")] = None,
+) -> None:
+    """Refraction by nadir angle for flying heights, and K of the Manual of Photogrammetry."""
+    from pipeline.refraction.radial import angles_to, radial_table
+    from pipeline.report.progress import PatientBar
+    from pipeline.report.radial import radial_rows, show_radial
+    from pipeline.report.terminal import show_ledger
+    from pipeline.stages import profile_sources
+
+    _refuse_two_airs(config, atmosphere)
+    console = _console()
+    angles = angles_to(max_angle, step)
+    with PatientBar(console, "finding the air"):
+        adjustment, _, ledger = profile_sources(config, atmosphere)
+    tables = [
+        radial_table(adjustment.profile, h, ground_height, angles, focal_px=focal_px, radius=radius)
+        for h in camera_height
+    ]
+    if csv is not None:
+        _write_csv(csv, radial_rows(tables))
+    else:
+        show_radial(console, tables)
+        show_ledger(console, ledger.rows())
+    raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)
+
+
+@app.command(epilog="Example: unbend compare --out docs/accuracy.md")
+def compare(
+    atmosphere: Annotated[str, typer.Option(help="name of a standard atmosphere")] = "us1976",
+    out: Annotated[
+        Path | None, typer.Option(help="write the page as Markdown, its picture beside it as .png")
+    ] = None,
+) -> None:
+    """How far each published method can be trusted, against the spherical ray."""
+    from pipeline.report.accuracy import compare_all, show_accuracy
+    from pipeline.stages import write_comparison
+
+    found = compare_all(atmosphere)
+    if out is None:
+        show_accuracy(_console(), found)
+    else:
+        write_comparison(found, out)
+
+
+def _refuse_two_airs(config: Path | None, atmosphere: str | None) -> None:
+    if (config is None) == (atmosphere is None):
+        raise ConfigError(
+            "PROFILE-ARGUMENTS",
+            "give either a mission file or --atmosphere",
+            remedy="for example: --atmosphere us1976",
+        )
 
 
 @app.callback(invoke_without_command=True)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 
 from pipeline.atmosphere import Profile, standard_atmosphere
 from pipeline.atmosphere.adjust import (
@@ -22,10 +23,25 @@ from pipeline.atmosphere.adjust import (
 )
 from pipeline.atmosphere.air import IndexModel
 from pipeline.atmosphere.samples import AirSamples
-from pipeline.batch.correct import CameraSetup, Ground, Tally, correct_stream
-from pipeline.batch.look import exposures_of, warn_of_calibration
+from pipeline.batch.correct import CameraSetup, Ground, Recipe, Tally, correct_stream
+from pipeline.batch.look import (
+    exposures_of,
+    tell_of_lenses,
+    tell_of_windows,
+    warn_of_calibration,
+)
 from pipeline.batch.manifest import Outcome, manifest_of, outcome_of
 from pipeline.batch.plan import Plan, check_unchanged, make_plan
+from pipeline.batch.results import (
+    check_reproduced,
+    ground_of,
+    mission_of,
+    parts_of,
+    profile_of,
+    refuse_output,
+    stations_of,
+    written_whole,
+)
 from pipeline.batch.store import (
     RunFolder,
     find_damage,
@@ -34,7 +50,7 @@ from pipeline.batch.store import (
     translated,
 )
 from pipeline.config import Mission, load_mission
-from pipeline.errors import MissionError, StorageError
+from pipeline.errors import ConfigError, MissionError, StorageError
 from pipeline.flight.air import air_samples
 from pipeline.flight.channels import Channel
 from pipeline.flight.exposures import (
@@ -45,6 +61,7 @@ from pipeline.flight.exposures import (
     events_of_channel,
     events_of_table,
     refuse_repeated_images,
+    require_aircraft_attitude,
     require_cabin_air,
 )
 from pipeline.flight.heights import HeightSystem, ground_offsets, height_system
@@ -62,12 +79,14 @@ from pipeline.ingest import Log, open_log
 from pipeline.ledger import Ledger
 from pipeline.refraction.image import Exposures
 from pipeline.refraction.ray import rays_by
-from pipeline.refraction.window import NO_WINDOW, OPTICAL_AXIS
+from pipeline.report.accuracy import Accuracy, accuracy_page, text_hash
+from pipeline.report.accuracy_figure import accuracy_png
 from pipeline.report.html import write_report
 from pipeline.report.progress import Progress, Silent
 from pipeline.tables.events import EventColumns, read_events
+from pipeline.tables.exports import ExportCamera, ExportOptions, FinishedRun, find_format
 from pipeline.tables.observations import Observations, open_observations
-from pipeline.tables.schemas import REFRACTION_KEY, REFRACTION_REMOVED
+from pipeline.tables.schemas import REFRACTION_APPLIED, REFRACTION_KEY, REFRACTION_REMOVED
 from pipeline.tables.writing import profile_arrow, stations_table, write_parquet
 
 PROFILE_ID = "flight"
@@ -170,14 +189,14 @@ def look_at(plan: Plan, progress: Progress) -> Found:
 
 def open_inputs(plan: Plan, ledger: Ledger) -> Observations:
     """The table of observations, checked."""
-    section, ground = plan.mission.observations, plan.mission.ground.height
-    column = None if isinstance(ground, float) else ground.column
+    section, ground = plan.mission.observations, plan.mission.ground
     return open_observations(
         plan.input("observations").path,
         section.columns.model_dump(),
-        column,
+        ground.column,
         ledger,
-        ground_is_msl=plan.mission.ground.reference == "msl",
+        ground_is_msl=ground.reference == "msl",
+        direction=plan.mission.refraction.direction,
     )
 
 
@@ -202,8 +221,8 @@ def read_flight(plan: Plan, ledger: Ledger) -> Flight:
 
 
 def reads_cabin(mission: Mission) -> bool:
-    """Whether a window takes its cabin air from the log."""
-    return any(c.window is not None and c.window.cabin == "log" for c in mission.cameras.values())
+    """Whether a window or a lens takes its cabin air from the log."""
+    return any(camera.needs_cabin_from_log for camera in mission.cameras.values())
 
 
 def find_events(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -> list[Events]:
@@ -254,8 +273,10 @@ def find_stations(
     ]
     stations = join_stations(parts)
     for name, camera in mission.cameras.items():
-        if camera.window is not None and camera.window.cabin == "log":
+        if camera.needs_cabin_from_log:
             stations = require_cabin_air(stations, name, ledger)
+        if camera.window is not None and camera.window.frame == "body":
+            stations = require_aircraft_attitude(stations, name, ledger)
     stations = name_the_unmatched(stations, observations.images, ledger)
     report_flagged(stations, ledger)
     return stations
@@ -288,24 +309,25 @@ def correct(
     """The stream of observations through window, air and camera."""
     ground = mission.ground
     offsets = ground_offsets(ground.reference, stations, heights)
-    constant = ground.height if isinstance(ground.height, float) else None
-    tally = correct_stream(
-        observations,
+    direction = mission.refraction.direction
+    recipe = Recipe(
         stations.image,
         stations.camera,
         look_through(mission, stations, profile, ledger),
-        Ground(constant, offsets),
+        Ground(ground.constant_m, offsets, ground.from_distance),
         {name: setup_of(mission, name) for name in mission.cameras},
         rays_by(profile, mission.refraction.method),
-        folder,
-        mission.output.batch_rows,
-        {
-            REFRACTION_KEY.decode(): REFRACTION_REMOVED.decode(),
-            "unbend.mission": mission.mission.name,
-            "unbend.pixel_origin": mission.observations.pixel_origin,
-            "unbend.ground_reference": ground.reference,
-        },
-        advance,
+        direction,
+    )
+    mark = REFRACTION_REMOVED if direction == "remove" else REFRACTION_APPLIED
+    metadata = {
+        REFRACTION_KEY.decode(): mark.decode(),
+        "unbend.mission": mission.mission.name,
+        "unbend.pixel_origin": mission.observations.pixel_origin,
+        "unbend.ground_reference": ground.reference,
+    }
+    tally = correct_stream(
+        observations, recipe, folder, mission.output.batch_rows, metadata, advance
     )
     tally.report_flagged(ledger)
     return tally
@@ -317,19 +339,18 @@ def look_through(
     """What the rays of each exposure need to know: attitude, and the air beside the window."""
     for name, camera in mission.cameras.items():
         warn_of_calibration(name, camera.calibration, ledger)
-    cabins = {
-        name: camera.window.air() if camera.window is not None else NO_WINDOW
-        for name, camera in mission.cameras.items()
-    }
-    return exposures_of(stations, profile, cabins, mission.refraction.radius_m, ledger)
+    cameras = mission.cameras.items()
+    windows = {name: camera.window.build() for name, camera in cameras if camera.window}
+    lenses = {name: lens for name, camera in cameras if (lens := camera.lens()) is not None}
+    tell_of_windows(windows, ledger)
+    tell_of_lenses(mission.cameras, lenses, ledger)
+    return exposures_of(stations, profile, windows, lenses, mission.refraction.radius_m, ledger)
 
 
 def setup_of(mission: Mission, name: str) -> CameraSetup:
-    """Interior orientation, window, and what takes the user's pixels to COLMAP's."""
-    camera = mission.cameras[name]
-    normal = OPTICAL_AXIS if camera.window is None else np.array(camera.window.normal)
+    """Interior orientation, and what takes the user's pixels to COLMAP's."""
     observed = mission.observations
-    return CameraSetup(camera.build(observed.pixel_origin), normal, observed.offset_px)
+    return CameraSetup(mission.cameras[name].build(observed.pixel_origin), observed.offset_px)
 
 
 def write_tables(folder: RunFolder, stations: Stations, adjustment: Adjustment) -> None:
@@ -383,3 +404,69 @@ def profile_sources(
         return profile_of_mission(config)
     standard = standard_atmosphere(atmosphere or "")
     return unadjusted(standard, f"the standard atmosphere {standard.name}"), AirSamples(), Ledger()
+
+
+def export_run(
+    path: Path, name: str, out: Path, options: ExportOptions, *, force: bool = False
+) -> tuple[int, Ledger]:
+    """Write a finished run in a format of other programs; rows written, and what was left out."""
+    found = find_format(name, out)
+    refuse_output(path, out, force=force)
+    ledger = Ledger()
+    run = rebuild_run(path, options.ground_height_m, ledger)
+    with written_whole(out) as draft:
+        rows = found.write(run, options, draft, ledger)
+    return rows, ledger
+
+
+def rebuild_run(path: Path, ground_height_m: float | None, ledger: Ledger) -> FinishedRun:
+    """A run as it was, from its folder alone; refuses one that does not come out the same."""
+    manifest = verify_run(path)
+    mission = mission_of(manifest, path)
+    stations = stations_of(pq.read_table(path / "stations.parquet"))
+    profile = profile_of(pq.read_table(path / "profile.parquet"))
+    parts = parts_of(manifest, path)
+    constant = None if ground_height_m is None else np.full(len(stations), ground_height_m)
+    run = FinishedRun(
+        mission.mission.name,
+        stations,
+        look_through(mission, stations, profile, Ledger()),
+        profile,
+        rays_by(profile, mission.refraction.method),
+        mission.refraction.method,
+        {name: export_camera(mission, name) for name in mission.cameras},
+        ground_of(parts, stations, ledger) if constant is None else constant,
+        parts,
+        {
+            "unbend.mission": mission.mission.name,
+            "unbend.fingerprint": manifest["fingerprint"],
+            "unbend.pixel_origin": mission.observations.pixel_origin,
+        },
+    )
+    check_reproduced(run, path)
+    return run
+
+
+def export_camera(mission: Mission, name: str) -> ExportCamera:
+    """A camera as exports need it."""
+    setup = setup_of(mission, name)
+    window = mission.cameras[name].window
+    windowed = window is not None and window.shape == "plane"
+    return ExportCamera(setup.camera, setup.pixel_offset, windowed)
+
+
+def write_comparison(found: Accuracy, path: Path) -> None:
+    """The comparison of the methods as a page, and its picture beside it."""
+    if path.suffix.lower() != ".md":
+        raise ConfigError(
+            "PAGE-FORMAT",
+            f"the page is Markdown and ends in .md, not in {path.suffix or 'nothing'}",
+            where=str(path),
+            remedy="its picture gets the same name with .png",
+        )
+    picture = path.with_suffix(".png")
+    text = accuracy_page(found, picture.name)
+    png = accuracy_png(found.drawn, text_hash(text))
+    for target, content in ((path, text.encode()), (picture, png)):
+        with written_whole(target) as draft:
+            draft.write_bytes(content)

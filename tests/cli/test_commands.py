@@ -12,7 +12,10 @@ import pytest
 import pipeline
 from pipeline.refraction import angle
 
-COMMANDS = ("run", "check", "inspect", "angle", "profile", "simulate", "verify")
+COMMANDS = (
+    "run", "check", "inspect", "angle", "radial", "tables", "profile", "compare", "simulate",
+    "export", "verify",
+)  # fmt: skip
 
 
 @pytest.fixture(autouse=True)
