@@ -18,7 +18,6 @@ import math
 import numpy as np
 
 from pipeline.refraction._jit import jit
-from pipeline.refraction._polynomials import refractivity
 
 # The series is left where its terms fall too slowly: w u and w m at the target.
 LARGEST_DROP = 0.06
@@ -51,24 +50,32 @@ _X3 = 0.5 + _X3
 
 
 @jit
-def _add(edge, coefficient, i, low, high, h_c, n_c, x, moments):  # type: ignore[no-untyped-def]
-    """Add the moments of the air between two heights of piece i."""
-    width = high - low
-    index2 = (1.0 + n_c) * (1.0 + n_c)
+def refractivity_near(local, i, u):  # type: ignore[no-untyped-def]
+    """N at the share u of interval i, by its polynomial of degree 5."""
+    value = local[i, 5]
+    for j in range(4, -1, -1):
+        value = value * u + local[i, j]
+    return value
+
+
+@jit
+def _add(fine, local, i, high, h_c, n_c, x, moments):  # type: ignore[no-untyped-def]
+    """Add the moments of the air of interval i, up to ``high``."""
+    low, index2 = fine[i], (1.0 + n_c) * (1.0 + n_c)
+    share = (high - low) / (fine[i + 1] - low)
     for j in range(_X3.size):
-        h = low + width * _X3[j]
-        n = refractivity(edge, coefficient, i, h)
+        n = refractivity_near(local, i, share * _X3[j])
         m = (n - n_c) * (2.0 + n + n_c)
         moments[-1] = max(moments[-1], abs(m))
-        y = h_c - h
-        share = 1.0 - y * x
+        y = h_c - (low + (high - low) * _X3[j])
+        inside = 1.0 - y * x
         along = y * (2.0 - y * x)
-        power = _W3[j] * width / share
+        power = _W3[j] * (high - low) / inside
         for p in range(_ORDERS):
-            power *= m / index2 * share * share
+            power *= m / index2 * inside * inside
             term = power
             # Of the logarithm by x: of (1 - y x)^(2p - 1), and of (2 - y x)^k.
-            slope = -(2 * p + 1) * y / share
+            slope = -(2 * p + 1) * y / inside
             step = -y / (2.0 - y * x)
             for k in range(_LONGEST[p]):
                 value = _FACTOR[p, k] * term
@@ -79,9 +86,7 @@ def _add(edge, coefficient, i, low, high, h_c, n_c, x, moments):  # type: ignore
 
 
 @jit
-def fill(  # type: ignore[no-untyped-def]
-    edge, coefficient, fine, fine_piece, h_c, n_c, x, first, last, table
-):
+def fill(fine, local, h_c, n_c, x, first, last, table):  # type: ignore[no-untyped-def]
     """Moments from ``fine[i]`` up to the camera into ``table[i]``, for i from first down to last.
 
     ``table[first + 1]`` must hold those of the height above.
@@ -89,8 +94,7 @@ def fill(  # type: ignore[no-untyped-def]
     for i in range(first, last - 1, -1):
         for column in range(WIDTH):
             table[i, column] = table[i + 1, column]
-        high = min(fine[i + 1], h_c)
-        _add(edge, coefficient, fine_piece[i], fine[i], high, h_c, n_c, x, table[i])
+        _add(fine, local, i, min(fine[i + 1], h_c), h_c, n_c, x, table[i])
 
 
 @jit

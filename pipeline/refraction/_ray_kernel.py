@@ -100,21 +100,36 @@ def _bend_difference(  # type: ignore[no-untyped-def]
 
 
 @jit
-def angle_of(half, sense, s, rise, along, b2_g, r_c, r_g):  # type: ignore[no-untyped-def]
-    """R_c from half the difference of the subtended angles; ``sense`` is -1 upwards."""
+def sides_of(half, sense, s, rise, along, b2_g, r_c, r_g):  # type: ignore[no-untyped-def]
+    """Two lengths, across and ahead, whose ratio is tan R_c.
+
+    ``half`` is half the difference of the subtended angles, ``sense`` is -1 upwards.
+    """
     q = math.sqrt(b2_g)
     upon = along + q
     # half is below 0.01: the next terms are 1e-14 of these.
-    sin_half = half * (1.0 - half * half * (1.0 - 0.05 * half * half) / 6.0)
-    cos_half = 1.0 - 0.5 * half * half * (1.0 - half * half / 12.0)
-    across = 2.0 * sin_half
-    aside = across * (q * cos_half + s * sin_half) * upon
-    ahead = rise * (r_c + r_g) - sense * across * (s * cos_half - q * sin_half) * upon
-    tangent = aside / ahead
-    if abs(tangent) > 0.01 or ahead <= 0.0:
-        return math.atan2(aside, ahead)
+    square = half * half
+    sin_half = half - half * square * (1.0 / 6.0 - square / 120.0)
+    cos_half = 1.0 - square * (0.5 - square / 24.0)
+    across = 2.0 * sin_half * upon
+    ahead = rise * (r_c + r_g) - sense * across * (s * cos_half - q * sin_half)
+    return across * (q * cos_half + s * sin_half), ahead
+
+
+@jit
+def small_angle(tangent):  # type: ignore[no-untyped-def]
+    """Arctangent of up to 0.01, to 1e-16 of it."""
     square = tangent * tangent
-    return tangent * (1.0 - square * (1.0 / 3.0 - square * (0.2 - square / 7.0)))
+    return tangent - tangent * square * (1.0 / 3.0 - square * (0.2 - square / 7.0))
+
+
+@jit
+def angle_of(half, sense, s, rise, along, b2_g, r_c, r_g):  # type: ignore[no-untyped-def]
+    """R_c from half the difference of the subtended angles; ``sense`` is -1 upwards."""
+    aside, ahead = sides_of(half, sense, s, rise, along, b2_g, r_c, r_g)
+    if abs(aside) < 0.01 * ahead:
+        return small_angle(aside / ahead)
+    return math.atan2(aside, ahead)
 
 
 @jit
