@@ -9,7 +9,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from survey import CAMERA, air, exposures, image_names, write_observations
 
-from pipeline.batch.correct import CameraSetup, Ground, Recipe, correct_stream
+from pipeline.batch.correct import Recipe, correct_stream
+from pipeline.batch.ground import Ground
+from pipeline.batch.look import CameraSetup
 from pipeline.batch.store import open_folder
 from pipeline.ledger import Ledger
 from pipeline.refraction.ray import rays_by

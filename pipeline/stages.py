@@ -5,14 +5,10 @@ Read from top to bottom. Nothing is computed here; every step is a call into the
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-import pyarrow.parquet as pq
 
 from pipeline.atmosphere import Profile, standard_atmosphere
 from pipeline.atmosphere.adjust import (
@@ -23,113 +19,39 @@ from pipeline.atmosphere.adjust import (
 )
 from pipeline.atmosphere.air import IndexModel
 from pipeline.atmosphere.samples import AirSamples
-from pipeline.batch.correct import CameraSetup, Ground, Recipe, Tally, correct_stream
-from pipeline.batch.look import (
-    exposures_of,
-    tell_of_lenses,
-    tell_of_windows,
-    warn_of_calibration,
-)
+from pipeline.batch.correct import Recipe, correct_stream
+from pipeline.batch.find import Found, find_stations, open_inputs, read_flight
+from pipeline.batch.ground import Ground
+from pipeline.batch.look import look_through, setup_of
 from pipeline.batch.manifest import Outcome, manifest_of, outcome_of
 from pipeline.batch.plan import Plan, check_unchanged, make_plan
-from pipeline.batch.results import (
-    check_reproduced,
-    ground_of,
-    mission_of,
-    parts_of,
-    profile_of,
-    refuse_output,
-    stations_of,
-    written_whole,
-)
+from pipeline.batch.results import rebuild_run, refuse_output
 from pipeline.batch.store import (
     RunFolder,
     find_damage,
     open_folder,
     read_manifest,
     translated,
+    written_whole,
 )
+from pipeline.batch.tally import Tally
 from pipeline.config import Mission, load_mission
-from pipeline.errors import ConfigError, MissionError, StorageError
+from pipeline.errors import ConfigError, StorageError
 from pipeline.flight.air import air_samples
-from pipeline.flight.channels import Channel
-from pipeline.flight.exposures import (
-    Events,
-    account_for_triggers,
-    build_stations,
-    choose_event_channel,
-    events_of_channel,
-    events_of_table,
-    refuse_repeated_images,
-    require_aircraft_attitude,
-    require_cabin_air,
-)
-from pipeline.flight.heights import HeightSystem, ground_offsets, height_system
-from pipeline.flight.local import locate
-from pipeline.flight.quality import within_reason
-from pipeline.flight.roles import Wish, assign_roles, warn_of_gimbal
-from pipeline.flight.stations import (
-    Stations,
-    doubt_heights,
-    join_stations,
-    name_the_unmatched,
-    report_flagged,
-)
-from pipeline.ingest import Log, open_log
+from pipeline.flight.heights import HeightSystem, ground_offsets
+from pipeline.flight.stations import Stations, doubt_heights
 from pipeline.ledger import Ledger
-from pipeline.refraction.image import Exposures
 from pipeline.refraction.ray import rays_by
 from pipeline.report.accuracy import Accuracy, accuracy_page, text_hash
 from pipeline.report.accuracy_figure import accuracy_png
 from pipeline.report.html import write_report
 from pipeline.report.progress import Progress, Silent
-from pipeline.tables.events import EventColumns, read_events
-from pipeline.tables.exports import ExportCamera, ExportOptions, FinishedRun, find_format
-from pipeline.tables.observations import Observations, open_observations
+from pipeline.tables.exports import ExportOptions, find_format
+from pipeline.tables.observations import Observations
 from pipeline.tables.schemas import REFRACTION_APPLIED, REFRACTION_KEY, REFRACTION_REMOVED
 from pipeline.tables.writing import profile_arrow, stations_table, write_parquet
 
 PROFILE_ID = "flight"
-
-
-@dataclass(frozen=True, eq=False)
-class Flight:
-    """A log after its channels were given their roles."""
-
-    log: Log
-    channels: tuple[Channel, ...]
-    roles: dict[str, Channel]
-    heights: HeightSystem
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """What is known of a mission before anything is corrected."""
-
-    plan: Plan
-    flight: Flight
-    observations: Observations
-    stations: Stations
-    samples: AirSamples
-    ledger: Ledger
-
-    def lines(self) -> list[tuple[str, str]]:
-        """For a person."""
-        roles = ", ".join(
-            f"{role.replace('_', ' ')} {channel.name}"
-            for role, channel in sorted(self.flight.roles.items())
-        )
-        cameras = Counter(self.stations.camera[self.stations.ok].tolist())
-        return [
-            ("log", f"{self.plan.mission.log.path}: {self.flight.log.format}"),
-            ("channels", roles),
-            ("stations", ", ".join(f"{n} of {name}" for name, n in cameras.items()) or "none"),
-            (
-                "observations",
-                f"{self.observations.rows:,} in {len(self.observations.images)} images",
-            ),
-            ("results", str(self.plan.output)),
-        ]
 
 
 def run_mission(path: Path, *, force: bool = False, progress: Progress | None = None) -> Outcome:
@@ -187,101 +109,6 @@ def look_at(plan: Plan, progress: Progress) -> Found:
     return Found(plan, flight, observations, stations, samples, ledger)
 
 
-def open_inputs(plan: Plan, ledger: Ledger) -> Observations:
-    """The table of observations, checked."""
-    section, ground = plan.mission.observations, plan.mission.ground
-    return open_observations(
-        plan.input("observations").path,
-        section.columns.model_dump(),
-        ground.column,
-        ledger,
-        ground_is_msl=ground.reference == "msl",
-        direction=plan.mission.refraction.direction,
-    )
-
-
-def read_flight(plan: Plan, ledger: Ledger) -> Flight:
-    """The log, its channels in their roles, and how its heights go together."""
-    section = plan.mission.log
-    file = plan.input("log")
-    log = open_log(file.path, file.sha256)
-    channels = log.channels
-    if section.local_origin is not None:
-        origin = section.local_origin.build()
-        channels = tuple(locate(channel, origin) for channel in channels)
-    wishes = {role: Wish(c.name, c.unit) for role, c in section.channels.named().items()}
-    roles = assign_roles(channels, wishes, ledger, needs_cabin=reads_cabin(plan.mission))
-    sound = {role: within_reason(channel, role, ledger) for role, channel in roles.items()}
-    warn_of_gimbal(log.messages, ledger)
-    heights = height_system(sound, plan.mission.mission.undulation_m, ledger)
-    stated_home = plan.mission.ground.home_h_msl_m
-    if stated_home is not None:
-        heights = replace(heights, home_h_msl_m=stated_home)
-    return Flight(log, channels, sound, heights)
-
-
-def reads_cabin(mission: Mission) -> bool:
-    """Whether a window or a lens takes its cabin air from the log."""
-    return any(camera.needs_cabin_from_log for camera in mission.cameras.values())
-
-
-def find_events(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -> list[Events]:
-    """When each camera was exposed, from the log or from a table."""
-    section = plan.mission.events
-    if section.log is not None:
-        found = []
-        for camera, how in section.log.items():
-            channel = choose_event_channel(channels, how.channel)
-            account_for_triggers(channels, channel, ledger)
-            found.append(events_of_channel(channel, camera, how.image, how.delay_s, ledger))
-        return found
-    csv = section.csv
-    if csv is None:
-        raise MissionError("EVENTS-NONE", "the mission names no events", where="events")
-    table = read_events(plan.input("events").path, EventColumns(**csv.columns.model_dump()), ledger)
-    only = csv.camera or next(iter(plan.mission.cameras))
-    camera_of = table.camera if table.camera is not None else np.full(table.image.shape, only)
-    for name in sorted(set(camera_of.tolist()) - set(plan.mission.cameras)):
-        raise MissionError(
-            "EVENTS-CAMERA",
-            f"the table of exposures speaks of camera {name!r}",
-            where=str(csv.path),
-            remedy=f"cameras are {', '.join(plan.mission.cameras)}",
-        )
-    return [
-        events_of_table(table.image, camera_of, table.time_ns, camera, csv.delay_s)
-        for camera in plan.mission.cameras
-    ]
-
-
-def find_stations(
-    plan: Plan, flight: Flight, observations: Observations, ledger: Ledger
-) -> Stations:
-    """One row an exposure: position, attitude and air, or the reason why not."""
-    mission = plan.mission
-    events = find_events(plan, flight.channels, ledger)
-    refuse_repeated_images(events)
-    parts = [
-        build_stations(
-            event,
-            flight.roles,
-            mission.mount[event.camera].build(),
-            flight.heights,
-            mission.log.max_gap_s,
-        )
-        for event in events
-    ]
-    stations = join_stations(parts)
-    for name, camera in mission.cameras.items():
-        if camera.needs_cabin_from_log:
-            stations = require_cabin_air(stations, name, ledger)
-        if camera.window is not None and camera.window.frame == "body":
-            stations = require_aircraft_attitude(stations, name, ledger)
-    stations = name_the_unmatched(stations, observations.images, ledger)
-    report_flagged(stations, ledger)
-    return stations
-
-
 def adjust_air(
     mission: Mission, stations: Stations, samples: AirSamples, ledger: Ledger
 ) -> Adjustment:
@@ -331,26 +158,6 @@ def correct(
     )
     tally.report_flagged(ledger)
     return tally
-
-
-def look_through(
-    mission: Mission, stations: Stations, profile: Profile, ledger: Ledger
-) -> Exposures:
-    """What the rays of each exposure need to know: attitude, and the air beside the window."""
-    for name, camera in mission.cameras.items():
-        warn_of_calibration(name, camera.calibration, ledger)
-    cameras = mission.cameras.items()
-    windows = {name: camera.window.build() for name, camera in cameras if camera.window}
-    lenses = {name: lens for name, camera in cameras if (lens := camera.lens()) is not None}
-    tell_of_windows(windows, ledger)
-    tell_of_lenses(mission.cameras, lenses, ledger)
-    return exposures_of(stations, profile, windows, lenses, mission.refraction.radius_m, ledger)
-
-
-def setup_of(mission: Mission, name: str) -> CameraSetup:
-    """Interior orientation, and what takes the user's pixels to COLMAP's."""
-    observed = mission.observations
-    return CameraSetup(mission.cameras[name].build(observed.pixel_origin), observed.offset_px)
 
 
 def write_tables(folder: RunFolder, stations: Stations, adjustment: Adjustment) -> None:
@@ -413,46 +220,10 @@ def export_run(
     found = find_format(name, out)
     refuse_output(path, out, force=force)
     ledger = Ledger()
-    run = rebuild_run(path, options.ground_height_m, ledger)
+    run = rebuild_run(path, verify_run(path), options.ground_height_m, ledger)
     with written_whole(out) as draft:
         rows = found.write(run, options, draft, ledger)
     return rows, ledger
-
-
-def rebuild_run(path: Path, ground_height_m: float | None, ledger: Ledger) -> FinishedRun:
-    """A run as it was, from its folder alone; refuses one that does not come out the same."""
-    manifest = verify_run(path)
-    mission = mission_of(manifest, path)
-    stations = stations_of(pq.read_table(path / "stations.parquet"))
-    profile = profile_of(pq.read_table(path / "profile.parquet"))
-    parts = parts_of(manifest, path)
-    constant = None if ground_height_m is None else np.full(len(stations), ground_height_m)
-    run = FinishedRun(
-        mission.mission.name,
-        stations,
-        look_through(mission, stations, profile, Ledger()),
-        profile,
-        rays_by(profile, mission.refraction.method),
-        mission.refraction.method,
-        {name: export_camera(mission, name) for name in mission.cameras},
-        ground_of(parts, stations, ledger) if constant is None else constant,
-        parts,
-        {
-            "unbend.mission": mission.mission.name,
-            "unbend.fingerprint": manifest["fingerprint"],
-            "unbend.pixel_origin": mission.observations.pixel_origin,
-        },
-    )
-    check_reproduced(run, path)
-    return run
-
-
-def export_camera(mission: Mission, name: str) -> ExportCamera:
-    """A camera as exports need it."""
-    setup = setup_of(mission, name)
-    window = mission.cameras[name].window
-    windowed = window is not None and window.shape == "plane"
-    return ExportCamera(setup.camera, setup.pixel_offset, windowed)
 
 
 def write_comparison(found: Accuracy, path: Path) -> None:

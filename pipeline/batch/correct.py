@@ -10,7 +10,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,63 +18,21 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from pipeline.batch.ground import Ground, plausible
+from pipeline.batch.look import CameraSetup
 from pipeline.batch.store import RunFolder
-from pipeline.ledger import Ledger
-from pipeline.refraction.camera import Camera
+from pipeline.batch.tally import Tally
 from pipeline.refraction.chord import target_heights
 from pipeline.refraction.forward import apply_refraction
 from pipeline.refraction.image import Corrections, Exposures, correct_observations
 from pipeline.refraction.ray import PublishedRays, RayTable
-from pipeline.refraction.spread import SPREADS, Extent, ImageGrid, Spread
-from pipeline.refraction.status import NO_STATION, STATUS_NAMES
+from pipeline.refraction.status import NO_STATION
 from pipeline.tables.marks import Direction
 from pipeline.tables.observations import Batch, Observations
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
 from pipeline.tables.writing import observation_table, write_parquet
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class CameraSetup:
-    """One camera: its interior orientation, and what takes the user's pixels to COLMAP's."""
-
-    camera: Camera
-    pixel_offset: float
-
-
-LOWEST_GROUND_M, HIGHEST_GROUND_M = -600.0, 10_000.0
-"""Ground heights outside this are no ground heights [m]."""
-
-
-@dataclass(frozen=True, eq=False)
-class Ground:
-    """Heights of the points above sea level: a constant, or a column plus what makes it so.
-
-    ``offset_m`` (s,) is added per station: minus the undulation for ellipsoidal heights, the
-    take-off height for relative ones. ``from_distance`` where they follow from the slant ranges.
-    """
-
-    constant_m: float | None
-    offset_m: Array
-    from_distance: bool = False
-
-    def heights(self, batch: Batch, row: NDArray[np.int64]) -> Array:
-        """(n,) heights above sea level [m] of the points of a batch."""
-        if batch.ground is not None:
-            given = batch.ground
-        else:
-            given = np.full(len(batch), self.constant_m, dtype=np.float64)
-        given = plausible(given)
-        offset = np.append(self.offset_m, np.nan)[row]
-        # Without a station there is nothing to reduce with; the status says no_station anyway.
-        return np.asarray(given + np.where(row < 0, 0.0, offset))
-
-
-def plausible(height_m: Array) -> Array:
-    """Heights [m] with NaN for those of no ground."""
-    sound = (height_m >= LOWEST_GROUND_M) & (height_m <= HIGHEST_GROUND_M)
-    return np.where(sound, height_m, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,77 +49,6 @@ class Recipe:
     cameras: Mapping[str, CameraSetup]
     table: RayTable | PublishedRays
     direction: Direction = "remove"
-
-
-@dataclass
-class Tally:
-    """What the stream amounted to: counts, and how large the correction was in each camera."""
-
-    extents: dict[str, Extent]
-    rows: int = 0
-    parts: int = 0
-    status: dict[str, int] = field(default_factory=dict)
-    no_distance: int = 0
-
-    @classmethod
-    def of(cls, cameras: Mapping[str, CameraSetup]) -> Tally:
-        """Nothing yet."""
-        grids = {n: ImageGrid(s.camera.width_px, s.camera.height_px) for n, s in cameras.items()}
-        return cls({name: Extent(grid) for name, grid in grids.items()})
-
-    def add(self, batch: Batch, corrections: Corrections, camera: NDArray[np.int64]) -> None:
-        """Count a batch; ``camera`` (n,) numbers the cameras, -1 without one."""
-        self.rows += len(batch)
-        self.no_distance += batch.no_distance
-        self.parts += 1
-        counts = np.bincount(corrections.status, minlength=len(STATUS_NAMES))
-        for name, count in zip(STATUS_NAMES, counts.tolist(), strict=True):
-            self.status[name] = self.status.get(name, 0) + int(count)
-        for number, extent in enumerate(self.extents.values()):
-            mine = camera == number
-            if bool(mine.all()):
-                extent.add(batch.x_px, batch.y_px, corrections)
-            elif bool(mine.any()):
-                extent.add(batch.x_px[mine], batch.y_px[mine], corrections.rows(mine))
-
-    def merge(self, other: Tally) -> None:
-        """Count what another counted."""
-        self.rows += other.rows
-        self.no_distance += other.no_distance
-        self.parts += other.parts
-        for name, count in other.status.items():
-            self.status[name] = self.status.get(name, 0) + count
-        for name, extent in other.extents.items():
-            self.extents[name].merge(extent)
-
-    def correction(self) -> dict[str, Any]:
-        """How large the correction was, over all and camera by camera, for the manifest."""
-        together = {
-            name: sum((e.spreads()[name] for e in self.extents.values()), Spread()).summary()
-            for name in SPREADS
-        }
-        return together | {"cameras": {n: e.summary() for n, e in self.extents.items()}}
-
-    def report_flagged(self, ledger: Ledger) -> None:
-        """A line in the ledger for each reason why observations were not corrected."""
-        if self.no_distance:
-            ledger.warning(
-                "OBS-DISTANCE",
-                f"{self.no_distance} slant ranges are zero, negative, infinite or no number: taken "
-                "as absent",
-                where="observations.columns.distance_m",
-                count=self.no_distance,
-            )
-        for name, count in self.status.items():
-            what = f"{count} of {self.rows} observations are {name}"
-            if name == "ok" or count == 0:
-                continue
-            if name == "beyond_grazing":
-                ledger.loss("OBS-BEYOND-GRAZING", what + ": near branch used", count=count)
-            elif name == "far_branch":
-                ledger.note("OBS-FAR-BRANCH", what + ", by their slant range", count=count)
-            else:
-                ledger.loss("OBS-FLAGGED", what, count=count)
 
 
 def correct_stream(

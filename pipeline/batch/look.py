@@ -1,4 +1,4 @@
-"""From stations to what the rays of each exposure need to know."""
+"""From mission and stations to what the rays of each exposure need to know."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere import Profile
 from pipeline.atmosphere.air import vapour_pressure
+from pipeline.config import Mission
 from pipeline.errors import MissionError
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Ledger
+from pipeline.refraction.camera import Camera
 from pipeline.refraction.image import Exposures
 from pipeline.refraction.lens import LensInAir, is_absurd, principal_change
 from pipeline.refraction.window import (
@@ -248,3 +250,31 @@ def tell_of_lenses(cameras: Iterable[str], lenses: Mapping[str, LensInAir], ledg
             where="cameras.<name>.principal_distance",
             count=len(left),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class CameraSetup:
+    """One camera: its interior orientation, and what takes the user's pixels to COLMAP's."""
+
+    camera: Camera
+    pixel_offset: float
+
+
+def setup_of(mission: Mission, name: str) -> CameraSetup:
+    """Interior orientation, and what takes the user's pixels to COLMAP's."""
+    observed = mission.observations
+    return CameraSetup(mission.cameras[name].build(observed.pixel_origin), observed.offset_px)
+
+
+def look_through(
+    mission: Mission, stations: Stations, profile: Profile, ledger: Ledger
+) -> Exposures:
+    """What the rays of each exposure need to know: attitude, and the air beside the window."""
+    for name, camera in mission.cameras.items():
+        warn_of_calibration(name, camera.calibration, ledger)
+    cameras = mission.cameras.items()
+    windows = {name: camera.window.build() for name, camera in cameras if camera.window}
+    lenses = {name: lens for name, camera in cameras if (lens := camera.lens()) is not None}
+    tell_of_windows(windows, ledger)
+    tell_of_lenses(mission.cameras, lenses, ledger)
+    return exposures_of(stations, profile, windows, lenses, mission.refraction.radius_m, ledger)

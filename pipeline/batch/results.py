@@ -1,11 +1,9 @@
-"""A finished run's folder read back: mission, stations, air, ground."""
+"""A finished run read back from its folder: mission, stations, air, ground; and proved."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -20,14 +18,15 @@ from pydantic import ValidationError
 
 from pipeline.atmosphere.air import IndexModel
 from pipeline.atmosphere.profile import Layers, Profile
-from pipeline.batch.store import translated
+from pipeline.batch.look import look_through, setup_of
 from pipeline.config import Mission
 from pipeline.errors import ConfigError, MissionError
 from pipeline.flight.stations import NO_TIME, Stations
 from pipeline.geodesy import Gravity
 from pipeline.ledger import Ledger
 from pipeline.refraction.image import correct_observations
-from pipeline.tables.exports import FinishedRun
+from pipeline.refraction.ray import rays_by
+from pipeline.tables.exports import ExportCamera, FinishedRun
 
 Array = NDArray[np.float64]
 
@@ -167,13 +166,6 @@ def check_reproduced(run: FinishedRun, path: Path) -> None:
     names = pa.array(run.stations.image, pa.string())
     worst = 0.0
     for part in run.parts:
-        if "x_corrected_px" not in pq.read_schema(part).names:
-            raise ConfigError(
-                "EXPORT-DIRECTION",
-                "the run displaced ideal observations; there is no correction to export",
-                where=str(part),
-                remedy="export from a run that removes refraction",
-            )
         table = pq.read_table(part, columns=_CHECKED)
         table = table.take(np.arange(0, table.num_rows, 1 + table.num_rows // _MOST_CHECKED))
         worst = max(worst, _difference(run, table, _station_of(table, names)))
@@ -230,16 +222,48 @@ def refuse_output(run: Path, out: Path, *, force: bool) -> None:
         )
 
 
-@contextmanager
-def written_whole(path: Path) -> Iterator[Path]:
-    """A place to write to, beside ``path``; the file appears there when all of it is written."""
-    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
-    try:
-        with translated(path):
-            yield draft
-            with draft.open("rb") as file:
-                os.fsync(file.fileno())
-            draft.replace(path)
-    finally:
-        with suppress(OSError):
-            draft.unlink(missing_ok=True)
+def rebuild_run(
+    path: Path, manifest: dict[str, Any], ground_height_m: float | None, ledger: Ledger
+) -> FinishedRun:
+    """A run as it was, from its folder alone; refuses one that does not come out the same.
+
+    ``ground_height_m`` takes the place of the ground of each image, above sea level [m].
+    """
+    mission = mission_of(manifest, path)
+    if mission.refraction.direction != "remove":
+        raise ConfigError(
+            "EXPORT-DIRECTION",
+            "the run displaced ideal observations; there is no correction to export",
+            where=f"{path / 'manifest.json'}, refraction.direction",
+            remedy="export from a run that removes refraction",
+        )
+    stations = stations_of(pq.read_table(path / "stations.parquet"))
+    profile = profile_of(pq.read_table(path / "profile.parquet"))
+    parts = parts_of(manifest, path)
+    constant = None if ground_height_m is None else np.full(len(stations), ground_height_m)
+    run = FinishedRun(
+        mission.mission.name,
+        stations,
+        look_through(mission, stations, profile, Ledger()),
+        profile,
+        rays_by(profile, mission.refraction.method),
+        mission.refraction.method,
+        {name: export_camera(mission, name) for name in mission.cameras},
+        ground_of(parts, stations, ledger) if constant is None else constant,
+        parts,
+        {
+            "unbend.mission": mission.mission.name,
+            "unbend.fingerprint": manifest["fingerprint"],
+            "unbend.pixel_origin": mission.observations.pixel_origin,
+        },
+    )
+    check_reproduced(run, path)
+    return run
+
+
+def export_camera(mission: Mission, name: str) -> ExportCamera:
+    """A camera as exports need it."""
+    setup = setup_of(mission, name)
+    window = mission.cameras[name].window
+    windowed = window is not None and window.shape == "plane"
+    return ExportCamera(setup.camera, setup.pixel_offset, windowed)

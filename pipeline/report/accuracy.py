@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
+from rich.padding import Padding
 from rich.table import Table
 
 from pipeline.atmosphere import standard_atmosphere
@@ -243,5 +244,5 @@ def show_accuracy(console: Console, found: Accuracy) -> None:
         for row in rows:
             name = row[0].strip("`").replace("saastamoinen1974", "s1974")
             table.add_row(escape(name), *row[1:])
-        console.print(table)
+        console.print(Padding(table, (0, 0, 1, 0)))
     console.print("s1974 stands for saastamoinen1974; by height of the camera above sea level")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from pipeline.units import WGS84_A
 
@@ -30,6 +29,7 @@ def test_what_was_removed_is_applied_again(baseline, mission, plain_report):
     mission.config["refraction"] = {"direction": "apply"}
     ended = mission.run()
     assert ended.code == 0, ended.text
+    assert "59 of 59 observations were displaced" in ended.out
     found = mission.results()
     assert found.schema.metadata[b"unbend.refraction"] == b"applied"
     assert "x_corrected_px" not in found.column_names

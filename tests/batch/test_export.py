@@ -429,13 +429,15 @@ def test_a_run_that_does_not_come_out_again(copied, export, spoil):
     assert not out.exists()
 
 
-def test_a_run_that_displaced_observations(copied, export):
-    def displace(table):
-        names = [n.replace("_corrected_", "_displaced_") for n in table.schema.names]
-        return table.rename_columns(names)
-
-    rewrite(copied, "observations/part-00000.parquet", displace)
-    assert export(copied, "lattice")[1].err.startswith("EXPORT-DIRECTION: ")
+@pytest.mark.parametrize("name", ["lattice", "radial-csv"])
+def test_a_run_that_displaced_observations(mission, export, plain_report, name):
+    mission.config["refraction"] = {"direction": "apply"}
+    assert mission.run().code == 0
+    out, ended = export(mission.output, name)
+    assert ended.code == 2
+    assert ended.err.startswith("EXPORT-DIRECTION: ")
+    assert "refraction.direction" in ended.err
+    assert not out.exists()
 
 
 @pytest.mark.parametrize("ground", ["nan", "-700", "12000"])

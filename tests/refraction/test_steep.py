@@ -99,8 +99,8 @@ def theta_form(table, h_c, h_g, zeta):
         h = low + (high - low) * (nodes.astype(np.longdouble) + 1) / 2
         r, n = radius + h, index(i, h)
         theta += np.sum(weights * k / (r * np.sqrt((n * r) ** 2 - k * k))) * (high - low) / 2
-    r_c, r_g = radius + h_c, radius + h_g
-    chord = np.arctan2(r_g * np.sin(theta), r_c - r_g * np.cos(theta))
+    ahead = (h_c - h_g) / (radius + h_g) + 2 * np.sin(theta / 2) ** 2  # r_c / r_g - cos(theta)
+    chord = np.arctan2(np.sin(theta), ahead)
     return float((np.longdouble(zeta) - chord) * 648_000 / np.longdouble(np.pi))
 
 
