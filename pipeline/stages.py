@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.atmosphere import Profile, standard_atmosphere
+from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.adjust import (
     Adjustment,
     build_adjusted_profile,
@@ -20,6 +20,7 @@ from pipeline.atmosphere.adjust import (
 from pipeline.atmosphere.air import IndexModel
 from pipeline.atmosphere.samples import AirSamples
 from pipeline.batch.correct import Recipe, correct_stream
+from pipeline.batch.doubt import scale_of_block, tell_what_is_unknown, uncertainty_of_mission
 from pipeline.batch.find import Found, find_stations, open_inputs, read_flight
 from pipeline.batch.ground import Ground
 from pipeline.batch.look import look_through, setup_of
@@ -71,12 +72,17 @@ def run_mission(path: Path, *, force: bool = False, progress: Progress | None = 
             stations = doubt_heights(stations, adjustment.profile, ledger)
         progress.begin("correcting", found.observations.rows)
         tally = correct(
-            mission, stations, adjustment.profile, found.observations, folder, ledger,
-            flight.heights, progress.advance,
+            mission, stations, adjustment, found.observations, folder, ledger, flight.heights,
+            progress.advance,
         )  # fmt: skip
         progress.say("writing the report")
         write_tables(folder, stations, adjustment)
-        manifest = manifest_of(plan, flight.log, flight.roles, stations, adjustment, tally, ledger)
+        scale = scale_of_block(
+            adjustment.profile, adjustment.covariance, mission.refraction.radius_m, tally
+        )
+        manifest = manifest_of(
+            plan, flight.log, flight.roles, stations, adjustment, tally, scale, ledger
+        )
         report = folder.place("report.html")
         with translated(report):
             grids = {name: extent.grid for name, extent in tally.extents.items()}
@@ -126,7 +132,7 @@ def adjust_air(
 def correct(
     mission: Mission,
     stations: Stations,
-    profile: Profile,
+    adjustment: Adjustment,
     observations: Observations,
     folder: RunFolder,
     ledger: Ledger,
@@ -134,24 +140,30 @@ def correct(
     advance: Callable[[int], None],
 ) -> Tally:
     """The stream of observations through window, air and camera."""
-    ground = mission.ground
-    offsets = ground_offsets(ground.reference, stations, heights)
-    direction = mission.refraction.direction
+    section, profile, direction = mission.ground, adjustment.profile, mission.refraction.direction
+    offsets = ground_offsets(section.reference, stations, heights)
+    ground = Ground(section.constant_m, offsets, section.from_distance, section.sigma_m)
+    cameras = {name: setup_of(mission, name) for name in mission.cameras}
+    exposures = look_through(mission, stations, profile, ledger)
+    tell_what_is_unknown(mission, stations, adjustment.covariance, ledger)
     recipe = Recipe(
         stations.image,
         stations.camera,
-        look_through(mission, stations, profile, ledger),
-        Ground(ground.constant_m, offsets, ground.from_distance),
-        {name: setup_of(mission, name) for name in mission.cameras},
+        exposures,
+        ground,
+        cameras,
         rays_by(profile, mission.refraction.method),
         direction,
+        uncertainty_of_mission(
+            mission, stations, profile, adjustment.covariance, exposures, cameras, ground
+        ),
     )
     mark = REFRACTION_REMOVED if direction == "remove" else REFRACTION_APPLIED
     metadata = {
         REFRACTION_KEY.decode(): mark.decode(),
         "unbend.mission": mission.mission.name,
         "unbend.pixel_origin": mission.observations.pixel_origin,
-        "unbend.ground_reference": ground.reference,
+        "unbend.ground_reference": section.reference,
     }
     tally = correct_stream(
         observations, recipe, folder, mission.output.batch_rows, metadata, advance

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pipeline.atmosphere.air import vapour_pressure
 from pipeline.atmosphere.belief import believable, judge_anchor
+from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.hypsometry import (
     COLDEST_K,
     LAYER_M,
@@ -59,7 +60,8 @@ class Adjustment:
     """A profile, and how it came about.
 
     ``basis`` is thermometer | both | barometer | standard; ``reason`` says why in words;
-    ``time_ns`` is the middle of the samples that were used.
+    ``time_ns`` is the middle of the samples that were used. ``covariance`` is that of the profile,
+    None where it is not known.
     """
 
     profile: Profile
@@ -67,6 +69,7 @@ class Adjustment:
     basis: str
     reason: str
     time_ns: int | None = None
+    covariance: ProfileCovariance | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,8 +24,9 @@ from pipeline.batch.store import RunFolder
 from pipeline.batch.tally import Tally
 from pipeline.refraction.chord import target_heights
 from pipeline.refraction.forward import apply_refraction
-from pipeline.refraction.image import Corrections, Exposures, correct_observations
+from pipeline.refraction.image import COLUMNS, Corrections, Exposures, correct_observations
 from pipeline.refraction.ray import PublishedRays, RayTable
+from pipeline.refraction.sigmas import Sigmas, Uncertainty
 from pipeline.refraction.status import NO_STATION
 from pipeline.tables.marks import Direction
 from pipeline.tables.observations import Batch, Observations
@@ -39,7 +40,8 @@ Array = NDArray[np.float64]
 class Recipe:
     """All that turns a batch of observations into corrections.
 
-    ``images`` and ``cameras_of`` (s,) belong to the rows of ``exposures``.
+    ``images`` and ``cameras_of`` (s,) belong to the rows of ``exposures``. Without ``uncertainty``
+    no standard deviations are computed.
     """
 
     images: NDArray[np.object_]
@@ -49,6 +51,7 @@ class Recipe:
     cameras: Mapping[str, CameraSetup]
     table: RayTable | PublishedRays
     direction: Direction = "remove"
+    uncertainty: Uncertainty | None = None
 
 
 def correct_stream(
@@ -82,6 +85,8 @@ def correct_stream(
         folder.seal(name)
         tally = Tally.of(recipe.cameras)
         tally.add(batch, corrections, camera)
+        if recipe.uncertainty is not None:
+            tally.sample(corrections, np.append(recipe.exposures.height_m, np.nan)[row], h_g)
         return tally
 
     total = Tally.of(recipe.cameras)
@@ -150,14 +155,15 @@ def _correct_batch(
             return _correct_rows(batch, slice(None), row, h_g, setup, recipe)
         if mine.size:
             parts.append((mine, _correct_rows(batch, mine, row, h_g, setup, recipe)))
-    columns: dict[str, Any] = {
-        name: np.full(len(batch), np.nan) for name in Corrections.__dataclass_fields__
-    }
+    columns: dict[str, Any] = {name: np.full(len(batch), np.nan) for name in COLUMNS}
     columns["status"] = np.full(len(batch), NO_STATION, np.uint8)
+    sigmas = None if recipe.uncertainty is None else Sigmas.unknown(len(batch))
     for mine, part in parts:
         for name, column in columns.items():
             column[mine] = getattr(part, name)
-    return Corrections(**columns)
+        if sigmas is not None and part.sigmas is not None:
+            sigmas.put(mine, part.sigmas)
+    return Corrections(**columns, sigmas=sigmas)
 
 
 def _correct_rows(
@@ -179,6 +185,8 @@ def _correct_rows(
         setup.camera,
         recipe.table,
         distance_m=None if batch.distance_m is None else batch.distance_m[mine],
+        uncertainty=recipe.uncertainty,
+        sigma_h_g=None if recipe.uncertainty is None else recipe.ground.sigmas(batch)[mine],
     )
     if setup.pixel_offset == 0.0:
         return found

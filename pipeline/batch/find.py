@@ -88,6 +88,7 @@ def open_inputs(plan: Plan, ledger: Ledger) -> Observations:
         ground.column,
         ledger,
         ground_is_msl=ground.reference == "msl",
+        sigma_column=ground.sigma_column,
         direction=plan.mission.refraction.direction,
     )
 

@@ -18,6 +18,7 @@ from pipeline.flight.channels import Channel
 from pipeline.flight.stations import Stations
 from pipeline.ingest import Log
 from pipeline.ledger import Ledger
+from pipeline.refraction.uncertainty import BlockScale
 
 MANIFEST_VERSION = 1
 
@@ -47,6 +48,7 @@ def manifest_of(
     stations: Stations,
     adjustment: Adjustment,
     tally: Tally,
+    scale: BlockScale | None,
     ledger: Ledger,
 ) -> dict[str, Any]:
     """The manifest of a run, without its outputs.
@@ -79,8 +81,22 @@ def manifest_of(
         "profile": _profile(adjustment, stations),
         "observations": {"rows": tally.rows, "parts": tally.parts, "status": tally.status},
         "correction": tally.correction(),
+        "uncertainty": _uncertainty(scale),
         "ledger": entries,
         "exit_code": EXIT_LOSSES if ledger.has_losses else EXIT_DONE,
+    }
+
+
+def _uncertainty(scale: BlockScale | None) -> dict[str, Any] | None:
+    """What all corrections share of the error of the air; None where the air has no sigma."""
+    if scale is None:
+        return None
+    return {
+        "scale_sigma": float(f"{scale.sigma:.4g}"),
+        "correlation": float(f"{scale.correlation:.4g}"),
+        "rays": scale.rays,
+        "meaning": "standard deviation of one scale factor of all r_c_rad, for the prior of one "
+        "parameter in an adjustment; correlation of the errors of r_c_rad between observations",
     }
 
 

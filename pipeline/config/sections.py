@@ -223,6 +223,12 @@ class GroundSection(Section):
         le=10_000,
         description="height of the take-off point, where the log does not tell",
     )
+    sigma_m: float | None = Field(
+        None, ge=0, le=10_000, description="standard deviation of the heights of all points"
+    )
+    sigma_column: str | None = Field(
+        None, description="column of standard deviations [m], where they differ"
+    )
 
     @property
     def constant_m(self) -> float | None:
@@ -253,6 +259,12 @@ class GroundSection(Section):
         if isinstance(value, float) and not -600.0 <= value <= 10_000.0:
             raise ValueError("is no ground height in metres (-600 to 10000)")
         return value
+
+    @model_validator(mode="after")
+    def _has_one_sigma(self) -> GroundSection:
+        if self.sigma_m is not None and self.sigma_column is not None:
+            raise ValueError("give either sigma_m or sigma_column")
+        return self
 
     @model_validator(mode="after")
     def _says_nothing_idle(self) -> GroundSection:

@@ -41,7 +41,8 @@ def observation_table(
     batch: Batch, corrections: Corrections, h_g: Any, schema: pa.Schema
 ) -> pa.Table:
     """The output rows of a batch."""
-    names = pa.array(STATUS_NAMES)
+    names, sigmas = pa.array(STATUS_NAMES), corrections.sigmas
+    spread = {} if sigmas is None else {f"sigma_{n}": c for n, c in sigmas.columns().items()}
     return table_of(
         {
             "image": batch.image,
@@ -58,6 +59,7 @@ def observation_table(
             "h_g_m": h_g,
             "status": names.take(pa.array(corrections.status)),
         }
+        | spread
         | batch.users,
         schema,
     )

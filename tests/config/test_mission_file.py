@@ -65,6 +65,7 @@ FULL: dict[str, Any] = {
     "mount": {
         "nadir": {
             "roll_deg": 0.0, "pitch_deg": 1.0, "yaw_deg": 2.0, "lever_arm_m": [0.1, 0.2, 0.3],
+            "sigma_tilt_deg": 0.05, "sigma_yaw_deg": 0.2,
         },
         "window": {"roll_deg": 45.0},
     },
@@ -74,7 +75,8 @@ FULL: dict[str, Any] = {
             "window": {"channel": "CAM[1]", "image": "w{n}.tif"},
         },
     },
-    "ground": {"height": {"column": "h_g_m"}, "reference": "msl", "home_h_msl_m": 580.0},
+    "ground": {"height": {"column": "h_g_m"}, "reference": "msl", "home_h_msl_m": 580.0,
+               "sigma_m": 2.0},
     "atmosphere": {
         "standard": "us1976", "adjust": True, "index": "gyer", "wavelength_m": 5.5e-7,
         "co2_ppm": 420.0,
@@ -91,9 +93,11 @@ CSV_EVENTS = {
     }
 }
 
+SIGMA_COLUMN = {"height": 120.0, "reference": "relative", "sigma_column": "sigma_h"}
+
 
 def with_csv_events() -> dict[str, Any]:
-    return FULL | {"events": CSV_EVENTS}
+    return FULL | {"events": CSV_EVENTS, "ground": SIGMA_COLUMN}
 
 
 Keys = tuple[str, ...]
@@ -339,10 +343,18 @@ def test_a_value_of_the_wrong_type_is_refused_where_it_stands(refused):
         (("ground", "height"), 40000.0), (("ground", "reference"), "wgs84"),
         (("atmosphere", "standard"), "us1967"), (("atmosphere", "index"), "edlen"),
         (("refraction", "method"), "magic"), (("refraction", "radius_m"), 6371.0),
+        (("mount", "nadir", "sigma_tilt_deg"), -0.1), (("mount", "nadir", "sigma_yaw_deg"), 200.0),
+        (("ground", "sigma_m"), -1.0), (("ground", "sigma_column"), 3.0),
     ],
 )  # fmt: skip
 def test_a_value_out_of_range_is_refused(refused, keys, value):
     assert ".".join(keys) in refused(changed(FULL, keys, value)).what
+
+
+def test_sigmas_that_contradict_each_other(refused):
+    both = changed(FULL, ("ground", "sigma_column"), "sigma_h")
+    assert "sigma_m or sigma_column" in refused(both).what
+    assert "sigma_tilt_deg" in refused(without(FULL, ("mount", "nadir", "sigma_tilt_deg"))).what
 
 
 def test_one_principal_distance(refused, accepted):
