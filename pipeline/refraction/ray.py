@@ -185,8 +185,8 @@ def bend(
         the straight one; NaN where ``status`` says there is none.
     status : codes of `pipeline.refraction.status`.
 
-    Against 40-digit arithmetic 1e-9 arcsec, also near grazing and in ducts; 1e-7 through P_90. Rays
-    from one height that follow each other are fastest: they share what the air between does to them.
+    Against 40-digit arithmetic 1e-9 arcsec, also near grazing; 1e-8 in ducts, 1e-7 through P_90.
+    Rays from one height that follow each other are fastest: they share what the air between does.
     """
     if isinstance(table, PublishedRays):
         return trace(table.method, table.profile, h_c, h_g, sin_zeta_c, cos_zeta_c, radius)
