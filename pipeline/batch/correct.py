@@ -6,7 +6,6 @@ a part of its own. What a part holds does not depend on how many are under way.
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -22,6 +21,7 @@ from pipeline.batch.ground import Ground, plausible
 from pipeline.batch.look import CameraSetup
 from pipeline.batch.store import RunFolder
 from pipeline.batch.tally import Tally
+from pipeline.refraction._threads import usable_cpus
 from pipeline.refraction.chord import target_heights
 from pipeline.refraction.forward import apply_refraction
 from pipeline.refraction.image import COLUMNS, Corrections, Exposures, correct_observations
@@ -34,6 +34,9 @@ from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, sche
 from pipeline.tables.writing import observation_table, write_parquet
 
 Array = NDArray[np.float64]
+
+# Reading and writing leave no work for more, and each holds a batch: 250,000 rows by default.
+_MOST_WORKERS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +100,12 @@ def correct_stream(
 
 
 def _overlapped(one: Callable[[int, Batch], Tally], batches: Iterator[Batch]) -> Iterator[Tally]:
-    """Results for numbered batches, in their order; as many at a time as there are cores."""
-    workers = os.cpu_count() or 1
+    """Results for numbered batches, in their order.
+
+    As many at a time as this process may use CPUs, four at most; one more is read meanwhile, and
+    no other before the oldest of them is done.
+    """
+    workers = min(_MOST_WORKERS, usable_cpus())
     waiting: deque[Future[Tally]] = deque()
     with ThreadPoolExecutor(workers, thread_name_prefix="batch") as pool:
         try:

@@ -87,7 +87,7 @@ def inspect(
         opened = open_log(log)
     content = opened.to_json_dict()
     if as_json:
-        print(json.dumps(content, indent=2))
+        print(json.dumps(content, indent=2, allow_nan=False))
     else:
         show_log(console, content, log.name)
     raise typer.Exit(EXIT_LOSSES if opened.ledger.has_losses else EXIT_DONE)

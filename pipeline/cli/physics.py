@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from pipeline.cli.app import app, new_console, write_csv
 from pipeline.errors import EXIT_DONE, EXIT_LOSSES, ConfigError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from pipeline.refraction.radial import RadialTable
 
 _METHODS = (
     "spherical, plane, gyer1996, saastamoinen1974, saastamoinen1974_ican, "
@@ -31,15 +37,21 @@ def angle(
     method: Annotated[str, typer.Option(help=_METHODS)] = "spherical",
     index: Annotated[str, typer.Option(help="ciddor or gyer (Eq. 13)")] = "ciddor",
     radius: Annotated[float, typer.Option(help="radius of the earth, metres")] = 6_371_000.0,
+    distance: Annotated[
+        float | None,
+        typer.Option(help="slant range, metres: which one of two crossings is meant (spherical)"),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="as JSON")] = False,
 ) -> None:
     """One refraction angle: arcsec, microradians, ground metres."""
     from pipeline.refraction.angle import one_angle
     from pipeline.report.terminal import show_angle
 
-    result = one_angle(atmosphere, index, camera_height, ground_height, nadir_angle, radius, method)
+    result = one_angle(
+        atmosphere, index, camera_height, ground_height, nadir_angle, radius, method, distance
+    )
     if as_json:
-        print(json.dumps(result, indent=2))
+        print(json.dumps(result, indent=2, allow_nan=False))
     else:
         show_angle(new_console(), result)
 
@@ -63,7 +75,9 @@ def radial(
 ) -> None:
     """Refraction by nadir angle per flying height; the Manual's K.
 
-    K is R at 45 degrees; beside it stands what the Manual of Photogrammetry's formula gives.
+    K is R at 45 degrees; beside it stands what the Manual of Photogrammetry's formula gives. No
+    metres on the ground are given where only the bent ray lands and the straight one passes over
+    the horizon.
     """
     from pipeline.refraction.radial import angles_to, radial_table
     from pipeline.report.progress import PatientBar
@@ -84,8 +98,19 @@ def radial(
         write_csv(csv, radial_rows(tables))
     else:
         show_radial(console, tables)
+        _explain_empty(console, tables)
         show_ledger(console, ledger.rows())
     raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)
+
+
+def _explain_empty(console: Console, tables: Sequence[RadialTable]) -> None:
+    """Say why a ray that has an angle has no metres on the ground, where there is one."""
+    import numpy as np
+
+    from pipeline.report.terminal import OVER_THE_HORIZON
+
+    if any(bool(np.isnan(t.shift_ground_m[np.isfinite(t.r_c_rad)]).any()) for t in tables):
+        console.print(f"{OVER_THE_HORIZON[:1].upper()}{OVER_THE_HORIZON[1:]}.")
 
 
 @app.command(epilog="Example: unbend tables gyer1996 --csv gyer.csv")

@@ -57,7 +57,8 @@ class Corrections:
     Arrays (n,), NaN where ``status`` says there is no correction.
 
     ``shift_ground_m`` is the horizontal displacement, at the target's height, of the point where
-    the uncorrected straight ray would land.
+    the uncorrected straight ray would land. It is also NaN where that ray passes over the horizon
+    and only the bent one lands: the last 0.2 degree of nadir angle from 10 km above sea level.
     """
 
     dx_px: Array
@@ -274,18 +275,21 @@ def _by_exposure(exposure: NDArray[np.int64]) -> NDArray[np.intp] | None:
     return np.argsort(exposure, kind="stable")
 
 
-def landing_point(direction: Array, h_c: Array, h_g: Array, radius: Array) -> Array:
+def landing_point(
+    direction: Array, h_c: Array, h_g: Array, radius: Array, *, far: bool = False
+) -> Array:
     """Where straight rays first reach a height, from the camera: (n, 3) east, north, up [m].
 
-    ``direction`` (n, 3) unit vectors; NaN where the line never gets there.
+    ``direction`` (n, 3) unit vectors; NaN where the line never gets there. ``far`` asks for where
+    it leaves that height again.
     """
     r_c, r_g = radius + h_c, radius + h_g
     cos_z = -direction[:, 2]
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         q = np.sqrt((r_c * cos_z) ** 2 - (h_c - h_g) * (r_c + r_g))
         # Downwards the nearer of two crossings, upwards the only one.
         distance = np.where(
-            h_c >= h_g,
+            (h_c >= h_g) & ~np.bool_(far),
             (h_c - h_g) * (r_c + r_g) / (r_c * cos_z + q),
             r_c * cos_z + q,
         )
@@ -294,8 +298,13 @@ def landing_point(direction: Array, h_c: Array, h_g: Array, radius: Array) -> Ar
     return np.asarray(direction * distance[:, None])
 
 
-def ground_displacement(h_c: float, h_g: float, zeta_c: float, r_c: float, radius: float) -> float:
+def ground_displacement(
+    h_c: float, h_g: float, zeta_c: float, r_c: float, radius: float, *, far: bool = False
+) -> float:
     """How far [m] a refraction angle moves the point where a straight ray reaches a height.
+
+    NaN where the apparent line passes over the horizon, though the bent ray may land. ``far`` takes
+    the second crossing of the height, for rays of the status ``far_branch``.
 
     >>> round(ground_displacement(10000.0, 0.0, 0.7853981633974483, 7.94e-5, 6371000.0), 3)
     1.592
@@ -303,5 +312,5 @@ def ground_displacement(h_c: float, h_g: float, zeta_c: float, r_c: float, radiu
     angle = np.array([zeta_c, zeta_c - r_c])
     rays = np.stack([np.sin(angle), np.zeros(2), -np.cos(angle)], axis=1)
     ones = np.ones(2)
-    apparent, true = landing_point(rays, h_c * ones, h_g * ones, radius * ones)
+    apparent, true = landing_point(rays, h_c * ones, h_g * ones, radius * ones, far=far)
     return float(np.linalg.norm(apparent - true))

@@ -111,7 +111,7 @@ def ray_weights(
     shape = batch.shape
     return RayWeights(
         batch.pieces.height_m.reshape(-1),
-        weight.reshape(*shape, -1),
+        weight.reshape(*shape, weight.shape[1]),
         batch.r_c.reshape(shape),
         batch.status.reshape(shape),
         valid.reshape(shape),

@@ -19,6 +19,17 @@ from pipeline.report.words import (
     where_from,
 )
 
+# What a person is told of an angle's status; ok needs no word.
+_CROSSINGS = {
+    "beyond_grazing": "the near one of two crossings of the ground's height; with --distance the "
+    "slant range decides",
+    "far_branch": "the far one of two crossings of the ground's height, as the slant range says",
+}
+OVER_THE_HORIZON = (
+    "no metres on the ground: the straight ray in the apparent direction passes over the horizon, "
+    "and only the bent one lands"
+)
+
 _COLOURS = {"loss": "red", "warning": "yellow", "fallback": "cyan", "note": "dim"}
 
 
@@ -95,9 +106,16 @@ def show_ledger(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
 
 def show_angle(console: Console, angle: Mapping[str, Any]) -> None:
     """One refraction angle in the units people use."""
+    ground = angle["ground_m"]
+    lines = [
+        f"{angle['r_c_urad']:.6f} microradians",
+        OVER_THE_HORIZON if ground is None else f"{ground:.6f} m on the ground",
+    ]
+    if angle["status"] in _CROSSINGS:
+        lines.append(f"{angle['status']}: {_CROSSINGS[angle['status']]}")
     console.print(f"R_c    {angle['r_c_arcsec']:.6f} arcsec", highlight=False)
-    console.print(f"       {angle['r_c_urad']:.6f} microradians", highlight=False)
-    console.print(f"       {angle['ground_m']:.6f} m on the ground", highlight=False)
+    for line in lines:
+        console.print(Padding(line, (0, 0, 0, 7), expand=False))
     console.print(
         f"[dim]{angle['atmosphere']}, index {angle['index']}, {angle['method']}, radius "
         f"{angle['radius_m']:.0f} m[/dim]",

@@ -29,7 +29,12 @@ RADIAL_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
     "nadir_angle_deg": (_F, "deg", "apparent nadir angle outside the window"),
     "r_c_arcsec": (_F, "arcsec", "refraction angle R_c, of the air outside alone"),
     "r_c_urad": (_F, "urad", "refraction angle R_c, of the air outside alone"),
-    "shift_ground_m": (_F, "m", "horizontal displacement on the ground"),
+    "shift_ground_m": (
+        _F,
+        "m",
+        "horizontal displacement on the ground; null where only the bent ray lands and the "
+        "straight one passes over the horizon",
+    ),
     "radius_px": (_F, "px", "ideal radius f tan(zeta) in a vertical image"),
     "dr_px": (_F, "px", "to be added to a measured radius in a vertical image"),
     "k_urad": (_F, "urad", "R_c at 45 degrees, K of the Manual of Photogrammetry"),
