@@ -58,10 +58,11 @@ def assign_roles(
     needs_cabin : whether the window asks for cabin air from the log.
 
     Named channels that are absent refuse the mission where the role is needed, and are a loss in
-    the ledger where it is not. The event channels are chosen by `exposures`, one a camera.
+    the ledger where it is not. ``aircraft_attitude`` is only ever named. The event channels are
+    chosen by `exposures`, one a camera.
     """
     everything = tuple(channels)
-    required = {"position", "attitude"} | ({"cabin_pressure", "cabin_temperature"} & set(wishes))
+    required = {"position", "attitude", "aircraft_attitude", "cabin_pressure", "cabin_temperature"}
     filled: dict[str, Channel] = {}
     for role, wish in wishes.items():
         channel = _named(everything, role, wish, role in required, ledger)
