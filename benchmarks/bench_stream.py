@@ -29,7 +29,7 @@ def correct(source: Path, out: Path) -> None:
     recipe = Recipe(
         names, np.full(IMAGES, "nadir", object), exposures(IMAGES),
         Ground(None, np.zeros(IMAGES)), {"nadir": CameraSetup(CAMERA, 0.0)},
-        rays_by(air(), "spherical"),
+        (rays_by(air(), "spherical"),), np.zeros(IMAGES, np.int64),
     )  # fmt: skip
     observations = open_observations(source, COLUMNS, "h_g_m", Ledger())
     with open_folder(out) as folder:

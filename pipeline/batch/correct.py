@@ -39,7 +39,8 @@ Array = NDArray[np.float64]
 class Recipe:
     """All that turns a batch of observations into corrections.
 
-    ``images`` and ``cameras_of`` (s,) belong to the rows of ``exposures``.
+    ``images``, ``cameras_of`` and ``air_of`` (s,) belong to the rows of ``exposures``; ``air_of``
+    numbers ``tables``, the air in which the rays of an exposure bend.
     """
 
     images: NDArray[np.object_]
@@ -47,8 +48,23 @@ class Recipe:
     exposures: Exposures
     ground: Ground
     cameras: Mapping[str, CameraSetup]
-    table: RayTable | PublishedRays
+    tables: tuple[RayTable | PublishedRays, ...]
+    air_of: NDArray[np.int64]
     direction: Direction = "remove"
+
+    def groups(
+        self, row: NDArray[np.int64], camera: NDArray[np.int64]
+    ) -> Iterator[tuple[NDArray[np.intp], CameraSetup, RayTable | PublishedRays]]:
+        """The observations of each camera in each air, from their stations and cameras (n,)."""
+        for number, setup in enumerate(self.cameras.values()):
+            mine = np.flatnonzero(camera == number)
+            if len(self.tables) == 1:
+                if mine.size:
+                    yield mine, setup, self.tables[0]
+                continue
+            air = self.air_of[row[mine]]
+            for i in np.unique(air):
+                yield mine[air == i], setup, self.tables[i]
 
 
 def correct_stream(
@@ -123,8 +139,7 @@ def _heights(
     """(n,) heights of the points above sea level [m], NaN where there is none."""
     h_g = recipe.ground.heights(batch, row)
     if recipe.ground.from_distance and batch.distance_m is not None:
-        for number, setup in enumerate(recipe.cameras.values()):
-            mine = np.flatnonzero(camera == number)
+        for mine, setup, table in recipe.groups(row, camera):
             h_g[mine] = target_heights(
                 batch.x_px[mine] + setup.pixel_offset,
                 batch.y_px[mine] + setup.pixel_offset,
@@ -132,7 +147,7 @@ def _heights(
                 row[mine],
                 recipe.exposures,
                 setup.camera,
-                recipe.table,
+                table,
                 ideal=recipe.direction == "apply",
             )
         h_g = plausible(h_g)
@@ -144,12 +159,10 @@ def _correct_batch(
 ) -> Corrections:
     """The corrections of a batch, camera by camera, back in the order of the rows."""
     parts = []
-    for number, setup in enumerate(recipe.cameras.values()):
-        mine = np.flatnonzero(camera == number)
+    for mine, setup, table in recipe.groups(row, camera):
         if mine.size == len(batch):
-            return _correct_rows(batch, slice(None), row, h_g, setup, recipe)
-        if mine.size:
-            parts.append((mine, _correct_rows(batch, mine, row, h_g, setup, recipe)))
+            return _correct_rows(batch, slice(None), row, h_g, setup, table, recipe)
+        parts.append((mine, _correct_rows(batch, mine, row, h_g, setup, table, recipe)))
     columns: dict[str, Any] = {
         name: np.full(len(batch), np.nan) for name in Corrections.__dataclass_fields__
     }
@@ -166,9 +179,10 @@ def _correct_rows(
     row: NDArray[np.int64],
     h_g: Array,
     setup: CameraSetup,
+    table: RayTable | PublishedRays,
     recipe: Recipe,
 ) -> Corrections:
-    """The corrections of the rows of one camera, in the user's pixels."""
+    """The corrections of the rows of one camera in one air, in the user's pixels."""
     way = correct_observations if recipe.direction == "remove" else apply_refraction
     found = way(
         batch.x_px[mine] + setup.pixel_offset,
@@ -177,7 +191,7 @@ def _correct_rows(
         row[mine],
         recipe.exposures,
         setup.camera,
-        recipe.table,
+        table,
         distance_m=None if batch.distance_m is None else batch.distance_m[mine],
     )
     if setup.pixel_offset == 0.0:
