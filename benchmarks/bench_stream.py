@@ -29,7 +29,8 @@ def correct(source: Path, out: Path) -> None:
     recipe = Recipe(
         names, np.full(IMAGES, "nadir", object), seen_from,
         Ground(None, np.zeros(IMAGES), sigma_m=2.0), {"nadir": CameraSetup(CAMERA, 0.0)},
-        rays_by(air(), "spherical"), uncertainty=uncertainty(seen_from),
+        (rays_by(air(), "spherical"),), np.zeros(IMAGES, np.int64),
+        uncertainties=(uncertainty(seen_from),),
     )  # fmt: skip
     observations = open_observations(source, COLUMNS, "h_g_m", Ledger())
     with open_folder(out) as folder:

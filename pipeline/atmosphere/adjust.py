@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.atmosphere.account import SourceUse, account
 from pipeline.atmosphere.belief import believable, judge_level
 from pipeline.atmosphere.climatology import AUTO, Climatology, climatology, month_of
 from pipeline.atmosphere.covariance import ProfileCovariance
@@ -52,6 +53,9 @@ UNCHANGED = 0.95
 MISFIT = 5.0
 """A source whose sigmas had to be widened more than this disagrees with the others."""
 
+UNMEASURED, UNADJUSTED = "climatology", "standard"
+"""Bases of a profile that no measurement speaks in."""
+
 _MIDDLE_OF_THE_YEAR = 4.0  # a month between the seasons, for samples without a date
 
 
@@ -59,10 +63,12 @@ _MIDDLE_OF_THE_YEAR = 4.0  # a month between the seasons, for samples without a 
 class Adjustment:
     """A profile, and how it came about.
 
-    ``basis`` is thermometer | both | barometer | sounding | surface | standard; ``reason`` says
-    why in words; ``time_ns`` is the middle of the samples that were used. ``covariance`` is that
-    of the profile, None where nobody asked for it; ``nuisances`` what was found wrong with the
-    sensors; ``fits`` how each source fits; ``rejected`` the outliers among each sensor's samples.
+    ``basis`` is thermometer | both | barometer | sounding | surface | climatology | standard;
+    ``reason`` says why in words; ``time_ns`` is the middle of the samples that were used.
+    ``covariance`` is that of the profile, None where nobody asked for it; ``nuisances`` what was
+    found wrong with the sensors; ``sources`` how each source was used, or why not; ``rejected``
+    the outliers among each sensor's samples. ``samples`` and ``moisture`` are what the estimate
+    stands on, None where there is none.
     """
 
     profile: Profile
@@ -72,8 +78,15 @@ class Adjustment:
     time_ns: int | None = None
     covariance: ProfileCovariance | None = None
     nuisances: tuple[Nuisance, ...] = ()
-    fits: tuple[Fit, ...] = ()
+    sources: tuple[SourceUse, ...] = ()
     rejected: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+    samples: AirSamples | None = None
+    moisture: Climatology | None = None
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether anything was measured that the profile holds."""
+        return self.basis not in (UNMEASURED, UNADJUSTED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +134,11 @@ def build_adjusted_profile(
     moisture = climatology(AUTO, latitude_rad=latitude_rad, month=month, index=standard.index)
     if background is None:
         background = _about(standard, moisture, latitude_rad, month)
-    samples = believable(samples, standard, ledger)
+    given, samples = samples, believable(samples, standard, ledger)
+
+    def sources(used: AirSamples | None, fits: Sequence[Fit]) -> tuple[SourceUse, ...]:
+        return account(given, samples, used, fits, soundings, surface, background, standard.name)
+
     humid = moisture if not background.has_humidity else background
     for basis in _bases(samples, soundings, surface):
         made = estimate(
@@ -129,16 +146,22 @@ def build_adjusted_profile(
         )
         fault = implausible(made, background) or worse_than_climatology(made, background, humid)
         if fault is None:
-            return _adjusted(basis, made, standard, background, ledger)
+            found = _adjusted(basis, made, standard, background, ledger)
+            return replace(found, sources=sources(basis.samples, made.fits), moisture=humid)
         ledger.loss(
             "AIR-IMPLAUSIBLE",
             f"the air estimated from {basis.reason} is not used: {fault}",
             where=basis.main.name if basis.main is not None else "",
         )
-    reason = _why_standard(samples, background.profile.name)
+    same = background.profile.name == standard.name
+    kept = f"the {'standard atmosphere' if same else 'climatology'} {background.profile.name}"
+    reason = _why_standard(samples, kept)
     ledger.fallback("AIR-STANDARD", reason)
     profile, covariance = _unchanged(background)
-    return Adjustment(profile, standard, "standard", reason, covariance=covariance)
+    word = UNADJUSTED if same else UNMEASURED
+    return Adjustment(
+        profile, standard, word, reason, covariance=covariance, sources=sources(None, ())
+    )
 
 
 def under_gravity(standard: Profile, latitude_rad: float) -> Profile:
@@ -148,7 +171,7 @@ def under_gravity(standard: Profile, latitude_rad: float) -> Profile:
 
 def unadjusted(standard: Profile, reason: str) -> Adjustment:
     """A standard atmosphere in the place of an adjusted profile, with the reason in words."""
-    return Adjustment(standard, standard, "standard", reason)
+    return Adjustment(standard, standard, UNADJUSTED, reason)
 
 
 def _month(samples: AirSamples) -> float:
@@ -220,9 +243,9 @@ def _reaches_beyond(pressure: Samples | None, temperature: Samples) -> bool:
     return bool(beyond > BEYOND_M)
 
 
-def _why_standard(samples: AirSamples, name: str) -> str:
+def _why_standard(samples: AirSamples, kept: str) -> str:
     temperature, pressure = samples.temperature, samples.pressure
-    kept = f"the standard atmosphere {name} is kept unchanged"
+    kept += " is kept unchanged"
     if temperature is None and pressure is None:
         return f"no thermometer and no barometer outside that can be used: {kept}"
     spans = []
@@ -250,7 +273,7 @@ def _adjusted(
         ledger.fallback("AIR-BAROMETRIC", basis.reason, where=basis.main.name if basis.main else "")
     if not any(isinstance(source, Humidities) for source in made.sources.sources):
         said = "no humidity measured outside: that of the climatology is taken"
-        ledger.fallback("AIR-DRY", said)
+        ledger.fallback("AIR-HUMIDITY-EXPECTED", said)
     judge_level(profile, background, samples.pressure, ledger)
     _tell_of_sensors(made, samples, ledger)
     return Adjustment(
@@ -261,8 +284,8 @@ def _adjusted(
         basis.main.middle_ns if basis.main is not None else None,
         replace(made.covariance, profile=profile),
         made.nuisances,
-        made.fits,
-        made.rejected,
+        rejected=made.rejected,
+        samples=samples,
     )
 
 

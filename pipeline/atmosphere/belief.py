@@ -100,7 +100,8 @@ def judge_level(
     if pressure is None or not bool(pressure.accepted.any()):
         ledger.fallback(
             "AIR-NO-BAROMETER",
-            "no static pressure outside: the profile keeps the standard's pressure at sea level",
+            "no static pressure outside: its level is that of a sounding, a station or the "
+            "climatology",
         )
         return
     h, measured = pressure.used()

@@ -65,6 +65,14 @@ class ProfileCovariance:
             [by_virtual, np.ones((height.size, 1)), np.zeros((height.size, by_virtual.shape[1]))]
         )
 
+    def sigma_vapour_pressure(self, h: ArrayLike) -> Array:
+        """One sigma of vapour pressure [Pa] at heights ``h`` (n,) [m above sea level]."""
+        height = np.atleast_1d(np.asarray(h, np.float64))
+        _, p, vapour = self._state(height)
+        e = (vapour * p)[:, None]
+        by_vapour = p[:, None] * self._weights(height)
+        return self._sigma([e * self._log_pressure_by_virtual(height), e, by_vapour])
+
     def sigma_refractivity(self, h: ArrayLike) -> Array:
         """One sigma of n - 1 at heights ``h`` (n,) [m above sea level]."""
         gradient = self.refractivity_gradient(np.atleast_1d(np.asarray(h, np.float64)))

@@ -8,7 +8,7 @@ square for the background, so that readings can be outvoted and the background c
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,14 @@ from scipy import linalg
 
 from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.atmosphere.measurements import Source
+from pipeline.atmosphere.measurements import (
+    Barometer,
+    Humidities,
+    Pressures,
+    Source,
+    Temperatures,
+    Thermometer,
+)
 from pipeline.atmosphere.metar import SurfaceReport
 from pipeline.atmosphere.profile import RELAXED, Profile, stack_layers
 from pipeline.atmosphere.samples import AirSamples
@@ -24,6 +31,7 @@ from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.sources import Sources, sources_of
 from pipeline.atmosphere.state import (
     Air,
+    Fault,
     Layout,
     Prior,
     air_of,
@@ -36,6 +44,14 @@ Array = NDArray[np.float64]
 
 FREEDOM = 4.0
 """Degrees of freedom of Student's loss: a bin 5 sigma off weighs a sixth."""
+
+_QUANTITY: Mapping[type, str] = {
+    Thermometer: "temperature",
+    Barometer: "pressure",
+    Temperatures: "temperature",
+    Humidities: "humidity",
+    Pressures: "pressure",
+}
 
 _HUBER = 3.0  # of the first iterations, while residuals are still those of the background
 _HUBER_STEPS, _MOST_STEPS = 3, 25
@@ -57,12 +73,19 @@ class Nuisance:
 
 @dataclass(frozen=True)
 class Fit:
-    """How a source fits: bins or levels, RMS residual in sigmas, the widening of sigmas."""
+    """How a source fits, and how much it said.
+
+    ``count`` of bins or levels; ``rms`` residual in sigmas; ``widened`` how far its sigmas were;
+    ``told`` the number of unknowns that it determines (the trace of its share of the information
+    times the covariance: Rodgers 2000, Eq. 2.80), which is its weight among the sources.
+    """
 
     name: str
+    quantity: str
     count: int
     rms: float
     widened: float
+    told: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +125,7 @@ def estimate(
     moisture: Climatology | None = None,
     soundings: Sequence[Sounding] = (),
     surface: Sequence[SurfaceReport] = (),
+    known: Sequence[Nuisance] = (),
 ) -> Estimate:
     """The air that samples, soundings and surface reports speak of, with its covariance.
 
@@ -111,6 +135,7 @@ def estimate(
     background : the climatology: expected air, spread, gravity and formula of the index.
     moisture : expected humidity, where the background is a dry standard.
     soundings, surface : of places and times near the flight.
+    known : faults of the sensors as found before, which take the place of what is expected.
 
     With no samples at all it is the background with its own covariance. Cost grows linearly with
     the number of samples (binning) and with the cube of about 300 states: 4 hours of three
@@ -122,6 +147,8 @@ def estimate(
     [7.3, 4.9]
     """
     found = sources_of(samples, background, soundings, surface)
+    before = {fault.name: fault for fault in known}
+    found = replace(found, faults=tuple(_informed(f, before.get(f.name)) for f in found.faults))
     layout = layout_of(found, background)
     prior = prior_of(layout, background, moisture or background)
     solution = solve(layout, prior, found.sources, background.profile)
@@ -141,6 +168,11 @@ def estimate(
         found,
         solution.x,
     )
+
+
+def _informed(fault: Fault, before: Nuisance | None) -> Fault:
+    """A fault with what was found of it before."""
+    return fault if before is None else replace(fault, mean=before.value, sigma=before.sigma)
 
 
 def layout_of(found: Sources, background: Climatology) -> Layout:
@@ -168,10 +200,11 @@ def solve(
     pressure = background.pressure(background.gravity.height(layout.knot))
     widened = np.ones(len(sources))
     fits: list[Fit] = []
+    shares: list[Array] = []
     for step in range(0 if start is None else _HUBER_STEPS, _MOST_STEPS):
         air = air_of(layout, x, pressure, background.constant)
         normal, right = prior.precision.copy(), prior.precision @ (prior.mean - x)
-        fits = []
+        fits, shares = [], []
         previous = widened.copy()
         for i, source in enumerate(sources):
             reading, jacobian = source.predict(air)
@@ -179,12 +212,14 @@ def solve(
             z = residual / (source.sigma * widened[i])
             loss = _loss_weight(z, step) if source.robust else np.ones(z.size)
             weight = loss / (source.sigma * widened[i]) ** 2
-            normal += (jacobian.T * weight) @ jacobian
+            shares.append((jacobian.T * weight) @ jacobian)
+            normal += shares[-1]
             right += jacobian.T @ (weight * residual)
             if source.robust and step > _HUBER_STEPS:
                 widened[i] = max(1.0, widened[i] * np.sqrt(_excess(z, loss)))
             rms = float(np.sqrt(np.mean(np.square(residual / source.sigma)))) if z.size else 0.0
-            fits.append(Fit(source.name, z.size, rms, float(widened[i])))
+            quantity = _QUANTITY[type(source)]
+            fits.append(Fit(source.name, quantity, z.size, rms, float(widened[i])))
         change = linalg.solve(normal, right, assume_a="pos")
         x = layout.held(x + change)
         air = air_of(layout, x, pressure, background.constant)
@@ -195,7 +230,10 @@ def solve(
             break
     air = air_of(layout, x, pressure, background.constant)
     covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    return Solution(x, covariance, air, tuple(fits))
+    told = [float(np.sum(covariance * share)) for share in shares]
+    return Solution(
+        x, covariance, air, tuple(replace(f, told=t) for f, t in zip(fits, told, strict=True))
+    )
 
 
 def _loss_weight(z: Array, step: int) -> Array:

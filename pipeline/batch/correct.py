@@ -43,8 +43,9 @@ _MOST_WORKERS = 4
 class Recipe:
     """All that turns a batch of observations into corrections.
 
-    ``images`` and ``cameras_of`` (s,) belong to the rows of ``exposures``. Without ``uncertainty``
-    no standard deviations are computed.
+    ``images``, ``cameras_of`` and ``air_of`` (s,) belong to the rows of ``exposures``; ``air_of``
+    numbers ``tables``, the air in which the rays of an exposure bend, and ``uncertainties``; where
+    all of these are None no standard deviations are computed.
     """
 
     images: NDArray[np.object_]
@@ -52,9 +53,29 @@ class Recipe:
     exposures: Exposures
     ground: Ground
     cameras: Mapping[str, CameraSetup]
-    table: RayTable | PublishedRays
+    tables: tuple[RayTable | PublishedRays, ...]
+    air_of: NDArray[np.int64]
     direction: Direction = "remove"
-    uncertainty: Uncertainty | None = None
+    uncertainties: tuple[Uncertainty | None, ...] = (None,)
+
+    @property
+    def in_doubt(self) -> bool:
+        """Whether standard deviations are asked for."""
+        return any(one is not None for one in self.uncertainties)
+
+    def groups(
+        self, row: NDArray[np.int64], camera: NDArray[np.int64]
+    ) -> Iterator[tuple[NDArray[np.intp], CameraSetup, int]]:
+        """The observations of each camera in each air, from their stations and cameras (n,)."""
+        for number, setup in enumerate(self.cameras.values()):
+            mine = np.flatnonzero(camera == number)
+            if len(self.tables) == 1:
+                if mine.size:
+                    yield mine, setup, 0
+                continue
+            air = self.air_of[row[mine]]
+            for i in np.unique(air).tolist():
+                yield mine[air == i], setup, i
 
 
 def correct_stream(
@@ -88,7 +109,7 @@ def correct_stream(
         folder.seal(name)
         tally = Tally.of(recipe.cameras)
         tally.add(batch, corrections, camera)
-        if recipe.uncertainty is not None:
+        if recipe.in_doubt:
             tally.sample(corrections, np.append(recipe.exposures.height_m, np.nan)[row], h_g)
         return tally
 
@@ -135,8 +156,7 @@ def _heights(
     """(n,) heights of the points above sea level [m], NaN where there is none."""
     h_g = recipe.ground.heights(batch, row)
     if recipe.ground.from_distance and batch.distance_m is not None:
-        for number, setup in enumerate(recipe.cameras.values()):
-            mine = np.flatnonzero(camera == number)
+        for mine, setup, air in recipe.groups(row, camera):
             h_g[mine] = target_heights(
                 batch.x_px[mine] + setup.pixel_offset,
                 batch.y_px[mine] + setup.pixel_offset,
@@ -144,7 +164,7 @@ def _heights(
                 row[mine],
                 recipe.exposures,
                 setup.camera,
-                recipe.table,
+                recipe.tables[air],
                 ideal=recipe.direction == "apply",
             )
         h_g = plausible(h_g)
@@ -156,15 +176,13 @@ def _correct_batch(
 ) -> Corrections:
     """The corrections of a batch, camera by camera, back in the order of the rows."""
     parts = []
-    for number, setup in enumerate(recipe.cameras.values()):
-        mine = np.flatnonzero(camera == number)
+    for mine, setup, air in recipe.groups(row, camera):
         if mine.size == len(batch):
-            return _correct_rows(batch, slice(None), row, h_g, setup, recipe)
-        if mine.size:
-            parts.append((mine, _correct_rows(batch, mine, row, h_g, setup, recipe)))
+            return _correct_rows(batch, slice(None), row, h_g, setup, air, recipe)
+        parts.append((mine, _correct_rows(batch, mine, row, h_g, setup, air, recipe)))
     columns: dict[str, Any] = {name: np.full(len(batch), np.nan) for name in COLUMNS}
     columns["status"] = np.full(len(batch), NO_STATION, np.uint8)
-    sigmas = None if recipe.uncertainty is None else Sigmas.unknown(len(batch))
+    sigmas = Sigmas.unknown(len(batch)) if recipe.in_doubt else None
     for mine, part in parts:
         for name, column in columns.items():
             column[mine] = getattr(part, name)
@@ -179,9 +197,11 @@ def _correct_rows(
     row: NDArray[np.int64],
     h_g: Array,
     setup: CameraSetup,
+    air: int,
     recipe: Recipe,
 ) -> Corrections:
-    """The corrections of the rows of one camera, in the user's pixels."""
+    """The corrections of the rows of one camera in one air, in the user's pixels."""
+    uncertainty = recipe.uncertainties[air]
     way = correct_observations if recipe.direction == "remove" else apply_refraction
     found = way(
         batch.x_px[mine] + setup.pixel_offset,
@@ -190,10 +210,10 @@ def _correct_rows(
         row[mine],
         recipe.exposures,
         setup.camera,
-        recipe.table,
+        recipe.tables[air],
         distance_m=None if batch.distance_m is None else batch.distance_m[mine],
-        uncertainty=recipe.uncertainty,
-        sigma_h_g=None if recipe.uncertainty is None else recipe.ground.sigmas(batch)[mine],
+        uncertainty=uncertainty,
+        sigma_h_g=None if uncertainty is None else recipe.ground.sigmas(batch)[mine],
     )
     if setup.pixel_offset == 0.0:
         return found

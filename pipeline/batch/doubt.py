@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
+from pipeline.atmosphere.course import AirAlong
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.profile import Profile
 from pipeline.batch.ground import Ground
@@ -26,37 +28,38 @@ from pipeline.refraction.uncertainty import (
 from pipeline.units import DEGREE
 
 
-def uncertainty_of_mission(
+def uncertainties_of_mission(
     mission: Mission,
     stations: Stations,
-    profile: Profile,
-    covariance: ProfileCovariance | None,
+    air: AirAlong,
     exposures: Exposures,
     cameras: Mapping[str, CameraSetup],
     ground: Ground,
-) -> Uncertainty | None:
-    """What gives the observations of the usable exposures in one air their standard deviations.
+) -> tuple[Uncertainty | None, ...]:
+    """What gives the observations of the exposures in each air their standard deviations.
 
     None where nothing is known: neither the covariance of the air nor a sigma in the mission file.
     """
     mounts = [mission.mount[name] for name in mission.cameras]
     section = mission.ground
-    known = (
-        covariance is not None
-        or any(mount.sigma_tilt_deg is not None for mount in mounts)
+    told = (
+        any(mount.sigma_tilt_deg is not None for mount in mounts)
         or section.sigma_m is not None
         or section.sigma_column is not None
     )
-    if not known:
-        return None
-    return uncertainty_of(
-        profile,
-        covariance,
-        exposures,
-        _station_sigmas(mission, stations),
-        [(setup.camera, stations.camera == name) for name, setup in cameras.items()],
-        ground.limits,
-    )
+    sigmas = _station_sigmas(mission, stations)
+    own = [(setup.camera, stations.camera == name) for name, setup in cameras.items()]
+    found: list[Uncertainty | None] = []
+    for number, one in enumerate(air.airs):
+        covariance = one.covariance
+        known = told or covariance is not None
+        seen = replace(exposures, usable=exposures.usable & (air.number == number))
+        found.append(
+            uncertainty_of(one.profile, covariance, seen, sigmas, own, ground.limits)
+            if known
+            else None
+        )
+    return tuple(found)
 
 
 def _station_sigmas(mission: Mission, stations: Stations) -> StationSigmas:
@@ -76,11 +79,11 @@ def _station_sigmas(mission: Mission, stations: Stations) -> StationSigmas:
 
 
 def tell_what_is_unknown(
-    mission: Mission, stations: Stations, covariance: ProfileCovariance | None, ledger: Ledger
+    mission: Mission, stations: Stations, air: AirAlong, ledger: Ledger
 ) -> None:
     """Say, once, which standard deviations nobody gave."""
     missing = []
-    if covariance is None:
+    if any(one.covariance is None for one in air.airs):
         missing.append("the air (its profile has no covariance)")
     untold = [name for name in mission.cameras if mission.mount[name].sigma_tilt_deg is None]
     missing += [f"the attitude (mount.{name}.sigma_tilt_deg)" for name in untold]

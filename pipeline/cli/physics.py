@@ -83,15 +83,17 @@ def radial(
     from pipeline.report.progress import PatientBar
     from pipeline.report.radial import radial_rows, show_radial
     from pipeline.report.terminal import show_ledger
-    from pipeline.stages import profile_sources
+    from pipeline.stages import air_of_either
 
     _refuse_two_airs(config, atmosphere)
     console = new_console()
     angles = angles_to(max_angle, step)
     with PatientBar(console, "finding the air"):
-        adjustment, _, ledger = profile_sources(config, atmosphere)
+        air, _, ledger = air_of_either(config, atmosphere)
     tables = [
-        radial_table(adjustment.profile, h, ground_height, angles, focal_px=focal_px, radius=radius)
+        radial_table(
+            air.adjustment.profile, h, ground_height, angles, focal_px=focal_px, radius=radius
+        )
         for h in camera_height
     ]
     if csv is not None:
@@ -150,26 +152,30 @@ def profile(
     """The air of a mission or of a standard: a table, CSV or plot."""
     from pipeline.atmosphere.profile import heights_every
     from pipeline.report.progress import PatientBar
-    from pipeline.stages import profile_sources
-    from pipeline.tables.writing import profile_arrow
+    from pipeline.stages import air_of_either
+    from pipeline.tables.writing import profile_arrow, profiles_arrow
 
     _refuse_two_airs(config, atmosphere)
     console = new_console()
     with PatientBar(console, "finding the air"):
-        adjustment, samples, ledger = profile_sources(config, atmosphere)
+        air, samples, ledger = air_of_either(config, atmosphere)
+    adjustment = air.adjustment
     heights = None if step is None else heights_every(adjustment.profile, step)
-    table = profile_arrow(adjustment, "", heights).drop_columns(["profile_id", "time_utc"])
-    rows = table.to_pylist()
+    rows = profile_arrow(adjustment, "", heights).drop_columns(["profile_id", "time_utc"])
     if csv is not None:
-        write_csv(csv, rows)
+        several = len(air.along.airs) > 1
+        whole = profiles_arrow(adjustment, air.along, heights) if several else rows
+        write_csv(csv, whole.to_pylist())
     if plot is not None:
-        from pipeline.report.figures import profile_figure, save_figure
+        from pipeline.report.figures import save_figure
+        from pipeline.report.profile_figure import profile_figure
 
-        save_figure(profile_figure(adjustment, samples), plot)
+        save_figure(profile_figure(air, samples), plot)
     if csv is None and plot is None:
-        from pipeline.report.terminal import show_ledger, show_profile
+        from pipeline.report.terminal import show_air, show_ledger, show_profile
 
-        show_profile(console, rows)
+        show_profile(console, rows.to_pylist())
+        show_air(console, air)
         show_ledger(console, ledger.rows())
     raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)
 

@@ -10,9 +10,11 @@ from rich.markup import escape
 from rich.padding import Padding
 from rich.table import Table
 
+from pipeline.refraction.effect import FlightAir
 from pipeline.report.words import (
     CORRECTION_HEAD,
     correction_rows,
+    effect_lines,
     figure,
     headline,
     ledger_rows,
@@ -48,6 +50,9 @@ def show_run(
         table.add_row(*(escape(cell) for cell in row))
     console.print(Padding(table, (0, 0, 0, 2)))
     _paragraph(console, where_from(manifest))
+    profile = manifest["profile"]
+    for line in effect_lines(profile["effect"], profile["standard"]):
+        _paragraph(console, line)
     flagged = {k: n for k, n in manifest["observations"]["status"].items() if k != "ok" and n}
     if flagged:
         _paragraph(console, "Flagged rows: " + ", ".join(f"{n:,} {k}" for k, n in flagged.items()))
@@ -163,21 +168,41 @@ def _number(value: float | None, digits: int, factor: float = 1.0) -> str:
 
 def show_profile(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
     """A profile as a table."""
-    heads = ("h [m]", "T [K]", "p [hPa]", "e [hPa]", "(n-1)e6", "Eq.", "source")
+    heads = ("h [m]", "T [K]", "±", "p [hPa]", "e [hPa]", "(n-1)e6", "±", "Eq.", "source")
     table = Table(*(escape(head) for head in heads), box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for column in table.columns[:6]:
+    for column in table.columns[:8]:
         column.justify = "right"
     for row in rows:
         table.add_row(
             f"{row['h_m']:.0f}",
             f"{row['temperature_k']:.2f}",
+            _sigma(row["sigma_temperature_k"]),
             f"{row['pressure_pa'] / 100.0:.2f}",
             f"{row['vapour_pressure_pa'] / 100.0:.2f}",
             f"{row['refractivity'] * 1e6:.2f}",
+            _sigma(row["sigma_refractivity"], 1e6),
             str(row["equation"]),
             row["source"],
         )
     console.print(table)
+
+
+def _sigma(value: float | None, factor: float = 1.0) -> str:
+    return "" if value is None else f"{value * factor:.2f}"
+
+
+def show_air(console: Console, air: FlightAir) -> None:
+    """What the air of a flight was made from, and what it does to R."""
+    adjustment = air.adjustment
+    rows = [effect.row() for effect in air.effects]
+    parts = [f"{len(air.along.airs)} profiles follow the air"] if air.windows else []
+    for line in (
+        *effect_lines(rows, adjustment.standard.name),
+        *(use.sentence() for use in adjustment.sources),
+        *(f"{n.name}: {n.value:.3g} ± {n.sigma:.2g}" for n in adjustment.nuisances),
+        *parts,
+    ):
+        _paragraph(console, line)
 
 
 def show_check(console: Console, lines: Sequence[tuple[str, str]]) -> None:
@@ -192,6 +217,7 @@ def show_check(console: Console, lines: Sequence[tuple[str, str]]) -> None:
 
 __all__ = [
     "figure",
+    "show_air",
     "show_angle",
     "show_check",
     "show_ledger",

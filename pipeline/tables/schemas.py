@@ -94,7 +94,7 @@ STATION_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
 
 PROFILE_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
     "profile_id": (_S, "", ""),
-    "time_utc": (pa.timestamp("ns", "UTC"), "", "middle of the samples"),
+    "time_utc": (pa.timestamp("ns", "UTC"), "", "of this air; of one profile, middle of samples"),
     "h_m": (_F, "m", "height above mean sea level"),
     "geopotential_m": (_F, "m'", "H = r_phi h g_phi / ((r_phi + h) G)"),
     "temperature_k": (_F, "K", ""),
@@ -112,8 +112,8 @@ PROFILE_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
     "source": (_S, "", "measured | barometric | relaxed | standard"),
     "standard_temperature_k": (_F, "K", "of the standard atmosphere at the same height"),
     "standard_pressure_pa": (_F, "Pa", "of the standard atmosphere at the same height"),
-    "sigma_temperature_k": (_F, "K", "null while not estimated"),
-    "sigma_refractivity": (_F, "", "null while not estimated"),
+    "sigma_temperature_k": (_F, "K", "one standard deviation; null for a standard atmosphere"),
+    "sigma_refractivity": (_F, "", "one standard deviation; null for a standard atmosphere"),
 }
 
 CONVENTIONS: Mapping[str, str] = {

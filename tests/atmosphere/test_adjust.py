@@ -189,9 +189,9 @@ def test_readings_a_gate_took_out_and_gaps_are_not_used(air):
 
 def test_without_humidity_the_climatology_s_is_taken_and_that_is_said(air):
     adjusted, ledger = adjust(measured(air, 3000.0, rh=False))
-    assert "AIR-DRY" in codes(ledger, Kind.FALLBACK)
+    assert "AIR-HUMIDITY-EXPECTED" in codes(ledger, Kind.FALLBACK)
     assert not ledger.has_losses
-    assert "climatology" in next(e.what for e in ledger if e.code == "AIR-DRY")
+    assert "climatology" in next(e.what for e in ledger if e.code == "AIR-HUMIDITY-EXPECTED")
     # Of the climatology, within its doubt: 30 % of relative humidity are 570 Pa here.
     moist = adjust(measured(air, 3000.0))[0]
     e = adjusted.profile.vapour_pressure(600.0)
@@ -216,7 +216,7 @@ def test_humidity_changes_the_weight_of_the_air_too(air):
 def test_barometer_alone_passes_through_the_pressures(air):
     adjusted, ledger = adjust(measured(air, 3000.0, t=False, rh=False))
     assert adjusted.basis == "barometer"
-    assert set(codes(ledger, Kind.FALLBACK)) == {"AIR-BAROMETRIC", "AIR-DRY"}
+    assert set(codes(ledger, Kind.FALLBACK)) == {"AIR-BAROMETRIC", "AIR-HUMIDITY-EXPECTED"}
     _, h = flight(3000.0)
     residual = (air.pressure_pa(h) - adjusted.profile.pressure(h)) / 100.0
     assert np.abs(residual).max() < 0.3  # hPa

@@ -106,6 +106,18 @@ def test_barometer_and_gnss_alone(flights, real, climb, limit):
     assert rms(found) < 0.5 * of_the_standard(real, climb)
 
 
+def test_barometric_pressures_pass_through_the_measured_ones(flights, real):
+    rng = np.random.default_rng(4)
+    how = {"thermometer": False, "humidity": "none", "descent": True}
+    for truth in real:
+        samples = flights.fly(truth, 4000.0, flights.Sensors(), rng, **how)
+        found = build_adjusted_profile(samples, US1976, truth.latitude, Ledger())
+        assert found.basis == "barometer"
+        h, p = samples.pressure.used()
+        # 0.3 hPa are 3 m of height.
+        assert np.abs(p - found.profile.pressure(h)).max() < 30.0, truth.name
+
+
 MODES = [
     {"climb": 1000.0, "descent": True, "humidity": "surface"},
     {"climb": 1000.0, "humidity": "none"},

@@ -23,29 +23,37 @@ COLUMNS = {
 }
 
 
+def with_covariance(monkeypatch, covariance_of):
+    """Runs whose air, all of it, has this covariance."""
+    original = stages.adjust_air
+
+    def adjust_air(*given):
+        air = original(*given)
+        covariance = covariance_of(air.adjustment.profile)
+        airs = tuple(replace(one, own=covariance, ends=None) for one in air.along.airs)
+        adjustment = replace(air.adjustment, covariance=covariance)
+        return replace(air, adjustment=adjustment, along=replace(air.along, airs=airs))
+
+    monkeypatch.setattr(stages, "adjust_air", adjust_air)
+
+
 @pytest.fixture
 def pressure_in_doubt(monkeypatch):
     """Runs know their pressure to 0.4 %, and nothing else of the air is in doubt."""
 
-    def adjust_air(*given):
-        adjustment = original(*given)
-        size = adjustment.profile.layers.edge.size
+    def covariance_of(profile):
+        size = profile.layers.edge.size
         matrix = np.zeros((2 * size + 1, 2 * size + 1))
         matrix[size, size] = LN_P**2
-        covariance = ProfileCovariance(adjustment.profile, 1000.0, matrix)
-        return replace(adjustment, covariance=covariance)
+        return ProfileCovariance(profile, 1000.0, matrix)
 
-    original = stages.adjust_air
-    monkeypatch.setattr(stages, "adjust_air", adjust_air)
+    with_covariance(monkeypatch, covariance_of)
 
 
 @pytest.fixture
 def nothing_in_doubt(monkeypatch):
     """Runs of which nobody knows how good their air is."""
-    original = stages.adjust_air
-    monkeypatch.setattr(
-        stages, "adjust_air", lambda *given: replace(original(*given), covariance=None)
-    )
+    with_covariance(monkeypatch, lambda profile: None)
 
 
 def ran(mission, exit_code: int = 0) -> dict:

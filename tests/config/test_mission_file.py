@@ -79,7 +79,13 @@ FULL: dict[str, Any] = {
                "sigma_m": 2.0},
     "atmosphere": {
         "standard": "us1976", "adjust": True, "index": "gyer", "wavelength_m": 5.5e-7,
-        "co2_ppm": 420.0,
+        "co2_ppm": 420.0, "climatology": "auto", "board_temperature": True,
+        "soundings": [{"path": "s.csv", "format": "csv", "station_h_msl_m": 500.0}],
+        "surface": [
+            {"h_msl_m": 500.0, "metar": "METAR EDDF 221150Z 12/08 Q1013"},
+            {"h_msl_m": 500.0, "temperature_c": 15.0, "pressure_hpa": 955.0,
+             "relative_humidity": 0.5, "time_utc": "2026-05-14T10:20:00Z"},
+        ],
     },
     "refraction": {"method": "spherical", "radius_m": 6371000.0, "direction": "remove"},
     "output": {"path": "results", "batch_rows": 100000},
@@ -203,7 +209,9 @@ def fields_of(model: type[BaseModel], seen: set[type[BaseModel]]) -> Iterator[st
 
 def test_the_examples_here_use_every_key_there_is(accepted):
     used = {keys[-1] for tree in (FULL, with_csv_events()) for keys in keys_of(tree)}
-    known = set(fields_of(Mission, set())) - {"time_utc"}
+    listed = [*FULL["atmosphere"]["soundings"], *FULL["atmosphere"]["surface"]]
+    used |= {key for entry in listed for key in entry}
+    known = set(fields_of(Mission, set()))
     assert known <= used
     accepted(FULL)
     accepted(with_csv_events())

@@ -106,11 +106,14 @@ def utc_ns(text: str) -> int | None:
 
     >>> utc_ns("2011-05-22 12:00:00") == utc_ns("2011-05-22T12:00:00Z") == 1306065600 * 10**9
     True
+    >>> utc_ns("") is None
+    True
     """
     try:
-        return int(np.datetime64(text.strip().removesuffix("Z"), "ns").astype(np.int64))
+        time = np.datetime64(text.strip().removesuffix("Z"), "ns")
     except ValueError:
         return None
+    return None if np.isnat(time) else int(time.astype(np.int64))
 
 
 def radians(degrees: float, limit: float) -> float:

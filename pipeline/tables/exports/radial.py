@@ -85,6 +85,14 @@ def radial_columns(table: RadialTable) -> dict[str, object]:
 
 
 def _tables(run: FinishedRun, schema: pa.Schema, ledger: Ledger) -> Iterator[pa.Table]:
+    if len(run.rays) > 1:
+        ledger.warning(
+            "EXPORT-AIR-CHANGES",
+            f"the air of the flight changes over {len(run.rays)} profiles: each radial table holds "
+            "the air of the middle one of its images; the lattice holds that of each",
+            where="profile.parquet",
+            count=len(run.rays),
+        )
     for name, camera in run.cameras.items():
         if camera.has_window:
             ledger.warning(
@@ -129,8 +137,9 @@ def _table(
     # At 45 degrees of azimuth Euler's radius is the harmonic mean of the two principal ones.
     middle = float(np.median(run.stations.lat_rad[rows]))
     radius = run.exposures.radius_m or float(euler_radius(middle, 0.25 * np.pi))
+    middle_one = rows[np.argsort(run.stations.time_ns[rows], kind="stable")[rows.size // 2]]
     found = radial_table(
-        run.profile,
+        run.air.profiles[run.air.number[middle_one]],
         float(np.median(run.exposures.height_m[rows])),
         float(np.median(run.ground_m[rows])),
         angles_to(_LARGEST_DEG, _STEP_DEG),
