@@ -427,7 +427,7 @@ def test_too_little_height_returns_the_climatology_with_its_sigma(flights, airs)
     samples = flights.fly(truth, 120.0, flights.REALISTIC, np.random.default_rng(1))
     climate = climatology(AUTO, latitude_rad=truth.latitude, month=3.0)
     adjusted, ledger = adjust(truth, samples, background=climate)
-    assert adjusted.basis == "standard"
+    assert adjusted.basis == "climatology"
     assert codes(ledger) == ["AIR-STANDARD"]
     h = np.linspace(0.0, 12_000.0, 50)
     np.testing.assert_allclose(
