@@ -69,6 +69,9 @@ def _obey(words: list[str]) -> int:
 
 def main() -> None:
     """Run the command line and leave with its exit code."""
+    # Matrices of some hundreds of rows are slower on many threads, and sums then depend on how
+    # many: set before anything imports numpy, and only where the user has not.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     sys.excepthook = _unexpected
     _listen()
     code = EXIT_DONE
