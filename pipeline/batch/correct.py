@@ -7,8 +7,9 @@ a part of its own. What a part holds does not depend on how many are under way.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -114,13 +115,17 @@ def correct_stream(
         return tally
 
     total = Tally.of(recipe.cameras)
-    for part in _overlapped(one, observations.batches(batch_rows)):
-        total.merge(part)
-        progress(part.rows)
+    # Closed, and its threads waited for, before anyone clears the folder they write to.
+    with closing(_overlapped(one, observations.batches(batch_rows))) as parts:
+        for part in parts:
+            total.merge(part)
+            progress(part.rows)
     return total
 
 
-def _overlapped(one: Callable[[int, Batch], Tally], batches: Iterator[Batch]) -> Iterator[Tally]:
+def _overlapped(
+    one: Callable[[int, Batch], Tally], batches: Iterator[Batch]
+) -> Generator[Tally, None, None]:
     """Results for numbered batches, in their order.
 
     As many at a time as this process may use CPUs, four at most; one more is read meanwhile, and
