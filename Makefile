@@ -29,7 +29,7 @@ lint: $(STAMP)
 # Ratios within one run, each the median of seven pairs; some minutes on a quiet machine.
 bench: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
-	$(BIN)/python -m pytest -o addopts='' -o python_files='bench_*.py' -s benchmarks
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -o addopts='' -o python_files='bench_*.py' -s benchmarks
 
 clean:
 	rm -rf $(VENV) results
