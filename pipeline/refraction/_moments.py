@@ -107,15 +107,25 @@ def class_of(drop, bend):  # type: ignore[no-untyped-def]
 
 
 @jit
-def series(table, i, c, w, x, x_table):  # type: ignore[no-untyped-def]
-    """delta / (x tan zeta_c) between ``fine[i]`` and the camera, by the series of class c."""
-    t, change = w * x, x - x_table
-    total, power = 0.0, 1.0
-    for p in range(_ORDERS):
-        part = 0.0
+def series(moments, c, w, x, x_table, scratch, total):  # type: ignore[no-untyped-def]
+    """Fill delta / (x tan zeta_c) of rays between one height and the camera, by class c.
+
+    ``moments`` is the height's row of the table, made for ``x_table``; ``scratch`` (3, n) or
+    longer is room to work in.
+    """
+    t, change, part = scratch[0, : w.size], scratch[1, : w.size], scratch[2, : w.size]
+    for i in range(w.size):
+        t[i] = w[i] * x[i]
+    for i in range(w.size):
+        change[i] = x[i] - x_table
+        total[i] = 0.0
+    # Term by term over all rays: the short loops run four rays at a time.
+    for p in range(_ORDERS - 1, -1, -1):
+        part[:] = 0.0
         for k in range(_COUNT[c, p] - 1, -1, -1):
             column = 2 * (_START[p] + k)
-            part = part * t + (table[i, column] + change * table[i, column + 1])
-        power *= w
-        total += power * part
-    return total
+            value, slope = moments[column], moments[column + 1]
+            for i in range(w.size):
+                part[i] = part[i] * t[i] + (value + change[i] * slope)
+        for i in range(w.size):
+            total[i] = (total[i] + part[i]) * w[i]
