@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from pipeline.refraction._jit import entry, jit
+from pipeline.refraction._jit import entry, jit, within
 from pipeline.refraction.camera import brown_conrady, brown_conrady_slopes
 from pipeline.refraction.status import (
     BAD_MEASUREMENT,
@@ -40,9 +40,9 @@ def _newton(u_d, v_d, u, v, k1, k2, k3, p1, p2):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _undistort(u_d, v_d, u, v, k1, k2, k3, p1, p2):  # type: ignore[no-untyped-def]
+def _undistort(first, last, u_d, v_d, u, v, k1, k2, k3, p1, p2):  # type: ignore[no-untyped-def]
     """Fill u, v with three steps each: the loop has no branch and runs four points at a time."""
-    for i in range(u_d.size):
+    for i in range(first, last):
         a, b = u_d[i], v_d[i]
         for _ in range(3):
             a, b = _newton(u_d[i], v_d[i], a, b, k1, k2, k3, p1, p2)
@@ -65,20 +65,20 @@ def _settle(u_d, v_d, u, v, k1, k2, k3, p1, p2, largest):  # type: ignore[no-unt
 
 
 @jit
-def _ideal(x, y, camera, extra, scratch, u, v):  # type: ignore[no-untyped-def]
+def _ideal(first, last, x, y, camera, extra, scratch, u, v):  # type: ignore[no-untyped-def]
     """Fill the ideal image coordinates of pixels, NaN where the camera does not cover them.
 
     ``extra`` is added to the principal distance; ``scratch`` (2, n) is room to work in.
     """
     width, height, fx, fy, cx, cy, k1, k2, k3, p1, p2, largest = camera
     fx, fy = fx + extra, fy + extra
-    u_d, v_d = scratch[0, : x.size], scratch[1, : x.size]
-    for i in range(x.size):
+    u_d, v_d = scratch[0], scratch[1]
+    for i in range(first, last):
         u_d[i] = (x[i] - cx) / fx
         v_d[i] = (y[i] - cy) / fy
-    _undistort(u_d, v_d, u, v, k1, k2, k3, p1, p2)
+    _undistort(first, last, u_d, v_d, u, v, k1, k2, k3, p1, p2)
     lens = 0.0 < fx < math.inf and 0.0 < fy < math.inf
-    for i in range(x.size):
+    for i in range(first, last):
         if lens and 0.0 <= x[i] <= width and 0.0 <= y[i] <= height:
             u[i], v[i] = _settle(u_d[i], v_d[i], u[i], v[i], k1, k2, k3, p1, p2, largest)
         else:
@@ -88,100 +88,100 @@ def _ideal(x, y, camera, extra, scratch, u, v):  # type: ignore[no-untyped-def]
 @entry
 def rays_of_pixels(x, y, camera, u, v):  # type: ignore[no-untyped-def]
     """Fill ideal image coordinates of pixels; NaN where the camera does not cover them."""
-    _ideal(x, y, camera, 0.0, np.empty((2, x.size)), u, v)
+    _ideal(np.uint64(0), np.uint64(x.size), x, y, camera, 0.0, np.empty((2, x.size)), u, v)
 
 
 @jit
-def _refract(u, v, scale, normal, excess, along, r_cc):  # type: ignore[no-untyped-def]
+def _refract(first, last, d, normal, excess, along, r_cc):  # type: ignore[no-untyped-def]
     """Snell's law at a plane window (Gyer 1996, Eq. 36, in vectors), without its differences.
 
-    Directions change by ``excess`` times themselves and ``along`` times the normal; R_cc is good
-    below 0.01. NaN for rays that the window reflects wholly, or that do not lead out of it.
+    Directions ``d`` (3, n) change by ``excess`` times themselves and ``along`` times the normal;
+    R_cc is good below 0.01. NaN for rays that the window reflects wholly, or that do not lead out
+    of it.
     """
-    n_0, n_1, n_2 = normal[0], normal[1], normal[2]
-    for i in range(u.size):
-        d_0, d_1, d_2 = u[i] * scale[i], v[i] * scale[i], scale[i]
-        cos_in = d_0 * n_0 + d_1 * n_1 + d_2 * n_2
-        t_0, t_1, t_2 = d_0 - cos_in * n_0, d_1 - cos_in * n_1, d_2 - cos_in * n_2
+    d_0, d_1, d_2, n_0, n_1, n_2 = d[0], d[1], d[2], normal[0], normal[1], normal[2]
+    for i in range(first, last):
+        cos_in = d_0[i] * n_0 + d_1[i] * n_1 + d_2[i] * n_2
+        t_0, t_1, t_2 = d_0[i] - cos_in * n_0, d_1[i] - cos_in * n_1, d_2[i] - cos_in * n_2
         sin2 = t_0 * t_0 + t_1 * t_1 + t_2 * t_2
         cos_out = math.sqrt(1.0 - (1.0 + excess) * (1.0 + excess) * sin2)
         forward = -excess * (2.0 + excess) * sin2 / (cos_out + cos_in)
         length2 = excess * excess * sin2 + forward * forward
         # Twice the arcsine of half the length.
         turned = math.sqrt(length2) * (1.0 + length2 * (1.0 + 0.1125 * length2) / 24.0)
-        leads_out = cos_in > 0.0
-        along[i] = forward - excess * cos_in if leads_out else math.nan
-        r_cc[i] = math.copysign(turned, excess) if leads_out else math.nan
+        out = 1.0 if cos_in > 0.0 else math.nan
+        along[i] = out * (forward - excess * cos_in)
+        r_cc[i] = out * math.copysign(turned, excess)
 
 
 @jit
-def _look_through(rays, some, scale, along, normal, excess, turn):  # type: ignore[no-untyped-def]
+def _look_through(first, last, rays, d, along, normal, excess, turn):  # type: ignore[no-untyped-def]
     """Fill the change of direction at the window, and the direction outside.
 
     A loop for each column: with few columns in a loop the compiler takes four rays at a time.
     """
-    u, v = rays[U, some], rays[V, some]
-    c_0, c_1, c_2 = rays[THROUGH, some], rays[THROUGH + 1, some], rays[THROUGH + 2, some]
-    n_0, n_1, n_2 = normal[0], normal[1], normal[2]
-    for i in range(u.size):
-        c_0[i] = excess * (u[i] * scale[i]) + along[i] * n_0
-    for i in range(u.size):
-        c_1[i] = excess * (v[i] * scale[i]) + along[i] * n_1
-    for i in range(u.size):
-        c_2[i] = excess * scale[i] + along[i] * n_2
     for k in range(3):
-        t_0, t_1, t_2 = turn[0, k], turn[1, k], turn[2, k]
-        apparent = rays[APPARENT + k, some]
-        for i in range(u.size):
-            across = t_0 * (u[i] * scale[i] + c_0[i]) + t_1 * (v[i] * scale[i] + c_1[i])
-            apparent[i] = across + t_2 * (scale[i] + c_2[i])
+        change, inside, part = rays[THROUGH + k], d[k], normal[k]
+        for i in range(first, last):
+            change[i] = excess * inside[i] + along[i] * part
+    for k in range(3):
+        change, inside = rays[THROUGH + k], d[k]
+        for i in range(first, last):
+            inside[i] += change[i]
+    d_0, d_1, d_2 = d[0], d[1], d[2]
+    for k in range(3):
+        t_0, t_1, t_2, apparent = turn[0, k], turn[1, k], turn[2, k], rays[APPARENT + k]
+        for i in range(first, last):
+            apparent[i] = t_0 * d_0[i] + t_1 * d_1[i] + t_2 * d_2[i]
 
 
 @jit
-def _angles_outside(rays, some, meridian, vertical):  # type: ignore[no-untyped-def]
+def _angles_outside(first, last, rays, meridian, vertical):  # type: ignore[no-untyped-def]
     """Fill sine and cosine of the nadir angle, and Euler's radius in the azimuth of the ray.
 
     From 1/radius in the meridian, which also serves at the nadir, and in the prime vertical.
     """
-    east, north, up = rays[APPARENT, some], rays[APPARENT + 1, some], rays[APPARENT + 2, some]
-    sine, cosine, radius = rays[SIN, some], rays[COS, some], rays[RADIUS, some]
-    for i in range(east.size):
+    east, north, up = rays[APPARENT], rays[APPARENT + 1], rays[APPARENT + 2]
+    sine, cosine, radius = rays[SIN], rays[COS], rays[RADIUS]
+    for i in range(first, last):
         # Rounding may leave the sine of a level ray 1e-16 above one.
         length = math.sqrt(east[i] * east[i] + north[i] * north[i])
         sine[i] = 1.0 if length > 1.0 else length
         cosine[i] = -1.0 if up[i] > 1.0 else (1.0 if up[i] < -1.0 else -up[i])
-    for i in range(east.size):
+    for i in range(first, last):
         north2 = north[i] * north[i]
         level2 = east[i] * east[i] + north2
         share = north2 / level2 if level2 > 0.0 else 1.0
         radius[i] = 1.0 / (vertical + share * (meridian - vertical))
 
 
-@jit
+@within
 def _see_out(  # type: ignore[no-untyped-def]
-    rays, some, scratch, curvature, height, outside, cabin, normal, turn, r_cc
+    first, last, rays, scratch, curvature, height, outside, cabin, normal, turn, r_cc
 ):
     """Fill the rays of one exposure from their ideal image coordinates; NaN stays NaN."""
-    u, v = rays[U, some], rays[V, some]
-    scale, along = scratch[0, : u.size], scratch[1, : u.size]
-    for i in range(u.size):
-        scale[i] = 1.0 / math.sqrt(u[i] * u[i] + v[i] * v[i] + 1.0)
+    u, v, d, along = rays[U], rays[V], scratch[:3], scratch[3]
+    for i in range(first, last):
+        d[2, i] = 1.0 / math.sqrt(u[i] * u[i] + v[i] * v[i] + 1.0)
+        rays[H_C, i] = height
+    for i in range(first, last):
+        d[0, i] = u[i] * d[2, i]
+        d[1, i] = v[i] * d[2, i]
     excess = (cabin - outside) / (1.0 + outside)
     if excess == 0.0:
-        along[:] = 0.0
-        r_cc[:] = 0.0
+        for i in range(first, last):
+            along[i] = r_cc[i] = 0.0
     else:
-        _refract(u, v, scale, normal, excess, along, r_cc)
-    _look_through(rays, some, scale, along, normal, excess, turn)
-    _angles_outside(rays, some, curvature[0], curvature[1])
-    rays[H_C, some] = height
+        _refract(first, last, d, normal, excess, along, r_cc)
+    _look_through(first, last, rays, d, along, normal, excess, turn)
+    _angles_outside(first, last, rays, curvature[0], curvature[1])
 
 
 @jit
-def _measured(x, y, h_g, station, status):  # type: ignore[no-untyped-def]
+def _measured(first, last, x, y, h_g, station, status):  # type: ignore[no-untyped-def]
     """The first thing that observations of one exposure lack before any ray, or OK."""
     then = OK if station else NO_STATION
-    for i in range(x.size):
+    for i in range(first, last):
         grounded = then if math.isfinite(h_g[i]) or not station else NO_GROUND
         seen = math.isfinite(x[i]) and math.isfinite(y[i])
         status[i] = grounded if seen else BAD_MEASUREMENT
@@ -194,11 +194,11 @@ def _wide_turn(rays, i, r_cc):  # type: ignore[no-untyped-def]
     return math.copysign(2.0 * math.asin(0.5 * math.sqrt(x * x + y * y + z * z)), r_cc)
 
 
-@jit
-def _judge(rays, some, outside, r_cc, status):  # type: ignore[no-untyped-def]
+@within
+def _judge(first, last, rays, outside, r_cc, status):  # type: ignore[no-untyped-def]
     """Give rays that came to nothing their status, and take the numbers out of all without one."""
-    u = rays[U, some]
-    for i in range(r_cc.size):
+    u = rays[U]
+    for i in range(first, last):
         if status[i] == OK:
             if math.isnan(u[i]):
                 status[i] = OUTSIDE_CAMERA
@@ -207,19 +207,22 @@ def _judge(rays, some, outside, r_cc, status):  # type: ignore[no-untyped-def]
             elif math.isnan(r_cc[i]):
                 status[i] = OUTSIDE_CAMERA
             elif abs(r_cc[i]) > 0.01:
-                r_cc[i] = _wide_turn(rays, some.start + i, r_cc[i])
+                r_cc[i] = _wide_turn(rays, i, r_cc[i])
         if status[i] != OK:
             r_cc[i] = math.nan
             for k in range(COLUMNS):
-                rays[k, some.start + i] = math.nan
+                rays[k, i] = math.nan
 
 
 @jit
 def _run_end(exposure, first):  # type: ignore[no-untyped-def]
-    """Where the rows of one exposure that follow each other end."""
-    last = first + 1
+    """Where rows of one exposure that follow each other end.
+
+    Rows are unsigned: an index that might count from the end would keep the compiler from vectors.
+    """
+    last = first + np.uint64(1)
     while last < exposure.size and exposure[last] == exposure[first]:
-        last += 1
+        last += np.uint64(1)
     return last
 
 
@@ -234,160 +237,85 @@ def look_out(  # type: ignore[no-untyped-def]
     that follow each other are taken together, in passes over all of them: short loops keep the
     processor busy, and what belongs to the exposure is read once.
     """
-    scratch = np.empty((2, x.size))
-    first = 0
-    while first < x.size:
-        some = slice(first, _run_end(exposure, first))
+    scratch = np.empty((4, x.size))
+    last = np.uint64(0)
+    while last < x.size:
+        first, last = last, _run_end(exposure, last)
         e = exposure[first]
         station = 0 <= e < usable.size and usable[e]
-        _measured(x[some], y[some], h_g[some], station, status[some])
+        _measured(first, last, x, y, h_g, station, status)
         if station:
-            _ideal(x[some], y[some], camera, change[e], scratch, rays[U, some], rays[V, some])
+            _ideal(first, last, x, y, camera, change[e], scratch, rays[U], rays[V])
             _see_out(
-                rays, some, scratch, curvature[e], height[e], outside[e], cabin[e], normal[e], rotation[e],
-                r_cc[some],
+                first, last, rays, scratch, curvature[e], height[e], outside[e], cabin[e],
+                normal[e], rotation[e], r_cc,
             )  # fmt: skip
-        _judge(rays, some, outside[e] if station else math.nan, r_cc[some], status[some])
-        first = some.stop
+        _judge(first, last, rays, outside[e] if station else math.nan, r_cc, status)
 
 
 @jit
-def _lowered(rays, some, r_c, sideways, down):  # type: ignore[no-untyped-def]
-    """Change of unit vectors that turn towards the nadir by R_c, without differences.
-
-    Fills the share of east and north that it is, and the change of up; at the nadir zero.
-    """
-    up, sine, cosine = rays[APPARENT + 2, some], rays[SIN, some], rays[COS, some]
-    # Sines by their series, 1e-17 of themselves below 0.1; larger angles are rare.
-    for i in range(r_c.size):
-        square = 0.25 * r_c[i] * r_c[i]
-        sideways[i] = _sine_share(square)
-        down[i] = r_c[i] * _sine_share(4.0 * square)
-    for i in range(r_c.size):
-        if abs(r_c[i]) > 0.1:
-            sideways[i] = 2.0 * math.sin(0.5 * r_c[i]) / r_c[i]
-            down[i] = math.sin(r_c[i])
-    for i in range(r_c.size):
-        half = 0.5 * r_c[i] * sideways[i]
-        back = -2.0 * half * half
-        inward = down[i] * cosine[i] / sine[i] if sine[i] > 0.0 else 0.0
-        sideways[i] = back - inward
-        down[i] = up[i] * back - down[i] * sine[i]
+def _lowered(a, sin_z, cos_z, angle, out):  # type: ignore[no-untyped-def]
+    """Change of a unit vector that turns towards the nadir; zero for a ray at the nadir."""
+    back = -2.0 * math.sin(0.5 * angle) ** 2
+    sin_a = math.sin(angle)
+    inward = sin_a * cos_z / sin_z if sin_z > 0.0 else 0.0
+    out[0] = a[0] * (back - inward)
+    out[1] = a[1] * (back - inward)
+    out[2] = a[2] * back - sin_a * sin_z
 
 
 @jit
-def _sine_share(square):  # type: ignore[no-untyped-def]
-    """sin x / x of the square of x below 0.1, to 1e-17."""
-    tail = 1.0 - square * (1.0 / 42.0) * (1.0 - square * (1.0 / 72.0))
-    return 1.0 - square * (1.0 / 6.0) * (1.0 - square * (1.0 / 20.0) * tail)
-
-
-@jit
-def _seen_straight(rays, some, turn, sideways, down, depth, u, v):  # type: ignore[no-untyped-def]
-    """Fill the ideal image coordinates of the straight chords; ``depth`` is room to work in."""
-    east, north, u_0, v_0 = (
-        rays[APPARENT, some],
-        rays[APPARENT + 1, some],
-        rays[U, some],
-        rays[V, some],
-    )
-    for k in range(3):
-        t_0, t_1, t_2, through = turn[k, 0], turn[k, 1], turn[k, 2], rays[THROUGH + k, some]
-        seen = u if k == 0 else (v if k == 1 else depth)
-        for i in range(u.size):
-            level = (t_0 * east[i] + t_1 * north[i]) * sideways[i]
-            seen[i] = through[i] + (level + t_2 * down[i])
-    for i in range(u.size):
-        ahead = 1.0 / math.sqrt(u_0[i] * u_0[i] + v_0[i] * v_0[i] + 1.0) + depth[i]
-        u[i] = u_0[i] + (u[i] - u_0[i] * depth[i]) / ahead
-        v[i] = v_0[i] + (v[i] - v_0[i] * depth[i]) / ahead
-
-
-@jit
-def _to_pixels(rays, some, camera, extra, u, v):  # type: ignore[no-untyped-def]
-    """Turn ideal image coordinates into pixels from where the rays were measured.
-
-    The principal distance was longer by ``extra`` there.
-    """
-    _, _, fx, fy, _, _, k1, k2, k3, p1, p2, _ = camera
-    u_0, v_0 = rays[U, some], rays[V, some]
-    for i in range(u.size):
-        was_u, was_v = _distort(u_0[i], v_0[i], k1, k2, k3, p1, p2)
-        is_u, is_v = _distort(u[i], v[i], k1, k2, k3, p1, p2)
-        u[i] = fx * (is_u - was_u) - extra * was_u
-        v[i] = fy * (is_v - was_v) - extra * was_v
-
-
-@jit
-def _reach(cosine, h_c, h_g, radius, status, distance):  # type: ignore[no-untyped-def]
-    """Fill the distance along straight lines to where they meet a height; NaN where never.
-
-    Downwards the nearer of two crossings unless the far one is meant, upwards the only one.
-    """
-    for i in range(cosine.size):
-        along = (radius[i] + h_c) * cosine[i]
-        drop = (h_c - h_g[i]) * (2.0 * radius[i] + h_c + h_g[i])
-        q = math.sqrt(along * along - drop)
-        near = h_c > h_g[i] and status[i] != FAR_BRANCH
-        length = drop / (along + q) if near else along + q
-        length = 0.0 if h_c == h_g[i] else length
-        distance[i] = length if length >= 0.0 else math.nan
-
-
-@jit
-def _landing_apart(  # type: ignore[no-untyped-def]
-    rays, some, turn, h_c, h_g, sideways, down, status, scratch, apart
-):
-    """Fill how far apart the measured and the true straight ray reach the target's height."""
-    cosine, measured, true = scratch[0, some], scratch[1, some], scratch[2, some]
-    c_0, c_1, c_2 = rays[THROUGH, some], rays[THROUGH + 1, some], rays[THROUGH + 2, some]
-    up, radius = rays[APPARENT + 2, some], rays[RADIUS, some]
-    # Inside the window the direction, in the local frame, is the one outside less the change.
-    t_0, t_1, t_2 = turn[0, 2], turn[1, 2], turn[2, 2]
-    for i in range(up.size):
-        cosine[i] = t_0 * c_0[i] + t_1 * c_1[i] + t_2 * c_2[i] - up[i]
-    _reach(cosine, h_c, h_g, radius, status, measured)
-    for i in range(up.size):
-        apart[i] = cosine[i] * measured[i]
-        cosine[i] = -up[i] - down[i]
-    _reach(cosine, h_c, h_g, radius, status, true)
-    for i in range(up.size):
-        apart[i] = (apart[i] - cosine[i] * true[i]) ** 2
-    for k in range(2):
-        level, t_0, t_1, t_2 = rays[APPARENT + k, some], turn[0, k], turn[1, k], turn[2, k]
-        for i in range(up.size):
-            cosine[i] = t_0 * c_0[i] + t_1 * c_1[i] + t_2 * c_2[i]
-        for i in range(up.size):
-            side = (level[i] - cosine[i]) * measured[i] - level[i] * (1.0 + sideways[i]) * true[i]
-            apart[i] += side * side
-    for i in range(up.size):
-        apart[i] = math.sqrt(apart[i])
+def _reach(cos_z, h_c, h_g, radius, far):  # type: ignore[no-untyped-def]
+    """Distance along a straight line to where it meets a height; NaN where it never does."""
+    if h_c == h_g:
+        return 0.0
+    along = (radius + h_c) * cos_z
+    drop = (h_c - h_g) * (2.0 * radius + h_c + h_g)
+    q = math.sqrt(along * along - drop)
+    # Downwards the nearer of two crossings unless the far one is meant, upwards the only one.
+    distance = drop / (along + q) if h_c > h_g and not far else along + q
+    return distance if distance >= 0.0 else math.nan
 
 
 @entry
 def shift_back(  # type: ignore[no-untyped-def]
-    h_g, exposure, camera, rotation, change, height, rays, r_c, status, dx, dy, shift_ground
+    x, y, h_g, exposure, camera, rotation, change, rays, r_c, status, dx, dy, shift_ground
 ):
-    """Fill the shifts in the image and on the ground that refraction angles amount to.
-
-    NaN where the angle is.
-    """
-    scratch = np.empty((5, h_g.size))
-    first = 0
-    while first < h_g.size:
-        some = slice(first, _run_end(exposure, first))
-        e = exposure[first]
-        first = some.stop
-        if not 0 <= e < height.size:
-            dx[some] = dy[some] = shift_ground[some] = math.nan
+    """Fill the shifts in the image and on the ground that refraction angles amount to."""
+    fx, fy = camera[2], camera[3]
+    k1, k2, k3, p1, p2 = camera[6:11]
+    apparent, lower, seen = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(x.size):
+        if math.isnan(r_c[i]):
+            dx[i] = dy[i] = shift_ground[i] = math.nan
             continue
-        sideways, down = scratch[3, some], scratch[4, some]
-        _lowered(rays, some, r_c[some], sideways, down)
-        _seen_straight(
-            rays, some, rotation[e], sideways, down, scratch[0, some], dx[some], dy[some]
-        )
-        _to_pixels(rays, some, camera, change[e], dx[some], dy[some])
-        _landing_apart(
-            rays, some, rotation[e], height[e], h_g[some], sideways, down, status[some], scratch,
-            shift_ground[some],
+        turn = rotation[exposure[i]]
+        for k in range(3):
+            apparent[k] = rays[APPARENT + k, i]
+        _lowered(apparent, rays[SIN, i], rays[COS, i], r_c[i], lower)
+        u, v, extra = rays[U, i], rays[V, i], change[exposure[i]]
+        for k in range(3):
+            seen[k] = rays[THROUGH + k, i] + (
+                turn[k, 0] * lower[0] + turn[k, 1] * lower[1] + turn[k, 2] * lower[2]
+            )
+        depth = 1.0 / math.sqrt(u * u + v * v + 1.0) + seen[2]
+        u_0, v_0 = _distort(u, v, k1, k2, k3, p1, p2)
+        u_1, v_1 = _distort(
+            u + (seen[0] - u * seen[2]) / depth, v + (seen[1] - v * seen[2]) / depth,
+            k1, k2, k3, p1, p2,
         )  # fmt: skip
+        dx[i] = fx * (u_1 - u_0) - extra * u_0
+        dy[i] = fy * (v_1 - v_0) - extra * v_0
+        far, radius, h_c = status[i] == FAR_BRANCH, rays[RADIUS, i], rays[H_C, i]
+        for k in range(3):  # the direction inside the window, east-north-up
+            seen[k] = apparent[k] - (
+                turn[0, k] * rays[THROUGH, i]
+                + turn[1, k] * rays[THROUGH + 1, i]
+                + turn[2, k] * rays[THROUGH + 2, i]
+            )
+        raw = _reach(-seen[2], h_c, h_g[i], radius, far)
+        true = _reach(-apparent[2] - lower[2], h_c, h_g[i], radius, far)
+        apart2 = 0.0
+        for k in range(3):
+            apart2 += (seen[k] * raw - (apparent[k] + lower[k]) * true) ** 2
+        shift_ground[i] = math.sqrt(apart2)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pipeline.refraction._jit import entry, jit
+from pipeline.refraction._jit import entry, jit, within
 from pipeline.refraction._moments import (
     LARGEST_BEND,
     LARGEST_DROP,
@@ -29,8 +29,8 @@ WORTH_A_TABLE = 24
 # As many rays from one height are taken together: their columns fit into a core's cache.
 _TOGETHER = 4096
 
-# Columns of the rays to one interval, and which of them is 1/cos^2 zeta_c.
-ROWS, W = 12, 4
+# Columns of the rays to one interval; which of them are 1/cos^2 zeta_c and the angle.
+ROWS, W, ANGLE = 12, 4, 11
 
 # A ray whose straight line would go this far down [m] before it is level passes no lowest point
 # above land, whatever the air: 500 m of depth, and more again for the bending.
@@ -43,7 +43,8 @@ _X3 = 0.5 + _X3
 @jit
 def _interval(fine, hint, h):  # type: ignore[no-untyped-def]
     """Number of the fine interval that holds height h."""
-    i = hint[min(max(int((h - fine[0]) / 125.0), 0), hint.size - 1)]
+    k, last = int((h - fine[0]) / 125.0), hint.size - 1
+    i = hint[k if k < last else last]
     while i < fine.size - 2 and fine[i + 1] <= h:
         i += 1
     return i
@@ -76,14 +77,17 @@ def _by_interval(fine, hint, h_g, top, status, at, order):  # type: ignore[no-un
     for i in range(h_g.size):
         if status[i] == OK:
             at[i] = top - _interval(fine, hint, h_g[i])
-            deepest = max(deepest, at[i])
-    start = np.zeros(deepest + 2, np.int64)
+            if at[i] > deepest:
+                deepest = at[i]
+    start, place = np.empty(deepest + 2, np.int64), np.empty(deepest + 2, np.int64)
+    for k in range(deepest + 2):
+        start[k] = 0
     for i in range(h_g.size):
         if status[i] == OK:
             start[at[i] + 1] += 1
     for k in range(deepest + 1):
         start[k + 1] += start[k]
-    place = start.copy()
+        place[k] = start[k]
     for i in range(h_g.size):
         if status[i] == OK:
             order[place[at[i]]] = i
@@ -92,7 +96,7 @@ def _by_interval(fine, hint, h_g, top, status, at, order):  # type: ignore[no-un
 
 
 @jit
-def _rest(air, low, h_1, high, h_c, n_c, cos_c, h_g, r_e, rest):  # type: ignore[no-untyped-def]
+def _rest(n, air, low, h_1, high, h_c, n_c, cos_c, h_g, r_e, rest):  # type: ignore[no-untyped-def]
     """Fill the difference integral from the targets up to ``high``, by itself.
 
     ``air`` is the polynomial of the interval from ``low`` to ``h_1``. `integrand` of `_ray_kernel`,
@@ -101,16 +105,16 @@ def _rest(air, low, h_1, high, h_c, n_c, cos_c, h_g, r_e, rest):  # type: ignore
     """
     index2, per_metre = (1.0 + n_c) * (1.0 + n_c), 1.0 / (h_1 - low)
     a_0, a_1, a_2, a_3, a_4, a_5 = air[0], air[1], air[2], air[3], air[4], air[5]
-    for i in range(h_g.size):
+    for i in range(n):
         r_c, middle = r_e[i] + h_c, 0.5 * (h_g[i] + high)
-        b2 = index2 * ((r_c * cos_c[i]) ** 2 - (h_c - middle) * (r_c + r_e[i] + middle))
+        b2 = index2 * (r_c * cos_c[i] * r_c * cos_c[i] - (h_c - middle) * (r_c + r_e[i] + middle))
         inverse = 1.0 / b2
         total = 0.0
         for j in range(_X3.size):
             h = h_g[i] + (high - h_g[i]) * _X3[j]
             u, r = (h - low) * per_metre, r_e[i] + h
-            n = a_0 + u * (a_1 + u * (a_2 + u * (a_3 + u * (a_4 + u * a_5))))
-            m = (n - n_c) * (2.0 + n + n_c)
+            index = a_0 + u * (a_1 + u * (a_2 + u * (a_3 + u * (a_4 + u * a_5))))
+            m = (index - n_c) * (2.0 + index + n_c)
             off = index2 * (h - middle) * (r + r_e[i] + middle) * inverse
             cube = 1.0 - off * (1.5 - off * (1.875 - off * 2.1875))
             x = m * r * r * inverse * (1.0 - off * (1.0 - off))
@@ -120,43 +124,44 @@ def _rest(air, low, h_1, high, h_c, n_c, cos_c, h_g, r_e, rest):  # type: ignore
 
 
 @jit
-def _longest_class(h_c, h_g, w, x, largest):  # type: ignore[no-untyped-def]
+def _longest_class(n, h_c, h_g, w, x, largest):  # type: ignore[no-untyped-def]
     """Class of lengths of the series that is enough for all rays it serves; -1 without any."""
     drop = bend = -1.0
-    for i in range(h_g.size):
+    for i in range(n):
         if largest * w[i] <= LARGEST_BEND:
-            bend = max(bend, largest * w[i])
-            drop = max(drop, 2.0 * (h_c - h_g[i]) * w[i] * x[i])
+            fall = 2.0 * (h_c - h_g[i]) * w[i] * x[i]
+            bend = largest * w[i] if largest * w[i] > bend else bend
+            drop = fall if fall > drop else drop
     return class_of(drop, bend) if bend >= 0.0 else -1
 
 
-@jit
+@within
 def _one_interval(  # type: ignore[no-untyped-def]
-    fine, local, i, table, x_table, h_c, n_c, rays, angle
+    n, fine, local, i, table, x_table, h_c, n_c, rays
 ):
-    """Fill ``angle`` of rays whose targets lie in interval i; False where the series serves none.
+    """The angles of n rays whose targets lie in interval i; False where the series serves none.
 
-    ``rays`` (ROWS, n) or longer: h_g, sine and cosine of zeta_c, r_e, and room to work in.
+    ``rays`` (ROWS, n) or longer: h_g, sine and cosine of zeta_c, r_e, room to work in, and at last
+    the angles.
     """
-    n = angle.size
-    h_g, sin_c, cos_c, r_e = rays[0, :n], rays[1, :n], rays[2, :n], rays[3, :n]
-    w, x, rest, above = rays[W, :n], rays[5, :n], rays[6, :n], rays[7, :n]
+    h_g, sin_c, cos_c, r_e = rays[0], rays[1], rays[2], rays[3]
+    w, x, rest, above, angle = rays[W], rays[5], rays[6], rays[7], rays[ANGLE]
     for j in range(n):
         w[j] = 1.0 / (cos_c[j] * cos_c[j])
         x[j] = 1.0 / (r_e[j] + h_c)
-    size = _longest_class(h_c, h_g, w, x, table[i, -1])
+    size = _longest_class(n, h_c, h_g, w, x, table[i, -1])
     if size < 0:
         return False
-    series(table[i + 1], size, w, x, x_table, rays[8:], above)
-    high = min(fine[i + 1], h_c)
-    _rest(local[i], fine[i], fine[i + 1], high, h_c, n_c, cos_c, h_g, r_e, rest)
+    series(n, table[i + 1], size, w, x, x_table, rays[8:], above)
+    high = fine[i + 1] if fine[i + 1] < h_c else h_c
+    _rest(n, local[i], fine[i], fine[i + 1], high, h_c, n_c, cos_c, h_g, r_e, rest)
     for j in range(n):
         straight = (1.0 + n_c) * (r_e[j] + h_c) * sin_c[j] * rest[j]
         rest[j] = 0.5 * (straight + sin_c[j] / cos_c[j] * x[j] * above[j])
     # Angles are below 0.01 wherever the series holds.
     for j in range(n):
         r_c, r_g = r_e[j] + h_c, r_e[j] + h_g[j]
-        b2_g = (r_c * cos_c[j]) ** 2 - (h_c - h_g[j]) * (r_c + r_g)
+        b2_g = r_c * cos_c[j] * r_c * cos_c[j] - (h_c - h_g[j]) * (r_c + r_g)
         aside, ahead = sides_of(
             rest[j], 1.0, r_c * sin_c[j], h_c - h_g[j], r_c * cos_c[j], b2_g, r_c, r_g
         )
@@ -164,7 +169,7 @@ def _one_interval(  # type: ignore[no-untyped-def]
     return True
 
 
-@jit
+@within
 def _run(  # type: ignore[no-untyped-def]
     fine, local, hint, table, h_c, h_g, sin_c, cos_c, r_e, angle, status, numbers, rays
 ):
@@ -179,23 +184,24 @@ def _run(  # type: ignore[no-untyped-def]
     start = _by_interval(fine, hint, h_g, top, status, at, order)
     n_c = refractivity_near(local, top, (h_c - fine[top]) / (fine[top + 1] - fine[top]))
     x_table = 1.0 / (r_e[0] + h_c)
-    table[top + 1, :] = 0.0
+    for column in range(WIDTH):
+        table[top + 1, column] = 0.0
     fill(fine, local, h_c, n_c, x_table, top, top - start.size + 2, table)
     for k in range(start.size - 1):
-        some = order[start[k] : start[k + 1]]
-        if some.size == 0:
+        n = start[k + 1] - start[k]
+        if n == 0:
             continue
-        for j in range(some.size):
-            i = some[j]
+        for j in range(n):
+            i = order[start[k] + j]
             rays[0, j], rays[1, j], rays[2, j], rays[3, j] = h_g[i], sin_c[i], cos_c[i], r_e[i]
-        found = rays[ROWS - 1, : some.size]
-        served = _one_interval(fine, local, top - k, table, x_table, h_c, n_c, rays, found)
+        served = _one_interval(n, fine, local, top - k, table, x_table, h_c, n_c, rays)
         largest = table[top - k, -1]
-        for j in range(some.size):
+        for j in range(n):
+            i = order[start[k] + j]
             if served and largest * rays[W, j] <= LARGEST_BEND:
-                angle[some[j]] = found[j]
+                angle[i] = rays[ANGLE, j]
             else:
-                status[some[j]] = LEFT
+                status[i] = LEFT
 
 
 @entry
@@ -208,12 +214,12 @@ def bend_steep_rays(  # type: ignore[no-untyped-def]
     downwards as far as their targets lie. The others get the status `LEFT`.
     """
     table = np.empty((fine.size, WIDTH))
-    room = min(h_c.size, _TOGETHER)
+    room = h_c.size if h_c.size < _TOGETHER else _TOGETHER
     numbers, rays = np.empty((2, room), np.int64), np.empty((ROWS, room))
     first = 0
     while first < h_c.size:
         last = first + 1
-        while last < min(h_c.size, first + _TOGETHER) and h_c[last] == h_c[first]:
+        while last < h_c.size and last - first < room and h_c[last] == h_c[first]:
             last += 1
         if last - first >= WORTH_A_TABLE and fine[0] <= h_c[first] <= fine[-1]:
             some = slice(first, last)

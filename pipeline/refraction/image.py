@@ -245,7 +245,7 @@ def _correct_block(
     columns["r_c_rad"][:] = r_c
     columns["zeta_c_rad"][:] = np.arctan2(sine, cosine)
     kernel.shift_back(
-        h_g, exposure, k.camera, k.rotation, k.change, k.air[0], rays, r_c, status,
+        x, y, h_g, exposure, k.camera, k.rotation, k.change, rays, r_c, status,
         columns["dx_px"], columns["dy_px"], columns["shift_ground_m"],
     )  # fmt: skip
     columns["x_px"][:] = x + columns["dx_px"]
