@@ -131,10 +131,11 @@ def correct_observations(
         )  # fmt: skip
         return found.rows(np.argsort(order))
     n = x_px.size
-    columns = {name: np.empty(n) for name in COLUMNS}
+    # In one piece: the system hands large ones out in large pages, which take less time.
+    columns = dict(zip(COLUMNS, np.empty((len(COLUMNS), n)), strict=True))
     status = np.empty(n, np.uint8)
     sigmas = None if uncertainty is None else Sigmas.room(n)
-    unknown = np.full(n, np.nan)
+    unknown = np.broadcast_to(np.nan, n)
     observed = (x_px, y_px, h_g, exposure, unknown if distance_m is None else distance_m)
     sigma_h_g = unknown if sigma_h_g is None else sigma_h_g
     k = Constants.of(exposures, camera)
