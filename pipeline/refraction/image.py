@@ -173,7 +173,7 @@ def sigmas_at(
 
     def some(rows: slice) -> None:
         observed = (found.x_px[rows], found.y_px[rows], h_g[rows], exposure[rows])
-        rays, _, _ = _look_out(observed, k)
+        rays, _, _ = look_out(observed, k)
         solved = Solved(
             h_g[rows], sigma_h_g[rows], exposure[rows], k.camera, k.rotation, rays,
             found.r_c_rad[rows], found.status[rows],
@@ -236,7 +236,7 @@ def _correct_block(
 
     x, y, h_g, exposure, distance = observed
     k = constants
-    rays, columns["r_cc_rad"][:], status[:] = _look_out((x, y, h_g, exposure), k)
+    rays, columns["r_cc_rad"][:], status[:] = look_out((x, y, h_g, exposure), k)
     sine, cosine = rays[kernel.SIN], rays[kernel.COS]
     r_c, ray_status = bend(
         table, rays[kernel.H_C], h_g, sine, cosine, rays[kernel.RADIUS], distance
@@ -254,7 +254,7 @@ def _correct_block(
     return rays
 
 
-def _look_out(
+def look_out(
     observed: tuple[Array, Array, Array, NDArray[np.int64]], k: Constants
 ) -> tuple[Array, Array, NDArray[np.uint8]]:
     """Columns of the rays of pixels, R_cc and status."""
