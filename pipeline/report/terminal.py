@@ -94,11 +94,7 @@ def show_log(console: Console, log: Mapping[str, Any], name: str) -> None:
             roles,
         )
     console.print(Padding(table, (1, 0, 1, 2)))
-    for entry in log["ledger"]:
-        console.print(
-            f"  [{_COLOURS[entry['kind']]}]{entry['kind']}[/] {entry['code']}: "
-            f"{escape(entry['what'])}"
-        )
+    show_ledger(console, log["ledger"])
 
 
 def show_ledger(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
