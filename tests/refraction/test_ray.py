@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.adjust import AirSamples, Samples, build_adjusted_profile
+from pipeline.atmosphere.adjust import build_adjusted_profile
+from pipeline.atmosphere.samples import AirSamples, Samples
 from pipeline.ledger import Ledger
 from pipeline.refraction import ray_table, refraction_angle
 from pipeline.simulate.rays import ray_angle_sphere
