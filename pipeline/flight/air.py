@@ -116,9 +116,16 @@ _EARTH_M = 6.37e6
 
 
 def _speed(seconds: Array, track: tuple[Array, ...], window: float) -> Array:
-    """Mean speed over a window [s] that ends (negative) or begins at each sample [m/s]."""
-    moved = [np.interp(seconds + window, seconds, values) - values for values in track]
-    return np.asarray(np.sqrt(np.sum(np.square(moved), axis=0)) / abs(window))
+    """Mean speed over a window [s] that ends (negative) or begins at each sample [m/s].
+
+    Infinite where the log holds less than half of the window: it may well begin in the air.
+    """
+    other = np.clip(seconds + window, seconds[0], seconds[-1])
+    moved = [np.interp(other, seconds, values) - values for values in track]
+    lasted = np.abs(other - seconds)
+    known = lasted >= 0.5 * abs(window)
+    distance = np.sqrt(np.sum(np.square(moved), axis=0))
+    return np.asarray(np.where(known, distance / np.where(known, lasted, 1.0), np.inf))
 
 
 def _soaked(time_ns: NDArray[np.int64], stood: NDArray[np.int64]) -> NDArray[np.bool_]:

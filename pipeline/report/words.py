@@ -75,7 +75,7 @@ def where_from(manifest: Mapping[str, Any]) -> str:
             f" At the height of the cameras the air is {profile['departure_at_cameras_k']:+.1f} K "
             f"against {profile['standard']}."
         )
-    if profile["profiles"] > 1:
+    if profile["windows"]:
         changes = [100.0 * window["change"] for window in profile["windows"]]
         sentence += (
             f" The air changes: R by {min(changes):+.1f} to {max(changes):+.1f} % of that of the "
