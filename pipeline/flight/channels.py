@@ -56,7 +56,8 @@ class Channel:
     Columns in use: lat_rad, lon_rad, h_msl_m, h_ellipsoid_m, h_home_m, east_m, north_m, up_m
     (local), sigma_h_m, sigma_v_m, fix; q_w, q_x, q_y, q_z (v_ned = R(q) v_body, body forward,
     right, down); pressure_pa, board_temperature_k, temperature_k, relative_humidity (0-1),
-    airspeed_m_s; event_index, roll_rad, pitch_rad, yaw_rad.
+    airspeed_m_s; event_index, roll_rad, pitch_rad, yaw_rad; yaw_in_body_rad (of a gimbal); value
+    (of a named value, in the unit that the mission file says).
     """
 
     name: str

@@ -17,6 +17,7 @@ from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH
 
 SECONDS_PER_WEEK = 604_800
+WEEKS_PER_ROLLOVER = 1024  # the week has 10 bits in the signal
 
 # GPS minus UTC and the UTC date it begins, from IERS Bulletin C (numbers 1-70) and the USNO table
 # tai-utc.dat less 19 s. None has been announced after 2017-01-01.
@@ -79,6 +80,28 @@ def utc_of_gps(week: ArrayLike, seconds: ArrayLike) -> TimeArray:
     return np.asarray(utc, np.int64)
 
 
+def full_weeks(week: ArrayLike, first: int) -> tuple[NDArray[np.int64], int]:
+    """GPS weeks that a receiver counts modulo 1024 -> full weeks.
+
+    Parameters
+    ----------
+    week : (n,) as reported.
+    first : the first week that is possible. The receiver is one that rolls over where the median
+        is before it, which is unambiguous for 1024 weeks (19.6 years) from then on.
+
+    Returns (n,) full weeks, and how many were changed: none, or all before ``first``.
+
+    >>> full_weeks([276, 276, 277], first=1773)
+    (array([2324, 2324, 2325]), 3)
+    """
+    weeks = np.asarray(week).astype(np.int64)
+    early = weeks < first
+    if not weeks.size or np.median(weeks) >= first:
+        return weeks, 0
+    full = np.where(early, first + (weeks - first) % WEEKS_PER_ROLLOVER, weeks)
+    return full, int(np.count_nonzero(early))
+
+
 def boots_of(time_ns: TimeArray, step_ns: int = BOOT_STEP_NS) -> NDArray[np.int16]:
     """Number the power-ups in a sequence of times since boot.
 
@@ -121,16 +144,38 @@ def stray_times(time_ns: TimeArray, limit_ns: int = BOOT_STEP_NS) -> NDArray[np.
         return np.zeros(n, np.bool_)
     length = np.diff(np.append(first, n))
     begin, end = time_ns[first], time_ns[first + length - 1]
+    return np.repeat(stray_stretches(begin, end, length, limit_ns), length)
+
+
+def stray_stretches(
+    begin: TimeArray, end: TimeArray, length: NDArray[np.int64], limit_ns: int = BOOT_STEP_NS
+) -> NDArray[np.bool_]:
+    """Mark the stray ones of stretches of time stamps, as `stray_times` does for the stamps.
+
+    Parameters
+    ----------
+    begin, end : (n,) [ns] the first and the last stamp of each stretch, in the order of the file.
+        Within a stretch stamps are near each other, from one to the next they are not.
+    length : (n,) how many stamps each has.
+
+    Returns (n,) True where a stretch is stray.
+
+    >>> begin, end = np.array([0, 70, 2]) * 10**9, np.array([1, 70, 9]) * 10**9
+    >>> stray_stretches(begin, end, np.array([9, 1, 9]))
+    array([False,  True, False])
+    """
     short = length <= STRAY_ROWS
-    stray = np.zeros(first.shape, np.bool_)
+    stray = np.zeros(begin.shape, np.bool_)
+    if begin.shape[0] < 2:
+        return stray
     stray[0] = short[0] and not short[1] and begin[1] < end[0]
     stray[-1] = short[-1] and not short[-2] and begin[-1] < end[-2]
     last = begin[1] if stray[0] else end[0]  # the last stamp that can be believed
-    for k in range(1, first.shape[0] - 1):
+    for k in range(1, begin.shape[0] - 1):
         far = abs(begin[k] - last) > limit_ns
         stray[k] = short[k] and far and abs(begin[k + 1] - last) <= limit_ns
         last = last if stray[k] else end[k]
-    return np.repeat(stray, length)
+    return stray
 
 
 def increasing(time_ns: TimeArray) -> NDArray[np.bool_]:

@@ -13,6 +13,7 @@ from pipeline.flight.channels import ROLE_COLUMNS, Channel
 from pipeline.ledger import Ledger
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 RANGES: Mapping[str, tuple[float, float]] = {
     "lat_rad": (-np.pi / 2.0, np.pi / 2.0),
@@ -29,6 +30,21 @@ RANGES: Mapping[str, tuple[float, float]] = {
 FASTEST_CLIMB_M_S = 200.0
 """No survey aircraft climbs or sinks faster [m/s]."""
 
+FASTEST_M_S = 700.0
+"""No aircraft that takes pictures flies faster over the ground [m/s]."""
+
+FASTEST_TURN_RAD_S = np.radians(500.0)
+"""No aircraft turns there and, in the next interval, back that fast [rad/s]; a flip goes on."""
+
+# What changes no faster: column -> (rate [1/s], step that is noise whatever the interval).
+# 2,500 Pa/s is a climb of 200 m/s at sea level.
+_FASTEST: Mapping[str, tuple[float, float]] = {
+    "pressure_pa": (2_500.0, 100.0),
+    "temperature_k": (20.0, 5.0),
+}
+_TURN_NOISE_RAD = np.radians(20.0)
+_METRES_PER_RAD = 6_371_000.0  # a jump of 100 m is told from none: any radius will do
+
 # Medians that give a wrong unit away: column -> (low, high, the unit it looks like).
 _DISGUISES: Mapping[str, tuple[float, float, str]] = {
     "pressure_pa": (100.0, 1_200.0, "hPa"),
@@ -38,10 +54,10 @@ _DISGUISES: Mapping[str, tuple[float, float, str]] = {
 
 
 def within_reason(channel: Channel, role: str, ledger: Ledger) -> Channel:
-    """The channel without the samples that are missing or out of range in its role's columns.
+    """The channel without the samples that are missing or cannot be true in its role's columns.
 
-    Refuses a channel whose median gives away a wrong unit (hPa where Pa is due); every sample
-    taken out is counted in the ledger.
+    Out of range, or there and back faster than air or aircraft can change: each is counted in
+    the ledger. Refuses a channel whose median gives away a wrong unit (hPa where Pa is due).
     """
     if role in ("position", "height"):
         channel = _without_wild_heights(channel, ledger)
@@ -67,7 +83,63 @@ def within_reason(channel: Channel, role: str, ledger: Ledger) -> Channel:
                     count=int(bad.sum()),
                 )
         keep &= finite & ~outside
+    keep[np.flatnonzero(keep)[_jumps(subset(channel, keep), role, ledger)]] = False
     return channel if bool(keep.all()) else subset(channel, keep)
+
+
+def _jumps(channel: Channel, role: str, ledger: Ledger) -> Mask:
+    """Single samples that a role's columns reach and leave faster than they can change."""
+    time_s = (channel.time_ns - channel.time_ns[:1]) * 1e-9
+    jump = np.zeros(len(channel), np.bool_)
+    if len(channel) < 3:
+        return jump
+    limit_s = np.diff(time_s)
+    if role in ("position", "height"):
+        jump = _there_and_back(_metres(channel), FASTEST_M_S * limit_s)
+    elif role == "attitude":
+        q = np.stack([channel[f"q_{axis}"] for axis in "wxyz"], axis=1)
+        jump = _turned_and_back(q, np.maximum(FASTEST_TURN_RAD_S * limit_s, _TURN_NOISE_RAD))
+    for column in ROLE_COLUMNS[role]:
+        if column in _FASTEST:
+            rate, noise = _FASTEST[column]
+            jump |= _there_and_back(channel[column][:, None], np.maximum(rate * limit_s, noise))
+    if jump.any():
+        first = int(np.flatnonzero(jump)[0])
+        ledger.loss(
+            "SENSOR-JUMP",
+            f"{int(jump.sum())} of {len(channel)} samples jump there and back faster than a "
+            f"vehicle or the air can change, the first {time_s[first]:.3f} s after the first "
+            "sample; not used",
+            where=f"{channel.name}, as {role}",
+            count=int(jump.sum()),
+        )
+    return jump
+
+
+def _metres(channel: Channel) -> Array:
+    """Horizontal places [m], (n, 2), good enough to tell a jump."""
+    lat, lon = channel["lat_rad"], np.unwrap(channel["lon_rad"])
+    return _METRES_PER_RAD * np.stack([lat, lon * np.cos(lat[0])], axis=1)
+
+
+def _there_and_back(values: Array, limit: Array) -> Mask:
+    """Rows that are farther than a limit from both neighbours, which lie on the same side."""
+    step = np.diff(values, axis=0)
+    far = np.linalg.norm(step, axis=1) > limit
+    back = np.einsum("ij,ij->i", step[:-1], step[1:]) < 0.0
+    return np.concatenate([[False], far[:-1] & far[1:] & back, [False]])
+
+
+def _turned_and_back(q: Array, limit: Array) -> Mask:
+    """Attitudes that are farther than a limit from both neighbours, which agree."""
+    far = _angle(q[:-1], q[1:]) > limit
+    agree = _angle(q[:-2], q[2:]) <= limit[:-1] + limit[1:]
+    return np.concatenate([[False], far[:-1] & far[1:] & agree, [False]])
+
+
+def _angle(a: Array, b: Array) -> Array:
+    """The angle between attitudes [rad]."""
+    return np.asarray(2.0 * np.arccos(np.minimum(np.abs(np.einsum("ij,ij->i", a, b)), 1.0)))
 
 
 def _without_wild_heights(channel: Channel, ledger: Ledger) -> Channel:

@@ -12,9 +12,10 @@ from pipeline.flight.channels import Array, Channel, Source, TimeArray
 from pipeline.flight.clock import fresh, untangled
 from pipeline.ingest.base import utc_text
 from pipeline.ingest.fields import MessageMap
-from pipeline.ingest.frames import positive_scalar, quaternion_of_euler
+from pipeline.ingest.frames import in_blocks, positive_scalar, quaternion_of_euler
 from pipeline.ledger import Entry, Kind, Ledger
 
+BLOCK = 65_536  # rows
 LOWEST_FIX = 3  # 3D; both GPS_FIX_TYPE of MAVLink and GPS.Status of ArduPilot
 
 
@@ -146,10 +147,13 @@ def _repeats(rows: Rows) -> NDArray[np.bool_]:
 
 def _attitude(columns: dict[str, Array]) -> dict[str, Array]:
     if "roll_rad" in columns:
-        angles = (columns.pop("roll_rad"), columns.pop("pitch_rad"), columns.pop("yaw_rad"))
-        q = quaternion_of_euler(*angles)
+        angles = [columns.pop(f"{name}_rad") for name in ("roll", "pitch", "yaw")]
+        q = np.empty((angles[0].shape[0], 4))
+        for begin in range(0, q.shape[0], BLOCK):  # at once it would take 150 bytes a row
+            block = slice(begin, begin + BLOCK)
+            q[block] = quaternion_of_euler(*(angle[block] for angle in angles))
     else:
-        q = positive_scalar(np.stack([columns.pop(f"q_{axis}") for axis in "wxyz"], axis=1))
+        q = in_blocks(positive_scalar, [columns.pop(f"q_{axis}") for axis in "wxyz"])
     return columns | {f"q_{axis}": q[:, k] for k, axis in enumerate("wxyz")}
 
 

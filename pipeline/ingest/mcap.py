@@ -1,56 +1,55 @@
-"""MCAP logs of ROS 2 (.mcap): records -> channels in UTC."""
+"""MCAP logs (.mcap) of ROS 2, PX4 and Foxglove: records -> channels in UTC."""
 
 from __future__ import annotations
 
 import struct
-from array import array
-from collections import Counter
-from collections.abc import Callable
-from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass, field
-from io import BytesIO, StringIO
+from dataclasses import dataclass
+from functools import partial
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.flight.channels import Channel, Source
-from pipeline.flight.clock import UNIX_NS_FROM
-from pipeline.ingest.base import Contents
+from pipeline.flight.clock import UNIX_NS_FROM, UNIX_US_FROM
+from pipeline.ingest.base import Contents, Table
 from pipeline.ingest.build import Rows, channel_of
+from pipeline.ingest.cdr_schema import SchemaError
 from pipeline.ingest.fields import extract
-from pipeline.ingest.mcap_fields import HEADER_ONLY, SCHEMAS, finished, short_name
-from pipeline.ingest.mcap_records import (
-    CHANNEL,
-    MAGIC,
-    MESSAGE,
-    MESSAGE_RECORD,
-    SCHEMA,
-    STATISTICS,
-    Damage,
-    records,
+from pipeline.ingest.mcap_counts import Counts
+from pipeline.ingest.mcap_fields import (
+    CAPTURE_UTC_FIELD,
+    LABELS,
+    PLAIN_JSON,
+    SCHEMAS,
+    UTC_FIELD,
+    finished,
+    known_name,
 )
+from pipeline.ingest.mcap_messages import CHANNEL, MAGIC, SCHEMA, Damage, Definition, Messages
+from pipeline.ingest.mcap_records import walk
+from pipeline.ingest.mcap_time import BootClock, stamps
+from pipeline.ingest.mcap_topics import (
+    STAMP,
+    CdrDecoder,
+    Columns,
+    Decoder,
+    Topic,
+    json_decoder,
+    paths_of,
+    protobuf_decoder,
+)
+from pipeline.ingest.window import window_on
 from pipeline.ledger import Ledger
-
-_LAST_NS = 2**63 - 1  # log_time is unsigned in the file; times inside are int64
 
 # What the library's parsers of records raise on damaged lengths and text, beside McapError.
 _PARSE_ERRORS = (struct.error, ValueError, OverflowError)
+# What a definition that is damaged makes the libraries raise.
+_SCHEMA_ERRORS = (SchemaError, UnicodeDecodeError, TypeError, ValueError, KeyError, RuntimeError)
 
-Decoder = Callable[[bytes], tuple[int, str, list[float]]]
-
-# What the generated decoders raise on a message that does not fit its schema.
-_DECODE_ERRORS = (
-    ValueError,
-    KeyError,
-    IndexError,
-    AttributeError,
-    TypeError,
-    OverflowError,
-    RuntimeError,
-    EOFError,
-    struct.error,
-)
+MAX_CONTRADICTIONS = 1000  # definitions that differ from an earlier one; no log has any
 
 
 @dataclass(frozen=True)
@@ -65,261 +64,291 @@ class Mcap:
         return head.startswith(MAGIC)
 
     def read(self, path: Path, ledger: Ledger) -> Contents:
-        reader, damage = _Reader(ledger, path.name), Damage()
-        with path.open("rb") as stream:
-            if stream.read(len(MAGIC)) != MAGIC:
-                return Contents({}, (), path.stat().st_size, 0, 1, "")
-            stream.seek(0)
-            for opcode, content in records(stream, path.stat().st_size, damage):
-                reader.take(opcode, content)
-        for code, what, at, count in damage.losses:
-            ledger.loss(code, what, where=f"{path.name}, byte {at}", count=count)
-        lost = reader.report(damage)
-        channels = [topic.channel(ledger) for topic in reader.topics.values()]
-        by_log_time = sum(topic.without_stamp for topic in reader.topics.values())
-        words = "header.stamp of the messages"
-        if by_log_time:
-            words += f"; log_time for {by_log_time} messages without one"
+        reader = _Reader(ledger, path.name)
+        if not reader.through(path):
+            return Contents({}, (), path.stat().st_size, 0, 1, "")
+        lost = reader.report()
+        clock = _boot_clock(reader, ledger)
+        channels, words = _channels(reader, clock, ledger)
         return Contents(
-            dict(reader.counts),
-            tuple(channel for channel in channels if channel is not None),
-            damage.bad_bytes,
+            reader.counts.by_name(reader.names),
+            tuple(channels),
+            reader.damage.bad_bytes,
             lost,
-            1,
+            clock.boots,
             words,
+            partial(_table, path),
         )
 
 
 MCAP = Mcap()
 
 
-@dataclass
-class _Topic:
-    """A wanted topic: its decoder, and its messages as decoded so far."""
-
-    name: str
-    schema: str
-    decode: Decoder
-    stamps: array[int] = field(default_factory=lambda: array("q"))
-    frames: list[str] = field(default_factory=list)
-    values: array[float] = field(default_factory=lambda: array("d"))
-    without_stamp: int = 0
-    failed: int = 0
-
-    def take(self, log_time: int, data: bytes) -> None:
-        try:
-            stamp, frame, values = self.decode(data)
-        except _DECODE_ERRORS:
-            self.failed += 1
-            return
-        if stamp == 0:
-            self.without_stamp += 1
-        self.stamps.append(stamp or log_time)
-        self.values.extend(values)
-        if SCHEMAS[self.schema].event:
-            self.frames.append(frame)
-
-    def channel(self, ledger: Ledger) -> Channel | None:
-        spec = SCHEMAS[self.schema]
-        self._report(ledger)
-        table = np.array(self.values, np.float64).reshape(len(self.stamps), len(spec.columns))
-        fields = {part.fields[0]: table[:, k] for k, part in enumerate(spec.columns)}
-        labels = {"frame_id": tuple(self.frames)} if spec.event else {}
-        # In the order of the file, never of log_time: a recorder whose clock was set back would
-        # shuffle two parts of the flight into each other.
-        rows = Rows(
-            self.name,
-            Source(self.schema),
-            np.array(self.stamps, np.int64),
-            np.zeros(len(self.stamps), np.int16),
-            finished(extract(fields, spec.columns)),
-            labels,
-        )
-        return channel_of(rows, spec, ledger)
-
-    def _report(self, ledger: Ledger) -> None:
-        if self.failed:
-            ledger.loss(
-                "LOG-DECODE",
-                f"{self.failed} messages do not fit their schema {self.schema}",
-                where=self.name,
-                count=self.failed,
-            )
-        if self.without_stamp:
-            ledger.fallback(
-                "TIME-LOG-TIME",
-                f"{self.without_stamp} messages have no header.stamp: the recorder's time is used",
-                where=self.name,
-                count=self.without_stamp,
-            )
-        if any(stamp < UNIX_NS_FROM for stamp in self.stamps):
-            ledger.fallback(
-                "TIME-NO-UTC",
-                "time stamps before 2001 are no UTC (simulated time?): events in this log can be "
-                "used, matching by UTC is impossible",
-                where=self.name,
-            )
-
-
 class _Reader:
-    """Definitions, counts and wanted topics of one file."""
+    """Definitions, counts and topics of one file. ``only`` reads all fields of one topic."""
 
-    def __init__(self, ledger: Ledger, where: str) -> None:
+    def __init__(self, ledger: Ledger, where: str, only: str | None = None) -> None:
         self.ledger = ledger
         self.where = where
+        self.only = only
+        self.damage = Damage()
+        self.counts = Counts()
         self.schemas: dict[int, Any] = {}
-        self.channels: dict[int, str] = {}
-        self.topic_of: dict[int, _Topic] = {}
-        self.topics: dict[tuple[str, str], _Topic] = {}
-        self.counts: Counter[str] = Counter()
-        self.orphans = 0
-        self.promised: int | None = None
+        self.channels: dict[int, Any] = {}
+        self.names: dict[int, str] = {}
+        self.contradictions: set[str] = set()
+        self.raw: dict[tuple[int, bytes], bytes] = {}
+        self.topic_of: dict[int, Topic] = {}
+        self.topics: dict[tuple[str, str], Topic] = {}
 
-    def take(self, opcode: int, content: bytes) -> None:
-        if opcode == MESSAGE_RECORD:
-            self._message(content)
-        elif opcode in (SCHEMA, CHANNEL, STATISTICS):
-            self._define(opcode, content)
+    def through(self, path: Path) -> bool:
+        """Read the file; False when it does not begin as an MCAP does."""
+        with window_on(path) as data:
+            if data[0 : len(MAGIC)] != MAGIC:
+                return False
+            for part in walk(data, self.damage):
+                if isinstance(part, Definition):
+                    self._define(part)
+                else:
+                    self._take(part)
+        return True
 
-    def _message(self, content: bytes) -> None:
-        if len(content) < MESSAGE.size:
-            self.orphans += 1
-            return
-        number, _, log_time, _ = MESSAGE.unpack_from(content)
-        name = self.channels.get(number)
-        if name is None:
-            self.orphans += 1
-            return
-        self.counts[name] += 1
-        topic = self.topic_of.get(number)
-        if topic is not None:
-            topic.take(min(log_time, _LAST_NS), content[MESSAGE.size :])
+    def _take(self, messages: Messages) -> None:
+        present = self.counts.take(messages, self.names)
+        for number in present:
+            topic = self.topic_of.get(number)
+            if topic is not None:
+                topic.take(messages, np.flatnonzero(messages.channel == number))
 
-    def _define(self, opcode: int, content: bytes) -> None:
+    def _define(self, definition: Definition) -> None:
         from mcap import records as library
         from mcap.data_stream import ReadDataStream
         from mcap.exceptions import McapError
 
-        kinds = {
-            SCHEMA: library.Schema,
-            CHANNEL: library.Channel,
-            STATISTICS: library.Statistics,
-        }
+        key = (definition.opcode, definition.content[:2])
+        if self.raw.setdefault(key, definition.content) is not definition.content and (
+            self.raw[key] == definition.content or len(self.contradictions) > MAX_CONTRADICTIONS
+        ):
+            return  # repeated in every chunk and in the summary
+        kinds = {SCHEMA: library.Schema, CHANNEL: library.Channel}
+        kind = kinds.get(definition.opcode, library.Statistics)
         try:
-            record = kinds[opcode].read(ReadDataStream(BytesIO(content)))
+            record = kind.read(ReadDataStream(BytesIO(definition.content)))
         except (McapError, *_PARSE_ERRORS) as error:
-            self.ledger.loss(
-                "LOG-BAD-BYTES",
-                f"a definition (opcode {opcode}) cannot be read: {error}",
-                where=self.where,
-                count=len(content),
-            )
+            what = f"a definition (opcode {definition.opcode}) cannot be read: {error}"
+            self.damage.add("LOG-BAD-BYTES", what, definition.at, len(definition.content))
             return
-        if opcode == SCHEMA:
-            self.schemas.setdefault(record.id, record)
-        elif opcode == STATISTICS:
-            self.promised = int(record.message_count)
-        elif record.id not in self.channels:  # repeated in every chunk and in the summary
-            self.channels[record.id] = record.topic
-            self._subscribe(record)
-
-    def _subscribe(self, record: Any) -> None:
-        schema = self.schemas.get(record.schema_id)
-        name = short_name(schema.name) if schema is not None else ""
-        if name not in SCHEMAS:
+        if kind is library.Statistics:
+            self.counts.promised = dict(record.channel_message_counts)
+            self.counts.promised_total = int(record.message_count)
             return
-        decode = self._decoder(record, schema, name)
-        if decode is not None:
-            topic = _Topic(record.topic, name, decode)
-            self.topic_of[record.id] = self.topics.setdefault((record.topic, name), topic)
+        known = self.schemas if kind is library.Schema else self.channels
+        if record.id not in known:
+            known[record.id] = record
+            if kind is library.Channel:
+                self.names[record.id] = record.topic
+                self._subscribe(record)
+        elif known[record.id] != record:
+            self.contradictions.add(f"{kind.__name__.lower()} {record.id}")
 
-    def _decoder(self, record: Any, schema: Any, name: str) -> Decoder | None:
-        from mcap.exceptions import McapError
-        from mcap_ros2.decoder import DecoderFactory
-
+    def _subscribe(self, channel: Any) -> None:
+        schema = self.schemas.get(channel.schema_id)
+        name = known_name(schema.name) if schema is not None else ""
+        plain = channel.message_encoding == "json" and name not in SCHEMAS
+        if self.only is None and name not in SCHEMAS and not plain:
+            return
+        if self.only is not None and channel.topic != self.only:
+            return
+        spec = SCHEMAS.get(name, PLAIN_JSON)
         try:
-            with redirect_stderr(StringIO()), redirect_stdout(StringIO()):  # its parser prints
-                decode = DecoderFactory().decoder_for(record.message_encoding, schema)
-        except (McapError, *_schema_errors(), *_DECODE_ERRORS) as error:
+            decoder = self._decoder(channel, schema, None if self.only else paths_of(spec))
+        except _schema_errors() as error:
             self.ledger.loss(
                 "LOG-SCHEMA",
                 f"the schema of {name} cannot be parsed ({error}): the topic is not read",
-                where=record.topic,
+                where=channel.topic,
             )
-            return None
-        if decode is None:
-            self.ledger.note(
-                "LOG-NOT-ROS2",
-                f"{name} is encoded as {record.message_encoding} with a {schema.encoding} schema, "
-                "not as ROS 2 CDR: counted, not read",
-                where=record.topic,
-            )
-            return None
-        if name in HEADER_ONLY:
-            return read_header
-        return _values_by(decode, tuple(part.fields[0] for part in SCHEMAS[name].columns))
+            return
+        if decoder is not None:
+            topic = Topic(channel.topic, name, spec, decoder, self.only is None)
+            self.topic_of[channel.id] = self.topics.setdefault((channel.topic, name), topic)
 
-    def report(self, damage: Damage) -> int:
-        """Compare with what the log says it holds; returns how many messages are missing."""
-        if self.orphans:
-            self.ledger.loss(
-                "LOG-BAD-BYTES",
-                f"{self.orphans} messages belong to no channel",
-                where=self.where,
-                count=self.orphans,
-            )
-        if self.promised is None:
-            if not damage.losses:
-                self.ledger.note(
-                    "LOG-NO-STATISTICS",
-                    "the log has no statistics: whether it is whole cannot be checked",
-                    where=self.where,
+    def _decoder(self, channel: Any, schema: Any, wanted: frozenset[str] | None) -> Decoder | None:
+        encoding = channel.message_encoding
+        name = known_name(schema.name) if schema is not None else ""
+        spec = SCHEMAS.get(name, PLAIN_JSON)
+        if encoding == "json":
+            return json_decoder(spec, wanted)
+        if schema is None:
+            return None
+        if encoding == "cdr" and schema.encoding == "ros2msg":
+            return CdrDecoder.of(schema.name, schema.data.decode(), wanted)
+        if encoding == "protobuf" and schema.encoding == "protobuf":
+            try:
+                return protobuf_decoder(schema, spec, wanted)
+            except ImportError:
+                self.ledger.loss(
+                    "LOG-NO-PROTOBUF",
+                    f"{name} is protobuf, which needs the package mcap-protobuf-support: counted, "
+                    "not read",
+                    where=channel.topic,
                 )
-            return 0
-        found = sum(self.counts.values())
-        if found != self.promised:
+                return None
+        self.ledger.note(
+            "LOG-NOT-ROS2",
+            f"{name} is encoded as {encoding} with a {schema.encoding} schema, not as ROS 2 CDR, "
+            "protobuf or JSON: counted, not read",
+            where=channel.topic,
+        )
+        return None
+
+    def report(self) -> int:
+        """Enter the damage; returns how many messages are missing."""
+        for code, what, at, count in self.damage.all():
+            self.ledger.loss(code, what, where=f"{self.where}, byte {at}", count=count)
+        if self.contradictions:
+            some = ", ".join(sorted(self.contradictions)[:8])
             self.ledger.loss(
                 "LOG-INCONSISTENT",
-                f"{found} messages were found, the log's statistics say {self.promised}",
+                f"{len(self.contradictions)} definitions come twice and differ ({some}): the first "
+                "is used",
                 where=self.where,
-                count=abs(self.promised - found),
+                count=len(self.contradictions),
             )
-        return max(self.promised - found, 0)
+        for topic in self.topics.values():
+            if topic.failed:
+                self.ledger.loss(
+                    "LOG-DECODE",
+                    f"{topic.failed} messages do not fit their schema {topic.schema}",
+                    where=topic.name,
+                    count=topic.failed,
+                )
+        damaged = bool(self.damage.losses)
+        return self.counts.report(self.names, self.ledger, self.where, damaged=damaged)
 
 
 def _schema_errors() -> tuple[type[Exception], ...]:
-    """What the parser of schemas raises; it is no public part of mcap-ros2-support."""
+    """What a damaged definition raises in our parser and in the libraries'."""
+    from mcap.exceptions import McapError
+
     try:
-        from mcap_ros2._vendor.rosidl_adapter.parser import InvalidSpecification, InvalidValue
-    except ImportError:  # another version keeps its parser elsewhere
-        return (AssertionError, NameError)
-    return (AssertionError, NameError, InvalidSpecification, InvalidValue)
+        from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
+    except ImportError:
+        return (McapError, *_SCHEMA_ERRORS)
+    return (McapError, DecodeError, *_SCHEMA_ERRORS)
 
 
-def _values_by(decode: Callable[[bytes], Any], paths: tuple[str, ...]) -> Decoder:
-    parts = [path.split(".") for path in paths]
-
-    def values(data: bytes) -> tuple[int, str, list[float]]:
-        message = decode(data)
-        stamp = message.header.stamp
-        time_ns = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-        return time_ns, message.header.frame_id, [_follow(message, path) for path in parts]
-
-    return values
-
-
-def _follow(message: Any, path: list[str]) -> float:
-    for part in path:
-        message = message[int(part)] if part.isdigit() else getattr(message, part)
-    return float(message)
+def _boot_clock(reader: _Reader, ledger: Ledger) -> BootClock:
+    """The clock of a PX4 vehicle, where messages of the log count their time from boot."""
+    readings = []
+    for topic in reader.topics.values():
+        parts = [columns for columns, _ in topic.parts if UTC_FIELD in columns]
+        if parts and topic.spec.position:
+            utc_us = np.concatenate([part[UTC_FIELD] for part in parts])
+            boot = [stamps(part, topic.spec.time_field) for part in parts]
+            if any(from_boot for _, from_boot in boot):
+                utc_ns = np.minimum(utc_us, 1 << 52).astype(np.int64) * 1000
+                readings.append((utc_ns, np.concatenate([time_ns for time_ns, _ in boot])))
+    return BootClock(readings, ledger)
 
 
-def read_header(data: bytes) -> tuple[int, str, list[float]]:
-    """Time and frame of a message that begins with a std_msgs/Header, without the rest of it.
+def _channels(reader: _Reader, clock: BootClock, ledger: Ledger) -> tuple[list[Channel], str]:
+    channels, without = [], 0
+    from_boot = False
+    for topic in reader.topics.values():
+        columns, log_ns = topic.whole()
+        if not log_ns.shape[0]:
+            continue
+        time_ns, boot, since_boot, unstamped = _times(topic, columns, log_ns, clock, ledger)
+        from_boot |= since_boot
+        without += unstamped
+        spec = topic.spec
+        rows = Rows(
+            topic.name,
+            Source(topic.schema),
+            # In the order of the file, never of log_time: a recorder whose clock was set back
+            # would shuffle two parts of the flight into each other.
+            time_ns,
+            boot,
+            finished(topic.schema, extract(_numbers(columns), spec.columns)),
+            _labels(columns) if spec.event else {},
+        )
+        channel = channel_of(rows, spec, ledger)
+        if channel is not None:
+            channels.append(channel)
+    words = "header.stamp of the messages"
+    if from_boot:
+        words = "the vehicle's time since boot, set to UTC by its GNSS messages"
+        if not clock.fits:
+            words = "the vehicle's time since boot, set by the recorder's clock"
+    if without:
+        words += f"; log_time for {without} messages without one"
+    return channels, words
 
-    CDR: 4 bytes of encapsulation (the second even: big-endian), then sec, nanosec, length, text.
-    """
-    order = "<" if data[1] & 1 else ">"
-    sec, nanosec, length = struct.unpack_from(f"{order}iII", data, 4)
-    frame = data[16 : 16 + length].split(b"\0", 1)[0].decode("utf-8", "backslashreplace")
-    return sec * 1_000_000_000 + nanosec, frame, []
+
+def _numbers(columns: Columns) -> Columns:
+    return {name: column for name, column in columns.items() if column.dtype.kind in "biuf"}
+
+
+def _labels(columns: Columns) -> dict[str, tuple[str, ...]]:
+    labels = {}
+    for name, paths in LABELS.items():
+        path = next((path for path in paths.split() if path in columns), None)
+        if path is not None:
+            labels[name] = tuple(columns[path].tolist())
+    return labels
+
+
+def _times(
+    topic: Topic, columns: Columns, log_ns: NDArray[np.int64], clock: BootClock, ledger: Ledger
+) -> tuple[NDArray[np.int64], NDArray[np.int16], bool, int]:
+    """UTC [ns] and boot; whether the stamps count from boot; how many messages have none."""
+    boot = np.zeros(log_ns.shape, np.int16)
+    stamp_ns, since_boot = columns.get(STAMP, np.zeros(0, np.int64)), False
+    if STAMP not in columns and columns:
+        stamp_ns, since_boot = stamps(columns, topic.spec.time_field)
+    if not stamp_ns.shape[0]:
+        stamp_ns = np.zeros(log_ns.shape, np.int64)
+    if since_boot:
+        time_ns, boot = clock.utc(stamp_ns, log_ns, topic.name)
+        own = columns.get(CAPTURE_UTC_FIELD)
+        if own is not None:
+            told = own > UNIX_US_FROM
+            own_ns = np.minimum(own, 1 << 52).astype(np.int64) * 1000
+            time_ns = np.where(told, own_ns, time_ns)
+        return time_ns, boot, True, 0
+    none = stamp_ns == 0
+    count = int(np.count_nonzero(none))
+    if count:
+        ledger.fallback(
+            "TIME-LOG-TIME",
+            f"{count} messages have no header.stamp: the recorder's time is used",
+            where=topic.name,
+            count=count,
+        )
+    time_ns = np.where(none, log_ns, stamp_ns)
+    if bool(np.any(time_ns < UNIX_NS_FROM)):
+        ledger.fallback(
+            "TIME-NO-UTC",
+            "time stamps before 2001 are no UTC (simulated time?): events in this log can be "
+            "used, matching by UTC is impossible",
+            where=topic.name,
+        )
+    return time_ns, boot, False, count
+
+
+def _table(path: Path, name: str, instance: str | None) -> Table:
+    """All messages of a topic with the recorder's time and their fields as sent."""
+    reader = _Reader(Ledger(), path.name, only=name)
+    if instance is not None or not reader.through(path):
+        return {}
+    for topic in reader.topics.values():
+        columns, log_ns = topic.whole()
+        if not log_ns.shape[0]:
+            continue
+        clock = _boot_clock(reader, reader.ledger)
+        time_ns, boot, _, _ = _times(topic, columns, log_ns, clock, reader.ledger)
+        columns.pop(STAMP, None)
+        table: Table = {"time_ns": time_ns, "boot": boot, "log_time_ns": log_ns}
+        return table | columns
+    return {}

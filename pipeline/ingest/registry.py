@@ -7,19 +7,20 @@ from pathlib import Path
 from pipeline.errors import LogError
 from pipeline.ingest.base import Contents, Log, LogFormat, hash_file
 from pipeline.ingest.dataflash import DATAFLASH
+from pipeline.ingest.dataflash_text import DATAFLASH_TEXT
 from pipeline.ingest.mcap import MCAP
 from pipeline.ingest.tlog import TLOG
+from pipeline.ingest.ulog import ULOG
 from pipeline.ledger import Ledger
 
-FORMATS: tuple[LogFormat, ...] = (MCAP, DATAFLASH, TLOG)  # the surest mark first
+# the surest mark first
+FORMATS: tuple[LogFormat, ...] = (MCAP, ULOG, DATAFLASH, DATAFLASH_TEXT, TLOG)
 
 HEAD_BYTES = 1 << 16
 KNOWN = ", ".join(f"{form.title} ({' '.join(form.extensions)})" for form in FORMATS)
 
 # Files that users take for a log of ours, with what to do about them.
 _RELATIVES = (
-    (b"ULog", "a PX4 ULog", "convert it to MCAP, or log MAVLink telemetry (.tlog)"),
-    (b"FMT,", "a DataFlash log as text", "use the .bin file that it was made from"),
     (b"#ROSBAG", "a ROS 1 bag", "convert it to MCAP with ROS 2 messages"),
     (b"SQLite format 3", "a ROS 2 bag in SQLite", "run: ros2 bag convert, with storage_id mcap"),
     (b"\x1f\x8b", "compressed with gzip", "unpack it first"),
@@ -28,7 +29,7 @@ _RELATIVES = (
 
 
 def open_log(path: Path | str, sha256: str | None = None) -> Log:
-    """Read a flight log: MAVLink telemetry (.tlog), ArduPilot DataFlash (.bin) or ROS 2 MCAP.
+    """Read a flight log: DataFlash (.bin, .log), MAVLink telemetry (.tlog), MCAP or PX4 (.ulg).
 
     Parameters
     ----------
@@ -36,8 +37,8 @@ def open_log(path: Path | str, sha256: str | None = None) -> Log:
     sha256 : its hash, where the caller has taken it already; else it is taken here.
 
     Returns the log with its channels in SI. Raises LogError (LOG-MISSING, LOG-EMPTY, LOG-FORMAT,
-    LOG-NO-MESSAGES, LOG-UNREADABLE) when nothing can be used. Damage is no reason to refuse: it is
-    counted in the ledger of the log.
+    LOG-NO-MESSAGES, LOG-UNREADABLE, LOG-CHANGED; of PX4 logs LOG-ULOG, LOG-NEEDS-EXTRA) when
+    nothing can be used. Damage is no reason to refuse: it is counted in the ledger of the log.
     """
     path = Path(path)
     try:
@@ -84,6 +85,7 @@ def _read(path: Path, sha256: str | None) -> Log:
         start_ns=min(int(channel.time_ns[0]) for channel in contents.channels),
         end_ns=max(int(channel.time_ns[-1]) for channel in contents.channels),
         ledger=ledger,
+        table=contents.table,
     )
 
 

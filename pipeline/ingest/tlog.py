@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,33 +12,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.flight.channels import Channel, Source, TimeArray
-from pipeline.flight.clock import UNIX_US_FROM
-from pipeline.ingest.base import Contents, report_damage
+from pipeline.flight.clock import UNIX_US_FROM, stray_times
+from pipeline.ingest.base import Contents, Table, report_damage
 from pipeline.ingest.build import Rows, channel_of
 from pipeline.ingest.fields import MessageMap, extract
-from pipeline.ingest.tlog_clock import Clocks, Timed, clocks_of
-from pipeline.ingest.tlog_fields import MESSAGES
-from pipeline.ingest.tlog_frames import (
-    Frames,
-    FrameWalk,
-    frame_length,
-    lost_by_source,
-    payloads,
-    walk,
+from pipeline.ingest.gimbal import north_only
+from pipeline.ingest.heights import HEIGHT_OPTION, says_ellipsoid, with_ellipsoidal_heights
+from pipeline.ingest.tlog_clock import (
+    MICROSECOND,
+    MILLISECOND,
+    ROUND_MS,
+    ROUND_US,
+    Clocks,
+    Key,
+    Readings,
+    clocks_of,
 )
+from pipeline.ingest.tlog_dialect import Dialect, Message, dialect
+from pipeline.ingest.tlog_events import distinct, taken
+from pipeline.ingest.tlog_fields import LABELS, MESSAGES, PARAM_VALUE, SYSTEM_TIME, wanted_fields
+from pipeline.ingest.tlog_frames import frame_length
+from pipeline.ingest.tlog_scan import Scan, Sent, scan
+from pipeline.ingest.window import window_on
 from pipeline.ledger import Ledger
 
-SYSTEM_TIME = "SYSTEM_TIME"
-
-
-@dataclass(frozen=True)
-class Dialect:
-    """What is needed of pymavlink's dialect, by message id."""
-
-    names: Mapping[int, str]
-    extras: Mapping[int, int]
-    dtypes: Mapping[str, np.dtype[Any]]
-    ids: Mapping[str, int]
+READING = ("at", "source", "host_ns", "boot_ns", "utc_ns")
+_LAST_US = 1 << 52  # stamps beyond are damage; below, nanoseconds fit into 64 bits
 
 
 @dataclass(frozen=True)
@@ -54,229 +53,239 @@ class Tlog:
         return first > 0 and (first == len(head) or frame_length(head, first) > 0)
 
     def read(self, path: Path, ledger: Ledger) -> Contents:
-        data = path.read_bytes()
-        dialect = _dialect()
-        found = walk(data, dialect.extras)
-        frames = found.frames.take(found.valid)
-        damaged = _report_damage(found, dialect, path, ledger)
-        tables = _Tables(data, frames, dialect)
-        clocks = clocks_of(tables.timed(), frames, ledger)
-        channels = _channels(tables, clocks, ledger)
-        carriers = {(c.source.system, c.source.component) for c in channels}
-        lost = {
-            source: count
-            for source, count in lost_by_source(found.frames).items()
-            if source in carriers and count
-        }
-        for (system, component), count in sorted(lost.items()):
-            ledger.warning(
-                "LOG-LINK-LOSS",
-                f"{count} messages of system {system}, component {component} are missing by "
-                "their sequence numbers: the radio link lost them",
-                where=path.name,
-                count=count,
-            )
+        known = dialect()
+        wanted = wanted_fields()
+        with window_on(path) as data:
+            found = scan(data, known.extras, known.layouts(wanted))
+        damaged = _report_damage(found, known, set(wanted), path, ledger)
+        sent = {known.messages[number].name: part for number, part in found.sent.items()}
+        found.sent.clear()  # a message is let go when its channels are made
+        sent = _with_steady_host(sent, found.steady, ledger, path.name)
+        clocks = clocks_of(_readings(sent), ledger)
+        channels = _channels(sent, clocks, ledger)
+        lost = _report_link(found, channels, path, ledger)
         return Contents(
-            _counts(frames, dialect),
-            channels,
+            {known.name(key): count for key, count in found.counts.items() if count},
+            tuple(channels),
             found.bad_bytes + damaged,
-            sum(lost.values()),
+            lost,
             clocks.boots,
             clocks.words,
+            partial(_table, path, clocks),
         )
 
 
 TLOG = Tlog()
 
 
-def _dialect() -> Dialect:
-    from pymavlink.dialects.v20 import all as library
-
-    classes = dict(library.mavlink_map)
-    wanted = {key.partition(".")[0] for key in MESSAGES} | {SYSTEM_TIME}
-    names = {key: str(found.msgname) for key, found in classes.items()}
-    ids = {name: key for key, name in names.items() if name in wanted}
-    return Dialect(
-        names,
-        {key: int(found.crc_extra) for key, found in classes.items()},
-        {
-            name: _dtype(classes[key].unpacker.format, classes[key].ordered_fieldnames)
-            for name, key in ids.items()
-        },
-        ids,
-    )
-
-
-def _dtype(layout: str, fields: list[str]) -> np.dtype[Any]:
-    """The numpy type of a struct format such as ``<If10s``, which has one item a field.
-
-    >>> _dtype("<If10s", ["time_boot_ms", "value", "name"]).itemsize
-    18
-    """
-    kinds: list[tuple[str, str] | tuple[str, str, int]] = []
-    items = re.findall(r"(\d*)([a-zA-Z])", layout)
-    for field, (count, letter) in zip(fields, items, strict=True):
-        if letter == "s":
-            kinds.append((field, f"S{count or 1}"))
-        elif count:
-            kinds.append((field, f"<{letter}", int(count)))
-        else:
-            kinds.append((field, f"<{letter}"))
-    return np.dtype(kinds)
-
-
-def _name(dialect: Dialect, message_id: int) -> str:
-    return dialect.names.get(message_id, f"UNKNOWN_{message_id}")
-
-
-def _counts(frames: Frames, dialect: Dialect) -> dict[str, int]:
-    ids, counts = np.unique(frames.message_id, return_counts=True)
-    pairs = zip(ids.tolist(), counts.tolist(), strict=True)
-    return {_name(dialect, key): int(count) for key, count in pairs}
-
-
-def _report_damage(found: FrameWalk, dialect: Dialect, path: Path, ledger: Ledger) -> int:
+def _report_damage(
+    found: Scan, known: Dialect, needed: set[str], path: Path, ledger: Ledger
+) -> int:
     """Enter the damage; returns the bytes of frames whose checksum fails by damage."""
     report_damage(ledger, path.name, "message", found.bad_bytes, found.first_bad, found.cut_bytes)
-    strange = ~np.isin(found.frames.message_id, list(dialect.names))
-    if strange.any():
-        ids = np.unique(found.frames.message_id[strange]).tolist()
+    if found.unknown:
+        count = sum(suspects.count for suspects in found.unknown.values())
+        first = min(suspects.first for suspects in found.unknown.values())
         ledger.warning(
             "LOG-UNKNOWN-ID",
-            f"{int(strange.sum())} messages have ids that the dialect does not know "
-            f"({', '.join(str(key) for key in ids[:8])}): not checked, not read",
-            where=f"{path.name}, first at byte {int(found.frames.at[strange][0])}",
-            count=int(strange.sum()),
+            f"{count} messages have ids that the dialect does not know "
+            f"({', '.join(str(key) for key in sorted(found.unknown)[:8])}): not checked, not read",
+            where=f"{path.name}, first at byte {first}",
+            count=count,
         )
     damaged = 0
-    failed = found.frames.take(~found.valid)
-    sound = set(np.unique(found.frames.message_id[found.valid]).tolist())
-    for key in np.unique(failed.message_id).tolist():
-        rows = failed.message_id == key
-        count = int(np.count_nonzero(rows))
-        where = f"{path.name}, first at byte {int(failed.at[rows][0])}"
-        name = f"{_name(dialect, key)} (id {key})"
-        if key in sound or key in dialect.ids.values():
-            damaged += int(np.sum(failed.start[rows] + failed.length[rows] - failed.at[rows])) + 2
-            ledger.loss(
-                "LOG-CRC", f"{count} messages {name} fail their checksum", where=where, count=count
-            )
+    for number, suspects in sorted(found.failed.items()):
+        where = f"{path.name}, first at byte {suspects.first}"
+        name = f"{known.name(number)} (id {number})"
+        if found.counts[number] or known.name(number) in needed:
+            damaged += suspects.size
+            what = f"{suspects.count} messages {name} fail their checksum"
+            ledger.loss("LOG-CRC", what, where=where, count=suspects.count)
         else:
             ledger.warning(
                 "LOG-DIALECT",
-                f"{count} messages {name} fail their checksum, all there are: another version of "
-                "the dialect; nothing here needs them",
+                f"{suspects.count} messages {name} fail their checksum, all there are: another "
+                "version of the dialect; nothing here needs them",
                 where=where,
-                count=count,
+                count=suspects.count,
             )
     return damaged
 
 
-class _Tables:
-    """The wanted messages, decoded on demand: rows among all frames, and fields."""
-
-    def __init__(self, data: bytes, frames: Frames, dialect: Dialect) -> None:
-        self.data = data
-        self.frames = frames
-        self.dialect = dialect
-
-    def rows(self, message: str) -> NDArray[np.intp]:
-        key = self.dialect.ids.get(message)
-        if key is None:  # an older dialect of the library does not know it
-            return np.empty(0, np.intp)
-        return np.flatnonzero(self.frames.message_id == key)
-
-    def fields(self, message: str, rows: NDArray[np.intp]) -> NDArray[Any]:
-        return payloads(self.data, self.frames.take(rows), self.dialect.dtypes[message])
-
-    def timed(self) -> list[Timed]:
-        """Rows, time since boot [ns], and UTC [ns] (0 unknown) of messages with time_boot_ms."""
-        wanted = [key for name, key in self.dialect.ids.items() if name != SYSTEM_TIME]
-        carriers = np.unique(self.frames.system[np.isin(self.frames.message_id, wanted)])
-        result = []
-        for message, dtype in self.dialect.dtypes.items():
-            rows = self.rows(message)
-            rows = rows[np.isin(self.frames.system[rows], carriers)]
-            if "time_boot_ms" not in (dtype.names or ()) or rows.shape[0] == 0:
-                continue
-            table = self.fields(message, rows)
-            boot_ns = table["time_boot_ms"].astype(np.int64) * 1_000_000
-            utc_ns = np.zeros(rows.shape, np.int64)
-            if message == SYSTEM_TIME:
-                unix_us = np.minimum(table["time_unix_usec"], 1 << 52).astype(np.int64)
-                utc_ns = np.where(unix_us > UNIX_US_FROM, unix_us * 1000, 0)
-            result.append((rows, boot_ns, utc_ns))
-        return result
+def _report_link(found: Scan, channels: list[Channel], path: Path, ledger: Ledger) -> int:
+    carriers = {(channel.source.system, channel.source.component) for channel in channels}
+    lost = {source: count for source, count in found.lost.items() if source in carriers and count}
+    for (system, component), count in sorted(lost.items()):
+        ledger.warning(
+            "LOG-LINK-LOSS",
+            f"{count} messages of system {system}, component {component} are missing by "
+            "their sequence numbers: the radio link lost them",
+            where=path.name,
+            count=count,
+        )
+    return sum(lost.values())
 
 
-def _channels(tables: _Tables, clocks: Clocks, ledger: Ledger) -> tuple[Channel, ...]:
+def _with_steady_host(
+    sent: Mapping[str, Sent], steady_stamps: bool, ledger: Ledger, where: str
+) -> dict[str, Sent]:
+    """The messages with the ground station's stamps mended where they jump away and back.
+
+    The stamps lie outside the checksum. A stray one takes the value of the one before it.
+    """
+    names = list(sent)
+    if steady_stamps or not names:
+        return dict(sent)
+    at = np.concatenate([sent[name].at for name in names])
+    host_us = np.concatenate([sent[name].host_us for name in names])
+    order = np.argsort(at, kind="stable")
+    steady = host_us[order]
+    stray = stray_times(steady * MICROSECOND)
+    count = int(np.count_nonzero(stray))
+    if count == 0 or bool(stray.all()):
+        return dict(sent)
+    ledger.loss(
+        "TIME-STRAY",
+        f"{count} messages carry a stamp of the ground station that fits none of their "
+        "neighbours: the one before is used",
+        where=f"{where}, first at byte {int(at[order][stray][0])}",
+        count=count,
+    )
+    good = np.flatnonzero(~stray)
+    before = np.maximum(np.searchsorted(good, np.arange(steady.shape[0]), side="right") - 1, 0)
+    host_us[order] = steady[good[before]]
+    edges = np.cumsum([len(sent[name]) for name in names])[:-1]
+    parts = zip(names, np.split(host_us, edges), strict=True)
+    return {name: replace(sent[name], host_us=part) for name, part in parts}
+
+
+def _readings(sent: Mapping[str, Sent]) -> Readings | None:
+    """Every message with ``time_boot_ms`` of the systems that send more than SYSTEM_TIME."""
+    systems = [part.source >> 8 for name, part in sent.items() if name in MESSAGES]
+    carriers = np.unique(np.concatenate(systems)) if systems else np.empty(0, np.uint16)
+    parts: list[dict[str, NDArray[Any]]] = []
+    for name, part in sent.items():
+        late = name in MESSAGES and MESSAGES[name].event  # when it was asked for, not when sent
+        if late or "time_boot_ms" not in (part.records.dtype.names or ()):
+            continue
+        mine = np.isin(part.source >> 8, carriers)
+        records = part.records[mine]
+        utc_ns = np.zeros(records.shape, np.int64)
+        if name == SYSTEM_TIME:
+            unix_us = np.minimum(records["time_unix_usec"], _LAST_US).astype(np.int64)
+            utc_ns = np.where(unix_us > UNIX_US_FROM, unix_us * MICROSECOND, 0)
+        boot_ns = records["time_boot_ms"].astype(np.int64) * MILLISECOND
+        host_ns = part.host_us[mine] * MICROSECOND
+        columns = (part.at[mine], part.source[mine], host_ns, boot_ns, utc_ns)
+        parts.append(dict(zip(READING, columns, strict=True)))
+    if not any(part["at"].size for part in parts):
+        return None
+    order = np.argsort(np.concatenate([part["at"] for part in parts]), kind="stable")
+    # one column after the other: together they would be the peak of memory
+    return Readings(**{n: np.concatenate([part.pop(n) for part in parts])[order] for n in READING})
+
+
+def _channels(sent: dict[str, Sent], clocks: Clocks, ledger: Ledger) -> list[Channel]:
     channels = []
-    for key, spec in MESSAGES.items():
-        for rows, records in _rows_of(key, spec, tables, clocks):
+    keys = [key for key in MESSAGES if key.partition(".")[0] in sent]
+    for place, key in enumerate(keys):
+        spec, message = MESSAGES[key], key.partition(".")[0]
+        again = any(later.partition(".")[0] == message for later in keys[place + 1 :])
+        part = sent[message] if again else sent.pop(message)
+        for rows, records in _rows_of(key, spec, part, clocks):
             if key == "CAMERA_FEEDBACK":
-                rows = rows.take(_distinct(records, rows.name, ledger))
+                rows = rows.take(distinct(records, rows.name, ledger))
+            if key == "CAMERA_IMAGE_CAPTURED":
+                rows = rows.take(taken(records, rows.name, ledger))
             if spec.event:  # the link may deliver an exposure late
                 rows = rows.take(np.argsort(rows.time_ns, kind="stable"))
             channel = channel_of(rows, spec, ledger)
             if channel is not None:
                 channels.append(channel)
-    return tuple(channels)
+    if PARAM_VALUE in sent and _heights_are_ellipsoidal(sent[PARAM_VALUE], channels):
+        return with_ellipsoidal_heights(channels, ledger, PARAM_VALUE)
+    return channels
+
+
+def _heights_are_ellipsoidal(parameters: Sent, channels: list[Channel]) -> bool:
+    """Whether the last value of the vehicle's parameter asks for heights above the ellipsoid."""
+    systems = {channel.source.system for channel in channels if "h_msl_m" in channel.columns}
+    mine = np.isin(parameters.source >> 8, [system for system in systems if system is not None])
+    records = parameters.records[mine]
+    values = records["param_value"][records["param_id"] == HEIGHT_OPTION.encode()]
+    return bool(values.shape[0]) and says_ellipsoid(float(values[-1]))
+
+
+def _by_source(part: Sent) -> Iterator[tuple[Key, Sent]]:
+    sources = np.unique(part.source)
+    for number in sources.tolist():
+        mine = slice(None) if sources.shape[0] == 1 else part.source == number
+        yield divmod(number, 256), Sent(**{name: col[mine] for name, col in vars(part).items()})
 
 
 def _rows_of(
-    key: str, spec: MessageMap, tables: _Tables, clocks: Clocks
+    key: str, spec: MessageMap, part: Sent, clocks: Clocks
 ) -> Iterator[tuple[Rows, NDArray[Any]]]:
     """The rows of each sender and instance of a message, in SI and as they were sent."""
     message = key.partition(".")[0]
-    rows = tables.rows(message)
-    if rows.shape[0] == 0:
-        return
-    table = tables.fields(message, rows)
-    sources = tables.frames.system[rows] * 256 + tables.frames.component[rows]
-    unique = np.unique(sources)
-    for source in unique:
-        sent = table[sources == source]
-        system, component = int(source) // 256, int(source) % 256
-        places = rows[sources == source]
-        time_ns, boot = _times(sent, places, spec, clocks, (system, component))
-        for label, part in _instances(sent, spec):
+    several = bool(np.any(part.source != part.source[0]))
+    for source, sent in _by_source(part):
+        time_ns = _times(sent, spec.time_field, clocks, source)
+        boot = clocks.boot(source, sent.at)
+        for label, mine in _instances(sent.records, spec.id_field):
             name = key if label is None else f"{key}[{label}]"
-            name += f"@{system}/{component}" if unique.shape[0] > 1 else ""
-            records = sent[part]
-            columns = extract({f: records[f] for f in records.dtype.names or ()}, spec.columns)
-            origin = Source(message, label, system, component)
-            yield Rows(name, origin, time_ns[part], boot[part], columns), records
+            name += f"@{source[0]}/{source[1]}" if several else ""
+            records = sent.records[mine]
+            columns = extract(_fields(records), spec.columns)
+            if key == "GIMBAL_DEVICE_ATTITUDE_STATUS":
+                columns = north_only(columns)
+            label_of = LABELS.get(key)
+            labels = {label_of: tuple(map(_text, records[label_of].tolist()))} if label_of else {}
+            origin = Source(message, label, *source)
+            yield Rows(name, origin, time_ns[mine], boot[mine], columns, labels), records
 
 
-def _times(
-    table: NDArray[Any],
-    rows: NDArray[np.intp],
-    spec: MessageMap,
-    clocks: Clocks,
-    source: tuple[int, int],
-) -> tuple[TimeArray, NDArray[np.int16]]:
-    boot = clocks.boot(source, rows)
-    if not spec.time_field:
-        return clocks.utc_of_host(source, rows), boot
-    if spec.time_field == "time_boot_ms":
-        since_boot = table["time_boot_ms"].astype(np.int64) * 1_000_000
-        return clocks.utc_of_boot(source, since_boot, rows), boot
+def _fields(records: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """The fields by name; those of an array also one by one, as ``q.0``."""
+    fields = {}
+    for name in records.dtype.names or ():
+        fields[name] = records[name]
+        if records[name].ndim == 2:
+            fields |= {f"{name}.{k}": records[name][:, k] for k in range(records[name].shape[1])}
+    return fields
+
+
+def _times(sent: Sent, field: str, clocks: Clocks, source: Key) -> TimeArray:
+    """UTC [ns] by the message's own time, or by when it was received."""
+    host_ns = sent.host_us * MICROSECOND
+    if field == "time_boot_ms":
+        since_boot = sent.records[field].astype(np.int64) * MILLISECOND
+        return clocks.utc_of_boot(source, sent.at, host_ns, since_boot, ROUND_MS)
+    if not field:
+        return clocks.utc_of_host(source, sent.at, host_ns)
     # time_usec: Unix time from some senders, time since boot from others, 0 when not known
-    stamp_us = np.minimum(table["time_usec"], 1 << 52).astype(np.int64)
-    since_boot = clocks.utc_of_boot(source, stamp_us * 1000, rows)
-    time_ns = np.where(stamp_us > UNIX_US_FROM, stamp_us * 1000, since_boot)
-    return np.where(stamp_us == 0, clocks.utc_of_host(source, rows), time_ns), boot
+    stamp_us = np.minimum(sent.records[field].astype(np.uint64), _LAST_US).astype(np.int64)
+    stamp_ns = stamp_us * MICROSECOND
+    since_boot = clocks.utc_of_boot(source, sent.at, host_ns, stamp_ns, ROUND_US)
+    time_ns = np.where(stamp_us > UNIX_US_FROM, stamp_ns, since_boot)
+    unknown = stamp_us == 0
+    if unknown.any():
+        time_ns[unknown] = clocks.utc_of_host(source, sent.at[unknown], host_ns[unknown])
+    return time_ns
 
 
 def _instances(
-    table: NDArray[Any], spec: MessageMap
-) -> Iterator[tuple[str | None, NDArray[np.intp]]]:
-    if not spec.id_field:
-        yield None, np.arange(table.shape[0])
+    records: NDArray[Any], field: str
+) -> Iterator[tuple[str | None, NDArray[np.bool_] | slice]]:
+    if not field:
+        yield None, slice(None)
         return
-    for value in np.unique(table[spec.id_field]):
-        label = _text(value) if isinstance(value, bytes) else str(int(value))
-        yield label, np.flatnonzero(table[spec.id_field] == value)
+    for value in np.unique(records[field]):
+        yield _label(value), records[field] == value
+
+
+def _label(value: Any) -> str:
+    return _text(value) if isinstance(value, bytes) else str(int(value))
 
 
 def _text(value: bytes) -> str:
@@ -284,39 +293,47 @@ def _text(value: bytes) -> str:
     return value.split(b"\0", 1)[0].decode("ascii", "backslashreplace")
 
 
-def _distinct(table: NDArray[Any], name: str, ledger: Ledger) -> NDArray[np.intp]:
-    """The rows of CAMERA_FEEDBACK that are exposures of a camera: no empty ones, each once.
+def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table:
+    """All messages of one type with their time, their sender and their fields as sent."""
+    known = dialect()
+    if name not in known.numbers:
+        return {}
+    message = known.messages[known.numbers[name]]
+    with window_on(path) as data:
+        part = scan(data, known.extras, {message.number: message.dtype}).sent.get(message.number)
+    if part is None:
+        return {}
+    if instance is not None:
+        if not message.instance_field:
+            return {}
+        ids = part.records[message.instance_field]
+        same = [value for value in np.unique(ids) if _label(value) == instance]
+        mine = np.isin(ids, same)
+        part = Sent(**{field: column[mine] for field, column in vars(part).items()})
+    return _columns_of(part, message, clocks) if len(part) else {}
 
-    ArduPilot sends a row again while the next pulse is awaited, at times already with the next
-    index: the time is what tells exposures apart, and the first row of a time has its index.
-    """
-    empty = (table["time_usec"] == 0) & (table["lat"] == 0) & (table["lng"] == 0)
-    rows = np.flatnonzero(~empty)
-    times, indices = table["time_usec"][rows], table["img_idx"][rows].astype(np.uint64)
-    keys = np.where(times == 0, indices, times)
-    first = np.sort(np.unique(keys, return_index=True)[1])
-    empties, repeats = int(empty.sum()), int(rows.shape[0] - first.shape[0])
-    if empties:
-        ledger.note(
-            "EVENT-EMPTY",
-            f"{empties} of {table.shape[0]} rows have neither time nor place: no exposure",
-            where=name,
-            count=empties,
-        )
-    if repeats:
-        ledger.note(
-            "EVENT-REPEAT",
-            f"{repeats} of {table.shape[0]} rows repeat the time of an exposure",
-            where=name,
-            count=repeats,
-        )
-    unseen = np.setdiff1d(indices, indices[first])
-    if unseen.shape[0]:
-        ledger.warning(
-            "EVENT-NO-PULSE",
-            f"{unseen.shape[0]} image indices never got a time of their own (the first is "
-            f"{int(unseen[0])}): the camera was triggered and its feedback was lost",
-            where=name,
-            count=int(unseen.shape[0]),
-        )
-    return rows[first]
+
+def _columns_of(part: Sent, message: Message, clocks: Clocks) -> Table:
+    time_ns, boot = np.empty(len(part), np.int64), np.empty(len(part), np.int16)
+    field = next((name for name in ("time_boot_ms", "time_usec") if name in message.fields), "")
+    for source, sent in _by_source(part):
+        mine = part.source == source[0] * 256 + source[1]
+        time_ns[mine] = _times(sent, field, clocks, source)
+        boot[mine] = clocks.boot(source, sent.at)
+    table: Table = {
+        "time_ns": time_ns,
+        "boot": boot,
+        "system": part.source >> 8,
+        "component": part.source & 0xFF,
+    }
+    for name in message.fields:
+        raw = part.records[name]
+        table[name] = _texts(raw) if name in message.texts else np.ascontiguousarray(raw)
+    return table
+
+
+def _texts(raw: NDArray[Any]) -> NDArray[Any]:
+    """Char arrays as text; what is no ASCII becomes U+FFFD, as in the library."""
+    different, places = np.unique(raw, return_inverse=True)
+    cut = [value.split(b"\0", 1)[0].decode("ascii", "replace") for value in different.tolist()]
+    return np.array(cut, np.str_)[places]

@@ -85,6 +85,18 @@ def show_log(console: Console, log: Mapping[str, Any], name: str) -> None:
         )
 
 
+def show_fields(console: Console, title: str, rows: Sequence[Mapping[str, str]]) -> None:
+    """The fields of one message type of a log."""
+    console.print(f"[bold]{escape(title)}[/bold]")
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    heads = ("field", "type", "first", "lowest", "highest")
+    for name in heads:
+        table.add_column(name, justify="right" if name in ("lowest", "highest") else "left")
+    for row in rows:
+        table.add_row(*(escape(row.get(name, "")) for name in heads))
+    console.print(Padding(table, (1, 0, 1, 2)))
+
+
 def show_ledger(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
     """A ledger, the gravest entries first."""
     for kind, code, what in ledger_rows({"ledger": rows}):
@@ -176,6 +188,7 @@ __all__ = [
     "figure",
     "show_angle",
     "show_check",
+    "show_fields",
     "show_ledger",
     "show_log",
     "show_paper",

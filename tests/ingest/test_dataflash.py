@@ -14,10 +14,16 @@ from pipeline.errors import LogError
 from pipeline.flight.clock import utc_of_gps
 from pipeline.flight.roles import Wish, assign_roles
 from pipeline.ingest import Log, open_log
-from pipeline.ingest.dataflash_records import walk
+from pipeline.ingest.dataflash_records import Walk
+from pipeline.ingest.dataflash_records import walk as walk_window
+from pipeline.ingest.window import window_of
 from pipeline.ledger import Ledger
 
 DEGREE = np.pi / 180.0
+
+
+def walk(data: bytes) -> Walk:
+    return walk_window(window_of(data))
 
 
 def library_rows(path: Path, message: str) -> list:
