@@ -80,12 +80,21 @@ def euler_radius(latitude_rad: ArrayLike, azimuth_rad: ArrayLike) -> Array:
     >>> euler_radius(0.0, [0.0, 1.5707963267948966]).round(1).tolist()
     [6335439.3, 6378137.0]
     """
+    meridian, prime_vertical = principal_radii(latitude_rad)
+    cos_a, sin_a = np.cos(azimuth_rad), np.sin(azimuth_rad)
+    return np.asarray(1.0 / (cos_a * cos_a / meridian + sin_a * sin_a / prime_vertical))
+
+
+def principal_radii(latitude_rad: ArrayLike) -> tuple[Array, Array]:
+    """Radii of curvature [m] of the WGS84 ellipsoid in the meridian and in the prime vertical.
+
+    >>> [round(float(r), 1) for r in principal_radii(0.0)]
+    [6335439.3, 6378137.0]
+    """
     sin_phi = np.sin(np.asarray(latitude_rad, dtype=np.float64))
     w2 = 1.0 - _E2 * sin_phi * sin_phi
     prime_vertical = WGS84_A / np.sqrt(w2)
-    meridian = prime_vertical * (1.0 - _E2) / w2
-    cos_a, sin_a = np.cos(azimuth_rad), np.sin(azimuth_rad)
-    return np.asarray(1.0 / (cos_a * cos_a / meridian + sin_a * sin_a / prime_vertical))
+    return prime_vertical * (1.0 - _E2) / w2, prime_vertical
 
 
 def offset_geodetic(

@@ -5,13 +5,10 @@ Read from top to bottom. Nothing is computed here; every step is a call into the
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from pipeline.atmosphere import Profile, standard_atmosphere
 from pipeline.atmosphere.adjust import (
@@ -22,95 +19,39 @@ from pipeline.atmosphere.adjust import (
 )
 from pipeline.atmosphere.air import IndexModel
 from pipeline.atmosphere.samples import AirSamples
-from pipeline.batch.correct import CameraSetup, Ground, Tally, correct_stream
-from pipeline.batch.look import exposures_of, warn_of_calibration
+from pipeline.batch.correct import Recipe, correct_stream
+from pipeline.batch.find import Found, find_stations, open_inputs, read_flight
+from pipeline.batch.ground import Ground
+from pipeline.batch.look import look_through, setup_of
 from pipeline.batch.manifest import Outcome, manifest_of, outcome_of
 from pipeline.batch.plan import Plan, check_unchanged, make_plan
+from pipeline.batch.results import rebuild_run, refuse_output
 from pipeline.batch.store import (
     RunFolder,
     find_damage,
     open_folder,
     read_manifest,
     translated,
+    written_whole,
 )
+from pipeline.batch.tally import Tally
 from pipeline.config import Mission, load_mission
-from pipeline.errors import MissionError, StorageError
+from pipeline.errors import ConfigError, StorageError
 from pipeline.flight.air import air_samples
-from pipeline.flight.channels import Channel
-from pipeline.flight.exposures import (
-    Events,
-    account_for_triggers,
-    build_stations,
-    choose_event_channel,
-    events_of_channel,
-    events_of_table,
-    refuse_repeated_images,
-    require_cabin_air,
-)
-from pipeline.flight.heights import HeightSystem, ground_offsets, height_system
-from pipeline.flight.local import locate
-from pipeline.flight.quality import within_reason
-from pipeline.flight.roles import Wish, assign_roles, warn_of_gimbal
-from pipeline.flight.stations import (
-    Stations,
-    doubt_heights,
-    join_stations,
-    name_the_unmatched,
-    report_flagged,
-)
-from pipeline.ingest import Log, open_log
+from pipeline.flight.heights import HeightSystem, ground_offsets
+from pipeline.flight.stations import Stations, doubt_heights
 from pipeline.ledger import Ledger
-from pipeline.refraction.image import Exposures
 from pipeline.refraction.ray import rays_by
-from pipeline.refraction.window import NO_WINDOW, OPTICAL_AXIS
+from pipeline.report.accuracy import Accuracy, accuracy_page, text_hash
+from pipeline.report.accuracy_figure import accuracy_png
 from pipeline.report.html import write_report
 from pipeline.report.progress import Progress, Silent
-from pipeline.tables.events import EventColumns, read_events
-from pipeline.tables.observations import Observations, open_observations
-from pipeline.tables.schemas import REFRACTION_KEY, REFRACTION_REMOVED
+from pipeline.tables.exports import ExportOptions, find_format
+from pipeline.tables.observations import Observations
+from pipeline.tables.schemas import REFRACTION_APPLIED, REFRACTION_KEY, REFRACTION_REMOVED
 from pipeline.tables.writing import profile_arrow, stations_table, write_parquet
 
 PROFILE_ID = "flight"
-
-
-@dataclass(frozen=True, eq=False)
-class Flight:
-    """A log after its channels were given their roles."""
-
-    log: Log
-    channels: tuple[Channel, ...]
-    roles: dict[str, Channel]
-    heights: HeightSystem
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """What is known of a mission before anything is corrected."""
-
-    plan: Plan
-    flight: Flight
-    observations: Observations
-    stations: Stations
-    samples: AirSamples
-    ledger: Ledger
-
-    def lines(self) -> list[tuple[str, str]]:
-        """For a person."""
-        roles = ", ".join(
-            f"{role.replace('_', ' ')} {channel.name}"
-            for role, channel in sorted(self.flight.roles.items())
-        )
-        cameras = Counter(self.stations.camera[self.stations.ok].tolist())
-        return [
-            ("log", f"{self.plan.mission.log.path}: {self.flight.log.format}"),
-            ("channels", roles),
-            ("stations", ", ".join(f"{n} of {name}" for name, n in cameras.items()) or "none"),
-            (
-                "observations",
-                f"{self.observations.rows:,} in {len(self.observations.images)} images",
-            ),
-            ("results", str(self.plan.output)),
-        ]
 
 
 def run_mission(path: Path, *, force: bool = False, progress: Progress | None = None) -> Outcome:
@@ -168,99 +109,6 @@ def look_at(plan: Plan, progress: Progress) -> Found:
     return Found(plan, flight, observations, stations, samples, ledger)
 
 
-def open_inputs(plan: Plan, ledger: Ledger) -> Observations:
-    """The table of observations, checked."""
-    section, ground = plan.mission.observations, plan.mission.ground.height
-    column = None if isinstance(ground, float) else ground.column
-    return open_observations(
-        plan.input("observations").path,
-        section.columns.model_dump(),
-        column,
-        ledger,
-        ground_is_msl=plan.mission.ground.reference == "msl",
-    )
-
-
-def read_flight(plan: Plan, ledger: Ledger) -> Flight:
-    """The log, its channels in their roles, and how its heights go together."""
-    section = plan.mission.log
-    file = plan.input("log")
-    log = open_log(file.path, file.sha256)
-    channels = log.channels
-    if section.local_origin is not None:
-        origin = section.local_origin.build()
-        channels = tuple(locate(channel, origin) for channel in channels)
-    wishes = {role: Wish(c.name, c.unit) for role, c in section.channels.named().items()}
-    roles = assign_roles(channels, wishes, ledger, needs_cabin=reads_cabin(plan.mission))
-    sound = {role: within_reason(channel, role, ledger) for role, channel in roles.items()}
-    warn_of_gimbal(log.messages, ledger)
-    heights = height_system(sound, plan.mission.mission.undulation_m, ledger)
-    stated_home = plan.mission.ground.home_h_msl_m
-    if stated_home is not None:
-        heights = replace(heights, home_h_msl_m=stated_home)
-    return Flight(log, channels, sound, heights)
-
-
-def reads_cabin(mission: Mission) -> bool:
-    """Whether a window takes its cabin air from the log."""
-    return any(c.window is not None and c.window.cabin == "log" for c in mission.cameras.values())
-
-
-def find_events(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -> list[Events]:
-    """When each camera was exposed, from the log or from a table."""
-    section = plan.mission.events
-    if section.log is not None:
-        found = []
-        for camera, how in section.log.items():
-            channel = choose_event_channel(channels, how.channel)
-            account_for_triggers(channels, channel, ledger)
-            found.append(events_of_channel(channel, camera, how.image, how.delay_s, ledger))
-        return found
-    csv = section.csv
-    if csv is None:
-        raise MissionError("EVENTS-NONE", "the mission names no events", where="events")
-    table = read_events(plan.input("events").path, EventColumns(**csv.columns.model_dump()), ledger)
-    only = csv.camera or next(iter(plan.mission.cameras))
-    camera_of = table.camera if table.camera is not None else np.full(table.image.shape, only)
-    for name in sorted(set(camera_of.tolist()) - set(plan.mission.cameras)):
-        raise MissionError(
-            "EVENTS-CAMERA",
-            f"the table of exposures speaks of camera {name!r}",
-            where=str(csv.path),
-            remedy=f"cameras are {', '.join(plan.mission.cameras)}",
-        )
-    return [
-        events_of_table(table.image, camera_of, table.time_ns, camera, csv.delay_s)
-        for camera in plan.mission.cameras
-    ]
-
-
-def find_stations(
-    plan: Plan, flight: Flight, observations: Observations, ledger: Ledger
-) -> Stations:
-    """One row an exposure: position, attitude and air, or the reason why not."""
-    mission = plan.mission
-    events = find_events(plan, flight.channels, ledger)
-    refuse_repeated_images(events)
-    parts = [
-        build_stations(
-            event,
-            flight.roles,
-            mission.mount[event.camera].build(),
-            flight.heights,
-            mission.log.max_gap_s,
-        )
-        for event in events
-    ]
-    stations = join_stations(parts)
-    for name, camera in mission.cameras.items():
-        if camera.window is not None and camera.window.cabin == "log":
-            stations = require_cabin_air(stations, name, ledger)
-    stations = name_the_unmatched(stations, observations.images, ledger)
-    report_flagged(stations, ledger)
-    return stations
-
-
 def adjust_air(
     mission: Mission, stations: Stations, samples: AirSamples, ledger: Ledger
 ) -> Adjustment:
@@ -288,48 +136,28 @@ def correct(
     """The stream of observations through window, air and camera."""
     ground = mission.ground
     offsets = ground_offsets(ground.reference, stations, heights)
-    constant = ground.height if isinstance(ground.height, float) else None
-    tally = correct_stream(
-        observations,
+    direction = mission.refraction.direction
+    recipe = Recipe(
         stations.image,
         stations.camera,
         look_through(mission, stations, profile, ledger),
-        Ground(constant, offsets),
+        Ground(ground.constant_m, offsets, ground.from_distance),
         {name: setup_of(mission, name) for name in mission.cameras},
         rays_by(profile, mission.refraction.method),
-        folder,
-        mission.output.batch_rows,
-        {
-            REFRACTION_KEY.decode(): REFRACTION_REMOVED.decode(),
-            "unbend.mission": mission.mission.name,
-            "unbend.pixel_origin": mission.observations.pixel_origin,
-            "unbend.ground_reference": ground.reference,
-        },
-        advance,
+        direction,
+    )
+    mark = REFRACTION_REMOVED if direction == "remove" else REFRACTION_APPLIED
+    metadata = {
+        REFRACTION_KEY.decode(): mark.decode(),
+        "unbend.mission": mission.mission.name,
+        "unbend.pixel_origin": mission.observations.pixel_origin,
+        "unbend.ground_reference": ground.reference,
+    }
+    tally = correct_stream(
+        observations, recipe, folder, mission.output.batch_rows, metadata, advance
     )
     tally.report_flagged(ledger)
     return tally
-
-
-def look_through(
-    mission: Mission, stations: Stations, profile: Profile, ledger: Ledger
-) -> Exposures:
-    """What the rays of each exposure need to know: attitude, and the air beside the window."""
-    for name, camera in mission.cameras.items():
-        warn_of_calibration(name, camera.calibration, ledger)
-    cabins = {
-        name: camera.window.air() if camera.window is not None else NO_WINDOW
-        for name, camera in mission.cameras.items()
-    }
-    return exposures_of(stations, profile, cabins, mission.refraction.radius_m, ledger)
-
-
-def setup_of(mission: Mission, name: str) -> CameraSetup:
-    """Interior orientation, window, and what takes the user's pixels to COLMAP's."""
-    camera = mission.cameras[name]
-    normal = OPTICAL_AXIS if camera.window is None else np.array(camera.window.normal)
-    observed = mission.observations
-    return CameraSetup(camera.build(observed.pixel_origin), normal, observed.offset_px)
 
 
 def write_tables(folder: RunFolder, stations: Stations, adjustment: Adjustment) -> None:
@@ -383,3 +211,33 @@ def profile_sources(
         return profile_of_mission(config)
     standard = standard_atmosphere(atmosphere or "")
     return unadjusted(standard, f"the standard atmosphere {standard.name}"), AirSamples(), Ledger()
+
+
+def export_run(
+    path: Path, name: str, out: Path, options: ExportOptions, *, force: bool = False
+) -> tuple[int, Ledger]:
+    """Write a finished run in a format of other programs; rows written, and what was left out."""
+    found = find_format(name, out)
+    refuse_output(path, out, force=force)
+    ledger = Ledger()
+    run = rebuild_run(path, verify_run(path), options.ground_height_m, ledger)
+    with written_whole(out) as draft:
+        rows = found.write(run, options, draft, ledger)
+    return rows, ledger
+
+
+def write_comparison(found: Accuracy, path: Path) -> None:
+    """The comparison of the methods as a page, and its picture beside it."""
+    if path.suffix.lower() != ".md":
+        raise ConfigError(
+            "PAGE-FORMAT",
+            f"the page is Markdown and ends in .md, not in {path.suffix or 'nothing'}",
+            where=str(path),
+            remedy="its picture gets the same name with .png",
+        )
+    picture = path.with_suffix(".png")
+    text = accuracy_page(found, picture.name)
+    png = accuracy_png(found.drawn, text_hash(text))
+    for target, content in ((path, text.encode()), (picture, png)):
+        with written_whole(target) as draft:
+            draft.write_bytes(content)

@@ -1,5 +1,6 @@
 """The air: its refractive index, standard atmospheres, and the profile of a flight."""
 
+from pipeline.atmosphere.jacobian import AirJacobian, air_jacobian
 from pipeline.atmosphere.profile import (
     Profile,
     pressure_gradient_layer,
@@ -10,7 +11,9 @@ from pipeline.atmosphere.profile import (
 from pipeline.atmosphere.standard import standard_atmosphere, standard_names
 
 __all__ = [
+    "AirJacobian",
     "Profile",
+    "air_jacobian",
     "pressure_gradient_layer",
     "pressure_isothermal_layer",
     "profile_from_table",

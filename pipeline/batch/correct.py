@@ -1,9 +1,16 @@
-"""The one large stream: observations in, corrected observations out, a batch at a time."""
+"""The one large stream: observations in, corrected observations out, a batch at a time.
+
+Batches are independent of each other: while one is read, others are corrected and written, each to
+a part of its own. What a part holds does not depend on how many are under way.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+import os
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,93 +18,42 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from pipeline.batch.ground import Ground, plausible
+from pipeline.batch.look import CameraSetup
 from pipeline.batch.store import RunFolder
-from pipeline.ledger import Ledger
-from pipeline.refraction.camera import Camera
+from pipeline.batch.tally import Tally
+from pipeline.refraction.chord import target_heights
+from pipeline.refraction.forward import apply_refraction
 from pipeline.refraction.image import Corrections, Exposures, correct_observations
 from pipeline.refraction.ray import PublishedRays, RayTable
-from pipeline.refraction.spread import SPREADS, Extent, ImageGrid, Spread
-from pipeline.refraction.status import NO_STATION, STATUS_NAMES
+from pipeline.refraction.status import NO_STATION
+from pipeline.tables.marks import Direction
 from pipeline.tables.observations import Batch, Observations
-from pipeline.tables.schemas import OBSERVATION_COLUMNS, schema_of
+from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
 from pipeline.tables.writing import observation_table, write_parquet
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class CameraSetup:
-    """One camera: its interior orientation, window and which stations are its own."""
+class Recipe:
+    """All that turns a batch of observations into corrections.
 
-    camera: Camera
-    window_normal: Array
-    pixel_offset: float
-
-
-LOWEST_GROUND_M, HIGHEST_GROUND_M = -600.0, 10_000.0
-"""Ground heights outside this are no ground heights [m]."""
-
-
-@dataclass(frozen=True, eq=False)
-class Ground:
-    """Heights of the points above sea level: a constant, or a column plus what makes it so.
-
-    ``offset_m`` (s,) is added per station: minus the undulation for ellipsoidal heights, the
-    take-off height for relative ones.
+    ``images`` and ``cameras_of`` (s,) belong to the rows of ``exposures``.
     """
 
-    constant_m: float | None
-    offset_m: Array
-
-    def heights(self, batch: Batch, row: NDArray[np.int64]) -> Array:
-        """(n,) heights above sea level [m] of the points of a batch."""
-        if batch.ground is not None:
-            given = batch.ground
-        else:
-            given = np.full(len(batch), self.constant_m, dtype=np.float64)
-        given = np.where((given >= LOWEST_GROUND_M) & (given <= HIGHEST_GROUND_M), given, np.nan)
-        offset = np.append(self.offset_m, np.nan)[row]
-        # Without a station there is nothing to reduce with; the status says no_station anyway.
-        return np.asarray(given + np.where(row < 0, 0.0, offset))
-
-
-@dataclass
-class Tally:
-    """What the stream amounted to: counts, and how large the correction was in each camera."""
-
-    extents: dict[str, Extent]
-    rows: int = 0
-    parts: int = 0
-    status: dict[str, int] = field(default_factory=dict)
-
-    def correction(self) -> dict[str, Any]:
-        """How large the correction was, over all and camera by camera, for the manifest."""
-        together = {
-            name: sum((e.spreads()[name] for e in self.extents.values()), Spread()).summary()
-            for name in SPREADS
-        }
-        return together | {"cameras": {n: e.summary() for n, e in self.extents.items()}}
-
-    def report_flagged(self, ledger: Ledger) -> None:
-        """A line in the ledger for each reason why observations were not corrected."""
-        for name, count in self.status.items():
-            if name == "ok" or count == 0:
-                continue
-            what = f"{count} of {self.rows} observations are {name}"
-            if name == "beyond_grazing":
-                ledger.loss("OBS-BEYOND-GRAZING", what + ": near branch used", count=count)
-            else:
-                ledger.loss("OBS-FLAGGED", what, count=count)
+    images: NDArray[np.object_]
+    cameras_of: NDArray[np.object_]
+    exposures: Exposures
+    ground: Ground
+    cameras: Mapping[str, CameraSetup]
+    table: RayTable | PublishedRays
+    direction: Direction = "remove"
 
 
 def correct_stream(
     observations: Observations,
-    stations_image: NDArray[np.object_],
-    stations_camera: NDArray[np.object_],
-    exposures: Exposures,
-    ground: Ground,
-    cameras: Mapping[str, CameraSetup],
-    table: RayTable | PublishedRays,
+    recipe: Recipe,
     folder: RunFolder,
     batch_rows: int,
     metadata: Mapping[str, str],
@@ -105,29 +61,51 @@ def correct_stream(
 ) -> Tally:
     """Correct all observations and write them as ``observations/part-*.parquet``.
 
-    Memory holds one batch, whatever the number of rows. ``progress`` hears of every batch's rows.
+    Memory holds a few batches, whatever the number of rows. ``progress`` hears of every batch's
+    rows.
     """
-    schema = schema_of(OBSERVATION_COLUMNS, metadata, list(observations.user_fields))
-    names = pa.array(stations_image, pa.string())
-    number_of = {name: number for number, name in enumerate(cameras)}
+    columns = OBSERVATION_COLUMNS if recipe.direction == "remove" else DISPLACED_COLUMNS
+    schema = schema_of(columns, metadata, list(observations.user_fields))
+    names = pa.array(recipe.images, pa.string())
+    number_of = {name: number for number, name in enumerate(recipe.cameras)}
     # An image that no exposure was found for has a station without a camera; the last entry is
     # for observations without a station.
-    camera_of = np.array([number_of.get(name, -1) for name in stations_camera] + [-1], np.int64)
-    tally = Tally(
-        {n: Extent(ImageGrid(s.camera.width_px, s.camera.height_px)) for n, s in cameras.items()}
-    )
-    for number, batch in enumerate(observations.batches(batch_rows)):
+    camera_of = np.array([number_of.get(n, -1) for n in recipe.cameras_of] + [-1], np.int64)
+
+    def one(number: int, batch: Batch) -> Tally:
         row = _station_rows(batch.image, names)
-        h_g = ground.heights(batch, row)
         camera = camera_of[row]
-        corrections = _correct_batch(batch, row, h_g, exposures, cameras, camera, table)
+        h_g = _heights(batch, row, camera, recipe)
+        corrections = _correct_batch(batch, row, h_g, camera, recipe)
         name = f"observations/part-{number:05d}.parquet"
         write_parquet(observation_table(batch, corrections, h_g, schema), folder.place(name))
         folder.seal(name)
-        _count(tally, batch, corrections, camera)
-        tally.parts = number + 1
-        progress(len(batch))
-    return tally
+        tally = Tally.of(recipe.cameras)
+        tally.add(batch, corrections, camera)
+        return tally
+
+    total = Tally.of(recipe.cameras)
+    for part in _overlapped(one, observations.batches(batch_rows)):
+        total.merge(part)
+        progress(part.rows)
+    return total
+
+
+def _overlapped(one: Callable[[int, Batch], Tally], batches: Iterator[Batch]) -> Iterator[Tally]:
+    """Results for numbered batches, in their order; as many at a time as there are cores."""
+    workers = os.cpu_count() or 1
+    waiting: deque[Future[Tally]] = deque()
+    with ThreadPoolExecutor(workers, thread_name_prefix="batch") as pool:
+        try:
+            for number, batch in enumerate(batches):
+                waiting.append(pool.submit(one, number, batch))
+                if len(waiting) > workers:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()
 
 
 def _station_rows(image: pa.StringArray, names: pa.StringArray) -> NDArray[np.int64]:
@@ -139,53 +117,71 @@ def _station_rows(image: pa.StringArray, names: pa.StringArray) -> NDArray[np.in
     return np.asarray(by_code[codes])
 
 
+def _heights(
+    batch: Batch, row: NDArray[np.int64], camera: NDArray[np.int64], recipe: Recipe
+) -> Array:
+    """(n,) heights of the points above sea level [m], NaN where there is none."""
+    h_g = recipe.ground.heights(batch, row)
+    if recipe.ground.from_distance and batch.distance_m is not None:
+        for number, setup in enumerate(recipe.cameras.values()):
+            mine = np.flatnonzero(camera == number)
+            h_g[mine] = target_heights(
+                batch.x_px[mine] + setup.pixel_offset,
+                batch.y_px[mine] + setup.pixel_offset,
+                batch.distance_m[mine],
+                row[mine],
+                recipe.exposures,
+                setup.camera,
+                recipe.table,
+                ideal=recipe.direction == "apply",
+            )
+        h_g = plausible(h_g)
+    return h_g
+
+
 def _correct_batch(
-    batch: Batch,
-    row: NDArray[np.int64],
-    h_g: Array,
-    exposures: Exposures,
-    cameras: Mapping[str, CameraSetup],
-    camera: NDArray[np.int64],
-    table: RayTable | PublishedRays,
+    batch: Batch, row: NDArray[np.int64], h_g: Array, camera: NDArray[np.int64], recipe: Recipe
 ) -> Corrections:
     """The corrections of a batch, camera by camera, back in the order of the rows."""
-    n = len(batch)
-    columns: dict[str, Array] = {
-        name: np.full(n, np.nan) for name in Corrections.__dataclass_fields__ if name != "status"
-    }
-    status = np.full(n, NO_STATION, np.uint8)
-    for number, setup in enumerate(cameras.values()):
+    parts = []
+    for number, setup in enumerate(recipe.cameras.values()):
         mine = np.flatnonzero(camera == number)
-        if mine.size == 0:
-            continue
-        part = correct_observations(
-            batch.x_px[mine] + setup.pixel_offset,
-            batch.y_px[mine] + setup.pixel_offset,
-            h_g[mine],
-            row[mine],
-            exposures,
-            setup.camera,
-            table,
-            window_normal=setup.window_normal,
-        )
+        if mine.size == len(batch):
+            return _correct_rows(batch, slice(None), row, h_g, setup, recipe)
+        if mine.size:
+            parts.append((mine, _correct_rows(batch, mine, row, h_g, setup, recipe)))
+    columns: dict[str, Any] = {
+        name: np.full(len(batch), np.nan) for name in Corrections.__dataclass_fields__
+    }
+    columns["status"] = np.full(len(batch), NO_STATION, np.uint8)
+    for mine, part in parts:
         for name, column in columns.items():
             column[mine] = getattr(part, name)
-        status[mine] = part.status
-        columns["x_px"][mine] -= setup.pixel_offset
-        columns["y_px"][mine] -= setup.pixel_offset
-    return Corrections(status=status, **columns)
+    return Corrections(**columns)
 
 
-def _count(
-    tally: Tally,
+def _correct_rows(
     batch: Batch,
-    corrections: Corrections,
-    camera: NDArray[np.int64],
-) -> None:
-    tally.rows += len(batch)
-    counts = np.bincount(corrections.status, minlength=len(STATUS_NAMES))
-    for name, count in zip(STATUS_NAMES, counts.tolist(), strict=True):
-        tally.status[name] = tally.status.get(name, 0) + int(count)
-    for number, extent in enumerate(tally.extents.values()):
-        mine = np.flatnonzero(camera == number)
-        extent.add(batch.x_px[mine], batch.y_px[mine], corrections.rows(mine))
+    mine: NDArray[np.intp] | slice,
+    row: NDArray[np.int64],
+    h_g: Array,
+    setup: CameraSetup,
+    recipe: Recipe,
+) -> Corrections:
+    """The corrections of the rows of one camera, in the user's pixels."""
+    way = correct_observations if recipe.direction == "remove" else apply_refraction
+    found = way(
+        batch.x_px[mine] + setup.pixel_offset,
+        batch.y_px[mine] + setup.pixel_offset,
+        h_g[mine],
+        row[mine],
+        recipe.exposures,
+        setup.camera,
+        recipe.table,
+        distance_m=None if batch.distance_m is None else batch.distance_m[mine],
+    )
+    if setup.pixel_offset == 0.0:
+        return found
+    return replace(
+        found, x_px=found.x_px - setup.pixel_offset, y_px=found.y_px - setup.pixel_offset
+    )

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.atmosphere.adjust import Adjustment
-from pipeline.batch.correct import Tally
 from pipeline.batch.plan import Plan, versions
+from pipeline.batch.tally import Tally
 from pipeline.errors import EXIT_DONE, EXIT_LOSSES
 from pipeline.flight.channels import Channel
 from pipeline.flight.stations import Stations

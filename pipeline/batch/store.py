@@ -45,6 +45,21 @@ def translated(path: Path) -> Iterator[None]:
         ) from None
 
 
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """A place to write to, beside ``path``; the file appears there when all of it is written."""
+    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
+    try:
+        with translated(path):
+            yield draft
+            with draft.open("rb") as file:
+                os.fsync(file.fileno())
+            draft.replace(path)
+    finally:
+        with suppress(OSError):
+            draft.unlink(missing_ok=True)
+
+
 @dataclass(frozen=True)
 class RunFolder:
     """The output folder of one mission, locked for this process."""

@@ -5,10 +5,17 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from pipeline.flight.exposures import Mount
-from pipeline.refraction import Cabin, Camera
+from pipeline.refraction import Cabin, Camera, LensInAir, Window
 from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K
 
 PrincipalDistance = Annotated[float, Field(ge=10, le=1e6)]
@@ -51,31 +58,100 @@ class CabinAir(Section):
 class WindowSection(Section):
     """The window of a pressurised compartment."""
 
-    cabin: Literal["log"] | CabinAir = Field(
-        description="log: from the cabin channels of the log; or constant values"
+    shape: Literal["plane", "spherical"] = Field(
+        "plane",
+        description="spherical: a dome about the projection centre, which bends nothing",
+    )
+    cabin: Literal["log", "standard_schedule"] | CabinAir | None = Field(
+        None,
+        validate_default=True,
+        description="log: from the cabin channels of the log; standard_schedule: as outside up to "
+        "3 km, then 701.2 hPa, 21.1 degC (Gyer's Table 7); or constant values",
+    )
+    frame: Literal["camera", "body"] = Field(
+        "camera",
+        description="of the normal: camera (x right, y down, z forward), or the aircraft's body (x "
+        "forward, y right, z down), for a camera that moves behind a fixed window",
     )
     normal: Vector = Field(
         default_factory=lambda: [0.0, 0.0, 1.0],
-        description="direction of the window in the camera frame (x right, y down, z forward)",
+        description="direction out of the window; [0, 0, 1] is square to the optical axis in the "
+        "camera frame, a window in the belly in the body frame",
+    )
+    in_calibration: Literal["none", "glass"] = Field(
+        "none",
+        description="glass: the camera was calibrated through it. It displaces rays and is never "
+        "modelled",
     )
 
-    def air(self) -> Cabin:
-        """The air inside, in SI, or that it is in the log."""
-        if isinstance(self.cabin, str):
-            return Cabin(logged=True)
+    def build(self) -> Window:
+        """The window, with the air behind it in SI or where that comes from."""
+        x, y, z = self.normal
+        return Window(self._air(), (x, y, z), self.frame, self.shape, self.in_calibration)
+
+    def _air(self) -> Cabin | None:
+        if not isinstance(self.cabin, CabinAir):
+            return None if self.cabin is None else Cabin(self.cabin)
         return Cabin(
+            "constant",
             pressure_pa=self.cabin.pressure_hpa * HECTOPASCAL,
             temperature_k=self.cabin.temperature_c + ZERO_CELSIUS_K,
             relative_humidity=self.cabin.relative_humidity,
         )
 
+    @field_validator("cabin")
+    @classmethod
+    def _is_there(cls, value: object, info: ValidationInfo) -> object:
+        if value is None and info.data.get("shape") != "spherical":
+            raise ValueError(
+                "is missing: a plane window bends by the air behind it. log, standard_schedule, or "
+                "{pressure_hpa, temperature_c, relative_humidity}"
+            )
+        return value
+
     @field_validator("normal")
     @classmethod
-    def _points_outside(cls, value: list[float]) -> list[float]:
+    def _points_outside(cls, value: list[float], info: ValidationInfo) -> list[float]:
         length = float(np.linalg.norm(value))
-        if not length > 0.0 or value[2] <= 0.0:
+        if not length > 1e-6:
+            raise ValueError("has no direction: its length is zero")
+        if info.data.get("frame") == "camera" and value[2] <= 0.0:
             raise ValueError("must point out of the compartment: a positive third component")
         return [component / length for component in value]
+
+    @model_validator(mode="after")
+    def _a_dome_has_no_direction(self) -> WindowSection:
+        given = sorted({"frame", "normal"} & self.model_fields_set)
+        if self.shape == "spherical" and given:
+            raise ValueError(f"a spherical window has no {' and no '.join(given)}")
+        return self
+
+
+class LensReference(Section):
+    """The air in the lens when the camera was calibrated."""
+
+    pressure_hpa: float = Field(ge=100, le=1200)
+    temperature_c: float = Field(ge=-60, le=60)
+
+
+class LensSection(Section):
+    """How the principal distance follows the air in the lens.
+
+    In pixels: derivatives in millimetres are divided by the pixel pitch in millimetres."""
+
+    reference: LensReference = Field(description="{pressure_hpa, temperature_c} of the calibration")
+    dc_dp_px_per_hpa: float = Field(ge=-10, le=10)
+    dc_dt_px_per_k: float = Field(ge=-10, le=10)
+
+    def build(self, principal_distance_px: float) -> LensInAir:
+        """In Pa and K."""
+        return LensInAir(
+            principal_distance_px,
+            self.reference.pressure_hpa * HECTOPASCAL,
+            self.reference.temperature_c + ZERO_CELSIUS_K,
+            self.dc_dp_px_per_hpa / HECTOPASCAL,
+            self.dc_dt_px_per_k,
+        )
 
 
 class CameraSection(Section):
@@ -97,6 +173,9 @@ class CameraSection(Section):
         "images already contains the nadir refraction of that height"
     )
     window: WindowSection | None = None
+    principal_distance: LensSection | None = Field(
+        None, description="how it follows the air in the lens; without it that is not removed"
+    )
 
     @model_validator(mode="after")
     def _one_principal_distance(self) -> CameraSection:
@@ -105,6 +184,34 @@ class CameraSection(Section):
         if (self.f_px is not None) == both or not (both or neither):
             raise ValueError("give f_px, or both fx_px and fy_px")
         return self
+
+    @model_validator(mode="after")
+    def _air_of_the_lens_is_known(self) -> CameraSection:
+        window = self.window
+        if self.principal_distance is not None and window is not None and window.cabin is None:
+            raise ValueError(
+                "principal_distance needs the air in the lens, and behind a window that is the "
+                "cabin's: give window.cabin"
+            )
+        return self
+
+    @property
+    def needs_cabin_from_log(self) -> bool:
+        """Whether a number depends on the cabin's air, and that is to come from the log.
+
+        A spherical window bends nothing: behind it the air counts only in the lens.
+        """
+        if self.window is None or self.window.cabin != "log":
+            return False
+        return self.window.shape == "plane" or self.principal_distance is not None
+
+    def lens(self) -> LensInAir | None:
+        """How the principal distance follows the air, where the file says so."""
+        if self.principal_distance is None:
+            return None
+        # The smaller of two, to which a change is the larger part.
+        shortest = min(f for f in (self.f_px, self.fx_px, self.fy_px) if f is not None)
+        return self.principal_distance.build(shortest)
 
     def build(self, pixel_origin: str = "corner") -> Camera:
         """The camera in COLMAP's pixels; ``pixel_origin`` where it names none itself."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import difflib
 import re
 import string
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from pipeline.atmosphere import standard_names
@@ -49,6 +50,10 @@ class ChannelsSection(Section):
     position: str | NamedChannel | None = None
     height: str | NamedChannel | None = None
     attitude: str | NamedChannel | None = None
+    aircraft_attitude: str | NamedChannel | None = Field(
+        None,
+        description="of the aircraft itself, where attitude is that of a stabilised mount",
+    )
     pressure: str | NamedChannel | None = None
     temperature: str | NamedChannel | None = None
     humidity: str | NamedChannel | None = None
@@ -101,6 +106,11 @@ class ObservationColumns(Section):
     point: str = "point"
     x_px: str = "x_px"
     y_px: str = "y_px"
+    distance_m: str | None = Field(
+        None,
+        description="slant range to the point [m], where it is known; it tells the near from the "
+        "far crossing of a ray that meets the point's height twice",
+    )
 
 
 class ObservationsSection(Section):
@@ -195,10 +205,15 @@ class GroundColumn(Section):
     column: str
 
 
+GroundHeight = float | GroundColumn | Literal["from_distance"]
+
+
 class GroundSection(Section):
     """Heights of the observed points. There is no default."""
 
-    height: float | GroundColumn = Field(description="metres, or {column: NAME}")
+    height: GroundHeight = Field(
+        description="metres, or {column: NAME}, or from_distance: where the slant range ends"
+    )
     reference: Literal["msl", "ellipsoid", "relative"] = Field(
         description="above mean sea level, above the ellipsoid, or above the take-off point"
     )
@@ -209,12 +224,44 @@ class GroundSection(Section):
         description="height of the take-off point, where the log does not tell",
     )
 
+    @property
+    def constant_m(self) -> float | None:
+        """The one height of all points, where there is one."""
+        return self.height if isinstance(self.height, float) else None
+
+    @property
+    def column(self) -> str | None:
+        """The column of heights, where there is one."""
+        return self.height.column if isinstance(self.height, GroundColumn) else None
+
+    @property
+    def from_distance(self) -> bool:
+        """Whether the heights follow from the slant ranges."""
+        return self.height == "from_distance"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_its_reference(cls, values: Any) -> Any:
+        """Heights from the camera's own, above sea level, need no word about their reference."""
+        if isinstance(values, dict) and values.get("height") == "from_distance":
+            return {"reference": "msl"} | values
+        return values
+
     @field_validator("height")
     @classmethod
-    def _on_earth(cls, value: float | GroundColumn) -> float | GroundColumn:
+    def _on_earth(cls, value: GroundHeight) -> GroundHeight:
         if isinstance(value, float) and not -600.0 <= value <= 10_000.0:
             raise ValueError("is no ground height in metres (-600 to 10000)")
         return value
+
+    @model_validator(mode="after")
+    def _says_nothing_idle(self) -> GroundSection:
+        if self.from_distance and (self.reference != "msl" or self.home_h_msl_m is not None):
+            raise ValueError(
+                "height: from_distance gives heights above mean sea level; leave reference and "
+                "home_h_msl_m out"
+            )
+        return self
 
 
 class AtmosphereSection(Section):
@@ -237,6 +284,11 @@ class AtmosphereSection(Section):
 class RefractionSection(Section):
     """How rays are traced."""
 
+    direction: Literal["remove", "apply"] = Field(
+        "remove",
+        description="remove: from measured observations to the straight chord; apply: from ideal "
+        "observations to what a camera in this air would measure, for planning",
+    )
     method: str = "spherical"
     radius_m: float | None = Field(
         None,
@@ -273,6 +325,32 @@ class Mission(Section):
     atmosphere: AtmosphereSection = AtmosphereSection()
     refraction: RefractionSection = RefractionSection()
     output: OutputSection
+
+    @model_validator(mode="after")
+    def _windows_are_looked_through(self) -> Mission:
+        for name, camera in self.cameras.items():
+            window = camera.window
+            # A stabilised camera turns behind the window: only the log knows how.
+            moves = self.log.channels.aircraft_attitude is not None
+            if window is None or window.frame == "camera" or moves or name not in self.mount:
+                continue
+            x, y, z = self.mount[name].build().camera_from_body @ np.array(window.normal)
+            if z <= 0.0:
+                raise ValueError(
+                    f"the window of camera {name!r} looks away from what the camera sees: with "
+                    f"this mount its normal is [{x:.3f}, {y:.3f}, {z:.3f}] in the camera frame, "
+                    "where forward is positive"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _distances_are_there(self) -> Mission:
+        if self.ground.from_distance and self.observations.columns.distance_m is None:
+            raise ValueError(
+                "ground.height: from_distance needs observations.columns.distance_m, the name of "
+                "the column of slant ranges"
+            )
+        return self
 
     @model_validator(mode="after")
     def _cameras_agree(self) -> Mission:

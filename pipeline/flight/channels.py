@@ -16,6 +16,7 @@ ROLE_COLUMNS: Mapping[str, tuple[str, ...]] = {
     "position": ("lat_rad", "lon_rad"),
     "height": ("lat_rad", "lon_rad"),
     "attitude": ("q_w", "q_x", "q_y", "q_z"),
+    "aircraft_attitude": ("q_w", "q_x", "q_y", "q_z"),
     "pressure": ("pressure_pa",),
     "temperature": ("temperature_k",),
     "humidity": ("relative_humidity",),

@@ -215,7 +215,22 @@ def build_stations(
         sigma_horizontal_m=interpolate(position, "sigma_h_m", time_ns, max_gap_s),
         sigma_height_m=interpolate(height, "sigma_v_m", time_ns, max_gap_s),
     )
-    return _with_air(_oriented(stations, mount, lat, lon, h_msl, h_ell, attitude), roles, max_gap_s)
+    stations = _oriented(stations, mount, lat, lon, h_msl, h_ell, attitude)
+    if "aircraft_attitude" in roles:
+        attitude, _ = interpolate_attitude(roles["aircraft_attitude"], time_ns, max_gap_s)
+    stations = replace(stations, aircraft_quaternion=_body_from_enu(attitude))
+    return _with_air(stations, roles, max_gap_s)
+
+
+def _body_from_enu(attitude: Array) -> Array:
+    """(n, 4) quaternions of v_body = R(q) v_enu from those of v_ned = R(q) v_body; NaN stays."""
+    quaternion = np.full(attitude.shape, np.nan)
+    known = np.isfinite(attitude).all(axis=1)
+    if bool(known.any()):
+        ned_from_body = Rotation.from_quat(attitude[known][:, [1, 2, 3, 0]])
+        turn = ned_from_body.inv() * Rotation.from_matrix(_NED_FROM_ENU)
+        quaternion[known] = turn.as_quat(canonical=True)[:, [3, 0, 1, 2]]
+    return quaternion
 
 
 def _gaps(stations: Stations, verdict: NDArray[np.uint8]) -> Stations:
@@ -296,6 +311,24 @@ def require_cabin_air(stations: Stations, camera: str, ledger: Ledger) -> Statio
             "CABIN-MISSING",
             f"{int(missing.sum())} exposures have no cabin pressure or temperature: the window "
             "cannot be corrected",
+            where=f"camera {camera}",
+            count=int(missing.sum()),
+        )
+    return stations.with_status(missing, SUSPECT)
+
+
+def require_aircraft_attitude(stations: Stations, camera: str, ledger: Ledger) -> Stations:
+    """Mark exposures behind a window that is fixed to the aircraft as suspect without its attitude.
+
+    For a camera whose window has its normal in the body frame.
+    """
+    missing = (stations.camera == camera) & np.isnan(stations.aircraft_quaternion).any(axis=1)
+    missing &= stations.ok
+    if bool(missing.any()):
+        ledger.loss(
+            "AIRCRAFT-ATTITUDE-MISSING",
+            f"{int(missing.sum())} exposures have no attitude of the aircraft: how its window "
+            "stands before the camera is not known",
             where=f"camera {camera}",
             count=int(missing.sum()),
         )

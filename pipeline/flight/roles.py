@@ -57,10 +57,11 @@ def assign_roles(
     needs_cabin : whether the window asks for cabin air from the log.
 
     Named channels that are absent refuse the mission where the role is needed, and are a loss in
-    the ledger where it is not. The event channels are chosen by `exposures`, one a camera.
+    the ledger where it is not. ``aircraft_attitude`` is only ever named. The event channels are
+    chosen by `exposures`, one a camera.
     """
     everything = tuple(channels)
-    required = {"position", "attitude"} | ({"cabin_pressure", "cabin_temperature"} & set(wishes))
+    required = {"position", "attitude", "aircraft_attitude", "cabin_pressure", "cabin_temperature"}
     filled: dict[str, Channel] = {}
     for role, wish in wishes.items():
         channel = _named(everything, role, wish, role in required, ledger)
@@ -103,8 +104,8 @@ def warn_of_gimbal(messages: Mapping[str, int], ledger: Ledger) -> None:
     if found:
         ledger.warning(
             "GIMBAL-IGNORED",
-            f"the log has {', '.join(found)} of a gimbal: they are not read, every camera is taken "
-            "as fixed to the aircraft by its mount",
+            f"the log has {', '.join(found)} of a gimbal: no camera follows it unless its "
+            "channel is named as attitude; each is taken as fixed to the aircraft by its mount",
         )
 
 

@@ -26,13 +26,16 @@ SUSPECT = "suspect"
 NO_TIME = np.iinfo(np.int64).min
 """Time of a station that has none."""
 
+_QUATERNIONS = ("quaternion", "aircraft_quaternion")
+
 
 @dataclass(frozen=True, eq=False)
 class Stations:
     """Exposures; (s,) arrays, SI and radians, NaN where unknown.
 
     ``quaternion`` (s, 4) is w, x, y, z with v_camera = R(q) v_enu, east-north-up at the station,
-    up along the ellipsoid normal, w >= 0. Positions are those of the projection centre.
+    up along the ellipsoid normal, w >= 0; ``aircraft_quaternion`` likewise with v_body, the body
+    forward, right, down. Positions are those of the projection centre.
     ``pressure_pa``, ``temperature_k`` and ``vapour_pressure_pa`` were measured outside at the
     exposure, the ``cabin_`` columns inside. ``status`` is ok or says what is missing.
     """
@@ -45,6 +48,7 @@ class Stations:
     h_msl_m: Array
     h_ellipsoid_m: Array
     quaternion: Array
+    aircraft_quaternion: Array
     pressure_pa: Array
     temperature_k: Array
     vapour_pressure_pa: Array
@@ -59,7 +63,7 @@ class Stations:
         n = self.image.shape[0]
         for field in fields(self):
             shape = getattr(self, field.name).shape
-            if shape != ((n, 4) if field.name == "quaternion" else (n,)):
+            if shape != ((n, 4) if field.name in _QUATERNIONS else (n,)):
                 raise ValueError(f"stations: {field.name} is {shape} for {n} stations")
 
     def __len__(self) -> int:
@@ -93,7 +97,7 @@ def empty_stations(
     """Stations of which only the name is known."""
     n = image.shape[0]
     blank: dict[str, Any] = {
-        field.name: np.full((n, 4) if field.name == "quaternion" else n, np.nan)
+        field.name: np.full((n, 4) if field.name in _QUATERNIONS else n, np.nan)
         for field in fields(Stations)
     }
     blank |= {
@@ -119,7 +123,7 @@ def station_table(stations: Stations) -> dict[str, Any]:
     """Columns of ``stations.parquet``: degrees, UTC, null (NaT, NaN) where unknown."""
     time = stations.time_ns.astype("datetime64[ns]")
     time[stations.time_ns == NO_TIME] = np.datetime64("NaT")
-    q = stations.quaternion
+    q, aircraft = stations.quaternion, stations.aircraft_quaternion
     return {
         "image": stations.image,
         "camera": stations.camera,
@@ -132,6 +136,10 @@ def station_table(stations: Stations) -> dict[str, Any]:
         "q_x": q[:, 1],
         "q_y": q[:, 2],
         "q_z": q[:, 3],
+        "aircraft_q_w": aircraft[:, 0],
+        "aircraft_q_x": aircraft[:, 1],
+        "aircraft_q_y": aircraft[:, 2],
+        "aircraft_q_z": aircraft[:, 3],
         "pressure_pa": stations.pressure_pa,
         "temperature_k": stations.temperature_k,
         "vapour_pressure_pa": stations.vapour_pressure_pa,

@@ -21,11 +21,9 @@ from pipeline.ingest.dataflash_fields import (
 )
 from pipeline.ingest.dataflash_time import RECEIVERS, Clock, microseconds
 from pipeline.ingest.fields import MessageMap, extract
+from pipeline.ingest.heights import HEIGHT_OPTION, says_ellipsoid, with_ellipsoidal_heights
 from pipeline.ledger import Ledger
 
-# AP_GPS.h, DriverOptions::HeightEllipsoid: the receiver's height goes through the filter as it is.
-HEIGHT_OPTION = "GPS_DRV_OPTIONS"
-_HEIGHT_ELLIPSOID = 1 << 4
 _OF_TIME = ("GMS", "GWk", "Status")
 
 
@@ -53,12 +51,7 @@ def channels_of(tables: dict[str, Decoded], clock: Clock, ledger: Ledger) -> tup
             if channel is not None:
                 channels.append(_with_undulation(channel))
     if "PARM" in tables and heights_are_ellipsoidal(tables["PARM"].columns):
-        ledger.note(
-            "HEIGHT-ELLIPSOID",
-            f"the parameter {HEIGHT_OPTION} says that GNSS heights are above the ellipsoid: so are "
-            "all heights of this log",
-        )
-        channels = [_with_ellipsoidal_heights(channel) for channel in channels]
+        channels = with_ellipsoidal_heights(channels, ledger, "PARM")
     return tuple(channels)
 
 
@@ -92,15 +85,7 @@ def heights_are_ellipsoidal(parameters: Table) -> bool:
     if not {"Name", "Value"} <= set(parameters):
         return False
     values = parameters["Value"][parameters["Name"] == HEIGHT_OPTION]
-    # Parameters are floats; a damaged one may hold anything.
-    return bool(values.size and 0.0 <= values[-1] < 2**15 and int(values[-1]) & _HEIGHT_ELLIPSOID)
-
-
-def _with_ellipsoidal_heights(channel: Channel) -> Channel:
-    if "h_msl_m" not in channel.columns:
-        return channel
-    columns = dict(channel.columns)
-    return replace(channel, columns={"h_ellipsoid_m": columns.pop("h_msl_m")} | columns)
+    return bool(values.size) and says_ellipsoid(float(values[-1]))
 
 
 def _with_undulation(channel: Channel) -> Channel:

@@ -1,22 +1,33 @@
 """Light through the air: the ray, the window, the camera and the image."""
 
 from pipeline.refraction.camera import Camera
+from pipeline.refraction.chord import height_at_distance
+from pipeline.refraction.forward import apply_refraction
 from pipeline.refraction.image import Corrections, Exposures, correct_observations
+from pipeline.refraction.lens import LensInAir
 from pipeline.refraction.ray import METHODS, RayTable, bend, ray_table, refraction_angle
+from pipeline.refraction.sensitivity import RayWeights, Sensitivity, ray_weights, sensitivity
 from pipeline.refraction.status import STATUS_NAMES
-from pipeline.refraction.window import NO_WINDOW, Cabin
+from pipeline.refraction.window import Cabin, Window
 
 __all__ = [
     "METHODS",
-    "NO_WINDOW",
     "STATUS_NAMES",
     "Cabin",
     "Camera",
     "Corrections",
     "Exposures",
+    "LensInAir",
     "RayTable",
+    "RayWeights",
+    "Sensitivity",
+    "Window",
+    "apply_refraction",
     "bend",
     "correct_observations",
+    "height_at_distance",
     "ray_table",
+    "ray_weights",
     "refraction_angle",
+    "sensitivity",
 ]

@@ -1,41 +1,24 @@
 """The compiled part of `ray`: one ray at a time, in double precision.
 
-Symbols are those of Gyer 1996: r = r_e + h, k = n_c r_c sin zeta_c, N = n - 1. Imported only
-when the first ray is computed, because importing numba costs most of a second.
+Symbols are those of Gyer 1996: r = r_e + h, k = n_c r_c sin zeta_c, N = n - 1.
 """
 
 from __future__ import annotations
 
 import math
-import os
 
-import numba
 import numpy as np
 
+from pipeline.refraction._jit import entry, jit
+from pipeline.refraction._polynomials import gradient, piece, refractivity
 from pipeline.refraction.status import (
     BAD_MEASUREMENT,
     BEYOND_GRAZING,
+    FAR_BRANCH,
     MISSES_GROUND,
     OK,
     OUTSIDE_PROFILE,
 )
-
-
-def _user_cache() -> str | None:
-    """A folder of the user's for compiled code; never site-packages, which may be read-only."""
-    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    folder = numba.config.CACHE_DIR or os.path.join(base, "unbend", "numba")
-    try:
-        os.makedirs(folder, exist_ok=True)
-    except OSError:
-        return None
-    return folder if os.access(folder, os.W_OK) else None
-
-
-_CACHE = _user_cache()
-# numba looks for the folder when a function is decorated; others in this process keep their own.
-_CACHE_OF_OTHERS, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _CACHE or ""
-_jit = numba.njit(cache=_CACHE is not None, error_model="numpy")
 
 # The difference form is left where the ray comes this near to grazing the lower of its two ends:
 # (r cos zeta)^2 there is less than half of that at the upper end. Over a single piece of the table
@@ -49,47 +32,33 @@ _LEVEL_M = 1e-4
 # No dry land lies lower. A ray whose lowest point is deeper meets the ground before it.
 _LOWEST_TERRAIN_M = -500.0
 
-_X2, _W2 = (0.5 * a for a in np.polynomial.legendre.leggauss(2))
 _X4, _W4 = (0.5 * a for a in np.polynomial.legendre.leggauss(4))
 _X8, _W8 = (0.5 * a for a in np.polynomial.legendre.leggauss(8))
-_X2, _X4, _X8 = 0.5 + _X2, 0.5 + _X4, 0.5 + _X8
+_X4, _X8 = 0.5 + _X4, 0.5 + _X8
 
 
-@_jit
-def _piece(edge, h):  # type: ignore[no-untyped-def]
-    """Number of the piece of the table that holds height h."""
-    return min(max(np.searchsorted(edge, h, side="right") - 1, 0), edge.size - 2)
-
-
-@_jit
-def _refractivity(edge, coefficient, i, h):  # type: ignore[no-untyped-def]
-    """N at height h by the polynomial of piece i."""
-    u = (h - edge[i]) / (edge[i + 1] - edge[i])
-    value = coefficient[i, 7]
-    for j in range(6, -1, -1):
-        value = value * u + coefficient[i, j]
-    return value
-
-
-@_jit
-def _gradient(edge, coefficient, i, h):  # type: ignore[no-untyped-def]
-    """dN/dh at height h."""
-    width = edge[i + 1] - edge[i]
-    u = (h - edge[i]) / width
-    value = 7.0 * coefficient[i, 7]
-    for j in range(6, 0, -1):
-        value = value * u + j * coefficient[i, j]
-    return value / width
-
-
-@_jit
+@jit
 def _excess(edge, coefficient, i, h, n_c, h_c, r_e, lift):  # type: ignore[no-untyped-def]
     """n r - k without cancellation; ``lift`` is n_c r_c (1 - sin zeta_c)."""
-    n = _refractivity(edge, coefficient, i, h)
+    n = refractivity(edge, coefficient, i, h)
     return (r_e + h) * (n - n_c) + (1.0 + n_c) * (h - h_c) + lift
 
 
-@_jit
+@jit
+def integrand(n, n_c, h, h_c, b2_c, r_c, r_e):  # type: ignore[no-untyped-def]
+    """(n^2 - n_c^2) r / (a b (a + b)) of the difference form; NaN past a turning point."""
+    r = r_e + h
+    index2 = (1.0 + n_c) * (1.0 + n_c)
+    straight2 = index2 * (b2_c - (h_c - h) * (r_c + r))
+    squares = (n - n_c) * (2.0 + n + n_c)
+    bent2 = straight2 + squares * r * r
+    if not (bent2 > 0.0 and straight2 > 0.0):
+        return math.nan
+    a, b = math.sqrt(bent2), math.sqrt(straight2)
+    return squares * r / (a * b * (a + b))
+
+
+@entry
 def _bend_difference(  # type: ignore[no-untyped-def]
     edge, coefficient, h_c, h_g, sin_c, cos_c, r_e
 ):
@@ -98,57 +67,75 @@ def _bend_difference(  # type: ignore[no-untyped-def]
     NaN where the bent ray turns before it gets there.
     """
     r_c, r_g = r_e + h_c, r_e + h_g
-    n_c = _refractivity(edge, coefficient, _piece(edge, h_c), h_c)
+    n_c = refractivity(edge, coefficient, piece(edge, h_c), h_c)
     index_c = 1.0 + n_c
     s = r_c * sin_c
     # (r cos z)^2 along the straight line is linear in r^2.
     b2_c = (r_c * cos_c) ** 2
     b2_g = b2_c - (h_c - h_g) * (r_c + r_g)
     steep = min(b2_g, b2_c) > 0.9 * max(b2_g, b2_c)
-    steepest = min(b2_g, b2_c) > 0.98 * max(b2_g, b2_c)
     low, high = min(h_c, h_g), max(h_c, h_g)
     integral = 0.0
-    for i in range(_piece(edge, low), _piece(edge, high) + 1):
+    for i in range(piece(edge, low), piece(edge, high) + 1):
         h_0, h_1 = max(low, edge[i]), min(high, edge[i + 1])
         width = h_1 - h_0
         if width <= 0.0:
             continue
-        # Far from grazing the integrand is nearly linear across a layer: the error of two nodes
-        # over 60 m, and of four over 260 m, is 1e-13 of the whole.
-        if steepest and width < 60.0:
-            x, w, count = _X2, _W2, 2
-        elif steep and width < 260.0:
+        # Far from grazing the integrand is smooth across a layer: the error of four nodes over
+        # 260 m is 1e-13 of the whole.
+        if steep and width < 260.0:
             x, w, count = _X4, _W4, 4
         else:
             x, w, count = _X8, _W8, 8
         part = 0.0
         for j in range(count):
             h = h_0 + width * x[j]
-            r = r_e + h
-            n = _refractivity(edge, coefficient, i, h)
-            straight2 = b2_c - (h_c - h) * (r_c + r)
-            squares = (n - n_c) * (2.0 + n + n_c)  # n^2 - n_c^2
-            bent2 = index_c * index_c * straight2 + squares * r * r
-            if not (bent2 > 0.0 and straight2 > 0.0):
-                return math.nan
-            a = math.sqrt(bent2)
-            b = index_c * math.sqrt(straight2)
-            part += w[j] * squares * r / (a * b * (a + b))
+            n = refractivity(edge, coefficient, i, h)
+            part += w[j] * integrand(n, n_c, h, h_c, b2_c, r_c, r_e)
         integral += part * width
     # Upwards the bent ray subtends the larger angle, and both signs turn over.
     sense = 1.0 if h_g < h_c else -1.0
     half = 0.5 * sense * index_c * s * integral
+    return angle_of(half, sense, s, abs(h_c - h_g), r_c * abs(cos_c), b2_g, r_c, r_g)
+
+
+@jit
+def sides_of(half, sense, s, rise, along, b2_g, r_c, r_g):  # type: ignore[no-untyped-def]
+    """Two lengths, across and ahead, whose ratio is tan R_c.
+
+    ``half`` is half the difference of the subtended angles, ``sense`` is -1 upwards.
+    """
     q = math.sqrt(b2_g)
-    z = math.atan2(s, q)
-    chord = abs(h_c - h_g) * (r_c + r_g) / (r_c * abs(cos_c) + q)
-    across = 2.0 * r_g * math.sin(half)
-    return math.atan2(across * math.cos(z - half), chord - sense * across * math.sin(z - half))
+    upon = along + q
+    # half is below 0.01: the next terms are 1e-14 of these.
+    square = half * half
+    sin_half = half - half * square * (1.0 / 6.0 - square / 120.0)
+    cos_half = 1.0 - square * (0.5 - square / 24.0)
+    across = 2.0 * sin_half * upon
+    ahead = rise * (r_c + r_g) - sense * across * (s * cos_half - q * sin_half)
+    return across * (q * cos_half + s * sin_half), ahead
 
 
-@_jit
+@jit
+def small_angle(tangent):  # type: ignore[no-untyped-def]
+    """Arctangent of up to 0.01, to 1e-16 of it."""
+    square = tangent * tangent
+    return tangent - tangent * square * (1.0 / 3.0 - square * (0.2 - square / 7.0))
+
+
+@jit
+def angle_of(half, sense, s, rise, along, b2_g, r_c, r_g):  # type: ignore[no-untyped-def]
+    """R_c from half the difference of the subtended angles; ``sense`` is -1 upwards."""
+    aside, ahead = sides_of(half, sense, s, rise, along, b2_g, r_c, r_g)
+    if abs(aside) < 0.01 * ahead:
+        return small_angle(aside / ahead)
+    return math.atan2(aside, ahead)
+
+
+@jit
 def _turning_height(edge, coefficient, n_c, h_c, r_e, lift):  # type: ignore[no-untyped-def]
     """h_90 at or below the camera, where n r = k (Gyer 1996, Eq. 16); NaN below the profile."""
-    i = _piece(edge, h_c)
+    i = piece(edge, h_c)
     high = h_c
     while i >= 0:
         low = edge[i]
@@ -167,14 +154,14 @@ def _turning_height(edge, coefficient, n_c, h_c, r_e, lift):  # type: ignore[no-
     return math.nan
 
 
-@_jit
+@jit
 def _level_height(edge, coefficient, i, h, n_c, h_c, r_e, lift):  # type: ignore[no-untyped-def]
     """Where, at or below h, the ray would be level if piece i of the table went on."""
     excess = _excess(edge, coefficient, i, h, n_c, h_c, r_e, lift)
     if not excess > 0.0:
         return h
-    n = _refractivity(edge, coefficient, i, h)
-    slope = 1.0 + n + (r_e + h) * _gradient(edge, coefficient, i, h)
+    n = refractivity(edge, coefficient, i, h)
+    slope = 1.0 + n + (r_e + h) * gradient(edge, coefficient, i, h)
     if slope <= 0.0:
         return h - excess
     depth = excess / slope
@@ -185,7 +172,7 @@ def _level_height(edge, coefficient, i, h, n_c, h_c, r_e, lift):  # type: ignore
     return h - max(depth, 0.0)
 
 
-@_jit
+@jit
 def _subtended(  # type: ignore[no-untyped-def]
     edge, coefficient, low, high, n_c, h_c, r_e, lift, level_at_low
 ):
@@ -197,7 +184,7 @@ def _subtended(  # type: ignore[no-untyped-def]
     """
     k = (1.0 + n_c) * (r_e + h_c) - lift
     total = 0.0
-    for i in range(_piece(edge, low), _piece(edge, high) + 1):
+    for i in range(piece(edge, low), piece(edge, high) + 1):
         h_0, h_1 = max(low, edge[i]), min(high, edge[i + 1])
         if h_1 <= h_0:
             continue
@@ -217,15 +204,15 @@ def _subtended(  # type: ignore[no-untyped-def]
     return total
 
 
-@_jit
+@jit
 def _subtended_through_turn(  # type: ignore[no-untyped-def]
     edge, coefficient, n_c, h_c, sin_c, cos_c, r_e, lift
 ):
     """Angle from the camera down to P_90 and up to the camera's height again; NaN below land."""
-    i = _piece(edge, h_c)
+    i = piece(edge, h_c)
     if i > 0 and h_c <= edge[i]:
         i -= 1
-    slope = 1.0 + n_c + (r_e + h_c) * _gradient(edge, coefficient, i, h_c)
+    slope = 1.0 + n_c + (r_e + h_c) * gradient(edge, coefficient, i, h_c)
     if slope > 0.0 and lift < _LEVEL_M * slope:
         return 2.0 * (1.0 + n_c) * sin_c * cos_c / slope
     turn = _turning_height(edge, coefficient, n_c, h_c, r_e, lift)
@@ -234,36 +221,91 @@ def _subtended_through_turn(  # type: ignore[no-untyped-def]
     return 2.0 * _subtended(edge, coefficient, turn, h_c, n_c, h_c, r_e, lift, True)
 
 
-@_jit
-def _bend_subtended(edge, coefficient, h_c, h_g, sin_c, cos_c, r_e):  # type: ignore[no-untyped-def]
+@jit
+def _chord2(theta, h_c, h_g, r_e):  # type: ignore[no-untyped-def]
+    """Square of the straight distance between two heights that subtend theta."""
+    return (h_c - h_g) ** 2 + 4.0 * (r_e + h_c) * (r_e + h_g) * math.sin(0.5 * theta) ** 2
+
+
+@jit
+def _angle_to(theta, h_c, h_g, sin_c, cos_c, r_e):  # type: ignore[no-untyped-def]
+    """R_c of the point at height h_g where the ray has subtended theta (Gyer 1996, Eq. 11)."""
+    across = math.sin(theta)
+    along = (h_c - h_g) / (r_e + h_g) + 2.0 * math.sin(0.5 * theta) ** 2
+    return math.atan2(sin_c * along - cos_c * across, cos_c * along + sin_c * across)
+
+
+@jit
+def _lift(edge, coefficient, h_c, sin_c, cos_c, r_e):  # type: ignore[no-untyped-def]
+    """N_c, and n_c r_c (1 - sin zeta_c) without cancellation."""
+    n_c = refractivity(edge, coefficient, piece(edge, h_c), h_c)
+    return n_c, (1.0 + n_c) * (r_e + h_c) * cos_c * cos_c / (1.0 + sin_c)
+
+
+@entry
+def _bend_subtended(  # type: ignore[no-untyped-def]
+    edge, coefficient, h_c, h_g, sin_c, cos_c, r_e
+):
     """R_c from the subtended angle (Gyer 1996, Eq. 11, 12, 15), good at and beyond grazing."""
-    n_c = _refractivity(edge, coefficient, _piece(edge, h_c), h_c)
-    lift = (1.0 + n_c) * (r_e + h_c) * cos_c * cos_c / (1.0 + sin_c)
+    n_c, lift = _lift(edge, coefficient, h_c, sin_c, cos_c, r_e)
     low, high = min(h_c, h_g), max(h_c, h_g)
     if h_g > h_c and cos_c > 0.0:  # down through P_90 and up again
         theta = _subtended_through_turn(
             edge, coefficient, n_c, h_c, sin_c, cos_c, r_e, lift
         ) + _subtended(edge, coefficient, h_c, h_g, n_c, h_c, r_e, lift, False)
     else:
-        if not _excess(edge, coefficient, _piece(edge, low), low, n_c, h_c, r_e, lift) >= 0.0:
+        if not _excess(edge, coefficient, piece(edge, low), low, n_c, h_c, r_e, lift) >= 0.0:
             return math.nan
         theta = _subtended(edge, coefficient, low, high, n_c, h_c, r_e, lift, False)
-    across = math.sin(theta)
-    along = (h_c - h_g) / (r_e + h_g) + 2.0 * math.sin(0.5 * theta) ** 2
-    return math.atan2(sin_c * along - cos_c * across, cos_c * along + sin_c * across)
+    return _angle_to(theta, h_c, h_g, sin_c, cos_c, r_e)
 
 
-@_jit
-def _bend_one(edge, coefficient, h_c, h_g, sin_c, cos_c, r_e):  # type: ignore[no-untyped-def]
-    """R_c and status of one ray."""
+@jit
+def two_crossings(edge, coefficient, h_c, h_g, sin_c, cos_c, r_e):  # type: ignore[no-untyped-def]
+    """Whether a downward ray turns above the ground, and so meets heights below h_c twice."""
+    floor = max(edge[0], min(_LOWEST_TERRAIN_M, h_g))
+    # The straight line's lowest point lies deeper than the ray's, by less than a fifth in any air
+    # in which n falls with height; far below the floor there is nothing to look at.
+    if (r_e + h_c) * cos_c * cos_c > 2.0 * (1.0 + sin_c) * (h_c - floor + 100.0):
+        return False
+    n_c, lift = _lift(edge, coefficient, h_c, sin_c, cos_c, r_e)
+    i = piece(edge, floor)
+    return _excess(edge, coefficient, i, floor, n_c, h_c, r_e, lift) < 0.0
+
+
+@jit
+def _choose_crossing(  # type: ignore[no-untyped-def]
+    edge, coefficient, h_c, h_g, sin_c, cos_c, r_e, distance, near
+):
+    """The crossing whose slant range is nearer to the one that was given, and its status."""
+    n_c, lift = _lift(edge, coefficient, h_c, sin_c, cos_c, r_e)
+    theta = _subtended(edge, coefficient, h_g, h_c, n_c, h_c, r_e, lift, False)
+    around = _subtended_through_turn(edge, coefficient, n_c, h_c, sin_c, cos_c, r_e, lift)
+    far = math.sqrt(_chord2(around - theta, h_c, h_g, r_e))
+    if abs(far - distance) < abs(math.sqrt(_chord2(theta, h_c, h_g, r_e)) - distance):
+        return _angle_to(around - theta, h_c, h_g, sin_c, cos_c, r_e), FAR_BRANCH
+    return near, OK
+
+
+@jit
+def impossible(edge, h_c, h_g, sin_c, cos_c, r_e):  # type: ignore[no-untyped-def]
+    """Why there can be no angle, or OK."""
     finite = math.isfinite(h_c) and math.isfinite(h_g) and math.isfinite(r_e)
     if not (finite and 0.0 <= sin_c <= 1.0 and abs(cos_c) <= 1.0 and r_e > 0.0):
-        return math.nan, BAD_MEASUREMENT
+        return BAD_MEASUREMENT
     slack = 1e-6
     if min(h_c, h_g) < edge[0] - slack or max(h_c, h_g) > edge[-1] + slack:
-        return math.nan, OUTSIDE_PROFILE
+        return OUTSIDE_PROFILE
     if h_g < h_c and cos_c <= 0.0:
-        return math.nan, MISSES_GROUND
+        return MISSES_GROUND
+    return OK
+
+
+@jit
+def _bend_one(  # type: ignore[no-untyped-def]
+    edge, coefficient, h_c, h_g, sin_c, cos_c, r_e, distance
+):
+    """R_c and status of one ray, by itself."""
     if h_g == h_c:
         return 0.0, OK
     b2_c = ((r_e + h_c) * cos_c) ** 2
@@ -275,25 +317,24 @@ def _bend_one(edge, coefficient, h_c, h_g, sin_c, cos_c, r_e):  # type: ignore[n
         r_angle = _bend_difference(edge, coefficient, h_c, h_g, sin_c, cos_c, r_e)
     if math.isnan(r_angle):
         return math.nan, MISSES_GROUND
-    if h_g < h_c:
-        floor = max(edge[0], min(_LOWEST_TERRAIN_M, h_g))
-        n_c = _refractivity(edge, coefficient, _piece(edge, h_c), h_c)
-        lift = (1.0 + n_c) * (r_e + h_c) * cos_c * cos_c / (1.0 + sin_c)
-        i = _piece(edge, floor)
-        if _excess(edge, coefficient, i, floor, n_c, h_c, r_e, lift) < 0.0:
-            return r_angle, BEYOND_GRAZING
+    if h_g < h_c and two_crossings(edge, coefficient, h_c, h_g, sin_c, cos_c, r_e):
+        if distance > 0.0:
+            return _choose_crossing(
+                edge, coefficient, h_c, h_g, sin_c, cos_c, r_e, distance, r_angle
+            )
+        return r_angle, BEYOND_GRAZING
     return r_angle, OK
 
 
-@_jit
+@entry
 def bend_rays(  # type: ignore[no-untyped-def]
-    edge, coefficient, h_c, h_g, sin_c, cos_c, r_e, r_angle, status
+    edge, coefficient, h_c, h_g, sin_c, cos_c, r_e, distance, which, angle, status
 ):
-    """Fill ``r_angle`` [rad] and ``status`` for vectors of rays."""
-    for i in range(h_c.size):
-        r_angle[i], status[i] = _bend_one(
-            edge, coefficient, h_c[i], h_g[i], sin_c[i], cos_c[i], r_e[i]
-        )
-
-
-numba.config.CACHE_DIR = _CACHE_OF_OTHERS
+    """Fill ``angle`` [rad] and ``status`` for the rays of vectors that ``which`` numbers."""
+    for i in which:
+        status[i] = impossible(edge, h_c[i], h_g[i], sin_c[i], cos_c[i], r_e[i])
+        angle[i] = math.nan
+        if status[i] == OK:
+            angle[i], status[i] = _bend_one(
+                edge, coefficient, h_c[i], h_g[i], sin_c[i], cos_c[i], r_e[i], distance[i]
+            )

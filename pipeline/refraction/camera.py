@@ -8,11 +8,36 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+
+def brown_conrady(
+    u: Any, v: Any, k1: float, k2: float, k3: float, p1: float, p2: float
+) -> tuple[Any, Any]:
+    """Distorted image coordinates of ideal ones, in OpenCV's form; see `Camera`."""
+    r2 = u * u + v * v
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    u_d = u * radial + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u)
+    v_d = v * radial + p1 * (r2 + 2.0 * v * v) + 2.0 * p2 * u * v
+    return u_d, v_d
+
+
+def brown_conrady_slopes(
+    u: Any, v: Any, k1: float, k2: float, k3: float, p1: float, p2: float
+) -> tuple[Any, Any, Any]:
+    """Derivatives du_d/du, du_d/dv = dv_d/du and dv_d/dv of `brown_conrady`."""
+    r2 = u * u + v * v
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
+    uu = radial + u * u * slope + 2.0 * p1 * v + 6.0 * p2 * u
+    uv = u * v * slope + 2.0 * p1 * u + 2.0 * p2 * v
+    vv = radial + v * v * slope + 6.0 * p1 * v + 2.0 * p2 * u
+    return uu, uv, vv
 
 
 @dataclass(frozen=True)
@@ -40,6 +65,19 @@ class Camera:
     p1: float = 0.0
     p2: float = 0.0
 
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """Format, principal distance and point, coefficients, largest radius, for the kernels."""
+        return (
+            float(self.width_px), float(self.height_px), float(self.fx_px), float(self.fy_px),
+            float(self.cx_px), float(self.cy_px), *self.coefficients, self.largest_radius,
+        )  # fmt: skip
+
+    @property
+    def coefficients(self) -> tuple[float, ...]:
+        """k1, k2, k3, p1, p2."""
+        return tuple(float(c) for c in (self.k1, self.k2, self.k3, self.p1, self.p2))
+
     @cached_property
     def largest_radius(self) -> float:
         """Ideal radius (tan of the field angle) up to which the distortion can be inverted."""
@@ -50,20 +88,7 @@ class Camera:
 
     def distort(self, u: Array, v: Array) -> tuple[Array, Array]:
         """Distorted image coordinates of ideal ones, both in units of the principal distance."""
-        r2 = u * u + v * v
-        radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-        u_d = u * radial + 2.0 * self.p1 * u * v + self.p2 * (r2 + 2.0 * u * u)
-        v_d = v * radial + self.p1 * (r2 + 2.0 * v * v) + 2.0 * self.p2 * u * v
-        return u_d, v_d
-
-    def _jacobian(self, u: Array, v: Array) -> tuple[Array, Array, Array, Array]:
-        r2 = u * u + v * v
-        radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-        slope = 2.0 * (self.k1 + r2 * (2.0 * self.k2 + 3.0 * r2 * self.k3))
-        uu = radial + u * u * slope + 2.0 * self.p1 * v + 6.0 * self.p2 * u
-        uv = u * v * slope + 2.0 * self.p1 * u + 2.0 * self.p2 * v
-        vv = radial + v * v * slope + 6.0 * self.p1 * v + 2.0 * self.p2 * u
-        return uu, uv, uv, vv
+        return brown_conrady(u, v, *self.coefficients)
 
     def rays(self, x_px: Array, y_px: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Ideal image coordinates (u, v) = (tan) of pixels, and whether the camera covers them.
@@ -76,31 +101,12 @@ class Camera:
         >>> camera.project(u, v)[0].round(9).tolist(), covered.tolist()
         ([500.0, 950.0], [True, True])
         """
-        with np.errstate(invalid="ignore"):
-            inside = (
-                (x_px >= 0.0) & (x_px <= self.width_px) & (y_px >= 0.0) & (y_px <= self.height_px)
-            )
-        target_u = np.where(inside, (x_px - self.cx_px) / self.fx_px, np.nan)
-        target_v = np.where(inside, (y_px - self.cy_px) / self.fy_px, np.nan)
-        u, v = target_u.copy(), target_v.copy()
-        step = np.inf
-        for _ in range(30):
-            u_d, v_d = self.distort(u, v)
-            res_u, res_v = target_u - u_d, target_v - v_d
-            uu, uv, vu, vv = self._jacobian(u, v)
-            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                determinant = uu * vv - uv * vu
-                d_u = (vv * res_u - uv * res_v) / determinant
-                d_v = (uu * res_v - vu * res_u) / determinant
-            u, v = u + d_u, v + d_v
-            step = np.nanmax(np.abs(np.concatenate([d_u, d_v])), initial=0.0)
-            if step < 1e-14:
-                break
-        with np.errstate(invalid="ignore", over="ignore"):
-            u_d, v_d = self.distort(u, v)
-            solved = np.hypot(u_d - target_u, v_d - target_v) < 1e-12
-            covered = inside & solved & (np.hypot(u, v) <= self.largest_radius)
-        return np.where(covered, u, np.nan), np.where(covered, v, np.nan), covered
+        # The compiled functions are imported with the first ray, not with the package.
+        from pipeline.refraction._image_kernel import rays_of_pixels
+
+        u, v = np.empty(x_px.shape), np.empty(x_px.shape)
+        rays_of_pixels(x_px, y_px, self.numbers, u, v)
+        return u, v, np.isfinite(u)
 
     def project(self, u: Array, v: Array) -> tuple[Array, Array]:
         """Pixels of ideal image coordinates, both (n,)."""

@@ -12,21 +12,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.geodesy import euler_radius
+from pipeline.geodesy import principal_radii
+from pipeline.refraction._threads import in_blocks
 from pipeline.refraction.camera import Camera
 from pipeline.refraction.ray import PublishedRays, RayTable, bend
-from pipeline.refraction.status import (
-    BAD_MEASUREMENT,
-    NO_GROUND,
-    NO_STATION,
-    OK,
-    OUTSIDE_CAMERA,
-    OUTSIDE_PROFILE,
-    STATUS_NAMES,
-)
-from pipeline.refraction.window import OPTICAL_AXIS, leave_compartment
+from pipeline.refraction.status import OK, STATUS_NAMES
+from pipeline.refraction.window import OPTICAL_AXIS
 
 Array = NDArray[np.float64]
+
+# Rows of an image that follow each other on the average, below which it pays to sort them.
+_ROWS_OF_AN_IMAGE = 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +31,10 @@ class Exposures:
 
     ``usable`` is False where an exposure has no position, attitude or cabin air;
     ``rotation`` (s, 3, 3) takes east-north-up to camera; ``refractivity_outside`` and
-    ``refractivity_cabin`` are n - 1 on the two sides of the window (equal without one);
+    ``refractivity_cabin`` are n - 1 on the two sides of the window (equal where nothing bends
+    there); ``window_normal`` (s, 3) are unit vectors out of the window in the camera frame, by
+    default the optical axis; ``principal_change_px`` is what the air in the lens adds to the
+    calibrated principal distance, by default nothing;
     ``radius_m`` replaces the ellipsoid's radius in the ray's azimuth when it is given.
     """
 
@@ -45,6 +44,8 @@ class Exposures:
     height_m: Array
     refractivity_outside: Array
     refractivity_cabin: Array
+    window_normal: Array | None = None
+    principal_change_px: Array | None = None
     radius_m: float | None = None
 
 
@@ -78,9 +79,6 @@ class Corrections:
         return pd.DataFrame(columns | {"status": np.array(STATUS_NAMES)[self.status]})
 
 
-_COLUMNS = tuple(field.name for field in fields(Corrections) if field.name != "status")
-
-
 def correct_observations(
     x_px: Array,
     y_px: Array,
@@ -90,7 +88,7 @@ def correct_observations(
     camera: Camera,
     table: RayTable | PublishedRays,
     *,
-    window_normal: Array = OPTICAL_AXIS,
+    distance_m: Array | None = None,
 ) -> Corrections:
     """Remove compartment and atmospheric refraction from image observations of one camera.
 
@@ -101,118 +99,112 @@ def correct_observations(
     exposure : (n,) rows of ``exposures``, -1 where the image has none.
     camera : interior orientation; corrected pixels are distorted again.
     table : the air outside and how rays bend in it, from `rays_by`.
-    window_normal : (3,) unit vector in the camera frame.
+    distance_m : (n,) slant ranges [m], NaN where unknown; see `bend`.
 
     The change of direction is never a difference of directions; the shift (dx, dy) is good to
-    1e-10 px, whatever the size of the pixel coordinates.
+    1e-10 px, whatever the size of the pixel coordinates. Rows of one exposure that follow each
+    other are fastest.
     """
-    measured = np.isfinite(x_px) & np.isfinite(y_px)
-    stationed = np.zeros(x_px.shape, dtype=bool)
-    if exposures.usable.size:
-        stationed = (exposure >= 0) & exposures.usable[np.maximum(exposure, 0)]
-    u, v, covered = camera.rays(x_px, y_px)
-    status = _first_reason(measured, stationed, np.isfinite(h_g), covered)
-    columns = {name: np.full(x_px.shape, np.nan) for name in _COLUMNS}
-    good = np.flatnonzero(status == OK)
-    if good.size:
-        traced, ray_status = _correct_covered(
-            u[good], v[good], h_g[good], exposure[good], exposures, camera, table, window_normal
-        )
-        status[good] = ray_status
-        for name, values in traced.items():
-            columns[name][good] = values
-    columns["x_px"] = x_px + columns["dx_px"]
-    columns["y_px"] = y_px + columns["dy_px"]
+    order = _by_exposure(exposure)
+    if order is not None:
+        found = correct_observations(
+            x_px[order], y_px[order], h_g[order], exposure[order], exposures, camera, table,
+            distance_m=None if distance_m is None else distance_m[order],
+        )  # fmt: skip
+        return found.rows(np.argsort(order))
+    n = x_px.size
+    columns = {name: np.empty(n) for name in _COLUMNS}
+    status = np.empty(n, np.uint8)
+    observed = (x_px, y_px, h_g, exposure, np.full(n, np.nan) if distance_m is None else distance_m)
+    constants = _Constants.of(exposures, camera)
+
+    def some(rows: slice) -> None:
+        part = {name: values[rows] for name, values in columns.items()}
+        _correct_block([a[rows] for a in observed], constants, table, part, status[rows])
+
+    in_blocks(some, n)
     return Corrections(status=status, **columns)
 
 
-def _correct_covered(
-    u: Array,
-    v: Array,
-    h_g: Array,
-    row: NDArray[np.int64],
-    exposures: Exposures,
-    camera: Camera,
+_COLUMNS = tuple(field.name for field in fields(Corrections) if field.name != "status")
+
+
+@dataclass(frozen=True, eq=False)
+class _Constants:
+    """Exposures and camera in the form the kernels take."""
+
+    camera: tuple[float, ...]
+    usable: NDArray[np.bool_]
+    rotation: Array
+    curvature: Array
+    air: tuple[Array, ...]
+    change: Array
+
+    @classmethod
+    def of(cls, exposures: Exposures, camera: Camera) -> _Constants:
+        if exposures.radius_m is None:
+            radii = principal_radii(exposures.latitude_rad)
+            curvature = 1.0 / np.stack(radii, axis=1)
+        else:
+            curvature = np.full((exposures.usable.size, 2), 1.0 / exposures.radius_m)
+        count = exposures.usable.size
+        normal, change = exposures.window_normal, exposures.principal_change_px
+        air = (
+            exposures.height_m,
+            exposures.refractivity_outside,
+            exposures.refractivity_cabin,
+            np.tile(OPTICAL_AXIS, (count, 1)) if normal is None else normal,
+        )
+        return cls(
+            camera.numbers,
+            exposures.usable,
+            exposures.rotation,
+            curvature,
+            air,
+            np.zeros(count) if change is None else change,
+        )
+
+
+def _correct_block(
+    observed: list[Any],
+    constants: _Constants,
     table: RayTable | PublishedRays,
-    window_normal: Array,
-) -> tuple[dict[str, Array], NDArray[np.uint8]]:
-    """The correction where everything it needs is there; columns of `Corrections`, status."""
-    scale = 1.0 / np.sqrt(u * u + v * v + 1.0)
-    inside = np.stack([u * scale, v * scale, scale], axis=1)
-    through_window, r_cc = leave_compartment(
-        inside,
-        exposures.refractivity_cabin[row],
-        exposures.refractivity_outside[row],
-        window_normal,
+    columns: dict[str, Array],
+    status: NDArray[np.uint8],
+) -> None:
+    """Pixels to rays, rays through the air, and back; fills ``columns`` and ``status``."""
+    # The compiled functions are imported with the first ray, not with the package.
+    from pipeline.refraction import _image_kernel as kernel
+
+    x, y, h_g, exposure, distance = observed
+    rays = np.empty((kernel.COLUMNS, x.size))
+    k = constants
+    kernel.look_out(
+        x, y, h_g, exposure, k.camera, k.usable, k.rotation, k.curvature, *k.air, k.change, rays,
+        columns["r_cc_rad"], status,
+    )  # fmt: skip
+    sine, cosine = rays[kernel.SIN], rays[kernel.COS]
+    r_c, ray_status = bend(
+        table, rays[kernel.H_C], h_g, sine, cosine, rays[kernel.RADIUS], distance
     )
-    rotation = exposures.rotation[row]
-    apparent = np.einsum("nji,nj->ni", rotation, inside + through_window)
-    sin_z, cos_z = np.hypot(apparent[:, 0], apparent[:, 1]), -apparent[:, 2]
-    h_c = exposures.height_m[row]
-    if exposures.radius_m is None:
-        azimuth = np.arctan2(apparent[:, 0], apparent[:, 1])
-        radius = euler_radius(exposures.latitude_rad[row], azimuth)
-    else:
-        radius = np.full(u.shape, exposures.radius_m)
-    # Rounding may leave the sine of a level ray 1e-16 above one.
-    r_c, status = bend(table, h_c, h_g, np.minimum(sin_z, 1.0), np.clip(cos_z, -1.0, 1.0), radius)
-    status[np.isnan(r_cc)] = OUTSIDE_CAMERA  # wholly reflected at the window
-    status[np.isnan(exposures.refractivity_outside[row])] = OUTSIDE_PROFILE
-
-    towards_chord = lower_ray(apparent, sin_z, cos_z, r_c)
-    change = through_window + np.einsum("nij,nj->ni", rotation, towards_chord)
-    depth = scale + change[:, 2]
-    x_0, y_0 = camera.project(u, v)
-    x_1, y_1 = camera.project(
-        u + (change[:, 0] - u * change[:, 2]) / depth,
-        v + (change[:, 1] - v * change[:, 2]) / depth,
-    )
-    uncorrected = landing_point(np.einsum("nji,nj->ni", rotation, inside), h_c, h_g, radius)
-    corrected = landing_point(apparent + towards_chord, h_c, h_g, radius)
-    return {
-        "dx_px": x_1 - x_0,
-        "dy_px": y_1 - y_0,
-        "zeta_c_rad": np.arctan2(sin_z, cos_z),
-        "r_c_rad": r_c,
-        "r_cc_rad": r_cc,
-        "shift_ground_m": np.sqrt(np.sum((uncorrected - corrected) ** 2, axis=1)),
-    }, status
+    traced = status == OK
+    status[traced] = ray_status[traced]
+    columns["r_c_rad"][:] = r_c
+    columns["zeta_c_rad"][:] = np.arctan2(sine, cosine)
+    kernel.shift_back(
+        x, y, h_g, exposure, k.camera, k.rotation, k.change, rays, r_c, status,
+        columns["dx_px"], columns["dy_px"], columns["shift_ground_m"],
+    )  # fmt: skip
+    columns["x_px"][:] = x + columns["dx_px"]
+    columns["y_px"][:] = y + columns["dy_px"]
 
 
-def _first_reason(
-    measured: NDArray[np.bool_],
-    stationed: NDArray[np.bool_],
-    grounded: NDArray[np.bool_],
-    covered: NDArray[np.bool_],
-) -> NDArray[np.uint8]:
-    """Status before any ray: the first thing that is missing."""
-    return np.select(
-        [~measured, ~stationed, ~grounded, ~covered],
-        [BAD_MEASUREMENT, NO_STATION, NO_GROUND, OUTSIDE_CAMERA],
-        default=OK,
-    ).astype(np.uint8)
-
-
-def lower_ray(direction: Array, sin_z: Array, cos_z: Array, angle: Array) -> Array:
-    """Change of unit vectors turned towards the nadir in their vertical planes.
-
-    ``direction`` (n, 3) east, north, up; ``sin_z``, ``cos_z`` of its nadir angle; ``angle`` (n,)
-    [rad]. Exact; zero for a ray at the nadir.
-
-    >>> level = np.array([[1.0, 0.0, 0.0]])
-    >>> change = lower_ray(level, np.array([1.0]), np.array([0.0]), np.array([0.1]))
-    >>> (level + change).round(6).tolist()
-    [[0.995004, 0.0, -0.099833]]
-    """
-    back = -2.0 * np.sin(0.5 * angle) ** 2
-    sin_a = np.sin(angle)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        inward = np.where(sin_z > 0.0, sin_a * cos_z / sin_z, 0.0)
-    change = direction * back[:, None]
-    change[:, 0] -= inward * direction[:, 0]
-    change[:, 1] -= inward * direction[:, 1]
-    change[:, 2] -= sin_a * sin_z
-    return np.asarray(change)
+def _by_exposure(exposure: NDArray[np.int64]) -> NDArray[np.intp] | None:
+    """The order that brings rows of one exposure together; None where they are."""
+    changes = int(np.count_nonzero(np.diff(exposure)))
+    if changes * _ROWS_OF_AN_IMAGE <= exposure.size or bool(np.all(np.diff(exposure) >= 0)):
+        return None
+    return np.argsort(exposure, kind="stable")
 
 
 def landing_point(direction: Array, h_c: Array, h_g: Array, radius: Array) -> Array:

@@ -12,15 +12,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
+from pipeline.refraction._threads import in_blocks
 from pipeline.refraction.published import PUBLISHED, Method
 from pipeline.refraction.published.trace import trace
 from pipeline.refraction.status import (
@@ -32,9 +33,6 @@ from pipeline.refraction.status import (
     STATUS_NAMES,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
 Array = NDArray[np.float64]
 
 DEFAULT_RADIUS_M = 6_371_000.0
@@ -42,6 +40,11 @@ DEFAULT_RADIUS_M = 6_371_000.0
 # Pieces of the profile on which n - 1 is a polynomial of degree 7 in height: at 500 m a
 # troposphere is reproduced to 1e-13 of n - 1.
 _PIECE_M = 500.0
+
+# Three nodes over this height integrate the moments of the air to 1e-12, sharp inversions included.
+_FINE_M = 62.5
+_FINE_DEGREE = 5
+_HINT_M = 125.0
 _DEGREE = 7
 
 
@@ -55,6 +58,42 @@ class RayTable:
 
     edge_m: Array
     coefficient: Array
+
+    @cached_property
+    def fine(self) -> tuple[Array, Array, NDArray[np.intp]]:
+        """Intervals of at most 62.5 m, in which moments of the air are kept for many rays.
+
+        Their edges [m], (k + 1,); refractivity in each as a polynomial of degree 5 in the share of
+        it, (k, 6), lowest power first (1e-15 of n - 1 apart); and the number of the interval at
+        every 125 m from the bottom, from where one is found in a step or two.
+        """
+        parts = np.maximum(1, np.ceil(np.diff(self.edge_m) / _FINE_M)).astype(np.intp)
+        edges = [
+            np.linspace(low, high, count, endpoint=False)
+            for low, high, count in zip(self.edge_m[:-1], self.edge_m[1:], parts, strict=True)
+        ]
+        edge = np.concatenate([*edges, self.edge_m[-1:]])
+        piece = np.repeat(np.arange(parts.size), parts)
+        nodes = _chebyshev(_FINE_DEGREE)
+        height = edge[:-1, None] + np.diff(edge)[:, None] * nodes
+        u = (height - self.edge_m[piece, None]) / np.diff(self.edge_m)[piece, None]
+        value = np.zeros(u.shape)
+        for power in range(_DEGREE, -1, -1):
+            value = value * u + self.coefficient[piece, power, None]
+        marks = np.arange(edge[0], edge[-1], _HINT_M)
+        hint = np.clip(np.searchsorted(edge, marks, side="right") - 1, 0, edge.size - 2)
+        return edge, _polynomials(nodes, value), hint
+
+
+def _chebyshev(degree: int) -> Array:
+    """degree + 1 nodes between 0 and 1."""
+    return 0.5 - 0.5 * np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
+
+
+def _polynomials(nodes: Array, values: Array) -> Array:
+    """(m, d + 1) coefficients, lowest power first, through (m, d + 1) values at the nodes."""
+    vandermonde = np.vander(nodes, nodes.size, increasing=True)
+    return np.ascontiguousarray(np.linalg.solve(vandermonde, values.T).T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,23 +133,26 @@ def ray_table(profile: Profile) -> RayTable:
         for low, high in pairwise(breaks)
     ]
     edge = np.concatenate([*edges, breaks[-1:]])
-    nodes = 0.5 - 0.5 * np.cos(np.pi * (np.arange(_DEGREE + 1) + 0.5) / (_DEGREE + 1))
-    width = np.diff(edge)
-    heights = edge[:-1, None] + width[:, None] * nodes
+    nodes = _chebyshev(_DEGREE)
+    heights = edge[:-1, None] + np.diff(edge)[:, None] * nodes
     # Nodes stay inside their piece, so each is evaluated in its own layer.
-    refractivity = profile.refractivity(heights)
-    vandermonde = np.vander(nodes, _DEGREE + 1, increasing=True)
-    coefficient = np.linalg.solve(vandermonde, refractivity.T).T
-    return RayTable(edge, np.ascontiguousarray(coefficient))
+    return RayTable(edge, _polynomials(nodes, profile.refractivity(heights)))
 
 
-@lru_cache(maxsize=1)
-def _kernel() -> Callable[..., None]:
-    """The compiled kernel. numba is imported at the first ray, not with the package."""
-    from pipeline.refraction import _ray_kernel
+def _bend_block(
+    table: RayTable, rays: list[Array], distance: Array, r_c: Array, status: NDArray[np.uint8]
+) -> None:
+    """Angles and states of some rays: those that can share a table of moments, then the others."""
+    # The compiled functions are imported with the first ray, not with the package.
+    from pipeline.refraction._ray_kernel import bend_rays
+    from pipeline.refraction._steep_kernel import LEFT, WORTH_A_TABLE, bend_steep_rays
 
-    kernel: Callable[..., None] = _ray_kernel.bend_rays
-    return kernel
+    left = np.arange(r_c.size)
+    if r_c.size > WORTH_A_TABLE:
+        bend_steep_rays(*table.fine, *rays, r_c, status)
+        left = np.flatnonzero(status == LEFT)
+    if left.size:
+        bend_rays(table.edge_m, table.coefficient, *rays, np.array(distance), left, r_c, status)
 
 
 def bend(
@@ -120,6 +162,7 @@ def bend(
     sin_zeta_c: ArrayLike,
     cos_zeta_c: ArrayLike,
     radius: ArrayLike = DEFAULT_RADIUS_M,
+    distance: ArrayLike = math.nan,
 ) -> tuple[Array, NDArray[np.uint8]]:
     """Refraction angles of rays, each with a status.
 
@@ -130,6 +173,9 @@ def bend(
     sin_zeta_c, cos_zeta_c : of the apparent nadir angle at the camera, 0 to 180 degrees. Both
         are asked for so that no arccosine loses digits near the nadir.
     radius : of the sphere [m].
+    distance : slant range to the target [m], NaN where unknown. Where a ray meets h_g twice, on
+        both sides of its lowest point P_90, it decides which crossing is meant; without it the
+        near one is taken and the status is ``beyond_grazing``.
 
     Returns
     -------
@@ -137,19 +183,32 @@ def bend(
         the straight one; NaN where ``status`` says there is none.
     status : codes of `pipeline.refraction.status`.
 
-    Against 40-digit arithmetic 1e-9 arcsec, also near grazing; 1e-7 through P_90.
+    Against 40-digit arithmetic 1e-9 arcsec, also near grazing; 1e-7 through P_90. Rays from one
+    height that follow each other are fastest: they share what the air between does to them.
     """
     if isinstance(table, PublishedRays):
         return trace(table.method, table.profile, h_c, h_g, sin_zeta_c, cos_zeta_c, radius)
-    arrays = np.broadcast_arrays(
-        *(np.asarray(a, np.float64) for a in (h_c, h_g, sin_zeta_c, cos_zeta_c, radius))
-    )
-    shape = arrays[0].shape
-    flat = [np.array(a).reshape(-1) for a in arrays]  # the broadcast views are read-only
+    given = [
+        np.asarray(a, np.float64) for a in (h_c, h_g, sin_zeta_c, cos_zeta_c, radius, distance)
+    ]
+    shape = np.broadcast_shapes(*(a.shape for a in given))
+    flat = [_column(a, shape) for a in given[:-1]]
+    distances = np.broadcast_to(given[-1], shape).reshape(-1)
     r_c = np.empty(flat[0].shape)
     status = np.empty(flat[0].shape, np.uint8)
-    _kernel()(table.edge_m, table.coefficient, *flat, r_c, status)
+
+    def some(rows: slice) -> None:
+        _bend_block(table, [a[rows] for a in flat], distances[rows], r_c[rows], status[rows])
+
+    in_blocks(some, flat[0].size)
     return r_c.reshape(shape), status.reshape(shape)
+
+
+def _column(values: Array, shape: tuple[int, ...]) -> Array:
+    """Values of a shape as one writable column, which the compiled functions ask for."""
+    if values.shape == shape and values.flags.c_contiguous and values.flags.writeable:
+        return values.reshape(-1)
+    return np.array(np.broadcast_to(values, shape)).reshape(-1)
 
 
 METHODS: tuple[str, ...] = ("spherical", *PUBLISHED)

@@ -105,6 +105,10 @@ class ImageGrid:
             counted = np.bincount(cell, weight, size)
             self.sums[i] += counted.reshape(self.rows, self.columns)
 
+    def merge(self, other: ImageGrid) -> None:
+        """Add what another grid of the same camera holds."""
+        self.sums = self.sums + other.sums
+
     def means(self) -> tuple[Array, Array, Array, Array]:
         """Centres x, y and mean shifts dx, dy [px] of the cells that hold observations."""
         filled = self.sums[2] > 0
@@ -140,6 +144,12 @@ class Extent:
         self.shift_ground_m.add(corrections.shift_ground_m[good])
         self.refraction_arcsec.add(corrections.r_c_rad[good] / ARCSEC)
         self.window_arcsec.add(np.abs(corrections.r_cc_rad[good]) / ARCSEC)
+
+    def merge(self, other: Extent) -> None:
+        """Add what another extent of the same camera holds."""
+        self.grid.merge(other.grid)
+        for name in SPREADS:
+            setattr(self, name, getattr(self, name) + getattr(other, name))
 
     def spreads(self) -> dict[str, Spread]:
         """The four distributions by name."""

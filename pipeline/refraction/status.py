@@ -10,6 +10,7 @@ OUTSIDE_CAMERA = 4
 MISSES_GROUND = 5
 BEYOND_GRAZING = 6
 OUTSIDE_PROFILE = 7
+FAR_BRANCH = 8
 
 STATUS_NAMES = (
     "ok",
@@ -20,5 +21,8 @@ STATUS_NAMES = (
     "misses_ground",
     "beyond_grazing",
     "outside_profile",
+    "far_branch",
 )
-"""Names by code. Observations that are ``ok`` or ``beyond_grazing`` carry corrected values."""
+"""Names by code. Observations that are ``ok``, ``beyond_grazing`` (a far crossing is
+possible, the near one was taken) or ``far_branch`` (the slant range said so) carry
+corrected values."""

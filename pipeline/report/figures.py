@@ -183,7 +183,7 @@ def _draw_shifts(figure: Figure, axis: Axes, grid: ImageGrid) -> None:
         x, y, *_arrow_lengths(grid, dx, dy, size), size, angles="xy", scale_units="xy",
         scale=1.0, width=0.005, cmap="viridis",
     )  # fmt: skip
-    figure.colorbar(arrows, ax=axis, label="correction [px]", shrink=0.8)
+    figure.colorbar(arrows, ax=axis, label="shift [px]", shrink=0.8)
 
 
 def _arrow_lengths(

@@ -15,8 +15,9 @@ from pipeline.report.words import (
     CORRECTION_HEAD,
     correction_rows,
     headline,
+    is_applied,
     ledger_rows,
-    not_removed,
+    not_included,
     where_from,
 )
 
@@ -42,10 +43,16 @@ def write_report(
 ) -> None:
     """Write the report of a run; it needs no network and no script."""
     title = escape(str(manifest["mission"]))
+    change, left = (
+        ("displacement", "What is not applied")
+        if is_applied(manifest)
+        else ("correction", "What is not removed")
+    )
+    stays = "".join(f"<li>{escape(line)}</li>" for line in not_included(manifest))
     sections = [
         f"<h1>{title}</h1>",
         f'<p class="lead">{escape(headline(manifest))}</p>',
-        "<h2>How large the correction is</h2>",
+        f"<h2>How large the {change} is</h2>",
         _table(CORRECTION_HEAD, correction_rows(manifest), numeric=True),
         as_svg(correction_figure(grids)),
         "<h2>The air</h2>",
@@ -56,8 +63,7 @@ def write_report(
         _table(("stations", ""), _counts(manifest["stations"]), numeric=True),
         "<h2>Ledger</h2>",
         _ledger(manifest),
-        "<h2>What is not removed</h2>",
-        "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in not_removed()) + "</ul>",
+        f"<h2>{left}</h2>\n<ul>{stays}</ul>" if stays else "",
         "<h2>Inputs</h2>",
         _table(
             ("", "file", "SHA-256"),

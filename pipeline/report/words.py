@@ -13,10 +13,11 @@ def headline(manifest: Mapping[str, Any]) -> str:
     shift = manifest["correction"]["shift_px"]
     ground = manifest["correction"]["shift_ground_m"]
     rows = manifest["observations"]["rows"]
+    done = "displaced" if is_applied(manifest) else "corrected"
     if not shift["count"]:
-        return f"None of the {rows:,} observations could be corrected."
+        return f"None of the {rows:,} observations could be {done}."
     sentence = (
-        f"{shift['count']:,} of {rows:,} observations were corrected, by {figure(shift['median'])} "
+        f"{shift['count']:,} of {rows:,} observations were {done}, by {figure(shift['median'])} "
         f"px in the median and {figure(shift['maximum'])} px at most: "
         f"{figure(ground['median'])} m and {figure(ground['maximum'])} m on the ground."
     )
@@ -86,14 +87,37 @@ def ledger_rows(manifest: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     return sorted(rows, key=lambda row: (_ORDER.index(row[0]), row[1]))
 
 
-def not_removed() -> list[str]:
-    """What the correction leaves in the coordinates, for whoever adjusts them."""
-    return [
-        "The principal distance changes with the air in the lens (130 to 310 ppm at 6 km on a "
-        "153 mm lens, as much as refraction itself): not removed.",
-        "Earth curvature and map projection: adjust in earth-centred or one local east-north-up "
-        "frame.",
-        "Window glass displaces the ray by some millimetres; a calibration through the glass "
-        "contains that.",
-        "Switch the refraction correction off in the adjustment: nothing may be corrected twice.",
-    ]
+def is_applied(manifest: Mapping[str, Any]) -> bool:
+    """Whether the run displaced ideal observations instead of correcting measured ones."""
+    return bool(manifest["config"]["refraction"]["direction"] == "apply")
+
+
+def not_included(manifest: Mapping[str, Any]) -> list[str]:
+    """What the coordinates still hold, or in the other direction lack, for whoever uses them."""
+    applied = is_applied(manifest)
+    stays = "not applied" if applied else "not removed"
+    cameras = manifest["config"]["cameras"]
+    lines = []
+    if bare := [name for name, camera in cameras.items() if camera["principal_distance"] is None]:
+        lines.append(
+            f"The principal distance of {', '.join(bare)} changes with the air in the lens (130 to "
+            f"310 ppm at 6 km on a 153 mm lens, as much as refraction itself): {stays}."
+        )
+    if behind := [name for name, camera in cameras.items() if _glass_is_apart(camera["window"])]:
+        lines.append(
+            f"The glass before {', '.join(behind)} displaces rays, by 7 mm for 20 mm of glass at "
+            f"45°: {stays}."
+        )
+    if not applied:
+        lines += [
+            "Earth curvature and map projection: adjust in earth-centred or one local "
+            "east-north-up frame.",
+            "Switch the refraction correction off in the adjustment: nothing may be corrected "
+            "twice.",
+        ]
+    return lines
+
+
+def _glass_is_apart(window: Mapping[str, Any] | None) -> bool:
+    """Whether there is plane glass that the calibration was made without."""
+    return window is not None and (window["shape"], window["in_calibration"]) == ("plane", "none")

@@ -17,15 +17,23 @@ from numpy.typing import NDArray
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
 from pipeline.tables.delimited import csv_names, open_csv, survey_csv
+from pipeline.tables.marks import Direction, refuse_done, refuse_other_pixels
 from pipeline.tables.naming import no_such_column
-from pipeline.tables.schemas import OBSERVATION_COLUMNS, REFRACTION_KEY, REFRACTION_REMOVED
+from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
 
 Array = NDArray[np.float64]
+
+# A user's column of one of these names would be taken for ours in the results of either direction.
+_OURS = OBSERVATION_COLUMNS.keys() | DISPLACED_COLUMNS.keys()
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """A slice of the observations: ours as numpy, the user's as Arrow, in the order of the file."""
+    """A slice of the observations: ours as numpy, the user's as Arrow, in the order of the file.
+
+    ``distance_m`` are slant ranges, NaN where there is none; ``no_distance`` counts those that are
+    none: zero, negative, infinite or no number.
+    """
 
     image: pa.StringArray
     point: pa.StringArray
@@ -33,6 +41,8 @@ class Batch:
     y_px: Array
     ground: Array | None
     users: dict[str, pa.Array]
+    distance_m: Array | None = None
+    no_distance: int = 0
 
     def __len__(self) -> int:
         return len(self.image)
@@ -48,6 +58,7 @@ class Observations:
     path: Path
     columns: Mapping[str, str]
     ground_column: str | None
+    distance_column: str | None
     rows: int
     images: tuple[str, ...]
     user_fields: tuple[pa.Field, ...]
@@ -66,6 +77,9 @@ class Observations:
         def number(name: str) -> Array:
             return _as_float(_one(table[name]))
 
+        distance, no_distance = None, 0
+        if self.distance_column is not None:
+            distance, no_distance = _slant_ranges(_one(table[self.distance_column]))
         return Batch(
             text("image"),
             text("point"),
@@ -73,58 +87,70 @@ class Observations:
             number(self.columns["y_px"]),
             number(self.ground_column) if self.ground_column else None,
             {f.name: _one(table[self._sources[f.name]]) for f in self.user_fields},
+            distance,
+            no_distance,
         )
 
 
 def open_observations(
     path: Path,
-    columns: Mapping[str, str],
+    columns: Mapping[str, str | None],
     ground_column: str | None,
     ledger: Ledger,
     *,
     ground_is_msl: bool = True,
+    direction: Direction = "remove",
 ) -> Observations:
     """Check a table of observations: its columns, its marks, its images.
 
     Parameters
     ----------
     path : ``.csv`` or ``.parquet``.
-    columns : image, point, x_px, y_px -> the user's name of the column.
-    ground_column : the column of ground heights, or None where they are constant.
+    columns : image, point, x_px, y_px -> the user's name of the column; distance_m too, where
+        there is one: it passes through as the user's own.
+    ground_column : the column of ground heights, or None where none has them.
     ground_is_msl : whether these heights are above mean sea level, as our ``h_g_m`` is; any other
         column of that name is the user's own and leaves as ``h_g_m_input``.
+    direction : whether refraction will be removed from these observations or applied to them.
 
-    Refuses a table that is already free of refraction, lacks a column, or repeats a name.
+    Refuses a table to which that was done already, one that lacks a column, or repeats a name.
     """
     schema = _schema(path)
     _refuse_repeated(path, schema)
-    _refuse_corrected(path, schema)
-    _refuse_one_for_two(path, columns)
-    for role, name in columns.items():
+    named = {role: name for role, name in columns.items() if name is not None}
+    distance_column = named.get("distance_m")
+    heights = [ground_column] if ground_column and ground_column == distance_column else []
+    _refuse_one_for_two(path, [*named.values(), *heights])
+    refuse_done(path, schema, direction)
+    refuse_other_pixels(path, schema, direction, named)
+    for role, name in named.items():
         _require(path, schema, role, name, f"observations.columns.{role}")
     if ground_column:
         _require(path, schema, "ground height", ground_column, "ground.height.column")
     csv_types: Mapping[str, pa.DataType] = {}
     if _is_csv(path):
-        numbers = {columns["x_px"], columns["y_px"], ground_column or ""} & set(schema.names)
-        found = survey_csv(path, schema.names, columns["image"], columns["point"], numbers)
+        numbers = {named["x_px"], named["y_px"], ground_column or ""} & set(schema.names)
+        found = survey_csv(path, schema.names, named["image"], named["point"], numbers)
         rows, images, csv_types = found.rows, found.images, found.types
         schema = pa.schema(list(csv_types.items()))
         _note_codes(found.codes, ledger)
+        if distance_column:  # which keeps the type of a column of the user's
+            _require(path, schema, "distance_m", distance_column, "observations.columns.distance_m")
     else:
-        rows, images = _count(path, columns["image"])
+        rows, images = _count(path, named["image"])
     if rows == 0:
         raise InputError(
             "OBS-EMPTY", "the table has no rows", where=str(path), remedy="write observations to it"
         )
-    taken = set(columns.values())
+    taken = set(named.values()) - {distance_column}
     if ground_column == "h_g_m" and ground_is_msl:
         taken.add("h_g_m")
     leaving = _leaving([item for item in schema if item.name not in taken], ledger)
     return Observations(
         path,
-        columns,
+        named,
         ground_column,
+        distance_column,
         rows,
         tuple(sorted(images)),
         tuple(pa.field(name, item.type) for name, item in leaving.items()),
@@ -138,7 +164,7 @@ def _leaving(users: list[pa.Field], ledger: Ledger) -> dict[str, pa.Field]:
     leaving: dict[str, pa.Field] = {}
     for item in users:
         name = item.name
-        while name in OBSERVATION_COLUMNS or name in leaving:
+        while name in _OURS or name in leaving:
             name += "_input"
         if name != item.name:
             ledger.note(
@@ -262,20 +288,18 @@ def _as_float(column: pa.Array) -> Array:
     )
 
 
-def _refuse_corrected(path: Path, schema: pa.Schema) -> None:
-    marked = (schema.metadata or {}).get(REFRACTION_KEY) == REFRACTION_REMOVED
-    if marked or "x_corrected_px" in schema.names:
-        why = "carries the mark" if marked else "has a column x_corrected_px:"
-        raise InputError(
-            "OBS-ALREADY-CORRECTED",
-            f'the table {why} "refraction removed"; correcting it again would count it twice',
-            where=str(path),
-            remedy="give the measurements as they came from the images",
-        )
+def _slant_ranges(column: pa.Array) -> tuple[Array, int]:
+    """Slant ranges [m] with NaN for null, and how many values are none."""
+    values = _as_float(column)
+    with np.errstate(invalid="ignore"):
+        sound = np.isfinite(values) & (values > 0.0)
+    absent = column.is_null().to_numpy(zero_copy_only=False)
+    if not _is_text(column.type):
+        absent = absent | np.isnan(values)
+    return np.where(sound, values, np.nan), int(np.count_nonzero(~sound & ~absent))
 
 
-def _refuse_one_for_two(path: Path, columns: Mapping[str, str]) -> None:
-    names = list(columns.values())
+def _refuse_one_for_two(path: Path, names: list[str]) -> None:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InputError(

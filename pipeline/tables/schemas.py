@@ -11,6 +11,7 @@ SCHEMA_VERSION = "1"
 
 REFRACTION_KEY = b"unbend.refraction"
 REFRACTION_REMOVED = b"removed"
+REFRACTION_APPLIED = b"applied"
 
 _F = pa.float64()
 _S = pa.string()
@@ -30,6 +31,25 @@ OBSERVATION_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
     "status": (_S, "", "ok, or why there is no correction"),
 }
 
+# What takes the place of some columns where ideal observations were displaced.
+_DISPLACED: Mapping[str, tuple[str, tuple[pa.DataType, str, str]]] = {
+    "x_px": ("x_px", (_F, "px", "ideal, free of refraction, as given")),
+    "y_px": ("y_px", (_F, "px", "ideal, free of refraction, as given")),
+    "x_corrected_px": (
+        "x_displaced_px",
+        (_F, "px", "what a camera in this air measures, in the pixels of x_px"),
+    ),
+    "y_corrected_px": (
+        "y_displaced_px",
+        (_F, "px", "what a camera in this air measures, in the pixels of y_px"),
+    ),
+    "status": ("status", (_S, "", "ok, or why there is no displacement")),
+}
+
+DISPLACED_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = dict(
+    _DISPLACED.get(name, (name, column)) for name, column in OBSERVATION_COLUMNS.items()
+)
+
 STATION_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
     "image": (_S, "", "name of the image"),
     "camera": (_S, "", "name of the camera in the mission file"),
@@ -43,6 +63,10 @@ STATION_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
     "q_x": (_F, "", "camera x right, y down, z forward"),
     "q_y": (_F, "", "east, north, up at the station, up along the ellipsoid normal"),
     "q_z": (_F, "", ""),
+    "aircraft_q_w": (_F, "", "v_body = R(q) v_enu, body x forward, y right, z down"),
+    "aircraft_q_x": (_F, "", "of the aircraft where the camera has a mount of its own"),
+    "aircraft_q_y": (_F, "", ""),
+    "aircraft_q_z": (_F, "", ""),
     "pressure_pa": (_F, "Pa", "static pressure outside, as logged"),
     "temperature_k": (_F, "K", "temperature outside, as logged"),
     "vapour_pressure_pa": (_F, "Pa", "water vapour outside, as logged"),
@@ -84,10 +108,12 @@ CONVENTIONS: Mapping[str, str] = {
     "camera": "x right, y down, z forward; v_camera = R(q) v_enu, Hamilton quaternion, q_w >= 0",
     "frame": "east, north, up at each station, up along the normal of the WGS84 ellipsoid",
     "refraction": "corrected coordinates are the projection of the straight chord to the point; "
-    "switch refraction off in the adjustment and never correct twice",
+    "switch refraction off in the adjustment and never correct twice; displaced coordinates are "
+    "what a camera in the air of the profile measures",
     "signs": "net shift r_c - r_cc; r_c > 0: the apparent ray is farther from the nadir",
-    "not_corrected": "earth curvature, map projection, change of the principal distance with the "
-    "air in the lens, displacement by the window glass, aberration",
+    "not_corrected": "earth curvature, map projection, displacement by the window glass, "
+    "aberration; change of the principal distance with the air in the lens, except of cameras with "
+    "a principal_distance section in the mission file",
 }
 
 

@@ -50,6 +50,8 @@ def observation_table(
             "y_px": batch.y_px,
             "x_corrected_px": corrections.x_px,
             "y_corrected_px": corrections.y_px,
+            "x_displaced_px": corrections.x_px,  # the schema holds one of the two pairs
+            "y_displaced_px": corrections.y_px,
             "zeta_c_rad": corrections.zeta_c_rad,
             "r_c_rad": corrections.r_c_rad,
             "r_cc_rad": corrections.r_cc_rad,

@@ -12,7 +12,10 @@ import pytest
 import pipeline
 from pipeline.refraction import angle
 
-COMMANDS = ("run", "check", "inspect", "angle", "profile", "simulate", "verify")
+COMMANDS = (
+    "run", "check", "inspect", "angle", "radial", "tables", "profile", "compare", "simulate",
+    "export", "verify",
+)  # fmt: skip
 
 
 @pytest.fixture(autouse=True)
@@ -38,6 +41,15 @@ def test_the_help_is_the_manual(unbend):
     text = unbend("--help").out
     assert "Exit codes: 0 done; 1 a bug; 2 command or mission file" in text
     assert longest(text) <= 80
+    listed = text.partition("Commands:\n")[2].partition("\n\n")[0].splitlines()
+    assert tuple(line.split()[0] for line in listed) == COMMANDS
+    assert all(line.endswith(".") and not line.endswith("..") for line in listed)
+
+
+@pytest.mark.parametrize("command", ["angle", "radial"])
+def test_an_example_on_two_lines_can_be_pasted(unbend, command):
+    shown = unbend(command, "--help").out.partition("Example: unbend ")[2]
+    assert unbend(*shown.replace("\\\n", " ").split()).code == 0
 
 
 def test_version(unbend):

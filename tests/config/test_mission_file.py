@@ -24,7 +24,7 @@ CHANNELS = {
     for role, unit in {
         "position": None, "height": None, "attitude": None, "pressure": "hPa",
         "temperature": "degC", "humidity": "percent", "airspeed": "m/s", "cabin_pressure": "kPa",
-        "cabin_temperature": "K", "cabin_humidity": "fraction",
+        "cabin_temperature": "K", "cabin_humidity": "fraction", "aircraft_attitude": None,
     }.items()
 }  # fmt: skip
 
@@ -38,7 +38,7 @@ FULL: dict[str, Any] = {
     },
     "observations": {
         "path": "o.parquet",
-        "columns": {"image": "i", "point": "p", "x_px": "x", "y_px": "y"},
+        "columns": {"image": "i", "point": "p", "x_px": "x", "y_px": "y", "distance_m": "d"},
         "pixel_origin": "corner",
     },
     "cameras": {
@@ -49,7 +49,12 @@ FULL: dict[str, Any] = {
             "calibration": "laboratory",
             "window": {
                 "cabin": {"pressure_hpa": 800.0, "temperature_c": 20.0, "relative_humidity": 0.3},
-                "normal": [0.0, 0.0, 1.0],
+                "shape": "plane", "frame": "camera", "normal": [0.0, 0.0, 1.0],
+                "in_calibration": "glass",
+            },
+            "principal_distance": {
+                "reference": {"pressure_hpa": 1013.25, "temperature_c": 20.0},
+                "dc_dp_px_per_hpa": 0.0084, "dc_dt_px_per_k": 0.004,
             },
         },
         "window": {  # a camera may be called like one of our keys
@@ -74,7 +79,7 @@ FULL: dict[str, Any] = {
         "standard": "us1976", "adjust": True, "index": "gyer", "wavelength_m": 5.5e-7,
         "co2_ppm": 420.0,
     },
-    "refraction": {"method": "spherical", "radius_m": 6371000.0},
+    "refraction": {"method": "spherical", "radius_m": 6371000.0, "direction": "remove"},
     "output": {"path": "results", "batch_rows": 100000},
 }  # fmt: skip
 
@@ -250,6 +255,10 @@ def test_a_required_key_that_is_missing_is_named(refused):
         ("output", "path"), ("log", "local_origin", "lat_deg"),
         ("log", "local_origin", "h_ellipsoid_m"), ("log", "channels", "pressure", "name"),
         ("cameras", "nadir", "window", "cabin", "pressure_hpa"),
+        ("cameras", "nadir", "principal_distance", "reference"),
+        ("cameras", "nadir", "principal_distance", "reference", "temperature_c"),
+        ("cameras", "nadir", "principal_distance", "dc_dp_px_per_hpa"),
+        ("cameras", "nadir", "principal_distance", "dc_dt_px_per_k"),
     ]  # fmt: skip
     for keys in required:
         error = refused(without(FULL, keys))
@@ -314,6 +323,12 @@ def test_a_value_of_the_wrong_type_is_refused_where_it_stands(refused):
         (("cameras", "nadir", "window", "normal"), [0.0, 1.0, -0.1]),
         (("cameras", "nadir", "window", "normal"), [0.0, 1.0]),
         (("cameras", "nadir", "window", "cabin"), "constant"),
+        (("cameras", "nadir", "window", "cabin"), None),
+        (("cameras", "nadir", "window", "shape"), "dome"),
+        (("cameras", "nadir", "window", "frame"), "aircraft"),
+        (("cameras", "nadir", "window", "in_calibration"), True),
+        (("cameras", "nadir", "principal_distance", "reference", "pressure_hpa"), 101325.0),
+        (("cameras", "nadir", "principal_distance", "dc_dp_px_per_hpa"), 20.0),
         (("cameras", "nadir", "window", "cabin", "pressure_hpa"), 80000.0),
         (("events", "log", "nadir", "image"), "same.tif"),
         (("events", "log", "nadir", "image"), "{number}.tif"),

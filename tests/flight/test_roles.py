@@ -226,3 +226,14 @@ def test_heights_that_cannot_be_are_taken_out() -> None:
     assert len(sound) == len(gnss)
     assert [(e.code, e.count, e.kind) for e in ledger] == [("SENSOR-RANGE", 3, Kind.LOSS)]
     assert within_reason(GPS, "height", Ledger())["h_msl_m"].tolist() == HEIGHT.tolist()
+
+
+def test_the_attitude_of_the_aircraft_is_only_ever_named() -> None:
+    mount = channel("ATT[1]", 20, "attitude", q_w=1, q_x=0, q_y=0, q_z=0)
+    roles, _ = assign(POS, GPS, ATT, mount)
+    assert "aircraft_attitude" not in roles
+    roles, _ = assign(POS, GPS, ATT, mount, attitude="ATT[1]", aircraft_attitude="ATT")
+    assert (roles["attitude"], roles["aircraft_attitude"]) == ("ATT[1]", "ATT")
+    # Without it a window in the belly would be turned with the camera: no silent substitute.
+    with pytest.raises(MissionError, match="CHANNEL-MISSING"):
+        assign(POS, GPS, ATT, aircraft_attitude="ATT[7]")

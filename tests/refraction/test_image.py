@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.refraction import Camera, Exposures, correct_observations, ray_table, refraction_angle
-from pipeline.refraction.image import ground_displacement, landing_point, lower_ray
+from pipeline.refraction.image import ground_displacement, landing_point
 from pipeline.refraction.status import (
     BAD_MEASUREMENT,
     BEYOND_GRAZING,
@@ -44,19 +44,33 @@ def looking(tilt_deg: float, azimuth_deg: float = 0.0, swing_deg: float = 0.0) -
     return swing.as_matrix() @ tilt.as_matrix() @ DOWN @ towards.as_matrix()
 
 
-def exposures(rotation: np.ndarray, cabin: float = OUTSIDE, h_c: float = H_C) -> Exposures:
+def exposures(
+    rotation: np.ndarray, cabin: float = OUTSIDE, h_c: float = H_C, normal=(0.0, 0.0, 1.0)
+) -> Exposures:
     return Exposures(
         usable=np.array([True]), rotation=rotation[None], latitude_rad=np.array([0.8]),
         height_m=np.array([h_c]), refractivity_outside=np.array([OUTSIDE]),
-        refractivity_cabin=np.array([cabin]), radius_m=RADIUS,
+        refractivity_cabin=np.array([cabin]), window_normal=np.array([normal], float),
+        principal_change_px=np.zeros(1), radius_m=RADIUS,
     )  # fmt: skip
 
 
-def correct(x, y, rotation, *, h_g=H_G, cabin=OUTSIDE, camera=PINHOLE, h_c=H_C, **more):
+def correct(
+    x,
+    y,
+    rotation,
+    *,
+    h_g=H_G,
+    cabin=OUTSIDE,
+    camera=PINHOLE,
+    h_c=H_C,
+    normal=(0.0, 0.0, 1.0),
+    **more,
+):
     x, y = np.atleast_1d(np.asarray(x, float)), np.atleast_1d(np.asarray(y, float))
     return correct_observations(
         x, y, np.broadcast_to(np.asarray(h_g, float), x.shape), np.zeros(x.shape, np.int64),
-        exposures(rotation, cabin, h_c), camera, TABLE, **more,
+        exposures(rotation, cabin, h_c, normal), camera, TABLE, **more,
     )  # fmt: skip
 
 
@@ -260,7 +274,15 @@ def test_each_reason_in_its_place():
 
 
 def test_no_stations_at_all():
-    none = Exposures(*(np.empty(0, bool), np.empty((0, 3, 3)), *(np.empty(0) for _ in range(4))))
+    none = Exposures(
+        *(
+            np.empty(0, bool),
+            np.empty((0, 3, 3)),
+            *(np.empty(0) for _ in range(4)),
+            np.empty((0, 3)),
+            np.empty(0),
+        )
+    )
     found = correct_observations(
         np.array([1.0]), np.array([1.0]), np.array([0.0]), np.array([-1]), none, PINHOLE, TABLE
     )
@@ -281,22 +303,11 @@ def test_a_tilted_window_bends_about_its_own_normal():
     normal = np.array([0.0, math.sin(0.3), math.cos(0.3)])
     # The ray along the normal passes straight.
     y = PINHOLE.cy_px + 11_000.0 * math.tan(0.3)
-    found = correct(PINHOLE.cx_px, y, DOWN, cabin=CABIN, window_normal=normal)
+    found = correct(PINHOLE.cx_px, y, DOWN, cabin=CABIN, normal=normal)
     plain = correct(PINHOLE.cx_px, y, DOWN)
     assert found.r_cc_rad[0] == pytest.approx(0.0, abs=1e-16)
     assert found.y_px[0] == pytest.approx(plain.y_px[0], abs=1e-9)
     assert correct(PINHOLE.cx_px, y, DOWN, cabin=CABIN).r_cc_rad[0] > 1e-5
-
-
-def test_lower_ray_is_a_rotation():
-    rng = np.random.default_rng(2)
-    ray = rng.normal(size=(100, 3))
-    ray /= np.linalg.norm(ray, axis=1)[:, None]
-    angle = rng.uniform(-0.02, 0.02, 100)
-    sin_z, cos_z = np.hypot(ray[:, 0], ray[:, 1]), -ray[:, 2]
-    axis = np.cross(ray, [0.0, 0.0, -1.0]) / sin_z[:, None]
-    expected = Rotation.from_rotvec(axis * angle[:, None]).apply(ray)
-    np.testing.assert_allclose(ray + lower_ray(ray, sin_z, cos_z, angle), expected, atol=1e-15)
 
 
 def test_landing_points_lie_on_the_sphere():

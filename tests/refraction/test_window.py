@@ -8,7 +8,15 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from pipeline.refraction.window import OPTICAL_AXIS, leave_compartment
+from pipeline.errors import PhysicsError
+from pipeline.refraction.window import (
+    OPTICAL_AXIS,
+    SCHEDULE_TEMPERATURE_K,
+    Cabin,
+    Window,
+    leave_compartment,
+    scheduled_pressure,
+)
 
 OUTSIDE, CABIN = 93.57e-6, 187.84e-6
 
@@ -68,3 +76,44 @@ def test_total_reflection_is_nan():
     change, r_cc = leave_compartment(ray, 3e-4, 0.0)
     assert np.isnan(r_cc).all()
     assert np.isnan(change).any()
+
+
+def test_one_normal_a_ray():
+    rays = np.array([unit([0.3, 0.1, 1.0]), unit([-0.2, 0.4, 1.0])])
+    normals = np.array([unit([0.1, 0.0, 1.0]), unit([0.0, -0.3, 1.0])])
+    change, r_cc = leave_compartment(rays, CABIN, OUTSIDE, normals)
+    for i in range(2):
+        alone, angle = leave_compartment(rays[i : i + 1], CABIN, OUTSIDE, normals[i])
+        np.testing.assert_array_equal(change[i], alone[0])
+        assert r_cc[i] == angle[0]
+    assert r_cc[0] != leave_compartment(rays[:1], CABIN, OUTSIDE, normals[1])[1][0]
+
+
+@pytest.mark.parametrize("cabin", [CABIN, OUTSIDE, 0.0])
+def test_a_ray_along_the_window_or_from_outside_has_no_number(cabin):
+    rays = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], unit([0.5, 0.0, -1.0]), [0.0, 0.0, -1.0]])
+    change, r_cc = leave_compartment(rays, cabin, OUTSIDE)
+    assert np.isnan(r_cc).tolist() == [False, True, True, True]
+    assert np.isnan(change).all(axis=1).tolist() == [False, True, True, True]
+
+
+def test_the_schedule_is_gyers():
+    """His words below Table 6: ambient to 3 km, 701.2 mbar above; 70 F."""
+    outside = np.array([101_325.0, 79_500.0, 70_121.0, 70_119.0, 26_500.0])
+    expected = [101_325.0, 79_500.0, 70_121.0, 70_120.0, 70_120.0]
+    assert scheduled_pressure(outside) == pytest.approx(expected)
+    assert pytest.approx((70.0 + 459.67) / 1.8, abs=2e-3) == SCHEDULE_TEMPERATURE_K
+
+
+@pytest.mark.parametrize(
+    "normal", [(0.0, 0.0, 0.0), (0.0, 0.0, 2.0), (0.0, math.nan, 1.0), (0.0, 0.0, math.inf)]
+)
+def test_a_normal_is_a_unit_vector(normal):
+    with pytest.raises(PhysicsError, match="WINDOW-NORMAL"):
+        Window(Cabin("log"), normal)
+
+
+def test_a_plane_window_needs_the_air_behind_it():
+    with pytest.raises(PhysicsError, match="WINDOW-AIR"):
+        Window(None)
+    assert Window(None, shape="spherical").cabin is None

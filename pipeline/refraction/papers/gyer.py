@@ -13,13 +13,14 @@ from pipeline.atmosphere.profile import Profile, stack_layers
 from pipeline.refraction.papers.rows import Array, Block, block, printed_table
 from pipeline.refraction.published.gyer import STEP_M, gyer1996, plane_first_term, subtended_angle
 from pipeline.refraction.ray import refraction_angle
-from pipeline.refraction.window import leave_compartment
+from pipeline.refraction.window import (
+    SCHEDULE_TEMPERATURE_K,
+    leave_compartment,
+    scheduled_pressure,
+)
 from pipeline.units import ARCSEC, DEGREE, HECTOPASCAL
 
 GYER_RADIUS_M = 6_378_000.0
-CABIN_TEMPERATURE_K = 294.26  # 70 F
-CABIN_PRESSURE_PA = 701.2 * HECTOPASCAL
-PRESSURISED_ABOVE_M = 3000.0
 
 NOTES = (
     "Table 2 is the ARDC Model Atmosphere 1959, not US 1976 as its heading says; p at -1 km "
@@ -152,8 +153,7 @@ def _gyer_7(air: Profile) -> list[Block]:
     table = printed_table("gyer1996_table7")
     h_c = table["h_c_km"] * 1e3
     outside = air.refractivity(h_c)
-    pressure = np.where(h_c <= PRESSURISED_ABOVE_M, air.pressure(h_c), CABIN_PRESSURE_PA)
-    cabin = refractivity_gyer(CABIN_TEMPERATURE_K, pressure)
+    cabin = refractivity_gyer(SCHEDULE_TEMPERATURE_K, scheduled_pressure(air.pressure(h_c)))
     ray = np.full((h_c.size, 3), [math.sqrt(0.5), 0.0, math.sqrt(0.5)])
     bent = (air, h_c, 0.0, 45.0 * DEGREE, GYER_RADIUS_M)
     r_c, exact = gyer1996(*bent), np.asarray(refraction_angle(*bent))

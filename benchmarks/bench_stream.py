@@ -1,0 +1,65 @@
+"""Ten million observations, Parquet to Parquet, beside reading and writing alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from survey import CAMERA, air, exposures, image_names, write_observations
+
+from pipeline.batch.correct import Recipe, correct_stream
+from pipeline.batch.ground import Ground
+from pipeline.batch.look import CameraSetup
+from pipeline.batch.store import open_folder
+from pipeline.ledger import Ledger
+from pipeline.refraction.ray import rays_by
+from pipeline.tables.observations import open_observations
+
+IMAGES = 2_000
+BATCH_ROWS = 250_000
+ROWS = 10_000_000
+COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
+
+
+def correct(source: Path, out: Path) -> None:
+    """What a run does to the observations, without the log and the air."""
+    names = image_names(IMAGES)
+    recipe = Recipe(
+        names, np.full(IMAGES, "nadir", object), exposures(IMAGES),
+        Ground(None, np.zeros(IMAGES)), {"nadir": CameraSetup(CAMERA, 0.0)},
+        rays_by(air(), "spherical"),
+    )  # fmt: skip
+    observations = open_observations(source, COLUMNS, "h_g_m", Ledger())
+    with open_folder(out) as folder:
+        correct_stream(observations, recipe, folder, BATCH_ROWS, {}, lambda _: None)
+        folder.commit({"outputs": folder.outputs()})
+
+
+def copy(source: Path, precomputed: list[pa.Table], out: Path) -> None:
+    """Read the same input; write the same columns, computed before, with the same settings."""
+    out.mkdir(exist_ok=True)
+    with pq.ParquetFile(source) as file:
+        for number, (_, table) in enumerate(
+            zip(file.iter_batches(batch_size=BATCH_ROWS), precomputed, strict=True)
+        ):
+            pq.write_table(
+                table, out / f"part-{number:05d}.parquet", compression="zstd",
+                write_page_checksum=True,
+            )  # fmt: skip
+
+
+def test_ten_million_beside_reading_and_writing(pair, tmp_path):
+    source = tmp_path / "observations.parquet"
+    write_observations(source, ROWS, IMAGES)
+    correct(source, tmp_path / "run")
+    parts = sorted((tmp_path / "run" / "observations").glob("*.parquet"))
+    precomputed = [pq.read_table(part) for part in parts]
+    ratio = pair(
+        lambda: correct(source, tmp_path / "run"),
+        lambda: copy(source, precomputed, tmp_path / "copy"),
+        ROWS,
+        ROWS,
+    )
+    assert 1.0 / ratio <= 1.5

@@ -1,0 +1,85 @@
+"""The command line itself, and what its commands share: console, refusals, CSV.
+
+Exit codes: 0 done; 1 a bug; 2 command or mission file; 3 done, but data was lost, damaged or
+flagged, or something the mission file names is absent; 4 output folder in use; 5 storage failure,
+or verify found damage; 6 a mission was refused, the others are done; 130, 143 interrupted.
+"""
+
+from __future__ import annotations
+
+import csv as csv_module
+import sys
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+from rich.console import Console
+from typer.core import TyperGroup
+
+import pipeline
+from pipeline.errors import UnbendError
+
+_ORDER = (
+    "run", "check", "inspect", "angle", "radial", "tables", "profile", "compare", "simulate",
+    "export", "verify",
+)  # fmt: skip
+"""The commands as the help lists them: a mission, the air and the rays, what is done with runs."""
+
+
+class _Group(TyperGroup):
+    def list_commands(self, ctx: Any) -> list[str]:
+        """The names in the order of the work, whichever module holds them."""
+        return sorted(self.commands, key=_ORDER.index)
+
+
+app = typer.Typer(
+    name="unbend",
+    cls=_Group,
+    help="Removes atmospheric refraction from aerial image observations, with the air the "
+    "aircraft measured.",
+    epilog=__doc__.split("\n\n", 1)[1],
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+class _Console(Console):
+    """A console that leaves it to `main` what a reader who went away means."""
+
+    def on_broken_pipe(self) -> NoReturn:
+        """Let it through; rich would leave with the code of a bug."""
+        raise BrokenPipeError
+
+
+def new_console() -> Console:
+    return _Console(soft_wrap=False, highlight=False)
+
+
+def refuse(error: UnbendError, subject: str = "") -> None:
+    print(f"{subject}: {error}" if subject else error, file=sys.stderr)
+
+
+def own_up(text: str, subject: str = "") -> None:
+    """Say that an error is ours, with all that is needed to find it."""
+    where = f"{subject}: " if subject else ""
+    print(f"{text}\n{where}this is a bug in unbend: please report the lines above", file=sys.stderr)
+
+
+def write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
+    from pipeline.batch.store import translated
+
+    with translated(path), path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv_module.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+@app.callback(invoke_without_command=True)
+def _options(
+    version: Annotated[bool, typer.Option("--version", help="print the version")] = False,
+) -> None:
+    if version:
+        print(f"unbend {pipeline.__version__}")
+        raise typer.Exit

@@ -1,0 +1,190 @@
+"""Commands on missions, logs and folders of results."""
+
+from __future__ import annotations
+
+import json
+import sys
+from contextlib import closing
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+
+from pipeline.cli.app import app, new_console, own_up, refuse
+from pipeline.errors import EXIT_BUG, EXIT_DONE, EXIT_LOSSES, ConfigError, UnbendError
+
+
+@app.command(epilog="Example: unbend run configs/*.yaml")
+def run(
+    configs: Annotated[list[Path], typer.Argument(help="mission files", metavar="CONFIG...")],
+    jobs: Annotated[int, typer.Option(min=1, help="missions at the same time")] = 1,
+    force: Annotated[bool, typer.Option(help="run even where nothing has changed")] = False,
+) -> None:
+    """Correct missions; one that is refused does not stop the rest."""
+    from pipeline.batch.execute import Bug, exit_code_of, run_many
+    from pipeline.report.progress import PatientBar
+    from pipeline.report.terminal import show_run
+    from pipeline.stages import run_mission
+
+    console = new_console()
+    ends: list[int] = []
+    one = partial(run_mission, force=force)
+    with closing(run_many(one, configs, jobs, lambda name: PatientBar(console, name))) as running:
+        for config, end in running:
+            if isinstance(end, UnbendError):
+                refuse(end, str(config))
+                ends.append(end.exit_code)
+                continue
+            if isinstance(end, Bug):
+                own_up(end.traceback, str(config))
+                ends.append(EXIT_BUG)
+                continue
+            show_run(console, end.name, str(end.output), end.manifest, repeated=end.repeated)
+            ends.append(end.exit_code)
+    raise typer.Exit(exit_code_of(ends))
+
+
+@app.command(epilog="Example: unbend check mission.yaml")
+def check(
+    configs: Annotated[list[Path], typer.Argument(help="mission files", metavar="CONFIG...")],
+) -> None:
+    """Validate mission files and their inputs; correct nothing."""
+    from pipeline.batch.execute import exit_code_of
+    from pipeline.report.progress import PatientBar
+    from pipeline.report.terminal import show_check, show_ledger
+    from pipeline.stages import check_mission
+
+    console = new_console()
+    ends: list[int] = []
+    for config in configs:
+        try:
+            with PatientBar(console, f"checking {config.name}"):
+                found = check_mission(config)
+        except UnbendError as error:
+            refuse(error, str(config))
+            ends.append(error.exit_code)
+            continue
+        console.print(f"[bold]{escape(str(config))}[/bold] can be run")
+        show_check(console, found.lines())
+        show_ledger(console, found.ledger.rows())
+        ends.append(EXIT_LOSSES if found.ledger.has_losses else EXIT_DONE)
+    raise typer.Exit(exit_code_of(ends))
+
+
+@app.command(
+    epilog="Example: unbend inspect flight.bin; unbend inspect flight.bin --type BARO --csv"
+)
+def inspect(
+    log: Annotated[Path, typer.Argument(help="a flight log", metavar="LOG")],
+    as_json: Annotated[bool, typer.Option("--json", help="everything, as JSON")] = False,
+    kind: Annotated[
+        str | None, typer.Option("--type", help="all messages of one type or topic")
+    ] = None,
+    instance: Annotated[str | None, typer.Option(help="with --type: only this instance")] = None,
+    as_csv: Annotated[bool, typer.Option("--csv", help="with --type: every row, as CSV")] = False,
+) -> None:
+    """Show what a log holds, in the words that a mission file takes."""
+    from pipeline.ingest import open_log
+    from pipeline.report.columns import field_rows, write_csv
+    from pipeline.report.progress import PatientBar
+    from pipeline.report.terminal import show_fields, show_log
+
+    if (kind is None and (as_csv or instance is not None)) or (kind is not None and as_json):
+        raise ConfigError(
+            "INSPECT-ARGUMENTS",
+            "--csv and --instance go with --type, --json goes without it",
+            remedy="for example: unbend inspect flight.bin --type BARO --csv",
+        )
+    console = new_console()
+    with PatientBar(console, f"reading {log.name}"):
+        opened = open_log(log)
+        columns = None if kind is None else opened.message(kind, instance)
+    if columns is not None and as_csv:
+        write_csv(sys.stdout, columns)
+    elif columns is not None:
+        show_fields(console, f"{log.name}, {kind}", field_rows(columns))
+    elif as_json:
+        print(json.dumps(opened.to_json_dict(), indent=2))
+    else:
+        show_log(console, opened.to_json_dict(), log.name)
+    raise typer.Exit(EXIT_LOSSES if opened.ledger.has_losses else EXIT_DONE)
+
+
+@app.command(epilog="Example: unbend export results/survey --format lattice --out grid.parquet")
+def export(
+    run: Annotated[Path, typer.Argument(help="a folder of results", metavar="RUN")],
+    name: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            help="lattice, lattice-csv: dx, dy on a grid over each image; radial, radial-csv: by "
+            "nadir angle, per flying height",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="the file to write")],
+    columns: Annotated[int, typer.Option(min=2, max=1000, help="of the lattice")] = 21,
+    rows: Annotated[int, typer.Option(min=2, max=1000, help="of the lattice")] = 15,
+    ground_height: Annotated[
+        float | None,
+        typer.Option(
+            help="metres above sea level; by default the median of each image's observations"
+        ),
+    ] = None,
+    force: Annotated[bool, typer.Option(help="replace the file if it is there")] = False,
+) -> None:
+    """Write the results of a run for other programs."""
+    from pipeline.report.progress import PatientBar
+    from pipeline.report.terminal import show_ledger
+    from pipeline.stages import export_run
+    from pipeline.tables.exports import ExportOptions
+
+    console = new_console()
+    options = ExportOptions(columns, rows, ground_height)
+    with PatientBar(console, f"exporting {run.name}"):
+        written, ledger = export_run(run, name, out, options, force=force)
+    console.print(f"{escape(str(out))}: {written:,} rows")
+    show_ledger(console, ledger.rows())
+    raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)
+
+
+@app.command(epilog="Example: unbend simulate flown --height 3000")
+def simulate(
+    out: Annotated[Path, typer.Argument(help="folder to write to", metavar="OUT")],
+    height: Annotated[float, typer.Option(help="metres above ground")] = 3000.0,
+    seed: Annotated[int, typer.Option(help="of the sensor noise")] = 7,
+    noise: Annotated[float, typer.Option(help="of the image measurements, pixels")] = 0.0,
+) -> None:
+    """Fly a survey with known truth: logs, observations, missions.
+
+    The same flight three times, as .bin, .tlog and .mcap, with a mission file for each.
+    """
+    from pipeline.report.progress import PatientBar
+    from pipeline.simulate import SimulationOptions
+    from pipeline.simulate import simulate as fly
+
+    console = new_console()
+    options = SimulationOptions(seed=seed, height_above_ground_m=height, image_noise_px=noise)
+    with PatientBar(console, "simulating") as bar:
+        flown = fly(out, options, bar.show)
+    console.print(
+        f"{escape(str(out))}: {flown.images} images, {flown.observation_count:,} observations of "
+        f"{flown.points:,} points, {flown.duration_s:.0f} s of flight in three logs"
+    )
+    for path in flown.missions.values():
+        console.print(f"  unbend run {escape(str(path))}")
+
+
+@app.command(epilog="Example: unbend verify results/survey")
+def verify(
+    run: Annotated[Path, typer.Argument(help="a folder of results", metavar="RUN")],
+) -> None:
+    """Whether the results of a run are whole and unchanged."""
+    from pipeline.stages import verify_run
+
+    manifest = verify_run(run)
+    new_console().print(
+        f"{escape(str(run))}: {len(manifest['outputs'])} files of mission "
+        f"{escape(str(manifest['mission']))} are whole"
+    )

@@ -1,0 +1,179 @@
+"""Commands on the air and the rays through it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pipeline.cli.app import app, new_console, write_csv
+from pipeline.errors import EXIT_DONE, EXIT_LOSSES, ConfigError
+
+_METHODS = (
+    "spherical, plane, gyer1996, saastamoinen1974, saastamoinen1974_ican, "
+    "saastamoinen1974_quadratic, saastamoinen1974_weather, saastamoinen1974_series, bertram1966, "
+    "manual"
+)
+
+
+@app.command(
+    # \b: not to be wrapped again, which would break words at their hyphens.
+    epilog="\b\nExample: unbend angle --atmosphere us1976 --index gyer \\\n"
+    "  --camera-height 10000 --ground-height 0 --nadir-angle 75"
+)
+def angle(
+    camera_height: Annotated[float, typer.Option(help="metres above sea level")],
+    ground_height: Annotated[float, typer.Option(help="metres above sea level")],
+    nadir_angle: Annotated[float, typer.Option(help="apparent nadir angle, degrees, 0 to 180")],
+    atmosphere: Annotated[str, typer.Option(help="name of a standard atmosphere")] = "us1976",
+    method: Annotated[str, typer.Option(help=_METHODS)] = "spherical",
+    index: Annotated[str, typer.Option(help="ciddor or gyer (Eq. 13)")] = "ciddor",
+    radius: Annotated[float, typer.Option(help="radius of the earth, metres")] = 6_371_000.0,
+    as_json: Annotated[bool, typer.Option("--json", help="as JSON")] = False,
+) -> None:
+    """One refraction angle: arcsec, microradians, ground metres."""
+    from pipeline.refraction.angle import one_angle
+    from pipeline.report.terminal import show_angle
+
+    result = one_angle(atmosphere, index, camera_height, ground_height, nadir_angle, radius, method)
+    if as_json:
+        print(json.dumps(result, indent=2))
+    else:
+        show_angle(new_console(), result)
+
+
+@app.command(
+    epilog="\b\nExample: unbend radial --atmosphere us1976 --camera-height 3000 \\\n"
+    "  --camera-height 6000 --ground-height 0 --focal-px 20000"
+)
+def radial(
+    camera_height: Annotated[
+        list[float], typer.Option(help="metres above sea level; may be given several times")
+    ],
+    ground_height: Annotated[float, typer.Option(help="metres above sea level")],
+    atmosphere: Annotated[str | None, typer.Option(help="name of a standard atmosphere")] = None,
+    config: Annotated[Path | None, typer.Option(help="a mission file: the air it flew in")] = None,
+    focal_px: Annotated[float | None, typer.Option(help="principal distance, pixels")] = None,
+    max_angle: Annotated[float, typer.Option(help="largest nadir angle, degrees")] = 60.0,
+    step: Annotated[float, typer.Option(min=0.01, help="degrees between rows")] = 5.0,
+    radius: Annotated[float, typer.Option(help="radius of the earth, metres")] = 6_371_000.0,
+    csv: Annotated[Path | None, typer.Option(help="write the rows as CSV")] = None,
+) -> None:
+    """Refraction by nadir angle per flying height; the Manual's K.
+
+    K is R at 45 degrees; beside it stands what the Manual of Photogrammetry's formula gives.
+    """
+    from pipeline.refraction.radial import angles_to, radial_table
+    from pipeline.report.progress import PatientBar
+    from pipeline.report.radial import radial_rows, show_radial
+    from pipeline.report.terminal import show_ledger
+    from pipeline.stages import profile_sources
+
+    _refuse_two_airs(config, atmosphere)
+    console = new_console()
+    angles = angles_to(max_angle, step)
+    with PatientBar(console, "finding the air"):
+        adjustment, _, ledger = profile_sources(config, atmosphere)
+    tables = [
+        radial_table(adjustment.profile, h, ground_height, angles, focal_px=focal_px, radius=radius)
+        for h in camera_height
+    ]
+    if csv is not None:
+        write_csv(csv, radial_rows(tables))
+    else:
+        show_radial(console, tables)
+        show_ledger(console, ledger.rows())
+    raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)
+
+
+@app.command(epilog="Example: unbend tables gyer1996 --csv gyer.csv")
+def tables(
+    paper: Annotated[
+        str, typer.Argument(help="gyer1996, saastamoinen1974 or bertram1966", metavar="PAPER")
+    ],
+    csv: Annotated[Path | None, typer.Option(help="write the rows as CSV")] = None,
+) -> None:
+    """Recompute a paper's tables: as printed, as published, and exact."""
+    from pipeline.refraction.papers import paper_tables
+    from pipeline.report.terminal import show_paper
+
+    table = paper_tables(paper)
+    if csv is None:
+        show_paper(new_console(), table.rows(), table.notes)
+    else:
+        write_csv(csv, table.rows())
+
+
+@app.command(
+    epilog="\b\nExample: unbend profile mission.yaml --plot air.png\n"
+    "or: unbend profile --atmosphere us1976 --step 1000"
+)
+def profile(
+    config: Annotated[
+        Path | None, typer.Argument(help="a mission file", metavar="[CONFIG]")
+    ] = None,
+    atmosphere: Annotated[str | None, typer.Option(help="name of a standard atmosphere")] = None,
+    csv: Annotated[Path | None, typer.Option(help="write the profile as CSV")] = None,
+    plot: Annotated[Path | None, typer.Option(help="draw it, .png or .svg")] = None,
+    step: Annotated[
+        float | None,
+        typer.Option(min=1, max=10_000, help="metres between rows; by default the layers' edges"),
+    ] = None,
+) -> None:
+    """The air of a mission or of a standard: a table, CSV or plot."""
+    from pipeline.atmosphere.profile import heights_every
+    from pipeline.report.progress import PatientBar
+    from pipeline.stages import profile_sources
+    from pipeline.tables.writing import profile_arrow
+
+    _refuse_two_airs(config, atmosphere)
+    console = new_console()
+    with PatientBar(console, "finding the air"):
+        adjustment, samples, ledger = profile_sources(config, atmosphere)
+    heights = None if step is None else heights_every(adjustment.profile, step)
+    table = profile_arrow(adjustment, "", heights).drop_columns(["profile_id", "time_utc"])
+    rows = table.to_pylist()
+    if csv is not None:
+        write_csv(csv, rows)
+    if plot is not None:
+        from pipeline.report.figures import profile_figure, save_figure
+
+        save_figure(profile_figure(adjustment, samples), plot)
+    if csv is None and plot is None:
+        from pipeline.report.terminal import show_ledger, show_profile
+
+        show_profile(console, rows)
+        show_ledger(console, ledger.rows())
+    raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)
+
+
+@app.command(epilog="Example: unbend compare --out docs/accuracy.md")
+def compare(
+    atmosphere: Annotated[str, typer.Option(help="name of a standard atmosphere")] = "us1976",
+    out: Annotated[
+        Path | None, typer.Option(help="write the page as Markdown, its picture beside it as .png")
+    ] = None,
+) -> None:
+    """How far each published method can be trusted.
+
+    By flying height: to which nadir angle it stays within 0.1 and 1 arcsec of the spherical ray.
+    """
+    from pipeline.report.accuracy import compare_all, show_accuracy
+    from pipeline.stages import write_comparison
+
+    found = compare_all(atmosphere)
+    if out is None:
+        show_accuracy(new_console(), found)
+    else:
+        write_comparison(found, out)
+
+
+def _refuse_two_airs(config: Path | None, atmosphere: str | None) -> None:
+    if (config is None) == (atmosphere is None):
+        raise ConfigError(
+            "PROFILE-ARGUMENTS",
+            "give either a mission file or --atmosphere",
+            remedy="for example: --atmosphere us1976",
+        )

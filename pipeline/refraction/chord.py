@@ -1,0 +1,185 @@
+"""The height at which a ray is a given straight distance away: targets known by slant range."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pipeline.refraction._threads import in_blocks
+from pipeline.refraction.camera import Camera
+from pipeline.refraction.image import Exposures, _Constants
+from pipeline.refraction.ray import DEFAULT_RADIUS_M, PublishedRays, RayTable, bend
+from pipeline.refraction.status import BAD_MEASUREMENT, MISSES_GROUND, OK
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+Array = NDArray[np.float64]
+
+# Rounds for a published method: each gains three digits, and they go no nearer to grazing.
+_ROUNDS = 12
+_CLOSE_M = 1e-7
+
+# More than refraction moves a point into the format.
+_MARGIN_PX = 500
+
+
+@lru_cache(maxsize=1)
+def _kernel() -> Callable[..., None]:
+    """The compiled kernel, imported with the first ray: numba takes most of a second."""
+    from pipeline.refraction import _chord_kernel
+
+    kernel: Callable[..., None] = _chord_kernel.ray_heights
+    return kernel
+
+
+def height_at_distance(
+    table: RayTable | PublishedRays,
+    h_c: ArrayLike,
+    sin_zeta_c: ArrayLike,
+    cos_zeta_c: ArrayLike,
+    distance: ArrayLike,
+    radius: ArrayLike = DEFAULT_RADIUS_M,
+) -> tuple[Array, NDArray[np.uint8]]:
+    """Heights of targets whose slant range is known, along the bent rays that show them.
+
+    Parameters
+    ----------
+    table : the air, from `ray_table` or `rays_by`.
+    h_c : height of the camera above sea level [m]; broadcast with the others.
+    sin_zeta_c, cos_zeta_c : of the apparent nadir angle at the camera, 0 to 180 degrees.
+    distance : length [m] of the straight chord from camera to target, over 0; before or beyond the
+        lowest point P_90 of the ray.
+    radius : of the sphere [m].
+
+    Returns
+    -------
+    h_g : height of the target above sea level [m], NaN where ``status`` says there is none.
+    status : ``outside_profile`` where the chord ends outside it, ``misses_ground`` where the ray
+        passes under all land on its way, ``bad_measurement`` for what is no distance or angle.
+
+    A millionth of a metre against 30-digit arithmetic, through P_90 too: unlike the distance of a
+    given height, the height at a given distance is well determined there. For a published method
+    the nadir angle of the chord is found by repetition, to the method's own accuracy.
+    Source: Gyer 1996, Eq. 12, 15, 16, solved for h_g.
+
+    >>> from pipeline.atmosphere import standard_atmosphere
+    >>> from pipeline.refraction.ray import ray_table
+    >>> air = ray_table(standard_atmosphere("us1976"))
+    >>> h_g, status = height_at_distance(air, 3000.0, 0.6, 0.8, 3000.0)
+    >>> h_g.round(4).item(), status.item()
+    (600.2176, 0)
+    """
+    arrays = np.broadcast_arrays(
+        *(np.asarray(a, np.float64) for a in (h_c, sin_zeta_c, cos_zeta_c, radius, distance))
+    )
+    shape = arrays[0].shape
+    flat = [np.array(a).reshape(-1) for a in arrays]  # the broadcast views are read-only
+    if isinstance(table, PublishedRays):
+        height, status = _by_repetition(table, *flat)
+        return height.reshape(shape), status.reshape(shape)
+    height = np.empty(flat[0].shape)
+    status = np.empty(flat[0].shape, np.uint8)
+    ray_heights = _kernel()
+
+    def some(rows: slice) -> None:
+        ray_heights(
+            table.edge_m, table.coefficient, *(a[rows] for a in flat), height[rows], status[rows]
+        )
+
+    in_blocks(some, flat[0].size)
+    return height.reshape(shape), status.reshape(shape)
+
+
+def target_heights(
+    x_px: Array,
+    y_px: Array,
+    distance_m: Array,
+    exposure: NDArray[np.int64],
+    exposures: Exposures,
+    camera: Camera,
+    table: RayTable | PublishedRays,
+    *,
+    ideal: bool = False,
+) -> Array:
+    """Heights of the targets of image observations whose slant range is known.
+
+    Parameters
+    ----------
+    x_px, y_px : (n,) pixels: measured, or those of the straight chord where ``ideal``.
+    distance_m : (n,) slant ranges [m], NaN where unknown.
+    exposure, exposures, camera, table : as for `correct_observations`.
+
+    Returns the heights above sea level [m], (n,), NaN where the observation lacks something that
+    `correct_observations` will name, or its chord ends outside the profile.
+    """
+    # The compiled functions are imported with the first ray, not with the package.
+    from pipeline.refraction import _image_kernel as kernel
+
+    if ideal:  # a straight line sees no window and no lens, and may lie beside the format
+        exposures = replace(
+            exposures,
+            refractivity_cabin=exposures.refractivity_outside,
+            principal_change_px=None,
+        )
+        camera = replace(
+            camera,
+            width_px=camera.width_px + 2 * _MARGIN_PX,
+            height_px=camera.height_px + 2 * _MARGIN_PX,
+            cx_px=camera.cx_px + _MARGIN_PX,
+            cy_px=camera.cy_px + _MARGIN_PX,
+        )
+        x_px, y_px = x_px + _MARGIN_PX, y_px + _MARGIN_PX
+    k = _Constants.of(exposures, camera)
+    rays = np.empty((kernel.COLUMNS, x_px.size))
+    kernel.look_out(
+        x_px, y_px, distance_m, exposure, k.camera, k.usable, k.rotation, k.curvature, *k.air,
+        k.change, rays, np.empty(x_px.size), np.empty(x_px.size, np.uint8),
+    )  # fmt: skip
+    h_c, radius = rays[kernel.H_C], rays[kernel.RADIUS]
+    sine, cosine = rays[kernel.SIN], rays[kernel.COS]
+    if ideal:
+        with np.errstate(invalid="ignore"):
+            return chord_height(h_c, sine, cosine, np.zeros(h_c.shape), distance_m, radius)
+    return height_at_distance(table, h_c, sine, cosine, distance_m, radius)[0]
+
+
+def chord_height(
+    h_c: Array, sin_zeta: Array, cos_zeta: Array, angle: Array, distance: Array, radius: Array
+) -> Array:
+    """Height [m] of the end of a straight chord at the nadir angle zeta - ``angle``.
+
+    Without cancellation: h_g - h_c = D (D - 2 r_c cos(zeta - angle)) / (r_c + r_g).
+
+    >>> one = np.ones(1)
+    >>> chord_height(500.0 * one, 0.0 * one, one, 0.0 * one, 200.0 * one, 6.4e6 * one).tolist()
+    [300.0]
+    """
+    r_c = radius + h_c
+    across = cos_zeta * np.cos(angle) + sin_zeta * np.sin(angle)
+    fall = distance * (distance - 2.0 * r_c * across)
+    return np.asarray(h_c + fall / (r_c + np.sqrt(r_c * r_c + fall)))
+
+
+def _by_repetition(
+    table: PublishedRays, h_c: Array, sin_z: Array, cos_z: Array, radius: Array, distance: Array
+) -> tuple[Array, NDArray[np.uint8]]:
+    """As `height_at_distance`, from the height along the apparent direction on."""
+    with np.errstate(invalid="ignore"):
+        sound = np.isfinite(distance) & (distance > 0.0)
+        given = np.where(sound, distance, math.nan)
+        height = chord_height(h_c, sin_z, cos_z, np.zeros(h_c.shape), given, radius)
+        for _ in range(_ROUNDS):
+            r_c, status = bend(table, h_c, height, sin_z, cos_z, radius)
+            step = chord_height(h_c, sin_z, cos_z, r_c, given, radius) - height
+            height = height + step
+            if not np.nanmax(np.abs(step), initial=0.0) > _CLOSE_M:
+                break
+    status[(status == OK) & ~(np.abs(step) <= _CLOSE_M)] = MISSES_GROUND
+    status[~sound] = BAD_MEASUREMENT
+    return np.where(status == OK, height, math.nan), status

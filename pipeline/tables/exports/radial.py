@@ -1,0 +1,138 @@
+"""Refraction by nadir angle, one table for each flying height of each camera of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from pipeline.geodesy import euler_radius
+from pipeline.ledger import Ledger
+from pipeline.refraction.radial import RadialTable, angles_to, radial_table
+from pipeline.refraction.status import STATUS_NAMES
+from pipeline.tables.exports.files import write_csv_stream, write_parquet_stream
+from pipeline.tables.exports.run import ExportCamera, ExportOptions, FinishedRun
+from pipeline.tables.schemas import schema_of
+from pipeline.tables.writing import table_of
+from pipeline.units import ARCSEC, DEGREE, MICRORADIAN
+
+_F = pa.float64()
+
+RADIAL_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
+    "camera": (pa.string(), "", "name of the camera in the mission file"),
+    "images": (pa.int32(), "", "how many images were taken from about this height above ground"),
+    "h_c_m": (_F, "m", "height of the camera above mean sea level, median of these images"),
+    "h_g_m": (_F, "m", "height of the ground above mean sea level, median of these images"),
+    "nadir_angle_deg": (_F, "deg", "apparent nadir angle outside the window"),
+    "r_c_arcsec": (_F, "arcsec", "refraction angle R_c, of the air outside alone"),
+    "r_c_urad": (_F, "urad", "refraction angle R_c, of the air outside alone"),
+    "shift_ground_m": (_F, "m", "horizontal displacement on the ground"),
+    "radius_px": (_F, "px", "ideal radius f tan(zeta) in a vertical image"),
+    "dr_px": (_F, "px", "to be added to a measured radius in a vertical image"),
+    "k_urad": (_F, "urad", "R_c at 45 degrees, K of the Manual of Photogrammetry"),
+    "k_manual_urad": (_F, "urad", "the same by the Manual's formula; null where it has none"),
+    "status": (pa.string(), "", "ok, or why there is no angle"),
+}
+
+_LARGEST_DEG, _STEP_DEG = 80.0, 1.0
+
+_SAME_HEIGHT = 0.02
+"""Heights above ground within 2 % of each other share a table: R differs by less than 2 %."""
+
+
+def write_radial(run: FinishedRun, _: ExportOptions, path: Path, ledger: Ledger) -> int:
+    """The radial tables of a run as one Parquet file; the number of rows."""
+    schema = schema_of(RADIAL_COLUMNS, run.metadata)
+    return write_parquet_stream(path, schema, _tables(run, schema, ledger))
+
+
+def write_radial_csv(run: FinishedRun, _: ExportOptions, path: Path, ledger: Ledger) -> int:
+    """The radial tables of a run as one CSV file; the number of rows."""
+    schema = schema_of(RADIAL_COLUMNS, run.metadata)
+    return write_csv_stream(path, schema, _tables(run, schema, ledger))
+
+
+def radial_columns(table: RadialTable) -> dict[str, object]:
+    """A radial table in the units of its columns, without camera and images.
+
+    >>> from pipeline.atmosphere import standard_atmosphere
+    >>> found = radial_table(standard_atmosphere("us1976"), 6000.0, 0.0, angles_to(45.0, 45.0))
+    >>> radial_columns(found)["r_c_arcsec"].round(2).tolist()
+    [0.0, 12.18]
+    """
+    n = table.r_c_rad.size
+    return {
+        "h_c_m": np.full(n, table.h_c_m),
+        "h_g_m": np.full(n, table.h_g_m),
+        "nadir_angle_deg": table.nadir_angle_rad / DEGREE,
+        "r_c_arcsec": table.r_c_rad / ARCSEC,
+        "r_c_urad": table.r_c_rad / MICRORADIAN,
+        "shift_ground_m": table.shift_ground_m,
+        "radius_px": table.radius_px,
+        "dr_px": table.dr_px,
+        "k_urad": np.full(n, table.k_rad / MICRORADIAN),
+        "k_manual_urad": np.full(n, table.k_manual_rad / MICRORADIAN),
+        "status": np.array(STATUS_NAMES, dtype=object)[table.status],
+    }
+
+
+def _tables(run: FinishedRun, schema: pa.Schema, ledger: Ledger) -> Iterator[pa.Table]:
+    for name, camera in run.cameras.items():
+        if camera.has_window:
+            ledger.warning(
+                "EXPORT-WINDOW",
+                f"camera {name} looks through a window: the radial tables hold the refraction of "
+                "the air outside alone; the lattice holds both",
+                where=f"cameras.{name}.window",
+            )
+        rows = _above_ground(run, name, ledger)
+        for group in _same_heights(run, rows):
+            yield _table(run, name, camera, group, schema)
+
+
+def _above_ground(run: FinishedRun, camera: str, ledger: Ledger) -> NDArray[np.int64]:
+    rows = run.rows_of(camera)
+    above = run.exposures.height_m[rows] > run.ground_m[rows]
+    missing = int((~above).sum())
+    if missing:
+        ledger.loss(
+            "EXPORT-LEFT-OUT",
+            f"{missing} images of camera {camera} have no known ground below them and are in no "
+            "radial table",
+            where=f"camera {camera}",
+            count=missing,
+        )
+    return rows[above]
+
+
+def _same_heights(run: FinishedRun, rows: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """The stations in groups of about the same height above ground, the lowest first."""
+    step = np.round(np.log(run.exposures.height_m[rows] - run.ground_m[rows]) / _SAME_HEIGHT)
+    return [rows[step == one] for one in np.unique(step)]
+
+
+def _table(
+    run: FinishedRun,
+    name: str,
+    camera: ExportCamera,
+    rows: NDArray[np.int64],
+    schema: pa.Schema,
+) -> pa.Table:
+    # At 45 degrees of azimuth Euler's radius is the harmonic mean of the two principal ones.
+    middle = float(np.median(run.stations.lat_rad[rows]))
+    radius = run.exposures.radius_m or float(euler_radius(middle, 0.25 * np.pi))
+    found = radial_table(
+        run.profile,
+        float(np.median(run.exposures.height_m[rows])),
+        float(np.median(run.ground_m[rows])),
+        angles_to(_LARGEST_DEG, _STEP_DEG),
+        focal_px=0.5 * (camera.camera.fx_px + camera.camera.fy_px),
+        radius=radius,
+        method=run.method,
+    )
+    n = found.r_c_rad.size
+    mine = {"camera": np.full(n, name, dtype=object), "images": np.full(n, rows.size)}
+    return table_of(mine | radial_columns(found), schema)

@@ -1,0 +1,73 @@
+"""Windows and lenses from the mission file to the results."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.usefixtures("plain_report")
+
+LENS = {
+    "reference": {"pressure_hpa": 1013.25, "temperature_c": 20.0},
+    "dc_dp_px_per_hpa": 0.002,
+    "dc_dt_px_per_k": 0.0,
+}
+
+
+def ran(mission, exit_code: int = 0) -> dict:
+    ended = mission.run()
+    assert ended.code == exit_code, ended.text
+    return json.loads((mission.output / "manifest.json").read_text(encoding="utf-8"))
+
+
+def said(manifest: dict) -> dict[tuple[str, str], str]:
+    return {(e["code"], e["where"].removeprefix("cameras.")): e["what"] for e in manifest["ledger"]}
+
+
+def test_a_dome_a_schedule_and_a_lens(mission):
+    """No channel of a cabin is named, and none is missed."""
+    cameras = mission.config["cameras"]
+    cameras["nadir"]["window"] = {"shape": "spherical"}
+    cameras["oblique"]["window"] = {"cabin": "standard_schedule", "frame": "body"}
+    cameras["oblique"]["principal_distance"] = LENS
+    channels = mission.config["log"].get("channels", {})
+    for role in ("cabin_pressure", "cabin_temperature", "cabin_humidity"):
+        channels.pop(role, None)
+    ledger = said(ran(mission))
+    assert ("WINDOW-SPHERICAL", "nadir.window") in ledger
+    assert "is not removed" in ledger["WINDOW-GLASS", "oblique.window"]
+    assert ("CABIN-SCHEDULE", "oblique.window.cabin") in ledger
+    assert ("LENS-IN-AIR", "oblique.principal_distance") in ledger
+    assert "distance of nadir is not" in ledger["LENS-NOT-REMOVED", "<name>.principal_distance"]
+    table = mission.results().to_pandas()
+    camera = mission.stations().to_pandas().set_index("image")["camera"]
+    nadir = (table["image"].map(camera) == "nadir").to_numpy()
+    assert (table["r_cc_rad"][nadir] == 0.0).all()
+    assert np.isfinite(table["r_cc_rad"]).all()
+
+
+def test_an_absurd_lens_refuses_the_mission(mission):
+    lens = LENS | {"dc_dp_px_per_hpa": 5.0}
+    mission.config["cameras"]["nadir"]["principal_distance"] = lens
+    ended = mission.run()
+    assert ended.code == 6, ended.text
+    assert "LENS-CHANGE" in ended.text
+    assert "cameras.nadir.principal_distance" in ended.text
+
+
+def test_a_window_that_looks_away_refuses_the_file(mission):
+    mission.config["cameras"]["oblique"]["window"] = {
+        "cabin": "log", "frame": "body", "normal": [0.0, 0.0, -1.0],
+    }  # fmt: skip
+    ended = mission.run()
+    assert ended.code == 2, ended.text
+    assert "'oblique' looks away" in ended.text
+
+
+def test_an_aircraft_attitude_that_the_log_does_not_have(mission):
+    mission.config["log"].setdefault("channels", {})["aircraft_attitude"] = "ATT[9]"
+    ended = mission.run()
+    assert ended.code == 6, ended.text
+    assert "log.channels.aircraft_attitude" in ended.text

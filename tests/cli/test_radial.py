@@ -1,0 +1,132 @@
+"""`unbend radial`, `compare`, `export` as a person meets them: eighty columns, numbers, codes."""
+
+from __future__ import annotations
+
+import csv
+
+import pytest
+
+from pipeline.report.accuracy import text_hash
+
+
+@pytest.fixture(autouse=True)
+def eighty_columns(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("LINES", "25")
+
+
+def longest(text: str) -> int:
+    return max(len(line.rstrip()) for line in text.splitlines())
+
+
+TWO_HEIGHTS = (
+    "radial", "--atmosphere", "us1976", "--camera-height", 3000, "--camera-height", 10000,
+    "--ground-height", 0, "--focal-px", 20000,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("command", ["export", "radial", "compare"])
+def test_help_with_an_example(unbend, command):
+    ended = unbend(command, "--help")
+    assert ended.code == 0
+    assert f"Example: unbend {command} " in ended.out
+    assert longest(ended.out) <= 80
+
+
+def test_radial_tables_in_a_terminal(unbend):
+    ended = unbend(*TWO_HEIGHTS)
+    assert ended.code == 0
+    assert longest(ended.out) <= 80
+    # K of the Manual, 2410 H / (H^2 - 6 H + 250) at 3 and 10 km
+    assert "camera 3000 m, ground 0 m: R at 45 deg" in ended.out
+    assert f"the Manual's formula {2410 * 3 / 241:.2f}" in ended.out
+    assert f"the Manual's formula {2410 * 10 / 290:.2f}" in ended.out
+    assert "20000.0" in ended.out  # f tan 45
+    assert "-0.0000" not in ended.out
+
+
+def test_radial_tables_as_csv(unbend, tmp_path):
+    out = tmp_path / "radial.csv"
+    ended = unbend(*TWO_HEIGHTS, "--csv", out, "--max-angle", 75, "--step", 15)
+    assert (ended.code, ended.out) == (0, "")
+    rows = list(csv.DictReader(out.read_text(encoding="utf-8").splitlines()))
+    assert len(rows) == 2 * 6
+    one = next(
+        row for row in rows if row["h_c_m"] == "10000.0" and float(row["nadir_angle_deg"]) > 74.0
+    )
+    # 61.778543 arcsec with the index of 0.589 um; Ciddor's at 0.55 um is 0.23 % more.
+    assert float(one["r_c_arcsec"]) == pytest.approx(61.778543 * 1.0023, rel=2e-4)
+    assert one["status"] == "ok"
+
+
+def test_without_a_principal_distance_there_are_no_pixels(unbend):
+    ended = unbend(*TWO_HEIGHTS[:-2])
+    assert ended.code == 0
+    assert "px" not in ended.out
+
+
+def test_a_ray_that_misses_says_so(unbend):
+    ended = unbend(*TWO_HEIGHTS, "--max-angle", 89)
+    assert ended.code == 0
+    assert "misses_ground" in ended.out
+    assert "nan" not in ended.out
+    assert longest(ended.out) <= 80
+
+
+def test_the_air_of_a_mission(unbend, baseline):
+    ended = unbend("radial", "--config", baseline.file, "--camera-height", 2800,
+                   "--ground-height", 300)  # fmt: skip
+    assert ended.code == 0, ended.text
+    standard = unbend("radial", "--atmosphere", "us1976", "--camera-height", 2800,
+                      "--ground-height", 300)  # fmt: skip
+    assert ended.out.splitlines()[0] != standard.out.splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "code"),
+    [
+        ((), "PROFILE-ARGUMENTS"),
+        (("--atmosphere", "us1976", "--config", "a.yaml"), "PROFILE-ARGUMENTS"),
+        (("--atmosphere", "us1967"), "ATMOSPHERE-NAME"),
+        (("--config", "nowhere.yaml"), "CONFIG-MISSING"),
+        (("--atmosphere", "us1976", "--max-angle", "90"), "RADIAL-ANGLE"),
+        (("--atmosphere", "us1976", "--max-angle", "nan"), "RADIAL-ANGLE"),
+        (("--atmosphere", "us1976", "--camera-height", "100"), "RADIAL-HEIGHTS"),
+        (("--atmosphere", "us1976", "--camera-height", "1e8"), "RAY-OUTSIDE-PROFILE"),
+        (("--atmosphere", "us1976", "--focal-px", "-1"), "RADIAL-FOCAL"),
+        (("--atmosphere", "us1976", "--radius", "nan"), "RAY-BAD-MEASUREMENT"),
+    ],
+    ids=str,
+)
+def test_a_table_that_does_not_exist(unbend, options, code):
+    ended = unbend("radial", "--camera-height", 3000, "--ground-height", 500, *options)
+    assert ended.code == 2
+    assert ended.err.startswith(f"{code}: ")
+    assert "to do: " in ended.err
+
+
+def test_compare_in_a_terminal(unbend):
+    ended = unbend("compare")
+    assert ended.code == 0
+    assert longest(ended.out) <= 80
+    for name in ("plane", "gyer1996", "s1974_quadratic", "bertram1966", "manual"):
+        assert f"\n{name} " in ended.out
+
+
+def test_compare_writes_page_and_picture(unbend, tmp_path):
+    ended = unbend("compare", "--atmosphere", "icao", "--out", tmp_path / "other.md")
+    assert ended.code == 0
+    text = (tmp_path / "other.md").read_text(encoding="utf-8")
+    assert "standard atmosphere icao" in text
+    assert "](other.png)" in text
+    assert text_hash(text).encode() in (tmp_path / "other.png").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("out", "code", "exit_code"),
+    [("no/page.md", "STORAGE-WRITE", 5), ("page.png", "PAGE-FORMAT", 2)],
+)
+def test_a_page_that_cannot_be_written(unbend, tmp_path, out, code, exit_code):
+    ended = unbend("compare", "--out", tmp_path / out)
+    assert ended.code == exit_code
+    assert ended.err.startswith(f"{code}: ")

@@ -1,0 +1,99 @@
+"""What a mission file says of slant ranges, and of the direction of the correction."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from pipeline.config import Mission, load_mission
+from pipeline.errors import ConfigError
+
+BASE: dict[str, Any] = {
+    "mission": {"name": "survey"},
+    "log": {"path": "a.bin"},
+    "observations": {"path": "o.parquet", "columns": {"distance_m": "range"}},
+    "cameras": {
+        "nadir": {
+            "width_px": 100, "height_px": 100, "f_px": 200.0, "cx_px": 50.0, "cy_px": 50.0,
+            "calibration": "laboratory",
+        },
+    },
+    "mount": {"nadir": {}},
+    "events": {"log": {"nadir": {"image": "n{n}"}}},
+    "ground": {"height": "from_distance"},
+    "output": {"path": "results"},
+}  # fmt: skip
+
+
+@pytest.fixture
+def load(tmp_path: Path):
+    def attempt(**changes: Any) -> Mission:
+        path = tmp_path / "mission.yaml"
+        path.write_text(yaml.safe_dump(copy.deepcopy(BASE) | changes), encoding="utf-8")
+        return load_mission(path)
+
+    return attempt
+
+
+def refused(load, **changes: Any) -> str:
+    with pytest.raises(ConfigError) as refusal:
+        load(**changes)
+    assert refusal.value.code == "CONFIG-INVALID"
+    return refusal.value.what
+
+
+def test_heights_from_distances_need_no_reference(load):
+    ground = load().ground
+    assert ground.from_distance
+    assert ground.reference == "msl"
+    assert (ground.column, ground.constant_m) == (None, None)
+    stated = load(ground={"height": "from_distance", "reference": "msl"}).ground
+    assert stated == ground
+
+
+@pytest.mark.parametrize("more", [{"reference": "ellipsoid"}, {"home_h_msl_m": 500.0}])
+def test_what_would_have_no_effect_is_refused(load, more):
+    assert "above mean sea level" in refused(load, ground={"height": "from_distance"} | more)
+
+
+def test_heights_from_distances_need_the_column(load):
+    words = refused(load, observations={"path": "o.parquet"})
+    assert "observations.columns.distance_m" in words
+
+
+@pytest.mark.parametrize("height", [450.0, 450, {"column": "h"}])
+def test_other_heights_keep_their_reference(load, height):
+    words = refused(load, ground={"height": height})
+    assert "ground.reference: is missing" in words
+    ground = load(ground={"height": height, "reference": "ellipsoid"}).ground
+    assert not ground.from_distance
+    assert (ground.column, ground.constant_m) == (
+        ("h", None) if isinstance(height, dict) else (None, 450.0)
+    )
+
+
+@pytest.mark.parametrize("height", ["from_distances", "range", {"distance": True}, [450.0], True])
+def test_another_word_for_it_is_refused(load, height):
+    with pytest.raises(ConfigError) as refusal:
+        load(ground={"height": height, "reference": "msl"})
+    assert "ground.height" in refusal.value.what
+
+
+def test_a_distance_may_stand_beside_heights(load):
+    mission = load(ground={"height": 450.0, "reference": "msl"})
+    assert mission.observations.columns.distance_m == "range"
+
+
+def test_the_direction(load):
+    assert load().refraction.direction == "remove"
+    assert load(refraction={"direction": "apply"}).refraction.direction == "apply"
+    assert "refraction.direction" in refused(load, refraction={"direction": "add"})
+
+
+def test_the_mission_survives_its_manifest(load):
+    mission = load(refraction={"direction": "apply"})
+    assert Mission.model_validate_json(mission.model_dump_json()) == mission

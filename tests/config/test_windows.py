@@ -1,0 +1,155 @@
+"""What a mission file says of windows and lenses, and what it may not say."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from pipeline.config import Mission, load_mission
+from pipeline.errors import ConfigError
+
+SCHEDULE = "standard_schedule"
+LENS = {
+    "reference": {"pressure_hpa": 950.0, "temperature_c": 20.0},
+    "dc_dp_px_per_hpa": 0.0084,
+    "dc_dt_px_per_k": -0.004,
+}
+
+
+def config(window: dict[str, Any] | None = None, **camera: Any) -> dict[str, Any]:
+    nadir: dict[str, Any] = {
+        "width_px": 14000, "height_px": 10600, "fx_px": 20000.0, "fy_px": 19990.0, "cx_px": 7000.0,
+        "cy_px": 5300.0, "calibration": "laboratory",
+    }  # fmt: skip
+    if window is not None:
+        nadir["window"] = window
+    return {
+        "mission": {"name": "survey"},
+        "log": {"path": "a.bin"},
+        "observations": {"path": "o.csv"},
+        "cameras": {"nadir": nadir | camera},
+        "mount": {"nadir": {}},
+        "events": {"log": {"nadir": {"image": "{index}"}}},
+        "ground": {"height": 200.0, "reference": "msl"},
+        "output": {"path": "out"},
+    }
+
+
+Load = Callable[[dict[str, Any]], Mission]
+
+
+@pytest.fixture
+def load(tmp_path: Path) -> Load:
+    def from_file(content: dict[str, Any]) -> Mission:
+        path = tmp_path / "mission.yaml"
+        path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+        return load_mission(path)
+
+    return from_file
+
+
+def refusal(load: Load, content: dict[str, Any]) -> str:
+    with pytest.raises(ConfigError, match="CONFIG-INVALID") as caught:
+        load(content)
+    return caught.value.what
+
+
+def test_a_plane_window_square_to_the_axis_is_meant(load):
+    window = load(config({"cabin": "log"})).cameras["nadir"].window.build()
+    assert (window.shape, window.frame, window.normal) == ("plane", "camera", (0.0, 0.0, 1.0))
+    assert window.in_calibration == "none"
+    assert window.cabin.source == "log"
+
+
+def test_constant_air_in_si(load):
+    air = {"pressure_hpa": 812.5, "temperature_c": 20.0, "relative_humidity": 0.3}
+    cabin = load(config({"cabin": air})).cameras["nadir"].window.build().cabin
+    assert (cabin.source, cabin.relative_humidity) == ("constant", 0.3)
+    assert (cabin.pressure_pa, cabin.temperature_k) == pytest.approx((81_250.0, 293.15))
+
+
+def test_a_normal_becomes_a_unit_vector(load):
+    given = {"cabin": SCHEDULE, "normal": [0.0, 3.0, 4.0], "in_calibration": "glass"}
+    window = load(config(given)).cameras["nadir"].window.build()
+    assert window.normal == pytest.approx((0.0, 0.6, 0.8))
+    assert (window.cabin.source, window.in_calibration) == (SCHEDULE, "glass")
+
+
+@pytest.mark.parametrize(
+    ("window", "word"),
+    [
+        ({}, "window.cabin: is missing"),
+        ({"cabin": None}, "window.cabin: is missing"),
+        ({"shape": "plane", "normal": [0.0, 0.1, 1.0]}, "window.cabin: is missing"),
+        ({"cabin": SCHEDULE, "normal": [0.0, 0.0, 0.0]}, "has no direction"),
+        ({"cabin": SCHEDULE, "normal": [0.0, 0.0, 0.0], "frame": "body"}, "has no direction"),
+        ({"cabin": SCHEDULE, "normal": [0.0, math.nan, 1.0]}, "finite number"),
+        ({"cabin": SCHEDULE, "normal": [0.0, 1.0]}, "at least 3"),
+        ({"cabin": SCHEDULE, "normal": [0.0, 1.0, 0.0]}, "a positive third component"),
+        ({"cabin": SCHEDULE, "normal": [0.0, 0.0, -1.0]}, "a positive third component"),
+        ({"cabin": SCHEDULE, "normal": [0.0, 0.0, -1.0], "frame": "body"}, "looks away"),
+        ({"shape": "spherical", "normal": [0.0, 0.0, 1.0]}, "has no normal"),
+        ({"shape": "spherical", "frame": "body"}, "has no frame"),
+    ],
+)
+def test_windows_that_cannot_be(load, window, word):
+    assert word in refusal(load, config(window))
+
+
+def test_a_window_of_the_aircraft_and_how_the_camera_sits_behind_it(load):
+    content = config({"cabin": SCHEDULE, "frame": "body", "normal": [1.0, 0.0, 0.0]})
+    # A camera that looks down does not see through a window in the nose ...
+    assert "looks away from what the camera sees" in refusal(load, content)
+    # ... one that looks ahead does, and which is moved by a stabilised mount only the log knows.
+    content["mount"]["nadir"] = {"pitch_deg": 45.0}
+    mission = load(content)
+    normal = mission.mount["nadir"].build().camera_from_body @ np.array(
+        mission.cameras["nadir"].window.build().normal
+    )
+    assert normal == pytest.approx([0.0, -math.sqrt(0.5), math.sqrt(0.5)], abs=1e-12)
+    content["mount"]["nadir"] = {}
+    content["log"]["channels"] = {"attitude": "ATT[1]", "aircraft_attitude": "ATT[0]"}
+    named = load(content).log.channels.named()
+    assert named["aircraft_attitude"].name == "ATT[0]"
+
+
+def test_a_dome_needs_cabin_air_only_for_the_lens(load):
+    bare = load(config({"shape": "spherical"})).cameras["nadir"]
+    assert bare.window.build().cabin is None
+    assert "give window.cabin" in refusal(
+        load, config({"shape": "spherical"}, principal_distance=LENS)
+    )
+    for window, lens, needed in (
+        (None, None, False),
+        (None, LENS, False),
+        ({"cabin": "log"}, None, True),
+        ({"cabin": SCHEDULE}, LENS, False),
+        ({"cabin": "log", "shape": "spherical"}, None, False),
+        ({"cabin": "log", "shape": "spherical"}, LENS, True),
+    ):
+        camera = load(config(window, **({"principal_distance": lens} if lens else {})))
+        assert camera.cameras["nadir"].needs_cabin_from_log is needed, (window, lens)
+
+
+def test_the_lens_in_si(load):
+    lens = load(config(principal_distance=LENS)).cameras["nadir"].lens()
+    assert lens.principal_distance_px == 19_990.0
+    assert (lens.reference_pressure_pa, lens.reference_temperature_k) == pytest.approx(
+        (95_000.0, 293.15)
+    )
+    assert (lens.px_per_pa, lens.px_per_k) == pytest.approx((8.4e-5, -0.004))
+    assert load(config()).cameras["nadir"].lens() is None
+
+
+@pytest.mark.parametrize("key", ["reference", "dc_dp_px_per_hpa", "dc_dt_px_per_k"])
+def test_a_lens_is_described_whole(load, key):
+    lens = copy.deepcopy(LENS)
+    del lens[key]
+    assert f"principal_distance.{key}: is missing" in refusal(load, config(principal_distance=lens))

@@ -1,0 +1,68 @@
+"""What a person reads of a run: what was done to the coordinates, and what they still hold."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from pipeline.report.words import headline, not_included
+
+PLANE = {"shape": "plane", "in_calibration": "none"}
+LENS = {"dc_dp_px_per_hpa": 0.006}
+
+
+def manifest(direction: str = "remove", count: int = 3, **cameras: dict) -> dict:
+    full = {n: {"window": None, "principal_distance": None} | c for n, c in cameras.items()}
+    some = {"count": count, "median": 0.3, "maximum": 1.2}
+    return {
+        "config": {"refraction": {"direction": direction}, "cameras": full},
+        "correction": {"shift_px": some, "shift_ground_m": some},
+        "observations": {"rows": 4},
+    }
+
+
+@pytest.mark.parametrize(("direction", "done"), [("remove", "corrected"), ("apply", "displaced")])
+def test_the_headline_says_what_was_done(direction, done):
+    assert headline(manifest(direction)).startswith(f"3 of 4 observations were {done}, by 0.3 px")
+    none = headline(manifest(direction, count=0))
+    assert none == f"None of the 4 observations could be {done}."
+
+
+def test_cameras_whose_lens_is_not_corrected_are_named():
+    lines = not_included(manifest(tail={"principal_distance": LENS}, nose={}, left={}))
+    assert lines[0].startswith("The principal distance of nose, left changes")
+    assert lines[0].endswith("not removed.")
+    assert "tail" not in " ".join(lines)
+
+
+@pytest.mark.parametrize(
+    ("window", "told"),
+    [
+        (PLANE, True),
+        (PLANE | {"in_calibration": "glass"}, False),
+        (PLANE | {"shape": "spherical"}, False),
+        (None, False),
+    ],
+)
+def test_glass_is_told_of_where_the_calibration_lacks_it(window, told):
+    text = " ".join(not_included(manifest(belly={"window": window, "principal_distance": LENS})))
+    assert ("The glass before belly" in text) == told
+    assert "Earth curvature" in text
+    assert "Switch the refraction correction off" in text
+
+
+def test_nothing_is_to_be_switched_off_where_refraction_was_put_in():
+    assert not_included(manifest("apply", belly={"principal_distance": LENS})) == []
+    (line,) = not_included(manifest("apply", belly={}))
+    assert line.endswith("not applied.")
+
+
+def test_the_report_of_a_run_holds_these_lines(baseline):
+    page = (baseline.output / "report.html").read_text(encoding="utf-8")
+    config = json.loads((baseline.output / "manifest.json").read_text(encoding="utf-8"))
+    lines = not_included(config)
+    assert len(lines) == 4
+    for line in lines:
+        assert f"<li>{line}</li>" in page
+    assert "What is not removed" in page
