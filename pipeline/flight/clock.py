@@ -50,6 +50,7 @@ _LEAP_GPS_NS = _LEAP_UTC_NS + _LEAP_SECONDS * NANOSECONDS_PER_SECOND - UNIX_NS_O
 # would be 31 years, 1e15 us of Unix time is the year 2001.
 UNIX_US_FROM = 10**15
 UNIX_NS_FROM = UNIX_US_FROM * 1000
+LAST_US = 1 << 52  # 142 years: a stamp beyond is damage, and below, nanoseconds fit into 64 bits
 
 BOOT_STEP_NS = NANOSECONDS_PER_SECOND  # loggers write records up to some ms out of order
 STRAY_ROWS = 4  # this many rows in a row can be one glitch; a power-up writes more
@@ -306,10 +307,16 @@ def along(from_ns: TimeArray, to_ns: TimeArray) -> Callable[[TimeArray], TimeArr
     array([ 99, 110, 122])
     """
     order = np.argsort(from_ns, kind="stable")
-    steady = np.maximum.accumulate(to_ns[order])
-    base_from, base_to = int(from_ns[order[0]]), int(steady[0])
-    at = (from_ns[order] - base_from).astype(np.float64)
-    ahead = (steady - base_to).astype(np.float64) - at
+    since, steady = from_ns[order], to_ns[order]
+    del order  # in long logs these are the peak of memory
+    np.maximum.accumulate(steady, out=steady)
+    base_from, base_to = int(since[0]), int(steady[0])
+    since -= base_from
+    steady -= base_to
+    at: Array = since.astype(np.float64)
+    ahead: Array = steady.astype(np.float64)
+    ahead -= at
+    del since, steady
 
     def mapped(time_ns: TimeArray) -> TimeArray:
         since = time_ns - base_from

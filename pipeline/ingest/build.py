@@ -15,7 +15,6 @@ from pipeline.ingest.fields import MessageMap
 from pipeline.ingest.frames import in_blocks, positive_scalar, quaternion_of_euler
 from pipeline.ledger import Entry, Kind, Ledger
 
-BLOCK = 65_536  # rows
 LOWEST_FIX = 3  # 3D; both GPS_FIX_TYPE of MAVLink and GPS.Status of ArduPilot
 
 
@@ -82,13 +81,14 @@ def _with_fix(rows: Rows, ledger: Ledger) -> Rows:
     if "fix" in rows.columns:
         good &= rows.columns["fix"] >= LOWEST_FIX
     dropped = int(np.count_nonzero(~good))
-    if dropped:
-        ledger.note(
-            "POSITION-NO-FIX",
-            f"{dropped} of {len(rows)} rows have no fix and are not used",
-            where=rows.name,
-            count=dropped,
-        )
+    if not dropped:
+        return rows
+    ledger.note(
+        "POSITION-NO-FIX",
+        f"{dropped} of {len(rows)} rows have no fix and are not used",
+        where=rows.name,
+        count=dropped,
+    )
     return rows.take(good)
 
 
@@ -146,15 +146,19 @@ def _repeats(rows: Rows) -> NDArray[np.bool_]:
 
 
 def _attitude(columns: dict[str, Array]) -> dict[str, Array]:
+    """Euler angles or any quaternion -> unit quaternions, in the memory of the columns."""
     if "roll_rad" in columns:
-        angles = [columns.pop(f"{name}_rad") for name in ("roll", "pitch", "yaw")]
-        q = np.empty((angles[0].shape[0], 4))
-        for begin in range(0, q.shape[0], BLOCK):  # at once it would take 150 bytes a row
-            block = slice(begin, begin + BLOCK)
-            q[block] = quaternion_of_euler(*(angle[block] for angle in angles))
+        parts = [columns.pop(f"{name}_rad") for name in ("roll", "pitch", "yaw")]
+        parts.append(np.empty(parts[0].shape))
+        in_blocks(_of_euler, parts)
     else:
-        q = in_blocks(positive_scalar, [columns.pop(f"q_{axis}") for axis in "wxyz"])
-    return columns | {f"q_{axis}": q[:, k] for k, axis in enumerate("wxyz")}
+        parts = [columns.pop(f"q_{axis}") for axis in "wxyz"]
+        in_blocks(positive_scalar, parts)
+    return columns | dict(zip(("q_w", "q_x", "q_y", "q_z"), parts, strict=True))
+
+
+def _of_euler(angles: Array) -> Array:
+    return quaternion_of_euler(*angles.T[:3])
 
 
 def _event(columns: dict[str, Array], n: int) -> dict[str, Array]:

@@ -14,7 +14,7 @@ from pipeline.ingest.base import Contents, Table, report_damage
 from pipeline.ingest.dataflash_channels import channels_of, wanted
 from pipeline.ingest.dataflash_columns import Decoded, decode
 from pipeline.ingest.dataflash_fields import instance_of
-from pipeline.ingest.dataflash_records import FMT_START, Walk, walk
+from pipeline.ingest.dataflash_records import FMT_START, Walk, Walker, walk
 from pipeline.ingest.dataflash_time import Clock, clock_of, stamps, timeline
 from pipeline.ingest.window import window_on
 from pipeline.ledger import Ledger
@@ -33,15 +33,14 @@ class DataFlash:
 
     def read(self, path: Path, ledger: Ledger) -> Contents:
         with window_on(path) as data:
-            found = walk(data)
-            line = timeline(stamps(data, found), ledger)
-            counts = counts_of(found)
-            found = found.only(wanted())  # 6 bytes a record, of all 300 MB of a log of 2 GB
+            walker = Walker(data, wanted())
+            line = timeline(stamps(data, walker), ledger)
+            found = walker.found()
             tables = timed_only(decode(data, found, wanted()))
         _report_damage(found, path, ledger)
         clock = clock_of(line, tables, ledger)
         return Contents(
-            counts,
+            counts_of(found),
             channels_of(tables, clock, ledger),
             found.bad_bytes,
             0,  # records carry no sequence number
@@ -65,7 +64,7 @@ def read_tables(path: Path, names: Collection[str] | None = None) -> dict[str, T
     Returns the columns of each type, bit-equal with what pymavlink's DFReader gives.
     """
     with window_on(path) as data:
-        found = walk(data)
+        found = walk(data, names)
         chosen = counts_of(found) if names is None else names
         decoded = decode(data, found, dict.fromkeys(chosen, _every_field))
     return {name: one.columns for name, one in decoded.items()}
@@ -74,7 +73,7 @@ def read_tables(path: Path, names: Collection[str] | None = None) -> dict[str, T
 def counts_of(found: Walk) -> dict[str, int]:
     """How many messages of each type there are."""
     result: Counter[str] = Counter()
-    for form, count in zip(found.definitions, found.counts().tolist(), strict=True):
+    for form, count in zip(found.definitions, found.counts.tolist(), strict=True):
         if count:
             result[form.name] += count
     return dict(result)
@@ -99,7 +98,7 @@ def _every_field(_: str) -> bool:
 def _table(path: Path, clock: Clock, name: str, instance: str | None) -> Table:
     """The messages of one type, for `Log.message`."""
     with window_on(path) as data:
-        decoded = decode(data, walk(data), {name: _every_field})
+        decoded = decode(data, walk(data, {name}), {name: _every_field})
     return stamped(decoded[name], clock, instance) if name in decoded else {}
 
 

@@ -44,7 +44,7 @@ def decode(
     Returns those that the log has. Memory: the columns, and a block of the file. Types of
     one name that differ in their fields are one table; what a row does not have is NaN or empty.
     """
-    counts = found.counts()
+    counts = found.counts
     tables = {
         number: _Filling(form, int(counts[number]), wanted[form.name])
         for number, form in enumerate(found.definitions)

@@ -9,7 +9,7 @@ nothing has to be walked.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -58,12 +58,14 @@ class Part:
 class Walk:
     """Where the records are, in the order of the file.
 
-    ``bad_bytes`` lie outside all records, the first at ``first_bad``; ``cut_bytes`` are a last
-    record that the end of the file cuts off; ``refused`` FMT records that make no sense.
+    ``parts`` have the wanted records, ``counts`` (n,) are of all, by definition. ``bad_bytes`` lie
+    outside all records, the first at ``first_bad``; ``cut_bytes`` are a last record that the end of
+    the file cuts off; ``refused`` FMT records that make no sense.
     """
 
     definitions: tuple[Definition, ...]
     parts: tuple[Part, ...]
+    counts: NDArray[np.int64]
     bad_bytes: int
     first_bad: int
     cut_bytes: int
@@ -80,18 +82,6 @@ class Walk:
         """The definition of every record, (n,)."""
         numbers = [part.numbers for part in self.parts]
         return np.concatenate(numbers) if numbers else np.empty(0, np.uint16)
-
-    def only(self, names: Collection[str]) -> Walk:
-        """The records of some message types alone: less memory while they are decoded."""
-        mask = np.array([form.name in names for form in self.definitions], np.bool_)
-        return replace(self, parts=tuple(part.only(mask) for part in self.parts))
-
-    def counts(self) -> NDArray[np.int64]:
-        """How many records each definition has."""
-        total = np.zeros(len(self.definitions), np.int64)
-        for part in self.parts:
-            total += np.bincount(part.numbers, minlength=len(self.definitions))
-        return total
 
 
 @dataclass
@@ -113,11 +103,18 @@ class _Block:
         self.breaks = np.append(np.flatnonzero(~links), self.places.shape[0] - 1)
 
 
-class _Walker:
-    """The state of one walk: which type has which length now, and what was found."""
+class Walker:
+    """One walk: which type has which length now, and what was found.
 
-    def __init__(self, data: Window) -> None:
+    Parameters
+    ----------
+    data : the file.
+    names : the message types whose records are wanted; all where it is None.
+    """
+
+    def __init__(self, data: Window, names: Collection[str] | None = None) -> None:
         self.data = data
+        self.names = names
         self.size = data.size
         self.definitions = [builtin()]
         self.number_of = np.zeros(256, np.uint16)
@@ -125,18 +122,38 @@ class _Walker:
         self.length_of[FMT_TYPE] = FMT_LENGTH
         self.seen: dict[bytes, int] = {}
         self.refused: list[str] = []
-        self.parts: list[Part] = []
+        self.wanted: list[Part] = []
+        self.total = np.zeros(1, np.int64)
         self.runs: list[tuple[NDArray[np.int64], NDArray[np.uint16]]] = []
         self.bad_bytes, self.first_bad, self.cut_bytes = 0, -1, 0
 
-    def walk(self) -> None:
+    def parts(self) -> Iterator[Part]:
+        """All records, a part at a time, while its bytes are at hand; the wanted ones are kept."""
         at = 0
         while at + HEADER <= self.size:
             at = self._walk_block(at)
-            self._flush(keep=1)  # damage at a block's beginning may cost the record before it
+            yield from self._flush(keep=1)  # damage where a block begins may cost the one before
         if at < self.size:
             self._resume(at)
-        self._flush(keep=0)
+        yield from self._flush(keep=0)
+
+    def found(self) -> Walk:
+        """What was found, when all parts have been seen."""
+        return Walk(
+            tuple(self.definitions), tuple(self.wanted), self._totals(), self.bad_bytes,
+            self.first_bad, self.cut_bytes, tuple(self.refused),
+        )  # fmt: skip
+
+    def _totals(self) -> NDArray[np.int64]:
+        missing = len(self.definitions) - self.total.shape[0]
+        return np.append(self.total, np.zeros(missing, np.int64)) if missing else self.total
+
+    def _enter_part(self, part: Part) -> None:
+        self.total = self._totals() + np.bincount(part.numbers, minlength=len(self.definitions))
+        if self.names is not None:
+            names = self.names
+            part = part.only(np.array([form.name in names for form in self.definitions], np.bool_))
+        self.wanted.append(part)
 
     def _walk_block(self, at: int) -> int:
         """Past the records that begin in the block at a place: where the next one should be."""
@@ -201,7 +218,7 @@ class _Walker:
         known = self.number_of[self.definitions[number].type_id] == number
         return None if known else number
 
-    def _flush(self, keep: int) -> None:
+    def _flush(self, keep: int) -> Iterator[Part]:
         """Pack the runs into a part; the last record may stay, to be taken back."""
         if not self.runs:
             return
@@ -213,7 +230,9 @@ class _Walker:
         for some, which in zip(np.split(places, holes), np.split(numbers, holes), strict=True):
             if some.size:
                 base = int(some[0])
-                self.parts.append(Part(base, (some - base).astype(np.uint32), which))
+                part = Part(base, (some - base).astype(np.uint32), which)
+                yield part
+                self._enter_part(part)
 
     def _resume(self, at: int) -> int:
         """Past the damage at a byte where no record begins: where to go on."""
@@ -288,26 +307,21 @@ class _Walker:
         return len(header) < HEADER or self._length(header[2:]) > self.size - at
 
 
-def walk(data: Window) -> Walk:
+def walk(data: Window, names: Collection[str] | None = None) -> Walk:
     """Find every whole record of a DataFlash log.
 
     Parameters
     ----------
     data : the file.
+    names : the message types whose places are wanted; all where it is None.
 
     Returns where the records are and what lies between them. A flipped type byte costs that one
     record; after any damage the walk goes on where a chain of three records begins.
     """
-    walker = _Walker(data)
-    walker.walk()
-    return Walk(
-        tuple(walker.definitions),
-        tuple(walker.parts),
-        walker.bad_bytes,
-        walker.first_bad,
-        walker.cut_bytes,
-        tuple(walker.refused),
-    )
+    walker = Walker(data, names)
+    for _ in walker.parts():
+        pass
+    return walker.found()
 
 
 def records(

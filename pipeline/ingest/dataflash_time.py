@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import (
     BOOT_STEP_NS,
+    LAST_US,
     SECONDS_PER_WEEK,
     Offset,
     fit_offset,
@@ -26,16 +27,13 @@ from pipeline.ingest.build import LOWEST_FIX
 from pipeline.ingest.dataflash_columns import Decoded
 from pipeline.ingest.dataflash_fields import instance_of
 from pipeline.ingest.dataflash_formats import HEADER
-from pipeline.ingest.dataflash_records import Walk
+from pipeline.ingest.dataflash_records import Walker
 from pipeline.ingest.window import Window
 from pipeline.ledger import Ledger
 
 RECEIVERS = ("GPS", "GPS2")
 FIRST_WEEK = 1_773  # 2013-12-29: no log with the field TimeUS is older
 _WEEKS = 1 << 13  # until 2137: the fit is by the median, which more than half of the rows decide
-
-# Stamps beyond 2^52 us (142 years since boot) are damage; cut off so that ns fit into int64 too.
-_LONGEST_US = 1 << 52
 
 Stamps = tuple[NDArray[np.int64], TimeArray]
 """Places of records in the file, rising, and their times since boot [us]."""
@@ -44,15 +42,15 @@ Stamps = tuple[NDArray[np.int64], TimeArray]
 def microseconds(raw: NDArray[Any]) -> TimeArray:
     """Time fields as int64 [us]; what no log can last is cut off at 142 years."""
     if raw.dtype.kind == "f":
-        return np.asarray(np.nan_to_num(raw, nan=_LONGEST_US).clip(0, _LONGEST_US), np.int64)
-    cut: NDArray[np.uint64] = np.minimum(raw, np.uint64(_LONGEST_US), dtype=np.uint64)
+        return np.asarray(np.nan_to_num(raw, nan=LAST_US).clip(0, LAST_US), np.int64)
+    cut: NDArray[np.uint64] = np.minimum(raw, np.uint64(LAST_US), dtype=np.uint64)
     return cut.view(np.int64)
 
 
-def stamps(data: Window, found: Walk) -> Iterator[Stamps]:
-    """The times of all records that begin with one, a block of the file at a time."""
-    timed = np.array([form.timed for form in found.definitions], np.bool_)
-    for part in found.parts:
+def stamps(data: Window, walker: Walker) -> Iterator[Stamps]:
+    """The times of all records that begin with one, as they are walked through."""
+    for part in walker.parts():
+        timed = np.array([form.timed for form in walker.definitions], np.bool_)
         at = part.at[timed[part.numbers]].astype(np.int64)
         if at.size:
             raw = data.array(part.base, part.end())

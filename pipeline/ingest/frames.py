@@ -27,16 +27,16 @@ def positive_scalar(q: Array) -> Array:
     return np.where(unit[:, :1] < 0.0, -unit, unit)
 
 
-def in_blocks(rotation: Callable[[Array], Array], parts: Sequence[Array]) -> Array:
-    """A function of (n, 4) quaternions applied to four columns, some rows at a time.
+def in_blocks(rotation: Callable[[Array], Array], parts: Sequence[Array]) -> None:
+    """Put a function of (n, 4) numbers, which gives quaternions, in the place of four columns.
 
-    At once the columns and what a rotation needs on the way would be the peak of memory.
+    Some rows at a time: at once, what a rotation needs on the way would be the peak of memory.
     """
-    q = np.empty((parts[0].shape[0], 4))
-    for begin in range(0, q.shape[0], BLOCK):
+    for begin in range(0, parts[0].shape[0], BLOCK):
         block = slice(begin, begin + BLOCK)
-        q[block] = rotation(np.stack([part[block] for part in parts], axis=1))
-    return q
+        q = rotation(np.stack([part[block] for part in parts], axis=1))
+        for part, column in zip(parts, q.T, strict=True):
+            part[block] = column
 
 
 def quaternion_of_euler(roll_rad: Array, pitch_rad: Array, yaw_rad: Array) -> Array:

@@ -10,31 +10,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.flight.channels import Channel, Source
-from pipeline.flight.clock import UNIX_NS_FROM, UNIX_US_FROM
+from pipeline.flight.channels import Channel
 from pipeline.ingest.base import Contents, Table
-from pipeline.ingest.build import Rows, channel_of
+from pipeline.ingest.build import channel_of
 from pipeline.ingest.cdr_schema import SchemaError
-from pipeline.ingest.fields import extract
 from pipeline.ingest.mcap_counts import Counts
 from pipeline.ingest.mcap_fields import (
-    CAPTURE_UTC_FIELD,
-    LABELS,
     PLAIN_JSON,
     SCHEMAS,
-    UTC_FIELD,
-    finished,
     known_name,
 )
 from pipeline.ingest.mcap_messages import CHANNEL, MAGIC, SCHEMA, Damage, Definition, Messages
 from pipeline.ingest.mcap_records import walk
-from pipeline.ingest.mcap_time import BootClock, stamps
+from pipeline.ingest.mcap_samples import STAMP, Samples, own_times, times_of
+from pipeline.ingest.mcap_time import BootClock
 from pipeline.ingest.mcap_topics import (
-    STAMP,
     CdrDecoder,
-    Columns,
     Decoder,
     Topic,
     json_decoder,
@@ -68,8 +60,13 @@ class Mcap:
         if not reader.through(path):
             return Contents({}, (), path.stat().st_size, 0, 1, "")
         lost = reader.report()
-        clock = _boot_clock(reader, ledger)
-        channels, words = _channels(reader, clock, ledger)
+        samples = [topic.samples for topic in reader.topics.values() if topic.samples is not None]
+        samples = [each for each in samples if len(each.stamp_ns)]
+        readings = [each.clock_readings() for each in samples]
+        clock = BootClock([pair for pair in readings if pair is not None], ledger)
+        reader.topics.clear()
+        reader.topic_of.clear()
+        channels, words = _channels(samples, clock, ledger)
         return Contents(
             reader.counts.by_name(reader.names),
             tuple(channels),
@@ -77,7 +74,7 @@ class Mcap:
             lost,
             clock.boots,
             words,
-            partial(_table, path),
+            partial(_table, path, clock),
         )
 
 
@@ -170,7 +167,8 @@ class _Reader:
             )
             return
         if decoder is not None:
-            topic = Topic(channel.topic, name, spec, decoder, self.only is None)
+            samples = Samples(channel.topic, name, spec) if self.only is None else None
+            topic = Topic(channel.topic, name, spec, decoder, samples)
             self.topic_of[channel.id] = self.topics.setdefault((channel.topic, name), topic)
 
     def _decoder(self, channel: Any, schema: Any, wanted: frozenset[str] | None) -> Decoder | None:
@@ -238,42 +236,16 @@ def _schema_errors() -> tuple[type[Exception], ...]:
     return (McapError, DecodeError, *_SCHEMA_ERRORS)
 
 
-def _boot_clock(reader: _Reader, ledger: Ledger) -> BootClock:
-    """The clock of a PX4 vehicle, where messages of the log count their time from boot."""
-    readings = []
-    for topic in reader.topics.values():
-        parts = [columns for columns, _ in topic.parts if UTC_FIELD in columns]
-        if parts and topic.spec.position:
-            utc_us = np.concatenate([part[UTC_FIELD] for part in parts])
-            boot = [stamps(part, topic.spec.time_field) for part in parts]
-            if any(from_boot for _, from_boot in boot):
-                utc_ns = np.minimum(utc_us, 1 << 52).astype(np.int64) * 1000
-                readings.append((utc_ns, np.concatenate([time_ns for time_ns, _ in boot])))
-    return BootClock(readings, ledger)
-
-
-def _channels(reader: _Reader, clock: BootClock, ledger: Ledger) -> tuple[list[Channel], str]:
+def _channels(
+    samples: list[Samples], clock: BootClock, ledger: Ledger
+) -> tuple[list[Channel], str]:
     channels, without = [], 0
-    from_boot = False
-    for topic in reader.topics.values():
-        columns, log_ns = topic.whole()
-        if not log_ns.shape[0]:
-            continue
-        time_ns, boot, since_boot, unstamped = _times(topic, columns, log_ns, clock, ledger)
-        from_boot |= since_boot
+    from_boot = any(each.since_boot for each in samples)
+    while samples:  # each is let go when its channel is made
+        each = samples.pop(0)
+        rows, unstamped = each.rows(clock, ledger)
         without += unstamped
-        spec = topic.spec
-        rows = Rows(
-            topic.name,
-            Source(topic.schema),
-            # In the order of the file, never of log_time: a recorder whose clock was set back
-            # would shuffle two parts of the flight into each other.
-            time_ns,
-            boot,
-            finished(topic.schema, extract(_numbers(columns), spec.columns)),
-            _labels(columns) if spec.event else {},
-        )
-        channel = channel_of(rows, spec, ledger)
+        channel = channel_of(rows, each.spec, ledger)
         if channel is not None:
             channels.append(channel)
     words = "header.stamp of the messages"
@@ -286,68 +258,21 @@ def _channels(reader: _Reader, clock: BootClock, ledger: Ledger) -> tuple[list[C
     return channels, words
 
 
-def _numbers(columns: Columns) -> Columns:
-    return {name: column for name, column in columns.items() if column.dtype.kind in "biuf"}
-
-
-def _labels(columns: Columns) -> dict[str, tuple[str, ...]]:
-    labels = {}
-    for name, paths in LABELS.items():
-        path = next((path for path in paths.split() if path in columns), None)
-        if path is not None:
-            labels[name] = tuple(columns[path].tolist())
-    return labels
-
-
-def _times(
-    topic: Topic, columns: Columns, log_ns: NDArray[np.int64], clock: BootClock, ledger: Ledger
-) -> tuple[NDArray[np.int64], NDArray[np.int16], bool, int]:
-    """UTC [ns] and boot; whether the stamps count from boot; how many messages have none."""
-    boot = np.zeros(log_ns.shape, np.int16)
-    stamp_ns, since_boot = columns.get(STAMP, np.zeros(0, np.int64)), False
-    if STAMP not in columns and columns:
-        stamp_ns, since_boot = stamps(columns, topic.spec.time_field)
-    if not stamp_ns.shape[0]:
-        stamp_ns = np.zeros(log_ns.shape, np.int64)
-    if since_boot:
-        time_ns, boot = clock.utc(stamp_ns, log_ns, topic.name)
-        own = columns.get(CAPTURE_UTC_FIELD)
-        if own is not None:
-            told = own > UNIX_US_FROM
-            own_ns = np.minimum(own, 1 << 52).astype(np.int64) * 1000
-            time_ns = np.where(told, own_ns, time_ns)
-        return time_ns, boot, True, 0
-    none = stamp_ns == 0
-    count = int(np.count_nonzero(none))
-    if count:
-        ledger.fallback(
-            "TIME-LOG-TIME",
-            f"{count} messages have no header.stamp: the recorder's time is used",
-            where=topic.name,
-            count=count,
-        )
-    time_ns = np.where(none, log_ns, stamp_ns)
-    if bool(np.any(time_ns < UNIX_NS_FROM)):
-        ledger.fallback(
-            "TIME-NO-UTC",
-            "time stamps before 2001 are no UTC (simulated time?): events in this log can be "
-            "used, matching by UTC is impossible",
-            where=topic.name,
-        )
-    return time_ns, boot, False, count
-
-
-def _table(path: Path, name: str, instance: str | None) -> Table:
+def _table(path: Path, fitted: BootClock, name: str, instance: str | None) -> Table:
     """All messages of a topic with the recorder's time and their fields as sent."""
     reader = _Reader(Ledger(), path.name, only=name)
     if instance is not None or not reader.through(path):
         return {}
+    clock = BootClock((), reader.ledger)
+    clock.fits = fitted.fits
     for topic in reader.topics.values():
         columns, log_ns = topic.whole()
         if not log_ns.shape[0]:
             continue
-        clock = _boot_clock(reader, reader.ledger)
-        time_ns, boot, _, _ = _times(topic, columns, log_ns, clock, reader.ledger)
+        stamp_ns, since_boot = own_times(columns, topic.spec.time_field, log_ns.shape[0])
+        time_ns, boot, _ = times_of(
+            stamp_ns, log_ns, clock, reader.ledger, name, since_boot=since_boot
+        )
         columns.pop(STAMP, None)
         table: Table = {"time_ns": time_ns, "boot": boot, "log_time_ns": log_ns}
         return table | columns

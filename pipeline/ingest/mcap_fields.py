@@ -232,10 +232,13 @@ def finished(schema: str, columns: Mapping[str, Array]) -> dict[str, Array]:
     if schema.endswith("/GimbalDeviceAttitudeStatus") and "flags" in result:
         result = north_only(result)
     if "ros_w" in result:
-        q = in_blocks(ned_frd_of_enu_flu, [result.pop(f"ros_{axis}") for axis in "wxyz"])
+        q = [result.pop(f"ros_{axis}") for axis in "wxyz"]
+        in_blocks(ned_frd_of_enu_flu, q)
         if "covariance_0" in result:
-            q[result.pop("covariance_0") == -1.0] = np.nan
-        result |= {f"q_{axis}": q[:, k] for k, axis in enumerate("wxyz")}
+            unknown = result.pop("covariance_0") == -1.0
+            for part in q:
+                part[unknown] = np.nan
+        result |= {f"q_{axis}": part for axis, part in zip("wxyz", q, strict=True)}
     if "status" in result:
         result["fix"] = np.where(result.pop("status") >= 0.0, float(LOWEST_FIX), 0.0)
     if "covariance_type" in result:

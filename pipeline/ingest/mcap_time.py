@@ -11,11 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.flight.channels import TimeArray
-from pipeline.flight.clock import UNIX_US_FROM, Offset, boots_of, fit_offset, fresh, report_fit
+from pipeline.flight.clock import (
+    LAST_US,
+    UNIX_US_FROM,
+    Offset,
+    boots_of,
+    fit_offset,
+    fresh,
+    report_fit,
+)
 from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND
 
-_LAST_US = 1 << 52  # stamps beyond are damage; below, nanoseconds fit into 64 bits
 _LAST_NS = 2**63 - 1
 _ISO = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d+))?(Z|[+-]\d\d:\d\d)?")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -90,7 +97,7 @@ def stamps(columns: Columns, field: str) -> tuple[TimeArray, bool]:
         time_ns = whole * NANOSECONDS_PER_SECOND + np.asarray(part).astype(np.int64)
         return np.asarray(time_ns, np.int64), False
     if field in columns and columns[field].dtype.kind in "iu":
-        raw = np.minimum(columns[field].astype(np.uint64), np.uint64(_LAST_US)).astype(np.int64)
+        raw = np.minimum(columns[field].astype(np.uint64), np.uint64(LAST_US)).astype(np.int64)
         return raw * 1000, bool(np.any((raw > 0) & (raw < UNIX_US_FROM)))
     n = next((column.shape[0] for column in columns.values()), 0)
     return np.zeros(n, np.int64), False

@@ -15,10 +15,10 @@ from pipeline.ingest.cdr_schema import steps_of
 from pipeline.ingest.fields import MessageMap
 from pipeline.ingest.mcap_fields import CAPTURE_UTC_FIELD, LABELS, UTC_FIELD
 from pipeline.ingest.mcap_messages import Messages
+from pipeline.ingest.mcap_samples import STAMP, Samples
 from pipeline.ingest.mcap_time import stamp_of
 
 Columns = dict[str, NDArray[Any]]
-STAMP = "stamp_ns"  # the column in which a decoder of objects puts the time it found
 MAX_ARRAY = 64  # elements of an array that a table spreads over columns
 
 
@@ -32,16 +32,16 @@ class Decoder(Protocol):
 
 @dataclass
 class Topic:
-    """A topic that is read: its decoder, and its messages as decoded so far.
+    """A topic that is read: its decoder, and where the messages go.
 
-    With ``own_time_only`` the recorder's time is kept only where messages have none of their own.
+    With ``samples`` they become a channel, without the ``parts`` of a table.
     """
 
     name: str
     schema: str
     spec: MessageMap
     decoder: Decoder
-    own_time_only: bool
+    samples: Samples | None
     parts: list[tuple[Columns, NDArray[np.int64]]] = field(default_factory=list)
     failed: int = 0
 
@@ -49,15 +49,16 @@ class Topic:
         """Decode some of these messages."""
         done, columns = self.decoder(messages, rows)
         self.failed += rows.shape[0] - len(done)
-        if len(done):
-            log_ns = messages.log_time[rows[done]]
-            seconds = columns.get(f"{self.spec.time_field}.sec")
-            if self.own_time_only and seconds is not None and bool(seconds.all()):
-                log_ns = np.broadcast_to(np.int64(0), log_ns.shape)  # nobody will ask: no memory
+        if not len(done):
+            return
+        log_ns = messages.log_time[rows[done]]
+        if self.samples is not None:
+            self.samples.add(columns, log_ns)
+        else:
             self.parts.append((columns, log_ns))
 
     def whole(self) -> tuple[Columns, NDArray[np.int64]]:
-        """All messages so far as columns, and the recorder's time [ns]; they are handed over."""
+        """The table as columns, and the recorder's time [ns]; they are handed over."""
         parts, self.parts = self.parts, []
         if not parts:
             return {}, np.empty(0, np.int64)

@@ -7,15 +7,27 @@ only to place messages without a time of their own among those that have one.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.flight.channels import TimeArray
-from pipeline.flight.clock import along, boots_of, fit_offset, report_fit, stray_times
+from pipeline.flight.clock import (
+    LAST_US,
+    STRAY_ROWS,
+    UNIX_US_FROM,
+    along,
+    boots_of,
+    fit_offset,
+    report_fit,
+    stray_times,
+)
+from pipeline.ingest.store import Store
 from pipeline.ledger import Ledger
+from pipeline.units import NANOSECONDS_PER_SECOND
 
 Key = tuple[int, int]
 
@@ -27,9 +39,85 @@ ROUND_US = (1 << 32) * MICROSECOND  # 71.6 minutes: one of microseconds
 NEAR_NS = 60 * 1_000_000_000
 
 
+# How much of a clock is kept: a message without a time of its own is placed between two samples.
+# The link shifts it by 55 ms to 2 s (p5 to p95 in real logs), which more samples would not mend.
+SAMPLE_MS = 50
+DELAY_US = 10_000
+STEADY_MS = 1000
+
+_READING = np.dtype(
+    [("at", "i8"), ("host_us", "i8"), ("source", "u2"), ("boot_ms", "u4"), ("unix_us", "u8")]
+)
+_KINDS = {"at": "i8", "source": "u2", "host_ns": "i8", "boot_ns": "i8", "utc_ns": "i8"}
+
+
+class Sampler:
+    """What the clocks of the senders show, taken from messages while a log is scanned.
+
+    Each sender's clock is looked at every `SAMPLE_MS`; every `STEADY_MS` while the ground station's
+    clock stays as far behind it within `DELAY_US`; and at all messages with UTC.
+    """
+
+    def __init__(self) -> None:
+        self.rows = Store(_READING)
+
+    def take(self, timed: Sequence[NDArray[Any]]) -> None:
+        """Look at messages with ``time_boot_ms``, the next ones of the file."""
+        if not timed:
+            return
+        rows = np.zeros(sum(part.shape[0] for part in timed), _READING)
+        done = 0
+        for part in timed:
+            piece = rows[done : done + part.shape[0]]
+            for name in ("at", "host_us", "source"):
+                piece[name] = part[name]
+            piece["boot_ms"] = part["records"]["time_boot_ms"]
+            if "time_unix_usec" in (part["records"].dtype.names or ()):
+                piece["unix_us"] = part["records"]["time_unix_usec"]
+            done += part.shape[0]
+        kept = _telling(rows[np.lexsort((rows["at"], rows["source"]))])
+        self.rows.add(kept[np.argsort(kept["at"], kind="stable")])
+
+    def readings(self, systems: Set[int]) -> Readings | None:
+        """What was taken from senders of these systems."""
+        columns = {name: Store(kind) for name, kind in _KINDS.items()}
+        for block in self.rows.drained():
+            rows = block[np.isin(block["source"] >> 8, sorted(systems))]
+            unix_us = np.minimum(rows["unix_us"], LAST_US).astype(np.int64)
+            columns["at"].add(rows["at"])
+            columns["source"].add(rows["source"])
+            columns["host_ns"].add(rows["host_us"] * MICROSECOND)
+            columns["boot_ns"].add(rows["boot_ms"].astype(np.int64) * MILLISECOND)
+            columns["utc_ns"].add(np.where(unix_us > UNIX_US_FROM, unix_us * MICROSECOND, 0))
+        if not len(columns["at"]):
+            return None
+        return Readings(**{name: store.whole() for name, store in columns.items()})
+
+
+def _telling(rows: NDArray[np.void]) -> NDArray[np.void]:
+    """The samples to keep, of rows sorted by sender."""
+    host_ms = rows["host_us"] // 1000
+    first = _changes(rows["source"]) | _changes(rows["boot_ms"] // SAMPLE_MS)
+    rows = rows[first | _changes(host_ms // SAMPLE_MS) | (rows["unix_us"] > 0)]
+    boot_ms = rows["boot_ms"].astype(np.int64)
+    delay = (rows["host_us"] - boot_ms * 1000) // DELAY_US
+    jumps = _changes(rows["source"])
+    jumps[1:] |= np.abs(np.diff(boot_ms)) > STEADY_MS
+    changed = _changes(delay) | _changes(boot_ms // STEADY_MS)
+    keep = changed | np.append(changed[1:], True) | (rows["unix_us"] > 0)
+    for row in np.flatnonzero(jumps).tolist():  # whether it is a glitch, their number tells
+        keep[max(row - STRAY_ROWS - 1, 0) : row + STRAY_ROWS + 1] = True
+    return np.asarray(rows[keep])
+
+
+def _changes(column: NDArray[Any]) -> NDArray[np.bool_]:
+    """Where a value is not that of the row before."""
+    return np.append(True, column[1:] != column[:-1])
+
+
 @dataclass(frozen=True)
 class Readings:
-    """Messages with a time since boot, (n,) in the order of the file.
+    """What clocks of senders showed, (n,) in the order of the file.
 
     ``at`` byte offset; ``source`` system times 256 plus component; ``host_ns`` the ground
     station's clock; ``boot_ns`` since boot; ``utc_ns`` or 0.
@@ -50,18 +138,21 @@ class Readings:
 
 @dataclass(frozen=True)
 class _Sender:
-    """One sender's readings in the order of the log.
+    """One sender's clock.
 
-    ``boot`` (n,) from 0; ``offsets`` UTC minus time since boot [ns] by boot, ``in_utc`` whether
-    that rests on the sender's own SYSTEM_TIME.
+    ``at``, ``boot_ns`` and ``boot`` (n,), the last from 0: what it showed each second, and at the
+    begin of each boot, in the order of the log. By boot: ``offsets``, UTC minus time since boot
+    [ns]; ``in_utc``, whether that rests on the sender's own SYSTEM_TIME; ``counts`` of readings;
+    ``maps`` from the ground station's clock to UTC.
     """
 
     at: NDArray[np.int64]
-    host_ns: TimeArray
     boot_ns: TimeArray
     boot: NDArray[np.int16]
     offsets: NDArray[np.int64]
     in_utc: NDArray[np.bool_]
+    counts: tuple[int, ...]
+    maps: tuple[Callable[[TimeArray], TimeArray], ...]
 
     def before(self, at: NDArray[np.int64]) -> NDArray[np.intp]:
         """The reading that stands before each place of the file, or the first."""
@@ -73,10 +164,8 @@ class _Sender:
     def utc_of_host(self, host_ns: TimeArray, boot: NDArray[np.int16]) -> TimeArray:
         result = host_ns.copy()
         for number in np.unique(boot):
-            mine = self.boot == number
             asked = boot == number
-            to_utc = along(self.host_ns[mine], self.boot_ns[mine] + self.offsets[number])
-            result[asked] = to_utc(host_ns[asked])
+            result[asked] = self.maps[int(number)](host_ns[asked])
         return result
 
 
@@ -93,7 +182,7 @@ class Clocks:
         if source in self.senders:
             return self.senders[source]
         same = [key for key in self.senders if key[0] == source[0]]
-        return max((self.senders[key] for key in same), key=lambda s: len(s.at), default=None)
+        return max((self.senders[key] for key in same), key=lambda s: sum(s.counts), default=None)
 
     def boot(self, source: Key, at: NDArray[np.int64]) -> NDArray[np.int16]:
         """The boot of messages at these places of the file."""
@@ -171,11 +260,12 @@ def _fit(
     mine = mine.take(~stray_times(mine.boot_ns))  # a glitch of the clock is no boot
     boot_ns = _counted_on(mine, source, ledger)
     boot = boots_of(boot_ns)
-    offsets, in_utc, spreads = [], [], []
-    for number in range(int(boot.max()) + 1):
-        rows = boot == number
-        told = rows & (mine.utc_ns > 0)
-        fit = fit_offset(mine.utc_ns[told], boot_ns[told])
+    offsets, in_utc, spreads, maps = [], [], [], []
+    counts = np.bincount(boot).tolist()
+    for number, count in enumerate(counts):
+        rows = slice(sum(counts[:number]), sum(counts[:number]) + count)
+        told = mine.utc_ns[rows] > 0
+        fit = fit_offset(mine.utc_ns[rows][told], boot_ns[rows][told])
         in_utc.append(fit is not None)
         if fit is None:
             stamps = mine.host_ns[rows]
@@ -184,8 +274,13 @@ def _fit(
             fit = fit_offset(stamps, boot_ns[rows])
         offsets.append(0 if fit is None else fit.offset_ns)
         spreads.append(0 if fit is None else fit.spread_ns)
-    known = np.array(in_utc, np.bool_)
-    sender = _Sender(mine.at, mine.host_ns, boot_ns, boot, np.array(offsets, np.int64), known)
+        maps.append(along(mine.host_ns[rows], boot_ns[rows] + offsets[-1]))
+    mark = np.ones(boot.shape, np.bool_)
+    mark[1:] = (np.diff(boot_ns // NANOSECONDS_PER_SECOND) != 0) | (np.diff(boot) != 0)
+    sender = _Sender(
+        mine.at[mark], boot_ns[mark], boot[mark], np.array(offsets, np.int64),
+        np.array(in_utc, np.bool_), tuple(counts), tuple(maps),
+    )  # fmt: skip
     return sender, spreads
 
 
@@ -213,7 +308,7 @@ def _counted_on(mine: Readings, source: Key, ledger: Ledger) -> TimeArray:
 
 def _report(source: Key, sender: _Sender, spread_ns: Sequence[int], ledger: Ledger) -> None:
     for number, known in enumerate(sender.in_utc.tolist()):
-        count = int(np.count_nonzero(sender.boot == number))
+        count = sender.counts[number]
         where = f"system {source[0]}, component {source[1]}, boot {number}"
         scatter = f"they agree within {spread_ns[number] / 1e6:.0f} ms (p5 to p95)"
         if known:

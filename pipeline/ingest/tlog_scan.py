@@ -8,13 +8,15 @@ when its checksum holds; what lies between believed frames is either frames that
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.ingest.store import Store
+from pipeline.ingest.tlog_clock import Sampler
 from pipeline.ingest.tlog_frames import (
     HEAD,
     LONGEST,
@@ -36,23 +38,6 @@ STEADY_US = 1_000_000
 Key = tuple[int, int]
 
 
-@dataclass(frozen=True)
-class Sent:
-    """The messages of one id in the order of the file.
-
-    ``at`` byte offset; ``host_us`` the ground station's clock; ``source`` system times 256 plus
-    component; ``records`` the payloads.
-    """
-
-    at: NDArray[np.int64]
-    host_us: NDArray[np.int64]
-    source: NDArray[np.uint16]
-    records: NDArray[Any]
-
-    def __len__(self) -> int:
-        return int(self.at.shape[0])
-
-
 @dataclass
 class Suspects:
     """Frames of one id that are not believed: how many, the first of them, their bytes."""
@@ -66,15 +51,19 @@ class Suspects:
 class Scan:
     """What a log holds.
 
-    ``counts`` of messages by id; ``sent`` the wanted ones; ``unknown`` ids that cannot be checked
-    (they are in ``counts``), ``failed`` checksums; ``bad_bytes`` lie outside all frames, the first
-    at ``first_bad``; ``cut_bytes`` are a last frame that the end of the file cuts off; ``lost`` by
-    the sequence numbers of each (system, component); ``steady`` whether no stamp of the ground
-    station lies more than a second before the one before: a stray one has one or follows one.
+    ``counts`` of messages by id; ``sent`` the wanted ones in the order of the file, with ``at``
+    (byte offset), ``host_us`` (the ground station's clock), ``source`` (system times 256 plus
+    component) and ``records`` (the payload); ``clock`` what the senders' clocks showed; ``unknown``
+    ids that cannot be checked (they are in ``counts``), ``failed`` checksums; ``bad_bytes`` lie
+    outside all frames, the first at ``first_bad``; ``cut_bytes`` are a last frame that the end of
+    the file cuts off; ``lost`` by the sequence numbers of each (system, component); ``steady``
+    whether no stamp of the ground station lies more than a second before the one before: a stray
+    one has one or follows one.
     """
 
     counts: Counter[int] = field(default_factory=Counter)
-    sent: dict[int, Sent] = field(default_factory=dict)
+    sent: dict[int, Store] = field(default_factory=dict)
+    clock: Sampler = field(default_factory=Sampler)
     unknown: dict[int, Suspects] = field(default_factory=dict)
     failed: dict[int, Suspects] = field(default_factory=dict)
     bad_bytes: int = 0
@@ -88,6 +77,7 @@ def scan(
     data: Window,
     extras: Mapping[int, int],
     wanted: Mapping[int, np.dtype[Any]],
+    late: Set[int] = frozenset(),
     stretch: int = STRETCH,
 ) -> Scan:
     """Find every frame of a telemetry log and keep the payloads of some.
@@ -97,12 +87,13 @@ def scan(
     data : the file.
     extras : CRC_EXTRA by message id, from the dialect.
     wanted : the layout of the payloads to keep, by message id.
+    late : those of them whose time is not when they were sent, as of exposures.
     stretch : [bytes] scanned at once.
 
     An id outside the dialect counts as a message where frames stand wall to wall from a frame
     that holds to the next; CRC-16/MCRF4XX as the MAVLink library computes it.
     """
-    walk = _Walk(data, extras, wanted)
+    walk = _Walk(data, extras, wanted, late)
     for begin in range(0, data.size, stretch):
         walk.take(begin, min(begin + stretch, data.size))
     walk.finish()
@@ -113,16 +104,20 @@ class _Walk:
     """The state between two stretches: where the last believed frame ended, and what was found."""
 
     def __init__(
-        self, data: Window, extras: Mapping[int, int], wanted: Mapping[int, np.dtype[Any]]
+        self,
+        data: Window,
+        extras: Mapping[int, int],
+        wanted: Mapping[int, np.dtype[Any]],
+        late: Set[int],
     ) -> None:
         self.data = data
         self.extras = extras
         self.wanted = wanted
-        self.kept = {number: _packed(dtype) for number, dtype in wanted.items()}
+        self.kept = {number: _row_of(dtype) for number, dtype in wanted.items()}
+        self.late = late
         self.end = 0
         self.host_us = 0
         self.found = Scan()
-        self.parts: dict[int, list[Sent]] = {number: [] for number in wanted}
         self.sequences: dict[int, int] = {}
 
     def take(self, begin: int, stop: int) -> None:
@@ -150,13 +145,21 @@ class _Walk:
             self.found.counts[number] += int(tally[number])
 
     def _keep(self, window: Bytes, frames: Frames, begin: int) -> None:
+        timed = []
         for number, dtype in self.wanted.items():
-            rows = np.flatnonzero(frames.message_id == number)
-            if rows.shape[0]:
-                mine = frames.take(rows)
-                source = _source_of(mine)
-                records = payloads(window, mine, dtype).astype(self.kept[number])
-                self.parts[number].append(Sent(mine.at + begin, mine.host_us, source, records))
+            chosen = np.flatnonzero(frames.message_id == number)
+            if chosen.shape[0]:
+                mine = frames.take(chosen)
+                payload = payloads(window, mine, dtype)
+                rows = np.empty(chosen.shape, self.kept[number])
+                rows["at"], rows["host_us"] = mine.at + begin, mine.host_us
+                rows["source"] = _source_of(mine)
+                for name in dtype.names or ():
+                    rows["records"][name] = payload[name]
+                self.found.sent.setdefault(number, Store(rows.dtype)).add(rows)
+                if number not in self.late and "time_boot_ms" in (dtype.names or ()):
+                    timed.append(rows)
+        self.found.clock.take(timed)
 
     def _between(self, frames: Frames) -> list[Frames]:
         """The frames that are not believed, between those that are."""
@@ -166,15 +169,11 @@ class _Walk:
         return [part for part in found if len(part)]
 
     def finish(self) -> None:
-        """Scan what follows the last believed frame, and put the wanted messages together."""
+        """Scan what follows the last believed frame."""
         if self.end < self.data.size:
             rest = self._fill(self.end, self.data.size)
             if len(rest):
                 self._count_lost(rest)
-        for number in list(self.parts):
-            parts = self.parts.pop(number)
-            if parts:
-                self.found.sent[number] = _put_together(parts)
 
     def _fill(self, begin: int, stop: int) -> Frames:
         """Count what lies between two believed frames; the frames among it."""
@@ -231,9 +230,10 @@ class _Walk:
             self.found.lost[divmod(key, 256)] += lost
 
 
-def _packed(dtype: np.dtype[Any]) -> np.dtype[Any]:
-    """The fields of a layout without the gaps between them."""
-    return np.dtype([(name, dtype[name]) for name in dtype.names or ()])
+def _row_of(layout: np.dtype[Any]) -> np.dtype[Any]:
+    """What is kept of a message: the fields of its layout without the gaps between them."""
+    packed = np.dtype([(name, layout[name]) for name in layout.names or ()])
+    return np.dtype([("at", "i8"), ("host_us", "i8"), ("source", "u2"), ("records", packed)])
 
 
 def _source_of(frames: Frames) -> NDArray[np.uint16]:
@@ -276,11 +276,3 @@ def _chain(data: Window, begin: int, stop: int) -> tuple[list[int], int]:
 def _is_cut(data: Window, at: int) -> bool:
     rest = data[at : at + LONGEST]
     return data.size - at < SHORTEST or frame_length(rest, 0) > len(rest)
-
-
-def _put_together(parts: list[Sent]) -> Sent:
-    if len(parts) == 1:
-        return parts[0]
-    return Sent(
-        **{name: np.concatenate([vars(part)[name] for part in parts]) for name in vars(parts[0])}
-    )

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import LogError
 from pipeline.flight.channels import Channel, Source, TimeArray
-from pipeline.flight.clock import UNIX_US_FROM, fit_offset, fresh, report_fit
+from pipeline.flight.clock import LAST_US, UNIX_US_FROM, fit_offset, fresh, report_fit
 from pipeline.ingest.base import Contents, Table, report_damage
 from pipeline.ingest.build import LOWEST_FIX, Rows, channel_of
 from pipeline.ingest.fields import MessageMap, column, extract
@@ -25,7 +25,6 @@ from pipeline.ledger import Ledger
 MAGIC = b"ULog\x01\x12\x35"
 FILE_HEADER = 16
 RECEIVERS = ("vehicle_gps_position", "sensor_gps")
-_LONGEST_US = 1 << 52  # 142 years: a stamp beyond it is damage
 
 # What pyulog lets through from a damaged file, besides its own exceptions.
 _COMPLAINTS = (
@@ -42,7 +41,7 @@ _GNSS = MessageMap(
         column("lon_rad", "lon", "degE7"),
         column("h_msl_m", "altitude_msl_m"),
         column("h_msl_m", "alt", "mm"),
-        column("h_ellipsoid_m", "altitude_ellipsoid_m"),
+        column("h_ellipsoid_m", "altitude_ellipsoid_m", missing=0.0),
         column("h_ellipsoid_m", "alt_ellipsoid", "mm", missing=0.0),
         column("sigma_h_m", "eph"),
         column("sigma_v_m", "epv"),
@@ -209,7 +208,7 @@ def _cut_bytes(path: Path) -> int:
 
 def _times(data: Mapping[str, NDArray[Any]]) -> TimeArray:
     raw = data["timestamp"].astype(np.uint64)
-    return np.asarray(np.minimum(raw, np.uint64(_LONGEST_US)).astype(np.int64) * 1000, np.int64)
+    return np.asarray(np.minimum(raw, np.uint64(LAST_US)).astype(np.int64) * 1000, np.int64)
 
 
 def _clock(found: Any, ledger: Ledger) -> tuple[int, str]:
@@ -217,7 +216,7 @@ def _clock(found: Any, ledger: Ledger) -> tuple[int, str]:
     for data in sorted(found.data_list, key=lambda data: (data.name, data.multi_id)):
         if data.name not in RECEIVERS or "time_utc_usec" not in data.data:
             continue
-        utc_us = np.minimum(data.data["time_utc_usec"], np.uint64(_LONGEST_US)).astype(np.int64)
+        utc_us = np.minimum(data.data["time_utc_usec"], np.uint64(LAST_US)).astype(np.int64)
         usable = (utc_us > UNIX_US_FROM) & (data.data["fix_type"] >= LOWEST_FIX)
         utc_ns, boot_ns = utc_us[usable] * 1000, _times(data.data)[usable]
         moved = fresh(utc_ns)

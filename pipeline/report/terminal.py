@@ -63,11 +63,14 @@ def show_log(console: Console, log: Mapping[str, Any], name: str) -> None:
     console.print(f"{counts}{boots}, {log['bad_bytes']:,} bad bytes, {log['lost_messages']:,} lost")
     table = Table(
         "channel", "samples", r"rate \[Hz]", "gaps", "can play", box=None, pad_edge=False,
-        padding=(0, 2, 0, 0),
+        padding=(0, 1, 0, 0),
     )  # fmt: skip
     for column in table.columns[1:4]:
         column.justify = "right"
-    table.columns[0].no_wrap = True
+    # Names are copied into mission files: in one piece if 80 columns have room, and never cut.
+    table.columns[0].no_wrap = all(len(channel["name"]) <= 38 for channel in log["channels"])
+    table.columns[0].overflow = "fold"
+    table.columns[4].min_width = len("cabin_temperature")
     for channel in log["channels"]:
         roles = ", ".join(channel["roles"]) or "only if named"
         table.add_row(

@@ -87,8 +87,7 @@ def test_mutations(
 ) -> None:  # fmt: skip
     for recipe in mutate.recipes(len(trial.logs), mutation_count, mutation_seed):
         trial.run(recipe)
-    print(f"seed {mutation_seed}, {trial.summary()}")
-    record_property("mutations", trial.summary())
+    record_property("mutations", f"seed {mutation_seed}, {trial.summary()}")
     assert not trial.failures, trial.summary()
     # A bit of a name in an FMT record makes another name of it: "renamed".
     assert set(trial.ends) <= {"complete", "reported", "renamed", "unreported"} | REFUSALS
@@ -134,12 +133,13 @@ def as_text(binary: Path) -> bytes:
 
 
 def test_mutations_of_logs_as_text(
-    text_trial: Any, mutate: ModuleType, mutation_count: int, mutation_seed: int
-) -> None:
+    text_trial: Any, mutate: ModuleType, mutation_count: int, mutation_seed: int,
+    record_property: Callable[[str, object], None],
+) -> None:  # fmt: skip
     """A digit more or less is a number still: what is altered in a line cannot be seen."""
     for recipe in mutate.recipes(2, mutation_count // 4, mutation_seed):
         text_trial.run(recipe)
-    print(f"seed {mutation_seed}, {text_trial.summary()}")
+    record_property("mutations", f"seed {mutation_seed}, {text_trial.summary()}")
     assert not text_trial.failures, text_trial.summary()
     assert set(text_trial.ends) <= {"complete", "reported", "renamed", "unreported"} | REFUSALS
     assert text_trial.ends["unreported"] <= 0.02 * mutation_count / 4, text_trial.unreported[:20]

@@ -6,7 +6,7 @@ import io
 import struct
 import time
 import tracemalloc
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -113,10 +113,13 @@ def test_the_small_logs_are_whole(trial, mutate: ModuleType) -> None:
     assert {sum(log.messages.values()) for log in trial.whole} == {4 * 120 + 12}
 
 
-def test_mutations(trial, mutate: ModuleType, mutation_count: int, mutation_seed: int) -> None:
+def test_mutations(
+    trial, mutate: ModuleType, mutation_count: int, mutation_seed: int,
+    record_property: Callable[[str, object], None],
+) -> None:  # fmt: skip
     for recipe in mutate.recipes(len(small_logs()), mutation_count, mutation_seed):
         trial.run(recipe)
-    print(f"seed {mutation_seed}: {trial.summary()}")
+    record_property("mutations", f"seed {mutation_seed}, {trial.summary()}")
     assert not trial.failures, trial.summary()
     assert trial.unreported == []
     assert set(trial.ends) <= {"complete", "reported"} | REFUSALS

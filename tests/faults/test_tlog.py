@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -77,11 +78,12 @@ def frames_of(data: bytes) -> list[bytes]:
 
 
 def test_mutations(
-    trial, mutate: ModuleType, logs: list[bytes], mutation_count: int, mutation_seed: int
-) -> None:
+    trial, mutate: ModuleType, logs: list[bytes], mutation_count: int, mutation_seed: int,
+    record_property: Callable[[str, object], None],
+) -> None:  # fmt: skip
     for recipe in mutate.recipes(len(logs), mutation_count, mutation_seed):
         trial.run(recipe)
-    print(f"seed {mutation_seed}: {trial.summary()}")
+    record_property("mutations", f"seed {mutation_seed}, {trial.summary()}")
     assert not trial.failures, trial.summary()
     assert set(trial.ends) <= {"complete", "reported", "unreported"} | REFUSALS
     assert len(trial.unreported) <= 0.01 * mutation_count, trial.unreported

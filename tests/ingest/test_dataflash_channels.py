@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -196,39 +193,6 @@ def grower() -> ModuleType:
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-_PEAK = """
-import json, sys
-from pathlib import Path
-from pipeline.ingest import open_log
-from pipeline.ingest.dataflash import read_tables
-def peak():
-    status = dict(line.split(":", 1) for line in open("/proc/self/status"))
-    return int(status["VmHWM"].split()[0]) * 1024
-import pymavlink.DFReader, pandas
-before = peak()
-if sys.argv[2] == "all":
-    tables = read_tables(Path(sys.argv[1]))
-    columns = sum(column.nbytes for table in tables.values() for column in table.values())
-else:
-    log = open_log(sys.argv[1])
-    columns = sum(c.time_ns.nbytes + c.boot.nbytes + sum(x.nbytes for x in c.columns.values())
-                  for c in log.channels)
-print(json.dumps({"more": peak() - before, "columns": columns}))
-"""
-
-
-@pytest.mark.parametrize("what", ["all", "channels"])
-def test_memory_is_the_columns_and_a_little(tmp_path: Path, grower: ModuleType, what: str) -> None:
-    path = tmp_path / "grown.bin"
-    grower.grow(SAMPLE, path, 170_000_000)
-    done = subprocess.run(
-        [sys.executable, "-c", _PEAK, str(path), what], capture_output=True, text=True, check=True
-    )
-    found = json.loads(done.stdout)
-    print(f"{what}: {found['more'] >> 20} MiB more for {found['columns'] >> 20} MiB of columns")
-    assert found["more"] < found["columns"] + (128 << 20)
 
 
 def test_a_grown_log_is_one_long_flight(tmp_path: Path, grower: ModuleType) -> None:

@@ -7,6 +7,7 @@ import json
 import random
 import struct
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -91,14 +92,16 @@ def compare(table: dict[str, np.ndarray], messages: list) -> int:
 
 
 @pytest.mark.parametrize("path", LOGS, ids=lambda path: path.name)
-def test_every_cell_is_the_librarys(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_cell_is_the_librarys(
+    path: Path, record_property: Callable[[str, object], None]
+) -> None:
     log = open_log(path)
     expected = library_messages(path)
     assert log.message_types() == {topic: len(rows) for topic, rows in expected.items()}
     cells = sum(compare(log.message(topic), rows) for topic, rows in expected.items())
     assert cells > 100_000
-    with capsys.disabled():
-        print(f"\n{path.name}: {cells} cells, all bit-equal ", end="")
+    record_property("cells compared", cells)
+    print(f"{path.name}: {cells} cells, all bit-equal")
 
 
 def text(draw: random.Random) -> str:
