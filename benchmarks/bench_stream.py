@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from survey import CAMERA, air, exposures, image_names, write_observations
+from survey import CAMERA, air, exposures, image_names, uncertainty, write_observations
 
 from pipeline.batch.correct import Recipe, correct_stream
 from pipeline.batch.ground import Ground
@@ -24,12 +24,13 @@ COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
 
 
 def correct(source: Path, out: Path) -> None:
-    """What a run does to the observations, without the log and the air."""
-    names = image_names(IMAGES)
+    """What a run does to the observations, sigmas and all, without the log and the air."""
+    names, seen_from = image_names(IMAGES), exposures(IMAGES)
     recipe = Recipe(
-        names, np.full(IMAGES, "nadir", object), exposures(IMAGES),
-        Ground(None, np.zeros(IMAGES)), {"nadir": CameraSetup(CAMERA, 0.0)},
-        rays_by(air(), "spherical"),
+        names, np.full(IMAGES, "nadir", object), seen_from,
+        Ground(None, np.zeros(IMAGES), sigma_m=2.0), {"nadir": CameraSetup(CAMERA, 0.0)},
+        (rays_by(air(), "spherical"),), np.zeros(IMAGES, np.int64),
+        uncertainties=(uncertainty(seen_from),),
     )  # fmt: skip
     observations = open_observations(source, COLUMNS, "h_g_m", Ledger())
     with open_folder(out) as folder:

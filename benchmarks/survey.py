@@ -10,7 +10,8 @@ import pyarrow.parquet as pq
 from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere import Profile, standard_atmosphere
-from pipeline.refraction import Camera, Exposures
+from pipeline.atmosphere.covariance import ProfileCovariance
+from pipeline.refraction import Camera, Exposures, StationSigmas, Uncertainty, uncertainty_of
 
 CAMERA = Camera(14_000, 10_600, 20_000.0, 20_000.0, 7012.4, 5291.7, -0.018, 0.009, -0.002)
 GROUND_M = 500.0
@@ -31,6 +32,21 @@ def exposures(count: int) -> Exposures:
     return Exposures(
         np.ones(count, bool), Rotation.from_euler("zxy", angles, degrees=True).as_matrix() @ _DOWN,
         rng.uniform(0.80, 0.81, count), height, outside, outside + 7e-5,
+    )  # fmt: skip
+
+
+def uncertainty(of: Exposures) -> Uncertainty | None:
+    """Of exposures in air that is known to half a kelvin, by stations to 0.05 degree and 2 m."""
+    profile, count = air(), of.usable.size
+    size = profile.layers.edge.size
+    known = np.concatenate([np.full(size, 0.5), [0.001], np.full(size, 1e-4)])
+    stations = StationSigmas(
+        np.full(count, 1e-3), np.full(count, 3e-3), np.tile([0.0, 0.0, 1.0], (count, 1)),
+        np.full(count, 2.0),
+    )  # fmt: skip
+    return uncertainty_of(
+        profile, ProfileCovariance(profile, 0.0, np.diag(known**2)), of, stations,
+        [(CAMERA, np.ones(count, bool))], (-600.0, 10_000.0),
     )  # fmt: skip
 
 

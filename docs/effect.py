@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 from pipeline.config import load_mission
 from pipeline.refraction.spread import ImageGrid
 from pipeline.report.figures import effect_figure, save_figure
-from pipeline.stages import profile_of_mission
+from pipeline.stages import air_of_mission
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 CAMERA = "oblique"
@@ -20,7 +20,7 @@ CAMERA = "oblique"
 def main() -> None:
     config = REPOSITORY / "configs" / "sample_bin.yaml"
     mission = load_mission(config)
-    adjustment, samples, _ = profile_of_mission(config)
+    air, samples, _ = air_of_mission(config)
     camera = mission.cameras[CAMERA]
     grid = ImageGrid(camera.width_px, camera.height_px)
     for part in sorted((REPOSITORY / "results" / "sample_bin").glob("observations/part-*.parquet")):
@@ -31,7 +31,7 @@ def main() -> None:
     if not np.any(grid.sums[2]):
         raise SystemExit("no results in results/sample_bin: run `make sample` first")
     save_figure(
-        effect_figure(adjustment, samples, CAMERA, grid), REPOSITORY / "docs" / "effect.png"
+        effect_figure(air.adjustment, samples, CAMERA, grid), REPOSITORY / "docs" / "effect.png"
     )
 
 

@@ -38,9 +38,9 @@ class Ledger:
     """An append-only list of entries.
 
     >>> ledger = Ledger()
-    >>> ledger.fallback("AIR-DRY", "no humidity sensor: the air is taken as dry")
+    >>> ledger.fallback("AIR-NO-BAROMETER", "no static pressure outside")
     >>> [entry.code for entry in ledger]
-    ['AIR-DRY']
+    ['AIR-NO-BAROMETER']
     >>> ledger.has_losses
     False
     """

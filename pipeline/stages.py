@@ -6,20 +6,16 @@ Read from top to bottom. Nothing is computed here; every step is a call into the
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.atmosphere import Profile, standard_atmosphere
-from pipeline.atmosphere.adjust import (
-    Adjustment,
-    build_adjusted_profile,
-    unadjusted,
-    under_gravity,
-)
-from pipeline.atmosphere.air import IndexModel
+from pipeline.atmosphere import standard_atmosphere
+from pipeline.atmosphere.adjust import unadjusted
+from pipeline.atmosphere.course import AirAlong, TimedAir, one_air
 from pipeline.atmosphere.samples import AirSamples
+from pipeline.batch.air import adjust_air, find_sources
 from pipeline.batch.correct import Recipe, correct_stream
+from pipeline.batch.doubt import scale_of_block, tell_what_is_unknown, uncertainties_of_mission
 from pipeline.batch.find import Found, find_stations, open_inputs, read_flight
 from pipeline.batch.ground import Ground
 from pipeline.batch.look import look_through, setup_of
@@ -41,6 +37,7 @@ from pipeline.flight.air import air_samples
 from pipeline.flight.heights import HeightSystem, ground_offsets
 from pipeline.flight.stations import Stations, doubt_heights
 from pipeline.ledger import Ledger
+from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.ray import rays_by
 from pipeline.report.accuracy import Accuracy, accuracy_page, text_hash
 from pipeline.report.accuracy_figure import accuracy_png
@@ -49,9 +46,7 @@ from pipeline.report.progress import Progress, Silent
 from pipeline.tables.exports import ExportOptions, find_format
 from pipeline.tables.observations import Observations
 from pipeline.tables.schemas import REFRACTION_APPLIED, REFRACTION_KEY, REFRACTION_REMOVED
-from pipeline.tables.writing import profile_arrow, stations_table, write_parquet
-
-PROFILE_ID = "flight"
+from pipeline.tables.writing import profiles_arrow, stations_table, write_parquet
 
 
 def run_mission(path: Path, *, force: bool = False, progress: Progress | None = None) -> Outcome:
@@ -66,21 +61,24 @@ def run_mission(path: Path, *, force: bool = False, progress: Progress | None = 
             return outcome_of(plan, earlier, repeated=True)
         found = look_at(plan, progress)
         flight, stations, ledger = found.flight, found.stations, found.ledger
-        adjustment = adjust_air(mission, stations, found.samples, ledger)
-        if adjustment.basis != "standard":
-            stations = doubt_heights(stations, adjustment.profile, ledger)
+        air = adjust_air(mission, stations, found.samples, found.sources, ledger)
+        if air.adjustment.is_measured:
+            stations = doubt_heights(stations, air.along, ledger)
         progress.begin("correcting", found.observations.rows)
         tally = correct(
-            mission, stations, adjustment.profile, found.observations, folder, ledger,
+            mission, stations, air.along, found.observations, folder, ledger,
             flight.heights, progress.advance,
         )  # fmt: skip
         progress.say("writing the report")
-        write_tables(folder, stations, adjustment)
-        manifest = manifest_of(plan, flight.log, flight.roles, stations, adjustment, tally, ledger)
+        write_tables(folder, stations, air)
+        scale = scale_of_block(
+            air.adjustment.profile, air.adjustment.covariance, mission.refraction.radius_m, tally
+        )
+        manifest = manifest_of(plan, flight.log, flight.roles, stations, air, tally, scale, ledger)
         report = folder.place("report.html")
         with translated(report):
             grids = {name: extent.grid for name, extent in tally.extents.items()}
-            write_report(report, manifest, adjustment, found.samples, grids)
+            write_report(report, manifest, air, found.samples, grids)
         folder.seal("report.html")
         check_unchanged(plan)
         manifest["outputs"] = folder.outputs()
@@ -105,28 +103,15 @@ def look_at(plan: Plan, progress: Progress) -> Found:
     flight = read_flight(plan, ledger)
     stations = find_stations(plan, flight, observations, ledger)
     samples = air_samples(flight.roles, flight.heights, plan.mission.log.max_gap_s, ledger)
+    sources = find_sources(plan, stations, samples, ledger)
     ledger.extend(flight.log.ledger)
-    return Found(plan, flight, observations, stations, samples, ledger)
-
-
-def adjust_air(
-    mission: Mission, stations: Stations, samples: AirSamples, ledger: Ledger
-) -> Adjustment:
-    """The locally adjusted profile of the flight, or the standard where the user wants that."""
-    section = mission.atmosphere
-    index = IndexModel(section.index, section.wavelength_m, section.co2_ppm)
-    standard = replace(standard_atmosphere(section.standard), index=index)
-    if not section.adjust:
-        ledger.note("AIR-NOT-ADJUSTED", "atmosphere.adjust is false: the standard is kept")
-        standard = under_gravity(standard, stations.mean_latitude_rad)
-        return unadjusted(standard, "atmosphere.adjust is false: the standard is kept")
-    return build_adjusted_profile(samples, standard, stations.mean_latitude_rad, ledger)
+    return Found(plan, flight, observations, stations, samples, sources, ledger)
 
 
 def correct(
     mission: Mission,
     stations: Stations,
-    profile: Profile,
+    air: AirAlong,
     observations: Observations,
     folder: RunFolder,
     ledger: Ledger,
@@ -134,24 +119,29 @@ def correct(
     advance: Callable[[int], None],
 ) -> Tally:
     """The stream of observations through window, air and camera."""
-    ground = mission.ground
-    offsets = ground_offsets(ground.reference, stations, heights)
-    direction = mission.refraction.direction
+    section, direction = mission.ground, mission.refraction.direction
+    offsets = ground_offsets(section.reference, stations, heights)
+    ground = Ground(section.constant_m, offsets, section.from_distance, section.sigma_m)
+    cameras = {name: setup_of(mission, name) for name in mission.cameras}
+    exposures = look_through(mission, stations, air, ledger)
+    tell_what_is_unknown(mission, stations, air, ledger)
     recipe = Recipe(
         stations.image,
         stations.camera,
-        look_through(mission, stations, profile, ledger),
-        Ground(ground.constant_m, offsets, ground.from_distance),
-        {name: setup_of(mission, name) for name in mission.cameras},
-        rays_by(profile, mission.refraction.method),
+        exposures,
+        ground,
+        cameras,
+        tuple(rays_by(profile, mission.refraction.method) for profile in air.profiles),
+        air.number,
         direction,
+        uncertainties_of_mission(mission, stations, air, exposures, cameras, ground),
     )
     mark = REFRACTION_REMOVED if direction == "remove" else REFRACTION_APPLIED
     metadata = {
         REFRACTION_KEY.decode(): mark.decode(),
         "unbend.mission": mission.mission.name,
         "unbend.pixel_origin": mission.observations.pixel_origin,
-        "unbend.ground_reference": ground.reference,
+        "unbend.ground_reference": section.reference,
     }
     tally = correct_stream(
         observations, recipe, folder, mission.output.batch_rows, metadata, advance
@@ -160,11 +150,11 @@ def correct(
     return tally
 
 
-def write_tables(folder: RunFolder, stations: Stations, adjustment: Adjustment) -> None:
-    """Stations and profile beside the observations."""
+def write_tables(folder: RunFolder, stations: Stations, air: FlightAir) -> None:
+    """Stations and profiles beside the observations."""
     for name, table in (
-        ("stations.parquet", stations_table(stations, PROFILE_ID)),
-        ("profile.parquet", profile_arrow(adjustment, PROFILE_ID)),
+        ("stations.parquet", stations_table(stations, air.along)),
+        ("profile.parquet", profiles_arrow(air.adjustment, air.along)),
     ):
         write_parquet(table, folder.place(name))
         folder.seal(name)
@@ -175,11 +165,11 @@ def check_mission(path: Path) -> Found:
     return look_at(make_plan(load_mission(path), path.parent), Silent())
 
 
-def profile_of_mission(path: Path) -> tuple[Adjustment, AirSamples, Ledger]:
-    """The profile of the air that a run would use."""
+def air_of_mission(path: Path) -> tuple[FlightAir, AirSamples, Ledger]:
+    """The air that a run would use."""
     found = check_mission(path)
-    adjustment = adjust_air(found.plan.mission, found.stations, found.samples, found.ledger)
-    return adjustment, found.samples, found.ledger
+    air = adjust_air(found.plan.mission, found.stations, found.samples, found.sources, found.ledger)
+    return air, found.samples, found.ledger
 
 
 def verify_run(path: Path) -> dict[str, Any]:
@@ -203,14 +193,15 @@ def verify_run(path: Path) -> dict[str, Any]:
     return manifest
 
 
-def profile_sources(
+def air_of_either(
     config: Path | None, atmosphere: str | None
-) -> tuple[Adjustment, AirSamples, Ledger]:
-    """The profile of a mission, or a standard atmosphere by its name."""
+) -> tuple[FlightAir, AirSamples, Ledger]:
+    """The air of a mission, or a standard atmosphere by its name."""
     if config is not None:
-        return profile_of_mission(config)
+        return air_of_mission(config)
     standard = standard_atmosphere(atmosphere or "")
-    return unadjusted(standard, f"the standard atmosphere {standard.name}"), AirSamples(), Ledger()
+    alone = unadjusted(standard, f"the standard atmosphere {standard.name}")
+    return FlightAir(alone, one_air(TimedAir(None, standard), 0)), AirSamples(), Ledger()
 
 
 def export_run(

@@ -42,7 +42,8 @@ def run_command(*words: object) -> Ended:
     from pipeline.cli import main
 
     out, err = io.StringIO(), io.StringIO()
-    kept = sys.argv, sys.excepthook, signal.getsignal(signal.SIGTERM)
+    kept = sys.argv, sys.excepthook
+    heard = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     sys.argv = ["unbend", *(str(word) for word in words)]
     try:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -51,8 +52,9 @@ def run_command(*words: object) -> Ended:
     except SystemExit as end:
         code = int(end.code or 0)
     finally:
-        sys.argv, sys.excepthook = kept[0], kept[1]
-        signal.signal(signal.SIGTERM, kept[2])
+        sys.argv, sys.excepthook = kept
+        for number, handler in heard.items():
+            signal.signal(number, handler)
     return Ended(code, out.getvalue(), err.getvalue())
 
 

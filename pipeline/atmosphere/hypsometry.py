@@ -1,126 +1,110 @@
-"""Temperature of the air from pressure at known heights, for a flight without a thermometer."""
+"""Pressure, height and temperature: what the weight of the air column ties together."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.profile import Profile, stack_layers
-from pipeline.atmosphere.samples import BIN_M, Samples, bin_by_height
+from pipeline.units import HYDROSTATIC_CONSTANT
 
 Array = NDArray[np.float64]
 
-LAYER_M = 500.0
-"""Thickness of the layers that pressure can resolve [m']."""
-
 COLDEST_K, WARMEST_K = 180.0, 335.0
-"""Temperatures that air has; a solution outside them is none [K]."""
+"""Temperatures that air has; what pressure implies outside them is not the air outside [K]."""
 
-_PRESSURE_NOISE = 3e-4  # of p: 0.2 hPa of barometer and 1.5 m of GNSS height, averaged in a bin
-_KINK_K = 4.0  # how far the departure from the standard bends from one layer to the next [K]
-_DEPARTURE_K = 20.0
-_HUBER = 3.0  # residuals beyond so many sigma lose weight
+_SERIES_BELOW = 1e-3  # of dT/T: the closed form of the moment loses 1e-16/x^2 of its digits
 
 
-def implied_temperature(pressure: Samples, standard: Profile) -> float | None:
-    """Mean virtual temperature that the fall of pressure with height implies [K].
+@dataclass(frozen=True)
+class Fall:
+    """How pressure falls with height.
 
-    By the hypsometric equation over the whole sampled range, from medians in bins of height:
-    1000 m of climb give it to about 2 K. None where there are too few heights, or where pressure
-    does not fall.
+    ``implied_k`` is the mean virtual temperature [K] that the fall implies, None where pressure
+    does not fall; ``unexplained`` the RMS of ln p about a parabola in height.
     """
-    height, log_p = _binned(pressure, standard)
-    if height.size < 3:
-        return None
-    slope = float(np.polyfit(height - height.mean(), log_p, 1)[0])
-    return None if slope >= 0.0 else -standard.constant / slope
+
+    implied_k: float | None
+    unexplained: float
+
+    @property
+    def is_of_air(self) -> bool:
+        """Whether air of 180 to 335 K can have it."""
+        return self.implied_k is not None and COLDEST_K < self.implied_k < WARMEST_K
 
 
-def temperatures_from_pressure(pressure: Samples, standard: Profile) -> tuple[Array, Array] | None:
-    """Virtual temperatures at layer edges such that Eq. 52 passes through measured pressures.
+def fall_of_pressure(height: Array, log_pressure: Array) -> Fall:
+    """The mean virtual temperature that the fall of pressure with height implies.
+
+    ``height`` (n,) heights [m'], or [m]: 0.5 % apart; ``log_pressure`` (n,) ln p there; at least
+    three. By the slope of a straight line (Gyer 1996, Eq. 53, over the whole range); 1000 m of
+    height give it to about 2 K.
+
+    >>> h = np.array([0.0, 1000.0, 2000.0])
+    >>> round(fall_of_pressure(h, -h / 8000.0).implied_k, 2)
+    273.31
+    """
+    rise = height - height.mean()
+    slope = float(np.polyfit(rise, log_pressure, 1)[0])
+    rest = log_pressure - np.polyval(np.polyfit(rise, log_pressure, 2), rise)
+    implied = None if slope >= 0.0 else -HYDROSTATIC_CONSTANT / slope
+    return Fall(implied, float(np.sqrt(np.mean(rest**2))))
+
+
+def column(edge: Array, virtual: Array, height: Array) -> tuple[Array, Array]:
+    """Integral of dH/T_M from the lowest edge to heights, and its gradient.
 
     Parameters
     ----------
-    pressure : static pressures [Pa] at GNSS heights.
-    standard : supplies the temperature that the solution departs from smoothly.
+    edge, virtual : (k,) geopotential heights [m'], increasing, and T_M there [K], linear between.
+    height : (m,) heights within the edges [m'].
 
     Returns
     -------
-    edge, virtual : (k,) edges about 500 m' apart over the sampled range, T_M there [K]; None
-        where the pressures fit no air between 180 and 335 K.
+    integral : (m,) [m'/K]; ln p = ln p_0 - (G M0 / R*) times this is Gyer 1996, Eq. 52 and 53.
+    gradient : (m, k) its derivatives by T_M at the edges [m'/K2].
 
-    Pressure decides the mean temperature of a layer only; of the temperatures that fit, the one
-    is taken whose departure from the standard bends least. Least squares on medians in bins of
-    height with Huber's weights, Gauss-Newton with the analytic derivative of
-    ln p = ln p_0 - (G M0 / R*) * integral of dH / T_M.
+    In a layer of thickness D from T_0 to T_1 = T_0 (1 + x) the integral is D ln(1 + x) / (T_0 x);
+    its derivative by T_1 is -D/T_0^2 times the integral of u/(1 + x u)^2 over u from 0 to 1,
+    which is (ln(1 + x) - x/(1 + x)) / x^2; by T_0 it is what that leaves of -D/(T_0 T_1).
+
+    >>> edge, virtual = np.array([0.0, 1000.0]), np.array([250.0, 250.0])
+    >>> integral, gradient = column(edge, virtual, np.array([500.0]))
+    >>> integral.tolist(), (gradient * 250.0**2).round(9).tolist()
+    ([2.0], [[-375.0, -125.0]])
     """
-    height, log_p = _binned(pressure, standard)
-    if height.size < 3:
-        return None
-    count = max(1, round(float(np.ptp(height)) / LAYER_M))
-    edge = np.linspace(height[0], height[-1], count + 1)
-    background = standard.virtual_temperature(standard.gravity.height(edge))
-    virtual, anchor = background.copy(), float(log_p[0])
-    bend = np.diff(np.eye(edge.size), n=2, axis=0) / _KINK_K
-    weak = np.eye(edge.size) / _DEPARTURE_K
-    weight = np.ones(height.size)
-    for _ in range(30):
-        residual = (
-            log_p - _log_pressure(height, edge, virtual, anchor, standard)
-        ) / _PRESSURE_NOISE
-        weight = np.sqrt(np.minimum(1.0, _HUBER / np.maximum(np.abs(residual), 1e-12)))
-        slope = standard.constant * _weight_integrals(height, edge, virtual) / _PRESSURE_NOISE
-        level = np.full(height.size, 1.0 / _PRESSURE_NOISE)
-        departure = virtual - background
-        matrix = np.vstack(
-            [
-                np.column_stack([slope, level]) * weight[:, None],
-                np.column_stack([bend, np.zeros(bend.shape[0])]),
-                np.column_stack([weak, np.zeros(edge.size)]),
-            ]
-        )
-        right = np.concatenate([residual * weight, -bend @ departure, -weak @ departure])
-        step = np.linalg.lstsq(matrix, right, rcond=None)[0]
-        virtual, anchor = virtual + step[:-1], anchor + float(step[-1])
-        if not bool(np.all((virtual > COLDEST_K) & (virtual < WARMEST_K))):
-            return None
-        if np.abs(step[:-1]).max() < 1e-6:
-            break
-    return edge, virtual
+    i = np.clip(np.searchsorted(edge, height, side="right") - 1, 0, edge.size - 2)
+    thickness = np.diff(edge)
+    whole, by_lower, by_upper = _layer(thickness, virtual[:-1], virtual[1:])
+    share = (height - edge[i]) / thickness[i]
+    inside = virtual[i] + share * (virtual[i + 1] - virtual[i])
+    part, by_base, by_inside = _layer(height - edge[i], virtual[i], inside)
+    integral = np.concatenate([[0.0], np.cumsum(whole)])[i] + part
+
+    at_edge = np.zeros(edge.size)
+    at_edge[:-1] += by_lower
+    at_edge[1:] += by_upper
+    gradient = np.where(np.arange(edge.size) < i[:, None], at_edge, 0.0)
+    row = np.arange(height.size)
+    below = np.concatenate([[0.0], by_upper])
+    gradient[row, i] = below[i] + by_base + (1.0 - share) * by_inside
+    gradient[row, i + 1] = share * by_inside
+    return integral, gradient
 
 
-def _log_pressure(
-    height: Array, edge: Array, virtual: Array, anchor: float, standard: Profile
-) -> Array:
-    """ln p at geopotential heights, through temperatures at edges, from ln p at the lowest."""
-    layers = stack_layers(
-        edge,
-        virtual,
-        np.zeros(edge.size),
-        ("",) * (edge.size - 1),
-        anchor=(float(edge[0]), float(np.exp(anchor))),
-        constant=standard.constant,
+def _layer(thickness: Array, lower: Array, upper: Array) -> tuple[Array, Array, Array]:
+    """Integral of dH/T over layers, and its derivatives by the lower and upper temperature."""
+    x = upper / lower - 1.0
+    thin = np.abs(x) < _SERIES_BELOW
+    safe = np.where(thin, 1.0, x)
+    log = np.log1p(safe)
+    mean = np.where(thin, 1.0 - x * (0.5 - x * (1.0 / 3.0 - x * 0.25)), log / safe)
+    moment = np.where(
+        thin,
+        0.5 - x * (2.0 / 3.0 - x * (0.75 - x * 0.8)),
+        (log - safe / (1.0 + safe)) / safe**2,
     )
-    model = Profile(layers, standard.gravity, constant=standard.constant)
-    return np.log(model.pressure(standard.gravity.height(height)))
-
-
-def _binned(pressure: Samples, standard: Profile) -> tuple[Array, Array]:
-    """Heights [m'] and ln p in bins, by medians of the departure from the standard."""
-    geopotential = standard.gravity.geopotential_height(pressure.h_m)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        departure = np.log(pressure.value) - np.log(standard.pressure(pressure.h_m))
-    height, middle = bin_by_height(geopotential, pressure, BIN_M, departure)
-    if height.size == 0:
-        return height, middle
-    return height, middle + np.log(standard.pressure(standard.gravity.height(height)))
-
-
-def _weight_integrals(height: Array, edge: Array, virtual: Array) -> Array:
-    """(n, k) integrals from the lowest edge to each height of phi_k / T^2, phi_k the hats."""
-    grid = np.union1d(np.linspace(edge[0], edge[-1], 40 * edge.size), height)
-    hats = np.stack([np.interp(grid, edge, row) for row in np.eye(edge.size)], axis=1)
-    integrand = hats / np.interp(grid, edge, virtual)[:, None] ** 2
-    steps = 0.5 * (integrand[1:] + integrand[:-1]) * np.diff(grid)[:, None]
-    cumulative = np.vstack([np.zeros(edge.size), np.cumsum(steps, axis=0)])
-    return np.asarray(cumulative[np.searchsorted(grid, height)])
+    by_upper = -thickness * moment / lower**2
+    by_lower = -thickness / (lower * upper) - by_upper
+    return thickness * mean / lower, by_lower, by_upper

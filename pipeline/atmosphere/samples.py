@@ -55,11 +55,20 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class AirSamples:
-    """What a flight measured of the air outside; None where there was no sensor."""
+    """What a flight measured of the air outside; None where there was no sensor.
+
+    ``airspeed`` is indicated [m/s]; ``takeoff_ns`` the times [Unix ns] at which the aircraft left
+    the ground, increasing, None where nobody looked. ``board_temperature`` says that the
+    thermometer sits on a circuit board and is used only because the user insists: the air plus
+    10 K or so, wandering.
+    """
 
     temperature: Samples | None = None
     pressure: Samples | None = None
     humidity: Samples | None = None
+    airspeed: Samples | None = None
+    takeoff_ns: NDArray[np.int64] | None = None
+    board_temperature: bool = False
 
 
 def bin_by_height(

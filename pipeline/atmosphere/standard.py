@@ -2,7 +2,7 @@
 
 The breakpoints stand in ``data/standard_atmospheres.csv``: US Standard Atmosphere 1976 and 1962,
 ICAO 1993 (ISO 2533), ARDC Model Atmosphere 1959 (the one behind the tables of Gyer 1996 and
-Bertram 1966) and ICAN (Saastamoinen 1974).
+Bertram 1966) and ICAN (Saastamoinen 1974). The US Supplements 1966 and AFGL 1986 are in `climates`.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from importlib import resources
 import numpy as np
 
 from pipeline.atmosphere.air import DEFAULT_WAVELENGTH_M, IndexModel
+from pipeline.atmosphere.climates import climate_names, climate_profile
 from pipeline.atmosphere.profile import STANDARD, Profile, stack_layers
 from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity, lambert_gravity
@@ -36,12 +37,12 @@ def _breakpoints() -> dict[str, list[dict[str, float]]]:
 
 
 def standard_names() -> tuple[str, ...]:
-    """Names that `standard_atmosphere` takes.
+    """Names that `standard_atmosphere` takes: the standards, then the tables of `climates`.
 
-    >>> standard_names()
-    ('us1976', 'us1962', 'icao', 'ardc1959', 'ican')
+    >>> standard_names()[:5], standard_names()[5]
+    (('us1976', 'us1962', 'icao', 'ardc1959', 'ican'), 'supplements1966_15n_annual')
     """
-    return tuple(_breakpoints())
+    return (*_breakpoints(), *climate_names())
 
 
 def standard_atmosphere(
@@ -58,7 +59,7 @@ def standard_atmosphere(
     index : ``ciddor`` or ``gyer`` (Eq. 13, 0.589 um whatever the wavelength).
     wavelength_m : wavelength of vacuum [m].
     latitude : [rad] gives Lambert's gravity, as the profile of a mission has; by default the
-        standard keeps the gravity of its own definition.
+        standard keeps the gravity of its own definition, a climatology that of its latitude.
 
     Agrees with the tables of its definition to their last printed digit.
 
@@ -66,6 +67,17 @@ def standard_atmosphere(
     >>> (profile.refractivity(0.0) * 1e6).round(3).item()
     277.201
     """
+    gravity = None
+    if latitude is not None:
+        if not abs(latitude) <= math.pi / 2.0 + 1e-12:
+            raise PhysicsError(
+                "ATMOSPHERE-LATITUDE",
+                f"a latitude of {latitude:g} rad lies beyond the pole",
+                remedy="give it in radians",
+            )
+        gravity = lambert_gravity(latitude)
+    if name in climate_names():
+        return climate_profile(name, IndexModel(index, wavelength_m), gravity)
     try:
         rows = _breakpoints()[name]
     except KeyError:
@@ -75,15 +87,7 @@ def standard_atmosphere(
             remedy=f"one of {', '.join(standard_names())}",
         ) from None
     first = rows[0]
-    gravity = Gravity(first["g0_m_s2"], first["r0_m"])
-    if latitude is not None:
-        if not abs(latitude) <= math.pi / 2.0 + 1e-12:
-            raise PhysicsError(
-                "ATMOSPHERE-LATITUDE",
-                f"a latitude of {latitude:g} rad lies beyond the pole",
-                remedy="give it in radians",
-            )
-        gravity = lambert_gravity(latitude)
+    gravity = gravity or Gravity(first["g0_m_s2"], first["r0_m"])
     edge = np.array([row["geopotential_m"] for row in rows])
     temperature = np.array([row["temperature_k"] for row in rows])
     lapse = (temperature[1] - temperature[0]) / (edge[1] - edge[0])

@@ -6,10 +6,10 @@ a part of its own. What a part holds does not depend on how many are under way.
 
 from __future__ import annotations
 
-import os
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,10 +22,12 @@ from pipeline.batch.ground import Ground, plausible
 from pipeline.batch.look import CameraSetup
 from pipeline.batch.store import RunFolder
 from pipeline.batch.tally import Tally
+from pipeline.refraction._threads import usable_cpus
 from pipeline.refraction.chord import target_heights
 from pipeline.refraction.forward import apply_refraction
-from pipeline.refraction.image import Corrections, Exposures, correct_observations
+from pipeline.refraction.image import COLUMNS, Corrections, Exposures, correct_observations
 from pipeline.refraction.ray import PublishedRays, RayTable
+from pipeline.refraction.sigmas import Sigmas, Uncertainty
 from pipeline.refraction.status import NO_STATION
 from pipeline.tables.marks import Direction
 from pipeline.tables.observations import Batch, Observations
@@ -34,12 +36,17 @@ from pipeline.tables.writing import observation_table, write_parquet
 
 Array = NDArray[np.float64]
 
+# Reading and writing leave no work for more, and each holds a batch: 250,000 rows by default.
+_MOST_WORKERS = 4
+
 
 @dataclass(frozen=True, eq=False)
 class Recipe:
     """All that turns a batch of observations into corrections.
 
-    ``images`` and ``cameras_of`` (s,) belong to the rows of ``exposures``.
+    ``images``, ``cameras_of`` and ``air_of`` (s,) belong to the rows of ``exposures``; ``air_of``
+    numbers ``tables``, the air in which the rays of an exposure bend, and ``uncertainties``; where
+    all of these are None no standard deviations are computed.
     """
 
     images: NDArray[np.object_]
@@ -47,8 +54,29 @@ class Recipe:
     exposures: Exposures
     ground: Ground
     cameras: Mapping[str, CameraSetup]
-    table: RayTable | PublishedRays
+    tables: tuple[RayTable | PublishedRays, ...]
+    air_of: NDArray[np.int64]
     direction: Direction = "remove"
+    uncertainties: tuple[Uncertainty | None, ...] = (None,)
+
+    @property
+    def in_doubt(self) -> bool:
+        """Whether standard deviations are asked for."""
+        return any(one is not None for one in self.uncertainties)
+
+    def groups(
+        self, row: NDArray[np.int64], camera: NDArray[np.int64]
+    ) -> Iterator[tuple[NDArray[np.intp], CameraSetup, int]]:
+        """The observations of each camera in each air, from their stations and cameras (n,)."""
+        for number, setup in enumerate(self.cameras.values()):
+            mine = np.flatnonzero(camera == number)
+            if len(self.tables) == 1:
+                if mine.size:
+                    yield mine, setup, 0
+                continue
+            air = self.air_of[row[mine]]
+            for i in np.unique(air).tolist():
+                yield mine[air == i], setup, i
 
 
 def correct_stream(
@@ -82,18 +110,28 @@ def correct_stream(
         folder.seal(name)
         tally = Tally.of(recipe.cameras)
         tally.add(batch, corrections, camera)
+        if recipe.in_doubt:
+            tally.sample(corrections, np.append(recipe.exposures.height_m, np.nan)[row], h_g)
         return tally
 
     total = Tally.of(recipe.cameras)
-    for part in _overlapped(one, observations.batches(batch_rows)):
-        total.merge(part)
-        progress(part.rows)
+    # Closed, and its threads waited for, before anyone clears the folder they write to.
+    with closing(_overlapped(one, observations.batches(batch_rows))) as parts:
+        for part in parts:
+            total.merge(part)
+            progress(part.rows)
     return total
 
 
-def _overlapped(one: Callable[[int, Batch], Tally], batches: Iterator[Batch]) -> Iterator[Tally]:
-    """Results for numbered batches, in their order; as many at a time as there are cores."""
-    workers = os.cpu_count() or 1
+def _overlapped(
+    one: Callable[[int, Batch], Tally], batches: Iterator[Batch]
+) -> Generator[Tally, None, None]:
+    """Results for numbered batches, in their order.
+
+    As many at a time as this process may use CPUs, four at most; one more is read meanwhile, and
+    no other before the oldest of them is done.
+    """
+    workers = min(_MOST_WORKERS, usable_cpus())
     waiting: deque[Future[Tally]] = deque()
     with ThreadPoolExecutor(workers, thread_name_prefix="batch") as pool:
         try:
@@ -123,8 +161,7 @@ def _heights(
     """(n,) heights of the points above sea level [m], NaN where there is none."""
     h_g = recipe.ground.heights(batch, row)
     if recipe.ground.from_distance and batch.distance_m is not None:
-        for number, setup in enumerate(recipe.cameras.values()):
-            mine = np.flatnonzero(camera == number)
+        for mine, setup, air in recipe.groups(row, camera):
             h_g[mine] = target_heights(
                 batch.x_px[mine] + setup.pixel_offset,
                 batch.y_px[mine] + setup.pixel_offset,
@@ -132,7 +169,7 @@ def _heights(
                 row[mine],
                 recipe.exposures,
                 setup.camera,
-                recipe.table,
+                recipe.tables[air],
                 ideal=recipe.direction == "apply",
             )
         h_g = plausible(h_g)
@@ -144,20 +181,19 @@ def _correct_batch(
 ) -> Corrections:
     """The corrections of a batch, camera by camera, back in the order of the rows."""
     parts = []
-    for number, setup in enumerate(recipe.cameras.values()):
-        mine = np.flatnonzero(camera == number)
+    for mine, setup, air in recipe.groups(row, camera):
         if mine.size == len(batch):
-            return _correct_rows(batch, slice(None), row, h_g, setup, recipe)
-        if mine.size:
-            parts.append((mine, _correct_rows(batch, mine, row, h_g, setup, recipe)))
-    columns: dict[str, Any] = {
-        name: np.full(len(batch), np.nan) for name in Corrections.__dataclass_fields__
-    }
+            return _correct_rows(batch, slice(None), row, h_g, setup, air, recipe)
+        parts.append((mine, _correct_rows(batch, mine, row, h_g, setup, air, recipe)))
+    columns: dict[str, Any] = {name: np.full(len(batch), np.nan) for name in COLUMNS}
     columns["status"] = np.full(len(batch), NO_STATION, np.uint8)
+    sigmas = Sigmas.unknown(len(batch)) if recipe.in_doubt else None
     for mine, part in parts:
         for name, column in columns.items():
             column[mine] = getattr(part, name)
-    return Corrections(**columns)
+        if sigmas is not None and part.sigmas is not None:
+            sigmas.put(mine, part.sigmas)
+    return Corrections(**columns, sigmas=sigmas)
 
 
 def _correct_rows(
@@ -166,9 +202,11 @@ def _correct_rows(
     row: NDArray[np.int64],
     h_g: Array,
     setup: CameraSetup,
+    air: int,
     recipe: Recipe,
 ) -> Corrections:
-    """The corrections of the rows of one camera, in the user's pixels."""
+    """The corrections of the rows of one camera in one air, in the user's pixels."""
+    uncertainty = recipe.uncertainties[air]
     way = correct_observations if recipe.direction == "remove" else apply_refraction
     found = way(
         batch.x_px[mine] + setup.pixel_offset,
@@ -177,8 +215,10 @@ def _correct_rows(
         row[mine],
         recipe.exposures,
         setup.camera,
-        recipe.table,
+        recipe.tables[air],
         distance_m=None if batch.distance_m is None else batch.distance_m[mine],
+        uncertainty=uncertainty,
+        sigma_h_g=None if uncertainty is None else recipe.ground.sigmas(batch)[mine],
     )
     if setup.pixel_offset == 0.0:
         return found

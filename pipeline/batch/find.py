@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.atmosphere.samples import AirSamples
+from pipeline.batch.air import AirSources
 from pipeline.batch.plan import Plan
 from pipeline.config import Mission
 from pipeline.errors import MissionError
@@ -58,6 +59,7 @@ class Found:
     observations: Observations
     stations: Stations
     samples: AirSamples
+    sources: AirSources
     ledger: Ledger
 
     def lines(self) -> list[tuple[str, str]]:
@@ -75,6 +77,7 @@ class Found:
                 "observations",
                 f"{self.observations.rows:,} in {len(self.observations.images)} images",
             ),
+            *self.sources.lines(),
             ("results", str(self.plan.output)),
         ]
 
@@ -88,6 +91,7 @@ def open_inputs(plan: Plan, ledger: Ledger) -> Observations:
         ground.column,
         ledger,
         ground_is_msl=ground.reference == "msl",
+        sigma_column=ground.sigma_column,
         direction=plan.mission.refraction.direction,
     )
 
@@ -101,7 +105,11 @@ def read_flight(plan: Plan, ledger: Ledger) -> Flight:
     if section.local_origin is not None:
         origin = section.local_origin.build()
         channels = tuple(locate(channel, origin) for channel in channels)
-    wishes = {role: Wish(c.name, c.unit) for role, c in section.channels.named().items()}
+    named = section.channels.named()
+    if plan.mission.atmosphere.board_temperature:
+        board = named["temperature"].name
+        channels = tuple(_board_as_air(c) if c.name == board else c for c in channels)
+    wishes = {role: Wish(c.name, c.unit) for role, c in named.items()}
     roles = assign_roles(channels, wishes, ledger, needs_cabin=reads_cabin(plan.mission))
     sound = {role: within_reason(channel, role, ledger) for role, channel in roles.items()}
     warn_of_gimbal(log.messages, ledger)
@@ -110,6 +118,14 @@ def read_flight(plan: Plan, ledger: Ledger) -> Flight:
     if stated_home is not None:
         heights = replace(heights, home_h_msl_m=stated_home)
     return Flight(log, channels, sound, heights)
+
+
+def _board_as_air(channel: Channel) -> Channel:
+    """A barometer whose own temperature is taken for that of the air."""
+    board = channel.columns.get("board_temperature_k")
+    if board is None or "temperature_k" in channel.columns:
+        return channel
+    return replace(channel, columns=dict(channel.columns) | {"temperature_k": board})
 
 
 def reads_cabin(mission: Mission) -> bool:

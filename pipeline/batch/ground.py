@@ -21,11 +21,13 @@ class Ground:
 
     ``offset_m`` (s,) is added per station: minus the undulation for ellipsoidal heights, the
     take-off height for relative ones. ``from_distance`` where they follow from the slant ranges.
+    ``sigma_m`` is the one standard deviation of all of them, where there is one.
     """
 
     constant_m: float | None
     offset_m: Array
     from_distance: bool = False
+    sigma_m: float | None = None
 
     def heights(self, batch: Batch, row: NDArray[np.int64]) -> Array:
         """(n,) heights above sea level [m] of the points of a batch."""
@@ -37,6 +39,22 @@ class Ground:
         offset = np.append(self.offset_m, np.nan)[row]
         # Without a station there is nothing to reduce with; the status says no_station anyway.
         return np.asarray(given + np.where(row < 0, 0.0, offset))
+
+    def sigmas(self, batch: Batch) -> Array:
+        """(n,) standard deviations of the heights [m], NaN where unknown."""
+        if batch.ground_sigma is not None:
+            return batch.ground_sigma
+        return np.full(len(batch), np.nan if self.sigma_m is None else self.sigma_m)
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The lowest and the highest height above sea level that a point can have [m]."""
+        if self.constant_m is None:
+            return LOWEST_GROUND_M, HIGHEST_GROUND_M
+        offset = self.offset_m[np.isfinite(self.offset_m)]
+        if offset.size == 0:
+            offset = np.zeros(1)
+        return self.constant_m + float(offset.min()), self.constant_m + float(offset.max())
 
 
 def plausible(height_m: Array) -> Array:

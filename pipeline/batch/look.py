@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere import Profile
 from pipeline.atmosphere.air import vapour_pressure
+from pipeline.atmosphere.course import AirAlong
 from pipeline.config import Mission
 from pipeline.errors import MissionError
 from pipeline.flight.stations import Stations
@@ -43,7 +44,7 @@ class _Air:
 
 def exposures_of(
     stations: Stations,
-    profile: Profile,
+    profile: Profile | AirAlong,
     windows: Mapping[str, Window],
     lenses: Mapping[str, LensInAir],
     radius_m: float | None,
@@ -67,7 +68,7 @@ def exposures_of(
             continue
         window, lens = windows.get(name), lenses.get(name)
         plane = window is not None and window.shape == "plane"
-        air = _air_outside(profile, stations.h_msl_m[mine])
+        air = _air_outside(profile, stations.h_msl_m, mine)
         if window is not None and window.cabin is not None and (plane or lens is not None):
             air = _air_inside(window.cabin, air, stations, mine, name, ledger)
         if window is not None and plane:
@@ -117,8 +118,10 @@ def _normals(window: Window, rotation: Array, aircraft_quaternion: Array) -> Arr
     return np.asarray(np.einsum("nij,nj->ni", rotation, in_enu))
 
 
-def _air_outside(profile: Profile, h: Array) -> _Air:
-    return _Air(profile.pressure(h), profile.temperature(h), profile.vapour_pressure(h))
+def _air_outside(profile: Profile | AirAlong, h: Array, mine: Mask) -> _Air:
+    return _Air(
+        profile.pressure(h)[mine], profile.temperature(h)[mine], profile.vapour_pressure(h)[mine]
+    )
 
 
 def _air_inside(
@@ -267,7 +270,7 @@ def setup_of(mission: Mission, name: str) -> CameraSetup:
 
 
 def look_through(
-    mission: Mission, stations: Stations, profile: Profile, ledger: Ledger
+    mission: Mission, stations: Stations, profile: Profile | AirAlong, ledger: Ledger
 ) -> Exposures:
     """What the rays of each exposure need to know: attitude, and the air beside the window."""
     for name, camera in mission.cameras.items():

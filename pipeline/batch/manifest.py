@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.atmosphere.adjust import Adjustment
+from pipeline.atmosphere.windows import Window
 from pipeline.batch.plan import Plan, versions
 from pipeline.batch.tally import Tally
 from pipeline.errors import EXIT_DONE, EXIT_LOSSES
@@ -18,6 +18,8 @@ from pipeline.flight.channels import Channel
 from pipeline.flight.stations import Stations
 from pipeline.ingest import Log
 from pipeline.ledger import Ledger
+from pipeline.refraction.effect import FlightAir
+from pipeline.refraction.uncertainty import BlockScale
 
 MANIFEST_VERSION = 1
 
@@ -45,8 +47,9 @@ def manifest_of(
     log: Log,
     roles: Mapping[str, Channel],
     stations: Stations,
-    adjustment: Adjustment,
+    air: FlightAir,
     tally: Tally,
+    scale: BlockScale | None,
     ledger: Ledger,
 ) -> dict[str, Any]:
     """The manifest of a run, without its outputs.
@@ -76,16 +79,31 @@ def manifest_of(
         },
         "channels": {role: channel.name for role, channel in sorted(roles.items())},
         "stations": dict(sorted(Counter(stations.status.tolist()).items())),
-        "profile": _profile(adjustment, stations),
+        "profile": _profile(air, stations),
         "observations": {"rows": tally.rows, "parts": tally.parts, "status": tally.status},
         "correction": tally.correction(),
+        "uncertainty": _uncertainty(scale),
         "ledger": entries,
         "exit_code": EXIT_LOSSES if ledger.has_losses else EXIT_DONE,
     }
 
 
-def _profile(adjustment: Adjustment, stations: Stations) -> dict[str, Any]:
-    """How the air was found, and by how much it differs from the standard at the cameras."""
+def _uncertainty(scale: BlockScale | None) -> dict[str, Any] | None:
+    """What all corrections share of the error of the air; None where the air has no sigma."""
+    if scale is None:
+        return None
+    return {
+        "scale_sigma": float(f"{scale.sigma:.4g}"),
+        "correlation": float(f"{scale.correlation:.4g}"),
+        "rays": scale.rays,
+        "meaning": "standard deviation of one scale factor of all r_c_rad, for the prior of one "
+        "parameter in an adjustment; correlation of the errors of r_c_rad between observations",
+    }
+
+
+def _profile(air: FlightAir, stations: Stations) -> dict[str, Any]:
+    """How the air was found, from what, and by how much it differs from the standard."""
+    adjustment = air.adjustment
     profile, standard = adjustment.profile, adjustment.standard
     heights, latitude = stations.h_msl_m[stations.ok], profile.gravity.latitude_rad
     difference = None
@@ -99,4 +117,32 @@ def _profile(adjustment: Adjustment, stations: Stations) -> dict[str, Any]:
         "layers": dict(sorted(Counter(profile.layers.source).items())),
         "latitude_deg": round(float(np.degrees(latitude)), 6) if latitude is not None else None,
         "departure_at_cameras_k": difference,
+        "effect": [effect.row() for effect in air.effects],
+        "sources": [use.row() for use in adjustment.sources],
+        "sensors": [
+            {
+                "what": n.name,
+                "value": round(n.value, 4),
+                "sigma": round(n.sigma, 4),
+                "expected_sigma": round(n.prior_sigma, 4),
+            }
+            for n in adjustment.nuisances
+        ],
+        "profiles": len(air.along.airs),
+        "windows": [_window(window) for window in air.windows],
     }
+
+
+def _window(window: Window) -> dict[str, Any]:
+    """A part of the flight; ``change`` is that of R against the whole flight's."""
+    return {
+        "start_utc": _second(window.start_ns),
+        "end_utc": _second(window.end_ns),
+        "change": round(window.change, 5),
+        "sigma": round(window.sigma, 5),
+        "why_not": window.why_not,
+    }
+
+
+def _second(time_ns: int) -> str:
+    return f"{np.datetime64(time_ns, 's')}Z"

@@ -52,7 +52,7 @@ class Plan:
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
     def input(self, role: str) -> Input:
-        """The input of a role: log, observations, or events."""
+        """The input of a role: log, observations, events, or ``sounding 1``."""
         return next(item for item in self.inputs if item.role == role)
 
 
@@ -61,7 +61,19 @@ def input_paths(mission: Mission, folder: Path) -> dict[str, tuple[str, Path]]:
     named = {"log": mission.log.path, "observations": mission.observations.path}
     if mission.events.csv is not None:
         named["events"] = mission.events.csv.path
+    for number, sounding in enumerate(mission.atmosphere.soundings):
+        named[sounding_role(number)] = sounding.path
     return {role: (name, folder / name) for role, name in named.items()}
+
+
+def sounding_role(number: int) -> str:
+    """The role of a sounding among the inputs, counted from 0."""
+    return f"sounding {number + 1}"
+
+
+def _key_of(role: str) -> str:
+    """Where the mission file names the input of a role."""
+    return _KEY.get(role, "atmosphere.soundings")
 
 
 def make_plan(mission: Mission, folder: Path) -> Plan:
@@ -79,7 +91,7 @@ def make_plan(mission: Mission, folder: Path) -> Plan:
                     "INPUT-MISSING",
                     f"the {role} file is not there",
                     where=str(path),
-                    remedy=f"check {_KEY[role]} in the mission file; paths are relative to it",
+                    remedy=f"check {_key_of(role)} in the mission file; paths are relative to it",
                 )
             _refuse_among_results(role, path, output)
             stamp = _stamp(path)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from pipeline.atmosphere.air import IndexModel
+from pipeline.atmosphere.course import AirAlong, TimedAir
 from pipeline.atmosphere.profile import Layers, Profile
 from pipeline.batch.look import look_through, setup_of
 from pipeline.config import Mission
@@ -85,8 +86,22 @@ def stations_of(table: pa.Table) -> Stations:
     return Stations(**(derived | {name: number(name) for name in names}))
 
 
+def air_of(table: pa.Table, profile_id: pa.ChunkedArray) -> AirAlong:
+    """The profiles of ``profile.parquet``, and which belongs to each station's ``profile_id``.
+
+    A station without one gets the first; it cannot be used.
+    """
+    names = pc.unique(table["profile_id"])
+    airs = tuple(
+        TimedAir(None, profile_of(table.filter(pc.equal(table["profile_id"], name))))
+        for name in names
+    )
+    number = pc.fill_null(pc.index_in(profile_id, value_set=names), 0)
+    return AirAlong(airs, np.asarray(number.to_numpy(), dtype=np.int64))
+
+
 def profile_of(table: pa.Table) -> Profile:
-    """The profile from the table of ``profile.parquet``; the inverse of `profile_arrow`.
+    """The profile from a table of one as in ``profile.parquet``; the inverse of `profile_arrow`.
 
     One row a layer at its lower edge and one at the top of the last, as a run writes it. The
     refractivity is that of the run to 1e-15 of itself (6e-16 in the sample runs).
@@ -190,16 +205,16 @@ def _difference(run: FinishedRun, table: pa.Table, row: NDArray[np.int64]) -> fl
     ok = np.asarray(pc.equal(table["status"], "ok").to_numpy()) & (zeta < _LARGEST_CHECKED_RAD)
     worst = 0.0
     for name, camera in run.cameras.items():
-        mine = np.flatnonzero(ok & (run.stations.camera[row] == name))
-        if mine.size == 0:
-            continue
-        offset = camera.pixel_offset
-        now = correct_observations(
-            x[mine] + offset, y[mine] + offset, h_g[mine], row[mine],
-            run.exposures, camera.camera, run.rays,
-        )  # fmt: skip
-        away = np.hypot(x[mine] + now.dx_px - x_then[mine], y[mine] + now.dy_px - y_then[mine])
-        worst = max(worst, float(np.nan_to_num(away, nan=np.inf).max()))
+        of_camera = ok & (run.stations.camera[row] == name)
+        for air in np.unique(run.air.number[row[of_camera]]):
+            mine = np.flatnonzero(of_camera & (run.air.number[row] == air))
+            offset = camera.pixel_offset
+            now = correct_observations(
+                x[mine] + offset, y[mine] + offset, h_g[mine], row[mine],
+                run.exposures, camera.camera, run.rays[air],
+            )  # fmt: skip
+            away = np.hypot(x[mine] + now.dx_px - x_then[mine], y[mine] + now.dy_px - y_then[mine])
+            worst = max(worst, float(np.nan_to_num(away, nan=np.inf).max()))
     return worst
 
 
@@ -237,16 +252,17 @@ def rebuild_run(
             where=f"{path / 'manifest.json'}, refraction.direction",
             remedy="export from a run that removes refraction",
         )
-    stations = stations_of(pq.read_table(path / "stations.parquet"))
-    profile = profile_of(pq.read_table(path / "profile.parquet"))
+    table = pq.read_table(path / "stations.parquet")
+    stations = stations_of(table)
+    air = air_of(pq.read_table(path / "profile.parquet"), table["profile_id"])
     parts = parts_of(manifest, path)
     constant = None if ground_height_m is None else np.full(len(stations), ground_height_m)
     run = FinishedRun(
         mission.mission.name,
         stations,
-        look_through(mission, stations, profile, Ledger()),
-        profile,
-        rays_by(profile, mission.refraction.method),
+        look_through(mission, stations, air, Ledger()),
+        air,
+        tuple(rays_by(profile, mission.refraction.method) for profile in air.profiles),
         mission.refraction.method,
         {name: export_camera(mission, name) for name in mission.cameras},
         ground_of(parts, stations, ledger) if constant is None else constant,

@@ -94,7 +94,8 @@ class RunFolder:
 
     def commit(self, manifest: dict[str, Any]) -> None:
         """Make the staged results the visible ones; the manifest comes last."""
-        text = json.dumps(manifest, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
+        text = json.dumps(manifest, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
+        text += "\n"
         with translated(self.path):
             draft = self.staging / MANIFEST
             draft.write_text(text, encoding="utf-8")

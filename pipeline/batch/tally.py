@@ -16,6 +16,11 @@ from pipeline.refraction.spread import SPREADS, Extent, ImageGrid, Spread
 from pipeline.refraction.status import STATUS_NAMES
 from pipeline.tables.observations import Batch
 
+Array = NDArray[np.float64]
+
+_RAYS_OF_A_PART = 128
+_MOST_RAYS = 400
+
 
 @dataclass
 class Tally:
@@ -26,6 +31,8 @@ class Tally:
     parts: int = 0
     status: dict[str, int] = field(default_factory=dict)
     no_distance: int = 0
+    no_sigma: int = 0
+    rays: list[Array] = field(default_factory=list)
 
     @classmethod
     def of(cls, cameras: Mapping[str, CameraSetup]) -> Tally:
@@ -37,6 +44,7 @@ class Tally:
         """Count a batch; ``camera`` (n,) numbers the cameras, -1 without one."""
         self.rows += len(batch)
         self.no_distance += batch.no_distance
+        self.no_sigma += batch.no_sigma
         self.parts += 1
         counts = np.bincount(corrections.status, minlength=len(STATUS_NAMES))
         for name, count in zip(STATUS_NAMES, counts.tolist(), strict=True):
@@ -48,10 +56,27 @@ class Tally:
             elif bool(mine.any()):
                 extent.add(batch.x_px[mine], batch.y_px[mine], corrections.rows(mine))
 
+    def sample(self, corrections: Corrections, h_c: Array, h_g: Array) -> None:
+        """Keep some rays of a batch, evenly spread over its rows, to stand for all of them.
+
+        ``h_c``, ``h_g`` (n,) heights of camera and target above sea level [m].
+        """
+        good = np.flatnonzero(np.isfinite(corrections.r_c_rad) & (h_c > h_g))
+        some = good[_evenly(good.size, _RAYS_OF_A_PART)]
+        self.rays.append(np.stack([h_c[some], h_g[some], corrections.zeta_c_rad[some]]))
+
+    def sampled(self) -> tuple[Array, Array, Array]:
+        """(n,) heights of camera and target [m] and nadir angles [rad], some hundreds of rays."""
+        rays = np.concatenate([np.empty((3, 0)), *self.rays], axis=1)
+        h_c, h_g, zeta_c = rays[:, _evenly(rays.shape[1], _MOST_RAYS)]
+        return h_c, h_g, zeta_c
+
     def merge(self, other: Tally) -> None:
         """Count what another counted."""
         self.rows += other.rows
         self.no_distance += other.no_distance
+        self.no_sigma += other.no_sigma
+        self.rays += other.rays
         self.parts += other.parts
         for name, count in other.status.items():
             self.status[name] = self.status.get(name, 0) + count
@@ -76,6 +101,14 @@ class Tally:
                 where="observations.columns.distance_m",
                 count=self.no_distance,
             )
+        if self.no_sigma:
+            ledger.warning(
+                "OBS-SIGMA",
+                f"{self.no_sigma} standard deviations of ground heights are negative, infinite or "
+                "no number: taken as unknown",
+                where="ground.sigma_column",
+                count=self.no_sigma,
+            )
         for name, count in self.status.items():
             what = f"{count} of {self.rows} observations are {name}"
             if name == "ok" or count == 0:
@@ -86,3 +119,8 @@ class Tally:
                 ledger.note("OBS-FAR-BRANCH", what + ", by their slant range", count=count)
             else:
                 ledger.loss("OBS-FLAGGED", what, count=count)
+
+
+def _evenly(count: int, most: int) -> NDArray[np.intp]:
+    """Numbers below ``count``, ``most`` of them at the most, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))

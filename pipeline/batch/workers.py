@@ -160,4 +160,5 @@ def _work(line: Connection) -> None:
 
 
 def _stop(_: int, __: FrameType | None) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second one must not break the cleaning up
     raise SystemExit(EXIT_INTERRUPTED)

@@ -22,8 +22,30 @@ _COMMANDS = (missions, physics)
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
 
 
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def _leave_in_peace() -> None:
+    """Hear no more signals: whoever leaves clears up, and a second one would end that half done."""
+    for number in _SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+
+
+def _interrupted(_: int, __: FrameType | None) -> None:
+    _leave_in_peace()
+    raise KeyboardInterrupt
+
+
 def _terminated(_: int, __: FrameType | None) -> None:
+    _leave_in_peace()
     raise SystemExit(143)
+
+
+def _listen() -> None:
+    """The first Ctrl-C or SIGTERM ends the command; Ctrl-C unless we were started deaf to it."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupted)
+    signal.signal(signal.SIGTERM, _terminated)
 
 
 def _unexpected(kind: type[BaseException], error: BaseException, at: TracebackType | None) -> None:
@@ -47,8 +69,11 @@ def _obey(words: list[str]) -> int:
 
 def main() -> None:
     """Run the command line and leave with its exit code."""
+    # Matrices of some hundreds of rows are slower on many threads, and sums then depend on how
+    # many: set before anything imports numpy, and only where the user has not.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     sys.excepthook = _unexpected
-    signal.signal(signal.SIGTERM, _terminated)
+    _listen()
     code = EXIT_DONE
     try:
         code = _obey(sys.argv[1:])

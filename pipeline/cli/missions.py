@@ -106,7 +106,7 @@ def inspect(
     elif columns is not None:
         show_fields(console, f"{log.name}, {kind}", field_rows(columns))
     elif as_json:
-        print(json.dumps(opened.to_json_dict(), indent=2))
+        print(json.dumps(opened.to_json_dict(), indent=2, allow_nan=False))
     else:
         show_log(console, opened.to_json_dict(), log.name)
     raise typer.Exit(EXIT_LOSSES if opened.ledger.has_losses else EXIT_DONE)

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from pipeline.cli.app import app, new_console, write_csv
 from pipeline.errors import EXIT_DONE, EXIT_LOSSES, ConfigError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from pipeline.refraction.radial import RadialTable
 
 _METHODS = (
     "spherical, plane, gyer1996, saastamoinen1974, saastamoinen1974_ican, "
@@ -31,15 +37,21 @@ def angle(
     method: Annotated[str, typer.Option(help=_METHODS)] = "spherical",
     index: Annotated[str, typer.Option(help="ciddor or gyer (Eq. 13)")] = "ciddor",
     radius: Annotated[float, typer.Option(help="radius of the earth, metres")] = 6_371_000.0,
+    distance: Annotated[
+        float | None,
+        typer.Option(help="slant range, metres: which one of two crossings is meant (spherical)"),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="as JSON")] = False,
 ) -> None:
     """One refraction angle: arcsec, microradians, ground metres."""
     from pipeline.refraction.angle import one_angle
     from pipeline.report.terminal import show_angle
 
-    result = one_angle(atmosphere, index, camera_height, ground_height, nadir_angle, radius, method)
+    result = one_angle(
+        atmosphere, index, camera_height, ground_height, nadir_angle, radius, method, distance
+    )
     if as_json:
-        print(json.dumps(result, indent=2))
+        print(json.dumps(result, indent=2, allow_nan=False))
     else:
         show_angle(new_console(), result)
 
@@ -63,29 +75,44 @@ def radial(
 ) -> None:
     """Refraction by nadir angle per flying height; the Manual's K.
 
-    K is R at 45 degrees; beside it stands what the Manual of Photogrammetry's formula gives.
+    K is R at 45 degrees; beside it stands what the Manual of Photogrammetry's formula gives. No
+    metres on the ground are given where only the bent ray lands and the straight one passes over
+    the horizon.
     """
     from pipeline.refraction.radial import angles_to, radial_table
     from pipeline.report.progress import PatientBar
     from pipeline.report.radial import radial_rows, show_radial
     from pipeline.report.terminal import show_ledger
-    from pipeline.stages import profile_sources
+    from pipeline.stages import air_of_either
 
     _refuse_two_airs(config, atmosphere)
     console = new_console()
     angles = angles_to(max_angle, step)
     with PatientBar(console, "finding the air"):
-        adjustment, _, ledger = profile_sources(config, atmosphere)
+        air, _, ledger = air_of_either(config, atmosphere)
     tables = [
-        radial_table(adjustment.profile, h, ground_height, angles, focal_px=focal_px, radius=radius)
+        radial_table(
+            air.adjustment.profile, h, ground_height, angles, focal_px=focal_px, radius=radius
+        )
         for h in camera_height
     ]
     if csv is not None:
         write_csv(csv, radial_rows(tables))
     else:
         show_radial(console, tables)
+        _explain_empty(console, tables)
         show_ledger(console, ledger.rows())
     raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)
+
+
+def _explain_empty(console: Console, tables: Sequence[RadialTable]) -> None:
+    """Say why a ray that has an angle has no metres on the ground, where there is one."""
+    import numpy as np
+
+    from pipeline.report.terminal import OVER_THE_HORIZON
+
+    if any(bool(np.isnan(t.shift_ground_m[np.isfinite(t.r_c_rad)]).any()) for t in tables):
+        console.print(f"{OVER_THE_HORIZON[:1].upper()}{OVER_THE_HORIZON[1:]}.")
 
 
 @app.command(epilog="Example: unbend tables gyer1996 --csv gyer.csv")
@@ -125,26 +152,30 @@ def profile(
     """The air of a mission or of a standard: a table, CSV or plot."""
     from pipeline.atmosphere.profile import heights_every
     from pipeline.report.progress import PatientBar
-    from pipeline.stages import profile_sources
-    from pipeline.tables.writing import profile_arrow
+    from pipeline.stages import air_of_either
+    from pipeline.tables.writing import profile_arrow, profiles_arrow
 
     _refuse_two_airs(config, atmosphere)
     console = new_console()
     with PatientBar(console, "finding the air"):
-        adjustment, samples, ledger = profile_sources(config, atmosphere)
+        air, samples, ledger = air_of_either(config, atmosphere)
+    adjustment = air.adjustment
     heights = None if step is None else heights_every(adjustment.profile, step)
-    table = profile_arrow(adjustment, "", heights).drop_columns(["profile_id", "time_utc"])
-    rows = table.to_pylist()
+    rows = profile_arrow(adjustment, "", heights).drop_columns(["profile_id", "time_utc"])
     if csv is not None:
-        write_csv(csv, rows)
+        several = len(air.along.airs) > 1
+        whole = profiles_arrow(adjustment, air.along, heights) if several else rows
+        write_csv(csv, whole.to_pylist())
     if plot is not None:
-        from pipeline.report.figures import profile_figure, save_figure
+        from pipeline.report.figures import save_figure
+        from pipeline.report.profile_figure import profile_figure
 
-        save_figure(profile_figure(adjustment, samples), plot)
+        save_figure(profile_figure(air, samples), plot)
     if csv is None and plot is None:
-        from pipeline.report.terminal import show_ledger, show_profile
+        from pipeline.report.terminal import show_air, show_ledger, show_profile
 
-        show_profile(console, rows)
+        show_profile(console, rows.to_pylist())
+        show_air(console, air)
         show_ledger(console, ledger.rows())
     raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)
 

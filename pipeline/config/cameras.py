@@ -241,6 +241,24 @@ class MountSection(Section):
         description="projection centre minus the point whose position the log gives (horizontally "
         "the filter's, in height the GNSS antenna's), in the body frame",
     )
+    sigma_tilt_deg: float | None = Field(
+        None,
+        ge=0,
+        le=45,
+        description="standard deviation of the attitude about each of the body's two level axes",
+    )
+    sigma_yaw_deg: float | None = Field(
+        None,
+        ge=0,
+        le=180,
+        description="that about the body's vertical axis; by default as for the others",
+    )
+
+    @model_validator(mode="after")
+    def _yaw_is_not_alone(self) -> MountSection:
+        if self.sigma_yaw_deg is not None and self.sigma_tilt_deg is None:
+            raise ValueError("sigma_yaw_deg needs sigma_tilt_deg beside it")
+        return self
 
     def build(self) -> Mount:
         """In radians."""

@@ -5,20 +5,18 @@ from __future__ import annotations
 import difflib
 import re
 import string
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from pipeline.atmosphere import standard_names
+from pipeline.config.air import AtmosphereSection, PathText
 from pipeline.config.cameras import CameraSection, MountSection, Section, offset_px
 from pipeline.flight.local import Origin
 from pipeline.refraction import METHODS
 from pipeline.units import DEGREE
 
 _NUMBER_FORMAT = re.compile(r"^0?[0-9]{0,2}d?$")
-
-PathText = Annotated[str, Field(min_length=1, pattern=r"^[^\x00]+$")]
 
 
 class MissionSection(Section):
@@ -223,6 +221,12 @@ class GroundSection(Section):
         le=10_000,
         description="height of the take-off point, where the log does not tell",
     )
+    sigma_m: float | None = Field(
+        None, ge=0, le=10_000, description="standard deviation of the heights of all points"
+    )
+    sigma_column: str | None = Field(
+        None, description="column of standard deviations [m], where they differ"
+    )
 
     @property
     def constant_m(self) -> float | None:
@@ -255,6 +259,12 @@ class GroundSection(Section):
         return value
 
     @model_validator(mode="after")
+    def _has_one_sigma(self) -> GroundSection:
+        if self.sigma_m is not None and self.sigma_column is not None:
+            raise ValueError("give either sigma_m or sigma_column")
+        return self
+
+    @model_validator(mode="after")
     def _says_nothing_idle(self) -> GroundSection:
         if self.from_distance and (self.reference != "msl" or self.home_h_msl_m is not None):
             raise ValueError(
@@ -262,23 +272,6 @@ class GroundSection(Section):
                 "home_h_msl_m out"
             )
         return self
-
-
-class AtmosphereSection(Section):
-    """The air."""
-
-    standard: str = "us1976"
-    adjust: bool = Field(True, description="false keeps the standard atmosphere as it is")
-    index: Literal["ciddor", "gyer"] = "ciddor"
-    wavelength_m: float = Field(0.55e-6, ge=0.3e-6, le=1.7e-6)
-    co2_ppm: float = Field(450.0, ge=0, le=2000)
-
-    @field_validator("standard")
-    @classmethod
-    def _is_known(cls, value: str) -> str:
-        if value not in standard_names():
-            raise ValueError(f"is none of {', '.join(standard_names())}")
-        return value
 
 
 class RefractionSection(Section):
@@ -341,6 +334,15 @@ class Mission(Section):
                     f"this mount its normal is [{x:.3f}, {y:.3f}, {z:.3f}] in the camera frame, "
                     "where forward is positive"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _a_board_is_named(self) -> Mission:
+        if self.atmosphere.board_temperature and self.log.channels.temperature is None:
+            raise ValueError(
+                "atmosphere.board_temperature needs log.channels.temperature, the channel whose "
+                "board is meant, as BARO[0]"
+            )
         return self
 
     @model_validator(mode="after")

@@ -37,6 +37,7 @@ def air_samples(
         return AirSamples()
     stood = _times_on_the_ground(height)
     found: dict[str, Samples] = {}
+    airspeed = roles.get("airspeed")
     for role, column in (
         ("temperature", "temperature_k"),
         ("pressure", "pressure_pa"),
@@ -59,7 +60,27 @@ def air_samples(
                 )
             accepted &= ~soaked
         found[role] = Samples(channel.time_ns, h, channel[column], accepted, channel.name)
-    return AirSamples(**found)
+    if airspeed is not None and len(airspeed) > 0:
+        h, _ = heights_at(height, airspeed.time_ns, heights, max_gap_s)
+        known = np.isfinite(h)
+        found["airspeed"] = Samples(
+            airspeed.time_ns, h, airspeed["airspeed_m_s"], known, airspeed.name
+        )
+    return AirSamples(
+        found.get("temperature"),
+        found.get("pressure"),
+        found.get("humidity"),
+        found.get("airspeed"),
+        _takeoffs(stood),
+    )
+
+
+def _takeoffs(stood: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Times [Unix ns] at which the aircraft last stood before it was away for a minute or more."""
+    if stood.size == 0:
+        return stood
+    away = np.diff(stood, append=np.iinfo(np.int64).max) > SOAK_SECONDS * 1e9
+    return np.asarray(stood[away])
 
 
 def _times_on_the_ground(height: Channel) -> NDArray[np.int64]:

@@ -9,11 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.atmosphere.hypsometry import fall_of_pressure
 from pipeline.errors import MissionError
 from pipeline.flight.channels import ROLE_COLUMNS, Channel
 from pipeline.flight.trajectory import interpolate
 from pipeline.ledger import Ledger
-from pipeline.units import HECTOPASCAL, HYDROSTATIC_CONSTANT, ZERO_CELSIUS_K
+from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K
 
 Array = NDArray[np.float64]
 
@@ -273,7 +274,7 @@ def _fill_barometers(
 def follows_height(barometer: Channel, height: Channel) -> bool | None:
     """Whether a barometer's pressure falls with GNSS height as free air does.
 
-    The mean temperature that the fall of ln p implies must lie between 190 and 330 K and leave
+    The mean temperature that the fall of ln p implies must be one of air, and a parabola leave
     less than 1 % of pressure unexplained. None where the flight spans under 300 m of height, too
     little to tell.
     """
@@ -285,11 +286,5 @@ def follows_height(barometer: Channel, height: Channel) -> bool | None:
     use = np.isfinite(h) & (p > 0.0)
     if use.sum() < 10 or float(np.ptp(h[use])) < 300.0:
         return None
-    rise, log_p = h[use] - h[use].mean(), np.log(p[use])
-    parabola = np.polyfit(rise, log_p, 2)
-    rest = log_p - np.polyval(parabola, rise)
-    slope = float(parabola[1])
-    if slope >= 0.0:
-        return False
-    implied_k = HYDROSTATIC_CONSTANT / -slope
-    return bool(190.0 < implied_k < 330.0 and np.sqrt(np.mean(rest**2)) < 0.01)
+    fall = fall_of_pressure(h[use], np.log(p[use]))
+    return fall.is_of_air and fall.unexplained < 0.01

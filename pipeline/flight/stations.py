@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.atmosphere.course import AirAlong
 from pipeline.atmosphere.profile import Profile
 from pipeline.ledger import Ledger
 from pipeline.units import HECTOPASCAL
@@ -176,7 +177,7 @@ LARGEST_PRESSURE_MISFIT_PA = 800.0
 """Barometer against profile at one exposure: 8 hPa are some 80 m of height."""
 
 
-def doubt_heights(stations: Stations, profile: Profile, ledger: Ledger) -> Stations:
+def doubt_heights(stations: Stations, profile: Profile | AirAlong, ledger: Ledger) -> Stations:
     """Mark stations as suspect whose GNSS height contradicts their barometer.
 
     The profile was made from the whole flight; a station where the pressure measured and that of

@@ -43,7 +43,7 @@ class Store:
             self._blocks[-1][first : first + count] = rows[done : done + count]
             self._room -= count
             done += count
-        self._length += done
+            self._length += count
 
     def blocks(self) -> Iterator[NDArray[Any]]:
         """The rows, some at a time; they may be written to."""

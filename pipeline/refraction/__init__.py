@@ -7,12 +7,20 @@ from pipeline.refraction.image import Corrections, Exposures, correct_observatio
 from pipeline.refraction.lens import LensInAir
 from pipeline.refraction.ray import METHODS, RayTable, bend, ray_table, refraction_angle
 from pipeline.refraction.sensitivity import RayWeights, Sensitivity, ray_weights, sensitivity
+from pipeline.refraction.sigmas import Sigmas, Uncertainty
 from pipeline.refraction.status import STATUS_NAMES
+from pipeline.refraction.uncertainty import (
+    BlockScale,
+    StationSigmas,
+    block_scale,
+    uncertainty_of,
+)
 from pipeline.refraction.window import Cabin, Window
 
 __all__ = [
     "METHODS",
     "STATUS_NAMES",
+    "BlockScale",
     "Cabin",
     "Camera",
     "Corrections",
@@ -21,13 +29,18 @@ __all__ = [
     "RayTable",
     "RayWeights",
     "Sensitivity",
+    "Sigmas",
+    "StationSigmas",
+    "Uncertainty",
     "Window",
     "apply_refraction",
     "bend",
+    "block_scale",
     "correct_observations",
     "height_at_distance",
     "ray_table",
     "ray_weights",
     "refraction_angle",
     "sensitivity",
+    "uncertainty_of",
 ]

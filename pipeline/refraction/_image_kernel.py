@@ -68,7 +68,8 @@ def _settle(u_d, v_d, u, v, k1, k2, k3, p1, p2, largest):  # type: ignore[no-unt
 def _ideal(x, y, camera, extra, u, v):  # type: ignore[no-untyped-def]
     """Fill the ideal image coordinates of pixels, NaN where the camera does not cover them.
 
-    ``extra`` (n,) is added to the principal distance.
+    ``extra`` (n,) is added to the principal distance; NaN where nothing positive and finite is
+    left of it.
     """
     width, height, fx, fy, cx, cy, k1, k2, k3, p1, p2, largest = camera
     u_d, v_d = np.empty(x.size), np.empty(x.size)
@@ -77,7 +78,8 @@ def _ideal(x, y, camera, extra, u, v):  # type: ignore[no-untyped-def]
         v_d[i] = (y[i] - cy) / (fy + extra[i])
     _undistort(u_d, v_d, u, v, k1, k2, k3, p1, p2)
     for i in range(x.size):
-        if 0.0 <= x[i] <= width and 0.0 <= y[i] <= height:
+        lens = 0.0 < fx + extra[i] < math.inf and 0.0 < fy + extra[i] < math.inf
+        if lens and 0.0 <= x[i] <= width and 0.0 <= y[i] <= height:
             u[i], v[i] = _settle(u_d[i], v_d[i], u[i], v[i], k1, k2, k3, p1, p2, largest)
         else:
             u[i] = v[i] = math.nan
@@ -86,7 +88,10 @@ def _ideal(x, y, camera, extra, u, v):  # type: ignore[no-untyped-def]
 @entry
 def rays_of_pixels(x, y, camera, u, v):  # type: ignore[no-untyped-def]
     """Fill ideal image coordinates of pixels; NaN where the camera does not cover them."""
-    _ideal(x, y, camera, np.zeros(x.size), u, v)
+    extra = np.empty(x.size)
+    for i in range(x.size):
+        extra[i] = 0.0
+    _ideal(x, y, camera, extra, u, v)
 
 
 @jit
@@ -131,6 +136,13 @@ def _missing(x, y, h_g, exposure, usable):  # type: ignore[no-untyped-def]
     return OK
 
 
+@jit
+def _blank(rays, i):  # type: ignore[no-untyped-def]
+    """Take the numbers out of a ray's columns."""
+    for k in range(COLUMNS):
+        rays[k, i] = math.nan
+
+
 @entry
 def look_out(  # type: ignore[no-untyped-def]
     x, y, h_g, exposure, camera, usable, rotation, curvature, height, outside, cabin, normal,
@@ -141,11 +153,10 @@ def look_out(  # type: ignore[no-untyped-def]
     ``curvature`` (s, 2) is 1/radius in the meridian and in the prime vertical.
     """
     # Passes over all points: short loops keep the processor busy.
-    extra = np.zeros(x.size)
+    extra = np.empty(x.size)
     for i in range(x.size):
         status[i] = _missing(x[i], y[i], h_g[i], exposure[i], usable)
-        if status[i] == OK:
-            extra[i] = change[exposure[i]]
+        extra[i] = change[exposure[i]] if status[i] == OK else 0.0
     _ideal(x, y, camera, extra, rays[U], rays[V])
     for i in range(x.size):
         if status[i] == OK and math.isnan(rays[U, i]):
@@ -163,7 +174,7 @@ def look_out(  # type: ignore[no-untyped-def]
             if math.isnan(r_cc[i]):
                 status[i] = OUTSIDE_CAMERA
         if status[i] != OK:
-            rays[:, i] = math.nan
+            _blank(rays, i)
             continue
         for k in range(3):
             rays[THROUGH + k, i] = bent[k]
@@ -216,12 +227,14 @@ def shift_back(  # type: ignore[no-untyped-def]
     """Fill the shifts in the image and on the ground that refraction angles amount to."""
     fx, fy = camera[2], camera[3]
     k1, k2, k3, p1, p2 = camera[6:11]
-    lower, seen = np.empty(3), np.empty(3)
+    apparent, lower, seen = np.empty(3), np.empty(3), np.empty(3)
     for i in range(x.size):
         if math.isnan(r_c[i]):
             dx[i] = dy[i] = shift_ground[i] = math.nan
             continue
-        turn, apparent = rotation[exposure[i]], rays[APPARENT : APPARENT + 3, i]
+        turn = rotation[exposure[i]]
+        for k in range(3):
+            apparent[k] = rays[APPARENT + k, i]
         _lowered(apparent, rays[SIN, i], rays[COS, i], r_c[i], lower)
         u, v, extra = rays[U, i], rays[V, i], change[exposure[i]]
         for k in range(3):

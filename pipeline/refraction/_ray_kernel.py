@@ -29,6 +29,14 @@ _GRAZING_GUARD = 0.5
 # has lost its digits.
 _LEVEL_M = 1e-4
 
+# Where n r grows less than this with height the ray bends nearly as the earth does, and may be
+# level at the upper end of a layer, or within it: such layers are integrated in graded panels.
+_COMMON_SLOPE = 0.2
+_HALVINGS = 44  # of a layer, down to 1e-12 m
+
+# The difference form is also left where the ray is bent to half the slope of the straight line.
+_BENT_GUARD = 0.5
+
 # No dry land lies lower. A ray whose lowest point is deeper meets the ground before it.
 _LOWEST_TERRAIN_M = -500.0
 
@@ -46,13 +54,13 @@ def _excess(edge, coefficient, i, h, n_c, h_c, r_e, lift):  # type: ignore[no-un
 
 @jit
 def integrand(n, n_c, h, h_c, b2_c, r_c, r_e):  # type: ignore[no-untyped-def]
-    """(n^2 - n_c^2) r / (a b (a + b)) of the difference form; NaN past a turning point."""
+    """(n^2 - n_c^2) r / (a b (a + b)) of the difference form; NaN near and past a turning point."""
     r = r_e + h
     index2 = (1.0 + n_c) * (1.0 + n_c)
     straight2 = index2 * (b2_c - (h_c - h) * (r_c + r))
     squares = (n - n_c) * (2.0 + n + n_c)
     bent2 = straight2 + squares * r * r
-    if not (bent2 > 0.0 and straight2 > 0.0):
+    if not (straight2 > 0.0 and bent2 > _BENT_GUARD * straight2):
         return math.nan
     a, b = math.sqrt(bent2), math.sqrt(straight2)
     return squares * r / (a * b * (a + b))
@@ -64,7 +72,7 @@ def _bend_difference(  # type: ignore[no-untyped-def]
 ):
     """R_c from the difference between straight and bent ray, both on their way to h_g.
 
-    NaN where the bent ray turns before it gets there.
+    NaN where the bent ray is nearly level before it gets there.
     """
     r_c, r_g = r_e + h_c, r_e + h_g
     n_c = refractivity(edge, coefficient, piece(edge, h_c), h_c)
@@ -155,28 +163,89 @@ def _turning_height(edge, coefficient, n_c, h_c, r_e, lift):  # type: ignore[no-
 
 
 @jit
-def _level_height(edge, coefficient, i, h, n_c, h_c, r_e, lift):  # type: ignore[no-untyped-def]
-    """Where, at or below h, the ray would be level if piece i of the table went on."""
-    excess = _excess(edge, coefficient, i, h, n_c, h_c, r_e, lift)
-    if not excess > 0.0:
-        return h
+def _slope(edge, coefficient, i, h, r_e):  # type: ignore[no-untyped-def]
+    """d(n r)/dh at height h; about 0.8 in common air, below zero in a duct."""
     n = refractivity(edge, coefficient, i, h)
-    slope = 1.0 + n + (r_e + h) * gradient(edge, coefficient, i, h)
-    if slope <= 0.0:
-        return h - excess
-    depth = excess / slope
+    return 1.0 + n + (r_e + h) * gradient(edge, coefficient, i, h)
+
+
+@jit
+def _excess_near(edge, coefficient, i, base, at_base, y, r_e):  # type: ignore[no-untyped-def]
+    """n r - k at ``base`` + y, where it is ``at_base`` at y = 0; y may be as small as it likes."""
+    width = edge[i + 1] - edge[i]
+    u_0 = (base - edge[i]) / width
+    u = u_0 + y / width
+    # The divided difference of the polynomial, by Horner's scheme beside that of its value.
+    value = quotient = coefficient[i, 7]
+    for j in range(6, 0, -1):
+        value = value * u_0 + coefficient[i, j]
+        quotient = quotient * u + value
+    value = value * u_0 + coefficient[i, 0]
+    return at_base + (1.0 + value) * y + (r_e + base + y) * (y / width) * quotient
+
+
+@jit
+def _panel(  # type: ignore[no-untyped-def]
+    edge, coefficient, i, base, at_base, sense, near, far, depth, k, r_e
+):
+    """Angle subtended between ``near`` and ``far`` from ``base``, up (sense 1) or down (-1).
+
+    With s^2 = distance + ``depth`` as the variable; NaN where the ray turns in between.
+    """
+    s_0, s_1 = math.sqrt(near + depth), math.sqrt(far + depth)
+    total = 0.0
+    for j in range(_X8.size):
+        s = s_0 + (s_1 - s_0) * _X8[j]
+        y = sense * (s * s - depth)
+        excess = _excess_near(edge, coefficient, i, base, at_base, y, r_e)
+        if not excess > 0.0:
+            return math.nan
+        total += _W8[j] * 2.0 * s * k / ((r_e + base + y) * math.sqrt(excess * (excess + 2.0 * k)))
+    return total * (s_1 - s_0)
+
+
+@jit
+def _graded(edge, coefficient, i, base, at_base, sense, width, k, r_e):  # type: ignore[no-untyped-def]
+    """Angle subtended over ``width`` from ``base``, in panels that halve towards it.
+
+    For air in which n r hardly grows, or falls, away from its smallest value in the layer.
+    """
+    total, far = 0.0, width
+    for _ in range(_HALVINGS):
+        near = 0.5 * far
+        total += _panel(edge, coefficient, i, base, at_base, sense, near, far, 0.0, k, r_e)
+        far = near
+    return total + _panel(edge, coefficient, i, base, at_base, sense, 0.0, far, 0.0, k, r_e)
+
+
+@jit
+def _depth(edge, coefficient, i, base, at_base, slope, r_e):  # type: ignore[no-untyped-def]
+    """How far below ``base`` the ray would be level if piece i of the table went on."""
+    depth = at_base / slope
     # Farther down the integrand is smooth whatever the substitution; nearer, digits run out.
     if _LEVEL_M < depth < 0.5 * (edge[i + 1] - edge[i]):
         for _ in range(5):
-            depth += _excess(edge, coefficient, i, h - depth, n_c, h_c, r_e, lift) / slope
-    return h - max(depth, 0.0)
+            depth += _excess_near(edge, coefficient, i, base, at_base, -depth, r_e) / slope
+    return max(depth, 0.0)
+
+
+@jit
+def _flattest(edge, coefficient, i, low, high, r_e):  # type: ignore[no-untyped-def]
+    """Where n r is smallest between heights at whose ends it falls inwards."""
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if _slope(edge, coefficient, i, middle, r_e) < 0.0:
+            low = middle
+        else:
+            high = middle
+    return low
 
 
 @jit
 def _subtended(  # type: ignore[no-untyped-def]
     edge, coefficient, low, high, n_c, h_c, r_e, lift, level_at_low
 ):
-    """Angle the ray subtends between two heights (Gyer 1996, Eq. 12) with h = turn + s^2.
+    """Angle the ray subtends between two heights (Gyer 1996, Eq. 12), with h = turn + s^2.
 
     ``turn`` is where the ray would be level by each piece of the table; the substitution takes
     the singularity out of the integrand. With ``level_at_low`` that is ``low`` itself, which
@@ -188,19 +257,30 @@ def _subtended(  # type: ignore[no-untyped-def]
         h_0, h_1 = max(low, edge[i]), min(high, edge[i + 1])
         if h_1 <= h_0:
             continue
-        turn = h_0
-        if not (level_at_low and h_0 == low):
-            turn = _level_height(edge, coefficient, i, h_0, n_c, h_c, r_e, lift)
-        s_0, s_1 = math.sqrt(max(h_0 - turn, 0.0)), math.sqrt(max(h_1 - turn, 0.0))
-        part = 0.0
-        for j in range(_X8.size):
-            s = s_0 + (s_1 - s_0) * _X8[j]
-            h = turn + s * s
-            excess = _excess(edge, coefficient, i, h, n_c, h_c, r_e, lift)
-            if not excess > 0.0:
-                return math.nan
-            part += _W8[j] * 2.0 * s * k / ((r_e + h) * math.sqrt(excess * (excess + 2.0 * k)))
-        total += part * (s_1 - s_0)
+        at_0 = at_1 = lift
+        if level_at_low and h_0 == low:
+            at_0 = 0.0
+        elif h_0 != h_c:
+            at_0 = _excess(edge, coefficient, i, h_0, n_c, h_c, r_e, lift)
+        slope_0 = _slope(edge, coefficient, i, h_0, r_e)
+        slope_1 = _slope(edge, coefficient, i, h_1, r_e)
+        if min(slope_0, slope_1) > _COMMON_SLOPE:
+            depth = _depth(edge, coefficient, i, h_0, at_0, slope_0, r_e) if at_0 > 0.0 else 0.0
+            total += _panel(edge, coefficient, i, h_0, at_0, 1.0, 0.0, h_1 - h_0, depth, k, r_e)
+            continue
+        if h_1 != h_c:
+            at_1 = _excess(edge, coefficient, i, h_1, n_c, h_c, r_e, lift)
+        if slope_0 < 0.0 < slope_1:  # n r is smallest in between
+            least = _flattest(edge, coefficient, i, h_0, h_1, r_e)
+            at_least = _excess(edge, coefficient, i, least, n_c, h_c, r_e, lift)
+            total += _graded(
+                edge, coefficient, i, least, at_least, -1.0, least - h_0, k, r_e
+            ) + _graded(edge, coefficient, i, least, at_least, 1.0, h_1 - least, k, r_e)
+        else:
+            half = 0.5 * (h_1 - h_0)
+            total += _graded(edge, coefficient, i, h_0, at_0, 1.0, half, k, r_e) + _graded(
+                edge, coefficient, i, h_1, at_1, -1.0, half, k, r_e
+            )
     return total
 
 
@@ -306,18 +386,19 @@ def _bend_one(  # type: ignore[no-untyped-def]
     edge, coefficient, h_c, h_g, sin_c, cos_c, r_e, distance
 ):
     """R_c and status of one ray, by itself."""
-    if h_g == h_c:
-        return 0.0, OK
     b2_c = ((r_e + h_c) * cos_c) ** 2
     b2_g = b2_c - (h_c - h_g) * (2.0 * r_e + h_c + h_g)
+    r_angle = 0.0 if h_g == h_c else math.nan
     through_turn = h_g > h_c and cos_c > 0.0
-    if through_turn or min(b2_c, b2_g) < _GRAZING_GUARD * max(b2_c, b2_g):
-        r_angle = _bend_subtended(edge, coefficient, h_c, h_g, sin_c, cos_c, r_e)
-    else:
+    if h_g != h_c and not through_turn and min(b2_c, b2_g) >= _GRAZING_GUARD * max(b2_c, b2_g):
         r_angle = _bend_difference(edge, coefficient, h_c, h_g, sin_c, cos_c, r_e)
     if math.isnan(r_angle):
+        r_angle = _bend_subtended(edge, coefficient, h_c, h_g, sin_c, cos_c, r_e)
+    if math.isnan(r_angle):
         return math.nan, MISSES_GROUND
-    if h_g < h_c and two_crossings(edge, coefficient, h_c, h_g, sin_c, cos_c, r_e):
+    # At the camera's own height the far crossing of a level ray is the near one.
+    down = h_g < h_c or (h_g == h_c and cos_c > 1e-9)
+    if down and two_crossings(edge, coefficient, h_c, h_g, sin_c, cos_c, r_e):
         if distance > 0.0:
             return _choose_crossing(
                 edge, coefficient, h_c, h_g, sin_c, cos_c, r_e, distance, r_angle

@@ -99,7 +99,8 @@ def _run(  # type: ignore[no-untyped-def]
         if _steep(fine, h_c, h_g[i], sin_c[i], cos_c[i], r_e[i] + h_c, r_table):
             status[i], at[i] = OK, _interval(fine, hint, h_g[i])
             lowest = min(lowest, at[i])
-    table[top] = 0.0
+    for column in range(WIDTH):
+        table[top, column] = 0.0
     fill(fine, local, h_c, n_c, 1.0 / r_table, top - 1, lowest, table)
     # No branch, whatever it computes for the others: this loop and the last run four at a time.
     for i in range(first, last):
@@ -147,5 +148,6 @@ def bend_steep_rays(  # type: ignore[no-untyped-def]
                 half, angle, status,
             )  # fmt: skip
         else:
-            status[first:last] = LEFT
+            for i in range(first, last):
+                status[i] = LEFT
         first = last

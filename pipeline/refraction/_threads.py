@@ -1,4 +1,4 @@
-"""Blocks of rows on all cores. The compiled functions hold no lock, so threads are enough."""
+"""Blocks of rows on all cores we may use; the compiled functions hold no lock: threads do."""
 
 from __future__ import annotations
 
@@ -11,10 +11,17 @@ BLOCK_ROWS = 8_192
 """Rows of a block: its columns fit into a core's cache together."""
 
 
+def usable_cpus() -> int:
+    """How many CPUs this process may use: fewer than there are under taskset or a batch system."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 @lru_cache(maxsize=1)
 def _pool() -> ThreadPoolExecutor:
     """One pool for the process."""
-    return ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix="rays")
+    return ThreadPoolExecutor(usable_cpus(), thread_name_prefix="rays")
 
 
 # A child after a fork has none of its parent's threads.
@@ -22,7 +29,7 @@ os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
 def in_blocks(function: Callable[[slice], None], rows: int) -> None:
-    """Call ``function`` with slices that cover all rows once, on all cores where it pays."""
+    """Call ``function`` with slices that cover all rows once, on several cores where it pays."""
     blocks = [slice(start, min(start + BLOCK_ROWS, rows)) for start in range(0, rows, BLOCK_ROWS)]
     if len(blocks) <= 1:
         for block in blocks:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.refraction._threads import in_blocks
 from pipeline.refraction.camera import Camera
-from pipeline.refraction.image import Exposures, _Constants
+from pipeline.refraction.image import Constants, Exposures
 from pipeline.refraction.ray import DEFAULT_RADIUS_M, PublishedRays, RayTable, bend
 from pipeline.refraction.status import BAD_MEASUREMENT, MISSES_GROUND, OK
 
@@ -135,7 +135,7 @@ def target_heights(
             cy_px=camera.cy_px + _MARGIN_PX,
         )
         x_px, y_px = x_px + _MARGIN_PX, y_px + _MARGIN_PX
-    k = _Constants.of(exposures, camera)
+    k = Constants.of(exposures, camera)
     rays = np.empty((kernel.COLUMNS, x_px.size))
     kernel.look_out(
         x_px, y_px, distance_m, exposure, k.camera, k.usable, k.rotation, k.curvature, *k.air,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +11,15 @@ from numpy.typing import NDArray
 from pipeline.geodesy import euler_radius
 from pipeline.refraction.camera import Camera
 from pipeline.refraction.chord import height_at_distance
-from pipeline.refraction.image import Corrections, Exposures, correct_observations
+from pipeline.refraction.image import (
+    COLUMNS,
+    Corrections,
+    Exposures,
+    correct_observations,
+    sigmas_at,
+)
 from pipeline.refraction.ray import PublishedRays, RayTable, bend
+from pipeline.refraction.sigmas import Uncertainty
 from pipeline.refraction.status import (
     BEYOND_GRAZING,
     FAR_BRANCH,
@@ -48,6 +56,8 @@ def apply_refraction(
     table: RayTable | PublishedRays,
     *,
     distance_m: Array | None = None,
+    uncertainty: Uncertainty | None = None,
+    sigma_h_g: Array | None = None,
 ) -> Corrections:
     """Displace ideal image observations to what a camera in this air measures.
 
@@ -59,6 +69,7 @@ def apply_refraction(
     camera, table : as for `correct_observations`.
     distance_m : (n,) slant ranges [m], NaN where unknown, which decide between the two crossings
         of a ray that meets the height of its target twice.
+    uncertainty, sigma_h_g : ask for ``sigmas``, as for `correct_observations`.
 
     Returns
     -------
@@ -88,7 +99,7 @@ def apply_refraction(
     point = ideal.copy()
     _start_near_level(point, h_g, exposure, exposures, camera, table, distance_m)
     nearest = np.full(x_px.shape, np.inf)
-    columns = {f.name: np.full(x_px.shape, np.nan) for f in fields(Corrections)}
+    columns = {name: np.full(x_px.shape, np.nan) for name in (*COLUMNS, "status")}
     rows = np.arange(x_px.size)
     for _ in range(_ROUNDS):
         at = np.clip(point[rows], 0.0, upper)  # there is no shift outside the format
@@ -110,7 +121,11 @@ def apply_refraction(
         if rows.size == 0:
             break
     columns["status"][rows[nearest[rows] > _NOISE_PX]] = MISSES_GROUND
-    return _displaced(columns, ideal, upper)
+    found = _displaced(columns, ideal, upper)
+    if uncertainty is None:
+        return found
+    sigmas = sigmas_at(found, h_g, exposure, exposures, camera, uncertainty, sigma_h_g)
+    return replace(found, sigmas=sigmas)
 
 
 def _start_near_level(
@@ -199,7 +214,7 @@ def _radius(exposures: Exposures, row: NDArray[np.int64], direction: Array) -> A
     return np.asarray(euler_radius(exposures.latitude_rad[row], azimuth))
 
 
-def _displaced(columns: dict[str, Array], ideal: Array, upper: Array) -> Corrections:
+def _displaced(columns: dict[str, Any], ideal: Array, upper: Array) -> Corrections:
     """What a removal that ends in the ideal pixels says, as a displacement."""
     columns["dx_px"], columns["dy_px"] = -columns["dx_px"], -columns["dy_px"]
     columns["x_px"] = ideal[:, 0] + columns["dx_px"]

@@ -16,6 +16,7 @@ from pipeline.geodesy import principal_radii
 from pipeline.refraction._threads import in_blocks
 from pipeline.refraction.camera import Camera
 from pipeline.refraction.ray import PublishedRays, RayTable, bend
+from pipeline.refraction.sigmas import Sigmas, Solved, Uncertainty
 from pipeline.refraction.status import OK, STATUS_NAMES
 from pipeline.refraction.window import OPTICAL_AXIS
 
@@ -51,10 +52,13 @@ class Exposures:
 
 @dataclass(frozen=True, eq=False)
 class Corrections:
-    """Corrected observations; (n,) arrays, NaN where ``status`` says there is no correction.
+    """Corrected observations, with ``sigmas`` where they were asked for.
+
+    Arrays (n,), NaN where ``status`` says there is no correction.
 
     ``shift_ground_m`` is the horizontal displacement, at the target's height, of the point where
-    the uncorrected straight ray would land.
+    the uncorrected straight ray would land. It is also NaN where that ray passes over the horizon
+    and only the bent one lands: the last 0.2 degree of nadir angle from 10 km above sea level.
     """
 
     dx_px: Array
@@ -66,17 +70,26 @@ class Corrections:
     r_cc_rad: Array
     shift_ground_m: Array
     status: NDArray[np.uint8]
+    sigmas: Sigmas | None = None
 
     def rows(self, which: NDArray[np.intp]) -> Corrections:
         """Some of the rows."""
-        return Corrections(*(getattr(self, field.name)[which] for field in fields(self)))
+        columns: dict[str, Any] = {name: getattr(self, name)[which] for name in COLUMNS}
+        sigmas = None if self.sigmas is None else self.sigmas.rows(which)
+        return Corrections(**columns, status=self.status[which], sigmas=sigmas)
 
     def to_pandas(self) -> Any:
         """The corrections as a pandas DataFrame, status in words."""
         import pandas as pd
 
-        columns = {field.name: getattr(self, field.name) for field in fields(self)}
+        columns = {name: getattr(self, name) for name in COLUMNS}
+        if self.sigmas is not None:
+            columns |= {f"sigma_{name}": v for name, v in self.sigmas.columns().items()}
         return pd.DataFrame(columns | {"status": np.array(STATUS_NAMES)[self.status]})
+
+
+COLUMNS = tuple(f.name for f in fields(Corrections) if f.name not in ("status", "sigmas"))
+"""The columns of numbers of `Corrections`, in its order."""
 
 
 def correct_observations(
@@ -89,6 +102,8 @@ def correct_observations(
     table: RayTable | PublishedRays,
     *,
     distance_m: Array | None = None,
+    uncertainty: Uncertainty | None = None,
+    sigma_h_g: Array | None = None,
 ) -> Corrections:
     """Remove compartment and atmospheric refraction from image observations of one camera.
 
@@ -100,6 +115,7 @@ def correct_observations(
     camera : interior orientation; corrected pixels are distorted again.
     table : the air outside and how rays bend in it, from `rays_by`.
     distance_m : (n,) slant ranges [m], NaN where unknown; see `bend`.
+    uncertainty : asks for ``sigmas``, from `uncertainty_of`; sigma_h_g (n,) that of ``h_g`` [m].
 
     The change of direction is never a difference of directions; the shift (dx, dy) is good to
     1e-10 px, whatever the size of the pixel coordinates. Rows of one exposure that follow each
@@ -110,27 +126,65 @@ def correct_observations(
         found = correct_observations(
             x_px[order], y_px[order], h_g[order], exposure[order], exposures, camera, table,
             distance_m=None if distance_m is None else distance_m[order],
+            uncertainty=uncertainty,
+            sigma_h_g=None if sigma_h_g is None else sigma_h_g[order],
         )  # fmt: skip
         return found.rows(np.argsort(order))
     n = x_px.size
-    columns = {name: np.empty(n) for name in _COLUMNS}
+    columns = {name: np.empty(n) for name in COLUMNS}
     status = np.empty(n, np.uint8)
-    observed = (x_px, y_px, h_g, exposure, np.full(n, np.nan) if distance_m is None else distance_m)
-    constants = _Constants.of(exposures, camera)
+    sigmas = None if uncertainty is None else Sigmas.room(n)
+    unknown = np.full(n, np.nan)
+    observed = (x_px, y_px, h_g, exposure, unknown if distance_m is None else distance_m)
+    sigma_h_g = unknown if sigma_h_g is None else sigma_h_g
+    k = Constants.of(exposures, camera)
 
     def some(rows: slice) -> None:
         part = {name: values[rows] for name, values in columns.items()}
-        _correct_block([a[rows] for a in observed], constants, table, part, status[rows])
+        rays = _correct_block([a[rows] for a in observed], k, table, part, status[rows])
+        if sigmas is not None and uncertainty is not None:
+            solved = Solved(
+                h_g[rows], sigma_h_g[rows], exposure[rows], k.camera, k.rotation, rays,
+                part["r_c_rad"], status[rows],
+            )  # fmt: skip
+            sigmas.fill(rows, uncertainty, solved)
 
     in_blocks(some, n)
-    return Corrections(status=status, **columns)
+    return Corrections(status=status, sigmas=sigmas, **columns)
 
 
-_COLUMNS = tuple(field.name for field in fields(Corrections) if field.name != "status")
+def sigmas_at(
+    found: Corrections,
+    h_g: Array,
+    exposure: NDArray[np.int64],
+    exposures: Exposures,
+    camera: Camera,
+    uncertainty: Uncertainty,
+    sigma_h_g: Array | None = None,
+) -> Sigmas:
+    """Standard deviations of displacements, at the pixels ``x_px``, ``y_px`` that they lead to.
+
+    ``found`` (n,) from `apply_refraction`; the rest as for `correct_observations`.
+    """
+    n = found.x_px.size
+    sigmas, k = Sigmas.room(n), Constants.of(exposures, camera)
+    sigma_h_g = np.full(n, np.nan) if sigma_h_g is None else sigma_h_g
+
+    def some(rows: slice) -> None:
+        observed = (found.x_px[rows], found.y_px[rows], h_g[rows], exposure[rows])
+        rays, _, _ = _look_out(observed, k)
+        solved = Solved(
+            h_g[rows], sigma_h_g[rows], exposure[rows], k.camera, k.rotation, rays,
+            found.r_c_rad[rows], found.status[rows],
+        )  # fmt: skip
+        sigmas.fill(rows, uncertainty, solved)
+
+    in_blocks(some, n)
+    return sigmas
 
 
 @dataclass(frozen=True, eq=False)
-class _Constants:
+class Constants:
     """Exposures and camera in the form the kernels take."""
 
     camera: tuple[float, ...]
@@ -141,7 +195,7 @@ class _Constants:
     change: Array
 
     @classmethod
-    def of(cls, exposures: Exposures, camera: Camera) -> _Constants:
+    def of(cls, exposures: Exposures, camera: Camera) -> Constants:
         if exposures.radius_m is None:
             radii = principal_radii(exposures.latitude_rad)
             curvature = 1.0 / np.stack(radii, axis=1)
@@ -167,22 +221,21 @@ class _Constants:
 
 def _correct_block(
     observed: list[Any],
-    constants: _Constants,
+    constants: Constants,
     table: RayTable | PublishedRays,
     columns: dict[str, Array],
     status: NDArray[np.uint8],
-) -> None:
-    """Pixels to rays, rays through the air, and back; fills ``columns`` and ``status``."""
+) -> Array:
+    """Pixels to rays, rays through the air, and back; fills ``columns`` and ``status``.
+
+    Gives the columns of the rays.
+    """
     # The compiled functions are imported with the first ray, not with the package.
     from pipeline.refraction import _image_kernel as kernel
 
     x, y, h_g, exposure, distance = observed
-    rays = np.empty((kernel.COLUMNS, x.size))
     k = constants
-    kernel.look_out(
-        x, y, h_g, exposure, k.camera, k.usable, k.rotation, k.curvature, *k.air, k.change, rays,
-        columns["r_cc_rad"], status,
-    )  # fmt: skip
+    rays, columns["r_cc_rad"][:], status[:] = _look_out((x, y, h_g, exposure), k)
     sine, cosine = rays[kernel.SIN], rays[kernel.COS]
     r_c, ray_status = bend(
         table, rays[kernel.H_C], h_g, sine, cosine, rays[kernel.RADIUS], distance
@@ -197,6 +250,21 @@ def _correct_block(
     )  # fmt: skip
     columns["x_px"][:] = x + columns["dx_px"]
     columns["y_px"][:] = y + columns["dy_px"]
+    return rays
+
+
+def _look_out(
+    observed: tuple[Array, Array, Array, NDArray[np.int64]], k: Constants
+) -> tuple[Array, Array, NDArray[np.uint8]]:
+    """Columns of the rays of pixels, R_cc and status."""
+    from pipeline.refraction import _image_kernel as kernel
+
+    n = observed[0].size
+    rays, r_cc, status = np.empty((kernel.COLUMNS, n)), np.empty(n), np.empty(n, np.uint8)
+    kernel.look_out(
+        *observed, k.camera, k.usable, k.rotation, k.curvature, *k.air, k.change, rays, r_cc, status
+    )
+    return rays, r_cc, status
 
 
 def _by_exposure(exposure: NDArray[np.int64]) -> NDArray[np.intp] | None:
@@ -207,18 +275,21 @@ def _by_exposure(exposure: NDArray[np.int64]) -> NDArray[np.intp] | None:
     return np.argsort(exposure, kind="stable")
 
 
-def landing_point(direction: Array, h_c: Array, h_g: Array, radius: Array) -> Array:
+def landing_point(
+    direction: Array, h_c: Array, h_g: Array, radius: Array, *, far: bool = False
+) -> Array:
     """Where straight rays first reach a height, from the camera: (n, 3) east, north, up [m].
 
-    ``direction`` (n, 3) unit vectors; NaN where the line never gets there.
+    ``direction`` (n, 3) unit vectors; NaN where the line never gets there. ``far`` asks for where
+    it leaves that height again.
     """
     r_c, r_g = radius + h_c, radius + h_g
     cos_z = -direction[:, 2]
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         q = np.sqrt((r_c * cos_z) ** 2 - (h_c - h_g) * (r_c + r_g))
         # Downwards the nearer of two crossings, upwards the only one.
         distance = np.where(
-            h_c >= h_g,
+            (h_c >= h_g) & ~np.bool_(far),
             (h_c - h_g) * (r_c + r_g) / (r_c * cos_z + q),
             r_c * cos_z + q,
         )
@@ -227,8 +298,13 @@ def landing_point(direction: Array, h_c: Array, h_g: Array, radius: Array) -> Ar
     return np.asarray(direction * distance[:, None])
 
 
-def ground_displacement(h_c: float, h_g: float, zeta_c: float, r_c: float, radius: float) -> float:
+def ground_displacement(
+    h_c: float, h_g: float, zeta_c: float, r_c: float, radius: float, *, far: bool = False
+) -> float:
     """How far [m] a refraction angle moves the point where a straight ray reaches a height.
+
+    NaN where the apparent line passes over the horizon, though the bent ray may land. ``far`` takes
+    the second crossing of the height, for rays of the status ``far_branch``.
 
     >>> round(ground_displacement(10000.0, 0.0, 0.7853981633974483, 7.94e-5, 6371000.0), 3)
     1.592
@@ -236,5 +312,5 @@ def ground_displacement(h_c: float, h_g: float, zeta_c: float, r_c: float, radiu
     angle = np.array([zeta_c, zeta_c - r_c])
     rays = np.stack([np.sin(angle), np.zeros(2), -np.cos(angle)], axis=1)
     ones = np.ones(2)
-    apparent, true = landing_point(rays, h_c * ones, h_g * ones, radius * ones)
+    apparent, true = landing_point(rays, h_c * ones, h_g * ones, radius * ones, far=far)
     return float(np.linalg.norm(apparent - true))

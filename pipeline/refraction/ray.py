@@ -27,6 +27,7 @@ from pipeline.refraction.published.trace import trace
 from pipeline.refraction.status import (
     BAD_MEASUREMENT,
     BEYOND_GRAZING,
+    FAR_BRANCH,
     MISSES_GROUND,
     OK,
     OUTSIDE_PROFILE,
@@ -171,7 +172,8 @@ def bend(
     table : the profile, from `ray_table` or `rays_by`.
     h_c, h_g : heights of camera and target above sea level [m]; broadcast with the others.
     sin_zeta_c, cos_zeta_c : of the apparent nadir angle at the camera, 0 to 180 degrees. Both
-        are asked for so that no arccosine loses digits near the nadir.
+        are asked for so that no arccosine loses digits near the nadir; that they belong to one
+        angle is not checked.
     radius : of the sphere [m].
     distance : slant range to the target [m], NaN where unknown. Where a ray meets h_g twice, on
         both sides of its lowest point P_90, it decides which crossing is meant; without it the
@@ -183,8 +185,8 @@ def bend(
         the straight one; NaN where ``status`` says there is none.
     status : codes of `pipeline.refraction.status`.
 
-    Against 40-digit arithmetic 1e-9 arcsec, also near grazing; 1e-7 through P_90. Rays from one
-    height that follow each other are fastest: they share what the air between does to them.
+    Against 40-digit arithmetic 1e-9 arcsec, also near grazing; 1e-8 in ducts, 1e-7 through P_90.
+    Rays from one height that follow each other are fastest: they share what the air between does.
     """
     if isinstance(table, PublishedRays):
         return trace(table.method, table.profile, h_c, h_g, sin_zeta_c, cos_zeta_c, radius)
@@ -221,6 +223,7 @@ def refraction_angle(
     zeta_c: ArrayLike,
     radius: ArrayLike = DEFAULT_RADIUS_M,
     method: str = "spherical",
+    distance: ArrayLike = math.nan,
 ) -> Any:
     """Refraction angle R_c at the camera [rad].
 
@@ -231,6 +234,7 @@ def refraction_angle(
     zeta_c : apparent nadir angle [rad], 0 to pi.
     radius : of the sphere [m].
     method : one of `METHODS`; all but ``spherical`` are those of `pipeline.refraction.published`.
+    distance : slant range [m], which says which of two crossings is meant; see `bend`.
 
     Arguments broadcast. Scalars give a float and raise `PhysicsError` where there is no angle;
     arrays give NaN there (`bend` tells why for each).
@@ -247,11 +251,11 @@ def refraction_angle(
     zeta = np.asarray(zeta_c, dtype=np.float64)
     in_range = (zeta >= 0.0) & (zeta <= math.pi)
     safe = np.where(in_range, zeta, np.nan)
-    r_c, status = bend(air, h_c, h_g, np.sin(safe), np.cos(safe), radius)
+    r_c, status = bend(air, h_c, h_g, np.sin(safe), np.cos(safe), radius, distance)
     if r_c.ndim:
         return r_c
     code = int(status)
-    if code not in (OK, BEYOND_GRAZING):
+    if code not in (OK, BEYOND_GRAZING, FAR_BRANCH):
         what = {
             BAD_MEASUREMENT: "the heights and the nadir angle (0 to 180 degrees) must be numbers",
             OUTSIDE_PROFILE: f"the profile ({profile.bottom_m:.0f} to {profile.top_m:.0f} m) "

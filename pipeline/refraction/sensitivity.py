@@ -111,7 +111,7 @@ def ray_weights(
     shape = batch.shape
     return RayWeights(
         batch.pieces.height_m.reshape(-1),
-        weight.reshape(*shape, -1),
+        weight.reshape(*shape, weight.shape[1]),
         batch.r_c.reshape(shape),
         batch.status.reshape(shape),
         valid.reshape(shape),
@@ -206,7 +206,8 @@ def _traced(
         *(np.asarray(a, dtype=np.float64) for a in (h_c, h_g, zeta_c, radius))
     )
     shape = arrays[0].shape
-    h_c, h_g, zeta_c, radius = (a.reshape(-1) for a in arrays)
+    # Copies: a broadcast view is not to be written to, which compiled functions ask about.
+    h_c, h_g, zeta_c, radius = (np.array(a).reshape(-1) for a in arrays)
     safe = np.where((zeta_c >= 0.0) & (zeta_c <= np.pi), zeta_c, np.nan)
     r_c, status = bend(ray_table(profile), h_c, h_g, np.sin(safe), np.cos(safe), radius)
     turns = (h_g > h_c) & (np.cos(safe) > 0.0)

@@ -7,17 +7,24 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from pipeline.atmosphere.adjust import Adjustment
 from pipeline.atmosphere.samples import AirSamples
+from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.spread import ImageGrid
-from pipeline.report.figures import as_svg, correction_figure, profile_figure
+from pipeline.report.figures import as_svg, correction_figure
+from pipeline.report.profile_figure import profile_figure
 from pipeline.report.words import (
     CORRECTION_HEAD,
+    SENSOR_HEAD,
+    SOURCE_HEAD,
     correction_rows,
+    effect_lines,
     headline,
     is_applied,
     ledger_rows,
     not_included,
+    sensor_rows,
+    source_rows,
+    unused_sources,
     where_from,
 )
 
@@ -37,7 +44,7 @@ svg { max-width: 100%; height: auto; } .lead { font-size: 1.05rem; }
 def write_report(
     path: Path,
     manifest: Mapping[str, Any],
-    adjustment: Adjustment,
+    air: FlightAir,
     samples: AirSamples,
     grids: Mapping[str, ImageGrid],
 ) -> None:
@@ -57,7 +64,9 @@ def write_report(
         as_svg(correction_figure(grids)),
         "<h2>The air</h2>",
         f"<p>{escape(where_from(manifest))}</p>",
-        as_svg(profile_figure(adjustment, samples)),
+        *(f"<p>{escape(line)}</p>" for line in _effects(manifest)),
+        as_svg(profile_figure(air, samples)),
+        *_sources(manifest),
         "<h2>What became of the rows</h2>",
         _table(("observations", ""), _counts(manifest["observations"]["status"]), numeric=True),
         _table(("stations", ""), _counts(manifest["stations"]), numeric=True),
@@ -79,6 +88,24 @@ def write_report(
         + "\n</body></html>\n"
     )
     path.write_text(page, encoding="utf-8")
+
+
+def _effects(manifest: Mapping[str, Any]) -> list[str]:
+    profile = manifest["profile"]
+    return effect_lines(profile["effect"], profile["standard"])
+
+
+def _sources(manifest: Mapping[str, Any]) -> list[str]:
+    """What the air was made from, what was not used, and what is wrong with the sensors."""
+    parts = []
+    if rows := source_rows(manifest):
+        parts.append(_table(SOURCE_HEAD, rows, numeric=True))
+    if unused := unused_sources(manifest):
+        items = "".join(f"<li>{escape(line)}</li>" for line in unused)
+        parts.append(f"<p>Not used:</p>\n<ul>{items}</ul>")
+    if sensors := sensor_rows(manifest):
+        parts.append(_table(SENSOR_HEAD, sensors, numeric=True))
+    return parts
 
 
 def _counts(counts: Mapping[str, int]) -> list[tuple[str, str]]:

@@ -10,13 +10,26 @@ from rich.markup import escape
 from rich.padding import Padding
 from rich.table import Table
 
+from pipeline.refraction.effect import FlightAir
 from pipeline.report.words import (
     CORRECTION_HEAD,
     correction_rows,
+    effect_lines,
     figure,
     headline,
     ledger_rows,
     where_from,
+)
+
+# What a person is told of an angle's status; ok needs no word.
+_CROSSINGS = {
+    "beyond_grazing": "the near one of two crossings of the ground's height; with --distance the "
+    "slant range decides",
+    "far_branch": "the far one of two crossings of the ground's height, as the slant range says",
+}
+OVER_THE_HORIZON = (
+    "no metres on the ground: the straight ray in the apparent direction passes over the horizon, "
+    "and only the bent one lands"
 )
 
 _COLOURS = {"loss": "red", "warning": "yellow", "fallback": "cyan", "note": "dim"}
@@ -37,6 +50,9 @@ def show_run(
         table.add_row(*(escape(cell) for cell in row))
     console.print(Padding(table, (0, 0, 0, 2)))
     _paragraph(console, where_from(manifest))
+    profile = manifest["profile"]
+    for line in effect_lines(profile["effect"], profile["standard"]):
+        _paragraph(console, line)
     flagged = {k: n for k, n in manifest["observations"]["status"].items() if k != "ok" and n}
     if flagged:
         _paragraph(console, "Flagged rows: " + ", ".join(f"{n:,} {k}" for k, n in flagged.items()))
@@ -110,9 +126,16 @@ def show_ledger(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
 
 def show_angle(console: Console, angle: Mapping[str, Any]) -> None:
     """One refraction angle in the units people use."""
+    ground = angle["ground_m"]
+    lines = [
+        f"{angle['r_c_urad']:.6f} microradians",
+        OVER_THE_HORIZON if ground is None else f"{ground:.6f} m on the ground",
+    ]
+    if angle["status"] in _CROSSINGS:
+        lines.append(f"{angle['status']}: {_CROSSINGS[angle['status']]}")
     console.print(f"R_c    {angle['r_c_arcsec']:.6f} arcsec", highlight=False)
-    console.print(f"       {angle['r_c_urad']:.6f} microradians", highlight=False)
-    console.print(f"       {angle['ground_m']:.6f} m on the ground", highlight=False)
+    for line in lines:
+        console.print(Padding(line, (0, 0, 0, 7), expand=False))
     console.print(
         f"[dim]{angle['atmosphere']}, index {angle['index']}, {angle['method']}, radius "
         f"{angle['radius_m']:.0f} m[/dim]",
@@ -160,21 +183,41 @@ def _number(value: float | None, digits: int, factor: float = 1.0) -> str:
 
 def show_profile(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
     """A profile as a table."""
-    heads = ("h [m]", "T [K]", "p [hPa]", "e [hPa]", "(n-1)e6", "Eq.", "source")
+    heads = ("h [m]", "T [K]", "±", "p [hPa]", "e [hPa]", "(n-1)e6", "±", "Eq.", "source")
     table = Table(*(escape(head) for head in heads), box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for column in table.columns[:6]:
+    for column in table.columns[:8]:
         column.justify = "right"
     for row in rows:
         table.add_row(
             f"{row['h_m']:.0f}",
             f"{row['temperature_k']:.2f}",
+            _sigma(row["sigma_temperature_k"]),
             f"{row['pressure_pa'] / 100.0:.2f}",
             f"{row['vapour_pressure_pa'] / 100.0:.2f}",
             f"{row['refractivity'] * 1e6:.2f}",
+            _sigma(row["sigma_refractivity"], 1e6),
             str(row["equation"]),
             row["source"],
         )
     console.print(table)
+
+
+def _sigma(value: float | None, factor: float = 1.0) -> str:
+    return "" if value is None else f"{value * factor:.2f}"
+
+
+def show_air(console: Console, air: FlightAir) -> None:
+    """What the air of a flight was made from, and what it does to R."""
+    adjustment = air.adjustment
+    rows = [effect.row() for effect in air.effects]
+    parts = [f"{len(air.along.airs)} profiles follow the air"] if air.windows else []
+    for line in (
+        *effect_lines(rows, adjustment.standard.name),
+        *(use.sentence() for use in adjustment.sources),
+        *(f"{n.name}: {n.value:.3g} ± {n.sigma:.2g}" for n in adjustment.nuisances),
+        *parts,
+    ):
+        _paragraph(console, line)
 
 
 def show_check(console: Console, lines: Sequence[tuple[str, str]]) -> None:
@@ -189,6 +232,7 @@ def show_check(console: Console, lines: Sequence[tuple[str, str]]) -> None:
 
 __all__ = [
     "figure",
+    "show_air",
     "show_angle",
     "show_check",
     "show_fields",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 _ORDER = ("loss", "warning", "fallback", "note")
@@ -75,10 +75,71 @@ def where_from(manifest: Mapping[str, Any]) -> str:
             f" At the height of the cameras the air is {profile['departure_at_cameras_k']:+.1f} K "
             f"against {profile['standard']}."
         )
+    if profile["profiles"] > 1:
+        changes = [100.0 * window["change"] for window in profile["windows"]]
+        sentence += (
+            f" The air changes: R by {min(changes):+.1f} to {max(changes):+.1f} % of that of the "
+            f"whole flight; {profile['profiles']} profiles follow it."
+        )
     method = manifest["config"]["refraction"]["method"]
     if method != "spherical":
         sentence += f" Rays by the published method {method}, for comparison, not for work."
     return sentence
+
+
+def effect_lines(effects: Sequence[Mapping[str, Any]], standard: str) -> list[str]:
+    """R in the air of the flight beside that in the standard, a line an angle."""
+    return [
+        f"R at {e['nadir_angle_deg']:.0f}° from {e['h_c_m']:.0f} m to {e['h_g_m']:.0f} m: "
+        f"{e['r_c_arcsec']:.3f}{_plus_minus(e['sigma_arcsec'], '.3f')} arcsec, "
+        f"{e['standard_arcsec']:.3f} in {standard}: "
+        f"{100.0 * (e['factor'] - 1.0):+.2f}{_percent(e['sigma_factor'])} %"
+        for e in effects
+    ]
+
+
+def _plus_minus(sigma: float | None, digits: str) -> str:
+    return "" if sigma is None else f" ± {sigma:{digits}}"
+
+
+def _percent(sigma: float | None) -> str:
+    return _plus_minus(None if sigma is None else 100.0 * sigma, ".2f")
+
+
+SENSOR_HEAD = ("", "found", "sigma", "expected sigma")
+
+
+def sensor_rows(manifest: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """What was found wrong with the sensors, with its sigma and that of what was expected."""
+    return [
+        (s["what"], f"{s['value']:.3g}", f"{s['sigma']:.2g}", f"{s['expected_sigma']:.2g}")
+        for s in manifest["profile"]["sensors"]
+    ]
+
+
+SOURCE_HEAD = ("source", "readings", "RMS [sigma]", "widened", "unknowns told")
+
+
+def source_rows(manifest: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """The sources that were used: how they fit, and how much each told."""
+    return [
+        (
+            f"{s['source']}, {s['quantity']}",
+            str(s["readings"]),
+            f"{s['rms_sigma']:.2f}",
+            f"{s['widened']:.2f}",
+            f"{s['told']:.1f}",
+        )
+        for s in manifest["profile"]["sources"]
+        if s["used"] and "quantity" in s
+    ]
+
+
+def unused_sources(manifest: Mapping[str, Any]) -> list[str]:
+    """Sources that were not used, each with the reason."""
+    return [
+        f"{s['source']}: {s['why_not']}" for s in manifest["profile"]["sources"] if not s["used"]
+    ]
 
 
 def ledger_rows(manifest: Mapping[str, Any]) -> list[tuple[str, str, str]]:

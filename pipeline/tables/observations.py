@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,8 @@ class Batch:
     """A slice of the observations: ours as numpy, the user's as Arrow, in the order of the file.
 
     ``distance_m`` are slant ranges, NaN where there is none; ``no_distance`` counts those that are
-    none: zero, negative, infinite or no number.
+    none: zero, negative, infinite or no number. ``ground_sigma`` and ``no_sigma`` likewise for
+    standard deviations of ground heights, of which zero is one.
     """
 
     image: pa.StringArray
@@ -43,6 +44,8 @@ class Batch:
     users: dict[str, pa.Array]
     distance_m: Array | None = None
     no_distance: int = 0
+    ground_sigma: Array | None = None
+    no_sigma: int = 0
 
     def __len__(self) -> int:
         return len(self.image)
@@ -62,6 +65,7 @@ class Observations:
     rows: int
     images: tuple[str, ...]
     user_fields: tuple[pa.Field, ...]
+    sigma_column: str | None = None
     _sources: Mapping[str, str] = field(repr=False, default_factory=dict)
     _csv_types: Mapping[str, pa.DataType] = field(repr=False, default_factory=dict)
 
@@ -77,9 +81,11 @@ class Observations:
         def number(name: str) -> Array:
             return _as_float(_one(table[name]))
 
-        distance, no_distance = None, 0
+        distance, no_distance, sigma, no_sigma = None, 0, None, 0
         if self.distance_column is not None:
-            distance, no_distance = _slant_ranges(_one(table[self.distance_column]))
+            distance, no_distance = _known(_one(table[self.distance_column]), _is_distance)
+        if self.sigma_column is not None:
+            sigma, no_sigma = _known(_one(table[self.sigma_column]), _is_sigma)
         return Batch(
             text("image"),
             text("point"),
@@ -89,6 +95,8 @@ class Observations:
             {f.name: _one(table[self._sources[f.name]]) for f in self.user_fields},
             distance,
             no_distance,
+            sigma,
+            no_sigma,
         )
 
 
@@ -99,6 +107,7 @@ def open_observations(
     ledger: Ledger,
     *,
     ground_is_msl: bool = True,
+    sigma_column: str | None = None,
     direction: Direction = "remove",
 ) -> Observations:
     """Check a table of observations: its columns, its marks, its images.
@@ -111,6 +120,7 @@ def open_observations(
     ground_column : the column of ground heights, or None where none has them.
     ground_is_msl : whether these heights are above mean sea level, as our ``h_g_m`` is; any other
         column of that name is the user's own and leaves as ``h_g_m_input``.
+    sigma_column : the column of standard deviations of the ground heights, which passes through.
     direction : whether refraction will be removed from these observations or applied to them.
 
     Refuses a table to which that was done already, one that lacks a column, or repeats a name.
@@ -120,13 +130,16 @@ def open_observations(
     named = {role: name for role, name in columns.items() if name is not None}
     distance_column = named.get("distance_m")
     heights = [ground_column] if ground_column and ground_column == distance_column else []
-    _refuse_one_for_two(path, [*named.values(), *heights])
+    sigmas = [sigma_column] if sigma_column else []
+    _refuse_one_for_two(path, [*named.values(), *heights, *sigmas])
     refuse_done(path, schema, direction)
     refuse_other_pixels(path, schema, direction, named)
     for role, name in named.items():
         _require(path, schema, role, name, f"observations.columns.{role}")
     if ground_column:
         _require(path, schema, "ground height", ground_column, "ground.height.column")
+    if sigma_column:
+        _require(path, schema, "sigma of the ground", sigma_column, "ground.sigma_column")
     csv_types: Mapping[str, pa.DataType] = {}
     if _is_csv(path):
         numbers = {named["x_px"], named["y_px"], ground_column or ""} & set(schema.names)
@@ -136,6 +149,8 @@ def open_observations(
         _note_codes(found.codes, ledger)
         if distance_column:  # which keeps the type of a column of the user's
             _require(path, schema, "distance_m", distance_column, "observations.columns.distance_m")
+        if sigma_column:
+            _require(path, schema, "sigma of the ground", sigma_column, "ground.sigma_column")
     else:
         rows, images = _count(path, named["image"])
     if rows == 0:
@@ -154,6 +169,7 @@ def open_observations(
         rows,
         tuple(sorted(images)),
         tuple(pa.field(name, item.type) for name, item in leaving.items()),
+        sigma_column,
         {name: item.name for name, item in leaving.items()},
         csv_types,
     )
@@ -288,11 +304,19 @@ def _as_float(column: pa.Array) -> Array:
     )
 
 
-def _slant_ranges(column: pa.Array) -> tuple[Array, int]:
-    """Slant ranges [m] with NaN for null, and how many values are none."""
+def _is_distance(values: Array) -> NDArray[np.bool_]:
+    return np.isfinite(values) & (values > 0.0)
+
+
+def _is_sigma(values: Array) -> NDArray[np.bool_]:
+    return np.isfinite(values) & (values >= 0.0)
+
+
+def _known(column: pa.Array, is_one: Callable[[Array], NDArray[np.bool_]]) -> tuple[Array, int]:
+    """Values with NaN for null and for what is none, and how many those are."""
     values = _as_float(column)
     with np.errstate(invalid="ignore"):
-        sound = np.isfinite(values) & (values > 0.0)
+        sound = is_one(values)
     absent = column.is_null().to_numpy(zero_copy_only=False)
     if not _is_text(column.type):
         absent = absent | np.isnan(values)

@@ -14,7 +14,15 @@ REFRACTION_REMOVED = b"removed"
 REFRACTION_APPLIED = b"applied"
 
 _F = pa.float64()
+_F4 = pa.float32()
 _S = pa.string()
+
+_COMMON = (
+    "common to the block, to be removed by one scale factor, never to be added to the weights of "
+    "observations; null where unknown"
+)
+_STATION = "attitude and height, common to an image; null where the attitude has no sigma"
+_GROUND = "the same for each image of the point; null where the height has no sigma"
 
 OBSERVATION_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
     "image": (_S, "", "name of the image"),
@@ -26,7 +34,13 @@ OBSERVATION_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
     "zeta_c_rad": (_F, "rad", "apparent nadir angle outside the window"),
     "r_c_rad": (_F, "rad", "refraction angle, positive: apparent ray farther from the nadir"),
     "r_cc_rad": (_F, "rad", "window, positive: the cabin moved the image point inward"),
-    "sigma_r_c_rad": (_F, "rad", "standard deviation of r_c_rad; null while not estimated"),
+    "sigma_r_c_rad": (_F, "rad", f"standard deviation of r_c_rad by the air; {_COMMON}"),
+    "sigma_air_dx_px": (_F4, "px", f"of the shift in x, by the air; {_COMMON}"),
+    "sigma_air_dy_px": (_F4, "px", f"of the shift in y, by the air; {_COMMON}"),
+    "sigma_station_dx_px": (_F4, "px", f"of the shift in x, by the station; {_STATION}"),
+    "sigma_station_dy_px": (_F4, "px", f"of the shift in y, by the station; {_STATION}"),
+    "sigma_ground_dx_px": (_F4, "px", f"of the shift in x, by the height of the point; {_GROUND}"),
+    "sigma_ground_dy_px": (_F4, "px", f"of the shift in y, by the height of the point; {_GROUND}"),
     "h_g_m": (_F, "m", "height of the point above mean sea level that was used"),
     "status": (_S, "", "ok, or why there is no correction"),
 }
@@ -80,7 +94,7 @@ STATION_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
 
 PROFILE_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
     "profile_id": (_S, "", ""),
-    "time_utc": (pa.timestamp("ns", "UTC"), "", "middle of the samples"),
+    "time_utc": (pa.timestamp("ns", "UTC"), "", "of this air; of one profile, middle of samples"),
     "h_m": (_F, "m", "height above mean sea level"),
     "geopotential_m": (_F, "m'", "H = r_phi h g_phi / ((r_phi + h) G)"),
     "temperature_k": (_F, "K", ""),
@@ -98,8 +112,8 @@ PROFILE_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
     "source": (_S, "", "measured | barometric | relaxed | standard"),
     "standard_temperature_k": (_F, "K", "of the standard atmosphere at the same height"),
     "standard_pressure_pa": (_F, "Pa", "of the standard atmosphere at the same height"),
-    "sigma_temperature_k": (_F, "K", "null while not estimated"),
-    "sigma_refractivity": (_F, "", "null while not estimated"),
+    "sigma_temperature_k": (_F, "K", "one standard deviation; null for a standard atmosphere"),
+    "sigma_refractivity": (_F, "", "one standard deviation; null for a standard atmosphere"),
 }
 
 CONVENTIONS: Mapping[str, str] = {

@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 from numpy.typing import ArrayLike
 
 from pipeline.atmosphere.adjust import Adjustment
+from pipeline.atmosphere.course import AirAlong, TimedAir
 from pipeline.atmosphere.profile import profile_table
 from pipeline.errors import StorageError
 from pipeline.flight.stations import Stations, station_table
@@ -41,7 +42,8 @@ def observation_table(
     batch: Batch, corrections: Corrections, h_g: Any, schema: pa.Schema
 ) -> pa.Table:
     """The output rows of a batch."""
-    names = pa.array(STATUS_NAMES)
+    names, sigmas = pa.array(STATUS_NAMES), corrections.sigmas
+    spread = {} if sigmas is None else {f"sigma_{n}": c for n, c in sigmas.columns().items()}
     return table_of(
         {
             "image": batch.image,
@@ -58,34 +60,67 @@ def observation_table(
             "h_g_m": h_g,
             "status": names.take(pa.array(corrections.status)),
         }
+        | spread
         | batch.users,
         schema,
     )
 
 
-def stations_table(stations: Stations, profile_id: str) -> pa.Table:
+PROFILE_ID = "flight"
+"""Of the one profile of a flight; where there are several, flight-001 and so on."""
+
+
+def profile_ids(along: AirAlong) -> list[str]:
+    """Names of the profiles along a flight, in the order of time."""
+    count = len(along.airs)
+    return [PROFILE_ID] if count == 1 else [f"{PROFILE_ID}-{i + 1:03d}" for i in range(count)]
+
+
+def stations_table(stations: Stations, along: AirAlong) -> pa.Table:
     """``stations.parquet``."""
     columns = station_table(stations)
-    columns["profile_id"] = [profile_id if ok else None for ok in stations.ok]
+    ids = np.array(profile_ids(along), dtype=object)[along.number]
+    ids[~stations.ok] = None
+    columns["profile_id"] = ids
     return table_of(columns, schema_of(STATION_COLUMNS, {}))
 
 
-def profile_arrow(
-    adjustment: Adjustment, profile_id: str, heights: ArrayLike | None = None
+def profiles_arrow(
+    adjustment: Adjustment, along: AirAlong, heights: ArrayLike | None = None
 ) -> pa.Table:
-    """``profile.parquet``: each row's pressure follows from its base values and equation.
+    """``profile.parquet``: the profiles along a flight, one after the other."""
+    return pa.concat_tables(
+        profile_arrow(adjustment, name, heights, air)
+        for name, air in zip(profile_ids(along), along.airs, strict=True)
+    )
 
-    ``heights`` : (n,) [m above sea level]; by default the edges of the layers.
+
+def profile_arrow(
+    adjustment: Adjustment,
+    profile_id: str,
+    heights: ArrayLike | None = None,
+    air: TimedAir | None = None,
+) -> pa.Table:
+    """A profile as a table: each row's pressure follows from its base values and equation.
+
+    ``heights`` : (n,) [m above sea level]; by default the edges of the layers. ``air`` : one of
+    several along the flight, in the place of the whole's.
     """
-    profile, standard = adjustment.profile, adjustment.standard
+    standard = adjustment.standard
+    air = air or TimedAir(adjustment.time_ns, adjustment.profile, adjustment.covariance)
+    profile = air.profile
     columns = profile_table(profile, heights)
     h = columns["h_m"]
     columns |= {
         "profile_id": np.full(h.shape, profile_id, dtype=object),
-        "time_utc": [adjustment.time_ns] * h.size,
+        "time_utc": [air.time_ns] * h.size,
         "standard_temperature_k": standard.temperature(h),
         "standard_pressure_pa": standard.pressure(h),
     }
+    covariance = air.covariance
+    if covariance is not None:
+        columns["sigma_temperature_k"] = covariance.sigma_temperature(h)
+        columns["sigma_refractivity"] = covariance.sigma_refractivity(h)
     gravity = profile.gravity
     extra = {
         "unbend.basis": adjustment.basis,

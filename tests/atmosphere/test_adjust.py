@@ -11,7 +11,13 @@ from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.adjust import build_adjusted_profile, unadjusted
 from pipeline.atmosphere.samples import AirSamples, Samples, bin_by_height
 from pipeline.ledger import Kind, Ledger
-from pipeline.simulate.air import TrueAir, relative_humidity, temperature_k, true_air
+from pipeline.simulate.air import (
+    TrueAir,
+    relative_humidity,
+    temperature_k,
+    true_air,
+    vapour_pressure_pa,
+)
 
 LATITUDE = math.radians(47.4)
 FIELD_M = 450.0
@@ -68,7 +74,7 @@ def test_the_profile_is_the_air_that_was_measured(air):
     e = adjusted.profile.vapour_pressure(h)
     assert np.abs(adjusted.profile.refractivity(h) + 1.0 - air.n(h)).max() < 2.5e-7
     assert e[0] > 800.0 > e[-1]
-    assert codes(ledger) == ["AIR-ANCHOR"]
+    assert codes(ledger) == ["AIR-ANCHOR", "AIR-SENSORS"]
     assert not ledger.has_losses
 
 
@@ -76,14 +82,17 @@ def test_it_relaxes_to_the_standard_far_above(air):
     adjusted, _ = adjust(measured(air, 3000.0))
     standard, profile = adjusted.standard, adjusted.profile
     top = FIELD_M + 3000.0
-    departure = profile.temperature(top) - standard.temperature(top)
-    assert abs(departure) > 2.0
-    away = np.array([2500.0, 5000.0, 10_000.0])
+    away = np.array([0.0, 2500.0, 5000.0, 10_000.0])
     left = profile.temperature(top + away) - standard.temperature(top + away)
-    # Falls by e in 2500 m', as the constant says; the vapour held above adds a little.
-    np.testing.assert_allclose(left, departure * np.exp(-away / 2500.0), atol=0.15)
+    assert left[0] > 9.0
+    # Ever less of the departure, ever more doubt about it.
+    assert np.all(np.diff(left) < 0.0)
+    assert left[-1] < 0.1 * left[0]
+    sigma = adjusted.covariance.sigma_temperature(top + away)
+    assert sigma[0] < 0.5
+    assert np.all(np.diff(sigma[:3]) > 1.0)
     far = top + 25_000.0
-    assert profile.temperature(far).item() == pytest.approx(standard.temperature(far).item(), 1e-5)
+    assert profile.temperature(far).item() == pytest.approx(standard.temperature(far).item(), 1e-3)
     # Pressure keeps the surplus of the warm air below: it is never forced back.
     assert profile.pressure(far).item() != pytest.approx(standard.pressure(far).item(), rel=1e-3)
 
@@ -98,7 +107,7 @@ def test_where_each_layer_comes_from(air):
             assert source == "measured"
         elif lower > high + 20_001.0:
             assert source == "standard"
-        elif lower > high + 60.0 or upper < low - 60.0:
+        elif high + 60.0 < lower < high + 2000.0 or low - 500.0 < lower < low - 110.0:
             assert source == "relaxed"
     assert set(adjust(measured(air, 4000.0, t=False))[0].profile.layers.source) == {
         "barometric",
@@ -114,9 +123,14 @@ def test_a_gap_in_the_heights_is_not_called_measured(air):
         samples(time_ns[~gap], h[~gap], temperature_k(h[~gap])),
         samples(time_ns, h, air.pressure_pa(h)),
     )
-    profile = adjust(given)[0].profile
+    adjusted = adjust(given)[0]
+    profile = adjusted.profile
     i = int(profile.layer_of(1900.0))
-    assert profile.layers.source[i] == "relaxed"
+    assert profile.layers.source[i] == "barometric"
+    alone = adjust(AirSamples(given.temperature))[0].profile
+    assert alone.layers.source[int(alone.layer_of(1900.0))] == "relaxed"
+    inside, beside = adjusted.covariance.sigma_temperature([1900.0, 2600.0])
+    assert inside > 2.0 * beside
     assert profile.layers.source[int(profile.layer_of(1200.0))] == "measured"
     assert profile.layers.source[int(profile.layer_of(2600.0))] == "measured"
 
@@ -135,8 +149,9 @@ def test_lag_of_climb_and_descent_cancels(air):
     # Away from the inversion, where the lapse rate is constant, the lag cancels.
     quiet = np.concatenate([np.arange(600.0, 1050.0, 25.0), np.arange(1700.0, 3300.0, 25.0)])
     truth = temperature_k(quiet)
-    assert np.abs(both.temperature(quiet) - truth).max() < 0.1
-    assert np.median(np.abs(one.temperature(quiet) - truth)) > 0.5
+    assert np.abs(both.temperature(quiet) - truth).max() < 0.2
+    # The climb alone reads 0.65 K too warm; the barometer, and level flight, tell.
+    assert np.median(np.abs(one.temperature(quiet) - truth)) < 0.4
 
 
 def test_outliers_do_not_matter(air):
@@ -159,42 +174,53 @@ def test_outliers_do_not_matter(air):
 def test_readings_a_gate_took_out_and_gaps_are_not_used(air):
     time_ns, h = flight(3000.0)
     soaked = time_ns < time_ns[0] + 60 * 10**9
-    t = np.where(soaked, temperature_k(h) + 12.0, temperature_k(h))
-    t[500:520] = np.nan
     pressure = samples(time_ns, h, air.pressure_pa(h))
-    gated = adjust(AirSamples(samples(time_ns, h, t, accepted=~soaked), pressure))[0].profile
-    open_gate = adjust(AirSamples(samples(time_ns, h, t), pressure))[0].profile
+    found = []
+    for heat in (0.0, 12.0, 40.0):
+        t = np.where(soaked, temperature_k(h) + heat, temperature_k(h))
+        t[500:520] = np.nan
+        warm = samples(time_ns, h, t, accepted=~soaked)
+        found.append(adjust(AirSamples(warm, pressure))[0].profile)
     low = FIELD_M + np.array([50.0, 150.0, 250.0])
-    assert np.abs(gated.temperature(low) - temperature_k(low)).max() < 0.15
-    assert np.abs(open_gate.temperature(low) - temperature_k(low)).min() > 2.0
+    for gated in found:
+        np.testing.assert_array_equal(gated.temperature(low), found[0].temperature(low))
+        assert np.abs(gated.temperature(low) - temperature_k(low)).max() < 0.35
 
 
-def test_without_humidity_the_air_is_dry_and_that_is_said(air):
+def test_without_humidity_the_climatology_s_is_taken_and_that_is_said(air):
     adjusted, ledger = adjust(measured(air, 3000.0, rh=False))
-    assert "AIR-DRY" in codes(ledger, Kind.FALLBACK)
+    assert "AIR-HUMIDITY-EXPECTED" in codes(ledger, Kind.FALLBACK)
     assert not ledger.has_losses
-    assert float(adjusted.profile.vapour_pressure(600.0)) == 0.0
-    # Water in the air lowers the index.
-    moist = adjust(measured(air, 3000.0))[0].profile
-    assert float(moist.refractivity(600.0)) < float(adjusted.profile.refractivity(600.0))
+    assert "climatology" in next(e.what for e in ledger if e.code == "AIR-HUMIDITY-EXPECTED")
+    # Of the climatology, within its doubt: 30 % of relative humidity are 570 Pa here.
+    moist = adjust(measured(air, 3000.0))[0]
+    e = adjusted.profile.vapour_pressure(600.0)
+    assert abs(float(e - moist.profile.vapour_pressure(600.0))) < 570.0
+    doubt = [a.covariance.sigma_refractivity(600.0).item() for a in (adjusted, moist)]
+    assert doubt[0] > doubt[1]
 
 
 def test_humidity_changes_the_weight_of_the_air_too(air):
-    dry = adjust(measured(air, 3000.0, rh=False))[0].profile
-    moist = adjust(measured(air, 3000.0))[0].profile
-    thickness = [math.log(float(p.pressure(500.0) / p.pressure(3400.0))) for p in (dry, moist)]
-    truth = math.log(float(air.pressure_pa(500.0) / air.pressure_pa(3400.0)))
-    assert abs(thickness[1] - truth) < 0.1 * abs(thickness[0] - truth)
+    _, h = flight(3000.0)
+    arid = adjust(measured(air, 3000.0, p=False, humidity=0.0 * h))[0].profile
+    moist = adjust(measured(air, 3000.0, p=False))[0].profile
+    thickness = [math.log(float(p.pressure(500.0) / p.pressure(3400.0))) for p in (arid, moist)]
+    # The same thermometer: virtual temperature differs by the factor 1 - 0.378 e/p.
+    way = np.linspace(500.0, 3400.0, 200)
+    light = 0.378 * vapour_pressure_pa(way) / air.pressure_pa(way) / temperature_k(way)
+    truth = 0.0341632 * np.trapezoid(light, way)
+    # The hygrometer's own bias, 3 %, leaves some of the climatology's humidity in arid air.
+    assert thickness[0] - thickness[1] == pytest.approx(truth, rel=0.15)
 
 
 def test_barometer_alone_passes_through_the_pressures(air):
     adjusted, ledger = adjust(measured(air, 3000.0, t=False, rh=False))
     assert adjusted.basis == "barometer"
-    assert set(codes(ledger, Kind.FALLBACK)) == {"AIR-BAROMETRIC", "AIR-DRY"}
+    assert set(codes(ledger, Kind.FALLBACK)) == {"AIR-BAROMETRIC", "AIR-HUMIDITY-EXPECTED"}
     _, h = flight(3000.0)
     residual = (air.pressure_pa(h) - adjusted.profile.pressure(h)) / 100.0
     assert np.abs(residual).max() < 0.3  # hPa
-    assert "in layers of 492 m" in adjusted.reason
+    assert "over 3000 m" in adjusted.reason
 
 
 def test_a_short_climb_without_a_thermometer_keeps_the_standard(air):
@@ -234,7 +260,7 @@ def test_a_log_without_a_barometer(air):
     assert adjusted.basis == "thermometer"
     assert "AIR-NO-BAROMETER" in codes(ledger, Kind.FALLBACK)
     # The standard's pressure at sea level stays.
-    assert float(adjusted.profile.pressure(0.0)) == pytest.approx(101_325.0, rel=1e-12)
+    assert float(adjusted.profile.pressure(0.0)) == pytest.approx(101_325.0, rel=1e-4)
 
 
 def test_a_log_without_any_sensor():
@@ -278,7 +304,9 @@ def test_a_pressure_sensor_off_by_a_constant_moves_the_level_only(air):
     off = adjust(measured(air, 3000.0, pressure=air.pressure_pa(h) + 150.0))[0].profile
     right = adjust(measured(air, 3000.0))[0].profile
     ratio = off.pressure(h) / right.pressure(h)
-    assert np.ptp(ratio) < 2e-5
+    # 1.5 hPa are 7e-4 of p more at the top: with a thermometer whose own bias is not known the
+    # column may be so much colder.
+    assert np.ptp(ratio) < 8e-4
     assert float(ratio.mean()) == pytest.approx(1.0 + 150.0 / 82_000.0, rel=5e-4)
 
 
@@ -398,15 +426,27 @@ def test_a_thermometer_indoors_is_not_the_air_outside(air):
     assert not ledger.has_losses
 
 
-def test_sensors_that_disagree_are_told_of(air):
-    time_ns, h = flight(900.0)  # too little height to say which of them is wrong
-    bent = air.pressure_pa(h) * (1.0 + 0.01 * np.sin(h / 100.0))
-    _, ledger = adjust(measured(air, 900.0, pressure=bent))
-    assert [e.code for e in ledger if e.kind is Kind.LOSS] == ["AIR-ANCHOR"]
-    slightly = air.pressure_pa(h) * (1.0 + 0.004 * np.sin(h / 100.0))
-    _, ledger = adjust(measured(air, 900.0, pressure=slightly))
-    assert [e.code for e in ledger if e.kind is Kind.WARNING] == ["AIR-ANCHOR"]
-    assert time_ns.size == h.size
+@pytest.mark.parametrize("share", [0.01, 0.03])
+def test_pressures_that_no_air_has_are_left_out(air, share):
+    _, h = flight(900.0)  # too little height to say which of them is wrong
+    bent = air.pressure_pa(h) * (1.0 + share * np.sin(h / 100.0))
+    adjusted, ledger = adjust(measured(air, 900.0, pressure=bent))
+    assert adjusted.basis == "thermometer"
+    if share > 0.02:
+        assert [e.code for e in ledger if e.kind is Kind.LOSS] == ["AIR-IMPLAUSIBLE"]
+        assert "without pressure" in adjusted.reason
+    else:
+        assert "AIR-MISFIT" in codes(ledger, Kind.WARNING)
+    assert abs(refraction_error(air, adjusted.profile, 900.0)) < 0.03
+
+
+@pytest.mark.parametrize(
+    ("factor", "kind"), [(1.0, Kind.NOTE), (1.07, Kind.WARNING), (1.2, Kind.LOSS)]
+)
+def test_a_level_of_pressure_that_is_no_weather_is_told_of(air, factor, kind):
+    _, h = flight(900.0)
+    _, ledger = adjust(measured(air, 900.0, pressure=factor * air.pressure_pa(h)))
+    assert [e.kind for e in ledger if e.code == "AIR-ANCHOR"] == [kind]
 
 
 def test_wild_heights_crash_nothing(air):

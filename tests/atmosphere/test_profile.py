@@ -130,7 +130,8 @@ def moist() -> Profile:
     time_ns = (np.arange(h.size) * 10**9).astype(np.int64)
     t = 291.0 - 6.8e-3 * (h - 400.0) + 5.0 / (1.0 + np.exp(-(h - 1300.0) / 60.0))
     rh = np.where(h < 1300.0, 0.7, 0.25)
-    p = 96_500.0 * np.exp(-(h - 400.0) / 8500.0)
+    fall = 0.0341632 * 5.0 / (0.5 * (t[1:] + t[:-1]))  # dp/p over 5 m
+    p = 96_500.0 * np.exp(-np.concatenate([[0.0], np.cumsum(fall)]))
     everything = np.ones(h.size, bool)
 
     def samples(value, name):

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import re
 
 import pyarrow.parquet as pq
 import pytest
 
 import pipeline
+from pipeline.ingest.base import Log
 from pipeline.refraction import angle
 
 COMMANDS = (
@@ -94,6 +96,109 @@ def test_angle(unbend, at):
     assert found["ground_m"] > 0.0
     assert f"{found['r_c_arcsec']:.6f} arcsec" in plain.out
     assert "microradians" in plain.out
+
+
+def strict(text: str) -> dict:
+    """JSON as its standard has it: NaN and Infinity are no numbers."""
+
+    def refuse(word: str) -> None:
+        raise AssertionError(f"{word} is no JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def words_of(h_c: float, h_g: float, zeta: float, *others: object) -> tuple[object, ...]:
+    return ("angle", "--camera-height", h_c, "--ground-height", h_g, "--nadir-angle", zeta, *others)
+
+
+def test_an_angle_over_the_horizon_has_no_metres(unbend):
+    """asin(6371 / 6381) is 86.792 degrees: there the straight ray misses, the bent one lands."""
+    found = strict(unbend(*words_of(10_000, 0, 86.8), "--json").out)
+    assert (found["ground_m"], found["status"]) == (None, "ok")
+    assert found["r_c_arcsec"] > 470.0
+    plain = unbend(*words_of(10_000, 0, 86.8))
+    assert plain.code == 0
+    assert "nan" not in plain.out.lower()
+    assert "None" not in plain.out
+    said = " ".join(plain.out.split())
+    assert "no metres on the ground: the straight ray in the apparent direction passes over" in said
+    assert longest(plain.out) <= 80
+    near = strict(unbend(*words_of(10_000, 0, 86.79), "--json").out)
+    assert near["ground_m"] > 0.0
+    assert "no metres" not in unbend(*words_of(10_000, 0, 86.79)).out
+
+
+# From 3 km the ray at 88.4 degrees has 1000 m twice, some 92 and 328 km away.
+CROSSINGS = {None: "beyond_grazing", 80_000: "ok", 340_000: "far_branch"}
+
+
+def landing(zeta: float, *, far: bool) -> tuple[float, float]:
+    """East and up of where a straight line from 3 km enters, or leaves, the sphere at 1 km [m]."""
+    r_c, r_g = 6_374_000.0, 6_372_000.0
+    half = math.sqrt((r_c * math.cos(zeta)) ** 2 - (r_c - r_g) * (r_c + r_g))
+    s = r_c * math.cos(zeta) + (half if far else -half)
+    return s * math.sin(zeta), -s * math.cos(zeta)
+
+
+@pytest.mark.parametrize("distance", CROSSINGS)
+def test_the_slant_range_chooses_the_crossing(unbend, distance):
+    others = () if distance is None else ("--distance", distance)
+    ray = words_of(3000, 1000, 88.4, *others)
+    found, plain = strict(unbend(*ray, "--json").out), unbend(*ray)
+    assert found["status"] == CROSSINGS[distance]
+    assert found["distance_m"] == distance
+    near = strict(unbend(*words_of(3000, 1000, 88.4), "--json").out)
+    assert (found["r_c_arcsec"] == near["r_c_arcsec"]) == (distance != 340_000)
+    zeta = math.radians(88.4)
+    there = [landing(zeta - r, far=distance == 340_000) for r in (0.0, found["r_c_rad"])]
+    assert found["ground_m"] == pytest.approx(math.dist(*there), rel=1e-8)
+    said = " ".join(plain.out.split())
+    assert longest(plain.out) <= 80
+    assert ("the near one of two crossings" in said) == (distance is None)
+    assert ("the far one of two crossings" in said) == (distance == 340_000)
+    assert "None" not in said
+
+
+@pytest.mark.parametrize("command", ["angle", "inspect"])
+def test_what_is_no_json_is_never_printed_as_json(unbend, flown, monkeypatch, command):
+    """Whatever slips through is a bug that shows, not a file that only Python can read."""
+    monkeypatch.setattr(angle, "one_angle", lambda *_: {"ground_m": math.nan})
+    monkeypatch.setattr(Log, "to_json_dict", lambda _: {"duration_s": math.inf})
+    words = words_of(3000, 0, 45) if command == "angle" else ("inspect", flown.logs["mcap"])
+    with pytest.raises(ValueError, match="JSON"):
+        unbend(*words, "--json")
+
+
+def test_an_ordinary_angle_says_nothing_of_crossings(unbend):
+    found = strict(unbend(*words_of(3000, 0, 45), "--json").out)
+    assert (found["status"], found["distance_m"]) == ("ok", None)
+    assert "crossing" not in unbend(*words_of(3000, 0, 45)).out
+
+
+@pytest.mark.parametrize("method", ["spherical", "plane", "gyer1996", "manual"])
+@pytest.mark.parametrize(
+    ("option", "value", "code"),
+    [
+        ("--radius", "nan", "RAY-BAD-MEASUREMENT"), ("--radius", "inf", "RAY-BAD-MEASUREMENT"),
+        ("--radius", "0", "RAY-BAD-MEASUREMENT"), ("--camera-height", "inf", "RAY-BAD-MEASUREMENT"),
+        ("--ground-height", "-inf", "RAY-BAD-MEASUREMENT"), ("--distance", "-1", "ANGLE-DISTANCE"),
+        ("--distance", "nan", "ANGLE-DISTANCE"), ("--distance", "0", "ANGLE-DISTANCE"),
+    ],
+)  # fmt: skip
+def test_an_angle_of_what_is_no_number(unbend, method, option, value, code):
+    words = {"--camera-height": "3000", "--ground-height": "0", "--nadir-angle": "45"}
+    words |= {"--method": method, option: value}
+    ended = unbend("angle", "--json", *(f"{name}={text}" for name, text in words.items()))
+    assert (ended.code, ended.out) == (2, "")
+    assert ended.err.startswith(f"{code}: ")
+
+
+def test_heights_outside_the_profile_are_refused_at_once(unbend):
+    for h_c, h_g in ((1e15, 0), (3000, -1e15)):
+        words = words_of(h_c, h_g, 45, "--method", "gyer1996")
+        ended = unbend(*words[:3], f"--ground-height={h_g}", *words[5:])
+        assert ended.code == 2
+        assert ended.err.startswith("RAY-OUTSIDE-PROFILE: ")
 
 
 @pytest.mark.parametrize(

@@ -73,6 +73,23 @@ def test_a_ray_that_misses_says_so(unbend):
     assert longest(ended.out) <= 80
 
 
+def test_metres_that_do_not_exist_are_explained(unbend, tmp_path):
+    """At 86.9 degrees from 10 km only the bent ray lands."""
+    words = ("radial", "--atmosphere", "us1976", "--camera-height", 10_000, "--ground-height", 0,
+             "--step", 40)  # fmt: skip
+    said = " ".join(unbend(*words, "--max-angle", 86.9).out.split())
+    assert "No metres on the ground: the straight ray" in said
+    assert "nan" not in said
+    assert "No metres" not in unbend(*words, "--max-angle", 80).out
+    # A ray that misses has its own word.
+    assert "No metres" not in unbend(*words, "--max-angle", 89).out
+    out = tmp_path / "radial.csv"
+    assert unbend(*words, "--max-angle", 86.9, "--csv", out).code == 0
+    last = list(csv.DictReader(out.read_text(encoding="utf-8").splitlines()))[-1]
+    assert (last["shift_ground_m"], last["status"]) == ("", "ok")
+    assert float(last["r_c_arcsec"]) > 500.0
+
+
 def test_the_air_of_a_mission(unbend, baseline):
     ended = unbend("radial", "--config", baseline.file, "--camera-height", 2800,
                    "--ground-height", 300)  # fmt: skip

@@ -113,7 +113,7 @@ def test_a_named_channel_that_is_missing(mission, unbend):
     text = accepted(mission.run(), 3)
     assert "loss CHANNEL-MISSING" in text
     assert "HYGR[5]" in text
-    assert "fallback AIR-DRY" in text
+    assert "fallback AIR-HUMIDITY-EXPECTED" in text
 
 
 def test_a_channel_without_the_column_of_its_role(mission):

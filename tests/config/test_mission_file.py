@@ -65,6 +65,7 @@ FULL: dict[str, Any] = {
     "mount": {
         "nadir": {
             "roll_deg": 0.0, "pitch_deg": 1.0, "yaw_deg": 2.0, "lever_arm_m": [0.1, 0.2, 0.3],
+            "sigma_tilt_deg": 0.05, "sigma_yaw_deg": 0.2,
         },
         "window": {"roll_deg": 45.0},
     },
@@ -74,10 +75,17 @@ FULL: dict[str, Any] = {
             "window": {"channel": "CAM[1]", "image": "w{n}.tif"},
         },
     },
-    "ground": {"height": {"column": "h_g_m"}, "reference": "msl", "home_h_msl_m": 580.0},
+    "ground": {"height": {"column": "h_g_m"}, "reference": "msl", "home_h_msl_m": 580.0,
+               "sigma_m": 2.0},
     "atmosphere": {
         "standard": "us1976", "adjust": True, "index": "gyer", "wavelength_m": 5.5e-7,
-        "co2_ppm": 420.0,
+        "co2_ppm": 420.0, "climatology": "auto", "board_temperature": True,
+        "soundings": [{"path": "s.csv", "format": "csv", "station_h_msl_m": 500.0}],
+        "surface": [
+            {"h_msl_m": 500.0, "metar": "METAR EDDF 221150Z 12/08 Q1013"},
+            {"h_msl_m": 500.0, "temperature_c": 15.0, "pressure_hpa": 955.0,
+             "relative_humidity": 0.5, "time_utc": "2026-05-14T10:20:00Z"},
+        ],
     },
     "refraction": {"method": "spherical", "radius_m": 6371000.0, "direction": "remove"},
     "output": {"path": "results", "batch_rows": 100000},
@@ -91,9 +99,11 @@ CSV_EVENTS = {
     }
 }
 
+SIGMA_COLUMN = {"height": 120.0, "reference": "relative", "sigma_column": "sigma_h"}
+
 
 def with_csv_events() -> dict[str, Any]:
-    return FULL | {"events": CSV_EVENTS}
+    return FULL | {"events": CSV_EVENTS, "ground": SIGMA_COLUMN}
 
 
 Keys = tuple[str, ...]
@@ -199,7 +209,9 @@ def fields_of(model: type[BaseModel], seen: set[type[BaseModel]]) -> Iterator[st
 
 def test_the_examples_here_use_every_key_there_is(accepted):
     used = {keys[-1] for tree in (FULL, with_csv_events()) for keys in keys_of(tree)}
-    known = set(fields_of(Mission, set())) - {"time_utc"}
+    listed = [*FULL["atmosphere"]["soundings"], *FULL["atmosphere"]["surface"]]
+    used |= {key for entry in listed for key in entry}
+    known = set(fields_of(Mission, set()))
     assert known <= used
     accepted(FULL)
     accepted(with_csv_events())
@@ -339,10 +351,18 @@ def test_a_value_of_the_wrong_type_is_refused_where_it_stands(refused):
         (("ground", "height"), 40000.0), (("ground", "reference"), "wgs84"),
         (("atmosphere", "standard"), "us1967"), (("atmosphere", "index"), "edlen"),
         (("refraction", "method"), "magic"), (("refraction", "radius_m"), 6371.0),
+        (("mount", "nadir", "sigma_tilt_deg"), -0.1), (("mount", "nadir", "sigma_yaw_deg"), 200.0),
+        (("ground", "sigma_m"), -1.0), (("ground", "sigma_column"), 3.0),
     ],
 )  # fmt: skip
 def test_a_value_out_of_range_is_refused(refused, keys, value):
     assert ".".join(keys) in refused(changed(FULL, keys, value)).what
+
+
+def test_sigmas_that_contradict_each_other(refused):
+    both = changed(FULL, ("ground", "sigma_column"), "sigma_h")
+    assert "sigma_m or sigma_column" in refused(both).what
+    assert "sigma_tilt_deg" in refused(without(FULL, ("mount", "nadir", "sigma_tilt_deg"))).what
 
 
 def test_one_principal_distance(refused, accepted):

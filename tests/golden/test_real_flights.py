@@ -85,7 +85,7 @@ def test_copter_with_a_gap_in_the_log(tmp_path: Path) -> None:
     assert counts["in_gap"] > 40
     assert counts["ok"] >= 5
     assert outcome.exit_code == 3
-    assert outcome.manifest["profile"]["basis"] == "standard"
+    assert outcome.manifest["profile"]["basis"] == "climatology"
     assert (observations["status"] == "ok").sum() > 20
 
 

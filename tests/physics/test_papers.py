@@ -17,6 +17,8 @@ from pipeline.refraction.papers import paper_names, paper_tables
 from pipeline.refraction.papers.bertram import hand_sum
 from pipeline.refraction.papers.rows import printed_table
 from pipeline.refraction.published.column import density
+from pipeline.refraction.ray import bend, rays_by
+from pipeline.units import ARCSEC
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "reference"
 DIAGONAL = math.radians(45.0)
@@ -80,14 +82,36 @@ class TestGyer:
         assert np.abs(error("2", "n - 1")).max() < 0.01
 
     def test_tables_3_and_4_as_published(self):
+        """363 of 440 to the printed digit, 379 within half a unit of it and a tenth more.
+
+        85 % to the digit were hoped for. 82.5 % is what the method gives in his air; the notes of
+        the table say so, with the same figures.
+        """
         table = rows("gyer1996", "3-4", "R_c")
         assert table["printed"].size == 440
-        gap = np.abs(table["as_published"] - table["printed"])
-        assert gap.max() <= 0.015
-        # The printed digit, with a tenth of a digit for his constants: 86.1 %. When ours is first
-        # rounded 82.5 % read the same; none is more than one and a half digits away.
-        assert (gap < 0.0055).mean() >= 0.85
-        assert (np.abs(table["as_published"].round(2) - table["printed"]) < 0.005).mean() >= 0.82
+        same, near, worst = agreement(table["as_published"], table["printed"])
+        assert (same, near, worst) == (363, 379, 0.0146)
+        said = " ".join(tables_of("gyer1996").notes)
+        assert f"{same} (82.5 %)" in said
+        assert f"{near} (86.1 %)" in said
+        assert f"all within {worst}." in said
+        assert (round(100 * same / 440, 1), round(100 * near / 440, 1)) == (82.5, 86.1)
+
+    def test_tables_3_and_4_with_the_constants_of_ardc(self):
+        """What a user gets from the atmosphere of that name, as the notes say."""
+        table = rows("gyer1996", "3-4", "R_c")
+        ardc = standard_atmosphere("ardc1959", index="gyer")
+        zeta = np.radians(table["zeta_c_deg"])
+        r_c, status = bend(
+            rays_by(ardc, "gyer1996"), table["h_c_m"], table["h_g_m"], np.sin(zeta), np.cos(zeta),
+            6_378_000.0,
+        )  # fmt: skip
+        assert not status.any()
+        same, _, worst = agreement(r_c / ARCSEC, table["printed"])
+        assert (same, worst) == (347, 0.0151)
+        said = " ".join(tables_of("gyer1996").notes)
+        assert f"{same} entries (78.9 %), all within {worst} arcsec" in said
+        assert round(100 * same / 440, 1) == 78.9
 
     def test_tables_3_and_4_know_their_method(self):
         """The converged integral is up to 7.8 arcsec away: 465.69 printed, 457.86 exact."""
@@ -122,6 +146,13 @@ class TestGyer:
         # His n are printed up to 0.014e-6 low.
         for quantity in ("n_c - 1", "n_cc - 1"):
             assert np.abs(error("7", quantity)).max() < 0.015
+
+
+def agreement(found: np.ndarray, printed: np.ndarray) -> tuple[int, int, float]:
+    """How many round to the printed hundredth, how many lie within 0.0055, and the worst."""
+    gap = np.abs(found - printed)
+    same = np.abs(found.round(2) - printed) < 0.005
+    return int(same.sum()), int((gap < 0.0055).sum()), round(float(gap.max()), 4)
 
 
 def error(table: str, quantity: str) -> np.ndarray:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
 
 import mpmath as mp
 import pytest
@@ -99,3 +103,14 @@ class Truth:
 @pytest.fixture(scope="session")
 def truth() -> Callable[[int], Truth]:
     return Truth
+
+
+@pytest.fixture(scope="session")
+def doubt() -> ModuleType:
+    """Air with a covariance; tests are imported by path, and so is what they share."""
+    place = Path(__file__).with_name("air_of_doubt.py")
+    spec = importlib.util.spec_from_file_location("air_of_doubt", place)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module

@@ -273,6 +273,17 @@ def test_each_reason_in_its_place():
     np.testing.assert_array_equal(np.isfinite(found.x_px), found.status == OK)
 
 
+@pytest.mark.parametrize("change", [np.inf, -np.inf, np.nan, -11_000.0, -12_000.0])
+def test_a_lens_that_cannot_be_has_a_status(change):
+    one = replace(exposures(DOWN), principal_change_px=np.array([change]))
+    found = correct_observations(
+        np.array([7000.0]), np.array([5000.0]), np.array([H_G]), np.zeros(1, np.int64), one,
+        PINHOLE, TABLE,
+    )  # fmt: skip
+    assert found.status.tolist() == [OUTSIDE_CAMERA]
+    assert np.isnan([found.x_px[0], found.dx_px[0], found.r_c_rad[0]]).all()
+
+
 def test_no_stations_at_all():
     none = Exposures(
         *(
@@ -342,3 +353,39 @@ def test_metres_on_the_ground():
             H_C, H_G, float(found.zeta_c_rad[i]), float(found.r_c_rad[i]), RADIUS
         )
         assert found.shift_ground_m[i] == pytest.approx(metres, rel=1e-6)
+
+
+def test_over_the_horizon_there_are_no_metres_and_a_good_status():
+    """From 10 km the sea's straight horizon is at asin(6371 / 6381) = 86.792 degrees."""
+    horizon = math.degrees(math.asin(RADIUS / (RADIUS + 10_000.0)))
+    assert horizon == pytest.approx(86.7919, abs=1e-4)
+    below = np.radians(90.0 - np.array([horizon - 0.005, horizon + 0.005, 86.9]))
+    found = correct_observations(
+        np.full(3, PINHOLE.cx_px), PINHOLE.cy_px + 11_000.0 * np.tan(below), np.zeros(3),
+        np.zeros(3, np.int64), exposures(looking(90.0), h_c=10_000.0), PINHOLE, TABLE,
+    )  # fmt: skip
+    assert found.status.tolist() == [OK] * 3
+    assert np.isfinite(found.y_px).all()
+    assert np.isnan(found.shift_ground_m).tolist() == [False, True, True]
+    for i in range(3):
+        metres = ground_displacement(
+            10_000.0, 0.0, float(found.zeta_c_rad[i]), float(found.r_c_rad[i]), RADIUS
+        )
+        assert math.isnan(metres) == (i > 0)
+
+
+def second_crossing(h_c: float, h_g: float, zeta: float) -> tuple[float, float]:
+    """East and up [m] of where a straight line leaves a sphere again, by its quadratic equation."""
+    with mp.workdps(30):
+        r_c, r_g, c = mp.mpf(RADIUS) + h_c, mp.mpf(RADIUS) + h_g, mp.cos(zeta)
+        s = r_c * c + mp.sqrt((r_c * c) ** 2 - (r_c**2 - r_g**2))
+        return s * mp.sin(zeta), -s * c
+
+
+def test_metres_at_the_far_crossing():
+    zeta, r_c = math.radians(88.4), 0.004
+    first, second = (second_crossing(3000.0, 1000.0, angle) for angle in (zeta, zeta - r_c))
+    by_hand = float(mp.hypot(first[0] - second[0], first[1] - second[1]))
+    found = ground_displacement(3000.0, 1000.0, zeta, r_c, RADIUS, far=True)
+    assert found == pytest.approx(by_hand, rel=1e-9)
+    assert ground_displacement(3000.0, 1000.0, zeta, r_c, RADIUS) < 0.5 * found

@@ -14,6 +14,7 @@ from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity
 from pipeline.refraction import published as pub
 from pipeline.refraction import refraction_angle
+from pipeline.refraction.published import gyer
 from pipeline.refraction.published.column import density, mean
 from pipeline.refraction.published.trace import trace
 from pipeline.refraction.status import BAD_MEASUREMENT, MISSES_GROUND, OK, OUTSIDE_PROFILE
@@ -448,3 +449,56 @@ class TestTrace:
     def test_a_spherical_ray_that_passes_over_the_ground(self, us1962):
         _, status = self.rays("gyer1996", us1962, 10_000.0, 0.0, np.array([86.0, 88.0]))
         assert status.tolist() == [OK, MISSES_GROUND]
+
+    @pytest.mark.parametrize("name", pub.PUBLISHED)
+    def test_what_is_no_height_or_radius_never_reaches_the_method(self, name, us1962):
+        h_c = np.array([np.inf, -np.inf, 6000.0, 6000.0, 6000.0, 6000.0, 6000.0, 6000.0, 6000.0])
+        h_g = np.array([0.0, 0.0, np.inf, -np.inf, 0.0, 0.0, 0.0, 0.0, 0.0])
+        radius = np.array([RADIUS] * 4 + [np.nan, np.inf, 0.0, -RADIUS, RADIUS])
+        r_c, status = trace(pub.PUBLISHED[name], us1962, h_c, h_g, 0.6, 0.8, radius)
+        assert status.tolist() == [BAD_MEASUREMENT] * 8 + [OK]
+        assert np.isnan(r_c[:-1]).all()
+        alone, _ = trace(pub.PUBLISHED[name], us1962, 6000.0, 0.0, 0.6, 0.8, RADIUS)
+        assert float(alone) == r_c[-1] > 0.0
+
+    @pytest.mark.parametrize("name", pub.PUBLISHED)
+    @pytest.mark.parametrize("h_c", [math.inf, -math.inf])
+    def test_an_endless_height_is_refused(self, name, h_c, us1962):
+        with pytest.raises(PhysicsError) as refusal:
+            refraction_angle(us1962, h_c, 0.0, DIAGONAL, RADIUS, name)
+        assert refusal.value.code == "RAY-BAD-MEASUREMENT"
+
+    def test_the_spherical_ray_has_the_same_status(self, us1962):
+        """One code, whichever method: a radius is a radius."""
+        for radius in (math.nan, math.inf, 0.0, -1.0):
+            for name in ("spherical", "plane", "gyer1996"):
+                with pytest.raises(PhysicsError) as refusal:
+                    refraction_angle(us1962, 6000.0, 0.0, DIAGONAL, radius, name)
+                assert refusal.value.code == "RAY-BAD-MEASUREMENT"
+
+    @pytest.mark.parametrize(("h_c", "h_g"), [(1e12, 0.0), (6000.0, -1e12), (1e300, -1e300)])
+    def test_heights_outside_the_profile_cost_no_step(self, h_c, h_g, us1962, monkeypatch):
+        """1e12 m would be a billion intervals of Eq. 31."""
+        summed = []
+        real = gyer._eq_31
+
+        def counted(integrand, h, width, first, count):
+            summed.append(float(count.max(initial=0.0)))
+            return real(integrand, h, width, first, np.minimum(count, 100.0))
+
+        monkeypatch.setattr(gyer, "_eq_31", counted)
+        r_c, status = trace(
+            pub.gyer1996, us1962, np.array([h_c, 6000.0]), np.array([h_g, 0.0]), 0.6, 0.8, RADIUS
+        )
+        assert status.tolist() == [OUTSIDE_PROFILE, OK]
+        assert np.isnan(r_c[0])
+        stepped = pub.plane_first_term(us1962, [h_c, 6000.0], [h_g, 0.0], DIAGONAL, RADIUS, 1000.0)
+        assert np.isnan(stepped).tolist() == [True, False]
+        assert summed == [6.0, 0.0, 6.0]
+
+
+@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("endless", [math.inf, -math.inf])
+def test_infinite_arguments_give_nan_without_a_warning(name, endless, us1962):
+    for ray in ((endless, 0.0, DIAGONAL), (6000.0, endless, DIAGONAL), (6000.0, 0.0, endless)):
+        assert np.isnan(EVERY[name](us1962, *ray, RADIUS)), ray

@@ -73,6 +73,14 @@ def test_a_ray_that_misses_the_ground_says_so():
     assert np.array_equal(np.isnan(table.shift_ground_m), table.status == 5)
 
 
+def test_over_the_horizon_there_are_no_metres():
+    """asin(6371 / 6381) is 86.792 degrees."""
+    table = radial_table(AIR, 10_000.0, 0.0, np.array([86.79, 86.8, 86.9]) * DEGREE)
+    assert table.status.tolist() == [0, 0, 0]
+    assert np.isfinite(table.r_c_rad).all()
+    assert np.isnan(table.shift_ground_m).tolist() == [False, True, True]
+
+
 def test_angles_end_with_the_largest():
     assert (angles_to(60.0, 15.0) / DEGREE).round(12).tolist() == [0.0, 15.0, 30.0, 45.0, 60.0]
     assert (angles_to(50.0, 15.0) / DEGREE).round(12).tolist() == [0.0, 15.0, 30.0, 45.0, 50.0]

@@ -416,6 +416,19 @@ def test_many_rays_are_each_what_they_are_alone(monkeypatch):
             assert together.d_h_g[i, j] == pytest.approx(float(alone.d_h_g), rel=1e-9)
 
 
+@pytest.mark.parametrize("shape", [(0,), (1,), (3, 0), (1, 1)], ids=str)
+def test_no_ray_and_one_ray_have_their_shape(shape):
+    """Broadcast views that are contiguous all the same, of which numpy warned."""
+    profile = profile_of()
+    found = sensitivity(profile, np.full(shape, 3000.0), 0.0, 0.5, RADIUS)
+    assert found.r_c.shape == found.status.shape == found.valid.shape == shape
+    assert found.d_temperature.shape == (*shape, len(EDGES))
+    alone = sensitivity(profile, 3000.0, 0.0, 0.5, RADIUS)
+    assert (found.d_zeta_c == alone.d_zeta_c).all()
+    rays = ray_weights(profile, 3000.0, np.zeros(shape), 0.5, RADIUS)
+    assert rays.weight.shape == (*shape, rays.height_m.size)
+
+
 def test_pressure_is_referred_to_a_height_inside_the_profile():
     with pytest.raises(PhysicsError) as refusal:
         sensitivity(profile_of(), 3000.0, 0.0, 0.5, RADIUS, 20_000.0)

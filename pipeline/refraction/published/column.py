@@ -35,8 +35,12 @@ def density(profile: Profile, h: ArrayLike) -> Array:
 
 
 def rays(*arguments: ArrayLike) -> tuple[Array, ...]:
-    """Arguments of a method as arrays of one shape."""
-    return tuple(np.broadcast_arrays(*(np.asarray(a, np.float64) for a in arguments)))
+    """Arguments of a method as arrays of one shape, NaN for what is infinite.
+
+    NaN goes through every formula in silence; infinity times zero is a warning.
+    """
+    numbers = (np.asarray(a, np.float64) for a in arguments)
+    return tuple(np.broadcast_arrays(*(np.where(np.isfinite(a), a, np.nan) for a in numbers)))
 
 
 def downward(h_c: Array, h_g: Array, zeta_c: Array) -> NDArray[np.bool_]:

@@ -68,7 +68,7 @@ def plane_first_term(
     if step is None:
         column = mean(profile, _squared, h_g, h_c) - w_c
     else:
-        count, width = _intervals(h_c, h_g, step)
+        count, width = _intervals(profile, h_c, h_g, step)
         total = _eq_31(
             lambda h, used: _squared(profile, h) - w_c.ravel()[used],
             h_g,
@@ -156,15 +156,20 @@ def _eq_11(r_camera: Array, r_ground: Array, zeta_c: Array, theta: Array) -> Arr
         )
 
 
-def _intervals(h_c: Array, h_g: Array, step: float) -> tuple[Array, Array]:
-    """Number and width [m] of the equal intervals, none wider than ``step``."""
+def _intervals(profile: Profile, h_c: Array, h_g: Array, step: float) -> tuple[Array, Array]:
+    """Number and width [m] of the equal intervals, none wider than ``step``.
+
+    Zero and NaN where an end lies outside the profile: a height of 1e8 m would be 100,000 intervals
+    of NaN.
+    """
     if not step > 0.0:
         raise PhysicsError(
             "METHOD-STEP", f"a step of {step:g} m is not positive", remedy="for example 1000 m"
         )
     # 3000 m reached with a rounding error are three intervals of 1000 m.
-    count = np.maximum(np.ceil((h_c - h_g) / step - 1e-9), 1.0)
-    return count, np.asarray((h_c - h_g) / count)
+    rise = np.where((profile.layer_of(h_c) >= 0) & (profile.layer_of(h_g) >= 0), h_c - h_g, np.nan)
+    count = np.maximum(np.ceil(rise / step - 1e-9), 1.0)
+    return np.nan_to_num(count), np.asarray(rise / count)
 
 
 def subtended_angle(
@@ -180,7 +185,7 @@ def subtended_angle(
         return (1.0 + profile.refractivity(h)) * r
 
     k = n_r(h_c, radius + h_c) * np.sin(zeta_c)
-    count, width = _intervals(h_c, h_g, step)
+    count, width = _intervals(profile, h_c, h_g, step)
     below = h_g - width
     misses = n_r(h_g, radius + h_g) < k * (1.0 - _ROUNDING)
     grazing = n_r(below, radius + below) <= k
@@ -212,7 +217,7 @@ def _eq_31(
     ``integrand`` is given heights and the numbers of the rays they belong to.
     """
     flat = [a.ravel() for a in (h_g, width, first, count)]
-    total = np.zeros(flat[0].shape)
+    total = 0.0 * flat[1]  # NaN where there are no intervals
     for node in range(-1, int(count.max(initial=0.0)) + 2):
         # A node is left end, right end or outside point of up to four intervals.
         weight = np.zeros(total.shape)

@@ -89,7 +89,7 @@ def saastamoinen1974_quadratic(
     """
     h_c, h_g, zeta_c = rays(h_c, h_g, zeta_c)
     c_1 = -26e-9  # [m-1]
-    r = np.where(h_c <= QUADRATIC_TOP_M, _eq_5(c_1, -0.03e-3 * c_1, h_c, h_g), np.nan)
+    r = _eq_5(c_1, -0.03e-3 * c_1, np.where(h_c <= QUADRATIC_TOP_M, h_c, np.nan), h_g)
     return times_tangent(r, h_c, h_g, zeta_c)
 
 

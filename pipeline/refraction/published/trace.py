@@ -27,8 +27,9 @@ def trace(
     """Refraction angles by a published method, each with a status, as `pipeline.refraction.bend`.
 
     ``method`` is one of `pipeline.refraction.published.PUBLISHED`; the others are as for `bend`.
-    The status is ``outside_profile`` where the method does not cover the heights (a ground above
-    the camera among them), ``misses_ground`` where it has no ray in that direction.
+    The status is ``bad_measurement`` where a height, the angle or the radius is none, whether the
+    method looks at it or not; ``outside_profile`` where the method does not cover the heights (a
+    ground above the camera among them), ``misses_ground`` where it has no ray in that direction.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> from pipeline.refraction.published import plane
@@ -38,13 +39,14 @@ def trace(
     ([False, False, True], [0, 0, 7])
     """
     h_c, h_g, sin_z, cos_z, radius = rays(h_c, h_g, sin_zeta_c, cos_zeta_c, radius)
-    finite = np.isfinite(h_c) & np.isfinite(h_g) & np.isfinite(sin_z) & np.isfinite(cos_z)
-    zeta_c = np.arctan2(np.where(finite, sin_z, np.nan), cos_z)
-    r_c = np.asarray(method(profile, h_c, h_g, zeta_c, radius))
-    status = np.where(np.isnan(r_c), MISSES_GROUND, OK).astype(np.uint8)
-    lost = np.isnan(r_c) & finite
+    zeta_c = np.arctan2(sin_z, cos_z)
+    good = np.isfinite(h_c) & np.isfinite(h_g) & (radius > 0.0)
+    good &= (zeta_c >= 0.0) & (zeta_c <= math.pi)
+    r_c = np.full(good.shape, np.nan)
+    r_c[good] = method(profile, h_c[good], h_g[good], zeta_c[good], radius[good])
+    status = np.where(good, OK, BAD_MEASUREMENT).astype(np.uint8)
+    lost = np.isnan(r_c) & good
     # Straight down every ray reaches the ground: what is missing there is missing for the heights.
     at_nadir = np.asarray(method(profile, h_c[lost], h_g[lost], 0.0, radius[lost]))
     status[lost] = np.where(np.isnan(at_nadir), OUTSIDE_PROFILE, MISSES_GROUND)
-    status[~finite | ~(zeta_c >= 0.0) | ~(zeta_c <= math.pi)] = BAD_MEASUREMENT
-    return np.where(status == OK, r_c, np.nan), status
+    return r_c, status

@@ -57,8 +57,10 @@ def _tables(
     images = max(1, _MOST_ROWS // (options.columns * options.rows))
     for name, camera in run.cameras.items():
         rows = run.rows_of(name)
-        for first in range(0, rows.size, images):
-            yield _table(run, camera, rows[first : first + images], options, schema)
+        changes = np.flatnonzero(np.diff(run.air.number[rows])) + 1
+        for alike in np.split(rows, changes):
+            for first in range(0, alike.size, images):
+                yield _table(run, camera, alike[first : first + images], options, schema)
 
 
 def _table(
@@ -68,9 +70,11 @@ def _table(
     options: ExportOptions,
     schema: pa.Schema,
 ) -> pa.Table:
+    """The lattices of images in the same air."""
     x, y = lattice_nodes(camera.camera, options.columns, options.rows)
     ground = run.ground_m[rows]
-    found = lattice_corrections(x, y, ground, rows, run.exposures, camera.camera, run.rays)
+    rays = run.rays[run.air.number[rows[0]]]
+    found = lattice_corrections(x, y, ground, rows, run.exposures, camera.camera, rays)
     return table_of(
         {
             "image": np.repeat(run.stations.image[rows], x.size),

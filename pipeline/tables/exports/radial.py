@@ -29,7 +29,12 @@ RADIAL_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
     "nadir_angle_deg": (_F, "deg", "apparent nadir angle outside the window"),
     "r_c_arcsec": (_F, "arcsec", "refraction angle R_c, of the air outside alone"),
     "r_c_urad": (_F, "urad", "refraction angle R_c, of the air outside alone"),
-    "shift_ground_m": (_F, "m", "horizontal displacement on the ground"),
+    "shift_ground_m": (
+        _F,
+        "m",
+        "horizontal displacement on the ground; null where only the bent ray lands and the "
+        "straight one passes over the horizon",
+    ),
     "radius_px": (_F, "px", "ideal radius f tan(zeta) in a vertical image"),
     "dr_px": (_F, "px", "to be added to a measured radius in a vertical image"),
     "k_urad": (_F, "urad", "R_c at 45 degrees, K of the Manual of Photogrammetry"),
@@ -80,6 +85,14 @@ def radial_columns(table: RadialTable) -> dict[str, object]:
 
 
 def _tables(run: FinishedRun, schema: pa.Schema, ledger: Ledger) -> Iterator[pa.Table]:
+    if len(run.rays) > 1:
+        ledger.warning(
+            "EXPORT-AIR-CHANGES",
+            f"the air of the flight changes over {len(run.rays)} profiles: each radial table holds "
+            "the air of the middle one of its images; the lattice holds that of each",
+            where="profile.parquet",
+            count=len(run.rays),
+        )
     for name, camera in run.cameras.items():
         if camera.has_window:
             ledger.warning(
@@ -124,8 +137,9 @@ def _table(
     # At 45 degrees of azimuth Euler's radius is the harmonic mean of the two principal ones.
     middle = float(np.median(run.stations.lat_rad[rows]))
     radius = run.exposures.radius_m or float(euler_radius(middle, 0.25 * np.pi))
+    middle_one = rows[np.argsort(run.stations.time_ns[rows], kind="stable")[rows.size // 2]]
     found = radial_table(
-        run.profile,
+        run.air.profiles[run.air.number[middle_one]],
         float(np.median(run.exposures.height_m[rows])),
         float(np.median(run.ground_m[rows])),
         angles_to(_LARGEST_DEG, _STEP_DEG),

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.profile import Profile
+from pipeline.atmosphere.course import AirAlong
 from pipeline.errors import ConfigError
 from pipeline.flight.stations import Stations
 from pipeline.refraction.camera import Camera
@@ -34,14 +34,15 @@ class FinishedRun:
 
     ``ground_m`` (s,) is the ground that images are computed for, above sea level [m], NaN where
     there is none. ``exposures`` has the rows of ``stations``. ``parts`` are the Parquet files of
-    the observations, in order; ``metadata`` goes into every file that is written.
+    the observations, in order; ``metadata`` goes into every file that is written. ``rays`` are
+    those of the profiles of ``air``.
     """
 
     mission: str
     stations: Stations
     exposures: Exposures
-    profile: Profile
-    rays: RayTable | PublishedRays
+    air: AirAlong
+    rays: tuple[RayTable | PublishedRays, ...]
     method: str
     cameras: Mapping[str, ExportCamera]
     ground_m: Array

@@ -1,0 +1,118 @@
+"""Whether an estimate may stand: it must look like air, and foretell what it was not shown."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.atmosphere.climatology import Climatology
+from pipeline.atmosphere.estimate import Estimate, layout_of, solve
+from pipeline.atmosphere.hypsometry import COLDEST_K, WARMEST_K
+from pipeline.atmosphere.measurements import Barometer, Thermometer
+from pipeline.atmosphere.sources import part_of
+from pipeline.atmosphere.state import air_of, hats, prior_of
+
+Array = NDArray[np.float64]
+
+ADIABATIC_K_PER_M = 9.8e-3
+"""Unsaturated air whose temperature falls faster overturns within minutes [K/m']."""
+
+OVERTURNING_M = 500.0
+"""... but over less height than this a sunny field, or a lag, may show it [m']."""
+
+CERTAIN = 3.0
+"""Sigmas by which a lapse rate must exceed the adiabatic one."""
+
+FARTHEST = 5.0
+"""Sigmas of the climatology that no air of the real soundings comes near (2.9 at most)."""
+
+HARMLESS_K, HARMLESS_LOG_P = 1.0, 1e-3
+"""Held-out residuals of so little are no reason to fall back: a sharp inversion leaves them."""
+
+
+def implausible(estimate: Estimate, background: Climatology) -> str | None:
+    """Why an estimate cannot be air, in words; None where it can.
+
+    Looks at the knots between the lowest and the highest measurement: temperatures outside 180
+    to 335 K, a fall steeper than the dry adiabat by 3 sigma over 500 m, or a temperature 5 sigma
+    from the climatology.
+    """
+    layers = estimate.profile.layers
+    low, high = estimate.sources.low, estimate.sources.high
+    h = np.arange(low, high + 1.0, 50.0)
+    height = background.profile.gravity.height(h)
+    t = estimate.profile.temperature(height)
+    if not bool(np.all((t > COLDEST_K) & (t < WARMEST_K))):
+        return f"temperatures of {t.min():.0f} to {t.max():.0f} K are none of air"
+    sigma = np.interp(h, layers.edge, estimate.background_sigma_k)
+    departure = (t - background.profile.temperature(height)) / sigma
+    worst = int(np.argmax(np.abs(departure)))
+    if abs(departure[worst]) > FARTHEST:
+        return (
+            f"{t[worst]:.0f} K at {height[worst]:.0f} m is {abs(departure[worst]):.1f} sigma from "
+            "the climatology"
+        )
+    over = round(OVERTURNING_M / 50.0)
+    if h.size > over:
+        fall = t[:-over] - t[over:] - ADIABATIC_K_PER_M * OVERTURNING_M
+        excess = fall - CERTAIN * _sigma_of_difference(estimate, h, over)
+        steepest = int(np.argmax(excess))
+        if excess[steepest] > 0.0:
+            lapse = (t[steepest] - t[steepest + over]) / OVERTURNING_M * 1000.0
+            return (
+                f"temperature falls by {lapse:.1f} K/km above {height[steepest]:.0f} m: air "
+                "overturns at 9.8 K/km"
+            )
+    return None
+
+
+def _sigma_of_difference(estimate: Estimate, h: Array, over: int) -> Array:
+    """One sigma of T(h) - T(h + 500 m) [K]; that of T_M stands for it."""
+    edge = estimate.profile.layers.edge
+    weights = hats(edge, h[:-over]) - hats(edge, h[over:])
+    matrix = estimate.covariance.matrix[: edge.size, : edge.size]
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", weights @ matrix, weights)))
+
+
+def worse_than_climatology(
+    estimate: Estimate, background: Climatology, moisture: Climatology | None
+) -> str | None:
+    """Why an estimate would be worse than its background, in words; None where it is better.
+
+    Every other bin of thermometer and barometer is held out; the estimate from the others must
+    foretell them, about their median, better than the climatology does. Readings that belong
+    together do, whatever is wrong with them all; noise from nowhere does not.
+    """
+    found = estimate.sources
+    layout = layout_of(found, background)
+    prior = prior_of(layout, background, moisture or background)
+    flown = [s for s in found.sources if isinstance(s, Thermometer | Barometer)]
+    shown, hidden = [], []
+    for source in found.sources:
+        other = np.arange(source.height.size) % 2 == 1
+        if source in flown and bool(other.any()):
+            shown.append(part_of(source, ~other))
+            hidden.append(part_of(source, other))
+        else:
+            shown.append(source)
+    if not hidden:
+        return None
+    profile = background.profile
+    air = solve(layout, prior, shown, profile, estimate.state).air
+    pressure = profile.pressure(profile.gravity.height(layout.knot))
+    expected = air_of(layout, prior.mean, pressure, profile.constant)
+    for source in hidden:
+        ours, theirs = (_misfit(source.value - source.predict(a)[0]) for a in (air, expected))
+        harmless = HARMLESS_LOG_P if isinstance(source, Barometer) else HARMLESS_K
+        if ours > max(theirs, harmless):
+            unit, factor = ("%", 100.0) if isinstance(source, Barometer) else ("K", 1.0)
+            return (
+                f"readings of {source.name} that were held out differ by {factor * ours:.2f} "
+                f"{unit} from the estimate and by {factor * theirs:.2f} {unit} from the climatology"
+            )
+    return None
+
+
+def _misfit(residual: Array) -> float:
+    """Median distance from the median, as one sigma."""
+    return float(1.4826 * np.median(np.abs(residual - np.median(residual))))

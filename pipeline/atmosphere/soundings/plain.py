@@ -1,0 +1,103 @@
+"""A plain CSV of levels, whose column names say the units."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.atmosphere.soundings.raw import (
+    Array,
+    RawLevels,
+    number,
+    numbers,
+    radians,
+    table,
+    to_si,
+    utc_ns,
+)
+from pipeline.errors import InputError
+from pipeline.ledger import Ledger
+
+# Name of a column -> quantity, unit.
+COLUMNS = {
+    "h_m": ("height", "m"),
+    "geopotential_m": ("geopotential", "m"),
+    "pressure_pa": ("pressure", "pa"),
+    "pressure_hpa": ("pressure", "hpa"),
+    "temperature_k": ("temperature", "k"),
+    "temperature_c": ("temperature", "c"),
+    "dew_point_k": ("dew point", "k"),
+    "dew_point_c": ("dew point", "c"),
+    "vapour_pressure_pa": ("vapour pressure", "pa"),
+    "vapour_pressure_hpa": ("vapour pressure", "hpa"),
+    "relative_humidity": ("relative humidity", "1"),
+    "relative_humidity_percent": ("relative humidity", "percent"),
+}
+_PLACE = ("time_utc", "latitude_deg", "longitude_deg", "station")
+
+
+def is_plain(text: str) -> bool:
+    """Whether the first line that is no remark names a pressure and a temperature with units."""
+    lines = (line for line in text.lstrip("\ufeff").splitlines() if not line.startswith("#"))
+    names = {name.strip().lower() for name in next(lines, "").split(",")}
+    return any(n.startswith("pressure") for n in names) and any(
+        n.startswith("temperature") for n in names
+    )
+
+
+def parse_plain(text: str, where: str, ledger: Ledger) -> list[RawLevels]:
+    """The ascent of a plain CSV; columns with other names are left alone, and said to be."""
+    columns = {name.lower(): fields for name, fields in table(text.splitlines(), where).items()}
+    values: dict[str, Array] = {}
+    said: dict[str, str] = {}
+    for name in (name for name in COLUMNS if name in columns):
+        quantity, unit = COLUMNS[name]
+        if quantity in said:
+            raise InputError(
+                "SOUNDING-COLUMN",
+                f"{said[quantity]} and {name} both give the {quantity}",
+                where=where,
+                remedy="keep one of them",
+            )
+        values[quantity], said[quantity] = to_si(numbers(columns[name]), unit), name
+    for needed in ("pressure", "temperature"):
+        if needed not in values:
+            raise _no_unit(needed, list(columns), where)
+    other = sorted(set(columns) - set(COLUMNS) - set(_PLACE))
+    if other:
+        ledger.note(
+            "SOUNDING-COLUMNS-UNUSED",
+            f"columns that are not read: {', '.join(other)}",
+            where=where,
+            count=len(other),
+        )
+    geopotential = "height" not in values
+    nothing = np.full(values["pressure"].shape, np.nan)
+    first = {name: next(iter(columns.get(name, [])), "") for name in _PLACE}
+    return [
+        RawLevels(
+            h_m=values.get("geopotential" if geopotential else "height", nothing),
+            pressure_pa=values["pressure"],
+            temperature_k=values["temperature"],
+            geopotential=geopotential,
+            dew_point_k=values.get("dew point"),
+            vapour_pressure_pa=values.get("vapour pressure"),
+            relative_humidity=values.get("relative humidity"),
+            time_ns=utc_ns(first["time_utc"]),
+            station=first["station"].strip(),
+            latitude_rad=radians(number(first["latitude_deg"]), 90.0),
+            longitude_rad=radians(number(first["longitude_deg"]), 180.0),
+            origin="plain CSV",
+            where=where,
+            said=said,
+        )
+    ]
+
+
+def _no_unit(quantity: str, names: list[str], where: str) -> InputError:
+    takes = [name for name, (what, _) in COLUMNS.items() if what == quantity]
+    return InputError(
+        "SOUNDING-COLUMN",
+        f"no column gives the {quantity} with its unit; there are {', '.join(names)}",
+        where=where,
+        remedy=f"name the column {' or '.join(takes)}",
+    )

@@ -1,0 +1,121 @@
+"""What a file says of an ascent, before anything is judged; and how its numbers are read."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import InputError
+from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K
+
+Array = NDArray[np.float64]
+
+FILLS = (-9999.0, -9999.9, -8888.0, -99999.0, 99999.0, 999999.0, -999.0)
+"""Numbers that stand for none. 9999 is not among them: it may be a height."""
+
+_UNIT: dict[str, Callable[[Array], Array]] = {
+    "pa": lambda value: value,
+    "hpa": lambda value: value * HECTOPASCAL,
+    "k": lambda value: value,
+    "c": lambda value: value + ZERO_CELSIUS_K,
+    "m": lambda value: value,
+    "1": lambda value: value,
+    "percent": lambda value: value / 100.0,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class RawLevels:
+    """The levels of one ascent in the order of the file; (n,) arrays, NaN where there is nothing.
+
+    ``h_m`` are heights above sea level [m]; they are geopotential metres where ``geopotential``
+    is true. Of humidity a file has one or more of: dew point [K], vapour pressure [Pa], relative
+    humidity over water [1].
+    """
+
+    h_m: Array
+    pressure_pa: Array
+    temperature_k: Array
+    geopotential: bool = True
+    dew_point_k: Array | None = None
+    vapour_pressure_pa: Array | None = None
+    relative_humidity: Array | None = None
+    time_ns: int | None = None
+    station: str = ""
+    latitude_rad: float = math.nan
+    longitude_rad: float = math.nan
+    origin: str = ""
+    where: str = ""
+    lines_missing: int = 0
+    said: Mapping[str, str] = field(default_factory=dict)
+    """Where the units come from, for a refusal: quantity -> the file's word for it."""
+
+
+def to_si(value: Array, unit: str) -> Array:
+    """A column in SI; ``unit`` is pa | hpa | k | c | m | 1 | percent."""
+    return _UNIT[unit](value)
+
+
+def number(text: str) -> float:
+    """A field as a number; NaN where it is empty, no number, or a fill value.
+
+    >>> number(" 12.5"), number("-9999"), number("///")
+    (12.5, nan, nan)
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        return math.nan
+    return math.nan if value in FILLS or math.isinf(value) else value
+
+
+def numbers(texts: Iterable[str]) -> Array:
+    """Fields of one column as numbers, see `number`."""
+    return np.array([number(text) for text in texts], dtype=np.float64)
+
+
+def table(lines: Iterable[str], where: str) -> dict[str, list[str]]:
+    """The columns of a CSV by name, fields as text; lines that begin with # are remarks."""
+    rows = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
+    if not rows:
+        raise InputError(
+            "SOUNDING-EMPTY", "the sounding has no line", where=where, remedy="fetch the file again"
+        )
+    names = [name.strip().lstrip("\ufeff") for name in rows[0]]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError(
+            "SOUNDING-COLUMN",
+            f"the column {twice[0]!r} stands there twice",
+            where=where,
+            remedy="keep one of them",
+        )
+    # A row that was cut off has empty fields where it ends.
+    return {
+        name: [row[i] if i < len(row) else "" for row in rows[1:]] for i, name in enumerate(names)
+    }
+
+
+def utc_ns(text: str) -> int | None:
+    """Nanoseconds of a time as ISO 8601 writes it, taken as UTC; None where it is none.
+
+    >>> utc_ns("2011-05-22 12:00:00") == utc_ns("2011-05-22T12:00:00Z") == 1306065600 * 10**9
+    True
+    >>> utc_ns("") is None
+    True
+    """
+    try:
+        time = np.datetime64(text.strip().removesuffix("Z"), "ns")
+    except ValueError:
+        return None
+    return None if np.isnat(time) else int(time.astype(np.int64))
+
+
+def radians(degrees: float, limit: float) -> float:
+    """An angle in radians, NaN beyond the limit [deg]: -99.99 and -999 mean that nobody knows."""
+    return math.radians(degrees) if abs(degrees) <= limit else math.nan

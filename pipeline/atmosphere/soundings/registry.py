@@ -1,0 +1,152 @@
+"""Which formats of soundings there are, and which one a text is in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from pipeline.atmosphere.soundings import igra, plain, wyoming
+from pipeline.atmosphere.soundings.judge import judge_levels
+from pipeline.atmosphere.soundings.levels import Sounding
+from pipeline.atmosphere.soundings.raw import RawLevels
+from pipeline.errors import InputError
+from pipeline.ledger import Ledger
+from pipeline.units import NANOSECONDS_PER_SECOND
+
+FAR_HOURS = 6.0
+"""A sounding farther in time is said to be: the boundary layer has become another."""
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format of text: how it is recognised, and how it is read."""
+
+    is_it: Callable[[str], bool]
+    parse: Callable[[str, str, Ledger], list[RawLevels]]
+
+
+FORMATS: dict[str, Format] = {
+    "igra_derived": Format(igra.is_derived, lambda text, where, _: igra.parse_derived(text, where)),
+    "igra": Format(igra.is_igra, lambda text, where, _: igra.parse_igra(text, where)),
+    "wyoming_csv": Format(wyoming.is_csv, lambda text, where, _: wyoming.parse_csv(text, where)),
+    "wyoming_list": Format(wyoming.is_list, lambda text, where, _: wyoming.parse_list(text, where)),
+    "csv": Format(plain.is_plain, plain.parse_plain),
+}
+"""In this order a text is tried; the first that knows it reads it."""
+
+
+def parse_sounding(
+    text: str,
+    ledger: Ledger,
+    *,
+    where: str = "sounding",
+    format_name: str = "auto",
+    time_ns: int | None = None,
+    latitude_rad: float = math.nan,
+    station_h_m: float = math.nan,
+) -> Sounding:
+    """The sounding of a text, in whichever format; of several the one nearest in time.
+
+    Parameters
+    ----------
+    text : IGRA v2 (soundings or derived), University of Wyoming list or CSV, or a plain CSV with
+        columns such as h_m, pressure_hpa, temperature_c, dew_point_c.
+    where : the file's name, for refusals and the ledger.
+    format_name : one of `FORMATS`, or ``auto``.
+    time_ns : of the flight [Unix ns]; needed to choose where the text holds several soundings.
+    latitude_rad, station_h_m : [rad], [m above sea level] where the text has none.
+
+    Raises ``InputError``: no such format, wrong units, contradictory heights, fewer than five
+    levels. Repairs are counted in the ledger.
+
+    >>> text = "h_m,pressure_hpa,temperature_c\\n" + "".join(
+    ...     f"{h},{1013.25 * (1 - 2.25577e-5 * h) ** 5.25588},{15 - 0.0065 * h}\\n"
+    ...     for h in range(0, 5000, 500))
+    >>> parse_sounding(text, Ledger()).temperature_k.round(2).tolist()[:3]
+    [288.15, 284.9, 281.65]
+    """
+    name = _format_of(text, where) if format_name == "auto" else format_name
+    if name not in FORMATS:
+        raise InputError(
+            "SOUNDING-FORMAT",
+            f"no format of soundings is called {name!r}",
+            where=where,
+            remedy=f"one of auto, {', '.join(FORMATS)}",
+        )
+    ascents = FORMATS[name].parse(text, where, ledger)
+    raw = nearest_in_time(ascents, time_ns, where, ledger)
+    return judge_levels(raw, ledger, latitude_rad=latitude_rad, station_h_m=station_h_m)
+
+
+def _format_of(text: str, where: str) -> str:
+    for name, kind in FORMATS.items():
+        if kind.is_it(text):
+            return name
+    begins = text.lstrip()[:60].splitlines()
+    raise InputError(
+        "SOUNDING-FORMAT",
+        f"is no sounding in a known format: it begins with {begins[0] if begins else ''!r}",
+        where=where,
+        remedy="give IGRA v2, a University of Wyoming list or CSV, or a CSV whose columns are "
+        "named like h_m, pressure_hpa, temperature_c, dew_point_c",
+    )
+
+
+def nearest_in_time(
+    ascents: list[RawLevels], time_ns: int | None, where: str, ledger: Ledger
+) -> RawLevels:
+    """Of several ascents the one released nearest to a time; without a time, the only one."""
+    ascents = _with_levels(ascents, where, ledger)
+    if len(ascents) == 1 and (time_ns is None or ascents[0].time_ns is None):
+        return ascents[0]
+    if time_ns is None:
+        raise InputError(
+            "SOUNDING-CHOICE",
+            f"the file holds {len(ascents)} soundings and no time is given to choose by",
+            where=where,
+            remedy="say the time of the flight, or keep one sounding",
+        )
+    dated = [(abs(raw.time_ns - time_ns), raw) for raw in ascents if raw.time_ns is not None]
+    if not dated:
+        raise InputError(
+            "SOUNDING-CHOICE",
+            f"none of the {len(ascents)} soundings has a date to choose by",
+            where=where,
+            remedy="keep one sounding",
+        )
+    apart, raw = min(dated, key=lambda pair: pair[0])
+    hours = apart / NANOSECONDS_PER_SECOND / 3600.0
+    if hours > FAR_HOURS:
+        ledger.warning(
+            "SOUNDING-FAR-IN-TIME",
+            f"the nearest sounding is {hours:.0f} hours away from the flight",
+            where=raw.where,
+        )
+    if len(ascents) > 1:
+        ledger.note(
+            "SOUNDING-CHOSEN",
+            f"of {len(ascents)} soundings the one {hours:.1f} hours away is taken",
+            where=raw.where,
+            count=len(ascents),
+        )
+    return raw
+
+
+def _with_levels(ascents: list[RawLevels], where: str, ledger: Ledger) -> list[RawLevels]:
+    """The ascents that have levels; a file that was cut off may end with a header."""
+    full = [raw for raw in ascents if raw.pressure_pa.size]
+    if not full:
+        raise InputError(
+            "SOUNDING-EMPTY", "the file holds no levels", where=where, remedy="fetch it again"
+        )
+    if len(full) < len(ascents):
+        count = len(ascents) - len(full)
+        ledger.loss(
+            "SOUNDING-CUT-OFF",
+            f"{count} soundings have a header and no level: one of them may have been nearer to "
+            "the flight",
+            where=where,
+            count=count,
+        )
+    return full

@@ -1,0 +1,212 @@
+"""The sources of the air in a mission, and the air that comes of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.atmosphere import standard_atmosphere
+from pipeline.atmosphere.adjust import (
+    build_adjusted_profile,
+    unadjusted,
+    under_gravity,
+)
+from pipeline.atmosphere.air import IndexModel
+from pipeline.atmosphere.climatology import Climatology, climatology, month_of
+from pipeline.atmosphere.course import TimedAir, air_along, one_air
+from pipeline.atmosphere.metar import SurfaceReport, parse_metar, surface_report
+from pipeline.atmosphere.samples import AirSamples
+from pipeline.atmosphere.soundings import Sounding
+from pipeline.atmosphere.windows import estimate_windows
+from pipeline.batch.plan import Plan, sounding_role
+from pipeline.config import Mission
+from pipeline.config.air import AtmosphereSection, SurfaceSection
+from pipeline.errors import InputError
+from pipeline.flight.stations import NO_TIME, Stations
+from pipeline.ledger import Ledger
+from pipeline.refraction.effect import FlightAir, effects_on_r
+from pipeline.tables.soundings import read_sounding
+from pipeline.units import ZERO_CELSIUS_K
+
+_NO_SEASON = 4.0  # a month between the seasons, for a flight without a date
+
+_IMPOSSIBLE_SIGMAS = 5.0
+"""Of the climatology at a station's height: no real sounding departs by more than 2.9."""
+
+
+@dataclass(frozen=True, eq=False)
+class AirSources:
+    """What a mission knows of the air beside its log."""
+
+    background: Climatology
+    soundings: tuple[Sounding, ...] = ()
+    surface: tuple[SurfaceReport, ...] = ()
+
+    def lines(self) -> list[tuple[str, str]]:
+        """For a person."""
+        return [
+            *(("sounding", _told_of_sounding(sounding)) for sounding in self.soundings),
+            *(("surface", _told_of_report(report)) for report in self.surface),
+            ("climatology", f"{self.background.profile.name}, {self.background.origin}"),
+        ]
+
+
+def find_sources(plan: Plan, stations: Stations, samples: AirSamples, ledger: Ledger) -> AirSources:
+    """Read the soundings and surface reports of a mission, and choose its climatology.
+
+    Refuses what cannot be read, and values that no ground has (``InputError``).
+    """
+    section = plan.mission.atmosphere
+    flight_ns = _time_of(stations)
+    latitude = stations.mean_latitude_rad
+    known = stations.lon_rad[np.isfinite(stations.lon_rad)]
+    background = climatology(
+        section.climatology,
+        latitude_rad=latitude,
+        month=_NO_SEASON if flight_ns is None else month_of(flight_ns),
+        index=_index_of(section),
+        ground_h_m=_lowest(samples) or 0.0,
+        longitude_rad=float(np.median(known)) if known.size else 0.0,
+    )
+    soundings = tuple(
+        read_sounding(
+            plan.input(sounding_role(i)).path,
+            ledger,
+            format_name=s.format,
+            time_ns=flight_ns,
+            latitude_rad=latitude,
+            station_h_m=np.nan if s.station_h_msl_m is None else s.station_h_msl_m,
+        )
+        for i, s in enumerate(section.soundings)
+    )
+    surface = tuple(
+        _report_of(s, f"atmosphere.surface[{i}]", flight_ns, background, ledger)
+        for i, s in enumerate(section.surface)
+    )
+    if not section.adjust and (soundings or surface):
+        ledger.warning(
+            "AIR-SOURCES-UNUSED",
+            f"atmosphere.adjust is false: {len(soundings)} soundings and {len(surface)} surface "
+            "reports are not used",
+            where="atmosphere",
+            count=len(soundings) + len(surface),
+        )
+    return AirSources(background, soundings, surface)
+
+
+def _time_of(stations: Stations) -> int | None:
+    """The middle exposure [Unix ns]."""
+    times = np.sort(stations.time_ns[stations.time_ns != NO_TIME])
+    return int(times[times.size // 2]) if times.size else None
+
+
+def _index_of(section: AtmosphereSection) -> IndexModel:
+    return IndexModel(section.index, section.wavelength_m, section.co2_ppm)
+
+
+def _lowest(samples: AirSamples) -> float | None:
+    """Lowest height that was sampled [m above sea level]."""
+    sensors = [s for s in (samples.pressure, samples.temperature, samples.humidity) if s]
+    heights = [s.h_m[np.isfinite(s.h_m)] for s in sensors]
+    return min((float(h.min()) for h in heights if h.size), default=None)
+
+
+def _report_of(
+    section: SurfaceSection,
+    where: str,
+    flight_ns: int | None,
+    background: Climatology,
+    ledger: Ledger,
+) -> SurfaceReport:
+    if section.metar is not None:
+        report = parse_metar(
+            section.metar, section.h_msl_m, ledger, flight_ns=flight_ns, where=f"{where}.metar"
+        )
+    else:
+        report = surface_report(
+            section.h_msl_m,
+            temperature_k=section.temperature_k,
+            pressure_pa=section.pressure_pa,
+            relative_humidity=section.humidity,
+            time_ns=section.time_ns,
+            where=where,
+        )
+    expected = float(background.profile.temperature(report.h_m))
+    sigma = float(background.spread.sigma_temperature(report.h_m))
+    if abs(report.temperature_k - expected) > _IMPOSSIBLE_SIGMAS * sigma:
+        raise InputError(
+            "SURFACE-CLIMATE",
+            f"{report.temperature_k - ZERO_CELSIUS_K:.1f} C at {report.h_m:.0f} m is "
+            f"{abs(report.temperature_k - expected) / sigma:.1f} sigma from the "
+            f"{expected - ZERO_CELSIUS_K:.0f} C of the climatology",
+            where=where,
+            remedy="temperature_c is in Celsius: convert Fahrenheit by (F - 32) / 1.8, Kelvin by "
+            "K - 273.15; or the station or the date is another",
+        )
+    return report
+
+
+def adjust_air(
+    mission: Mission, stations: Stations, samples: AirSamples, sources: AirSources, ledger: Ledger
+) -> FlightAir:
+    """The locally adjusted air of the flight, or the standard where the user wants that."""
+    section = mission.atmosphere
+    latitude = stations.mean_latitude_rad
+    standard = replace(standard_atmosphere(section.standard), index=_index_of(section))
+    h_c, h_g = _levels(mission, stations, samples)
+    if not section.adjust:
+        why = "atmosphere.adjust is false: the standard is kept"
+        ledger.note("AIR-NOT-ADJUSTED", why)
+        adjustment = unadjusted(under_gravity(standard, latitude), why)
+    else:
+        adjustment = build_adjusted_profile(
+            replace(samples, board_temperature=section.board_temperature),
+            standard,
+            latitude,
+            ledger,
+            background=sources.background,
+            soundings=sources.soundings,
+            surface=sources.surface,
+        )
+    effects = effects_on_r(
+        adjustment.profile, adjustment.standard, adjustment.covariance, float(np.median(h_c)), h_g
+    )
+    whole = TimedAir(adjustment.time_ns, adjustment.profile, adjustment.covariance)
+    windows = estimate_windows(adjustment, h_c, h_g, ledger) if max(h_c) > h_g + 1.0 else ()
+    along = one_air(whole, len(stations))
+    if windows:
+        middle = _time_of(stations) or windows[0].start_ns
+        times = np.where(stations.ok, stations.time_ns, middle)
+        along = air_along([window.air for window in windows], times, h_c, h_g)
+    return FlightAir(adjustment, along, windows, effects)
+
+
+def _levels(mission: Mission, stations: Stations, samples: AirSamples) -> tuple[list[float], float]:
+    """Heights of cameras (low, middle, high) and of the ground [m above sea level]."""
+    lowest = _lowest(samples)
+    ground = mission.ground.constant_m if mission.ground.reference == "msl" else None
+    h_g = ground if ground is not None else lowest if lowest is not None else 0.0
+    heights = stations.h_msl_m[stations.ok]
+    if heights.size == 0:
+        return [h_g], h_g
+    return [float(h) for h in np.percentile(heights, [0.0, 50.0, 100.0])], h_g
+
+
+def _told_of_sounding(sounding: Sounding) -> str:
+    when = "" if sounding.time_ns is None else f" of {np.datetime64(sounding.time_ns, 'm')} UTC"
+    return (
+        f"{sounding.station}{when}: {sounding.h_m.size} levels from {sounding.h_m[0]:.0f} to "
+        f"{sounding.h_m[-1]:.0f} m, {sounding.origin}"
+    )
+
+
+def _told_of_report(report: SurfaceReport) -> str:
+    parts: list[tuple[float, Callable[[float], str]]] = [
+        (report.temperature_k, lambda t: f"{t - ZERO_CELSIUS_K:.1f} C"),
+        (report.pressure_pa, lambda p: f"{p / 100.0:.1f} hPa"),
+        (report.vapour_pressure_pa, lambda e: f"vapour {e / 100.0:.1f} hPa"),
+    ]
+    told = ", ".join(say(value) for value, say in parts if np.isfinite(value))
+    return f"{report.origin} at {report.h_m:.0f} m: {told}"

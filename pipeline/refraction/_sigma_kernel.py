@@ -1,0 +1,158 @@
+"""Standard deviations of corrections, row by row, compiled.
+
+Columns of stations that pass in are those of `N` to `SIGMA_H` below.
+"""
+
+from __future__ import annotations
+
+import math
+
+from pipeline.refraction._image_kernel import APPARENT, COS, H_C, RADIUS, SIN, U, V
+from pipeline.refraction._jit import entry, jit
+from pipeline.refraction.camera import brown_conrady_slopes
+from pipeline.refraction.status import FAR_BRANCH
+
+# Of a station: refractivity N outside and N'/n [1/m] there; node below it among the cameras of the
+# table, share of the way to the next, share of the way from the lowest to the highest camera;
+# variance of tilt, what that of yaw exceeds it by [rad2], east and north of the yaw axis; sigma of
+# height [m].
+N, BEND, NODE, SHARE, SPAN, TILT2, YAW2, AXIS_E, AXIS_N, SIGMA_H = range(10)
+STATION_COLUMNS = 10
+
+_AT_NADIR = 1e-9  # the sine below which R / sin(zeta) is dR/dzeta, and no azimuth is known
+
+_slopes = jit(brown_conrady_slopes)
+
+
+@jit
+def _plane(table, i, a, j, b):  # type: ignore[no-untyped-def]
+    """Bilinear in a table (c, w)."""
+    low = table[i, j] + b * (table[i, j + 1] - table[i, j])
+    high = table[i + 1, j] + b * (table[i + 1, j + 1] - table[i + 1, j])
+    return low + a * (high - low)
+
+
+@jit
+def _cell(position, count):  # type: ignore[no-untyped-def]
+    """The node below a position, held within a table, and the share of the way to the next."""
+    held = min(max(position, 0.0), count - 1.0)
+    node = min(int(held), count - 2)
+    return node, held - node
+
+
+@jit
+def _of_the_air(drop, cos_z, radius, h_c, s, air):  # type: ignore[no-untyped-def]
+    """sigma_R / tan(zeta) and dR/dzeta cos^2(zeta) [rad]; NaN where the ray is nearly level."""
+    first, way_step, coarse_step, incidence_step, sigma, angle, factors = air
+    r_c, r_g = radius + h_c, radius + h_c - drop
+    level2 = (r_c * r_c * cos_z * cos_z - drop * (r_c + r_g)) / (r_g * r_g)
+    if not (drop > 0.0 and cos_z > 0.0 and level2 > 0.0):
+        return math.nan, math.nan
+    root = math.sqrt(drop) - first
+    incidence = (1.0 / math.sqrt(math.sqrt(level2)) - 1.0) / incidence_step
+    if incidence > factors.shape[2] - 1.0:
+        return math.nan, math.nan
+    i, a = int(s[NODE]), s[SHARE]
+    j, b = _cell(root / way_step, sigma.shape[1])
+    spread, turn = _plane(sigma, i, a, j, b), _plane(angle, i, a, j, b)
+    j, b = _cell(root / coarse_step, factors.shape[1])
+    k, c = _cell(incidence, factors.shape[2])
+    e, share = _cell(s[SPAN] * (factors.shape[0] - 1), factors.shape[0])
+    spread_factor = turn_factor = 0.0
+    for n in range(8):  # the corners of a cell
+        f, g, h = n >> 2, (n >> 1) & 1, n & 1
+        weight = (share if f else 1.0 - share) * (b if g else 1.0 - b) * (c if h else 1.0 - c)
+        spread_factor += weight * factors[e + f, j + g, k + h, 0]
+        turn_factor += weight * factors[e + f, j + g, k + h, 1]
+    return spread * spread_factor * drop, turn * turn_factor * drop
+
+
+@jit
+def _by_heights(sin_z, cos_z, radius, h_c, drop, r, d_zeta, n_g, s):  # type: ignore[no-untyped-def]
+    """dR/dh_c and dR/dh_g [rad/m]; formulas of `pipeline.refraction.weights`."""
+    r_c, r_g, n_c = radius + h_c, radius + h_c - drop, s[N]
+    sin_r = r * (1.0 - r * r / 6.0)
+    cos_t = cos_z * (1.0 - 0.5 * r * r) + sin_z * sin_r
+    sin_t = sin_z * (1.0 - 0.5 * r * r) - cos_z * sin_r
+    down = math.sqrt(r_c * r_c * cos_t * cos_t - drop * (r_c + r_g))
+    chord = drop * (r_c + r_g) / (r_c * cos_t + down)
+    turned = r_c * sin_r * (cos_z + 0.5 * r * sin_z)
+    sines = (r_c * sin_z * (n_g - n_c) / (1.0 + n_g) - turned) / r_g
+    sin_g = r_c * sin_t / r_g - sines
+    cos_g = math.sqrt(1.0 - sin_g * sin_g)
+    d_h_g = -2.0 * sines / ((down / r_g + cos_g) * chord * cos_g)
+    tan_z, bend = sin_z / cos_z, s[BEND]
+    d_h_c = tan_z * (d_zeta * (bend + 1.0 / r_c) - bend) - sin_r / (chord * cos_z)
+    return d_h_c, d_h_g
+
+
+@jit
+def _tilted(along, across, d_zeta, swing, axis_e, axis_p, by_height, s):  # type: ignore[no-untyped-def]
+    """Sigma [px] by tilt, yaw and height, from what turns along and across the plane do."""
+    k_e, k_p = -d_zeta * along, swing * across
+    turned2 = s[TILT2] * (k_e * k_e + k_p * k_p)
+    turned2 += s[YAW2] * (k_e * axis_e + k_p * axis_p) ** 2
+    return math.sqrt(turned2 + (along * by_height) ** 2)
+
+
+@entry
+def spread_out(  # type: ignore[no-untyped-def]
+    h_g, sigma_h_g, exposure, camera, rotation, rays, r_c, status, stations, air, ground, sigma_r,
+    air_x, air_y, station_x, station_y, ground_x, ground_y,
+):  # fmt: skip
+    """Fill sigma of R_c [rad] and those of x and y [px] by the air, the station, the ground.
+
+    ``ground`` : lowest height, spacing [m] and refractivity above. NaN where not known.
+    """
+    fx, fy = camera[2], camera[3]
+    k1, k2, k3, p1, p2 = camera[6:11]
+    lowest, spacing, refractivity = ground
+    for i in range(h_g.size):
+        sigma_r[i] = math.nan
+        air_x[i] = air_y[i] = station_x[i] = station_y[i] = ground_x[i] = ground_y[i] = math.nan
+        r = r_c[i]
+        if math.isnan(r) or status[i] == FAR_BRANCH:
+            continue
+        s, turn = stations[exposure[i]], rotation[exposure[i]]
+        sin_z, cos_z, radius, h_c = rays[SIN, i], rays[COS, i], rays[RADIUS, i], rays[H_C, i]
+        drop = h_c - h_g[i]
+        spread, steep = _of_the_air(drop, cos_z, radius, h_c, s, air)
+        if math.isnan(steep):
+            continue
+        secant = 1.0 / cos_z
+        d_zeta = steep * secant * secant
+        sigma_r[i] = spread * sin_z * secant
+        j, b = _cell((h_g[i] - lowest) / spacing, refractivity.size)
+        n_g = refractivity[j] + b * (refractivity[j + 1] - refractivity[j])
+        d_h_c, d_h_g = _by_heights(sin_z, cos_z, radius, h_c, drop, r, d_zeta, n_g, s)
+
+        # Unit vectors in the camera: t towards the nadir, q across; at the nadir any will do.
+        east, north, swing = 1.0, 0.0, d_zeta
+        if sin_z > _AT_NADIR:
+            inverse = 1.0 / sin_z
+            east, north = rays[APPARENT, i] * inverse, rays[APPARENT + 1, i] * inverse
+            swing = r * inverse
+        t0 = -cos_z * (turn[0, 0] * east + turn[0, 1] * north) - sin_z * turn[0, 2]
+        t1 = -cos_z * (turn[1, 0] * east + turn[1, 1] * north) - sin_z * turn[1, 2]
+        t2 = -cos_z * (turn[2, 0] * east + turn[2, 1] * north) - sin_z * turn[2, 2]
+        q0 = turn[0, 1] * east - turn[0, 0] * north
+        q1 = turn[1, 1] * east - turn[1, 0] * north
+        q2 = turn[2, 1] * east - turn[2, 0] * north
+        # What these turns of the ray do to its pixel.
+        u, v = rays[U, i], rays[V, i]
+        depth = math.sqrt(u * u + v * v + 1.0)
+        uu, uv, vv = _slopes(u, v, k1, k2, k3, p1, p2)
+        t0, t1, q0, q1 = t0 - u * t2, t1 - v * t2, q0 - u * q2, q1 - v * q2
+        along_x, along_y = fx * depth * (uu * t0 + uv * t1), fy * depth * (uv * t0 + vv * t1)
+        across_x, across_y = fx * depth * (uu * q0 + uv * q1), fy * depth * (uv * q0 + vv * q1)
+
+        air_x[i] = abs(along_x) * sigma_r[i]
+        air_y[i] = abs(along_y) * sigma_r[i]
+        # A tilt turns the nadir: zeta by its part in the ray's plane, the plane by that across it.
+        axis_e = s[AXIS_N] * east - s[AXIS_E] * north
+        axis_p = -s[AXIS_N] * north - s[AXIS_E] * east
+        by_height = d_h_c * s[SIGMA_H]
+        station_x[i] = _tilted(along_x, across_x, d_zeta, swing, axis_e, axis_p, by_height, s)
+        station_y[i] = _tilted(along_y, across_y, d_zeta, swing, axis_e, axis_p, by_height, s)
+        ground_x[i] = abs(along_x * d_h_g) * sigma_h_g[i]
+        ground_y[i] = abs(along_y * d_h_g) * sigma_h_g[i]

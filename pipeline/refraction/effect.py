@@ -1,0 +1,108 @@
+"""The air of a flight, and what it does to R beside the standard, with its sigma."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.atmosphere.adjust import Adjustment
+from pipeline.atmosphere.course import AirAlong
+from pipeline.atmosphere.covariance import ProfileCovariance
+from pipeline.atmosphere.profile import Profile
+from pipeline.atmosphere.windows import Window
+from pipeline.refraction.ray import refraction_angle
+from pipeline.refraction.sensitivity import sensitivity
+from pipeline.units import ARCSEC, DEGREE
+
+ANGLES_DEG = (45.0, 75.0)
+
+_LEAST_CLIMB_M = 1.0
+
+
+@dataclass(frozen=True)
+class Effect:
+    """R of one ray in two airs [rad]; ``sigma_rad`` is NaN where the air has no covariance."""
+
+    nadir_deg: float
+    h_c_m: float
+    h_g_m: float
+    r_c_rad: float
+    standard_rad: float
+    sigma_rad: float = math.nan
+
+    @property
+    def factor(self) -> float:
+        """R over that of the standard: the scale factor that a whole flight shares."""
+        return self.r_c_rad / self.standard_rad
+
+    @property
+    def sigma_factor(self) -> float:
+        """One sigma of the factor."""
+        return abs(self.sigma_rad / self.standard_rad)
+
+    def row(self) -> dict[str, float | None]:
+        """For the manifest."""
+        known = math.isfinite(self.sigma_rad)
+        return {
+            "nadir_angle_deg": self.nadir_deg,
+            "h_c_m": round(self.h_c_m, 1),
+            "h_g_m": round(self.h_g_m, 1),
+            "r_c_arcsec": round(self.r_c_rad / ARCSEC, 4),
+            "standard_arcsec": round(self.standard_rad / ARCSEC, 4),
+            "sigma_arcsec": round(self.sigma_rad / ARCSEC, 4) if known else None,
+            "factor": round(self.factor, 5),
+            "sigma_factor": round(self.sigma_factor, 5) if known else None,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class FlightAir:
+    """The air of the whole flight, along it, and what it does to R.
+
+    ``windows`` are the parts that were estimated by themselves, none where one profile is enough.
+    """
+
+    adjustment: Adjustment
+    along: AirAlong
+    windows: tuple[Window, ...] = ()
+    effects: tuple[Effect, ...] = ()
+
+
+def effects_on_r(
+    profile: Profile,
+    standard: Profile,
+    covariance: ProfileCovariance | None,
+    h_c: float,
+    h_g: float,
+    angles_deg: Sequence[float] = ANGLES_DEG,
+) -> tuple[Effect, ...]:
+    """R at some nadir angles in an air and in the standard; none where no ray looks down.
+
+    Parameters
+    ----------
+    covariance : of ``profile``; sigma^2 = g^T C g with the derivatives g of `sensitivity`.
+    h_c, h_g : heights of camera and ground [m above sea level].
+    angles_deg : apparent nadir angles [deg], below the horizon's.
+
+    >>> from pipeline.atmosphere import standard_atmosphere
+    >>> air = standard_atmosphere("us1976")
+    >>> [round(e.factor, 3) for e in effects_on_r(air, air, None, 3000.0, 0.0)]
+    [1.0, 1.0]
+    """
+    if not h_c > h_g + _LEAST_CLIMB_M:
+        return ()
+    zeta = np.asarray(angles_deg) * DEGREE
+    ours, theirs = (refraction_angle(air, h_c, h_g, zeta) for air in (profile, standard))
+    sigma = np.full(zeta.shape, np.nan)
+    if covariance is not None:
+        s = sensitivity(profile, h_c, h_g, zeta, anchor_height_m=covariance.anchor_height_m)
+        gradient = np.column_stack([s.d_temperature, s.d_log_pressure, s.d_vapour])
+        sigma = np.sqrt(np.einsum("ij,ij->i", gradient @ covariance.matrix, gradient))
+    return tuple(
+        Effect(float(a), h_c, h_g, float(r), float(t), float(s))
+        for a, r, t, s in zip(angles_deg, ours, theirs, sigma, strict=True)
+        if np.isfinite(r) and np.isfinite(t)
+    )

@@ -1,0 +1,210 @@
+"""The standard deviations of a correction: by the air, by the station, by the ground.
+
+They are of three kinds and stay apart. What the air does is common to the block: it is no noise of
+an observation, and the adjustment gets it as one scale parameter (`block_scale`). What the station
+does is common to an image, what the ground does to a point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.atmosphere.covariance import ProfileCovariance
+from pipeline.atmosphere.profile import Profile
+from pipeline.refraction.air_sigma import air_sigma, gradient_of, root_of
+from pipeline.refraction.camera import Camera
+from pipeline.refraction.image import Exposures
+from pipeline.refraction.ray import DEFAULT_RADIUS_M
+from pipeline.refraction.sensitivity import sensitivity
+from pipeline.refraction.sigmas import Uncertainty
+
+Array = NDArray[np.float64]
+
+_SLOPE_STEP_M = 0.5
+_BORDER = 9  # points along each side of an image
+
+
+@dataclass(frozen=True, eq=False)
+class StationSigmas:
+    """How well each exposure is known; (s,) arrays, NaN where unknown.
+
+    Parameters
+    ----------
+    tilt_rad : of the attitude about each of two axes square to the yaw axis.
+    yaw_rad : about the yaw axis.
+    yaw_axis : (s, 3) unit vectors in the camera frame: the aircraft's own vertical.
+    height_m : of the projection centre. Where it is unknown it does not count.
+
+    A turn about the vertical changes nothing: yaw matters as far as its axis is not vertical.
+    """
+
+    tilt_rad: Array
+    yaw_rad: Array
+    yaw_axis: Array
+    height_m: Array
+
+
+@dataclass(frozen=True)
+class BlockScale:
+    """The error of R that the observations of a block share, as one factor 1 + s of all R.
+
+    ``sigma`` of s, the standard deviation of a prior for it; ``correlation`` of the errors of R
+    between two observations, on the average: what is less than one no scale factor removes.
+    """
+
+    sigma: float
+    correlation: float
+    rays: int
+
+
+def uncertainty_of(
+    profile: Profile,
+    covariance: ProfileCovariance | None,
+    exposures: Exposures,
+    stations: StationSigmas,
+    cameras: Sequence[tuple[Camera, NDArray[np.bool_]]],
+    ground_heights_m: tuple[float, float],
+) -> Uncertainty | None:
+    """Tables for the standard deviations of a block's corrections.
+
+    Parameters
+    ----------
+    profile : the air; its layers are those of ``covariance``.
+    covariance : of the profile, None where it is not known: then ``air_*`` are unknown.
+    exposures, stations : of s exposures.
+    cameras : each with the mask (s,) of its exposures.
+    ground_heights_m : lowest and highest ground, above sea level [m].
+
+    None where no exposure can be used. The sigmas are of first order. Against changed inputs and
+    drawn airs (tests/refraction/test_uncertainty.py): station and ground 1 %, air as `air_sigma`.
+    There are none for targets above the camera or beyond the lowest point of the ray, nor within
+    1.7 degrees of level at the ground.
+
+    >>> from pipeline.atmosphere import standard_atmosphere
+    >>> from pipeline.refraction import Camera, correct_observations, ray_table
+    >>> air, one, none = standard_atmosphere("us1976"), np.ones(1), np.zeros(1)
+    >>> down = Exposures(
+    ...     one > 0.0, np.diag([1.0, -1.0, -1.0])[None], none, 3000.0 * one, 2e-4 * one, 2e-4 * one)
+    >>> camera = Camera(10_000, 10_000, 10_000.0, 10_000.0, 5000.0, 5000.0)
+    >>> half_a_degree = StationSigmas(0.0087 * one, 0.0087 * one, np.array([[0.0, 0.0, 1.0]]), none)
+    >>> made = uncertainty_of(air, None, down, half_a_degree, [(camera, one > 0.0)], (0.0, 0.0))
+    >>> found = correct_observations(
+    ...     9000.0 * one, 5000.0 * one, none, np.zeros(1, np.int64), down, camera, ray_table(air),
+    ...     uncertainty=made)
+    >>> round(float(found.dx_px[0]), 3), round(float(found.sigmas.station_dx_px[0]), 4)
+    (-0.16, 0.004)
+    """
+    usable = exposures.usable & np.isfinite(exposures.refractivity_outside)
+    if not bool(usable.any()):
+        return None
+    heights = exposures.height_m[usable]
+    radius = exposures.radius_m or DEFAULT_RADIUS_M
+    air = air_sigma(
+        profile,
+        covariance,
+        (float(heights.min()), float(heights.max())),
+        ground_heights_m,
+        _largest_zeta(exposures, usable, cameras),
+        radius,
+    )
+    return Uncertainty(air, _station_columns(profile, exposures, stations, usable, air.camera_m))
+
+
+def block_scale(
+    profile: Profile,
+    covariance: ProfileCovariance,
+    h_c: Array,
+    h_g: Array,
+    zeta_c: Array,
+    radius: float = DEFAULT_RADIUS_M,
+) -> BlockScale | None:
+    """The scale factor of R that some rays of a block share, with its sigma.
+
+    Parameters
+    ----------
+    h_c, h_g, zeta_c : (n,) heights [m above sea level] and nadir angles [rad] of rays that stand
+        for all.
+    radius : of the sphere [m].
+
+    With K the covariance of the errors of R, a fit of s R to them by least squares has the
+    variance R^T K R / (R^T R)^2. The correlation is the mean of that between the rays, weighted by
+    R^2 as the fit weighs them. None where no ray has an angle.
+
+    >>> from pipeline.atmosphere import standard_atmosphere
+    >>> air = standard_atmosphere("us1976")
+    >>> variance = np.zeros(2 * air.layers.edge.size + 1)
+    >>> variance[air.layers.edge.size] = 0.001**2  # of ln p
+    >>> covariance = ProfileCovariance(air, 0.0, np.diag(variance))
+    >>> zeta = np.array([0.2, 0.6, 1.0])
+    >>> scale = block_scale(air, covariance, 3000.0 + 0.0 * zeta, 0.0 * zeta, zeta)
+    >>> round(scale.sigma, 5), round(scale.correlation, 6)
+    (0.001, 1.0)
+    """
+    found = sensitivity(profile, h_c, h_g, zeta_c, radius, covariance.anchor_height_m)
+    good = found.valid & (np.abs(found.r_c) > 0.0)
+    if not bool(good.any()):
+        return None
+    r = found.r_c[good]
+    errors = gradient_of(found)[good] @ root_of(covariance.matrix)
+    length = np.linalg.norm(errors, axis=1)
+    weight = r * r / np.sum(r * r)
+    shared = weight @ (errors / r[:, None])
+    known = length > 0.0
+    towards = np.sign(r[known])[:, None] * errors[known] / length[known][:, None]
+    mean = weight[known] @ towards / max(float(weight[known].sum()), 1e-300)
+    return BlockScale(float(np.linalg.norm(shared)), float(mean @ mean), int(good.sum()))
+
+
+def _largest_zeta(
+    exposures: Exposures,
+    usable: NDArray[np.bool_],
+    cameras: Sequence[tuple[Camera, NDArray[np.bool_]]],
+) -> float:
+    """The largest nadir angle [rad] that a border of an image shows, half a degree to spare."""
+    least = 1.0
+    side = np.linspace(0.0, 1.0, _BORDER)
+    x = np.concatenate([side, side, np.zeros(_BORDER), np.ones(_BORDER)])
+    y = np.concatenate([np.zeros(_BORDER), np.ones(_BORDER), side, side])
+    for camera, mine in cameras:
+        down = -exposures.rotation[usable & mine, :, 2]
+        if down.shape[0] == 0:
+            continue
+        u, v, covered = camera.rays(x * camera.width_px, y * camera.height_px)
+        if not bool(covered.all()):
+            return 0.5 * np.pi
+        rays = np.stack([u, v, np.ones(u.size)]) / np.sqrt(u * u + v * v + 1.0)
+        least = min(least, float((down @ rays).min()))
+    return float(np.arccos(least) + np.radians(0.5))
+
+
+def _station_columns(
+    profile: Profile,
+    exposures: Exposures,
+    stations: StationSigmas,
+    usable: NDArray[np.bool_],
+    camera_m: Array,
+) -> Array:
+    """(s, 10) what the kernel needs to know of each exposure."""
+    from pipeline.refraction import _sigma_kernel as kernel
+
+    h = np.where(usable, exposures.height_m, camera_m[0])
+    columns = np.full((h.size, kernel.STATION_COLUMNS), np.nan)
+    low = np.maximum(h - _SLOPE_STEP_M, profile.bottom_m)
+    high = np.minimum(h + _SLOPE_STEP_M, profile.top_m)
+    slope = (profile.refractivity(high) - profile.refractivity(low)) / (high - low)
+    node = np.clip(np.searchsorted(camera_m, h, side="right") - 1, 0, camera_m.size - 2)
+    axis = np.einsum("sji,sj->si", exposures.rotation, stations.yaw_axis)
+    columns[:, kernel.N] = exposures.refractivity_outside
+    columns[:, kernel.BEND] = slope / (1.0 + exposures.refractivity_outside)
+    columns[:, kernel.NODE] = node
+    columns[:, kernel.SHARE] = (h - camera_m[node]) / (camera_m[node + 1] - camera_m[node])
+    columns[:, kernel.SPAN] = (h - camera_m[0]) / (camera_m[-1] - camera_m[0])
+    columns[:, kernel.TILT2] = stations.tilt_rad**2
+    columns[:, kernel.YAW2] = stations.yaw_rad**2 - stations.tilt_rad**2
+    columns[:, kernel.AXIS_E], columns[:, kernel.AXIS_N] = axis[:, 0], axis[:, 1]
+    columns[:, kernel.SIGMA_H] = np.nan_to_num(stations.height_m)
+    return columns

@@ -1,0 +1,133 @@
+"""A sounding from disk: text in any known format, or the netCDF of an ARM radiosonde."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from scipy.io import netcdf_file
+
+from pipeline.atmosphere.soundings import RawLevels, Sounding, judge_levels, parse_sounding
+from pipeline.atmosphere.soundings.raw import FILLS, Array, radians, to_si
+from pipeline.errors import InputError
+from pipeline.ledger import Ledger
+from pipeline.units import NANOSECONDS_PER_SECOND
+
+LARGEST_BYTES = 200_000_000
+"""Room for decades of one station; a larger file is of another kind, and would fill memory."""
+
+_NETCDF3, _HDF5 = b"CDF", b"\x89HDF"
+# Names of ARM's sondewnpn datastream: variable, quantity's unit.
+_VARIABLES = {"pres": "hpa", "tdry": "c", "dp": "c", "rh": "percent", "alt": "m"}
+
+
+def read_sounding(
+    path: Path,
+    ledger: Ledger,
+    *,
+    format_name: str = "auto",
+    time_ns: int | None = None,
+    latitude_rad: float = math.nan,
+    station_h_m: float = math.nan,
+) -> Sounding:
+    """Read a sounding; arguments as for `parse_sounding`.
+
+    Raises ``InputError`` where the file cannot be read or is none.
+    """
+    try:
+        size = path.stat().st_size
+        data = path.read_bytes() if size <= LARGEST_BYTES else b""
+    except OSError as error:
+        raise InputError(
+            "SOUNDING-UNREADABLE",
+            f"the file cannot be read: {error.strerror}",
+            where=str(path),
+            remedy="check the path and its permissions",
+        ) from None
+    if size > LARGEST_BYTES:
+        raise InputError(
+            "SOUNDING-SIZE",
+            f"the file has {size} bytes, more than the {LARGEST_BYTES} of the longest record",
+            where=str(path),
+            remedy="cut it down to the days around the flight",
+        )
+    if data.startswith(_HDF5):
+        raise _no_netcdf(path, "it is netCDF-4 (HDF5); only the classic format is read")
+    if data.startswith(_NETCDF3):
+        raw = _netcdf(path)
+        return judge_levels(raw, ledger, latitude_rad=latitude_rad, station_h_m=station_h_m)
+    return parse_sounding(
+        _text(data, path),
+        ledger,
+        where=path.name,
+        format_name=format_name,
+        time_ns=time_ns,
+        latitude_rad=latitude_rad,
+        station_h_m=station_h_m,
+    )
+
+
+def _text(data: bytes, path: Path) -> str:
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(
+            "SOUNDING-UNREADABLE",
+            f"the byte {data[error.start]:#04x} at offset {error.start} is no UTF-8",
+            where=str(path),
+            remedy="save the file as UTF-8 text",
+        ) from None
+
+
+def _netcdf(path: Path) -> RawLevels:
+    """The levels of a classic netCDF file with ARM's names; fill values become NaN."""
+    try:
+        with netcdf_file(path, "r", mmap=False) as file:
+            missing = [name for name in _VARIABLES if name not in file.variables]
+            if missing:
+                raise _no_netcdf(path, f"it has no variable {missing[0]}")
+            columns = {name: _column(file, name) for name in _VARIABLES}
+            place = {
+                name: float(_column(file, name)[0]) if name in file.variables else math.nan
+                for name in ("lat", "lon")
+            }
+            start = int(file.variables["base_time"].getValue()) if (
+                "base_time" in file.variables) else None  # fmt: skip
+            offset = float(_column(file, "time_offset")[0]) if (
+                "time_offset" in file.variables) else 0.0  # fmt: skip
+    except (OSError, TypeError, ValueError, IndexError, AttributeError) as error:
+        # What scipy raises on a damaged header, by what the damage hit.
+        if isinstance(error, InputError):
+            raise
+        raise _no_netcdf(path, f"it cannot be decoded: {error}") from None
+    return RawLevels(
+        h_m=columns["alt"],
+        pressure_pa=to_si(columns["pres"], "hpa"),
+        temperature_k=to_si(columns["tdry"], "c"),
+        # ARM does not say so, but they are: the hypsometric equation gives them to 2e-4 up to
+        # 24 km, where geometric heights would be 0.7 % off in the upper layers.
+        geopotential=True,
+        dew_point_k=to_si(columns["dp"], "c"),
+        relative_humidity=to_si(columns["rh"], "percent"),
+        time_ns=None if start is None else round((start + offset) * NANOSECONDS_PER_SECOND),
+        latitude_rad=radians(place["lat"], 90.0),
+        longitude_rad=radians(place["lon"], 180.0),
+        origin="ARM radiosonde netCDF",
+        where=path.name,
+        said={"pressure": "pres [hPa]", "temperature": "tdry [C]", "dew point": "dp [C]"},
+    )
+
+
+def _column(file: netcdf_file, name: str) -> Array:
+    value = np.array(file.variables[name].data, dtype=np.float64)
+    return np.where(np.isin(value, FILLS), np.nan, value)
+
+
+def _no_netcdf(path: Path, why: str) -> InputError:
+    return InputError(
+        "SOUNDING-NETCDF",
+        f"is no sounding in ARM's classic netCDF: {why}",
+        where=str(path),
+        remedy="export the levels as CSV: h_m, pressure_hpa, temperature_c, dew_point_c",
+    )

@@ -1,0 +1,295 @@
+"""Flights through real air: soundings integrated as truth, and what imperfect sensors make of it.
+
+Nothing here is shared with the estimator: WGS84 normal gravity, moist hydrostatics on a grid of
+metres, Edlen's index and Sonntag's saturation pressure (pipeline.simulate), Gyer's Eq. 24 in the
+first order; the sensors are differential equations and random walks in time.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.integrate import cumulative_simpson
+from scipy.io import netcdf_file
+from scipy.signal import lfilter
+
+from pipeline.atmosphere.samples import AirSamples, Samples
+from pipeline.simulate.air import edlen_index, normal_gravity, saturation_pressure_pa
+
+SOUNDINGS = Path(__file__).resolve().parents[2].parent / "shared" / "soundings"
+TAKEOFF_S = 30.0
+
+
+@dataclass(frozen=True)
+class Balloon:
+    """Levels of a balloon: geopotential [m'], T [K], e [Pa]; pressure [Pa] at the first."""
+
+    name: str
+    latitude: float
+    H: np.ndarray
+    t: np.ndarray
+    e: np.ndarray
+    p0: float
+    month: int = 6
+
+
+def from_levels(name: str, degrees: float, p, H, celsius, dew) -> Balloon:
+    """Levels in the order of height, one at a height; dew points filled in where they are given."""
+    p, H, celsius, dew = (np.asarray(a, float) for a in (p, H, celsius, dew))
+    good = np.isfinite(p) & np.isfinite(H) & np.isfinite(celsius)
+    p, H, celsius, dew = p[good], H[good], celsius[good], dew[good]
+    rising = np.concatenate([[True], H[1:] > np.maximum.accumulate(H)[:-1] + 1.0])
+    p, H, celsius, dew = p[rising], H[rising], celsius[rising], dew[rising]
+    known = np.isfinite(dew)
+    dew = np.interp(H, H[known], dew[known])
+    e = saturation_pressure_pa(np.maximum(dew + 273.15, 190.0))
+    return Balloon(name, math.radians(degrees), H, celsius + 273.15, e, float(p[0]) * 100.0)
+
+
+def number(text: str, missing: tuple[str, ...] = ("", "-9999", "-8888", "-99999")) -> float:
+    return math.nan if text.strip() in missing else float(text)
+
+
+def wyoming(name: str, degrees: float) -> list[Balloon]:
+    with (SOUNDINGS / name).open() as file:
+        rows = list(csv.reader(file))[1:]
+    p, H, t, dew = ([number(row[i]) for row in rows] for i in (3, 4, 5, 6))
+    return [from_levels(name, degrees, p, H, t, dew)]
+
+
+def metpy(name: str, degrees: float) -> list[Balloon]:
+    return [from_levels(name, degrees, *np.loadtxt(SOUNDINGS / name).T)]
+
+
+def blocks(name: str) -> Iterator[list[str]]:
+    """The soundings of an IGRA file, each without its header."""
+    block: list[str] = []
+    for line in (SOUNDINGS / name).read_text().splitlines()[1:]:
+        if line.startswith("#"):
+            yield block
+            block = []
+        else:
+            block.append(line)
+    yield block
+
+
+def igra(name: str, degrees: float) -> list[Balloon]:
+    found = []
+    for i, block in enumerate(list(blocks(name))[:2]):
+        p = [number(line[9:15]) / 100.0 for line in block]
+        H, t, depression = (np.array([number(line[a:b]) for line in block])
+                            for a, b in ((16, 21), (22, 27), (34, 39)))  # fmt: skip
+        t, depression = t / 10.0, depression / 10.0
+        found.append(from_levels(f"{name}[{i}]", degrees, p, H, t, t - depression))
+    return found
+
+
+def igra_derived(name: str, degrees: float) -> list[Balloon]:
+    found = []
+    for i, block in enumerate(list(blocks(name))[:2]):
+        columns = np.array([[number(word) for word in line.split()] for line in block])
+        p, H, t, e = (columns[:, i] for i in (0, 2, 3, 9))
+        dew = dew_point(e / 10.0)  # thousandths of a millibar
+        found.append(from_levels(f"{name}[{i}]", degrees, p / 100.0, H, t / 10.0 - 273.15, dew))
+    return found
+
+
+def dew_point(e_pa: np.ndarray) -> np.ndarray:
+    """Celsius at which vapour of a pressure saturates, by inverting the table."""
+    celsius = np.linspace(-80.0, 45.0, 2000)
+    table = saturation_pressure_pa(celsius + 273.15)
+    return np.where(np.isfinite(e_pa), np.interp(e_pa, table, celsius), np.nan)
+
+
+def arm(name: str, degrees: float) -> list[Balloon]:
+    with netcdf_file(SOUNDINGS / name, "r", mmap=False) as file:
+        p, t, dew, alt = (
+            np.array(file.variables[key][::10], dtype=float)
+            for key in ("pres", "tdry", "dp", "alt")
+        )
+    good = (p > 0.0) & (t > -100.0) & (dew > -200.0)
+    H = geopotential(math.radians(degrees), alt)
+    return [from_levels(name, degrees, p[good], H[good], t[good], dew[good])]
+
+
+READERS: list[tuple[Callable[[str, float], list[Balloon]], str, float, int]] = [
+    (wyoming, "wyoming_csv_82244_20120101_00Z.csv", -2.43, 1),
+    (wyoming, "wyoming_csv_BOI_20101209_12Z.csv", 43.56, 12),
+    (wyoming, "wyoming_csv_OUN_20230522_12Z.csv", 35.18, 5),
+    (metpy, "metpy_20110522_OUN_12Z.txt", 35.18, 5),
+    (igra, "igra2_USM00070026_Barrow.txt", 71.29, 6),
+    (igra_derived, "igra2_derived_USM00070026_Barrow.txt", 71.29, 9),
+    (arm, "sgpsondewnpnC1.b1.20190101.053200.cdf", 36.61, 1),
+]
+
+
+def extremes() -> list[Balloon]:
+    """Air made of straight lines: what nine soundings lack. T in K and RH at heights in m'."""
+
+    def made(name, degrees, month, h, t, rh) -> Balloon:
+        H = np.arange(0.0, 11_000.0, 25.0)
+        t_k, u = np.interp(H, h, t), np.interp(H, h, rh)
+        e = np.maximum(u * saturation_pressure_pa(t_k), 1e-3)
+        return Balloon(name, math.radians(degrees), H, t_k, e, 101_000.0, month)
+
+    return [
+        made("arctic night, inversion of 15 K", 72.0, 1,
+             [0, 150, 700, 2000, 9000, 11e3], [238, 246, 253, 250, 214, 212], [0.8] * 6),
+        made("desert noon, adiabatic to 4 km", 25.0, 7,
+             [0, 4000, 11e3], [315, 276, 228], [0.1, 0.5, 0.2]),
+        made("monsoon", 20.0, 7, [0, 5000, 11e3], [303, 275.5, 233], [0.9, 0.9, 0.6]),
+        made("trade wind inversion of 6 K at 1.6 km", 18.0, 3,
+             [0, 600, 1600, 1850, 11e3], [299, 293.2, 287, 293, 238], [0.75, 0.9, 0.9, 0.15, 0.1]),
+        made("clear night, 9 K in 250 m", 47.0, 10,
+             [0, 250, 900, 3000, 11e3], [277, 286, 284, 270, 217], [0.95, 0.6, 0.5, 0.3, 0.2]),
+    ]  # fmt: skip
+
+
+def geopotential(latitude: float, h: np.ndarray) -> np.ndarray:
+    """Geopotential height [m'] of heights [m]; Simpson is exact for gravity to second order."""
+    h = np.asarray(h, float)
+    gravity = np.vectorize(lambda z: normal_gravity(latitude, z))
+    return h * (normal_gravity(latitude, 0.0) + 4.0 * gravity(0.5 * h) + gravity(h)) / 6 / 9.80665
+
+
+class Truth:
+    """The air of a balloon every metre, integrated; ``h`` above sea level from its first level."""
+
+    def __init__(self, balloon: Balloon, reach: float = 10_500.0) -> None:
+        self.name, self.latitude = balloon.name, balloon.latitude
+        day = np.datetime64(f"2020-{balloon.month:02d}-15T12:00:00", "ns")
+        self.start_ns = int(day.astype(np.int64))
+        lowest = float(balloon.H[0]) * 9.80665 / normal_gravity(balloon.latitude, 0.0)
+        self.h = lowest + np.arange(0.0, reach)
+        H = geopotential(balloon.latitude, self.h)
+        self.t = np.interp(H, balloon.H, balloon.t)
+        self.e = np.exp(np.interp(H, balloon.H, np.log(balloon.e)))
+        p = np.full(H.size, balloon.p0)
+        for _ in range(4):  # the vapour's share of the weight, settled against pressure
+            virtual = self.t / (1.0 - 0.378 * self.e / p)
+            fall = cumulative_simpson(9.80665 * 28.9644 / 8314.32 / virtual, x=H, initial=0.0)
+            p = balloon.p0 * np.exp(-fall)
+        self.p = p
+        self.rh = np.minimum(self.e / saturation_pressure_pa(self.t), 1.0)
+        self.refractivity = edlen_index(p, self.t, self.e) - 1.0
+
+    def at(self, values: np.ndarray, above_ground: np.ndarray) -> np.ndarray:
+        return np.interp(above_ground, np.arange(self.h.size), values)
+
+    def r_plane(self, refractivity: np.ndarray, climb: float) -> float:
+        """R / tan(zeta) in the plane: the integral of (N - N_c) dh over h_c - h_g (Gyer Eq. 24)."""
+        n = refractivity[: round(climb) + 1]
+        return float(np.trapezoid(n - n[-1]) / climb)
+
+    def error(self, profile, climb: float) -> float:
+        """Relative error of R that a profile leaves, from the ground to the top of the climb."""
+        h = self.h[: round(climb) + 1]
+        right = self.r_plane(self.refractivity, climb)
+        return self.r_plane(profile.refractivity(h), climb) / right - 1.0
+
+
+def balloons() -> list[Balloon]:
+    """Nine ascents of five sites."""
+    return [
+        replace(balloon, month=month)
+        for reader, name, degrees, month in READERS
+        for balloon in reader(name, degrees)
+    ]
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """What is wrong with the sensors; the default is nothing. Drifts are one-sigma of a walk."""
+
+    bias_k: float = 0.0
+    transient_k: float = 0.0
+    transient_s: float = 60.0
+    lag_s: float = 0.0
+    noise_k: float = 0.0
+    drift_k: float = 0.0
+    outliers: float = 0.0
+    outlier_k: float = 15.0
+    pressure_offset_pa: float = 0.0
+    pressure_drift_pa: float = 0.0
+    pressure_noise_pa: float = 0.0
+    gnss_offset_m: float = 0.0
+    gnss_drift_m: float = 0.0
+    gnss_noise_m: float = 0.0
+    humidity_bias: float = 0.0
+    humidity_noise: float = 0.0
+
+
+REALISTIC = Sensors(
+    bias_k=3.0, transient_k=5.0, transient_s=60.0, lag_s=20.0, noise_k=0.2, outliers=0.03,
+    pressure_offset_pa=30.0, pressure_drift_pa=10.0, pressure_noise_pa=5.0,
+    gnss_offset_m=2.0, gnss_drift_m=1.5, gnss_noise_m=0.3,
+    humidity_bias=0.03, humidity_noise=0.02,
+)  # fmt: skip
+
+
+def drawn(rng: np.random.Generator) -> Sensors:
+    """Sensors as bad as the realistic ones are, each in its own way."""
+    return replace(
+        REALISTIC,
+        bias_k=rng.normal(0.0, 2.0), transient_k=rng.normal(0.0, 4.0),
+        transient_s=60.0 * math.exp(rng.normal(0.0, 0.3)), lag_s=rng.uniform(1.0, 25.0),
+        drift_k=0.3, pressure_offset_pa=rng.normal(0.0, 40.0), pressure_drift_pa=15.0,
+        gnss_offset_m=rng.normal(0.0, 2.0), humidity_bias=rng.normal(0.0, 0.03),
+    )  # fmt: skip
+
+
+def walk(rng: np.random.Generator, seconds: np.ndarray, tau: float) -> np.ndarray:
+    """A stationary first-order Gauss-Markov process of unit variance at even times."""
+    keep = math.exp(-(seconds[1] - seconds[0]) / tau)
+    kicks = rng.normal(0.0, 1.0, seconds.size) * math.sqrt(1.0 - keep * keep)
+    kicks[0] = rng.normal()
+    return lfilter([1.0], [1.0, -keep], kicks)
+
+
+def path(climb: float, rate: float, cruise_s: float, descent: bool, hz: float):
+    """Seconds and heights above ground: standing, climbing, cruising, coming down."""
+    up = TAKEOFF_S + climb / rate
+    times, heights = [0.0, TAKEOFF_S, up, up + cruise_s], [0.0, 0.0, climb, climb]
+    if descent:
+        times.append(times[-1] + climb / rate)
+        heights.append(0.0)
+    seconds = np.arange(0.0, times[-1], 1.0 / hz)
+    return seconds, np.interp(seconds, times, heights)
+
+
+def fly(
+    truth: Truth, climb: float, sensors: Sensors, rng: np.random.Generator, *,
+    thermometer: bool = True, barometer: bool = True, humidity: str = "surface",
+    rate: float = 5.0, cruise_s: float = 300.0, descent: bool = False, hz: float = 1.0,
+    gate_s: float = 60.0,
+) -> AirSamples:  # fmt: skip
+    """What a flight measures. ``humidity``: none | surface (the lowest 200 m) | profile."""
+    s = sensors
+    seconds, above = path(climb, rate, cruise_s, descent, hz)
+    n = seconds.size
+    air = truth.at(truth.t, above)
+    keep = math.exp(-1.0 / hz / s.lag_s) if s.lag_s > 0.0 else 0.0
+    felt, _ = lfilter([1.0 - keep], [1.0, -keep], air, zi=[keep * air[0]])
+    since = np.maximum(seconds - TAKEOFF_S, 0.0)
+    t = felt + s.bias_k + s.transient_k * np.exp(-since / s.transient_s)
+    t += rng.normal(0.0, 1.0, n) * s.noise_k + s.drift_k * walk(rng, seconds, 600.0)
+    t += np.where(rng.random(n) < s.outliers, s.outlier_k, 0.0)
+    p = truth.at(truth.p, above) + s.pressure_offset_pa
+    p += s.pressure_drift_pa * walk(rng, seconds, 1200.0)
+    p += rng.normal(0.0, 1.0, n) * s.pressure_noise_pa
+    h = truth.h[0] + above + s.gnss_offset_m + s.gnss_drift_m * walk(rng, seconds, 900.0)
+    h += rng.normal(0.0, 1.0, n) * s.gnss_noise_m
+    rh = truth.at(truth.rh, above) + s.humidity_bias + rng.normal(0.0, 1.0, n) * s.humidity_noise
+    time_ns = truth.start_ns + np.round(seconds * 1e9).astype(np.int64)
+    flown = seconds - TAKEOFF_S >= gate_s
+    moist = {"none": None, "surface": above < 200.0, "profile": flown}[humidity]
+    return AirSamples(
+        Samples(time_ns, h, t, flown, "thermometer") if thermometer else None,
+        Samples(time_ns, h, p, np.ones(n, bool), "barometer") if barometer else None,
+        Samples(time_ns, h, rh, moist, "hygrometer") if moist is not None else None,
+    )

@@ -1,0 +1,501 @@
+"""The estimator piece by piece: its derivatives, its nuisances, its fallbacks, its cost."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from pipeline.atmosphere import standard_atmosphere
+from pipeline.atmosphere.adjust import build_adjusted_profile
+from pipeline.atmosphere.bins import bin_readings
+from pipeline.atmosphere.climatology import AUTO, climatology
+from pipeline.atmosphere.covariance import ProfileCovariance
+from pipeline.atmosphere.estimate import estimate, layout_of
+from pipeline.atmosphere.hypsometry import column
+from pipeline.atmosphere.judgement import implausible
+from pipeline.atmosphere.metar import SurfaceReport
+from pipeline.atmosphere.profile import Profile, stack_layers
+from pipeline.atmosphere.samples import AirSamples, Samples
+from pipeline.atmosphere.soundings import Sounding
+from pipeline.atmosphere.sources import sources_of
+from pipeline.atmosphere.state import air_of, place_knots, prior_of
+from pipeline.ledger import Kind, Ledger
+
+US1976 = standard_atmosphere("us1976")
+ARCTIC, DESERT, MONSOON, TRADES, NIGHT = range(5)
+
+
+@pytest.fixture(scope="module")
+def airs(flights):
+    return [flights.Truth(balloon) for balloon in flights.extremes()]
+
+
+def background(truth, name="us1976"):
+    return climatology(name, latitude_rad=truth.latitude, month=6.0)
+
+
+def estimated(truth, samples, **more):
+    return estimate(samples, background(truth), moisture=background(truth, AUTO), **more)
+
+
+def adjust(truth, samples, **more):
+    ledger = Ledger()
+    return build_adjusted_profile(samples, US1976, truth.latitude, ledger, **more), ledger
+
+
+def codes(ledger, kind=None):
+    return [entry.code for entry in ledger if kind is None or entry.kind is kind]
+
+
+# The column
+
+
+def test_the_column_is_the_integral_of_a_broken_line():
+    rng = np.random.default_rng(3)
+    edge = np.concatenate([[0.0], np.cumsum(rng.uniform(20.0, 700.0, 12))])
+    virtual = rng.uniform(210.0, 300.0, 13)
+    virtual[4], virtual[8] = virtual[3], virtual[7] + 1e-5  # isothermal, and nearly
+    at = np.array([0.0, 10.0, edge[4], 0.5 * (edge[3] + edge[4]), edge[9] - 1.0, edge[-1]])
+    integral, _ = column(edge, virtual, at)
+    for height, found in zip(at, integral, strict=True):
+        kinks = [float(e) for e in edge if 0.0 < e < height] or None
+        right = quad(lambda h: 1.0 / np.interp(h, edge, virtual), 0.0, height, points=kinks,
+                     limit=200, epsabs=1e-13, epsrel=1e-13)[0]  # fmt: skip
+        assert found == pytest.approx(right, rel=1e-12, abs=1e-13)
+
+
+def test_the_gradient_of_the_column():
+    rng = np.random.default_rng(4)
+    edge = np.concatenate([[0.0], np.cumsum(rng.uniform(20.0, 700.0, 10))])
+    virtual = rng.uniform(210.0, 300.0, 11)
+    virtual[4], virtual[8] = virtual[3], virtual[7] + 0.02
+    at = np.linspace(0.0, edge[-1], 23)
+    _, gradient = column(edge, virtual, at)
+    for k in range(edge.size):
+        up, down = virtual.copy(), virtual.copy()
+        up[k] += 0.01
+        down[k] -= 0.01
+        slope = (column(edge, up, at)[0] - column(edge, down, at)[0]) / 0.02
+        np.testing.assert_allclose(gradient[:, k], slope, rtol=1e-6, atol=1e-10)
+
+
+# The derivatives of what sensors read
+
+
+@pytest.fixture(scope="module")
+def problem(flights, airs):
+    """Every kind of source at a state that is far from its prior, in humid air."""
+    truth = airs[TRADES]
+    rng = np.random.default_rng(8)
+    samples = flights.fly(truth, 2500.0, flights.REALISTIC, rng, humidity="profile")
+    t = samples.temperature
+    speed = Samples(t.time_ns, t.h_m, 40.0 + 0.0 * t.value, t.accepted, "airspeed")
+    found = sources_of(
+        replace(samples, airspeed=speed), background(truth),
+        [balloon_of(truth)], [SurfaceReport(100.0, 1.0e5, 299.0, 2400.0)],
+    )  # fmt: skip
+    layout = layout_of(found, background(truth))
+    prior = prior_of(layout, background(truth), background(truth, AUTO))
+    x = prior.mean + 0.3 * np.sqrt(1.0 / np.diag(prior.precision)) * rng.normal(size=layout.size)
+    x[layout.humidity] = np.clip(x[layout.humidity], 0.3, 0.8)
+    profile = background(truth).profile
+    return found, layout, x, profile
+
+
+def balloon_of(truth, **change):
+    """A sounding that measured an air, every 200 m."""
+    pick = slice(0, None, 200)
+    columns = {
+        "h_m": truth.h[pick], "pressure_pa": truth.p[pick], "temperature_k": truth.t[pick],
+        "vapour_pressure_pa": truth.e[pick], "time_ns": truth.start_ns, "station": "72357",
+    }  # fmt: skip
+    return Sounding(**(columns | change))
+
+
+def test_every_derivative_of_every_source(problem):
+    found, layout, x, profile = problem
+    pressure = profile.pressure(profile.gravity.height(layout.knot))
+
+    def predict(state, source):
+        return source.predict(air_of(layout, state, pressure, profile.constant))
+
+    assert len(found.sources) == 10
+    kinds = {type(source).__name__ for source in found.sources}
+    assert kinds == {"Thermometer", "Barometer", "Humidities", "Temperatures", "Pressures"}
+    for source in found.sources:
+        _, jacobian = predict(x, source)
+        scale = np.abs(jacobian).max()
+        for j in range(layout.size):
+            step = np.zeros(layout.size)
+            step[j] = 1e-3
+            slope = (predict(x + step, source)[0] - predict(x - step, source)[0]) / 2e-3
+            # Lag moves a reading across kinks of T(H): there its derivative is one-sided.
+            coarse = j == layout.level + 1 + [f.name for f in layout.faults].index(
+                "thermometer lag [s]"
+            )
+            limit = 0.05 if coarse else 2e-6
+            worst = np.abs(jacobian[:, j] - slope).max()
+            assert worst < limit * scale, (source.name, j, worst, scale)
+
+
+# The covariance
+
+
+def test_sigma_of_r_is_that_of_the_gradient(flights, airs):
+    """By differences of R of profiles with one quantity moved, integrated in the test."""
+    truth = airs[NIGHT]
+    made = estimate(
+        flights.fly(truth, 800.0, flights.REALISTIC, np.random.default_rng(1)), background(truth)
+    )
+    profile, layers = made.profile, made.profile.layers
+    k = layers.edge.size
+    t_m = profile.virtual_temperature(profile.gravity.height(layers.edge))
+    vapour = np.append(layers.vapour, layers.vapour[-1])
+    level = float(profile.pressure(profile.gravity.height(made.covariance.anchor_m)))
+    h = truth.h[0] + np.arange(0.0, 801.0)
+
+    def r(change):
+        moved = stack_layers(
+            layers.edge, t_m + change[:k], vapour + change[k + 1 :], layers.source,
+            anchor=(made.covariance.anchor_m, level * math.exp(change[k])),
+            constant=profile.constant,
+        )  # fmt: skip
+        n = Profile(moved, profile.gravity, profile.index).refractivity(h)
+        return float(np.trapezoid(n - n[-1]) / 800.0)
+
+    gradient = np.zeros(2 * k + 1)
+    for i in range(2 * k + 1):
+        step = np.zeros(2 * k + 1)
+        step[i] = 1e-5 if i > k else 1e-2 if i < k else 1e-4
+        gradient[i] = (r(step) - r(-step)) / (2.0 * step[i])
+    sigma = math.sqrt(gradient @ made.covariance.matrix @ gradient) / abs(r(np.zeros(2 * k + 1)))
+    found = made.covariance.relative_sigma(truth.h[0] + 800.0, truth.h[0])
+    assert found == pytest.approx(sigma, rel=2e-3)
+    assert 0.005 < sigma < 0.05
+
+
+def test_without_measurements_it_is_the_climatology_with_its_sigma(airs):
+    for name in ("us1976", AUTO):
+        air = background(airs[MONSOON], name)
+        made = estimate(AirSamples(), air)
+        h = np.array([0.0, 500.0, 3000.0, 9000.0, 15_000.0])
+        np.testing.assert_allclose(
+            made.profile.temperature(h), air.profile.temperature(h), atol=0.03
+        )
+        np.testing.assert_allclose(made.profile.pressure(h), air.profile.pressure(h), rtol=1e-3)
+        sigma = made.covariance.sigma_temperature(h)
+        np.testing.assert_allclose(sigma, air.spread.sigma_temperature(h), rtol=0.05)
+        level = made.covariance.sigma_log_pressure(0.0).item()
+        assert level == pytest.approx(air.spread.pressure_ratio, rel=0.02)
+
+
+def test_doubt_grows_away_from_the_samples(flights, airs):
+    truth = airs[TRADES]
+    rng = np.random.default_rng(1)
+    made = estimated(truth, flights.fly(truth, 2000.0, flights.REALISTIC, rng))
+    top = truth.h[0] + 2000.0
+    sigma = made.covariance.sigma_temperature(top + np.array([-500.0, 300.0, 1000.0, 3000.0]))
+    assert sigma[0] < 0.8
+    assert np.all(np.diff(sigma) > 0.3)
+    n = made.covariance.sigma_refractivity(top + np.array([-500.0, 3000.0]))
+    assert n[1] > 3.0 * n[0]
+
+
+def test_a_covariance_must_fit_its_profile():
+    with pytest.raises(ValueError, match="does not fit"):
+        ProfileCovariance(US1976, 0.0, np.eye(3))
+
+
+# What is wrong with the sensors is found
+
+
+def nuisance(made, name):
+    return next(n for n in made.nuisances if name in n.name)
+
+
+def test_bias_lag_and_transient_are_found(flights, airs):
+    truth = airs[TRADES]
+    rng = np.random.default_rng(2)
+    samples = flights.fly(truth, 3000.0, flights.REALISTIC, rng, gate_s=0.0, descent=True)
+    made = estimated(truth, samples)
+    for name, right, sharp in (
+        ("bias", 3.0, 0.5), ("lag", 20.0, 2.0), ("transient", 5.0, 1.5),
+    ):  # fmt: skip
+        found = nuisance(made, name)
+        assert found.sigma < sharp, found
+        assert abs(found.value - right) < 3.0 * found.sigma, found
+
+
+def test_the_heat_of_speed_is_found(flights, airs):
+    """r V^2/(2 c_p): 2.3 K at 75 m/s, and the climb was slower than the survey."""
+    truth = airs[NIGHT]
+    rng = np.random.default_rng(3)
+    samples = flights.fly(truth, 3000.0, flights.Sensors(noise_k=0.2), rng, descent=True)
+    t = samples.temperature
+    speed = np.where(np.gradient(t.h_m) > 1.0, 45.0, 80.0)
+    density = truth.at(truth.p / truth.t, t.h_m - truth.h[0]) / 287.05
+    heated = t.value + 0.85 * speed**2 / (2.0 * 1005.0) * 1.225 / density
+    airspeed = Samples(t.time_ns, t.h_m, speed, np.ones(speed.size, bool), "airspeed")
+    with_speed = replace(samples, temperature=replace(t, value=heated), airspeed=airspeed)
+    made = estimated(truth, with_speed)
+    recovery = nuisance(made, "recovery")
+    assert abs(recovery.value - 0.85) < 2.5 * recovery.sigma
+    assert recovery.sigma < 0.2
+    blind = estimated(truth, replace(with_speed, airspeed=None))
+    error, worse = (abs(truth.error(m.profile, 3000.0)) for m in (made, blind))
+    assert error < 0.006
+    assert error < worse
+
+
+def test_outliers_are_marked(flights, airs):
+    truth = airs[MONSOON]
+    rng = np.random.default_rng(4)
+    clean = flights.fly(truth, 3000.0, flights.Sensors(noise_k=0.2), rng)
+    t = clean.temperature
+    bad = rng.random(t.value.size) < 0.03
+    spoilt = replace(t, value=t.value + 15.0 * bad)
+    adjusted, ledger = adjust(truth, replace(clean, temperature=spoilt))
+    rejected = adjusted.rejected["temperature"]
+    # In the few bins where the air itself changes fast an outlier may stay, with little weight.
+    assert rejected[bad & t.accepted].mean() > 0.9
+    assert rejected[~bad].mean() < 0.002
+    told = next(e for e in ledger if e.code == "AIR-OUTLIERS" and e.where == "thermometer")
+    assert told.count == rejected.sum()
+
+
+def test_a_board_is_air_plus_ten_kelvin_only_if_the_user_insists(flights, airs):
+    truth = airs[NIGHT]
+    rng = np.random.default_rng(5)
+    samples = flights.fly(truth, 3000.0, flights.Sensors(noise_k=0.2), rng)
+    t = samples.temperature
+    seconds = (t.time_ns - t.time_ns[0]) * 1e-9
+    board = replace(t, value=t.value + 12.0 + 4.0 * np.sin(seconds / 200.0), name="board")
+    refused, ledger = adjust(truth, replace(samples, temperature=board))
+    assert "AIR-THERMOMETER" in codes(ledger, Kind.LOSS)
+    insisted, ledger = adjust(truth, replace(samples, temperature=board, board_temperature=True))
+    assert not ledger.has_losses
+    assert insisted.basis == "thermometer"
+    bias = nuisance(insisted, "bias")
+    assert bias.prior_sigma == 10.0
+    sigma = insisted.covariance.relative_sigma(truth.h[0] + 3000.0, truth.h[0])
+    assert abs(truth.error(insisted.profile, 3000.0)) < 2.0 * sigma
+    assert sigma > 0.006
+    assert refused.basis == "barometer"
+
+
+# Other sources
+
+
+@pytest.mark.parametrize("age_h", [0.0, 24.0])
+def test_a_sounding_alone(airs, age_h):
+    truth = airs[ARCTIC]
+    released = truth.start_ns - int(age_h * 3.6e12)
+    adjusted, _ = adjust(truth, AirSamples(), soundings=[balloon_of(truth, time_ns=released)])
+    assert adjusted.basis == "sounding"
+    assert "72357" in adjusted.reason
+    for climb in (1000.0, 6000.0):
+        assert abs(truth.error(adjusted.profile, climb)) < 0.02
+    assert "measured" in adjusted.profile.layers.source
+
+
+def test_an_old_sounding_is_worth_less(flights, airs):
+    truth = airs[ARCTIC]
+    samples = flights.fly(truth, 1500.0, flights.REALISTIC, np.random.default_rng(1))
+    where = (truth.h[0] + 1500.0, truth.h[0])
+    sigmas = [
+        estimated(truth, samples, soundings=given).covariance.relative_sigma(*where)
+        for given in (
+            [balloon_of(truth)], [balloon_of(truth, time_ns=truth.start_ns - 86_400 * 10**9)], [],
+        )
+    ]  # fmt: skip
+    assert sigmas[0] < sigmas[1] < sigmas[2]
+
+
+def test_a_surface_report_anchors_a_flight_without_a_barometer(flights, airs):
+    truth = airs[MONSOON]
+    rng = np.random.default_rng(6)
+    samples = flights.fly(truth, 2000.0, flights.Sensors(), rng, barometer=False, humidity="none")
+    report = SurfaceReport(
+        float(truth.h[0]), float(truth.p[0]), float(truth.t[0]), float(truth.e[0]), None, "config"
+    )
+    alone, ledger = adjust(truth, samples)
+    told, _ = adjust(truth, samples, surface=[report])
+    assert "AIR-HUMIDITY-EXPECTED" in codes(ledger)
+    h = truth.h[:2000:100]
+    off = [np.abs(a.profile.pressure(h) / truth.p[:2000:100] - 1.0).max() for a in (alone, told)]
+    assert off[1] < 1.5e-3 < off[0] + 1e-3
+    doubt = [a.covariance.sigma_log_pressure(h[0]).item() for a in (alone, told)]
+    assert doubt[1] < 0.2 * doubt[0]
+    only, _ = adjust(truth, AirSamples(), surface=[report])
+    assert only.basis == "surface"
+    blank = SurfaceReport(float(truth.h[0]), math.nan, math.nan, math.nan)
+    assert adjust(truth, samples, surface=[blank])[0].basis == "thermometer"
+
+
+def test_part_of_the_samples_is_enough(flights, airs):
+    truth = airs[NIGHT]
+    rng = np.random.default_rng(7)
+    samples = flights.fly(truth, 3000.0, flights.REALISTIC, rng, descent=True)
+    seconds = (samples.pressure.time_ns - truth.start_ns) * 1e-9
+
+    def late(sensor):
+        return replace(sensor, accepted=sensor.accepted & (seconds > 800.0))
+
+    part = AirSamples(late(samples.temperature), late(samples.pressure), None)
+    found, _ = adjust(truth, part)
+    assert abs(truth.error(found.profile, 3000.0)) < 0.02
+    assert found.time_ns > truth.start_ns + 800 * 10**9
+
+
+# Never worse than the climatology
+
+
+def spoilt(flights, truth, change, climb=3000.0, **how):
+    """A flight without a barometer, its thermometer reading what ``change`` makes of it."""
+    rng = np.random.default_rng(9)
+    samples = flights.fly(truth, climb, flights.Sensors(), rng, barometer=False, **how)
+    t = samples.temperature
+    return replace(samples, temperature=replace(t, value=change(t, rng)))
+
+
+def noisy(t, rng, size):
+    """Readings that have nothing to do with one another after 40 s."""
+    return t.value + size * rng.normal(size=t.value.size // 40 + 1).repeat(40)[: t.value.size]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t, _: noisy(t, np.random.default_rng(10), 20.0), "held out"),
+        (lambda t, _: 290.0 - 0.014 * (t.h_m - t.h_m.min()), "overturns"),
+        (lambda t, _: 330.0 + 0.0 * t.h_m, "sigma from the climatology"),
+    ],
+    ids=["noise", "14 K a kilometre", "330 K"],
+)
+def test_a_thermometer_that_measures_no_air(flights, airs, change, words):
+    truth = airs[NIGHT]
+    adjusted, ledger = adjust(truth, spoilt(flights, truth, change))
+    assert adjusted.basis == "standard"
+    told = next(e for e in ledger if e.code == "AIR-IMPLAUSIBLE")
+    assert told.kind is Kind.LOSS
+    assert words in told.what
+    own = standard_atmosphere("us1976", latitude=truth.latitude)
+    h = np.linspace(0.0, 12_000.0, 60)
+    np.testing.assert_allclose(adjusted.profile.temperature(h), own.temperature(h), rtol=1e-12)
+    np.testing.assert_allclose(adjusted.profile.pressure(h), own.pressure(h), rtol=1e-12)
+    sigma = adjusted.covariance.relative_sigma(truth.h[0] + 3000.0, truth.h[0])
+    assert sigma > 0.05
+    assert abs(truth.error(adjusted.profile, 3000.0)) < 2.5 * sigma
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.25])
+def test_temperatures_that_no_air_has(flights, airs, factor):
+    truth = airs[MONSOON]
+    made = estimated(truth, flights.fly(truth, 800.0, flights.Sensors(), np.random.default_rng(1)))
+    assert implausible(made, background(truth)) is None
+    layers = made.profile.layers
+    hot = replace(layers, temperature=layers.temperature * factor, lapse=layers.lapse * factor)
+    spoilt = replace(made, profile=replace(made.profile, layers=hot))
+    assert "none of air" in implausible(spoilt, background(truth))
+
+
+@pytest.mark.parametrize("size", [2.0, 9.0, 25.0])
+@pytest.mark.parametrize("barometer", [True, False])
+def test_whatever_a_thermometer_reads_the_sigma_knows(flights, airs, size, barometer):
+    """Noise that is no longer random within a bin: either not used, or hardly, and it is said."""
+    for truth in airs:
+        rng = np.random.default_rng(10)
+        samples = flights.fly(truth, 3000.0, flights.REALISTIC, rng, barometer=barometer)
+        t = samples.temperature
+        wild = replace(samples, temperature=replace(t, value=noisy(t, rng, size)))
+        adjusted, ledger = adjust(truth, wild)
+        assert {"AIR-IMPLAUSIBLE", "AIR-MISFIT"} & set(codes(ledger))
+        sigma = adjusted.covariance.relative_sigma(truth.h[0] + 3000.0, truth.h[0])
+        error = abs(truth.error(adjusted.profile, 3000.0))
+        assert error < 2.5 * sigma
+        if barometer:
+            assert error < 0.03
+
+
+def test_too_little_height_returns_the_climatology_with_its_sigma(flights, airs):
+    truth = airs[TRADES]
+    samples = flights.fly(truth, 120.0, flights.REALISTIC, np.random.default_rng(1))
+    climate = climatology(AUTO, latitude_rad=truth.latitude, month=3.0)
+    adjusted, ledger = adjust(truth, samples, background=climate)
+    assert adjusted.basis == "climatology"
+    assert codes(ledger) == ["AIR-STANDARD"]
+    h = np.linspace(0.0, 12_000.0, 50)
+    np.testing.assert_allclose(
+        adjusted.profile.temperature(h), climate.profile.temperature(h), atol=0.02
+    )
+    spread = climate.spread.sigma_temperature(h)
+    np.testing.assert_allclose(adjusted.covariance.sigma_temperature(h), spread, rtol=0.1)
+
+
+# Bins and knots
+
+
+def test_bins_keep_ways_and_times_apart():
+    seconds = np.arange(1200.0)
+    height = np.concatenate([np.linspace(0.0, 100.0, 200), np.full(800, 100.0 + 1e-6),
+                             np.linspace(100.0, 0.0, 200)])  # fmt: skip
+    value = np.where(seconds < 200.0, 1.0, np.where(seconds < 1000.0, 2.0, 3.0))
+    bins = bin_readings(seconds, height, value, np.ones(1200, bool), width=50.0, slice_s=300.0,
+                        floor=0.01)  # fmt: skip
+    assert bins.count.sum() >= 1198
+    level = bins.height > 99.0
+    assert level.sum() >= 4  # 800 s of level flight in slices of 300 s
+    climbing = (bins.height < 90.0) & (bins.seconds < 300.0)
+    np.testing.assert_allclose(bins.value[climbing], 1.0, atol=1e-12)
+    np.testing.assert_allclose(bins.value[(bins.height < 90.0) & ~climbing], 3.0, atol=1e-12)
+
+
+def test_means_of_many_readings_are_not_better_than_their_correlation():
+    rng = np.random.default_rng(2)
+    n = 2000  # 200 s at 10 Hz: independent every 2 s
+    seconds, value = np.arange(n) * 0.1, rng.normal(0.0, 0.2, n)
+    bins = bin_readings(seconds, np.full(n, 10.0), value, np.ones(n, bool), width=50.0,
+                        slice_s=1e4, floor=0.05)  # fmt: skip
+    assert bins.sigma.item() == pytest.approx(0.2 / math.sqrt(101.0), rel=0.1)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 100.0), (-400.0, 12_000.0), (3000.0, 3300.0)])
+def test_knots(low, high):
+    edge = standard_atmosphere("us1976").layers.edge
+    knot = place_knots(low, high, edge)
+    assert np.all(np.diff(knot) > 10.0)
+    assert {edge[0], edge[-1]} <= set(knot)
+    inside = knot[(knot >= low) & (knot <= high)]
+    assert np.diff(inside).max() <= 101.0
+    assert knot.size < 300
+    assert np.diff(knot[knot < 32_000.0]).max() < 900.0
+
+
+# Cost
+
+
+def test_four_hours_at_ten_hertz(airs):
+    truth = airs[TRADES]
+    n = 144_000
+    seconds = np.arange(n) * 0.1
+    above = np.abs((seconds / 900.0) % 2.0 - 1.0) * 2500.0
+    rng = np.random.default_rng(1)
+    stamps = truth.start_ns + np.round(seconds * 1e9).astype(np.int64)
+    sensors = [
+        Samples(stamps, truth.h[0] + above, truth.at(v, above) + s * rng.normal(size=n),
+                np.ones(n, bool), name)
+        for v, s, name in ((truth.t, 0.2, "t"), (truth.p, 5.0, "p"), (truth.rh, 0.02, "rh"))
+    ]  # fmt: skip
+    air = background(truth)
+    taken = []
+    for _ in range(3):
+        began = time.perf_counter()
+        made = estimate(AirSamples(*sensors), air)
+        taken.append(time.perf_counter() - began)
+    assert min(taken) < 2.0
+    assert abs(truth.error(made.profile, 2500.0)) < 0.005

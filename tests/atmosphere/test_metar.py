@@ -1,0 +1,136 @@
+"""Surface reports: METARs decoded by hand beside, and numbers that no ground has."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from pipeline.atmosphere.metar import parse_metar, station_pressure, surface_report
+from pipeline.errors import InputError
+from pipeline.ledger import Ledger
+from pipeline.simulate.air import saturation_pressure_pa
+
+
+def ns(text: str) -> int:
+    return int(np.datetime64(text, "ns").astype(np.int64))
+
+
+def saturated(celsius: float) -> float:
+    return float(saturation_pressure_pa(np.array(celsius + 273.15)))
+
+
+def test_station_pressure_is_that_of_the_tables():
+    # US 1976, table I: 1000 m' 898.746 hPa, 5000 m' 540.199 hPa; ICAO's is the same air.
+    for h, hpa in ((0.0, 1013.25), (1000.0, 898.746), (5000.0, 540.199)):
+        assert station_pressure(101325.0, h) == pytest.approx(hpa * 100.0, rel=2e-6)
+    # The Smithsonian formula as weather services have it, in hPa: Denver at 1656 m, A3000.
+    denver = (1015.92**0.190263 - 8.417286e-5 * 1656.0) ** (1.0 / 0.190263)
+    assert station_pressure(101_592.0, 1656.0) == pytest.approx(denver * 100.0, rel=5e-5)
+
+
+def test_tenths_of_the_remarks_and_inches():
+    report = parse_metar(
+        "METAR KOUN 221153Z 14011KT 10SM FEW250 13/13 A3011 RMK AO2 SLP190 T01281017", 357.0,
+        Ledger(), flight_ns=ns("2023-05-22T12:30"),
+    )  # fmt: skip
+    assert report.temperature_k == pytest.approx(273.15 + 12.8)
+    assert report.vapour_pressure_pa == pytest.approx(saturated(-1.7), rel=0.01)
+    qnh = 30.115 * 33.86389  # rounded down to 30.11
+    hpa = (qnh**0.190263 - 8.417286e-5 * 357.0) ** (1.0 / 0.190263)
+    assert report.pressure_pa == pytest.approx(hpa * 100.0, rel=5e-5)
+    assert report.time_ns == ns("2023-05-22T11:53")
+    assert report.origin == "METAR KOUN"
+    assert report.sigma_temperature_k == 0.3
+
+
+def test_whole_degrees_below_zero_and_hectopascals():
+    report = parse_metar("EDDF 221150Z AUTO 24011KT 9999 SCT040 M05/M10 Q0998=", 0.0, Ledger())
+    assert report.temperature_k == pytest.approx(268.15)
+    assert report.vapour_pressure_pa == pytest.approx(saturated(-10.0), rel=0.01)
+    assert report.pressure_pa == pytest.approx(99850.0)  # 998 is rounded down
+    assert report.time_ns is None
+    assert report.sigma_temperature_k == 0.5
+
+
+@pytest.mark.parametrize(("flight", "report"), [
+    ("2024-03-01T01:00", "2024-02-29T23:50"),
+    ("2024-02-29T22:00", "2024-02-29T23:50"),
+    ("2024-04-28T23:00", "2024-04-29T23:50"),
+])  # fmt: skip
+def test_the_nearest_day_of_that_number(flight, report):
+    text, ledger = "METAR EDDF 292350Z 24011KT CAVOK 12/08 Q1013", Ledger()
+    assert parse_metar(text, 111.0, ledger, flight_ns=ns(flight)).time_ns == ns(report)
+    far = abs(ns(flight) - ns(report)) > 3 * 3600 * 10**9
+    assert [entry.code for entry in ledger] == (["METAR-FAR-IN-TIME"] if far else [])
+
+
+def test_what_is_missing_is_unknown():
+    report = parse_metar("METAR EDDF 221150Z 24011KT CAVOK 12/// Q////", 111.0, Ledger())
+    assert report.temperature_k == pytest.approx(285.15)
+    assert math.isnan(report.pressure_pa)
+    assert math.isnan(report.vapour_pressure_pa)
+    report = parse_metar("METAR EDDF 221150Z 24011KT CAVOK ///// Q1013", 111.0, Ledger())
+    assert math.isnan(report.temperature_k)
+    assert math.isnan(report.vapour_pressure_pa)
+    assert report.pressure_pa == pytest.approx(100_023.0, abs=2.0)
+
+
+def test_unknown_groups_are_said_and_cost_nothing():
+    ledger = Ledger()
+    report = parse_metar("METAR EDDF 221150Z 24011KT XYZZY CAVOK 12/08 Q1013", 111.0, ledger)
+    assert report.temperature_k == pytest.approx(285.15)
+    assert [entry.code for entry in ledger] == ["METAR-GROUPS"]
+    assert "XYZZY" in next(iter(ledger)).what
+
+
+def test_dew_point_above_temperature_is_saturated():
+    ledger = Ledger()
+    report = parse_metar("METAR EDDF 221150Z 24011KT CAVOK 12/15 Q1013", 111.0, ledger)
+    assert [entry.code for entry in ledger] == ["METAR-DEW-POINT"]
+    assert report.vapour_pressure_pa == pytest.approx(saturated(12.0), rel=0.01)
+
+
+@pytest.mark.parametrize(("text", "code"), [
+    ("", "METAR-PARSE"),
+    ("the weather is fine", "METAR-PARSE"),
+    ("METAR EDDF 221150Z NIL=", "METAR-PARSE"),
+    ("METAR EDDF 321150Z 24011KT CAVOK 12/08 Q1013", "METAR-PARSE"),
+    ("METAR EDDF 221150Z 24011KT CAVOK 12/08 Q0113", "METAR-RANGE"),
+    ("METAR KXYZ 221150Z 24011KT CAVOK 77/08 A2992", "METAR-RANGE"),
+])  # fmt: skip
+def test_no_report(text, code):
+    with pytest.raises(InputError) as caught:
+        parse_metar(text, 111.0, Ledger(), where="mission.yaml, atmosphere.metar")
+    assert caught.value.code == code
+    assert "mission.yaml" in caught.value.where
+    assert caught.value.remedy
+
+
+def test_numbers_of_a_mission_file():
+    report = surface_report(
+        250.0, temperature_k=293.15, pressure_pa=98_400.0, relative_humidity=0.5
+    )
+    assert report.vapour_pressure_pa == pytest.approx(0.5 * saturated(20.0), rel=0.01)
+    assert (report.h_m, report.pressure_pa, report.temperature_k) == (250.0, 98_400.0, 293.15)
+    without = surface_report(250.0, pressure_pa=98_400.0)
+    assert math.isnan(without.temperature_k)
+    assert math.isnan(without.vapour_pressure_pa)
+
+
+@pytest.mark.parametrize(("values", "code"), [
+    ({"temperature_k": 68.0 + 273.15}, "SURFACE-TEMPERATURE"),  # 68 F taken for Celsius
+    ({"temperature_k": 20.0}, "SURFACE-TEMPERATURE"),  # Celsius taken for Kelvin
+    ({"pressure_pa": 984.0}, "SURFACE-PRESSURE"),
+    ({"pressure_pa": 101_325.0, "h_m": 1600.0}, "SURFACE-PRESSURE"),  # QNH
+    ({"temperature_k": 293.15, "relative_humidity": 55.0}, "SURFACE-HUMIDITY"),
+    ({"temperature_k": 293.15, "h_m": 29_000.0}, "SURFACE-HEIGHT"),
+    ({"temperature_k": 293.15, "h_m": math.nan}, "SURFACE-HEIGHT"),
+    ({}, "SURFACE-EMPTY"),
+])  # fmt: skip
+def test_numbers_that_no_ground_has(values, code):
+    with pytest.raises(InputError) as caught:
+        surface_report(**({"h_m": 250.0} | values))
+    assert caught.value.code == code
+    assert caught.value.remedy

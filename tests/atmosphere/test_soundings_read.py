@@ -1,0 +1,523 @@
+"""Soundings as files have them: real ones against lines read by eye, and what may be wrong."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import netcdf_file
+
+from pipeline.atmosphere.soundings import FORMATS, Sounding, parse_sounding
+from pipeline.errors import InputError
+from pipeline.ledger import Kind, Ledger
+from pipeline.simulate.air import normal_gravity, saturation_pressure_pa
+from pipeline.tables import soundings as from_disk
+from pipeline.tables.soundings import read_sounding
+
+SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "soundings"
+real = pytest.mark.skipif(
+    not SHARED.is_dir(), reason="the real soundings of ../shared are not beside the repository"
+)
+
+
+def ns(text: str) -> int:
+    return int(np.datetime64(text, "ns").astype(np.int64))
+
+
+def counts(ledger: Ledger) -> dict[str, int]:
+    return {entry.code: entry.count for entry in ledger}
+
+
+def metres(geopotential: float, degrees: float) -> float:
+    """Height of a geopotential height [m'], by WGS84 normal gravity and Newton's iteration."""
+    latitude, h = math.radians(degrees), geopotential
+    for _ in range(5):
+        work = h / 6.0 * sum(
+            w * normal_gravity(latitude, x * h) for w, x in ((1, 0), (4, 0.5), (1, 1))
+        )  # fmt: skip
+        h += (geopotential * 9.80665 - work) / normal_gravity(latitude, h)
+    return h
+
+
+def check_level(s: Sounding, degrees: float, hpa, geopotential, celsius, dew) -> None:
+    """A line of the file, read by eye: pressure, height, temperature, dew point."""
+    i = int(np.argmin(np.abs(s.pressure_pa - hpa * 100.0)))
+    assert s.pressure_pa[i] == pytest.approx(hpa * 100.0, rel=1e-6)
+    assert s.h_m[i] == pytest.approx(metres(geopotential, degrees), abs=0.15)
+    assert s.temperature_k[i] == pytest.approx(celsius + 273.15, abs=1e-4)
+    expected = float(saturation_pressure_pa(np.array(dew + 273.15)))
+    # Sonntag over water against Davis with Ciddor's enhancement, 0.5 % of vapour pressure.
+    assert s.vapour_pressure_pa[i] == pytest.approx(expected, rel=0.01)
+
+
+@real
+@pytest.mark.parametrize(("when", "first"), [
+    ("2010-06-01T01:00", (1009.80, 12.0, 0.0, 0.0)),
+    ("2010-06-01T12:00", (1008.40, 12.0, -1.7, -1.7)),
+])  # fmt: skip
+def test_igra_by_time(when, first):
+    ledger = Ledger()
+    s = read_sounding(SHARED / "igra2_USM00070026_Barrow.txt", ledger, time_ns=ns(when))
+    check_level(s, 71.2889, *first)
+    assert s.station == "USM00070026"
+    assert math.degrees(s.latitude_rad) == pytest.approx(71.2889)
+    assert math.degrees(s.longitude_rad) == pytest.approx(-156.7833)
+    assert counts(ledger)["SOUNDING-CHOSEN"] == 2
+    # The file in ../shared is cut off behind its third header.
+    assert counts(ledger)["SOUNDING-CUT-OFF"] == 1
+    # Wind levels without pressure: the archive's level type 30.
+    assert counts(ledger)["SOUNDING-MISSING"] > 90
+
+
+@real
+def test_igra_levels_and_release():
+    path = SHARED / "igra2_USM00070026_Barrow.txt"
+    s = read_sounding(path, Ledger(), time_ns=ns("2010-06-01T00:00"))
+    check_level(s, 71.2889, 850.0, 1383.0, -3.5, -4.3)
+    check_level(s, 71.2889, 300.0, 8939.0, -46.4, -62.3)
+    # Released at 2303 for the sounding of 00 UTC: the evening before.
+    assert s.time_ns == ns("2010-05-31T23:03")
+    geopotential = np.array([12.0, 90.0, 309.0, 500.0])
+    assert s.h_m[:4] == pytest.approx([metres(h, 71.2889) for h in geopotential], abs=0.01)
+
+
+@real
+def test_igra_derived():
+    path, ledger = SHARED / "igra2_derived_USM00070026_Barrow.txt", Ledger()
+    s = read_sounding(
+        path, ledger, time_ns=ns("2014-09-10T12:00"), latitude_rad=math.radians(71.29)
+    )
+    i = int(np.flatnonzero(s.pressure_pa == 94071.0)[0])
+    assert s.temperature_k[i] == pytest.approx(269.7)
+    assert s.vapour_pressure_pa[i] == pytest.approx(463.6)
+    assert s.h_m[i] == pytest.approx(metres(652.0, 71.29), abs=0.1)
+    assert counts(ledger)["SOUNDING-CUT-OFF"] == 1
+    assert ledger.has_losses
+
+
+@real
+def test_wyoming():
+    s = read_sounding(SHARED / "wyoming_csv_BOI_20101209_12Z.csv", Ledger())
+    check_level(s, 43.56, 850.0, 1509.0, 3.8, 1.2)
+    check_level(s, 43.56, 500.0, 5600.0, -20.9, -59.1)
+    assert s.time_ns == ns("2010-12-09T11:06")
+    s = read_sounding(SHARED / "wyoming_csv_OUN_20230522_12Z.csv", Ledger())
+    check_level(s, 35.18, 700.0, 3132.0, 4.6, -0.1)
+    s = read_sounding(
+        SHARED / "metpy_20110522_OUN_12Z.txt", Ledger(), latitude_rad=math.radians(35.18)
+    )
+    check_level(s, 35.18, 850.0, 1454.0, 22.0, 6.0)
+    assert s.time_ns == ns("2011-05-22T12:00")
+
+
+@real
+def test_wyoming_without_a_place_and_with_a_missing_height():
+    ledger = Ledger()
+    s = read_sounding(
+        SHARED / "wyoming_csv_82244_20120101_00Z.csv", ledger, latitude_rad=math.radians(-2.43)
+    )
+    assert math.isnan(s.latitude_rad)
+    assert math.isnan(s.longitude_rad)
+    assert counts(ledger) == {"SOUNDING-HEIGHTS": 1}
+    # 1002.0 hPa, 2 hPa below 74 m: 17.6 m by hand, with Tv of 305.2 K.
+    assert s.h_m[0] == pytest.approx(metres(74.0 - 29.27 * 305.2 * math.log(1.002), -2.43), abs=0.3)
+    check_level(s, -2.43, 850.0, 1505.0, 18.8, 16.8)
+
+
+@real
+def test_arm_netcdf():
+    s = read_sounding(SHARED / "sgpsondewnpnC1.b1.20190101.053200.cdf", Ledger())
+    assert s.h_m[0] == pytest.approx(metres(314.8, 36.61), abs=0.01)
+    assert s.h_m[-1] == pytest.approx(metres(24_569.5, 36.61), abs=0.5)
+    assert s.pressure_pa[0] == pytest.approx(98699.0, abs=1.0)
+    assert s.temperature_k[0] == pytest.approx(269.85, abs=1e-3)
+    assert s.vapour_pressure_pa[0] == pytest.approx(
+        float(saturation_pressure_pa(np.array(273.15 - 7.27))), rel=0.01
+    )
+    assert s.time_ns == ns("2019-01-01T05:32")
+    assert s.h_m.size > 4000
+
+
+# What follows is made here: an isothermal-lapse air whose pressures come from its own formula.
+
+HEIGHTS = np.arange(0.0, 6000.0, 500.0)
+
+
+def standard_hpa(h):
+    return 1013.25 * (1.0 - 0.0065 * np.asarray(h) / 288.15) ** 5.25588
+
+
+def air(**columns) -> dict[str, np.ndarray]:
+    """Levels every 500 geopotential metres; columns replaced, or left out where None."""
+    levels = {
+        "geopotential_m": HEIGHTS,
+        "pressure_hpa": standard_hpa(HEIGHTS),
+        "temperature_c": 15.0 - 0.0065 * HEIGHTS,
+        "dew_point_c": 5.0 - 0.0065 * HEIGHTS,
+    } | columns
+    return {name: np.asarray(column) for name, column in levels.items() if column is not None}
+
+
+def text_of(levels: dict[str, np.ndarray], order=None) -> str:
+    rows = np.column_stack(list(levels.values()))
+    rows = rows if order is None else rows[order]
+    lines = [",".join("" if math.isnan(v) else f"{v:.8g}" for v in row) for row in rows]
+    return "\n".join([",".join(levels), *lines])
+
+
+def read(levels: dict[str, np.ndarray], order=None, **options) -> tuple[Sounding, dict[str, int]]:
+    ledger = Ledger()
+    options = {"latitude_rad": math.radians(45.0)} | options
+    sounding = parse_sounding(text_of(levels, order), ledger, **options)
+    return sounding, counts(ledger)
+
+
+def refusal(levels: dict[str, np.ndarray], **options) -> InputError:
+    with pytest.raises(InputError) as caught:
+        read(levels, **options)
+    assert caught.value.where
+    assert caught.value.remedy
+    return caught.value
+
+
+def changed(name: str, i: int, value: float) -> dict[str, np.ndarray]:
+    column = air()[name].copy()
+    column[i] = value
+    return air(**{name: column})
+
+
+def test_a_clean_csv_needs_no_repair():
+    s, said = read(air())
+    assert said == {}
+    assert s.pressure_pa == pytest.approx(100.0 * standard_hpa(HEIGHTS), rel=1e-7)
+    assert s.temperature_k[0] == 288.15
+    assert s.h_m[-1] == pytest.approx(metres(5500.0, 45.0), abs=0.1)
+
+
+def test_geometric_heights_stay():
+    s, said = read(air(geopotential_m=None, h_m=HEIGHTS))
+    assert s.h_m == pytest.approx(HEIGHTS, abs=1e-6)
+    assert said == {}
+
+
+def test_units_and_humidities_say_the_same():
+    reference, _ = read(air())
+    es = saturation_pressure_pa(reference.temperature_k)
+    other, _ = read(
+        air(
+            pressure_hpa=None,
+            temperature_c=None,
+            dew_point_c=None,
+            pressure_pa=reference.pressure_pa,
+            temperature_k=reference.temperature_k,
+            relative_humidity_percent=100.0 * reference.vapour_pressure_pa / es,
+        )
+    )
+    assert other.temperature_k == pytest.approx(reference.temperature_k)
+    assert other.vapour_pressure_pa == pytest.approx(reference.vapour_pressure_pa, rel=0.01)
+    third, _ = read(air(dew_point_c=None, relative_humidity=reference.vapour_pressure_pa / es))
+    assert third.vapour_pressure_pa == pytest.approx(other.vapour_pressure_pa)
+    fourth, _ = read(air(dew_point_c=None, vapour_pressure_hpa=HEIGHTS * 0.0 + 1.0))
+    assert fourth.vapour_pressure_pa == pytest.approx(100.0)
+
+
+def test_without_humidity_it_is_unknown():
+    s, said = read(air(dew_point_c=None))
+    assert np.isnan(s.vapour_pressure_pa).all()
+    assert said == {}
+
+
+def test_missing_levels_are_left_out_and_counted():
+    levels = air(pressure_hpa=np.where(HEIGHTS == 1000.0, np.nan, standard_hpa(HEIGHTS)))
+    levels["temperature_c"] = np.where(HEIGHTS == 2000.0, -9999.0, levels["temperature_c"])
+    levels["dew_point_c"] = np.where(HEIGHTS == 3000.0, 99999.0, levels["dew_point_c"])
+    s, said = read(levels)
+    assert said == {"SOUNDING-MISSING": 2}
+    assert s.h_m.size == HEIGHTS.size - 2
+    assert np.isnan(s.vapour_pressure_pa).sum() == 1
+
+
+def test_unsorted_levels_are_sorted():
+    reference, _ = read(air())
+    for order in (np.arange(HEIGHTS.size)[::-1], [3, 0, 1, 2, *range(4, HEIGHTS.size)]):
+        s, said = read(air(), order=order)
+        assert set(said) == {"SOUNDING-UNSORTED"}
+        assert np.array_equal(s.h_m, reference.h_m)
+        assert np.array_equal(s.temperature_k, reference.temperature_k)
+
+
+@pytest.mark.parametrize(("levels", "words"), [
+    (air(pressure_hpa=None, pressure_pa=standard_hpa(HEIGHTS)), "hPa where Pa is said"),
+    (air(pressure_hpa=100.0 * standard_hpa(HEIGHTS)), "Pa where hPa is said"),
+    (air(temperature_c=288.15 - 0.0065 * HEIGHTS), "Kelvin where Celsius is said"),
+    (air(temperature_c=None, temperature_k=15.0 - 0.0065 * HEIGHTS), "Celsius where Kelvin"),
+    (air(temperature_c=32.0 + 1.8 * (38.0 - 0.0065 * HEIGHTS)), "Fahrenheit"),
+    (air(dew_point_c=278.15 - 0.0065 * HEIGHTS), "dew point"),
+    (air(dew_point_c=None, relative_humidity=55.0 + 0.0 * HEIGHTS), "fraction of one"),
+    (air(dew_point_c=None, relative_humidity_percent=0.55 + 0.0 * HEIGHTS), "fraction of one"),
+    (air(dew_point_c=None, vapour_pressure_hpa=850.0 + 0.0 * HEIGHTS), "vapour pressure"),
+])  # fmt: skip
+def test_wrong_units_are_refused(levels, words):
+    error = refusal(levels)
+    assert error.code == "SOUNDING-UNITS"
+    assert words in error.what
+
+
+@pytest.mark.parametrize("levels", [
+    air(geopotential_m=HEIGHTS / 0.3048),
+    air(temperature_c=32.0 + 1.8 * (15.0 - 0.0065 * HEIGHTS)),  # 59 F looks like a hot day
+    air(geopotential_m=HEIGHTS[::-1]),
+])  # fmt: skip
+def test_heights_that_contradict_the_air_are_refused(levels):
+    assert refusal(levels).code == "SOUNDING-INCONSISTENT"
+
+
+def test_duplicate_levels_are_averaged():
+    h = np.insert(HEIGHTS, 4, HEIGHTS[3])
+    t = 15.0 - 0.0065 * h
+    t[4] += 1.0
+    levels = {"geopotential_m": h, "pressure_hpa": standard_hpa(h), "temperature_c": t}
+    s, said = read(levels)
+    assert said["SOUNDING-DUPLICATE"] == 1
+    assert s.temperature_k[3] == pytest.approx(288.15 - 0.0065 * 1500.0 + 0.5)
+    # The same height at two pressures.
+    p = standard_hpa(h)
+    p[4] -= 0.5
+    s, said = read(levels | {"pressure_hpa": p})
+    assert said["SOUNDING-DUPLICATE"] == 1
+    assert s.pressure_pa[3] == pytest.approx(100.0 * standard_hpa(1500.0) - 25.0)
+
+
+def test_humidity_over_saturation_is_clipped():
+    s, said = read(changed("dew_point_c", 2, 14.0))
+    assert said == {"SOUNDING-HUMIDITY-OVER": 1}
+    es = saturation_pressure_pa(s.temperature_k)
+    assert s.vapour_pressure_pa[2] == pytest.approx(es[2], rel=0.01)
+    wet = np.full(HEIGHTS.size, 60.0)
+    wet[[1, 5]] = 104.0, 101.0
+    s, said = read(air(dew_point_c=None, relative_humidity_percent=wet))
+    assert said == {"SOUNDING-HUMIDITY-OVER": 2}
+    assert (s.vapour_pressure_pa <= 1.01 * saturation_pressure_pa(s.temperature_k)).all()
+    wet[1] = -3.0
+    s, said = read(air(dew_point_c=None, relative_humidity_percent=wet))
+    assert said == {"SOUNDING-HUMIDITY-OVER": 1, "SOUNDING-HUMIDITY-NEGATIVE": 1}
+    assert np.isnan(s.vapour_pressure_pa[1])
+
+
+@pytest.mark.parametrize(("i", "height"), [(4, 800.0), (4, 5200.0)])
+def test_pressure_that_does_not_fall_with_height(i, height):
+    """One wrong height takes one level with it, not all that follow."""
+    s, said = read(changed("geopotential_m", i, height))
+    assert said == {"SOUNDING-ORDER": 1}
+    assert s.h_m.size == HEIGHTS.size - 1
+
+
+def test_impossible_values_are_a_loss():
+    ledger = Ledger()
+    parse_sounding(text_of(changed("temperature_c", 3, -273.0)), ledger, latitude_rad=0.8)
+    assert [(entry.code, entry.kind) for entry in ledger] == [("SOUNDING-RANGE", Kind.LOSS)]
+
+
+def with_temperature(h, celsius) -> dict[str, np.ndarray]:
+    """Levels in balance with a temperature: pressures by trapezoids of 1/T over a metre."""
+    fine = np.arange(0.0, h[-1] + 1.0)
+    t = np.interp(fine, h, celsius) + 273.15
+    fall = np.concatenate([[0.0], np.cumsum(0.0341632 / (0.5 * (t[1:] + t[:-1])))])
+    return {
+        "geopotential_m": h,
+        "pressure_hpa": np.interp(h, fine, 1010.0 * np.exp(-fall)),
+        "temperature_c": np.asarray(celsius),
+    }
+
+
+def test_steep_and_mirage_layers_are_kept_and_said():
+    h = np.array([0.0, 20.0, 300.0, 600.0, 1000.0, 2000.0, 3000.0])
+    # 13 K/km over 300 m: unstable. Above a desert, 3 K in the first 20 m: n grows with height.
+    s, said = read(with_temperature(h, [33.0, 32.8, 29.0, 25.1, 21.5, 14.0, 7.0]))
+    assert set(said) == {"SOUNDING-SUPERADIABATIC"}
+    s, said = read(with_temperature(h, [35.0, 32.0, 29.5, 27.0, 24.0, 17.0, 10.0]))
+    assert said["SOUNDING-INDEX-RISES"] == 1
+    assert s.temperature_k[:2] == pytest.approx([308.15, 305.15])
+
+
+def test_too_few_levels():
+    error = refusal({name: column[:4] for name, column in air().items()})
+    assert error.code == "SOUNDING-LEVELS"
+    assert "4 levels" in error.what
+
+
+def test_heights_worked_out_from_the_station():
+    levels = air(geopotential_m=None)
+    assert refusal(levels).code == "SOUNDING-HEIGHT"
+    s, said = read(levels, station_h_m=0.0)
+    assert said == {"SOUNDING-HEIGHTS": HEIGHTS.size - 1}
+    # Moist: up to 9 m more than the dry air of the heights column; and 1 m of trapezoids.
+    assert s.h_m == pytest.approx([metres(h, 45.0) for h in HEIGHTS], abs=9.0)
+    dry, _ = read(air(geopotential_m=None, dew_point_c=None), station_h_m=0.0)
+    assert dry.h_m == pytest.approx([metres(h, 45.0) for h in HEIGHTS], abs=1.0)
+
+
+def test_without_latitude_it_is_said():
+    _, said = read(air(), latitude_rad=math.nan)
+    assert said == {"SOUNDING-LATITUDE": 0}
+
+
+def test_columns():
+    both = air(pressure_pa=100.0 * standard_hpa(HEIGHTS))
+    assert refusal(both).code == "SOUNDING-COLUMN"
+    without = {"pressure": standard_hpa(HEIGHTS), "temperature_c": HEIGHTS * 0.0}
+    error = refusal(without)
+    assert error.code == "SOUNDING-COLUMN"
+    assert "pressure_pa or pressure_hpa" in error.remedy
+    _, said = read(air(wind_m_s=HEIGHTS * 0.0))
+    assert said == {"SOUNDING-COLUMNS-UNUSED": 1}
+
+
+@pytest.mark.parametrize(("text", "code"), [
+    ("", "SOUNDING-FORMAT"),
+    ("lorem ipsum", "SOUNDING-FORMAT"),
+    ("h_m,pressure_hpa,pressure_hpa,temperature_c\n", "SOUNDING-COLUMN"),
+    ("h_m,pressure_hpa,temperature_c\n", "SOUNDING-EMPTY"),
+])  # fmt: skip
+def test_no_sounding(text, code):
+    with pytest.raises(InputError) as caught:
+        parse_sounding(text, Ledger())
+    assert caught.value.code == code
+
+
+def test_format_by_name():
+    with pytest.raises(InputError) as caught:
+        parse_sounding(text_of(air()), Ledger(), format_name="grib")
+    assert caught.value.code == "SOUNDING-FORMAT"
+    assert all(name in caught.value.remedy for name in FORMATS)
+    with pytest.raises(InputError) as caught:
+        parse_sounding(text_of(air()), Ledger(), format_name="wyoming_csv")
+    assert caught.value.code == "SOUNDING-COLUMN"
+
+
+WYOMING_PAGE = """<HTML><H2>72357 OUN Norman Observations at 12Z 22 May 2011</H2><PRE>
+-----------------------------------------------------------------------------
+   PRES   HGHT   TEMP   DWPT   RELH   MIXR   DRCT   SKNT   THTA   THTE   THTV
+    hPa     m      C      C      %    g/kg    deg   knot     K      K      K
+-----------------------------------------------------------------------------
+ 1000.0     47
+  966.0    345   22.2   21.0     93  16.54    180      6  298.3  346.4  301.3
+  925.0    720   20.4   20.4    100  16.63    200     31  300.1  349.0  303.1
+  896.0    995   18.8          100  15.51    206     35  301.2  347.1  304.0
+  850.0   1454   22.0    6.0     35   6.92    220     32  309.2  331.4  310.5
+  700.0   3096    7.6   -9.4     29   2.63    245     49  310.9  320.0  311.4
+  500.0   5820  -10.7  -30.7     18   0.56    250     50  319.9  322.2  320.1
+</PRE><H3>Station information and sounding indices</H3><PRE>
+                         Station identifier: OUN
+                             Station number: 72357
+                           Observation time: 110522/1200
+                           Station latitude: 35.18
+                          Station longitude: -97.44
+</PRE></HTML>"""
+
+
+def test_wyoming_page_with_blank_fields():
+    ledger = Ledger()
+    s = parse_sounding(WYOMING_PAGE, ledger)
+    assert (s.station, s.time_ns) == ("OUN", ns("2011-05-22T12:00"))
+    assert math.degrees(s.latitude_rad) == pytest.approx(35.18)
+    assert counts(ledger) == {"SOUNDING-MISSING": 1}
+    check_level(s, 35.18, 850.0, 1454.0, 22.0, 6.0)
+    # Without a dew point the relative humidity stands for it: 100 % of 18.8 C.
+    check_level(s, 35.18, 896.0, 995.0, 18.8, 18.8)
+    assert s.h_m.size == 6
+
+
+def igra(day: str, hour: str, release: str, levels: int = 6, announced: int | None = None) -> str:
+    head = (
+        f"#USM00070026 2010 06 {day} {hour} {release} {announced or levels:4d} ncdc6301 ncdc6301 "
+        f" 712889 -1567833"
+    )
+    rows = [
+        f"20 -9999 {100 * round(p):6d} {h:5.0f}B{t * 10:5.0f}B-9999    20 -9999 -9999 "
+        for h, p, t in zip(HEIGHTS[:levels], standard_hpa(HEIGHTS), 15.0 - 0.0065 * HEIGHTS,
+                           strict=False)
+    ]  # fmt: skip
+    return "\n".join([head, *rows, ""])
+
+
+def test_igra_choice_and_release():
+    three = igra("01", "00", "2303") + igra("01", "12", "9999") + igra("02", "99", "1805")
+    for when, released in (
+        ("2010-06-01T02:00", "2010-05-31T23:03"),
+        ("2010-06-01T10:00", "2010-06-01T12:00"),
+        ("2010-06-02T17:00", "2010-06-02T18:05"),
+    ):
+        s = parse_sounding(three, Ledger(), time_ns=ns(when))
+        assert s.time_ns == ns(released)
+    with pytest.raises(InputError) as caught:
+        parse_sounding(three, Ledger())
+    assert caught.value.code == "SOUNDING-CHOICE"
+    undated = igra("01", "99", "9999") + igra("02", "99", "9999")
+    with pytest.raises(InputError) as caught:
+        parse_sounding(undated, Ledger(), time_ns=ns("2010-06-01"))
+    assert caught.value.code == "SOUNDING-CHOICE"
+
+
+def test_igra_far_away_cut_off_and_damaged():
+    ledger = Ledger()
+    text = igra("01", "12", "9999", announced=40)
+    parse_sounding(text, ledger, time_ns=ns("2010-06-03T12:00"))
+    assert counts(ledger) == {"SOUNDING-TRUNCATED": 34, "SOUNDING-FAR-IN-TIME": 0}
+    assert ledger.has_losses
+    with pytest.raises(InputError) as caught:
+        parse_sounding(text + "#garbage\n", Ledger(), time_ns=0)
+    assert caught.value.code == "SOUNDING-FORMAT"
+    assert "line 8" in caught.value.where
+    with pytest.raises(InputError) as caught:
+        parse_sounding(text.splitlines()[0], Ledger(), time_ns=0)
+    assert caught.value.code == "SOUNDING-EMPTY"
+
+
+def test_fill_values_of_netcdf(tmp_path):
+    levels = {"pres": standard_hpa(HEIGHTS), "tdry": 15.0 - 0.0065 * HEIGHTS, "alt": HEIGHTS}
+    levels |= {"dp": levels["tdry"] - 10.0, "rh": 0.0 * HEIGHTS + 50.0}
+    levels["tdry"] = np.where(HEIGHTS == 1000.0, -9999.0, levels["tdry"])
+    levels["dp"] = np.where(HEIGHTS == 2000.0, -9999.0, levels["dp"])
+    path, ledger = tmp_path / "sonde.cdf", Ledger()
+    with netcdf_file(path, "w") as file:
+        file.createDimension("time", HEIGHTS.size)
+        for name, column in levels.items():
+            file.createVariable(name, "f4", ("time",))[:] = column
+    s = read_sounding(path, ledger, latitude_rad=0.8)
+    assert counts(ledger) == {"SOUNDING-MISSING": 1}
+    assert s.time_ns is None
+    # The relative humidity stands in where the dew point is missing: 50 % of 2.0 C.
+    assert s.vapour_pressure_pa[3] == pytest.approx(
+        0.5 * float(saturation_pressure_pa(np.array(275.15))), rel=0.01
+    )
+    with netcdf_file(path, "w") as file:
+        file.createDimension("time", 3)
+        file.createVariable("pres", "f4", ("time",))[:] = 1.0
+    with pytest.raises(InputError, match="no variable tdry"):
+        read_sounding(path, Ledger())
+
+
+def test_files(tmp_path, monkeypatch):
+    path = tmp_path / "s.csv"
+    path.write_bytes(b"\xef\xbb\xbf" + text_of(air()).encode())
+    assert read_sounding(path, Ledger(), latitude_rad=0.8).h_m.size == HEIGHTS.size
+    cases = {
+        "absent.csv": (None, "SOUNDING-UNREADABLE"),
+        "latin.csv": (b"h_m,pressure_hpa\n\xb0", "SOUNDING-UNREADABLE"),
+        "netcdf4.nc": (b"\x89HDF\r\n\x1a\n", "SOUNDING-NETCDF"),
+        "short.cdf": (b"CDF\x01\x00\x00", "SOUNDING-NETCDF"),
+        "empty.cdf": (b"CDF\x01" + bytes(28), "SOUNDING-NETCDF"),
+    }
+    for name, (data, code) in cases.items():
+        if data is not None:
+            (tmp_path / name).write_bytes(data)
+        with pytest.raises(InputError) as caught:
+            read_sounding(tmp_path / name, Ledger())
+        assert caught.value.code == code, name
+    monkeypatch.setattr(from_disk, "LARGEST_BYTES", 100)
+    with pytest.raises(InputError) as caught:
+        read_sounding(path, Ledger())
+    assert caught.value.code == "SOUNDING-SIZE"

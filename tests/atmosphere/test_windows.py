@@ -1,0 +1,302 @@
+"""Hours of flight through air that changes: windows, profiles between them, and their sigmas.
+
+The true air is two real soundings that blend in time, integrated anew at each time (`flights`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.atmosphere import standard_atmosphere
+from pipeline.atmosphere.adjust import build_adjusted_profile
+from pipeline.atmosphere.course import TimedAir, air_along, blend, one_air
+from pipeline.atmosphere.samples import AirSamples, Samples
+from pipeline.atmosphere.windows import estimate_windows, part_of_flight, time_windows
+from pipeline.ledger import Ledger
+
+US1976 = standard_atmosphere("us1976")
+CLIMB = 3000.0
+HOURS = 4.0
+SECOND = 1_000_000_000
+
+
+def between(flights, a, b, share):
+    """A balloon between two of one site: T, ln e and the lowest pressure linear in time."""
+    H = np.arange(max(a.H[0], b.H[0]), min(a.H[-1], b.H[-1], 12_000.0), 10.0)
+    t = [np.interp(H, one.H, one.t) for one in (a, b)]
+    e = [np.interp(H, one.H, np.log(one.e)) for one in (a, b)]
+    return flights.Balloon(
+        "between", a.latitude, H, (1.0 - share) * t[0] + share * t[1],
+        np.exp((1.0 - share) * e[0] + share * e[1]), (1.0 - share) * a.p0 + share * b.p0, a.month,
+    )  # fmt: skip
+
+
+class Day:
+    """The air between two soundings over four hours, known at nine times."""
+
+    def __init__(self, flights, a, b) -> None:
+        shares = np.linspace(0.0, 1.0, 9)
+        self.truths = [flights.Truth(between(flights, a, b, s), reach=4000.0) for s in shares]
+        self.start_ns = self.truths[0].start_ns
+        self.ground = self.truths[0].h[0]
+        self.times = self.start_ns + (shares * HOURS * 3600.0 * SECOND).astype(np.int64)
+
+    def at(self, name: str, seconds: np.ndarray, above: np.ndarray) -> np.ndarray:
+        u = np.clip(seconds / (HOURS * 3600.0), 0.0, 1.0) * 8.0
+        i = np.minimum(u.astype(int), 7)
+        values = np.array([truth.at(getattr(truth, name), above) for truth in self.truths])
+        if name == "p":
+            values = np.log(values)
+        rows = np.arange(seconds.size)
+        mixed = values[i, rows] + (u - i) * (values[i + 1, rows] - values[i, rows])
+        return np.exp(mixed) if name == "p" else mixed
+
+    def errors(self, profiles) -> np.ndarray:
+        """Errors of R in per cent at the nine times."""
+        pairs = zip(self.truths, profiles, strict=True)
+        return np.array([100.0 * truth.error(profile, CLIMB) for truth, profile in pairs])
+
+
+def legs(seconds: np.ndarray) -> np.ndarray:
+    """Heights above ground: up to 3 km and down to 300 m, once in forty minutes."""
+    up = CLIMB / 5.0
+    phase = np.mod(seconds - 30.0, 2400.0)
+    way = np.interp(phase, [0.0, up, 2400.0 - up, 2400.0], [300.0, CLIMB, CLIMB, 300.0])
+    return np.where(seconds < 30.0 + up, np.interp(seconds, [30.0, 30.0 + up], [0.0, CLIMB]), way)
+
+
+def fly(flights, day: Day, sensors, rng, hz: float = 0.5) -> AirSamples:
+    """What sensors with the faults of `flights` measure on this day."""
+    s, seconds = sensors, np.arange(0.0, HOURS * 3600.0, 1.0 / hz)
+    above, n = legs(seconds), seconds.size
+    t = day.at("t", seconds, above) + s.bias_k
+    t += s.transient_k * np.exp(-np.maximum(seconds - 30.0, 0.0) / s.transient_s)
+    t += rng.normal(0.0, 1.0, n) * s.noise_k + s.drift_k * flights.walk(rng, seconds, 600.0)
+    t += np.where(rng.random(n) < s.outliers, s.outlier_k, 0.0)
+    p = day.at("p", seconds, above) + s.pressure_offset_pa
+    p += s.pressure_drift_pa * flights.walk(rng, seconds, 1200.0)
+    h = day.ground + above + s.gnss_offset_m + s.gnss_drift_m * flights.walk(rng, seconds, 900.0)
+    rh = day.at("rh", seconds, above) + s.humidity_bias
+    rh += rng.normal(0.0, 1.0, n) * s.humidity_noise
+    time_ns = day.start_ns + np.round(seconds * SECOND).astype(np.int64)
+    flown, every = seconds > 90.0, np.ones(n, bool)
+    return AirSamples(
+        Samples(time_ns, h, t, flown, "thermometer"),
+        Samples(time_ns, h, p, every, "barometer"),
+        Samples(time_ns, h, rh, flown, "hygrometer"),
+    )
+
+
+@pytest.fixture(scope="module")
+def soundings(flights):
+    """Two mornings of Norman, Oklahoma, twelve Mays apart: R differs by 13 % over 3 km."""
+    if not flights.SOUNDINGS.is_dir():
+        pytest.skip("the real soundings of ../shared are not beside the repository")
+    found = [balloon for balloon in flights.balloons() if "OUN" in balloon.name]
+    assert len(found) == 2
+    return found
+
+
+@pytest.fixture(scope="module")
+def changing(flights, soundings):
+    return flown(flights, Day(flights, *soundings), 3)
+
+
+def flown(flights, day, seed):
+    """A day, the air of the whole flight, its windows, and the ledger."""
+    sensors = replace(flights.REALISTIC, drift_k=0.2)
+    samples = fly(flights, day, sensors, np.random.default_rng(seed))
+    ledger = Ledger()
+    whole = build_adjusted_profile(samples, US1976, day.truths[0].latitude, ledger)
+    windows = estimate_windows(whole, [day.ground + CLIMB], day.ground, ledger)
+    return day, whole, windows, ledger
+
+
+def along(day, windows):
+    return air_along([w.air for w in windows], day.times, [day.ground + CLIMB], day.ground)
+
+
+def test_air_that_changes_is_followed(changing):
+    """One profile errs by up to 6 % at the ends of the flight; measured along it: 1.5 and 0.6 %."""
+    day, whole, windows, ledger = changing
+    standing = day.errors([whole.profile] * 9)
+    assert np.abs(standing).max() > 4.0
+    assert len(windows) >= 5
+    air = along(day, windows)
+    errors = day.errors([air.airs[i].profile for i in air.number])
+    assert np.abs(errors).max() < 2.5
+    assert np.sqrt(np.mean(errors**2)) < 1.2
+    assert [entry.code for entry in ledger].count("AIR-WINDOWS") == 1
+
+
+def test_sigmas_along_the_flight_are_honest(changing):
+    day, _, windows, _ = changing
+    air = along(day, windows)
+    sigma = [
+        100.0 * air.airs[i].covariance.relative_sigma(day.ground + CLIMB, day.ground)
+        for i in air.number
+    ]
+    errors = day.errors([air.airs[i].profile for i in air.number]) / sigma
+    assert np.mean(np.abs(errors) < 1.0) >= 0.5
+    assert np.abs(errors).max() < 3.0
+    assert 0.3 < min(sigma) <= max(sigma) < 2.0
+
+
+def test_air_that_stands_still_needs_one_profile(flights, soundings):
+    """... so that a flight in it is corrected as if nobody had looked."""
+    day = Day(flights, soundings[0], soundings[0])
+    _, whole, windows, ledger = flown(flights, day, 1)
+    assert windows == ()
+    (entry,) = [entry for entry in ledger if entry.code == "AIR-WINDOWS"]
+    assert entry.what.startswith("one profile for 4.0 h")
+    assert np.abs(day.errors([whole.profile] * 9)).max() < 1.0
+
+
+# ---- windows of time
+
+
+def sensor(hours, above, value=280.0, accepted=True):
+    hours, above = np.asarray(hours, float), np.asarray(above, float)
+    time_ns = (hours * 3600.0 * SECOND).astype(np.int64)
+    return Samples(time_ns, above, np.full(hours.size, value), np.full(hours.size, accepted), "s")
+
+
+def hours_of(windows):
+    return [tuple(round(t / 3600.0 / SECOND, 1) for t in window) for window in windows]
+
+
+TIMES = np.linspace(0.0, 4.0, 2001)
+
+
+@pytest.mark.parametrize(
+    ("heights", "expected"),
+    [
+        # Up and down all the time: half hours.
+        (1000.0 + 500.0 * np.sin(TIMES * 20.0), [(0.5 * i, 0.5 * i + 0.5) for i in range(8)]),
+        # A climb, hours of level flight, a descent: the level half hours join their neighbours.
+        (np.interp(TIMES, [0.0, 0.3, 3.7, 4.0], [0.0, 3e3, 3e3, 0.0]), [(0.0, 1.0), (1.0, 4.0)]),
+        # A climb and level flight for ever: one.
+        (np.interp(TIMES, [0.0, 0.3], [0.0, 3e3]), [(0.0, 4.0)]),
+        # Nothing of the height that says something.
+        (np.full(TIMES.size, 100.0), [(0.0, 4.0)]),
+    ],
+)  # fmt: skip
+def test_windows_span_enough_height(heights, expected):
+    found = time_windows(AirSamples(sensor(TIMES, heights)))
+    assert hours_of(found) == expected
+
+
+def test_a_barometer_alone_needs_more_height():
+    heights = 1000.0 + 500.0 * np.sin(TIMES * 20.0)
+    assert hours_of(time_windows(AirSamples(None, sensor(TIMES, heights)))) == [(0.0, 4.0)]
+
+
+def test_a_short_flight_is_one_window_and_a_long_one_not_many():
+    heights = 1000.0 + 500.0 * np.sin(np.linspace(0.0, 600.0, 4001))
+    assert len(time_windows(AirSamples(sensor(np.linspace(0, 0.9, 4001), heights)))) == 1
+    assert len(time_windows(AirSamples(sensor(np.linspace(0, 30, 4001), heights)))) == 12
+
+
+def test_readings_that_no_gate_lets_through_make_no_windows():
+    assert time_windows(AirSamples(sensor(TIMES, 1e3 * np.sin(TIMES), accepted=False))) == ()
+
+
+def test_every_reading_belongs_to_one_window():
+    heights = 1000.0 + 500.0 * np.sin(TIMES * 20.0)
+    samples = AirSamples(sensor(TIMES, heights), sensor(TIMES, heights, 9e4))
+    parts = [part_of_flight(samples, *window) for window in time_windows(samples)]
+    joined = np.concatenate([part.temperature.time_ns for part in parts])
+    assert (joined == samples.temperature.time_ns).all()
+    # Nobody looked for take-offs: later parts begin in the air.
+    assert parts[0].takeoff_ns is None
+    assert all(part.takeoff_ns.size == 0 for part in parts[1:])
+
+
+def test_a_flight_that_nothing_was_measured_in_has_no_windows():
+    found = build_adjusted_profile(AirSamples(), US1976, 0.8, Ledger())
+    assert estimate_windows(found, [3000.0], 0.0, Ledger()) == ()
+
+
+# ---- between two profiles
+
+
+@pytest.fixture(scope="module")
+def pair(changing):
+    _, _, windows, _ = changing
+    return windows[0].air, windows[-1].air
+
+
+@pytest.mark.parametrize("share", [0.25, 0.5, 0.9])
+def test_a_blend_is_linear_and_hydrostatic(pair, share):
+    a, b = pair
+    mixed = blend(a, b, share)
+    h = np.linspace(500.0, 8000.0, 801)
+    for of in ("virtual_temperature", "pressure", "refractivity"):
+        mean = (1 - share) * getattr(a.profile, of)(h) + share * getattr(b.profile, of)(h)
+        # p is not linear in T, but nearly: 20 K apart the second order is 2e-4.
+        assert getattr(mixed.profile, of)(h) == pytest.approx(mean, rel=4e-4)
+    p, t = mixed.profile.pressure(h), mixed.profile.virtual_temperature(h)
+    g = mixed.profile.gravity.geopotential_height(h)
+    slope = np.gradient(np.log(p), g) * t
+    assert np.median(slope) == pytest.approx(-9.80665 * 28.9644e-3 / 8.31432, rel=1e-5)
+    assert mixed.time_ns == a.time_ns + round(share * (b.time_ns - a.time_ns))
+
+
+def test_the_ends_of_a_blend_are_the_profiles_themselves(pair):
+    a, b = pair
+    assert blend(a, b, 0.0) is a
+    assert blend(a, b, 1.0) is b
+
+
+def test_a_blend_is_never_surer_than_its_ends(pair):
+    """Whatever the errors of the two have in common: between the sigmas, never below the mix."""
+    a, b = pair
+    h = np.linspace(500.0, 6000.0, 50)
+    mixed = blend(a, b, 0.5).covariance
+    for of in ("sigma_temperature", "sigma_refractivity", "sigma_log_pressure"):
+        one, other = (getattr(air.covariance, of)(h) for air in pair)
+        found = getattr(mixed, of)(h)
+        assert np.all(found > 0.97 * 0.5 * (one + other))
+        assert np.all(found < 1.03 * np.maximum(one, other))
+
+
+def test_profiles_follow_each_other_closely(pair):
+    times = np.linspace(pair[0].time_ns - 10**12, pair[1].time_ns + 10**12, 5000).astype(np.int64)
+    air = air_along(pair, times, [3000.0], 400.0)
+    steps = [
+        abs(two.change_from(one, [3000.0], 400.0))
+        for one, two in zip(air.airs, air.airs[1:], strict=False)
+    ]
+    assert max(steps) < 5.05e-4
+    assert len(air.airs) > 50
+    assert (np.diff(air.number) >= 0).all()
+    assert air.airs[0] is pair[0]
+    assert air.airs[-1] is pair[1]
+
+
+def test_only_profiles_that_an_exposure_takes_are_made(pair):
+    air = air_along(pair, np.array([pair[0].time_ns, pair[1].time_ns]), [3000.0], 400.0)
+    assert len(air.airs) == 2
+    assert air.number.tolist() == [0, 1]
+
+
+def test_the_air_at_exposures_is_that_of_their_profile(pair):
+    air = air_along(pair, np.array([pair[1].time_ns, pair[0].time_ns]), [3000.0], 400.0)
+    h = np.array([1000.0, 2000.0])
+    for of in ("pressure", "temperature", "vapour_pressure", "refractivity"):
+        one, other = getattr(pair[1].profile, of)(1000.0), getattr(pair[0].profile, of)(2000.0)
+        assert getattr(air, of)(h) == pytest.approx([float(one), float(other)])
+    assert air.index == US1976.index
+    alone = one_air(TimedAir(None, US1976), 2)
+    assert (alone.pressure(h) == US1976.pressure(h)).all()
+
+
+def test_air_without_a_time_cannot_be_put_in_order(pair):
+    timeless = replace(pair[0], time_ns=None)
+    with pytest.raises(ValueError, match="time"):
+        air_along((timeless, pair[1]), np.zeros(1, np.int64), [3000.0], 0.0)
+    with pytest.raises(ValueError, match="both"):
+        blend(timeless, pair[1], 0.5)

@@ -1,0 +1,401 @@
+"""Sources of the air in a mission, and the several airs of a long one, end to end."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from pipeline.atmosphere.climatology import climatology
+from pipeline.atmosphere.course import TimedAir
+from pipeline.atmosphere.windows import Window
+from pipeline.batch import air as batch_air
+from pipeline.simulate.air import (
+    saturation_pressure_pa,
+    temperature_k,
+    true_air,
+    vapour_pressure_pa,
+)
+from pipeline.simulate.mission import FIELD_LAT_RAD
+
+METAR = "METAR KXYZ 151055Z 24011KT 9999 SCT040 12/08 Q1013"
+
+
+def sounding_text(offset_k: float = 0.0) -> str:
+    """The simulator's own air as a balloon would list it, from the ground up."""
+    h = np.arange(450.0, 9000.0, 150.0)
+    t, e = temperature_k(h) + offset_k, np.maximum(vapour_pressure_pa(h), 1.0)
+    table = np.linspace(190.0, 320.0, 4000)
+    dew = np.interp(e, saturation_pressure_pa(table), table)
+    rows = zip(
+        h,
+        true_air(FIELD_LAT_RAD).pressure_pa(h) / 100.0,
+        t - 273.15,
+        np.minimum(dew, t) - 273.15,
+        strict=True,
+    )
+    lines = [",".join(f"{value:.2f}" for value in row) for row in rows]
+    return "\n".join(["h_m,pressure_hpa,temperature_c,dew_point_c", *lines])
+
+
+def true_factor(h_g: float, h_c: float) -> float:
+    """R at 45 degrees in the simulator's air [arcsec], plane: the sphere takes 0.1 % away.
+
+    Mean of n along the way minus n at the camera (Gyer 1996, Eq. 24).
+    """
+    n = true_air(FIELD_LAT_RAD).n(np.linspace(h_g, h_c, 3001)) - 1.0
+    return float(np.mean(0.5 * (n[1:] + n[:-1])) - n[-1]) / np.radians(1.0 / 3600.0)
+
+
+def manifest(mission):
+    return json.loads((mission.output / "manifest.json").read_text())
+
+
+def sources(mission) -> dict[str, dict]:
+    """The last row of the manifest for each source."""
+    return {row["source"]: row for row in manifest(mission)["profile"]["sources"]}
+
+
+def atmosphere(mission, **entries):
+    mission.config.setdefault("atmosphere", {}).update(entries)
+
+
+# ---- soundings
+
+
+def test_a_sounding_is_used_hashed_and_named(mission, unbend, plain_report):
+    path = mission.folder / "balloon.csv"
+    path.write_text(sounding_text())
+    atmosphere(mission, soundings=[{"path": "balloon.csv"}])
+    checked = unbend("check", mission.save())
+    assert checked.code == 0, checked.text
+    assert "57 levels from 450 to 8850 m" in " ".join(checked.out.split())
+    assert mission.run().code == 0
+    inputs = {entry["role"]: entry["name"] for entry in manifest(mission)["inputs"]}
+    assert inputs["sounding 1"] == "balloon.csv"
+    used = sources(mission)
+    assert used["sounding"]["used"]
+    assert used["sounding"]["readings"] > 0
+    assert used["surface report"]["why_not"] == "none in the mission file"
+    assert "nothing to do" in mission.run().out
+    path.write_text(sounding_text(0.5))
+    again = mission.run()
+    assert again.code == 0, again.text
+    assert "nothing to do" not in again.out
+
+
+def test_a_sounding_stands_in_for_a_thermometer(mission, baseline, plain_report):
+    """Without a thermometer R has a sigma of 3 %; a balloon of the same air brings it down."""
+    (mission.folder / "balloon.csv").write_text(sounding_text())
+    channels = mission.config["log"]["channels"]
+    channels["temperature"] = channels["humidity"] = "HYGR[9]"
+    effects = []
+    for soundings in ([], [{"path": "balloon.csv"}]):
+        atmosphere(mission, soundings=soundings)
+        ended = mission.run()
+        assert ended.code == 3, ended.text
+        assert "CHANNEL-MISSING" in ended.text
+        effects.append(manifest(mission)["profile"]["effect"][0])
+    right = true_factor(effects[0]["h_g_m"], effects[0]["h_c_m"])
+    without, beside = effects
+    assert beside["sigma_arcsec"] < 0.8 * without["sigma_arcsec"]
+    assert abs(beside["r_c_arcsec"] - right) < 2.0 * beside["sigma_arcsec"] + 0.002 * right
+    assert (sources(mission)["thermometer"])["why_not"] == "none outside in the log"
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        (None, "INPUT-MISSING"),
+        ("h_m,pressure_hpa,temperature_c\n0,1013,15\n", "SOUNDING-LEVELS"),
+        (sounding_text().replace("temperature_c", "temperature_k", 1), "SOUNDING-[A-Z-]+"),
+        ("nothing of the kind\n", "SOUNDING-FORMAT"),
+    ],
+)
+def test_soundings_that_cannot_be_used(mission, text, code):
+    if text is not None:
+        (mission.folder / "balloon.csv").write_text(text)
+    atmosphere(mission, soundings=[{"path": "balloon.csv"}])
+    ended = mission.run()
+    assert ended.code == 6
+    assert re.search(code, ended.err), ended.err
+    assert "balloon.csv" in ended.err
+    assert not (mission.output / "manifest.json").exists()
+
+
+def test_a_standard_that_is_kept_uses_no_source(mission, plain_report):
+    (mission.folder / "balloon.csv").write_text(sounding_text())
+    atmosphere(mission, adjust=False, soundings=[{"path": "balloon.csv"}])
+    ended = mission.run()
+    assert ended.code == 0
+    assert "AIR-SOURCES-UNUSED" in ended.out
+    assert manifest(mission)["profile"]["basis"] == "standard"
+
+
+# ---- stations on the ground
+
+
+@pytest.mark.parametrize(
+    ("report", "name"),
+    [
+        ({"h_msl_m": 450, "metar": METAR}, "surface report METAR KXYZ"),
+        (
+            {"h_msl_m": 450, "temperature_c": 18.0, "pressure_hpa": 966.0,
+             "relative_humidity": 0.6, "time_utc": "2026-05-14T10:20:00+02:00"},
+            "surface report mission file",
+        ),
+    ],
+)  # fmt: skip
+def test_a_station_is_used_and_named(mission, unbend, plain_report, report, name):
+    atmosphere(mission, surface=[report])
+    assert f"at {report['h_msl_m']} m" in unbend("check", mission.save()).out
+    assert mission.run().code in (0, 3)
+    assert sources(mission)[name]["used"]
+
+
+@pytest.mark.parametrize(
+    ("report", "code", "words"),
+    [
+        ({"temperature_c": 77.0}, "SURFACE-TEMPERATURE", "Fahrenheit"),
+        ({"temperature_c": 59.0}, "SURFACE-CLIMATE", "Fahrenheit"),
+        ({"temperature_c": 288.0}, "SURFACE-TEMPERATURE", "Kelvin"),
+        ({"pressure_hpa": 1013.0}, "SURFACE-PRESSURE", "not reduced to sea level"),
+        ({"pressure_hpa": 29.92}, "SURFACE-PRESSURE", "hPa"),
+        ({"temperature_c": 15.0, "relative_humidity": 55.0}, "SURFACE-HUMIDITY", "0.55"),
+        ({"metar": "it was a fine day"}, "METAR-PARSE", "fine day"),
+        ({"metar": METAR.replace("12/08", "92/08")}, "METAR-RANGE", "digit"),
+    ],
+)
+def test_values_that_no_ground_has(mission, report, code, words):
+    atmosphere(mission, surface=[{"h_msl_m": 1500.0} | report])
+    ended = mission.run()
+    assert ended.code == 6
+    assert code in ended.err
+    assert words in ended.err
+    assert "atmosphere.surface[0]" in ended.err
+
+
+@pytest.mark.parametrize(
+    ("entries", "words"),
+    [
+        ({"surface": [{"h_msl_m": 450}]}, "give either metar, or temperature_c"),
+        ({"surface": [{"h_msl_m": 450, "metar": METAR, "temperature_c": 12.0}]}, "either metar"),
+        ({"surface": [{"h_msl_m": 450, "relative_humidity": 0.5}]}, "needs temperature_c"),
+        ({"surface": [{"h_msl_m": 450, "temperature_f": 64.0}]}, "temperature_c"),
+        ({"surface": [{"h_msl_m": 450, "temperature_c": 1.0, "time_utc": "noon"}]}, "no time like"),
+        ({"surface": [{"temperature_c": 12.0}]}, "h_msl_m"),
+        ({"soundings": [{"path": "a.csv", "format": "bufr"}]}, "wyoming_csv"),
+        ({"climatology": "tropics"}, "supplements1966"),
+        ({"board_temperature": True}, "log.channels.temperature"),
+    ],
+)
+def test_a_mission_file_that_says_nothing_sensible_of_the_air(mission, entries, words):
+    if "board_temperature" in entries:
+        mission.config["log"]["channels"].pop("temperature")
+    atmosphere(mission, **entries)
+    ended = mission.run()
+    assert ended.code == 2
+    assert words in ended.err
+
+
+# ---- the climatology, and a board
+
+
+def test_a_climatology_by_name(mission, unbend, plain_report):
+    atmosphere(mission, climatology="us1976")
+    assert "standard atmosphere us1976" in " ".join(unbend("check", mission.save()).out.split())
+
+
+def test_the_temperature_of_a_board_if_the_user_insists(mission, plain_report):
+    """The simulator's board is 15 K too warm, of which the estimate must take most away."""
+    mission.config["log"]["channels"]["temperature"] = "BARO[0]"
+    assert "CHANNEL-MISSING" in mission.run().text
+    atmosphere(mission, board_temperature=True)
+    ended = mission.run()
+    assert ended.code == 0, ended.text
+    profile = manifest(mission)["profile"]
+    assert profile["basis"] == "thermometer"
+    (bias,) = [s for s in profile["sensors"] if s["what"] == "thermometer bias [K]"]
+    assert bias["value"] == pytest.approx(15.0, abs=4.0)
+    assert bias["expected_sigma"] == 10.0
+    table = pq.read_table(mission.output / "profile.parquet").to_pandas()
+    table = table[table["h_m"].between(600.0, 2500.0)]
+    error = table["temperature_k"] - temperature_k(table["h_m"].to_numpy())
+    assert np.abs(error / table["sigma_temperature_k"]).max() < 3.0
+
+
+# ---- what is told
+
+
+def test_the_manifest_tells_the_scale_of_r_and_the_sensors(baseline):
+    profile = manifest(baseline)["profile"]
+    at_45, at_75 = profile["effect"]
+    assert (at_45["nadir_angle_deg"], at_75["nadir_angle_deg"]) == (45.0, 75.0)
+    for effect in (at_45, at_75):
+        ratio = effect["r_c_arcsec"] / effect["standard_arcsec"]
+        assert effect["factor"] == pytest.approx(ratio, abs=2e-4)
+        assert 0.0 < effect["sigma_factor"] < 0.02
+    assert profile["profiles"] == 1
+    assert profile["windows"] == []
+    assert {"thermometer bias [K]", "thermometer lag [s]"} <= {
+        s["what"] for s in profile["sensors"]
+    }
+    used = {s["quantity"] for s in profile["sources"] if s["used"] and "quantity" in s}
+    assert used == {"temperature", "pressure", "humidity"}
+    unused = {s["source"] for s in profile["sources"] if not s["used"]}
+    assert {"sounding", "surface report", "us1976"} <= unused
+    assert all(s["why_not"] for s in profile["sources"] if not s["used"])
+    page = (baseline.output / "report.html").read_text()
+    for words in ("R at 75° from", "thermometer bias [K]", "only shown beside the air", "widened"):
+        assert words in page
+
+
+def test_the_sigma_of_the_factor_covers_its_error(baseline):
+    effect = manifest(baseline)["profile"]["effect"][0]
+    right = true_factor(effect["h_g_m"], effect["h_c_m"])
+    error = effect["r_c_arcsec"] - right
+    assert abs(error) < 3.0 * effect["sigma_arcsec"] + 0.002 * right
+
+
+def test_the_profile_has_its_sigmas(baseline):
+    table = pq.read_table(baseline.output / "profile.parquet").to_pandas()
+    inside = table["h_m"].between(600.0, 2800.0)
+    assert table["sigma_temperature_k"].notna().all()
+    assert table.loc[inside, "sigma_temperature_k"].max() < 1.0
+    assert table.loc[~inside & table["h_m"].between(6e3, 2e4), "sigma_temperature_k"].min() > 1.0
+    assert (table["sigma_refractivity"] > 0.0).all()
+
+
+# ---- several airs in one mission
+
+ENDS = ("afgl1986_midlatitude_summer", "afgl1986_subarctic_summer")
+
+
+def two_airs(mission, baseline, monkeypatch, names=ENDS):
+    """Make the air of a mission change from one climate to another between first and last image.
+
+    Both have the flight's pressure at the height of the cameras.
+    """
+    stations = baseline.stations().to_pandas()
+    times = np.sort(stations["time_utc"].astype("int64"))
+    height = float(stations["h_msl_m"].median())
+
+    def windows(whole, *_):
+        p = float(whole.profile.pressure(height))
+        climates = [
+            climatology(name, latitude_rad=whole.profile.gravity.latitude_rad, month=6.0)
+            for name in names
+        ]
+        airs = [c.profile.at_level(np.array([height]), np.array([p])) for c in climates]
+        return tuple(
+            Window(int(t), int(t) + 1, TimedAir(int(t), air), 0.1, 0.01)
+            for t, air in zip((times[0], times[-1]), airs, strict=True)
+        )
+
+    monkeypatch.setattr(batch_air, "estimate_windows", windows)
+
+
+def angles(mission):
+    table = mission.results().to_pandas().set_index(["image", "point"])
+    return table[table["status"] == "ok"]
+
+
+@pytest.fixture
+def changed(mission, baseline, monkeypatch, plain_report):
+    """The mission in air that changes, and the same in the first and in the last air alone."""
+    found = {}
+    for name, climates in (
+        ("first", (ENDS[0],) * 2), ("last", (ENDS[1],) * 2), ("changing", ENDS),
+    ):  # fmt: skip
+        two_airs(mission, baseline, monkeypatch, climates)
+        ended = mission.run("--force")
+        assert ended.code == 0, ended.text
+        found[name] = angles(mission)
+    return mission, found
+
+
+def test_each_image_is_corrected_in_the_air_of_its_time(changed):
+    """R goes from that of the first air to that of the last, linear in time to 0.05 %."""
+    mission, found = changed
+    stations = mission.stations().to_pandas().set_index("image")
+    times = stations["time_utc"].astype("int64")
+    share = (times - times.min()) / (times.max() - times.min())
+    at = share.loc[found["changing"].index.get_level_values("image")].to_numpy()
+    first, last = found["first"]["r_c_rad"].to_numpy(), found["last"]["r_c_rad"].to_numpy()
+    assert np.abs(last / first - 1.0).max() > 0.01
+    expected = (1.0 - at) * first + at * last
+    assert found["changing"]["r_c_rad"].to_numpy() == pytest.approx(expected, rel=8e-4)
+    # The window stands in the air of the time too.
+    first, last = found["first"]["r_cc_rad"].to_numpy(), found["last"]["r_cc_rad"].to_numpy()
+    assert np.abs(last / first - 1.0).max() > 0.02
+    expected = (1.0 - at) * first + at * last
+    assert found["changing"]["r_cc_rad"].to_numpy() == pytest.approx(expected, rel=2e-3)
+
+
+def test_the_tables_name_the_profile_of_each_image(changed):
+    mission, _ = changed
+    stations = mission.stations().to_pandas().sort_values("time_utc")
+    table = pq.read_table(mission.output / "profile.parquet").to_pandas()
+    assert set(stations["profile_id"]) == set(table["profile_id"])
+    assert len(set(table["profile_id"])) == manifest(mission)["profile"]["profiles"] > 2
+    assert stations["profile_id"].is_monotonic_increasing
+    of = table.groupby("profile_id")["time_utc"].first()
+    apart = (of.loc[stations["profile_id"]].to_numpy() - stations["time_utc"].to_numpy()).astype(
+        "timedelta64[ms]"
+    )
+    assert np.abs(apart).max() < np.timedelta64(20, "s")
+    assert len(manifest(mission)["profile"]["windows"]) == 2
+
+
+def test_a_changing_run_is_exported_as_it_was(changed, unbend, tmp_path):
+    mission, found = changed
+    out = tmp_path / "lattice.parquet"
+    ended = unbend("export", mission.output, "--format", "lattice", "--out", out)
+    assert ended.code == 0, ended.text
+    images = pq.read_table(out).to_pandas()["image"].unique()
+    assert set(images) == set(found["changing"].index.get_level_values("image"))
+    radial = unbend(
+        "export", mission.output, "--format", "radial-csv", "--out", tmp_path / "radial.csv"
+    )
+    assert radial.code == 0, radial.text
+    assert "EXPORT-AIR-CHANGES" in radial.out
+
+
+def test_swapped_profiles_do_not_pass_for_the_run(changed, unbend, tmp_path):
+    mission, _ = changed
+    path = mission.output / "profile.parquet"
+    table = pq.read_table(path)
+    ids = table["profile_id"].to_pylist()
+    turned = dict(zip(sorted(set(ids)), sorted(set(ids), reverse=True), strict=True))
+    swapped = table.set_column(0, table.schema.field(0), [[turned[name] for name in ids]])
+    pq.write_table(swapped, path)
+    content = manifest(mission)
+    for entry in content["outputs"]:
+        if entry["name"] == "profile.parquet":
+            entry["sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
+            entry["bytes"] = path.stat().st_size
+    (mission.output / "manifest.json").write_text(json.dumps(content))
+    ended = unbend(
+        "export", mission.output, "--format", "lattice", "--out", tmp_path / "lattice.parquet"
+    )
+    assert ended.code == 6, ended.text
+    assert "EXPORT-NOT-REPRODUCED" in ended.err
+
+
+def test_the_profile_command_writes_every_profile(changed, unbend, tmp_path):
+    mission, _ = changed
+    target = tmp_path / "air.csv"
+    assert unbend("profile", mission.file, "--csv", target, "--step", "1000").code == 0
+    rows = target.read_text().splitlines()
+    assert rows[0].startswith("profile_id,time_utc,h_m")
+    assert len({row.split(",")[0] for row in rows[1:]}) > 2
+    plot = tmp_path / "air.png"
+    assert unbend("profile", mission.file, "--plot", plot).code == 0
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    shown = " ".join(unbend("profile", mission.file).out.split())
+    assert "profiles follow the air" in shown
+    assert "R at 45° from" in shown

@@ -1,0 +1,80 @@
+"""Batches side by side: in their order, and never more of them in memory than is said."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+
+import pytest
+
+from pipeline.batch import correct
+from pipeline.refraction import _threads
+
+
+class Crowd:
+    """Counts the batches that were read and are not done, and those at work."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.held = self.at_work = self.most_held = self.most_at_work = 0
+
+    def batches(self, count: int):
+        for number in range(count):
+            with self.lock:
+                self.held += 1
+                self.most_held = max(self.most_held, self.held)
+            yield number
+
+    def work(self, number: int, batch: int) -> int:
+        assert number == batch
+        with self.lock:
+            self.at_work += 1
+            self.most_at_work = max(self.most_at_work, self.at_work)
+        # The first of each five is slow: the others must not run ahead of it without end.
+        time.sleep(0.05 if number % 5 == 0 else 0.005)
+        with self.lock:
+            self.at_work -= 1
+            self.held -= 1
+        return number
+
+
+@pytest.mark.parametrize(("cpus", "workers"), [(1, 1), (3, 3), (64, 4)])
+def test_batches_in_flight_are_few_whatever_the_machine(monkeypatch, cpus, workers):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cpus)), raising=False)
+    monkeypatch.setattr(os, "cpu_count", lambda: 256)
+    crowd = Crowd()
+    assert list(correct._overlapped(crowd.work, crowd.batches(40))) == list(range(40))
+    assert crowd.most_at_work == workers
+    assert crowd.most_held == workers + 1
+    assert crowd.held == 0
+
+
+def test_a_batch_that_fails_stops_the_others():
+    crowd = Crowd()
+
+    def broken(number: int, batch: int) -> int:
+        if number == 3:
+            raise KeyError(number)
+        return crowd.work(number, batch)
+
+    with pytest.raises(KeyError):
+        list(correct._overlapped(broken, crowd.batches(1000)))
+    assert crowd.held < 10
+
+
+def test_cpus_are_those_this_process_may_use(monkeypatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: 256)
+    if hasattr(os, "sched_getaffinity"):
+        assert _threads.usable_cpus() == len(os.sched_getaffinity(0))
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {5, 7}, raising=False)
+    assert _threads.usable_cpus() == 2
+    _threads._pool.cache_clear()
+    try:
+        assert _threads._pool()._max_workers == 2
+    finally:
+        _threads._pool().shutdown()
+        _threads._pool.cache_clear()
+    # Where the system has no affinity: all there are.
+    monkeypatch.delattr(os, "sched_getaffinity", raising=False)
+    assert _threads.usable_cpus() == 256

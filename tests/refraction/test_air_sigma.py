@@ -1,0 +1,165 @@
+"""sigma of R from a covariance: the tables against drawn air and against traced rays."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.refraction import (
+    Camera,
+    Exposures,
+    StationSigmas,
+    bend,
+    block_scale,
+    correct_observations,
+    ray_table,
+    uncertainty_of,
+)
+from pipeline.refraction.air_sigma import gradient_of
+from pipeline.refraction.sensitivity import sensitivity
+
+RADIUS = 6_371_000.0
+
+
+NARROW = Camera(200, 200, 50_000.0, 50_000.0, 100.0, 100.0)
+
+
+def tabulated(profile, covariance, h_c, h_g, zeta, ground=(-600.0, 10_000.0)):
+    """sigma_R and |dR/dzeta| of rays along the axes of cameras, as corrections have them."""
+    n = h_c.size
+    sine, cosine = np.sin(zeta), np.cos(zeta)
+    rotation = np.zeros((n, 3, 3))  # x right to the east, y down in the image, looking north
+    rotation[:, 0, 0] = 1.0
+    rotation[:, 1, 1], rotation[:, 1, 2] = -cosine, -sine
+    rotation[:, 2, 1], rotation[:, 2, 2] = sine, -cosine
+    outside = profile.refractivity(h_c)
+    exposures = Exposures(
+        np.ones(n, bool), rotation, np.zeros(n), h_c, outside, outside, radius_m=RADIUS
+    )
+    axis = np.tile([0.0, 0.0, 1.0], (n, 1))
+    stations = StationSigmas(np.full(n, 1e-4), np.full(n, 1e-4), axis, np.zeros(n))
+    all_of_them = [(NARROW, np.ones(n, bool))]
+    uncertainty = uncertainty_of(profile, covariance, exposures, stations, all_of_them, ground)
+    centre = np.full(n, 100.0)
+    sigmas = correct_observations(
+        centre, centre, h_g, np.arange(n), exposures, NARROW, ray_table(profile),
+        uncertainty=uncertainty,
+    ).sigmas  # fmt: skip
+    return sigmas.r_c_rad, sigmas.station_dy_px.astype(float) / NARROW.fy_px / 1e-4, uncertainty.air
+
+
+def traced(profile, covariance, h_c, h_g, zeta):
+    """The same by the gradient of each ray; C is multiplied out, not factored."""
+    found = sensitivity(profile, h_c, h_g, zeta, RADIUS, covariance.anchor_height_m)
+    g = gradient_of(found)
+    return np.sqrt(np.einsum("ni,ij,nj->n", g, covariance.matrix, g)), found.d_zeta_c
+
+
+def rays(rng, n, low, high, largest_deg):
+    h_c = rng.uniform(low, high, n)
+    return h_c, rng.uniform(0.0, 0.9, n) * low, np.radians(rng.uniform(1.0, largest_deg, n))
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "largest", "allowed"),
+    [
+        (2600.0, 2750.0, 75.0, 0.01), (2600.0, 2750.0, 85.0, 0.03),
+        (1000.0, 2900.0, 80.0, 0.02), (5000.0, 5400.0, 80.0, 0.015),
+        (300.0, 420.0, 75.0, 0.03),  # ways from 30 m, less than a layer
+    ],
+)  # fmt: skip
+def test_the_tables_beside_traced_rays(doubt, low, high, largest, allowed):
+    profile, covariance = doubt.air()
+    ray = rays(np.random.default_rng(4), 300, low, high, largest)
+    sigma, slope, _ = tabulated(profile, covariance, *ray)
+    true_sigma, true_slope = traced(profile, covariance, *ray)
+    np.testing.assert_allclose(sigma, true_sigma, rtol=allowed)
+    # Where R itself is nearly zero in the inversion its slope is too.
+    unit = np.median(np.abs(true_slope))
+    np.testing.assert_allclose(slope, np.abs(true_slope), rtol=0.01, atol=2e-3 * unit)
+
+
+def test_one_height_of_camera_and_ground(doubt):
+    profile, covariance = doubt.air()
+    ray = np.array([2000.0]), np.array([300.0]), np.array([0.9])
+    sigma, slope, air = tabulated(profile, covariance, *ray, (300.0, 300.0))
+    true_sigma, true_slope = traced(profile, covariance, *ray)
+    np.testing.assert_allclose((sigma[0], slope[0]), (true_sigma[0], true_slope[0]), rtol=3e-3)
+    assert air.sigma.size <= 20
+
+
+def test_sigma_is_the_spread_of_drawn_airs(doubt):
+    """600 airs drawn from the covariance, each with its own hydrostatics and rays."""
+    profile, covariance = doubt.air()
+    h_c = np.array([2700.0, 2700.0, 2650.0, 2700.0])
+    h_g = np.array([200.0, 1500.0, 200.0, 200.0])
+    zeta = np.radians([45.0, 60.0, 80.0, 5.0])
+    sigma, _, _ = tabulated(profile, covariance, h_c, h_g, zeta)
+    rng = np.random.default_rng(11)
+    drawn = np.array([
+        bend(ray_table(doubt.drawn(rng)), h_c, h_g, np.sin(zeta), np.cos(zeta), RADIUS)[0]
+        for _ in range(600)
+    ])  # fmt: skip
+    # A standard deviation of 600 draws is good to 2.9 %.
+    np.testing.assert_allclose(drawn.std(axis=0), sigma, rtol=0.09)
+
+    weight = drawn.mean(axis=0) ** 2
+    weight /= weight.sum()
+    scale = block_scale(profile, covariance, h_c, h_g, zeta, RADIUS)
+    fitted = (drawn / drawn.mean(axis=0)) @ weight
+    np.testing.assert_allclose(fitted.std(), scale.sigma, rtol=0.09)
+    correlation = np.corrcoef(drawn.T)
+    np.testing.assert_allclose(scale.correlation, weight @ correlation @ weight, atol=0.02)
+
+
+def test_errors_of_one_flight_are_one_scale_factor(doubt):
+    profile, covariance = doubt.air()
+    n = 50
+    h_c, h_g = np.full(n, 2700.0), np.full(n, 200.0)
+    zeta = np.radians(np.linspace(5.0, 60.0, n))
+    scale = block_scale(profile, covariance, h_c, h_g, zeta)
+    assert scale.rays == n
+    assert 0.999 < scale.correlation <= 1.0 + 1e-12
+    sigma, _ = traced(profile, covariance, h_c[:1], h_g[:1], zeta[:1])
+    r = sensitivity(profile, h_c[:1], h_g[:1], zeta[:1]).r_c
+    np.testing.assert_allclose(scale.sigma, sigma / r, rtol=2e-3)
+
+
+def test_the_scale_of_rays_that_disagree(doubt):
+    """Half a way down, and up at the inversion: the variance of the fit, multiplied out."""
+    profile, covariance = doubt.air()
+    h_c, h_g = np.array([2700.0, 2700.0, 2900.0, 1700.0]), np.array([200.0, 2500.0, 0.0, 1400.0])
+    zeta = np.radians([45.0, 70.0, 20.0, 75.0])
+    found = sensitivity(profile, h_c, h_g, zeta, RADIUS, covariance.anchor_height_m)
+    g, r = gradient_of(found), found.r_c
+    errors = g @ covariance.matrix @ g.T
+    scale = block_scale(profile, covariance, h_c, h_g, zeta, RADIUS)
+    np.testing.assert_allclose(scale.sigma**2, r @ errors @ r / (r @ r) ** 2, rtol=1e-6)
+    alike = errors / np.sqrt(np.outer(np.diag(errors), np.diag(errors)))
+    weight = r * np.abs(r) / (r @ r)
+    np.testing.assert_allclose(scale.correlation, weight @ alike @ weight, rtol=1e-6)
+    assert alike.min() < 0.8
+
+
+def test_no_ray_no_scale(doubt):
+    profile, covariance = doubt.air()
+    assert block_scale(profile, covariance, *np.empty((3, 0))) is None
+    upwards = np.array([2000.0]), np.array([1e9]), np.array([0.3])
+    assert block_scale(profile, covariance, *upwards) is None
+
+
+def test_where_there_is_no_sigma(doubt):
+    """Nearly level at the ground, and above the camera."""
+    profile, covariance = doubt.air()
+    h_c, h_g = np.full(3, 2650.0), np.array([0.0, 2800.0, 100.0])
+    zeta = np.radians([88.3, 95.0, 60.0])
+    sigma, slope, _ = tabulated(profile, covariance, h_c, h_g, zeta)
+    assert np.isnan(sigma).tolist() == np.isnan(slope).tolist() == [True, True, False]
+
+
+def test_without_a_covariance_only_slopes(doubt):
+    profile, covariance = doubt.air()
+    ray = np.array([2650.0]), np.array([100.0]), np.array([0.8])
+    sigma, slope, _ = tabulated(profile, None, *ray)
+    assert np.isnan(sigma).all()
+    np.testing.assert_array_equal(slope, tabulated(profile, covariance, *ray)[1])
