@@ -18,7 +18,7 @@ sample: $(STAMP)
 
 test: $(STAMP)
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
@@ -33,7 +33,7 @@ faults: $(STAMP)
 # Ratios within one run, each the median of seven pairs; some minutes on a quiet machine.
 bench: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
-	$(BIN)/python -m pytest -o addopts='' -o python_files='bench_*.py' -s benchmarks
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -o addopts='' -o python_files='bench_*.py' -s benchmarks
 
 clean:
 	rm -rf $(VENV) results

@@ -10,7 +10,9 @@ from survey import CAMERA, air, exposures, points
 from pipeline.geodesy import euler_radius
 from pipeline.refraction import correct_observations, ray_table
 
-POINTS, IMAGES, BY_NUMPY = 4_000_000, 400, 400_000
+# A million a call: columns of 32 MB and more are fetched from the system anew each time, and that
+# would be timed. A run corrects 250,000 at a time.
+POINTS, IMAGES, BY_NUMPY = 1_000_000, 400, 400_000
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
