@@ -14,19 +14,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.cdr_schema import Numbers, Sequence, Step, Text
+from pipeline.ingest.cdr_schema import MAX_COUNT, Numbers, Sequence, Step, Text
+from pipeline.ingest.raw import gathered
+from pipeline.ingest.window import Bytes
 
-Bytes = NDArray[np.uint8]
 HEAD = 4  # bytes of encapsulation; alignment counts from behind them
+CDR_LE = 1  # plain CDR, little-endian; 0 is big-endian, larger are other encodings
 ALIGN = 8
 
 
 @dataclass(frozen=True)
 class Program:
-    """The steps of a message as far as they are wanted: runs of numbers, texts and sequences."""
+    """The steps of a message as far as they are wanted: runs of numbers, texts and sequences.
+
+    Of sequences nothing is kept but, of those in ``counted``, how many elements they have; ``rest``
+    stand behind all else.
+    """
 
     steps: tuple[tuple[Numbers, ...] | Text | Sequence, ...]
     wanted: frozenset[str]
+    counted: bool = False
+    rest: tuple[Sequence, ...] = ()
 
 
 def program(steps: Several[Step], wanted: frozenset[str] | None = None) -> Program:
@@ -36,7 +44,8 @@ def program(steps: Several[Step], wanted: frozenset[str] | None = None) -> Progr
     ----------
     steps : of its definition.
     wanted : paths, also of single elements of an array, as ``q.0``; None for every number and text
-        that each message has once, arrays as arrays.
+        that each message has once, arrays as arrays, and of sequences how many elements they have
+        (``path[]``; -1 where the message ends before that).
     """
     if wanted is not None:
         steps = [part for step in steps for part in _elements(step, wanted)]
@@ -44,15 +53,29 @@ def program(steps: Several[Step], wanted: frozenset[str] | None = None) -> Progr
     paths = frozenset(step.path for step in singles)
     chosen = paths if wanted is None else paths & wanted
     last = max((k for k, step in enumerate(steps) if step.path in chosen), default=-1)
-    return Program(tuple(_runs(steps[: last + 1])), chosen)
+    if wanted is not None:
+        return Program(tuple(_runs(steps[: last + 1])), chosen)
+    rest = tuple(step for step in steps[last + 1 :] if isinstance(step, Sequence))
+    return Program(tuple(_runs(steps[: last + 1])), chosen, True, rest)
 
 
 def _elements(step: Step, wanted: frozenset[str]) -> list[Step]:
     """An array of which only elements are wanted, as its elements."""
     if not isinstance(step, Numbers) or not step.array or step.path in wanted:
         return [step]
-    each: list[Step] = [Numbers(f"{step.path}.{k}", step.kind) for k in range(step.count)]
-    return each if any(part.path in wanted for part in each) else [step]
+    begin, each = f"{step.path}.", list[Step]()
+    ends = (path[len(begin) :] for path in wanted if path.startswith(begin))
+    after = 0
+    for k in sorted(int(end) for end in ends if end.isdigit() and int(end) < step.count):
+        if k > after:
+            each.append(Numbers(f"{begin}{after}:{k}", step.kind, k - after, True))
+        each.append(Numbers(f"{begin}{k}", step.kind))
+        after = k + 1
+    if not after:
+        return [step]
+    if after < step.count:
+        each.append(Numbers(f"{begin}{after}:", step.kind, step.count - after, True))
+    return each
 
 
 def _runs(steps: Several[Step]) -> list[tuple[Numbers, ...] | Text | Sequence]:
@@ -118,8 +141,9 @@ def decode(
     todo : from `program`.
 
     Returns the rows that could be read, and their columns: numbers of their own kind, arrays as
-    (m, count), texts as str. A message that ends too early or gives a length beyond its end is
-    left out. CDR as in DDS-RTPS 2.2, section 10 (XCDR1), both byte orders.
+    (m, count), texts as str. A message that ends too early, gives a length beyond its end or is
+    encapsulated as anything but plain CDR (DDS-RTPS 2.2, section 10; not parameter lists, not
+    XCDR2) is left out. Both byte orders.
 
     >>> data = np.frombuffer(b"\\0\\1\\0\\0" + b"\\2\\0\\0\\0a\\0\\7\\0", np.uint8)
     >>> todo = program([Text("s"), Numbers("x", "u2")])
@@ -127,6 +151,7 @@ def decode(
     {'s': array(['a'], dtype='<U1'), 'x': array([7], dtype=uint16)}
     """
     rows = np.flatnonzero(length >= HEAD)
+    rows = rows[(data[begin[rows]] == 0) & (data[begin[rows] + 1] <= CDR_LE)]
     begin, length = begin[rows], length[rows]
     big = data[begin + 1] & 1 == 0
     at = np.zeros(rows.shape, np.int64)
@@ -137,14 +162,10 @@ def decode(
         elif isinstance(step, Text):
             _read_text(cursors, step, step.path in todo.wanted)
         else:
-            _pass(cursors, step)
+            _pass(cursors, step, todo.counted)
+    if todo.rest:
+        _count(cursors, todo.rest)
     return cursors.row, cursors.columns
-
-
-def gathered(data: Bytes, places: NDArray[np.int64], size: int) -> NDArray[Any]:
-    """So many bytes from each place on, one void item a row; all must lie in the data."""
-    every: NDArray[Any] = np.ndarray((max(data.shape[0] - size + 1, 0),), f"V{size}", data, 0, (1,))
-    return every[places]
 
 
 @lru_cache(maxsize=1024)
@@ -163,7 +184,7 @@ def _layout(
             kinds.append((kind, (numbers.count,)) if numbers.array else kind)
             offsets.append(at - phase)
         at += size * numbers.count
-    if not names:
+    if not names or at - phase >= MAX_COUNT:  # no message is that long
         return None, at - phase
     used = {"names": names, "formats": kinds, "offsets": offsets, "itemsize": at - phase}
     return np.dtype(used), at - phase  # type: ignore[call-overload]
@@ -219,9 +240,29 @@ def _texts(data: Bytes, begin: NDArray[np.int64], length: NDArray[np.int64]) -> 
     return found.astype(np.str_) if begin.shape[0] else np.empty(0, "U1")
 
 
-def _pass(cursors: _Cursors, step: Sequence) -> None:
+def _count(cursors: _Cursors, steps: Several[Sequence]) -> None:
+    """How many elements the last sequences have; a large message is there in part only."""
+    n = cursors.row.shape[0]
+    inner = _Cursors(
+        cursors.data, np.arange(n), cursors.begin, cursors.length, cursors.big, cursors.at
+    )
+    for step in steps:
+        count = inner.count()
+        column = np.full(n, -1, np.int64)
+        column[inner.row] = count
+        cursors.columns[f"{step.path}[]"] = column
+        _pass_counted(inner, step, count)
+
+
+def _pass(cursors: _Cursors, step: Sequence, counted: bool = False) -> None:
     """Move behind a sequence; of its elements nothing is kept."""
     count = cursors.count()
+    if counted:
+        cursors.columns[f"{step.path}[]"] = count
+    _pass_counted(cursors, step, count)
+
+
+def _pass_counted(cursors: _Cursors, step: Sequence, count: NDArray[np.int64]) -> None:
     good = count <= cursors.length  # an element has a byte at least
     cursors.only(good)
     count = count[good]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 # The kinds that mcap-ros2-support reads: byte unsigned, char signed, bool one byte.
 KINDS: Mapping[str, str] = {
@@ -19,7 +19,8 @@ KINDS: Mapping[str, str] = {
 }  # fmt: skip
 
 MAX_DEPTH = 16  # the deepest message of ROS 2's own packages has 6
-MAX_STEPS = 4096  # of a flattened message; sensor_msgs/Imu has 37 numbers
+MAX_STEPS = 4096  # of a flattened message, with the insides of sequences; Imu has 37 numbers
+MAX_COUNT = 1 << 31  # elements of an array: numpy has no larger items
 
 _TIME = "int32 sec\nuint32 nanosec"
 _BUILT_IN = {"builtin_interfaces/Time": _TIME, "builtin_interfaces/Duration": _TIME}
@@ -80,10 +81,7 @@ def steps_of(name: str, text: str) -> tuple[Step, ...]:
             current = short(found.group(1))
             part = part.replace(found.group(0), "", 1)
         definitions[current] = part
-    steps = tuple(_flat(short(name), "", definitions, 0))
-    if len(steps) > MAX_STEPS:
-        raise SchemaError(f"{len(steps)} fields; the limit is {MAX_STEPS}")
-    return steps
+    return tuple(_Flat(definitions).message(short(name), "", 0))
 
 
 def short(name: str) -> str:
@@ -95,12 +93,63 @@ def short(name: str) -> str:
     return name.replace("/msg/", "/")
 
 
-def _flat(name: str, prefix: str, definitions: Mapping[str, str], depth: int) -> Iterator[Step]:
-    if depth > MAX_DEPTH:
-        raise SchemaError(f"{prefix.rstrip('.')} lies {depth} messages deep")
+@dataclass
+class _Flat:
+    """Flattening: definitions that were parsed, and how many steps there are so far.
+
+    Some lines can nest millions of steps, which therefore are counted before they are kept.
+    """
+
+    definitions: Mapping[str, str]
+    parsed: dict[str, list[tuple[str, str, str]]] = field(default_factory=dict)
+    count: int = 0
+
+    def message(self, name: str, prefix: str, depth: int) -> Iterator[Step]:
+        if depth > MAX_DEPTH:
+            raise SchemaError(f"{prefix.rstrip('.')} lies {depth} messages deep")
+        if name not in self.parsed:
+            self.parsed[name] = _fields(name, self.definitions)
+        for kind, array, member in self.parsed[name]:
+            yield from self.field(kind, array, prefix + member, name, depth)
+
+    def one(self, step: Step) -> Step:
+        self.count += 1
+        if self.count > MAX_STEPS:
+            raise SchemaError(f"more than {MAX_STEPS} fields, at {step.path[:60]}")
+        return step
+
+    def field(self, kind: str, array: str, path: str, owner: str, depth: int) -> Iterator[Step]:
+        if kind == "wstring":
+            raise SchemaError(f"{path} is a wstring, which is not read")
+        fixed = int(array[1:-1]) if array[1:-1].isdigit() else 0
+        if fixed >= MAX_COUNT or (fixed > MAX_STEPS and kind not in KINDS):
+            raise SchemaError(f"{path[:60]} has {fixed} elements")
+        if kind in KINDS:
+            one = Numbers(path, KINDS[kind], fixed or 1, bool(fixed))
+            yield self.one(Sequence(path, (one,)) if array and not fixed else one)
+            return
+        if kind == "string":
+            if array and not fixed:
+                yield self.one(Sequence(path, (Text(path),)))
+            elif fixed:
+                yield from (self.one(Text(f"{path}.{k}")) for k in range(fixed))
+            else:
+                yield self.one(Text(path))
+            return
+        inner = short(kind) if "/" in kind else f"{owner.split('/')[0]}/{kind}"
+        if array and not fixed:
+            yield Sequence(path, tuple(self.message(inner, f"{path}.", depth + 1)))
+            return
+        for k in range(fixed or 1):
+            prefix = f"{path}.{k}." if fixed else f"{path}."
+            yield from self.message(inner, prefix, depth + 1)
+
+
+def _fields(name: str, definitions: Mapping[str, str]) -> list[tuple[str, str, str]]:
+    """Kind, array and name of each field of a definition."""
     if name not in definitions:
         raise SchemaError(f"the definition of {name} is missing")
-    empty = True
+    result = []
     for line in definitions[name].splitlines():
         line = line.split("#", 1)[0].strip()
         if not line or _CONSTANT.match(line):
@@ -108,37 +157,7 @@ def _flat(name: str, prefix: str, definitions: Mapping[str, str], depth: int) ->
         found = _FIELD.match(line)
         if not found:
             raise SchemaError(f"{line[:60]!r} of {name} is no field")
-        empty = False
-        kind, _, array, field = found.groups()
-        yield from _field(kind, array or "", prefix + field, name, definitions, depth)
-    if empty:  # IDL knows no empty message: ROS 2 puts a byte there
-        yield Numbers(f"{prefix}structure_needs_at_least_one_member", "u1")
-
-
-def _field(
-    kind: str, array: str, path: str, owner: str, definitions: Mapping[str, str], depth: int
-) -> Iterator[Step]:
-    if kind == "wstring":
-        raise SchemaError(f"{path} is a wstring, which is not read")
-    fixed = int(array[1:-1]) if array[1:-1].isdigit() else 0
-    if kind in KINDS:
-        one = Numbers(path, KINDS[kind], fixed or 1, bool(fixed))
-        yield Sequence(path, (one,)) if array and not fixed else one
-        return
-    if kind == "string":
-        if array and not fixed:
-            yield Sequence(path, (Text(path),))
-        elif fixed:
-            yield from (Text(f"{path}.{k}") for k in range(min(fixed, MAX_STEPS + 1)))
-        else:
-            yield Text(path)
-        return
-    inner = short(kind) if "/" in kind else f"{owner.split('/')[0]}/{kind}"
-    if array and not fixed:
-        yield Sequence(path, tuple(_flat(inner, f"{path}.", definitions, depth + 1)))
-        return
-    if fixed > MAX_STEPS:
-        raise SchemaError(f"{path} has {fixed} elements; the limit is {MAX_STEPS}")
-    for k in range(fixed or 1):
-        prefix = f"{path}.{k}." if fixed else f"{path}."
-        yield from _flat(inner, prefix, definitions, depth + 1)
+        kind, _, array, member = found.groups()
+        result.append((kind, array or "", member))
+    # IDL knows no empty message: ROS 2 puts a byte there
+    return result or [("uint8", "", "structure_needs_at_least_one_member")]

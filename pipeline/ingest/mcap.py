@@ -2,46 +2,28 @@
 
 from __future__ import annotations
 
-import struct
+from collections import Counter, deque
 from dataclasses import dataclass
 from functools import partial
-from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from pipeline.errors import LogError
+from pipeline.flight.boots import BootClock, Timeline, Told, timeline
 from pipeline.flight.channels import Channel
 from pipeline.ingest.base import Contents, Table
 from pipeline.ingest.build import channel_of
-from pipeline.ingest.cdr_schema import SchemaError
-from pipeline.ingest.mcap_counts import Counts
-from pipeline.ingest.mcap_fields import (
-    PLAIN_JSON,
-    SCHEMAS,
-    known_name,
-)
-from pipeline.ingest.mcap_messages import CHANNEL, MAGIC, SCHEMA, Damage, Definition, Messages
-from pipeline.ingest.mcap_records import walk
-from pipeline.ingest.mcap_samples import STAMP, Samples, own_times, times_of
-from pipeline.ingest.mcap_time import BootClock
-from pipeline.ingest.mcap_topics import (
-    CdrDecoder,
-    Decoder,
-    Topic,
-    json_decoder,
-    paths_of,
-    protobuf_decoder,
-)
-from pipeline.ingest.window import window_on
+from pipeline.ingest.mcap_messages import MAGIC
+from pipeline.ingest.mcap_reader import Reader
+from pipeline.ingest.mcap_samples import STAMP, Samples, times_of
+from pipeline.ingest.mcap_time import clock_of, confirmed
+from pipeline.ingest.mcap_topics import Topic, by_clock, names_of
+from pipeline.ingest.mcap_values import joined
 from pipeline.ledger import Ledger
 
-# What the library's parsers of records raise on damaged lengths and text, beside McapError.
-_PARSE_ERRORS = (struct.error, ValueError, OverflowError)
-# What a definition that is damaged makes the libraries raise.
-_SCHEMA_ERRORS = (SchemaError, UnicodeDecodeError, TypeError, ValueError, KeyError, RuntimeError)
-
-MAX_CONTRADICTIONS = 1000  # definitions that differ from an earlier one; no log has any
+PLACE = "\0place"  # of a message in the log, while a table is put together
+REASONS = ("LOG-SCHEMA", "LOG-NOT-ROS2", "LOG-NO-PROTOBUF")  # for no table
 
 
 @dataclass(frozen=True)
@@ -56,14 +38,14 @@ class Mcap:
         return head.startswith(MAGIC)
 
     def read(self, path: Path, ledger: Ledger) -> Contents:
-        reader = _Reader(ledger, path.name)
-        if not reader.through(path):
-            return Contents({}, (), path.stat().st_size, 0, 1, "")
+        reader = Reader(ledger, path.name)
+        line = timeline(reader.through(path))
         lost = reader.report()
-        samples = [topic.samples for topic in reader.topics.values() if topic.samples is not None]
-        samples = [each for each in samples if len(each.stamp_ns)]
-        readings = [each.clock_readings() for each in samples]
-        clock = BootClock([pair for pair in readings if pair is not None], ledger)
+        samples = [
+            each for topic in reader.topics.values() for each in (topic.series or {}).values()
+        ]
+        _name_apart(samples)
+        clock = _clock(line, samples, reader.recorder(), ledger)
         reader.topics.clear()
         reader.topic_of.clear()
         channels, words = _channels(samples, clock, ledger)
@@ -72,7 +54,7 @@ class Mcap:
             tuple(channels),
             reader.damage.bad_bytes,
             lost,
-            clock.boots,
+            clock.line.boots,
             words,
             partial(_table, path, clock),
         )
@@ -81,166 +63,35 @@ class Mcap:
 MCAP = Mcap()
 
 
-class _Reader:
-    """Definitions, counts and topics of one file. ``only`` reads all fields of one topic."""
-
-    def __init__(self, ledger: Ledger, where: str, only: str | None = None) -> None:
-        self.ledger = ledger
-        self.where = where
-        self.only = only
-        self.damage = Damage()
-        self.counts = Counts()
-        self.schemas: dict[int, Any] = {}
-        self.channels: dict[int, Any] = {}
-        self.names: dict[int, str] = {}
-        self.contradictions: set[str] = set()
-        self.raw: dict[tuple[int, bytes], bytes] = {}
-        self.topic_of: dict[int, Topic] = {}
-        self.topics: dict[tuple[str, str], Topic] = {}
-
-    def through(self, path: Path) -> bool:
-        """Read the file; False when it does not begin as an MCAP does."""
-        with window_on(path) as data:
-            if data[0 : len(MAGIC)] != MAGIC:
-                return False
-            for part in walk(data, self.damage):
-                if isinstance(part, Definition):
-                    self._define(part)
-                else:
-                    self._take(part)
-        return True
-
-    def _take(self, messages: Messages) -> None:
-        present = self.counts.take(messages, self.names)
-        for number in present:
-            topic = self.topic_of.get(number)
-            if topic is not None:
-                topic.take(messages, np.flatnonzero(messages.channel == number))
-
-    def _define(self, definition: Definition) -> None:
-        from mcap import records as library
-        from mcap.data_stream import ReadDataStream
-        from mcap.exceptions import McapError
-
-        key = (definition.opcode, definition.content[:2])
-        if self.raw.setdefault(key, definition.content) is not definition.content and (
-            self.raw[key] == definition.content or len(self.contradictions) > MAX_CONTRADICTIONS
-        ):
-            return  # repeated in every chunk and in the summary
-        kinds = {SCHEMA: library.Schema, CHANNEL: library.Channel}
-        kind = kinds.get(definition.opcode, library.Statistics)
-        try:
-            record = kind.read(ReadDataStream(BytesIO(definition.content)))
-        except (McapError, *_PARSE_ERRORS) as error:
-            what = f"a definition (opcode {definition.opcode}) cannot be read: {error}"
-            self.damage.add("LOG-BAD-BYTES", what, definition.at, len(definition.content))
-            return
-        if kind is library.Statistics:
-            self.counts.promised = dict(record.channel_message_counts)
-            self.counts.promised_total = int(record.message_count)
-            return
-        known = self.schemas if kind is library.Schema else self.channels
-        if record.id not in known:
-            known[record.id] = record
-            if kind is library.Channel:
-                self.names[record.id] = record.topic
-                self._subscribe(record)
-        elif known[record.id] != record:
-            self.contradictions.add(f"{kind.__name__.lower()} {record.id}")
-
-    def _subscribe(self, channel: Any) -> None:
-        schema = self.schemas.get(channel.schema_id)
-        name = known_name(schema.name) if schema is not None else ""
-        plain = channel.message_encoding == "json" and name not in SCHEMAS
-        if self.only is None and name not in SCHEMAS and not plain:
-            return
-        if self.only is not None and channel.topic != self.only:
-            return
-        spec = SCHEMAS.get(name, PLAIN_JSON)
-        try:
-            decoder = self._decoder(channel, schema, None if self.only else paths_of(spec))
-        except _schema_errors() as error:
-            self.ledger.loss(
-                "LOG-SCHEMA",
-                f"the schema of {name} cannot be parsed ({error}): the topic is not read",
-                where=channel.topic,
-            )
-            return
-        if decoder is not None:
-            samples = Samples(channel.topic, name, spec) if self.only is None else None
-            topic = Topic(channel.topic, name, spec, decoder, samples)
-            self.topic_of[channel.id] = self.topics.setdefault((channel.topic, name), topic)
-
-    def _decoder(self, channel: Any, schema: Any, wanted: frozenset[str] | None) -> Decoder | None:
-        encoding = channel.message_encoding
-        name = known_name(schema.name) if schema is not None else ""
-        spec = SCHEMAS.get(name, PLAIN_JSON)
-        if encoding == "json":
-            return json_decoder(spec, wanted)
-        if schema is None:
-            return None
-        if encoding == "cdr" and schema.encoding == "ros2msg":
-            return CdrDecoder.of(schema.name, schema.data.decode(), wanted)
-        if encoding == "protobuf" and schema.encoding == "protobuf":
-            try:
-                return protobuf_decoder(schema, spec, wanted)
-            except ImportError:
-                self.ledger.loss(
-                    "LOG-NO-PROTOBUF",
-                    f"{name} is protobuf, which needs the package mcap-protobuf-support: counted, "
-                    "not read",
-                    where=channel.topic,
-                )
-                return None
-        self.ledger.note(
-            "LOG-NOT-ROS2",
-            f"{name} is encoded as {encoding} with a {schema.encoding} schema, not as ROS 2 CDR, "
-            "protobuf or JSON: counted, not read",
-            where=channel.topic,
-        )
-        return None
-
-    def report(self) -> int:
-        """Enter the damage; returns how many messages are missing."""
-        for code, what, at, count in self.damage.all():
-            self.ledger.loss(code, what, where=f"{self.where}, byte {at}", count=count)
-        if self.contradictions:
-            some = ", ".join(sorted(self.contradictions)[:8])
-            self.ledger.loss(
-                "LOG-INCONSISTENT",
-                f"{len(self.contradictions)} definitions come twice and differ ({some}): the first "
-                "is used",
-                where=self.where,
-                count=len(self.contradictions),
-            )
-        for topic in self.topics.values():
-            if topic.failed:
-                self.ledger.loss(
-                    "LOG-DECODE",
-                    f"{topic.failed} messages do not fit their schema {topic.schema}",
-                    where=topic.name,
-                    count=topic.failed,
-                )
-        damaged = bool(self.damage.losses)
-        return self.counts.report(self.names, self.ledger, self.where, damaged=damaged)
+def _clock(
+    line: Timeline, samples: list[Samples], recorder: Told | None, ledger: Ledger
+) -> BootClock:
+    """The clock since boot, by what receivers and cameras say of UTC."""
+    if line.boots > 1:
+        line = confirmed(line, (each.stamps(line) for each in samples if each.counted))
+    told = [(each.spec.position, each.told()) for each in samples]
+    receivers = [one for receiver, one in told if receiver and one is not None]
+    cameras = [one for receiver, one in told if not receiver and one is not None]
+    return clock_of(line, receivers, cameras, recorder, ledger)
 
 
-def _schema_errors() -> tuple[type[Exception], ...]:
-    """What a damaged definition raises in our parser and in the libraries'."""
-    from mcap.exceptions import McapError
-
-    try:
-        from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
-    except ImportError:
-        return (McapError, *_SCHEMA_ERRORS)
-    return (McapError, DecodeError, *_SCHEMA_ERRORS)
+def _name_apart(samples: list[Samples]) -> None:
+    """Channels of one topic, which has several schemas, get the schema into their names."""
+    taken = Counter(each.name for each in samples)
+    for each in samples:
+        if taken[each.name] > 1:
+            each.name += f" ({each.source.message})"
+    names: Counter[str] = Counter()
+    for each in samples:  # time since boot and Unix time under one name and schema
+        names[each.name] += 1
+        if names[each.name] > 1:
+            each.name += f" #{names[each.name]}"
 
 
 def _channels(
     samples: list[Samples], clock: BootClock, ledger: Ledger
 ) -> tuple[list[Channel], str]:
     channels, without = [], 0
-    from_boot = any(each.since_boot for each in samples)
     while samples:  # each is let go when its channel is made
         each = samples.pop(0)
         rows, unstamped = each.rows(clock, ledger)
@@ -249,31 +100,67 @@ def _channels(
         if channel is not None:
             channels.append(channel)
     words = "header.stamp of the messages"
-    if from_boot:
+    if clock.line.boot.size:
         words = "the vehicle's time since boot, set to UTC by its GNSS messages"
-        if not clock.fits:
+        if not any(clock.told):
             words = "the vehicle's time since boot, set by the recorder's clock"
+        if not any(clock.fits):
+            words = "the vehicle's time since boot; UTC is unknown"
     if without:
         words += f"; log_time for {without} messages without one"
     return channels, words
 
 
-def _table(path: Path, fitted: BootClock, name: str, instance: str | None) -> Table:
-    """All messages of a topic with the recorder's time and their fields as sent."""
-    reader = _Reader(Ledger(), path.name, only=name)
-    if instance is not None or not reader.through(path):
-        return {}
-    clock = BootClock((), reader.ledger)
-    clock.fits = fitted.fits
+def _table(path: Path, clock: BootClock, name: str, instance: str | None) -> Table:
+    """The messages of a topic with the recorder's time and their fields as sent."""
+    reader = Reader(Ledger(), path.name, only=name)
+    deque(reader.through(path), 0)
+    tables = []
     for topic in reader.topics.values():
-        columns, log_ns = topic.whole()
-        if not log_ns.shape[0]:
-            continue
-        stamp_ns, since_boot = own_times(columns, topic.spec.time_field, log_ns.shape[0])
-        time_ns, boot, _ = times_of(
-            stamp_ns, log_ns, clock, reader.ledger, name, since_boot=since_boot
-        )
-        columns.pop(STAMP, None)
-        table: Table = {"time_ns": time_ns, "boot": boot, "log_time_ns": log_ns}
-        return table | columns
-    return {}
+        parts, topic.parts = topic.parts, []
+        for part in by_clock(parts):
+            places = part.places if part.counted else None
+            time_ns, boot, _ = times_of(
+                part.stamp_ns, part.log_ns, places, clock, reader.ledger, name
+            )
+            part.columns.pop(STAMP, None)
+            table: Table = {"time_ns": time_ns, "boot": boot, "log_time_ns": part.log_ns}
+            table = _of_instance(table | part.columns | {PLACE: part.places}, topic, instance)
+            if table and table[PLACE].shape[0]:
+                tables.append(table)
+    return _whole(tables, reader, name)
+
+
+def _whole(tables: list[Table], reader: Reader, name: str) -> Table:
+    """The tables of the schemas of a topic as one, in the order of the file."""
+    if not tables:
+        why = [entry.what for entry in reader.ledger if entry.code in REASONS]
+        why += [topic.misfit for topic in reader.topics.values() if topic.failed]
+        if why:
+            raise LogError(
+                "LOG-NO-TABLE",
+                f"{name} has no rows that can be laid out in columns: {why[0]}",
+                where=reader.where,
+                remedy="choose another topic of `unbend inspect`",
+            )
+        return {}
+    names = dict.fromkeys(key for table in tables for key in table)
+    counts = [table[PLACE].shape[0] for table in tables]
+    whole = {
+        key: joined([table.pop(key, count) for table, count in zip(tables, counts, strict=True)])
+        if len(tables) > 1
+        else tables[0][key]
+        for key in names
+    }
+    places = whole.pop(PLACE)
+    if bool(np.all(places[1:] > places[:-1])):
+        return whole
+    order = np.argsort(places)
+    return {key: column[order] for key, column in whole.items()}
+
+
+def _of_instance(table: Table, topic: Topic, instance: str | None) -> Table:
+    if instance is None:
+        return table
+    mine = dict(names_of(table, topic.spec.id_field)).get(instance)
+    return {} if mine is None else {name: column[mine] for name, column in table.items()}

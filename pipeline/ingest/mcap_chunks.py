@@ -20,12 +20,13 @@ HEAD = struct.Struct("<QQQII")  # first and last time, size, checksum, letters t
 COMPRESSIONS = ("", "lz4", "zstd")
 
 # Up to WHOLE bytes a chunk is inflated at once; recorders write 1 to 4 MiB. Beyond, it is inflated
-# block by block, so its size costs time and no memory. Images fill chunks of hundreds of MiB and
-# shrink to a half at best; bombs shrink to a 200th (lz4) or a 30,000th (zstd).
+# block by block and twice, so its size costs time and no memory. Images fill chunks of hundreds of
+# MiB and shrink to a half at best; bombs shrink to a 250th (lz4) or a 30,000th (zstd).
 WHOLE = 16 << 20
-FREE_CHUNK = 256 << 20  # [bytes] inflated; taken however far it was compressed
+FREE_CHUNK = 64 << 20  # [bytes] inflated; taken however far it was compressed
 MAX_CHUNK = 2 << 30  # [bytes] inflated
-MAX_RATIO = 50  # of a chunk larger than FREE_CHUNK
+MAX_RATIO = 200  # of a chunk larger than FREE_CHUNK, and of a file whose chunks exceed FREE_FILE
+FREE_FILE = 256 << 20  # [bytes] inflated, all chunks of a file: 0.1 to 0.3 s
 MAX_WINDOW = 64 << 20  # [bytes] that a decompressor may look back
 BLOCK = 1 << 18
 
@@ -69,6 +70,32 @@ class Chunk:
             f"a chunk of {self.length} bytes would inflate to {self.size}; the limit is "
             f"{MAX_CHUNK}, and {MAX_RATIO} times its own size beyond {FREE_CHUNK}: it is skipped"
         )
+
+
+class Budget:
+    """How much the chunks of a file may inflate to together; it grows with the file's size.
+
+    >>> bool(Budget(0).too_large(Chunk(0, 0, 60 << 20, 0, "zstd", 0, 9, 0)))
+    False
+    """
+
+    def __init__(self, file_bytes: int) -> None:
+        self.limit = FREE_FILE + MAX_RATIO * file_bytes
+        self.left = self.limit
+
+    def too_large(self, chunk: Chunk) -> str:
+        """Why the chunk is not inflated, or nothing; then its bytes are taken off the budget."""
+        if chunk.too_large:
+            return chunk.too_large
+        cost = chunk.size if chunk.small else 2 * chunk.size
+        if cost > self.left:
+            return (
+                f"a chunk of {chunk.length} bytes would inflate to {chunk.size}, and the chunks "
+                f"before it left {self.left} of the {self.limit} bytes that all chunks of a file "
+                f"of this size may: it is skipped"
+            )
+        self.left -= cost
+        return ""
 
 
 def head_of(data: Window, at: int, length: int) -> Chunk | None:

@@ -24,6 +24,7 @@ class Counts:
         self.promised: dict[int, int] = {}
         self.promised_total: int | None = None
         self._last = np.full(IDS, -1, np.int64)
+        self._last_ns = np.zeros(IDS, np.int64)
         self._ones = np.zeros(IDS, np.int64)
         self._gaps = np.zeros(IDS, np.int64)
 
@@ -43,15 +44,19 @@ class Counts:
         order = np.argsort(messages.channel, kind="stable")
         channel = messages.channel[order].astype(np.int64)
         sequence = messages.sequence[order].astype(np.int64)
-        before = np.concatenate([[-1], sequence[:-1]])
+        log_ns = messages.log_time[order]
+        before, before_ns = (np.concatenate([[-1], each[:-1]]) for each in (sequence, log_ns))
         first = np.flatnonzero(np.diff(channel, prepend=-1))
-        before[first] = self._last[channel[first]]
+        before[first], before_ns[first] = self._last[channel[first]], self._last_ns[channel[first]]
         step = np.where(before < 0, 0, sequence - before)
         last = np.append(first[1:], channel.shape[0]) - 1
-        self._last[channel[last]] = sequence[last]
+        self._last[channel[last]], self._last_ns[channel[last]] = sequence[last], log_ns[last]
         np.add.at(self._ones, channel[step == 1], 1)
         ahead = step > 1
         np.add.at(self._gaps, channel[ahead], step[ahead] - 1)
+        # chunks in another order fill gaps that stood open; a recorder that begins anew does not
+        back = (step < 0) & (log_ns < before_ns)
+        np.add.at(self._gaps, channel[back], step[back] - 1)
 
     def by_name(self, names: Mapping[int, str]) -> dict[str, int]:
         """How many messages each topic has; topics without any are left out."""
@@ -98,12 +103,12 @@ class Counts:
     def _report_sequences(self, names: Mapping[int, str], ledger: Ledger) -> int:
         """Gaps in sequence numbers, of channels whose numbers count their messages at all."""
         skipped = 0
-        for number in np.flatnonzero(self._gaps).tolist():
+        for number in np.flatnonzero(self._gaps > 0).tolist():
             if 2 * self._ones[number] < self.found[number] or number not in names:
                 continue
             count = int(self._gaps[number])
             skipped += count
-            ledger.warning(
+            ledger.loss(
                 "LOG-LINK-LOSS",
                 f"{count} messages are missing by their sequence numbers: the recorder did not "
                 "get them, or they are damaged",

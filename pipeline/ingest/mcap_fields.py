@@ -11,22 +11,20 @@ from dataclasses import replace
 
 import numpy as np
 
+from pipeline.flight.boots import LOWEST_FIX
 from pipeline.flight.channels import Array
-from pipeline.ingest.build import LOWEST_FIX
+from pipeline.ingest import px4_fields
 from pipeline.ingest.cdr_schema import short
 from pipeline.ingest.fields import Column, MessageMap, column
 from pipeline.ingest.frames import in_blocks, ned_frd_of_enu_flu
-from pipeline.ingest.gimbal import device_columns, north_only
+from pipeline.ingest.gimbal import north_only
+from pipeline.ingest.px4_fields import TIMESTAMP, camera_quaternion
 
-HEADER, TIMESTAMP = "header.stamp", "timestamp"
+HEADER = "header.stamp"
 
 
 def _orientation(path: str) -> tuple[Column, ...]:
     return tuple(column(f"ros_{axis}", f"{path}.{axis}") for axis in "wxyz")
-
-
-def _quaternion(path: str) -> tuple[Column, ...]:
-    return tuple(column(f"q_{axis}", f"{path}.{k}") for k, axis in enumerate("wxyz"))
 
 
 def _local(path: str) -> tuple[Column, ...]:
@@ -83,12 +81,16 @@ _CAPTURED = MessageMap(
     (
         column("lat_rad", "geo.latitude", "deg"),
         column("lon_rad", "geo.longitude", "deg"),
-        column("h_msl_m", "geo.altitude"),
+        # GeoPoint is above the ellipsoid: the plugin adds the undulation to MAVLink's altitude
+        column("h_ellipsoid_m", "geo.altitude"),
         column("h_home_m", "relative_alt"),
         column("event_index", "image_index"),
+        *camera_quaternion("orientation", "wxyz"),
     ),
     _EVENTS, 15, time_field=HEADER,
 )  # fmt: skip
+
+_NAMED_VALUE_INT = 4.0  # DebugValue.TYPE_NAMED_VALUE_INT: the value is in another field
 
 _MAVROS = {
     "mavros_msgs/GPSRAW": MessageMap(
@@ -108,83 +110,15 @@ _MAVROS = {
         (column("event_index", "frame_seq_id"),), _EVENTS, 25, time_field="frame_stamp"
     ),
     "mavros_msgs/DebugValue": MessageMap(
-        (column("value", "value_float"),), time_field=HEADER
+        (column("value", "value_float"), column("integer", "value_int"), column("kind", "type")),
+        id_field="name", time_field=HEADER,
     ),
     "mavros_msgs/GimbalDeviceAttitudeStatus": MessageMap(
         tuple(column(f"gimbal_q_{axis}", f"q.{axis}") for axis in "wxyz"), time_field=HEADER
     ),
 }  # fmt: skip
 
-# SensorGps has had its degrees as 1e-7 integers and its heights as mm before PX4 1.14.
-_PX4_GPS = MessageMap(
-    (
-        column("lat_rad", "latitude_deg", "deg"),
-        column("lat_rad", "lat", "degE7"),
-        column("lon_rad", "longitude_deg", "deg"),
-        column("lon_rad", "lon", "degE7"),
-        column("h_msl_m", "altitude_msl_m"),
-        column("h_msl_m", "alt", "mm"),
-        column("h_ellipsoid_m", "altitude_ellipsoid_m", missing=0.0),
-        column("h_ellipsoid_m", "alt_ellipsoid", "mm", missing=0.0),
-        column("sigma_h_m", "eph"),
-        column("sigma_v_m", "epv"),
-        column("fix", "fix_type"),
-    ),
-    _GNSS, 20, time_field=TIMESTAMP, position=True,
-)  # fmt: skip
-_PX4_EVENT = MessageMap(
-    (
-        column("lat_rad", "lat", "deg"),
-        column("lon_rad", "lon", "deg"),
-        column("h_msl_m", "alt"),
-        column("event_index", "seq"),
-    ),
-    _EVENTS, 10, time_field=TIMESTAMP,
-)  # fmt: skip
-
-_PX4 = {
-    "px4_msgs/SensorGps": _PX4_GPS,
-    "px4_msgs/VehicleGpsPosition": replace(_PX4_GPS, rank=21),
-    "px4_msgs/VehicleGlobalPosition": MessageMap(
-        (
-            column("lat_rad", "lat", "deg"),
-            column("lon_rad", "lon", "deg"),
-            column("h_msl_m", "alt"),
-            column("sigma_h_m", "eph"),
-            column("sigma_v_m", "epv"),
-        ),
-        ("position",), 10, time_field=TIMESTAMP, position=True,
-    ),
-    "px4_msgs/VehicleAttitude": MessageMap(
-        _quaternion("q"), _ATTITUDE, 10, time_field=TIMESTAMP, attitude=True
-    ),
-    "px4_msgs/VehicleAirData": MessageMap(
-        (
-            column("pressure_pa", "baro_pressure_pa"),
-            column("board_temperature_k", "baro_temp_celcius ambient_temperature", "degC"),
-        ),
-        _PRESSURE, 10, time_field=TIMESTAMP,
-    ),
-    "px4_msgs/SensorBaro": MessageMap(
-        (
-            column("pressure_pa", "pressure"),
-            column("board_temperature_k", "temperature", "degC"),
-        ),
-        _PRESSURE, 20, time_field=TIMESTAMP,
-    ),
-    "px4_msgs/SensorHygrometer": MessageMap(
-        (
-            column("relative_humidity", "humidity", "%"),
-            column("temperature_k", "temperature", "degC"),
-        ),
-        (*_TEMPERATURE, *_HUMIDITY), 20, time_field=TIMESTAMP,
-    ),
-    "px4_msgs/CameraCapture": _PX4_EVENT,
-    "px4_msgs/CameraTrigger": replace(_PX4_EVENT, rank=30),
-    "px4_msgs/GimbalDeviceAttitudeStatus": MessageMap(
-        device_columns(), time_field=TIMESTAMP, attitude=True
-    ),
-}  # fmt: skip
+_PX4 = {f"px4_msgs/{name}": spec for name, spec in px4_fields.MESSAGES.items()}
 
 _FOXGLOVE_IMAGE = replace(_IMAGE, time_field=TIMESTAMP)
 _FOXGLOVE = {
@@ -204,11 +138,6 @@ PLAIN_JSON = MessageMap((column("value", "value"),), time_field=TIMESTAMP)
 
 LABELS: Mapping[str, str] = {"file_url": "file_url", "frame_id": "header.frame_id frame_id"}
 """Texts that belong to each event, and where they may be."""
-
-UTC_FIELD = "time_utc_usec"
-"""Unix time [us] in the GNSS messages of PX4, beside their time since boot."""
-
-CAPTURE_UTC_FIELD = "timestamp_utc"
 
 
 def known_name(schema: str) -> str:
@@ -231,6 +160,10 @@ def finished(schema: str, columns: Mapping[str, Array]) -> dict[str, Array]:
     result = dict(columns)
     if schema.endswith("/GimbalDeviceAttitudeStatus") and "flags" in result:
         result = north_only(result)
+    if schema.endswith("/DebugValue"):
+        kind, whole = result.pop("kind", None), result.pop("integer", None)
+        if kind is not None and whole is not None:
+            result["value"] = np.where(kind == _NAMED_VALUE_INT, whole, result["value"])
     if "ros_w" in result:
         q = [result.pop(f"ros_{axis}") for axis in "wxyz"]
         in_blocks(ned_frd_of_enu_flu, q)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.ingest.raw import gathered
 from pipeline.ingest.window import Bytes
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -98,10 +99,7 @@ def messages_at(data: Bytes, starts: NDArray[np.int64]) -> Messages:
     size = _HEADER.itemsize
     short = starts + size > data.shape[0]
     lengths = np.zeros(starts.shape, np.int64)
-    every: NDArray[np.void] = np.ndarray(
-        (max(data.shape[0] - size + 1, 0),), f"V{size}", data, 0, (1,)
-    )
-    head = every[starts[~short]].view(_HEADER)
+    head = gathered(data, starts[~short], size).view(_HEADER)
     lengths[~short] = head["length"].astype(np.int64)
     good = lengths[~short] >= MESSAGE.size
     head, begin = head[good], starts[~short][good] + size
@@ -184,8 +182,7 @@ class Runs:
             none = np.empty(0, np.int64)
             return cls(none, none, np.empty(0, np.intp))
         at = np.flatnonzero(view[:count] == MESSAGE_RECORD).astype(np.int64)
-        every: NDArray[np.uint64] = np.ndarray((count,), "<u8", view, 1, (1,))
-        length = every[at]
+        length = gathered(view, at + 1, 8).view("<u8")
         inside = length <= (view.shape[0] - RECORD.size - at).astype(np.uint64)
         at = at[inside]
         end = at + RECORD.size + length[inside].astype(np.int64)

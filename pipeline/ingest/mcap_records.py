@@ -14,7 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.mcap_chunks import Chunk, head_of, inflate, inflated, proven
+from pipeline.ingest.mcap_chunks import Budget, Chunk, head_of, inflate, inflated, proven
 from pipeline.ingest.mcap_messages import (
     CHANNEL,
     CHUNK,
@@ -82,6 +82,8 @@ class _Walk:
         self.before = len(MAGIC)  # where the last record began: its length may be the damage
         self.data_end = -1  # where the summary begins
         self.disproved = -1  # a record that others were found in
+        self.budget = Budget(data.size)
+        self.ends = 0  # records that end the data section
 
     def summary(self) -> Iterator[Definition]:
         """The definitions in the summary, where its checksum holds."""
@@ -201,7 +203,11 @@ class _Walk:
             yield from self._collect(np.frombuffer(start, np.uint8), np.zeros(1, np.int64))
         elif opcode == DATA_END:
             crc = int.from_bytes(self.data[content : content + min(length, 4)], "little")
-            if crc and self._checksum(0, at) != crc:
+            self.ends += 1
+            if self.ends > 1:  # each would be a checksum of all before it
+                what = "the data end a second time: their checksum here is not checked"
+                self.damage.add("LOG-INCONSISTENT", what, at, 0)
+            elif crc and self._checksum(0, at) != crc:
                 self.damage.add("LOG-CRC", "the data section fails its checksum", at, 0)
         elif length > MAX_DEFINITION:
             what = f"a definition of {length} bytes (opcode {opcode}) is skipped"
@@ -216,8 +222,8 @@ class _Walk:
             if chunk is not None:
                 what = f"a chunk is compressed with {chunk.compression!r}, which is not known"
             self.damage.add("LOG-BAD-BYTES", what, at, length)
-        elif chunk.too_large:
-            self.damage.add("LOG-TOO-LARGE", chunk.too_large, at, length)
+        elif too_large := self.budget.too_large(chunk):
+            self.damage.add("LOG-TOO-LARGE", too_large, at, length)
         elif not chunk.small:
             yield from self._large_chunk(at, chunk)
         else:

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.flight.boots import BootClock, Timeline, Told, fit_boots
 from pipeline.flight.channels import TimeArray
-from pipeline.flight.clock import (
-    LAST_US,
-    UNIX_US_FROM,
-    Offset,
-    boots_of,
-    fit_offset,
-    fresh,
-    report_fit,
-)
+from pipeline.flight.clock import BOOT_STEP_NS
+from pipeline.ingest.raw import microseconds
 from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND
 
@@ -83,13 +78,13 @@ def _bounded(time_ns: int) -> int:
 
 
 def stamps(columns: Columns, field: str) -> tuple[TimeArray, bool]:
-    """The stamps [ns] of decoded messages, and whether they count from a boot.
+    """The stamps [ns] of decoded messages, and whether they are counted in microseconds.
 
     Parameters
     ----------
     columns : (n,) the fields as decoded; ``field`` names one of type Time, or microseconds.
 
-    A Time gives 0 where the message has none. Microseconds below 1e15 count from the boot.
+    A Time gives 0 where the message has none. Microseconds may be Unix time or count from a boot.
     """
     if f"{field}.sec" in columns:
         part = columns.get(f"{field}.nanosec", columns.get(f"{field}.nsec", np.int64(0)))
@@ -97,49 +92,69 @@ def stamps(columns: Columns, field: str) -> tuple[TimeArray, bool]:
         time_ns = whole * NANOSECONDS_PER_SECOND + np.asarray(part).astype(np.int64)
         return np.asarray(time_ns, np.int64), False
     if field in columns and columns[field].dtype.kind in "iu":
-        raw = np.minimum(columns[field].astype(np.uint64), np.uint64(LAST_US)).astype(np.int64)
-        return raw * 1000, bool(np.any((raw > 0) & (raw < UNIX_US_FROM)))
+        return microseconds(columns[field]) * 1000, True
     n = next((column.shape[0] for column in columns.values()), 0)
     return np.zeros(n, np.int64), False
 
 
-class BootClock:
-    """PX4's clock since boot -> UTC, by its GNSS messages, or by when they were recorded."""
+def confirmed(line: Timeline, topics: Iterable[tuple[TimeArray, TimeArray]]) -> Timeline:
+    """The boots at which some topic itself steps back, of those that all together show.
 
-    def __init__(self, readings: Iterable[tuple[TimeArray, TimeArray]], ledger: Ledger) -> None:
-        """``readings`` are UTC and time since boot [ns] of the messages that have both."""
-        self.ledger = ledger
-        self.boots = 1
-        self.fits: dict[int, Offset] = {}
-        for utc_ns, boot_ns in readings:
-            boot = boots_of(boot_ns)
-            told = utc_ns > UNIX_US_FROM * 1000
-            for number in np.unique(boot[told]).tolist():
-                mine = told & (boot == number)
-                mine[mine] = fresh(utc_ns[mine])
-                fit = fit_offset(utc_ns[mine], boot_ns[mine])
-                if fit is not None and number not in self.fits:
-                    self.fits[number] = fit
-                    report_fit(ledger, "GNSS messages", fit.spread_ns, f"boot {number}", fit.rows)
+    Messages that come late, and chunks that hold one topic each, step back only against others.
 
-    def utc(
-        self, boot_ns: TimeArray, log_ns: TimeArray, where: str
-    ) -> tuple[TimeArray, NDArray[np.int16]]:
-        """UTC [ns] and boot of a topic's messages, in the order of the file."""
-        boot = boots_of(boot_ns)
-        time_ns = boot_ns.copy()
-        for number in np.unique(boot).tolist():
-            mine = boot == number
-            fit = self.fits.get(number)
-            if fit is None:
-                fit = fit_offset(log_ns[mine], boot_ns[mine])
-                self.ledger.fallback(
-                    "TIME-LOG-TIME",
-                    f"time counts from boot {number}, and no GNSS message ties that to UTC: the "
-                    "clock is set by the recorder's time",
-                    where=where,
-                    count=int(np.count_nonzero(mine)),
-                )
-            time_ns[mine] += fit.offset_ns if fit is not None else 0
-        self.boots = max(self.boots, int(boot.max()) + 1 if boot.shape[0] else 1)
-        return time_ns, boot
+    Parameters
+    ----------
+    topics : places and times since boot [ns] of each.
+    """
+    starts = np.flatnonzero(np.diff(line.boot) > 0) + 1
+    seen = np.zeros(starts.shape, np.bool_)
+    for places, boot_ns in topics if starts.size else ():
+        row = np.searchsorted(places, line.first[starts])
+        inner = (row > 0) & (row < places.shape[0])
+        seen[inner] |= boot_ns[row[inner]] < boot_ns[row[inner] - 1] - BOOT_STEP_NS
+    marks = np.zeros(line.boot.shape, np.int16)
+    marks[starts] = seen
+    return replace(line, boot=np.cumsum(marks, dtype=np.int16))
+
+
+def clock_of(
+    line: Timeline,
+    receivers: Sequence[Told],
+    cameras: Sequence[Told],
+    recorder: Told | None,
+    ledger: Ledger,
+) -> BootClock:
+    """UTC of the clock since boot that PX4's messages count.
+
+    Parameters
+    ----------
+    line : the boots, by the messages of all topics together.
+    receivers, cameras : what they say of UTC. A camera's is the autopilot's own clock, which it
+        sets by its receiver now and then: it counts where no receiver has a fix.
+    recorder : log_time of these messages, for boots that nothing else ties to UTC; None where no
+        message counts time since boot.
+    """
+    if recorder is None:
+        return BootClock(line, (None,), (False,))
+    known = any(one.sound(line).places.shape[0] for one in receivers)
+    clock = fit_boots(line, receivers if known else cameras, ledger, recorder)
+    for number, (fit, told) in enumerate(zip(clock.fits, clock.told, strict=True)):
+        if told:
+            continue
+        where = f"boot {number}"
+        if fit is not None:
+            ledger.fallback(
+                "TIME-LOG-TIME",
+                "time counts from boot, and no GNSS message with a fix ties that to UTC: the clock "
+                "is set by the recorder's time",
+                where=where,
+                count=fit.rows,
+            )
+        else:
+            ledger.fallback(
+                "TIME-NO-UTC",
+                "no GNSS message with a fix and no log_time: time counts from boot, as if in 1970; "
+                "events in this log can be used, matching by UTC is impossible",
+                where=where,
+            )
+    return clock

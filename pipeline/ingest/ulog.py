@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,104 +16,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import LogError
+from pipeline.flight.boots import Told, fit_boots, timeline
 from pipeline.flight.channels import Channel, Source, TimeArray
-from pipeline.flight.clock import LAST_US, UNIX_US_FROM, fit_offset, fresh, report_fit
+from pipeline.flight.clock import UNIX_US_FROM, stray_times
 from pipeline.ingest.base import Contents, Table, report_damage
-from pipeline.ingest.build import LOWEST_FIX, Rows, channel_of
-from pipeline.ingest.fields import MessageMap, column, extract
+from pipeline.ingest.build import Rows, channel_of
+from pipeline.ingest.fields import MessageMap, extract
+from pipeline.ingest.gimbal import north_only
+from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, TOPICS, UTC_FIELD, taken
+from pipeline.ingest.raw import microseconds
+from pipeline.ingest.ulog_records import Walk, Whole, walk
+from pipeline.ingest.window import window_on
 from pipeline.ledger import Ledger
 
 MAGIC = b"ULog\x01\x12\x35"
-FILE_HEADER = 16
-RECEIVERS = ("vehicle_gps_position", "sensor_gps")
-
 # What pyulog lets through from a damaged file, besides its own exceptions.
 _COMPLAINTS = (
     ValueError, LookupError, TypeError, ArithmeticError, AttributeError, struct.error,
     RecursionError,
 )  # fmt: skip
 
-# Fields were renamed when PX4 1.14 went from scaled integers to doubles: both are here.
-_GNSS = MessageMap(
-    (
-        column("lat_rad", "latitude_deg", "deg"),
-        column("lat_rad", "lat", "degE7"),
-        column("lon_rad", "longitude_deg", "deg"),
-        column("lon_rad", "lon", "degE7"),
-        column("h_msl_m", "altitude_msl_m"),
-        column("h_msl_m", "alt", "mm"),
-        column("h_ellipsoid_m", "altitude_ellipsoid_m", missing=0.0),
-        column("h_ellipsoid_m", "alt_ellipsoid", "mm", missing=0.0),
-        column("sigma_h_m", "eph"),
-        column("sigma_v_m", "epv"),
-        column("fix", "fix_type"),
-    ),
-    ("height", "position"),
-    20,
-    position=True,
-)
-_SHOT = MessageMap(
-    (
-        column("lat_rad", "lat", "deg"),
-        column("lon_rad", "lon", "deg"),
-        column("h_msl_m", "alt"),
-        column("event_index", "seq"),
-    ),
-    ("events",),
-    10,
-)
-TOPICS: Mapping[str, MessageMap] = {
-    "vehicle_global_position": MessageMap(
-        (
-            column("lat_rad", "lat", "deg"),
-            column("lon_rad", "lon", "deg"),
-            column("h_msl_m", "alt"),
-            column("h_ellipsoid_m", "alt_ellipsoid", missing=0.0),
-        ),
-        ("position",),
-        10,
-        position=True,
-    ),
-    "vehicle_gps_position": _GNSS,
-    "sensor_gps": _GNSS,
-    "vehicle_attitude": MessageMap(
-        tuple(column(f"q_{axis}", f"q[{k}]") for k, axis in enumerate("wxyz")),
-        ("attitude",),
-        10,
-        attitude=True,
-    ),
-    "sensor_baro": MessageMap(
-        (column("pressure_pa", "pressure"), column("board_temperature_k", "temperature", "degC")),
-        ("pressure", "cabin_pressure"),
-        20,
-    ),
-    "vehicle_air_data": MessageMap(
-        (
-            column("pressure_pa", "baro_pressure_pa"),
-            column("board_temperature_k", "baro_temp_celcius", "degC"),
-        ),
-        ("pressure",),
-        10,
-    ),
-    "airspeed": MessageMap(
-        (
-            column("temperature_k", "air_temperature_celsius", "degC"),
-            column("airspeed_m_s", "true_airspeed_m_s"),
-        ),
-        ("temperature", "airspeed"),
-        30,
-    ),
-    "sensor_hygrometer": MessageMap(
-        (
-            column("temperature_k", "temperature", "degC"),
-            column("relative_humidity", "humidity", "%"),
-        ),
-        ("temperature", "humidity", "cabin_temperature", "cabin_humidity"),
-        20,
-    ),
-    "camera_capture": _SHOT,
-    "camera_trigger": MessageMap((column("event_index", "seq"),), ("events",), 40),
-}
+_ONE_BOOT = timeline([(np.zeros(1, np.int64), np.zeros(1, np.int64))])  # a log a boot
+_ELEMENT = re.compile(r"\[(\d+)\]")
 
 
 @dataclass(frozen=True)
@@ -127,26 +52,26 @@ class ULogFormat:
         return head.startswith(MAGIC)
 
     def read(self, path: Path, ledger: Ledger) -> Contents:
-        found = _parsed(path, None)
-        lost = _report_damage(found, path, ledger)
-        offset_ns, words = _clock(found, ledger)
-        messages: dict[str, int] = {}
+        found, walked = _parsed(path, list(TOPICS))
+        lost = _report_damage(found, walked, path.name, ledger)
+        topics = found.data_list
+        offset_ns, words = _clock(topics, ledger)
         channels = []
-        several = {data.name for data in found.data_list if data.multi_id}
-        for data in found.data_list:
-            messages[data.name] = messages.get(data.name, 0) + len(data.data["timestamp"])
-            spec = TOPICS.get(data.name)
-            channel = spec and _channel(data, spec, data.name in several, offset_ns, ledger)
+        several = {data.name for data in topics if data.multi_id}
+        for data in topics:
+            channel = _channel(data, TOPICS[data.name], data.name in several, offset_ns, ledger)
             if channel:
                 channels.append(channel)
         table = partial(_table, path, offset_ns)
-        return Contents(messages, tuple(channels), 0, lost, 1, words, table)
+        bad = walked.bad_bytes
+        return Contents(dict(walked.counts), tuple(channels), bad, lost, 1, words, table)
 
 
 ULOG = ULogFormat()
 
 
-def _parsed(path: Path, topics: list[str] | None) -> Any:
+def _parsed(path: Path, topics: list[str]) -> tuple[Any, Walk]:
+    """The whole messages of some topics by pyulog, and what the file holds of all."""
     try:
         from pyulog import ULog
         from pyulog.exceptions import ULogException
@@ -158,9 +83,10 @@ def _parsed(path: Path, topics: list[str] | None) -> Any:
             remedy="pip install 'unbend[ulog]'",
         ) from error
     try:
-        # It prints what `file_corruption` says, and leaves a file open that it opened and refused.
-        with path.open("rb") as stream, contextlib.redirect_stdout(io.StringIO()):
-            return ULog(stream, topics)
+        # It prints what `file_corruption` says.
+        with window_on(path) as data, contextlib.redirect_stdout(io.StringIO()):
+            walked = walk(data)
+            return ULog(io.BufferedReader(Whole(data, walked), 1 << 20), topics), walked
     except (*_COMPLAINTS, ULogException) as error:
         raise LogError(
             "LOG-ULOG",
@@ -170,60 +96,57 @@ def _parsed(path: Path, topics: list[str] | None) -> Any:
         ) from error
 
 
-def _report_damage(found: Any, path: Path, ledger: Ledger) -> int:
+def _report_damage(found: Any, walked: Walk, name: str, ledger: Ledger) -> int:
     """Enter what is damaged; how many messages were lost cannot be known, but whether."""
+    report_damage(ledger, name, "message", walked.bad_bytes, walked.first_bad, walked.cut_bytes)
+    for topic in sorted(walked.timeless):
+        count = walked.counts[topic]
+        what = f"{count} rows cannot be used: the log defines no field for timestamp"
+        ledger.loss("LOG-FIELDS", what, where=topic, count=count)
     if found.file_corruption:
         ledger.loss(
             "LOG-ULOG-DAMAGE",
             "pyulog found damage; how many messages are lost is unknown",
-            where=path.name,
+            where=name,
             count=1,
         )
-    else:
-        report_damage(ledger, path.name, "message", 0, -1, _cut_bytes(path))
     if found.dropouts:
         lost_s = sum(drop.duration for drop in found.dropouts) / 1000.0
-        ledger.warning(
+        ledger.loss(
             "LOG-DROPOUT",
             f"the logger could not keep up {len(found.dropouts)} times, {lost_s:.3f} s together",
-            where=path.name,
+            where=name,
             count=len(found.dropouts),
         )
-    return int(found.file_corruption)
-
-
-def _cut_bytes(path: Path) -> int:
-    """How many bytes of a last message are there that the end of the file cuts off."""
-    left = path.stat().st_size - FILE_HEADER
-    with path.open("rb") as stream:
-        stream.seek(FILE_HEADER)
-        while len(head := stream.read(3)) == 3:
-            size = 3 + int.from_bytes(head[:2], "little")
-            if size > left:
-                break
-            left -= size
-            stream.seek(size - 3, io.SEEK_CUR)
-    return left
+    return int(found.file_corruption or walked.bad_bytes > 0)
 
 
 def _times(data: Mapping[str, NDArray[Any]]) -> TimeArray:
-    raw = data["timestamp"].astype(np.uint64)
-    return np.asarray(np.minimum(raw, np.uint64(LAST_US)).astype(np.int64) * 1000, np.int64)
+    return microseconds(data["timestamp"]) * 1000
 
 
-def _clock(found: Any, ledger: Ledger) -> tuple[int, str]:
+def _told(data: Any, field: str) -> Told | None:
+    """What the messages of a topic say of UTC."""
+    if field not in data.data:
+        return None
+    boot_ns, utc_us = _times(data.data), microseconds(data.data[field])
+    usable = (utc_us > UNIX_US_FROM) & ~stray_times(boot_ns)
+    fix = data.data.get("fix_type", np.empty(0))
+    places = np.arange(boot_ns.shape[0])
+    return Told(f"rows of {_name(data, True)}", places, boot_ns, utc_us * 1000, usable, fix)
+
+
+def _clock(topics: list[Any], ledger: Ledger) -> tuple[int, str]:
     """UTC minus time since boot [ns], and where it comes from."""
-    for data in sorted(found.data_list, key=lambda data: (data.name, data.multi_id)):
-        if data.name not in RECEIVERS or "time_utc_usec" not in data.data:
-            continue
-        utc_us = np.minimum(data.data["time_utc_usec"], np.uint64(LAST_US)).astype(np.int64)
-        usable = (utc_us > UNIX_US_FROM) & (data.data["fix_type"] >= LOWEST_FIX)
-        utc_ns, boot_ns = utc_us[usable] * 1000, _times(data.data)[usable]
-        moved = fresh(utc_ns)
-        fit = fit_offset(utc_ns[moved], boot_ns[moved])
-        if fit is not None:
-            report_fit(ledger, f"{fit.rows} rows of {data.name}", fit.spread_ns, "boot 0", fit.rows)
-            return fit.offset_ns, f"vehicle clock, set to UTC by the median of {fit.rows} GPS rows"
+    receivers = [_told(data, UTC_FIELD) for data in topics if TOPICS[data.name].position]
+    # a camera's UTC is the autopilot's own clock, which it sets by its receiver now and then
+    cameras = [_told(data, CAPTURE_UTC_FIELD) for data in topics if TOPICS[data.name].event]
+    for sources in (receivers, cameras):
+        told = [one for one in sources if one is not None and one.sound(_ONE_BOOT).places.size]
+        if told:
+            fit = fit_boots(_ONE_BOOT, told, ledger).fits[0]
+            words = "vehicle clock, set to UTC by the median of"
+            return (fit.offset_ns, f"{words} {fit.rows} rows") if fit else (0, "")
     ledger.fallback(
         "TIME-NO-UTC",
         "no GPS row with a fix and UTC: time counts from boot, as if in 1970; events in this log "
@@ -233,22 +156,39 @@ def _clock(found: Any, ledger: Ledger) -> tuple[int, str]:
     return 0, "vehicle clock; UTC is unknown"
 
 
+def _name(data: Any, numbered: bool) -> str:
+    return f"{data.name}[{data.multi_id}]" if numbered else str(data.name)
+
+
 def _channel(
     data: Any, spec: MessageMap, numbered: bool, offset_ns: int, ledger: Ledger
 ) -> Channel | None:
-    time_ns = _times(data.data) + offset_ns
-    instance = str(data.multi_id) if numbered else None
-    name = f"{data.name}[{instance}]" if numbered else data.name
-    boot = np.zeros(time_ns.shape, np.int16)
-    columns = extract(data.data, spec.columns)
-    return channel_of(Rows(name, Source(data.name, instance), time_ns, boot, columns), spec, ledger)
+    boot_ns, name = _times(data.data), _name(data, numbered)
+    fields = {_ELEMENT.sub(r".\1", field): column for field, column in data.data.items()}
+    columns = extract(fields, spec.columns)
+    if "flags" in columns:
+        columns = north_only(columns)
+    boot = np.zeros(boot_ns.shape, np.int16)
+    source = Source(data.name, str(data.multi_id) if numbered else None)
+    rows = Rows(name, source, boot_ns + offset_ns, boot, columns)
+    stray = stray_times(boot_ns)
+    if stray.any():
+        ledger.loss(
+            "TIME-STRAY",
+            f"{int(stray.sum())} of {len(rows)} rows carry a time that fits none of their "
+            "neighbours: they are not used",
+            where=f"{name}, first at row {int(np.flatnonzero(stray)[0])}",
+            count=int(stray.sum()),
+        )
+        rows = rows.take(~stray)
+    return channel_of(taken(rows, ledger) if spec.event else rows, spec, ledger)
 
 
 def _table(path: Path, offset_ns: int, name: str, instance: str | None) -> Table:
     """The messages of one topic, for `Log.message`; instances follow each other."""
     chosen = [
         data
-        for data in _parsed(path, [name]).data_list
+        for data in _parsed(path, [name])[0].data_list
         if data.name == name and instance in (None, str(data.multi_id))
     ]
     if not chosen:

@@ -254,6 +254,16 @@ def test_definitions_from_the_summary_save_a_log_that_lost_its_first_chunk(
     assert begin < end
 
 
+def test_a_data_section_that_fails_its_checksum_is_a_loss(tmp_path: Path) -> None:
+    """A log without chunks: nothing else tells that a value changed."""
+    data = bytearray(small_logs()[5])
+    data[data.index(b"note 50") + 5] ^= 1
+    log = read(tmp_path / "data.mcap", bytes(data))
+    assert [(e.kind, "data section" in e.what) for e in log.ledger if e.code == "LOG-CRC"] == [
+        ("loss", True)
+    ]
+
+
 @cache
 def packed_zeros(compression: str, size: int) -> bytes:
     import lz4.frame
@@ -294,7 +304,38 @@ def many_channels(count: int) -> bytes:
     return b"".join(parts)
 
 
+def schema_bomb(definition: str) -> bytes:
+    """A topic of pressure whose definition takes long to take apart, and messages."""
+    schema = struct.pack("<H", 900) + text("sensor_msgs/msg/FluidPressure") + text("ros2msg")
+    schema += text(definition)
+    channel = struct.pack("<HH", 900, 900) + text("/bomb") + text("cdr") + bytes(4)
+    message = struct.pack("<HIQQ", 900, 0, START, START) + b"\0\1\0\0" + bytes(64)
+    return record(3, schema) + record(4, channel) + record(5, message) * 50
+
+
+def nested(depth: int) -> str:
+    """Arrays of messages in arrays of messages: 4000 to the power of the depth numbers."""
+    parts = [f"MSG: a/A{k}\na/A{k + 1}[4000] x" for k in range(depth)]
+    return "\n===\n".join(["a/A0[4000] x\nfloat64 fluid_pressure", *parts,
+                          f"MSG: a/A{depth}\nfloat64 z"])  # fmt: skip
+
+
 def bomb(kind: str) -> bytes:
+    if kind == "data that ends again and again":  # each a checksum of all before it
+        return record(15, struct.pack("<I", 1)) * 100_000
+    if kind == "schema of a long array":
+        return schema_bomb("float64[2000000000] variance\nfloat64 fluid_pressure")
+    if kind == "schema of long arrays":
+        return schema_bomb("float64[2147483647] x\n" * 4000 + "float64 fluid_pressure")
+    if kind == "schema of nested arrays":
+        return schema_bomb(nested(12))
+    if kind == "schema of remarks":  # one definition, named 4000 times
+        remarks = "int8 A=1\n" * 100_000
+        return schema_bomb(f"a/B[4000] x\nfloat64 y\n===\nMSG: a/B\n{remarks}int8 z")
+    if kind == "schema of many channels":
+        one = record(4, struct.pack("<HH", 901, 900) + text("/b") + text("cdr") + bytes(4))
+        more = [one[:9] + struct.pack("<H", k) + one[11:] for k in range(901, 20_000)]
+        return schema_bomb("float64 x\n" * 4000) + b"".join(more)
     if kind == "empty records":
         return record(0x80, b"") * 10**6
     if kind == "empty messages":
@@ -305,6 +346,8 @@ def bomb(kind: str) -> bytes:
         return (
             chunk("", 0, b"") + chunk("zstd", 64 << 20, packed_zeros("zstd", 64 << 20), crc=1) * 2
         )
+    if kind == "many chunks":  # each of 256 MiB, as much as one chunk alone once could
+        return chunk("zstd", 256 << 20, packed_zeros("zstd", 256 << 20)) * 40
     if kind == "chunk of records":
         inner = record(5, bytes(22)) * (8 << 20 >> 5)
         return chunk("", len(inner), inner)
@@ -315,7 +358,9 @@ def bomb(kind: str) -> bytes:
 SIZES = (1024, 64 << 20, 2 << 30, 2**63)
 BOMBS = [
     *(f"{how} {size}" for how in ("zstd", "lz4") for size in SIZES),
-    "empty records", "empty messages", "channels", "nested", "chunk of records",
+    "empty records", "empty messages", "channels", "nested", "chunk of records", "many chunks",
+    "data that ends again and again", "schema of a long array", "schema of long arrays",
+    "schema of nested arrays", "schema of remarks", "schema of many channels",
 ]  # fmt: skip
 
 

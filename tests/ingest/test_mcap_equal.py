@@ -81,7 +81,9 @@ def compare(table: dict[str, np.ndarray], messages: list) -> int:
     for name, ours in table.items():
         if name in ("time_ns", "boot", "log_time_ns"):
             continue
-        theirs = [follow(message, name) for message in messages]
+        theirs = [follow(message, name.removesuffix("[]")) for message in messages]
+        if name.endswith("[]"):
+            theirs = [len(sequence) for sequence in theirs]
         if ours.dtype.kind == "f":
             want = np.array(theirs, ours.dtype)
             assert np.array_equal(ours.view(f"u{ours.itemsize}"), want.view(f"u{ours.itemsize}"))
@@ -172,6 +174,7 @@ def test_both_byte_orders(order: str) -> None:
     np.testing.assert_array_equal(table["z"], k)
     assert table["s"].tolist() == ["abcdefg"[: n % 7] for n in k]
     assert "f" not in table
+    np.testing.assert_array_equal(table["f[]"], k % 3)
 
 
 @pytest.mark.parametrize(
