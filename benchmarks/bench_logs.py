@@ -123,6 +123,20 @@ def test_memory_is_the_columns_and_a_little(kind: str, request: pytest.FixtureRe
     assert found["more"] < found["columns"] + SPARE
 
 
+def test_two_gigabytes_take_one_of_memory(folder: Path):
+    path = folder / "two.bin"
+    dataflash.grow(real("sitl_survey.BIN"), path, 2_000_000_000)
+    sample = Path(__file__).resolve().parents[1] / "sample_logs" / "flight.bin"
+    done = subprocess.run(
+        [sys.executable, "-c", PEAK, str(sample), str(path)],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    path.unlink()
+    found = json.loads(done.stdout)
+    print(f"2 GB: {found['more'] / 1e6:.0f} MB for {found['columns'] / 1e6:.0f} MB of columns")
+    assert found["more"] < 1_000_000_000
+
+
 @pytest.mark.parametrize("kind", ["flash", "telemetry", "bag"])
 def test_inspect_answers_at_once(kind: str, request: pytest.FixtureRequest):
     path: Path = request.getfixturevalue(kind)

@@ -99,7 +99,7 @@ def inspect(
         )
     console = new_console()
     with PatientBar(console, f"reading {log.name}"):
-        opened = open_log(log)
+        opened = open_log(log, needs_channels=kind is None)
         columns = None if kind is None else opened.message(kind, instance)
     if columns is not None and as_csv:
         write_csv(sys.stdout, columns)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,6 +54,7 @@ LAST_US = 1 << 52  # 142 years: a stamp beyond is damage, and below, nanoseconds
 
 BOOT_STEP_NS = NANOSECONDS_PER_SECOND  # loggers write records up to some ms out of order
 STRAY_ROWS = 4  # this many rows in a row can be one glitch; a power-up writes more
+LARGEST_SPREAD_NS = 200_000_000  # real logs: 1 to 40 ms; a receiver's time step is a second or more
 SET_BACKS = 16  # a clock that was set back more often than this is no clock
 
 
@@ -101,26 +102,6 @@ def full_weeks(week: ArrayLike, first: int) -> tuple[NDArray[np.int64], int]:
         return weeks, 0
     full = np.where(early, first + (weeks - first) % WEEKS_PER_ROLLOVER, weeks)
     return full, int(np.count_nonzero(early))
-
-
-def boots_of(time_ns: TimeArray, step_ns: int = BOOT_STEP_NS) -> NDArray[np.int16]:
-    """Number the power-ups in a sequence of times since boot.
-
-    Parameters
-    ----------
-    time_ns : (n,) [ns] since boot, in the order of the file.
-    step_ns : [ns] a step back by more than this begins a new boot.
-
-    Returns (n,) the boot of each row, from 0.
-
-    >>> boots_of(np.array([5, 6, 1, 2]) * 10**9)
-    array([0, 0, 1, 1], dtype=int16)
-    """
-    if time_ns.shape[0] == 0:
-        return np.empty(0, np.int16)
-    boots = np.zeros(time_ns.shape, np.int16)
-    np.cumsum(np.diff(time_ns) < -step_ns, out=boots[1:])
-    return boots
 
 
 def stray_times(time_ns: TimeArray, limit_ns: int = BOOT_STEP_NS) -> NDArray[np.bool_]:
@@ -250,12 +231,18 @@ def _in_long_runs(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 class Offset:
     """UTC minus the time since boot of one boot.
 
-    ``offset_ns`` the median; ``spread_ns`` p95 - p5 of the rows; ``rows`` how many it rests on.
+    ``offset_ns`` the median; of the rows about it ``spread_ns`` p95 - p5 and ``largest_ns`` the
+    farthest; ``rows`` how many it rests on. ``far`` of them are farther than `LARGEST_SPREAD_NS`,
+    the first ``first_far_ns`` after boot; ``stepped`` where more than `STRAY_ROWS` are in a row.
     """
 
     offset_ns: int
     spread_ns: int
     rows: int
+    largest_ns: int = 0
+    far: int = 0
+    first_far_ns: int = 0
+    stepped: bool = False
 
 
 def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> Offset | None:
@@ -277,8 +264,15 @@ def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> Offset | None:
         return None
     difference = utc_ns - boot_ns
     base = int(difference[0])  # float64 holds differences of ns exactly, not Unix time in ns
-    low, middle, high = np.percentile((difference - base).astype(np.float64), (5.0, 50.0, 95.0))
-    return Offset(base + round(middle), round(high - low), int(utc_ns.shape[0]))
+    apart = (difference - base).astype(np.float64)
+    low, middle, high = np.percentile(apart, (5.0, 50.0, 95.0))
+    largest = max(float(apart.max() - middle), float(middle - apart.min()))
+    found = Offset(base + round(middle), round(high - low), int(utc_ns.shape[0]), round(largest))
+    if largest <= LARGEST_SPREAD_NS:
+        return found
+    far = np.abs(apart - middle) > LARGEST_SPREAD_NS
+    first, stepped = int(boot_ns[np.argmax(far)]), bool(_in_long_runs(far).any())
+    return replace(found, far=int(np.count_nonzero(far)), first_far_ns=first, stepped=stepped)
 
 
 def fresh(time_ns: TimeArray) -> NDArray[np.bool_]:
@@ -326,18 +320,23 @@ def along(from_ns: TimeArray, to_ns: TimeArray) -> Callable[[TimeArray], TimeArr
     return mapped
 
 
-LARGEST_SPREAD_NS = 200_000_000  # real logs: 1 to 40 ms; a receiver's time step is a second or more
+def report_fit(ledger: Ledger, source: str, fit: Offset, where: str) -> None:
+    """Say how well the stamps agree that tie a vehicle's clock to UTC; one that stepped is a loss.
 
-
-def report_fit(ledger: Ledger, source: str, spread_ns: int, where: str, count: int) -> None:
-    """Say how well the stamps agree that tie a vehicle's clock to UTC; a spread is a loss."""
-    what = f"UTC from {source}, which agree within {spread_ns / 1e6:.0f} ms (p5 to p95)"
-    if spread_ns <= LARGEST_SPREAD_NS:
-        ledger.note("TIME-FIT", what, where=where, count=count)
+    p5 to p95 do not see a tenth of the rows: the farthest counts as well, and rows that stay away.
+    """
+    what = (
+        f"UTC from {source}, which agree within {fit.spread_ns / 1e6:.0f} ms (p5 to p95), the "
+        f"farthest is {fit.largest_ns / 1e6:.0f} ms off"
+    )
+    steady = fit.spread_ns <= LARGEST_SPREAD_NS and fit.largest_ns <= BOOT_STEP_NS
+    if steady and not fit.stepped:
+        ledger.note("TIME-FIT", what, where=where, count=fit.rows)
         return
     ledger.loss(
         "TIME-FIT",
-        f"{what}: one of the two clocks stepped, and exposures by UTC may be that far off",
-        where=where,
-        count=count,
+        f"{what}, {fit.far} are off by more than {LARGEST_SPREAD_NS / 1e6:.0f} ms: one of the two "
+        "clocks stepped, and exposures by UTC may be that far off",
+        where=f"{where}, first {fit.first_far_ns / 1e9:.3f} s after boot",
+        count=fit.far,
     )

@@ -72,7 +72,7 @@ class Log:
 
     Parameters
     ----------
-    path, size_bytes, sha256 : the file; hashed before it was read.
+    path, size_bytes, sha256 : the file; hashed before it was read, if it begins as a log does.
     format : ``dataflash``, ``dataflash-text``, ``tlog``, ``mcap`` or ``ulog``.
     messages : count of every message type or topic, sorted by name.
     channels : sorted by name; none is empty.
@@ -208,7 +208,7 @@ def report_damage(
             count=bad_bytes,
         )
     if cut_bytes:
-        ledger.warning(
+        ledger.loss(
             "LOG-TRUNCATED",
             f"the last {unit} is cut off, {cut_bytes} bytes of it are there: this format has no "
             "end mark and its logs end so when the power goes; every whole one before it was read",

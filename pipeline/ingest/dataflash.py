@@ -10,12 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.flight.boots import timeline
 from pipeline.ingest.base import Contents, Table, report_damage
 from pipeline.ingest.dataflash_channels import channels_of, wanted
-from pipeline.ingest.dataflash_columns import Decoded, decode
+from pipeline.ingest.dataflash_columns import Decoded, decode, settled
 from pipeline.ingest.dataflash_fields import instance_of
 from pipeline.ingest.dataflash_records import FMT_START, Walk, Walker, walk
-from pipeline.ingest.dataflash_time import Clock, clock_of, stamps, timeline
+from pipeline.ingest.dataflash_time import Clock, clock_of, stamps
 from pipeline.ingest.window import window_on
 from pipeline.ledger import Ledger
 
@@ -34,17 +35,18 @@ class DataFlash:
     def read(self, path: Path, ledger: Ledger) -> Contents:
         with window_on(path) as data:
             walker = Walker(data, wanted())
-            line = timeline(stamps(data, walker), ledger)
+            line = timeline(stamps(data, walker))
             found = walker.found()
-            tables = timed_only(decode(data, found, wanted()))
+            tables = decode(data, found, wanted())
         _report_damage(found, path, ledger)
+        tables = timed_only(tables, ledger)
         clock = clock_of(line, tables, ledger)
         return Contents(
             counts_of(found),
             channels_of(tables, clock, ledger),
             found.bad_bytes,
             0,  # records carry no sequence number
-            line.boots,
+            clock.line.boots,
             clock.words,
             partial(_table, path, clock),
         )
@@ -79,15 +81,17 @@ def counts_of(found: Walk) -> dict[str, int]:
     return dict(result)
 
 
-def timed_only(tables: dict[str, Decoded]) -> dict[str, Decoded]:
+def timed_only(tables: dict[str, Decoded], ledger: Ledger) -> dict[str, Decoded]:
     """The tables with a time since boot, without the rows that lack it."""
     result = {}
     for name in list(tables):
-        table = tables.pop(name)
+        table = settled(tables.pop(name), name, ledger)
         time = table.columns.get("TimeUS")
-        if time is None or time.dtype.kind not in "uf":
+        if time is None or time.dtype.kind not in "iuf":
+            what = f"{table.places.size} rows have no time: the log defines no field TimeUS"
+            ledger.loss("LOG-FIELDS", what, where=name, count=table.places.size)
             continue
-        result[name] = table if time.dtype.kind == "u" else table.take(np.isfinite(time))
+        result[name] = table.take(np.isfinite(time)) if time.dtype.kind == "f" else table
     return result
 
 
@@ -105,7 +109,7 @@ def _table(path: Path, clock: Clock, name: str, instance: str | None) -> Table:
 def stamped(decoded: Decoded, clock: Clock, instance: str | None) -> Table:
     """A table with UTC and boot before its own columns; only an instance, where one is given."""
     table, places = decoded.columns, decoded.places
-    if "TimeUS" in table and table["TimeUS"].dtype.kind in "uf":
+    if "TimeUS" in table and table["TimeUS"].dtype.kind in "iuf":
         added: Table = {"time_ns": clock.utc(table, places), "boot": clock.line.boot_of(places)}
         table = added | table
     if instance is None:

@@ -10,9 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.ingest.base import Table
+from pipeline.ingest.dataflash_fields import INSTANCE_FIELDS
 from pipeline.ingest.dataflash_formats import Definition, texts
 from pipeline.ingest.dataflash_records import Walk, records
 from pipeline.ingest.window import Window
+from pipeline.ledger import Ledger
+
+LAST_INT64 = (1 << 63) - 1
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,7 @@ def decode(
 
     Returns those that the log has. Memory: the columns, and a block of the file. Types of
     one name that differ in their fields are one table; what a row does not have is NaN or empty.
+    A field that was text and number is a column of objects (`settled`).
     """
     counts = found.counts
     tables = {
@@ -102,14 +107,76 @@ def merged(several: list[Decoded]) -> Decoded:
 
 
 def _joined(name: str, several: list[Decoded]) -> NDArray[Any]:
-    """One column through all definitions; its last one says whether it is text or numbers."""
-    model = [one.columns[name] for one in several if name in one.columns][-1]
-    text, shape = model.dtype.kind == "U", model.shape[1:]
-    missing: str | float = "" if text else np.nan
-    pieces = []
-    for one in several:
-        column = one.columns.get(name)
-        if column is None or (column.dtype.kind == "U") != text or column.shape[1:] != shape:
-            column = np.full((one.places.size, *shape), missing)
-        pieces.append(column)
-    return np.concatenate(pieces)
+    """One column through all definitions, every value as it is logged.
+
+    Missing are NaN, in text the empty string, and -1 in numbers of instances, which tell rows
+    apart. Where no type of numpy holds all values, text beside numbers or integers beyond 2^53
+    beside others, they are objects, and None is missing.
+    """
+    columns = [one.columns.get(name) for one in several]
+    present = [column for column in columns if column is not None]
+    kinds = {column.dtype.kind for column in present}
+    if len({column.shape[1:] for column in present}) > 1 or (kinds != {"U"} and "U" in kinds):
+        return _objects(columns, several)
+    if len(present) < len(columns):
+        whole = name in INSTANCE_FIELDS and kinds <= set("iu")
+        missing = "" if kinds == {"U"} else -1 if whole else np.nan
+        shape = present[0].shape[1:]
+        filled = [
+            np.full((one.places.size, *shape), missing) if column is None else column
+            for column, one in zip(columns, several, strict=True)
+        ]
+    else:
+        filled = present
+    joined = np.concatenate(filled)
+    if joined.dtype.kind != "f" or all(map(_exact, filled)):
+        return joined
+    if all(column.dtype.kind in "iu" and not _beyond(column, LAST_INT64) for column in filled):
+        return np.concatenate([column.astype(np.int64) for column in filled])
+    return _objects(columns, several)
+
+
+def _exact(column: NDArray[Any]) -> bool:
+    """Whether float64 holds all values."""
+    return column.dtype.kind == "f" or column.dtype.itemsize < 8 or not _beyond(column, 1 << 53)
+
+
+def _beyond(column: NDArray[Any], limit: int) -> bool:
+    return bool(column.size) and (int(column.max()) > limit or int(column.min()) < -limit)
+
+
+def _objects(columns: list[NDArray[Any] | None], several: list[Decoded]) -> NDArray[Any]:
+    result = np.empty(sum(one.places.size for one in several), object)
+    row = 0
+    for column, one in zip(columns, several, strict=True):
+        for value in () if column is None else column.tolist():
+            result[row] = value
+            row += 1
+        row += one.places.size if column is None else 0
+    return result
+
+
+def settled(decoded: Decoded, name: str, ledger: Ledger) -> Decoded:
+    """A table without objects: the last value of a column says whether it is text or numbers."""
+    columns = dict(decoded.columns)
+    for field, column in decoded.columns.items():
+        if column.dtype.kind != "O":
+            continue
+        known = [value for value in column.tolist() if value is not None]
+        kind = str if isinstance(known[-1], str) else (int, float)
+        lost = sum(not isinstance(value, kind) for value in known)
+        if kind is str:
+            words = [value if isinstance(value, str) else "" for value in column.tolist()]
+            columns[field] = np.array(words, np.str_)
+        else:
+            numbers = [value if isinstance(value, kind) else np.nan for value in column.tolist()]
+            columns[field] = np.array(numbers, np.float64)
+        if lost:
+            ledger.loss(
+                "LOG-REDEFINED",
+                f"{lost} of {len(known)} values of {field} are of another kind, text or numbers, "
+                "than the last definition in the log says: no channel has them, the table has",
+                where=name,
+                count=lost,
+            )
+    return Decoded(columns, decoded.places)

@@ -47,6 +47,7 @@ _SHOT = (
     *_PLACE,
     column("h_msl_m", "Alt"),
     column("h_home_m", "RelAlt"),
+    column("h_gnss_m", "GPSAlt"),
     column("event_index", "Img"),
     *_EULER,
 )
@@ -65,7 +66,18 @@ MESSAGES: Mapping[str, MessageMap] = {
     "GPS": MessageMap(_GPS, _GNSS, 20, position=True, spare_rank=30),
     "GPS2": MessageMap(_GPS, _GNSS, 30, position=True),
     "ATT": MessageMap(_EULER, _ATTITUDE, 10, attitude=True),
-    "AHR2": MessageMap(_EULER, _ATTITUDE, 40, attitude=True),
+    # A second estimate: its place is 0, 0 until it has one.
+    "AHR2": MessageMap(
+        (
+            *_EULER,
+            column("lat_rad", "Lat", "deg", missing=0.0),
+            column("lon_rad", "Lng", "deg", missing=0.0),
+            column("h_msl_m", "Alt"),
+        ),
+        _ATTITUDE,
+        40,
+        attitude=True,
+    ),
     "XKQ": MessageMap(_QUATERNION, _ATTITUDE, 50, attitude=True, spare_rank=51),
     "XKQ1": MessageMap(_QUATERNION, _ATTITUDE, 50, attitude=True),
     "NKQ1": MessageMap(_QUATERNION, _ATTITUDE, 50, attitude=True),

@@ -23,12 +23,14 @@ from pipeline.ingest.dataflash_formats import (
     builtin,
     define,
 )
+from pipeline.ingest.raw import gathered
 from pipeline.ingest.window import SPAN, Window
 
 MAGIC = b"\xa3\x95"
 FMT_START = MAGIC + bytes([FMT_TYPE])
 LINKS = 3  # records in a row that prove a place to go on after damage
 LONGEST = 255  # bytes of a record: its length is one byte
+REACH = 1 << 14  # [bytes] first searched after damage: the next record is seldom farther
 MOST_DEFINITIONS = 1 << 15  # real logs have 16 to 200; the number of one fits two bytes
 
 
@@ -269,16 +271,20 @@ class Walker:
         return at if not header or header[:1] == MAGIC[:1] or header[1:] == MAGIC[1:] else before
 
     def _next(self, at: int) -> int:
-        """The next byte from which a chain of records runs, or the end of the file."""
-        begin = at
+        """The next byte from which a chain of records runs, or the end of the file.
+
+        The search widens as it goes: where all records of a type are damaged, it costs what lies
+        between two of them and not a block for each.
+        """
+        begin, reach = at, REACH
         while begin < self.size:
-            end = min(begin + SPAN, self.size)
+            end = min(begin + reach, self.size)
             raw = self.data.array(begin, end + 1)
             rows = np.flatnonzero((raw[:-1] == MAGIC[0]) & (raw[1:] == MAGIC[1]))
             for place in (rows + begin).tolist():
                 if self._chain(place):
                     return int(place)
-            begin = end
+            begin, reach = end, min(2 * reach, SPAN)
         return self.size
 
     def _length(self, type_byte: bytes) -> int:
@@ -350,7 +356,5 @@ def records(
             begin += int(counts[number])
             form = walk.definitions[number]
             # Every place of the block seen as a record: the wanted ones are then one copy each.
-            anywhere = np.ndarray(
-                (raw.shape[0] - form.length + 1,), f"V{form.length}", raw, strides=(1,)
-            )
-            yield number, anywhere[at].view(form.dtype), at.astype(np.int64) + part.base
+            rows = gathered(raw, at, form.length).view(form.dtype)
+            yield number, rows, at.astype(np.int64) + part.base

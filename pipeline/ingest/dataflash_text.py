@@ -17,12 +17,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.flight.boots import Stamps, timeline
 from pipeline.ingest.base import Contents, Table, report_damage
 from pipeline.ingest.dataflash import stamped, timed_only
 from pipeline.ingest.dataflash_channels import channels_of
 from pipeline.ingest.dataflash_columns import Decoded, merged
 from pipeline.ingest.dataflash_fields import MESSAGES
-from pipeline.ingest.dataflash_time import Clock, Stamps, clock_of, microseconds, timeline
+from pipeline.ingest.dataflash_time import Clock, clock_of
+from pipeline.ingest.raw import microseconds
 from pipeline.ledger import Ledger
 
 LONGEST = 4096  # bytes of a line; real ones have up to 250
@@ -48,15 +50,15 @@ class DataFlashText:
         found = _Lines()
         tables = found.read(path, _ALWAYS)
         report_damage(ledger, path.name, "line", found.bad_bytes, found.first_bad, found.cut_bytes)
-        line = timeline(_stamps(found), ledger)
-        timed = timed_only(tables)
+        line = timeline(_stamps(found))
+        timed = timed_only(tables, ledger)
         clock = clock_of(line, timed, ledger)
         return Contents(
             dict(found.counts),
             channels_of(timed, clock, ledger),
             found.bad_bytes,
             0,  # lines carry no sequence number
-            line.boots,
+            clock.line.boots,
             clock.words,
             partial(_table, path, clock),
         )
@@ -193,7 +195,7 @@ def _stamps(found: _Lines) -> Iterator[Stamps]:
     if found.times:
         places, times = zip(*found.times, strict=True)
         raw = np.array([max(time, 0) for time in times], np.uint64)
-        yield np.array(places, np.int64), microseconds(raw)
+        yield np.array(places, np.int64), microseconds(raw) * 1000
 
 
 def _table(path: Path, clock: Clock, name: str, instance: str | None) -> Table:

@@ -22,15 +22,37 @@ def says_ellipsoid(value: float) -> bool:
     return 0.0 <= value < 2**15 and bool(int(value) & _HEIGHT_ELLIPSOID)
 
 
+def with_undulation(channel: Channel, *, ellipsoidal: bool = False) -> Channel:
+    """The channel with both heights, where the receiver gave the undulation with one of them.
+
+    ``ellipsoidal`` says that what stands as height above sea level is above the ellipsoid.
+    """
+    columns = dict(channel.columns)
+    undulation = columns.pop("undulation_m", None)
+    if undulation is None:
+        return channel
+    logged = columns.get("h_msl_m")
+    if logged is not None and ellipsoidal:
+        columns |= {"h_ellipsoid_m": logged, "h_msl_m": logged - undulation}
+    elif logged is not None and "h_ellipsoid_m" not in columns:
+        columns["h_ellipsoid_m"] = logged + undulation
+    return replace(channel, columns=columns)
+
+
 def with_ellipsoidal_heights(channels: list[Channel], ledger: Ledger, where: str) -> list[Channel]:
     """Channels whose heights above sea level are really above the ellipsoid; a note says so."""
     ledger.note(
         "HEIGHT-ELLIPSOID",
         f"the parameter {HEIGHT_OPTION} says that GNSS heights are above the ellipsoid: so are "
-        "all heights of this log",
+        "all heights of this log, but those made of one and the undulation",
         where=where,
     )
-    return [_renamed(channel) for channel in channels]
+    return [
+        with_undulation(channel, ellipsoidal=True)
+        if "undulation_m" in channel.columns
+        else _renamed(channel)
+        for channel in channels
+    ]
 
 
 def _renamed(channel: Channel) -> Channel:

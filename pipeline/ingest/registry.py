@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from pipeline.errors import LogError
+from pipeline.flight.quality import flagged
 from pipeline.ingest.base import Contents, Log, LogFormat, hash_file
 from pipeline.ingest.dataflash import DATAFLASH
 from pipeline.ingest.dataflash_text import DATAFLASH_TEXT
@@ -28,13 +30,15 @@ _RELATIVES = (
 )
 
 
-def open_log(path: Path | str, sha256: str | None = None) -> Log:
+def open_log(path: Path | str, sha256: str | None = None, *, needs_channels: bool = True) -> Log:
     """Read a flight log: DataFlash (.bin, .log), MAVLink telemetry (.tlog), MCAP or PX4 (.ulg).
 
     Parameters
     ----------
     path : the file; its content and its extension have to agree.
     sha256 : its hash, where the caller has taken it already; else it is taken here.
+    needs_channels : refuse a log without any. False where only `Log.message` is asked for; start
+        and end are 0 in a log without channels.
 
     Returns the log with its channels in SI. Raises LogError (LOG-MISSING, LOG-EMPTY, LOG-FORMAT,
     LOG-NO-MESSAGES, LOG-UNREADABLE, LOG-CHANGED; of PX4 logs LOG-ULOG, LOG-NEEDS-EXTRA) when
@@ -43,9 +47,10 @@ def open_log(path: Path | str, sha256: str | None = None) -> Log:
     path = Path(path)
     try:
         if not path.is_file():
-            what = "it is a folder" if path.is_dir() else "there is no such file"
+            kind = "it is a folder" if path.is_dir() else "it is a pipe or a device, not a file"
+            what = kind if path.exists() else "there is no such file"
             raise LogError("LOG-MISSING", what, where=str(path), remedy="check the path of the log")
-        return _read(path, sha256)
+        return _read(path, sha256, needs_channels)
     except OSError as error:
         raise LogError(
             "LOG-UNREADABLE",
@@ -55,7 +60,7 @@ def open_log(path: Path | str, sha256: str | None = None) -> Log:
         ) from error
 
 
-def _read(path: Path, sha256: str | None) -> Log:
+def _read(path: Path, sha256: str | None, needs_channels: bool) -> Log:
     size = path.stat().st_size
     if size == 0:
         raise LogError(
@@ -67,14 +72,17 @@ def _read(path: Path, sha256: str | None) -> Log:
     with path.open("rb") as stream:
         head = stream.read(HEAD_BYTES)
     form = _format_of(path, head)
-    sha256 = sha256 or hash_file(path)
+    if form.matches(head):  # else it is to show first that it is a log at all
+        sha256 = sha256 or hash_file(path)
     ledger = Ledger()
     contents = form.read(path, ledger)
-    _refuse_useless(path, form, contents, ledger)
+    channels = (flagged(channel, ledger) for channel in contents.channels)
+    contents = replace(contents, channels=tuple(one for one in channels if len(one)))
+    _refuse_useless(path, form, contents, ledger, needs_channels)
     return Log(
         path=path,
         format=form.name,
-        sha256=sha256,
+        sha256=sha256 or hash_file(path),
         size_bytes=size,
         messages=dict(sorted(contents.messages.items())),
         channels=tuple(sorted(contents.channels, key=lambda channel: channel.name)),
@@ -82,8 +90,8 @@ def _read(path: Path, sha256: str | None) -> Log:
         lost_messages=contents.lost_messages,
         boots=contents.boots,
         time_base=contents.time_base,
-        start_ns=min(int(channel.time_ns[0]) for channel in contents.channels),
-        end_ns=max(int(channel.time_ns[-1]) for channel in contents.channels),
+        start_ns=min((int(channel.time_ns[0]) for channel in contents.channels), default=0),
+        end_ns=max((int(channel.time_ns[-1]) for channel in contents.channels), default=0),
         ledger=ledger,
         table=contents.table,
     )
@@ -113,7 +121,9 @@ def _format_of(path: Path, head: bytes) -> LogFormat:
     return named  # a log with a damaged beginning: its reader decides
 
 
-def _refuse_useless(path: Path, form: LogFormat, contents: Contents, ledger: Ledger) -> None:
+def _refuse_useless(
+    path: Path, form: LogFormat, contents: Contents, ledger: Ledger, needs_channels: bool
+) -> None:
     if not contents.messages:
         damage = "".join(f"; {entry.what} ({entry.where})" for entry in list(ledger)[:2])
         raise LogError(
@@ -122,12 +132,13 @@ def _refuse_useless(path: Path, form: LogFormat, contents: Contents, ledger: Led
             where=str(path),
             remedy=f"check that it is the whole log; known are {KNOWN}",
         )
-    if not contents.channels:
+    if needs_channels and not contents.channels:
         kinds = ", ".join(sorted(contents.messages)[:12])
         raise LogError(
             "LOG-NO-MESSAGES",
             f"{sum(contents.messages.values())} messages, but none with a position, an attitude, "
             "air data or camera events",
             where=str(path),
-            remedy=f"check what the vehicle logs; this log has {kinds}",
+            remedy=f"check what the vehicle logs; this log has {kinds}, which "
+            "`unbend inspect --type` shows",
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,16 +14,19 @@ from numpy.typing import NDArray
 from pipeline.flight.channels import Channel
 from pipeline.flight.clock import stray_times
 from pipeline.ingest.base import Contents, Table, report_damage
+from pipeline.ingest.tlog_borrowed import borrowed
 from pipeline.ingest.tlog_channels import by_source, channels_of, label_of, times_of
-from pipeline.ingest.tlog_clock import MICROSECOND, Clocks, clocks_of
+from pipeline.ingest.tlog_clock import Clocks, Key, clocks_of
 from pipeline.ingest.tlog_dialect import Dialect, Message, dialect
 from pipeline.ingest.tlog_fields import MESSAGES, wanted_fields
 from pipeline.ingest.tlog_frames import frame_length
-from pipeline.ingest.tlog_scan import Scan, scan
+from pipeline.ingest.tlog_samples import MICROSECOND
+from pipeline.ingest.tlog_scan import SILENT_US, Scan, Silence, scan
 from pipeline.ingest.window import window_on
 from pipeline.ledger import Ledger
 
 # When an exposure was asked for, not when it was sent, is the time in it.
+SILENT_NS = SILENT_US * MICROSECOND
 _CARRIED = {key.partition(".")[0] for key in MESSAGES}
 _LATE = {key for key, spec in MESSAGES.items() if spec.event}
 
@@ -52,8 +56,9 @@ class Tlog:
         parts = [part for name, part in sent.items() if name in _CARRIED]
         sources = {int(n) for p in parts for b in p.blocks() for n in np.unique(b["source"])}
         clocks = clocks_of(found.clock.readings({source >> 8 for source in sources}), ledger)
+        clocks = borrowed(clocks, parts, ledger)
         channels = channels_of(sent, clocks, ledger)
-        lost = _report_link(found, channels, path, ledger)
+        lost = _report_link(found, clocks, channels, path, ledger)
         return Contents(
             {known.name(key): count for key, count in found.counts.items() if count},
             tuple(channels),
@@ -102,18 +107,35 @@ def _report_damage(
     return damaged
 
 
-def _report_link(found: Scan, channels: list[Channel], path: Path, ledger: Ledger) -> int:
+def _report_link(
+    found: Scan, clocks: Clocks, channels: list[Channel], path: Path, ledger: Ledger
+) -> int:
+    """Enter what the link lost of the senders of channels; returns how many messages at least."""
     carriers = {(channel.source.system, channel.source.component) for channel in channels}
-    lost = {source: count for source, count in found.lost.items() if source in carriers and count}
-    for (system, component), count in sorted(lost.items()):
-        ledger.warning(
+    lost = Counter({key: count for key, count in found.lost.items() if key in carriers})
+    silent: dict[Key, list[Silence]] = {}
+    for silence in found.silences:
+        if silence.source in carriers and clocks.ran_on(silence.source, silence.at, SILENT_NS):
+            silent.setdefault(silence.source, []).append(silence)
+            lost[silence.source] += silence.backward  # after seconds of silence nothing overtakes
+    for (system, component), count in sorted((+lost).items()):
+        ledger.loss(
             "LOG-LINK-LOSS",
-            f"{count} messages of system {system}, component {component} are missing by "
-            "their sequence numbers: the radio link lost them",
+            f"at least {count} messages of system {system}, component {component} are missing by "
+            "their sequence numbers, which begin again after 256: the radio link lost them",
             where=path.name,
             count=count,
         )
-    return sum(lost.values())
+    for (system, component), mine in sorted(silent.items()):
+        ledger.loss(
+            "LOG-GAP",
+            f"nothing of system {system}, component {component} was recorded {len(mine)} times for "
+            f"more than {SILENT_US / 1e6:.0f} s, {sum(one.seconds for one in mine):.1f} s "
+            "together, while its clock ran on: the link was down, or bytes are missing",
+            where=f"{path.name}, first before byte {mine[0].at}",
+            count=len(mine),
+        )
+    return lost.total()
 
 
 def _steady_host(found: Scan, ledger: Ledger, where: str) -> None:
@@ -173,8 +195,7 @@ def _columns_of(rows: NDArray[Any], message: Message, clocks: Clocks) -> Table:
     time_ns, boot = np.empty(len(rows), np.int64), np.empty(len(rows), np.int16)
     field = next((name for name in ("time_boot_ms", "time_usec") if name in message.fields), "")
     for source, mine in by_source(rows):
-        time_ns[mine] = times_of(rows[mine], field, clocks, source)
-        boot[mine] = clocks.boot(source, rows["at"][mine])
+        time_ns[mine], boot[mine] = times_of(rows[mine], field, clocks, source)
     table: Table = {
         "time_ns": time_ns,
         "boot": boot,

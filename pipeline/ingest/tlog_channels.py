@@ -11,22 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.flight.channels import Array, Channel, Source, TimeArray
-from pipeline.flight.clock import LAST_US, UNIX_US_FROM
+from pipeline.flight.clock import UNIX_US_FROM
 from pipeline.ingest.build import Rows, channel_of
 from pipeline.ingest.fields import MessageMap, extract
 from pipeline.ingest.gimbal import north_only
 from pipeline.ingest.heights import HEIGHT_OPTION, says_ellipsoid, with_ellipsoidal_heights
+from pipeline.ingest.raw import microseconds
 from pipeline.ingest.store import Store
-from pipeline.ingest.tlog_clock import (
-    MICROSECOND,
-    MILLISECOND,
-    ROUND_MS,
-    ROUND_US,
-    Clocks,
-    Key,
-)
+from pipeline.ingest.tlog_borrowed import unix_us
+from pipeline.ingest.tlog_clock import ROUND_MS, ROUND_US, Clocks, Key
 from pipeline.ingest.tlog_events import distinct, taken
 from pipeline.ingest.tlog_fields import LABELS, MESSAGES, PARAM_VALUE
+from pipeline.ingest.tlog_samples import MICROSECOND, MILLISECOND
 from pipeline.ledger import Ledger
 
 Group = tuple[int, Any]
@@ -86,8 +82,8 @@ class _Series:
         """The next messages; a column takes memory when it has its first value."""
         part = slice(self.done, self.done + rows.shape[0])
         source = (self.source.system or 0, self.source.component or 0)
-        self.time_ns[part] = times_of(rows, self.spec.time_field, clocks, source)
-        self.boot[part] = clocks.boot(source, rows["at"])
+        time_ns, boot = times_of(rows, self.spec.time_field, clocks, source)
+        self.time_ns[part], self.boot[part] = time_ns, boot
         values = extract(_fields(rows["records"]), self.spec.columns)
         needed = self.spec.position or self.spec.attitude
         if self.key == "GIMBAL_DEVICE_ATTITUDE_STATUS":
@@ -165,29 +161,38 @@ def _fields(records: NDArray[Any]) -> dict[str, NDArray[Any]]:
     return fields
 
 
-def times_of(rows: NDArray[Any], field: str, clocks: Clocks, source: Key) -> TimeArray:
-    """UTC [ns] of messages by their own time, or by when they were received.
+def times_of(
+    rows: NDArray[Any], field: str, clocks: Clocks, source: Key
+) -> tuple[TimeArray, NDArray[np.int16]]:
+    """UTC [ns] of messages by their own time, or by when they were received, and their boot.
 
     Parameters
     ----------
     rows : (n,) of one sender, as a scan keeps them.
     field : the message's own time, or "".
     """
-    host_ns = rows["host_us"] * MICROSECOND
-    if field == "time_boot_ms":
-        since_boot = rows["records"][field].astype(np.int64) * MILLISECOND
-        return clocks.utc_of_boot(source, rows["at"], host_ns, since_boot, ROUND_MS)
+    at, host_ns = rows["at"], rows["host_us"] * MICROSECOND
     if not field:
-        return clocks.utc_of_host(source, rows["at"], host_ns)
+        return clocks.utc_of_host(source, at, host_ns), clocks.boot(source, at)
+    unit, turn = (MILLISECOND, ROUND_MS) if field == "time_boot_ms" else (MICROSECOND, ROUND_US)
+    stamp = microseconds(rows["records"][field])
+    since_boot = stamp * unit
+    placed = clocks.placed(source, at, since_boot)
+    time_ns = clocks.utc_of_boot(source, placed, host_ns, since_boot, turn)
+    boot = clocks.boot(source, placed)
+    if field == "time_boot_ms":
+        own_us = unix_us(rows["records"])
+        if source in clocks.doubted or not own_us.any():
+            return time_ns, boot
+        return np.where(own_us > 0, own_us * MICROSECOND, time_ns), boot
     # time_usec: Unix time from some senders, time since boot from others, 0 when not known
-    stamp_us = np.minimum(rows["records"][field].astype(np.uint64), LAST_US).astype(np.int64)
-    stamp_ns = stamp_us * MICROSECOND
-    since_boot = clocks.utc_of_boot(source, rows["at"], host_ns, stamp_ns, ROUND_US)
-    time_ns = np.where(stamp_us > UNIX_US_FROM, stamp_ns, since_boot)
-    unknown = stamp_us == 0
-    if unknown.any():
-        time_ns[unknown] = clocks.utc_of_host(source, rows["at"][unknown], host_ns[unknown])
-    return time_ns
+    time_ns = np.where(stamp > UNIX_US_FROM, since_boot, time_ns)
+    other = (stamp == 0) | (stamp > UNIX_US_FROM)
+    if other.any():
+        boot[other] = clocks.boot(source, at[other])
+        unknown = stamp == 0
+        time_ns[unknown] = clocks.utc_of_host(source, at[unknown], host_ns[unknown])
+    return time_ns, boot
 
 
 def label_of(value: Any) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.flight.clock import UNIX_US_FROM
 from pipeline.ledger import Ledger
 
 
@@ -35,6 +36,16 @@ def distinct(table: NDArray[Any], name: str, ledger: Ledger) -> NDArray[np.intp]
             f"{repeats} of {table.shape[0]} rows repeat the time of an exposure",
             where=name,
             count=repeats,
+        )
+    by_unix = int(np.count_nonzero(times[first] > UNIX_US_FROM))
+    if by_unix:
+        ledger.note(
+            "EVENTS-TRIGGER-TIME",
+            f"{by_unix} exposures have Unix time, as autopilots send it without a feedback pin: "
+            "it is that of the trigger command, and the shutter opens later (70 to 160 ms were "
+            "measured), which events.log.<camera>.delay_s takes into account",
+            where=name,
+            count=by_unix,
         )
     unseen = np.setdiff1d(indices, indices[first])
     if unseen.shape[0]:

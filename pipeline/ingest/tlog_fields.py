@@ -54,6 +54,18 @@ MESSAGES: Mapping[str, MessageMap] = {
     ),
     "GPS_RAW_INT": MessageMap(_GPS, _GNSS, 20, time_field=_USEC, position=True),
     "GPS2_RAW": MessageMap(_GPS, _GNSS, 30, time_field=_USEC, position=True),
+    "GLOBAL_POSITION_INT_COV": MessageMap(
+        (*_PLACE, column("h_msl_m", "alt", "mm"), column("h_home_m", "relative_alt", "mm")),
+        ("position",),
+        15,
+        time_field=_USEC,
+        position=True,
+    ),
+    # Heights without a place: no role asks for them, a user may.
+    "ALTITUDE": MessageMap(
+        (column("h_msl_m", "altitude_amsl"), column("h_home_m", "altitude_relative")),
+        time_field=_USEC,
+    ),
     "ATTITUDE": MessageMap(_EULER, _ATTITUDE, 10, time_field=_BOOT_MS, attitude=True),
     "ATTITUDE_QUATERNION": MessageMap(
         tuple(column(f"q_{axis}", f"q{k}") for k, axis in enumerate("wxyz", 1)),
@@ -62,7 +74,18 @@ MESSAGES: Mapping[str, MessageMap] = {
         time_field=_BOOT_MS,
         attitude=True,
     ),
-    "AHRS2": MessageMap(_EULER, _ATTITUDE, 40, attitude=True),
+    # A second estimate: its place is 0, 0 until it has one.
+    "AHRS2": MessageMap(
+        (
+            *_EULER,
+            column("lat_rad", "lat", "degE7", missing=0.0),
+            column("lon_rad", "lng", "degE7", missing=0.0),
+            column("h_msl_m", "altitude"),
+        ),
+        _ATTITUDE,
+        40,
+        attitude=True,
+    ),
     "SCALED_PRESSURE": _baro(10),
     "SCALED_PRESSURE2": _baro(20),
     "SCALED_PRESSURE3": _baro(30),
@@ -98,17 +121,38 @@ MESSAGES: Mapping[str, MessageMap] = {
         30,
         id_field="id",
     ),
-    "VFR_HUD": MessageMap((column("airspeed_m_s", "airspeed"),), ("airspeed",), 60),
+    "VFR_HUD": MessageMap(
+        (column("airspeed_m_s", "airspeed"), column("h_msl_m", "alt")), ("airspeed",), 60
+    ),
+    # The sensor's own temperature, an extension of MAVLink 2: trimmed or absent it looks like 0.
+    "RAW_IMU": MessageMap(
+        (column("board_temperature_k", "temperature", "cdegC", missing=0.0),),
+        id_field="id",
+        time_field=_USEC,
+    ),
+    "MCU_STATUS": MessageMap(
+        (column("board_temperature_k", "MCU_temperature", "cdegC"),), id_field="id"
+    ),
     "HIGH_LATENCY2": MessageMap((column("temperature_k", "temperature_air", "degC"),), rank=60),
     "NAMED_VALUE_FLOAT": _NAMED,
     "NAMED_VALUE_INT": _NAMED,
     "DEBUG_VECT": MessageMap(
         tuple(column(axis, axis) for axis in "xyz"), id_field="name", time_field=_USEC
     ),
+    # Elements that are never set are 0 and no column; the first is what a role can take.
+    "DEBUG_FLOAT_ARRAY": MessageMap(
+        (
+            column("value", "data.0"),
+            *(column(f"value_{k}", f"data.{k}", missing=0.0) for k in range(1, 58)),
+        ),
+        id_field="name",
+        time_field=_USEC,
+    ),
     "CAMERA_FEEDBACK": MessageMap(
         (
             *_PLACE,
             column("h_msl_m", "alt_msl"),
+            column("h_home_m", "alt_rel"),
             column("event_index", "img_idx"),
             *_EULER_DEG,
         ),
@@ -171,7 +215,7 @@ def wanted_fields() -> dict[str, set[str]]:
     wanted = {
         SYSTEM_TIME: {"time_boot_ms", "time_unix_usec"},
         PARAM_VALUE: {"param_id", "param_value"},
-        "CAMERA_IMAGE_CAPTURED": {"capture_result"},
+        "CAMERA_IMAGE_CAPTURED": {"capture_result", "time_utc"},
     }
     for key, spec in MESSAGES.items():
         fields = {name.partition(".")[0] for column in spec.columns for name in column.fields}

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Bytes = NDArray[np.uint8]
+from pipeline.ingest.raw import gathered
+from pipeline.ingest.window import Bytes
 
 STAMP = 8
 V1, V2 = 0xFE, 0xFD
@@ -124,20 +125,12 @@ def candidates(window: Bytes, stop: int) -> NDArray[np.int64]:
     return np.flatnonzero(may).astype(np.int64)
 
 
-def rows_of(window: Bytes, places: NDArray[np.int64], size: int) -> NDArray[Any]:
-    """So many bytes from each place on, one void item a row; all must lie in the window."""
-    every: NDArray[Any] = np.ndarray(
-        (max(window.shape[0] - size + 1, 0),), f"V{size}", window, 0, (1,)
-    )
-    return every[places]
-
-
 def headers(window: Bytes, places: NDArray[np.int64], room: int) -> Frames:
     """What the headers say at these places, of the frames that end in the first ``room`` bytes.
 
     The window must be `HEAD` bytes longer than the last place.
     """
-    head = rows_of(window, places, HEAD).view(_HEAD)
+    head = gathered(window, places, HEAD).view(_HEAD)
     two = head["magic"] == V2
     signed = two & (head["flags"] & 1 == 1)
     total = head["length"].astype(np.int64) + np.where(two, HEAD, STAMP + V1_BEFORE_PAYLOAD)
@@ -220,7 +213,7 @@ def checksums(
     """
     odd = covered & 1  # then the row begins a byte before, so that words lie on even places
     size = odd + covered + CHECKSUM
-    packet = rows_of(window, first - odd, size)
+    packet = gathered(window, first - odd, size)
     words = packet.view("<u2").reshape(-1, size // 2)
     crc = np.full(first.shape, 0xFFFF, np.uint16)
     if odd:
@@ -244,6 +237,6 @@ def payloads(window: Bytes, frames: Frames, dtype: np.dtype[Any]) -> NDArray[Any
         if used:
             rows = np.flatnonzero(frames.length == length)
             filled[rows, :used] = (
-                rows_of(window, begin[rows], used).view(np.uint8).reshape(-1, used)
+                gathered(window, begin[rows], used).view(np.uint8).reshape(-1, used)
             )
     return filled.view(dtype).reshape(len(frames))

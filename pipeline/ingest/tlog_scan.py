@@ -15,13 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.flight.clock import STRAY_ROWS
 from pipeline.ingest.store import Store
-from pipeline.ingest.tlog_clock import Sampler
 from pipeline.ingest.tlog_frames import (
     HEAD,
     LONGEST,
     SHORTEST,
-    Bytes,
     Frames,
     candidates,
     checksums_hold,
@@ -30,12 +29,28 @@ from pipeline.ingest.tlog_frames import (
     joined,
     payloads,
 )
-from pipeline.ingest.window import Window
+from pipeline.ingest.tlog_samples import Sampler
+from pipeline.ingest.window import Bytes, Window
 
 STRETCH = 2 << 20  # [bytes] scanned at once: the tables of its frames fit the cache
 STEADY_US = 1_000_000
+SILENT_US = 3_000_000  # every component sends a HEARTBEAT each second: three in a row are missing
 
 Key = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Silence:
+    """A stretch of more than `SILENT_US` without any message of a sender.
+
+    ``at`` the byte after it, ``seconds`` by the ground station's clock; ``backward`` the messages
+    missing by a step of the sequence that is otherwise taken as backward, or 0.
+    """
+
+    source: Key
+    at: int
+    seconds: float
+    backward: int
 
 
 @dataclass
@@ -56,9 +71,9 @@ class Scan:
     component) and ``records`` (the payload); ``clock`` what the senders' clocks showed; ``unknown``
     ids that cannot be checked (they are in ``counts``), ``failed`` checksums; ``bad_bytes`` lie
     outside all frames, the first at ``first_bad``; ``cut_bytes`` are a last frame that the end of
-    the file cuts off; ``lost`` by the sequence numbers of each (system, component); ``steady``
-    whether no stamp of the ground station lies more than a second before the one before: a stray
-    one has one or follows one.
+    the file cuts off; ``lost`` by the sequence numbers of each (system, component), which count
+    modulo 256; ``silences`` of senders; ``steady`` whether no stamp of the ground station lies more
+    than a second before the one before: a stray one has one or follows one.
     """
 
     counts: Counter[int] = field(default_factory=Counter)
@@ -70,6 +85,7 @@ class Scan:
     first_bad: int = -1
     cut_bytes: int = 0
     lost: Counter[Key] = field(default_factory=Counter)
+    silences: list[Silence] = field(default_factory=list)
     steady: bool = True
 
 
@@ -119,6 +135,7 @@ class _Walk:
         self.host_us = 0
         self.found = Scan()
         self.sequences: dict[int, int] = {}
+        self.heard_us: dict[int, int] = {}
 
     def take(self, begin: int, stop: int) -> None:
         """Scan the frames that begin in a stretch."""
@@ -218,7 +235,7 @@ class _Walk:
         """
         source = _source_of(frames)
         order = np.argsort(source, kind="stable")
-        sequence = frames.sequence[order]
+        sequence, host_us = frames.sequence[order], frames.host_us[order]
         begin = np.flatnonzero(np.diff(source[order].astype(np.int32), prepend=-1)).tolist()
         for first, stop in zip(begin, [*begin[1:], order.shape[0]], strict=True):
             key = int(source[order[first]])
@@ -228,6 +245,21 @@ class _Walk:
             self.sequences[key] = int(mine[-1])
             lost = int(step[step < 128].sum(dtype=np.int64))
             self.found.lost[divmod(key, 256)] += lost
+            host = host_us[first:stop]
+            steps = np.diff(host, prepend=self.heard_us.get(key, int(host[0])))
+            for row in np.flatnonzero(steps > SILENT_US).tolist():
+                self._enter_silence(key, host, row, int(frames.at[order[first + row]]), step[row])
+            self.heard_us[key] = int(host[-1])
+
+    def _enter_silence(
+        self, key: int, host_us: NDArray[np.int64], row: int, at: int, step: np.uint8
+    ) -> None:
+        """A silence before a row, unless few stamps on one side of it are stray."""
+        before = host_us[max(row - STRAY_ROWS - 1, 0) : row].max(initial=self.heard_us.get(key, 0))
+        silent_us = int(host_us[row : row + STRAY_ROWS + 1].min()) - int(before)
+        if silent_us > SILENT_US:
+            backward = int(step) if step >= 128 else 0
+            self.found.silences.append(Silence(divmod(key, 256), at, silent_us / 1e6, backward))
 
 
 def _row_of(layout: np.dtype[Any]) -> np.dtype[Any]:

@@ -128,7 +128,7 @@ def test_lines_that_make_no_sense_are_counted(tmp_path: Path) -> None:
 def test_a_last_line_without_its_end_is_not_trusted(tmp_path: Path) -> None:
     log = opened(tmp_path, "BARO, 1000000, 0, 95000, 20\nBARO, 1100000, 0, 95000, 2")
     assert log.message_types()["BARO"] == 1
-    assert [entry.code for entry in log.ledger if entry.kind == "warning"] == ["LOG-TRUNCATED"]
+    assert [entry.code for entry in log.ledger if entry.kind == "loss"] == ["LOG-TRUNCATED"]
 
 
 def test_a_definition_that_changes(tmp_path: Path) -> None:

@@ -38,10 +38,19 @@ MAVLINK: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
         E7 | BOOT | {"alt": 600_250, "relative_alt": 30_500},
         PLACE | {"h_msl_m": 600.25, "h_home_m": 30.5},
     ),
-    "GLOBAL_POSITION_INT_COV": (E7, {}),
-    "AHRS2": ({"yaw": math.pi / 2}, {"q_w": math.sqrt(0.5), "q_z": math.sqrt(0.5)}),
-    "VFR_HUD": ({"airspeed": 41.5}, {"airspeed_m_s": 41.5}),
-    "ALTITUDE": ({"altitude_amsl": 600.0}, {}),
+    "GLOBAL_POSITION_INT_COV": (
+        E7 | USEC | {"alt": 600_250, "relative_alt": 30_500},
+        PLACE | {"h_msl_m": 600.25, "h_home_m": 30.5},
+    ),
+    "AHRS2": (
+        LNG | {"yaw": math.pi / 2, "altitude": 600.25},
+        PLACE | {"q_w": math.sqrt(0.5), "q_z": math.sqrt(0.5), "h_msl_m": 600.25},
+    ),
+    "VFR_HUD": ({"airspeed": 41.5, "alt": 600.25}, {"airspeed_m_s": 41.5, "h_msl_m": 600.25}),
+    "ALTITUDE": (
+        USEC | {"altitude_amsl": 600.0, "altitude_relative": 30.5},
+        {"h_msl_m": 600.0, "h_home_m": 30.5},
+    ),
     "ATTITUDE": (BOOT | {"yaw": math.pi / 2}, {"q_w": math.sqrt(0.5), "q_z": math.sqrt(0.5)}),
     "ATTITUDE_QUATERNION": (
         BOOT | {"q1": 0.5, "q2": 0.5, "q3": -0.5, "q4": 0.5},
@@ -55,8 +64,8 @@ MAVLINK: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
         for name in ("SCALED_PRESSURE", "SCALED_PRESSURE2", "SCALED_PRESSURE3")
     },
     "HIGHRES_IMU": (USEC | {"abs_pressure": 700.25}, {"pressure_pa": 70_025.0}),
-    "RAW_IMU": (USEC | {"temperature": 4500}, {}),
-    "MCU_STATUS": ({"MCU_temperature": 4500}, {}),
+    "RAW_IMU": (USEC | {"temperature": 4500}, {"board_temperature_k": 318.15}),
+    "MCU_STATUS": ({"MCU_temperature": 4500}, {"board_temperature_k": 318.15}),
     "HYGROMETER_SENSOR": (
         {"temperature": -1250, "humidity": 4725},
         {"temperature_k": 260.65, "relative_humidity": 0.4725},
@@ -68,11 +77,15 @@ MAVLINK: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
     "NAMED_VALUE_FLOAT": (BOOT | {"name": b"CabT", "value": 21.5}, {"value": 21.5}),
     "NAMED_VALUE_INT": (BOOT | {"name": b"CabT", "value": 21}, {"value": 21.0}),
     "DEBUG_VECT": (USEC | {"name": b"Cab", "x": 1.5, "z": -2.5}, {"x": 1.5, "z": -2.5}),
-    "DEBUG_FLOAT_ARRAY": ({"name": b"Cab"}, {}),
+    "DEBUG_FLOAT_ARRAY": (
+        USEC | {"name": b"Cab", "data": [21.5, 0.0, 3.5] + [0.0] * 55},
+        {"value": 21.5, "value_2": 3.5},
+    ),
     "TUNNEL": ({}, {}),
     "CAMERA_FEEDBACK": (
-        LNG | USEC | {"img_idx": 7, "alt_msl": 600.5, "roll": 90.0},
-        PLACE | {"event_index": 7.0, "h_msl_m": 600.5, "roll_rad": math.pi / 2},
+        LNG | USEC | {"img_idx": 7, "alt_msl": 600.5, "alt_rel": 30.5, "roll": 90.0},
+        PLACE
+        | {"event_index": 7.0, "h_msl_m": 600.5, "h_home_m": 30.5, "roll_rad": math.pi / 2},
     ),
     "CAMERA_TRIGGER": (USEC | {"seq": 7}, {"event_index": 7.0}),
     "CAMERA_IMAGE_CAPTURED": (
@@ -146,7 +159,9 @@ _SHOT = {
     "IHLLeeeccC GPSTime,GPSWeek,Lat,Lng,Alt,RelAlt,GPSAlt,Roll,Pitch,Yaw":
         (1, 2200, 47.5, -122.25, 600.5, 30.5, 601.0, 90.0, 0.0, 0.0),
 }  # fmt: skip
-_SHOWN = PLACE | {"h_msl_m": 600.5, "h_home_m": 30.5, "roll_rad": math.pi / 2}
+_SHOWN = PLACE | {
+    "h_msl_m": 600.5, "h_home_m": 30.5, "h_gnss_m": 601.0, "roll_rad": math.pi / 2,
+}  # fmt: skip
 _QUARTER = {"q_w": math.sqrt(0.5), "q_z": math.sqrt(0.5)}
 _Q = {"q_w": 0.5, "q_x": 0.5, "q_y": -0.5, "q_z": 0.5}
 _AIR = {"temperature_k": 260.65, "relative_humidity": 0.4725}
@@ -157,7 +172,8 @@ DATAFLASH: list[tuple[str, str, tuple[float | bytes, ...], dict[str, float]]] = 
      PLACE | {"h_msl_m": 600.5, "h_home_m": 30.5}),
     ("POS", "LLee Lat,Lng,Alt,RelAlt", (47.5, -122.25, 600.5, 30.5), {"h_home_m": 30.5}),
     ("ATT", "ccC Roll,Pitch,Yaw", (0.0, 0.0, 90.0), _QUARTER),
-    ("AHR2", "ccCeLL Roll,Pitch,Yaw,Alt,Lat,Lng", (0.0, 0.0, 90.0, 1.0, 2.0, 3.0), _QUARTER),
+    ("AHR2", "ccCeLL Roll,Pitch,Yaw,Alt,Lat,Lng", (0.0, 0.0, 90.0, 600.25, 47.5, -122.25),
+     PLACE | {"h_msl_m": 600.25} | _QUARTER),
     ("XKQ", "Bffff C,Q1,Q2,Q3,Q4", (0, 0.5, 0.5, -0.5, 0.5), _Q),
     ("NKQ1", "ffff Q1,Q2,Q3,Q4", (0.5, 0.5, -0.5, 0.5), _Q),
     ("XKF1", "BccC C,Roll,Pitch,Yaw", (0, 0.0, 0.0, 90.0), _QUARTER),
@@ -239,11 +255,22 @@ ROS: list[tuple[str, str, dict[str, Any], dict[str, float]]] = [
      "float32 relative_alt\nint32 image_index\nint8 capture_result\nstring file_url",
      {"geo": {"latitude": 47.5, "longitude": -122.25, "altitude": 600.5}, "relative_alt": 30.5,
       "image_index": 7, "capture_result": 1, "file_url": "a.jpg"},
-     PLACE | {"h_msl_m": 600.5, "h_home_m": 30.5, "event_index": 7.0}),
+     PLACE | {"h_ellipsoid_m": 600.5, "h_home_m": 30.5, "event_index": 7.0}),
     ("mavros_msgs/CamIMUStamp", "builtin_interfaces/Time frame_stamp\nint32 frame_seq_id",
      {"frame_seq_id": 7}, {"event_index": 7.0}),
     ("mavros_msgs/DebugValue", HEADER + "int32 index\nstring name\nfloat32 value_float",
      {"index": -1, "name": "CabT", "value_float": 21.5}, {"value": 21.5}),
+    ("px4_msgs/Airspeed", "uint64 timestamp\nfloat32 true_airspeed_m_s\n"
+     "float32 air_temperature_celsius",
+     {"true_airspeed_m_s": 41.5, "air_temperature_celsius": -12.5},
+     {"airspeed_m_s": 41.5, "temperature_k": 260.65}),
+    ("px4_msgs/VehicleAirData", "uint64 timestamp\nfloat32 baro_pressure_pa\n"
+     "float32 ambient_temperature",
+     {"baro_pressure_pa": 70_025.0, "ambient_temperature": 45.0},
+     {"pressure_pa": 70_025.0, "board_temperature_k": 318.15}),
+    ("px4_msgs/CameraCapture", SHOT_PX4 + "\nfloat32[4] q\nint8 result",
+     SHOT | {"q": [0.5, 0.5, -0.5, 0.5], "result": 1},
+     PLACE | {"event_index": 7.0, "h_msl_m": 600.5, "camera_q_y": -0.5}),
     ("mavros_msgs/GimbalDeviceAttitudeStatus", HEADER + "uint16 flags\ngeometry_msgs/Quaternion q",
      {"flags": 0, "q": QUARTER}, {"gimbal_q_w": 0.5, "gimbal_q_y": -0.5}),
     ("px4_msgs/VehicleGlobalPosition", "uint64 timestamp\nfloat64 lat\nfloat64 lon\nfloat32 alt",

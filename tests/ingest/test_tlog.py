@@ -335,12 +335,11 @@ def test_garbage_between_frames_is_counted(tmp_path: Path) -> None:
     assert (log.bad_bytes, entries(log, "LOG-BAD-BYTES")[0].count) == (300, 300)
 
 
-def test_a_cut_last_message_is_no_loss(tmp_path: Path) -> None:
+def test_a_cut_last_message_costs_no_other(tmp_path: Path) -> None:
     data = flight().data
     log = opened(tmp_path, data[:-3])
-    assert entries(log, "LOG-TRUNCATED")[0].kind == "warning"
+    assert entries(log, "LOG-TRUNCATED")[0].kind == "loss"
     assert log.bad_bytes == 0
-    assert not log.ledger.has_losses
 
 
 def test_messages_lost_by_the_link_are_counted_by_sequence(tmp_path: Path) -> None:
@@ -350,9 +349,69 @@ def test_messages_lost_by_the_link_are_counted_by_sequence(tmp_path: Path) -> No
         del writer.frames[k]
     log = opened(tmp_path, writer.data)
     assert log.lost_messages == 8
-    assert entries(log, "LOG-LINK-LOSS")[0].kind == "warning"
+    assert entries(log, "LOG-LINK-LOSS")[0].kind == "loss"
     extras = {key: found.crc_extra for key, found in writer.dialect.mavlink_map.items()}
     assert scan(window_of(writer.data), extras, {}).lost[(255, 190)] == 0
+
+
+@pytest.mark.parametrize(("missing", "told"), [(200, 200), (512, 0), (700, 188), (40, 40)])
+def test_a_hole_is_a_gap_and_its_messages_are_counted_at_least(
+    tmp_path: Path, missing: int, told: int
+) -> None:
+    """Sequence numbers begin again after 256: two rounds more or less look alike."""
+    writer = flight(seconds=90)
+    mine = [k for k, frame in enumerate(writer.frames) if frame[13:15] == b"\x01\x01"]
+    place = sum(map(len, writer.frames[: mine[200]]))
+    for k in mine[200 : 200 + missing][::-1]:
+        del writer.frames[k]
+    log = opened(tmp_path, writer.data)
+    (gap,) = entries(log, "LOG-GAP") if missing > 60 else [None]
+    if gap is not None:
+        assert (gap.kind, gap.count) == ("loss", 1)
+        assert "system 1, component 1 " in gap.what
+        assert place <= int(gap.where.rpartition(" ")[2]) <= place + 2000 * 60
+    assert log.lost_messages == told
+    assert all(f"at least {told} " in entry.what for entry in entries(log, "LOG-LINK-LOSS"))
+    assert log.ledger.has_losses
+
+
+@pytest.mark.parametrize("change", ["set", "stray", "stray back", "restart"])
+def test_what_is_no_hole(tmp_path: Path, change: str) -> None:
+    """A ground station's clock that was set or has stray stamps, and a vehicle that was off."""
+    writer = flight(seconds=30)
+    if change == "restart":
+        writer.frames += flight(seconds=30).frames
+    rows = slice(300, None) if change in ("set", "restart") else slice(300, 303)
+    day_us = 86_400_000_000 * (-1 if change == "stray back" else 1)
+    writer.frames[rows] = [
+        struct.pack(">Q", struct.unpack(">Q", frame[:8])[0] + day_us) + frame[8:]
+        for frame in writer.frames[rows]
+    ]
+    log = opened(tmp_path, writer.data)
+    assert entries(log, "LOG-GAP") == []
+
+
+@pytest.mark.parametrize("ahead_s", [-86_400, 86_400, 3.5])
+def test_stray_stamps_of_a_sender_without_a_clock(tmp_path: Path, ahead_s: float) -> None:
+    writer = flight(seconds=2)
+    for k in range(200):
+        ms = 62_000 + 100 * k
+        writer.send("hygrometer_sensor", ms, source=(1, 30), id=0, temperature=-1250, humidity=4725)
+    for row in (-100, -98):
+        stamp = struct.unpack(">Q", writer.frames[row][:8])[0] + round(ahead_s * 1e6)
+        writer.frames[row] = struct.pack(">Q", stamp) + writer.frames[row][8:]
+    assert entries(opened(tmp_path, writer.data), "LOG-GAP") == []
+    del writer.frames[-60:-20]
+    (gap,) = entries(opened(tmp_path, writer.data), "LOG-GAP")
+    assert "component 30 " in gap.what
+    assert " 4.1 s " in gap.what
+
+
+def test_a_log_and_itself_has_no_losses_of_what_was_never_there(tmp_path: Path) -> None:
+    """temperature_press_diff is 0, unknown, in all messages: no channel, and nothing to lose."""
+    whole = flight(seconds=30).data
+    log = opened(tmp_path, whole + whole)
+    assert {e.where.partition(",")[0] for e in log.ledger if "press_diff" in e.where} == set()
 
 
 def test_a_message_of_an_unknown_id_is_counted(tmp_path: Path) -> None:
