@@ -7,14 +7,48 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from pipeline.atmosphere.adjust import Adjustment
+from pipeline.atmosphere.samples import AirSamples
 from pipeline.config import load_mission
 from pipeline.refraction.spread import ImageGrid
-from pipeline.report.figures import effect_figure, save_figure
+from pipeline.report.figures import draw_shifts, save_figure
+from pipeline.report.style import ADJUSTED, STANDARD, height_range, new_figure, scatter, styled
 from pipeline.stages import air_of_mission
+from pipeline.units import ZERO_CELSIUS_K
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 CAMERA = "oblique"
+
+
+@styled
+def effect_figure(
+    adjustment: Adjustment, samples: AirSamples, camera: str, grid: ImageGrid
+) -> Figure:
+    """The air of a flight beside what it does to the images of one camera."""
+    figure, (left, right) = new_figure(2, 8.2, 3.4)
+    _draw_temperature(left, adjustment, samples)
+    left.set_title("the air: measured against standard", fontsize=9)
+    draw_shifts(figure, right, grid)
+    right.set_title(f"what it does to the {camera} image", fontsize=9)
+    return figure
+
+
+def _draw_temperature(axis: Axes, adjustment: Adjustment, samples: AirSamples) -> None:
+    profile, standard = adjustment.profile, adjustment.standard
+    h = np.linspace(*height_range(samples), 400)
+    if samples.temperature is not None:
+        scatter(axis, samples.temperature, samples.temperature.value - ZERO_CELSIUS_K)
+    axis.plot(standard.temperature(h) - ZERO_CELSIUS_K, h, color=STANDARD, lw=1.2,
+              label=standard.name)  # fmt: skip
+    if profile is not standard:
+        t = profile.temperature(h) - ZERO_CELSIUS_K
+        axis.plot(t, h, color=ADJUSTED, lw=1.4, label=profile.name)
+    axis.set_xlabel("temperature [°C]")
+    axis.set_ylabel("height above sea level [m]")
+    axis.legend(frameon=False, markerscale=4.0)
 
 
 def main() -> None:

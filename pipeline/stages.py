@@ -15,7 +15,12 @@ from pipeline.atmosphere.course import AirAlong, TimedAir, one_air
 from pipeline.atmosphere.samples import AirSamples
 from pipeline.batch.air import adjust_air, find_sources
 from pipeline.batch.correct import Recipe, correct_stream
-from pipeline.batch.doubt import scale_of_block, tell_what_is_unknown, uncertainties_of_mission
+from pipeline.batch.doubt import (
+    scale_of_block,
+    tell_what_is_unknown,
+    uncertainties_of_mission,
+    views_of_mission,
+)
 from pipeline.batch.find import Found, find_stations, open_inputs, read_flight
 from pipeline.batch.ground import Ground
 from pipeline.batch.look import look_through, setup_of
@@ -103,7 +108,7 @@ def look_at(plan: Plan, progress: Progress) -> Found:
     flight = read_flight(plan, ledger)
     stations = find_stations(plan, flight, observations, ledger)
     samples = air_samples(flight.roles, flight.heights, plan.mission.log.max_gap_s, ledger)
-    sources = find_sources(plan, stations, samples, ledger)
+    sources = find_sources(plan, stations, samples, ledger, flight.heights.home_h_msl_m)
     ledger.extend(flight.log.ledger)
     return Found(plan, flight, observations, stations, samples, sources, ledger)
 
@@ -125,6 +130,7 @@ def correct(
     cameras = {name: setup_of(mission, name) for name in mission.cameras}
     exposures = look_through(mission, stations, air, ledger)
     tell_what_is_unknown(mission, stations, air, ledger)
+    views = views_of_mission(mission, stations, air)
     recipe = Recipe(
         stations.image,
         stations.camera,
@@ -134,7 +140,8 @@ def correct(
         tuple(rays_by(profile, mission.refraction.method) for profile in air.profiles),
         air.number,
         direction,
-        uncertainties_of_mission(mission, stations, air, exposures, cameras, ground),
+        uncertainties_of_mission(mission, stations, air, exposures, cameras, ground, views),
+        views,
     )
     mark = REFRACTION_REMOVED if direction == "remove" else REFRACTION_APPLIED
     metadata = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from pipeline.atmosphere.climatology import Climatology
@@ -10,6 +10,8 @@ from pipeline.atmosphere.estimate import Fit
 from pipeline.atmosphere.metar import SurfaceReport
 from pipeline.atmosphere.samples import AirSamples, Samples
 from pipeline.atmosphere.soundings import Sounding
+
+NO_ESTIMATE = "no estimate with it could stand: see the ledger"
 
 _INSTRUMENTS = (("temperature", "thermometer"), ("pressure", "barometer"),
                 ("humidity", "hygrometer"))  # fmt: skip
@@ -54,35 +56,45 @@ class SourceUse:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class Flown:
+    """Samples of a flight: what it measured, what of it is not contradicted, what estimates were
+    tried with, and what the one that stands is made of, None where none stands."""
+
+    given: AirSamples
+    believed: AirSamples
+    tried: Sequence[AirSamples] = ()
+    used: AirSamples | None = None
+
+
 def account(
-    given: AirSamples,
-    believed: AirSamples,
-    used: AirSamples | None,
+    flown: Flown,
     fits: Sequence[Fit],
     soundings: Sequence[Sounding],
     surface: Sequence[SurfaceReport],
+    unused: Mapping[str, str],
     background: Climatology,
     standard: str,
 ) -> tuple[SourceUse, ...]:
     """Every source with its fit, or in words why it is not used.
 
-    ``given`` what the flight measured, ``believed`` what of it is not contradicted, ``used`` what
-    the estimate stands on, None where no estimate stands.
+    ``unused`` soundings and reports that were left out, by name, and why.
     """
     uses = [SourceUse(fit.name, fit=fit) for fit in fits]
     for name, word in _INSTRUMENTS:
-        sensors = (getattr(samples, name) for samples in (given, believed, used or AirSamples()))
-        why = _why_not(*sensors, stands=used is not None)
-        sensor = getattr(given, name)
+        why = _why_not(name, flown)
+        sensor = getattr(flown.given, name)
         label = f"{word} {sensor.name}".strip() if sensor is not None else word
         if why is not None:
             uses.append(SourceUse(label, why))
-    unused = "no estimate with it can stand: see the ledger"
     for kind, sources in (("sounding", soundings), ("surface report", surface)):
         if not sources:
             uses.append(SourceUse(kind, "none in the mission file"))
-        elif used is None:
-            uses.append(SourceUse(kind, unused))
+        for source in sources:
+            if source.name in unused:
+                uses.append(SourceUse(source.name, unused[source.name]))
+            elif flown.used is None:
+                uses.append(SourceUse(source.name, NO_ESTIMATE))
     name = background.profile.name
     uses.append(SourceUse(f"{name} ({background.origin})" if name != standard else name))
     if name != standard:
@@ -90,15 +102,30 @@ def account(
     return tuple(uses)
 
 
-def _why_not(
-    given: Samples | None, believed: Samples | None, used: Samples | None, *, stands: bool
-) -> str | None:
+def all_unused(
+    given: AirSamples,
+    soundings: Sequence[Sounding],
+    surface: Sequence[SurfaceReport],
+    standard: str,
+    why: str,
+) -> tuple[SourceUse, ...]:
+    """The account of a standard that the mission file asks for: nothing else is used."""
+    sensors = ((word, getattr(given, name)) for name, word in _INSTRUMENTS)
+    labels = [f"{word} {sensor.name}".strip() for word, sensor in sensors if sensor is not None]
+    labels += [sounding.name for sounding in soundings] + [report.name for report in surface]
+    return (*(SourceUse(label, why) for label in labels), SourceUse(standard))
+
+
+def _why_not(name: str, flown: Flown) -> str | None:
+    given: Samples | None = getattr(flown.given, name)
     if given is None:
         return "none outside in the log"
     if not bool(given.accepted.any()):
         return "no reading at a known height passes the gates"
-    if believed is None:
+    if getattr(flown.believed, name) is None:
         return "contradicted by the others: see the ledger"
-    if not stands:
-        return f"{given.extent_m:.0f} m of height say too little"
-    return "left out: it spans too little height, or no air fits it" if used is None else None
+    if flown.used is None:
+        was_tried = any(getattr(samples, name) is not None for samples in flown.tried)
+        return NO_ESTIMATE if was_tried else f"{given.extent_m:.0f} m of height say too little"
+    left_out = getattr(flown.used, name) is None
+    return "left out: it spans too little height, or no air fits it" if left_out else None

@@ -6,20 +6,28 @@ why the profile is what it is. The estimate itself is made in `estimate`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.account import SourceUse, account
+from pipeline.atmosphere.account import Flown, SourceUse, account
+from pipeline.atmosphere.bases import Basis, bases, why_none
 from pipeline.atmosphere.belief import believable, judge_level
 from pipeline.atmosphere.climatology import AUTO, Climatology, climatology, month_of
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.estimate import Estimate, Fit, Nuisance, estimate
-from pipeline.atmosphere.judgement import implausible, worse_than_climatology
+from pipeline.atmosphere.judgement import (
+    MISFIT,
+    implausible,
+    not_outside,
+    worse_than_climatology,
+)
 from pipeline.atmosphere.measurements import Barometer, Humidities, Temperatures, Thermometer
 from pipeline.atmosphere.metar import SurfaceReport
+from pipeline.atmosphere.nearness import Occasion, says_nothing
 from pipeline.atmosphere.profile import (
     BAROMETRIC,
     MEASURED,
@@ -28,7 +36,7 @@ from pipeline.atmosphere.profile import (
     Profile,
     stack_layers,
 )
-from pipeline.atmosphere.samples import AirSamples, Samples
+from pipeline.atmosphere.samples import AirSamples
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.geodesy import lambert_gravity
 from pipeline.ledger import Ledger
@@ -38,20 +46,13 @@ Array = NDArray[np.float64]
 WIDEST_GAP_M = 400.0
 """Between two measured heights farther apart than this the layers are called relaxed [m']."""
 
-SMALLEST_CLIMB_M = 300.0
-"""Less than this of sampled height says too little of the air with a thermometer [m]."""
-
-SMALLEST_BAROMETRIC_CLIMB_M = 2000.0
-"""... and without one (the error stays above 10 % of R below 1 km, whatever is done) [m]."""
-
-BEYOND_M = 500.0
-"""A barometer that sampled so much more height than the thermometer is told of beside it [m']."""
-
 UNCHANGED = 0.95
 """Where sigma of temperature is still this much of the climatology's, nothing was learnt."""
 
-MISFIT = 5.0
-"""A source whose sigmas had to be widened more than this disagrees with the others."""
+FEWEST_TO_WIDEN = 5
+"""The estimator never widens the sigmas of fewer readings: too few to tell."""
+
+LEFT_OUT = "with it no air fits what the flight measured"
 
 UNMEASURED, UNADJUSTED = "climatology", "standard"
 """Bases of a profile that no measurement speaks in."""
@@ -89,16 +90,6 @@ class Adjustment:
         return self.basis not in (UNMEASURED, UNADJUSTED)
 
 
-@dataclass(frozen=True, eq=False)
-class _Basis:
-    """What an estimate stands on: the samples that say enough, the word for it, and why."""
-
-    word: str
-    reason: str
-    samples: AirSamples
-    main: Samples | None = None
-
-
 def build_adjusted_profile(
     samples: AirSamples,
     standard: Profile,
@@ -108,6 +99,8 @@ def build_adjusted_profile(
     background: Climatology | None = None,
     soundings: Sequence[Sounding] = (),
     surface: Sequence[SurfaceReport] = (),
+    time_ns: int | None = None,
+    longitude_rad: float = math.nan,
 ) -> Adjustment:
     """The locally adjusted atmosphere profile of a flight, with its covariance.
 
@@ -118,7 +111,10 @@ def build_adjusted_profile(
     latitude_rad : of the flight, for gravity and climate.
     ledger : receives every fallback, and every sensor that is not believed.
     background : the climatology to relax to; by default the standard, with the spread about it.
-    soundings, surface : balloons and stations near the flight.
+    soundings, surface : balloons and stations near the flight; they weigh by age and distance, and
+        what is too far in either to say anything is left out.
+    time_ns, longitude_rad : of the flight, by which they are near; without samples only this time
+        tells the season.
 
     Where nothing says enough, or the estimate is no air or no better than the background, the
     background is returned with its own sigma, and the reason.
@@ -130,24 +126,46 @@ def build_adjusted_profile(
     1.2 / 0.7 % at 3 / 6 km.
     """
     standard = under_gravity(standard, latitude_rad)
-    month = _month(samples)
+    occasion = Occasion(_middle(samples, time_ns), latitude_rad, longitude_rad)
+    month = _MIDDLE_OF_THE_YEAR if occasion.time_ns is None else month_of(occasion.time_ns)
     moisture = climatology(AUTO, latitude_rad=latitude_rad, month=month, index=standard.index)
     if background is None:
         background = _about(standard, moisture, latitude_rad, month)
     given, samples = samples, believable(samples, standard, ledger)
+    useless = _too_far((*soundings, *surface), occasion, ledger)
+    near = [s for s in soundings if s.name not in useless]
+    reports = [r for r in surface if r.name not in useless]
+    faults: dict[str, str] = {}
+    doubted = False
+    tried: list[Basis] = []
 
-    def sources(used: AirSamples | None, fits: Sequence[Fit]) -> tuple[SourceUse, ...]:
-        return account(given, samples, used, fits, soundings, surface, background, standard.name)
+    def sources(basis: Basis | None, fits: Sequence[Fit]) -> tuple[SourceUse, ...]:
+        unused = useless | (dict.fromkeys(basis.beside.left_out, LEFT_OUT) if basis else {})
+        flown = Flown(given, samples, [b.samples for b in tried], basis.samples if basis else None)
+        return account(flown, fits, soundings, surface, unused, background, standard.name)
 
     humid = moisture if not background.has_humidity else background
-    for basis in _bases(samples, soundings, surface):
+    for basis in bases(samples, near, reports):
+        if doubted and basis.samples.temperature is not None:
+            continue
+        tried.append(basis)
         made = estimate(
-            basis.samples, background, moisture=humid, soundings=soundings, surface=surface
-        )
+            basis.samples, background, moisture=humid, soundings=basis.beside.soundings,
+            surface=basis.beside.surface, occasion=occasion,
+        )  # fmt: skip
+        indoors = not_outside(basis.samples, made, background, humid)
+        if indoors is not None and basis.main is not None:
+            doubted, name = True, basis.main.name
+            faults[basis.reason] = indoors
+            ledger.loss("AIR-THERMOMETER", f"{name} is not used: {indoors}", where=name)
+            continue
         fault = implausible(made, background) or worse_than_climatology(made, background, humid)
         if fault is None:
+            for name in basis.beside.left_out:
+                ledger.loss("AIR-SOURCE-REFUSED", f"{name} is not used: {LEFT_OUT}", where=name)
             found = _adjusted(basis, made, standard, background, ledger)
-            return replace(found, sources=sources(basis.samples, made.fits), moisture=humid)
+            return replace(found, sources=sources(basis, made.fits), moisture=humid)
+        faults[basis.reason] = fault
         ledger.loss(
             "AIR-IMPLAUSIBLE",
             f"the air estimated from {basis.reason} is not used: {fault}",
@@ -155,7 +173,7 @@ def build_adjusted_profile(
         )
     same = background.profile.name == standard.name
     kept = f"the {'standard atmosphere' if same else 'climatology'} {background.profile.name}"
-    reason = _why_standard(samples, kept)
+    reason = why_none(samples, list(faults.values()), kept)
     ledger.fallback("AIR-STANDARD", reason)
     profile, covariance = _unchanged(background)
     word = UNADJUSTED if same else UNMEASURED
@@ -174,11 +192,25 @@ def unadjusted(standard: Profile, reason: str) -> Adjustment:
     return Adjustment(standard, standard, UNADJUSTED, reason)
 
 
-def _month(samples: AirSamples) -> float:
+def _middle(samples: AirSamples, otherwise: int | None) -> int | None:
+    """When the flight was [Unix ns]: the middle of what it measured."""
     for sensor in (samples.temperature, samples.pressure, samples.humidity):
         if sensor is not None and sensor.middle_ns is not None:
-            return month_of(sensor.middle_ns)
-    return _MIDDLE_OF_THE_YEAR
+            return sensor.middle_ns
+    return otherwise
+
+
+def _too_far(
+    sources: Sequence[Sounding | SurfaceReport], occasion: Occasion, ledger: Ledger
+) -> dict[str, str]:
+    """Sources that are too old or too far away to say anything, by name with the reason."""
+    found = {}
+    for source in sources:
+        why = says_nothing(source, occasion)
+        if why is not None:
+            found[source.name] = why
+            ledger.loss("AIR-SOURCE-FAR", f"{source.name} is not used: {why}", where=source.name)
+    return found
 
 
 def _about(
@@ -189,81 +221,8 @@ def _about(
     return replace(named, profile=standard)
 
 
-def _bases(
-    samples: AirSamples, soundings: Sequence[Sounding], surface: Sequence[SurfaceReport]
-) -> list[_Basis]:
-    """What an estimate can stand on, the best first, the next if the best gives no air."""
-    temperature, pressure = samples.temperature, samples.pressure
-    others = [f"sounding {s.station}".strip() for s in soundings]
-    others += [f"surface report {r.origin}".strip() for r in surface]
-    beside = "; with " + ", ".join(others) if others else ""
-    bases = []
-    climbs = pressure is not None and pressure.extent_m >= SMALLEST_BAROMETRIC_CLIMB_M
-    if temperature is not None and temperature.extent_m >= SMALLEST_CLIMB_M:
-        word = "both" if climbs and _reaches_beyond(pressure, temperature) else "thermometer"
-        reason = f"temperatures of {temperature.name} over {temperature.extent_m:.0f} m of height"
-        if word == "both" and pressure is not None:
-            reason += (
-                f"; above and below them {pressure.name} against GNSS height over "
-                f"{pressure.extent_m:.0f} m"
-            )
-        bases.append(_Basis(word, reason + beside, samples, temperature))
-    if climbs and pressure is not None:
-        without = "no thermometer outside"
-        if temperature is not None:
-            without = (
-                f"the thermometer {temperature.name} spans only {temperature.extent_m:.0f} m of "
-                "height"
-            )
-            if bases:
-                without = f"without the thermometer {temperature.name}"
-        reason = (
-            f"{without}: temperatures from {pressure.name} against GNSS height over "
-            f"{pressure.extent_m:.0f} m"
-        )
-        without_it = replace(samples, temperature=None)
-        bases.append(_Basis("barometer", reason + beside, without_it, pressure))
-    if bases and bases[0].main is temperature and temperature is not None and pressure is not None:
-        alone = replace(samples, pressure=None)
-        reason = f"temperatures of {temperature.name} alone, without {pressure.name}"
-        bases.append(_Basis("thermometer", reason + beside, alone, temperature))
-    if others:
-        word = "sounding" if soundings else "surface"
-        only = ", ".join(others)
-        bases.append(_Basis(word, only, replace(samples, temperature=None), pressure))
-    return bases
-
-
-def _reaches_beyond(pressure: Samples | None, temperature: Samples) -> bool:
-    """Whether the barometer sampled half a kilometre or more beyond the thermometer."""
-    if pressure is None:
-        return False
-    warm, all_of_it = temperature.used()[0], pressure.used()[0]
-    beyond = max(all_of_it.max() - warm.max(), warm.min() - all_of_it.min())
-    return bool(beyond > BEYOND_M)
-
-
-def _why_standard(samples: AirSamples, kept: str) -> str:
-    temperature, pressure = samples.temperature, samples.pressure
-    kept += " is kept unchanged"
-    if temperature is None and pressure is None:
-        return f"no thermometer and no barometer outside that can be used: {kept}"
-    spans = []
-    if temperature is not None:
-        spans.append(
-            f"the thermometer {temperature.name} spans {temperature.extent_m:.0f} m of height "
-            f"(at least {SMALLEST_CLIMB_M:.0f} m are needed)"
-        )
-    if pressure is not None:
-        spans.append(
-            f"the barometer {pressure.name} spans {pressure.extent_m:.0f} m (at least "
-            f"{SMALLEST_BAROMETRIC_CLIMB_M:.0f} m are needed without a thermometer)"
-        )
-    return f"{'; '.join(spans)}: {kept}"
-
-
 def _adjusted(
-    basis: _Basis, made: Estimate, standard: Profile, background: Climatology, ledger: Ledger
+    basis: Basis, made: Estimate, standard: Profile, background: Climatology, ledger: Ledger
 ) -> Adjustment:
     """An estimate that may stand, with its layers named and its remarks in the ledger."""
     layers = replace(made.profile.layers, source=_layer_sources(made))
@@ -276,6 +235,8 @@ def _adjusted(
         ledger.fallback("AIR-HUMIDITY-EXPECTED", said)
     judge_level(profile, background, samples.pressure, ledger)
     _tell_of_sensors(made, samples, ledger)
+    if not made.converged:
+        ledger.warning("AIR-UNSETTLED", "the estimate still moved after its last step")
     return Adjustment(
         profile,
         standard,
@@ -328,11 +289,12 @@ def _tell_of_sensors(made: Estimate, samples: AirSamples, ledger: Ledger) -> Non
             "; ".join(f"{n.name} {n.value:.2f} ± {n.sigma:.2f}" for n in learnt),
         )
     for fit in made.fits:
-        if fit.widened > MISFIT:
+        few = fit.count < FEWEST_TO_WIDEN
+        if fit.widened > MISFIT or (few and fit.rms > MISFIT):
             ledger.warning(
                 "AIR-MISFIT",
-                f"residuals of {fit.name} are {fit.rms:.1f} times what its errors explain: its "
-                f"sigmas were widened {fit.widened:.0f} times",
+                f"residuals of {fit.name} ({fit.quantity}) are {fit.rms:.1f} times what its errors "
+                f"explain: {_dealt_with(fit)}",
                 where=fit.name,
                 count=fit.count,
             )
@@ -346,6 +308,12 @@ def _tell_of_sensors(made: Estimate, samples: AirSamples, ledger: Ledger) -> Non
                 where=sensor.name,
                 count=int(rejected.sum()),
             )
+
+
+def _dealt_with(fit: Fit) -> str:
+    if fit.widened > MISFIT:
+        return f"its sigmas were widened {fit.widened:.0f} times"
+    return "the others outvote it"
 
 
 def _unchanged(background: Climatology) -> tuple[Profile, ProfileCovariance]:

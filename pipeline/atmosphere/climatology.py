@@ -117,6 +117,15 @@ def climatology_names() -> tuple[str, ...]:
     return (AUTO, SUPPLEMENTS, *climate_names(), MSIS)
 
 
+def known_names() -> tuple[str, ...]:
+    """All names that `climatology` takes, each once.
+
+    >>> known_names()[-4:]
+    ('us1962', 'icao', 'ardc1959', 'ican')
+    """
+    return tuple(dict.fromkeys((*climatology_names(), *standard_names())))
+
+
 def climatology(
     name: str = AUTO,
     *,
@@ -130,7 +139,7 @@ def climatology(
 
     Parameters
     ----------
-    name : one of `climatology_names` or `standard_names`. ``auto`` is the Supplements 1966 by
+    name : one of `known_names`. ``auto`` is the Supplements 1966 by
         latitude and season.
     latitude_rad : [rad], north positive; gives gravity too.
     month : 1.0 is mid-January, 7.0 mid-July; see `month_of`.
@@ -171,7 +180,7 @@ def climatology(
         raise PhysicsError(
             "ATMOSPHERE-NAME",
             f"no climatology is called {name!r}",
-            remedy=f"one of {', '.join((*climatology_names(), *standard_names()))}",
+            remedy=f"one of {', '.join(known_names())}",
         )
     return Climatology(profile, _widened(spread, profile, expected), origin, moist)
 

@@ -9,16 +9,22 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pipeline.atmosphere.ageing import FRESH_S, Ages, ages_of, grown
 from pipeline.atmosphere.air import IndexModel
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.hypsometry import column
 from pipeline.atmosphere.profile import Profile, stack_layers
+from pipeline.atmosphere.samples import AirSamples
 from pipeline.atmosphere.state import hats
+from pipeline.ledger import Ledger
 
 Array = NDArray[np.float64]
 
 FINEST_CHANGE = 5e-4
 """Profiles follow each other so closely that R changes by less than this from one to the next."""
+
+SLOT_NS = 900 * 10**9
+"""Exposures within a quarter of an hour share the age of their air [ns]."""
 
 _STEPS = 100  # trapezia of the plane integral
 _SLIVER_M = 1.0  # edges of two profiles nearer than this become one [m']
@@ -29,16 +35,29 @@ class TimedAir:
     """The air at a time [Unix ns], with its covariance where there is one.
 
     Between two ``ends``, of the earlier and the later air and the share of the later, the
-    covariance is made when it is asked for: hundreds of them would fill memory.
+    covariance is made when it is asked for: hundreds of them would fill memory. ``ages`` say how
+    long ago it was sampled, where that is long.
     """
 
     time_ns: int | None
     profile: Profile
     own: ProfileCovariance | None = None
     ends: tuple[TimedAir, TimedAir, float] | None = None
+    ages: Ages | None = None
+
+    @property
+    def has_covariance(self) -> bool:
+        """Whether `covariance` is known, without making it."""
+        sources = (self,) if self.ends is None else self.ends[:2]
+        return all(air.own is not None for air in sources)
 
     @property
     def covariance(self) -> ProfileCovariance | None:
+        """That of the estimate, and what the air changed since it was sampled."""
+        found = self._estimated()
+        return found if found is None or self.ages is None else grown(found, self.ages)
+
+    def _estimated(self) -> ProfileCovariance | None:
         """(1 - share) C_a + share C_b: the most it can be, however the errors correlate."""
         if self.ends is None:
             return self.own
@@ -144,6 +163,56 @@ def air_along(
     used, number = np.unique(nearest, return_inverse=True)
     airs = tuple(blend(nodes[places[u][0]], nodes[places[u][0] + 1], places[u][1]) for u in used)
     return AirAlong(airs, number.astype(np.int64))
+
+
+def aged(
+    along: AirAlong,
+    time_ns: NDArray[np.int64],
+    samples: AirSamples,
+    h_c: float,
+    h_g: float,
+    ledger: Ledger,
+) -> AirAlong:
+    """The same air, with the sigmas that it has for exposures long after, or before, its samples.
+
+    Parameters
+    ----------
+    time_ns : (s,) of the exposures [Unix ns].
+    samples : what the air was estimated from.
+    h_c, h_g : heights of the highest camera and of the ground [m above sea level].
+
+    Exposures are taken together in quarters of an hour; air that was sampled within half an hour
+    stays as it is.
+    """
+    if time_ns.size == 0:
+        return along
+    start = int(time_ns.min())
+    slot = (time_ns - start) // SLOT_NS
+    pairs, group = np.unique(np.stack([along.number, slot]), axis=1, return_inverse=True)
+    since = np.bincount(group, (time_ns - start) * 1e-9) / np.bincount(group)
+    middles = [start + round(float(s) * 1e9) for s in since]
+    ages = ages_of(samples, middles, h_g, h_c)
+    if all(age.is_fresh for age in ages):
+        return along
+    airs: list[TimedAir] = []
+    place: dict[tuple[int, int], int] = {}
+    new = np.zeros(len(ages), np.int64)
+    for i, (number, age) in enumerate(zip(pairs[0], ages, strict=True)):
+        key = (int(number), -1 if age.is_fresh else i)
+        if key not in place:
+            place[key] = len(airs)
+            air = along.airs[key[0]]
+            airs.append(air if age.is_fresh else replace(air, time_ns=middles[i], ages=age))
+        new[i] = place[key]
+    oldest = max(ages, key=lambda age: float(age.hours.max()))
+    h = float(oldest.h_m[int(np.argmax(oldest.hours))])
+    ledger.note(
+        "AIR-AGED",
+        f"some exposures are {np.hypot(oldest.hours.max(), FRESH_S / 3600.0):.1f} h from when the "
+        f"air at {h:.0f} m was sampled: the sigmas of the air grow with that time",
+        count=int(np.isin(new[group], [i for i, air in enumerate(airs) if air.ages]).sum()),
+    )
+    return AirAlong(tuple(airs), new[group])
 
 
 def blend(a: TimedAir, b: TimedAir, share: float) -> TimedAir:

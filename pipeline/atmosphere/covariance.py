@@ -60,7 +60,7 @@ class ProfileCovariance:
     def sigma_log_pressure(self, h: ArrayLike) -> Array:
         """One sigma of ln p, that is sigma_p/p, at heights ``h`` (n,) [m above sea level]."""
         height = np.atleast_1d(np.asarray(h, np.float64))
-        by_virtual = self._log_pressure_by_virtual(height)
+        by_virtual = self.log_pressure_by_virtual(height)
         return self._sigma(
             [by_virtual, np.ones((height.size, 1)), np.zeros((height.size, by_virtual.shape[1]))]
         )
@@ -71,12 +71,12 @@ class ProfileCovariance:
         _, p, vapour = self._state(height)
         e = (vapour * p)[:, None]
         by_vapour = p[:, None] * self._weights(height)
-        return self._sigma([e * self._log_pressure_by_virtual(height), e, by_vapour])
+        return self._sigma([e * self.log_pressure_by_virtual(height), e, by_vapour])
 
     def sigma_refractivity(self, h: ArrayLike) -> Array:
         """One sigma of n - 1 at heights ``h`` (n,) [m above sea level]."""
         gradient = self.refractivity_gradient(np.atleast_1d(np.asarray(h, np.float64)))
-        return self._sigma([gradient])
+        return self.sigma_of(gradient)
 
     def refractivity_gradient(self, h: Array) -> Array:
         """(n, 2k + 1) derivatives of n - 1 at heights (n,) [m] by the quantities of ``matrix``.
@@ -92,7 +92,7 @@ class ProfileCovariance:
         step = 1e-4
         by_vapour = self._index(t_m, p, vapour + step) - self._index(t_m, p, vapour - step)
         by_vapour = by_vapour / (2.0 * step)
-        carried = by_level[:, None] * self._log_pressure_by_virtual(h)
+        carried = by_level[:, None] * self.log_pressure_by_virtual(h)
         return np.concatenate(
             [
                 by_virtual[:, None] * weights + carried,
@@ -129,7 +129,8 @@ class ProfileCovariance:
     def _index(self, t_m: Array, p: Array, vapour: Array) -> Array:
         return self.profile.index.refractivity(t_m * (1.0 - VAPOUR_DEFICIT * vapour), p, vapour * p)
 
-    def _log_pressure_by_virtual(self, h: Array) -> Array:
+    def log_pressure_by_virtual(self, h: Array) -> Array:
+        """(n, k) derivatives of ln p at heights (n,) [m] by T_M at the edges [1/K]."""
         layers = self.profile.layers
         last = layers.temperature[-1] + layers.lapse[-1] * (layers.edge[-1] - layers.edge[-2])
         height = self.profile.gravity.geopotential_height(h)
@@ -138,5 +139,8 @@ class ProfileCovariance:
         return np.asarray(-self.profile.constant * (gradient[1:] - gradient[0]))
 
     def _sigma(self, blocks: list[Array]) -> Array:
-        gradient = np.concatenate(blocks, axis=1)
+        return self.sigma_of(np.concatenate(blocks, axis=1))
+
+    def sigma_of(self, gradient: Array) -> Array:
+        """One sigma of quantities whose derivatives (n, 2k + 1) are in the order of ``matrix``."""
         return np.asarray(np.sqrt(np.einsum("ij,ij->i", gradient @ self.matrix, gradient)))

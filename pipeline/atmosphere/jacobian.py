@@ -54,6 +54,11 @@ class AirJacobian:
     d_log_pressure: Array
     d_vapour: Array
 
+    @property
+    def gradient(self) -> Array:
+        """(n, 2m + 3) all of them, in the order of `ProfileCovariance.matrix`."""
+        return np.column_stack([self.d_temperature, self.d_log_pressure, self.d_vapour])
+
 
 def air_jacobian(profile: Profile, h: ArrayLike, anchor_height_m: float) -> AirJacobian:
     """Derivatives of the refractivity with respect to the edges of the layers.

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.atmosphere.climatology import Climatology
-from pipeline.atmosphere.estimate import Estimate, layout_of, solve
+from pipeline.atmosphere.estimate import Estimate, estimate, layout_of, solve
 from pipeline.atmosphere.hypsometry import COLDEST_K, WARMEST_K
 from pipeline.atmosphere.measurements import Barometer, Thermometer
+from pipeline.atmosphere.samples import AirSamples, Samples
 from pipeline.atmosphere.sources import part_of
 from pipeline.atmosphere.state import air_of, hats, prior_of
 
@@ -26,25 +29,34 @@ CERTAIN = 3.0
 FARTHEST = 5.0
 """Sigmas of the climatology that no air of the real soundings comes near (2.9 at most)."""
 
+MISFIT = 5.0
+"""A source whose sigmas had to be widened more than this disagrees with the others."""
+
+TOGETHER_S = 1800.0
+"""Within so long the air hardly changes; over hours the readings of a good thermometer disagree."""
+
 HARMLESS_K, HARMLESS_LOG_P = 1.0, 1e-3
 """Held-out residuals of so little are no reason to fall back: a sharp inversion leaves them."""
 
 
-def implausible(estimate: Estimate, background: Climatology) -> str | None:
+def implausible(made: Estimate, background: Climatology) -> str | None:
     """Why an estimate cannot be air, in words; None where it can.
 
     Looks at the knots between the lowest and the highest measurement: temperatures outside 180
     to 335 K, a fall steeper than the dry adiabat by 3 sigma over 500 m, or a temperature 5 sigma
     from the climatology.
     """
-    layers = estimate.profile.layers
-    low, high = estimate.sources.low, estimate.sources.high
-    h = np.arange(low, high + 1.0, 50.0)
+    layers = made.profile.layers
+    # A balloon goes higher than a climatology does.
+    bounds = (layers.edge, background.profile.layers.edge)
+    low = max(made.sources.low, *(float(edge[0]) for edge in bounds))
+    high = min(made.sources.high, *(float(edge[-1]) for edge in bounds))
+    h = np.arange(low, max(high, low + 1.0), 50.0)
     height = background.profile.gravity.height(h)
-    t = estimate.profile.temperature(height)
+    t = made.profile.temperature(height)
     if not bool(np.all((t > COLDEST_K) & (t < WARMEST_K))):
         return f"temperatures of {t.min():.0f} to {t.max():.0f} K are none of air"
-    sigma = np.interp(h, layers.edge, estimate.background_sigma_k)
+    sigma = np.interp(h, layers.edge, made.background_sigma_k)
     departure = (t - background.profile.temperature(height)) / sigma
     worst = int(np.argmax(np.abs(departure)))
     if abs(departure[worst]) > FARTHEST:
@@ -55,7 +67,7 @@ def implausible(estimate: Estimate, background: Climatology) -> str | None:
     over = round(OVERTURNING_M / 50.0)
     if h.size > over:
         fall = t[:-over] - t[over:] - ADIABATIC_K_PER_M * OVERTURNING_M
-        excess = fall - CERTAIN * _sigma_of_difference(estimate, h, over)
+        excess = fall - CERTAIN * _sigma_of_difference(made, h, over)
         steepest = int(np.argmax(excess))
         if excess[steepest] > 0.0:
             lapse = (t[steepest] - t[steepest + over]) / OVERTURNING_M * 1000.0
@@ -66,16 +78,16 @@ def implausible(estimate: Estimate, background: Climatology) -> str | None:
     return None
 
 
-def _sigma_of_difference(estimate: Estimate, h: Array, over: int) -> Array:
+def _sigma_of_difference(made: Estimate, h: Array, over: int) -> Array:
     """One sigma of T(h) - T(h + 500 m) [K]; that of T_M stands for it."""
-    edge = estimate.profile.layers.edge
+    edge = made.profile.layers.edge
     weights = hats(edge, h[:-over]) - hats(edge, h[over:])
-    matrix = estimate.covariance.matrix[: edge.size, : edge.size]
+    matrix = made.covariance.matrix[: edge.size, : edge.size]
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", weights @ matrix, weights)))
 
 
 def worse_than_climatology(
-    estimate: Estimate, background: Climatology, moisture: Climatology | None
+    made: Estimate, background: Climatology, moisture: Climatology | None
 ) -> str | None:
     """Why an estimate would be worse than its background, in words; None where it is better.
 
@@ -83,7 +95,7 @@ def worse_than_climatology(
     foretell them, about their median, better than the climatology does. Readings that belong
     together do, whatever is wrong with them all; noise from nowhere does not.
     """
-    found = estimate.sources
+    found = made.sources
     layout = layout_of(found, background)
     prior = prior_of(layout, background, moisture or background)
     flown = [s for s in found.sources if isinstance(s, Thermometer | Barometer)]
@@ -98,7 +110,7 @@ def worse_than_climatology(
     if not hidden:
         return None
     profile = background.profile
-    air = solve(layout, prior, shown, profile, estimate.state).air
+    air = solve(layout, prior, shown, profile, made.state).air
     pressure = profile.pressure(profile.gravity.height(layout.knot))
     expected = air_of(layout, prior.mean, pressure, profile.constant)
     for source in hidden:
@@ -111,6 +123,65 @@ def worse_than_climatology(
                 f"{unit} from the estimate and by {factor * theirs:.2f} {unit} from the climatology"
             )
     return None
+
+
+def not_outside(
+    samples: AirSamples, made: Estimate, background: Climatology, moisture: Climatology | None
+) -> str | None:
+    """Why the thermometer of a flight with a barometer cannot be outside; None where it can.
+
+    ``made`` is an estimate with both. Its readings within half an hour differ from those of any air
+    that the barometer allows; or the barometer does from any that the thermometer allows, and fits
+    plausible air of its own. Both without soundings and stations.
+    """
+    temperature, pressure = samples.temperature, samples.pressure
+    if temperature is None or pressure is None or samples.board_temperature:
+        return None
+
+    def air_of_flight(part: AirSamples) -> Estimate:
+        return estimate(part, background, moisture=moisture)
+
+    if _widened(made, Thermometer) > MISFIT:
+        widened = _widened(air_of_flight(_half_an_hour(samples)), Thermometer)
+        if widened > MISFIT:
+            return (
+                f"its readings within {TOGETHER_S / 60.0:.0f} minutes, beside {pressure.name} "
+                f"against GNSS height, fit air only with sigmas widened {widened:.0f} times"
+            )
+    if _widened(made, Barometer) > MISFIT:
+        widened = _widened(air_of_flight(samples), Barometer)
+        alone = air_of_flight(replace(samples, temperature=None))
+        fits = _widened(alone, Barometer) <= MISFIT and implausible(alone, background) is None
+        if widened > MISFIT and fits:
+            return (
+                f"{pressure.name} against GNSS height fits plausible air, but with these "
+                f"temperatures only if its sigmas are widened {widened:.0f} times"
+            )
+    return None
+
+
+def _half_an_hour(samples: AirSamples) -> AirSamples:
+    """The flight until half an hour after its thermometer's first accepted reading."""
+    sensor = samples.temperature
+    if sensor is None or not bool(sensor.accepted.any()):
+        return samples
+    until = int(sensor.time_ns[sensor.accepted][0]) + round(TOGETHER_S * 1e9)
+
+    def early(part: Samples | None) -> Samples | None:
+        return part and replace(part, accepted=part.accepted & (part.time_ns <= until))
+
+    return replace(
+        samples,
+        temperature=early(samples.temperature),
+        pressure=early(samples.pressure),
+        humidity=early(samples.humidity),
+    )
+
+
+def _widened(made: Estimate, kind: type) -> float:
+    """How far the sigmas of a kind of source were widened."""
+    sources = zip(made.sources.sources, made.fits, strict=True)
+    return max((fit.widened for source, fit in sources if isinstance(source, kind)), default=1.0)
 
 
 def _misfit(residual: Array) -> float:

@@ -226,7 +226,7 @@ class Pressures:
     height: Array
     value: Array
     sigma: Array
-    robust: bool = False
+    robust: bool = True
 
     def predict(self, air: Air) -> tuple[Array, Array]:
         """ln p(H) by Eq. 52-53."""

@@ -55,6 +55,11 @@ class SurfaceReport:
     sigma_temperature_k: float = _WHOLE_K
     sigma_pressure_pa: float = _QNH_SIGMA_PA
 
+    @property
+    def name(self) -> str:
+        """For a person."""
+        return f"surface report {self.origin}".strip()
+
 
 def station_pressure(altimeter_setting_pa: float, h_m: float) -> float:
     """Pressure at a station from its altimeter setting (QNH) [Pa].
@@ -113,11 +118,29 @@ def parse_metar(
             count=1,
         )
         dew = t
+    _say_what_is_missing(t, dew, qnh, flat, where, ledger)
     pressure = station_pressure(qnh, station_h_m) if math.isfinite(qnh) else math.nan
+    dew = dew if math.isfinite(t) else math.nan
     e = float(vapour_pressure(1.0, dew, pressure if math.isfinite(pressure) else _SEA_LEVEL_PA))
     sigma = _TENTH_K if _TENTHS.search(flat) else _WHOLE_K
     origin = f"METAR {fields.station}".strip()
     return SurfaceReport(station_h_m, pressure, t, e, fields.time_ns, origin, sigma)
+
+
+def _say_what_is_missing(
+    t: float, dew: float, qnh: float, flat: str, where: str, ledger: Ledger
+) -> None:
+    without = [
+        word
+        for word, value in (("temperature", t), ("dew point", dew), ("altimeter setting", qnh))
+        if not math.isfinite(value)
+    ]
+    if not without:
+        return
+    what = f"no {' and no '.join(without)} can be read in {flat[:80]!r}"
+    if not math.isfinite(t) and math.isfinite(dew):
+        what += "; the dew point says nothing without the temperature"
+    ledger.fallback("METAR-MISSING", what, where=where, count=len(without))
 
 
 def _refuse_values(t: float, qnh: float, flat: str, where: str) -> None:
@@ -221,7 +244,8 @@ def surface_report(
     where : where the numbers stand, for refusals.
 
     Raises ``InputError`` where values cannot be those of air at the ground, as Fahrenheit taken
-    for Celsius, or QNH taken for the station's pressure, are not.
+    for Celsius, or QNH taken for the station's pressure 650 m up, are not. A mission is asked more
+    by place and season, see `pipeline.batch.station_reports`.
 
     >>> surface_report(100.0, temperature_k=293.15, relative_humidity=0.5).pressure_pa
     nan

@@ -27,6 +27,7 @@ from pipeline.atmosphere.measurements import (
     heating_of,
 )
 from pipeline.atmosphere.metar import SurfaceReport
+from pipeline.atmosphere.nearness import Occasion
 from pipeline.atmosphere.reports import departures_of, of_report, of_sounding, of_the_sea
 from pipeline.atmosphere.samples import AirSamples, Samples
 from pipeline.atmosphere.soundings import Sounding
@@ -81,22 +82,26 @@ def sources_of(
     background: Climatology,
     soundings: Sequence[Sounding] = (),
     surface: Sequence[SurfaceReport] = (),
+    occasion: Occasion | None = None,
 ) -> Sources:
     """The readings of a flight in bins, and of soundings and stations, with their faults.
 
     ``background`` gives gravity, and the shape that bins are averaged about. ``low`` and ``high``
     are the lowest and highest geopotential height [m'] that something was measured at.
+    Soundings and stations are weighed by their age and distance from ``occasion``, without one by
+    their age at the start of the samples.
     """
     flown = _flown(samples, background)
     found: list[Source] = of_the_sea(background)
-    for sounding in soundings:
-        found += of_sounding(sounding, background, flown.start_ns)
+    when = occasion or Occasion(flown.start_ns)
+    for number, sounding in enumerate(soundings):
+        found += of_sounding(sounding, number, background, when)
     for report in surface:
-        found += of_report(report, background)
+        found += of_report(report, background, when)
     measured = [*found[1:], *flown.sources]
     heights = np.concatenate([source.height for source in measured] or [np.array(UNMEASURED_M)])
     low, high = float(heights.min()), float(heights.max())
-    departures = departures_of(soundings, flown.start_ns, low, high)
+    departures = departures_of(soundings, background, when)
     return Sources(
         (*found, *flown.sources),
         flown.faults,

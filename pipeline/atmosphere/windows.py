@@ -14,7 +14,16 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.adjust import SMALLEST_BAROMETRIC_CLIMB_M, SMALLEST_CLIMB_M, Adjustment
+from pipeline.atmosphere.adjust import Adjustment
+from pipeline.atmosphere.ageing import (
+    CHANGE_LOG_P_PER_H,
+    CHANGE_RH,
+    FRESH_S,
+    Ages,
+    change_sigma,
+    grown,
+)
+from pipeline.atmosphere.bases import SMALLEST_BAROMETRIC_CLIMB_M, SMALLEST_CLIMB_M
 from pipeline.atmosphere.climatology import Climatology, Spread
 from pipeline.atmosphere.course import TimedAir
 from pipeline.atmosphere.estimate import Estimate, Nuisance, estimate
@@ -24,17 +33,7 @@ from pipeline.ledger import Ledger
 
 Array = NDArray[np.float64]
 
-SHORTEST_S, MOST_WINDOWS = 1800.0, 12
-"""In half an hour the air of a calm day changes by some 0.5 K at the ground: R by 0.2 %."""
-
-CHANGE_K2_PER_H, CHANGE_LENGTH_M = 2.0, 1500.0
-CHANGE_ALOFT = 0.3
-"""Variance of what the air is from its mean over the flight, at the ground; aloft a third of the
-sigma, with the same scale height as the spread of the climatology. Judgement: the boundary layer
-warms by some 5 K from dawn to noon."""
-
-CHANGE_LOG_P_PER_H = 5e-4
-CHANGE_RH = 0.1
+MOST_WINDOWS = 12  # each as long as the air stays fresh, or longer
 
 _BIAS_WANDERS = 0.2
 """Share of a fault's expected sigma by which it may be another in another window."""
@@ -80,7 +79,7 @@ def time_windows(samples: AirSamples) -> tuple[tuple[int, int], ...]:
     if time.size == 0:
         return ()
     first, last = int(time[0]), int(time[-1]) + 1
-    count = min(MOST_WINDOWS, int((last - first) * 1e-9 / SHORTEST_S))
+    count = min(MOST_WINDOWS, int((last - first) * 1e-9 / FRESH_S))
     edges = [first + (last - first) * i // max(count, 1) for i in range(max(count, 1) + 1)]
     parts = list(pairwise(edges))
     while len(parts) > 1:
@@ -160,7 +159,7 @@ def estimate_windows(
     windows = []
     for start, end in parts:
         part = part_of_flight(samples, start, end)
-        windows.append(_window(part, (start, end), whole, background, h_c, h_g))
+        windows.append(_window(part, (start, end), hours, whole, background, h_c, h_g))
     own = [w for w in windows if not w.why_not]
     if not own:
         ledger.note("AIR-WINDOWS", f"one profile for {hours:.1f} h: no part of it says more")
@@ -182,7 +181,7 @@ def estimate_windows(
     )
     for w in windows:
         if w.why_not:
-            when = np.datetime64(w.air.time_ns, "s")
+            when = np.datetime64(w.air.time_ns, "ns").astype("datetime64[s]")
             ledger.fallback("AIR-WINDOW", f"about {when} the whole flight's air: {w.why_not}")
     return tuple(windows)
 
@@ -195,8 +194,7 @@ def _background(whole: Adjustment, hours: float) -> Climatology:
     spread = whole.moisture.spread
     h = spread.h_m[(spread.h_m > profile.bottom_m) & (spread.h_m < profile.top_m)]
     lowest = float(covariance.anchor_height_m)
-    near = np.exp(-np.maximum(h - lowest, 0.0) / CHANGE_LENGTH_M)
-    change = np.sqrt(CHANGE_K2_PER_H * hours) * (CHANGE_ALOFT + (1.0 - CHANGE_ALOFT) * near)
+    change = change_sigma(h - lowest, hours)
     level = float(covariance.sigma_log_pressure(0.0)[0])
     doubt = np.minimum(spread.sigma_relative_humidity(h), CHANGE_RH)
     return Climatology(
@@ -217,6 +215,7 @@ def _background(whole: Adjustment, hours: float) -> Climatology:
 def _window(
     part: AirSamples,
     span: tuple[int, int],
+    hours: float,
     whole: Adjustment,
     background: Climatology,
     h_c: Sequence[float],
@@ -227,12 +226,17 @@ def _window(
     if whole.covariance is None:
         raise ValueError("the air of the whole flight has no covariance")
     shared = TimedAir(middle, whole.profile, whole.covariance)
+    # What the window measured cannot be used: its air is the whole's, changed by as much as air
+    # changes over the flight.
+    low = whole.covariance.anchor_height_m
+    doubted = grown(whole.covariance, Ages(np.array([low]), np.array([hours])))
+    fallen = TimedAir(middle, whole.profile, doubted)
     if _gated(part) is None:
-        return Window(*span, shared, why_not="nothing was measured then")
+        return Window(*span, fallen, why_not="nothing was measured then")
     made = estimate(part, background, known=_carried(whole.nuisances))
     fault = _fault(made, background, whole.moisture)
     if fault is not None:
-        return Window(*span, shared, why_not=fault)
+        return Window(*span, fallen, why_not=fault)
     sources = whole.profile.layers.source
     edge = whole.profile.layers.edge
     middles = 0.5 * (made.profile.layers.edge[1:] + made.profile.layers.edge[:-1])
@@ -250,6 +254,8 @@ def _window(
 
 def _fault(made: Estimate, background: Climatology, expected: Climatology | None) -> str | None:
     """Why a window's estimate is no air by the climatology, or no better than the whole flight."""
+    if not made.converged:
+        return "its estimate did not settle"
     if expected is not None:
         h = made.profile.break_heights_m
         spread = replace(made, background_sigma_k=expected.spread.sigma_temperature(h))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pipeline.atmosphere import standard_atmosphere
+from pipeline.atmosphere.account import all_unused
 from pipeline.atmosphere.adjust import (
     build_adjusted_profile,
     unadjusted,
@@ -15,15 +17,16 @@ from pipeline.atmosphere.adjust import (
 )
 from pipeline.atmosphere.air import IndexModel
 from pipeline.atmosphere.climatology import Climatology, climatology, month_of
-from pipeline.atmosphere.course import TimedAir, air_along, one_air
-from pipeline.atmosphere.metar import SurfaceReport, parse_metar, surface_report
+from pipeline.atmosphere.course import TimedAir, aged, air_along, one_air
+from pipeline.atmosphere.metar import SurfaceReport
+from pipeline.atmosphere.nearness import Occasion, tell_of_nearness
 from pipeline.atmosphere.samples import AirSamples
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.windows import estimate_windows
 from pipeline.batch.plan import Plan, sounding_role
+from pipeline.batch.station_reports import read_report
 from pipeline.config import Mission
-from pipeline.config.air import AtmosphereSection, SurfaceSection
-from pipeline.errors import InputError
+from pipeline.config.air import AtmosphereSection
 from pipeline.flight.stations import NO_TIME, Stations
 from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir, effects_on_r
@@ -31,9 +34,6 @@ from pipeline.tables.soundings import read_sounding
 from pipeline.units import ZERO_CELSIUS_K
 
 _NO_SEASON = 4.0  # a month between the seasons, for a flight without a date
-
-_IMPOSSIBLE_SIGMAS = 5.0
-"""Of the climatology at a station's height: no real sounding departs by more than 2.9."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +43,9 @@ class AirSources:
     background: Climatology
     soundings: tuple[Sounding, ...] = ()
     surface: tuple[SurfaceReport, ...] = ()
+    time_ns: int | None = None
+    longitude_rad: float = math.nan
+    home_h_msl_m: float | None = None
 
     def lines(self) -> list[tuple[str, str]]:
         """For a person."""
@@ -53,22 +56,31 @@ class AirSources:
         ]
 
 
-def find_sources(plan: Plan, stations: Stations, samples: AirSamples, ledger: Ledger) -> AirSources:
+def find_sources(
+    plan: Plan,
+    stations: Stations,
+    samples: AirSamples,
+    ledger: Ledger,
+    home_h_msl_m: float | None = None,
+) -> AirSources:
     """Read the soundings and surface reports of a mission, and choose its climatology.
 
+    ``home_h_msl_m`` is the take-off height, that of the ground where the log sampled no air.
     Refuses what cannot be read, and values that no ground has (``InputError``).
     """
     section = plan.mission.atmosphere
     flight_ns = _time_of(stations)
     latitude = stations.mean_latitude_rad
     known = stations.lon_rad[np.isfinite(stations.lon_rad)]
+    longitude = float(np.median(known)) if known.size else math.nan
+    low = _lowest(samples, home_h_msl_m)
     background = climatology(
         section.climatology,
         latitude_rad=latitude,
         month=_NO_SEASON if flight_ns is None else month_of(flight_ns),
         index=_index_of(section),
-        ground_h_m=_lowest(samples) or 0.0,
-        longitude_rad=float(np.median(known)) if known.size else 0.0,
+        ground_h_m=low,
+        longitude_rad=longitude if known.size else 0.0,
     )
     soundings = tuple(
         read_sounding(
@@ -82,9 +94,10 @@ def find_sources(plan: Plan, stations: Stations, samples: AirSamples, ledger: Le
         for i, s in enumerate(section.soundings)
     )
     surface = tuple(
-        _report_of(s, f"atmosphere.surface[{i}]", flight_ns, background, ledger)
+        read_report(s, f"atmosphere.surface[{i}]", flight_ns, background, ledger)
         for i, s in enumerate(section.surface)
     )
+    tell_of_nearness(soundings, surface, Occasion(flight_ns, latitude, longitude), ledger)
     if not section.adjust and (soundings or surface):
         ledger.warning(
             "AIR-SOURCES-UNUSED",
@@ -93,7 +106,7 @@ def find_sources(plan: Plan, stations: Stations, samples: AirSamples, ledger: Le
             where="atmosphere",
             count=len(soundings) + len(surface),
         )
-    return AirSources(background, soundings, surface)
+    return AirSources(background, soundings, surface, flight_ns, longitude, home_h_msl_m)
 
 
 def _time_of(stations: Stations) -> int | None:
@@ -106,46 +119,11 @@ def _index_of(section: AtmosphereSection) -> IndexModel:
     return IndexModel(section.index, section.wavelength_m, section.co2_ppm)
 
 
-def _lowest(samples: AirSamples) -> float | None:
-    """Lowest height that was sampled [m above sea level]."""
+def _lowest(samples: AirSamples, home_h_msl_m: float | None) -> float:
+    """Lowest height that was sampled [m above sea level], else the take-off's, else the sea's."""
     sensors = [s for s in (samples.pressure, samples.temperature, samples.humidity) if s]
     heights = [s.h_m[np.isfinite(s.h_m)] for s in sensors]
-    return min((float(h.min()) for h in heights if h.size), default=None)
-
-
-def _report_of(
-    section: SurfaceSection,
-    where: str,
-    flight_ns: int | None,
-    background: Climatology,
-    ledger: Ledger,
-) -> SurfaceReport:
-    if section.metar is not None:
-        report = parse_metar(
-            section.metar, section.h_msl_m, ledger, flight_ns=flight_ns, where=f"{where}.metar"
-        )
-    else:
-        report = surface_report(
-            section.h_msl_m,
-            temperature_k=section.temperature_k,
-            pressure_pa=section.pressure_pa,
-            relative_humidity=section.humidity,
-            time_ns=section.time_ns,
-            where=where,
-        )
-    expected = float(background.profile.temperature(report.h_m))
-    sigma = float(background.spread.sigma_temperature(report.h_m))
-    if abs(report.temperature_k - expected) > _IMPOSSIBLE_SIGMAS * sigma:
-        raise InputError(
-            "SURFACE-CLIMATE",
-            f"{report.temperature_k - ZERO_CELSIUS_K:.1f} C at {report.h_m:.0f} m is "
-            f"{abs(report.temperature_k - expected) / sigma:.1f} sigma from the "
-            f"{expected - ZERO_CELSIUS_K:.0f} C of the climatology",
-            where=where,
-            remedy="temperature_c is in Celsius: convert Fahrenheit by (F - 32) / 1.8, Kelvin by "
-            "K - 273.15; or the station or the date is another",
-        )
-    return report
+    return min((float(h.min()) for h in heights if h.size), default=home_h_msl_m or 0.0)
 
 
 def adjust_air(
@@ -155,11 +133,12 @@ def adjust_air(
     section = mission.atmosphere
     latitude = stations.mean_latitude_rad
     standard = replace(standard_atmosphere(section.standard), index=_index_of(section))
-    h_c, h_g = _levels(mission, stations, samples)
+    h_c, h_g = _levels(mission, stations, samples, sources.home_h_msl_m)
     if not section.adjust:
         why = "atmosphere.adjust is false: the standard is kept"
         ledger.note("AIR-NOT-ADJUSTED", why)
-        adjustment = unadjusted(under_gravity(standard, latitude), why)
+        unused = all_unused(samples, sources.soundings, sources.surface, standard.name, why)
+        adjustment = replace(unadjusted(under_gravity(standard, latitude), why), sources=unused)
     else:
         adjustment = build_adjusted_profile(
             replace(samples, board_temperature=section.board_temperature),
@@ -169,25 +148,35 @@ def adjust_air(
             background=sources.background,
             soundings=sources.soundings,
             surface=sources.surface,
+            time_ns=sources.time_ns,
+            longitude_rad=sources.longitude_rad,
         )
-    effects = effects_on_r(
-        adjustment.profile, adjustment.standard, adjustment.covariance, float(np.median(h_c)), h_g
-    )
     whole = TimedAir(adjustment.time_ns, adjustment.profile, adjustment.covariance)
     windows = estimate_windows(adjustment, h_c, h_g, ledger) if max(h_c) > h_g + 1.0 else ()
     along = one_air(whole, len(stations))
-    if windows:
-        middle = _time_of(stations) or windows[0].start_ns
+    middle = _time_of(stations)
+    if middle is not None:
         times = np.where(stations.ok, stations.time_ns, middle)
-        along = air_along([window.air for window in windows], times, h_c, h_g)
+        if windows:
+            along = air_along([window.air for window in windows], times, h_c, h_g)
+        if adjustment.samples is not None:
+            along = aged(along, times, adjustment.samples, max(h_c), h_g, ledger)
+        if not windows and len(stations):
+            # What is told of the flight is told of its middle exposure.
+            number = along.number[int(np.argmin(np.abs(times - middle)))]
+            adjustment = replace(adjustment, covariance=along.airs[number].covariance)
+    effects = effects_on_r(
+        adjustment.profile, adjustment.standard, adjustment.covariance, float(np.median(h_c)), h_g
+    )
     return FlightAir(adjustment, along, windows, effects)
 
 
-def _levels(mission: Mission, stations: Stations, samples: AirSamples) -> tuple[list[float], float]:
+def _levels(
+    mission: Mission, stations: Stations, samples: AirSamples, home_h_msl_m: float | None
+) -> tuple[list[float], float]:
     """Heights of cameras (low, middle, high) and of the ground [m above sea level]."""
-    lowest = _lowest(samples)
     ground = mission.ground.constant_m if mission.ground.reference == "msl" else None
-    h_g = ground if ground is not None else lowest if lowest is not None else 0.0
+    h_g = ground if ground is not None else _lowest(samples, home_h_msl_m)
     heights = stations.h_msl_m[stations.ok]
     if heights.size == 0:
         return [h_g], h_g
@@ -195,7 +184,9 @@ def _levels(mission: Mission, stations: Stations, samples: AirSamples) -> tuple[
 
 
 def _told_of_sounding(sounding: Sounding) -> str:
-    when = "" if sounding.time_ns is None else f" of {np.datetime64(sounding.time_ns, 'm')} UTC"
+    when = ""
+    if sounding.time_ns is not None:
+        when = f" of {np.datetime64(sounding.time_ns, 'ns').astype('datetime64[m]')} UTC"
     return (
         f"{sounding.station}{when}: {sounding.h_m.size} levels from {sounding.h_m[0]:.0f} to "
         f"{sounding.h_m[-1]:.0f} m, {sounding.origin}"

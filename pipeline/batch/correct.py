@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pipeline.batch.ground import Ground, plausible
 from pipeline.batch.look import CameraSetup
 from pipeline.batch.store import RunFolder
-from pipeline.batch.tally import Tally
+from pipeline.batch.tally import Tally, evenly
 from pipeline.refraction._threads import usable_cpus
 from pipeline.refraction.chord import target_heights
 from pipeline.refraction.forward import apply_refraction
@@ -29,6 +29,8 @@ from pipeline.refraction.image import COLUMNS, Corrections, Exposures, correct_o
 from pipeline.refraction.ray import PublishedRays, RayTable
 from pipeline.refraction.sigmas import Sigmas, Uncertainty
 from pipeline.refraction.status import NO_STATION
+from pipeline.refraction.uncertainty import at_the_window
+from pipeline.refraction.window import OPTICAL_AXIS
 from pipeline.tables.marks import Direction
 from pipeline.tables.observations import Batch, Observations
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
@@ -39,6 +41,8 @@ Array = NDArray[np.float64]
 # Reading and writing leave no work for more, and each holds a batch: 250,000 rows by default.
 _MOST_WORKERS = 4
 
+_RAYS_OF_A_PART = 128
+
 
 @dataclass(frozen=True, eq=False)
 class Recipe:
@@ -46,7 +50,8 @@ class Recipe:
 
     ``images``, ``cameras_of`` and ``air_of`` (s,) belong to the rows of ``exposures``; ``air_of``
     numbers ``tables``, the air in which the rays of an exposure bend, and ``uncertainties``; where
-    all of these are None no standard deviations are computed.
+    all of these are None no standard deviations are computed. ``views`` (s,) tells through what
+    each exposure looks.
     """
 
     images: NDArray[np.object_]
@@ -58,6 +63,7 @@ class Recipe:
     air_of: NDArray[np.int64]
     direction: Direction = "remove"
     uncertainties: tuple[Uncertainty | None, ...] = (None,)
+    views: NDArray[np.int64] | None = None
 
     @property
     def in_doubt(self) -> bool:
@@ -111,7 +117,7 @@ def correct_stream(
         tally = Tally.of(recipe.cameras)
         tally.add(batch, corrections, camera)
         if recipe.in_doubt:
-            tally.sample(corrections, np.append(recipe.exposures.height_m, np.nan)[row], h_g)
+            tally.rays.append(_some_rays(batch, corrections, row, h_g, camera, recipe))
         return tally
 
     total = Tally.of(recipe.cameras)
@@ -194,6 +200,39 @@ def _correct_batch(
         if sigmas is not None and part.sigmas is not None:
             sigmas.put(mine, part.sigmas)
     return Corrections(**columns, sigmas=sigmas)
+
+
+def _some_rays(
+    batch: Batch,
+    corrections: Corrections,
+    row: NDArray[np.int64],
+    h_g: Array,
+    camera: NDArray[np.int64],
+    recipe: Recipe,
+) -> Array:
+    """(6, m) rays of a batch as `Tally.sampled` has them, evenly spread over its rows."""
+    ex = recipe.exposures
+    h_c = np.append(ex.height_m, np.nan)[row]
+    good = np.flatnonzero(np.isfinite(corrections.r_c_rad) & (h_c > h_g))
+    some = good[evenly(good.size, _RAYS_OF_A_PART)]
+    at = row[some]
+    direction = np.full((some.size, 3), np.nan)
+    # Of pixels as measured, which are where the rays went through the window.
+    x, y = (batch.x_px, batch.y_px) if recipe.direction == "remove" else (
+        corrections.x_px, corrections.y_px)  # fmt: skip
+    for number, setup in enumerate(recipe.cameras.values()):
+        mine = camera[some] == number
+        offset = setup.pixel_offset
+        u, v, _ = setup.camera.rays(x[some[mine]] + offset, y[some[mine]] + offset)
+        direction[mine] = np.stack([u, v, np.ones(u.size)], axis=1)
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    normal = np.broadcast_to(OPTICAL_AXIS, (at.size, 3))
+    if ex.window_normal is not None:
+        normal = ex.window_normal[at]
+    turns = at_the_window(direction, -ex.rotation[at, :, 2], normal)
+    kind = np.zeros(at.size) if recipe.views is None else recipe.views[at]
+    rays = np.stack([h_c[some], h_g[some], corrections.zeta_c_rad[some], kind, *turns])
+    return np.asarray(rays[:, np.isfinite(rays).all(axis=0)])
 
 
 def _correct_rows(

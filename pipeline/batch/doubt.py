@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.atmosphere.course import AirAlong
 from pipeline.atmosphere.covariance import ProfileCovariance
@@ -16,12 +17,14 @@ from pipeline.batch.tally import Tally
 from pipeline.config import Mission
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Ledger
+from pipeline.refraction.air_sigma import OPEN, view_of
 from pipeline.refraction.image import Exposures
 from pipeline.refraction.ray import DEFAULT_RADIUS_M
 from pipeline.refraction.sigmas import Uncertainty
 from pipeline.refraction.uncertainty import (
     BlockScale,
     StationSigmas,
+    Views,
     block_scale,
     uncertainty_of,
 )
@@ -35,10 +38,12 @@ def uncertainties_of_mission(
     exposures: Exposures,
     cameras: Mapping[str, CameraSetup],
     ground: Ground,
+    views: NDArray[np.int64],
 ) -> tuple[Uncertainty | None, ...]:
     """What gives the observations of the exposures in each air their standard deviations.
 
-    None where nothing is known: neither the covariance of the air nor a sigma in the mission file.
+    ``views`` (s,) of `views_of_mission`. None where nothing is known: neither the covariance of
+    the air nor a sigma in the mission file.
     """
     mounts = [mission.mount[name] for name in mission.cameras]
     section = mission.ground
@@ -55,11 +60,24 @@ def uncertainties_of_mission(
         known = told or covariance is not None
         seen = replace(exposures, usable=exposures.usable & (air.number == number))
         found.append(
-            uncertainty_of(one.profile, covariance, seen, sigmas, own, ground.limits)
+            uncertainty_of(one.profile, covariance, seen, sigmas, own, ground.limits, views)
             if known
             else None
         )
     return tuple(found)
+
+
+def views_of_mission(mission: Mission, stations: Stations, air: AirAlong) -> NDArray[np.int64]:
+    """(s,) through what each exposure looks: `OPEN`, `SEALED` or `SCHEDULED`."""
+    views = np.full(len(stations), OPEN, np.int64)
+    pressure = air.pressure(stations.h_msl_m)
+    for name, camera in mission.cameras.items():
+        window = camera.window.build() if camera.window else None
+        if window is not None and window.shape == "plane" and window.cabin is not None:
+            mine = stations.camera == name
+            scheduled = window.cabin.source == "standard_schedule"
+            views[mine] = view_of(pressure[mine], scheduled=scheduled)
+    return views
 
 
 def _station_sigmas(mission: Mission, stations: Stations) -> StationSigmas:
@@ -83,7 +101,7 @@ def tell_what_is_unknown(
 ) -> None:
     """Say, once, which standard deviations nobody gave."""
     missing = []
-    if any(one.covariance is None for one in air.airs):
+    if not all(one.has_covariance for one in air.airs):
         missing.append("the air (its profile has no covariance)")
     untold = [name for name in mission.cameras if mission.mount[name].sigma_tilt_deg is None]
     missing += [f"the attitude (mount.{name}.sigma_tilt_deg)" for name in untold]
@@ -108,5 +126,6 @@ def scale_of_block(
     """The scale factor of R that the observations share; None where the air has no covariance."""
     if covariance is None:
         return None
-    h_c, h_g, zeta_c = tally.sampled()
-    return block_scale(profile, covariance, h_c, h_g, zeta_c, radius_m or DEFAULT_RADIUS_M)
+    h_c, h_g, zeta_c, kind, towards, across = tally.sampled()
+    views = Views(kind.astype(np.int64), towards, across)
+    return block_scale(profile, covariance, h_c, h_g, zeta_c, radius_m or DEFAULT_RADIUS_M, views)

@@ -96,8 +96,10 @@ def _uncertainty(scale: BlockScale | None) -> dict[str, Any] | None:
         "scale_sigma": float(f"{scale.sigma:.4g}"),
         "correlation": float(f"{scale.correlation:.4g}"),
         "rays": scale.rays,
-        "meaning": "standard deviation of one scale factor of all r_c_rad, for the prior of one "
-        "parameter in an adjustment; correlation of the errors of r_c_rad between observations",
+        "meaning": "standard deviation of one factor s: s r_c_rad, towards the nadir, is what the "
+        "error of the air does to all corrections, behind a plane window through r_cc_rad too; for "
+        "the prior of one parameter in an adjustment; correlation of what it explains of these "
+        "errors between observations: what is less than one it does not remove",
     }
 
 
@@ -145,4 +147,4 @@ def _window(window: Window) -> dict[str, Any]:
 
 
 def _second(time_ns: int) -> str:
-    return f"{np.datetime64(time_ns, 's')}Z"
+    return f"{np.datetime64(time_ns, 'ns').astype('datetime64[s]')}Z"

@@ -18,7 +18,6 @@ from pipeline.tables.observations import Batch
 
 Array = NDArray[np.float64]
 
-_RAYS_OF_A_PART = 128
 _MOST_RAYS = 400
 
 
@@ -56,20 +55,13 @@ class Tally:
             elif bool(mine.any()):
                 extent.add(batch.x_px[mine], batch.y_px[mine], corrections.rows(mine))
 
-    def sample(self, corrections: Corrections, h_c: Array, h_g: Array) -> None:
-        """Keep some rays of a batch, evenly spread over its rows, to stand for all of them.
+    def sampled(self) -> Array:
+        """(6, n) some hundreds of rays that stand for all of them.
 
-        ``h_c``, ``h_g`` (n,) heights of camera and target above sea level [m].
+        Heights of camera and target [m], nadir angles [rad], and the `Views` of the rays.
         """
-        good = np.flatnonzero(np.isfinite(corrections.r_c_rad) & (h_c > h_g))
-        some = good[_evenly(good.size, _RAYS_OF_A_PART)]
-        self.rays.append(np.stack([h_c[some], h_g[some], corrections.zeta_c_rad[some]]))
-
-    def sampled(self) -> tuple[Array, Array, Array]:
-        """(n,) heights of camera and target [m] and nadir angles [rad], some hundreds of rays."""
-        rays = np.concatenate([np.empty((3, 0)), *self.rays], axis=1)
-        h_c, h_g, zeta_c = rays[:, _evenly(rays.shape[1], _MOST_RAYS)]
-        return h_c, h_g, zeta_c
+        rays = np.concatenate([np.empty((6, 0)), *self.rays], axis=1)
+        return np.asarray(rays[:, evenly(rays.shape[1], _MOST_RAYS)])
 
     def merge(self, other: Tally) -> None:
         """Count what another counted."""
@@ -121,6 +113,6 @@ class Tally:
                 ledger.loss("OBS-FLAGGED", what, count=count)
 
 
-def _evenly(count: int, most: int) -> NDArray[np.intp]:
+def evenly(count: int, most: int) -> NDArray[np.intp]:
     """Numbers below ``count``, ``most`` of them at the most, evenly spread."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.markup import escape
 
 from pipeline.cli.app import app, new_console, write_csv
 from pipeline.errors import EXIT_DONE, EXIT_LOSSES, ConfigError
@@ -101,7 +102,9 @@ def radial(
     else:
         show_radial(console, tables)
         _explain_empty(console, tables)
-        show_ledger(console, ledger.rows())
+    show_ledger(console, ledger.rows())
+    if csv is not None:
+        console.print(escape(str(csv)), soft_wrap=True)
     raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)
 
 
@@ -152,6 +155,7 @@ def profile(
     """The air of a mission or of a standard: a table, CSV or plot."""
     from pipeline.atmosphere.profile import heights_every
     from pipeline.report.progress import PatientBar
+    from pipeline.report.terminal import show_air, show_ledger, show_profile
     from pipeline.stages import air_of_either
     from pipeline.tables.writing import profile_arrow, profiles_arrow
 
@@ -171,12 +175,13 @@ def profile(
         from pipeline.report.profile_figure import profile_figure
 
         save_figure(profile_figure(air, samples), plot)
-    if csv is None and plot is None:
-        from pipeline.report.terminal import show_air, show_ledger, show_profile
-
-        show_profile(console, rows.to_pylist())
-        show_air(console, air)
-        show_ledger(console, ledger.rows())
+    written = [path for path in (csv, plot) if path is not None]
+    if not written:
+        show_profile(console, rows.to_pylist(), adjustment.standard.name)
+    show_air(console, air)
+    show_ledger(console, ledger.rows())
+    for path in written:
+        console.print(escape(str(path)), soft_wrap=True)
     raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)
 
 

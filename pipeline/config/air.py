@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator, model_validator
 
 from pipeline.atmosphere import standard_names
-from pipeline.atmosphere.climatology import climatology_names
+from pipeline.atmosphere.climatology import known_names
 from pipeline.config.cameras import Section
 from pipeline.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
 
@@ -114,7 +114,6 @@ class AtmosphereSection(Section):
     @field_validator("climatology")
     @classmethod
     def _is_a_climatology(cls, value: str) -> str:
-        known = (*climatology_names(), *standard_names())
-        if value not in known:
-            raise ValueError(f"is none of {', '.join(known)}")
+        if value not in known_names():
+            raise ValueError(f"is none of {', '.join(known_names())}")
         return value

@@ -132,6 +132,8 @@ def _named(
             f" (near: {', '.join(near)})" if near else ""
         )
     instead = f"could play this role: {', '.join(able)}" if able else "nothing else could play it"
+    if role == "temperature" and channel is not None and "board_temperature_k" in channel.columns:
+        instead += "; atmosphere.board_temperature: true takes its board's, less some 10 K"
     if required:
         raise MissionError(
             "CHANNEL-MISSING",

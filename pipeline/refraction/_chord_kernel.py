@@ -6,13 +6,13 @@ import math
 
 from pipeline.refraction._jit import entry, jit
 from pipeline.refraction._polynomials import piece
-from pipeline.refraction._ray_kernel import (
-    _chord2,
-    _excess,
-    _lift,
-    _subtended,
-    _subtended_through_turn,
-    _turning_height,
+from pipeline.refraction._subtended import (
+    chord2,
+    excess,
+    lift_of,
+    subtended,
+    subtended_through_turn,
+    turning_height,
 )
 from pipeline.refraction.status import BAD_MEASUREMENT, MISSES_GROUND, OK, OUTSIDE_PROFILE
 
@@ -24,9 +24,9 @@ _SHORTEST_STEP_M = 1e-10
 def _theta_at(edge, coefficient, h, n_c, h_c, r_e, lift, around):  # type: ignore[no-untyped-def]
     """Angle subtended up to height h; ``around`` is that through P_90 and up again, else 0."""
     if around > 0.0 and h >= h_c:
-        return around + _subtended(edge, coefficient, h_c, h, n_c, h_c, r_e, lift, False)
+        return around + subtended(edge, coefficient, h_c, h, n_c, h_c, r_e, lift, False)
     low, high = min(h, h_c), max(h, h_c)
-    theta = _subtended(edge, coefficient, low, high, n_c, h_c, r_e, lift, False)
+    theta = subtended(edge, coefficient, low, high, n_c, h_c, r_e, lift, False)
     return around - theta if around > 0.0 else theta
 
 
@@ -34,8 +34,8 @@ def _theta_at(edge, coefficient, h, n_c, h_c, r_e, lift, around):  # type: ignor
 def _slope(edge, coefficient, h, theta, n_c, h_c, r_e, lift, sense):  # type: ignore[no-untyped-def]
     """d(chord^2)/dh along the ray; ``sense`` is the sign of d(theta)/dh."""
     k = (1.0 + n_c) * (r_e + h_c) - lift
-    excess = _excess(edge, coefficient, piece(edge, h), h, n_c, h_c, r_e, lift)
-    turning = sense * k / ((r_e + h) * math.sqrt(excess * (excess + 2.0 * k)))
+    above = excess(edge, coefficient, piece(edge, h), h, n_c, h_c, r_e, lift)
+    turning = sense * k / ((r_e + h) * math.sqrt(above * (above + 2.0 * k)))
     r_c, r_h = r_e + h_c, r_e + h
     return (
         2.0 * (h - h_c)
@@ -59,7 +59,7 @@ def _solve(  # type: ignore[no-untyped-def]
     for _ in range(100):
         h = min(max(turn + s * s, low), high)
         theta = _theta_at(edge, coefficient, h, n_c, h_c, r_e, lift, around)
-        miss = _chord2(theta, h_c, h, r_e) - distance * distance
+        miss = chord2(theta, h_c, h, r_e) - distance * distance
         if math.isnan(miss):
             return math.nan, MISSES_GROUND
         reached = reached or miss >= 0.0
@@ -84,7 +84,7 @@ def _ray_height(  # type: ignore[no-untyped-def]
     edge, coefficient, h_c, sin_c, cos_c, r_e, distance
 ):
     """Height and status of one ray at one distance."""
-    n_c, lift = _lift(edge, coefficient, h_c, sin_c, cos_c, r_e)
+    n_c, lift = lift_of(edge, coefficient, h_c, sin_c, cos_c, r_e)
     top, level = edge[-1], h_c - lift
     # Along the straight line: tenths of a metre off for steep rays, kilometres for level ones.
     r_c = r_e + h_c
@@ -94,19 +94,19 @@ def _ray_height(  # type: ignore[no-untyped-def]
         return _solve(
             edge, coefficient, distance, h_c, top, level, start, n_c, h_c, r_e, lift, 0.0, 1.0
         )
-    turn = _turning_height(edge, coefficient, n_c, h_c, r_e, lift)
+    turn = turning_height(edge, coefficient, n_c, h_c, r_e, lift)
     if math.isnan(turn):
         low = edge[0]
         below = min(level, low)
         return _solve(
             edge, coefficient, distance, low, h_c, below, start, n_c, h_c, r_e, lift, 0.0, -1.0
         )
-    half = _subtended(edge, coefficient, turn, h_c, n_c, h_c, r_e, lift, True)
-    if math.sqrt(_chord2(half, h_c, turn, r_e)) >= distance:
+    half = subtended(edge, coefficient, turn, h_c, n_c, h_c, r_e, lift, True)
+    if math.sqrt(chord2(half, h_c, turn, r_e)) >= distance:
         return _solve(
             edge, coefficient, distance, turn, h_c, turn, start, n_c, h_c, r_e, lift, 0.0, -1.0
         )
-    around = _subtended_through_turn(edge, coefficient, n_c, h_c, sin_c, cos_c, r_e, lift)
+    around = subtended_through_turn(edge, coefficient, n_c, h_c, sin_c, cos_c, r_e, lift)
     if not around > 0.0:
         return math.nan, MISSES_GROUND  # its lowest point lies under all land
     return _solve(

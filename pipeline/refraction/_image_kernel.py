@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from pipeline.refraction._jit import entry, jit
+from pipeline.refraction._jit import entry, jit, within
 from pipeline.refraction.camera import brown_conrady, brown_conrady_slopes
 from pipeline.refraction.status import (
     BAD_MEASUREMENT,
@@ -40,9 +40,9 @@ def _newton(u_d, v_d, u, v, k1, k2, k3, p1, p2):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _undistort(u_d, v_d, u, v, k1, k2, k3, p1, p2):  # type: ignore[no-untyped-def]
+def _undistort(first, last, u_d, v_d, u, v, k1, k2, k3, p1, p2):  # type: ignore[no-untyped-def]
     """Fill u, v with three steps each: the loop has no branch and runs four points at a time."""
-    for i in range(u_d.size):
+    for i in range(first, last):
         a, b = u_d[i], v_d[i]
         for _ in range(3):
             a, b = _newton(u_d[i], v_d[i], a, b, k1, k2, k3, p1, p2)
@@ -65,20 +65,20 @@ def _settle(u_d, v_d, u, v, k1, k2, k3, p1, p2, largest):  # type: ignore[no-unt
 
 
 @jit
-def _ideal(x, y, camera, extra, u, v):  # type: ignore[no-untyped-def]
+def _ideal(first, last, x, y, camera, extra, scratch, u, v):  # type: ignore[no-untyped-def]
     """Fill the ideal image coordinates of pixels, NaN where the camera does not cover them.
 
-    ``extra`` (n,) is added to the principal distance; NaN where nothing positive and finite is
-    left of it.
+    ``extra`` is added to the principal distance; ``scratch`` (2, n) is room to work in.
     """
     width, height, fx, fy, cx, cy, k1, k2, k3, p1, p2, largest = camera
-    u_d, v_d = np.empty(x.size), np.empty(x.size)
-    for i in range(x.size):
-        u_d[i] = (x[i] - cx) / (fx + extra[i])
-        v_d[i] = (y[i] - cy) / (fy + extra[i])
-    _undistort(u_d, v_d, u, v, k1, k2, k3, p1, p2)
-    for i in range(x.size):
-        lens = 0.0 < fx + extra[i] < math.inf and 0.0 < fy + extra[i] < math.inf
+    fx, fy = fx + extra, fy + extra
+    u_d, v_d = scratch[0], scratch[1]
+    for i in range(first, last):
+        u_d[i] = (x[i] - cx) / fx
+        v_d[i] = (y[i] - cy) / fy
+    _undistort(first, last, u_d, v_d, u, v, k1, k2, k3, p1, p2)
+    lens = 0.0 < fx < math.inf and 0.0 < fy < math.inf
+    for i in range(first, last):
         if lens and 0.0 <= x[i] <= width and 0.0 <= y[i] <= height:
             u[i], v[i] = _settle(u_d[i], v_d[i], u[i], v[i], k1, k2, k3, p1, p2, largest)
         else:
@@ -88,59 +88,142 @@ def _ideal(x, y, camera, extra, u, v):  # type: ignore[no-untyped-def]
 @entry
 def rays_of_pixels(x, y, camera, u, v):  # type: ignore[no-untyped-def]
     """Fill ideal image coordinates of pixels; NaN where the camera does not cover them."""
-    extra = np.empty(x.size)
-    for i in range(x.size):
-        extra[i] = 0.0
-    _ideal(x, y, camera, extra, u, v)
+    _ideal(np.uint64(0), np.uint64(x.size), x, y, camera, 0.0, np.empty((2, x.size)), u, v)
 
 
 @jit
-def _through_window(d, normal, cabin, outside, change):  # type: ignore[no-untyped-def]
-    """Change of direction at a plane window (Gyer 1996, Eq. 36, in vectors), and R_cc.
+def _refract(first, last, d, normal, excess, along, r_cc):  # type: ignore[no-untyped-def]
+    """Snell's law at a plane window (Gyer 1996, Eq. 36, in vectors), without its differences.
 
-    NaN for a ray that the window reflects wholly, or that does not lead out of it.
+    Directions ``d`` (3, n) change by ``excess`` times themselves and ``along`` times the normal;
+    R_cc is good below 0.01. NaN for rays that the window reflects wholly, or that do not lead out
+    of it.
     """
+    d_0, d_1, d_2, n_0, n_1, n_2 = d[0], d[1], d[2], normal[0], normal[1], normal[2]
+    for i in range(first, last):
+        cos_in = d_0[i] * n_0 + d_1[i] * n_1 + d_2[i] * n_2
+        t_0, t_1, t_2 = d_0[i] - cos_in * n_0, d_1[i] - cos_in * n_1, d_2[i] - cos_in * n_2
+        sin2 = t_0 * t_0 + t_1 * t_1 + t_2 * t_2
+        cos_out = math.sqrt(1.0 - (1.0 + excess) * (1.0 + excess) * sin2)
+        forward = -excess * (2.0 + excess) * sin2 / (cos_out + cos_in)
+        length2 = excess * excess * sin2 + forward * forward
+        # Twice the arcsine of half the length.
+        turned = math.sqrt(length2) * (1.0 + length2 * (1.0 + 0.1125 * length2) / 24.0)
+        out = 1.0 if cos_in > 0.0 else math.nan
+        along[i] = out * (forward - excess * cos_in)
+        r_cc[i] = out * math.copysign(turned, excess)
+
+
+@jit
+def _look_through(first, last, rays, d, along, normal, excess, turn):  # type: ignore[no-untyped-def]
+    """Fill the change of direction at the window, and the direction outside.
+
+    A loop for each column: with few columns in a loop the compiler takes four rays at a time.
+    """
+    for k in range(3):
+        change, inside, part = rays[THROUGH + k], d[k], normal[k]
+        for i in range(first, last):
+            change[i] = excess * inside[i] + along[i] * part
+    for k in range(3):
+        change, inside = rays[THROUGH + k], d[k]
+        for i in range(first, last):
+            inside[i] += change[i]
+    d_0, d_1, d_2 = d[0], d[1], d[2]
+    for k in range(3):
+        t_0, t_1, t_2, apparent = turn[0, k], turn[1, k], turn[2, k], rays[APPARENT + k]
+        for i in range(first, last):
+            apparent[i] = t_0 * d_0[i] + t_1 * d_1[i] + t_2 * d_2[i]
+
+
+@jit
+def _angles_outside(first, last, rays, meridian, vertical):  # type: ignore[no-untyped-def]
+    """Fill sine and cosine of the nadir angle, and Euler's radius in the azimuth of the ray.
+
+    From 1/radius in the meridian, which also serves at the nadir, and in the prime vertical.
+    """
+    east, north, up = rays[APPARENT], rays[APPARENT + 1], rays[APPARENT + 2]
+    sine, cosine, radius = rays[SIN], rays[COS], rays[RADIUS]
+    for i in range(first, last):
+        # Rounding may leave the sine of a level ray 1e-16 above one.
+        length = math.sqrt(east[i] * east[i] + north[i] * north[i])
+        sine[i] = 1.0 if length > 1.0 else length
+        cosine[i] = -1.0 if up[i] > 1.0 else (1.0 if up[i] < -1.0 else -up[i])
+    for i in range(first, last):
+        north2 = north[i] * north[i]
+        level2 = east[i] * east[i] + north2
+        share = north2 / level2 if level2 > 0.0 else 1.0
+        radius[i] = 1.0 / (vertical + share * (meridian - vertical))
+
+
+@within
+def _see_out(  # type: ignore[no-untyped-def]
+    first, last, rays, scratch, curvature, height, outside, cabin, normal, turn, r_cc
+):
+    """Fill the rays of one exposure from their ideal image coordinates; NaN stays NaN."""
+    u, v, d, along = rays[U], rays[V], scratch[:3], scratch[3]
+    for i in range(first, last):
+        d[2, i] = 1.0 / math.sqrt(u[i] * u[i] + v[i] * v[i] + 1.0)
+        rays[H_C, i] = height
+    for i in range(first, last):
+        d[0, i] = u[i] * d[2, i]
+        d[1, i] = v[i] * d[2, i]
     excess = (cabin - outside) / (1.0 + outside)
     if excess == 0.0:
-        change[:] = 0.0
-        return 0.0
-    cos_in = d[0] * normal[0] + d[1] * normal[1] + d[2] * normal[2]
-    sin2, ratio = 0.0, 1.0 + excess
-    for k in range(3):
-        change[k] = d[k] - cos_in * normal[k]
-        sin2 += change[k] * change[k]
-    left = 1.0 - ratio * ratio * sin2
-    if not (cos_in > 0.0 and left >= 0.0):
-        return math.nan
-    along = -excess * (2.0 + excess) * sin2 / (math.sqrt(left) + cos_in)
-    length2 = 0.0
-    for k in range(3):
-        change[k] = excess * change[k] + along * normal[k]
-        length2 += change[k] * change[k]
-    # Twice the arcsine of half the length, which is below 1e-3 but near total reflection.
-    length = math.sqrt(length2)
-    if length > 0.01:
-        return math.copysign(2.0 * math.asin(0.5 * length), excess)
-    return math.copysign(length * (1.0 + length2 * (1.0 + 0.1125 * length2) / 24.0), excess)
+        for i in range(first, last):
+            along[i] = r_cc[i] = 0.0
+    else:
+        _refract(first, last, d, normal, excess, along, r_cc)
+    _look_through(first, last, rays, d, along, normal, excess, turn)
+    _angles_outside(first, last, rays, curvature[0], curvature[1])
 
 
 @jit
-def _missing(x, y, h_g, exposure, usable):  # type: ignore[no-untyped-def]
-    """The first thing that an observation lacks before any ray, or OK."""
-    if not (math.isfinite(x) and math.isfinite(y)):
-        return BAD_MEASUREMENT
-    if exposure < 0 or exposure >= usable.size or not usable[exposure]:
-        return NO_STATION
-    if not math.isfinite(h_g):
-        return NO_GROUND
-    return OK
+def _measured(first, last, x, y, h_g, station, status):  # type: ignore[no-untyped-def]
+    """The first thing that observations of one exposure lack before any ray, or OK."""
+    then = OK if station else NO_STATION
+    for i in range(first, last):
+        grounded = then if math.isfinite(h_g[i]) or not station else NO_GROUND
+        seen = math.isfinite(x[i]) and math.isfinite(y[i])
+        status[i] = grounded if seen else BAD_MEASUREMENT
 
 
 @jit
-def _blank(rays, i):  # type: ignore[no-untyped-def]
-    """Take the numbers out of a ray's columns."""
-    for k in range(COLUMNS):
-        rays[k, i] = math.nan
+def _wide_turn(rays, i, r_cc):  # type: ignore[no-untyped-def]
+    """R_cc where its series is not good: near total reflection."""
+    x, y, z = rays[THROUGH, i], rays[THROUGH + 1, i], rays[THROUGH + 2, i]
+    return math.copysign(2.0 * math.asin(0.5 * math.sqrt(x * x + y * y + z * z)), r_cc)
+
+
+@within
+def _judge(first, last, rays, outside, r_cc, status):  # type: ignore[no-untyped-def]
+    """Give rays that came to nothing their status, and take the numbers out of all without one."""
+    u = rays[U]
+    for i in range(first, last):
+        if status[i] == OK:
+            if math.isnan(u[i]):
+                status[i] = OUTSIDE_CAMERA
+            elif math.isnan(outside):
+                status[i] = OUTSIDE_PROFILE
+            elif math.isnan(r_cc[i]):
+                status[i] = OUTSIDE_CAMERA
+            elif abs(r_cc[i]) > 0.01:
+                r_cc[i] = _wide_turn(rays, i, r_cc[i])
+        if status[i] != OK:
+            r_cc[i] = math.nan
+            for k in range(COLUMNS):
+                rays[k, i] = math.nan
+
+
+@jit
+def _run_end(exposure, first):  # type: ignore[no-untyped-def]
+    """Where rows of one exposure that follow each other end.
+
+    Rows are unsigned: an index that might count from the end would keep the compiler from vectors.
+    """
+    last = first + np.uint64(1)
+    while last < exposure.size and exposure[last] == exposure[first]:
+        last += np.uint64(1)
+    return last
 
 
 @entry
@@ -150,50 +233,24 @@ def look_out(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Fill the columns of ``rays``, R_cc, and a status where there is no ray to follow.
 
-    ``curvature`` (s, 2) is 1/radius in the meridian and in the prime vertical.
+    ``curvature`` (s, 2) is 1/radius in the meridian and in the prime vertical. Rows of one exposure
+    that follow each other are taken together, in passes over all of them: short loops keep the
+    processor busy, and what belongs to the exposure is read once.
     """
-    # Passes over all points: short loops keep the processor busy.
-    extra = np.empty(x.size)
-    for i in range(x.size):
-        status[i] = _missing(x[i], y[i], h_g[i], exposure[i], usable)
-        extra[i] = change[exposure[i]] if status[i] == OK else 0.0
-    _ideal(x, y, camera, extra, rays[U], rays[V])
-    for i in range(x.size):
-        if status[i] == OK and math.isnan(rays[U, i]):
-            status[i] = OUTSIDE_CAMERA
-        elif status[i] == OK and math.isnan(outside[exposure[i]]):
-            status[i] = OUTSIDE_PROFILE
-    d, bent = np.empty(3), np.empty(3)
-    for i in range(x.size):
-        e, u, v = exposure[i], rays[U, i], rays[V, i]
-        r_cc[i] = math.nan
-        if status[i] == OK:
-            scale = 1.0 / math.sqrt(u * u + v * v + 1.0)
-            d[0], d[1], d[2] = u * scale, v * scale, scale
-            r_cc[i] = _through_window(d, normal[e], cabin[e], outside[e], bent)
-            if math.isnan(r_cc[i]):
-                status[i] = OUTSIDE_CAMERA
-        if status[i] != OK:
-            _blank(rays, i)
-            continue
-        for k in range(3):
-            rays[THROUGH + k, i] = bent[k]
-            d[k] += bent[k]
-        turn = rotation[e]
-        for k in range(3):
-            rays[APPARENT + k, i] = turn[0, k] * d[0] + turn[1, k] * d[1] + turn[2, k] * d[2]
-        rays[H_C, i] = height[e]
-    for i in range(x.size):
-        east2, north2 = rays[APPARENT, i] ** 2, rays[APPARENT + 1, i] ** 2
-        level2 = east2 + north2
-        # Rounding may leave the sine of a level ray 1e-16 above one.
-        rays[SIN, i] = min(math.sqrt(level2), 1.0)
-        rays[COS, i] = min(max(-rays[APPARENT + 2, i], -1.0), 1.0)
-        # Euler's radius in the azimuth of the ray; at the nadir that of the meridian.
-        if status[i] == OK:
-            share = north2 / level2 if level2 > 0.0 else 1.0
-            across, along = curvature[exposure[i], 1], curvature[exposure[i], 0]
-            rays[RADIUS, i] = 1.0 / (across + share * (along - across))
+    scratch = np.empty((4, x.size))
+    last = np.uint64(0)
+    while last < x.size:
+        first, last = last, _run_end(exposure, last)
+        e = exposure[first]
+        station = 0 <= e < usable.size and usable[e]
+        _measured(first, last, x, y, h_g, station, status)
+        if station:
+            _ideal(first, last, x, y, camera, change[e], scratch, rays[U], rays[V])
+            _see_out(
+                first, last, rays, scratch, curvature[e], height[e], outside[e], cabin[e],
+                normal[e], rotation[e], r_cc,
+            )  # fmt: skip
+        _judge(first, last, rays, outside[e] if station else math.nan, r_cc, status)
 
 
 @jit

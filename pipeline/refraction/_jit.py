@@ -26,12 +26,12 @@ def _user_cache() -> str | None:
 _CACHE = _user_cache()
 
 
-def _compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
+def _compiled(function: Callable[..., Any], cache: bool, **options: Any) -> Callable[..., Any]:
     # numba looks for the folder when a function is decorated; others in this process keep theirs.
     theirs, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _CACHE or ""
     try:
         compiled: Callable[..., Any] = numba.njit(
-            cache=_CACHE is not None,
+            cache=cache and _CACHE is not None,
             error_model="numpy",
             nogil=True,
             no_cfunc_wrapper=True,
@@ -44,9 +44,14 @@ def _compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any
 
 def jit(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a function that only compiled ones call; without wrappers, which take time."""
-    return _compiled(function, no_cpython_wrapper=True)
+    return _compiled(function, cache=False, no_cpython_wrapper=True)
+
+
+def within(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function as a part of the compiled one that calls it; each level takes time."""
+    return _compiled(function, cache=False, inline="always")
 
 
 def entry(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a function that Python calls; at its first call, or load it from the cache."""
-    return _compiled(function)
+    return _compiled(function, cache=True)

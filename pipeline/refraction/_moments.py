@@ -66,7 +66,8 @@ def _add(fine, local, i, high, h_c, n_c, x, moments):  # type: ignore[no-untyped
     for j in range(_X3.size):
         n = refractivity_near(local, i, share * _X3[j])
         m = (n - n_c) * (2.0 + n + n_c)
-        moments[-1] = max(moments[-1], abs(m))
+        if abs(m) > moments[-1]:
+            moments[-1] = abs(m)
         y = h_c - (low + (high - low) * _X3[j])
         inside = 1.0 - y * x
         along = y * (2.0 - y * x)
@@ -94,7 +95,8 @@ def fill(fine, local, h_c, n_c, x, first, last, table):  # type: ignore[no-untyp
     for i in range(first, last - 1, -1):
         for column in range(WIDTH):
             table[i, column] = table[i + 1, column]
-        _add(fine, local, i, min(fine[i + 1], h_c), h_c, n_c, x, table[i])
+        high = fine[i + 1] if fine[i + 1] < h_c else h_c
+        _add(fine, local, i, high, h_c, n_c, x, table[i])
 
 
 @jit
@@ -107,15 +109,26 @@ def class_of(drop, bend):  # type: ignore[no-untyped-def]
 
 
 @jit
-def series(table, i, c, w, x, x_table):  # type: ignore[no-untyped-def]
-    """delta / (x tan zeta_c) between ``fine[i]`` and the camera, by the series of class c."""
-    t, change = w * x, x - x_table
-    total, power = 0.0, 1.0
-    for p in range(_ORDERS):
-        part = 0.0
+def series(n, moments, c, w, x, x_table, scratch, total):  # type: ignore[no-untyped-def]
+    """Fill delta / (x tan zeta_c) of n rays between one height and the camera, by class c.
+
+    ``moments`` is the height's row of the table, made for ``x_table``; ``scratch`` (3, n) or
+    longer is room to work in.
+    """
+    t, change, part = scratch[0], scratch[1], scratch[2]
+    for i in range(n):
+        t[i] = w[i] * x[i]
+    for i in range(n):
+        change[i] = x[i] - x_table
+        total[i] = 0.0
+    # Term by term over all rays: the short loops run four rays at a time.
+    for p in range(_ORDERS - 1, -1, -1):
+        for i in range(n):
+            part[i] = 0.0
         for k in range(_COUNT[c, p] - 1, -1, -1):
             column = 2 * (_START[p] + k)
-            part = part * t + (table[i, column] + change * table[i, column + 1])
-        power *= w
-        total += power * part
-    return total
+            value, slope = moments[column], moments[column + 1]
+            for i in range(n):
+                part[i] = part[i] * t[i] + (value + change[i] * slope)
+        for i in range(n):
+            total[i] = (total[i] + part[i]) * w[i]

@@ -15,9 +15,11 @@ from pipeline.refraction.status import FAR_BRANCH
 # Of a station: refractivity N outside and N'/n [1/m] there; node below it among the cameras of the
 # table, share of the way to the next, share of the way from the lowest to the highest camera;
 # variance of tilt, what that of yaw exceeds it by [rad2], east and north of the yaw axis; sigma of
-# height [m].
+# height [m]; number of the view in the tables, -1 without a plane window; N'/n less what the
+# cabin's follows of it [1/m]; the normal of the window in the camera frame.
 N, BEND, NODE, SHARE, SPAN, TILT2, YAW2, AXIS_E, AXIS_N, SIGMA_H = range(10)
-STATION_COLUMNS = 10
+VIEW, WINDOW_BEND, NORMAL = 10, 11, 12
+STATION_COLUMNS = NORMAL + 3
 
 _AT_NADIR = 1e-9  # the sine below which R / sin(zeta) is dR/dzeta, and no azimuth is known
 
@@ -42,19 +44,28 @@ def _cell(position, count):  # type: ignore[no-untyped-def]
 
 @jit
 def _of_the_air(drop, cos_z, radius, h_c, s, air):  # type: ignore[no-untyped-def]
-    """sigma_R / tan(zeta) and dR/dzeta cos^2(zeta) [rad]; NaN where the ray is nearly level."""
-    first, way_step, coarse_step, incidence_step, sigma, angle, factors = air
+    """Of a ray [rad], NaN where it is nearly level.
+
+    sigma_R / tan(zeta); dR/dzeta cos^2(zeta); sigma of x, its covariance with y over sigma of y,
+    and sigma of y, all zero without a plane window.
+    """
+    first, way_step, coarse_step, incidence_step, sigma, angle, factors, behind, lean = air
+    nothing = math.nan, math.nan, 0.0, 0.0, 0.0
     r_c, r_g = radius + h_c, radius + h_c - drop
     level2 = (r_c * r_c * cos_z * cos_z - drop * (r_c + r_g)) / (r_g * r_g)
     if not (drop > 0.0 and cos_z > 0.0 and level2 > 0.0):
-        return math.nan, math.nan
+        return nothing
     root = math.sqrt(drop) - first
     incidence = (1.0 / math.sqrt(math.sqrt(level2)) - 1.0) / incidence_step
     if incidence > factors.shape[2] - 1.0:
-        return math.nan, math.nan
-    i, a = int(s[NODE]), s[SHARE]
+        return nothing
+    i, a, view = int(s[NODE]), s[SHARE], int(s[VIEW])
     j, b = _cell(root / way_step, sigma.shape[1])
     spread, turn = _plane(sigma, i, a, j, b), _plane(angle, i, a, j, b)
+    x = shared = y = 0.0
+    if view >= 0:
+        x, shared = _plane(behind[view, 0], i, a, j, b), _plane(behind[view, 1], i, a, j, b)
+        y = lean[view, i] + a * (lean[view, i + 1] - lean[view, i])
     j, b = _cell(root / coarse_step, factors.shape[1])
     k, c = _cell(incidence, factors.shape[2])
     e, share = _cell(s[SPAN] * (factors.shape[0] - 1), factors.shape[0])
@@ -64,7 +75,7 @@ def _of_the_air(drop, cos_z, radius, h_c, s, air):  # type: ignore[no-untyped-de
         weight = (share if f else 1.0 - share) * (b if g else 1.0 - b) * (c if h else 1.0 - c)
         spread_factor += weight * factors[e + f, j + g, k + h, 0]
         turn_factor += weight * factors[e + f, j + g, k + h, 1]
-    return spread * spread_factor * drop, turn * turn_factor * drop
+    return spread * spread_factor * drop, turn * turn_factor * drop, x, shared, y
 
 
 @jit
@@ -87,12 +98,29 @@ def _by_heights(sin_z, cos_z, radius, h_c, drop, r, d_zeta, n_g, s):  # type: ig
 
 
 @jit
+def _at_the_window(u, v, depth, t, q, s):  # type: ignore[no-untyped-def]
+    """How far the ray turns towards the nadir and across per unit of dN_c - dN_cc at the window."""
+    n0, n1, n2 = s[NORMAL], s[NORMAL + 1], s[NORMAL + 2]
+    out = (n0 * u + n1 * v + n2) / depth
+    along = (n0 * t[0] + n1 * t[1] + n2 * t[2]) / out
+    return along, (n0 * q[0] + n1 * q[1] + n2 * q[2]) / out
+
+
+@jit
+def _of_both(straight, leaning, x, shared, y):  # type: ignore[no-untyped-def]
+    """Sigma of straight x + leaning y, from sigmas of x and y and their covariance over y's."""
+    both = straight * straight * x * x + 2.0 * straight * leaning * shared * y
+    both += leaning * leaning * y * y
+    return 0.0 if both < 0.0 else math.sqrt(both)
+
+
+@jit
 def _tilted(along, across, d_zeta, swing, axis_e, axis_p, by_height, s):  # type: ignore[no-untyped-def]
     """Sigma [px] by tilt, yaw and height, from what turns along and across the plane do."""
     k_e, k_p = -d_zeta * along, swing * across
     turned2 = s[TILT2] * (k_e * k_e + k_p * k_p)
     turned2 += s[YAW2] * (k_e * axis_e + k_p * axis_p) ** 2
-    return math.sqrt(turned2 + (along * by_height) ** 2)
+    return math.sqrt(turned2 + by_height * by_height)
 
 
 @entry
@@ -116,7 +144,7 @@ def spread_out(  # type: ignore[no-untyped-def]
         s, turn = stations[exposure[i]], rotation[exposure[i]]
         sin_z, cos_z, radius, h_c = rays[SIN, i], rays[COS, i], rays[RADIUS, i], rays[H_C, i]
         drop = h_c - h_g[i]
-        spread, steep = _of_the_air(drop, cos_z, radius, h_c, s, air)
+        spread, steep, sigma_x, shared, sigma_y = _of_the_air(drop, cos_z, radius, h_c, s, air)
         if math.isnan(steep):
             continue
         secant = 1.0 / cos_z
@@ -141,18 +169,32 @@ def spread_out(  # type: ignore[no-untyped-def]
         # What these turns of the ray do to its pixel.
         u, v = rays[U, i], rays[V, i]
         depth = math.sqrt(u * u + v * v + 1.0)
+        out_t = out_q = 0.0
+        if s[VIEW] >= 0.0:
+            out_t, out_q = _at_the_window(u, v, depth, (t0, t1, t2), (q0, q1, q2), s)
+            out_t *= 1.0 - d_zeta
         uu, uv, vv = _slopes(u, v, k1, k2, k3, p1, p2)
         t0, t1, q0, q1 = t0 - u * t2, t1 - v * t2, q0 - u * q2, q1 - v * q2
         along_x, along_y = fx * depth * (uu * t0 + uv * t1), fy * depth * (uv * t0 + vv * t1)
         across_x, across_y = fx * depth * (uu * q0 + uv * q1), fy * depth * (uv * q0 + vv * q1)
 
-        air_x[i] = abs(along_x) * sigma_r[i]
-        air_y[i] = abs(along_y) * sigma_r[i]
+        # What dN_c - dN_cc does at the window, and how much of it is not the x of a level one.
+        window_x, window_y = along_x * out_t + across_x * out_q, along_y * out_t + across_y * out_q
+        tan_z = sin_z * secant
+        if s[VIEW] >= 0.0:
+            level = tan_z * (1.0 - d_zeta)
+            lean_x, lean_y = window_x - along_x * level, window_y - along_y * level
+            air_x[i] = _of_both(along_x * tan_z, lean_x, sigma_x, shared, sigma_y)
+            air_y[i] = _of_both(along_y * tan_z, lean_y, sigma_x, shared, sigma_y)
+        else:
+            air_x[i] = abs(along_x) * sigma_r[i]
+            air_y[i] = abs(along_y) * sigma_r[i]
         # A tilt turns the nadir: zeta by its part in the ray's plane, the plane by that across it.
         axis_e = s[AXIS_N] * east - s[AXIS_E] * north
         axis_p = -s[AXIS_N] * north - s[AXIS_E] * east
-        by_height = d_h_c * s[SIGMA_H]
-        station_x[i] = _tilted(along_x, across_x, d_zeta, swing, axis_e, axis_p, by_height, s)
-        station_y[i] = _tilted(along_y, across_y, d_zeta, swing, axis_e, axis_p, by_height, s)
+        lift_x = (along_x * d_h_c + window_x * s[WINDOW_BEND]) * s[SIGMA_H]
+        lift_y = (along_y * d_h_c + window_y * s[WINDOW_BEND]) * s[SIGMA_H]
+        station_x[i] = _tilted(along_x, across_x, d_zeta, swing, axis_e, axis_p, lift_x, s)
+        station_y[i] = _tilted(along_y, across_y, d_zeta, swing, axis_e, axis_p, lift_y, s)
         ground_x[i] = abs(along_x * d_h_g) * sigma_h_g[i]
         ground_y[i] = abs(along_y * d_h_g) * sigma_h_g[i]

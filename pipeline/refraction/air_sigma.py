@@ -7,22 +7,38 @@ state x of the profile, its covariance C and the gradients a = dN/dx
 
 That is tabulated finely, because sigma of N_c has the structure of the profile's knots; what the
 sphere adds follows from traced rays (`pipeline.refraction.sensitivity`) and is a smooth factor.
+
+Behind a plane window N_c also turns the ray there, by tan(theta) (dN_cc - dN_c) away from the
+window's normal, theta the ray's angle to it (Gyer 1996, Eq. 36). Where the normal is vertical N_c
+cancels, and what is left is tan(zeta) times
+
+    x = mean of a over the way - a_cc,
+
+a_cc = dN_cc/dx the answer of the air in the cabin. Elsewhere y = a_c - a_cc remains by as much as
+the normal leans; the tables hold sigma of x, how x and y go together, and sigma of y. The sphere
+changes x by less than 1 % up to 80 degrees and by 4 % at 85, and is left out there.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.atmosphere.jacobian import air_jacobian
+from pipeline.atmosphere.jacobian import air_jacobian, log_pressure_jacobian
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.standard import standard_atmosphere
-from pipeline.refraction.sensitivity import Sensitivity, sensitivity
+from pipeline.refraction.sensitivity import sensitivity
+from pipeline.refraction.window import SCHEDULE_PRESSURE_PA, SCHEDULE_TEMPERATURE_K
 
 Array = NDArray[np.float64]
+
+OPEN, SEALED, SCHEDULED = range(3)
+"""What a camera looks through: nothing that bends; a plane window with air behind it that does not
+depend on that outside; one with Gyer's schedule where the cabin is as thin as the air outside."""
 
 # Heights at which gradients are kept, linear between them: 4e-4 of R over a way of 10 m.
 _STEP_M = 12.5
@@ -44,6 +60,7 @@ LEVEL_COSINE = 0.03
 _MOST_RAYS = 1500  # traced for the factors: 0.2 s
 
 _REFRACTIVITY_STEP_M = 5.0
+_NOTHING = 1e-30  # in the place of a sigma of zero, by which nothing can be divided
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +77,11 @@ class AirSigma:
     factors : (f, j, k, 2) what the sphere multiplies sigma_R and dR/dzeta by, at even heights
         from the lowest camera to the highest.
     ground_m, refractivity : lowest height [m] and (n,) N above it, every 5 m.
+    views : v of `SEALED`, `SCHEDULED`, those that are tabulated.
+    behind : (v, 2, c, w) sigma of x, and its covariance with y over sigma of y, in the plane.
+    lean : (v, c) sigma of y.
 
-    ``sigma`` is NaN throughout without a covariance.
+    The sigmas are NaN throughout without a covariance.
     """
 
     camera_m: Array
@@ -71,6 +91,9 @@ class AirSigma:
     factors: Array
     ground_m: float
     refractivity: Array
+    views: tuple[int, ...]
+    behind: Array
+    lean: Array
     way_step: float = _WAY_STEP
     coarse_step: float = _COARSE_STEP
     incidence_step: float = _INCIDENCE_STEP
@@ -84,6 +107,7 @@ def air_sigma(
     ground_heights_m: tuple[float, float],
     largest_zeta_rad: float,
     radius: float,
+    views: Sequence[int] = (),
 ) -> AirSigma:
     """Tabulate sigma of R for the cameras and the ground of a block.
 
@@ -94,36 +118,82 @@ def air_sigma(
     largest_zeta_rad : nadir angle beyond which nothing is seen; beyond 1.7 degrees above level at
         the ground the tables end anyway.
     radius : of the sphere [m].
+    views : of `SEALED` and `SCHEDULED` those that cameras look through.
 
     Against `sensitivity` with the same covariance, cameras within 150 m: 1 % of sigma_R up to 75
     degrees, 2 % at 80, 3 % at 85, on ways of 100 m and more; 8 % at 85 degrees and 6 km where the
     ground may lie anywhere. dR/dzeta to 1 %.
     """
-    root = None if covariance is None else root_of(covariance.matrix)
+    doubt = None if covariance is None else _Doubt.of(covariance)
     low, high = camera_heights_m
     top = min(ground_heights_m[1], high)
     bottom = min(max(ground_heights_m[0], profile.bottom_m), low - _SHORTEST_M)
     camera = _camera_nodes(profile, low, high)
     first, last = np.sqrt(max(low - top, _SHORTEST_M)), np.sqrt(high - bottom)
     ways = first + _WAY_STEP * np.arange(2 + max(0, int(np.ceil((last - first) / _WAY_STEP - 1))))
-    anchor = 0.0 if covariance is None else covariance.anchor_height_m
-    sigma, angle = _in_the_plane(profile, root, anchor, camera, ways**2)
+    sigma, angle, behind, lean = _in_the_plane(profile, doubt, camera, ways**2, views)
     coarse = first + _COARSE_STEP * np.arange(2 + int((ways[-1] - first) / _COARSE_STEP))
     factors = _on_the_sphere(
-        profile, root, anchor, low, high, coarse**2,
+        profile, doubt, low, high, coarse**2,
         _least_cosine(high, bottom, largest_zeta_rad, radius), radius,
     )  # fmt: skip
     heights = np.arange(bottom, high + _REFRACTIVITY_STEP_M, _REFRACTIVITY_STEP_M)
     heights = np.minimum(heights, profile.top_m)
     return AirSigma(
-        camera, float(first), sigma, angle, factors, bottom, profile.refractivity(heights)
-    )
+        camera, float(first), sigma, angle, factors, bottom, profile.refractivity(heights),
+        tuple(views), behind, lean,
+    )  # fmt: skip
 
 
-def gradient_of(found: Sensitivity) -> Array:
-    """(..., 2k + 1) derivatives of R_c in the order of `ProfileCovariance.matrix`."""
-    level = found.d_log_pressure[..., None]
-    return np.concatenate([found.d_temperature, level, found.d_vapour], axis=-1)
+def cabin_response(profile: Profile, h: Array, view: int) -> Array:
+    """(n,) change of N in the cabin with ln p outside, at heights of cameras (n,) [m].
+
+    Zero but for `SCHEDULED`, where the pressure in the cabin is that outside and its temperature
+    21.1 degC; central differences, good to 1e-6 of it.
+    """
+    if view != SCHEDULED:
+        return np.zeros(h.shape)
+    p, step = profile.pressure(h), 1e-3
+
+    def n(factor: float) -> Array:
+        return profile.index.refractivity(SCHEDULE_TEMPERATURE_K, factor * p, 0.0)
+
+    return np.asarray((n(1.0 + step) - n(1.0 - step)) / (2.0 * step))
+
+
+def view_of(pressure_pa: Array, *, scheduled: bool) -> NDArray[np.int64]:
+    """(n,) the view from behind a plane window at cameras in outside air of ``pressure_pa``."""
+    with np.errstate(invalid="ignore"):
+        thin = scheduled & (pressure_pa > SCHEDULE_PRESSURE_PA)
+    return np.where(thin, SCHEDULED, SEALED)
+
+
+@dataclass(frozen=True, eq=False)
+class _Doubt:
+    """A covariance as ``root`` L, L L^T = C, and the ``anchor_m`` [m] its pressure refers to."""
+
+    root: Array
+    anchor_m: float
+
+    @classmethod
+    def of(cls, covariance: ProfileCovariance) -> _Doubt:
+        return cls(root_of(covariance.matrix), covariance.anchor_height_m)
+
+
+def window_errors(profile: Profile, covariance: ProfileCovariance, h: Array, view: int) -> Array:
+    """(n, r) rows whose products are the covariances of y at cameras of heights ``h`` (n,) [m]."""
+    doubt = _Doubt.of(covariance)
+    air = air_jacobian(profile, h, doubt.anchor_m).gradient
+    outside = (air / (1.0 + profile.refractivity(h))[:, None]) @ doubt.root
+    return np.asarray(outside - _cabin_errors(profile, doubt, h, view))
+
+
+def _cabin_errors(profile: Profile, doubt: _Doubt, h: Array, view: int) -> Array:
+    """(n, r) what the errors of the air do to the cabin's N."""
+    response = cabin_response(profile, h, view)[:, None]
+    by_t = log_pressure_jacobian(profile, h, doubt.anchor_m)
+    edges = by_t.shape[1]
+    return np.asarray(response * (by_t @ doubt.root[:edges] + doubt.root[edges]))
 
 
 def root_of(matrix: Array) -> Array:
@@ -152,40 +222,68 @@ def _camera_nodes(profile: Profile, low: float, high: float) -> Array:
 
 
 def _in_the_plane(
-    profile: Profile, root: Array | None, anchor_m: float, camera: Array, way: Array
-) -> tuple[Array, Array]:
-    """sigma_R and R over tan(zeta) and the way [rad/m], for cameras (c,) and ways (w,) [m]."""
-    lowest = max(float(camera[0] - way[-1]), profile.bottom_m)
-    breaks = profile.break_heights_m
-    even = np.arange(lowest, camera[-1] + _STEP_M, _STEP_M)
-    h = np.unique(np.concatenate([even, breaks[(breaks > lowest) & (breaks < even[-1])]]))
-    h = h[h <= profile.top_m]
-    kept = profile.refractivity(h)[:, None]
-    if root is not None:
-        air = air_jacobian(profile, h, anchor_m)
-        state = np.column_stack([air.d_temperature, air.d_log_pressure, air.d_vapour])
-        kept = np.column_stack([kept, state @ root])
-    thickness = np.diff(h)
-    steps = 0.5 * thickness[:, None] * (kept[1:] + kept[:-1])
-    column = np.concatenate([np.zeros((1, kept.shape[1])), np.cumsum(steps, axis=0)])
-    slope = np.diff(kept, axis=0) / thickness[:, None]
+    profile: Profile, doubt: _Doubt | None, camera: Array, way: Array, views: Sequence[int]
+) -> tuple[Array, Array, Array, Array]:
+    """``sigma``, ``angle``, ``behind`` and ``lean`` of `AirSigma` for ways (w,) [m]."""
+    columns = _Columns.of(profile, doubt, camera[0] - way[-1], camera[-1])
+    shape = (camera.size, way.size)
+    sigma, angle = np.full(shape, np.nan), np.empty(shape)
+    behind = np.full((len(views), 2, *shape), np.nan)
+    lean = np.full((len(views), camera.size), np.nan)
+    at_camera, above = columns.at(camera)
+    cabins = [_cabin_errors(profile, doubt, camera, v) for v in views] if doubt else []
+    for row, height in enumerate(camera):
+        reach = np.maximum(np.minimum(way, height - columns.height_m[0]), _SHORTEST_M)[:, None]
+        mean = (above[row] - columns.at(height - reach[:, 0])[1]) / reach
+        angle[row] = (mean[:, 0] - at_camera[row, 0]) / reach[:, 0]
+        if doubt is None:
+            continue
+        own = at_camera[row, 1:]
+        sigma[row] = _lengths(mean[:, 1:] - own) / reach[:, 0]
+        for k, cabin in enumerate(cabins):
+            x, y = mean[:, 1:] - cabin[row], own - cabin[row]
+            lean[k, row] = np.linalg.norm(y)
+            behind[k, 0, row] = _lengths(x)
+            behind[k, 1, row] = x @ y / max(lean[k, row], _NOTHING)
+    return sigma, angle, behind, lean
 
-    def at(height: Array) -> tuple[Array, Array]:
-        """Gradients at heights, and their integrals from the lowest up."""
+
+def _lengths(rows: Array) -> Array:
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", rows, rows)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Columns:
+    """N and its errors (n, 1 + r) at heights, linear between, and integrals from the lowest."""
+
+    height_m: Array
+    value: Array
+    slope: Array
+    integral: Array
+
+    @classmethod
+    def of(cls, profile: Profile, doubt: _Doubt | None, low: float, high: float) -> _Columns:
+        lowest = max(low, profile.bottom_m)
+        breaks = profile.break_heights_m
+        even = np.arange(lowest, high + _STEP_M, _STEP_M)
+        h = np.unique(np.concatenate([even, breaks[(breaks > lowest) & (breaks < even[-1])]]))
+        h = h[h <= profile.top_m]
+        value = profile.refractivity(h)[:, None]
+        if doubt is not None:
+            state = air_jacobian(profile, h, doubt.anchor_m).gradient
+            value = np.column_stack([value, state @ doubt.root])
+        thickness = np.diff(h)[:, None]
+        steps = 0.5 * thickness * (value[1:] + value[:-1])
+        integral = np.concatenate([np.zeros((1, value.shape[1])), np.cumsum(steps, axis=0)])
+        return cls(h, value, np.diff(value, axis=0) / thickness, integral)
+
+    def at(self, height: Array) -> tuple[Array, Array]:
+        """Values and integrals at heights (m,)."""
+        h, value, slope = self.height_m, self.value, self.slope
         i = np.clip(np.searchsorted(h, height, side="right") - 1, 0, h.size - 2)
         rise = np.clip(height - h[i], 0.0, None)[:, None]
-        return kept[i] + slope[i] * rise, column[i] + rise * (kept[i] + 0.5 * rise * slope[i])
-
-    sigma = np.full((camera.size, way.size), np.nan)
-    angle = np.empty(sigma.shape)
-    at_camera, above = at(camera)
-    for row, height in enumerate(camera):
-        reach = np.maximum(np.minimum(way, height - lowest), _SHORTEST_M)[:, None]
-        mean = (above[row] - at(height - reach[:, 0])[1]) / reach - at_camera[row]
-        angle[row] = mean[:, 0] / reach[:, 0]
-        if root is not None:
-            sigma[row] = np.sqrt(np.einsum("ij,ij->i", mean[:, 1:], mean[:, 1:])) / reach[:, 0]
-    return sigma, angle
+        integral = self.integral[i] + rise * (value[i] + 0.5 * rise * slope[i])
+        return value[i] + slope[i] * rise, integral
 
 
 def _least_cosine(high: float, bottom: float, zeta: float, radius: float) -> float:
@@ -196,8 +294,7 @@ def _least_cosine(high: float, bottom: float, zeta: float, radius: float) -> flo
 
 def _on_the_sphere(
     profile: Profile,
-    root: Array | None,
-    anchor_m: float,
+    doubt: _Doubt | None,
     low: float,
     high: float,
     way: Array,
@@ -222,9 +319,9 @@ def _on_the_sphere(
     usual = sensitivity(standard_atmosphere("us1976"), h_c, h_g, zeta, radius)
     slope = usual.d_zeta_c * np.cos(zeta) ** 2
     slope /= slope[..., :1]
-    if root is None:
+    if doubt is None:
         return np.stack([np.full(slope.shape, np.nan), slope], axis=-1)
-    found = sensitivity(profile, h_c, h_g, zeta, radius, anchor_m)
-    spread = np.linalg.norm(gradient_of(found) @ root, axis=-1)
+    found = sensitivity(profile, h_c, h_g, zeta, radius, doubt.anchor_m)
+    spread = np.linalg.norm(found.gradient @ doubt.root, axis=-1)
     sigma = spread / np.tan(zeta)
     return np.stack([sigma / sigma[..., :1], slope], axis=-1)

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.refraction._threads import in_blocks
 from pipeline.refraction.camera import Camera
-from pipeline.refraction.image import Constants, Exposures
-from pipeline.refraction.ray import DEFAULT_RADIUS_M, PublishedRays, RayTable, bend
+from pipeline.refraction.image import Constants, Exposures, look_out
+from pipeline.refraction.ray import DEFAULT_RADIUS_M, PublishedRays, RayTable, as_columns, bend
 from pipeline.refraction.status import BAD_MEASUREMENT, MISSES_GROUND, OK
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 Array = NDArray[np.float64]
 
@@ -27,15 +22,6 @@ _CLOSE_M = 1e-7
 
 # More than refraction moves a point into the format.
 _MARGIN_PX = 500
-
-
-@lru_cache(maxsize=1)
-def _kernel() -> Callable[..., None]:
-    """The compiled kernel, imported with the first ray: numba takes most of a second."""
-    from pipeline.refraction import _chord_kernel
-
-    kernel: Callable[..., None] = _chord_kernel.ray_heights
-    return kernel
 
 
 def height_at_distance(
@@ -75,17 +61,15 @@ def height_at_distance(
     >>> h_g.round(4).item(), status.item()
     (600.2176, 0)
     """
-    arrays = np.broadcast_arrays(
-        *(np.asarray(a, np.float64) for a in (h_c, sin_zeta_c, cos_zeta_c, radius, distance))
-    )
-    shape = arrays[0].shape
-    flat = [np.array(a).reshape(-1) for a in arrays]  # the broadcast views are read-only
+    # The compiled functions are imported with the first ray, not with the package.
+    from pipeline.refraction._chord_kernel import ray_heights
+
+    shape, flat = as_columns(h_c, sin_zeta_c, cos_zeta_c, radius, distance)
     if isinstance(table, PublishedRays):
         height, status = _by_repetition(table, *flat)
         return height.reshape(shape), status.reshape(shape)
     height = np.empty(flat[0].shape)
     status = np.empty(flat[0].shape, np.uint8)
-    ray_heights = _kernel()
 
     def some(rows: slice) -> None:
         ray_heights(
@@ -135,12 +119,7 @@ def target_heights(
             cy_px=camera.cy_px + _MARGIN_PX,
         )
         x_px, y_px = x_px + _MARGIN_PX, y_px + _MARGIN_PX
-    k = Constants.of(exposures, camera)
-    rays = np.empty((kernel.COLUMNS, x_px.size))
-    kernel.look_out(
-        x_px, y_px, distance_m, exposure, k.camera, k.usable, k.rotation, k.curvature, *k.air,
-        k.change, rays, np.empty(x_px.size), np.empty(x_px.size, np.uint8),
-    )  # fmt: skip
+    rays, _, _ = look_out((x_px, y_px, distance_m, exposure), Constants.of(exposures, camera))
     h_c, radius = rays[kernel.H_C], rays[kernel.RADIUS]
     sine, cosine = rays[kernel.SIN], rays[kernel.COS]
     if ideal:

@@ -99,8 +99,7 @@ def effects_on_r(
     sigma = np.full(zeta.shape, np.nan)
     if covariance is not None:
         s = sensitivity(profile, h_c, h_g, zeta, anchor_height_m=covariance.anchor_height_m)
-        gradient = np.column_stack([s.d_temperature, s.d_log_pressure, s.d_vapour])
-        sigma = np.sqrt(np.einsum("ij,ij->i", gradient @ covariance.matrix, gradient))
+        sigma = covariance.sigma_of(s.gradient)
     return tuple(
         Effect(float(a), h_c, h_g, float(r), float(t), float(s))
         for a, r, t, s in zip(angles_deg, ours, theirs, sigma, strict=True)

@@ -131,10 +131,11 @@ def correct_observations(
         )  # fmt: skip
         return found.rows(np.argsort(order))
     n = x_px.size
-    columns = {name: np.empty(n) for name in COLUMNS}
+    # In one piece: the system hands large ones out in large pages, which take less time.
+    columns = dict(zip(COLUMNS, np.empty((len(COLUMNS), n)), strict=True))
     status = np.empty(n, np.uint8)
     sigmas = None if uncertainty is None else Sigmas.room(n)
-    unknown = np.full(n, np.nan)
+    unknown = np.broadcast_to(np.nan, n)
     observed = (x_px, y_px, h_g, exposure, unknown if distance_m is None else distance_m)
     sigma_h_g = unknown if sigma_h_g is None else sigma_h_g
     k = Constants.of(exposures, camera)
@@ -172,7 +173,7 @@ def sigmas_at(
 
     def some(rows: slice) -> None:
         observed = (found.x_px[rows], found.y_px[rows], h_g[rows], exposure[rows])
-        rays, _, _ = _look_out(observed, k)
+        rays, _, _ = look_out(observed, k)
         solved = Solved(
             h_g[rows], sigma_h_g[rows], exposure[rows], k.camera, k.rotation, rays,
             found.r_c_rad[rows], found.status[rows],
@@ -235,7 +236,7 @@ def _correct_block(
 
     x, y, h_g, exposure, distance = observed
     k = constants
-    rays, columns["r_cc_rad"][:], status[:] = _look_out((x, y, h_g, exposure), k)
+    rays, columns["r_cc_rad"][:], status[:] = look_out((x, y, h_g, exposure), k)
     sine, cosine = rays[kernel.SIN], rays[kernel.COS]
     r_c, ray_status = bend(
         table, rays[kernel.H_C], h_g, sine, cosine, rays[kernel.RADIUS], distance
@@ -253,7 +254,7 @@ def _correct_block(
     return rays
 
 
-def _look_out(
+def look_out(
     observed: tuple[Array, Array, Array, NDArray[np.int64]], k: Constants
 ) -> tuple[Array, Array, NDArray[np.uint8]]:
     """Columns of the rays of pixels, R_cc and status."""

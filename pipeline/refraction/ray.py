@@ -153,7 +153,7 @@ def _bend_block(
         bend_steep_rays(*table.fine, *rays, r_c, status)
         left = np.flatnonzero(status == LEFT)
     if left.size:
-        bend_rays(table.edge_m, table.coefficient, *rays, np.array(distance), left, r_c, status)
+        bend_rays(table.edge_m, table.coefficient, *rays, distance, left, r_c, status)
 
 
 def bend(
@@ -190,12 +190,7 @@ def bend(
     """
     if isinstance(table, PublishedRays):
         return trace(table.method, table.profile, h_c, h_g, sin_zeta_c, cos_zeta_c, radius)
-    given = [
-        np.asarray(a, np.float64) for a in (h_c, h_g, sin_zeta_c, cos_zeta_c, radius, distance)
-    ]
-    shape = np.broadcast_shapes(*(a.shape for a in given))
-    flat = [_column(a, shape) for a in given[:-1]]
-    distances = np.broadcast_to(given[-1], shape).reshape(-1)
+    shape, (*flat, distances) = as_columns(h_c, h_g, sin_zeta_c, cos_zeta_c, radius, distance)
     r_c = np.empty(flat[0].shape)
     status = np.empty(flat[0].shape, np.uint8)
 
@@ -206,11 +201,20 @@ def bend(
     return r_c.reshape(shape), status.reshape(shape)
 
 
-def _column(values: Array, shape: tuple[int, ...]) -> Array:
-    """Values of a shape as one writable column, which the compiled functions ask for."""
-    if values.shape == shape and values.flags.c_contiguous and values.flags.writeable:
-        return values.reshape(-1)
-    return np.array(np.broadcast_to(values, shape)).reshape(-1)
+def as_columns(*values: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
+    """The shape that values broadcast to, and each as a column that compiled functions take.
+
+    A broadcast view is not to be written to, which they ask about: it becomes a copy.
+    """
+    arrays = [np.asarray(a, np.float64) for a in values]
+    shape = np.broadcast_shapes(*(a.shape for a in arrays))
+
+    def column(a: Array) -> Array:
+        if a.shape == shape and a.flags.c_contiguous and a.flags.writeable:
+            return a.reshape(-1)
+        return np.array(np.broadcast_to(a, shape)).reshape(-1)
+
+    return shape, [column(a) for a in arrays]
 
 
 METHODS: tuple[str, ...] = ("spherical", *PUBLISHED)

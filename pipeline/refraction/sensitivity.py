@@ -83,6 +83,12 @@ class Sensitivity:
     status: NDArray[np.uint8]
     valid: NDArray[np.bool_]
 
+    @property
+    def gradient(self) -> Array:
+        """(..., 2m + 3) derivatives by the air, in the order of `ProfileCovariance.matrix`."""
+        level = self.d_log_pressure[..., None]
+        return np.concatenate([self.d_temperature, level, self.d_vapour], axis=-1)
+
 
 def ray_weights(
     profile: Profile,
@@ -154,7 +160,7 @@ def sensitivity(
     batch = _traced(profile, h_c, h_g, zeta_c, radius)
     jacobian = air_jacobian(profile, batch.pieces.height_m.reshape(-1), anchor_height_m)
     edges = profile.layers.edge.size
-    air = np.column_stack([jacobian.d_temperature, jacobian.d_vapour, jacobian.d_log_pressure])
+    air = jacobian.gradient
     gradient = np.full((batch.status.size, air.shape[1]), np.nan)
     place = np.full((batch.status.size, 3), np.nan)
     valid = np.zeros(batch.status.size, dtype=bool)
@@ -164,12 +170,12 @@ def sensitivity(
         valid[rows] = adjoints.valid
     shape = batch.shape
     d_h_c, d_h_g, d_zeta_c = (column.reshape(shape) for column in place.T)
-    d_log_pressure = gradient[:, -1].reshape(shape)
+    d_log_pressure = gradient[:, edges].reshape(shape)
     return Sensitivity(
         edge_height_m=profile.break_heights_m,
         r_c=batch.r_c.reshape(shape),
         d_temperature=gradient[:, :edges].reshape(*shape, edges),
-        d_vapour=gradient[:, edges:-1].reshape(*shape, edges),
+        d_vapour=gradient[:, edges + 1 :].reshape(*shape, edges),
         d_log_pressure=d_log_pressure,
         d_pressure=d_log_pressure / profile.pressure(anchor_height_m),
         d_h_c=d_h_c,

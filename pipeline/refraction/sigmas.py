@@ -18,7 +18,7 @@ Single = NDArray[np.float32]
 class Uncertainty:
     """All that turns corrections into standard deviations; made by `uncertainty_of`.
 
-    ``air`` : tables of sigma_R; ``stations`` (s, 10) columns of `_sigma_kernel`.
+    ``air`` : tables of sigma_R; ``stations`` (s, 16) columns of `_sigma_kernel`.
     """
 
     air: AirSigma
@@ -79,7 +79,7 @@ class Sigmas:
             k.h_g, k.sigma_h_g, k.exposure, k.camera, k.rotation, k.rays, k.r_c, k.status,
             uncertainty.stations,
             (air.way_first, air.way_step, air.coarse_step, air.incidence_step, air.sigma, air.angle,
-             air.factors),
+             air.factors, air.behind, air.lean),
             (air.ground_m, air.refractivity_step_m, air.refractivity), *columns,
         )  # fmt: skip
 

@@ -15,12 +15,19 @@ from numpy.typing import NDArray
 
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.profile import Profile
-from pipeline.refraction.air_sigma import air_sigma, gradient_of, root_of
+from pipeline.refraction.air_sigma import (
+    OPEN,
+    air_sigma,
+    cabin_response,
+    root_of,
+    window_errors,
+)
 from pipeline.refraction.camera import Camera
 from pipeline.refraction.image import Exposures
 from pipeline.refraction.ray import DEFAULT_RADIUS_M
 from pipeline.refraction.sensitivity import sensitivity
 from pipeline.refraction.sigmas import Uncertainty
+from pipeline.refraction.window import OPTICAL_AXIS
 
 Array = NDArray[np.float64]
 
@@ -48,12 +55,26 @@ class StationSigmas:
     height_m: Array
 
 
+@dataclass(frozen=True, eq=False)
+class Views:
+    """Through what each of n exposures or rays looks: (n,) `OPEN`, `SEALED` or `SCHEDULED`.
+
+    ``towards``, ``across`` : (n,) of rays alone, how far a ray turns to the nadir and square to
+    that per unit of dN_c - dN_cc; see `at_the_window`.
+    """
+
+    kind: NDArray[np.int64]
+    towards: Array | float = 0.0
+    across: Array | float = 0.0
+
+
 @dataclass(frozen=True)
 class BlockScale:
-    """The error of R that the observations of a block share, as one factor 1 + s of all R.
+    """The error that the air gives all corrections of a block, as one factor 1 + s of all R.
 
-    ``sigma`` of s, the standard deviation of a prior for it; ``correlation`` of the errors of R
-    between two observations, on the average: what is less than one no scale factor removes.
+    ``sigma`` of s, the standard deviation of a prior for it; ``correlation`` of what s R explains
+    of the errors between two observations, on the average: what is less than one no scale factor
+    removes.
     """
 
     sigma: float
@@ -68,6 +89,7 @@ def uncertainty_of(
     stations: StationSigmas,
     cameras: Sequence[tuple[Camera, NDArray[np.bool_]]],
     ground_heights_m: tuple[float, float],
+    views: NDArray[np.int64] | None = None,
 ) -> Uncertainty | None:
     """Tables for the standard deviations of a block's corrections.
 
@@ -78,6 +100,7 @@ def uncertainty_of(
     exposures, stations : of s exposures.
     cameras : each with the mask (s,) of its exposures.
     ground_heights_m : lowest and highest ground, above sea level [m].
+    views : (s,) `OPEN`, `SEALED` or `SCHEDULED`; by default no window is in the way.
 
     None where no exposure can be used. The sigmas are of first order. Against changed inputs and
     drawn airs (tests/refraction/test_uncertainty.py): station and ground 1 %, air as `air_sigma`.
@@ -110,8 +133,12 @@ def uncertainty_of(
         ground_heights_m,
         _largest_zeta(exposures, usable, cameras),
         radius,
+        [] if views is None else sorted({int(v) for v in views[usable]} - {OPEN}),
     )
-    return Uncertainty(air, _station_columns(profile, exposures, stations, usable, air.camera_m))
+    columns = _station_columns(profile, exposures, stations, usable, air.camera_m)
+    if views is not None:
+        _add_windows(columns, profile, exposures, np.where(usable, views, OPEN), air.views)
+    return Uncertainty(air, columns)
 
 
 def block_scale(
@@ -121,6 +148,7 @@ def block_scale(
     h_g: Array,
     zeta_c: Array,
     radius: float = DEFAULT_RADIUS_M,
+    views: Views | None = None,
 ) -> BlockScale | None:
     """The scale factor of R that some rays of a block share, with its sigma.
 
@@ -129,10 +157,13 @@ def block_scale(
     h_c, h_g, zeta_c : (n,) heights [m above sea level] and nadir angles [rad] of rays that stand
         for all.
     radius : of the sphere [m].
+    views : of the rays; by default no window is in the way.
 
-    With K the covariance of the errors of R, a fit of s R to them by least squares has the
-    variance R^T K R / (R^T R)^2. The correlation is the mean of that between the rays, weighted by
-    R^2 as the fit weighs them. None where no ray has an angle.
+    The error of a ray is that of R, and behind a plane window that of R - R_cc, in the ray's
+    vertical plane and across it. With K its covariance in the plane, a fit of s R to it by least
+    squares has the variance R^T K R / (R^T R)^2. The correlation is the mean over pairs of rays of
+    K_ij / (e_i e_j), e the whole error, weighted by R^2 as the fit weighs them. None where no ray
+    has an angle.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> air = standard_atmosphere("us1976")
@@ -149,14 +180,76 @@ def block_scale(
     if not bool(good.any()):
         return None
     r = found.r_c[good]
-    errors = gradient_of(found)[good] @ root_of(covariance.matrix)
+    errors = found.gradient[good] @ root_of(covariance.matrix)
     length = np.linalg.norm(errors, axis=1)
+    if views is not None:
+        turned = _window_turns(profile, covariance, np.broadcast_to(h_c, good.shape), views)
+        steep = (1.0 - found.d_zeta_c)[good]
+        errors = errors + (steep[:, None] * turned[0][good])
+        length = np.hypot(*(np.linalg.norm(e, axis=1) for e in (errors, turned[1][good])))
     weight = r * r / np.sum(r * r)
     shared = weight @ (errors / r[:, None])
     known = length > 0.0
     towards = np.sign(r[known])[:, None] * errors[known] / length[known][:, None]
     mean = weight[known] @ towards / max(float(weight[known].sum()), 1e-300)
     return BlockScale(float(np.linalg.norm(shared)), float(mean @ mean), int(good.sum()))
+
+
+def _window_turns(
+    profile: Profile, covariance: ProfileCovariance, h_c: Array, views: Views
+) -> tuple[Array, Array]:
+    """(n, r) errors of the turn at the window, towards the nadir and across."""
+    errors = np.zeros((h_c.size, root_of(covariance.matrix).shape[1]))
+    for view in np.unique(views.kind):
+        if view != OPEN:
+            mine = views.kind == view
+            errors[mine] = window_errors(profile, covariance, h_c[mine], int(view))
+    sides = (np.broadcast_to(side, h_c.shape)[:, None] for side in (views.towards, views.across))
+    towards, across = (np.asarray(side * errors) for side in sides)
+    return towards, across
+
+
+def at_the_window(direction: Array, down: Array, normal: Array) -> tuple[Array, Array]:
+    """How far rays turn towards the nadir, and across, per unit of dN_c - dN_cc at a plane window.
+
+    (n, 3) unit vectors of the rays, the nadir and the window's normal in one frame. With n sin of
+    the angle to the normal kept (Gyer 1996, Eq. 36) a ray d turns by normal / (normal . d) - d.
+
+    >>> ray, down = np.array([[0.6, 0.0, 0.8]]), np.array([[0.0, 0.0, 1.0]])
+    >>> [float(side[0].round(12)) for side in at_the_window(ray, down, down)]  # tan(zeta)
+    [0.75, 0.0]
+    """
+    cosine = np.einsum("ij,ij->i", down, direction)
+    sine = np.sqrt(np.maximum(1.0 - cosine * cosine, 0.0))
+    safe = np.where(sine > 0.0, sine, 1.0)[:, None]
+    to_nadir = (down - cosine[:, None] * direction) / safe
+    out = np.einsum("ij,ij->i", normal, direction)
+    towards = np.einsum("ij,ij->i", normal, to_nadir) / out
+    across = np.einsum("ij,ij->i", normal, np.cross(direction, to_nadir)) / out
+    return towards, across
+
+
+def _add_windows(
+    columns: Array,
+    profile: Profile,
+    exposures: Exposures,
+    views: NDArray[np.int64],
+    tabulated: tuple[int, ...],
+) -> None:
+    """Fill in the columns on plane windows."""
+    from pipeline.refraction import _sigma_kernel as kernel
+
+    for number, view in enumerate(tabulated):
+        mine = np.flatnonzero(views == view)
+        h = exposures.height_m[mine]
+        low, high = _about(profile, h)
+        thinner = np.log(profile.pressure(high) / profile.pressure(low)) / (high - low)
+        columns[mine, kernel.VIEW] = number
+        columns[mine, kernel.WINDOW_BEND] = columns[mine, kernel.BEND] - thinner * cabin_response(
+            profile, h, view
+        )
+    normal = exposures.window_normal
+    columns[:, kernel.NORMAL :] = OPTICAL_AXIS if normal is None else normal
 
 
 def _largest_zeta(
@@ -181,6 +274,12 @@ def _largest_zeta(
     return float(np.arccos(least) + np.radians(0.5))
 
 
+def _about(profile: Profile, h: Array) -> tuple[Array, Array]:
+    """Heights half a metre below and above, within the profile."""
+    low = np.maximum(h - _SLOPE_STEP_M, profile.bottom_m)
+    return low, np.minimum(h + _SLOPE_STEP_M, profile.top_m)
+
+
 def _station_columns(
     profile: Profile,
     exposures: Exposures,
@@ -188,13 +287,12 @@ def _station_columns(
     usable: NDArray[np.bool_],
     camera_m: Array,
 ) -> Array:
-    """(s, 10) what the kernel needs to know of each exposure."""
+    """(s, 16) what the kernel needs to know of each exposure, without what is of windows."""
     from pipeline.refraction import _sigma_kernel as kernel
 
     h = np.where(usable, exposures.height_m, camera_m[0])
     columns = np.full((h.size, kernel.STATION_COLUMNS), np.nan)
-    low = np.maximum(h - _SLOPE_STEP_M, profile.bottom_m)
-    high = np.minimum(h + _SLOPE_STEP_M, profile.top_m)
+    low, high = _about(profile, h)
     slope = (profile.refractivity(high) - profile.refractivity(low)) / (high - low)
     node = np.clip(np.searchsorted(camera_m, h, side="right") - 1, 0, camera_m.size - 2)
     axis = np.einsum("sji,sj->si", exposures.rotation, stations.yaw_axis)
@@ -207,4 +305,6 @@ def _station_columns(
     columns[:, kernel.YAW2] = stations.yaw_rad**2 - stations.tilt_rad**2
     columns[:, kernel.AXIS_E], columns[:, kernel.AXIS_N] = axis[:, 0], axis[:, 1]
     columns[:, kernel.SIGMA_H] = np.nan_to_num(stations.height_m)
+    columns[:, kernel.VIEW], columns[:, kernel.WINDOW_BEND] = -1.0, 0.0
+    columns[:, kernel.NORMAL :] = 0.0
     return columns

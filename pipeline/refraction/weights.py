@@ -22,12 +22,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.atmosphere.profile import Profile
+from pipeline.refraction._pieces import cut
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -104,11 +104,7 @@ class Adjoints:
 
 def pieces_between(profile: Profile, low: float, high: float) -> Pieces:
     """The pieces of a profile that heights from ``low`` to ``high`` [m] fall in."""
-    edges = [
-        np.linspace(a, b, max(1, math.ceil((b - a) / _PIECE_M)), endpoint=False)
-        for a, b in pairwise(profile.break_heights_m)
-    ]
-    edge = np.concatenate([*edges, profile.break_heights_m[-1:]])
+    edge = cut(profile.break_heights_m, _PIECE_M)
     first = int(np.clip(np.searchsorted(edge, low, side="left") - 1, 0, edge.size - 2))
     last = int(np.clip(np.searchsorted(edge, high, side="right"), first + 1, edge.size - 1))
     edge = edge[first : last + 1]

@@ -1,4 +1,4 @@
-"""The plots of the report: the correction over the image, and the air beside it."""
+"""The plots of the report as files, and the correction over the image."""
 
 from __future__ import annotations
 
@@ -10,12 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.adjust import Adjustment
-from pipeline.atmosphere.samples import AirSamples
 from pipeline.errors import ConfigError, StorageError
 from pipeline.refraction.spread import ImageGrid
-from pipeline.report.style import ADJUSTED, STANDARD, height_range, new_figure, scatter, styled
-from pipeline.units import ZERO_CELSIUS_K
+from pipeline.report.style import new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,45 +53,18 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 @styled
-def effect_figure(
-    adjustment: Adjustment, samples: AirSamples, camera: str, grid: ImageGrid
-) -> Figure:
-    """The air of a flight beside what it does to the images of one camera."""
-    figure, (left, right) = new_figure(2, 8.2, 3.4)
-    _draw_temperature(left, adjustment, samples)
-    left.set_title("the air: measured against standard", fontsize=9)
-    _draw_shifts(figure, right, grid)
-    right.set_title(f"what it does to the {camera} image", fontsize=9)
-    return figure
-
-
-def _draw_temperature(axis: Axes, adjustment: Adjustment, samples: AirSamples) -> None:
-    profile, standard = adjustment.profile, adjustment.standard
-    h = np.linspace(*height_range(samples), 400)
-    if samples.temperature is not None:
-        scatter(axis, samples.temperature, samples.temperature.value - ZERO_CELSIUS_K)
-    axis.plot(standard.temperature(h) - ZERO_CELSIUS_K, h, color=STANDARD, lw=1.2,
-              label=standard.name)  # fmt: skip
-    if profile is not standard:
-        t = profile.temperature(h) - ZERO_CELSIUS_K
-        axis.plot(t, h, color=ADJUSTED, lw=1.4, label=profile.name)
-    axis.set_xlabel("temperature [°C]")
-    axis.set_ylabel("height above sea level [m]")
-    axis.legend(frameon=False, markerscale=4.0)
-
-
-@styled
 def correction_figure(grids: Mapping[str, ImageGrid]) -> Figure:
     """Mean shift of the image points over the format of each camera, as arrows and colour."""
     shown = {name: grid for name, grid in grids.items() if grid.sums[2].any()} or dict(grids)
     figure, axes = new_figure(len(shown), 3.9 * len(shown), 3.4)
     for axis, (name, grid) in zip(axes, shown.items(), strict=True):
         axis.set_title(name, fontsize=9)
-        _draw_shifts(figure, axis, grid)
+        draw_shifts(figure, axis, grid)
     return figure
 
 
-def _draw_shifts(figure: Figure, axis: Axes, grid: ImageGrid) -> None:
+def draw_shifts(figure: Figure, axis: Axes, grid: ImageGrid) -> None:
+    """The mean shifts of a grid as arrows over its image."""
     axis.set_xlim(0, grid.width_px)
     axis.set_ylim(grid.height_px, 0)
     axis.set_aspect("equal")

@@ -63,6 +63,8 @@ def profile_figure(air: FlightAir, samples: AirSamples) -> Figure:
             axis.plot(quantities[0][i], h, color=ADJUSTED, lw=1.3, label=profile.name)
         axis.set_xlabel(label)
         axis.set_ylim(low, high)
+    # The layout leaves no room for a number at the very end of an axis.
+    axes[2].xaxis.set_major_locator(MaxNLocator(5, prune="upper"))
     axes[1].set_xscale("log")
     axes[1].minorticks_off()
     axes[1].xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))

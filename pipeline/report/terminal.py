@@ -97,11 +97,7 @@ def show_log(console: Console, log: Mapping[str, Any], name: str) -> None:
             roles,
         )
     console.print(Padding(table, (1, 0, 1, 2)))
-    for entry in log["ledger"]:
-        console.print(
-            f"  [{_COLOURS[entry['kind']]}]{entry['kind']}[/] {entry['code']}: "
-            f"{escape(entry['what'])}"
-        )
+    show_ledger(console, log["ledger"])
 
 
 def show_fields(console: Console, title: str, rows: Sequence[Mapping[str, str]]) -> None:
@@ -181,29 +177,39 @@ def _number(value: float | None, digits: int, factor: float = 1.0) -> str:
     return "" if value is None else f"{value * factor:.{digits}f}".rstrip("0").rstrip(".")
 
 
-def show_profile(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
-    """A profile as a table."""
-    heads = ("h [m]", "T [K]", "±", "p [hPa]", "e [hPa]", "(n-1)e6", "±", "Eq.", "source")
-    table = Table(*(escape(head) for head in heads), box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for column in table.columns[:8]:
+def show_profile(console: Console, rows: Sequence[Mapping[str, Any]], standard: str) -> None:
+    """A profile as a table, what the standard of that name has beside each figure."""
+    heads = (
+        "h\n[m]", "T\n[K]", "±\n", "std\n[K]", "p\n[hPa]", "std\n[hPa]", "e\n[hPa]", "std\n[hPa]",
+        "N\n[ppm]", "±\n", "std\n[ppm]", "source\n",
+    )  # fmt: skip
+    table = Table(*(escape(head) for head in heads), box=None, pad_edge=False, padding=(0, 1, 0, 0))
+    for column in table.columns[:-1]:
         column.justify = "right"
     for row in rows:
         table.add_row(
             f"{row['h_m']:.0f}",
             f"{row['temperature_k']:.2f}",
             _sigma(row["sigma_temperature_k"]),
-            f"{row['pressure_pa'] / 100.0:.2f}",
+            f"[dim]{row['standard_temperature_k']:.2f}[/dim]",
+            f"{row['pressure_pa'] / 100.0:.1f}",
+            f"[dim]{row['standard_pressure_pa'] / 100.0:.1f}[/dim]",
             f"{row['vapour_pressure_pa'] / 100.0:.2f}",
+            f"[dim]{row['standard_vapour_pressure_pa'] / 100.0:.2f}[/dim]",
             f"{row['refractivity'] * 1e6:.2f}",
             _sigma(row["sigma_refractivity"], 1e6),
-            str(row["equation"]),
+            f"[dim]{row['standard_refractivity'] * 1e6:.2f}[/dim]",
             row["source"],
         )
     console.print(table)
+    console.print(f"N is (n-1)e6; std is {escape(standard)} at the same height", highlight=False)
 
 
 def _sigma(value: float | None, factor: float = 1.0) -> str:
-    return "" if value is None else f"{value * factor:.2f}"
+    """To four characters."""
+    if value is None:
+        return ""
+    return f"{value * factor:.2f}" if value * factor < 9.995 else f"{value * factor:.1f}"
 
 
 def show_air(console: Console, air: FlightAir) -> None:

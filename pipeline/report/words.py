@@ -144,8 +144,14 @@ def unused_sources(manifest: Mapping[str, Any]) -> list[str]:
 
 def ledger_rows(manifest: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Kind, code and text of the ledger, the gravest first."""
-    rows = [(e["kind"], e["code"], e["what"]) for e in manifest["ledger"]]
+    rows = [(e["kind"], e["code"], located(e)) for e in manifest["ledger"]]
     return sorted(rows, key=lambda row: (_ORDER.index(row[0]), row[1]))
+
+
+def located(entry: Mapping[str, Any]) -> str:
+    """The text of an entry of the ledger, and where it was if it does not say so itself."""
+    what, where = entry["what"], entry["where"]
+    return what if where in what else f"{what} ({where})"
 
 
 def is_applied(manifest: Mapping[str, Any]) -> bool:

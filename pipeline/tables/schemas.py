@@ -112,6 +112,8 @@ PROFILE_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
     "source": (_S, "", "measured | barometric | relaxed | standard"),
     "standard_temperature_k": (_F, "K", "of the standard atmosphere at the same height"),
     "standard_pressure_pa": (_F, "Pa", "of the standard atmosphere at the same height"),
+    "standard_vapour_pressure_pa": (_F, "Pa", "of the standard atmosphere at the same height"),
+    "standard_refractivity": (_F, "", "n - 1 of the standard atmosphere at the same height"),
     "sigma_temperature_k": (_F, "K", "one standard deviation; null for a standard atmosphere"),
     "sigma_refractivity": (_F, "", "one standard deviation; null for a standard atmosphere"),
 }

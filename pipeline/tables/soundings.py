@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy.io import netcdf_file
 
-from pipeline.atmosphere.soundings import RawLevels, Sounding, judge_levels, parse_sounding
-from pipeline.atmosphere.soundings.raw import FILLS, Array, radians, to_si
+from pipeline.atmosphere.soundings import (
+    RawLevels,
+    Sounding,
+    judge_levels,
+    nearest_in_time,
+    parse_sounding,
+)
+from pipeline.atmosphere.soundings.raw import FILLS, LARGEST, Array, radians, to_si
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND
 
 LARGEST_BYTES = 200_000_000
 """Room for decades of one station; a larger file is of another kind, and would fill memory."""
+
+_LATEST_S = 7_258_118_400  # the year 2200
 
 _NETCDF3, _HDF5 = b"CDF", b"\x89HDF"
 # Names of ARM's sondewnpn datastream: variable, quantity's unit.
@@ -31,7 +40,7 @@ def read_sounding(
     latitude_rad: float = math.nan,
     station_h_m: float = math.nan,
 ) -> Sounding:
-    """Read a sounding; arguments as for `parse_sounding`.
+    """Read a sounding; arguments as for `parse_sounding`. A nameless one is called by its file.
 
     Raises ``InputError`` where the file cannot be read or is none.
     """
@@ -55,17 +64,19 @@ def read_sounding(
     if data.startswith(_HDF5):
         raise _no_netcdf(path, "it is netCDF-4 (HDF5); only the classic format is read")
     if data.startswith(_NETCDF3):
-        raw = _netcdf(path)
-        return judge_levels(raw, ledger, latitude_rad=latitude_rad, station_h_m=station_h_m)
-    return parse_sounding(
-        _text(data, path),
-        ledger,
-        where=path.name,
-        format_name=format_name,
-        time_ns=time_ns,
-        latitude_rad=latitude_rad,
-        station_h_m=station_h_m,
-    )
+        raw = nearest_in_time([_netcdf(path)], time_ns, path.name, ledger)
+        found = judge_levels(raw, ledger, latitude_rad=latitude_rad, station_h_m=station_h_m)
+    else:
+        found = parse_sounding(
+            _text(data, path),
+            ledger,
+            where=path.name,
+            format_name=format_name,
+            time_ns=time_ns,
+            latitude_rad=latitude_rad,
+            station_h_m=station_h_m,
+        )
+    return found if found.station else replace(found, station=path.name)
 
 
 def _text(data: bytes, path: Path) -> str:
@@ -110,7 +121,7 @@ def _netcdf(path: Path) -> RawLevels:
         geopotential=True,
         dew_point_k=to_si(columns["dp"], "c"),
         relative_humidity=to_si(columns["rh"], "percent"),
-        time_ns=None if start is None else round((start + offset) * NANOSECONDS_PER_SECOND),
+        time_ns=_release(start, offset),
         latitude_rad=radians(place["lat"], 90.0),
         longitude_rad=radians(place["lon"], 180.0),
         origin="ARM radiosonde netCDF",
@@ -119,9 +130,17 @@ def _netcdf(path: Path) -> RawLevels:
     )
 
 
+def _release(start_s: int | None, offset_s: float) -> int | None:
+    """Time of the first level [Unix ns]; a fill value is no time."""
+    if start_s is None or not 0 < start_s < _LATEST_S:
+        return None
+    offset = offset_s if math.isfinite(offset_s) else 0.0
+    return round((start_s + offset) * NANOSECONDS_PER_SECOND)
+
+
 def _column(file: netcdf_file, name: str) -> Array:
     value = np.array(file.variables[name].data, dtype=np.float64)
-    return np.where(np.isin(value, FILLS), np.nan, value)
+    return np.where(np.isin(value, FILLS) | ~(np.abs(value) <= LARGEST), np.nan, value)
 
 
 def _no_netcdf(path: Path, why: str) -> InputError:

@@ -116,6 +116,8 @@ def profile_arrow(
         "time_utc": [air.time_ns] * h.size,
         "standard_temperature_k": standard.temperature(h),
         "standard_pressure_pa": standard.pressure(h),
+        "standard_vapour_pressure_pa": standard.vapour_pressure(h),
+        "standard_refractivity": standard.refractivity(h),
     }
     covariance = air.covariance
     if covariance is not None:

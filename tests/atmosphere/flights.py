@@ -266,7 +266,7 @@ def fly(
     truth: Truth, climb: float, sensors: Sensors, rng: np.random.Generator, *,
     thermometer: bool = True, barometer: bool = True, humidity: str = "surface",
     rate: float = 5.0, cruise_s: float = 300.0, descent: bool = False, hz: float = 1.0,
-    gate_s: float = 60.0,
+    gate_s: float = 120.0,
 ) -> AirSamples:  # fmt: skip
     """What a flight measures. ``humidity``: none | surface (the lowest 200 m) | profile."""
     s = sensors

@@ -14,7 +14,7 @@ from pipeline.atmosphere.adjust import build_adjusted_profile
 from pipeline.atmosphere.bins import bin_readings
 from pipeline.atmosphere.climatology import AUTO, climatology
 from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.atmosphere.estimate import estimate, layout_of
+from pipeline.atmosphere.estimate import estimate, layout_of, solve
 from pipeline.atmosphere.hypsometry import column
 from pipeline.atmosphere.judgement import implausible
 from pipeline.atmosphere.metar import SurfaceReport
@@ -210,6 +210,57 @@ def test_a_covariance_must_fit_its_profile():
         ProfileCovariance(US1976, 0.0, np.eye(3))
 
 
+def test_the_doubt_of_vapour_is_that_of_humidity_and_of_pressure(airs):
+    """Nothing measured: sigma_e is the climatology's sigma of RH times e_s(T), and e sigma_p/p."""
+    from pipeline.simulate.air import saturation_pressure_pa
+
+    air = background(airs[MONSOON], AUTO)
+    made = estimate(AirSamples(), air)
+    h = np.array([500.0, 1500.0, 3000.0])
+    t, e = made.profile.temperature(h), made.profile.vapour_pressure(h)
+    by_humidity = air.spread.sigma_relative_humidity(h) * saturation_pressure_pa(t)
+    # e_s grows by 5420 K/T^2 a kelvin (Clausius-Clapeyron).
+    by_temperature = e * 5420.0 / t**2 * made.covariance.sigma_temperature(h)
+    both = np.hypot(by_humidity, by_temperature)
+    np.testing.assert_allclose(made.covariance.sigma_vapour_pressure(h), both, rtol=0.15)
+    # Pressure alone in doubt, by 2 %: so is e where e/p is known.
+    k = made.profile.layers.edge.size
+    level = np.zeros((2 * k + 1, 2 * k + 1))
+    level[k, k] = 0.02**2
+    alone = replace(made.covariance, matrix=level)
+    np.testing.assert_allclose(alone.sigma_vapour_pressure(h), 0.02 * e, rtol=1e-12)
+
+
+# It settles
+
+
+@pytest.mark.parametrize("climb", [1000.0, 3000.0])
+def test_every_estimate_settles(flights, airs, climb):
+    """Lag across the kinks of T(H) made whole steps jump by 0.1 to 0.4 K for ever."""
+    rng = np.random.default_rng(7)
+    for truth in airs:
+        for descent in (True, False):
+            samples = flights.fly(truth, climb, flights.drawn(rng), rng, descent=descent)
+            made = estimated(truth, samples)
+            assert made.converged
+            # From where it ended it does not move.
+            layout = layout_of(made.sources, background(truth))
+            prior = prior_of(layout, background(truth), background(truth, AUTO))
+            profile = background(truth).profile
+            again = solve(layout, prior, made.sources.sources, profile, made.state)
+            moved = np.abs(again.x - made.state)[layout.temperature]
+            assert moved.max() < 0.1
+
+
+def test_an_estimate_that_does_not_settle_is_told_of(flights, airs, monkeypatch):
+    monkeypatch.setattr("pipeline.atmosphere.estimate._MOST_STEPS", 5)
+    truth = airs[NIGHT]
+    samples = flights.fly(truth, 3000.0, flights.REALISTIC, np.random.default_rng(1))
+    assert not estimated(truth, samples).converged
+    _, ledger = adjust(truth, samples)
+    assert "AIR-UNSETTLED" in codes(ledger, Kind.WARNING)
+
+
 # What is wrong with the sensors is found
 
 
@@ -228,6 +279,36 @@ def test_bias_lag_and_transient_are_found(flights, airs):
         found = nuisance(made, name)
         assert found.sigma < sharp, found
         assert abs(found.value - right) < 3.0 * found.sigma, found
+
+
+def test_an_offset_of_the_barometer_is_found(flights, airs):
+    """1 hPa, twice what is expected, beside stations that are right to half a hPa."""
+    truth = airs[TRADES]
+    sensors = flights.Sensors(noise_k=0.2, pressure_noise_pa=3.0, pressure_offset_pa=100.0)
+    samples = flights.fly(truth, 6000.0, sensors, np.random.default_rng(2), descent=True)
+    stations = [
+        SurfaceReport(float(truth.h[i]), float(truth.p[i]), math.nan, math.nan, truth.start_ns)
+        for i in (0, 150, 300)
+    ]
+    found = nuisance(estimated(truth, samples, surface=stations), "static pressure offset")
+    assert 10.0 < found.sigma < 45.0
+    assert abs(found.value - 100.0) < 2.5 * found.sigma
+
+
+def test_a_static_port_in_the_wind_is_found(flights, airs):
+    """p reads 5 % of the dynamic pressure too much: 50 Pa at 40 m/s, 200 Pa at 80."""
+    truth = airs[NIGHT]
+    sensors = flights.Sensors(noise_k=0.2, pressure_noise_pa=3.0)
+    samples = flights.fly(truth, 3000.0, sensors, np.random.default_rng(3), descent=True)
+    p = samples.pressure
+    speed = np.where(np.gradient(p.h_m) > 1.0, 40.0, 80.0)
+    windy = replace(p, value=p.value + 0.05 * 0.5 * 1.225 * speed**2)
+    airspeed = Samples(p.time_ns, p.h_m, speed, np.ones(speed.size, bool), "airspeed")
+    found = nuisance(
+        estimated(truth, replace(samples, pressure=windy, airspeed=airspeed)), "dynamic pressure"
+    )
+    assert found.sigma < 0.015
+    assert abs(found.value - 0.05) < 2.5 * found.sigma
 
 
 def test_the_heat_of_speed_is_found(flights, airs):
@@ -270,7 +351,7 @@ def test_outliers_are_marked(flights, airs):
 def test_a_board_is_air_plus_ten_kelvin_only_if_the_user_insists(flights, airs):
     truth = airs[NIGHT]
     rng = np.random.default_rng(5)
-    samples = flights.fly(truth, 3000.0, flights.Sensors(noise_k=0.2), rng)
+    samples = flights.fly(truth, 3000.0, flights.Sensors(noise_k=0.2), rng, gate_s=60.0)
     t = samples.temperature
     seconds = (t.time_ns - t.time_ns[0]) * 1e-9
     board = replace(t, value=t.value + 12.0 + 4.0 * np.sin(seconds / 200.0), name="board")
@@ -320,8 +401,9 @@ def test_a_surface_report_anchors_a_flight_without_a_barometer(flights, airs):
     rng = np.random.default_rng(6)
     samples = flights.fly(truth, 2000.0, flights.Sensors(), rng, barometer=False, humidity="none")
     report = SurfaceReport(
-        float(truth.h[0]), float(truth.p[0]), float(truth.t[0]), float(truth.e[0]), None, "config"
-    )
+        float(truth.h[0]), float(truth.p[0]), float(truth.t[0]), float(truth.e[0]),
+        truth.start_ns, "config",
+    )  # fmt: skip
     alone, ledger = adjust(truth, samples)
     told, _ = adjust(truth, samples, surface=[report])
     assert "AIR-HUMIDITY-EXPECTED" in codes(ledger)
@@ -354,10 +436,10 @@ def test_part_of_the_samples_is_enough(flights, airs):
 # Never worse than the climatology
 
 
-def spoilt(flights, truth, change, climb=3000.0, **how):
+def spoilt(flights, truth, change, climb=3000.0):
     """A flight without a barometer, its thermometer reading what ``change`` makes of it."""
     rng = np.random.default_rng(9)
-    samples = flights.fly(truth, climb, flights.Sensors(), rng, barometer=False, **how)
+    samples = flights.fly(truth, climb, flights.Sensors(), rng, barometer=False, gate_s=60.0)
     t = samples.temperature
     return replace(samples, temperature=replace(t, value=change(t, rng)))
 
@@ -372,7 +454,7 @@ def noisy(t, rng, size):
     [
         (lambda t, _: noisy(t, np.random.default_rng(10), 20.0), "held out"),
         (lambda t, _: 290.0 - 0.014 * (t.h_m - t.h_m.min()), "overturns"),
-        (lambda t, _: 330.0 + 0.0 * t.h_m, "sigma from the climatology"),
+        (lambda t, _: 330.0 + 1e-4 * t.h_m, "sigma from the climatology"),
     ],
     ids=["noise", "14 K a kilometre", "330 K"],
 )
@@ -413,7 +495,7 @@ def test_whatever_a_thermometer_reads_the_sigma_knows(flights, airs, size, barom
         t = samples.temperature
         wild = replace(samples, temperature=replace(t, value=noisy(t, rng, size)))
         adjusted, ledger = adjust(truth, wild)
-        assert {"AIR-IMPLAUSIBLE", "AIR-MISFIT"} & set(codes(ledger))
+        assert {"AIR-IMPLAUSIBLE", "AIR-MISFIT", "AIR-THERMOMETER"} & set(codes(ledger))
         sigma = adjusted.covariance.relative_sigma(truth.h[0] + 3000.0, truth.h[0])
         error = abs(truth.error(adjusted.profile, 3000.0))
         assert error < 2.5 * sigma

@@ -13,6 +13,7 @@ import pytest
 
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.adjust import Adjustment, build_adjusted_profile
+from pipeline.atmosphere.climatology import Climatology, climatology, month_of
 from pipeline.ledger import Ledger
 
 US1976 = standard_atmosphere("us1976")
@@ -31,17 +32,31 @@ def extreme(flights):
     return [flights.Truth(balloon) for balloon in flights.extremes()]
 
 
-def adjusted(flights, truth, climb, sensors, rng, **how) -> Adjustment:
+AUTO, STANDARD = "auto", "us1976"
+BACKGROUNDS = (AUTO, STANDARD)
+"""What the air relaxes to: the climatology of place and month, as the program chooses it, or the
+standard atmosphere, as `build_adjusted_profile` does by itself."""
+
+
+def background_of(truth, name) -> Climatology | None:
+    if name == STANDARD:
+        return None
+    month = month_of(truth.start_ns)
+    return climatology(latitude_rad=truth.latitude, month=month, ground_h_m=float(truth.h[0]))
+
+
+def adjusted(flights, truth, climb, sensors, rng, name, **how) -> Adjustment:
     samples = flights.fly(truth, climb, sensors, rng, **how)
-    return build_adjusted_profile(samples, US1976, truth.latitude, Ledger())
+    background = background_of(truth, name)
+    return build_adjusted_profile(samples, US1976, truth.latitude, Ledger(), background=background)
 
 
-def errors(flights, airs, climb, sensors, times=1, **how) -> np.ndarray:
+def errors(flights, airs, climb, sensors, name, times=1, **how) -> np.ndarray:
     """Errors of R in per cent, ``times`` flights through each air."""
     rng = np.random.default_rng(20)
     return np.array([
         100.0 * truth.error(
-            adjusted(flights, truth, climb, sensors, rng, **how).profile, climb
+            adjusted(flights, truth, climb, sensors, rng, name, **how).profile, climb
         )
         for truth in airs
         for _ in range(times)
@@ -69,39 +84,65 @@ def test_the_truth_is_the_balloons(real):
 
 
 @pytest.mark.parametrize(
-    ("climb", "humid", "dry"),
-    [(1000.0, 0.8, 2.0), (3000.0, 0.3, 1.0), (6000.0, 0.3, 0.6), (10_000.0, 0.15, 0.3)],
+    ("climb", "humid", "dry", "name"),
+    [
+        (1000.0, 1.1, 2.0, AUTO),
+        (1000.0, 0.9, 2.0, STANDARD),
+        (3000.0, 0.3, 1.0, AUTO),
+        (3000.0, 0.3, 1.0, STANDARD),
+        (6000.0, 0.3, 0.6, AUTO),
+        (10_000.0, 0.15, 0.3, AUTO),
+    ],
 )
-def test_clean_temperatures(flights, real, climb, humid, dry):
-    for humidity, limit in (("surface", humid), ("none", dry)):
-        how = {"humidity": humidity, "gate_s": 0.0, "descent": True}
-        assert rms(errors(flights, real, climb, flights.Sensors(), **how)) <= limit
+def test_clean_temperatures_of_a_climb(flights, real, climb, humid, dry, name):
+    """Reached with one surface humidity: 1.06, 0.18, 0.03, 0.04 % (0.87 % about US 1976).
 
-
-@pytest.mark.parametrize(("climb", "bias", "scatter"), [(1000.0, 3.0, 2.0), (3000.0, 1.0, 1.0)])
-def test_realistic_sensors(flights, real, climb, bias, scatter):
-    found = errors(flights, real, climb, flights.REALISTIC, times=2, descent=True)
-    assert abs(found.mean()) <= bias
-    assert found.std() <= scatter
-    assert rms(found) < 0.25 * of_the_standard(real, climb)
-
-
-@pytest.mark.parametrize(("climb", "bias", "scatter"), [(1000.0, 3.0, 2.8), (3000.0, 1.0, 1.0)])
-def test_realistic_sensors_in_a_climb_alone(flights, real, climb, bias, scatter):
-    """In the 140 s after the gate, transient, lag and lapse rate of 1 km cannot be told apart.
-
-    Reached: 2.2 and 0.3 % of scatter; 0.6 and 0.2 % where the descent is there too.
+    0.8 % over 1 km, which is asked for, is reached with the descent: the estimator is not told
+    that these sensors have no lag, bias or transient, and a climb alone hardly tells them apart.
     """
-    found = errors(flights, real, climb, flights.REALISTIC, times=2)
+    for humidity, limit in (("surface", humid), ("none", dry)):
+        how = {"humidity": humidity, "gate_s": 0.0}
+        assert rms(errors(flights, real, climb, flights.Sensors(), name, **how)) <= limit
+
+
+@pytest.mark.parametrize("name", BACKGROUNDS)
+def test_clean_temperatures_of_climb_and_descent(flights, real, name):
+    """Reached: 0.5 and 0.08 % at 1 and 3 km."""
+    for climb, limit in ((1000.0, 0.8), (3000.0, 0.15)):
+        for humidity in ("surface", "none"):
+            how = {"humidity": humidity, "gate_s": 0.0, "descent": True}
+            assert rms(errors(flights, real, climb, flights.Sensors(), name, **how)) <= limit
+
+
+@pytest.mark.parametrize("name", BACKGROUNDS)
+@pytest.mark.parametrize(("climb", "bias", "scatter"), [(1000.0, 3.0, 1.3), (3000.0, 1.0, 0.4)])
+def test_realistic_sensors_in_climb_and_descent(flights, real, climb, bias, scatter, name):
+    """Reached: 0.8 to 1.0 and 0.2 % of scatter."""
+    found = errors(flights, real, climb, flights.REALISTIC, name, times=2, descent=True)
     assert abs(found.mean()) <= bias
     assert found.std() <= scatter
     assert rms(found) < 0.25 * of_the_standard(real, climb)
 
 
+@pytest.mark.parametrize("name", BACKGROUNDS)
+@pytest.mark.parametrize(("climb", "bias", "scatter"), [(1000.0, 3.0, 2.1), (3000.0, 1.0, 1.0)])
+def test_realistic_sensors_in_a_climb_alone(flights, real, climb, bias, scatter, name):
+    """After the two minutes of the gate, of 1 km 400 m are left.
+
+    Reached: 2.0 % of scatter over 1 km, which is what is asked for (2.03 and 2.00 RMS of 36 flights
+    about the climatology and US 1976; of these 27 the scatter itself is good to 0.3), 0.4 over 3.
+    """
+    found = errors(flights, real, climb, flights.REALISTIC, name, times=3)
+    assert abs(found.mean()) <= bias
+    assert found.std() <= scatter
+    assert rms(found) < 0.25 * of_the_standard(real, climb)
+
+
+@pytest.mark.parametrize("name", BACKGROUNDS)
 @pytest.mark.parametrize(("climb", "limit"), [(3000.0, 4.0), (6000.0, 2.0)])
-def test_barometer_and_gnss_alone(flights, real, climb, limit):
+def test_barometer_and_gnss_alone(flights, real, climb, limit, name):
     how = {"thermometer": False, "humidity": "none", "times": 2}
-    found = errors(flights, real, climb, flights.REALISTIC, **how)
+    found = errors(flights, real, climb, flights.REALISTIC, name, **how)
     assert rms(found) <= limit
     assert rms(found) < 0.5 * of_the_standard(real, climb)
 
@@ -128,36 +169,44 @@ MODES = [
 ]
 
 
-def departures(flights, airs, modes, times) -> Iterator[float]:
+def departures(flights, airs, mode, times, name) -> Iterator[float]:
     """Sigmas of R by which flights with drawn sensors err."""
     rng = np.random.default_rng(68)
     for truth in airs:
-        for mode in modes:
-            for _ in range(times):
-                how = dict(mode)
-                climb = how.pop("climb")
-                found = adjusted(flights, truth, climb, flights.drawn(rng), rng, **how)
-                sigma = found.covariance.relative_sigma(truth.h[0] + climb, truth.h[0])
-                yield truth.error(found.profile, climb) / sigma
+        for _ in range(times):
+            how = dict(mode)
+            climb = how.pop("climb")
+            found = adjusted(flights, truth, climb, flights.drawn(rng), rng, name, **how)
+            sigma = found.covariance.relative_sigma(truth.h[0] + climb, truth.h[0])
+            yield truth.error(found.profile, climb) / sigma
 
 
 def shares(values: np.ndarray) -> tuple[float, float]:
     return float(np.mean(np.abs(values) < 1.0)), float(np.mean(np.abs(values) < 2.0))
 
 
-def test_sigmas_are_honest(flights, real, extreme):
-    """252 flights: nine soundings and five extreme airs, with inversions of 6 to 15 K.
+@pytest.mark.parametrize(("name", "times"), [(AUTO, 3), (STANDARD, 1)])
+def test_sigmas_are_honest(flights, real, extreme, name, times):
+    """252 and 84 flights: nine soundings and five extreme airs, with inversions of 6 to 15 K.
 
-    Reached with 336 flights: 72 and 96 % in the soundings, 73 and 98 % in the extremes.
+    The roughness of the prior was chosen on these nine soundings (`state.ROUGH_K`), so theirs is no
+    independent proof; the extreme airs had no part in it. Reached with 624 flights: 74 and 96 % in
+    the soundings, 71 and 96 % in the extremes (75 and 96, 76 and 98 about US 1976); in each way of
+    flying, of 50 flights, 56 to 81 and 89 to 100 %.
     """
-    values = {
-        "real": np.array(list(departures(flights, real, MODES, 3))),
-        "extreme": np.array(list(departures(flights, extreme, MODES, 3))),
+    found = {
+        kind: [np.array(list(departures(flights, airs, mode, times, name))) for mode in MODES]
+        for kind, airs in (("real", real), ("extreme", extreme))
     }
-    for name, found in values.items():
-        one, two = shares(found)
-        assert 0.55 <= one <= 0.80, name
-        assert two >= 0.92, name
+    for kind, values in found.items():
+        one, two = shares(np.concatenate(values))
+        assert 0.55 <= one <= 0.80, kind
+        assert two >= 0.92, kind
+    for mode, values in zip(MODES, zip(*found.values(), strict=True), strict=True):
+        one, two = shares(np.concatenate(values))
+        # Of 42 flights, one sigma of these shares is 7 and 3 %; of 14, twice as much.
+        assert 0.50 <= one <= (0.90 if times > 1 else 1.0), mode
+        assert two >= 0.85, mode
 
 
 def test_sigmas_of_temperature_are_honest(flights, extreme):
@@ -166,7 +215,7 @@ def test_sigmas_of_temperature_are_honest(flights, extreme):
     found = []
     for truth in extreme:
         for _ in range(4):
-            air = adjusted(flights, truth, 3000.0, flights.drawn(rng), rng)
+            air = adjusted(flights, truth, 3000.0, flights.drawn(rng), rng, AUTO)
             h = truth.h[inside]
             error = air.profile.temperature(h) - truth.t[inside]
             found.append(error / air.covariance.sigma_temperature(h))

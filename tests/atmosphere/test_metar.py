@@ -77,6 +77,24 @@ def test_what_is_missing_is_unknown():
     assert report.pressure_pa == pytest.approx(100_023.0, abs=2.0)
 
 
+@pytest.mark.parametrize(("groups", "missing"), [
+    ("XX/11 Q1017", ["temperature"]),
+    ("///// Q1017", ["temperature", "dew point"]),
+    ("12/// Q1017", ["dew point"]),
+    ("12/08 Q////", ["altimeter setting"]),
+    ("12/08 Q1017", []),
+])  # fmt: skip
+def test_what_cannot_be_read_is_told(groups, missing):
+    ledger = Ledger()
+    report = parse_metar(f"METAR EDDF 221150Z 24011KT CAVOK {groups}", 111.0, ledger)
+    said = [entry.what for entry in ledger if entry.code == "METAR-MISSING"]
+    assert len(said) == bool(missing)
+    assert all(word in said[0] for word in missing)
+    # Without a temperature the dew point gives no relative humidity: it is not kept either.
+    known = not {"temperature", "dew point"} & set(missing)
+    assert math.isfinite(report.vapour_pressure_pa) is known
+
+
 def test_unknown_groups_are_said_and_cost_nothing():
     ledger = Ledger()
     report = parse_metar("METAR EDDF 221150Z 24011KT XYZZY CAVOK 12/08 Q1013", 111.0, ledger)

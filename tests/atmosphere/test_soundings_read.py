@@ -387,6 +387,65 @@ def test_no_sounding(text, code):
     assert caught.value.code == code
 
 
+@pytest.mark.parametrize("name", ["igra", "igra_derived"])
+def test_no_line_of_a_text_is_a_header_of_igra(name):
+    for text in (text_of(air()), "", "one line\n"):
+        with pytest.raises(InputError) as caught:
+            parse_sounding(text, Ledger(), format_name=name, where="b.csv")
+        assert caught.value.code in ("SOUNDING-FORMAT", "SOUNDING-EMPTY")
+        assert "b.csv" in caught.value.where
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("temperature_c", 3, 1e308), {"SOUNDING-MISSING": 1}),
+        (("temperature_c", 3, 500.0), {"SOUNDING-RANGE": 1}),
+        (("pressure_hpa", 3, 95_000.0), {"SOUNDING-RANGE": 1, "SOUNDING-UNSORTED": None}),
+        (("geopotential_m", 3, 1e300), {"SOUNDING-HEIGHTS": 1}),
+        (("geopotential_m", 3, 1e6), {"SOUNDING-ORDER": 1}),
+        (("dew_point_c", 3, 400.0), {"SOUNDING-HUMIDITY-RANGE": 1}),
+    ],
+)
+def test_one_wild_number_is_no_matter_of_units(change, said):
+    """Of twelve levels one is rubbish: it is counted, and the others stay as they are."""
+    s, counted = read(changed(*change))
+    assert {code: n for code, n in counted.items() if said.get(code, n) is not None} == {
+        code: n for code, n in said.items() if n is not None
+    }
+    clean, _ = read(air())
+    assert s.h_m.size >= HEIGHTS.size - 1
+    kept = np.isin(np.round(clean.pressure_pa), np.round(s.pressure_pa))
+    assert s.temperature_k == pytest.approx(clean.temperature_k[kept], abs=1e-9)
+
+
+def dated(time: str) -> tuple[Sounding, dict[str, int]]:
+    lines = text_of(air()).splitlines()
+    rows = [f"{line},{time}" for line in lines[1:]]
+    ledger = Ledger()
+    text = "\n".join([f"{lines[0]},time_utc", *rows])
+    return parse_sounding(text, ledger, latitude_rad=0.8), counts(ledger)
+
+
+@pytest.mark.parametrize(
+    ("text", "when", "said"),
+    [
+        ("2025-06-12T09:00:00Z", "2025-06-12T09:00", {}),
+        ("2025-06-12T11:00:00+02:00", "2025-06-12T09:00", {}),
+        ("2025-06-12 09:00", "2025-06-12T09:00", {}),
+        ("", None, {}),
+        ("12.06.2025 09:00", None, {"SOUNDING-TIME": 1}),
+        ("3025-06-12T09:00:00Z", None, {"SOUNDING-TIME": 1}),
+        ("0001-01-01", None, {"SOUNDING-TIME": 1}),
+    ],
+)
+def test_times_of_a_csv(text, when, said):
+    s, counted = dated(text)
+    assert s.time_ns == (None if when is None else ns(when))
+    assert counted == said
+    assert ("2025-06-12T09:00" in s.name) is (when is not None)
+
+
 def test_format_by_name():
     with pytest.raises(InputError) as caught:
         parse_sounding(text_of(air()), Ledger(), format_name="grib")
@@ -489,6 +548,7 @@ def test_fill_values_of_netcdf(tmp_path):
     s = read_sounding(path, ledger, latitude_rad=0.8)
     assert counts(ledger) == {"SOUNDING-MISSING": 1}
     assert s.time_ns is None
+    assert s.name == "sounding sonde.cdf"
     # The relative humidity stands in where the dew point is missing: 50 % of 2.0 C.
     assert s.vapour_pressure_pa[3] == pytest.approx(
         0.5 * float(saturation_pressure_pa(np.array(275.15))), rel=0.01
@@ -498,6 +558,23 @@ def test_fill_values_of_netcdf(tmp_path):
         file.createVariable("pres", "f4", ("time",))[:] = 1.0
     with pytest.raises(InputError, match="no variable tdry"):
         read_sounding(path, Ledger())
+
+
+def test_a_netcdf_of_another_year_is_told_of(tmp_path):
+    path = tmp_path / "sonde.cdf"
+    columns = {"pres": standard_hpa(HEIGHTS), "tdry": 15.0 - 0.0065 * HEIGHTS, "alt": HEIGHTS}
+    columns |= {"dp": columns["tdry"] - 10.0, "rh": 0.0 * HEIGHTS + 50.0}
+    with netcdf_file(path, "w") as file:
+        file.createDimension("time", HEIGHTS.size)
+        for name, column in columns.items():
+            file.createVariable(name, "f4", ("time",))[:] = column
+        file.createVariable("base_time", "i4", ())[...] = 1_546_320_720  # 2019-01-01T05:32
+        file.createVariable("time_offset", "f8", ("time",))[:] = -9999.0
+    for flight, far in (("2019-01-01T08:00", False), ("2025-06-12T09:00", True)):
+        ledger = Ledger()
+        s = read_sounding(path, ledger, time_ns=ns(flight), latitude_rad=0.8)
+        assert s.time_ns == ns("2019-01-01T05:32")
+        assert ("SOUNDING-FAR-IN-TIME" in counts(ledger)) is far
 
 
 def test_files(tmp_path, monkeypatch):

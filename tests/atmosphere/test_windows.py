@@ -12,9 +12,17 @@ import pytest
 
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.adjust import build_adjusted_profile
-from pipeline.atmosphere.course import TimedAir, air_along, blend, one_air
+from pipeline.atmosphere.ageing import ages_of
+from pipeline.atmosphere.course import TimedAir, aged, air_along, blend, one_air
+from pipeline.atmosphere.estimate import estimate
 from pipeline.atmosphere.samples import AirSamples, Samples
-from pipeline.atmosphere.windows import estimate_windows, part_of_flight, time_windows
+from pipeline.atmosphere.windows import (
+    _background,
+    _carried,
+    estimate_windows,
+    part_of_flight,
+    time_windows,
+)
 from pipeline.ledger import Ledger
 
 US1976 = standard_atmosphere("us1976")
@@ -153,6 +161,157 @@ def test_air_that_stands_still_needs_one_profile(flights, soundings):
     (entry,) = [entry for entry in ledger if entry.code == "AIR-WINDOWS"]
     assert entry.what.startswith("one profile for 4.0 h")
     assert np.abs(day.errors([whole.profile] * 9)).max() < 1.0
+
+
+def test_a_window_counts_its_readings_once(changing):
+    """They are in its background too: the covariance of the estimate alone would be too small."""
+    _, whole, windows, _ = changing
+    window = windows[2]
+    part = part_of_flight(whole.samples, window.start_ns, window.end_ns)
+    hours = (windows[-1].end_ns - windows[0].start_ns) / 3.6e12
+    known = _carried(whole.nuisances)
+    once = estimate(part, _background(whole, hours), known=known).covariance
+    h = np.linspace(500.0, 6000.0, 12)
+    for of in ("sigma_temperature", "sigma_log_pressure", "sigma_refractivity"):
+        ratio = getattr(window.air.covariance, of)(h) / getattr(once, of)(h)
+        np.testing.assert_allclose(ratio, np.sqrt(2.0), rtol=1e-6)
+
+
+def test_a_window_that_falls_back_is_less_certain(changing):
+    """... by what the air changes in four hours, and the ledger says when, in this century."""
+    day, whole, _, _ = changing
+    samples, third = whole.samples, day.start_ns + 7200 * SECOND
+    t = samples.temperature
+    spoilt = (t.time_ns > third - 1800 * SECOND) & (t.time_ns < third + 900 * SECOND)
+    noise = 15.0 * np.random.default_rng(5).normal(size=t.value.size // 20 + 1).repeat(20)
+    wild = replace(t, value=t.value + np.where(spoilt, noise[: t.value.size], 0.0))
+    ledger = Ledger()
+    air = replace(whole, samples=replace(samples, temperature=wild))
+    windows = estimate_windows(air, [day.ground + CLIMB], day.ground, ledger)
+    fallen = [w for w in windows if w.why_not]
+    assert fallen
+    assert len(fallen) < len(windows)
+    of_whole = whole.covariance.relative_sigma(day.ground + CLIMB, day.ground)
+    for w in fallen:
+        true = day.truths[round((w.air.time_ns - day.start_ns) / SECOND / 1800.0)]
+        sigma = w.air.covariance.relative_sigma(day.ground + CLIMB, day.ground)
+        assert abs(true.error(w.air.profile, CLIMB)) < 2.0 * sigma
+        assert sigma > 3.0 * of_whole
+    told = [e.what for e in ledger if e.code == "AIR-WINDOW"]
+    assert len(told) == len(fallen)
+    assert all(what.startswith("about 2020-") for what in told)
+
+
+# ---- air that was sampled long ago
+
+
+class Level:
+    """A climb to 3 km, hours of level flight, and no descent, while the ground warms by 4 K."""
+
+    HOURS = 3.0
+
+    def __init__(self, flights, balloon) -> None:
+        H = np.arange(balloon.H[0], min(balloon.H[-1], 12_000.0), 10.0)
+        t, e = np.interp(H, balloon.H, balloon.t), np.interp(H, balloon.H, np.log(balloon.e))
+        warm = 4.0 * np.exp(-(H - H[0]) / 1500.0)
+        self.truths = [
+            flights.Truth(
+                replace(balloon, H=H, t=t + share * warm, e=np.exp(e)), reach=4000.0
+            )
+            for share in np.linspace(0.0, 1.0, 7)
+        ]  # fmt: skip
+        self.ground, self.start_ns = self.truths[0].h[0], self.truths[0].start_ns
+        self.latitude = balloon.latitude
+
+    def times(self) -> np.ndarray:
+        return self.start_ns + (np.linspace(0.0, self.HOURS, 7) * 3.6e12).astype(np.int64)
+
+    def fly(self, rng) -> AirSamples:
+        seconds = np.arange(0.0, self.HOURS * 3600.0, 2.0)
+        above = np.interp(seconds, [30.0, 630.0], [0.0, CLIMB])
+        u = seconds / (self.HOURS * 3600.0) * 6.0
+        i = np.minimum(u.astype(int), 5)
+        rows = np.arange(seconds.size)
+        t, p = (
+            np.array([truth.at(getattr(truth, name), above) for truth in self.truths])
+            for name in ("t", "p")
+        )
+        t, p = (v[i, rows] + (u - i) * (v[i + 1, rows] - v[i, rows]) for v in (t, p))
+        stamps = self.start_ns + (seconds * 1e9).astype(np.int64)
+        h = self.ground + above
+        t, p = t + rng.normal(0.0, 0.2, t.size), p + rng.normal(0.0, 5.0, p.size)
+        return AirSamples(
+            Samples(stamps, h, t, seconds > 150.0, "thermometer"),
+            Samples(stamps, h, p, np.ones(p.size, bool), "barometer"),
+        )
+
+
+@pytest.fixture(scope="module")
+def level(flights, soundings):
+    flight = Level(flights, soundings[0])
+    samples = flight.fly(np.random.default_rng(1))
+    return flight, build_adjusted_profile(samples, US1976, flight.latitude, Ledger())
+
+
+def doubts(along, flight):
+    top, ground = flight.ground + CLIMB, flight.ground
+    return np.array([along.airs[i].covariance.relative_sigma(top, ground) for i in along.number])
+
+
+def test_sigma_grows_with_the_time_since_the_air_was_sampled(level):
+    flight, whole = level
+    times, ledger = flight.times(), Ledger()
+    top, ground = flight.ground + CLIMB, flight.ground
+    assert estimate_windows(whole, [top], ground, Ledger()) == ()
+    one = one_air(TimedAir(whole.time_ns, whole.profile, whole.covariance), times.size)
+    along = aged(one, times, whole.samples, top, ground, ledger)
+    sigma = doubts(along, flight)
+    assert sigma[0] == pytest.approx(whole.covariance.relative_sigma(top, ground))
+    assert np.all(np.diff(sigma[1:]) > 0.0)
+    errors = np.array([truth.error(whole.profile, CLIMB) for truth in flight.truths])
+    assert np.abs(errors).max() > 0.02
+    # With the sigma of the estimate alone the last is off by 5.7 of it.
+    assert np.abs(errors / doubts(one, flight)).max() > 5.0
+    assert np.abs(errors / sigma)[3:].max() < 2.5
+    (entry,) = list(ledger)
+    assert entry.code == "AIR-AGED"
+    assert "3.0 h" in entry.what
+    assert 4 <= entry.count <= 6
+    # The profile itself stays, and the height of the cameras was measured all the time.
+    assert all(air.profile is whole.profile for air in along.airs)
+    late = along.airs[along.number[-1]].covariance
+    for of in ("sigma_temperature", "sigma_refractivity", "sigma_log_pressure"):
+        old, new = (getattr(c, of)([ground + 300.0, top]) for c in (whole.covariance, late))
+        assert new[0] > 1.5 * old[0]
+        assert new[1] < 1.15 * old[1]
+
+
+def test_air_that_was_sampled_before_and_after_is_oldest_between(level):
+    flight, whole = level
+    seconds = (whole.samples.temperature.time_ns - flight.start_ns) * 1e-9
+    down = np.interp(seconds, [9600.0, 10_700.0], [0.0, CLIMB])
+    sensors = {
+        name: replace(getattr(whole.samples, name), h_m=getattr(whole.samples, name).h_m - down)
+        for name in ("temperature", "pressure")
+    }
+    ages = ages_of(AirSamples(**sensors), flight.times(), flight.ground, flight.ground + CLIMB)
+    low = [float(age.hours[5]) for age in ages]
+    # Up at 0.1 h, down at 2.9 h: sqrt(1.4^2 - 0.5^2) = 1.3 h in the middle.
+    assert low[0] == low[-1] == 0.0
+    assert low[3] == max(low) == pytest.approx(1.3, abs=0.1)
+    assert all(age.hours[-1] == 0.0 for age in ages)
+
+
+def test_fresh_air_stays_as_it_is(changing):
+    day, whole, windows, _ = changing
+    ledger = Ledger()
+    top, times = day.ground + CLIMB, day.times[:-1]  # in the end it was low 40 minutes ago
+    along_it = air_along([w.air for w in windows], times, [top], day.ground)
+    assert aged(along_it, times, whole.samples, top, day.ground + 300.0, ledger) is along_it
+    assert list(ledger) == []
+    nothing = AirSamples(Samples(np.empty(0, np.int64), *[np.empty(0)] * 2, np.empty(0, bool)))
+    assert all(age.is_fresh for age in ages_of(nothing, day.times, 0.0, 3000.0))
+    assert aged(one_air(windows[0].air, 0), np.empty(0, np.int64), nothing, 1.0, 0.0, ledger)
 
 
 # ---- windows of time

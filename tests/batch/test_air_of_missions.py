@@ -78,8 +78,8 @@ def test_a_sounding_is_used_hashed_and_named(mission, unbend, plain_report):
     inputs = {entry["role"]: entry["name"] for entry in manifest(mission)["inputs"]}
     assert inputs["sounding 1"] == "balloon.csv"
     used = sources(mission)
-    assert used["sounding"]["used"]
-    assert used["sounding"]["readings"] > 0
+    assert used["sounding balloon.csv"]["used"]
+    assert used["sounding balloon.csv"]["readings"] > 0
     assert used["surface report"]["why_not"] == "none in the mission file"
     assert "nothing to do" in mission.run().out
     path.write_text(sounding_text(0.5))
@@ -134,6 +134,59 @@ def test_a_standard_that_is_kept_uses_no_source(mission, plain_report):
     assert ended.code == 0
     assert "AIR-SOURCES-UNUSED" in ended.out
     assert manifest(mission)["profile"]["basis"] == "standard"
+    uses = sources(mission)
+    assert uses["us1976"]["used"]
+    for name in ("sounding balloon.csv", "barometer BARO[0]", "thermometer HYGR[0]"):
+        assert not uses[name]["used"]
+        assert "adjust is false" in uses[name]["why_not"]
+
+
+def placed(text: str, time: str, north: float, east: float) -> str:
+    """A sounding with time and place in its columns."""
+    head, *rows = text.splitlines()
+    return "\n".join(
+        [
+            f"{head},time_utc,latitude_deg,longitude_deg",
+            *(f"{r},{time},{north},{east}" for r in rows),
+        ]
+    )
+
+
+@pytest.mark.parametrize(
+    ("time", "north", "east", "said", "used"),
+    [
+        ("{flight}", 47.4, 8.3, [], True),
+        ("{flight}", 52.0, 8.3, ["SOUNDING-FAR-AWAY"], True),
+        ("{flight}", 71.3, -156.8, ["SOUNDING-FAR-AWAY", "AIR-SOURCE-FAR"], False),
+        ("2010-06-12T09:00:00Z", 47.4, 8.3, ["SOUNDING-FAR-IN-TIME", "AIR-SOURCE-FAR"], False),
+        ("noon", 47.4, 8.3, ["SOUNDING-TIME", "SOUNDING-UNDATED"], True),
+    ],
+)
+def test_a_sounding_of_another_time_or_place(
+    mission, unbend, baseline, time, north, east, said, used
+):
+    when = baseline.stations().column("time_utc")[0].as_py().strftime("%Y-%m-%dT%H:%M:%SZ")
+    text = placed(sounding_text(), time.format(flight=when), north, east)
+    (mission.folder / "balloon.csv").write_text(text)
+    atmosphere(mission, soundings=[{"path": "balloon.csv"}])
+    ended = unbend("profile", mission.save())
+    assert ended.code == (0 if used else 3), ended.text
+    for code in ("SOUNDING-FAR-AWAY", "SOUNDING-FAR-IN-TIME", "SOUNDING-TIME",
+                 "SOUNDING-UNDATED", "AIR-SOURCE-FAR"):  # fmt: skip
+        assert (code in ended.out) is (code in said), (code, ended.out)
+    checked = " ".join(unbend("check", mission.save()).out.split())
+    year = when[:4] if time == "{flight}" else time[:4]
+    if time != "noon":
+        assert f"balloon.csv of {year}-" in checked
+
+
+def test_without_any_sensor_the_ground_is_where_it_took_off(mission, unbend):
+    """The simulated field lies 450 m above the sea."""
+    channels = mission.config["log"]["channels"]
+    channels["temperature"] = channels["humidity"] = channels["pressure"] = "NONE"
+    ended = unbend("profile", mission.save())
+    assert ended.code == 3, ended.text
+    assert re.search(r"R at 45° from \d+ m to 450 m", ended.out), ended.out
 
 
 # ---- stations on the ground
@@ -145,7 +198,7 @@ def test_a_standard_that_is_kept_uses_no_source(mission, plain_report):
         ({"h_msl_m": 450, "metar": METAR}, "surface report METAR KXYZ"),
         (
             {"h_msl_m": 450, "temperature_c": 18.0, "pressure_hpa": 966.0,
-             "relative_humidity": 0.6, "time_utc": "2026-05-14T10:20:00+02:00"},
+             "relative_humidity": 0.6, "time_utc": "2025-06-12T11:20:00+02:00"},
             "surface report mission file",
         ),
     ],
@@ -157,11 +210,30 @@ def test_a_station_is_used_and_named(mission, unbend, plain_report, report, name
     assert sources(mission)[name]["used"]
 
 
+def test_a_report_of_another_day_is_left_out(mission, unbend):
+    numbers = {"h_msl_m": 450, "temperature_c": 18.0, "time_utc": "1999-01-12T09:20:00Z"}
+    atmosphere(mission, surface=[numbers])
+    ended = unbend("profile", mission.save())
+    assert ended.code == 3
+    assert "SURFACE-FAR-IN-TIME" in ended.out
+    assert "AIR-SOURCE-FAR" in ended.out
+    del numbers["time_utc"]
+    atmosphere(mission, surface=[numbers])
+    ended = unbend("profile", mission.save())
+    assert ended.code == 0
+    assert "SURFACE-UNDATED" in ended.out
+
+
 @pytest.mark.parametrize(
     ("report", "code", "words"),
     [
         ({"temperature_c": 77.0}, "SURFACE-TEMPERATURE", "Fahrenheit"),
         ({"temperature_c": 59.0}, "SURFACE-CLIMATE", "Fahrenheit"),
+        ({"temperature_c": 45.0}, "SURFACE-CLIMATE", "45.0 F would be 7.2 C"),
+        ({"temperature_c": -30.0}, "SURFACE-CLIMATE", "sigma"),
+        ({"pressure_hpa": 1013.0, "h_msl_m": 345.0}, "SURFACE-LEVEL", "as QNH"),
+        ({"pressure_hpa": 1019.0, "h_msl_m": 450.0}, "SURFACE-LEVEL", "as QNH"),
+        ({"pressure_hpa": 900.0, "h_msl_m": 450.0}, "SURFACE-LEVEL", "not reduced to sea level"),
         ({"temperature_c": 288.0}, "SURFACE-TEMPERATURE", "Kelvin"),
         ({"pressure_hpa": 1013.0}, "SURFACE-PRESSURE", "not reduced to sea level"),
         ({"pressure_hpa": 29.92}, "SURFACE-PRESSURE", "hPa"),
@@ -213,7 +285,9 @@ def test_a_climatology_by_name(mission, unbend, plain_report):
 def test_the_temperature_of_a_board_if_the_user_insists(mission, plain_report):
     """The simulator's board is 15 K too warm, of which the estimate must take most away."""
     mission.config["log"]["channels"]["temperature"] = "BARO[0]"
-    assert "CHANNEL-MISSING" in mission.run().text
+    refused = mission.run().text
+    assert "CHANNEL-MISSING" in refused
+    assert "atmosphere.board_temperature" in refused
     atmosphere(mission, board_temperature=True)
     ended = mission.run()
     assert ended.code == 0, ended.text
@@ -348,7 +422,14 @@ def test_the_tables_name_the_profile_of_each_image(changed):
         "timedelta64[ms]"
     )
     assert np.abs(apart).max() < np.timedelta64(20, "s")
-    assert len(manifest(mission)["profile"]["windows"]) == 2
+    windows = manifest(mission)["profile"]["windows"]
+    assert len(windows) == 2
+    ends = [np.datetime64(w[end].removesuffix("Z")) for w in windows for end in _ENDS_OF_A_WINDOW]
+    from_flight = np.array(ends, "datetime64[s]") - stations["time_utc"].iloc[0].to_datetime64()
+    assert np.abs(from_flight).max() < np.timedelta64(12, "h")
+
+
+_ENDS_OF_A_WINDOW = ("start_utc", "end_utc")
 
 
 def test_a_changing_run_is_exported_as_it_was(changed, unbend, tmp_path):

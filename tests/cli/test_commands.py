@@ -305,13 +305,19 @@ def test_profile_of_a_standard(unbend, tmp_path):
     ended = unbend("profile", "--atmosphere", "us1976")
     assert ended.code == 0
     assert longest(ended.out) <= 80
-    assert "(n-1)e6" in ended.out
+    assert "(n-1)e6; std is us1976 at the same height" in ended.out
+    ground = [line.split() for line in ended.out.splitlines() if line.startswith("    0 ")]
+    assert ground == [
+        ["0", *["288.15"] * 2, *["1013.2"] * 2, *["0.00"] * 2, *["277.84"] * 2, "standard"]
+    ]
     target = tmp_path / "air.csv"
     assert unbend("profile", "--atmosphere", "us1976", "--csv", target).code == 0
     with target.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     ground = min(rows, key=lambda row: abs(float(row["h_m"])))
     assert float(ground["temperature_k"]) == pytest.approx(288.15, abs=2.0)
+    for name in ("temperature_k", "pressure_pa", "vapour_pressure_pa", "refractivity"):
+        assert [row[f"standard_{name}"] for row in rows] == [row[name] for row in rows]
     isothermal = [r for r in rows if r["equation"] == "53" and float(r["h_m"]) < 21_000]
     assert isothermal
     for row in isothermal:
@@ -322,12 +328,30 @@ def test_profile_of_a_mission(unbend, mission, baseline, tmp_path):
     target, plot = tmp_path / "air.csv", tmp_path / "air.png"
     ended = unbend("profile", mission.save(), "--csv", target, "--plot", plot)
     assert ended.code == 0
+    said = " ".join(ended.out.split())
+    for words in ("R at 45° from", "HYGR[0]: temperature", "note AIR-ANCHOR"):
+        assert words in said
+    assert ended.out.splitlines()[-2:] == [str(target), str(plot)]
+    assert "source" not in ended.out.splitlines()[0]
     assert plot.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     with target.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     written = pq.read_table(baseline.output / "profile.parquet")
     assert [float(row["pressure_pa"]) for row in rows] == written["pressure_pa"].to_pylist()
     assert not mission.output.exists()
+    standard = [float(row["standard_refractivity"]) for row in rows]
+    # Of US 1976 at 15 degC and 1013.25 hPa: 277.84e-6 (Ciddor 1996, 0.55 um).
+    at_sea = min(range(len(rows)), key=lambda i: abs(float(rows[i]["h_m"])))
+    assert standard[at_sea] == pytest.approx(2.778e-4, rel=0.01)
+    assert all(float(row["standard_vapour_pressure_pa"]) == 0.0 for row in rows)
+
+
+def test_a_profile_that_lost_something_says_so_beside_its_plot(unbend, mission, tmp_path):
+    mission.config["log"]["channels"]["temperature"] = "HYGR[7]"
+    ended = unbend("profile", mission.save(), "--csv", tmp_path / "air.csv")
+    assert ended.code == 3, ended.text
+    assert "loss CHANNEL-MISSING" in ended.out
+    assert str(tmp_path / "air.csv") in ended.out
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ def test_radial_tables_in_a_terminal(unbend):
 def test_radial_tables_as_csv(unbend, tmp_path):
     out = tmp_path / "radial.csv"
     ended = unbend(*TWO_HEIGHTS, "--csv", out, "--max-angle", 75, "--step", 15)
-    assert (ended.code, ended.out) == (0, "")
+    assert (ended.code, ended.out.split()) == (0, [str(out)])
     rows = list(csv.DictReader(out.read_text(encoding="utf-8").splitlines()))
     assert len(rows) == 2 * 6
     one = next(

@@ -15,7 +15,6 @@ from pipeline.refraction import (
     ray_table,
     uncertainty_of,
 )
-from pipeline.refraction.air_sigma import gradient_of
 from pipeline.refraction.sensitivity import sensitivity
 
 RADIUS = 6_371_000.0
@@ -51,7 +50,7 @@ def tabulated(profile, covariance, h_c, h_g, zeta, ground=(-600.0, 10_000.0)):
 def traced(profile, covariance, h_c, h_g, zeta):
     """The same by the gradient of each ray; C is multiplied out, not factored."""
     found = sensitivity(profile, h_c, h_g, zeta, RADIUS, covariance.anchor_height_m)
-    g = gradient_of(found)
+    g = found.gradient
     return np.sqrt(np.einsum("ni,ij,nj->n", g, covariance.matrix, g)), found.d_zeta_c
 
 
@@ -131,7 +130,7 @@ def test_the_scale_of_rays_that_disagree(doubt):
     h_c, h_g = np.array([2700.0, 2700.0, 2900.0, 1700.0]), np.array([200.0, 2500.0, 0.0, 1400.0])
     zeta = np.radians([45.0, 70.0, 20.0, 75.0])
     found = sensitivity(profile, h_c, h_g, zeta, RADIUS, covariance.anchor_height_m)
-    g, r = gradient_of(found), found.r_c
+    g, r = found.gradient, found.r_c
     errors = g @ covariance.matrix @ g.T
     scale = block_scale(profile, covariance, h_c, h_g, zeta, RADIUS)
     np.testing.assert_allclose(scale.sigma**2, r @ errors @ r / (r @ r) ** 2, rtol=1e-6)

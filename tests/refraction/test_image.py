@@ -23,6 +23,8 @@ from pipeline.refraction.status import (
     OUTSIDE_CAMERA,
     OUTSIDE_PROFILE,
 )
+from pipeline.refraction.window import leave_compartment
+from pipeline.units import DEGREE
 
 RADIUS = 6_371_000.0
 H_C, H_G = 3450.0, 450.0
@@ -254,10 +256,10 @@ def test_the_apparent_ray_is_farther_from_the_nadir():
 
 
 def test_each_reason_in_its_place():
-    x = np.array([7000.0, np.nan, 7000.0, 7000.0, -5.0, 7000.0, 7000.0])
-    y = np.full(7, 5000.0)
-    h_g = np.array([450.0, 450.0, 450.0, np.nan, 450.0, -9000.0, 450.0])
-    row = np.array([0, 0, -1, 0, 0, 0, 1])
+    x = np.array([7000.0, np.nan, 7000.0, 7000.0, -5.0, 7000.0, 7000.0, np.nan, 7000.0])
+    y = np.full(9, 5000.0)
+    h_g = np.array([450.0, 450.0, 450.0, np.nan, 450.0, -9000.0, 450.0, 450.0, np.nan])
+    row = np.array([0, 0, -1, 0, 0, 0, 1, -1, -1])
     one = exposures(DOWN, CABIN)
     two = replace(
         one, **{
@@ -269,6 +271,7 @@ def test_each_reason_in_its_place():
     found = correct_observations(x, y, h_g, row, two, PINHOLE, TABLE)
     assert found.status.tolist() == [
         OK, BAD_MEASUREMENT, NO_STATION, NO_GROUND, OUTSIDE_CAMERA, OUTSIDE_PROFILE, NO_STATION,
+        BAD_MEASUREMENT, NO_STATION,
     ]  # fmt: skip
     np.testing.assert_array_equal(np.isfinite(found.x_px), found.status == OK)
 
@@ -319,6 +322,25 @@ def test_a_tilted_window_bends_about_its_own_normal():
     assert found.r_cc_rad[0] == pytest.approx(0.0, abs=1e-16)
     assert found.y_px[0] == pytest.approx(plain.y_px[0], abs=1e-9)
     assert correct(PINHOLE.cx_px, y, DOWN, cabin=CABIN).r_cc_rad[0] > 1e-5
+
+
+@pytest.mark.parametrize("cabin", [CABIN, OUTSIDE - 6e-5])
+@pytest.mark.parametrize("tilt_deg", [0.0, 5.0, 63.8, 64.2, 80.0, 120.0])
+def test_any_window_bends_a_ray_as_snell_has_it(tilt_deg, cabin):
+    """From straight through to total reflection, and from behind; `leave_compartment` is tested
+    with 40 digits."""
+    normal = np.array([0.0, math.sin(tilt_deg * DEGREE), math.cos(tilt_deg * DEGREE)])
+    # Up the middle of the image, to rays 25.7 degrees aside, which graze a window of 64.
+    y = np.concatenate([np.linspace(0.0, 10_600.0, 9), np.linspace(0.0, 200.0, 80)])
+    found = correct(np.full(y.size, PINHOLE.cx_px), y, DOWN, cabin=cabin, normal=normal)
+    ray = np.stack([np.zeros(y.size), (y - PINHOLE.cy_px) / PINHOLE.fy_px, np.ones(y.size)], 1)
+    ray /= np.linalg.norm(ray, axis=1)[:, None]
+    change, r_cc = leave_compartment(ray, cabin, OUTSIDE, normal)
+    np.testing.assert_allclose(found.r_cc_rad, r_cc, rtol=1e-11, atol=1e-17)
+    np.testing.assert_array_equal(found.status == OUTSIDE_CAMERA, np.isnan(r_cc))
+    # Outside the window the nadir angle is that of the bent ray; near total reflection to 6e-15.
+    outside = np.arctan2(np.hypot(*(ray + change)[:, :2].T), (ray + change)[:, 2])
+    np.testing.assert_allclose(found.zeta_c_rad, outside, rtol=0.0, atol=1e-14)
 
 
 def test_landing_points_lie_on_the_sphere():

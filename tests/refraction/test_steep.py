@@ -55,6 +55,17 @@ def test_a_ray_among_many_is_the_ray_by_itself(table, h_c):
     np.testing.assert_allclose(together / ARCSEC, alone / ARCSEC, rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("first", [40.0, 88.0])
+def test_flat_rays_among_steep_ones_to_the_same_height(table, first):
+    """Those that bend too much for the series are left out of it one by one."""
+    zeta = np.append(np.linspace(40.0, 88.0, 99), first)[::-1] * DEGREE
+    given = (np.full(100, 20.0), np.sin(zeta), np.cos(zeta), np.full(100, RADIUS))
+    together, status = bend(table, 300.0, *given)
+    alone, status_alone = one_by_one(table, 300.0, *given)
+    np.testing.assert_array_equal(status, status_alone)
+    np.testing.assert_allclose(together / ARCSEC, alone / ARCSEC, rtol=0.0, atol=1e-9)
+
+
 def test_the_series_is_what_is_used(table):
     """The comparison above would be empty if all rays were integrated one by one."""
     from pipeline.refraction import _steep_kernel as kernel

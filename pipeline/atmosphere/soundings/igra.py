@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pipeline.atmosphere.soundings.raw import Array, RawLevels, number, numbers, radians
+from pipeline.atmosphere.soundings.raw import Array, RawLevels, number, numbers, radians, utc_ns
 from pipeline.errors import InputError
 from pipeline.units import NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
 
@@ -44,6 +44,13 @@ def _blocks(text: str, where: str) -> Iterator[tuple[str, list[str], int]]:
     """Header, its level lines, and the header's line number."""
     lines = text.splitlines()
     heads = [i for i, line in enumerate(lines) if line.startswith("#")]
+    if not heads:
+        raise InputError(
+            "SOUNDING-FORMAT",
+            "is no IGRA file: none of its lines begins with # as the header of a sounding does",
+            where=where,
+            remedy="leave out format, or name the one that the file has",
+        )
     for head, after in zip(heads, [*heads[1:], len(lines)], strict=True):
         if not _HEADER.match(lines[head]):
             raise InputError(
@@ -105,10 +112,10 @@ def _time_ns(header: str) -> int | None:
     The release time has no date: 2303 of the sounding of 00 UTC is the evening before.
     """
     year, month, day, hour = header[13:17], header[18:20], header[21:23], int(header[24:26])
-    try:
-        midnight = int(np.datetime64(f"{year}-{month}-{day}", "s").astype(np.int64))
-    except ValueError:
+    start = utc_ns(f"{year}-{month}-{day}")
+    if start is None:
         return None
+    midnight = start // NANOSECONDS_PER_SECOND
     release = number(header[27:31])
     told = np.isfinite(release) and release // 100 < 24 and release % 100 < 60
     if not told:

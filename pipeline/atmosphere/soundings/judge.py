@@ -167,7 +167,16 @@ def _humidity(raw: RawLevels, ledger: Ledger) -> Array:
         e = raw.vapour_pressure_pa.copy()
     if raw.dew_point_k is not None:
         dew = raw.dew_point_k
-        dew = np.where((dew >= _COLDEST_K) & (dew <= _WARMEST_K), dew, np.nan)
+        wild = np.isfinite(dew) & ~((dew >= _COLDEST_K) & (dew <= _WARMEST_K))
+        if bool(wild.any()):
+            ledger.warning(
+                "SOUNDING-HUMIDITY-RANGE",
+                f"{int(wild.sum())} levels have a dew point that no air has, the first "
+                f"{dew[wild][0]:.1f} K: taken as unknown",
+                where=raw.where,
+                count=int(wild.sum()),
+            )
+        dew = np.where(wild, np.nan, dew)
         e = np.where(np.isfinite(e), e, vapour_pressure(1.0, dew, p))
     if raw.relative_humidity is not None:
         e = np.where(np.isfinite(e), e, vapour_pressure(raw.relative_humidity, t, p))

@@ -36,6 +36,14 @@ class Sounding:
     longitude_rad: float = float("nan")
     origin: str = ""
 
+    @property
+    def name(self) -> str:
+        """For a person: which sounding, and of when."""
+        when = ""
+        if self.time_ns is not None:
+            when = str(np.datetime64(self.time_ns, "ns").astype("datetime64[m]"))
+        return " ".join(word for word in ("sounding", self.station, when) if word)
+
     def __post_init__(self) -> None:
         shape = self.h_m.shape
         columns = (self.pressure_pa, self.temperature_k, self.vapour_pressure_pa)

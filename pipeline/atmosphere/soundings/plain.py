@@ -71,6 +71,15 @@ def parse_plain(text: str, where: str, ledger: Ledger) -> list[RawLevels]:
             count=len(other),
         )
     geopotential = "height" not in values
+    time = next((text.strip() for text in columns.get("time_utc", []) if text.strip()), "")
+    time_ns = utc_ns(time)
+    if time and time_ns is None:
+        ledger.warning(
+            "SOUNDING-TIME",
+            f"time_utc {time[:40]!r} is no time like 2026-05-14T10:20:00Z: the sounding has none",
+            where=where,
+            count=1,
+        )
     nothing = np.full(values["pressure"].shape, np.nan)
     first = {name: next(iter(columns.get(name, [])), "") for name in _PLACE}
     return [
@@ -82,7 +91,7 @@ def parse_plain(text: str, where: str, ledger: Ledger) -> list[RawLevels]:
             dew_point_k=values.get("dew point"),
             vapour_pressure_pa=values.get("vapour pressure"),
             relative_humidity=values.get("relative humidity"),
-            time_ns=utc_ns(first["time_utc"]),
+            time_ns=time_ns,
             station=first["station"].strip(),
             latitude_rad=radians(number(first["latitude_deg"]), 90.0),
             longitude_rad=radians(number(first["longitude_deg"]), 180.0),

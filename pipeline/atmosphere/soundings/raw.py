@@ -6,17 +6,24 @@ import csv
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import InputError
-from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K
+from pipeline.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
 
 Array = NDArray[np.float64]
 
 FILLS = (-9999.0, -9999.9, -8888.0, -99999.0, 99999.0, 999999.0, -999.0)
 """Numbers that stand for none. 9999 is not among them: it may be a height."""
+
+LARGEST = 1e7
+"""No column holds more, in any unit: rubbish, or the fill of netCDF, 9.97e36."""
+
+_YEARS = (1900, 2200)
+"""Soundings are younger; beyond 2262 nanoseconds do not fit into 64 bits."""
 
 _UNIT: dict[str, Callable[[Array], Array]] = {
     "pa": lambda value: value,
@@ -62,7 +69,7 @@ def to_si(value: Array, unit: str) -> Array:
 
 
 def number(text: str) -> float:
-    """A field as a number; NaN where it is empty, no number, or a fill value.
+    """A field as a number; NaN where it is empty, no number, a fill value or above `LARGEST`.
 
     >>> number(" 12.5"), number("-9999"), number("///")
     (12.5, nan, nan)
@@ -71,7 +78,7 @@ def number(text: str) -> float:
         value = float(text)
     except ValueError:
         return math.nan
-    return math.nan if value in FILLS or math.isinf(value) else value
+    return value if value not in FILLS and abs(value) <= LARGEST else math.nan
 
 
 def numbers(texts: Iterable[str]) -> Array:
@@ -102,18 +109,21 @@ def table(lines: Iterable[str], where: str) -> dict[str, list[str]]:
 
 
 def utc_ns(text: str) -> int | None:
-    """Nanoseconds of a time as ISO 8601 writes it, taken as UTC; None where it is none.
+    """Nanoseconds of a time as ISO 8601 writes it, UTC without an offset; None where it is none.
 
-    >>> utc_ns("2011-05-22 12:00:00") == utc_ns("2011-05-22T12:00:00Z") == 1306065600 * 10**9
+    >>> utc_ns("2011-05-22 12:00:00") == utc_ns("2011-05-22T14:00:00+02:00") == 1306065600 * 10**9
     True
-    >>> utc_ns("") is None
+    >>> utc_ns("22.05.2011 12:00") is None
     True
     """
     try:
-        time = np.datetime64(text.strip().removesuffix("Z"), "ns")
+        time = datetime.fromisoformat(text.strip())
     except ValueError:
         return None
-    return None if np.isnat(time) else int(time.astype(np.int64))
+    if not _YEARS[0] <= time.year <= _YEARS[1]:
+        return None
+    time = time.replace(tzinfo=UTC) if time.tzinfo is None else time
+    return round(time.timestamp() * 1000) * (NANOSECONDS_PER_SECOND // 1000)
 
 
 def radians(degrees: float, limit: float) -> float:

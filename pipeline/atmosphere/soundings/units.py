@@ -14,9 +14,12 @@ _GROUND_PA = (2_500.0, 110_000.0)
 _WARMEST_LEVEL_K = (198.0, 333.0)
 _THICKNESS_RATIO = 0.03
 
+WILD = 0.05
+"""Share of a column that may be rubbish without the rest being refused."""
+
 
 def refuse_wrong_units(raw: RawLevels) -> None:
-    """Refuse pressures, temperatures or humidities whose largest value no ground has."""
+    """Refuse pressures, temperatures or humidities whose largest values no ground has."""
     p, t = _largest(raw.pressure_pa), _largest(raw.temperature_k)
     if p is not None and not _GROUND_PA[0] <= p <= _GROUND_PA[1]:
         as_pa, as_hpa = p * HECTOPASCAL, p / HECTOPASCAL
@@ -80,8 +83,9 @@ def refuse_wrong_heights(raw: RawLevels, h: Array, rise: Array) -> None:
 
 
 def _largest(column: Array) -> float | None:
+    """The largest value but for one in twenty: a wild one is no matter of units."""
     known = column[np.isfinite(column)]
-    return float(known.max()) if known.size else None
+    return float(np.quantile(known, 1.0 - WILD, method="lower")) if known.size else None
 
 
 def _refusal(raw: RawLevels, quantity: str, what: str, remedy: str) -> InputError:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import lru_cache
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.atmosphere.profile import Profile
+from pipeline.refraction._pieces import cut
 from pipeline.units import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
@@ -57,12 +57,7 @@ def times_tangent(r: Array, h_c: Array, h_g: Array, zeta_c: Array) -> Array:
 @lru_cache(maxsize=64)
 def _column(profile: Profile, quantity: Quantity) -> tuple[Array, Array]:
     """Heights that divide a profile, and the integral of a quantity from the lowest to each."""
-    breaks = profile.break_heights_m
-    pieces = [
-        np.linspace(low, high, max(1, math.ceil((high - low) / _PIECE_M)), endpoint=False)
-        for low, high in pairwise(breaks)
-    ]
-    edge = np.concatenate([*pieces, breaks[-1:]])
+    edge = cut(profile.break_heights_m, _PIECE_M)
     parts = _gauss(profile, quantity, edge[:-1], edge[1:])
     return edge, np.concatenate([[0.0], np.cumsum(parts)])
 

@@ -1,0 +1,258 @@
+"""Sensors that stand still, sit indoors, or contradict one another, in air known by construction.
+
+The true air is a sounding, or straight lines, integrated in `flights`; what a sensor in a cabin or
+a stuck one reads is written here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.atmosphere import standard_atmosphere
+from pipeline.atmosphere.adjust import build_adjusted_profile
+from pipeline.atmosphere.belief import believable
+from pipeline.atmosphere.climatology import climatology, month_of
+from pipeline.atmosphere.estimate import estimate
+from pipeline.atmosphere.judgement import implausible, not_outside
+from pipeline.atmosphere.samples import AirSamples, Samples
+from pipeline.ledger import Kind, Ledger
+
+US1976 = standard_atmosphere("us1976")
+ARCTIC, DESERT, MONSOON, TRADES, NIGHT = range(5)
+
+
+@pytest.fixture(scope="module")
+def airs(flights):
+    return [flights.Truth(balloon) for balloon in flights.extremes()]
+
+
+def background(truth):
+    return climatology(
+        latitude_rad=truth.latitude, month=month_of(truth.start_ns), ground_h_m=float(truth.h[0])
+    )
+
+
+def adjust(truth, samples):
+    ledger = Ledger()
+    found = build_adjusted_profile(
+        samples, US1976, truth.latitude, ledger, background=background(truth)
+    )
+    return found, ledger
+
+
+def losses(ledger):
+    return [entry.code for entry in ledger if entry.kind is Kind.LOSS]
+
+
+def sigmas(truth, adjusted, climb):
+    """By how many of its sigmas R errs."""
+    sigma = adjusted.covariance.relative_sigma(truth.h[0] + climb, truth.h[0])
+    return abs(truth.error(adjusted.profile, climb)) / sigma
+
+
+def with_t(samples, value, **change):
+    return replace(samples, temperature=replace(samples.temperature, value=value, **change))
+
+
+def flown(flights, truth, climb, **how):
+    return flights.fly(truth, climb, flights.Sensors(noise_k=0.2), np.random.default_rng(1), **how)
+
+
+def seconds_of(samples):
+    return (samples.temperature.time_ns - samples.temperature.time_ns[0]) * 1e-9
+
+
+# Sensors that stand still
+
+
+@pytest.mark.parametrize("climb", [400.0, 800.0, 1500.0, 3000.0])
+@pytest.mark.parametrize("barometer", [True, False])
+def test_a_thermometer_that_stands_still_is_not_used(flights, airs, climb, barometer):
+    """PX4 tells 288.15 K where it has no sensor: +25 and +5 % of R over 400 and 1500 m."""
+    for truth in (airs[TRADES], airs[NIGHT]):
+        samples = flown(flights, truth, climb, descent=True, barometer=barometer)
+        constant = with_t(samples, np.full(samples.temperature.value.size, 288.15))
+        adjusted, ledger = adjust(truth, constant)
+        (entry,) = [e for e in ledger if e.code == "AIR-STUCK"]
+        assert (entry.kind, entry.where) == (Kind.LOSS, "thermometer")
+        assert "288.15" in entry.what
+        assert entry.count == int(samples.temperature.accepted.sum())
+        assert adjusted.basis == ("barometer" if barometer and climb > 2000.0 else "climatology")
+        assert sigmas(truth, adjusted, climb) < 2.0
+
+
+def test_a_thermometer_that_freezes_leaves_what_it_read_before(flights, airs):
+    truth = airs[TRADES]
+    samples = flown(flights, truth, 3000.0, descent=True)
+    t = samples.temperature
+    frozen = seconds_of(samples) > 330.0  # at 1500 m
+    stays = with_t(samples, np.where(frozen, t.value[frozen][0], t.value))
+    adjusted, ledger = adjust(truth, stays)
+    (entry,) = [e for e in ledger if e.code == "AIR-STUCK"]
+    assert entry.count == int(frozen.sum())
+    assert adjusted.basis == "both"
+    assert adjusted.samples.temperature.extent_m == pytest.approx(900.0, abs=10.0)
+    assert abs(truth.error(adjusted.profile, 3000.0)) < 0.03
+    assert sigmas(truth, adjusted, 3000.0) < 2.0
+
+
+def test_coarse_steps_and_level_flight_are_no_standstill(flights, airs):
+    """A thermometer that tells whole degrees, in air that hardly changes with height."""
+    truth = airs[NIGHT]
+    samples = flown(flights, truth, 3000.0, descent=True)
+    whole = with_t(samples, np.round(samples.temperature.value))
+    ledger = Ledger()
+    h = samples.temperature.h_m
+    isothermal = np.round(275.0 - 1.5e-3 * (h - h.min()))  # 670 m for each degree
+    for given in (samples, whole, with_t(samples, isothermal)):
+        believable(replace(given, pressure=None), US1976, ledger)
+    level = np.full(2000, 1500.0) + np.linspace(0.0, 250.0, 2000)
+    stamps = np.arange(2000, dtype=np.int64) * 10**9
+    same = Samples(stamps, level, np.full(2000, 280.0), np.ones(2000, bool), "level")
+    kept = believable(AirSamples(same), US1976, ledger)
+    assert kept.temperature.accepted.all()
+    assert list(ledger) == []
+
+
+def test_humidity_may_stay_at_its_ends_but_not_between(flights, airs):
+    truth = airs[MONSOON]
+    samples = flown(flights, truth, 2000.0, humidity="profile", descent=True)
+    for value, stuck in ((1.0, False), (0.0, False), (0.43, True)):
+        same = replace(samples.humidity, value=np.full(samples.humidity.value.size, value))
+        ledger = Ledger()
+        kept = believable(replace(samples, humidity=same), US1976, ledger)
+        assert (kept.humidity is None) is stuck
+        assert losses(ledger) == (["AIR-STUCK"] if stuck else [])
+
+
+@pytest.mark.parametrize("climb", [400.0, 1500.0])
+def test_the_pressure_of_a_sealed_hull(flights, airs, climb):
+    truth = airs[TRADES]
+    samples = flown(flights, truth, climb, descent=True)
+    p = samples.pressure
+    noise = np.random.default_rng(3).normal(0.0, 3.0, p.value.size)
+    for value in (np.full(p.value.size, truth.p[0]), truth.p[0] + noise):
+        sealed = replace(samples, pressure=replace(p, value=value))
+        adjusted, ledger = adjust(truth, sealed)
+        assert losses(ledger) == ["AIR-NOT-OUTSIDE"]
+        assert adjusted.basis == "thermometer"
+        assert sigmas(truth, adjusted, climb) < 2.0
+
+
+# A thermometer against a barometer
+
+
+def test_noise_about_a_room_temperature_over_three_kilometres(flights, airs):
+    """Right in the mean: only its change with height gives it away."""
+    truth = airs[NIGHT]
+    samples = flown(flights, truth, 3000.0, descent=True)
+    noise = np.random.default_rng(2).normal(0.0, 0.3, samples.temperature.value.size)
+    mean = float(truth.t[300:3000].mean())
+    adjusted, ledger = adjust(truth, with_t(samples, mean + noise))
+    assert losses(ledger) == ["AIR-THERMOMETER"]
+    assert "from the lower to the upper half" in next(e.what for e in ledger)
+    assert adjusted.basis == "barometer"
+    assert sigmas(truth, adjusted, 3000.0) < 2.0
+
+
+@pytest.mark.parametrize("air", [TRADES, NIGHT])
+@pytest.mark.parametrize("climb", [600.0, 900.0])
+def test_a_cabin_that_cools_during_a_short_climb(flights, airs, air, climb):
+    """As a heated cabin does, 8 K above the ground: 24 and 14 % of R before, at 5 sigma."""
+    truth = airs[air]
+    samples = flown(flights, truth, climb, descent=True)
+    since = seconds_of(samples)
+    noise = np.random.default_rng(2).normal(0.0, 0.2, since.size)
+    cabin = truth.t[0] + 12.0 - 6.0 * (1.0 - np.exp(-since / 400.0)) + noise
+    adjusted, ledger = adjust(truth, with_t(samples, cabin))
+    assert losses(ledger) == ["AIR-THERMOMETER"]
+    assert adjusted.basis == "climatology"
+    assert sigmas(truth, adjusted, climb) < 2.0
+
+
+def test_readings_of_no_place_are_refused_beside_a_barometer(flights, airs):
+    """Jumps of 3 K every minute: right in the mean and in both halves."""
+    truth = airs[TRADES]
+    samples = flown(flights, truth, 900.0, descent=True)
+    t = samples.temperature
+    jumps = np.where(seconds_of(samples) // 40.0 % 2.0 < 1.0, 3.0, -3.0)
+    ledger = Ledger()
+    wild = with_t(samples, t.value + jumps)
+    assert believable(wild, US1976, ledger).temperature is not None
+    adjusted, ledger = adjust(truth, wild)
+    assert losses(ledger) == ["AIR-THERMOMETER"]
+    assert "within 30 minutes" in next(e.what for e in ledger)
+    assert adjusted.basis == "climatology"
+    assert sigmas(truth, adjusted, 900.0) < 2.0
+
+
+def test_a_barometer_that_fits_air_of_its_own_outvotes_a_thermometer(flights, airs):
+    """A wave of 6 K a kilometre long: each half agrees, and no two readings contradict."""
+    truth = airs[TRADES]
+    samples = flown(flights, truth, 3000.0)
+    t = samples.temperature
+    wave = 6.0 * np.sin(2.0 * np.pi * (t.h_m - truth.h[0]) / 1000.0)
+    adjusted, ledger = adjust(truth, with_t(samples, t.value + wave))
+    assert losses(ledger) == ["AIR-THERMOMETER"]
+    assert "fits plausible air" in next(e.what for e in ledger)
+    assert adjusted.basis == "barometer"
+    assert sigmas(truth, adjusted, 3000.0) < 2.0
+
+
+def test_only_a_barometer_can_refuse_a_thermometer(flights, airs):
+    truth = airs[TRADES]
+    samples = flown(flights, truth, 3000.0)
+    t = samples.temperature
+    wave = 6.0 * np.sin(2.0 * np.pi * (t.h_m - truth.h[0]) / 1000.0)
+    wrong = with_t(samples, t.value + wave)
+    air = background(truth)
+    made = estimate(wrong, air)
+    assert not_outside(wrong, made, air, None) is not None
+    assert not_outside(replace(wrong, pressure=None), made, air, None) is None
+    assert not_outside(replace(wrong, board_temperature=True), made, air, None) is None
+    # A bent barometer fits no air of its own either: it is not believed against a thermometer.
+    p = samples.pressure
+    bent = replace(p, value=p.value * (1.0 + 0.004 * np.sin(p.h_m / 60.0)))
+    spoilt = replace(samples, pressure=bent)
+    assert not_outside(spoilt, estimate(spoilt, air), air, None) is None
+
+
+def test_a_thermometer_that_reads_the_same_over_little_height_is_told_of(flights, airs):
+    truth = airs[TRADES]
+    samples = flown(flights, truth, 600.0, descent=True)
+    noise = np.random.default_rng(2).normal(0.0, 0.2, samples.temperature.value.size)
+    ledger = Ledger()
+    believable(with_t(samples, truth.t[0] - 1.0 + noise), US1976, ledger)
+    assert [(e.code, e.kind) for e in ledger] == [("AIR-ISOTHERMAL", Kind.WARNING)]
+    ledger = Ledger()
+    believable(samples, US1976, ledger)
+    assert list(ledger) == []
+
+
+def test_honest_thermometers_are_believed(flights, airs):
+    """Drawn biases, transients, lags and drifts, in five extreme airs: none of 40 is refused."""
+    rng = np.random.default_rng(12)
+    for truth in airs:
+        for climb in (700.0, 1500.0):
+            for descent in (True, False):
+                for _ in range(2):
+                    sensors = flights.drawn(rng)
+                    samples = flights.fly(truth, climb, sensors, rng, descent=descent)
+                    _, ledger = adjust(truth, samples)
+                    assert losses(ledger) == []
+
+
+# Whether an estimate looks like air
+
+
+def test_a_balloon_may_rise_above_the_climatology(flights, airs):
+    truth = airs[NIGHT]
+    air = background(truth)
+    made = estimate(flown(flights, truth, 3000.0), air)
+    higher = replace(made, sources=replace(made.sources, high=40_000.0, low=-9000.0))
+    assert air.profile.top_m < 31_000.0
+    with np.errstate(all="raise"):
+        assert implausible(higher, air) is None

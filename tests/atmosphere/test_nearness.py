@@ -1,0 +1,392 @@
+"""Age and distance of soundings and reports: what they cost, and what is left out and said."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from pipeline.atmosphere import standard_atmosphere
+from pipeline.atmosphere.adjust import build_adjusted_profile
+from pipeline.atmosphere.bases import bases
+from pipeline.atmosphere.climatology import climatology
+from pipeline.atmosphere.metar import SurfaceReport
+from pipeline.atmosphere.nearness import (
+    Occasion,
+    says_nothing,
+    tell_of_nearness,
+    unlikeness,
+)
+from pipeline.atmosphere.samples import AirSamples
+from pipeline.atmosphere.soundings import Sounding
+from pipeline.atmosphere.sources import sources_of
+from pipeline.ledger import Kind, Ledger
+
+HOUR = 3_600 * 10**9
+US1976 = standard_atmosphere("us1976")
+
+
+def place(north: float, east: float) -> tuple[float, float]:
+    return math.radians(north), math.radians(east)
+
+
+@pytest.mark.parametrize(
+    ("here", "there", "km"),
+    [
+        ((0.0, 0.0), (90.0, 0.0), 10_002.0),  # the quarter meridian of WGS 84
+        ((40.64, -73.78), (51.47, -0.45), 5_555.0),  # New York to London, by WGS 84 geodesic
+        ((0.0, 179.5), (0.0, -179.5), 111.3),  # across the date line
+        ((47.4, 8.0), (47.4, 8.0), 0.0),
+    ],
+)
+def test_distances(here, there, km):
+    assert Occasion(0, *place(*here)).metres_from(*place(*there)) == pytest.approx(
+        1e3 * km, rel=5e-3, abs=1.0
+    )
+
+
+def test_what_is_not_known_is_not_near():
+    nowhere = Occasion(0)
+    assert math.isnan(nowhere.metres_from(*place(47.0, 8.0)))
+    assert math.isnan(nowhere.hours_from(None))
+    meridian = Occasion(0, *place(47.0, 8.0)).metres_from(math.radians(57.0), math.nan)
+    assert meridian == pytest.approx(1.112e6, rel=5e-3)
+
+
+def test_temperatures_differ_as_published():
+    """Sun et al. 2010: 0.35 K per 3 h and 0.42 K per 100 km in the free troposphere."""
+    for km in (50.0, 100.0, 250.0):
+        assert 5.0 * math.sqrt(unlikeness(0.0, 1e3 * km)) == pytest.approx(0.0042 * km, rel=0.03)
+    # In time they are linear to 6 h; ours is a random walk, which is more at once and as much
+    # after a day.
+    assert 0.35 < 5.0 * math.sqrt(unlikeness(3.0)) < 1.2
+    assert 5.0 * math.sqrt(unlikeness(24.0)) == pytest.approx(2.8, rel=0.1)
+
+
+@pytest.mark.parametrize(("hours", "km"), [(2.0, 0.0), (24.0, 100.0), (100.0, 0.0), (0.0, 1000.0)])
+def test_an_old_reading_weighs_what_it_is_worth(hours, km):
+    """Air that forgets: truth and reading drawn with the correlation, and combined as we do."""
+    rho = math.exp(-hours / 167.0 - 0.5 * (km / 1190.0) ** 2)
+    rng = np.random.default_rng(4)
+    now = rng.normal(0.0, 5.0, 200_000)
+    then = rho * now + math.sqrt(1.0 - rho**2) * rng.normal(0.0, 5.0, now.size)
+    variance = 25.0 * unlikeness(hours, 1e3 * km)
+    gain = 25.0 / (25.0 + variance)
+    claimed = math.sqrt(25.0 * (1.0 - gain))
+    assert np.std(gain * then - now) == pytest.approx(claimed, rel=0.06)
+
+
+@pytest.mark.parametrize(
+    ("hours", "east", "left_out"),
+    [(0.0, 8.0, False), (150.0, 8.0, False), (240.0, 8.0, True), (0.0, 30.0, False),
+     (0.0, 34.0, True), (150.0, 24.0, True)],
+)  # fmt: skip
+def test_what_is_too_far_says_nothing(flights, hours, east, left_out):
+    occasion = Occasion(0, *place(47.0, 8.0))
+    balloon = replace(
+        balloon_of(flights.Truth(flights.extremes()[1])),
+        time_ns=int(hours * HOUR), latitude_rad=place(47.0, east)[0],
+        longitude_rad=place(47.0, east)[1],
+    )  # fmt: skip
+    assert (says_nothing(balloon, occasion) is not None) is left_out
+    if left_out:
+        assert ("hours" in says_nothing(balloon, occasion)) is (hours > 100.0)
+        assert ("km" in says_nothing(balloon, occasion)) is (east > 20.0)
+
+
+def balloon_of(truth, **change) -> Sounding:
+    pick = slice(0, None, 200)
+    columns = {
+        "h_m": truth.h[pick], "pressure_pa": truth.p[pick], "temperature_k": truth.t[pick],
+        "vapour_pressure_pa": truth.e[pick], "time_ns": truth.start_ns, "station": "72357",
+    }  # fmt: skip
+    return Sounding(**(columns | change))
+
+
+@pytest.fixture(scope="module")
+def ascents(flights):
+    """Barrow twice, 12 hours apart; Norman of 2023 and of 2011."""
+    if not flights.SOUNDINGS.is_dir():
+        pytest.skip("the soundings of ../shared are not beside the repository")
+    found = [flights.Truth(balloon) for balloon in flights.balloons()]
+    return {"barrow": found[4], "barrow later": found[5], "2023": found[2], "2011": found[3]}
+
+
+def adjusted(truth, samples=None, **more):
+    ledger = Ledger()
+    background = climatology(latitude_rad=truth.latitude, month=6.0)
+    made = build_adjusted_profile(
+        samples or AirSamples(), US1976, truth.latitude, ledger, background=background,
+        **({"time_ns": truth.start_ns} | more),
+    )  # fmt: skip
+    return made, ledger
+
+
+def sigma_of_r(made, truth, climb=3000.0):
+    return made.covariance.relative_sigma(truth.h[0] + climb, truth.h[0])
+
+
+def codes(ledger, kind=None):
+    return [entry.code for entry in ledger if kind is None or entry.kind is kind]
+
+
+def test_the_age_of_a_sounding_counts_without_any_sensor(ascents):
+    truth = ascents["2023"]
+    sigmas = []
+    for hours in (0, 24, 96):
+        balloon = balloon_of(truth, time_ns=truth.start_ns - hours * HOUR)
+        sigmas.append(sigma_of_r(adjusted(truth, soundings=[balloon])[0], truth))
+    without, _ = adjusted(truth)
+    sigmas.append(sigma_of_r(without, truth))
+    for fresher, older in pairwise(sigmas):
+        assert older > 1.15 * fresher, sigmas
+    years = balloon_of(truth, time_ns=truth.start_ns - 12 * 365 * 24 * HOUR)
+    made, ledger = adjusted(truth, soundings=[years])
+    assert made.basis == "climatology"
+    assert "AIR-SOURCE-FAR" in codes(ledger, Kind.LOSS)
+    h = truth.h[:6000:100]
+    assert made.profile.temperature(h) == pytest.approx(without.profile.temperature(h), abs=1e-6)
+    (told,) = [use for use in made.sources if use.source.startswith("sounding 72357")]
+    assert "the climatology knows as much" in told.why_not
+
+
+def test_a_sounding_of_another_day_is_no_worse_than_none(ascents):
+    """12 years apart, over the same town in the same week of May."""
+    truth, other = ascents["2011"], ascents["2023"]
+    balloon = balloon_of(other, time_ns=truth.start_ns - 12 * 365 * 24 * HOUR)
+    with_it, without = adjusted(truth, soundings=[balloon])[0], adjusted(truth)[0]
+    assert truth.error(with_it.profile, 3000.0) == pytest.approx(
+        truth.error(without.profile, 3000.0), abs=1e-9
+    )
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+def test_a_sounding_of_the_other_half_of_the_day(ascents, backwards):
+    """Real air that was measured twice: errors stay inside the sigmas."""
+    names = ["barrow", "barrow later"]
+    truth, other = (ascents[name] for name in (names if backwards else names[::-1]))
+    balloon = balloon_of(other, time_ns=truth.start_ns - 12 * HOUR)
+    made, _ = adjusted(truth, soundings=[balloon])
+    for climb in (1000.0, 3000.0, 6000.0):
+        assert abs(truth.error(made.profile, climb)) < 2.0 * sigma_of_r(made, truth, climb)
+    h = truth.h[100:8000:50]
+    z = (made.profile.temperature(h) - truth.t[100:8000:50]) / made.covariance.sigma_temperature(h)
+    assert 0.3 < math.sqrt(np.mean(z**2)) < 1.3
+
+
+def test_an_old_sounding_does_not_spoil_a_fresh_one(ascents):
+    truth = ascents["2023"]
+    fresh, old = (balloon_of(truth, time_ns=truth.start_ns - age * HOUR) for age in (1, 72))
+    alone, both = (adjusted(truth, soundings=s)[0] for s in ([fresh], [fresh, old]))
+    assert 0.85 < sigma_of_r(both, truth) / sigma_of_r(alone, truth) <= 1.0
+    # ... nor counts as much as it would if it were fresh too.
+    twice = adjusted(truth, soundings=[fresh, replace(fresh, station="72358")])[0]
+    assert sigma_of_r(twice, truth) < 0.97 * sigma_of_r(both, truth)
+
+
+def test_the_place_of_a_sounding_counts(ascents):
+    """Barrow's air is nothing to Oklahoma's; 500 km away it is something."""
+    truth = ascents["2023"]
+    arctic = balloon_of(
+        ascents["barrow"], time_ns=truth.start_ns,
+        latitude_rad=math.radians(71.29), longitude_rad=math.radians(-156.78),
+    )  # fmt: skip
+    made, ledger = adjusted(truth, soundings=[arctic], longitude_rad=math.radians(-97.44))
+    assert made.basis == "climatology"
+    assert "AIR-SOURCE-FAR" in codes(ledger, Kind.LOSS)
+    sigmas = []
+    for north in (0.0, 500.0, 1200.0):
+        balloon = balloon_of(
+            truth, latitude_rad=truth.latitude + north / 6371.0, longitude_rad=math.nan
+        )
+        sigmas.append(sigma_of_r(adjusted(truth, soundings=[balloon])[0], truth))
+    assert sigmas[1] > 1.15 * sigmas[0]
+    assert sigmas[2] > 1.15 * sigmas[1]
+
+
+def test_what_has_no_time_or_place_is_told(flights):
+    truth = flights.Truth(flights.extremes()[1])
+    placed = {"latitude_rad": truth.latitude, "longitude_rad": 0.2}
+    occasion = Occasion(truth.start_ns, truth.latitude, 0.2)
+    report = SurfaceReport(100.0, 1e5, 290.0, math.nan, origin="mission file")
+    for change, given, expected in (
+        (placed, report, ["SURFACE-UNDATED"]),
+        (placed | {"time_ns": None}, None, ["SOUNDING-UNDATED"]),
+        ({}, None, ["SOUNDING-UNPLACED"]),
+        (placed | {"longitude_rad": 0.25}, None, ["SOUNDING-FAR-AWAY"]),
+        (placed | {"longitude_rad": 0.22}, None, []),
+    ):
+        ledger = Ledger()
+        surface = [given] if given else []
+        tell_of_nearness([balloon_of(truth, **change)], surface, occasion, ledger)
+        assert codes(ledger) == expected
+
+
+# Stations on the ground
+
+
+def station(truth, hours=0.0, dp=0.0, dt=0.0, **change) -> SurfaceReport:
+    report = SurfaceReport(
+        float(truth.h[0]), float(truth.p[0] + dp), float(truth.t[0] + dt), float(truth.e[0]),
+        truth.start_ns - int(hours * HOUR), "mission file",
+    )  # fmt: skip
+    return replace(report, **change)
+
+
+@pytest.mark.parametrize(("hours", "dp", "dt"), [(192.0, 3000.0, 8.0), (24.0, 1200.0, 0.0)])
+@pytest.mark.parametrize("barometer", [True, False])
+def test_weather_of_another_day_does_not_outvote_the_flight(
+    flights, ascents, hours, dp, dt, barometer
+):
+    truth = ascents["2023"]
+    samples = flights.fly(
+        truth, 3000.0, flights.REALISTIC, np.random.default_rng(1), barometer=barometer,
+        descent=True,
+    )  # fmt: skip
+    made, ledger = adjusted(truth, samples, surface=[station(truth, hours, dp, dt)])
+    assert made.basis == "thermometer"
+    assert "AIR-IMPLAUSIBLE" not in codes(ledger)
+    h = truth.h[:3000:100]
+    off = np.log(made.profile.pressure(h) / truth.p[:3000:100])
+    assert np.all(np.abs(off) < 2.0 * made.covariance.sigma_log_pressure(h))
+    assert abs(truth.error(made.profile, 3000.0)) < 2.0 * sigma_of_r(made, truth)
+
+
+def test_a_station_is_worth_its_kelvin_and_half_a_hectopascal(ascents):
+    """Alone it fixes T and p where it stands, to what it differs from the free air by."""
+    truth = ascents["2023"]
+    made, _ = adjusted(truth, surface=[station(truth)])
+    ground = truth.h[:1]
+    assert 1.3 < made.covariance.sigma_temperature(ground).item() < 1.7
+    assert 5e-4 < made.covariance.sigma_log_pressure(ground).item() < 9e-4
+    aged, _ = adjusted(truth, surface=[station(truth, 6.0)])
+    # The prior of 7 K with 1.6 K and 3.5 K of six hours; 3 hPa of them.
+    assert 3.0 < aged.covariance.sigma_temperature(ground).item() < 3.7
+    assert 2.5e-3 < aged.covariance.sigma_log_pressure(ground).item() < 3.5e-3
+    rounded, _ = adjusted(truth, surface=[station(truth, sigma_temperature_k=3.0)])
+    assert rounded.covariance.sigma_temperature(ground).item() > 2.7
+
+
+def test_qnh_taken_for_the_pressure_of_the_station(flights, ascents):
+    truth = ascents["2023"]
+    rng = np.random.default_rng(1)
+    samples = flights.fly(truth, 3000.0, flights.REALISTIC, rng, descent=True)
+    qnh = float(truth.p[0] * (np.exp(truth.h[0] / 8200.0) - 1.0))
+    made, ledger = adjusted(truth, samples, surface=[station(truth, dp=qnh)])
+    h = truth.h[:3000:100]
+    off = np.log(made.profile.pressure(h) / truth.p[:3000:100])
+    assert np.all(np.abs(off) < 2.0 * made.covariance.sigma_log_pressure(h))
+    (told,) = [e for e in ledger if e.code == "AIR-MISFIT" and "(pressure)" in e.what]
+    assert told.kind is Kind.WARNING
+    assert "outvote" in told.what
+    assert abs(truth.error(made.profile, 3000.0)) < 2.0 * sigma_of_r(made, truth)
+
+
+def test_a_station_of_years_ago_is_left_out(ascents):
+    truth = ascents["2023"]
+    made, ledger = adjusted(truth, surface=[station(truth, 24.0 * 365.0)])
+    assert made.basis == "climatology"
+    assert "AIR-SOURCE-FAR" in codes(ledger, Kind.LOSS)
+
+
+# Balloons that are wrong
+
+
+def test_a_balloon_higher_than_the_climatology(ascents, flights):
+    truth = ascents["2023"]
+    h = np.arange(400.0, 34_000.0, 200.0)
+    t = np.maximum(288.15 - 0.0065 * h, 216.65)
+    p = 101_325.0 * np.exp(-np.cumsum(np.r_[400.0, np.diff(h)] * 0.0341632 / t))
+    balloon = Sounding(h, p, t, np.full(h.size, 1.0), truth.start_ns, "high")
+    background = climatology(latitude_rad=truth.latitude, month=6.0)
+    assert sources_of(AirSamples(), background, [balloon]).high < background.profile.layers.edge[-1]
+    made, ledger = adjusted(truth, soundings=[balloon])
+    assert made.basis == "sounding"
+    assert codes(ledger, Kind.LOSS) == []
+    high = np.array([15_000.0, 25_000.0, 29_500.0])
+    assert made.profile.temperature(high) == pytest.approx(np.interp(high, h, t), abs=2.5)
+    samples = flights.fly(truth, 3000.0, flights.REALISTIC, np.random.default_rng(1), descent=True)
+    own = balloon_of(truth, h_m=truth.h[::200] * 1.0)
+    grown = np.concatenate([own.h_m, np.arange(own.h_m[-1] + 500.0, 34_000.0, 500.0)])
+    warm = np.concatenate([own.temperature_k, np.full(grown.size - own.h_m.size, 220.0)])
+    thin = np.exp(-(grown[own.h_m.size :] - own.h_m[-1]) * 0.0341632 / 220.0)
+    levels = Sounding(
+        grown, np.concatenate([own.pressure_pa, own.pressure_pa[-1] * thin]), warm,
+        np.concatenate([own.vapour_pressure_pa, 0.1 * np.ones(thin.size)]), truth.start_ns, "high",
+    )  # fmt: skip
+    beside, ledger = adjusted(truth, samples, soundings=[levels])
+    assert beside.basis == "thermometer"
+    assert codes(ledger, Kind.LOSS) == []
+    assert abs(truth.error(beside.profile, 3000.0)) < 0.01
+    assert sigma_of_r(beside, truth) < 0.006
+
+
+@pytest.mark.parametrize(("above", "per_km"), [(4000.0, 15.0), (3500.0, -10.0)])
+def test_a_bad_balloon_does_not_cost_the_flight(flights, ascents, above, per_km):
+    """One that goes wrong smoothly, far above the flight: what jumps is outvoted anyway."""
+    truth = ascents["2023"]
+    samples = flights.fly(truth, 3000.0, flights.REALISTIC, np.random.default_rng(1), descent=True)
+    alone, _ = adjusted(truth, samples)
+    good = balloon_of(truth, station="good")
+    bad = balloon_of(truth, station="bad")
+    wrong = np.maximum(bad.h_m - above, 0.0) / 1e3
+    bad = replace(bad, temperature_k=bad.temperature_k + per_km * wrong)
+    made, ledger = adjusted(truth, samples, soundings=[bad])
+    assert made.basis == "thermometer"
+    assert made.reason.endswith(f"without {bad.name}")
+    assert truth.error(made.profile, 3000.0) == truth.error(alone.profile, 3000.0)
+    (lost,) = [entry for entry in ledger if entry.code == "AIR-SOURCE-REFUSED"]
+    assert lost.kind is Kind.LOSS
+    assert lost.where == bad.name
+    uses = {use.source: use.why_not for use in made.sources}
+    assert "no air fits" in uses[bad.name]
+    # A good one beside it stays.
+    both, ledger = adjusted(truth, samples, soundings=[good, bad])
+    assert good.name not in [e.where for e in ledger if e.code == "AIR-SOURCE-REFUSED"]
+    assert any(use.source == good.name and use.fit is not None for use in both.sources)
+    assert abs(truth.error(both.profile, 3000.0)) < 0.005
+
+
+def test_sources_are_doubted_one_by_one_before_sensors_are(flights, ascents):
+    truth = ascents["2023"]
+    samples = flights.fly(truth, 3000.0, flights.Sensors(), np.random.default_rng(1))
+    one, other, report = balloon_of(truth), balloon_of(truth, station="b"), station(truth)
+    found = bases(samples, [one, other], [report])
+    left_out = [(), (one.name,), (other.name,), (report.name,)]
+    everything = (one.name, other.name, report.name)
+    assert [b.beside.left_out for b in found[:5]] == [*left_out, everything]
+    assert all(b.samples is samples for b in found[:5])
+    assert found[1].beside.names == (other.name, report.name)
+    assert all(b.word == "barometer" and b.samples.temperature is None for b in found[5:10])
+    assert all(b.samples.pressure is None for b in found[10:15])
+    assert [b.beside.left_out for b in found[15:]] == left_out  # no sensor, and no source: nothing
+    assert [b.word for b in found[15:]] == ["sounding"] * 4
+    assert len(bases(samples, [one] * 6, [])) == 3 * 2 + 1
+    assert [b.word for b in bases(AirSamples(), [], [report])] == ["surface"]
+
+
+def test_the_reason_after_estimates_that_could_not_stand(flights, ascents):
+    truth = ascents["2023"]
+    bad = balloon_of(truth)
+    bad = replace(bad, temperature_k=bad.temperature_k + 60.0)
+    samples = flights.fly(
+        truth, 3000.0, flights.REALISTIC, np.random.default_rng(1), barometer=False
+    )
+    wild = replace(samples.temperature, value=samples.temperature.value * 1.25)
+    made, ledger = adjusted(truth, replace(samples, temperature=wild), soundings=[bad])
+    assert made.basis == "climatology"
+    (why,) = [entry.what for entry in ledger if entry.code == "AIR-STANDARD"]
+    assert "no estimate could stand" in why
+    assert "are needed" not in why
+    uses = {use.source: use.why_not for use in made.sources}
+    assert "no estimate with it could stand" in uses["thermometer thermometer"]
+    assert "no estimate with it could stand" in uses[bad.name]
+    short = flights.fly(truth, 250.0, flights.REALISTIC, np.random.default_rng(1))
+    made, ledger = adjusted(truth, short)
+    (why,) = [entry.what for entry in ledger if entry.code == "AIR-STANDARD"]
+    assert "are needed" in why
+    uses = {use.source: use.why_not for use in made.sources}
+    assert "say too little" in uses["thermometer thermometer"]
