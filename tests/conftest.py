@@ -163,3 +163,26 @@ def plain_report(monkeypatch: pytest.MonkeyPatch) -> None:
 def unbend() -> Callable[..., Ended]:
     """`unbend` with some words, in this process."""
     return run_command
+
+
+COUNTED = ("cells compared", "mutations")
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """How much was compared and tried, which tests record as properties of theirs."""
+    reports = [report for name in ("passed", "failed") for report in
+               terminalreporter.stats.get(name, []) if report.when == "call"]  # fmt: skip
+    found = {
+        name: [(report.nodeid, value) for report in reports
+               for key, value in report.user_properties if key == name]
+        for name in COUNTED
+    }  # fmt: skip
+    if not any(found.values()):
+        return
+    terminalreporter.section("counted")
+    cells = found["cells compared"]
+    if cells:
+        total = sum(count for _, count in cells)
+        terminalreporter.write_line(f"{total:,} cells of {len(cells)} logs are the libraries'")
+    for test, summary in found["mutations"]:
+        terminalreporter.write_line(f"{test}: {summary}")

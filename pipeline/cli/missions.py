@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -12,7 +13,7 @@ import typer
 from rich.markup import escape
 
 from pipeline.cli.app import app, new_console, own_up, refuse
-from pipeline.errors import EXIT_BUG, EXIT_DONE, EXIT_LOSSES, UnbendError
+from pipeline.errors import EXIT_BUG, EXIT_DONE, EXIT_LOSSES, ConfigError, UnbendError
 
 
 @app.command(epilog="Example: unbend run configs/*.yaml")
@@ -72,24 +73,42 @@ def check(
     raise typer.Exit(exit_code_of(ends))
 
 
-@app.command(epilog="Example: unbend inspect flight.bin")
+@app.command(
+    epilog="Example: unbend inspect flight.bin; unbend inspect flight.bin --type BARO --csv"
+)
 def inspect(
-    log: Annotated[Path, typer.Argument(help="a .bin, .tlog or .mcap file", metavar="LOG")],
+    log: Annotated[Path, typer.Argument(help="a flight log", metavar="LOG")],
     as_json: Annotated[bool, typer.Option("--json", help="everything, as JSON")] = False,
+    kind: Annotated[
+        str | None, typer.Option("--type", help="all messages of one type or topic")
+    ] = None,
+    instance: Annotated[str | None, typer.Option(help="with --type: only this instance")] = None,
+    as_csv: Annotated[bool, typer.Option("--csv", help="with --type: every row, as CSV")] = False,
 ) -> None:
     """Show what a log holds, in the words that a mission file takes."""
     from pipeline.ingest import open_log
+    from pipeline.report.columns import field_rows, write_csv
     from pipeline.report.progress import PatientBar
-    from pipeline.report.terminal import show_log
+    from pipeline.report.terminal import show_fields, show_log
 
+    if (kind is None and (as_csv or instance is not None)) or (kind is not None and as_json):
+        raise ConfigError(
+            "INSPECT-ARGUMENTS",
+            "--csv and --instance go with --type, --json goes without it",
+            remedy="for example: unbend inspect flight.bin --type BARO --csv",
+        )
     console = new_console()
     with PatientBar(console, f"reading {log.name}"):
-        opened = open_log(log)
-    content = opened.to_json_dict()
-    if as_json:
-        print(json.dumps(content, indent=2, allow_nan=False))
+        opened = open_log(log, needs_channels=kind is None)
+        columns = None if kind is None else opened.message(kind, instance)
+    if columns is not None and as_csv:
+        write_csv(sys.stdout, columns)
+    elif columns is not None:
+        show_fields(console, f"{log.name}, {kind}", field_rows(columns))
+    elif as_json:
+        print(json.dumps(opened.to_json_dict(), indent=2, allow_nan=False))
     else:
-        show_log(console, content, log.name)
+        show_log(console, opened.to_json_dict(), log.name)
     raise typer.Exit(EXIT_LOSSES if opened.ledger.has_losses else EXIT_DONE)
 
 

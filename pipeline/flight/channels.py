@@ -54,10 +54,11 @@ class Channel:
     rank : the smaller, the sooner it is chosen among candidates for a role.
     labels : strings that belong to the samples, such as image names.
 
-    Columns in use: lat_rad, lon_rad, h_msl_m, h_ellipsoid_m, h_home_m, east_m, north_m, up_m
-    (local), sigma_h_m, sigma_v_m, fix; q_w, q_x, q_y, q_z (v_ned = R(q) v_body, body forward,
-    right, down); pressure_pa, board_temperature_k, temperature_k, relative_humidity (0-1),
-    airspeed_m_s; event_index, roll_rad, pitch_rad, yaw_rad.
+    Columns in use: lat_rad, lon_rad, h_msl_m, h_gnss_m (above sea level, by the receiver alone),
+    h_ellipsoid_m, h_home_m, east_m, north_m, up_m (local), sigma_h_m, sigma_v_m, fix; q_w, q_x,
+    q_y, q_z (v_ned = R(q) v_body, body forward, right, down); pressure_pa, board_temperature_k,
+    temperature_k, relative_humidity (0-1), airspeed_m_s; event_index, roll_rad, pitch_rad, yaw_rad;
+    yaw_in_body_rad (of a gimbal); value (of a named value, in the unit that the mission file says).
     """
 
     name: str
@@ -73,7 +74,7 @@ class Channel:
         n = self.time_ns.shape[0]
         if self.time_ns.dtype != np.int64 or self.time_ns.ndim != 1:
             raise TypeError(f"channel {self.name}: time_ns must be a vector of int64")
-        if n > 1 and not bool(np.all(np.diff(self.time_ns) > 0)):
+        if n > 1 and not bool(np.all(self.time_ns[1:] > self.time_ns[:-1])):
             raise ValueError(f"channel {self.name}: time_ns must increase strictly")
         if self.boot.shape[0] == 0 and n:
             object.__setattr__(self, "boot", np.zeros(n, np.int16))

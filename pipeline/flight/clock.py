@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +17,7 @@ from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH
 
 SECONDS_PER_WEEK = 604_800
+WEEKS_PER_ROLLOVER = 1024  # the week has 10 bits in the signal
 
 # GPS minus UTC and the UTC date it begins, from IERS Bulletin C (numbers 1-70) and the USNO table
 # tai-utc.dat less 19 s. None has been announced after 2017-01-01.
@@ -49,9 +50,11 @@ _LEAP_GPS_NS = _LEAP_UTC_NS + _LEAP_SECONDS * NANOSECONDS_PER_SECOND - UNIX_NS_O
 # would be 31 years, 1e15 us of Unix time is the year 2001.
 UNIX_US_FROM = 10**15
 UNIX_NS_FROM = UNIX_US_FROM * 1000
+LAST_US = 1 << 52  # 142 years: a stamp beyond is damage, and below, nanoseconds fit into 64 bits
 
 BOOT_STEP_NS = NANOSECONDS_PER_SECOND  # loggers write records up to some ms out of order
 STRAY_ROWS = 4  # this many rows in a row can be one glitch; a power-up writes more
+LARGEST_SPREAD_NS = 200_000_000  # real logs: 1 to 40 ms; a receiver's time step is a second or more
 SET_BACKS = 16  # a clock that was set back more often than this is no clock
 
 
@@ -79,24 +82,26 @@ def utc_of_gps(week: ArrayLike, seconds: ArrayLike) -> TimeArray:
     return np.asarray(utc, np.int64)
 
 
-def boots_of(time_ns: TimeArray, step_ns: int = BOOT_STEP_NS) -> NDArray[np.int16]:
-    """Number the power-ups in a sequence of times since boot.
+def full_weeks(week: ArrayLike, first: int) -> tuple[NDArray[np.int64], int]:
+    """GPS weeks that a receiver counts modulo 1024 -> full weeks.
 
     Parameters
     ----------
-    time_ns : (n,) [ns] since boot, in the order of the file.
-    step_ns : [ns] a step back by more than this begins a new boot.
+    week : (n,) as reported.
+    first : the first week that is possible. The receiver is one that rolls over where the median
+        is before it, which is unambiguous for 1024 weeks (19.6 years) from then on.
 
-    Returns (n,) the boot of each row, from 0.
+    Returns (n,) full weeks, and how many were changed: none, or all before ``first``.
 
-    >>> boots_of(np.array([5, 6, 1, 2]) * 10**9)
-    array([0, 0, 1, 1], dtype=int16)
+    >>> full_weeks([276, 276, 277], first=1773)
+    (array([2324, 2324, 2325]), 3)
     """
-    if time_ns.shape[0] == 0:
-        return np.empty(0, np.int16)
-    boots = np.zeros(time_ns.shape, np.int16)
-    np.cumsum(np.diff(time_ns) < -step_ns, out=boots[1:])
-    return boots
+    weeks = np.asarray(week).astype(np.int64)
+    early = weeks < first
+    if not weeks.size or np.median(weeks) >= first:
+        return weeks, 0
+    full = np.where(early, first + (weeks - first) % WEEKS_PER_ROLLOVER, weeks)
+    return full, int(np.count_nonzero(early))
 
 
 def stray_times(time_ns: TimeArray, limit_ns: int = BOOT_STEP_NS) -> NDArray[np.bool_]:
@@ -121,16 +126,38 @@ def stray_times(time_ns: TimeArray, limit_ns: int = BOOT_STEP_NS) -> NDArray[np.
         return np.zeros(n, np.bool_)
     length = np.diff(np.append(first, n))
     begin, end = time_ns[first], time_ns[first + length - 1]
+    return np.repeat(stray_stretches(begin, end, length, limit_ns), length)
+
+
+def stray_stretches(
+    begin: TimeArray, end: TimeArray, length: NDArray[np.int64], limit_ns: int = BOOT_STEP_NS
+) -> NDArray[np.bool_]:
+    """Mark the stray ones of stretches of time stamps, as `stray_times` does for the stamps.
+
+    Parameters
+    ----------
+    begin, end : (n,) [ns] the first and the last stamp of each stretch, in the order of the file.
+        Within a stretch stamps are near each other, from one to the next they are not.
+    length : (n,) how many stamps each has.
+
+    Returns (n,) True where a stretch is stray.
+
+    >>> begin, end = np.array([0, 70, 2]) * 10**9, np.array([1, 70, 9]) * 10**9
+    >>> stray_stretches(begin, end, np.array([9, 1, 9]))
+    array([False,  True, False])
+    """
     short = length <= STRAY_ROWS
-    stray = np.zeros(first.shape, np.bool_)
+    stray = np.zeros(begin.shape, np.bool_)
+    if begin.shape[0] < 2:
+        return stray
     stray[0] = short[0] and not short[1] and begin[1] < end[0]
     stray[-1] = short[-1] and not short[-2] and begin[-1] < end[-2]
     last = begin[1] if stray[0] else end[0]  # the last stamp that can be believed
-    for k in range(1, first.shape[0] - 1):
+    for k in range(1, begin.shape[0] - 1):
         far = abs(begin[k] - last) > limit_ns
         stray[k] = short[k] and far and abs(begin[k + 1] - last) <= limit_ns
         last = last if stray[k] else end[k]
-    return np.repeat(stray, length)
+    return stray
 
 
 def increasing(time_ns: TimeArray) -> NDArray[np.bool_]:
@@ -204,12 +231,18 @@ def _in_long_runs(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 class Offset:
     """UTC minus the time since boot of one boot.
 
-    ``offset_ns`` the median; ``spread_ns`` p95 - p5 of the rows; ``rows`` how many it rests on.
+    ``offset_ns`` the median; of the rows about it ``spread_ns`` p95 - p5 and ``largest_ns`` the
+    farthest; ``rows`` how many it rests on. ``far`` of them are farther than `LARGEST_SPREAD_NS`,
+    the first ``first_far_ns`` after boot; ``stepped`` where more than `STRAY_ROWS` are in a row.
     """
 
     offset_ns: int
     spread_ns: int
     rows: int
+    largest_ns: int = 0
+    far: int = 0
+    first_far_ns: int = 0
+    stepped: bool = False
 
 
 def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> Offset | None:
@@ -231,8 +264,15 @@ def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> Offset | None:
         return None
     difference = utc_ns - boot_ns
     base = int(difference[0])  # float64 holds differences of ns exactly, not Unix time in ns
-    low, middle, high = np.percentile((difference - base).astype(np.float64), (5.0, 50.0, 95.0))
-    return Offset(base + round(middle), round(high - low), int(utc_ns.shape[0]))
+    apart = (difference - base).astype(np.float64)
+    low, middle, high = np.percentile(apart, (5.0, 50.0, 95.0))
+    largest = max(float(apart.max() - middle), float(middle - apart.min()))
+    found = Offset(base + round(middle), round(high - low), int(utc_ns.shape[0]), round(largest))
+    if largest <= LARGEST_SPREAD_NS:
+        return found
+    far = np.abs(apart - middle) > LARGEST_SPREAD_NS
+    first, stepped = int(boot_ns[np.argmax(far)]), bool(_in_long_runs(far).any())
+    return replace(found, far=int(np.count_nonzero(far)), first_far_ns=first, stepped=stepped)
 
 
 def fresh(time_ns: TimeArray) -> NDArray[np.bool_]:
@@ -261,10 +301,16 @@ def along(from_ns: TimeArray, to_ns: TimeArray) -> Callable[[TimeArray], TimeArr
     array([ 99, 110, 122])
     """
     order = np.argsort(from_ns, kind="stable")
-    steady = np.maximum.accumulate(to_ns[order])
-    base_from, base_to = int(from_ns[order[0]]), int(steady[0])
-    at = (from_ns[order] - base_from).astype(np.float64)
-    ahead = (steady - base_to).astype(np.float64) - at
+    since, steady = from_ns[order], to_ns[order]
+    del order  # in long logs these are the peak of memory
+    np.maximum.accumulate(steady, out=steady)
+    base_from, base_to = int(since[0]), int(steady[0])
+    since -= base_from
+    steady -= base_to
+    at: Array = since.astype(np.float64)
+    ahead: Array = steady.astype(np.float64)
+    ahead -= at
+    del since, steady
 
     def mapped(time_ns: TimeArray) -> TimeArray:
         since = time_ns - base_from
@@ -274,18 +320,23 @@ def along(from_ns: TimeArray, to_ns: TimeArray) -> Callable[[TimeArray], TimeArr
     return mapped
 
 
-LARGEST_SPREAD_NS = 200_000_000  # real logs: 1 to 40 ms; a receiver's time step is a second or more
+def report_fit(ledger: Ledger, source: str, fit: Offset, where: str) -> None:
+    """Say how well the stamps agree that tie a vehicle's clock to UTC; one that stepped is a loss.
 
-
-def report_fit(ledger: Ledger, source: str, spread_ns: int, where: str, count: int) -> None:
-    """Say how well the stamps agree that tie a vehicle's clock to UTC; a spread is a loss."""
-    what = f"UTC from {source}, which agree within {spread_ns / 1e6:.0f} ms (p5 to p95)"
-    if spread_ns <= LARGEST_SPREAD_NS:
-        ledger.note("TIME-FIT", what, where=where, count=count)
+    p5 to p95 do not see a tenth of the rows: the farthest counts as well, and rows that stay away.
+    """
+    what = (
+        f"UTC from {source}, which agree within {fit.spread_ns / 1e6:.0f} ms (p5 to p95), the "
+        f"farthest is {fit.largest_ns / 1e6:.0f} ms off"
+    )
+    steady = fit.spread_ns <= LARGEST_SPREAD_NS and fit.largest_ns <= BOOT_STEP_NS
+    if steady and not fit.stepped:
+        ledger.note("TIME-FIT", what, where=where, count=fit.rows)
         return
     ledger.loss(
         "TIME-FIT",
-        f"{what}: one of the two clocks stepped, and exposures by UTC may be that far off",
-        where=where,
-        count=count,
+        f"{what}, {fit.far} are off by more than {LARGEST_SPREAD_NS / 1e6:.0f} ms: one of the two "
+        "clocks stepped, and exposures by UTC may be that far off",
+        where=f"{where}, first {fit.first_far_ns / 1e9:.3f} s after boot",
+        count=fit.far,
     )

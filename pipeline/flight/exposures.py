@@ -78,11 +78,12 @@ def events_of_channel(
 ) -> Events:
     """Exposures of an event channel, named by a pattern of ``{index}`` and ``{n}``.
 
-    Numbers that the log skips are pulses that were lost: they go into the ledger.
+    Numbers that the log skips are pulses that were lost: they go into the ledger. ``{index}`` is
+    the number as the log has it, which may count modulo 65536.
     """
     index = channel["event_index"].astype(np.int64)
     names = [pattern.format(index=int(i), n=n) for n, i in enumerate(index, start=1)]
-    if _report_skipped(channel.name, index, ledger) and "{n" in pattern:
+    if _report_skipped(channel, index, ledger) and "{n" in pattern:
         raise MissionError(
             "EVENTS-COUNTED",
             "the log has lost events: images counted by {n} would get the stations of others",
@@ -105,26 +106,57 @@ def events_of_table(
     return Events(camera, image[mine], time_ns[mine] + round(delay_s * 1e9))
 
 
-def _report_skipped(name: str, index: NDArray[np.int64], ledger: Ledger) -> int:
-    """How many numbers between the first and the last have no event; they go into the ledger."""
-    known = np.unique(index)
-    gaps = np.diff(known) - 1
-    lost = int(gaps.sum())
-    if lost == 0:
-        return 0
-    first = [
-        f"{low + 1}" if gap == 1 else f"{low + 1} to {low + gap}"
-        for low, gap in zip(known[:-1][gaps > 0][:4], gaps[gaps > 0][:4], strict=True)
-    ]
-    more = " ..." if np.count_nonzero(gaps) > 4 else ""
-    ledger.loss(
-        "EVENTS-LOST",
-        f"{lost} numbers between {known[0]} and {known[-1]} have no event: "
-        f"{', '.join(first)}{more}",
-        where=name,
-        count=lost,
-    )
+# Counts of 16 bits run over; a count that goes on farther than this from zero is one begun anew.
+_COUNT_ROUND, _COUNT_NEAR = 1 << 16, 1 << 12
+
+
+def counted_on(index: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Image numbers that count on where a number of 16 bits ran over.
+
+    Parameters
+    ----------
+    index : (n,) in the order of their time, of one power-up.
+
+    >>> counted_on(np.array([65534, 65535, 1, 2]))
+    array([65534, 65535, 65537, 65538])
+    """
+    step = np.diff(index)
+    ran_over = (step < 0) & (step + _COUNT_ROUND < _COUNT_NEAR)
+    went_back = (step > 0) & (_COUNT_ROUND - step < _COUNT_NEAR)  # one of before, told late
+    rounds = np.cumsum(ran_over.astype(np.int64) - went_back)
+    return np.asarray(index + _COUNT_ROUND * np.append(0, rounds), np.int64)
+
+
+def _report_skipped(channel: Channel, index: NDArray[np.int64], ledger: Ledger) -> int:
+    """How many numbers of a power-up have no event between others; they go into the ledger."""
+    lost = 0
+    for boot in np.unique(channel.boot):
+        counted = counted_on(index[channel.boot == boot])
+        known = np.unique(counted)
+        gaps = np.diff(known) - 1
+        missing = int(gaps.sum())
+        if missing == 0:
+            continue
+        lost += missing
+        holes = zip(known[:-1][gaps > 0][:4].tolist(), gaps[gaps > 0][:4].tolist(), strict=True)
+        first = [
+            f"{_sent(low + 1)}" if gap == 1 else f"{_sent(low + 1)} to {_sent(low + gap)}"
+            for low, gap in holes
+        ]
+        more = " ..." if np.count_nonzero(gaps) > 4 else ""
+        ledger.loss(
+            "EVENTS-LOST",
+            f"{missing} numbers between {_sent(int(known[0]))} and {_sent(int(known[-1]))} have "
+            f"no event: {', '.join(first)}{more}",
+            where=channel.name if int(channel.boot[-1]) == 0 else f"{channel.name}, boot {boot}",
+            count=missing,
+        )
     return lost
+
+
+def _sent(counted: int) -> int:
+    """A counted number as the log has it."""
+    return counted % _COUNT_ROUND if counted >= _COUNT_ROUND else counted
 
 
 def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Channel:
@@ -146,10 +178,21 @@ def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Cha
 
 
 def account_for_triggers(channels: tuple[Channel, ...], chosen: Channel, ledger: Ledger) -> None:
-    """Say how many triggers of the log have no shutter event in the chosen channel."""
+    """Say how many triggers have no shutter event, and when the events are triggers themselves."""
+    triggers = [c for c in channels if c.source.message == "TRIG"]
+    if chosen.source.message in ("TRIG", "CAMERA_TRIGGER") or (
+        chosen.source.message == "CAM" and not triggers
+    ):
+        ledger.note(
+            "EVENTS-TRIGGER-TIME",
+            f"{chosen.name} has the times of the trigger commands, for want of a feedback pin: the "
+            "shutter opens later (70 to 160 ms were measured), which events.log.<camera>.delay_s "
+            "takes into account",
+            where=chosen.name,
+            count=len(chosen),
+        )
     if chosen.source.message not in ("CAM", "CAMERA_FEEDBACK"):
         return
-    triggers = [c for c in channels if c.source.message == "TRIG"]
     own = [c for c in triggers if c.source.instance == chosen.source.instance]
     for channel in own or triggers[:1]:
         if len(channel) > len(chosen):

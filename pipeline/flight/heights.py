@@ -39,6 +39,7 @@ def height_system(
         both = _difference(height, "h_ellipsoid_m", "h_msl_m")
         if both.size:
             undulation = float(np.median(both))
+            _warn_of_one_height(height, both, ledger)
             ledger.note(
                 "HEIGHT-UNDULATION",
                 f"undulation {undulation:.2f} m, from the two heights of {height.name}",
@@ -48,6 +49,19 @@ def height_system(
     position = roles.get("position")
     home = _home(position, ledger) if position is not None else None
     return HeightSystem(undulation, home)
+
+
+def _warn_of_one_height(height: Channel, both: Array, ledger: Ledger) -> None:
+    """Say that a receiver gives one height under two names, as some on a CAN bus do."""
+    if not both.any():
+        ledger.warning(
+            "HEIGHT-SAME",
+            f"both heights of {height.name} are equal to the last digit in {both.size} rows: one "
+            "is a copy of the other, and which of them is meant is unknown; the undulation is "
+            "hardly anywhere 0 (-107 to 86 m), give mission.undulation_m",
+            where=height.name,
+            count=int(both.size),
+        )
 
 
 def _home(position: Channel, ledger: Ledger) -> float | None:

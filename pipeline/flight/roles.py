@@ -105,8 +105,8 @@ def warn_of_gimbal(messages: Mapping[str, int], ledger: Ledger) -> None:
     if found:
         ledger.warning(
             "GIMBAL-IGNORED",
-            f"the log has {', '.join(found)} of a gimbal: they are not read, every camera is taken "
-            "as fixed to the aircraft by its mount",
+            f"the log has {', '.join(found)} of a gimbal: no camera follows it unless its "
+            "channel is named as attitude; each is taken as fixed to the aircraft by its mount",
         )
 
 

@@ -4,18 +4,26 @@ from __future__ import annotations
 
 import difflib
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.errors import LogError
 from pipeline.flight.channels import Channel
 from pipeline.ledger import Ledger
 
 HASH_BLOCK = 1 << 20
+
+Table = dict[str, NDArray[Any]]
+"""The columns of one message type, all of one length, named and measured as the log has them.
+
+Where a format knows them it adds, first and in lower case: ``time_ns`` (int64, UTC; from boot, as
+if in 1970, where UTC is unknown), ``boot``, ``system``, ``component``.
+"""
 
 
 @dataclass(frozen=True)
@@ -24,6 +32,8 @@ class Contents:
 
     ``messages`` counts every type or topic, wanted or not; ``bad_bytes`` belong to no message;
     ``lost_messages`` are missing by the log's own numbering or count; ``time_base`` in words.
+    ``table`` decodes all messages of one type or topic of ``messages`` when it is asked to; with
+    an instance (or None for all), only those.
     """
 
     messages: Mapping[str, int]
@@ -32,6 +42,7 @@ class Contents:
     lost_messages: int
     boots: int
     time_base: str
+    table: Callable[[str, str | None], Table] | None = None
 
 
 class LogFormat(Protocol):
@@ -61,8 +72,8 @@ class Log:
 
     Parameters
     ----------
-    path, size_bytes, sha256 : the file; hashed before it was read.
-    format : ``dataflash``, ``tlog`` or ``mcap``.
+    path, size_bytes, sha256 : the file; hashed before it was read, if it begins as a log does.
+    format : ``dataflash``, ``dataflash-text``, ``tlog``, ``mcap`` or ``ulog``.
     messages : count of every message type or topic, sorted by name.
     channels : sorted by name; none is empty.
     bad_bytes : bytes that belong to no valid message.
@@ -86,6 +97,7 @@ class Log:
     start_ns: int
     end_ns: int
     ledger: Ledger
+    table: Callable[[str, str | None], Table] | None = None
 
     @property
     def duration_s(self) -> float:
@@ -110,6 +122,48 @@ class Log:
         """One channel as a pandas DataFrame indexed by UTC time."""
         return self.channel(name).to_pandas()
 
+    def message_types(self) -> dict[str, int]:
+        """Every message type or topic of the log, wanted or not, with its count."""
+        return dict(self.messages)
+
+    def message(self, name: str, instance: str | None = None) -> Table:
+        """All messages of one type as columns, in the order of the file.
+
+        Parameters
+        ----------
+        name : a type or topic of `message_types`.
+        instance : only those, where the type has instances.
+
+        Returns columns of one length with the names and units that the log has; damaged rows are
+        in them. Raises LogError (LOG-NO-TYPE, LOG-NO-TABLE).
+        """
+        if name not in self.messages:
+            near = difflib.get_close_matches(name, list(self.messages), n=3, cutoff=0.5)
+            meant = f"did you mean {', '.join(near)}? " if near else ""
+            raise LogError(
+                "LOG-NO-TYPE",
+                f"no message of type {name}",
+                where=str(self.path),
+                remedy=f"{meant}this log has {', '.join(sorted(self.messages))}",
+            )
+        columns = self.table(name, instance) if self.table else {}
+        if not columns:
+            which = "" if instance is None else f", instance {instance},"
+            raise LogError(
+                "LOG-NO-TABLE",
+                f"{name}{which} has no rows that can be laid out in columns",
+                where=str(self.path),
+                remedy="choose another type or instance of `unbend inspect`",
+            )
+        return columns
+
+    def message_to_pandas(self, name: str, instance: str | None = None) -> Any:
+        """All messages of one type as a pandas DataFrame."""
+        import pandas as pd
+
+        columns = self.message(name, instance)
+        return pd.DataFrame({name: _flat(column) for name, column in columns.items()})
+
     def to_json_dict(self) -> dict[str, Any]:
         """The log in words and numbers, for ``unbend inspect --json``."""
         return {
@@ -127,6 +181,11 @@ class Log:
             "time_base": self.time_base,
             "ledger": self.ledger.rows(),
         }
+
+
+def _flat(column: NDArray[Any]) -> Any:
+    """A column that pandas can hold: one object a row where the field is an array itself."""
+    return column if column.ndim == 1 else list(column)
 
 
 def report_damage(
@@ -149,7 +208,7 @@ def report_damage(
             count=bad_bytes,
         )
     if cut_bytes:
-        ledger.warning(
+        ledger.loss(
             "LOG-TRUNCATED",
             f"the last {unit} is cut off, {cut_bytes} bytes of it are there: this format has no "
             "end mark and its logs end so when the power goes; every whole one before it was read",

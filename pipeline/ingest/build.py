@@ -8,14 +8,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.flight.boots import LOWEST_FIX
 from pipeline.flight.channels import Array, Channel, Source, TimeArray
 from pipeline.flight.clock import fresh, untangled
 from pipeline.ingest.base import utc_text
 from pipeline.ingest.fields import MessageMap
-from pipeline.ingest.frames import positive_scalar, quaternion_of_euler
+from pipeline.ingest.frames import in_blocks, positive_scalar, quaternion_of_euler
 from pipeline.ledger import Entry, Kind, Ledger
-
-LOWEST_FIX = 3  # 3D; both GPS_FIX_TYPE of MAVLink and GPS.Status of ArduPilot
 
 
 @dataclass(frozen=True)
@@ -57,6 +56,8 @@ def channel_of(rows: Rows, spec: MessageMap, ledger: Ledger) -> Channel | None:
         what = f"{len(rows)} rows cannot be used: the log defines no field for {', '.join(absent)}"
         ledger.loss("LOG-FIELDS", what, where=rows.name, count=len(rows))
         return None
+    if not spec.event and not any(np.isfinite(column).any() for column in rows.columns.values()):
+        return None  # it holds nothing: neither do its drops
     if spec.position:
         rows = _with_fix(rows, ledger)
     rows = _without_repeats(rows, ledger, event=spec.event)
@@ -81,18 +82,19 @@ def _with_fix(rows: Rows, ledger: Ledger) -> Rows:
     if "fix" in rows.columns:
         good &= rows.columns["fix"] >= LOWEST_FIX
     dropped = int(np.count_nonzero(~good))
-    if dropped:
-        ledger.note(
-            "POSITION-NO-FIX",
-            f"{dropped} of {len(rows)} rows have no fix and are not used",
-            where=rows.name,
-            count=dropped,
-        )
+    if not dropped:
+        return rows
+    ledger.note(
+        "POSITION-NO-FIX",
+        f"{dropped} of {len(rows)} rows have no fix and are not used",
+        where=rows.name,
+        count=dropped,
+    )
     return rows.take(good)
 
 
 def _without_repeats(rows: Rows, ledger: Ledger, *, event: bool) -> Rows:
-    if bool(np.all(np.diff(rows.time_ns) > 0)):
+    if bool(np.all(rows.time_ns[1:] > rows.time_ns[:-1])):
         return rows
     repeats = _repeats(rows)
     if not repeats.any():
@@ -106,7 +108,7 @@ def _without_repeats(rows: Rows, ledger: Ledger, *, event: bool) -> Rows:
 
 def _rising(rows: Rows, ledger: Ledger) -> Rows:
     """The rows in strictly increasing time; what that costs is in the ledger."""
-    if bool(np.all(np.diff(rows.time_ns) > 0)):
+    if bool(np.all(rows.time_ns[1:] > rows.time_ns[:-1])):
         return rows
     kept, stretch = untangled(rows.time_ns)
     lost = np.setdiff1d(np.arange(len(rows)), kept)
@@ -145,12 +147,19 @@ def _repeats(rows: Rows) -> NDArray[np.bool_]:
 
 
 def _attitude(columns: dict[str, Array]) -> dict[str, Array]:
+    """Euler angles or any quaternion -> unit quaternions, in the memory of the columns."""
     if "roll_rad" in columns:
-        angles = (columns.pop("roll_rad"), columns.pop("pitch_rad"), columns.pop("yaw_rad"))
-        q = quaternion_of_euler(*angles)
+        parts = [columns.pop(f"{name}_rad") for name in ("roll", "pitch", "yaw")]
+        parts.append(np.empty(parts[0].shape))
+        in_blocks(_of_euler, parts)
     else:
-        q = positive_scalar(np.stack([columns.pop(f"q_{axis}") for axis in "wxyz"], axis=1))
-    return columns | {f"q_{axis}": q[:, k] for k, axis in enumerate("wxyz")}
+        parts = [columns.pop(f"q_{axis}") for axis in "wxyz"]
+        in_blocks(positive_scalar, parts)
+    return columns | dict(zip(("q_w", "q_x", "q_y", "q_z"), parts, strict=True))
+
+
+def _of_euler(angles: Array) -> Array:
+    return quaternion_of_euler(*angles.T[:3])
 
 
 def _event(columns: dict[str, Array], n: int) -> dict[str, Array]:

@@ -7,10 +7,28 @@ already divided as the format letter says (c, C, e: 100; L: 1e7), so Lat is in d
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.ingest.base import Table
 from pipeline.ingest.fields import MessageMap, column
 
 INSTANCE_FIELDS = ("I", "Instance", "Id", "C")
+
+
+def instance_of(table: Table) -> NDArray[Any]:
+    """The instance of each row, -1 where the message has none.
+
+    Only integers tell instances apart: in PID messages I is a term of the controller.
+    """
+    for field in INSTANCE_FIELDS:
+        if field in table and table[field].dtype.kind in "iu":
+            return table[field]
+    rows = len(next(iter(table.values()))) if table else 0
+    return np.full(rows, -1, np.int8)
+
 
 _PLACE = (column("lat_rad", "Lat", "deg"), column("lon_rad", "Lng", "deg"))
 _EULER = (
@@ -25,7 +43,14 @@ _GPS = (*_PLACE, column("h_msl_m", "Alt"), column("fix", "Status"))
 # Temp of a barometer is its board: 20-51 C were seen in the air, never the outside temperature.
 _BARO = (column("pressure_pa", "Press"), column("board_temperature_k", "Temp", "degC"))
 
-_SHOT = (*_PLACE, column("h_msl_m", "Alt"), column("event_index", "Img"), *_EULER)
+_SHOT = (
+    *_PLACE,
+    column("h_msl_m", "Alt"),
+    column("h_home_m", "RelAlt"),
+    column("h_gnss_m", "GPSAlt"),
+    column("event_index", "Img"),
+    *_EULER,
+)
 
 _GNSS = ("height", "position")
 _PRESSURE = ("pressure", "cabin_pressure")
@@ -41,10 +66,35 @@ MESSAGES: Mapping[str, MessageMap] = {
     "GPS": MessageMap(_GPS, _GNSS, 20, position=True, spare_rank=30),
     "GPS2": MessageMap(_GPS, _GNSS, 30, position=True),
     "ATT": MessageMap(_EULER, _ATTITUDE, 10, attitude=True),
-    "AHR2": MessageMap(_EULER, _ATTITUDE, 40, attitude=True),
+    # A second estimate: its place is 0, 0 until it has one.
+    "AHR2": MessageMap(
+        (
+            *_EULER,
+            column("lat_rad", "Lat", "deg", missing=0.0),
+            column("lon_rad", "Lng", "deg", missing=0.0),
+            column("h_msl_m", "Alt"),
+        ),
+        _ATTITUDE,
+        40,
+        attitude=True,
+    ),
     "XKQ": MessageMap(_QUATERNION, _ATTITUDE, 50, attitude=True, spare_rank=51),
     "XKQ1": MessageMap(_QUATERNION, _ATTITUDE, 50, attitude=True),
     "NKQ1": MessageMap(_QUATERNION, _ATTITUDE, 50, attitude=True),
+    "XKF1": MessageMap(_EULER, _ATTITUDE, 60, attitude=True, spare_rank=61),
+    "NKF1": MessageMap(_EULER, _ATTITUDE, 60, attitude=True, spare_rank=61),
+    # The gimbal: its roll and pitch are to the horizon, YawE is to north. It is the attitude of a
+    # camera, not of the aircraft: it plays a role only when the user names it.
+    "MNT": MessageMap(
+        (
+            column("roll_rad", "Roll", "deg"),
+            column("pitch_rad", "Pitch", "deg"),
+            column("yaw_rad", "YawE", "deg"),
+            column("yaw_in_body_rad", "YawB", "deg"),
+        ),
+        rank=70,
+        attitude=True,
+    ),
     "BARO": MessageMap(_BARO, _PRESSURE, 10, spare_rank=20),
     "BAR2": MessageMap(_BARO, _PRESSURE, 20),
     "BAR3": MessageMap(_BARO, _PRESSURE, 30),
@@ -63,6 +113,8 @@ MESSAGES: Mapping[str, MessageMap] = {
     ),
     # A probe anywhere: motor, battery, cabin, air. It plays only when the user names it.
     "TEMP": MessageMap((column("temperature_k", "Temp", "degC"),)),
+    # What a script on the autopilot logs, a cabin sensor for one; it plays only when named.
+    "NVF": MessageMap((column("value", "Value"),), id_field="Name"),
     "CAM": MessageMap(_SHOT, ("events",), 10),
     "TRIG": MessageMap(_SHOT, ("events",), 40),
 }
@@ -74,4 +126,6 @@ ACCURACY = (
     column("h_ellipsoid_m", "AEl", floor=-1e5),
     column("sigma_h_m", "HAcc", missing=0.0),
     column("sigma_v_m", "VAcc", missing=0.0),
+    # Until 4.6 ArduPilot logged sea level minus ellipsoid, and 0 where it did not know.
+    column("undulation_m", "Und", "-m", missing=0.0),
 )

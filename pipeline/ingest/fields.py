@@ -20,6 +20,7 @@ UNITS: Mapping[str, tuple[float, float, float]] = {
     "degE7": (1e7, DEGREE, 0.0),
     "cdeg": (100.0, DEGREE, 0.0),
     "mm": (1e3, 1.0, 0.0),
+    "-m": (1.0, -1.0, 0.0),
     "hPa": (1.0, HECTOPASCAL, 0.0),
     "degC": (1.0, 1.0, ZERO_CELSIUS_K),
     "cdegC": (100.0, 1.0, ZERO_CELSIUS_K),
@@ -92,14 +93,18 @@ def to_si(raw: NDArray[Any], spec: Column) -> Array:
     array([   nan, 293.15])
     """
     with np.errstate(invalid="ignore"):  # signalling NaNs
-        value = np.asarray(raw, np.float64)
+        value: Array = np.array(raw, np.float64)
     unknown = ~np.isfinite(value)
     if spec.missing is not None:
         unknown |= value == spec.missing
     if spec.floor is not None:
         unknown |= value < spec.floor
     divisor, factor, offset = UNITS[spec.unit]
-    return np.where(unknown, np.nan, value / divisor * factor + offset)
+    value[unknown] = np.nan  # before the arithmetic, which warns of signalling NaNs
+    value /= divisor  # in place: a column of a long log has hundreds of MB
+    value *= factor
+    value += offset
+    return value
 
 
 def extract(table: Mapping[str, NDArray[Any]], columns: tuple[Column, ...]) -> dict[str, Array]:

@@ -5,9 +5,13 @@ The convention: v_ned = R(q) v_body, Hamilton, body forward-right-down, q_w >= 0
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 
 from pipeline.flight.channels import Array
+
+BLOCK = 65_536  # rows
 
 
 def positive_scalar(q: Array) -> Array:
@@ -21,6 +25,18 @@ def positive_scalar(q: Array) -> Array:
         length = np.linalg.norm(q, axis=1, keepdims=True)
         unit = q / np.where((length > 0.0) & np.isfinite(length), length, np.nan)
     return np.where(unit[:, :1] < 0.0, -unit, unit)
+
+
+def in_blocks(rotation: Callable[[Array], Array], parts: Sequence[Array]) -> None:
+    """Put a function of (n, 4) numbers, which gives quaternions, in the place of four columns.
+
+    Some rows at a time: at once, what a rotation needs on the way would be the peak of memory.
+    """
+    for begin in range(0, parts[0].shape[0], BLOCK):
+        block = slice(begin, begin + BLOCK)
+        q = rotation(np.stack([part[block] for part in parts], axis=1))
+        for part, column in zip(parts, q.T, strict=True):
+            part[block] = column
 
 
 def quaternion_of_euler(roll_rad: Array, pitch_rad: Array, yaw_rad: Array) -> Array:

@@ -1,232 +1,358 @@
-"""Walking the records of an MCAP file, chunk by chunk, as far as it is whole.
+"""Walking the records of an MCAP file: definitions one by one, messages by the thousand.
 
 The definitions are parsed by the mcap library; the walk is ours, because the library's readers
-give nothing for a truncated file and inflate chunks without a bound.
+give nothing for a truncated file, inflate chunks without a bound and lose messages silently when
+the summary is damaged. After bytes that are no record the walk goes on with the next place that
+proves itself: the head of a chunk, or messages of known channels wall to wall.
 """
 
 from __future__ import annotations
 
-import io
-import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import IO, Any
 
-MAGIC = b"\x89MCAP0\r\n"
-RECORD = struct.Struct("<BQ")
-MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+import numpy as np
+from numpy.typing import NDArray
 
-FOOTER, SCHEMA, CHANNEL, MESSAGE_RECORD, CHUNK, STATISTICS = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0B
-WANTED = {SCHEMA, CHANNEL, MESSAGE_RECORD, CHUNK, STATISTICS}
+from pipeline.ingest.mcap_chunks import Budget, Chunk, head_of, inflate, inflated, proven
+from pipeline.ingest.mcap_messages import (
+    CHANNEL,
+    CHUNK,
+    DATA_END,
+    FOOT,
+    FOOTER,
+    LARGE_MESSAGE,
+    LAST_OPCODE,
+    LINKS,
+    MAGIC,
+    MESSAGE_RECORD,
+    NEAR,
+    PRIVATE,
+    RECORD,
+    SCHEMA,
+    STATISTICS,
+    Damage,
+    Definition,
+    Messages,
+    Runs,
+    linked,
+    may_begin,
+    messages_at,
+    next_message,
+    raw_of,
+    record_at,
+)
+from pipeline.ingest.window import Bytes, Window
 
-CHUNK_HEAD = struct.Struct("<QQQII")  # first and last time, size, checksum, letters that follow
-
-# A chunk is inflated block by block, so its size costs time and no memory. Images fill chunks of
-# hundreds of MiB and shrink to a half at best; bombs shrink to a 200th (lz4) or a 30,000th (zstd).
-FREE_CHUNK = 256 << 20  # [bytes] inflated; taken however far it was compressed
-MAX_CHUNK = 2 << 30  # [bytes] inflated
-MAX_RATIO = 50  # of a chunk larger than FREE_CHUNK
-MAX_WINDOW = 64 << 20  # [bytes] that a decompressor may look back
+DEFINITIONS = (SCHEMA, CHANNEL, STATISTICS)
 
 NO_FOOTER = (
     "without the footer that a closed MCAP has: the recorder died or the copy is incomplete, and "
     "whatever came after is lost"
 )
 
-LARGE_MESSAGE = 1 << 16  # [bytes] of what is wanted only images are larger ...
+SPAN = 4 << 20  # [bytes] of messages decoded together, and of the file walked at once
 MESSAGE_START = 4096  # [bytes] ... and of those the header is wanted
 MAX_DEFINITION = 16 << 20  # [bytes] of a schema, channel or statistics record
-BLOCK = 1 << 18
 
 
-@dataclass
-class Damage:
-    """What a walk could not read: (code, what, byte offset, bytes)."""
-
-    losses: list[tuple[str, str, int, int]] = field(default_factory=list)
-
-    def add(self, code: str, what: str, at: int, count: int) -> None:
-        self.losses.append((code, what, at, count))
-
-    @property
-    def bad_bytes(self) -> int:
-        return sum(count for _, _, _, count in self.losses)
-
-
-def records(stream: IO[bytes], size: int, damage: Damage) -> Iterator[tuple[int, bytes]]:
-    """Opcode and content of the schemas, channels, messages and statistics of a file.
+def walk(data: Window, damage: Damage) -> Iterator[Definition | Messages]:
+    """The definitions and messages of a file.
 
     Parameters
     ----------
-    stream : the file, at its beginning.
-    size : its length [bytes].
+    data : the file, which begins with `MAGIC`.
     damage : filled on the way with what is cut off, corrupt or too large.
+
+    A summary that its checksum proves comes first: its definitions serve where those among the
+    messages are damaged. A definition may come several times.
     """
-    at = len(stream.read(len(MAGIC)))
-    opcode = 0
-    while opcode != FOOTER:
-        header = stream.read(RECORD.size)
-        if len(header) < RECORD.size:
-            damage.add("LOG-TRUNCATED", f"the file ends {NO_FOOTER}", at, len(header))
+    reader = _Walk(data, damage)
+    yield from reader.summary()
+    yield from reader.records()
+
+
+class _Walk:
+    def __init__(self, data: Window, damage: Damage) -> None:
+        self.data = data
+        self.damage = damage
+        self.channels: set[int] = set()
+        self.waiting: list[tuple[Bytes, NDArray[np.int64]]] = []
+        self.weight = 0
+        self.before = len(MAGIC)  # where the last record began: its length may be the damage
+        self.data_end = -1  # where the summary begins
+        self.disproved = -1  # a record that others were found in
+        self.budget = Budget(data.size)
+        self.ends = 0  # records that end the data section
+
+    def summary(self) -> Iterator[Definition]:
+        """The definitions in the summary, where its checksum holds."""
+        at = self.data.size - len(MAGIC) - FOOT.size
+        if at < RECORD.size or self.data[at + FOOT.size : self.data.size] != MAGIC:
             return
-        opcode, length = RECORD.unpack(header)
-        rest = size - at - RECORD.size
-        if opcode == 0 or length > rest:
-            what = f"a record of {length} bytes (opcode {opcode}) where {rest} bytes are left"
-            damage.add("LOG-TRUNCATED", f"{what}: it ends {NO_FOOTER}", at, size - at)
+        foot = self.data[at - RECORD.size : at + FOOT.size]
+        start, _, crc = FOOT.unpack_from(foot, RECORD.size)
+        if RECORD.unpack_from(foot) != (FOOTER, FOOT.size) or not crc or not start:
             return
+        if not 0 < start <= at or self._checksum(start, at + FOOT.size - 4) != crc:
+            self.damage.add(
+                "LOG-CRC", "the summary is not where the footer says, or fails its checksum", at, 0
+            )
+            return
+        while start + RECORD.size < at:
+            opcode, length = RECORD.unpack(self.data[start : start + RECORD.size])
+            if opcode in (SCHEMA, CHANNEL) and length <= MAX_DEFINITION:
+                yield self._definition(opcode, start + RECORD.size, length)
+            start += RECORD.size + length
+
+    def _checksum(self, begin: int, end: int) -> int:
+        crc = 0
+        for at in range(begin, end, SPAN):
+            crc = zlib.crc32(self.data[at : min(at + SPAN, end)], crc)
+        return crc
+
+    def _definition(self, opcode: int, at: int, length: int) -> Definition:
+        content = self.data[at : at + length]
+        if opcode == CHANNEL:
+            self.channels.add(int.from_bytes(content[:2], "little"))
+        return Definition(opcode, content, at)
+
+    def records(self) -> Iterator[Definition | Messages]:
+        """The records from the beginning of the file to its footer."""
+        at: int = len(MAGIC)
+        while at >= 0:
+            starts: list[int] = []
+            view = self.data.array(at, at + SPAN)
+            others: list[tuple[int, int, int]] = []
+            end = self._span(at, view, starts, others)
+            for opcode, place, length in others:  # before the messages that they define
+                if opcode in DEFINITIONS:
+                    yield from self._other(opcode, place, length)
+            if starts:
+                yield from self._collect(view, np.array(starts, np.int64))
+            for opcode, place, length in others:
+                if opcode not in DEFINITIONS:
+                    yield from self._other(opcode, place, length)
+            at = end
+        yield from self._flush()
+
+    def _span(
+        self, begin: int, view: Bytes, starts: list[int], others: list[tuple[int, int, int]]
+    ) -> int:
+        """Records that begin in a stretch of the file; where to go on, or -1 at the end."""
+        raw, place, size = raw_of(view), 0, self.data.size - begin
+        unpack = RECORD.unpack_from
+        opcode: int
+        length: int
+        while True:
+            at = begin + place
+            if place + RECORD.size > len(raw):
+                if place and at < self.data.size:
+                    return at
+                self.damage.add("LOG-TRUNCATED", f"the file ends {NO_FOOTER}", at, size - place)
+                return -1
+            opcode, length = unpack(raw, place)
+            end = place + RECORD.size + length
+            if end > size or not (0 < opcode <= LAST_OPCODE or opcode >= PRIVATE):
+                found = self._resume(at, opcode, length)
+                if 0 <= found < at and starts and begin + starts[-1] == self.disproved:
+                    starts.pop()
+                return found
+            if opcode == FOOTER:
+                return self._foot(at, length)
+            if opcode == MESSAGE_RECORD:
+                if length > LARGE_MESSAGE:
+                    others.append((opcode, at, length))
+                elif end <= len(raw):
+                    starts.append(place)
+                else:
+                    return at
+            elif opcode in DEFINITIONS or opcode in (CHUNK, DATA_END):
+                others.append((opcode, at, length))
+            sure = opcode == CHUNK and self._proves(at)
+            self.before = begin + end - 1 if sure else at
+            self.data_end = begin + end if opcode == DATA_END else self.data_end
+            place = end
+            if place > len(raw):
+                return begin + place
+
+    def _foot(self, at: int, length: int) -> int:
+        """The end of the walk, if a footer is where a footer must be."""
+        end = at + RECORD.size + FOOT.size + len(MAGIC)
+        if length != FOOT.size or end > self.data.size:
+            return self._resume(at, FOOTER, length)
+        if end < self.data.size or self.data[end - len(MAGIC) : end] != MAGIC:
+            what = f"{self.data.size - end} bytes follow the end of the log, or its mark is damaged"
+            self.damage.add("LOG-BAD-BYTES", what, at, self.data.size - end)
+        start = int(FOOT.unpack(self.data[at + RECORD.size : end - len(MAGIC)])[0])
+        if not self.damage.losses and (self.data_end < 0 or start not in (0, self.data_end)):
+            what = (
+                f"the footer says that the summary begins at byte {start}, the data end at "
+                f"{self.data_end}: a part of the file is missing"
+            )
+            self.damage.add("LOG-INCONSISTENT", what, at, 0)
+        return -1
+
+    def _other(self, opcode: int, at: int, length: int) -> Iterator[Definition | Messages]:
+        content = at + RECORD.size
         if opcode == CHUNK:
-            yield from _chunk(stream, at + RECORD.size, length, damage)
-        elif opcode in WANTED:
-            content = _content(stream, opcode, length, at, damage)
-            if content:
-                yield opcode, content
-        at += RECORD.size + length
-        stream.seek(at)
+            yield from self._chunk(at, content, length)
+        elif opcode == MESSAGE_RECORD:
+            head = RECORD.pack(MESSAGE_RECORD, MESSAGE_START)
+            start = head + self.data[content : content + MESSAGE_START]
+            yield from self._collect(np.frombuffer(start, np.uint8), np.zeros(1, np.int64))
+        elif opcode == DATA_END:
+            crc = int.from_bytes(self.data[content : content + min(length, 4)], "little")
+            self.ends += 1
+            if self.ends > 1:  # each would be a checksum of all before it
+                what = "the data end a second time: their checksum here is not checked"
+                self.damage.add("LOG-INCONSISTENT", what, at, 0)
+            elif crc and self._checksum(0, at) != crc:
+                self.damage.add("LOG-CRC", "the data section fails its checksum", at, 0)
+        elif length > MAX_DEFINITION:
+            what = f"a definition of {length} bytes (opcode {opcode}) is skipped"
+            self.damage.add("LOG-TOO-LARGE", what, at, length)
+        else:
+            yield self._definition(opcode, content, length)
 
+    def _chunk(self, at: int, content: int, length: int) -> Iterator[Definition | Messages]:
+        chunk = head_of(self.data, content, length)
+        if chunk is None or chunk.compression not in ("", "lz4", "zstd"):
+            what = "a chunk has no valid head"
+            if chunk is not None:
+                what = f"a chunk is compressed with {chunk.compression!r}, which is not known"
+            self.damage.add("LOG-BAD-BYTES", what, at, length)
+        elif too_large := self.budget.too_large(chunk):
+            self.damage.add("LOG-TOO-LARGE", too_large, at, length)
+        elif not chunk.small:
+            yield from self._large_chunk(at, chunk)
+        else:
+            records = inflate(self.data, chunk)
+            if isinstance(records, bytes):
+                yield from self._inside(np.frombuffer(records, np.uint8), at)
+            else:
+                self.damage.add(*records, at, length)
 
-def _content(stream: IO[bytes], opcode: int, length: int, at: int, damage: Damage) -> bytes:
-    """The content of a record as far as it is wanted; of a large message the beginning."""
-    if opcode == MESSAGE_RECORD:
-        return stream.read(length if length <= LARGE_MESSAGE else MESSAGE_START)
-    if length > MAX_DEFINITION:
-        what = f"a definition of {length} bytes (opcode {opcode}) is skipped"
-        damage.add("LOG-TOO-LARGE", what, at, length)
-        return b""
-    return stream.read(length)
-
-
-@dataclass(frozen=True)
-class _Chunk:
-    """The head of a chunk, and where its records lie in the file."""
-
-    size: int
-    crc: int
-    compression: str
-    begin: int
-    length: int
-
-
-def _chunk(stream: IO[bytes], at: int, length: int, damage: Damage) -> Iterator[tuple[int, bytes]]:
-    """The records of a chunk, once its size and checksum are proven."""
-    chunk = _head(stream, at, length, damage)
-    if chunk is None:
-        return
-    try:
-        with _inflated(stream, chunk) as data:
-            fault = _fault(chunk, data)
+    def _large_chunk(self, at: int, chunk: Chunk) -> Iterator[Definition | Messages]:
+        """The records of a chunk that is inflated twice: to prove it, and block by block."""
+        fault = proven(self.data, chunk)
         if fault is not None:
-            damage.add(*fault, at, length)
+            self.damage.add(*fault, at, chunk.length)
             return
-        with _inflated(stream, chunk) as data:
-            yield from _records_of_chunk(data, chunk.size, at, damage)
-    except _inflating_errors() as error:
-        damage.add("LOG-BAD-BYTES", f"a chunk does not inflate ({error})", at, length)
+        with inflated(self.data, chunk) as stream:
+            place, kept = 0, bytearray()
+            while place + RECORD.size <= chunk.size:
+                header = stream.read(RECORD.size)
+                opcode, length = RECORD.unpack(header)
+                left = chunk.size - place - RECORD.size
+                if opcode == 0 or length > left:
+                    what = f"the last {chunk.size - place} of {chunk.size} bytes of a chunk make"
+                    self.damage.add("LOG-BAD-BYTES", f"{what} no sense", at, chunk.size - place)
+                    break
+                place += RECORD.size + length
+                keep = length if length <= LARGE_MESSAGE else MESSAGE_START
+                if opcode in (SCHEMA, CHANNEL):
+                    keep = min(length, MAX_DEFINITION)
+                if opcode in (SCHEMA, CHANNEL, MESSAGE_RECORD):
+                    kept += RECORD.pack(opcode, keep) + stream.read(keep)
+                    length -= keep
+                while length > 0:
+                    length -= len(stream.read(min(length, 1 << 18)))
+                if len(kept) >= SPAN:
+                    yield from self._inside(np.frombuffer(bytes(kept), np.uint8), at)
+                    kept.clear()
+            yield from self._inside(np.frombuffer(bytes(kept), np.uint8), at)
 
+    def _inside(self, view: Bytes, at: int) -> Iterator[Definition | Messages]:
+        """The records of an inflated chunk: messages by the run, between them definitions."""
+        raw, place, size = raw_of(view), 0, int(view.shape[0])
+        runs, starts = Runs.of(view), [np.empty(0, np.int64)]
+        while place < size:
+            run = runs.from_place(place)
+            if run.stop > run.start:
+                starts.append(runs.at[run])
+                place = int(runs.end[run.stop - 1])
+                continue
+            opcode, length = record_at(raw, place) if place + RECORD.size <= size else (0, 0)
+            end = place + RECORD.size + length
+            if opcode not in (SCHEMA, CHANNEL) or end > size:
+                last = int(starts[-1][-1]) if starts[-1].size else place
+                found = next_message(view, last, self.channels)
+                lost = found - place
+                if found < place:  # the length of the last message is what is damaged
+                    starts[-1] = starts[-1][:-1]
+                    lost = found - last
+                self.damage.add(
+                    "LOG-BAD-BYTES", f"{lost} of {size} bytes of a chunk make no sense", at, lost
+                )
+                place = found
+                continue
+            if length <= MAX_DEFINITION:
+                content = bytes(raw[place + RECORD.size : end])
+                if opcode == CHANNEL:
+                    self.channels.add(int.from_bytes(content[:2], "little"))
+                yield Definition(opcode, content, at)
+            place = end
+        if len(starts) > 1:
+            yield from self._collect(view, np.concatenate(starts))
 
-def _head(stream: IO[bytes], at: int, length: int, damage: Damage) -> _Chunk | None:
-    """The head of a chunk; None, with an entry in the damage, when it cannot be trusted."""
-    head = stream.read(min(length, CHUNK_HEAD.size))
-    if len(head) == CHUNK_HEAD.size:
-        _, _, size, crc, letters = CHUNK_HEAD.unpack(head)
-        rest = length - CHUNK_HEAD.size - letters - 8
-        if rest >= 0 and letters <= 16:
-            name = stream.read(letters).decode("ascii", "backslashreplace")
-            packed = int.from_bytes(stream.read(8), "little")
-            if packed <= rest:
-                chunk = _Chunk(size, crc, name, at + length - rest, packed)
-                return _bounded(chunk, at, length, damage)
-    damage.add("LOG-BAD-BYTES", "a chunk has no valid head", at, length)
-    return None
+    def _collect(self, view: Bytes, starts: NDArray[np.int64]) -> Iterator[Messages]:
+        """Put messages aside until there are enough to decode them together."""
+        self.waiting.append((view, starts))
+        self.weight += view.shape[0]
+        if self.weight >= SPAN:
+            yield from self._flush()
 
+    def _flush(self) -> Iterator[Messages]:
+        if self.waiting:
+            views = [view for view, _ in self.waiting]
+            begin = np.cumsum([0] + [view.shape[0] for view in views[:-1]]).tolist()
+            starts = [s + b for (_, s), b in zip(self.waiting, begin, strict=True)]
+            data = views[0] if len(views) == 1 else np.concatenate(views)
+            self.waiting, self.weight = [], 0
+            yield messages_at(data, np.concatenate(starts))
 
-def _bounded(chunk: _Chunk, at: int, length: int, damage: Damage) -> _Chunk | None:
-    size = chunk.size
-    if chunk.compression not in ("", "lz4", "zstd"):
-        what = f"a chunk is compressed with {chunk.compression!r}, which is not known"
-        damage.add("LOG-BAD-BYTES", what, at, length)
-    elif size > MAX_CHUNK or size > max(FREE_CHUNK, MAX_RATIO * chunk.length):
-        what = (
-            f"a chunk of {chunk.length} bytes would inflate to {size}; the limit is {MAX_CHUNK}, "
-            f"and {MAX_RATIO} times its own size beyond {FREE_CHUNK}: it is skipped"
-        )
-        damage.add("LOG-TOO-LARGE", what, at, length)
-    else:
-        return chunk
-    return None
+    def _resume(self, at: int, opcode: int, length: int) -> int:
+        """Where the records go on after damage, or -1 where they do not."""
+        found = self._next_record(self.before + 1)
+        if found < 0:
+            rest = self.data.size - at
+            what = f"a record of {length} bytes (opcode {opcode}) where {rest} bytes are left"
+            self.damage.add("LOG-TRUNCATED", f"{what}: it ends {NO_FOOTER}", at, rest)
+            return -1
+        lost = found - at if found > at else found - self.before
+        self.disproved = self.before
+        what = f"{lost} bytes are no record, or part of one whose length is damaged"
+        self.damage.add("LOG-BAD-BYTES", what, min(at, found), lost)
+        self.before = found
+        return found
 
+    def _next_record(self, begin: int) -> int:
+        """The next place of the file that proves to be a record, or -1."""
+        reach = NEAR
+        while begin < self.data.size:
+            view = self.data.array(begin, begin + reach)
+            for place in may_begin(view, (FOOTER, MESSAGE_RECORD, CHUNK, DATA_END)).tolist():
+                if self._proves(begin + place):
+                    return int(begin + place)
+            if begin + view.shape[0] >= self.data.size:
+                return -1
+            begin += view.shape[0] - RECORD.size + 1
+            reach = SPAN
+        return -1
 
-def _fault(chunk: _Chunk, data: IO[bytes]) -> tuple[str, str] | None:
-    """Why the records of a chunk cannot be trusted, as code and words."""
-    size = crc = 0
-    while size <= chunk.size and (block := data.read(BLOCK)):
-        size += len(block)
-        crc = zlib.crc32(block, crc) if chunk.crc else 0
-    if size != chunk.size:
-        found = f"{size} bytes" if size < chunk.size else "more"
-        return "LOG-BAD-BYTES", f"a chunk inflates to {found}, its head says {chunk.size}"
-    return ("LOG-CRC", "a chunk fails its checksum") if crc != chunk.crc else None
-
-
-def _records_of_chunk(
-    data: IO[bytes], size: int, at: int, damage: Damage
-) -> Iterator[tuple[int, bytes]]:
-    place = 0
-    while place < size:
-        header = data.read(RECORD.size)
-        rest = size - place - RECORD.size
-        opcode, length = RECORD.unpack(header) if rest >= 0 else (0, 0)
-        if opcode == 0 or length > rest:
-            what = f"the last {size - place} of {size} bytes of a chunk make no sense"
-            damage.add("LOG-BAD-BYTES", what, at, size - place)
-            return
-        place += RECORD.size + length
-        content = b""
-        if opcode in WANTED and opcode != CHUNK:  # a chunk in a chunk is against the format
-            content = _content(data, opcode, length, at, damage)
-            if content:
-                yield opcode, content
-        left = length - len(content)
-        while left > 0:
-            left -= len(data.read(min(left, BLOCK)))
-
-
-class _Window(io.RawIOBase):
-    """A stretch of a file as a file of its own."""
-
-    def __init__(self, stream: IO[bytes], begin: int, length: int) -> None:
-        super().__init__()
-        self.stream = stream
-        self.at = begin
-        self.end = begin + length
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: Any) -> int:
-        self.stream.seek(self.at)
-        block = self.stream.read(min(len(buffer), self.end - self.at))
-        buffer[: len(block)] = block
-        self.at += len(block)
-        return len(block)
-
-
-def _inflated(stream: IO[bytes], chunk: _Chunk) -> IO[bytes]:
-    """The records of a chunk as a stream."""
-    import lz4.frame  # type: ignore[import-untyped]  # it ships neither stubs nor a marker
-    import zstandard
-
-    window: Any = io.BufferedReader(_Window(stream, chunk.begin, chunk.length), BLOCK)
-    if chunk.compression == "zstd":
-        inflater = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW)
-        return io.BufferedReader(inflater.stream_reader(window), BLOCK)
-    if chunk.compression == "lz4":
-        return io.BufferedReader(lz4.frame.LZ4FrameFile(window), BLOCK)
-    return io.BufferedReader(window, BLOCK)
-
-
-def _inflating_errors() -> tuple[type[Exception], ...]:
-    import zstandard
-
-    return (zstandard.ZstdError, RuntimeError, EOFError)
+    def _proves(self, at: int) -> bool:
+        opcode, length = record_at(self.data[at : at + RECORD.size], 0)
+        end = at + RECORD.size + length
+        if end > self.data.size:
+            return False
+        if opcode == FOOTER:
+            return length == FOOT.size and end == self.data.size - len(MAGIC)
+        if opcode == CHUNK:
+            chunk = head_of(self.data, at + RECORD.size, length)
+            return chunk is not None and chunk.plausible
+        if opcode == DATA_END:
+            follows = self.data[end : end + 1]
+            return length == 4 and bool(follows) and 0 < follows[0] <= LAST_OPCODE
+        near = self.data.array(at, at + (LINKS + 1) * LARGE_MESSAGE)
+        return linked(raw_of(near), 0, self.channels)

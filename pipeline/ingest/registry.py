@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from pipeline.errors import LogError
+from pipeline.flight.quality import flagged
 from pipeline.ingest.base import Contents, Log, LogFormat, hash_file
 from pipeline.ingest.dataflash import DATAFLASH
+from pipeline.ingest.dataflash_text import DATAFLASH_TEXT
 from pipeline.ingest.mcap import MCAP
 from pipeline.ingest.tlog import TLOG
+from pipeline.ingest.ulog import ULOG
 from pipeline.ledger import Ledger
 
-FORMATS: tuple[LogFormat, ...] = (MCAP, DATAFLASH, TLOG)  # the surest mark first
+# the surest mark first
+FORMATS: tuple[LogFormat, ...] = (MCAP, ULOG, DATAFLASH, DATAFLASH_TEXT, TLOG)
 
 HEAD_BYTES = 1 << 16
 KNOWN = ", ".join(f"{form.title} ({' '.join(form.extensions)})" for form in FORMATS)
 
 # Files that users take for a log of ours, with what to do about them.
 _RELATIVES = (
-    (b"ULog", "a PX4 ULog", "convert it to MCAP, or log MAVLink telemetry (.tlog)"),
-    (b"FMT,", "a DataFlash log as text", "use the .bin file that it was made from"),
     (b"#ROSBAG", "a ROS 1 bag", "convert it to MCAP with ROS 2 messages"),
     (b"SQLite format 3", "a ROS 2 bag in SQLite", "run: ros2 bag convert, with storage_id mcap"),
     (b"\x1f\x8b", "compressed with gzip", "unpack it first"),
@@ -27,24 +30,27 @@ _RELATIVES = (
 )
 
 
-def open_log(path: Path | str, sha256: str | None = None) -> Log:
-    """Read a flight log: MAVLink telemetry (.tlog), ArduPilot DataFlash (.bin) or ROS 2 MCAP.
+def open_log(path: Path | str, sha256: str | None = None, *, needs_channels: bool = True) -> Log:
+    """Read a flight log: DataFlash (.bin, .log), MAVLink telemetry (.tlog), MCAP or PX4 (.ulg).
 
     Parameters
     ----------
     path : the file; its content and its extension have to agree.
     sha256 : its hash, where the caller has taken it already; else it is taken here.
+    needs_channels : refuse a log without any. False where only `Log.message` is asked for; start
+        and end are 0 in a log without channels.
 
     Returns the log with its channels in SI. Raises LogError (LOG-MISSING, LOG-EMPTY, LOG-FORMAT,
-    LOG-NO-MESSAGES, LOG-UNREADABLE) when nothing can be used. Damage is no reason to refuse: it is
-    counted in the ledger of the log.
+    LOG-NO-MESSAGES, LOG-UNREADABLE, LOG-CHANGED; of PX4 logs LOG-ULOG, LOG-NEEDS-EXTRA) when
+    nothing can be used. Damage is no reason to refuse: it is counted in the ledger of the log.
     """
     path = Path(path)
     try:
         if not path.is_file():
-            what = "it is a folder" if path.is_dir() else "there is no such file"
+            kind = "it is a folder" if path.is_dir() else "it is a pipe or a device, not a file"
+            what = kind if path.exists() else "there is no such file"
             raise LogError("LOG-MISSING", what, where=str(path), remedy="check the path of the log")
-        return _read(path, sha256)
+        return _read(path, sha256, needs_channels)
     except OSError as error:
         raise LogError(
             "LOG-UNREADABLE",
@@ -54,7 +60,7 @@ def open_log(path: Path | str, sha256: str | None = None) -> Log:
         ) from error
 
 
-def _read(path: Path, sha256: str | None) -> Log:
+def _read(path: Path, sha256: str | None, needs_channels: bool) -> Log:
     size = path.stat().st_size
     if size == 0:
         raise LogError(
@@ -66,14 +72,17 @@ def _read(path: Path, sha256: str | None) -> Log:
     with path.open("rb") as stream:
         head = stream.read(HEAD_BYTES)
     form = _format_of(path, head)
-    sha256 = sha256 or hash_file(path)
+    if form.matches(head):  # else it is to show first that it is a log at all
+        sha256 = sha256 or hash_file(path)
     ledger = Ledger()
     contents = form.read(path, ledger)
-    _refuse_useless(path, form, contents, ledger)
+    channels = (flagged(channel, ledger) for channel in contents.channels)
+    contents = replace(contents, channels=tuple(one for one in channels if len(one)))
+    _refuse_useless(path, form, contents, ledger, needs_channels)
     return Log(
         path=path,
         format=form.name,
-        sha256=sha256,
+        sha256=sha256 or hash_file(path),
         size_bytes=size,
         messages=dict(sorted(contents.messages.items())),
         channels=tuple(sorted(contents.channels, key=lambda channel: channel.name)),
@@ -81,9 +90,10 @@ def _read(path: Path, sha256: str | None) -> Log:
         lost_messages=contents.lost_messages,
         boots=contents.boots,
         time_base=contents.time_base,
-        start_ns=min(int(channel.time_ns[0]) for channel in contents.channels),
-        end_ns=max(int(channel.time_ns[-1]) for channel in contents.channels),
+        start_ns=min((int(channel.time_ns[0]) for channel in contents.channels), default=0),
+        end_ns=max((int(channel.time_ns[-1]) for channel in contents.channels), default=0),
         ledger=ledger,
+        table=contents.table,
     )
 
 
@@ -111,7 +121,9 @@ def _format_of(path: Path, head: bytes) -> LogFormat:
     return named  # a log with a damaged beginning: its reader decides
 
 
-def _refuse_useless(path: Path, form: LogFormat, contents: Contents, ledger: Ledger) -> None:
+def _refuse_useless(
+    path: Path, form: LogFormat, contents: Contents, ledger: Ledger, needs_channels: bool
+) -> None:
     if not contents.messages:
         damage = "".join(f"; {entry.what} ({entry.where})" for entry in list(ledger)[:2])
         raise LogError(
@@ -120,12 +132,13 @@ def _refuse_useless(path: Path, form: LogFormat, contents: Contents, ledger: Led
             where=str(path),
             remedy=f"check that it is the whole log; known are {KNOWN}",
         )
-    if not contents.channels:
+    if needs_channels and not contents.channels:
         kinds = ", ".join(sorted(contents.messages)[:12])
         raise LogError(
             "LOG-NO-MESSAGES",
             f"{sum(contents.messages.values())} messages, but none with a position, an attitude, "
             "air data or camera events",
             where=str(path),
-            remedy=f"check what the vehicle logs; this log has {kinds}",
+            remedy=f"check what the vehicle logs; this log has {kinds}, which "
+            "`unbend inspect --type` shows",
         )

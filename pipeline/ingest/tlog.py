@@ -2,43 +2,33 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Mapping
+from collections import Counter
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.flight.channels import Channel, Source, TimeArray
-from pipeline.flight.clock import UNIX_US_FROM
-from pipeline.ingest.base import Contents, report_damage
-from pipeline.ingest.build import Rows, channel_of
-from pipeline.ingest.fields import MessageMap, extract
-from pipeline.ingest.tlog_clock import Clocks, Timed, clocks_of
-from pipeline.ingest.tlog_fields import MESSAGES
-from pipeline.ingest.tlog_frames import (
-    Frames,
-    FrameWalk,
-    frame_length,
-    lost_by_source,
-    payloads,
-    walk,
-)
+from pipeline.flight.channels import Channel
+from pipeline.flight.clock import stray_times
+from pipeline.ingest.base import Contents, Table, report_damage
+from pipeline.ingest.tlog_borrowed import borrowed
+from pipeline.ingest.tlog_channels import by_source, channels_of, label_of, times_of
+from pipeline.ingest.tlog_clock import Clocks, Key, clocks_of
+from pipeline.ingest.tlog_dialect import Dialect, Message, dialect
+from pipeline.ingest.tlog_fields import MESSAGES, wanted_fields
+from pipeline.ingest.tlog_frames import frame_length
+from pipeline.ingest.tlog_samples import MICROSECOND
+from pipeline.ingest.tlog_scan import SILENT_US, Scan, Silence, scan
+from pipeline.ingest.window import window_on
 from pipeline.ledger import Ledger
 
-SYSTEM_TIME = "SYSTEM_TIME"
-
-
-@dataclass(frozen=True)
-class Dialect:
-    """What is needed of pymavlink's dialect, by message id."""
-
-    names: Mapping[int, str]
-    extras: Mapping[int, int]
-    dtypes: Mapping[str, np.dtype[Any]]
-    ids: Mapping[str, int]
+# When an exposure was asked for, not when it was sent, is the time in it.
+SILENT_NS = SILENT_US * MICROSECOND
+_CARRIED = {key.partition(".")[0] for key in MESSAGES}
+_LATE = {key for key, spec in MESSAGES.items() if spec.event}
 
 
 @dataclass(frozen=True)
@@ -54,269 +44,172 @@ class Tlog:
         return first > 0 and (first == len(head) or frame_length(head, first) > 0)
 
     def read(self, path: Path, ledger: Ledger) -> Contents:
-        data = path.read_bytes()
-        dialect = _dialect()
-        found = walk(data, dialect.extras)
-        frames = found.frames.take(found.valid)
-        damaged = _report_damage(found, dialect, path, ledger)
-        tables = _Tables(data, frames, dialect)
-        clocks = clocks_of(tables.timed(), frames, ledger)
-        channels = _channels(tables, clocks, ledger)
-        carriers = {(c.source.system, c.source.component) for c in channels}
-        lost = {
-            source: count
-            for source, count in lost_by_source(found.frames).items()
-            if source in carriers and count
-        }
-        for (system, component), count in sorted(lost.items()):
-            ledger.warning(
-                "LOG-LINK-LOSS",
-                f"{count} messages of system {system}, component {component} are missing by "
-                "their sequence numbers: the radio link lost them",
-                where=path.name,
-                count=count,
-            )
+        known = dialect()
+        wanted = wanted_fields()
+        with window_on(path) as data:
+            late = {known.numbers[name] for name in _LATE if name in known.numbers}
+            found = scan(data, known.extras, known.layouts(wanted), late)
+        damaged = _report_damage(found, known, set(wanted), path, ledger)
+        if not found.steady:
+            _steady_host(found, ledger, path.name)
+        sent = {known.messages[number].name: found.sent.pop(number) for number in [*found.sent]}
+        parts = [part for name, part in sent.items() if name in _CARRIED]
+        sources = {int(n) for p in parts for b in p.blocks() for n in np.unique(b["source"])}
+        clocks = clocks_of(found.clock.readings({source >> 8 for source in sources}), ledger)
+        clocks = borrowed(clocks, parts, ledger)
+        channels = channels_of(sent, clocks, ledger)
+        lost = _report_link(found, clocks, channels, path, ledger)
         return Contents(
-            _counts(frames, dialect),
-            channels,
+            {known.name(key): count for key, count in found.counts.items() if count},
+            tuple(channels),
             found.bad_bytes + damaged,
-            sum(lost.values()),
+            lost,
             clocks.boots,
             clocks.words,
+            partial(_table, path, clocks),
         )
 
 
 TLOG = Tlog()
 
 
-def _dialect() -> Dialect:
-    from pymavlink.dialects.v20 import all as library
-
-    classes = dict(library.mavlink_map)
-    wanted = {key.partition(".")[0] for key in MESSAGES} | {SYSTEM_TIME}
-    names = {key: str(found.msgname) for key, found in classes.items()}
-    ids = {name: key for key, name in names.items() if name in wanted}
-    return Dialect(
-        names,
-        {key: int(found.crc_extra) for key, found in classes.items()},
-        {
-            name: _dtype(classes[key].unpacker.format, classes[key].ordered_fieldnames)
-            for name, key in ids.items()
-        },
-        ids,
-    )
-
-
-def _dtype(layout: str, fields: list[str]) -> np.dtype[Any]:
-    """The numpy type of a struct format such as ``<If10s``, which has one item a field.
-
-    >>> _dtype("<If10s", ["time_boot_ms", "value", "name"]).itemsize
-    18
-    """
-    kinds: list[tuple[str, str] | tuple[str, str, int]] = []
-    items = re.findall(r"(\d*)([a-zA-Z])", layout)
-    for field, (count, letter) in zip(fields, items, strict=True):
-        if letter == "s":
-            kinds.append((field, f"S{count or 1}"))
-        elif count:
-            kinds.append((field, f"<{letter}", int(count)))
-        else:
-            kinds.append((field, f"<{letter}"))
-    return np.dtype(kinds)
-
-
-def _name(dialect: Dialect, message_id: int) -> str:
-    return dialect.names.get(message_id, f"UNKNOWN_{message_id}")
-
-
-def _counts(frames: Frames, dialect: Dialect) -> dict[str, int]:
-    ids, counts = np.unique(frames.message_id, return_counts=True)
-    pairs = zip(ids.tolist(), counts.tolist(), strict=True)
-    return {_name(dialect, key): int(count) for key, count in pairs}
-
-
-def _report_damage(found: FrameWalk, dialect: Dialect, path: Path, ledger: Ledger) -> int:
+def _report_damage(
+    found: Scan, known: Dialect, needed: set[str], path: Path, ledger: Ledger
+) -> int:
     """Enter the damage; returns the bytes of frames whose checksum fails by damage."""
     report_damage(ledger, path.name, "message", found.bad_bytes, found.first_bad, found.cut_bytes)
-    strange = ~np.isin(found.frames.message_id, list(dialect.names))
-    if strange.any():
-        ids = np.unique(found.frames.message_id[strange]).tolist()
+    if found.unknown:
+        count = sum(suspects.count for suspects in found.unknown.values())
+        first = min(suspects.first for suspects in found.unknown.values())
         ledger.warning(
             "LOG-UNKNOWN-ID",
-            f"{int(strange.sum())} messages have ids that the dialect does not know "
-            f"({', '.join(str(key) for key in ids[:8])}): not checked, not read",
-            where=f"{path.name}, first at byte {int(found.frames.at[strange][0])}",
-            count=int(strange.sum()),
+            f"{count} messages have ids that the dialect does not know "
+            f"({', '.join(str(key) for key in sorted(found.unknown)[:8])}): not checked, not read",
+            where=f"{path.name}, first at byte {first}",
+            count=count,
         )
     damaged = 0
-    failed = found.frames.take(~found.valid)
-    sound = set(np.unique(found.frames.message_id[found.valid]).tolist())
-    for key in np.unique(failed.message_id).tolist():
-        rows = failed.message_id == key
-        count = int(np.count_nonzero(rows))
-        where = f"{path.name}, first at byte {int(failed.at[rows][0])}"
-        name = f"{_name(dialect, key)} (id {key})"
-        if key in sound or key in dialect.ids.values():
-            damaged += int(np.sum(failed.start[rows] + failed.length[rows] - failed.at[rows])) + 2
-            ledger.loss(
-                "LOG-CRC", f"{count} messages {name} fail their checksum", where=where, count=count
-            )
+    for number, suspects in sorted(found.failed.items()):
+        where = f"{path.name}, first at byte {suspects.first}"
+        name = f"{known.name(number)} (id {number})"
+        if found.counts[number] or known.name(number) in needed:
+            damaged += suspects.size
+            what = f"{suspects.count} messages {name} fail their checksum"
+            ledger.loss("LOG-CRC", what, where=where, count=suspects.count)
         else:
             ledger.warning(
                 "LOG-DIALECT",
-                f"{count} messages {name} fail their checksum, all there are: another version of "
-                "the dialect; nothing here needs them",
+                f"{suspects.count} messages {name} fail their checksum, all there are: another "
+                "version of the dialect; nothing here needs them",
                 where=where,
-                count=count,
+                count=suspects.count,
             )
     return damaged
 
 
-class _Tables:
-    """The wanted messages, decoded on demand: rows among all frames, and fields."""
-
-    def __init__(self, data: bytes, frames: Frames, dialect: Dialect) -> None:
-        self.data = data
-        self.frames = frames
-        self.dialect = dialect
-
-    def rows(self, message: str) -> NDArray[np.intp]:
-        key = self.dialect.ids.get(message)
-        if key is None:  # an older dialect of the library does not know it
-            return np.empty(0, np.intp)
-        return np.flatnonzero(self.frames.message_id == key)
-
-    def fields(self, message: str, rows: NDArray[np.intp]) -> NDArray[Any]:
-        return payloads(self.data, self.frames.take(rows), self.dialect.dtypes[message])
-
-    def timed(self) -> list[Timed]:
-        """Rows, time since boot [ns], and UTC [ns] (0 unknown) of messages with time_boot_ms."""
-        wanted = [key for name, key in self.dialect.ids.items() if name != SYSTEM_TIME]
-        carriers = np.unique(self.frames.system[np.isin(self.frames.message_id, wanted)])
-        result = []
-        for message, dtype in self.dialect.dtypes.items():
-            rows = self.rows(message)
-            rows = rows[np.isin(self.frames.system[rows], carriers)]
-            if "time_boot_ms" not in (dtype.names or ()) or rows.shape[0] == 0:
-                continue
-            table = self.fields(message, rows)
-            boot_ns = table["time_boot_ms"].astype(np.int64) * 1_000_000
-            utc_ns = np.zeros(rows.shape, np.int64)
-            if message == SYSTEM_TIME:
-                unix_us = np.minimum(table["time_unix_usec"], 1 << 52).astype(np.int64)
-                utc_ns = np.where(unix_us > UNIX_US_FROM, unix_us * 1000, 0)
-            result.append((rows, boot_ns, utc_ns))
-        return result
+def _report_link(
+    found: Scan, clocks: Clocks, channels: list[Channel], path: Path, ledger: Ledger
+) -> int:
+    """Enter what the link lost of the senders of channels; returns how many messages at least."""
+    carriers = {(channel.source.system, channel.source.component) for channel in channels}
+    lost = Counter({key: count for key, count in found.lost.items() if key in carriers})
+    silent: dict[Key, list[Silence]] = {}
+    for silence in found.silences:
+        if silence.source in carriers and clocks.ran_on(silence.source, silence.at, SILENT_NS):
+            silent.setdefault(silence.source, []).append(silence)
+            lost[silence.source] += silence.backward  # after seconds of silence nothing overtakes
+    for (system, component), count in sorted((+lost).items()):
+        ledger.loss(
+            "LOG-LINK-LOSS",
+            f"at least {count} messages of system {system}, component {component} are missing by "
+            "their sequence numbers, which begin again after 256: the radio link lost them",
+            where=path.name,
+            count=count,
+        )
+    for (system, component), mine in sorted(silent.items()):
+        ledger.loss(
+            "LOG-GAP",
+            f"nothing of system {system}, component {component} was recorded {len(mine)} times for "
+            f"more than {SILENT_US / 1e6:.0f} s, {sum(one.seconds for one in mine):.1f} s "
+            "together, while its clock ran on: the link was down, or bytes are missing",
+            where=f"{path.name}, first before byte {mine[0].at}",
+            count=len(mine),
+        )
+    return lost.total()
 
 
-def _channels(tables: _Tables, clocks: Clocks, ledger: Ledger) -> tuple[Channel, ...]:
-    channels = []
-    for key, spec in MESSAGES.items():
-        for rows, records in _rows_of(key, spec, tables, clocks):
-            if key == "CAMERA_FEEDBACK":
-                rows = rows.take(_distinct(records, rows.name, ledger))
-            if spec.event:  # the link may deliver an exposure late
-                rows = rows.take(np.argsort(rows.time_ns, kind="stable"))
-            channel = channel_of(rows, spec, ledger)
-            if channel is not None:
-                channels.append(channel)
-    return tuple(channels)
+def _steady_host(found: Scan, ledger: Ledger, where: str) -> None:
+    """Mend the ground station's stamps where they jump away and back.
 
-
-def _rows_of(
-    key: str, spec: MessageMap, tables: _Tables, clocks: Clocks
-) -> Iterator[tuple[Rows, NDArray[Any]]]:
-    """The rows of each sender and instance of a message, in SI and as they were sent."""
-    message = key.partition(".")[0]
-    rows = tables.rows(message)
-    if rows.shape[0] == 0:
-        return
-    table = tables.fields(message, rows)
-    sources = tables.frames.system[rows] * 256 + tables.frames.component[rows]
-    unique = np.unique(sources)
-    for source in unique:
-        sent = table[sources == source]
-        system, component = int(source) // 256, int(source) % 256
-        places = rows[sources == source]
-        time_ns, boot = _times(sent, places, spec, clocks, (system, component))
-        for label, part in _instances(sent, spec):
-            name = key if label is None else f"{key}[{label}]"
-            name += f"@{system}/{component}" if unique.shape[0] > 1 else ""
-            records = sent[part]
-            columns = extract({f: records[f] for f in records.dtype.names or ()}, spec.columns)
-            origin = Source(message, label, system, component)
-            yield Rows(name, origin, time_ns[part], boot[part], columns), records
-
-
-def _times(
-    table: NDArray[Any],
-    rows: NDArray[np.intp],
-    spec: MessageMap,
-    clocks: Clocks,
-    source: tuple[int, int],
-) -> tuple[TimeArray, NDArray[np.int16]]:
-    boot = clocks.boot(source, rows)
-    if not spec.time_field:
-        return clocks.utc_of_host(source, rows), boot
-    if spec.time_field == "time_boot_ms":
-        since_boot = table["time_boot_ms"].astype(np.int64) * 1_000_000
-        return clocks.utc_of_boot(source, since_boot, rows), boot
-    # time_usec: Unix time from some senders, time since boot from others, 0 when not known
-    stamp_us = np.minimum(table["time_usec"], 1 << 52).astype(np.int64)
-    since_boot = clocks.utc_of_boot(source, stamp_us * 1000, rows)
-    time_ns = np.where(stamp_us > UNIX_US_FROM, stamp_us * 1000, since_boot)
-    return np.where(stamp_us == 0, clocks.utc_of_host(source, rows), time_ns), boot
-
-
-def _instances(
-    table: NDArray[Any], spec: MessageMap
-) -> Iterator[tuple[str | None, NDArray[np.intp]]]:
-    if not spec.id_field:
-        yield None, np.arange(table.shape[0])
-        return
-    for value in np.unique(table[spec.id_field]):
-        label = _text(value) if isinstance(value, bytes) else str(int(value))
-        yield label, np.flatnonzero(table[spec.id_field] == value)
-
-
-def _text(value: bytes) -> str:
-    """A char[] field: cut at the first NUL."""
-    return value.split(b"\0", 1)[0].decode("ascii", "backslashreplace")
-
-
-def _distinct(table: NDArray[Any], name: str, ledger: Ledger) -> NDArray[np.intp]:
-    """The rows of CAMERA_FEEDBACK that are exposures of a camera: no empty ones, each once.
-
-    ArduPilot sends a row again while the next pulse is awaited, at times already with the next
-    index: the time is what tells exposures apart, and the first row of a time has its index.
+    The stamps lie outside the checksum. A stray one takes the value of the one before it.
     """
-    empty = (table["time_usec"] == 0) & (table["lat"] == 0) & (table["lng"] == 0)
-    rows = np.flatnonzero(~empty)
-    times, indices = table["time_usec"][rows], table["img_idx"][rows].astype(np.uint64)
-    keys = np.where(times == 0, indices, times)
-    first = np.sort(np.unique(keys, return_index=True)[1])
-    empties, repeats = int(empty.sum()), int(rows.shape[0] - first.shape[0])
-    if empties:
-        ledger.note(
-            "EVENT-EMPTY",
-            f"{empties} of {table.shape[0]} rows have neither time nor place: no exposure",
-            where=name,
-            count=empties,
-        )
-    if repeats:
-        ledger.note(
-            "EVENT-REPEAT",
-            f"{repeats} of {table.shape[0]} rows repeat the time of an exposure",
-            where=name,
-            count=repeats,
-        )
-    unseen = np.setdiff1d(indices, indices[first])
-    if unseen.shape[0]:
-        ledger.warning(
-            "EVENT-NO-PULSE",
-            f"{unseen.shape[0]} image indices never got a time of their own (the first is "
-            f"{int(unseen[0])}): the camera was triggered and its feedback was lost",
-            where=name,
-            count=int(unseen.shape[0]),
-        )
-    return rows[first]
+    stores = [*found.sent.values(), found.clock.rows]
+    blocks = [block for store in stores[:-1] for block in store.blocks()]
+    if not blocks:
+        return
+    at = np.concatenate([block["at"] for block in blocks])
+    order = np.argsort(at, kind="stable")
+    at = at[order]
+    host_us = np.concatenate([block["host_us"] for block in blocks])[order]
+    stray = stray_times(host_us * MICROSECOND)
+    count = int(np.count_nonzero(stray))
+    if count == 0 or bool(stray.all()):
+        return
+    ledger.loss(
+        "TIME-STRAY",
+        f"{count} messages carry a stamp of the ground station that fits none of their "
+        "neighbours: the one before is used",
+        where=f"{where}, first at byte {int(at[stray][0])}",
+        count=count,
+    )
+    good = host_us[~stray]
+    before = np.maximum(np.searchsorted(np.flatnonzero(~stray), np.flatnonzero(stray)) - 1, 0)
+    for store in stores:
+        for block in store.blocks():
+            place = np.minimum(np.searchsorted(at[stray], block["at"]), count - 1)
+            mine = at[stray][place] == block["at"]
+            block["host_us"][mine] = good[before[place[mine]]]
+
+
+def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table:
+    """All messages of one type with their time, their sender and their fields as sent."""
+    known = dialect()
+    if name not in known.numbers:
+        return {}
+    message = known.messages[known.numbers[name]]
+    with window_on(path) as data:
+        sent = scan(data, known.extras, {message.number: message.dtype}).sent.get(message.number)
+    if sent is None:
+        return {}
+    rows = sent.whole()
+    if instance is not None:
+        if not message.instance_field:
+            return {}
+        ids = rows["records"][message.instance_field]
+        asked = [value for value in np.unique(ids) if label_of(value) == instance]
+        rows = rows[np.isin(ids, asked)]
+    return _columns_of(rows, message, clocks) if len(rows) else {}
+
+
+def _columns_of(rows: NDArray[Any], message: Message, clocks: Clocks) -> Table:
+    time_ns, boot = np.empty(len(rows), np.int64), np.empty(len(rows), np.int16)
+    field = next((name for name in ("time_boot_ms", "time_usec") if name in message.fields), "")
+    for source, mine in by_source(rows):
+        time_ns[mine], boot[mine] = times_of(rows[mine], field, clocks, source)
+    table: Table = {
+        "time_ns": time_ns,
+        "boot": boot,
+        "system": rows["source"] >> 8,
+        "component": rows["source"] & 0xFF,
+    }
+    for name in message.fields:
+        raw = rows["records"][name]
+        table[name] = _texts(raw) if name in message.texts else np.ascontiguousarray(raw)
+    return table
+
+
+def _texts(raw: NDArray[Any]) -> NDArray[Any]:
+    """Char arrays as text; what is no ASCII becomes U+FFFD, as in the library."""
+    different, places = np.unique(raw, return_inverse=True)
+    cut = [value.split(b"\0", 1)[0].decode("ascii", "replace") for value in different.tolist()]
+    return np.array(cut, np.str_)[places]

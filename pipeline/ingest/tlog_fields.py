@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from pipeline.ingest.fields import MessageMap, column
+from pipeline.ingest.gimbal import device_columns
 
 INT16_MAX, UINT16_MAX = 32767.0, 65535.0
 
@@ -35,6 +36,7 @@ _PRESSURE = ("pressure", "cabin_pressure")
 _ATTITUDE = ("attitude",)
 _BOOT_MS, _USEC = "time_boot_ms", "time_usec"
 
+_NAMED = MessageMap((column("value", "value"),), id_field="name", time_field=_BOOT_MS)
 _PITOT = MessageMap(_DIFFERENTIAL, ("temperature",), 40, time_field=_BOOT_MS)
 
 
@@ -52,6 +54,18 @@ MESSAGES: Mapping[str, MessageMap] = {
     ),
     "GPS_RAW_INT": MessageMap(_GPS, _GNSS, 20, time_field=_USEC, position=True),
     "GPS2_RAW": MessageMap(_GPS, _GNSS, 30, time_field=_USEC, position=True),
+    "GLOBAL_POSITION_INT_COV": MessageMap(
+        (*_PLACE, column("h_msl_m", "alt", "mm"), column("h_home_m", "relative_alt", "mm")),
+        ("position",),
+        15,
+        time_field=_USEC,
+        position=True,
+    ),
+    # Heights without a place: no role asks for them, a user may.
+    "ALTITUDE": MessageMap(
+        (column("h_msl_m", "altitude_amsl"), column("h_home_m", "altitude_relative")),
+        time_field=_USEC,
+    ),
     "ATTITUDE": MessageMap(_EULER, _ATTITUDE, 10, time_field=_BOOT_MS, attitude=True),
     "ATTITUDE_QUATERNION": MessageMap(
         tuple(column(f"q_{axis}", f"q{k}") for k, axis in enumerate("wxyz", 1)),
@@ -60,7 +74,18 @@ MESSAGES: Mapping[str, MessageMap] = {
         time_field=_BOOT_MS,
         attitude=True,
     ),
-    "AHRS2": MessageMap(_EULER, _ATTITUDE, 40, attitude=True),
+    # A second estimate: its place is 0, 0 until it has one.
+    "AHRS2": MessageMap(
+        (
+            *_EULER,
+            column("lat_rad", "lat", "degE7", missing=0.0),
+            column("lon_rad", "lng", "degE7", missing=0.0),
+            column("h_msl_m", "altitude"),
+        ),
+        _ATTITUDE,
+        40,
+        attitude=True,
+    ),
     "SCALED_PRESSURE": _baro(10),
     "SCALED_PRESSURE2": _baro(20),
     "SCALED_PRESSURE3": _baro(30),
@@ -96,14 +121,38 @@ MESSAGES: Mapping[str, MessageMap] = {
         30,
         id_field="id",
     ),
-    "VFR_HUD": MessageMap((column("airspeed_m_s", "airspeed"),), ("airspeed",), 60),
-    "NAMED_VALUE_FLOAT": MessageMap(
-        (column("value", "value"),), id_field="name", time_field=_BOOT_MS
+    "VFR_HUD": MessageMap(
+        (column("airspeed_m_s", "airspeed"), column("h_msl_m", "alt")), ("airspeed",), 60
+    ),
+    # The sensor's own temperature, an extension of MAVLink 2: trimmed or absent it looks like 0.
+    "RAW_IMU": MessageMap(
+        (column("board_temperature_k", "temperature", "cdegC", missing=0.0),),
+        id_field="id",
+        time_field=_USEC,
+    ),
+    "MCU_STATUS": MessageMap(
+        (column("board_temperature_k", "MCU_temperature", "cdegC"),), id_field="id"
+    ),
+    "HIGH_LATENCY2": MessageMap((column("temperature_k", "temperature_air", "degC"),), rank=60),
+    "NAMED_VALUE_FLOAT": _NAMED,
+    "NAMED_VALUE_INT": _NAMED,
+    "DEBUG_VECT": MessageMap(
+        tuple(column(axis, axis) for axis in "xyz"), id_field="name", time_field=_USEC
+    ),
+    # Elements that are never set are 0 and no column; the first is what a role can take.
+    "DEBUG_FLOAT_ARRAY": MessageMap(
+        (
+            column("value", "data.0"),
+            *(column(f"value_{k}", f"data.{k}", missing=0.0) for k in range(1, 58)),
+        ),
+        id_field="name",
+        time_field=_USEC,
     ),
     "CAMERA_FEEDBACK": MessageMap(
         (
             *_PLACE,
             column("h_msl_m", "alt_msl"),
+            column("h_home_m", "alt_rel"),
             column("event_index", "img_idx"),
             *_EULER_DEG,
         ),
@@ -112,7 +161,64 @@ MESSAGES: Mapping[str, MessageMap] = {
         id_field="cam_idx",
         time_field=_USEC,
     ),
+    "CAMERA_IMAGE_CAPTURED": MessageMap(
+        (
+            *_PLACE,
+            column("h_msl_m", "alt", "mm"),
+            column("h_home_m", "relative_alt", "mm"),
+            column("event_index", "image_index"),
+            *(column(f"camera_q_{axis}", f"q.{k}") for k, axis in enumerate("wxyz")),
+        ),
+        ("events",),
+        20,
+        id_field="camera_id",
+        time_field=_BOOT_MS,
+    ),
     "CAMERA_TRIGGER": MessageMap(
         (column("event_index", "seq"),), ("events",), 30, time_field=_USEC
     ),
+    # A gimbal plays no role unless it is named: whether a camera hangs on it, no log says.
+    "MOUNT_STATUS": MessageMap(
+        (
+            column("gimbal_pitch_rad", "pointing_a", "cdeg"),
+            column("gimbal_roll_rad", "pointing_b", "cdeg"),
+            column("gimbal_yaw_rad", "pointing_c", "cdeg"),
+        )
+    ),
+    "MOUNT_ORIENTATION": MessageMap(
+        (
+            *(column(f"gimbal_{angle}_rad", angle, "deg") for angle in ("roll", "pitch", "yaw")),
+            *_EULER_DEG[:2],
+            # an extension of MAVLink 2: trimmed or absent it looks like 0
+            column("yaw_rad", "yaw_absolute", "deg", missing=0.0),
+        ),
+        time_field=_BOOT_MS,
+        attitude=True,
+    ),
+    "GIMBAL_DEVICE_ATTITUDE_STATUS": MessageMap(
+        device_columns(),
+        id_field="gimbal_device_id",
+        time_field=_BOOT_MS,
+        attitude=True,
+    ),
 }
+
+LABELS: Mapping[str, str] = {"CAMERA_IMAGE_CAPTURED": "file_url"}
+"""Messages with a text that belongs to each row."""
+
+
+SYSTEM_TIME, PARAM_VALUE = "SYSTEM_TIME", "PARAM_VALUE"
+
+
+def wanted_fields() -> dict[str, set[str]]:
+    """The fields that the channels and their clocks are made of, by message."""
+    wanted = {
+        SYSTEM_TIME: {"time_boot_ms", "time_unix_usec"},
+        PARAM_VALUE: {"param_id", "param_value"},
+        "CAMERA_IMAGE_CAPTURED": {"capture_result", "time_utc"},
+    }
+    for key, spec in MESSAGES.items():
+        fields = {name.partition(".")[0] for column in spec.columns for name in column.fields}
+        fields |= {spec.id_field, spec.time_field, LABELS.get(key, "")}
+        wanted.setdefault(key.partition(".")[0], set()).update(fields)
+    return wanted

@@ -1,8 +1,7 @@
-"""Walking the frames of a MAVLink telemetry log, and round the damage in it.
+"""Frames of a MAVLink telemetry log: where one may begin, what its header says, its checksum.
 
 A frame is the ground station's big-endian clock in microseconds (8 bytes) and a MAVLink 1 (0xFE)
-or MAVLink 2 (0xFD) packet with a checksum. Lengths come from the headers, checksums are computed
-for all frames of equal length at once.
+or MAVLink 2 (0xFD) packet. Everything is done for all frames of a stretch of the file at once.
 """
 
 from __future__ import annotations
@@ -14,175 +13,143 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.ingest.raw import gathered
+from pipeline.ingest.window import Bytes
+
 STAMP = 8
 V1, V2 = 0xFE, 0xFD
 V1_BEFORE_PAYLOAD, V2_BEFORE_PAYLOAD = 6, 10  # from the magic byte on
 CHECKSUM = 2
 SIGNATURE = 13
+HEAD = STAMP + V2_BEFORE_PAYLOAD
 SHORTEST = STAMP + V1_BEFORE_PAYLOAD + CHECKSUM
+LONGEST = HEAD + 255 + CHECKSUM + SIGNATURE
 BLOCK = 8192  # rows of one pass of the checksum: they fit the cache
 
 # First two bytes of a stamp between 2001 (1e15 us, 0x00038D...) and 2103.
 STAMP_HIGH = range(0x03, 0x0F)
 
+_HEAD = np.dtype(
+    {
+        "names": ["host", "magic", "length", "flags", "seq1", "sys1", "comp1", "id1",
+                  "seq2", "sys2", "comp2", "low", "high"],
+        "formats": [">u8", "u1", "u1", "u1", "u1", "u1", "u1", "u1", "u1", "u1", "u1", "u1", "<u2"],
+        "offsets": [0, 8, 9, 10, 10, 11, 12, 13, 12, 13, 14, 15, 16],
+        "itemsize": HEAD,
+    }
+)  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Frames:
-    """The frames in the order of the file, one row each.
+    """Frames in the order of the file, one row each.
 
-    ``at`` byte offset of the stamp; ``host_us`` the ground station's clock; ``length`` of the
-    payload; ``start`` byte offset of the payload.
+    ``at`` byte offset of the stamp; ``total`` bytes of the frame; ``host_us`` the ground station's
+    clock; ``version`` 1 or 2; ``length`` of the payload; ``sequence``, ``system``, ``component``,
+    ``message_id`` as in the header.
     """
 
     at: NDArray[np.int64]
+    total: NDArray[np.int64]
     host_us: NDArray[np.int64]
     version: NDArray[np.uint8]
-    length: NDArray[np.int64]
-    start: NDArray[np.int64]
-    sequence: NDArray[np.int64]
-    system: NDArray[np.int64]
-    component: NDArray[np.int64]
-    message_id: NDArray[np.int64]
+    length: NDArray[np.uint8]
+    sequence: NDArray[np.uint8]
+    system: NDArray[np.uint8]
+    component: NDArray[np.uint8]
+    message_id: NDArray[np.int32]
 
     def __len__(self) -> int:
         return int(self.at.shape[0])
 
-    def take(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Frames:
-        """The frames of a mask or an index."""
+    @property
+    def end(self) -> NDArray[np.int64]:
+        return np.asarray(self.at + self.total, np.int64)
+
+    @property
+    def payload(self) -> NDArray[np.int64]:
+        """The byte offset of the payload."""
+        before = np.where(self.version == 2, HEAD, STAMP + V1_BEFORE_PAYLOAD)
+        return np.asarray(self.at + before, np.int64)
+
+    def take(self, rows: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Frames:
+        """The frames of a mask, an index or a slice."""
+        if isinstance(rows, np.ndarray) and rows.dtype == np.bool_ and bool(rows.all()):
+            return self
         return Frames(**{name: column[rows] for name, column in vars(self).items()})
 
+    def moved(self, by: int) -> Frames:
+        """The same frames counted from another place."""
+        return Frames(**(vars(self) | {"at": self.at + by}))
 
-@dataclass(frozen=True)
-class FrameWalk:
-    """All frames with whole headers, and the bytes between them."""
 
-    frames: Frames
-    valid: NDArray[np.bool_]
-    bad_bytes: int
-    first_bad: int
-    cut_bytes: int
+def joined(parts: list[Frames]) -> Frames:
+    """Several tables of frames as one, in the order of the file."""
+    names = Frames.__dataclass_fields__
+    whole = Frames(**{name: np.concatenate([vars(part)[name] for part in parts]) for name in names})
+    return whole.take(np.argsort(whole.at, kind="stable"))
 
 
 def frame_length(data: bytes, at: int) -> int:
-    """Bytes of the frame whose stamp begins here; 0 when there is none."""
+    """Bytes of the frame whose stamp begins here; 0 when there is none.
+
+    >>> frame_length(bytes([0, 5, 0, 0, 0, 0, 0, 0, 0xFE, 4]) + bytes(20), 0)
+    20
+    """
     if at + SHORTEST > len(data) or data[at] != 0 or data[at + 1] not in STAMP_HIGH:
         return 0
     magic = data[at + STAMP]
     if magic == V2:
         signed = SIGNATURE if data[at + STAMP + 2] & 1 else 0
-        return STAMP + V2_BEFORE_PAYLOAD + data[at + STAMP + 1] + CHECKSUM + signed
+        return HEAD + data[at + STAMP + 1] + CHECKSUM + signed
     if magic == V1:
         return STAMP + V1_BEFORE_PAYLOAD + data[at + STAMP + 1] + CHECKSUM
     return 0
 
 
-class _Walker:
-    def __init__(self, data: bytes, extras: Mapping[int, int]) -> None:
-        self.data = data
-        self.size = len(data)
-        self.extras = extras
-        self.starts: list[int] = []
-        self.bad: list[tuple[int, int]] = []
-        self.cut_bytes = 0
-
-    def walk(self) -> None:
-        at = 0
-        while at < self.size:
-            length = frame_length(self.data, at)
-            if length and at + length <= self.size:
-                self.starts.append(at)
-                at += length
-            else:
-                at = self._resume(at)
-
-    def _resume(self, at: int) -> int:
-        begin = at
-        if self.starts and self._disproved(self.starts[-1], at):
-            begin = self.starts.pop()  # its length may be what is damaged
-        found = self._next(begin + 1)
-        if found == self.size and begin == at and self._is_cut(at):
-            self.cut_bytes = self.size - at
-        else:
-            self.bad.append((begin, found - begin))
-        return found
-
-    def _disproved(self, at: int, end: int) -> bool:
-        """Whether a frame ends here and fails its checksum; that of an unknown id cannot."""
-        frames = _columns(self.data, np.array([at], np.int64))
-        ends = at + frame_length(self.data, at) == end
-        return ends and int(frames.message_id[0]) in self.extras and not self._proven(at)
-
-    def _next(self, at: int) -> int:
-        """The next byte with a frame whose checksum holds, or the end of the file."""
-        at += STAMP
-        while True:
-            ends = [self.data.find(bytes([magic]), at) for magic in (V1, V2)]
-            places = [place for place in ends if place != -1]
-            if not places:
-                return self.size
-            at = min(places)
-            if self._proven(at - STAMP):
-                return at - STAMP
-            at += 1
-
-    def _proven(self, at: int) -> bool:
-        length = frame_length(self.data, at)
-        if not length or at + length > self.size:
-            return False
-        frames = _columns(self.data, np.array([at], np.int64))
-        return bool(checksums_hold(self.data, frames, self.extras)[0])
-
-    def _is_cut(self, at: int) -> bool:
-        rest = self.size - at
-        return rest < SHORTEST or frame_length(self.data, at) > rest
-
-
-def walk(data: bytes, extras: Mapping[int, int]) -> FrameWalk:
-    """Find every frame of a telemetry log.
+def candidates(window: Bytes, stop: int) -> NDArray[np.int64]:
+    """Where a frame may begin: a plausible stamp and a magic byte eight bytes on.
 
     Parameters
     ----------
-    data : the file.
-    extras : CRC_EXTRA by message id, from the dialect.
-
-    Returns the frames, with ``valid`` where the checksum holds (ids outside the dialect cannot be
-    checked and count as valid: they only stand where the frames before them end). After damage
-    the walk goes on with the next frame whose checksum holds.
+    window : a stretch of the file.
+    stop : only places before this one.
     """
-    walker = _Walker(data, extras)
-    walker.walk()
-    frames = _columns(data, np.array(walker.starts, np.int64))
-    known = np.isin(frames.message_id, list(extras))
-    valid = ~known
-    valid[known] = checksums_hold(data, frames.take(known), extras)
-    bad_bytes = sum(count for _, count in walker.bad)
-    first = min((start for start, _ in walker.bad), default=-1)
-    return FrameWalk(frames, valid, bad_bytes, first, walker.cut_bytes)
+    count = min(stop, window.shape[0] - STAMP)
+    if count <= 0:
+        return np.empty(0, np.int64)
+    # uint8 wraps: a difference below the length of a range means inside of it
+    may = (window[STAMP : STAMP + count] - np.uint8(V2)) <= V1 - V2
+    may &= window[:count] == 0
+    may &= (window[1 : 1 + count] - np.uint8(STAMP_HIGH.start)) < len(STAMP_HIGH)
+    return np.flatnonzero(may).astype(np.int64)
 
 
-def _columns(data: bytes, at: NDArray[np.int64]) -> Frames:
-    source = np.frombuffer(data, np.uint8)
-    stamps = source[at[:, None] + np.arange(STAMP)].reshape(-1, STAMP)
-    magic = at + STAMP
-    version = source[magic]
-    two = version == V2
-    ids = [source[magic + np.where(two, k, 5 if k == 7 else 0)].astype(np.int64) for k in (7, 8, 9)]
-    message_id = np.where(two, ids[0] | ids[1] << 8 | ids[2] << 16, ids[0])
-    header = np.where(two, V2_BEFORE_PAYLOAD, V1_BEFORE_PAYLOAD)
-    return Frames(
-        at=at,
-        host_us=stamps.view(">u8")[:, 0].astype(np.int64) if at.shape[0] else at,
-        version=version,
-        length=source[magic + 1].astype(np.int64),
-        start=magic + header,
-        sequence=source[magic + np.where(two, 4, 2)].astype(np.int64),
-        system=source[magic + np.where(two, 5, 3)].astype(np.int64),
-        component=source[magic + np.where(two, 6, 4)].astype(np.int64),
-        message_id=message_id,
+def headers(window: Bytes, places: NDArray[np.int64], room: int) -> Frames:
+    """What the headers say at these places, of the frames that end in the first ``room`` bytes.
+
+    The window must be `HEAD` bytes longer than the last place.
+    """
+    head = gathered(window, places, HEAD).view(_HEAD)
+    two = head["magic"] == V2
+    signed = two & (head["flags"] & 1 == 1)
+    total = head["length"].astype(np.int64) + np.where(two, HEAD, STAMP + V1_BEFORE_PAYLOAD)
+    total += CHECKSUM + SIGNATURE * signed
+    frames = Frames(
+        at=places,
+        total=total,
+        host_us=head["host"].astype(np.int64),
+        version=np.where(two, np.uint8(2), np.uint8(1)),
+        length=head["length"],
+        sequence=np.where(two, head["seq2"], head["seq1"]),
+        system=np.where(two, head["sys2"], head["sys1"]),
+        component=np.where(two, head["comp2"], head["comp1"]),
+        message_id=np.where(two, head["low"] | head["high"].astype(np.int32) << 8, head["id1"]),
     )
+    return frames.take(frames.end <= room)
 
 
-def _crc_table() -> NDArray[np.uint16]:
+def _byte_table() -> NDArray[np.uint16]:
     """CRC-16/MCRF4XX (X.25 of the MAVLink library), one entry a byte."""
     table = np.arange(256, dtype=np.uint16)
     for _ in range(8):
@@ -190,65 +157,86 @@ def _crc_table() -> NDArray[np.uint16]:
     return table
 
 
-_TABLE = _crc_table()
+def _step(crc: NDArray[np.uint16], byte: NDArray[np.integer[Any]]) -> NDArray[np.uint16]:
+    return np.asarray((crc >> 8) ^ _TABLE[(crc ^ byte) & 0xFF], np.uint16)
 
 
-def checksums_hold(data: bytes, frames: Frames, extras: Mapping[int, int]) -> NDArray[np.bool_]:
+_TABLE = _byte_table()
+# Two bytes a step: the register is 16 bits wide, so one table of 65,536 entries is the whole step.
+_ZERO = np.zeros(1, np.uint16)
+_WORDS = _step(_step(np.arange(1 << 16, dtype=np.uint16), _ZERO), _ZERO)
+
+
+def checksums_hold(window: Bytes, frames: Frames, extras: Mapping[int, int]) -> NDArray[np.bool_]:
     """Whether the checksum of each frame holds; False for ids without a CRC_EXTRA.
 
     Parameters
     ----------
-    frames : (n,) frames that lie wholly inside ``data``.
-    extras : CRC_EXTRA by message id.
+    window : the stretch of the file that ``frames.at`` counts in.
+    frames : (n,) frames that lie wholly inside it.
+    extras : CRC_EXTRA by message id, which the dialect adds to the bytes of the packet.
     """
-    source = np.frombuffer(data, np.uint8)
     holds = np.zeros(len(frames), np.bool_)
-    known = np.isin(frames.message_id, list(extras))
-    ids, inverse = np.unique(frames.message_id, return_inverse=True)
-    extra = np.array([extras.get(int(key), 0) for key in ids], np.uint16)[inverse]
-    group = frames.length * 2 + (frames.version == V2)
-    for key in np.unique(group[known]):
-        rows_of_key = np.flatnonzero(known & (group == key))
-        before = V2_BEFORE_PAYLOAD if key & 1 else V1_BEFORE_PAYLOAD
-        covered = before - 1 + (int(key) >> 1)  # all but the magic byte
-        for block in range(0, rows_of_key.shape[0], BLOCK):
-            rows = rows_of_key[block : block + BLOCK]
-            places = frames.at[rows] + STAMP + 1
-            packet = source[places + np.arange(covered + CHECKSUM)[:, None]]
-            crc = np.full(rows.shape[0], 0xFFFF, np.uint16)
-            for byte in packet[:covered]:
-                crc = (crc >> 8) ^ _TABLE[(crc ^ byte) & 0xFF]
-            crc = (crc >> 8) ^ _TABLE[(crc ^ extra[rows]) & 0xFF]
-            stored = packet[covered].astype(np.uint16) | packet[covered + 1].astype(np.uint16) << 8
-            holds[rows] = crc == stored
+    if not len(frames):
+        return holds
+    ids = np.array(sorted(extras), np.int32)
+    place = np.minimum(np.searchsorted(ids, frames.message_id), ids.shape[0] - 1)
+    known = ids[place] == frames.message_id
+    extra = np.array([extras[int(key)] for key in ids], np.uint16)[place]
+    group = frames.length.astype(np.uint16) * 2 + (frames.version == 2)
+    group[~known] = 0xFFFF
+    order = np.argsort(group, kind="stable")
+    edges = np.flatnonzero(np.diff(group[order], prepend=0xFFFE)).tolist()
+    for begin, end in zip(edges, [*edges[1:], order.shape[0]], strict=True):
+        key = int(group[order[begin]])
+        if key == 0xFFFF:
+            break
+        covered = (V2_BEFORE_PAYLOAD if key & 1 else V1_BEFORE_PAYLOAD) - 1 + (key >> 1)
+        for block in range(begin, end, BLOCK):
+            rows = order[block : min(block + BLOCK, end)]
+            first = frames.at[rows] + STAMP + 1  # all but the magic byte
+            found, stored = checksums(window, first, covered, extra[rows])
+            holds[rows] = found == stored
     return holds
 
 
-def payloads(data: bytes, frames: Frames, dtype: np.dtype[Any]) -> NDArray[Any]:
+def checksums(
+    window: Bytes, first: NDArray[np.int64], covered: int, extra: NDArray[np.uint16]
+) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
+    """The checksums of packets of one length, and those that stand behind them.
+
+    Parameters
+    ----------
+    first : (n,) where the bytes under the checksum begin: behind the magic byte.
+    covered : how many there are.
+    extra : (n,) CRC_EXTRA.
+    """
+    odd = covered & 1  # then the row begins a byte before, so that words lie on even places
+    size = odd + covered + CHECKSUM
+    packet = gathered(window, first - odd, size)
+    words = packet.view("<u2").reshape(-1, size // 2)
+    crc = np.full(first.shape, 0xFFFF, np.uint16)
+    if odd:
+        crc = _step(crc, words[:, 0] >> 8)
+    for word in range(odd, size // 2 - 1):
+        np.bitwise_xor(crc, words[:, word], out=crc)
+        crc = _WORDS.take(crc, mode="clip")  # 16 bits are never out of range: no test needed
+    return _step(crc, extra), words[:, -1]
+
+
+def payloads(window: Bytes, frames: Frames, dtype: np.dtype[Any]) -> NDArray[Any]:
     """The payloads of frames of one message as a structured array.
 
     MAVLink 2 trims zeros at the end and newer dialects append fields: short payloads are filled
     with zeros, long ones cut to the size of ``dtype``.
     """
-    source = np.frombuffer(data, np.uint8)
     filled = np.zeros((len(frames), dtype.itemsize), np.uint8)
-    for length in np.unique(frames.length):
-        rows = np.flatnonzero(frames.length == length)
-        used = min(int(length), dtype.itemsize)
-        index = frames.start[rows, None] + np.arange(used)
-        filled[rows, :used] = source[index]
+    begin = frames.payload
+    for length in np.flatnonzero(np.bincount(frames.length)).tolist():
+        used = min(length, dtype.itemsize)
+        if used:
+            rows = np.flatnonzero(frames.length == length)
+            filled[rows, :used] = (
+                gathered(window, begin[rows], used).view(np.uint8).reshape(-1, used)
+            )
     return filled.view(dtype).reshape(len(frames))
-
-
-def lost_by_source(frames: Frames) -> dict[tuple[int, int], int]:
-    """Messages missing by the sequence numbers of each (system, component).
-
-    A step back or a repeat (a second link, a reordering, a restart) is no loss: of the 256
-    possible steps the upper half is taken as backward.
-    """
-    lost: dict[tuple[int, int], int] = {}
-    keys = frames.system * 256 + frames.component
-    for key in np.unique(keys):
-        step = (np.diff(frames.sequence[keys == key]) - 1) % 256
-        lost[(int(key) // 256, int(key) % 256)] = int(step[step < 128].sum())
-    return lost

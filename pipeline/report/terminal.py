@@ -79,11 +79,14 @@ def show_log(console: Console, log: Mapping[str, Any], name: str) -> None:
     console.print(f"{counts}{boots}, {log['bad_bytes']:,} bad bytes, {log['lost_messages']:,} lost")
     table = Table(
         "channel", "samples", r"rate \[Hz]", "gaps", "can play", box=None, pad_edge=False,
-        padding=(0, 2, 0, 0),
+        padding=(0, 1, 0, 0),
     )  # fmt: skip
     for column in table.columns[1:4]:
         column.justify = "right"
-    table.columns[0].no_wrap = True
+    # Names are copied into mission files: in one piece if 80 columns have room, and never cut.
+    table.columns[0].no_wrap = all(len(channel["name"]) <= 38 for channel in log["channels"])
+    table.columns[0].overflow = "fold"
+    table.columns[4].min_width = len("cabin_temperature")
     for channel in log["channels"]:
         roles = ", ".join(channel["roles"]) or "only if named"
         table.add_row(
@@ -95,6 +98,18 @@ def show_log(console: Console, log: Mapping[str, Any], name: str) -> None:
         )
     console.print(Padding(table, (1, 0, 1, 2)))
     show_ledger(console, log["ledger"])
+
+
+def show_fields(console: Console, title: str, rows: Sequence[Mapping[str, str]]) -> None:
+    """The fields of one message type of a log."""
+    console.print(f"[bold]{escape(title)}[/bold]")
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    heads = ("field", "type", "first", "lowest", "highest")
+    for name in heads:
+        table.add_column(name, justify="right" if name in ("lowest", "highest") else "left")
+    for row in rows:
+        table.add_row(*(escape(row.get(name, "")) for name in heads))
+    console.print(Padding(table, (1, 0, 1, 2)))
 
 
 def show_ledger(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -226,6 +241,7 @@ __all__ = [
     "show_air",
     "show_angle",
     "show_check",
+    "show_fields",
     "show_ledger",
     "show_log",
     "show_paper",

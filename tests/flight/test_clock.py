@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from pipeline.flight.clock import (
     along,
-    boots_of,
     fit_offset,
     fresh,
     increasing,
@@ -65,19 +64,11 @@ def test_the_second_before_a_leap_second_is_repeated() -> None:
     np.testing.assert_array_equal(around, [midnight - SECOND, midnight, midnight])
 
 
-def test_small_steps_back_are_no_boot_and_large_ones_are() -> None:
-    seconds = np.array([10.0, 11.0, 10.4, 12.0, 3.0, 4.0, 2.5, 9.0])
-    boots = boots_of((seconds * SECOND).astype(np.int64))
-    np.testing.assert_array_equal(boots, [0, 0, 0, 0, 1, 1, 2, 2])
-    assert boots_of(np.empty(0, np.int64)).shape == (0,)
-
-
 def test_one_flipped_bit_of_a_time_is_stray_and_no_boot() -> None:
     time_ns = np.arange(100, dtype=np.int64) * SECOND // 10
     time_ns[40] += 1 << 45
     stray = stray_times(time_ns)
     np.testing.assert_array_equal(np.flatnonzero(stray), [40])
-    assert boots_of(time_ns[~stray]).max() == 0
 
 
 def test_a_boot_and_a_gap_are_not_stray() -> None:
@@ -183,8 +174,25 @@ def test_along_follows_a_drifting_clock_and_does_not_extrapolate_the_drift() -> 
     np.testing.assert_array_equal(along(host, vehicle)(asked), expected.astype(np.int64))
 
 
-@pytest.mark.parametrize(("spread_ms", "kind"), [(39, "note"), (5003, "loss")])
-def test_a_stepping_clock_is_a_loss(spread_ms, kind):
+@pytest.mark.parametrize(
+    ("late_ms", "rows", "kind", "count"),
+    [
+        (39, slice(0, 400), "note", 400),
+        (5003, slice(0, 150), "loss", 150),
+        (999, slice(390, 400), "loss", 10),  # a leap second late in a flight: not in p5 to p95
+        (999, slice(200, 204), "note", 400),  # a glitch
+        (201, slice(200, 205), "loss", 5),
+        (199, slice(200, 205), "note", 400),
+        (86_400_000, slice(399, 400), "loss", 1),
+    ],
+)
+def test_a_stepping_clock_is_a_loss_counted_and_placed(late_ms, rows, kind, count):
     ledger = Ledger()
-    report_fit(ledger, "10 GPS rows", spread_ms * 1_000_000, "boot 0", 10)
-    assert [(entry.code, entry.kind, entry.count) for entry in ledger] == [("TIME-FIT", kind, 10)]
+    boot_ns = 50 * SECOND + np.arange(400) * SECOND // 5
+    utc_ns = boot_ns + 1_700_000_000 * SECOND
+    utc_ns[rows] += late_ms * 1_000_000
+    report_fit(ledger, "400 GPS rows", fit_offset(utc_ns, boot_ns), "boot 0")
+    (entry,) = ledger
+    assert (entry.code, entry.kind, entry.count) == ("TIME-FIT", kind, count)
+    if kind == "loss":
+        assert entry.where == f"boot 0, first {50 + rows.start / 5:.3f} s after boot"

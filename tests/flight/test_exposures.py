@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pyproj
 import pytest
@@ -268,3 +270,65 @@ def test_local_positions_get_a_place() -> None:
     )
     assert np.linalg.norm(b - a) == pytest.approx(np.sqrt(100**2 + 200**2 + 10**2), abs=1e-6)
     assert placed["h_ellipsoid_m"][0] == pytest.approx(500.0, abs=1e-6)
+
+
+def shots(index: list[int], boot: list[int] | None = None) -> Channel:
+    found = channel("CAM[0]", np.arange(len(index)), event_index=index)
+    return replace(found, boot=np.array(boot or [0] * len(index), np.int16))
+
+
+@pytest.mark.parametrize(
+    ("index", "lost"),
+    [
+        ([65533, 65534, 65535, 0, 1, 2], 0),
+        ([65533, 65535, 1, 2], 2),  # 65534 and 0
+        ([65534, 0, 65535, 1], 0),  # one was told late
+        ([100, 101, 40_000, 40_001], 39_898),
+        ([40_000, 40_001, 0, 1], 39_998),  # begun anew: no overrun, and 2 to 39,999 never were
+    ],
+)
+def test_an_image_number_that_runs_over(index: list[int], lost: int) -> None:
+    ledger = Ledger()
+    events_of_channel(shots(index), "cam", "{index}.jpg", 0.0, ledger)
+    assert sum(entry.count for entry in ledger) == lost
+
+
+def test_a_number_lost_over_the_turn_is_named_as_the_log_would() -> None:
+    ledger = Ledger()
+    events_of_channel(shots([65534, 65535, 2]), "cam", "{index}.jpg", 0.0, ledger)
+    (entry,) = ledger
+    assert (entry.code, entry.count) == ("EVENTS-LOST", 2)
+    assert "between 65534 and 2" in entry.what
+    assert "0 to 1" in entry.what
+
+
+def test_numbers_begin_anew_with_each_boot() -> None:
+    ledger = Ledger()
+    found = shots([0, 1, 2, 7, 8, 9], [0, 0, 0, 1, 1, 1])
+    events_of_channel(found, "cam", "{n}.jpg", 0.0, ledger)
+    assert not list(ledger)
+    with pytest.raises(MissionError, match="EVENTS-COUNTED"):
+        events_of_channel(shots([0, 2], [0, 0]), "cam", "{n}.jpg", 0.0, Ledger())
+
+
+def test_camera_rows_without_triggers_are_the_triggers() -> None:
+    camera, trigger = shots([0, 1, 2]), channel("TRIG[0]", [0, 1, 2], event_index=[0, 1, 2])
+    for channels, chosen, told in (
+        ((camera,), camera, True),
+        ((camera, trigger), camera, False),
+        ((camera, trigger), trigger, True),
+    ):
+        ledger = Ledger()
+        account_for_triggers(channels, chosen, ledger)
+        assert [entry.code for entry in ledger] == ["EVENTS-TRIGGER-TIME"] * told
+        assert all(entry.kind == "note" and "delay_s" in entry.what for entry in ledger)
+
+
+def test_two_heights_that_are_one_are_told() -> None:
+    heights = 600.0 + np.arange(5.0)
+    place = {"lat_rad": LATITUDE, "lon_rad": LONGITUDE, "h_msl_m": heights}
+    for apart, told in ((0.0, True), (0.001, False)):
+        ledger = Ledger()
+        gnss = channel("GPS", np.arange(5.0), **place, h_ellipsoid_m=heights + apart)
+        height_system({"height": gnss}, None, ledger)
+        assert ("HEIGHT-SAME" in {entry.code for entry in ledger}) is told

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import random
 import struct
 import time
@@ -16,7 +15,7 @@ import pytest
 
 from pipeline.errors import LogError
 from pipeline.ingest import Log, open_log
-from pipeline.ingest.mcap_records import FREE_CHUNK, MAX_CHUNK
+from pipeline.ingest.mcap_chunks import MAX_CHUNK
 
 SECOND = 10**9
 START = 1_763_073_169 * SECOND + 920_749_554
@@ -273,7 +272,8 @@ def test_bombs_are_skipped_at_once(tmp_path: Path, compression: str, promised: i
     log = open_log(path)
     assert time.process_time() - begin < 1.0
     codes = {entry.code for entry in log.ledger if entry.kind == "loss"}
-    assert codes == {"LOG-TOO-LARGE" if promised >= MAX_CHUNK else "LOG-BAD-BYTES"}
+    # the record moved the summary, whose place is under its checksum
+    assert codes == {"LOG-CRC", "LOG-TOO-LARGE" if promised >= MAX_CHUNK else "LOG-BAD-BYTES"}
     assert len(log.channel("/imu")) == 60
     tracemalloc.start()
     open_log(path)
@@ -281,10 +281,161 @@ def test_bombs_are_skipped_at_once(tmp_path: Path, compression: str, promised: i
     tracemalloc.stop()
 
 
-def test_a_chunk_that_shrank_too_far_is_refused_above_the_free_size(tmp_path: Path) -> None:
-    record = bomb("zstd", FREE_CHUNK + (1 << 20), FREE_CHUNK + (1 << 20))
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_a_chunk_that_shrank_too_far_is_refused_above_the_free_size(
+    tmp_path: Path, compression: str
+) -> None:
+    size = 65 << 20
+    log = opened(tmp_path, spliced(flight().data, bomb(compression, size, size)))
+    losses = {entry.code for entry in log.ledger if entry.kind == "loss"}
+    assert losses == {"LOG-CRC", "LOG-TOO-LARGE"}
+
+
+@pytest.mark.parametrize("size", [1 << 20, 16 << 20, 60 << 20])
+def test_many_small_bombs_share_one_budget(tmp_path: Path, size: int) -> None:
+    """Each chunk is small enough to be free; together they claim 2 GiB."""
+    records = bomb("zstd", size, size) * ((2 << 30) // size)
+    path = tmp_path / "flight.mcap"
+    path.write_bytes(spliced(flight().data, records))
+    begin = time.process_time()
+    log = open_log(path)
+    taken = time.process_time() - begin
+    refused = [entry for entry in entries(log, "LOG-TOO-LARGE") if entry.kind == "loss"]
+    assert refused
+    assert len(log.channel("/imu")) == 60
+    assert taken < 1.0
+
+
+@pytest.mark.parametrize("size", [1000, 20 << 20])
+def test_a_window_of_128_mib_is_not_looked_back_over(tmp_path: Path, size: int) -> None:
+    import zstandard
+
+    inner = struct.pack("<BQ", 0x80, size - 9) + bytes(size - 9)
+    wide = zstandard.ZstdCompressionParameters.from_level(1, window_log=27)
+    packer = zstandard.ZstdCompressor(compression_params=wide).compressobj()
+    packed = packer.compress(inner) + packer.flush()
+    content = struct.pack("<QQQII", 0, 0, size, 0, 4) + b"zstd"
+    content += struct.pack("<Q", len(packed)) + packed
+    record = struct.pack("<BQ", 6, len(content)) + content
     log = opened(tmp_path, spliced(flight().data, record))
-    assert {entry.code for entry in log.ledger if entry.kind == "loss"} == {"LOG-TOO-LARGE"}
+    assert [e.kind for e in entries(log, "LOG-BAD-BYTES")] == ["loss"]
+    assert len(log.channel("/imu")) == 60
+
+
+def test_messages_that_a_recorder_missed_show_by_their_numbers(tmp_path: Path) -> None:
+    from mcap.writer import Writer
+
+    file = io.BytesIO()
+    writer = Writer(file, use_statistics=False)
+    writer.start(profile="", library="test")
+    schema = writer.register_schema("foxglove.LocationFix", "jsonschema", b"{}")
+    channel = writer.register_channel("/fix", "json", schema)
+    for k in range(100):
+        place = b'{"timestamp": %d, "latitude": 47.5, "longitude": 8.25}' % (START + k * SECOND)
+        if not 40 <= k < 50:
+            writer.add_message(channel, START + k * SECOND, place, 0, sequence=k)
+    writer.finish()
+    log = opened(tmp_path, file.getvalue())
+    assert log.lost_messages == 10
+    assert [(e.kind, e.count) for e in entries(log, "LOG-LINK-LOSS")] == [("loss", 10)]
+
+
+def test_log_time_0_takes_nothing_from_messages_with_a_stamp(tmp_path: Path) -> None:
+    """Recorders exist that write 0 throughout (foxglove_tutorial)."""
+    from mcap.writer import Writer
+
+    file = io.BytesIO()
+    writer = Writer(file)
+    writer.start(profile="", library="test")
+    for topic in ("/fix", "/bare"):
+        schema = writer.register_schema("foxglove.LocationFix", "jsonschema", b"{}")
+        channel = writer.register_channel(topic, "json", schema)
+        for k in range(10):
+            time_ns = START + k * SECOND if topic == "/fix" else 0
+            place = b'{"timestamp": %d, "latitude": 47.5, "longitude": 8.25}' % time_ns
+            writer.add_message(channel, 0, place, 0)
+    writer.finish()
+    log = opened(tmp_path, file.getvalue())
+    np.testing.assert_array_equal(log.channel("/fix").time_ns, START + np.arange(10) * SECOND)
+    said = {entry.code: entry.where for entry in log.ledger if entry.kind == "fallback"}
+    assert said == {"TIME-LOG-TIME": "/bare", "TIME-NO-UTC": "/bare"}
+
+
+def mavros_log(tmp_path: Path, kind: str, definition: str, rows: list[dict]) -> Log:
+    from mcap_ros2.writer import Writer
+
+    file = io.BytesIO()
+    writer = Writer(file)
+    parts = ["std_msgs/Header header\n" + definition, HEADER, TIME]
+    parts += [QUATERNION] if "Quaternion" in definition else []
+    parts += ["MSG: geographic_msgs/GeoPoint\nfloat64 latitude\nfloat64 longitude\n"
+              "float64 altitude"] if "GeoPoint" in definition else []  # fmt: skip
+    schema = writer.register_msgdef(f"mavros_msgs/msg/{kind}", SEPARATOR.join(parts))
+    for k, row in enumerate(rows):
+        at = START + k * SECOND
+        writer.write_message("/mavros/one", schema, row | {"header": stamp(at)}, at)
+    writer.finish()
+    return opened(tmp_path, file.getvalue())
+
+
+def test_values_of_different_names_are_channels_of_their_own(tmp_path: Path) -> None:
+    rows = [
+        {"index": 7 if name == "" else -1, "name": name, "value_float": value, "value_int": whole,
+         "type": kind}
+        for k in range(5)
+        for name, value, whole, kind in (
+            ("CabT", 20.0 + k, 0, 3), ("CabRH", 44.0, 0, 3), ("Count", 0.0, 70 + k, 4),
+            ("", 1.5, 0, 0),
+        )
+    ]  # fmt: skip
+    definition = "int32 index\nstring name\nfloat32 value_float\nint32 value_int\nuint8 type"
+    log = mavros_log(tmp_path, "DebugValue", definition, rows)
+    values = {channel.name: channel["value"].tolist() for channel in log.channels}
+    assert values == {
+        "/mavros/one[7]": [1.5] * 5,
+        "/mavros/one[CabRH]": [44.0] * 5,
+        "/mavros/one[CabT]": [20.0, 21.0, 22.0, 23.0, 24.0],
+        "/mavros/one[Count]": [70.0, 71.0, 72.0, 73.0, 74.0],
+    }
+    assert log.channel("/mavros/one[CabT]").source.instance == "CabT"
+    assert log.message("/mavros/one", "CabT")["value_float"].tolist() == values["/mavros/one[CabT]"]
+    assert log.message("/mavros/one")["name"].shape == (20,)
+    with pytest.raises(LogError, match="LOG-NO-TABLE"):
+        log.message("/mavros/one", "Cab")
+
+
+def test_names_without_end_are_a_loss(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pipeline.ingest.mcap_topics.MAX_NAMES", 3)
+    rows = [{"name": f"n{k % 5}", "value_float": 1.0} for k in range(20)]
+    log = mavros_log(tmp_path, "DebugValue", "string name\nfloat32 value_float", rows)
+    assert len(log.channels) == 3
+    assert [(e.kind, e.count) for e in entries(log, "LOG-TOO-LARGE")] == [("loss", 8)]
+
+
+def test_images_of_mavros_are_numbered_where_it_numbers_none(tmp_path: Path) -> None:
+    """Its plugin leaves image_index and capture_result at 0, and adds the undulation."""
+    row = {"geo": {"latitude": 47.5, "longitude": 8.25, "altitude": 647.5}, "relative_alt": 30.0,
+           "orientation": {"w": 0.5, "x": 0.5, "y": -0.5, "z": 0.5}, "image_index": 0,
+           "capture_result": 0, "file_url": "a.jpg"}  # fmt: skip
+    definition = (
+        "geographic_msgs/GeoPoint geo\nfloat32 relative_alt\ngeometry_msgs/Quaternion orientation\n"
+        "int32 image_index\nint8 capture_result\nstring file_url"
+    )
+    log = mavros_log(tmp_path, "CameraImageCaptured", definition, [row] * 4)
+    shots = log.channel("/mavros/one")
+    assert shots["event_index"].tolist() == [0, 1, 2, 3]
+    assert shots["h_ellipsoid_m"].tolist() == [647.5] * 4
+    assert "h_msl_m" not in shots.columns
+    assert [shots[f"camera_q_{axis}"][0] for axis in "wxyz"] == [0.5, 0.5, -0.5, 0.5]
+    assert [e.kind for e in entries(log, "EVENT-NO-INDEX")] == ["note"]
+
+
+def test_a_height_of_0_above_the_ellipsoid_is_missing_in_gpsraw(tmp_path: Path) -> None:
+    rows = [{"fix_type": 3, "lat": 475_000_000, "lon": 82_500_000, "alt": 600_000,
+             "alt_ellipsoid": 0} for k in range(4)]  # fmt: skip
+    definition = "uint8 fix_type\nint32 lat\nint32 lon\nint32 alt\nint32 alt_ellipsoid"
+    log = mavros_log(tmp_path, "GPSRAW", definition, rows)
+    assert "h_ellipsoid_m" not in log.channel("/mavros/one").columns
 
 
 @pytest.mark.parametrize("compression", compressions(), ids=lambda kind: kind.name)
@@ -386,14 +537,14 @@ def test_a_message_that_does_not_fit_its_schema_is_a_loss(tmp_path: Path) -> Non
     assert len(log.channel("/outside/air")) == 60
 
 
-def test_json_is_counted_and_not_read(tmp_path: Path) -> None:
+def test_ros_1_is_counted_and_not_read(tmp_path: Path) -> None:
     from mcap.writer import Writer
 
     file = io.BytesIO()
     writer = Writer(file)
     writer.start(profile="", library="test")
-    schema = writer.register_schema("sensor_msgs/msg/NavSatFix", "jsonschema", b"{}")
-    channel = writer.register_channel("/json", "json", schema)
+    schema = writer.register_schema("sensor_msgs/NavSatFix", "ros1msg", b"float64 latitude")
+    channel = writer.register_channel("/one", "ros1", schema)
     ros = writer.register_schema(
         "sensor_msgs/msg/Temperature",
         "ros2msg",
@@ -404,12 +555,12 @@ def test_json_is_counted_and_not_read(tmp_path: Path) -> None:
     body = b"\x00\x01\x00\x00" + struct.pack("<iII", 1_763_073_169, 5, 1) + b"\0" + bytes(3)
     body += struct.pack("<dd", 15.0, 0.0)
     for k in range(3):
-        writer.add_message(channel, START + k, json.dumps({"latitude": 1}).encode(), START + k)
+        writer.add_message(channel, START + k, bytes(8), START + k)
     writer.add_message(air, START, body, START)
     writer.finish()
     log = opened(tmp_path, file.getvalue())
-    assert log.messages["/json"] == 3
-    assert entries(log, "LOG-NOT-ROS2")[0].where == "/json"
+    assert log.messages["/one"] == 3
+    assert entries(log, "LOG-NOT-ROS2")[0].where == "/one"
     assert log.channel("/air").time_ns[0] == 1_763_073_169 * SECOND + 5
     assert log.channel("/air")["temperature_k"][0] == 288.15
 

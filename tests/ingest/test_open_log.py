@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import random
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from pipeline.cli.app import app
 from pipeline.errors import LogError
 from pipeline.ingest import hash_file, open_log
 
@@ -28,6 +31,11 @@ REAL = {
     "sitl_belowsea_2cam.tlog": ("tlog", 72_265, 41),
     "cubs2_cub_stabilize.mcap": ("mcap", 21_258, 2),
 }
+LOSSES = {
+    "pymavlink_test.BIN": {"LOG-TRUNCATED"},
+    "sitl_belowsea_2cam.BIN": {"LOG-TRUNCATED"},
+    "pymavlink_swift_flight.tlog": {"LOG-TRUNCATED", "LOG-LINK-LOSS", "LOG-GAP"},
+}
 
 
 @pytest.mark.parametrize("name", REAL)
@@ -41,7 +49,8 @@ def test_every_real_log_opens(name: str, real_log: Callable[[str], Path]) -> Non
     assert log.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
     assert list(log.messages) == sorted(log.messages)
     assert len({channel.name for channel in log.channels}) == len(log.channels)
-    assert not log.ledger.has_losses
+    losses = {entry.code for entry in log.ledger if entry.kind == "loss"}
+    assert losses == LOSSES.get(name, set())
     for channel in log.channels:
         assert len(channel) > 0
         assert all(channel.can_play(role) for role in channel.roles)
@@ -67,7 +76,25 @@ def test_empty_file(tmp_path: Path, extension: str) -> None:
 
 def test_missing_file_and_folder(tmp_path: Path) -> None:
     refused(tmp_path / "none.bin", "LOG-MISSING")
-    refused(tmp_path, "LOG-MISSING")
+    assert "folder" in refused(tmp_path, "LOG-MISSING").what
+    assert "no such file" in refused(tmp_path / "none.bin", "LOG-MISSING").what
+
+
+def test_a_pipe_is_not_missing(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "flight.bin")
+    assert "pipe" in refused(tmp_path / "flight.bin", "LOG-MISSING").what
+
+
+def test_what_is_no_log_is_refused_before_it_is_hashed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hashed = []
+    monkeypatch.setattr("pipeline.ingest.registry.hash_file", hashed.append)
+    for extension in (".mcap", ".bin", ".tlog"):
+        path = tmp_path / f"flight{extension}"
+        path.write_bytes(bytes(5000))
+        refused(path, "LOG-FORMAT")
+    assert hashed == []
 
 
 @pytest.mark.parametrize("extension", [".bin", ".BIN", ".tlog", ".mcap", ".txt"])
@@ -101,6 +128,10 @@ def test_a_log_without_flight_data_says_what_it_holds(
     path = tmp_path / "flight.bin"
     path.write_bytes(writer.data)
     assert "MODE" in refused(path, "LOG-NO-MESSAGES").remedy
+    log = open_log(path, needs_channels=False)
+    assert (log.channels, log.start_ns, log.end_ns) == ((), 0, 0)
+    assert log.message("MODE")["Mode"].tolist() == [1] * 5
+    assert CliRunner().invoke(app, ["inspect", str(path), "--type", "MODE"]).exit_code == 0
 
 
 def test_unknown_channel_names_the_near_ones(real_log: Callable[[str], Path]) -> None:

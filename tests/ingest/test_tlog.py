@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.errors import LogError
 from pipeline.ingest import Log, open_log
-from pipeline.ingest.tlog_frames import lost_by_source, walk
+from pipeline.ingest.tlog_scan import scan
+from pipeline.ingest.window import window_of
 
 DEGREE = np.pi / 180.0
 SECOND = 10**9
@@ -241,6 +243,18 @@ def test_camera_feedback_in_unix_time_and_in_time_since_boot(tmp_path: Path) -> 
     assert first["pitch_rad"][0] == pytest.approx(2 * DEGREE, abs=1e-15)
 
 
+def test_a_trigger_without_a_time_is_placed_by_when_it_was_received(tmp_path: Path) -> None:
+    writer = flight()
+    for k in range(3):
+        stamp = 0 if k == 1 else 90_000_000 + k * 1_000_000
+        writer.send("camera_trigger", 79_000 + k * 100, time_usec=stamp, seq=k)
+    times = opened(tmp_path, writer.data).channel("CAMERA_TRIGGER")
+    np.testing.assert_array_equal(times["event_index"], [1, 0, 2])
+    # the host's clock is 1.26 s slow, messages arrive 40 ms late; both are in its map to UTC
+    received = (BOOT_UTC_US + 79_100_000) * 1000
+    assert abs(times.time_ns[0] - received) < 1_000_000
+
+
 @pytest.mark.parametrize("row", [0, 5, 60])
 def test_a_stamp_days_ahead_costs_one_row(tmp_path: Path, row: int) -> None:
     writer = TlogWriter()
@@ -321,12 +335,11 @@ def test_garbage_between_frames_is_counted(tmp_path: Path) -> None:
     assert (log.bad_bytes, entries(log, "LOG-BAD-BYTES")[0].count) == (300, 300)
 
 
-def test_a_cut_last_message_is_no_loss(tmp_path: Path) -> None:
+def test_a_cut_last_message_costs_no_other(tmp_path: Path) -> None:
     data = flight().data
     log = opened(tmp_path, data[:-3])
-    assert entries(log, "LOG-TRUNCATED")[0].kind == "warning"
+    assert entries(log, "LOG-TRUNCATED")[0].kind == "loss"
     assert log.bad_bytes == 0
-    assert not log.ledger.has_losses
 
 
 def test_messages_lost_by_the_link_are_counted_by_sequence(tmp_path: Path) -> None:
@@ -336,9 +349,69 @@ def test_messages_lost_by_the_link_are_counted_by_sequence(tmp_path: Path) -> No
         del writer.frames[k]
     log = opened(tmp_path, writer.data)
     assert log.lost_messages == 8
-    assert entries(log, "LOG-LINK-LOSS")[0].kind == "warning"
+    assert entries(log, "LOG-LINK-LOSS")[0].kind == "loss"
     extras = {key: found.crc_extra for key, found in writer.dialect.mavlink_map.items()}
-    assert lost_by_source(walk(writer.data, extras).frames)[(255, 190)] == 0
+    assert scan(window_of(writer.data), extras, {}).lost[(255, 190)] == 0
+
+
+@pytest.mark.parametrize(("missing", "told"), [(200, 200), (512, 0), (700, 188), (40, 40)])
+def test_a_hole_is_a_gap_and_its_messages_are_counted_at_least(
+    tmp_path: Path, missing: int, told: int
+) -> None:
+    """Sequence numbers begin again after 256: two rounds more or less look alike."""
+    writer = flight(seconds=90)
+    mine = [k for k, frame in enumerate(writer.frames) if frame[13:15] == b"\x01\x01"]
+    place = sum(map(len, writer.frames[: mine[200]]))
+    for k in mine[200 : 200 + missing][::-1]:
+        del writer.frames[k]
+    log = opened(tmp_path, writer.data)
+    (gap,) = entries(log, "LOG-GAP") if missing > 60 else [None]
+    if gap is not None:
+        assert (gap.kind, gap.count) == ("loss", 1)
+        assert "system 1, component 1 " in gap.what
+        assert place <= int(gap.where.rpartition(" ")[2]) <= place + 2000 * 60
+    assert log.lost_messages == told
+    assert all(f"at least {told} " in entry.what for entry in entries(log, "LOG-LINK-LOSS"))
+    assert log.ledger.has_losses
+
+
+@pytest.mark.parametrize("change", ["set", "stray", "stray back", "restart"])
+def test_what_is_no_hole(tmp_path: Path, change: str) -> None:
+    """A ground station's clock that was set or has stray stamps, and a vehicle that was off."""
+    writer = flight(seconds=30)
+    if change == "restart":
+        writer.frames += flight(seconds=30).frames
+    rows = slice(300, None) if change in ("set", "restart") else slice(300, 303)
+    day_us = 86_400_000_000 * (-1 if change == "stray back" else 1)
+    writer.frames[rows] = [
+        struct.pack(">Q", struct.unpack(">Q", frame[:8])[0] + day_us) + frame[8:]
+        for frame in writer.frames[rows]
+    ]
+    log = opened(tmp_path, writer.data)
+    assert entries(log, "LOG-GAP") == []
+
+
+@pytest.mark.parametrize("ahead_s", [-86_400, 86_400, 3.5])
+def test_stray_stamps_of_a_sender_without_a_clock(tmp_path: Path, ahead_s: float) -> None:
+    writer = flight(seconds=2)
+    for k in range(200):
+        ms = 62_000 + 100 * k
+        writer.send("hygrometer_sensor", ms, source=(1, 30), id=0, temperature=-1250, humidity=4725)
+    for row in (-100, -98):
+        stamp = struct.unpack(">Q", writer.frames[row][:8])[0] + round(ahead_s * 1e6)
+        writer.frames[row] = struct.pack(">Q", stamp) + writer.frames[row][8:]
+    assert entries(opened(tmp_path, writer.data), "LOG-GAP") == []
+    del writer.frames[-60:-20]
+    (gap,) = entries(opened(tmp_path, writer.data), "LOG-GAP")
+    assert "component 30 " in gap.what
+    assert " 4.1 s " in gap.what
+
+
+def test_a_log_and_itself_has_no_losses_of_what_was_never_there(tmp_path: Path) -> None:
+    """temperature_press_diff is 0, unknown, in all messages: no channel, and nothing to lose."""
+    whole = flight(seconds=30).data
+    log = opened(tmp_path, whole + whole)
+    assert {e.where.partition(",")[0] for e in log.ledger if "press_diff" in e.where} == set()
 
 
 def test_a_message_of_an_unknown_id_is_counted(tmp_path: Path) -> None:
@@ -349,6 +422,130 @@ def test_a_message_of_an_unknown_id_is_counted(tmp_path: Path) -> None:
     assert log.messages["UNKNOWN_60001"] == 1
     assert entries(log, "LOG-UNKNOWN-ID")[0].count == 1
     assert log.bad_bytes == 0
+
+
+def test_a_count_of_milliseconds_that_runs_over_is_counted_on(tmp_path: Path) -> None:
+    """32 bits hold 49.7 days; the host's clock tells the turn from a new boot."""
+    begin = 2**32 - 9_990
+    boot_utc_us = START_US - begin * 1000
+    writer = TlogWriter()
+    for k in range(100):
+        ms = begin + 200 * k - (300 if k == 51 else 0)  # one is overtaken as the count turns
+        at = 60_000 + 200 * k
+        if k % 10 == 0:
+            unix = boot_utc_us + ms * 1000
+            writer.send("system_time", at, time_unix_usec=unix, time_boot_ms=ms % 2**32)
+        writer.send("scaled_pressure", at, time_boot_ms=ms % 2**32, press_abs=700.0 + k,
+                    press_diff=0.0, temperature=4500, temperature_press_diff=0)  # fmt: skip
+        writer.send("gps_raw_int", at, time_usec=ms % 2**32 * 1000, fix_type=3, lat=470000000,
+                    lon=-1225000000 - k, alt=600_250, eph=80, epv=90, vel=0, cog=0,
+                    satellites_visible=12)  # fmt: skip
+        writer.send("camera_trigger", at, time_usec=ms * 1000 % 2**32, seq=k)
+    log = opened(tmp_path, writer.data)
+    assert log.boots == 1
+    assert [(entry.kind, entry.count) for entry in entries(log, "TIME-WRAP")] == [("note", 1)]
+    first = START_US * 1000
+    every = np.arange(100) * SECOND // 5
+    every[51] -= 300_000_000
+    for name in ("SCALED_PRESSURE", "GPS_RAW_INT"):  # one of the two out of order is left out
+        np.testing.assert_array_equal(log.channel(name).time_ns - first, np.delete(every, 50))
+    shots = log.channel("CAMERA_TRIGGER")
+    np.testing.assert_array_equal(shots.time_ns - first, np.sort(every))
+
+
+def test_a_new_boot_after_weeks_is_no_overrun(tmp_path: Path) -> None:
+    writer = TlogWriter()
+    for k in range(60):
+        up = 30 * 86_400_000 if k < 30 else 0  # 30 days up, then 5 s
+        ms = up + 5_000 + 200 * k
+        writer.send("attitude", 60_000 + 200 * k, time_boot_ms=ms, roll=0.1, pitch=-0.2, yaw=3.0,
+                    rollspeed=0.0, pitchspeed=0.0, yawspeed=0.0)  # fmt: skip
+    log = opened(tmp_path, writer.data)
+    assert (log.boots, entries(log, "TIME-WRAP")) == (2, [])
+
+
+@pytest.mark.parametrize(("value", "column"), [(16.0, "h_ellipsoid_m"), (2.0, "h_msl_m")])
+def test_heights_above_the_ellipsoid_by_parameter(
+    tmp_path: Path, value: float, column: str
+) -> None:
+    writer = TlogWriter()
+    name = b"GPS_DRV_OPTIONS"
+    writer.send("param_value", 60_000, param_id=name, param_value=value, param_type=9,
+                param_count=1, param_index=0)  # fmt: skip
+    writer.send("param_value", 60_000, source=(255, 190), param_id=name, param_value=18.0 - value,
+                param_type=9, param_count=1, param_index=0)  # fmt: skip
+    for k in range(10):
+        ms = 60_000 + 200 * k
+        writer.send("global_position_int", ms, time_boot_ms=ms, lat=470000000, lon=-1225000000 + k,
+                    alt=600_250, relative_alt=30_000, vx=0, vy=0, vz=0, hdg=0)  # fmt: skip
+    log = opened(tmp_path, writer.data)
+    channel = log.channel("GLOBAL_POSITION_INT")
+    assert channel[column][0] == 600.25
+    assert channel["h_home_m"][0] == 30.0
+    assert len({"h_msl_m", "h_ellipsoid_m"} & set(channel.columns)) == 1
+    assert len(entries(log, "HEIGHT-ELLIPSOID")) == (value == 16.0)
+
+
+def test_images_captured(tmp_path: Path) -> None:
+    writer = flight()
+    q = [np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]
+    for k, result in enumerate((1, 0, 1, 1, 1)):
+        for _ in range(2 if k == 3 else 1):  # asked for again
+            ms = 62_000 + 1000 * k
+            writer.send("camera_image_captured", ms, time_boot_ms=ms, time_utc=0,
+                        camera_id=0, lat=470000000 + k, lon=-1225000000, alt=700_500,
+                        relative_alt=100_000, q=q, image_index=k, capture_result=result,
+                        file_url=f"DCIM/{k}.jpg".encode())  # fmt: skip
+    log = opened(tmp_path, writer.data)
+    images = log.channel("CAMERA_IMAGE_CAPTURED[0]")
+    assert images.roles == ("events",)
+    np.testing.assert_array_equal(images["event_index"], [0, 2, 3, 4])
+    assert images.labels["file_url"] == tuple(f"DCIM/{k}.jpg" for k in (0, 2, 3, 4))
+    np.testing.assert_array_equal(images["h_msl_m"], np.full(4, 700.5))
+    assert images.time_ns[0] == (BOOT_UTC_US + 62_000_000) * 1000
+    assert [(entry.kind, entry.count) for entry in entries(log, "EVENT-FAILED")] == [("warning", 1)]
+    assert entries(log, "EVENT-REPEAT")[0].count == 1
+
+
+def test_gimbals(tmp_path: Path) -> None:
+    """Channels, but of no role by themselves; an attitude only where the yaw is from north."""
+    writer = flight()
+    q = np.array([0.8, 0.1, -0.5, 0.3])
+    q /= np.linalg.norm(q)
+    for k, flags in enumerate((0, 16, 32, 64, 48)):
+        ms = 62_000 + 1000 * k
+        writer.send("gimbal_device_attitude_status", ms, target_system=0,
+                    target_component=0, time_boot_ms=ms, flags=flags, q=q.tolist(),
+                    angular_velocity_x=0.0, angular_velocity_y=0.0, angular_velocity_z=0.0,
+                    failure_flags=0)  # fmt: skip
+        writer.send("mount_orientation", ms, time_boot_ms=ms, roll=0.0, pitch=-90.0, yaw=10.0,
+                    yaw_absolute=90.0 if k else 0.0)  # fmt: skip
+        writer.send("mount_status", ms, target_system=0, target_component=0, pointing_a=-9000,
+                    pointing_b=150, pointing_c=1000)  # fmt: skip
+    log = opened(tmp_path, writer.data)
+    device = log.channel("GIMBAL_DEVICE_ATTITUDE_STATUS[0]")
+    north = np.isfinite(device["q_w"])
+    np.testing.assert_array_equal(north, [False, True, False, True, False])
+    np.testing.assert_allclose(device["q_y"][north], q[2], atol=1e-7)
+    np.testing.assert_allclose(device["gimbal_q_y"], q[2], atol=1e-7)
+    mount = log.channel("MOUNT_ORIENTATION")
+    np.testing.assert_array_equal(np.isfinite(mount["q_w"]), [False, *[True] * 4])
+    # straight down, top towards the east: R(yaw 90) R(pitch -90)
+    np.testing.assert_allclose([mount[f"q_{a}"][1] for a in "wxyz"], [0.5, 0.5, -0.5, 0.5])
+    assert mount["gimbal_yaw_rad"][0] == 10 * DEGREE
+    assert log.channel("MOUNT_STATUS")["gimbal_roll_rad"][0] == pytest.approx(1.5 * DEGREE)
+    assert {device.roles, mount.roles, log.channel("MOUNT_STATUS").roles} == {()}
+
+
+def test_every_type_is_a_table(tmp_path: Path) -> None:
+    log = opened(tmp_path, flight().data)
+    assert log.message_types()["ATTITUDE"] == 100
+    table = log.message("ATTITUDE")
+    assert [*table][:5] == ["time_ns", "boot", "system", "component", "time_boot_ms"]
+    np.testing.assert_array_equal(table["time_ns"], log.channel("ATTITUDE").time_ns)
+    assert log.message("NAMED_VALUE_FLOAT", "CabT")["name"].tolist() == ["CabT"] * 20
+    with pytest.raises(LogError, match="LOG-NO-TABLE"):
+        log.message("NAMED_VALUE_FLOAT", "CabX")
 
 
 def test_any_damage_opens_or_refuses(tmp_path: Path) -> None:

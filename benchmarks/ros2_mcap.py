@@ -1,0 +1,109 @@
+"""MCAP of ROS 2 against mcap-ros2-support: ratios within one run, on a log grown to 100 MB or more.
+
+    python benchmarks/ros2_mcap.py LOG.mcap [MEGABYTES] [PAIRS]
+
+The library decodes the log as it was, we decode what it grew to: rates are compared.
+"""
+
+from __future__ import annotations
+
+import itertools
+import statistics
+import struct
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from pipeline.ingest import open_log
+from pipeline.ingest.mcap import MCAP
+from pipeline.ingest.mcap_fields import SCHEMAS, known_name
+from pipeline.ledger import Ledger
+
+STAMP = struct.Struct("<iI")  # header.stamp, behind four bytes of encapsulation
+SECOND = 10**9
+
+
+def grow(log: Path, out: Path, size_bytes: int) -> int:
+    """Repeat a log until it has so many bytes, as one long flight; the number of messages.
+
+    Stamps move on by the length of the log with every copy. Only little-endian CDR whose first
+    field is a header, as of all messages that we read.
+    """
+    from mcap.reader import make_reader
+    from mcap.writer import Writer
+
+    with log.open("rb") as stream:
+        rows = list(make_reader(stream).iter_messages(log_time_order=False))
+    times = [message.log_time for _, _, message in rows]
+    length = (max(times) - min(times)) // SECOND + 1
+    count = 0
+    with out.open("wb") as stream:
+        writer, numbers = Writer(stream), {}
+        writer.start(profile="ros2", library="unbend benchmark")
+        for copy in itertools.count():
+            if stream.tell() >= size_bytes:
+                break
+            for schema, channel, message in rows:
+                if channel.id not in numbers:
+                    number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                    numbers[channel.id] = writer.register_channel(
+                        channel.topic, channel.message_encoding, number
+                    )
+                data, at = message.data, message.log_time + copy * length * SECOND
+                if known_name(schema.name) in SCHEMAS:
+                    sec, nanosec = STAMP.unpack_from(data, 4)
+                    data = data[:4] + STAMP.pack(sec + copy * length, nanosec) + data[12:]
+                writer.add_message(numbers[channel.id], at, data, at, message.sequence)
+                count += 1
+        writer.finish()
+    return count
+
+
+def library(log: Path, topics: list[str]) -> int:
+    """mcap-ros2-support, the wanted topics; how many messages it has decoded."""
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    with log.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        decoded = reader.iter_decoded_messages(topics, log_time_order=False)
+        return sum(1 for _ in decoded)
+
+
+def ours(log: Path) -> int:
+    """The same topics as channels; how many messages that is."""
+    return sum(len(channel) for channel in MCAP.read(log, Ledger()).channels)
+
+
+def main(source: Path, megabytes: int = 110, pairs: int = 7) -> None:
+    """Print the ratio of the rates and its spread."""
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "grown.mcap"
+        count = grow(source, log, megabytes * 1_000_000)
+        topics = [channel.name for channel in open_log(log).channels]
+        wanted = ours(log)
+        size = log.stat().st_size / 1e6
+        print(f"{source.name} grown to {size:.0f} MB, {count:,} messages, {wanted:,} of them in "
+              f"{len(topics)} topics")  # fmt: skip
+        rates = []
+        for _ in range(pairs):
+            begin = time.perf_counter()
+            decoded = library(source, topics)
+            middle = time.perf_counter()
+            ours(log)
+            rates.append((decoded / (middle - begin), wanted / (time.perf_counter() - middle)))
+        ratios = [b / a for a, b in rates]
+        theirs, mine = (statistics.median(column) / 1e3 for column in zip(*rates, strict=True))
+        print(
+            f"{statistics.median(ratios):.1f}x mcap-ros2-support (median of {pairs} pairs, "
+            f"{min(ratios):.1f} to {max(ratios):.1f}); {theirs:.0f} and {mine:.0f} thousand "
+            "messages a second"
+        )
+        begin = time.perf_counter()
+        open_log(log)
+        print(f"open_log, channels, hash and all: {time.perf_counter() - begin:.2f} s")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), *(int(word) for word in sys.argv[2:]))

@@ -1,0 +1,309 @@
+"""One fit of UTC for all formats: where the vehicle was powered up, and UTC minus time since boot.
+
+A log is a sequence of records at rising places (bytes, or numbers of messages), many of which carry
+the time since boot and few of which carry UTC as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.flight.channels import TimeArray
+from pipeline.flight.clock import (
+    BOOT_STEP_NS,
+    STRAY_ROWS,
+    Offset,
+    fit_offset,
+    fresh,
+    report_fit,
+    stray_stretches,
+)
+from pipeline.ledger import Ledger
+
+LOWEST_FIX = 3  # 3D; both GPS_FIX_TYPE of MAVLink and GPS.Status of ArduPilot
+
+Places = NDArray[np.int64]
+Stamps = tuple[Places, TimeArray]
+"""Places of records in the log, rising, and their times since boot [ns]."""
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Stretches of a log in which the time since boot runs on, (n,) in the order of the log.
+
+    ``first`` the place of the first record, ``begin`` and ``end`` the first and the last time since
+    boot [ns], ``length`` how many records, ``stray`` whether it is a glitch, ``boot`` from 0.
+    """
+
+    first: Places
+    begin: TimeArray
+    end: TimeArray
+    length: NDArray[np.int64]
+    stray: NDArray[np.bool_]
+    boot: NDArray[np.int16]
+
+    @property
+    def boots(self) -> int:
+        return int(self.boot.max()) + 1 if self.boot.size else 1
+
+    def boot_of(self, places: Places) -> NDArray[np.int16]:
+        """The power-up to which records belong, from 0."""
+        if self.boots == 1:
+            return np.zeros(places.shape, np.int16)
+        return np.asarray(self.boot[self._stretch(places)], np.int16)
+
+    def good(self, places: Places) -> NDArray[np.bool_]:
+        """Whether the stamps of records can be believed."""
+        if not self.stray.any():
+            return np.ones(places.shape, np.bool_)
+        return np.asarray(~self.stray[self._stretch(places)], np.bool_)
+
+    def silences(self) -> tuple[NDArray[np.intp], TimeArray]:
+        """The stretches before which nothing was recorded for a while, and for how long [ns]."""
+        steady = np.flatnonzero(~self.stray)
+        silence = self.begin[steady][1:] - self.end[steady][:-1]
+        long = silence > BOOT_STEP_NS
+        return steady[1:][long], silence[long]
+
+    def cut(self, stretches: Iterable[int]) -> Timeline:
+        """The timeline with a new boot at each of these stretches."""
+        boot = self.boot.copy()
+        for row in stretches:
+            boot[row:] += 1
+        return replace(self, boot=boot)
+
+    def _stretch(self, places: Places) -> NDArray[np.intp]:
+        return np.maximum(np.searchsorted(self.first, places, side="right") - 1, 0)
+
+
+def timeline(blocks: Iterable[Stamps]) -> Timeline:
+    """Power-ups and stray stamps, from all times since boot of a log in its order.
+
+    A step back by more than 1 s is a power-up, unless few stamps in a row are a glitch
+    (`stray_stretches`). A power-up whose time is later shows only against UTC: `fit_boots`.
+
+    >>> time_ns = np.array([5, 6, 7, 8, 9, 2, 3, 4, 5, 6]) * 10**9
+    >>> timeline([(np.arange(10), time_ns)]).boot_of(np.array([4, 5]))
+    array([0, 1], dtype=int16)
+    """
+    first: list[int] = []
+    begin: list[int] = []
+    end: list[int] = []
+    length: list[int] = []
+    for places, time_ns in blocks:
+        if not places.shape[0]:
+            continue
+        cuts = np.flatnonzero(np.abs(np.diff(time_ns)) > BOOT_STEP_NS) + 1
+        starts = np.append(0, cuts)
+        stops = np.append(cuts, time_ns.shape[0])
+        lengths = (stops - starts).tolist()
+        lasts = time_ns[stops - 1].tolist()
+        if end and abs(int(time_ns[0]) - end[-1]) <= BOOT_STEP_NS:  # goes on from the block before
+            end[-1] = lasts.pop(0)
+            length[-1] += lengths.pop(0)
+            starts = starts[1:]
+        first += places[starts].tolist()
+        begin += time_ns[starts].tolist()
+        end += lasts
+        length += lengths
+    return _judged(*np.array([first, begin, end, length], np.int64))
+
+
+def _judged(first: Places, begin: TimeArray, end: TimeArray, length: Places) -> Timeline:
+    stray = stray_stretches(begin, end, length)
+    steady = ~stray
+    back = begin[steady][1:] - end[steady][:-1] < -BOOT_STEP_NS
+    number = np.append(0, np.cumsum(back)).astype(np.int16)
+    boot = number[np.maximum(np.cumsum(steady) - 1, 0)] if first.size else np.empty(0, "i2")
+    return Timeline(first, begin, end, length, stray, boot)
+
+
+def report_timeline(line: Timeline, ledger: Ledger, place: str = "byte") -> None:
+    """Enter stray stamps and silences of a log; ``place`` is what its places count."""
+    if line.stray.any():
+        count = int(line.length[line.stray].sum())
+        ledger.loss(
+            "TIME-STRAY",
+            f"{count} records carry a time that fits none of their neighbours",
+            where=f"first at {place} {int(line.first[line.stray][0])}",
+            count=count,
+        )
+    after, silence = line.silences()
+    if after.size:
+        ledger.warning(
+            "LOG-GAP",
+            f"nothing at all was logged {after.size} times for more than 1 s, "
+            f"{silence.sum() / 1e9:.1f} s together: the logger stopped, or bytes are missing",
+            where=f"first before {place} {int(line.first[after[0]])}",
+            count=int(after.size),
+        )
+
+
+@dataclass(frozen=True)
+class Told:
+    """What one source says of UTC, (n,) in the order of the log.
+
+    ``source`` in words; ``places``; ``boot_ns`` and ``utc_ns``, of which rows with ``usable`` False
+    (no UTC, a stray stamp) do not count; ``fix`` as the receiver reports it, empty where the source
+    is none.
+    """
+
+    source: str
+    places: Places
+    boot_ns: TimeArray
+    utc_ns: TimeArray
+    usable: NDArray[np.bool_]
+    fix: NDArray[Any] = field(default_factory=lambda: np.empty(0))
+
+    def sound(self, line: Timeline) -> Told:
+        """The rows that can be trusted: no stray stamp, a fix, and a time of their own."""
+        good = self.usable & line.good(self.places)
+        if self.fix.size:
+            good &= self.fix >= LOWEST_FIX
+        good[good] = fresh(self.utc_ns if bool(good.all()) else self.utc_ns[good])
+        if bool(good.all()):
+            return self
+        return Told(
+            self.source, self.places[good], self.boot_ns[good], self.utc_ns[good], good[good]
+        )
+
+
+@dataclass(frozen=True)
+class BootClock:
+    """UTC of a clock that begins anew at each boot.
+
+    ``line`` the boots; ``fits`` of each, None where nothing says UTC; ``told`` whether that is a
+    source of UTC, or only the recorder's clock.
+    """
+
+    line: Timeline
+    fits: tuple[Offset | None, ...]
+    told: tuple[bool, ...]
+
+    @property
+    def offsets(self) -> NDArray[np.int64]:
+        """UTC minus time since boot [ns] of each boot, 0 where it is unknown."""
+        return np.array([fit.offset_ns if fit else 0 for fit in self.fits], np.int64)
+
+    def utc(self, places: Places, boot_ns: TimeArray) -> TimeArray:
+        """UTC [ns] of times since boot at places of the log."""
+        return np.asarray(boot_ns + self.offsets[self.line.boot_of(places)], np.int64)
+
+
+def fit_boots(
+    line: Timeline,
+    told: Sequence[Told],
+    ledger: Ledger,
+    recorder: Told | None = None,
+    where: str = "",
+) -> BootClock:
+    """One offset of UTC from the time since boot, for each boot; how well it fits is reported.
+
+    Parameters
+    ----------
+    line : the boots that steps back of the time show.
+    told : sources of UTC: receivers, or the vehicle's own messages. In each boot that with the most
+        rows decides, by their median; another that is more than 1 s off is a loss.
+    recorder : the clock of whoever recorded the log. It serves in boots without UTC.
+    where : whose boots they are, for the ledger.
+
+    A boot is also cut where nothing was recorded for more than 1 s and UTC minus time since boot
+    is different after it by more than 1 s, and stays so: the time of a new boot may be later than
+    the last of the one before. Where it steps while the time runs on, a clock was set: no boot.
+    """
+    by_steps = line
+    sources = sorted((one.sound(line) for one in told), key=lambda one: -one.places.shape[0])
+    spare = [recorder.sound(line)] if recorder is not None else []
+    for rank, one in enumerate([*sources, *spare]):
+        line = _cut(line, one, _bridged(by_steps, sources[:rank]))
+    known = by_steps.boots
+    if line.boots > known:
+        ledger.warning(
+            "TIME-REBOOT",
+            f"{line.boots - known} times UTC and the time since boot disagree before and after "
+            "a silence: the vehicle was restarted, though its time is later",
+            where=where,
+            count=line.boots - known,
+        )
+    fits, by_utc = [], []
+    for number in range(line.boots):
+        fit = _fit(line, number, sources, ledger, where)
+        by_utc.append(fit is not None)
+        if fit is None and spare:
+            fit = _of_boot(line, number, spare[0])
+        fits.append(fit)
+    return BootClock(line, tuple(fits), tuple(by_utc))
+
+
+def _cut(line: Timeline, one: Told, bridged: NDArray[np.bool_]) -> Timeline:
+    """Cut boots where this source's offset steps at a silence that is not ``bridged``."""
+    after, silence = line.silences()
+    free = ~bridged & (line.boot[after] == line.boot[after - 1])
+    after, silence = after[free], silence[free]
+    if not after.size or not one.places.shape[0]:
+        return line
+    at = line.first[after]
+    boots = line.boot_of(one.places)
+    found = []
+    for number in np.unique(boots).tolist():
+        rows = np.flatnonzero(boots == number)
+        offset = _steady(one.utc_ns[rows] - one.boot_ns[rows])
+        for row in np.flatnonzero(np.abs(np.diff(offset)) > BOOT_STEP_NS).tolist():
+            between = slice(*np.searchsorted(at, one.places[rows[row : row + 2]], side="right"))
+            if silence[between].size:
+                found.append(int(after[between][np.argmax(silence[between])]))
+    return line.cut(found)
+
+
+def _bridged(line: Timeline, before: Sequence[Told]) -> NDArray[np.bool_]:
+    """Silences about which other sources have spoken: with rows on both sides, in one boot."""
+    places = line.first[line.silences()[0]]
+    known = np.zeros(places.shape, np.bool_)
+    for one in before:
+        boots = np.concatenate([[-1], line.boot_of(one.places), [-2]]).astype(np.int64)
+        row = np.searchsorted(one.places, places)
+        known |= boots[row] == boots[row + 1]
+    return known
+
+
+def _steady(offset_ns: TimeArray) -> TimeArray:
+    """Offsets without glitches of up to `STRAY_ROWS` rows: a running median keeps what stays."""
+    half = min(STRAY_ROWS, offset_ns.shape[0] - 1)
+    if half < 1:
+        return offset_ns
+    padded = np.pad(offset_ns, half, mode="reflect")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
+    return np.asarray(np.partition(windows, half, axis=1)[:, half], np.int64)
+
+
+def _of_boot(line: Timeline, number: int, one: Told) -> Offset | None:
+    rows = line.boot_of(one.places) == number
+    return fit_offset(one.utc_ns[rows], one.boot_ns[rows])
+
+
+def _fit(
+    line: Timeline, number: int, sources: Sequence[Told], ledger: Ledger, where: str
+) -> Offset | None:
+    """The offset of one boot by the source with the most rows in it."""
+    fits = [(one, fit) for one in sources if (fit := _of_boot(line, number, one)) is not None]
+    if not fits:
+        return None
+    place = f"{where}, boot {number}" if where else f"boot {number}"
+    chosen, best = max(fits, key=lambda found: found[1].rows)
+    report_fit(ledger, f"{best.rows} {chosen.source}", best, place)
+    for one, fit in fits:
+        apart = fit.offset_ns - best.offset_ns
+        if abs(apart) > BOOT_STEP_NS:
+            ledger.loss(
+                "TIME-SOURCES",
+                f"{fit.rows} {one.source} give a UTC {apart / 1e9:+.3f} s from that of {best.rows} "
+                f"{chosen.source}, which are used",
+                where=place,
+                count=fit.rows,
+            )
+    return best

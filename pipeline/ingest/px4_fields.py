@@ -1,0 +1,157 @@
+"""Which messages of PX4 are wanted, and which of their fields are which columns.
+
+PX4 logs the same messages to its own files (.ulg) and, over ROS 2, to MCAP. Fields are paths into
+the message; a number is an index into an array. ``timestamp`` counts microseconds since boot.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.flight.channels import Array
+from pipeline.ingest.build import Rows
+from pipeline.ingest.fields import Column, MessageMap, column
+from pipeline.ingest.gimbal import device_columns
+from pipeline.ledger import Ledger
+
+TIMESTAMP = "timestamp"
+UTC_FIELD = "time_utc_usec"
+"""Unix time [us] in the messages of receivers, beside their time since boot."""
+
+CAPTURE_UTC_FIELD = "timestamp_utc"
+"""Unix time [us] of an exposure by the autopilot's own clock, which it sets now and then."""
+
+_GNSS, _PRESSURE = ("height", "position"), ("pressure", "cabin_pressure")
+_TEMPERATURE, _HUMIDITY = ("temperature", "cabin_temperature"), ("humidity", "cabin_humidity")
+_FAILED = 0.0  # of ``result``: 1 is success, -1 a camera that does not answer (CameraCapture.msg)
+
+
+def camera_quaternion(path: str, axes: str = "0123") -> tuple[Column, ...]:
+    """The attitude of a camera, w, x, y, z in this order under a path."""
+    pairs = zip("wxyz", axes, strict=True)
+    return tuple(column(f"camera_q_{axis}", f"{path}.{name}") for axis, name in pairs)
+
+
+# SensorGps has had its degrees as 1e-7 integers and its heights as mm before PX4 1.14.
+_RECEIVER = MessageMap(
+    (
+        column("lat_rad", "latitude_deg", "deg"),
+        column("lat_rad", "lat", "degE7"),
+        column("lon_rad", "longitude_deg", "deg"),
+        column("lon_rad", "lon", "degE7"),
+        column("h_msl_m", "altitude_msl_m"),
+        column("h_msl_m", "alt", "mm"),
+        column("h_ellipsoid_m", "altitude_ellipsoid_m", missing=0.0),
+        column("h_ellipsoid_m", "alt_ellipsoid", "mm", missing=0.0),
+        column("sigma_h_m", "eph"),
+        column("sigma_v_m", "epv"),
+        column("fix", "fix_type"),
+    ),
+    _GNSS, 20, time_field=TIMESTAMP, position=True,
+)  # fmt: skip
+_SHOT = MessageMap(
+    (
+        column("lat_rad", "lat", "deg"),
+        column("lon_rad", "lon", "deg"),
+        column("h_msl_m", "alt"),
+        column("event_index", "seq"),
+        column("result", "result"),
+        *camera_quaternion("q"),
+    ),
+    ("events",), 10, time_field=TIMESTAMP,
+)  # fmt: skip
+
+MESSAGES: Mapping[str, MessageMap] = {
+    "SensorGps": _RECEIVER,
+    "VehicleGpsPosition": replace(_RECEIVER, rank=21),
+    "VehicleGlobalPosition": MessageMap(
+        (
+            column("lat_rad", "lat", "deg"),
+            column("lon_rad", "lon", "deg"),
+            column("h_msl_m", "alt"),
+            column("h_ellipsoid_m", "alt_ellipsoid", missing=0.0),
+            column("sigma_h_m", "eph"),
+            column("sigma_v_m", "epv"),
+        ),
+        ("position",), 10, time_field=TIMESTAMP, position=True,
+    ),
+    "VehicleAttitude": MessageMap(
+        tuple(column(f"q_{axis}", f"q.{k}") for k, axis in enumerate("wxyz")),
+        ("attitude",), 10, time_field=TIMESTAMP, attitude=True,
+    ),
+    "VehicleAirData": MessageMap(
+        (
+            column("pressure_pa", "baro_pressure_pa"),
+            column("board_temperature_k", "baro_temp_celcius ambient_temperature", "degC"),
+        ),
+        _PRESSURE, 10, time_field=TIMESTAMP,
+    ),
+    "SensorBaro": MessageMap(
+        (column("pressure_pa", "pressure"), column("board_temperature_k", "temperature", "degC")),
+        _PRESSURE, 20, time_field=TIMESTAMP,
+    ),
+    "Airspeed": MessageMap(
+        (
+            column("temperature_k", "air_temperature_celsius", "degC"),
+            column("airspeed_m_s", "true_airspeed_m_s"),
+        ),
+        ("temperature", "airspeed"), 30, time_field=TIMESTAMP,
+    ),
+    "SensorHygrometer": MessageMap(
+        (
+            column("temperature_k", "temperature", "degC"),
+            column("relative_humidity", "humidity", "%"),
+        ),
+        (*_TEMPERATURE, *_HUMIDITY), 20, time_field=TIMESTAMP,
+    ),
+    "CameraCapture": _SHOT,
+    "CameraTrigger": replace(_SHOT, rank=30),
+    "GimbalDeviceAttitudeStatus": MessageMap(
+        device_columns(), time_field=TIMESTAMP, attitude=True
+    ),
+}  # fmt: skip
+"""By the name of the message in px4_msgs."""
+
+
+def topic_of(message: str) -> str:
+    """The topic under which PX4 logs a message.
+
+    >>> topic_of("VehicleGpsPosition")
+    'vehicle_gps_position'
+    """
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", message).lower()
+
+
+TOPICS: Mapping[str, MessageMap] = {topic_of(name): spec for name, spec in MESSAGES.items()}
+
+
+def taken(rows: Rows, ledger: Ledger) -> Rows:
+    """The rows of a camera without those that say that it took no image.
+
+    An index that is 0 in all of several rows is none: mavros never fills it in.
+    """
+    columns: dict[str, Array] = dict(rows.columns)
+    failed = columns.pop("result", np.ones(len(rows))) == _FAILED
+    index = columns.get("event_index", np.empty(0))
+    if index.shape[0] > 1 and not index.any():
+        del columns["event_index"]
+        ledger.note(
+            "EVENT-NO-INDEX",
+            f"all {len(rows)} rows have the index 0: they are numbered from 0 in their order",
+            where=rows.name,
+            count=len(rows),
+        )
+    rows = replace(rows, columns=columns)
+    if not failed.any():
+        return rows
+    ledger.warning(
+        "EVENT-FAILED",
+        f"{int(failed.sum())} of {len(rows)} rows say that the camera took no image",
+        where=rows.name,
+        count=int(failed.sum()),
+    )
+    return rows.take(~failed)

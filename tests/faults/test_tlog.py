@@ -1,0 +1,151 @@
+"""Damaged telemetry logs: complete, salvaged with a ledger, or refused with a code."""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from pipeline.errors import LogError
+from pipeline.ingest import Log, open_log
+
+STAMP_US = 1_700_000_000_000_000
+BOOT_UTC_US = STAMP_US - 60_000_000
+REFUSALS = {"LOG-FORMAT", "LOG-NO-MESSAGES", "LOG-EMPTY"}
+
+
+def small_log(version: int, seconds: int) -> bytes:
+    """A vehicle, a second barometer and a ground station, written by pymavlink's own encoder."""
+    from pymavlink.dialects.v20 import all as library
+
+    senders = {key: library.MAVLink(None, *key) for key in ((1, 1), (1, 25), (255, 190))}
+    frames = []
+
+    def send(kind: str, ms: int, source: tuple[int, int] = (1, 1), **fields: object) -> None:
+        message = getattr(library, f"MAVLink_{kind}_message")(**fields)
+        packet = message.pack(senders[source], force_mavlink1=version == 1)
+        senders[source].seq = (senders[source].seq + 1) % 256
+        frames.append(struct.pack(">Q", STAMP_US + (ms - 60_000) * 1000 + 40_000) + packet)
+
+    for k in range(seconds * 5):
+        ms = 60_000 + 200 * k
+        if k % 5 == 0:
+            send("system_time", ms, time_unix_usec=BOOT_UTC_US + ms * 1000, time_boot_ms=ms)
+            send("system_time", ms, (255, 190), time_unix_usec=16 * 10**14, time_boot_ms=5)
+            send("vfr_hud", ms, airspeed=40.0, groundspeed=41.0, heading=90, throttle=50,
+                 alt=600.0, climb=0.1)  # fmt: skip
+            send("camera_feedback", ms, cam_idx=0, img_idx=k, target_system=0, lat=470000000,
+                 time_usec=ms * 1000, lng=-1225000000, alt_msl=600.0, alt_rel=30.0, roll=1.0,
+                 pitch=2.0, yaw=3.0, foc_len=0.0, flags=0)  # fmt: skip
+        send("attitude", ms, time_boot_ms=ms, roll=0.1, pitch=-0.2, yaw=0.01 * k, rollspeed=0.0,
+             pitchspeed=0.0, yawspeed=0.0)  # fmt: skip
+        for source in ((1, 1), (1, 25)):
+            send("scaled_pressure", ms, source, time_boot_ms=ms, press_abs=700.0 + source[1],
+                 press_diff=0.0, temperature=4500, temperature_press_diff=0)  # fmt: skip
+        send("gps_raw_int", ms, time_usec=ms * 1000, fix_type=3, lat=470000000 + k,
+             lon=-1225000000, alt=600_250, eph=80, epv=90, vel=0, cog=0, satellites_visible=12,
+             alt_ellipsoid=580_500, h_acc=450, v_acc=0)  # fmt: skip
+    return b"".join(frames)
+
+
+@pytest.fixture(scope="module")
+def logs() -> list[bytes]:
+    return [small_log(2, 25), small_log(1, 25)]
+
+
+@pytest.fixture(scope="module")
+def trial(mutate: ModuleType, logs: list[bytes], tmp_path_factory: pytest.TempPathFactory):
+    return mutate.Trial(logs, ".tlog", open_log, tmp_path_factory.mktemp("tlog"))
+
+
+def at_a_boundary(data: bytes, whole: bytes) -> bool:
+    """Whether whole frames alone are missing from a log, which nothing in the file can tell."""
+    return not set(frames_of(data)) - set(frames_of(whole))
+
+
+def frames_of(data: bytes) -> list[bytes]:
+    frames, at = [], 0
+    while at < len(data):
+        two = data[at + 8] == 0xFD
+        end = at + 8 + data[at + 9] + (12 if two else 8)
+        frames.append(data[at:end])
+        at = end
+    return frames
+
+
+def test_mutations(
+    trial, mutate: ModuleType, logs: list[bytes], mutation_count: int, mutation_seed: int,
+    record_property: Callable[[str, object], None],
+) -> None:  # fmt: skip
+    for recipe in mutate.recipes(len(logs), mutation_count, mutation_seed):
+        trial.run(recipe)
+    record_property("mutations", f"seed {mutation_seed}, {trial.summary()}")
+    assert not trial.failures, trial.summary()
+    assert set(trial.ends) <= {"complete", "reported", "unreported"} | REFUSALS
+    assert len(trial.unreported) <= 0.01 * mutation_count, trial.unreported
+    for recipe in trial.unreported:
+        data = mutate.mutated(logs[recipe.file], *recipe[1:])
+        assert at_a_boundary(data, logs[recipe.file]), recipe
+
+
+def test_failures_found_once_stay_away(trial, mutate: ModuleType, corpus) -> None:
+    before = list(trial.failures)
+    for name, recipe in corpus.get("tlog", []):
+        assert trial.run(mutate.Recipe(*recipe)) in {"complete", "reported"} | REFUSALS, name
+    assert trial.failures == before
+
+
+def test_every_cut_of_the_first_and_last_1000_bytes(trial, logs: list[bytes]) -> None:
+    file, data = 0, logs[0]
+    before = Counter(trial.ends)
+    for count in range(1, 1001):
+        trial.examine(file, data[count:], f"first {count} bytes cut")
+        trial.examine(file, data[:-count], f"last {count} bytes cut")
+    assert not trial.failures, trial.summary()
+    ends = trial.ends - before
+    # a log that begins or ends at a frame is whole by all that it says; there are 20 each way
+    assert set(ends) <= {"reported", "unreported", "LOG-FORMAT"}
+    assert ends["unreported"] <= 80
+
+
+def read(path: Path, data: bytes) -> Log:
+    path.write_bytes(data)
+    return open_log(path)
+
+
+@pytest.mark.parametrize("junk", [b"", b"\xfd\xfe" * 3000, bytes(9000), bytes(range(256)) * 40])
+def test_what_is_no_log_is_refused(tmp_path: Path, junk: bytes) -> None:
+    with pytest.raises(LogError) as caught:
+        read(tmp_path / "junk.tlog", junk)
+    assert caught.value.code in REFUSALS
+
+
+def test_a_log_that_another_log_was_sent_through(tmp_path: Path, logs: list[bytes]) -> None:
+    """Frames inside a payload are not frames, whatever their checksum says."""
+    from pymavlink.dialects.v20 import all as library
+
+    inner = frames_of(logs[0])[7]
+    outer = library.MAVLink_data96_message(
+        type=1, len=len(inner), data=list(inner.ljust(96, b"\0"))
+    ).pack(library.MAVLink(None, 9, 9))
+    frames = frames_of(logs[0])
+    frames.insert(50, frames[50][:8] + outer)
+    whole, log = (read(tmp_path / "a.tlog", data) for data in (logs[0], b"".join(frames)))
+    assert dict(log.messages) == dict(whole.messages) | {"DATA96": 1}
+
+
+def test_a_stray_host_stamp_is_mended_and_counted(tmp_path: Path, logs: list[bytes]) -> None:
+    frames = frames_of(logs[0])
+    row = next(k for k, frame in enumerate(frames) if k > 60 and frame[15] == 74)
+    for year in (-1, 3):
+        moved = struct.unpack(">Q", frames[row][:8])[0] + year * 31_536_000_000_000
+        data = b"".join(frames[:row]) + struct.pack(">Q", moved) + b"".join(frames[row:])[8:]
+        whole, log = (read(tmp_path / "a.tlog", part) for part in (logs[0], data))
+        stray = [entry for entry in log.ledger if entry.code == "TIME-STRAY"]
+        assert [(entry.kind, entry.count) for entry in stray] == [("loss", 1)]
+        late = log.channel("VFR_HUD").time_ns - whole.channel("VFR_HUD").time_ns
+        assert abs(late).max() < 1_000_000

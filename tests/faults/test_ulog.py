@@ -1,0 +1,111 @@
+"""Damaged PX4 logs, decoded by pyulog: complete, salvaged with a ledger, or refused with a code."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from types import ModuleType
+
+import pytest
+
+from pipeline.ingest import open_log
+
+pytest.importorskip("pyulog", reason="pyulog is an extra: pip install 'unbend[ulog]'")
+
+UTC_US = 1_700_000_000_000_000
+REFUSALS = {"LOG-FORMAT", "LOG-NO-MESSAGES", "LOG-EMPTY", "LOG-ULOG"}
+
+FORMATS = {
+    "sensor_gps": ("Q2dd4fB", "uint64_t time_utc_usec;double latitude_deg;double longitude_deg;"
+                   "double altitude_msl_m;float eph;float epv;float hdop;float vdop;"
+                   "uint8_t fix_type;"),
+    "vehicle_attitude": ("4f", "float[4] q;"),
+    "sensor_baro": ("2f", "float pressure;float temperature;"),
+    "camera_capture": ("QI2db", "uint64_t timestamp_utc;uint32_t seq;double lat;double lon;"
+                       "int8_t result;"),
+}  # fmt: skip
+
+
+def message(kind: str, payload: bytes) -> bytes:
+    return struct.pack("<HB", len(payload), ord(kind)) + payload
+
+
+def small_log(rows: int, *, sync: bool) -> bytes:
+    """A receiver, an attitude, a barometer and a camera, as the specification of ULog says."""
+    data = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1000) + message("B", bytes(40))
+    for name, (_, fields) in FORMATS.items():
+        data += message("F", f"{name}:uint64_t timestamp;{fields}".encode())
+    for number, name in enumerate(FORMATS):
+        data += message("A", struct.pack("<BH", 0, number) + name.encode())
+    for k in range(rows):
+        t = 60_000_000 + 100_000 * k
+        values = {
+            "sensor_gps": (UTC_US + t, 47.5, 8.25, 600.0, 0.5, 0.75, 1.0, 1.0, 3),
+            "vehicle_attitude": (1.0, 0.0, 0.0, 0.0),
+            "sensor_baro": (94_000.0 - k, 40.0),
+        }
+        if k % 10 == 0:
+            values["camera_capture"] = (0, k, 47.5, 8.25, 1)
+        for number, name in enumerate(FORMATS):
+            if name in values:
+                row = struct.pack(f"<HQ{FORMATS[name][0]}", number, t, *values[name])
+                data += message("D", row)
+        if sync and k % 20 == 0:
+            data += message("S", bytes([0x2F, 0x73, 0x13, 0x20, 0x25, 0x0C, 0xBB, 0x12]))
+    return data
+
+
+@pytest.fixture(scope="module")
+def logs() -> list[bytes]:
+    return [small_log(150, sync=True), small_log(150, sync=False)]
+
+
+@pytest.fixture(scope="module")
+def trial(mutate: ModuleType, logs: list[bytes], tmp_path_factory: pytest.TempPathFactory):
+    return mutate.Trial(logs, ".ulg", open_log, tmp_path_factory.mktemp("ulog"))
+
+
+def test_the_small_logs_are_whole(trial, mutate: ModuleType, logs: list[bytes]) -> None:
+    assert [mutate.damage_reported(log) for log in trial.whole] == [False] * len(logs)
+    assert {sum(log.messages.values()) for log in trial.whole} == {3 * 150 + 15}
+
+
+def test_mutations(
+    trial, mutate: ModuleType, mutation_count: int, mutation_seed: int,
+    record_property: Callable[[str, object], None],
+) -> None:  # fmt: skip
+    for recipe in mutate.recipes(2, mutation_count, mutation_seed):
+        trial.run(recipe)
+    record_property("mutations", f"seed {mutation_seed}, {trial.summary()}")
+    assert not trial.failures, trial.summary()
+    assert set(trial.ends) <= {"complete", "reported", "renamed", "unreported"} | REFUSALS
+    # whole messages that are gone leave no mark in a format without numbers
+    kinds = {mutate.KINDS[recipe.kind] for recipe in trial.unreported}
+    assert kinds <= {"truncate", "delete"}
+    assert len(trial.unreported) <= mutation_count // 100, trial.summary()
+
+
+def test_failures_found_once_stay_away(trial, mutate: ModuleType, corpus) -> None:
+    before = list(trial.failures)
+    for name, recipe in corpus["ulog"]:
+        assert trial.run(mutate.Recipe(*recipe)) in {"complete", "reported"} | REFUSALS, name
+    assert trial.failures == before
+
+
+def test_every_cut_of_the_first_and_last_1000_bytes(trial, logs: list[bytes]) -> None:
+    before = trial.ends.copy()
+    for count in range(1, 1001):
+        trial.examine(0, logs[0][count:], f"first {count} bytes cut")
+        trial.examine(0, logs[0][:-count], f"last {count} bytes cut")
+    assert not trial.failures, trial.summary()
+    ends = trial.ends - before
+    assert set(ends) <= {"LOG-FORMAT", "LOG-ULOG", "reported", "unreported"}
+    assert ends["unreported"] <= 30  # cuts between two messages
+
+
+def test_a_large_hole_ends_at_once(trial, mutate: ModuleType, logs: list[bytes]) -> None:
+    """30 MB of zeros, as in a file whose space was set aside before the power went."""
+    data = logs[0][:8000] + bytes(30_000_000) + logs[0][8000:]
+    with mutate.limited(2.0):
+        assert trial.examine(0, data, "hole") == "reported"
+    assert not trial.failures

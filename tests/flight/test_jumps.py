@@ -1,0 +1,187 @@
+"""Samples that no vehicle and no air can reach are taken out and counted; what can be, stays."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.flight.channels import Channel, Source
+from pipeline.flight.quality import RANGES, flagged, within_reason
+from pipeline.ledger import Ledger
+
+RATE_HZ = 10.0
+
+
+def channel(n: int = 60, **columns: np.ndarray) -> Channel:
+    time_ns = (np.arange(n) * (1e9 / RATE_HZ)).astype(np.int64)
+    return Channel("X", time_ns, columns, Source("X"))
+
+
+def flown(n: int = 60) -> dict[str, np.ndarray]:
+    """60 m/s to the north-east across the date line."""
+    along = np.arange(n) * (60.0 / RATE_HZ) / 6.371e6
+    lon = np.pi - 1e-5 + along
+    return {"lat_rad": 0.8 + along, "lon_rad": np.where(lon > np.pi, lon - 2 * np.pi, lon)}
+
+
+def turned(n: int = 60) -> dict[str, np.ndarray]:
+    """A roll at 400 deg/s, as a multirotor does."""
+    half = np.radians(400.0 / RATE_HZ) * np.arange(n) / 2.0
+    return {"q_w": np.cos(half), "q_x": np.sin(half), "q_y": 0.0 * half, "q_z": 0.0 * half}
+
+
+def cold(n: int = 60) -> dict[str, np.ndarray]:
+    return {"temperature_k": 280.0 - 0.01 * np.arange(n)}
+
+
+def climbing(n: int = 60) -> dict[str, np.ndarray]:
+    noise = np.random.default_rng(2).normal(0.0, 8.0, n)
+    return {"pressure_pa": 90_000.0 - 12.0 * np.arange(n) + noise}
+
+
+SOUND = {
+    "position": flown,
+    "attitude": turned,
+    "temperature": cold,
+    "pressure": climbing,
+}
+JUMPS = {
+    "position": ("lon_rad", 150.0 / 6.371e6),
+    "attitude": ("q_z", 8.0),
+    "temperature": ("temperature_k", -5.5),
+    "pressure": ("pressure_pa", 300.0),
+}
+
+
+@pytest.mark.parametrize("role", SOUND)
+def test_what_can_be_stays(role: str) -> None:
+    ledger = Ledger()
+    assert len(within_reason(channel(**SOUND[role]()), role, ledger)) == 60
+    assert not list(ledger)
+
+
+@pytest.mark.parametrize("role", SOUND)
+def test_one_wrong_sample_is_taken_out_and_counted(role: str) -> None:
+    columns = SOUND[role]()
+    name, jump = JUMPS[role]
+    columns[name][30] += jump
+    if role == "attitude":
+        q = np.array([columns[f"q_{axis}"][30] for axis in "wxyz"])
+        for axis, value in zip("wxyz", q / np.linalg.norm(q), strict=True):
+            columns[f"q_{axis}"][30] = value
+    ledger = Ledger()
+    sound = within_reason(channel(**columns), role, ledger)
+    assert len(sound) == 59
+    assert 3_000_000_000 not in sound.time_ns.tolist()
+    (entry,) = ledger
+    assert (entry.kind, entry.code, entry.count) == ("loss", "SENSOR-JUMP", 1)
+    assert "3.000 s" in entry.what
+
+
+def test_a_step_that_stays_is_no_jump() -> None:
+    """A sensor that is set anew, or a gap: both sides of it may be true."""
+    columns = cold()
+    columns["temperature_k"][30:] += 20.0
+    ledger = Ledger()
+    assert len(within_reason(channel(**columns), "temperature", ledger)) == 60
+    assert not list(ledger)
+
+
+@pytest.mark.parametrize("role", SOUND)
+@pytest.mark.parametrize(
+    "rows", [(0,), (59,), (20, 21), (0, 1, 2, 3), (56, 57, 58, 59), (10, 11, 40, 58, 59)]
+)
+def test_wrong_samples_at_any_place(role: str, rows: tuple[int, ...]) -> None:
+    columns = SOUND[role]()
+    name, jump = JUMPS[role]
+    for row in rows:
+        columns[name][row] += jump * 40.0 if role != "attitude" else 0.0
+        if role == "attitude":  # half a turn about the yaw axis
+            w, x, y, z = (columns[f"q_{axis}"][row] for axis in "wxyz")
+            for axis, value in zip("wxyz", (-z, y, -x, w), strict=True):
+                columns[f"q_{axis}"][row] = value
+    ledger = Ledger()
+    sound = within_reason(channel(**columns), role, ledger)
+    kept = np.setdiff1d(np.arange(60), rows) * 100_000_000
+    np.testing.assert_array_equal(sound.time_ns, kept)
+    assert sum(entry.count for entry in ledger) == len(rows)
+
+
+@pytest.mark.parametrize("rows", [(0,), (30, 31), (59,)])
+def test_heights_that_jump_for_some_rows_are_unknown(rows: tuple[int, ...]) -> None:
+    height = 600.0 + 2.0 * np.arange(60)
+    height[list(rows)] += 8_000.0
+    sound = within_reason(channel(**flown(), h_msl_m=height), "height", Ledger())
+    assert tuple(np.flatnonzero(np.isnan(sound["h_msl_m"]))) == rows
+
+
+def test_what_jumps_everywhere_is_noise_and_is_told() -> None:
+    n = 50_000
+    pressure = 90_000.0 + 5_000.0 * (np.arange(n) % 2)
+    ledger = Ledger()
+    assert len(within_reason(channel(n, pressure_pa=pressure), "pressure", ledger)) == n
+    assert [entry.code for entry in ledger] == ["SENSOR-NOISE"]
+
+
+# What can be and what cannot, by hand: the poles, the Dead Sea and a balloon, the driest cold.
+LIMITS = {
+    "lat_rad": ((-1.5707, 1.5707), (-1.5709, 1.5709)),
+    "lon_rad": ((-6.28, 6.28), (-6.29, 6.29)),
+    "h_msl_m": ((-599.0, 59_999.0), (-601.0, 60_001.0)),
+    "h_ellipsoid_m": ((-699.0, 59_999.0), (-701.0, 60_001.0)),
+    "pressure_pa": ((21.0, 119_999.0), (19.0, 120_001.0)),
+    "temperature_k": ((170.5, 339.5), (169.5, 340.5)),
+    "relative_humidity": ((-0.04, 1.14), (-0.06, 1.16)),
+    "airspeed_m_s": ((-4.9, 699.0), (-5.1, 701.0)),
+}
+
+
+@pytest.mark.parametrize("column", RANGES)
+def test_the_range_of_each_column(column: str) -> None:
+    for values, wild in zip(LIMITS[column], (False, True), strict=True):
+        for value in values:
+            columns = {"lat_rad": np.zeros(60), "lon_rad": np.zeros(60), "x": np.zeros(60)}
+            columns[column] = np.full(
+                60, {"pressure_pa": 1e4, "temperature_k": 250.0}.get(column, 0.0)
+            )
+            columns[column][30] = value
+            time_ns = np.arange(60) * 86_400 * 10**9  # a day between: nothing is too fast
+            ledger = Ledger()
+            sound = flagged(Channel("X", time_ns, columns, Source("X")), ledger)
+            flags = [entry for entry in ledger if entry.code == "SENSOR-RANGE"]
+            assert [(entry.kind, entry.count) for entry in flags] == ([("loss", 1)] if wild else [])
+            assert int(np.isfinite(sound[column]).sum()) == 60 - wild, value
+
+
+@pytest.mark.parametrize("role", SOUND)
+def test_a_log_flags_what_a_mission_would(role: str) -> None:
+    columns = SOUND[role]()
+    name, jump = JUMPS[role]
+    columns[name][30:32] += 40.0 * jump
+    if role == "attitude":
+        for row in (30, 31):
+            q = np.array([columns[f"q_{axis}"][row] for axis in "wxyz"])
+            for axis, value in zip("wxyz", q / np.linalg.norm(q), strict=True):
+                columns[f"q_{axis}"][row] = value
+    ledger = Ledger()
+    sound = flagged(channel(**columns, board_temperature_k=np.full(60, 310.0)), ledger)
+    assert len(sound) == 58  # nothing is left of these rows that a role could use
+    assert sum(entry.count for entry in ledger) == 2
+    again = Ledger()
+    assert len(within_reason(sound, role, again)) == 58
+    assert not list(again)
+
+
+def test_a_row_stays_for_what_is_right_in_it() -> None:
+    columns = cold() | {"relative_humidity": np.full(60, 0.5)}
+    columns["relative_humidity"][7] = 4.0
+    sound = flagged(channel(**columns), Ledger())
+    assert np.flatnonzero(np.isnan(sound["relative_humidity"])).tolist() == [7]
+    assert np.isfinite(sound["temperature_k"]).all()
+
+
+def test_a_column_in_another_unit_is_left_to_the_mission() -> None:
+    ledger = Ledger()
+    sound = flagged(channel(temperature_k=np.full(60, 15.0)), ledger)
+    assert (sound["temperature_k"] == 15.0).all()
+    assert [(entry.kind, entry.code) for entry in ledger] == [("warning", "SENSOR-ODD")]

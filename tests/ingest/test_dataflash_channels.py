@@ -1,0 +1,206 @@
+"""DataFlash: the field map, clocks, tables and memory, on logs with known content."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pipeline.errors import LogError
+from pipeline.flight.clock import full_weeks, utc_of_gps
+from pipeline.ingest import Log, open_log
+from pipeline.ingest.dataflash import read_tables
+from pipeline.ingest.dataflash_records import walk
+from pipeline.ingest.window import window_of
+
+ROOT = Path(__file__).resolve().parents[2]
+SAMPLE = ROOT / "sample_logs" / "flight.bin"
+
+
+def entries(log: Log, code: str) -> list[Any]:
+    return [entry for entry in log.ledger if entry.code == code]
+
+
+@pytest.fixture
+def opened(tmp_path: Path) -> Callable[[bytes], Log]:
+    def write_and_open(data: bytes) -> Log:
+        path = tmp_path / "flight.bin"
+        path.write_bytes(data)
+        return open_log(path)
+
+    return write_and_open
+
+
+@pytest.fixture
+def writer(dataflash_writer: Callable) -> Any:
+    made = dataflash_writer()
+    made.define(20, "GPS", "QBBIHBcLLe", "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt")
+    return made
+
+
+def fixes(writer: Any, week: int, rows: int = 20, from_us: int = 5_000_000) -> None:
+    for k in range(rows):
+        time = (from_us + k * 200_000, 0, 3, 1000 + 200 * k, week)
+        writer.row("GPS", *time, 12, 0.8, 47.0, 8.0, 600.0)
+
+
+def test_the_gimbal_is_an_attitude_that_plays_only_when_named(
+    writer: Any, opened: Callable
+) -> None:
+    fixes(writer, 2200)
+    columns = "TimeUS,I,DRoll,Roll,DPitch,Pitch,DYawB,YawB,DYawE,YawE,Dist"
+    writer.define(60, "MNT", "QBfffffffff", columns)
+    angles = np.array([[0.5 * k, -80.0 + k, 15.0 * k] for k in range(20)])
+    for k, (roll, pitch, yaw) in enumerate(angles):
+        writer.row("MNT", 5_000_000 + k * 200_000, 1, 0, roll, 0, pitch, 0, 2.5, 0, yaw, 0)
+    gimbal = opened(writer.data).channel("MNT[1]")
+    assert (gimbal.roles, gimbal.can_play("attitude")) == ((), True)
+    theirs = Rotation.from_euler("ZYX", angles[:, ::-1].astype(np.float32), degrees=True)
+    ours = Rotation.from_quat(np.stack([gimbal[f"q_{axis}"] for axis in "xyzw"], axis=1))
+    assert (ours.inv() * theirs).magnitude().max() < 1e-9
+    assert gimbal["yaw_in_body_rad"][0] == np.radians(2.5)
+
+
+def test_values_of_scripts_are_channels_by_their_name(writer: Any, opened: Callable) -> None:
+    fixes(writer, 2200)
+    writer.define(61, "NVF", "QNf", "TimeUS,Name,Value")
+    for k in range(6):
+        writer.row("NVF", 5_000_000 + k * 200_000, b"cabin_t", 20.5 + k)
+        writer.row("NVF", 5_000_001 + k * 200_000, b"cabin_h", 40.0)
+    log = opened(writer.data)
+    assert log.channel("NVF[cabin_t]")["value"].tolist() == [20.5, 21.5, 22.5, 23.5, 24.5, 25.5]
+    assert log.channel("NVF[cabin_h]").roles == ()
+
+
+def test_the_undulation_has_the_sign_of_the_autopilot(writer: Any, opened: Callable) -> None:
+    """Until 4.6 ArduPilot logged height above sea level minus height above the ellipsoid."""
+    writer.define(62, "GPA", "QBCf", "TimeUS,I,HAcc,Und")
+    fixes(writer, 2200)
+    for k in range(20):
+        writer.row("GPA", 5_000_000 + k * 200_000, 0, 0.5, 0.0 if k == 3 else -47.5)
+    channel = opened(writer.data).channel("GPS[0]")
+    assert channel["h_ellipsoid_m"][0] == 647.5
+    assert np.isnan(channel["h_ellipsoid_m"][3])  # 0 is what it says when it does not know
+    assert "undulation_m" not in channel.columns
+
+
+@pytest.mark.parametrize("rollovers", [0, 1, 2])
+def test_a_receiver_that_counts_weeks_modulo_1024(
+    rollovers: int, writer: Any, opened: Callable
+) -> None:
+    fixes(writer, 2324 - 1024 * rollovers)  # July 2024
+    log = opened(writer.data)
+    assert log.channel("GPS[0]").time_ns[0] == utc_of_gps(2324, 1.0)
+    told = entries(log, "TIME-WEEK-ROLLOVER")
+    assert [entry.count for entry in told] == ([20] if rollovers else [])
+
+
+def test_one_wild_week_is_no_rollover() -> None:
+    weeks, repaired = full_weeks([2324, 2324, 3, 2324], first=1773)
+    assert (weeks.tolist(), repaired) == ([2324, 2324, 3, 2324], 0)
+
+
+def test_gps_time_that_cannot_be_is_not_used(writer: Any, opened: Callable) -> None:
+    fixes(writer, 2324)
+    expected = opened(writer.data).channel("GPS[0]").time_ns[0]
+    for k in range(30):  # more than half of all rows
+        time = (9_000_000 + k * 200_000, 0, 3, 700_000_000 + k, 2324)
+        writer.row("GPS", *time, 12, 0.8, 47.0, 8.0, 600.0)
+    assert opened(writer.data).channel("GPS[0]").time_ns[0] == expected
+
+
+def test_silence_is_told(writer: Any, opened: Callable) -> None:
+    fixes(writer, 2200)
+    place = len(writer.data)
+    fixes(writer, 2200, from_us=60_000_000)
+    (entry,) = entries(opened(writer.data), "LOG-GAP")
+    assert (entry.kind, entry.count) == ("warning", 1)
+    assert f"byte {place}" in entry.where
+    assert "51.2 s" in entry.what
+
+
+def test_one_flipped_type_byte_in_the_middle_costs_one_message(
+    tmp_path: Path, real_log: Callable[[str], Path]
+) -> None:
+    """pymavlink's index loses more than half of the GPS rows of this log."""
+    data = bytearray(real_log("beastayyg_sample.bin").read_bytes())
+    whole = walk(window_of(bytes(data)))
+    places = whole.offsets
+    middle = int(places[np.searchsorted(places, len(data) // 2)])
+    path = tmp_path / "flight.bin"
+    expected = {name: len(next(iter(t.values()))) for name, t in tables(path, data).items()}
+    for bit in range(8):
+        damaged = bytearray(data)
+        damaged[middle + 2] ^= 1 << bit
+        counts = {name: len(next(iter(t.values()))) for name, t in tables(path, damaged).items()}
+        lost = {name: expected[name] - counts.get(name, 0) for name in expected}
+        assert sum(max(count, 0) for count in lost.values()) <= 1, bit
+
+
+def tables(path: Path, data: bytes | bytearray) -> dict[str, Any]:
+    path.write_bytes(data)
+    return read_tables(path)
+
+
+def test_the_walk_does_not_depend_on_where_blocks_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    from pipeline.ingest import dataflash_records, window
+
+    data = bytearray(SAMPLE.read_bytes()[:60_000])
+    for at in range(5_000, 55_000, 1_700):  # damage of several kinds, all over
+        data[at : at + 1 + at % 97] = bytes(1 + at % 97)
+    expected = walk(window_of(bytes(data)))
+    for span in (97, 512, 4_001, 30_000):
+        monkeypatch.setattr(dataflash_records, "SPAN", span)
+        monkeypatch.setattr(window, "SPAN", span)
+        found = walk(window_of(bytes(data)))
+        np.testing.assert_array_equal(found.offsets, expected.offsets, f"{span}")
+        np.testing.assert_array_equal(found.numbers, expected.numbers)
+        assert (found.bad_bytes, found.first_bad) == (expected.bad_bytes, expected.first_bad)
+    assert len(expected.parts) < len(found.parts)
+
+
+def test_messages_as_columns_and_as_a_frame(opened: Callable, writer: Any) -> None:
+    fixes(writer, 2200)
+    writer.define(63, "PIDR", "Qff", "TimeUS,P,I")
+    writer.row("PIDR", 5_000_000, 0.25, 0.5)
+    log = opened(writer.data)
+    assert log.message_types() == {"FMT": 3, "GPS": 20, "PIDR": 1}
+    table = log.message("GPS", "0")
+    assert list(table)[:4] == ["time_ns", "boot", "TimeUS", "I"]
+    assert table["GMS"].dtype == np.uint32
+    assert log.message_to_pandas("GPS")["Lat"].tolist() == [47.0] * 20
+    assert log.message("FMT")["Name"].tolist() == ["FMT", "GPS", "PIDR"]
+    with pytest.raises(LogError, match="GPSS") as caught:
+        log.message("GPSS")
+    assert caught.value.code == "LOG-NO-TYPE"
+    with pytest.raises(LogError) as caught:  # I is a term of the controller here
+        log.message("PIDR", "0")
+    assert caught.value.code == "LOG-NO-TABLE"
+
+
+@pytest.fixture(scope="module")
+def grower() -> ModuleType:
+    from importlib.util import module_from_spec, spec_from_file_location
+
+    spec = spec_from_file_location("unbend_benchmarks", ROOT / "benchmarks" / "dataflash.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_a_grown_log_is_one_long_flight(tmp_path: Path, grower: ModuleType) -> None:
+    path = tmp_path / "grown.bin"
+    size = grower.grow(SAMPLE, path, 3 * SAMPLE.stat().st_size - 1)
+    assert size == path.stat().st_size == 3 * SAMPLE.stat().st_size
+    log, once = open_log(path), open_log(SAMPLE)
+    assert log.boots == 1
+    assert log.duration_s == pytest.approx(3 * once.duration_s, rel=0.01)
+    assert len(log.channel("ATT")) == 3 * len(once.channel("ATT"))
+    assert not log.ledger.has_losses

@@ -1,0 +1,91 @@
+"""Every cell of every message of every DataFlash log here, against pymavlink reading in order."""
+
+from __future__ import annotations
+
+import contextlib
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.ingest.dataflash import read_tables
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDERS = (ROOT.parent / "shared" / "logs", ROOT / "sample_logs")
+LOGS = sorted(path for folder in FOLDERS for path in folder.glob("*.[bB][iI][nN]"))
+NAMES = (
+    "ardusub_small.BIN",
+    "beastayyg_sample.bin",
+    "flight.bin",
+    "pymavlink_test.BIN",
+    "sitl_belowsea_2cam.BIN",
+    "sitl_survey.BIN",
+)
+
+
+def library_tables(path: Path) -> dict[str, dict[str, list[Any]]]:
+    """What pymavlink says, message by message; its offset index is not used."""
+    from pymavlink.DFReader import DFReader_binary
+
+    reader = DFReader_binary(str(path))
+    tables: dict[str, dict[str, list[Any]]] = defaultdict(lambda: defaultdict(list))
+    with contextlib.closing(reader.filehandle), contextlib.closing(reader.data_map):
+        while (row := reader.recv_msg()) is not None:
+            columns = tables[row.get_type()]
+            for field in row.get_fieldnames():
+                columns[field].append(getattr(row, field))
+    return tables
+
+
+def different(ours: np.ndarray, theirs: list[Any]) -> int:
+    """How many cells of a column are not the same number or the same text."""
+    if len(ours) != len(theirs):
+        return max(len(ours), len(theirs))
+    if ours.dtype.kind == "U":
+        return sum(a != b for a, b in zip(ours.tolist(), theirs, strict=True))
+    if ours.ndim == 2:  # arrays of numbers, and the bytes of files
+        cells = [np.frombuffer(bytes(cell), ours.dtype) for cell in theirs]
+        return int(np.count_nonzero(ours != np.array(cells)))
+    expected = np.array(theirs, np.float64 if ours.dtype.kind == "f" else ours.dtype)
+    values = ours.astype(expected.dtype)
+    same = (values == expected) & (np.signbit(values) == np.signbit(expected))
+    if ours.dtype.kind == "f":
+        same |= np.isnan(values) & np.isnan(expected)
+    return int(np.count_nonzero(~same))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_cell_is_that_of_the_library(
+    name: str, record_property: Callable[[str, object], None]
+) -> None:
+    path = next((path for path in LOGS if path.name == name), None)
+    if path is None:
+        pytest.skip(f"{name} is not there: real logs live beside the repository")
+    theirs = library_tables(path)
+    ours = read_tables(path)
+    assert set(ours) == set(theirs)
+    cells = 0
+    for message, columns in theirs.items():
+        assert list(ours[message]) == list(columns), message
+        for field, values in columns.items():
+            wrong = different(ours[message][field], values)
+            assert wrong == 0, f"{message}.{field}: {wrong} of {len(values)} cells differ"
+            cells += len(values)
+    record_property("cells compared", cells)
+    print(f"{name}: {cells:,} cells of {len(theirs)} message types are bit-equal with pymavlink")
+
+
+def test_no_log_here_is_left_out() -> None:
+    assert {path.name for path in LOGS} <= set(NAMES)
+
+
+def test_one_changed_bit_in_a_cell_is_seen() -> None:
+    values = np.array([1.5, np.nan, -0.0], np.float32)
+    assert different(values, [1.5, float("nan"), -0.0]) == 0
+    assert different(values, [1.5, float("nan"), 0.0]) == 1
+    assert different(values, [np.nextafter(1.5, 2), float("nan"), -0.0]) == 1
+    assert different(np.array([7], np.uint64), [8]) == 1
+    assert different(np.array(["a"]), ["b"]) == 1

@@ -1,0 +1,189 @@
+"""DataFlash: damage that leaves whole records, in definitions and instances, is told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.ingest import Log, open_log
+from pipeline.ingest.dataflash_records import walk
+from pipeline.ingest.window import Window, window_of
+
+BARO, HYGR, GPS, POS = 23, 24, 20, 25
+ROWS = 400
+
+
+def written(dataflash_writer: Callable) -> Any:
+    """Forty seconds of air data, a receiver and a position."""
+    writer = dataflash_writer()
+    writer.define(GPS, "GPS", "QBBIHLLe", "TimeUS,I,Status,GMS,GWk,Lat,Lng,Alt")
+    writer.define(21, "GPA", "QBe", "TimeUS,I,AEl")
+    writer.define(BARO, "BARO", "QBfc", "TimeUS,I,Press,Temp")
+    writer.define(HYGR, "HYGR", "QBff", "TimeUS,Id,Humidity,Temp")
+    writer.define(POS, "POS", "QLLe", "TimeUS,Lat,Lng,Alt")
+    for k in range(ROWS):
+        time = 1_000_000 + k * 100_000
+        writer.row("GPS", time, 0, 3, 1000 + 100 * k, 2300, 47.0, 8.0, 600.0)
+        writer.row("GPA", time, 0, 648.0)
+        writer.row("BARO", time, 0, 95_000.0 - k, 20.0)
+        writer.row("HYGR", time, 0, 55.0, 9.0)
+        writer.row("POS", time, 47.0, 8.0, 600.0)
+    return writer
+
+
+def opened(tmp_path: Path, data: bytes, name: str = "flight.bin") -> Log:
+    path = tmp_path / name
+    path.write_bytes(data)
+    return open_log(path)
+
+
+def losses(log: Log) -> list[tuple[str, str, int]]:
+    return [(e.code, e.where, e.count) for e in log.ledger if e.kind == "loss"]
+
+
+def test_the_log_is_whole(tmp_path: Path, dataflash_writer: Callable) -> None:
+    assert losses(opened(tmp_path, written(dataflash_writer).data)) == []
+
+
+@pytest.mark.parametrize(
+    ("message", "field", "column"),
+    [
+        ("BARO", "Press", "pressure_pa"), ("HYGR", "Humidity", "relative_humidity"),
+        ("HYGR", "Temp", "temperature_k"), ("GPS", "Alt", "h_msl_m"), ("POS", "Alt", "h_msl_m"),
+        ("GPS", "GMS", "GMS"), ("GPS", "Status", "Status"), ("BARO", "TimeUS", "TimeUS"),
+    ],
+)  # fmt: skip
+def test_a_flipped_bit_in_the_name_of_a_field(
+    tmp_path: Path, dataflash_writer: Callable, message: str, field: str, column: str
+) -> None:
+    data = bytearray(written(dataflash_writer).data)
+    at = data.index(field.encode(), data.index(message.encode()))
+    data[at + len(field) - 1] ^= 1
+    log = opened(tmp_path, bytes(data))
+    assert losses(log) == [("LOG-FIELDS", message, ROWS)]
+    assert column in next(e.what for e in log.ledger if e.code == "LOG-FIELDS")
+
+
+def test_a_flipped_bit_of_an_instance_is_no_sensor(
+    tmp_path: Path, dataflash_writer: Callable
+) -> None:
+    data = bytearray(written(dataflash_writer).data)
+    found = walk(window_of(bytes(data)))
+    number = next(n for n, form in enumerate(found.definitions) if form.name == "HYGR")
+    data[int(found.offsets[found.numbers == number][200]) + 3 + 8] ^= 32
+    log = opened(tmp_path, bytes(data))
+    assert losses(log) == [("LOG-INSTANCE", "HYGR", 1)]
+    assert [c.name for c in log.channels if c.name.startswith("HYGR")] == ["HYGR[0]"]
+    assert len(log.channel("HYGR[0]")) == ROWS - 1
+    assert log.message("HYGR", "32")["Temp"].tolist() == [9.0]  # the table has what is logged
+
+
+@pytest.mark.parametrize(("rows", "stays"), [(4, False), (5, True)])
+def test_a_sensor_of_few_rows_stays_one(
+    tmp_path: Path, dataflash_writer: Callable, rows: int, stays: bool
+) -> None:
+    writer = written(dataflash_writer)
+    for k in range(rows):
+        writer.row("BARO", 41_000_000 + k * 100_000, 1, 95_000.0, 20.0)
+    log = opened(tmp_path, writer.data)
+    assert ("BARO[1]" in {channel.name for channel in log.channels}) == stays
+    assert bool(losses(log)) != stays
+
+
+def test_a_second_camera_of_few_images_stays_one(
+    tmp_path: Path, dataflash_writer: Callable
+) -> None:
+    writer = written(dataflash_writer)
+    writer.define(30, "CAM", "QBHLL", "TimeUS,I,Img,Lat,Lng")
+    for k in range(300):
+        writer.row("CAM", 1_000_000 + k * 100_000, 0, k, 47.0, 8.0)
+    writer.row("CAM", 41_000_000, 1, 0, 47.0, 8.0)
+    log = opened(tmp_path, writer.data)
+    assert len(log.channel("CAM[1]")) == 1
+    assert losses(log) == []
+
+
+@pytest.mark.parametrize("letters", ["QN", "QB"])
+def test_text_and_numbers_under_one_name(
+    tmp_path: Path, dataflash_writer: Callable, letters: str
+) -> None:
+    """The table has every value; a channel has what the last definition says, and tells."""
+    writer = written(dataflash_writer)
+    rows = {"QN": b"ab", "QB": 7}
+    other = "QB" if letters == "QN" else "QN"
+    for k, code in enumerate((letters, other)):
+        writer.define(50, "TST", code, "TimeUS,V")
+        for row in range(3):
+            writer.row("TST", 41_000_000 + k * 1_000_000 + row, rows[code])
+    texts = [b.decode() if isinstance(b, bytes) else b for b in (rows[letters], rows[other])]
+    log = opened(tmp_path, writer.data)
+    assert log.message("TST")["V"].tolist() == [texts[0]] * 3 + [texts[1]] * 3
+    writer.define(BARO, "BARO", "QBNc", "TimeUS,I,Press,Temp")
+    writer.row("BARO", 44_000_000, 0, b"wet", 20.0)
+    writer.define(BARO, "BARO", "QBfc", "TimeUS,I,Press,Temp")
+    writer.row("BARO", 45_000_000, 0, 95_000.0, 20.0)
+    log = opened(tmp_path, writer.data)
+    assert losses(log) == [("LOG-REDEFINED", "BARO", 1)]
+    unknown = np.isnan(log.channel("BARO[0]")["pressure_pa"])
+    assert np.flatnonzero(unknown).tolist() == [ROWS]
+
+
+@pytest.mark.parametrize(
+    ("first", "then", "kind"),
+    [
+        (("Q", 2**53 + 1), ("B", 7), "u"), (("Q", 2**53 + 1), ("i", -7), "i"),
+        (("Q", 2**63 + 1), ("i", -7), "O"), (("Q", 2**53 + 1), ("f", 0.5), "O"),
+        (("Q", 5), ("f", 0.5), "f"),
+    ],
+)  # fmt: skip
+def test_integers_of_two_definitions_stay_exact(
+    tmp_path: Path, dataflash_writer: Callable, monkeypatch: pytest.MonkeyPatch,
+    first: tuple[str, int], then: tuple[str, float], kind: str,
+) -> None:  # fmt: skip
+    writer = written(dataflash_writer)
+    monkeypatch.setitem(writer.row.__globals__["LETTERS"], "i", ("i", 1))
+    for letter, value in (first, then):
+        writer.define(50, "TST", "Q" + letter, "TimeUS,V")
+        writer.row("TST", 41_000_000, value)
+    column = opened(tmp_path, writer.data).message("TST")["V"]
+    assert column.tolist() == [first[1], then[1]]
+    assert column.dtype.kind == kind
+
+
+def test_a_splice_whose_time_goes_on_is_a_boot(tmp_path: Path, dataflash_writer: Callable) -> None:
+    """The last rows of a log are of a flight a week later; p5 to p95 do not see them."""
+    writer = written(dataflash_writer)
+    for k in range(15):
+        time = 641_000_000 + k * 100_000
+        writer.row("GPS", time, 0, 3, 1000 + 100 * k, 2301, 47.0, 8.0, 600.0)
+        writer.row("BARO", time, 0, 95_000.0 - k, 20.0)
+    log = opened(tmp_path, writer.data)
+    assert log.boots == 2
+    for name in ("GPS[0]", "BARO[0]"):
+        time_ns = log.channel(name).time_ns
+        assert time_ns[-15] - time_ns[0] == 604_800 * 10**9
+    assert losses(log) == []
+
+
+def test_all_records_of_a_type_in_doubt_cost_what_lies_between_them(
+    dataflash_writer: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One bit of the type in an FMT record: each search read the log to its end (131 s)."""
+    data = bytearray(written(dataflash_writer).data)
+    data[data.index(b"BARO") - 2] ^= 1
+    read = []
+    array = Window.array
+
+    def counted(self: Window, begin: int, end: int) -> Any:
+        read.append(end - begin)
+        return array(self, begin, end)
+
+    monkeypatch.setattr(Window, "array", counted)
+    monkeypatch.setattr("pipeline.ingest.dataflash_records.REACH", 8)
+    found = walk(window_of(bytes(data)))
+    assert found.bad_bytes >= 18 * ROWS
+    assert sum(read) < 10 * len(data)

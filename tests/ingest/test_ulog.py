@@ -1,0 +1,349 @@
+"""PX4 logs: files with known content, written by hand as the ULog specification says."""
+
+from __future__ import annotations
+
+import struct
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.errors import LogError
+from pipeline.ingest import Log, open_log
+
+NOW_US = 1_700_000_000_000_000
+
+
+class ULogWriter:
+    """Writes the messages of a ULog file: definitions, subscriptions, data."""
+
+    def __init__(self) -> None:
+        self.data = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1000)
+        self.message("B", bytes(40))
+        self.ids: dict[tuple[str, int], int] = {}
+
+    def message(self, kind: str, payload: bytes) -> None:
+        self.data += struct.pack("<HB", len(payload), ord(kind)) + payload
+
+    def define(self, name: str, fields: str) -> None:
+        self.message("F", f"{name}:uint64_t timestamp;{fields}".encode())
+
+    def subscribe(self, name: str, instance: int = 0) -> None:
+        self.ids[name, instance] = len(self.ids)
+        number = self.ids[name, instance]
+        self.message("A", struct.pack("<BH", instance, number) + name.encode())
+
+    def row(self, name: str, layout: str, *values: float, instance: int = 0) -> None:
+        number = struct.pack("<H", self.ids[name, instance])
+        self.message("D", number + struct.pack("<Q" + layout, *values))
+
+
+def flight() -> bytes:
+    writer = ULogWriter()
+    writer.define(
+        "vehicle_gps_position",
+        "uint64_t time_utc_usec;int32_t lat;int32_t lon;int32_t alt;int32_t alt_ellipsoid;"
+        "float eph;float epv;uint8_t fix_type;",
+    )
+    writer.define("vehicle_attitude", "float[4] q;")
+    writer.define("sensor_baro", "float pressure;float temperature;")
+    writer.define("sensor_hygrometer", "float temperature;float humidity;")
+    writer.define("camera_capture", "uint64_t timestamp_utc;uint32_t seq;double lat;double lon;")
+    for name in ("vehicle_gps_position", "vehicle_attitude", "sensor_hygrometer", "camera_capture"):
+        writer.subscribe(name)
+    for instance in (0, 1):
+        writer.subscribe("sensor_baro", instance)
+    for k in range(30):
+        t = 5_000_000 + 100_000 * k
+        place = (int(47.5e7), int(8.25e7), 600_000, 647_500)
+        writer.row("vehicle_gps_position", "QiiiiffB", t, NOW_US + t, *place, 0.5, 0.75, 3)
+        writer.row("vehicle_attitude", "4f", t, 0.8, 0.0, 0.0, 0.6)
+        for instance in (0, 1):
+            values = (94_000.0 + instance, 40.0)
+            writer.row("sensor_baro", "ff", t, *values, instance=instance)
+        writer.row("sensor_hygrometer", "ff", t, 12.5, 55.0)
+    writer.row("camera_capture", "QIdd", 6_000_000, 0, 7, 47.5, 8.25)
+    return writer.data
+
+
+def opened(tmp_path: Path, data: bytes) -> Log:
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(data)
+    return open_log(path)
+
+
+@pytest.fixture
+def pyulog() -> None:
+    pytest.importorskip("pyulog", reason="pyulog is an extra: pip install 'unbend[ulog]'")
+
+
+@pytest.mark.usefixtures("pyulog")
+def test_known_flight(tmp_path: Path) -> None:
+    log = opened(tmp_path, flight())
+    names = ["camera_capture", "sensor_baro[0]", "sensor_baro[1]", "sensor_hygrometer"]
+    assert [channel.name for channel in log.channels] == [
+        *names, "vehicle_attitude", "vehicle_gps_position",
+    ]  # fmt: skip
+    fix = log.channel("vehicle_gps_position")
+    assert fix.time_ns[0] == (NOW_US + 5_000_000) * 1000
+    assert fix["lat_rad"][0] == np.radians(47.5)
+    assert (fix["h_msl_m"][0], fix["h_ellipsoid_m"][0], fix["sigma_v_m"][0]) == (600, 647.5, 0.75)
+    attitude = log.channel("vehicle_attitude")
+    np.testing.assert_allclose([attitude[f"q_{a}"][0] for a in "wxyz"], [0.8, 0, 0, 0.6], atol=1e-7)
+    assert log.channel("sensor_baro[1]")["pressure_pa"][0] == 94_001.0
+    assert log.channel("sensor_hygrometer")["relative_humidity"][0] == pytest.approx(0.55)
+    assert log.channel("camera_capture")["event_index"].tolist() == [7.0]
+    assert log.message_types()["sensor_baro"] == 60
+    assert log.message("sensor_baro", "1")["pressure"].tolist() == [94_001.0] * 30
+    assert not log.ledger.has_losses
+
+
+NEW_GPS = (
+    "uint64_t time_utc_usec;double latitude_deg;double longitude_deg;double altitude_msl_m;"
+    "double altitude_ellipsoid_m;uint8_t fix_type;"
+)
+
+
+def newer(rows: int = 60, **options: Callable[[int], int]) -> ULogWriter:
+    """As PX4 1.14 and later log it; options by row: utc, fix, stray, ellipsoid."""
+    writer = ULogWriter()
+    writer.define("sensor_gps", NEW_GPS)
+    writer.define("vehicle_attitude", "float[4] q;")
+    writer.define("vehicle_air_data", "float baro_pressure_pa;float ambient_temperature;")
+    writer.define(
+        "camera_capture",
+        "uint64_t timestamp_utc;uint32_t seq;double lat;double lon;float[4] q;int8_t result;",
+    )
+    writer.define("gimbal_device_attitude_status", "uint16_t device_flags;float[4] q;")
+    writer.define("acme", "uint8_t a;")
+    names = ("sensor_gps", "vehicle_attitude", "vehicle_air_data", "camera_capture")
+    for name in (*names, "gimbal_device_attitude_status", "acme"):
+        writer.subscribe(name)
+    for k in range(rows):
+        t = 60_000_000 + 200_000 * k
+        utc = options.get("utc", lambda k: NOW_US + 200_000 * k)(k)
+        fix = options.get("fix", lambda _: 3)(k)
+        above = 647.5 if options.get("ellipsoid", lambda _: 1)(k) else 0.0
+        stamp = t + options.get("stray", lambda _: 0)(k)
+        writer.row("sensor_gps", "QddddB", stamp, utc, 47.5, 8.25, 600.0, above, fix)
+        writer.row("vehicle_attitude", "4f", t, 1.0, 0.0, 0.0, 0.0)
+        writer.row("vehicle_air_data", "2f", t, 94_000.0, 40.0)
+        writer.row("gimbal_device_attitude_status", "H4f", t, 0, 0.5, 0.5, -0.5, 0.5)
+        writer.row("acme", "B", t, 1)
+        if k % 10 == 0:
+            told = options.get("capture", lambda _: 0)(k)
+            result = 0 if k == 20 else 1
+            shot = (told, k // 10, 47.5, 8.25, 0.5, 0.5, -0.5, 0.5, result)
+            writer.row("camera_capture", "QIdd4fb", t, *shot)
+    return writer
+
+
+def seconds(log: Log, name: str) -> list[float]:
+    return ((log.channel(name).time_ns // 1000 - NOW_US) / 1e6).tolist()
+
+
+WHOLE = [k / 5 for k in range(60)]
+
+
+@pytest.mark.usefixtures("pyulog")
+def test_messages_mean_what_they_mean_over_ros(tmp_path: Path) -> None:
+    log = opened(tmp_path, newer().data)
+    shots = log.channel("camera_capture")
+    assert shots["event_index"].tolist() == [0, 1, 3, 4, 5]  # the third failed
+    assert [(e.kind, e.count) for e in log.ledger if e.code == "EVENT-FAILED"] == [("warning", 1)]
+    assert shots["camera_q_y"].tolist() == [-0.5] * 5
+    air = log.channel("vehicle_air_data")
+    assert air["board_temperature_k"][0] == 313.15
+    assert air.roles == ("pressure", "cabin_pressure")
+    assert log.channel("gimbal_device_attitude_status")["gimbal_q_y"][0] == -0.5
+    assert log.message_types()["acme"] == 60  # not of ours: counted, and a table
+    assert log.message("acme")["a"].tolist() == [1] * 60
+    assert not log.ledger.has_losses
+
+
+@pytest.mark.usefixtures("pyulog")
+def test_tables_are_those_of_pyulog(tmp_path: Path) -> None:
+    from pyulog import ULog
+
+    log = opened(tmp_path, newer().data)
+    cells = 0
+    for data in ULog(str(log.path)).data_list:
+        table = log.message(data.name)
+        for field, column in data.data.items():
+            assert table[field].tobytes() == column.tobytes()
+            cells += column.size
+    assert cells > 1400
+
+
+@pytest.mark.usefixtures("pyulog")
+def test_a_height_of_0_above_the_ellipsoid_is_missing(tmp_path: Path) -> None:
+    log = opened(tmp_path, newer(ellipsoid=lambda _: 0).data)
+    assert "h_ellipsoid_m" not in log.channel("sensor_gps").columns
+    old = flight().replace(struct.pack("<i", 647_500), bytes(4))
+    assert "h_ellipsoid_m" not in opened(tmp_path, old).channel("vehicle_gps_position").columns
+
+
+@pytest.mark.usefixtures("pyulog")
+def test_utc_of_a_receiver_counts_with_a_fix_and_once_a_time(tmp_path: Path) -> None:
+    """The first rows are an hour off, without a fix; then two of three repeat the time before."""
+
+    def utc(k: int) -> int:
+        return NOW_US + 200_000 * (k - k % 3) - (3_600_000_000 if k < 24 else 0)
+
+    log = opened(tmp_path, newer(fix=lambda k: 0 if k < 24 else 3, utc=utc).data)
+    assert seconds(log, "vehicle_attitude") == WHOLE
+    assert not log.ledger.has_losses
+
+
+@pytest.mark.usefixtures("pyulog")
+@pytest.mark.parametrize("row", [0, 1, 30, 59])
+def test_a_stray_stamp_costs_its_row(tmp_path: Path, row: int) -> None:
+    log = opened(tmp_path, newer(stray=lambda k: 1 << 30 if k == row else 0).data)
+    assert seconds(log, "vehicle_attitude") == WHOLE
+    if row != 59:  # behind the last row may be a gap: only the rows before it say so
+        assert seconds(log, "sensor_gps") == [t for k, t in enumerate(WHOLE) if k != row]
+        lost = [(e.kind, e.count) for e in log.ledger if e.code == "TIME-STRAY"]
+        assert lost == [("loss", 1)]
+        assert "TIME-BACKWARD" not in {e.code for e in log.ledger}
+
+
+@pytest.mark.usefixtures("pyulog")
+def test_a_camera_tells_utc_where_no_receiver_does(tmp_path: Path) -> None:
+    """Where one does, the autopilot's own clock (0.4 s ahead here) would move the exposures."""
+    log = opened(tmp_path, newer(fix=lambda _: 0, capture=lambda k: NOW_US + 200_000 * k).data)
+    assert seconds(log, "vehicle_attitude") == WHOLE
+    log = opened(tmp_path, newer(capture=lambda k: NOW_US + 200_000 * k + 400_000).data)
+    assert seconds(log, "camera_capture") == [0, 2, 6, 8, 10]
+    log = opened(tmp_path, newer(fix=lambda _: 0).data)
+    assert [e.kind for e in log.ledger if e.code == "TIME-NO-UTC"] == ["fallback"]
+
+
+@pytest.mark.usefixtures("pyulog")
+def test_messages_that_pyulog_does_not_know_and_padding(tmp_path: Path) -> None:
+    writer = ULogWriter()
+    writer.define("vehicle_attitude", "float[4] q;uint8_t[4] _padding0;")
+    writer.define("nested", "vehicle_attitude[2] both;")
+    writer.message("S", bytes(8))
+    writer.message("O", struct.pack("<H", 250))
+    writer.subscribe("vehicle_attitude")
+    writer.subscribe("nested")
+    for k in range(20):
+        writer.row("vehicle_attitude", "4f", 10**6 * k, 1.0, 0.0, 0.0, 0.0)
+        writer.message("R", b"\7\0")
+        writer.message("S", bytes(8))
+        if k < 3:
+            writer.message("O", struct.pack("<H", 250))
+        writer.message("L", b"6" + bytes(8) + b"hello")
+    log = opened(tmp_path, writer.data)
+    assert len(log.channel("vehicle_attitude")) == 20
+    assert log.message_types() == {"vehicle_attitude": 20}
+    silent = [(e.kind, e.count, "0.750 s" in e.what) for e in log.ledger if e.code == "LOG-DROPOUT"]
+    assert silent == [("loss", 3, True)]
+    assert (log.bad_bytes, log.lost_messages) == (0, 0)
+
+
+@pytest.mark.usefixtures("pyulog")
+def test_damage_is_located_and_what_follows_is_read(tmp_path: Path) -> None:
+    data = newer().data
+    middle = data.index(b"D", len(data) // 2) - 2
+    log = opened(tmp_path, data[:middle] + b"\xff" * 500 + data[middle:])
+    assert sum(log.messages.values()) >= sum(opened(tmp_path, data).messages.values()) - 1
+    found = [e for e in log.ledger if e.code == "LOG-BAD-BYTES"]
+    assert [(e.kind, e.where) for e in found] == [("loss", f"flight.ulg, first at byte {middle}")]
+    assert log.bad_bytes == found[0].count
+    assert log.lost_messages == 1  # at least
+
+
+@pytest.mark.usefixtures("pyulog")
+def test_a_definition_among_the_data_is_none(tmp_path: Path) -> None:
+    writer = newer()
+    before = len(writer.data)
+    writer.define("vehicle_attitude", "double[4] q;")
+    more = len(writer.data) - before
+    writer.row("acme", "B", 80_000_000, 1)
+    log = opened(tmp_path, writer.data)
+    assert (log.bad_bytes, log.messages["acme"]) == (more, 61)
+    assert seconds(log, "vehicle_attitude") == WHOLE
+
+
+@pytest.mark.usefixtures("pyulog")
+def test_zeros_among_the_definitions_end(tmp_path: Path) -> None:
+    """pyulog steps back by more than it can read there, and begins anew without end."""
+    data = bytearray(newer().data)
+    data[80:4176] = bytes(4096)
+    with pytest.raises(LogError) as caught:
+        opened(tmp_path, bytes(data[:5000]))
+    assert caught.value.code == "LOG-FORMAT"
+
+
+@pytest.mark.usefixtures("pyulog")
+def test_a_topic_without_a_time_is_a_loss(tmp_path: Path) -> None:
+    data = newer().data.replace(
+        b"vehicle_air_data:uint64_t timestamp", b"vehicle_air_data:uint64_t timeszamp"
+    )
+    log = opened(tmp_path, data)
+    lost = [(e.kind, e.where, e.count) for e in log.ledger if e.code == "LOG-FIELDS"]
+    assert lost == [("loss", "vehicle_air_data", 60)]
+    assert seconds(log, "vehicle_attitude") == WHOLE  # pyulog alone would give one row
+    assert log.bad_bytes == 0
+    with pytest.raises(LogError, match="LOG-NO-TABLE"):
+        log.message("vehicle_air_data")
+
+
+@pytest.mark.usefixtures("pyulog")
+def test_data_appended_after_a_crash_is_read_once(tmp_path: Path) -> None:
+    """The message before it is cut off; the file says where it begins."""
+    writer = newer()
+    whole = opened(tmp_path, writer.data).messages
+    place = len(writer.data) + 5
+    number = writer.ids["vehicle_attitude", 0]
+    writer.data += struct.pack("<HBH", 26, ord("D"), number)  # the first bytes of another row
+    for k in range(60, 80):
+        writer.row("vehicle_attitude", "4f", 60_000_000 + 200_000 * k, 1.0, 0.0, 0.0, 0.0)
+    data = bytearray(writer.data)
+    data[19 + 8] = 1
+    data[19 + 16 : 19 + 24] = struct.pack("<Q", place)
+    log = opened(tmp_path, bytes(data))
+    assert log.messages["vehicle_attitude"] == whole["vehicle_attitude"] + 20
+    assert seconds(log, "vehicle_attitude") == [k / 5 for k in range(80)]
+    assert log.bad_bytes == 5
+
+
+@pytest.mark.usefixtures("pyulog")
+def test_every_cut_opens_or_refuses_and_is_told(tmp_path: Path) -> None:
+    data = flight()
+    boundaries, at = {len(data)}, 16
+    while at < len(data):
+        boundaries.add(at)
+        at += 3 + int.from_bytes(data[at : at + 2], "little")
+    ends = set()
+    for end in range(20, len(data), 37):
+        try:
+            log = opened(tmp_path, data[:end])
+        except LogError as error:
+            ends.add(error.code)
+            continue
+        told = {entry.code for entry in log.ledger if entry.kind in ("loss", "warning")}
+        ends |= told
+        assert told or end in boundaries
+    assert "LOG-TRUNCATED" in ends
+    assert ends <= {"LOG-TRUNCATED", "LOG-ULOG-DAMAGE", "LOG-NO-MESSAGES", "LOG-FORMAT", "LOG-ULOG"}
+
+
+@pytest.mark.usefixtures("pyulog")
+def test_a_file_that_pyulog_gives_up_on(tmp_path: Path) -> None:
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(b"ULog\x01\x12\x35\x01")
+    with pytest.raises(LogError) as caught:
+        open_log(path)
+    assert caught.value.code == "LOG-ULOG"
+
+
+def test_without_pyulog_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyulog", None)
+    with pytest.raises(LogError, match="ulog") as caught:
+        opened(tmp_path, flight())
+    assert caught.value.code == "LOG-NEEDS-EXTRA"
+    assert "unbend[ulog]" in caught.value.remedy

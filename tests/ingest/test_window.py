@@ -1,0 +1,61 @@
+"""The window on a file: every byte where it is, whatever is asked for in which order."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import pytest
+
+from pipeline.errors import LogError
+from pipeline.ingest import window
+from pipeline.ingest.window import window_of, window_on
+
+
+@pytest.fixture(autouse=True)
+def narrow(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(window, "SPAN", 64)
+    monkeypatch.setattr(window, "BEHIND", 8)
+
+
+def test_any_stretch_in_any_order() -> None:
+    draw = random.Random(4)
+    data = draw.randbytes(1000)
+    seen = window_of(data)
+    for _ in range(2000):
+        begin = draw.randrange(1000)
+        end = begin + draw.randrange(200)
+        assert seen[begin:end] == data[begin:end]
+
+
+def test_a_mark_is_found_across_the_edges() -> None:
+    draw = random.Random(5)
+    for _ in range(300):
+        data = bytearray(400)
+        at = draw.randrange(397)
+        data[at : at + 3] = b"abc"
+        begin = draw.randrange(400)
+        assert window_of(bytes(data)).find(b"abc", begin) == bytes(data).find(b"abc", begin)
+        assert window_of(bytes(data)).find(b"abc", 0, at + 2) == -1
+
+
+def test_a_file_that_was_cut_while_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "flight.bin"
+    path.write_bytes(bytes(1000))
+    with window_on(path) as seen:
+        assert seen[0:10] == bytes(10)
+        path.write_bytes(bytes(500))
+        with pytest.raises(LogError) as caught:
+            seen.array(400, 600)
+    assert caught.value.code == "LOG-CHANGED"
+    assert "1000 bytes" in caught.value.what
+
+
+def test_a_file_that_grows_is_read_to_where_it_ended(tmp_path: Path) -> None:
+    path = tmp_path / "flight.bin"
+    path.write_bytes(bytes(1000))
+    with window_on(path) as seen:
+        with path.open("ab") as stream:
+            stream.write(b"more")
+        assert seen[990:2000] == bytes(10)
+        assert seen.find(b"more", 0) == -1
