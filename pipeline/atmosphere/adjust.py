@@ -38,7 +38,7 @@ from pipeline.atmosphere.profile import (
 )
 from pipeline.atmosphere.samples import AirSamples
 from pipeline.atmosphere.soundings import Sounding
-from pipeline.geodesy import lambert_gravity
+from pipeline.geodesy import normal_gravity
 from pipeline.ledger import Ledger
 
 Array = NDArray[np.float64]
@@ -184,7 +184,7 @@ def build_adjusted_profile(
 
 def under_gravity(standard: Profile, latitude_rad: float) -> Profile:
     """A standard's layers in geopotential height, under the gravity of a latitude."""
-    return replace(standard, gravity=lambert_gravity(latitude_rad))
+    return replace(standard, gravity=normal_gravity(latitude_rad))
 
 
 def unadjusted(standard: Profile, reason: str) -> Adjustment:

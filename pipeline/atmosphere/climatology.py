@@ -26,7 +26,7 @@ from pipeline.atmosphere.msis import MSIS, MSIS_ORIGIN, msis_profile
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.standard import standard_atmosphere, standard_names
 from pipeline.errors import PhysicsError
-from pipeline.geodesy import lambert_gravity
+from pipeline.geodesy import normal_gravity
 from pipeline.units import DEGREE
 
 Array = NDArray[np.float64]
@@ -160,7 +160,7 @@ def climatology(
             f"a latitude of {latitude_rad:g} rad lies beyond the pole",
             remedy="give it in radians",
         )
-    gravity = lambert_gravity(latitude_rad)
+    gravity = normal_gravity(latitude_rad)
     expected = supplements_profile(latitude_rad, month, index, gravity)
     spread = expected_spread(latitude_rad, month, ground_h_m)
     if name in (AUTO, SUPPLEMENTS):

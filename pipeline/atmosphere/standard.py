@@ -18,7 +18,7 @@ from pipeline.atmosphere.air import DEFAULT_WAVELENGTH_M, IndexModel
 from pipeline.atmosphere.climates import climate_names, climate_profile
 from pipeline.atmosphere.profile import STANDARD, Profile, stack_layers
 from pipeline.errors import PhysicsError
-from pipeline.geodesy import Gravity, lambert_gravity
+from pipeline.geodesy import Gravity, normal_gravity
 from pipeline.units import STANDARD_GRAVITY
 
 SEA_LEVEL_PRESSURE_PA = 101325.0
@@ -75,7 +75,7 @@ def standard_atmosphere(
                 f"a latitude of {latitude:g} rad lies beyond the pole",
                 remedy="give it in radians",
             )
-        gravity = lambert_gravity(latitude)
+        gravity = normal_gravity(latitude)
     if name in climate_names():
         return climate_profile(name, IndexModel(index, wavelength_m), gravity)
     try:

@@ -17,7 +17,7 @@ from pipeline.atmosphere.soundings.levels import Sounding
 from pipeline.atmosphere.soundings.raw import Array, RawLevels
 from pipeline.atmosphere.soundings.units import refuse_wrong_heights, refuse_wrong_units
 from pipeline.errors import InputError
-from pipeline.geodesy import Gravity, lambert_gravity
+from pipeline.geodesy import Gravity, normal_gravity
 from pipeline.ledger import Ledger
 from pipeline.units import DEGREE, HYDROSTATIC_CONSTANT
 
@@ -79,7 +79,7 @@ def _gravity(raw: RawLevels, latitude_rad: float, ledger: Ledger) -> Gravity:
             where=raw.where,
         )
         latitude = _ELSEWHERE_RAD
-    return lambert_gravity(latitude)
+    return normal_gravity(latitude)
 
 
 def _take(raw: RawLevels, keep: NDArray[np.bool_] | NDArray[np.intp]) -> RawLevels:
