@@ -45,8 +45,8 @@ for _p in range(1, _ORDERS + 1):
 WIDTH = 2 * int(_START[-1]) + 1
 """Columns of the table: the moments with their derivatives, and the largest |m| above."""
 
-_X3, _W3 = (0.5 * a for a in np.polynomial.legendre.leggauss(3))
-_X3 = 0.5 + _X3
+X3, W3 = (0.5 * a for a in np.polynomial.legendre.leggauss(3))
+X3 = 0.5 + X3
 
 
 @jit
@@ -63,15 +63,15 @@ def _add(fine, local, i, high, h_c, n_c, x, moments):  # type: ignore[no-untyped
     """Add the moments of the air of interval i, up to ``high``."""
     low, index2 = fine[i], (1.0 + n_c) * (1.0 + n_c)
     share = (high - low) / (fine[i + 1] - low)
-    for j in range(_X3.size):
-        n = refractivity_near(local, i, share * _X3[j])
+    for j in range(X3.size):
+        n = refractivity_near(local, i, share * X3[j])
         m = (n - n_c) * (2.0 + n + n_c)
         if abs(m) > moments[-1]:
             moments[-1] = abs(m)
-        y = h_c - (low + (high - low) * _X3[j])
+        y = h_c - (low + (high - low) * X3[j])
         inside = 1.0 - y * x
         along = y * (2.0 - y * x)
-        power = _W3[j] * (high - low) / inside
+        power = W3[j] * (high - low) / inside
         for p in range(_ORDERS):
             power *= m / index2 * inside * inside
             term = power

@@ -98,6 +98,20 @@ def _by_heights(sin_z, cos_z, radius, h_c, drop, r, d_zeta, n_g, s):  # type: ig
 
 
 @jit
+def _towards(axis, east, north, sin_z, cos_z):  # type: ignore[no-untyped-def]
+    """How far a turn towards the nadir moves the ray along an axis of the camera."""
+    return -cos_z * (axis[0] * east + axis[1] * north) - sin_z * axis[2]
+
+
+@jit
+def _moved(u, v, depth, t, fx, fy, slopes):  # type: ignore[no-untyped-def]
+    """What a turn of the ray towards the unit vector t does to its pixel [px/rad]."""
+    uu, uv, vv = slopes
+    x, y = t[0] - u * t[2], t[1] - v * t[2]
+    return fx * depth * (uu * x + uv * y), fy * depth * (uv * x + vv * y)
+
+
+@jit
 def _at_the_window(u, v, depth, t, q, s):  # type: ignore[no-untyped-def]
     """How far the ray turns towards the nadir and across per unit of dN_c - dN_cc at the window."""
     n0, n1, n2 = s[NORMAL], s[NORMAL + 1], s[NORMAL + 2]
@@ -160,23 +174,25 @@ def spread_out(  # type: ignore[no-untyped-def]
             inverse = 1.0 / sin_z
             east, north = rays[APPARENT, i] * inverse, rays[APPARENT + 1, i] * inverse
             swing = r * inverse
-        t0 = -cos_z * (turn[0, 0] * east + turn[0, 1] * north) - sin_z * turn[0, 2]
-        t1 = -cos_z * (turn[1, 0] * east + turn[1, 1] * north) - sin_z * turn[1, 2]
-        t2 = -cos_z * (turn[2, 0] * east + turn[2, 1] * north) - sin_z * turn[2, 2]
-        q0 = turn[0, 1] * east - turn[0, 0] * north
-        q1 = turn[1, 1] * east - turn[1, 0] * north
-        q2 = turn[2, 1] * east - turn[2, 0] * north
-        # What these turns of the ray do to its pixel.
+        t = (
+            _towards(turn[0], east, north, sin_z, cos_z),
+            _towards(turn[1], east, north, sin_z, cos_z),
+            _towards(turn[2], east, north, sin_z, cos_z),
+        )
+        q = (
+            turn[0, 1] * east - turn[0, 0] * north,
+            turn[1, 1] * east - turn[1, 0] * north,
+            turn[2, 1] * east - turn[2, 0] * north,
+        )
         u, v = rays[U, i], rays[V, i]
         depth = math.sqrt(u * u + v * v + 1.0)
         out_t = out_q = 0.0
         if s[VIEW] >= 0.0:
-            out_t, out_q = _at_the_window(u, v, depth, (t0, t1, t2), (q0, q1, q2), s)
+            out_t, out_q = _at_the_window(u, v, depth, t, q, s)
             out_t *= 1.0 - d_zeta
-        uu, uv, vv = _slopes(u, v, k1, k2, k3, p1, p2)
-        t0, t1, q0, q1 = t0 - u * t2, t1 - v * t2, q0 - u * q2, q1 - v * q2
-        along_x, along_y = fx * depth * (uu * t0 + uv * t1), fy * depth * (uv * t0 + vv * t1)
-        across_x, across_y = fx * depth * (uu * q0 + uv * q1), fy * depth * (uv * q0 + vv * q1)
+        slopes = _slopes(u, v, k1, k2, k3, p1, p2)
+        along_x, along_y = _moved(u, v, depth, t, fx, fy, slopes)
+        across_x, across_y = _moved(u, v, depth, q, fx, fy, slopes)
 
         # What dN_c - dN_cc does at the window, and how much of it is not the x of a level one.
         window_x, window_y = along_x * out_t + across_x * out_q, along_y * out_t + across_y * out_q

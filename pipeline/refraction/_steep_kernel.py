@@ -11,7 +11,9 @@ from pipeline.refraction._moments import (
     LARGEST_BEND,
     LARGEST_DROP,
     SAME_RADIUS,
+    W3,
     WIDTH,
+    X3,
     class_of,
     fill,
     refractivity_near,
@@ -35,9 +37,6 @@ ROWS, W, ANGLE = 12, 4, 11
 # A ray whose straight line would go this far down [m] before it is level passes no lowest point
 # above land, whatever the air: 500 m of depth, and more again for the bending.
 _DEEP_M = 1200.0
-
-_X3, _W3 = (0.5 * a for a in np.polynomial.legendre.leggauss(3))
-_X3 = 0.5 + _X3
 
 
 @jit
@@ -110,8 +109,8 @@ def _rest(n, air, low, h_1, high, h_c, n_c, cos_c, h_g, r_e, rest):  # type: ign
         b2 = index2 * (r_c * cos_c[i] * r_c * cos_c[i] - (h_c - middle) * (r_c + r_e[i] + middle))
         inverse = 1.0 / b2
         total = 0.0
-        for j in range(_X3.size):
-            h = h_g[i] + (high - h_g[i]) * _X3[j]
+        for j in range(X3.size):
+            h = h_g[i] + (high - h_g[i]) * X3[j]
             u, r = (h - low) * per_metre, r_e[i] + h
             index = a_0 + u * (a_1 + u * (a_2 + u * (a_3 + u * (a_4 + u * a_5))))
             m = (index - n_c) * (2.0 + index + n_c)
@@ -119,7 +118,7 @@ def _rest(n, air, low, h_1, high, h_c, n_c, cos_c, h_g, r_e, rest):  # type: ign
             cube = 1.0 - off * (1.5 - off * (1.875 - off * 2.1875))
             x = m * r * r * inverse * (1.0 - off * (1.0 - off))
             bent = 0.5 - x * (0.375 - x * (0.3125 - x * (0.2734375 - x * 0.24609375)))
-            total += _W3[j] * m * r * cube * bent
+            total += W3[j] * m * r * cube * bent
         rest[i] = total * (high - h_g[i]) * inverse * math.sqrt(inverse)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.errors import PhysicsError
 from pipeline.refraction.image import ground_displacement
-from pipeline.refraction.ray import bend, rays_by, refraction_angle
+from pipeline.refraction.ray import angle_and_status
 from pipeline.refraction.status import FAR_BRANCH, STATUS_NAMES
 from pipeline.units import ARCSEC, DEGREE, MICRORADIAN
 
@@ -43,13 +43,10 @@ def one_angle(
         )
     air = standard_atmosphere(atmosphere, index=index)
     zeta = nadir_angle * DEGREE
-    # Refuses a ray that has no angle, and says why; `bend` tells the crossings apart.
-    refraction_angle(air, camera_height, ground_height, zeta, radius, method)
-    r_c, status = bend(
-        rays_by(air, method), camera_height, ground_height, math.sin(zeta), math.cos(zeta), radius,
+    angle, code = angle_and_status(
+        air, camera_height, ground_height, zeta, radius, method,
         math.nan if distance is None else distance,
     )  # fmt: skip
-    angle, code = float(r_c), int(status)
     ground = ground_displacement(
         camera_height, ground_height, zeta, angle, radius, far=code == FAR_BRANCH
     )

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
+from pipeline.refraction._pieces import cut
 from pipeline.refraction._threads import in_blocks
 from pipeline.refraction.published import PUBLISHED, Method
 from pipeline.refraction.published.trace import trace
@@ -68,13 +68,8 @@ class RayTable:
         it, (k, 6), lowest power first (1e-15 of n - 1 apart); and the number of the interval at
         every 125 m from the bottom, from where one is found in a step or two.
         """
-        parts = np.maximum(1, np.ceil(np.diff(self.edge_m) / _FINE_M)).astype(np.intp)
-        edges = [
-            np.linspace(low, high, count, endpoint=False)
-            for low, high, count in zip(self.edge_m[:-1], self.edge_m[1:], parts, strict=True)
-        ]
-        edge = np.concatenate([*edges, self.edge_m[-1:]])
-        piece = np.repeat(np.arange(parts.size), parts)
+        edge = cut(self.edge_m, _FINE_M)
+        piece = np.searchsorted(self.edge_m, edge[:-1], side="right") - 1
         nodes = _chebyshev(_FINE_DEGREE)
         height = edge[:-1, None] + np.diff(edge)[:, None] * nodes
         u = (height - self.edge_m[piece, None]) / np.diff(self.edge_m)[piece, None]
@@ -128,12 +123,7 @@ def rays_by(profile: Profile, method: str) -> RayTable | PublishedRays:
 @lru_cache(maxsize=64)
 def ray_table(profile: Profile) -> RayTable:
     """Tabulate the refractivity of a profile for the ray kernel (agreement 1e-13 of n - 1)."""
-    breaks = profile.break_heights_m
-    edges = [
-        np.linspace(low, high, max(1, math.ceil((high - low) / _PIECE_M)), endpoint=False)
-        for low, high in pairwise(breaks)
-    ]
-    edge = np.concatenate([*edges, breaks[-1:]])
+    edge = cut(profile.break_heights_m, _PIECE_M)
     nodes = _chebyshev(_DEGREE)
     heights = edge[:-1, None] + np.diff(edge)[:, None] * nodes
     # Nodes stay inside their piece, so each is evaluated in its own layer.
@@ -251,25 +241,59 @@ def refraction_angle(
     >>> round(refraction_angle(air, 10000.0, 0.0, 45.0 * DEGREE) / ARCSEC, 6)
     16.378452
     """
-    air = rays_by(profile, method)
+    r_c, status = _bent(profile, h_c, h_g, zeta_c, radius, method, distance)
+    if r_c.ndim:
+        return r_c
+    _refuse_no_angle(int(status), profile, method, h_c, h_g, zeta_c)
+    return float(r_c)
+
+
+def angle_and_status(
+    profile: Profile,
+    h_c: float,
+    h_g: float,
+    zeta_c: float,
+    radius: float = DEFAULT_RADIUS_M,
+    method: str = "spherical",
+    distance: float = math.nan,
+) -> tuple[float, int]:
+    """One angle as `refraction_angle` has it [rad], and which crossing it is for, as a status."""
+    r_c, status = _bent(profile, h_c, h_g, zeta_c, radius, method, distance)
+    _refuse_no_angle(int(status), profile, method, h_c, h_g, zeta_c)
+    return float(r_c), int(status)
+
+
+def _bent(
+    profile: Profile,
+    h_c: ArrayLike,
+    h_g: ArrayLike,
+    zeta_c: ArrayLike,
+    radius: ArrayLike,
+    method: str,
+    distance: ArrayLike,
+) -> tuple[Array, NDArray[np.uint8]]:
+    """`bend` of nadir angles [rad], which are none below 0 and above pi."""
     zeta = np.asarray(zeta_c, dtype=np.float64)
     in_range = (zeta >= 0.0) & (zeta <= math.pi)
     safe = np.where(in_range, zeta, np.nan)
-    r_c, status = bend(air, h_c, h_g, np.sin(safe), np.cos(safe), radius, distance)
-    if r_c.ndim:
-        return r_c
-    code = int(status)
-    if code not in (OK, BEYOND_GRAZING, FAR_BRANCH):
-        what = {
-            BAD_MEASUREMENT: "the heights and the nadir angle (0 to 180 degrees) must be numbers",
-            OUTSIDE_PROFILE: f"the profile ({profile.bottom_m:.0f} to {profile.top_m:.0f} m) "
-            f"or the method ({method}) does not cover the heights",
-            MISSES_GROUND: "the ray never reaches the target's height",
-        }[code]
-        raise PhysicsError(
-            f"RAY-{STATUS_NAMES[code].upper().replace('_', '-')}",
-            what,
-            where=f"h_c = {h_c!r} m, h_g = {h_g!r} m, zeta_c = {math.degrees(float(zeta)):.6f} deg",
-            remedy="check heights and nadir angle (inside the package angles are radians)",
-        )
-    return float(r_c)
+    return bend(rays_by(profile, method), h_c, h_g, np.sin(safe), np.cos(safe), radius, distance)
+
+
+def _refuse_no_angle(
+    status: int, profile: Profile, method: str, h_c: ArrayLike, h_g: ArrayLike, zeta_c: ArrayLike
+) -> None:
+    """Raise `PhysicsError` where the status of a ray says that it has no angle, and tell why."""
+    if status in (OK, BEYOND_GRAZING, FAR_BRANCH):
+        return
+    what = {
+        BAD_MEASUREMENT: "the heights and the nadir angle (0 to 180 degrees) must be numbers",
+        OUTSIDE_PROFILE: f"the profile ({profile.bottom_m:.0f} to {profile.top_m:.0f} m) "
+        f"or the method ({method}) does not cover the heights",
+        MISSES_GROUND: "the ray never reaches the target's height",
+    }[status]
+    raise PhysicsError(
+        f"RAY-{STATUS_NAMES[status].upper().replace('_', '-')}",
+        what,
+        where=f"h_c = {h_c!r} m, h_g = {h_g!r} m, zeta_c = {np.degrees(zeta_c):.6f} deg",
+        remedy="check heights and nadir angle (inside the package angles are radians)",
+    )

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.atmosphere.jacobian import air_jacobian
 from pipeline.atmosphere.profile import Profile
-from pipeline.refraction.ray import DEFAULT_RADIUS_M, bend, ray_table
+from pipeline.refraction.ray import DEFAULT_RADIUS_M, as_columns, bend, ray_table
 from pipeline.refraction.status import BEYOND_GRAZING, OK
 from pipeline.refraction.weights import (
     Adjoints,
@@ -208,12 +208,7 @@ def _traced(
     profile: Profile, h_c: ArrayLike, h_g: ArrayLike, zeta_c: ArrayLike, radius: ArrayLike
 ) -> _Batch:
     """The rays, with their refraction angles."""
-    arrays = np.broadcast_arrays(
-        *(np.asarray(a, dtype=np.float64) for a in (h_c, h_g, zeta_c, radius))
-    )
-    shape = arrays[0].shape
-    # Copies: a broadcast view is not to be written to, which compiled functions ask about.
-    h_c, h_g, zeta_c, radius = (np.array(a).reshape(-1) for a in arrays)
+    shape, (h_c, h_g, zeta_c, radius) = as_columns(h_c, h_g, zeta_c, radius)
     safe = np.where((zeta_c >= 0.0) & (zeta_c <= np.pi), zeta_c, np.nan)
     r_c, status = bend(ray_table(profile), h_c, h_g, np.sin(safe), np.cos(safe), radius)
     turns = (h_g > h_c) & (np.cos(safe) > 0.0)
