@@ -30,7 +30,6 @@ from pipeline.refraction.ray import PublishedRays, RayTable
 from pipeline.refraction.sigmas import Sigmas, Uncertainty
 from pipeline.refraction.status import NO_STATION
 from pipeline.refraction.uncertainty import at_the_window
-from pipeline.refraction.window import OPTICAL_AXIS
 from pipeline.tables.marks import Direction
 from pipeline.tables.observations import Batch, Observations
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
@@ -226,10 +225,7 @@ def _some_rays(
         u, v, _ = setup.camera.rays(x[some[mine]] + offset, y[some[mine]] + offset)
         direction[mine] = np.stack([u, v, np.ones(u.size)], axis=1)
     direction /= np.linalg.norm(direction, axis=1)[:, None]
-    normal = np.broadcast_to(OPTICAL_AXIS, (at.size, 3))
-    if ex.window_normal is not None:
-        normal = ex.window_normal[at]
-    turns = at_the_window(direction, -ex.rotation[at, :, 2], normal)
+    turns = at_the_window(direction, -ex.rotation[at, :, 2], ex.normals[at])
     kind = np.zeros(at.size) if recipe.views is None else recipe.views[at]
     rays = np.stack([h_c[some], h_g[some], corrections.zeta_c_rad[some], kind, *turns])
     return np.asarray(rays[:, np.isfinite(rays).all(axis=0)])

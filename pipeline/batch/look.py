@@ -41,6 +41,10 @@ class _Air:
     temperature_k: Array
     vapour_pressure_pa: Array
 
+    def of(self, mine: Mask) -> _Air:
+        """That at some of the exposures."""
+        return _Air(self.pressure_pa[mine], self.temperature_k[mine], self.vapour_pressure_pa[mine])
+
 
 def exposures_of(
     stations: Stations,
@@ -58,17 +62,19 @@ def exposures_of(
     outside. Refuses an absurd change of a principal distance (LENS-CHANGE).
     """
     rotation = _matrices(stations.quaternion)
-    outside = profile.refractivity(stations.h_msl_m)
+    h = stations.h_msl_m
+    outside = profile.refractivity(h)
     inside = outside.copy()
     normal = np.tile(OPTICAL_AXIS, (len(stations), 1))
     change = np.zeros(len(stations))
+    air_outside = _Air(profile.pressure(h), profile.temperature(h), profile.vapour_pressure(h))
     for name in dict.fromkeys((*windows, *lenses)):
         mine = stations.camera == name
         if not bool(mine.any()):
             continue
         window, lens = windows.get(name), lenses.get(name)
         plane = window is not None and window.shape == "plane"
-        air = _air_outside(profile, stations.h_msl_m, mine)
+        air = air_outside.of(mine)
         if window is not None and window.cabin is not None and (plane or lens is not None):
             air = _air_inside(window.cabin, air, stations, mine, name, ledger)
         if window is not None and plane:
@@ -116,12 +122,6 @@ def _normals(window: Window, rotation: Array, aircraft_quaternion: Array) -> Arr
         return np.broadcast_to(own, (rotation.shape[0], 3))
     in_enu = np.einsum("nji,j->ni", _matrices(aircraft_quaternion), own)
     return np.asarray(np.einsum("nij,nj->ni", rotation, in_enu))
-
-
-def _air_outside(profile: Profile | AirAlong, h: Array, mine: Mask) -> _Air:
-    return _Air(
-        profile.pressure(h)[mine], profile.temperature(h)[mine], profile.vapour_pressure(h)[mine]
-    )
 
 
 def _air_inside(

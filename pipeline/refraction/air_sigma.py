@@ -31,6 +31,7 @@ from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.jacobian import air_jacobian, log_pressure_jacobian
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.standard import standard_atmosphere
+from pipeline.refraction._pieces import cut
 from pipeline.refraction.sensitivity import sensitivity
 from pipeline.refraction.window import SCHEDULE_PRESSURE_PA, SCHEDULE_TEMPERATURE_K
 
@@ -124,7 +125,7 @@ def air_sigma(
     degrees, 2 % at 80, 3 % at 85, on ways of 100 m and more; 8 % at 85 degrees and 6 km where the
     ground may lie anywhere. dR/dzeta to 1 %.
     """
-    doubt = None if covariance is None else _Doubt.of(covariance)
+    doubt = None if covariance is None else Doubt.of(covariance)
     low, high = camera_heights_m
     top = min(ground_heights_m[1], high)
     bottom = min(max(ground_heights_m[0], profile.bottom_m), low - _SHORTEST_M)
@@ -169,26 +170,25 @@ def view_of(pressure_pa: Array, *, scheduled: bool) -> NDArray[np.int64]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Doubt:
+class Doubt:
     """A covariance as ``root`` L, L L^T = C, and the ``anchor_m`` [m] its pressure refers to."""
 
     root: Array
     anchor_m: float
 
     @classmethod
-    def of(cls, covariance: ProfileCovariance) -> _Doubt:
-        return cls(root_of(covariance.matrix), covariance.anchor_height_m)
+    def of(cls, covariance: ProfileCovariance) -> Doubt:
+        return cls(_root_of(covariance.matrix), covariance.anchor_height_m)
 
 
-def window_errors(profile: Profile, covariance: ProfileCovariance, h: Array, view: int) -> Array:
+def window_errors(profile: Profile, doubt: Doubt, h: Array, view: int) -> Array:
     """(n, r) rows whose products are the covariances of y at cameras of heights ``h`` (n,) [m]."""
-    doubt = _Doubt.of(covariance)
     air = air_jacobian(profile, h, doubt.anchor_m).gradient
     outside = (air / (1.0 + profile.refractivity(h))[:, None]) @ doubt.root
     return np.asarray(outside - _cabin_errors(profile, doubt, h, view))
 
 
-def _cabin_errors(profile: Profile, doubt: _Doubt, h: Array, view: int) -> Array:
+def _cabin_errors(profile: Profile, doubt: Doubt, h: Array, view: int) -> Array:
     """(n, r) what the errors of the air do to the cabin's N."""
     response = cabin_response(profile, h, view)[:, None]
     by_t = log_pressure_jacobian(profile, h, doubt.anchor_m)
@@ -196,7 +196,7 @@ def _cabin_errors(profile: Profile, doubt: _Doubt, h: Array, view: int) -> Array
     return np.asarray(response * (by_t @ doubt.root[:edges] + doubt.root[edges]))
 
 
-def root_of(matrix: Array) -> Array:
+def _root_of(matrix: Array) -> Array:
     """L with L L^T the covariance; eigenvalues that rounding left below zero are zero."""
     scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     safe = np.where(scale > 0.0, scale, 1.0)
@@ -213,16 +213,11 @@ def _camera_nodes(profile: Profile, low: float, high: float) -> Array:
     layer = np.diff(breaks)[np.clip(np.searchsorted(breaks, edges[:-1], side="right") - 1, 0, None)]
     finest = max(_FINEST_M, float(edges[-1] - edges[0]) / _AT_MOST_CAMERA_NODES)
     step = np.clip(layer / _PARTS_OF_A_LAYER, finest, max(_WIDEST_M, finest))
-    parts = np.maximum(1, np.ceil(np.diff(edges) / step)).astype(int)
-    nodes = [
-        np.linspace(a, b, count, endpoint=False)
-        for a, b, count in zip(edges[:-1], edges[1:], parts, strict=True)
-    ]
-    return np.concatenate([*nodes, edges[-1:]])
+    return cut(edges, step)
 
 
 def _in_the_plane(
-    profile: Profile, doubt: _Doubt | None, camera: Array, way: Array, views: Sequence[int]
+    profile: Profile, doubt: Doubt | None, camera: Array, way: Array, views: Sequence[int]
 ) -> tuple[Array, Array, Array, Array]:
     """``sigma``, ``angle``, ``behind`` and ``lean`` of `AirSigma` for ways (w,) [m]."""
     columns = _Columns.of(profile, doubt, camera[0] - way[-1], camera[-1])
@@ -262,7 +257,7 @@ class _Columns:
     integral: Array
 
     @classmethod
-    def of(cls, profile: Profile, doubt: _Doubt | None, low: float, high: float) -> _Columns:
+    def of(cls, profile: Profile, doubt: Doubt | None, low: float, high: float) -> _Columns:
         lowest = max(low, profile.bottom_m)
         breaks = profile.break_heights_m
         even = np.arange(lowest, high + _STEP_M, _STEP_M)
@@ -294,7 +289,7 @@ def _least_cosine(high: float, bottom: float, zeta: float, radius: float) -> flo
 
 def _on_the_sphere(
     profile: Profile,
-    doubt: _Doubt | None,
+    doubt: Doubt | None,
     low: float,
     high: float,
     way: Array,

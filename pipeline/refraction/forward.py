@@ -27,7 +27,7 @@ from pipeline.refraction.status import (
     OK,
     OUTSIDE_CAMERA,
 )
-from pipeline.refraction.window import OPTICAL_AXIS, leave_compartment
+from pipeline.refraction.window import leave_compartment
 
 Array = NDArray[np.float64]
 
@@ -159,15 +159,13 @@ def _start_near_level(
     given = np.full(level.size, np.nan) if distance_m is None else distance_m[level]
     apparent = _apparent(chord, h_g[level], given, row, exposures, table)
     inside = np.einsum("nij,nj->ni", exposures.rotation[row], apparent)
-    normal, change = exposures.window_normal, exposures.principal_change_px
     outside, cabin = exposures.refractivity_outside[row], exposures.refractivity_cabin[row]
     # In through the window by the law by which it leaves.
-    inside += leave_compartment(
-        inside, outside, cabin, OPTICAL_AXIS if normal is None else normal[row]
-    )[0]
+    inside += leave_compartment(inside, outside, cabin, exposures.normals[row])[0]
     with np.errstate(invalid="ignore", divide="ignore"):
         u_d, v_d = camera.distort(inside[:, 0] / inside[:, 2], inside[:, 1] / inside[:, 2])
-    f_x, f_y = (f + (0.0 if change is None else change[row]) for f in (camera.fx_px, camera.fy_px))
+    change = exposures.changes_px[row]
+    f_x, f_y = camera.fx_px + change, camera.fy_px + change
     start = np.stack([f_x * u_d + camera.cx_px, f_y * v_d + camera.cy_px], axis=1)
     found = np.isfinite(start).all(axis=1) & (inside[:, 2] > 0.0)
     point[level[found]] = start[found]

@@ -49,6 +49,20 @@ class Exposures:
     principal_change_px: Array | None = None
     radius_m: float | None = None
 
+    @property
+    def normals(self) -> Array:
+        """(s, 3) normals of the windows."""
+        if self.window_normal is None:
+            return np.tile(OPTICAL_AXIS, (self.usable.size, 1))
+        return self.window_normal
+
+    @property
+    def changes_px(self) -> Array:
+        """(s,) what is added to the principal distance."""
+        if self.principal_change_px is None:
+            return np.zeros(self.usable.size)
+        return self.principal_change_px
+
 
 @dataclass(frozen=True, eq=False)
 class Corrections:
@@ -202,13 +216,11 @@ class Constants:
             curvature = 1.0 / np.stack(radii, axis=1)
         else:
             curvature = np.full((exposures.usable.size, 2), 1.0 / exposures.radius_m)
-        count = exposures.usable.size
-        normal, change = exposures.window_normal, exposures.principal_change_px
         air = (
             exposures.height_m,
             exposures.refractivity_outside,
             exposures.refractivity_cabin,
-            np.tile(OPTICAL_AXIS, (count, 1)) if normal is None else normal,
+            exposures.normals,
         )
         return cls(
             camera.numbers,
@@ -216,7 +228,7 @@ class Constants:
             exposures.rotation,
             curvature,
             air,
-            np.zeros(count) if change is None else change,
+            exposures.changes_px,
         )
 
 

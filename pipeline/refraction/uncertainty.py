@@ -17,9 +17,9 @@ from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.profile import Profile
 from pipeline.refraction.air_sigma import (
     OPEN,
+    Doubt,
     air_sigma,
     cabin_response,
-    root_of,
     window_errors,
 )
 from pipeline.refraction.camera import Camera
@@ -27,7 +27,6 @@ from pipeline.refraction.image import Exposures
 from pipeline.refraction.ray import DEFAULT_RADIUS_M
 from pipeline.refraction.sensitivity import sensitivity
 from pipeline.refraction.sigmas import Uncertainty
-from pipeline.refraction.window import OPTICAL_AXIS
 
 Array = NDArray[np.float64]
 
@@ -180,10 +179,11 @@ def block_scale(
     if not bool(good.any()):
         return None
     r = found.r_c[good]
-    errors = found.gradient[good] @ root_of(covariance.matrix)
+    doubt = Doubt.of(covariance)
+    errors = found.gradient[good] @ doubt.root
     length = np.linalg.norm(errors, axis=1)
     if views is not None:
-        turned = _window_turns(profile, covariance, np.broadcast_to(h_c, good.shape), views)
+        turned = _window_turns(profile, doubt, np.broadcast_to(h_c, good.shape), views)
         steep = (1.0 - found.d_zeta_c)[good]
         errors = errors + (steep[:, None] * turned[0][good])
         length = np.hypot(*(np.linalg.norm(e, axis=1) for e in (errors, turned[1][good])))
@@ -195,15 +195,13 @@ def block_scale(
     return BlockScale(float(np.linalg.norm(shared)), float(mean @ mean), int(good.sum()))
 
 
-def _window_turns(
-    profile: Profile, covariance: ProfileCovariance, h_c: Array, views: Views
-) -> tuple[Array, Array]:
+def _window_turns(profile: Profile, doubt: Doubt, h_c: Array, views: Views) -> tuple[Array, Array]:
     """(n, r) errors of the turn at the window, towards the nadir and across."""
-    errors = np.zeros((h_c.size, root_of(covariance.matrix).shape[1]))
+    errors = np.zeros((h_c.size, doubt.root.shape[1]))
     for view in np.unique(views.kind):
         if view != OPEN:
             mine = views.kind == view
-            errors[mine] = window_errors(profile, covariance, h_c[mine], int(view))
+            errors[mine] = window_errors(profile, doubt, h_c[mine], int(view))
     sides = (np.broadcast_to(side, h_c.shape)[:, None] for side in (views.towards, views.across))
     towards, across = (np.asarray(side * errors) for side in sides)
     return towards, across
@@ -248,8 +246,7 @@ def _add_windows(
         columns[mine, kernel.WINDOW_BEND] = columns[mine, kernel.BEND] - thinner * cabin_response(
             profile, h, view
         )
-    normal = exposures.window_normal
-    columns[:, kernel.NORMAL :] = OPTICAL_AXIS if normal is None else normal
+    columns[:, kernel.NORMAL :] = exposures.normals
 
 
 def _largest_zeta(
