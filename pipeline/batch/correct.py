@@ -22,6 +22,7 @@ from pipeline.batch.ground import Ground, plausible
 from pipeline.batch.look import CameraSetup
 from pipeline.batch.store import RunFolder
 from pipeline.batch.tally import Tally, evenly
+from pipeline.interrupts import held_back
 from pipeline.refraction._threads import usable_cpus
 from pipeline.refraction.chord import target_heights
 from pipeline.refraction.forward import apply_refraction
@@ -121,8 +122,12 @@ def correct_stream(
 
     total = Tally.of(recipe.cameras)
     # Closed, and its threads waited for, before anyone clears the folder they write to.
-    with closing(_overlapped(one, observations.batches(batch_rows))) as parts:
+    with (
+        held_back() as heard,
+        closing(_overlapped(one, observations.batches(batch_rows))) as parts,
+    ):
         for part in parts:
+            heard()
             total.merge(part)
             progress(part.rows)
     return total

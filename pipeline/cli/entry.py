@@ -13,6 +13,7 @@ import typer
 from pipeline.cli import missions, physics
 from pipeline.cli.app import app, own_up, refuse
 from pipeline.errors import EXIT_CONFIG, EXIT_DONE, EXIT_INTERRUPTED, UnbendError
+from pipeline.interrupts import SIGNALS
 
 # The modules whose commands these are; with their import the commands are there.
 _COMMANDS = (missions, physics)
@@ -22,12 +23,9 @@ _COMMANDS = (missions, physics)
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
 
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-
-
 def _leave_in_peace() -> None:
     """Hear no more signals: whoever leaves clears up, and a second one would end that half done."""
-    for number in _SIGNALS:
+    for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 
 

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
+from pipeline.interrupts import held_back
+
 BLOCK_ROWS = 8_192
 """Rows of a block: its columns fit into a core's cache together."""
 
@@ -35,5 +37,12 @@ def in_blocks(function: Callable[[slice], None], rows: int) -> None:
         for block in blocks:
             function(block)
         return
-    for done in [_pool().submit(function, block) for block in blocks]:
-        done.result()
+    with held_back() as heard:
+        parts = [_pool().submit(function, block) for block in blocks]
+        try:
+            for part in parts:
+                part.result()
+                heard()
+        finally:
+            for part in parts:
+                part.cancel()

@@ -9,6 +9,8 @@ from rich.console import Console
 from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
+from pipeline.interrupts import held_back
+
 PATIENCE_S = 2.0
 
 
@@ -59,12 +61,13 @@ class PatientBar:
 
     def __enter__(self) -> PatientBar:
         if self._bar.console.is_terminal:
-            self._timer.start()
+            with held_back():
+                self._timer.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._timer.cancel()
-        with self._lock:
+        with held_back(), self._lock:
+            self._timer.cancel()
             self._over = True
             if self._bar.live.is_started:
                 self._bar.stop()

@@ -58,6 +58,29 @@ from pipeline.cli import main
 main()
 """
 
+# Hit where the main thread has just taken a lock that other threads need.
+HITTING = """
+import os, signal, sys, threading
+where, number = sys.argv[1:3], int(sys.argv[3])
+sys.argv = ["unbend", "run", sys.argv[4]]
+hits, main_thread = [], threading.get_ident()
+class Hit(threading.Condition):
+    def __enter__(self):
+        taken = super().__enter__()
+        caller = sys._getframe(1).f_code
+        here = [os.path.basename(caller.co_filename), caller.co_name]
+        if here == where and threading.get_ident() == main_thread and not hits:
+            hits.append(here)
+            signal.raise_signal(number)
+        return taken
+threading.Condition = Hit
+from pipeline.cli import main
+try:
+    main()
+finally:
+    print("hit" if hits else "missed")
+"""
+
 
 def visible(folder) -> dict[str, str]:
     return {
@@ -86,7 +109,11 @@ def started(code: str, *words: str) -> subprocess.Popen[str]:
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
-    out, err = process.communicate(timeout=20)
+    try:
+        out, err = process.communicate(timeout=20)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        raise AssertionError(f"it did not end, and had said: {process.communicate()}") from None
     return process.returncode, out + err
 
 
@@ -128,6 +155,26 @@ def test_impatience_does_no_harm_to_a_stream(mission, numbers, code):
     assert returned == code
     assert "Traceback" not in text
     assert "Exception ignored" not in text
+    assert [p.name for p in mission.output.iterdir()] == [".lock"]
+
+
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)], ids=["term", "int"]
+)
+@pytest.mark.parametrize("where", [("_base.py", "result"), ("threading.py", "wait")])
+def test_a_signal_takes_no_lock_with_it(mission, where, number, code):
+    mission.config["output"]["batch_rows"] = 1000
+    mission.observe(pa.concat_tables([mission.measurements()] * 50))
+    words = [*where, str(int(number)), str(mission.save())]
+    returned, text = ended(
+        subprocess.Popen(
+            [sys.executable, "-c", HITTING, *words],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )
+    )  # fmt: skip
+    assert text.split()[0] == "hit"
+    assert returned == code, text
+    assert "Traceback" not in text
     assert [p.name for p in mission.output.iterdir()] == [".lock"]
 
 
