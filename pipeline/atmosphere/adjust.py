@@ -57,8 +57,6 @@ LEFT_OUT = "with it no air fits what the flight measured"
 UNMEASURED, UNADJUSTED = "climatology", "standard"
 """Bases of a profile that no measurement speaks in."""
 
-_MIDDLE_OF_THE_YEAR = 4.0  # a month between the seasons, for samples without a date
-
 
 @dataclass(frozen=True, eq=False)
 class Adjustment:
@@ -127,7 +125,7 @@ def build_adjusted_profile(
     """
     standard = under_gravity(standard, latitude_rad)
     occasion = Occasion(_middle(samples, time_ns), latitude_rad, longitude_rad)
-    month = _MIDDLE_OF_THE_YEAR if occasion.time_ns is None else month_of(occasion.time_ns)
+    month = month_of(occasion.time_ns)
     moisture = climatology(AUTO, latitude_rad=latitude_rad, month=month, index=standard.index)
     if background is None:
         background = _about(standard, moisture, latitude_rad, month)
@@ -135,7 +133,7 @@ def build_adjusted_profile(
     useless = _too_far((*soundings, *surface), occasion, ledger)
     near = [s for s in soundings if s.name not in useless]
     reports = [r for r in surface if r.name not in useless]
-    faults: dict[str, str] = {}
+    faults: list[str] = []
     doubted = False
     tried: list[Basis] = []
 
@@ -156,7 +154,7 @@ def build_adjusted_profile(
         indoors = not_outside(basis.samples, made, background, humid)
         if indoors is not None and basis.main is not None:
             doubted, name = True, basis.main.name
-            faults[basis.reason] = indoors
+            faults.append(indoors)
             ledger.loss("AIR-THERMOMETER", f"{name} is not used: {indoors}", where=name)
             continue
         fault = implausible(made, background) or worse_than_climatology(made, background, humid)
@@ -165,7 +163,7 @@ def build_adjusted_profile(
                 ledger.loss("AIR-SOURCE-REFUSED", f"{name} is not used: {LEFT_OUT}", where=name)
             found = _adjusted(basis, made, standard, background, ledger)
             return replace(found, sources=sources(basis, made.fits), moisture=humid)
-        faults[basis.reason] = fault
+        faults.append(fault)
         ledger.loss(
             "AIR-IMPLAUSIBLE",
             f"the air estimated from {basis.reason} is not used: {fault}",
@@ -173,7 +171,7 @@ def build_adjusted_profile(
         )
     same = background.profile.name == standard.name
     kept = f"the {'standard atmosphere' if same else 'climatology'} {background.profile.name}"
-    reason = why_none(samples, list(faults.values()), kept)
+    reason = why_none(samples, faults, kept)
     ledger.fallback("AIR-STANDARD", reason)
     profile, covariance = _unchanged(background)
     word = UNADJUSTED if same else UNMEASURED
@@ -245,7 +243,7 @@ def _adjusted(
         basis.main.middle_ns if basis.main is not None else None,
         replace(made.covariance, profile=profile),
         made.nuisances,
-        rejected=made.rejected,
+        rejected=made.sources.rejected,
         samples=samples,
     )
 
@@ -298,7 +296,7 @@ def _tell_of_sensors(made: Estimate, samples: AirSamples, ledger: Ledger) -> Non
                 where=fit.name,
                 count=fit.count,
             )
-    for name, rejected in made.rejected.items():
+    for name, rejected in made.sources.rejected.items():
         if bool(rejected.any()):
             sensor = getattr(samples, name)
             ledger.note(
@@ -320,11 +318,11 @@ def _unchanged(background: Climatology) -> tuple[Profile, ProfileCovariance]:
     """The background itself, in layers fine enough to carry its covariance."""
     made, profile = estimate(AirSamples(), background), background.profile
     edge = made.profile.layers.edge
-    h = profile.gravity.height(edge)
+    t_m, _, vapour = profile.state(profile.gravity.height(edge))
     layers = stack_layers(
         edge,
-        profile.virtual_temperature(h),
-        profile.vapour_pressure(h) / profile.pressure(h),
+        t_m,
+        vapour,
         (STANDARD,) * (edge.size - 1),
         anchor=(0.0, float(profile.pressure(0.0))),
         constant=profile.constant,

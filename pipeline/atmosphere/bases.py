@@ -89,37 +89,44 @@ def _choices(everything: Beside) -> list[Beside]:
 def _of_the_flight(samples: AirSamples, beside: Beside) -> list[Basis]:
     """Thermometer and barometer, the barometer alone, the thermometer alone."""
     temperature, pressure = samples.temperature, samples.pressure
+    warm = _if_tall(temperature, SMALLEST_CLIMB_M)
+    high = _if_tall(pressure, SMALLEST_BAROMETRIC_CLIMB_M)
     found: list[Basis] = []
-    climbs = pressure is not None and pressure.extent_m >= SMALLEST_BAROMETRIC_CLIMB_M
-    if temperature is not None and temperature.extent_m >= SMALLEST_CLIMB_M:
-        word = "both" if climbs and _reaches_beyond(pressure, temperature) else "thermometer"
-        reason = f"temperatures of {temperature.name} over {temperature.extent_m:.0f} m of height"
-        if word == "both" and pressure is not None:
+    if warm is not None:
+        word = "thermometer"
+        reason = f"temperatures of {warm.name} over {warm.extent_m:.0f} m of height"
+        if high is not None and _reaches_beyond(high, warm):
+            word = "both"
             reason += (
-                f"; above and below them {pressure.name} against GNSS height over "
-                f"{pressure.extent_m:.0f} m"
+                f"; above and below them {high.name} against GNSS height over {high.extent_m:.0f} m"
             )
-        found.append(Basis(word, _told(reason, beside), samples, beside, temperature))
-    if climbs and pressure is not None:
-        without = "no thermometer outside"
-        if temperature is not None:
+        found.append(Basis(word, _told(reason, beside), samples, beside, warm))
+    if high is not None:
+        if warm is not None:
+            without = f"without the thermometer {warm.name}"
+        elif temperature is not None:
             without = (
                 f"the thermometer {temperature.name} spans only {temperature.extent_m:.0f} m of "
                 "height"
             )
-            if found:
-                without = f"without the thermometer {temperature.name}"
+        else:
+            without = "no thermometer outside"
         reason = (
-            f"{without}: temperatures from {pressure.name} against GNSS height over "
-            f"{pressure.extent_m:.0f} m"
+            f"{without}: temperatures from {high.name} against GNSS height over "
+            f"{high.extent_m:.0f} m"
         )
         without_it = replace(samples, temperature=None)
-        found.append(Basis("barometer", _told(reason, beside), without_it, beside, pressure))
-    if found and found[0].main is temperature and temperature is not None and pressure is not None:
+        found.append(Basis("barometer", _told(reason, beside), without_it, beside, high))
+    if warm is not None and pressure is not None:
         alone = replace(samples, pressure=None)
-        reason = f"temperatures of {temperature.name} alone, without {pressure.name}"
-        found.append(Basis("thermometer", _told(reason, beside), alone, beside, temperature))
+        reason = f"temperatures of {warm.name} alone, without {pressure.name}"
+        found.append(Basis("thermometer", _told(reason, beside), alone, beside, warm))
     return found
+
+
+def _if_tall(sensor: Samples | None, least_m: float) -> Samples | None:
+    """A sensor that spans enough height."""
+    return sensor if sensor is not None and sensor.extent_m >= least_m else None
 
 
 def _told(reason: str, beside: Beside) -> str:
@@ -130,10 +137,8 @@ def _told(reason: str, beside: Beside) -> str:
     return f"{reason}; without {left_out}" if left_out else reason
 
 
-def _reaches_beyond(pressure: Samples | None, temperature: Samples) -> bool:
+def _reaches_beyond(pressure: Samples, temperature: Samples) -> bool:
     """Whether the barometer sampled half a kilometre or more beyond the thermometer."""
-    if pressure is None:
-        return False
     warm, all_of_it = temperature.used()[0], pressure.used()[0]
     beyond = max(all_of_it.max() - warm.max(), warm.min() - all_of_it.min())
     return bool(beyond > BEYOND_M)

@@ -84,10 +84,11 @@ def believable(samples: AirSamples, standard: Profile, ledger: Ledger) -> AirSam
 def _moving(samples: AirSamples, ledger: Ledger) -> AirSamples:
     """The samples without readings that stay exactly the same while the aircraft climbs."""
     pressure = samples.pressure
-    if pressure is not None and bool(_stuck(pressure, "pressure").any()):
-        held = pressure.value[_stuck(pressure, "pressure")][0]
-        _lose_pressure(pressure, f"stays at {held:.0f} Pa", ledger)
-        pressure = None
+    if pressure is not None:
+        held = pressure.value[_stuck(pressure, "pressure")]
+        if held.size:
+            _lose_pressure(pressure, f"stays at {held[0]:.0f} Pa", ledger)
+            pressure = None
     return replace(
         samples,
         temperature=_without_stuck(samples.temperature, "temperature", ledger),

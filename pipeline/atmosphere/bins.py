@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.atmosphere.samples import climb_of
+
 Array = NDArray[np.float64]
 
 CLIMBING_M_S = 0.5
@@ -106,10 +108,5 @@ def _medians(bin_of: NDArray[np.intp], value: Array, size: NDArray[np.int64]) ->
 
 def _way(seconds: Array, height: Array) -> Array:
     """+1 climbing, 0 level, -1 descending: by the change of height over ten seconds."""
-    known = np.isfinite(height)
-    if known.sum() < 2:
-        return np.zeros(seconds.shape)
-    before = np.interp(seconds - 5.0, seconds[known], height[known])
-    after = np.interp(seconds + 5.0, seconds[known], height[known])
-    rate = (after - before) / 10.0
+    rate = climb_of(seconds, height) / 10.0
     return np.asarray(np.sign(rate) * (np.abs(rate) > CLIMBING_M_S))

@@ -32,7 +32,7 @@ SUPPLEMENTS_ORIGIN = (
 AFGL_ORIGIN = "AFGL 1986 model atmospheres (AFGL-TR-86-0110)"
 
 LOWEST_GEOPOTENTIAL_M = -5000.0
-"""As far down as the standard atmospheres of this package go."""
+"""As far down as the atmospheres of this package go."""
 
 # Humidity bends between breakpoints; a layer's e/p is linear, so layers are at most this thick
 # where there is water: halving it moves R from 10 km by 7e-6 at most.
@@ -86,7 +86,7 @@ def climate_profile(
     temperature = np.interp(edge, table, [row["temperature_k"] for row in rows])
     log_water = np.log([row["water_ppmv"] * 1e-6 for row in rows])
     vapour = np.exp(np.interp(edge, table, log_water))
-    return _hydrostatic(
+    return hydrostatic_profile(
         edge, temperature, lambda _: vapour, rows[0]["pressure_pa"], gravity, index, name
     )
 
@@ -112,8 +112,7 @@ def supplements_profile(
     294.15
     """
     degrees = abs(latitude_rad) / DEGREE
-    shift = 0.0 if latitude_rad >= 0.0 else 6.0
-    summer = 0.5 - 0.5 * math.cos(2.0 * math.pi * (month - 1.0 + shift) / 12.0)
+    summer = 0.5 - 0.5 * season(latitude_rad, month)
     nodes = np.array([15.0, 30.0, 45.0, 60.0, 75.0])
     parts = []
     for latitude, weight in zip(nodes, _hats(degrees, nodes), strict=True):
@@ -122,6 +121,16 @@ def supplements_profile(
                 share = {"annual": 1.0, "january": 1.0 - summer, "july": summer}[column.season]
                 parts.append((float(weight) * share, column))
     return _blend(parts, gravity or lambert_gravity(latitude_rad), index, SUPPLEMENTS)
+
+
+def season(latitude_rad: float, month: float) -> float:
+    """1 in mid-winter, -1 in mid-summer of a hemisphere; ``month`` 1.0 is mid-January.
+
+    >>> season(0.8, 1.0), season(-0.8, 1.0)
+    (1.0, -1.0)
+    """
+    shift = 0.0 if latitude_rad >= 0.0 else 6.0
+    return math.cos(2.0 * math.pi * (month - 1.0 + shift) / 12.0)
 
 
 def _hats(x: float, nodes: Array) -> Array:
@@ -155,10 +164,15 @@ def _supplements() -> dict[str, _Column]:
     return columns
 
 
-@lru_cache(maxsize=1)
 def _afgl() -> dict[str, list[dict[str, float]]]:
+    return read_models("afgl1986.csv")
+
+
+@lru_cache
+def read_models(file: str) -> dict[str, list[dict[str, float]]]:
+    """The rows of each model in a table of ``data`` that names them."""
     models: dict[str, list[dict[str, float]]] = {}
-    for row in _rows("afgl1986.csv"):
+    for row in _rows(file):
         name = row.pop("name")
         models.setdefault(name, []).append({key: float(value) for key, value in row.items()})
     return models
@@ -186,10 +200,10 @@ def _blend(
     )
     e = humidity * saturation_vapour_pressure(temperature)
     surface = sum(w * c.sea_level_pa for w, c in parts)
-    return _hydrostatic(edge, temperature, lambda p: e / p, surface, gravity, index, name)
+    return hydrostatic_profile(edge, temperature, lambda p: e / p, surface, gravity, index, name)
 
 
-def _hydrostatic(
+def hydrostatic_profile(
     edge: Array,
     temperature: Array,
     vapour_of: Callable[[Array], Array],
@@ -198,7 +212,10 @@ def _hydrostatic(
     index: IndexModel | None,
     name: str,
 ) -> Profile:
-    """A profile through temperatures, with pressure from H = 0 and e/p from that pressure."""
+    """A profile through temperatures, with pressure from H = 0 and e/p from that pressure.
+
+    Below the lowest edge the lowest layer goes on, isothermal where it is an inversion.
+    """
     lapse = min((temperature[1] - temperature[0]) / (edge[1] - edge[0]), 0.0)
     lowest = temperature[0] + lapse * (LOWEST_GEOPOTENTIAL_M - edge[0])
     below = np.concatenate([[LOWEST_GEOPOTENTIAL_M], edge])

@@ -20,13 +20,13 @@ from pipeline.atmosphere.climates import (
     SUPPLEMENTS_ORIGIN,
     climate_names,
     climate_profile,
+    season,
     supplements_profile,
 )
 from pipeline.atmosphere.msis import MSIS, MSIS_ORIGIN, msis_profile
 from pipeline.atmosphere.profile import Profile
-from pipeline.atmosphere.standard import standard_atmosphere, standard_names
+from pipeline.atmosphere.standard import gravity_at, standard_atmosphere, standard_names
 from pipeline.errors import PhysicsError
-from pipeline.geodesy import normal_gravity
 from pipeline.units import DEGREE
 
 Array = NDArray[np.float64]
@@ -39,6 +39,7 @@ HUMIDITY_CORRELATION_M = 1000.0
 With this length, the sigmas below and a measured surface pressure, sigma of R is 19 / 9 / 5 / 3 %
 over 1 / 3 / 6 / 10 km; the ascents themselves departed by 11 / 8 / 2 / 4 % RMS."""
 
+_NO_SEASON = 4.0
 _SPREAD_TOP_M, _SPREAD_STEP_M = 30_000.0, 250.0
 _BOUNDARY_LAYER_M = 1500.0
 _DRY_ABOVE_M = 12_000.0
@@ -154,13 +155,7 @@ def climatology(
     >>> [round(float(t), 1) for t in (air.profile.temperature(0), air.spread.sigma_temperature(0))]
     [293.8, 7.3]
     """
-    if not abs(latitude_rad) <= math.pi / 2.0 + 1e-12:
-        raise PhysicsError(
-            "ATMOSPHERE-LATITUDE",
-            f"a latitude of {latitude_rad:g} rad lies beyond the pole",
-            remedy="give it in radians",
-        )
-    gravity = normal_gravity(latitude_rad)
+    gravity = gravity_at(latitude_rad)
     expected = supplements_profile(latitude_rad, month, index, gravity)
     spread = expected_spread(latitude_rad, month, ground_h_m)
     if name in (AUTO, SUPPLEMENTS):
@@ -185,12 +180,16 @@ def climatology(
     return Climatology(profile, _widened(spread, profile, expected), origin, moist)
 
 
-def month_of(time_ns: int) -> float:
+def month_of(time_ns: int | None) -> float:
     """The month that `climatology` takes, of a time [Unix ns]; 1.0 is 15 January.
 
-    >>> round(month_of(1_310_688_000 * 10**9), 2)  # 15 July 2011
-    6.95
+    Without a time it is one between the seasons.
+
+    >>> round(month_of(1_310_688_000 * 10**9), 2), month_of(None)  # 15 July 2011
+    (6.95, 4.0)
     """
+    if time_ns is None:
+        return _NO_SEASON
     day = np.datetime64(int(time_ns), "ns").astype("datetime64[D]")
     into = float((day - day.astype("datetime64[Y]")).astype(np.float64))
     return (into - 14.0) / 365.25 * 12.0 + 1.0
@@ -210,8 +209,7 @@ def expected_spread(latitude_rad: float, month: float, ground_h_m: float = 0.0) 
     they overstate by a third (RMS 0.74 of sigma), because five sites are few.
     """
     degrees = abs(latitude_rad) / DEGREE
-    shift = 0.0 if latitude_rad >= 0.0 else 6.0
-    winter = 0.5 + 0.5 * math.cos(2.0 * math.pi * (month - 1.0 + shift) / 12.0)
+    winter = 0.5 + 0.5 * season(latitude_rad, month)
     away = float(np.interp(degrees, [15.0, 50.0], [0.0, 1.0]))  # from the tropics
     h = np.arange(0.0, _SPREAD_TOP_M + 1.0, _SPREAD_STEP_M)
     tropics = np.interp(h, [0.0, 8000.0, 16_000.0, 19_000.0, 30_000.0], [4.0, 4.5, 5.0, 5.0, 4.0])

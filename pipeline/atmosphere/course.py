@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.atmosphere.ageing import FRESH_S, Ages, ages_of, grown
 from pipeline.atmosphere.air import IndexModel
-from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.atmosphere.hypsometry import column
+from pipeline.atmosphere.covariance import ProfileCovariance, plane_rule
+from pipeline.atmosphere.hypsometry import hats
 from pipeline.atmosphere.profile import Profile, stack_layers
 from pipeline.atmosphere.samples import AirSamples
-from pipeline.atmosphere.state import hats
 from pipeline.ledger import Ledger
 
 Array = NDArray[np.float64]
@@ -72,8 +71,7 @@ class TimedAir:
     def change_from(self, other: TimedAir, h_c: Sequence[float], h_g: float) -> float:
         """ln R of this air over that of another, the largest of several cameras.
 
-        R/tan zeta in the plane, mean of N over the way - N_c (Gyer 1996, Eq. 24). ``h_c``, ``h_g``
-        heights of cameras and ground [m above sea level].
+        In the plane; ``h_c``, ``h_g`` heights of cameras and ground [m above sea level].
         """
         changes = [
             np.log(_plane(self.profile, h, h_g) / _plane(other.profile, h, h_g)) for h in h_c
@@ -82,8 +80,8 @@ class TimedAir:
 
 
 def _plane(profile: Profile, h_c: float, h_g: float) -> float:
-    n = profile.refractivity(np.linspace(h_g, h_c, _STEPS + 1))
-    return float(np.mean(0.5 * (n[1:] + n[:-1])) - n[-1])
+    h, weight = plane_rule(h_c, h_g, _STEPS)
+    return float(weight @ profile.refractivity(h))
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,23 +230,17 @@ def blend(a: TimedAir, b: TimedAir, share: float) -> TimedAir:
     edge = edge[np.concatenate([[True], np.diff(edge) > _SLIVER_M])]
     edge[[0, -1]] = low, high
     anchor = a.own.anchor_m if a.own is not None else 0.0
-    parts = [_state_at(air, edge) for air in (a, b)]
-    t_m, vapour = ((1.0 - share) * parts[0][i] + share * parts[1][i] for i in range(2))
-    here = a.profile.gravity.height(anchor)
+    here, heights = a.profile.gravity.height(anchor), a.profile.gravity.height(edge)
+    parts = [air.profile.state(heights) for air in (a, b)]
+    t_m, vapour = ((1.0 - share) * parts[0][i] + share * parts[1][i] for i in (0, 2))
     levels = [float(np.log(air.profile.pressure(here))) for air in (a, b)]
     log_p = (1.0 - share) * levels[0] + share * levels[1]
     nearer = a if share < 0.5 else b
-    middles = 0.5 * (edge[1:] + edge[:-1])
-    i = np.clip(
-        np.searchsorted(nearer.profile.layers.edge, middles, side="right") - 1,
-        0,
-        len(nearer.profile.layers.source) - 1,
-    )
     layers = stack_layers(
         edge,
         t_m,
         vapour,
-        tuple(nearer.profile.layers.source[j] for j in i),
+        nearer.profile.layers.sources_between(edge),
         anchor=(anchor, float(np.exp(log_p))),
         constant=a.profile.constant,
     )
@@ -257,24 +249,15 @@ def blend(a: TimedAir, b: TimedAir, share: float) -> TimedAir:
     return TimedAir(time_ns, profile, ends=(a, b, share))
 
 
-def _state_at(air: TimedAir, edge: Array) -> tuple[Array, Array]:
-    """T_M [K] and e/p at geopotential heights [m']."""
-    profile = air.profile
-    h = profile.gravity.height(edge)
-    return profile.virtual_temperature(h), profile.vapour_pressure(h) / profile.pressure(h)
-
-
 def _carried(covariance: ProfileCovariance, edge: Array, anchor: float) -> Array:
     """A covariance for other edges and another anchor [m']."""
     layers, size = covariance.profile.layers, edge.size
     k = layers.edge.size
     weights = hats(layers.edge, edge)
-    last = layers.temperature[-1] + layers.lapse[-1] * (layers.edge[-1] - layers.edge[-2])
-    heights = np.array([covariance.anchor_m, anchor])
-    _, gradient = column(layers.edge, np.append(layers.temperature, last), heights)
+    here = np.atleast_1d(covariance.profile.gravity.height(anchor))
     by_state = np.zeros((2 * size + 1, 2 * k + 1))
     by_state[:size, :k] = weights
-    by_state[size, :k] = -covariance.profile.constant * (gradient[1] - gradient[0])
+    by_state[size, :k] = covariance.log_pressure_by_virtual(here)[0]
     by_state[size, k] = 1.0
     by_state[size + 1 :, k + 1 :] = weights
     return np.asarray(by_state @ covariance.matrix @ by_state.T)

@@ -7,14 +7,27 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pipeline.atmosphere.hypsometry import column
+from pipeline.atmosphere.hypsometry import hats
+from pipeline.atmosphere.jacobian import log_pressure_jacobian
 from pipeline.atmosphere.profile import Profile
-from pipeline.atmosphere.state import hats
 from pipeline.units import VAPOUR_DEFICIT
 
 Array = NDArray[np.float64]
 
 _RAY_STEPS = 200  # trapezia of the plane integral: 1e-5 of R over 10 km
+
+
+def plane_rule(h_c: float, h_g: float, steps: int) -> tuple[Array, Array]:
+    """Heights [m], and the weights of N there whose sum is R/tan zeta in the plane.
+
+    Mean of N over the way - N_c (Gyer 1996, Eq. 24), by ``steps`` trapezia from the ground at
+    ``h_g`` to a camera at ``h_c`` [m above sea level].
+    """
+    h = np.linspace(h_g, h_c, steps + 1)
+    weight = np.full(h.size, 1.0 / steps)
+    weight[[0, -1]] *= 0.5
+    weight[-1] -= 1.0
+    return h, weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +60,7 @@ class ProfileCovariance:
         """One sigma of temperature [K] at heights ``h`` (n,) [m above sea level]."""
         height = np.atleast_1d(np.asarray(h, np.float64))
         weights = self._weights(height)
-        t_m, _, vapour = self._state(height)
+        t_m, _, vapour = self.profile.state(height)
         zero = np.zeros((height.size, 1))
         return self._sigma(
             [
@@ -68,7 +81,7 @@ class ProfileCovariance:
     def sigma_vapour_pressure(self, h: ArrayLike) -> Array:
         """One sigma of vapour pressure [Pa] at heights ``h`` (n,) [m above sea level]."""
         height = np.atleast_1d(np.asarray(h, np.float64))
-        _, p, vapour = self._state(height)
+        _, p, vapour = self.profile.state(height)
         e = (vapour * p)[:, None]
         by_vapour = p[:, None] * self._weights(height)
         return self._sigma([e * self.log_pressure_by_virtual(height), e, by_vapour])
@@ -84,7 +97,7 @@ class ProfileCovariance:
         The index formula is differenced centrally (1e-7 of the derivative); hydrostatics carry
         pressure with temperature in closed form.
         """
-        t_m, p, vapour = self._state(h)
+        t_m, p, vapour = self.profile.state(h)
         weights = self._weights(h)
         by_virtual = (self._index(t_m + 0.1, p, vapour) - self._index(t_m - 0.1, p, vapour)) / 0.2
         up, down = p * (1.0 + 1e-3), p * (1.0 - 1e-3)
@@ -105,22 +118,14 @@ class ProfileCovariance:
     def relative_sigma(self, h_c: float, h_g: float) -> float:
         """sigma_R/R of rays from a camera at ``h_c`` to the ground at ``h_g`` [m], to first order.
 
-        R/tan zeta = mean of N over the way - N_c (Gyer 1996, Eq. 24: plane); the ratio differs
-        from the spherical one by less than 1 % of itself below 75 degrees. This is the sigma of
-        the one scale factor of R that a whole flight shares.
+        In the plane, see `plane_rule`; the ratio differs from the spherical one by less than 1 %
+        of itself below 75 degrees. This is the sigma of the one scale factor of R that a whole
+        flight shares.
         """
-        h = np.linspace(h_g, h_c, _RAY_STEPS + 1)
-        weight = np.full(h.size, 1.0 / _RAY_STEPS)
-        weight[[0, -1]] *= 0.5
-        weight[-1] -= 1.0
+        h, weight = plane_rule(h_c, h_g, _RAY_STEPS)
         r = float(weight @ self.profile.refractivity(h))
         gradient = weight @ self.refractivity_gradient(h)
         return float(np.sqrt(gradient @ self.matrix @ gradient)) / abs(r)
-
-    def _state(self, h: Array) -> tuple[Array, Array, Array]:
-        """T_M [K], p [Pa] and e/p at heights."""
-        p = self.profile.pressure(h)
-        return self.profile.virtual_temperature(h), p, self.profile.vapour_pressure(h) / p
 
     def _weights(self, h: Array) -> Array:
         edge = self.profile.layers.edge
@@ -131,12 +136,7 @@ class ProfileCovariance:
 
     def log_pressure_by_virtual(self, h: Array) -> Array:
         """(n, k) derivatives of ln p at heights (n,) [m] by T_M at the edges [1/K]."""
-        layers = self.profile.layers
-        last = layers.temperature[-1] + layers.lapse[-1] * (layers.edge[-1] - layers.edge[-2])
-        height = self.profile.gravity.geopotential_height(h)
-        at = np.concatenate([[self.anchor_m], np.clip(height, layers.edge[0], layers.edge[-1])])
-        _, gradient = column(layers.edge, np.append(layers.temperature, last), at)
-        return np.asarray(-self.profile.constant * (gradient[1:] - gradient[0]))
+        return log_pressure_jacobian(self.profile, h, self.anchor_height_m)
 
     def _sigma(self, blocks: list[Array]) -> Array:
         return self.sigma_of(np.concatenate(blocks, axis=1))

@@ -97,9 +97,9 @@ class Estimate:
 
     ``profile`` has layers between the knots; ``covariance`` is that of the profile;
     ``background_sigma_k`` (k,) what the background knew of temperature at the knots;
-    ``rejected`` the outliers among the accepted samples of each sensor; ``sources`` what was
-    measured, ``state`` the solution itself, and ``converged`` whether it is one: temperatures moved
-    by less than 2 mK in the last step.
+    ``sources`` what was measured, with the outliers among the accepted samples of each sensor;
+    ``state`` the solution itself, and ``converged`` whether it is one: temperatures moved by less
+    than 2 mK in the last step.
     """
 
     profile: Profile
@@ -107,7 +107,6 @@ class Estimate:
     background_sigma_k: Array
     nuisances: tuple[Nuisance, ...]
     fits: tuple[Fit, ...]
-    rejected: Mapping[str, NDArray[np.bool_]]
     sources: Sources
     state: Array
     converged: bool = True
@@ -172,7 +171,6 @@ def estimate(
         prior.sigma_temperature,
         nuisances,
         solution.fits,
-        found.rejected,
         found,
         solution.x,
         solution.converged,

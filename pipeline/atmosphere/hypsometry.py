@@ -14,7 +14,9 @@ Array = NDArray[np.float64]
 COLDEST_K, WARMEST_K = 180.0, 335.0
 """Temperatures that air has; what pressure implies outside them is not the air outside [K]."""
 
-_SERIES_BELOW = 1e-3  # of dT/T: the closed form of the moment loses 1e-16/x^2 of its digits
+_SERIES_BELOW = 0.05  # of dT/T: the closed form of the moment loses 1e-16/x of its digits
+_ORDER = np.arange(12)
+_SERIES = (-1.0) ** _ORDER * (_ORDER + 1.0) / (_ORDER + 2.0)
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,8 @@ def column(edge: Array, virtual: Array, height: Array) -> tuple[Array, Array]:
 
     In a layer of thickness D from T_0 to T_1 = T_0 (1 + x) the integral is D ln(1 + x) / (T_0 x);
     its derivative by T_1 is -D/T_0^2 times the integral of u/(1 + x u)^2 over u from 0 to 1,
-    which is (ln(1 + x) - x/(1 + x)) / x^2; by T_0 it is what that leaves of -D/(T_0 T_1).
+    which is (ln(1 + x) - x/(1 + x)) / x^2 = 1/2 - 2 x/3 + 3 x^2/4 - ...; by T_0 it is what that
+    leaves of -D/(T_0 T_1).
 
     >>> edge, virtual = np.array([0.0, 1000.0]), np.array([250.0, 250.0])
     >>> integral, gradient = column(edge, virtual, np.array([500.0]))
@@ -93,18 +96,31 @@ def column(edge: Array, virtual: Array, height: Array) -> tuple[Array, Array]:
     return integral, gradient
 
 
+def hats(knot: Array, x: Array) -> Array:
+    """(m, k) weights of linear interpolation between knots, constant beyond them.
+
+    >>> hats(np.array([0.0, 2.0, 4.0]), np.array([0.5, 5.0])).tolist()
+    [[0.75, 0.25, 0.0], [0.0, 0.0, 1.0]]
+    """
+    weights = np.zeros((x.size, knot.size))
+    x = np.clip(x, knot[0], knot[-1])
+    i = np.clip(np.searchsorted(knot, x, side="right") - 1, 0, knot.size - 2)
+    share = (x - knot[i]) / (knot[i + 1] - knot[i])
+    row = np.arange(x.size)
+    weights[row, i] = 1.0 - share
+    weights[row, i + 1] = share
+    return weights
+
+
 def _layer(thickness: Array, lower: Array, upper: Array) -> tuple[Array, Array, Array]:
     """Integral of dH/T over layers, and its derivatives by the lower and upper temperature."""
     x = upper / lower - 1.0
-    thin = np.abs(x) < _SERIES_BELOW
-    safe = np.where(thin, 1.0, x)
+    safe = np.where(x == 0.0, 1.0, x)
     log = np.log1p(safe)
-    mean = np.where(thin, 1.0 - x * (0.5 - x * (1.0 / 3.0 - x * 0.25)), log / safe)
-    moment = np.where(
-        thin,
-        0.5 - x * (2.0 / 3.0 - x * (0.75 - x * 0.8)),
-        (log - safe / (1.0 + safe)) / safe**2,
-    )
+    mean = np.where(x == 0.0, 1.0, log / safe)
+    thin = np.abs(x) < _SERIES_BELOW
+    series = np.polynomial.polynomial.polyval(np.where(thin, x, 0.0), _SERIES)
+    moment = np.where(thin, series, (log - safe / (1.0 + safe)) / safe**2)
     by_upper = -thickness * moment / lower**2
     by_lower = -thickness / (lower * upper) - by_upper
     return thickness * mean / lower, by_lower, by_upper

@@ -5,8 +5,8 @@ from one anchor (`pipeline.atmosphere.profile.stack_layers`). With phi_k the hat
 
     T_M(H) = sum of phi_k T_k,   ln p(H) = ln p(anchor) - (G M0 / R*) * integral of dH / T_M,
 
-so that d ln p(H) / d T_k = (G M0 / R*) * integral from the anchor to H of phi_k / T_M^2 dH, which
-has a closed form in each layer. Layers must meet in T_M, as `stack_layers` makes them.
+so that d ln p(H) / d T_k = (G M0 / R*) * integral from the anchor to H of phi_k / T_M^2 dH: see
+`pipeline.atmosphere.hypsometry.column`. Layers must meet in T_M, as `stack_layers` makes them.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.atmosphere.air import IndexModel
+from pipeline.atmosphere.hypsometry import column, hats
 from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
 from pipeline.units import VAPOUR_DEFICIT
@@ -30,8 +31,6 @@ _STENCIL = np.array([4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0])
 _TEMPERATURE_STEP = 0.007  # of T
 _PRESSURE_STEP = 0.05  # of p
 _VAPOUR_STEP = 0.05  # of e/p
-
-_SMALL_WARMING = 0.05  # of T across a layer: below it the closed form loses digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,20 +77,15 @@ def air_jacobian(profile: Profile, h: ArrayLike, anchor_height_m: float) -> AirJ
     [[0.0, -967.15, 0.0], [0.0, 154.8, -182.09]]
     """
     h = np.asarray(h, dtype=np.float64)
-    place = _placed(profile, h)
-    t_m, p = profile.virtual_temperature(h), profile.pressure(h)
-    vapour = profile.layers.vapour[place.layer] + profile.layers.vapour_slope[place.layer] * (
-        place.rise
-    )
+    t_m, p, vapour = profile.state(h)
     dryness = 1.0 - VAPOUR_DEFICIT * vapour
     by_t, by_log_p, by_vapour = _index_partials(profile.index, t_m * dryness, p, vapour)
-    hats = np.zeros((h.size, profile.layers.edge.size))
-    place.add(hats, 1.0 - place.share, place.share)
+    weights = hats(profile.layers.edge, profile.gravity.geopotential_height(h))
     log_pressure = log_pressure_jacobian(profile, h, anchor_height_m)
     return AirJacobian(
-        by_log_p[:, None] * log_pressure + (by_t * dryness)[:, None] * hats,
+        by_log_p[:, None] * log_pressure + (by_t * dryness)[:, None] * weights,
         by_log_p,
-        (by_vapour - VAPOUR_DEFICIT * t_m * by_t)[:, None] * hats,
+        (by_vapour - VAPOUR_DEFICIT * t_m * by_t)[:, None] * weights,
     )
 
 
@@ -113,63 +107,11 @@ def log_pressure_jacobian(profile: Profile, h: ArrayLike, anchor_height_m: float
             where=f"profile {profile.name}, {profile.bottom_m:.0f} to {profile.top_m:.0f} m",
             remedy="refer pressure to a height inside it",
         )
-    layers = profile.layers
-    thickness = np.diff(layers.edge)
-    lower, upper = _hat_integrals(layers.temperature, layers.lapse, thickness, thickness)
-    count = thickness.size
-    steps = np.zeros((count, count + 1))
-    steps[np.arange(count), np.arange(count)] = lower
-    steps[np.arange(count), np.arange(count) + 1] = upper
-    at_edges = np.vstack([np.zeros(count + 1), np.cumsum(steps, axis=0)])
-    place = _placed(profile, np.append(h, anchor_height_m))
-    i = place.layer
-    above = at_edges[i]
-    place.add(
-        above, *_hat_integrals(layers.temperature[i], layers.lapse[i], thickness[i], place.rise)
-    )
-    return np.asarray(profile.constant * (above[:-1] - above[-1]))
-
-
-@dataclass(frozen=True, eq=False)
-class _Placed:
-    """Heights in their layers: ``rise`` [m'] above its lower edge, ``share`` of its thickness."""
-
-    layer: NDArray[np.intp]
-    rise: Array
-    share: Array
-
-    def add(self, rows: Array, lower: Array, upper: Array) -> None:
-        """Add, in each row, values for the lower and the upper edge of the row's layer."""
-        n = np.arange(self.layer.size)
-        rows[n, self.layer] += lower
-        rows[n, self.layer + 1] += upper
-
-
-def _placed(profile: Profile, h: Array) -> _Placed:
-    layer = profile.layer_of(h)
-    edge = profile.layers.edge
-    rise = profile.gravity.geopotential_height(h) - edge[layer]
-    rise = np.where(layer < 0, np.nan, rise)
-    layer = np.maximum(layer, 0)
-    return _Placed(layer, rise, rise / (edge[layer + 1] - edge[layer]))
-
-
-def _hat_integrals(base: Array, lapse: Array, thickness: Array, rise: Array) -> tuple[Array, Array]:
-    """Integrals of phi / T^2 over ``rise`` from a layer's base, for its lower and upper edge.
-
-    Of 1 / T^2: x / (T_b T(x)). Of x / T^2: (x / T_b)^2 [ln(1 + y) - y / (1 + y)] / y^2 with
-    y = L x / T_b, whose series is 1/2 - 2 y/3 + 3 y^2/4 - ...
-    """
-    y = lapse * rise / base
-    large = np.abs(y) > _SMALL_WARMING
-    safe = np.where(large, y, 1.0)
-    closed = (np.log1p(safe) - safe / (1.0 + safe)) / (safe * safe)
-    order = np.arange(12)
-    series = np.polynomial.polynomial.polyval(
-        np.where(large, 0.0, y), (-1.0) ** order * (order + 1.0) / (order + 2.0)
-    )
-    upper = (rise / base) ** 2 * np.where(large, closed, series) / thickness
-    return rise / (base * (base + lapse * rise)) - upper, upper
+    height = profile.gravity.geopotential_height(h)
+    height = np.where(profile.layer_of(h) < 0, np.nan, height)
+    at = np.append(height, profile.gravity.geopotential_height(anchor_height_m))
+    _, gradient = column(profile.layers.edge, profile.layers.edge_temperature, at)
+    return np.asarray(profile.constant * (gradient[-1] - gradient[:-1]))
 
 
 def _index_partials(

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.estimate import Estimate, estimate, layout_of, solve
-from pipeline.atmosphere.hypsometry import COLDEST_K, WARMEST_K
+from pipeline.atmosphere.hypsometry import COLDEST_K, WARMEST_K, hats
 from pipeline.atmosphere.measurements import Barometer, Thermometer
 from pipeline.atmosphere.samples import AirSamples, Samples
 from pipeline.atmosphere.sources import part_of
-from pipeline.atmosphere.state import air_of, hats, prior_of
+from pipeline.atmosphere.state import air_of, prior_of
 
 Array = NDArray[np.float64]
 
@@ -56,7 +56,8 @@ def implausible(made: Estimate, background: Climatology) -> str | None:
     t = made.profile.temperature(height)
     if not bool(np.all((t > COLDEST_K) & (t < WARMEST_K))):
         return f"temperatures of {t.min():.0f} to {t.max():.0f} K are none of air"
-    sigma = np.interp(h, layers.edge, made.background_sigma_k)
+    spread = background.spread.sigma_temperature(made.profile.break_heights_m)
+    sigma = np.interp(h, layers.edge, spread)
     departure = (t - background.profile.temperature(height)) / sigma
     worst = int(np.argmax(np.abs(departure)))
     if abs(departure[worst]) > FARTHEST:
@@ -87,7 +88,10 @@ def _sigma_of_difference(made: Estimate, h: Array, over: int) -> Array:
 
 
 def worse_than_climatology(
-    made: Estimate, background: Climatology, moisture: Climatology | None
+    made: Estimate,
+    background: Climatology,
+    moisture: Climatology | None,
+    called: str = "the climatology",
 ) -> str | None:
     """Why an estimate would be worse than its background, in words; None where it is better.
 
@@ -120,7 +124,7 @@ def worse_than_climatology(
             unit, factor = ("%", 100.0) if isinstance(source, Barometer) else ("K", 1.0)
             return (
                 f"readings of {source.name} that were held out differ by {factor * ours:.2f} "
-                f"{unit} from the estimate and by {factor * theirs:.2f} {unit} from the climatology"
+                f"{unit} from the estimate and by {factor * theirs:.2f} {unit} from {called}"
             )
     return None
 

@@ -8,7 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.state import Air, Fault, hats
+from pipeline.atmosphere.hypsometry import hats
+from pipeline.atmosphere.state import Air, Fault, Layout
 
 Array = NDArray[np.float64]
 
@@ -185,11 +186,7 @@ class Temperatures:
     def predict(self, air: Air) -> tuple[Array, Array]:
         """T(H) + departure(H)."""
         layout = air.layout
-        jacobian = np.zeros((self.value.size, layout.size))
-        jacobian[:, layout.temperature] = hats(layout.knot, self.height)
-        if self.drift is not None:
-            drift, where = layout.drift(self.drift)
-            jacobian[:, where] = hats(drift.knot, self.height)
+        jacobian = _at_heights(layout, self.height, layout.temperature, layout.knot, self.drift)
         return jacobian @ air.x, jacobian
 
 
@@ -208,14 +205,22 @@ class Humidities:
     def predict(self, air: Air) -> tuple[Array, Array]:
         """RH(H) + bias + departure(H)."""
         layout = air.layout
-        jacobian = np.zeros((self.value.size, layout.size))
-        jacobian[:, layout.humidity] = hats(layout.humid, self.height)
+        jacobian = _at_heights(layout, self.height, layout.humidity, layout.humid, self.drift)
         if self.fault is not None:
             jacobian[:, layout.fault(self.fault)] = 1.0
-        if self.drift is not None:
-            drift, where = layout.drift(self.drift)
-            jacobian[:, where] = hats(drift.knot, self.height)
         return jacobian @ air.x, jacobian
+
+
+def _at_heights(
+    layout: Layout, height: Array, where: slice, knot: Array, departure: str | None
+) -> Array:
+    """(m, s) derivatives of what is interpolated at heights between knots, and of its departure."""
+    jacobian = np.zeros((height.size, layout.size))
+    jacobian[:, where] = hats(knot, height)
+    if departure is not None:
+        drift, where = layout.drift(departure)
+        jacobian[:, where] = hats(drift.knot, height)
+    return jacobian
 
 
 @dataclass(frozen=True, eq=False)

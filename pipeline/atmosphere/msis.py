@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from pipeline.atmosphere.air import IndexModel
-from pipeline.atmosphere.profile import STANDARD, Profile, stack_layers
+from pipeline.atmosphere.climates import hydrostatic_profile
+from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity
 from pipeline.units import DEGREE
@@ -16,7 +17,6 @@ MSIS = "nrlmsis2.1"
 MSIS_ORIGIN = "NRLMSIS 2.1 (Emmert et al. 2022), temperature only"
 
 _TOP_M, _STEP_M = 80_000.0, 500.0
-_BELOW_M = -5000.0
 _TEMPERATURE = 10  # column of pymsis.Variable.TEMPERATURE
 # Solar flux and geomagnetic index do not reach below 80 km: given, so that nothing is downloaded.
 _SOLAR_FLUX, _GEOMAGNETIC = 150.0, 4.0
@@ -59,10 +59,4 @@ def msis_profile(
     )
     t = np.asarray(answer, dtype=np.float64).reshape(h.size, -1)[:, _TEMPERATURE]
     edge = gravity.geopotential_height(h)
-    lapse = min((t[1] - t[0]) / (edge[1] - edge[0]), 0.0)
-    edge = np.concatenate([[_BELOW_M], edge])
-    t = np.concatenate([[t[0] + lapse * _BELOW_M], t])
-    layers = stack_layers(
-        edge, t, np.zeros(t.size), (STANDARD,) * (t.size - 1), anchor=(0.0, surface_pa)
-    )
-    return Profile(layers, gravity, index or IndexModel(), MSIS)
+    return hydrostatic_profile(edge, t, np.zeros_like, surface_pa, gravity, index, MSIS)

@@ -85,22 +85,20 @@ def unlikeness(hours: float, metres: float = 0.0) -> float:
     return math.expm1(min(exponent, _MOST_EXPONENT))
 
 
-def age_of_sounding(sounding: Sounding, occasion: Occasion) -> float:
-    """Hours between a sounding and the flight, six where they are not known."""
-    hours = occasion.hours_from(sounding.time_ns)
-    return hours if math.isfinite(hours) else UNDATED_SOUNDING_H
+def apart(source: Sounding | SurfaceReport, occasion: Occasion) -> tuple[float, float]:
+    """Hours and metres between a source and the flight.
 
-
-def distance_of_sounding(sounding: Sounding, occasion: Occasion) -> float:
-    """Metres between a sounding and the flight, 100 km where they are not known."""
-    metres = occasion.metres_from(sounding.latitude_rad, sounding.longitude_rad)
-    return metres if math.isfinite(metres) else UNPLACED_M
-
-
-def age_of_report(report: SurfaceReport, occasion: Occasion) -> float:
-    """Hours between a surface report and the flight, three where they are not known."""
-    hours = occasion.hours_from(report.time_ns)
-    return hours if math.isfinite(hours) else UNDATED_REPORT_H
+    Six hours and 100 km where those of a sounding are not known; three hours, and no distance, of
+    a surface report: a station near the flight is meant.
+    """
+    hours, metres, undated_h = occasion.hours_from(source.time_ns), 0.0, UNDATED_REPORT_H
+    if isinstance(source, Sounding):
+        undated_h = UNDATED_SOUNDING_H
+        metres = occasion.metres_from(source.latitude_rad, source.longitude_rad)
+    return (
+        hours if math.isfinite(hours) else undated_h,
+        metres if math.isfinite(metres) else UNPLACED_M,
+    )
 
 
 def says_nothing(source: Sounding | SurfaceReport, occasion: Occasion) -> str | None:
@@ -109,16 +107,16 @@ def says_nothing(source: Sounding | SurfaceReport, occasion: Occasion) -> str | 
     >>> says_nothing(SurfaceReport(0.0, 1e5, 280.0, 800.0, time_ns=0), Occasion(10**15))
     'it is 278 hours from the flight: the climatology knows as much'
     """
-    if isinstance(source, Sounding):
-        hours, metres = age_of_sounding(source, occasion), distance_of_sounding(source, occasion)
-    else:
-        hours, metres = age_of_report(source, occasion), 0.0
+    hours, metres = apart(source, occasion)
     if unlikeness(hours, metres) <= NOTHING:
         return None
-    apart = f"{hours:.0f} hours" if unlikeness(hours) > NOTHING else f"{metres / 1e3:.0f} km"
-    if unlikeness(hours) <= NOTHING and unlikeness(0.0, metres) <= NOTHING:
-        apart = f"{hours:.0f} hours and {metres / 1e3:.0f} km"
-    return f"it is {apart} from the flight: the climatology knows as much"
+    if unlikeness(hours) > NOTHING:
+        far = f"{hours:.0f} hours"
+    elif unlikeness(0.0, metres) > NOTHING:
+        far = f"{metres / 1e3:.0f} km"
+    else:
+        far = f"{hours:.0f} hours and {metres / 1e3:.0f} km"
+    return f"it is {far} from the flight: the climatology knows as much"
 
 
 def tell_of_nearness(

@@ -106,6 +106,18 @@ class Layers:
             raise ValueError("temperatures and pressures of layers must be positive")
 
     @property
+    def edge_temperature(self) -> Array:
+        """(m + 1,) T_M at the edges [K]."""
+        top = self.temperature[-1] + self.lapse[-1] * (self.edge[-1] - self.edge[-2])
+        return np.append(self.temperature, top)
+
+    def sources_between(self, edge: Array) -> tuple[str, ...]:
+        """Where layers between other edges (k,) [m'] come from: the source at their middles."""
+        middle = 0.5 * (edge[1:] + edge[:-1])
+        i = np.searchsorted(self.edge, middle, side="right") - 1
+        return tuple(self.source[j] for j in np.clip(i, 0, len(self.source) - 1))
+
+    @property
     def equation(self) -> NDArray[np.int16]:
         """(m,) 52 or 53: which of Gyer's equations gives the pressure."""
         return np.where(self.lapse == 0.0, 53, 52).astype(np.int16)
@@ -202,8 +214,8 @@ class Profile:
         inside = (geopotential >= edge[0] - slack) & (geopotential <= edge[-1] + slack)
         return np.where(inside, i, -1)
 
-    def _state(self, h: ArrayLike) -> tuple[Array, Array, Array]:
-        """T_M, p and e/p at heights; NaN outside."""
+    def state(self, h: ArrayLike) -> tuple[Array, Array, Array]:
+        """T_M [K], p [Pa] and e/p at heights ``h`` [m above sea level]; NaN outside."""
         i = self.layer_of(h)
         rise = self.gravity.geopotential_height(h) - self.layers.edge[i]
         rise = np.where(i < 0, np.nan, rise)
@@ -214,7 +226,7 @@ class Profile:
 
     def virtual_temperature(self, h: ArrayLike) -> Array:
         """T_M [K] at heights ``h`` [m]."""
-        return self._state(h)[0]
+        return self.state(h)[0]
 
     def temperature(self, h: ArrayLike) -> Array:
         """Temperature [K] at heights ``h`` [m above sea level]; NaN outside the profile.
@@ -223,7 +235,7 @@ class Profile:
         >>> standard_atmosphere("us1976").temperature([0.0, 5000.0]).round(3).tolist()
         [288.15, 255.676]
         """
-        t_m, _, vapour = self._state(h)
+        t_m, _, vapour = self.state(h)
         return t_m * (1.0 - VAPOUR_DEFICIT * vapour)
 
     def pressure(self, h: ArrayLike) -> Array:
@@ -233,11 +245,11 @@ class Profile:
         >>> standard_atmosphere("us1976").pressure(5000.0).round(1).item()
         54048.3
         """
-        return self._state(h)[1]
+        return self.state(h)[1]
 
     def vapour_pressure(self, h: ArrayLike) -> Array:
         """Partial pressure of water vapour [Pa] at heights ``h`` [m above sea level]."""
-        _, p, vapour = self._state(h)
+        _, p, vapour = self.state(h)
         return vapour * p
 
     def refractivity(self, h: ArrayLike) -> Array:
@@ -248,7 +260,7 @@ class Profile:
         >>> (profile.refractivity(5000.0) * 1e6).round(2).item()
         166.64
         """
-        t_m, p, vapour = self._state(h)
+        t_m, p, vapour = self.state(h)
         t = t_m * (1.0 - VAPOUR_DEFICIT * vapour)
         return self.index.refractivity(t, p, vapour * p)
 

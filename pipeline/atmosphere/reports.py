@@ -22,9 +22,7 @@ from pipeline.atmosphere.nearness import (
     SPREAD_K,
     SPREAD_RH,
     Occasion,
-    age_of_report,
-    age_of_sounding,
-    distance_of_sounding,
+    apart,
     unlikeness,
 )
 from pipeline.atmosphere.soundings import Sounding
@@ -77,7 +75,7 @@ def departures_of(
             continue
         height = gravity.geopotential_height(sounding.h_m[inside])
         course = np.arange(height[0], height[-1] + DEPARTURE_STEP_M, DEPARTURE_STEP_M)
-        more = unlikeness(*_apart(sounding, occasion))
+        more = unlikeness(*apart(sounding, occasion))
         later = SPREAD_K**2 * more
         variance = AT_ONCE_K**2 + later
         length = (AT_ONCE_K**2 * AT_ONCE_LENGTH_M + later * LATER_LENGTH_M) / variance
@@ -87,11 +85,6 @@ def departures_of(
             Drift(f"{SOUNDING_HUMIDITY} {i}", course, humid, DEPARTURE_RH_LENGTH_M),
         ]
     return tuple(found)
-
-
-def _apart(sounding: Sounding, occasion: Occasion) -> tuple[float, float]:
-    """Hours and metres."""
-    return age_of_sounding(sounding, occasion), distance_of_sounding(sounding, occasion)
 
 
 def _inside(sounding: Sounding, background: Climatology) -> NDArray[np.bool_]:
@@ -127,7 +120,7 @@ def of_sounding(
         found.append(Humidities(name, h, u, np.full(h.size, LEVEL_RH), drift=departure))
     lowest = int(np.flatnonzero(inside)[0])
     level = np.log(sounding.pressure_pa[lowest : lowest + 1])
-    hours, metres = _apart(sounding, occasion)
+    hours, metres = apart(sounding, occasion)
     weather = np.hypot(WEATHER_LOG_P_PER_H * hours, WEATHER_LOG_P_PER_M * metres)
     sigma = np.array([float(np.hypot(LEVEL_LOG_P, weather))])
     found.append(Pressures(name, height[lowest : lowest + 1], level, sigma))
@@ -137,7 +130,7 @@ def of_sounding(
 def of_report(report: SurfaceReport, background: Climatology, occasion: Occasion) -> list[Source]:
     """What a station on the ground says of the air above it, less certain by its age."""
     height = background.profile.gravity.geopotential_height(np.array([report.h_m]))
-    hours = age_of_report(report, occasion)
+    hours, _ = apart(report, occasion)
     name, pressure = report.name, report.pressure_pa
     found: list[Source] = []
     if np.isfinite(report.temperature_k):

@@ -80,7 +80,8 @@ def bin_by_height(
     two medians are averaged. ``value`` replaces the readings themselves. Returns the mean heights
     [m'] and the values of bins with at least three readings, from the ground up.
     """
-    rising = _is_climbing(samples.time_ns, geopotential)
+    seconds = np.asarray((samples.time_ns - samples.time_ns[:1]) * 1e-9, np.float64)
+    rising = climb_of(seconds, geopotential) >= 0.0
     reading = samples.value if value is None else value
     use = samples.accepted & np.isfinite(reading) & np.isfinite(geopotential)
     height, reading, rising = geopotential[use], reading[use], rising[use]
@@ -97,12 +98,11 @@ def bin_by_height(
     return np.array(heights), np.array(values)
 
 
-def _is_climbing(time_ns: NDArray[np.int64], height: Array) -> NDArray[np.bool_]:
-    """Whether height rises over ten seconds around each sample."""
+def climb_of(seconds: Array, height: Array) -> Array:
+    """Height gained in the ten seconds around each sample, none where fewer than two are known."""
     known = np.isfinite(height)
     if known.sum() < 2:
-        return np.ones(time_ns.shape, dtype=bool)
-    seconds = (time_ns - time_ns[0]) * 1e-9
+        return np.zeros(seconds.shape)
     before = np.interp(seconds - 5.0, seconds[known], height[known])
     after = np.interp(seconds + 5.0, seconds[known], height[known])
-    return np.asarray(after >= before)
+    return np.asarray(after - before)

@@ -7,33 +7,27 @@ Bertram 1966) and ICAN (Saastamoinen 1974). The US Supplements 1966 and AFGL 198
 
 from __future__ import annotations
 
-import csv
 import math
-from functools import lru_cache
-from importlib import resources
 
 import numpy as np
 
 from pipeline.atmosphere.air import DEFAULT_WAVELENGTH_M, IndexModel
-from pipeline.atmosphere.climates import climate_names, climate_profile
+from pipeline.atmosphere.climates import (
+    LOWEST_GEOPOTENTIAL_M,
+    climate_names,
+    climate_profile,
+    read_models,
+)
 from pipeline.atmosphere.profile import STANDARD, Profile, stack_layers
 from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity, normal_gravity
 from pipeline.units import STANDARD_GRAVITY
 
 SEA_LEVEL_PRESSURE_PA = 101325.0
-LOWEST_GEOPOTENTIAL_M = -5000.0
-"""The troposphere's lapse rate goes on down to here, as ISO 2533 tabulates it."""
 
 
-@lru_cache(maxsize=1)
 def _breakpoints() -> dict[str, list[dict[str, float]]]:
-    text = resources.files("pipeline.atmosphere").joinpath("data/standard_atmospheres.csv")
-    models: dict[str, list[dict[str, float]]] = {}
-    for row in csv.DictReader(text.read_text(encoding="ascii").splitlines()):
-        name = row.pop("name")
-        models.setdefault(name, []).append({key: float(value) for key, value in row.items()})
-    return models
+    return read_models("standard_atmospheres.csv")
 
 
 def standard_names() -> tuple[str, ...]:
@@ -43,6 +37,17 @@ def standard_names() -> tuple[str, ...]:
     (('us1976', 'us1962', 'icao', 'ardc1959', 'ican'), 'supplements1966_15n_annual')
     """
     return (*_breakpoints(), *climate_names())
+
+
+def gravity_at(latitude_rad: float) -> Gravity:
+    """Normal gravity at a latitude [rad]; raises `PhysicsError` for one beyond the pole."""
+    if not abs(latitude_rad) <= math.pi / 2.0 + 1e-12:
+        raise PhysicsError(
+            "ATMOSPHERE-LATITUDE",
+            f"a latitude of {latitude_rad:g} rad lies beyond the pole",
+            remedy="give it in radians",
+        )
+    return normal_gravity(latitude_rad)
 
 
 def standard_atmosphere(
@@ -58,7 +63,7 @@ def standard_atmosphere(
     name : one of `standard_names`.
     index : ``ciddor`` or ``gyer`` (Eq. 13, 0.589 um whatever the wavelength).
     wavelength_m : wavelength of vacuum [m].
-    latitude : [rad] gives Lambert's gravity, as the profile of a mission has; by default the
+    latitude : [rad] gives normal gravity, as the profile of a mission has; by default the
         standard keeps the gravity of its own definition, a climatology that of its latitude.
 
     Agrees with the tables of its definition to their last printed digit.
@@ -67,15 +72,7 @@ def standard_atmosphere(
     >>> (profile.refractivity(0.0) * 1e6).round(3).item()
     277.201
     """
-    gravity = None
-    if latitude is not None:
-        if not abs(latitude) <= math.pi / 2.0 + 1e-12:
-            raise PhysicsError(
-                "ATMOSPHERE-LATITUDE",
-                f"a latitude of {latitude:g} rad lies beyond the pole",
-                remedy="give it in radians",
-            )
-        gravity = normal_gravity(latitude)
+    gravity = None if latitude is None else gravity_at(latitude)
     if name in climate_names():
         return climate_profile(name, IndexModel(index, wavelength_m), gravity)
     try:
@@ -91,6 +88,7 @@ def standard_atmosphere(
     edge = np.array([row["geopotential_m"] for row in rows])
     temperature = np.array([row["temperature_k"] for row in rows])
     lapse = (temperature[1] - temperature[0]) / (edge[1] - edge[0])
+    # The troposphere's lapse rate goes on down, as ISO 2533 tabulates it.
     if edge[0] > LOWEST_GEOPOTENTIAL_M:
         down = LOWEST_GEOPOTENTIAL_M - edge[0]
         edge = np.concatenate([[LOWEST_GEOPOTENTIAL_M], edge])

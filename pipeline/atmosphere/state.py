@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pipeline.atmosphere.air import enhancement_factor, saturation_vapour_pressure
 from pipeline.atmosphere.climatology import Climatology
-from pipeline.atmosphere.hypsometry import column
+from pipeline.atmosphere.hypsometry import column, hats
 from pipeline.units import VAPOUR_DEFICIT
 
 Array = NDArray[np.float64]
@@ -252,22 +252,6 @@ def air_of(layout: Layout, x: Array, pressure: Array, constant: float) -> Air:
         1.0 / dryness + steep * vapour * relative, steep * saturated,
         vapour * relative, saturated, spreading,
     )  # fmt: skip
-
-
-def hats(knot: Array, x: Array) -> Array:
-    """(m, k) weights of linear interpolation between knots, constant beyond them.
-
-    >>> hats(np.array([0.0, 2.0, 4.0]), np.array([0.5, 5.0])).tolist()
-    [[0.75, 0.25, 0.0], [0.0, 0.0, 1.0]]
-    """
-    weights = np.zeros((x.size, knot.size))
-    x = np.clip(x, knot[0], knot[-1])
-    i = np.clip(np.searchsorted(knot, x, side="right") - 1, 0, knot.size - 2)
-    share = (x - knot[i]) / (knot[i + 1] - knot[i])
-    row = np.arange(x.size)
-    weights[row, i] = 1.0 - share
-    weights[row, i + 1] = share
-    return weights
 
 
 def exponential(x: Array, length: float) -> Array:

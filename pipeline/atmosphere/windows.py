@@ -26,6 +26,7 @@ from pipeline.atmosphere.ageing import (
 from pipeline.atmosphere.bases import SMALLEST_BAROMETRIC_CLIMB_M, SMALLEST_CLIMB_M
 from pipeline.atmosphere.climatology import Climatology, Spread
 from pipeline.atmosphere.course import TimedAir
+from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.estimate import Estimate, Nuisance, estimate
 from pipeline.atmosphere.judgement import implausible, worse_than_climatology
 from pipeline.atmosphere.samples import AirSamples, Samples
@@ -148,18 +149,21 @@ def estimate_windows(
     flight does, keeps the air of the whole. One profile is enough where R departs from that of the
     whole by less than its own sigma, RMS over the windows.
     """
-    samples = whole.samples
-    if samples is None or whole.covariance is None:
+    samples, covariance, moisture = whole.samples, whole.covariance, whole.moisture
+    if samples is None or covariance is None or moisture is None:
         return ()
     parts = time_windows(samples)
     if len(parts) < 2:
         return ()
     hours = (parts[-1][1] - parts[0][0]) / 3.6e12
-    background = _background(whole, hours)
+    background = _background(covariance, moisture.spread, hours)
+    # Where what a window measured cannot be used: the whole's air, changed as over the flight.
+    anywhere = Ages(np.array([covariance.anchor_height_m]), np.array([hours]))
+    doubted = TimedAir(None, whole.profile, grown(covariance, anywhere))
     windows = []
     for start, end in parts:
         part = part_of_flight(samples, start, end)
-        windows.append(_window(part, (start, end), hours, whole, background, h_c, h_g))
+        windows.append(_window(part, (start, end), whole, background, doubted, h_c, h_g))
     own = [w for w in windows if not w.why_not]
     if not own:
         ledger.note("AIR-WINDOWS", f"one profile for {hours:.1f} h: no part of it says more")
@@ -186,12 +190,9 @@ def estimate_windows(
     return tuple(windows)
 
 
-def _background(whole: Adjustment, hours: float) -> Climatology:
-    """The whole flight as what is expected in a part of it."""
-    covariance, profile = whole.covariance, whole.profile
-    if covariance is None or whole.moisture is None:
-        raise ValueError("the air of the whole flight has no covariance")
-    spread = whole.moisture.spread
+def _background(covariance: ProfileCovariance, spread: Spread, hours: float) -> Climatology:
+    """The whole flight as what is expected in a part of it; ``spread`` of the climatology."""
+    profile = covariance.profile
     h = spread.h_m[(spread.h_m > profile.bottom_m) & (spread.h_m < profile.top_m)]
     lowest = float(covariance.anchor_height_m)
     change = change_sigma(h - lowest, hours)
@@ -215,54 +216,38 @@ def _background(whole: Adjustment, hours: float) -> Climatology:
 def _window(
     part: AirSamples,
     span: tuple[int, int],
-    hours: float,
     whole: Adjustment,
     background: Climatology,
+    doubted: TimedAir,
     h_c: Sequence[float],
     h_g: float,
 ) -> Window:
     """One window, with its own air or with that of the whole flight and the reason."""
     middle = _informative_middle(part, sum(span) // 2)
-    if whole.covariance is None:
-        raise ValueError("the air of the whole flight has no covariance")
-    shared = TimedAir(middle, whole.profile, whole.covariance)
-    # What the window measured cannot be used: its air is the whole's, changed by as much as air
-    # changes over the flight.
-    low = whole.covariance.anchor_height_m
-    doubted = grown(whole.covariance, Ages(np.array([low]), np.array([hours])))
-    fallen = TimedAir(middle, whole.profile, doubted)
+    fallen = replace(doubted, time_ns=middle)
     if _gated(part) is None:
         return Window(*span, fallen, why_not="nothing was measured then")
     made = estimate(part, background, known=_carried(whole.nuisances))
     fault = _fault(made, background, whole.moisture)
     if fault is not None:
         return Window(*span, fallen, why_not=fault)
-    sources = whole.profile.layers.source
-    edge = whole.profile.layers.edge
-    middles = 0.5 * (made.profile.layers.edge[1:] + made.profile.layers.edge[:-1])
-    i = np.clip(np.searchsorted(edge, middles, side="right") - 1, 0, len(sources) - 1)
-    layers = replace(made.profile.layers, source=tuple(sources[j] for j in i))
+    layers = made.profile.layers
+    layers = replace(layers, source=whole.profile.layers.sources_between(layers.edge))
     profile = replace(made.profile, layers=layers)
     doubled = COUNTED_TWICE * made.covariance.matrix
     covariance = replace(made.covariance, profile=profile, matrix=doubled)
     air = TimedAir(middle, profile, covariance)
-    highest = max(h_c)
-    return Window(
-        *span, air, air.change_from(shared, h_c, h_g), covariance.relative_sigma(highest, h_g)
-    )
+    change = air.change_from(doubted, h_c, h_g)
+    return Window(*span, air, change, covariance.relative_sigma(max(h_c), h_g))
 
 
 def _fault(made: Estimate, background: Climatology, expected: Climatology | None) -> str | None:
     """Why a window's estimate is no air by the climatology, or no better than the whole flight."""
     if not made.converged:
         return "its estimate did not settle"
-    if expected is not None:
-        h = made.profile.break_heights_m
-        spread = replace(made, background_sigma_k=expected.spread.sigma_temperature(h))
-        if (fault := implausible(spread, expected)) is not None:
-            return fault
-    worse = worse_than_climatology(made, background, background)
-    return None if worse is None else worse.replace("the climatology", "the whole flight")
+    if expected is not None and (fault := implausible(made, expected)) is not None:
+        return fault
+    return worse_than_climatology(made, background, background, called="the whole flight")
 
 
 def _carried(nuisances: Sequence[Nuisance]) -> tuple[Nuisance, ...]:

@@ -33,8 +33,6 @@ from pipeline.refraction.effect import FlightAir, effects_on_r
 from pipeline.tables.soundings import read_sounding
 from pipeline.units import ZERO_CELSIUS_K
 
-_NO_SEASON = 4.0  # a month between the seasons, for a flight without a date
-
 
 @dataclass(frozen=True, eq=False)
 class AirSources:
@@ -77,7 +75,7 @@ def find_sources(
     background = climatology(
         section.climatology,
         latitude_rad=latitude,
-        month=_NO_SEASON if flight_ns is None else month_of(flight_ns),
+        month=month_of(flight_ns),
         index=_index_of(section),
         ground_h_m=low,
         longitude_rad=longitude if known.size else 0.0,

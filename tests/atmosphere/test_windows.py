@@ -170,7 +170,8 @@ def test_a_window_counts_its_readings_once(changing):
     part = part_of_flight(whole.samples, window.start_ns, window.end_ns)
     hours = (windows[-1].end_ns - windows[0].start_ns) / 3.6e12
     known = _carried(whole.nuisances)
-    once = estimate(part, _background(whole, hours), known=known).covariance
+    background = _background(whole.covariance, whole.moisture.spread, hours)
+    once = estimate(part, background, known=known).covariance
     h = np.linspace(500.0, 6000.0, 12)
     for of in ("sigma_temperature", "sigma_log_pressure", "sigma_refractivity"):
         ratio = getattr(window.air.covariance, of)(h) / getattr(once, of)(h)

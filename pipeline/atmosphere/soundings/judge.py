@@ -206,7 +206,7 @@ def _humidity(raw: RawLevels, ledger: Ledger) -> Array:
 
 def _thickness(raw: RawLevels) -> Array:
     """Hypsometric height [m'] of each level above the first, by trapezoids in ln p."""
-    e = np.nan_to_num(raw.vapour_pressure_pa if raw.vapour_pressure_pa is not None else 0.0)
+    e = np.nan_to_num(_vapour(raw))
     virtual = virtual_temperature(raw.temperature_k, raw.pressure_pa, e)
     fall = -np.diff(np.log(raw.pressure_pa))
     steps = 0.5 * (virtual[1:] + virtual[:-1]) * fall / HYDROSTATIC_CONSTANT
