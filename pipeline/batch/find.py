@@ -13,14 +13,16 @@ from pipeline.batch.plan import Plan
 from pipeline.config import Mission
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel
-from pipeline.flight.exposures import (
+from pipeline.flight.events import (
     Events,
     account_for_triggers,
-    build_stations,
     choose_event_channel,
     events_of_channel,
     events_of_table,
     refuse_repeated_images,
+)
+from pipeline.flight.exposures import (
+    build_stations,
     require_aircraft_attitude,
     require_cabin_air,
 )

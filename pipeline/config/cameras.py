@@ -14,7 +14,7 @@ from pydantic import (
     model_validator,
 )
 
-from pipeline.flight.exposures import Mount
+from pipeline.flight.mount import Mount
 from pipeline.refraction import Cabin, Camera, LensInAir, Window
 from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere.air import vapour_pressure
-from pipeline.errors import MissionError
-from pipeline.flight.channels import Channel
+from pipeline.flight.channels import Array, Channel
+from pipeline.flight.events import Events
 from pipeline.flight.heights import HeightSystem, heights_at
+from pipeline.flight.mount import Mount
 from pipeline.flight.stations import (
     HEIGHT_REFERENCE_UNKNOWN,
     IN_GAP,
@@ -35,190 +36,7 @@ from pipeline.flight.trajectory import (
 from pipeline.geodesy import offset_geodetic
 from pipeline.ledger import Ledger
 
-Array = NDArray[np.float64]
-
-# A camera at rest in its mount looks down with the top of its image towards the nose: camera x is
-# the body's y (right), camera y the body's -x (aft), camera z the body's z (down).
-_CAMERA_FROM_REST = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 _NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-
-
-@dataclass(frozen=True, eq=False)
-class Events:
-    """Exposures of one camera: (m,) names and times (UTC, ns)."""
-
-    camera: str
-    image: NDArray[np.object_]
-    time_ns: NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Mount:
-    """How a camera sits in the aircraft; angles [rad], lever arm [m] in the body frame."""
-
-    roll_rad: float = 0.0
-    pitch_rad: float = 0.0
-    yaw_rad: float = 0.0
-    lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    @property
-    def camera_from_body(self) -> Array:
-        """(3, 3) rotation from the body (forward, right, down) to the camera.
-
-        >>> looks_forward = Mount(pitch_rad=1.5707963267948966)
-        >>> round(float((looks_forward.camera_from_body @ [1.0, 0.0, 0.0])[2]), 6)
-        1.0
-        """
-        turn = Rotation.from_euler("ZYX", [self.yaw_rad, self.pitch_rad, self.roll_rad])
-        return np.asarray(_CAMERA_FROM_REST @ turn.as_matrix().T)
-
-
-def events_of_channel(
-    channel: Channel, camera: str, pattern: str, delay_s: float, ledger: Ledger
-) -> Events:
-    """Exposures of an event channel, named by a pattern of ``{index}`` and ``{n}``.
-
-    Numbers that the log skips are pulses that were lost: they go into the ledger. ``{index}`` is
-    the number as the log has it, which may count modulo 65536.
-    """
-    index = channel["event_index"].astype(np.int64)
-    names = [pattern.format(index=int(i), n=n) for n, i in enumerate(index, start=1)]
-    if _report_skipped(channel, index, ledger) and "{n" in pattern:
-        raise MissionError(
-            "EVENTS-COUNTED",
-            "the log has lost events: images counted by {n} would get the stations of others",
-            where=f"events.log.{camera}, channel {channel.name}",
-            remedy="name the images by {index}, or give their times in events.csv",
-        )
-    time_ns = channel.time_ns + round(delay_s * 1e9)
-    return Events(camera, np.array(names, dtype=object), time_ns)
-
-
-def events_of_table(
-    image: NDArray[np.object_],
-    camera_of: NDArray[Any],
-    time_ns: NDArray[np.int64],
-    camera: str,
-    delay_s: float,
-) -> Events:
-    """Exposures of one camera from a table, with the offset of the table's clock taken out."""
-    mine = camera_of == camera
-    return Events(camera, image[mine], time_ns[mine] + round(delay_s * 1e9))
-
-
-# Counts of 16 bits run over; a count that goes on farther than this from zero is one begun anew.
-_COUNT_ROUND, _COUNT_NEAR = 1 << 16, 1 << 12
-
-
-def counted_on(index: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Image numbers that count on where a number of 16 bits ran over.
-
-    Parameters
-    ----------
-    index : (n,) in the order of their time, of one power-up.
-
-    >>> counted_on(np.array([65534, 65535, 1, 2]))
-    array([65534, 65535, 65537, 65538])
-    """
-    step = np.diff(index)
-    ran_over = (step < 0) & (step + _COUNT_ROUND < _COUNT_NEAR)
-    went_back = (step > 0) & (_COUNT_ROUND - step < _COUNT_NEAR)  # one of before, told late
-    rounds = np.cumsum(ran_over.astype(np.int64) - went_back)
-    return np.asarray(index + _COUNT_ROUND * np.append(0, rounds), np.int64)
-
-
-def _report_skipped(channel: Channel, index: NDArray[np.int64], ledger: Ledger) -> int:
-    """How many numbers of a power-up have no event between others; they go into the ledger."""
-    lost = 0
-    for boot in np.unique(channel.boot):
-        counted = counted_on(index[channel.boot == boot])
-        known = np.unique(counted)
-        gaps = np.diff(known) - 1
-        missing = int(gaps.sum())
-        if missing == 0:
-            continue
-        lost += missing
-        holes = zip(known[:-1][gaps > 0][:4].tolist(), gaps[gaps > 0][:4].tolist(), strict=True)
-        first = [
-            f"{_sent(low + 1)}" if gap == 1 else f"{_sent(low + 1)} to {_sent(low + gap)}"
-            for low, gap in holes
-        ]
-        more = " ..." if np.count_nonzero(gaps) > 4 else ""
-        ledger.loss(
-            "EVENTS-LOST",
-            f"{missing} numbers between {_sent(int(known[0]))} and {_sent(int(known[-1]))} have "
-            f"no event: {', '.join(first)}{more}",
-            where=channel.name if int(channel.boot[-1]) == 0 else f"{channel.name}, boot {boot}",
-            count=missing,
-        )
-    return lost
-
-
-def _sent(counted: int) -> int:
-    """A counted number as the log has it."""
-    return counted % _COUNT_ROUND if counted >= _COUNT_ROUND else counted
-
-
-def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Channel:
-    """The event channel of a camera: the one that was named, or the only one of the best rank."""
-    able = [c for c in channels if c.can_play("events")]
-    candidates = [c for c in able if c.name == name] if name else able
-    if candidates:
-        best = [c for c in candidates if c.rank == min(c.rank for c in candidates)]
-        if len(best) == 1:
-            return best[0]
-    there = ", ".join(f"{c.name} ({len(c)})" for c in able) or "no camera events at all"
-    what = f"the log has no event channel {name!r}" if name else "which events are this camera's?"
-    raise MissionError(
-        "EVENTS-CHANNEL",
-        f"{what}; the log has {there}",
-        where="events.log",
-        remedy="name one of them as channel, or give the times of the images in events.csv",
-    )
-
-
-def account_for_triggers(channels: tuple[Channel, ...], chosen: Channel, ledger: Ledger) -> None:
-    """Say how many triggers have no shutter event, and when the events are triggers themselves."""
-    triggers = [c for c in channels if c.source.message == "TRIG"]
-    if chosen.source.message in ("TRIG", "CAMERA_TRIGGER") or (
-        chosen.source.message == "CAM" and not triggers
-    ):
-        ledger.note(
-            "EVENTS-TRIGGER-TIME",
-            f"{chosen.name} has the times of the trigger commands, for want of a feedback pin: the "
-            "shutter opens later (70 to 160 ms were measured), which events.log.<camera>.delay_s "
-            "takes into account",
-            where=chosen.name,
-            count=len(chosen),
-        )
-    if chosen.source.message not in ("CAM", "CAMERA_FEEDBACK"):
-        return
-    own = [c for c in triggers if c.source.instance == chosen.source.instance]
-    for channel in own or triggers[:1]:
-        if len(channel) > len(chosen):
-            ledger.loss(
-                "EVENTS-LOST",
-                f"{len(channel)} triggers of {channel.name}, {len(chosen)} shutter events of "
-                f"{chosen.name}: {len(channel) - len(chosen)} pulses were lost, their images "
-                "have no station",
-                where=chosen.name,
-                count=len(channel) - len(chosen),
-            )
-
-
-def refuse_repeated_images(events: list[Events]) -> None:
-    """Refuse two exposures of one name: the observations could belong to either."""
-    names = np.concatenate([e.image for e in events]) if events else np.empty(0, object)
-    unique, count = np.unique(names.astype(str), return_counts=True)
-    if bool((count > 1).any()):
-        twice = unique[count > 1]
-        raise MissionError(
-            "EVENTS-REPEATED",
-            f"{twice.size} image names stand for more than one exposure, for example '{twice[0]}'",
-            where="events",
-            remedy="give each exposure a name of its own: a pattern for each camera, or one row "
-            "an image in events.csv",
-        )
 
 
 def build_stations(

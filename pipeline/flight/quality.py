@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import MissionError
-from pipeline.flight.channels import ROLE_COLUMNS, Channel
+from pipeline.flight.channels import ROLE_COLUMNS, Array, Channel
 from pipeline.flight.clock import STRAY_ROWS
 from pipeline.ledger import Ledger
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Rows = NDArray[np.intp]
 Apart = Callable[[Channel, Rows, Rows], Array]
@@ -109,15 +108,16 @@ def flagged(channel: Channel, ledger: Ledger) -> Channel:
         columns[column] = np.where(outside, np.nan, columns[column])
         wrong |= outside
     channel = replace(channel, columns=columns)
+    if "events" in channel.roles:
+        return channel
     roles = [role for role in _FLAGGED_AS if channel.can_play(role)]
-    if "events" not in channel.roles:
-        for role in [role for role in roles if not odd & {*ROLE_COLUMNS[role]}]:
-            jump = _jumps(channel, _known(channel, role), role, ledger)
-            for column in ROLE_COLUMNS[role] if jump.size else ():
-                columns[column] = columns[column].copy()
-                columns[column][jump] = np.nan
-            wrong[jump] = True
-    if not wrong.any() or not roles or "events" in channel.roles:
+    for role in [role for role in roles if not odd & {*ROLE_COLUMNS[role]}]:
+        jump = _jumps(channel, _known(channel, role), role, ledger)
+        for column in ROLE_COLUMNS[role] if jump.size else ():
+            columns[column] = columns[column].copy()
+            columns[column][jump] = np.nan
+        wrong[jump] = True
+    if not wrong.any() or not roles:
         return channel
     for role in roles:
         wrong &= ~_known(channel, role)
@@ -257,9 +257,7 @@ def _glitches(
     return np.asarray(rows[np.repeat(stray, length)], np.intp)
 
 
-def _unreached(
-    first: Rows, last: Rows, length: Rows, far: Callable[[Rows, Rows], Mask]
-) -> Mask:  # fmt: skip
+def _unreached(first: Rows, last: Rows, length: Rows, far: Callable[[Rows, Rows], Mask]) -> Mask:
     """Stretches that are not reached from the longest on, one believed stretch to the next.
 
     A long one is believed wherever it is: a sensor that is set anew, or the other side of a gap.
@@ -314,7 +312,7 @@ def _refuse_disguise(channel: Channel, role: str, column: str, median: float) ->
         )
 
 
-def subset(channel: Channel, keep: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> Channel:
+def subset(channel: Channel, keep: Mask) -> Channel:
     """The samples of a channel that a mask keeps."""
     return replace(
         channel,

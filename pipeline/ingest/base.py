@@ -108,14 +108,11 @@ class Log:
         for channel in self.channels:
             if channel.name == name:
                 return channel
-        names = [channel.name for channel in self.channels]
-        near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
-        meant = f"did you mean {', '.join(near)}? " if near else ""
         raise LogError(
             "LOG-NO-CHANNEL",
             f"no channel {name}",
             where=str(self.path),
-            remedy=f"{meant}this log has {', '.join(names)}",
+            remedy=_what_there_is(name, [channel.name for channel in self.channels]),
         )
 
     def to_pandas(self, name: str) -> Any:
@@ -138,13 +135,11 @@ class Log:
         in them. Raises LogError (LOG-NO-TYPE, LOG-NO-TABLE).
         """
         if name not in self.messages:
-            near = difflib.get_close_matches(name, list(self.messages), n=3, cutoff=0.5)
-            meant = f"did you mean {', '.join(near)}? " if near else ""
             raise LogError(
                 "LOG-NO-TYPE",
                 f"no message of type {name}",
                 where=str(self.path),
-                remedy=f"{meant}this log has {', '.join(sorted(self.messages))}",
+                remedy=_what_there_is(name, sorted(self.messages)),
             )
         columns = self.table(name, instance) if self.table else {}
         if not columns:
@@ -181,6 +176,13 @@ class Log:
             "time_base": self.time_base,
             "ledger": self.ledger.rows(),
         }
+
+
+def _what_there_is(name: str, names: list[str]) -> str:
+    """The names of a log, those before the others that are like one it does not have."""
+    near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+    meant = f"did you mean {', '.join(near)}? " if near else ""
+    return f"{meant}this log has {', '.join(names)}"
 
 
 def _flat(column: NDArray[Any]) -> Any:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.flight.boots import timeline
+from pipeline.flight.boots import Timeline, timeline
 from pipeline.ingest.base import Contents, Table, report_damage
 from pipeline.ingest.dataflash_channels import channels_of, wanted
 from pipeline.ingest.dataflash_columns import Decoded, decode, settled
@@ -33,23 +33,15 @@ class DataFlash:
         return head.startswith(FMT_START)
 
     def read(self, path: Path, ledger: Ledger) -> Contents:
+        needed = wanted()
         with window_on(path) as data:
-            walker = Walker(data, wanted())
+            walker = Walker(data, needed)
             line = timeline(stamps(data, walker))
             found = walker.found()
-            tables = decode(data, found, wanted())
+            tables = decode(data, found, needed)
         _report_damage(found, path, ledger)
-        tables = timed_only(tables, ledger)
-        clock = clock_of(line, tables, ledger)
-        return Contents(
-            counts_of(found),
-            channels_of(tables, clock, ledger),
-            found.bad_bytes,
-            0,  # records carry no sequence number
-            clock.line.boots,
-            clock.words,
-            partial(_table, path, clock),
-        )
+        again = partial(_decoded, path)
+        return contents_of(counts_of(found), found.bad_bytes, line, tables, again, ledger)
 
 
 DATAFLASH = DataFlash()
@@ -65,11 +57,46 @@ def read_tables(path: Path, names: Collection[str] | None = None) -> dict[str, T
 
     Returns the columns of each type, bit-equal with what pymavlink's DFReader gives.
     """
+    return {name: one.columns for name, one in _decoded(path, names).items()}
+
+
+def _decoded(path: Path, names: Collection[str] | None) -> dict[str, Decoded]:
+    """All fields of some types, or of every type."""
     with window_on(path) as data:
         found = walk(data, names)
         chosen = counts_of(found) if names is None else names
-        decoded = decode(data, found, dict.fromkeys(chosen, _every_field))
-    return {name: one.columns for name, one in decoded.items()}
+        return decode(data, found, dict.fromkeys(chosen, _every_field))
+
+
+def contents_of(
+    counts: Mapping[str, int],
+    bad_bytes: int,
+    line: Timeline,
+    tables: dict[str, Decoded],
+    again: Callable[[set[str]], dict[str, Decoded]],
+    ledger: Ledger,
+) -> Contents:
+    """What a log holds, binary or text.
+
+    Parameters
+    ----------
+    counts : of the messages of each type.
+    bad_bytes : that belong to no message.
+    line : the power-ups.
+    tables : the wanted fields of the wanted types; they are used up.
+    again : reads all fields of some types, when they are asked for.
+    """
+    timed = timed_only(tables, ledger)
+    clock = clock_of(line, timed, ledger)
+    return Contents(
+        counts,
+        channels_of(timed, clock, ledger),
+        bad_bytes,
+        0,  # neither records nor lines carry a sequence number
+        clock.line.boots,
+        clock.words,
+        partial(_table, again, clock),
+    )
 
 
 def counts_of(found: Walk) -> dict[str, int]:
@@ -99,10 +126,11 @@ def _every_field(_: str) -> bool:
     return True
 
 
-def _table(path: Path, clock: Clock, name: str, instance: str | None) -> Table:
+def _table(
+    again: Callable[[set[str]], dict[str, Decoded]], clock: Clock, name: str, instance: str | None
+) -> Table:
     """The messages of one type, for `Log.message`."""
-    with window_on(path) as data:
-        decoded = decode(data, walk(data, {name}), {name: _every_field})
+    decoded = again({name})
     return stamped(decoded[name], clock, instance) if name in decoded else {}
 
 

@@ -86,7 +86,7 @@ def _instances(
     if named is None and not spec.event:
         numbers = numbers[~_stray_instances(message, numbers, counts, ledger)]
     for which in numbers.tolist():
-        label = str(which) if named is not None else f"{which}" if which >= 0 else None
+        label = str(which) if named is not None or which >= 0 else None
         name = message if label is None else f"{message}[{label}]"
         rows = Rows(name, Source(message, label), time_ns, boot, values)
         chosen = (instance == which) & good

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.ingest.base import Table
-from pipeline.ingest.fields import MessageMap, column
+from pipeline.ingest.fields import ATTITUDE, GNSS, PRESSURE, MessageMap, column
 
 INSTANCE_FIELDS = ("I", "Instance", "Id", "C")
 
@@ -52,10 +52,6 @@ _SHOT = (
     *_EULER,
 )
 
-_GNSS = ("height", "position")
-_PRESSURE = ("pressure", "cabin_pressure")
-_ATTITUDE = ("attitude",)
-
 MESSAGES: Mapping[str, MessageMap] = {
     "POS": MessageMap(
         (*_PLACE, column("h_msl_m", "Alt"), column("h_home_m", "RelHomeAlt RelAlt")),
@@ -63,9 +59,9 @@ MESSAGES: Mapping[str, MessageMap] = {
         10,
         position=True,
     ),
-    "GPS": MessageMap(_GPS, _GNSS, 20, position=True, spare_rank=30),
-    "GPS2": MessageMap(_GPS, _GNSS, 30, position=True),
-    "ATT": MessageMap(_EULER, _ATTITUDE, 10, attitude=True),
+    "GPS": MessageMap(_GPS, GNSS, 20, position=True, spare_rank=30),
+    "GPS2": MessageMap(_GPS, GNSS, 30, position=True),
+    "ATT": MessageMap(_EULER, ATTITUDE, 10, attitude=True),
     # A second estimate: its place is 0, 0 until it has one.
     "AHR2": MessageMap(
         (
@@ -74,15 +70,15 @@ MESSAGES: Mapping[str, MessageMap] = {
             column("lon_rad", "Lng", "deg", missing=0.0),
             column("h_msl_m", "Alt"),
         ),
-        _ATTITUDE,
+        ATTITUDE,
         40,
         attitude=True,
     ),
-    "XKQ": MessageMap(_QUATERNION, _ATTITUDE, 50, attitude=True, spare_rank=51),
-    "XKQ1": MessageMap(_QUATERNION, _ATTITUDE, 50, attitude=True),
-    "NKQ1": MessageMap(_QUATERNION, _ATTITUDE, 50, attitude=True),
-    "XKF1": MessageMap(_EULER, _ATTITUDE, 60, attitude=True, spare_rank=61),
-    "NKF1": MessageMap(_EULER, _ATTITUDE, 60, attitude=True, spare_rank=61),
+    "XKQ": MessageMap(_QUATERNION, ATTITUDE, 50, attitude=True, spare_rank=51),
+    "XKQ1": MessageMap(_QUATERNION, ATTITUDE, 50, attitude=True),
+    "NKQ1": MessageMap(_QUATERNION, ATTITUDE, 50, attitude=True),
+    "XKF1": MessageMap(_EULER, ATTITUDE, 60, attitude=True, spare_rank=61),
+    "NKF1": MessageMap(_EULER, ATTITUDE, 60, attitude=True, spare_rank=61),
     # The gimbal: its roll and pitch are to the horizon, YawE is to north. It is the attitude of a
     # camera, not of the aircraft: it plays a role only when the user names it.
     "MNT": MessageMap(
@@ -95,9 +91,9 @@ MESSAGES: Mapping[str, MessageMap] = {
         rank=70,
         attitude=True,
     ),
-    "BARO": MessageMap(_BARO, _PRESSURE, 10, spare_rank=20),
-    "BAR2": MessageMap(_BARO, _PRESSURE, 20),
-    "BAR3": MessageMap(_BARO, _PRESSURE, 30),
+    "BARO": MessageMap(_BARO, PRESSURE, 10, spare_rank=20),
+    "BAR2": MessageMap(_BARO, PRESSURE, 20),
+    "BAR3": MessageMap(_BARO, PRESSURE, 30),
     "ARSP": MessageMap(
         (column("temperature_k", "Temp", "degC"), column("airspeed_m_s", "Airspeed")),
         ("temperature", "airspeed"),

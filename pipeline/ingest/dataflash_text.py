@@ -18,12 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.flight.boots import Stamps, timeline
-from pipeline.ingest.base import Contents, Table, report_damage
-from pipeline.ingest.dataflash import stamped, timed_only
-from pipeline.ingest.dataflash_channels import channels_of
+from pipeline.ingest.base import Contents, report_damage
+from pipeline.ingest.dataflash import contents_of
+from pipeline.ingest.dataflash_channels import wanted
 from pipeline.ingest.dataflash_columns import Decoded, merged
-from pipeline.ingest.dataflash_fields import MESSAGES
-from pipeline.ingest.dataflash_time import Clock, clock_of
 from pipeline.ingest.raw import microseconds
 from pipeline.ledger import Ledger
 
@@ -32,7 +30,6 @@ ROWS = 4096  # of one type that are made columns at once: as text they need 20 t
 _FIRST = re.compile(rb"FMT, ?\d+, ?\d+, ?\w+")
 _DECIMAL = "cCeELfdg"  # scaled and floating-point letters
 _TEXT = "nNZaM"  # arrays and flight modes are words in these logs
-_ALWAYS = {"GPA", "PARM", *MESSAGES}
 
 
 @dataclass(frozen=True)
@@ -48,20 +45,10 @@ class DataFlashText:
 
     def read(self, path: Path, ledger: Ledger) -> Contents:
         found = _Lines()
-        tables = found.read(path, _ALWAYS)
+        tables = found.read(path, set(wanted()))
         report_damage(ledger, path.name, "line", found.bad_bytes, found.first_bad, found.cut_bytes)
-        line = timeline(_stamps(found))
-        timed = timed_only(tables, ledger)
-        clock = clock_of(line, timed, ledger)
-        return Contents(
-            dict(found.counts),
-            channels_of(timed, clock, ledger),
-            found.bad_bytes,
-            0,  # lines carry no sequence number
-            clock.line.boots,
-            clock.words,
-            partial(_table, path, clock),
-        )
+        line, again = timeline(_stamps(found)), partial(_decoded, path)
+        return contents_of(dict(found.counts), found.bad_bytes, line, tables, again, ledger)
 
 
 DATAFLASH_TEXT = DataFlashText()
@@ -198,7 +185,6 @@ def _stamps(found: _Lines) -> Iterator[Stamps]:
         yield np.array(places, np.int64), microseconds(raw) * 1000
 
 
-def _table(path: Path, clock: Clock, name: str, instance: str | None) -> Table:
-    """The messages of one type, for `Log.message`."""
-    tables = _Lines().read(path, {name})
-    return stamped(tables[name], clock, instance) if name in tables else {}
+def _decoded(path: Path, names: set[str]) -> dict[str, Decoded]:
+    """All fields of some types."""
+    return _Lines().read(path, names)

@@ -28,6 +28,11 @@ UNITS: Mapping[str, tuple[float, float, float]] = {
     "c%": (1e4, 1.0, 0.0),
 }
 
+# The roles of a sensor, which plays those inside the cabin only where a mission file names it.
+GNSS, ATTITUDE = ("height", "position"), ("attitude",)
+PRESSURE = ("pressure", "cabin_pressure")
+TEMPERATURE, HUMIDITY = ("temperature", "cabin_temperature"), ("humidity", "cabin_humidity")
+
 
 @dataclass(frozen=True)
 class Column:

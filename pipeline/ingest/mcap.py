@@ -19,7 +19,7 @@ from pipeline.ingest.mcap_reader import Reader
 from pipeline.ingest.mcap_samples import STAMP, Samples, times_of
 from pipeline.ingest.mcap_time import clock_of, confirmed
 from pipeline.ingest.mcap_topics import Topic, by_clock, names_of
-from pipeline.ingest.mcap_values import joined
+from pipeline.ingest.mcap_values import stacked
 from pipeline.ledger import Ledger
 
 PLACE = "\0place"  # of a message in the log, while a table is put together
@@ -144,14 +144,7 @@ def _whole(tables: list[Table], reader: Reader, name: str) -> Table:
                 remedy="choose another topic of `unbend inspect`",
             )
         return {}
-    names = dict.fromkeys(key for table in tables for key in table)
-    counts = [table[PLACE].shape[0] for table in tables]
-    whole = {
-        key: joined([table.pop(key, count) for table, count in zip(tables, counts, strict=True)])
-        if len(tables) > 1
-        else tables[0][key]
-        for key in names
-    }
+    whole = stacked(tables, [table[PLACE].shape[0] for table in tables])
     places = whole.pop(PLACE)
     if bool(np.all(places[1:] > places[:-1])):
         return whole

@@ -15,7 +15,16 @@ from pipeline.flight.boots import LOWEST_FIX
 from pipeline.flight.channels import Array
 from pipeline.ingest import px4_fields
 from pipeline.ingest.cdr_schema import short
-from pipeline.ingest.fields import Column, MessageMap, column
+from pipeline.ingest.fields import (
+    ATTITUDE,
+    GNSS,
+    HUMIDITY,
+    PRESSURE,
+    TEMPERATURE,
+    Column,
+    MessageMap,
+    column,
+)
 from pipeline.ingest.frames import in_blocks, ned_frd_of_enu_flu
 from pipeline.ingest.gimbal import north_only
 from pipeline.ingest.px4_fields import TIMESTAMP, camera_quaternion
@@ -38,18 +47,16 @@ _COVARIANCE = (
     column("covariance_type", "position_covariance_type"),
     *(column(f"variance_{k}", f"position_covariance.{4 * k}") for k in range(3)),
 )
-_GNSS, _EVENTS, _ATTITUDE = ("height", "position"), ("events",), ("attitude",)
-_PRESSURE = ("pressure", "cabin_pressure")
-_TEMPERATURE, _HUMIDITY = ("temperature", "cabin_temperature"), ("humidity", "cabin_humidity")
+_EVENTS = ("events",)
 
 _FIX = MessageMap(
     (*_PLACE_DEG, column("h_ellipsoid_m", "altitude"), column("status", "status.status"),
      *_COVARIANCE),
-    _GNSS, 20, time_field=HEADER, position=True,
+    GNSS, 20, time_field=HEADER, position=True,
 )  # fmt: skip
 _POSE = MessageMap(
     (*_local("pose.position"), *_orientation("pose.orientation")),
-    _ATTITUDE, 40, time_field=HEADER, attitude=True,
+    ATTITUDE, 40, time_field=HEADER, attitude=True,
 )  # fmt: skip
 _IMAGE = MessageMap((), _EVENTS, 20, time_field=HEADER)
 
@@ -57,21 +64,21 @@ _ROS = {
     "sensor_msgs/NavSatFix": _FIX,
     "sensor_msgs/Imu": MessageMap(
         (*_orientation("orientation"), column("covariance_0", "orientation_covariance.0")),
-        _ATTITUDE, 20, time_field=HEADER, attitude=True,
+        ATTITUDE, 20, time_field=HEADER, attitude=True,
     ),
     "nav_msgs/Odometry": MessageMap(
         (*_local("pose.pose.position"), *_orientation("pose.pose.orientation")),
-        _ATTITUDE, 30, time_field=HEADER, attitude=True,
+        ATTITUDE, 30, time_field=HEADER, attitude=True,
     ),
     "geometry_msgs/PoseStamped": _POSE,
     "sensor_msgs/FluidPressure": MessageMap(
-        (column("pressure_pa", "fluid_pressure"),), _PRESSURE, 10, time_field=HEADER
+        (column("pressure_pa", "fluid_pressure"),), PRESSURE, 10, time_field=HEADER
     ),
     "sensor_msgs/Temperature": MessageMap(
-        (column("temperature_k", "temperature", "degC"),), _TEMPERATURE, 20, time_field=HEADER
+        (column("temperature_k", "temperature", "degC"),), TEMPERATURE, 20, time_field=HEADER
     ),
     "sensor_msgs/RelativeHumidity": MessageMap(
-        (column("relative_humidity", "relative_humidity"),), _HUMIDITY, 20, time_field=HEADER
+        (column("relative_humidity", "relative_humidity"),), HUMIDITY, 20, time_field=HEADER
     ),
     "sensor_msgs/Image": _IMAGE,
     "sensor_msgs/CompressedImage": _IMAGE,
@@ -103,7 +110,7 @@ _MAVROS = {
             column("sigma_v_m", "v_acc", "mm", missing=0.0),
             column("fix", "fix_type"),
         ),
-        _GNSS, 25, time_field=HEADER, position=True,
+        GNSS, 25, time_field=HEADER, position=True,
     ),
     "mavros_msgs/CameraImageCaptured": _CAPTURED,
     "mavros_msgs/CamIMUStamp": MessageMap(

@@ -97,12 +97,10 @@ _LAST_NS = np.uint64(2**63 - 1)  # log_time is unsigned in the file; times insid
 def messages_at(data: Bytes, starts: NDArray[np.int64]) -> Messages:
     """The messages whose records begin at these places."""
     size = _HEADER.itemsize
-    short = starts + size > data.shape[0]
-    lengths = np.zeros(starts.shape, np.int64)
-    head = gathered(data, starts[~short], size).view(_HEADER)
-    lengths[~short] = head["length"].astype(np.int64)
-    good = lengths[~short] >= MESSAGE.size
-    head, begin = head[good], starts[~short][good] + size
+    inside = starts[starts + size <= data.shape[0]]
+    head = gathered(data, inside, size).view(_HEADER)
+    good = head["length"].astype(np.int64) >= MESSAGE.size
+    head, begin = head[good], inside[good] + size
     return Messages(
         data,
         head["channel"].copy(),

@@ -15,6 +15,7 @@ from pipeline.flight.boots import Stamps, Told
 from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import UNIX_NS_FROM
 from pipeline.ingest.cdr_schema import SchemaError
+from pipeline.ingest.fields import MessageMap
 from pipeline.ingest.mcap_counts import Counts
 from pipeline.ingest.mcap_fields import PLAIN_JSON, SCHEMAS, known_name
 from pipeline.ingest.mcap_messages import CHANNEL, MAGIC, SCHEMA, Damage, Definition, Messages
@@ -145,8 +146,7 @@ class Reader:
         decoder = self.decoders.get(key)  # thousands of channels may share a schema
         if decoder is None:
             try:
-                wanted = None if self.only else paths_of(spec)
-                decoder = self._decoder(channel, schema, wanted)
+                decoder = self._decoder(channel, schema, name, spec)
             except _schema_errors() as error:
                 decoder = error
             if decoder is not None:
@@ -162,10 +162,8 @@ class Reader:
             topic = self.topics.setdefault((channel.topic, name), topic)
             self.topic_of[channel.id] = (topic, decoder)
 
-    def _decoder(self, channel: Any, schema: Any, wanted: frozenset[str] | None) -> Decoder | None:
-        encoding = channel.message_encoding
-        name = known_name(schema.name) if schema is not None else ""
-        spec = SCHEMAS.get(name, PLAIN_JSON)
+    def _decoder(self, channel: Any, schema: Any, name: str, spec: MessageMap) -> Decoder | None:
+        encoding, wanted = channel.message_encoding, None if self.only else paths_of(spec)
         if encoding == "json":
             return json_decoder(spec, wanted)
         if schema is None:

@@ -14,7 +14,16 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.mcap_chunks import Budget, Chunk, head_of, inflate, inflated, proven
+from pipeline.ingest.mcap_chunks import (
+    BLOCK,
+    COMPRESSIONS,
+    Budget,
+    Chunk,
+    head_of,
+    inflate,
+    inflated,
+    proven,
+)
 from pipeline.ingest.mcap_messages import (
     CHANNEL,
     CHUNK,
@@ -102,7 +111,7 @@ class _Walk:
         while start + RECORD.size < at:
             opcode, length = RECORD.unpack(self.data[start : start + RECORD.size])
             if opcode in (SCHEMA, CHANNEL) and length <= MAX_DEFINITION:
-                yield self._definition(opcode, start + RECORD.size, length)
+                yield self._read_definition(opcode, start + RECORD.size, length)
             start += RECORD.size + length
 
     def _checksum(self, begin: int, end: int) -> int:
@@ -111,8 +120,10 @@ class _Walk:
             crc = zlib.crc32(self.data[at : min(at + SPAN, end)], crc)
         return crc
 
-    def _definition(self, opcode: int, at: int, length: int) -> Definition:
-        content = self.data[at : at + length]
+    def _read_definition(self, opcode: int, at: int, length: int) -> Definition:
+        return self._definition(opcode, self.data[at : at + length], at)
+
+    def _definition(self, opcode: int, content: bytes, at: int) -> Definition:
         if opcode == CHANNEL:
             self.channels.add(int.from_bytes(content[:2], "little"))
         return Definition(opcode, content, at)
@@ -213,11 +224,11 @@ class _Walk:
             what = f"a definition of {length} bytes (opcode {opcode}) is skipped"
             self.damage.add("LOG-TOO-LARGE", what, at, length)
         else:
-            yield self._definition(opcode, content, length)
+            yield self._read_definition(opcode, content, length)
 
     def _chunk(self, at: int, content: int, length: int) -> Iterator[Definition | Messages]:
         chunk = head_of(self.data, content, length)
-        if chunk is None or chunk.compression not in ("", "lz4", "zstd"):
+        if chunk is None or chunk.compression not in COMPRESSIONS:
             what = "a chunk has no valid head"
             if chunk is not None:
                 what = f"a chunk is compressed with {chunk.compression!r}, which is not known"
@@ -257,7 +268,7 @@ class _Walk:
                     kept += RECORD.pack(opcode, keep) + stream.read(keep)
                     length -= keep
                 while length > 0:
-                    length -= len(stream.read(min(length, 1 << 18)))
+                    length -= len(stream.read(min(length, BLOCK)))
                 if len(kept) >= SPAN:
                     yield from self._inside(np.frombuffer(bytes(kept), np.uint8), at)
                     kept.clear()
@@ -288,10 +299,7 @@ class _Walk:
                 place = found
                 continue
             if length <= MAX_DEFINITION:
-                content = bytes(raw[place + RECORD.size : end])
-                if opcode == CHANNEL:
-                    self.channels.add(int.from_bytes(content[:2], "little"))
-                yield Definition(opcode, content, at)
+                yield self._definition(opcode, bytes(raw[place + RECORD.size : end]), at)
             place = end
         if len(starts) > 1:
             yield from self._collect(view, np.concatenate(starts))

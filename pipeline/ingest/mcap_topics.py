@@ -18,7 +18,7 @@ from pipeline.ingest.mcap_fields import LABELS, PLAIN_JSON
 from pipeline.ingest.mcap_messages import Messages
 from pipeline.ingest.mcap_samples import STAMP, Samples, own_times, since_boot
 from pipeline.ingest.mcap_time import stamp_of
-from pipeline.ingest.mcap_values import column_of, joined, number
+from pipeline.ingest.mcap_values import column_of, number, stacked
 from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, UTC_FIELD
 
 Columns = dict[str, NDArray[Any]]
@@ -58,10 +58,7 @@ class Part:
         """Parts of one clock put together; they are handed over."""
         if len(parts) == 1:
             return parts[0]
-        columns = {
-            name: joined([part.columns.pop(name, len(part.places)) for part in parts])
-            for name in dict.fromkeys(name for part in parts for name in part.columns)
-        }
+        columns = stacked([part.columns for part in parts], [len(part.places) for part in parts])
         stamp_ns = np.concatenate([part.stamp_ns for part in parts])
         log_ns = np.concatenate([part.log_ns for part in parts])
         places = np.concatenate([part.places for part in parts])

@@ -63,6 +63,17 @@ def _exact(value: Any) -> bool:
     return abs(value) < _WORD and int(float(value)) == value
 
 
+def stacked(
+    tables: Sequence[dict[str, NDArray[Any]]], counts: Sequence[int]
+) -> dict[str, NDArray[Any]]:
+    """Tables of so many rows end to end, each column as `joined`; they are used up."""
+    if len(tables) == 1:
+        return tables[0]
+    names = dict.fromkeys(name for table in tables for name in table)
+    pairs = list(zip(tables, counts, strict=True))
+    return {name: joined([table.pop(name, count) for table, count in pairs]) for name in names}
+
+
 def joined(pieces: Sequence[NDArray[Any] | int]) -> NDArray[Any]:
     """Pieces of a column end to end; an integer stands for so many messages without it.
 

@@ -14,7 +14,16 @@ import numpy as np
 
 from pipeline.flight.channels import Array
 from pipeline.ingest.build import Rows
-from pipeline.ingest.fields import Column, MessageMap, column
+from pipeline.ingest.fields import (
+    ATTITUDE,
+    GNSS,
+    HUMIDITY,
+    PRESSURE,
+    TEMPERATURE,
+    Column,
+    MessageMap,
+    column,
+)
 from pipeline.ingest.gimbal import device_columns
 from pipeline.ledger import Ledger
 
@@ -25,8 +34,6 @@ UTC_FIELD = "time_utc_usec"
 CAPTURE_UTC_FIELD = "timestamp_utc"
 """Unix time [us] of an exposure by the autopilot's own clock, which it sets now and then."""
 
-_GNSS, _PRESSURE = ("height", "position"), ("pressure", "cabin_pressure")
-_TEMPERATURE, _HUMIDITY = ("temperature", "cabin_temperature"), ("humidity", "cabin_humidity")
 _FAILED = 0.0  # of ``result``: 1 is success, -1 a camera that does not answer (CameraCapture.msg)
 
 
@@ -51,7 +58,7 @@ _RECEIVER = MessageMap(
         column("sigma_v_m", "epv"),
         column("fix", "fix_type"),
     ),
-    _GNSS, 20, time_field=TIMESTAMP, position=True,
+    GNSS, 20, time_field=TIMESTAMP, position=True,
 )  # fmt: skip
 _SHOT = MessageMap(
     (
@@ -81,18 +88,18 @@ MESSAGES: Mapping[str, MessageMap] = {
     ),
     "VehicleAttitude": MessageMap(
         tuple(column(f"q_{axis}", f"q.{k}") for k, axis in enumerate("wxyz")),
-        ("attitude",), 10, time_field=TIMESTAMP, attitude=True,
+        ATTITUDE, 10, time_field=TIMESTAMP, attitude=True,
     ),
     "VehicleAirData": MessageMap(
         (
             column("pressure_pa", "baro_pressure_pa"),
             column("board_temperature_k", "baro_temp_celcius ambient_temperature", "degC"),
         ),
-        _PRESSURE, 10, time_field=TIMESTAMP,
+        PRESSURE, 10, time_field=TIMESTAMP,
     ),
     "SensorBaro": MessageMap(
         (column("pressure_pa", "pressure"), column("board_temperature_k", "temperature", "degC")),
-        _PRESSURE, 20, time_field=TIMESTAMP,
+        PRESSURE, 20, time_field=TIMESTAMP,
     ),
     "Airspeed": MessageMap(
         (
@@ -106,7 +113,7 @@ MESSAGES: Mapping[str, MessageMap] = {
             column("temperature_k", "temperature", "degC"),
             column("relative_humidity", "humidity", "%"),
         ),
-        (*_TEMPERATURE, *_HUMIDITY), 20, time_field=TIMESTAMP,
+        (*TEMPERATURE, *HUMIDITY), 20, time_field=TIMESTAMP,
     ),
     "CameraCapture": _SHOT,
     "CameraTrigger": replace(_SHOT, rank=30),

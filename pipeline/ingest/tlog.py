@@ -15,19 +15,19 @@ from pipeline.flight.channels import Channel
 from pipeline.flight.clock import stray_times
 from pipeline.ingest.base import Contents, Table, report_damage
 from pipeline.ingest.tlog_borrowed import borrowed
-from pipeline.ingest.tlog_channels import by_source, channels_of, label_of, times_of
-from pipeline.ingest.tlog_clock import Clocks, Key, clocks_of
+from pipeline.ingest.tlog_channels import channels_of, label_of, times_of
+from pipeline.ingest.tlog_clock import Clocks, clock_field, clocks_of
 from pipeline.ingest.tlog_dialect import Dialect, Message, dialect
 from pipeline.ingest.tlog_fields import MESSAGES, wanted_fields
 from pipeline.ingest.tlog_frames import frame_length
-from pipeline.ingest.tlog_samples import MICROSECOND
+from pipeline.ingest.tlog_samples import MICROSECOND, Key, by_source
 from pipeline.ingest.tlog_scan import SILENT_US, Scan, Silence, scan
 from pipeline.ingest.window import window_on
 from pipeline.ledger import Ledger
 
-# When an exposure was asked for, not when it was sent, is the time in it.
 SILENT_NS = SILENT_US * MICROSECOND
 _CARRIED = {key.partition(".")[0] for key in MESSAGES}
+# When an exposure was asked for, not when it was sent, is the time in it.
 _LATE = {key for key, spec in MESSAGES.items() if spec.event}
 
 
@@ -193,7 +193,7 @@ def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table
 
 def _columns_of(rows: NDArray[Any], message: Message, clocks: Clocks) -> Table:
     time_ns, boot = np.empty(len(rows), np.int64), np.empty(len(rows), np.int16)
-    field = next((name for name in ("time_boot_ms", "time_usec") if name in message.fields), "")
+    field = clock_field(message.fields)
     for source, mine in by_source(rows):
         time_ns[mine], boot[mine] = times_of(rows[mine], field, clocks, source)
     table: Table = {

@@ -17,8 +17,8 @@ from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import UNIX_US_FROM
 from pipeline.ingest.raw import microseconds
 from pipeline.ingest.store import Store
-from pipeline.ingest.tlog_clock import EARLIEST_NS, LATEST_NS, ROUND_MS, ROUND_US, Clocks, Key
-from pipeline.ingest.tlog_samples import MICROSECOND, MILLISECOND, Readings
+from pipeline.ingest.tlog_clock import CLOCK_FIELDS, EARLIEST_NS, LATEST_NS, Clocks, clock_field
+from pipeline.ingest.tlog_samples import MICROSECOND, Key, Readings, by_source
 from pipeline.ledger import Ledger
 
 OWN_UTC = "time_utc"
@@ -36,14 +36,12 @@ def borrowed(clocks: Clocks, sent: Sequence[Store], ledger: Ledger) -> Clocks:
     late: dict[Key, list[tuple[Readings, int]]] = {}
     for store in sent:
         names = store.dtype["records"].names or ()
-        field = next((name for name in ("time_boot_ms", "time_usec") if name in names), "")
+        field = clock_field(names)
         for block in store.blocks() if field else ():
-            for number in np.unique(block["source"]).tolist():
-                source = divmod(number, 256)
+            for source, mine in by_source(block):
                 if source not in clocks.senders or OWN_UTC in names:
-                    rows = block[block["source"] == number]
-                    turn = ROUND_MS if field == "time_boot_ms" else ROUND_US
-                    late.setdefault(source, []).append((_readings(rows, field), turn))
+                    part = _readings(block[mine], field), CLOCK_FIELDS[field][1]
+                    late.setdefault(source, []).append(part)
     for source, parts in sorted(late.items()):
         clocks = _judged(clocks, source, parts, ledger)
     return clocks
@@ -51,8 +49,7 @@ def borrowed(clocks: Clocks, sent: Sequence[Store], ledger: Ledger) -> Clocks:
 
 def _readings(rows: NDArray[Any], field: str) -> Readings:
     raw = microseconds(rows["records"][field])
-    unit = MILLISECOND if field == "time_boot_ms" else MICROSECOND
-    boot_ns = np.where(raw < UNIX_US_FROM, raw * unit, 0)
+    boot_ns = np.where(raw < UNIX_US_FROM, raw * CLOCK_FIELDS[field][0], 0)
     utc_us = unix_us(rows["records"])
     return Readings(
         rows["at"], rows["source"], rows["host_us"] * MICROSECOND, boot_ns, utc_us * MICROSECOND

@@ -19,10 +19,10 @@ from pipeline.ingest.heights import HEIGHT_OPTION, says_ellipsoid, with_ellipsoi
 from pipeline.ingest.raw import microseconds
 from pipeline.ingest.store import Store
 from pipeline.ingest.tlog_borrowed import unix_us
-from pipeline.ingest.tlog_clock import ROUND_MS, ROUND_US, Clocks, Key
+from pipeline.ingest.tlog_clock import CLOCK_FIELDS, Clocks
 from pipeline.ingest.tlog_events import distinct, taken
 from pipeline.ingest.tlog_fields import LABELS, MESSAGES, PARAM_VALUE
-from pipeline.ingest.tlog_samples import MICROSECOND, MILLISECOND
+from pipeline.ingest.tlog_samples import MICROSECOND, Key, by_source
 from pipeline.ledger import Ledger
 
 Group = tuple[int, Any]
@@ -143,14 +143,6 @@ def _split(rows: NDArray[Any], field: str) -> Iterator[tuple[Group, NDArray[Any]
             yield (number, value.item()), part[part["records"][field] == value]
 
 
-def by_source(rows: NDArray[Any]) -> Iterator[tuple[Key, NDArray[np.bool_] | slice]]:
-    """The senders of messages, and which are theirs."""
-    sources = np.unique(rows["source"])
-    for number in sources.tolist():
-        mine = slice(None) if sources.shape[0] == 1 else rows["source"] == number
-        yield divmod(number, 256), mine
-
-
 def _fields(records: NDArray[Any]) -> dict[str, NDArray[Any]]:
     """The fields by name; those of an array also one by one, as ``q.0``."""
     fields = {}
@@ -174,7 +166,7 @@ def times_of(
     at, host_ns = rows["at"], rows["host_us"] * MICROSECOND
     if not field:
         return clocks.utc_of_host(source, at, host_ns), clocks.boot(source, at)
-    unit, turn = (MILLISECOND, ROUND_MS) if field == "time_boot_ms" else (MICROSECOND, ROUND_US)
+    unit, turn = CLOCK_FIELDS[field]
     stamp = microseconds(rows["records"][field])
     since_boot = stamp * unit
     placed = clocks.placed(source, at, since_boot)

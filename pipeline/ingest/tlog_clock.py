@@ -7,7 +7,7 @@ only to place messages without a time of their own among those that have one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,14 +16,19 @@ from numpy.typing import NDArray
 from pipeline.flight.boots import BootClock, Told, fit_boots, timeline
 from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import along, stray_times
-from pipeline.ingest.tlog_samples import MICROSECOND, MILLISECOND, Readings
+from pipeline.ingest.tlog_samples import MICROSECOND, MILLISECOND, Key, Readings
 from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND
 
-Key = tuple[int, int]
-
 ROUND_MS = (1 << 32) * MILLISECOND  # 49.7 days: a 32-bit count of milliseconds runs over
 ROUND_US = (1 << 32) * MICROSECOND  # 71.6 minutes: one of microseconds
+
+CLOCK_FIELDS: Mapping[str, tuple[int, int]] = {
+    "time_boot_ms": (MILLISECOND, ROUND_MS),
+    "time_usec": (MICROSECOND, ROUND_US),
+}
+"""Fields with a time since boot: their unit [ns], and after what time [ns] they begin again."""
+
 # How far a stamp that ran over may lie from where the sender's clock is: exposures are reported up
 # to some seconds late, and a minute is a seventieth of the shorter round.
 NEAR_NS = 60 * NANOSECONDS_PER_SECOND
@@ -140,6 +145,11 @@ class Clocks:
         lender = self._of(source)
         sender = _fit(mine, lender, source, ledger)
         return replace(self, senders={**self.senders, source: sender})
+
+
+def clock_field(names: Container[str]) -> str:
+    """The field of a message that has its time, or ""."""
+    return next((name for name in CLOCK_FIELDS if name in names), "")
 
 
 def unrolled(stamp_ns: TimeArray, near_ns: TimeArray, turn: int) -> TimeArray:

@@ -7,12 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pipeline.ingest.fields import MessageMap, column
+from pipeline.ingest.fields import ATTITUDE, GNSS, PRESSURE, MessageMap, column
 from pipeline.ingest.gimbal import device_columns
 
 INT16_MAX, UINT16_MAX = 32767.0, 65535.0
 
 _PLACE = (column("lat_rad", "lat", "degE7"), column("lon_rad", "lon lng", "degE7"))
+_ABOVE_HOME = (
+    *_PLACE,
+    column("h_msl_m", "alt", "mm"),
+    column("h_home_m", "relative_alt", "mm"),
+)
 _EULER = tuple(column(f"{angle}_rad", angle) for angle in ("roll", "pitch", "yaw"))
 _EULER_DEG = tuple(column(f"{angle}_rad", angle, "deg") for angle in ("roll", "pitch", "yaw"))
 
@@ -31,9 +36,6 @@ _BARO = (
 )
 _DIFFERENTIAL = (column("temperature_k", "temperature_press_diff", "cdegC", missing=0.0),)
 
-_GNSS = ("height", "position")
-_PRESSURE = ("pressure", "cabin_pressure")
-_ATTITUDE = ("attitude",)
 _BOOT_MS, _USEC = "time_boot_ms", "time_usec"
 
 _NAMED = MessageMap((column("value", "value"),), id_field="name", time_field=_BOOT_MS)
@@ -41,21 +43,21 @@ _PITOT = MessageMap(_DIFFERENTIAL, ("temperature",), 40, time_field=_BOOT_MS)
 
 
 def _baro(rank: int) -> MessageMap:
-    return MessageMap(_BARO, _PRESSURE, rank, time_field=_BOOT_MS)
+    return MessageMap(_BARO, PRESSURE, rank, time_field=_BOOT_MS)
 
 
 MESSAGES: Mapping[str, MessageMap] = {
     "GLOBAL_POSITION_INT": MessageMap(
-        (*_PLACE, column("h_msl_m", "alt", "mm"), column("h_home_m", "relative_alt", "mm")),
+        _ABOVE_HOME,
         ("position",),
         10,
         time_field=_BOOT_MS,
         position=True,
     ),
-    "GPS_RAW_INT": MessageMap(_GPS, _GNSS, 20, time_field=_USEC, position=True),
-    "GPS2_RAW": MessageMap(_GPS, _GNSS, 30, time_field=_USEC, position=True),
+    "GPS_RAW_INT": MessageMap(_GPS, GNSS, 20, time_field=_USEC, position=True),
+    "GPS2_RAW": MessageMap(_GPS, GNSS, 30, time_field=_USEC, position=True),
     "GLOBAL_POSITION_INT_COV": MessageMap(
-        (*_PLACE, column("h_msl_m", "alt", "mm"), column("h_home_m", "relative_alt", "mm")),
+        _ABOVE_HOME,
         ("position",),
         15,
         time_field=_USEC,
@@ -66,10 +68,10 @@ MESSAGES: Mapping[str, MessageMap] = {
         (column("h_msl_m", "altitude_amsl"), column("h_home_m", "altitude_relative")),
         time_field=_USEC,
     ),
-    "ATTITUDE": MessageMap(_EULER, _ATTITUDE, 10, time_field=_BOOT_MS, attitude=True),
+    "ATTITUDE": MessageMap(_EULER, ATTITUDE, 10, time_field=_BOOT_MS, attitude=True),
     "ATTITUDE_QUATERNION": MessageMap(
         tuple(column(f"q_{axis}", f"q{k}") for k, axis in enumerate("wxyz", 1)),
-        _ATTITUDE,
+        ATTITUDE,
         20,
         time_field=_BOOT_MS,
         attitude=True,
@@ -82,7 +84,7 @@ MESSAGES: Mapping[str, MessageMap] = {
             column("lon_rad", "lng", "degE7", missing=0.0),
             column("h_msl_m", "altitude"),
         ),
-        _ATTITUDE,
+        ATTITUDE,
         40,
         attitude=True,
     ),
@@ -97,7 +99,7 @@ MESSAGES: Mapping[str, MessageMap] = {
             column("pressure_pa", "abs_pressure", "hPa", missing=0.0),
             column("board_temperature_k", "temperature", "degC"),
         ),
-        _PRESSURE,
+        PRESSURE,
         15,
         id_field="id",
         time_field=_USEC,
@@ -163,9 +165,7 @@ MESSAGES: Mapping[str, MessageMap] = {
     ),
     "CAMERA_IMAGE_CAPTURED": MessageMap(
         (
-            *_PLACE,
-            column("h_msl_m", "alt", "mm"),
-            column("h_home_m", "relative_alt", "mm"),
+            *_ABOVE_HOME,
             column("event_index", "image_index"),
             *(column(f"camera_q_{axis}", f"q.{k}") for k, axis in enumerate("wxyz")),
         ),

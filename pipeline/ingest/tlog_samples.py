@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +21,9 @@ MILLISECOND, MICROSECOND = 1_000_000, 1_000  # [ns]
 SAMPLE_MS = 50
 DELAY_US = 10_000
 STEADY_MS = 1000
+
+Key = tuple[int, int]
+"""A sender: system and component."""
 
 _READING = np.dtype(
     [("at", "i8"), ("host_us", "i8"), ("source", "u2"), ("boot_ms", "u4"), ("unix_us", "u8")]
@@ -90,6 +93,14 @@ def _telling(rows: NDArray[np.void]) -> NDArray[np.void]:
 def _changes(column: NDArray[Any]) -> NDArray[np.bool_]:
     """Where a value is not that of the row before."""
     return np.append(True, column[1:] != column[:-1])
+
+
+def by_source(rows: NDArray[Any]) -> Iterator[tuple[Key, NDArray[np.bool_] | slice]]:
+    """The senders of messages, and which are theirs."""
+    sources = np.unique(rows["source"])
+    for number in sources.tolist():
+        mine = slice(None) if sources.shape[0] == 1 else rows["source"] == number
+        yield divmod(number, 256), mine
 
 
 @dataclass(frozen=True)

@@ -29,14 +29,12 @@ from pipeline.ingest.tlog_frames import (
     joined,
     payloads,
 )
-from pipeline.ingest.tlog_samples import Sampler
+from pipeline.ingest.tlog_samples import Key, Sampler
 from pipeline.ingest.window import Bytes, Window
 
 STRETCH = 2 << 20  # [bytes] scanned at once: the tables of its frames fit the cache
 STEADY_US = 1_000_000
 SILENT_US = 3_000_000  # every component sends a HEARTBEAT each second: three in a row are missing
-
-Key = tuple[int, int]
 
 
 @dataclass(frozen=True)

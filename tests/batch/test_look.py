@@ -15,8 +15,10 @@ from pipeline.atmosphere import standard_atmosphere
 from pipeline.batch.look import exposures_of, tell_of_lenses, tell_of_windows
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel, Source
-from pipeline.flight.exposures import Events, Mount, build_stations, require_aircraft_attitude
+from pipeline.flight.events import Events
+from pipeline.flight.exposures import build_stations, require_aircraft_attitude
 from pipeline.flight.heights import HeightSystem
+from pipeline.flight.mount import Mount
 from pipeline.flight.stations import Stations, join_stations
 from pipeline.ledger import Kind, Ledger
 from pipeline.refraction.lens import LensInAir

@@ -11,18 +11,17 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel, Source
-from pipeline.flight.exposures import (
+from pipeline.flight.events import (
     Events,
-    Mount,
     account_for_triggers,
-    build_stations,
     choose_event_channel,
     events_of_channel,
     refuse_repeated_images,
-    require_cabin_air,
 )
+from pipeline.flight.exposures import build_stations, require_cabin_air
 from pipeline.flight.heights import HeightSystem, ground_offsets, height_system
 from pipeline.flight.local import Origin, locate
+from pipeline.flight.mount import Mount
 from pipeline.flight.stations import name_the_unmatched, report_flagged
 from pipeline.ledger import Ledger
 
