@@ -26,6 +26,7 @@ from pipeline.flight.clock import (
 from pipeline.ledger import Ledger
 
 LOWEST_FIX = 3  # 3D; both GPS_FIX_TYPE of MAVLink and GPS.Status of ArduPilot
+_BLOCK = 65_536  # rows
 
 Places = NDArray[np.int64]
 Stamps = tuple[Places, TimeArray]
@@ -278,7 +279,11 @@ def _steady(offset_ns: TimeArray) -> TimeArray:
         return offset_ns
     padded = np.pad(offset_ns, half, mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
-    return np.asarray(np.partition(windows, half, axis=1)[:, half], np.int64)
+    steady = np.empty_like(offset_ns)
+    for begin in range(0, offset_ns.shape[0], _BLOCK):  # as a whole, it would be the peak of memory
+        block = slice(begin, begin + _BLOCK)
+        steady[block] = np.partition(windows[block], half, axis=1)[:, half]
+    return steady
 
 
 def _of_boot(line: Timeline, number: int, one: Told) -> Offset | None:

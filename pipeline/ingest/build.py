@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from pipeline.flight.clock import fresh, untangled
 from pipeline.ingest.base import utc_text
 from pipeline.ingest.fields import MessageMap
 from pipeline.ingest.frames import in_blocks, positive_scalar, quaternion_of_euler
+from pipeline.ingest.memory import room
 from pipeline.ledger import Entry, Kind, Ledger
 
 
@@ -33,17 +35,22 @@ class Rows:
 
     def take(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Rows:
         """The rows of a mask or an index."""
+        kept = np.asarray(np.flatnonzero(rows) if rows.dtype == np.bool_ else rows, np.intp)
         return Rows(
             self.name,
             self.source,
-            self.time_ns[rows],
-            self.boot[rows],
-            {name: column[rows] for name, column in self.columns.items()},
+            _taken(self.time_ns, kept),
+            _taken(self.boot, kept),
+            {name: _taken(column, kept) for name, column in self.columns.items()},
             {
                 name: tuple(np.asarray(label, object)[rows].tolist())
                 for name, label in self.labels.items()
             },
         )
+
+
+def _taken(column: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
+    return np.take(column, rows, out=room(rows.shape[0], column.dtype), mode="clip")
 
 
 def channel_of(rows: Rows, spec: MessageMap, ledger: Ledger) -> Channel | None:
@@ -150,7 +157,7 @@ def _attitude(columns: dict[str, Array]) -> dict[str, Array]:
     """Euler angles or any quaternion -> unit quaternions, in the memory of the columns."""
     if "roll_rad" in columns:
         parts = [columns.pop(f"{name}_rad") for name in ("roll", "pitch", "yaw")]
-        parts.append(np.empty(parts[0].shape))
+        parts.append(room(parts[0].shape[0], np.float64))
         in_blocks(_of_euler, parts)
     else:
         parts = [columns.pop(f"q_{axis}") for axis in "wxyz"]

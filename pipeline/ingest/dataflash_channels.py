@@ -28,6 +28,7 @@ from pipeline.ingest.heights import (
     with_ellipsoidal_heights,
     with_undulation,
 )
+from pipeline.ingest.memory import moved
 from pipeline.ingest.raw import microseconds
 from pipeline.ledger import Ledger
 
@@ -72,14 +73,15 @@ def _instances(
         return
     decoded = tables.pop(message)
     table, columns = decoded.columns, spec.columns
-    time_ns, boot = clock.utc(table, decoded.places), clock.line.boot_of(decoded.places)
+    time_ns = moved(clock.utc(table, decoded.places))
+    boot = moved(clock.line.boot_of(decoded.places))
     good = clock.line.good(decoded.places)
     if message == "GPS" and ACCURACY_MESSAGE in tables:
         table = _joined(decoded, tables.pop(ACCURACY_MESSAGE))
         columns += ACCURACY
     named = table.get(spec.id_field)
     instance = instance_of(table) if named is None else named
-    values = extract(table, columns)
+    values = extract(table, columns, moved)
     del decoded, table
     _report_absent(message, spec, values, instance.shape[0], ledger)
     numbers, counts = np.unique(instance, return_counts=True)

@@ -13,6 +13,7 @@ from pipeline.ingest.base import Table
 from pipeline.ingest.dataflash_fields import INSTANCE_FIELDS
 from pipeline.ingest.dataflash_formats import Definition, texts
 from pipeline.ingest.dataflash_records import Walk, records
+from pipeline.ingest.memory import room
 from pipeline.ingest.window import Window
 from pipeline.ledger import Ledger
 
@@ -70,12 +71,12 @@ class _Filling:
     def __init__(self, form: Definition, count: int, wanted: Callable[[str], bool]) -> None:
         self.form = form
         self.filled = 0
-        self.places = np.empty(count, np.int64)
+        self.places = room(count, np.int64)
         self.columns: Table = {}
         for name in form.fields:
             if wanted(name):
                 kind = np.dtype(np.float64) if name in form.divisors else form.dtype[name]
-                self.columns[name] = np.empty((count, *kind.shape), kind.base)
+                self.columns[name] = room(count, (kind.base, kind.shape))
 
     def add(self, rows: NDArray[Any], places: NDArray[np.int64]) -> None:
         begin, end = self.filled, self.filled + rows.shape[0]

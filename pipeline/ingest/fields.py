@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -112,11 +112,15 @@ def to_si(raw: NDArray[Any], spec: Column) -> Array:
     return value
 
 
-def extract(table: Mapping[str, NDArray[Any]], columns: tuple[Column, ...]) -> dict[str, Array]:
-    """The columns of a field map that a decoded message has."""
+def extract(
+    table: Mapping[str, NDArray[Any]],
+    columns: tuple[Column, ...],
+    kept: Callable[[Array], Array] = np.asarray,
+) -> dict[str, Array]:
+    """The columns of a field map that a decoded message has, each as it is to be ``kept``."""
     result: dict[str, Array] = {}
     for spec in columns:
         field = next((name for name in spec.fields if name in table), None)
         if field is not None:
-            result[spec.name] = to_si(table[field], spec)
+            result[spec.name] = kept(to_si(table[field], spec))
     return result

@@ -11,6 +11,7 @@ from pipeline.ingest.base import Contents, Log, LogFormat, hash_file
 from pipeline.ingest.dataflash import DATAFLASH
 from pipeline.ingest.dataflash_text import DATAFLASH_TEXT
 from pipeline.ingest.mcap import MCAP
+from pipeline.ingest.memory import let_go
 from pipeline.ingest.tlog import TLOG
 from pipeline.ingest.ulog import ULOG
 from pipeline.ledger import Ledger
@@ -76,7 +77,10 @@ def _read(path: Path, sha256: str | None, needs_channels: bool) -> Log:
         sha256 = sha256 or hash_file(path)
     ledger = Ledger()
     contents = form.read(path, ledger)
-    channels = (flagged(channel, ledger) for channel in contents.channels)
+    channels = []
+    for channel in contents.channels:
+        channels.append(flagged(channel, ledger))
+        let_go()
     contents = replace(contents, channels=tuple(one for one in channels if len(one)))
     _refuse_useless(path, form, contents, ledger, needs_channels)
     return Log(

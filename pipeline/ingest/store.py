@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import mmap
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from pipeline.ingest.memory import room
+
 SMALLEST, BLOCK = 4096, 1 << 20  # [bytes] of the first block, and of the largest
 
 
 class Store:
-    """Rows of one type in blocks that go back to the system when they are let go.
-
-    The blocks are anonymous maps: freed pieces of the heap between others that are still in use
-    fit no column of a long log, and a process would keep about as much again as it needs.
-    """
+    """Rows of one type in blocks that go back to the system when they are let go."""
 
     def __init__(self, dtype: DTypeLike) -> None:
         self.dtype = np.dtype(dtype)
@@ -35,9 +32,7 @@ class Store:
             if not self._room:
                 size = min(max(self._length * self.dtype.itemsize, SMALLEST), BLOCK)
                 self._room = max(size // self.dtype.itemsize, 1)
-                size = self._room * self.dtype.itemsize
-                memory = mmap.mmap(-1, size, access=mmap.ACCESS_COPY)  # private
-                self._blocks.append(np.frombuffer(memory, self.dtype))
+                self._blocks.append(room(self._room, self.dtype))
             count = min(self._room, rows.shape[0] - done)
             first = self._blocks[-1].shape[0] - self._room
             self._blocks[-1][first : first + count] = rows[done : done + count]
@@ -66,7 +61,7 @@ class Store:
         >>> store.whole(), len(store)
         (array([0, 1, 2]), 0)
         """
-        result, done = np.empty(self._length, self.dtype), 0
+        result, done = room(self._length, self.dtype), 0
         for block in self.drained():
             result[done : done + block.shape[0]] = block
             done += block.shape[0]

@@ -16,6 +16,7 @@ from pipeline.ingest.build import Rows, channel_of
 from pipeline.ingest.fields import MessageMap, extract
 from pipeline.ingest.gimbal import north_only
 from pipeline.ingest.heights import HEIGHT_OPTION, says_ellipsoid, with_ellipsoidal_heights
+from pipeline.ingest.memory import room
 from pipeline.ingest.raw import microseconds
 from pipeline.ingest.store import Store
 from pipeline.ingest.tlog_borrowed import unix_us
@@ -75,8 +76,8 @@ class _Series:
     sent: list[NDArray[Any]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.time_ns = np.empty(self.count, np.int64)
-        self.boot = np.empty(self.count, np.int16)
+        self.time_ns = room(self.count, np.int64)
+        self.boot = room(self.count, np.int16)
 
     def add(self, rows: NDArray[Any], clocks: Clocks) -> None:
         """The next messages; a column takes memory when it has its first value."""
@@ -90,7 +91,8 @@ class _Series:
             values = north_only(values)
         for name, column in values.items():
             if name not in self.columns and (needed or bool(np.isfinite(column).any())):
-                self.columns[name] = np.full(self.count, np.nan)
+                self.columns[name] = room(self.count, np.float64)
+                self.columns[name][:] = np.nan
             if name in self.columns:
                 self.columns[name][part] = column
         if self.spec.event:
