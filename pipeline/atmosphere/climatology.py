@@ -75,20 +75,6 @@ class Spread:
         """One sigma of relative humidity (0 to 1) at heights ``h`` [m above sea level]."""
         return np.interp(np.asarray(h, np.float64), self.h_m, self.relative_humidity)
 
-    def temperature_covariance(self, h: ArrayLike) -> Array:
-        """(n, n) covariance of temperature [K2] at heights ``h`` (n,) [m above sea level]."""
-        return _covariance(h, self.sigma_temperature(h), self.correlation_m)
-
-    def humidity_covariance(self, h: ArrayLike) -> Array:
-        """(n, n) covariance of relative humidity at heights ``h`` (n,) [m above sea level]."""
-        return _covariance(h, self.sigma_relative_humidity(h), self.humidity_correlation_m)
-
-
-def _covariance(h: ArrayLike, sigma: Array, length: float) -> Array:
-    height = np.asarray(h, np.float64)
-    distance = np.abs(height[:, None] - height[None, :])
-    return np.asarray(np.outer(sigma, sigma) * np.exp(-distance / length))
-
 
 @dataclass(frozen=True, eq=False)
 class Climatology:

@@ -130,7 +130,7 @@ class _Cursors:
 
 
 def decode(
-    data: Bytes, begin: NDArray[np.int64], length: NDArray[np.int64], todo: Program
+    data: Bytes, begin: NDArray[np.int64], length: NDArray[np.int64], plan: Program
 ) -> tuple[NDArray[np.intp], dict[str, NDArray[Any]]]:
     """Decode messages of one definition.
 
@@ -138,7 +138,7 @@ def decode(
     ----------
     data : the bytes they lie in.
     begin, length : (n,) of each, with the encapsulation.
-    todo : from `program`.
+    plan : from `program`.
 
     Returns the rows that could be read, and their columns: numbers of their own kind, arrays as
     (m, count), texts as str. A message that ends too early, gives a length beyond its end or is
@@ -146,8 +146,8 @@ def decode(
     XCDR2) is left out. Both byte orders.
 
     >>> data = np.frombuffer(b"\\0\\1\\0\\0" + b"\\2\\0\\0\\0a\\0\\7\\0", np.uint8)
-    >>> todo = program([Text("s"), Numbers("x", "u2")])
-    >>> decode(data, np.array([0]), np.array([12]), todo)[1]
+    >>> plan = program([Text("s"), Numbers("x", "u2")])
+    >>> decode(data, np.array([0]), np.array([12]), plan)[1]
     {'s': array(['a'], dtype='<U1'), 'x': array([7], dtype=uint16)}
     """
     rows = np.flatnonzero(length >= HEAD)
@@ -156,15 +156,15 @@ def decode(
     big = data[begin + 1] & 1 == 0
     at = np.zeros(rows.shape, np.int64)
     cursors = _Cursors(data, rows, begin + HEAD, length - HEAD, big, at)
-    for step in todo.steps:
+    for step in plan.steps:
         if isinstance(step, tuple):
-            _read_numbers(cursors, step, todo.wanted)
+            _read_numbers(cursors, step, plan.wanted)
         elif isinstance(step, Text):
-            _read_text(cursors, step, step.path in todo.wanted)
+            _read_text(cursors, step, step.path in plan.wanted)
         else:
-            _pass(cursors, step, todo.counted)
-    if todo.rest:
-        _count(cursors, todo.rest)
+            _pass(cursors, step, plan.counted)
+    if plan.rest:
+        _count(cursors, plan.rest)
     return cursors.row, cursors.columns
 
 

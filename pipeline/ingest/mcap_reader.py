@@ -81,18 +81,18 @@ class Reader:
 
     def _take(self, messages: Messages) -> list[tuple[TimeArray, TimeArray, TimeArray]]:
         before, self.seen = self.seen, self.seen + len(messages)
-        todo: dict[int, list[tuple[Decoder, NDArray[np.intp]]]] = {}
+        shares: dict[int, list[tuple[Decoder, NDArray[np.intp]]]] = {}
         topics: dict[int, Topic] = {}
         for number in self.counts.take(messages, self.names):
             if number in self.topic_of:
                 topic, decoder = self.topic_of[number]
                 topics[id(topic)] = topic
                 rows = np.flatnonzero(messages.channel == number)
-                todo.setdefault(id(topic), []).append((decoder, rows))
+                shares.setdefault(id(topic), []).append((decoder, rows))
         return [
             stamps
             for key, topic in topics.items()
-            for stamps in topic.take(messages, todo[key], before)
+            for stamps in topic.take(messages, shares[key], before)
         ]
 
     def recorder(self) -> Told | None:

@@ -87,18 +87,18 @@ class Topic:
     odd: int = 0
 
     def take(
-        self, messages: Messages, todo: Iterable[tuple[Decoder, NDArray[np.intp]]], before: int
+        self, messages: Messages, shares: Iterable[tuple[Decoder, NDArray[np.intp]]], before: int
     ) -> list[tuple[TimeArray, TimeArray, TimeArray]]:
         """Decode some of these messages, which ``before`` others precede in the log.
 
         Parameters
         ----------
-        todo : rows, and what decodes them: a topic may have several definitions.
+        shares : rows, and what decodes them: a topic may have several definitions.
 
         Returns places, times since boot and log_time [ns] of those that count from a boot.
         """
         parts: list[Part] = []
-        for decoder, rows in todo:
+        for decoder, rows in shares:
             done, columns, odd = decoder(messages, rows)
             self.failed += rows.shape[0] - len(done)
             self.odd += odd
@@ -194,7 +194,7 @@ def paths_of(spec: MessageMap) -> frozenset[str]:
 class CdrDecoder:
     """ROS 2 messages by their layout."""
 
-    todo: Program
+    plan: Program
 
     @classmethod
     def of(cls, schema: str, text: str, wanted: frozenset[str] | None) -> CdrDecoder:
@@ -203,7 +203,7 @@ class CdrDecoder:
 
     def __call__(self, messages: Messages, rows: NDArray[np.intp]) -> tuple[Any, Columns, int]:
         begin, length = messages.begin[rows], messages.length[rows]
-        return (*decode(messages.data, begin, length, self.todo), 0)
+        return (*decode(messages.data, begin, length, self.plan), 0)
 
 
 @dataclass(frozen=True)
