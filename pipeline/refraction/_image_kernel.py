@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from pipeline.refraction._jit import entry, jit, within
-from pipeline.refraction.camera import brown_conrady, brown_conrady_slopes
+from pipeline.refraction.distortion import brown_conrady, brown_conrady_slopes
 from pipeline.refraction.status import (
     BAD_MEASUREMENT,
     FAR_BRANCH,

@@ -9,7 +9,7 @@ import math
 
 from pipeline.refraction._image_kernel import APPARENT, COS, H_C, RADIUS, SIN, U, V
 from pipeline.refraction._jit import entry, jit
-from pipeline.refraction.camera import brown_conrady_slopes
+from pipeline.refraction.distortion import brown_conrady_slopes
 from pipeline.refraction.status import FAR_BRANCH
 
 # Of a station: refractivity N outside and N'/n [1/m] there; node below it among the cameras of the

@@ -8,36 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.refraction.distortion import brown_conrady
+
 Array = NDArray[np.float64]
-
-
-def brown_conrady(
-    u: Any, v: Any, k1: float, k2: float, k3: float, p1: float, p2: float
-) -> tuple[Any, Any]:
-    """Distorted image coordinates of ideal ones, in OpenCV's form; see `Camera`."""
-    r2 = u * u + v * v
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    u_d = u * radial + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u)
-    v_d = v * radial + p1 * (r2 + 2.0 * v * v) + 2.0 * p2 * u * v
-    return u_d, v_d
-
-
-def brown_conrady_slopes(
-    u: Any, v: Any, k1: float, k2: float, k3: float, p1: float, p2: float
-) -> tuple[Any, Any, Any]:
-    """Derivatives du_d/du, du_d/dv = dv_d/du and dv_d/dv of `brown_conrady`."""
-    r2 = u * u + v * v
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
-    uu = radial + u * u * slope + 2.0 * p1 * v + 6.0 * p2 * u
-    uv = u * v * slope + 2.0 * p1 * u + 2.0 * p2 * v
-    vv = radial + v * v * slope + 6.0 * p1 * v + 2.0 * p2 * u
-    return uu, uv, vv
 
 
 @dataclass(frozen=True)
