@@ -163,19 +163,15 @@ def _with_air(stations: Stations, roles: Mapping[str, Channel], max_gap_s: float
 
 def require_cabin_air(stations: Stations, camera: str, ledger: Ledger) -> Stations:
     """Mark exposures of a camera behind a window whose cabin air is unknown as suspect."""
-    missing = (stations.camera == camera) & ~(
-        np.isfinite(stations.cabin_pressure_pa) & np.isfinite(stations.cabin_temperature_k)
+    known = np.isfinite(stations.cabin_pressure_pa) & np.isfinite(stations.cabin_temperature_k)
+    return _suspect(
+        stations,
+        camera,
+        ~known,
+        "CABIN-MISSING",
+        "no cabin pressure or temperature: the window cannot be corrected",
+        ledger,
     )
-    missing &= stations.ok
-    if bool(missing.any()):
-        ledger.loss(
-            "CABIN-MISSING",
-            f"{int(missing.sum())} exposures have no cabin pressure or temperature: the window "
-            "cannot be corrected",
-            where=f"camera {camera}",
-            count=int(missing.sum()),
-        )
-    return stations.with_status(missing, SUSPECT)
 
 
 def require_aircraft_attitude(stations: Stations, camera: str, ledger: Ledger) -> Stations:
@@ -183,14 +179,23 @@ def require_aircraft_attitude(stations: Stations, camera: str, ledger: Ledger) -
 
     For a camera whose window has its normal in the body frame.
     """
-    missing = (stations.camera == camera) & np.isnan(stations.aircraft_quaternion).any(axis=1)
-    missing &= stations.ok
-    if bool(missing.any()):
-        ledger.loss(
-            "AIRCRAFT-ATTITUDE-MISSING",
-            f"{int(missing.sum())} exposures have no attitude of the aircraft: how its window "
-            "stands before the camera is not known",
-            where=f"camera {camera}",
-            count=int(missing.sum()),
-        )
+    return _suspect(
+        stations,
+        camera,
+        np.asarray(np.isnan(stations.aircraft_quaternion).any(axis=1)),
+        "AIRCRAFT-ATTITUDE-MISSING",
+        "no attitude of the aircraft: how its window stands before the camera is not known",
+        ledger,
+    )
+
+
+def _suspect(
+    stations: Stations, camera: str, missing: NDArray[np.bool_], code: str, what: str,
+    ledger: Ledger,
+) -> Stations:  # fmt: skip
+    """Mark the exposures of a camera that lack something, and enter how many."""
+    missing = missing & (stations.camera == camera) & stations.ok
+    count = int(missing.sum())
+    if count:
+        ledger.loss(code, f"{count} exposures have {what}", where=f"camera {camera}", count=count)
     return stations.with_status(missing, SUSPECT)

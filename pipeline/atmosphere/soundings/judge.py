@@ -337,25 +337,21 @@ def _say_what_is_odd(sounding: Sounding, raw: RawLevels, ledger: Ledger) -> None
     grid = np.arange(sounding.h_m[0], sounding.h_m[-1], _SLICE_M)
     lapse = -np.diff(np.interp(grid, sounding.h_m, sounding.temperature_k)) / _SLICE_M
     steep = lapse > _ADIABAT_K_PER_M + _STEEPER_K_PER_M
-    if bool(steep.any()):
+    if count := int(steep.sum()):
         i = int(np.argmax(lapse))
-        ledger.warning(
-            "SOUNDING-SUPERADIABATIC",
-            f"over {_SLICE_M * steep.sum():.0f} m of height the air cools faster than dry air that "
-            f"rises, at most by {1e3 * lapse[i]:.1f} K/km at {grid[i]:.0f} m: kept",
-            where=raw.where,
-            count=int(steep.sum()),
+        what = (
+            f"over {_SLICE_M * count:.0f} m of height the air cools faster than dry air that "
+            f"rises, at most by {1e3 * lapse[i]:.1f} K/km at {grid[i]:.0f} m: kept"
         )
+        ledger.warning("SOUNDING-SUPERADIABATIC", what, where=raw.where, count=count)
     n = refractivity_gyer(
         sounding.temperature_k, sounding.pressure_pa, np.nan_to_num(sounding.vapour_pressure_pa)
     )
     rising = np.diff(n) > _INDEX_ROUNDING * n[:-1]
-    if bool(rising.any()):
+    if count := int(rising.sum()):
         i = int(np.argmax(rising))
-        ledger.warning(
-            "SOUNDING-INDEX-RISES",
-            f"in {int(rising.sum())} layers the refractive index grows with height, the lowest at "
-            f"{sounding.h_m[i]:.0f} m: light bends away from the ground there, a mirage: kept",
-            where=raw.where,
-            count=int(rising.sum()),
+        what = (
+            f"in {count} layers the refractive index grows with height, the lowest at "
+            f"{sounding.h_m[i]:.0f} m: light bends away from the ground there, a mirage: kept"
         )
+        ledger.warning("SOUNDING-INDEX-RISES", what, where=raw.where, count=count)
