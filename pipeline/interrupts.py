@@ -33,9 +33,13 @@ def held_back() -> Iterator[Callable[[], None]]:
         return
     handlers = {n: h for n in SIGNALS if callable(h := signal.getsignal(n))}
     kept: list[tuple[int, FrameType | None]] = []
+    over = False
 
     def keep(number: int, frame: FrameType | None) -> None:
-        kept.append((number, frame))
+        if over:  # a handler that raised while they were put back may have left this one behind
+            handlers[signal.Signals(number)](number, frame)
+        else:
+            kept.append((number, frame))
 
     def heard() -> None:
         if kept:
@@ -48,7 +52,10 @@ def held_back() -> Iterator[Callable[[], None]]:
             signal.signal(number, keep)
         yield heard
     finally:
-        for number, handler in handlers.items():
-            if signal.getsignal(number) is keep:  # a handler may have wanted to hear no more
-                signal.signal(number, handler)
-        heard()
+        over = True
+        try:
+            for number, handler in handlers.items():
+                if signal.getsignal(number) is keep:  # it may have been changed on purpose
+                    signal.signal(number, handler)
+        finally:
+            heard()

@@ -87,6 +87,38 @@ def test_what_has_no_handler_stays_so():
         assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
+def test_a_handler_that_raises_while_they_are_put_back_swallows_no_other():
+    """The second signal comes between the two handlers: that of the third stays behind."""
+    heard = []
+
+    def flagged(number, _):
+        heard.append(number)
+
+    signal.signal(signal.SIGTERM, flagged)
+    real, put_back = signal.signal, []
+
+    def interrupted(number, handler):
+        result = real(number, handler)
+        if getattr(handler, "__name__", "") == "handler":
+            put_back.append(number)
+            signal.raise_signal(signal.SIGINT)
+        return result
+
+    stack = ExitStack()
+    stack.enter_context(held_back())
+    signal.raise_signal(signal.SIGTERM)
+    signal.signal = interrupted
+    try:
+        with pytest.raises(HitError):
+            stack.close()
+    finally:
+        signal.signal = real
+    assert put_back == [signal.SIGINT]
+    assert heard == [signal.SIGTERM], "the one that was kept"
+    signal.raise_signal(signal.SIGTERM)
+    assert heard == [signal.SIGTERM] * 2, "one that came afterwards"
+
+
 def test_other_threads_hear_nothing_anyway(handled):
     seen = []
 

@@ -52,6 +52,11 @@ UNCHANGED = 0.95
 FEWEST_TO_WIDEN = 5
 """The estimator never widens the sigmas of fewer readings: too few to tell."""
 
+CONTRADICTED = 4.0
+"""Sigmas between what a calibration says and what the flight does, at which one must be wrong."""
+
+_LEAST_LEARNT = 0.05  # of the expected sigma: less says nothing
+
 LEFT_OUT = "with it no air fits what the flight measured"
 
 UNMEASURED, UNADJUSTED = "climatology", "standard"
@@ -286,6 +291,7 @@ def _tell_of_sensors(made: Estimate, samples: AirSamples, ledger: Ledger) -> Non
             "AIR-SENSORS",
             "; ".join(f"{n.name} {n.value:.2f} ± {n.sigma:.2f}" for n in learnt),
         )
+    _compare_calibration(made, samples, ledger)
     for fit in made.fits:
         few = fit.count < FEWEST_TO_WIDEN
         if fit.widened > MISFIT or (few and fit.rms > MISFIT):
@@ -306,6 +312,39 @@ def _tell_of_sensors(made: Estimate, samples: AirSamples, ledger: Ledger) -> Non
                 where=sensor.name,
                 count=int(rejected.sum()),
             )
+
+
+def _compare_calibration(made: Estimate, samples: AirSamples, ledger: Ledger) -> None:
+    """Say where the flight contradicts what is known of its sensors, and what it does not use.
+
+    If both are right, an estimate departs from what was expected by a sigma whose square is that
+    of the expectation less that of the estimate.
+    """
+    expected = {fault.name: fault.mean for fault in made.sources.faults}
+    for found in made.nuisances:
+        learnt = found.prior_sigma**2 - found.sigma**2
+        if (
+            found.name not in samples.calibration
+            or learnt < (_LEAST_LEARNT * found.prior_sigma) ** 2
+        ):
+            continue
+        apart = (found.value - expected[found.name]) / math.sqrt(learnt)
+        if abs(apart) > CONTRADICTED:
+            ledger.warning(
+                "AIR-CALIBRATION",
+                f"{found.name} is {expected[found.name]:.2f} ± {found.prior_sigma:.2f} by the "
+                f"mission file; the flight contradicts that by {abs(apart):.0f} sigma and draws it "
+                f"to {found.value:.2f}: one of the two is wrong",
+                where="atmosphere.sensors",
+            )
+    unused = set(samples.calibration) - set(expected) - {d.name for d in made.sources.drifts}
+    if unused:
+        ledger.note(
+            "AIR-CALIBRATION-UNUSED",
+            f"no sensor that the air stands on has a {', '.join(sorted(unused))}",
+            where="atmosphere.sensors",
+            count=len(unused),
+        )
 
 
 def _dealt_with(fit: Fit) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +54,20 @@ class Samples:
         return int(used[0]) + (int(used[-1]) - int(used[0])) // 2
 
 
+@dataclass(frozen=True)
+class Calibrated:
+    """What is known of a fault of a sensor before the flight; None where that is nothing."""
+
+    mean: float | None = None
+    sigma: float | None = None
+
+    def mean_or(self, usual: float) -> float:
+        return usual if self.mean is None else self.mean
+
+    def sigma_or(self, usual: float) -> float:
+        return usual if self.sigma is None else self.sigma
+
+
 @dataclass(frozen=True, eq=False)
 class AirSamples:
     """What a flight measured of the air outside; None where there was no sensor.
@@ -60,7 +75,8 @@ class AirSamples:
     ``airspeed`` is indicated [m/s]; ``takeoff_ns`` the times [Unix ns] at which the aircraft left
     the ground, increasing, None where nobody looked. ``board_temperature`` says that the
     thermometer sits on a circuit board and is used only because the user insists: the air plus
-    10 K or so, wandering.
+    10 K or so, wandering. ``calibration`` of the sensors, by the names of their faults
+    (`pipeline.atmosphere.measurements`).
     """
 
     temperature: Samples | None = None
@@ -69,6 +85,7 @@ class AirSamples:
     airspeed: Samples | None = None
     takeoff_ns: NDArray[np.int64] | None = None
     board_temperature: bool = False
+    calibration: Mapping[str, Calibrated] = field(default_factory=dict)
 
 
 def bin_by_height(

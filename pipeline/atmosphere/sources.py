@@ -29,7 +29,7 @@ from pipeline.atmosphere.measurements import (
 from pipeline.atmosphere.metar import SurfaceReport
 from pipeline.atmosphere.nearness import Occasion
 from pipeline.atmosphere.reports import departures_of, of_report, of_sounding, of_the_sea
-from pipeline.atmosphere.samples import AirSamples, Samples
+from pipeline.atmosphere.samples import AirSamples, Calibrated, Samples
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.state import TOP_M, Drift, Fault
 
@@ -160,13 +160,27 @@ def _flown(samples: AirSamples, background: Climatology) -> _Flown:
         board = samples.board_temperature
         bias = replace(THERMOMETER_FAULTS[0], sigma=BOARD_BIAS_K if board else 3.0)
         faults += [bias, *THERMOMETER_FAULTS[1:], *([RECOVERY] if warm.heating is not None else [])]
-        drifts.append(Drift(THERMOMETER_DRIFT, course, BOARD_DRIFT_K if board else 0.4, 900.0))
+        known = samples.calibration.get(THERMOMETER_DRIFT, Calibrated())
+        wander = known.sigma_or(BOARD_DRIFT_K if board else 0.4)
+        drifts.append(Drift(THERMOMETER_DRIFT, course, wander, 900.0))
     if "humidity" in used:
         bins, moist = _hygrometer(used["humidity"], background, start, bins_of)
         rejected["humidity"] = bins.rejected
         sources.append(moist)
         faults.append(HYGROMETER_FAULT)
-    return _Flown(tuple(sources), tuple(faults), tuple(drifts), rejected, start)
+    return _Flown(
+        tuple(sources),
+        tuple(_calibrated(fault, samples.calibration) for fault in faults),
+        tuple(drifts),
+        rejected,
+        start,
+    )
+
+
+def _calibrated(fault: Fault, calibration: Mapping[str, Calibrated]) -> Fault:
+    """A fault as the calibration of its sensor expects it."""
+    known = calibration.get(fault.name, Calibrated())
+    return replace(fault, mean=known.mean_or(fault.mean), sigma=known.sigma_or(fault.sigma))
 
 
 @dataclass(frozen=True)

@@ -131,7 +131,12 @@ def part_of_flight(samples: AirSamples, start_ns: int, end_ns: int) -> AirSample
     if takeoffs is None and gated is not None and start_ns > int(gated[0].time_ns[0]):
         takeoffs = np.empty(0, np.int64)
     parts = {name: sensor for name, sensor in parts.items() if sensor.time_ns.size}
-    return AirSamples(**parts, takeoff_ns=takeoffs, board_temperature=samples.board_temperature)
+    return AirSamples(
+        **parts,
+        takeoff_ns=takeoffs,
+        board_temperature=samples.board_temperature,
+        calibration=samples.calibration,
+    )
 
 
 def estimate_windows(

@@ -139,7 +139,11 @@ def adjust_air(
         adjustment = replace(unadjusted(under_gravity(standard, latitude), why), sources=unused)
     else:
         adjustment = build_adjusted_profile(
-            replace(samples, board_temperature=section.board_temperature),
+            replace(
+                samples,
+                board_temperature=section.board_temperature,
+                calibration=section.sensors.calibration,
+            ),
             standard,
             latitude,
             ledger,

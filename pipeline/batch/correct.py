@@ -122,12 +122,8 @@ def correct_stream(
 
     total = Tally.of(recipe.cameras)
     # Closed, and its threads waited for, before anyone clears the folder they write to.
-    with (
-        held_back() as heard,
-        closing(_overlapped(one, observations.batches(batch_rows))) as parts,
-    ):
+    with closing(_overlapped(one, observations.batches(batch_rows))) as parts:
         for part in parts:
-            heard()
             total.merge(part)
             progress(part.rows)
     return total
@@ -143,17 +139,25 @@ def _overlapped(
     """
     workers = min(_MOST_WORKERS, usable_cpus())
     waiting: deque[Future[Tally]] = deque()
-    with ThreadPoolExecutor(workers, thread_name_prefix="batch") as pool:
-        try:
-            for number, batch in enumerate(batches):
+    pool = ThreadPoolExecutor(workers, thread_name_prefix="batch")
+    try:
+        for number, batch in enumerate(batches):  # a signal ends the reading at once
+            with held_back():
                 waiting.append(pool.submit(one, number, batch))
-                if len(waiting) > workers:
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
-        finally:
+            if len(waiting) > workers:
+                yield _oldest(waiting)
+        while waiting:
+            yield _oldest(waiting)
+    finally:
+        with held_back():
             for future in waiting:
                 future.cancel()
+            pool.shutdown()
+
+
+def _oldest(waiting: deque[Future[Tally]]) -> Tally:
+    with held_back():
+        return waiting.popleft().result()
 
 
 def _station_rows(image: pa.StringArray, names: pa.StringArray) -> NDArray[np.int64]:

@@ -12,7 +12,13 @@ import typer
 
 from pipeline.cli import missions, physics
 from pipeline.cli.app import app, own_up, refuse
-from pipeline.errors import EXIT_CONFIG, EXIT_DONE, EXIT_INTERRUPTED, UnbendError
+from pipeline.errors import (
+    EXIT_CONFIG,
+    EXIT_DONE,
+    EXIT_INTERRUPTED,
+    EXIT_TERMINATED,
+    UnbendError,
+)
 from pipeline.interrupts import SIGNALS
 
 # The modules whose commands these are; with their import the commands are there.
@@ -24,9 +30,16 @@ _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
 
 
 def _leave_in_peace() -> None:
-    """Hear no more signals: whoever leaves clears up, and a second one would end that half done."""
+    """Heed no more signals: whoever leaves clears up, and a second one would end that half done.
+
+    They are heard, not ignored: Python complains of one that is ignored when it is on its way.
+    """
     for number in SIGNALS:
-        signal.signal(number, signal.SIG_IGN)
+        signal.signal(number, _unheeded)
+
+
+def _unheeded(_: int, __: FrameType | None) -> None:
+    """Somebody is impatient."""
 
 
 def _interrupted(_: int, __: FrameType | None) -> None:
@@ -36,7 +49,7 @@ def _interrupted(_: int, __: FrameType | None) -> None:
 
 def _terminated(_: int, __: FrameType | None) -> None:
     _leave_in_peace()
-    raise SystemExit(143)
+    raise SystemExit(EXIT_TERMINATED)
 
 
 def _listen() -> None:
@@ -89,4 +102,8 @@ def main() -> None:
         # Whoever read our words has gone; what is still buffered must not complain at the exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = EXIT_INTERRUPTED
+    finally:
+        _leave_in_peace()
+        for number in SIGNALS:  # Python's own end puts the default back in the place of a handler
+            signal.signal(number, signal.SIG_IGN)
     sys.exit(code)

@@ -10,6 +10,17 @@ from pydantic import Field, field_validator, model_validator
 
 from pipeline.atmosphere import standard_names
 from pipeline.atmosphere.climatology import known_names
+from pipeline.atmosphere.measurements import (
+    BIAS,
+    HEIGHT,
+    HYGROMETER_FAULT,
+    LAG,
+    OFFSET,
+    RECOVERY,
+    THERMOMETER_DRIFT,
+    TRANSIENT,
+)
+from pipeline.atmosphere.samples import Calibrated
 from pipeline.config.cameras import Section
 from pipeline.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
 
@@ -85,6 +96,75 @@ class SurfaceSection(Section):
         return round(time.timestamp()) * NANOSECONDS_PER_SECOND
 
 
+class ThermometerSection(Section):
+    """What is known of the thermometer outside; its reading minus the air."""
+
+    bias_k: float | None = Field(None, ge=-30, le=30)
+    sigma_bias_k: float | None = Field(None, ge=0.01, le=30, description="by default 3")
+    lag_s: float | None = Field(None, ge=0, le=90, description="time constant in this airflow")
+    sigma_lag_s: float | None = Field(None, ge=0.1, le=90, description="by default 10, of 12 s")
+    transient_k: float | None = Field(
+        None, ge=-30, le=30, description="what the ground left in it at take-off, fades in a minute"
+    )
+    sigma_transient_k: float | None = Field(None, ge=0.01, le=30, description="by default 5")
+    recovery: float | None = Field(None, ge=0, le=1.1, description="recovery factor")
+    sigma_recovery: float | None = Field(None, ge=0.005, le=1, description="by default 0.3, of 0.7")
+    sigma_drift_k: float | None = Field(
+        None, ge=0.01, le=30, description="within a quarter of an hour, by default 0.4"
+    )
+
+
+class BarometerSection(Section):
+    """What is known of the static pressure; its reading minus the air."""
+
+    offset_hpa: float | None = Field(None, ge=-30, le=30)
+    sigma_offset_hpa: float | None = Field(None, ge=0.01, le=30, description="by default 0.5")
+
+
+class HygrometerSection(Section):
+    """What is known of the hygrometer; its reading minus the air, as relative humidity 0 to 1."""
+
+    bias: float | None = Field(None, ge=-0.5, le=0.5)
+    sigma_bias: float | None = Field(None, ge=0.001, le=0.5, description="by default 0.03")
+
+
+class GnssSection(Section):
+    """What is known of GNSS heights above sea level; as logged minus true."""
+
+    height_offset_m: float | None = Field(None, ge=-100, le=100)
+    sigma_height_offset_m: float | None = Field(None, ge=0.01, le=100, description="by default 2.5")
+
+
+class SensorsSection(Section):
+    """What calibrations say of the sensors; what is not said is expected as by default."""
+
+    thermometer: ThermometerSection = ThermometerSection()
+    barometer: BarometerSection = BarometerSection()
+    hygrometer: HygrometerSection = HygrometerSection()
+    gnss: GnssSection = GnssSection()
+
+    @property
+    def calibration(self) -> dict[str, Calibrated]:
+        """By the names of the faults, in SI."""
+        warm, high = self.thermometer, self.barometer
+        moist, gnss = self.hygrometer, self.gnss
+        every = {
+            BIAS: Calibrated(warm.bias_k, warm.sigma_bias_k),
+            LAG: Calibrated(warm.lag_s, warm.sigma_lag_s),
+            TRANSIENT: Calibrated(warm.transient_k, warm.sigma_transient_k),
+            RECOVERY.name: Calibrated(warm.recovery, warm.sigma_recovery),
+            THERMOMETER_DRIFT: Calibrated(None, warm.sigma_drift_k),
+            OFFSET: Calibrated(_pascal(high.offset_hpa), _pascal(high.sigma_offset_hpa)),
+            HYGROMETER_FAULT.name: Calibrated(moist.bias, moist.sigma_bias),
+            HEIGHT: Calibrated(gnss.height_offset_m, gnss.sigma_height_offset_m),
+        }
+        return {name: known for name, known in every.items() if known != Calibrated()}
+
+
+def _pascal(hpa: float | None) -> float | None:
+    return None if hpa is None else hpa * HECTOPASCAL
+
+
 class AtmosphereSection(Section):
     """The air."""
 
@@ -100,6 +180,7 @@ class AtmosphereSection(Section):
         description="true takes the temperature of a circuit board, named under "
         "log.channels.temperature, as the air plus an unknown 10 K that wanders",
     )
+    sensors: SensorsSection = SensorsSection()
     index: Literal["ciddor", "gyer"] = "ciddor"
     wavelength_m: float = Field(0.55e-6, ge=0.3e-6, le=1.7e-6)
     co2_ppm: float = Field(450.0, ge=0, le=2000)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from pipeline.flight.clock import fresh, untangled
 from pipeline.ingest.base import utc_text
 from pipeline.ingest.fields import MessageMap
 from pipeline.ingest.frames import in_blocks, positive_scalar, quaternion_of_euler
-from pipeline.ingest.memory import room
+from pipeline.ingest.memory import moved, room
 from pipeline.ledger import Entry, Kind, Ledger
 
 
@@ -39,18 +38,14 @@ class Rows:
         return Rows(
             self.name,
             self.source,
-            _taken(self.time_ns, kept),
-            _taken(self.boot, kept),
-            {name: _taken(column, kept) for name, column in self.columns.items()},
+            moved(self.time_ns, kept),
+            moved(self.boot, kept),
+            {name: moved(column, kept) for name, column in self.columns.items()},
             {
                 name: tuple(np.asarray(label, object)[rows].tolist())
                 for name, label in self.labels.items()
             },
         )
-
-
-def _taken(column: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
-    return np.take(column, rows, out=room(rows.shape[0], column.dtype), mode="clip")
 
 
 def channel_of(rows: Rows, spec: MessageMap, ledger: Ledger) -> Channel | None:

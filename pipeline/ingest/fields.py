@@ -117,10 +117,14 @@ def extract(
     columns: tuple[Column, ...],
     kept: Callable[[Array], Array] = np.asarray,
 ) -> dict[str, Array]:
-    """The columns of a field map that a decoded message has, each as it is to be ``kept``."""
+    """The columns of a field map that a decoded message has, each as it is to be ``kept``.
+
+    A field that is an array where a number is wanted is none of them.
+    """
     result: dict[str, Array] = {}
     for spec in columns:
-        field = next((name for name in spec.fields if name in table), None)
+        there = (name for name in spec.fields if name in table and table[name].ndim == 1)
+        field = next(there, None)
         if field is not None:
             result[spec.name] = kept(to_si(table[field], spec))
     return result

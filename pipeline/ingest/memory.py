@@ -22,17 +22,20 @@ PRIVATE = 256 << 20  # [bytes] of rows and columns in memory of the process's ow
 REGION = 64 << 20  # [bytes] of a temporary file, at least
 SMALL = 4096  # [bytes] that are left to the heap
 _ALIGNED = 64  # [bytes]
+_BLOCK = 65_536  # rows
 
 
 class _Rooms:
     """What is held: ``private`` bytes in maps of their own, the others in ``regions`` of files."""
 
     def __init__(self) -> None:
-        self.lock = threading.RLock()  # the collector may give memory back while it is held
+        self.generation = 0
         self.begin_anew()
 
     def begin_anew(self) -> None:
         """Forget what is held; in a child process, which shares the files of its parent."""
+        self.lock = threading.RLock()  # the collector may give memory back while it is held
+        self.generation += 1
         self.private = 0
         self.regions: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
         self.last: Callable[[], mmap.mmap | None] = lambda: None  # a region may be gone by now
@@ -45,14 +48,17 @@ class _Rooms:
                 found = self._of_a_file(size)
                 if found is not None:
                     return found
-            memory = mmap.mmap(-1, size, access=mmap.ACCESS_COPY)
+            try:
+                memory = mmap.mmap(-1, size, access=mmap.ACCESS_COPY)
+            except OSError as error:
+                raise MemoryError(f"no room for {size} bytes: {error.strerror}") from error
             self.private += size
-            weakref.finalize(memory, self._give_back, size).atexit = False
+            weakref.finalize(memory, self._give_back, size, self.generation).atexit = False
             return memory, 0
 
-    def _give_back(self, size: int) -> None:
+    def _give_back(self, size: int, generation: int) -> None:
         with self.lock:
-            self.private -= size
+            self.private -= size if generation == self.generation else 0
 
     def _of_a_file(self, size: int) -> tuple[mmap.mmap, int] | None:
         """Room in a temporary file; None where it cannot have any."""
@@ -98,6 +104,7 @@ def room(count: int, dtype: DTypeLike) -> NDArray[Any]:
     temporary file (of the folder ``TMPDIR``) if there is space for it. Either goes back to the
     system when the last array on it is gone: freed pieces of the heap between others that are still
     in use fit no column of a long log, and a process would keep about as much again as it needs.
+    After a fork, parent and child see what the other writes to an array in a file.
 
     >>> column = room(3, "f8")
     >>> column[:] = 1.5
@@ -106,16 +113,24 @@ def room(count: int, dtype: DTypeLike) -> NDArray[Any]:
     """
     kind = np.dtype(dtype)
     size = count * kind.itemsize
-    if size < SMALL:
+    if size < SMALL or kind.hasobject:
         return np.empty(count, kind)
     memory, begin = _ROOMS.take(size)
     return np.frombuffer(memory, kind, count, begin)
 
 
-def moved(column: NDArray[Any]) -> NDArray[Any]:
-    """A column that is to stay, in a `room` of its own."""
-    kept = room(column.shape[0], column.dtype)
-    kept[:] = column
+def moved(column: NDArray[Any], rows: NDArray[np.intp] | None = None) -> NDArray[Any]:
+    """A column that is to stay, or some rows of it, in a `room` of its own.
+
+    >>> moved(np.array([5, 6, 7]), np.array([2, 0])).tolist()
+    [7, 5]
+    """
+    kept = room(
+        column.shape[0] if rows is None else rows.shape[0], (column.dtype, column.shape[1:])
+    )
+    for begin in range(0, kept.shape[0], _BLOCK):
+        block = slice(begin, begin + _BLOCK)
+        kept[block] = column[block] if rows is None else column[rows[block]]
     return kept
 
 

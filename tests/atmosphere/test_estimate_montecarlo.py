@@ -7,6 +7,7 @@ is integrated apart from the estimator.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ import pytest
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.adjust import Adjustment, build_adjusted_profile
 from pipeline.atmosphere.climatology import Climatology, climatology, month_of
+from pipeline.atmosphere.measurements import BIAS, LAG, TRANSIENT
+from pipeline.atmosphere.samples import Calibrated
 from pipeline.ledger import Ledger
 
 US1976 = standard_atmosphere("us1976")
@@ -46,7 +49,8 @@ def background_of(truth, name) -> Climatology | None:
 
 
 def adjusted(flights, truth, climb, sensors, rng, name, **how) -> Adjustment:
-    samples = flights.fly(truth, climb, sensors, rng, **how)
+    calibration = how.pop("calibration", {})
+    samples = replace(flights.fly(truth, climb, sensors, rng, **how), calibration=calibration)
     background = background_of(truth, name)
     return build_adjusted_profile(samples, US1976, truth.latitude, Ledger(), background=background)
 
@@ -102,6 +106,24 @@ def test_clean_temperatures_of_a_climb(flights, real, climb, humid, dry, name):
     """
     for humidity, limit in (("surface", humid), ("none", dry)):
         how = {"humidity": humidity, "gate_s": 0.0}
+        assert rms(errors(flights, real, climb, flights.Sensors(), name, **how)) <= limit
+
+
+CLEAN = {
+    BIAS: Calibrated(0.0, 0.2), TRANSIENT: Calibrated(0.0, 0.2), LAG: Calibrated(0.0, 1.0)
+}  # fmt: skip
+"""A thermometer that is known to be good."""
+
+
+@pytest.mark.parametrize("name", BACKGROUNDS)
+@pytest.mark.parametrize(
+    ("climb", "humid", "dry"),
+    [(1000.0, 0.8, 2.0), (3000.0, 0.3, 1.0), (6000.0, 0.3, 0.6), (10_000.0, 0.15, 0.3)],
+)
+def test_temperatures_of_a_climb_that_are_known_to_be_clean(flights, real, climb, humid, dry, name):
+    """Reached with one surface humidity: 0.64, 0.08, 0.03, 0.03 %."""
+    for humidity, limit in (("surface", humid), ("none", dry)):
+        how = {"humidity": humidity, "gate_s": 0.0, "calibration": CLEAN}
         assert rms(errors(flights, real, climb, flights.Sensors(), name, **how)) <= limit
 
 

@@ -178,6 +178,65 @@ def test_a_signal_takes_no_lock_with_it(mission, where, number, code):
     assert [p.name for p in mission.output.iterdir()] == [".lock"]
 
 
+# Each batch takes seconds to be read, by the thread that hears signals.
+READING = """
+import sys, time
+from pipeline.tables.observations import Observations
+real = Observations.batches
+def slow(self, rows):
+    for batch in real(self, rows):
+        print("stalled", flush=True)
+        time.sleep(5.0)
+        yield batch
+Observations.batches = slow
+sys.argv = ["unbend", "run", sys.argv[1]]
+from pipeline.cli import main
+main()
+"""
+
+
+def test_a_signal_does_not_wait_for_what_is_read(mission):
+    mission.config["output"]["batch_rows"] = 1000
+    mission.observe(pa.concat_tables([mission.measurements()] * 50))
+    process = started(READING, str(mission.save()))
+    begin = time.monotonic()
+    os.kill(process.pid, signal.SIGTERM)
+    returned, text = ended(process)
+    assert time.monotonic() - begin < 4.0
+    assert returned == 143, text
+    assert [p.name for p in mission.output.iterdir()] == [".lock"]
+
+
+def test_two_signals_at_once_are_one(mission):
+    code = (
+        "import signal, sys\n"
+        "from pipeline.cli import entry\n"
+        "both = [signal.SIGINT, signal.SIGTERM]\n"
+        "def pressed(words):\n"
+        "    signal.pthread_sigmask(signal.SIG_BLOCK, both)\n"
+        "    [signal.raise_signal(number) for number in both]\n"
+        "    signal.pthread_sigmask(signal.SIG_UNBLOCK, both)\n"
+        "    return 0\n"
+        "entry._obey = pressed\n"
+        "entry.main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode in (130, 143)  # of two that wait, which is served first is not ours
+    assert "Traceback" not in done.stderr
+
+
+def test_a_signal_after_the_end_changes_nothing():
+    code = (
+        "import atexit, signal\n"
+        "from pipeline.cli import entry\n"
+        "entry._obey = lambda words: 0\n"
+        "atexit.register(signal.raise_signal, signal.SIGINT)\n"
+        "entry.main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_a_run_that_was_born_deaf_to_ctrl_c_stays_so():
     code = (
         "import signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN)\n"

@@ -80,6 +80,16 @@ FULL: dict[str, Any] = {
     "atmosphere": {
         "standard": "us1976", "adjust": True, "index": "gyer", "wavelength_m": 5.5e-7,
         "co2_ppm": 420.0, "climatology": "auto", "board_temperature": True,
+        "sensors": {
+            "thermometer": {
+                "bias_k": 0.3, "sigma_bias_k": 0.1, "lag_s": 4.0, "sigma_lag_s": 1.0,
+                "transient_k": 0.0, "sigma_transient_k": 0.5, "recovery": 0.8,
+                "sigma_recovery": 0.05, "sigma_drift_k": 0.1,
+            },
+            "barometer": {"offset_hpa": -0.2, "sigma_offset_hpa": 0.1},
+            "hygrometer": {"bias": 0.01, "sigma_bias": 0.01},
+            "gnss": {"height_offset_m": 0.0, "sigma_height_offset_m": 0.1},
+        },
         "soundings": [{"path": "s.csv", "format": "csv", "station_h_msl_m": 500.0}],
         "surface": [
             {"h_msl_m": 500.0, "metar": "METAR EDDF 221150Z 12/08 Q1013"},

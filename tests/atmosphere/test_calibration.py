@@ -1,0 +1,141 @@
+"""What calibrations know of the sensors takes the place of what is expected of cheap ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.atmosphere import standard_atmosphere
+from pipeline.atmosphere.adjust import build_adjusted_profile
+from pipeline.atmosphere.climatology import climatology
+from pipeline.atmosphere.estimate import estimate
+from pipeline.atmosphere.measurements import (
+    BIAS,
+    HEIGHT,
+    HYGROMETER_FAULT,
+    LAG,
+    OFFSET,
+    RECOVERY,
+    THERMOMETER_DRIFT,
+    TRANSIENT,
+)
+from pipeline.atmosphere.samples import Calibrated
+from pipeline.atmosphere.sources import sources_of
+from pipeline.ledger import Ledger
+
+US1976 = standard_atmosphere("us1976")
+
+
+@pytest.fixture(scope="module")
+def truth(flights):
+    return flights.Truth(flights.extremes()[2])
+
+
+def background(truth):
+    return climatology(latitude_rad=truth.latitude, month=7.0, ground_h_m=float(truth.h[0]))
+
+
+def flown(flights, truth, sensors, calibration, climb=3000.0, **how):
+    samples = flights.fly(truth, climb, sensors, np.random.default_rng(3), **how)
+    ledger = Ledger()
+    found = build_adjusted_profile(
+        replace(samples, calibration=calibration), US1976, truth.latitude, ledger,
+        background=background(truth),
+    )  # fmt: skip
+    return found, ledger
+
+
+# All else is known to be good, and of thermometer or barometer there is only the one.
+GOOD = {
+    BIAS: Calibrated(0.0, 0.05), TRANSIENT: Calibrated(0.0, 0.05), LAG: Calibrated(0.0, 0.2),
+    THERMOMETER_DRIFT: Calibrated(None, 0.02), OFFSET: Calibrated(0.0, 5.0),
+    HYGROMETER_FAULT.name: Calibrated(0.0, 0.005), HEIGHT: Calibrated(0.0, 0.1),
+}  # fmt: skip
+WRONG = {
+    BIAS: ({"bias_k": 2.0}, 2.0, 0.1, {"barometer": False}),
+    TRANSIENT: ({"transient_k": 6.0}, 6.0, 0.2, {"gate_s": 0.0, "barometer": False}),
+    LAG: ({"lag_s": 30.0}, 30.0, 1.0, {"barometer": False}),
+    OFFSET: ({"pressure_offset_pa": 90.0}, 90.0, 5.0, {}),
+    HYGROMETER_FAULT.name: ({"humidity_bias": 0.1}, 0.1, 0.005, {"humidity": "profile"}),
+    HEIGHT: ({"gnss_offset_m": 10.0}, 10.0, 0.1, {}),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_fault_that_is_known_is_taken_away(flights, truth, name):
+    """Beside a flight whose sensors have no fault at all: what is left of the change of R."""
+    wrong, mean, sigma, how = WRONG[name]
+    ideal = flown(flights, truth, flights.Sensors(), GOOD, **how)[0].profile
+    right = truth.r_plane(ideal.refractivity(truth.h), 3000.0)
+    left = []
+    for value in (mean, 0.0, -mean):
+        given = GOOD | {name: Calibrated(value, sigma)}
+        found, _ = flown(flights, truth, flights.Sensors(**wrong), given, **how)
+        left.append(abs(truth.r_plane(found.profile.refractivity(truth.h), 3000.0) / right - 1.0))
+        if value == mean:
+            (fault,) = [n for n in found.nuisances if n.name == name]
+            assert fault.prior_sigma == sigma
+    print(f"{name}: {left}")
+    assert left[0] < 0.3 * left[1]
+    assert left[1] < 0.8 * left[2]
+
+
+def test_what_is_not_said_stays_as_it_is_expected(flights, truth):
+    samples = flights.fly(truth, 1000.0, flights.Sensors(), np.random.default_rng(3))
+    expected = {f.name: f for f in sources_of(samples, background(truth)).faults}
+    given = {BIAS: Calibrated(sigma=0.2), LAG: Calibrated(mean=4.0)}
+    found = sources_of(replace(samples, calibration=given), background(truth))
+    faults = {f.name: f for f in found.faults}
+    assert (faults[BIAS].mean, faults[BIAS].sigma) == (0.0, 0.2)
+    assert (faults[LAG].mean, faults[LAG].sigma) == (4.0, expected[LAG].sigma)
+    assert {n: f for n, f in faults.items() if n not in given} == {
+        n: f for n, f in expected.items() if n not in given
+    }
+
+
+def test_a_thermometer_that_keeps_still_says_more(flights, truth):
+    samples = flights.fly(truth, 1000.0, flights.Sensors(), np.random.default_rng(3))
+    sigma = [
+        estimate(replace(samples, calibration=known), background(truth))
+        .covariance.sigma_temperature([500.0])
+        .item()
+        for known in ({}, {THERMOMETER_DRIFT: Calibrated(sigma=0.02), BIAS: Calibrated(sigma=0.1)},
+                      {BIAS: Calibrated(sigma=0.1)})
+    ]  # fmt: skip
+    assert sigma[1] < sigma[2] < sigma[0]
+
+
+def test_a_flight_that_contradicts_the_calibration_says_so(flights, truth):
+    sensors = flights.Sensors(bias_k=4.0)
+    _, ledger = flown(flights, truth, sensors, {BIAS: Calibrated(0.0, 0.1)})
+    (entry,) = [e for e in ledger if e.code == "AIR-CALIBRATION"]
+    assert BIAS in entry.what
+    assert "0.00 ± 0.10 by the mission file" in entry.what
+    _, ledger = flown(flights, truth, sensors, {BIAS: Calibrated(4.0, 0.1)})
+    assert not [e for e in ledger if e.code.startswith("AIR-CALIBRATION")]
+
+
+def test_a_calibration_that_is_right_is_seldom_contradicted(flights, truth):
+    """Sensors drawn from what is said of them: none in 40 flights at 4 sigma."""
+    rng = np.random.default_rng(8)
+    said = 0
+    for _ in range(40):
+        bias, offset = rng.normal(0.0, 0.5), rng.normal(0.0, 20.0)
+        sensors = replace(flights.REALISTIC, bias_k=bias, pressure_offset_pa=offset)
+        samples = flights.fly(truth, 3000.0, sensors, rng)
+        ledger = Ledger()
+        given = {BIAS: Calibrated(0.0, 0.5), OFFSET: Calibrated(0.0, 20.0)}
+        build_adjusted_profile(
+            replace(samples, calibration=given), US1976, truth.latitude, ledger,
+            background=background(truth),
+        )  # fmt: skip
+        said += sum(entry.code == "AIR-CALIBRATION" for entry in ledger)
+    assert said == 0
+
+
+def test_what_no_sensor_has_is_said(flights, truth):
+    _, ledger = flown(flights, truth, flights.Sensors(), {RECOVERY.name: Calibrated(0.8, 0.05)})
+    (entry,) = [e for e in ledger if e.code == "AIR-CALIBRATION-UNUSED"]
+    assert RECOVERY.name in entry.what
