@@ -289,7 +289,7 @@ def _tell_of_sensors(made: Estimate, samples: AirSamples, ledger: Ledger) -> Non
     if learnt:
         ledger.note(
             "AIR-SENSORS",
-            "; ".join(f"{n.name} {n.value:.2f} ± {n.sigma:.2f}" for n in learnt),
+            "; ".join(f"{n.name} {n.value:.3g} ± {n.sigma:.2g}" for n in learnt),
         )
     _compare_calibration(made, samples, ledger)
     for fit in made.fits:

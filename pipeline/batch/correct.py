@@ -116,6 +116,7 @@ def correct_stream(
         folder.seal(name)
         tally = Tally.of(recipe.cameras)
         tally.add(batch, corrections, camera)
+        tally.odd_heights += recipe.ground.count_odd(batch)
         if recipe.in_doubt:
             tally.rays.append(_some_rays(batch, corrections, row, h_g, camera, recipe))
         return tally

@@ -40,6 +40,12 @@ class Ground:
         # Without a station there is nothing to reduce with; the status says no_station anyway.
         return np.asarray(given + np.where(row < 0, 0.0, offset))
 
+    def count_odd(self, batch: Batch) -> int:
+        """How many heights of a batch are numbers, but those of no ground."""
+        if batch.ground is None:
+            return 0
+        return int(np.count_nonzero(np.isfinite(batch.ground) & np.isnan(plausible(batch.ground))))
+
     def sigmas(self, batch: Batch) -> Array:
         """(n,) standard deviations of the heights [m], NaN where unknown."""
         if batch.ground_sigma is not None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.batch.ground import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.batch.look import CameraSetup
 from pipeline.ledger import Ledger
 from pipeline.refraction.image import Corrections
@@ -31,6 +32,7 @@ class Tally:
     status: dict[str, int] = field(default_factory=dict)
     no_distance: int = 0
     no_sigma: int = 0
+    odd_heights: int = 0
     rays: list[Array] = field(default_factory=list)
 
     @classmethod
@@ -68,6 +70,7 @@ class Tally:
         self.rows += other.rows
         self.no_distance += other.no_distance
         self.no_sigma += other.no_sigma
+        self.odd_heights += other.odd_heights
         self.rays += other.rays
         self.parts += other.parts
         for name, count in other.status.items():
@@ -100,6 +103,15 @@ class Tally:
                 "no number: taken as unknown",
                 where="ground.sigma_column",
                 count=self.no_sigma,
+            )
+        if self.odd_heights:
+            ledger.loss(
+                "OBS-GROUND-RANGE",
+                f"{self.odd_heights} heights of points are below {LOWEST_GROUND_M:.0f} or above "
+                f"{HIGHEST_GROUND_M:.0f} m, where no ground is: taken as unknown, their points are "
+                "no_ground",
+                where="ground.height",
+                count=self.odd_heights,
             )
         for name, count in self.status.items():
             what = f"{count} of {self.rows} observations are {name}"

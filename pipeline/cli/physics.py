@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from pipeline.refraction.radial import RadialTable
 
 _METHODS = (
-    "spherical, plane, gyer1996, saastamoinen1974, saastamoinen1974_ican, "
-    "saastamoinen1974_quadratic, saastamoinen1974_weather, saastamoinen1974_series, bertram1966, "
-    "manual"
+    "spherical, plane, plane_first_term, plane_moist, gyer1996, saastamoinen1974, "
+    "saastamoinen1974_ican, saastamoinen1974_quadratic, saastamoinen1974_fitted, "
+    "saastamoinen1974_weather, saastamoinen1974_series, bertram1966, bertram1966_from_ground, "
+    "bertram1966_curved, manual"
 )
 
 

@@ -57,7 +57,8 @@ class Spread:
         number = int(np.searchsorted(np.cumsum(self.counts), share * self.total))
         if number == 0:
             return 0.0
-        return float(10.0 ** ((number + 0.5) / _BINS_PER_DECADE + _LOWEST_EXPONENT))
+        middle = 10.0 ** ((number + 0.5) / _BINS_PER_DECADE + _LOWEST_EXPONENT)
+        return float(min(middle, self.maximum))
 
     @property
     def median(self) -> float | None:

@@ -34,13 +34,18 @@ _FINE_DEG = np.arange(0.0, 86.0)
 
 _ABOUT = {
     "plane": "Gyer 1996, Eq. 24 with all its terms",
+    "plane_first_term": "Gyer 1996, Eq. 24, its first term",
+    "plane_moist": "moist air by hydrostatics, in flat layers",
     "gyer1996": "Gyer 1996, Eq. 31, steps of 1 km",
     "saastamoinen1974": "Saastamoinen 1974, Eq. 2",
     "saastamoinen1974_ican": "Saastamoinen 1974, Eq. 3a, 3b",
     "saastamoinen1974_quadratic": "Saastamoinen 1974, Eq. 6, to 9 km",
+    "saastamoinen1974_fitted": "Saastamoinen 1974, Eq. 5 fitted to the air, to 9 km",
     "saastamoinen1974_weather": "Saastamoinen 1974, Eq. 7",
     "saastamoinen1974_series": "Saastamoinen 1974, Eq. 8",
     "bertram1966": "Bertram 1966, Eq. 6 and 9",
+    "bertram1966_from_ground": "Bertram 1966, Eq. 6 summed from the ground",
+    "bertram1966_curved": "Bertram 1966 with the second term, for a curved earth",
     "manual": "Manual of Photogrammetry, 2410 H / (H² - 6 H + 250)",
 }
 
@@ -141,7 +146,9 @@ def _words(found: Accuracy) -> list[str]:
         "low, the series above the tropopause, which has another lapse rate.",
         f"**`bertram1966`** is a plane form, off by up to {_at_45(level, 'bertram1966'):.1f} % at "
         f"45° over ground at sea level, but by up to {_at_45(raised, 'bertram1966'):.0f} % over "
-        f"ground at {raised.h_g_m:.0f} m: its Eq. 9 counts from sea level.",
+        f"ground at {raised.h_g_m:.0f} m: its Eq. 9 counts from sea level. "
+        f"`bertram1966_from_ground` is off by {_at_45(raised, 'bertram1966_from_ground'):.1f} % "
+        "there.",
         f"**`manual`** is off by up to {_at_45(level, 'manual'):.0f} % at 45° over ground at sea "
         f"level (from {_km(_worst_height(level, 'manual'))}) and, with the same fault, by up to "
         f"{_at_45(raised, 'manual'):.0f} % over ground at {raised.h_g_m:.0f} m.",

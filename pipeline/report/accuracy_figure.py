@@ -53,8 +53,9 @@ def accuracy_figure(over: tuple[Comparison, ...]) -> Figure:
         _draw_raised(axis, raised, number)
         if number % columns == 0:
             axis.set_ylabel("camera [km]")
-        if number // columns == rows - 1:
+        if number + columns >= len(comparison.methods):
             axis.set_xlabel("nadir angle [°]")
+            axis.tick_params(labelbottom=True)
     handles = _legend(raised.h_g_m)
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
     figure.suptitle(f"error of each method, ground at {comparison.h_g_m:.0f} m", fontsize=9.5)

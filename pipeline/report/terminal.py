@@ -71,7 +71,8 @@ def _paragraph(console: Console, text: str) -> None:
 
 def show_log(console: Console, log: Mapping[str, Any], name: str) -> None:
     """What ``unbend inspect`` prints: channels in the words that the mission file takes."""
-    console.print(f"[bold]{escape(name)}[/bold]: {log['format']}, {log['duration_s']:.1f} s")
+    seconds = f"channels over {log['duration_s']:.1f} s"
+    console.print(f"[bold]{escape(name)}[/bold]: {log['format']}, {seconds}")
     console.print(f"  from {log['start_utc']} to {log['end_utc']}", highlight=False)
     console.print(f"  time: {escape(log['time_base'])}")
     counts = f"  {sum(log['messages'].values()):,} messages of {len(log['messages'])} types"

@@ -289,7 +289,8 @@ def spoil_cells(mission, column: str, rows: list[int], value) -> pa.Table:
     [
         ("x_px", float("nan"), "bad_measurement"), ("y_px", None, "bad_measurement"),
         ("x_px", float("inf"), "bad_measurement"), ("h_g_m", None, "no_ground"),
-        ("h_g_m", float("nan"), "no_ground"), ("image", None, "no_station"),
+        ("h_g_m", float("nan"), "no_ground"), ("h_g_m", -6000.0, "no_ground"),
+        ("h_g_m", 40_000.0, "no_ground"), ("image", None, "no_station"),
         ("image", "nowhere_01", "no_station"), ("image", "", "no_station"),
         ("x_px", 3e9, "outside_camera"), ("x_px", -1e5, "outside_camera"),
         ("h_g_m", 9000.0, "misses_ground"),
@@ -310,6 +311,8 @@ def test_a_row_that_cannot_be_corrected_stays(mission, baseline, column, value, 
         assert left.equals(want)
     assert "2 of" in text
     assert status in text
+    of_no_ground = column == "h_g_m" and value in (-6000.0, 40_000.0)
+    assert ("OBS-GROUND-RANGE" in text) == of_no_ground
     assert result["point"].to_pylist() == given["point"].to_pylist()
 
 

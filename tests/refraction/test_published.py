@@ -10,10 +10,11 @@ import pytest
 
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.profile import Profile, stack_layers
+from pipeline.cli.physics import _METHODS
 from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity
+from pipeline.refraction import METHODS, refraction_angle
 from pipeline.refraction import published as pub
-from pipeline.refraction import refraction_angle
 from pipeline.refraction.published import gyer
 from pipeline.refraction.published.column import density, mean
 from pipeline.refraction.published.trace import trace
@@ -51,32 +52,27 @@ def linear_air(lapse_per_km: float, index: str = "gyer", wet: float = 0.0) -> Pr
 
 def test_the_names_are_those_of_the_manual():
     assert list(pub.PUBLISHED) == [
-        "plane", "gyer1996", "saastamoinen1974", "saastamoinen1974_ican",
-        "saastamoinen1974_quadratic", "saastamoinen1974_weather", "saastamoinen1974_series",
-        "bertram1966", "manual",
+        "plane", "plane_first_term", "plane_moist", "gyer1996", "saastamoinen1974",
+        "saastamoinen1974_ican", "saastamoinen1974_quadratic", "saastamoinen1974_fitted",
+        "saastamoinen1974_weather", "saastamoinen1974_series", "bertram1966",
+        "bertram1966_from_ground", "bertram1966_curved", "manual",
     ]  # fmt: skip
 
 
-EVERY = {
-    **pub.PUBLISHED,
-    "plane_first_term": pub.plane_first_term,
-    "plane_moist": pub.plane_moist,
-    "saastamoinen1974_fitted": pub.saastamoinen1974_fitted,
-    "bertram1966_from_ground": pub.bertram1966_from_ground,
-    "bertram1966_curved": pub.bertram1966_curved,
-}
+def test_the_command_line_names_them_all():
+    assert _METHODS.split(", ") == list(METHODS)
 
 
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("name", pub.PUBLISHED)
 class TestEveryMethod:
     def test_broadcasts_and_keeps_the_shape(self, name, us1962):
         h_c = np.array([[3000.0], [6000.0], [8000.0]])
         zeta = np.array([20.0, 45.0]) * DEGREE
-        r = EVERY[name](us1962, h_c, 0.0, zeta, RADIUS)
+        r = pub.PUBLISHED[name](us1962, h_c, 0.0, zeta, RADIUS)
         assert r.shape == (3, 2)
         for i in range(3):
             for j in range(2):
-                one = EVERY[name](us1962, h_c[i, 0], 0.0, zeta[j], RADIUS)
+                one = pub.PUBLISHED[name](us1962, h_c[i, 0], 0.0, zeta[j], RADIUS)
                 assert one.shape == ()
                 assert float(one) == pytest.approx(r[i, j], rel=1e-12)
 
@@ -84,33 +80,35 @@ class TestEveryMethod:
         h_c = np.array([6000.0, 6000.0, 1000.0, np.nan, 6000.0, 6000.0])
         h_g = np.array([0.0, 0.0, 2000.0, 0.0, np.nan, 0.0])
         zeta = np.array([90.0, 120.0, 45.0, 45.0, 45.0, -1.0]) * DEGREE
-        assert np.isnan(EVERY[name](us1962, h_c, h_g, zeta, RADIUS)).all()
+        assert np.isnan(pub.PUBLISHED[name](us1962, h_c, h_g, zeta, RADIUS)).all()
 
     def test_a_bad_ray_does_not_disturb_the_others(self, name, us1962):
-        r = EVERY[name](us1962, [6000.0, 6000.0], 0.0, [DIAGONAL, 2.0], RADIUS)
-        alone = EVERY[name](us1962, 6000.0, 0.0, DIAGONAL, RADIUS)
+        r = pub.PUBLISHED[name](us1962, [6000.0, 6000.0], 0.0, [DIAGONAL, 2.0], RADIUS)
+        alone = pub.PUBLISHED[name](us1962, 6000.0, 0.0, DIAGONAL, RADIUS)
         assert r[0] == pytest.approx(float(alone), rel=1e-12)
         assert np.isnan(r[1])
 
     def test_is_zero_at_the_nadir(self, name, us1962):
-        assert float(EVERY[name](us1962, 6000.0, 0.0, 0.0, RADIUS)) == pytest.approx(0.0, abs=1e-20)
+        assert float(pub.PUBLISHED[name](us1962, 6000.0, 0.0, 0.0, RADIUS)) == pytest.approx(
+            0.0, abs=1e-20
+        )
 
     # Percent of the spherical form at 45 degrees, 6 km above sea level: as measured, with room.
     def test_has_the_size_of_the_spherical_form(self, name, us1962):
         exact = refraction_angle(us1962, 6000.0, 0.0, DIAGONAL, RADIUS)
-        assert float(EVERY[name](us1962, 6000.0, 0.0, DIAGONAL, RADIUS)) == pytest.approx(
+        assert float(pub.PUBLISHED[name](us1962, 6000.0, 0.0, DIAGONAL, RADIUS)) == pytest.approx(
             exact, rel=0.02
         )
 
 
 def test_outside_the_profile_is_nan(us1962):
-    looks_at_the_profile = set(EVERY) - {
+    looks_at_the_profile = set(pub.PUBLISHED) - {
         "manual", "saastamoinen1974_ican", "saastamoinen1974_quadratic",
         # These go on beyond 80.5 km without air.
         "bertram1966", "bertram1966_curved", "bertram1966_from_ground",
     }  # fmt: skip
     for name in sorted(looks_at_the_profile):
-        r = EVERY[name](us1962, [95_000.0, 6000.0], [0.0, -6000.0], DIAGONAL, RADIUS)
+        r = pub.PUBLISHED[name](us1962, [95_000.0, 6000.0], [0.0, -6000.0], DIAGONAL, RADIUS)
         assert np.isnan(r).all(), name
 
 
@@ -497,8 +495,8 @@ class TestTrace:
         assert summed == [6.0, 0.0, 6.0]
 
 
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("name", pub.PUBLISHED)
 @pytest.mark.parametrize("endless", [math.inf, -math.inf])
 def test_infinite_arguments_give_nan_without_a_warning(name, endless, us1962):
     for ray in ((endless, 0.0, DIAGONAL), (6000.0, endless, DIAGONAL), (6000.0, 0.0, endless)):
-        assert np.isnan(EVERY[name](us1962, *ray, RADIUS)), ray
+        assert np.isnan(pub.PUBLISHED[name](us1962, *ray, RADIUS)), ray

@@ -38,13 +38,18 @@ from pipeline.refraction.published.trace import Method
 
 PUBLISHED: dict[str, Method] = {
     "plane": plane,
+    "plane_first_term": plane_first_term,
+    "plane_moist": plane_moist,
     "gyer1996": gyer1996,
     "saastamoinen1974": saastamoinen1974,
     "saastamoinen1974_ican": saastamoinen1974_ican,
     "saastamoinen1974_quadratic": saastamoinen1974_quadratic,
+    "saastamoinen1974_fitted": saastamoinen1974_fitted,
     "saastamoinen1974_weather": saastamoinen1974_weather,
     "saastamoinen1974_series": saastamoinen1974_series,
     "bertram1966": bertram1966,
+    "bertram1966_from_ground": bertram1966_from_ground,
+    "bertram1966_curved": bertram1966_curved,
     "manual": manual,
 }
 """Methods by the name that ``refraction.method`` and ``unbend angle --method`` take."""
