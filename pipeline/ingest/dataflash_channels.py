@@ -21,7 +21,7 @@ from pipeline.ingest.dataflash_fields import (
     instance_of,
 )
 from pipeline.ingest.dataflash_time import RECEIVERS, Clock
-from pipeline.ingest.fields import MessageMap, extract
+from pipeline.ingest.fields import Column, MessageMap, extract, is_number
 from pipeline.ingest.heights import (
     HEIGHT_OPTION,
     says_ellipsoid,
@@ -82,8 +82,9 @@ def _instances(
     named = table.get(spec.id_field)
     instance = instance_of(table) if named is None else named
     values = extract(table, columns, moved)
-    del decoded, table
     _report_absent(message, spec, values, instance.shape[0], ledger)
+    _report_odd(message, table, columns, ledger)
+    del decoded, table
     numbers, counts = np.unique(instance, return_counts=True)
     if named is None and not spec.event:
         numbers = numbers[~_stray_instances(message, numbers, counts, ledger)]
@@ -105,6 +106,15 @@ def _report_absent(
     needed |= {"h_msl_m"} if spec.position else set()
     if absent := needed - set(values):
         what = f"{count} rows have no {', '.join(sorted(absent))}: the log defines no field for it"
+        ledger.loss("LOG-FIELDS", what, where=message, count=count)
+
+
+def _report_odd(message: str, table: Table, columns: tuple[Column, ...], ledger: Ledger) -> None:
+    """Enter fields that hold no numbers where numbers are wanted: their definition is damaged."""
+    fields = {field for column in columns for field in column.fields if field in table}
+    if odd := sorted(field for field in fields if not is_number(table[field])):
+        count = table[odd[0]].shape[0]
+        what = f"{', '.join(odd)} of {count} rows hold no numbers, by their definition"
         ledger.loss("LOG-FIELDS", what, where=message, count=count)
 
 

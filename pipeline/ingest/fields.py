@@ -112,6 +112,11 @@ def to_si(raw: NDArray[Any], spec: Column) -> Array:
     return value
 
 
+def is_number(column: NDArray[Any]) -> bool:
+    """Whether a column holds one number a row."""
+    return column.ndim == 1 and column.dtype.kind in "biuf"
+
+
 def extract(
     table: Mapping[str, NDArray[Any]],
     columns: tuple[Column, ...],
@@ -119,12 +124,11 @@ def extract(
 ) -> dict[str, Array]:
     """The columns of a field map that a decoded message has, each as it is to be ``kept``.
 
-    A field that is an array where a number is wanted is none of them.
+    A field that is an array or a text where a number is wanted is none of them.
     """
     result: dict[str, Array] = {}
     for spec in columns:
-        there = (name for name in spec.fields if name in table and table[name].ndim == 1)
-        field = next(there, None)
+        field = next((n for n in spec.fields if n in table and is_number(table[n])), None)
         if field is not None:
             result[spec.name] = kept(to_si(table[field], spec))
     return result

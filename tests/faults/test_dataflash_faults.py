@@ -153,6 +153,14 @@ def test_what_was_found_stays_repaired(
     assert not trial.failures, trial.summary()
 
 
+def test_what_was_found_in_texts_stays_repaired(
+    text_trial: Any, corpus: dict[str, Any], mutate: ModuleType
+) -> None:
+    for name, recipe in corpus["dataflash_text"]:
+        assert text_trial.run(mutate.Recipe(*recipe)) == "reported", name
+    assert not text_trial.failures, text_trial.summary()
+
+
 def test_no_log_at_all(trial: Any) -> None:
     import random
 
