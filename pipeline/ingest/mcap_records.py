@@ -92,7 +92,7 @@ class _Walk:
         self.data_end = -1  # where the summary begins
         self.disproved = -1  # a record that others were found in
         self.budget = Budget(data.size)
-        self.ends = 0  # records that end the data section
+        self.ends, self.ended = 0, False  # records that end the data; whether one was looked at
 
     def summary(self) -> Iterator[Definition]:
         """The definitions in the summary, where its checksum holds."""
@@ -178,7 +178,11 @@ class _Walk:
                     starts.append(place)
                 else:
                     return at
-            elif opcode in DEFINITIONS or opcode in (CHUNK, DATA_END):
+            elif opcode == DATA_END:
+                self.ends += 1
+                if self.ends <= 2:  # a million of them must cost no more than two
+                    others.append((opcode, at, length))
+            elif opcode in DEFINITIONS or opcode == CHUNK:
                 others.append((opcode, at, length))
             sure = opcode == CHUNK and self._proves(at)
             self.before = begin + end - 1 if sure else at
@@ -213,18 +217,23 @@ class _Walk:
             start = head + self.data[content : content + MESSAGE_START]
             yield from self._collect(np.frombuffer(start, np.uint8), np.zeros(1, np.int64))
         elif opcode == DATA_END:
-            crc = int.from_bytes(self.data[content : content + min(length, 4)], "little")
-            self.ends += 1
-            if self.ends > 1:  # each would be a checksum of all before it
-                what = "the data end a second time: their checksum here is not checked"
-                self.damage.add("LOG-INCONSISTENT", what, at, 0)
-            elif crc and self._checksum(0, at) != crc:
-                self.damage.add("LOG-CRC", "the data section fails its checksum", at, 0)
+            self._check_data(at, content, length)
         elif length > MAX_DEFINITION:
             what = f"a definition of {length} bytes (opcode {opcode}) is skipped"
             self.damage.add("LOG-TOO-LARGE", what, at, length)
         else:
             yield self._read_definition(opcode, content, length)
+
+    def _check_data(self, at: int, content: int, length: int) -> None:
+        """The checksum of all that lies before the first end of the data; no other is checked."""
+        if self.ended:
+            what = "the data end a second time: their checksum here is not checked"
+            self.damage.add("LOG-INCONSISTENT", what, at, 0)
+            return
+        self.ended = True
+        crc = int.from_bytes(self.data[content : content + min(length, 4)], "little")
+        if crc and self._checksum(0, at) != crc:
+            self.damage.add("LOG-CRC", "the data section fails its checksum", at, 0)
 
     def _chunk(self, at: int, content: int, length: int) -> Iterator[Definition | Messages]:
         chunk = head_of(self.data, content, length)

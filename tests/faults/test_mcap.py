@@ -322,7 +322,7 @@ def nested(depth: int) -> str:
 
 def bomb(kind: str) -> bytes:
     if kind == "data that ends again and again":  # each a checksum of all before it
-        return record(15, struct.pack("<I", 1)) * 100_000
+        return record(15, struct.pack("<I", 1)) * 1_000_000
     if kind == "schema of a long array":
         return schema_bomb("float64[2000000000] variance\nfloat64 fluid_pressure")
     if kind == "schema of long arrays":
