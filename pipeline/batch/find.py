@@ -26,10 +26,11 @@ from pipeline.flight.exposures import (
     require_aircraft_attitude,
     require_cabin_air,
 )
+from pipeline.flight.gimbals import tell_of_gimbal
 from pipeline.flight.heights import HeightSystem, height_system
 from pipeline.flight.local import locate
 from pipeline.flight.quality import within_reason
-from pipeline.flight.roles import Wish, assign_roles, warn_of_gimbal
+from pipeline.flight.roles import Wish, assign_roles
 from pipeline.flight.stations import (
     Stations,
     join_stations,
@@ -114,7 +115,8 @@ def read_flight(plan: Plan, ledger: Ledger) -> Flight:
     wishes = {role: Wish(c.name, c.unit) for role, c in named.items()}
     roles = assign_roles(channels, wishes, ledger, needs_cabin=reads_cabin(plan.mission))
     sound = {role: within_reason(channel, role, ledger) for role, channel in roles.items()}
-    warn_of_gimbal(log.messages, ledger)
+    mounts = {camera: mount.build() for camera, mount in plan.mission.mount.items()}
+    tell_of_gimbal(log.messages, sound, mounts, ledger)
     heights = height_system(sound, plan.mission.mission.undulation_m, ledger)
     stated_home = plan.mission.ground.home_h_msl_m
     if stated_home is not None:

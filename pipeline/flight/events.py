@@ -127,8 +127,12 @@ def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Cha
 
 
 def account_for_triggers(channels: tuple[Channel, ...], chosen: Channel, ledger: Ledger) -> None:
-    """Say how many triggers have no shutter event, and when the events are triggers themselves."""
-    triggers = [c for c in channels if c.source.message == "TRIG"]
+    """Say how many triggers have no shutter event, and when the events are triggers themselves.
+
+    ArduPilot logs TRIG at the trigger and CAM at the feedback of a camera with a feedback pin, and
+    without one CAM alone, at the trigger. Cameras fire apart: the rows of one instance are one's.
+    """
+    triggers = [c for c in channels if c.source.message == "TRIG" and _of_one_camera(c, chosen)]
     if chosen.source.message in ("TRIG", "CAMERA_TRIGGER") or (
         chosen.source.message == "CAM" and not triggers
     ):
@@ -140,19 +144,25 @@ def account_for_triggers(channels: tuple[Channel, ...], chosen: Channel, ledger:
             where=chosen.name,
             count=len(chosen),
         )
-    if chosen.source.message not in ("CAM", "CAMERA_FEEDBACK"):
+    if chosen.source.message != "CAM":
         return
-    own = [c for c in triggers if c.source.instance == chosen.source.instance]
-    for channel in own or triggers[:1]:
-        if len(channel) > len(chosen):
+    for trigger in triggers:
+        fired = [c for c in channels if c.source.message == "CAM" and _of_one_camera(trigger, c)]
+        names, events = ", ".join(c.name for c in fired), sum(map(len, fired))
+        if len(trigger) > events:
             ledger.loss(
                 "EVENTS-LOST",
-                f"{len(channel)} triggers of {channel.name}, {len(chosen)} shutter events of "
-                f"{chosen.name}: {len(channel) - len(chosen)} pulses were lost, their images "
+                f"{len(trigger)} triggers of {trigger.name}, {events} shutter events of "
+                f"{names}: {len(trigger) - events} pulses were lost, their images "
                 "have no station",
-                where=chosen.name,
-                count=len(channel) - len(chosen),
+                where=names,
+                count=len(trigger) - events,
             )
+
+
+def _of_one_camera(trigger: Channel, shots: Channel) -> bool:
+    """Whether a trigger may be of the camera of some shots: one without an instance is of any."""
+    return trigger.source.instance in (None, shots.source.instance)
 
 
 def refuse_repeated_images(events: list[Events]) -> None:

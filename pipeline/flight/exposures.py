@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.atmosphere.air import vapour_pressure
 from pipeline.flight.channels import Array, Channel
 from pipeline.flight.events import Events
+from pipeline.flight.gimbals import is_of_gimbal
 from pipeline.flight.heights import HeightSystem, heights_at
 from pipeline.flight.mount import Mount
 from pipeline.flight.stations import (
@@ -79,6 +80,8 @@ def build_stations(
     stations = _oriented(stations, mount, lat, lon, h_msl, h_ell, attitude)
     if "aircraft_attitude" in roles:
         attitude, _ = interpolate_attitude(roles["aircraft_attitude"], time_ns, max_gap_s)
+    elif is_of_gimbal(roles["attitude"].source.message):
+        attitude = np.full_like(attitude, np.nan)
     stations = replace(stations, aircraft_quaternion=_body_from_enu(attitude))
     return _with_air(stations, roles, max_gap_s)
 

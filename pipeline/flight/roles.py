@@ -96,20 +96,6 @@ def assign_roles(
     return filled
 
 
-_GIMBALS = ("MNT", "MOUNT_STATUS", "MOUNT_ORIENTATION", "GIMBAL_DEVICE_ATTITUDE_STATUS")
-
-
-def warn_of_gimbal(messages: Mapping[str, int], ledger: Ledger) -> None:
-    """Say that a gimbal the log speaks of is not followed: the mount is taken as rigid."""
-    found = [f"{messages[name]} {name}" for name in _GIMBALS if messages.get(name)]
-    if found:
-        ledger.warning(
-            "GIMBAL-IGNORED",
-            f"the log has {', '.join(found)} of a gimbal: no camera follows it unless its "
-            "channel is named as attitude; each is taken as fixed to the aircraft by its mount",
-        )
-
-
 def _named(
     channels: tuple[Channel, ...], role: str, wish: Wish, required: bool, ledger: Ledger
 ) -> Channel | None:

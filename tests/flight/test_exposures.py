@@ -212,6 +212,48 @@ def test_triggers_without_a_shutter_are_counted() -> None:
     assert [e.count for e in ledger] == [2]
 
 
+def fired(name: str, count: int) -> Channel:
+    return channel(name, np.arange(count), event_index=np.arange(count))
+
+
+LOST, AT_TRIGGER = "EVENTS-LOST", "EVENTS-TRIGGER-TIME"
+
+
+@pytest.mark.parametrize(
+    ("rows", "told"),
+    [
+        # a camera with a feedback pin and one without
+        (
+            {"CAM[0]": 3, "CAM[1]": 4, "TRIG[0]": 5},
+            [(LOST, "CAM[0]", 2), (AT_TRIGGER, "CAM[1]", 4)],
+        ),
+        (
+            {"CAM[0]": 4, "CAM[1]": 3, "TRIG[1]": 5},
+            [(AT_TRIGGER, "CAM[0]", 4), (LOST, "CAM[1]", 2)],
+        ),
+        # each has its pin, and one lost nothing
+        ({"CAM[0]": 5, "CAM[1]": 3, "TRIG[0]": 5, "TRIG[1]": 4}, [(LOST, "CAM[1]", 1)]),
+        # neither has one
+        ({"CAM[0]": 3, "CAM[1]": 4}, [(AT_TRIGGER, "CAM[0]", 3), (AT_TRIGGER, "CAM[1]", 4)]),
+        # logs of the time of one camera: no instances at all
+        ({"CAM": 3, "TRIG": 5}, [(LOST, "CAM", 2)]),
+        ({"CAM": 3}, [(AT_TRIGGER, "CAM", 3)]),
+        # triggers that are not told apart are those of all cameras together, and counted once
+        ({"CAM[0]": 3, "CAM[1]": 4, "TRIG": 7}, []),
+        ({"CAM[0]": 3, "CAM[1]": 4, "TRIG": 8}, [(LOST, "CAM[0], CAM[1]", 1)]),
+    ],
+)
+def test_triggers_of_another_camera_do_not_count(
+    rows: dict[str, int], told: list[tuple[str, str, int]]
+) -> None:
+    channels = tuple(fired(name, count) for name, count in rows.items())
+    ledger = Ledger()
+    for camera in channels:
+        if camera.source.message == "CAM":
+            account_for_triggers(channels, camera, ledger)
+    assert [(entry.code, entry.where, entry.count) for entry in ledger] == told
+
+
 def test_repeated_names_are_refused() -> None:
     with pytest.raises(MissionError, match="EVENTS-REPEATED"):
         refuse_repeated_images([events(1.0, 2.0), events(3.0)])

@@ -175,10 +175,18 @@ def test_two_cameras_stay_apart_and_lost_pulses_are_counted(two_cameras: Flown) 
     assert (count["left"], count["right"]) == (127, 128)
     assert two_cameras.stations["image"].is_unique
     lost = two_cameras.ledger("EVENTS-LOST")
-    assert lost, "142 triggers, 127 and 128 pulses: the ledger must say so"
+    at_trigger = {entry["where"] for entry in two_cameras.ledger("EVENTS-TRIGGER-TIME")}
+    assert lost, "142 triggers and 127 pulses of the camera with a feedback pin"
+    # The other has none (CAM2_FEEDBAK_PIN -1): 128 triggers are 128 images, 1 to 128.
+    images = two_cameras.truth.loc[two_cameras.truth["I"] == 1, "Img"]
+    assert sorted(images) == list(range(1, 129))
     if two_cameras.outcome.manifest["log"]["format"] == "dataflash":
         assert any(entry["count"] == 142 - 127 for entry in lost)
+        assert {entry["where"] for entry in lost} == {"CAM[0]"}
+        assert at_trigger == {"CAM[1]"}
     else:
+        assert {entry["where"] for entry in lost} == {"CAMERA_FEEDBACK[0]"}
+        assert at_trigger == {"CAMERA_FEEDBACK[1]"}
         assert sum(int(str(e["count"])) for e in two_cameras.ledger("EVENT-REPEAT")) == 254
         assert two_cameras.ledger("EVENT-EMPTY")[0]["count"] == 1
 
