@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pipeline.atmosphere.account import Flown, SourceUse, account
 from pipeline.atmosphere.bases import Basis, bases, why_none
 from pipeline.atmosphere.belief import believable, judge_level
+from pipeline.atmosphere.calibration import calibrated, compare_calibration, tell_unused
 from pipeline.atmosphere.climatology import AUTO, Climatology, climatology, month_of
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.estimate import Estimate, Fit, Nuisance, estimate
@@ -51,11 +52,6 @@ UNCHANGED = 0.95
 
 FEWEST_TO_WIDEN = 5
 """The estimator never widens the sigmas of fewer readings: too few to tell."""
-
-CONTRADICTED = 4.0
-"""Sigmas between what a calibration says and what the flight does, at which one must be wrong."""
-
-_LEAST_LEARNT = 0.05  # of the expected sigma: less says nothing
 
 LEFT_OUT = "with it no air fits what the flight measured"
 
@@ -134,7 +130,8 @@ def build_adjusted_profile(
     moisture = climatology(AUTO, latitude_rad=latitude_rad, month=month, index=standard.index)
     if background is None:
         background = _about(standard, moisture, latitude_rad, month)
-    given, samples = samples, believable(samples, standard, ledger)
+    given = calibrated(samples, ledger)
+    samples = believable(given, standard, ledger)
     useless = _too_far((*soundings, *surface), occasion, ledger)
     near = [s for s in soundings if s.name not in useless]
     reports = [r for r in surface if r.name not in useless]
@@ -178,6 +175,7 @@ def build_adjusted_profile(
     kept = f"the {'standard atmosphere' if same else 'climatology'} {background.profile.name}"
     reason = why_none(samples, faults, kept)
     ledger.fallback("AIR-STANDARD", reason)
+    tell_unused(set(given.calibration), ledger)
     profile, covariance = _unchanged(background)
     word = UNADJUSTED if same else UNMEASURED
     return Adjustment(
@@ -291,7 +289,7 @@ def _tell_of_sensors(made: Estimate, samples: AirSamples, ledger: Ledger) -> Non
             "AIR-SENSORS",
             "; ".join(f"{n.name} {n.value:.3g} ± {n.sigma:.2g}" for n in learnt),
         )
-    _compare_calibration(made, samples, ledger)
+    compare_calibration(made, samples, ledger)
     for fit in made.fits:
         few = fit.count < FEWEST_TO_WIDEN
         if fit.widened > MISFIT or (few and fit.rms > MISFIT):
@@ -312,39 +310,6 @@ def _tell_of_sensors(made: Estimate, samples: AirSamples, ledger: Ledger) -> Non
                 where=sensor.name,
                 count=int(rejected.sum()),
             )
-
-
-def _compare_calibration(made: Estimate, samples: AirSamples, ledger: Ledger) -> None:
-    """Say where the flight contradicts what is known of its sensors, and what it does not use.
-
-    If both are right, an estimate departs from what was expected by a sigma whose square is that
-    of the expectation less that of the estimate.
-    """
-    expected = {fault.name: fault.mean for fault in made.sources.faults}
-    for found in made.nuisances:
-        learnt = found.prior_sigma**2 - found.sigma**2
-        if (
-            found.name not in samples.calibration
-            or learnt < (_LEAST_LEARNT * found.prior_sigma) ** 2
-        ):
-            continue
-        apart = (found.value - expected[found.name]) / math.sqrt(learnt)
-        if abs(apart) > CONTRADICTED:
-            ledger.warning(
-                "AIR-CALIBRATION",
-                f"{found.name} is {expected[found.name]:.2f} ± {found.prior_sigma:.2f} by the "
-                f"mission file; the flight contradicts that by {abs(apart):.0f} sigma and draws it "
-                f"to {found.value:.2f}: one of the two is wrong",
-                where="atmosphere.sensors",
-            )
-    unused = set(samples.calibration) - set(expected) - {d.name for d in made.sources.drifts}
-    if unused:
-        ledger.note(
-            "AIR-CALIBRATION-UNUSED",
-            f"no sensor that the air stands on has a {', '.join(sorted(unused))}",
-            where="atmosphere.sensors",
-            count=len(unused),
-        )
 
 
 def _dealt_with(fit: Fit) -> str:

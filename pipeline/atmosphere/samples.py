@@ -56,10 +56,14 @@ class Samples:
 
 @dataclass(frozen=True)
 class Calibrated:
-    """What is known of a fault of a sensor before the flight; None where that is nothing."""
+    """What is known of a fault of a sensor before the flight; None where that is nothing.
+
+    ``taken`` is how much of it was taken from the readings already.
+    """
 
     mean: float | None = None
     sigma: float | None = None
+    taken: float = 0.0
 
     def mean_or(self, usual: float) -> float:
         return usual if self.mean is None else self.mean

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from pipeline.atmosphere.climatology import Climatology, climatology, month_of
 from pipeline.atmosphere.course import TimedAir, aged, air_along, one_air
 from pipeline.atmosphere.metar import SurfaceReport
 from pipeline.atmosphere.nearness import Occasion, tell_of_nearness
-from pipeline.atmosphere.samples import AirSamples
+from pipeline.atmosphere.samples import AirSamples, Calibrated
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.windows import estimate_windows
 from pipeline.batch.plan import Plan, sounding_role
@@ -44,6 +44,7 @@ class AirSources:
     time_ns: int | None = None
     longitude_rad: float = math.nan
     home_h_msl_m: float | None = None
+    calibration: Mapping[str, Calibrated] = field(default_factory=dict)
 
     def lines(self) -> list[tuple[str, str]]:
         """For a person."""
@@ -51,6 +52,7 @@ class AirSources:
             *(("sounding", _told_of_sounding(sounding)) for sounding in self.soundings),
             *(("surface", _told_of_report(report)) for report in self.surface),
             ("climatology", f"{self.background.profile.name}, {self.background.origin}"),
+            *([("sensors", told_of_calibration(self.calibration))] if self.calibration else []),
         ]
 
 
@@ -96,15 +98,18 @@ def find_sources(
         for i, s in enumerate(section.surface)
     )
     tell_of_nearness(soundings, surface, Occasion(flight_ns, latitude, longitude), ledger)
-    if not section.adjust and (soundings or surface):
+    calibration = section.sensors.calibration
+    if not section.adjust and (soundings or surface or calibration):
         ledger.warning(
             "AIR-SOURCES-UNUSED",
-            f"atmosphere.adjust is false: {len(soundings)} soundings and {len(surface)} surface "
-            "reports are not used",
+            f"atmosphere.adjust is false: {len(soundings)} soundings, {len(surface)} surface "
+            f"reports and what is known of {len(calibration)} faults of sensors are not used",
             where="atmosphere",
-            count=len(soundings) + len(surface),
+            count=len(soundings) + len(surface) + len(calibration),
         )
-    return AirSources(background, soundings, surface, flight_ns, longitude, home_h_msl_m)
+    return AirSources(
+        background, soundings, surface, flight_ns, longitude, home_h_msl_m, calibration
+    )
 
 
 def _time_of(stations: Stations) -> int | None:
@@ -142,7 +147,7 @@ def adjust_air(
             replace(
                 samples,
                 board_temperature=section.board_temperature,
-                calibration=section.sensors.calibration,
+                calibration=sources.calibration,
             ),
             standard,
             latitude,
@@ -183,6 +188,20 @@ def _levels(
     if heights.size == 0:
         return [h_g], h_g
     return [float(h) for h in np.percentile(heights, [0.0, 50.0, 100.0])], h_g
+
+
+def told_of_calibration(calibration: Mapping[str, Calibrated]) -> str:
+    """What is known of the sensors, in words; where only one of mean and sigma is, the other not.
+
+    >>> told_of_calibration({"bias": Calibrated(0.01, 0.02), "drift [K]": Calibrated(None, 1.0)})
+    'bias 0.01 ± 0.02, drift [K] ± 1'
+    """
+    told = []
+    for name, known in calibration.items():
+        mean = "" if known.mean is None else f" {known.mean:g}"
+        sigma = "" if known.sigma is None else f" ± {known.sigma:g}"
+        told.append(f"{name}{mean}{sigma}")
+    return ", ".join(told)
 
 
 def _told_of_sounding(sounding: Sounding) -> str:

@@ -43,8 +43,10 @@ def _unheeded(_: int, __: FrameType | None) -> None:
 
 
 def _interrupted(_: int, __: FrameType | None) -> None:
+    # Not KeyboardInterrupt: where that passes through an exec() (of dataclasses, in an import),
+    # Python ends the process by the signal, whatever its exit code.
     _leave_in_peace()
-    raise KeyboardInterrupt
+    raise SystemExit(EXIT_INTERRUPTED)
 
 
 def _terminated(_: int, __: FrameType | None) -> None:
@@ -92,9 +94,10 @@ def main() -> None:
     except UnbendError as error:
         refuse(error)
         code = error.exit_code
-    except (typer.Abort, KeyboardInterrupt):
-        print("interrupted; run again to finish", file=sys.stderr)
-        code = EXIT_INTERRUPTED
+    except SystemExit as end:
+        code = end.code if isinstance(end.code, int) else EXIT_DONE
+        if code == EXIT_INTERRUPTED:
+            print("interrupted; run again to finish", file=sys.stderr)
     except _USAGE_ERROR as error:
         error.show()  # type: ignore[attr-defined]
         code = EXIT_CONFIG

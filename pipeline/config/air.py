@@ -129,10 +129,11 @@ class HygrometerSection(Section):
 
 
 class GnssSection(Section):
-    """What is known of GNSS heights above sea level; as logged minus true."""
+    """How well GNSS heights above sea level are known."""
 
-    height_offset_m: float | None = Field(None, ge=-100, le=100)
-    sigma_height_offset_m: float | None = Field(None, ge=0.01, le=100, description="by default 2.5")
+    sigma_height_m: float | None = Field(
+        None, ge=0.01, le=100, description="of the offset all of them share, by default 2.5"
+    )
 
 
 class SensorsSection(Section):
@@ -156,7 +157,7 @@ class SensorsSection(Section):
             THERMOMETER_DRIFT: Calibrated(None, warm.sigma_drift_k),
             OFFSET: Calibrated(_pascal(high.offset_hpa), _pascal(high.sigma_offset_hpa)),
             HYGROMETER_FAULT.name: Calibrated(moist.bias, moist.sigma_bias),
-            HEIGHT: Calibrated(gnss.height_offset_m, gnss.sigma_height_offset_m),
+            HEIGHT: Calibrated(None, gnss.sigma_height_m),
         }
         return {name: known for name, known in every.items() if known != Calibrated()}
 

@@ -187,7 +187,8 @@ def require_aircraft_attitude(stations: Stations, camera: str, ledger: Ledger) -
         camera,
         np.asarray(np.isnan(stations.aircraft_quaternion).any(axis=1)),
         "AIRCRAFT-ATTITUDE-MISSING",
-        "no attitude of the aircraft: how its window stands before the camera is not known",
+        "no attitude of the aircraft (log.channels.aircraft_attitude): how its window stands "
+        "before the camera is not known",
         ledger,
     )
 

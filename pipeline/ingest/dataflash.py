@@ -14,11 +14,14 @@ from pipeline.flight.boots import Timeline, timeline
 from pipeline.ingest.base import Contents, Table, report_damage
 from pipeline.ingest.dataflash_channels import channels_of, wanted
 from pipeline.ingest.dataflash_columns import Decoded, decode, settled
-from pipeline.ingest.dataflash_fields import instance_of
+from pipeline.ingest.dataflash_fields import INSTANCE_FIELDS, instance_of
 from pipeline.ingest.dataflash_records import FMT_START, Walk, Walker, walk
 from pipeline.ingest.dataflash_time import Clock, clock_of, stamps
+from pipeline.ingest.fields import is_number
 from pipeline.ingest.window import window_on
 from pipeline.ledger import Ledger
+
+_PLACING = (*INSTANCE_FIELDS, "TimeUS", "GMS", "GWk", "Status")
 
 
 @dataclass(frozen=True)
@@ -113,13 +116,25 @@ def timed_only(tables: dict[str, Decoded], ledger: Ledger) -> dict[str, Decoded]
     result = {}
     for name in list(tables):
         table = settled(tables.pop(name), name, ledger)
+        table = _with_numbers(table, name, ledger)
         time = table.columns.get("TimeUS")
-        if time is None or time.dtype.kind not in "iuf":
+        if time is None or not is_number(time):
             what = f"{table.places.size} rows have no time: the log defines no field TimeUS"
             ledger.loss("LOG-FIELDS", what, where=name, count=table.places.size)
             continue
         result[name] = table.take(np.isfinite(time)) if time.dtype.kind == "f" else table
     return result
+
+
+def _with_numbers(table: Decoded, name: str, ledger: Ledger) -> Decoded:
+    """A table without fields that place its rows in time but hold no numbers: by damage."""
+    odd = [f for f in _PLACING if f in table.columns and not is_number(table.columns[f])]
+    if not odd:
+        return table
+    count = table.places.size
+    what = f"{', '.join(odd)} of {count} rows hold no numbers, by their definition"
+    ledger.loss("LOG-FIELDS", what, where=name, count=count)
+    return Decoded({f: c for f, c in table.columns.items() if f not in odd}, table.places)
 
 
 def _every_field(_: str) -> bool:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Set
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.flight.channels import ROLE_COLUMNS, Array, Channel, Source
+from pipeline.flight.channels import ROLE_COLUMNS, Channel, Source
 from pipeline.flight.clock import STRAY_ROWS
 from pipeline.ingest.base import Table
 from pipeline.ingest.build import Rows, channel_of
@@ -82,8 +82,8 @@ def _instances(
     named = table.get(spec.id_field)
     instance = instance_of(table) if named is None else named
     values = extract(table, columns, moved)
-    _report_absent(message, spec, values, instance.shape[0], ledger)
-    _report_odd(message, table, columns, ledger)
+    odd = _report_odd(message, table, columns, ledger)
+    _report_absent(message, spec, odd | set(values), instance.shape[0], ledger)
     del decoded, table
     numbers, counts = np.unique(instance, return_counts=True)
     if named is None and not spec.event:
@@ -97,25 +97,36 @@ def _instances(
 
 
 def _report_absent(
-    message: str, spec: MessageMap, values: Mapping[str, Array], count: int, ledger: Ledger
+    message: str, spec: MessageMap, known: Set[str], count: int, ledger: Ledger
 ) -> None:
     """Enter the roles for which the log defines no field: a name of one may be damaged."""
     needed = {column for role in spec.roles for column in ROLE_COLUMNS[role]} - {"event_index"}
     if spec.attitude or spec.position:  # without these it is no channel, and `channel_of` says so
         needed -= {"q_w", "q_x", "q_y", "q_z", "lat_rad", "lon_rad"}
     needed |= {"h_msl_m"} if spec.position else set()
-    if absent := needed - set(values):
+    if absent := needed - known:
         what = f"{count} rows have no {', '.join(sorted(absent))}: the log defines no field for it"
         ledger.loss("LOG-FIELDS", what, where=message, count=count)
 
 
-def _report_odd(message: str, table: Table, columns: tuple[Column, ...], ledger: Ledger) -> None:
-    """Enter fields that hold no numbers where numbers are wanted: their definition is damaged."""
-    fields = {field for column in columns for field in column.fields if field in table}
-    if odd := sorted(field for field in fields if not is_number(table[field])):
-        count = table[odd[0]].shape[0]
-        what = f"{', '.join(odd)} of {count} rows hold no numbers, by their definition"
+def _report_odd(
+    message: str, table: Table, columns: tuple[Column, ...], ledger: Ledger
+) -> set[str]:
+    """Enter fields that hold no numbers where numbers are wanted: their definition is damaged.
+
+    Returns the columns that they would be.
+    """
+    odd = {
+        field: column.name
+        for column in columns
+        for field in column.fields
+        if field in table and not is_number(table[field])
+    }
+    if odd:
+        count = table[next(iter(odd))].shape[0]
+        what = f"{', '.join(sorted(odd))} of {count} rows hold no numbers, by their definition"
         ledger.loss("LOG-FIELDS", what, where=message, count=count)
+    return set(odd.values())
 
 
 def _stray_instances(

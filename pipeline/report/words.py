@@ -69,7 +69,10 @@ def correction_rows(manifest: Mapping[str, Any]) -> list[tuple[str, ...]]:
 def where_from(manifest: Mapping[str, Any]) -> str:
     """Which air was used, and why."""
     profile = manifest["profile"]
-    sentence = f"{profile['reason'][:1].upper()}{profile['reason'][1:]}."
+    reason = profile["reason"]
+    first = reason.split()[0] if reason else ""
+    # The key of a mission file is written as it is.
+    sentence = f"{reason}." if "." in first else f"{reason[:1].upper()}{reason[1:]}."
     if profile["basis"] != "standard" and profile["departure_at_cameras_k"] is not None:
         sentence += (
             f" At the height of the cameras the air is {profile['departure_at_cameras_k']:+.1f} K "

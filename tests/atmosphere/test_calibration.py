@@ -23,6 +23,7 @@ from pipeline.atmosphere.measurements import (
 )
 from pipeline.atmosphere.samples import Calibrated
 from pipeline.atmosphere.sources import sources_of
+from pipeline.atmosphere.windows import part_of_flight
 from pipeline.ledger import Ledger
 
 US1976 = standard_atmosphere("us1976")
@@ -51,7 +52,7 @@ def flown(flights, truth, sensors, calibration, climb=3000.0, **how):
 GOOD = {
     BIAS: Calibrated(0.0, 0.05), TRANSIENT: Calibrated(0.0, 0.05), LAG: Calibrated(0.0, 0.2),
     THERMOMETER_DRIFT: Calibrated(None, 0.02), OFFSET: Calibrated(0.0, 5.0),
-    HYGROMETER_FAULT.name: Calibrated(0.0, 0.005), HEIGHT: Calibrated(0.0, 0.1),
+    HYGROMETER_FAULT.name: Calibrated(0.0, 0.005), HEIGHT: Calibrated(None, 0.1),
 }  # fmt: skip
 WRONG = {
     BIAS: ({"bias_k": 2.0}, 2.0, 0.1, {"barometer": False}),
@@ -59,7 +60,6 @@ WRONG = {
     LAG: ({"lag_s": 30.0}, 30.0, 1.0, {"barometer": False}),
     OFFSET: ({"pressure_offset_pa": 90.0}, 90.0, 5.0, {}),
     HYGROMETER_FAULT.name: ({"humidity_bias": 0.1}, 0.1, 0.005, {"humidity": "profile"}),
-    HEIGHT: ({"gnss_offset_m": 10.0}, 10.0, 0.1, {}),
 }
 
 
@@ -112,7 +112,9 @@ def test_a_flight_that_contradicts_the_calibration_says_so(flights, truth):
     _, ledger = flown(flights, truth, sensors, {BIAS: Calibrated(0.0, 0.1)})
     (entry,) = [e for e in ledger if e.code == "AIR-CALIBRATION"]
     assert BIAS in entry.what
-    assert "0.00 ± 0.10 by the mission file" in entry.what
+    assert "0 ± 0.1 by the mission file" in entry.what
+    alone = float(entry.what.split(", ")[1].split()[0])
+    assert alone == pytest.approx(4.0, abs=0.8)
     _, ledger = flown(flights, truth, sensors, {BIAS: Calibrated(4.0, 0.1)})
     assert not [e for e in ledger if e.code.startswith("AIR-CALIBRATION")]
 
@@ -139,3 +141,41 @@ def test_what_no_sensor_has_is_said(flights, truth):
     _, ledger = flown(flights, truth, flights.Sensors(), {RECOVERY.name: Calibrated(0.8, 0.05)})
     (entry,) = [e for e in ledger if e.code == "AIR-CALIBRATION-UNUSED"]
     assert RECOVERY.name in entry.what
+
+
+@pytest.mark.parametrize("descent", [False, True])
+@pytest.mark.parametrize(
+    ("wrong", "name", "mean", "sigma"),
+    [({"bias_k": 12.0}, BIAS, 12.0, 0.1), ({"bias_k": -12.0}, BIAS, -12.0, 0.1),
+     ({"pressure_offset_pa": 3000.0}, OFFSET, 3000.0, 10.0)],
+)  # fmt: skip
+def test_no_sensor_is_refused_for_a_fault_that_is_known(
+    flights, truth, wrong, name, mean, sigma, descent
+):
+    """8 K are too much for a thermometer of which nothing is known, and a barometer's 30 hPa look
+    like that many kelvins."""
+    sensors, given = flights.Sensors(**wrong), {name: Calibrated(mean, sigma)}
+    found, ledger = flown(flights, truth, sensors, given, descent=descent)
+    assert found.basis in ("thermometer", "both")
+    codes = {entry.code for entry in ledger}
+    assert "AIR-CALIBRATED" in codes
+    assert not codes & {"AIR-THERMOMETER", "AIR-CALIBRATION"}
+    assert abs(truth.error(found.profile, 3000.0)) < 0.005
+    refused, _ = flown(flights, truth, sensors, {}, descent=descent)
+    assert refused.basis == "barometer" or name == OFFSET
+
+
+def test_only_the_worst_is_accused(flights, truth):
+    """A lag that is stated wrongly draws the bias along, which is right."""
+    given = GOOD | {LAG: Calibrated(8.0, 0.5), BIAS: Calibrated(0.0, 0.02)}
+    _, ledger = flown(flights, truth, flights.Sensors(lag_s=12.0), given, descent=True)
+    (entry,) = [e for e in ledger if e.code == "AIR-CALIBRATION"]
+    assert entry.what.startswith(f"{LAG}: 8 ± 0.5 by the mission file, 1")
+
+
+def test_a_part_of_a_flight_keeps_what_is_known(flights, truth):
+    samples = flights.fly(truth, 1000.0, flights.Sensors(), np.random.default_rng(3))
+    samples = replace(samples, calibration={BIAS: Calibrated(0.1, 0.2)})
+    start = int(samples.temperature.time_ns[0])
+    part = part_of_flight(samples, start, start + 200 * 10**9)
+    assert part.calibration == {BIAS: Calibrated(0.1, 0.2)}

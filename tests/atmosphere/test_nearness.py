@@ -15,7 +15,9 @@ from pipeline.atmosphere.bases import bases
 from pipeline.atmosphere.climatology import climatology
 from pipeline.atmosphere.metar import SurfaceReport
 from pipeline.atmosphere.nearness import (
+    UNPLACED_M,
     Occasion,
+    apart,
     says_nothing,
     tell_of_nearness,
     unlikeness,
@@ -95,6 +97,32 @@ def test_what_is_too_far_says_nothing(flights, hours, east, left_out):
     if left_out:
         assert ("hours" in says_nothing(balloon, occasion)) is (hours > 100.0)
         assert ("km" in says_nothing(balloon, occasion)) is (east > 20.0)
+
+
+@pytest.mark.parametrize("where", [(), place(47.0, 8.0), place(-80.0, -170.0)])
+@pytest.mark.parametrize("hours", [0.0, 2.0, 100.0, 180.0])
+def test_a_report_has_no_distance(where, hours):
+    """It has no position: a station near the flight is meant, and its age alone counts."""
+    occasion = Occasion(10**18, *where)
+    report = SurfaceReport(300.0, 95_000.0, 285.0, 900.0, 10**18 - int(hours * HOUR))
+    assert apart(report, occasion) == (pytest.approx(hours, abs=1e-9), 0.0)
+    assert says_nothing(report, occasion) is None
+
+
+def test_a_report_falls_silent_with_its_age_alone():
+    """1/rho^2 - 1 = 9 at rho^2 = 0.1, which is 167 h * ln(10)/2 = 192.3 h."""
+    for hours, silent in ((192.2, False), (192.4, True)):
+        report = SurfaceReport(300.0, 95_000.0, 285.0, 900.0, -int(hours * HOUR))
+        told = says_nothing(report, Occasion(0))
+        assert (told is not None) is silent
+        assert not silent or "km" not in told
+
+
+def test_what_is_not_known_of_a_sounding_is_taken_as_far(flights):
+    unknown = replace(balloon_of(flights.Truth(flights.extremes()[1])), time_ns=None)
+    assert apart(unknown, Occasion(0, *place(47.0, 8.0))) == (6.0, UNPLACED_M)
+    report = SurfaceReport(300.0, 95_000.0, 285.0, 900.0)
+    assert apart(report, Occasion(0)) == (3.0, 0.0)
 
 
 def balloon_of(truth, **change) -> Sounding:

@@ -14,6 +14,7 @@ from pipeline.atmosphere.climatology import climatology
 from pipeline.atmosphere.course import TimedAir
 from pipeline.atmosphere.windows import Window
 from pipeline.batch import air as batch_air
+from pipeline.config.air import SensorsSection
 from pipeline.simulate.air import (
     saturation_pressure_pa,
     temperature_k,
@@ -300,6 +301,53 @@ def test_the_temperature_of_a_board_if_the_user_insists(mission, plain_report):
     table = table[table["h_m"].between(600.0, 2500.0)]
     error = table["temperature_k"] - temperature_k(table["h_m"].to_numpy())
     assert np.abs(error / table["sigma_temperature_k"]).max() < 3.0
+
+
+# ---- what is known of the sensors
+
+
+def test_every_key_of_a_calibration_arrives_in_si():
+    section = SensorsSection.model_validate({
+        "thermometer": {
+            "bias_k": 0.1, "sigma_bias_k": 0.2, "lag_s": 3.0, "sigma_lag_s": 4.0,
+            "transient_k": 5.0, "sigma_transient_k": 6.0, "recovery": 0.7,
+            "sigma_recovery": 0.8, "sigma_drift_k": 0.9,
+        },
+        "barometer": {"offset_hpa": 1.1, "sigma_offset_hpa": 1.2},
+        "hygrometer": {"bias": 0.13, "sigma_bias": 0.14},
+        "gnss": {"sigma_height_m": 15.0},
+    })  # fmt: skip
+    assert {name: (k.mean, k.sigma) for name, k in section.calibration.items()} == {
+        "thermometer bias [K]": (0.1, 0.2), "thermometer lag [s]": (3.0, 4.0),
+        "take-off transient [K]": (5.0, 6.0), "recovery factor": (0.7, 0.8),
+        "thermometer drift [K]": (None, 0.9), "hygrometer bias": (0.13, 0.14),
+        "static pressure offset [Pa]": (pytest.approx(110.0), pytest.approx(120.0)),
+        "GNSS height offset [m]": (None, 15.0),
+    }  # fmt: skip
+    assert SensorsSection().calibration == {}
+
+
+def test_what_is_known_of_the_sensors_reaches_the_air(mission, unbend, plain_report):
+    usual = mission.run()
+    assert usual.code == 0, usual.text
+    before = manifest(mission)["profile"]
+    atmosphere(mission, sensors={
+        "thermometer": {"bias_k": 0.5, "sigma_bias_k": 0.05}, "gnss": {"sigma_height_m": 0.2},
+        "barometer": {"sigma_offset_hpa": 0.07},
+    })  # fmt: skip
+    checked = unbend("check", mission.save())
+    assert "thermometer bias [K] 0.5 ± 0.05" in " ".join(checked.out.split())
+    assert mission.run().code == 0
+    after = manifest(mission)
+    expected = {s["what"]: s["expected_sigma"] for s in after["profile"]["sensors"]}
+    assert expected["thermometer bias [K]"] == 0.05
+    assert expected["GNSS height offset [m]"] == 0.2
+    assert expected["static pressure offset [Pa]"] == pytest.approx(7.0)
+    (note,) = [e for e in after["ledger"] if e["code"] == "AIR-CALIBRATED"]
+    assert "0.5" in note["what"]
+    assert after["profile"]["effect"] != before["effect"]
+    atmosphere(mission, adjust=False)
+    assert "AIR-SOURCES-UNUSED" in mission.run().text
 
 
 # ---- what is told

@@ -88,7 +88,7 @@ FULL: dict[str, Any] = {
             },
             "barometer": {"offset_hpa": -0.2, "sigma_offset_hpa": 0.1},
             "hygrometer": {"bias": 0.01, "sigma_bias": 0.01},
-            "gnss": {"height_offset_m": 0.0, "sigma_height_offset_m": 0.1},
+            "gnss": {"sigma_height_m": 0.1},
         },
         "soundings": [{"path": "s.csv", "format": "csv", "station_h_msl_m": 500.0}],
         "surface": [

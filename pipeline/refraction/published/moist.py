@@ -28,7 +28,7 @@ def plane_moist(
     gamma = G M0 / R* and dH the geopotential height difference: since dp = -gamma p / Tv dH, the
     mean of p / Tv needs only the pressures at both ends.
 
-    Arguments as in `pipeline.refraction.published`; NaN where h_c = h_g. k and w are those of
+    Arguments as in `pipeline.refraction.published`. k and w are those of
     0.589 um for Gyer's index, else of 0.55 um. In dry air and below 60 degrees within 0.3 % of the
     spherical form up to 12 km, most of it the curvature of the earth.
 
@@ -45,4 +45,5 @@ def plane_moist(
     dry = (profile.pressure(h_g) - p_c) / (profile.constant * rise)
     dry = (dry - p_c / profile.virtual_temperature(h_c)) / HECTOPASCAL
     wet = mean(profile, _wetness, h_g, h_c) - _wetness(profile, h_c)
-    return times_tangent((k * dry + (0.378 * k - w) * wet) * 1e-6, h_c, h_g, zeta_c)
+    column = np.where(h_c == h_g, 0.0, k * dry + (0.378 * k - w) * wet)
+    return times_tangent(column * 1e-6, h_c, h_g, zeta_c)
