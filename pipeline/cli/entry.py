@@ -96,17 +96,19 @@ def main() -> None:
         code = error.exit_code
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else EXIT_DONE
-        if code == EXIT_INTERRUPTED:
-            print("interrupted; run again to finish", file=sys.stderr)
+    except (typer.Abort, KeyboardInterrupt):  # a library's own
+        code = EXIT_INTERRUPTED
     except _USAGE_ERROR as error:
         error.show()  # type: ignore[attr-defined]
         code = EXIT_CONFIG
     except BrokenPipeError:
         # Whoever read our words has gone; what is still buffered must not complain at the exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = EXIT_INTERRUPTED
+        sys.exit(EXIT_INTERRUPTED)
     finally:
         _leave_in_peace()
         for number in SIGNALS:  # Python's own end puts the default back in the place of a handler
             signal.signal(number, signal.SIG_IGN)
+    if code == EXIT_INTERRUPTED:
+        print("interrupted; run again to finish", file=sys.stderr)
     sys.exit(code)
