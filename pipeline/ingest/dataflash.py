@@ -14,14 +14,17 @@ from pipeline.flight.boots import Timeline, timeline
 from pipeline.ingest.base import Contents, Table, report_damage
 from pipeline.ingest.dataflash_channels import channels_of, wanted
 from pipeline.ingest.dataflash_columns import Decoded, decode, settled
-from pipeline.ingest.dataflash_fields import INSTANCE_FIELDS, instance_of
+from pipeline.ingest.dataflash_fields import ACCURACY, INSTANCE_FIELDS, instance_of
 from pipeline.ingest.dataflash_records import FMT_START, Walk, Walker, walk
 from pipeline.ingest.dataflash_time import Clock, clock_of, stamps
 from pipeline.ingest.fields import is_number
 from pipeline.ingest.window import window_on
 from pipeline.ledger import Ledger
 
-_PLACING = (*INSTANCE_FIELDS, "TimeUS", "GMS", "GWk", "Status")
+# Fields that are used as they are logged, before any map of fields asks whether they are numbers.
+_NUMBERS = {*INSTANCE_FIELDS, "TimeUS", "GMS", "GWk", "Status", "Value"} | {
+    field for column in ACCURACY for field in column.fields
+}
 
 
 @dataclass(frozen=True)
@@ -127,8 +130,12 @@ def timed_only(tables: dict[str, Decoded], ledger: Ledger) -> dict[str, Decoded]
 
 
 def _with_numbers(table: Decoded, name: str, ledger: Ledger) -> Decoded:
-    """A table without fields that place its rows in time but hold no numbers: by damage."""
-    odd = [f for f in _PLACING if f in table.columns and not is_number(table.columns[f])]
+    """A table without what a damaged definition makes no number, or no text, where it is needed."""
+    odd = [
+        field
+        for field, column in table.columns.items()
+        if (field in _NUMBERS and not is_number(column)) or (field == "Name" and column.ndim != 1)
+    ]
     if not odd:
         return table
     count = table.places.size
@@ -152,7 +159,7 @@ def _table(
 def stamped(decoded: Decoded, clock: Clock, instance: str | None) -> Table:
     """A table with UTC and boot before its own columns; only an instance, where one is given."""
     table, places = decoded.columns, decoded.places
-    if "TimeUS" in table and table["TimeUS"].dtype.kind in "iuf":
+    if "TimeUS" in table and is_number(table["TimeUS"]):
         added: Table = {"time_ns": clock.utc(table, places), "boot": clock.line.boot_of(places)}
         table = added | table
     if instance is None:

@@ -24,8 +24,9 @@ SIZES = {"Q": 8, "B": 1, "I": 4, "H": 2, "L": 4, "e": 4, "f": 4, "c": 2, "N": 16
 
 
 def written(
-    dataflash_writer: Callable, field: str = "", letter: str = "", message: str = "BARO"
-) -> bytes:
+    dataflash_writer: Callable, field: str = "", letter: str = "", message: str = "BARO",
+    more: Callable[[Any], None] = lambda _: None,
+) -> bytes:  # fmt: skip
     """A log with a receiver and a barometer; a field of one of them has another letter."""
     writer = dataflash_writer()
     other = {"a": [WORDS.tobytes()[k : k + 16] for k in range(0, 64, 16)], "N": [b"wet"]}
@@ -49,6 +50,7 @@ def written(
             for column, value in zip(forms[name], values, strict=True):
                 cells += other[letter] if (name, column) == (message, field) else [value]
             writer.row(name, *cells)
+    more(writer)
     data: bytes = writer.data
     return data
 
@@ -121,3 +123,39 @@ def test_what_places_a_row_and_is_no_number(
     assert ("LOG-FIELDS", message, ROWS) in {entry[:3] for entry in losses(log)}
     other = {"BARO": "GPS[0]", "GPS": "BARO[0]"}[message]
     assert len(log.channel(other)) == ROWS
+
+
+@pytest.mark.parametrize(
+    ("name", "form"),
+    [
+        ("NVF", {"TimeUS": "Q", "Name": "a", "Value": "f"}),
+        ("PARM", {"TimeUS": "Q", "Name": "a", "Value": "f"}),
+        ("GPA", {"TimeUS": "Q", "I": "B", "AEl": "a"}),
+        ("GPA", {"TimeUS": "Q", "I": "B", "AEl": "N"}),
+    ],
+)
+def test_names_and_accuracies_that_are_arrays(
+    dataflash_writer: Callable, opened: Callable, name: str, form: dict[str, str]
+) -> None:
+    def more(writer: Any) -> None:
+        letters = "".join(form.values())
+        packed = letters.replace("a", "NNNN")
+        writer.define(40, name, letters, ",".join(form), 3 + sum(SIZES[c] for c in packed))
+        writer.formats[name] = (40, packed)
+        cells = {"Q": [], "a": [b"0123456789abcdef"] * 4, "N": [b"wet"], "f": [1.0], "B": [0]}
+        for k in range(1, ROWS):  # one fix is without its accuracy
+            values = [value for letter in letters for value in cells[letter]]
+            writer.row(name, 1_000_000 + k * 100_000, *values)
+
+    data = written(dataflash_writer, more=more)
+    log = opened(data)
+    assert log.channel("GPS[0]")["h_msl_m"].tolist() == [600.0 + 0.5 * k for k in range(ROWS)]
+    assert ("LOG-FIELDS", name) in {entry[:2] for entry in losses(log)}
+
+
+def test_the_table_of_a_message_whose_time_is_an_array(
+    dataflash_writer: Callable, opened: Callable
+) -> None:
+    table = opened(written(dataflash_writer, "TimeUS", "a")).message("BARO")
+    np.testing.assert_array_equal(table["TimeUS"], np.tile(WORDS, (ROWS, 1)))
+    assert table["Press"].shape == (ROWS,)

@@ -184,6 +184,24 @@ def test_the_two_forms_agree_where_they_meet(us1976, wiggly):
     assert worst < 1e-9, f"{worst:.2e} arcsec"
 
 
+@pytest.mark.parametrize("part", [0.3, 0.4, 0.499, 0.501, 0.6])
+@pytest.mark.parametrize(("h_c", "h_g"), [(3000.0, 2880.0), (950.0, 500.0), (500.0, 950.0)])
+def test_about_the_guard_over_one_piece_of_the_table(us1976, truth, h_c, h_g, part):
+    """q^2 at the lower end is ``part`` of that at the upper: few nodes for a steep integrand."""
+    edge = ray_table(us1976).edge_m
+    assert np.searchsorted(edge, h_c) == np.searchsorted(edge, h_g)
+    low, high = min(h_c, h_g), max(h_c, h_g)
+    q2 = (high - low) * (2.0 * RADIUS + low + high) / (1.0 - part)  # at the upper end
+    if h_g < h_c:
+        zeta = math.asin(math.sqrt(1.0 - q2 / (RADIUS + h_c) ** 2))
+    else:
+        zeta = math.pi - math.asin(math.sqrt(1.0 - q2 * part / (RADIUS + h_c) ** 2))
+    angle = refraction_angle(us1976, h_c, h_g, zeta) / ARCSEC
+    expected = truth(30).angle(h_c, h_g, zeta, grazing=True)
+    # Reached: 4e-10 arcsec beside the guard, 0.5; a guard of 0.3 would leave 5e-7.
+    assert angle == pytest.approx(expected, abs=1e-9)
+
+
 @pytest.mark.parametrize(("h_c", "below"), [(3000.0, 1e-2), (3000.0, 1e-4), (900.0, 1e-3)])
 def test_near_grazing_through_many_kinks(wiggly, h_c, below):
     """Against 25-digit quadrature of the kernel's own polynomials, piece by piece (Eq. 12)."""
