@@ -8,9 +8,9 @@ import time
 import numpy as np
 from survey import air
 
+from pipeline.atmosphere.air_samples import AirSamples, Samples
 from pipeline.atmosphere.climatology import climatology
-from pipeline.atmosphere.estimate import estimate
-from pipeline.atmosphere.samples import AirSamples, Samples
+from pipeline.atmosphere.estimate.solver import estimate
 
 ROWS = 144_000
 

@@ -9,12 +9,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from survey import CAMERA, air, exposures, image_names, uncertainty, write_observations
 
-from pipeline.batch.correct import Recipe, correct_stream
-from pipeline.batch.ground import Ground
-from pipeline.batch.look import CameraSetup
 from pipeline.batch.store import open_folder
 from pipeline.ledger import Ledger
 from pipeline.refraction.ray import rays_by
+from pipeline.stages.correction import Recipe, correct_stream
+from pipeline.stages.exposure_setup import CameraSetup
+from pipeline.stages.ground import Ground
 from pipeline.tables.observations import open_observations
 
 IMAGES = 2_000

@@ -16,9 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.ingest import open_log
-from pipeline.ingest.tlog_dialect import dialect
-from pipeline.ingest.tlog_fields import wanted_fields
-from pipeline.ingest.tlog_frames import (
+from pipeline.ingest.file_view import window_on
+from pipeline.ingest.tlog.dialect import dialect
+from pipeline.ingest.tlog.fields import wanted_fields
+from pipeline.ingest.tlog.frames import (
     HEAD,
     STAMP,
     Frames,
@@ -28,8 +29,7 @@ from pipeline.ingest.tlog_frames import (
     frame_length,
     headers,
 )
-from pipeline.ingest.tlog_scan import scan
-from pipeline.ingest.window import window_on
+from pipeline.ingest.tlog.scan import scan
 
 NEEDED = tuple(sorted(wanted_fields()))
 LIBRARY_BYTES = 10_000_000

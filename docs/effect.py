@@ -10,13 +10,13 @@ import pyarrow.parquet as pq
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pipeline.atmosphere.adjust import Adjustment
-from pipeline.atmosphere.samples import AirSamples
+from pipeline.atmosphere.air_samples import AirSamples
+from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 from pipeline.config import load_mission
 from pipeline.refraction.spread import ImageGrid
 from pipeline.report.figures import draw_shifts, save_figure
 from pipeline.report.style import ADJUSTED, STANDARD, height_range, new_figure, scatter, styled
-from pipeline.stages import air_of_mission
+from pipeline.stages.story import air_of_mission
 from pipeline.units import ZERO_CELSIUS_K
 
 REPOSITORY = Path(__file__).resolve().parents[1]

@@ -151,7 +151,7 @@ def baseline(
 @pytest.fixture
 def plain_report(monkeypatch: pytest.MonkeyPatch) -> None:
     """A report without plots, which take most of the time of a small run."""
-    from pipeline import stages
+    from pipeline.stages import story as stages
 
     def write_report(path: Path, manifest: dict[str, Any], *_: object) -> None:
         path.write_text(manifest["mission"], encoding="utf-8")

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pipeline.atmosphere.air import IndexModel, saturation_vapour_pressure
-from pipeline.atmosphere.climates import (
+from pipeline.atmosphere.climate_tables import (
     AFGL_ORIGIN,
     SUPPLEMENTS,
     SUPPLEMENTS_ORIGIN,
@@ -25,6 +24,7 @@ from pipeline.atmosphere.climates import (
 )
 from pipeline.atmosphere.msis import MSIS, MSIS_ORIGIN, msis_profile
 from pipeline.atmosphere.profile import Profile
+from pipeline.atmosphere.refractive_index import IndexModel, saturation_vapour_pressure
 from pipeline.atmosphere.standard import gravity_at, standard_atmosphere, standard_names
 from pipeline.errors import PhysicsError
 from pipeline.units import DEGREE

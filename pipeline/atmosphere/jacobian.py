@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pipeline.atmosphere.air import IndexModel
 from pipeline.atmosphere.hypsometry import column, hats
 from pipeline.atmosphere.profile import Profile
+from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.errors import PhysicsError
 from pipeline.units import VAPOUR_DEFICIT
 

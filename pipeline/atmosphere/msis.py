@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from pipeline.atmosphere.air import IndexModel
-from pipeline.atmosphere.climates import hydrostatic_profile
+from pipeline.atmosphere.climate_tables import hydrostatic_profile
 from pipeline.atmosphere.profile import Profile
+from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity
 from pipeline.units import DEGREE

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pipeline.atmosphere.air import IndexModel
+from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity
 from pipeline.units import HYDROSTATIC_CONSTANT, VAPOUR_DEFICIT

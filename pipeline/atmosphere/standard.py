@@ -11,14 +11,14 @@ import math
 
 import numpy as np
 
-from pipeline.atmosphere.air import DEFAULT_WAVELENGTH_M, IndexModel
-from pipeline.atmosphere.climates import (
+from pipeline.atmosphere.climate_tables import (
     LOWEST_GEOPOTENTIAL_M,
     climate_names,
     climate_profile,
     read_models,
 )
 from pipeline.atmosphere.profile import STANDARD, Profile, stack_layers
+from pipeline.atmosphere.refractive_index import DEFAULT_WAVELENGTH_M, IndexModel
 from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity, normal_gravity
 from pipeline.units import STANDARD_GRAVITY

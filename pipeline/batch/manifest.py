@@ -1,25 +1,12 @@
-"""The manifest: everything a reader of the results may ask about how they came to be."""
+"""The manifest of a finished run, and how the mission ended."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from pipeline.atmosphere.windows import Window
-from pipeline.batch.plan import Plan, versions
-from pipeline.batch.tally import Tally
-from pipeline.errors import EXIT_DONE, EXIT_LOSSES
-from pipeline.flight.channels import Channel
-from pipeline.flight.stations import Stations
-from pipeline.ingest import Log
-from pipeline.ledger import Ledger
-from pipeline.refraction.effect import FlightAir
-from pipeline.refraction.uncertainty import BlockScale
+from pipeline.batch.plan import Plan
 
 MANIFEST_VERSION = 1
 
@@ -40,111 +27,3 @@ def outcome_of(plan: Plan, manifest: dict[str, Any], *, repeated: bool) -> Outco
     return Outcome(
         plan.mission.mission.name, plan.output, manifest, int(manifest["exit_code"]), repeated
     )
-
-
-def manifest_of(
-    plan: Plan,
-    log: Log,
-    roles: Mapping[str, Channel],
-    stations: Stations,
-    air: FlightAir,
-    tally: Tally,
-    scale: BlockScale | None,
-    ledger: Ledger,
-) -> dict[str, Any]:
-    """The manifest of a run, without its outputs.
-
-    Holds no clock, no host name and no absolute path: the same inputs give the same bytes.
-    """
-    entries = ledger.rows()
-    for entry in entries:  # the log is known by its name in the mission file
-        entry["where"] = str(entry["where"]).replace(str(log.path), plan.mission.log.path)
-    return {
-        "manifest_version": MANIFEST_VERSION,
-        "mission": plan.mission.mission.name,
-        "fingerprint": plan.fingerprint,
-        "config": plan.mission.model_dump(mode="json"),
-        "inputs": [
-            {"role": item.role, "name": item.name, "sha256": item.sha256} for item in plan.inputs
-        ],
-        "versions": versions(),
-        "log": {
-            "format": log.format,
-            "messages": dict(log.messages),
-            "bad_bytes": log.bad_bytes,
-            "lost_messages": log.lost_messages,
-            "boots": log.boots,
-            "duration_s": round(log.duration_s, 3),
-            "time_base": log.time_base,
-        },
-        "channels": {role: channel.name for role, channel in sorted(roles.items())},
-        "stations": dict(sorted(Counter(stations.status.tolist()).items())),
-        "profile": _profile(air, stations),
-        "observations": {"rows": tally.rows, "parts": tally.parts, "status": tally.status},
-        "correction": tally.correction(),
-        "uncertainty": _uncertainty(scale),
-        "ledger": entries,
-        "exit_code": EXIT_LOSSES if ledger.has_losses else EXIT_DONE,
-    }
-
-
-def _uncertainty(scale: BlockScale | None) -> dict[str, Any] | None:
-    """What all corrections share of the error of the air; None where the air has no sigma."""
-    if scale is None:
-        return None
-    return {
-        "scale_sigma": float(f"{scale.sigma:.4g}"),
-        "correlation": float(f"{scale.correlation:.4g}"),
-        "rays": scale.rays,
-        "meaning": "standard deviation of one factor s: s r_c_rad, towards the nadir, is what the "
-        "error of the air does to all corrections, behind a plane window through r_cc_rad too; for "
-        "the prior of one parameter in an adjustment; correlation of what it explains of these "
-        "errors between observations: what is less than one it does not remove",
-    }
-
-
-def _profile(air: FlightAir, stations: Stations) -> dict[str, Any]:
-    """How the air was found, from what, and by how much it differs from the standard."""
-    adjustment = air.adjustment
-    profile, standard = adjustment.profile, adjustment.standard
-    heights, latitude = stations.h_msl_m[stations.ok], profile.gravity.latitude_rad
-    difference = None
-    if heights.size:
-        level = float(np.median(heights))
-        difference = round(float(profile.temperature(level) - standard.temperature(level)), 3)
-    return {
-        "basis": adjustment.basis,
-        "reason": adjustment.reason,
-        "standard": standard.name,
-        "layers": dict(sorted(Counter(profile.layers.source).items())),
-        "latitude_deg": round(float(np.degrees(latitude)), 6) if latitude is not None else None,
-        "departure_at_cameras_k": difference,
-        "effect": [effect.row() for effect in air.effects],
-        "sources": [use.row() for use in adjustment.sources],
-        "sensors": [
-            {
-                "what": n.name,
-                "value": round(n.value, 4),
-                "sigma": round(n.sigma, 4),
-                "expected_sigma": round(n.prior_sigma, 4),
-            }
-            for n in adjustment.nuisances
-        ],
-        "profiles": len(air.along.airs),
-        "windows": [_window(window) for window in air.windows],
-    }
-
-
-def _window(window: Window) -> dict[str, Any]:
-    """A part of the flight; ``change`` is that of R against the whole flight's."""
-    return {
-        "start_utc": _second(window.start_ns),
-        "end_utc": _second(window.end_ns),
-        "change": round(window.change, 5),
-        "sigma": round(window.sigma, 5),
-        "why_not": window.why_not,
-    }
-
-
-def _second(time_ns: int) -> str:
-    return f"{np.datetime64(time_ns, 'ns').astype('datetime64[s]')}Z"

@@ -26,7 +26,7 @@ def run(
     from pipeline.batch.execute import Bug, exit_code_of, run_many
     from pipeline.report.progress import PatientBar
     from pipeline.report.terminal import show_run
-    from pipeline.stages import run_mission
+    from pipeline.stages.story import run_mission
 
     console = new_console()
     ends: list[int] = []
@@ -54,7 +54,7 @@ def check(
     from pipeline.batch.execute import exit_code_of
     from pipeline.report.progress import PatientBar
     from pipeline.report.terminal import show_check, show_ledger
-    from pipeline.stages import check_mission
+    from pipeline.stages.story import check_mission
 
     console = new_console()
     ends: list[int] = []
@@ -137,7 +137,7 @@ def export(
     """Write the results of a run for other programs."""
     from pipeline.report.progress import PatientBar
     from pipeline.report.terminal import show_ledger
-    from pipeline.stages import export_run
+    from pipeline.stages.story import export_run
     from pipeline.tables.exports import ExportOptions
 
     console = new_console()
@@ -181,7 +181,7 @@ def verify(
     run: Annotated[Path, typer.Argument(help="a folder of results", metavar="RUN")],
 ) -> None:
     """Whether the results of a run are whole and unchanged."""
-    from pipeline.stages import verify_run
+    from pipeline.stages.story import verify_run
 
     manifest = verify_run(run)
     new_console().print(

@@ -85,7 +85,7 @@ def radial(
     from pipeline.report.progress import PatientBar
     from pipeline.report.radial import radial_rows, show_radial
     from pipeline.report.terminal import show_ledger
-    from pipeline.stages import air_of_either
+    from pipeline.stages.story import air_of_either
 
     _refuse_two_airs(config, atmosphere)
     console = new_console()
@@ -157,7 +157,7 @@ def profile(
     from pipeline.atmosphere.profile import heights_every
     from pipeline.report.progress import PatientBar
     from pipeline.report.terminal import show_air, show_ledger, show_profile
-    from pipeline.stages import air_of_either
+    from pipeline.stages.story import air_of_either
     from pipeline.tables.writing import profile_arrow, profiles_arrow
 
     _refuse_two_airs(config, atmosphere)
@@ -198,7 +198,7 @@ def compare(
     By flying height: to which nadir angle it stays within 0.1 and 1 arcsec of the spherical ray.
     """
     from pipeline.report.accuracy import compare_all, show_accuracy
-    from pipeline.stages import write_comparison
+    from pipeline.stages.story import write_comparison
 
     found = compare_all(atmosphere)
     if out is None:

@@ -10,9 +10,9 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from pipeline.config.air import AtmosphereSection, PathText
+from pipeline.config.atmosphere import AtmosphereSection, PathText
 from pipeline.config.cameras import CameraSection, MountSection, Section, offset_px
-from pipeline.flight.local import Origin
+from pipeline.flight.local_origin import Origin
 from pipeline.refraction import METHODS
 from pipeline.units import DEGREE
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pipeline.atmosphere.air import vapour_pressure
+from pipeline.atmosphere.refractive_index import vapour_pressure
 from pipeline.flight.channels import Array, Channel
 from pipeline.flight.events import Events
 from pipeline.flight.gimbals import is_of_gimbal

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.course import AirAlong
 from pipeline.atmosphere.profile import Profile
+from pipeline.atmosphere.series.profile_series import AirAlong
 from pipeline.ledger import Ledger
 from pipeline.units import HECTOPASCAL
 

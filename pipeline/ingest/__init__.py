@@ -1,6 +1,6 @@
 """Bytes -> channels: DataFlash, MAVLink telemetry and MCAP."""
 
-from pipeline.ingest.base import Log, hash_file
+from pipeline.ingest.log import Log, hash_file
 from pipeline.ingest.registry import open_log
 
 __all__ = ["Log", "hash_file", "open_log"]

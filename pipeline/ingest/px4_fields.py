@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.flight.channels import Array
-from pipeline.ingest.build import Rows
+from pipeline.ingest.channel_builder import Rows
 from pipeline.ingest.fields import (
     ATTITUDE,
     GNSS,

@@ -7,13 +7,13 @@ from pathlib import Path
 
 from pipeline.errors import LogError
 from pipeline.flight.quality import flagged
-from pipeline.ingest.base import Contents, Log, LogFormat, hash_file
-from pipeline.ingest.dataflash import DATAFLASH
-from pipeline.ingest.dataflash_text import DATAFLASH_TEXT
-from pipeline.ingest.mcap import MCAP
+from pipeline.ingest.dataflash.log import DATAFLASH
+from pipeline.ingest.dataflash.text import DATAFLASH_TEXT
+from pipeline.ingest.log import Contents, Log, LogFormat, hash_file
+from pipeline.ingest.mcap.log import MCAP
 from pipeline.ingest.memory import let_go
-from pipeline.ingest.tlog import TLOG
-from pipeline.ingest.ulog import ULOG
+from pipeline.ingest.tlog.log import TLOG
+from pipeline.ingest.ulog.log import ULOG
 from pipeline.ledger import Ledger
 
 # the surest mark first

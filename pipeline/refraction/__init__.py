@@ -1,20 +1,25 @@
 """Light through the air: the ray, the window, the camera and the image."""
 
-from pipeline.refraction.camera import Camera
+from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.chord import height_at_distance
 from pipeline.refraction.forward import apply_refraction
 from pipeline.refraction.image import Corrections, Exposures, correct_observations
 from pipeline.refraction.lens import LensInAir
 from pipeline.refraction.ray import METHODS, RayTable, bend, ray_table, refraction_angle
-from pipeline.refraction.sensitivity import RayWeights, Sensitivity, ray_weights, sensitivity
-from pipeline.refraction.sigmas import Sigmas, Uncertainty
 from pipeline.refraction.status import STATUS_NAMES
-from pipeline.refraction.uncertainty import (
+from pipeline.refraction.uncertainty.budget import (
     BlockScale,
     StationSigmas,
     block_scale,
     uncertainty_of,
 )
+from pipeline.refraction.uncertainty.sensitivity import (
+    RayWeights,
+    Sensitivity,
+    ray_weights,
+    sensitivity,
+)
+from pipeline.refraction.uncertainty.sigmas import Sigmas, Uncertainty
 from pipeline.refraction.window import Cabin, Window
 
 __all__ = [

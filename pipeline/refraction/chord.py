@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pipeline.refraction._threads import in_blocks
-from pipeline.refraction.camera import Camera
+from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Constants, Exposures, look_out
+from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.ray import DEFAULT_RADIUS_M, PublishedRays, RayTable, as_columns, bend
 from pipeline.refraction.status import BAD_MEASUREMENT, MISSES_GROUND, OK
 
@@ -62,7 +62,7 @@ def height_at_distance(
     (600.2176, 0)
     """
     # The compiled functions are imported with the first ray, not with the package.
-    from pipeline.refraction._chord_kernel import ray_heights
+    from pipeline.refraction.kernels.chord import ray_heights
 
     shape, flat = as_columns(h_c, sin_zeta_c, cos_zeta_c, radius, distance)
     if isinstance(table, PublishedRays):
@@ -103,7 +103,7 @@ def target_heights(
     `correct_observations` will name, or its chord ends outside the profile.
     """
     # The compiled functions are imported with the first ray, not with the package.
-    from pipeline.refraction import _image_kernel as kernel
+    from pipeline.refraction.kernels import image as kernel
 
     if ideal:  # a straight line sees no window and no lens, and may lie beside the format
         exposures = replace(

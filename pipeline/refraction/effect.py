@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.atmosphere.adjust import Adjustment
-from pipeline.atmosphere.course import AirAlong
 from pipeline.atmosphere.covariance import ProfileCovariance
+from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 from pipeline.atmosphere.profile import Profile
-from pipeline.atmosphere.windows import Window
+from pipeline.atmosphere.series.profile_series import AirAlong
+from pipeline.atmosphere.series.time_windows import Window
 from pipeline.refraction.ray import refraction_angle
-from pipeline.refraction.sensitivity import sensitivity
+from pipeline.refraction.uncertainty.sensitivity import sensitivity
 from pipeline.units import ARCSEC, DEGREE
 
 ANGLES_DEG = (45.0, 75.0)

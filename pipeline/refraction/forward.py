@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.geodesy import euler_radius
-from pipeline.refraction.camera import Camera
+from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.chord import height_at_distance
 from pipeline.refraction.image import (
     COLUMNS,
@@ -19,7 +19,6 @@ from pipeline.refraction.image import (
     sigmas_at,
 )
 from pipeline.refraction.ray import PublishedRays, RayTable, bend
-from pipeline.refraction.sigmas import Uncertainty
 from pipeline.refraction.status import (
     BEYOND_GRAZING,
     FAR_BRANCH,
@@ -27,6 +26,7 @@ from pipeline.refraction.status import (
     OK,
     OUTSIDE_CAMERA,
 )
+from pipeline.refraction.uncertainty.sigmas import Uncertainty
 from pipeline.refraction.window import leave_compartment
 
 Array = NDArray[np.float64]

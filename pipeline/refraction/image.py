@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.geodesy import principal_radii
-from pipeline.refraction._threads import in_blocks
-from pipeline.refraction.camera import Camera
+from pipeline.refraction.camera.camera import Camera
+from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.ray import PublishedRays, RayTable, bend
-from pipeline.refraction.sigmas import Sigmas, Solved, Uncertainty
 from pipeline.refraction.status import OK, STATUS_NAMES
+from pipeline.refraction.uncertainty.sigmas import Sigmas, Solved, Uncertainty
 from pipeline.refraction.window import OPTICAL_AXIS
 
 Array = NDArray[np.float64]
@@ -244,7 +244,7 @@ def _correct_block(
     Gives the columns of the rays.
     """
     # The compiled functions are imported with the first ray, not with the package.
-    from pipeline.refraction import _image_kernel as kernel
+    from pipeline.refraction.kernels import image as kernel
 
     x, y, h_g, exposure, distance = observed
     k = constants
@@ -270,7 +270,7 @@ def look_out(
     observed: tuple[Array, Array, Array, NDArray[np.int64]], k: Constants
 ) -> tuple[Array, Array, NDArray[np.uint8]]:
     """Columns of the rays of pixels, R_cc and status."""
-    from pipeline.refraction import _image_kernel as kernel
+    from pipeline.refraction.kernels import image as kernel
 
     n = observed[0].size
     rays, r_cc, status = np.empty((kernel.COLUMNS, n)), np.empty(n), np.empty(n, np.uint8)

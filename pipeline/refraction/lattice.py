@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.refraction.camera import Camera
+from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Corrections, Exposures, correct_observations
 from pipeline.refraction.ray import PublishedRays, RayTable
 

@@ -20,8 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
-from pipeline.refraction._pieces import cut
-from pipeline.refraction._threads import in_blocks
+from pipeline.refraction.kernels.pieces import cut
+from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.published import PUBLISHED, Method
 from pipeline.refraction.published.trace import trace
 from pipeline.refraction.status import (
@@ -135,8 +135,8 @@ def _bend_block(
 ) -> None:
     """Angles and states of some rays: those that can share a table of moments, then the others."""
     # The compiled functions are imported with the first ray, not with the package.
-    from pipeline.refraction._ray_kernel import bend_rays
-    from pipeline.refraction._steep_kernel import LEFT, WORTH_A_TABLE, bend_steep_rays
+    from pipeline.refraction.kernels.ray import bend_rays
+    from pipeline.refraction.kernels.steep import LEFT, WORTH_A_TABLE, bend_steep_rays
 
     left = np.arange(r_c.size)
     if r_c.size > WORTH_A_TABLE:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.refraction.compare import Comparison
+from pipeline.refraction.published.compare import Comparison
 from pipeline.units import ARCSEC, DEGREE
 
 if TYPE_CHECKING:

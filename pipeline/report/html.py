@@ -7,7 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from pipeline.atmosphere.samples import AirSamples
+from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.spread import ImageGrid
 from pipeline.report.figures import as_svg, correction_figure

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.air import vapour_pressure
+from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.profile import Profile
-from pipeline.atmosphere.samples import AirSamples
+from pipeline.atmosphere.refractive_index import vapour_pressure
 from pipeline.refraction.effect import FlightAir
 from pipeline.report.style import ADJUSTED, STANDARD, height_range, new_figure, scatter, styled
 from pipeline.report.words import effect_lines

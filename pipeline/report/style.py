@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.samples import AirSamples, Samples
+from pipeline.atmosphere.air_samples import AirSamples, Samples
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

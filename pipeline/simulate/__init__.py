@@ -4,9 +4,9 @@ Nothing here comes from `pipeline.atmosphere` or `pipeline.refraction`: the air,
 cameras are written again from the sources, with slow and general methods.
 """
 
-from pipeline.simulate.air import TrueAir, edlen_index, true_air
 from pipeline.simulate.mission import Simulated, SimulationOptions, mission_yaml, simulate
 from pipeline.simulate.rays import ray_angle_sphere, shoot
+from pipeline.simulate.true_air import TrueAir, edlen_index, true_air
 
 __all__ = [
     "Simulated",

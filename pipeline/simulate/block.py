@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import MissionError
-from pipeline.simulate.air import TrueAir, relative_humidity, temperature_k, vapour_pressure_pa
 from pipeline.simulate.camera import (
     NED_FROM_ENU,
     SimulatedCamera,
@@ -27,6 +26,7 @@ from pipeline.simulate.flight import (
 )
 from pipeline.simulate.rays import enu_axes, height_and_up, shoot, to_ecef, unit
 from pipeline.simulate.sensors import unix_ns
+from pipeline.simulate.true_air import TrueAir, relative_humidity, temperature_k, vapour_pressure_pa
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

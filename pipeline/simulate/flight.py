@@ -14,7 +14,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
 from pipeline.errors import PhysicsError
-from pipeline.simulate.air import FIELD_HEIGHT_M, TrueAir, edlen_index, saturation_pressure_pa
+from pipeline.simulate.true_air import FIELD_HEIGHT_M, TrueAir, edlen_index, saturation_pressure_pa
 from pipeline.units import STANDARD_GRAVITY, WGS84_A, WGS84_F
 
 Array = NDArray[np.float64]

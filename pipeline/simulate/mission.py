@@ -11,10 +11,10 @@ import numpy as np
 
 from pipeline.errors import ConfigError, StorageError
 from pipeline.simulate import sensors, tables
-from pipeline.simulate.air import FIELD_HEIGHT_M, WAVELENGTH_UM, true_air
 from pipeline.simulate.block import choose_points, observe, stations
 from pipeline.simulate.camera import SimulatedCamera, cameras
 from pipeline.simulate.flight import FIELD_LAT_RAD, UNDULATION_M, fly
+from pipeline.simulate.true_air import FIELD_HEIGHT_M, WAVELENGTH_UM, true_air
 from pipeline.simulate.write_dataflash import write_dataflash
 from pipeline.simulate.write_mcap import write_mcap
 from pipeline.simulate.write_tlog import write_tlog

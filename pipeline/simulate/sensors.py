@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from pipeline.simulate.air import TrueAir, relative_humidity, temperature_k
 from pipeline.simulate.flight import UNDULATION_M, Flight, cabin_air
+from pipeline.simulate.true_air import TrueAir, relative_humidity, temperature_k
 from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, WGS84_A, ZERO_CELSIUS_K
 
 Array = NDArray[np.float64]

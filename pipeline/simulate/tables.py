@@ -11,10 +11,10 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from pipeline.errors import StorageError
-from pipeline.simulate.air import TrueAir, temperature_k, vapour_pressure_pa
 from pipeline.simulate.block import GroundPoints, TrueObservations, TrueStations
 from pipeline.simulate.camera import SimulatedCamera
 from pipeline.simulate.flight import UNDULATION_M
+from pipeline.simulate.true_air import TrueAir, temperature_k, vapour_pressure_pa
 
 Array = NDArray[np.float64]
 

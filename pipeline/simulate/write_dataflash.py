@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import StorageError
-from pipeline.simulate.air import FIELD_HEIGHT_M
 from pipeline.simulate.sensors import (
     GNSS_HORIZONTAL_M,
     GNSS_VERTICAL_M,
@@ -26,6 +25,7 @@ from pipeline.simulate.sensors import (
     boot_us,
     gps_week_ms,
 )
+from pipeline.simulate.true_air import FIELD_HEIGHT_M
 from pipeline.units import ZERO_CELSIUS_K
 
 Array = NDArray[np.float64]

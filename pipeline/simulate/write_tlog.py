@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from pipeline.errors import StorageError
-from pipeline.simulate.air import FIELD_HEIGHT_M
 from pipeline.simulate.sensors import (
     GNSS_HORIZONTAL_M,
     GNSS_VERTICAL_M,
@@ -22,6 +21,7 @@ from pipeline.simulate.sensors import (
     boot_us,
     unix_ns,
 )
+from pipeline.simulate.true_air import FIELD_HEIGHT_M
 from pipeline.units import ZERO_CELSIUS_K
 
 HOST_AHEAD_S = 1.26

@@ -12,9 +12,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import ArrayLike
 
-from pipeline.atmosphere.adjust import Adjustment
-from pipeline.atmosphere.course import AirAlong, TimedAir
+from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 from pipeline.atmosphere.profile import profile_table
+from pipeline.atmosphere.series.profile_series import AirAlong, TimedAir
 from pipeline.errors import StorageError
 from pipeline.flight.stations import Stations, station_table
 from pipeline.refraction.image import Corrections

@@ -18,8 +18,8 @@ from scipy.integrate import cumulative_simpson
 from scipy.io import netcdf_file
 from scipy.signal import lfilter
 
-from pipeline.atmosphere.samples import AirSamples, Samples
-from pipeline.simulate.air import edlen_index, normal_gravity, saturation_pressure_pa
+from pipeline.atmosphere.air_samples import AirSamples, Samples
+from pipeline.simulate.true_air import edlen_index, normal_gravity, saturation_pressure_pa
 
 SOUNDINGS = Path(__file__).resolve().parents[2].parent / "shared" / "soundings"
 TAKEOFF_S = 30.0

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.adjust import build_adjusted_profile, unadjusted
-from pipeline.atmosphere.samples import AirSamples, Samples, bin_by_height
+from pipeline.atmosphere.air_samples import AirSamples, Samples, bin_by_height
+from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile, unadjusted
 from pipeline.ledger import Kind, Ledger
-from pipeline.simulate.air import (
+from pipeline.simulate.true_air import (
     TrueAir,
     relative_humidity,
     temperature_k,

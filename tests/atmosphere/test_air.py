@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import air
-from pipeline.atmosphere.air import (
+from pipeline.atmosphere import refractive_index as air
+from pipeline.atmosphere.refractive_index import (
     IndexModel,
     refractivity_ciddor,
     refractivity_gyer,
@@ -18,7 +18,7 @@ from pipeline.atmosphere.air import (
     virtual_temperature,
 )
 from pipeline.errors import PhysicsError
-from pipeline.simulate.air import edlen_index, saturation_pressure_pa
+from pipeline.simulate.true_air import edlen_index, saturation_pressure_pa
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 

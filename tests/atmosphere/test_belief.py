@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.adjust import build_adjusted_profile
-from pipeline.atmosphere.belief import believable
+from pipeline.atmosphere.air_samples import AirSamples, Samples
 from pipeline.atmosphere.climatology import climatology, month_of
-from pipeline.atmosphere.estimate import estimate
-from pipeline.atmosphere.judgement import implausible, not_outside
-from pipeline.atmosphere.samples import AirSamples, Samples
+from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
+from pipeline.atmosphere.estimate.estimate_checks import implausible, not_outside
+from pipeline.atmosphere.estimate.sensor_checks import believable
+from pipeline.atmosphere.estimate.solver import estimate
 from pipeline.ledger import Kind, Ledger
 
 US1976 = standard_atmosphere("us1976")

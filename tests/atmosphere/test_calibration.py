@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.adjust import build_adjusted_profile
+from pipeline.atmosphere.air_samples import Calibrated
 from pipeline.atmosphere.climatology import climatology
-from pipeline.atmosphere.estimate import estimate
-from pipeline.atmosphere.measurements import (
+from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
+from pipeline.atmosphere.estimate.readings import sources_of
+from pipeline.atmosphere.estimate.sensors import (
     BIAS,
     HEIGHT,
     HYGROMETER_FAULT,
@@ -21,9 +22,8 @@ from pipeline.atmosphere.measurements import (
     THERMOMETER_DRIFT,
     TRANSIENT,
 )
-from pipeline.atmosphere.samples import Calibrated
-from pipeline.atmosphere.sources import sources_of
-from pipeline.atmosphere.windows import part_of_flight
+from pipeline.atmosphere.estimate.solver import estimate
+from pipeline.atmosphere.series.time_windows import part_of_flight
 from pipeline.ledger import Ledger
 
 US1976 = standard_atmosphere("us1976")

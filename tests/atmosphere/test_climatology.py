@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere, standard_names
-from pipeline.atmosphere.climates import climate_names, climate_profile, supplements_profile
+from pipeline.atmosphere.climate_tables import climate_names, climate_profile, supplements_profile
 from pipeline.atmosphere.climatology import (
     climatology,
     climatology_names,
@@ -20,7 +20,7 @@ from pipeline.atmosphere.climatology import (
 )
 from pipeline.errors import PhysicsError
 from pipeline.ledger import Ledger
-from pipeline.simulate.air import normal_gravity
+from pipeline.simulate.true_air import normal_gravity
 from pipeline.tables.soundings import read_sounding
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared"

@@ -10,19 +10,19 @@ import pytest
 from scipy.integrate import quad
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.adjust import build_adjusted_profile
-from pipeline.atmosphere.bins import bin_readings
+from pipeline.atmosphere.air_samples import AirSamples, Samples
 from pipeline.atmosphere.climatology import AUTO, climatology
 from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.atmosphere.estimate import estimate, layout_of, solve
+from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
+from pipeline.atmosphere.estimate.bins import bin_readings
+from pipeline.atmosphere.estimate.estimate_checks import implausible
+from pipeline.atmosphere.estimate.readings import sources_of
+from pipeline.atmosphere.estimate.solver import estimate, layout_of, solve
+from pipeline.atmosphere.estimate.state import air_of, place_knots, prior_of
 from pipeline.atmosphere.hypsometry import column
-from pipeline.atmosphere.judgement import implausible
-from pipeline.atmosphere.metar import SurfaceReport
 from pipeline.atmosphere.profile import Profile, stack_layers
-from pipeline.atmosphere.samples import AirSamples, Samples
 from pipeline.atmosphere.soundings import Sounding
-from pipeline.atmosphere.sources import sources_of
-from pipeline.atmosphere.state import air_of, place_knots, prior_of
+from pipeline.atmosphere.surface_report import SurfaceReport
 from pipeline.ledger import Kind, Ledger
 
 US1976 = standard_atmosphere("us1976")
@@ -212,7 +212,7 @@ def test_a_covariance_must_fit_its_profile():
 
 def test_the_doubt_of_vapour_is_that_of_humidity_and_of_pressure(airs):
     """Nothing measured: sigma_e is the climatology's sigma of RH times e_s(T), and e sigma_p/p."""
-    from pipeline.simulate.air import saturation_pressure_pa
+    from pipeline.simulate.true_air import saturation_pressure_pa
 
     air = background(airs[MONSOON], AUTO)
     made = estimate(AirSamples(), air)
@@ -258,7 +258,7 @@ def test_every_estimate_settles(flights, airs, climb):
 
 
 def test_an_estimate_that_does_not_settle_is_told_of(flights, airs, monkeypatch):
-    monkeypatch.setattr("pipeline.atmosphere.estimate._MOST_STEPS", 5)
+    monkeypatch.setattr("pipeline.atmosphere.estimate.solver._MOST_STEPS", 5)
     truth = airs[NIGHT]
     samples = flights.fly(truth, 3000.0, flights.REALISTIC, np.random.default_rng(1))
     assert not estimated(truth, samples).converged

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.adjust import Adjustment, build_adjusted_profile
+from pipeline.atmosphere.air_samples import Calibrated
 from pipeline.atmosphere.climatology import Climatology, climatology, month_of
-from pipeline.atmosphere.measurements import BIAS, LAG, TRANSIENT
-from pipeline.atmosphere.samples import Calibrated
+from pipeline.atmosphere.estimate.adjusted_profile import Adjustment, build_adjusted_profile
+from pipeline.atmosphere.estimate.sensors import BIAS, LAG, TRANSIENT
 from pipeline.ledger import Ledger
 
 US1976 = standard_atmosphere("us1976")

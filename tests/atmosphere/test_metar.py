@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from pipeline.atmosphere.metar import parse_metar, station_pressure, surface_report
+from pipeline.atmosphere.surface_report import parse_metar, station_pressure, surface_report
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
-from pipeline.simulate.air import saturation_pressure_pa
+from pipeline.simulate.true_air import saturation_pressure_pa
 
 
 def ns(text: str) -> int:

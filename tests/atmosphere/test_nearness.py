@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.adjust import build_adjusted_profile
-from pipeline.atmosphere.bases import bases
+from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.climatology import climatology
-from pipeline.atmosphere.metar import SurfaceReport
-from pipeline.atmosphere.nearness import (
+from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
+from pipeline.atmosphere.estimate.candidates import bases
+from pipeline.atmosphere.estimate.readings import sources_of
+from pipeline.atmosphere.estimate.representativeness import (
     UNPLACED_M,
     Occasion,
     apart,
@@ -22,9 +23,8 @@ from pipeline.atmosphere.nearness import (
     tell_of_nearness,
     unlikeness,
 )
-from pipeline.atmosphere.samples import AirSamples
 from pipeline.atmosphere.soundings import Sounding
-from pipeline.atmosphere.sources import sources_of
+from pipeline.atmosphere.surface_report import SurfaceReport
 from pipeline.ledger import Kind, Ledger
 
 HOUR = 3_600 * 10**9

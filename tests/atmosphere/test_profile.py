@@ -17,10 +17,10 @@ from pipeline.atmosphere import (
     profile_table,
     standard_atmosphere,
 )
-from pipeline.atmosphere.adjust import build_adjusted_profile
-from pipeline.atmosphere.air import IndexModel
+from pipeline.atmosphere.air_samples import AirSamples, Samples
+from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from pipeline.atmosphere.profile import Layers, Profile, stack_layers
-from pipeline.atmosphere.samples import AirSamples, Samples
+from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.errors import PhysicsError
 from pipeline.geodesy import lambert_gravity, normal_gravity
 from pipeline.ledger import Ledger

@@ -12,7 +12,7 @@ from scipy.io import netcdf_file
 from pipeline.atmosphere.soundings import FORMATS, Sounding, parse_sounding
 from pipeline.errors import InputError
 from pipeline.ledger import Kind, Ledger
-from pipeline.simulate.air import normal_gravity, saturation_pressure_pa
+from pipeline.simulate.true_air import normal_gravity, saturation_pressure_pa
 from pipeline.tables import soundings as from_disk
 from pipeline.tables.soundings import read_sounding
 

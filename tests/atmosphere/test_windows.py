@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.adjust import build_adjusted_profile
-from pipeline.atmosphere.ageing import ages_of
-from pipeline.atmosphere.course import TimedAir, aged, air_along, blend, one_air
-from pipeline.atmosphere.estimate import estimate
-from pipeline.atmosphere.samples import AirSamples, Samples
-from pipeline.atmosphere.windows import (
+from pipeline.atmosphere.air_samples import AirSamples, Samples
+from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
+from pipeline.atmosphere.estimate.solver import estimate
+from pipeline.atmosphere.series.ageing import ages_of
+from pipeline.atmosphere.series.profile_series import TimedAir, aged, air_along, blend, one_air
+from pipeline.atmosphere.series.time_windows import (
     _background,
     _carried,
     estimate_windows,

@@ -11,17 +11,17 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.atmosphere.climatology import climatology
-from pipeline.atmosphere.course import TimedAir
-from pipeline.atmosphere.windows import Window
-from pipeline.batch import air as batch_air
-from pipeline.config.air import SensorsSection
-from pipeline.simulate.air import (
+from pipeline.atmosphere.series.profile_series import TimedAir
+from pipeline.atmosphere.series.time_windows import Window
+from pipeline.config.atmosphere import SensorsSection
+from pipeline.simulate.mission import FIELD_LAT_RAD
+from pipeline.simulate.true_air import (
     saturation_pressure_pa,
     temperature_k,
     true_air,
     vapour_pressure_pa,
 )
-from pipeline.simulate.mission import FIELD_LAT_RAD
+from pipeline.stages import adjusted_profile as batch_air
 
 METAR = "METAR KXYZ 151055Z 24011KT 9999 SCT040 12/08 Q1013"
 

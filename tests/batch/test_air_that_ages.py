@@ -8,7 +8,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.atmosphere import ageing, course
+from pipeline.atmosphere.series import ageing
+from pipeline.atmosphere.series import profile_series as course
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 

@@ -15,10 +15,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.course import TimedAir, one_air
-from pipeline.batch.results import profile_of, stations_of
+from pipeline.atmosphere.series.profile_series import TimedAir, one_air
 from pipeline.flight.stations import NO_TIME, Stations
-from pipeline.stages import air_of_mission
+from pipeline.stages.finished_run import profile_of, stations_of
+from pipeline.stages.story import air_of_mission
 from pipeline.tables.exports.files import write_csv_stream
 from pipeline.tables.writing import PROFILE_ID, profile_arrow, stations_table
 

@@ -12,7 +12,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.batch.look import exposures_of, tell_of_lenses, tell_of_windows
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel, Source
 from pipeline.flight.events import Events
@@ -24,6 +23,7 @@ from pipeline.ledger import Kind, Ledger
 from pipeline.refraction.lens import LensInAir
 from pipeline.refraction.papers.gyer import gyer_air
 from pipeline.refraction.window import Cabin, Window, leave_compartment
+from pipeline.stages.exposure_setup import exposures_of, tell_of_lenses, tell_of_windows
 from pipeline.units import ARCSEC
 
 SECOND = 1_000_000_000

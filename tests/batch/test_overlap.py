@@ -8,8 +8,8 @@ import time
 
 import pytest
 
-from pipeline.batch import correct
-from pipeline.refraction import _threads
+from pipeline.refraction.kernels import threads as _threads
+from pipeline.stages import correction as correct
 
 
 class Crowd:

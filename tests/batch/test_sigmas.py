@@ -15,8 +15,8 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline import stages
 from pipeline.atmosphere.covariance import ProfileCovariance
+from pipeline.stages import story as stages
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 

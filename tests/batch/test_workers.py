@@ -90,7 +90,7 @@ def test_workers_share_the_work_and_are_kept(tmp_path):
 # `unbend run`, with a step in which every worker waits to be hit; deaf ones do not hear SIGTERM.
 STALLING = """
 import os, signal, sys, time
-from pipeline import stages
+from pipeline.stages import story as stages
 real = stages.write_tables
 def stalled(*args):
     real(*args)

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import pipeline
-from pipeline.ingest.base import Log
+from pipeline.ingest.log import Log
 from pipeline.refraction import angle
 
 COMMANDS = (

@@ -15,7 +15,7 @@ import pytest
 # Stops in the middle of a named step, says so, and waits to be hit.
 STALLING = """
 import sys, time
-from pipeline import stages
+from pipeline.stages import story as stages
 from pipeline.batch import store
 step, mode = sys.argv[1], sys.argv[2]
 sys.argv = ["unbend", "run", sys.argv[3]]
@@ -46,7 +46,7 @@ main()
 # Every batch is corrected for a second, on threads that the main one must wait for.
 STREAMING = """
 import sys, time
-from pipeline.batch import correct
+from pipeline.stages import correction as correct
 real = correct._correct_batch
 def slow(*args):
     print("stalled", flush=True)

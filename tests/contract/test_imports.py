@@ -63,7 +63,7 @@ def test_the_physics_needs_numpy_and_numba_alone():
 
 
 @pytest.mark.parametrize(
-    "module", ["pipeline.stages", "pipeline.cli", "pipeline.simulate", "pipeline.ingest"]
+    "module", ["pipeline.stages.story", "pipeline.cli", "pipeline.simulate", "pipeline.ingest"]
 )
 def test_importing_warns_of_nothing(module):
     python(f"import {module}", "-W", "error")

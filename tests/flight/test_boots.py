@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pipeline.flight.boots import BootClock, Told, fit_boots, timeline
+from pipeline.ingest.boot_clock import BootClock, Told, fit_boots, timeline
 from pipeline.ledger import Ledger
 
 SECOND = 10**9

@@ -20,7 +20,7 @@ from pipeline.flight.events import (
 )
 from pipeline.flight.exposures import build_stations, require_cabin_air
 from pipeline.flight.heights import HeightSystem, ground_offsets, height_system
-from pipeline.flight.local import Origin, locate
+from pipeline.flight.local_origin import Origin, locate
 from pipeline.flight.mount import Mount
 from pipeline.flight.stations import name_the_unmatched, report_flagged
 from pipeline.ledger import Ledger

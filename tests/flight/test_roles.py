@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import MissionError
-from pipeline.flight.air import air_samples
+from pipeline.flight.air_samples import air_samples
 from pipeline.flight.channels import Channel, Source
 from pipeline.flight.heights import HeightSystem
 from pipeline.flight.quality import within_reason

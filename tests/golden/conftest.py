@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from pipeline.batch.manifest import Outcome
-from pipeline.stages import run_mission
+from pipeline.stages.story import run_mission
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SHARED = REPOSITORY.parent / "shared"

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.batch.manifest import Outcome
-from pipeline.stages import run_mission
+from pipeline.stages.story import run_mission
 
 from .conftest import SHARED, needs_shared, read_observations, write_mission
 

@@ -11,7 +11,7 @@ import pytest
 from pipeline.batch.manifest import Outcome
 from pipeline.errors import MissionError
 from pipeline.ingest import open_log
-from pipeline.stages import run_mission
+from pipeline.stages.story import run_mission
 
 from .conftest import SHARED, needs_shared, read_observations, write_mission
 from .test_autopilot_logs import CAMERA

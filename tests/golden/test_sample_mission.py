@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere import Profile, profile_from_table
-from pipeline.atmosphere.air import IndexModel
+from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.batch.manifest import Outcome
 from pipeline.config import load_mission
 from pipeline.geodesy import lambert_gravity

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.ingest.dataflash import read_tables
+from pipeline.ingest.dataflash.log import read_tables
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = (ROOT.parent / "shared" / "logs", ROOT / "sample_logs")

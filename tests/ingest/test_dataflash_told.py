@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from pipeline.ingest import Log, open_log
-from pipeline.ingest.dataflash_records import walk
-from pipeline.ingest.window import Window, window_of
+from pipeline.ingest.dataflash.records import walk
+from pipeline.ingest.file_view import Window, window_of
 
 BARO, HYGR, GPS, POS = 23, 24, 20, 25
 ROWS = 400
@@ -183,7 +183,7 @@ def test_all_records_of_a_type_in_doubt_cost_what_lies_between_them(
         return array(self, begin, end)
 
     monkeypatch.setattr(Window, "array", counted)
-    monkeypatch.setattr("pipeline.ingest.dataflash_records.REACH", 8)
+    monkeypatch.setattr("pipeline.ingest.dataflash.records.REACH", 8)
     found = walk(window_of(bytes(data)))
     assert found.bad_bytes >= 18 * ROWS
     assert sum(read) < 10 * len(data)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.ingest.frames import ned_frd_of_enu_flu, positive_scalar, quaternion_of_euler
+from pipeline.ingest.attitude import ned_frd_of_enu_flu, positive_scalar, quaternion_of_euler
 
 ENU_OF_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FLU_OF_FRD = np.diag([1.0, -1.0, -1.0])

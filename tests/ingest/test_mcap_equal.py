@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from pipeline.ingest import Log, open_log
-from pipeline.ingest.cdr import decode, program
-from pipeline.ingest.cdr_schema import SchemaError, steps_of
+from pipeline.ingest.mcap.cdr import decode, program
+from pipeline.ingest.mcap.cdr_schema import SchemaError, steps_of
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 FOLDERS = (REPOSITORY.parent / "shared" / "logs", REPOSITORY / "sample_logs")

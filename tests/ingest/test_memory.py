@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.ingest.store import BLOCK, Store
+from pipeline.ingest.column_store import BLOCK, Store
 
 ROOT = Path(__file__).resolve().parents[2]
 MIB = 1 << 20
@@ -29,7 +29,7 @@ _PEAK = """
 import json, sys
 from pathlib import Path
 from pipeline.ingest import open_log
-from pipeline.ingest.dataflash import read_tables
+from pipeline.ingest.dataflash.log import read_tables
 def status(key):
     lines = dict(line.split(":", 1) for line in open("/proc/self/status"))
     return int(lines[key].split()[0]) * 1024

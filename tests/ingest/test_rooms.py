@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 from pipeline.ingest import memory, open_log
+from pipeline.ingest.column_store import Store
 from pipeline.ingest.memory import REGION, SMALL, let_go, moved, room
-from pipeline.ingest.store import Store
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -12,8 +12,8 @@ import pytest
 
 from pipeline.errors import LogError
 from pipeline.ingest import Log, open_log
-from pipeline.ingest.tlog_scan import scan
-from pipeline.ingest.window import window_of
+from pipeline.ingest.file_view import window_of
+from pipeline.ingest.tlog.scan import scan
 
 DEGREE = np.pi / 180.0
 SECOND = 10**9

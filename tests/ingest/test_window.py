@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from pipeline.errors import LogError
-from pipeline.ingest import window
-from pipeline.ingest.window import window_of, window_on
+from pipeline.ingest import file_view as window
+from pipeline.ingest.file_view import window_of, window_on
 
 
 @pytest.fixture(autouse=True)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air import refractivity_gyer
+from pipeline.atmosphere.refractive_index import refractivity_gyer
 from pipeline.refraction import refraction_angle
 from pipeline.refraction.window import leave_compartment
 from pipeline.units import ARCSEC, DEGREE

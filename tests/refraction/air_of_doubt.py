@@ -7,9 +7,9 @@ from functools import lru_cache
 import numpy as np
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air import IndexModel
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.profile import Profile, stack_layers
+from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.geodesy import lambert_gravity
 
 EDGES = np.concatenate(

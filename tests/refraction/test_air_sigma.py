@@ -15,7 +15,7 @@ from pipeline.refraction import (
     ray_table,
     uncertainty_of,
 )
-from pipeline.refraction.sensitivity import sensitivity
+from pipeline.refraction.uncertainty.sensitivity import sensitivity
 
 RADIUS = 6_371_000.0
 

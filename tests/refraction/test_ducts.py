@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pipeline.atmosphere.air import IndexModel
 from pipeline.atmosphere.profile import Profile, stack_layers
+from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.atmosphere.standard import standard_atmosphere
 from pipeline.geodesy import lambert_gravity
 from pipeline.refraction import bend, ray_table, refraction_angle

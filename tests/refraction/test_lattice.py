@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.refraction.camera import Camera
+from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.lattice import lattice_nodes
 
 CAMERA = Camera(14000, 10600, 20000.0, 20000.0, 7000.0, 5300.0)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.adjust import build_adjusted_profile
-from pipeline.atmosphere.samples import AirSamples, Samples
+from pipeline.atmosphere.air_samples import AirSamples, Samples
+from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from pipeline.ledger import Ledger
 from pipeline.refraction import ray_table, refraction_angle
 from pipeline.simulate.rays import ray_angle_sphere
@@ -166,7 +166,7 @@ def test_the_table_reproduces_the_profile(us1976, wiggly):
 
 def test_the_two_forms_agree_where_they_meet(us1976, wiggly):
     """The difference form and the subtended angle, both on either side of the guard."""
-    from pipeline.refraction import _ray_kernel as kernel
+    from pipeline.refraction.kernels import ray as kernel
 
     worst = 0.0
     for profile in (us1976, wiggly):

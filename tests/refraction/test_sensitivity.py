@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import hypsometry, jacobian, standard_atmosphere
-from pipeline.atmosphere.air import IndexModel
 from pipeline.atmosphere.jacobian import air_jacobian
 from pipeline.atmosphere.profile import Profile, stack_layers
+from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity
-from pipeline.refraction import refraction_angle, weights
-from pipeline.refraction.sensitivity import ray_weights, sensitivity
+from pipeline.refraction import refraction_angle
 from pipeline.refraction.status import BAD_MEASUREMENT, MISSES_GROUND, OK, OUTSIDE_PROFILE
+from pipeline.refraction.uncertainty import adjoint as weights
+from pipeline.refraction.uncertainty.sensitivity import ray_weights, sensitivity
 from pipeline.units import DEGREE, HYDROSTATIC_CONSTANT
 
 DIGITS = 30

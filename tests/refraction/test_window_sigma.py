@@ -17,8 +17,8 @@ from pipeline.refraction import (
     refraction_angle,
     uncertainty_of,
 )
-from pipeline.refraction.air_sigma import OPEN, SCHEDULED, SEALED, view_of
-from pipeline.refraction.uncertainty import Views, at_the_window
+from pipeline.refraction.uncertainty.air_sigma import OPEN, SCHEDULED, SEALED, view_of
+from pipeline.refraction.uncertainty.budget import Views, at_the_window
 from pipeline.refraction.window import leave_compartment
 
 RADIUS = 6_371_000.0

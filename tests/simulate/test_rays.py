@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from pipeline.errors import PhysicsError
-from pipeline.simulate.air import true_air
 from pipeline.simulate.rays import (
     enu_axes,
     height_and_up,
@@ -17,6 +16,7 @@ from pipeline.simulate.rays import (
     shoot,
     to_ecef,
 )
+from pipeline.simulate.true_air import true_air
 
 ARCSEC = math.pi / 648_000.0
 RADIUS = 6_371_000.0

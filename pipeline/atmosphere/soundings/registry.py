@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from pipeline.atmosphere.soundings import igra, plain, wyoming
-from pipeline.atmosphere.soundings.judge import judge_levels
+from pipeline.atmosphere.soundings.level_checks import judge_levels
 from pipeline.atmosphere.soundings.levels import Sounding
 from pipeline.atmosphere.soundings.raw import RawLevels
 from pipeline.errors import InputError

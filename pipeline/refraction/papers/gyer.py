@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air import IndexModel, refractivity_gyer
 from pipeline.atmosphere.profile import Profile, stack_layers
+from pipeline.atmosphere.refractive_index import IndexModel, refractivity_gyer
 from pipeline.refraction.papers.rows import Array, Block, block, printed_table
 from pipeline.refraction.published.gyer import STEP_M, gyer1996, plane_first_term, subtended_angle
 from pipeline.refraction.ray import refraction_angle

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air import refractivity_gyer
+from pipeline.atmosphere.refractive_index import refractivity_gyer
 from pipeline.refraction.papers.rows import Block, block
 from pipeline.refraction.published.saastamoinen import (
     saastamoinen1974,

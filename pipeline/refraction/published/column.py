@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.atmosphere.profile import Profile
-from pipeline.refraction._pieces import cut
+from pipeline.refraction.kernels.pieces import cut
 from pipeline.units import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.course import AirAlong
+from pipeline.atmosphere.series.profile_series import AirAlong
 from pipeline.errors import ConfigError
 from pipeline.flight.stations import Stations
-from pipeline.refraction.camera import Camera
+from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Exposures
 from pipeline.refraction.ray import PublishedRays, RayTable
 

@@ -1,0 +1,129 @@
+"""What a flight measured of the air, against height, and its robust binning."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+BIN_M = 50.0
+"""Thickness of the layers where temperature was measured [m']."""
+
+_FEWEST_IN_BIN = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """One sensor's readings against height; (n,) arrays.
+
+    ``time_ns`` UTC, ``h_m`` above sea level, ``value`` in SI (K, Pa, or relative humidity 0-1),
+    ``accepted`` False for readings a gate has taken out (they are shown, not used); it becomes
+    False where height or value is no number.
+    """
+
+    time_ns: NDArray[np.int64]
+    h_m: Array
+    value: Array
+    accepted: NDArray[np.bool_]
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        known = np.isfinite(self.h_m) & np.isfinite(self.value)
+        object.__setattr__(self, "accepted", self.accepted & known)
+
+    def used(self) -> tuple[Array, Array]:
+        """Heights and values that were accepted."""
+        return self.h_m[self.accepted], self.value[self.accepted]
+
+    @property
+    def extent_m(self) -> float:
+        """Height spanned by the accepted readings [m]."""
+        h = self.h_m[self.accepted]
+        return float(np.ptp(h)) if h.size else 0.0
+
+    @property
+    def middle_ns(self) -> int | None:
+        """Middle of the time that the accepted readings span [Unix ns]."""
+        used = self.time_ns[self.accepted]
+        if used.size == 0:
+            return None
+        return int(used[0]) + (int(used[-1]) - int(used[0])) // 2
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """What is known of a fault of a sensor before the flight; None where that is nothing.
+
+    ``taken`` is how much of it was taken from the readings already.
+    """
+
+    mean: float | None = None
+    sigma: float | None = None
+    taken: float = 0.0
+
+    def mean_or(self, usual: float) -> float:
+        return usual if self.mean is None else self.mean
+
+    def sigma_or(self, usual: float) -> float:
+        return usual if self.sigma is None else self.sigma
+
+
+@dataclass(frozen=True, eq=False)
+class AirSamples:
+    """What a flight measured of the air outside; None where there was no sensor.
+
+    ``airspeed`` is indicated [m/s]; ``takeoff_ns`` the times [Unix ns] at which the aircraft left
+    the ground, increasing, None where nobody looked. ``board_temperature`` says that the
+    thermometer sits on a circuit board and is used only because the user insists: the air plus
+    10 K or so, wandering. ``calibration`` of the sensors, by the names of their faults
+    (`pipeline.atmosphere.estimate.sensors`).
+    """
+
+    temperature: Samples | None = None
+    pressure: Samples | None = None
+    humidity: Samples | None = None
+    airspeed: Samples | None = None
+    takeoff_ns: NDArray[np.int64] | None = None
+    board_temperature: bool = False
+    calibration: Mapping[str, Calibrated] = field(default_factory=dict)
+
+
+def bin_by_height(
+    geopotential: Array, samples: Samples, width: float, value: Array | None = None
+) -> tuple[Array, Array]:
+    """Medians of the accepted readings in bins of height, climb and descent weighing alike.
+
+    The lag of a sensor has opposite signs in climb and descent, so where a bin holds both, their
+    two medians are averaged. ``value`` replaces the readings themselves. Returns the mean heights
+    [m'] and the values of bins with at least three readings, from the ground up.
+    """
+    seconds = np.asarray((samples.time_ns - samples.time_ns[:1]) * 1e-9, np.float64)
+    rising = climb_of(seconds, geopotential) >= 0.0
+    reading = samples.value if value is None else value
+    use = samples.accepted & np.isfinite(reading) & np.isfinite(geopotential)
+    height, reading, rising = geopotential[use], reading[use], rising[use]
+    number = np.floor(height / width).astype(np.int64)
+    order = np.argsort(number, kind="stable")
+    heights, values = [], []
+    for inside in np.split(order, np.flatnonzero(np.diff(number[order])) + 1):
+        if inside.size < _FEWEST_IN_BIN:
+            continue
+        ways = [inside[rising[inside]], inside[~rising[inside]]]
+        ways = [way for way in ways if way.size >= _FEWEST_IN_BIN] or [inside]
+        heights.append(float(np.mean([height[way].mean() for way in ways])))
+        values.append(float(np.mean([np.median(reading[way]) for way in ways])))
+    return np.array(heights), np.array(values)
+
+
+def climb_of(seconds: Array, height: Array) -> Array:
+    """Height gained in the ten seconds around each sample, none where fewer than two are known."""
+    known = np.isfinite(height)
+    if known.sum() < 2:
+        return np.zeros(seconds.shape)
+    before = np.interp(seconds - 5.0, seconds[known], height[known])
+    after = np.interp(seconds + 5.0, seconds[known], height[known])
+    return np.asarray(after - before)

@@ -1,0 +1,268 @@
+"""Which sensors of the air outside are believed: physics, and one sensor against another."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.atmosphere.air_samples import BIN_M, AirSamples, Samples, bin_by_height
+from pipeline.atmosphere.climatology import Climatology
+from pipeline.atmosphere.hypsometry import Fall, fall_of_pressure
+from pipeline.atmosphere.profile import Profile
+from pipeline.atmosphere.refractive_index import saturation_vapour_pressure
+from pipeline.ledger import Ledger
+from pipeline.units import HECTOPASCAL, VAPOUR_DEFICIT
+
+LARGEST_DISAGREEMENT_K, LARGEST_CHANGE_K = 8.0, 3.5
+"""Thermometer against barometer and GNSS, on the whole of the common heights, and its change from
+the lower to the upper half of them: more is a wrong sensor. Honest ones (bias 2 K, transient 4 K,
+lag 25 s) over 0.7 to 3 km, up and down, came to 2.6 and 1.0 K RMS in 840 flights."""
+
+CLIMB_TO_COMPARE_M, HALF_TO_COMPARE_M = 200.0, 350.0
+"""Over less height nothing is compared, and no half of a climb [m]."""
+
+WANDER_M, WANDER_AT_ONCE_M = 2.7, 1.1
+"""By so much pressure and GNSS height wander against each other between two ends of a climb, and
+within the minutes of half of it: 3.8 K of what they imply over 200 m, 0.8 K over 1 km."""
+
+MILD_K, USUAL_RH, USUAL_E_PA = 280.0, 0.6, 1500.0  # of air, where only its order matters
+
+ISOTHERMAL_K = 1.0
+"""What reads the same within this may be indoors; too little height does not tell [K]."""
+
+CERTAIN = 3.0
+"""Sigmas of the comparison that are no disagreement."""
+
+STUCK_M, FEWEST_STUCK = 300.0, 5
+"""A sensor with so many equal readings over so much height stands still [m]."""
+
+SLOWEST = {"temperature": 2e-3, "pressure": 5.0, "humidity": 1e-4}
+"""Change a metre below which coarse steps may hide it: a thermometer that tells whole degrees may
+well read the same over 800 m, of isothermal air [K/m, Pa/m, 1/m]."""
+
+DRY, MOIST = 0.02, 0.97
+"""Relative humidities where a hygrometer, or the air, may well stay."""
+
+UNLIKELY_SIGMAS, IMPOSSIBLE_SIGMAS = 5.0, 10.0
+"""Departures of pressure at sea level from the climatology, whose sigma is about 1 %."""
+
+
+def believable(samples: AirSamples, standard: Profile, ledger: Ledger) -> AirSamples:
+    """The samples without the sensors that contradict physics, or one another.
+
+    A sensor must not stand still. Pressure must fall with GNSS height as it does in air of 180 to
+    335 K; a thermometer must agree with the temperature that this implies, on the whole and in its
+    change with height, or it measures something else (a board, the cabin).
+    """
+    samples = _moving(samples, ledger)
+    temperature, pressure = samples.temperature, samples.pressure
+    if pressure is None or pressure.extent_m < CLIMB_TO_COMPARE_M:
+        return samples
+    fall = _fall(pressure, standard)
+    if fall is None or not fall.is_of_air:
+        implied = None if fall is None else fall.implied_k
+        found = "does not fall with height" if implied is None else f"implies {implied:.0f} K"
+        _lose_pressure(pressure, found, ledger)
+        return replace(samples, pressure=None)
+    if temperature is None or samples.board_temperature:
+        return samples
+    against = _disagreement(temperature, pressure, standard)
+    if against is None:
+        _tell_of_doubt(temperature, standard, ledger)
+        return samples
+    ledger.loss(
+        "AIR-THERMOMETER",
+        f"{temperature.name} {against} against what {pressure.name} and GNSS height imply: it does "
+        "not measure the air outside and is not used",
+        where=temperature.name,
+    )
+    return replace(samples, temperature=None)
+
+
+def _moving(samples: AirSamples, ledger: Ledger) -> AirSamples:
+    """The samples without readings that stay exactly the same while the aircraft climbs."""
+    pressure = samples.pressure
+    if pressure is not None:
+        held = pressure.value[_stuck(pressure, "pressure")]
+        if held.size:
+            _lose_pressure(pressure, f"stays at {held[0]:.0f} Pa", ledger)
+            pressure = None
+    return replace(
+        samples,
+        temperature=_without_stuck(samples.temperature, "temperature", ledger),
+        pressure=pressure,
+        humidity=_without_stuck(samples.humidity, "humidity", ledger),
+    )
+
+
+def _without_stuck(sensor: Samples | None, name: str, ledger: Ledger) -> Samples | None:
+    """A sensor without the readings during which it stood still."""
+    if sensor is None:
+        return None
+    stuck = _stuck(sensor, name)
+    if not bool(stuck.any()):
+        return sensor
+    ledger.loss(
+        "AIR-STUCK",
+        f"{int(stuck.sum())} of {int(sensor.accepted.sum())} readings of {sensor.name} are exactly "
+        f"{sensor.value[stuck][0]:.6g} over {np.ptp(sensor.h_m[stuck]):.0f} m of height: it stands "
+        "still, and they are not used",
+        where=sensor.name,
+        count=int(stuck.sum()),
+    )
+    kept = replace(sensor, accepted=sensor.accepted & ~stuck)
+    return kept if bool(kept.accepted.any()) else None
+
+
+def _lose_pressure(pressure: Samples, found: str, ledger: Ledger) -> None:
+    ledger.loss(
+        "AIR-NOT-OUTSIDE",
+        f"the pressure of {pressure.name} {found} over {pressure.extent_m:.0f} m of GNSS height: "
+        "it is not that of the air outside and is not used",
+        where=pressure.name,
+    )
+
+
+def _stuck(sensor: Samples, name: str) -> NDArray[np.bool_]:
+    """Which readings belong to a run of equal ones over more height than the steps explain."""
+    stuck = np.zeros(sensor.value.size, dtype=bool)
+    rows = np.flatnonzero(sensor.accepted)
+    h, value = sensor.used()
+    if rows.size < FEWEST_STUCK:
+        return stuck
+    start = np.concatenate([[0], 1 + np.flatnonzero(value[1:] != value[:-1])])
+    count = np.diff(start, append=rows.size)
+    extent = np.maximum.reduceat(h, start) - np.minimum.reduceat(h, start)
+    long = (extent >= STUCK_M) & (count >= FEWEST_STUCK)
+    if name == "humidity":
+        long &= (value[start] > DRY) & (value[start] < MOIST)
+    if bool(long.any()):
+        steps = np.diff(np.unique(value))
+        long &= extent >= STUCK_M + (float(steps.min()) / SLOWEST[name] if steps.size else 0.0)
+    stuck[rows] = np.repeat(long, count)
+    return stuck
+
+
+def _fall(pressure: Samples, standard: Profile) -> Fall | None:
+    """How pressure falls, by medians in bins of height; None where there are too few."""
+    geopotential = standard.gravity.geopotential_height(pressure.h_m)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        departure = np.log(pressure.value) - np.log(standard.pressure(pressure.h_m))
+    height, middle = bin_by_height(geopotential, pressure, BIN_M, departure)
+    if height.size < 3:
+        return None
+    log_p = middle + np.log(standard.pressure(standard.gravity.height(height)))
+    return fall_of_pressure(height, log_p)
+
+
+def _disagreement(temperature: Samples, pressure: Samples, standard: Profile) -> str | None:
+    """How a thermometer reads against what pressure implies, in words; None where they agree.
+
+    Over all common heights, and the upper half of them against the lower: a sensor that reads the
+    same everywhere may be right in the mean.
+    """
+    heights = [sensor.used()[0] for sensor in (temperature, pressure)]
+    if any(h.size == 0 for h in heights):
+        return None
+    low, high = max(h.min() for h in heights), min(h.max() for h in heights)
+    excess = _excess_over_pressure(temperature, pressure, standard, low, high)
+    if excess is not None and abs(excess) > _largest(LARGEST_DISAGREEMENT_K, WANDER_M, high - low):
+        return f"reads {excess:+.1f} K"
+    half = 0.5 * (high + low)
+    lower = _excess_over_pressure(temperature, pressure, standard, low, half)
+    upper = _excess_over_pressure(temperature, pressure, standard, half, high)
+    if lower is None or upper is None or half - low < HALF_TO_COMPARE_M:
+        return None
+    change = upper - lower
+    if abs(change) <= _largest(LARGEST_CHANGE_K, WANDER_AT_ONCE_M, half - low):
+        return None
+    return f"changes by {change:+.1f} K from the lower to the upper half of {high - low:.0f} m"
+
+
+def _tell_of_doubt(temperature: Samples, standard: Profile, ledger: Ledger) -> None:
+    """That a thermometer which reads the same everywhere may be indoors, where none can tell."""
+    extent = temperature.extent_m
+    if not STUCK_M <= extent < 2.0 * HALF_TO_COMPARE_M:
+        return
+    height = standard.gravity.geopotential_height(temperature.h_m)
+    _, binned = bin_by_height(height, temperature, BIN_M)
+    if binned.size and np.ptp(binned) < ISOTHERMAL_K:
+        ledger.warning(
+            "AIR-ISOTHERMAL",
+            f"{temperature.name} reads the same within {np.ptp(binned):.1f} K over {extent:.0f} m: "
+            "if it is indoors its temperatures are not those of the air outside, and over so "
+            "little height the barometer does not tell",
+            where=temperature.name,
+        )
+
+
+def _largest(of_sensor_k: float, wander_m: float, extent_m: float) -> float:
+    """The largest disagreement [K] of sensors outside, compared over a height [m]."""
+    return float(np.hypot(of_sensor_k, CERTAIN * wander_m / extent_m * MILD_K))
+
+
+def _excess_over_pressure(
+    temperature: Samples, pressure: Samples, standard: Profile, low: float, high: float
+) -> float | None:
+    """Excess [K] of a thermometer over what pressure implies between two heights [m].
+
+    Of the mean temperature by which pressure falls, so that the shape of T(H) does not matter.
+    """
+    parts = []
+    for sensor in (temperature, pressure):
+        with np.errstate(invalid="ignore"):
+            inside = sensor.accepted & (sensor.h_m >= low) & (sensor.h_m <= high)
+        parts.append(replace(sensor, accepted=inside))
+        if parts[-1].extent_m < CLIMB_TO_COMPARE_M:
+            return None
+    warm, beside = parts
+    fall = _fall(beside, standard)
+    geopotential = standard.gravity.geopotential_height(warm.h_m)
+    height, binned = bin_by_height(geopotential, warm, BIN_M)
+    if fall is None or fall.implied_k is None or not fall.is_of_air or binned.size < 3:
+        return None
+    moist = np.minimum(USUAL_RH * saturation_vapour_pressure(binned), USUAL_E_PA)
+    moist /= standard.pressure(standard.gravity.height(height))
+    virtual = binned / (1.0 - VAPOUR_DEFICIT * moist)
+    steps = np.diff(height) * 0.5 * (1.0 / virtual[1:] + 1.0 / virtual[:-1])
+    falls = -standard.constant * np.concatenate([[0.0], np.cumsum(steps)])
+    felt = fall_of_pressure(height, falls).implied_k
+    return None if felt is None else felt - fall.implied_k
+
+
+def judge_level(
+    profile: Profile, background: Climatology, pressure: Samples | None, ledger: Ledger
+) -> None:
+    """Say how well the profile carries the measured pressures, and whether their level can be.
+
+    Pressure reduced to sea level must lie within 5 sigma of the climatology's (about 50 hPa; the
+    deepest lows reach 6); a tenth of the pressure is no weather.
+    """
+    if pressure is None or not bool(pressure.accepted.any()):
+        ledger.fallback(
+            "AIR-NO-BAROMETER",
+            "no static pressure outside: its level is that of a sounding, a station or the "
+            "climatology",
+        )
+        return
+    h, measured = pressure.used()
+    residual = np.abs(measured - profile.pressure(h))
+    at_sea = float(profile.pressure(0.0))
+    departure = np.log(at_sea / float(background.profile.pressure(0.0)))
+    sigmas = abs(float(departure)) / background.spread.pressure_ratio
+    what = (
+        f"pressure anchored to {pressure.name}: residuals of "
+        f"{float(np.nanmedian(residual)) / HECTOPASCAL:.2f} hPa in the median, "
+        f"{np.nanmax(residual) / HECTOPASCAL:.2f} hPa at most; {at_sea / HECTOPASCAL:.0f} hPa at "
+        "sea level"
+    )
+    tell = ledger.note
+    if sigmas > IMPOSSIBLE_SIGMAS:
+        tell = ledger.loss
+        what += f", {sigmas:.0f} sigma from the climatology: the barometer or its unit is wrong"
+    elif sigmas > UNLIKELY_SIGMAS:
+        tell = ledger.warning
+        what += f", {sigmas:.0f} sigma from the climatology"
+    tell("AIR-ANCHOR", what, where=pressure.name, count=int(measured.size))

@@ -1,0 +1,259 @@
+"""What is estimated: the air at knots, and what is wrong with the sensors; and what is known of it.
+
+The state x holds, in this order: temperature T at knots in geopotential height [K], linear
+between; relative humidity at coarser knots; ln p at a reference height; one number for each fault
+of a sensor; the course of each drift at knots in time or height.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.atmosphere.climatology import Climatology
+from pipeline.atmosphere.hypsometry import column, hats
+from pipeline.atmosphere.refractive_index import enhancement_factor, saturation_vapour_pressure
+from pipeline.units import VAPOUR_DEFICIT
+
+Array = NDArray[np.float64]
+
+FINEST_M, MOST_FINE = 50.0, 200
+"""Knots where something was sampled: 50 m' apart, or so far that there are no more than these."""
+
+MARGIN_M = 100.0  # fine knots go on so far beyond the samples [m']
+WIDENING, WIDEST_M = 1.25, 750.0  # beyond, each layer is thicker than the last, up to this [m']
+TOP_M = 32_000.0  # above, the background's own breakpoints suffice [m']
+HUMID_M, HUMID_TOP_M = 250.0, 15_000.0
+"""Knots of humidity; above the highest vapour weighs less than 1e-5 of n - 1 [m']."""
+
+ROUGH_K, ROUGH_ALOFT_K, ROUGH_LENGTH_M = 2.5, 1.2, 600.0
+ROUGH_BELOW_M, SMOOTH_ABOVE_M = 2000.0, 4000.0
+BROAD_LENGTH_M = 5000.0
+"""Structure of T about a climatology, from nine real ascents: over 200, 500 and 1000 m it changes
+by 1.9, 3.5, 5.6 K RMS in the lowest 1.5 km, 0.5, 1.1, 2.0 K between 1.5 and 4 km, 0.4, 0.9, 1.5 K
+above. This prior has 3.1, 4.5, 5.5, and aloft 1.4, 2.4, 4.0 (with 10 K in all): never less than
+seen, because strong inversions are rare among nine."""
+
+_UNKNOWN_LOG_P = 0.1  # of the level before sea-level pressure and barometer speak
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault of a sensor that is one number: its prior mean, sigma, and the range it keeps."""
+
+    name: str
+    mean: float
+    sigma: float
+    low: float = -np.inf
+    high: float = np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """A fault that wanders along time [s] or height [m']: (k,) knots, sigma, correlation length."""
+
+    name: str
+    knot: Array
+    sigma: float
+    length: float
+
+    def covariance(self) -> Array:
+        """Of a first-order Markov process: sigma^2 exp(-d / length); a jitter keeps it regular."""
+        size = self.knot.size
+        return self.sigma**2 * (exponential(self.knot, self.length) + 1e-8 * np.eye(size))
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Where in the state each quantity stands."""
+
+    knot: Array
+    humid: Array
+    reference: float
+    faults: tuple[Fault, ...]
+    drifts: tuple[Drift, ...]
+
+    @property
+    def temperature(self) -> slice:
+        return slice(0, self.knot.size)
+
+    @property
+    def humidity(self) -> slice:
+        return slice(self.knot.size, self.knot.size + self.humid.size)
+
+    @property
+    def level(self) -> int:
+        """ln p at the reference height."""
+        return self.knot.size + self.humid.size
+
+    @property
+    def size(self) -> int:
+        return self.level + 1 + len(self.faults) + sum(d.knot.size for d in self.drifts)
+
+    def fault(self, name: str) -> int:
+        return self.level + 1 + [fault.name for fault in self.faults].index(name)
+
+    def drift(self, name: str) -> tuple[Drift, slice]:
+        at = self.level + 1 + len(self.faults)
+        for drift in self.drifts:
+            if drift.name == name:
+                return drift, slice(at, at + drift.knot.size)
+            at += drift.knot.size
+        raise KeyError(name)
+
+    def held(self, x: Array) -> Array:
+        """The state with humidity, temperature and faults inside the ranges they can have."""
+        x = x.copy()
+        x[self.humidity] = np.clip(x[self.humidity], 0.0, 1.0)
+        x[self.temperature] = np.clip(x[self.temperature], 140.0, 360.0)
+        for i, fault in enumerate(self.faults, self.level + 1):
+            x[i] = min(max(x[i], fault.low), fault.high)
+        return x
+
+
+def place_knots(low: float, high: float, edge: Array) -> Array:
+    """Knots [m'] of temperature: fine from ``low`` to ``high``, widening to the ends of ``edge``.
+
+    ``edge`` are the breakpoints of the background; they stay knots.
+
+    >>> place_knots(0.0, 200.0, np.array([-5000.0, 11e3, 20e3]))[14:20].round().tolist()
+    [-100.0, -50.0, 0.0, 50.0, 100.0, 150.0]
+    """
+    low = max(low - MARGIN_M, edge[0] + MARGIN_M)
+    high = min(high + MARGIN_M, edge[-1] - MARGIN_M)
+    step = max(FINEST_M, (high - low) / MOST_FINE)
+    fine = np.linspace(low, high, 1 + max(1, round((high - low) / step)))
+    step = fine[1] - fine[0]
+    away = np.cumsum(np.minimum(step * WIDENING ** np.arange(1, 100), WIDEST_M))
+    above = high + away[high + away < min(TOP_M, edge[-1] - step)]
+    below = low - away[low - away > edge[0] + step]
+    free = np.concatenate([below[::-1], fine, above])
+    # No sliver of a layer beside a breakpoint of the background.
+    nearest = np.min(np.abs(free[:, None] - edge[None, :]), axis=1)
+    return np.unique(np.concatenate([free[nearest > 0.4 * step], edge]))
+
+
+def place_humid_knots(low: float, high: float) -> Array:
+    """Knots [m'] of relative humidity, at the last of which there is none."""
+    bottom = max(low - 2.0 * HUMID_M, -4000.0)
+    middle = min(high + 2.0 * HUMID_M, HUMID_TOP_M - 3.0 * HUMID_M)
+    fine = np.arange(bottom, max(middle, bottom + HUMID_M), HUMID_M)
+    coarse = np.arange(fine[-1] + 2.0 * HUMID_M, HUMID_TOP_M - HUMID_M, 2.0 * HUMID_M)
+    return np.concatenate([fine, coarse, [HUMID_TOP_M]])
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known before anything is measured: (s,) mean, (s, s) precision (inverse of B)."""
+
+    mean: Array
+    precision: Array
+    sigma_temperature: Array
+
+
+def prior_of(layout: Layout, background: Climatology, moisture: Climatology) -> Prior:
+    """The background at the knots and the faults that sensors are expected to have.
+
+    The departure of temperature from the climatology has its spread sigma(H) in two parts: a rough
+    one, sigma_r^2 exp(-d/600 m), and a broad one, (sigma^2 - sigma_r^2) (1 + q) exp(-q) with
+    q = sqrt(3) d / 5 km (Matern 3/2: no kinks). ``moisture`` gives humidity.
+    """
+    gravity = background.profile.gravity
+    knot, humid = layout.knot, layout.humid
+    mean, precision = np.zeros(layout.size), np.zeros((layout.size, layout.size))
+
+    def put(where: slice, values: Array | float, covariance: Array) -> None:
+        mean[where] = values
+        precision[where, where] = np.linalg.inv(covariance)
+
+    def put_one(i: int, value: float, sigma: float) -> None:
+        mean[i], precision[i, i] = value, sigma**-2
+
+    spread = background.spread.sigma_temperature(gravity.height(knot))
+    above = knot - layout.reference
+    rough = np.interp(above, [ROUGH_BELOW_M, SMOOTH_ABOVE_M], [ROUGH_K, ROUGH_ALOFT_K])
+    rough = np.minimum(rough, 0.7 * spread)
+    broad = np.sqrt(spread**2 - rough**2)
+    q = np.sqrt(3.0) * np.abs(knot[:, None] - knot[None, :]) / BROAD_LENGTH_M
+    covariance = np.outer(broad, broad) * (1.0 + q) * np.exp(-q)
+    covariance += np.outer(rough, rough) * exponential(knot, ROUGH_LENGTH_M)
+    put(layout.temperature, background.profile.temperature(gravity.height(knot)), covariance)
+
+    h = gravity.height(humid)
+    expected = np.clip(moisture.relative_humidity(h), 0.0, 1.0)
+    expected[-1] = 0.0
+    doubt = np.append(moisture.spread.sigma_relative_humidity(h)[:-1], 1e-4)
+    length = moisture.spread.humidity_correlation_m
+    put(layout.humidity, expected, np.outer(doubt, doubt) * exponential(humid, length))
+
+    level = float(np.log(background.profile.pressure(gravity.height(layout.reference))))
+    put_one(layout.level, level, _UNKNOWN_LOG_P)
+    for i, fault in enumerate(layout.faults, layout.level + 1):
+        put_one(i, fault.mean, fault.sigma)
+    for drift in layout.drifts:
+        put(layout.drift(drift.name)[1], 0.0, drift.covariance())
+    return Prior(mean, precision, spread)
+
+
+@dataclass(frozen=True, eq=False)
+class Air:
+    """The air of a state, and how it changes with the state.
+
+    Arrays at the knots: ``temperature`` T, ``virtual`` T_M, ``vapour`` e/p; derivatives by T at
+    the same knot and by the relative humidity there; ``spreading`` (k, j) relative humidity of
+    the knots from that of the humid knots.
+    """
+
+    layout: Layout
+    x: Array
+    constant: float
+    temperature: Array
+    virtual: Array
+    vapour: Array
+    virtual_by_t: Array
+    virtual_by_rh: Array
+    vapour_by_t: Array
+    vapour_by_rh: Array
+    spreading: Array
+
+    def log_pressure(self, height: Array) -> tuple[Array, Array]:
+        """ln p at heights (m,) [m'] by Eq. 52-53, and its (m, s) derivatives by the state."""
+        layout = self.layout
+        at = np.concatenate([[layout.reference], height])
+        integral, gradient = column(layout.knot, self.virtual, at)
+        by_virtual = -self.constant * (gradient[1:] - gradient[0])
+        jacobian = np.zeros((height.size, layout.size))
+        jacobian[:, layout.temperature] = by_virtual * self.virtual_by_t
+        jacobian[:, layout.humidity] = (by_virtual * self.virtual_by_rh) @ self.spreading
+        jacobian[:, layout.level] = 1.0
+        return self.x[layout.level] - self.constant * (integral[1:] - integral[0]), jacobian
+
+
+def air_of(layout: Layout, x: Array, pressure: Array, constant: float) -> Air:
+    """The air of a state; ``pressure`` (k,) at the knots only turns humidity into e/p.
+
+    T_M = T/(1 - 0.378 v), v = e/p = RH f(T, p) e_s(T)/p. The derivatives hold p: it changes v by
+    1 % where temperature changes v by 7 % a kelvin, and the next iteration sees the new p.
+    """
+    t = x[layout.temperature]
+    spreading = hats(layout.humid, layout.knot)
+    spreading[layout.knot >= layout.humid[-1]] = 0.0
+    rh = np.clip(spreading @ x[layout.humidity], 0.0, 1.0)
+    saturated = enhancement_factor(t, pressure) * saturation_vapour_pressure(t) / pressure
+    # d ln e_s / dT of the formula of Davis (Ciddor 1996, appendix A).
+    relative = 2.0 * 1.2378847e-5 * t - 1.9121316e-2 + 6.3431645e3 / t**2
+    vapour = rh * saturated
+    dryness = 1.0 - VAPOUR_DEFICIT * vapour
+    steep = t * VAPOUR_DEFICIT / dryness**2
+    return Air(
+        layout, x, constant, t, t / dryness, vapour,
+        1.0 / dryness + steep * vapour * relative, steep * saturated,
+        vapour * relative, saturated, spreading,
+    )  # fmt: skip
+
+
+def exponential(x: Array, length: float) -> Array:
+    """(n, n) correlation exp(-|dx| / length)."""
+    return np.asarray(np.exp(-np.abs(x[:, None] - x[None, :]) / length))

@@ -1,0 +1,263 @@
+"""The air along a flight: profiles at several times, and the one of each exposure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pipeline.atmosphere.air_samples import AirSamples
+from pipeline.atmosphere.covariance import ProfileCovariance, plane_rule
+from pipeline.atmosphere.hypsometry import hats
+from pipeline.atmosphere.profile import Profile, stack_layers
+from pipeline.atmosphere.refractive_index import IndexModel
+from pipeline.atmosphere.series.ageing import FRESH_S, Ages, ages_of, grown
+from pipeline.ledger import Ledger
+
+Array = NDArray[np.float64]
+
+FINEST_CHANGE = 5e-4
+"""Profiles follow each other so closely that R changes by less than this from one to the next."""
+
+SLOT_NS = 900 * 10**9
+"""Exposures within a quarter of an hour share the age of their air [ns]."""
+
+_STEPS = 100  # trapezia of the plane integral
+_SLIVER_M = 1.0  # edges of two profiles nearer than this become one [m']
+
+
+@dataclass(frozen=True, eq=False)
+class TimedAir:
+    """The air at a time [Unix ns], with its covariance where there is one.
+
+    Between two ``ends``, of the earlier and the later air and the share of the later, the
+    covariance is made when it is asked for: hundreds of them would fill memory. ``ages`` say how
+    long ago it was sampled, where that is long.
+    """
+
+    time_ns: int | None
+    profile: Profile
+    own: ProfileCovariance | None = None
+    ends: tuple[TimedAir, TimedAir, float] | None = None
+    ages: Ages | None = None
+
+    @property
+    def has_covariance(self) -> bool:
+        """Whether `covariance` is known, without making it."""
+        sources = (self,) if self.ends is None else self.ends[:2]
+        return all(air.own is not None for air in sources)
+
+    @property
+    def covariance(self) -> ProfileCovariance | None:
+        """That of the estimate, and what the air changed since it was sampled."""
+        found = self._estimated()
+        return found if found is None or self.ages is None else grown(found, self.ages)
+
+    def _estimated(self) -> ProfileCovariance | None:
+        """(1 - share) C_a + share C_b: the most it can be, however the errors correlate."""
+        if self.ends is None:
+            return self.own
+        a, b, share = self.ends
+        if a.own is None or b.own is None:
+            return None
+        edge, anchor = self.profile.layers.edge, a.own.anchor_m
+        matrix = (1.0 - share) * _carried(a.own, edge, anchor)
+        matrix += share * _carried(b.own, edge, anchor)
+        return ProfileCovariance(self.profile, anchor, matrix)
+
+    def change_from(self, other: TimedAir, h_c: Sequence[float], h_g: float) -> float:
+        """ln R of this air over that of another, the largest of several cameras.
+
+        In the plane; ``h_c``, ``h_g`` heights of cameras and ground [m above sea level].
+        """
+        changes = [
+            np.log(_plane(self.profile, h, h_g) / _plane(other.profile, h, h_g)) for h in h_c
+        ]
+        return float(max(changes, key=abs))
+
+
+def _plane(profile: Profile, h_c: float, h_g: float) -> float:
+    h, weight = plane_rule(h_c, h_g, _STEPS)
+    return float(weight @ profile.refractivity(h))
+
+
+@dataclass(frozen=True, eq=False)
+class AirAlong:
+    """Profiles in the order of time, and which of them belongs to each of (s,) exposures.
+
+    It answers like a `Profile` for (s,) heights, one of each exposure.
+    """
+
+    airs: tuple[TimedAir, ...]
+    number: NDArray[np.int64]
+
+    @property
+    def profiles(self) -> tuple[Profile, ...]:
+        return tuple(air.profile for air in self.airs)
+
+    @property
+    def index(self) -> IndexModel:
+        """The formula of the refractive index, the same in all."""
+        return self.airs[0].profile.index
+
+    def pressure(self, h: Array) -> Array:
+        """(s,) pressure [Pa] at the heights of the exposures [m above sea level]."""
+        return self._each(h, Profile.pressure)
+
+    def temperature(self, h: Array) -> Array:
+        """(s,) temperature [K]."""
+        return self._each(h, Profile.temperature)
+
+    def vapour_pressure(self, h: Array) -> Array:
+        """(s,) partial pressure of water [Pa]."""
+        return self._each(h, Profile.vapour_pressure)
+
+    def refractivity(self, h: Array) -> Array:
+        """(s,) n - 1."""
+        return self._each(h, Profile.refractivity)
+
+    def _each(self, h: Array, of: Callable[[Profile, ArrayLike], Array]) -> Array:
+        if len(self.airs) == 1:
+            return of(self.airs[0].profile, h)
+        values = np.full(h.shape, np.nan)
+        for i, air in enumerate(self.airs):
+            mine = self.number == i
+            values[mine] = of(air.profile, h[mine])
+        return values
+
+
+def one_air(air: TimedAir, exposures: int) -> AirAlong:
+    """The same air for all exposures."""
+    return AirAlong((air,), np.zeros(exposures, np.int64))
+
+
+def air_along(
+    nodes: Sequence[TimedAir], time_ns: NDArray[np.int64], h_c: Sequence[float], h_g: float
+) -> AirAlong:
+    """The air at the times of exposures, linear in time between ``nodes`` and constant beyond.
+
+    Parameters
+    ----------
+    nodes : two or more, in the order of time.
+    time_ns : (s,) of the exposures [Unix ns].
+    h_c, h_g : heights of cameras and ground [m above sea level].
+
+    Between nodes stand just so many profiles that R of the cameras changes by less than 0.05 %
+    from one to the next; an exposure takes the nearest in time, and what none takes is left out.
+    """
+    if any(node.time_ns is None for node in nodes):
+        raise ValueError("air along a flight needs times")
+    at = np.array([node.time_ns for node in nodes], np.int64)
+    places: list[tuple[int, float]] = []
+    for i, (a, b) in enumerate(pairwise(nodes)):
+        count = max(1, int(np.ceil(abs(b.change_from(a, h_c, h_g)) / FINEST_CHANGE)))
+        places += [(i, k / count) for k in range(count)]
+    places.append((len(nodes) - 2, 1.0))
+    times = np.array([at[i] + round(share * int(at[i + 1] - at[i])) for i, share in places])
+    nearest = np.searchsorted(times[:-1] + np.diff(times) // 2, time_ns, side="left")
+    used, number = np.unique(nearest, return_inverse=True)
+    airs = tuple(blend(nodes[places[u][0]], nodes[places[u][0] + 1], places[u][1]) for u in used)
+    return AirAlong(airs, number.astype(np.int64))
+
+
+def aged(
+    along: AirAlong,
+    time_ns: NDArray[np.int64],
+    samples: AirSamples,
+    h_c: float,
+    h_g: float,
+    ledger: Ledger,
+) -> AirAlong:
+    """The same air, with the sigmas that it has for exposures long after, or before, its samples.
+
+    Parameters
+    ----------
+    time_ns : (s,) of the exposures [Unix ns].
+    samples : what the air was estimated from.
+    h_c, h_g : heights of the highest camera and of the ground [m above sea level].
+
+    Exposures are taken together in quarters of an hour; air that was sampled within half an hour
+    stays as it is.
+    """
+    if time_ns.size == 0:
+        return along
+    start = int(time_ns.min())
+    slot = (time_ns - start) // SLOT_NS
+    pairs, group = np.unique(np.stack([along.number, slot]), axis=1, return_inverse=True)
+    since = np.bincount(group, (time_ns - start) * 1e-9) / np.bincount(group)
+    middles = [start + round(float(s) * 1e9) for s in since]
+    ages = ages_of(samples, middles, h_g, h_c)
+    if all(age.is_fresh for age in ages):
+        return along
+    airs: list[TimedAir] = []
+    place: dict[tuple[int, int], int] = {}
+    new = np.zeros(len(ages), np.int64)
+    for i, (number, age) in enumerate(zip(pairs[0], ages, strict=True)):
+        key = (int(number), -1 if age.is_fresh else i)
+        if key not in place:
+            place[key] = len(airs)
+            air = along.airs[key[0]]
+            airs.append(air if age.is_fresh else replace(air, time_ns=middles[i], ages=age))
+        new[i] = place[key]
+    oldest = max(ages, key=lambda age: float(age.hours.max()))
+    h = float(oldest.h_m[int(np.argmax(oldest.hours))])
+    ledger.note(
+        "AIR-AGED",
+        f"some exposures are {np.hypot(oldest.hours.max(), FRESH_S / 3600.0):.1f} h from when the "
+        f"air at {h:.0f} m was sampled: the sigmas of the air grow with that time",
+        count=int(np.isin(new[group], [i for i, air in enumerate(airs) if air.ages]).sum()),
+    )
+    return AirAlong(tuple(airs), new[group])
+
+
+def blend(a: TimedAir, b: TimedAir, share: float) -> TimedAir:
+    """The air between two times: (1 - share) of one and share of the other.
+
+    T_M and e/p are mixed at the edges of both, ln p at one height; pressure follows by Eq. 52-53.
+    Under the same gravity.
+    """
+    if a.time_ns is None or b.time_ns is None:
+        raise ValueError("air between two times needs both")
+    if share in (0.0, 1.0):
+        return a if share == 0.0 else b
+    one, other = a.profile.layers, b.profile.layers
+    low, high = max(one.edge[0], other.edge[0]), min(one.edge[-1], other.edge[-1])
+    edge = np.union1d(one.edge, other.edge)
+    edge = edge[(edge >= low) & (edge <= high)]
+    edge = edge[np.concatenate([[True], np.diff(edge) > _SLIVER_M])]
+    edge[[0, -1]] = low, high
+    anchor = a.own.anchor_m if a.own is not None else 0.0
+    here, heights = a.profile.gravity.height(anchor), a.profile.gravity.height(edge)
+    parts = [air.profile.state(heights) for air in (a, b)]
+    t_m, vapour = ((1.0 - share) * parts[0][i] + share * parts[1][i] for i in (0, 2))
+    levels = [float(np.log(air.profile.pressure(here))) for air in (a, b)]
+    log_p = (1.0 - share) * levels[0] + share * levels[1]
+    nearer = a if share < 0.5 else b
+    layers = stack_layers(
+        edge,
+        t_m,
+        vapour,
+        nearer.profile.layers.sources_between(edge),
+        anchor=(anchor, float(np.exp(log_p))),
+        constant=a.profile.constant,
+    )
+    profile = replace(a.profile, layers=layers)
+    time_ns = a.time_ns + round(share * (b.time_ns - a.time_ns))
+    return TimedAir(time_ns, profile, ends=(a, b, share))
+
+
+def _carried(covariance: ProfileCovariance, edge: Array, anchor: float) -> Array:
+    """A covariance for other edges and another anchor [m']."""
+    layers, size = covariance.profile.layers, edge.size
+    k = layers.edge.size
+    weights = hats(layers.edge, edge)
+    here = np.atleast_1d(covariance.profile.gravity.height(anchor))
+    by_state = np.zeros((2 * size + 1, 2 * k + 1))
+    by_state[:size, :k] = weights
+    by_state[size, :k] = covariance.log_pressure_by_virtual(here)[0]
+    by_state[size, k] = 1.0
+    by_state[size + 1 :, k + 1 :] = weights
+    return np.asarray(by_state @ covariance.matrix @ by_state.T)

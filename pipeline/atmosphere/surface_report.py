@@ -1,0 +1,306 @@
+"""Surface reports: the air at one height, from a METAR or from numbers in the mission file."""
+
+from __future__ import annotations
+
+import math
+import re
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.atmosphere.refractive_index import vapour_pressure
+from pipeline.errors import InputError
+from pipeline.ledger import Ledger
+from pipeline.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
+
+# The ICAO standard atmosphere, with which altimeter settings are defined (ICAO Doc 7488).
+_SEA_LEVEL_PA, _SEA_LEVEL_K, _LAPSE_K_PER_M, _EXPONENT = 101_325.0, 288.15, 0.0065, 0.190263
+
+_INCH_OF_MERCURY_PA = 3386.389
+_QNH_PA = (85_000.0, 110_000.0)
+_GROUND_K = (180.0, 333.0)
+_STATION_M = (-500.0, 6_000.0)
+_DAY_NS = 86_400 * NANOSECONDS_PER_SECOND
+_FAR_HOURS = 3.0
+
+# Half a step of the report's digits, and what an inspected station's sensor may be off.
+_TENTHS = re.compile(r"\sT[01]\d{3}[01]\d{3}(?=\s|=|$)")
+_WHOLE_K, _TENTH_K = 0.5, 0.3
+_QNH_HPA, _QNH_INCHES = re.compile(r"\sQ(\d{4})(?=\s|=|$)"), re.compile(r"\sA(\d{4})(?=\s|=|$)")
+_QNH_SIGMA_PA = 50.0
+
+
+@dataclass(frozen=True)
+class SurfaceReport:
+    """The air at the height of a weather station.
+
+    Parameters
+    ----------
+    h_m : height of the station above mean sea level [m].
+    pressure_pa : pressure at that height [Pa], NaN where not reported.
+    temperature_k : [K], NaN where not reported.
+    vapour_pressure_pa : [Pa], NaN where not reported.
+    time_ns : [Unix ns]; None if not told.
+    origin : ``METAR KOUN`` or ``mission file``.
+    sigma_temperature_k, sigma_pressure_pa : rounding and sensor, not how far away the station is.
+    """
+
+    h_m: float
+    pressure_pa: float
+    temperature_k: float
+    vapour_pressure_pa: float
+    time_ns: int | None = None
+    origin: str = ""
+    sigma_temperature_k: float = _WHOLE_K
+    sigma_pressure_pa: float = _QNH_SIGMA_PA
+
+    @property
+    def name(self) -> str:
+        """For a person."""
+        return f"surface report {self.origin}".strip()
+
+
+def station_pressure(altimeter_setting_pa: float, h_m: float) -> float:
+    """Pressure at a station from its altimeter setting (QNH) [Pa].
+
+    p = (QNH^a - p0^a L h / T0)^(1/a) with a = 0.190263, the ICAO troposphere: the inverse of how
+    the station made its QNH, so exact whatever the air. ``h_m`` : elevation [m], -500 to 6000.
+    Source: ICAO Doc 7488.
+
+    >>> round(station_pressure(101325.0, 1000.0), 0)
+    89875.0
+    """
+    fall = _SEA_LEVEL_PA**_EXPONENT * _LAPSE_K_PER_M * h_m / _SEA_LEVEL_K
+    return float((altimeter_setting_pa**_EXPONENT - fall) ** (1.0 / _EXPONENT))
+
+
+def parse_metar(
+    text: str,
+    station_h_m: float,
+    ledger: Ledger,
+    *,
+    flight_ns: int | None = None,
+    where: str = "METAR",
+) -> SurfaceReport:
+    """The air of a METAR or SPECI: temperature, dew point and altimeter setting.
+
+    Parameters
+    ----------
+    text : the report, on one line or several.
+    station_h_m : elevation of the station [m above sea level]; a METAR has none.
+    flight_ns : a time of the flight [Unix ns]: a METAR tells the day of the month only, and the
+        nearest such day is taken. Without it the report has no time.
+    where : where the text stands, for refusals.
+
+    Temperatures are whole degrees, tenths where the remarks have a T group. An altimeter setting
+    is rounded down, by ICAO's rule to whole hPa and by FAA's to 0.01 inch, so half a step is
+    added. Raises ``InputError`` where the report does not parse or has values that no ground has.
+
+    >>> text = "METAR EDDF 221150Z 24011KT 9999 SCT040 M05/M10 Q1013"
+    >>> report = parse_metar(text, 111.0, Ledger())
+    >>> report.temperature_k, round(report.pressure_pa)
+    (268.15, 100023)
+    """
+    _refuse_height(station_h_m, where)
+    flat = " ".join(text.split()).rstrip("=").strip()
+    fields = _decode(flat, flight_ns, ledger, where)
+    t = math.nan if fields.temperature_c is None else fields.temperature_c + ZERO_CELSIUS_K
+    dew = math.nan if fields.dew_point_c is None else fields.dew_point_c + ZERO_CELSIUS_K
+    qnh = math.nan if fields.qnh_pa is None else fields.qnh_pa + _half_a_step(flat)
+    _refuse_values(t, qnh, flat, where)
+    if dew > t:
+        ledger.warning(
+            "METAR-DEW-POINT",
+            f"the dew point {dew - ZERO_CELSIUS_K:.1f} C lies above the temperature "
+            f"{t - ZERO_CELSIUS_K:.1f} C: taken as saturated",
+            where=where,
+            count=1,
+        )
+        dew = t
+    _say_what_is_missing(t, dew, qnh, flat, where, ledger)
+    pressure = station_pressure(qnh, station_h_m) if math.isfinite(qnh) else math.nan
+    dew = dew if math.isfinite(t) else math.nan
+    e = float(vapour_pressure(1.0, dew, pressure if math.isfinite(pressure) else _SEA_LEVEL_PA))
+    sigma = _TENTH_K if _TENTHS.search(flat) else _WHOLE_K
+    origin = f"METAR {fields.station}".strip()
+    return SurfaceReport(station_h_m, pressure, t, e, fields.time_ns, origin, sigma)
+
+
+def _say_what_is_missing(
+    t: float, dew: float, qnh: float, flat: str, where: str, ledger: Ledger
+) -> None:
+    without = [
+        word
+        for word, value in (("temperature", t), ("dew point", dew), ("altimeter setting", qnh))
+        if not math.isfinite(value)
+    ]
+    if not without:
+        return
+    what = f"no {' and no '.join(without)} can be read in {flat[:80]!r}"
+    if not math.isfinite(t) and math.isfinite(dew):
+        what += "; the dew point says nothing without the temperature"
+    ledger.fallback("METAR-MISSING", what, where=where, count=len(without))
+
+
+def _refuse_values(t: float, qnh: float, flat: str, where: str) -> None:
+    for value, (low, high), what, unit in (
+        (t, _GROUND_K, "temperature", "K"),
+        (qnh, _QNH_PA, "altimeter setting", "Pa"),
+    ):
+        if value < low or value > high:
+            raise InputError(
+                "METAR-RANGE",
+                f"the {what} is {value:.6g} {unit}, which no ground has",
+                where=f"{where}: {flat[:80]!r}",
+                remedy="look whether a digit is missing",
+            )
+
+
+@dataclass(frozen=True)
+class _Fields:
+    station: str
+    temperature_c: float | None
+    dew_point_c: float | None
+    qnh_pa: float | None
+    time_ns: int | None
+
+
+def _decode(flat: str, flight_ns: int | None, ledger: Ledger, where: str) -> _Fields:
+    """What the package ``metar`` reads in a report; groups it does not know are in the ledger."""
+    from metar import Metar
+
+    with warnings.catch_warnings(record=True) as said:
+        # Not strict, it warns of a group it does not know, and of one it stumbled over, and stops
+        # there; a strange runway group must not cost the temperature behind it.
+        warnings.simplefilter("always")
+        try:
+            # Month and year only keep it from guessing; January has every day.
+            report = Metar.Metar(flat, month=1, year=2000, strict=False)
+        except (Metar.ParserError, ValueError, TypeError) as error:
+            raise _no_metar(f"the report does not parse: {error}", flat, where) from None
+    complaints = "; ".join(" ".join(str(warning.message).split()) for warning in said)
+    if report.station_id is None or (report.temp is None and report.press is None):
+        why = "no station, or neither temperature nor altimeter setting, is found"
+        raise _no_metar(f"{why}: {complaints}" if complaints else why, flat, where)
+    if complaints:
+        ledger.note("METAR-GROUPS", complaints, where=where, count=len(said))
+    return _Fields(
+        str(report.station_id),
+        None if report.temp is None else float(report.temp.value("C")),
+        None if report.dewpt is None else float(report.dewpt.value("C")),
+        None if report.press is None else float(report.press.value("HPA")) * HECTOPASCAL,
+        _nearest_day(flat, flight_ns, ledger, where),
+    )
+
+
+def _half_a_step(flat: str) -> float:
+    """Half of the last digit of an altimeter setting [Pa]."""
+    if _QNH_HPA.search(flat):
+        return 0.5 * HECTOPASCAL
+    return 0.005 * _INCH_OF_MERCURY_PA if _QNH_INCHES.search(flat) else 0.0
+
+
+def _nearest_day(flat: str, flight_ns: int | None, ledger: Ledger, where: str) -> int | None:
+    """The time of the group DDHHMMZ on the nearest day with that number."""
+    group = re.search(r"\s(\d\d)(\d\d)(\d\d)Z\s", flat + " ")
+    if group is None or flight_ns is None:
+        return None
+    day, hour, minute = (int(part) for part in group.groups())
+    if not (1 <= day <= 31 and hour < 24 and minute < 60):
+        return None
+    flight = np.datetime64(int(flight_ns), "ns").astype("datetime64[D]")
+    days = [flight + np.timedelta64(step, "D") for step in range(-31, 32)]
+    same = [d for d in days if int((d - d.astype("datetime64[M]")).astype(np.int64)) + 1 == day]
+    at = (hour * 3600 + minute * 60) * NANOSECONDS_PER_SECOND
+    times = [int(d.astype("datetime64[ns]").astype(np.int64)) + at for d in same]
+    nearest = min(times, key=lambda time: abs(time - flight_ns))
+    hours = abs(nearest - flight_ns) / (_DAY_NS / 24)
+    if hours > _FAR_HOURS:
+        ledger.warning(
+            "METAR-FAR-IN-TIME",
+            f"the report is {hours:.1f} hours away from the flight",
+            where=where,
+        )
+    return nearest
+
+
+def surface_report(
+    h_m: float,
+    *,
+    temperature_k: float = math.nan,
+    pressure_pa: float = math.nan,
+    relative_humidity: float = math.nan,
+    time_ns: int | None = None,
+    where: str = "atmosphere.surface",
+) -> SurfaceReport:
+    """A surface report from numbers.
+
+    Parameters
+    ----------
+    h_m : height of the instruments [m above sea level], -500 to 6000.
+    temperature_k, pressure_pa : [K], [Pa] at that height, not reduced to the sea; NaN if unknown.
+    relative_humidity : 0 to 1 over water; needs the temperature.
+    where : where the numbers stand, for refusals.
+
+    Raises ``InputError`` where values cannot be those of air at the ground, as Fahrenheit taken
+    for Celsius, or QNH taken for the station's pressure 650 m up, are not. A mission is asked more
+    by place and season, see `pipeline.stages.surface_reports`.
+
+    >>> surface_report(100.0, temperature_k=293.15, relative_humidity=0.5).pressure_pa
+    nan
+    """
+    _refuse_height(h_m, where)
+    if not (math.isfinite(temperature_k) or math.isfinite(pressure_pa)):
+        raise InputError(
+            "SURFACE-EMPTY", "a surface report needs a temperature or a pressure", where=where,
+            remedy="give temperature_c, pressure_hpa or a metar",
+        )  # fmt: skip
+    if temperature_k < _GROUND_K[0] or temperature_k > _GROUND_K[1]:
+        raise InputError(
+            "SURFACE-TEMPERATURE",
+            f"{temperature_k:.2f} K ({temperature_k - ZERO_CELSIUS_K:.2f} C) is no temperature of "
+            "air at the ground",
+            where=where,
+            remedy="temperature_c is in Celsius: convert Fahrenheit by (F - 32) / 1.8, Kelvin by "
+            "K - 273.15",
+        )
+    usual = station_pressure(_SEA_LEVEL_PA, h_m)
+    if math.isfinite(pressure_pa) and abs(pressure_pa / usual - 1.0) > 0.08:
+        raise InputError(
+            "SURFACE-PRESSURE",
+            f"{pressure_pa / 100.0:.2f} hPa at {h_m:.0f} m is {pressure_pa / usual:.3f} times the "
+            f"usual {usual / 100.0:.0f} hPa",
+            where=where,
+            remedy="pressure_hpa is what the barometer shows there, in hPa, not reduced to sea "
+            "level",
+        )
+    if math.isfinite(relative_humidity) and not 0.0 <= relative_humidity <= 1.0:
+        raise InputError(
+            "SURFACE-HUMIDITY",
+            f"a relative humidity of {relative_humidity:g} is not between 0 and 1",
+            where=where,
+            remedy="give a fraction: 55 % is 0.55",
+        )
+    p = pressure_pa if math.isfinite(pressure_pa) else usual
+    e = float(vapour_pressure(relative_humidity, temperature_k, p))
+    return SurfaceReport(h_m, pressure_pa, temperature_k, e, time_ns, "mission file")
+
+
+def _refuse_height(h_m: float, where: str) -> None:
+    if not _STATION_M[0] <= h_m <= _STATION_M[1]:
+        raise InputError(
+            "SURFACE-HEIGHT",
+            f"a station {h_m:g} m above the sea is not on the ground",
+            where=where,
+            remedy="give its elevation in metres, -500 to 6000",
+        )
+
+
+def _no_metar(what: str, flat: str, where: str) -> InputError:
+    return InputError(
+        "METAR-PARSE",
+        what,
+        where=f"{where}: {flat[:80]!r}",
+        remedy="give it as the station sent it: METAR EDDF 221150Z 24011KT 9999 SCT040 12/08 Q1013",
+    )

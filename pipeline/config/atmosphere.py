@@ -1,0 +1,201 @@
+"""What a mission file may say of the air: the standard, the climatology, balloons, stations."""
+
+from __future__ import annotations
+
+import math
+from datetime import UTC, datetime
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from pipeline.atmosphere import standard_names
+from pipeline.atmosphere.air_samples import Calibrated
+from pipeline.atmosphere.climatology import known_names
+from pipeline.atmosphere.estimate.sensors import (
+    BIAS,
+    HEIGHT,
+    HYGROMETER_FAULT,
+    LAG,
+    OFFSET,
+    RECOVERY,
+    THERMOMETER_DRIFT,
+    TRANSIENT,
+)
+from pipeline.config.cameras import Section
+from pipeline.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
+
+PathText = Annotated[str, Field(min_length=1, pattern=r"^[^\x00]+$")]
+
+
+class SoundingSection(Section):
+    """A balloon sounding near the flight."""
+
+    path: PathText = Field(description="IGRA v2, University of Wyoming, ARM netCDF or a CSV")
+    format: Literal["auto", "igra", "igra_derived", "wyoming_csv", "wyoming_list", "csv"] = "auto"
+    station_h_msl_m: float | None = Field(
+        None, ge=-500, le=6000, description="height of the station, where the file has no heights"
+    )
+
+
+class SurfaceSection(Section):
+    """The air at a weather station: a METAR, or numbers."""
+
+    h_msl_m: float = Field(ge=-500, le=6000, description="height of the station above sea level")
+    metar: str | None = Field(None, min_length=1)
+    temperature_c: float | None = Field(None, description="degrees Celsius")
+    pressure_hpa: float | None = Field(
+        None, gt=0, description="at the station, not reduced to sea level"
+    )
+    relative_humidity: float | None = Field(None, description="0 to 1")
+    time_utc: str | None = Field(None, description="ISO 8601, as 2026-05-14T10:20:00Z")
+
+    @field_validator("time_utc")
+    @classmethod
+    def _is_a_time(cls, value: str | None) -> str | None:
+        if value is not None:
+            try:
+                datetime.fromisoformat(value)
+            except ValueError:
+                raise ValueError("is no time like 2026-05-14T10:20:00Z") from None
+        return value
+
+    @model_validator(mode="after")
+    def _metar_or_numbers(self) -> SurfaceSection:
+        numbers = (self.temperature_c, self.pressure_hpa, self.relative_humidity, self.time_utc)
+        given = [value for value in numbers if value is not None]
+        if (self.metar is None) != bool(given):
+            raise ValueError(
+                "give either metar, or temperature_c, pressure_hpa, relative_humidity and time_utc"
+            )
+        if self.relative_humidity is not None and self.temperature_c is None:
+            raise ValueError("relative_humidity needs temperature_c")
+        return self
+
+    @property
+    def temperature_k(self) -> float:
+        """[K], NaN where not given."""
+        return math.nan if self.temperature_c is None else self.temperature_c + ZERO_CELSIUS_K
+
+    @property
+    def pressure_pa(self) -> float:
+        """[Pa], NaN where not given."""
+        return math.nan if self.pressure_hpa is None else self.pressure_hpa * HECTOPASCAL
+
+    @property
+    def humidity(self) -> float:
+        """0 to 1, NaN where not given."""
+        return math.nan if self.relative_humidity is None else self.relative_humidity
+
+    @property
+    def time_ns(self) -> int | None:
+        """[Unix ns]; without an offset the time is UTC."""
+        if self.time_utc is None:
+            return None
+        time = datetime.fromisoformat(self.time_utc)
+        time = time.replace(tzinfo=UTC) if time.tzinfo is None else time
+        return round(time.timestamp()) * NANOSECONDS_PER_SECOND
+
+
+class ThermometerSection(Section):
+    """What is known of the thermometer outside; its reading minus the air."""
+
+    bias_k: float | None = Field(None, ge=-30, le=30)
+    sigma_bias_k: float | None = Field(None, ge=0.01, le=30, description="by default 3")
+    lag_s: float | None = Field(None, ge=0, le=90, description="time constant in this airflow")
+    sigma_lag_s: float | None = Field(None, ge=0.1, le=90, description="by default 10, of 12 s")
+    transient_k: float | None = Field(
+        None, ge=-30, le=30, description="what the ground left in it at take-off, fades in a minute"
+    )
+    sigma_transient_k: float | None = Field(None, ge=0.01, le=30, description="by default 5")
+    recovery: float | None = Field(None, ge=0, le=1.1, description="recovery factor")
+    sigma_recovery: float | None = Field(None, ge=0.005, le=1, description="by default 0.3, of 0.7")
+    sigma_drift_k: float | None = Field(
+        None, ge=0.01, le=30, description="within a quarter of an hour, by default 0.4"
+    )
+
+
+class BarometerSection(Section):
+    """What is known of the static pressure; its reading minus the air."""
+
+    offset_hpa: float | None = Field(None, ge=-30, le=30)
+    sigma_offset_hpa: float | None = Field(None, ge=0.01, le=30, description="by default 0.5")
+
+
+class HygrometerSection(Section):
+    """What is known of the hygrometer; its reading minus the air, as relative humidity 0 to 1."""
+
+    bias: float | None = Field(None, ge=-0.5, le=0.5)
+    sigma_bias: float | None = Field(None, ge=0.001, le=0.5, description="by default 0.03")
+
+
+class GnssSection(Section):
+    """How well GNSS heights above sea level are known."""
+
+    sigma_height_m: float | None = Field(
+        None, ge=0.01, le=100, description="of the offset all of them share, by default 2.5"
+    )
+
+
+class SensorsSection(Section):
+    """What calibrations say of the sensors; what is not said is expected as by default."""
+
+    thermometer: ThermometerSection = ThermometerSection()
+    barometer: BarometerSection = BarometerSection()
+    hygrometer: HygrometerSection = HygrometerSection()
+    gnss: GnssSection = GnssSection()
+
+    @property
+    def calibration(self) -> dict[str, Calibrated]:
+        """By the names of the faults, in SI."""
+        warm, high = self.thermometer, self.barometer
+        moist, gnss = self.hygrometer, self.gnss
+        every = {
+            BIAS: Calibrated(warm.bias_k, warm.sigma_bias_k),
+            LAG: Calibrated(warm.lag_s, warm.sigma_lag_s),
+            TRANSIENT: Calibrated(warm.transient_k, warm.sigma_transient_k),
+            RECOVERY.name: Calibrated(warm.recovery, warm.sigma_recovery),
+            THERMOMETER_DRIFT: Calibrated(None, warm.sigma_drift_k),
+            OFFSET: Calibrated(_pascal(high.offset_hpa), _pascal(high.sigma_offset_hpa)),
+            HYGROMETER_FAULT.name: Calibrated(moist.bias, moist.sigma_bias),
+            HEIGHT: Calibrated(None, gnss.sigma_height_m),
+        }
+        return {name: known for name, known in every.items() if known != Calibrated()}
+
+
+def _pascal(hpa: float | None) -> float | None:
+    return None if hpa is None else hpa * HECTOPASCAL
+
+
+class AtmosphereSection(Section):
+    """The air."""
+
+    standard: str = Field("us1976", description="what the air is shown beside")
+    adjust: bool = Field(True, description="false keeps the standard atmosphere as it is")
+    climatology: str = Field(
+        "auto", description="what is expected where nothing was measured: auto, or a name"
+    )
+    soundings: list[SoundingSection] = Field([])
+    surface: list[SurfaceSection] = Field([])
+    board_temperature: bool = Field(
+        False,
+        description="true takes the temperature of a circuit board, named under "
+        "log.channels.temperature, as the air plus an unknown 10 K that wanders",
+    )
+    sensors: SensorsSection = SensorsSection()
+    index: Literal["ciddor", "gyer"] = "ciddor"
+    wavelength_m: float = Field(0.55e-6, ge=0.3e-6, le=1.7e-6)
+    co2_ppm: float = Field(450.0, ge=0, le=2000)
+
+    @field_validator("standard")
+    @classmethod
+    def _is_known(cls, value: str) -> str:
+        if value not in standard_names():
+            raise ValueError(f"is none of {', '.join(standard_names())}")
+        return value
+
+    @field_validator("climatology")
+    @classmethod
+    def _is_a_climatology(cls, value: str) -> str:
+        if value not in known_names():
+            raise ValueError(f"is none of {', '.join(known_names())}")
+        return value

@@ -1,0 +1,137 @@
+"""What the flight measured of the air outside, against GNSS height, with its gates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.atmosphere.air_samples import AirSamples, Samples
+from pipeline.flight.channels import Channel
+from pipeline.flight.heights import HeightSystem, heights_at
+from pipeline.ledger import Ledger
+
+Array = NDArray[np.float64]
+
+SOAK_SECONDS = 120.0
+"""A thermometer still carries the heat of the ground for so long after take-off [s]. Over a climb
+of 1 km, with realistic sensors and no descent, R scatters by 2.0 %; with 60 s by 2.2 %."""
+
+AWAY_SECONDS = 60.0
+"""Who is away from the ground for less has not taken off [s]."""
+
+GROUND_RISE_M = 20.0
+"""So near the lowest height of the log an aircraft that does not move stands on the ground [m]."""
+
+STILL_M_S = 1.0
+"""Slower than this, over ten seconds, an aircraft does not move [m/s]."""
+
+
+def air_samples(
+    roles: Mapping[str, Channel], heights: HeightSystem, max_gap_s: float, ledger: Ledger
+) -> AirSamples:
+    """The readings of the outside sensors at their heights above sea level.
+
+    Temperature and humidity on the ground and in the first two minutes after take-off are shown
+    but not accepted: they are the runway's.
+    """
+    height = roles.get("height")
+    if height is None:
+        return AirSamples()
+    stood = _times_on_the_ground(height)
+    found: dict[str, Samples] = {}
+    airspeed = roles.get("airspeed")
+    for role, column in (
+        ("temperature", "temperature_k"),
+        ("pressure", "pressure_pa"),
+        ("humidity", "relative_humidity"),
+    ):
+        channel = roles.get(role)
+        if channel is None or len(channel) == 0:
+            continue
+        h, _ = heights_at(height, channel.time_ns, heights, max_gap_s)
+        accepted = np.isfinite(h)
+        if role != "pressure":
+            soaked = _soaked(channel.time_ns, stood)
+            if bool((soaked & accepted).any()):
+                ledger.note(
+                    "AIR-GROUND-SOAK",
+                    f"{int((soaked & accepted).sum())} readings on the ground or within "
+                    f"{SOAK_SECONDS:.0f} s of take-off are not used",
+                    where=channel.name,
+                    count=int((soaked & accepted).sum()),
+                )
+            accepted &= ~soaked
+        found[role] = Samples(channel.time_ns, h, channel[column], accepted, channel.name)
+    if airspeed is not None and len(airspeed) > 0:
+        h, _ = heights_at(height, airspeed.time_ns, heights, max_gap_s)
+        known = np.isfinite(h)
+        found["airspeed"] = Samples(
+            airspeed.time_ns, h, airspeed["airspeed_m_s"], known, airspeed.name
+        )
+    return AirSamples(
+        found.get("temperature"),
+        found.get("pressure"),
+        found.get("humidity"),
+        found.get("airspeed"),
+        _takeoffs(stood),
+    )
+
+
+def _takeoffs(stood: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Times [Unix ns] at which the aircraft last stood before it was away for a minute or more."""
+    if stood.size == 0:
+        return stood
+    away = np.diff(stood, append=np.iinfo(np.int64).max) > AWAY_SECONDS * 1e9
+    return np.asarray(stood[away])
+
+
+def _times_on_the_ground(height: Channel) -> NDArray[np.int64]:
+    """Times [Unix ns] at which the aircraft stood on the ground, increasing.
+
+    It stands where it moves neither along nor up over ten seconds, near the lowest height of the
+    log; so each landing and take-off of a log with several flights is seen.
+    """
+    column = height.height_column
+    if column is None:
+        return np.empty(0, np.int64)
+    h = height[column]
+    known = np.isfinite(h) & np.isfinite(height["lat_rad"])
+    if known.sum() < 3:
+        return np.empty(0, np.int64)
+    time_ns, h = height.time_ns[known], h[known]
+    seconds = (time_ns - time_ns[0]) * 1e-9
+    lat, lon = height["lat_rad"][known], np.unwrap(height["lon_rad"][known])
+    north = (lat - lat[0]) * _EARTH_M
+    east = (lon - lon[0]) * _EARTH_M * np.cos(lat)
+    track = (north, east, h)
+    # The ten seconds before see the take-off, the ten seconds after the landing.
+    still = (_speed(seconds, track, -10.0) < STILL_M_S) | (_speed(seconds, track, 10.0) < STILL_M_S)
+    lowest = float(np.percentile(h, 0.5))
+    return np.asarray(time_ns[still & (h < lowest + GROUND_RISE_M)])
+
+
+_EARTH_M = 6.37e6
+
+
+def _speed(seconds: Array, track: tuple[Array, ...], window: float) -> Array:
+    """Mean speed over a window [s] that ends (negative) or begins at each sample [m/s].
+
+    Infinite where the log holds less than half of the window: it may well begin in the air.
+    """
+    other = np.clip(seconds + window, seconds[0], seconds[-1])
+    moved = [np.interp(other, seconds, values) - values for values in track]
+    lasted = np.abs(other - seconds)
+    known = lasted >= 0.5 * abs(window)
+    distance = np.sqrt(np.sum(np.square(moved), axis=0))
+    return np.asarray(np.where(known, distance / np.where(known, lasted, 1.0), np.inf))
+
+
+def _soaked(time_ns: NDArray[np.int64], stood: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether readings were taken on the ground or within the soak after it."""
+    if stood.size == 0:
+        return np.zeros(time_ns.shape, dtype=bool)
+    last = np.searchsorted(stood, time_ns, side="right") - 1
+    since = (time_ns - stood[np.maximum(last, 0)]) * 1e-9
+    return np.asarray((last >= 0) & (since < SOAK_SECONDS))

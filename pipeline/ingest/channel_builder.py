@@ -1,0 +1,175 @@
+"""Decoded rows -> a channel: fixes, attitudes, and time that rises."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.flight.channels import Array, Channel, Source, TimeArray
+from pipeline.flight.clock import fresh, untangled
+from pipeline.ingest.attitude import in_blocks, positive_scalar, quaternion_of_euler
+from pipeline.ingest.boot_clock import LOWEST_FIX
+from pipeline.ingest.fields import MessageMap
+from pipeline.ingest.log import utc_text
+from pipeline.ingest.memory import moved, room
+from pipeline.ledger import Entry, Kind, Ledger
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The rows of one channel as decoded: times in the order of the file, columns in SI."""
+
+    name: str
+    source: Source
+    time_ns: TimeArray
+    boot: NDArray[np.int16]
+    columns: Mapping[str, Array]
+    labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return int(self.time_ns.shape[0])
+
+    def take(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Rows:
+        """The rows of a mask or an index."""
+        kept = np.asarray(np.flatnonzero(rows) if rows.dtype == np.bool_ else rows, np.intp)
+        return Rows(
+            self.name,
+            self.source,
+            moved(self.time_ns, kept),
+            moved(self.boot, kept),
+            {name: moved(column, kept) for name, column in self.columns.items()},
+            {
+                name: tuple(np.asarray(label, object)[rows].tolist())
+                for name, label in self.labels.items()
+            },
+        )
+
+
+def channel_of(rows: Rows, spec: MessageMap, ledger: Ledger) -> Channel | None:
+    """A channel from decoded rows, or None when nothing is left; drops are in the ledger."""
+    needed = {"lat_rad", "lon_rad"} if spec.position else set()
+    if spec.attitude:
+        euler = "roll_rad" in rows.columns
+        needed |= {"pitch_rad", "yaw_rad"} if euler else {"q_w", "q_x", "q_y", "q_z"}
+    if absent := sorted(needed - set(rows.columns)):
+        what = f"{len(rows)} rows cannot be used: the log defines no field for {', '.join(absent)}"
+        ledger.loss("LOG-FIELDS", what, where=rows.name, count=len(rows))
+        return None
+    if not spec.event and not any(np.isfinite(column).any() for column in rows.columns.values()):
+        return None  # it holds nothing: neither do its drops
+    if spec.position:
+        rows = _with_fix(rows, ledger)
+    rows = _without_repeats(rows, ledger, event=spec.event)
+    if spec.event:  # before rows are lost: the number of an image is not to shift by that
+        rows = replace(rows, columns=_event(dict(rows.columns), len(rows)))
+    rows = _rising(rows, ledger)
+    columns = _attitude(dict(rows.columns)) if spec.attitude else dict(rows.columns)
+    columns = {name: values for name, values in columns.items() if np.isfinite(values).any()}
+    if len(rows) == 0 or not columns:
+        return None
+    rank = spec.rank_of(rows.source.instance)
+    channel = Channel(
+        rows.name, rows.time_ns, columns, rows.source, rows.boot, (), rank, rows.labels
+    )
+    roles = tuple(role for role in spec.roles if channel.can_play(role))
+    return replace(channel, roles=roles)
+
+
+def _with_fix(rows: Rows, ledger: Ledger) -> Rows:
+    lat, lon = rows.columns["lat_rad"], rows.columns["lon_rad"]
+    good = np.isfinite(lat) & np.isfinite(lon) & ~((lat == 0.0) & (lon == 0.0))
+    if "fix" in rows.columns:
+        good &= rows.columns["fix"] >= LOWEST_FIX
+    dropped = int(np.count_nonzero(~good))
+    if not dropped:
+        return rows
+    ledger.note(
+        "POSITION-NO-FIX",
+        f"{dropped} of {len(rows)} rows have no fix and are not used",
+        where=rows.name,
+        count=dropped,
+    )
+    return rows.take(good)
+
+
+def _without_repeats(rows: Rows, ledger: Ledger, *, event: bool) -> Rows:
+    if bool(np.all(rows.time_ns[1:] > rows.time_ns[:-1])):
+        return rows
+    repeats = _repeats(rows)
+    if not repeats.any():
+        return rows
+    count = int(np.count_nonzero(repeats))
+    what = f"{count} of {len(rows)} rows repeat the time of a row before and are not used"
+    kind = Kind.LOSS if event else Kind.NOTE
+    ledger.add(Entry(kind, "TIME-REPEAT", what, rows.name, count))
+    return rows.take(~repeats)
+
+
+def _rising(rows: Rows, ledger: Ledger) -> Rows:
+    """The rows in strictly increasing time; what that costs is in the ledger."""
+    if bool(np.all(rows.time_ns[1:] > rows.time_ns[:-1])):
+        return rows
+    kept, stretch = untangled(rows.time_ns)
+    lost = np.setdiff1d(np.arange(len(rows)), kept)
+    if lost.shape[0]:
+        first = utc_text(int(rows.time_ns[lost[0]]))
+        ledger.loss(
+            "TIME-BACKWARD",
+            f"{lost.shape[0]} of {len(rows)} rows are out of order in time and are not used",
+            where=f"{rows.name}, first at row {lost[0]}, stamped {first}",
+            count=int(lost.shape[0]),
+        )
+    result = rows.take(kept)
+    if not stretch.any():
+        return result
+    ledger.warning(
+        "TIME-SET-BACK",
+        f"the clock of these messages was set back, {int(stretch.max())} times: nothing is "
+        "interpolated from before to after",
+        where=rows.name,
+        count=int(stretch.max()),
+    )
+    numbers = np.stack([result.boot, stretch])
+    boot = np.unique(numbers, axis=1, return_inverse=True)[1].reshape(-1)
+    return replace(result, boot=boot.astype(np.int16))
+
+
+def _repeats(rows: Rows) -> NDArray[np.bool_]:
+    """Rows with the time of the row before, or equal to an earlier row in everything."""
+    _, first, group = np.unique(rows.time_ns, return_index=True, return_inverse=True)
+    original = first[group]
+    equal = (original != np.arange(len(rows))) & bool(rows.columns)
+    for column in rows.columns.values():
+        same = column == column[original]
+        equal &= same | (np.isnan(column) & np.isnan(column[original]))
+    return np.asarray(equal | ~fresh(rows.time_ns), np.bool_)
+
+
+def _attitude(columns: dict[str, Array]) -> dict[str, Array]:
+    """Euler angles or any quaternion -> unit quaternions, in the memory of the columns."""
+    if "roll_rad" in columns:
+        parts = [columns.pop(f"{name}_rad") for name in ("roll", "pitch", "yaw")]
+        parts.append(room(parts[0].shape[0], np.float64))
+        in_blocks(_of_euler, parts)
+    else:
+        parts = [columns.pop(f"q_{axis}") for axis in "wxyz"]
+        in_blocks(positive_scalar, parts)
+    return columns | dict(zip(("q_w", "q_x", "q_y", "q_z"), parts, strict=True))
+
+
+def _of_euler(angles: Array) -> Array:
+    return quaternion_of_euler(*angles.T[:3])
+
+
+def _event(columns: dict[str, Array], n: int) -> dict[str, Array]:
+    if "event_index" not in columns:
+        columns["event_index"] = np.arange(n, dtype=np.float64)
+    if "lat_rad" in columns and "lon_rad" in columns:
+        nowhere = (columns["lat_rad"] == 0.0) & (columns["lon_rad"] == 0.0)
+        for name in ("lat_rad", "lon_rad", "h_msl_m"):
+            if name in columns:
+                columns[name] = np.where(nowhere, np.nan, columns[name])
+    return columns

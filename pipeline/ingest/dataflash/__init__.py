@@ -1,0 +1,1 @@
+"""ArduPilot DataFlash logs, binary (.bin) and text (.log)."""

@@ -1,0 +1,302 @@
+"""CDR, the encoding of ROS 2 messages: all messages of a topic decoded at once, step by step.
+
+Every message has a cursor; a step reads at all cursors and moves them on. Numbers are aligned to
+their size, so the layout of a run depends on where it begins modulo 8, which texts before it shift.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence as Several
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.ingest.file_view import Bytes
+from pipeline.ingest.mcap.cdr_schema import MAX_COUNT, Numbers, Sequence, Step, Text
+from pipeline.ingest.raw_values import gathered
+
+HEAD = 4  # bytes of encapsulation; alignment counts from behind them
+CDR_LE = 1  # plain CDR, little-endian; 0 is big-endian, larger are other encodings
+ALIGN = 8
+
+
+@dataclass(frozen=True)
+class Program:
+    """The steps of a message as far as they are wanted: runs of numbers, texts and sequences.
+
+    Of sequences nothing is kept but, of those in ``counted``, how many elements they have; ``rest``
+    stand behind all else.
+    """
+
+    steps: tuple[tuple[Numbers, ...] | Text | Sequence, ...]
+    wanted: frozenset[str]
+    counted: bool = False
+    rest: tuple[Sequence, ...] = ()
+
+
+def program(steps: Several[Step], wanted: frozenset[str] | None = None) -> Program:
+    """What to do to get at some columns of a message.
+
+    Parameters
+    ----------
+    steps : of its definition.
+    wanted : paths, also of single elements of an array, as ``q.0``; None for every number and text
+        that each message has once, arrays as arrays, and of sequences how many elements they have
+        (``path[]``; -1 where the message ends before that).
+    """
+    if wanted is not None:
+        steps = [part for step in steps for part in _elements(step, wanted)]
+    singles = [step for step in steps if not isinstance(step, Sequence)]
+    paths = frozenset(step.path for step in singles)
+    chosen = paths if wanted is None else paths & wanted
+    last = max((k for k, step in enumerate(steps) if step.path in chosen), default=-1)
+    if wanted is not None:
+        return Program(tuple(_runs(steps[: last + 1])), chosen)
+    rest = tuple(step for step in steps[last + 1 :] if isinstance(step, Sequence))
+    return Program(tuple(_runs(steps[: last + 1])), chosen, True, rest)
+
+
+def _elements(step: Step, wanted: frozenset[str]) -> list[Step]:
+    """An array of which only elements are wanted, as its elements."""
+    if not isinstance(step, Numbers) or not step.array or step.path in wanted:
+        return [step]
+    begin, each = f"{step.path}.", list[Step]()
+    ends = (path[len(begin) :] for path in wanted if path.startswith(begin))
+    after = 0
+    for k in sorted(int(end) for end in ends if end.isdigit() and int(end) < step.count):
+        if k > after:
+            each.append(Numbers(f"{begin}{after}:{k}", step.kind, k - after, True))
+        each.append(Numbers(f"{begin}{k}", step.kind))
+        after = k + 1
+    if not after:
+        return [step]
+    if after < step.count:
+        each.append(Numbers(f"{begin}{after}:", step.kind, step.count - after, True))
+    return each
+
+
+def _runs(steps: Several[Step]) -> list[tuple[Numbers, ...] | Text | Sequence]:
+    """Steps with neighbouring numbers put together."""
+    result: list[tuple[Numbers, ...] | Text | Sequence] = []
+    run: list[Numbers] = []
+    for step in steps:
+        if isinstance(step, Numbers):
+            run.append(step)
+            continue
+        if run:
+            result.append(tuple(run))
+            run = []
+        result.append(step)
+    return [*result, tuple(run)] if run else result
+
+
+@dataclass
+class _Cursors:
+    """The messages still read: which rows, where they begin, how long they are, and where we are.
+
+    All without the encapsulation; ``big`` where the bytes are the other way round.
+    """
+
+    data: Bytes
+    row: NDArray[np.intp]
+    begin: NDArray[np.int64]
+    length: NDArray[np.int64]
+    big: NDArray[np.bool_]
+    at: NDArray[np.int64]
+    columns: dict[str, NDArray[Any]] = field(default_factory=dict)
+
+    def only(self, good: NDArray[np.bool_]) -> None:
+        """Give up the other messages, also what was read of them."""
+        if bool(good.all()):
+            return
+        for name in ("row", "begin", "length", "big", "at"):
+            setattr(self, name, getattr(self, name)[good])
+        self.columns = {name: column[good] for name, column in self.columns.items()}
+
+    def align(self, size: int) -> None:
+        if size > 1:
+            self.at = -(-self.at // size) * size
+
+    def count(self) -> NDArray[np.int64]:
+        """The 32-bit length that stands here; the cursors move behind it."""
+        self.align(4)
+        self.only(self.at + 4 <= self.length)
+        raw = gathered(self.data, self.begin + self.at, 4).view("<u4")
+        self.at = self.at + 4
+        return np.where(self.big, raw.byteswap(), raw).astype(np.int64)
+
+
+def decode(
+    data: Bytes, begin: NDArray[np.int64], length: NDArray[np.int64], plan: Program
+) -> tuple[NDArray[np.intp], dict[str, NDArray[Any]]]:
+    """Decode messages of one definition.
+
+    Parameters
+    ----------
+    data : the bytes they lie in.
+    begin, length : (n,) of each, with the encapsulation.
+    plan : from `program`.
+
+    Returns the rows that could be read, and their columns: numbers of their own kind, arrays as
+    (m, count), texts as str. A message that ends too early, gives a length beyond its end or is
+    encapsulated as anything but plain CDR (DDS-RTPS 2.2, section 10; not parameter lists, not
+    XCDR2) is left out. Both byte orders.
+
+    >>> data = np.frombuffer(b"\\0\\1\\0\\0" + b"\\2\\0\\0\\0a\\0\\7\\0", np.uint8)
+    >>> plan = program([Text("s"), Numbers("x", "u2")])
+    >>> decode(data, np.array([0]), np.array([12]), plan)[1]
+    {'s': array(['a'], dtype='<U1'), 'x': array([7], dtype=uint16)}
+    """
+    rows = np.flatnonzero(length >= HEAD)
+    rows = rows[(data[begin[rows]] == 0) & (data[begin[rows] + 1] <= CDR_LE)]
+    begin, length = begin[rows], length[rows]
+    big = data[begin + 1] & 1 == 0
+    at = np.zeros(rows.shape, np.int64)
+    cursors = _Cursors(data, rows, begin + HEAD, length - HEAD, big, at)
+    for step in plan.steps:
+        if isinstance(step, tuple):
+            _read_numbers(cursors, step, plan.wanted)
+        elif isinstance(step, Text):
+            _read_text(cursors, step, step.path in plan.wanted)
+        else:
+            _pass(cursors, step, plan.counted)
+    if plan.rest:
+        _count(cursors, plan.rest)
+    return cursors.row, cursors.columns
+
+
+@lru_cache(maxsize=1024)
+def _layout(
+    run: tuple[Numbers, ...], wanted: frozenset[str], phase: int, big: bool
+) -> tuple[np.dtype[Any] | None, int]:
+    """The numpy type of the wanted numbers of a run that begins there, and its length."""
+    names, kinds, offsets = [], [], []
+    at = phase
+    for numbers in run:
+        size = np.dtype(numbers.kind).itemsize
+        at = -(-at // size) * size
+        if numbers.path in wanted:
+            kind = np.dtype(numbers.kind.replace("?", "u1")).newbyteorder(">" if big else "<")
+            names.append(numbers.path)
+            kinds.append((kind, (numbers.count,)) if numbers.array else kind)
+            offsets.append(at - phase)
+        at += size * numbers.count
+    if not names or at - phase >= MAX_COUNT:  # no message is that long
+        return None, at - phase
+    used = {"names": names, "formats": kinds, "offsets": offsets, "itemsize": at - phase}
+    return np.dtype(used), at - phase  # type: ignore[call-overload]
+
+
+def _read_numbers(cursors: _Cursors, run: tuple[Numbers, ...], wanted: frozenset[str]) -> None:
+    key = (cursors.at % ALIGN + ALIGN * cursors.big).astype(np.int8)
+    sizes = np.zeros(2 * ALIGN, np.int64)
+    present = np.flatnonzero(np.bincount(key, minlength=2 * ALIGN)).tolist()
+    for which in present:
+        sizes[which] = _layout(run, wanted, which % ALIGN, which >= ALIGN)[1]
+    good = cursors.at + sizes[key] <= cursors.length
+    cursors.only(good)
+    key = key[good]
+    n = cursors.row.shape[0]
+    for numbers in run:
+        if numbers.path in wanted:
+            shape = (n, numbers.count) if numbers.array else (n,)
+            cursors.columns[numbers.path] = np.empty(shape, numbers.kind)
+    for which in present:
+        dtype, size = _layout(run, wanted, which % ALIGN, which >= ALIGN)
+        if dtype is None:
+            continue
+        mine = slice(None) if len(present) == 1 else key == which
+        records = gathered(cursors.data, (cursors.begin + cursors.at)[mine], size).view(dtype)
+        for name in dtype.names or ():
+            cursors.columns[name][mine] = records[name]
+    cursors.at = cursors.at + sizes[key]
+
+
+def _read_text(cursors: _Cursors, step: Text, wanted: bool) -> None:
+    length = cursors.count()
+    good = cursors.at + length <= cursors.length
+    cursors.only(good)
+    length = length[good]
+    if wanted:
+        cursors.columns[step.path] = _texts(cursors.data, cursors.begin + cursors.at, length)
+    cursors.at = cursors.at + length
+
+
+def _texts(data: Bytes, begin: NDArray[np.int64], length: NDArray[np.int64]) -> NDArray[np.str_]:
+    """Texts of given lengths, of which the last byte is a NUL."""
+    found = np.zeros(begin.shape, object)
+    found[:] = ""
+    for size in np.unique(length).tolist():
+        if size <= 1:
+            continue
+        rows = np.flatnonzero(length == size)
+        raw = gathered(data, begin[rows], size - 1).view(f"S{size - 1}")
+        different, places = np.unique(raw, return_inverse=True)
+        known = [value.decode("utf-8", "backslashreplace") for value in different.tolist()]
+        found[rows] = np.array(known, object)[places]
+    return found.astype(np.str_) if begin.shape[0] else np.empty(0, "U1")
+
+
+def _count(cursors: _Cursors, steps: Several[Sequence]) -> None:
+    """How many elements the last sequences have; a large message is there in part only."""
+    n = cursors.row.shape[0]
+    inner = _Cursors(
+        cursors.data, np.arange(n), cursors.begin, cursors.length, cursors.big, cursors.at
+    )
+    for step in steps:
+        count = inner.count()
+        column = np.full(n, -1, np.int64)
+        column[inner.row] = count
+        cursors.columns[f"{step.path}[]"] = column
+        _pass_counted(inner, step, count)
+
+
+def _pass(cursors: _Cursors, step: Sequence, counted: bool = False) -> None:
+    """Move behind a sequence; of its elements nothing is kept."""
+    count = cursors.count()
+    if counted:
+        cursors.columns[f"{step.path}[]"] = count
+    _pass_counted(cursors, step, count)
+
+
+def _pass_counted(cursors: _Cursors, step: Sequence, count: NDArray[np.int64]) -> None:
+    good = count <= cursors.length  # an element has a byte at least
+    cursors.only(good)
+    count = count[good]
+    only = step.steps[0] if len(step.steps) == 1 else None
+    if isinstance(only, Numbers):
+        size = np.dtype(only.kind).itemsize
+        aligned = -(-cursors.at // size) * size
+        cursors.at = np.where(count > 0, aligned + count * only.count * size, cursors.at)
+        cursors.only(cursors.at <= cursors.length)
+        return
+    _pass_elements(cursors, step, count)
+
+
+def _pass_elements(cursors: _Cursors, step: Sequence, count: NDArray[np.int64]) -> None:
+    """Move behind elements of varying length, one element of all messages at a time."""
+    steps = _runs(step.steps)
+    ends = np.full(cursors.row.shape, -1, np.int64)
+    place = np.arange(cursors.row.shape[0])
+    inner = _Cursors(cursors.data, place, cursors.begin, cursors.length, cursors.big, cursors.at)
+    inner.columns["count"] = count
+    done = 0
+    while True:
+        rest = inner.columns["count"] > done
+        ends[inner.row[~rest]] = inner.at[~rest]
+        inner.only(rest)
+        if not inner.row.shape[0]:
+            break
+        for part in steps:
+            if isinstance(part, tuple):
+                _read_numbers(inner, part, frozenset())
+            elif isinstance(part, Text):
+                _read_text(inner, part, False)
+            else:
+                _pass(inner, part)
+        done += 1
+    cursors.at = np.maximum(ends, 0)
+    cursors.only(ends >= 0)

@@ -1,0 +1,375 @@
+"""Walking the records of an MCAP file: definitions one by one, messages by the thousand.
+
+The definitions are parsed by the mcap library; the walk is ours, because the library's readers
+give nothing for a truncated file, inflate chunks without a bound and lose messages silently when
+the summary is damaged. After bytes that are no record the walk goes on with the next place that
+proves itself: the head of a chunk, or messages of known channels wall to wall.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.ingest.file_view import Bytes, Window
+from pipeline.ingest.mcap.chunks import (
+    BLOCK,
+    COMPRESSIONS,
+    Budget,
+    Chunk,
+    head_of,
+    inflate,
+    inflated,
+    proven,
+)
+from pipeline.ingest.mcap.messages import (
+    CHANNEL,
+    CHUNK,
+    DATA_END,
+    FOOT,
+    FOOTER,
+    LARGE_MESSAGE,
+    LAST_OPCODE,
+    LINKS,
+    MAGIC,
+    MESSAGE_RECORD,
+    NEAR,
+    PRIVATE,
+    RECORD,
+    SCHEMA,
+    STATISTICS,
+    Damage,
+    Definition,
+    Messages,
+    Runs,
+    linked,
+    may_begin,
+    messages_at,
+    next_message,
+    raw_of,
+    record_at,
+)
+
+DEFINITIONS = (SCHEMA, CHANNEL, STATISTICS)
+
+NO_FOOTER = (
+    "without the footer that a closed MCAP has: the recorder died or the copy is incomplete, and "
+    "whatever came after is lost"
+)
+
+SPAN = 4 << 20  # [bytes] of messages decoded together, and of the file walked at once
+MESSAGE_START = 4096  # [bytes] ... and of those the header is wanted
+MAX_DEFINITION = 16 << 20  # [bytes] of a schema, channel or statistics record
+
+
+def walk(data: Window, damage: Damage) -> Iterator[Definition | Messages]:
+    """The definitions and messages of a file.
+
+    Parameters
+    ----------
+    data : the file, which begins with `MAGIC`.
+    damage : filled on the way with what is cut off, corrupt or too large.
+
+    A summary that its checksum proves comes first: its definitions serve where those among the
+    messages are damaged. A definition may come several times.
+    """
+    reader = _Walk(data, damage)
+    yield from reader.summary()
+    yield from reader.records()
+
+
+class _Walk:
+    def __init__(self, data: Window, damage: Damage) -> None:
+        self.data = data
+        self.damage = damage
+        self.channels: set[int] = set()
+        self.waiting: list[tuple[Bytes, NDArray[np.int64]]] = []
+        self.weight = 0
+        self.before = len(MAGIC)  # where the last record began: its length may be the damage
+        self.data_end = -1  # where the summary begins
+        self.disproved = -1  # a record that others were found in
+        self.budget = Budget(data.size)
+        self.ends, self.ended = 0, False  # records that end the data; whether one was looked at
+
+    def summary(self) -> Iterator[Definition]:
+        """The definitions in the summary, where its checksum holds."""
+        at = self.data.size - len(MAGIC) - FOOT.size
+        if at < RECORD.size or self.data[at + FOOT.size : self.data.size] != MAGIC:
+            return
+        foot = self.data[at - RECORD.size : at + FOOT.size]
+        start, _, crc = FOOT.unpack_from(foot, RECORD.size)
+        if RECORD.unpack_from(foot) != (FOOTER, FOOT.size) or not crc or not start:
+            return
+        if not 0 < start <= at or self._checksum(start, at + FOOT.size - 4) != crc:
+            self.damage.add(
+                "LOG-CRC", "the summary is not where the footer says, or fails its checksum", at, 0
+            )
+            return
+        while start + RECORD.size < at:
+            opcode, length = RECORD.unpack(self.data[start : start + RECORD.size])
+            if opcode in (SCHEMA, CHANNEL) and length <= MAX_DEFINITION:
+                yield self._read_definition(opcode, start + RECORD.size, length)
+            start += RECORD.size + length
+
+    def _checksum(self, begin: int, end: int) -> int:
+        crc = 0
+        for at in range(begin, end, SPAN):
+            crc = zlib.crc32(self.data[at : min(at + SPAN, end)], crc)
+        return crc
+
+    def _read_definition(self, opcode: int, at: int, length: int) -> Definition:
+        return self._definition(opcode, self.data[at : at + length], at)
+
+    def _definition(self, opcode: int, content: bytes, at: int) -> Definition:
+        if opcode == CHANNEL:
+            self.channels.add(int.from_bytes(content[:2], "little"))
+        return Definition(opcode, content, at)
+
+    def records(self) -> Iterator[Definition | Messages]:
+        """The records from the beginning of the file to its footer."""
+        at: int = len(MAGIC)
+        while at >= 0:
+            starts: list[int] = []
+            view = self.data.array(at, at + SPAN)
+            others: list[tuple[int, int, int]] = []
+            end = self._span(at, view, starts, others)
+            for opcode, place, length in others:  # before the messages that they define
+                if opcode in DEFINITIONS:
+                    yield from self._other(opcode, place, length)
+            if starts:
+                yield from self._collect(view, np.array(starts, np.int64))
+            for opcode, place, length in others:
+                if opcode not in DEFINITIONS:
+                    yield from self._other(opcode, place, length)
+            at = end
+        yield from self._flush()
+
+    def _span(
+        self, begin: int, view: Bytes, starts: list[int], others: list[tuple[int, int, int]]
+    ) -> int:
+        """Records that begin in a stretch of the file; where to go on, or -1 at the end."""
+        raw, place, size = raw_of(view), 0, self.data.size - begin
+        unpack = RECORD.unpack_from
+        opcode: int
+        length: int
+        while True:
+            at = begin + place
+            if place + RECORD.size > len(raw):
+                if place and at < self.data.size:
+                    return at
+                self.damage.add("LOG-TRUNCATED", f"the file ends {NO_FOOTER}", at, size - place)
+                return -1
+            opcode, length = unpack(raw, place)
+            end = place + RECORD.size + length
+            if end > size or not (0 < opcode <= LAST_OPCODE or opcode >= PRIVATE):
+                found = self._resume(at, opcode, length)
+                if 0 <= found < at and starts and begin + starts[-1] == self.disproved:
+                    starts.pop()
+                return found
+            if opcode == FOOTER:
+                return self._foot(at, length)
+            if opcode == MESSAGE_RECORD:
+                if length > LARGE_MESSAGE:
+                    others.append((opcode, at, length))
+                elif end <= len(raw):
+                    starts.append(place)
+                else:
+                    return at
+            elif opcode == DATA_END:
+                self.ends += 1
+                if self.ends <= 2:  # a million of them must cost no more than two
+                    others.append((opcode, at, length))
+            elif opcode in DEFINITIONS or opcode == CHUNK:
+                others.append((opcode, at, length))
+            sure = opcode == CHUNK and self._proves(at)
+            self.before = begin + end - 1 if sure else at
+            self.data_end = begin + end if opcode == DATA_END else self.data_end
+            place = end
+            if place > len(raw):
+                return begin + place
+
+    def _foot(self, at: int, length: int) -> int:
+        """The end of the walk, if a footer is where a footer must be."""
+        end = at + RECORD.size + FOOT.size + len(MAGIC)
+        if length != FOOT.size or end > self.data.size:
+            return self._resume(at, FOOTER, length)
+        if end < self.data.size or self.data[end - len(MAGIC) : end] != MAGIC:
+            what = f"{self.data.size - end} bytes follow the end of the log, or its mark is damaged"
+            self.damage.add("LOG-BAD-BYTES", what, at, self.data.size - end)
+        start = int(FOOT.unpack(self.data[at + RECORD.size : end - len(MAGIC)])[0])
+        if not self.damage.losses and (self.data_end < 0 or start not in (0, self.data_end)):
+            what = (
+                f"the footer says that the summary begins at byte {start}, the data end at "
+                f"{self.data_end}: a part of the file is missing"
+            )
+            self.damage.add("LOG-INCONSISTENT", what, at, 0)
+        return -1
+
+    def _other(self, opcode: int, at: int, length: int) -> Iterator[Definition | Messages]:
+        content = at + RECORD.size
+        if opcode == CHUNK:
+            yield from self._chunk(at, content, length)
+        elif opcode == MESSAGE_RECORD:
+            head = RECORD.pack(MESSAGE_RECORD, MESSAGE_START)
+            start = head + self.data[content : content + MESSAGE_START]
+            yield from self._collect(np.frombuffer(start, np.uint8), np.zeros(1, np.int64))
+        elif opcode == DATA_END:
+            self._check_data(at, content, length)
+        elif length > MAX_DEFINITION:
+            what = f"a definition of {length} bytes (opcode {opcode}) is skipped"
+            self.damage.add("LOG-TOO-LARGE", what, at, length)
+        else:
+            yield self._read_definition(opcode, content, length)
+
+    def _check_data(self, at: int, content: int, length: int) -> None:
+        """The checksum of all that lies before the first end of the data; no other is checked."""
+        if self.ended:
+            what = "the data end a second time: their checksum here is not checked"
+            self.damage.add("LOG-INCONSISTENT", what, at, 0)
+            return
+        self.ended = True
+        crc = int.from_bytes(self.data[content : content + min(length, 4)], "little")
+        if crc and self._checksum(0, at) != crc:
+            self.damage.add("LOG-CRC", "the data section fails its checksum", at, 0)
+
+    def _chunk(self, at: int, content: int, length: int) -> Iterator[Definition | Messages]:
+        chunk = head_of(self.data, content, length)
+        if chunk is None or chunk.compression not in COMPRESSIONS:
+            what = "a chunk has no valid head"
+            if chunk is not None:
+                what = f"a chunk is compressed with {chunk.compression!r}, which is not known"
+            self.damage.add("LOG-BAD-BYTES", what, at, length)
+        elif too_large := self.budget.too_large(chunk):
+            self.damage.add("LOG-TOO-LARGE", too_large, at, length)
+        elif not chunk.small:
+            yield from self._large_chunk(at, chunk)
+        else:
+            records = inflate(self.data, chunk)
+            if isinstance(records, bytes):
+                yield from self._inside(np.frombuffer(records, np.uint8), at)
+            else:
+                self.damage.add(*records, at, length)
+
+    def _large_chunk(self, at: int, chunk: Chunk) -> Iterator[Definition | Messages]:
+        """The records of a chunk that is inflated twice: to prove it, and block by block."""
+        fault = proven(self.data, chunk)
+        if fault is not None:
+            self.damage.add(*fault, at, chunk.length)
+            return
+        with inflated(self.data, chunk) as stream:
+            place, kept = 0, bytearray()
+            while place + RECORD.size <= chunk.size:
+                header = stream.read(RECORD.size)
+                opcode, length = RECORD.unpack(header)
+                left = chunk.size - place - RECORD.size
+                if opcode == 0 or length > left:
+                    what = f"the last {chunk.size - place} of {chunk.size} bytes of a chunk make"
+                    self.damage.add("LOG-BAD-BYTES", f"{what} no sense", at, chunk.size - place)
+                    break
+                place += RECORD.size + length
+                keep = length if length <= LARGE_MESSAGE else MESSAGE_START
+                if opcode in (SCHEMA, CHANNEL):
+                    keep = min(length, MAX_DEFINITION)
+                if opcode in (SCHEMA, CHANNEL, MESSAGE_RECORD):
+                    kept += RECORD.pack(opcode, keep) + stream.read(keep)
+                    length -= keep
+                while length > 0:
+                    length -= len(stream.read(min(length, BLOCK)))
+                if len(kept) >= SPAN:
+                    yield from self._inside(np.frombuffer(bytes(kept), np.uint8), at)
+                    kept.clear()
+            yield from self._inside(np.frombuffer(bytes(kept), np.uint8), at)
+
+    def _inside(self, view: Bytes, at: int) -> Iterator[Definition | Messages]:
+        """The records of an inflated chunk: messages by the run, between them definitions."""
+        raw, place, size = raw_of(view), 0, int(view.shape[0])
+        runs, starts = Runs.of(view), [np.empty(0, np.int64)]
+        while place < size:
+            run = runs.from_place(place)
+            if run.stop > run.start:
+                starts.append(runs.at[run])
+                place = int(runs.end[run.stop - 1])
+                continue
+            opcode, length = record_at(raw, place) if place + RECORD.size <= size else (0, 0)
+            end = place + RECORD.size + length
+            if opcode not in (SCHEMA, CHANNEL) or end > size:
+                last = int(starts[-1][-1]) if starts[-1].size else place
+                found = next_message(view, last, self.channels)
+                lost = found - place
+                if found < place:  # the length of the last message is what is damaged
+                    starts[-1] = starts[-1][:-1]
+                    lost = found - last
+                self.damage.add(
+                    "LOG-BAD-BYTES", f"{lost} of {size} bytes of a chunk make no sense", at, lost
+                )
+                place = found
+                continue
+            if length <= MAX_DEFINITION:
+                yield self._definition(opcode, bytes(raw[place + RECORD.size : end]), at)
+            place = end
+        if len(starts) > 1:
+            yield from self._collect(view, np.concatenate(starts))
+
+    def _collect(self, view: Bytes, starts: NDArray[np.int64]) -> Iterator[Messages]:
+        """Put messages aside until there are enough to decode them together."""
+        self.waiting.append((view, starts))
+        self.weight += view.shape[0]
+        if self.weight >= SPAN:
+            yield from self._flush()
+
+    def _flush(self) -> Iterator[Messages]:
+        if self.waiting:
+            views = [view for view, _ in self.waiting]
+            begin = np.cumsum([0] + [view.shape[0] for view in views[:-1]]).tolist()
+            starts = [s + b for (_, s), b in zip(self.waiting, begin, strict=True)]
+            data = views[0] if len(views) == 1 else np.concatenate(views)
+            self.waiting, self.weight = [], 0
+            yield messages_at(data, np.concatenate(starts))
+
+    def _resume(self, at: int, opcode: int, length: int) -> int:
+        """Where the records go on after damage, or -1 where they do not."""
+        found = self._next_record(self.before + 1)
+        if found < 0:
+            rest = self.data.size - at
+            what = f"a record of {length} bytes (opcode {opcode}) where {rest} bytes are left"
+            self.damage.add("LOG-TRUNCATED", f"{what}: it ends {NO_FOOTER}", at, rest)
+            return -1
+        lost = found - at if found > at else found - self.before
+        self.disproved = self.before
+        what = f"{lost} bytes are no record, or part of one whose length is damaged"
+        self.damage.add("LOG-BAD-BYTES", what, min(at, found), lost)
+        self.before = found
+        return found
+
+    def _next_record(self, begin: int) -> int:
+        """The next place of the file that proves to be a record, or -1."""
+        reach = NEAR
+        while begin < self.data.size:
+            view = self.data.array(begin, begin + reach)
+            for place in may_begin(view, (FOOTER, MESSAGE_RECORD, CHUNK, DATA_END)).tolist():
+                if self._proves(begin + place):
+                    return int(begin + place)
+            if begin + view.shape[0] >= self.data.size:
+                return -1
+            begin += view.shape[0] - RECORD.size + 1
+            reach = SPAN
+        return -1
+
+    def _proves(self, at: int) -> bool:
+        opcode, length = record_at(self.data[at : at + RECORD.size], 0)
+        end = at + RECORD.size + length
+        if end > self.data.size:
+            return False
+        if opcode == FOOTER:
+            return length == FOOT.size and end == self.data.size - len(MAGIC)
+        if opcode == CHUNK:
+            chunk = head_of(self.data, at + RECORD.size, length)
+            return chunk is not None and chunk.plausible
+        if opcode == DATA_END:
+            follows = self.data[end : end + 1]
+            return length == 4 and bool(follows) and 0 < follows[0] <= LAST_OPCODE
+        near = self.data.array(at, at + (LINKS + 1) * LARGE_MESSAGE)
+        return linked(raw_of(near), 0, self.channels)

@@ -1,0 +1,240 @@
+"""Messages of a topic as they are read: times and columns in SI, block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.flight.channels import Source, TimeArray
+from pipeline.flight.clock import BOOT_STEP_NS, UNIX_NS_FROM, UNIX_US_FROM
+from pipeline.ingest.boot_clock import BootClock, Timeline, Told
+from pipeline.ingest.channel_builder import Rows
+from pipeline.ingest.column_store import Store
+from pipeline.ingest.fields import MessageMap, extract
+from pipeline.ingest.mcap.fields import LABELS, finished
+from pipeline.ingest.mcap.time import stamps
+from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, UTC_FIELD, taken
+from pipeline.ingest.raw_values import microseconds
+from pipeline.ledger import Ledger
+
+Columns = Mapping[str, NDArray[Any]]
+STAMP = "\0stamp_ns"  # the column in which a decoder of objects puts the time it found
+
+
+@dataclass
+class Samples:
+    """What was read of one topic, or of one name in it.
+
+    ``stamp_ns`` are the messages' own times, 0 without; ``log_ns`` the recorder's with the row of
+    the first, only where they are needed; ``utc_us`` UTC beside the time since boot. ``counted``
+    says that the stamps are microseconds, which may count from a boot: then ``places`` are those of
+    the messages among all of the log; else ``sequence`` are their numbers.
+    """
+
+    name: str
+    source: Source
+    spec: MessageMap
+    counted: bool = False
+    stamp_ns: Store = field(default_factory=lambda: Store("i8"))
+    places: Store = field(default_factory=lambda: Store("i8"))
+    sequence: Store = field(default_factory=lambda: Store("u4"))
+    log_ns: list[tuple[int, TimeArray]] = field(default_factory=list)
+    utc_us: Store = field(default_factory=lambda: Store("i8"))
+    columns: dict[str, Store] = field(default_factory=dict)
+    labels: dict[str, list[str]] = field(default_factory=dict)
+
+    def add(
+        self, columns: Columns, stamp_ns: TimeArray, log_ns: TimeArray, places: TimeArray,
+        sequence: NDArray[np.uint32],
+    ) -> None:  # fmt: skip
+        """The next messages, as decoded."""
+        before, count = len(self.stamp_ns), log_ns.shape[0]
+        self.stamp_ns.add(stamp_ns)
+        if self.counted:
+            self.places.add(places)
+        else:
+            self.sequence.add(sequence)
+        if not bool(stamp_ns.all()):
+            self.log_ns.append((before, log_ns))
+        utc = columns.get(UTC_FIELD if self.spec.position else CAPTURE_UTC_FIELD)
+        if utc is not None and utc.dtype.kind in "iu":
+            self.utc_us.add(microseconds(utc))
+        numbers = {name: part for name, part in columns.items() if part.dtype.kind in "biuf"}
+        values = finished(self.source.message, extract(numbers, self.spec.columns))
+        self._keep(values, before, count)
+        if self.spec.event:
+            for name, paths in LABELS.items():
+                path = next((path for path in paths.split() if path in columns), None)
+                said = [""] * count if path is None else columns[path].tolist()
+                texts = ["" if one is None else str(one) for one in said]
+                if path is not None or name in self.labels:
+                    self.labels.setdefault(name, [""] * before).extend(texts)
+
+    def _keep(self, values: Columns, before: int, count: int) -> None:
+        """A column takes memory when it has its first value; where it lacks one, it is NaN."""
+        needed = self.spec.position or self.spec.attitude
+        for name, column in values.items():
+            if name not in self.columns and (needed or bool(np.isfinite(column).any())):
+                self.columns[name] = Store("f8")
+                self.columns[name].add(np.broadcast_to(np.nan, before))
+        for name, store in self.columns.items():
+            store.add(values.get(name, np.broadcast_to(np.nan, count)))
+
+    def stamps(self, line: Timeline) -> tuple[TimeArray, TimeArray]:
+        """Places and times since boot [ns] of the messages that count it."""
+        places, stamp_ns = _copied(self.places), _copied(self.stamp_ns)
+        good = since_boot(stamp_ns) & line.good(places)
+        return places[good], stamp_ns[good]
+
+    def told(self) -> Told | None:
+        """What these messages say of UTC; None where they say nothing."""
+        if not self.counted or not len(self.utc_us):
+            return None
+        utc_us, stamp_ns, places = map(_copied, (self.utc_us, self.stamp_ns, self.places))
+        usable = (utc_us > UNIX_US_FROM) & since_boot(stamp_ns)
+        fix = _copied(self.columns["fix"]) if "fix" in self.columns else np.empty(0)
+        return Told(f"rows of {self.name}", places, stamp_ns, utc_us * 1000, usable, fix)
+
+    def rows(self, clock: BootClock, ledger: Ledger) -> tuple[Rows, int]:
+        """All of it, which is handed over, and how many messages had no time of their own.
+
+        In the order of the file or of their numbers, never of log_time: a recorder whose clock was
+        set back would shuffle two parts of the flight into each other.
+        """
+        stamp_ns = self.stamp_ns.whole()
+        log_ns = np.zeros(stamp_ns.shape, np.int64)
+        for first, part in self.log_ns:
+            log_ns[first : first + part.shape[0]] = part
+        self.log_ns.clear()
+        places = self.places.whole() if self.counted else None
+        good = None if places is None else good_rows(places, stamp_ns, clock)
+        time_ns, boot, count = times_of(stamp_ns, log_ns, places, clock, ledger, self.name)
+        columns = {name: store.whole() for name, store in self.columns.items()}
+        labels = {name: tuple(texts) for name, texts in self.labels.items()}
+        rows = Rows(self.name, self.source, time_ns, boot, columns, labels)
+        order = None if self.counted else in_sequence(self.sequence.whole(), time_ns)
+        if order is not None:
+            moved = int(np.count_nonzero(order != np.arange(len(rows))))
+            ledger.note(
+                "LOG-REORDERED",
+                f"{moved} of {len(rows)} messages are elsewhere in the file than their numbers and "
+                "times say: they are put in order",
+                where=f"{self.name}, first at row {np.flatnonzero(np.diff(order) != 1)[0] + 1}",
+                count=moved,
+            )
+            rows = rows.take(order)
+        if good is not None and not good.all():
+            lost = np.flatnonzero(~good)
+            ledger.loss(
+                "TIME-STRAY",
+                f"{lost.shape[0]} of {len(rows)} messages carry a time since boot that fits none "
+                "of their neighbours: they are not used",
+                where=f"{self.name}, first at row {lost[0]}",
+                count=int(lost.shape[0]),
+            )
+            rows = rows.take(good)
+        return taken(rows, ledger) if self.spec.event else rows, count
+
+
+def _copied(store: Store) -> NDArray[Any]:
+    return np.concatenate([np.empty(0, store.dtype), *store.blocks()])
+
+
+def in_sequence(sequence: NDArray[np.uint32], time_ns: TimeArray) -> NDArray[np.intp] | None:
+    """The order of messages by their numbers, where that puts times right that step back.
+
+    Parameters
+    ----------
+    sequence, time_ns : (n,) in the order of the file; a chunk of it may be elsewhere.
+
+    None where times rise as they stand, or where numbers repeat or disagree with the times: of a
+    clock that was set back, and of a recorder that counts anew.
+
+    >>> in_sequence(np.array([0, 1, 4, 2], np.uint32), np.array([10, 11, 14, 12]))
+    array([0, 1, 3, 2])
+    """
+    if bool(np.all(time_ns[1:] >= time_ns[:-1])):
+        return None
+    order = np.argsort(sequence, kind="stable")
+    numbers, times = sequence[order], time_ns[order]
+    rise = np.all(numbers[1:] > numbers[:-1]) and np.all(times[1:] >= times[:-1])
+    return order if bool(rise) else None
+
+
+def own_times(columns: Columns, time_field: str, count: int) -> tuple[TimeArray, bool]:
+    """The times [ns] that messages say, 0 without, and whether they are counted in microseconds."""
+    if STAMP in columns or not columns:
+        return columns.get(STAMP, np.zeros(count, np.int64)), False
+    return stamps(columns, time_field)
+
+
+def since_boot(stamp_ns: TimeArray) -> NDArray[np.bool_]:
+    """Which counted stamps count from a boot; 0 is none, and large ones are Unix time."""
+    return np.asarray((stamp_ns > 0) & (stamp_ns < UNIX_NS_FROM), np.bool_)
+
+
+def good_rows(places: TimeArray, stamp_ns: TimeArray, clock: BootClock) -> NDArray[np.bool_]:
+    """Which messages have a time that can be believed.
+
+    Parameters
+    ----------
+    places, stamp_ns : (n,) of a topic, [ns] counted.
+
+    One that fits none of its neighbours in the log may have come late: it can be believed where it
+    lies between its neighbours of the same topic, and within what the log spans.
+    """
+    line, counted = clock.line, since_boot(stamp_ns)
+    good = np.asarray(line.good(places) | ~counted, np.bool_)
+    doubted = np.flatnonzero(~good)
+    if not doubted.size:
+        return good
+    boots, first, last = line.boot_of(places), line.begin[~line.stray], line.end[~line.stray]
+    for number in np.unique(boots[doubted]).tolist():
+        mine = line.boot[~line.stray] == number
+        known = np.flatnonzero(good & counted & (boots == number))
+        low, high = first[mine].min() - BOOT_STEP_NS, last[mine].max() + BOOT_STEP_NS
+        bounds = np.concatenate([[low], stamp_ns[known], [high]])
+        rows = doubted[boots[doubted] == number]
+        after = np.searchsorted(known, rows)
+        good[rows] = (bounds[after] < stamp_ns[rows]) & (stamp_ns[rows] < bounds[after + 1])
+    return good
+
+
+def times_of(
+    stamp_ns: TimeArray, log_ns: TimeArray, places: TimeArray | None, clock: BootClock,
+    ledger: Ledger, where: str,
+) -> tuple[TimeArray, NDArray[np.int16], int]:  # fmt: skip
+    """UTC [ns], boot, and how many messages have no time of their own: it is the recorder's.
+
+    ``places`` of messages whose stamps are counted in microseconds, None of others.
+    """
+    none = stamp_ns == 0
+    boot = np.zeros(stamp_ns.shape, np.int16)
+    early = stamp_ns < UNIX_NS_FROM
+    if places is not None:
+        counted = since_boot(stamp_ns)
+        boot = clock.line.boot_of(places)
+        stamp_ns = np.where(counted, clock.utc(places, stamp_ns), stamp_ns)
+        early &= ~counted
+    count = int(np.count_nonzero(none))
+    if count:
+        ledger.fallback(
+            "TIME-LOG-TIME",
+            f"{count} messages have no header.stamp: the recorder's time is used",
+            where=where,
+            count=count,
+        )
+        stamp_ns[none] = log_ns[none]
+        early[none] = log_ns[none] < UNIX_NS_FROM
+    if bool(early.any()):
+        ledger.fallback(
+            "TIME-NO-UTC",
+            "time stamps before 2001 are no UTC (simulated time?): events in this log can be "
+            "used, matching by UTC is impossible",
+            where=where,
+        )
+    return stamp_ns, boot, count

@@ -1,0 +1,1 @@
+"""Cameras: pixels to rays and back. One module for each distortion model."""

@@ -1,0 +1,1 @@
+"""The compiled parts of the ray, the image and the standard deviations."""

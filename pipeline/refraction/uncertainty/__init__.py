@@ -1,0 +1,1 @@
+"""Standard deviations of corrections: by the air, the station and the ground."""

@@ -1,0 +1,307 @@
+"""The standard deviations of a correction: by the air, by the station, by the ground.
+
+They are of three kinds and stay apart. What the air does is common to the block: it is no noise of
+an observation, and the adjustment gets it as one scale parameter (`block_scale`). What the station
+does is common to an image, what the ground does to a point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.atmosphere.covariance import ProfileCovariance
+from pipeline.atmosphere.profile import Profile
+from pipeline.refraction.camera.camera import Camera
+from pipeline.refraction.image import Exposures
+from pipeline.refraction.ray import DEFAULT_RADIUS_M
+from pipeline.refraction.uncertainty.air_sigma import (
+    OPEN,
+    Doubt,
+    air_sigma,
+    cabin_response,
+    window_errors,
+)
+from pipeline.refraction.uncertainty.sensitivity import sensitivity
+from pipeline.refraction.uncertainty.sigmas import Uncertainty
+
+Array = NDArray[np.float64]
+
+_SLOPE_STEP_M = 0.5
+_BORDER = 9  # points along each side of an image
+
+
+@dataclass(frozen=True, eq=False)
+class StationSigmas:
+    """How well each exposure is known; (s,) arrays, NaN where unknown.
+
+    Parameters
+    ----------
+    tilt_rad : of the attitude about each of two axes square to the yaw axis.
+    yaw_rad : about the yaw axis.
+    yaw_axis : (s, 3) unit vectors in the camera frame: the aircraft's own vertical.
+    height_m : of the projection centre. Where it is unknown it does not count.
+
+    A turn about the vertical changes nothing: yaw matters as far as its axis is not vertical.
+    """
+
+    tilt_rad: Array
+    yaw_rad: Array
+    yaw_axis: Array
+    height_m: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """Through what each of n exposures or rays looks: (n,) `OPEN`, `SEALED` or `SCHEDULED`.
+
+    ``towards``, ``across`` : (n,) of rays alone, how far a ray turns to the nadir and square to
+    that per unit of dN_c - dN_cc; see `at_the_window`.
+    """
+
+    kind: NDArray[np.int64]
+    towards: Array | float = 0.0
+    across: Array | float = 0.0
+
+
+@dataclass(frozen=True)
+class BlockScale:
+    """The error that the air gives all corrections of a block, as one factor 1 + s of all R.
+
+    ``sigma`` of s, the standard deviation of a prior for it; ``correlation`` of what s R explains
+    of the errors between two observations, on the average: what is less than one no scale factor
+    removes.
+    """
+
+    sigma: float
+    correlation: float
+    rays: int
+
+
+def uncertainty_of(
+    profile: Profile,
+    covariance: ProfileCovariance | None,
+    exposures: Exposures,
+    stations: StationSigmas,
+    cameras: Sequence[tuple[Camera, NDArray[np.bool_]]],
+    ground_heights_m: tuple[float, float],
+    views: NDArray[np.int64] | None = None,
+) -> Uncertainty | None:
+    """Tables for the standard deviations of a block's corrections.
+
+    Parameters
+    ----------
+    profile : the air; its layers are those of ``covariance``.
+    covariance : of the profile, None where it is not known: then ``air_*`` are unknown.
+    exposures, stations : of s exposures.
+    cameras : each with the mask (s,) of its exposures.
+    ground_heights_m : lowest and highest ground, above sea level [m].
+    views : (s,) `OPEN`, `SEALED` or `SCHEDULED`; by default no window is in the way.
+
+    None where no exposure can be used. The sigmas are of first order. Against changed inputs and
+    drawn airs (tests/refraction/test_uncertainty.py): station and ground 1 %, air as `air_sigma`.
+    There are none for targets above the camera or beyond the lowest point of the ray, nor within
+    1.7 degrees of level at the ground.
+
+    >>> from pipeline.atmosphere import standard_atmosphere
+    >>> from pipeline.refraction import Camera, correct_observations, ray_table
+    >>> air, one, none = standard_atmosphere("us1976"), np.ones(1), np.zeros(1)
+    >>> down = Exposures(
+    ...     one > 0.0, np.diag([1.0, -1.0, -1.0])[None], none, 3000.0 * one, 2e-4 * one, 2e-4 * one)
+    >>> camera = Camera(10_000, 10_000, 10_000.0, 10_000.0, 5000.0, 5000.0)
+    >>> half_a_degree = StationSigmas(0.0087 * one, 0.0087 * one, np.array([[0.0, 0.0, 1.0]]), none)
+    >>> made = uncertainty_of(air, None, down, half_a_degree, [(camera, one > 0.0)], (0.0, 0.0))
+    >>> found = correct_observations(
+    ...     9000.0 * one, 5000.0 * one, none, np.zeros(1, np.int64), down, camera, ray_table(air),
+    ...     uncertainty=made)
+    >>> round(float(found.dx_px[0]), 3), round(float(found.sigmas.station_dx_px[0]), 4)
+    (-0.16, 0.004)
+    """
+    usable = exposures.usable & np.isfinite(exposures.refractivity_outside)
+    if not bool(usable.any()):
+        return None
+    heights = exposures.height_m[usable]
+    radius = exposures.radius_m or DEFAULT_RADIUS_M
+    air = air_sigma(
+        profile,
+        covariance,
+        (float(heights.min()), float(heights.max())),
+        ground_heights_m,
+        _largest_zeta(exposures, usable, cameras),
+        radius,
+        [] if views is None else sorted({int(v) for v in views[usable]} - {OPEN}),
+    )
+    columns = _station_columns(profile, exposures, stations, usable, air.camera_m)
+    if views is not None:
+        _add_windows(columns, profile, exposures, np.where(usable, views, OPEN), air.views)
+    return Uncertainty(air, columns)
+
+
+def block_scale(
+    profile: Profile,
+    covariance: ProfileCovariance,
+    h_c: Array,
+    h_g: Array,
+    zeta_c: Array,
+    radius: float = DEFAULT_RADIUS_M,
+    views: Views | None = None,
+) -> BlockScale | None:
+    """The scale factor of R that some rays of a block share, with its sigma.
+
+    Parameters
+    ----------
+    h_c, h_g, zeta_c : (n,) heights [m above sea level] and nadir angles [rad] of rays that stand
+        for all.
+    radius : of the sphere [m].
+    views : of the rays; by default no window is in the way.
+
+    The error of a ray is that of R, and behind a plane window that of R - R_cc, in the ray's
+    vertical plane and across it. With K its covariance in the plane, a fit of s R to it by least
+    squares has the variance R^T K R / (R^T R)^2. The correlation is the mean over pairs of rays of
+    K_ij / (e_i e_j), e the whole error, weighted by R^2 as the fit weighs them. None where no ray
+    has an angle.
+
+    >>> from pipeline.atmosphere import standard_atmosphere
+    >>> air = standard_atmosphere("us1976")
+    >>> variance = np.zeros(2 * air.layers.edge.size + 1)
+    >>> variance[air.layers.edge.size] = 0.001**2  # of ln p
+    >>> covariance = ProfileCovariance(air, 0.0, np.diag(variance))
+    >>> zeta = np.array([0.2, 0.6, 1.0])
+    >>> scale = block_scale(air, covariance, 3000.0 + 0.0 * zeta, 0.0 * zeta, zeta)
+    >>> round(scale.sigma, 5), round(scale.correlation, 6)
+    (0.001, 1.0)
+    """
+    found = sensitivity(profile, h_c, h_g, zeta_c, radius, covariance.anchor_height_m)
+    good = found.valid & (np.abs(found.r_c) > 0.0)
+    if not bool(good.any()):
+        return None
+    r = found.r_c[good]
+    doubt = Doubt.of(covariance)
+    errors = found.gradient[good] @ doubt.root
+    length = np.linalg.norm(errors, axis=1)
+    if views is not None:
+        turned = _window_turns(profile, doubt, np.broadcast_to(h_c, good.shape), views)
+        steep = (1.0 - found.d_zeta_c)[good]
+        errors = errors + (steep[:, None] * turned[0][good])
+        length = np.hypot(*(np.linalg.norm(e, axis=1) for e in (errors, turned[1][good])))
+    weight = r * r / np.sum(r * r)
+    shared = weight @ (errors / r[:, None])
+    known = length > 0.0
+    towards = np.sign(r[known])[:, None] * errors[known] / length[known][:, None]
+    mean = weight[known] @ towards / max(float(weight[known].sum()), 1e-300)
+    return BlockScale(float(np.linalg.norm(shared)), float(mean @ mean), int(good.sum()))
+
+
+def _window_turns(profile: Profile, doubt: Doubt, h_c: Array, views: Views) -> tuple[Array, Array]:
+    """(n, r) errors of the turn at the window, towards the nadir and across."""
+    errors = np.zeros((h_c.size, doubt.root.shape[1]))
+    for view in np.unique(views.kind):
+        if view != OPEN:
+            mine = views.kind == view
+            errors[mine] = window_errors(profile, doubt, h_c[mine], int(view))
+    sides = (np.broadcast_to(side, h_c.shape)[:, None] for side in (views.towards, views.across))
+    towards, across = (np.asarray(side * errors) for side in sides)
+    return towards, across
+
+
+def at_the_window(direction: Array, down: Array, normal: Array) -> tuple[Array, Array]:
+    """How far rays turn towards the nadir, and across, per unit of dN_c - dN_cc at a plane window.
+
+    (n, 3) unit vectors of the rays, the nadir and the window's normal in one frame. With n sin of
+    the angle to the normal kept (Gyer 1996, Eq. 36) a ray d turns by normal / (normal . d) - d.
+
+    >>> ray, down = np.array([[0.6, 0.0, 0.8]]), np.array([[0.0, 0.0, 1.0]])
+    >>> [float(side[0].round(12)) for side in at_the_window(ray, down, down)]  # tan(zeta)
+    [0.75, 0.0]
+    """
+    cosine = np.einsum("ij,ij->i", down, direction)
+    sine = np.sqrt(np.maximum(1.0 - cosine * cosine, 0.0))
+    safe = np.where(sine > 0.0, sine, 1.0)[:, None]
+    to_nadir = (down - cosine[:, None] * direction) / safe
+    out = np.einsum("ij,ij->i", normal, direction)
+    towards = np.einsum("ij,ij->i", normal, to_nadir) / out
+    across = np.einsum("ij,ij->i", normal, np.cross(direction, to_nadir)) / out
+    return towards, across
+
+
+def _add_windows(
+    columns: Array,
+    profile: Profile,
+    exposures: Exposures,
+    views: NDArray[np.int64],
+    tabulated: tuple[int, ...],
+) -> None:
+    """Fill in the columns on plane windows."""
+    from pipeline.refraction.kernels import sigma as kernel
+
+    for number, view in enumerate(tabulated):
+        mine = np.flatnonzero(views == view)
+        h = exposures.height_m[mine]
+        low, high = _about(profile, h)
+        thinner = np.log(profile.pressure(high) / profile.pressure(low)) / (high - low)
+        columns[mine, kernel.VIEW] = number
+        columns[mine, kernel.WINDOW_BEND] = columns[mine, kernel.BEND] - thinner * cabin_response(
+            profile, h, view
+        )
+    columns[:, kernel.NORMAL :] = exposures.normals
+
+
+def _largest_zeta(
+    exposures: Exposures,
+    usable: NDArray[np.bool_],
+    cameras: Sequence[tuple[Camera, NDArray[np.bool_]]],
+) -> float:
+    """The largest nadir angle [rad] that a border of an image shows, half a degree to spare."""
+    least = 1.0
+    side = np.linspace(0.0, 1.0, _BORDER)
+    x = np.concatenate([side, side, np.zeros(_BORDER), np.ones(_BORDER)])
+    y = np.concatenate([np.zeros(_BORDER), np.ones(_BORDER), side, side])
+    for camera, mine in cameras:
+        down = -exposures.rotation[usable & mine, :, 2]
+        if down.shape[0] == 0:
+            continue
+        u, v, covered = camera.rays(x * camera.width_px, y * camera.height_px)
+        if not bool(covered.all()):
+            return 0.5 * np.pi
+        rays = np.stack([u, v, np.ones(u.size)]) / np.sqrt(u * u + v * v + 1.0)
+        least = min(least, float((down @ rays).min()))
+    return float(np.arccos(least) + np.radians(0.5))
+
+
+def _about(profile: Profile, h: Array) -> tuple[Array, Array]:
+    """Heights half a metre below and above, within the profile."""
+    low = np.maximum(h - _SLOPE_STEP_M, profile.bottom_m)
+    return low, np.minimum(h + _SLOPE_STEP_M, profile.top_m)
+
+
+def _station_columns(
+    profile: Profile,
+    exposures: Exposures,
+    stations: StationSigmas,
+    usable: NDArray[np.bool_],
+    camera_m: Array,
+) -> Array:
+    """(s, 16) what the kernel needs to know of each exposure, without what is of windows."""
+    from pipeline.refraction.kernels import sigma as kernel
+
+    h = np.where(usable, exposures.height_m, camera_m[0])
+    columns = np.full((h.size, kernel.STATION_COLUMNS), np.nan)
+    low, high = _about(profile, h)
+    slope = (profile.refractivity(high) - profile.refractivity(low)) / (high - low)
+    node = np.clip(np.searchsorted(camera_m, h, side="right") - 1, 0, camera_m.size - 2)
+    axis = np.einsum("sji,sj->si", exposures.rotation, stations.yaw_axis)
+    columns[:, kernel.N] = exposures.refractivity_outside
+    columns[:, kernel.BEND] = slope / (1.0 + exposures.refractivity_outside)
+    columns[:, kernel.NODE] = node
+    columns[:, kernel.SHARE] = (h - camera_m[node]) / (camera_m[node + 1] - camera_m[node])
+    columns[:, kernel.SPAN] = (h - camera_m[0]) / (camera_m[-1] - camera_m[0])
+    columns[:, kernel.TILT2] = stations.tilt_rad**2
+    columns[:, kernel.YAW2] = stations.yaw_rad**2 - stations.tilt_rad**2
+    columns[:, kernel.AXIS_E], columns[:, kernel.AXIS_N] = axis[:, 0], axis[:, 1]
+    columns[:, kernel.SIGMA_H] = np.nan_to_num(stations.height_m)
+    columns[:, kernel.VIEW], columns[:, kernel.WINDOW_BEND] = -1.0, 0.0
+    columns[:, kernel.NORMAL :] = 0.0
+    return columns

@@ -1,0 +1,285 @@
+"""A finished run read back from its folder: mission, stations, air, ground; and proved."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from pipeline.atmosphere.profile import Layers, Profile
+from pipeline.atmosphere.refractive_index import IndexModel
+from pipeline.atmosphere.series.profile_series import AirAlong, TimedAir
+from pipeline.config import Mission
+from pipeline.errors import ConfigError, MissionError
+from pipeline.flight.stations import NO_TIME, Stations
+from pipeline.geodesy import Gravity
+from pipeline.ledger import Ledger
+from pipeline.refraction.image import correct_observations
+from pipeline.refraction.ray import rays_by
+from pipeline.stages.exposure_setup import look_through, setup_of
+from pipeline.tables.exports import ExportCamera, FinishedRun
+
+Array = NDArray[np.float64]
+
+_MOST_CHECKED = 50_000
+"""Observations of a part that are computed again."""
+
+_LARGEST_DIFFERENCE_PX = 1e-6
+"""What is read back may differ by rounding; the sample runs come out again to the last bit."""
+
+_LARGEST_CHECKED_RAD = np.radians(80.0)
+"""Beyond, an observation may have taken the far branch by its distance, which is not kept."""
+
+
+def mission_of(manifest: dict[str, Any], path: Path) -> Mission:
+    """The mission file as the run understood it, from its manifest."""
+    try:
+        # As text, because strict models take from JSON what they gave to it.
+        return Mission.model_validate_json(json.dumps(manifest.get("config")))
+    except ValidationError as error:
+        raise MissionError(
+            "EXPORT-CONFIG",
+            f"the mission file in the manifest has {error.error_count()} entries that this version "
+            "does not understand",
+            where=str(path / "manifest.json"),
+            remedy="run the mission again with this version",
+        ) from None
+
+
+def stations_of(table: pa.Table) -> Stations:
+    """Stations from the table of ``stations.parquet``; the inverse of `stations_table`."""
+
+    def number(name: str) -> Array:
+        return np.asarray(table[name].to_numpy(), dtype=np.float64)
+
+    def quaternion(prefix: str) -> Array:
+        names = [f"{prefix}_{axis}" for axis in "wxyz"]
+        if names[0] not in table.schema.names:
+            return np.full((table.num_rows, 4), np.nan)
+        return np.stack([number(name) for name in names], axis=1)
+
+    def words(name: str) -> NDArray[np.object_]:
+        return np.array(table[name].to_pylist(), dtype=object)
+
+    time = pc.fill_null(table["time_utc"].cast(pa.int64()), int(NO_TIME)).to_numpy()
+    derived: dict[str, Any] = {
+        "image": words("image"),
+        "camera": words("camera"),
+        "status": words("status"),
+        "time_ns": time.astype(np.int64),
+        "lat_rad": np.radians(number("lat_deg")),
+        "lon_rad": np.radians(number("lon_deg")),
+        "quaternion": quaternion("q"),
+        "aircraft_quaternion": quaternion("aircraft_q"),
+    }
+    names = [field.name for field in fields(Stations) if field.name not in derived]
+    return Stations(**(derived | {name: number(name) for name in names}))
+
+
+def air_of(table: pa.Table, profile_id: pa.ChunkedArray) -> AirAlong:
+    """The profiles of ``profile.parquet``, and which belongs to each station's ``profile_id``.
+
+    A station without one gets the first; it cannot be used.
+    """
+    names = pc.unique(table["profile_id"])
+    airs = tuple(
+        TimedAir(None, profile_of(table.filter(pc.equal(table["profile_id"], name))))
+        for name in names
+    )
+    number = pc.fill_null(pc.index_in(profile_id, value_set=names), 0)
+    return AirAlong(airs, np.asarray(number.to_numpy(), dtype=np.int64))
+
+
+def profile_of(table: pa.Table) -> Profile:
+    """The profile from a table of one as in ``profile.parquet``; the inverse of `profile_arrow`.
+
+    One row a layer at its lower edge and one at the top of the last, as a run writes it. The
+    refractivity is that of the run to 1e-15 of itself (6e-16 in the sample runs).
+    """
+    said = {key.decode(): value.decode() for key, value in table.schema.metadata.items()}
+
+    def column(name: str) -> Array:
+        return np.asarray(table[name].to_numpy(), dtype=np.float64)
+
+    vapour = column("vapour_pressure_pa") / column("pressure_pa")
+    edge = np.append(column("geopotential_base_m")[:-1], column("geopotential_m")[-1])
+    layers = Layers(
+        edge=edge,
+        temperature=column("t_base_k")[:-1],
+        lapse=column("lapse_k_per_m")[:-1],
+        pressure=column("p_base_pa")[:-1],
+        vapour=vapour[:-1],
+        vapour_slope=np.diff(vapour) / np.diff(edge),
+        source=tuple(table["source"].to_pylist()[:-1]),
+    )
+    latitude = float(np.radians(float(said["latitude"]))) if said["latitude"] else None
+    index = IndexModel(
+        said["unbend.index"], float(said["unbend.wavelength_m"]), float(said["unbend.co2_ppm"])
+    )
+    gravity = Gravity(float(said["g_phi"]), float(said["r_phi"]), latitude)
+    name = said["unbend.standard"] if said["unbend.basis"] == "standard" else "adjusted"
+    return Profile(layers, gravity, index, name, float(said["unbend.constant_k_per_m"]))
+
+
+def parts_of(manifest: dict[str, Any], path: Path) -> tuple[Path, ...]:
+    """The files of a run's observations, in order."""
+    names = sorted(str(item["name"]) for item in manifest["outputs"])
+    return tuple(path / name for name in names if name.startswith("observations/"))
+
+
+def ground_of(parts: tuple[Path, ...], stations: Stations, ledger: Ledger) -> Array:
+    """(s,) median ground height [m above sea level] of the observations of each image.
+
+    An image without observations gets the median of all the others, which the ledger tells.
+    Memory holds 16 bytes an observation.
+    """
+    names = pa.array(stations.image, pa.string())
+    rows, heights = [], []
+    for part in parts:
+        table = pq.read_table(part, columns=["image", "h_g_m"])
+        rows.append(_station_of(table, names))
+        heights.append(table["h_g_m"].to_numpy())
+    series = pd.Series(np.concatenate(heights)).dropna()
+    by_station = series.groupby(np.concatenate(rows)[series.index]).median()
+    ground = np.array(by_station.reindex(range(len(stations))), dtype=np.float64)
+    alone = ~np.isfinite(ground) & stations.ok
+    if bool(alone.any()) and bool(np.isfinite(ground).any()):
+        instead = float(np.nanmedian(ground))
+        ledger.fallback(
+            "EXPORT-GROUND",
+            f"{int(alone.sum())} images have no observations with a ground height: {instead:.1f} m "
+            "is taken, the median of the other images",
+            where="observations",
+            count=int(alone.sum()),
+        )
+        ground[alone] = instead
+    return ground
+
+
+def _station_of(table: pa.Table, names: pa.StringArray) -> NDArray[np.int64]:
+    """(n,) the station of each observation, -1 without one."""
+    found = pc.fill_null(pc.index_in(table["image"], value_set=names), -1)
+    return np.asarray(found.to_numpy(), dtype=np.int64)
+
+
+def check_reproduced(run: FinishedRun, path: Path) -> None:
+    """Refuse a run whose own corrections do not come out again, observation by observation.
+
+    Computes up to 50,000 of each part once more. They differ where the program has changed since,
+    or where the folder does not hold all that the run knew.
+    """
+    names = pa.array(run.stations.image, pa.string())
+    worst = 0.0
+    for part in run.parts:
+        table = pq.read_table(part, columns=_CHECKED)
+        table = table.take(np.arange(0, table.num_rows, 1 + table.num_rows // _MOST_CHECKED))
+        worst = max(worst, _difference(run, table, _station_of(table, names)))
+    if worst > _LARGEST_DIFFERENCE_PX:
+        raise MissionError(
+            "EXPORT-NOT-REPRODUCED",
+            f"the run's own corrections come out {worst:.2g} px different",
+            where=str(path),
+            remedy="it was made by another version: run the mission again, then export",
+        )
+
+
+_CHECKED = ["image", "x_px", "y_px", "x_corrected_px", "y_corrected_px", "zeta_c_rad", "h_g_m",
+            "status"]  # fmt: skip
+
+
+def _difference(run: FinishedRun, table: pa.Table, row: NDArray[np.int64]) -> float:
+    """The largest difference [px] between corrections in a table and what comes out now."""
+    x, y, x_then, y_then, zeta, h_g = (
+        np.asarray(table[name].to_numpy(), dtype=np.float64) for name in _CHECKED[1:7]
+    )
+    ok = np.asarray(pc.equal(table["status"], "ok").to_numpy()) & (zeta < _LARGEST_CHECKED_RAD)
+    worst = 0.0
+    for name, camera in run.cameras.items():
+        of_camera = ok & (run.stations.camera[row] == name)
+        for air in np.unique(run.air.number[row[of_camera]]):
+            mine = np.flatnonzero(of_camera & (run.air.number[row] == air))
+            offset = camera.pixel_offset
+            now = correct_observations(
+                x[mine] + offset, y[mine] + offset, h_g[mine], row[mine],
+                run.exposures, camera.camera, run.rays[air],
+            )  # fmt: skip
+            away = np.hypot(x[mine] + now.dx_px - x_then[mine], y[mine] + now.dy_px - y_then[mine])
+            worst = max(worst, float(np.nan_to_num(away, nan=np.inf).max()))
+    return worst
+
+
+def refuse_output(run: Path, out: Path, *, force: bool) -> None:
+    """Refuse to write among the results of a run, or over a file that is there already."""
+    for place in (os.path.abspath, os.path.realpath):
+        if Path(place(out)).is_relative_to(place(run)):
+            raise ConfigError(
+                "EXPORT-INSIDE-RUN",
+                "the file would lie among the results of the run",
+                where=str(out),
+                remedy="write it beside that folder",
+            )
+    if out.is_dir() or (os.path.lexists(out) and not force):
+        raise ConfigError(
+            "EXPORT-EXISTS",
+            "there is a folder of that name" if out.is_dir() else "the file is there already",
+            where=str(out),
+            remedy="choose another name" + ("" if out.is_dir() else ", or replace it: --force"),
+        )
+
+
+def rebuild_run(
+    path: Path, manifest: dict[str, Any], ground_height_m: float | None, ledger: Ledger
+) -> FinishedRun:
+    """A run as it was, from its folder alone; refuses one that does not come out the same.
+
+    ``ground_height_m`` takes the place of the ground of each image, above sea level [m].
+    """
+    mission = mission_of(manifest, path)
+    if mission.refraction.direction != "remove":
+        raise ConfigError(
+            "EXPORT-DIRECTION",
+            "the run displaced ideal observations; there is no correction to export",
+            where=f"{path / 'manifest.json'}, refraction.direction",
+            remedy="export from a run that removes refraction",
+        )
+    table = pq.read_table(path / "stations.parquet")
+    stations = stations_of(table)
+    air = air_of(pq.read_table(path / "profile.parquet"), table["profile_id"])
+    parts = parts_of(manifest, path)
+    constant = None if ground_height_m is None else np.full(len(stations), ground_height_m)
+    run = FinishedRun(
+        mission.mission.name,
+        stations,
+        look_through(mission, stations, air, Ledger()),
+        air,
+        tuple(rays_by(profile, mission.refraction.method) for profile in air.profiles),
+        mission.refraction.method,
+        {name: export_camera(mission, name) for name in mission.cameras},
+        ground_of(parts, stations, ledger) if constant is None else constant,
+        parts,
+        {
+            "unbend.mission": mission.mission.name,
+            "unbend.fingerprint": manifest["fingerprint"],
+            "unbend.pixel_origin": mission.observations.pixel_origin,
+        },
+    )
+    check_reproduced(run, path)
+    return run
+
+
+def export_camera(mission: Mission, name: str) -> ExportCamera:
+    """A camera as exports need it."""
+    setup = setup_of(mission, name)
+    window = mission.cameras[name].window
+    windowed = window is not None and window.shape == "plane"
+    return ExportCamera(setup.camera, setup.pixel_offset, windowed)

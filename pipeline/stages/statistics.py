@@ -1,0 +1,130 @@
+"""What the stream of observations amounted to, part by part and together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.ledger import Ledger
+from pipeline.refraction.image import Corrections
+from pipeline.refraction.spread import SPREADS, Extent, ImageGrid, Spread
+from pipeline.refraction.status import STATUS_NAMES
+from pipeline.stages.exposure_setup import CameraSetup
+from pipeline.stages.ground import HIGHEST_GROUND_M, LOWEST_GROUND_M
+from pipeline.tables.observations import Batch
+
+Array = NDArray[np.float64]
+
+_MOST_RAYS = 400
+
+
+@dataclass
+class Tally:
+    """What the stream amounted to: counts, and how large the correction was in each camera."""
+
+    extents: dict[str, Extent]
+    rows: int = 0
+    parts: int = 0
+    status: dict[str, int] = field(default_factory=dict)
+    no_distance: int = 0
+    no_sigma: int = 0
+    odd_heights: int = 0
+    rays: list[Array] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, cameras: Mapping[str, CameraSetup]) -> Tally:
+        """Nothing yet."""
+        grids = {n: ImageGrid(s.camera.width_px, s.camera.height_px) for n, s in cameras.items()}
+        return cls({name: Extent(grid) for name, grid in grids.items()})
+
+    def add(self, batch: Batch, corrections: Corrections, camera: NDArray[np.int64]) -> None:
+        """Count a batch; ``camera`` (n,) numbers the cameras, -1 without one."""
+        self.rows += len(batch)
+        self.no_distance += batch.no_distance
+        self.no_sigma += batch.no_sigma
+        self.parts += 1
+        counts = np.bincount(corrections.status, minlength=len(STATUS_NAMES))
+        for name, count in zip(STATUS_NAMES, counts.tolist(), strict=True):
+            self.status[name] = self.status.get(name, 0) + int(count)
+        for number, extent in enumerate(self.extents.values()):
+            mine = camera == number
+            if bool(mine.all()):
+                extent.add(batch.x_px, batch.y_px, corrections)
+            elif bool(mine.any()):
+                extent.add(batch.x_px[mine], batch.y_px[mine], corrections.rows(mine))
+
+    def sampled(self) -> Array:
+        """(6, n) some hundreds of rays that stand for all of them.
+
+        Heights of camera and target [m], nadir angles [rad], and the `Views` of the rays.
+        """
+        rays = np.concatenate([np.empty((6, 0)), *self.rays], axis=1)
+        return np.asarray(rays[:, evenly(rays.shape[1], _MOST_RAYS)])
+
+    def merge(self, other: Tally) -> None:
+        """Count what another counted."""
+        self.rows += other.rows
+        self.no_distance += other.no_distance
+        self.no_sigma += other.no_sigma
+        self.odd_heights += other.odd_heights
+        self.rays += other.rays
+        self.parts += other.parts
+        for name, count in other.status.items():
+            self.status[name] = self.status.get(name, 0) + count
+        for name, extent in other.extents.items():
+            self.extents[name].merge(extent)
+
+    def correction(self) -> dict[str, Any]:
+        """How large the correction was, over all and camera by camera, for the manifest."""
+        together = {
+            name: sum((e.spreads()[name] for e in self.extents.values()), Spread()).summary()
+            for name in SPREADS
+        }
+        return together | {"cameras": {n: e.summary() for n, e in self.extents.items()}}
+
+    def report_flagged(self, ledger: Ledger) -> None:
+        """A line in the ledger for each reason why observations were not corrected."""
+        if self.no_distance:
+            ledger.warning(
+                "OBS-DISTANCE",
+                f"{self.no_distance} slant ranges are zero, negative, infinite or no number: taken "
+                "as absent",
+                where="observations.columns.distance_m",
+                count=self.no_distance,
+            )
+        if self.no_sigma:
+            ledger.warning(
+                "OBS-SIGMA",
+                f"{self.no_sigma} standard deviations of ground heights are negative, infinite or "
+                "no number: taken as unknown",
+                where="ground.sigma_column",
+                count=self.no_sigma,
+            )
+        if self.odd_heights:
+            ledger.loss(
+                "OBS-GROUND-RANGE",
+                f"{self.odd_heights} heights of points are below {LOWEST_GROUND_M:.0f} or above "
+                f"{HIGHEST_GROUND_M:.0f} m, where no ground is: taken as unknown, their points are "
+                "no_ground",
+                where="ground.height",
+                count=self.odd_heights,
+            )
+        for name, count in self.status.items():
+            what = f"{count} of {self.rows} observations are {name}"
+            if name == "ok" or count == 0:
+                continue
+            if name == "beyond_grazing":
+                ledger.loss("OBS-BEYOND-GRAZING", what + ": near branch used", count=count)
+            elif name == "far_branch":
+                ledger.note("OBS-FAR-BRANCH", what + ", by their slant range", count=count)
+            else:
+                ledger.loss("OBS-FLAGGED", what, count=count)
+
+
+def evenly(count: int, most: int) -> NDArray[np.intp]:
+    """Numbers below ``count``, ``most`` of them at the most, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))

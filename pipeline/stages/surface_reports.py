@@ -1,0 +1,130 @@
+"""What a mission says of stations on the ground, and what of it is a mistake of units."""
+
+from __future__ import annotations
+
+import math
+
+from pipeline.atmosphere.climatology import Climatology
+from pipeline.atmosphere.estimate.representativeness import Occasion
+from pipeline.atmosphere.surface_report import (
+    SurfaceReport,
+    parse_metar,
+    station_pressure,
+    surface_report,
+)
+from pipeline.config.atmosphere import SurfaceSection
+from pipeline.errors import InputError
+from pipeline.ledger import Ledger
+from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K
+
+_IMPOSSIBLE_SIGMAS = 4.0
+"""Of the climatology at a station's height: no real sounding departs by more than 2.9."""
+
+_LIKE_FAHRENHEIT, _LIKELY = 2.5, 2.0
+"""A temperature 2.5 sigma warm that is within 2 sigma when read as Fahrenheit was Fahrenheit."""
+
+_LIKE_QNH, _IMPOSSIBLE_LEVEL = 3.0, 5.0
+"""A pressure 3 sigma high that is within 2 sigma when read as QNH was QNH; 5 are no weather."""
+
+_FAR_HOURS = 3.0
+
+
+def read_report(
+    section: SurfaceSection,
+    where: str,
+    flight_ns: int | None,
+    background: Climatology,
+    ledger: Ledger,
+) -> SurfaceReport:
+    """The report of a station, from its METAR or from numbers.
+
+    Refuses (``InputError``) what the climatology of place and season makes a mistake of units.
+    """
+    if section.metar is not None:
+        report = parse_metar(
+            section.metar, section.h_msl_m, ledger, flight_ns=flight_ns, where=f"{where}.metar"
+        )
+    else:
+        report = surface_report(
+            section.h_msl_m,
+            temperature_k=section.temperature_k,
+            pressure_pa=section.pressure_pa,
+            relative_humidity=section.humidity,
+            time_ns=section.time_ns,
+            where=where,
+        )
+        _tell_of_age(report, flight_ns, where, ledger)
+    _refuse_temperature(report, background, where, is_celsius=section.metar is not None)
+    _refuse_level(report, background, where, is_station=section.metar is not None)
+    return report
+
+
+def _tell_of_age(report: SurfaceReport, flight_ns: int | None, where: str, ledger: Ledger) -> None:
+    """As `parse_metar` does: a report of another hour is less certain, and that is said."""
+    hours = Occasion(flight_ns).hours_from(report.time_ns)
+    if hours > _FAR_HOURS:
+        ledger.warning(
+            "SURFACE-FAR-IN-TIME",
+            f"the report is {hours:.1f} hours away from the flight",
+            where=where,
+        )
+
+
+def _refuse_temperature(
+    report: SurfaceReport, background: Climatology, where: str, *, is_celsius: bool
+) -> None:
+    """Refuse what no season has; and what would be usual in Fahrenheit (a METAR never is)."""
+    expected = float(background.profile.temperature(report.h_m))
+    sigma = float(background.spread.sigma_temperature(report.h_m))
+    departure = (report.temperature_k - expected) / sigma
+    celsius = report.temperature_k - ZERO_CELSIUS_K
+    as_fahrenheit = ((celsius - 32.0) / 1.8 + ZERO_CELSIUS_K - expected) / sigma
+    mistaken = departure > _LIKE_FAHRENHEIT and abs(as_fahrenheit) < _LIKELY and not is_celsius
+    if not mistaken and not abs(departure) > _IMPOSSIBLE_SIGMAS:
+        return
+    what = (
+        f"{celsius:.1f} C at {report.h_m:.0f} m is {abs(departure):.1f} sigma from the "
+        f"{expected - ZERO_CELSIUS_K:.0f} C of the climatology"
+    )
+    if mistaken:
+        what += f"; {celsius:.1f} F would be {(celsius - 32.0) / 1.8:.1f} C"
+    raise InputError(
+        "SURFACE-CLIMATE",
+        what,
+        where=where,
+        remedy="temperature_c is in Celsius: convert Fahrenheit by (F - 32) / 1.8, Kelvin by "
+        "K - 273.15; or the station or the date is another; a METAR is taken as it is",
+    )
+
+
+def _refuse_level(
+    report: SurfaceReport, background: Climatology, where: str, *, is_station: bool
+) -> None:
+    """Refuse pressures that no weather makes; and those that would be usual reduced to sea level.
+
+    The climatology's column below the station adds 2 % of its own thickness to the sigma.
+    """
+    if not math.isfinite(report.pressure_pa):
+        return
+    expected = float(background.profile.pressure(report.h_m))
+    fall = math.log(float(background.profile.pressure(0.0)) / expected)
+    sigma = math.hypot(background.spread.pressure_ratio, 0.02 * fall)
+    departure = math.log(report.pressure_pa / expected) / sigma
+    reduced = station_pressure(report.pressure_pa, report.h_m)
+    as_qnh = math.log(reduced / expected) / sigma
+    mistaken = departure > _LIKE_QNH and abs(as_qnh) < _LIKELY and not is_station
+    if not mistaken and abs(departure) <= _IMPOSSIBLE_LEVEL:
+        return
+    what = (
+        f"{report.pressure_pa / HECTOPASCAL:.1f} hPa at {report.h_m:.0f} m is "
+        f"{abs(departure):.1f} sigma from the {expected / HECTOPASCAL:.0f} hPa of the climatology"
+    )
+    if mistaken:
+        what += f"; as QNH it would be {reduced / HECTOPASCAL:.1f} hPa there"
+    raise InputError(
+        "SURFACE-LEVEL",
+        what,
+        where=where,
+        remedy="pressure_hpa is what the barometer shows at h_msl_m, not reduced to sea level; "
+        "give QNH as a metar, or correct h_msl_m",
+    )
