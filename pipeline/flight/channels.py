@@ -53,6 +53,7 @@ class Channel:
     roles : the roles it may take without being named in the config, best first.
     rank : the smaller, the sooner it is chosen among candidates for a role.
     labels : strings that belong to the samples, such as image names.
+    logged_units : by column, the unit of the log that was converted; SI where a column has none.
 
     Columns in use: lat_rad, lon_rad, h_msl_m, h_gnss_m (above sea level, by the receiver alone),
     h_ellipsoid_m, h_home_m, east_m, north_m, up_m (local), sigma_h_m, sigma_v_m, fix; q_w, q_x,
@@ -69,6 +70,7 @@ class Channel:
     roles: tuple[str, ...] = ()
     rank: int = 50
     labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    logged_units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n = self.time_ns.shape[0]

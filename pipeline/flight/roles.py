@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,36 +13,16 @@ from pipeline.errors import MissionError
 from pipeline.flight.channels import ROLE_COLUMNS, Channel
 from pipeline.flight.trajectory import interpolate
 from pipeline.ledger import Ledger
-from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K
 
 Array = NDArray[np.float64]
 
 # Roles of which a second sensor is a spare: the first of several equals is taken.
 _SPARES = {"position", "height", "attitude"}
 
-_UNITS: Mapping[str, tuple[str, float, float]] = {
-    "Pa": ("pressure_pa", 1.0, 0.0),
-    "hPa": ("pressure_pa", HECTOPASCAL, 0.0),
-    "kPa": ("pressure_pa", 1000.0, 0.0),
-    "K": ("temperature_k", 1.0, 0.0),
-    "degC": ("temperature_k", 1.0, ZERO_CELSIUS_K),
-    "fraction": ("relative_humidity", 1.0, 0.0),
-    "percent": ("relative_humidity", 0.01, 0.0),
-    "m/s": ("airspeed_m_s", 1.0, 0.0),
-}
-
-
-@dataclass(frozen=True)
-class Wish:
-    """A channel the user named for a role, and the unit its numbers are really in."""
-
-    name: str
-    unit: str | None = None
-
 
 def assign_roles(
     channels: Iterable[Channel],
-    wishes: Mapping[str, Wish],
+    wishes: Mapping[str, str],
     ledger: Ledger,
     *,
     needs_cabin: bool,
@@ -64,8 +43,8 @@ def assign_roles(
     everything = tuple(channels)
     required = {"position", "attitude", "aircraft_attitude", "cabin_pressure", "cabin_temperature"}
     filled: dict[str, Channel] = {}
-    for role, wish in wishes.items():
-        channel = _named(everything, role, wish, role in required, ledger)
+    for role, name in wishes.items():
+        channel = _named(everything, role, name, role in required, ledger)
         if channel is not None:
             filled[role] = channel
     _refuse_twins(filled)
@@ -97,26 +76,19 @@ def assign_roles(
 
 
 def _named(
-    channels: tuple[Channel, ...], role: str, wish: Wish, required: bool, ledger: Ledger
+    channels: tuple[Channel, ...], role: str, name: str, required: bool, ledger: Ledger
 ) -> Channel | None:
-    """The channel a user named for a role, in the unit he named."""
+    """The channel that the mission file names for a role."""
     by_name = {channel.name: channel for channel in channels}
-    channel = by_name.get(wish.name)
-    if channel is not None and wish.unit is not None:
-        channel = _in_unit(channel, role, wish)
+    channel = by_name.get(name)
     if channel is not None and channel.can_play(role):
         return channel
     able = [c.name for c in channels if c.can_play(role)]
-    near = difflib.get_close_matches(wish.name, by_name, 3, 0.4)
+    near = difflib.get_close_matches(name, by_name, 3, 0.4)
     if channel is not None:
-        what = (
-            f"{wish.name} has no {', '.join(ROLE_COLUMNS[role])}; it has "
-            f"{', '.join(channel.columns)}"
-        )
+        what = f"{name} has no {', '.join(ROLE_COLUMNS[role])}; it has {', '.join(channel.columns)}"
     else:
-        what = f"the log has no channel {wish.name!r}" + (
-            f" (near: {', '.join(near)})" if near else ""
-        )
+        what = f"the log has no channel {name!r}" + (f" (near: {', '.join(near)})" if near else "")
     instead = f"could play this role: {', '.join(able)}" if able else "nothing else could play it"
     if role == "temperature" and channel is not None and "board_temperature_k" in channel.columns:
         instead += "; atmosphere.board_temperature: true takes its board's, less some 10 K"
@@ -144,41 +116,12 @@ def _refuse_twins(filled: Mapping[str, Channel]) -> None:
             )
 
 
-def _logged_in(channel: Channel, column: str) -> str:
-    """The unit that a message gives a quantity in, by the definition of its format."""
-    message = channel.source.message
-    if column == "pressure_pa":
-        return "hPa" if message.startswith(("SCALED_PRESSURE", "HIGHRES_IMU")) else "Pa"
-    if column == "relative_humidity":
-        return "percent" if message in ("HYGR", "HYGROMETER_SENSOR") else "fraction"
-    return "degC" if column == "temperature_k" else "m/s"
-
-
-def _in_unit(channel: Channel, role: str, wish: Wish) -> Channel:
-    """The channel with the role's column computed from the unit the user named."""
-    column, factor, offset = _UNITS[wish.unit or ""]
-    if column not in ROLE_COLUMNS[role]:
-        raise MissionError(
-            "CHANNEL-UNIT",
-            f"{wish.unit} is no unit of {role.replace('_', ' ')}",
-            where=f"log.channels.{role}",
-            remedy=f"its column is {', '.join(ROLE_COLUMNS[role])}",
-        )
-    raw = channel.columns.get("value")  # a bare NAMED_VALUE
-    if raw is None and column in channel.columns:
-        _, logged_factor, logged_offset = _UNITS[_logged_in(channel, column)]
-        raw = (channel[column] - logged_offset) / logged_factor
-    if raw is None:
-        return channel
-    return replace(channel, columns=dict(channel.columns) | {column: raw * factor + offset})
-
-
 def _fill(
     filled: dict[str, Channel],
     role: str,
     channels: tuple[Channel, ...],
     ledger: Ledger,
-    wishes: Mapping[str, Wish],
+    wishes: Mapping[str, str],
 ) -> None:
     """Fill a role that was not named, from the candidates of the best rank."""
     if role in filled or role in wishes:
@@ -222,7 +165,7 @@ def _fill_barometers(
     channels: tuple[Channel, ...],
     taken: set[str],
     ledger: Ledger,
-    wishes: Mapping[str, Wish],
+    wishes: Mapping[str, str],
     needs_cabin: bool,
 ) -> None:
     """Tell the barometer outside from the one in the cabin by how pressure follows height."""

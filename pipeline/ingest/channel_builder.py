@@ -72,8 +72,9 @@ def channel_of(rows: Rows, spec: MessageMap, ledger: Ledger) -> Channel | None:
         return None
     rank = spec.rank_of(rows.source.instance)
     channel = Channel(
-        rows.name, rows.time_ns, columns, rows.source, rows.boot, (), rank, rows.labels
-    )
+        rows.name, rows.time_ns, columns, rows.source, rows.boot, (), rank, rows.labels,
+        {column.name: column.unit for column in spec.columns if column.unit},
+    )  # fmt: skip
     roles = tuple(role for role in spec.roles if channel.can_play(role))
     return replace(channel, roles=roles)
 

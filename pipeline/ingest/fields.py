@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.flight.channels import Array
+from pipeline.errors import MissionError
+from pipeline.flight.channels import ROLE_COLUMNS, Array, Channel
 from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K
 
 # unit in the log -> (divisor, factor, offset): SI = value / divisor * factor + offset. Division
@@ -27,6 +28,20 @@ UNITS: Mapping[str, tuple[float, float, float]] = {
     "%": (100.0, 1.0, 0.0),
     "c%": (1e4, 1.0, 0.0),
 }
+
+# unit that a mission file may state -> (column, factor, offset): SI = number * factor + offset
+STATED_UNITS: Mapping[str, tuple[str, float, float]] = {
+    "Pa": ("pressure_pa", 1.0, 0.0),
+    "hPa": ("pressure_pa", HECTOPASCAL, 0.0),
+    "kPa": ("pressure_pa", 1000.0, 0.0),
+    "K": ("temperature_k", 1.0, 0.0),
+    "degC": ("temperature_k", 1.0, ZERO_CELSIUS_K),
+    "fraction": ("relative_humidity", 1.0, 0.0),
+    "percent": ("relative_humidity", 0.01, 0.0),
+    "m/s": ("airspeed_m_s", 1.0, 0.0),
+}
+# The scaled integers of a log are numbers of these units: 8050 c% is 80.5 percent.
+_NUMBERS_OF = {"cdegC": "degC", "%": "percent", "c%": "percent"}
 
 # The roles of a sensor, which plays those inside the cabin only where a mission file names it.
 GNSS, ATTITUDE = ("height", "position"), ("attitude",)
@@ -110,6 +125,39 @@ def to_si(raw: NDArray[Any], spec: Column) -> Array:
     value *= factor
     value += offset
     return value
+
+
+def in_stated_unit(channel: Channel, role: str, unit: str) -> Channel:
+    """The channel with the column of a role in SI, where its numbers are really in another unit.
+
+    Parameters
+    ----------
+    role : a role that the mission file names the channel for.
+    unit : the unit that it states, one of `STATED_UNITS`.
+
+    A bare ``value`` becomes the column; numbers that were converted from the unit in which the
+    format defines them are converted back first. For example: SCALED_PRESSURE is defined in hPa; a
+    sensor whose driver sends kPa has 81.25 for 81,250 Pa, read as 8125 Pa; stated as kPa it is
+    81,250 Pa. Raises MissionError (CHANNEL-UNIT).
+    """
+    column, factor, offset = STATED_UNITS[unit]
+    if column not in ROLE_COLUMNS[role]:
+        raise MissionError(
+            "CHANNEL-UNIT",
+            f"{unit} is no unit of {role.replace('_', ' ')}",
+            where=f"log.channels.{role}",
+            remedy=f"its column is {', '.join(ROLE_COLUMNS[role])}",
+        )
+    raw = channel.columns.get("value")
+    if raw is None and column in channel.columns:
+        logged = channel.logged_units.get(column, "")
+        _, logged_factor, logged_offset = STATED_UNITS.get(
+            _NUMBERS_OF.get(logged, logged), (column, 1.0, 0.0)
+        )
+        raw = (channel[column] - logged_offset) / logged_factor
+    if raw is None:
+        return channel
+    return replace(channel, columns=dict(channel.columns) | {column: raw * factor + offset})
 
 
 def is_number(column: NDArray[Any]) -> bool:

@@ -29,7 +29,7 @@ from pipeline.flight.gimbals import tell_of_gimbal
 from pipeline.flight.heights import HeightSystem, height_system
 from pipeline.flight.local_origin import locate
 from pipeline.flight.quality import within_reason
-from pipeline.flight.roles import Wish, assign_roles
+from pipeline.flight.roles import assign_roles
 from pipeline.flight.stations import (
     Stations,
     join_stations,
@@ -37,6 +37,7 @@ from pipeline.flight.stations import (
     report_flagged,
 )
 from pipeline.ingest import Log, open_log
+from pipeline.ingest.fields import in_stated_unit
 from pipeline.ledger import Ledger
 from pipeline.stages.adjusted_profile import AirSources
 from pipeline.tables.events import EventColumns, read_events
@@ -112,7 +113,13 @@ def read_flight(plan: Plan, ledger: Ledger) -> Flight:
     if plan.mission.atmosphere.board_temperature:
         board = named["temperature"].name
         channels = tuple(_board_as_air(c) if c.name == board else c for c in channels)
-    wishes = {role: Wish(c.name, c.unit) for role, c in named.items()}
+    for role, stated in named.items():
+        if stated.unit is not None:
+            channels = tuple(
+                in_stated_unit(c, role, stated.unit) if c.name == stated.name else c
+                for c in channels
+            )
+    wishes = {role: c.name for role, c in named.items()}
     roles = assign_roles(channels, wishes, ledger, needs_cabin=reads_cabin(plan.mission))
     sound = {role: within_reason(channel, role, ledger) for role, channel in roles.items()}
     mounts = {camera: mount.build() for camera, mount in plan.mission.mount.items()}
@@ -129,7 +136,10 @@ def _board_as_air(channel: Channel) -> Channel:
     board = channel.columns.get("board_temperature_k")
     if board is None or "temperature_k" in channel.columns:
         return channel
-    return replace(channel, columns=dict(channel.columns) | {"temperature_k": board})
+    units = dict(channel.logged_units)
+    units["temperature_k"] = units.get("board_temperature_k", "")
+    columns = dict(channel.columns) | {"temperature_k": board}
+    return replace(channel, columns=columns, logged_units=units)
 
 
 def reads_cabin(mission: Mission) -> bool:

@@ -18,7 +18,7 @@ from pipeline.flight.exposures import build_stations
 from pipeline.flight.gimbals import tell_of_gimbal
 from pipeline.flight.heights import HeightSystem
 from pipeline.flight.mount import Mount
-from pipeline.flight.roles import Wish, assign_roles
+from pipeline.flight.roles import assign_roles
 from pipeline.flight.stations import Stations
 from pipeline.ingest import open_log
 from pipeline.ledger import Ledger
@@ -115,7 +115,7 @@ LOGS: dict[str, tuple[str, Callable[[Path], str]]] = {
 def named(*channels: Channel, gimbal: str, mounts: dict[str, Mount]):
     """The roles where a channel is named as attitude, and what is said of gimbals."""
     ledger = Ledger()
-    roles = assign_roles(channels, {"attitude": Wish(gimbal)}, Ledger(), needs_cabin=False)
+    roles = assign_roles(channels, {"attitude": gimbal}, Ledger(), needs_cabin=False)
     tell_of_gimbal({"MNT": 20, "ATT": 20}, roles, mounts, ledger)
     return roles, ledger
 

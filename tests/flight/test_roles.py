@@ -10,7 +10,7 @@ from pipeline.flight.air_samples import air_samples
 from pipeline.flight.channels import Channel, Source
 from pipeline.flight.heights import HeightSystem
 from pipeline.flight.quality import within_reason
-from pipeline.flight.roles import Wish, assign_roles, follows_height
+from pipeline.flight.roles import assign_roles, follows_height
 from pipeline.ledger import Kind, Ledger
 
 SECONDS = np.arange(0.0, 900.0, 1.0)
@@ -48,8 +48,7 @@ ARSP = channel("ARSP[0]", 30, "temperature", "airspeed", temperature_k=281.0, ai
 
 def assign(*channels: Channel, cabin: bool = False, **wishes: str):
     ledger = Ledger()
-    named = {role: Wish(name) for role, name in wishes.items()}
-    roles = assign_roles(channels, named, ledger, needs_cabin=cabin)
+    roles = assign_roles(channels, wishes, ledger, needs_cabin=cabin)
     return {role: c.name for role, c in roles.items()}, ledger
 
 
@@ -132,26 +131,6 @@ def test_no_position_at_all_says_what_there_is() -> None:
     (entry,) = (e for e in ledger if e.kind is Kind.LOSS)
     assert "position" in entry.what
     assert "BARO[0]" in entry.what
-
-
-def test_a_unit_may_be_stated() -> None:
-    mystery = channel("NAMED_VALUE_FLOAT[CabP]", 50, value=812.5)
-    wishes = {"cabin_pressure": Wish(mystery.name, "hPa")}
-    roles = assign_roles((POS, GPS, ATT, mystery), wishes, Ledger(), needs_cabin=False)
-    assert roles["cabin_pressure"]["pressure_pa"][0] == pytest.approx(81_250.0)
-    with pytest.raises(MissionError, match="CHANNEL-UNIT"):
-        assign_roles(
-            (mystery,), {"pressure": Wish(mystery.name, "degC")}, Ledger(), needs_cabin=False
-        )
-
-
-def test_stating_the_unit_that_the_log_has_changes_nothing() -> None:
-    for role, unit in (("humidity", "percent"), ("temperature", "degC")):
-        source = Source("HYGR", "0")
-        plain = Channel("HYGR[0]", TIME, OUT.columns, source, roles=AIR, rank=10)
-        found = assign_roles((plain,), {role: Wish("HYGR[0]", unit)}, Ledger(), needs_cabin=False)
-        column = "relative_humidity" if role == "humidity" else "temperature_k"
-        assert found[role][column][0] == pytest.approx(OUT[column][0])
 
 
 def test_one_channel_is_not_inside_and_outside() -> None:

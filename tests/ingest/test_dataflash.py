@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.errors import LogError
 from pipeline.flight.clock import utc_of_gps
-from pipeline.flight.roles import Wish, assign_roles
+from pipeline.flight.roles import assign_roles
 from pipeline.ingest import Log, open_log
 from pipeline.ingest.dataflash.records import Walk
 from pipeline.ingest.dataflash.records import walk as walk_window
@@ -294,7 +294,7 @@ def test_instances_of_equal_standing_rank_alike(tmp_path: Path, dataflash_writer
     told = " ".join(entry.what for entry in ledger if entry.code == "ROLE-AMBIGUOUS")
     assert "HYGR[0], HYGR[1]" in told
     assert "TEMP" not in told
-    named = {"cabin_temperature": Wish("TEMP[1]"), "temperature": Wish("HYGR[1]")}
+    named = {"cabin_temperature": "TEMP[1]", "temperature": "HYGR[1]"}
     roles = assign_roles(log.channels, named, Ledger(), needs_cabin=True)
     assert roles["cabin_temperature"].name == "TEMP[1]"
     assert roles["temperature"].name == "HYGR[1]"
