@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: sample test lint bench faults clean
+.PHONY: sample test lint bench faults planted clean
 
 $(STAMP): pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "unbend needs Python 3.11 or newer: make PYTHON=python3.11 ...")'
@@ -29,6 +29,10 @@ lint: $(STAMP)
 # 100,000 mutated logs of each format, half an hour; `make test` does 2,000.
 faults: $(STAMP)
 	UNBEND_MUTATIONS=100000 $(BIN)/python -m pytest -n 2 --dist loadfile tests/faults
+
+# Bugs planted one at a time: do the tests of their room notice? All, or ROOM=refraction; two hours.
+planted: $(STAMP)
+	$(BIN)/python tests/planted/run.py $(ROOM)
 
 # Ratios within one run, each the median of seven pairs; some minutes on a quiet machine.
 bench: $(STAMP)
