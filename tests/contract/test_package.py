@@ -1,0 +1,112 @@
+"""What a stranger gets: the main names, the licence, one version, a whole distribution."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+
+import pipeline
+from pipeline.atmosphere import standard_atmosphere
+from pipeline.config import load_mission
+from pipeline.ingest import open_log
+from pipeline.refraction import correct_observations, refraction_angle
+from pipeline.stages.story import run_mission
+
+ROOT = Path(__file__).resolve().parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+MAIN_NAMES = {
+    "correct_observations": correct_observations,
+    "load_mission": load_mission,
+    "open_log": open_log,
+    "refraction_angle": refraction_angle,
+    "run_mission": run_mission,
+    "standard_atmosphere": standard_atmosphere,
+}
+
+
+def test_the_main_names_are_those_of_their_rooms():
+    assert set(pipeline.__all__) == {"__version__", *MAIN_NAMES}
+    for name, function in MAIN_NAMES.items():
+        assert getattr(pipeline, name) is function
+        assert name in dir(pipeline)
+
+
+def test_a_name_that_does_not_exist_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        pipeline.nothing  # noqa: B018
+
+
+def test_the_version_stands_in_one_place():
+    assert "version" not in PROJECT["project"]
+    assert PROJECT["tool"]["hatch"]["version"]["path"] == "pipeline/__init__.py"
+    changelog = (ROOT / "docs" / "changelog.md").read_text(encoding="utf-8")
+    newest = re.search(r"^## .*?(\d+\.\d+\.\d+)", changelog, re.MULTILINE)
+    assert newest is not None
+    assert newest[1] == pipeline.__version__
+    assert citation()["version"] == pipeline.__version__
+
+
+def test_each_version_of_the_changelog_is_a_dozen_lines():
+    changelog = (ROOT / "docs" / "changelog.md").read_text(encoding="utf-8")
+    for section in re.split(r"^## ", changelog, flags=re.MULTILINE)[1:]:
+        title, *lines = section.strip().splitlines()
+        if not title.startswith("Unreleased"):
+            assert sum(bool(line.strip()) for line in lines) <= 16, title
+
+
+def test_the_licence_is_apache():
+    text = (ROOT / "LICENSE").read_text(encoding="utf-8")
+    assert "Apache License" in text
+    assert "Version 2.0, January 2004" in text
+    assert "APPENDIX: How to apply the Apache License to your work." in text
+    assert PROJECT["project"]["license"] == "Apache-2.0"
+    assert PROJECT["project"]["license-files"] == ["LICENSE"]
+
+
+def citation() -> dict:
+    return yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+
+
+def test_the_citation_names_the_three_papers():
+    fields = ("year", "volume", "issue", "start", "end")
+    papers = {
+        paper["authors"][0]["family-names"]: tuple(int(paper[field]) for field in fields)
+        for paper in citation()["references"]
+    }
+    assert papers == {
+        "Gyer": (1996, 62, 3, 301, 310),
+        "Saastamoinen": (1974, 40, 3, 295, 301),
+        "Bertram": (1966, 32, 1, 76, 84),
+    }
+    assert citation()["license"] == PROJECT["project"]["license"]
+
+
+def test_types_and_tables_lie_in_the_package():
+    package = Path(pipeline.__file__).parent
+    assert (package / "py.typed").is_file()
+    tables = {path.name for path in package.rglob("*.csv")}
+    assert {"standard_atmospheres.csv", "supplements1966.csv", "gyer1996_tables3_4.csv"} <= tables
+
+
+def test_the_source_distribution_names_what_a_stranger_reads():
+    included = set(PROJECT["tool"]["hatch"]["build"]["targets"]["sdist"]["include"])
+    for name in ("LICENSE", "CITATION.cff", "CONTRIBUTING.md", "README.md", "configs", "docs"):
+        assert f"/{name}" in included
+        assert (ROOT / name).exists()
+
+
+def test_the_installed_distribution_says_whose_it_is():
+    try:
+        meta = importlib.metadata.metadata("unbend")
+    except importlib.metadata.PackageNotFoundError:
+        pytest.skip("unbend is not installed, only on the path")
+    if meta["Version"] != pipeline.__version__:
+        pytest.skip(f"the installed metadata is that of {meta['Version']}")
+    assert meta["License-Expression"] == "Apache-2.0"
+    assert meta["Author"] == "The unbend authors"
