@@ -8,7 +8,7 @@ import time
 import numpy as np
 from survey import air
 
-from pipeline.atmosphere.air_samples import AirSamples, Samples
+from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.climatology import climatology
 from pipeline.atmosphere.estimate.solver import estimate
 
@@ -24,7 +24,9 @@ def flown(rows: int) -> AirSamples:
     readings = ((truth.temperature(h), 0.2), (truth.pressure(h), 5.0), (np.full(rows, 0.5), 0.02))
     return AirSamples(
         *(
-            Samples(stamps, h, value + sigma * rng.normal(size=rows), np.ones(rows, bool), name)
+            SensorSamples(
+                stamps, h, value + sigma * rng.normal(size=rows), np.ones(rows, bool), name
+            )
             for (value, sigma), name in zip(readings, ("t", "p", "rh"), strict=True)
         )
     )

@@ -17,7 +17,7 @@ _FEWEST_IN_BIN = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class SensorSamples:
     """One sensor's readings against height; (n,) arrays.
 
     ``time_ns`` UTC, ``h_m`` above sea level, ``value`` in SI (K, Pa, or relative humidity 0-1),
@@ -55,7 +55,7 @@ class Samples:
 
 
 @dataclass(frozen=True)
-class Calibrated:
+class SensorCalibration:
     """What is known of a fault of a sensor before the flight; None where that is nothing.
 
     ``taken`` is how much of it was taken from the readings already.
@@ -83,17 +83,17 @@ class AirSamples:
     (`pipeline.atmosphere.estimate.sensors`).
     """
 
-    temperature: Samples | None = None
-    pressure: Samples | None = None
-    humidity: Samples | None = None
-    airspeed: Samples | None = None
+    temperature: SensorSamples | None = None
+    pressure: SensorSamples | None = None
+    humidity: SensorSamples | None = None
+    airspeed: SensorSamples | None = None
     takeoff_ns: NDArray[np.int64] | None = None
     board_temperature: bool = False
-    calibration: Mapping[str, Calibrated] = field(default_factory=dict)
+    calibration: Mapping[str, SensorCalibration] = field(default_factory=dict)
 
 
 def bin_by_height(
-    geopotential: Array, samples: Samples, width: float, value: Array | None = None
+    geopotential: Array, samples: SensorSamples, width: float, value: Array | None = None
 ) -> tuple[Array, Array]:
     """Medians of the accepted readings in bins of height, climb and descent weighing alike.
 

@@ -168,8 +168,8 @@ def profile(
     heights = None if step is None else heights_every(adjustment.profile, step)
     rows = profile_arrow(adjustment, "", heights).drop_columns(["profile_id", "time_utc"])
     if csv is not None:
-        several = len(air.along.airs) > 1
-        whole = profiles_arrow(adjustment, air.along, heights) if several else rows
+        several = len(air.series.timed_profiles) > 1
+        whole = profiles_arrow(adjustment, air.series, heights) if several else rows
         write_csv(csv, whole.to_pylist())
     if plot is not None:
         from pipeline.report.figures import save_figure

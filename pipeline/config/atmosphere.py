@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator, model_validator
 
 from pipeline.atmosphere import standard_names
-from pipeline.atmosphere.air_samples import Calibrated
+from pipeline.atmosphere.air_samples import SensorCalibration
 from pipeline.atmosphere.climatology import known_names
 from pipeline.atmosphere.estimate.sensors import (
     BIAS,
@@ -145,21 +145,21 @@ class SensorsSection(Section):
     gnss: GnssSection = GnssSection()
 
     @property
-    def calibration(self) -> dict[str, Calibrated]:
+    def calibration(self) -> dict[str, SensorCalibration]:
         """By the names of the faults, in SI."""
         warm, high = self.thermometer, self.barometer
         moist, gnss = self.hygrometer, self.gnss
         every = {
-            BIAS: Calibrated(warm.bias_k, warm.sigma_bias_k),
-            LAG: Calibrated(warm.lag_s, warm.sigma_lag_s),
-            TRANSIENT: Calibrated(warm.transient_k, warm.sigma_transient_k),
-            RECOVERY.name: Calibrated(warm.recovery, warm.sigma_recovery),
-            THERMOMETER_DRIFT: Calibrated(None, warm.sigma_drift_k),
-            OFFSET: Calibrated(_pascal(high.offset_hpa), _pascal(high.sigma_offset_hpa)),
-            HYGROMETER_FAULT.name: Calibrated(moist.bias, moist.sigma_bias),
-            HEIGHT: Calibrated(None, gnss.sigma_height_m),
+            BIAS: SensorCalibration(warm.bias_k, warm.sigma_bias_k),
+            LAG: SensorCalibration(warm.lag_s, warm.sigma_lag_s),
+            TRANSIENT: SensorCalibration(warm.transient_k, warm.sigma_transient_k),
+            RECOVERY.name: SensorCalibration(warm.recovery, warm.sigma_recovery),
+            THERMOMETER_DRIFT: SensorCalibration(None, warm.sigma_drift_k),
+            OFFSET: SensorCalibration(_pascal(high.offset_hpa), _pascal(high.sigma_offset_hpa)),
+            HYGROMETER_FAULT.name: SensorCalibration(moist.bias, moist.sigma_bias),
+            HEIGHT: SensorCalibration(None, gnss.sigma_height_m),
         }
-        return {name: known for name, known in every.items() if known != Calibrated()}
+        return {name: known for name, known in every.items() if known != SensorCalibration()}
 
 
 def _pascal(hpa: float | None) -> float | None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.air_samples import AirSamples, Samples
+from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.flight.channels import Channel
 from pipeline.flight.heights import HeightSystem, heights_at
 from pipeline.ledger import Ledger
@@ -40,7 +40,7 @@ def air_samples(
     if height is None:
         return AirSamples()
     stood = _times_on_the_ground(height)
-    found: dict[str, Samples] = {}
+    found: dict[str, SensorSamples] = {}
     airspeed = roles.get("airspeed")
     for role, column in (
         ("temperature", "temperature_k"),
@@ -63,11 +63,11 @@ def air_samples(
                     count=int((soaked & accepted).sum()),
                 )
             accepted &= ~soaked
-        found[role] = Samples(channel.time_ns, h, channel[column], accepted, channel.name)
+        found[role] = SensorSamples(channel.time_ns, h, channel[column], accepted, channel.name)
     if airspeed is not None and len(airspeed) > 0:
         h, _ = heights_at(height, airspeed.time_ns, heights, max_gap_s)
         known = np.isfinite(h)
-        found["airspeed"] = Samples(
+        found["airspeed"] = SensorSamples(
             airspeed.time_ns, h, airspeed["airspeed_m_s"], known, airspeed.name
         )
     return AirSamples(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.atmosphere.profile import Profile
-from pipeline.atmosphere.series.profile_series import AirAlong
+from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.ledger import Ledger
 from pipeline.units import HECTOPASCAL
 
@@ -177,7 +177,7 @@ LARGEST_PRESSURE_MISFIT_PA = 800.0
 """Barometer against profile at one exposure: 8 hPa are some 80 m of height."""
 
 
-def doubt_heights(stations: Stations, profile: Profile | AirAlong, ledger: Ledger) -> Stations:
+def doubt_heights(stations: Stations, profile: Profile | ProfileSeries, ledger: Ledger) -> Stations:
     """Mark stations as suspect whose GNSS height contradicts their barometer.
 
     The profile was made from the whole flight; a station where the pressure measured and that of

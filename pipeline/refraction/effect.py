@@ -11,8 +11,8 @@ import numpy as np
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 from pipeline.atmosphere.profile import Profile
-from pipeline.atmosphere.series.profile_series import AirAlong
-from pipeline.atmosphere.series.time_windows import Window
+from pipeline.atmosphere.series.profile_series import ProfileSeries
+from pipeline.atmosphere.series.time_windows import TimeWindow
 from pipeline.refraction.ray import refraction_angle
 from pipeline.refraction.uncertainty.sensitivity import sensitivity
 from pipeline.units import ARCSEC, DEGREE
@@ -60,14 +60,14 @@ class Effect:
 
 @dataclass(frozen=True, eq=False)
 class FlightAir:
-    """The air of the whole flight, along it, and what it does to R.
+    """The air of the whole flight, the profile of each exposure, and what it does to R.
 
     ``windows`` are the parts that were estimated by themselves, none where one profile is enough.
     """
 
     adjustment: Adjustment
-    along: AirAlong
-    windows: tuple[Window, ...] = ()
+    series: ProfileSeries
+    windows: tuple[TimeWindow, ...] = ()
     effects: tuple[Effect, ...] = ()
 
 

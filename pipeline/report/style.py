@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.air_samples import AirSamples, Samples
+from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -68,7 +68,7 @@ def height_range(samples: AirSamples) -> tuple[float, float]:
 
 def scatter(
     axis: Axes,
-    samples: Samples,
+    samples: SensorSamples,
     value: NDArray[np.float64],
     rejected: NDArray[np.bool_] | None = None,
 ) -> None:

@@ -217,7 +217,7 @@ def show_air(console: Console, air: FlightAir) -> None:
     """What the air of a flight was made from, and what it does to R."""
     adjustment = air.adjustment
     rows = [effect.row() for effect in air.effects]
-    parts = [f"{len(air.along.airs)} profiles follow the air"] if air.windows else []
+    parts = [f"{len(air.series.timed_profiles)} profiles follow the air"] if air.windows else []
     for line in (
         *effect_lines(rows, adjustment.standard.name),
         *(use.sentence() for use in adjustment.sources),

@@ -9,17 +9,22 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air_samples import AirSamples, Calibrated
+from pipeline.atmosphere.air_samples import AirSamples, SensorCalibration
 from pipeline.atmosphere.climatology import Climatology, climatology, month_of
 from pipeline.atmosphere.estimate.adjusted_profile import (
     build_adjusted_profile,
     unadjusted,
     under_gravity,
 )
-from pipeline.atmosphere.estimate.representativeness import Occasion, tell_of_nearness
+from pipeline.atmosphere.estimate.representativeness import TimeAndPlace, note_source_distances
 from pipeline.atmosphere.estimate.source_usage import all_unused
 from pipeline.atmosphere.refractive_index import IndexModel
-from pipeline.atmosphere.series.profile_series import TimedAir, aged, air_along, one_air
+from pipeline.atmosphere.series.profile_series import (
+    TimedProfile,
+    add_ageing,
+    constant_series,
+    interpolate_series,
+)
 from pipeline.atmosphere.series.time_windows import estimate_windows
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
@@ -44,7 +49,7 @@ class AirSources:
     time_ns: int | None = None
     longitude_rad: float = math.nan
     home_h_msl_m: float | None = None
-    calibration: Mapping[str, Calibrated] = field(default_factory=dict)
+    calibration: Mapping[str, SensorCalibration] = field(default_factory=dict)
 
     def lines(self) -> list[tuple[str, str]]:
         """For a person."""
@@ -97,7 +102,7 @@ def find_sources(
         read_report(s, f"atmosphere.surface[{i}]", flight_ns, background, ledger)
         for i, s in enumerate(section.surface)
     )
-    tell_of_nearness(soundings, surface, Occasion(flight_ns, latitude, longitude), ledger)
+    note_source_distances(soundings, surface, TimeAndPlace(flight_ns, latitude, longitude), ledger)
     calibration = section.sensors.calibration
     if not section.adjust and (soundings or surface or calibration):
         ledger.warning(
@@ -158,24 +163,24 @@ def adjust_air(
             time_ns=sources.time_ns,
             longitude_rad=sources.longitude_rad,
         )
-    whole = TimedAir(adjustment.time_ns, adjustment.profile, adjustment.covariance)
+    whole = TimedProfile(adjustment.time_ns, adjustment.profile, adjustment.covariance)
     windows = estimate_windows(adjustment, h_c, h_g, ledger) if max(h_c) > h_g + 1.0 else ()
-    along = one_air(whole, len(stations))
+    series = constant_series(whole, len(stations))
     middle = _time_of(stations)
     if middle is not None:
         times = np.where(stations.ok, stations.time_ns, middle)
         if windows:
-            along = air_along([window.air for window in windows], times, h_c, h_g)
+            series = interpolate_series([window.air for window in windows], times, h_c, h_g)
         if adjustment.samples is not None:
-            along = aged(along, times, adjustment.samples, max(h_c), h_g, ledger)
+            series = add_ageing(series, times, adjustment.samples, max(h_c), h_g, ledger)
         if not windows and len(stations):
             # What is told of the flight is told of its middle exposure.
-            number = along.number[int(np.argmin(np.abs(times - middle)))]
-            adjustment = replace(adjustment, covariance=along.airs[number].covariance)
+            number = series.profile_number[int(np.argmin(np.abs(times - middle)))]
+            adjustment = replace(adjustment, covariance=series.timed_profiles[number].covariance)
     effects = effects_on_r(
         adjustment.profile, adjustment.standard, adjustment.covariance, float(np.median(h_c)), h_g
     )
-    return FlightAir(adjustment, along, windows, effects)
+    return FlightAir(adjustment, series, windows, effects)
 
 
 def _levels(
@@ -190,11 +195,11 @@ def _levels(
     return [float(h) for h in np.percentile(heights, [0.0, 50.0, 100.0])], h_g
 
 
-def told_of_calibration(calibration: Mapping[str, Calibrated]) -> str:
+def told_of_calibration(calibration: Mapping[str, SensorCalibration]) -> str:
     """What is known of the sensors, in words; where only one of mean and sigma is, the other not.
 
-    >>> told_of_calibration({"bias": Calibrated(0.01, 0.02), "drift [K]": Calibrated(None, 1.0)})
-    'bias 0.01 ± 0.02, drift [K] ± 1'
+    >>> told_of_calibration({"bias": SensorCalibration(0.01, 0.02)})
+    'bias 0.01 ± 0.02'
     """
     told = []
     for name, known in calibration.items():

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere import Profile
 from pipeline.atmosphere.refractive_index import vapour_pressure
-from pipeline.atmosphere.series.profile_series import AirAlong
+from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.config import Mission
 from pipeline.errors import MissionError
 from pipeline.flight.stations import Stations
@@ -48,7 +48,7 @@ class _Air:
 
 def exposures_of(
     stations: Stations,
-    profile: Profile | AirAlong,
+    profile: Profile | ProfileSeries,
     windows: Mapping[str, Window],
     lenses: Mapping[str, LensInAir],
     radius_m: float | None,
@@ -270,7 +270,7 @@ def setup_of(mission: Mission, name: str) -> CameraSetup:
 
 
 def look_through(
-    mission: Mission, stations: Stations, profile: Profile | AirAlong, ledger: Ledger
+    mission: Mission, stations: Stations, profile: Profile | ProfileSeries, ledger: Ledger
 ) -> Exposures:
     """What the rays of each exposure need to know: attitude, and the air beside the window."""
     for name, camera in mission.cameras.items():

@@ -18,7 +18,7 @@ from pydantic import ValidationError
 
 from pipeline.atmosphere.profile import Layers, Profile
 from pipeline.atmosphere.refractive_index import IndexModel
-from pipeline.atmosphere.series.profile_series import AirAlong, TimedAir
+from pipeline.atmosphere.series.profile_series import ProfileSeries, TimedProfile
 from pipeline.config import Mission
 from pipeline.errors import ConfigError, MissionError
 from pipeline.flight.stations import NO_TIME, Stations
@@ -86,18 +86,18 @@ def stations_of(table: pa.Table) -> Stations:
     return Stations(**(derived | {name: number(name) for name in names}))
 
 
-def air_of(table: pa.Table, profile_id: pa.ChunkedArray) -> AirAlong:
+def air_of(table: pa.Table, profile_id: pa.ChunkedArray) -> ProfileSeries:
     """The profiles of ``profile.parquet``, and which belongs to each station's ``profile_id``.
 
     A station without one gets the first; it cannot be used.
     """
     names = pc.unique(table["profile_id"])
     airs = tuple(
-        TimedAir(None, profile_of(table.filter(pc.equal(table["profile_id"], name))))
+        TimedProfile(None, profile_of(table.filter(pc.equal(table["profile_id"], name))))
         for name in names
     )
     number = pc.fill_null(pc.index_in(profile_id, value_set=names), 0)
-    return AirAlong(airs, np.asarray(number.to_numpy(), dtype=np.int64))
+    return ProfileSeries(airs, np.asarray(number.to_numpy(), dtype=np.int64))
 
 
 def profile_of(table: pa.Table) -> Profile:
@@ -206,8 +206,8 @@ def _difference(run: FinishedRun, table: pa.Table, row: NDArray[np.int64]) -> fl
     worst = 0.0
     for name, camera in run.cameras.items():
         of_camera = ok & (run.stations.camera[row] == name)
-        for air in np.unique(run.air.number[row[of_camera]]):
-            mine = np.flatnonzero(of_camera & (run.air.number[row] == air))
+        for air in np.unique(run.air.profile_number[row[of_camera]]):
+            mine = np.flatnonzero(of_camera & (run.air.profile_number[row] == air))
             offset = camera.pixel_offset
             now = correct_observations(
                 x[mine] + offset, y[mine] + offset, h_g[mine], row[mine],

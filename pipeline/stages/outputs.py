@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.atmosphere.series.time_windows import Window
+from pipeline.atmosphere.series.time_windows import TimeWindow
 from pipeline.batch.manifest import MANIFEST_VERSION
 from pipeline.batch.plan import Plan, versions
 from pipeline.batch.store import RunFolder
@@ -26,8 +26,8 @@ from pipeline.tables.writing import profiles_arrow, stations_table, write_parque
 def write_tables(folder: RunFolder, stations: Stations, air: FlightAir) -> None:
     """Stations and profiles beside the observations."""
     for name, table in (
-        ("stations.parquet", stations_table(stations, air.along)),
-        ("profile.parquet", profiles_arrow(air.adjustment, air.along)),
+        ("stations.parquet", stations_table(stations, air.series)),
+        ("profile.parquet", profiles_arrow(air.adjustment, air.series)),
     ):
         write_parquet(table, folder.place(name))
         folder.seal(name)
@@ -121,12 +121,12 @@ def _profile(air: FlightAir, stations: Stations) -> dict[str, Any]:
             }
             for n in adjustment.nuisances
         ],
-        "profiles": len(air.along.airs),
+        "profiles": len(air.series.timed_profiles),
         "windows": [_window(window) for window in air.windows],
     }
 
 
-def _window(window: Window) -> dict[str, Any]:
+def _window(window: TimeWindow) -> dict[str, Any]:
     """A part of the flight; ``change`` is that of R against the whole flight's."""
     return {
         "start_utc": _second(window.start_ns),

@@ -12,7 +12,7 @@ from typing import Any
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.estimate.adjusted_profile import unadjusted
-from pipeline.atmosphere.series.profile_series import AirAlong, TimedAir, one_air
+from pipeline.atmosphere.series.profile_series import ProfileSeries, TimedProfile, constant_series
 from pipeline.batch.manifest import Outcome, outcome_of
 from pipeline.batch.plan import Plan, check_unchanged, make_plan
 from pipeline.batch.store import (
@@ -68,10 +68,10 @@ def run_mission(path: Path, *, force: bool = False, progress: Progress | None = 
         flight, stations, ledger = found.flight, found.stations, found.ledger
         air = adjust_air(mission, stations, found.samples, found.sources, ledger)
         if air.adjustment.is_measured:
-            stations = doubt_heights(stations, air.along, ledger)
+            stations = doubt_heights(stations, air.series, ledger)
         progress.begin("correcting", found.observations.rows)
         tally = correct(
-            mission, stations, air.along, found.observations, folder, ledger,
+            mission, stations, air.series, found.observations, folder, ledger,
             flight.heights, progress.advance,
         )  # fmt: skip
         progress.say("writing the report")
@@ -116,7 +116,7 @@ def look_at(plan: Plan, progress: Progress) -> Found:
 def correct(
     mission: Mission,
     stations: Stations,
-    air: AirAlong,
+    air: ProfileSeries,
     observations: Observations,
     folder: RunFolder,
     ledger: Ledger,
@@ -138,7 +138,7 @@ def correct(
         ground,
         cameras,
         tuple(rays_by(profile, mission.refraction.method) for profile in air.profiles),
-        air.number,
+        air.profile_number,
         direction,
         uncertainties_of_mission(mission, stations, air, exposures, cameras, ground, views),
         views,
@@ -198,7 +198,11 @@ def air_of_either(
         return air_of_mission(config)
     standard = standard_atmosphere(atmosphere or "")
     alone = unadjusted(standard, f"the standard atmosphere {standard.name}")
-    return FlightAir(alone, one_air(TimedAir(None, standard), 0)), AirSamples(), Ledger()
+    return (
+        FlightAir(alone, constant_series(TimedProfile(None, standard), 0)),
+        AirSamples(),
+        Ledger(),
+    )
 
 
 def export_run(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from pipeline.atmosphere.climatology import Climatology
-from pipeline.atmosphere.estimate.representativeness import Occasion
+from pipeline.atmosphere.estimate.representativeness import TimeAndPlace
 from pipeline.atmosphere.surface_report import (
     SurfaceReport,
     parse_metar,
@@ -61,7 +61,7 @@ def read_report(
 
 def _tell_of_age(report: SurfaceReport, flight_ns: int | None, where: str, ledger: Ledger) -> None:
     """As `parse_metar` does: a report of another hour is less certain, and that is said."""
-    hours = Occasion(flight_ns).hours_from(report.time_ns)
+    hours = TimeAndPlace(flight_ns).hours_from(report.time_ns)
     if hours > _FAR_HOURS:
         ledger.warning(
             "SURFACE-FAR-IN-TIME",

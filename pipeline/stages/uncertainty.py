@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.profile import Profile
-from pipeline.atmosphere.series.profile_series import AirAlong
+from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.config import Mission
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Ledger
@@ -34,7 +34,7 @@ from pipeline.units import DEGREE
 def uncertainties_of_mission(
     mission: Mission,
     stations: Stations,
-    air: AirAlong,
+    air: ProfileSeries,
     exposures: Exposures,
     cameras: Mapping[str, CameraSetup],
     ground: Ground,
@@ -55,10 +55,10 @@ def uncertainties_of_mission(
     sigmas = _station_sigmas(mission, stations)
     own = [(setup.camera, stations.camera == name) for name, setup in cameras.items()]
     found: list[Uncertainty | None] = []
-    for number, one in enumerate(air.airs):
+    for number, one in enumerate(air.timed_profiles):
         covariance = one.covariance
         known = told or covariance is not None
-        seen = replace(exposures, usable=exposures.usable & (air.number == number))
+        seen = replace(exposures, usable=exposures.usable & (air.profile_number == number))
         found.append(
             uncertainty_of(one.profile, covariance, seen, sigmas, own, ground.limits, views)
             if known
@@ -67,7 +67,7 @@ def uncertainties_of_mission(
     return tuple(found)
 
 
-def views_of_mission(mission: Mission, stations: Stations, air: AirAlong) -> NDArray[np.int64]:
+def views_of_mission(mission: Mission, stations: Stations, air: ProfileSeries) -> NDArray[np.int64]:
     """(s,) through what each exposure looks: `OPEN`, `SEALED` or `SCHEDULED`."""
     views = np.full(len(stations), OPEN, np.int64)
     pressure = air.pressure(stations.h_msl_m)
@@ -97,11 +97,11 @@ def _station_sigmas(mission: Mission, stations: Stations) -> StationSigmas:
 
 
 def tell_what_is_unknown(
-    mission: Mission, stations: Stations, air: AirAlong, ledger: Ledger
+    mission: Mission, stations: Stations, air: ProfileSeries, ledger: Ledger
 ) -> None:
     """Say, once, which standard deviations nobody gave."""
     missing = []
-    if not all(one.has_covariance for one in air.airs):
+    if not all(one.has_covariance for one in air.timed_profiles):
         missing.append("the air (its profile has no covariance)")
     untold = [name for name in mission.cameras if mission.mount[name].sigma_tilt_deg is None]
     missing += [f"the attitude (mount.{name}.sigma_tilt_deg)" for name in untold]

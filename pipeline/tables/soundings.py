@@ -12,7 +12,7 @@ from scipy.io import netcdf_file
 from pipeline.atmosphere.soundings import (
     RawLevels,
     Sounding,
-    judge_levels,
+    check_levels,
     nearest_in_time,
     parse_sounding,
 )
@@ -65,7 +65,7 @@ def read_sounding(
         raise _no_netcdf(path, "it is netCDF-4 (HDF5); only the classic format is read")
     if data.startswith(_NETCDF3):
         raw = nearest_in_time([_netcdf(path)], time_ns, path.name, ledger)
-        found = judge_levels(raw, ledger, latitude_rad=latitude_rad, station_h_m=station_h_m)
+        found = check_levels(raw, ledger, latitude_rad=latitude_rad, station_h_m=station_h_m)
     else:
         found = parse_sounding(
             _text(data, path),

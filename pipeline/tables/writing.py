@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 from pipeline.atmosphere.profile import profile_table
-from pipeline.atmosphere.series.profile_series import AirAlong, TimedAir
+from pipeline.atmosphere.series.profile_series import ProfileSeries, TimedProfile
 from pipeline.errors import StorageError
 from pipeline.flight.stations import Stations, station_table
 from pipeline.refraction.image import Corrections
@@ -70,28 +70,28 @@ PROFILE_ID = "flight"
 """Of the one profile of a flight; where there are several, flight-001 and so on."""
 
 
-def profile_ids(along: AirAlong) -> list[str]:
+def profile_ids(series: ProfileSeries) -> list[str]:
     """Names of the profiles along a flight, in the order of time."""
-    count = len(along.airs)
+    count = len(series.timed_profiles)
     return [PROFILE_ID] if count == 1 else [f"{PROFILE_ID}-{i + 1:03d}" for i in range(count)]
 
 
-def stations_table(stations: Stations, along: AirAlong) -> pa.Table:
+def stations_table(stations: Stations, series: ProfileSeries) -> pa.Table:
     """``stations.parquet``."""
     columns = station_table(stations)
-    ids = np.array(profile_ids(along), dtype=object)[along.number]
+    ids = np.array(profile_ids(series), dtype=object)[series.profile_number]
     ids[~stations.ok] = None
     columns["profile_id"] = ids
     return table_of(columns, schema_of(STATION_COLUMNS, {}))
 
 
 def profiles_arrow(
-    adjustment: Adjustment, along: AirAlong, heights: ArrayLike | None = None
+    adjustment: Adjustment, series: ProfileSeries, heights: ArrayLike | None = None
 ) -> pa.Table:
     """``profile.parquet``: the profiles along a flight, one after the other."""
     return pa.concat_tables(
         profile_arrow(adjustment, name, heights, air)
-        for name, air in zip(profile_ids(along), along.airs, strict=True)
+        for name, air in zip(profile_ids(series), series.timed_profiles, strict=True)
     )
 
 
@@ -99,7 +99,7 @@ def profile_arrow(
     adjustment: Adjustment,
     profile_id: str,
     heights: ArrayLike | None = None,
-    air: TimedAir | None = None,
+    air: TimedProfile | None = None,
 ) -> pa.Table:
     """A profile as a table: each row's pressure follows from its base values and equation.
 
@@ -107,7 +107,7 @@ def profile_arrow(
     several along the flight, in the place of the whole's.
     """
     standard = adjustment.standard
-    air = air or TimedAir(adjustment.time_ns, adjustment.profile, adjustment.covariance)
+    air = air or TimedProfile(adjustment.time_ns, adjustment.profile, adjustment.covariance)
     profile = air.profile
     columns = profile_table(profile, heights)
     h = columns["h_m"]

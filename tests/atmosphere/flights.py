@@ -18,7 +18,7 @@ from scipy.integrate import cumulative_simpson
 from scipy.io import netcdf_file
 from scipy.signal import lfilter
 
-from pipeline.atmosphere.air_samples import AirSamples, Samples
+from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.simulate.true_air import edlen_index, normal_gravity, saturation_pressure_pa
 
 SOUNDINGS = Path(__file__).resolve().parents[2].parent / "shared" / "soundings"
@@ -289,7 +289,7 @@ def fly(
     flown = seconds - TAKEOFF_S >= gate_s
     moist = {"none": None, "surface": above < 200.0, "profile": flown}[humidity]
     return AirSamples(
-        Samples(time_ns, h, t, flown, "thermometer") if thermometer else None,
-        Samples(time_ns, h, p, np.ones(n, bool), "barometer") if barometer else None,
-        Samples(time_ns, h, rh, moist, "hygrometer") if moist is not None else None,
+        SensorSamples(time_ns, h, t, flown, "thermometer") if thermometer else None,
+        SensorSamples(time_ns, h, p, np.ones(n, bool), "barometer") if barometer else None,
+        SensorSamples(time_ns, h, rh, moist, "hygrometer") if moist is not None else None,
     )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air_samples import AirSamples, Samples, bin_by_height
+from pipeline.atmosphere.air_samples import AirSamples, SensorSamples, bin_by_height
 from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile, unadjusted
 from pipeline.ledger import Kind, Ledger
 from pipeline.simulate.true_air import (
@@ -37,9 +37,9 @@ def flight(climb: float, rate: float = 5.0) -> tuple[np.ndarray, np.ndarray]:
     return (1_600_000_000 + np.arange(h.size)).astype(np.int64) * 10**9, h
 
 
-def samples(time_ns, h, value, name="sensor", accepted=None) -> Samples:
+def samples(time_ns, h, value, name="sensor", accepted=None) -> SensorSamples:
     used = np.ones(h.size, bool) if accepted is None else accepted
-    return Samples(time_ns, h, np.asarray(value, float), used, name)
+    return SensorSamples(time_ns, h, np.asarray(value, float), used, name)
 
 
 def measured(air: TrueAir, climb: float, *, t=True, p=True, rh=True, **change) -> AirSamples:

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air_samples import AirSamples, Samples
+from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.climatology import climatology, month_of
 from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from pipeline.atmosphere.estimate.estimate_checks import implausible, not_outside
-from pipeline.atmosphere.estimate.sensor_checks import believable
+from pipeline.atmosphere.estimate.sensor_checks import usable_sensors
 from pipeline.atmosphere.estimate.solver import estimate
 from pipeline.ledger import Kind, Ledger
 
@@ -108,11 +108,11 @@ def test_coarse_steps_and_level_flight_are_no_standstill(flights, airs):
     h = samples.temperature.h_m
     isothermal = np.round(275.0 - 1.5e-3 * (h - h.min()))  # 670 m for each degree
     for given in (samples, whole, with_t(samples, isothermal)):
-        believable(replace(given, pressure=None), US1976, ledger)
+        usable_sensors(replace(given, pressure=None), US1976, ledger)
     level = np.full(2000, 1500.0) + np.linspace(0.0, 250.0, 2000)
     stamps = np.arange(2000, dtype=np.int64) * 10**9
-    same = Samples(stamps, level, np.full(2000, 280.0), np.ones(2000, bool), "level")
-    kept = believable(AirSamples(same), US1976, ledger)
+    same = SensorSamples(stamps, level, np.full(2000, 280.0), np.ones(2000, bool), "level")
+    kept = usable_sensors(AirSamples(same), US1976, ledger)
     assert kept.temperature.accepted.all()
     assert list(ledger) == []
 
@@ -123,7 +123,7 @@ def test_humidity_may_stay_at_its_ends_but_not_between(flights, airs):
     for value, stuck in ((1.0, False), (0.0, False), (0.43, True)):
         same = replace(samples.humidity, value=np.full(samples.humidity.value.size, value))
         ledger = Ledger()
-        kept = believable(replace(samples, humidity=same), US1976, ledger)
+        kept = usable_sensors(replace(samples, humidity=same), US1976, ledger)
         assert (kept.humidity is None) is stuck
         assert losses(ledger) == (["AIR-STUCK"] if stuck else [])
 
@@ -181,7 +181,7 @@ def test_readings_of_no_place_are_refused_beside_a_barometer(flights, airs):
     jumps = np.where(seconds_of(samples) // 40.0 % 2.0 < 1.0, 3.0, -3.0)
     ledger = Ledger()
     wild = with_t(samples, t.value + jumps)
-    assert believable(wild, US1976, ledger).temperature is not None
+    assert usable_sensors(wild, US1976, ledger).temperature is not None
     adjusted, ledger = adjust(truth, wild)
     assert losses(ledger) == ["AIR-THERMOMETER"]
     assert "within 30 minutes" in next(e.what for e in ledger)
@@ -225,10 +225,10 @@ def test_a_thermometer_that_reads_the_same_over_little_height_is_told_of(flights
     samples = flown(flights, truth, 600.0, descent=True)
     noise = np.random.default_rng(2).normal(0.0, 0.2, samples.temperature.value.size)
     ledger = Ledger()
-    believable(with_t(samples, truth.t[0] - 1.0 + noise), US1976, ledger)
+    usable_sensors(with_t(samples, truth.t[0] - 1.0 + noise), US1976, ledger)
     assert [(e.code, e.kind) for e in ledger] == [("AIR-ISOTHERMAL", Kind.WARNING)]
     ledger = Ledger()
-    believable(samples, US1976, ledger)
+    usable_sensors(samples, US1976, ledger)
     assert list(ledger) == []
 
 

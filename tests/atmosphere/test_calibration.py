@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air_samples import Calibrated
+from pipeline.atmosphere.air_samples import SensorCalibration
 from pipeline.atmosphere.climatology import climatology
 from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from pipeline.atmosphere.estimate.readings import sources_of
@@ -50,9 +50,10 @@ def flown(flights, truth, sensors, calibration, climb=3000.0, **how):
 
 # All else is known to be good, and of thermometer or barometer there is only the one.
 GOOD = {
-    BIAS: Calibrated(0.0, 0.05), TRANSIENT: Calibrated(0.0, 0.05), LAG: Calibrated(0.0, 0.2),
-    THERMOMETER_DRIFT: Calibrated(None, 0.02), OFFSET: Calibrated(0.0, 5.0),
-    HYGROMETER_FAULT.name: Calibrated(0.0, 0.005), HEIGHT: Calibrated(None, 0.1),
+    BIAS: SensorCalibration(0.0, 0.05), TRANSIENT: SensorCalibration(0.0, 0.05),
+    LAG: SensorCalibration(0.0, 0.2),
+    THERMOMETER_DRIFT: SensorCalibration(None, 0.02), OFFSET: SensorCalibration(0.0, 5.0),
+    HYGROMETER_FAULT.name: SensorCalibration(0.0, 0.005), HEIGHT: SensorCalibration(None, 0.1),
 }  # fmt: skip
 WRONG = {
     BIAS: ({"bias_k": 2.0}, 2.0, 0.1, {"barometer": False}),
@@ -71,7 +72,7 @@ def test_a_fault_that_is_known_is_taken_away(flights, truth, name):
     right = truth.r_plane(ideal.refractivity(truth.h), 3000.0)
     left = []
     for value in (mean, 0.0, -mean):
-        given = GOOD | {name: Calibrated(value, sigma)}
+        given = GOOD | {name: SensorCalibration(value, sigma)}
         found, _ = flown(flights, truth, flights.Sensors(**wrong), given, **how)
         left.append(abs(truth.r_plane(found.profile.refractivity(truth.h), 3000.0) / right - 1.0))
         if value == mean:
@@ -85,7 +86,7 @@ def test_a_fault_that_is_known_is_taken_away(flights, truth, name):
 def test_what_is_not_said_stays_as_it_is_expected(flights, truth):
     samples = flights.fly(truth, 1000.0, flights.Sensors(), np.random.default_rng(3))
     expected = {f.name: f for f in sources_of(samples, background(truth)).faults}
-    given = {BIAS: Calibrated(sigma=0.2), LAG: Calibrated(mean=4.0)}
+    given = {BIAS: SensorCalibration(sigma=0.2), LAG: SensorCalibration(mean=4.0)}
     found = sources_of(replace(samples, calibration=given), background(truth))
     faults = {f.name: f for f in found.faults}
     assert (faults[BIAS].mean, faults[BIAS].sigma) == (0.0, 0.2)
@@ -101,21 +102,23 @@ def test_a_thermometer_that_keeps_still_says_more(flights, truth):
         estimate(replace(samples, calibration=known), background(truth))
         .covariance.sigma_temperature([500.0])
         .item()
-        for known in ({}, {THERMOMETER_DRIFT: Calibrated(sigma=0.02), BIAS: Calibrated(sigma=0.1)},
-                      {BIAS: Calibrated(sigma=0.1)})
+        for known in ({},
+                      {THERMOMETER_DRIFT: SensorCalibration(sigma=0.02),
+                       BIAS: SensorCalibration(sigma=0.1)},
+                      {BIAS: SensorCalibration(sigma=0.1)})
     ]  # fmt: skip
     assert sigma[1] < sigma[2] < sigma[0]
 
 
 def test_a_flight_that_contradicts_the_calibration_says_so(flights, truth):
     sensors = flights.Sensors(bias_k=4.0)
-    _, ledger = flown(flights, truth, sensors, {BIAS: Calibrated(0.0, 0.1)})
+    _, ledger = flown(flights, truth, sensors, {BIAS: SensorCalibration(0.0, 0.1)})
     (entry,) = [e for e in ledger if e.code == "AIR-CALIBRATION"]
     assert BIAS in entry.what
     assert "0 ± 0.1 by the mission file" in entry.what
     alone = float(entry.what.split(", ")[1].split()[0])
     assert alone == pytest.approx(4.0, abs=0.8)
-    _, ledger = flown(flights, truth, sensors, {BIAS: Calibrated(4.0, 0.1)})
+    _, ledger = flown(flights, truth, sensors, {BIAS: SensorCalibration(4.0, 0.1)})
     assert not [e for e in ledger if e.code.startswith("AIR-CALIBRATION")]
 
 
@@ -128,7 +131,7 @@ def test_a_calibration_that_is_right_is_seldom_contradicted(flights, truth):
         sensors = replace(flights.REALISTIC, bias_k=bias, pressure_offset_pa=offset)
         samples = flights.fly(truth, 3000.0, sensors, rng)
         ledger = Ledger()
-        given = {BIAS: Calibrated(0.0, 0.5), OFFSET: Calibrated(0.0, 20.0)}
+        given = {BIAS: SensorCalibration(0.0, 0.5), OFFSET: SensorCalibration(0.0, 20.0)}
         build_adjusted_profile(
             replace(samples, calibration=given), US1976, truth.latitude, ledger,
             background=background(truth),
@@ -138,7 +141,9 @@ def test_a_calibration_that_is_right_is_seldom_contradicted(flights, truth):
 
 
 def test_what_no_sensor_has_is_said(flights, truth):
-    _, ledger = flown(flights, truth, flights.Sensors(), {RECOVERY.name: Calibrated(0.8, 0.05)})
+    _, ledger = flown(
+        flights, truth, flights.Sensors(), {RECOVERY.name: SensorCalibration(0.8, 0.05)}
+    )
     (entry,) = [e for e in ledger if e.code == "AIR-CALIBRATION-UNUSED"]
     assert RECOVERY.name in entry.what
 
@@ -154,7 +159,7 @@ def test_no_sensor_is_refused_for_a_fault_that_is_known(
 ):
     """8 K are too much for a thermometer of which nothing is known, and a barometer's 30 hPa look
     like that many kelvins."""
-    sensors, given = flights.Sensors(**wrong), {name: Calibrated(mean, sigma)}
+    sensors, given = flights.Sensors(**wrong), {name: SensorCalibration(mean, sigma)}
     found, ledger = flown(flights, truth, sensors, given, descent=descent)
     assert found.basis in ("thermometer", "both")
     codes = {entry.code for entry in ledger}
@@ -167,7 +172,7 @@ def test_no_sensor_is_refused_for_a_fault_that_is_known(
 
 def test_only_the_worst_is_accused(flights, truth):
     """A lag that is stated wrongly draws the bias along, which is right."""
-    given = GOOD | {LAG: Calibrated(8.0, 0.5), BIAS: Calibrated(0.0, 0.02)}
+    given = GOOD | {LAG: SensorCalibration(8.0, 0.5), BIAS: SensorCalibration(0.0, 0.02)}
     _, ledger = flown(flights, truth, flights.Sensors(lag_s=12.0), given, descent=True)
     (entry,) = [e for e in ledger if e.code == "AIR-CALIBRATION"]
     assert entry.what.startswith(f"{LAG}: 8 ± 0.5 by the mission file, 1")
@@ -175,7 +180,7 @@ def test_only_the_worst_is_accused(flights, truth):
 
 def test_a_part_of_a_flight_keeps_what_is_known(flights, truth):
     samples = flights.fly(truth, 1000.0, flights.Sensors(), np.random.default_rng(3))
-    samples = replace(samples, calibration={BIAS: Calibrated(0.1, 0.2)})
+    samples = replace(samples, calibration={BIAS: SensorCalibration(0.1, 0.2)})
     start = int(samples.temperature.time_ns[0])
     part = part_of_flight(samples, start, start + 200 * 10**9)
-    assert part.calibration == {BIAS: Calibrated(0.1, 0.2)}
+    assert part.calibration == {BIAS: SensorCalibration(0.1, 0.2)}

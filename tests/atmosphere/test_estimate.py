@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import quad
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air_samples import AirSamples, Samples
+from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.climatology import AUTO, climatology
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
@@ -93,7 +93,7 @@ def problem(flights, airs):
     rng = np.random.default_rng(8)
     samples = flights.fly(truth, 2500.0, flights.REALISTIC, rng, humidity="profile")
     t = samples.temperature
-    speed = Samples(t.time_ns, t.h_m, 40.0 + 0.0 * t.value, t.accepted, "airspeed")
+    speed = SensorSamples(t.time_ns, t.h_m, 40.0 + 0.0 * t.value, t.accepted, "airspeed")
     found = sources_of(
         replace(samples, airspeed=speed), background(truth),
         [balloon_of(truth)], [SurfaceReport(100.0, 1.0e5, 299.0, 2400.0)],
@@ -308,7 +308,7 @@ def test_a_static_port_in_the_wind_is_found(flights, airs):
     p = samples.pressure
     speed = np.where(np.gradient(p.h_m) > 1.0, 40.0, 80.0)
     windy = replace(p, value=p.value + 0.05 * 0.5 * 1.225 * speed**2)
-    airspeed = Samples(p.time_ns, p.h_m, speed, np.ones(speed.size, bool), "airspeed")
+    airspeed = SensorSamples(p.time_ns, p.h_m, speed, np.ones(speed.size, bool), "airspeed")
     found = nuisance(
         estimated(truth, replace(samples, pressure=windy, airspeed=airspeed)), "dynamic pressure"
     )
@@ -325,7 +325,7 @@ def test_the_heat_of_speed_is_found(flights, airs):
     speed = np.where(np.gradient(t.h_m) > 1.0, 45.0, 80.0)
     density = truth.at(truth.p / truth.t, t.h_m - truth.h[0]) / 287.05
     heated = t.value + 0.85 * speed**2 / (2.0 * 1005.0) * 1.225 / density
-    airspeed = Samples(t.time_ns, t.h_m, speed, np.ones(speed.size, bool), "airspeed")
+    airspeed = SensorSamples(t.time_ns, t.h_m, speed, np.ones(speed.size, bool), "airspeed")
     with_speed = replace(samples, temperature=replace(t, value=heated), airspeed=airspeed)
     made = estimated(truth, with_speed)
     recovery = nuisance(made, "recovery")
@@ -573,7 +573,7 @@ def test_four_hours_at_ten_hertz(airs):
     rng = np.random.default_rng(1)
     stamps = truth.start_ns + np.round(seconds * 1e9).astype(np.int64)
     sensors = [
-        Samples(stamps, truth.h[0] + above, truth.at(v, above) + s * rng.normal(size=n),
+        SensorSamples(stamps, truth.h[0] + above, truth.at(v, above) + s * rng.normal(size=n),
                 np.ones(n, bool), name)
         for v, s, name in ((truth.t, 0.2, "t"), (truth.p, 5.0, "p"), (truth.rh, 0.02, "rh"))
     ]  # fmt: skip

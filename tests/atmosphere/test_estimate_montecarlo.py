@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air_samples import Calibrated
+from pipeline.atmosphere.air_samples import SensorCalibration
 from pipeline.atmosphere.climatology import Climatology, climatology, month_of
 from pipeline.atmosphere.estimate.adjusted_profile import Adjustment, build_adjusted_profile
 from pipeline.atmosphere.estimate.sensors import BIAS, LAG, TRANSIENT
@@ -110,7 +110,8 @@ def test_clean_temperatures_of_a_climb(flights, real, climb, humid, dry, name):
 
 
 CLEAN = {
-    BIAS: Calibrated(0.0, 0.2), TRANSIENT: Calibrated(0.0, 0.2), LAG: Calibrated(0.0, 1.0)
+    BIAS: SensorCalibration(0.0, 0.2), TRANSIENT: SensorCalibration(0.0, 0.2),
+    LAG: SensorCalibration(0.0, 1.0),
 }  # fmt: skip
 """A thermometer that is known to be good."""
 

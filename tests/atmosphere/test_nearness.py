@@ -17,10 +17,10 @@ from pipeline.atmosphere.estimate.candidates import bases
 from pipeline.atmosphere.estimate.readings import sources_of
 from pipeline.atmosphere.estimate.representativeness import (
     UNPLACED_M,
-    Occasion,
+    TimeAndPlace,
     apart,
+    note_source_distances,
     says_nothing,
-    tell_of_nearness,
     unlikeness,
 )
 from pipeline.atmosphere.soundings import Sounding
@@ -45,16 +45,16 @@ def place(north: float, east: float) -> tuple[float, float]:
     ],
 )
 def test_distances(here, there, km):
-    assert Occasion(0, *place(*here)).metres_from(*place(*there)) == pytest.approx(
+    assert TimeAndPlace(0, *place(*here)).metres_from(*place(*there)) == pytest.approx(
         1e3 * km, rel=5e-3, abs=1.0
     )
 
 
 def test_what_is_not_known_is_not_near():
-    nowhere = Occasion(0)
+    nowhere = TimeAndPlace(0)
     assert math.isnan(nowhere.metres_from(*place(47.0, 8.0)))
     assert math.isnan(nowhere.hours_from(None))
-    meridian = Occasion(0, *place(47.0, 8.0)).metres_from(math.radians(57.0), math.nan)
+    meridian = TimeAndPlace(0, *place(47.0, 8.0)).metres_from(math.radians(57.0), math.nan)
     assert meridian == pytest.approx(1.112e6, rel=5e-3)
 
 
@@ -87,7 +87,7 @@ def test_an_old_reading_weighs_what_it_is_worth(hours, km):
      (0.0, 34.0, True), (150.0, 24.0, True)],
 )  # fmt: skip
 def test_what_is_too_far_says_nothing(flights, hours, east, left_out):
-    occasion = Occasion(0, *place(47.0, 8.0))
+    occasion = TimeAndPlace(0, *place(47.0, 8.0))
     balloon = replace(
         balloon_of(flights.Truth(flights.extremes()[1])),
         time_ns=int(hours * HOUR), latitude_rad=place(47.0, east)[0],
@@ -103,7 +103,7 @@ def test_what_is_too_far_says_nothing(flights, hours, east, left_out):
 @pytest.mark.parametrize("hours", [0.0, 2.0, 100.0, 180.0])
 def test_a_report_has_no_distance(where, hours):
     """It has no position: a station near the flight is meant, and its age alone counts."""
-    occasion = Occasion(10**18, *where)
+    occasion = TimeAndPlace(10**18, *where)
     report = SurfaceReport(300.0, 95_000.0, 285.0, 900.0, 10**18 - int(hours * HOUR))
     assert apart(report, occasion) == (pytest.approx(hours, abs=1e-9), 0.0)
     assert says_nothing(report, occasion) is None
@@ -113,16 +113,16 @@ def test_a_report_falls_silent_with_its_age_alone():
     """1/rho^2 - 1 = 9 at rho^2 = 0.1, which is 167 h * ln(10)/2 = 192.3 h."""
     for hours, silent in ((192.2, False), (192.4, True)):
         report = SurfaceReport(300.0, 95_000.0, 285.0, 900.0, -int(hours * HOUR))
-        told = says_nothing(report, Occasion(0))
+        told = says_nothing(report, TimeAndPlace(0))
         assert (told is not None) is silent
         assert not silent or "km" not in told
 
 
 def test_what_is_not_known_of_a_sounding_is_taken_as_far(flights):
     unknown = replace(balloon_of(flights.Truth(flights.extremes()[1])), time_ns=None)
-    assert apart(unknown, Occasion(0, *place(47.0, 8.0))) == (6.0, UNPLACED_M)
+    assert apart(unknown, TimeAndPlace(0, *place(47.0, 8.0))) == (6.0, UNPLACED_M)
     report = SurfaceReport(300.0, 95_000.0, 285.0, 900.0)
-    assert apart(report, Occasion(0)) == (3.0, 0.0)
+    assert apart(report, TimeAndPlace(0)) == (3.0, 0.0)
 
 
 def balloon_of(truth, **change) -> Sounding:
@@ -238,7 +238,7 @@ def test_the_place_of_a_sounding_counts(ascents):
 def test_what_has_no_time_or_place_is_told(flights):
     truth = flights.Truth(flights.extremes()[1])
     placed = {"latitude_rad": truth.latitude, "longitude_rad": 0.2}
-    occasion = Occasion(truth.start_ns, truth.latitude, 0.2)
+    occasion = TimeAndPlace(truth.start_ns, truth.latitude, 0.2)
     report = SurfaceReport(100.0, 1e5, 290.0, math.nan, origin="mission file")
     for change, given, expected in (
         (placed, report, ["SURFACE-UNDATED"]),
@@ -249,7 +249,7 @@ def test_what_has_no_time_or_place_is_told(flights):
     ):
         ledger = Ledger()
         surface = [given] if given else []
-        tell_of_nearness([balloon_of(truth, **change)], surface, occasion, ledger)
+        note_source_distances([balloon_of(truth, **change)], surface, occasion, ledger)
         assert codes(ledger) == expected
 
 

@@ -17,7 +17,7 @@ from pipeline.atmosphere import (
     profile_table,
     standard_atmosphere,
 )
-from pipeline.atmosphere.air_samples import AirSamples, Samples
+from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from pipeline.atmosphere.profile import Layers, Profile, stack_layers
 from pipeline.atmosphere.refractive_index import IndexModel
@@ -190,7 +190,7 @@ def moist_profile(latitude: float) -> Profile:
     everything = np.ones(h.size, bool)
 
     def samples(value, name):
-        return Samples(time_ns, h, value, everything, name)
+        return SensorSamples(time_ns, h, value, everything, name)
 
     adjusted = build_adjusted_profile(
         AirSamples(samples(t, "T"), samples(p, "p"), samples(rh, "rh")),

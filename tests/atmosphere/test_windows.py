@@ -11,11 +11,17 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air_samples import AirSamples, Samples
+from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from pipeline.atmosphere.estimate.solver import estimate
-from pipeline.atmosphere.series.ageing import ages_of
-from pipeline.atmosphere.series.profile_series import TimedAir, aged, air_along, blend, one_air
+from pipeline.atmosphere.series.ageing import sample_ages
+from pipeline.atmosphere.series.profile_series import (
+    TimedProfile,
+    add_ageing,
+    constant_series,
+    interpolate_profiles,
+    interpolate_series,
+)
 from pipeline.atmosphere.series.time_windows import (
     _background,
     _carried,
@@ -92,9 +98,9 @@ def fly(flights, day: Day, sensors, rng, hz: float = 0.5) -> AirSamples:
     time_ns = day.start_ns + np.round(seconds * SECOND).astype(np.int64)
     flown, every = seconds > 90.0, np.ones(n, bool)
     return AirSamples(
-        Samples(time_ns, h, t, flown, "thermometer"),
-        Samples(time_ns, h, p, every, "barometer"),
-        Samples(time_ns, h, rh, flown, "hygrometer"),
+        SensorSamples(time_ns, h, t, flown, "thermometer"),
+        SensorSamples(time_ns, h, p, every, "barometer"),
+        SensorSamples(time_ns, h, rh, flown, "hygrometer"),
     )
 
 
@@ -124,7 +130,7 @@ def flown(flights, day, seed):
 
 
 def along(day, windows):
-    return air_along([w.air for w in windows], day.times, [day.ground + CLIMB], day.ground)
+    return interpolate_series([w.air for w in windows], day.times, [day.ground + CLIMB], day.ground)
 
 
 def test_air_that_changes_is_followed(changing):
@@ -134,7 +140,7 @@ def test_air_that_changes_is_followed(changing):
     assert np.abs(standing).max() > 4.0
     assert len(windows) >= 5
     air = along(day, windows)
-    errors = day.errors([air.airs[i].profile for i in air.number])
+    errors = day.errors([air.timed_profiles[i].profile for i in air.profile_number])
     assert np.abs(errors).max() < 2.5
     assert np.sqrt(np.mean(errors**2)) < 1.2
     assert [entry.code for entry in ledger].count("AIR-WINDOWS") == 1
@@ -144,10 +150,10 @@ def test_sigmas_along_the_flight_are_honest(changing):
     day, _, windows, _ = changing
     air = along(day, windows)
     sigma = [
-        100.0 * air.airs[i].covariance.relative_sigma(day.ground + CLIMB, day.ground)
-        for i in air.number
+        100.0 * air.timed_profiles[i].covariance.relative_sigma(day.ground + CLIMB, day.ground)
+        for i in air.profile_number
     ]
-    errors = day.errors([air.airs[i].profile for i in air.number]) / sigma
+    errors = day.errors([air.timed_profiles[i].profile for i in air.profile_number]) / sigma
     assert np.mean(np.abs(errors) < 1.0) >= 0.5
     assert np.abs(errors).max() < 3.0
     assert 0.3 < min(sigma) <= max(sigma) < 2.0
@@ -247,8 +253,8 @@ class Level:
         h = self.ground + above
         t, p = t + rng.normal(0.0, 0.2, t.size), p + rng.normal(0.0, 5.0, p.size)
         return AirSamples(
-            Samples(stamps, h, t, seconds > 150.0, "thermometer"),
-            Samples(stamps, h, p, np.ones(p.size, bool), "barometer"),
+            SensorSamples(stamps, h, t, seconds > 150.0, "thermometer"),
+            SensorSamples(stamps, h, p, np.ones(p.size, bool), "barometer"),
         )
 
 
@@ -259,9 +265,14 @@ def level(flights, soundings):
     return flight, build_adjusted_profile(samples, US1976, flight.latitude, Ledger())
 
 
-def doubts(along, flight):
+def sigmas_of_r(series, flight):
     top, ground = flight.ground + CLIMB, flight.ground
-    return np.array([along.airs[i].covariance.relative_sigma(top, ground) for i in along.number])
+    return np.array(
+        [
+            series.timed_profiles[i].covariance.relative_sigma(top, ground)
+            for i in series.profile_number
+        ]
+    )
 
 
 def test_sigma_grows_with_the_time_since_the_air_was_sampled(level):
@@ -269,23 +280,23 @@ def test_sigma_grows_with_the_time_since_the_air_was_sampled(level):
     times, ledger = flight.times(), Ledger()
     top, ground = flight.ground + CLIMB, flight.ground
     assert estimate_windows(whole, [top], ground, Ledger()) == ()
-    one = one_air(TimedAir(whole.time_ns, whole.profile, whole.covariance), times.size)
-    along = aged(one, times, whole.samples, top, ground, ledger)
-    sigma = doubts(along, flight)
+    one = constant_series(TimedProfile(whole.time_ns, whole.profile, whole.covariance), times.size)
+    series = add_ageing(one, times, whole.samples, top, ground, ledger)
+    sigma = sigmas_of_r(series, flight)
     assert sigma[0] == pytest.approx(whole.covariance.relative_sigma(top, ground))
     assert np.all(np.diff(sigma[1:]) > 0.0)
     errors = np.array([truth.error(whole.profile, CLIMB) for truth in flight.truths])
     assert np.abs(errors).max() > 0.02
     # With the sigma of the estimate alone the last is off by 5.7 of it.
-    assert np.abs(errors / doubts(one, flight)).max() > 5.0
+    assert np.abs(errors / sigmas_of_r(one, flight)).max() > 5.0
     assert np.abs(errors / sigma)[3:].max() < 2.5
     (entry,) = list(ledger)
     assert entry.code == "AIR-AGED"
     assert "3.0 h" in entry.what
     assert 4 <= entry.count <= 6
     # The profile itself stays, and the height of the cameras was measured all the time.
-    assert all(air.profile is whole.profile for air in along.airs)
-    late = along.airs[along.number[-1]].covariance
+    assert all(air.profile is whole.profile for air in series.timed_profiles)
+    late = series.timed_profiles[series.profile_number[-1]].covariance
     for of in ("sigma_temperature", "sigma_refractivity", "sigma_log_pressure"):
         old, new = (getattr(c, of)([ground + 300.0, top]) for c in (whole.covariance, late))
         assert new[0] > 1.5 * old[0]
@@ -300,7 +311,7 @@ def test_air_that_was_sampled_before_and_after_is_oldest_between(level):
         name: replace(getattr(whole.samples, name), h_m=getattr(whole.samples, name).h_m - down)
         for name in ("temperature", "pressure")
     }
-    ages = ages_of(AirSamples(**sensors), flight.times(), flight.ground, flight.ground + CLIMB)
+    ages = sample_ages(AirSamples(**sensors), flight.times(), flight.ground, flight.ground + CLIMB)
     low = [float(age.hours[5]) for age in ages]
     # Up at 0.1 h, down at 2.9 h: sqrt(1.4^2 - 0.5^2) = 1.3 h in the middle.
     assert low[0] == low[-1] == 0.0
@@ -312,12 +323,16 @@ def test_fresh_air_stays_as_it_is(changing):
     day, whole, windows, _ = changing
     ledger = Ledger()
     top, times = day.ground + CLIMB, day.times[:-1]  # in the end it was low 40 minutes ago
-    along_it = air_along([w.air for w in windows], times, [top], day.ground)
-    assert aged(along_it, times, whole.samples, top, day.ground + 300.0, ledger) is along_it
+    unaged = interpolate_series([w.air for w in windows], times, [top], day.ground)
+    assert add_ageing(unaged, times, whole.samples, top, day.ground + 300.0, ledger) is unaged
     assert list(ledger) == []
-    nothing = AirSamples(Samples(np.empty(0, np.int64), *[np.empty(0)] * 2, np.empty(0, bool)))
-    assert all(age.is_fresh for age in ages_of(nothing, day.times, 0.0, 3000.0))
-    assert aged(one_air(windows[0].air, 0), np.empty(0, np.int64), nothing, 1.0, 0.0, ledger)
+    nothing = AirSamples(
+        SensorSamples(np.empty(0, np.int64), *[np.empty(0)] * 2, np.empty(0, bool))
+    )
+    assert all(age.is_fresh for age in sample_ages(nothing, day.times, 0.0, 3000.0))
+    assert add_ageing(
+        constant_series(windows[0].air, 0), np.empty(0, np.int64), nothing, 1.0, 0.0, ledger
+    )
 
 
 # ---- windows of time
@@ -326,7 +341,9 @@ def test_fresh_air_stays_as_it_is(changing):
 def sensor(hours, above, value=280.0, accepted=True):
     hours, above = np.asarray(hours, float), np.asarray(above, float)
     time_ns = (hours * 3600.0 * SECOND).astype(np.int64)
-    return Samples(time_ns, above, np.full(hours.size, value), np.full(hours.size, accepted), "s")
+    return SensorSamples(
+        time_ns, above, np.full(hours.size, value), np.full(hours.size, accepted), "s"
+    )
 
 
 def hours_of(windows):
@@ -397,7 +414,7 @@ def pair(changing):
 @pytest.mark.parametrize("share", [0.25, 0.5, 0.9])
 def test_a_blend_is_linear_and_hydrostatic(pair, share):
     a, b = pair
-    mixed = blend(a, b, share)
+    mixed = interpolate_profiles(a, b, share)
     h = np.linspace(500.0, 8000.0, 801)
     for of in ("virtual_temperature", "pressure", "refractivity"):
         mean = (1 - share) * getattr(a.profile, of)(h) + share * getattr(b.profile, of)(h)
@@ -412,15 +429,15 @@ def test_a_blend_is_linear_and_hydrostatic(pair, share):
 
 def test_the_ends_of_a_blend_are_the_profiles_themselves(pair):
     a, b = pair
-    assert blend(a, b, 0.0) is a
-    assert blend(a, b, 1.0) is b
+    assert interpolate_profiles(a, b, 0.0) is a
+    assert interpolate_profiles(a, b, 1.0) is b
 
 
 def test_a_blend_is_never_surer_than_its_ends(pair):
     """Whatever the errors of the two have in common: between the sigmas, never below the mix."""
     a, b = pair
     h = np.linspace(500.0, 6000.0, 50)
-    mixed = blend(a, b, 0.5).covariance
+    mixed = interpolate_profiles(a, b, 0.5).covariance
     for of in ("sigma_temperature", "sigma_refractivity", "sigma_log_pressure"):
         one, other = (getattr(air.covariance, of)(h) for air in pair)
         found = getattr(mixed, of)(h)
@@ -430,38 +447,38 @@ def test_a_blend_is_never_surer_than_its_ends(pair):
 
 def test_profiles_follow_each_other_closely(pair):
     times = np.linspace(pair[0].time_ns - 10**12, pair[1].time_ns + 10**12, 5000).astype(np.int64)
-    air = air_along(pair, times, [3000.0], 400.0)
+    air = interpolate_series(pair, times, [3000.0], 400.0)
     steps = [
         abs(two.change_from(one, [3000.0], 400.0))
-        for one, two in zip(air.airs, air.airs[1:], strict=False)
+        for one, two in zip(air.timed_profiles, air.timed_profiles[1:], strict=False)
     ]
     assert max(steps) < 5.05e-4
-    assert len(air.airs) > 50
-    assert (np.diff(air.number) >= 0).all()
-    assert air.airs[0] is pair[0]
-    assert air.airs[-1] is pair[1]
+    assert len(air.timed_profiles) > 50
+    assert (np.diff(air.profile_number) >= 0).all()
+    assert air.timed_profiles[0] is pair[0]
+    assert air.timed_profiles[-1] is pair[1]
 
 
 def test_only_profiles_that_an_exposure_takes_are_made(pair):
-    air = air_along(pair, np.array([pair[0].time_ns, pair[1].time_ns]), [3000.0], 400.0)
-    assert len(air.airs) == 2
-    assert air.number.tolist() == [0, 1]
+    air = interpolate_series(pair, np.array([pair[0].time_ns, pair[1].time_ns]), [3000.0], 400.0)
+    assert len(air.timed_profiles) == 2
+    assert air.profile_number.tolist() == [0, 1]
 
 
 def test_the_air_at_exposures_is_that_of_their_profile(pair):
-    air = air_along(pair, np.array([pair[1].time_ns, pair[0].time_ns]), [3000.0], 400.0)
+    air = interpolate_series(pair, np.array([pair[1].time_ns, pair[0].time_ns]), [3000.0], 400.0)
     h = np.array([1000.0, 2000.0])
     for of in ("pressure", "temperature", "vapour_pressure", "refractivity"):
         one, other = getattr(pair[1].profile, of)(1000.0), getattr(pair[0].profile, of)(2000.0)
         assert getattr(air, of)(h) == pytest.approx([float(one), float(other)])
     assert air.index == US1976.index
-    alone = one_air(TimedAir(None, US1976), 2)
+    alone = constant_series(TimedProfile(None, US1976), 2)
     assert (alone.pressure(h) == US1976.pressure(h)).all()
 
 
 def test_air_without_a_time_cannot_be_put_in_order(pair):
     timeless = replace(pair[0], time_ns=None)
     with pytest.raises(ValueError, match="time"):
-        air_along((timeless, pair[1]), np.zeros(1, np.int64), [3000.0], 0.0)
+        interpolate_series((timeless, pair[1]), np.zeros(1, np.int64), [3000.0], 0.0)
     with pytest.raises(ValueError, match="both"):
-        blend(timeless, pair[1], 0.5)
+        interpolate_profiles(timeless, pair[1], 0.5)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air_samples import AirSamples, Samples
+from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from pipeline.ledger import Ledger
 from pipeline.refraction import ray_table, refraction_angle
@@ -33,7 +33,9 @@ def wiggly():
     rh = 0.5 + 0.3 * np.sin(h / 150.0)
     p = 98_000.0 * np.exp(-(h - 300.0) / 8400.0)
     used = np.ones(h.size, bool)
-    samples = (Samples(time_ns, h, v, used, name) for v, name in ((t, "T"), (p, "p"), (rh, "rh")))
+    samples = (
+        SensorSamples(time_ns, h, v, used, name) for v, name in ((t, "T"), (p, "p"), (rh, "rh"))
+    )
     return build_adjusted_profile(
         AirSamples(*samples), standard_atmosphere("us1976"), 47.0 * DEGREE, Ledger()
     ).profile

@@ -11,8 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.atmosphere.climatology import climatology
-from pipeline.atmosphere.series.profile_series import TimedAir
-from pipeline.atmosphere.series.time_windows import Window
+from pipeline.atmosphere.series.profile_series import TimedProfile
+from pipeline.atmosphere.series.time_windows import TimeWindow
 from pipeline.config.atmosphere import SensorsSection
 from pipeline.simulate.mission import FIELD_LAT_RAD
 from pipeline.simulate.true_air import (
@@ -414,7 +414,7 @@ def two_airs(mission, baseline, monkeypatch, names=ENDS):
         ]
         airs = [c.profile.at_level(np.array([height]), np.array([p])) for c in climates]
         return tuple(
-            Window(int(t), int(t) + 1, TimedAir(int(t), air), 0.1, 0.01)
+            TimeWindow(int(t), int(t) + 1, TimedProfile(int(t), air), 0.1, 0.01)
             for t, air in zip((times[0], times[-1]), airs, strict=True)
         )
 

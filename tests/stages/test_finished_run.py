@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.series.profile_series import TimedAir, one_air
+from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
 from pipeline.flight.stations import NO_TIME, Stations
 from pipeline.stages.finished_run import profile_of, stations_of
 from pipeline.stages.story import air_of_mission
@@ -299,7 +299,9 @@ def test_stations_come_back():
         cabin_vapour_pressure_pa=4e2 * numbers, sigma_horizontal_m=numbers,
         sigma_height_m=2.0 * numbers, status=np.array(["ok", "unmatched"], object),
     )  # fmt: skip
-    table = stations_table(before, one_air(TimedAir(None, standard_atmosphere("us1976")), 2))
+    table = stations_table(
+        before, constant_series(TimedProfile(None, standard_atmosphere("us1976")), 2)
+    )
     for axis, values in zip("wxyz", before.aircraft_quaternion.T, strict=True):
         name = f"aircraft_q_{axis}"
         if name not in table.schema.names:

@@ -33,9 +33,9 @@ def with_covariance(monkeypatch, covariance_of):
     def adjust_air(*given):
         air = original(*given)
         covariance = covariance_of(air.adjustment.profile)
-        airs = tuple(replace(one, own=covariance, ends=None) for one in air.along.airs)
+        airs = tuple(replace(one, own=covariance, ends=None) for one in air.series.timed_profiles)
         adjustment = replace(air.adjustment, covariance=covariance)
-        return replace(air, adjustment=adjustment, along=replace(air.along, airs=airs))
+        return replace(air, adjustment=adjustment, series=replace(air.series, timed_profiles=airs))
 
     monkeypatch.setattr(stages, "adjust_air", adjust_air)
 
@@ -145,8 +145,8 @@ def test_behind_a_window_against_runs_in_other_air(mission, monkeypatch, windows
                 air = original(*given)
                 profile = air.adjustment.profile
                 denser = profile.at_level(0.0, profile.pressure(0.0) * np.exp(ln_p))
-                airs = tuple(replace(one, profile=denser) for one in air.along.airs)
-                return replace(air, along=replace(air.along, airs=airs))
+                airs = tuple(replace(one, profile=denser) for one in air.series.timed_profiles)
+                return replace(air, series=replace(air.series, timed_profiles=airs))
 
             patch.setattr(stages, "adjust_air", adjust_air)
             ran(mission)

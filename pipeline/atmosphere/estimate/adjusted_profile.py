@@ -24,8 +24,8 @@ from pipeline.atmosphere.estimate.estimate_checks import (
     not_outside,
     worse_than_climatology,
 )
-from pipeline.atmosphere.estimate.representativeness import Occasion, says_nothing
-from pipeline.atmosphere.estimate.sensor_checks import believable, judge_level
+from pipeline.atmosphere.estimate.representativeness import TimeAndPlace, says_nothing
+from pipeline.atmosphere.estimate.sensor_checks import judge_level, usable_sensors
 from pipeline.atmosphere.estimate.sensors import Barometer, Humidities, Temperatures, Thermometer
 from pipeline.atmosphere.estimate.solver import Estimate, Fit, Nuisance, estimate
 from pipeline.atmosphere.estimate.source_usage import Flown, SourceUse, account
@@ -125,13 +125,13 @@ def build_adjusted_profile(
     1.2 / 0.7 % at 3 / 6 km.
     """
     standard = under_gravity(standard, latitude_rad)
-    occasion = Occasion(_middle(samples, time_ns), latitude_rad, longitude_rad)
+    occasion = TimeAndPlace(_middle(samples, time_ns), latitude_rad, longitude_rad)
     month = month_of(occasion.time_ns)
     moisture = climatology(AUTO, latitude_rad=latitude_rad, month=month, index=standard.index)
     if background is None:
         background = _about(standard, moisture, latitude_rad, month)
     given = calibrated(samples, ledger)
-    samples = believable(given, standard, ledger)
+    samples = usable_sensors(given, standard, ledger)
     useless = _too_far((*soundings, *surface), occasion, ledger)
     near = [s for s in soundings if s.name not in useless]
     reports = [r for r in surface if r.name not in useless]
@@ -202,7 +202,7 @@ def _middle(samples: AirSamples, otherwise: int | None) -> int | None:
 
 
 def _too_far(
-    sources: Sequence[Sounding | SurfaceReport], occasion: Occasion, ledger: Ledger
+    sources: Sequence[Sounding | SurfaceReport], occasion: TimeAndPlace, ledger: Ledger
 ) -> dict[str, str]:
     """Sources that are too old or too far away to say anything, by name with the reason."""
     found = {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from pipeline.atmosphere.air_samples import AirSamples, Calibrated
+from pipeline.atmosphere.air_samples import AirSamples, SensorCalibration
 from pipeline.atmosphere.estimate.sensors import BIAS, HYGROMETER_FAULT, OFFSET
 from pipeline.atmosphere.estimate.solver import Estimate
 from pipeline.ledger import Ledger
@@ -28,7 +28,7 @@ def calibrated(samples: AirSamples, ledger: Ledger) -> AirSamples:
         if known is None or not known.mean or readings is None:
             continue
         taken[sensor] = replace(readings, value=readings.value - known.mean)
-        rest[name] = Calibrated(0.0, known.sigma, known.mean)
+        rest[name] = SensorCalibration(0.0, known.sigma, known.mean)
         words.append(f"{name} of {readings.name} {known.mean:g}")
     if words:
         ledger.note(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from pipeline.atmosphere.air_samples import AirSamples, Samples
+from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
 
@@ -47,7 +47,7 @@ class Basis:
     reason: str
     samples: AirSamples
     beside: Beside
-    main: Samples | None = None
+    main: SensorSamples | None = None
 
 
 def bases(
@@ -124,7 +124,7 @@ def _of_the_flight(samples: AirSamples, beside: Beside) -> list[Basis]:
     return found
 
 
-def _if_tall(sensor: Samples | None, least_m: float) -> Samples | None:
+def _if_tall(sensor: SensorSamples | None, least_m: float) -> SensorSamples | None:
     """A sensor that spans enough height."""
     return sensor if sensor is not None and sensor.extent_m >= least_m else None
 
@@ -137,7 +137,7 @@ def _told(reason: str, beside: Beside) -> str:
     return f"{reason}; without {left_out}" if left_out else reason
 
 
-def _reaches_beyond(pressure: Samples, temperature: Samples) -> bool:
+def _reaches_beyond(pressure: SensorSamples, temperature: SensorSamples) -> bool:
     """Whether the barometer sampled half a kilometre or more beyond the thermometer."""
     warm, all_of_it = temperature.used()[0], pressure.used()[0]
     beyond = max(all_of_it.max() - warm.max(), warm.min() - all_of_it.min())

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.air_samples import AirSamples, Samples
+from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.estimate.readings import part_of
 from pipeline.atmosphere.estimate.sensors import Barometer, Thermometer
@@ -171,7 +171,7 @@ def _half_an_hour(samples: AirSamples) -> AirSamples:
         return samples
     until = int(sensor.time_ns[sensor.accepted][0]) + round(TOGETHER_S * 1e9)
 
-    def early(part: Samples | None) -> Samples | None:
+    def early(part: SensorSamples | None) -> SensorSamples | None:
         return part and replace(part, accepted=part.accepted & (part.time_ns <= until))
 
     return replace(

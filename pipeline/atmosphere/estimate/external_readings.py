@@ -11,7 +11,7 @@ from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.estimate.representativeness import (
     SPREAD_K,
     SPREAD_RH,
-    Occasion,
+    TimeAndPlace,
     apart,
     unlikeness,
 )
@@ -64,7 +64,7 @@ def of_the_sea(background: Climatology) -> list[Source]:
 
 
 def departures_of(
-    soundings: Sequence[Sounding], background: Climatology, occasion: Occasion
+    soundings: Sequence[Sounding], background: Climatology, occasion: TimeAndPlace
 ) -> tuple[Drift, ...]:
     """How the air of each sounding departs from that of the flight, over its own heights."""
     gravity = background.profile.gravity
@@ -95,7 +95,7 @@ def _inside(sounding: Sounding, background: Climatology) -> NDArray[np.bool_]:
 
 
 def of_sounding(
-    sounding: Sounding, number: int, background: Climatology, occasion: Occasion
+    sounding: Sounding, number: int, background: Climatology, occasion: TimeAndPlace
 ) -> list[Source]:
     """Temperatures and humidities of a balloon, and its pressure at the lowest level.
 
@@ -127,7 +127,9 @@ def of_sounding(
     return found
 
 
-def of_report(report: SurfaceReport, background: Climatology, occasion: Occasion) -> list[Source]:
+def of_report(
+    report: SurfaceReport, background: Climatology, occasion: TimeAndPlace
+) -> list[Source]:
     """What a station on the ground says of the air above it, less certain by its age."""
     height = background.profile.gravity.geopotential_height(np.array([report.h_m]))
     hours, _ = apart(report, occasion)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.air_samples import AirSamples, Calibrated, Samples
+from pipeline.atmosphere.air_samples import AirSamples, SensorCalibration, SensorSamples
 from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.estimate.bins import Bins, bin_readings
 from pipeline.atmosphere.estimate.external_readings import (
@@ -17,7 +17,7 @@ from pipeline.atmosphere.estimate.external_readings import (
     of_sounding,
     of_the_sea,
 )
-from pipeline.atmosphere.estimate.representativeness import Occasion
+from pipeline.atmosphere.estimate.representativeness import TimeAndPlace
 from pipeline.atmosphere.estimate.sensors import (
     BAROMETER_DRIFT,
     BAROMETER_FAULTS,
@@ -87,7 +87,7 @@ def sources_of(
     background: Climatology,
     soundings: Sequence[Sounding] = (),
     surface: Sequence[SurfaceReport] = (),
-    occasion: Occasion | None = None,
+    occasion: TimeAndPlace | None = None,
 ) -> Sources:
     """The readings of a flight in bins, and of soundings and stations, with their faults.
 
@@ -98,7 +98,7 @@ def sources_of(
     """
     flown = _flown(samples, background)
     found: list[Source] = of_the_sea(background)
-    when = occasion or Occasion(flown.start_ns)
+    when = occasion or TimeAndPlace(flown.start_ns)
     for number, sounding in enumerate(soundings):
         found += of_sounding(sounding, number, background, when)
     for report in surface:
@@ -165,7 +165,7 @@ def _flown(samples: AirSamples, background: Climatology) -> _Flown:
         board = samples.board_temperature
         bias = replace(THERMOMETER_FAULTS[0], sigma=BOARD_BIAS_K if board else 3.0)
         faults += [bias, *THERMOMETER_FAULTS[1:], *([RECOVERY] if warm.heating is not None else [])]
-        known = samples.calibration.get(THERMOMETER_DRIFT, Calibrated())
+        known = samples.calibration.get(THERMOMETER_DRIFT, SensorCalibration())
         wander = known.sigma_or(BOARD_DRIFT_K if board else 0.4)
         drifts.append(Drift(THERMOMETER_DRIFT, course, wander, 900.0))
     if "humidity" in used:
@@ -182,9 +182,9 @@ def _flown(samples: AirSamples, background: Climatology) -> _Flown:
     )
 
 
-def _calibrated(fault: Fault, calibration: Mapping[str, Calibrated]) -> Fault:
+def _calibrated(fault: Fault, calibration: Mapping[str, SensorCalibration]) -> Fault:
     """A fault as the calibration of its sensor expects it."""
-    known = calibration.get(fault.name, Calibrated())
+    known = calibration.get(fault.name, SensorCalibration())
     return replace(fault, mean=known.mean_or(fault.mean), sigma=known.sigma_or(fault.sigma))
 
 
@@ -194,14 +194,14 @@ class _BinSize:
     slice_s: float
 
 
-def _width(used: Mapping[str, Samples]) -> float:
+def _width(used: Mapping[str, SensorSamples]) -> float:
     """Of bins [m']: fine in a shallow flight, wider where many legs would fill too many."""
     extent = max(sensor.extent_m for sensor in used.values())
     way = max(_way(sensor) for sensor in used.values())
     return max(SHALLOW_BIN_M if extent < SHALLOW_M else BIN_M, way / MOST_BINS)
 
 
-def _way(sensor: Samples) -> float:
+def _way(sensor: SensorSamples) -> float:
     """Metres climbed and descended, from heights a quarter minute apart."""
     seconds = _seconds(sensor, int(sensor.time_ns[0]))
     known = np.isfinite(sensor.h_m)
@@ -211,11 +211,11 @@ def _way(sensor: Samples) -> float:
     return float(np.abs(np.diff(h)).sum())
 
 
-def _seconds(sensor: Samples, start: int) -> Array:
+def _seconds(sensor: SensorSamples, start: int) -> Array:
     return np.asarray((sensor.time_ns - start).astype(np.float64) * 1e-9)
 
 
-def _usable(sensor: Samples, background: Climatology) -> NDArray[np.bool_]:
+def _usable(sensor: SensorSamples, background: Climatology) -> NDArray[np.bool_]:
     """Accepted readings at heights that both aircraft and background reach."""
     with np.errstate(invalid="ignore"):
         inside = (sensor.h_m > background.profile.bottom_m + 500.0) & (sensor.h_m < TOP_M - 2000.0)
@@ -223,7 +223,7 @@ def _usable(sensor: Samples, background: Climatology) -> NDArray[np.bool_]:
 
 
 def _binned(
-    sensor: Samples,
+    sensor: SensorSamples,
     departure: Array,
     background: Climatology,
     start: int,
@@ -239,7 +239,7 @@ def _binned(
 
 
 def _barometer(
-    sensor: Samples, samples: AirSamples, background: Climatology, start: int, size: _BinSize
+    sensor: SensorSamples, samples: AirSamples, background: Climatology, start: int, size: _BinSize
 ) -> tuple[Bins, Barometer]:
     profile = background.profile
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -253,7 +253,7 @@ def _barometer(
 
 
 def _thermometer(
-    sensor: Samples,
+    sensor: SensorSamples,
     samples: AirSamples,
     background: Climatology,
     start: int,
@@ -279,7 +279,7 @@ def _thermometer(
 
 
 def _hygrometer(
-    sensor: Samples, background: Climatology, start: int, size: _BinSize
+    sensor: SensorSamples, background: Climatology, start: int, size: _BinSize
 ) -> tuple[Bins, Humidities]:
     size = _BinSize(2.0 * size.width_m, size.slice_s)
     bins = _binned(sensor, sensor.value, background, start, size, LEAST_SCATTER_RH)
@@ -300,7 +300,7 @@ def _airspeed(samples: AirSamples, seconds: Array, start: int) -> Array | None:
     return np.interp(seconds, times, np.maximum(sensor.value[known], 0.0))
 
 
-def _takeoffs(samples: AirSamples, used: Mapping[str, Samples], start: int) -> Array:
+def _takeoffs(samples: AirSamples, used: Mapping[str, SensorSamples], start: int) -> Array:
     """Times of take-off [s]; where nobody looked, when the lowest 20 m were first left."""
     if samples.takeoff_ns is not None:
         seen = (samples.takeoff_ns - start) * 1e-9

@@ -42,7 +42,7 @@ _MOST_EXPONENT = 50.0  # exp of it is finite, and far beyond NOTHING
 
 
 @dataclass(frozen=True)
-class Occasion:
+class TimeAndPlace:
     """When [Unix ns] and where [rad] a flight was; None and NaN where nobody knows."""
 
     time_ns: int | None = None
@@ -52,7 +52,7 @@ class Occasion:
     def hours_from(self, time_ns: int | None) -> float:
         """Hours to another time, NaN where either is not known.
 
-        >>> Occasion(3_600_000_000_000).hours_from(0)
+        >>> TimeAndPlace(3_600_000_000_000).hours_from(0)
         1.0
         """
         if self.time_ns is None or time_ns is None:
@@ -62,7 +62,7 @@ class Occasion:
     def metres_from(self, latitude_rad: float, longitude_rad: float) -> float:
         """Great-circle distance [m]; along the meridian without a longitude, NaN without both.
 
-        >>> round(Occasion(None, 0.0, 0.0).metres_from(0.0, 0.1))
+        >>> round(TimeAndPlace(None, 0.0, 0.0).metres_from(0.0, 0.1))
         637100
         """
         north = latitude_rad - self.latitude_rad
@@ -85,7 +85,7 @@ def unlikeness(hours: float, metres: float = 0.0) -> float:
     return math.expm1(min(exponent, _MOST_EXPONENT))
 
 
-def apart(source: Sounding | SurfaceReport, occasion: Occasion) -> tuple[float, float]:
+def apart(source: Sounding | SurfaceReport, occasion: TimeAndPlace) -> tuple[float, float]:
     """Hours and metres between a source and the flight.
 
     Six hours and 100 km where those of a sounding are not known; three hours, and no distance, of
@@ -101,10 +101,10 @@ def apart(source: Sounding | SurfaceReport, occasion: Occasion) -> tuple[float, 
     )
 
 
-def says_nothing(source: Sounding | SurfaceReport, occasion: Occasion) -> str | None:
+def says_nothing(source: Sounding | SurfaceReport, occasion: TimeAndPlace) -> str | None:
     """Why a source is too old or too far away to say anything of the flight's air, in words.
 
-    >>> says_nothing(SurfaceReport(0.0, 1e5, 280.0, 800.0, time_ns=0), Occasion(10**15))
+    >>> says_nothing(SurfaceReport(0.0, 1e5, 280.0, 800.0, time_ns=0), TimeAndPlace(10**15))
     'it is 278 hours from the flight: the climatology knows as much'
     """
     hours, metres = apart(source, occasion)
@@ -119,10 +119,10 @@ def says_nothing(source: Sounding | SurfaceReport, occasion: Occasion) -> str | 
     return f"it is {far} from the flight: the climatology knows as much"
 
 
-def tell_of_nearness(
+def note_source_distances(
     soundings: Sequence[Sounding],
     surface: Sequence[SurfaceReport],
-    occasion: Occasion,
+    occasion: TimeAndPlace,
     ledger: Ledger,
 ) -> None:
     """Say which sources have no time or place, and which soundings come from far away."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.air_samples import BIN_M, AirSamples, Samples, bin_by_height
+from pipeline.atmosphere.air_samples import BIN_M, AirSamples, SensorSamples, bin_by_height
 from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.hypsometry import Fall, fall_of_pressure
 from pipeline.atmosphere.profile import Profile
@@ -49,7 +49,7 @@ UNLIKELY_SIGMAS, IMPOSSIBLE_SIGMAS = 5.0, 10.0
 """Departures of pressure at sea level from the climatology, whose sigma is about 1 %."""
 
 
-def believable(samples: AirSamples, standard: Profile, ledger: Ledger) -> AirSamples:
+def usable_sensors(samples: AirSamples, standard: Profile, ledger: Ledger) -> AirSamples:
     """The samples without the sensors that contradict physics, or one another.
 
     A sensor must not stand still. Pressure must fall with GNSS height as it does in air of 180 to
@@ -97,7 +97,7 @@ def _moving(samples: AirSamples, ledger: Ledger) -> AirSamples:
     )
 
 
-def _without_stuck(sensor: Samples | None, name: str, ledger: Ledger) -> Samples | None:
+def _without_stuck(sensor: SensorSamples | None, name: str, ledger: Ledger) -> SensorSamples | None:
     """A sensor without the readings during which it stood still."""
     if sensor is None:
         return None
@@ -116,7 +116,7 @@ def _without_stuck(sensor: Samples | None, name: str, ledger: Ledger) -> Samples
     return kept if bool(kept.accepted.any()) else None
 
 
-def _lose_pressure(pressure: Samples, found: str, ledger: Ledger) -> None:
+def _lose_pressure(pressure: SensorSamples, found: str, ledger: Ledger) -> None:
     ledger.loss(
         "AIR-NOT-OUTSIDE",
         f"the pressure of {pressure.name} {found} over {pressure.extent_m:.0f} m of GNSS height: "
@@ -125,7 +125,7 @@ def _lose_pressure(pressure: Samples, found: str, ledger: Ledger) -> None:
     )
 
 
-def _stuck(sensor: Samples, name: str) -> NDArray[np.bool_]:
+def _stuck(sensor: SensorSamples, name: str) -> NDArray[np.bool_]:
     """Which readings belong to a run of equal ones over more height than the steps explain."""
     stuck = np.zeros(sensor.value.size, dtype=bool)
     rows = np.flatnonzero(sensor.accepted)
@@ -145,7 +145,7 @@ def _stuck(sensor: Samples, name: str) -> NDArray[np.bool_]:
     return stuck
 
 
-def _fall(pressure: Samples, standard: Profile) -> Fall | None:
+def _fall(pressure: SensorSamples, standard: Profile) -> Fall | None:
     """How pressure falls, by medians in bins of height; None where there are too few."""
     geopotential = standard.gravity.geopotential_height(pressure.h_m)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -157,7 +157,9 @@ def _fall(pressure: Samples, standard: Profile) -> Fall | None:
     return fall_of_pressure(height, log_p)
 
 
-def _disagreement(temperature: Samples, pressure: Samples, standard: Profile) -> str | None:
+def _disagreement(
+    temperature: SensorSamples, pressure: SensorSamples, standard: Profile
+) -> str | None:
     """How a thermometer reads against what pressure implies, in words; None where they agree.
 
     Over all common heights, and the upper half of them against the lower: a sensor that reads the
@@ -181,7 +183,7 @@ def _disagreement(temperature: Samples, pressure: Samples, standard: Profile) ->
     return f"changes by {change:+.1f} K from the lower to the upper half of {high - low:.0f} m"
 
 
-def _tell_of_doubt(temperature: Samples, standard: Profile, ledger: Ledger) -> None:
+def _tell_of_doubt(temperature: SensorSamples, standard: Profile, ledger: Ledger) -> None:
     """That a thermometer which reads the same everywhere may be indoors, where none can tell."""
     extent = temperature.extent_m
     if not STUCK_M <= extent < 2.0 * HALF_TO_COMPARE_M:
@@ -204,7 +206,7 @@ def _largest(of_sensor_k: float, wander_m: float, extent_m: float) -> float:
 
 
 def _excess_over_pressure(
-    temperature: Samples, pressure: Samples, standard: Profile, low: float, high: float
+    temperature: SensorSamples, pressure: SensorSamples, standard: Profile, low: float, high: float
 ) -> float | None:
     """Excess [K] of a thermometer over what pressure implies between two heights [m].
 
@@ -233,7 +235,7 @@ def _excess_over_pressure(
 
 
 def judge_level(
-    profile: Profile, background: Climatology, pressure: Samples | None, ledger: Ledger
+    profile: Profile, background: Climatology, pressure: SensorSamples | None, ledger: Ledger
 ) -> None:
     """Say how well the profile carries the measured pressures, and whether their level can be.
 

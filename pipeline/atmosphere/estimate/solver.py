@@ -18,7 +18,7 @@ from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.estimate.readings import Sources, sources_of
-from pipeline.atmosphere.estimate.representativeness import Occasion
+from pipeline.atmosphere.estimate.representativeness import TimeAndPlace
 from pipeline.atmosphere.estimate.sensors import (
     Barometer,
     Humidities,
@@ -130,7 +130,7 @@ def estimate(
     moisture: Climatology | None = None,
     soundings: Sequence[Sounding] = (),
     surface: Sequence[SurfaceReport] = (),
-    occasion: Occasion | None = None,
+    occasion: TimeAndPlace | None = None,
     known: Sequence[Nuisance] = (),
 ) -> Estimate:
     """The air that samples, soundings and surface reports speak of, with its covariance.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from pipeline.atmosphere.air_samples import AirSamples, Samples
+from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.estimate.solver import Fit
 from pipeline.atmosphere.soundings import Sounding
@@ -117,7 +117,7 @@ def all_unused(
 
 
 def _why_not(name: str, flown: Flown) -> str | None:
-    given: Samples | None = getattr(flown.given, name)
+    given: SensorSamples | None = getattr(flown.given, name)
     if given is None:
         return "none outside in the log"
     if not bool(given.accepted.any()):

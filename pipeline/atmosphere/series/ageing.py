@@ -32,7 +32,7 @@ _BIN_M, _MINUTE_NS = 100.0, 60 * 10**9
 
 
 @dataclass(frozen=True, eq=False)
-class Ages:
+class SampleAges:
     """Hours (n,) that the air of heights (n,) [m] has changed for since, or until, it was sampled.
 
     sqrt(t^2 - (1/2 h)^2): nothing within half an hour, and nearly t in the end.
@@ -47,7 +47,9 @@ class Ages:
         return not bool(np.any(self.hours > 0.0))
 
 
-def ages_of(samples: AirSamples, time_ns: Sequence[int], h_g: float, h_c: float) -> list[Ages]:
+def sample_ages(
+    samples: AirSamples, time_ns: Sequence[int], h_g: float, h_c: float
+) -> list[SampleAges]:
     """How old the air between two heights [m above sea level] is at times [Unix ns].
 
     By the nearest readings of thermometer or barometer before or after, in bins of 100 m; a bin
@@ -59,7 +61,7 @@ def ages_of(samples: AirSamples, time_ns: Sequence[int], h_g: float, h_c: float)
         if s is not None
     ]
     if not any(bins.size for bins, _ in visits):
-        return [Ages(np.zeros(1), np.zeros(1)) for _ in time_ns]
+        return [SampleAges(np.zeros(1), np.zeros(1)) for _ in time_ns]
     both = np.unique(
         np.concatenate([np.stack([bins.astype(np.int64), at]) for bins, at in visits], axis=1),
         axis=1,
@@ -73,7 +75,7 @@ def ages_of(samples: AirSamples, time_ns: Sequence[int], h_g: float, h_c: float)
     for now in time_ns:
         apart = np.array([np.abs(at - now // _MINUTE_NS).min() / 60.0 for at in visited])
         fresh = (FRESH_S / 3600.0) ** 2
-        found.append(Ages(middles, np.sqrt(np.maximum(apart**2 - fresh, 0.0))))
+        found.append(SampleAges(middles, np.sqrt(np.maximum(apart**2 - fresh, 0.0))))
     return found
 
 
@@ -83,7 +85,7 @@ def change_sigma(above_ground_m: Array, hours: Array | float) -> Array:
     return np.asarray(np.sqrt(CHANGE_K2_PER_H * hours) * (CHANGE_ALOFT + (1 - CHANGE_ALOFT) * near))
 
 
-def grown(covariance: ProfileCovariance, ages: Ages) -> ProfileCovariance:
+def covariance_with_ageing(covariance: ProfileCovariance, ages: SampleAges) -> ProfileCovariance:
     """A covariance with what the air changes in its age added.
 
     Temperatures wander by `change_sigma`, neighbours within 1500 m alike, and carry pressure with

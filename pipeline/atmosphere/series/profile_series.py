@@ -14,7 +14,12 @@ from pipeline.atmosphere.covariance import ProfileCovariance, plane_rule
 from pipeline.atmosphere.hypsometry import hats
 from pipeline.atmosphere.profile import Profile, stack_layers
 from pipeline.atmosphere.refractive_index import IndexModel
-from pipeline.atmosphere.series.ageing import FRESH_S, Ages, ages_of, grown
+from pipeline.atmosphere.series.ageing import (
+    FRESH_S,
+    SampleAges,
+    covariance_with_ageing,
+    sample_ages,
+)
 from pipeline.ledger import Ledger
 
 Array = NDArray[np.float64]
@@ -30,7 +35,7 @@ _SLIVER_M = 1.0  # edges of two profiles nearer than this become one [m']
 
 
 @dataclass(frozen=True, eq=False)
-class TimedAir:
+class TimedProfile:
     """The air at a time [Unix ns], with its covariance where there is one.
 
     Between two ``ends``, of the earlier and the later air and the share of the later, the
@@ -41,8 +46,8 @@ class TimedAir:
     time_ns: int | None
     profile: Profile
     own: ProfileCovariance | None = None
-    ends: tuple[TimedAir, TimedAir, float] | None = None
-    ages: Ages | None = None
+    ends: tuple[TimedProfile, TimedProfile, float] | None = None
+    ages: SampleAges | None = None
 
     @property
     def has_covariance(self) -> bool:
@@ -54,7 +59,11 @@ class TimedAir:
     def covariance(self) -> ProfileCovariance | None:
         """That of the estimate, and what the air changed since it was sampled."""
         found = self._estimated()
-        return found if found is None or self.ages is None else grown(found, self.ages)
+        return (
+            found
+            if found is None or self.ages is None
+            else covariance_with_ageing(found, self.ages)
+        )
 
     def _estimated(self) -> ProfileCovariance | None:
         """(1 - share) C_a + share C_b: the most it can be, however the errors correlate."""
@@ -68,7 +77,7 @@ class TimedAir:
         matrix += share * _carried(b.own, edge, anchor)
         return ProfileCovariance(self.profile, anchor, matrix)
 
-    def change_from(self, other: TimedAir, h_c: Sequence[float], h_g: float) -> float:
+    def change_from(self, other: TimedProfile, h_c: Sequence[float], h_g: float) -> float:
         """ln R of this air over that of another, the largest of several cameras.
 
         In the plane; ``h_c``, ``h_g`` heights of cameras and ground [m above sea level].
@@ -85,23 +94,23 @@ def _plane(profile: Profile, h_c: float, h_g: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class AirAlong:
+class ProfileSeries:
     """Profiles in the order of time, and which of them belongs to each of (s,) exposures.
 
     It answers like a `Profile` for (s,) heights, one of each exposure.
     """
 
-    airs: tuple[TimedAir, ...]
-    number: NDArray[np.int64]
+    timed_profiles: tuple[TimedProfile, ...]
+    profile_number: NDArray[np.int64]
 
     @property
     def profiles(self) -> tuple[Profile, ...]:
-        return tuple(air.profile for air in self.airs)
+        return tuple(air.profile for air in self.timed_profiles)
 
     @property
     def index(self) -> IndexModel:
         """The formula of the refractive index, the same in all."""
-        return self.airs[0].profile.index
+        return self.timed_profiles[0].profile.index
 
     def pressure(self, h: Array) -> Array:
         """(s,) pressure [Pa] at the heights of the exposures [m above sea level]."""
@@ -120,23 +129,23 @@ class AirAlong:
         return self._each(h, Profile.refractivity)
 
     def _each(self, h: Array, of: Callable[[Profile, ArrayLike], Array]) -> Array:
-        if len(self.airs) == 1:
-            return of(self.airs[0].profile, h)
+        if len(self.timed_profiles) == 1:
+            return of(self.timed_profiles[0].profile, h)
         values = np.full(h.shape, np.nan)
-        for i, air in enumerate(self.airs):
-            mine = self.number == i
+        for i, air in enumerate(self.timed_profiles):
+            mine = self.profile_number == i
             values[mine] = of(air.profile, h[mine])
         return values
 
 
-def one_air(air: TimedAir, exposures: int) -> AirAlong:
+def constant_series(air: TimedProfile, exposures: int) -> ProfileSeries:
     """The same air for all exposures."""
-    return AirAlong((air,), np.zeros(exposures, np.int64))
+    return ProfileSeries((air,), np.zeros(exposures, np.int64))
 
 
-def air_along(
-    nodes: Sequence[TimedAir], time_ns: NDArray[np.int64], h_c: Sequence[float], h_g: float
-) -> AirAlong:
+def interpolate_series(
+    nodes: Sequence[TimedProfile], time_ns: NDArray[np.int64], h_c: Sequence[float], h_g: float
+) -> ProfileSeries:
     """The air at the times of exposures, linear in time between ``nodes`` and constant beyond.
 
     Parameters
@@ -159,18 +168,21 @@ def air_along(
     times = np.array([at[i] + round(share * int(at[i + 1] - at[i])) for i, share in places])
     nearest = np.searchsorted(times[:-1] + np.diff(times) // 2, time_ns, side="left")
     used, number = np.unique(nearest, return_inverse=True)
-    airs = tuple(blend(nodes[places[u][0]], nodes[places[u][0] + 1], places[u][1]) for u in used)
-    return AirAlong(airs, number.astype(np.int64))
+    airs = tuple(
+        interpolate_profiles(nodes[places[u][0]], nodes[places[u][0] + 1], places[u][1])
+        for u in used
+    )
+    return ProfileSeries(airs, number.astype(np.int64))
 
 
-def aged(
-    along: AirAlong,
+def add_ageing(
+    series: ProfileSeries,
     time_ns: NDArray[np.int64],
     samples: AirSamples,
     h_c: float,
     h_g: float,
     ledger: Ledger,
-) -> AirAlong:
+) -> ProfileSeries:
     """The same air, with the sigmas that it has for exposures long after, or before, its samples.
 
     Parameters
@@ -183,23 +195,23 @@ def aged(
     stays as it is.
     """
     if time_ns.size == 0:
-        return along
+        return series
     start = int(time_ns.min())
     slot = (time_ns - start) // SLOT_NS
-    pairs, group = np.unique(np.stack([along.number, slot]), axis=1, return_inverse=True)
+    pairs, group = np.unique(np.stack([series.profile_number, slot]), axis=1, return_inverse=True)
     since = np.bincount(group, (time_ns - start) * 1e-9) / np.bincount(group)
     middles = [start + round(float(s) * 1e9) for s in since]
-    ages = ages_of(samples, middles, h_g, h_c)
+    ages = sample_ages(samples, middles, h_g, h_c)
     if all(age.is_fresh for age in ages):
-        return along
-    airs: list[TimedAir] = []
+        return series
+    airs: list[TimedProfile] = []
     place: dict[tuple[int, int], int] = {}
     new = np.zeros(len(ages), np.int64)
     for i, (number, age) in enumerate(zip(pairs[0], ages, strict=True)):
         key = (int(number), -1 if age.is_fresh else i)
         if key not in place:
             place[key] = len(airs)
-            air = along.airs[key[0]]
+            air = series.timed_profiles[key[0]]
             airs.append(air if age.is_fresh else replace(air, time_ns=middles[i], ages=age))
         new[i] = place[key]
     oldest = max(ages, key=lambda age: float(age.hours.max()))
@@ -210,10 +222,10 @@ def aged(
         f"air at {h:.0f} m was sampled: the sigmas of the air grow with that time",
         count=int(np.isin(new[group], [i for i, air in enumerate(airs) if air.ages]).sum()),
     )
-    return AirAlong(tuple(airs), new[group])
+    return ProfileSeries(tuple(airs), new[group])
 
 
-def blend(a: TimedAir, b: TimedAir, share: float) -> TimedAir:
+def interpolate_profiles(a: TimedProfile, b: TimedProfile, share: float) -> TimedProfile:
     """The air between two times: (1 - share) of one and share of the other.
 
     T_M and e/p are mixed at the edges of both, ln p at one height; pressure follows by Eq. 52-53.
@@ -246,7 +258,7 @@ def blend(a: TimedAir, b: TimedAir, share: float) -> TimedAir:
     )
     profile = replace(a.profile, layers=layers)
     time_ns = a.time_ns + round(share * (b.time_ns - a.time_ns))
-    return TimedAir(time_ns, profile, ends=(a, b, share))
+    return TimedProfile(time_ns, profile, ends=(a, b, share))
 
 
 def _carried(covariance: ProfileCovariance, edge: Array, anchor: float) -> Array:

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.air_samples import AirSamples, Samples
+from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.climatology import Climatology, Spread
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
@@ -25,11 +25,11 @@ from pipeline.atmosphere.series.ageing import (
     CHANGE_LOG_P_PER_H,
     CHANGE_RH,
     FRESH_S,
-    Ages,
+    SampleAges,
     change_sigma,
-    grown,
+    covariance_with_ageing,
 )
-from pipeline.atmosphere.series.profile_series import TimedAir
+from pipeline.atmosphere.series.profile_series import TimedProfile
 from pipeline.ledger import Ledger
 
 Array = NDArray[np.float64]
@@ -49,7 +49,7 @@ of R were 1.1 to 1.6 sigma RMS in six sets of flights."""
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class TimeWindow:
     """A part of the flight [Unix ns] and its air; ``change`` is ln of its R over the whole's.
 
     ``why_not`` says in words why its own estimate is not used, and is empty where it is.
@@ -57,7 +57,7 @@ class Window:
 
     start_ns: int
     end_ns: int
-    air: TimedAir
+    air: TimedProfile
     change: float = 0.0
     sigma: float = 0.0
     why_not: str = ""
@@ -95,7 +95,7 @@ def time_windows(samples: AirSamples) -> tuple[tuple[int, int], ...]:
     return tuple(parts)
 
 
-def _gated(samples: AirSamples) -> tuple[Samples, float] | None:
+def _gated(samples: AirSamples) -> tuple[SensorSamples, float] | None:
     """The sensor whose heights decide, and the height it must span [m]."""
     if samples.temperature is not None:
         return samples.temperature, SMALLEST_CLIMB_M
@@ -104,9 +104,9 @@ def _gated(samples: AirSamples) -> tuple[Samples, float] | None:
     return None
 
 
-def _part(sensor: Samples, start_ns: int, end_ns: int) -> Samples:
+def _part(sensor: SensorSamples, start_ns: int, end_ns: int) -> SensorSamples:
     rows = slice(*np.searchsorted(sensor.time_ns, [start_ns, end_ns]))
-    return Samples(
+    return SensorSamples(
         sensor.time_ns[rows],
         sensor.h_m[rows],
         sensor.value[rows],
@@ -141,7 +141,7 @@ def part_of_flight(samples: AirSamples, start_ns: int, end_ns: int) -> AirSample
 
 def estimate_windows(
     whole: Adjustment, h_c: Sequence[float], h_g: float, ledger: Ledger
-) -> tuple[Window, ...]:
+) -> tuple[TimeWindow, ...]:
     """The air of each window of a flight, in the order of time; none where one profile is enough.
 
     Parameters
@@ -163,8 +163,8 @@ def estimate_windows(
     hours = (parts[-1][1] - parts[0][0]) / 3.6e12
     background = _background(covariance, moisture.spread, hours)
     # Where what a window measured cannot be used: the whole's air, changed as over the flight.
-    anywhere = Ages(np.array([covariance.anchor_height_m]), np.array([hours]))
-    doubted = TimedAir(None, whole.profile, grown(covariance, anywhere))
+    anywhere = SampleAges(np.array([covariance.anchor_height_m]), np.array([hours]))
+    doubted = TimedProfile(None, whole.profile, covariance_with_ageing(covariance, anywhere))
     windows = []
     for start, end in parts:
         part = part_of_flight(samples, start, end)
@@ -223,27 +223,27 @@ def _window(
     span: tuple[int, int],
     whole: Adjustment,
     background: Climatology,
-    doubted: TimedAir,
+    doubted: TimedProfile,
     h_c: Sequence[float],
     h_g: float,
-) -> Window:
+) -> TimeWindow:
     """One window, with its own air or with that of the whole flight and the reason."""
     middle = _informative_middle(part, sum(span) // 2)
     fallen = replace(doubted, time_ns=middle)
     if _gated(part) is None:
-        return Window(*span, fallen, why_not="nothing was measured then")
+        return TimeWindow(*span, fallen, why_not="nothing was measured then")
     made = estimate(part, background, known=_carried(whole.nuisances))
     fault = _fault(made, background, whole.moisture)
     if fault is not None:
-        return Window(*span, fallen, why_not=fault)
+        return TimeWindow(*span, fallen, why_not=fault)
     layers = made.profile.layers
     layers = replace(layers, source=whole.profile.layers.sources_between(layers.edge))
     profile = replace(made.profile, layers=layers)
     doubled = COUNTED_TWICE * made.covariance.matrix
     covariance = replace(made.covariance, profile=profile, matrix=doubled)
-    air = TimedAir(middle, profile, covariance)
+    air = TimedProfile(middle, profile, covariance)
     change = air.change_from(doubted, h_c, h_g)
-    return Window(*span, air, change, covariance.relative_sigma(max(h_c), h_g))
+    return TimeWindow(*span, air, change, covariance.relative_sigma(max(h_c), h_g))
 
 
 def _fault(made: Estimate, background: Climatology, expected: Climatology | None) -> str | None:

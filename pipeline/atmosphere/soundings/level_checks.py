@@ -38,7 +38,7 @@ _INDEX_ROUNDING = 5e-4
 _ELSEWHERE_RAD = 45.0 * DEGREE
 
 
-def judge_levels(
+def check_levels(
     raw: RawLevels,
     ledger: Ledger,
     *,

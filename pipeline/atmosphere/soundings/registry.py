@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from pipeline.atmosphere.soundings import igra, plain, wyoming
-from pipeline.atmosphere.soundings.level_checks import judge_levels
+from pipeline.atmosphere.soundings.level_checks import check_levels
 from pipeline.atmosphere.soundings.levels import Sounding
 from pipeline.atmosphere.soundings.raw import RawLevels
 from pipeline.errors import InputError
@@ -76,7 +76,7 @@ def parse_sounding(
         )
     ascents = FORMATS[name].parse(text, where, ledger)
     raw = nearest_in_time(ascents, time_ns, where, ledger)
-    return judge_levels(raw, ledger, latitude_rad=latitude_rad, station_h_m=station_h_m)
+    return check_levels(raw, ledger, latitude_rad=latitude_rad, station_h_m=station_h_m)
 
 
 def _format_of(text: str, where: str) -> str:

@@ -57,7 +57,7 @@ def _tables(
     images = max(1, _MOST_ROWS // (options.columns * options.rows))
     for name, camera in run.cameras.items():
         rows = run.rows_of(name)
-        changes = np.flatnonzero(np.diff(run.air.number[rows])) + 1
+        changes = np.flatnonzero(np.diff(run.air.profile_number[rows])) + 1
         for alike in np.split(rows, changes):
             for first in range(0, alike.size, images):
                 yield _table(run, camera, alike[first : first + images], options, schema)
@@ -73,7 +73,7 @@ def _table(
     """The lattices of images in the same air."""
     x, y = lattice_nodes(camera.camera, options.columns, options.rows)
     ground = run.ground_m[rows]
-    rays = run.rays[run.air.number[rows[0]]]
+    rays = run.rays[run.air.profile_number[rows[0]]]
     found = lattice_corrections(x, y, ground, rows, run.exposures, camera.camera, rays)
     return table_of(
         {

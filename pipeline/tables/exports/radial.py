@@ -139,7 +139,7 @@ def _table(
     radius = run.exposures.radius_m or float(euler_radius(middle, 0.25 * np.pi))
     middle_one = rows[np.argsort(run.stations.time_ns[rows], kind="stable")[rows.size // 2]]
     found = radial_table(
-        run.air.profiles[run.air.number[middle_one]],
+        run.air.profiles[run.air.profile_number[middle_one]],
         float(np.median(run.exposures.height_m[rows])),
         float(np.median(run.ground_m[rows])),
         angles_to(_LARGEST_DEG, _STEP_DEG),

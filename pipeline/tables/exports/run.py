@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.series.profile_series import AirAlong
+from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.errors import ConfigError
 from pipeline.flight.stations import Stations
 from pipeline.refraction.camera.camera import Camera
@@ -41,7 +41,7 @@ class FinishedRun:
     mission: str
     stations: Stations
     exposures: Exposures
-    air: AirAlong
+    air: ProfileSeries
     rays: tuple[RayTable | PublishedRays, ...]
     method: str
     cameras: Mapping[str, ExportCamera]
