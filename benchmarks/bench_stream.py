@@ -13,7 +13,6 @@ from pipeline.batch.store import open_folder
 from pipeline.ledger import Ledger
 from pipeline.refraction.ray import rays_by
 from pipeline.stages.correction import Recipe, correct_stream
-from pipeline.stages.exposure_setup import CameraSetup
 from pipeline.stages.ground import Ground
 from pipeline.tables.observations import open_observations
 
@@ -28,7 +27,7 @@ def correct(source: Path, out: Path) -> None:
     names, seen_from = image_names(IMAGES), exposures(IMAGES)
     recipe = Recipe(
         names, np.full(IMAGES, "nadir", object), seen_from,
-        Ground(None, np.zeros(IMAGES), sigma_m=2.0), {"nadir": CameraSetup(CAMERA, 0.0)},
+        Ground(None, np.zeros(IMAGES), sigma_m=2.0), {"nadir": CAMERA},
         (rays_by(air(), "spherical"),), np.zeros(IMAGES, np.int64),
         uncertainties=(uncertainty(seen_from),),
     )  # fmt: skip

@@ -16,6 +16,7 @@ from pydantic import (
 
 from pipeline.flight.mount import Mount
 from pipeline.refraction import Cabin, Camera, LensInAir, Window
+from pipeline.tables.pixels import PixelOrigin, PixelSystem
 from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K
 
 PrincipalDistance = Annotated[float, Field(ge=10, le=1e6)]
@@ -30,11 +31,6 @@ class Section(BaseModel):
     """A part of the mission file: strict types, no unknown keys, no NaN."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-def offset_px(pixel_origin: str) -> float:
-    """COLMAP's pixel minus one counted from ``pixel_origin``."""
-    return 0.5 if pixel_origin == "centre" else 0.0
 
 
 class DistortionSection(Section):
@@ -164,7 +160,7 @@ class CameraSection(Section):
     fy_px: PrincipalDistance | None = None
     cx_px: float = Field(ge=-1e6, le=1e6)
     cy_px: float = Field(ge=-1e6, le=1e6)
-    pixel_origin: Literal["corner", "centre"] | None = Field(
+    pixel_origin: PixelOrigin | None = Field(
         None, description="of the principal point; by default that of the observations"
     )
     distortion: DistortionSection = DistortionSection()
@@ -213,16 +209,16 @@ class CameraSection(Section):
         shortest = min(f for f in (self.f_px, self.fx_px, self.fy_px) if f is not None)
         return self.principal_distance.build(shortest)
 
-    def build(self, pixel_origin: str = "corner") -> Camera:
+    def build(self, pixel_origin: PixelOrigin = "corner") -> Camera:
         """The camera in COLMAP's pixels; ``pixel_origin`` where it names none itself."""
-        offset = offset_px(self.pixel_origin or pixel_origin)
+        pixels = PixelSystem(self.pixel_origin or pixel_origin)
         return Camera(
             self.width_px,
             self.height_px,
             self.f_px or self.fx_px or 0.0,
             self.f_px or self.fy_px or 0.0,
-            self.cx_px + offset,
-            self.cy_px + offset,
+            pixels.to_colmap(self.cx_px),
+            pixels.to_colmap(self.cy_px),
             **self.distortion.model_dump(),
         )
 

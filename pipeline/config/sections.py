@@ -11,9 +11,10 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from pipeline.config.atmosphere import AtmosphereSection, PathText
-from pipeline.config.cameras import CameraSection, MountSection, Section, offset_px
+from pipeline.config.cameras import CameraSection, MountSection, Section
 from pipeline.flight.local_origin import Origin
 from pipeline.refraction import METHODS
+from pipeline.tables.pixels import PixelOrigin, PixelSystem
 from pipeline.units import DEGREE
 
 _NUMBER_FORMAT = re.compile(r"^0?[0-9]{0,2}d?$")
@@ -116,16 +117,16 @@ class ObservationsSection(Section):
 
     path: PathText = Field(description="CSV or Parquet")
     columns: ObservationColumns = ObservationColumns()
-    pixel_origin: Literal["corner", "centre"] = Field(
+    pixel_origin: PixelOrigin = Field(
         "corner",
         description="corner: the centre of the upper left pixel is (0.5, 0.5), as in COLMAP; "
         "centre: it is (0, 0), as in OpenCV",
     )
 
     @property
-    def offset_px(self) -> float:
-        """What takes the user's pixels to COLMAP's."""
-        return offset_px(self.pixel_origin)
+    def pixels(self) -> PixelSystem:
+        """The pixel system of the table, and of cameras that name none."""
+        return PixelSystem(self.pixel_origin)
 
 
 class LogEvents(Section):

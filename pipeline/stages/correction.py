@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from pipeline.batch.store import RunFolder
 from pipeline.interrupts import held_back
+from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.chord import target_heights
 from pipeline.refraction.forward import apply_refraction
 from pipeline.refraction.image import COLUMNS, Corrections, Exposures, correct_observations
@@ -28,7 +29,6 @@ from pipeline.refraction.ray import PublishedRays, RayTable
 from pipeline.refraction.status import NO_STATION
 from pipeline.refraction.uncertainty.budget import at_the_window
 from pipeline.refraction.uncertainty.sigmas import Sigmas, Uncertainty
-from pipeline.stages.exposure_setup import CameraSetup
 from pipeline.stages.ground import Ground, plausible
 from pipeline.stages.statistics import Tally, evenly
 from pipeline.tables.marks import Direction
@@ -58,7 +58,7 @@ class Recipe:
     cameras_of: NDArray[np.object_]
     exposures: Exposures
     ground: Ground
-    cameras: Mapping[str, CameraSetup]
+    cameras: Mapping[str, Camera]
     tables: tuple[RayTable | PublishedRays, ...]
     air_of: NDArray[np.int64]
     direction: Direction = "remove"
@@ -72,17 +72,17 @@ class Recipe:
 
     def groups(
         self, row: NDArray[np.int64], camera: NDArray[np.int64]
-    ) -> Iterator[tuple[NDArray[np.intp], CameraSetup, int]]:
+    ) -> Iterator[tuple[NDArray[np.intp], Camera, int]]:
         """The observations of each camera in each air, from their stations and cameras (n,)."""
-        for number, setup in enumerate(self.cameras.values()):
+        for number, model in enumerate(self.cameras.values()):
             mine = np.flatnonzero(camera == number)
             if len(self.tables) == 1:
                 if mine.size:
-                    yield mine, setup, 0
+                    yield mine, model, 0
                 continue
             air = self.air_of[row[mine]]
             for i in np.unique(air).tolist():
-                yield mine[air == i], setup, i
+                yield mine[air == i], model, i
 
 
 def correct_stream(
@@ -112,7 +112,8 @@ def correct_stream(
         h_g = _heights(batch, row, camera, recipe)
         corrections = _correct_batch(batch, row, h_g, camera, recipe)
         name = f"observations/part-{number:05d}.parquet"
-        write_parquet(observation_table(batch, corrections, h_g, schema), folder.place(name))
+        table = observation_table(batch, corrections, h_g, observations.pixels, schema)
+        write_parquet(table, folder.place(name))
         folder.seal(name)
         tally = Tally.of(recipe.cameras)
         tally.add(batch, corrections, camera)
@@ -176,14 +177,14 @@ def _heights(
     """(n,) heights of the points above sea level [m], NaN where there is none."""
     h_g = recipe.ground.heights(batch, row)
     if recipe.ground.from_distance and batch.distance_m is not None:
-        for mine, setup, air in recipe.groups(row, camera):
+        for mine, model, air in recipe.groups(row, camera):
             h_g[mine] = target_heights(
-                batch.x_px[mine] + setup.pixel_offset,
-                batch.y_px[mine] + setup.pixel_offset,
+                batch.x_px[mine],
+                batch.y_px[mine],
                 batch.distance_m[mine],
                 row[mine],
                 recipe.exposures,
-                setup.camera,
+                model,
                 recipe.tables[air],
                 ideal=recipe.direction == "apply",
             )
@@ -196,10 +197,10 @@ def _correct_batch(
 ) -> Corrections:
     """The corrections of a batch, camera by camera, back in the order of the rows."""
     parts = []
-    for mine, setup, air in recipe.groups(row, camera):
+    for mine, model, air in recipe.groups(row, camera):
         if mine.size == len(batch):
-            return _correct_rows(batch, slice(None), row, h_g, setup, air, recipe)
-        parts.append((mine, _correct_rows(batch, mine, row, h_g, setup, air, recipe)))
+            return _correct_rows(batch, slice(None), row, h_g, model, air, recipe)
+        parts.append((mine, _correct_rows(batch, mine, row, h_g, model, air, recipe)))
     columns: dict[str, Any] = {name: np.full(len(batch), np.nan) for name in COLUMNS}
     columns["status"] = np.full(len(batch), NO_STATION, np.uint8)
     sigmas = Sigmas.unknown(len(batch)) if recipe.in_doubt else None
@@ -229,10 +230,9 @@ def _some_rays(
     # Of pixels as measured, which are where the rays went through the window.
     x, y = (batch.x_px, batch.y_px) if recipe.direction == "remove" else (
         corrections.x_px, corrections.y_px)  # fmt: skip
-    for number, setup in enumerate(recipe.cameras.values()):
+    for number, model in enumerate(recipe.cameras.values()):
         mine = camera[some] == number
-        offset = setup.pixel_offset
-        u, v, _ = setup.camera.rays(x[some[mine]] + offset, y[some[mine]] + offset)
+        u, v, _ = model.rays(x[some[mine]], y[some[mine]])
         direction[mine] = np.stack([u, v, np.ones(u.size)], axis=1)
     direction /= np.linalg.norm(direction, axis=1)[:, None]
     turns = at_the_window(direction, -ex.rotation[at, :, 2], ex.normals[at])
@@ -246,27 +246,22 @@ def _correct_rows(
     mine: NDArray[np.intp] | slice,
     row: NDArray[np.int64],
     h_g: Array,
-    setup: CameraSetup,
+    model: Camera,
     air: int,
     recipe: Recipe,
 ) -> Corrections:
-    """The corrections of the rows of one camera in one air, in the user's pixels."""
+    """The corrections of the rows of one camera in one air."""
     uncertainty = recipe.uncertainties[air]
     way = correct_observations if recipe.direction == "remove" else apply_refraction
-    found = way(
-        batch.x_px[mine] + setup.pixel_offset,
-        batch.y_px[mine] + setup.pixel_offset,
+    return way(
+        batch.x_px[mine],
+        batch.y_px[mine],
         h_g[mine],
         row[mine],
         recipe.exposures,
-        setup.camera,
+        model,
         recipe.tables[air],
         distance_m=None if batch.distance_m is None else batch.distance_m[mine],
         uncertainty=uncertainty,
         sigma_h_g=None if uncertainty is None else recipe.ground.sigmas(batch)[mine],
-    )
-    if setup.pixel_offset == 0.0:
-        return found
-    return replace(
-        found, x_px=found.x_px - setup.pixel_offset, y_px=found.y_px - setup.pixel_offset
     )

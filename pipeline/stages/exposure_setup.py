@@ -255,18 +255,10 @@ def tell_of_lenses(cameras: Iterable[str], lenses: Mapping[str, LensInAir], ledg
         )
 
 
-@dataclass(frozen=True, eq=False)
-class CameraSetup:
-    """One camera: its interior orientation, and what takes the user's pixels to COLMAP's."""
-
-    camera: Camera
-    pixel_offset: float
-
-
-def setup_of(mission: Mission, name: str) -> CameraSetup:
-    """Interior orientation, and what takes the user's pixels to COLMAP's."""
-    observed = mission.observations
-    return CameraSetup(mission.cameras[name].build(observed.pixel_origin), observed.offset_px)
+def cameras_of_mission(mission: Mission) -> dict[str, Camera]:
+    """The interior orientation of each camera, in COLMAP's pixels."""
+    origin = mission.observations.pixel_origin
+    return {name: camera.build(origin) for name, camera in mission.cameras.items()}
 
 
 def look_through(

@@ -26,7 +26,7 @@ from pipeline.geodesy import Gravity
 from pipeline.ledger import Ledger
 from pipeline.refraction.image import correct_observations
 from pipeline.refraction.ray import rays_by
-from pipeline.stages.exposure_setup import look_through, setup_of
+from pipeline.stages.exposure_setup import cameras_of_mission, look_through
 from pipeline.tables.exports import ExportCamera, FinishedRun
 
 Array = NDArray[np.float64]
@@ -202,18 +202,18 @@ def _difference(run: FinishedRun, table: pa.Table, row: NDArray[np.int64]) -> fl
     x, y, x_then, y_then, zeta, h_g = (
         np.asarray(table[name].to_numpy(), dtype=np.float64) for name in _CHECKED[1:7]
     )
+    x, y, x_then, y_then = map(run.pixels.to_colmap, (x, y, x_then, y_then))
     ok = np.asarray(pc.equal(table["status"], "ok").to_numpy()) & (zeta < _LARGEST_CHECKED_RAD)
     worst = 0.0
     for name, camera in run.cameras.items():
         of_camera = ok & (run.stations.camera[row] == name)
         for air in np.unique(run.air.profile_number[row[of_camera]]):
             mine = np.flatnonzero(of_camera & (run.air.profile_number[row] == air))
-            offset = camera.pixel_offset
             now = correct_observations(
-                x[mine] + offset, y[mine] + offset, h_g[mine], row[mine],
+                x[mine], y[mine], h_g[mine], row[mine],
                 run.exposures, camera.camera, run.rays[air],
             )  # fmt: skip
-            away = np.hypot(x[mine] + now.dx_px - x_then[mine], y[mine] + now.dy_px - y_then[mine])
+            away = np.hypot(now.x_px - x_then[mine], now.y_px - y_then[mine])
             worst = max(worst, float(np.nan_to_num(away, nan=np.inf).max()))
     return worst
 
@@ -264,8 +264,12 @@ def rebuild_run(
         air,
         tuple(rays_by(profile, mission.refraction.method) for profile in air.profiles),
         mission.refraction.method,
-        {name: export_camera(mission, name) for name in mission.cameras},
+        {
+            name: ExportCamera(camera, _has_plane_window(mission, name))
+            for name, camera in cameras_of_mission(mission).items()
+        },
         ground_of(parts, stations, ledger) if constant is None else constant,
+        mission.observations.pixels,
         parts,
         {
             "unbend.mission": mission.mission.name,
@@ -277,9 +281,6 @@ def rebuild_run(
     return run
 
 
-def export_camera(mission: Mission, name: str) -> ExportCamera:
-    """A camera as exports need it."""
-    setup = setup_of(mission, name)
+def _has_plane_window(mission: Mission, name: str) -> bool:
     window = mission.cameras[name].window
-    windowed = window is not None and window.shape == "plane"
-    return ExportCamera(setup.camera, setup.pixel_offset, windowed)
+    return window is not None and window.shape == "plane"

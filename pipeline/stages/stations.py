@@ -97,6 +97,7 @@ def open_inputs(plan: Plan, ledger: Ledger) -> Observations:
         ground_is_msl=ground.reference == "msl",
         sigma_column=ground.sigma_column,
         direction=plan.mission.refraction.direction,
+        pixels=section.pixels,
     )
 
 

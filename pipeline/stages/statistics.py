@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.ledger import Ledger
+from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Corrections
 from pipeline.refraction.spread import SPREADS, Extent, ImageGrid, Spread
 from pipeline.refraction.status import STATUS_NAMES
-from pipeline.stages.exposure_setup import CameraSetup
 from pipeline.stages.ground import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.tables.observations import Batch
 
@@ -36,9 +36,9 @@ class Tally:
     rays: list[Array] = field(default_factory=list)
 
     @classmethod
-    def of(cls, cameras: Mapping[str, CameraSetup]) -> Tally:
+    def of(cls, cameras: Mapping[str, Camera]) -> Tally:
         """Nothing yet."""
-        grids = {n: ImageGrid(s.camera.width_px, s.camera.height_px) for n, s in cameras.items()}
+        grids = {n: ImageGrid(c.width_px, c.height_px) for n, c in cameras.items()}
         return cls({name: Extent(grid) for name, grid in grids.items()})
 
     def add(self, batch: Batch, corrections: Corrections, camera: NDArray[np.int64]) -> None:

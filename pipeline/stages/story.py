@@ -37,7 +37,7 @@ from pipeline.report.html import write_report
 from pipeline.report.progress import Progress, Silent
 from pipeline.stages.adjusted_profile import adjust_air, find_sources
 from pipeline.stages.correction import Recipe, correct_stream
-from pipeline.stages.exposure_setup import look_through, setup_of
+from pipeline.stages.exposure_setup import cameras_of_mission, look_through
 from pipeline.stages.finished_run import rebuild_run, refuse_output
 from pipeline.stages.ground import Ground
 from pipeline.stages.outputs import manifest_of, write_tables
@@ -127,7 +127,7 @@ def correct(
     section, direction = mission.ground, mission.refraction.direction
     offsets = ground_offsets(section.reference, stations, heights)
     ground = Ground(section.constant_m, offsets, section.from_distance, section.sigma_m)
-    cameras = {name: setup_of(mission, name) for name in mission.cameras}
+    cameras = cameras_of_mission(mission)
     exposures = look_through(mission, stations, air, ledger)
     tell_what_is_unknown(mission, stations, air, ledger)
     views = views_of_mission(mission, stations, air)

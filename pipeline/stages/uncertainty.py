@@ -14,6 +14,7 @@ from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.config import Mission
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Ledger
+from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Exposures
 from pipeline.refraction.ray import DEFAULT_RADIUS_M
 from pipeline.refraction.uncertainty.air_sigma import OPEN, view_of
@@ -25,7 +26,6 @@ from pipeline.refraction.uncertainty.budget import (
     uncertainty_of,
 )
 from pipeline.refraction.uncertainty.sigmas import Uncertainty
-from pipeline.stages.exposure_setup import CameraSetup
 from pipeline.stages.ground import Ground
 from pipeline.stages.statistics import Tally
 from pipeline.units import DEGREE
@@ -36,7 +36,7 @@ def uncertainties_of_mission(
     stations: Stations,
     air: ProfileSeries,
     exposures: Exposures,
-    cameras: Mapping[str, CameraSetup],
+    cameras: Mapping[str, Camera],
     ground: Ground,
     views: NDArray[np.int64],
 ) -> tuple[Uncertainty | None, ...]:
@@ -53,7 +53,7 @@ def uncertainties_of_mission(
         or section.sigma_column is not None
     )
     sigmas = _station_sigmas(mission, stations)
-    own = [(setup.camera, stations.camera == name) for name, setup in cameras.items()]
+    own = [(camera, stations.camera == name) for name, camera in cameras.items()]
     found: list[Uncertainty | None] = []
     for number, one in enumerate(air.timed_profiles):
         covariance = one.covariance

@@ -19,6 +19,7 @@ from pipeline.ledger import Ledger
 from pipeline.tables.delimited import csv_names, open_csv, survey_csv
 from pipeline.tables.marks import Direction, refuse_done, refuse_other_pixels
 from pipeline.tables.naming import no_such_column
+from pipeline.tables.pixels import COLMAP, PixelSystem
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
 
 Array = NDArray[np.float64]
@@ -31,6 +32,7 @@ _OURS = OBSERVATION_COLUMNS.keys() | DISPLACED_COLUMNS.keys()
 class Batch:
     """A slice of the observations: ours as numpy, the user's as Arrow, in the order of the file.
 
+    ``x_px``, ``y_px`` are COLMAP's; ``x_given_px``, ``y_given_px`` the numbers of the table.
     ``distance_m`` are slant ranges, NaN where there is none; ``no_distance`` counts those that are
     none: zero, negative, infinite or no number. ``ground_sigma`` and ``no_sigma`` likewise for
     standard deviations of ground heights, of which zero is one.
@@ -40,6 +42,8 @@ class Batch:
     point: pa.StringArray
     x_px: Array
     y_px: Array
+    x_given_px: Array
+    y_given_px: Array
     ground: Array | None
     users: dict[str, pa.Array]
     distance_m: Array | None = None
@@ -55,7 +59,8 @@ class Batch:
 class Observations:
     """A table of observations, opened and checked, not yet read.
 
-    ``user_fields`` are the columns that pass through, under the names they leave with.
+    ``user_fields`` are the columns that pass through, under the names they leave with; ``pixels``
+    the system of the table's pixels.
     """
 
     path: Path
@@ -66,6 +71,7 @@ class Observations:
     images: tuple[str, ...]
     user_fields: tuple[pa.Field, ...]
     sigma_column: str | None = None
+    pixels: PixelSystem = COLMAP
     _sources: Mapping[str, str] = field(repr=False, default_factory=dict)
     _csv_types: Mapping[str, pa.DataType] = field(repr=False, default_factory=dict)
 
@@ -86,11 +92,14 @@ class Observations:
             distance, no_distance = _known(_one(table[self.distance_column]), _is_distance)
         if self.sigma_column is not None:
             sigma, no_sigma = _known(_one(table[self.sigma_column]), _is_sigma)
+        x, y = number(self.columns["x_px"]), number(self.columns["y_px"])
         return Batch(
             text("image"),
             text("point"),
-            number(self.columns["x_px"]),
-            number(self.columns["y_px"]),
+            self.pixels.to_colmap(x),
+            self.pixels.to_colmap(y),
+            x,
+            y,
             number(self.ground_column) if self.ground_column else None,
             {f.name: _one(table[self._sources[f.name]]) for f in self.user_fields},
             distance,
@@ -109,6 +118,7 @@ def open_observations(
     ground_is_msl: bool = True,
     sigma_column: str | None = None,
     direction: Direction = "remove",
+    pixels: PixelSystem = COLMAP,
 ) -> Observations:
     """Check a table of observations: its columns, its marks, its images.
 
@@ -122,6 +132,7 @@ def open_observations(
         column of that name is the user's own and leaves as ``h_g_m_input``.
     sigma_column : the column of standard deviations of the ground heights, which passes through.
     direction : whether refraction will be removed from these observations or applied to them.
+    pixels : where the table counts its pixels from.
 
     Refuses a table to which that was done already, one that lacks a column, or repeats a name.
     """
@@ -170,6 +181,7 @@ def open_observations(
         tuple(sorted(images)),
         tuple(pa.field(name, item.type) for name, item in leaving.items()),
         sigma_column,
+        pixels,
         {name: item.name for name, item in leaving.items()},
         csv_types,
     )

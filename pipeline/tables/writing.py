@@ -20,6 +20,7 @@ from pipeline.flight.stations import Stations, station_table
 from pipeline.refraction.image import Corrections
 from pipeline.refraction.status import STATUS_NAMES
 from pipeline.tables.observations import Batch
+from pipeline.tables.pixels import PixelSystem
 from pipeline.tables.schemas import PROFILE_COLUMNS, STATION_COLUMNS, schema_of
 
 
@@ -39,21 +40,22 @@ def table_of(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
 
 
 def observation_table(
-    batch: Batch, corrections: Corrections, h_g: Any, schema: pa.Schema
+    batch: Batch, corrections: Corrections, h_g: Any, pixels: PixelSystem, schema: pa.Schema
 ) -> pa.Table:
-    """The output rows of a batch."""
+    """The output rows of a batch, in the pixel system of the table that it was read from."""
+    x, y = pixels.from_colmap(corrections.x_px), pixels.from_colmap(corrections.y_px)
     names, sigmas = pa.array(STATUS_NAMES), corrections.sigmas
     spread = {} if sigmas is None else {f"sigma_{n}": c for n, c in sigmas.columns().items()}
     return table_of(
         {
             "image": batch.image,
             "point": batch.point,
-            "x_px": batch.x_px,
-            "y_px": batch.y_px,
-            "x_corrected_px": corrections.x_px,
-            "y_corrected_px": corrections.y_px,
-            "x_displaced_px": corrections.x_px,  # the schema holds one of the two pairs
-            "y_displaced_px": corrections.y_px,
+            "x_px": batch.x_given_px,
+            "y_px": batch.y_given_px,
+            "x_corrected_px": x,
+            "y_corrected_px": y,
+            "x_displaced_px": x,  # the schema holds one of the two pairs
+            "y_displaced_px": y,
             "zeta_c_rad": corrections.zeta_c_rad,
             "r_c_rad": corrections.r_c_rad,
             "r_cc_rad": corrections.r_cc_rad,

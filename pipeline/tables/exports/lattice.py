@@ -78,8 +78,8 @@ def _table(
     return table_of(
         {
             "image": np.repeat(run.stations.image[rows], x.size),
-            "x_px": np.tile(x - camera.pixel_offset, rows.size),
-            "y_px": np.tile(y - camera.pixel_offset, rows.size),
+            "x_px": np.tile(run.pixels.from_colmap(x), rows.size),
+            "y_px": np.tile(run.pixels.from_colmap(y), rows.size),
             "dx_px": found.dx_px,
             "dy_px": found.dy_px,
             "h_g_m": np.repeat(ground, x.size),

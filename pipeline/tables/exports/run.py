@@ -15,16 +15,16 @@ from pipeline.flight.stations import Stations
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Exposures
 from pipeline.refraction.ray import PublishedRays, RayTable
+from pipeline.tables.pixels import PixelSystem
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class ExportCamera:
-    """A camera in COLMAP's pixels; ``pixel_offset`` takes the user's to these."""
+    """A camera in COLMAP's pixels, and whether a window bends its rays."""
 
     camera: Camera
-    pixel_offset: float
     has_window: bool
 
 
@@ -34,8 +34,8 @@ class FinishedRun:
 
     ``ground_m`` (s,) is the ground that images are computed for, above sea level [m], NaN where
     there is none. ``exposures`` has the rows of ``stations``. ``parts`` are the Parquet files of
-    the observations, in order; ``metadata`` goes into every file that is written. ``rays`` are
-    those of the profiles of ``air``.
+    the observations, in order, with coordinates in the system ``pixels``; ``metadata`` goes into
+    every file that is written. ``rays`` are those of the profiles of ``air``.
     """
 
     mission: str
@@ -46,6 +46,7 @@ class FinishedRun:
     method: str
     cameras: Mapping[str, ExportCamera]
     ground_m: Array
+    pixels: PixelSystem
     parts: tuple[Path, ...]
     metadata: Mapping[str, str]
 

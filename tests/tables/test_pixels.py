@@ -1,0 +1,58 @@
+"""Half a pixel: applied when a table is read, taken back when one is written."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.ledger import Ledger
+from pipeline.refraction.image import COLUMNS, Corrections
+from pipeline.tables.observations import open_observations
+from pipeline.tables.pixels import PixelSystem
+from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
+from pipeline.tables.writing import observation_table
+
+# 0.1 + 0.5 - 0.5 is not 0.1 in binary: the user's own number must come out, not one computed back.
+X, Y = [0.1, 100.3, 7.0], [0.7, -0.1, 11.25]
+
+
+@pytest.mark.parametrize(("origin", "centre"), [("corner", 0.5), ("centre", 0.0)])
+def test_the_centre_of_the_first_pixel_is_half_a_half(origin, centre):
+    assert PixelSystem(origin).to_colmap(centre) == 0.5
+    assert PixelSystem(origin).from_colmap(0.5) == centre
+
+
+@given(st.floats(-1e5, 1e5), st.sampled_from(["corner", "centre"]))
+def test_there_and_back(pixel, origin):
+    pixels = PixelSystem(origin)
+    assert abs(pixels.from_colmap(pixels.to_colmap(pixel)) - pixel) <= 1e-11
+
+
+@pytest.mark.parametrize(
+    ("columns", "result"),
+    [(OBSERVATION_COLUMNS, "corrected"), (DISPLACED_COLUMNS, "displaced")],
+)
+@pytest.mark.parametrize(("origin", "half"), [("corner", 0.0), ("centre", 0.5)])
+def test_a_batch_is_in_colmap_s_pixels_and_its_results_in_the_user_s(
+    tmp_path, columns, result, origin, half
+):
+    path = tmp_path / "observations.parquet"
+    pq.write_table(pa.table({"image": ["a"] * 3, "point": ["p"] * 3, "x_px": X, "y_px": Y}), path)
+    names = {name: name for name in ("image", "point", "x_px", "y_px")}
+    observations = open_observations(path, names, None, Ledger(), pixels=PixelSystem(origin))
+    (batch,) = observations.batches(10)
+    np.testing.assert_array_equal(batch.x_px, np.array(X) + half)
+    np.testing.assert_array_equal(batch.y_px, np.array(Y) + half)
+    unknown = {name: np.full(3, np.nan) for name in COLUMNS} | {"status": np.zeros(3, np.uint8)}
+    shifted = Corrections(**unknown | {"x_px": batch.x_px + 2.0, "y_px": batch.y_px - 3.0})
+    table = observation_table(
+        batch, shifted, np.zeros(3), observations.pixels, schema_of(columns, {})
+    )
+    assert table["x_px"].to_pylist() == X  # to the last bit
+    assert table["y_px"].to_pylist() == Y
+    np.testing.assert_allclose(table[f"x_{result}_px"], np.array(X) + 2.0, atol=1e-12, rtol=0)
+    np.testing.assert_allclose(table[f"y_{result}_px"], np.array(Y) - 3.0, atol=1e-12, rtol=0)
