@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.ingest import open_log
+from pipeline.ingest.buffers import window_of
 from pipeline.ingest.dataflash.formats import HEADER
 from pipeline.ingest.dataflash.log import counts_of, read_tables
 from pipeline.ingest.dataflash.records import walk
-from pipeline.ingest.file_view import window_of
 
 NEEDED = ("GPS", "GPA", "ATT", "BARO", "POS", "CAM", "TRIG", "ARSP", "HYGR")
 WEEK_MS = 604_800_000

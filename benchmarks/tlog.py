@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.ingest import open_log
-from pipeline.ingest.file_view import window_on
+from pipeline.ingest.buffers import window_on
 from pipeline.ingest.tlog.dialect import dialect
 from pipeline.ingest.tlog.fields import wanted_fields
 from pipeline.ingest.tlog.frames import (

@@ -5,13 +5,17 @@ The convention: v_ned = R(q) v_body, Hamilton, body forward-right-down, q_w >= 0
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from pipeline.flight.channels import Array
+from pipeline.ingest.fields import Column, column
 
 BLOCK = 65_536  # rows
+
+# GIMBAL_DEVICE_FLAGS: in which frame the yaw of the quaternion is
+_YAW_LOCK, _YAW_IN_VEHICLE_FRAME, _YAW_IN_EARTH_FRAME = 16, 32, 64
 
 
 def positive_scalar(q: Array) -> Array:
@@ -35,8 +39,8 @@ def in_blocks(rotation: Callable[[Array], Array], parts: Sequence[Array]) -> Non
     for begin in range(0, parts[0].shape[0], BLOCK):
         block = slice(begin, begin + BLOCK)
         q = rotation(np.stack([part[block] for part in parts], axis=1))
-        for part, column in zip(parts, q.T, strict=True):
-            part[block] = column
+        for part, component in zip(parts, q.T, strict=True):
+            part[block] = component
 
 
 def quaternion_of_euler(roll_rad: Array, pitch_rad: Array, yaw_rad: Array) -> Array:
@@ -82,3 +86,25 @@ def ned_frd_of_enu_flu(q: Array) -> Array:
     w, x, y, z = q.T
     with np.errstate(over="ignore"):
         return positive_scalar(np.sqrt(0.5) * np.stack([w + z, x + y, x - y, w - z], axis=1))
+
+
+def device_columns(path: str = "q") -> tuple[Column, ...]:
+    """The columns of MAVLink's GIMBAL_DEVICE_ATTITUDE_STATUS, where ``q`` is w, x, y, z."""
+    return (
+        *(column(f"q_{axis}", f"{path}.{k}") for k, axis in enumerate("wxyz")),
+        *(column(f"gimbal_q_{axis}", f"{path}.{k}") for k, axis in enumerate("wxyz")),
+        column("flags", "flags device_flags"),
+    )
+
+
+def north_only(columns: Mapping[str, Array]) -> dict[str, Array]:
+    """`device_columns` with ``q_*`` only where they are an attitude; ``gimbal_q_*`` are as sent.
+
+    The yaw counts from north or from the vehicle's nose, as the flags say; where neither flag is
+    set, a locked yaw counts from north (the text of the message in MAVLink's common.xml).
+    """
+    flags = np.nan_to_num(columns["flags"]).astype(np.int64)
+    lock = (flags & _YAW_LOCK != 0) & (flags & _YAW_IN_VEHICLE_FRAME == 0)
+    north = (flags & _YAW_IN_EARTH_FRAME != 0) | lock
+    attitude = {f"q_{axis}": np.where(north, columns[f"q_{axis}"], np.nan) for axis in "wxyz"}
+    return dict(columns) | attitude

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import (
     BOOT_STEP_NS,
+    LAST_US,
     STRAY_ROWS,
     Offset,
     fit_offset,
@@ -80,6 +81,19 @@ class Timeline:
 
     def _stretch(self, places: Places) -> NDArray[np.intp]:
         return np.maximum(np.searchsorted(self.first, places, side="right") - 1, 0)
+
+
+def microseconds(raw: NDArray[Any]) -> TimeArray:
+    """Time fields of any type as a new int64 array [us]; what no log can last is cut at `LAST_US`.
+
+    >>> microseconds(np.array([7, 2**64 - 1], np.uint64)).tolist() == [7, 2**52]
+    True
+    """
+    if raw.dtype.kind == "f":
+        return np.asarray(np.nan_to_num(raw, nan=LAST_US).clip(0, LAST_US), np.int64)
+    # what is below 0 becomes huge
+    cut: NDArray[np.uint64] = np.minimum(raw.astype(np.uint64, copy=False), np.uint64(LAST_US))
+    return cut.view(np.int64)
 
 
 def timeline(blocks: Iterable[Stamps]) -> Timeline:

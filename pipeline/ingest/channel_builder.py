@@ -12,9 +12,9 @@ from pipeline.flight.channels import Array, Channel, Source, TimeArray
 from pipeline.flight.clock import fresh, untangled
 from pipeline.ingest.attitude import in_blocks, positive_scalar, quaternion_of_euler
 from pipeline.ingest.boot_clock import LOWEST_FIX
+from pipeline.ingest.buffers import moved, room
 from pipeline.ingest.fields import MessageMap
 from pipeline.ingest.log import utc_text
-from pipeline.ingest.memory import moved, room
 from pipeline.ledger import Entry, Kind, Ledger
 
 

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.flight.channels import Array
+from pipeline.ingest.attitude import device_columns
 from pipeline.ingest.channel_builder import Rows
 from pipeline.ingest.fields import (
     ATTITUDE,
@@ -24,7 +25,6 @@ from pipeline.ingest.fields import (
     MessageMap,
     column,
 )
-from pipeline.ingest.gimbal import device_columns
 from pipeline.ledger import Ledger
 
 TIMESTAMP = "timestamp"

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from pipeline.errors import LogError
 from pipeline.flight.quality import flagged
+from pipeline.ingest.buffers import let_go
 from pipeline.ingest.dataflash.log import DATAFLASH
 from pipeline.ingest.dataflash.text import DATAFLASH_TEXT
 from pipeline.ingest.log import Contents, Log, LogFormat, hash_file
 from pipeline.ingest.mcap.log import MCAP
-from pipeline.ingest.memory import let_go
 from pipeline.ingest.tlog.log import TLOG
 from pipeline.ingest.ulog.log import ULOG
 from pipeline.ledger import Ledger

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.ingest.column_store import BLOCK, Store
+from pipeline.ingest.buffers import BLOCK, Store
 
 ROOT = Path(__file__).resolve().parents[2]
 MIB = 1 << 20

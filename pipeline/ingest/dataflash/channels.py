@@ -16,6 +16,8 @@ from pipeline.ingest.ardupilot_heights import (
     with_ellipsoidal_heights,
     with_undulation,
 )
+from pipeline.ingest.boot_clock import microseconds
+from pipeline.ingest.buffers import moved
 from pipeline.ingest.channel_builder import Rows, channel_of
 from pipeline.ingest.dataflash.columns import Decoded
 from pipeline.ingest.dataflash.fields import (
@@ -28,8 +30,6 @@ from pipeline.ingest.dataflash.fields import (
 from pipeline.ingest.dataflash.time import RECEIVERS, Clock
 from pipeline.ingest.fields import Column, MessageMap, extract, is_number
 from pipeline.ingest.log import Table
-from pipeline.ingest.memory import moved
-from pipeline.ingest.raw_values import microseconds
 from pipeline.ledger import Ledger
 
 _OF_TIME = ("GMS", "GWk", "Status")

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.ingest.buffers import Window, room
 from pipeline.ingest.dataflash.fields import INSTANCE_FIELDS
 from pipeline.ingest.dataflash.formats import Definition, texts
 from pipeline.ingest.dataflash.records import Walk, records
-from pipeline.ingest.file_view import Window
 from pipeline.ingest.log import Table
-from pipeline.ingest.memory import room
 from pipeline.ledger import Ledger
 
 LAST_INT64 = (1 << 63) - 1

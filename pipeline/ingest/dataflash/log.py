@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.ingest.boot_clock import Timeline, timeline
+from pipeline.ingest.buffers import window_on
 from pipeline.ingest.dataflash.channels import channels_of, wanted
 from pipeline.ingest.dataflash.columns import Decoded, decode, settled
 from pipeline.ingest.dataflash.fields import ACCURACY, INSTANCE_FIELDS, instance_of
 from pipeline.ingest.dataflash.records import FMT_START, Walk, Walker, walk
 from pipeline.ingest.dataflash.time import Clock, clock_of, stamps
 from pipeline.ingest.fields import is_number
-from pipeline.ingest.file_view import window_on
 from pipeline.ingest.log import Contents, Table, report_damage
 from pipeline.ledger import Ledger
 

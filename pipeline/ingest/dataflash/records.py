@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.ingest.buffers import SPAN, Window, gathered
 from pipeline.ingest.dataflash.formats import (
     FMT_LENGTH,
     FMT_TYPE,
@@ -23,8 +24,6 @@ from pipeline.ingest.dataflash.formats import (
     builtin,
     define,
 )
-from pipeline.ingest.file_view import SPAN, Window
-from pipeline.ingest.raw_values import gathered
 
 MAGIC = b"\xa3\x95"
 FMT_START = MAGIC + bytes([FMT_TYPE])

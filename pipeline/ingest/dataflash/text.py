@@ -17,12 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.boot_clock import Stamps, timeline
+from pipeline.ingest.boot_clock import Stamps, microseconds, timeline
 from pipeline.ingest.dataflash.channels import wanted
 from pipeline.ingest.dataflash.columns import Decoded, merged
 from pipeline.ingest.dataflash.log import contents_of
 from pipeline.ingest.log import Contents, report_damage
-from pipeline.ingest.raw_values import microseconds
 from pipeline.ledger import Ledger
 
 LONGEST = 4096  # bytes of a line; real ones have up to 250

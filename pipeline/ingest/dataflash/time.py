@@ -18,15 +18,15 @@ from pipeline.ingest.boot_clock import (
     Timeline,
     Told,
     fit_boots,
+    microseconds,
     report_timeline,
 )
+from pipeline.ingest.buffers import Window, gathered
 from pipeline.ingest.dataflash.columns import Decoded
 from pipeline.ingest.dataflash.fields import instance_of
 from pipeline.ingest.dataflash.formats import HEADER
 from pipeline.ingest.dataflash.records import Walker
-from pipeline.ingest.file_view import Window
 from pipeline.ingest.log import Table
-from pipeline.ingest.raw_values import gathered, microseconds
 from pipeline.ledger import Ledger
 
 RECEIVERS = ("GPS", "GPS2")

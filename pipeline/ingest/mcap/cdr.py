@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.file_view import Bytes
+from pipeline.ingest.buffers import Bytes, gathered
 from pipeline.ingest.mcap.cdr_schema import MAX_COUNT, Numbers, Sequence, Step, Text
-from pipeline.ingest.raw_values import gathered
 
 HEAD = 4  # bytes of encapsulation; alignment counts from behind them
 CDR_LE = 1  # plain CDR, little-endian; 0 is big-endian, larger are other encodings

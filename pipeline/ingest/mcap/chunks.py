@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import IO, Any
 
-from pipeline.ingest.file_view import Window
+from pipeline.ingest.buffers import Window
 
 HEAD = struct.Struct("<QQQII")  # first and last time, size, checksum, letters that follow
 COMPRESSIONS = ("", "lz4", "zstd")

@@ -13,7 +13,7 @@ import numpy as np
 
 from pipeline.flight.channels import Array
 from pipeline.ingest import px4_fields
-from pipeline.ingest.attitude import in_blocks, ned_frd_of_enu_flu
+from pipeline.ingest.attitude import in_blocks, ned_frd_of_enu_flu, north_only
 from pipeline.ingest.boot_clock import LOWEST_FIX
 from pipeline.ingest.fields import (
     ATTITUDE,
@@ -25,7 +25,6 @@ from pipeline.ingest.fields import (
     MessageMap,
     column,
 )
-from pipeline.ingest.gimbal import north_only
 from pipeline.ingest.mcap.cdr_schema import short
 from pipeline.ingest.px4_fields import TIMESTAMP, camera_quaternion
 

@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.file_view import Bytes
-from pipeline.ingest.raw_values import gathered
+from pipeline.ingest.buffers import Bytes, gathered
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import UNIX_NS_FROM
 from pipeline.ingest.boot_clock import Stamps, Told
+from pipeline.ingest.buffers import window_on
 from pipeline.ingest.fields import MessageMap
-from pipeline.ingest.file_view import window_on
 from pipeline.ingest.mcap.cdr_schema import SchemaError
 from pipeline.ingest.mcap.counts import Counts
 from pipeline.ingest.mcap.fields import PLAIN_JSON, SCHEMAS, known_name

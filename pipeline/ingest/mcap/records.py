@@ -14,7 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.file_view import Bytes, Window
+from pipeline.ingest.buffers import Bytes, Window
 from pipeline.ingest.mcap.chunks import (
     BLOCK,
     COMPRESSIONS,

@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import Source, TimeArray
 from pipeline.flight.clock import BOOT_STEP_NS, UNIX_NS_FROM, UNIX_US_FROM
-from pipeline.ingest.boot_clock import BootClock, Timeline, Told
+from pipeline.ingest.boot_clock import BootClock, Timeline, Told, microseconds
+from pipeline.ingest.buffers import Store
 from pipeline.ingest.channel_builder import Rows
-from pipeline.ingest.column_store import Store
 from pipeline.ingest.fields import MessageMap, extract
 from pipeline.ingest.mcap.fields import LABELS, finished
 from pipeline.ingest.mcap.time import stamps
 from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, UTC_FIELD, taken
-from pipeline.ingest.raw_values import microseconds
 from pipeline.ledger import Ledger
 
 Columns = Mapping[str, NDArray[Any]]

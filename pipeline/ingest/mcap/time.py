@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import BOOT_STEP_NS
-from pipeline.ingest.boot_clock import BootClock, Timeline, Told, fit_boots
-from pipeline.ingest.raw_values import microseconds
+from pipeline.ingest.boot_clock import BootClock, Timeline, Told, fit_boots, microseconds
 from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND
 

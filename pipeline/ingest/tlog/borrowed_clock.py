@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import UNIX_US_FROM
-from pipeline.ingest.column_store import Store
-from pipeline.ingest.raw_values import microseconds
+from pipeline.ingest.boot_clock import microseconds
+from pipeline.ingest.buffers import Store
 from pipeline.ingest.tlog.clock import CLOCK_FIELDS, EARLIEST_NS, LATEST_NS, Clocks, clock_field
 from pipeline.ingest.tlog.clock_readings import MICROSECOND, Key, Readings, by_source
 from pipeline.ledger import Ledger

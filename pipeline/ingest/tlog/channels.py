@@ -17,12 +17,11 @@ from pipeline.ingest.ardupilot_heights import (
     says_ellipsoid,
     with_ellipsoidal_heights,
 )
+from pipeline.ingest.attitude import north_only
+from pipeline.ingest.boot_clock import microseconds
+from pipeline.ingest.buffers import Store, room
 from pipeline.ingest.channel_builder import Rows, channel_of
-from pipeline.ingest.column_store import Store
 from pipeline.ingest.fields import MessageMap, extract
-from pipeline.ingest.gimbal import north_only
-from pipeline.ingest.memory import room
-from pipeline.ingest.raw_values import microseconds
 from pipeline.ingest.tlog.borrowed_clock import unix_us
 from pipeline.ingest.tlog.clock import CLOCK_FIELDS, Clocks
 from pipeline.ingest.tlog.clock_readings import MICROSECOND, Key, by_source

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import STRAY_ROWS, UNIX_US_FROM
-from pipeline.ingest.column_store import Store
-from pipeline.ingest.raw_values import microseconds
+from pipeline.ingest.boot_clock import microseconds
+from pipeline.ingest.buffers import Store
 
 MILLISECOND, MICROSECOND = 1_000_000, 1_000  # [ns]
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from pipeline.ingest.attitude import device_columns
 from pipeline.ingest.fields import ATTITUDE, GNSS, PRESSURE, MessageMap, column
-from pipeline.ingest.gimbal import device_columns
 
 INT16_MAX, UINT16_MAX = 32767.0, 65535.0
 

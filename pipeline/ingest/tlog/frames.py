@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.file_view import Bytes
-from pipeline.ingest.raw_values import gathered
+from pipeline.ingest.buffers import Bytes, gathered
 
 STAMP = 8
 V1, V2 = 0xFE, 0xFD

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import Channel
 from pipeline.flight.clock import stray_times
-from pipeline.ingest.file_view import window_on
+from pipeline.ingest.buffers import window_on
 from pipeline.ingest.log import Contents, Table, report_damage
 from pipeline.ingest.tlog.borrowed_clock import borrowed
 from pipeline.ingest.tlog.channels import channels_of, label_of, times_of

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.flight.clock import STRAY_ROWS
-from pipeline.ingest.column_store import Store
-from pipeline.ingest.file_view import Bytes, Window
+from pipeline.ingest.buffers import Bytes, Store, Window
 from pipeline.ingest.tlog.clock_readings import Key, Sampler
 from pipeline.ingest.tlog.frames import (
     HEAD,

@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 from pipeline.errors import LogError
 from pipeline.flight.channels import Channel, Source, TimeArray
 from pipeline.flight.clock import UNIX_US_FROM, stray_times
-from pipeline.ingest.boot_clock import Told, fit_boots, timeline
+from pipeline.ingest.attitude import north_only
+from pipeline.ingest.boot_clock import Told, fit_boots, microseconds, timeline
+from pipeline.ingest.buffers import window_on
 from pipeline.ingest.channel_builder import Rows, channel_of
 from pipeline.ingest.fields import MessageMap, extract
-from pipeline.ingest.file_view import window_on
-from pipeline.ingest.gimbal import north_only
 from pipeline.ingest.log import Contents, Table, report_damage
 from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, TOPICS, UTC_FIELD, taken
-from pipeline.ingest.raw_values import microseconds
 from pipeline.ingest.ulog.records import Walk, Whole, walk
 from pipeline.ledger import Ledger
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.ingest.file_view import Bytes, Window
+from pipeline.ingest.buffers import Bytes, Window
 
 FILE_HEADER = 16
 HEAD = struct.Struct("<HB")  # size of what follows, kind

@@ -13,7 +13,7 @@ import pytest
 
 from pipeline.ingest.dataflash.log import read_tables
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 FOLDERS = (ROOT.parent / "shared" / "logs", ROOT / "sample_logs")
 LOGS = sorted(path for folder in FOLDERS for path in folder.glob("*.[bB][iI][nN]"))
 NAMES = (

@@ -42,7 +42,7 @@ def library_tables(path: Path) -> dict[str, dict[str, list[Any]]]:
 
 @pytest.fixture(scope="module")
 def binary() -> Path:
-    path = Path(__file__).resolve().parents[2].parent / "shared" / "logs" / "beastayyg_sample.bin"
+    path = Path(__file__).resolve().parents[3].parent / "shared" / "logs" / "beastayyg_sample.bin"
     if not path.is_file():
         pytest.skip(f"{path} is not there: real logs live beside the repository")
     return path

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from pipeline.ingest import Log, open_log
+from pipeline.ingest.buffers import Window, window_of
 from pipeline.ingest.dataflash.records import walk
-from pipeline.ingest.file_view import Window, window_of
 
 BARO, HYGR, GPS, POS = 23, 24, 20, 25
 ROWS = 400

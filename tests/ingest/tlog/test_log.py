@@ -12,7 +12,7 @@ import pytest
 
 from pipeline.errors import LogError
 from pipeline.ingest import Log, open_log
-from pipeline.ingest.file_view import window_of
+from pipeline.ingest.buffers import window_of
 from pipeline.ingest.tlog.scan import scan
 
 DEGREE = np.pi / 180.0

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from pipeline.errors import LogError
-from pipeline.ingest import file_view as window
-from pipeline.ingest.file_view import window_of, window_on
+from pipeline.ingest import buffers as window
+from pipeline.ingest.buffers import window_of, window_on
 
 
 @pytest.fixture(autouse=True)

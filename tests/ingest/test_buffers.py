@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.ingest import memory, open_log
-from pipeline.ingest.column_store import Store
-from pipeline.ingest.memory import REGION, SMALL, let_go, moved, room
+from pipeline.ingest import buffers as memory
+from pipeline.ingest import open_log
+from pipeline.ingest.buffers import REGION, SMALL, Store, let_go, moved, room
 
 ROOT = Path(__file__).resolve().parents[2]
 

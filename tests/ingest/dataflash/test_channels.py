@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 from pipeline.errors import LogError
 from pipeline.flight.clock import full_weeks, utc_of_gps
 from pipeline.ingest import Log, open_log
+from pipeline.ingest.buffers import window_of
 from pipeline.ingest.dataflash.log import read_tables
 from pipeline.ingest.dataflash.records import walk
-from pipeline.ingest.file_view import window_of
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 SAMPLE = ROOT / "sample_logs" / "flight.bin"
 
 
@@ -148,7 +148,7 @@ def tables(path: Path, data: bytes | bytearray) -> dict[str, Any]:
 
 
 def test_the_walk_does_not_depend_on_where_blocks_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    from pipeline.ingest import file_view as window
+    from pipeline.ingest import buffers as window
     from pipeline.ingest.dataflash import records as dataflash_records
 
     data = bytearray(SAMPLE.read_bytes()[:60_000])

@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.ingest import open_log
 
-REPOSITORY = Path(__file__).resolve().parents[2]
+REPOSITORY = Path(__file__).resolve().parents[3]
 FOLDERS = (REPOSITORY.parent / "shared" / "logs", REPOSITORY / "sample_logs")
 LOGS = sorted(path for folder in FOLDERS for path in folder.glob("*.tlog"))
 

@@ -14,9 +14,9 @@ from pipeline.errors import LogError
 from pipeline.flight.clock import utc_of_gps
 from pipeline.flight.roles import assign_roles
 from pipeline.ingest import Log, open_log
+from pipeline.ingest.buffers import window_of
 from pipeline.ingest.dataflash.records import Walk
 from pipeline.ingest.dataflash.records import walk as walk_window
-from pipeline.ingest.file_view import window_of
 from pipeline.ledger import Ledger
 
 DEGREE = np.pi / 180.0

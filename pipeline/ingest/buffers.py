@@ -1,0 +1,284 @@
+"""Bytes of a file, and memory for the rows and columns that are made of them.
+
+Columns are in the process's own memory while they are few, in temporary files beyond. The system
+writes the pages of a file out when it needs memory: so logs of many GB are read on machines that
+have less, and what else runs there goes on. The files disappear with the process.
+"""
+
+from __future__ import annotations
+
+import io
+import mmap
+import os
+import tempfile
+import threading
+import weakref
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from pipeline.errors import LogError
+
+SPAN = 4 << 20  # bytes read at once; 1 to 16 MiB are equally fast
+BEHIND = 4096  # bytes kept before the place asked for: who mends damage looks back
+PRIVATE = 256 << 20  # [bytes] of rows and columns in memory of the process's own
+REGION = 64 << 20  # [bytes] of a temporary file, at least
+SMALL = 4096  # [bytes] that are left to the heap
+_ALIGNED = 64  # [bytes]
+_BLOCK = 65_536  # rows
+SMALLEST, BLOCK = 4096, 1 << 20  # [bytes] of the first block, and of the largest
+
+Bytes = NDArray[np.uint8]
+
+
+class Window:
+    """The bytes of a file, read in spans when they are asked for.
+
+    Not a memory map: a file that is cut while it is mapped kills the process, and its pages count
+    as the process's memory. A file that grows while it is read is read to where it ended.
+    """
+
+    def __init__(self, stream: io.FileIO | io.BytesIO, size: int, name: str = "") -> None:
+        self.size = size
+        self.name = name
+        self._stream = stream
+        self._begin = 0
+        self._bytes: Bytes = np.empty(0, np.uint8)
+
+    def array(self, begin: int, end: int) -> Bytes:
+        """The bytes from ``begin`` to ``end`` or the end of the file; not to be written to."""
+        end = min(end, self.size)
+        if begin < self._begin or end > self._begin + self._bytes.shape[0]:
+            self._load(max(begin - BEHIND, 0), end)
+        return self._bytes[begin - self._begin : end - self._begin]
+
+    def __getitem__(self, places: slice) -> bytes:
+        """A short stretch as bytes."""
+        return self.array(places.start, places.stop).tobytes()
+
+    def find(self, mark: bytes, begin: int, end: int | None = None) -> int:
+        """The first place of a mark that lies between two places, or -1."""
+        end = self.size if end is None else min(end, self.size)
+        while begin + len(mark) <= end:
+            stop = min(begin + SPAN, end)
+            found = self.array(begin, stop).tobytes().find(mark)
+            if found >= 0:
+                return begin + found
+            begin = stop - len(mark) + 1
+        return -1
+
+    def _load(self, begin: int, end: int) -> None:
+        length = min(max(end - begin, SPAN + 2 * BEHIND), self.size - begin)
+        fetched = np.empty(length, np.uint8)
+        self._stream.seek(begin)
+        count = 0
+        while count < length and (more := self._stream.readinto(fetched[count:].data)):
+            count += more
+        if count < length:
+            raise LogError(
+                "LOG-CHANGED",
+                f"it had {self.size} bytes and now ends at byte {begin + count}",
+                where=self.name,
+                remedy="wait until the log is complete, and read it again",
+            )
+        self._begin, self._bytes = begin, fetched
+
+
+@contextmanager
+def window_on(path: Path) -> Iterator[Window]:
+    """A window on a file, as long as the block lasts."""
+    with path.open("rb", buffering=0) as stream:
+        yield Window(stream, path.stat().st_size, str(path))
+
+
+def window_of(data: bytes) -> Window:
+    """A window on bytes in memory.
+
+    >>> window_of(b"abcabc").find(b"c", 3)
+    5
+    """
+    return Window(io.BytesIO(data), len(data))
+
+
+def gathered(data: NDArray[np.uint8], places: NDArray[Any], size: int) -> NDArray[Any]:
+    """So many bytes from each place on, one void item a row; all must lie in the data.
+
+    >>> gathered(np.frombuffer(b"abcdef", np.uint8), np.array([3, 0]), 2).view("S2")
+    array([b'de', b'ab'], dtype='|S2')
+    """
+    every: NDArray[Any] = np.ndarray((max(data.shape[0] - size + 1, 0),), f"V{size}", data, 0, (1,))
+    found: NDArray[Any] = every[places]
+    return found
+
+
+class _Rooms:
+    """What is held: ``private`` bytes in maps of their own, the others in ``regions`` of files."""
+
+    def __init__(self) -> None:
+        self.generation = 0
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Forget what is held; in a child process, which shares the files of its parent."""
+        self.lock = threading.RLock()  # the collector may give memory back while it is held
+        self.generation += 1
+        self.private = 0
+        self.regions: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
+        self.last: Callable[[], mmap.mmap | None] = lambda: None  # a region may be gone by now
+        self.used = 0  # bytes of the last region
+
+    def take(self, size: int) -> tuple[mmap.mmap, int]:
+        """Memory for so many bytes, and where in it they begin."""
+        with self.lock:
+            if self.private + size > PRIVATE:
+                found = self._of_a_file(size)
+                if found is not None:
+                    return found
+            try:
+                memory = mmap.mmap(-1, size, access=mmap.ACCESS_COPY)
+            except OSError as error:
+                raise MemoryError(f"no room for {size} bytes: {error.strerror}") from error
+            self.private += size
+            weakref.finalize(memory, self._give_back, size, self.generation).atexit = False
+            return memory, 0
+
+    def _give_back(self, size: int, generation: int) -> None:
+        with self.lock:
+            self.private -= size if generation == self.generation else 0
+
+    def _of_a_file(self, size: int) -> tuple[mmap.mmap, int] | None:
+        """Room in a temporary file; None where it cannot have any."""
+        region = self.last()
+        if region is None or self.used + size > len(region):
+            self.let_go()
+            region = _file(max(size, REGION))
+            if region is None:
+                return None
+            self.regions.add(region)
+            self.last, self.used = weakref.ref(region), 0
+        begin = self.used
+        self.used += -(-size // _ALIGNED) * _ALIGNED
+        return region, begin
+
+    def let_go(self) -> None:
+        """Let the pages of the files stay there until they are touched."""
+        with self.lock:
+            for region in self.regions:
+                region.madvise(mmap.MADV_DONTNEED)
+
+
+def _file(size: int) -> mmap.mmap | None:
+    """A map of a file that has no name, whose bytes are reserved; None where there is no room."""
+    if not hasattr(os, "posix_fallocate") or not hasattr(mmap, "MADV_DONTNEED"):
+        return None
+    try:
+        with tempfile.TemporaryFile() as file:
+            os.posix_fallocate(file.fileno(), 0, size)
+            return mmap.mmap(file.fileno(), size)
+    except OSError:
+        return None
+
+
+_ROOMS = _Rooms()
+os.register_at_fork(after_in_child=_ROOMS.begin_anew)
+
+
+def room(count: int, dtype: DTypeLike) -> NDArray[Any]:
+    """(count,) rows with any values in them.
+
+    In memory of the process's own as long as it holds no more than `PRIVATE` so, else in a
+    temporary file (of the folder ``TMPDIR``) if there is space for it. Either goes back to the
+    system when the last array on it is gone: freed pieces of the heap between others that are still
+    in use fit no column of a long log, and a process would keep about as much again as it needs.
+    After a fork, parent and child see what the other writes to an array in a file.
+
+    >>> column = room(3, "f8")
+    >>> column[:] = 1.5
+    >>> column.sum().item()
+    4.5
+    """
+    kind = np.dtype(dtype)
+    size = count * kind.itemsize
+    if size < SMALL or kind.hasobject:
+        return np.empty(count, kind)
+    memory, begin = _ROOMS.take(size)
+    return np.frombuffer(memory, kind, count, begin)
+
+
+def moved(column: NDArray[Any], rows: NDArray[np.intp] | None = None) -> NDArray[Any]:
+    """A column that is to stay, or some rows of it, in a `room` of its own.
+
+    >>> moved(np.array([5, 6, 7]), np.array([2, 0])).tolist()
+    [7, 5]
+    """
+    kept = room(
+        column.shape[0] if rows is None else rows.shape[0], (column.dtype, column.shape[1:])
+    )
+    for begin in range(0, kept.shape[0], _BLOCK):
+        block = slice(begin, begin + _BLOCK)
+        kept[block] = column[block] if rows is None else column[rows[block]]
+    return kept
+
+
+def let_go() -> None:
+    """Keep no pages of temporary files in memory for now; they come back when they are touched."""
+    _ROOMS.let_go()
+
+
+class Store:
+    """Rows of one type in blocks that go back to the system when they are let go."""
+
+    def __init__(self, dtype: DTypeLike) -> None:
+        self.dtype = np.dtype(dtype)
+        self._blocks: list[NDArray[Any]] = []
+        self._room = 0  # free rows of the last block
+        self._length = 0
+
+    def __len__(self) -> int:
+        return self._length
+
+    def add(self, rows: NDArray[Any]) -> None:
+        """Append rows, converted to the type of this store."""
+        done = 0
+        while done < rows.shape[0]:
+            if not self._room:
+                size = min(max(self._length * self.dtype.itemsize, SMALLEST), BLOCK)
+                self._room = max(size // self.dtype.itemsize, 1)
+                self._blocks.append(room(self._room, self.dtype))
+            count = min(self._room, rows.shape[0] - done)
+            first = self._blocks[-1].shape[0] - self._room
+            self._blocks[-1][first : first + count] = rows[done : done + count]
+            self._room -= count
+            done += count
+            self._length += count
+
+    def blocks(self) -> Iterator[NDArray[Any]]:
+        """The rows, some at a time; they may be written to."""
+        for k, block in enumerate(self._blocks):
+            yield block if k + 1 < len(self._blocks) else block[: block.shape[0] - self._room]
+
+    def drained(self) -> Iterator[NDArray[Any]]:
+        """The rows, some at a time; each block is let go when the next is asked for."""
+        last, room = len(self._blocks) - 1, self._room
+        blocks, self._blocks, self._room, self._length = self._blocks[::-1], [], 0, 0
+        for k in range(last + 1):
+            block = blocks.pop()
+            yield block if k < last else block[: block.shape[0] - room]
+
+    def whole(self) -> NDArray[Any]:
+        """All rows as one array; the store is empty then.
+
+        >>> store = Store(np.int64)
+        >>> store.add(np.arange(3))
+        >>> store.whole(), len(store)
+        (array([0, 1, 2]), 0)
+        """
+        result, done = room(self._length, self.dtype), 0
+        for block in self.drained():
+            result[done : done + block.shape[0]] = block
+            done += block.shape[0]
+        return result
