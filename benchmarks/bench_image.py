@@ -69,7 +69,7 @@ def correct_by_numpy(n_of: Any, x: Any, y: Any, h_g: Any, e: Any, ex: Any) -> tu
     return CAMERA.fx_px * u * radial + CAMERA.cx_px, CAMERA.fy_px * v * radial + CAMERA.cy_px
 
 
-def in_blocks(n_of: Any, x: Any, y: Any, h_g: Any, e: Any, ex: Any) -> tuple[Any, Any]:
+def replace_in_blocks(n_of: Any, x: Any, y: Any, h_g: Any, e: Any, ex: Any) -> tuple[Any, Any]:
     """Blocks of 10,000 points."""
     parts = [slice(i, i + 10_000) for i in range(0, x.size, 10_000)]
     found = [correct_by_numpy(n_of, x[p], y[p], h_g[p], e[p], ex) for p in parts]
@@ -87,13 +87,13 @@ def test_image_points_beside_numpy(pair):
     fitted = np.polynomial.Polynomial.fit(grid, profile.refractivity(grid), 9)
 
     ours = correct_observations(x[few], y[few], h_g[few], e[few], ex, CAMERA, table)
-    theirs = in_blocks(fitted, x[few], y[few], h_g[few], e[few], ex)
+    theirs = replace_in_blocks(fitted, x[few], y[few], h_g[few], e[few], ex)
     assert np.abs(ours.x_px - theirs[0]).max() < 1e-6
     assert np.abs(ours.y_px - theirs[1]).max() < 1e-6
 
     ratio = pair(
         lambda: correct_observations(x, y, h_g, e, ex, CAMERA, table),
-        lambda: in_blocks(fitted, x[few], y[few], h_g[few], e[few], ex),
+        lambda: replace_in_blocks(fitted, x[few], y[few], h_g[few], e[few], ex),
         POINTS,
         BY_NUMPY,
     )

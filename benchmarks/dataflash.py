@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.ingest import open_log
-from pipeline.ingest.buffers import window_of
+from pipeline.ingest.buffers import view_of_bytes
 from pipeline.ingest.dataflash.formats import HEADER
 from pipeline.ingest.dataflash.log import counts_of, read_tables
 from pipeline.ingest.dataflash.records import walk
@@ -31,7 +31,7 @@ def grow(log: Path, out: Path, size_bytes: int) -> int:
     TimeUS and the GPS time move on by the length of the log with every copy.
     """
     data = log.read_bytes()
-    found = walk(window_of(data))
+    found = walk(view_of_bytes(data))
     places, numbers = found.offsets, found.numbers
     timed = np.array([form.timed for form in found.definitions], np.bool_)
     stamps = places[timed[numbers]] + HEADER
@@ -121,7 +121,7 @@ def main(source: Path, megabytes: int = 110, pairs: int = 7) -> None:
         size = grow(source, log, megabytes * 1_000_000) / 1e6
         ours_needed(log)
         with log.open("rb") as stream:
-            messages = sum(counts_of(walk(window_of(stream.read()))).values())
+            messages = sum(counts_of(walk(view_of_bytes(stream.read()))).values())
         print(f"{source.name} grown to {size:.0f} MB, {messages:,} messages")
         for name, library, ours in (
             ("needed types", library_needed, ours_needed),

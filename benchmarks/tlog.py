@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.ingest import open_log
-from pipeline.ingest.buffers import window_on
+from pipeline.ingest.buffers import open_view
 from pipeline.ingest.tlog.dialect import dialect
 from pipeline.ingest.tlog.fields import wanted_fields
 from pipeline.ingest.tlog.frames import (
@@ -138,7 +138,7 @@ def library(log: Path, size: int) -> int:
 def ours(log: Path) -> int:
     """The same types as records of numbers, the checksum of every frame tested."""
     known = dialect()
-    with window_on(log) as data:
+    with open_view(log) as data:
         return sum(scan(data, known.extras, known.layouts(wanted_fields())).counts.values())
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from pipeline.flight.channels import Array
-from pipeline.ingest.fields import Column, column
+from pipeline.ingest.fields import FieldColumn, column
 
 BLOCK = 65_536  # rows
 
@@ -18,7 +18,7 @@ BLOCK = 65_536  # rows
 _YAW_LOCK, _YAW_IN_VEHICLE_FRAME, _YAW_IN_EARTH_FRAME = 16, 32, 64
 
 
-def positive_scalar(q: Array) -> Array:
+def unit_quaternions(q: Array) -> Array:
     """The same rotations with q_w >= 0 and unit length; NaN where the length is zero or infinite.
 
     Parameters
@@ -31,7 +31,7 @@ def positive_scalar(q: Array) -> Array:
     return np.where(unit[:, :1] < 0.0, -unit, unit)
 
 
-def in_blocks(rotation: Callable[[Array], Array], parts: Sequence[Array]) -> None:
+def replace_in_blocks(rotation: Callable[[Array], Array], parts: Sequence[Array]) -> None:
     """Put a function of (n, 4) numbers, which gives quaternions, in the place of four columns.
 
     Some rows at a time: at once, what a rotation needs on the way would be the peak of memory.
@@ -67,7 +67,7 @@ def quaternion_of_euler(roll_rad: Array, pitch_rad: Array, yaw_rad: Array) -> Ar
         ],
         axis=1,
     )
-    return positive_scalar(q)
+    return unit_quaternions(q)
 
 
 def ned_frd_of_enu_flu(q: Array) -> Array:
@@ -85,10 +85,10 @@ def ned_frd_of_enu_flu(q: Array) -> Array:
     """
     w, x, y, z = q.T
     with np.errstate(over="ignore"):
-        return positive_scalar(np.sqrt(0.5) * np.stack([w + z, x + y, x - y, w - z], axis=1))
+        return unit_quaternions(np.sqrt(0.5) * np.stack([w + z, x + y, x - y, w - z], axis=1))
 
 
-def device_columns(path: str = "q") -> tuple[Column, ...]:
+def gimbal_columns(path: str = "q") -> tuple[FieldColumn, ...]:
     """The columns of MAVLink's GIMBAL_DEVICE_ATTITUDE_STATUS, where ``q`` is w, x, y, z."""
     return (
         *(column(f"q_{axis}", f"{path}.{k}") for k, axis in enumerate("wxyz")),
@@ -97,8 +97,8 @@ def device_columns(path: str = "q") -> tuple[Column, ...]:
     )
 
 
-def north_only(columns: Mapping[str, Array]) -> dict[str, Array]:
-    """`device_columns` with ``q_*`` only where they are an attitude; ``gimbal_q_*`` are as sent.
+def earth_frame_attitude(columns: Mapping[str, Array]) -> dict[str, Array]:
+    """`gimbal_columns` with ``q_*`` only where they are an attitude; ``gimbal_q_*`` are as sent.
 
     The yaw counts from north or from the vehicle's nose, as the flags say; where neither flag is
     set, a locked yaw counts from north (the text of the message in MAVLink's common.xml).

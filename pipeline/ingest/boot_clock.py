@@ -100,7 +100,7 @@ def timeline(blocks: Iterable[Stamps]) -> Timeline:
     """Power-ups and stray stamps, from all times since boot of a log in its order.
 
     A step back by more than 1 s is a power-up, unless few stamps in a row are a glitch
-    (`stray_stretches`). A power-up whose time is later shows only against UTC: `fit_boots`.
+    (`stray_stretches`). A power-up whose time is later shows only against UTC: `fit_boot_clock`.
 
     >>> time_ns = np.array([5, 6, 7, 8, 9, 2, 3, 4, 5, 6]) * 10**9
     >>> timeline([(np.arange(10), time_ns)]).boot_of(np.array([4, 5]))
@@ -160,7 +160,7 @@ def report_timeline(line: Timeline, ledger: Ledger, place: str = "byte") -> None
 
 
 @dataclass(frozen=True)
-class Told:
+class UtcReadings:
     """What one source says of UTC, (n,) in the order of the log.
 
     ``source`` in words; ``places``; ``boot_ns`` and ``utc_ns``, of which rows with ``usable`` False
@@ -175,7 +175,7 @@ class Told:
     usable: NDArray[np.bool_]
     fix: NDArray[Any] = field(default_factory=lambda: np.empty(0))
 
-    def sound(self, line: Timeline) -> Told:
+    def sound(self, line: Timeline) -> UtcReadings:
         """The rows that can be trusted: no stray stamp, a fix, and a time of their own."""
         good = self.usable & line.good(self.places)
         if self.fix.size:
@@ -183,7 +183,7 @@ class Told:
         good[good] = fresh(self.utc_ns if bool(good.all()) else self.utc_ns[good])
         if bool(good.all()):
             return self
-        return Told(
+        return UtcReadings(
             self.source, self.places[good], self.boot_ns[good], self.utc_ns[good], good[good]
         )
 
@@ -192,13 +192,13 @@ class Told:
 class BootClock:
     """UTC of a clock that begins anew at each boot.
 
-    ``line`` the boots; ``fits`` of each, None where nothing says UTC; ``told`` whether that is a
-    source of UTC, or only the recorder's clock.
+    ``line`` the boots; ``fits`` of each, None where nothing says UTC; ``utc_known`` whether a
+    source of UTC gives it, or only the recorder's clock.
     """
 
     line: Timeline
     fits: tuple[Offset | None, ...]
-    told: tuple[bool, ...]
+    utc_known: tuple[bool, ...]
 
     @property
     def offsets(self) -> NDArray[np.int64]:
@@ -210,11 +210,11 @@ class BootClock:
         return np.asarray(boot_ns + self.offsets[self.line.boot_of(places)], np.int64)
 
 
-def fit_boots(
+def fit_boot_clock(
     line: Timeline,
-    told: Sequence[Told],
+    told: Sequence[UtcReadings],
     ledger: Ledger,
-    recorder: Told | None = None,
+    recorder: UtcReadings | None = None,
     where: str = "",
 ) -> BootClock:
     """One offset of UTC from the time since boot, for each boot; how well it fits is reported.
@@ -255,7 +255,7 @@ def fit_boots(
     return BootClock(line, tuple(fits), tuple(by_utc))
 
 
-def _cut(line: Timeline, one: Told, bridged: NDArray[np.bool_]) -> Timeline:
+def _cut(line: Timeline, one: UtcReadings, bridged: NDArray[np.bool_]) -> Timeline:
     """Cut boots where this source's offset steps at a silence that is not ``bridged``."""
     after, silence = line.silences()
     free = ~bridged & (line.boot[after] == line.boot[after - 1])
@@ -275,7 +275,7 @@ def _cut(line: Timeline, one: Told, bridged: NDArray[np.bool_]) -> Timeline:
     return line.cut(found)
 
 
-def _bridged(line: Timeline, before: Sequence[Told]) -> NDArray[np.bool_]:
+def _bridged(line: Timeline, before: Sequence[UtcReadings]) -> NDArray[np.bool_]:
     """Silences about which other sources have spoken: with rows on both sides, in one boot."""
     places = line.first[line.silences()[0]]
     known = np.zeros(places.shape, np.bool_)
@@ -300,13 +300,13 @@ def _steady(offset_ns: TimeArray) -> TimeArray:
     return steady
 
 
-def _of_boot(line: Timeline, number: int, one: Told) -> Offset | None:
+def _of_boot(line: Timeline, number: int, one: UtcReadings) -> Offset | None:
     rows = line.boot_of(one.places) == number
     return fit_offset(one.utc_ns[rows], one.boot_ns[rows])
 
 
 def _fit(
-    line: Timeline, number: int, sources: Sequence[Told], ledger: Ledger, where: str
+    line: Timeline, number: int, sources: Sequence[UtcReadings], ledger: Ledger, where: str
 ) -> Offset | None:
     """The offset of one boot by the source with the most rows in it."""
     fits = [(one, fit) for one in sources if (fit := _of_boot(line, number, one)) is not None]

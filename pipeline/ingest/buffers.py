@@ -35,7 +35,7 @@ SMALLEST, BLOCK = 4096, 1 << 20  # [bytes] of the first block, and of the larges
 Bytes = NDArray[np.uint8]
 
 
-class Window:
+class FileView:
     """The bytes of a file, read in spans when they are asked for.
 
     Not a memory map: a file that is cut while it is mapped kills the process, and its pages count
@@ -89,25 +89,25 @@ class Window:
 
 
 @contextmanager
-def window_on(path: Path) -> Iterator[Window]:
+def open_view(path: Path) -> Iterator[FileView]:
     """A window on a file, as long as the block lasts."""
     with path.open("rb", buffering=0) as stream:
-        yield Window(stream, path.stat().st_size, str(path))
+        yield FileView(stream, path.stat().st_size, str(path))
 
 
-def window_of(data: bytes) -> Window:
+def view_of_bytes(data: bytes) -> FileView:
     """A window on bytes in memory.
 
-    >>> window_of(b"abcabc").find(b"c", 3)
+    >>> view_of_bytes(b"abcabc").find(b"c", 3)
     5
     """
-    return Window(io.BytesIO(data), len(data))
+    return FileView(io.BytesIO(data), len(data))
 
 
-def gathered(data: NDArray[np.uint8], places: NDArray[Any], size: int) -> NDArray[Any]:
+def gather(data: NDArray[np.uint8], places: NDArray[Any], size: int) -> NDArray[Any]:
     """So many bytes from each place on, one void item a row; all must lie in the data.
 
-    >>> gathered(np.frombuffer(b"abcdef", np.uint8), np.array([3, 0]), 2).view("S2")
+    >>> gather(np.frombuffer(b"abcdef", np.uint8), np.array([3, 0]), 2).view("S2")
     array([b'de', b'ab'], dtype='|S2')
     """
     every: NDArray[Any] = np.ndarray((max(data.shape[0] - size + 1, 0),), f"V{size}", data, 0, (1,))
@@ -154,7 +154,7 @@ class _Rooms:
         """Room in a temporary file; None where it cannot have any."""
         region = self.last()
         if region is None or self.used + size > len(region):
-            self.let_go()
+            self.release_pages()
             region = _file(max(size, REGION))
             if region is None:
                 return None
@@ -164,7 +164,7 @@ class _Rooms:
         self.used += -(-size // _ALIGNED) * _ALIGNED
         return region, begin
 
-    def let_go(self) -> None:
+    def release_pages(self) -> None:
         """Let the pages of the files stay there until they are touched."""
         with self.lock:
             for region in self.regions:
@@ -187,7 +187,7 @@ _ROOMS = _Rooms()
 os.register_at_fork(after_in_child=_ROOMS.begin_anew)
 
 
-def room(count: int, dtype: DTypeLike) -> NDArray[Any]:
+def allocate(count: int, dtype: DTypeLike) -> NDArray[Any]:
     """(count,) rows with any values in them.
 
     In memory of the process's own as long as it holds no more than `PRIVATE` so, else in a
@@ -196,7 +196,7 @@ def room(count: int, dtype: DTypeLike) -> NDArray[Any]:
     in use fit no column of a long log, and a process would keep about as much again as it needs.
     After a fork, parent and child see what the other writes to an array in a file.
 
-    >>> column = room(3, "f8")
+    >>> column = allocate(3, "f8")
     >>> column[:] = 1.5
     >>> column.sum().item()
     4.5
@@ -209,13 +209,13 @@ def room(count: int, dtype: DTypeLike) -> NDArray[Any]:
     return np.frombuffer(memory, kind, count, begin)
 
 
-def moved(column: NDArray[Any], rows: NDArray[np.intp] | None = None) -> NDArray[Any]:
-    """A column that is to stay, or some rows of it, in a `room` of its own.
+def copy_rows(column: NDArray[Any], rows: NDArray[np.intp] | None = None) -> NDArray[Any]:
+    """A column that is to stay, or some rows of it, in a `allocate` of its own.
 
-    >>> moved(np.array([5, 6, 7]), np.array([2, 0])).tolist()
+    >>> copy_rows(np.array([5, 6, 7]), np.array([2, 0])).tolist()
     [7, 5]
     """
-    kept = room(
+    kept = allocate(
         column.shape[0] if rows is None else rows.shape[0], (column.dtype, column.shape[1:])
     )
     for begin in range(0, kept.shape[0], _BLOCK):
@@ -224,12 +224,12 @@ def moved(column: NDArray[Any], rows: NDArray[np.intp] | None = None) -> NDArray
     return kept
 
 
-def let_go() -> None:
+def release_pages() -> None:
     """Keep no pages of temporary files in memory for now; they come back when they are touched."""
-    _ROOMS.let_go()
+    _ROOMS.release_pages()
 
 
-class Store:
+class ColumnStore:
     """Rows of one type in blocks that go back to the system when they are let go."""
 
     def __init__(self, dtype: DTypeLike) -> None:
@@ -248,7 +248,7 @@ class Store:
             if not self._room:
                 size = min(max(self._length * self.dtype.itemsize, SMALLEST), BLOCK)
                 self._room = max(size // self.dtype.itemsize, 1)
-                self._blocks.append(room(self._room, self.dtype))
+                self._blocks.append(allocate(self._room, self.dtype))
             count = min(self._room, rows.shape[0] - done)
             first = self._blocks[-1].shape[0] - self._room
             self._blocks[-1][first : first + count] = rows[done : done + count]
@@ -272,12 +272,12 @@ class Store:
     def whole(self) -> NDArray[Any]:
         """All rows as one array; the store is empty then.
 
-        >>> store = Store(np.int64)
+        >>> store = ColumnStore(np.int64)
         >>> store.add(np.arange(3))
         >>> store.whole(), len(store)
         (array([0, 1, 2]), 0)
         """
-        result, done = room(self._length, self.dtype), 0
+        result, done = allocate(self._length, self.dtype), 0
         for block in self.drained():
             result[done : done + block.shape[0]] = block
             done += block.shape[0]

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import Array, Channel, Source, TimeArray
 from pipeline.flight.clock import fresh, untangled
-from pipeline.ingest.attitude import in_blocks, positive_scalar, quaternion_of_euler
+from pipeline.ingest.attitude import quaternion_of_euler, replace_in_blocks, unit_quaternions
 from pipeline.ingest.boot_clock import LOWEST_FIX
-from pipeline.ingest.buffers import moved, room
+from pipeline.ingest.buffers import allocate, copy_rows
 from pipeline.ingest.fields import MessageMap
 from pipeline.ingest.log import utc_text
 from pipeline.ledger import Entry, Kind, Ledger
 
 
 @dataclass(frozen=True)
-class Rows:
+class DecodedRows:
     """The rows of one channel as decoded: times in the order of the file, columns in SI."""
 
     name: str
@@ -32,15 +32,15 @@ class Rows:
     def __len__(self) -> int:
         return int(self.time_ns.shape[0])
 
-    def take(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Rows:
+    def take(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> DecodedRows:
         """The rows of a mask or an index."""
         kept = np.asarray(np.flatnonzero(rows) if rows.dtype == np.bool_ else rows, np.intp)
-        return Rows(
+        return DecodedRows(
             self.name,
             self.source,
-            moved(self.time_ns, kept),
-            moved(self.boot, kept),
-            {name: moved(column, kept) for name, column in self.columns.items()},
+            copy_rows(self.time_ns, kept),
+            copy_rows(self.boot, kept),
+            {name: copy_rows(column, kept) for name, column in self.columns.items()},
             {
                 name: tuple(np.asarray(label, object)[rows].tolist())
                 for name, label in self.labels.items()
@@ -48,7 +48,7 @@ class Rows:
         )
 
 
-def channel_of(rows: Rows, spec: MessageMap, ledger: Ledger) -> Channel | None:
+def channel_of(rows: DecodedRows, spec: MessageMap, ledger: Ledger) -> Channel | None:
     """A channel from decoded rows, or None when nothing is left; drops are in the ledger."""
     needed = {"lat_rad", "lon_rad"} if spec.position else set()
     if spec.attitude:
@@ -79,7 +79,7 @@ def channel_of(rows: Rows, spec: MessageMap, ledger: Ledger) -> Channel | None:
     return replace(channel, roles=roles)
 
 
-def _with_fix(rows: Rows, ledger: Ledger) -> Rows:
+def _with_fix(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
     lat, lon = rows.columns["lat_rad"], rows.columns["lon_rad"]
     good = np.isfinite(lat) & np.isfinite(lon) & ~((lat == 0.0) & (lon == 0.0))
     if "fix" in rows.columns:
@@ -96,7 +96,7 @@ def _with_fix(rows: Rows, ledger: Ledger) -> Rows:
     return rows.take(good)
 
 
-def _without_repeats(rows: Rows, ledger: Ledger, *, event: bool) -> Rows:
+def _without_repeats(rows: DecodedRows, ledger: Ledger, *, event: bool) -> DecodedRows:
     if bool(np.all(rows.time_ns[1:] > rows.time_ns[:-1])):
         return rows
     repeats = _repeats(rows)
@@ -109,7 +109,7 @@ def _without_repeats(rows: Rows, ledger: Ledger, *, event: bool) -> Rows:
     return rows.take(~repeats)
 
 
-def _rising(rows: Rows, ledger: Ledger) -> Rows:
+def _rising(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
     """The rows in strictly increasing time; what that costs is in the ledger."""
     if bool(np.all(rows.time_ns[1:] > rows.time_ns[:-1])):
         return rows
@@ -138,7 +138,7 @@ def _rising(rows: Rows, ledger: Ledger) -> Rows:
     return replace(result, boot=boot.astype(np.int16))
 
 
-def _repeats(rows: Rows) -> NDArray[np.bool_]:
+def _repeats(rows: DecodedRows) -> NDArray[np.bool_]:
     """Rows with the time of the row before, or equal to an earlier row in everything."""
     _, first, group = np.unique(rows.time_ns, return_index=True, return_inverse=True)
     original = first[group]
@@ -153,11 +153,11 @@ def _attitude(columns: dict[str, Array]) -> dict[str, Array]:
     """Euler angles or any quaternion -> unit quaternions, in the memory of the columns."""
     if "roll_rad" in columns:
         parts = [columns.pop(f"{name}_rad") for name in ("roll", "pitch", "yaw")]
-        parts.append(room(parts[0].shape[0], np.float64))
-        in_blocks(_of_euler, parts)
+        parts.append(allocate(parts[0].shape[0], np.float64))
+        replace_in_blocks(_of_euler, parts)
     else:
         parts = [columns.pop(f"q_{axis}") for axis in "wxyz"]
-        in_blocks(positive_scalar, parts)
+        replace_in_blocks(unit_quaternions, parts)
     return columns | dict(zip(("q_w", "q_x", "q_y", "q_z"), parts, strict=True))
 
 

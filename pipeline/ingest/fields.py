@@ -50,7 +50,7 @@ TEMPERATURE, HUMIDITY = ("temperature", "cabin_temperature"), ("humidity", "cabi
 
 
 @dataclass(frozen=True)
-class Column:
+class FieldColumn:
     """One column of a channel.
 
     ``fields`` are the names it has had, newest first; ``missing`` is the value in the log that
@@ -71,9 +71,9 @@ def column(
     *,
     missing: float | None = None,
     floor: float | None = None,
-) -> Column:
+) -> FieldColumn:
     """A column from field names separated by spaces."""
-    return Column(name, tuple(fields.split()), unit, missing, floor)
+    return FieldColumn(name, tuple(fields.split()), unit, missing, floor)
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class MessageMap:
     ``position`` drops rows without a fix, ``attitude`` turns Euler angles into a quaternion.
     """
 
-    columns: tuple[Column, ...]
+    columns: tuple[FieldColumn, ...]
     roles: tuple[str, ...] = ()
     rank: int = 50
     id_field: str = ""
@@ -106,7 +106,7 @@ class MessageMap:
         return "events" in self.roles
 
 
-def to_si(raw: NDArray[Any], spec: Column) -> Array:
+def to_si(raw: NDArray[Any], spec: FieldColumn) -> Array:
     """Values of a log -> SI, NaN where the log says unknown or the value is not finite.
 
     >>> to_si(np.array([-32768, 2000]), column("temperature_k", "t", "cdegC", missing=-32768))
@@ -167,7 +167,7 @@ def is_number(column: NDArray[Any]) -> bool:
 
 def extract(
     table: Mapping[str, NDArray[Any]],
-    columns: tuple[Column, ...],
+    columns: tuple[FieldColumn, ...],
     kept: Callable[[Array], Array] = np.asarray,
 ) -> dict[str, Array]:
     """The columns of a field map that a decoded message has, each as it is to be ``kept``.

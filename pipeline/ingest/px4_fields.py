@@ -13,15 +13,15 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.flight.channels import Array
-from pipeline.ingest.attitude import device_columns
-from pipeline.ingest.channel_builder import Rows
+from pipeline.ingest.attitude import gimbal_columns
+from pipeline.ingest.channel_builder import DecodedRows
 from pipeline.ingest.fields import (
     ATTITUDE,
     GNSS,
     HUMIDITY,
     PRESSURE,
     TEMPERATURE,
-    Column,
+    FieldColumn,
     MessageMap,
     column,
 )
@@ -37,7 +37,7 @@ CAPTURE_UTC_FIELD = "timestamp_utc"
 _FAILED = 0.0  # of ``result``: 1 is success, -1 a camera that does not answer (CameraCapture.msg)
 
 
-def camera_quaternion(path: str, axes: str = "0123") -> tuple[Column, ...]:
+def camera_quaternion(path: str, axes: str = "0123") -> tuple[FieldColumn, ...]:
     """The attitude of a camera, w, x, y, z in this order under a path."""
     pairs = zip("wxyz", axes, strict=True)
     return tuple(column(f"camera_q_{axis}", f"{path}.{name}") for axis, name in pairs)
@@ -118,7 +118,7 @@ MESSAGES: Mapping[str, MessageMap] = {
     "CameraCapture": _SHOT,
     "CameraTrigger": replace(_SHOT, rank=30),
     "GimbalDeviceAttitudeStatus": MessageMap(
-        device_columns(), time_field=TIMESTAMP, attitude=True
+        gimbal_columns(), time_field=TIMESTAMP, attitude=True
     ),
 }  # fmt: skip
 """By the name of the message in px4_msgs."""
@@ -136,7 +136,7 @@ def topic_of(message: str) -> str:
 TOPICS: Mapping[str, MessageMap] = {topic_of(name): spec for name, spec in MESSAGES.items()}
 
 
-def taken(rows: Rows, ledger: Ledger) -> Rows:
+def captured_rows(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
     """The rows of a camera without those that say that it took no image.
 
     An index that is 0 in all of several rows is none: mavros never fills it in.

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pipeline.errors import LogError
 from pipeline.flight.quality import flagged
-from pipeline.ingest.buffers import let_go
+from pipeline.ingest.buffers import release_pages
 from pipeline.ingest.dataflash.log import DATAFLASH
 from pipeline.ingest.dataflash.text import DATAFLASH_TEXT
 from pipeline.ingest.log import Contents, Log, LogFormat, hash_file
@@ -80,7 +80,7 @@ def _read(path: Path, sha256: str | None, needs_channels: bool) -> Log:
     channels = []
     for channel in contents.channels:
         channels.append(flagged(channel, ledger))
-        let_go()
+        release_pages()
     contents = replace(contents, channels=tuple(one for one in channels if len(one)))
     _refuse_useless(path, form, contents, ledger, needs_channels)
     return Log(

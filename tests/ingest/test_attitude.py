@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.ingest.attitude import ned_frd_of_enu_flu, positive_scalar, quaternion_of_euler
+from pipeline.ingest.attitude import ned_frd_of_enu_flu, quaternion_of_euler, unit_quaternions
 
 ENU_OF_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FLU_OF_FRD = np.diag([1.0, -1.0, -1.0])
@@ -65,6 +65,6 @@ def test_euler_against_scipy() -> None:
 
 
 def test_a_zero_quaternion_is_unknown() -> None:
-    q = positive_scalar(np.array([[0.0, 0.0, 0.0, 0.0], [-2.0, 0.0, 0.0, 0.0]]))
+    q = unit_quaternions(np.array([[0.0, 0.0, 0.0, 0.0], [-2.0, 0.0, 0.0, 0.0]]))
     assert np.isnan(q[0]).all()
     np.testing.assert_array_equal(q[1], [1.0, 0.0, 0.0, 0.0])

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pipeline.ingest.boot_clock import BootClock, Told, fit_boots, timeline
+from pipeline.ingest.boot_clock import BootClock, UtcReadings, fit_boot_clock, timeline
 from pipeline.ledger import Ledger
 
 SECOND = 10**9
@@ -29,15 +29,15 @@ class Vehicle:
         self.boot = np.concatenate(number)
         self.places = 10 * np.arange(self.boot_ns.size)
 
-    def told(self, rows: object = slice(None), late_s: float = 0.0, **more: object) -> Told:
+    def told(self, rows: object = slice(None), late_s: float = 0.0, **more: object) -> UtcReadings:
         utc_ns = self.utc_ns[rows] + round(late_s * SECOND)
         good = np.ones(utc_ns.shape, np.bool_)
-        return Told("rows", self.places[rows], self.boot_ns[rows], utc_ns, good, **more)
+        return UtcReadings("rows", self.places[rows], self.boot_ns[rows], utc_ns, good, **more)
 
-    def fit(self, *told: Told, **more: object) -> tuple[BootClock, Ledger]:
+    def fit(self, *told: UtcReadings, **more: object) -> tuple[BootClock, Ledger]:
         ledger = Ledger()
         line = timeline([(self.places, self.boot_ns)])
-        return fit_boots(line, told, ledger, **more), ledger
+        return fit_boot_clock(line, told, ledger, **more), ledger
 
     def errors_s(self, clock: BootClock) -> np.ndarray:
         return (clock.utc(self.places, self.boot_ns) - self.utc_ns) / SECOND
@@ -116,7 +116,7 @@ def test_the_receiver_with_the_most_rows_decides_and_the_other_is_a_loss() -> No
 def test_a_second_receiver_serves_where_the_first_has_no_row() -> None:
     vehicle = Vehicle((10.0, 0.0, 40.0), (5.0, 3600.0, 40.0))
     clock, _ = vehicle.fit(vehicle.told(slice(0, 190)), vehicle.told(slice(200, 250)))
-    assert clock.told == (True, True)
+    assert clock.utc_known == (True, True)
     assert np.abs(vehicle.errors_s(clock)).max() == 0.0
 
 
@@ -127,7 +127,7 @@ def test_the_recorder_cuts_and_sets_boots_without_utc() -> None:
     recorder.utc_ns[:] += jitter
     clock, _ = vehicle.fit(recorder=recorder)
     np.testing.assert_array_equal(clock.line.boot_of(vehicle.places), vehicle.boot)
-    assert clock.told == (False, False)
+    assert clock.utc_known == (False, False)
     assert np.abs(vehicle.errors_s(clock)).max() < 0.3
 
 

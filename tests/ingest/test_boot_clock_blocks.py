@@ -38,9 +38,9 @@ def test_blocks_are_one(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
     given = offset.copy()
     whole = boots._steady(offset)
     monkeypatch.setattr(boots, "_BLOCK", BLOCK)
-    in_blocks = boots._steady(offset)
-    np.testing.assert_array_equal(in_blocks, whole)
-    np.testing.assert_array_equal(in_blocks, plainly(given))
+    replace_in_blocks = boots._steady(offset)
+    np.testing.assert_array_equal(replace_in_blocks, whole)
+    np.testing.assert_array_equal(replace_in_blocks, plainly(given))
     np.testing.assert_array_equal(offset, given)
 
 

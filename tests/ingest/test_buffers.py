@@ -19,7 +19,7 @@ import pytest
 
 from pipeline.ingest import buffers as memory
 from pipeline.ingest import open_log
-from pipeline.ingest.buffers import REGION, SMALL, Store, let_go, moved, room
+from pipeline.ingest.buffers import REGION, SMALL, ColumnStore, allocate, copy_rows, release_pages
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -40,13 +40,13 @@ def held(rooms) -> tuple[int, int]:
 
 
 def test_what_is_beyond_lies_in_files_and_goes_with_its_arrays(rooms):
-    own = room(1 << 17, "f8")
+    own = allocate(1 << 17, "f8")
     assert held(rooms) == (1 << 20, 0)
-    several = [room(1 << 17, "i8") for _ in range(3)]
+    several = [allocate(1 << 17, "i8") for _ in range(3)]
     for k, column in enumerate(several):
         column[:] = np.arange(k, k + (1 << 17))
     assert held(rooms) == (1 << 20, 1)
-    let_go()
+    release_pages()
     for k, column in enumerate(several):
         np.testing.assert_array_equal(column, np.arange(k, k + (1 << 17)))
     del several[1:], column
@@ -56,7 +56,9 @@ def test_what_is_beyond_lies_in_files_and_goes_with_its_arrays(rooms):
 
 
 def test_no_two_arrays_share_a_byte(rooms):
-    arrays = [room(size, "u1") for size in (1 << 20, SMALL, SMALL + 1, 3 * SMALL, REGION, SMALL)]
+    arrays = [
+        allocate(size, "u1") for size in (1 << 20, SMALL, SMALL + 1, 3 * SMALL, REGION, SMALL)
+    ]
     for number, array in enumerate(arrays):
         array[:] = number
     assert [set(np.unique(array).tolist()) for array in arrays] == [{k} for k in range(6)]
@@ -65,13 +67,13 @@ def test_no_two_arrays_share_a_byte(rooms):
 
 @pytest.mark.parametrize("count", [0, 1, 511])
 def test_few_rows_are_left_to_the_heap(rooms, count):
-    assert room(count, [("at", "i8")]).shape == (count,)
+    assert allocate(count, [("at", "i8")]).shape == (count,)
     assert rooms.private == 0
 
 
 def test_the_files_have_no_names(rooms, tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    kept = [room(1 << 18, "f8") for _ in range(2)]
+    kept = [allocate(1 << 18, "f8") for _ in range(2)]
     assert held(rooms)[1] == 1
     assert not list(tmp_path.iterdir())
     assert kept[0].shape == kept[1].shape
@@ -82,7 +84,7 @@ def test_without_space_on_the_disk_memory_is_private(rooms, monkeypatch):
         raise OSError(errno.ENOSPC, "no space left on device")
 
     monkeypatch.setattr(os, "posix_fallocate", full)
-    column = room(1 << 18, "f8")
+    column = allocate(1 << 18, "f8")
     column[:] = 2.0
     assert held(rooms) == (1 << 21, 0)
     assert column.sum() == 2.0 * (1 << 18)
@@ -91,15 +93,15 @@ def test_without_space_on_the_disk_memory_is_private(rooms, monkeypatch):
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_a_child_process_writes_elsewhere(monkeypatch):
     monkeypatch.setattr(memory, "PRIVATE", 0)
-    mine = room(1 << 16, "f8")
+    mine = allocate(1 << 16, "f8")
     mine[:] = 1.0
     ready, go = os.pipe()
     child = os.fork()
     if not child:
         os.read(ready, 1)
-        room(1 << 16, "f8")[:] = 7.0
+        allocate(1 << 16, "f8")[:] = 7.0
         os._exit(0)
-    after = room(1 << 16, "f8")
+    after = allocate(1 << 16, "f8")
     after[:] = 2.0
     os.write(go, b"!")
     os.waitpid(child, 0)
@@ -153,8 +155,8 @@ def test_a_fork_while_another_thread_holds_the_lock(monkeypatch):
     try:
 
         def use() -> bool:
-            let_go()
-            column = room(1 << 16, "f8")
+            release_pages()
+            column = allocate(1 << 16, "f8")
             column[:] = 3.0
             return bool(column.sum() == 3.0 * (1 << 16))
 
@@ -168,13 +170,13 @@ def test_a_fork_while_another_thread_holds_the_lock(monkeypatch):
 def test_what_a_child_inherits_is_not_its_own(monkeypatch):
     """It gives back memory that it never took: its count neither begins with it nor ends below."""
     monkeypatch.setattr(memory, "PRIVATE", 1 << 40)
-    arrays = [room(1 << 16, "f8") for _ in range(3)]
+    arrays = [allocate(1 << 16, "f8") for _ in range(3)]
     before = memory._ROOMS.private
     assert before >= 3 << 19
 
     def drop() -> bool:
         counts = [memory._ROOMS.private]
-        own = room(1 << 16, "f8")
+        own = allocate(1 << 16, "f8")
         arrays.clear()
         gc.collect()
         counts.append(memory._ROOMS.private)
@@ -191,7 +193,7 @@ def test_what_a_child_inherits_is_not_its_own(monkeypatch):
 def test_arrays_in_files_begin_at_multiples_of_64_bytes(rooms, monkeypatch, dtype):
     monkeypatch.setattr(memory, "PRIVATE", 0)
     sizes = (SMALL + 1, SMALL + 7, 2 * SMALL + 63, 5 * SMALL - 1, SMALL + 64, SMALL + 65)
-    arrays = [room(-(-size // np.dtype(dtype).itemsize), dtype) for size in sizes]
+    arrays = [allocate(-(-size // np.dtype(dtype).itemsize), dtype) for size in sizes]
     assert held(rooms) == (0, 1)
     assert [array.ctypes.data % 64 for array in arrays] == [0] * len(sizes)
 
@@ -212,10 +214,10 @@ def resident(array) -> int:
 def test_what_was_let_go_is_not_resident_and_comes_back(rooms, monkeypatch):
     monkeypatch.setattr(memory, "PRIVATE", 0)
     rows = np.arange(1 << 19)  # 4 MiB
-    columns = [moved(rows), moved(rows[::-1])]
+    columns = [copy_rows(rows), copy_rows(rows[::-1])]
     assert held(rooms) == (0, 1)
     assert resident(columns[0]) >= 8 << 20
-    let_go()
+    release_pages()
     assert resident(columns[0]) == 0
     assert columns[0][1000] == 1000
     assert 0 < resident(columns[0]) < 1 << 20
@@ -227,10 +229,10 @@ def test_what_was_let_go_is_not_resident_and_comes_back(rooms, monkeypatch):
 def test_a_new_region_lets_go_of_those_before(rooms, monkeypatch):
     monkeypatch.setattr(memory, "PRIVATE", 0)
     monkeypatch.setattr(memory, "REGION", 1 << 20)
-    first = room(1 << 17, "f8")
+    first = allocate(1 << 17, "f8")
     first[:] = 5.0
     assert resident(first) == 1 << 20
-    second = room(1 << 17, "f8")
+    second = allocate(1 << 17, "f8")
     second[:] = 6.0
     assert held(rooms) == (0, 2)
     assert (resident(first), resident(second)) == (0, 1 << 20)
@@ -252,7 +254,7 @@ def test_moved_columns_keep_their_rows(rooms, monkeypatch, block, private):
         np.frombuffer(rng.bytes(9000), "S3"), rng.normal(size=6000)[::2],
     ):  # fmt: skip
         for chosen in (None, rows, rows[:1], rows[:0]):
-            found = moved(column, chosen)
+            found = copy_rows(column, chosen)
             expected = column if chosen is None else column[chosen]
             assert (found.dtype, found.shape) == (expected.dtype, expected.shape)
             np.testing.assert_array_equal(found, expected)
@@ -267,17 +269,17 @@ def test_a_row_that_is_none_is_refused(rooms, monkeypatch, wrong, at):
     rows[at] = wrong
     for column in (np.arange(3000), np.zeros((3000, 4)), np.array([None] * 3000)):
         with pytest.raises(IndexError, match=str(wrong)):
-            moved(column, rows)
+            copy_rows(column, rows)
 
 
 def test_columns_of_objects_are_moved_as_objects(rooms, monkeypatch):
     monkeypatch.setattr(memory, "PRIVATE", 0)
     things = [2**70 + k if k % 3 else f"text {k}" for k in range(2000)]
     column = np.array(things, object)
-    found = moved(column)
+    found = copy_rows(column)
     assert found.dtype == object
     assert found.tolist() == things
-    assert moved(column, np.array([1999, 0])).tolist() == [things[1999], things[0]]
+    assert copy_rows(column, np.array([1999, 0])).tolist() == [things[1999], things[0]]
     assert held(rooms) == (0, 0)
     del column, things
     gc.collect()
@@ -286,7 +288,7 @@ def test_columns_of_objects_are_moved_as_objects(rooms, monkeypatch):
 
 def test_a_store_in_a_file_gives_back_what_it_took(rooms):
     rows = np.arange(1 << 20)
-    store = Store("i8")
+    store = ColumnStore("i8")
     for part in np.array_split(rows, 7):
         store.add(part)
     assert held(rooms)[1] >= 1

@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.errors import LogError
 from pipeline.ingest import buffers as window
-from pipeline.ingest.buffers import window_of, window_on
+from pipeline.ingest.buffers import open_view, view_of_bytes
 
 
 @pytest.fixture(autouse=True)
@@ -21,7 +21,7 @@ def narrow(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_any_stretch_in_any_order() -> None:
     draw = random.Random(4)
     data = draw.randbytes(1000)
-    seen = window_of(data)
+    seen = view_of_bytes(data)
     for _ in range(2000):
         begin = draw.randrange(1000)
         end = begin + draw.randrange(200)
@@ -35,14 +35,14 @@ def test_a_mark_is_found_across_the_edges() -> None:
         at = draw.randrange(397)
         data[at : at + 3] = b"abc"
         begin = draw.randrange(400)
-        assert window_of(bytes(data)).find(b"abc", begin) == bytes(data).find(b"abc", begin)
-        assert window_of(bytes(data)).find(b"abc", 0, at + 2) == -1
+        assert view_of_bytes(bytes(data)).find(b"abc", begin) == bytes(data).find(b"abc", begin)
+        assert view_of_bytes(bytes(data)).find(b"abc", 0, at + 2) == -1
 
 
 def test_a_file_that_was_cut_while_it_is_read(tmp_path: Path) -> None:
     path = tmp_path / "flight.bin"
     path.write_bytes(bytes(1000))
-    with window_on(path) as seen:
+    with open_view(path) as seen:
         assert seen[0:10] == bytes(10)
         path.write_bytes(bytes(500))
         with pytest.raises(LogError) as caught:
@@ -54,7 +54,7 @@ def test_a_file_that_was_cut_while_it_is_read(tmp_path: Path) -> None:
 def test_a_file_that_grows_is_read_to_where_it_ended(tmp_path: Path) -> None:
     path = tmp_path / "flight.bin"
     path.write_bytes(bytes(1000))
-    with window_on(path) as seen:
+    with open_view(path) as seen:
         with path.open("ab") as stream:
             stream.write(b"more")
         assert seen[990:2000] == bytes(10)

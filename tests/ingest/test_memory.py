@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.ingest.buffers import BLOCK, Store
+from pipeline.ingest.buffers import BLOCK, ColumnStore
 
 ROOT = Path(__file__).resolve().parents[2]
 MIB = 1 << 20
@@ -71,7 +71,7 @@ def test_memory_is_the_columns_and_a_little(tmp_path: Path, case: str) -> None:
 def test_what_is_stored_comes_back(size: int) -> None:
     rows = np.arange(size)
     for way in ("whole", "drained", "blocks"):
-        store = Store("i8")
+        store = ColumnStore("i8")
         for part in np.array_split(rows, 7):
             store.add(part)
         assert len(store) == size

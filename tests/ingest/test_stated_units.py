@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel, Source
-from pipeline.ingest.channel_builder import Rows, channel_of
+from pipeline.ingest.channel_builder import DecodedRows, channel_of
 from pipeline.ingest.dataflash.fields import MESSAGES as DATAFLASH
 from pipeline.ingest.fields import STATED_UNITS, extract, in_stated_unit
 from pipeline.ingest.px4_fields import MESSAGES as PX4
@@ -19,7 +19,9 @@ def logged(maps, message: str, **fields: float) -> Channel:
     """A channel of one row, as the builder makes it of these fields of a message."""
     table = {name: np.array([value]) for name, value in fields.items()}
     columns = extract(table, maps[message].columns)
-    rows = Rows(message, Source(message), np.zeros(1, np.int64), np.zeros(1, np.int16), columns)
+    rows = DecodedRows(
+        message, Source(message), np.zeros(1, np.int64), np.zeros(1, np.int16), columns
+    )
     channel = channel_of(rows, maps[message], Ledger())
     assert channel is not None
     return channel

@@ -17,8 +17,8 @@ from pipeline.ingest.ardupilot_heights import (
     with_undulation,
 )
 from pipeline.ingest.boot_clock import microseconds
-from pipeline.ingest.buffers import moved
-from pipeline.ingest.channel_builder import Rows, channel_of
+from pipeline.ingest.buffers import copy_rows
+from pipeline.ingest.channel_builder import DecodedRows, channel_of
 from pipeline.ingest.dataflash.columns import Decoded
 from pipeline.ingest.dataflash.fields import (
     ACCURACY,
@@ -28,7 +28,7 @@ from pipeline.ingest.dataflash.fields import (
     instance_of,
 )
 from pipeline.ingest.dataflash.time import RECEIVERS, Clock
-from pipeline.ingest.fields import Column, MessageMap, extract, is_number
+from pipeline.ingest.fields import FieldColumn, MessageMap, extract, is_number
 from pipeline.ingest.log import Table
 from pipeline.ledger import Ledger
 
@@ -67,21 +67,21 @@ def channels_of(tables: dict[str, Decoded], clock: Clock, ledger: Ledger) -> tup
 
 def _instances(
     message: str, spec: MessageMap, tables: dict[str, Decoded], clock: Clock, ledger: Ledger
-) -> Iterator[Rows]:
+) -> Iterator[DecodedRows]:
     """The rows of each instance of a message, whose table is used up: memory has its peak here."""
     if message not in tables:
         return
     decoded = tables.pop(message)
     table, columns = decoded.columns, spec.columns
-    time_ns = moved(clock.utc(table, decoded.places))
-    boot = moved(clock.line.boot_of(decoded.places))
+    time_ns = copy_rows(clock.utc(table, decoded.places))
+    boot = copy_rows(clock.line.boot_of(decoded.places))
     good = clock.line.good(decoded.places)
     if message == "GPS" and ACCURACY_MESSAGE in tables:
         table = _joined(decoded, tables.pop(ACCURACY_MESSAGE))
         columns += ACCURACY
     named = table.get(spec.id_field)
     instance = instance_of(table) if named is None else named
-    values = extract(table, columns, moved)
+    values = extract(table, columns, copy_rows)
     odd = _report_odd(message, table, columns, ledger)
     _report_absent(message, spec, odd | set(values), instance.shape[0], ledger)
     del decoded, table
@@ -91,7 +91,7 @@ def _instances(
     for which in numbers.tolist():
         label = str(which) if named is not None or which >= 0 else None
         name = message if label is None else f"{message}[{label}]"
-        rows = Rows(name, Source(message, label), time_ns, boot, values)
+        rows = DecodedRows(name, Source(message, label), time_ns, boot, values)
         chosen = (instance == which) & good
         yield rows if chosen.all() else rows.take(chosen)
 
@@ -110,7 +110,7 @@ def _report_absent(
 
 
 def _report_odd(
-    message: str, table: Table, columns: tuple[Column, ...], ledger: Ledger
+    message: str, table: Table, columns: tuple[FieldColumn, ...], ledger: Ledger
 ) -> set[str]:
     """Enter fields that hold no numbers where numbers are wanted: their definition is damaged.
 

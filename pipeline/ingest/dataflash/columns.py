@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.buffers import Window, room
+from pipeline.ingest.buffers import FileView, allocate
 from pipeline.ingest.dataflash.fields import INSTANCE_FIELDS
 from pipeline.ingest.dataflash.formats import Definition, texts
 from pipeline.ingest.dataflash.records import Walk, records
@@ -37,7 +37,7 @@ class Decoded:
 
 
 def decode(
-    data: Window, found: Walk, wanted: Mapping[str, Callable[[str], bool]]
+    data: FileView, found: Walk, wanted: Mapping[str, Callable[[str], bool]]
 ) -> dict[str, Decoded]:
     """The columns of some message types, in one pass over the file.
 
@@ -70,12 +70,12 @@ class _Filling:
     def __init__(self, form: Definition, count: int, wanted: Callable[[str], bool]) -> None:
         self.form = form
         self.filled = 0
-        self.places = room(count, np.int64)
+        self.places = allocate(count, np.int64)
         self.columns: Table = {}
         for name in form.fields:
             if wanted(name):
                 kind = np.dtype(np.float64) if name in form.divisors else form.dtype[name]
-                self.columns[name] = room(count, (kind.base, kind.shape))
+                self.columns[name] = allocate(count, (kind.base, kind.shape))
 
     def add(self, rows: NDArray[Any], places: NDArray[np.int64]) -> None:
         begin, end = self.filled, self.filled + rows.shape[0]

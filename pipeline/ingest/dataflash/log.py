@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.ingest.boot_clock import Timeline, timeline
-from pipeline.ingest.buffers import window_on
+from pipeline.ingest.buffers import open_view
 from pipeline.ingest.dataflash.channels import channels_of, wanted
 from pipeline.ingest.dataflash.columns import Decoded, decode, settled
 from pipeline.ingest.dataflash.fields import ACCURACY, INSTANCE_FIELDS, instance_of
@@ -40,7 +40,7 @@ class DataFlash:
 
     def read(self, path: Path, ledger: Ledger) -> Contents:
         needed = wanted()
-        with window_on(path) as data:
+        with open_view(path) as data:
             walker = Walker(data, needed)
             line = timeline(stamps(data, walker))
             found = walker.found()
@@ -68,7 +68,7 @@ def read_tables(path: Path, names: Collection[str] | None = None) -> dict[str, T
 
 def _decoded(path: Path, names: Collection[str] | None) -> dict[str, Decoded]:
     """All fields of some types, or of every type."""
-    with window_on(path) as data:
+    with open_view(path) as data:
         found = walk(data, names)
         chosen = counts_of(found) if names is None else names
         return decode(data, found, dict.fromkeys(chosen, _every_field))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.buffers import SPAN, Window, gathered
+from pipeline.ingest.buffers import SPAN, FileView, gather
 from pipeline.ingest.dataflash.formats import (
     FMT_LENGTH,
     FMT_TYPE,
@@ -113,7 +113,7 @@ class Walker:
     names : the message types whose records are wanted; all where it is None.
     """
 
-    def __init__(self, data: Window, names: Collection[str] | None = None) -> None:
+    def __init__(self, data: FileView, names: Collection[str] | None = None) -> None:
         self.data = data
         self.names = names
         self.size = data.size
@@ -312,7 +312,7 @@ class Walker:
         return len(header) < HEADER or self._length(header[2:]) > self.size - at
 
 
-def walk(data: Window, names: Collection[str] | None = None) -> Walk:
+def walk(data: FileView, names: Collection[str] | None = None) -> Walk:
     """Find every whole record of a DataFlash log.
 
     Parameters
@@ -330,7 +330,7 @@ def walk(data: Window, names: Collection[str] | None = None) -> Walk:
 
 
 def records(
-    data: Window, walk: Walk, wanted: NDArray[np.bool_]
+    data: FileView, walk: Walk, wanted: NDArray[np.bool_]
 ) -> Iterator[tuple[int, NDArray[Any], NDArray[np.int64]]]:
     """The records of some definitions, a block of the file at a time.
 
@@ -355,5 +355,5 @@ def records(
             begin += int(counts[number])
             form = walk.definitions[number]
             # Every place of the block seen as a record: the wanted ones are then one copy each.
-            rows = gathered(raw, at, form.length).view(form.dtype)
+            rows = gather(raw, at, form.length).view(form.dtype)
             yield number, rows, at.astype(np.int64) + part.base

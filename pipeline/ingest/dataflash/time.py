@@ -16,12 +16,12 @@ from pipeline.ingest.boot_clock import (
     BootClock,
     Stamps,
     Timeline,
-    Told,
-    fit_boots,
+    UtcReadings,
+    fit_boot_clock,
     microseconds,
     report_timeline,
 )
-from pipeline.ingest.buffers import Window, gathered
+from pipeline.ingest.buffers import FileView, gather
 from pipeline.ingest.dataflash.columns import Decoded
 from pipeline.ingest.dataflash.fields import instance_of
 from pipeline.ingest.dataflash.formats import HEADER
@@ -34,14 +34,14 @@ FIRST_WEEK = 1_773  # 2013-12-29: no log with the field TimeUS is older
 _WEEKS = 1 << 13  # until 2137: the fit is by the median, which more than half of the rows decide
 
 
-def stamps(data: Window, walker: Walker) -> Iterator[Stamps]:
+def stamps(data: FileView, walker: Walker) -> Iterator[Stamps]:
     """The times of all records that begin with one, as they are walked through."""
     for part in walker.parts():
         timed = np.array([form.timed for form in walker.definitions], np.bool_)
         at = part.at[timed[part.numbers]].astype(np.int64)
         if at.size:
             raw = data.array(part.base, part.end())
-            time_us = microseconds(gathered(raw, at + HEADER, 8).view("<u8"))
+            time_us = microseconds(gather(raw, at + HEADER, 8).view("<u8"))
             yield at + part.base, time_us * 1000
 
 
@@ -68,8 +68,8 @@ def clock_of(line: Timeline, tables: Mapping[str, Decoded], ledger: Ledger) -> C
     """The clock of a log from the rows of its GNSS receivers, one offset for each boot."""
     report_timeline(line, ledger)
     told = [one for name in RECEIVERS for one in _told(line, tables.get(name), name, ledger)]
-    boots = fit_boots(line, told, ledger)
-    for number, known in enumerate(boots.told):
+    boots = fit_boot_clock(line, told, ledger)
+    for number, known in enumerate(boots.utc_known):
         if not known:
             ledger.fallback(
                 "TIME-NO-UTC",
@@ -79,12 +79,14 @@ def clock_of(line: Timeline, tables: Mapping[str, Decoded], ledger: Ledger) -> C
             )
     rows = sum(fit.rows for fit in boots.fits if fit is not None)
     words = f"vehicle clock, set to UTC by the median of {rows} GPS rows"
-    if unknown := boots.told.count(False):
-        words = f"vehicle clock; UTC is unknown in {unknown} of {len(boots.told)} boots"
+    if unknown := boots.utc_known.count(False):
+        words = f"vehicle clock; UTC is unknown in {unknown} of {len(boots.utc_known)} boots"
     return Clock(boots, words)
 
 
-def _told(line: Timeline, decoded: Decoded | None, name: str, ledger: Ledger) -> Iterator[Told]:
+def _told(
+    line: Timeline, decoded: Decoded | None, name: str, ledger: Ledger
+) -> Iterator[UtcReadings]:
     """What each receiver of a message says of UTC."""
     if decoded is None:
         return
@@ -108,7 +110,7 @@ def _told(line: Timeline, decoded: Decoded | None, name: str, ledger: Ledger) ->
         week = _weeks(table["GWk"][rows], fix, line.boot_of(places), label, ledger)
         utc_ns = utc_of_gps(week, table["GMS"][rows] / 1000.0)
         good = np.ones(places.shape, np.bool_)
-        yield Told(f"rows of {label}", places, boot_ns, utc_ns, good, fix)
+        yield UtcReadings(f"rows of {label}", places, boot_ns, utc_ns, good, fix)
 
 
 def _weeks(

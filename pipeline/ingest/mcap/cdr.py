@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.buffers import Bytes, gathered
+from pipeline.ingest.buffers import Bytes, gather
 from pipeline.ingest.mcap.cdr_schema import MAX_COUNT, Numbers, Sequence, Step, Text
 
 HEAD = 4  # bytes of encapsulation; alignment counts from behind them
@@ -123,7 +123,7 @@ class _Cursors:
         """The 32-bit length that stands here; the cursors move behind it."""
         self.align(4)
         self.only(self.at + 4 <= self.length)
-        raw = gathered(self.data, self.begin + self.at, 4).view("<u4")
+        raw = gather(self.data, self.begin + self.at, 4).view("<u4")
         self.at = self.at + 4
         return np.where(self.big, raw.byteswap(), raw).astype(np.int64)
 
@@ -208,7 +208,7 @@ def _read_numbers(cursors: _Cursors, run: tuple[Numbers, ...], wanted: frozenset
         if dtype is None:
             continue
         mine = slice(None) if len(present) == 1 else key == which
-        records = gathered(cursors.data, (cursors.begin + cursors.at)[mine], size).view(dtype)
+        records = gather(cursors.data, (cursors.begin + cursors.at)[mine], size).view(dtype)
         for name in dtype.names or ():
             cursors.columns[name][mine] = records[name]
     cursors.at = cursors.at + sizes[key]
@@ -232,7 +232,7 @@ def _texts(data: Bytes, begin: NDArray[np.int64], length: NDArray[np.int64]) -> 
         if size <= 1:
             continue
         rows = np.flatnonzero(length == size)
-        raw = gathered(data, begin[rows], size - 1).view(f"S{size - 1}")
+        raw = gather(data, begin[rows], size - 1).view(f"S{size - 1}")
         different, places = np.unique(raw, return_inverse=True)
         known = [value.decode("utf-8", "backslashreplace") for value in different.tolist()]
         found[rows] = np.array(known, object)[places]

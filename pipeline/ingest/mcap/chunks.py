@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import IO, Any
 
-from pipeline.ingest.buffers import Window
+from pipeline.ingest.buffers import FileView
 
 HEAD = struct.Struct("<QQQII")  # first and last time, size, checksum, letters that follow
 COMPRESSIONS = ("", "lz4", "zstd")
@@ -98,7 +98,7 @@ class Budget:
         return ""
 
 
-def head_of(data: Window, at: int, length: int) -> Chunk | None:
+def head_of(data: FileView, at: int, length: int) -> Chunk | None:
     """The head of a chunk record whose content is here; None where the lengths contradict."""
     head = data[at : at + min(length, HEAD.size + 16 + 8)]
     if len(head) < HEAD.size + 8:
@@ -114,7 +114,7 @@ def head_of(data: Window, at: int, length: int) -> Chunk | None:
     return Chunk(first, last, size, crc, name, at + before, packed, length - before - packed)
 
 
-def inflate(data: Window, chunk: Chunk) -> bytes | Fault:
+def inflate(data: FileView, chunk: Chunk) -> bytes | Fault:
     """The records of a chunk of at most `WHOLE` bytes, or why they cannot be trusted."""
     packed = data[chunk.begin : chunk.begin + chunk.length]
     try:
@@ -145,7 +145,7 @@ def _unpacked(packed: bytes, compression: str, limit: int) -> bytes:
     return packed[:limit]
 
 
-def proven(data: Window, chunk: Chunk) -> Fault | None:
+def proven(data: FileView, chunk: Chunk) -> Fault | None:
     """Why the records of a large chunk cannot be trusted; its bytes are inflated and forgotten."""
     size = crc = 0
     try:
@@ -159,7 +159,7 @@ def proven(data: Window, chunk: Chunk) -> Fault | None:
 
 
 @contextmanager
-def inflated(data: Window, chunk: Chunk) -> Iterator[IO[bytes]]:
+def inflated(data: FileView, chunk: Chunk) -> Iterator[IO[bytes]]:
     """The records of a chunk as a stream."""
     import lz4.frame
     import zstandard
@@ -177,7 +177,7 @@ def inflated(data: Window, chunk: Chunk) -> Iterator[IO[bytes]]:
 class _Packed(io.RawIOBase):
     """The packed bytes of a chunk as a file of their own."""
 
-    def __init__(self, data: Window, chunk: Chunk) -> None:
+    def __init__(self, data: FileView, chunk: Chunk) -> None:
         super().__init__()
         self.data = data
         self.at = chunk.begin

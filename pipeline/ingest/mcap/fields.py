@@ -13,7 +13,7 @@ import numpy as np
 
 from pipeline.flight.channels import Array
 from pipeline.ingest import px4_fields
-from pipeline.ingest.attitude import in_blocks, ned_frd_of_enu_flu, north_only
+from pipeline.ingest.attitude import earth_frame_attitude, ned_frd_of_enu_flu, replace_in_blocks
 from pipeline.ingest.boot_clock import LOWEST_FIX
 from pipeline.ingest.fields import (
     ATTITUDE,
@@ -21,7 +21,7 @@ from pipeline.ingest.fields import (
     HUMIDITY,
     PRESSURE,
     TEMPERATURE,
-    Column,
+    FieldColumn,
     MessageMap,
     column,
 )
@@ -31,11 +31,11 @@ from pipeline.ingest.px4_fields import TIMESTAMP, camera_quaternion
 HEADER = "header.stamp"
 
 
-def _orientation(path: str) -> tuple[Column, ...]:
+def _orientation(path: str) -> tuple[FieldColumn, ...]:
     return tuple(column(f"ros_{axis}", f"{path}.{axis}") for axis in "wxyz")
 
 
-def _local(path: str) -> tuple[Column, ...]:
+def _local(path: str) -> tuple[FieldColumn, ...]:
     # REP 103: x east, y north, z up of a local frame
     axes = zip(("east_m", "north_m", "up_m"), "xyz", strict=True)
     return tuple(column(name, f"{path}.{axis}") for name, axis in axes)
@@ -165,14 +165,14 @@ def finished(schema: str, columns: Mapping[str, Array]) -> dict[str, Array]:
     """
     result = dict(columns)
     if schema.endswith("/GimbalDeviceAttitudeStatus") and "flags" in result:
-        result = north_only(result)
+        result = earth_frame_attitude(result)
     if schema.endswith("/DebugValue"):
         kind, whole = result.pop("kind", None), result.pop("integer", None)
         if kind is not None and whole is not None:
             result["value"] = np.where(kind == _NAMED_VALUE_INT, whole, result["value"])
     if "ros_w" in result:
         q = [result.pop(f"ros_{axis}") for axis in "wxyz"]
-        in_blocks(ned_frd_of_enu_flu, q)
+        replace_in_blocks(ned_frd_of_enu_flu, q)
         if "covariance_0" in result:
             unknown = result.pop("covariance_0") == -1.0
             for part in q:

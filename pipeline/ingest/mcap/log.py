@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.errors import LogError
 from pipeline.flight.channels import Channel
-from pipeline.ingest.boot_clock import BootClock, Timeline, Told, timeline
+from pipeline.ingest.boot_clock import BootClock, Timeline, UtcReadings, timeline
 from pipeline.ingest.channel_builder import channel_of
 from pipeline.ingest.log import Contents, Table
 from pipeline.ingest.mcap.messages import MAGIC
@@ -64,7 +64,7 @@ MCAP = Mcap()
 
 
 def _clock(
-    line: Timeline, samples: list[Samples], recorder: Told | None, ledger: Ledger
+    line: Timeline, samples: list[Samples], recorder: UtcReadings | None, ledger: Ledger
 ) -> BootClock:
     """The clock since boot, by what receivers and cameras say of UTC."""
     if line.boots > 1:
@@ -102,7 +102,7 @@ def _channels(
     words = "header.stamp of the messages"
     if clock.line.boot.size:
         words = "the vehicle's time since boot, set to UTC by its GNSS messages"
-        if not any(clock.told):
+        if not any(clock.utc_known):
             words = "the vehicle's time since boot, set by the recorder's clock"
         if not any(clock.fits):
             words = "the vehicle's time since boot; UTC is unknown"

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.buffers import Bytes, gathered
+from pipeline.ingest.buffers import Bytes, gather
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
@@ -97,7 +97,7 @@ def messages_at(data: Bytes, starts: NDArray[np.int64]) -> Messages:
     """The messages whose records begin at these places."""
     size = _HEADER.itemsize
     inside = starts[starts + size <= data.shape[0]]
-    head = gathered(data, inside, size).view(_HEADER)
+    head = gather(data, inside, size).view(_HEADER)
     good = head["length"].astype(np.int64) >= MESSAGE.size
     head, begin = head[good], inside[good] + size
     return Messages(
@@ -179,7 +179,7 @@ class Runs:
             none = np.empty(0, np.int64)
             return cls(none, none, np.empty(0, np.intp))
         at = np.flatnonzero(view[:count] == MESSAGE_RECORD).astype(np.int64)
-        length = gathered(view, at + 1, 8).view("<u8")
+        length = gather(view, at + 1, 8).view("<u8")
         inside = length <= (view.shape[0] - RECORD.size - at).astype(np.uint64)
         at = at[inside]
         end = at + RECORD.size + length[inside].astype(np.int64)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import UNIX_NS_FROM
-from pipeline.ingest.boot_clock import Stamps, Told
-from pipeline.ingest.buffers import window_on
+from pipeline.ingest.boot_clock import Stamps, UtcReadings
+from pipeline.ingest.buffers import open_view
 from pipeline.ingest.fields import MessageMap
 from pipeline.ingest.mcap.cdr_schema import SchemaError
 from pipeline.ingest.mcap.counts import Counts
@@ -63,7 +63,7 @@ class Reader:
 
     def through(self, path: Path) -> Iterator[Stamps]:
         """Read the file; yields places and times since boot of the messages that count it."""
-        with window_on(path) as data:
+        with open_view(path) as data:
             if data[0 : len(MAGIC)] != MAGIC:
                 self.damage.add("LOG-BAD-BYTES", "the file begins as no MCAP does", 0, data.size)
                 return
@@ -95,12 +95,12 @@ class Reader:
             for stamps in topic.take(messages, shares[key], before)
         ]
 
-    def recorder(self) -> Told | None:
+    def recorder(self) -> UtcReadings | None:
         """log_time beside time since boot, of some messages of each block; None without any."""
         if not self.recorded:
             return None
         places, boot_ns, log_ns = np.concatenate(self.recorded, axis=1)
-        return Told("log_time", places, boot_ns, log_ns, log_ns > UNIX_NS_FROM)
+        return UtcReadings("log_time", places, boot_ns, log_ns, log_ns > UNIX_NS_FROM)
 
     def _define(self, definition: Definition) -> None:
         from mcap import records as library

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.buffers import Bytes, Window
+from pipeline.ingest.buffers import Bytes, FileView
 from pipeline.ingest.mcap.chunks import (
     BLOCK,
     COMPRESSIONS,
@@ -65,7 +65,7 @@ MESSAGE_START = 4096  # [bytes] ... and of those the header is wanted
 MAX_DEFINITION = 16 << 20  # [bytes] of a schema, channel or statistics record
 
 
-def walk(data: Window, damage: Damage) -> Iterator[Definition | Messages]:
+def walk(data: FileView, damage: Damage) -> Iterator[Definition | Messages]:
     """The definitions and messages of a file.
 
     Parameters
@@ -82,7 +82,7 @@ def walk(data: Window, damage: Damage) -> Iterator[Definition | Messages]:
 
 
 class _Walk:
-    def __init__(self, data: Window, damage: Damage) -> None:
+    def __init__(self, data: FileView, damage: Damage) -> None:
         self.data = data
         self.damage = damage
         self.channels: set[int] = set()

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import Source, TimeArray
 from pipeline.flight.clock import BOOT_STEP_NS, UNIX_NS_FROM, UNIX_US_FROM
-from pipeline.ingest.boot_clock import BootClock, Timeline, Told, microseconds
-from pipeline.ingest.buffers import Store
-from pipeline.ingest.channel_builder import Rows
+from pipeline.ingest.boot_clock import BootClock, Timeline, UtcReadings, microseconds
+from pipeline.ingest.buffers import ColumnStore
+from pipeline.ingest.channel_builder import DecodedRows
 from pipeline.ingest.fields import MessageMap, extract
 from pipeline.ingest.mcap.fields import LABELS, finished
 from pipeline.ingest.mcap.time import stamps
-from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, UTC_FIELD, taken
+from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, UTC_FIELD, captured_rows
 from pipeline.ledger import Ledger
 
 Columns = Mapping[str, NDArray[Any]]
@@ -38,12 +38,12 @@ class Samples:
     source: Source
     spec: MessageMap
     counted: bool = False
-    stamp_ns: Store = field(default_factory=lambda: Store("i8"))
-    places: Store = field(default_factory=lambda: Store("i8"))
-    sequence: Store = field(default_factory=lambda: Store("u4"))
+    stamp_ns: ColumnStore = field(default_factory=lambda: ColumnStore("i8"))
+    places: ColumnStore = field(default_factory=lambda: ColumnStore("i8"))
+    sequence: ColumnStore = field(default_factory=lambda: ColumnStore("u4"))
     log_ns: list[tuple[int, TimeArray]] = field(default_factory=list)
-    utc_us: Store = field(default_factory=lambda: Store("i8"))
-    columns: dict[str, Store] = field(default_factory=dict)
+    utc_us: ColumnStore = field(default_factory=lambda: ColumnStore("i8"))
+    columns: dict[str, ColumnStore] = field(default_factory=dict)
     labels: dict[str, list[str]] = field(default_factory=dict)
 
     def add(
@@ -78,7 +78,7 @@ class Samples:
         needed = self.spec.position or self.spec.attitude
         for name, column in values.items():
             if name not in self.columns and (needed or bool(np.isfinite(column).any())):
-                self.columns[name] = Store("f8")
+                self.columns[name] = ColumnStore("f8")
                 self.columns[name].add(np.broadcast_to(np.nan, before))
         for name, store in self.columns.items():
             store.add(values.get(name, np.broadcast_to(np.nan, count)))
@@ -89,16 +89,16 @@ class Samples:
         good = since_boot(stamp_ns) & line.good(places)
         return places[good], stamp_ns[good]
 
-    def told(self) -> Told | None:
+    def told(self) -> UtcReadings | None:
         """What these messages say of UTC; None where they say nothing."""
         if not self.counted or not len(self.utc_us):
             return None
         utc_us, stamp_ns, places = map(_copied, (self.utc_us, self.stamp_ns, self.places))
         usable = (utc_us > UNIX_US_FROM) & since_boot(stamp_ns)
         fix = _copied(self.columns["fix"]) if "fix" in self.columns else np.empty(0)
-        return Told(f"rows of {self.name}", places, stamp_ns, utc_us * 1000, usable, fix)
+        return UtcReadings(f"rows of {self.name}", places, stamp_ns, utc_us * 1000, usable, fix)
 
-    def rows(self, clock: BootClock, ledger: Ledger) -> tuple[Rows, int]:
+    def rows(self, clock: BootClock, ledger: Ledger) -> tuple[DecodedRows, int]:
         """All of it, which is handed over, and how many messages had no time of their own.
 
         In the order of the file or of their numbers, never of log_time: a recorder whose clock was
@@ -114,7 +114,7 @@ class Samples:
         time_ns, boot, count = times_of(stamp_ns, log_ns, places, clock, ledger, self.name)
         columns = {name: store.whole() for name, store in self.columns.items()}
         labels = {name: tuple(texts) for name, texts in self.labels.items()}
-        rows = Rows(self.name, self.source, time_ns, boot, columns, labels)
+        rows = DecodedRows(self.name, self.source, time_ns, boot, columns, labels)
         order = None if self.counted else in_sequence(self.sequence.whole(), time_ns)
         if order is not None:
             moved = int(np.count_nonzero(order != np.arange(len(rows))))
@@ -136,10 +136,10 @@ class Samples:
                 count=int(lost.shape[0]),
             )
             rows = rows.take(good)
-        return taken(rows, ledger) if self.spec.event else rows, count
+        return captured_rows(rows, ledger) if self.spec.event else rows, count
 
 
-def _copied(store: Store) -> NDArray[Any]:
+def _copied(store: ColumnStore) -> NDArray[Any]:
     return np.concatenate([np.empty(0, store.dtype), *store.blocks()])
 
 

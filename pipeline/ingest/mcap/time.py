@@ -13,7 +13,13 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import BOOT_STEP_NS
-from pipeline.ingest.boot_clock import BootClock, Timeline, Told, fit_boots, microseconds
+from pipeline.ingest.boot_clock import (
+    BootClock,
+    Timeline,
+    UtcReadings,
+    fit_boot_clock,
+    microseconds,
+)
 from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND
 
@@ -118,9 +124,9 @@ def confirmed(line: Timeline, topics: Iterable[tuple[TimeArray, TimeArray]]) -> 
 
 def clock_of(
     line: Timeline,
-    receivers: Sequence[Told],
-    cameras: Sequence[Told],
-    recorder: Told | None,
+    receivers: Sequence[UtcReadings],
+    cameras: Sequence[UtcReadings],
+    recorder: UtcReadings | None,
     ledger: Ledger,
 ) -> BootClock:
     """UTC of the clock since boot that PX4's messages count.
@@ -136,8 +142,8 @@ def clock_of(
     if recorder is None:
         return BootClock(line, (None,), (False,))
     known = any(one.sound(line).places.shape[0] for one in receivers)
-    clock = fit_boots(line, receivers if known else cameras, ledger, recorder)
-    for number, (fit, told) in enumerate(zip(clock.fits, clock.told, strict=True)):
+    clock = fit_boot_clock(line, receivers if known else cameras, ledger, recorder)
+    for number, (fit, told) in enumerate(zip(clock.fits, clock.utc_known, strict=True)):
         if told:
             continue
         where = f"boot {number}"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import UNIX_US_FROM
 from pipeline.ingest.boot_clock import microseconds
-from pipeline.ingest.buffers import Store
+from pipeline.ingest.buffers import ColumnStore
 from pipeline.ingest.tlog.clock import CLOCK_FIELDS, EARLIEST_NS, LATEST_NS, Clocks, clock_field
 from pipeline.ingest.tlog.clock_readings import MICROSECOND, Key, Readings, by_source
 from pipeline.ledger import Ledger
@@ -24,7 +24,7 @@ from pipeline.ledger import Ledger
 OWN_UTC = "time_utc"
 
 
-def borrowed(clocks: Clocks, sent: Sequence[Store], ledger: Ledger) -> Clocks:
+def borrowed(clocks: Clocks, sent: Sequence[ColumnStore], ledger: Ledger) -> Clocks:
     """The clocks, with one for each sender whose times do not fit the clock that it would borrow.
 
     Parameters

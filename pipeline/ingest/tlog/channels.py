@@ -17,10 +17,10 @@ from pipeline.ingest.ardupilot_heights import (
     says_ellipsoid,
     with_ellipsoidal_heights,
 )
-from pipeline.ingest.attitude import north_only
+from pipeline.ingest.attitude import earth_frame_attitude
 from pipeline.ingest.boot_clock import microseconds
-from pipeline.ingest.buffers import Store, room
-from pipeline.ingest.channel_builder import Rows, channel_of
+from pipeline.ingest.buffers import ColumnStore, allocate
+from pipeline.ingest.channel_builder import DecodedRows, channel_of
 from pipeline.ingest.fields import MessageMap, extract
 from pipeline.ingest.tlog.borrowed_clock import unix_us
 from pipeline.ingest.tlog.clock import CLOCK_FIELDS, Clocks
@@ -33,7 +33,7 @@ Group = tuple[int, Any]
 """Who sent a message (system times 256 plus component), and its instance as sent, or None."""
 
 
-def channels_of(sent: dict[str, Store], clocks: Clocks, ledger: Ledger) -> list[Channel]:
+def channels_of(sent: dict[str, ColumnStore], clocks: Clocks, ledger: Ledger) -> list[Channel]:
     """The channels of the wanted messages, each of which is let go on the way."""
     channels = []
     keys: dict[str, list[str]] = {}
@@ -79,8 +79,8 @@ class _Series:
     sent: list[NDArray[Any]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.time_ns = room(self.count, np.int64)
-        self.boot = room(self.count, np.int16)
+        self.time_ns = allocate(self.count, np.int64)
+        self.boot = allocate(self.count, np.int16)
 
     def add(self, rows: NDArray[Any], clocks: Clocks) -> None:
         """The next messages; a column takes memory when it has its first value."""
@@ -91,10 +91,10 @@ class _Series:
         values = extract(_fields(rows["records"]), self.spec.columns)
         needed = self.spec.position or self.spec.attitude
         if self.key == "GIMBAL_DEVICE_ATTITUDE_STATUS":
-            values = north_only(values)
+            values = earth_frame_attitude(values)
         for name, column in values.items():
             if name not in self.columns and (needed or bool(np.isfinite(column).any())):
-                self.columns[name] = room(self.count, np.float64)
+                self.columns[name] = allocate(self.count, np.float64)
                 self.columns[name][:] = np.nan
             if name in self.columns:
                 self.columns[name][part] = column
@@ -106,14 +106,14 @@ class _Series:
         """The messages of a camera as they were sent."""
         return np.concatenate(self.sent)
 
-    def rows(self) -> Rows:
+    def rows(self) -> DecodedRows:
         """What was added, with the texts that belong to it."""
         label = LABELS.get(self.key)
         texts = {label: tuple(map(text_of, self.records()[label].tolist()))} if label else {}
-        return Rows(self.name, self.source, self.time_ns, self.boot, self.columns, texts)
+        return DecodedRows(self.name, self.source, self.time_ns, self.boot, self.columns, texts)
 
 
-def _series(keys: list[str], store: Store, clocks: Clocks) -> list[_Series]:
+def _series(keys: list[str], store: ColumnStore, clocks: Clocks) -> list[_Series]:
     """The series of one message, for each key, sender and instance."""
     field = MESSAGES[keys[0]].id_field
     counts: Counter[Group] = Counter()

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import along, stray_times
-from pipeline.ingest.boot_clock import BootClock, Told, fit_boots, timeline
+from pipeline.ingest.boot_clock import BootClock, UtcReadings, fit_boot_clock, timeline
 from pipeline.ingest.tlog.clock_readings import MICROSECOND, MILLISECOND, Key, Readings
 from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND
@@ -199,9 +199,9 @@ def _fit(mine: Readings, leader: _Sender | None, source: Key, ledger: Ledger) ->
     mine = mine.take(~stray_times(mine.boot_ns))  # a glitch of the clock is no boot
     at, boot_ns = mine.at, _counted_on(mine, where, ledger)
     host_ns = mine.host_ns if leader is None else leader.utc_of_host(at, mine.host_ns)
-    told = Told("SYSTEM_TIME messages", at, boot_ns, mine.utc_ns, mine.utc_ns > 0)
-    received = Told("stamps", at, boot_ns, host_ns, np.ones(at.shape, np.bool_))
-    clock = fit_boots(timeline([(at, boot_ns)]), [told], ledger, received, where)
+    told = UtcReadings("SYSTEM_TIME messages", at, boot_ns, mine.utc_ns, mine.utc_ns > 0)
+    received = UtcReadings("stamps", at, boot_ns, host_ns, np.ones(at.shape, np.bool_))
+    clock = fit_boot_clock(timeline([(at, boot_ns)]), [told], ledger, received, where)
     boot = clock.line.boot_of(at)
     counts = np.bincount(boot, minlength=clock.line.boots).tolist()
     maps = []
@@ -238,7 +238,7 @@ def _counted_on(mine: Readings, where: str, ledger: Ledger) -> TimeArray:
 
 def _report_fallback(clock: BootClock, number: int, count: int, where: str, ledger: Ledger) -> None:
     fit = clock.fits[number]
-    if clock.told[number] or fit is None:
+    if clock.utc_known[number] or fit is None:
         return
     ledger.fallback(
         "TIME-HOST-CLOCK",
@@ -251,7 +251,7 @@ def _report_fallback(clock: BootClock, number: int, count: int, where: str, ledg
 
 
 def _words(clock: BootClock) -> str:
-    known, boots = clock.told.count(True), len(clock.told)
+    known, boots = clock.utc_known.count(True), len(clock.utc_known)
     if known == boots:
         return "vehicle clock, set to UTC by the median of SYSTEM_TIME"
     if known == 0:

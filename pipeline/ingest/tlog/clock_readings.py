@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import STRAY_ROWS, UNIX_US_FROM
 from pipeline.ingest.boot_clock import microseconds
-from pipeline.ingest.buffers import Store
+from pipeline.ingest.buffers import ColumnStore
 
 MILLISECOND, MICROSECOND = 1_000_000, 1_000  # [ns]
 
@@ -39,7 +39,7 @@ class Sampler:
     """
 
     def __init__(self) -> None:
-        self.rows = Store(_READING)
+        self.rows = ColumnStore(_READING)
 
     def take(self, timed: Sequence[NDArray[Any]]) -> None:
         """Look at messages with ``time_boot_ms``, the next ones of the file."""
@@ -60,7 +60,7 @@ class Sampler:
 
     def readings(self, systems: Set[int]) -> Readings | None:
         """What was taken from senders of these systems."""
-        columns = {name: Store(kind) for name, kind in _KINDS.items()}
+        columns = {name: ColumnStore(kind) for name, kind in _KINDS.items()}
         for block in self.rows.drained():
             rows = block[np.isin(block["source"] >> 8, sorted(systems))]
             unix_us = microseconds(rows["unix_us"])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pipeline.ingest.attitude import device_columns
+from pipeline.ingest.attitude import gimbal_columns
 from pipeline.ingest.fields import ATTITUDE, GNSS, PRESSURE, MessageMap, column
 
 INT16_MAX, UINT16_MAX = 32767.0, 65535.0
@@ -196,7 +196,7 @@ MESSAGES: Mapping[str, MessageMap] = {
         attitude=True,
     ),
     "GIMBAL_DEVICE_ATTITUDE_STATUS": MessageMap(
-        device_columns(),
+        gimbal_columns(),
         id_field="gimbal_device_id",
         time_field=_BOOT_MS,
         attitude=True,

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.buffers import Bytes, gathered
+from pipeline.ingest.buffers import Bytes, gather
 
 STAMP = 8
 V1, V2 = 0xFE, 0xFD
@@ -125,11 +125,11 @@ def candidates(window: Bytes, stop: int) -> NDArray[np.int64]:
 
 
 def headers(window: Bytes, places: NDArray[np.int64], room: int) -> Frames:
-    """What the headers say at these places, of the frames that end in the first ``room`` bytes.
+    """What the headers say at these places, of the frames that end in the first ``allocate`` bytes.
 
     The window must be `HEAD` bytes longer than the last place.
     """
-    head = gathered(window, places, HEAD).view(_HEAD)
+    head = gather(window, places, HEAD).view(_HEAD)
     two = head["magic"] == V2
     signed = two & (head["flags"] & 1 == 1)
     total = head["length"].astype(np.int64) + np.where(two, HEAD, STAMP + V1_BEFORE_PAYLOAD)
@@ -212,7 +212,7 @@ def checksums(
     """
     odd = covered & 1  # then the row begins a byte before, so that words lie on even places
     size = odd + covered + CHECKSUM
-    packet = gathered(window, first - odd, size)
+    packet = gather(window, first - odd, size)
     words = packet.view("<u2").reshape(-1, size // 2)
     crc = np.full(first.shape, 0xFFFF, np.uint16)
     if odd:
@@ -235,7 +235,5 @@ def payloads(window: Bytes, frames: Frames, dtype: np.dtype[Any]) -> NDArray[Any
         used = min(length, dtype.itemsize)
         if used:
             rows = np.flatnonzero(frames.length == length)
-            filled[rows, :used] = (
-                gathered(window, begin[rows], used).view(np.uint8).reshape(-1, used)
-            )
+            filled[rows, :used] = gather(window, begin[rows], used).view(np.uint8).reshape(-1, used)
     return filled.view(dtype).reshape(len(frames))

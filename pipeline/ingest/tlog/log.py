@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import Channel
 from pipeline.flight.clock import stray_times
-from pipeline.ingest.buffers import window_on
+from pipeline.ingest.buffers import open_view
 from pipeline.ingest.log import Contents, Table, report_damage
 from pipeline.ingest.tlog.borrowed_clock import borrowed
 from pipeline.ingest.tlog.channels import channels_of, label_of, times_of
@@ -46,7 +46,7 @@ class Tlog:
     def read(self, path: Path, ledger: Ledger) -> Contents:
         known = dialect()
         wanted = wanted_fields()
-        with window_on(path) as data:
+        with open_view(path) as data:
             late = {known.numbers[name] for name in _LATE if name in known.numbers}
             found = scan(data, known.extras, known.layouts(wanted), late)
         damaged = _report_damage(found, known, set(wanted), path, ledger)
@@ -177,7 +177,7 @@ def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table
     if name not in known.numbers:
         return {}
     message = known.messages[known.numbers[name]]
-    with window_on(path) as data:
+    with open_view(path) as data:
         sent = scan(data, known.extras, {message.number: message.dtype}).sent.get(message.number)
     if sent is None:
         return {}

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.flight.clock import STRAY_ROWS
-from pipeline.ingest.buffers import Bytes, Store, Window
+from pipeline.ingest.buffers import Bytes, ColumnStore, FileView
 from pipeline.ingest.tlog.clock_readings import Key, Sampler
 from pipeline.ingest.tlog.frames import (
     HEAD,
@@ -74,7 +74,7 @@ class Scan:
     """
 
     counts: Counter[int] = field(default_factory=Counter)
-    sent: dict[int, Store] = field(default_factory=dict)
+    sent: dict[int, ColumnStore] = field(default_factory=dict)
     clock: Sampler = field(default_factory=Sampler)
     unknown: dict[int, Suspects] = field(default_factory=dict)
     failed: dict[int, Suspects] = field(default_factory=dict)
@@ -87,7 +87,7 @@ class Scan:
 
 
 def scan(
-    data: Window,
+    data: FileView,
     extras: Mapping[int, int],
     wanted: Mapping[int, np.dtype[Any]],
     late: Set[int] = frozenset(),
@@ -118,7 +118,7 @@ class _Walk:
 
     def __init__(
         self,
-        data: Window,
+        data: FileView,
         extras: Mapping[int, int],
         wanted: Mapping[int, np.dtype[Any]],
         late: Set[int],
@@ -170,7 +170,7 @@ class _Walk:
                 rows["source"] = _source_of(mine)
                 for name in dtype.names or ():
                     rows["records"][name] = payload[name]
-                self.found.sent.setdefault(number, Store(rows.dtype)).add(rows)
+                self.found.sent.setdefault(number, ColumnStore(rows.dtype)).add(rows)
                 if number not in self.late and "time_boot_ms" in (dtype.names or ()):
                     timed.append(rows)
         self.found.clock.take(timed)
@@ -286,7 +286,7 @@ def _padded(window: Bytes) -> Bytes:
     return np.concatenate([window, np.zeros(HEAD, np.uint8)])
 
 
-def _chain(data: Window, begin: int, stop: int) -> tuple[list[int], int]:
+def _chain(data: FileView, begin: int, stop: int) -> tuple[list[int], int]:
     """Frames that stand wall to wall, and where the first does not follow."""
     places: list[int] = []
     at = first = begin
@@ -302,6 +302,6 @@ def _chain(data: Window, begin: int, stop: int) -> tuple[list[int], int]:
     return places, at
 
 
-def _is_cut(data: Window, at: int) -> bool:
+def _is_cut(data: FileView, at: int) -> bool:
     rest = data[at : at + LONGEST]
     return data.size - at < SHORTEST or frame_length(rest, 0) > len(rest)

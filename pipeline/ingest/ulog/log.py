@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from pipeline.errors import LogError
 from pipeline.flight.channels import Channel, Source, TimeArray
 from pipeline.flight.clock import UNIX_US_FROM, stray_times
-from pipeline.ingest.attitude import north_only
-from pipeline.ingest.boot_clock import Told, fit_boots, microseconds, timeline
-from pipeline.ingest.buffers import window_on
-from pipeline.ingest.channel_builder import Rows, channel_of
+from pipeline.ingest.attitude import earth_frame_attitude
+from pipeline.ingest.boot_clock import UtcReadings, fit_boot_clock, microseconds, timeline
+from pipeline.ingest.buffers import open_view
+from pipeline.ingest.channel_builder import DecodedRows, channel_of
 from pipeline.ingest.fields import MessageMap, extract
 from pipeline.ingest.log import Contents, Table, report_damage
-from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, TOPICS, UTC_FIELD, taken
+from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, TOPICS, UTC_FIELD, captured_rows
 from pipeline.ingest.ulog.records import Walk, Whole, walk
 from pipeline.ledger import Ledger
 
@@ -83,7 +83,7 @@ def _parsed(path: Path, topics: list[str]) -> tuple[Any, Walk]:
         ) from error
     try:
         # It prints what `file_corruption` says.
-        with window_on(path) as data, contextlib.redirect_stdout(io.StringIO()):
+        with open_view(path) as data, contextlib.redirect_stdout(io.StringIO()):
             walked = walk(data)
             return ULog(io.BufferedReader(Whole(data, walked), 1 << 20), topics), walked
     except (*_COMPLAINTS, ULogException) as error:
@@ -124,7 +124,7 @@ def _times(data: Mapping[str, NDArray[Any]]) -> TimeArray:
     return microseconds(data["timestamp"]) * 1000
 
 
-def _told(data: Any, field: str) -> Told | None:
+def _told(data: Any, field: str) -> UtcReadings | None:
     """What the messages of a topic say of UTC."""
     if field not in data.data:
         return None
@@ -132,7 +132,7 @@ def _told(data: Any, field: str) -> Told | None:
     usable = (utc_us > UNIX_US_FROM) & ~stray_times(boot_ns)
     fix = data.data.get("fix_type", np.empty(0))
     places = np.arange(boot_ns.shape[0])
-    return Told(f"rows of {_name(data, True)}", places, boot_ns, utc_us * 1000, usable, fix)
+    return UtcReadings(f"rows of {_name(data, True)}", places, boot_ns, utc_us * 1000, usable, fix)
 
 
 def _clock(topics: list[Any], ledger: Ledger) -> tuple[int, str]:
@@ -143,7 +143,7 @@ def _clock(topics: list[Any], ledger: Ledger) -> tuple[int, str]:
     for sources in (receivers, cameras):
         told = [one for one in sources if one is not None and one.sound(_ONE_BOOT).places.size]
         if told:
-            fit = fit_boots(_ONE_BOOT, told, ledger).fits[0]
+            fit = fit_boot_clock(_ONE_BOOT, told, ledger).fits[0]
             words = "vehicle clock, set to UTC by the median of"
             return (fit.offset_ns, f"{words} {fit.rows} rows") if fit else (0, "")
     ledger.fallback(
@@ -166,10 +166,10 @@ def _channel(
     fields = {_ELEMENT.sub(r".\1", field): column for field, column in data.data.items()}
     columns = extract(fields, spec.columns)
     if "flags" in columns:
-        columns = north_only(columns)
+        columns = earth_frame_attitude(columns)
     boot = np.zeros(boot_ns.shape, np.int16)
     source = Source(data.name, str(data.multi_id) if numbered else None)
-    rows = Rows(name, source, boot_ns + offset_ns, boot, columns)
+    rows = DecodedRows(name, source, boot_ns + offset_ns, boot, columns)
     stray = stray_times(boot_ns)
     if stray.any():
         ledger.loss(
@@ -180,7 +180,7 @@ def _channel(
             count=int(stray.sum()),
         )
         rows = rows.take(~stray)
-    return channel_of(taken(rows, ledger) if spec.event else rows, spec, ledger)
+    return channel_of(captured_rows(rows, ledger) if spec.event else rows, spec, ledger)
 
 
 def _table(path: Path, offset_ns: int, name: str, instance: str | None) -> Table:

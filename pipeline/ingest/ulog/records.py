@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.ingest.buffers import Bytes, Window
+from pipeline.ingest.buffers import Bytes, FileView
 
 FILE_HEADER = 16
 HEAD = struct.Struct("<HB")  # size of what follows, kind
@@ -72,13 +72,13 @@ class Walk:
         self.first_bad = begin if self.first_bad < 0 else self.first_bad
 
 
-def walk(data: Window) -> Walk:
+def walk(data: FileView) -> Walk:
     """Find the messages of a file."""
     return _Walker(data).run()
 
 
 class _Walker:
-    def __init__(self, data: Window) -> None:
+    def __init__(self, data: FileView) -> None:
         self.data = data
         self.found = Walk()
         self.formats: dict[str, Fields] = {}
@@ -292,7 +292,7 @@ def span_of(name: str, formats: Mapping[str, Fields], depth: int = 0) -> tuple[i
     return (total - padding, total) if total > padding else None
 
 
-def _appended(data: Window) -> frozenset[int]:
+def _appended(data: FileView) -> frozenset[int]:
     """Places where data was appended after a crash: what lies before them may be cut off."""
     raw = data[FILE_HEADER : FILE_HEADER + HEAD.size + FLAGS.size]
     if len(raw) < HEAD.size + FLAGS.size or raw[2] != ord("B"):
@@ -305,7 +305,7 @@ def _appended(data: Window) -> frozenset[int]:
 class Whole(io.RawIOBase):
     """The whole messages of a file as a file of their own, without a word of appended data."""
 
-    def __init__(self, data: Window, found: Walk) -> None:
+    def __init__(self, data: FileView, found: Walk) -> None:
         super().__init__()
         self.parts: list[tuple[int, int]] = [(0, FILE_HEADER), *found.good]
         self.data = data
