@@ -14,8 +14,16 @@ from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 from pipeline.config import load_mission
 from pipeline.refraction.spread import ImageGrid
-from pipeline.report.figures import draw_shifts, save_figure
-from pipeline.report.style import ADJUSTED, STANDARD, height_range, new_figure, scatter, styled
+from pipeline.report.figures import (
+    ADJUSTED,
+    STANDARD,
+    draw_shifts,
+    height_range,
+    new_figure,
+    save_figure,
+    scatter,
+    styled,
+)
 from pipeline.stages.story import air_of_mission
 from pipeline.units import ZERO_CELSIUS_K
 

@@ -87,7 +87,7 @@ def inspect(
 ) -> None:
     """Show what a log holds, in the words that a mission file takes."""
     from pipeline.ingest import open_log
-    from pipeline.report.columns import field_rows, write_csv
+    from pipeline.report.messages import field_rows, write_csv
     from pipeline.report.progress import PatientBar
     from pipeline.report.terminal import show_fields, show_log
 

@@ -83,8 +83,7 @@ def radial(
     """
     from pipeline.refraction.radial import angles_to, radial_table
     from pipeline.report.progress import PatientBar
-    from pipeline.report.radial import radial_rows, show_radial
-    from pipeline.report.terminal import show_ledger
+    from pipeline.report.terminal import radial_rows, show_ledger, show_radial
     from pipeline.stages.story import air_of_either
 
     _refuse_two_airs(config, atmosphere)
@@ -172,8 +171,7 @@ def profile(
         whole = profiles_arrow(adjustment, air.series, heights) if several else rows
         write_csv(csv, whole.to_pylist())
     if plot is not None:
-        from pipeline.report.figures import save_figure
-        from pipeline.report.profile_figure import profile_figure
+        from pipeline.report.figures import profile_figure, save_figure
 
         save_figure(profile_figure(air, samples), plot)
     written = [path for path in (csv, plot) if path is not None]

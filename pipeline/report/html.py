@@ -10,9 +10,8 @@ from typing import Any
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.spread import ImageGrid
-from pipeline.report.figures import as_svg, correction_figure
-from pipeline.report.profile_figure import profile_figure
-from pipeline.report.words import (
+from pipeline.report.figures import as_svg, correction_figure, profile_figure
+from pipeline.report.summary import (
     CORRECTION_HEAD,
     SENSOR_HEAD,
     SOURCE_HEAD,

@@ -31,8 +31,7 @@ from pipeline.flight.stations import Stations, doubt_heights
 from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.ray import rays_by
-from pipeline.report.accuracy import Accuracy, accuracy_page, text_hash
-from pipeline.report.accuracy_figure import accuracy_png
+from pipeline.report.accuracy import Accuracy, accuracy_page, accuracy_png, text_hash
 from pipeline.report.html import write_report
 from pipeline.report.progress import Progress, Silent
 from pipeline.stages.adjusted_profile import adjust_air, find_sources

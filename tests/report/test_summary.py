@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from pipeline.report.words import headline, not_included
+from pipeline.report.summary import headline, not_included
 
 PLANE = {"shape": "plane", "in_calibration": "none"}
 LENS = {"dc_dp_px_per_hpa": 0.006}
