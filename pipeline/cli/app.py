@@ -1,4 +1,4 @@
-"""The command line itself, and what its commands share: console, refusals, CSV.
+"""The command line application, and what its commands share: console, error messages, CSV.
 
 Exit codes: 0 done; 1 a bug; 2 command or mission file; 3 done, but data was lost, damaged or
 flagged, or something the mission file names is absent; 4 output folder in use; 5 storage failure,
@@ -23,12 +23,12 @@ _ORDER = (
     "run", "check", "inspect", "angle", "radial", "tables", "profile", "compare", "simulate",
     "export", "verify",
 )  # fmt: skip
-"""The commands as the help lists them: a mission, the air and the rays, what is done with runs."""
+"""Order of the commands in the help: missions, atmosphere and rays, results."""
 
 
 class _Group(TyperGroup):
     def list_commands(self, ctx: Any) -> list[str]:
-        """The names in the order of the work, whichever module holds them."""
+        """Names in the order of `_ORDER`; typer would list them by module."""
         return sorted(self.commands, key=_ORDER.index)
 
 
@@ -46,28 +46,30 @@ app = typer.Typer(
 
 
 class _Console(Console):
-    """A console that leaves it to `main` what a reader who went away means."""
+    """Console that raises BrokenPipeError instead of exiting, so that main() sets the exit code."""
 
     def on_broken_pipe(self) -> NoReturn:
-        """Let it through; rich would leave with the code of a bug."""
         raise BrokenPipeError
 
 
 def new_console() -> Console:
+    """Console for standard output, as wide as the terminal."""
     return _Console(soft_wrap=False, highlight=False)
 
 
-def refuse(error: UnbendError, subject: str = "") -> None:
+def print_error(error: UnbendError, subject: str = "") -> None:
+    """Write a refusal to standard error; ``subject`` is the mission file if there are several."""
     print(f"{subject}: {error}" if subject else error, file=sys.stderr)
 
 
-def own_up(text: str, subject: str = "") -> None:
-    """Say that an error is ours, with all that is needed to find it."""
+def print_bug(text: str, subject: str = "") -> None:
+    """Write a traceback to standard error, with the request to report it."""
     where = f"{subject}: " if subject else ""
     print(f"{text}\n{where}this is a bug in unbend: please report the lines above", file=sys.stderr)
 
 
-def write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
+def write_rows_csv(path: Path, rows: list[dict[str, Any]]) -> None:
+    """Write rows of the same keys as CSV; StorageError if the file cannot be written."""
     from pipeline.batch.store import translated
 
     with translated(path), path.open("w", newline="", encoding="utf-8") as file:

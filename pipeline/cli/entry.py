@@ -1,4 +1,4 @@
-"""Run the words of a command line; errors to exit codes."""
+"""Run a command line; errors become exit codes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from types import FrameType, TracebackType
 import typer
 
 from pipeline.cli import missions, physics
-from pipeline.cli.app import app, own_up, refuse
+from pipeline.cli.app import app, print_bug, print_error
 from pipeline.errors import (
     EXIT_CONFIG,
     EXIT_DONE,
@@ -21,59 +21,58 @@ from pipeline.errors import (
 )
 from pipeline.interrupts import SIGNALS
 
-# The modules whose commands these are; with their import the commands are there.
+# The import of these modules registers their commands.
 _COMMANDS = (missions, physics)
 
-# The root of what a mistaken command line raises: click's class, or that of the copy of click
-# that newer versions of typer carry.
+# Base class of all errors in a command line: click's UsageError, or that of the copy of click in
+# newer versions of typer.
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
 
 
-def _leave_in_peace() -> None:
-    """Heed no more signals: whoever leaves clears up, and a second one would end that half done.
+def ignore_signal(_: int, __: FrameType | None) -> None:
+    """Handler for signals that arrive during shutdown: do nothing."""
 
-    They are heard, not ignored: Python complains of one that is ignored when it is on its way.
+
+def _ignore_further_signals() -> None:
+    """Let the shutdown finish whatever signals follow.
+
+    By a handler: Python prints a warning if a signal is already pending when SIG_IGN is set.
     """
     for number in SIGNALS:
-        signal.signal(number, _unheeded)
+        signal.signal(number, ignore_signal)
 
 
-def _unheeded(_: int, __: FrameType | None) -> None:
-    """Somebody is impatient."""
+def _install_signal_handlers() -> None:
+    """Exit with 130 at the first Ctrl-C and with 143 at SIGTERM.
 
+    Ctrl-C is left alone where the parent process had it ignored (``nohup``).
+    """
 
-def _interrupted(_: int, __: FrameType | None) -> None:
-    # Not KeyboardInterrupt: where that passes through an exec() (of dataclasses, in an import),
-    # Python ends the process by the signal, whatever its exit code.
-    _leave_in_peace()
-    raise SystemExit(EXIT_INTERRUPTED)
+    def exit_with(code: int) -> None:
+        # SystemExit, not KeyboardInterrupt: where the latter passes through an exec(), as in the
+        # import of a dataclass, Python ends the process by the signal, whatever its exit code.
+        _ignore_further_signals()
+        raise SystemExit(code)
 
-
-def _terminated(_: int, __: FrameType | None) -> None:
-    _leave_in_peace()
-    raise SystemExit(EXIT_TERMINATED)
-
-
-def _listen() -> None:
-    """The first Ctrl-C or SIGTERM ends the command; Ctrl-C unless we were started deaf to it."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, _interrupted)
-    signal.signal(signal.SIGTERM, _terminated)
+        signal.signal(signal.SIGINT, lambda *_: exit_with(EXIT_INTERRUPTED))
+    signal.signal(signal.SIGTERM, lambda *_: exit_with(EXIT_TERMINATED))
 
 
-def _unexpected(kind: type[BaseException], error: BaseException, at: TracebackType | None) -> None:
-    """What Python calls for an exception that nothing caught; it then leaves with exit code 1."""
-    own_up("".join(traceback.format_exception(kind, error, at)))
+def _print_uncaught(
+    kind: type[BaseException], error: BaseException, at: TracebackType | None
+) -> None:
+    print_bug("".join(traceback.format_exception(kind, error, at)))
 
 
-def _obey(words: list[str]) -> int:
-    """Run one command; its exit code.
+def run_command(arguments: list[str]) -> int:
+    """Run one command and return its exit code.
 
-    typer's own main would turn a bug, Ctrl-C and a broken pipe into codes and words of its own.
+    Instead of typer's main(), which gives bugs, Ctrl-C and broken pipes its own exit codes.
     """
     command = typer.main.get_command(app)
     try:
-        with command.make_context("unbend", words) as context:
+        with command.make_context("unbend", arguments) as context:
             command.invoke(context)
     except typer.Exit as end:
         return end.exit_code
@@ -82,32 +81,32 @@ def _obey(words: list[str]) -> int:
 
 def main() -> None:
     """Run the command line and leave with its exit code."""
-    # Matrices of some hundreds of rows are slower on many threads, and sums then depend on how
-    # many: set before anything imports numpy, and only where the user has not.
+    # With matrices of some hundred rows, threads are slower and make sums depend on their number.
+    # Takes effect if set before numpy is imported; a value of the user's is kept.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    sys.excepthook = _unexpected
-    _listen()
+    sys.excepthook = _print_uncaught  # Python then exits with 1, EXIT_BUG
+    _install_signal_handlers()
     code = EXIT_DONE
     try:
-        code = _obey(sys.argv[1:])
+        code = run_command(sys.argv[1:])
         sys.stdout.flush()
     except UnbendError as error:
-        refuse(error)
+        print_error(error)
         code = error.exit_code
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else EXIT_DONE
-    except (typer.Abort, KeyboardInterrupt):  # a library's own
+    except (typer.Abort, KeyboardInterrupt):  # raised by a library
         code = EXIT_INTERRUPTED
     except _USAGE_ERROR as error:
         error.show()  # type: ignore[attr-defined]
         code = EXIT_CONFIG
     except BrokenPipeError:
-        # Whoever read our words has gone; what is still buffered must not complain at the exit.
+        # The reader of a pipe has closed it. Python flushes the rest at exit: let that succeed.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(EXIT_INTERRUPTED)
     finally:
-        _leave_in_peace()
-        for number in SIGNALS:  # Python's own end puts the default back in the place of a handler
+        _ignore_further_signals()
+        for number in SIGNALS:  # Python's shutdown replaces a handler by the default action
             signal.signal(number, signal.SIG_IGN)
     if code == EXIT_INTERRUPTED:
         print("interrupted; run again to finish", file=sys.stderr)

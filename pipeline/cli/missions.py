@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from pipeline.cli.app import app, new_console, own_up, refuse
+from pipeline.cli.app import app, new_console, print_bug, print_error
 from pipeline.errors import EXIT_BUG, EXIT_DONE, EXIT_LOSSES, ConfigError, UnbendError
 
 
@@ -24,24 +24,26 @@ def run(
 ) -> None:
     """Correct missions; one that is refused does not stop the rest."""
     from pipeline.batch.execute import Bug, exit_code_of, run_many
-    from pipeline.report.progress import PatientBar
-    from pipeline.report.terminal import show_run
+    from pipeline.report.progress import DelayedProgressBar
+    from pipeline.report.terminal import print_run
     from pipeline.stages.story import run_mission
 
     console = new_console()
     ends: list[int] = []
     one = partial(run_mission, force=force)
-    with closing(run_many(one, configs, jobs, lambda name: PatientBar(console, name))) as running:
+    with closing(
+        run_many(one, configs, jobs, lambda name: DelayedProgressBar(console, name))
+    ) as running:
         for config, end in running:
             if isinstance(end, UnbendError):
-                refuse(end, str(config))
+                print_error(end, str(config))
                 ends.append(end.exit_code)
                 continue
             if isinstance(end, Bug):
-                own_up(end.traceback, str(config))
+                print_bug(end.traceback, str(config))
                 ends.append(EXIT_BUG)
                 continue
-            show_run(console, end.name, str(end.output), end.manifest, repeated=end.repeated)
+            print_run(console, end.name, str(end.output), end.manifest, repeated=end.repeated)
             ends.append(end.exit_code)
     raise typer.Exit(exit_code_of(ends))
 
@@ -52,23 +54,23 @@ def check(
 ) -> None:
     """Validate mission files and their inputs; correct nothing."""
     from pipeline.batch.execute import exit_code_of
-    from pipeline.report.progress import PatientBar
-    from pipeline.report.terminal import show_check, show_ledger
+    from pipeline.report.progress import DelayedProgressBar
+    from pipeline.report.terminal import print_check, print_ledger
     from pipeline.stages.story import check_mission
 
     console = new_console()
     ends: list[int] = []
     for config in configs:
         try:
-            with PatientBar(console, f"checking {config.name}"):
+            with DelayedProgressBar(console, f"checking {config.name}"):
                 found = check_mission(config)
         except UnbendError as error:
-            refuse(error, str(config))
+            print_error(error, str(config))
             ends.append(error.exit_code)
             continue
         console.print(f"[bold]{escape(str(config))}[/bold] can be run")
-        show_check(console, found.lines())
-        show_ledger(console, found.ledger.rows())
+        print_check(console, found.lines())
+        print_ledger(console, found.ledger.rows())
         ends.append(EXIT_LOSSES if found.ledger.has_losses else EXIT_DONE)
     raise typer.Exit(exit_code_of(ends))
 
@@ -88,8 +90,8 @@ def inspect(
     """Show what a log holds, in the words that a mission file takes."""
     from pipeline.ingest import open_log
     from pipeline.report.messages import field_rows, write_csv
-    from pipeline.report.progress import PatientBar
-    from pipeline.report.terminal import show_fields, show_log
+    from pipeline.report.progress import DelayedProgressBar
+    from pipeline.report.terminal import print_fields, print_log
 
     if (kind is None and (as_csv or instance is not None)) or (kind is not None and as_json):
         raise ConfigError(
@@ -98,17 +100,17 @@ def inspect(
             remedy="for example: unbend inspect flight.bin --type BARO --csv",
         )
     console = new_console()
-    with PatientBar(console, f"reading {log.name}"):
+    with DelayedProgressBar(console, f"reading {log.name}"):
         opened = open_log(log, needs_channels=kind is None)
         columns = None if kind is None else opened.message(kind, instance)
     if columns is not None and as_csv:
         write_csv(sys.stdout, columns)
     elif columns is not None:
-        show_fields(console, f"{log.name}, {kind}", field_rows(columns))
+        print_fields(console, f"{log.name}, {kind}", field_rows(columns))
     elif as_json:
         print(json.dumps(opened.to_json_dict(), indent=2, allow_nan=False))
     else:
-        show_log(console, opened.to_json_dict(), log.name)
+        print_log(console, opened.to_json_dict(), log.name)
     raise typer.Exit(EXIT_LOSSES if opened.ledger.has_losses else EXIT_DONE)
 
 
@@ -135,17 +137,17 @@ def export(
     force: Annotated[bool, typer.Option(help="replace the file if it is there")] = False,
 ) -> None:
     """Write the results of a run for other programs."""
-    from pipeline.report.progress import PatientBar
-    from pipeline.report.terminal import show_ledger
+    from pipeline.report.progress import DelayedProgressBar
+    from pipeline.report.terminal import print_ledger
     from pipeline.stages.story import export_run
     from pipeline.tables.exports import ExportOptions
 
     console = new_console()
     options = ExportOptions(columns, rows, ground_height)
-    with PatientBar(console, f"exporting {run.name}"):
+    with DelayedProgressBar(console, f"exporting {run.name}"):
         written, ledger = export_run(run, name, out, options, force=force)
     console.print(f"{escape(str(out))}: {written:,} rows")
-    show_ledger(console, ledger.rows())
+    print_ledger(console, ledger.rows())
     raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)
 
 
@@ -160,14 +162,14 @@ def simulate(
 
     The same flight three times, as .bin, .tlog and .mcap, with a mission file for each.
     """
-    from pipeline.report.progress import PatientBar
+    from pipeline.report.progress import DelayedProgressBar
     from pipeline.simulate import SimulationOptions
     from pipeline.simulate import simulate as fly
 
     console = new_console()
     options = SimulationOptions(seed=seed, height_above_ground_m=height, image_noise_px=noise)
-    with PatientBar(console, "simulating") as bar:
-        flown = fly(out, options, bar.show)
+    with DelayedProgressBar(console, "simulating") as bar:
+        flown = fly(out, options, bar.update)
     console.print(
         f"{escape(str(out))}: {flown.images} images, {flown.observation_count:,} observations of "
         f"{flown.points:,} points, {flown.duration_s:.0f} s of flight in three logs"

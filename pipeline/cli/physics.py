@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.markup import escape
 
-from pipeline.cli.app import app, new_console, write_csv
+from pipeline.cli.app import app, new_console, write_rows_csv
 from pipeline.errors import EXIT_DONE, EXIT_LOSSES, ConfigError
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def angle(
 ) -> None:
     """One refraction angle: arcsec, microradians, ground metres."""
     from pipeline.refraction.angle import one_angle
-    from pipeline.report.terminal import show_angle
+    from pipeline.report.terminal import print_angle
 
     result = one_angle(
         atmosphere, index, camera_height, ground_height, nadir_angle, radius, method, distance
@@ -55,7 +55,7 @@ def angle(
     if as_json:
         print(json.dumps(result, indent=2, allow_nan=False))
     else:
-        show_angle(new_console(), result)
+        print_angle(new_console(), result)
 
 
 @app.command(
@@ -82,14 +82,14 @@ def radial(
     the horizon.
     """
     from pipeline.refraction.radial import angles_to, radial_table
-    from pipeline.report.progress import PatientBar
-    from pipeline.report.terminal import radial_rows, show_ledger, show_radial
+    from pipeline.report.progress import DelayedProgressBar
+    from pipeline.report.terminal import print_ledger, print_radial, radial_rows
     from pipeline.stages.story import air_of_either
 
-    _refuse_two_airs(config, atmosphere)
+    _require_one_atmosphere(config, atmosphere)
     console = new_console()
     angles = angles_to(max_angle, step)
-    with PatientBar(console, "finding the air"):
+    with DelayedProgressBar(console, "finding the air"):
         air, _, ledger = air_of_either(config, atmosphere)
     tables = [
         radial_table(
@@ -98,11 +98,11 @@ def radial(
         for h in camera_height
     ]
     if csv is not None:
-        write_csv(csv, radial_rows(tables))
+        write_rows_csv(csv, radial_rows(tables))
     else:
-        show_radial(console, tables)
+        print_radial(console, tables)
         _explain_empty(console, tables)
-    show_ledger(console, ledger.rows())
+    print_ledger(console, ledger.rows())
     if csv is not None:
         console.print(escape(str(csv)), soft_wrap=True)
     raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)
@@ -127,13 +127,13 @@ def tables(
 ) -> None:
     """Recompute a paper's tables: as printed, as published, and exact."""
     from pipeline.refraction.papers import paper_tables
-    from pipeline.report.terminal import show_paper
+    from pipeline.report.terminal import print_paper
 
     table = paper_tables(paper)
     if csv is None:
-        show_paper(new_console(), table.rows(), table.notes)
+        print_paper(new_console(), table.rows(), table.notes)
     else:
-        write_csv(csv, table.rows())
+        write_rows_csv(csv, table.rows())
 
 
 @app.command(
@@ -154,14 +154,14 @@ def profile(
 ) -> None:
     """The air of a mission or of a standard: a table, CSV or plot."""
     from pipeline.atmosphere.profile import heights_every
-    from pipeline.report.progress import PatientBar
-    from pipeline.report.terminal import show_air, show_ledger, show_profile
+    from pipeline.report.progress import DelayedProgressBar
+    from pipeline.report.terminal import print_air, print_ledger, print_profile
     from pipeline.stages.story import air_of_either
     from pipeline.tables.writing import profile_arrow, profiles_arrow
 
-    _refuse_two_airs(config, atmosphere)
+    _require_one_atmosphere(config, atmosphere)
     console = new_console()
-    with PatientBar(console, "finding the air"):
+    with DelayedProgressBar(console, "finding the air"):
         air, samples, ledger = air_of_either(config, atmosphere)
     adjustment = air.adjustment
     heights = None if step is None else heights_every(adjustment.profile, step)
@@ -169,16 +169,16 @@ def profile(
     if csv is not None:
         several = len(air.series.timed_profiles) > 1
         whole = profiles_arrow(adjustment, air.series, heights) if several else rows
-        write_csv(csv, whole.to_pylist())
+        write_rows_csv(csv, whole.to_pylist())
     if plot is not None:
         from pipeline.report.figures import profile_figure, save_figure
 
         save_figure(profile_figure(air, samples), plot)
     written = [path for path in (csv, plot) if path is not None]
     if not written:
-        show_profile(console, rows.to_pylist(), adjustment.standard.name)
-    show_air(console, air)
-    show_ledger(console, ledger.rows())
+        print_profile(console, rows.to_pylist(), adjustment.standard.name)
+    print_air(console, air)
+    print_ledger(console, ledger.rows())
     for path in written:
         console.print(escape(str(path)), soft_wrap=True)
     raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)
@@ -195,17 +195,17 @@ def compare(
 
     By flying height: to which nadir angle it stays within 0.1 and 1 arcsec of the spherical ray.
     """
-    from pipeline.report.accuracy import compare_all, show_accuracy
+    from pipeline.report.accuracy import compare_all, print_accuracy
     from pipeline.stages.story import write_comparison
 
     found = compare_all(atmosphere)
     if out is None:
-        show_accuracy(new_console(), found)
+        print_accuracy(new_console(), found)
     else:
         write_comparison(found, out)
 
 
-def _refuse_two_airs(config: Path | None, atmosphere: str | None) -> None:
+def _require_one_atmosphere(config: Path | None, atmosphere: str | None) -> None:
     if (config is None) == (atmosphere is None):
         raise ConfigError(
             "PROFILE-ARGUMENTS",

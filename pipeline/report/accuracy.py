@@ -246,7 +246,7 @@ def text_hash(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def show_accuracy(console: Console, found: Accuracy) -> None:
+def print_accuracy(console: Console, found: Accuracy) -> None:
     """To which angle each method is good, in a terminal."""
     for comparison in found.over:
         console.print(

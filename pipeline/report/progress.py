@@ -1,4 +1,4 @@
-"""Telling a person that work goes on: silence for two seconds, then a bar."""
+"""Progress of a command in a terminal: nothing for two seconds, then a bar."""
 
 from __future__ import annotations
 
@@ -11,37 +11,31 @@ from rich.progress import Progress as Bar
 
 from pipeline.interrupts import held_back
 
-PATIENCE_S = 2.0
+DELAY_S = 2.0
 
 
 class Progress(Protocol):
-    """What a stage may say of itself."""
+    """What a stage reports while it runs."""
 
-    def say(self, what: str) -> None:
-        """Name a step of unknown length."""
-
-    def begin(self, what: str, total: int) -> None:
-        """Begin a step of known length."""
+    def start(self, step: str, total: int | None = None) -> None:
+        """Begin a step of ``total`` units, None if that is not known."""
 
     def advance(self, count: int) -> None:
-        """So much more of it is done."""
+        """Add ``count`` finished units to the step."""
 
 
-class Silent:
-    """Says nothing."""
+class NoProgress:
+    """Discards every report."""
 
-    def say(self, what: str) -> None:
-        """Nothing."""
-
-    def begin(self, what: str, total: int) -> None:
-        """Nothing."""
+    def start(self, step: str, total: int | None = None) -> None:
+        """Do nothing."""
 
     def advance(self, count: int) -> None:
-        """Nothing."""
+        """Do nothing."""
 
 
-class PatientBar:
-    """A bar that appears once the work has taken two seconds, and leaves no trace."""
+class DelayedProgressBar:
+    """A bar that appears after two seconds of work and is erased at the end."""
 
     def __init__(self, console: Console, title: str) -> None:
         self._title = title
@@ -54,12 +48,12 @@ class PatientBar:
             transient=True,
         )
         self._task = self._bar.add_task(title, total=None)
-        self._timer = threading.Timer(PATIENCE_S, self._appear)
+        self._timer = threading.Timer(DELAY_S, self._show)
         self._timer.daemon = True
         self._lock = threading.Lock()
-        self._over = False
+        self._ended = False
 
-    def __enter__(self) -> PatientBar:
+    def __enter__(self) -> DelayedProgressBar:
         if self._bar.console.is_terminal:
             with held_back():
                 self._timer.start()
@@ -68,30 +62,31 @@ class PatientBar:
     def __exit__(self, *_: object) -> None:
         with held_back(), self._lock:
             self._timer.cancel()
-            self._over = True
+            self._ended = True
             if self._bar.live.is_started:
                 self._bar.stop()
 
-    def _appear(self) -> None:
-        # The timer may have run out just as the work ended: then it comes too late to be cancelled.
+    def _show(self) -> None:
+        # A timer that runs out while the work ends can no longer be cancelled.
         with self._lock:
-            if not self._over:
+            if not self._ended:
                 self._bar.start()
 
-    def say(self, what: str) -> None:
-        """Name a step of unknown length."""
-        self._bar.update(self._task, description=f"{self._title}: {what}", total=None)
-
-    def begin(self, what: str, total: int) -> None:
-        """Begin a step of known length."""
-        self._bar.reset(self._task, description=f"{self._title}: {what}", total=total)
+    def start(self, step: str, total: int | None = None) -> None:
+        """Begin a step of ``total`` units, None if that is not known."""
+        # A new task, since rich cannot take the total from one that has it.
+        self._bar.remove_task(self._task)
+        self._task = self._bar.add_task(f"{self._title}: {step}", total=total)
 
     def advance(self, count: int) -> None:
-        """So much more of it is done."""
+        """Add ``count`` finished units to the step."""
         self._bar.advance(self._task, count)
 
-    def show(self, what: str, done: int, total: int) -> None:
-        """A step, how much of it is done, and of how much."""
+    def update(self, step: str, completed: int, total: int) -> None:
+        """Set step, finished units and their total (0 if that is not known)."""
         self._bar.update(
-            self._task, description=f"{self._title}: {what}", completed=done, total=total or None
+            self._task,
+            description=f"{self._title}: {step}",
+            completed=completed,
+            total=total or None,
         )

@@ -40,7 +40,7 @@ OVER_THE_HORIZON = (
 _COLOURS = {"loss": "red", "warning": "yellow", "fallback": "cyan", "note": "dim"}
 
 
-def show_run(
+def print_run(
     console: Console, name: str, output: str, manifest: Mapping[str, Any], *, repeated: bool
 ) -> None:
     """The summary at the end of a mission."""
@@ -74,7 +74,7 @@ def _paragraph(console: Console, text: str) -> None:
     console.print(Padding(escape(text), (0, 0, 0, 2)))
 
 
-def show_log(console: Console, log: Mapping[str, Any], name: str) -> None:
+def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
     """What ``unbend inspect`` prints: channels in the words that the mission file takes."""
     seconds = f"channels over {log['duration_s']:.1f} s"
     console.print(f"[bold]{escape(name)}[/bold]: {log['format']}, {seconds}")
@@ -103,10 +103,10 @@ def show_log(console: Console, log: Mapping[str, Any], name: str) -> None:
             roles,
         )
     console.print(Padding(table, (1, 0, 1, 2)))
-    show_ledger(console, log["ledger"])
+    print_ledger(console, log["ledger"])
 
 
-def show_fields(console: Console, title: str, rows: Sequence[Mapping[str, str]]) -> None:
+def print_fields(console: Console, title: str, rows: Sequence[Mapping[str, str]]) -> None:
     """The fields of one message type of a log."""
     console.print(f"[bold]{escape(title)}[/bold]")
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
@@ -118,7 +118,7 @@ def show_fields(console: Console, title: str, rows: Sequence[Mapping[str, str]])
     console.print(Padding(table, (1, 0, 1, 2)))
 
 
-def show_ledger(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
+def print_ledger(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
     """A ledger, the gravest entries first."""
     for kind, code, what in ledger_rows({"ledger": rows}):
         console.print(
@@ -126,7 +126,7 @@ def show_ledger(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
         )
 
 
-def show_angle(console: Console, angle: Mapping[str, Any]) -> None:
+def print_angle(console: Console, angle: Mapping[str, Any]) -> None:
     """One refraction angle in the units people use."""
     ground = angle["ground_m"]
     lines = [
@@ -145,7 +145,7 @@ def show_angle(console: Console, angle: Mapping[str, Any]) -> None:
     )
 
 
-def show_paper(console: Console, rows: Sequence[Mapping[str, Any]], notes: Sequence[str]) -> None:
+def print_paper(console: Console, rows: Sequence[Mapping[str, Any]], notes: Sequence[str]) -> None:
     """A paper's figures, table by table: printed, as published, exact."""
     for head in dict.fromkeys((row["table"], row["quantity"], row["unit"]) for row in rows):
         names = (
@@ -183,7 +183,7 @@ def _number(value: float | None, digits: int, factor: float = 1.0) -> str:
     return "" if value is None else f"{value * factor:.{digits}f}".rstrip("0").rstrip(".")
 
 
-def show_profile(console: Console, rows: Sequence[Mapping[str, Any]], standard: str) -> None:
+def print_profile(console: Console, rows: Sequence[Mapping[str, Any]], standard: str) -> None:
     """A profile as a table, what the standard of that name has beside each figure."""
     heads = (
         "h\n[m]", "T\n[K]", "±\n", "std\n[K]", "p\n[hPa]", "std\n[hPa]", "e\n[hPa]", "std\n[hPa]",
@@ -218,7 +218,7 @@ def _sigma(value: float | None, factor: float = 1.0) -> str:
     return f"{value * factor:.2f}" if value * factor < 9.995 else f"{value * factor:.1f}"
 
 
-def show_air(console: Console, air: FlightAir) -> None:
+def print_air(console: Console, air: FlightAir) -> None:
     """What the air of a flight was made from, and what it does to R."""
     adjustment = air.adjustment
     rows = [effect.row() for effect in air.effects]
@@ -232,7 +232,7 @@ def show_air(console: Console, air: FlightAir) -> None:
         _paragraph(console, line)
 
 
-def show_check(console: Console, lines: Sequence[tuple[str, str]]) -> None:
+def print_check(console: Console, lines: Sequence[tuple[str, str]]) -> None:
     """What ``unbend check`` understood."""
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column(no_wrap=True)
@@ -263,7 +263,7 @@ def radial_rows(tables: Sequence[RadialTable]) -> list[dict[str, Any]]:
     return rows
 
 
-def show_radial(console: Console, tables: Sequence[RadialTable]) -> None:
+def print_radial(console: Console, tables: Sequence[RadialTable]) -> None:
     """Radial tables, each under its heights and its R at 45 degrees."""
     for table in tables:
         console.print(

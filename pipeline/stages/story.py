@@ -33,7 +33,7 @@ from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.ray import rays_by
 from pipeline.report.accuracy import Accuracy, accuracy_page, accuracy_png, text_hash
 from pipeline.report.html import write_report
-from pipeline.report.progress import Progress, Silent
+from pipeline.report.progress import NoProgress, Progress
 from pipeline.stages.adjusted_profile import adjust_air, find_sources
 from pipeline.stages.correction import Recipe, correct_stream
 from pipeline.stages.exposure_setup import cameras_of_mission, look_through
@@ -55,9 +55,9 @@ from pipeline.tables.schemas import REFRACTION_APPLIED, REFRACTION_KEY, REFRACTI
 
 def run_mission(path: Path, *, force: bool = False, progress: Progress | None = None) -> Outcome:
     """The main job: one mission, from its file to its folder of results."""
-    progress = progress or Silent()
+    progress = progress or NoProgress()
     mission = load_mission(path)
-    progress.say("hashing the inputs")
+    progress.start("hashing the inputs")
     plan = make_plan(mission, path.parent)
     with open_folder(plan.output) as folder:
         earlier = None if force else finished_before(plan)
@@ -68,12 +68,12 @@ def run_mission(path: Path, *, force: bool = False, progress: Progress | None = 
         air = adjust_air(mission, stations, found.samples, found.sources, ledger)
         if air.adjustment.is_measured:
             stations = doubt_heights(stations, air.series, ledger)
-        progress.begin("correcting", found.observations.rows)
+        progress.start("correcting", found.observations.rows)
         tally = correct(
             mission, stations, air.series, found.observations, folder, ledger,
             flight.heights, progress.advance,
         )  # fmt: skip
-        progress.say("writing the report")
+        progress.start("writing the report")
         write_tables(folder, stations, air)
         scale = scale_of_block(
             air.adjustment.profile, air.adjustment.covariance, mission.refraction.radius_m, tally
@@ -101,9 +101,9 @@ def finished_before(plan: Plan) -> dict[str, Any] | None:
 def look_at(plan: Plan, progress: Progress) -> Found:
     """Read the inputs, and find the stations and what was measured of the air."""
     ledger = Ledger()
-    progress.say("reading the observations")
+    progress.start("reading the observations")
     observations = open_inputs(plan, ledger)
-    progress.say("reading the log")
+    progress.start("reading the log")
     flight = read_flight(plan, ledger)
     stations = find_stations(plan, flight, observations, ledger)
     samples = air_samples(flight.roles, flight.heights, plan.mission.log.max_gap_s, ledger)
@@ -158,7 +158,7 @@ def correct(
 
 def check_mission(path: Path) -> Found:
     """A mission with everything read and found, and nothing corrected or written."""
-    return look_at(make_plan(load_mission(path), path.parent), Silent())
+    return look_at(make_plan(load_mission(path), path.parent), NoProgress())
 
 
 def air_of_mission(path: Path) -> tuple[FlightAir, AirSamples, Ledger]:

@@ -217,7 +217,7 @@ def test_two_signals_at_once_are_one(mission):
         "    [signal.raise_signal(number) for number in both]\n"
         "    signal.pthread_sigmask(signal.SIG_UNBLOCK, both)\n"
         "    return 0\n"
-        "entry._obey = pressed\n"
+        "entry.run_command = pressed\n"
         "entry.main()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
@@ -229,7 +229,7 @@ def test_a_signal_after_the_end_changes_nothing():
     code = (
         "import atexit, signal\n"
         "from pipeline.cli import entry\n"
-        "entry._obey = lambda words: 0\n"
+        "entry.run_command = lambda words: 0\n"
         "atexit.register(signal.raise_signal, signal.SIGINT)\n"
         "entry.main()"
     )
@@ -242,7 +242,7 @@ def test_a_run_that_was_born_deaf_to_ctrl_c_stays_so():
         "import signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
         "sys.argv = ['unbend', '--version']\n"
         "from pipeline.cli import entry\n"
-        "entry._obey = lambda words: signal.raise_signal(signal.SIGINT) or 0\n"
+        "entry.run_command = lambda words: signal.raise_signal(signal.SIGINT) or 0\n"
         "entry.main()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

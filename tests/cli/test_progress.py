@@ -1,4 +1,4 @@
-"""A bar that waits, and never outlives its work."""
+"""The progress bar appears after a delay and never outlives its work."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ import pytest
 from rich.console import Console
 
 from pipeline.report import progress
-from pipeline.report.progress import PatientBar
+from pipeline.report.progress import DelayedProgressBar
 
 
-class Clock:
-    """A timer whose time has come when the test says so, cancelled or not."""
+class ManualTimer:
+    """A timer that a test fires, cancelled or not."""
 
-    def __init__(self, _seconds, function):
-        self.come = function
+    def __init__(self, seconds, function):
+        self.seconds = seconds
+        self.fire = function
         self.daemon = False
 
     def start(self):
@@ -28,34 +29,48 @@ class Clock:
 
 @pytest.fixture
 def bar(monkeypatch):
-    monkeypatch.setattr(threading, "Timer", Clock)
+    monkeypatch.setattr(threading, "Timer", ManualTimer)
     console = Console(file=io.StringIO(), force_terminal=True, width=80)
-    return PatientBar(console, "survey")
+    return DelayedProgressBar(console, "survey")
 
 
-def written(bar: PatientBar) -> str:
+def written(bar: DelayedProgressBar) -> str:
     return bar._bar.console.file.getvalue()
 
 
 def test_a_bar_appears_when_its_time_has_come(bar):
     with bar:
-        bar.begin("correcting", 10)
+        bar.start("correcting", 10)
         assert written(bar) == ""
-        bar._timer.come()
+        assert bar._timer.seconds == progress.DELAY_S == 2.0
+        bar._timer.fire()
         assert "survey: correcting" in written(bar)
     assert not bar._bar.live.is_started
 
 
 def test_a_timer_that_runs_out_as_the_work_ends_comes_too_late(bar):
     with bar:
-        bar.begin("correcting", 10)
-    bar._timer.come()
+        bar.start("correcting", 10)
+    bar._timer.fire()
     assert not bar._bar.live.is_started
     assert written(bar) == ""
 
 
-def test_silence_where_nobody_looks():
+def test_the_bar_counts_each_step_from_zero(bar):
+    bar.start("correcting", 10)
+    bar.advance(4)
+    bar.advance(3)
+    (task,) = bar._bar.tasks
+    assert (task.description, task.completed, task.total) == ("survey: correcting", 7, 10)
+    bar.start("writing the report")
+    (task,) = bar._bar.tasks
+    assert (task.description, task.completed, task.total) == ("survey: writing the report", 0, None)
+    bar.update("rays", 5, 20)
+    (task,) = bar._bar.tasks
+    assert (task.description, task.completed, task.total) == ("survey: rays", 5, 20)
+
+
+def test_no_bar_where_output_is_not_a_terminal():
     console = Console(file=io.StringIO(), force_terminal=False)
-    with PatientBar(console, "survey") as bar:
+    with DelayedProgressBar(console, "survey") as bar:
         assert not bar._timer.is_alive()
-    assert progress.PATIENCE_S == 2.0
