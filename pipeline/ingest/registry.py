@@ -42,8 +42,8 @@ def open_log(path: Path | str, sha256: str | None = None, *, needs_channels: boo
         and end are 0 in a log without channels.
 
     Returns the log with its channels in SI. Raises LogError (LOG-MISSING, LOG-EMPTY, LOG-FORMAT,
-    LOG-NO-MESSAGES, LOG-UNREADABLE, LOG-CHANGED; of PX4 logs LOG-ULOG, LOG-NEEDS-EXTRA) when
-    nothing can be used. Damage is no reason to refuse: it is counted in the ledger of the log.
+    LOG-NO-MESSAGES, LOG-UNREADABLE, LOG-CHANGED; of PX4 logs LOG-ULOG) when nothing can be used.
+    Damage is no reason to refuse: it is counted in the ledger of the log.
     """
     path = Path(path)
     try:

@@ -1,4 +1,4 @@
-"""Damaged PX4 logs, decoded by pyulog: complete, salvaged with a ledger, or refused with a code."""
+"""Damaged PX4 logs: complete, salvaged with a ledger, or refused with a code."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from types import ModuleType
 import pytest
 
 from pipeline.ingest import open_log
-
-pytest.importorskip("pyulog", reason="pyulog is an extra: pip install 'unbend[ulog]'")
 
 UTC_US = 1_700_000_000_000_000
 REFUSALS = {"LOG-FORMAT", "LOG-NO-MESSAGES", "LOG-EMPTY", "LOG-ULOG"}

@@ -1,11 +1,8 @@
-"""PX4 logs (.ulg), decoded by pyulog -> channels in UTC. Needs the extra `unbend[ulog]`."""
+"""PX4 logs (.ulg) -> channels in UTC."""
 
 from __future__ import annotations
 
-import contextlib
-import io
 import re
-import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -22,21 +19,24 @@ from pipeline.ingest.attitude import earth_frame_attitude
 from pipeline.ingest.boot_clock import UtcReadings, fit_boot_clock, microseconds, timeline
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.channel_builder import DecodedRows, channel_of
-from pipeline.ingest.fields import MessageMap, extract
-from pipeline.ingest.log import Contents, Table, report_damage
+from pipeline.ingest.fields import extract
+from pipeline.ingest.log import Contents, Table
 from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, TOPICS, UTC_FIELD, captured_rows
-from pipeline.ingest.ulog.records import Walk, Whole, walk
+from pipeline.ingest.ulog.records import (
+    APPENDED,
+    FILE_HEADER,
+    MAGIC,
+    ULogMessages,
+    flags_of,
+    read_messages,
+)
 from pipeline.ledger import Ledger
-
-MAGIC = b"ULog\x01\x12\x35"
-# What pyulog lets through from a damaged file, besides its own exceptions.
-_COMPLAINTS = (
-    ValueError, LookupError, TypeError, ArithmeticError, AttributeError, struct.error,
-    RecursionError,
-)  # fmt: skip
 
 _ONE_BOOT = timeline([(np.zeros(1, np.int64), np.zeros(1, np.int64))])  # a log a boot
 _ELEMENT = re.compile(r"\[(\d+)\]")
+
+TopicRows = Mapping[tuple[str, int], NDArray[Any]]
+"""Rows as logged, by topic and instance."""
 
 
 @dataclass(frozen=True)
@@ -51,99 +51,83 @@ class ULogFormat:
         return head.startswith(MAGIC)
 
     def read(self, path: Path, ledger: Ledger) -> Contents:
-        found, walked = _parsed(path, list(TOPICS))
-        lost = _report_damage(found, walked, path.name, ledger)
-        topics = found.data_list
-        offset_ns, words = _clock(topics, ledger)
+        messages = _messages(path, list(TOPICS))
+        messages.report_damage(ledger, path.name)
+        numbered = {topic for topic, instance in messages.rows if instance}
+        names = {
+            (topic, instance): f"{topic}[{instance}]" if topic in numbered else topic
+            for topic, instance in messages.rows
+        }
+        offset_ns, time_base = _clock(messages.rows, names, ledger)
         channels = []
-        several = {data.name for data in topics if data.multi_id}
-        for data in topics:
-            channel = _channel(data, TOPICS[data.name], data.name in several, offset_ns, ledger)
+        for (topic, instance), rows in messages.rows.items():
+            source = Source(topic, str(instance) if topic in numbered else None)
+            channel = _channel(rows, names[topic, instance], source, offset_ns, ledger)
             if channel:
                 channels.append(channel)
-        table = partial(_table, path, offset_ns)
-        bad = walked.bad_bytes
-        return Contents(dict(walked.counts), tuple(channels), bad, lost, 1, words, table)
+        return Contents(
+            dict(messages.counts),
+            tuple(channels),
+            messages.bad_bytes,
+            int(messages.bad_bytes > 0 or messages.damaged_values > 0),
+            1,
+            time_base,
+            partial(_table, path, offset_ns),
+        )
 
 
 ULOG = ULogFormat()
 
 
-def _parsed(path: Path, topics: list[str]) -> tuple[Any, Walk]:
-    """The whole messages of some topics by pyulog, and what the file holds of all."""
-    try:
-        from pyulog import ULog
-        from pyulog.exceptions import ULogException
-    except ImportError as error:
-        raise LogError(
-            "LOG-NEEDS-EXTRA",
-            "PX4 logs are read with pyulog, which is not installed",
-            where=str(path),
-            remedy="pip install 'unbend[ulog]'",
-        ) from error
-    try:
-        # It prints what `file_corruption` says.
-        with open_view(path) as data, contextlib.redirect_stdout(io.StringIO()):
-            walked = walk(data)
-            return ULog(io.BufferedReader(Whole(data, walked), 1 << 20), topics), walked
-    except (*_COMPLAINTS, ULogException) as error:
-        raise LogError(
-            "LOG-ULOG",
-            f"pyulog cannot read it: {type(error).__name__}: {error}",
-            where=str(path),
-            remedy="copy it again from the vehicle",
-        ) from error
+def _messages(path: Path, topics: list[str]) -> ULogMessages:
+    """The messages of a file, those of some topics as rows."""
+    refusal = partial(LogError, "LOG-ULOG", where=str(path))
+    with open_view(path) as data:
+        if data.size < FILE_HEADER:
+            raise refusal(
+                f"it ends after {data.size} of {FILE_HEADER} bytes of its header",
+                remedy="copy it again from the vehicle",
+            )
+        flags = flags_of(data)[0]
+        if flags[0] & ~APPENDED or any(flags[1:]):
+            raise refusal(
+                f"it sets incompatible flags ({flags.hex()}) that this version does not know",
+                remedy="copy it again from the vehicle, or convert it with a newer tool of PX4",
+            )
+        return read_messages(data, topics)
 
 
-def _report_damage(found: Any, walked: Walk, name: str, ledger: Ledger) -> int:
-    """Enter what is damaged; how many messages were lost cannot be known, but whether."""
-    report_damage(ledger, name, "message", walked.bad_bytes, walked.first_bad, walked.cut_bytes)
-    for topic in sorted(walked.timeless):
-        count = walked.counts[topic]
-        what = f"{count} rows cannot be used: the log defines no field for timestamp"
-        ledger.loss("LOG-FIELDS", what, where=topic, count=count)
-    if found.file_corruption:
-        ledger.loss(
-            "LOG-ULOG-DAMAGE",
-            "pyulog found damage; how many messages are lost is unknown",
-            where=name,
-            count=1,
-        )
-    if found.dropouts:
-        lost_s = sum(drop.duration for drop in found.dropouts) / 1000.0
-        ledger.loss(
-            "LOG-DROPOUT",
-            f"the logger could not keep up {len(found.dropouts)} times, {lost_s:.3f} s together",
-            where=name,
-            count=len(found.dropouts),
-        )
-    return int(found.file_corruption or walked.bad_bytes > 0)
+def _names(rows: NDArray[Any]) -> tuple[str, ...]:
+    return rows.dtype.names or ()
 
 
-def _times(data: Mapping[str, NDArray[Any]]) -> TimeArray:
-    return microseconds(data["timestamp"]) * 1000
+def _times(rows: NDArray[Any]) -> TimeArray:
+    return microseconds(rows["timestamp"]) * 1000
 
 
-def _told(data: Any, field: str) -> UtcReadings | None:
-    """What the messages of a topic say of UTC."""
-    if field not in data.data:
-        return None
-    boot_ns, utc_us = _times(data.data), microseconds(data.data[field])
-    usable = (utc_us > UNIX_US_FROM) & ~stray_times(boot_ns)
-    fix = data.data.get("fix_type", np.empty(0))
-    places = np.arange(boot_ns.shape[0])
-    return UtcReadings(f"rows of {_name(data, True)}", places, boot_ns, utc_us * 1000, usable, fix)
+def _clock(
+    rows_of: TopicRows, names: Mapping[tuple[str, int], str], ledger: Ledger
+) -> tuple[int, str]:
+    """UTC minus time since boot [ns], and where it comes from.
 
-
-def _clock(topics: list[Any], ledger: Ledger) -> tuple[int, str]:
-    """UTC minus time since boot [ns], and where it comes from."""
-    receivers = [_told(data, UTC_FIELD) for data in topics if TOPICS[data.name].position]
-    # a camera's UTC is the autopilot's own clock, which it sets by its receiver now and then
-    cameras = [_told(data, CAPTURE_UTC_FIELD) for data in topics if TOPICS[data.name].event]
-    for sources in (receivers, cameras):
-        told = [one for one in sources if one is not None and one.sound(_ONE_BOOT).places.size]
-        if told:
-            fit = fit_boot_clock(_ONE_BOOT, told, ledger).fits[0]
+    Receivers come first: the UTC of a camera is the autopilot's own clock, which it sets by its
+    receiver now and then.
+    """
+    for field, role in ((UTC_FIELD, "position"), (CAPTURE_UTC_FIELD, "events")):
+        sources = []
+        for (topic, instance), rows in rows_of.items():
+            if role not in TOPICS[topic].roles or field not in _names(rows):
+                continue
+            boot_ns, utc_us = _times(rows), microseconds(rows[field])
+            usable = (utc_us > UNIX_US_FROM) & ~stray_times(boot_ns)
+            fix = rows["fix_type"] if "fix_type" in _names(rows) else np.empty(0)
+            places = np.arange(boot_ns.shape[0])
+            words = f"rows of {names[topic, instance]}"
+            told = UtcReadings(words, places, boot_ns, utc_us * 1000, usable, fix)
+            if told.sound(_ONE_BOOT).places.size:
+                sources.append(told)
+        if sources:
+            fit = fit_boot_clock(_ONE_BOOT, sources, ledger).fits[0]
             words = "vehicle clock, set to UTC by the median of"
             return (fit.offset_ns, f"{words} {fit.rows} rows") if fit else (0, "")
     ledger.fallback(
@@ -155,20 +139,15 @@ def _clock(topics: list[Any], ledger: Ledger) -> tuple[int, str]:
     return 0, "vehicle clock; UTC is unknown"
 
 
-def _name(data: Any, numbered: bool) -> str:
-    return f"{data.name}[{data.multi_id}]" if numbered else str(data.name)
-
-
 def _channel(
-    data: Any, spec: MessageMap, numbered: bool, offset_ns: int, ledger: Ledger
+    logged: NDArray[Any], name: str, source: Source, offset_ns: int, ledger: Ledger
 ) -> Channel | None:
-    boot_ns, name = _times(data.data), _name(data, numbered)
-    fields = {_ELEMENT.sub(r".\1", field): column for field, column in data.data.items()}
+    boot_ns, spec = _times(logged), TOPICS[source.message]
+    fields = {_ELEMENT.sub(r".\1", field): logged[field] for field in _names(logged)}
     columns = extract(fields, spec.columns)
     if "flags" in columns:
         columns = earth_frame_attitude(columns)
     boot = np.zeros(boot_ns.shape, np.int16)
-    source = Source(data.name, str(data.multi_id) if numbered else None)
     rows = DecodedRows(name, source, boot_ns + offset_ns, boot, columns)
     stray = stray_times(boot_ns)
     if stray.any():
@@ -183,18 +162,16 @@ def _channel(
     return channel_of(captured_rows(rows, ledger) if spec.event else rows, spec, ledger)
 
 
-def _table(path: Path, offset_ns: int, name: str, instance: str | None) -> Table:
+def _table(path: Path, offset_ns: int, topic: str, instance: str | None) -> Table:
     """The messages of one topic, for `Log.message`; instances follow each other."""
-    chosen = [
-        data
-        for data in _parsed(path, [name])[0].data_list
-        if data.name == name and instance in (None, str(data.multi_id))
-    ]
-    if not chosen:
-        return {}
-    time_ns = np.concatenate([_times(data.data) for data in chosen]) + offset_ns
-    numbers = [np.full(len(data.data["timestamp"]), data.multi_id, np.int16) for data in chosen]
-    fields = {
-        field: np.concatenate([data.data[field] for data in chosen]) for field in chosen[0].data
+    rows_of = {
+        number: rows
+        for (_, number), rows in _messages(path, [topic]).rows.items()
+        if instance in (None, str(number))
     }
-    return {"time_ns": time_ns, "instance": np.concatenate(numbers), **fields}
+    if not rows_of:
+        return {}
+    rows = np.concatenate(list(rows_of.values()))
+    numbers = np.repeat(np.array(list(rows_of), np.int16), [len(part) for part in rows_of.values()])
+    table: Table = {"time_ns": _times(rows) + offset_ns, "instance": numbers}
+    return table | {field: rows[field] for field in _names(rows)}

@@ -1,124 +1,247 @@
-"""Walking the messages of a ULog file, so that pyulog sees whole ones only.
+"""The messages of a ULog file: definitions, the walk over the file, rows decoded into columns.
 
-pyulog does not tell how much of a damaged file it lost, reads some for ever (a zeroed block among
-the definitions) and seeks before the beginning of others. The walk is ours: a message counts when
-its kind is known, it ends inside the file, and as data it has the size that its format defines.
+Source: PX4 User Guide, "ULog File Format". Rows are equal bit for bit to those of pyulog, which the
+tests use as the reference. A message counts when its kind is known, it ends inside the file, and,
+as data, it has the size that its format defines; after damage the walk goes on where three messages
+follow each other.
 """
 
 from __future__ import annotations
 
-import io
 import re
 import struct
-from collections import Counter
-from collections.abc import Mapping
+from collections import Counter, defaultdict
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pipeline.ingest.buffers import Bytes, FileView
+from pipeline.ingest.buffers import ColumnStore, FileView, gather
+from pipeline.ingest.log import report_damage
+from pipeline.ledger import Ledger
 
-FILE_HEADER = 16
+MAGIC = b"ULog\x01\x12\x35"
+FILE_HEADER = 16  # bytes
 HEAD = struct.Struct("<HB")  # size of what follows, kind
 DATA = struct.Struct("<HBH")  # ... and the number of the topic
 FLAGS = struct.Struct("<8s8s3Q")  # compatible, incompatible, places where data was appended
+APPENDED = 1  # the first bit of the incompatible flags, the only one that is defined
 SPAN, NEAR = 4 << 20, 4096  # [bytes] walked at once, and searched first after damage
 LONGEST = HEAD.size + 0xFFFF
 LINKS = 3  # messages in a row that prove a place after damage
+DEEPEST = 8  # formats inside each other
 
-_SIZES = {
-    "int8_t": 1, "uint8_t": 1, "bool": 1, "char": 1, "int16_t": 2, "uint16_t": 2, "int32_t": 4,
-    "uint32_t": 4, "float": 4, "int64_t": 8, "uint64_t": 8, "double": 8,
+_TYPES = {
+    "int8_t": "i1", "uint8_t": "u1", "bool": "i1", "char": "i1", "int16_t": "<i2",
+    "uint16_t": "<u2", "int32_t": "<i4", "uint32_t": "<u4", "float": "<f4", "int64_t": "<i8",
+    "uint64_t": "<u8", "double": "<f8",
 }  # fmt: skip
 _FIELD = re.compile(r"(\w+)(?:\[(\d{1,5})\])? (\w+)")
-_DEFINITIONS, _DATA = frozenset(b"BFIMPQLCA"), frozenset(b"IMPQLCADSO")
 _DATUM = ord("D")
-_KINDS = np.array(sorted({*_DEFINITIONS, *_DATA, ord("R")}), np.uint8)
-_FIXED = {ord("S"): 8, ord("O"): 2, ord("R"): 2}  # R ends a subscription; pyulog knows no R
+_KINDS = np.frombuffer(b"BFIMPQLCADSOR", np.uint8)
+_FIXED = {ord("S"): 8, ord("O"): 2, ord("R"): 2}
 _KEYED = {ord("I"): 0, ord("P"): 0, ord("M"): 1, ord("Q"): 1}  # bytes before the key's length
-_KEY = re.compile(rb"[\w\[\]]+ [\w.:-]+")
+_KEY = re.compile(rb"([\w\[\]]+) [\w.:-]+")
 _LEVELS = tuple(bytes([level]) for level in b"01234567")
 
 Fields = list[tuple[str, int, str]]
+"""Type, number of elements (0 for no array) and name of each field of a format."""
 
 
 @dataclass
-class Walk:
+class ULogMessages:
     """What a file holds.
 
-    ``good`` begin and end of the stretches of whole messages; ``topics`` names by number;
-    ``counts`` of data messages by topic; ``bad_bytes`` that are part of no message, the first at
-    ``first_bad``; ``cut_bytes`` of a last message that the end of the file cuts off; ``timeless``
-    topics whose format has no timestamp: pyulog would read nothing behind their first message.
+    ``counts`` the data messages by topic; ``rows`` of the wanted topics by name and instance, each
+    a structured array; ``timeless`` topics, whose format has no timestamp: they have no rows.
+    ``bad_bytes`` are part of no message, the first at ``first_bad``; ``cut_bytes`` belong to a last
+    message that the end of the file cuts off; ``damaged_values`` counts parameters and items of
+    information whose value does not have the length of its type; ``dropouts_ms`` the durations in
+    which the logger lost messages.
     """
 
-    good: list[tuple[int, int]] = field(default_factory=list)
-    topics: dict[int, str] = field(default_factory=dict)
     counts: Counter[str] = field(default_factory=Counter)
+    rows: dict[tuple[str, int], NDArray[Any]] = field(default_factory=dict)
+    timeless: set[str] = field(default_factory=set)
     bad_bytes: int = 0
     first_bad: int = -1
     cut_bytes: int = 0
-    timeless: set[str] = field(default_factory=set)
+    damaged_values: int = 0
+    dropouts_ms: list[int] = field(default_factory=list)
 
-    def keep(self, begin: int, end: int) -> None:
-        if self.good and self.good[-1][1] == begin:
-            self.good[-1] = (self.good[-1][0], end)
-        else:
-            self.good.append((begin, end))
+    def report_damage(self, ledger: Ledger, file_name: str) -> None:
+        """Enter what is damaged. The format does not number messages: lost ones are not counted."""
+        bad, cut = self.bad_bytes, self.cut_bytes
+        report_damage(ledger, file_name, "message", bad, self.first_bad, cut)
+        for topic in sorted(self.timeless):
+            count = self.counts[topic]
+            what = f"{count} rows cannot be used: the log defines no field for timestamp"
+            ledger.loss("LOG-FIELDS", what, where=topic, count=count)
+        if self.damaged_values:
+            ledger.loss(
+                "LOG-ULOG-DAMAGE",
+                f"{self.damaged_values} values of parameters or of information do not have the "
+                "length of their type; how many messages are lost is unknown",
+                where=file_name,
+                count=self.damaged_values,
+            )
+        if self.dropouts_ms:
+            count, lost_s = len(self.dropouts_ms), sum(self.dropouts_ms) / 1000.0
+            ledger.loss(
+                "LOG-DROPOUT",
+                f"the logger could not keep up {count} times, {lost_s:.3f} s together",
+                where=file_name,
+                count=count,
+            )
 
-    def drop(self, begin: int, end: int) -> None:
-        self.bad_bytes += end - begin
-        self.first_bad = begin if self.first_bad < 0 else self.first_bad
+
+def flags_of(data: FileView) -> tuple[bytes, list[int]]:
+    """The incompatible flags of a file, and the places where data was appended after a crash."""
+    raw = data[FILE_HEADER : FILE_HEADER + HEAD.size + FLAGS.size]
+    if len(raw) < HEAD.size + FLAGS.size or raw[2] != ord("B"):
+        return bytes(8), []
+    _, incompatible, *places = FLAGS.unpack_from(raw, HEAD.size)
+    inside = [place for place in places if FILE_HEADER < place < data.size]
+    return incompatible, inside if incompatible[0] & APPENDED else []
 
 
-def walk(data: FileView) -> Walk:
-    """Find the messages of a file."""
-    return _Walker(data).run()
+def flat_fields(
+    name: str, formats: dict[str, Fields], depth: int = 0
+) -> list[tuple[str, str]] | None:
+    """Names and types of the elements of a format, with nested formats and padding.
+
+    None where a part of it is not defined, or it is longer than a message can be.
+
+    >>> flat_fields("a", {"a": [("b", 2, "x")], "b": [("float", 0, "y")]})
+    [('x[0].y', '<f4'), ('x[1].y', '<f4')]
+    """
+    if name not in formats or depth > DEEPEST:
+        return None
+    result: list[tuple[str, str]] = []
+    size = 0
+    for kind, count, field_name in formats[name]:
+        inner = [("", _TYPES[kind])] if kind in _TYPES else flat_fields(kind, formats, depth + 1)
+        if not inner:
+            return None
+        size += max(count, 1) * sum(int(dtype[-1]) for _, dtype in inner)
+        if size > 0xFFFF:
+            return None
+        elements = [f"{field_name}[{k}]" for k in range(count)] if count else [field_name]
+        for element in elements:
+            result += [(f"{element}.{path}" if path else element, dtype) for path, dtype in inner]
+    return result
 
 
-class _Walker:
-    def __init__(self, data: FileView) -> None:
-        self.data = data
-        self.found = Walk()
+class Definitions:
+    """Formats by name; of subscriptions by number the ``topics`` (name, instance) and ``sizes``.
+
+    Sizes of data [bytes] are those without and with the padding at the end. ``columns`` are what
+    rows of a topic hold; a format without a timestamp has none.
+    """
+
+    def __init__(self) -> None:
         self.formats: dict[str, Fields] = {}
-        self.spans: dict[str, tuple[int, int] | None] = {}
-        self.sizes: dict[int, tuple[int, int]] = {}  # of a topic, without padding and with it
-        self.hidden: dict[int, tuple[int, int]] = {}  # ... which pyulog is not to see
-        self.appended = _appended(data)
-        self.defining = True
-        self.counts: Counter[int] = Counter()
+        self.columns: dict[str, np.dtype[Any]] = {}
+        self.topics: dict[int, tuple[str, int]] = {}
+        self.sizes: dict[int, tuple[int, int]] = {}
 
-    def run(self) -> Walk:
+    def define(self, content: bytes) -> bool:
+        """Take a format; False where it is damaged."""
+        name, colon, text = content.decode("ascii", "replace").partition(":")
+        parts = [_FIELD.fullmatch(part) for part in text.split(";") if part]
+        fields = [part.groups() for part in parts if part]
+        empty = any(count is not None and not int(count) for _, count, _ in fields)
+        if not colon or not fields or len(fields) < len(parts) or empty:
+            return False
+        self.formats[name] = [(kind, int(count or 0), label) for kind, count, label in fields]
+        return True
+
+    def subscribe(self, content: bytes) -> bool:
+        """Take a subscription; False where its format is not defined or its number is taken."""
+        name = content[3:].decode("ascii", "replace")
+        fields = flat_fields(name, self.formats) or []
+        size = sum(int(dtype[-1]) for _, dtype in fields)
+        while fields and fields[-1][0].startswith("_padding"):  # at the end it is not always logged
+            fields.pop()
+        if not fields or len({label for label, _ in fields}) < len(fields):
+            return False
+        topic, number = (name, content[0]), int.from_bytes(content[1:3], "little")
+        if self.topics.setdefault(number, topic) != topic:
+            return False
+        columns = np.dtype(fields)
+        self.sizes[number] = columns.itemsize, size
+        if ("uint64_t", 0, "timestamp") in self.formats[name]:
+            self.columns[name] = columns
+        return True
+
+
+def read_messages(data: FileView, wanted: Collection[str]) -> ULogMessages:
+    """The messages of a file, those of the wanted topics as rows.
+
+    Parameters
+    ----------
+    data : the file, with a whole header.
+    """
+    return _MessageWalk(data, wanted).run()
+
+
+class _MessageWalk:
+    def __init__(self, data: FileView, wanted: Collection[str]) -> None:
+        self.data = data
+        self.wanted = wanted
+        self.result = ULogMessages()
+        self.definitions = Definitions()
+        self.defining = True  # until the first subscription or text
+        self.appended = flags_of(data)[1]
+        self.places: defaultdict[int, list[int]] = defaultdict(list)  # of data, in one block
+        self.stores: dict[tuple[str, int], ColumnStore] = {}
+
+    def run(self) -> ULogMessages:
         at, end = FILE_HEADER, self.data.size
+        if self.data[0 : len(MAGIC)] != MAGIC:
+            self._drop(0, FILE_HEADER)
         while at < end:
             raw = self.data[at : at + SPAN + LONGEST]
             last = len(raw) if at + len(raw) >= end else SPAN
             place = 0
             while place < last:
-                place = self._data(raw, place, last, at)
+                place = self._data_run(raw, place, last)
                 length = self._length(raw, place, at) if place < last else 0
-                if not length:
-                    found = self._near(raw, place, at)
-                    if found < 0:
-                        break
-                    self.found.drop(at + place, at + found)
-                    place = found
-                    continue
-                self._take(raw, place, length, at)
+                if length and not self._take(raw, place, length):
+                    self._drop(at + place, at + place + length)
+                elif place < last and not length:
+                    length = self._resume(raw, place, at) - at - place
                 place += length
+            view = np.frombuffer(raw, np.uint8)
+            for number, places in self.places.items():
+                name, instance = self.definitions.topics[number]
+                self.result.counts[name] += len(places)
+                columns = self.definitions.columns.get(name)
+                if columns is None:
+                    self.result.timeless.add(name)
+                elif name in self.wanted:
+                    store = self.stores.setdefault((name, instance), ColumnStore(columns))
+                    starts = np.array(places, np.int64) + DATA.size
+                    store.add(gather(view, starts, columns.itemsize).view(columns))
+            self.places.clear()
             at += place
-            if place < last:
-                at = self._resume(at)
-        for number, count in self.counts.items():
-            self.found.counts[self.found.topics[number]] += count
-        return self.found
+        self.result.rows = {
+            key: store.whole() for key, store in sorted(self.stores.items()) if len(store)
+        }
+        return self.result
 
-    def _data(self, raw: bytes, place: int, last: int, base: int) -> int:
-        """Keep data messages wall to wall, which most of a file is; where they end."""
-        begin, last = place, min(last, len(raw) - HEAD.size - 2)
-        stop = len(raw) if not self.appended else 0  # such files are read with more care
-        sizes, unpack, counts = self.sizes, DATA.unpack_from, self.counts
+    def _drop(self, begin: int, end: int) -> None:
+        self.result.bad_bytes += end - begin
+        if self.result.first_bad < 0:
+            self.result.first_bad = begin
+
+    def _data_run(self, raw: bytes, place: int, last: int) -> int:
+        """Take data messages wall to wall, which most of a file is; where they end."""
+        last = min(last, len(raw) - HEAD.size - 2)
+        stop = len(raw) if not self.appended else 0  # such files are read message by message
+        sizes, unpack, places = self.definitions.sizes, DATA.unpack_from, self.places
         while place < last:
             size, kind, number = unpack(raw, place)
             end = place + HEAD.size + size
@@ -127,10 +250,8 @@ class _Walker:
             least, most = sizes[number]
             if not least <= size - 2 <= most:
                 break
-            counts[number] += 1
+            places[number].append(place)
             place = end
-        if place > begin:
-            self.found.keep(base + begin, base + place)
         return place
 
     def _length(self, raw: bytes, place: int, base: int, *, loose: bool = False) -> int:
@@ -144,13 +265,15 @@ class _Walker:
         end = place + HEAD.size + size
         if end > len(raw) or any(base + place < cut < base + end for cut in self.appended):
             return 0
-        fits = self._fits(raw, place, size, kind, base)
+        fits = self._fits(raw, place, base)
         return HEAD.size + size if fits or (loose and kind == _DATUM and size >= 10) else 0
 
-    def _fits(self, raw: bytes, place: int, size: int, kind: int, base: int) -> bool:
+    def _fits(self, raw: bytes, place: int, base: int) -> bool:
+        """Whether the content, as far as it is there, is that of a message of its kind."""
+        size, kind = HEAD.unpack_from(raw, place)
         content = place + HEAD.size
         if kind in _FIXED:
-            return size == _FIXED[kind]
+            return bool(size == _FIXED[kind])
         if kind in b"LC":  # what the vehicle says has no other mark than its level
             return size > 9 and raw[content : content + 1] in _LEVELS
         if kind in _KEYED:
@@ -159,100 +282,64 @@ class _Walker:
             return begin + 1 + len(key) <= end and _KEY.fullmatch(key) is not None
         if kind == _DATUM:
             number = int.from_bytes(raw[content : content + 2], "little")
-            least, most = self.sizes.get(number) or self.hidden.get(number, (1, 0))
-            return least + 2 <= size <= most + 2
+            least, most = self.definitions.sizes.get(number, (1, 0))
+            return bool(least + 2 <= size <= most + 2)
         if kind == ord("B"):
-            return base + place == FILE_HEADER and size >= FLAGS.size
+            return bool(base + place == FILE_HEADER and size >= FLAGS.size)
         return kind in b"FA"
 
-    def _take(self, raw: bytes, place: int, length: int, base: int) -> None:
-        """Keep a message, and what it defines."""
-        kind, begin = raw[place + 2], place + HEAD.size
-        content = raw[begin : place + length] if kind in b"FA" else b""
+    def _take(self, raw: bytes, place: int, length: int) -> bool:
+        """Take a message; False where it cannot be used."""
+        kind, begin, end = raw[place + 2], place + HEAD.size, place + length
         if kind == _DATUM:
-            number = raw[begin] | raw[begin + 1] << 8
-            self.counts[number] += 1
-            if number in self.hidden:
-                return
-        elif kind == ord("F") and self.defining:
-            if not self._format(content):
-                self.found.drop(base + place, base + place + length)
-                return
-        elif kind == ord("A"):
+            self.places[raw[begin] | raw[begin + 1] << 8].append(place)
+        elif kind == ord("F"):  # among the data it is none
+            return self.defining and self.definitions.define(raw[begin:end])
+        elif kind in b"ALC":
             self.defining = False
-            if not self._subscribe(content):
-                self.found.drop(base + place, base + place + length)
-                return
-        elif kind in b"LC":
-            self.defining = False
-        if kind in (_DEFINITIONS if self.defining else _DATA):
-            self.found.keep(base + place, base + place + length)
-        elif kind in b"BF":
-            self.found.drop(base + place, base + place + length)
-
-    def _format(self, content: bytes) -> bool:
-        name, colon, text = content.decode("ascii", "replace").partition(":")
-        fields = [_FIELD.fullmatch(part) for part in text.split(";") if part]
-        known = [found.groups() for found in fields if found]
-        if not colon or not known or len(known) < len(fields):
-            return False
-        self.formats[name] = [(kind, int(count or 1), field) for kind, count, field in known]
+            return kind != ord("A") or self.definitions.subscribe(raw[begin:end])
+        elif kind in _KEYED:
+            begin += _KEYED[kind]
+            value = begin + 1 + raw[begin]
+            key = _KEY.fullmatch(raw[begin + 1 : value])
+            dtype = _TYPES.get(key[1].decode()) if key else None
+            self.result.damaged_values += dtype is not None and end - value != int(dtype[-1])
+        elif kind == ord("O") and not self.defining:
+            self.result.dropouts_ms.append(int.from_bytes(raw[begin:end], "little"))
         return True
 
-    def _subscribe(self, content: bytes) -> bool:
-        name = content[3:].decode("ascii", "replace")
-        if name not in self.spans:
-            self.spans[name] = span_of(name, self.formats)
-        sizes = self.spans[name]
-        number = int.from_bytes(content[1:3], "little")
-        taken = self.found.topics.get(number, name) != name  # numbers are never given twice
-        if sizes is None or len(content) < 4 or taken:
-            return False
-        self.found.topics[number] = name
-        if ("uint64_t", 1, "timestamp") in self.formats[name]:
-            self.sizes[number] = sizes
-        else:
-            self.hidden[number] = sizes
-            self.found.timeless.add(name)
-        return True
-
-    def _near(self, raw: bytes, place: int, base: int) -> int:
-        """Where messages go on soon after a place that begins none, or -1."""
-        if place + NEAR + LONGEST * LINKS > len(raw):
-            return -1
-        unknown = self._length(raw, place, base, loose=True)
-        if unknown and self._linked(raw, place + unknown, base, whole=False):
-            return place + unknown
-        return self._next(np.frombuffer(raw, np.uint8), raw, place + 1, place + NEAR, base)
-
-    def _next(self, view: Bytes, raw: bytes, begin: int, end: int, base: int) -> int:
-        may = np.flatnonzero(np.isin(view[begin + 2 : end + 2], _KINDS)) + begin
-        cuts = {cut - base for cut in self.appended if begin <= cut - base < end}
-        whole = base + len(raw) >= self.data.size
-        for place in sorted({*may.tolist(), *cuts}):
-            if self._linked(raw, place, base, whole):
-                return int(place)
-        return -1
-
-    def _resume(self, at: int) -> int:
-        """Where messages go on after a place that begins none."""
+    def _resume(self, raw: bytes, place: int, base: int) -> int:
+        """Where in the file messages go on after a place that begins none."""
+        at = base + place
+        skipped = self._length(raw, place, base, loose=True)  # data whose definition was lost
+        unknown = int.from_bytes(raw[place + 3 : place + 5], "little") not in self.definitions.sizes
+        if skipped and unknown and self._linked(raw, place + skipped, base):
+            self._drop(at, at + skipped)
+            return at + skipped
         begin, reach = at + 1, NEAR
         while begin < self.data.size:
             view = self.data.array(begin, begin + reach + LONGEST * LINKS)
-            found = self._next(view, view.tobytes(), 0, reach, begin)
-            if found >= 0:
-                self.found.drop(at, begin + found)
-                return begin + found
+            block = view.tobytes()
+            starts = np.flatnonzero(np.isin(view[2 : reach + 2], _KINDS)).tolist()
+            cuts = [cut - begin for cut in self.appended if begin <= cut < begin + reach]
+            for start in sorted({*starts, *cuts}):
+                if self._linked(block, start, begin):
+                    self._drop(at, begin + start)
+                    return begin + start
             begin, reach = begin + reach, SPAN
-        if self._cut(at):
-            self.found.cut_bytes = self.data.size - at
+        rest = self.data[at : at + LONGEST]
+        cut = len(rest) < HEAD.size + 2 or HEAD.unpack_from(rest)[0] + HEAD.size > len(rest)
+        if cut and (len(rest) < HEAD.size + 2 or self._fits(rest, 0, at)):
+            self.result.cut_bytes = self.data.size - at
         else:
-            self.found.drop(at, self.data.size)
+            self._drop(at, self.data.size)
         return self.data.size
 
-    def _linked(self, raw: bytes, place: int, base: int, whole: bool) -> bool:
+    def _linked(self, raw: bytes, place: int, base: int) -> bool:
+        """Whether three messages follow each other from here, or fewer up to the file's end."""
         if base + place in self.appended:
             return True
+        whole = base + len(raw) >= self.data.size
         for link in range(LINKS):
             length = self._length(raw, place, base, loose=link > 0)
             if not length:
@@ -261,84 +348,3 @@ class _Walker:
             if whole and place == len(raw):
                 return True
         return True
-
-    def _cut(self, at: int) -> bool:
-        """Whether the end of the file cuts a message off that begins here."""
-        raw = self.data[at : at + LONGEST]
-        if len(raw) < HEAD.size + 2:
-            return True
-        size, kind = HEAD.unpack_from(raw)
-        return HEAD.size + size > len(raw) and self._fits(raw, 0, size, kind, at)
-
-
-def span_of(name: str, formats: Mapping[str, Fields], depth: int = 0) -> tuple[int, int] | None:
-    """Bytes of a format, without the padding at its end and with it; None where it is not defined.
-
-    >>> span_of("a", {"a": [("b", 2, "x"), ("uint8_t", 3, "_padding0")], "b": [("float", 1, "y")]})
-    (8, 11)
-    """
-    if name not in formats or depth > 8:
-        return None
-    total = padding = 0
-    for kind, count, field_name in formats[name]:
-        inner = span_of(kind, formats, depth + 1) if kind not in _SIZES else None
-        size = _SIZES.get(kind, inner[1] if inner else 0) * count
-        if not size:
-            return None
-        total += size
-        if total > 0xFFFF:
-            return None
-        padding = padding + size if field_name.startswith("_padding") else 0
-    return (total - padding, total) if total > padding else None
-
-
-def _appended(data: FileView) -> frozenset[int]:
-    """Places where data was appended after a crash: what lies before them may be cut off."""
-    raw = data[FILE_HEADER : FILE_HEADER + HEAD.size + FLAGS.size]
-    if len(raw) < HEAD.size + FLAGS.size or raw[2] != ord("B"):
-        return frozenset()
-    _, incompatible, *places = FLAGS.unpack_from(raw, HEAD.size)
-    inside = [place for place in places if FILE_HEADER < place < data.size]
-    return frozenset(inside if incompatible[0] & 1 else ())
-
-
-class Whole(io.RawIOBase):
-    """The whole messages of a file as a file of their own, without a word of appended data."""
-
-    def __init__(self, data: FileView, found: Walk) -> None:
-        super().__init__()
-        self.parts: list[tuple[int, int]] = [(0, FILE_HEADER), *found.good]
-        self.data = data
-        self.starts = [0]
-        for begin, end in self.parts:
-            self.starts.append(self.starts[-1] + end - begin)
-        self.at = self.part = 0
-
-    def readable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        base = (0, self.at, self.starts[-1])[whence]
-        self.at, self.part = max(base + offset, 0), 0
-        return self.at
-
-    def tell(self) -> int:
-        return self.at
-
-    def readinto(self, buffer: Any) -> int:
-        while self.part < len(self.parts) and self.at >= self.starts[self.part + 1]:
-            self.part += 1
-        if self.part == len(self.parts):
-            return 0
-        begin, end = self.parts[self.part]
-        begin += self.at - self.starts[self.part]
-        block = bytearray(self.data[begin : min(begin + len(buffer), end)])
-        flags = FILE_HEADER + HEAD.size + 8  # the incompatible ones; the first bit: appended
-        if begin <= flags < begin + len(block) and self.data[18:19] == b"B":
-            block[flags - begin] &= 0xFE
-        buffer[: len(block)] = block
-        self.at += len(block)
-        return len(block)

@@ -74,12 +74,6 @@ def opened(tmp_path: Path, data: bytes) -> Log:
     return open_log(path)
 
 
-@pytest.fixture
-def pyulog() -> None:
-    pytest.importorskip("pyulog", reason="pyulog is an extra: pip install 'unbend[ulog]'")
-
-
-@pytest.mark.usefixtures("pyulog")
 def test_known_flight(tmp_path: Path) -> None:
     log = opened(tmp_path, flight())
     names = ["camera_capture", "sensor_baro[0]", "sensor_baro[1]", "sensor_hygrometer"]
@@ -147,7 +141,6 @@ def seconds(log: Log, name: str) -> list[float]:
 WHOLE = [k / 5 for k in range(60)]
 
 
-@pytest.mark.usefixtures("pyulog")
 def test_messages_mean_what_they_mean_over_ros(tmp_path: Path) -> None:
     log = opened(tmp_path, newer().data)
     shots = log.channel("camera_capture")
@@ -163,7 +156,6 @@ def test_messages_mean_what_they_mean_over_ros(tmp_path: Path) -> None:
     assert not log.ledger.has_losses
 
 
-@pytest.mark.usefixtures("pyulog")
 def test_tables_are_those_of_pyulog(tmp_path: Path) -> None:
     from pyulog import ULog
 
@@ -177,7 +169,6 @@ def test_tables_are_those_of_pyulog(tmp_path: Path) -> None:
     assert cells > 1400
 
 
-@pytest.mark.usefixtures("pyulog")
 def test_a_height_of_0_above_the_ellipsoid_is_missing(tmp_path: Path) -> None:
     log = opened(tmp_path, newer(ellipsoid=lambda _: 0).data)
     assert "h_ellipsoid_m" not in log.channel("sensor_gps").columns
@@ -185,7 +176,6 @@ def test_a_height_of_0_above_the_ellipsoid_is_missing(tmp_path: Path) -> None:
     assert "h_ellipsoid_m" not in opened(tmp_path, old).channel("vehicle_gps_position").columns
 
 
-@pytest.mark.usefixtures("pyulog")
 def test_utc_of_a_receiver_counts_with_a_fix_and_once_a_time(tmp_path: Path) -> None:
     """The first rows are an hour off, without a fix; then two of three repeat the time before."""
 
@@ -197,7 +187,6 @@ def test_utc_of_a_receiver_counts_with_a_fix_and_once_a_time(tmp_path: Path) -> 
     assert not log.ledger.has_losses
 
 
-@pytest.mark.usefixtures("pyulog")
 @pytest.mark.parametrize("row", [0, 1, 30, 59])
 def test_a_stray_stamp_costs_its_row(tmp_path: Path, row: int) -> None:
     log = opened(tmp_path, newer(stray=lambda k: 1 << 30 if k == row else 0).data)
@@ -209,7 +198,6 @@ def test_a_stray_stamp_costs_its_row(tmp_path: Path, row: int) -> None:
         assert "TIME-BACKWARD" not in {e.code for e in log.ledger}
 
 
-@pytest.mark.usefixtures("pyulog")
 def test_a_camera_tells_utc_where_no_receiver_does(tmp_path: Path) -> None:
     """Where one does, the autopilot's own clock (0.4 s ahead here) would move the exposures."""
     log = opened(tmp_path, newer(fix=lambda _: 0, capture=lambda k: NOW_US + 200_000 * k).data)
@@ -220,7 +208,6 @@ def test_a_camera_tells_utc_where_no_receiver_does(tmp_path: Path) -> None:
     assert [e.kind for e in log.ledger if e.code == "TIME-NO-UTC"] == ["fallback"]
 
 
-@pytest.mark.usefixtures("pyulog")
 def test_messages_that_pyulog_does_not_know_and_padding(tmp_path: Path) -> None:
     writer = ULogWriter()
     writer.define("vehicle_attitude", "float[4] q;uint8_t[4] _padding0;")
@@ -244,7 +231,6 @@ def test_messages_that_pyulog_does_not_know_and_padding(tmp_path: Path) -> None:
     assert (log.bad_bytes, log.lost_messages) == (0, 0)
 
 
-@pytest.mark.usefixtures("pyulog")
 def test_damage_is_located_and_what_follows_is_read(tmp_path: Path) -> None:
     data = newer().data
     middle = data.index(b"D", len(data) // 2) - 2
@@ -256,7 +242,6 @@ def test_damage_is_located_and_what_follows_is_read(tmp_path: Path) -> None:
     assert log.lost_messages == 1  # at least
 
 
-@pytest.mark.usefixtures("pyulog")
 def test_a_definition_among_the_data_is_none(tmp_path: Path) -> None:
     writer = newer()
     before = len(writer.data)
@@ -268,7 +253,6 @@ def test_a_definition_among_the_data_is_none(tmp_path: Path) -> None:
     assert seconds(log, "vehicle_attitude") == WHOLE
 
 
-@pytest.mark.usefixtures("pyulog")
 def test_zeros_among_the_definitions_end(tmp_path: Path) -> None:
     """pyulog steps back by more than it can read there, and begins anew without end."""
     data = bytearray(newer().data)
@@ -278,7 +262,6 @@ def test_zeros_among_the_definitions_end(tmp_path: Path) -> None:
     assert caught.value.code == "LOG-FORMAT"
 
 
-@pytest.mark.usefixtures("pyulog")
 def test_a_topic_without_a_time_is_a_loss(tmp_path: Path) -> None:
     data = newer().data.replace(
         b"vehicle_air_data:uint64_t timestamp", b"vehicle_air_data:uint64_t timeszamp"
@@ -292,7 +275,6 @@ def test_a_topic_without_a_time_is_a_loss(tmp_path: Path) -> None:
         log.message("vehicle_air_data")
 
 
-@pytest.mark.usefixtures("pyulog")
 def test_data_appended_after_a_crash_is_read_once(tmp_path: Path) -> None:
     """The message before it is cut off; the file says where it begins."""
     writer = newer()
@@ -311,8 +293,7 @@ def test_data_appended_after_a_crash_is_read_once(tmp_path: Path) -> None:
     assert log.bad_bytes == 5
 
 
-@pytest.mark.usefixtures("pyulog")
-def test_every_cut_opens_or_refuses_and_is_told(tmp_path: Path) -> None:
+def test_every_cut_opens_or_refuses_and_is_reported(tmp_path: Path) -> None:
     data = flight()
     boundaries, at = {len(data)}, 16
     while at < len(data):
@@ -329,21 +310,57 @@ def test_every_cut_opens_or_refuses_and_is_told(tmp_path: Path) -> None:
         ends |= told
         assert told or end in boundaries
     assert "LOG-TRUNCATED" in ends
-    assert ends <= {"LOG-TRUNCATED", "LOG-ULOG-DAMAGE", "LOG-NO-MESSAGES", "LOG-FORMAT", "LOG-ULOG"}
+    assert ends <= {"LOG-TRUNCATED", "LOG-NO-MESSAGES", "LOG-FORMAT"}
 
 
-@pytest.mark.usefixtures("pyulog")
-def test_a_file_that_pyulog_gives_up_on(tmp_path: Path) -> None:
+def test_a_header_that_is_cut_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "flight.ulg"
     path.write_bytes(b"ULog\x01\x12\x35\x01")
-    with pytest.raises(LogError) as caught:
+    with pytest.raises(LogError, match="after 8 of 16 bytes") as caught:
         open_log(path)
     assert caught.value.code == "LOG-ULOG"
 
 
-def test_without_pyulog_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_flags_that_are_not_known_are_refused(tmp_path: Path) -> None:
+    """Bit 0 of the incompatible flags means appended data; what others mean may be anything."""
+    for byte, bit in ((27, 1), (28, 0), (34, 7)):
+        data = bytearray(flight())
+        data[byte] |= 1 << bit
+        with pytest.raises(LogError, match="incompatible flags") as caught:
+            opened(tmp_path, bytes(data))
+        assert caught.value.code == "LOG-ULOG"
+    data = bytearray(flight())
+    data[26] = 1  # the last of the compatible flags
+    assert not opened(tmp_path, bytes(data)).ledger.has_losses
+
+
+def test_a_damaged_mark_at_the_beginning_costs_the_header(tmp_path: Path) -> None:
+    data = bytearray(flight())
+    data[2] ^= 1
+    log = opened(tmp_path, bytes(data))
+    assert log.messages == opened(tmp_path, flight()).messages
+    lost = [(e.kind, e.where, e.count) for e in log.ledger if e.code == "LOG-BAD-BYTES"]
+    assert lost == [("loss", "flight.ulg, first at byte 0", 16)]
+
+
+def test_a_value_shorter_than_its_type_is_damage(tmp_path: Path) -> None:
+    """What follows is read: pyulog alone stops there, and says nothing."""
+    writer = newer()
+    whole = opened(tmp_path, writer.data).messages
+    writer.message("P", b"\x0bint32_t ABC" + bytes(4))
+    writer.message("Q", b"\x01\x09float XYZ" + bytes(4))
+    writer.message("I", b"\x0achar[5] sys" + bytes(5))
+    writer.message("M", b"\0\x0cuint8_t[9] x" + bytes(5))  # of an array a part
+    assert not opened(tmp_path, writer.data).ledger.has_losses
+    writer.message("P", b"\x0bint32_t ABC" + bytes(3))
+    writer.row("acme", "B", 80_000_000, 1)
+    log = opened(tmp_path, writer.data)
+    assert log.messages["acme"] == whole["acme"] + 1
+    lost = [(e.kind, e.count) for e in log.ledger if e.code == "LOG-ULOG-DAMAGE"]
+    assert lost == [("loss", 1)]
+    assert (log.bad_bytes, log.lost_messages) == (0, 1)
+
+
+def test_pyulog_is_not_needed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyulog", None)
-    with pytest.raises(LogError, match="ulog") as caught:
-        opened(tmp_path, flight())
-    assert caught.value.code == "LOG-NEEDS-EXTRA"
-    assert "unbend[ulog]" in caught.value.remedy
+    assert len(opened(tmp_path, flight()).channels) == 6
