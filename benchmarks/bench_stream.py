@@ -12,8 +12,7 @@ from survey import CAMERA, air, exposures, image_names, uncertainty, write_obser
 from pipeline.batch.store import open_folder
 from pipeline.ledger import Ledger
 from pipeline.refraction.ray import rays_by
-from pipeline.stages.correction import Recipe, correct_stream
-from pipeline.stages.ground import Ground
+from pipeline.stages.correction import CorrectionSetup, Ground, correct_stream
 from pipeline.tables.observations import open_observations
 
 IMAGES = 2_000
@@ -25,7 +24,7 @@ COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
 def correct(source: Path, out: Path) -> None:
     """What a run does to the observations, sigmas and all, without the log and the air."""
     names, seen_from = image_names(IMAGES), exposures(IMAGES)
-    recipe = Recipe(
+    setup = CorrectionSetup(
         names, np.full(IMAGES, "nadir", object), seen_from,
         Ground(None, np.zeros(IMAGES), sigma_m=2.0), {"nadir": CAMERA},
         (rays_by(air(), "spherical"),), np.zeros(IMAGES, np.int64),
@@ -33,7 +32,10 @@ def correct(source: Path, out: Path) -> None:
     )  # fmt: skip
     observations = open_observations(source, COLUMNS, "h_g_m", Ledger())
     with open_folder(out) as folder:
-        correct_stream(observations, recipe, folder, BATCH_ROWS, {}, lambda _: None)
+        correct_stream(
+            observations, setup, folder,
+            batch_rows=BATCH_ROWS, metadata={}, progress=lambda _: None,
+        )  # fmt: skip
         folder.commit({"outputs": folder.outputs()})
 
 

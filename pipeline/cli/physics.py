@@ -84,13 +84,13 @@ def radial(
     from pipeline.refraction.radial import angles_to, radial_table
     from pipeline.report.progress import DelayedProgressBar
     from pipeline.report.terminal import print_ledger, print_radial, radial_rows
-    from pipeline.stages.story import air_of_either
+    from pipeline.stages.story import air_of_mission_or_standard
 
     _require_one_atmosphere(config, atmosphere)
     console = new_console()
     angles = angles_to(max_angle, step)
     with DelayedProgressBar(console, "finding the air"):
-        air, _, ledger = air_of_either(config, atmosphere)
+        air, _, ledger = air_of_mission_or_standard(config, atmosphere)
     tables = [
         radial_table(
             air.adjustment.profile, h, ground_height, angles, focal_px=focal_px, radius=radius
@@ -156,13 +156,13 @@ def profile(
     from pipeline.atmosphere.profile import heights_every
     from pipeline.report.progress import DelayedProgressBar
     from pipeline.report.terminal import print_air, print_ledger, print_profile
-    from pipeline.stages.story import air_of_either
+    from pipeline.stages.story import air_of_mission_or_standard
     from pipeline.tables.writing import profile_arrow, profiles_arrow
 
     _require_one_atmosphere(config, atmosphere)
     console = new_console()
     with DelayedProgressBar(console, "finding the air"):
-        air, samples, ledger = air_of_either(config, atmosphere)
+        air, samples, ledger = air_of_mission_or_standard(config, atmosphere)
     adjustment = air.adjustment
     heights = None if step is None else heights_every(adjustment.profile, step)
     rows = profile_arrow(adjustment, "", heights).drop_columns(["profile_id", "time_utc"])

@@ -17,6 +17,9 @@ from pipeline.refraction import METHODS
 from pipeline.tables.pixels import PixelOrigin, PixelSystem
 from pipeline.units import DEGREE
 
+LOWEST_GROUND_M, HIGHEST_GROUND_M = -600.0, 10_000.0
+"""Heights outside this range are no ground heights [m]."""
+
 _NUMBER_FORMAT = re.compile(r"^0?[0-9]{0,2}d?$")
 
 
@@ -218,9 +221,9 @@ class GroundSection(Section):
     )
     home_h_msl_m: float | None = Field(
         None,
-        ge=-600,
-        le=10_000,
-        description="height of the take-off point, where the log does not tell",
+        ge=LOWEST_GROUND_M,
+        le=HIGHEST_GROUND_M,
+        description="height of the take-off point, where the log does not hold it",
     )
     sigma_m: float | None = Field(
         None, ge=0, le=10_000, description="standard deviation of the heights of all points"
@@ -255,7 +258,7 @@ class GroundSection(Section):
     @field_validator("height")
     @classmethod
     def _on_earth(cls, value: GroundHeight) -> GroundHeight:
-        if isinstance(value, float) and not -600.0 <= value <= 10_000.0:
+        if isinstance(value, float) and not LOWEST_GROUND_M <= value <= HIGHEST_GROUND_M:
             raise ValueError("is no ground height in metres (-600 to 10000)")
         return value
 

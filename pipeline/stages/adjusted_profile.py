@@ -1,9 +1,9 @@
-"""The sources of the air in a mission, and the air that comes of them."""
+"""The locally adjusted profile of a mission: its sources, and the estimate made from them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.air_samples import AirSamples, SensorCalibration
 from pipeline.atmosphere.climatology import Climatology, climatology, month_of
 from pipeline.atmosphere.estimate.adjusted_profile import (
+    Adjustment,
     build_adjusted_profile,
     unadjusted,
     under_gravity,
@@ -36,32 +37,67 @@ from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir, effects_on_r
 from pipeline.stages.surface_reports import read_report
 from pipeline.tables.soundings import read_sounding
-from pipeline.units import ZERO_CELSIUS_K
+from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K
 
 
 @dataclass(frozen=True, eq=False)
 class AirSources:
-    """What a mission knows of the air beside its log."""
+    """What a mission has of the air beside its log.
+
+    ``lowest_h_m`` [m above sea level] is the lowest height at which the log sampled the air, else
+    that of the take-off, else 0.
+    """
 
     background: Climatology
     soundings: tuple[Sounding, ...] = ()
     surface: tuple[SurfaceReport, ...] = ()
     time_ns: int | None = None
     longitude_rad: float = math.nan
-    home_h_msl_m: float | None = None
+    lowest_h_m: float = 0.0
     calibration: Mapping[str, SensorCalibration] = field(default_factory=dict)
 
     def lines(self) -> list[tuple[str, str]]:
-        """For a person."""
-        return [
-            *(("sounding", _told_of_sounding(sounding)) for sounding in self.soundings),
-            *(("surface", _told_of_report(report)) for report in self.surface),
-            ("climatology", f"{self.background.profile.name}, {self.background.origin}"),
-            *([("sensors", told_of_calibration(self.calibration))] if self.calibration else []),
-        ]
+        """A label and a description of each source, for `unbend check`."""
+        lines = []
+        for sounding in self.soundings:
+            time = ""
+            if sounding.time_ns is not None:
+                time = f" of {np.datetime64(sounding.time_ns, 'ns').astype('datetime64[m]')} UTC"
+            h_m = sounding.h_m
+            levels = f"{h_m.size} levels from {h_m[0]:.0f} to {h_m[-1]:.0f} m"
+            lines.append(("sounding", f"{sounding.station}{time}: {levels}, {sounding.origin}"))
+        for report in self.surface:
+            values = []
+            if np.isfinite(report.temperature_k):
+                values.append(f"{report.temperature_k - ZERO_CELSIUS_K:.1f} C")
+            if np.isfinite(report.pressure_pa):
+                values.append(f"{report.pressure_pa / HECTOPASCAL:.1f} hPa")
+            if np.isfinite(report.vapour_pressure_pa):
+                values.append(f"vapour {report.vapour_pressure_pa / HECTOPASCAL:.1f} hPa")
+            what = f"{report.origin} at {report.h_m:.0f} m: {', '.join(values)}"
+            lines.append(("surface", what))
+        name = self.background.profile.name
+        lines.append(("climatology", f"{name}, {self.background.origin}"))
+        if self.calibration:
+            lines.append(("sensors", describe_calibration(self.calibration)))
+        return lines
 
 
-def find_sources(
+def describe_calibration(calibration: Mapping[str, SensorCalibration]) -> str:
+    """Known mean and standard deviation of each sensor error; one that is not known is left out.
+
+    >>> describe_calibration({"bias": SensorCalibration(0.01, 0.02)})
+    'bias 0.01 ± 0.02'
+    """
+    parts = []
+    for name, known in calibration.items():
+        mean = "" if known.mean is None else f" {known.mean:g}"
+        sigma = "" if known.sigma is None else f" ± {known.sigma:g}"
+        parts.append(f"{name}{mean}{sigma}")
+    return ", ".join(parts)
+
+
+def read_air_sources(
     plan: Plan,
     stations: Stations,
     samples: AirSamples,
@@ -74,17 +110,19 @@ def find_sources(
     Refuses what cannot be read, and values that no ground has (``InputError``).
     """
     section = plan.mission.atmosphere
-    flight_ns = _time_of(stations)
+    flight_ns = _middle_exposure_ns(stations)
     latitude = stations.mean_latitude_rad
     known = stations.lon_rad[np.isfinite(stations.lon_rad)]
     longitude = float(np.median(known)) if known.size else math.nan
-    low = _lowest(samples, home_h_msl_m)
+    sensors = [s for s in (samples.pressure, samples.temperature, samples.humidity) if s]
+    heights = [s.h_m[np.isfinite(s.h_m)] for s in sensors]
+    lowest = min((float(h.min()) for h in heights if h.size), default=home_h_msl_m or 0.0)
     background = climatology(
         section.climatology,
         latitude_rad=latitude,
         month=month_of(flight_ns),
         index=_index_of(section),
-        ground_h_m=low,
+        ground_h_m=lowest,
         longitude_rad=longitude if known.size else 0.0,
     )
     soundings = tuple(
@@ -108,17 +146,15 @@ def find_sources(
         ledger.warning(
             "AIR-SOURCES-UNUSED",
             f"atmosphere.adjust is false: {len(soundings)} soundings, {len(surface)} surface "
-            f"reports and what is known of {len(calibration)} faults of sensors are not used",
+            f"reports and {len(calibration)} sensor calibrations are not used",
             where="atmosphere",
             count=len(soundings) + len(surface) + len(calibration),
         )
-    return AirSources(
-        background, soundings, surface, flight_ns, longitude, home_h_msl_m, calibration
-    )
+    return AirSources(background, soundings, surface, flight_ns, longitude, lowest, calibration)
 
 
-def _time_of(stations: Stations) -> int | None:
-    """The middle exposure [Unix ns]."""
+def _middle_exposure_ns(stations: Stations) -> int | None:
+    """Time of the middle exposure [Unix ns]."""
     times = np.sort(stations.time_ns[stations.time_ns != NO_TIME])
     return int(times[times.size // 2]) if times.size else None
 
@@ -127,21 +163,18 @@ def _index_of(section: AtmosphereSection) -> IndexModel:
     return IndexModel(section.index, section.wavelength_m, section.co2_ppm)
 
 
-def _lowest(samples: AirSamples, home_h_msl_m: float | None) -> float:
-    """Lowest height that was sampled [m above sea level], else the take-off's, else the sea's."""
-    sensors = [s for s in (samples.pressure, samples.temperature, samples.humidity) if s]
-    heights = [s.h_m[np.isfinite(s.h_m)] for s in sensors]
-    return min((float(h.min()) for h in heights if h.size), default=home_h_msl_m or 0.0)
-
-
-def adjust_air(
+def adjusted_profiles(
     mission: Mission, stations: Stations, samples: AirSamples, sources: AirSources, ledger: Ledger
 ) -> FlightAir:
-    """The locally adjusted air of the flight, or the standard where the user wants that."""
+    """The locally adjusted profile of the flight and how it changes with time.
+
+    With ``atmosphere.adjust: false`` it is the standard atmosphere, unchanged. Parts of a long
+    flight are estimated on their own where that lowers the uncertainty; between them, and with
+    the age of the measurements, each exposure gets the profile of its time.
+    """
     section = mission.atmosphere
     latitude = stations.mean_latitude_rad
     standard = replace(standard_atmosphere(section.standard), index=_index_of(section))
-    h_c, h_g = _levels(mission, stations, samples, sources.home_h_msl_m)
     if not section.adjust:
         why = "atmosphere.adjust is false: the standard is kept"
         ledger.note("AIR-NOT-ADJUSTED", why)
@@ -163,10 +196,22 @@ def adjust_air(
             time_ns=sources.time_ns,
             longitude_rad=sources.longitude_rad,
         )
+    h_g = sources.lowest_h_m
+    if mission.ground.reference == "msl" and mission.ground.constant_m is not None:
+        h_g = mission.ground.constant_m
+    heights = stations.h_msl_m[stations.ok]
+    h_c = [float(h) for h in np.percentile(heights, [0, 50, 100])] if heights.size else [h_g]
+    return _profiles_in_time(adjustment, stations, h_c, h_g, ledger)
+
+
+def _profiles_in_time(
+    adjustment: Adjustment, stations: Stations, h_c: list[float], h_g: float, ledger: Ledger
+) -> FlightAir:
+    """Profiles at the times of the exposures; ``h_c`` low, middle and high camera height [m]."""
     whole = TimedProfile(adjustment.time_ns, adjustment.profile, adjustment.covariance)
     windows = estimate_windows(adjustment, h_c, h_g, ledger) if max(h_c) > h_g + 1.0 else ()
     series = constant_series(whole, len(stations))
-    middle = _time_of(stations)
+    middle = _middle_exposure_ns(stations)
     if middle is not None:
         times = np.where(stations.ok, stations.time_ns, middle)
         if windows:
@@ -174,56 +219,10 @@ def adjust_air(
         if adjustment.samples is not None:
             series = add_ageing(series, times, adjustment.samples, max(h_c), h_g, ledger)
         if not windows and len(stations):
-            # What is told of the flight is told of its middle exposure.
+            # The covariance reported for the flight is that at its middle exposure.
             number = series.profile_number[int(np.argmin(np.abs(times - middle)))]
             adjustment = replace(adjustment, covariance=series.timed_profiles[number].covariance)
     effects = effects_on_r(
         adjustment.profile, adjustment.standard, adjustment.covariance, float(np.median(h_c)), h_g
     )
     return FlightAir(adjustment, series, windows, effects)
-
-
-def _levels(
-    mission: Mission, stations: Stations, samples: AirSamples, home_h_msl_m: float | None
-) -> tuple[list[float], float]:
-    """Heights of cameras (low, middle, high) and of the ground [m above sea level]."""
-    ground = mission.ground.constant_m if mission.ground.reference == "msl" else None
-    h_g = ground if ground is not None else _lowest(samples, home_h_msl_m)
-    heights = stations.h_msl_m[stations.ok]
-    if heights.size == 0:
-        return [h_g], h_g
-    return [float(h) for h in np.percentile(heights, [0.0, 50.0, 100.0])], h_g
-
-
-def told_of_calibration(calibration: Mapping[str, SensorCalibration]) -> str:
-    """What is known of the sensors, in words; where only one of mean and sigma is, the other not.
-
-    >>> told_of_calibration({"bias": SensorCalibration(0.01, 0.02)})
-    'bias 0.01 ± 0.02'
-    """
-    told = []
-    for name, known in calibration.items():
-        mean = "" if known.mean is None else f" {known.mean:g}"
-        sigma = "" if known.sigma is None else f" ± {known.sigma:g}"
-        told.append(f"{name}{mean}{sigma}")
-    return ", ".join(told)
-
-
-def _told_of_sounding(sounding: Sounding) -> str:
-    when = ""
-    if sounding.time_ns is not None:
-        when = f" of {np.datetime64(sounding.time_ns, 'ns').astype('datetime64[m]')} UTC"
-    return (
-        f"{sounding.station}{when}: {sounding.h_m.size} levels from {sounding.h_m[0]:.0f} to "
-        f"{sounding.h_m[-1]:.0f} m, {sounding.origin}"
-    )
-
-
-def _told_of_report(report: SurfaceReport) -> str:
-    parts: list[tuple[float, Callable[[float], str]]] = [
-        (report.temperature_k, lambda t: f"{t - ZERO_CELSIUS_K:.1f} C"),
-        (report.pressure_pa, lambda p: f"{p / 100.0:.1f} hPa"),
-        (report.vapour_pressure_pa, lambda e: f"vapour {e / 100.0:.1f} hPa"),
-    ]
-    told = ", ".join(say(value) for value, say in parts if np.isfinite(value))
-    return f"{report.origin} at {report.h_m:.0f} m: {told}"

@@ -1,7 +1,7 @@
-"""The one large stream: observations in, corrected observations out, a batch at a time.
+"""The correction: batches of observations in, corrected observations out, one part each.
 
-Batches are independent of each other: while one is read, others are corrected and written, each to
-a part of its own. What a part holds does not depend on how many are under way.
+Batches are independent of each other: while one is read, others are corrected and written. What a
+part holds does not depend on how many are in progress.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,250 +19,339 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.batch.store import RunFolder
+from pipeline.config import Mission
+from pipeline.config.sections import HIGHEST_GROUND_M, LOWEST_GROUND_M
+from pipeline.flight.heights import HeightSystem, ground_offsets
+from pipeline.flight.stations import Stations
 from pipeline.interrupts import held_back
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.chord import target_heights
 from pipeline.refraction.forward import apply_refraction
 from pipeline.refraction.image import COLUMNS, Corrections, Exposures, correct_observations
 from pipeline.refraction.kernels.threads import usable_cpus
-from pipeline.refraction.ray import PublishedRays, RayTable
+from pipeline.refraction.ray import PublishedRays, RayTable, rays_by
 from pipeline.refraction.status import NO_STATION
 from pipeline.refraction.uncertainty.budget import at_the_window
 from pipeline.refraction.uncertainty.sigmas import Sigmas, Uncertainty
-from pipeline.stages.ground import Ground, plausible
-from pipeline.stages.statistics import Tally, evenly
+from pipeline.stages.exposure_setup import cameras_of_mission
+from pipeline.stages.statistics import Statistics, evenly_spaced
+from pipeline.stages.uncertainty import uncertainties_of_mission, views_of_mission
 from pipeline.tables.marks import Direction
 from pipeline.tables.observations import Batch, Observations
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
 from pipeline.tables.writing import observation_table, write_parquet
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
 
-# Reading and writing leave no work for more, and each holds a batch: 250,000 rows by default.
 _MOST_WORKERS = 4
+"""Batches corrected at the same time: each holds 250,000 rows, and reading and writing take the
+rest of the time."""
 
 _RAYS_OF_A_PART = 128
 
 
 @dataclass(frozen=True, eq=False)
-class Recipe:
-    """All that turns a batch of observations into corrections.
+class Ground:
+    """Heights of the points above sea level: a constant, or a column plus an offset.
 
-    ``images``, ``cameras_of`` and ``air_of`` (s,) belong to the rows of ``exposures``; ``air_of``
-    numbers ``tables``, the air in which the rays of an exposure bend, and ``uncertainties``; where
-    all of these are None no standard deviations are computed. ``views`` (s,) tells through what
-    each exposure looks.
+    ``offset_m`` (s,) is added per station: minus the undulation for ellipsoidal heights, the
+    take-off height for relative ones. ``from_distance`` where they follow from the slant ranges.
+    ``sigma_m`` is the standard deviation that all of them share, where there is one.
+    """
+
+    constant_m: float | None
+    offset_m: Array
+    from_distance: bool = False
+    sigma_m: float | None = None
+
+    def heights(self, batch: Batch, station: Rows) -> Array:
+        """(n,) heights above sea level [m] of the points of a batch; NaN where implausible."""
+        if batch.ground is not None:
+            given = batch.ground
+        else:
+            given = np.full(len(batch), self.constant_m, dtype=np.float64)
+        offset = np.append(self.offset_m, np.nan)[station]
+        # Without a station there is no offset; such an observation gets the status no_station.
+        return np.asarray(plausible_heights(given) + np.where(station < 0, 0.0, offset))
+
+    def count_implausible(self, batch: Batch) -> int:
+        """The number of heights of a batch that are numbers, but of no ground on earth."""
+        if batch.ground is None:
+            return 0
+        implausible = np.isfinite(batch.ground) & np.isnan(plausible_heights(batch.ground))
+        return int(np.count_nonzero(implausible))
+
+    def sigmas(self, batch: Batch) -> Array:
+        """(n,) standard deviations of the heights [m], NaN where unknown."""
+        if batch.ground_sigma is not None:
+            return batch.ground_sigma
+        return np.full(len(batch), np.nan if self.sigma_m is None else self.sigma_m)
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The lowest and the highest height above sea level that a point can have [m]."""
+        if self.constant_m is None:
+            return LOWEST_GROUND_M, HIGHEST_GROUND_M
+        offset = self.offset_m[np.isfinite(self.offset_m)]
+        if offset.size == 0:
+            offset = np.zeros(1)
+        return self.constant_m + float(offset.min()), self.constant_m + float(offset.max())
+
+
+def plausible_heights(height_m: Array) -> Array:
+    """Heights [m] with NaN for those below -600 and above 10,000 m."""
+    plausible = (height_m >= LOWEST_GROUND_M) & (height_m <= HIGHEST_GROUND_M)
+    return np.where(plausible, height_m, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class CorrectionSetup:
+    """Everything that a batch of observations is corrected with.
+
+    ``images``, ``camera_names``, ``profile_number`` and ``views`` (s,) belong to the rows of
+    ``exposures``. ``profile_number`` indexes ``rays`` and ``uncertainties``; where all of the
+    latter are None no standard deviations are computed. ``views`` are `OPEN`, `SEALED` or
+    `SCHEDULED`.
     """
 
     images: NDArray[np.object_]
-    cameras_of: NDArray[np.object_]
+    camera_names: NDArray[np.object_]
     exposures: Exposures
     ground: Ground
     cameras: Mapping[str, Camera]
-    tables: tuple[RayTable | PublishedRays, ...]
-    air_of: NDArray[np.int64]
+    rays: tuple[RayTable | PublishedRays, ...]
+    profile_number: Rows
     direction: Direction = "remove"
     uncertainties: tuple[Uncertainty | None, ...] = (None,)
-    views: NDArray[np.int64] | None = None
+    views: Rows | None = None
 
     @property
-    def in_doubt(self) -> bool:
-        """Whether standard deviations are asked for."""
-        return any(one is not None for one in self.uncertainties)
+    def computes_sigmas(self) -> bool:
+        """Whether standard deviations are computed."""
+        return any(uncertainty is not None for uncertainty in self.uncertainties)
 
-    def groups(
-        self, row: NDArray[np.int64], camera: NDArray[np.int64]
-    ) -> Iterator[tuple[NDArray[np.intp], Camera, int]]:
-        """The observations of each camera in each air, from their stations and cameras (n,)."""
-        for number, model in enumerate(self.cameras.values()):
-            mine = np.flatnonzero(camera == number)
-            if len(self.tables) == 1:
-                if mine.size:
-                    yield mine, model, 0
+    @cached_property
+    def camera_number(self) -> Rows:
+        """(s + 1,) the position in ``cameras`` of each station's camera, -1 without one.
+
+        An image without an exposure has a station without a camera. The last entry is for
+        observations without a station, whose station is -1.
+        """
+        number_of = {name: number for number, name in enumerate(self.cameras)}
+        return np.array([number_of.get(n, -1) for n in self.camera_names] + [-1], np.int64)
+
+    def groups(self, station: Rows) -> Iterator[tuple[NDArray[np.intp], Camera, int]]:
+        """The observations (n,) of each camera in each profile: rows, camera, profile number."""
+        camera_number = self.camera_number[station]
+        for number, camera in enumerate(self.cameras.values()):
+            rows = np.flatnonzero(camera_number == number)
+            if len(self.rays) == 1:
+                if rows.size:
+                    yield rows, camera, 0
                 continue
-            air = self.air_of[row[mine]]
-            for i in np.unique(air).tolist():
-                yield mine[air == i], model, i
+            profile = self.profile_number[station[rows]]
+            for i in np.unique(profile).tolist():
+                yield rows[profile == i], camera, i
+
+
+def correction_setup(
+    mission: Mission,
+    stations: Stations,
+    air: ProfileSeries,
+    exposures: Exposures,
+    heights: HeightSystem,
+) -> CorrectionSetup:
+    """Cameras, rays, ground and uncertainties of a mission. ``heights`` are those of its log."""
+    section = mission.ground
+    offsets = ground_offsets(section.reference, stations, heights)
+    ground = Ground(section.constant_m, offsets, section.from_distance, section.sigma_m)
+    cameras = cameras_of_mission(mission)
+    views = views_of_mission(mission, stations, air)
+    return CorrectionSetup(
+        stations.image,
+        stations.camera,
+        exposures,
+        ground,
+        cameras,
+        tuple(rays_by(profile, mission.refraction.method) for profile in air.profiles),
+        air.profile_number,
+        mission.refraction.direction,
+        uncertainties_of_mission(
+            mission,
+            stations,
+            air,
+            exposures,
+            cameras=cameras,
+            views=views,
+            ground_limits_m=ground.limits,
+        ),
+        views,
+    )
 
 
 def correct_stream(
     observations: Observations,
-    recipe: Recipe,
+    setup: CorrectionSetup,
     folder: RunFolder,
+    *,
     batch_rows: int,
     metadata: Mapping[str, str],
     progress: Callable[[int], None],
-) -> Tally:
+) -> Statistics:
     """Correct all observations and write them as ``observations/part-*.parquet``.
 
-    Memory holds a few batches, whatever the number of rows. ``progress`` hears of every batch's
-    rows.
+    Memory holds at most five batches, whatever the number of rows. ``progress`` is called with the
+    number of rows of every batch that is written.
     """
-    columns = OBSERVATION_COLUMNS if recipe.direction == "remove" else DISPLACED_COLUMNS
+    columns = OBSERVATION_COLUMNS if setup.direction == "remove" else DISPLACED_COLUMNS
     schema = schema_of(columns, metadata, list(observations.user_fields))
-    names = pa.array(recipe.images, pa.string())
-    number_of = {name: number for number, name in enumerate(recipe.cameras)}
-    # An image that no exposure was found for has a station without a camera; the last entry is
-    # for observations without a station.
-    camera_of = np.array([number_of.get(n, -1) for n in recipe.cameras_of] + [-1], np.int64)
+    images = pa.array(setup.images, pa.string())
 
-    def one(number: int, batch: Batch) -> Tally:
-        row = _station_rows(batch.image, names)
-        camera = camera_of[row]
-        h_g = _heights(batch, row, camera, recipe)
-        corrections = _correct_batch(batch, row, h_g, camera, recipe)
+    def correct_part(number: int, batch: Batch) -> Statistics:
+        station = station_rows(batch.image, images)
+        h_g = ground_heights(batch, station, setup)
+        corrections = correct_batch(batch, station, h_g, setup)
         name = f"observations/part-{number:05d}.parquet"
         table = observation_table(batch, corrections, h_g, observations.pixels, schema)
         write_parquet(table, folder.place(name))
         folder.seal(name)
-        tally = Tally.of(recipe.cameras)
-        tally.add(batch, corrections, camera)
-        tally.odd_heights += recipe.ground.count_odd(batch)
-        if recipe.in_doubt:
-            tally.rays.append(_some_rays(batch, corrections, row, h_g, camera, recipe))
-        return tally
+        statistics = Statistics.of(setup.cameras)
+        statistics.add(batch, corrections, setup.camera_number[station])
+        statistics.implausible_heights += setup.ground.count_implausible(batch)
+        if setup.computes_sigmas:
+            statistics.rays.append(_sample_of_rays(batch, corrections, station, h_g, setup))
+        return statistics
 
-    total = Tally.of(recipe.cameras)
-    # Closed, and its threads waited for, before anyone clears the folder they write to.
-    with closing(_overlapped(one, observations.batches(batch_rows))) as parts:
+    total = Statistics.of(setup.cameras)
+    # closing() waits for the threads before the caller removes the folder they write to.
+    with closing(on_threads(correct_part, observations.batches(batch_rows))) as parts:
         for part in parts:
             total.merge(part)
             progress(part.rows)
     return total
 
 
-def _overlapped(
-    one: Callable[[int, Batch], Tally], batches: Iterator[Batch]
-) -> Generator[Tally, None, None]:
-    """Results for numbered batches, in their order.
+def on_threads(
+    correct_part: Callable[[int, Batch], Statistics], batches: Iterator[Batch]
+) -> Generator[Statistics, None, None]:
+    """Results for numbered batches, in their order, computed on threads.
 
-    As many at a time as this process may use CPUs, four at most; one more is read meanwhile, and
-    no other before the oldest of them is done.
+    At a time as many as this process may use CPUs, four at most; meanwhile one more is read.
     """
     workers = min(_MOST_WORKERS, usable_cpus())
-    waiting: deque[Future[Tally]] = deque()
+    pending: deque[Future[Statistics]] = deque()
     pool = ThreadPoolExecutor(workers, thread_name_prefix="batch")
+
+    def oldest() -> Statistics:
+        with held_back():
+            return pending.popleft().result()
+
     try:
         for number, batch in enumerate(batches):  # a signal ends the reading at once
             with held_back():
-                waiting.append(pool.submit(one, number, batch))
-            if len(waiting) > workers:
-                yield _oldest(waiting)
-        while waiting:
-            yield _oldest(waiting)
+                pending.append(pool.submit(correct_part, number, batch))
+            if len(pending) > workers:
+                yield oldest()
+        while pending:
+            yield oldest()
     finally:
         with held_back():
-            for future in waiting:
+            for future in pending:
                 future.cancel()
             pool.shutdown()
 
 
-def _oldest(waiting: deque[Future[Tally]]) -> Tally:
-    with held_back():
-        return waiting.popleft().result()
+def station_rows(image: pa.StringArray, images: pa.StringArray) -> Rows:
+    """(n,) the station of each observation, -1 where its image has none.
 
-
-def _station_rows(image: pa.StringArray, names: pa.StringArray) -> NDArray[np.int64]:
-    """(n,) the station of each observation, -1 without one."""
+    >>> station_rows(pa.array(["b", None, "x", "a"]), pa.array(["a", "b"])).tolist()
+    [1, -1, -1, 0]
+    """
     encoded = image.dictionary_encode()
-    station = pc.fill_null(pc.index_in(encoded.dictionary, value_set=names), -1)
+    station = pc.fill_null(pc.index_in(encoded.dictionary, value_set=images), -1)
     by_code = np.append(station.to_numpy(zero_copy_only=False).astype(np.int64), -1)
     codes = pc.fill_null(encoded.indices, len(by_code) - 1).to_numpy(zero_copy_only=False)
     return np.asarray(by_code[codes])
 
 
-def _heights(
-    batch: Batch, row: NDArray[np.int64], camera: NDArray[np.int64], recipe: Recipe
-) -> Array:
-    """(n,) heights of the points above sea level [m], NaN where there is none."""
-    h_g = recipe.ground.heights(batch, row)
-    if recipe.ground.from_distance and batch.distance_m is not None:
-        for mine, model, air in recipe.groups(row, camera):
-            h_g[mine] = target_heights(
-                batch.x_px[mine],
-                batch.y_px[mine],
-                batch.distance_m[mine],
-                row[mine],
-                recipe.exposures,
-                model,
-                recipe.tables[air],
-                ideal=recipe.direction == "apply",
-            )
-        h_g = plausible(h_g)
-    return h_g
+def ground_heights(batch: Batch, station: Rows, setup: CorrectionSetup) -> Array:
+    """(n,) heights of the points above sea level [m], NaN where unknown or implausible."""
+    h_g = setup.ground.heights(batch, station)
+    if not setup.ground.from_distance or batch.distance_m is None:
+        return h_g
+    for rows, camera, profile in setup.groups(station):
+        h_g[rows] = target_heights(
+            batch.x_px[rows],
+            batch.y_px[rows],
+            batch.distance_m[rows],
+            station[rows],
+            setup.exposures,
+            camera,
+            setup.rays[profile],
+            ideal=setup.direction == "apply",
+        )
+    return plausible_heights(h_g)
 
 
-def _correct_batch(
-    batch: Batch, row: NDArray[np.int64], h_g: Array, camera: NDArray[np.int64], recipe: Recipe
-) -> Corrections:
-    """The corrections of a batch, camera by camera, back in the order of the rows."""
-    parts = []
-    for mine, model, air in recipe.groups(row, camera):
-        if mine.size == len(batch):
-            return _correct_rows(batch, slice(None), row, h_g, model, air, recipe)
-        parts.append((mine, _correct_rows(batch, mine, row, h_g, model, air, recipe)))
+def correct_batch(batch: Batch, station: Rows, h_g: Array, setup: CorrectionSetup) -> Corrections:
+    """The corrections of a batch, computed for each camera and profile, in the order of its rows.
+
+    ``station`` (n,) as `station_rows` returns it, ``h_g`` (n,) above sea level [m].
+    """
+    method = correct_observations if setup.direction == "remove" else apply_refraction
+    parts: list[tuple[NDArray[np.intp], Corrections]] = []
+    for group, camera, profile in setup.groups(station):
+        whole = group.size == len(batch)
+        rows = slice(None) if whole else group
+        uncertainty = setup.uncertainties[profile]
+        corrections = method(
+            batch.x_px[rows],
+            batch.y_px[rows],
+            h_g[rows],
+            station[rows],
+            setup.exposures,
+            camera,
+            setup.rays[profile],
+            distance_m=None if batch.distance_m is None else batch.distance_m[rows],
+            uncertainty=uncertainty,
+            sigma_h_g=None if uncertainty is None else setup.ground.sigmas(batch)[rows],
+        )
+        if whole:
+            return corrections
+        parts.append((group, corrections))
     columns: dict[str, Any] = {name: np.full(len(batch), np.nan) for name in COLUMNS}
     columns["status"] = np.full(len(batch), NO_STATION, np.uint8)
-    sigmas = Sigmas.unknown(len(batch)) if recipe.in_doubt else None
-    for mine, part in parts:
+    sigmas = Sigmas.unknown(len(batch)) if setup.computes_sigmas else None
+    for group, part in parts:
         for name, column in columns.items():
-            column[mine] = getattr(part, name)
+            column[group] = getattr(part, name)
         if sigmas is not None and part.sigmas is not None:
-            sigmas.put(mine, part.sigmas)
+            sigmas.put(group, part.sigmas)
     return Corrections(**columns, sigmas=sigmas)
 
 
-def _some_rays(
-    batch: Batch,
-    corrections: Corrections,
-    row: NDArray[np.int64],
-    h_g: Array,
-    camera: NDArray[np.int64],
-    recipe: Recipe,
+def _sample_of_rays(
+    batch: Batch, corrections: Corrections, station: Rows, h_g: Array, setup: CorrectionSetup
 ) -> Array:
-    """(6, m) rays of a batch as `Tally.sampled` has them, evenly spread over its rows."""
-    ex = recipe.exposures
-    h_c = np.append(ex.height_m, np.nan)[row]
-    good = np.flatnonzero(np.isfinite(corrections.r_c_rad) & (h_c > h_g))
-    some = good[evenly(good.size, _RAYS_OF_A_PART)]
-    at = row[some]
-    direction = np.full((some.size, 3), np.nan)
-    # Of pixels as measured, which are where the rays went through the window.
-    x, y = (batch.x_px, batch.y_px) if recipe.direction == "remove" else (
-        corrections.x_px, corrections.y_px)  # fmt: skip
-    for number, model in enumerate(recipe.cameras.values()):
-        mine = camera[some] == number
-        u, v, _ = model.rays(x[some[mine]], y[some[mine]])
-        direction[mine] = np.stack([u, v, np.ones(u.size)], axis=1)
+    """(6, m) rays as `Statistics.sampled_rays` returns them, evenly spread over a batch."""
+    exposures = setup.exposures
+    h_c = np.append(exposures.height_m, np.nan)[station]
+    corrected = np.flatnonzero(np.isfinite(corrections.r_c_rad) & (h_c > h_g))
+    rows = corrected[evenly_spaced(corrected.size, _RAYS_OF_A_PART)]
+    of_row = station[rows]
+    direction = np.full((rows.size, 3), np.nan)
+    # Measured pixels: there the rays pass through the window.
+    measured = batch if setup.direction == "remove" else corrections
+    x, y = measured.x_px[rows], measured.y_px[rows]
+    for number, camera in enumerate(setup.cameras.values()):
+        of_camera = setup.camera_number[of_row] == number
+        u, v, _ = camera.rays(x[of_camera], y[of_camera])
+        direction[of_camera] = np.stack([u, v, np.ones(u.size)], axis=1)
     direction /= np.linalg.norm(direction, axis=1)[:, None]
-    turns = at_the_window(direction, -ex.rotation[at, :, 2], ex.normals[at])
-    kind = np.zeros(at.size) if recipe.views is None else recipe.views[at]
-    rays = np.stack([h_c[some], h_g[some], corrections.zeta_c_rad[some], kind, *turns])
+    turns = at_the_window(direction, -exposures.rotation[of_row, :, 2], exposures.normals[of_row])
+    view = np.zeros(rows.size) if setup.views is None else setup.views[of_row]
+    rays = np.stack([h_c[rows], h_g[rows], corrections.zeta_c_rad[rows], view, *turns])
     return np.asarray(rays[:, np.isfinite(rays).all(axis=0)])
-
-
-def _correct_rows(
-    batch: Batch,
-    mine: NDArray[np.intp] | slice,
-    row: NDArray[np.int64],
-    h_g: Array,
-    model: Camera,
-    air: int,
-    recipe: Recipe,
-) -> Corrections:
-    """The corrections of the rows of one camera in one air."""
-    uncertainty = recipe.uncertainties[air]
-    way = correct_observations if recipe.direction == "remove" else apply_refraction
-    return way(
-        batch.x_px[mine],
-        batch.y_px[mine],
-        h_g[mine],
-        row[mine],
-        recipe.exposures,
-        model,
-        recipe.tables[air],
-        distance_m=None if batch.distance_m is None else batch.distance_m[mine],
-        uncertainty=uncertainty,
-        sigma_h_g=None if uncertainty is None else recipe.ground.sigmas(batch)[mine],
-    )

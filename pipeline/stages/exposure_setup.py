@@ -1,4 +1,4 @@
-"""From mission and stations to what the rays of each exposure need to know."""
+"""What bends the rays at each exposure: attitude, window, lens, and the air on both sides."""
 
 from __future__ import annotations
 
@@ -34,16 +34,45 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
-class _Air:
-    """Air at some exposures; (m,) pressure [Pa], temperature [K], vapour pressure [Pa]."""
+class _AirAtExposures:
+    """(m,) pressure [Pa], temperature [K] and vapour pressure [Pa] at m exposures."""
 
     pressure_pa: Array
     temperature_k: Array
     vapour_pressure_pa: Array
 
-    def of(self, mine: Mask) -> _Air:
-        """That at some of the exposures."""
-        return _Air(self.pressure_pa[mine], self.temperature_k[mine], self.vapour_pressure_pa[mine])
+
+def cameras_of_mission(mission: Mission) -> dict[str, Camera]:
+    """The interior orientation of each camera, in COLMAP's pixels."""
+    origin = mission.observations.pixel_origin
+    return {name: camera.build(origin) for name, camera in mission.cameras.items()}
+
+
+def windows_of_mission(mission: Mission) -> dict[str, Window]:
+    """The windows of the cameras that have one."""
+    return {n: camera.window.build() for n, camera in mission.cameras.items() if camera.window}
+
+
+def exposures_of_mission(
+    mission: Mission, stations: Stations, air: ProfileSeries, ledger: Ledger
+) -> Exposures:
+    """The exposures of a mission; the ledger names the effects that are not removed."""
+    for name, camera in mission.cameras.items():
+        if camera.calibration == "in_flight_uncorrected":
+            ledger.warning(
+                "CALIBRATION-IN-FLIGHT",
+                f"camera {name} was calibrated in flight on uncorrected images: its principal "
+                "distance and k1 already contain the nadir refraction of that height, and this "
+                "correction counts it twice",
+                where=f"cameras.{name}.calibration",
+            )
+    windows = windows_of_mission(mission)
+    lenses = {n: lens for n, camera in mission.cameras.items() if (lens := camera.lens())}
+    report_windows(windows, ledger)
+    report_lenses(mission.cameras, lenses, ledger)
+    return exposures_of(
+        stations, air, windows, lenses, ledger, radius_m=mission.refraction.radius_m
+    )
 
 
 def exposures_of(
@@ -51,49 +80,52 @@ def exposures_of(
     profile: Profile | ProfileSeries,
     windows: Mapping[str, Window],
     lenses: Mapping[str, LensInAir],
-    radius_m: float | None,
     ledger: Ledger,
+    *,
+    radius_m: float | None,
 ) -> Exposures:
     """Attitude, height, window and lens of each exposure, and the air beside them.
 
     ``windows`` and ``lenses`` are those of the cameras that have one, by name. The air outside is
-    the profile's at the height of the camera, the same that the ray starts in: it holds what was
-    measured. Behind a window whose cabin air is known the lens is in that air, else in the air
-    outside. Refuses an absurd change of a principal distance (LENS-CHANGE).
+    the profile's at the height of the camera, the same that the ray starts in. Behind a window
+    whose cabin air is known the lens is in that air, else in the air outside. Refuses a change of
+    the principal distance of more than 1 % (MissionError LENS-CHANGE).
     """
-    rotation = _matrices(stations.quaternion)
+    rotation = _rotation_matrices(stations.quaternion)
     h = stations.h_msl_m
+    pressure, temperature, vapour = (
+        profile.pressure(h),
+        profile.temperature(h),
+        profile.vapour_pressure(h),
+    )
     outside = profile.refractivity(h)
-    inside = outside.copy()
+    inside, change = outside.copy(), np.zeros(len(stations))
     normal = np.tile(OPTICAL_AXIS, (len(stations), 1))
-    change = np.zeros(len(stations))
-    air_outside = _Air(profile.pressure(h), profile.temperature(h), profile.vapour_pressure(h))
     for name in dict.fromkeys((*windows, *lenses)):
-        mine = stations.camera == name
-        if not bool(mine.any()):
+        rows = stations.camera == name
+        if not bool(rows.any()):
             continue
         window, lens = windows.get(name), lenses.get(name)
         plane = window is not None and window.shape == "plane"
-        air = air_outside.of(mine)
+        air = _AirAtExposures(pressure[rows], temperature[rows], vapour[rows])
         if window is not None and window.cabin is not None and (plane or lens is not None):
-            air = _air_inside(window.cabin, air, stations, mine, name, ledger)
+            air = _cabin_air(window.cabin, air, stations, rows, name=name, ledger=ledger)
         if window is not None and plane:
-            inside[mine] = profile.index.refractivity(
+            inside[rows] = profile.index.refractivity(
                 air.temperature_k, air.pressure_pa, air.vapour_pressure_pa
             )
-            normal[mine] = _normals(window, rotation[mine], stations.aircraft_quaternion[mine])
+            aircraft = stations.aircraft_quaternion[rows]
+            normal[rows] = _window_normals(window, rotation[rows], aircraft)
         if lens is not None:
-            change[mine] = _change(lens, air, stations.ok[mine], name, ledger)
-    # Beyond the profile all air is unknown, and the correction has a status of its own for that.
+            change[rows] = _principal_change(lens, air, stations.ok[rows], name, ledger)
+    # Above the top of the profile the air is unknown too; those rows get outside_profile later.
     air_unknown = np.isfinite(outside) & (np.isnan(inside) | np.isnan(change))
+    attitude_known = np.isfinite(rotation).all(axis=(1, 2)) & np.isfinite(normal).all(axis=1)
     return Exposures(
-        usable=stations.ok
-        & np.isfinite(rotation).all(axis=(1, 2))
-        & np.isfinite(normal).all(axis=1)
-        & ~air_unknown,
+        usable=stations.ok & attitude_known & ~air_unknown,
         rotation=rotation,
         latitude_rad=stations.lat_rad,
-        height_m=stations.h_msl_m,
+        height_m=h,
         refractivity_outside=outside,
         refractivity_cabin=inside,
         window_normal=normal,
@@ -102,7 +134,7 @@ def exposures_of(
     )
 
 
-def _matrices(quaternion: Array) -> Array:
+def _rotation_matrices(quaternion: Array) -> Array:
     """(n, 3, 3) rotations of (n, 4) quaternions w, x, y, z; NaN stays."""
     matrix = np.full((quaternion.shape[0], 3, 3), np.nan)
     known = np.isfinite(quaternion).all(axis=1)
@@ -111,53 +143,46 @@ def _matrices(quaternion: Array) -> Array:
     return matrix
 
 
-def _normals(window: Window, rotation: Array, aircraft_quaternion: Array) -> Array:
+def _window_normals(window: Window, rotation: Array, aircraft_quaternion: Array) -> Array:
     """(m, 3) normals of a window in the frame of its camera at each exposure; NaN stays.
 
     ``rotation`` (m, 3, 3) takes east-north-up to the camera, ``aircraft_quaternion`` (m, 4) to
     the body. Without a stabilised mount the two turn together.
     """
-    own = np.array(window.normal)
+    normal = np.array(window.normal)
     if window.frame == "camera":
-        return np.broadcast_to(own, (rotation.shape[0], 3))
-    in_enu = np.einsum("nji,j->ni", _matrices(aircraft_quaternion), own)
+        return np.broadcast_to(normal, (rotation.shape[0], 3))
+    in_enu = np.einsum("nji,j->ni", _rotation_matrices(aircraft_quaternion), normal)
     return np.asarray(np.einsum("nij,nj->ni", rotation, in_enu))
 
 
-def _air_inside(
-    cabin: Cabin, outside: _Air, stations: Stations, mine: Mask, name: str, ledger: Ledger
-) -> _Air:
-    """The air in the compartment of the exposures ``mine`` of a camera."""
+def _cabin_air(
+    cabin: Cabin,
+    outside: _AirAtExposures,
+    stations: Stations,
+    rows: Mask,
+    *,
+    name: str,
+    ledger: Ledger,
+) -> _AirAtExposures:
+    """The air in the compartment at the exposures ``rows`` (s,) of a camera."""
     if cabin.source == "log":
-        return _logged_air(stations, mine, name, ledger)
-    n = int(mine.sum())
-    if cabin.source == "standard_schedule":
-        _tell_of_schedule(stations, mine, name, ledger)
-        pressure = scheduled_pressure(outside.pressure_pa)
-        return _Air(pressure, np.full(n, SCHEDULE_TEMPERATURE_K), np.zeros(n))
-    e = vapour_pressure(cabin.relative_humidity, cabin.temperature_k, cabin.pressure_pa)
-    constant = (cabin.pressure_pa, cabin.temperature_k, float(e))
-    return _Air(*(np.full(n, value) for value in constant))
-
-
-def _logged_air(stations: Stations, mine: Mask, name: str, ledger: Ledger) -> _Air:
-    e = stations.cabin_vapour_pressure_pa[mine]
-    dry = ~np.isfinite(e) & stations.ok[mine]
-    if bool(dry.any()):
-        ledger.fallback(
-            "CABIN-DRY",
-            f"no humidity in the cabin for {int(dry.sum())} exposures: its air is taken as dry",
-            where=f"camera {name}",
-            count=int(dry.sum()),
-        )
-    return _Air(
-        stations.cabin_pressure_pa[mine],
-        stations.cabin_temperature_k[mine],
-        np.where(np.isfinite(e), e, 0.0),
-    )
-
-
-def _tell_of_schedule(stations: Stations, mine: Mask, name: str, ledger: Ledger) -> None:
+        e = stations.cabin_vapour_pressure_pa[rows]
+        dry = int((~np.isfinite(e) & stations.ok[rows]).sum())
+        if dry:
+            ledger.fallback(
+                "CABIN-DRY",
+                f"no humidity in the cabin for {dry} exposures: its air is taken as dry",
+                where=f"camera {name}",
+                count=dry,
+            )
+        p, t = stations.cabin_pressure_pa[rows], stations.cabin_temperature_k[rows]
+        return _AirAtExposures(p, t, np.where(np.isfinite(e), e, 0.0))
+    m = int(rows.sum())
+    if cabin.source == "constant":
+        e = vapour_pressure(cabin.relative_humidity, cabin.temperature_k, cabin.pressure_pa)
+        constant = (cabin.pressure_pa, cabin.temperature_k, float(e))
+        return _AirAtExposures(*(np.full(m, value) for value in constant))
     where = f"cameras.{name}.window.cabin"
     ledger.note(
         "CABIN-SCHEDULE",
@@ -166,7 +191,7 @@ def _tell_of_schedule(stations: Stations, mine: Mask, name: str, ledger: Ledger)
         where=where,
     )
     with np.errstate(invalid="ignore"):
-        above = int((stations.ok & mine & (stations.h_msl_m > SCHEDULE_CEILING_M)).sum())
+        above = int((stations.ok & rows & (stations.h_msl_m > SCHEDULE_CEILING_M)).sum())
     if above:
         ledger.warning(
             "CABIN-SCHEDULE-HIGH",
@@ -175,13 +200,17 @@ def _tell_of_schedule(stations: Stations, mine: Mask, name: str, ledger: Ledger)
             where=where,
             count=above,
         )
+    pressure = scheduled_pressure(outside.pressure_pa)
+    return _AirAtExposures(pressure, np.full(m, SCHEDULE_TEMPERATURE_K), np.zeros(m))
 
 
-def _change(lens: LensInAir, air: _Air, ok: Mask, name: str, ledger: Ledger) -> Array:
-    """What the air adds to the principal distance of a camera at its exposures [px]."""
+def _principal_change(
+    lens: LensInAir, air: _AirAtExposures, ok: Mask, name: str, ledger: Ledger
+) -> Array:
+    """(m,) change of the principal distance of a camera by the air in its lens [px]."""
     change = principal_change(lens, air.pressure_pa, air.temperature_k)
+    where = f"cameras.{name}.principal_distance"
     absurd = is_absurd(lens, change) & ok
-    used = change[ok & np.isfinite(change)]
     if bool(absurd.any()):
         worst = int(np.argmax(np.where(absurd, np.abs(change), 0.0)))
         raise MissionError(
@@ -189,36 +218,24 @@ def _change(lens: LensInAir, air: _Air, ok: Mask, name: str, ledger: Ledger) -> 
             f"the air in the lens would change the principal distance of {name} by "
             f"{change[worst]:.1f} px of {lens.principal_distance_px:.1f} at "
             f"{air.pressure_pa[worst] / HECTOPASCAL:.0f} hPa; more than 1 % is no effect of air",
-            where=f"cameras.{name}.principal_distance",
+            where=where,
             remedy="check the reference and the units: px per hPa and px per K, millimetres "
             "divided by the pixel pitch",
         )
+    used = change[ok & np.isfinite(change)]
     if used.size:
-        low, high = float(used.min()), float(used.max())
         ledger.note(
             "LENS-IN-AIR",
-            f"the air in the lens changes the principal distance of {name} by {low:.3f} to "
-            f"{high:.3f} px of {lens.principal_distance_px:.1f}",
-            where=f"cameras.{name}.principal_distance",
+            f"the air in the lens changes the principal distance of {name} by {used.min():.3f} to "
+            f"{used.max():.3f} px of {lens.principal_distance_px:.1f}",
+            where=where,
             count=int(used.size),
         )
     return change
 
 
-def warn_of_calibration(camera: str, calibration: str, ledger: Ledger) -> None:
-    """Say that a calibration made in flight on uncorrected images contains refraction already."""
-    if calibration == "in_flight_uncorrected":
-        ledger.warning(
-            "CALIBRATION-IN-FLIGHT",
-            f"camera {camera} was calibrated in flight on uncorrected images: its principal "
-            "distance and k1 already contain the nadir refraction of that height, and this "
-            "correction counts it twice",
-            where=f"cameras.{camera}.calibration",
-        )
-
-
-def tell_of_windows(windows: Mapping[str, Window], ledger: Ledger) -> None:
-    """Say which windows bend nothing, and what becomes of the displacement by their glass."""
+def report_windows(windows: Mapping[str, Window], ledger: Ledger) -> None:
+    """Note which windows bend nothing, and whether the displacement by the glass is removed."""
     for name, window in windows.items():
         where = f"cameras.{name}.window"
         if window.shape == "spherical":
@@ -242,34 +259,14 @@ def tell_of_windows(windows: Mapping[str, Window], ledger: Ledger) -> None:
             )
 
 
-def tell_of_lenses(cameras: Iterable[str], lenses: Mapping[str, LensInAir], ledger: Ledger) -> None:
-    """Say of which cameras the change of the principal distance with the air stays in."""
-    left = [name for name in cameras if name not in lenses]
-    if left:
+def report_lenses(cameras: Iterable[str], lenses: Mapping[str, LensInAir], ledger: Ledger) -> None:
+    """Note the cameras whose principal distance is not corrected for the air in the lens."""
+    uncorrected = [name for name in cameras if name not in lenses]
+    if uncorrected:
         ledger.note(
             "LENS-NOT-REMOVED",
-            f"what the air in the lens does to the principal distance of {', '.join(left)} is not "
-            "removed: 130 to 310 ppm at 6 km (Meier)",
+            f"what the air in the lens does to the principal distance of {', '.join(uncorrected)} "
+            "is not removed: 130 to 310 ppm at 6 km (Meier)",
             where="cameras.<name>.principal_distance",
-            count=len(left),
+            count=len(uncorrected),
         )
-
-
-def cameras_of_mission(mission: Mission) -> dict[str, Camera]:
-    """The interior orientation of each camera, in COLMAP's pixels."""
-    origin = mission.observations.pixel_origin
-    return {name: camera.build(origin) for name, camera in mission.cameras.items()}
-
-
-def look_through(
-    mission: Mission, stations: Stations, profile: Profile | ProfileSeries, ledger: Ledger
-) -> Exposures:
-    """What the rays of each exposure need to know: attitude, and the air beside the window."""
-    for name, camera in mission.cameras.items():
-        warn_of_calibration(name, camera.calibration, ledger)
-    cameras = mission.cameras.items()
-    windows = {name: camera.window.build() for name, camera in cameras if camera.window}
-    lenses = {name: lens for name, camera in cameras if (lens := camera.lens()) is not None}
-    tell_of_windows(windows, ledger)
-    tell_of_lenses(mission.cameras, lenses, ledger)
-    return exposures_of(stations, profile, windows, lenses, mission.refraction.radius_m, ledger)

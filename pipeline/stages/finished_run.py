@@ -1,4 +1,4 @@
-"""A finished run read back from its folder: mission, stations, air, ground; and proved."""
+"""A finished run read back from its folder: mission, stations, profiles, ground; and checked."""
 
 from __future__ import annotations
 
@@ -26,19 +26,24 @@ from pipeline.geodesy import Gravity
 from pipeline.ledger import Ledger
 from pipeline.refraction.image import correct_observations
 from pipeline.refraction.ray import rays_by
-from pipeline.stages.exposure_setup import cameras_of_mission, look_through
+from pipeline.stages.correction import station_rows
+from pipeline.stages.exposure_setup import (
+    cameras_of_mission,
+    exposures_of_mission,
+    windows_of_mission,
+)
 from pipeline.tables.exports import ExportCamera, FinishedRun
 
 Array = NDArray[np.float64]
 
 _MOST_CHECKED = 50_000
-"""Observations of a part that are computed again."""
+"""Observations of each part that are computed again."""
 
 _LARGEST_DIFFERENCE_PX = 1e-6
-"""What is read back may differ by rounding; the sample runs come out again to the last bit."""
+"""Rounding of what is read back; the sample runs are reproduced to the last bit."""
 
 _LARGEST_CHECKED_RAD = np.radians(80.0)
-"""Beyond, an observation may have taken the far branch by its distance, which is not kept."""
+"""Beyond, an observation may be on the far branch by its distance, which no table keeps."""
 
 
 def mission_of(manifest: dict[str, Any], path: Path) -> Mission:
@@ -68,14 +73,14 @@ def stations_of(table: pa.Table) -> Stations:
             return np.full((table.num_rows, 4), np.nan)
         return np.stack([number(name) for name in names], axis=1)
 
-    def words(name: str) -> NDArray[np.object_]:
+    def text(name: str) -> NDArray[np.object_]:
         return np.array(table[name].to_pylist(), dtype=object)
 
     time = pc.fill_null(table["time_utc"].cast(pa.int64()), int(NO_TIME)).to_numpy()
     derived: dict[str, Any] = {
-        "image": words("image"),
-        "camera": words("camera"),
-        "status": words("status"),
+        "image": text("image"),
+        "camera": text("camera"),
+        "status": text("status"),
         "time_ns": time.astype(np.int64),
         "lat_rad": np.radians(number("lat_deg")),
         "lon_rad": np.radians(number("lon_deg")),
@@ -89,7 +94,7 @@ def stations_of(table: pa.Table) -> Stations:
 def air_of(table: pa.Table, profile_id: pa.ChunkedArray) -> ProfileSeries:
     """The profiles of ``profile.parquet``, and which belongs to each station's ``profile_id``.
 
-    A station without one gets the first; it cannot be used.
+    A station without a profile (its status is not ok) gets the first.
     """
     names = pc.unique(table["profile_id"])
     airs = tuple(
@@ -106,7 +111,7 @@ def profile_of(table: pa.Table) -> Profile:
     One row a layer at its lower edge and one at the top of the last, as a run writes it. The
     refractivity is that of the run to 1e-15 of itself (6e-16 in the sample runs).
     """
-    said = {key.decode(): value.decode() for key, value in table.schema.metadata.items()}
+    metadata = {key.decode(): value.decode() for key, value in table.schema.metadata.items()}
 
     def column(name: str) -> Array:
         return np.asarray(table[name].to_numpy(), dtype=np.float64)
@@ -122,13 +127,15 @@ def profile_of(table: pa.Table) -> Profile:
         vapour_slope=np.diff(vapour) / np.diff(edge),
         source=tuple(table["source"].to_pylist()[:-1]),
     )
-    latitude = float(np.radians(float(said["latitude"]))) if said["latitude"] else None
+    latitude = float(np.radians(float(metadata["latitude"]))) if metadata["latitude"] else None
     index = IndexModel(
-        said["unbend.index"], float(said["unbend.wavelength_m"]), float(said["unbend.co2_ppm"])
+        metadata["unbend.index"],
+        float(metadata["unbend.wavelength_m"]),
+        float(metadata["unbend.co2_ppm"]),
     )
-    gravity = Gravity(float(said["g_phi"]), float(said["r_phi"]), latitude)
-    name = said["unbend.standard"] if said["unbend.basis"] == "standard" else "adjusted"
-    return Profile(layers, gravity, index, name, float(said["unbend.constant_k_per_m"]))
+    gravity = Gravity(float(metadata["g_phi"]), float(metadata["r_phi"]), latitude)
+    name = metadata["unbend.standard"] if metadata["unbend.basis"] == "standard" else "adjusted"
+    return Profile(layers, gravity, index, name, float(metadata["unbend.constant_k_per_m"]))
 
 
 def parts_of(manifest: dict[str, Any], path: Path) -> tuple[Path, ...]:
@@ -140,54 +147,49 @@ def parts_of(manifest: dict[str, Any], path: Path) -> tuple[Path, ...]:
 def ground_of(parts: tuple[Path, ...], stations: Stations, ledger: Ledger) -> Array:
     """(s,) median ground height [m above sea level] of the observations of each image.
 
-    An image without observations gets the median of all the others, which the ledger tells.
-    Memory holds 16 bytes an observation.
+    An image without observations gets the median of the others (ledger: EXPORT-GROUND). Memory
+    holds 16 bytes an observation.
     """
     names = pa.array(stations.image, pa.string())
     rows, heights = [], []
     for part in parts:
         table = pq.read_table(part, columns=["image", "h_g_m"])
-        rows.append(_station_of(table, names))
+        rows.append(station_rows(table["image"].combine_chunks(), names))
         heights.append(table["h_g_m"].to_numpy())
     series = pd.Series(np.concatenate(heights)).dropna()
     by_station = series.groupby(np.concatenate(rows)[series.index]).median()
     ground = np.array(by_station.reindex(range(len(stations))), dtype=np.float64)
-    alone = ~np.isfinite(ground) & stations.ok
-    if bool(alone.any()) and bool(np.isfinite(ground).any()):
-        instead = float(np.nanmedian(ground))
+    empty = ~np.isfinite(ground) & stations.ok
+    if bool(empty.any()) and bool(np.isfinite(ground).any()):
+        median = float(np.nanmedian(ground))
         ledger.fallback(
             "EXPORT-GROUND",
-            f"{int(alone.sum())} images have no observations with a ground height: {instead:.1f} m "
+            f"{int(empty.sum())} images have no observations with a ground height: {median:.1f} m "
             "is taken, the median of the other images",
             where="observations",
-            count=int(alone.sum()),
+            count=int(empty.sum()),
         )
-        ground[alone] = instead
+        ground[empty] = median
     return ground
 
 
-def _station_of(table: pa.Table, names: pa.StringArray) -> NDArray[np.int64]:
-    """(n,) the station of each observation, -1 without one."""
-    found = pc.fill_null(pc.index_in(table["image"], value_set=names), -1)
-    return np.asarray(found.to_numpy(), dtype=np.int64)
-
-
 def check_reproduced(run: FinishedRun, path: Path) -> None:
-    """Refuse a run whose own corrections do not come out again, observation by observation.
+    """Refuse a run whose corrections cannot be computed again to 1e-6 px (EXPORT-NOT-REPRODUCED).
 
-    Computes up to 50,000 of each part once more. They differ where the program has changed since,
-    or where the folder does not hold all that the run knew.
+    Computes up to 50,000 observations of each part. They differ where the program has changed
+    since, or where the folder does not hold all inputs of the correction.
     """
     names = pa.array(run.stations.image, pa.string())
-    worst = 0.0
+    largest = 0.0
     for part in run.parts:
         table = pq.read_table(part, columns=_CHECKED)
         table = table.take(np.arange(0, table.num_rows, 1 + table.num_rows // _MOST_CHECKED))
-        worst = max(worst, _difference(run, table, _station_of(table, names)))
-    if worst > _LARGEST_DIFFERENCE_PX:
+        station = station_rows(table["image"].combine_chunks(), names)
+        largest = max(largest, largest_difference_px(run, table, station))
+    if largest > _LARGEST_DIFFERENCE_PX:
         raise MissionError(
             "EXPORT-NOT-REPRODUCED",
-            f"the run's own corrections come out {worst:.2g} px different",
+            f"the run's own corrections come out {largest:.2g} px different",
             where=str(path),
             remedy="it was made by another version: run the mission again, then export",
         )
@@ -197,31 +199,31 @@ _CHECKED = ["image", "x_px", "y_px", "x_corrected_px", "y_corrected_px", "zeta_c
             "status"]  # fmt: skip
 
 
-def _difference(run: FinishedRun, table: pa.Table, row: NDArray[np.int64]) -> float:
-    """The largest difference [px] between corrections in a table and what comes out now."""
+def largest_difference_px(run: FinishedRun, table: pa.Table, station: NDArray[np.int64]) -> float:
+    """The largest difference between corrections in a table and those computed now [px]."""
     x, y, x_then, y_then, zeta, h_g = (
         np.asarray(table[name].to_numpy(), dtype=np.float64) for name in _CHECKED[1:7]
     )
     x, y, x_then, y_then = map(run.pixels.to_colmap, (x, y, x_then, y_then))
     ok = np.asarray(pc.equal(table["status"], "ok").to_numpy()) & (zeta < _LARGEST_CHECKED_RAD)
-    worst = 0.0
+    largest = 0.0
     for name, camera in run.cameras.items():
-        of_camera = ok & (run.stations.camera[row] == name)
-        for air in np.unique(run.air.profile_number[row[of_camera]]):
-            mine = np.flatnonzero(of_camera & (run.air.profile_number[row] == air))
+        of_camera = ok & (run.stations.camera[station] == name)
+        for air in np.unique(run.air.profile_number[station[of_camera]]):
+            rows = np.flatnonzero(of_camera & (run.air.profile_number[station] == air))
             now = correct_observations(
-                x[mine], y[mine], h_g[mine], row[mine],
+                x[rows], y[rows], h_g[rows], station[rows],
                 run.exposures, camera.camera, run.rays[air],
             )  # fmt: skip
-            away = np.hypot(now.x_px - x_then[mine], now.y_px - y_then[mine])
-            worst = max(worst, float(np.nan_to_num(away, nan=np.inf).max()))
-    return worst
+            difference = np.hypot(now.x_px - x_then[rows], now.y_px - y_then[rows])
+            largest = max(largest, float(np.nan_to_num(difference, nan=np.inf).max()))
+    return largest
 
 
 def refuse_output(run: Path, out: Path, *, force: bool) -> None:
     """Refuse to write among the results of a run, or over a file that is there already."""
-    for place in (os.path.abspath, os.path.realpath):
-        if Path(place(out)).is_relative_to(place(run)):
+    for resolve in (os.path.abspath, os.path.realpath):
+        if Path(resolve(out)).is_relative_to(resolve(run)):
             raise ConfigError(
                 "EXPORT-INSIDE-RUN",
                 "the file would lie among the results of the run",
@@ -240,9 +242,9 @@ def refuse_output(run: Path, out: Path, *, force: bool) -> None:
 def rebuild_run(
     path: Path, manifest: dict[str, Any], ground_height_m: float | None, ledger: Ledger
 ) -> FinishedRun:
-    """A run as it was, from its folder alone; refuses one that does not come out the same.
+    """A run as it was, from its folder alone; refuses one that cannot be computed again.
 
-    ``ground_height_m`` takes the place of the ground of each image, above sea level [m].
+    ``ground_height_m`` [m above sea level] replaces the ground heights of all images.
     """
     mission = mission_of(manifest, path)
     if mission.refraction.direction != "remove":
@@ -256,16 +258,17 @@ def rebuild_run(
     stations = stations_of(table)
     air = air_of(pq.read_table(path / "profile.parquet"), table["profile_id"])
     parts = parts_of(manifest, path)
+    windows = windows_of_mission(mission)
     constant = None if ground_height_m is None else np.full(len(stations), ground_height_m)
     run = FinishedRun(
         mission.mission.name,
         stations,
-        look_through(mission, stations, air, Ledger()),
+        exposures_of_mission(mission, stations, air, Ledger()),
         air,
         tuple(rays_by(profile, mission.refraction.method) for profile in air.profiles),
         mission.refraction.method,
         {
-            name: ExportCamera(camera, _has_plane_window(mission, name))
+            name: ExportCamera(camera, name in windows and windows[name].shape == "plane")
             for name, camera in cameras_of_mission(mission).items()
         },
         ground_of(parts, stations, ledger) if constant is None else constant,
@@ -279,8 +282,3 @@ def rebuild_run(
     )
     check_reproduced(run, path)
     return run
-
-
-def _has_plane_window(mission: Mission, name: str) -> bool:
-    window = mission.cameras[name].window
-    return window is not None and window.shape == "plane"

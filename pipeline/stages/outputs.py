@@ -1,30 +1,40 @@
-"""What a run leaves in its folder: tables of stations and profiles, and the manifest."""
+"""The outputs of a run beside the observations: stations, profiles and the manifest."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from pipeline.atmosphere.series.time_windows import TimeWindow
 from pipeline.batch.manifest import MANIFEST_VERSION
 from pipeline.batch.plan import Plan, versions
 from pipeline.batch.store import RunFolder
+from pipeline.config import Mission
 from pipeline.errors import EXIT_DONE, EXIT_LOSSES
-from pipeline.flight.channels import Channel
 from pipeline.flight.stations import Stations
-from pipeline.ingest import Log
 from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.uncertainty.budget import BlockScale
-from pipeline.stages.statistics import Tally
+from pipeline.stages.inputs import FlightLog
+from pipeline.stages.statistics import Statistics
+from pipeline.tables.schemas import REFRACTION_APPLIED, REFRACTION_KEY, REFRACTION_REMOVED
 from pipeline.tables.writing import profiles_arrow, stations_table, write_parquet
 
 
+def observation_metadata(mission: Mission) -> dict[str, str]:
+    """What the Parquet metadata of the observations say, beside units and conventions."""
+    removed = mission.refraction.direction == "remove"
+    return {
+        REFRACTION_KEY.decode(): (REFRACTION_REMOVED if removed else REFRACTION_APPLIED).decode(),
+        "unbend.mission": mission.mission.name,
+        "unbend.pixel_origin": mission.observations.pixel_origin,
+        "unbend.ground_reference": mission.ground.reference,
+    }
+
+
 def write_tables(folder: RunFolder, stations: Stations, air: FlightAir) -> None:
-    """Stations and profiles beside the observations."""
+    """Write the stations and the profiles beside the observations."""
     for name, table in (
         ("stations.parquet", stations_table(stations, air.series)),
         ("profile.parquet", profiles_arrow(air.adjustment, air.series)),
@@ -35,11 +45,11 @@ def write_tables(folder: RunFolder, stations: Stations, air: FlightAir) -> None:
 
 def manifest_of(
     plan: Plan,
-    log: Log,
-    roles: Mapping[str, Channel],
+    flight: FlightLog,
     stations: Stations,
     air: FlightAir,
-    tally: Tally,
+    *,
+    statistics: Statistics,
     scale: BlockScale | None,
     ledger: Ledger,
 ) -> dict[str, Any]:
@@ -47,8 +57,9 @@ def manifest_of(
 
     Holds no clock, no host name and no absolute path: the same inputs give the same bytes.
     """
+    log = flight.log
     entries = ledger.rows()
-    for entry in entries:  # the log is known by its name in the mission file
+    for entry in entries:  # the log is named as in the mission file, without its folder
         entry["where"] = str(entry["where"]).replace(str(log.path), plan.mission.log.path)
     return {
         "manifest_version": MANIFEST_VERSION,
@@ -68,21 +79,23 @@ def manifest_of(
             "duration_s": round(log.duration_s, 3),
             "time_base": log.time_base,
         },
-        "channels": {role: channel.name for role, channel in sorted(roles.items())},
+        "channels": {role: channel.name for role, channel in sorted(flight.roles.items())},
         "stations": dict(sorted(Counter(stations.status.tolist()).items())),
         "profile": _profile(air, stations),
-        "observations": {"rows": tally.rows, "parts": tally.parts, "status": tally.status},
-        "correction": tally.correction(),
-        "uncertainty": _uncertainty(scale),
+        "observations": {
+            "rows": statistics.rows,
+            "parts": statistics.parts,
+            "status": statistics.status,
+        },
+        "correction": statistics.correction(),
+        "uncertainty": None if scale is None else _scale(scale),
         "ledger": entries,
         "exit_code": EXIT_LOSSES if ledger.has_losses else EXIT_DONE,
     }
 
 
-def _uncertainty(scale: BlockScale | None) -> dict[str, Any] | None:
-    """What all corrections share of the error of the air; None where the air has no sigma."""
-    if scale is None:
-        return None
+def _scale(scale: BlockScale) -> dict[str, Any]:
+    """The part of the error of the air that all corrections share."""
     return {
         "scale_sigma": float(f"{scale.sigma:.4g}"),
         "correlation": float(f"{scale.correlation:.4g}"),
@@ -95,7 +108,7 @@ def _uncertainty(scale: BlockScale | None) -> dict[str, Any] | None:
 
 
 def _profile(air: FlightAir, stations: Stations) -> dict[str, Any]:
-    """How the air was found, from what, and by how much it differs from the standard."""
+    """The estimate of the air, its sources, and its difference from the standard atmosphere."""
     adjustment = air.adjustment
     profile, standard = adjustment.profile, adjustment.standard
     heights, latitude = stations.h_msl_m[stations.ok], profile.gravity.latitude_rad
@@ -114,28 +127,26 @@ def _profile(air: FlightAir, stations: Stations) -> dict[str, Any]:
         "sources": [use.row() for use in adjustment.sources],
         "sensors": [
             {
-                "what": n.name,
-                "value": round(n.value, 4),
-                "sigma": round(n.sigma, 4),
-                "expected_sigma": round(n.prior_sigma, 4),
+                "what": fault.name,
+                "value": round(fault.value, 4),
+                "sigma": round(fault.sigma, 4),
+                "expected_sigma": round(fault.prior_sigma, 4),
             }
-            for n in adjustment.nuisances
+            for fault in adjustment.nuisances
         ],
         "profiles": len(air.series.timed_profiles),
-        "windows": [_window(window) for window in air.windows],
+        "windows": [
+            {
+                "start_utc": _utc_second(window.start_ns),
+                "end_utc": _utc_second(window.end_ns),
+                "change": round(window.change, 5),  # of R against that of the whole flight
+                "sigma": round(window.sigma, 5),
+                "why_not": window.why_not,
+            }
+            for window in air.windows
+        ],
     }
 
 
-def _window(window: TimeWindow) -> dict[str, Any]:
-    """A part of the flight; ``change`` is that of R against the whole flight's."""
-    return {
-        "start_utc": _second(window.start_ns),
-        "end_utc": _second(window.end_ns),
-        "change": round(window.change, 5),
-        "sigma": round(window.sigma, 5),
-        "why_not": window.why_not,
-    }
-
-
-def _second(time_ns: int) -> str:
+def _utc_second(time_ns: int) -> str:
     return f"{np.datetime64(time_ns, 'ns').astype('datetime64[s]')}Z"

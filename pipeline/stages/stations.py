@@ -1,15 +1,10 @@
-"""What is known of a mission before anything is corrected: log, channels, exposures, stations."""
+"""The stations of a mission: one row for each exposure, matched to the images."""
 
 from __future__ import annotations
 
-from collections import Counter
-from dataclasses import dataclass, replace
-
 import numpy as np
 
-from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.batch.plan import Plan
-from pipeline.config import Mission
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel
 from pipeline.flight.events import (
@@ -25,139 +20,31 @@ from pipeline.flight.exposures import (
     require_aircraft_attitude,
     require_cabin_air,
 )
-from pipeline.flight.gimbals import tell_of_gimbal
-from pipeline.flight.heights import HeightSystem, height_system
-from pipeline.flight.local_origin import locate
-from pipeline.flight.quality import within_reason
-from pipeline.flight.roles import assign_roles
 from pipeline.flight.stations import (
     Stations,
     join_stations,
     name_the_unmatched,
     report_flagged,
 )
-from pipeline.ingest import Log, open_log
-from pipeline.ingest.fields import in_stated_unit
 from pipeline.ledger import Ledger
-from pipeline.stages.adjusted_profile import AirSources
+from pipeline.stages.inputs import FlightLog
 from pipeline.tables.events import EventColumns, read_events
-from pipeline.tables.observations import Observations, open_observations
+from pipeline.tables.observations import Observations
 
 
-@dataclass(frozen=True, eq=False)
-class Flight:
-    """A log after its channels were given their roles."""
+def exposure_events(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -> list[Events]:
+    """When each camera was exposed, from the log or from a table.
 
-    log: Log
-    channels: tuple[Channel, ...]
-    roles: dict[str, Channel]
-    heights: HeightSystem
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """What is known of a mission before anything is corrected."""
-
-    plan: Plan
-    flight: Flight
-    observations: Observations
-    stations: Stations
-    samples: AirSamples
-    sources: AirSources
-    ledger: Ledger
-
-    def lines(self) -> list[tuple[str, str]]:
-        """For a person."""
-        roles = ", ".join(
-            f"{role.replace('_', ' ')} {channel.name}"
-            for role, channel in sorted(self.flight.roles.items())
-        )
-        cameras = Counter(self.stations.camera[self.stations.ok].tolist())
-        return [
-            ("log", f"{self.plan.mission.log.path}: {self.flight.log.format}"),
-            ("channels", roles),
-            ("stations", ", ".join(f"{n} of {name}" for name, n in cameras.items()) or "none"),
-            (
-                "observations",
-                f"{self.observations.rows:,} in {len(self.observations.images)} images",
-            ),
-            *self.sources.lines(),
-            ("results", str(self.plan.output)),
-        ]
-
-
-def open_inputs(plan: Plan, ledger: Ledger) -> Observations:
-    """The table of observations, checked."""
-    section, ground = plan.mission.observations, plan.mission.ground
-    return open_observations(
-        plan.input("observations").path,
-        section.columns.model_dump(),
-        ground.column,
-        ledger,
-        ground_is_msl=ground.reference == "msl",
-        sigma_column=ground.sigma_column,
-        direction=plan.mission.refraction.direction,
-        pixels=section.pixels,
-    )
-
-
-def read_flight(plan: Plan, ledger: Ledger) -> Flight:
-    """The log, its channels in their roles, and how its heights go together."""
-    section = plan.mission.log
-    file = plan.input("log")
-    log = open_log(file.path, file.sha256)
-    channels = log.channels
-    if section.local_origin is not None:
-        origin = section.local_origin.build()
-        channels = tuple(locate(channel, origin) for channel in channels)
-    named = section.channels.named()
-    if plan.mission.atmosphere.board_temperature:
-        board = named["temperature"].name
-        channels = tuple(_board_as_air(c) if c.name == board else c for c in channels)
-    for role, stated in named.items():
-        if stated.unit is not None:
-            channels = tuple(
-                in_stated_unit(c, role, stated.unit) if c.name == stated.name else c
-                for c in channels
-            )
-    wishes = {role: c.name for role, c in named.items()}
-    roles = assign_roles(channels, wishes, ledger, needs_cabin=reads_cabin(plan.mission))
-    sound = {role: within_reason(channel, role, ledger) for role, channel in roles.items()}
-    mounts = {camera: mount.build() for camera, mount in plan.mission.mount.items()}
-    tell_of_gimbal(log.messages, sound, mounts, ledger)
-    heights = height_system(sound, plan.mission.mission.undulation_m, ledger)
-    stated_home = plan.mission.ground.home_h_msl_m
-    if stated_home is not None:
-        heights = replace(heights, home_h_msl_m=stated_home)
-    return Flight(log, channels, sound, heights)
-
-
-def _board_as_air(channel: Channel) -> Channel:
-    """A barometer whose own temperature is taken for that of the air."""
-    board = channel.columns.get("board_temperature_k")
-    if board is None or "temperature_k" in channel.columns:
-        return channel
-    units = dict(channel.logged_units)
-    units["temperature_k"] = units.get("board_temperature_k", "")
-    columns = dict(channel.columns) | {"temperature_k": board}
-    return replace(channel, columns=columns, logged_units=units)
-
-
-def reads_cabin(mission: Mission) -> bool:
-    """Whether a window or a lens takes its cabin air from the log."""
-    return any(camera.needs_cabin_from_log for camera in mission.cameras.values())
-
-
-def find_events(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -> list[Events]:
-    """When each camera was exposed, from the log or from a table."""
+    Refuses (MissionError EVENTS-CAMERA) a table that names a camera which the mission lacks.
+    """
     section = plan.mission.events
     if section.log is not None:
-        found = []
-        for camera, how in section.log.items():
-            channel = choose_event_channel(channels, how.channel)
+        events = []
+        for camera, source in section.log.items():
+            channel = choose_event_channel(channels, source.channel)
             account_for_triggers(channels, channel, ledger)
-            found.append(events_of_channel(channel, camera, how.image, how.delay_s, ledger))
-        return found
+            events.append(events_of_channel(channel, camera, source.image, source.delay_s, ledger))
+        return events
     csv = section.csv
     if csv is None:
         raise MissionError("EVENTS-NONE", "the mission names no events", where="events")
@@ -167,7 +54,7 @@ def find_events(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -> li
     for name in sorted(set(camera_of.tolist()) - set(plan.mission.cameras)):
         raise MissionError(
             "EVENTS-CAMERA",
-            f"the table of exposures speaks of camera {name!r}",
+            f"the table of exposures names camera {name!r}, which the mission file does not define",
             where=str(csv.path),
             remedy=f"cameras are {', '.join(plan.mission.cameras)}",
         )
@@ -177,24 +64,25 @@ def find_events(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -> li
     ]
 
 
-def find_stations(
-    plan: Plan, flight: Flight, observations: Observations, ledger: Ledger
+def stations_of_mission(
+    plan: Plan, flight: FlightLog, observations: Observations, ledger: Ledger
 ) -> Stations:
-    """One row an exposure: position, attitude and air, or the reason why not."""
+    """Position, attitude and air of each exposure, or the status that says what is missing."""
     mission = plan.mission
-    events = find_events(plan, flight.channels, ledger)
+    events = exposure_events(plan, flight.channels, ledger)
     refuse_repeated_images(events)
-    parts = [
-        build_stations(
-            event,
-            flight.roles,
-            mission.mount[event.camera].build(),
-            flight.heights,
-            mission.log.max_gap_s,
-        )
-        for event in events
-    ]
-    stations = join_stations(parts)
+    stations = join_stations(
+        [
+            build_stations(
+                events_of_camera,
+                flight.roles,
+                mission.mount[events_of_camera.camera].build(),
+                flight.heights,
+                mission.log.max_gap_s,
+            )
+            for events_of_camera in events
+        ]
+    )
     for name, camera in mission.cameras.items():
         if camera.needs_cabin_from_log:
             stations = require_cabin_air(stations, name, ledger)

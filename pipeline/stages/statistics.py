@@ -1,4 +1,4 @@
-"""What the stream of observations amounted to, part by part and together."""
+"""Counts of the observations and the size of their corrections, by part and in total."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.config.sections import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Corrections
 from pipeline.refraction.spread import SPREADS, Extent, ImageGrid, Spread
 from pipeline.refraction.status import STATUS_NAMES
-from pipeline.stages.ground import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.tables.observations import Batch
 
 Array = NDArray[np.float64]
@@ -23,8 +23,11 @@ _MOST_RAYS = 400
 
 
 @dataclass
-class Tally:
-    """What the stream amounted to: counts, and how large the correction was in each camera."""
+class Statistics:
+    """Counts of observations, and how large the corrections were in each camera.
+
+    ``rays`` : (6, m) arrays of rays that stand for the others, as `sampled_rays` returns them.
+    """
 
     extents: dict[str, Extent]
     rows: int = 0
@@ -32,12 +35,12 @@ class Tally:
     status: dict[str, int] = field(default_factory=dict)
     no_distance: int = 0
     no_sigma: int = 0
-    odd_heights: int = 0
+    implausible_heights: int = 0
     rays: list[Array] = field(default_factory=list)
 
     @classmethod
-    def of(cls, cameras: Mapping[str, Camera]) -> Tally:
-        """Nothing yet."""
+    def of(cls, cameras: Mapping[str, Camera]) -> Statistics:
+        """Those of no observations."""
         grids = {n: ImageGrid(c.width_px, c.height_px) for n, c in cameras.items()}
         return cls({name: Extent(grid) for name, grid in grids.items()})
 
@@ -51,26 +54,27 @@ class Tally:
         for name, count in zip(STATUS_NAMES, counts.tolist(), strict=True):
             self.status[name] = self.status.get(name, 0) + int(count)
         for number, extent in enumerate(self.extents.values()):
-            mine = camera == number
-            if bool(mine.all()):
+            rows = camera == number
+            if bool(rows.all()):
                 extent.add(batch.x_px, batch.y_px, corrections)
-            elif bool(mine.any()):
-                extent.add(batch.x_px[mine], batch.y_px[mine], corrections.rows(mine))
+            elif bool(rows.any()):
+                extent.add(batch.x_px[rows], batch.y_px[rows], corrections.rows(rows))
 
-    def sampled(self) -> Array:
-        """(6, n) some hundreds of rays that stand for all of them.
+    def sampled_rays(self) -> Array:
+        """(6, n) at most 400 of the sampled rays.
 
-        Heights of camera and target [m], nadir angles [rad], and the `Views` of the rays.
+        Rows: height of camera and of target [m], nadir angle [rad], and the three arrays of
+        `Views`.
         """
         rays = np.concatenate([np.empty((6, 0)), *self.rays], axis=1)
-        return np.asarray(rays[:, evenly(rays.shape[1], _MOST_RAYS)])
+        return np.asarray(rays[:, evenly_spaced(rays.shape[1], _MOST_RAYS)])
 
-    def merge(self, other: Tally) -> None:
-        """Count what another counted."""
+    def merge(self, other: Statistics) -> None:
+        """Add the counts of another part."""
         self.rows += other.rows
         self.no_distance += other.no_distance
         self.no_sigma += other.no_sigma
-        self.odd_heights += other.odd_heights
+        self.implausible_heights += other.implausible_heights
         self.rays += other.rays
         self.parts += other.parts
         for name, count in other.status.items():
@@ -87,7 +91,7 @@ class Tally:
         return together | {"cameras": {n: e.summary() for n, e in self.extents.items()}}
 
     def report_flagged(self, ledger: Ledger) -> None:
-        """A line in the ledger for each reason why observations were not corrected."""
+        """A ledger entry for each reason why observations were not corrected."""
         if self.no_distance:
             ledger.warning(
                 "OBS-DISTANCE",
@@ -104,14 +108,14 @@ class Tally:
                 where="ground.sigma_column",
                 count=self.no_sigma,
             )
-        if self.odd_heights:
+        if self.implausible_heights:
             ledger.loss(
                 "OBS-GROUND-RANGE",
-                f"{self.odd_heights} heights of points are below {LOWEST_GROUND_M:.0f} or above "
-                f"{HIGHEST_GROUND_M:.0f} m, where no ground is: taken as unknown, their points are "
-                "no_ground",
+                f"{self.implausible_heights} heights of points are below {LOWEST_GROUND_M:.0f} or "
+                f"above {HIGHEST_GROUND_M:.0f} m, where no ground is: taken as unknown, their "
+                "points are no_ground",
                 where="ground.height",
-                count=self.odd_heights,
+                count=self.implausible_heights,
             )
         for name, count in self.status.items():
             what = f"{count} of {self.rows} observations are {name}"
@@ -125,6 +129,10 @@ class Tally:
                 ledger.loss("OBS-FLAGGED", what, count=count)
 
 
-def evenly(count: int, most: int) -> NDArray[np.intp]:
-    """Numbers below ``count``, ``most`` of them at the most, evenly spread."""
+def evenly_spaced(count: int, most: int) -> NDArray[np.intp]:
+    """At most ``most`` indices below ``count``, evenly spaced.
+
+    >>> evenly_spaced(9, 3).tolist()
+    [0, 4, 8]
+    """
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))

@@ -1,4 +1,4 @@
-"""What a mission says of stations on the ground, and what of it is a mistake of units."""
+"""Weather reports of a mission: read, and refused where a unit must be mistaken."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from pipeline.ledger import Ledger
 from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K
 
 _IMPOSSIBLE_SIGMAS = 4.0
-"""Of the climatology at a station's height: no real sounding departs by more than 2.9."""
+"""Largest departure of a temperature from the climatology; that of real soundings is 2.9."""
 
 _LIKE_FAHRENHEIT, _LIKELY = 2.5, 2.0
-"""A temperature 2.5 sigma warm that is within 2 sigma when read as Fahrenheit was Fahrenheit."""
+"""A temperature more than 2.5 sigma too warm, and within 2 if it is Fahrenheit, is Fahrenheit."""
 
 _LIKE_QNH, _IMPOSSIBLE_LEVEL = 3.0, 5.0
-"""A pressure 3 sigma high that is within 2 sigma when read as QNH was QNH; 5 are no weather."""
+"""A pressure more than 3 sigma too high, and within 2 if it is QNH, is QNH; weather stays in 5."""
 
 _FAR_HOURS = 3.0
 
@@ -36,9 +36,10 @@ def read_report(
     background: Climatology,
     ledger: Ledger,
 ) -> SurfaceReport:
-    """The report of a station, from its METAR or from numbers.
+    """The report of a weather station, from its METAR or from numbers.
 
-    Refuses (``InputError``) what the climatology of place and season makes a mistake of units.
+    Refuses (``InputError``) values that the climatology of place and season rules out, such as a
+    temperature in Fahrenheit or a pressure reduced to sea level.
     """
     if section.metar is not None:
         report = parse_metar(
@@ -53,27 +54,22 @@ def read_report(
             time_ns=section.time_ns,
             where=where,
         )
-        _tell_of_age(report, flight_ns, where, ledger)
+        hours = TimeAndPlace(flight_ns).hours_from(report.time_ns)
+        if hours > _FAR_HOURS:  # as `parse_metar` warns of a METAR
+            ledger.warning(
+                "SURFACE-FAR-IN-TIME",
+                f"the report is {hours:.1f} hours away from the flight",
+                where=where,
+            )
     _refuse_temperature(report, background, where, is_celsius=section.metar is not None)
     _refuse_level(report, background, where, is_station=section.metar is not None)
     return report
 
 
-def _tell_of_age(report: SurfaceReport, flight_ns: int | None, where: str, ledger: Ledger) -> None:
-    """As `parse_metar` does: a report of another hour is less certain, and that is said."""
-    hours = TimeAndPlace(flight_ns).hours_from(report.time_ns)
-    if hours > _FAR_HOURS:
-        ledger.warning(
-            "SURFACE-FAR-IN-TIME",
-            f"the report is {hours:.1f} hours away from the flight",
-            where=where,
-        )
-
-
 def _refuse_temperature(
     report: SurfaceReport, background: Climatology, where: str, *, is_celsius: bool
 ) -> None:
-    """Refuse what no season has; and what would be usual in Fahrenheit (a METAR never is)."""
+    """Refuse a temperature that no season has, or that is usual if it is Fahrenheit (no METAR)."""
     expected = float(background.profile.temperature(report.h_m))
     sigma = float(background.spread.sigma_temperature(report.h_m))
     departure = (report.temperature_k - expected) / sigma
@@ -100,9 +96,9 @@ def _refuse_temperature(
 def _refuse_level(
     report: SurfaceReport, background: Climatology, where: str, *, is_station: bool
 ) -> None:
-    """Refuse pressures that no weather makes; and those that would be usual reduced to sea level.
+    """Refuse a pressure that no weather makes, or that is usual if it is reduced to sea level.
 
-    The climatology's column below the station adds 2 % of its own thickness to the sigma.
+    The air column below the station adds 2 % of its log-pressure thickness to the sigma.
     """
     if not math.isfinite(report.pressure_pa):
         return

@@ -1,4 +1,4 @@
-"""How well air, stations and ground of a mission are known, and what that does to corrections."""
+"""How well air, stations and ground of a mission are known, and the sigmas of the corrections."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from pipeline.refraction.uncertainty.budget import (
     uncertainty_of,
 )
 from pipeline.refraction.uncertainty.sigmas import Uncertainty
-from pipeline.stages.ground import Ground
-from pipeline.stages.statistics import Tally
+from pipeline.stages.exposure_setup import windows_of_mission
+from pipeline.stages.statistics import Statistics
 from pipeline.units import DEGREE
 
 
@@ -36,79 +36,79 @@ def uncertainties_of_mission(
     stations: Stations,
     air: ProfileSeries,
     exposures: Exposures,
+    *,
     cameras: Mapping[str, Camera],
-    ground: Ground,
     views: NDArray[np.int64],
+    ground_limits_m: tuple[float, float],
 ) -> tuple[Uncertainty | None, ...]:
-    """What gives the observations of the exposures in each air their standard deviations.
+    """What the standard deviations of the corrections are computed from, for each profile.
 
-    ``views`` (s,) of `views_of_mission`. None where nothing is known: neither the covariance of
-    the air nor a sigma in the mission file.
+    ``views`` (s,) of `views_of_mission`; ``ground_limits_m`` the lowest and highest point [m above
+    sea level]. None for a profile without covariance where the mission file has no sigma either.
     """
-    mounts = [mission.mount[name] for name in mission.cameras]
-    section = mission.ground
-    told = (
-        any(mount.sigma_tilt_deg is not None for mount in mounts)
-        or section.sigma_m is not None
-        or section.sigma_column is not None
+    ground = mission.ground
+    any_sigma = (
+        any(mission.mount[name].sigma_tilt_deg is not None for name in mission.cameras)
+        or ground.sigma_m is not None
+        or ground.sigma_column is not None
     )
-    sigmas = _station_sigmas(mission, stations)
-    own = [(camera, stations.camera == name) for name, camera in cameras.items()]
-    found: list[Uncertainty | None] = []
-    for number, one in enumerate(air.timed_profiles):
-        covariance = one.covariance
-        known = told or covariance is not None
-        seen = replace(exposures, usable=exposures.usable & (air.profile_number == number))
-        found.append(
-            uncertainty_of(one.profile, covariance, seen, sigmas, own, ground.limits, views)
-            if known
-            else None
+    sigmas = station_sigmas(mission, stations)
+    masks = [(camera, stations.camera == name) for name, camera in cameras.items()]
+    uncertainties: list[Uncertainty | None] = []
+    for number, timed in enumerate(air.timed_profiles):
+        if timed.covariance is None and not any_sigma:
+            uncertainties.append(None)
+            continue
+        in_profile = replace(exposures, usable=exposures.usable & (air.profile_number == number))
+        uncertainties.append(
+            uncertainty_of(
+                timed.profile, timed.covariance, in_profile, sigmas, masks, ground_limits_m, views
+            )
         )
-    return tuple(found)
+    return tuple(uncertainties)
 
 
 def views_of_mission(mission: Mission, stations: Stations, air: ProfileSeries) -> NDArray[np.int64]:
-    """(s,) through what each exposure looks: `OPEN`, `SEALED` or `SCHEDULED`."""
+    """(s,) the kind of window of each exposure: `OPEN`, `SEALED` or `SCHEDULED`."""
     views = np.full(len(stations), OPEN, np.int64)
     pressure = air.pressure(stations.h_msl_m)
-    for name, camera in mission.cameras.items():
-        window = camera.window.build() if camera.window else None
-        if window is not None and window.shape == "plane" and window.cabin is not None:
-            mine = stations.camera == name
+    for name, window in windows_of_mission(mission).items():
+        if window.shape == "plane" and window.cabin is not None:
+            rows = stations.camera == name
             scheduled = window.cabin.source == "standard_schedule"
-            views[mine] = view_of(pressure[mine], scheduled=scheduled)
+            views[rows] = view_of(pressure[rows], scheduled=scheduled)
     return views
 
 
-def _station_sigmas(mission: Mission, stations: Stations) -> StationSigmas:
-    """Sigmas of attitude as the mission file has them, of height as the log has them."""
+def station_sigmas(mission: Mission, stations: Stations) -> StationSigmas:
+    """Sigmas of the attitude from the mission file, of the height from the log; NaN if unknown."""
     count = len(stations)
     tilt, yaw = np.full(count, np.nan), np.full(count, np.nan)
     axis = np.tile([0.0, 0.0, 1.0], (count, 1))
     for name, mount in mission.mount.items():
         if mount.sigma_tilt_deg is None:
             continue
-        mine = stations.camera == name
-        about_vertical = mount.sigma_yaw_deg
-        tilt[mine] = mount.sigma_tilt_deg * DEGREE
-        yaw[mine] = (mount.sigma_tilt_deg if about_vertical is None else about_vertical) * DEGREE
-        axis[mine] = mount.build().camera_from_body[:, 2]
+        rows = stations.camera == name
+        sigma_yaw = mount.sigma_tilt_deg if mount.sigma_yaw_deg is None else mount.sigma_yaw_deg
+        tilt[rows] = mount.sigma_tilt_deg * DEGREE
+        yaw[rows] = sigma_yaw * DEGREE
+        axis[rows] = mount.build().camera_from_body[:, 2]
     return StationSigmas(tilt, yaw, axis, stations.sigma_height_m)
 
 
-def tell_what_is_unknown(
+def report_unknown_sigmas(
     mission: Mission, stations: Stations, air: ProfileSeries, ledger: Ledger
 ) -> None:
-    """Say, once, which standard deviations nobody gave."""
+    """Note which standard deviations are missing from the sigma columns, in one entry."""
     missing = []
-    if not all(one.has_covariance for one in air.timed_profiles):
+    if not all(timed.has_covariance for timed in air.timed_profiles):
         missing.append("the air (its profile has no covariance)")
-    untold = [name for name in mission.cameras if mission.mount[name].sigma_tilt_deg is None]
-    missing += [f"the attitude (mount.{name}.sigma_tilt_deg)" for name in untold]
+    cameras = [name for name in mission.cameras if mission.mount[name].sigma_tilt_deg is None]
+    missing += [f"the attitude (mount.{name}.sigma_tilt_deg)" for name in cameras]
     if mission.ground.sigma_m is None and mission.ground.sigma_column is None:
         missing.append("the ground (ground.sigma_m or ground.sigma_column)")
     heights = int((stations.ok & ~np.isfinite(stations.sigma_height_m)).sum())
-    if heights and len(untold) < len(mission.cameras):
+    if heights and len(cameras) < len(mission.cameras):
         missing.append(f"the height of {heights} stations (not in the log; it does not count)")
     if missing:
         ledger.note(
@@ -121,11 +121,14 @@ def tell_what_is_unknown(
 
 
 def scale_of_block(
-    profile: Profile, covariance: ProfileCovariance | None, radius_m: float | None, tally: Tally
+    profile: Profile,
+    covariance: ProfileCovariance | None,
+    radius_m: float | None,
+    statistics: Statistics,
 ) -> BlockScale | None:
-    """The scale factor of R that the observations share; None where the air has no covariance."""
+    """The scale factor of R that all observations share; None where the air has no covariance."""
     if covariance is None:
         return None
-    h_c, h_g, zeta_c, kind, towards, across = tally.sampled()
-    views = Views(kind.astype(np.int64), towards, across)
+    h_c, h_g, zeta_c, view, towards, across = statistics.sampled_rays()
+    views = Views(view.astype(np.int64), towards, across)
     return block_scale(profile, covariance, h_c, h_g, zeta_c, radius_m or DEFAULT_RADIUS_M, views)

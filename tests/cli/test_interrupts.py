@@ -47,12 +47,12 @@ main()
 STREAMING = """
 import sys, time
 from pipeline.stages import correction as correct
-real = correct._correct_batch
+real = correct.correct_batch
 def slow(*args):
     print("stalled", flush=True)
     time.sleep(1.0)
     return real(*args)
-correct._correct_batch = slow
+correct.correct_batch = slow
 sys.argv = ["unbend", "run", sys.argv[1]]
 from pipeline.cli import main
 main()

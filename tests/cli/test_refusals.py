@@ -478,14 +478,14 @@ def test_an_error_of_ours_costs_one_mission_only(mission_factory, tmp_path, unbe
 
     good, bad = mission_factory(tmp_path / "good"), mission_factory(tmp_path / "bad")
     bad.config["mission"]["name"] = "unlucky"
-    real = stages.read_flight
+    real = stages.read_log
 
-    def read_flight(plan, ledger):
+    def read_log(plan, ledger):
         if plan.mission.mission.name == "unlucky":
             raise KeyError("never thought of")
         return real(plan, ledger)
 
-    monkeypatch.setattr(stages, "read_flight", read_flight)
+    monkeypatch.setattr(stages, "read_log", read_log)
     ended = unbend("run", bad.save(), good.save())
     assert ended.code == 1
     assert "Traceback" in ended.err

@@ -44,7 +44,7 @@ def test_batches_in_flight_are_few_whatever_the_machine(monkeypatch, cpus, worke
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cpus)), raising=False)
     monkeypatch.setattr(os, "cpu_count", lambda: 256)
     crowd = Crowd()
-    assert list(correct._overlapped(crowd.work, crowd.batches(40))) == list(range(40))
+    assert list(correct.on_threads(crowd.work, crowd.batches(40))) == list(range(40))
     assert crowd.most_at_work == workers
     assert crowd.most_held == workers + 1
     assert crowd.held == 0
@@ -59,7 +59,7 @@ def test_a_batch_that_fails_stops_the_others():
         return crowd.work(number, batch)
 
     with pytest.raises(KeyError):
-        list(correct._overlapped(broken, crowd.batches(1000)))
+        list(correct.on_threads(broken, crowd.batches(1000)))
     assert crowd.held < 10
 
 

@@ -23,7 +23,7 @@ from pipeline.ledger import Kind, Ledger
 from pipeline.refraction.lens import LensInAir
 from pipeline.refraction.papers.gyer import gyer_air
 from pipeline.refraction.window import Cabin, Window, leave_compartment
-from pipeline.stages.exposure_setup import exposures_of, tell_of_lenses, tell_of_windows
+from pipeline.stages.exposure_setup import exposures_of, report_lenses, report_windows
 from pipeline.units import ARCSEC
 
 SECOND = 1_000_000_000
@@ -73,7 +73,7 @@ def look(at: Stations, window: Window | None = None, lens: LensInAir | None = No
     ledger = Ledger()
     windows = {} if window is None else {"nadir": window}
     lenses = {} if lens is None else {"nadir": lens}
-    return exposures_of(at, profile, windows, lenses, 6_378_000.0, ledger), ledger
+    return exposures_of(at, profile, windows, lenses, ledger, radius_m=6_378_000.0), ledger
 
 
 def codes(ledger: Ledger) -> list[str]:
@@ -143,7 +143,7 @@ def test_each_camera_has_its_own():
     tilted = (0.0, math.sin(0.2), math.cos(0.2))
     windows = {"nadir": Window(SCHEDULE), "left": Window(Cabin("constant", 9e4, 280.0), tilted)}
     lenses = {"free": LensInAir(20_000.0, 101_325.0, 288.15, 1e-4, 0.0)}
-    found = exposures_of(at, US1976, windows, lenses, None, Ledger())
+    found = exposures_of(at, US1976, windows, lenses, Ledger(), radius_m=None)
     excess = found.refractivity_cabin - found.refractivity_outside
     assert (np.diff([0.0, *excess[[2, 0, 1]]]) > 0).tolist() == [False, True, True]
     assert found.window_normal[1] == pytest.approx(tilted)
@@ -285,9 +285,9 @@ def test_what_stays_in_is_said_once():
         "a": Window(SCHEDULE), "b": Window(SCHEDULE, in_calibration="glass"),
         "c": Window(None, shape="spherical"),
     }  # fmt: skip
-    tell_of_windows(windows, ledger)
-    tell_of_lenses(("a", "b", "c"), {"b": LENS}, ledger)
-    tell_of_lenses(("b",), {"b": LENS}, ledger)
+    report_windows(windows, ledger)
+    report_lenses(("a", "b", "c"), {"b": LENS}, ledger)
+    report_lenses(("b",), {"b": LENS}, ledger)
     said = {(e.where.split(".")[1], e.code): e.what for e in ledger}
     assert len(said) == len(ledger) == 4
     assert {e.kind for e in ledger} == {Kind.NOTE}

@@ -28,16 +28,16 @@ COLUMNS = {
 
 def with_covariance(monkeypatch, covariance_of):
     """Runs whose air, all of it, has this covariance."""
-    original = stages.adjust_air
+    original = stages.adjusted_profiles
 
-    def adjust_air(*given):
+    def adjusted_profiles(*given):
         air = original(*given)
         covariance = covariance_of(air.adjustment.profile)
         airs = tuple(replace(one, own=covariance, ends=None) for one in air.series.timed_profiles)
         adjustment = replace(air.adjustment, covariance=covariance)
         return replace(air, adjustment=adjustment, series=replace(air.series, timed_profiles=airs))
 
-    monkeypatch.setattr(stages, "adjust_air", adjust_air)
+    monkeypatch.setattr(stages, "adjusted_profiles", adjusted_profiles)
 
 
 def pressure_alone(profile) -> ProfileCovariance:
@@ -136,19 +136,19 @@ def test_behind_a_window_against_runs_in_other_air(mission, monkeypatch, windows
             del camera["window"]
         else:
             camera["window"] = window
-    original = stages.adjust_air
+    original = stages.adjusted_profiles
 
     def shifts(ln_p: float):
         with monkeypatch.context() as patch:
 
-            def adjust_air(*given):
+            def adjusted_profiles(*given):
                 air = original(*given)
                 profile = air.adjustment.profile
                 denser = profile.at_level(0.0, profile.pressure(0.0) * np.exp(ln_p))
                 airs = tuple(replace(one, profile=denser) for one in air.series.timed_profiles)
                 return replace(air, series=replace(air.series, timed_profiles=airs))
 
-            patch.setattr(stages, "adjust_air", adjust_air)
+            patch.setattr(stages, "adjusted_profiles", adjusted_profiles)
             ran(mission)
         table = good(mission)
         return np.stack([table[f"{a}_corrected_px"] - table[f"{a}_px"] for a in "xy"])
