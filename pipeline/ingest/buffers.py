@@ -23,14 +23,15 @@ from numpy.typing import DTypeLike, NDArray
 
 from pipeline.errors import LogError
 
-SPAN = 4 << 20  # bytes read at once; 1 to 16 MiB are equally fast
-BEHIND = 4096  # bytes kept before the place asked for: who mends damage looks back
+SPAN = 4 << 20  # [bytes] read at once; 1 to 16 MiB are equally fast
+BEHIND = 4096  # [bytes] kept before the place asked for: recovery after damage goes back
 PRIVATE = 256 << 20  # [bytes] of rows and columns in memory of the process's own
 REGION = 64 << 20  # [bytes] of a temporary file, at least
 SMALL = 4096  # [bytes] that are left to the heap
+BLOCK = 1 << 20  # [bytes] of the largest block of a `ColumnStore`
+_SMALLEST_BLOCK = 4096  # [bytes]
 _ALIGNED = 64  # [bytes]
-_BLOCK = 65_536  # rows
-SMALLEST, BLOCK = 4096, 1 << 20  # [bytes] of the first block, and of the largest
+_COPIED_ROWS = 65_536  # at once
 
 Bytes = NDArray[np.uint8]
 
@@ -38,8 +39,9 @@ Bytes = NDArray[np.uint8]
 class FileView:
     """The bytes of a file, read in spans when they are asked for.
 
-    Not a memory map: a file that is cut while it is mapped kills the process, and its pages count
-    as the process's memory. A file that grows while it is read is read to where it ended.
+    Not a memory map: a file that is cut while it is mapped ends the process, Windows cannot replace
+    a mapped file, and its pages count as the process's memory. A file that grows while it is read
+    is read to where it ended at the beginning.
     """
 
     def __init__(self, stream: io.FileIO | io.BytesIO, size: int, name: str = "") -> None:
@@ -53,7 +55,21 @@ class FileView:
         """The bytes from ``begin`` to ``end`` or the end of the file; not to be written to."""
         end = min(end, self.size)
         if begin < self._begin or end > self._begin + self._bytes.shape[0]:
-            self._load(max(begin - BEHIND, 0), end)
+            first = max(begin - BEHIND, 0)
+            length = min(max(end - first, SPAN + 2 * BEHIND), self.size - first)
+            fetched = np.empty(length, np.uint8)
+            self._stream.seek(first)
+            count = 0
+            while count < length and (more := self._stream.readinto(fetched[count:].data)):
+                count += more
+            if count < length:
+                raise LogError(
+                    "LOG-CHANGED",
+                    f"it had {self.size} bytes and now ends at byte {first + count}",
+                    where=self.name,
+                    remedy="wait until the log is complete, and read it again",
+                )
+            self._begin, self._bytes = first, fetched
         return self._bytes[begin - self._begin : end - self._begin]
 
     def __getitem__(self, places: slice) -> bytes:
@@ -65,38 +81,22 @@ class FileView:
         end = self.size if end is None else min(end, self.size)
         while begin + len(mark) <= end:
             stop = min(begin + SPAN, end)
-            found = self.array(begin, stop).tobytes().find(mark)
-            if found >= 0:
-                return begin + found
+            place = self.array(begin, stop).tobytes().find(mark)
+            if place >= 0:
+                return begin + place
             begin = stop - len(mark) + 1
         return -1
-
-    def _load(self, begin: int, end: int) -> None:
-        length = min(max(end - begin, SPAN + 2 * BEHIND), self.size - begin)
-        fetched = np.empty(length, np.uint8)
-        self._stream.seek(begin)
-        count = 0
-        while count < length and (more := self._stream.readinto(fetched[count:].data)):
-            count += more
-        if count < length:
-            raise LogError(
-                "LOG-CHANGED",
-                f"it had {self.size} bytes and now ends at byte {begin + count}",
-                where=self.name,
-                remedy="wait until the log is complete, and read it again",
-            )
-        self._begin, self._bytes = begin, fetched
 
 
 @contextmanager
 def open_view(path: Path) -> Iterator[FileView]:
-    """A window on a file, as long as the block lasts."""
+    """A view of a file, open until the end of the with statement."""
     with path.open("rb", buffering=0) as stream:
         yield FileView(stream, path.stat().st_size, str(path))
 
 
 def view_of_bytes(data: bytes) -> FileView:
-    """A window on bytes in memory.
+    """A view of bytes in memory.
 
     >>> view_of_bytes(b"abcabc").find(b"c", 3)
     5
@@ -111,90 +111,94 @@ def gather(data: NDArray[np.uint8], places: NDArray[Any], size: int) -> NDArray[
     array([b'de', b'ab'], dtype='|S2')
     """
     every: NDArray[Any] = np.ndarray((max(data.shape[0] - size + 1, 0),), f"V{size}", data, 0, (1,))
-    found: NDArray[Any] = every[places]
-    return found
+    rows: NDArray[Any] = every[places]
+    return rows
 
 
-class _Rooms:
-    """What is held: ``private`` bytes in maps of their own, the others in ``regions`` of files."""
+class _Arena:
+    """Memory of columns: ``private`` bytes in maps of their own, others in ``regions`` of files."""
 
     def __init__(self) -> None:
         self.generation = 0
-        self.begin_anew()
+        self.reset()
 
-    def begin_anew(self) -> None:
-        """Forget what is held; in a child process, which shares the files of its parent."""
-        self.lock = threading.RLock()  # the collector may give memory back while it is held
+    def reset(self) -> None:
+        """Forget all memory; in a child process, which shares the files of its parent."""
+        self.lock = threading.RLock()  # the collector may free memory while it is held
         self.generation += 1
         self.private = 0
         self.regions: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
-        self.last: Callable[[], mmap.mmap | None] = lambda: None  # a region may be gone by now
+        self.last: Callable[[], mmap.mmap | None] = lambda: None  # a region may be freed by now
         self.used = 0  # bytes of the last region
 
     def take(self, size: int) -> tuple[mmap.mmap, int]:
-        """Memory for so many bytes, and where in it they begin."""
+        """Memory of so many bytes, and the place in it where they begin."""
         with self.lock:
             if self.private + size > PRIVATE:
-                found = self._of_a_file(size)
-                if found is not None:
-                    return found
+                region = self.last()
+                if region is None or self.used + size > len(region):
+                    self.release_pages()
+                    region = _mapped_file(max(size, REGION))
+                    if region is not None:
+                        self.regions.add(region)
+                        self.last, self.used = weakref.ref(region), 0
+                if region is not None:
+                    begin = self.used
+                    self.used += -(-size // _ALIGNED) * _ALIGNED
+                    return region, begin
             try:
-                memory = mmap.mmap(-1, size, access=mmap.ACCESS_COPY)
+                # pages that a child process shares until either writes to them
+                access = mmap.ACCESS_COPY if hasattr(os, "fork") else mmap.ACCESS_WRITE
+                memory = mmap.mmap(-1, size, access=access)
             except OSError as error:
-                raise MemoryError(f"no room for {size} bytes: {error.strerror}") from error
+                raise MemoryError(f"no memory for {size} bytes: {error.strerror}") from error
             self.private += size
-            weakref.finalize(memory, self._give_back, size, self.generation).atexit = False
+            weakref.finalize(memory, self._free, size, self.generation).atexit = False
             return memory, 0
 
-    def _give_back(self, size: int, generation: int) -> None:
+    def _free(self, size: int, generation: int) -> None:
         with self.lock:
             self.private -= size if generation == self.generation else 0
 
-    def _of_a_file(self, size: int) -> tuple[mmap.mmap, int] | None:
-        """Room in a temporary file; None where it cannot have any."""
-        region = self.last()
-        if region is None or self.used + size > len(region):
-            self.release_pages()
-            region = _file(max(size, REGION))
-            if region is None:
-                return None
-            self.regions.add(region)
-            self.last, self.used = weakref.ref(region), 0
-        begin = self.used
-        self.used += -(-size // _ALIGNED) * _ALIGNED
-        return region, begin
-
     def release_pages(self) -> None:
-        """Let the pages of the files stay there until they are touched."""
-        with self.lock:
-            for region in self.regions:
-                region.madvise(mmap.MADV_DONTNEED)
+        """Let the system write the pages of the files out; they return when they are touched."""
+        if hasattr(mmap, "MADV_DONTNEED"):  # Windows trims them when it needs memory
+            with self.lock:
+                for region in self.regions:
+                    region.madvise(mmap.MADV_DONTNEED)
 
 
-def _file(size: int) -> mmap.mmap | None:
-    """A map of a file that has no name, whose bytes are reserved; None where there is no room."""
-    if not hasattr(os, "posix_fallocate") or not hasattr(mmap, "MADV_DONTNEED"):
-        return None
+def _mapped_file(size: int) -> mmap.mmap | None:
+    """A map of a temporary file whose bytes are reserved on the disk; None without space there.
+
+    On POSIX the file has no name, on Windows it is deleted when its last handle is closed.
+    """
     try:
         with tempfile.TemporaryFile() as file:
-            os.posix_fallocate(file.fileno(), 0, size)
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, size)
+            else:  # macOS, Windows: a page without space on the disk would end the process
+                for begin in range(0, size, SPAN):
+                    file.write(bytes(min(SPAN, size - begin)))
+                file.flush()
             return mmap.mmap(file.fileno(), size)
     except OSError:
         return None
 
 
-_ROOMS = _Rooms()
-os.register_at_fork(after_in_child=_ROOMS.begin_anew)
+_ARENA = _Arena()
+if hasattr(os, "register_at_fork"):  # Windows has no fork
+    os.register_at_fork(after_in_child=_ARENA.reset)
 
 
 def allocate(count: int, dtype: DTypeLike) -> NDArray[Any]:
     """(count,) rows with any values in them.
 
-    In memory of the process's own as long as it holds no more than `PRIVATE` so, else in a
-    temporary file (of the folder ``TMPDIR``) if there is space for it. Either goes back to the
-    system when the last array on it is gone: freed pieces of the heap between others that are still
-    in use fit no column of a long log, and a process would keep about as much again as it needs.
-    After a fork, parent and child see what the other writes to an array in a file.
+    Up to `PRIVATE` bytes are in memory of the process's own, further ones in a temporary file (of
+    the folder ``TMPDIR``) if there is space for it. Both return to the system when the last array
+    on them is deleted: pieces of the heap that are freed between others in use fit no column of a
+    long log, and a process would keep about twice what it needs. After a fork, parent and child
+    see what the other writes to an array in a file.
 
     >>> column = allocate(3, "f8")
     >>> column[:] = 1.5
@@ -205,32 +209,31 @@ def allocate(count: int, dtype: DTypeLike) -> NDArray[Any]:
     size = count * kind.itemsize
     if size < SMALL or kind.hasobject:
         return np.empty(count, kind)
-    memory, begin = _ROOMS.take(size)
+    memory, begin = _ARENA.take(size)
     return np.frombuffer(memory, kind, count, begin)
 
 
 def copy_rows(column: NDArray[Any], rows: NDArray[np.intp] | None = None) -> NDArray[Any]:
-    """A column that is to stay, or some rows of it, in a `allocate` of its own.
+    """A copy of a column, or of some rows of it, in memory of `allocate`.
 
     >>> copy_rows(np.array([5, 6, 7]), np.array([2, 0])).tolist()
     [7, 5]
     """
-    kept = allocate(
-        column.shape[0] if rows is None else rows.shape[0], (column.dtype, column.shape[1:])
-    )
-    for begin in range(0, kept.shape[0], _BLOCK):
-        block = slice(begin, begin + _BLOCK)
-        kept[block] = column[block] if rows is None else column[rows[block]]
-    return kept
+    count = column.shape[0] if rows is None else rows.shape[0]
+    copy = allocate(count, (column.dtype, column.shape[1:]))
+    for begin in range(0, count, _COPIED_ROWS):
+        block = slice(begin, begin + _COPIED_ROWS)
+        copy[block] = column[block] if rows is None else column[rows[block]]
+    return copy
 
 
 def release_pages() -> None:
-    """Keep no pages of temporary files in memory for now; they come back when they are touched."""
-    _ROOMS.release_pages()
+    """Keep no pages of temporary files in memory; they are read again when they are touched."""
+    _ARENA.release_pages()
 
 
 class ColumnStore:
-    """Rows of one type in blocks that go back to the system when they are let go."""
+    """Rows of one type, added piece by piece, in blocks whose memory is freed one by one."""
 
     def __init__(self, dtype: DTypeLike) -> None:
         self.dtype = np.dtype(dtype)
@@ -246,7 +249,7 @@ class ColumnStore:
         done = 0
         while done < rows.shape[0]:
             if not self._room:
-                size = min(max(self._length * self.dtype.itemsize, SMALLEST), BLOCK)
+                size = min(max(self._length * self.dtype.itemsize, _SMALLEST_BLOCK), BLOCK)
                 self._room = max(size // self.dtype.itemsize, 1)
                 self._blocks.append(allocate(self._room, self.dtype))
             count = min(self._room, rows.shape[0] - done)
@@ -262,7 +265,7 @@ class ColumnStore:
             yield block if k + 1 < len(self._blocks) else block[: block.shape[0] - self._room]
 
     def drained(self) -> Iterator[NDArray[Any]]:
-        """The rows, some at a time; each block is let go when the next is asked for."""
+        """The rows, some at a time; each block is freed when the next is asked for."""
         last, room = len(self._blocks) - 1, self._room
         blocks, self._blocks, self._room, self._length = self._blocks[::-1], [], 0, 0
         for k in range(last + 1):

@@ -27,8 +27,8 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.fixture
 def rooms(monkeypatch):
     """Rooms of their own, of which 1 MiB may be private."""
-    fresh = memory._Rooms()
-    monkeypatch.setattr(memory, "_ROOMS", fresh)
+    fresh = memory._Arena()
+    monkeypatch.setattr(memory, "_ARENA", fresh)
     monkeypatch.setattr(memory, "PRIVATE", 1 << 20)
     return fresh
 
@@ -145,7 +145,7 @@ def test_a_fork_while_another_thread_holds_the_lock(monkeypatch):
     locked, go = threading.Event(), threading.Event()
 
     def hold() -> None:
-        with memory._ROOMS.lock:
+        with memory._ARENA.lock:
             locked.set()
             go.wait()
 
@@ -171,22 +171,22 @@ def test_what_a_child_inherits_is_not_its_own(monkeypatch):
     """It gives back memory that it never took: its count neither begins with it nor ends below."""
     monkeypatch.setattr(memory, "PRIVATE", 1 << 40)
     arrays = [allocate(1 << 16, "f8") for _ in range(3)]
-    before = memory._ROOMS.private
+    before = memory._ARENA.private
     assert before >= 3 << 19
 
     def drop() -> bool:
-        counts = [memory._ROOMS.private]
+        counts = [memory._ARENA.private]
         own = allocate(1 << 16, "f8")
         arrays.clear()
         gc.collect()
-        counts.append(memory._ROOMS.private)
+        counts.append(memory._ARENA.private)
         del own
         gc.collect()
-        counts.append(memory._ROOMS.private)
+        counts.append(memory._ARENA.private)
         return counts == [0, 1 << 19, 0]
 
     assert as_a_child(drop) == 0
-    assert memory._ROOMS.private == before
+    assert memory._ARENA.private == before
 
 
 @pytest.mark.parametrize("dtype", ["u1", "i2", "f8", [("at", "i8"), ("flag", "u1")]])
@@ -245,7 +245,7 @@ def test_a_new_region_lets_go_of_those_before(rooms, monkeypatch):
 @pytest.mark.parametrize("block", [7, 65_536])
 @pytest.mark.parametrize("private", [0, 1 << 40])
 def test_moved_columns_keep_their_rows(rooms, monkeypatch, block, private):
-    monkeypatch.setattr(memory, "_BLOCK", block)
+    monkeypatch.setattr(memory, "_COPIED_ROWS", block)
     monkeypatch.setattr(memory, "PRIVATE", private)
     rng = np.random.default_rng(6)
     rows = rng.integers(0, 3000, 2500)
@@ -264,7 +264,7 @@ def test_moved_columns_keep_their_rows(rooms, monkeypatch, block, private):
 @pytest.mark.parametrize("wrong", [3000, -3001])
 @pytest.mark.parametrize("at", [0, 20, 2499])
 def test_a_row_that_is_none_is_refused(rooms, monkeypatch, wrong, at):
-    monkeypatch.setattr(memory, "_BLOCK", 7)
+    monkeypatch.setattr(memory, "_COPIED_ROWS", 7)
     rows = np.arange(2500)
     rows[at] = wrong
     for column in (np.arange(3000), np.zeros((3000, 4)), np.array([None] * 3000)):
