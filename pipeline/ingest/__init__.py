@@ -1,4 +1,4 @@
-"""Bytes -> channels: DataFlash, MAVLink telemetry and MCAP."""
+"""Log files of any format -> channels in SI and UTC."""
 
 from pipeline.ingest.log import Log, hash_file
 from pipeline.ingest.registry import open_log

@@ -12,10 +12,10 @@ HEIGHT_OPTION = "GPS_DRV_OPTIONS"
 _HEIGHT_ELLIPSOID = 1 << 4
 
 
-def says_ellipsoid(value: float) -> bool:
-    """Whether this value of `HEIGHT_OPTION` asks for heights above the ellipsoid.
+def selects_ellipsoid(value: float) -> bool:
+    """Whether this value of `HEIGHT_OPTION` selects heights above the ellipsoid.
 
-    >>> says_ellipsoid(16.0), says_ellipsoid(0.0), says_ellipsoid(float("nan"))
+    >>> selects_ellipsoid(16.0), selects_ellipsoid(0.0), selects_ellipsoid(float("nan"))
     (True, False, False)
     """
     # Parameters are floats; a damaged one may hold anything.
@@ -40,23 +40,20 @@ def with_undulation(channel: Channel, *, ellipsoidal: bool = False) -> Channel:
 
 
 def with_ellipsoidal_heights(channels: list[Channel], ledger: Ledger, where: str) -> list[Channel]:
-    """Channels whose heights above sea level are really above the ellipsoid; a note says so."""
+    """The channels of a log whose "heights above sea level" are above the ellipsoid."""
     ledger.note(
         "HEIGHT-ELLIPSOID",
-        f"the parameter {HEIGHT_OPTION} says that GNSS heights are above the ellipsoid: so are "
-        "all heights of this log, but those made of one and the undulation",
+        f"the parameter {HEIGHT_OPTION} selects GNSS heights above the ellipsoid: all heights of "
+        "this log are, except those that are computed with the undulation",
         where=where,
     )
-    return [
-        with_undulation(channel, ellipsoidal=True)
-        if "undulation_m" in channel.columns
-        else _renamed(channel)
-        for channel in channels
-    ]
-
-
-def _renamed(channel: Channel) -> Channel:
-    if "h_msl_m" not in channel.columns:
-        return channel
-    columns = dict(channel.columns)
-    return replace(channel, columns={"h_ellipsoid_m": columns.pop("h_msl_m")} | columns)
+    result = []
+    for channel in channels:
+        columns = dict(channel.columns)
+        if "undulation_m" in columns:
+            channel = with_undulation(channel, ellipsoidal=True)
+        elif "h_msl_m" in columns:
+            columns = {"h_ellipsoid_m": columns.pop("h_msl_m")} | columns
+            channel = replace(channel, columns=columns)
+        result.append(channel)
+    return result

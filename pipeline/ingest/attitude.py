@@ -32,9 +32,9 @@ def unit_quaternions(q: Array) -> Array:
 
 
 def replace_in_blocks(rotation: Callable[[Array], Array], parts: Sequence[Array]) -> None:
-    """Put a function of (n, 4) numbers, which gives quaternions, in the place of four columns.
+    """Replace four columns by the quaternions that a function gives for their (n, 4) numbers.
 
-    Some rows at a time: at once, what a rotation needs on the way would be the peak of memory.
+    Some rows at a time: the temporary arrays of all rows would be the peak of memory.
     """
     for begin in range(0, parts[0].shape[0], BLOCK):
         block = slice(begin, begin + BLOCK)
@@ -98,7 +98,7 @@ def gimbal_columns(path: str = "q") -> tuple[FieldColumn, ...]:
 
 
 def earth_frame_attitude(columns: Mapping[str, Array]) -> dict[str, Array]:
-    """`gimbal_columns` with ``q_*`` only where they are an attitude; ``gimbal_q_*`` are as sent.
+    """`gimbal_columns` with ``q_*`` NaN where the yaw is not from north; ``gimbal_q_*`` as sent.
 
     The yaw counts from north or from the vehicle's nose, as the flags say; where neither flag is
     set, a locked yaw counts from north (the text of the message in MAVLink's common.xml).

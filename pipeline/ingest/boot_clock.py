@@ -1,4 +1,4 @@
-"""One fit of UTC for all formats: where the vehicle was powered up, and UTC minus time since boot.
+"""Power-ups of a vehicle, and UTC minus time since boot of each, for all log formats.
 
 A log is a sequence of records at rising places (bytes, or numbers of messages), many of which carry
 the time since boot and few of which carry UTC as well.
@@ -60,7 +60,7 @@ class Timeline:
         return np.asarray(self.boot[self._stretch(places)], np.int16)
 
     def good(self, places: Places) -> NDArray[np.bool_]:
-        """Whether the stamps of records can be believed."""
+        """Whether the stamps of records are no glitches."""
         if not self.stray.any():
             return np.ones(places.shape, np.bool_)
         return np.asarray(~self.stray[self._stretch(places)], np.bool_)
@@ -71,13 +71,6 @@ class Timeline:
         silence = self.begin[steady][1:] - self.end[steady][:-1]
         long = silence > BOOT_STEP_NS
         return steady[1:][long], silence[long]
-
-    def cut(self, stretches: Iterable[int]) -> Timeline:
-        """The timeline with a new boot at each of these stretches."""
-        boot = self.boot.copy()
-        for row in stretches:
-            boot[row:] += 1
-        return replace(self, boot=boot)
 
     def _stretch(self, places: Places) -> NDArray[np.intp]:
         return np.maximum(np.searchsorted(self.first, places, side="right") - 1, 0)
@@ -126,16 +119,13 @@ def timeline(blocks: Iterable[Stamps]) -> Timeline:
         begin += time_ns[starts].tolist()
         end += lasts
         length += lengths
-    return _judged(*np.array([first, begin, end, length], np.int64))
-
-
-def _judged(first: Places, begin: TimeArray, end: TimeArray, length: Places) -> Timeline:
-    stray = stray_stretches(begin, end, length)
+    starts, begins, ends, counts = np.array([first, begin, end, length], np.int64)
+    stray = stray_stretches(begins, ends, counts)
     steady = ~stray
-    back = begin[steady][1:] - end[steady][:-1] < -BOOT_STEP_NS
+    back = begins[steady][1:] - ends[steady][:-1] < -BOOT_STEP_NS
     number = np.append(0, np.cumsum(back)).astype(np.int16)
-    boot = number[np.maximum(np.cumsum(steady) - 1, 0)] if first.size else np.empty(0, "i2")
-    return Timeline(first, begin, end, length, stray, boot)
+    boot = number[np.maximum(np.cumsum(steady) - 1, 0)] if starts.size else np.empty(0, "i2")
+    return Timeline(starts, begins, ends, counts, stray, boot)
 
 
 def report_timeline(line: Timeline, ledger: Ledger, place: str = "byte") -> None:
@@ -161,11 +151,11 @@ def report_timeline(line: Timeline, ledger: Ledger, place: str = "byte") -> None
 
 @dataclass(frozen=True)
 class UtcReadings:
-    """What one source says of UTC, (n,) in the order of the log.
+    """UTC beside the time since boot, by one source, (n,) in the order of the log.
 
-    ``source`` in words; ``places``; ``boot_ns`` and ``utc_ns``, of which rows with ``usable`` False
-    (no UTC, a stray stamp) do not count; ``fix`` as the receiver reports it, empty where the source
-    is none.
+    ``source`` describes it, such as "rows of GPS[0]"; ``places``; ``boot_ns`` and ``utc_ns``, of
+    which rows with ``usable`` False (no UTC, a stray stamp) do not count; ``fix`` as a receiver
+    reports it, empty for other sources.
     """
 
     source: str
@@ -176,7 +166,7 @@ class UtcReadings:
     fix: NDArray[Any] = field(default_factory=lambda: np.empty(0))
 
     def sound(self, line: Timeline) -> UtcReadings:
-        """The rows that can be trusted: no stray stamp, a fix, and a time of their own."""
+        """The rows without stray stamps, with a fix, and with another UTC than the row before."""
         good = self.usable & line.good(self.places)
         if self.fix.size:
             good &= self.fix >= LOWEST_FIX
@@ -192,7 +182,7 @@ class UtcReadings:
 class BootClock:
     """UTC of a clock that begins anew at each boot.
 
-    ``line`` the boots; ``fits`` of each, None where nothing says UTC; ``utc_known`` whether a
+    ``line`` the boots; ``fits`` of each, None where no source gives UTC; ``utc_known`` whether a
     source of UTC gives it, or only the recorder's clock.
     """
 
@@ -212,7 +202,7 @@ class BootClock:
 
 def fit_boot_clock(
     line: Timeline,
-    told: Sequence[UtcReadings],
+    sources: Sequence[UtcReadings],
     ledger: Ledger,
     recorder: UtcReadings | None = None,
     where: str = "",
@@ -222,21 +212,27 @@ def fit_boot_clock(
     Parameters
     ----------
     line : the boots that steps back of the time show.
-    told : sources of UTC: receivers, or the vehicle's own messages. In each boot that with the most
-        rows decides, by their median; another that is more than 1 s off is a loss.
-    recorder : the clock of whoever recorded the log. It serves in boots without UTC.
-    where : whose boots they are, for the ledger.
+    sources : receivers, or the vehicle's own messages. In each boot the one with the most rows is
+        used, by their median; another that differs by more than 1 s is a loss.
+    recorder : the clock of the recorder of the log. It is used in boots without UTC.
+    where : the vehicle, for the ledger.
 
-    A boot is also cut where nothing was recorded for more than 1 s and UTC minus time since boot
+    A boot is also split where nothing was recorded for more than 1 s and UTC minus time since boot
     is different after it by more than 1 s, and stays so: the time of a new boot may be later than
     the last of the one before. Where it steps while the time runs on, a clock was set: no boot.
     """
-    by_steps = line
-    sources = sorted((one.sound(line) for one in told), key=lambda one: -one.places.shape[0])
+    sources = sorted((source.sound(line) for source in sources), key=lambda s: -s.places.shape[0])
     spare = [recorder.sound(line)] if recorder is not None else []
-    for rank, one in enumerate([*sources, *spare]):
-        line = _cut(line, one, _bridged(by_steps, sources[:rank]))
-    known = by_steps.boots
+    known = line.boots
+    at_silence = line.first[line.silences()[0]]
+    # silences about which better sources decide: those with rows on both sides, in one boot
+    decided = np.zeros(at_silence.shape, np.bool_)
+    by_steps = line
+    for source in [*sources, *spare]:
+        line = _split_boots(line, source, decided)
+        boots = np.concatenate([[-1], by_steps.boot_of(source.places), [-2]]).astype(np.int64)
+        row = np.searchsorted(source.places, at_silence)
+        decided |= boots[row] == boots[row + 1]
     if line.boots > known:
         ledger.warning(
             "TIME-REBOOT",
@@ -245,49 +241,40 @@ def fit_boot_clock(
             where=where,
             count=line.boots - known,
         )
-    fits, by_utc = [], []
+    fits, known_utc = [], []
     for number in range(line.boots):
-        fit = _fit(line, number, sources, ledger, where)
-        by_utc.append(fit is not None)
+        by_source = [(source, _fit_boot(line, number, source)) for source in sources]
+        fit = _best_fit(by_source, f"{where}, boot {number}".removeprefix(", "), ledger)
+        known_utc.append(fit is not None)
         if fit is None and spare:
-            fit = _of_boot(line, number, spare[0])
+            fit = _fit_boot(line, number, spare[0])
         fits.append(fit)
-    return BootClock(line, tuple(fits), tuple(by_utc))
+    return BootClock(line, tuple(fits), tuple(known_utc))
 
 
-def _cut(line: Timeline, one: UtcReadings, bridged: NDArray[np.bool_]) -> Timeline:
-    """Cut boots where this source's offset steps at a silence that is not ``bridged``."""
+def _split_boots(line: Timeline, source: UtcReadings, decided: NDArray[np.bool_]) -> Timeline:
+    """Split boots where this source's offset steps at a silence that is not ``decided`` yet."""
     after, silence = line.silences()
-    free = ~bridged & (line.boot[after] == line.boot[after - 1])
+    free = ~decided & (line.boot[after] == line.boot[after - 1])
     after, silence = after[free], silence[free]
-    if not after.size or not one.places.shape[0]:
+    if not after.size or not source.places.shape[0]:
         return line
     at = line.first[after]
-    boots = line.boot_of(one.places)
-    found = []
+    boots = line.boot_of(source.places)
+    boot = line.boot.copy()
     for number in np.unique(boots).tolist():
         rows = np.flatnonzero(boots == number)
-        offset = _steady(one.utc_ns[rows] - one.boot_ns[rows])
+        offset = _without_glitches(source.utc_ns[rows] - source.boot_ns[rows])
         for row in np.flatnonzero(np.abs(np.diff(offset)) > BOOT_STEP_NS).tolist():
-            between = slice(*np.searchsorted(at, one.places[rows[row : row + 2]], side="right"))
+            places = source.places[rows[row : row + 2]]
+            between = slice(*np.searchsorted(at, places, side="right"))
             if silence[between].size:
-                found.append(int(after[between][np.argmax(silence[between])]))
-    return line.cut(found)
+                boot[after[between][np.argmax(silence[between])] :] += 1
+    return replace(line, boot=boot)
 
 
-def _bridged(line: Timeline, before: Sequence[UtcReadings]) -> NDArray[np.bool_]:
-    """Silences about which other sources have spoken: with rows on both sides, in one boot."""
-    places = line.first[line.silences()[0]]
-    known = np.zeros(places.shape, np.bool_)
-    for one in before:
-        boots = np.concatenate([[-1], line.boot_of(one.places), [-2]]).astype(np.int64)
-        row = np.searchsorted(one.places, places)
-        known |= boots[row] == boots[row + 1]
-    return known
-
-
-def _steady(offset_ns: TimeArray) -> TimeArray:
-    """Offsets without glitches of up to `STRAY_ROWS` rows: a running median keeps what stays."""
+def _without_glitches(offset_ns: TimeArray) -> TimeArray:
+    """The running median of offsets: steps remain, glitches of up to `STRAY_ROWS` rows do not."""
     half = min(STRAY_ROWS, offset_ns.shape[0] - 1)
     if half < 1:
         return offset_ns
@@ -300,28 +287,27 @@ def _steady(offset_ns: TimeArray) -> TimeArray:
     return steady
 
 
-def _of_boot(line: Timeline, number: int, one: UtcReadings) -> Offset | None:
-    rows = line.boot_of(one.places) == number
-    return fit_offset(one.utc_ns[rows], one.boot_ns[rows])
+def _fit_boot(line: Timeline, number: int, source: UtcReadings) -> Offset | None:
+    rows = line.boot_of(source.places) == number
+    return fit_offset(source.utc_ns[rows], source.boot_ns[rows])
 
 
-def _fit(
-    line: Timeline, number: int, sources: Sequence[UtcReadings], ledger: Ledger, where: str
+def _best_fit(
+    by_source: Sequence[tuple[UtcReadings, Offset | None]], place: str, ledger: Ledger
 ) -> Offset | None:
-    """The offset of one boot by the source with the most rows in it."""
-    fits = [(one, fit) for one in sources if (fit := _of_boot(line, number, one)) is not None]
+    """The offset of a boot by the source with the most rows; sources that differ are losses."""
+    fits = [(source, fit) for source, fit in by_source if fit is not None]
     if not fits:
         return None
-    place = f"{where}, boot {number}" if where else f"boot {number}"
-    chosen, best = max(fits, key=lambda found: found[1].rows)
+    chosen, best = max(fits, key=lambda pair: pair[1].rows)
     report_fit(ledger, f"{best.rows} {chosen.source}", best, place)
-    for one, fit in fits:
+    for source, fit in fits:
         apart = fit.offset_ns - best.offset_ns
         if abs(apart) > BOOT_STEP_NS:
             ledger.loss(
                 "TIME-SOURCES",
-                f"{fit.rows} {one.source} give a UTC {apart / 1e9:+.3f} s from that of {best.rows} "
-                f"{chosen.source}, which are used",
+                f"{fit.rows} {source.source} give a UTC {apart / 1e9:+.3f} s from that of "
+                f"{best.rows} {chosen.source}, which are used",
                 where=place,
                 count=fit.rows,
             )

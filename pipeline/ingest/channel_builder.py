@@ -1,4 +1,4 @@
-"""Decoded rows -> a channel: fixes, attitudes, and time that rises."""
+"""Decoded rows -> a channel: rows without a fix, attitudes, rising time."""
 
 from __future__ import annotations
 
@@ -59,14 +59,21 @@ def channel_of(rows: DecodedRows, spec: MessageMap, ledger: Ledger) -> Channel |
         ledger.loss("LOG-FIELDS", what, where=rows.name, count=len(rows))
         return None
     if not spec.event and not any(np.isfinite(column).any() for column in rows.columns.values()):
-        return None  # it holds nothing: neither do its drops
+        return None  # no values: what is dropped of them is not worth an entry
     if spec.position:
         rows = _with_fix(rows, ledger)
     rows = _without_repeats(rows, ledger, event=spec.event)
-    if spec.event:  # before rows are lost: the number of an image is not to shift by that
-        rows = replace(rows, columns=_event(dict(rows.columns), len(rows)))
-    rows = _rising(rows, ledger)
-    columns = _attitude(dict(rows.columns)) if spec.attitude else dict(rows.columns)
+    if spec.event:
+        events = dict(rows.columns)
+        if "event_index" not in events:  # before rows are dropped, which must not shift the numbers
+            events["event_index"] = np.arange(len(rows), dtype=np.float64)
+        if {"lat_rad", "lon_rad"} <= events.keys():
+            nowhere = (events["lat_rad"] == 0.0) & (events["lon_rad"] == 0.0)
+            for name in {"lat_rad", "lon_rad", "h_msl_m"} & events.keys():
+                events[name] = np.where(nowhere, np.nan, events[name])
+        rows = replace(rows, columns=events)
+    rows = _in_rising_time(rows, ledger)
+    columns = _unit_quaternions(dict(rows.columns)) if spec.attitude else dict(rows.columns)
     columns = {name: values for name, values in columns.items() if np.isfinite(values).any()}
     if len(rows) == 0 or not columns:
         return None
@@ -97,9 +104,16 @@ def _with_fix(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
 
 
 def _without_repeats(rows: DecodedRows, ledger: Ledger, *, event: bool) -> DecodedRows:
+    """The rows without those of the time of the row before, or equal to any earlier row."""
     if bool(np.all(rows.time_ns[1:] > rows.time_ns[:-1])):
         return rows
-    repeats = _repeats(rows)
+    _, first, group = np.unique(rows.time_ns, return_index=True, return_inverse=True)
+    original = first[group]
+    equal = (original != np.arange(len(rows))) & bool(rows.columns)
+    for column in rows.columns.values():
+        same = column == column[original]
+        equal &= same | (np.isnan(column) & np.isnan(column[original]))
+    repeats = equal | ~fresh(rows.time_ns)
     if not repeats.any():
         return rows
     count = int(np.count_nonzero(repeats))
@@ -109,8 +123,8 @@ def _without_repeats(rows: DecodedRows, ledger: Ledger, *, event: bool) -> Decod
     return rows.take(~repeats)
 
 
-def _rising(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
-    """The rows in strictly increasing time; what that costs is in the ledger."""
+def _in_rising_time(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
+    """The rows in strictly increasing time; where a clock was set back, a new boot begins."""
     if bool(np.all(rows.time_ns[1:] > rows.time_ns[:-1])):
         return rows
     kept, stretch = untangled(rows.time_ns)
@@ -128,8 +142,8 @@ def _rising(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
         return result
     ledger.warning(
         "TIME-SET-BACK",
-        f"the clock of these messages was set back, {int(stretch.max())} times: nothing is "
-        "interpolated from before to after",
+        f"the clock of these messages was set back, {int(stretch.max())} times: values are not "
+        "interpolated across these steps",
         where=rows.name,
         count=int(stretch.max()),
     )
@@ -138,39 +152,13 @@ def _rising(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
     return replace(result, boot=boot.astype(np.int16))
 
 
-def _repeats(rows: DecodedRows) -> NDArray[np.bool_]:
-    """Rows with the time of the row before, or equal to an earlier row in everything."""
-    _, first, group = np.unique(rows.time_ns, return_index=True, return_inverse=True)
-    original = first[group]
-    equal = (original != np.arange(len(rows))) & bool(rows.columns)
-    for column in rows.columns.values():
-        same = column == column[original]
-        equal &= same | (np.isnan(column) & np.isnan(column[original]))
-    return np.asarray(equal | ~fresh(rows.time_ns), np.bool_)
-
-
-def _attitude(columns: dict[str, Array]) -> dict[str, Array]:
-    """Euler angles or any quaternion -> unit quaternions, in the memory of the columns."""
+def _unit_quaternions(columns: dict[str, Array]) -> dict[str, Array]:
+    """Unit quaternions instead of Euler angles or of any quaternions, in the same memory."""
     if "roll_rad" in columns:
         parts = [columns.pop(f"{name}_rad") for name in ("roll", "pitch", "yaw")]
         parts.append(allocate(parts[0].shape[0], np.float64))
-        replace_in_blocks(_of_euler, parts)
+        replace_in_blocks(lambda angles: quaternion_of_euler(*angles.T[:3]), parts)
     else:
         parts = [columns.pop(f"q_{axis}") for axis in "wxyz"]
         replace_in_blocks(unit_quaternions, parts)
     return columns | dict(zip(("q_w", "q_x", "q_y", "q_z"), parts, strict=True))
-
-
-def _of_euler(angles: Array) -> Array:
-    return quaternion_of_euler(*angles.T[:3])
-
-
-def _event(columns: dict[str, Array], n: int) -> dict[str, Array]:
-    if "event_index" not in columns:
-        columns["event_index"] = np.arange(n, dtype=np.float64)
-    if "lat_rad" in columns and "lon_rad" in columns:
-        nowhere = (columns["lat_rad"] == 0.0) & (columns["lon_rad"] == 0.0)
-        for name in ("lat_rad", "lon_rad", "h_msl_m"):
-            if name in columns:
-                columns[name] = np.where(nowhere, np.nan, columns[name])
-    return columns

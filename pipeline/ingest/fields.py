@@ -1,4 +1,4 @@
-"""The language of the field maps: which field of a message is which column, in which unit."""
+"""Field maps: which field of a message is which column of a channel, in which unit."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ STATED_UNITS: Mapping[str, tuple[str, float, float]] = {
 # The scaled integers of a log are numbers of these units: 8050 c% is 80.5 percent.
 _NUMBERS_OF = {"cdegC": "degC", "%": "percent", "c%": "percent"}
 
-# The roles of a sensor, which plays those inside the cabin only where a mission file names it.
+# The roles of a sensor. It gets those in the cabin only where a mission file names it.
 GNSS, ATTITUDE = ("height", "position"), ("attitude",)
 PRESSURE = ("pressure", "cabin_pressure")
 TEMPERATURE, HUMIDITY = ("temperature", "cabin_temperature"), ("humidity", "cabin_humidity")
@@ -51,10 +51,10 @@ TEMPERATURE, HUMIDITY = ("temperature", "cabin_temperature"), ("humidity", "cabi
 
 @dataclass(frozen=True)
 class FieldColumn:
-    """One column of a channel.
+    """One column of a channel, and the field of a message that it is read from.
 
-    ``fields`` are the names it has had, newest first; ``missing`` is the value in the log that
-    means unknown, ``floor`` the value below which it means unknown.
+    ``fields`` are the names of the field in all versions, newest first; ``missing`` is the value in
+    the log that means unknown, ``floor`` the value below which it means unknown.
     """
 
     name: str
@@ -82,7 +82,7 @@ class MessageMap:
 
     ``id_field`` names the field that tells instances apart, ``time_field`` the message's own time;
     ``spare_rank`` is the rank of all instances but the first, where those are spares. Where it is
-    not given they all rank alike: which thermometer is outside is nothing their numbers tell.
+    not given all have the same rank: instance numbers do not tell which thermometer is outside.
     ``position`` drops rows without a fix, ``attitude`` turns Euler angles into a quaternion.
     """
 
@@ -172,7 +172,7 @@ def extract(
 ) -> dict[str, Array]:
     """The columns of a field map that a decoded message has, each as it is to be ``kept``.
 
-    A field that is an array or a text where a number is wanted is none of them.
+    A field that is an array or a text where a number is expected is left out.
     """
     result: dict[str, Array] = {}
     for spec in columns:

@@ -28,12 +28,12 @@ if in 1970, where UTC is unknown), ``boot``, ``system``, ``component``.
 
 @dataclass(frozen=True)
 class Contents:
-    """What a format finds in a file.
+    """The result of reading a file of one format.
 
     ``messages`` counts every type or topic, wanted or not; ``bad_bytes`` belong to no message;
-    ``lost_messages`` are missing by the log's own numbering or count; ``time_base`` in words.
-    ``table`` decodes all messages of one type or topic of ``messages`` when it is asked to; with
-    an instance (or None for all), only those.
+    ``lost_messages`` are missing by the log's own numbering or count; ``time_base`` describes the
+    source of UTC. ``table`` decodes all messages of one type or topic when it is called; with an
+    instance (or None for all), only those.
     """
 
     messages: Mapping[str, int]
@@ -46,7 +46,11 @@ class Contents:
 
 
 class LogFormat(Protocol):
-    """One kind of log: how to recognise it and how to read it."""
+    """A log format: what the registry needs to recognise a file and to read it.
+
+    ``name`` is its identifier, ``title`` its name in messages; ``extensions`` are in lower case,
+    with their dot, the usual one first.
+    """
 
     @property
     def name(self) -> str: ...
@@ -68,18 +72,18 @@ class LogFormat(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """A log that was read: its channels, and what was found on the way.
+    """A log that was read: its channels, and the damage, repairs and assumptions on the way.
 
     Parameters
     ----------
     path, size_bytes, sha256 : the file; hashed before it was read, if it begins as a log does.
-    format : ``dataflash``, ``dataflash-text``, ``tlog``, ``mcap`` or ``ulog``.
+    format : the name of its format, such as ``dataflash``.
     messages : count of every message type or topic, sorted by name.
     channels : sorted by name; none is empty.
     bad_bytes : bytes that belong to no valid message.
     lost_messages : missing by the sequence numbers or the statistics of the log.
     boots : how often the vehicle was powered up in it.
-    time_base : where its UTC comes from, in words.
+    time_base : a description of the source of its UTC.
     start_ns, end_ns : Unix time [ns] of the first and the last sample of any channel.
     ledger : what was repaired, assumed, skipped and lost.
     """
@@ -112,7 +116,7 @@ class Log:
             "LOG-NO-CHANNEL",
             f"no channel {name}",
             where=str(self.path),
-            remedy=_what_there_is(name, [channel.name for channel in self.channels]),
+            remedy=_available(name, [channel.name for channel in self.channels]),
         )
 
     def to_pandas(self, name: str) -> Any:
@@ -139,7 +143,7 @@ class Log:
                 "LOG-NO-TYPE",
                 f"no message of type {name}",
                 where=str(self.path),
-                remedy=_what_there_is(name, sorted(self.messages)),
+                remedy=_available(name, sorted(self.messages)),
             )
         columns = self.table(name, instance) if self.table else {}
         if not columns:
@@ -157,10 +161,11 @@ class Log:
         import pandas as pd
 
         columns = self.message(name, instance)
-        return pd.DataFrame({name: _flat(column) for name, column in columns.items()})
+        # a field that is an array itself is one object a row
+        return pd.DataFrame({n: c if c.ndim == 1 else list(c) for n, c in columns.items()})
 
     def to_json_dict(self) -> dict[str, Any]:
-        """The log in words and numbers, for ``unbend inspect --json``."""
+        """A summary of the log for ``unbend inspect --json``."""
         return {
             "format": self.format,
             "sha256": self.sha256,
@@ -178,27 +183,22 @@ class Log:
         }
 
 
-def _what_there_is(name: str, names: list[str]) -> str:
-    """The names of a log, those before the others that are like one it does not have."""
+def _available(name: str, names: list[str]) -> str:
+    """The names of a log, first those that are similar to one that it does not have."""
     near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
     meant = f"did you mean {', '.join(near)}? " if near else ""
     return f"{meant}this log has {', '.join(names)}"
 
 
-def _flat(column: NDArray[Any]) -> Any:
-    """A column that pandas can hold: one object a row where the field is an array itself."""
-    return column if column.ndim == 1 else list(column)
-
-
 def report_damage(
-    ledger: Ledger, name: str, unit: str, bad_bytes: int, first_bad: int, cut_bytes: int
+    ledger: Ledger, name: str, *, unit: str, bad_bytes: int, first_bad: int, cut_bytes: int
 ) -> None:
-    """Enter what lies between the messages of a log that has no end mark.
+    """Enter the bytes outside all messages of a log whose format has no end mark.
 
     Parameters
     ----------
     name : of the file.
-    unit : what the format calls a message.
+    unit : the format's word for a message, such as "record".
     bad_bytes, first_bad : bytes outside all messages, and the place of the first.
     cut_bytes : of a last message that the end of the file cuts off.
     """
@@ -212,8 +212,8 @@ def report_damage(
     if cut_bytes:
         ledger.loss(
             "LOG-TRUNCATED",
-            f"the last {unit} is cut off, {cut_bytes} bytes of it are there: this format has no "
-            "end mark and its logs end so when the power goes; every whole one before it was read",
+            f"the last {unit} is cut off after {cut_bytes} bytes, as when the power is lost: this "
+            "format has no end mark; every whole one before it was read",
             where=name,
             count=cut_bytes,
         )
@@ -229,16 +229,16 @@ def utc_text(time_ns: int) -> str:
 
 
 def gaps_of(channel: Channel) -> list[tuple[int, float]]:
-    """The gaps of a channel: start [ns] and length [s]. Events come when they come: none."""
+    """The gaps of a channel: start [ns] and length [s]; events are irregular and have none."""
     if "events" in channel.roles or len(channel) < 3:
         return []
     steps = np.diff(channel.time_ns) / 1e9
-    found = np.flatnonzero(steps > channel.gap_limit_s())
-    return [(int(channel.time_ns[row]), float(steps[row])) for row in found]
+    rows = np.flatnonzero(steps > channel.gap_limit_s())
+    return [(int(channel.time_ns[row]), float(steps[row])) for row in rows]
 
 
 def describe(channel: Channel) -> dict[str, Any]:
-    """A channel in words and numbers."""
+    """A summary of a channel for ``unbend inspect --json``."""
     return {
         "name": channel.name,
         "roles": list(channel.roles),

@@ -137,9 +137,9 @@ TOPICS: Mapping[str, MessageMap] = {topic_of(name): spec for name, spec in MESSA
 
 
 def captured_rows(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
-    """The rows of a camera without those that say that it took no image.
+    """The rows of a camera without those that report that it took no image.
 
-    An index that is 0 in all of several rows is none: mavros never fills it in.
+    An index that is 0 in all of several rows is dropped: mavros never fills it in.
     """
     columns: dict[str, Array] = dict(rows.columns)
     failed = columns.pop("result", np.ones(len(rows))) == _FAILED
@@ -148,7 +148,7 @@ def captured_rows(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
         del columns["event_index"]
         ledger.note(
             "EVENT-NO-INDEX",
-            f"all {len(rows)} rows have the index 0: they are numbered from 0 in their order",
+            f"all {len(rows)} rows have the index 0: they are numbered from 0 in order",
             where=rows.name,
             count=len(rows),
         )
@@ -157,7 +157,7 @@ def captured_rows(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
         return rows
     ledger.warning(
         "EVENT-FAILED",
-        f"{int(failed.sum())} of {len(rows)} rows say that the camera took no image",
+        f"{int(failed.sum())} of {len(rows)} rows report that the camera took no image",
         where=rows.name,
         count=int(failed.sum()),
     )

@@ -20,10 +20,13 @@ from pipeline.ledger import Ledger
 FORMATS: tuple[LogFormat, ...] = (MCAP, ULOG, DATAFLASH, DATAFLASH_TEXT, TLOG)
 
 HEAD_BYTES = 1 << 16
+SUFFIXES = tuple(suffix for form in FORMATS for suffix in form.extensions)
+"""The extensions of all log formats, in lower case, with their dot."""
+
 KNOWN = ", ".join(f"{form.title} ({' '.join(form.extensions)})" for form in FORMATS)
 
-# Files that users take for a log of ours, with what to do about them.
-_RELATIVES = (
+# Related files that cannot be read, by their first bytes, and how to convert them.
+_UNREADABLE = (
     (b"#ROSBAG", "a ROS 1 bag", "convert it to MCAP with ROS 2 messages"),
     (b"SQLite format 3", "a ROS 2 bag in SQLite", "run: ros2 bag convert, with storage_id mcap"),
     (b"\x1f\x8b", "compressed with gzip", "unpack it first"),
@@ -32,7 +35,7 @@ _RELATIVES = (
 
 
 def open_log(path: Path | str, sha256: str | None = None, *, needs_channels: bool = True) -> Log:
-    """Read a flight log: DataFlash (.bin, .log), MAVLink telemetry (.tlog), MCAP or PX4 (.ulg).
+    """Read a flight log of any format in `FORMATS`.
 
     Parameters
     ----------
@@ -51,7 +54,22 @@ def open_log(path: Path | str, sha256: str | None = None, *, needs_channels: boo
             kind = "it is a folder" if path.is_dir() else "it is a pipe or a device, not a file"
             what = kind if path.exists() else "there is no such file"
             raise LogError("LOG-MISSING", what, where=str(path), remedy="check the path of the log")
-        return _read(path, sha256, needs_channels)
+        size = path.stat().st_size
+        if size == 0:
+            raise LogError(
+                "LOG-EMPTY",
+                "the file has 0 bytes",
+                where=str(path),
+                remedy="copy it again from the vehicle or the ground station",
+            )
+        with path.open("rb") as stream:
+            head = stream.read(HEAD_BYTES)
+        form = _format_of(path, head)
+        if form.matches(head):  # otherwise only reading it shows whether it is a log at all
+            sha256 = sha256 or hash_file(path)
+        ledger = Ledger()
+        contents = _read(form, path, ledger, needs_channels)
+        sha256 = sha256 or hash_file(path)
     except OSError as error:
         raise LogError(
             "LOG-UNREADABLE",
@@ -59,43 +77,20 @@ def open_log(path: Path | str, sha256: str | None = None, *, needs_channels: boo
             where=str(path),
             remedy="check its permissions and the disk, or copy it again",
         ) from error
-
-
-def _read(path: Path, sha256: str | None, needs_channels: bool) -> Log:
-    size = path.stat().st_size
-    if size == 0:
-        raise LogError(
-            "LOG-EMPTY",
-            "the file has 0 bytes",
-            where=str(path),
-            remedy="copy it again from the vehicle or the ground station",
-        )
-    with path.open("rb") as stream:
-        head = stream.read(HEAD_BYTES)
-    form = _format_of(path, head)
-    if form.matches(head):  # else it is to show first that it is a log at all
-        sha256 = sha256 or hash_file(path)
-    ledger = Ledger()
-    contents = form.read(path, ledger)
-    channels = []
-    for channel in contents.channels:
-        channels.append(flagged(channel, ledger))
-        release_pages()
-    contents = replace(contents, channels=tuple(one for one in channels if len(one)))
-    _refuse_useless(path, form, contents, ledger, needs_channels)
+    channels = contents.channels
     return Log(
         path=path,
         format=form.name,
-        sha256=sha256 or hash_file(path),
+        sha256=sha256,
         size_bytes=size,
         messages=dict(sorted(contents.messages.items())),
-        channels=tuple(sorted(contents.channels, key=lambda channel: channel.name)),
+        channels=channels,
         bad_bytes=contents.bad_bytes,
         lost_messages=contents.lost_messages,
         boots=contents.boots,
         time_base=contents.time_base,
-        start_ns=min((int(channel.time_ns[0]) for channel in contents.channels), default=0),
-        end_ns=max((int(channel.time_ns[-1]) for channel in contents.channels), default=0),
+        start_ns=min((int(channel.time_ns[0]) for channel in channels), default=0),
+        end_ns=max((int(channel.time_ns[-1]) for channel in channels), default=0),
         ledger=ledger,
         table=contents.table,
     )
@@ -104,16 +99,16 @@ def _read(path: Path, sha256: str | None, needs_channels: bool) -> Log:
 def _format_of(path: Path, head: bytes) -> LogFormat:
     extension = path.suffix.lower()
     named = next((form for form in FORMATS if extension in form.extensions), None)
-    found = next((form for form in FORMATS if form.matches(head)), None)
-    if found is not None and found is not named:
+    actual = next((form for form in FORMATS if form.matches(head)), None)
+    if actual is not None and actual is not named:
         raise LogError(
             "LOG-FORMAT",
-            f"its content is {found.title}, its extension is {extension or 'missing'}",
+            f"its content is {actual.title}, its extension is {extension or 'missing'}",
             where=str(path),
-            remedy=f"rename it to end in {found.extensions[0]} if the content is what you meant",
+            remedy=f"rename it to end in {actual.extensions[0]} if this is the intended log",
         )
-    for mark, what, remedy in _RELATIVES:
-        if found is None and head.startswith(mark):
+    for mark, what, remedy in _UNREADABLE:
+        if actual is None and head.startswith(mark):
             raise LogError("LOG-FORMAT", f"the file is {what}", where=str(path), remedy=remedy)
     if named is None:
         raise LogError(
@@ -125,9 +120,14 @@ def _format_of(path: Path, head: bytes) -> LogFormat:
     return named  # a log with a damaged beginning: its reader decides
 
 
-def _refuse_useless(
-    path: Path, form: LogFormat, contents: Contents, ledger: Ledger, needs_channels: bool
-) -> None:
+def _read(form: LogFormat, path: Path, ledger: Ledger, needs_channels: bool) -> Contents:
+    """The contents of a log with its channels checked and sorted; LogError if nothing is usable."""
+    contents = form.read(path, ledger)
+    channels = []
+    for channel in contents.channels:
+        channels.append(flagged(channel, ledger))
+        release_pages()
+    channels = sorted((c for c in channels if len(c)), key=lambda channel: channel.name)
     if not contents.messages:
         damage = "".join(f"; {entry.what} ({entry.where})" for entry in list(ledger)[:2])
         raise LogError(
@@ -136,7 +136,7 @@ def _refuse_useless(
             where=str(path),
             remedy=f"check that it is the whole log; known are {KNOWN}",
         )
-    if needs_channels and not contents.channels:
+    if needs_channels and not channels:
         kinds = ", ".join(sorted(contents.messages)[:12])
         raise LogError(
             "LOG-NO-MESSAGES",
@@ -146,3 +146,4 @@ def _refuse_useless(
             remedy=f"check what the vehicle logs; this log has {kinds}, which "
             "`unbend inspect --type` shows",
         )
+    return replace(contents, channels=tuple(channels))

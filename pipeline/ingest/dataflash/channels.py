@@ -12,7 +12,7 @@ from pipeline.flight.channels import ROLE_COLUMNS, Channel, Source
 from pipeline.flight.clock import STRAY_ROWS
 from pipeline.ingest.ardupilot_heights import (
     HEIGHT_OPTION,
-    says_ellipsoid,
+    selects_ellipsoid,
     with_ellipsoidal_heights,
     with_undulation,
 )
@@ -152,7 +152,7 @@ def heights_are_ellipsoidal(parameters: Table) -> bool:
     if not {"Name", "Value"} <= set(parameters):
         return False
     values = parameters["Value"][parameters["Name"] == HEIGHT_OPTION]
-    return bool(values.size) and says_ellipsoid(float(values[-1]))
+    return bool(values.size) and selects_ellipsoid(float(values[-1]))
 
 
 def _joined(decoded: Decoded, accuracy: Decoded) -> Table:

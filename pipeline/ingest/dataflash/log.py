@@ -169,7 +169,10 @@ def stamped(decoded: Decoded, clock: Clock, instance: str | None) -> Table:
 
 
 def _report_damage(found: Walk, path: Path, ledger: Ledger) -> None:
-    report_damage(ledger, path.name, "record", found.bad_bytes, found.first_bad, found.cut_bytes)
+    report_damage(
+        ledger, path.name, unit="record", bad_bytes=found.bad_bytes, first_bad=found.first_bad,
+        cut_bytes=found.cut_bytes,
+    )  # fmt: skip
     for refused in found.refused:
         ledger.loss(
             "LOG-BAD-FORMAT", f"an FMT record makes no sense: {refused}", where=path.name, count=1

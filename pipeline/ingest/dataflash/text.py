@@ -45,7 +45,10 @@ class DataFlashText:
     def read(self, path: Path, ledger: Ledger) -> Contents:
         found = _Lines()
         tables = found.read(path, set(wanted()))
-        report_damage(ledger, path.name, "line", found.bad_bytes, found.first_bad, found.cut_bytes)
+        report_damage(
+            ledger, path.name, unit="line", bad_bytes=found.bad_bytes, first_bad=found.first_bad,
+            cut_bytes=found.cut_bytes,
+        )  # fmt: skip
         line, again = timeline(_stamps(found)), partial(_decoded, path)
         return contents_of(dict(found.counts), found.bad_bytes, line, tables, again, ledger)
 

@@ -14,7 +14,7 @@ from pipeline.flight.channels import Array, Channel, Source, TimeArray
 from pipeline.flight.clock import UNIX_US_FROM
 from pipeline.ingest.ardupilot_heights import (
     HEIGHT_OPTION,
-    says_ellipsoid,
+    selects_ellipsoid,
     with_ellipsoidal_heights,
 )
 from pipeline.ingest.attitude import earth_frame_attitude
@@ -62,7 +62,7 @@ def _heights_are_ellipsoidal(parameters: NDArray[Any], channels: list[Channel]) 
     mine = np.isin(parameters["source"] >> 8, [system for system in systems if system is not None])
     records = parameters["records"][mine]
     values = records["param_value"][records["param_id"] == HEIGHT_OPTION.encode()]
-    return bool(values.shape[0]) and says_ellipsoid(float(values[-1]))
+    return bool(values.shape[0]) and selects_ellipsoid(float(values[-1]))
 
 
 @dataclass

@@ -77,7 +77,10 @@ def _report_damage(
     found: Scan, known: Dialect, needed: set[str], path: Path, ledger: Ledger
 ) -> int:
     """Enter the damage; returns the bytes of frames whose checksum fails by damage."""
-    report_damage(ledger, path.name, "message", found.bad_bytes, found.first_bad, found.cut_bytes)
+    report_damage(
+        ledger, path.name, unit="message", bad_bytes=found.bad_bytes, first_bad=found.first_bad,
+        cut_bytes=found.cut_bytes,
+    )  # fmt: skip
     if found.unknown:
         count = sum(suspects.count for suspects in found.unknown.values())
         first = min(suspects.first for suspects in found.unknown.values())

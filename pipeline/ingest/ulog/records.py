@@ -73,8 +73,10 @@ class ULogMessages:
 
     def report_damage(self, ledger: Ledger, file_name: str) -> None:
         """Enter what is damaged. The format does not number messages: lost ones are not counted."""
-        bad, cut = self.bad_bytes, self.cut_bytes
-        report_damage(ledger, file_name, "message", bad, self.first_bad, cut)
+        report_damage(
+            ledger, file_name, unit="message", bad_bytes=self.bad_bytes, first_bad=self.first_bad,
+            cut_bytes=self.cut_bytes,
+        )  # fmt: skip
         for topic in sorted(self.timeless):
             count = self.counts[topic]
             what = f"{count} rows cannot be used: the log defines no field for timestamp"
