@@ -104,7 +104,8 @@ MESSAGES: Mapping[str, MessageMap] = {
     "Airspeed": MessageMap(
         (
             column("temperature_k", "air_temperature_celsius", "degC"),
-            column("airspeed_m_s", "true_airspeed_m_s"),
+            # the indicated one, as ArduPilot and MAVLink log it: the atmosphere applies the density
+            column("airspeed_m_s", "indicated_airspeed_m_s"),
         ),
         ("temperature", "airspeed"), 30, time_field=TIMESTAMP,
     ),

@@ -260,9 +260,9 @@ ROS: list[tuple[str, str, dict[str, Any], dict[str, float]]] = [
      {"frame_seq_id": 7}, {"event_index": 7.0}),
     ("mavros_msgs/DebugValue", HEADER + "int32 index\nstring name\nfloat32 value_float",
      {"index": -1, "name": "CabT", "value_float": 21.5}, {"value": 21.5}),
-    ("px4_msgs/Airspeed", "uint64 timestamp\nfloat32 true_airspeed_m_s\n"
-     "float32 air_temperature_celsius",
-     {"true_airspeed_m_s": 41.5, "air_temperature_celsius": -12.5},
+    ("px4_msgs/Airspeed", "uint64 timestamp\nfloat32 indicated_airspeed_m_s\n"
+     "float32 true_airspeed_m_s\nfloat32 air_temperature_celsius",
+     {"indicated_airspeed_m_s": 41.5, "true_airspeed_m_s": 48.5, "air_temperature_celsius": -12.5},
      {"airspeed_m_s": 41.5, "temperature_k": 260.65}),
     ("px4_msgs/VehicleAirData", "uint64 timestamp\nfloat32 baro_pressure_pa\n"
      "float32 ambient_temperature",

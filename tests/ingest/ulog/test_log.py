@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.atmosphere.estimate.sensors import dynamic_of, heating_of
 from pipeline.errors import LogError
 from pipeline.ingest import Log, open_log
 
@@ -359,6 +360,32 @@ def test_a_value_shorter_than_its_type_is_damage(tmp_path: Path) -> None:
     lost = [(e.kind, e.count) for e in log.ledger if e.code == "LOG-ULOG-DAMAGE"]
     assert lost == [("loss", 1)]
     assert (log.bad_bytes, log.lost_messages) == (0, 1)
+
+
+def test_a_pitot_tube_gives_dynamic_pressure_and_heating(tmp_path: Path) -> None:
+    """50 m/s at 3000 m of the ICAO atmosphere: q = rho V^2/2, and V^2/(2 c_p) at the stagnation.
+
+    PX4 logs the indicated airspeed sqrt(2 q/rho_0) and the true one; with the true one taken for
+    the indicated, both would be 1.35 times too large.
+    """
+    pressure, temperature, true = 70_108.5, 268.659, 50.0
+    density = pressure / (287.053 * temperature)
+    dynamic = 0.5 * density * true**2
+    indicated = np.sqrt(2.0 * dynamic / 1.225)
+    writer = ULogWriter()
+    writer.define(
+        "airspeed",
+        "float indicated_airspeed_m_s;float true_airspeed_m_s;float air_temperature_celsius;",
+    )
+    writer.subscribe("airspeed")
+    for k in range(20):
+        row = (indicated, true, temperature - 273.15)
+        writer.row("airspeed", "3f", 5_000_000 + 100_000 * k, *row)
+    channel = opened(tmp_path, writer.data).channel("airspeed")
+    assert "airspeed" in channel.roles
+    assert dynamic_of(channel["airspeed_m_s"])[0] == pytest.approx(dynamic, rel=1e-6)
+    heating = heating_of(channel["airspeed_m_s"], pressure, channel["temperature_k"])
+    np.testing.assert_allclose(heating, true**2 / (2.0 * 1004.7), rtol=1e-3)
 
 
 def test_pyulog_is_not_needed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
