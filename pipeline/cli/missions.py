@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import sys
 from contextlib import closing
-from functools import partial
+from functools import cache, partial
+from inspect import Parameter, Signature
+from math import inf
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.markup import escape
+from typer.core import TyperCommand
 
 from pipeline.cli.app import app, new_console, print_bug, print_error
 from pipeline.errors import EXIT_BUG, EXIT_DONE, EXIT_LOSSES, ConfigError, UnbendError
@@ -114,20 +117,63 @@ def inspect(
     raise typer.Exit(EXIT_LOSSES if opened.ledger.has_losses else EXIT_DONE)
 
 
-@app.command(epilog="Example: unbend export results/survey --format lattice --out grid.parquet")
+@cache
+def _format_parameters() -> tuple[Any, ...]:
+    """Parameters of ``unbend export`` that the formats declare: --format, and their options."""
+    from pipeline.tables.exports import FORMATS
+
+    names: dict[str, list[str]] = {}
+    for form in FORMATS.values():
+        names.setdefault(form.contents, []).append(form.name)
+    listed = "; ".join(f"{', '.join(of)}: {contents}" for contents, of in names.items())
+    hints: dict[str, Any] = {"format_name": Annotated[str, typer.Option("--format", help=listed)]}
+    parameters = [Parameter("format_name", Parameter.KEYWORD_ONLY)]
+    for option in {o.name: o for form in FORMATS.values() for o in form.options}.values():
+        unit = f" {option.unit}" if option.unit else ""
+        hints[option.name] = Annotated[
+            option.kind | None,
+            typer.Option(
+                min=None if option.minimum == -inf else option.kind(option.minimum),
+                max=None if option.maximum == inf else option.kind(option.maximum),
+                help=f"{option.help}, by default {option.default}{unit}",
+            ),
+        ]
+        parameters.append(Parameter(option.name, Parameter.KEYWORD_ONLY, default=None))
+
+    def declared() -> None:
+        """Only its parameters are used."""
+
+    declared.__annotations__ = hints
+    declared.__signature__ = Signature(  # type: ignore[attr-defined]
+        [p.replace(annotation=hints[p.name]) for p in parameters]
+    )
+    command = typer.Typer(add_completion=False, rich_markup_mode=None)
+    command.command()(declared)
+    return tuple(typer.main.get_command(command).params)
+
+
+class _ExportCommand(TyperCommand):
+    """`unbend export`, with the options of the formats; they are imported when it is used."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        own = len(self.params)
+        params = super().get_params(ctx)
+        return [*params[:own], *_format_parameters(), *params[own:]]
+
+    def invoke(self, ctx: Any) -> Any:
+        """Hand the function of the command what the formats declare as one mapping."""
+        ctx.obj = {p.name: ctx.params.pop(p.name) for p in _format_parameters()}
+        return super().invoke(ctx)
+
+
+@app.command(
+    cls=_ExportCommand,
+    epilog="Example: unbend export results/survey --format lattice --out grid.parquet",
+)
 def export(
+    ctx: typer.Context,
     run: Annotated[Path, typer.Argument(help="a folder of results", metavar="RUN")],
-    name: Annotated[
-        str,
-        typer.Option(
-            "--format",
-            help="lattice, lattice-csv: dx, dy on a grid over each image; radial, radial-csv: by "
-            "nadir angle, per flying height",
-        ),
-    ],
     out: Annotated[Path, typer.Option(help="the file to write")],
-    columns: Annotated[int, typer.Option(min=2, max=1000, help="of the lattice")] = 21,
-    rows: Annotated[int, typer.Option(min=2, max=1000, help="of the lattice")] = 15,
     ground_height: Annotated[
         float | None,
         typer.Option(
@@ -140,12 +186,14 @@ def export(
     from pipeline.report.progress import DelayedProgressBar
     from pipeline.report.terminal import print_ledger
     from pipeline.stages.story import export_run
-    from pipeline.tables.exports import ExportOptions
 
     console = new_console()
-    options = ExportOptions(columns, rows, ground_height)
+    options = {name: value for name, value in ctx.obj.items() if value is not None}
+    name = options.pop("format_name")
     with DelayedProgressBar(console, f"exporting {run.name}"):
-        written, ledger = export_run(run, name, out, options, force=force)
+        written, ledger = export_run(
+            run, name, out, options, ground_height_m=ground_height, force=force
+        )
     console.print(f"{escape(str(out))}: {written:,} rows")
     print_ledger(console, ledger.rows())
     raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)

@@ -20,6 +20,7 @@ from pipeline.atmosphere.profile import Layers, Profile
 from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.atmosphere.series.profile_series import ProfileSeries, TimedProfile
 from pipeline.config import Mission
+from pipeline.config.sections import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.errors import ConfigError, MissionError
 from pipeline.flight.stations import NO_TIME, Stations
 from pipeline.geodesy import Gravity
@@ -246,6 +247,14 @@ def rebuild_run(
 
     ``ground_height_m`` [m above sea level] replaces the ground heights of all images.
     """
+    if ground_height_m is not None and not LOWEST_GROUND_M <= ground_height_m <= HIGHEST_GROUND_M:
+        raise ConfigError(
+            "EXPORT-GROUND",
+            f"{ground_height_m:g} m is no ground height ({LOWEST_GROUND_M:g} to "
+            f"{HIGHEST_GROUND_M:g} m)",
+            where="--ground-height",
+            remedy="give it in metres above sea level",
+        )
     mission = mission_of(manifest, path)
     if mission.refraction.direction != "remove":
         raise ConfigError(

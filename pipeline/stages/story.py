@@ -6,6 +6,7 @@ Nothing is computed here: each step is a call of a stage, and each stage has a m
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,7 +41,7 @@ from pipeline.stages.inputs import FlightLog, read_log, read_observations
 from pipeline.stages.outputs import manifest_of, observation_metadata, write_tables
 from pipeline.stages.stations import stations_of_mission
 from pipeline.stages.uncertainty import report_unknown_sigmas, scale_of_block
-from pipeline.tables.exports import ExportOptions, find_format
+from pipeline.tables.exports import find_format
 from pipeline.tables.observations import Observations
 
 
@@ -195,15 +196,25 @@ def air_of_mission_or_standard(
 
 
 def export_run(
-    path: Path, name: str, out: Path, options: ExportOptions, *, force: bool = False
+    path: Path,
+    name: str,
+    out: Path,
+    options: Mapping[str, Any],
+    *,
+    ground_height_m: float | None = None,
+    force: bool = False,
 ) -> tuple[int, Ledger]:
-    """Write a finished run for another program; rows written, and a ledger of what is left out."""
-    export = find_format(name, out)
+    """Write a finished run in a format of other programs; rows written, and what was left out.
+
+    ``options`` are those of the format, by name; ``ground_height_m`` as for `rebuild_run`.
+    """
+    form = find_format(name, out)
+    values = form.values(options)
     refuse_output(path, out, force=force)
     ledger = Ledger()
-    run = rebuild_run(path, verify_run(path), options.ground_height_m, ledger)
+    run = rebuild_run(path, verify_run(path), ground_height_m, ledger)
     with written_whole(out) as draft:
-        rows = export.write(run, options, draft, ledger)
+        rows = form.write(run, values, draft, ledger)
     return rows, ledger
 
 

@@ -19,7 +19,7 @@ from pipeline.atmosphere.series.profile_series import TimedProfile, constant_ser
 from pipeline.flight.stations import NO_TIME, Stations
 from pipeline.stages.finished_run import profile_of, stations_of
 from pipeline.stages.story import air_of_mission
-from pipeline.tables.exports.files import write_csv_stream
+from pipeline.tables.exports.format import write_csv_stream
 from pipeline.tables.writing import PROFILE_ID, profile_arrow, stations_table
 
 COLUMNS = ["image", "x_px", "y_px", "dx_px", "dy_px", "h_g_m", "status"]

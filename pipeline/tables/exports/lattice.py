@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -11,8 +10,7 @@ import pyarrow as pa
 from pipeline.ledger import Ledger
 from pipeline.refraction.lattice import lattice_corrections, lattice_nodes
 from pipeline.refraction.status import STATUS_NAMES
-from pipeline.tables.exports.files import write_csv_stream, write_parquet_stream
-from pipeline.tables.exports.run import ExportCamera, ExportOptions, FinishedRun
+from pipeline.tables.exports.format import FinishedRun, Option, Values, parquet_and_csv
 from pipeline.tables.schemas import schema_of
 from pipeline.tables.writing import table_of
 
@@ -32,65 +30,10 @@ _MOST_ROWS = 250_000
 """Rows held in memory at a time."""
 
 
-def write_lattice(run: FinishedRun, options: ExportOptions, path: Path, ledger: Ledger) -> int:
-    """The lattices of all images as one Parquet file; the number of rows."""
-    schema = _schema(run, options)
-    return write_parquet_stream(path, schema, _tables(run, options, schema, ledger))
-
-
-def write_lattice_csv(run: FinishedRun, options: ExportOptions, path: Path, ledger: Ledger) -> int:
-    """The lattices of all images as one CSV file; the number of rows."""
-    schema = _schema(run, options)
-    return write_csv_stream(path, schema, _tables(run, options, schema, ledger))
-
-
-def _schema(run: FinishedRun, options: ExportOptions) -> pa.Schema:
-    extra = {"unbend.lattice": f"{options.columns} columns, {options.rows} rows, row by row"}
-    return schema_of(LATTICE_COLUMNS, dict(run.metadata) | extra)
-
-
-def _tables(
-    run: FinishedRun, options: ExportOptions, schema: pa.Schema, ledger: Ledger
-) -> Iterator[pa.Table]:
-    """Camera by camera, in each the images in the order of the stations."""
-    _account(run, ledger)
-    images = max(1, _MOST_ROWS // (options.columns * options.rows))
-    for name, camera in run.cameras.items():
-        rows = run.rows_of(name)
-        changes = np.flatnonzero(np.diff(run.air.profile_number[rows])) + 1
-        for alike in np.split(rows, changes):
-            for first in range(0, alike.size, images):
-                yield _table(run, camera, alike[first : first + images], options, schema)
-
-
-def _table(
-    run: FinishedRun,
-    camera: ExportCamera,
-    rows: np.ndarray[tuple[int], np.dtype[np.int64]],
-    options: ExportOptions,
-    schema: pa.Schema,
-) -> pa.Table:
-    """The lattices of images in the same air."""
-    x, y = lattice_nodes(camera.camera, options.columns, options.rows)
-    ground = run.ground_m[rows]
-    rays = run.rays[run.air.profile_number[rows[0]]]
-    found = lattice_corrections(x, y, ground, rows, run.exposures, camera.camera, rays)
-    return table_of(
-        {
-            "image": np.repeat(run.stations.image[rows], x.size),
-            "x_px": np.tile(run.pixels.from_colmap(x), rows.size),
-            "y_px": np.tile(run.pixels.from_colmap(y), rows.size),
-            "dx_px": found.dx_px,
-            "dy_px": found.dy_px,
-            "h_g_m": np.repeat(ground, x.size),
-            "status": pa.array(STATUS_NAMES).take(pa.array(found.status)),
-        },
-        schema,
-    )
-
-
-def _account(run: FinishedRun, ledger: Ledger) -> None:
-    """Say which images have no lattice, and which one without ground heights."""
+def _lattice(
+    run: FinishedRun, values: Values, ledger: Ledger
+) -> tuple[pa.Schema, Iterator[pa.Table]]:
+    """The lattices of all images; images without one, and without ground, are entered as losses."""
     usable = run.exposures.usable
     left_out = run.stations.image[~usable]
     if left_out.size:
@@ -110,3 +53,48 @@ def _account(run: FinishedRun, ledger: Ledger) -> None:
             where="observations",
             count=int(groundless.size),
         )
+    columns, rows = values["columns"], values["rows"]
+    layout = {"unbend.lattice": f"{columns} columns, {rows} rows, row by row"}
+    schema = schema_of(LATTICE_COLUMNS, dict(run.metadata) | layout)
+    return schema, _tables(run, schema, columns, rows)
+
+
+def _tables(run: FinishedRun, schema: pa.Schema, columns: int, rows: int) -> Iterator[pa.Table]:
+    """Camera by camera, in each the images in the order of the stations, those of one air together.
+
+    A table holds as many images as `_MOST_ROWS` allows.
+    """
+    images_of_table = max(1, _MOST_ROWS // (columns * rows))
+    for name, camera in run.cameras.items():
+        x, y = lattice_nodes(camera.camera, columns, rows)
+        stations = run.rows_of(name)
+        changes = np.flatnonzero(np.diff(run.air.profile_number[stations])) + 1
+        for in_one_air in np.split(stations, changes):
+            for first in range(0, in_one_air.size, images_of_table):
+                part = in_one_air[first : first + images_of_table]
+                ground = run.ground_m[part]
+                rays = run.rays[run.air.profile_number[part[0]]]
+                corrections = lattice_corrections(
+                    x, y, ground, part, run.exposures, camera.camera, rays
+                )
+                columns_of_table = {
+                    "image": np.repeat(run.stations.image[part], x.size),
+                    "x_px": np.tile(run.pixels.from_colmap(x), part.size),
+                    "y_px": np.tile(run.pixels.from_colmap(y), part.size),
+                    "dx_px": corrections.dx_px,
+                    "dy_px": corrections.dy_px,
+                    "h_g_m": np.repeat(ground, x.size),
+                    "status": pa.array(STATUS_NAMES).take(pa.array(corrections.status)),
+                }
+                yield table_of(columns_of_table, schema)
+
+
+FORMATS = parquet_and_csv(
+    "lattice",
+    "dx, dy on a grid over each image",
+    _lattice,
+    (
+        Option("columns", int, 21, "nodes of the lattice across an image", "", 2, 1000),
+        Option("rows", int, 15, "nodes of the lattice down an image", "", 2, 1000),
+    ),
+)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -13,8 +12,7 @@ from pipeline.geodesy import euler_radius
 from pipeline.ledger import Ledger
 from pipeline.refraction.radial import RadialTable, angles_to, radial_table
 from pipeline.refraction.status import STATUS_NAMES
-from pipeline.tables.exports.files import write_csv_stream, write_parquet_stream
-from pipeline.tables.exports.run import ExportCamera, ExportOptions, FinishedRun
+from pipeline.tables.exports.format import FinishedRun, Values, parquet_and_csv
 from pipeline.tables.schemas import schema_of
 from pipeline.tables.writing import table_of
 from pipeline.units import ARCSEC, DEGREE, MICRORADIAN
@@ -48,24 +46,12 @@ _SAME_HEIGHT = 0.02
 """Heights above ground within 2 % of each other share a table: R differs by less than 2 %."""
 
 
-def write_radial(run: FinishedRun, _: ExportOptions, path: Path, ledger: Ledger) -> int:
-    """The radial tables of a run as one Parquet file; the number of rows."""
-    schema = schema_of(RADIAL_COLUMNS, run.metadata)
-    return write_parquet_stream(path, schema, _tables(run, schema, ledger))
-
-
-def write_radial_csv(run: FinishedRun, _: ExportOptions, path: Path, ledger: Ledger) -> int:
-    """The radial tables of a run as one CSV file; the number of rows."""
-    schema = schema_of(RADIAL_COLUMNS, run.metadata)
-    return write_csv_stream(path, schema, _tables(run, schema, ledger))
-
-
 def radial_columns(table: RadialTable) -> dict[str, object]:
     """A radial table in the units of its columns, without camera and images.
 
     >>> from pipeline.atmosphere import standard_atmosphere
-    >>> found = radial_table(standard_atmosphere("us1976"), 6000.0, 0.0, angles_to(45.0, 45.0))
-    >>> radial_columns(found)["r_c_arcsec"].round(2).tolist()
+    >>> table = radial_table(standard_atmosphere("us1976"), 6000.0, 0.0, angles_to(45.0, 45.0))
+    >>> radial_columns(table)["r_c_arcsec"].round(2).tolist()
     [0.0, 12.18]
     """
     n = table.r_c_rad.size
@@ -84,7 +70,8 @@ def radial_columns(table: RadialTable) -> dict[str, object]:
     }
 
 
-def _tables(run: FinishedRun, schema: pa.Schema, ledger: Ledger) -> Iterator[pa.Table]:
+def _radial(run: FinishedRun, _: Values, ledger: Ledger) -> tuple[pa.Schema, Iterator[pa.Table]]:
+    """A table for each camera and each height above ground that its images share, lowest first."""
     if len(run.rays) > 1:
         ledger.warning(
             "EXPORT-AIR-CHANGES",
@@ -93,6 +80,7 @@ def _tables(run: FinishedRun, schema: pa.Schema, ledger: Ledger) -> Iterator[pa.
             where="profile.parquet",
             count=len(run.rays),
         )
+    groups: list[tuple[str, NDArray[np.int64]]] = []
     for name, camera in run.cameras.items():
         if camera.has_window:
             ledger.warning(
@@ -101,52 +89,41 @@ def _tables(run: FinishedRun, schema: pa.Schema, ledger: Ledger) -> Iterator[pa.
                 "the air outside alone; the lattice holds both",
                 where=f"cameras.{name}.window",
             )
-        rows = _above_ground(run, name, ledger)
-        for group in _same_heights(run, rows):
-            yield _table(run, name, camera, group, schema)
+        rows = run.rows_of(name)
+        above_ground = run.exposures.height_m[rows] - run.ground_m[rows]
+        known = above_ground > 0.0
+        if not bool(known.all()):
+            ledger.loss(
+                "EXPORT-LEFT-OUT",
+                f"{int((~known).sum())} images of camera {name} have no known ground below them "
+                "and are in no radial table",
+                where=f"camera {name}",
+                count=int((~known).sum()),
+            )
+        step = np.round(np.log(above_ground[known]) / _SAME_HEIGHT)
+        groups += [(name, rows[known][step == number]) for number in np.unique(step)]
+    schema = schema_of(RADIAL_COLUMNS, run.metadata)
+    return schema, (_table(run, name, rows, schema) for name, rows in groups)
 
 
-def _above_ground(run: FinishedRun, camera: str, ledger: Ledger) -> NDArray[np.int64]:
-    rows = run.rows_of(camera)
-    above = run.exposures.height_m[rows] > run.ground_m[rows]
-    missing = int((~above).sum())
-    if missing:
-        ledger.loss(
-            "EXPORT-LEFT-OUT",
-            f"{missing} images of camera {camera} have no known ground below them and are in no "
-            "radial table",
-            where=f"camera {camera}",
-            count=missing,
-        )
-    return rows[above]
-
-
-def _same_heights(run: FinishedRun, rows: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """The stations in groups of about the same height above ground, the lowest first."""
-    step = np.round(np.log(run.exposures.height_m[rows] - run.ground_m[rows]) / _SAME_HEIGHT)
-    return [rows[step == one] for one in np.unique(step)]
-
-
-def _table(
-    run: FinishedRun,
-    name: str,
-    camera: ExportCamera,
-    rows: NDArray[np.int64],
-    schema: pa.Schema,
-) -> pa.Table:
+def _table(run: FinishedRun, name: str, rows: NDArray[np.int64], schema: pa.Schema) -> pa.Table:
+    """The table of some stations of a camera, for their median height, ground and latitude."""
     # At 45 degrees of azimuth Euler's radius is the harmonic mean of the two principal ones.
-    middle = float(np.median(run.stations.lat_rad[rows]))
-    radius = run.exposures.radius_m or float(euler_radius(middle, 0.25 * np.pi))
-    middle_one = rows[np.argsort(run.stations.time_ns[rows], kind="stable")[rows.size // 2]]
-    found = radial_table(
-        run.air.profiles[run.air.profile_number[middle_one]],
+    latitude = float(np.median(run.stations.lat_rad[rows]))
+    middle = rows[np.argsort(run.stations.time_ns[rows], kind="stable")[rows.size // 2]]
+    camera = run.cameras[name].camera
+    table = radial_table(
+        run.air.profiles[run.air.profile_number[middle]],
         float(np.median(run.exposures.height_m[rows])),
         float(np.median(run.ground_m[rows])),
         angles_to(_LARGEST_DEG, _STEP_DEG),
-        focal_px=0.5 * (camera.camera.fx_px + camera.camera.fy_px),
-        radius=radius,
+        focal_px=0.5 * (camera.fx_px + camera.fy_px),
+        radius=run.exposures.radius_m or float(euler_radius(latitude, 0.25 * np.pi)),
         method=run.method,
     )
-    n = found.r_c_rad.size
-    mine = {"camera": np.full(n, name, dtype=object), "images": np.full(n, rows.size)}
-    return table_of(mine | radial_columns(found), schema)
+    n = table.r_c_rad.size
+    group = {"camera": np.full(n, name, dtype=object), "images": np.full(n, rows.size)}
+    return table_of(group | radial_columns(table), schema)
+
+
+FORMATS = parquet_and_csv("radial", "refraction by nadir angle, per flying height", _radial)

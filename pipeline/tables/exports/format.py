@@ -1,0 +1,173 @@
+"""What an export format is: its name, its options, what it is given, and what it writes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from pipeline.atmosphere.series.profile_series import ProfileSeries
+from pipeline.errors import ConfigError
+from pipeline.flight.stations import Stations
+from pipeline.ledger import Ledger
+from pipeline.refraction.camera.camera import Camera
+from pipeline.refraction.image import Exposures
+from pipeline.refraction.ray import PublishedRays, RayTable
+from pipeline.tables.pixels import PixelSystem
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ExportCamera:
+    """A camera in COLMAP's pixels, and whether a window bends its rays."""
+
+    camera: Camera
+    has_window: bool
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedRun:
+    """A finished run as an exporter sees it, rebuilt from its folder.
+
+    ``ground_m`` (s,) is the ground that images are computed for, above sea level [m], NaN where
+    there is none. ``exposures`` has the rows of ``stations``. ``parts`` are the Parquet files of
+    the observations, in order, with coordinates in the system ``pixels``; ``metadata`` goes into
+    every file that is written. ``rays`` are those of the profiles of ``air``.
+    """
+
+    mission: str
+    stations: Stations
+    exposures: Exposures
+    air: ProfileSeries
+    rays: tuple[RayTable | PublishedRays, ...]
+    method: str
+    cameras: Mapping[str, ExportCamera]
+    ground_m: Array
+    pixels: PixelSystem
+    parts: tuple[Path, ...]
+    metadata: Mapping[str, str]
+
+    def rows_of(self, camera: str) -> NDArray[np.int64]:
+        """(n,) the stations of a camera that can be used, in the order of the table."""
+        usable = (self.stations.camera == camera) & self.exposures.usable
+        return np.flatnonzero(usable).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class Option:
+    """An option of a format. The command line shows and parses it as it is declared here.
+
+    ``name`` : in the mapping of values; on the command line ``--name``, ``_`` written as ``-``.
+    ``default``, ``minimum``, ``maximum`` : in ``unit``, limits included.
+    """
+
+    name: str
+    kind: type[int] | type[float]
+    default: int | float
+    help: str
+    unit: str = ""
+    minimum: float = -np.inf
+    maximum: float = np.inf
+
+    @property
+    def flag(self) -> str:
+        return "--" + self.name.replace("_", "-")
+
+
+Values = Mapping[str, Any]
+"""The value of every option of a format, by name."""
+
+
+@dataclass(frozen=True)
+class ExportFormat:
+    """A format: its name, what it holds in words, the ending of its file, its writer, its options.
+
+    ``write(run, values, path, ledger)`` writes one file at a path and returns its number of rows;
+    what is left out is entered in the ledger.
+    """
+
+    name: str
+    contents: str
+    ending: str
+    write: Callable[[FinishedRun, Values, Path, Ledger], int]
+    options: tuple[Option, ...] = ()
+
+    def values(self, given: Values) -> dict[str, Any]:
+        """The value of every option, given or by default.
+
+        Raises ``ConfigError`` for an option of other formats, and for a value beyond the limits.
+        """
+        options = {option.name: option for option in self.options}
+        for name, value in given.items():
+            option = options.get(name)
+            if option is None:
+                flag = "--" + name.replace("_", "-")
+                problem = f"{self.name} has no option {flag}"
+                remedy = f"its options are {', '.join(o.flag for o in self.options) or 'none'}"
+            elif not option.minimum <= value <= option.maximum:
+                flag = option.flag
+                problem = f"{value:g} is not from {option.minimum:g} to {option.maximum:g}"
+                remedy = f"{option.help}{f' [{option.unit}]' if option.unit else ''}"
+            else:
+                continue
+            raise ConfigError("EXPORT-OPTION", problem, where=flag, remedy=remedy)
+        return {option.name: option.default for option in self.options} | dict(given)
+
+
+TablesOfRun = Callable[[FinishedRun, Values, Ledger], tuple[pa.Schema, Iterator[pa.Table]]]
+
+
+def parquet_and_csv(
+    name: str, contents: str, tables: TablesOfRun, options: tuple[Option, ...] = ()
+) -> tuple[ExportFormat, ExportFormat]:
+    """One table in two formats: ``name`` is written as Parquet, ``name``-csv as CSV.
+
+    ``tables`` returns the schema and the tables that are written one after the other.
+    """
+
+    def write(writer: Callable[..., int], run: FinishedRun, values: Values, path: Path,
+              ledger: Ledger) -> int:  # fmt: skip
+        return writer(path, *tables(run, values, ledger))
+
+    return (
+        ExportFormat(name, contents, ".parquet", partial(write, write_parquet_stream), options),
+        ExportFormat(f"{name}-csv", contents, ".csv", partial(write, write_csv_stream), options),
+    )
+
+
+def write_parquet_stream(path: Path, schema: pa.Schema, tables: Iterable[pa.Table]) -> int:
+    """One Parquet file of all the tables, zstd with page checksums; the number of rows."""
+    rows = 0
+    with pq.ParquetWriter(path, schema, compression="zstd", write_page_checksum=True) as writer:
+        for table in tables:
+            writer.write_table(table)
+            rows += table.num_rows
+    return rows
+
+
+def write_csv_stream(path: Path, schema: pa.Schema, tables: Iterable[pa.Table]) -> int:
+    """One CSV file of all the tables, null as nothing; the number of rows.
+
+    Numbers have all the digits that tell them apart. Arrow quotes all text or none: the text of a
+    table is quoted where a value holds a comma, a quotation mark or the end of a line.
+    """
+    rows = 0
+    with path.open("wb") as file:
+        file.write((",".join(schema.names) + "\n").encode())
+        for table in tables:
+            texts = [column for column in table.columns if pa.types.is_string(column.type)]
+            words = [str(word) for column in texts for word in column.unique().to_pylist()]
+            style = "needed" if any(set(word) & set('",\r\n') for word in words) else "none"
+            options = pa_csv.WriteOptions(include_header=False, quoting_style=style)
+            pa_csv.write_csv(table, file, options)
+            rows += table.num_rows
+    return rows
