@@ -170,7 +170,7 @@ def _sections_of(annotation: Any) -> list[type[BaseModel]]:
 def _nearest(loc: tuple[int | str, ...]) -> str:
     known = sorted({name for model in _models_at(loc[:-1]) for name in model.model_fields})
     near = difflib.get_close_matches(str(loc[-1]), known, 1, 0.5)
-    return f"; did you mean {near[0]!r}?" if near else f"; there is {', '.join(known)}"
+    return f"; perhaps {near[0]!r}?" if near else f"; there is {', '.join(known)}"
 
 
 def _meaning(loc: tuple[int | str, ...]) -> str:

@@ -372,7 +372,7 @@ class Mission(Section):
         for where, names in used.items():
             for name in sorted(names - known):
                 near = difflib.get_close_matches(name, known, 1, 0.0)
-                raise ValueError(f"{where} speaks of camera {name!r}; did you mean {near[0]!r}?")
+                raise ValueError(f"{where} speaks of camera {name!r}; perhaps {near[0]!r}?")
         for where, names in used.items():
             for name in sorted(known - names) if where != "events.csv.camera" else ():
                 raise ValueError(f"camera {name!r} has no entry under {where}")

@@ -186,7 +186,7 @@ class Log:
 def _available(name: str, names: list[str]) -> str:
     """The names of a log, first those that are similar to one that it does not have."""
     near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
-    meant = f"did you mean {', '.join(near)}? " if near else ""
+    meant = f"perhaps {', '.join(near)}? " if near else ""
     return f"{meant}this log has {', '.join(names)}"
 
 

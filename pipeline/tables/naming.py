@@ -18,12 +18,12 @@ def no_such_column(
     the quantity that it was to hold.
 
     >>> print(no_such_column("OBS-COLUMN", Path("o.csv"), "x_px", ["image", "x_pix"], "columns.x"))
-    OBS-COLUMN: there is no column 'x_px'; did you mean 'x_pix'?; there is image, x_pix
+    OBS-COLUMN: there is no column 'x_px'; perhaps 'x_pix'?; there is image, x_pix
       where: o.csv
       to do: say what it is called: columns.x
     """
     near = difflib.get_close_matches(name, there, 1, 0.5)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
+    hint = f"; perhaps {near[0]!r}?" if near else ""
     reason = f" for the {purpose}" if purpose else ""
     return InputError(
         code,

@@ -196,7 +196,8 @@ def _leaving(users: list[pa.Field], ledger: Ledger) -> dict[str, pa.Field]:
             name += "_input"
         if name != item.name:
             ledger.note(
-                "OBS-RENAMED", f"your column {item.name} leaves as {name}: the name is ours"
+                "OBS-RENAMED",
+                f"column {item.name} is written as {name}: a column of the results has its name",
             )
         leaving[name] = item
     return leaving
@@ -206,7 +207,7 @@ def _note_codes(names: Iterable[str], ledger: Ledger) -> None:
     for name in names:
         ledger.note(
             "OBS-CODES",
-            f"your column {name} leaves as text: some of its digits are no plain number",
+            f"column {name} is written as text: some of its digits are no plain number",
         )
 
 

@@ -64,7 +64,7 @@ def test_what_there_is_not(unbend, flown):
     path = flown.logs["bin"]
     ended = unbend("inspect", path, "--type", "BARRO")
     assert (ended.code, ended.err.partition(":")[0]) == (6, "LOG-NO-TYPE")
-    assert "did you mean BARO" in ended.err
+    assert "perhaps BARO" in ended.err
     ended = unbend("inspect", path, "--type", "BARO", "--instance", "7")
     assert (ended.code, ended.err.partition(":")[0]) == (6, "LOG-NO-TABLE")
 

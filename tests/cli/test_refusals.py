@@ -193,7 +193,7 @@ def test_observation_column_with_another_name(mission):
     table = mission.measurements()
     mission.observe(table.rename_columns(["image", "point", "x_pix", "y_px", "h_g_m", "quality"]))
     words = refused(mission.run(), "OBS-COLUMN")
-    assert "did you mean 'x_pix'" in words
+    assert "perhaps 'x_pix'" in words
     assert "observations.columns.x_px" in words
     mission.config["observations"]["columns"] = {"x_px": "x_pix"}
     accepted(mission.run(), 0)

@@ -258,7 +258,7 @@ def test_a_misspelt_key_is_refused_with_its_line_and_the_right_one(refused):
                 assert error.code == "CONFIG-UNKNOWN-KEY", (typo, error)
                 assert f"line {line}: {dotted}: unknown key" in error.what, (typo, error)
                 tried += 1
-                if f"{dotted}: unknown key; did you mean {keys[-1]!r}?" in error.what:
+                if f"{dotted}: unknown key; perhaps {keys[-1]!r}?" in error.what:
                     right += 1
                 else:
                     wrong.append((typo, keys[-1]))

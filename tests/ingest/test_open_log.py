@@ -139,7 +139,7 @@ def test_unknown_channel_names_the_near_ones(real_log: Callable[[str], Path]) ->
     with pytest.raises(LogError, match="BARO") as caught:
         log.channel("BARO[2]")
     assert caught.value.code == "LOG-NO-CHANNEL"
-    assert "did you mean BARO[" in caught.value.remedy
+    assert "perhaps BARO[" in caught.value.remedy
     assert "ATT" in caught.value.remedy
 
 

@@ -321,7 +321,7 @@ def test_stations_come_back():
 
 @pytest.mark.parametrize(
     ("name", "remedy"),
-    [("latice", "did you mean lattice"), ("colmap-text", "one of lattice, lattice-csv, radial")],
+    [("latice", "perhaps lattice"), ("colmap-text", "one of lattice, lattice-csv, radial")],
 )
 def test_an_unknown_format(baseline, export, name, remedy):
     _, ended = export(baseline.output, name)

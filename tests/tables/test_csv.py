@@ -376,6 +376,6 @@ def test_tables_of_exposures_that_are_none(tmp_path, text, code):
 
 
 def test_a_column_that_nearly_has_the_name(tmp_path):
-    with pytest.raises(InputError, match="did you mean 'tme'") as refusal:
+    with pytest.raises(InputError, match="perhaps 'tme'") as refusal:
         events(tmp_path, "image,tme\na,2025-06-12T10:00:00Z\n")
     assert refusal.value.remedy == "say what it is called: events.csv.columns"

@@ -116,7 +116,7 @@ def test_a_distance_called_like_a_column_of_ours_leaves_renamed(tmp_path):
 
 def test_a_distance_that_is_not_there(tmp_path):
     words = refused("OBS-COLUMN", tmp_path, table(ranges=[1.0, 2.0]))
-    assert "did you mean 'ranges'" in words
+    assert "perhaps 'ranges'" in words
     assert "observations.columns.distance_m" in words
 
 

@@ -36,7 +36,7 @@ def find_format(name: str, out: Path) -> ExportFormat:
             "EXPORT-FORMAT",
             f"no format is called {name!r}",
             where="--format",
-            remedy=f"did you mean {' or '.join(near)}?" if near else f"one of {', '.join(FORMATS)}",
+            remedy=f"perhaps {' or '.join(near)}?" if near else f"one of {', '.join(FORMATS)}",
         )
     if out.suffix.lower() != form.ending:
         fitting = [other for other, f in FORMATS.items() if f.ending == out.suffix.lower()]
