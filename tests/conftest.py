@@ -23,6 +23,13 @@ import yaml
 
 from pipeline.simulate import Simulated, SimulationOptions, simulate
 
+# Signals between processes, forks, named pipes, memory limits: Windows has none of them.
+collect_ignore = (
+    ["batch/test_workers.py", "cli/test_interrupts.py", "faults", "ingest/test_buffers.py"]
+    if os.name == "nt"
+    else []
+)
+
 SMALL = SimulationOptions(
     seed=5, height_above_ground_m=2500.0, lines=1, exposures_per_line=3, points_per_image=12
 )
