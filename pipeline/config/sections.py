@@ -12,7 +12,7 @@ from pydantic import Field, field_validator, model_validator
 
 from pipeline.config.atmosphere import AtmosphereSection, PathText
 from pipeline.config.cameras import CameraSection, MountSection, Section
-from pipeline.flight.local_origin import Origin
+from pipeline.flight.local_origin import GeodeticOrigin
 from pipeline.refraction import METHODS
 from pipeline.tables.pixels import PixelOrigin, PixelSystem
 from pipeline.units import DEGREE
@@ -81,9 +81,9 @@ class LocalOrigin(Section):
     lon_deg: float = Field(ge=-180, le=360)
     h_ellipsoid_m: float = Field(ge=-500, le=50_000)
 
-    def build(self) -> Origin:
+    def build(self) -> GeodeticOrigin:
         """In radians."""
-        return Origin(self.lat_deg * DEGREE, self.lon_deg * DEGREE, self.h_ellipsoid_m)
+        return GeodeticOrigin(self.lat_deg * DEGREE, self.lon_deg * DEGREE, self.h_ellipsoid_m)
 
 
 class LogSection(Section):

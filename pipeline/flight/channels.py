@@ -90,7 +90,7 @@ class Channel:
     def __getitem__(self, column: str) -> Array:
         return self.columns[column]
 
-    def can_play(self, role: str) -> bool:
+    def fits_role(self, role: str) -> bool:
         """Whether the columns that a role needs are there."""
         return all(column in self.columns for column in ROLE_COLUMNS[role])
 

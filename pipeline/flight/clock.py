@@ -160,13 +160,13 @@ def stray_stretches(
     return stray
 
 
-def increasing(time_ns: TimeArray) -> NDArray[np.bool_]:
+def longest_increasing(time_ns: TimeArray) -> NDArray[np.bool_]:
     """Mark the most rows whose times increase strictly, in the order they have.
 
     A longest increasing subsequence: one wrong stamp costs one row, whatever it says. Of equal
     stamps the first is marked.
 
-    >>> increasing(np.array([1, 3, 900, 4, 5, 5]))
+    >>> longest_increasing(np.array([1, 3, 900, 4, 5, 5]))
     array([ True,  True, False,  True,  True, False])
     """
     if bool(np.all(np.diff(time_ns) > 0)):
@@ -189,7 +189,7 @@ def increasing(time_ns: TimeArray) -> NDArray[np.bool_]:
     return keep
 
 
-def untangled(time_ns: TimeArray) -> tuple[NDArray[np.intp], NDArray[np.int16]]:
+def rows_in_time_order(time_ns: TimeArray) -> tuple[NDArray[np.intp], NDArray[np.int16]]:
     """Rows in the order of their time, without strays, also where the clock was set back.
 
     Parameters
@@ -197,14 +197,14 @@ def untangled(time_ns: TimeArray) -> tuple[NDArray[np.intp], NDArray[np.int16]]:
     time_ns : (n,) [ns] in the order of the file.
 
     Returns (m,) rows whose times increase strictly, and (m,) the number of the stretch between
-    two settings of the clock, from 0. Few rows out of order are left out (`increasing`); more than
-    `STRAY_ROWS` in a row are a clock that was set. Rows of before that the clock then passed
-    again are left out: which of the two was meant is unknowable, and stretches must not mix.
+    two settings of the clock, from 0. Few rows out of order are left out (`longest_increasing`);
+    more than `STRAY_ROWS` in a row are a clock that was set. Rows of before that the clock then
+    passed again are left out: which of the two was meant is unknowable, and stretches must not mix.
 
-    >>> untangled(np.array([0, 1, 2, 3, 90, 91, 92, 93, 94, 40, 41, 42, 43, 44, 45, 46]))[0]
-    array([ 0,  1,  2,  3,  9, 10, 11, 12, 13, 14, 15,  4,  5,  6,  7,  8])
+    >>> rows_in_time_order(np.array([0, 1, 90, 91, 92, 93, 94, 40, 41, 42, 43, 44, 45, 46]))[0]
+    array([ 0,  1,  7,  8,  9, 10, 11, 12, 13,  2,  3,  4,  5,  6])
     """
-    keep = increasing(time_ns)
+    keep = longest_increasing(time_ns)
     rows = np.flatnonzero(keep | _in_long_runs(~keep))
     back = np.diff(time_ns[rows]) <= 0
     if not 0 < int(np.count_nonzero(back)) <= SET_BACKS:
@@ -228,7 +228,7 @@ def _in_long_runs(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 @dataclass(frozen=True)
-class Offset:
+class ClockOffset:
     """UTC minus the time since boot of one boot.
 
     ``offset_ns`` the median; of the rows about it ``spread_ns`` p95 - p5 and ``largest_ns`` the
@@ -245,7 +245,7 @@ class Offset:
     stepped: bool = False
 
 
-def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> Offset | None:
+def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> ClockOffset | None:
     """The offset of a boot clock from UTC, robust against late and wrong rows.
 
     Parameters
@@ -267,7 +267,9 @@ def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> Offset | None:
     apart = (difference - base).astype(np.float64)
     low, middle, high = np.percentile(apart, (5.0, 50.0, 95.0))
     largest = max(float(apart.max() - middle), float(middle - apart.min()))
-    found = Offset(base + round(middle), round(high - low), int(utc_ns.shape[0]), round(largest))
+    found = ClockOffset(
+        base + round(middle), round(high - low), int(utc_ns.shape[0]), round(largest)
+    )
     if largest <= LARGEST_SPREAD_NS:
         return found
     far = np.abs(apart - middle) > LARGEST_SPREAD_NS
@@ -275,7 +277,7 @@ def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> Offset | None:
     return replace(found, far=int(np.count_nonzero(far)), first_far_ns=first, stepped=stepped)
 
 
-def fresh(time_ns: TimeArray) -> NDArray[np.bool_]:
+def new_readings(time_ns: TimeArray) -> NDArray[np.bool_]:
     """Mark the rows whose time differs from the row before.
 
     A receiver that is logged faster than it reports repeats its time (200 ms steps at 10 Hz were
@@ -286,7 +288,7 @@ def fresh(time_ns: TimeArray) -> NDArray[np.bool_]:
     return keep
 
 
-def along(from_ns: TimeArray, to_ns: TimeArray) -> Callable[[TimeArray], TimeArray]:
+def clock_map(from_ns: TimeArray, to_ns: TimeArray) -> Callable[[TimeArray], TimeArray]:
     """A map from one clock to another through pairs of readings, linear between them.
 
     Parameters
@@ -297,7 +299,7 @@ def along(from_ns: TimeArray, to_ns: TimeArray) -> Callable[[TimeArray], TimeArr
     Returns a function of (m,) times [ns]; outside the readings the nearest difference is kept, so
     nothing is extrapolated but the running of the clock itself.
 
-    >>> along(np.array([0, 10]), np.array([100, 120]))(np.array([-1, 5, 12]))
+    >>> clock_map(np.array([0, 10]), np.array([100, 120]))(np.array([-1, 5, 12]))
     array([ 99, 110, 122])
     """
     order = np.argsort(from_ns, kind="stable")
@@ -320,7 +322,7 @@ def along(from_ns: TimeArray, to_ns: TimeArray) -> Callable[[TimeArray], TimeArr
     return mapped
 
 
-def report_fit(ledger: Ledger, source: str, fit: Offset, where: str) -> None:
+def report_clock_fit(ledger: Ledger, source: str, fit: ClockOffset, where: str) -> None:
     """Say how well the stamps agree that tie a vehicle's clock to UTC; one that stepped is a loss.
 
     p5 to p95 do not see a tenth of the rows: the farthest counts as well, and rows that stay away.

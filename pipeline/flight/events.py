@@ -59,14 +59,14 @@ def events_of_table(
 _COUNT_ROUND, _COUNT_NEAR = 1 << 16, 1 << 12
 
 
-def counted_on(index: NDArray[np.int64]) -> NDArray[np.int64]:
+def unwrapped_numbers(index: NDArray[np.int64]) -> NDArray[np.int64]:
     """Image numbers that count on where a number of 16 bits ran over.
 
     Parameters
     ----------
     index : (n,) in the order of their time, of one power-up.
 
-    >>> counted_on(np.array([65534, 65535, 1, 2]))
+    >>> unwrapped_numbers(np.array([65534, 65535, 1, 2]))
     array([65534, 65535, 65537, 65538])
     """
     step = np.diff(index)
@@ -80,7 +80,7 @@ def _report_skipped(channel: Channel, index: NDArray[np.int64], ledger: Ledger) 
     """How many numbers of a power-up have no event between others; they go into the ledger."""
     lost = 0
     for boot in np.unique(channel.boot):
-        counted = counted_on(index[channel.boot == boot])
+        counted = unwrapped_numbers(index[channel.boot == boot])
         known = np.unique(counted)
         gaps = np.diff(known) - 1
         missing = int(gaps.sum())
@@ -110,7 +110,7 @@ def _sent(counted: int) -> int:
 
 def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Channel:
     """The event channel of a camera: the one that was named, or the only one of the best rank."""
-    able = [c for c in channels if c.can_play("events")]
+    able = [c for c in channels if c.fits_role("events")]
     candidates = [c for c in able if c.name == name] if name else able
     if candidates:
         best = [c for c in candidates if c.rank == min(c.rank for c in candidates)]
@@ -126,7 +126,7 @@ def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Cha
     )
 
 
-def account_for_triggers(channels: tuple[Channel, ...], chosen: Channel, ledger: Ledger) -> None:
+def report_lost_triggers(channels: tuple[Channel, ...], chosen: Channel, ledger: Ledger) -> None:
     """Say how many triggers have no shutter event, and when the events are triggers themselves.
 
     ArduPilot logs TRIG at the trigger and CAM at the feedback of a camera with a feedback pin, and

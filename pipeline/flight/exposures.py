@@ -97,9 +97,9 @@ def _body_from_enu(attitude: Array) -> Array:
     return quaternion
 
 
-def _gaps(stations: Stations, verdict: NDArray[np.uint8]) -> Stations:
-    stations = stations.with_status(verdict == GAP_VERDICT, IN_GAP)
-    return stations.with_status((verdict != INSIDE) & (verdict != GAP_VERDICT), OUTSIDE_LOG)
+def _gaps(stations: Stations, coverage: NDArray[np.uint8]) -> Stations:
+    stations = stations.with_status(coverage == GAP_VERDICT, IN_GAP)
+    return stations.with_status((coverage != INSIDE) & (coverage != GAP_VERDICT), OUTSIDE_LOG)
 
 
 def _oriented(
@@ -164,7 +164,7 @@ def _with_air(stations: Stations, roles: Mapping[str, Channel], max_gap_s: float
     return replace(stations, **columns)
 
 
-def require_cabin_air(stations: Stations, camera: str, ledger: Ledger) -> Stations:
+def flag_missing_cabin_air(stations: Stations, camera: str, ledger: Ledger) -> Stations:
     """Mark exposures of a camera behind a window whose cabin air is unknown as suspect."""
     known = np.isfinite(stations.cabin_pressure_pa) & np.isfinite(stations.cabin_temperature_k)
     return _suspect(
@@ -177,7 +177,7 @@ def require_cabin_air(stations: Stations, camera: str, ledger: Ledger) -> Statio
     )
 
 
-def require_aircraft_attitude(stations: Stations, camera: str, ledger: Ledger) -> Stations:
+def flag_missing_aircraft_attitude(stations: Stations, camera: str, ledger: Ledger) -> Stations:
     """Mark exposures behind a window that is fixed to the aircraft as suspect without its attitude.
 
     For a camera whose window has its normal in the body frame.

@@ -17,7 +17,7 @@ _GIMBALS = ("MNT", "MOUNTSTATUS", "MOUNTORIENTATION", "GIMBALDEVICEATTITUDESTATU
 _ASTRAY_DEG = 45.0
 
 
-def tell_of_gimbal(
+def report_gimbal_frames(
     messages: Mapping[str, int],
     roles: Mapping[str, Channel],
     mounts: Mapping[str, Mount],

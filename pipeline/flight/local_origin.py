@@ -11,7 +11,7 @@ from pipeline.geodesy import offset_geodetic
 
 
 @dataclass(frozen=True)
-class Origin:
+class GeodeticOrigin:
     """Where east = north = up = 0 lies; radians and metres above the ellipsoid."""
 
     lat_rad: float
@@ -19,7 +19,7 @@ class Origin:
     h_ellipsoid_m: float
 
 
-def locate(channel: Channel, origin: Origin) -> Channel:
+def to_geodetic(channel: Channel, origin: GeodeticOrigin) -> Channel:
     """The channel with its local positions as latitude, longitude and ellipsoidal height.
 
     A channel without ``east_m``, ``north_m``, ``up_m`` is returned as it is.

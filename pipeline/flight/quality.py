@@ -63,7 +63,7 @@ _DISGUISES: Mapping[str, tuple[float, float, str]] = {
 }
 
 
-def within_reason(channel: Channel, role: str, ledger: Ledger) -> Channel:
+def plausible_samples(channel: Channel, role: str, ledger: Ledger) -> Channel:
     """The channel without the samples that are missing or cannot be true in its role's columns.
 
     Out of range, or there and back faster than air or aircraft can change: each is counted in
@@ -87,11 +87,11 @@ def within_reason(channel: Channel, role: str, ledger: Ledger) -> Channel:
     return channel if bool(keep.all()) else subset(channel, keep)
 
 
-def flagged(channel: Channel, ledger: Ledger) -> Channel:
+def mask_impossible_values(channel: Channel, ledger: Ledger) -> Channel:
     """The channel of a log without the values that cannot be true; they are in the ledger.
 
-    As `within_reason`, before a role is given to it: a wrong value becomes unknown (NaN), and its
-    row goes where nothing is left that a role could use. A column whose median is impossible is
+    As `plausible_samples`, before a role is given to it: a wrong value becomes unknown (NaN), and
+    its row goes where nothing is left that a role could use. A column whose median is impossible is
     kept, with a warning: it has another unit, or is not of air. Of events only ranges are checked.
     """
     channel = _without_wild_heights(channel, ledger)
@@ -110,7 +110,7 @@ def flagged(channel: Channel, ledger: Ledger) -> Channel:
     channel = replace(channel, columns=columns)
     if "events" in channel.roles:
         return channel
-    roles = [role for role in _FLAGGED_AS if channel.can_play(role)]
+    roles = [role for role in _FLAGGED_AS if channel.fits_role(role)]
     for role in [role for role in roles if not odd & {*ROLE_COLUMNS[role]}]:
         jump = _jumps(channel, _known(channel, role), role, ledger)
         for column in ROLE_COLUMNS[role] if jump.size else ():

@@ -81,9 +81,9 @@ def _named(
     """The channel that the mission file names for a role."""
     by_name = {channel.name: channel for channel in channels}
     channel = by_name.get(name)
-    if channel is not None and channel.can_play(role):
+    if channel is not None and channel.fits_role(role):
         return channel
-    able = [c.name for c in channels if c.can_play(role)]
+    able = [c.name for c in channels if c.fits_role(role)]
     near = difflib.get_close_matches(name, by_name, 3, 0.4)
     if channel is not None:
         what = f"{name} has no {', '.join(ROLE_COLUMNS[role])}; it has {', '.join(channel.columns)}"
@@ -126,7 +126,7 @@ def _fill(
     """Fill a role that was not named, from the candidates of the best rank."""
     if role in filled or role in wishes:
         return
-    candidates = [c for c in channels if role in c.roles and c.can_play(role)]
+    candidates = [c for c in channels if role in c.roles and c.fits_role(role)]
     # A channel may serve a role it was not named for, except that inside is never outside.
     used = {
         c.name for r, c in filled.items() if r.startswith("cabin_") != role.startswith("cabin_")

@@ -89,7 +89,7 @@ class Stations:
         """The stations as a pandas DataFrame with the columns of ``stations.parquet``."""
         import pandas as pd
 
-        return pd.DataFrame(station_table(self))
+        return pd.DataFrame(station_columns(self))
 
 
 def empty_stations(
@@ -120,7 +120,7 @@ def join_stations(parts: list[Stations]) -> Stations:
     )
 
 
-def station_table(stations: Stations) -> dict[str, Any]:
+def station_columns(stations: Stations) -> dict[str, Any]:
     """Columns of ``stations.parquet``: degrees, UTC, null (NaT, NaN) where unknown."""
     time = stations.time_ns.astype("datetime64[ns]")
     time[stations.time_ns == NO_TIME] = np.datetime64("NaT")
@@ -153,7 +153,9 @@ def station_table(stations: Stations) -> dict[str, Any]:
     }
 
 
-def name_the_unmatched(stations: Stations, images: tuple[str, ...], ledger: Ledger) -> Stations:
+def append_unmatched_images(
+    stations: Stations, images: tuple[str, ...], ledger: Ledger
+) -> Stations:
     """The stations, with a row for every image that was measured but never exposed in the log."""
     unknown = np.array(sorted(set(images) - set(stations.image.tolist())), dtype=object)
     seldom = int((~np.isin(stations.image.astype(str), np.array(images, dtype=str))).sum())
@@ -177,7 +179,9 @@ LARGEST_PRESSURE_MISFIT_PA = 800.0
 """Barometer against profile at one exposure: 8 hPa are some 80 m of height."""
 
 
-def doubt_heights(stations: Stations, profile: Profile | ProfileSeries, ledger: Ledger) -> Stations:
+def flag_height_misfits(
+    stations: Stations, profile: Profile | ProfileSeries, ledger: Ledger
+) -> Stations:
     """Mark stations as suspect whose GNSS height contradicts their barometer.
 
     The profile was made from the whole flight; a station where the pressure measured and that of
@@ -197,7 +201,7 @@ def doubt_heights(stations: Stations, profile: Profile | ProfileSeries, ledger: 
     return stations.with_status(wrong, SUSPECT)
 
 
-def report_flagged(stations: Stations, ledger: Ledger) -> None:
+def report_unusable_stations(stations: Stations, ledger: Ledger) -> None:
     """A loss in the ledger for each reason why stations cannot be used."""
     for status in sorted(set(stations.status.tolist()) - {STATION_OK, UNMATCHED}):
         mine = stations.image[stations.status == status]

@@ -20,13 +20,13 @@ INSIDE, OUTSIDE_LOG, IN_GAP = 0, 1, 2
 class Bracket:
     """Neighbouring samples of instants: (m,) rows before and after, and the fraction between.
 
-    ``verdict`` is INSIDE, OUTSIDE_LOG or IN_GAP; where it is not INSIDE the rest means nothing.
+    ``coverage`` is INSIDE, OUTSIDE_LOG or IN_GAP; where it is not INSIDE the rest means nothing.
     """
 
     before: NDArray[np.intp]
     after: NDArray[np.intp]
     fraction: Array
-    verdict: NDArray[np.uint8]
+    coverage: NDArray[np.uint8]
 
 
 def bracket(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Bracket:
@@ -38,8 +38,8 @@ def bracket(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Bracket:
     stamps = channel.time_ns
     if stamps.size == 0:
         nowhere = np.zeros(time_ns.shape, np.intp)
-        verdict = np.full(time_ns.shape, OUTSIDE_LOG, np.uint8)
-        return Bracket(nowhere, nowhere, np.zeros(time_ns.shape), verdict)
+        coverage = np.full(time_ns.shape, OUTSIDE_LOG, np.uint8)
+        return Bracket(nowhere, nowhere, np.zeros(time_ns.shape), coverage)
     after = np.clip(np.searchsorted(stamps, time_ns, side="left"), 0, stamps.size - 1)
     hit = stamps[after] == time_ns
     before = np.where(hit, after, np.maximum(after - 1, 0))
@@ -47,8 +47,8 @@ def bracket(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Bracket:
     torn = (interval > max_gap_s * 1e9) | (channel.boot[after] != channel.boot[before])
     outside = (time_ns < stamps[0]) | (time_ns > stamps[-1])
     fraction = (time_ns - stamps[before]) / np.maximum(interval, 1)
-    verdict = np.select([outside, torn & ~hit], [OUTSIDE_LOG, IN_GAP], INSIDE)
-    return Bracket(before, after, np.where(hit, 0.0, fraction), verdict.astype(np.uint8))
+    coverage = np.select([outside, torn & ~hit], [OUTSIDE_LOG, IN_GAP], INSIDE)
+    return Bracket(before, after, np.where(hit, 0.0, fraction), coverage.astype(np.uint8))
 
 
 def interpolate(channel: Channel, column: str, time_ns: TimeArray, max_gap_s: float) -> Array:
@@ -59,13 +59,13 @@ def interpolate(channel: Channel, column: str, time_ns: TimeArray, max_gap_s: fl
     values = channel[column]
     value = values[place.before] * (1.0 - place.fraction)
     value += np.where(place.fraction > 0.0, values[place.after], 0.0) * place.fraction
-    return np.where(place.verdict == INSIDE, value, np.nan)
+    return np.where(place.coverage == INSIDE, value, np.nan)
 
 
 def interpolate_position(
     channel: Channel, time_ns: TimeArray, max_gap_s: float
 ) -> tuple[Array, Array, NDArray[np.uint8]]:
-    """Latitude and longitude [rad] at instants, and the verdict of `bracket` for each.
+    """Latitude and longitude [rad] at instants, and the coverage of `bracket` for each.
 
     Interpolates the normal vector of the ellipsoid, so the 180th meridian and the poles are no
     special places. Within 1 mm of the geodesic for samples 1 km apart.
@@ -77,21 +77,21 @@ def interpolate_position(
     mean = normal[place.before] * (1.0 - weight) + normal[place.after] * weight
     latitude = np.arctan2(mean[:, 2], np.hypot(mean[:, 0], mean[:, 1]))
     longitude = np.arctan2(mean[:, 1], mean[:, 0])
-    inside = place.verdict == INSIDE
-    return np.where(inside, latitude, np.nan), np.where(inside, longitude, np.nan), place.verdict
+    inside = place.coverage == INSIDE
+    return np.where(inside, latitude, np.nan), np.where(inside, longitude, np.nan), place.coverage
 
 
 def interpolate_attitude(
     channel: Channel, time_ns: TimeArray, max_gap_s: float
 ) -> tuple[Array, NDArray[np.uint8]]:
-    """Attitude at instants by spherical linear interpolation, with the verdict of `bracket`.
+    """Attitude at instants by spherical linear interpolation, with the coverage of `bracket`.
 
     Returns (m, 4) quaternions w, x, y, z with v_ned = R(q) v_body; NaN where there is none.
     """
     place = bracket(channel, time_ns, max_gap_s)
     stored = np.stack([channel[c] for c in ("q_x", "q_y", "q_z", "q_w")], axis=1)
     first, second = stored[place.before], stored[place.after]
-    good = (place.verdict == INSIDE) & np.isfinite(first).all(1) & np.isfinite(second).all(1)
+    good = (place.coverage == INSIDE) & np.isfinite(first).all(1) & np.isfinite(second).all(1)
     good &= (np.abs(first).sum(1) > 0.0) & (np.abs(second).sum(1) > 0.0)
     result = np.full((time_ns.size, 4), np.nan)
     if bool(good.any()):
@@ -99,4 +99,4 @@ def interpolate_attitude(
         turn = (start.inv() * Rotation.from_quat(second[good])).as_rotvec()
         between = start * Rotation.from_rotvec(turn * place.fraction[good][:, None])
         result[good] = between.as_quat(canonical=True)[:, [3, 0, 1, 2]]
-    return result, place.verdict
+    return result, place.coverage

@@ -18,10 +18,10 @@ from pipeline.flight.clock import (
     BOOT_STEP_NS,
     LAST_US,
     STRAY_ROWS,
-    Offset,
+    ClockOffset,
     fit_offset,
-    fresh,
-    report_fit,
+    new_readings,
+    report_clock_fit,
     stray_stretches,
 )
 from pipeline.ledger import Ledger
@@ -170,7 +170,7 @@ class UtcReadings:
         good = self.usable & line.good(self.places)
         if self.fix.size:
             good &= self.fix >= LOWEST_FIX
-        good[good] = fresh(self.utc_ns if bool(good.all()) else self.utc_ns[good])
+        good[good] = new_readings(self.utc_ns if bool(good.all()) else self.utc_ns[good])
         if bool(good.all()):
             return self
         return UtcReadings(
@@ -187,7 +187,7 @@ class BootClock:
     """
 
     line: Timeline
-    fits: tuple[Offset | None, ...]
+    fits: tuple[ClockOffset | None, ...]
     utc_known: tuple[bool, ...]
 
     @property
@@ -287,20 +287,20 @@ def _without_glitches(offset_ns: TimeArray) -> TimeArray:
     return steady
 
 
-def _fit_boot(line: Timeline, number: int, source: UtcReadings) -> Offset | None:
+def _fit_boot(line: Timeline, number: int, source: UtcReadings) -> ClockOffset | None:
     rows = line.boot_of(source.places) == number
     return fit_offset(source.utc_ns[rows], source.boot_ns[rows])
 
 
 def _best_fit(
-    by_source: Sequence[tuple[UtcReadings, Offset | None]], place: str, ledger: Ledger
-) -> Offset | None:
+    by_source: Sequence[tuple[UtcReadings, ClockOffset | None]], place: str, ledger: Ledger
+) -> ClockOffset | None:
     """The offset of a boot by the source with the most rows; sources that differ are losses."""
     fits = [(source, fit) for source, fit in by_source if fit is not None]
     if not fits:
         return None
     chosen, best = max(fits, key=lambda pair: pair[1].rows)
-    report_fit(ledger, f"{best.rows} {chosen.source}", best, place)
+    report_clock_fit(ledger, f"{best.rows} {chosen.source}", best, place)
     for source, fit in fits:
         apart = fit.offset_ns - best.offset_ns
         if abs(apart) > BOOT_STEP_NS:

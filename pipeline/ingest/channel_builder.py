@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.flight.channels import Array, Channel, Source, TimeArray
-from pipeline.flight.clock import fresh, untangled
+from pipeline.flight.clock import new_readings, rows_in_time_order
 from pipeline.ingest.attitude import quaternion_of_euler, replace_in_blocks, unit_quaternions
 from pipeline.ingest.boot_clock import LOWEST_FIX
 from pipeline.ingest.buffers import allocate, copy_rows
@@ -82,7 +82,7 @@ def channel_of(rows: DecodedRows, spec: MessageMap, ledger: Ledger) -> Channel |
         rows.name, rows.time_ns, columns, rows.source, rows.boot, (), rank, rows.labels,
         {column.name: column.unit for column in spec.columns if column.unit},
     )  # fmt: skip
-    roles = tuple(role for role in spec.roles if channel.can_play(role))
+    roles = tuple(role for role in spec.roles if channel.fits_role(role))
     return replace(channel, roles=roles)
 
 
@@ -113,7 +113,7 @@ def _without_repeats(rows: DecodedRows, ledger: Ledger, *, event: bool) -> Decod
     for column in rows.columns.values():
         same = column == column[original]
         equal &= same | (np.isnan(column) & np.isnan(column[original]))
-    repeats = equal | ~fresh(rows.time_ns)
+    repeats = equal | ~new_readings(rows.time_ns)
     if not repeats.any():
         return rows
     count = int(np.count_nonzero(repeats))
@@ -127,7 +127,7 @@ def _in_rising_time(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
     """The rows in strictly increasing time; where a clock was set back, a new boot begins."""
     if bool(np.all(rows.time_ns[1:] > rows.time_ns[:-1])):
         return rows
-    kept, stretch = untangled(rows.time_ns)
+    kept, stretch = rows_in_time_order(rows.time_ns)
     lost = np.setdiff1d(np.arange(len(rows)), kept)
     if lost.shape[0]:
         first = utc_text(int(rows.time_ns[lost[0]]))

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pipeline.errors import LogError
-from pipeline.flight.quality import flagged
+from pipeline.flight.quality import mask_impossible_values
 from pipeline.ingest.buffers import release_pages
 from pipeline.ingest.dataflash.log import DATAFLASH
 from pipeline.ingest.dataflash.text import DATAFLASH_TEXT
@@ -125,7 +125,7 @@ def _read(form: LogFormat, path: Path, ledger: Ledger, needs_channels: bool) -> 
     contents = form.read(path, ledger)
     channels = []
     for channel in contents.channels:
-        channels.append(flagged(channel, ledger))
+        channels.append(mask_impossible_values(channel, ledger))
         release_pages()
     channels = sorted((c for c in channels if len(c)), key=lambda channel: channel.name)
     if not contents.messages:

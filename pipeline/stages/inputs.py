@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 from pipeline.batch.plan import Plan
 from pipeline.flight.channels import Channel
-from pipeline.flight.gimbals import tell_of_gimbal
+from pipeline.flight.gimbals import report_gimbal_frames
 from pipeline.flight.heights import HeightSystem, height_system
-from pipeline.flight.local_origin import locate
-from pipeline.flight.quality import within_reason
+from pipeline.flight.local_origin import to_geodetic
+from pipeline.flight.quality import plausible_samples
 from pipeline.flight.roles import assign_roles
 from pipeline.ingest import Log, open_log
 from pipeline.ingest.fields import in_stated_unit
@@ -50,7 +50,7 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     channels = log.channels
     if mission.log.local_origin is not None:
         origin = mission.log.local_origin.build()
-        channels = tuple(locate(channel, origin) for channel in channels)
+        channels = tuple(to_geodetic(channel, origin) for channel in channels)
     named = mission.log.channels.named()
     if mission.atmosphere.board_temperature:
         board = named["temperature"].name
@@ -67,9 +67,9 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
         ledger,
         needs_cabin=any(camera.needs_cabin_from_log for camera in mission.cameras.values()),
     )
-    plausible = {role: within_reason(channel, role, ledger) for role, channel in roles.items()}
+    plausible = {role: plausible_samples(channel, role, ledger) for role, channel in roles.items()}
     mounts = {camera: mount.build() for camera, mount in mission.mount.items()}
-    tell_of_gimbal(log.messages, plausible, mounts, ledger)
+    report_gimbal_frames(log.messages, plausible, mounts, ledger)
     heights = height_system(plausible, mission.mission.undulation_m, ledger)
     if mission.ground.home_h_msl_m is not None:
         heights = replace(heights, home_h_msl_m=mission.ground.home_h_msl_m)

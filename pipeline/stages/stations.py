@@ -9,22 +9,22 @@ from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel
 from pipeline.flight.events import (
     Events,
-    account_for_triggers,
     choose_event_channel,
     events_of_channel,
     events_of_table,
     refuse_repeated_images,
+    report_lost_triggers,
 )
 from pipeline.flight.exposures import (
     build_stations,
-    require_aircraft_attitude,
-    require_cabin_air,
+    flag_missing_aircraft_attitude,
+    flag_missing_cabin_air,
 )
 from pipeline.flight.stations import (
     Stations,
+    append_unmatched_images,
     join_stations,
-    name_the_unmatched,
-    report_flagged,
+    report_unusable_stations,
 )
 from pipeline.ledger import Ledger
 from pipeline.stages.inputs import FlightLog
@@ -42,7 +42,7 @@ def exposure_events(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -
         events = []
         for camera, source in section.log.items():
             channel = choose_event_channel(channels, source.channel)
-            account_for_triggers(channels, channel, ledger)
+            report_lost_triggers(channels, channel, ledger)
             events.append(events_of_channel(channel, camera, source.image, source.delay_s, ledger))
         return events
     csv = section.csv
@@ -85,9 +85,9 @@ def stations_of_mission(
     )
     for name, camera in mission.cameras.items():
         if camera.needs_cabin_from_log:
-            stations = require_cabin_air(stations, name, ledger)
+            stations = flag_missing_cabin_air(stations, name, ledger)
         if camera.window is not None and camera.window.frame == "body":
-            stations = require_aircraft_attitude(stations, name, ledger)
-    stations = name_the_unmatched(stations, observations.images, ledger)
-    report_flagged(stations, ledger)
+            stations = flag_missing_aircraft_attitude(stations, name, ledger)
+    stations = append_unmatched_images(stations, observations.images, ledger)
+    report_unusable_stations(stations, ledger)
     return stations

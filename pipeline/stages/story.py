@@ -27,7 +27,7 @@ from pipeline.batch.store import (
 from pipeline.config import load_mission
 from pipeline.errors import ConfigError, StorageError
 from pipeline.flight.air_samples import air_samples
-from pipeline.flight.stations import Stations, doubt_heights
+from pipeline.flight.stations import Stations, flag_height_misfits
 from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir
 from pipeline.report.accuracy import Accuracy, accuracy_page, accuracy_png, text_hash
@@ -93,7 +93,7 @@ def run_mission(path: Path, *, force: bool = False, progress: Progress | None = 
         flight, stations, ledger = prepared.flight, prepared.stations, prepared.ledger
         air = adjusted_profiles(mission, stations, prepared.samples, prepared.sources, ledger)
         if air.adjustment.is_measured:
-            stations = doubt_heights(stations, air.series, ledger)
+            stations = flag_height_misfits(stations, air.series, ledger)
         progress.start("correcting", prepared.observations.rows)
         exposures = exposures_of_mission(mission, stations, air.series, ledger)
         report_unknown_sigmas(mission, stations, air.series, ledger)

@@ -16,7 +16,7 @@ from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 from pipeline.atmosphere.profile import profile_table
 from pipeline.atmosphere.series.profile_series import ProfileSeries, TimedProfile
 from pipeline.errors import StorageError
-from pipeline.flight.stations import Stations, station_table
+from pipeline.flight.stations import Stations, station_columns
 from pipeline.refraction.image import Corrections
 from pipeline.refraction.status import STATUS_NAMES
 from pipeline.tables.observations import Batch
@@ -80,7 +80,7 @@ def profile_ids(series: ProfileSeries) -> list[str]:
 
 def stations_table(stations: Stations, series: ProfileSeries) -> pa.Table:
     """``stations.parquet``."""
-    columns = station_table(stations)
+    columns = station_columns(stations)
     ids = np.array(profile_ids(series), dtype=object)[series.profile_number]
     ids[~stations.ok] = None
     columns["profile_id"] = ids

@@ -9,13 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.flight.clock import (
-    along,
+    clock_map,
     fit_offset,
-    fresh,
-    increasing,
-    report_fit,
+    longest_increasing,
+    new_readings,
+    report_clock_fit,
+    rows_in_time_order,
     stray_times,
-    untangled,
     utc_of_gps,
 )
 from pipeline.ledger import Ledger
@@ -95,15 +95,17 @@ def longest(times: tuple[int, ...]) -> int:
 
 
 def test_increasing_keeps_as_many_rows_as_can_be() -> None:
-    assert increasing(np.empty(0, np.int64)).shape == (0,)
+    assert longest_increasing(np.empty(0, np.int64)).shape == (0,)
     for times in product(range(5), repeat=5):
-        kept = np.array(times)[increasing(np.array(times, np.int64))]
+        kept = np.array(times)[longest_increasing(np.array(times, np.int64))]
         assert (np.diff(kept) > 0).all()
         assert kept.shape[0] == longest(times), times
 
 
 def test_of_equal_stamps_the_first_is_kept() -> None:
-    np.testing.assert_array_equal(np.flatnonzero(increasing(np.array([1, 2, 2, 3, 3]))), [0, 1, 3])
+    np.testing.assert_array_equal(
+        np.flatnonzero(longest_increasing(np.array([1, 2, 2, 3, 3]))), [0, 1, 3]
+    )
 
 
 @pytest.mark.parametrize("row", [0, 5, 500, 999])
@@ -111,7 +113,7 @@ def test_of_equal_stamps_the_first_is_kept() -> None:
 def test_one_wrong_stamp_costs_one_row(row: int, sign: int) -> None:
     time_ns = np.arange(1000, dtype=np.int64) * SECOND // 10
     time_ns[row] += sign * 11 * 86_400 * SECOND
-    rows, stretch = untangled(time_ns)
+    rows, stretch = rows_in_time_order(time_ns)
     # a first stamp too low and a last one too high rise as well: nothing tells them from a gap
     rises = (row, sign) in {(0, -1), (999, 1)}
     np.testing.assert_array_equal(np.setdiff1d(np.arange(1000), rows), [] if rises else [row])
@@ -121,13 +123,13 @@ def test_one_wrong_stamp_costs_one_row(row: int, sign: int) -> None:
 def test_a_clock_set_back_a_little_costs_what_it_passed_twice() -> None:
     before = np.arange(0, 1000, dtype=np.int64) * SECOND // 10
     after = before[-1] - 10 * SECOND + np.arange(1, 801, dtype=np.int64) * SECOND // 10 + 7
-    rows, stretch = untangled(np.concatenate([before, after]))
+    rows, stretch = rows_in_time_order(np.concatenate([before, after]))
     # 90 to 100 s were read twice: that is settled for the later reading, in all channels alike
     np.testing.assert_array_equal(rows, np.concatenate([np.arange(901), 1000 + np.arange(800)]))
     np.testing.assert_array_equal(stretch, [0] * 901 + [1] * 800)
     # the same where the stamps coincide, and where the later part has fewer rows
     for sparse in (np.arange(800), np.arange(0, 800, 3)):
-        rows, stretch = untangled(np.concatenate([before, after[sparse] - 7]))
+        rows, stretch = rows_in_time_order(np.concatenate([before, after[sparse] - 7]))
         np.testing.assert_array_equal(rows[stretch == 0], np.arange(900))
         assert np.count_nonzero(stretch == 1) == sparse.shape[0]
 
@@ -135,7 +137,7 @@ def test_a_clock_set_back_a_little_costs_what_it_passed_twice() -> None:
 def test_a_clock_set_back_by_a_day_costs_nothing() -> None:
     before = 86_400 * SECOND + np.arange(50, dtype=np.int64) * SECOND
     time_ns = np.concatenate([before, np.arange(20, dtype=np.int64) * SECOND])
-    rows, stretch = untangled(time_ns)
+    rows, stretch = rows_in_time_order(time_ns)
     np.testing.assert_array_equal(rows, np.concatenate([50 + np.arange(20), np.arange(50)]))
     np.testing.assert_array_equal(stretch, [1] * 20 + [0] * 50)
 
@@ -143,7 +145,7 @@ def test_a_clock_set_back_by_a_day_costs_nothing() -> None:
 @given(st.lists(st.integers(0, 60), max_size=80))
 def test_untangled_always_rises(times: list[int]) -> None:
     time_ns = np.array(times, np.int64)
-    rows, stretch = untangled(time_ns)
+    rows, stretch = rows_in_time_order(time_ns)
     assert rows.shape == stretch.shape
     assert (np.diff(time_ns[rows]) > 0).all()
     assert (rows.shape[0] > 0) == bool(times)
@@ -162,7 +164,7 @@ def test_offset_is_robust_and_keeps_nanoseconds() -> None:
 
 def test_fresh_drops_repeats_of_a_slow_receiver() -> None:
     np.testing.assert_array_equal(
-        fresh(np.array([5, 5, 7, 7, 9])), [True, False, True, False, True]
+        new_readings(np.array([5, 5, 7, 7, 9])), [True, False, True, False, True]
     )
 
 
@@ -171,7 +173,7 @@ def test_along_follows_a_drifting_clock_and_does_not_extrapolate_the_drift() -> 
     vehicle = np.array([0, 11, 20], np.int64) * SECOND + 1_700_000_000 * SECOND
     asked = np.array([-5, 5, 15, 30], np.int64) * SECOND + 1_600_000_000 * SECOND
     expected = np.array([-5.0, 5.5, 15.5, 30.0]) * SECOND + 1_700_000_000 * SECOND
-    np.testing.assert_array_equal(along(host, vehicle)(asked), expected.astype(np.int64))
+    np.testing.assert_array_equal(clock_map(host, vehicle)(asked), expected.astype(np.int64))
 
 
 @pytest.mark.parametrize(
@@ -191,7 +193,7 @@ def test_a_stepping_clock_is_a_loss_counted_and_placed(late_ms, rows, kind, coun
     boot_ns = 50 * SECOND + np.arange(400) * SECOND // 5
     utc_ns = boot_ns + 1_700_000_000 * SECOND
     utc_ns[rows] += late_ms * 1_000_000
-    report_fit(ledger, "400 GPS rows", fit_offset(utc_ns, boot_ns), "boot 0")
+    report_clock_fit(ledger, "400 GPS rows", fit_offset(utc_ns, boot_ns), "boot 0")
     (entry,) = ledger
     assert (entry.code, entry.kind, entry.count) == ("TIME-FIT", kind, count)
     if kind == "loss":

@@ -13,16 +13,16 @@ from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel, Source
 from pipeline.flight.events import (
     Events,
-    account_for_triggers,
     choose_event_channel,
     events_of_channel,
     refuse_repeated_images,
+    report_lost_triggers,
 )
-from pipeline.flight.exposures import build_stations, require_cabin_air
+from pipeline.flight.exposures import build_stations, flag_missing_cabin_air
 from pipeline.flight.heights import HeightSystem, ground_offsets, height_system
-from pipeline.flight.local_origin import Origin, locate
+from pipeline.flight.local_origin import GeodeticOrigin, to_geodetic
 from pipeline.flight.mount import Mount
-from pipeline.flight.stations import name_the_unmatched, report_flagged
+from pipeline.flight.stations import append_unmatched_images, report_unusable_stations
 from pipeline.ledger import Ledger
 
 SECOND = 1_000_000_000
@@ -150,7 +150,7 @@ def test_each_reason_has_its_name() -> None:
     assert build_stations(when, bare, Mount(), HeightSystem(), 1.0).status[1] == "no_attitude"
     assert build_stations(when, {}, Mount(), HeightSystem(), 1.0).status[1] == "no_position"
     ledger = Ledger()
-    report_flagged(with_gap, ledger)
+    report_unusable_stations(with_gap, ledger)
     assert {e.code for e in ledger} == {"STATIONS-FLAGGED"}
     assert ledger.has_losses
 
@@ -166,8 +166,8 @@ def test_air_at_the_exposure() -> None:
     assert station.cabin_vapour_pressure_pa[0] == pytest.approx(0.5 * 2339.2 * 1.0034, rel=1e-3)
     assert np.isnan(station.pressure_pa[0])
     ledger = Ledger()
-    assert require_cabin_air(station, "cam", ledger).status[0] == "ok"
-    assert require_cabin_air(one_station(), "cam", ledger).status[0] == "suspect"
+    assert flag_missing_cabin_air(station, "cam", ledger).status[0] == "ok"
+    assert flag_missing_cabin_air(one_station(), "cam", ledger).status[0] == "suspect"
     assert [e.code for e in ledger] == ["CABIN-MISSING"]
 
 
@@ -208,7 +208,7 @@ def test_triggers_without_a_shutter_are_counted() -> None:
     shots = channel("CAM[0]", [1, 2, 3], event_index=[1, 2, 3])
     triggers = channel("TRIG[0]", [1, 2, 3, 4, 5], rank=40, event_index=[1, 2, 3, 4, 5])
     ledger = Ledger()
-    account_for_triggers((shots, triggers), shots, ledger)
+    report_lost_triggers((shots, triggers), shots, ledger)
     assert [e.count for e in ledger] == [2]
 
 
@@ -250,7 +250,7 @@ def test_triggers_of_another_camera_do_not_count(
     ledger = Ledger()
     for camera in channels:
         if camera.source.message == "CAM":
-            account_for_triggers(channels, camera, ledger)
+            report_lost_triggers(channels, camera, ledger)
     assert [(entry.code, entry.where, entry.count) for entry in ledger] == told
 
 
@@ -294,7 +294,7 @@ def test_ground_heights_of_three_kinds() -> None:
 
 def test_images_without_an_exposure_get_a_row() -> None:
     ledger = Ledger()
-    joined = name_the_unmatched(one_station(), ("image_0", "stray"), ledger)
+    joined = append_unmatched_images(one_station(), ("image_0", "stray"), ledger)
     assert joined.image.tolist() == ["image_0", "stray"]
     assert joined.status.tolist() == ["ok", "unmatched"]
     assert ledger.has_losses
@@ -302,7 +302,7 @@ def test_images_without_an_exposure_get_a_row() -> None:
 
 def test_local_positions_get_a_place() -> None:
     pose = channel("/pose", [0.0, 1.0], east_m=[0, 100], north_m=[0, 200], up_m=[0, 10])
-    placed = locate(pose, Origin(LATITUDE, LONGITUDE, 500.0))
+    placed = to_geodetic(pose, GeodeticOrigin(LATITUDE, LONGITUDE, 500.0))
     to_ecef = pyproj.Transformer.from_crs(4979, 4978)
     a, b = np.transpose(
         to_ecef.transform(
@@ -360,7 +360,7 @@ def test_camera_rows_without_triggers_are_the_triggers() -> None:
         ((camera, trigger), trigger, True),
     ):
         ledger = Ledger()
-        account_for_triggers(channels, chosen, ledger)
+        report_lost_triggers(channels, chosen, ledger)
         assert [entry.code for entry in ledger] == ["EVENTS-TRIGGER-TIME"] * told
         assert all(entry.kind == "note" and "delay_s" in entry.what for entry in ledger)
 

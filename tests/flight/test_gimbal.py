@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.flight.channels import Channel, Source
 from pipeline.flight.events import Events
 from pipeline.flight.exposures import build_stations
-from pipeline.flight.gimbals import tell_of_gimbal
+from pipeline.flight.gimbals import report_gimbal_frames
 from pipeline.flight.heights import HeightSystem
 from pipeline.flight.mount import Mount
 from pipeline.flight.roles import assign_roles
@@ -116,7 +116,7 @@ def named(*channels: Channel, gimbal: str, mounts: dict[str, Mount]):
     """The roles where a channel is named as attitude, and what is said of gimbals."""
     ledger = Ledger()
     roles = assign_roles(channels, {"attitude": gimbal}, Ledger(), needs_cabin=False)
-    tell_of_gimbal({"MNT": 20, "ATT": 20}, roles, mounts, ledger)
+    report_gimbal_frames({"MNT": 20, "ATT": 20}, roles, mounts, ledger)
     return roles, ledger
 
 
@@ -215,7 +215,7 @@ def test_a_gimbal_that_nobody_follows_is_told(messages: dict[str, int], ignored:
     aircraft = attitude("ATT", "ATT", 0.0)
     for roles in ({"attitude": aircraft}, {}):
         ledger = Ledger()
-        tell_of_gimbal(messages, roles, {"nadir": Mount()}, ledger)
+        report_gimbal_frames(messages, roles, {"nadir": Mount()}, ledger)
         assert [(e.kind, e.code) for e in ledger] == [("warning", "GIMBAL-IGNORED")] * bool(ignored)
         assert all(
             ignored in entry.what and "fixed to the aircraft" in entry.what for entry in ledger

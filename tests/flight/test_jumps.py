@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.flight.channels import Channel, Source
-from pipeline.flight.quality import RANGES, flagged, within_reason
+from pipeline.flight.quality import RANGES, mask_impossible_values, plausible_samples
 from pipeline.ledger import Ledger
 
 RATE_HZ = 10.0
@@ -56,7 +56,7 @@ JUMPS = {
 @pytest.mark.parametrize("role", SOUND)
 def test_what_can_be_stays(role: str) -> None:
     ledger = Ledger()
-    assert len(within_reason(channel(**SOUND[role]()), role, ledger)) == 60
+    assert len(plausible_samples(channel(**SOUND[role]()), role, ledger)) == 60
     assert not list(ledger)
 
 
@@ -70,7 +70,7 @@ def test_one_wrong_sample_is_taken_out_and_counted(role: str) -> None:
         for axis, value in zip("wxyz", q / np.linalg.norm(q), strict=True):
             columns[f"q_{axis}"][30] = value
     ledger = Ledger()
-    sound = within_reason(channel(**columns), role, ledger)
+    sound = plausible_samples(channel(**columns), role, ledger)
     assert len(sound) == 59
     assert 3_000_000_000 not in sound.time_ns.tolist()
     (entry,) = ledger
@@ -83,7 +83,7 @@ def test_a_step_that_stays_is_no_jump() -> None:
     columns = cold()
     columns["temperature_k"][30:] += 20.0
     ledger = Ledger()
-    assert len(within_reason(channel(**columns), "temperature", ledger)) == 60
+    assert len(plausible_samples(channel(**columns), "temperature", ledger)) == 60
     assert not list(ledger)
 
 
@@ -101,7 +101,7 @@ def test_wrong_samples_at_any_place(role: str, rows: tuple[int, ...]) -> None:
             for axis, value in zip("wxyz", (-z, y, -x, w), strict=True):
                 columns[f"q_{axis}"][row] = value
     ledger = Ledger()
-    sound = within_reason(channel(**columns), role, ledger)
+    sound = plausible_samples(channel(**columns), role, ledger)
     kept = np.setdiff1d(np.arange(60), rows) * 100_000_000
     np.testing.assert_array_equal(sound.time_ns, kept)
     assert sum(entry.count for entry in ledger) == len(rows)
@@ -111,7 +111,7 @@ def test_wrong_samples_at_any_place(role: str, rows: tuple[int, ...]) -> None:
 def test_heights_that_jump_for_some_rows_are_unknown(rows: tuple[int, ...]) -> None:
     height = 600.0 + 2.0 * np.arange(60)
     height[list(rows)] += 8_000.0
-    sound = within_reason(channel(**flown(), h_msl_m=height), "height", Ledger())
+    sound = plausible_samples(channel(**flown(), h_msl_m=height), "height", Ledger())
     assert tuple(np.flatnonzero(np.isnan(sound["h_msl_m"]))) == rows
 
 
@@ -119,7 +119,7 @@ def test_what_jumps_everywhere_is_noise_and_is_told() -> None:
     n = 50_000
     pressure = 90_000.0 + 5_000.0 * (np.arange(n) % 2)
     ledger = Ledger()
-    assert len(within_reason(channel(n, pressure_pa=pressure), "pressure", ledger)) == n
+    assert len(plausible_samples(channel(n, pressure_pa=pressure), "pressure", ledger)) == n
     assert [entry.code for entry in ledger] == ["SENSOR-NOISE"]
 
 
@@ -147,7 +147,7 @@ def test_the_range_of_each_column(column: str) -> None:
             columns[column][30] = value
             time_ns = np.arange(60) * 86_400 * 10**9  # a day between: nothing is too fast
             ledger = Ledger()
-            sound = flagged(Channel("X", time_ns, columns, Source("X")), ledger)
+            sound = mask_impossible_values(Channel("X", time_ns, columns, Source("X")), ledger)
             flags = [entry for entry in ledger if entry.code == "SENSOR-RANGE"]
             assert [(entry.kind, entry.count) for entry in flags] == ([("loss", 1)] if wild else [])
             assert int(np.isfinite(sound[column]).sum()) == 60 - wild, value
@@ -164,24 +164,26 @@ def test_a_log_flags_what_a_mission_would(role: str) -> None:
             for axis, value in zip("wxyz", q / np.linalg.norm(q), strict=True):
                 columns[f"q_{axis}"][row] = value
     ledger = Ledger()
-    sound = flagged(channel(**columns, board_temperature_k=np.full(60, 310.0)), ledger)
+    sound = mask_impossible_values(
+        channel(**columns, board_temperature_k=np.full(60, 310.0)), ledger
+    )
     assert len(sound) == 58  # nothing is left of these rows that a role could use
     assert sum(entry.count for entry in ledger) == 2
     again = Ledger()
-    assert len(within_reason(sound, role, again)) == 58
+    assert len(plausible_samples(sound, role, again)) == 58
     assert not list(again)
 
 
 def test_a_row_stays_for_what_is_right_in_it() -> None:
     columns = cold() | {"relative_humidity": np.full(60, 0.5)}
     columns["relative_humidity"][7] = 4.0
-    sound = flagged(channel(**columns), Ledger())
+    sound = mask_impossible_values(channel(**columns), Ledger())
     assert np.flatnonzero(np.isnan(sound["relative_humidity"])).tolist() == [7]
     assert np.isfinite(sound["temperature_k"]).all()
 
 
 def test_a_column_in_another_unit_is_left_to_the_mission() -> None:
     ledger = Ledger()
-    sound = flagged(channel(temperature_k=np.full(60, 15.0)), ledger)
+    sound = mask_impossible_values(channel(temperature_k=np.full(60, 15.0)), ledger)
     assert (sound["temperature_k"] == 15.0).all()
     assert [(entry.kind, entry.code) for entry in ledger] == [("warning", "SENSOR-ODD")]

@@ -9,7 +9,7 @@ from pipeline.errors import MissionError
 from pipeline.flight.air_samples import air_samples
 from pipeline.flight.channels import Channel, Source
 from pipeline.flight.heights import HeightSystem
-from pipeline.flight.quality import within_reason
+from pipeline.flight.quality import plausible_samples
 from pipeline.flight.roles import assign_roles, follows_height
 from pipeline.ledger import Kind, Ledger
 
@@ -148,7 +148,7 @@ def test_one_channel_is_not_inside_and_outside() -> None:
 )
 def test_a_wrong_unit_is_refused(role: str, column: str, value: float, unit: str) -> None:
     with pytest.raises(MissionError, match=f"looks like {unit}") as refusal:
-        within_reason(channel("X", 50, **{column: value}), role, Ledger())
+        plausible_samples(channel("X", 50, **{column: value}), role, Ledger())
     assert f"unit: {unit}" in refusal.value.remedy
 
 
@@ -156,7 +156,7 @@ def test_impossible_readings_are_taken_out_and_counted() -> None:
     pressure = free_air(HEIGHT)
     pressure[:3], pressure[10] = np.nan, 1e9
     ledger = Ledger()
-    sound = within_reason(channel("BARO[0]", 10, pressure_pa=pressure), "pressure", ledger)
+    sound = plausible_samples(channel("BARO[0]", 10, pressure_pa=pressure), "pressure", ledger)
     assert len(sound) == len(TIME) - 4
     assert sorted(e.count for e in ledger) == [1, 3]
     assert ledger.has_losses
@@ -201,11 +201,11 @@ def test_heights_that_cannot_be_are_taken_out() -> None:
     wild[100], wild[200], wild[300] = 1e6, -50_000.0, wild[300] + 900.0
     ledger = Ledger()
     gnss = channel("GPS[0]", 20, "height", h_msl_m=wild, **PLACE)
-    sound = within_reason(gnss, "height", ledger)
+    sound = plausible_samples(gnss, "height", ledger)
     assert np.flatnonzero(np.isnan(sound["h_msl_m"])).tolist() == [100, 200, 300]
     assert len(sound) == len(gnss)
     assert [(e.code, e.count, e.kind) for e in ledger] == [("SENSOR-RANGE", 3, Kind.LOSS)]
-    assert within_reason(GPS, "height", Ledger())["h_msl_m"].tolist() == HEIGHT.tolist()
+    assert plausible_samples(GPS, "height", Ledger())["h_msl_m"].tolist() == HEIGHT.tolist()
 
 
 def test_the_attitude_of_the_aircraft_is_only_ever_named() -> None:

@@ -53,7 +53,7 @@ def test_every_real_log_opens(name: str, real_log: Callable[[str], Path]) -> Non
     assert losses == LOSSES.get(name, set())
     for channel in log.channels:
         assert len(channel) > 0
-        assert all(channel.can_play(role) for role in channel.roles)
+        assert all(channel.fits_role(role) for role in channel.roles)
         assert log.start_ns <= channel.time_ns[0] <= channel.time_ns[-1] <= log.end_ns
     assert json.loads(json.dumps(log.to_json_dict()))["format"] == form
 

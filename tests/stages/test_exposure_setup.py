@@ -15,7 +15,7 @@ from pipeline.atmosphere import standard_atmosphere
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel, Source
 from pipeline.flight.events import Events
-from pipeline.flight.exposures import build_stations, require_aircraft_attitude
+from pipeline.flight.exposures import build_stations, flag_missing_aircraft_attitude
 from pipeline.flight.heights import HeightSystem
 from pipeline.flight.mount import Mount
 from pipeline.flight.stations import Stations, join_stations
@@ -120,7 +120,7 @@ def test_air_of_the_log_of_the_file_and_none():
     )
     assert constant.refractivity_cabin.tolist() == [logged.refractivity_cabin[0]] * 2
     assert codes(ledger) == ["CABIN-DRY"]
-    # Not told by require_cabin_air, and no number all the same.
+    # Not told by flag_missing_cabin_air, and no number all the same.
     assert logged.usable.tolist() == [True, False]
     bare, ledger = look(at)
     np.testing.assert_array_equal(bare.refractivity_cabin, bare.refractivity_outside)
@@ -213,13 +213,13 @@ def test_a_gap_in_the_attitude_of_the_aircraft_is_suspect():
     early = channel("ATT[1]", SECONDS[SECONDS < 3.0], **turned(0.0, 0.0, 10.0))
     at = stations(3000.0, aircraft_attitude=early)
     ledger = Ledger()
-    flagged = require_aircraft_attitude(at, "nadir", ledger)
+    flagged = flag_missing_aircraft_attitude(at, "nadir", ledger)
     assert flagged.status.tolist() == ["suspect"]
     assert [(e.kind, e.code, e.count) for e in ledger] == [
         (Kind.LOSS, "AIRCRAFT-ATTITUDE-MISSING", 1)
     ]
-    assert require_aircraft_attitude(at, "other", Ledger()).ok.all()
-    assert require_aircraft_attitude(stations(3000.0), "nadir", Ledger()).ok.all()
+    assert flag_missing_aircraft_attitude(at, "other", Ledger()).ok.all()
+    assert flag_missing_aircraft_attitude(stations(3000.0), "nadir", Ledger()).ok.all()
     # Nobody asked, and no number all the same; a window in the camera's frame does not care.
     assert not look(at, Window(SCHEDULE, BELLY, "body"))[0].usable.any()
     assert look(at, Window(SCHEDULE))[0].usable.all()

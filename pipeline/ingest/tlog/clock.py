@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.flight.channels import TimeArray
-from pipeline.flight.clock import along, stray_times
+from pipeline.flight.clock import clock_map, stray_times
 from pipeline.ingest.boot_clock import BootClock, UtcReadings, fit_boot_clock, timeline
 from pipeline.ingest.tlog.clock_readings import MICROSECOND, MILLISECOND, Key, Readings
 from pipeline.ledger import Ledger
@@ -207,7 +207,7 @@ def _fit(mine: Readings, leader: _Sender | None, source: Key, ledger: Ledger) ->
     maps = []
     for number, count in enumerate(counts):
         rows = slice(sum(counts[:number]), sum(counts[:number]) + count)
-        maps.append(along(mine.host_ns[rows], clock.utc(at[rows], boot_ns[rows])))
+        maps.append(clock_map(mine.host_ns[rows], clock.utc(at[rows], boot_ns[rows])))
         _report_fallback(clock, number, count, where, ledger)
     mark = np.ones(boot.shape, np.bool_)
     mark[1:] = (np.diff(boot_ns // NANOSECONDS_PER_SECOND) != 0) | (np.diff(boot) != 0)

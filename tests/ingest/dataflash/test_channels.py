@@ -59,7 +59,7 @@ def test_the_gimbal_is_an_attitude_that_plays_only_when_named(
     for k, (roll, pitch, yaw) in enumerate(angles):
         writer.row("MNT", 5_000_000 + k * 200_000, 1, 0, roll, 0, pitch, 0, 2.5, 0, yaw, 0)
     gimbal = opened(writer.data).channel("MNT[1]")
-    assert (gimbal.roles, gimbal.can_play("attitude")) == ((), True)
+    assert (gimbal.roles, gimbal.fits_role("attitude")) == ((), True)
     theirs = Rotation.from_euler("ZYX", angles[:, ::-1].astype(np.float32), degrees=True)
     ours = Rotation.from_quat(np.stack([gimbal[f"q_{axis}"] for axis in "xyzw"], axis=1))
     assert (ours.inv() * theirs).magnitude().max() < 1e-9

@@ -160,7 +160,7 @@ def test_known_flight(tmp_path: Path, flight: Callable) -> None:
     assert log.channel("HYGR[3]")["temperature_k"][0] == 285.65
     # a probe may sit in the motor: it plays no role by itself, and any role when it is named
     probe = log.channel("TEMP[1]")
-    assert (probe.roles, probe.can_play("temperature")) == ((), True)
+    assert (probe.roles, probe.fits_role("temperature")) == ((), True)
     shots = log.channel("CAM")
     np.testing.assert_array_equal(shots["event_index"], [0, 1, 2, 3])
     assert shots["yaw_rad"][0] == pytest.approx(3 * DEGREE, abs=1e-15)
