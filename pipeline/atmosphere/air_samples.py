@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +20,8 @@ class SensorSamples:
     """One sensor's readings against height; (n,) arrays.
 
     ``time_ns`` UTC, ``h_m`` above sea level, ``value`` in SI (K, Pa, or relative humidity 0-1),
-    ``accepted`` False for readings a gate has taken out (they are shown, not used); it becomes
-    False where height or value is no number.
+    ``accepted`` is False for readings that a gate has rejected (they are shown, not used), and is
+    made False where height or value is NaN.
     """
 
     time_ns: NDArray[np.int64]
@@ -54,33 +53,12 @@ class SensorSamples:
         return int(used[0]) + (int(used[-1]) - int(used[0])) // 2
 
 
-@dataclass(frozen=True)
-class SensorCalibration:
-    """What is known of a fault of a sensor before the flight; None where that is nothing.
-
-    ``taken`` is how much of it was taken from the readings already.
-    """
-
-    mean: float | None = None
-    sigma: float | None = None
-    taken: float = 0.0
-
-    def mean_or(self, usual: float) -> float:
-        return usual if self.mean is None else self.mean
-
-    def sigma_or(self, usual: float) -> float:
-        return usual if self.sigma is None else self.sigma
-
-
 @dataclass(frozen=True, eq=False)
 class AirSamples:
     """What a flight measured of the air outside; None where there was no sensor.
 
     ``airspeed`` is indicated [m/s]; ``takeoff_ns`` the times [Unix ns] at which the aircraft left
-    the ground, increasing, None where nobody looked. ``board_temperature`` says that the
-    thermometer sits on a circuit board and is used only because the user insists: the air plus
-    10 K or so, wandering. ``calibration`` of the sensors, by the names of their faults
-    (`pipeline.atmosphere.estimate.sensors`).
+    the ground, increasing, None where they are not known.
     """
 
     temperature: SensorSamples | None = None
@@ -88,8 +66,6 @@ class AirSamples:
     humidity: SensorSamples | None = None
     airspeed: SensorSamples | None = None
     takeoff_ns: NDArray[np.int64] | None = None
-    board_temperature: bool = False
-    calibration: Mapping[str, SensorCalibration] = field(default_factory=dict)
 
 
 def bin_by_height(
@@ -112,10 +88,10 @@ def bin_by_height(
     for inside in np.split(order, np.flatnonzero(np.diff(number[order])) + 1):
         if inside.size < _FEWEST_IN_BIN:
             continue
-        ways = [inside[rising[inside]], inside[~rising[inside]]]
-        ways = [way for way in ways if way.size >= _FEWEST_IN_BIN] or [inside]
-        heights.append(float(np.mean([height[way].mean() for way in ways])))
-        values.append(float(np.mean([np.median(reading[way]) for way in ways])))
+        both = [inside[rising[inside]], inside[~rising[inside]]]
+        parts = [rows for rows in both if rows.size >= _FEWEST_IN_BIN] or [inside]
+        heights.append(float(np.mean([height[rows].mean() for rows in parts])))
+        values.append(float(np.mean([np.median(reading[rows]) for rows in parts])))
     return np.array(heights), np.array(values)
 
 

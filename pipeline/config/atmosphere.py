@@ -9,18 +9,9 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator, model_validator
 
 from pipeline.atmosphere import standard_names
-from pipeline.atmosphere.air_samples import SensorCalibration
 from pipeline.atmosphere.climatology import known_names
-from pipeline.atmosphere.estimate.sensors import (
-    BIAS,
-    HEIGHT,
-    HYGROMETER_FAULT,
-    LAG,
-    OFFSET,
-    RECOVERY,
-    THERMOMETER_DRIFT,
-    TRANSIENT,
-)
+from pipeline.atmosphere.estimate.sensors import SensorCalibration
+from pipeline.atmosphere.estimate.state import SensorFault
 from pipeline.config.cameras import Section
 from pipeline.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
 
@@ -145,19 +136,23 @@ class SensorsSection(Section):
     gnss: GnssSection = GnssSection()
 
     @property
-    def calibration(self) -> dict[str, SensorCalibration]:
-        """By the names of the faults, in SI."""
+    def calibration(self) -> dict[SensorFault, SensorCalibration]:
+        """By sensor fault, in SI."""
         warm, high = self.thermometer, self.barometer
         moist, gnss = self.hygrometer, self.gnss
         every = {
-            BIAS: SensorCalibration(warm.bias_k, warm.sigma_bias_k),
-            LAG: SensorCalibration(warm.lag_s, warm.sigma_lag_s),
-            TRANSIENT: SensorCalibration(warm.transient_k, warm.sigma_transient_k),
-            RECOVERY.name: SensorCalibration(warm.recovery, warm.sigma_recovery),
-            THERMOMETER_DRIFT: SensorCalibration(None, warm.sigma_drift_k),
-            OFFSET: SensorCalibration(_pascal(high.offset_hpa), _pascal(high.sigma_offset_hpa)),
-            HYGROMETER_FAULT.name: SensorCalibration(moist.bias, moist.sigma_bias),
-            HEIGHT: SensorCalibration(None, gnss.sigma_height_m),
+            SensorFault.THERMOMETER_BIAS: SensorCalibration(warm.bias_k, warm.sigma_bias_k),
+            SensorFault.THERMOMETER_LAG: SensorCalibration(warm.lag_s, warm.sigma_lag_s),
+            SensorFault.TAKEOFF_TRANSIENT: SensorCalibration(
+                warm.transient_k, warm.sigma_transient_k
+            ),
+            SensorFault.RECOVERY_FACTOR: SensorCalibration(warm.recovery, warm.sigma_recovery),
+            SensorFault.THERMOMETER_DRIFT: SensorCalibration(None, warm.sigma_drift_k),
+            SensorFault.PRESSURE_OFFSET: SensorCalibration(
+                _pascal(high.offset_hpa), _pascal(high.sigma_offset_hpa)
+            ),
+            SensorFault.HYGROMETER_BIAS: SensorCalibration(moist.bias, moist.sigma_bias),
+            SensorFault.GNSS_HEIGHT_OFFSET: SensorCalibration(None, gnss.sigma_height_m),
         }
         return {name: known for name, known in every.items() if known != SensorCalibration()}
 

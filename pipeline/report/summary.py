@@ -120,18 +120,24 @@ def sensor_rows(manifest: Mapping[str, Any]) -> list[tuple[str, ...]]:
     ]
 
 
-SOURCE_HEAD = ("source", "readings", "RMS [sigma]", "widened", "unknowns told")
+SOURCE_HEAD = (
+    "source",
+    "readings",
+    "RMS [sigma]",
+    "sigma inflation",
+    "degrees of freedom for signal",
+)
 
 
 def source_rows(manifest: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """The sources that were used: how they fit, and how much each told."""
+    """The sources that were used: how they fit, and their information content."""
     return [
         (
             f"{s['source']}, {s['quantity']}",
             str(s["readings"]),
             f"{s['rms_sigma']:.2f}",
-            f"{s['widened']:.2f}",
-            f"{s['told']:.1f}",
+            f"{s['sigma_inflation']:.2f}",
+            f"{s['degrees_of_freedom_for_signal']:.1f}",
         )
         for s in manifest["profile"]["sources"]
         if s["used"] and "quantity" in s

@@ -12,6 +12,7 @@ from rich.markup import escape
 from rich.padding import Padding
 from rich.table import Table
 
+from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.radial import RadialTable
 from pipeline.refraction.status import STATUS_NAMES
@@ -226,7 +227,7 @@ def print_air(console: Console, air: FlightAir) -> None:
     for line in (
         *effect_lines(rows, adjustment.standard.name),
         *(use.sentence() for use in adjustment.sources),
-        *(f"{n.name}: {n.value:.3g} ± {n.sigma:.2g}" for n in adjustment.nuisances),
+        *(f"{FAULT_TEXTS[f.fault]}: {f.value:.3g} ± {f.sigma:.2g}" for f in adjustment.faults),
         *parts,
     ):
         _paragraph(console, line)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air_samples import AirSamples, SensorCalibration
+from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.climatology import Climatology, climatology, month_of
 from pipeline.atmosphere.estimate.adjusted_profile import (
     Adjustment,
@@ -17,8 +17,10 @@ from pipeline.atmosphere.estimate.adjusted_profile import (
     unadjusted,
     under_gravity,
 )
-from pipeline.atmosphere.estimate.representativeness import TimeAndPlace, note_source_distances
-from pipeline.atmosphere.estimate.source_usage import all_unused
+from pipeline.atmosphere.estimate.candidates import ExternalSources, no_source_used
+from pipeline.atmosphere.estimate.external_readings import TimeAndPlace, note_source_distances
+from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration, SensorSettings
+from pipeline.atmosphere.estimate.state import SensorFault
 from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.atmosphere.series.profile_series import (
     TimedProfile,
@@ -54,7 +56,7 @@ class AirSources:
     time_ns: int | None = None
     longitude_rad: float = math.nan
     lowest_h_m: float = 0.0
-    calibration: Mapping[str, SensorCalibration] = field(default_factory=dict)
+    calibration: Mapping[SensorFault, SensorCalibration] = field(default_factory=dict)
 
     def lines(self) -> list[tuple[str, str]]:
         """A label and a description of each source, for `unbend check`."""
@@ -83,17 +85,17 @@ class AirSources:
         return lines
 
 
-def describe_calibration(calibration: Mapping[str, SensorCalibration]) -> str:
+def describe_calibration(calibration: Mapping[SensorFault, SensorCalibration]) -> str:
     """Known mean and standard deviation of each sensor error; one that is not known is left out.
 
-    >>> describe_calibration({"bias": SensorCalibration(0.01, 0.02)})
-    'bias 0.01 ± 0.02'
+    >>> describe_calibration({SensorFault.HYGROMETER_BIAS: SensorCalibration(0.01, 0.02)})
+    'hygrometer bias 0.01 ± 0.02'
     """
     parts = []
-    for name, known in calibration.items():
+    for fault, known in calibration.items():
         mean = "" if known.mean is None else f" {known.mean:g}"
         sigma = "" if known.sigma is None else f" ± {known.sigma:g}"
-        parts.append(f"{name}{mean}{sigma}")
+        parts.append(f"{FAULT_TEXTS[fault]}{mean}{sigma}")
     return ", ".join(parts)
 
 
@@ -178,18 +180,16 @@ def adjusted_profiles(
     if not section.adjust:
         why = "atmosphere.adjust is false: the standard is kept"
         ledger.note("AIR-NOT-ADJUSTED", why)
-        unused = all_unused(samples, sources.soundings, sources.surface, standard.name, why)
+        external = ExternalSources(sources.soundings, sources.surface)
+        unused = no_source_used(samples, external, standard.name, why)
         adjustment = replace(unadjusted(under_gravity(standard, latitude), why), sources=unused)
     else:
         adjustment = build_adjusted_profile(
-            replace(
-                samples,
-                board_temperature=section.board_temperature,
-                calibration=sources.calibration,
-            ),
+            samples,
             standard,
             latitude,
             ledger,
+            settings=SensorSettings(section.board_temperature, sources.calibration),
             background=sources.background,
             soundings=sources.soundings,
             surface=sources.surface,

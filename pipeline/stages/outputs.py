@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS
 from pipeline.batch.manifest import MANIFEST_VERSION
 from pipeline.batch.plan import Plan, versions
 from pipeline.batch.store import RunFolder
@@ -127,12 +128,12 @@ def _profile(air: FlightAir, stations: Stations) -> dict[str, Any]:
         "sources": [use.row() for use in adjustment.sources],
         "sensors": [
             {
-                "what": fault.name,
+                "what": FAULT_TEXTS[fault.fault],
                 "value": round(fault.value, 4),
                 "sigma": round(fault.sigma, 4),
                 "expected_sigma": round(fault.prior_sigma, 4),
             }
-            for fault in adjustment.nuisances
+            for fault in adjustment.faults
         ],
         "profiles": len(air.series.timed_profiles),
         "windows": [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from pipeline.atmosphere.climatology import Climatology
-from pipeline.atmosphere.estimate.representativeness import TimeAndPlace
+from pipeline.atmosphere.estimate.external_readings import TimeAndPlace
 from pipeline.atmosphere.surface_report import (
     SurfaceReport,
     parse_metar,

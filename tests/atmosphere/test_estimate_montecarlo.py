@@ -7,19 +7,21 @@ is integrated apart from the estimator.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air_samples import SensorCalibration
 from pipeline.atmosphere.climatology import Climatology, climatology, month_of
 from pipeline.atmosphere.estimate.adjusted_profile import Adjustment, build_adjusted_profile
-from pipeline.atmosphere.estimate.sensors import BIAS, LAG, TRANSIENT
+from pipeline.atmosphere.estimate.sensors import SensorCalibration, SensorSettings
+from pipeline.atmosphere.estimate.state import SensorFault
 from pipeline.ledger import Ledger
 
 US1976 = standard_atmosphere("us1976")
+BIAS = SensorFault.THERMOMETER_BIAS
+LAG = SensorFault.THERMOMETER_LAG
+TRANSIENT = SensorFault.TAKEOFF_TRANSIENT
 
 
 @pytest.fixture(scope="module")
@@ -49,10 +51,12 @@ def background_of(truth, name) -> Climatology | None:
 
 
 def adjusted(flights, truth, climb, sensors, rng, name, **how) -> Adjustment:
-    calibration = how.pop("calibration", {})
-    samples = replace(flights.fly(truth, climb, sensors, rng, **how), calibration=calibration)
-    background = background_of(truth, name)
-    return build_adjusted_profile(samples, US1976, truth.latitude, Ledger(), background=background)
+    settings = SensorSettings(calibration=how.pop("calibration", {}))
+    samples = flights.fly(truth, climb, sensors, rng, **how)
+    return build_adjusted_profile(
+        samples, US1976, truth.latitude, Ledger(), settings=settings,
+        background=background_of(truth, name),
+    )  # fmt: skip
 
 
 def errors(flights, airs, climb, sensors, name, times=1, **how) -> np.ndarray:

@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.atmosphere.climatology import climatology
+from pipeline.atmosphere.estimate.state import SensorFault
 from pipeline.atmosphere.series.profile_series import TimedProfile
 from pipeline.atmosphere.series.time_windows import TimeWindow
 from pipeline.config.atmosphere import SensorsSection
@@ -318,11 +319,11 @@ def test_every_key_of_a_calibration_arrives_in_si():
         "gnss": {"sigma_height_m": 15.0},
     })  # fmt: skip
     assert {name: (k.mean, k.sigma) for name, k in section.calibration.items()} == {
-        "thermometer bias [K]": (0.1, 0.2), "thermometer lag [s]": (3.0, 4.0),
-        "take-off transient [K]": (5.0, 6.0), "recovery factor": (0.7, 0.8),
-        "thermometer drift [K]": (None, 0.9), "hygrometer bias": (0.13, 0.14),
-        "static pressure offset [Pa]": (pytest.approx(110.0), pytest.approx(120.0)),
-        "GNSS height offset [m]": (None, 15.0),
+        SensorFault.THERMOMETER_BIAS: (0.1, 0.2), SensorFault.THERMOMETER_LAG: (3.0, 4.0),
+        SensorFault.TAKEOFF_TRANSIENT: (5.0, 6.0), SensorFault.RECOVERY_FACTOR: (0.7, 0.8),
+        SensorFault.THERMOMETER_DRIFT: (None, 0.9), SensorFault.HYGROMETER_BIAS: (0.13, 0.14),
+        SensorFault.PRESSURE_OFFSET: (pytest.approx(110.0), pytest.approx(120.0)),
+        SensorFault.GNSS_HEIGHT_OFFSET: (None, 15.0),
     }  # fmt: skip
     assert SensorsSection().calibration == {}
 
@@ -372,7 +373,13 @@ def test_the_manifest_tells_the_scale_of_r_and_the_sensors(baseline):
     assert {"sounding", "surface report", "us1976"} <= unused
     assert all(s["why_not"] for s in profile["sources"] if not s["used"])
     page = (baseline.output / "report.html").read_text()
-    for words in ("R at 75° from", "thermometer bias [K]", "only shown beside the air", "widened"):
+    for words in (
+        "R at 75° from",
+        "thermometer bias [K]",
+        "only shown beside the air",
+        "sigma inflation",
+        "degrees of freedom for signal",
+    ):
         assert words in page
 
 

@@ -1,7 +1,7 @@
-"""The locally adjusted profile: the climatology, moved to what the flight measured.
+"""The locally adjusted profile: the climatology, adjusted to what the flight measured.
 
-Which sensors are believed, whether they say enough, whether the estimate may stand; and in words
-why the profile is what it is. The estimate itself is made in `estimate`.
+Sensors are checked, candidates are estimated in turn until one passes the checks of estimates, and
+the result says in words why the profile is what it is. The estimate itself is made in `solver`.
 """
 
 from __future__ import annotations
@@ -16,19 +16,38 @@ from numpy.typing import NDArray
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.climatology import AUTO, Climatology, climatology, month_of
 from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.atmosphere.estimate.calibration import calibrated, compare_calibration, tell_unused
-from pipeline.atmosphere.estimate.candidates import Basis, bases, why_none
+from pipeline.atmosphere.estimate.candidates import (
+    Candidate,
+    ExternalSources,
+    SourceUse,
+    UsedSamples,
+    candidates,
+    reason_unadjusted,
+    source_usage,
+)
 from pipeline.atmosphere.estimate.estimate_checks import (
     MISFIT,
-    implausible,
-    not_outside,
-    worse_than_climatology,
+    is_better_than_background,
+    is_plausible,
+    thermometer_is_outside,
 )
-from pipeline.atmosphere.estimate.representativeness import TimeAndPlace, says_nothing
-from pipeline.atmosphere.estimate.sensor_checks import judge_level, usable_sensors
-from pipeline.atmosphere.estimate.sensors import Barometer, Humidities, Temperatures, Thermometer
-from pipeline.atmosphere.estimate.solver import Estimate, Fit, Nuisance, estimate
-from pipeline.atmosphere.estimate.source_usage import Flown, SourceUse, account
+from pipeline.atmosphere.estimate.external_readings import TimeAndPlace, reason_uninformative
+from pipeline.atmosphere.estimate.sensor_checks import (
+    check_calibration,
+    note_pressure_level,
+    note_unused_calibration,
+    subtract_known_biases,
+    usable_sensors,
+)
+from pipeline.atmosphere.estimate.sensors import (
+    FAULT_TEXTS,
+    Barometer,
+    Humidities,
+    SensorSettings,
+    Temperatures,
+    Thermometer,
+)
+from pipeline.atmosphere.estimate.solver import Estimate, FaultEstimate, estimate
 from pipeline.atmosphere.profile import (
     BAROMETRIC,
     MEASURED,
@@ -50,25 +69,25 @@ WIDEST_GAP_M = 400.0
 UNCHANGED = 0.95
 """Where sigma of temperature is still this much of the climatology's, nothing was learnt."""
 
-FEWEST_TO_WIDEN = 5
-"""The estimator never widens the sigmas of fewer readings: too few to tell."""
+FEWEST_TO_INFLATE = 5
+"""The estimator never inflates the sigmas of fewer readings."""
 
 LEFT_OUT = "with it no air fits what the flight measured"
 
 UNMEASURED, UNADJUSTED = "climatology", "standard"
-"""Bases of a profile that no measurement speaks in."""
+"""Bases of a profile without any measurement."""
 
 
 @dataclass(frozen=True, eq=False)
 class Adjustment:
-    """A profile, and how it came about.
+    """A profile, and how it was made.
 
     ``basis`` is thermometer | both | barometer | sounding | surface | climatology | standard;
     ``reason`` says why in words; ``time_ns`` is the middle of the samples that were used.
-    ``covariance`` is that of the profile, None where nobody asked for it; ``nuisances`` what was
-    found wrong with the sensors; ``sources`` how each source was used, or why not; ``rejected``
-    the outliers among each sensor's samples. ``samples`` and ``moisture`` are what the estimate
-    stands on, None where there is none.
+    ``covariance`` is that of the profile, None for a standard atmosphere as it is; ``faults`` the
+    sensor faults as estimated; ``sources`` how each source was used, or why not; ``rejected`` the
+    outliers among each sensor's samples. ``samples``, ``settings`` and ``moisture`` are what the
+    estimate was made from, None where there is no estimate.
     """
 
     profile: Profile
@@ -77,15 +96,16 @@ class Adjustment:
     reason: str
     time_ns: int | None = None
     covariance: ProfileCovariance | None = None
-    nuisances: tuple[Nuisance, ...] = ()
+    faults: tuple[FaultEstimate, ...] = ()
     sources: tuple[SourceUse, ...] = ()
     rejected: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
     samples: AirSamples | None = None
+    settings: SensorSettings | None = None
     moisture: Climatology | None = None
 
     @property
     def is_measured(self) -> bool:
-        """Whether anything was measured that the profile holds."""
+        """Whether the profile rests on any measurement."""
         return self.basis not in (UNMEASURED, UNADJUSTED)
 
 
@@ -95,6 +115,7 @@ def build_adjusted_profile(
     latitude_rad: float,
     ledger: Ledger,
     *,
+    settings: SensorSettings | None = None,
     background: Climatology | None = None,
     soundings: Sequence[Sounding] = (),
     surface: Sequence[SurfaceReport] = (),
@@ -108,15 +129,16 @@ def build_adjusted_profile(
     samples : what the flight measured outside, or a part of it.
     standard : shown beside the profile; its index formula and constants are kept.
     latitude_rad : of the flight, for gravity and climate.
-    ledger : receives every fallback, and every sensor that is not believed.
+    ledger : receives every fallback, and every sensor that is not used.
+    settings : calibration of the sensors; by default none is known.
     background : the climatology to relax to; by default the standard, with the spread about it.
-    soundings, surface : balloons and stations near the flight; they weigh by age and distance, and
-        what is too far in either to say anything is left out.
-    time_ns, longitude_rad : of the flight, by which they are near; without samples only this time
-        tells the season.
+    soundings, surface : balloons and stations near the flight, weighted by age and distance;
+        those that are too far in either to have any information are left out.
+    time_ns, longitude_rad : of the flight, for age and distance; without samples this time gives
+        the season.
 
-    Where nothing says enough, or the estimate is no air or no better than the background, the
-    background is returned with its own sigma, and the reason.
+    Where nothing has enough information, or the estimate fails its checks, the background is
+    returned with its own sigma, and the reason.
 
     On nine real soundings (tests/atmosphere/test_estimate_montecarlo.py) the RMS error of R at
     1 / 3 / 6 / 10 km, where US 1976 errs by 20 / 13 / 7 / 7 %: clean sensors in climb and descent
@@ -125,61 +147,173 @@ def build_adjusted_profile(
     1.2 / 0.7 % at 3 / 6 km.
     """
     standard = under_gravity(standard, latitude_rad)
-    occasion = TimeAndPlace(_middle(samples, time_ns), latitude_rad, longitude_rad)
-    month = month_of(occasion.time_ns)
+    sensors = (samples.temperature, samples.pressure, samples.humidity)
+    middles = (sensor.middle_ns for sensor in sensors if sensor is not None)
+    middle = next((middle for middle in middles if middle is not None), time_ns)
+    flight = TimeAndPlace(middle, latitude_rad, longitude_rad)
+    month = month_of(flight.time_ns)
     moisture = climatology(AUTO, latitude_rad=latitude_rad, month=month, index=standard.index)
     if background is None:
-        background = _about(standard, moisture, latitude_rad, month)
-    given = calibrated(samples, ledger)
-    samples = usable_sensors(given, standard, ledger)
-    useless = _too_far((*soundings, *surface), occasion, ledger)
-    near = [s for s in soundings if s.name not in useless]
-    reports = [r for r in surface if r.name not in useless]
+        named = climatology(standard.name, latitude_rad=latitude_rad, month=month)
+        background = replace(named, profile=standard)
+    moisture = background if background.has_humidity else moisture
+    samples, settings = subtract_known_biases(samples, settings or SensorSettings(), ledger)
+    usable = usable_sensors(samples, standard, settings, ledger)
+    unused: dict[str, str] = {}
+    external = ExternalSources(tuple(soundings), tuple(surface))
+    for source in external.sources:
+        why = reason_uninformative(source, flight)
+        if why is not None:
+            unused[source.name] = why
+            ledger.loss("AIR-SOURCE-FAR", f"{source.name} is not used: {why}", where=source.name)
+    inputs = _Inputs(
+        samples=samples,
+        usable=usable,
+        external=external,
+        unused=unused,
+        flight=flight,
+        settings=settings,
+        standard=standard,
+        background=background,
+        moisture=moisture,
+    )
+    return _first_estimate_that_passes(inputs, ledger)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Inputs:
+    """What an adjusted profile is made from, after the checks of sensors and sources."""
+
+    samples: AirSamples
+    usable: AirSamples
+    external: ExternalSources
+    unused: Mapping[str, str]
+    flight: TimeAndPlace
+    settings: SensorSettings
+    standard: Profile
+    background: Climatology
+    moisture: Climatology
+
+
+def _first_estimate_that_passes(inputs: _Inputs, ledger: Ledger) -> Adjustment:
+    """The estimate of the first candidate that passes its checks, else the background."""
+    background, moisture, settings = inputs.background, inputs.moisture, inputs.settings
+    soundings, surface, unused = inputs.external.soundings, inputs.external.surface, inputs.unused
+    near = [s for s in soundings if s.name not in unused]
+    reports = [r for r in surface if r.name not in unused]
     faults: list[str] = []
-    doubted = False
-    tried: list[Basis] = []
-
-    def sources(basis: Basis | None, fits: Sequence[Fit]) -> tuple[SourceUse, ...]:
-        unused = useless | (dict.fromkeys(basis.beside.left_out, LEFT_OUT) if basis else {})
-        flown = Flown(given, samples, [b.samples for b in tried], basis.samples if basis else None)
-        return account(flown, fits, soundings, surface, unused, background, standard.name)
-
-    humid = moisture if not background.has_humidity else background
-    for basis in bases(samples, near, reports):
-        if doubted and basis.samples.temperature is not None:
+    indoors = False
+    tried: list[AirSamples] = []
+    for candidate in candidates(inputs.usable, near, reports):
+        if indoors and candidate.samples.temperature is not None:
             continue
-        tried.append(basis)
+        tried.append(candidate.samples)
         made = estimate(
-            basis.samples, background, moisture=humid, soundings=basis.beside.soundings,
-            surface=basis.beside.surface, occasion=occasion,
-        )  # fmt: skip
-        indoors = not_outside(basis.samples, made, background, humid)
-        if indoors is not None and basis.main is not None:
-            doubted, name = True, basis.main.name
-            faults.append(indoors)
-            ledger.loss("AIR-THERMOMETER", f"{name} is not used: {indoors}", where=name)
+            candidate.samples,
+            background,
+            settings=settings,
+            moisture=moisture,
+            soundings=candidate.external.soundings,
+            surface=candidate.external.surface,
+            flight=inputs.flight,
+        )
+        outside = thermometer_is_outside(candidate.samples, made, background, moisture, settings)
+        if not outside and candidate.main is not None:
+            indoors, name = True, candidate.main.name
+            faults.append(outside.reason)
+            ledger.loss("AIR-THERMOMETER", f"{name} is not used: {outside.reason}", where=name)
             continue
-        fault = implausible(made, background) or worse_than_climatology(made, background, humid)
-        if fault is None:
-            for name in basis.beside.left_out:
+        check = is_plausible(made, background)
+        check = check and is_better_than_background(made, background, moisture)
+        if check:
+            for name in candidate.external.left_out:
                 ledger.loss("AIR-SOURCE-REFUSED", f"{name} is not used: {LEFT_OUT}", where=name)
-            found = _adjusted(basis, made, standard, background, ledger)
-            return replace(found, sources=sources(basis, made.fits), moisture=humid)
-        faults.append(fault)
+            left_out = dict.fromkeys(candidate.external.left_out, LEFT_OUT)
+            flown = UsedSamples(inputs.samples, inputs.usable, tried, candidate.samples)
+            usage = source_usage(
+                flown, made.fits, inputs.external, {**unused, **left_out},
+                background=background, standard=inputs.standard.name,
+            )  # fmt: skip
+            return _adjustment(candidate, made, inputs, usage, ledger)
+        faults.append(check.reason)
         ledger.loss(
             "AIR-IMPLAUSIBLE",
-            f"the air estimated from {basis.reason} is not used: {fault}",
-            where=basis.main.name if basis.main is not None else "",
+            f"the air estimated from {candidate.reason} is not used: {check.reason}",
+            where=candidate.main.name if candidate.main is not None else "",
         )
-    same = background.profile.name == standard.name
-    kept = f"the {'standard atmosphere' if same else 'climatology'} {background.profile.name}"
-    reason = why_none(samples, faults, kept)
-    ledger.fallback("AIR-STANDARD", reason)
-    tell_unused(set(given.calibration), ledger)
-    profile, covariance = _unchanged(background)
-    word = UNADJUSTED if same else UNMEASURED
+    return _unchanged(inputs, tried, faults, ledger)
+
+
+def _adjustment(
+    candidate: Candidate,
+    made: Estimate,
+    inputs: _Inputs,
+    usage: tuple[SourceUse, ...],
+    ledger: Ledger,
+) -> Adjustment:
+    """An estimate that passed its checks, with the sources of its layers and its remarks."""
+    layers = replace(made.profile.layers, source=_layer_sources(made))
+    profile = replace(made.profile, layers=layers)
+    samples, main = candidate.samples, candidate.main
+    if candidate.basis == "barometer":
+        ledger.fallback("AIR-BAROMETRIC", candidate.reason, where=main.name if main else "")
+    if not any(isinstance(readings, Humidities) for readings in made.readings.sets):
+        what = "no humidity measured outside: that of the climatology is taken"
+        ledger.fallback("AIR-HUMIDITY-EXPECTED", what)
+    note_pressure_level(profile, inputs.background, samples.pressure, ledger)
+    _note_sensors(made, samples, ledger)
+    check_calibration(made, inputs.settings, ledger)
+    if not made.converged:
+        ledger.warning("AIR-UNSETTLED", "the estimate did not converge: its last step still moved")
     return Adjustment(
-        profile, standard, word, reason, covariance=covariance, sources=sources(None, ())
+        profile,
+        inputs.standard,
+        candidate.basis,
+        candidate.reason,
+        main.middle_ns if main is not None else None,
+        replace(made.covariance, profile=profile),
+        made.faults,
+        usage,
+        made.readings.rejected,
+        samples=samples,
+        settings=inputs.settings,
+        moisture=inputs.moisture,
+    )
+
+
+def _unchanged(
+    inputs: _Inputs, tried: Sequence[AirSamples], faults: Sequence[str], ledger: Ledger
+) -> Adjustment:
+    """The background itself, in layers fine enough to carry its covariance."""
+    background, profile = inputs.background, inputs.background.profile
+    is_standard = profile.name == inputs.standard.name
+    kept = f"the {'standard atmosphere' if is_standard else 'climatology'} {profile.name}"
+    reason = reason_unadjusted(inputs.usable, faults, kept)
+    ledger.fallback("AIR-STANDARD", reason)
+    note_unused_calibration(set(inputs.settings.calibration), ledger)
+    made = estimate(AirSamples(), background)
+    edge = made.profile.layers.edge
+    t_m, _, vapour = profile.state(profile.gravity.height(edge))
+    layers = stack_layers(
+        edge,
+        t_m,
+        vapour,
+        (STANDARD,) * (edge.size - 1),
+        anchor=(0.0, float(profile.pressure(0.0))),
+        constant=profile.constant,
+    )
+    layered = replace(profile, layers=layers)
+    usage = source_usage(
+        UsedSamples(inputs.samples, inputs.usable, tried), (), inputs.external, inputs.unused,
+        background=background, standard=inputs.standard.name,
+    )  # fmt: skip
+    return Adjustment(
+        layered,
+        inputs.standard,
+        UNADJUSTED if is_standard else UNMEASURED,
+        reason,
+        covariance=replace(made.covariance, profile=layered),
+        sources=usage,
     )
 
 
@@ -193,66 +327,8 @@ def unadjusted(standard: Profile, reason: str) -> Adjustment:
     return Adjustment(standard, standard, UNADJUSTED, reason)
 
 
-def _middle(samples: AirSamples, otherwise: int | None) -> int | None:
-    """When the flight was [Unix ns]: the middle of what it measured."""
-    for sensor in (samples.temperature, samples.pressure, samples.humidity):
-        if sensor is not None and sensor.middle_ns is not None:
-            return sensor.middle_ns
-    return otherwise
-
-
-def _too_far(
-    sources: Sequence[Sounding | SurfaceReport], occasion: TimeAndPlace, ledger: Ledger
-) -> dict[str, str]:
-    """Sources that are too old or too far away to say anything, by name with the reason."""
-    found = {}
-    for source in sources:
-        why = says_nothing(source, occasion)
-        if why is not None:
-            found[source.name] = why
-            ledger.loss("AIR-SOURCE-FAR", f"{source.name} is not used: {why}", where=source.name)
-    return found
-
-
-def _about(
-    standard: Profile, moisture: Climatology, latitude_rad: float, month: float
-) -> Climatology:
-    """A standard as the background, with the spread of a day's air about it."""
-    named = climatology(standard.name, latitude_rad=latitude_rad, month=month)
-    return replace(named, profile=standard)
-
-
-def _adjusted(
-    basis: Basis, made: Estimate, standard: Profile, background: Climatology, ledger: Ledger
-) -> Adjustment:
-    """An estimate that may stand, with its layers named and its remarks in the ledger."""
-    layers = replace(made.profile.layers, source=_layer_sources(made))
-    profile = replace(made.profile, layers=layers)
-    samples = basis.samples
-    if basis.word == "barometer":
-        ledger.fallback("AIR-BAROMETRIC", basis.reason, where=basis.main.name if basis.main else "")
-    if not any(isinstance(source, Humidities) for source in made.sources.sources):
-        said = "no humidity measured outside: that of the climatology is taken"
-        ledger.fallback("AIR-HUMIDITY-EXPECTED", said)
-    judge_level(profile, background, samples.pressure, ledger)
-    _tell_of_sensors(made, samples, ledger)
-    if not made.converged:
-        ledger.warning("AIR-UNSETTLED", "the estimate still moved after its last step")
-    return Adjustment(
-        profile,
-        standard,
-        basis.word,
-        basis.reason,
-        basis.main.middle_ns if basis.main is not None else None,
-        replace(made.covariance, profile=profile),
-        made.nuisances,
-        rejected=made.sources.rejected,
-        samples=samples,
-    )
-
-
 def _layer_sources(made: Estimate) -> tuple[str, ...]:
-    """Where each layer comes from: a thermometer's heights, a barometer's, neighbours, nothing."""
+    """Source of each layer: a thermometer's heights, a barometer's, neighbours, or nothing."""
     edge = made.profile.layers.edge
     middle = 0.5 * (edge[1:] + edge[:-1])
     warm = _covered(middle, made, (Thermometer, Temperatures), WIDEST_GAP_M)
@@ -270,8 +346,8 @@ def _layer_sources(made: Estimate) -> tuple[str, ...]:
 def _covered(
     middle: Array, made: Estimate, kinds: tuple[type, ...], widest: float
 ) -> NDArray[np.bool_]:
-    """Whether heights lie between two readings of some kinds of source, near enough together."""
-    heights = [s.height for s in made.sources.sources if isinstance(s, kinds)]
+    """Whether heights lie between two readings of some kinds, at most ``widest`` apart."""
+    heights = [s.height for s in made.readings.sets if isinstance(s, kinds)]
     if not heights:
         return np.zeros(middle.size, dtype=bool)
     at = np.sort(np.concatenate(heights))
@@ -281,26 +357,28 @@ def _covered(
     return np.asarray(inside & (at[upper] - at[lower] <= widest))
 
 
-def _tell_of_sensors(made: Estimate, samples: AirSamples, ledger: Ledger) -> None:
-    """What was found wrong with the sensors, and which readings were outliers."""
-    learnt = [n for n in made.nuisances if n.sigma < 0.7 * n.prior_sigma]
+def _note_sensors(made: Estimate, samples: AirSamples, ledger: Ledger) -> None:
+    """Report estimated sensor faults, readings that do not fit, and outliers."""
+    learnt = [f for f in made.faults if f.sigma < 0.7 * f.prior_sigma]
     if learnt:
         ledger.note(
             "AIR-SENSORS",
-            "; ".join(f"{n.name} {n.value:.3g} ± {n.sigma:.2g}" for n in learnt),
+            "; ".join(f"{FAULT_TEXTS[f.fault]} {f.value:.3g} ± {f.sigma:.2g}" for f in learnt),
         )
-    compare_calibration(made, samples, ledger)
     for fit in made.fits:
-        few = fit.count < FEWEST_TO_WIDEN
-        if fit.widened > MISFIT or (few and fit.rms > MISFIT):
+        few = fit.count < FEWEST_TO_INFLATE
+        if fit.sigma_inflation > MISFIT or (few and fit.rms > MISFIT):
+            remark = "robust weights let the other readings prevail"
+            if fit.sigma_inflation > MISFIT:
+                remark = f"sigma inflation factor {fit.sigma_inflation:.0f}"
             ledger.warning(
                 "AIR-MISFIT",
                 f"residuals of {fit.name} ({fit.quantity}) are {fit.rms:.1f} times what its errors "
-                f"explain: {_dealt_with(fit)}",
+                f"explain: {remark}",
                 where=fit.name,
                 count=fit.count,
             )
-    for name, rejected in made.sources.rejected.items():
+    for name, rejected in made.readings.rejected.items():
         if bool(rejected.any()):
             sensor = getattr(samples, name)
             ledger.note(
@@ -310,26 +388,3 @@ def _tell_of_sensors(made: Estimate, samples: AirSamples, ledger: Ledger) -> Non
                 where=sensor.name,
                 count=int(rejected.sum()),
             )
-
-
-def _dealt_with(fit: Fit) -> str:
-    if fit.widened > MISFIT:
-        return f"its sigmas were widened {fit.widened:.0f} times"
-    return "the others outvote it"
-
-
-def _unchanged(background: Climatology) -> tuple[Profile, ProfileCovariance]:
-    """The background itself, in layers fine enough to carry its covariance."""
-    made, profile = estimate(AirSamples(), background), background.profile
-    edge = made.profile.layers.edge
-    t_m, _, vapour = profile.state(profile.gravity.height(edge))
-    layers = stack_layers(
-        edge,
-        t_m,
-        vapour,
-        (STANDARD,) * (edge.size - 1),
-        anchor=(0.0, float(profile.pressure(0.0))),
-        constant=profile.constant,
-    )
-    kept = replace(profile, layers=layers)
-    return kept, replace(made.covariance, profile=kept)

@@ -1,30 +1,39 @@
-"""What an estimate can stand on: which sensors say enough, with which soundings and stations."""
+"""What an estimate can use: which sensors span enough height, with which soundings and stations.
+
+And afterwards: how each source was used, or why it was not.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
+from pipeline.atmosphere.climatology import Climatology
+from pipeline.atmosphere.estimate.solver import Fit
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
 
 SMALLEST_CLIMB_M = 300.0
-"""Less than this of sampled height says too little of the air with a thermometer [m]."""
+"""A thermometer needs this much sampled height [m]."""
 
 SMALLEST_BAROMETRIC_CLIMB_M = 2000.0
-"""... and without one (the error stays above 10 % of R below 1 km, whatever is done) [m]."""
+"""A barometer alone needs more: below 1 km the error stays above 10 % of R in any case [m]."""
 
 BEYOND_M = 500.0
-"""A barometer that sampled so much more height than the thermometer is told of beside it [m']."""
+"""A barometer that sampled so much more height than the thermometer is named beside it [m']."""
 
-MOST_DOUBTED = 5
-"""Of more soundings and stations than these they are left out all together, not one by one."""
+MOST_LEFT_OUT_ONE_BY_ONE = 5
+"""More soundings and stations than these are left out all together, not one by one."""
+
+NO_ESTIMATE = "no estimate with it passed its checks: see the ledger"
+
+INSTRUMENTS = {"temperature": "thermometer", "pressure": "barometer", "humidity": "hygrometer"}
 
 
 @dataclass(frozen=True, eq=False)
-class Beside:
-    """Soundings and stations beside the flight, and the names of those that are left out."""
+class ExternalSources:
+    """Soundings and stations that are used beside the flight, and the names of those left out."""
 
     soundings: tuple[Sounding, ...] = ()
     surface: tuple[SurfaceReport, ...] = ()
@@ -38,90 +47,99 @@ class Beside:
     def names(self) -> tuple[str, ...]:
         return tuple(source.name for source in self.sources)
 
+    def described(self, reason: str) -> str:
+        """A reason with the sources that are used and those that are left out."""
+        names, left_out = ", ".join(self.names), ", ".join(self.left_out)
+        if names:
+            reason = f"{reason}; with {names}" if reason else names
+        return f"{reason}; without {left_out}" if left_out else reason
+
 
 @dataclass(frozen=True, eq=False)
-class Basis:
-    """The samples that say enough, what stands beside them, the word for it, and why."""
+class Candidate:
+    """Samples and external sources for one estimate; ``basis`` is the word for it, and why.
 
-    word: str
+    ``main`` is the sensor that it rests on.
+    """
+
+    basis: str
     reason: str
     samples: AirSamples
-    beside: Beside
+    external: ExternalSources
     main: SensorSamples | None = None
 
 
-def bases(
+def candidates(
     samples: AirSamples, soundings: Sequence[Sounding], surface: Sequence[SurfaceReport]
-) -> list[Basis]:
-    """What an estimate can stand on, the best first, the next if the best gives no air.
+) -> list[Candidate]:
+    """What an estimate can use, the best first; the next is tried if the estimate fails its checks.
 
-    Every choice of the flight's own sensors is tried with all soundings and stations, then without
+    Every choice of the flight's own sensors comes with all soundings and stations, then without
     each of them, then without all: one bad level of a balloon must not cost what the flight saw.
     """
-    choices = _choices(Beside(tuple(soundings), tuple(surface)))
-    columns = [_of_the_flight(samples, beside) for beside in choices]
-    found = [basis for row in zip(*columns, strict=True) for basis in row]
-    alone = replace(samples, temperature=None)
-    for beside in choices:
-        if beside.names:
-            word = "sounding" if beside.soundings else "surface"
-            found.append(Basis(word, _told("", beside), alone, beside, samples.pressure))
-    return found
-
-
-def _choices(everything: Beside) -> list[Beside]:
-    """All sources, then all but one, then none."""
-    found = [everything]
-    if 1 < len(everything.names) <= MOST_DOUBTED:
-        for source in everything.sources:
-            found.append(
-                Beside(
-                    tuple(s for s in everything.soundings if s is not source),
-                    tuple(r for r in everything.surface if r is not source),
-                    (source.name,),
-                )
+    everything = ExternalSources(tuple(soundings), tuple(surface))
+    choices = [everything]
+    if 1 < len(everything.names) <= MOST_LEFT_OUT_ONE_BY_ONE:
+        choices += [
+            ExternalSources(
+                tuple(s for s in soundings if s is not source),
+                tuple(r for r in surface if r is not source),
+                (source.name,),
             )
+            for source in everything.sources
+        ]
     if everything.names:
-        found.append(Beside(left_out=everything.names))
-    return found
+        choices.append(ExternalSources(left_out=everything.names))
+    columns = [_with_own_sensors(samples, external) for external in choices]
+    ordered = [candidate for row in zip(*columns, strict=True) for candidate in row]
+    no_thermometer = replace(samples, temperature=None)
+    for external in choices:
+        if external.names:
+            basis, reason = "sounding" if external.soundings else "surface", external.described("")
+            ordered.append(Candidate(basis, reason, no_thermometer, external, samples.pressure))
+    return ordered
 
 
-def _of_the_flight(samples: AirSamples, beside: Beside) -> list[Basis]:
+def _with_own_sensors(samples: AirSamples, external: ExternalSources) -> list[Candidate]:
     """Thermometer and barometer, the barometer alone, the thermometer alone."""
     temperature, pressure = samples.temperature, samples.pressure
     warm = _if_tall(temperature, SMALLEST_CLIMB_M)
     high = _if_tall(pressure, SMALLEST_BAROMETRIC_CLIMB_M)
-    found: list[Basis] = []
+    choices: list[Candidate] = []
+
+    def add(basis: str, reason: str, used: AirSamples, main: SensorSamples) -> None:
+        choices.append(Candidate(basis, external.described(reason), used, external, main))
+
     if warm is not None:
-        word = "thermometer"
+        basis = "thermometer"
         reason = f"temperatures of {warm.name} over {warm.extent_m:.0f} m of height"
-        if high is not None and _reaches_beyond(high, warm):
-            word = "both"
-            reason += (
-                f"; above and below them {high.name} against GNSS height over {high.extent_m:.0f} m"
-            )
-        found.append(Basis(word, _told(reason, beside), samples, beside, warm))
+        if high is not None:
+            h_warm, h_high = warm.used()[0], high.used()[0]
+            if max(h_high.max() - h_warm.max(), h_warm.min() - h_high.min()) > BEYOND_M:
+                basis = "both"
+                reason += (
+                    f"; above and below them {high.name} against GNSS height over "
+                    f"{high.extent_m:.0f} m"
+                )
+        add(basis, reason, samples, warm)
     if high is not None:
         if warm is not None:
-            without = f"without the thermometer {warm.name}"
+            why = f"without the thermometer {warm.name}"
         elif temperature is not None:
-            without = (
+            why = (
                 f"the thermometer {temperature.name} spans only {temperature.extent_m:.0f} m of "
                 "height"
             )
         else:
-            without = "no thermometer outside"
+            why = "no thermometer outside"
         reason = (
-            f"{without}: temperatures from {high.name} against GNSS height over "
-            f"{high.extent_m:.0f} m"
+            f"{why}: temperatures from {high.name} against GNSS height over {high.extent_m:.0f} m"
         )
-        without_it = replace(samples, temperature=None)
-        found.append(Basis("barometer", _told(reason, beside), without_it, beside, high))
+        add("barometer", reason, replace(samples, temperature=None), high)
     if warm is not None and pressure is not None:
-        alone = replace(samples, pressure=None)
         reason = f"temperatures of {warm.name} alone, without {pressure.name}"
-        found.append(Basis("thermometer", _told(reason, beside), alone, beside, warm))
-    return found
+        add("thermometer", reason, replace(samples, pressure=None), warm)
+    return choices
 
 
 def _if_tall(sensor: SensorSamples | None, least_m: float) -> SensorSamples | None:
@@ -129,27 +147,12 @@ def _if_tall(sensor: SensorSamples | None, least_m: float) -> SensorSamples | No
     return sensor if sensor is not None and sensor.extent_m >= least_m else None
 
 
-def _told(reason: str, beside: Beside) -> str:
-    """The reason, with the sources beside the flight and those that are not there."""
-    names, left_out = ", ".join(beside.names), ", ".join(beside.left_out)
-    if names:
-        reason = f"{reason}; with {names}" if reason else names
-    return f"{reason}; without {left_out}" if left_out else reason
-
-
-def _reaches_beyond(pressure: SensorSamples, temperature: SensorSamples) -> bool:
-    """Whether the barometer sampled half a kilometre or more beyond the thermometer."""
-    warm, all_of_it = temperature.used()[0], pressure.used()[0]
-    beyond = max(all_of_it.max() - warm.max(), warm.min() - all_of_it.min())
-    return bool(beyond > BEYOND_M)
-
-
-def why_none(samples: AirSamples, faults: Sequence[str], kept: str) -> str:
-    """Why the background is kept: no estimate could stand, or nothing says enough for one."""
+def reason_unadjusted(samples: AirSamples, faults: Sequence[str], kept: str) -> str:
+    """Why the background ``kept`` is used: no estimate passed its checks, or none was possible."""
     temperature, pressure = samples.temperature, samples.pressure
     kept += " is kept unchanged"
     if faults:
-        return f"no estimate could stand, the first because {faults[0]}: {kept}"
+        return f"no estimate passed its checks, the first because {faults[0]}: {kept}"
     if temperature is None and pressure is None:
         return f"no thermometer and no barometer outside that can be used: {kept}"
     spans = []
@@ -164,3 +167,118 @@ def why_none(samples: AirSamples, faults: Sequence[str], kept: str) -> str:
             f"{SMALLEST_BAROMETRIC_CLIMB_M:.0f} m are needed without a thermometer)"
         )
     return f"{'; '.join(spans)}: {kept}"
+
+
+@dataclass(frozen=True)
+class SourceUse:
+    """One source of the air: how it fits and its information content, or why it is not used."""
+
+    source: str
+    why_not: str = ""
+    fit: Fit | None = None
+
+    def row(self) -> dict[str, object]:
+        """For the manifest."""
+        if self.fit is None:
+            return {"source": self.source, "used": not self.why_not, "why_not": self.why_not}
+        fit = self.fit
+        return {
+            "source": self.source,
+            "used": True,
+            "quantity": fit.quantity,
+            "readings": fit.count,
+            "rms_sigma": round(fit.rms, 3),
+            "sigma_inflation": round(fit.sigma_inflation, 3),
+            "degrees_of_freedom_for_signal": round(fit.signal_freedom, 3),
+        }
+
+    def sentence(self) -> str:
+        """For a person.
+
+        >>> SourceUse("sounding", "none in the mission file").sentence()
+        'sounding: not used, none in the mission file'
+        """
+        if self.fit is None:
+            return f"{self.source}: " + (f"not used, {self.why_not}" if self.why_not else "used")
+        fit = self.fit
+        inflated = fit.sigma_inflation > 1.05
+        inflation = f", sigma inflation factor {fit.sigma_inflation:.1f}" if inflated else ""
+        return (
+            f"{self.source}: {fit.quantity}, {fit.count} bins or levels that fit to "
+            f"{fit.rms:.1f} sigma{inflation}, {fit.signal_freedom:.1f} degrees of freedom for "
+            "signal"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class UsedSamples:
+    """Samples of a flight: ``given`` by its log, ``usable`` by the sensor checks, of the estimates
+    that were ``tried``, and of the one that is ``used``, None where there is none."""
+
+    given: AirSamples
+    usable: AirSamples
+    tried: Sequence[AirSamples] = ()
+    used: AirSamples | None = None
+
+    def why_not(self, name: str) -> str | None:
+        """Why a sensor is not used, in words; None where it is."""
+        given: SensorSamples | None = getattr(self.given, name)
+        if given is None:
+            return "none outside in the log"
+        if not bool(given.accepted.any()):
+            return "no reading at a known height passes the gates"
+        if getattr(self.usable, name) is None:
+            return "contradicted by the others: see the ledger"
+        if self.used is None:
+            was_tried = any(getattr(samples, name) is not None for samples in self.tried)
+            return NO_ESTIMATE if was_tried else f"{given.extent_m:.0f} m of height are too few"
+        left_out = getattr(self.used, name) is None
+        return "left out: it spans too little height, or no air fits it" if left_out else None
+
+
+def source_usage(
+    flown: UsedSamples,
+    fits: Sequence[Fit],
+    external: ExternalSources,
+    unused: Mapping[str, str],
+    *,
+    background: Climatology,
+    standard: str,
+) -> tuple[SourceUse, ...]:
+    """Every source with its fit, or in words why it is not used.
+
+    ``external`` are all soundings and reports of the mission, ``unused`` those that were left out,
+    by name, and why.
+    """
+    uses = [SourceUse(fit.name, fit=fit) for fit in fits]
+    for name in INSTRUMENTS:
+        why = flown.why_not(name)
+        if why is not None:
+            uses.append(SourceUse(_instrument(flown.given, name), why))
+    for kind, sources in (("sounding", external.soundings), ("surface report", external.surface)):
+        if not sources:
+            uses.append(SourceUse(kind, "none in the mission file"))
+    for name in external.names:
+        if name in unused:
+            uses.append(SourceUse(name, unused[name]))
+        elif flown.used is None:
+            uses.append(SourceUse(name, NO_ESTIMATE))
+    name = background.profile.name
+    uses.append(SourceUse(f"{name} ({background.origin})" if name != standard else name))
+    if name != standard:
+        uses.append(SourceUse(standard, "only shown beside the air"))
+    return tuple(uses)
+
+
+def no_source_used(
+    given: AirSamples, external: ExternalSources, standard: str, why: str
+) -> tuple[SourceUse, ...]:
+    """The usage where the mission file asks for a standard: nothing else is used."""
+    labels = [_instrument(given, name) for name in INSTRUMENTS if getattr(given, name) is not None]
+    return (*(SourceUse(label, why) for label in (*labels, *external.names)), SourceUse(standard))
+
+
+def _instrument(samples: AirSamples, name: str) -> str:
+    """``thermometer IMET[0]``, or the instrument alone where the log has none."""
+    sensor = getattr(samples, name)
+    return INSTRUMENTS[name] if sensor is None else f"{INSTRUMENTS[name]} {sensor.name}".strip()

@@ -1,39 +1,64 @@
-"""What soundings, weather stations and the climatology say, as readings for the estimator."""
+"""Soundings, weather stations and the climatology as readings, weighted by their age and distance.
+
+The air's departure from its climatology persists: after a time t and over a distance d it
+correlates by rho = exp(-t/tau - (d/L)^2/2) with what it was. An old or far reading with an error
+of variance s^2 (1/rho^2 - 1), where s is the spread of the climatology, has the weight rho^2.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.atmosphere.climatology import Climatology
-from pipeline.atmosphere.estimate.representativeness import (
-    SPREAD_K,
-    SPREAD_RH,
-    TimeAndPlace,
-    apart,
-    unlikeness,
-)
 from pipeline.atmosphere.estimate.sensors import (
     SOUNDING_DEPARTURE,
     SOUNDING_HUMIDITY,
     Humidities,
     Pressures,
-    Source,
+    Readings,
     Temperatures,
 )
 from pipeline.atmosphere.estimate.state import TOP_M, Drift
 from pipeline.atmosphere.refractive_index import enhancement_factor, saturation_vapour_pressure
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
+from pipeline.ledger import Ledger
 
 Array = NDArray[np.float64]
 
+SPREAD_K, SPREAD_RH = 5.0, 0.3
+"""Of the climatology in the free troposphere."""
+
+MEMORY_H = 167.0
+"""tau: the variance of temperature grows by 0.3 K2 an hour, 0.95 K in three hours, 2.9 K in a day.
+Sun et al. 2010 (J. Geophys. Res. 115, D23104) find 0.35 K per 3 h in the free troposphere, linear
+up to 6 h: 2.8 K in a day. Two pairs of ascents over Barrow differ by 1.0 to 2.3 K in 12 hours."""
+
+MEMORY_M = 1.19e6
+"""L: 0.42 K per 100 km, the figure of the same paper for soundings up to 250 km apart."""
+
+FAR_M = 200e3
+"""A sounding from farther away is reported: its temperatures are 0.9 K less certain."""
+
+MOST_GROWTH = 9.0
+"""A reading whose variance is that many times the climatology's weighs a tenth: after 8 days, or
+1800 km. It is left out."""
+
+UNDATED_SOUNDING_H, UNDATED_REPORT_H, UNPLACED_M = 6.0, 3.0, 100e3
+"""Assumed where unknown: soundings are released every twelve hours, stations are near."""
+
+_EARTH_M = 6.371e6
+_MOST_EXPONENT = 50.0  # exp of it is finite, and far beyond MOST_GROWTH
+
 AT_ONCE_K, AT_ONCE_LENGTH_M, LATER_LENGTH_M = 1.2, 1500.0, 4000.0
 """How far the air of a sounding is from the flight's: 1.2 K at once (instrument, the way the
-balloon drifted), and what age and distance add (see `nearness`), which correlates in height like
-departures from the climatology. Judgement, not measured here."""
+balloon drifted), and what age and distance add (see `variance_growth`), which correlates in height
+like departures from the climatology. Set by judgement, not measured here."""
 
 DEPARTURE_RH, DEPARTURE_RH_LENGTH_M = 0.15, 1000.0
 DEPARTURE_STEP_M = 500.0
@@ -48,7 +73,7 @@ STATION_K, STATION_RH, STATION_LOG_P = 1.5, 0.06, 5e-4
 """Two metres above the grass is not yet the free air; a station's pressure is good to 0.5 hPa."""
 
 STATION_K2_PER_H = 2.0
-"""Near the ground the day warms the air by some 5 K from dawn to noon, as in `windows`."""
+"""Near the ground the day warms the air by some 5 K from dawn to noon, as in `series.ageing`."""
 
 THIN_M = 100.0
 """Levels of a sounding are averaged over this [m']."""
@@ -56,35 +81,156 @@ THIN_M = 100.0
 HUMIDITY_BELOW_M = 12_000.0
 
 
-def of_the_sea(background: Climatology) -> list[Source]:
+@dataclass(frozen=True)
+class TimeAndPlace:
+    """When [Unix ns] and where [rad] a flight was; None and NaN where unknown."""
+
+    time_ns: int | None = None
+    latitude_rad: float = math.nan
+    longitude_rad: float = math.nan
+
+    def hours_from(self, time_ns: int | None) -> float:
+        """Hours to another time, NaN where either is not known.
+
+        >>> TimeAndPlace(3_600_000_000_000).hours_from(0)
+        1.0
+        """
+        if self.time_ns is None or time_ns is None:
+            return math.nan
+        return abs(self.time_ns - time_ns) / 3.6e12
+
+    def metres_from(self, latitude_rad: float, longitude_rad: float) -> float:
+        """Great-circle distance [m]; along the meridian without a longitude, NaN without both.
+
+        >>> round(TimeAndPlace(None, 0.0, 0.0).metres_from(0.0, 0.1))
+        637100
+        """
+        north = latitude_rad - self.latitude_rad
+        east = longitude_rad - self.longitude_rad
+        if not math.isfinite(north):
+            return math.nan
+        east = east if math.isfinite(east) else 0.0
+        squeezed = math.cos(latitude_rad) * math.cos(self.latitude_rad)
+        half_chord = math.sin(0.5 * north) ** 2 + squeezed * math.sin(0.5 * east) ** 2
+        return 2.0 * _EARTH_M * math.asin(math.sqrt(min(half_chord, 1.0)))
+
+
+def variance_growth(hours: float, metres: float = 0.0) -> float:
+    """1/rho^2 - 1: variance of the change of the air, over that of the climatology.
+
+    >>> [round(SPREAD_K * variance_growth(*d) ** 0.5, 2) for d in ((3.0, 0.0), (0.0, 1e5))]
+    [0.96, 0.42]
+    """
+    exponent = 2.0 * hours / MEMORY_H + (metres / MEMORY_M) ** 2
+    return math.expm1(min(exponent, _MOST_EXPONENT))
+
+
+def hours_and_metres(source: Sounding | SurfaceReport, flight: TimeAndPlace) -> tuple[float, float]:
+    """Hours and metres between a source and the flight.
+
+    Six hours and 100 km where those of a sounding are not known; three hours, and no distance, of
+    a surface report: a station near the flight is meant.
+    """
+    hours, metres, undated_h = flight.hours_from(source.time_ns), 0.0, UNDATED_REPORT_H
+    if isinstance(source, Sounding):
+        undated_h = UNDATED_SOUNDING_H
+        metres = flight.metres_from(source.latitude_rad, source.longitude_rad)
+    return (
+        hours if math.isfinite(hours) else undated_h,
+        metres if math.isfinite(metres) else UNPLACED_M,
+    )
+
+
+def reason_uninformative(source: Sounding | SurfaceReport, flight: TimeAndPlace) -> str | None:
+    """Why a source is too old or too far away to be used, in words; None where it can be.
+
+    >>> reason_uninformative(SurfaceReport(0.0, 1e5, 280.0, 800.0, time_ns=0), TimeAndPlace(10**15))
+    'it is 278 hours from the flight: the climatology knows as much'
+    """
+    hours, metres = hours_and_metres(source, flight)
+    if variance_growth(hours, metres) <= MOST_GROWTH:
+        return None
+    if variance_growth(hours) > MOST_GROWTH:
+        far = f"{hours:.0f} hours"
+    elif variance_growth(0.0, metres) > MOST_GROWTH:
+        far = f"{metres / 1e3:.0f} km"
+    else:
+        far = f"{hours:.0f} hours and {metres / 1e3:.0f} km"
+    return f"it is {far} from the flight: the climatology knows as much"
+
+
+def note_source_distances(
+    soundings: Sequence[Sounding],
+    surface: Sequence[SurfaceReport],
+    flight: TimeAndPlace,
+    ledger: Ledger,
+) -> None:
+    """Report sources without time or place, and soundings from far away."""
+    for sounding in soundings:
+        name = sounding.name
+        if sounding.time_ns is None:
+            ledger.fallback(
+                "SOUNDING-UNDATED",
+                f"the sounding has no time: it is taken as {UNDATED_SOUNDING_H:.0f} hours from the "
+                "flight",
+                where=name,
+            )
+        metres = flight.metres_from(sounding.latitude_rad, sounding.longitude_rad)
+        if not math.isfinite(metres) and math.isfinite(flight.latitude_rad):
+            ledger.fallback(
+                "SOUNDING-UNPLACED",
+                f"the sounding has no position: it is taken as {UNPLACED_M / 1e3:.0f} km from the "
+                "flight",
+                where=name,
+            )
+        if metres > FAR_M:
+            growth = variance_growth(0.0, metres)
+            worth = f"temperatures are {SPREAD_K * math.sqrt(growth):.1f} K less certain for that"
+            ledger.warning(
+                "SOUNDING-FAR-AWAY",
+                f"the sounding is {metres / 1e3:.0f} km from the flight: "
+                + (worth if growth <= MOST_GROWTH else "it has no information on its air"),
+                where=name,
+            )
+    for report in surface:
+        if report.time_ns is None and flight.time_ns is not None:
+            ledger.fallback(
+                "SURFACE-UNDATED",
+                f"the report has no time: it is taken as {UNDATED_REPORT_H:.0f} hours from the "
+                "flight",
+                where=report.name,
+            )
+
+
+def climatological_pressure(background: Climatology) -> list[Readings]:
     """The climatology's pressure at sea level."""
     value = np.log(background.profile.pressure(np.zeros(1)))
     sigma = np.array([background.spread.pressure_ratio])
     return [Pressures("climatology", np.zeros(1), value, sigma, robust=False)]
 
 
-def departures_of(
-    soundings: Sequence[Sounding], background: Climatology, occasion: TimeAndPlace
+def sounding_departures(
+    soundings: Sequence[Sounding], background: Climatology, flight: TimeAndPlace
 ) -> tuple[Drift, ...]:
     """How the air of each sounding departs from that of the flight, over its own heights."""
     gravity = background.profile.gravity
-    found = []
+    departures: list[Drift] = []
     for i, sounding in enumerate(soundings):
         inside = _inside(sounding, background)
         if not bool(inside.any()):
             continue
         height = gravity.geopotential_height(sounding.h_m[inside])
-        course = np.arange(height[0], height[-1] + DEPARTURE_STEP_M, DEPARTURE_STEP_M)
-        more = unlikeness(*apart(sounding, occasion))
-        later = SPREAD_K**2 * more
+        knots = np.arange(height[0], height[-1] + DEPARTURE_STEP_M, DEPARTURE_STEP_M)
+        growth = variance_growth(*hours_and_metres(sounding, flight))
+        later = SPREAD_K**2 * growth
         variance = AT_ONCE_K**2 + later
         length = (AT_ONCE_K**2 * AT_ONCE_LENGTH_M + later * LATER_LENGTH_M) / variance
-        humid = float(np.hypot(DEPARTURE_RH, SPREAD_RH * np.sqrt(more)))
-        found += [
-            Drift(f"{SOUNDING_DEPARTURE} {i}", course, float(np.sqrt(variance)), length),
-            Drift(f"{SOUNDING_HUMIDITY} {i}", course, humid, DEPARTURE_RH_LENGTH_M),
+        humid = float(np.hypot(DEPARTURE_RH, SPREAD_RH * np.sqrt(growth)))
+        departures += [
+            Drift(f"{SOUNDING_DEPARTURE} {i}", knots, float(np.sqrt(variance)), length),
+            Drift(f"{SOUNDING_HUMIDITY} {i}", knots, humid, DEPARTURE_RH_LENGTH_M),
         ]
-    return tuple(found)
+    return tuple(departures)
 
 
 def _inside(sounding: Sounding, background: Climatology) -> NDArray[np.bool_]:
@@ -94,12 +240,12 @@ def _inside(sounding: Sounding, background: Climatology) -> NDArray[np.bool_]:
     return np.asarray((sounding.h_m > profile.bottom_m + THIN_M) & (sounding.h_m < top))
 
 
-def of_sounding(
-    sounding: Sounding, number: int, background: Climatology, occasion: TimeAndPlace
-) -> list[Source]:
+def sounding_readings(
+    sounding: Sounding, number: int, background: Climatology, flight: TimeAndPlace
+) -> list[Readings]:
     """Temperatures and humidities of a balloon, and its pressure at the lowest level.
 
-    ``number`` is its place among the soundings, by which `departures_of` names its departure.
+    ``number`` is its place among the soundings, by which `sounding_departures` names its departure.
     """
     height = background.profile.gravity.geopotential_height(sounding.h_m)
     inside = _inside(sounding, background)
@@ -109,47 +255,48 @@ def of_sounding(
         sounding.vapour_pressure_pa, sounding.temperature_k, sounding.pressure_pa
     )
     name = sounding.name
-    found: list[Source] = []
+    readings: list[Readings] = []
     h, t = _thinned(height[inside], sounding.temperature_k[inside])
     departure = f"{SOUNDING_DEPARTURE} {number}"
-    found.append(Temperatures(name, h, t, np.full(h.size, LEVEL_K), departure))
+    readings.append(Temperatures(name, h, t, np.full(h.size, LEVEL_K), departure))
     moist = inside & np.isfinite(rh) & (height < HUMIDITY_BELOW_M)
     if bool(moist.any()):
         h, u = _thinned(height[moist], rh[moist])
         departure = f"{SOUNDING_HUMIDITY} {number}"
-        found.append(Humidities(name, h, u, np.full(h.size, LEVEL_RH), drift=departure))
+        readings.append(Humidities(name, h, u, np.full(h.size, LEVEL_RH), drift=departure))
     lowest = int(np.flatnonzero(inside)[0])
     level = np.log(sounding.pressure_pa[lowest : lowest + 1])
-    hours, metres = apart(sounding, occasion)
+    hours, metres = hours_and_metres(sounding, flight)
     weather = np.hypot(WEATHER_LOG_P_PER_H * hours, WEATHER_LOG_P_PER_M * metres)
     sigma = np.array([float(np.hypot(LEVEL_LOG_P, weather))])
-    found.append(Pressures(name, height[lowest : lowest + 1], level, sigma))
-    return found
+    readings.append(Pressures(name, height[lowest : lowest + 1], level, sigma))
+    return readings
 
 
-def of_report(
-    report: SurfaceReport, background: Climatology, occasion: TimeAndPlace
-) -> list[Source]:
-    """What a station on the ground says of the air above it, less certain by its age."""
+def surface_readings(
+    report: SurfaceReport, background: Climatology, flight: TimeAndPlace
+) -> list[Readings]:
+    """Temperature, pressure and humidity of a weather station, less certain by its age."""
     height = background.profile.gravity.geopotential_height(np.array([report.h_m]))
-    hours, _ = apart(report, occasion)
+    hours, _ = hours_and_metres(report, flight)
     name, pressure = report.name, report.pressure_pa
-    found: list[Source] = []
+    readings: list[Readings] = []
     if np.isfinite(report.temperature_k):
         of_air = STATION_K**2 + report.sigma_temperature_k**2 + STATION_K2_PER_H * hours
         sigma = np.array([np.sqrt(of_air)])
-        found.append(Temperatures(name, height, np.array([report.temperature_k]), sigma))
+        readings.append(Temperatures(name, height, np.array([report.temperature_k]), sigma))
     if np.isfinite(pressure):
         instrument = np.hypot(STATION_LOG_P, report.sigma_pressure_pa / pressure)
         sigma = np.array([np.hypot(instrument, WEATHER_LOG_P_PER_H * hours)])
-        found.append(Pressures(name, height, np.log([pressure]), sigma))
+        readings.append(Pressures(name, height, np.log([pressure]), sigma))
     else:
         pressure = float(background.profile.pressure(report.h_m))
     rh = _relative_humidity(report.vapour_pressure_pa, report.temperature_k, pressure)
     if bool(np.isfinite(rh)):
-        sigma = np.array([np.hypot(STATION_RH, SPREAD_RH * np.sqrt(unlikeness(hours)))])
-        found.append(Humidities(name, height, np.atleast_1d(rh), sigma))
-    return found
+        growth = variance_growth(hours)
+        sigma = np.array([np.hypot(STATION_RH, SPREAD_RH * np.sqrt(growth))])
+        readings.append(Humidities(name, height, np.atleast_1d(rh), sigma))
+    return readings
 
 
 def _relative_humidity(e: Array | float, t: Array | float, p: Array | float) -> Array:

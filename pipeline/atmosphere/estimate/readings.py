@@ -1,4 +1,7 @@
-"""From samples, soundings and surface reports to the readings that the estimator takes."""
+"""From the samples of a flight to the readings of the estimator: means in bins, and their faults.
+
+Bins are of height, of direction (climb, level, descent) and of time.
+"""
 
 from __future__ import annotations
 
@@ -8,50 +11,59 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.air_samples import AirSamples, SensorCalibration, SensorSamples
+from pipeline.atmosphere.air_samples import AirSamples, SensorSamples, climb_of
 from pipeline.atmosphere.climatology import Climatology
-from pipeline.atmosphere.estimate.bins import Bins, bin_readings
 from pipeline.atmosphere.estimate.external_readings import (
-    departures_of,
-    of_report,
-    of_sounding,
-    of_the_sea,
+    TimeAndPlace,
+    climatological_pressure,
+    sounding_departures,
+    sounding_readings,
+    surface_readings,
 )
-from pipeline.atmosphere.estimate.representativeness import TimeAndPlace
 from pipeline.atmosphere.estimate.sensors import (
-    BAROMETER_DRIFT,
     BAROMETER_FAULTS,
-    DYNAMIC,
-    HYGROMETER_FAULT,
-    RECOVERY,
-    THERMOMETER_DRIFT,
+    DYNAMIC_PRESSURE_ERROR,
+    HYGROMETER_BIAS,
+    RECOVERY_FACTOR,
     THERMOMETER_FAULTS,
     Barometer,
+    FlownHeights,
     Humidities,
-    Source,
+    Readings,
+    SensorCalibration,
+    SensorSettings,
     Thermometer,
-    Track,
     dynamic_of,
     heating_of,
 )
-from pipeline.atmosphere.estimate.state import TOP_M, Drift, Fault
+from pipeline.atmosphere.estimate.state import TOP_M, Drift, Fault, SensorFault
+from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
 
 Array = NDArray[np.float64]
 
+CLIMBING_M_S = 0.5
+"""Slower than this an aircraft flies level; lag has a sign only above it [m/s]."""
+
+OUTLIER_SIGMA = 4.5
+"""Readings farther from the median of their bin are outliers: 7 in a million of normal errors."""
+
+CORRELATED_S = 2.0
+"""Noise of a sensor is independent after so long [s]: 10 Hz are not 20 times as good as 0.5 Hz."""
+
 SHALLOW_M, SHALLOW_BIN_M, BIN_M = 1500.0, 25.0, 50.0
 """Bins are 25 m' where less than 1500 m were sampled, else 50 m'."""
 
 MOST_BINS = 1000
-"""... and higher where the legs of a long flight would fill more than these."""
+"""Bins are higher where the climbs and descents of a long flight would fill more than these."""
 
 SLICE_S, MOST_SLICES = 30.0, 120
 """Readings so far apart in time are never averaged, in a long flight 1/120 of it: a sensor that
-catches up in level flight after a climb tells its lag [s]."""
+catches up in level flight after a climb determines its lag [s]."""
 
 AIR_NOISE_K, AIR_NOISE_LOG_P, AIR_NOISE_RH = 0.15, 3e-5, 0.03
-"""What a bin's mean differs by from the mean air of its height: eddies, the shape of the layer."""
+"""Sigma of a bin's mean about the mean air of its height: eddies, the shape of the layer."""
 
 LEAST_SCATTER_K, LEAST_SCATTER_LOG_P, LEAST_SCATTER_RH = 0.05, 5e-5, 0.01
 
@@ -67,14 +79,21 @@ LONG_AGO_S = -1e5
 BOARD_BIAS_K, BOARD_DRIFT_K = 10.0, 5.0
 """A board is so much warmer than the air, and that changes by so much within a quarter hour."""
 
+USUAL_BIAS_K, USUAL_DRIFT_K = 3.0, 0.4
+"""The same of a thermometer outside."""
+
 _GROUND_RISE_M = 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class Sources:
-    """Everything that was measured, and the faults it may have; ``rejected`` outliers by sensor."""
+class FlightReadings:
+    """Everything that was measured, and the faults it may have.
 
-    sources: tuple[Source, ...]
+    ``low`` and ``high`` are the lowest and highest geopotential height [m'] with a measurement;
+    ``rejected`` the outliers among the samples of each sensor.
+    """
+
+    sets: tuple[Readings, ...]
     faults: tuple[Fault, ...]
     drifts: tuple[Drift, ...]
     low: float
@@ -82,242 +101,300 @@ class Sources:
     rejected: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 
 
-def sources_of(
+def collect_readings(
     samples: AirSamples,
     background: Climatology,
+    settings: SensorSettings,
+    *,
     soundings: Sequence[Sounding] = (),
     surface: Sequence[SurfaceReport] = (),
-    occasion: TimeAndPlace | None = None,
-) -> Sources:
+    flight: TimeAndPlace | None = None,
+) -> FlightReadings:
     """The readings of a flight in bins, and of soundings and stations, with their faults.
 
-    ``background`` gives gravity, and the shape that bins are averaged about. ``low`` and ``high``
-    are the lowest and highest geopotential height [m'] that something was measured at.
-    Soundings and stations are weighed by their age and distance from ``occasion``, without one by
-    their age at the start of the samples.
+    ``background`` gives gravity, and the shape that bins are averaged about. Soundings and stations
+    are weighted by their age and distance from ``flight``, without it by their age at the start of
+    the samples.
     """
-    flown = _flown(samples, background)
-    found: list[Source] = of_the_sea(background)
-    when = occasion or TimeAndPlace(flown.start_ns)
-    for number, sounding in enumerate(soundings):
-        found += of_sounding(sounding, number, background, when)
-    for report in surface:
-        found += of_report(report, background, when)
-    measured = [*found[1:], *flown.sources]
-    heights = np.concatenate([source.height for source in measured] or [np.array(UNMEASURED_M)])
-    low, high = float(heights.min()), float(heights.max())
-    departures = departures_of(soundings, background, when)
-    return Sources(
-        (*found, *flown.sources),
-        flown.faults,
-        (*flown.drifts, *departures),
-        low,
-        high,
-        flown.rejected,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _Flown:
-    sources: tuple[Source, ...]
-    faults: tuple[Fault, ...]
-    drifts: tuple[Drift, ...]
-    rejected: Mapping[str, NDArray[np.bool_]]
-    start_ns: int | None
-
-
-def _flown(samples: AirSamples, background: Climatology) -> _Flown:
-    """The sensors of the flight."""
-    used = {
+    sensors = {
         name: sensor
-        for name, sensor in (
-            ("pressure", samples.pressure),
-            ("temperature", samples.temperature),
-            ("humidity", samples.humidity),
-        )
-        if sensor is not None and bool(_usable(sensor, background).any())
+        for name in ("pressure", "temperature", "humidity")
+        if (sensor := getattr(samples, name)) is not None
+        and bool(_usable(sensor, background.profile).any())
     }
-    if not used:
-        return _Flown((), (), (), {}, None)
-    start = min(int(sensor.time_ns[0]) for sensor in used.values())
-    end = max(int(sensor.time_ns[-1]) for sensor in used.values())
-    duration = max((end - start) * 1e-9, 1.0)
-    steps = 1 + min(MOST_DRIFT_STEPS, int(duration / DRIFT_STEP_S))
-    course = np.linspace(0.0, duration, steps + 1)
-    bins_of = _BinSize(_width(used), max(SLICE_S, duration / MOST_SLICES))
-    sources: list[Source] = []
+    start_ns = min((int(sensor.time_ns[0]) for sensor in sensors.values()), default=None)
+    flight = flight or TimeAndPlace(start_ns)
+    external: list[Readings] = []
+    for number, sounding in enumerate(soundings):
+        external += sounding_readings(sounding, number, background, flight)
+    for report in surface:
+        external += surface_readings(report, background, flight)
+    flown: list[Readings] = []
     faults: list[Fault] = []
     drifts: list[Drift] = []
-    rejected = {}
-    if "pressure" in used:
-        bins, source = _barometer(used["pressure"], samples, background, start, bins_of)
-        rejected["pressure"] = bins.rejected
-        sources.append(source)
-        faults += [*BAROMETER_FAULTS, *([DYNAMIC] if source.dynamic is not None else [])]
-        drifts.append(Drift(BAROMETER_DRIFT, course, 1.0, 1200.0))
-    if "temperature" in used:
-        took_off = _takeoffs(samples, used, start)
-        bins, warm = _thermometer(
-            used["temperature"], samples, background, start, bins_of, took_off
-        )
-        rejected["temperature"] = bins.rejected
-        sources.append(warm)
-        board = samples.board_temperature
-        bias = replace(THERMOMETER_FAULTS[0], sigma=BOARD_BIAS_K if board else 3.0)
-        faults += [bias, *THERMOMETER_FAULTS[1:], *([RECOVERY] if warm.heating is not None else [])]
-        known = samples.calibration.get(THERMOMETER_DRIFT, SensorCalibration())
-        wander = known.sigma_or(BOARD_DRIFT_K if board else 0.4)
-        drifts.append(Drift(THERMOMETER_DRIFT, course, wander, 900.0))
-    if "humidity" in used:
-        bins, moist = _hygrometer(used["humidity"], background, start, bins_of)
-        rejected["humidity"] = bins.rejected
-        sources.append(moist)
-        faults.append(HYGROMETER_FAULT)
-    return _Flown(
-        tuple(sources),
-        tuple(_calibrated(fault, samples.calibration) for fault in faults),
-        tuple(drifts),
+    rejected: dict[str, NDArray[np.bool_]] = {}
+    if start_ns is not None:
+        end_ns = max(int(sensor.time_ns[-1]) for sensor in sensors.values())
+        duration = max((end_ns - start_ns) * 1e-9, 1.0)
+        steps = 1 + min(MOST_DRIFT_STEPS, int(duration / DRIFT_STEP_S))
+        knots = np.linspace(0.0, duration, steps + 1)
+        binning = _Binning.of_flight(sensors, background.profile, start_ns, duration)
+        airspeed = samples.airspeed
+        if (sensor := sensors.get("pressure")) is not None:
+            rejected["pressure"], barometer = _barometer(sensor, airspeed, binning)
+            flown.append(barometer)
+            has_airspeed = barometer.dynamic is not None
+            faults += [*BAROMETER_FAULTS, *([DYNAMIC_PRESSURE_ERROR] if has_airspeed else [])]
+            drifts.append(Drift(SensorFault.BAROMETER_DRIFT, knots, 1.0, 1200.0))
+        if (sensor := sensors.get("temperature")) is not None:
+            takeoffs = _takeoffs(samples, sensors.get("pressure", sensor), start_ns)
+            rejected["temperature"], warm = _thermometer(sensor, airspeed, binning, takeoffs)
+            flown.append(warm)
+            board = settings.board_temperature
+            bias = replace(THERMOMETER_FAULTS[0], sigma=BOARD_BIAS_K if board else USUAL_BIAS_K)
+            has_airspeed = warm.heating is not None
+            faults += [bias, *THERMOMETER_FAULTS[1:], *([RECOVERY_FACTOR] if has_airspeed else [])]
+            known = settings.calibration.get(SensorFault.THERMOMETER_DRIFT, SensorCalibration())
+            sigma = known.sigma_or(BOARD_DRIFT_K if board else USUAL_DRIFT_K)
+            drifts.append(Drift(SensorFault.THERMOMETER_DRIFT, knots, sigma, 900.0))
+        if (sensor := sensors.get("humidity")) is not None:
+            rejected["humidity"], humidities = _hygrometer(sensor, binning)
+            flown.append(humidities)
+            faults.append(HYGROMETER_BIAS)
+    heights = np.concatenate(
+        [readings.height for readings in (*external, *flown)] or [np.array(UNMEASURED_M)]
+    )
+    return FlightReadings(
+        (*climatological_pressure(background), *external, *flown),
+        tuple(_as_calibrated(fault, settings) for fault in faults),
+        (*drifts, *sounding_departures(soundings, background, flight)),
+        float(heights.min()),
+        float(heights.max()),
         rejected,
-        start,
     )
 
 
-def _calibrated(fault: Fault, calibration: Mapping[str, SensorCalibration]) -> Fault:
-    """A fault as the calibration of its sensor expects it."""
-    known = calibration.get(fault.name, SensorCalibration())
+def _as_calibrated(fault: Fault, settings: SensorSettings) -> Fault:
+    """A fault with the mean and sigma that the calibration of its sensor states."""
+    known = settings.calibration.get(fault.name, SensorCalibration())
     return replace(fault, mean=known.mean_or(fault.mean), sigma=known.sigma_or(fault.sigma))
 
 
-@dataclass(frozen=True)
-class _BinSize:
-    width_m: float
-    slice_s: float
+def part_of(readings: Readings, rows: NDArray[np.bool_]) -> Readings:
+    """Some rows of a set of readings."""
+    size = readings.value.size
+    columns = {
+        name: values[rows]
+        for name, values in vars(readings).items()
+        if isinstance(values, np.ndarray) and values.shape == (size,)
+    }
+    return replace(readings, **columns)  # type: ignore[type-var]
 
 
-def _width(used: Mapping[str, SensorSamples]) -> float:
-    """Of bins [m']: fine in a shallow flight, wider where many legs would fill too many."""
-    extent = max(sensor.extent_m for sensor in used.values())
-    way = max(_way(sensor) for sensor in used.values())
-    return max(SHALLOW_BIN_M if extent < SHALLOW_M else BIN_M, way / MOST_BINS)
-
-
-def _way(sensor: SensorSamples) -> float:
-    """Metres climbed and descended, from heights a quarter minute apart."""
-    seconds = _seconds(sensor, int(sensor.time_ns[0]))
-    known = np.isfinite(sensor.h_m)
-    if known.sum() < 2:
-        return 0.0
-    h = np.interp(np.arange(0.0, seconds[-1], 15.0), seconds[known], sensor.h_m[known])
-    return float(np.abs(np.diff(h)).sum())
-
-
-def _seconds(sensor: SensorSamples, start: int) -> Array:
-    return np.asarray((sensor.time_ns - start).astype(np.float64) * 1e-9)
-
-
-def _usable(sensor: SensorSamples, background: Climatology) -> NDArray[np.bool_]:
+def _usable(sensor: SensorSamples, profile: Profile) -> NDArray[np.bool_]:
     """Accepted readings at heights that both aircraft and background reach."""
     with np.errstate(invalid="ignore"):
-        inside = (sensor.h_m > background.profile.bottom_m + 500.0) & (sensor.h_m < TOP_M - 2000.0)
+        inside = (sensor.h_m > profile.bottom_m + 500.0) & (sensor.h_m < TOP_M - 2000.0)
     return np.asarray(sensor.accepted & inside)
 
 
-def _binned(
-    sensor: SensorSamples,
-    departure: Array,
-    background: Climatology,
-    start: int,
-    size: _BinSize,
-    floor: float,
-) -> Bins:
-    seconds = _seconds(sensor, start)
-    height = background.profile.gravity.geopotential_height(sensor.h_m)
-    usable = _usable(sensor, background)
-    return bin_readings(
-        seconds, height, departure, usable, width=size.width_m, slice_s=size.slice_s, floor=floor
-    )
+def _seconds(sensor: SensorSamples, start_ns: int) -> Array:
+    return np.asarray((sensor.time_ns - start_ns).astype(np.float64) * 1e-9)
+
+
+@dataclass(frozen=True, eq=False)
+class _Binning:
+    """The bins of a flight: their size, the first time, and the profile they are averaged about."""
+
+    profile: Profile
+    start_ns: int
+    width_m: float
+    slice_s: float
+
+    @classmethod
+    def of_flight(
+        cls,
+        sensors: Mapping[str, SensorSamples],
+        profile: Profile,
+        start_ns: int,
+        duration_s: float,
+    ) -> _Binning:
+        """Thin bins in a shallow flight, thicker where many climbs would fill too many."""
+        extent = max(sensor.extent_m for sensor in sensors.values())
+        climbed = 0.0
+        for sensor in sensors.values():  # climb and descent, from heights a quarter minute apart
+            known = np.isfinite(sensor.h_m)
+            if known.sum() >= 2:
+                seconds = _seconds(sensor, int(sensor.time_ns[0]))
+                times = np.arange(0.0, seconds[-1], 15.0)
+                h = np.interp(times, seconds[known], sensor.h_m[known])
+                climbed = max(climbed, float(np.abs(np.diff(h)).sum()))
+        width = max(SHALLOW_BIN_M if extent < SHALLOW_M else BIN_M, climbed / MOST_BINS)
+        return cls(profile, start_ns, width, max(SLICE_S, duration_s / MOST_SLICES))
+
+    def bins(self, sensor: SensorSamples, departure: Array, floor: float) -> Bins:
+        """Means of a departure from the profile that is averaged about."""
+        return bin_readings(
+            _seconds(sensor, self.start_ns),
+            self.profile.gravity.geopotential_height(sensor.h_m),
+            departure,
+            _usable(sensor, self.profile),
+            width=self.width_m,
+            slice_s=self.slice_s,
+            floor=floor,
+        )
+
+    def airspeed_at(self, seconds: Array, sensor: SensorSamples | None) -> Array | None:
+        """Indicated airspeed [m/s] at times, or None."""
+        if sensor is None or not bool(np.isfinite(sensor.value).any()):
+            return None
+        known = np.isfinite(sensor.value)
+        times = _seconds(sensor, self.start_ns)[known]
+        return np.interp(seconds, times, np.maximum(sensor.value[known], 0.0))
 
 
 def _barometer(
-    sensor: SensorSamples, samples: AirSamples, background: Climatology, start: int, size: _BinSize
-) -> tuple[Bins, Barometer]:
-    profile = background.profile
+    sensor: SensorSamples, airspeed: SensorSamples | None, binning: _Binning
+) -> tuple[NDArray[np.bool_], Barometer]:
+    profile = binning.profile
     with np.errstate(invalid="ignore", divide="ignore"):
         departure = np.log(sensor.value) - np.log(profile.pressure(sensor.h_m))
-    bins = _binned(sensor, departure, background, start, size, LEAST_SCATTER_LOG_P)
+    bins = binning.bins(sensor, departure, LEAST_SCATTER_LOG_P)
     value = bins.value + np.log(profile.pressure(profile.gravity.height(bins.height)))
-    airspeed = _airspeed(samples, bins.seconds, start)
-    dynamic = None if airspeed is None else dynamic_of(airspeed)
+    speed = binning.airspeed_at(bins.seconds, airspeed)
+    dynamic = None if speed is None else dynamic_of(speed)
     sigma = np.hypot(bins.sigma, AIR_NOISE_LOG_P)
-    return bins, Barometer(sensor.name, bins.seconds, bins.height, value, sigma, dynamic)
+    return bins.rejected, Barometer(sensor.name, bins.seconds, bins.height, value, sigma, dynamic)
 
 
 def _thermometer(
-    sensor: SensorSamples,
-    samples: AirSamples,
-    background: Climatology,
-    start: int,
-    size: _BinSize,
-    took_off: Array,
-) -> tuple[Bins, Thermometer]:
-    profile = background.profile
-    departure = sensor.value - profile.temperature(sensor.h_m)
-    bins = _binned(sensor, departure, background, start, size, LEAST_SCATTER_K)
+    sensor: SensorSamples, airspeed: SensorSamples | None, binning: _Binning, takeoffs: Array
+) -> tuple[NDArray[np.bool_], Thermometer]:
+    profile = binning.profile
+    bins = binning.bins(sensor, sensor.value - profile.temperature(sensor.h_m), LEAST_SCATTER_K)
     h = profile.gravity.height(bins.height)
     value = bins.value + profile.temperature(h)
-    airspeed = _airspeed(samples, bins.seconds, start)
-    heating = None if airspeed is None else heating_of(airspeed, profile.pressure(h), value)
+    speed = binning.airspeed_at(bins.seconds, airspeed)
     known = np.isfinite(sensor.h_m)
-    flown = profile.gravity.geopotential_height(sensor.h_m[known])
-    track = Track(_seconds(sensor, start)[known], flown)
-    last = np.maximum(np.searchsorted(took_off, bins.seconds, side="right") - 1, 0)
-    since = np.maximum(bins.seconds - took_off[last], 0.0)
-    sigma = np.hypot(bins.sigma, AIR_NOISE_K)
-    return bins, Thermometer(
-        sensor.name, bins.seconds, bins.height, value, sigma, since, track, heating
+    heights = FlownHeights(
+        _seconds(sensor, binning.start_ns)[known],
+        profile.gravity.geopotential_height(sensor.h_m[known]),
+    )
+    last = np.maximum(np.searchsorted(takeoffs, bins.seconds, side="right") - 1, 0)
+    return bins.rejected, Thermometer(
+        sensor.name,
+        bins.seconds,
+        bins.height,
+        value,
+        np.hypot(bins.sigma, AIR_NOISE_K),
+        since_s=np.maximum(bins.seconds - takeoffs[last], 0.0),
+        flown=heights,
+        heating=None if speed is None else heating_of(speed, profile.pressure(h), value),
     )
 
 
-def _hygrometer(
-    sensor: SensorSamples, background: Climatology, start: int, size: _BinSize
-) -> tuple[Bins, Humidities]:
-    size = _BinSize(2.0 * size.width_m, size.slice_s)
-    bins = _binned(sensor, sensor.value, background, start, size, LEAST_SCATTER_RH)
+def _hygrometer(sensor: SensorSamples, binning: _Binning) -> tuple[NDArray[np.bool_], Humidities]:
+    bins = replace(binning, width_m=2.0 * binning.width_m).bins(
+        sensor, sensor.value, LEAST_SCATTER_RH
+    )
     sigma = np.hypot(bins.sigma, AIR_NOISE_RH)
-    name = HYGROMETER_FAULT.name
-    return bins, Humidities(sensor.name, bins.height, bins.value, sigma, fault=name)
+    fault = SensorFault.HYGROMETER_BIAS
+    return bins.rejected, Humidities(sensor.name, bins.height, bins.value, sigma, fault=fault)
 
 
-def _airspeed(samples: AirSamples, seconds: Array, start: int) -> Array | None:
-    """Indicated airspeed [m/s] at times, or None."""
-    sensor = samples.airspeed
-    if sensor is None:
-        return None
-    known = np.isfinite(sensor.value)
-    if not bool(known.any()):
-        return None
-    times = _seconds(sensor, start)[known]
-    return np.interp(seconds, times, np.maximum(sensor.value[known], 0.0))
-
-
-def _takeoffs(samples: AirSamples, used: Mapping[str, SensorSamples], start: int) -> Array:
-    """Times of take-off [s]; where nobody looked, when the lowest 20 m were first left."""
+def _takeoffs(samples: AirSamples, sensor: SensorSamples, start_ns: int) -> Array:
+    """Times of take-off [s]; where they are not known, when the lowest 20 m were first left."""
     if samples.takeoff_ns is not None:
-        seen = (samples.takeoff_ns - start) * 1e-9
-        return np.asarray(seen) if seen.size else np.array([LONG_AGO_S])
-    sensor = used.get("pressure", used["temperature"])
+        seconds = (samples.takeoff_ns - start_ns) * 1e-9
+        return np.asarray(seconds) if seconds.size else np.array([LONG_AGO_S])
     with np.errstate(invalid="ignore"):
         up = sensor.h_m > np.nanmin(sensor.h_m) + _GROUND_RISE_M
     first = max(int(np.argmax(up)) - 1, 0) if bool(up.any()) else 0
-    return np.array([(int(sensor.time_ns[first]) - start) * 1e-9])
+    return np.array([(int(sensor.time_ns[first]) - start_ns) * 1e-9])
 
 
-def part_of(source: Source, rows: NDArray[np.bool_]) -> Source:
-    """Some of the readings of a source."""
-    size = source.value.size
-    cut = {
-        name: values[rows]
-        for name, values in vars(source).items()
-        if isinstance(values, np.ndarray) and values.shape == (size,)
-    }
-    return replace(source, **cut)  # type: ignore[type-var]
+@dataclass(frozen=True, eq=False)
+class Bins:
+    """Means of readings in bins; (m,) arrays, in no particular order.
+
+    ``seconds`` mean time since the epoch that `bin_readings` was given, ``height`` mean
+    geopotential [m'], ``value`` mean, ``sigma`` of the mean from the scatter of the readings,
+    ``count`` of the readings averaged. ``rejected`` (n,) the outliers among all the readings.
+    """
+
+    seconds: Array
+    height: Array
+    value: Array
+    sigma: Array
+    count: NDArray[np.int64]
+    rejected: NDArray[np.bool_]
+
+
+def bin_readings(
+    seconds: Array,
+    height: Array,
+    value: Array,
+    accepted: NDArray[np.bool_],
+    *,
+    width: float,
+    slice_s: float,
+    floor: float,
+) -> Bins:
+    """Means without outliers, of readings alike in height, direction and time.
+
+    Parameters
+    ----------
+    seconds, height, value : (n,) time [s], geopotential height [m'], reading in any unit, best as
+        a departure from something that follows the height (the bin's median must mean something).
+    accepted : (n,) readings to use.
+    width, slice_s : of a bin, in height [m'] and in time [s].
+    floor : smallest scatter that is assumed, unit of ``value``.
+
+    Scatter is 1.4826 times the median absolute deviation, that of the sensor or of the bin,
+    whichever is larger. Cost grows as n log n.
+    """
+    # +1 climbing, 0 level, -1 descending: by the change of height over ten seconds.
+    rate = climb_of(seconds, height) / 10.0
+    direction = np.asarray(np.sign(rate) * (np.abs(rate) > CLIMBING_M_S))
+    use = np.flatnonzero(accepted & np.isfinite(height) & np.isfinite(value))
+    rejected = np.zeros(seconds.size, dtype=bool)
+    if use.size == 0:
+        empty = np.empty(0)
+        return Bins(empty, empty, empty, empty, np.empty(0, np.int64), rejected)
+    level = np.floor(height[use] / width)
+    slices = np.floor((seconds[use] - seconds[use].min()) / slice_s)
+    key = (slices * 3.0 + direction[use] + 1.0) * (np.ptp(level) + 1.0) + level - level.min()
+    _, bin_of = np.unique(key, return_inverse=True)
+    size = np.bincount(bin_of)
+    reading = value[use]
+    deviation = np.abs(reading - _medians(bin_of, reading, size)[bin_of])
+    spread = 1.4826 * _medians(bin_of, deviation, size)
+    several = size >= 5
+    common = max(floor, float(np.median(spread[several])) if several.any() else floor)
+    scatter = np.maximum(spread, common)
+    bad = deviation > OUTLIER_SIGMA * scatter[bin_of]
+    rejected[use[bad]] = True
+    good = (~bad).astype(np.float64)
+    count = np.bincount(bin_of, good)
+
+    def mean(values: Array) -> Array:
+        return np.asarray(np.bincount(bin_of, good * values) / count)
+
+    middle = mean(seconds[use])
+    lasted = np.sqrt(12.0 * mean((seconds[use] - middle[bin_of]) ** 2))
+    independent = np.minimum(count, 1.0 + lasted / CORRELATED_S)
+    return Bins(
+        middle,
+        mean(height[use]),
+        mean(reading),
+        scatter / np.sqrt(independent),
+        count.astype(np.int64),
+        rejected,
+    )
+
+
+def _medians(bin_of: NDArray[np.intp], value: Array, size: NDArray[np.int64]) -> Array:
+    """Median of the values of each bin."""
+    ordered = value[np.lexsort((value, bin_of))]
+    start = np.concatenate([[0], np.cumsum(size)[:-1]])
+    return np.asarray(0.5 * (ordered[start + (size - 1) // 2] + ordered[start + size // 2]))

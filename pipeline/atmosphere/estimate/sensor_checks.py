@@ -1,7 +1,8 @@
-"""Which sensors of the air outside are believed: physics, and one sensor against another."""
+"""Sensor checks: known biases are subtracted, then sensors are checked by physics."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,9 @@ from numpy.typing import NDArray
 
 from pipeline.atmosphere.air_samples import BIN_M, AirSamples, SensorSamples, bin_by_height
 from pipeline.atmosphere.climatology import Climatology
+from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration, SensorSettings
+from pipeline.atmosphere.estimate.solver import Estimate
+from pipeline.atmosphere.estimate.state import SensorFault
 from pipeline.atmosphere.hypsometry import Fall, fall_of_pressure
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import saturation_vapour_pressure
@@ -17,7 +21,7 @@ from pipeline.units import HECTOPASCAL, VAPOUR_DEFICIT
 
 LARGEST_DISAGREEMENT_K, LARGEST_CHANGE_K = 8.0, 3.5
 """Thermometer against barometer and GNSS, on the whole of the common heights, and its change from
-the lower to the upper half of them: more is a wrong sensor. Honest ones (bias 2 K, transient 4 K,
+the lower to the upper half of them: more is a wrong sensor. Working ones (bias 2 K, transient 4 K,
 lag 25 s) over 0.7 to 3 km, up and down, came to 2.6 and 1.0 K RMS in 840 flights."""
 
 CLIMB_TO_COMPARE_M, HALF_TO_COMPARE_M = 200.0, 350.0
@@ -30,75 +34,160 @@ within the minutes of half of it: 3.8 K of what they imply over 200 m, 0.8 K ove
 MILD_K, USUAL_RH, USUAL_E_PA = 280.0, 0.6, 1500.0  # of air, where only its order matters
 
 ISOTHERMAL_K = 1.0
-"""What reads the same within this may be indoors; too little height does not tell [K]."""
+"""A thermometer that reads the same within this may be indoors [K]."""
 
 CERTAIN = 3.0
-"""Sigmas of the comparison that are no disagreement."""
+"""Disagreements within so many sigmas of the comparison are accepted."""
 
 STUCK_M, FEWEST_STUCK = 300.0, 5
-"""A sensor with so many equal readings over so much height stands still [m]."""
+"""A sensor with so many equal readings over so much height is stuck [m]."""
 
 SLOWEST = {"temperature": 2e-3, "pressure": 5.0, "humidity": 1e-4}
-"""Change a metre below which coarse steps may hide it: a thermometer that tells whole degrees may
-well read the same over 800 m, of isothermal air [K/m, Pa/m, 1/m]."""
+"""Change a metre that coarse steps may hide: a thermometer that reports whole degrees may read the
+same over 800 m of isothermal air [K/m, Pa/m, 1/m]."""
 
 DRY, MOIST = 0.02, 0.97
-"""Relative humidities where a hygrometer, or the air, may well stay."""
+"""Beyond these relative humidities a constant reading is plausible."""
 
 UNLIKELY_SIGMAS, IMPOSSIBLE_SIGMAS = 5.0, 10.0
 """Departures of pressure at sea level from the climatology, whose sigma is about 1 %."""
 
 
-def usable_sensors(samples: AirSamples, standard: Profile, ledger: Ledger) -> AirSamples:
+CONTRADICTED = 4.0
+"""Sigmas between a calibration and the estimate from the flight, at which one must be wrong."""
+
+_LEAST_LEARNT = 0.05  # of the expected sigma: an estimate that gained less is no evidence
+_READINGS = {
+    SensorFault.THERMOMETER_BIAS: "temperature",
+    SensorFault.PRESSURE_OFFSET: "pressure",
+    SensorFault.HYGROMETER_BIAS: "humidity",
+}
+
+
+def subtract_known_biases(
+    samples: AirSamples, settings: SensorSettings, ledger: Ledger
+) -> tuple[AirSamples, SensorSettings]:
+    """Samples without the known biases, and settings in which the rest of these is 0.
+
+    Biases are subtracted before any sensor is checked. The report lists what remains, for example
+    0.3 K after 12.0 K were subtracted.
+    """
+    corrected, rest, texts = {}, dict(settings.calibration), []
+    for fault, sensor in _READINGS.items():
+        known, readings = rest.get(fault), getattr(samples, sensor)
+        if known is None or not known.mean or readings is None:
+            continue
+        corrected[sensor] = replace(readings, value=readings.value - known.mean)
+        rest[fault] = SensorCalibration(0.0, known.sigma, known.mean)
+        texts.append(f"{FAULT_TEXTS[fault]} of {readings.name} {known.mean:g}")
+    if texts:
+        ledger.note(
+            "AIR-CALIBRATED",
+            f"subtracted from the readings by the mission file: {'; '.join(texts)}",
+            where="atmosphere.sensors",
+            count=len(texts),
+        )
+    return replace(samples, **corrected), replace(settings, calibration=rest)
+
+
+def check_calibration(made: Estimate, settings: SensorSettings, ledger: Ledger) -> None:
+    """Report a stated calibration that the flight contradicts, and those that are not used.
+
+    If both are right, an estimate departs from what was expected by a sigma whose square is that
+    of the expectation less that of the estimate. One wrong value makes others seem wrong, so only
+    the worst is named.
+    """
+    expected = {fault.name: fault.mean for fault in made.readings.faults}
+    worst, text = CONTRADICTED, ""
+    for estimated in made.faults:
+        known, prior = settings.calibration.get(estimated.fault), estimated.prior_sigma
+        learnt = prior**2 - estimated.sigma**2
+        if known is None or learnt < (_LEAST_LEARNT * prior) ** 2:
+            continue
+        mean = expected[estimated.fault]
+        change = estimated.value - mean
+        if abs(change) > worst * math.sqrt(learnt):
+            worst = abs(change) / math.sqrt(learnt)
+            stated = mean + known.subtracted
+            by_flight = stated + change * prior**2 / learnt
+            text = (
+                f"{FAULT_TEXTS[estimated.fault]}: {stated:.3g} ± {prior:.2g} by the mission file, "
+                f"{by_flight:.3g} by the flight alone, {worst:.0f} sigma away: one of the two is "
+                "wrong, or another sensor"
+            )
+    if text:
+        ledger.warning("AIR-CALIBRATION", text, where="atmosphere.sensors")
+    drifts = {drift.name for drift in made.readings.drifts}
+    note_unused_calibration(set(settings.calibration) - set(expected) - drifts, ledger)
+
+
+def note_unused_calibration(faults: set[SensorFault], ledger: Ledger) -> None:
+    """Report stated calibrations of faults that no sensor in use has."""
+    if faults:
+        texts = sorted(FAULT_TEXTS[fault] for fault in faults)
+        ledger.note(
+            "AIR-CALIBRATION-UNUSED",
+            f"no sensor in use has a {', '.join(texts)}",
+            where="atmosphere.sensors",
+            count=len(faults),
+        )
+
+
+def usable_sensors(
+    samples: AirSamples, standard: Profile, settings: SensorSettings, ledger: Ledger
+) -> AirSamples:
     """The samples without the sensors that contradict physics, or one another.
 
-    A sensor must not stand still. Pressure must fall with GNSS height as it does in air of 180 to
-    335 K; a thermometer must agree with the temperature that this implies, on the whole and in its
-    change with height, or it measures something else (a board, the cabin).
+    Readings of a sensor must not stay the same during a climb. Pressure must fall with GNSS height
+    as it does in air of 180 to 335 K; a thermometer must agree with the temperature that this
+    implies, on the whole and in its change with height, or it measures something else (a board,
+    the cabin).
     """
-    samples = _moving(samples, ledger)
-    temperature, pressure = samples.temperature, samples.pressure
+    pressure = samples.pressure
+    if pressure is not None:
+        stuck = pressure.value[_stuck(pressure, "pressure")]
+        if stuck.size:
+            _reject_pressure(pressure, f"stays at {stuck[0]:.0f} Pa", ledger)
+            pressure = None
+    temperature = _without_stuck(samples.temperature, "temperature", ledger)
+    humidity = _without_stuck(samples.humidity, "humidity", ledger)
+    samples = replace(samples, temperature=temperature, pressure=pressure, humidity=humidity)
     if pressure is None or pressure.extent_m < CLIMB_TO_COMPARE_M:
         return samples
     fall = _fall(pressure, standard)
     if fall is None or not fall.is_of_air:
         implied = None if fall is None else fall.implied_k
-        found = "does not fall with height" if implied is None else f"implies {implied:.0f} K"
-        _lose_pressure(pressure, found, ledger)
+        what = "does not fall with height" if implied is None else f"implies {implied:.0f} K"
+        _reject_pressure(pressure, what, ledger)
         return replace(samples, pressure=None)
-    if temperature is None or samples.board_temperature:
+    if temperature is None or settings.board_temperature:
         return samples
-    against = _disagreement(temperature, pressure, standard)
-    if against is None:
-        _tell_of_doubt(temperature, standard, ledger)
-        return samples
-    ledger.loss(
-        "AIR-THERMOMETER",
-        f"{temperature.name} {against} against what {pressure.name} and GNSS height imply: it does "
-        "not measure the air outside and is not used",
-        where=temperature.name,
-    )
-    return replace(samples, temperature=None)
-
-
-def _moving(samples: AirSamples, ledger: Ledger) -> AirSamples:
-    """The samples without readings that stay exactly the same while the aircraft climbs."""
-    pressure = samples.pressure
-    if pressure is not None:
-        held = pressure.value[_stuck(pressure, "pressure")]
-        if held.size:
-            _lose_pressure(pressure, f"stays at {held[0]:.0f} Pa", ledger)
-            pressure = None
-    return replace(
-        samples,
-        temperature=_without_stuck(samples.temperature, "temperature", ledger),
-        pressure=pressure,
-        humidity=_without_stuck(samples.humidity, "humidity", ledger),
-    )
+    disagreement = _disagreement(temperature, pressure, standard)
+    if disagreement is not None:
+        ledger.loss(
+            "AIR-THERMOMETER",
+            f"{temperature.name} {disagreement} against what {pressure.name} and GNSS height "
+            "imply: it does not measure the air outside and is not used",
+            where=temperature.name,
+        )
+        return replace(samples, temperature=None)
+    extent = temperature.extent_m
+    if STUCK_M <= extent < 2.0 * HALF_TO_COMPARE_M:
+        height = standard.gravity.geopotential_height(temperature.h_m)
+        _, binned = bin_by_height(height, temperature, BIN_M)
+        if binned.size and np.ptp(binned) < ISOTHERMAL_K:
+            ledger.warning(
+                "AIR-ISOTHERMAL",
+                f"{temperature.name} reads the same within {np.ptp(binned):.1f} K over "
+                f"{extent:.0f} m: if it is indoors its temperatures are not those of the air "
+                "outside, and over so little height the barometer cannot show it",
+                where=temperature.name,
+            )
+    return samples
 
 
 def _without_stuck(sensor: SensorSamples | None, name: str, ledger: Ledger) -> SensorSamples | None:
-    """A sensor without the readings during which it stood still."""
+    """A sensor without the readings during which it was stuck."""
     if sensor is None:
         return None
     stuck = _stuck(sensor, name)
@@ -107,8 +196,8 @@ def _without_stuck(sensor: SensorSamples | None, name: str, ledger: Ledger) -> S
     ledger.loss(
         "AIR-STUCK",
         f"{int(stuck.sum())} of {int(sensor.accepted.sum())} readings of {sensor.name} are exactly "
-        f"{sensor.value[stuck][0]:.6g} over {np.ptp(sensor.h_m[stuck]):.0f} m of height: it stands "
-        "still, and they are not used",
+        f"{sensor.value[stuck][0]:.6g} over {np.ptp(sensor.h_m[stuck]):.0f} m of height: the "
+        "sensor is stuck, and they are not used",
         where=sensor.name,
         count=int(stuck.sum()),
     )
@@ -116,10 +205,10 @@ def _without_stuck(sensor: SensorSamples | None, name: str, ledger: Ledger) -> S
     return kept if bool(kept.accepted.any()) else None
 
 
-def _lose_pressure(pressure: SensorSamples, found: str, ledger: Ledger) -> None:
+def _reject_pressure(pressure: SensorSamples, what: str, ledger: Ledger) -> None:
     ledger.loss(
         "AIR-NOT-OUTSIDE",
-        f"the pressure of {pressure.name} {found} over {pressure.extent_m:.0f} m of GNSS height: "
+        f"the pressure of {pressure.name} {what} over {pressure.extent_m:.0f} m of GNSS height: "
         "it is not that of the air outside and is not used",
         where=pressure.name,
     )
@@ -169,40 +258,25 @@ def _disagreement(
     if any(h.size == 0 for h in heights):
         return None
     low, high = max(h.min() for h in heights), min(h.max() for h in heights)
-    excess = _excess_over_pressure(temperature, pressure, standard, low, high)
-    if excess is not None and abs(excess) > _largest(LARGEST_DISAGREEMENT_K, WANDER_M, high - low):
+
+    def largest(of_sensor_k: float, wander_m: float, extent_m: float) -> float:
+        """The largest disagreement [K] of sensors outside, compared over a height [m]."""
+        return float(np.hypot(of_sensor_k, CERTAIN * wander_m / extent_m * MILD_K))
+
+    def excess_between(low: float, high: float) -> float | None:
+        return _excess_over_pressure(temperature, pressure, standard, low, high)
+
+    excess = excess_between(low, high)
+    if excess is not None and abs(excess) > largest(LARGEST_DISAGREEMENT_K, WANDER_M, high - low):
         return f"reads {excess:+.1f} K"
     half = 0.5 * (high + low)
-    lower = _excess_over_pressure(temperature, pressure, standard, low, half)
-    upper = _excess_over_pressure(temperature, pressure, standard, half, high)
+    lower, upper = excess_between(low, half), excess_between(half, high)
     if lower is None or upper is None or half - low < HALF_TO_COMPARE_M:
         return None
     change = upper - lower
-    if abs(change) <= _largest(LARGEST_CHANGE_K, WANDER_AT_ONCE_M, half - low):
+    if abs(change) <= largest(LARGEST_CHANGE_K, WANDER_AT_ONCE_M, half - low):
         return None
     return f"changes by {change:+.1f} K from the lower to the upper half of {high - low:.0f} m"
-
-
-def _tell_of_doubt(temperature: SensorSamples, standard: Profile, ledger: Ledger) -> None:
-    """That a thermometer which reads the same everywhere may be indoors, where none can tell."""
-    extent = temperature.extent_m
-    if not STUCK_M <= extent < 2.0 * HALF_TO_COMPARE_M:
-        return
-    height = standard.gravity.geopotential_height(temperature.h_m)
-    _, binned = bin_by_height(height, temperature, BIN_M)
-    if binned.size and np.ptp(binned) < ISOTHERMAL_K:
-        ledger.warning(
-            "AIR-ISOTHERMAL",
-            f"{temperature.name} reads the same within {np.ptp(binned):.1f} K over {extent:.0f} m: "
-            "if it is indoors its temperatures are not those of the air outside, and over so "
-            "little height the barometer does not tell",
-            where=temperature.name,
-        )
-
-
-def _largest(of_sensor_k: float, wander_m: float, extent_m: float) -> float:
-    """The largest disagreement [K] of sensors outside, compared over a height [m]."""
-    return float(np.hypot(of_sensor_k, CERTAIN * wander_m / extent_m * MILD_K))
 
 
 def _excess_over_pressure(
@@ -234,13 +308,13 @@ def _excess_over_pressure(
     return None if felt is None else felt - fall.implied_k
 
 
-def judge_level(
+def note_pressure_level(
     profile: Profile, background: Climatology, pressure: SensorSamples | None, ledger: Ledger
 ) -> None:
-    """Say how well the profile carries the measured pressures, and whether their level can be.
+    """Report the residuals of the measured pressures, and whether their level is plausible.
 
-    Pressure reduced to sea level must lie within 5 sigma of the climatology's (about 50 hPa; the
-    deepest lows reach 6); a tenth of the pressure is no weather.
+    Pressure reduced to sea level should lie within 5 sigma of the climatology's (about 50 hPa; the
+    deepest lows reach 6); 10 sigma, a tenth of the pressure, are no weather.
     """
     if pressure is None or not bool(pressure.accepted.any()):
         ledger.fallback(
@@ -260,11 +334,11 @@ def judge_level(
         f"{np.nanmax(residual) / HECTOPASCAL:.2f} hPa at most; {at_sea / HECTOPASCAL:.0f} hPa at "
         "sea level"
     )
-    tell = ledger.note
+    report = ledger.note
     if sigmas > IMPOSSIBLE_SIGMAS:
-        tell = ledger.loss
+        report = ledger.loss
         what += f", {sigmas:.0f} sigma from the climatology: the barometer or its unit is wrong"
     elif sigmas > UNLIKELY_SIGMAS:
-        tell = ledger.warning
+        report = ledger.warning
         what += f", {sigmas:.0f} sigma from the climatology"
-    tell("AIR-ANCHOR", what, where=pressure.name, count=int(measured.size))
+    report("AIR-ANCHOR", what, where=pressure.name, count=int(measured.size))

@@ -1,14 +1,15 @@
-"""What each sensor reads in a given air, and how that changes with the state."""
+"""Observation equations: what a sensor reads in a given air, and its derivatives by the state."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.estimate.state import Air, Fault, Layout
+from pipeline.atmosphere.estimate.state import AirAtKnots, Fault, Layout, SensorFault
 from pipeline.atmosphere.hypsometry import hats
 
 Array = NDArray[np.float64]
@@ -23,25 +24,37 @@ SEA_LEVEL_DENSITY = 1.225
 """Airspeeds of pitot tubes are calibrated for it [kg m-3]."""
 
 THERMOMETER_FAULTS = (
-    Fault("thermometer bias [K]", 0.0, 3.0),
-    Fault("take-off transient [K]", 0.0, 5.0),
-    Fault("ln of its decay time [s]", float(np.log(60.0)), 0.4, float(np.log(15.0)), 6.0),
-    Fault("thermometer lag [s]", 12.0, 10.0, 0.0, 90.0),
+    Fault(SensorFault.THERMOMETER_BIAS, 0.0, 3.0),
+    Fault(SensorFault.TAKEOFF_TRANSIENT, 0.0, 5.0),
+    # ln of the decay time [s] of the transient
+    Fault(SensorFault.TRANSIENT_DECAY, float(np.log(60.0)), 0.4, float(np.log(15.0)), 6.0),
+    Fault(SensorFault.THERMOMETER_LAG, 12.0, 10.0, 0.0, 90.0),
 )
-RECOVERY = Fault("recovery factor", 0.7, 0.3, 0.0, 1.1)
+RECOVERY_FACTOR = Fault(SensorFault.RECOVERY_FACTOR, 0.7, 0.3, 0.0, 1.1)
 BAROMETER_FAULTS = (
-    Fault("static pressure offset [Pa]", 0.0, 50.0),
-    Fault("GNSS height offset [m]", 0.0, 2.5),
+    Fault(SensorFault.PRESSURE_OFFSET, 0.0, 50.0),
+    Fault(SensorFault.GNSS_HEIGHT_OFFSET, 0.0, 2.5),
 )
-DYNAMIC = Fault("static error per dynamic pressure", 0.0, 0.03)
-HYGROMETER_FAULT = Fault("hygrometer bias", 0.0, 0.03)
-BIAS, TRANSIENT, DECAY, LAG = (fault.name for fault in THERMOMETER_FAULTS)
-OFFSET, HEIGHT = (fault.name for fault in BAROMETER_FAULTS)
+DYNAMIC_PRESSURE_ERROR = Fault(SensorFault.DYNAMIC_PRESSURE_ERROR, 0.0, 0.03)
+HYGROMETER_BIAS = Fault(SensorFault.HYGROMETER_BIAS, 0.0, 0.03)
 
-THERMOMETER_DRIFT = "thermometer drift [K]"
-BAROMETER_DRIFT = "barometer and GNSS drift"
-SOUNDING_DEPARTURE = "sounding departure [K]"
-SOUNDING_HUMIDITY = "sounding departure of humidity"
+SOUNDING_DEPARTURE, SOUNDING_HUMIDITY = "sounding_temperature", "sounding_humidity"
+"""Drifts: how the air of a sounding departs from that of the flight; with its number."""
+
+FAULT_TEXTS: Mapping[SensorFault, str] = {
+    SensorFault.THERMOMETER_BIAS: "thermometer bias [K]",
+    SensorFault.TAKEOFF_TRANSIENT: "take-off transient [K]",
+    SensorFault.TRANSIENT_DECAY: "ln of its decay time [s]",
+    SensorFault.THERMOMETER_LAG: "thermometer lag [s]",
+    SensorFault.RECOVERY_FACTOR: "recovery factor",
+    SensorFault.THERMOMETER_DRIFT: "thermometer drift [K]",
+    SensorFault.PRESSURE_OFFSET: "static pressure offset [Pa]",
+    SensorFault.GNSS_HEIGHT_OFFSET: "GNSS height offset [m]",
+    SensorFault.DYNAMIC_PRESSURE_ERROR: "static error per dynamic pressure",
+    SensorFault.BAROMETER_DRIFT: "barometer and GNSS drift",
+    SensorFault.HYGROMETER_BIAS: "hygrometer bias",
+}
+"""What the ledger, the manifest and the report print for each fault."""
 
 GNSS_DRIFT_M, PRESSURE_DRIFT_PA = 1.6, 12.0
 """One sigma of what wanders in GNSS heights and in a static pressure, over half an hour."""
@@ -51,8 +64,38 @@ _MEMORY, _WEIGHT = np.polynomial.laguerre.laggauss(5)
 _STEP_S = 0.5
 
 
-class Source(Protocol):
-    """Readings (m,) at heights (m,) [m'] with the sigma (m,) of their independent errors."""
+@dataclass(frozen=True)
+class SensorCalibration:
+    """What a calibration states of a sensor fault before the flight; None where it is silent.
+
+    ``subtracted`` is the part of it that was subtracted from the readings already.
+    """
+
+    mean: float | None = None
+    sigma: float | None = None
+    subtracted: float = 0.0
+
+    def mean_or(self, usual: float) -> float:
+        return usual if self.mean is None else self.mean
+
+    def sigma_or(self, usual: float) -> float:
+        return usual if self.sigma is None else self.sigma
+
+
+@dataclass(frozen=True)
+class SensorSettings:
+    """What the mission file states of the sensors.
+
+    ``board_temperature``: the thermometer sits on a circuit board and is used all the same, as the
+    air plus an unknown 10 K that wanders. ``calibration`` of the sensors, by fault.
+    """
+
+    board_temperature: bool = False
+    calibration: Mapping[SensorFault, SensorCalibration] = field(default_factory=dict)
+
+
+class Readings(Protocol):
+    """A set of readings (m,) at heights (m,) [m'], with the sigma (m,) of independent errors."""
 
     @property
     def name(self) -> str: ...
@@ -64,13 +107,13 @@ class Source(Protocol):
     def sigma(self) -> Array: ...
     @property
     def robust(self) -> bool: ...
-    def predict(self, air: Air) -> tuple[Array, Array]:
+    def predict(self, air: AirAtKnots) -> tuple[Array, Array]:
         """What would be read, and its (m, s) derivatives by the state."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class FlownHeights:
     """The heights [m'] that were flown, at increasing times [s]."""
 
     seconds: Array
@@ -93,12 +136,12 @@ class Thermometer:
     value: Array
     sigma: Array
     since_s: Array
-    track: Track
+    flown: FlownHeights
     heating: Array | None = None
     robust: bool = True
 
-    def predict(self, air: Air) -> tuple[Array, Array]:
-        """T as a sensor with a memory feels it, and what is wrong with it.
+    def predict(self, air: AirAtKnots) -> tuple[Array, Array]:
+        """T as a sensor with a memory reads it, with its faults.
 
         T_read(t) = integral of T(H(t - s)) exp(-s/lag)/lag ds + bias + b_0 exp(-t/tau) +
         r V^2/(2 c_p) + drift(t). To first order in the lag the integral is T - lag dT/dt: a climb
@@ -108,28 +151,29 @@ class Thermometer:
         layout, x = air.layout, air.x
         jacobian = np.zeros((self.value.size, layout.size))
         by_lag = np.zeros(self.value.size)
-        beside = self.height - self.track.at(self.seconds)
+        beside = self.height - self.flown.at(self.seconds)
         for memory, weight in zip(_MEMORY, _WEIGHT, strict=True):
-            then = self.seconds - x[layout.fault(LAG)] * memory
-            flown = self.track.at(then) + beside
-            felt = hats(layout.knot, flown)
+            then = self.seconds - x[layout.fault(SensorFault.THERMOMETER_LAG)] * memory
+            felt = hats(layout.knot, self.flown.at(then) + beside)
             jacobian[:, layout.temperature] += weight * felt
-            before = self.track.at(then - _STEP_S) + beside
+            before = self.flown.at(then - _STEP_S) + beside
             change = np.interp(before, layout.knot, air.temperature) - felt @ air.temperature
             by_lag += weight * memory * change / _STEP_S
         reading = jacobian[:, layout.temperature] @ air.temperature
-        decay = np.exp(x[layout.fault(DECAY)])
+        decay = np.exp(x[layout.fault(SensorFault.TRANSIENT_DECAY)])
         left = np.exp(-self.since_s / decay)
-        transient = x[layout.fault(TRANSIENT)]
-        jacobian[:, layout.fault(BIAS)] = 1.0
-        jacobian[:, layout.fault(LAG)] = by_lag
-        jacobian[:, layout.fault(TRANSIENT)] = left
-        jacobian[:, layout.fault(DECAY)] = transient * left * self.since_s / decay
-        reading += x[layout.fault(BIAS)] + transient * left
+        transient = x[layout.fault(SensorFault.TAKEOFF_TRANSIENT)]
+        jacobian[:, layout.fault(SensorFault.THERMOMETER_BIAS)] = 1.0
+        jacobian[:, layout.fault(SensorFault.THERMOMETER_LAG)] = by_lag
+        jacobian[:, layout.fault(SensorFault.TAKEOFF_TRANSIENT)] = left
+        jacobian[:, layout.fault(SensorFault.TRANSIENT_DECAY)] = (
+            transient * left * self.since_s / decay
+        )
+        reading += x[layout.fault(SensorFault.THERMOMETER_BIAS)] + transient * left
         if self.heating is not None:
-            jacobian[:, layout.fault(RECOVERY.name)] = self.heating
-            reading += self.heating * x[layout.fault(RECOVERY.name)]
-        drift, where = layout.drift(THERMOMETER_DRIFT)
+            jacobian[:, layout.fault(SensorFault.RECOVERY_FACTOR)] = self.heating
+            reading += self.heating * x[layout.fault(SensorFault.RECOVERY_FACTOR)]
+        drift, where = layout.drift(SensorFault.THERMOMETER_DRIFT)
         jacobian[:, where] = hats(drift.knot, self.seconds)
         return reading + jacobian[:, where] @ x[where], jacobian
 
@@ -149,8 +193,8 @@ class Barometer:
     dynamic: Array | None = None
     robust: bool = True
 
-    def predict(self, air: Air) -> tuple[Array, Array]:
-        """ln p(H) by Eq. 52-53, and what is wrong with the sensor and with H.
+    def predict(self, air: AirAtKnots) -> tuple[Array, Array]:
+        """ln p(H) by Eq. 52-53, with the faults of the sensor and of H.
 
         ln p_read = ln p(H - dh) + (offset + c q)/p + drift(t): a height read too large belongs to
         air farther down, d ln p/dh = -(G M0/R*)/T_M. The drift is a process of unit variance
@@ -160,13 +204,20 @@ class Barometer:
         reading, jacobian = air.log_pressure(self.height)
         per_metre = air.constant / np.interp(self.height, layout.knot, air.virtual)
         per_pascal = np.exp(-self.value)
-        jacobian[:, layout.fault(OFFSET)] = per_pascal
-        jacobian[:, layout.fault(HEIGHT)] = per_metre
-        reading += per_pascal * x[layout.fault(OFFSET)] + per_metre * x[layout.fault(HEIGHT)]
+        jacobian[:, layout.fault(SensorFault.PRESSURE_OFFSET)] = per_pascal
+        jacobian[:, layout.fault(SensorFault.GNSS_HEIGHT_OFFSET)] = per_metre
+        reading += (
+            per_pascal * x[layout.fault(SensorFault.PRESSURE_OFFSET)]
+            + per_metre * x[layout.fault(SensorFault.GNSS_HEIGHT_OFFSET)]
+        )
         if self.dynamic is not None:
-            jacobian[:, layout.fault(DYNAMIC.name)] = self.dynamic * per_pascal
-            reading += self.dynamic * per_pascal * x[layout.fault(DYNAMIC.name)]
-        drift, where = layout.drift(BAROMETER_DRIFT)
+            jacobian[:, layout.fault(SensorFault.DYNAMIC_PRESSURE_ERROR)] = (
+                self.dynamic * per_pascal
+            )
+            reading += (
+                self.dynamic * per_pascal * x[layout.fault(SensorFault.DYNAMIC_PRESSURE_ERROR)]
+            )
+        drift, where = layout.drift(SensorFault.BAROMETER_DRIFT)
         both = np.hypot(GNSS_DRIFT_M * per_metre, PRESSURE_DRIFT_PA * per_pascal)
         jacobian[:, where] = hats(drift.knot, self.seconds) * both[:, None]
         return reading + jacobian[:, where] @ x[where], jacobian
@@ -183,7 +234,7 @@ class Temperatures:
     drift: str | None = None
     robust: bool = True
 
-    def predict(self, air: Air) -> tuple[Array, Array]:
+    def predict(self, air: AirAtKnots) -> tuple[Array, Array]:
         """T(H) + departure(H)."""
         layout = air.layout
         jacobian = _at_heights(layout, self.height, layout.temperature, layout.knot, self.drift)
@@ -198,11 +249,11 @@ class Humidities:
     height: Array
     value: Array
     sigma: Array
-    fault: str | None = None
+    fault: SensorFault | None = None
     drift: str | None = None
     robust: bool = True
 
-    def predict(self, air: Air) -> tuple[Array, Array]:
+    def predict(self, air: AirAtKnots) -> tuple[Array, Array]:
         """RH(H) + bias + departure(H)."""
         layout = air.layout
         jacobian = _at_heights(layout, self.height, layout.humidity, layout.humid, self.drift)
@@ -233,7 +284,7 @@ class Pressures:
     sigma: Array
     robust: bool = True
 
-    def predict(self, air: Air) -> tuple[Array, Array]:
+    def predict(self, air: AirAtKnots) -> tuple[Array, Array]:
         """ln p(H) by Eq. 52-53."""
         return air.log_pressure(self.height)
 

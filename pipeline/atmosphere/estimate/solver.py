@@ -1,8 +1,9 @@
-"""The air of a flight by least squares: everything measured, weighed by what is known of it.
+"""The air of a flight by robust least squares from everything that was measured.
 
-Gauss-Newton on the state of `state`, with the readings of `measurements`: minimise
+Gauss-Newton on the state of `state`, with the observation equations of `sensors`: minimise
 sum rho((y - f(x))/sigma) + (x - x_b)^T B^-1 (x - x_b). The loss rho is Student's for readings and
-square for the background, so that readings can be outvoted and the background cannot.
+square for the background, so that outliers among the readings lose weight and the background keeps
+its own.
 """
 
 from __future__ import annotations
@@ -17,21 +18,22 @@ from scipy import linalg
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.atmosphere.estimate.readings import Sources, sources_of
-from pipeline.atmosphere.estimate.representativeness import TimeAndPlace
+from pipeline.atmosphere.estimate.external_readings import TimeAndPlace
+from pipeline.atmosphere.estimate.readings import FlightReadings, collect_readings
 from pipeline.atmosphere.estimate.sensors import (
     Barometer,
     Humidities,
     Pressures,
-    Source,
+    Readings,
+    SensorSettings,
     Temperatures,
     Thermometer,
 )
 from pipeline.atmosphere.estimate.state import (
-    Air,
-    Fault,
+    AirAtKnots,
     Layout,
     Prior,
+    SensorFault,
     air_of,
     place_humid_knots,
     place_knots,
@@ -60,15 +62,15 @@ _CONVERGED_K = 2e-3
 _LEAST_SHARE = 1.0 / 64.0  # of a step, halved whenever it turns back
 _REGAINED, _LATE, _REGAINED_LATE = 1.5, 20, 1.1  # by each that does not: slowly in the end
 _EXPECTED_SQUARE = 0.786  # of a normal residual under Student's weights
-_MOST_CORRELATED = 0.8  # no more can be told from the few bins of a flight
+_MOST_CORRELATED = 0.8  # the few bins of a flight do not determine more
 _CORRELATED = 0.2  # neighbouring residuals that correlate more than this are not independent
 
 
 @dataclass(frozen=True)
-class Nuisance:
-    """A fault of a sensor as estimated."""
+class FaultEstimate:
+    """A sensor fault as estimated."""
 
-    name: str
+    fault: SensorFault
     value: float
     sigma: float
     prior_sigma: float
@@ -76,19 +78,20 @@ class Nuisance:
 
 @dataclass(frozen=True)
 class Fit:
-    """How a source fits, and how much it said.
+    """How a set of readings fits, and its information content.
 
-    ``count`` of bins or levels; ``rms`` residual in sigmas; ``widened`` how far its sigmas were;
-    ``told`` the number of unknowns that it determines (the trace of its share of the information
-    times the covariance: Rodgers 2000, Eq. 2.80), which is its weight among the sources.
+    ``count`` of bins or levels; ``rms`` residual in sigmas; ``sigma_inflation`` the factor by which
+    its sigmas were multiplied; ``signal_freedom`` its degrees of freedom for signal (the trace of
+    its share of the information times the covariance: Rodgers 2000, Eq. 2.80), which is its weight
+    among the sources.
     """
 
     name: str
     quantity: str
     count: int
     rms: float
-    widened: float
-    told: float = 0.0
+    sigma_inflation: float
+    signal_freedom: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,18 +99,17 @@ class Estimate:
     """The air of a flight.
 
     ``profile`` has layers between the knots; ``covariance`` is that of the profile;
-    ``background_sigma_k`` (k,) what the background knew of temperature at the knots;
-    ``sources`` what was measured, with the outliers among the accepted samples of each sensor;
-    ``state`` the solution itself, and ``converged`` whether it is one: temperatures moved by less
-    than 2 mK in the last step.
+    ``background_sigma_k`` (k,) prior sigma of temperature at the knots; ``readings`` what was
+    measured, with the outliers among the accepted samples of each sensor; ``state`` the solution
+    itself, and ``converged`` whether temperatures moved by less than 2 mK in the last step.
     """
 
     profile: Profile
     covariance: ProfileCovariance
     background_sigma_k: Array
-    nuisances: tuple[Nuisance, ...]
+    faults: tuple[FaultEstimate, ...]
     fits: tuple[Fit, ...]
-    sources: Sources
+    readings: FlightReadings
     state: Array
     converged: bool = True
 
@@ -118,7 +120,7 @@ class Solution:
 
     x: Array
     covariance: Array
-    air: Air
+    air: AirAtKnots
     fits: tuple[Fit, ...]
     converged: bool
 
@@ -127,22 +129,24 @@ def estimate(
     samples: AirSamples,
     background: Climatology,
     *,
+    settings: SensorSettings | None = None,
     moisture: Climatology | None = None,
     soundings: Sequence[Sounding] = (),
     surface: Sequence[SurfaceReport] = (),
-    occasion: TimeAndPlace | None = None,
-    known: Sequence[Nuisance] = (),
+    flight: TimeAndPlace | None = None,
+    known: Sequence[FaultEstimate] = (),
 ) -> Estimate:
-    """The air that samples, soundings and surface reports speak of, with its covariance.
+    """The air by samples, soundings and surface reports, with its covariance.
 
     Parameters
     ----------
     samples : of the flight, or of a part of it.
     background : the climatology: expected air, spread, gravity and formula of the index.
+    settings : calibration of the sensors; by default none is known.
     moisture : expected humidity, where the background is a dry standard.
     soundings, surface : of places and times near the flight.
-    occasion : when and where the flight was; without it the samples tell the time.
-    known : faults of the sensors as found before, which take the place of what is expected.
+    flight : when and where it was; without it the samples give the time.
+    known : sensor faults as estimated before, which replace the expected ones.
 
     With no samples at all it is the background with its own covariance. Cost grows linearly with
     the number of samples (binning) and with the cube of about 300 states: 4 hours of three
@@ -153,133 +157,141 @@ def estimate(
     >>> made.covariance.sigma_temperature([0.0, 5000.0]).round(1).tolist()
     [7.3, 4.9]
     """
-    found = sources_of(samples, background, soundings, surface, occasion)
-    before = {fault.name: fault for fault in known}
-    found = replace(found, faults=tuple(_informed(f, before.get(f.name)) for f in found.faults))
-    layout = layout_of(found, background)
+    readings = collect_readings(
+        samples,
+        background,
+        settings or SensorSettings(),
+        soundings=soundings,
+        surface=surface,
+        flight=flight,
+    )
+    before = {estimated.fault: estimated for estimated in known}
+    faults = [
+        replace(fault, mean=before[fault.name].value, sigma=before[fault.name].sigma)
+        if fault.name in before
+        else fault
+        for fault in readings.faults
+    ]
+    readings = replace(readings, faults=tuple(faults))
+    layout = layout_of(readings, background)
     prior = prior_of(layout, background, moisture or background)
-    solution = solve(layout, prior, found.sources, background.profile)
+    solution = solve(layout, prior, readings.sets, background.profile)
     profile, covariance = _profile_of(solution, background.profile)
-    variance = np.diag(solution.covariance)
-    nuisances = tuple(
-        Nuisance(fault.name, float(solution.x[i]), float(np.sqrt(variance[i])), fault.sigma)
+    sigma = np.sqrt(np.diag(solution.covariance))
+    estimated = tuple(
+        FaultEstimate(fault.name, float(solution.x[i]), float(sigma[i]), fault.sigma)
         for i, fault in enumerate(layout.faults, layout.level + 1)
     )
     return Estimate(
         profile,
         covariance,
         prior.sigma_temperature,
-        nuisances,
+        estimated,
         solution.fits,
-        found,
+        readings,
         solution.x,
         solution.converged,
     )
 
 
-def _informed(fault: Fault, before: Nuisance | None) -> Fault:
-    """A fault with what was found of it before."""
-    return fault if before is None else replace(fault, mean=before.value, sigma=before.sigma)
-
-
-def layout_of(found: Sources, background: Climatology) -> Layout:
-    """Knots for the heights that were measured; ln p stands at the lowest of them."""
-    knot = place_knots(found.low, found.high, background.profile.layers.edge)
-    humid = place_humid_knots(found.low, found.high)
-    return Layout(knot, humid, found.low, found.faults, found.drifts)
+def layout_of(readings: FlightReadings, background: Climatology) -> Layout:
+    """Knots for the heights that were measured; ln p is a state at the lowest of them."""
+    knot = place_knots(readings.low, readings.high, background.profile.layers.edge)
+    humid = place_humid_knots(readings.low, readings.high)
+    return Layout(knot, humid, readings.low, readings.faults, readings.drifts)
 
 
 def solve(
     layout: Layout,
     prior: Prior,
-    sources: Sequence[Source],
+    sets: Sequence[Readings],
     background: Profile,
     start: Array | None = None,
 ) -> Solution:
     """Gauss-Newton with iterated weights; C = (J^T W J + B^-1)^-1.
 
-    Where the residuals of a source are larger than its sigmas say, or neighbours in it correlate
-    (its errors are not independent, as the weights take them to be), its sigmas are widened until
-    they fit: C never promises more than the residuals show. ``start`` is a state that is near
-    already; else it begins at the prior, with a loss that has one minimum.
+    Where the residuals of a set of readings are larger than its sigmas, or neighbours in it
+    correlate (its errors are not independent, as the weights assume), its sigmas are multiplied by
+    an inflation factor until they fit, so that C is not too small. ``start`` is a state near the
+    solution; without it the iteration begins at the prior, with a loss that has one minimum.
 
-    The lag of a thermometer times the shape of T(H) is no straight line, and whole steps may jump
-    to and fro for ever (in 38 of 84 flights, by 0.1 to 0.3 K): a step that turns back is halved.
+    The lag of a thermometer times the shape of T(H) is not linear, and whole steps may oscillate
+    without end (in 38 of 84 flights, by 0.1 to 0.3 K): a step that turns back is halved.
     """
     x = prior.mean.copy() if start is None else start
     pressure = background.pressure(background.gravity.height(layout.knot))
-    system = _System(np.empty(0), np.empty(0), np.ones(len(sources)), (), ())
+    system = _System(np.empty(0), np.empty(0), np.ones(len(sets)), (), ())
     share, before, converged = 1.0, np.zeros(layout.knot.size), False
     for step in range(0 if start is None else _HUBER_STEPS, _MOST_STEPS):
         air = air_of(layout, x, pressure, background.constant)
-        widened = system.widened
-        system = _weighed(prior, sources, air, widened, step)
+        inflation = system.inflation
+        system = _normal_equations(prior, sets, air, inflation, step)
         change = linalg.solve(system.normal, system.right, assume_a="pos")
         warming = change[layout.temperature]
         back = bool(warming @ before < 0.0)
         regained = _REGAINED if step < _LATE else _REGAINED_LATE
         share = max(0.5 * share, _LEAST_SHARE) if back else min(regained * share, 1.0)
         before = warming
-        x = layout.held(x + share * change)
+        x = layout.bounded(x + share * change)
         air = air_of(layout, x, pressure, background.constant)
         pressure = np.exp(air.log_pressure(layout.knot)[0])
         moved = float(np.abs(warming).max()) * (share if back else 1.0)
-        settled = bool(np.all(np.abs(system.widened / widened - 1.0) < 0.02))
+        settled = bool(np.all(np.abs(system.inflation / inflation - 1.0) < 0.02))
         converged = step > _HUBER_STEPS + 1 and settled and moved < _CONVERGED_K
         if converged:
             break
     air = air_of(layout, x, pressure, background.constant)
     covariance = np.asarray(np.linalg.inv(system.normal), dtype=np.float64)
-    told = [float(np.sum(covariance * share)) for share in system.shares]
-    fits = tuple(replace(f, told=t) for f, t in zip(system.fits, told, strict=True))
+    fits = tuple(
+        replace(fit, signal_freedom=float(np.sum(covariance * information)))
+        for fit, information in zip(system.fits, system.information, strict=True)
+    )
     return Solution(x, covariance, air, fits, converged)
 
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """The normal equations at a state, the share of each source in them, and how it fits."""
+    """The normal equations at a state, the share of each set of readings, and how it fits."""
 
     normal: Array
     right: Array
-    widened: Array
-    shares: tuple[Array, ...]
+    inflation: Array
+    information: tuple[Array, ...]
     fits: tuple[Fit, ...]
 
 
-def _weighed(
-    prior: Prior, sources: Sequence[Source], air: Air, widened: Array, step: int
+def _normal_equations(
+    prior: Prior, sets: Sequence[Readings], air: AirAtKnots, inflation: Array, step: int
 ) -> _System:
-    """Prior and readings, each by what is known of it; ``widened`` is that of the next step."""
+    """Prior and weighted readings; ``inflation`` of the result is that of the next step."""
     normal, right = prior.precision.copy(), prior.precision @ (prior.mean - air.x)
-    after = widened.copy()
-    fits, shares = [], []
-    for i, source in enumerate(sources):
-        reading, jacobian = source.predict(air)
-        residual = source.value - reading
-        sigma = source.sigma * widened[i]
+    after = inflation.copy()
+    fits, information = [], []
+    for i, readings in enumerate(sets):
+        predicted, jacobian = readings.predict(air)
+        residual = readings.value - predicted
+        sigma = readings.sigma * inflation[i]
         z = residual / sigma
-        loss = _loss_weight(z, step) if source.robust else np.ones(z.size)
+        if not readings.robust:
+            loss = np.ones(z.size)
+        elif step < _HUBER_STEPS:
+            loss = 1.0 / np.maximum(1.0, np.abs(z) / _HUBER)
+        else:
+            loss = (FREEDOM + 1.0) / (FREEDOM + z * z)
         weight = loss / sigma**2
-        shares.append((jacobian.T * weight) @ jacobian)
-        normal += shares[-1]
+        information.append((jacobian.T * weight) @ jacobian)
+        normal += information[-1]
         right += jacobian.T @ (weight * residual)
-        if source.robust and step > _HUBER_STEPS:
-            after[i] = max(1.0, widened[i] * np.sqrt(_excess(z, loss)))
-        rms = float(np.sqrt(np.mean(np.square(residual / source.sigma)))) if z.size else 0.0
-        quantity = _QUANTITY[type(source)]
-        fits.append(Fit(source.name, quantity, z.size, rms, float(after[i])))
-    return _System(normal, right, after, tuple(shares), tuple(fits))
+        if readings.robust and step > _HUBER_STEPS:
+            after[i] = max(1.0, inflation[i] * np.sqrt(_excess_variance(z, loss)))
+        rms = float(np.sqrt(np.mean(np.square(residual / readings.sigma)))) if z.size else 0.0
+        quantity = _QUANTITY[type(readings)]
+        fits.append(Fit(readings.name, quantity, z.size, rms, float(after[i])))
+    return _System(normal, right, after, tuple(information), tuple(fits))
 
 
-def _loss_weight(z: Array, step: int) -> Array:
-    """Weights of readings by their residuals [sigma]: Huber's to begin with, then Student's."""
-    if step < _HUBER_STEPS:
-        return 1.0 / np.maximum(1.0, np.abs(z) / _HUBER)
-    return (FREEDOM + 1.0) / (FREEDOM + z * z)
-
-
-def _excess(z: Array, loss: Array) -> float:
-    """By how much the variance of residuals exceeds what their sigmas say.
+def _excess_variance(z: Array, loss: Array) -> float:
+    """Ratio of the variance of residuals to that of their sigmas.
 
     Readings are in the order of their bins, so neighbours are near in time and height; a first
     order process with correlation r has means as uncertain as (1 + r)/(1 - r) times the variance.
@@ -289,10 +301,10 @@ def _excess(z: Array, loss: Array) -> float:
     square = float(np.mean(loss * z * z)) / _EXPECTED_SQUARE
     bounded = np.sqrt(loss) * z
     pairs = np.sum(bounded[1:] ** 2 + bounded[:-1] ** 2)
-    together = float(2.0 * np.sum(bounded[1:] * bounded[:-1]) / max(pairs, 1e-12))
-    together = min(together, _MOST_CORRELATED)
-    if together > _CORRELATED:
-        square *= (1.0 + together) / (1.0 - together)
+    correlation = float(2.0 * np.sum(bounded[1:] * bounded[:-1]) / max(pairs, 1e-12))
+    correlation = min(correlation, _MOST_CORRELATED)
+    if correlation > _CORRELATED:
+        square *= (1.0 + correlation) / (1.0 - correlation)
     return square
 
 

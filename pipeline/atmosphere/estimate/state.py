@@ -1,13 +1,14 @@
-"""What is estimated: the air at knots, and what is wrong with the sensors; and what is known of it.
+"""The state vector of the estimate, its prior (mean and covariance), and the air of a state.
 
 The state x holds, in this order: temperature T at knots in geopotential height [K], linear
-between; relative humidity at coarser knots; ln p at a reference height; one number for each fault
-of a sensor; the course of each drift at knots in time or height.
+between; relative humidity at coarser knots; ln p at a reference height; one number for each sensor
+fault; the values of each drift at knots in time or height.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,14 +37,30 @@ by 1.9, 3.5, 5.6 K RMS in the lowest 1.5 km, 0.5, 1.1, 2.0 K between 1.5 and 4 k
 above. This prior has 3.1, 4.5, 5.5, and aloft 1.4, 2.4, 4.0 (with 10 K in all): never less than
 seen, because strong inversions are rare among nine."""
 
-_UNKNOWN_LOG_P = 0.1  # of the level before sea-level pressure and barometer speak
+_UNKNOWN_LOG_P = 0.1  # prior sigma of ln p before sea-level pressure and barometer are used
+
+
+class SensorFault(StrEnum):
+    """Identifiers of what can be wrong with a sensor; the texts are in `sensors.FAULT_TEXTS`."""
+
+    THERMOMETER_BIAS = "thermometer_bias"
+    TAKEOFF_TRANSIENT = "takeoff_transient"
+    TRANSIENT_DECAY = "transient_decay"
+    THERMOMETER_LAG = "thermometer_lag"
+    RECOVERY_FACTOR = "recovery_factor"
+    THERMOMETER_DRIFT = "thermometer_drift"
+    PRESSURE_OFFSET = "pressure_offset"
+    GNSS_HEIGHT_OFFSET = "gnss_height_offset"
+    DYNAMIC_PRESSURE_ERROR = "dynamic_pressure_error"
+    BAROMETER_DRIFT = "barometer_drift"
+    HYGROMETER_BIAS = "hygrometer_bias"
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of a sensor that is one number: its prior mean, sigma, and the range it keeps."""
+    """A sensor fault that is one number: its prior mean, sigma, and its limits."""
 
-    name: str
+    name: SensorFault
     mean: float
     sigma: float
     low: float = -np.inf
@@ -52,7 +69,10 @@ class Fault:
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """A fault that wanders along time [s] or height [m']: (k,) knots, sigma, correlation length."""
+    """A drift along time [s] or height [m']: (k,) knots, sigma, correlation length.
+
+    ``name`` is a `SensorFault`, or that of a sounding's departure with its number.
+    """
 
     name: str
     knot: Array
@@ -92,10 +112,12 @@ class Layout:
     def size(self) -> int:
         return self.level + 1 + len(self.faults) + sum(d.knot.size for d in self.drifts)
 
-    def fault(self, name: str) -> int:
+    def fault(self, name: SensorFault) -> int:
+        """Index of a fault in the state."""
         return self.level + 1 + [fault.name for fault in self.faults].index(name)
 
     def drift(self, name: str) -> tuple[Drift, slice]:
+        """A drift, and its place in the state."""
         at = self.level + 1 + len(self.faults)
         for drift in self.drifts:
             if drift.name == name:
@@ -103,8 +125,8 @@ class Layout:
             at += drift.knot.size
         raise KeyError(name)
 
-    def held(self, x: Array) -> Array:
-        """The state with humidity, temperature and faults inside the ranges they can have."""
+    def bounded(self, x: Array) -> Array:
+        """The state with humidity, temperature and faults clipped to their physical limits."""
         x = x.copy()
         x[self.humidity] = np.clip(x[self.humidity], 0.0, 1.0)
         x[self.temperature] = np.clip(x[self.temperature], 140.0, 360.0)
@@ -146,7 +168,7 @@ def place_humid_knots(low: float, high: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is known before anything is measured: (s,) mean, (s, s) precision (inverse of B)."""
+    """The state before any measurement: (s,) mean, (s, s) precision (inverse of B)."""
 
     mean: Array
     precision: Array
@@ -154,7 +176,7 @@ class Prior:
 
 
 def prior_of(layout: Layout, background: Climatology, moisture: Climatology) -> Prior:
-    """The background at the knots and the faults that sensors are expected to have.
+    """The background at the knots, and the expected sensor faults.
 
     The departure of temperature from the climatology has its spread sigma(H) in two parts: a rough
     one, sigma_r^2 exp(-d/600 m), and a broad one, (sigma^2 - sigma_r^2) (1 + q) exp(-q) with
@@ -184,9 +206,9 @@ def prior_of(layout: Layout, background: Climatology, moisture: Climatology) -> 
     h = gravity.height(humid)
     expected = np.clip(moisture.relative_humidity(h), 0.0, 1.0)
     expected[-1] = 0.0
-    doubt = np.append(moisture.spread.sigma_relative_humidity(h)[:-1], 1e-4)
+    sigma_rh = np.append(moisture.spread.sigma_relative_humidity(h)[:-1], 1e-4)
     length = moisture.spread.humidity_correlation_m
-    put(layout.humidity, expected, np.outer(doubt, doubt) * exponential(humid, length))
+    put(layout.humidity, expected, np.outer(sigma_rh, sigma_rh) * exponential(humid, length))
 
     level = float(np.log(background.profile.pressure(gravity.height(layout.reference))))
     put_one(layout.level, level, _UNKNOWN_LOG_P)
@@ -198,8 +220,8 @@ def prior_of(layout: Layout, background: Climatology, moisture: Climatology) -> 
 
 
 @dataclass(frozen=True, eq=False)
-class Air:
-    """The air of a state, and how it changes with the state.
+class AirAtKnots:
+    """The air of a state, and its derivatives by the state.
 
     Arrays at the knots: ``temperature`` T, ``virtual`` T_M, ``vapour`` e/p; derivatives by T at
     the same knot and by the relative humidity there; ``spreading`` (k, j) relative humidity of
@@ -231,7 +253,7 @@ class Air:
         return self.x[layout.level] - self.constant * (integral[1:] - integral[0]), jacobian
 
 
-def air_of(layout: Layout, x: Array, pressure: Array, constant: float) -> Air:
+def air_of(layout: Layout, x: Array, pressure: Array, constant: float) -> AirAtKnots:
     """The air of a state; ``pressure`` (k,) at the knots only turns humidity into e/p.
 
     T_M = T/(1 - 0.378 v), v = e/p = RH f(T, p) e_s(T)/p. The derivatives hold p: it changes v by
@@ -247,7 +269,7 @@ def air_of(layout: Layout, x: Array, pressure: Array, constant: float) -> Air:
     vapour = rh * saturated
     dryness = 1.0 - VAPOUR_DEFICIT * vapour
     steep = t * VAPOUR_DEFICIT / dryness**2
-    return Air(
+    return AirAtKnots(
         layout, x, constant, t, t / dryness, vapour,
         1.0 / dryness + steep * vapour * relative, steep * saturated,
         vapour * relative, saturated, spreading,

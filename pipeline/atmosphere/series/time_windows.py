@@ -1,8 +1,8 @@
-"""The air of a long flight in parts: windows of time, each estimated by itself.
+"""The air of a long flight in windows of time, each estimated by itself.
 
 The estimate of the whole flight is the background of each window, so that heights which a window
-did not visit keep what the rest of the flight found there; what was found wrong with the sensors is
-carried over too.
+did not visit keep the estimate of the rest of the flight; estimated sensor faults are carried over
+too.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from pipeline.atmosphere.climatology import Climatology, Spread
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 from pipeline.atmosphere.estimate.candidates import SMALLEST_BAROMETRIC_CLIMB_M, SMALLEST_CLIMB_M
-from pipeline.atmosphere.estimate.estimate_checks import implausible, worse_than_climatology
-from pipeline.atmosphere.estimate.solver import Estimate, Nuisance, estimate
+from pipeline.atmosphere.estimate.estimate_checks import is_better_than_background, is_plausible
+from pipeline.atmosphere.estimate.solver import estimate
 from pipeline.atmosphere.series.ageing import (
     CHANGE_LOG_P_PER_H,
     CHANGE_RH,
@@ -36,12 +36,12 @@ Array = NDArray[np.float64]
 
 MOST_WINDOWS = 12  # each as long as the air stays fresh, or longer
 
-_BIAS_WANDERS = 0.2
+_FAULT_CHANGE = 0.2
 """Share of a fault's expected sigma by which it may be another in another window."""
 
 SIGNIFICANT = 1.5
-"""Sigmas (RMS over the windows) by which R must depart from the whole flight's to be believed: in
-air that stood still 16 flights of four hours came to 1.3 at most."""
+"""Sigmas (RMS over the windows) by which R must depart from the whole flight's: in constant air 16
+flights of four hours came to 1.3 at most."""
 
 COUNTED_TWICE = 2.0
 """A window's readings are in its background too, so its covariance is doubled. Without this errors
@@ -66,16 +66,16 @@ class TimeWindow:
 def time_windows(samples: AirSamples) -> tuple[tuple[int, int], ...]:
     """Parts of a flight [Unix ns], each half an hour or more, that span enough height.
 
-    A part that says too little by the gates of `build_adjusted_profile` is joined with its
-    shorter neighbour. One part where the flight is short or the samples say too little.
+    A part that spans less height than `build_adjusted_profile` needs is joined with its shorter
+    neighbour. One part where the flight is short or the samples span too little height.
 
     >>> time_windows(AirSamples())
     ()
     """
-    gated = _gated(samples)
-    if gated is None:
+    deciding = _deciding_sensor(samples)
+    if deciding is None:
         return ()
-    sensor, least = gated
+    sensor, least = deciding
     time = sensor.time_ns[sensor.accepted]
     if time.size == 0:
         return ()
@@ -95,7 +95,7 @@ def time_windows(samples: AirSamples) -> tuple[tuple[int, int], ...]:
     return tuple(parts)
 
 
-def _gated(samples: AirSamples) -> tuple[SensorSamples, float] | None:
+def _deciding_sensor(samples: AirSamples) -> tuple[SensorSamples, float] | None:
     """The sensor whose heights decide, and the height it must span [m]."""
     if samples.temperature is not None:
         return samples.temperature, SMALLEST_CLIMB_M
@@ -118,8 +118,8 @@ def _part(sensor: SensorSamples, start_ns: int, end_ns: int) -> SensorSamples:
 def part_of_flight(samples: AirSamples, start_ns: int, end_ns: int) -> AirSamples:
     """What a flight measured from one time until before another [Unix ns].
 
-    Take-offs stay those of the whole flight; where nobody looked for them, a part that begins
-    after the first sample begins in the air.
+    Take-offs stay those of the whole flight; where they are not known, a part that begins after
+    the first sample begins in the air.
     """
     parts = {
         name: _part(sensor, start_ns, end_ns)
@@ -127,16 +127,11 @@ def part_of_flight(samples: AirSamples, start_ns: int, end_ns: int) -> AirSample
         if (sensor := getattr(samples, name)) is not None
     }
     takeoffs = samples.takeoff_ns
-    gated = _gated(samples)
-    if takeoffs is None and gated is not None and start_ns > int(gated[0].time_ns[0]):
+    deciding = _deciding_sensor(samples)
+    if takeoffs is None and deciding is not None and start_ns > int(deciding[0].time_ns[0]):
         takeoffs = np.empty(0, np.int64)
     parts = {name: sensor for name, sensor in parts.items() if sensor.time_ns.size}
-    return AirSamples(
-        **parts,
-        takeoff_ns=takeoffs,
-        board_temperature=samples.board_temperature,
-        calibration=samples.calibration,
-    )
+    return AirSamples(**parts, takeoff_ns=takeoffs)
 
 
 def estimate_windows(
@@ -147,12 +142,11 @@ def estimate_windows(
     Parameters
     ----------
     whole : the air of the whole flight, from `build_adjusted_profile`.
-    h_c, h_g : heights of cameras and of the ground [m above sea level], by which the change of R
-        is judged.
+    h_c, h_g : heights of cameras and of the ground [m above sea level], for the change of R.
 
-    A window whose estimate is no air, or foretells its own held-out readings worse than the whole
-    flight does, keeps the air of the whole. One profile is enough where R departs from that of the
-    whole by less than its own sigma, RMS over the windows.
+    A window whose estimate fails its checks, or predicts its own held-out readings worse than the
+    whole flight does, keeps the air of the whole. One profile is enough where R departs from that
+    of the whole by less than its own sigma, RMS over the windows.
     """
     samples, covariance, moisture = whole.samples, whole.covariance, whole.moisture
     if samples is None or covariance is None or moisture is None:
@@ -161,20 +155,28 @@ def estimate_windows(
     if len(parts) < 2:
         return ()
     hours = (parts[-1][1] - parts[0][0]) / 3.6e12
-    background = _background(covariance, moisture.spread, hours)
-    # Where what a window measured cannot be used: the whole's air, changed as over the flight.
+    background = _whole_flight_as_background(covariance, moisture.spread, hours)
+    # Where the readings of a window cannot be used: the whole's air, changed as over the flight.
     anywhere = SampleAges(np.array([covariance.anchor_height_m]), np.array([hours]))
-    doubted = TimedProfile(None, whole.profile, covariance_with_ageing(covariance, anywhere))
+    fallback = TimedProfile(None, whole.profile, covariance_with_ageing(covariance, anywhere))
     windows = []
-    for start, end in parts:
-        part = part_of_flight(samples, start, end)
-        windows.append(_window(part, (start, end), whole, background, doubted, h_c, h_g))
-    own = [w for w in windows if not w.why_not]
-    if not own:
-        ledger.note("AIR-WINDOWS", f"one profile for {hours:.1f} h: no part of it says more")
+    for start_ns, end_ns in parts:
+        part = part_of_flight(samples, start_ns, end_ns)
+        air = replace(fallback, time_ns=_middle_of_heights(part, (start_ns + end_ns) // 2))
+        own, why_not = _own_air(part, air, whole, background)
+        if own is None or own.own is None:
+            windows.append(TimeWindow(start_ns, end_ns, air, why_not=why_not))
+            continue
+        change = own.change_from(fallback, h_c, h_g)
+        sigma = own.own.relative_sigma(max(h_c), h_g)
+        windows.append(TimeWindow(start_ns, end_ns, own, change, sigma))
+    estimated = [window for window in windows if not window.why_not]
+    if not estimated:
+        what = f"one profile for {hours:.1f} h: no part of it has enough information"
+        ledger.note("AIR-WINDOWS", what)
         return ()
-    departure = float(np.sqrt(np.mean([(w.change / w.sigma) ** 2 for w in own])))
-    largest = 100.0 * max(abs(w.change) for w in own)
+    departure = float(np.sqrt(np.mean([(w.change / w.sigma) ** 2 for w in estimated])))
+    largest = 100.0 * max(abs(w.change) for w in estimated)
     if departure < SIGNIFICANT:
         ledger.note(
             "AIR-WINDOWS",
@@ -195,20 +197,21 @@ def estimate_windows(
     return tuple(windows)
 
 
-def _background(covariance: ProfileCovariance, spread: Spread, hours: float) -> Climatology:
+def _whole_flight_as_background(
+    covariance: ProfileCovariance, spread: Spread, hours: float
+) -> Climatology:
     """The whole flight as what is expected in a part of it; ``spread`` of the climatology."""
     profile = covariance.profile
     h = spread.h_m[(spread.h_m > profile.bottom_m) & (spread.h_m < profile.top_m)]
     lowest = float(covariance.anchor_height_m)
     change = change_sigma(h - lowest, hours)
     level = float(covariance.sigma_log_pressure(0.0)[0])
-    doubt = np.minimum(spread.sigma_relative_humidity(h), CHANGE_RH)
     return Climatology(
         profile,
         Spread(
             h,
             np.hypot(covariance.sigma_temperature(h), change),
-            doubt,
+            np.minimum(spread.sigma_relative_humidity(h), CHANGE_RH),
             spread.correlation_m,
             spread.humidity_correlation_m,
             float(np.hypot(level, CHANGE_LOG_P_PER_H * hours)),
@@ -218,59 +221,42 @@ def _background(covariance: ProfileCovariance, spread: Spread, hours: float) -> 
     )
 
 
-def _window(
-    part: AirSamples,
-    span: tuple[int, int],
-    whole: Adjustment,
-    background: Climatology,
-    doubted: TimedProfile,
-    h_c: Sequence[float],
-    h_g: float,
-) -> TimeWindow:
-    """One window, with its own air or with that of the whole flight and the reason."""
-    middle = _informative_middle(part, sum(span) // 2)
-    fallen = replace(doubted, time_ns=middle)
-    if _gated(part) is None:
-        return TimeWindow(*span, fallen, why_not="nothing was measured then")
-    made = estimate(part, background, known=_carried(whole.nuisances))
-    fault = _fault(made, background, whole.moisture)
-    if fault is not None:
-        return TimeWindow(*span, fallen, why_not=fault)
+def _own_air(
+    part: AirSamples, fallback: TimedProfile, whole: Adjustment, background: Climatology
+) -> tuple[TimedProfile | None, str]:
+    """The air of a window by its own readings, or None and why they cannot be used."""
+    if _deciding_sensor(part) is None:
+        return None, "nothing was measured then"
+    known = [  # sensor faults, a little less certain in another hour
+        replace(f, sigma=float(np.hypot(f.sigma, _FAULT_CHANGE * f.prior_sigma)))
+        for f in whole.faults
+    ]
+    made = estimate(part, background, settings=whole.settings, known=known)
+    if not made.converged:
+        return None, "its estimate did not converge"
+    if whole.moisture is not None and not (check := is_plausible(made, whole.moisture)):
+        return None, check.reason
+    check = is_better_than_background(made, background, background, name="the whole flight")
+    if not check:
+        return None, check.reason
     layers = made.profile.layers
     layers = replace(layers, source=whole.profile.layers.sources_between(layers.edge))
     profile = replace(made.profile, layers=layers)
     doubled = COUNTED_TWICE * made.covariance.matrix
     covariance = replace(made.covariance, profile=profile, matrix=doubled)
-    air = TimedProfile(middle, profile, covariance)
-    change = air.change_from(doubted, h_c, h_g)
-    return TimeWindow(*span, air, change, covariance.relative_sigma(max(h_c), h_g))
+    return TimedProfile(fallback.time_ns, profile, covariance), ""
 
 
-def _fault(made: Estimate, background: Climatology, expected: Climatology | None) -> str | None:
-    """Why a window's estimate is no air by the climatology, or no better than the whole flight."""
-    if not made.converged:
-        return "its estimate did not settle"
-    if expected is not None and (fault := implausible(made, expected)) is not None:
-        return fault
-    return worse_than_climatology(made, background, background, called="the whole flight")
+def _middle_of_heights(part: AirSamples, otherwise: int) -> int:
+    """When the heights of a part were visited [Unix ns]: each bin of 100 m has the same weight.
 
-
-def _carried(nuisances: Sequence[Nuisance]) -> tuple[Nuisance, ...]:
-    """What was found of the sensors, a little less certain in another hour."""
-    return tuple(
-        replace(n, sigma=float(np.hypot(n.sigma, _BIAS_WANDERS * n.prior_sigma))) for n in nuisances
-    )
-
-
-def _informative_middle(part: AirSamples, otherwise: int) -> int:
-    """When the heights of a part were visited [Unix ns]: each bin of 100 m weighs alike.
-
-    A climb at the end of an hour of level flight tells of the air then, not half an hour before.
+    A climb at the end of an hour of level flight measures the air of that time, not of half an hour
+    before.
     """
-    gated = _gated(part)
-    if gated is None or not bool(gated[0].accepted.any()):
+    deciding = _deciding_sensor(part)
+    if deciding is None or not bool(deciding[0].accepted.any()):
         return otherwise
-    sensor = gated[0]
+    sensor = deciding[0]
     h, _ = sensor.used()
     time = sensor.time_ns[sensor.accepted]
     _, number = np.unique(np.floor(h / 100.0), return_inverse=True)

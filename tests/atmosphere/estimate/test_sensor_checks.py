@@ -15,8 +15,13 @@ from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.climatology import climatology, month_of
 from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from pipeline.atmosphere.estimate.estimate_checks import implausible, not_outside
+from pipeline.atmosphere.estimate.estimate_checks import (
+    PASSED,
+    is_plausible,
+    thermometer_is_outside,
+)
 from pipeline.atmosphere.estimate.sensor_checks import usable_sensors
+from pipeline.atmosphere.estimate.sensors import SensorSettings
 from pipeline.atmosphere.estimate.solver import estimate
 from pipeline.ledger import Kind, Ledger
 
@@ -108,11 +113,11 @@ def test_coarse_steps_and_level_flight_are_no_standstill(flights, airs):
     h = samples.temperature.h_m
     isothermal = np.round(275.0 - 1.5e-3 * (h - h.min()))  # 670 m for each degree
     for given in (samples, whole, with_t(samples, isothermal)):
-        usable_sensors(replace(given, pressure=None), US1976, ledger)
+        usable_sensors(replace(given, pressure=None), US1976, SensorSettings(), ledger)
     level = np.full(2000, 1500.0) + np.linspace(0.0, 250.0, 2000)
     stamps = np.arange(2000, dtype=np.int64) * 10**9
     same = SensorSamples(stamps, level, np.full(2000, 280.0), np.ones(2000, bool), "level")
-    kept = usable_sensors(AirSamples(same), US1976, ledger)
+    kept = usable_sensors(AirSamples(same), US1976, SensorSettings(), ledger)
     assert kept.temperature.accepted.all()
     assert list(ledger) == []
 
@@ -123,7 +128,7 @@ def test_humidity_may_stay_at_its_ends_but_not_between(flights, airs):
     for value, stuck in ((1.0, False), (0.0, False), (0.43, True)):
         same = replace(samples.humidity, value=np.full(samples.humidity.value.size, value))
         ledger = Ledger()
-        kept = usable_sensors(replace(samples, humidity=same), US1976, ledger)
+        kept = usable_sensors(replace(samples, humidity=same), US1976, SensorSettings(), ledger)
         assert (kept.humidity is None) is stuck
         assert losses(ledger) == (["AIR-STUCK"] if stuck else [])
 
@@ -181,7 +186,7 @@ def test_readings_of_no_place_are_refused_beside_a_barometer(flights, airs):
     jumps = np.where(seconds_of(samples) // 40.0 % 2.0 < 1.0, 3.0, -3.0)
     ledger = Ledger()
     wild = with_t(samples, t.value + jumps)
-    assert usable_sensors(wild, US1976, ledger).temperature is not None
+    assert usable_sensors(wild, US1976, SensorSettings(), ledger).temperature is not None
     adjusted, ledger = adjust(truth, wild)
     assert losses(ledger) == ["AIR-THERMOMETER"]
     assert "within 30 minutes" in next(e.what for e in ledger)
@@ -210,14 +215,16 @@ def test_only_a_barometer_can_refuse_a_thermometer(flights, airs):
     wrong = with_t(samples, t.value + wave)
     air = background(truth)
     made = estimate(wrong, air)
-    assert not_outside(wrong, made, air, None) is not None
-    assert not_outside(replace(wrong, pressure=None), made, air, None) is None
-    assert not_outside(replace(wrong, board_temperature=True), made, air, None) is None
+    assert not thermometer_is_outside(wrong, made, air, None, SensorSettings())
+    alone = replace(wrong, pressure=None)
+    assert thermometer_is_outside(alone, made, air, None, SensorSettings())
+    board = SensorSettings(board_temperature=True)
+    assert thermometer_is_outside(wrong, made, air, None, board) == PASSED
     # A bent barometer fits no air of its own either: it is not believed against a thermometer.
     p = samples.pressure
     bent = replace(p, value=p.value * (1.0 + 0.004 * np.sin(p.h_m / 60.0)))
     spoilt = replace(samples, pressure=bent)
-    assert not_outside(spoilt, estimate(spoilt, air), air, None) is None
+    assert thermometer_is_outside(spoilt, estimate(spoilt, air), air, None, SensorSettings())
 
 
 def test_a_thermometer_that_reads_the_same_over_little_height_is_told_of(flights, airs):
@@ -225,10 +232,10 @@ def test_a_thermometer_that_reads_the_same_over_little_height_is_told_of(flights
     samples = flown(flights, truth, 600.0, descent=True)
     noise = np.random.default_rng(2).normal(0.0, 0.2, samples.temperature.value.size)
     ledger = Ledger()
-    usable_sensors(with_t(samples, truth.t[0] - 1.0 + noise), US1976, ledger)
+    usable_sensors(with_t(samples, truth.t[0] - 1.0 + noise), US1976, SensorSettings(), ledger)
     assert [(e.code, e.kind) for e in ledger] == [("AIR-ISOTHERMAL", Kind.WARNING)]
     ledger = Ledger()
-    usable_sensors(samples, US1976, ledger)
+    usable_sensors(samples, US1976, SensorSettings(), ledger)
     assert list(ledger) == []
 
 
@@ -252,7 +259,7 @@ def test_a_balloon_may_rise_above_the_climatology(flights, airs):
     truth = airs[NIGHT]
     air = background(truth)
     made = estimate(flown(flights, truth, 3000.0), air)
-    higher = replace(made, sources=replace(made.sources, high=40_000.0, low=-9000.0))
+    higher = replace(made, readings=replace(made.readings, high=40_000.0, low=-9000.0))
     assert air.profile.top_m < 31_000.0
     with np.errstate(all="raise"):
-        assert implausible(higher, air) is None
+        assert is_plausible(higher, air)

@@ -16,7 +16,7 @@ from pipeline.simulate.true_air import normal_gravity, saturation_pressure_pa
 from pipeline.tables import soundings as from_disk
 from pipeline.tables.soundings import read_sounding
 
-SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "soundings"
+SHARED = Path(__file__).resolve().parents[3].parent / "shared" / "soundings"
 real = pytest.mark.skipif(
     not SHARED.is_dir(), reason="the real soundings of ../shared are not beside the repository"
 )

@@ -1,4 +1,4 @@
-"""The estimator piece by piece: its derivatives, its nuisances, its fallbacks, its cost."""
+"""The estimator piece by piece: its derivatives, its sensor faults, its fallbacks, its cost."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.climatology import AUTO, climatology
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from pipeline.atmosphere.estimate.bins import bin_readings
-from pipeline.atmosphere.estimate.estimate_checks import implausible
-from pipeline.atmosphere.estimate.readings import sources_of
+from pipeline.atmosphere.estimate.estimate_checks import is_plausible
+from pipeline.atmosphere.estimate.readings import bin_readings, collect_readings
+from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS, SensorSettings
 from pipeline.atmosphere.estimate.solver import estimate, layout_of, solve
 from pipeline.atmosphere.estimate.state import air_of, place_knots, prior_of
 from pipeline.atmosphere.hypsometry import column
@@ -94,9 +94,9 @@ def problem(flights, airs):
     samples = flights.fly(truth, 2500.0, flights.REALISTIC, rng, humidity="profile")
     t = samples.temperature
     speed = SensorSamples(t.time_ns, t.h_m, 40.0 + 0.0 * t.value, t.accepted, "airspeed")
-    found = sources_of(
-        replace(samples, airspeed=speed), background(truth),
-        [balloon_of(truth)], [SurfaceReport(100.0, 1.0e5, 299.0, 2400.0)],
+    found = collect_readings(
+        replace(samples, airspeed=speed), background(truth), SensorSettings(),
+        soundings=[balloon_of(truth)], surface=[SurfaceReport(100.0, 1.0e5, 299.0, 2400.0)],
     )  # fmt: skip
     layout = layout_of(found, background(truth))
     prior = prior_of(layout, background(truth), background(truth, AUTO))
@@ -123,10 +123,10 @@ def test_every_derivative_of_every_source(problem):
     def predict(state, source):
         return source.predict(air_of(layout, state, pressure, profile.constant))
 
-    assert len(found.sources) == 10
-    kinds = {type(source).__name__ for source in found.sources}
+    assert len(found.sets) == 10
+    kinds = {type(source).__name__ for source in found.sets}
     assert kinds == {"Thermometer", "Barometer", "Humidities", "Temperatures", "Pressures"}
-    for source in found.sources:
+    for source in found.sets:
         _, jacobian = predict(x, source)
         scale = np.abs(jacobian).max()
         for j in range(layout.size):
@@ -134,7 +134,7 @@ def test_every_derivative_of_every_source(problem):
             step[j] = 1e-3
             slope = (predict(x + step, source)[0] - predict(x - step, source)[0]) / 2e-3
             # Lag moves a reading across kinks of T(H): there its derivative is one-sided.
-            coarse = j == layout.level + 1 + [f.name for f in layout.faults].index(
+            coarse = j == layout.level + 1 + [FAULT_TEXTS[f.name] for f in layout.faults].index(
                 "thermometer lag [s]"
             )
             limit = 0.05 if coarse else 2e-6
@@ -244,14 +244,14 @@ def test_every_estimate_settles(flights, airs, climb):
             made = estimated(truth, samples)
             assert made.converged
             # From where it ended it does not move.
-            layout = layout_of(made.sources, background(truth))
+            layout = layout_of(made.readings, background(truth))
             prior = prior_of(layout, background(truth), background(truth, AUTO))
             profile = background(truth).profile
-            again = solve(layout, prior, made.sources.sources, profile, made.state)
+            again = solve(layout, prior, made.readings.sets, profile, made.state)
             moved = np.abs(again.x - made.state)[layout.temperature]
             kelvin.append(moved.max())
             sigmas.append((moved / np.sqrt(np.diag(again.covariance))[layout.temperature]).max())
-    # Begun again with sigmas that are not widened yet, one flight in twenty ends at another
+    # Begun again with sigmas that are not inflated yet, one flight in twenty ends at another
     # minimum, 0.4 K and 0.7 sigma away.
     assert sorted(kelvin)[-2] < 0.1
     assert max(sigmas) < 1.0
@@ -269,8 +269,8 @@ def test_an_estimate_that_does_not_settle_is_told_of(flights, airs, monkeypatch)
 # What is wrong with the sensors is found
 
 
-def nuisance(made, name):
-    return next(n for n in made.nuisances if name in n.name)
+def fault_of(made, name):
+    return next(n for n in made.faults if name in FAULT_TEXTS[n.fault])
 
 
 def test_bias_lag_and_transient_are_found(flights, airs):
@@ -281,7 +281,7 @@ def test_bias_lag_and_transient_are_found(flights, airs):
     for name, right, sharp in (
         ("bias", 3.0, 0.5), ("lag", 20.0, 2.0), ("transient", 5.0, 1.5),
     ):  # fmt: skip
-        found = nuisance(made, name)
+        found = fault_of(made, name)
         assert found.sigma < sharp, found
         assert abs(found.value - right) < 3.0 * found.sigma, found
 
@@ -295,7 +295,7 @@ def test_an_offset_of_the_barometer_is_found(flights, airs):
         SurfaceReport(float(truth.h[i]), float(truth.p[i]), math.nan, math.nan, truth.start_ns)
         for i in (0, 150, 300)
     ]
-    found = nuisance(estimated(truth, samples, surface=stations), "static pressure offset")
+    found = fault_of(estimated(truth, samples, surface=stations), "static pressure offset")
     assert 10.0 < found.sigma < 45.0
     assert abs(found.value - 100.0) < 2.5 * found.sigma
 
@@ -309,7 +309,7 @@ def test_a_static_port_in_the_wind_is_found(flights, airs):
     speed = np.where(np.gradient(p.h_m) > 1.0, 40.0, 80.0)
     windy = replace(p, value=p.value + 0.05 * 0.5 * 1.225 * speed**2)
     airspeed = SensorSamples(p.time_ns, p.h_m, speed, np.ones(speed.size, bool), "airspeed")
-    found = nuisance(
+    found = fault_of(
         estimated(truth, replace(samples, pressure=windy, airspeed=airspeed)), "dynamic pressure"
     )
     assert found.sigma < 0.015
@@ -328,7 +328,7 @@ def test_the_heat_of_speed_is_found(flights, airs):
     airspeed = SensorSamples(t.time_ns, t.h_m, speed, np.ones(speed.size, bool), "airspeed")
     with_speed = replace(samples, temperature=replace(t, value=heated), airspeed=airspeed)
     made = estimated(truth, with_speed)
-    recovery = nuisance(made, "recovery")
+    recovery = fault_of(made, "recovery")
     assert abs(recovery.value - 0.85) < 2.5 * recovery.sigma
     assert recovery.sigma < 0.2
     blind = estimated(truth, replace(with_speed, airspeed=None))
@@ -362,10 +362,12 @@ def test_a_board_is_air_plus_ten_kelvin_only_if_the_user_insists(flights, airs):
     board = replace(t, value=t.value + 12.0 + 4.0 * np.sin(seconds / 200.0), name="board")
     refused, ledger = adjust(truth, replace(samples, temperature=board))
     assert "AIR-THERMOMETER" in codes(ledger, Kind.LOSS)
-    insisted, ledger = adjust(truth, replace(samples, temperature=board, board_temperature=True))
+    insisted, ledger = adjust(
+        truth, replace(samples, temperature=board), settings=SensorSettings(board_temperature=True)
+    )
     assert not ledger.has_losses
     assert insisted.basis == "thermometer"
-    bias = nuisance(insisted, "bias")
+    bias = fault_of(insisted, "bias")
     assert bias.prior_sigma == 10.0
     sigma = insisted.covariance.relative_sigma(truth.h[0] + 3000.0, truth.h[0])
     assert abs(truth.error(insisted.profile, 3000.0)) < 2.0 * sigma
@@ -483,11 +485,11 @@ def test_a_thermometer_that_measures_no_air(flights, airs, change, words):
 def test_temperatures_that_no_air_has(flights, airs, factor):
     truth = airs[MONSOON]
     made = estimated(truth, flights.fly(truth, 800.0, flights.Sensors(), np.random.default_rng(1)))
-    assert implausible(made, background(truth)) is None
+    assert is_plausible(made, background(truth))
     layers = made.profile.layers
     hot = replace(layers, temperature=layers.temperature * factor, lapse=layers.lapse * factor)
     spoilt = replace(made, profile=replace(made.profile, layers=hot))
-    assert "none of air" in implausible(spoilt, background(truth))
+    assert "not those of air" in is_plausible(spoilt, background(truth)).reason
 
 
 @pytest.mark.parametrize("size", [2.0, 9.0, 25.0])

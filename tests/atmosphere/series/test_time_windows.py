@@ -23,8 +23,7 @@ from pipeline.atmosphere.series.profile_series import (
     interpolate_series,
 )
 from pipeline.atmosphere.series.time_windows import (
-    _background,
-    _carried,
+    _whole_flight_as_background,
     estimate_windows,
     part_of_flight,
     time_windows,
@@ -175,8 +174,8 @@ def test_a_window_counts_its_readings_once(changing):
     window = windows[2]
     part = part_of_flight(whole.samples, window.start_ns, window.end_ns)
     hours = (windows[-1].end_ns - windows[0].start_ns) / 3.6e12
-    known = _carried(whole.nuisances)
-    background = _background(whole.covariance, whole.moisture.spread, hours)
+    known = [replace(f, sigma=np.hypot(f.sigma, 0.2 * f.prior_sigma)) for f in whole.faults]
+    background = _whole_flight_as_background(whole.covariance, whole.moisture.spread, hours)
     once = estimate(part, background, known=known).covariance
     h = np.linspace(500.0, 6000.0, 12)
     for of in ("sigma_temperature", "sigma_log_pressure", "sigma_refractivity"):

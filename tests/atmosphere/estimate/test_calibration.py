@@ -8,25 +8,23 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air_samples import SensorCalibration
 from pipeline.atmosphere.climatology import climatology
 from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from pipeline.atmosphere.estimate.readings import sources_of
-from pipeline.atmosphere.estimate.sensors import (
-    BIAS,
-    HEIGHT,
-    HYGROMETER_FAULT,
-    LAG,
-    OFFSET,
-    RECOVERY,
-    THERMOMETER_DRIFT,
-    TRANSIENT,
-)
+from pipeline.atmosphere.estimate.readings import collect_readings
+from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration, SensorSettings
 from pipeline.atmosphere.estimate.solver import estimate
-from pipeline.atmosphere.series.time_windows import part_of_flight
+from pipeline.atmosphere.estimate.state import SensorFault
 from pipeline.ledger import Ledger
 
 US1976 = standard_atmosphere("us1976")
+HYGROMETER = SensorFault.HYGROMETER_BIAS
+RECOVERY = SensorFault.RECOVERY_FACTOR
+DRIFT = SensorFault.THERMOMETER_DRIFT
+BIAS = SensorFault.THERMOMETER_BIAS
+LAG = SensorFault.THERMOMETER_LAG
+TRANSIENT = SensorFault.TAKEOFF_TRANSIENT
+OFFSET = SensorFault.PRESSURE_OFFSET
+HEIGHT = SensorFault.GNSS_HEIGHT_OFFSET
 
 
 @pytest.fixture(scope="module")
@@ -42,8 +40,8 @@ def flown(flights, truth, sensors, calibration, climb=3000.0, **how):
     samples = flights.fly(truth, climb, sensors, np.random.default_rng(3), **how)
     ledger = Ledger()
     found = build_adjusted_profile(
-        replace(samples, calibration=calibration), US1976, truth.latitude, ledger,
-        background=background(truth),
+        samples, US1976, truth.latitude, ledger, background=background(truth),
+        settings=SensorSettings(calibration=calibration),
     )  # fmt: skip
     return found, ledger
 
@@ -52,15 +50,20 @@ def flown(flights, truth, sensors, calibration, climb=3000.0, **how):
 GOOD = {
     BIAS: SensorCalibration(0.0, 0.05), TRANSIENT: SensorCalibration(0.0, 0.05),
     LAG: SensorCalibration(0.0, 0.2),
-    THERMOMETER_DRIFT: SensorCalibration(None, 0.02), OFFSET: SensorCalibration(0.0, 5.0),
-    HYGROMETER_FAULT.name: SensorCalibration(0.0, 0.005), HEIGHT: SensorCalibration(None, 0.1),
+    DRIFT: SensorCalibration(None, 0.02), OFFSET: SensorCalibration(0.0, 5.0),
+    HYGROMETER: SensorCalibration(0.0, 0.005), HEIGHT: SensorCalibration(None, 0.1),
 }  # fmt: skip
 WRONG = {
     BIAS: ({"bias_k": 2.0}, 2.0, 0.1, {"barometer": False}),
-    TRANSIENT: ({"transient_k": 6.0}, 6.0, 0.2, {"gate_s": 0.0, "barometer": False}),
+    TRANSIENT: (
+        {"transient_k": 6.0},
+        6.0,
+        0.2,
+        {"gate_s": 0.0, "barometer": False},
+    ),
     LAG: ({"lag_s": 30.0}, 30.0, 1.0, {"barometer": False}),
     OFFSET: ({"pressure_offset_pa": 90.0}, 90.0, 5.0, {}),
-    HYGROMETER_FAULT.name: ({"humidity_bias": 0.1}, 0.1, 0.005, {"humidity": "profile"}),
+    HYGROMETER: ({"humidity_bias": 0.1}, 0.1, 0.005, {"humidity": "profile"}),
 }
 
 
@@ -76,7 +79,7 @@ def test_a_fault_that_is_known_is_taken_away(flights, truth, name):
         found, _ = flown(flights, truth, flights.Sensors(**wrong), given, **how)
         left.append(abs(truth.r_plane(found.profile.refractivity(truth.h), 3000.0) / right - 1.0))
         if value == mean:
-            (fault,) = [n for n in found.nuisances if n.name == name]
+            (fault,) = [n for n in found.faults if n.fault == name]
             assert fault.prior_sigma == sigma
     print(f"{name}: {left}")
     assert left[0] < 0.3 * left[1]
@@ -85,12 +88,22 @@ def test_a_fault_that_is_known_is_taken_away(flights, truth, name):
 
 def test_what_is_not_said_stays_as_it_is_expected(flights, truth):
     samples = flights.fly(truth, 1000.0, flights.Sensors(), np.random.default_rng(3))
-    expected = {f.name: f for f in sources_of(samples, background(truth)).faults}
-    given = {BIAS: SensorCalibration(sigma=0.2), LAG: SensorCalibration(mean=4.0)}
-    found = sources_of(replace(samples, calibration=given), background(truth))
+    air = background(truth)
+    expected = {f.name: f for f in collect_readings(samples, air, SensorSettings()).faults}
+    given = {
+        BIAS: SensorCalibration(sigma=0.2),
+        LAG: SensorCalibration(mean=4.0),
+    }
+    found = collect_readings(samples, air, SensorSettings(calibration=given))
     faults = {f.name: f for f in found.faults}
-    assert (faults[BIAS].mean, faults[BIAS].sigma) == (0.0, 0.2)
-    assert (faults[LAG].mean, faults[LAG].sigma) == (4.0, expected[LAG].sigma)
+    assert (
+        faults[BIAS].mean,
+        faults[BIAS].sigma,
+    ) == (0.0, 0.2)
+    assert (
+        faults[LAG].mean,
+        faults[LAG].sigma,
+    ) == (4.0, expected[LAG].sigma)
     assert {n: f for n, f in faults.items() if n not in given} == {
         n: f for n, f in expected.items() if n not in given
     }
@@ -99,11 +112,11 @@ def test_what_is_not_said_stays_as_it_is_expected(flights, truth):
 def test_a_thermometer_that_keeps_still_says_more(flights, truth):
     samples = flights.fly(truth, 1000.0, flights.Sensors(), np.random.default_rng(3))
     sigma = [
-        estimate(replace(samples, calibration=known), background(truth))
+        estimate(samples, background(truth), settings=SensorSettings(calibration=known))
         .covariance.sigma_temperature([500.0])
         .item()
         for known in ({},
-                      {THERMOMETER_DRIFT: SensorCalibration(sigma=0.02),
+                      {DRIFT: SensorCalibration(sigma=0.02),
                        BIAS: SensorCalibration(sigma=0.1)},
                       {BIAS: SensorCalibration(sigma=0.1)})
     ]  # fmt: skip
@@ -114,7 +127,7 @@ def test_a_flight_that_contradicts_the_calibration_says_so(flights, truth):
     sensors = flights.Sensors(bias_k=4.0)
     _, ledger = flown(flights, truth, sensors, {BIAS: SensorCalibration(0.0, 0.1)})
     (entry,) = [e for e in ledger if e.code == "AIR-CALIBRATION"]
-    assert BIAS in entry.what
+    assert FAULT_TEXTS[BIAS] in entry.what
     assert "0 ± 0.1 by the mission file" in entry.what
     alone = float(entry.what.split(", ")[1].split()[0])
     assert alone == pytest.approx(4.0, abs=0.8)
@@ -131,10 +144,13 @@ def test_a_calibration_that_is_right_is_seldom_contradicted(flights, truth):
         sensors = replace(flights.REALISTIC, bias_k=bias, pressure_offset_pa=offset)
         samples = flights.fly(truth, 3000.0, sensors, rng)
         ledger = Ledger()
-        given = {BIAS: SensorCalibration(0.0, 0.5), OFFSET: SensorCalibration(0.0, 20.0)}
+        given = {
+            BIAS: SensorCalibration(0.0, 0.5),
+            OFFSET: SensorCalibration(0.0, 20.0),
+        }
         build_adjusted_profile(
-            replace(samples, calibration=given), US1976, truth.latitude, ledger,
-            background=background(truth),
+            samples, US1976, truth.latitude, ledger, background=background(truth),
+            settings=SensorSettings(calibration=given),
         )  # fmt: skip
         said += sum(entry.code == "AIR-CALIBRATION" for entry in ledger)
     assert said == 0
@@ -142,10 +158,13 @@ def test_a_calibration_that_is_right_is_seldom_contradicted(flights, truth):
 
 def test_what_no_sensor_has_is_said(flights, truth):
     _, ledger = flown(
-        flights, truth, flights.Sensors(), {RECOVERY.name: SensorCalibration(0.8, 0.05)}
+        flights,
+        truth,
+        flights.Sensors(),
+        {RECOVERY: SensorCalibration(0.8, 0.05)},
     )
     (entry,) = [e for e in ledger if e.code == "AIR-CALIBRATION-UNUSED"]
-    assert RECOVERY.name in entry.what
+    assert FAULT_TEXTS[RECOVERY] in entry.what
 
 
 @pytest.mark.parametrize("descent", [False, True])
@@ -172,15 +191,10 @@ def test_no_sensor_is_refused_for_a_fault_that_is_known(
 
 def test_only_the_worst_is_accused(flights, truth):
     """A lag that is stated wrongly draws the bias along, which is right."""
-    given = GOOD | {LAG: SensorCalibration(8.0, 0.5), BIAS: SensorCalibration(0.0, 0.02)}
+    given = GOOD | {
+        LAG: SensorCalibration(8.0, 0.5),
+        BIAS: SensorCalibration(0.0, 0.02),
+    }
     _, ledger = flown(flights, truth, flights.Sensors(lag_s=12.0), given, descent=True)
     (entry,) = [e for e in ledger if e.code == "AIR-CALIBRATION"]
-    assert entry.what.startswith(f"{LAG}: 8 ± 0.5 by the mission file, 1")
-
-
-def test_a_part_of_a_flight_keeps_what_is_known(flights, truth):
-    samples = flights.fly(truth, 1000.0, flights.Sensors(), np.random.default_rng(3))
-    samples = replace(samples, calibration={BIAS: SensorCalibration(0.1, 0.2)})
-    start = int(samples.temperature.time_ns[0])
-    part = part_of_flight(samples, start, start + 200 * 10**9)
-    assert part.calibration == {BIAS: SensorCalibration(0.1, 0.2)}
+    assert entry.what.startswith(f"{FAULT_TEXTS[LAG]}: 8 ± 0.5 by the mission file, 1")

@@ -13,16 +13,17 @@ from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.climatology import climatology
 from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from pipeline.atmosphere.estimate.candidates import bases
-from pipeline.atmosphere.estimate.readings import sources_of
-from pipeline.atmosphere.estimate.representativeness import (
+from pipeline.atmosphere.estimate.candidates import candidates
+from pipeline.atmosphere.estimate.external_readings import (
     UNPLACED_M,
     TimeAndPlace,
-    apart,
+    hours_and_metres,
     note_source_distances,
-    says_nothing,
-    unlikeness,
+    reason_uninformative,
+    variance_growth,
 )
+from pipeline.atmosphere.estimate.readings import collect_readings
+from pipeline.atmosphere.estimate.sensors import SensorSettings
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
 from pipeline.ledger import Kind, Ledger
@@ -61,11 +62,13 @@ def test_what_is_not_known_is_not_near():
 def test_temperatures_differ_as_published():
     """Sun et al. 2010: 0.35 K per 3 h and 0.42 K per 100 km in the free troposphere."""
     for km in (50.0, 100.0, 250.0):
-        assert 5.0 * math.sqrt(unlikeness(0.0, 1e3 * km)) == pytest.approx(0.0042 * km, rel=0.03)
+        assert 5.0 * math.sqrt(variance_growth(0.0, 1e3 * km)) == pytest.approx(
+            0.0042 * km, rel=0.03
+        )
     # In time they are linear to 6 h; ours is a random walk, which is more at once and as much
     # after a day.
-    assert 0.35 < 5.0 * math.sqrt(unlikeness(3.0)) < 1.2
-    assert 5.0 * math.sqrt(unlikeness(24.0)) == pytest.approx(2.8, rel=0.1)
+    assert 0.35 < 5.0 * math.sqrt(variance_growth(3.0)) < 1.2
+    assert 5.0 * math.sqrt(variance_growth(24.0)) == pytest.approx(2.8, rel=0.1)
 
 
 @pytest.mark.parametrize(("hours", "km"), [(2.0, 0.0), (24.0, 100.0), (100.0, 0.0), (0.0, 1000.0)])
@@ -75,7 +78,7 @@ def test_an_old_reading_weighs_what_it_is_worth(hours, km):
     rng = np.random.default_rng(4)
     now = rng.normal(0.0, 5.0, 200_000)
     then = rho * now + math.sqrt(1.0 - rho**2) * rng.normal(0.0, 5.0, now.size)
-    variance = 25.0 * unlikeness(hours, 1e3 * km)
+    variance = 25.0 * variance_growth(hours, 1e3 * km)
     gain = 25.0 / (25.0 + variance)
     claimed = math.sqrt(25.0 * (1.0 - gain))
     assert np.std(gain * then - now) == pytest.approx(claimed, rel=0.06)
@@ -87,42 +90,42 @@ def test_an_old_reading_weighs_what_it_is_worth(hours, km):
      (0.0, 34.0, True), (150.0, 24.0, True)],
 )  # fmt: skip
 def test_what_is_too_far_says_nothing(flights, hours, east, left_out):
-    occasion = TimeAndPlace(0, *place(47.0, 8.0))
+    flight = TimeAndPlace(0, *place(47.0, 8.0))
     balloon = replace(
         balloon_of(flights.Truth(flights.extremes()[1])),
         time_ns=int(hours * HOUR), latitude_rad=place(47.0, east)[0],
         longitude_rad=place(47.0, east)[1],
     )  # fmt: skip
-    assert (says_nothing(balloon, occasion) is not None) is left_out
+    assert (reason_uninformative(balloon, flight) is not None) is left_out
     if left_out:
-        assert ("hours" in says_nothing(balloon, occasion)) is (hours > 100.0)
-        assert ("km" in says_nothing(balloon, occasion)) is (east > 20.0)
+        assert ("hours" in reason_uninformative(balloon, flight)) is (hours > 100.0)
+        assert ("km" in reason_uninformative(balloon, flight)) is (east > 20.0)
 
 
 @pytest.mark.parametrize("where", [(), place(47.0, 8.0), place(-80.0, -170.0)])
 @pytest.mark.parametrize("hours", [0.0, 2.0, 100.0, 180.0])
 def test_a_report_has_no_distance(where, hours):
     """It has no position: a station near the flight is meant, and its age alone counts."""
-    occasion = TimeAndPlace(10**18, *where)
+    flight = TimeAndPlace(10**18, *where)
     report = SurfaceReport(300.0, 95_000.0, 285.0, 900.0, 10**18 - int(hours * HOUR))
-    assert apart(report, occasion) == (pytest.approx(hours, abs=1e-9), 0.0)
-    assert says_nothing(report, occasion) is None
+    assert hours_and_metres(report, flight) == (pytest.approx(hours, abs=1e-9), 0.0)
+    assert reason_uninformative(report, flight) is None
 
 
 def test_a_report_falls_silent_with_its_age_alone():
     """1/rho^2 - 1 = 9 at rho^2 = 0.1, which is 167 h * ln(10)/2 = 192.3 h."""
     for hours, silent in ((192.2, False), (192.4, True)):
         report = SurfaceReport(300.0, 95_000.0, 285.0, 900.0, -int(hours * HOUR))
-        told = says_nothing(report, TimeAndPlace(0))
+        told = reason_uninformative(report, TimeAndPlace(0))
         assert (told is not None) is silent
         assert not silent or "km" not in told
 
 
 def test_what_is_not_known_of_a_sounding_is_taken_as_far(flights):
     unknown = replace(balloon_of(flights.Truth(flights.extremes()[1])), time_ns=None)
-    assert apart(unknown, TimeAndPlace(0, *place(47.0, 8.0))) == (6.0, UNPLACED_M)
+    assert hours_and_metres(unknown, TimeAndPlace(0, *place(47.0, 8.0))) == (6.0, UNPLACED_M)
     report = SurfaceReport(300.0, 95_000.0, 285.0, 900.0)
-    assert apart(report, TimeAndPlace(0)) == (3.0, 0.0)
+    assert hours_and_metres(report, TimeAndPlace(0)) == (3.0, 0.0)
 
 
 def balloon_of(truth, **change) -> Sounding:
@@ -238,7 +241,7 @@ def test_the_place_of_a_sounding_counts(ascents):
 def test_what_has_no_time_or_place_is_told(flights):
     truth = flights.Truth(flights.extremes()[1])
     placed = {"latitude_rad": truth.latitude, "longitude_rad": 0.2}
-    occasion = TimeAndPlace(truth.start_ns, truth.latitude, 0.2)
+    flight = TimeAndPlace(truth.start_ns, truth.latitude, 0.2)
     report = SurfaceReport(100.0, 1e5, 290.0, math.nan, origin="mission file")
     for change, given, expected in (
         (placed, report, ["SURFACE-UNDATED"]),
@@ -249,7 +252,7 @@ def test_what_has_no_time_or_place_is_told(flights):
     ):
         ledger = Ledger()
         surface = [given] if given else []
-        note_source_distances([balloon_of(truth, **change)], surface, occasion, ledger)
+        note_source_distances([balloon_of(truth, **change)], surface, flight, ledger)
         assert codes(ledger) == expected
 
 
@@ -309,7 +312,7 @@ def test_qnh_taken_for_the_pressure_of_the_station(flights, ascents):
     assert np.all(np.abs(off) < 2.0 * made.covariance.sigma_log_pressure(h))
     (told,) = [e for e in ledger if e.code == "AIR-MISFIT" and "(pressure)" in e.what]
     assert told.kind is Kind.WARNING
-    assert "outvote" in told.what
+    assert "prevail" in told.what
     assert abs(truth.error(made.profile, 3000.0)) < 2.0 * sigma_of_r(made, truth)
 
 
@@ -330,7 +333,10 @@ def test_a_balloon_higher_than_the_climatology(ascents, flights):
     p = 101_325.0 * np.exp(-np.cumsum(np.r_[400.0, np.diff(h)] * 0.0341632 / t))
     balloon = Sounding(h, p, t, np.full(h.size, 1.0), truth.start_ns, "high")
     background = climatology(latitude_rad=truth.latitude, month=6.0)
-    assert sources_of(AirSamples(), background, [balloon]).high < background.profile.layers.edge[-1]
+    assert (
+        collect_readings(AirSamples(), background, SensorSettings(), soundings=[balloon]).high
+        < background.profile.layers.edge[-1]
+    )
     made, ledger = adjusted(truth, soundings=[balloon])
     assert made.basis == "sounding"
     assert codes(ledger, Kind.LOSS) == []
@@ -382,18 +388,20 @@ def test_sources_are_doubted_one_by_one_before_sensors_are(flights, ascents):
     truth = ascents["2023"]
     samples = flights.fly(truth, 3000.0, flights.Sensors(), np.random.default_rng(1))
     one, other, report = balloon_of(truth), balloon_of(truth, station="b"), station(truth)
-    found = bases(samples, [one, other], [report])
+    found = candidates(samples, [one, other], [report])
     left_out = [(), (one.name,), (other.name,), (report.name,)]
     everything = (one.name, other.name, report.name)
-    assert [b.beside.left_out for b in found[:5]] == [*left_out, everything]
+    assert [b.external.left_out for b in found[:5]] == [*left_out, everything]
     assert all(b.samples is samples for b in found[:5])
-    assert found[1].beside.names == (other.name, report.name)
-    assert all(b.word == "barometer" and b.samples.temperature is None for b in found[5:10])
+    assert found[1].external.names == (other.name, report.name)
+    assert all(b.basis == "barometer" and b.samples.temperature is None for b in found[5:10])
     assert all(b.samples.pressure is None for b in found[10:15])
-    assert [b.beside.left_out for b in found[15:]] == left_out  # no sensor, and no source: nothing
-    assert [b.word for b in found[15:]] == ["sounding"] * 4
-    assert len(bases(samples, [one] * 6, [])) == 3 * 2 + 1
-    assert [b.word for b in bases(AirSamples(), [], [report])] == ["surface"]
+    assert [
+        b.external.left_out for b in found[15:]
+    ] == left_out  # no sensor, and no source: nothing
+    assert [b.basis for b in found[15:]] == ["sounding"] * 4
+    assert len(candidates(samples, [one] * 6, [])) == 3 * 2 + 1
+    assert [b.basis for b in candidates(AirSamples(), [], [report])] == ["surface"]
 
 
 def test_the_reason_after_estimates_that_could_not_stand(flights, ascents):
@@ -407,11 +415,11 @@ def test_the_reason_after_estimates_that_could_not_stand(flights, ascents):
     made, ledger = adjusted(truth, replace(samples, temperature=wild), soundings=[bad])
     assert made.basis == "climatology"
     (why,) = [entry.what for entry in ledger if entry.code == "AIR-STANDARD"]
-    assert "no estimate could stand" in why
+    assert "no estimate passed its checks" in why
     assert "are needed" not in why
     uses = {use.source: use.why_not for use in made.sources}
-    assert "no estimate with it could stand" in uses["thermometer thermometer"]
-    assert "no estimate with it could stand" in uses[bad.name]
+    assert "no estimate with it passed its checks" in uses["thermometer thermometer"]
+    assert "no estimate with it passed its checks" in uses[bad.name]
     short = flights.fly(truth, 250.0, flights.REALISTIC, np.random.default_rng(1))
     made, ledger = adjusted(truth, short)
     (why,) = [entry.what for entry in ledger if entry.code == "AIR-STANDARD"]
