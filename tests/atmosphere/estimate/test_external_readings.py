@@ -425,4 +425,4 @@ def test_the_reason_after_estimates_that_could_not_stand(flights, ascents):
     (why,) = [entry.what for entry in ledger if entry.code == "AIR-STANDARD"]
     assert "are needed" in why
     uses = {use.source: use.why_not for use in made.sources}
-    assert "say too little" in uses["thermometer thermometer"]
+    assert "of height are too few" in uses["thermometer thermometer"]
