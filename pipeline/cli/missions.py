@@ -32,23 +32,21 @@ def run(
     from pipeline.stages.story import run_mission
 
     console = new_console()
-    ends: list[int] = []
-    one = partial(run_mission, force=force)
-    with closing(
-        run_many(one, configs, jobs, lambda name: DelayedProgressBar(console, name))
-    ) as running:
-        for config, end in running:
+    codes: list[int] = []
+    run_one = partial(run_mission, force=force)
+    outcomes = run_many(run_one, configs, jobs, lambda name: DelayedProgressBar(console, name))
+    with closing(outcomes):
+        for config, end in outcomes:
             if isinstance(end, UnbendError):
                 print_error(end, str(config))
-                ends.append(end.exit_code)
-                continue
-            if isinstance(end, Bug):
+                codes.append(end.exit_code)
+            elif isinstance(end, Bug):
                 print_bug(end.traceback, str(config))
-                ends.append(EXIT_BUG)
-                continue
-            print_run(console, end.name, str(end.output), end.manifest, repeated=end.repeated)
-            ends.append(end.exit_code)
-    raise typer.Exit(exit_code_of(ends))
+                codes.append(EXIT_BUG)
+            else:
+                print_run(console, end.name, str(end.output), end.manifest, repeated=end.repeated)
+                codes.append(end.exit_code)
+    raise typer.Exit(exit_code_of(codes))
 
 
 @app.command(epilog="Example: unbend check mission.yaml")
@@ -62,20 +60,20 @@ def check(
     from pipeline.stages.story import check_mission
 
     console = new_console()
-    ends: list[int] = []
+    codes: list[int] = []
     for config in configs:
         try:
             with DelayedProgressBar(console, f"checking {config.name}"):
-                found = check_mission(config)
+                checked = check_mission(config)
         except UnbendError as error:
             print_error(error, str(config))
-            ends.append(error.exit_code)
+            codes.append(error.exit_code)
             continue
         console.print(f"[bold]{escape(str(config))}[/bold] can be run")
-        print_check(console, found.lines())
-        print_ledger(console, found.ledger.rows())
-        ends.append(EXIT_LOSSES if found.ledger.has_losses else EXIT_DONE)
-    raise typer.Exit(exit_code_of(ends))
+        print_check(console, checked.lines())
+        print_ledger(console, checked.ledger.rows())
+        codes.append(EXIT_LOSSES if checked.ledger.has_losses else EXIT_DONE)
+    raise typer.Exit(exit_code_of(codes))
 
 
 @app.command(
@@ -90,9 +88,9 @@ def inspect(
     instance: Annotated[str | None, typer.Option(help="with --type: only this instance")] = None,
     as_csv: Annotated[bool, typer.Option("--csv", help="with --type: every row, as CSV")] = False,
 ) -> None:
-    """Show what a log holds, in the words that a mission file takes."""
+    """Show what a log holds, by the names that a mission file uses."""
     from pipeline.ingest import open_log
-    from pipeline.report.messages import field_rows, write_csv
+    from pipeline.report.messages import field_rows, write_messages_csv
     from pipeline.report.progress import DelayedProgressBar
     from pipeline.report.terminal import print_fields, print_log
 
@@ -107,7 +105,7 @@ def inspect(
         opened = open_log(log, needs_channels=kind is None)
         columns = None if kind is None else opened.message(kind, instance)
     if columns is not None and as_csv:
-        write_csv(sys.stdout, columns)
+        write_messages_csv(sys.stdout, columns)
     elif columns is not None:
         print_fields(console, f"{log.name}, {kind}", field_rows(columns))
     elif as_json:
@@ -212,12 +210,12 @@ def simulate(
     """
     from pipeline.report.progress import DelayedProgressBar
     from pipeline.simulate import SimulationOptions
-    from pipeline.simulate import simulate as fly
+    from pipeline.simulate import simulate as simulate_flight
 
     console = new_console()
     options = SimulationOptions(seed=seed, height_above_ground_m=height, image_noise_px=noise)
     with DelayedProgressBar(console, "simulating") as bar:
-        flown = fly(out, options, bar.update)
+        flown = simulate_flight(out, options, bar.update)
     console.print(
         f"{escape(str(out))}: {flown.images} images, {flown.observation_count:,} observations of "
         f"{flown.points:,} points, {flown.duration_s:.0f} s of flight in three logs"

@@ -1,22 +1,16 @@
-"""Commands on the air and the rays through it."""
+"""Commands on the atmosphere and on rays through it."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.markup import escape
 
 from pipeline.cli.app import app, new_console, write_rows_csv
 from pipeline.errors import EXIT_DONE, EXIT_LOSSES, ConfigError
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from pipeline.refraction.radial import RadialTable
 
 _METHODS = (
     "spherical, plane, plane_first_term, plane_moist, gyer1996, saastamoinen1974, "
@@ -32,6 +26,7 @@ _METHODS = (
     "  --camera-height 10000 --ground-height 0 --nadir-angle 75"
 )
 def angle(
+    *,
     camera_height: Annotated[float, typer.Option(help="metres above sea level")],
     ground_height: Annotated[float, typer.Option(help="metres above sea level")],
     nadir_angle: Annotated[float, typer.Option(help="apparent nadir angle, degrees, 0 to 180")],
@@ -41,7 +36,7 @@ def angle(
     radius: Annotated[float, typer.Option(help="radius of the earth, metres")] = 6_371_000.0,
     distance: Annotated[
         float | None,
-        typer.Option(help="slant range, metres: which one of two crossings is meant (spherical)"),
+        typer.Option(help="slant range, metres: which of two crossings is meant (spherical)"),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="as JSON")] = False,
 ) -> None:
@@ -50,7 +45,14 @@ def angle(
     from pipeline.report.terminal import print_angle
 
     result = one_angle(
-        atmosphere, index, camera_height, ground_height, nadir_angle, radius, method, distance
+        atmosphere=atmosphere,
+        index=index,
+        camera_height=camera_height,
+        ground_height=ground_height,
+        nadir_angle=nadir_angle,
+        radius=radius,
+        method=method,
+        distance=distance,
     )
     if as_json:
         print(json.dumps(result, indent=2, allow_nan=False))
@@ -63,6 +65,7 @@ def angle(
     "  --camera-height 6000 --ground-height 0 --focal-px 20000"
 )
 def radial(
+    *,
     camera_height: Annotated[
         list[float], typer.Option(help="metres above sea level; may be given several times")
     ],
@@ -89,7 +92,7 @@ def radial(
     _require_one_atmosphere(config, atmosphere)
     console = new_console()
     angles = angles_to(max_angle, step)
-    with DelayedProgressBar(console, "finding the air"):
+    with DelayedProgressBar(console, "estimating the air"):
         air, _, ledger = air_of_mission_or_standard(config, atmosphere)
     tables = [
         radial_table(
@@ -101,21 +104,10 @@ def radial(
         write_rows_csv(csv, radial_rows(tables))
     else:
         print_radial(console, tables)
-        _explain_empty(console, tables)
     print_ledger(console, ledger.rows())
     if csv is not None:
         console.print(escape(str(csv)), soft_wrap=True)
     raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)
-
-
-def _explain_empty(console: Console, tables: Sequence[RadialTable]) -> None:
-    """Say why a ray that has an angle has no metres on the ground, where there is one."""
-    import numpy as np
-
-    from pipeline.report.terminal import OVER_THE_HORIZON
-
-    if any(bool(np.isnan(t.shift_ground_m[np.isfinite(t.r_c_rad)]).any()) for t in tables):
-        console.print(f"{OVER_THE_HORIZON[:1].upper()}{OVER_THE_HORIZON[1:]}.")
 
 
 @app.command(epilog="Example: unbend tables gyer1996 --csv gyer.csv")
@@ -161,7 +153,7 @@ def profile(
 
     _require_one_atmosphere(config, atmosphere)
     console = new_console()
-    with DelayedProgressBar(console, "finding the air"):
+    with DelayedProgressBar(console, "estimating the air"):
         air, samples, ledger = air_of_mission_or_standard(config, atmosphere)
     adjustment = air.adjustment
     heights = None if step is None else heights_every(adjustment.profile, step)
@@ -198,11 +190,11 @@ def compare(
     from pipeline.report.accuracy import compare_all, print_accuracy
     from pipeline.stages.story import write_comparison
 
-    found = compare_all(atmosphere)
+    comparisons = compare_all(atmosphere)
     if out is None:
-        print_accuracy(new_console(), found)
+        print_accuracy(new_console(), comparisons)
     else:
-        write_comparison(found, out)
+        write_comparison(comparisons, out)
 
 
 def _require_one_atmosphere(config: Path | None, atmosphere: str | None) -> None:

@@ -25,37 +25,35 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
-
-_WINDOW = "#93c5fd"
-_PPM = 1e6
-
 P = ParamSpec("P")
 R = TypeVar("R")
 
 MEASURED, REJECTED = "#c2410c", "#fdba74"
 ADJUSTED = "#1d4ed8"
 STANDARD = "#64748b"
+_TIME_WINDOW = "#93c5fd"
 _MOST_POINTS = 1500
+_PPM = 1e-6
 
 
 def styled(draw: Callable[P, R]) -> Callable[P, R]:
-    """Draw in our style, and leave that of whoever called as it was."""
+    """Decorator: draw with the style of the report, then restore matplotlib's settings."""
 
     @wraps(draw)
-    def drawn(*args: P.args, **kwargs: P.kwargs) -> R:
+    def draw_styled(*args: P.args, **kwargs: P.kwargs) -> R:
         import matplotlib as mpl
 
         style = {"svg.hashsalt": "unbend", "svg.fonttype": "path", "font.size": 9}
         with mpl.rc_context(style):
             return draw(*args, **kwargs)
 
-    return drawn
+    return draw_styled
 
 
 def new_figure(
     columns: int, width: float, height: float, rows: int = 1
 ) -> tuple[Figure, list[Axes]]:
-    """A figure [inch] and its axes, row by row."""
+    """A figure of a width and height [inch], and its axes row by row."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")
@@ -69,15 +67,14 @@ def new_figure(
 
 def height_range(samples: AirSamples) -> tuple[float, float]:
     """Heights to draw [m above sea level]: those sampled, and a margin."""
-    heights = [
-        s.h_m[np.isfinite(s.h_m)] for s in (samples.temperature, samples.pressure) if s is not None
-    ]
-    heights = [h for h in heights if h.size]
-    if not heights:
+    sampled = [s.h_m for s in (samples.temperature, samples.pressure) if s is not None]
+    heights = np.concatenate([np.empty(0), *sampled])
+    heights = heights[np.isfinite(heights)]
+    if heights.size == 0:
         return 0.0, 10_000.0
-    low, high = min(h.min() for h in heights), max(h.max() for h in heights)
+    low, high = float(heights.min()), float(heights.max())
     margin = max(0.08 * (high - low), 50.0)
-    return float(low - margin), float(high + margin)
+    return low - margin, high + margin
 
 
 def scatter(
@@ -160,20 +157,14 @@ def draw_shifts(figure: Figure, axis: Axes, grid: ImageGrid) -> None:
     size = np.hypot(dx, dy)
     if size.size == 0:
         return
+    # The longest arrow spans 0.9 of a cell of the grid.
+    longest = float(size.max())
+    scale = 0.9 * grid.width_px / grid.columns / longest if longest > 0.0 else 1.0
     arrows = axis.quiver(
-        x, y, *_arrow_lengths(grid, dx, dy, size), size, angles="xy", scale_units="xy",
+        x, y, dx * scale, dy * scale, size, angles="xy", scale_units="xy",
         scale=1.0, width=0.005, cmap="viridis",
     )  # fmt: skip
     figure.colorbar(arrows, ax=axis, label="shift [px]", shrink=0.8)
-
-
-def _arrow_lengths(
-    grid: ImageGrid, dx: NDArray[np.float64], dy: NDArray[np.float64], size: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Arrows drawn so that the longest spans one cell of the grid."""
-    longest = float(size.max())
-    scale = 0.9 * grid.width_px / grid.columns / longest if longest > 0.0 else 1.0
-    return dx * scale, dy * scale
 
 
 @styled
@@ -186,32 +177,12 @@ def profile_figure(air: FlightAir, samples: AirSamples) -> Figure:
     from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
     figure, axes = new_figure(3, 10.2, 6.4, rows=2)
-    adjustment = air.adjustment
-    profile, standard, covariance = adjustment.profile, adjustment.standard, adjustment.covariance
+    profile, standard = air.adjustment.profile, air.adjustment.standard
     low, high = height_range(samples)
     h = np.linspace(max(low, profile.bottom_m), min(high, profile.top_m), 300)
-    p = profile.pressure(h)
-    sigmas: Sequence[Array | None] = (None,) * 4
-    if covariance is not None:
-        sigmas = (
-            covariance.sigma_temperature(h),
-            covariance.sigma_log_pressure(h) * p / HECTOPASCAL,
-            covariance.sigma_vapour_pressure(h) / HECTOPASCAL,
-            covariance.sigma_refractivity(h) * _PPM,
-        )
     _draw_samples(axes, air, samples)
-    windows = [w.air.profile for w in air.windows if not w.why_not]
-    labels = ("temperature [°C]", "pressure [hPa]", "vapour pressure [hPa]", "(n - 1) 10⁶")
-    quantities = [_quantities(one, h) for one in (profile, standard, *windows)]
-    for i, (axis, label, sigma) in enumerate(zip(axes, labels, sigmas, strict=False)):
-        for number, others in enumerate(quantities[2:]):
-            named = "parts of the flight" if number == 0 else None
-            axis.plot(others[i], h, color=_WINDOW, lw=0.7, label=named)
-        axis.plot(quantities[1][i], h, color=STANDARD, lw=1.2, label=standard.name)
-        if profile is not standard:
-            _draw_band(axis, quantities[0][i], sigma, h)
-            axis.plot(quantities[0][i], h, color=ADJUSTED, lw=1.3, label=profile.name)
-        axis.set_xlabel(label)
+    _draw_quantities(axes, air, h)
+    for axis in axes[:5]:
         axis.set_ylim(low, high)
     # The layout leaves no room for a number at the very end of an axis.
     axes[2].xaxis.set_major_locator(MaxNLocator(5, prune="upper"))
@@ -219,64 +190,78 @@ def profile_figure(air: FlightAir, samples: AirSamples) -> Figure:
     axes[1].minorticks_off()
     axes[1].xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
     axes[1].xaxis.set_major_formatter(ScalarFormatter())
-    _draw_against(axes[4], air, h, sigmas[3])
-    axes[4].set_ylim(low, high)
     for axis in (axes[0], axes[3]):
         axis.set_ylabel("height above sea level [m]")
     for axis in (axes[1], axes[2], axes[4]):
         axis.tick_params(labelleft=False)
-    _write_effect(axes[5], axes[0], air)
+    axes[5].set_axis_off()
+    axes[5].legend(
+        *axes[0].get_legend_handles_labels(), frameon=False, markerscale=5.0, loc="upper left"
+    )
+    lines = effect_lines([effect.row() for effect in air.effects], standard.name)
+    text = "\n\n".join(line.replace(": ", ":\n") for line in lines)
+    axes[5].text(0.0, 0.0, text, va="bottom", transform=axes[5].transAxes)
     return figure
 
 
-def _quantities(profile: Profile, h: Array) -> tuple[Array, Array, Array, Array]:
-    """In the units of the axes."""
-    return (
-        profile.temperature(h) - ZERO_CELSIUS_K,
-        profile.pressure(h) / HECTOPASCAL,
-        profile.vapour_pressure(h) / HECTOPASCAL,
-        profile.refractivity(h) * _PPM,
-    )
-
-
-def _draw_band(axis: Axes, value: Array, sigma: Array | None, h: Array) -> None:
-    if sigma is not None:
-        axis.fill_betweenx(
-            h, value - sigma, value + sigma, color=ADJUSTED, alpha=0.18, lw=0, label="one sigma"
-        )
-
-
 def _draw_samples(axes: Sequence[Axes], air: FlightAir, samples: AirSamples) -> None:
+    """The readings of T, p and e in the first three axes; e from the humidity, by the profile."""
     rejected, profile = air.adjustment.rejected, air.adjustment.profile
-    warm, weighed, moist = samples.temperature, samples.pressure, samples.humidity
-    if warm is not None:
-        scatter(axes[0], warm, warm.value - ZERO_CELSIUS_K, rejected.get("temperature"))
-    if weighed is not None:
-        scatter(axes[1], weighed, weighed.value / HECTOPASCAL, rejected.get("pressure"))
-    if moist is not None:
-        t, p = profile.temperature(moist.h_m), profile.pressure(moist.h_m)
-        e = vapour_pressure(np.clip(moist.value, 0.0, 1.0), t, p) / HECTOPASCAL
-        scatter(axes[2], moist, np.asarray(e), rejected.get("humidity"))
+    if samples.temperature is not None:
+        t_celsius = samples.temperature.value - ZERO_CELSIUS_K
+        scatter(axes[0], samples.temperature, t_celsius, rejected.get("temperature"))
+    if samples.pressure is not None:
+        p_hpa = samples.pressure.value / HECTOPASCAL
+        scatter(axes[1], samples.pressure, p_hpa, rejected.get("pressure"))
+    if samples.humidity is not None:
+        h = samples.humidity.h_m
+        humidity = np.clip(samples.humidity.value, 0.0, 1.0)
+        e = vapour_pressure(humidity, profile.temperature(h), profile.pressure(h))
+        scatter(axes[2], samples.humidity, np.asarray(e) / HECTOPASCAL, rejected.get("humidity"))
 
 
-def _draw_against(axis: Axes, air: FlightAir, h: Array, sigma: Array | None) -> None:
-    """Refractivity against the standard, where a sigma can be seen."""
+def _draw_quantities(axes: Sequence[Axes], air: FlightAir, h: Array) -> None:
+    """T, p, e, N and N relative to the standard at heights h, with one-sigma bands."""
     profile, standard = air.adjustment.profile, air.adjustment.standard
-    n = standard.refractivity(h)
-    excess = 100.0 * (profile.refractivity(h) / n - 1.0)
-    axis.axvline(0.0, color=STANDARD, lw=1.2)
-    if profile is not standard:
-        _draw_band(axis, excess, None if sigma is None else 100.0 * sigma / _PPM / n, h)
-        axis.plot(excess, h, color=ADJUSTED, lw=1.3)
-    axis.set_xlabel(f"n - 1 against {standard.name} [%]")
+    covariance = air.adjustment.covariance
+    windows = [window.air.profile for window in air.windows if not window.why_not]
+    n_standard = standard.refractivity(h)
+    against_standard = f"n - 1 against {standard.name} [%]"
 
+    def quantities(air_profile: Profile) -> dict[str, Array]:
+        n = air_profile.refractivity(h)
+        return {
+            "temperature [°C]": air_profile.temperature(h) - ZERO_CELSIUS_K,
+            "pressure [hPa]": air_profile.pressure(h) / HECTOPASCAL,
+            "vapour pressure [hPa]": air_profile.vapour_pressure(h) / HECTOPASCAL,
+            "(n - 1) 10⁶": n / _PPM,
+            against_standard: 100.0 * (n / n_standard - 1.0),
+        }
 
-def _write_effect(axis: Axes, labelled: Axes, air: FlightAir) -> None:
-    """The legend, and what the air does to R."""
-    axis.set_axis_off()
-    handles, names = labelled.get_legend_handles_labels()
-    axis.legend(handles, names, frameon=False, markerscale=5.0, loc="upper left")
-    rows = [effect.row() for effect in air.effects]
-    lines = effect_lines(rows, air.adjustment.standard.name)
-    broken = "\n\n".join(line.replace(": ", ":\n") for line in lines)
-    axis.text(0.0, 0.0, broken, va="bottom", transform=axis.transAxes)
+    sigmas: dict[str, Array] = {}
+    if covariance is not None:
+        sigma_n = covariance.sigma_refractivity(h)
+        sigmas = {
+            "temperature [°C]": covariance.sigma_temperature(h),
+            "pressure [hPa]": covariance.sigma_log_pressure(h) * profile.pressure(h) / HECTOPASCAL,
+            "vapour pressure [hPa]": covariance.sigma_vapour_pressure(h) / HECTOPASCAL,
+            "(n - 1) 10⁶": sigma_n / _PPM,
+            against_standard: 100.0 * sigma_n / n_standard,
+        }
+    of_windows = [quantities(window_profile) for window_profile in windows]
+    of_standard = quantities(standard)
+    for axis, (label, value) in zip(axes, quantities(profile).items(), strict=False):
+        axis.set_xlabel(label)
+        for number, of_window in enumerate(of_windows if label != against_standard else ()):
+            named = "parts of the flight" if number == 0 else None
+            axis.plot(of_window[label], h, color=_TIME_WINDOW, lw=0.7, label=named)
+        axis.plot(of_standard[label], h, color=STANDARD, lw=1.2, label=standard.name)
+        if profile is standard:
+            continue
+        if label in sigmas:
+            sigma = sigmas[label]
+            axis.fill_betweenx(
+                h, value - sigma, value + sigma, color=ADJUSTED, alpha=0.18, lw=0,
+                label="one sigma",
+            )  # fmt: skip
+        axis.plot(value, h, color=ADJUSTED, lw=1.3, label=profile.name)

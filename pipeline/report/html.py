@@ -1,4 +1,4 @@
-"""``report.html``: one page that says what was done and how large it was."""
+"""``report.html``: how large the correction was, the air, the ledger and the inputs of a run."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from pipeline.report.summary import (
     CORRECTION_HEAD,
     SENSOR_HEAD,
     SOURCE_HEAD,
+    air_sentences,
     correction_rows,
     effect_lines,
     headline,
@@ -24,7 +25,6 @@ from pipeline.report.summary import (
     sensor_rows,
     source_rows,
     unused_sources,
-    where_from,
 )
 
 _STYLE = """
@@ -47,14 +47,17 @@ def write_report(
     samples: AirSamples,
     grids: Mapping[str, ImageGrid],
 ) -> None:
-    """Write the report of a run; it needs no network and no script."""
+    """Write the report of a run, a page without scripts or external files."""
     title = escape(str(manifest["mission"]))
     change, left = (
         ("displacement", "What is not applied")
         if is_applied(manifest)
         else ("correction", "What is not removed")
     )
-    stays = "".join(f"<li>{escape(line)}</li>" for line in not_included(manifest))
+    lines = effect_lines(manifest["profile"]["effect"], manifest["profile"]["standard"])
+    channels = ", ".join(
+        f"{role.replace('_', ' ')} from {name}" for role, name in manifest["channels"].items()
+    )
     sections = [
         f"<h1>{title}</h1>",
         f'<p class="lead">{escape(headline(manifest))}</p>',
@@ -62,62 +65,47 @@ def write_report(
         _table(CORRECTION_HEAD, correction_rows(manifest), numeric=True),
         as_svg(correction_figure(grids)),
         "<h2>The air</h2>",
-        f"<p>{escape(where_from(manifest))}</p>",
-        *(f"<p>{escape(line)}</p>" for line in _effects(manifest)),
+        *(f"<p>{escape(line)}</p>" for line in (air_sentences(manifest), *lines)),
         as_svg(profile_figure(air, samples)),
-        *_sources(manifest),
+        _table(SOURCE_HEAD, source_rows(manifest), numeric=True),
+        _list("<p>Not used:</p>", unused_sources(manifest)),
+        _table(SENSOR_HEAD, sensor_rows(manifest), numeric=True),
         "<h2>What became of the rows</h2>",
         _table(("observations", ""), _counts(manifest["observations"]["status"]), numeric=True),
         _table(("stations", ""), _counts(manifest["stations"]), numeric=True),
         "<h2>Ledger</h2>",
-        _ledger(manifest),
-        f"<h2>{left}</h2>\n<ul>{stays}</ul>" if stays else "",
+        _ledger(manifest) or "<p>Nothing.</p>",
+        _list(f"<h2>{left}</h2>", not_included(manifest)),
         "<h2>Inputs</h2>",
         _table(
             ("", "file", "SHA-256"),
             [(i["role"], i["name"], i["sha256"][:16] + "…") for i in manifest["inputs"]],
         ),
-        f"<p>Channels: {escape(_channels(manifest))}</p>",
+        f"<p>Channels: {escape(channels)}</p>",
     ]
     page = (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<meta name="viewport" content="width=device-width">'
         f"<title>unbend: {title}</title><style>{_STYLE}</style></head>\n<body>\n"
-        + "\n".join(sections)
+        + "\n".join(section for section in sections if section)
         + "\n</body></html>\n"
     )
     path.write_text(page, encoding="utf-8")
-
-
-def _effects(manifest: Mapping[str, Any]) -> list[str]:
-    profile = manifest["profile"]
-    return effect_lines(profile["effect"], profile["standard"])
-
-
-def _sources(manifest: Mapping[str, Any]) -> list[str]:
-    """What the air was made from, what was not used, and what is wrong with the sensors."""
-    parts = []
-    if rows := source_rows(manifest):
-        parts.append(_table(SOURCE_HEAD, rows, numeric=True))
-    if unused := unused_sources(manifest):
-        items = "".join(f"<li>{escape(line)}</li>" for line in unused)
-        parts.append(f"<p>Not used:</p>\n<ul>{items}</ul>")
-    if sensors := sensor_rows(manifest):
-        parts.append(_table(SENSOR_HEAD, sensors, numeric=True))
-    return parts
 
 
 def _counts(counts: Mapping[str, int]) -> list[tuple[str, str]]:
     return [(name, f"{count:,}") for name, count in counts.items() if count]
 
 
-def _channels(manifest: Mapping[str, Any]) -> str:
-    return ", ".join(
-        f"{role.replace('_', ' ')} from {name}" for role, name in manifest["channels"].items()
-    )
+def _list(title: str, lines: Sequence[str]) -> str:
+    """A title and a list under it; nothing if there are no lines."""
+    items = "".join(f"<li>{escape(line)}</li>" for line in lines)
+    return f"{title}\n<ul>{items}</ul>" if items else ""
 
 
 def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]], *, numeric: bool = False) -> str:
+    """A table; nothing if there are no rows. ``numeric``: all columns but the first."""
+
     def cells(row: tuple[str, ...], tag: str) -> str:
         return "".join(
             f"<{tag}{' class=n' if numeric and i else ''}>{escape(cell)}</{tag}>"
@@ -125,13 +113,13 @@ def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]], *, numeric: b
         )
 
     body = "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows)
-    return f"<table><tr>{cells(head, 'th')}</tr>{body}</table>"
+    return f"<table><tr>{cells(head, 'th')}</tr>{body}</table>" if body else ""
 
 
 def _ledger(manifest: Mapping[str, Any]) -> str:
     rows = "".join(
         f'<tr class="{kind}"><td>{kind}</td><td><code>{escape(code)}</code></td>'
         f"<td>{escape(what)}</td></tr>"
-        for kind, code, what in ledger_rows(manifest)
+        for kind, code, what in ledger_rows(manifest["ledger"])
     )
-    return f"<table>{rows}</table>" if rows else "<p>Nothing.</p>"
+    return f"<table>{rows}</table>" if rows else ""

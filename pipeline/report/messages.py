@@ -1,4 +1,4 @@
-"""The messages of one type of a log, as text: CSV, or a line about each field."""
+"""The messages of one type of a log, as CSV or as a table of their fields."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ BLOCK = 8192  # rows made text at once
 Columns = Mapping[str, NDArray[Any]]
 
 
-def write_csv(stream: TextIO, columns: Columns) -> None:
+def write_messages_csv(stream: TextIO, columns: Columns) -> None:
     """Columns of one length as CSV: numbers exactly, times as ISO 8601, an array as many columns.
 
     >>> import sys
-    >>> write_csv(sys.stdout, {"time_ns": np.array([0]), "Temp": np.array([2.5])})
+    >>> write_messages_csv(sys.stdout, {"time_ns": np.array([0]), "Temp": np.array([2.5])})
     time_utc,Temp
     1970-01-01T00:00:00.000000000Z,2.5
     """
@@ -32,7 +32,7 @@ def write_csv(stream: TextIO, columns: Columns) -> None:
 
 
 def field_rows(columns: Columns) -> list[dict[str, str]]:
-    """One row about each field: its type, first value, and the range of its numbers."""
+    """A row for each field: type, first value, and the range of its finite numbers."""
     rows = []
     for name, column in _flat(columns):
         values = _values(name, column[:1])

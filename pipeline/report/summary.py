@@ -1,36 +1,37 @@
-"""The sentences of the summary and the report, from a manifest."""
+"""Sentences and table rows of the summary and the report, from a manifest."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-_ORDER = ("loss", "warning", "fallback", "note")
+_GRAVEST_FIRST = ("loss", "warning", "fallback", "note")
 
 
 def headline(manifest: Mapping[str, Any]) -> str:
-    """How large the correction was, in one sentence, without overselling it."""
+    """How many observations were corrected, and by how much in the image and on the ground."""
     shift = manifest["correction"]["shift_px"]
     ground = manifest["correction"]["shift_ground_m"]
     rows = manifest["observations"]["rows"]
-    done = "displaced" if is_applied(manifest) else "corrected"
+    verb = "displaced" if is_applied(manifest) else "corrected"
     if not shift["count"]:
-        return f"None of the {rows:,} observations could be {done}."
+        return f"None of the {rows:,} observations could be {verb}."
     sentence = (
-        f"{shift['count']:,} of {rows:,} observations were {done}, by {figure(shift['median'])} "
-        f"px in the median and {figure(shift['maximum'])} px at most: "
-        f"{figure(ground['median'])} m and {figure(ground['maximum'])} m on the ground."
+        f"{shift['count']:,} of {rows:,} observations were {verb}, by "
+        f"{three_digits(shift['median'])} px in the median and "
+        f"{three_digits(shift['maximum'])} px at most: "
+        f"{three_digits(ground['median'])} m and {three_digits(ground['maximum'])} m on the ground."
     )
     if shift["maximum"] < 0.05:
         sentence += " That is far below what can be measured in an image."
     return sentence
 
 
-def figure(value: float | None) -> str:
-    """A number to three digits, plainly.
+def three_digits(value: float | None) -> str:
+    """A number to three significant digits, without an exponent.
 
-    >>> figure(0.006234), figure(12.345), figure(1234.5), figure(2e-9), figure(None)
-    ('0.00623', '12.3', '1234', '<0.001', '-')
+    >>> [three_digits(x) for x in (0.006234, 12.345, 1234.5, 2e-9, None)]
+    ['0.00623', '12.3', '1234', '<0.001', '-']
     """
     if value is None:
         return "-"
@@ -59,19 +60,18 @@ def correction_rows(manifest: Mapping[str, Any]) -> list[tuple[str, ...]]:
     ):
         if key == "window_arcsec" and not correction[key]["maximum"]:
             continue
-        several = cameras if len(cameras) > 1 else {"": correction}
-        for name, own in several.items():
-            values = (figure(own[key][part]) for part in ("median", "p95", "maximum"))
+        for name, of_camera in (cameras if len(cameras) > 1 else {"": correction}).items():
+            values = (three_digits(of_camera[key][part]) for part in ("median", "p95", "maximum"))
             rows.append((f"{label} {name}".rstrip(), *values))
     return rows
 
 
-def where_from(manifest: Mapping[str, Any]) -> str:
-    """Which air was used, and why."""
+def air_sentences(manifest: Mapping[str, Any]) -> str:
+    """What the air was estimated from, and how it differs from the standard and changes."""
     profile = manifest["profile"]
     reason = profile["reason"]
     first = reason.split()[0] if reason else ""
-    # The key of a mission file is written as it is.
+    # A key of the mission file, such as atmosphere.use, keeps its lower case.
     sentence = f"{reason}." if "." in first else f"{reason[:1].upper()}{reason[1:]}."
     if profile["basis"] != "standard" and profile["departure_at_cameras_k"] is not None:
         sentence += (
@@ -91,29 +91,30 @@ def where_from(manifest: Mapping[str, Any]) -> str:
 
 
 def effect_lines(effects: Sequence[Mapping[str, Any]], standard: str) -> list[str]:
-    """R in the air of the flight beside that in the standard, a line an angle."""
-    return [
-        f"R at {e['nadir_angle_deg']:.0f}° from {e['h_c_m']:.0f} m to {e['h_g_m']:.0f} m: "
-        f"{e['r_c_arcsec']:.3f}{_plus_minus(e['sigma_arcsec'], '.3f')} arcsec, "
-        f"{e['standard_arcsec']:.3f} in {standard}: "
-        f"{100.0 * (e['factor'] - 1.0):+.2f}{_percent(e['sigma_factor'])} %"
-        for e in effects
-    ]
+    """R in the air of the flight beside that in the standard, a line for each nadir angle."""
+    lines = []
+    for effect in effects:
+        sigma, sigma_percent = (
+            "" if value is None else f" ± {value * factor:{digits}}"
+            for value, factor, digits in (
+                (effect["sigma_arcsec"], 1.0, ".3f"),
+                (effect["sigma_factor"], 100.0, ".2f"),
+            )
+        )
+        lines.append(
+            f"R at {effect['nadir_angle_deg']:.0f}° from {effect['h_c_m']:.0f} m to "
+            f"{effect['h_g_m']:.0f} m: {effect['r_c_arcsec']:.3f}{sigma} arcsec, "
+            f"{effect['standard_arcsec']:.3f} in {standard}: "
+            f"{100.0 * (effect['factor'] - 1.0):+.2f}{sigma_percent} %"
+        )
+    return lines
 
 
-def _plus_minus(sigma: float | None, digits: str) -> str:
-    return "" if sigma is None else f" ± {sigma:{digits}}"
-
-
-def _percent(sigma: float | None) -> str:
-    return _plus_minus(None if sigma is None else 100.0 * sigma, ".2f")
-
-
-SENSOR_HEAD = ("", "found", "sigma", "expected sigma")
+SENSOR_HEAD = ("sensor error", "estimate", "sigma", "prior sigma")
 
 
 def sensor_rows(manifest: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """What was found wrong with the sensors, with its sigma and that of what was expected."""
+    """Estimated errors of the sensors, each with its sigma and the prior sigma."""
     return [
         (s["what"], f"{s['value']:.3g}", f"{s['sigma']:.2g}", f"{s['expected_sigma']:.2g}")
         for s in manifest["profile"]["sensors"]
@@ -121,16 +122,12 @@ def sensor_rows(manifest: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 
 SOURCE_HEAD = (
-    "source",
-    "readings",
-    "RMS [sigma]",
-    "sigma inflation",
-    "degrees of freedom for signal",
-)
+    "source", "readings", "RMS [sigma]", "sigma inflation factor", "degrees of freedom for signal",
+)  # fmt: skip
 
 
 def source_rows(manifest: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """The sources that were used: how they fit, and their information content."""
+    """The sources that were used: residuals, and information content."""
     return [
         (
             f"{s['source']}, {s['quantity']}",
@@ -151,16 +148,17 @@ def unused_sources(manifest: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def ledger_rows(manifest: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Kind, code and text of the ledger, the gravest first."""
-    rows = [(e["kind"], e["code"], located(e)) for e in manifest["ledger"]]
-    return sorted(rows, key=lambda row: (_ORDER.index(row[0]), row[1]))
+def ledger_rows(entries: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str]]:
+    """Kind, code and text of the entries of a ledger, the gravest first.
 
-
-def located(entry: Mapping[str, Any]) -> str:
-    """The text of an entry of the ledger, and where it was if it does not say so itself."""
-    what, where = entry["what"], entry["where"]
-    return what if where in what else f"{what} ({where})"
+    The place is appended to a text that does not name it.
+    """
+    rows = []
+    for entry in entries:
+        what, where = entry["what"], entry["where"]
+        text = what if where in what else f"{what} ({where})"
+        rows.append((entry["kind"], entry["code"], text))
+    return sorted(rows, key=lambda row: (_GRAVEST_FIRST.index(row[0]), row[1]))
 
 
 def is_applied(manifest: Mapping[str, Any]) -> bool:
@@ -169,20 +167,26 @@ def is_applied(manifest: Mapping[str, Any]) -> bool:
 
 
 def not_included(manifest: Mapping[str, Any]) -> list[str]:
-    """What the coordinates still hold, or in the other direction lack, for whoever uses them."""
+    """Effects that the coordinates still contain (or lack, if refraction was applied)."""
     applied = is_applied(manifest)
-    stays = "not applied" if applied else "not removed"
-    cameras = manifest["config"]["cameras"]
+    remains = "not applied" if applied else "not removed"
+    without_lens, behind_glass = [], []
+    for name, camera in manifest["config"]["cameras"].items():
+        if camera["principal_distance"] is None:
+            without_lens.append(name)
+        window = camera["window"]
+        if window and (window["shape"], window["in_calibration"]) == ("plane", "none"):
+            behind_glass.append(name)
     lines = []
-    if bare := [name for name, camera in cameras.items() if camera["principal_distance"] is None]:
+    if without_lens:
         lines.append(
-            f"The principal distance of {', '.join(bare)} changes with the air in the lens (130 to "
-            f"310 ppm at 6 km on a 153 mm lens, as much as refraction itself): {stays}."
+            f"The principal distance of {', '.join(without_lens)} changes with the air in the lens "
+            f"(130 to 310 ppm at 6 km on a 153 mm lens, as much as refraction itself): {remains}."
         )
-    if behind := [name for name, camera in cameras.items() if _glass_is_apart(camera["window"])]:
+    if behind_glass:
         lines.append(
-            f"The glass before {', '.join(behind)} displaces rays, by 7 mm for 20 mm of glass at "
-            f"45°: {stays}."
+            f"The glass before {', '.join(behind_glass)} displaces rays, by 7 mm for 20 mm of "
+            f"glass at 45°: {remains}."
         )
     if not applied:
         lines += [
@@ -192,8 +196,3 @@ def not_included(manifest: Mapping[str, Any]) -> list[str]:
             "twice.",
         ]
     return lines
-
-
-def _glass_is_apart(window: Mapping[str, Any] | None) -> bool:
-    """Whether there is plane glass that the calibration was made without."""
-    return window is not None and (window["shape"], window["in_calibration"]) == ("plane", "none")

@@ -1,4 +1,4 @@
-"""What a person sees in a terminal 80 columns wide."""
+"""The output of the commands in a terminal 80 columns wide."""
 
 from __future__ import annotations
 
@@ -18,65 +18,102 @@ from pipeline.refraction.radial import RadialTable
 from pipeline.refraction.status import STATUS_NAMES
 from pipeline.report.summary import (
     CORRECTION_HEAD,
+    air_sentences,
     correction_rows,
     effect_lines,
     headline,
     ledger_rows,
-    where_from,
 )
 from pipeline.tables.exports.radial import radial_columns
-from pipeline.units import MICRORADIAN
+from pipeline.units import HECTOPASCAL, MICRORADIAN
 
-# What a person is told of an angle's status; ok needs no word.
-_CROSSINGS = {
+_STATUS_TEXTS = {
     "beyond_grazing": "the near one of two crossings of the ground's height; with --distance the "
     "slant range decides",
     "far_branch": "the far one of two crossings of the ground's height, as the slant range says",
 }
-OVER_THE_HORIZON = (
+_OVER_THE_HORIZON = (
     "no metres on the ground: the straight ray in the apparent direction passes over the horizon, "
     "and only the bent one lands"
 )
 
 _COLOURS = {"loss": "red", "warning": "yellow", "fallback": "cyan", "note": "dim"}
 
+_PAPER_COLUMNS = (
+    ("h_c [km]", "h_c_m", 1e3, 3),
+    ("h_g [km]", "h_g_m", 1e3, 3),
+    ("zeta [deg]", "zeta_c_deg", 1.0, 4),
+    ("printed", "printed", 1.0, 4),
+    ("as published", "as_published", 1.0, 4),
+    ("exact", "exact", 1.0, 4),
+    ("difference", "difference", 1.0, 4),
+)
+_PROFILE_COLUMNS = (
+    ("h\n[m]", "h_m", 1.0, ".0f"),
+    ("T\n[K]", "temperature_k", 1.0, ".2f"),
+    ("±\n", "sigma_temperature_k", 1.0, "sigma"),
+    ("std\n[K]", "standard_temperature_k", 1.0, ".2f"),
+    ("p\n[hPa]", "pressure_pa", HECTOPASCAL, ".1f"),
+    ("std\n[hPa]", "standard_pressure_pa", HECTOPASCAL, ".1f"),
+    ("e\n[hPa]", "vapour_pressure_pa", HECTOPASCAL, ".2f"),
+    ("std\n[hPa]", "standard_vapour_pressure_pa", HECTOPASCAL, ".2f"),
+    ("N\n[ppm]", "refractivity", 1e-6, ".2f"),
+    ("±\n", "sigma_refractivity", 1e-6, "sigma"),
+    ("std\n[ppm]", "standard_refractivity", 1e-6, ".2f"),
+)
+_RADIAL_COLUMNS = (
+    ("nadir angle [deg]", "nadir_angle_deg", 2),
+    ("R_c [arcsec]", "r_c_arcsec", 3),
+    ("R_c [urad]", "r_c_urad", 2),
+    ("ground [m]", "shift_ground_m", 3),
+    ("radius [px]", "radius_px", 1),
+    ("dr [px]", "dr_px", 4),
+)
+
 
 def print_run(
     console: Console, name: str, output: str, manifest: Mapping[str, Any], *, repeated: bool
 ) -> None:
-    """The summary at the end of a mission."""
+    """Summary at the end of a mission; ``repeated`` if an earlier run was up to date."""
     console.print(f"[bold]{escape(name)}[/bold]")
     if repeated:
         console.print("  nothing to do: mission file, inputs and code are those of the last run")
-    _paragraph(console, headline(manifest))
-    table = Table(*CORRECTION_HEAD, box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for column in table.columns[1:]:
-        column.justify = "right"
+    _print_indented(console, escape(headline(manifest)))
+    table = _table(CORRECTION_HEAD, gap=2)
     for row in correction_rows(manifest):
         table.add_row(*(escape(cell) for cell in row))
-    console.print(Padding(table, (0, 0, 0, 2)))
-    _paragraph(console, where_from(manifest))
+    _print_indented(console, table)
     profile = manifest["profile"]
-    for line in effect_lines(profile["effect"], profile["standard"]):
-        _paragraph(console, line)
+    effects = effect_lines(profile["effect"], profile["standard"])
+    for line in (air_sentences(manifest), *effects):
+        _print_indented(console, escape(line))
     flagged = {k: n for k, n in manifest["observations"]["status"].items() if k != "ok" and n}
     if flagged:
-        _paragraph(console, "Flagged rows: " + ", ".join(f"{n:,} {k}" for k, n in flagged.items()))
-    for kind, code, what in ledger_rows(manifest):
-        if kind != "note":
-            console.print(
-                Padding(f"[{_COLOURS[kind]}]{kind}[/] {escape(code)}: {escape(what)}", (0, 0, 0, 2))
-            )
-    console.print(Padding(f"results in {escape(output)}", (0, 0, 0, 2)))
-    console.print(Padding(f"report     {escape(output)}/report.html", (0, 0, 0, 2)))
+        counts = ", ".join(f"{n:,} {status}" for status, n in flagged.items())
+        _print_indented(console, f"Flagged rows: {counts}")
+    print_ledger(console, [entry for entry in manifest["ledger"] if entry["kind"] != "note"])
+    _print_indented(console, f"results in {escape(output)}")
+    _print_indented(console, f"report     {escape(output)}/report.html")
 
 
-def _paragraph(console: Console, text: str) -> None:
-    console.print(Padding(escape(text), (0, 0, 0, 2)))
+def print_ledger(console: Console, entries: Sequence[Mapping[str, Any]]) -> None:
+    """Entries of a ledger, the gravest first."""
+    for kind, code, what in ledger_rows(entries):
+        _print_indented(console, f"[{_COLOURS[kind]}]{kind}[/] {escape(code)}: {escape(what)}")
+
+
+def print_check(console: Console, lines: Sequence[tuple[str, str]]) -> None:
+    """What ``unbend check`` read in a mission file and its inputs."""
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for label, text in lines:
+        table.add_row(label, escape(text))
+    _print_indented(console, table)
 
 
 def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
-    """What ``unbend inspect`` prints: channels in the words that the mission file takes."""
+    """What ``unbend inspect`` prints: the channels by the names that a mission file uses."""
     seconds = f"channels over {log['duration_s']:.1f} s"
     console.print(f"[bold]{escape(name)}[/bold]: {log['format']}, {seconds}")
     console.print(f"  from {log['start_utc']} to {log['end_utc']}", highlight=False)
@@ -84,24 +121,19 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
     counts = f"  {sum(log['messages'].values()):,} messages of {len(log['messages'])} types"
     boots = f", {log['boots']} boots" if log["boots"] > 1 else ""
     console.print(f"{counts}{boots}, {log['bad_bytes']:,} bad bytes, {log['lost_messages']:,} lost")
-    table = Table(
-        "channel", "samples", r"rate \[Hz]", "gaps", "can play", box=None, pad_edge=False,
-        padding=(0, 1, 0, 0),
-    )  # fmt: skip
-    for column in table.columns[1:4]:
-        column.justify = "right"
+    table = _table(("channel", "samples", "rate [Hz]", "gaps", "can play"), gap=1)
     # Names are copied into mission files: in one piece if 80 columns have room, and never cut.
     table.columns[0].no_wrap = all(len(channel["name"]) <= 38 for channel in log["channels"])
     table.columns[0].overflow = "fold"
+    table.columns[4].justify = "left"
     table.columns[4].min_width = len("cabin_temperature")
     for channel in log["channels"]:
-        roles = ", ".join(channel["roles"]) or "only if named"
         table.add_row(
             escape(channel["name"]),
             f"{channel['samples']:,}",
             f"{channel['rate_hz']:.3g}",
             str(len(channel["gaps"])),
-            roles,
+            ", ".join(channel["roles"]) or "only if named",
         )
     console.print(Padding(table, (1, 0, 1, 2)))
     print_ledger(console, log["ledger"])
@@ -110,32 +142,23 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
 def print_fields(console: Console, title: str, rows: Sequence[Mapping[str, str]]) -> None:
     """The fields of one message type of a log."""
     console.print(f"[bold]{escape(title)}[/bold]")
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     heads = ("field", "type", "first", "lowest", "highest")
-    for name in heads:
-        table.add_column(name, justify="right" if name in ("lowest", "highest") else "left")
+    table = _table(heads, gap=2)
+    table.columns[1].justify = table.columns[2].justify = "left"
     for row in rows:
         table.add_row(*(escape(row.get(name, "")) for name in heads))
     console.print(Padding(table, (1, 0, 1, 2)))
 
 
-def print_ledger(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
-    """A ledger, the gravest entries first."""
-    for kind, code, what in ledger_rows({"ledger": rows}):
-        console.print(
-            Padding(f"[{_COLOURS[kind]}]{kind}[/] {escape(code)}: {escape(what)}", (0, 0, 0, 2))
-        )
-
-
 def print_angle(console: Console, angle: Mapping[str, Any]) -> None:
-    """One refraction angle in the units people use."""
+    """One refraction angle in arcsec, microradians and metres on the ground."""
     ground = angle["ground_m"]
     lines = [
         f"{angle['r_c_urad']:.6f} microradians",
-        OVER_THE_HORIZON if ground is None else f"{ground:.6f} m on the ground",
+        _OVER_THE_HORIZON if ground is None else f"{ground:.6f} m on the ground",
     ]
-    if angle["status"] in _CROSSINGS:
-        lines.append(f"{angle['status']}: {_CROSSINGS[angle['status']]}")
+    if angle["status"] in _STATUS_TEXTS:
+        lines.append(f"{angle['status']}: {_STATUS_TEXTS[angle['status']]}")
     console.print(f"R_c    {angle['r_c_arcsec']:.6f} arcsec", highlight=False)
     for line in lines:
         console.print(Padding(line, (0, 0, 0, 7), expand=False))
@@ -147,147 +170,108 @@ def print_angle(console: Console, angle: Mapping[str, Any]) -> None:
 
 
 def print_paper(console: Console, rows: Sequence[Mapping[str, Any]], notes: Sequence[str]) -> None:
-    """A paper's figures, table by table: printed, as published, exact."""
-    for head in dict.fromkeys((row["table"], row["quantity"], row["unit"]) for row in rows):
-        names = (
-            "h_c [km]",
-            "h_g [km]",
-            "zeta [deg]",
-            "printed",
-            "as published",
-            "exact",
-            "difference",
-        )
+    """The tables of a paper: values as printed, as published, and exact."""
+    keys = ("table", "quantity", "unit")
+    for key in dict.fromkeys(tuple(row[name] for name in keys) for row in rows):
         table = Table(
-            *(escape(name) for name in names),
-            title=escape(f"Table {head[0]}: {head[1]} [{head[2]}]"), box=None, title_justify="left",
+            *(escape(head) for head, *_ in _PAPER_COLUMNS), box=None,
+            title=escape(f"Table {key[0]}: {key[1]} [{key[2]}]"), title_justify="left",
         )  # fmt: skip
         for column in table.columns:
             column.justify = "right"
         for row in rows:
-            if (row["table"], row["quantity"], row["unit"]) == head:
-                table.add_row(
-                    _number(row["h_c_m"], 3, 1e-3), _number(row["h_g_m"], 3, 1e-3),
-                    _number(row["zeta_c_deg"], 4),
-                    *(_number(row[key], 4) for key in _FIGURES),
-                )  # fmt: skip
+            if tuple(row[name] for name in keys) == key:
+                table.add_row(*(
+                    "" if row[name] is None
+                    else f"{row[name] / unit:.{digits}f}".rstrip("0").rstrip(".")
+                    for _, name, unit, digits in _PAPER_COLUMNS
+                ))  # fmt: skip
         console.print(table)
     for note in notes:
-        console.print(Padding(escape(note), (0, 0, 0, 2)))
-
-
-_FIGURES = ("printed", "as_published", "exact", "difference")
-
-
-def _number(value: float | None, digits: int, factor: float = 1.0) -> str:
-    """A figure without trailing zeros; nothing where there is none."""
-    return "" if value is None else f"{value * factor:.{digits}f}".rstrip("0").rstrip(".")
+        _print_indented(console, escape(note))
 
 
 def print_profile(console: Console, rows: Sequence[Mapping[str, Any]], standard: str) -> None:
-    """A profile as a table, what the standard of that name has beside each figure."""
-    heads = (
-        "h\n[m]", "T\n[K]", "±\n", "std\n[K]", "p\n[hPa]", "std\n[hPa]", "e\n[hPa]", "std\n[hPa]",
-        "N\n[ppm]", "±\n", "std\n[ppm]", "source\n",
-    )  # fmt: skip
-    table = Table(*(escape(head) for head in heads), box=None, pad_edge=False, padding=(0, 1, 0, 0))
-    for column in table.columns[:-1]:
-        column.justify = "right"
+    """A profile as a table, each quantity beside that of the standard."""
+    table = _table((*(head for head, *_ in _PROFILE_COLUMNS), "source\n"), gap=1)
+    table.columns[0].justify, table.columns[-1].justify = "right", "left"
     for row in rows:
-        table.add_row(
-            f"{row['h_m']:.0f}",
-            f"{row['temperature_k']:.2f}",
-            _sigma(row["sigma_temperature_k"]),
-            f"[dim]{row['standard_temperature_k']:.2f}[/dim]",
-            f"{row['pressure_pa'] / 100.0:.1f}",
-            f"[dim]{row['standard_pressure_pa'] / 100.0:.1f}[/dim]",
-            f"{row['vapour_pressure_pa'] / 100.0:.2f}",
-            f"[dim]{row['standard_vapour_pressure_pa'] / 100.0:.2f}[/dim]",
-            f"{row['refractivity'] * 1e6:.2f}",
-            _sigma(row["sigma_refractivity"], 1e6),
-            f"[dim]{row['standard_refractivity'] * 1e6:.2f}[/dim]",
-            row["source"],
-        )
+        cells = []
+        for _, name, unit, digits in _PROFILE_COLUMNS:
+            value = None if row[name] is None else row[name] / unit
+            if digits == "sigma":  # in four characters
+                text = "" if value is None else f"{value:{'.2f' if value < 9.995 else '.1f'}}"
+            else:
+                text = f"{value:{digits}}"
+            cells.append(f"[dim]{text}[/dim]" if name.startswith("standard") else text)
+        table.add_row(*cells, row["source"])
     console.print(table)
     console.print(f"N is (n-1)e6; std is {escape(standard)} at the same height", highlight=False)
 
 
-def _sigma(value: float | None, factor: float = 1.0) -> str:
-    """To four characters."""
-    if value is None:
-        return ""
-    return f"{value * factor:.2f}" if value * factor < 9.995 else f"{value * factor:.1f}"
-
-
 def print_air(console: Console, air: FlightAir) -> None:
-    """What the air of a flight was made from, and what it does to R."""
+    """The effect of the air of a flight on R, its sources and the estimated sensor errors."""
     adjustment = air.adjustment
     rows = [effect.row() for effect in air.effects]
-    parts = [f"{len(air.series.timed_profiles)} profiles follow the air"] if air.windows else []
+    profiles = [f"{len(air.series.timed_profiles)} profiles follow the air"] if air.windows else []
     for line in (
         *effect_lines(rows, adjustment.standard.name),
         *(use.sentence() for use in adjustment.sources),
         *(f"{FAULT_TEXTS[f.fault]}: {f.value:.3g} ± {f.sigma:.2g}" for f in adjustment.faults),
-        *parts,
+        *profiles,
     ):
-        _paragraph(console, line)
-
-
-def print_check(console: Console, lines: Sequence[tuple[str, str]]) -> None:
-    """What ``unbend check`` understood."""
-    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column(no_wrap=True)
-    table.add_column(overflow="fold")
-    for label, text in lines:
-        table.add_row(label, escape(text))
-    console.print(Padding(table, (0, 0, 0, 2)))
-
-
-_COLUMNS = (
-    ("nadir angle [deg]", "nadir_angle_deg", 2),
-    ("R_c [arcsec]", "r_c_arcsec", 3),
-    ("R_c [urad]", "r_c_urad", 2),
-    ("ground [m]", "shift_ground_m", 3),
-    ("radius [px]", "radius_px", 1),
-    ("dr [px]", "dr_px", 4),
-)
+        _print_indented(console, escape(line))
 
 
 def radial_rows(tables: Sequence[RadialTable]) -> list[dict[str, Any]]:
-    """The rows of radial tables one below the other, None for what is not there."""
+    """The rows of several radial tables, None where there is no value."""
     rows = []
     for table in tables:
-        lists = {name: np.asarray(v).tolist() for name, v in radial_columns(table).items()}
-        for values in zip(*lists.values(), strict=True):
-            row = dict(zip(lists, values, strict=True))
-            rows.append({name: None if value != value else value for name, value in row.items()})
+        columns = {name: np.asarray(v).tolist() for name, v in radial_columns(table).items()}
+        for values in zip(*columns.values(), strict=True):
+            row = zip(columns, values, strict=True)
+            rows.append({name: None if value != value else value for name, value in row})
     return rows
 
 
 def print_radial(console: Console, tables: Sequence[RadialTable]) -> None:
-    """Radial tables, each under its heights and its R at 45 degrees."""
+    """Refraction by nadir angle, one table for each flying height."""
     for table in tables:
+        manual = (
+            "where the Manual's formula has no value"
+            if math.isnan(table.k_manual_rad)
+            else f"the Manual's formula {table.k_manual_rad / MICRORADIAN:.2f}"
+        )
         console.print(
             f"[bold]camera {table.h_c_m:g} m, ground {table.h_g_m:g} m[/bold]: R at 45 deg "
-            f"{table.k_rad / MICRORADIAN:.2f} urad, {_manual(table.k_manual_rad)}"
+            f"{table.k_rad / MICRORADIAN:.2f} urad, {manual}"
         )
         with_image = bool(np.isfinite(table.radius_px).any())
-        shown = _COLUMNS if with_image else _COLUMNS[:4]
-        printed = Table(*(escape(head) for head, _, _ in shown), box=None)
+        columns = _RADIAL_COLUMNS if with_image else _RADIAL_COLUMNS[:4]
+        printed = Table(*(escape(head) for head, _, _ in columns), box=None)
         for column in printed.columns:
             column.justify = "right"
         for row in radial_rows([table]):
-            cells = [_fixed(row[name], digits) for _, name, digits in shown]
-            why = row["status"] if row["status"] != STATUS_NAMES[0] else ""
-            printed.add_row(*cells[:1], cells[1] or why, *cells[2:])
+            cells = [
+                "" if row[name] is None else f"{row[name]:.{digits}f}"
+                for _, name, digits in columns
+            ]
+            if not cells[1] and row["status"] != STATUS_NAMES[0]:
+                cells[1] = row["status"]
+            printed.add_row(*cells)
         console.print(Padding(printed, (0, 0, 1, 0)))
+    if any(bool(np.isnan(t.shift_ground_m[np.isfinite(t.r_c_rad)]).any()) for t in tables):
+        console.print(f"{_OVER_THE_HORIZON[:1].upper()}{_OVER_THE_HORIZON[1:]}.")
 
 
-def _manual(k_rad: float) -> str:
-    if math.isnan(k_rad):
-        return "where the Manual's formula has no value"
-    return f"the Manual's formula {k_rad / MICRORADIAN:.2f}"
+def _print_indented(console: Console, content: str | Table) -> None:
+    """Print markup or a table two columns to the right."""
+    console.print(Padding(content, (0, 0, 0, 2)))
 
 
-def _fixed(value: float | None, digits: int) -> str:
-    return "" if value is None else f"{value:.{digits}f}"
+def _table(heads: Sequence[str], *, gap: int) -> Table:
+    """A table without lines, all columns but the first aligned to the right."""
+    table = Table(*(escape(h) for h in heads), box=None, pad_edge=False, padding=(0, gap, 0, 0))
+    for column in table.columns[1:]:
+        column.justify = "right"
+    return table

@@ -229,7 +229,7 @@ def write_comparison(accuracy: Accuracy, path: Path) -> None:
         )
     picture = path.with_suffix(".png")
     text = accuracy_page(accuracy, picture.name)
-    png = accuracy_png(accuracy.drawn, text_hash(text))
+    png = accuracy_png(accuracy.curves, text_hash(text))
     for target, content in ((path, text.encode()), (picture, png)):
         with written_whole(target) as draft:
             draft.write_bytes(content)

@@ -162,7 +162,7 @@ def test_the_slant_range_chooses_the_crossing(unbend, distance):
 @pytest.mark.parametrize("command", ["angle", "inspect"])
 def test_what_is_no_json_is_never_printed_as_json(unbend, flown, monkeypatch, command):
     """Whatever slips through is a bug that shows, not a file that only Python can read."""
-    monkeypatch.setattr(angle, "one_angle", lambda *_: {"ground_m": math.nan})
+    monkeypatch.setattr(angle, "one_angle", lambda **_: {"ground_m": math.nan})
     monkeypatch.setattr(Log, "to_json_dict", lambda _: {"duration_s": math.inf})
     words = words_of(3000, 0, 45) if command == "angle" else ("inspect", flown.logs["mcap"])
     with pytest.raises(ValueError, match="JSON"):
