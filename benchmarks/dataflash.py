@@ -17,9 +17,8 @@ import numpy as np
 
 from pipeline.ingest import open_log
 from pipeline.ingest.buffers import view_of_bytes
-from pipeline.ingest.dataflash.formats import HEADER
-from pipeline.ingest.dataflash.log import counts_of, read_tables
-from pipeline.ingest.dataflash.records import walk
+from pipeline.ingest.dataflash.log import read_tables
+from pipeline.ingest.dataflash.records import HEADER, find_records
 
 NEEDED = ("GPS", "GPA", "ATT", "BARO", "POS", "CAM", "TRIG", "ARSP", "HYGR")
 WEEK_MS = 604_800_000
@@ -31,7 +30,7 @@ def grow(log: Path, out: Path, size_bytes: int) -> int:
     TimeUS and the GPS time move on by the length of the log with every copy.
     """
     data = log.read_bytes()
-    found = walk(view_of_bytes(data))
+    found = find_records(view_of_bytes(data))
     places, numbers = found.offsets, found.numbers
     timed = np.array([form.timed for form in found.definitions], np.bool_)
     stamps = places[timed[numbers]] + HEADER
@@ -121,7 +120,7 @@ def main(source: Path, megabytes: int = 110, pairs: int = 7) -> None:
         size = grow(source, log, megabytes * 1_000_000) / 1e6
         ours_needed(log)
         with log.open("rb") as stream:
-            messages = sum(counts_of(walk(view_of_bytes(stream.read()))).values())
+            messages = sum(find_records(view_of_bytes(stream.read())).message_counts().values())
         print(f"{source.name} grown to {size:.0f} MB, {messages:,} messages")
         for name, library, ours in (
             ("needed types", library_needed, ours_needed),

@@ -1,25 +1,33 @@
-"""Tables of an ArduPilot log, binary or text -> channels in UTC."""
+"""Tables of an ArduPilot log, binary or text -> channels, in UTC by the GNSS receivers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Set
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.flight.channels import ROLE_COLUMNS, Channel, Source
-from pipeline.flight.clock import STRAY_ROWS
+from pipeline.flight.channels import ROLE_COLUMNS, Channel, Source, TimeArray
+from pipeline.flight.clock import SECONDS_PER_WEEK, STRAY_ROWS, full_weeks, utc_of_gps
 from pipeline.ingest.ardupilot_heights import (
     HEIGHT_OPTION,
     selects_ellipsoid,
     with_ellipsoidal_heights,
     with_undulation,
 )
-from pipeline.ingest.boot_clock import microseconds
-from pipeline.ingest.buffers import copy_rows
+from pipeline.ingest.boot_clock import (
+    LOWEST_FIX,
+    BootClock,
+    Stamps,
+    Timeline,
+    UtcReadings,
+    fit_boot_clock,
+    microseconds,
+    report_timeline,
+)
+from pipeline.ingest.buffers import FileView, copy_rows, gather
 from pipeline.ingest.channel_builder import DecodedRows, channel_of
-from pipeline.ingest.dataflash.columns import Decoded
 from pipeline.ingest.dataflash.fields import (
     ACCURACY,
     ACCURACY_MESSAGE,
@@ -27,17 +35,111 @@ from pipeline.ingest.dataflash.fields import (
     MESSAGES,
     instance_of,
 )
-from pipeline.ingest.dataflash.time import RECEIVERS, Clock
-from pipeline.ingest.fields import FieldColumn, MessageMap, extract, is_number
+from pipeline.ingest.dataflash.records import HEADER, RecordWalker
+from pipeline.ingest.dataflash.tables import Decoded
+from pipeline.ingest.fields import MessageMap, extract, is_number
 from pipeline.ingest.log import Table
 from pipeline.ledger import Ledger
 
+RECEIVERS = ("GPS", "GPS2")
+FIRST_WEEK = 1_773  # 2013-12-29: no log with the field TimeUS is older
+_WEEKS = 1 << 13  # until 2137: the fit is by the median, which more than half of the rows decide
 _OF_TIME = ("GMS", "GWk", "Status")
-# No sensor writes this few rows beside so many of another one: a bit of the instance was flipped.
-STRAY_SHARE = 100
+STRAY_SHARE = 100  # rows of an instance for each row of one that is damage
 
 
-def wanted() -> dict[str, Callable[[str], bool]]:
+def stamps(data: FileView, walker: RecordWalker) -> Iterator[Stamps]:
+    """The times of all records that begin with one, during the walk."""
+    for block in walker.blocks():
+        timed = np.array([form.timed for form in walker.definitions], np.bool_)
+        at = block.at[timed[block.numbers]].astype(np.int64)
+        if at.size:
+            raw = data.array(block.base, block.end())
+            time_us = microseconds(gather(raw, at + HEADER, 8).view("<u8"))
+            yield at + block.base, time_us * 1000
+
+
+@dataclass(frozen=True)
+class LogClock:
+    """Time since boot -> UTC, of tables; ``description`` of the source of UTC."""
+
+    boots: BootClock
+    description: str
+
+    @property
+    def line(self) -> Timeline:
+        return self.boots.line
+
+    def utc(self, table: Table, places: NDArray[np.int64]) -> TimeArray:
+        """The UTC of rows with the field TimeUS."""
+        time_ns = microseconds(table["TimeUS"])  # a new array: memory has its peak here
+        time_ns *= 1000
+        time_ns += self.boots.offsets[self.line.boot_of(places)]
+        return time_ns
+
+
+def clock_of(line: Timeline, tables: Mapping[str, Decoded], ledger: Ledger) -> LogClock:
+    """The clock of a log from the rows of its GNSS receivers, one offset for each boot."""
+    report_timeline(line, ledger)
+    sources: list[UtcReadings] = []
+    for name in RECEIVERS:
+        if name in tables:
+            sources += _receiver_utc(line, tables[name], name, ledger)
+    boots = fit_boot_clock(line, sources, ledger)
+    for number, known in enumerate(boots.utc_known):
+        if not known:
+            ledger.fallback(
+                "TIME-NO-UTC",
+                "no GPS row with a fix and a week: time counts from boot, as if in 1970; "
+                "events in this log can be used, matching by UTC is impossible",
+                where=f"boot {number}",
+            )
+    rows = sum(fit.rows for fit in boots.fits if fit is not None)
+    description = f"vehicle clock, set to UTC by the median of {rows} GPS rows"
+    if unknown := boots.utc_known.count(False):
+        description = f"vehicle clock; UTC is unknown in {unknown} of {len(boots.fits)} boots"
+    return LogClock(boots, description)
+
+
+def _receiver_utc(
+    line: Timeline, decoded: Decoded, name: str, ledger: Ledger
+) -> Iterator[UtcReadings]:
+    """The UTC of each receiver of a message."""
+    count, table = decoded.places.size, decoded.columns
+    if absent := sorted({"GMS", "GWk", "Status"} - set(table)):
+        what = f"{count} rows give no UTC: the log defines no field {', '.join(absent)}"
+        ledger.loss("LOG-FIELDS", what, where=name, count=count)
+        return
+    usable = (table["GWk"] > 0) & (table["GWk"] < _WEEKS)
+    usable &= (table["GMS"] >= 0) & (table["GMS"] < SECONDS_PER_WEEK * 1000)
+    instance = instance_of(table)
+    for which in np.unique(instance[usable]):
+        of_instance = usable & (instance == which)
+        rows = slice(None) if bool(of_instance.all()) else of_instance  # a long log is not copied
+        label = f"{name}[{which}]" if which >= 0 else name
+        places, fix, week = decoded.places[rows], table["Status"][rows], table["GWk"][rows]
+        boot_ns = microseconds(table["TimeUS"][rows])
+        boot_ns *= 1000
+        boot = line.boot_of(places)
+        for number in np.unique(boot):  # a receiver rolls over in all rows of a boot or in none
+            fixes = (boot == number) & (fix >= LOWEST_FIX)
+            full, repaired = full_weeks(week[fixes], FIRST_WEEK)
+            if repaired:
+                ledger.warning(
+                    "TIME-WEEK-ROLLOVER",
+                    f"{repaired} GPS rows have week {int(week[fixes][0])}, before logs of this "
+                    f"kind existed: the receiver counts modulo 1024, taken as {int(full[0])}",
+                    where=f"{label}, boot {number}",
+                    count=repaired,
+                )
+                week = week.astype(np.int64)
+                week[fixes] = full
+        utc_ns = utc_of_gps(week, table["GMS"][rows] / 1000.0)
+        good = np.ones(places.shape, np.bool_)
+        yield UtcReadings(f"rows of {label}", places, boot_ns, utc_ns, good, fix)
+
+
+def wanted_fields() -> dict[str, Callable[[str], bool]]:
     """The messages that become channels or are needed for it, and which of their fields."""
     always = {"TimeUS", *INSTANCE_FIELDS}
     fields = {
@@ -49,10 +151,10 @@ def wanted() -> dict[str, Callable[[str], bool]]:
     }
     fields[ACCURACY_MESSAGE] = always | {field for column in ACCURACY for field in column.fields}
     fields["PARM"] = {"TimeUS", "Name", "Value"}
-    return {name: some.__contains__ for name, some in fields.items()}
+    return {name: names.__contains__ for name, names in fields.items()}
 
 
-def channels_of(tables: dict[str, Decoded], clock: Clock, ledger: Ledger) -> tuple[Channel, ...]:
+def channels_of(tables: dict[str, Decoded], clock: LogClock, ledger: Ledger) -> tuple[Channel, ...]:
     """The channels of the messages that the field map knows; their tables are used up."""
     channels = []
     for message, spec in MESSAGES.items():
@@ -66,28 +168,40 @@ def channels_of(tables: dict[str, Decoded], clock: Clock, ledger: Ledger) -> tup
 
 
 def _instances(
-    message: str, spec: MessageMap, tables: dict[str, Decoded], clock: Clock, ledger: Ledger
+    message: str, spec: MessageMap, tables: dict[str, Decoded], clock: LogClock, ledger: Ledger
 ) -> Iterator[DecodedRows]:
     """The rows of each instance of a message, whose table is used up: memory has its peak here."""
     if message not in tables:
         return
     decoded = tables.pop(message)
-    table, columns = decoded.columns, spec.columns
+    table = decoded.columns
     time_ns = copy_rows(clock.utc(table, decoded.places))
     boot = copy_rows(clock.line.boot_of(decoded.places))
     good = clock.line.good(decoded.places)
     if message == "GPS" and ACCURACY_MESSAGE in tables:
-        table = _joined(decoded, tables.pop(ACCURACY_MESSAGE))
-        columns += ACCURACY
+        table = _join_accuracy(decoded, tables.pop(ACCURACY_MESSAGE))
+        spec = replace(spec, columns=spec.columns + ACCURACY)
     named = table.get(spec.id_field)
     instance = instance_of(table) if named is None else named
-    values = extract(table, columns, copy_rows)
-    odd = _report_odd(message, table, columns, ledger)
-    _report_absent(message, spec, odd | set(values), instance.shape[0], ledger)
+    values = extract(table, spec.columns, copy_rows)
+    _report_fields(message, spec, table, set(values), ledger)
     del decoded, table
     numbers, counts = np.unique(instance, return_counts=True)
     if named is None and not spec.event:
-        numbers = numbers[~_stray_instances(message, numbers, counts, ledger)]
+        # a few rows beside a hundred times as many of another instance: a flipped bit
+        stray = (counts <= STRAY_ROWS) & (counts * STRAY_SHARE <= counts.max(initial=0))
+        if stray.any():
+            count = int(counts[stray].sum())
+            names = ", ".join(str(number) for number in numbers[stray].tolist()[:8])
+            ledger.loss(
+                "LOG-INSTANCE",
+                f"{count} rows are of instances ({names}) that no other row has, beside "
+                f"{counts.max()} of instance {numbers[np.argmax(counts)]}: damage, they are not "
+                "used",
+                where=message,
+                count=count,
+            )
+        numbers = numbers[~stray]
     for which in numbers.tolist():
         label = str(which) if named is not None or which >= 0 else None
         name = message if label is None else f"{message}[{label}]"
@@ -96,70 +210,45 @@ def _instances(
         yield rows if chosen.all() else rows.take(chosen)
 
 
-def _report_absent(
-    message: str, spec: MessageMap, known: Set[str], count: int, ledger: Ledger
+def _report_fields(
+    message: str, spec: MessageMap, table: Table, known: set[str], ledger: Ledger
 ) -> None:
-    """Enter the roles for which the log defines no field: a name of one may be damaged."""
-    needed = {column for role in spec.roles for column in ROLE_COLUMNS[role]} - {"event_index"}
-    if spec.attitude or spec.position:  # without these it is no channel, and `channel_of` says so
-        needed -= {"q_w", "q_x", "q_y", "q_z", "lat_rad", "lon_rad"}
-    needed |= {"h_msl_m"} if spec.position else set()
-    if absent := needed - known:
-        what = f"{count} rows have no {', '.join(sorted(absent))}: the log defines no field for it"
-        ledger.loss("LOG-FIELDS", what, where=message, count=count)
+    """Enter fields that hold no numbers, and columns of roles for which there is no field at all.
 
-
-def _report_odd(
-    message: str, table: Table, columns: tuple[FieldColumn, ...], ledger: Ledger
-) -> set[str]:
-    """Enter fields that hold no numbers where numbers are wanted: their definition is damaged.
-
-    Returns the columns that they would be.
+    Either is damage of a definition, of a letter or of a name.
     """
+    count = len(next(iter(table.values()))) if table else 0
     odd = {
         field: column.name
-        for column in columns
+        for column in spec.columns
         for field in column.fields
         if field in table and not is_number(table[field])
     }
     if odd:
-        count = table[next(iter(odd))].shape[0]
         what = f"{', '.join(sorted(odd))} of {count} rows hold no numbers, by their definition"
         ledger.loss("LOG-FIELDS", what, where=message, count=count)
-    return set(odd.values())
-
-
-def _stray_instances(
-    message: str, which: NDArray[Any], counts: NDArray[np.intp], ledger: Ledger
-) -> NDArray[np.bool_]:
-    """Instances that are none: a few rows, beside a hundred times as many of another."""
-    stray = (counts <= STRAY_ROWS) & (counts * STRAY_SHARE <= counts.max())
-    if stray.any():
-        count = int(counts[stray].sum())
-        names = ", ".join(str(number) for number in which[stray].tolist()[:8])
-        ledger.loss(
-            "LOG-INSTANCE",
-            f"{count} rows are of instances ({names}) that no other row has, beside "
-            f"{counts.max()} of instance {which[np.argmax(counts)]}: damage, they are not used",
-            where=message,
-            count=count,
-        )
-    return np.asarray(stray, np.bool_)
+    needed = {column for role in spec.roles for column in ROLE_COLUMNS[role]} - {"event_index"}
+    if spec.attitude or spec.position:  # `channel_of` reports that these are absent
+        needed -= {"q_w", "q_x", "q_y", "q_z", "lat_rad", "lon_rad"}
+    needed |= {"h_msl_m"} if spec.position else set()
+    if absent := needed - set(odd.values()) - known:
+        what = f"{count} rows have no {', '.join(sorted(absent))}: the log defines no field for it"
+        ledger.loss("LOG-FIELDS", what, where=message, count=count)
 
 
 def heights_are_ellipsoidal(parameters: Table) -> bool:
-    """Whether the autopilot was told to give heights above the ellipsoid."""
+    """Whether the last value of the parameter selects heights above the ellipsoid."""
     if not {"Name", "Value"} <= set(parameters):
         return False
     values = parameters["Value"][parameters["Name"] == HEIGHT_OPTION]
     return bool(values.size) and selects_ellipsoid(float(values[-1]))
 
 
-def _joined(decoded: Decoded, accuracy: Decoded) -> Table:
-    """A table with the fields of another one, row by row of equal instance and time.
+def _join_accuracy(decoded: Decoded, accuracy: Decoded) -> Table:
+    """The table of fixes with the fields of the accuracy of equal instance and time.
 
-    Times repeat where the vehicle was restarted: then places in the file tell what belongs
-    together. An autopilot writes the accuracy behind the fix.
+    Times repeat where the vehicle was restarted: then rows belong together that are near each
+    other in the file. An autopilot writes the accuracy behind the fix.
     """
     table, other = decoded.columns, accuracy.columns
     fields = [field for spec in ACCURACY for field in spec.fields if field in other]
@@ -187,7 +276,7 @@ def _nearest(
     other_key: NDArray[np.int64],
     other_places: NDArray[np.int64],
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Pairs of rows of equal key, none in two: the next one behind a row, else the one before."""
+    """Pairs of rows of equal key, each row in one pair: the next behind a row, or that before."""
     n = key.shape[0]
     order = np.lexsort((np.concatenate([places, other_places]), np.concatenate([key, other_key])))
     is_other = order >= n
@@ -196,9 +285,9 @@ def _nearest(
     others = order[is_other] - n
     rows, pairs, apart = [], [], []
     for shift in (0, -1):
-        found = count[at] + shift
-        inside = (found >= 0) & (found < others.shape[0])
-        row, match = order[at[inside]], others[found[inside]]
+        nearest = count[at] + shift
+        inside = (nearest >= 0) & (nearest < others.shape[0])
+        row, match = order[at[inside]], others[nearest[inside]]
         same = key[row] == other_key[match]
         rows.append(row[same])
         pairs.append(match[same])

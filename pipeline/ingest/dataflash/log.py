@@ -1,8 +1,7 @@
-"""ArduPilot DataFlash logs (.bin): what the registry needs, and the story of reading one."""
+"""ArduPilot DataFlash logs (.bin): the registry's entry of this format, and how one is read."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -12,16 +11,21 @@ import numpy as np
 
 from pipeline.ingest.boot_clock import Timeline, timeline
 from pipeline.ingest.buffers import open_view
-from pipeline.ingest.dataflash.channels import channels_of, wanted
-from pipeline.ingest.dataflash.columns import Decoded, decode, settled
+from pipeline.ingest.dataflash.channels import (
+    LogClock,
+    channels_of,
+    clock_of,
+    stamps,
+    wanted_fields,
+)
 from pipeline.ingest.dataflash.fields import ACCURACY, INSTANCE_FIELDS, instance_of
-from pipeline.ingest.dataflash.records import FMT_START, Walk, Walker, walk
-from pipeline.ingest.dataflash.time import Clock, clock_of, stamps
+from pipeline.ingest.dataflash.records import FMT_START, RecordWalker, find_records
+from pipeline.ingest.dataflash.tables import Decoded, decode, without_objects
 from pipeline.ingest.fields import is_number
 from pipeline.ingest.log import Contents, Table, report_damage
 from pipeline.ledger import Ledger
 
-# Fields that are used as they are logged, before any map of fields asks whether they are numbers.
+# Fields that are used as they are logged, without a field map that checks that they are numbers.
 _NUMBERS = {*INSTANCE_FIELDS, "TimeUS", "GMS", "GWk", "Status", "Value"} | {
     field for column in ACCURACY for field in column.fields
 }
@@ -29,7 +33,7 @@ _NUMBERS = {*INSTANCE_FIELDS, "TimeUS", "GMS", "GWk", "Status", "Value"} | {
 
 @dataclass(frozen=True)
 class DataFlash:
-    """The registry's line of this format."""
+    """The registry's entry of this format."""
 
     name: str = "dataflash"
     title: str = "ArduPilot DataFlash"
@@ -39,15 +43,23 @@ class DataFlash:
         return head.startswith(FMT_START)
 
     def read(self, path: Path, ledger: Ledger) -> Contents:
-        needed = wanted()
+        wanted = wanted_fields()
         with open_view(path) as data:
-            walker = Walker(data, needed)
+            walker = RecordWalker(data, wanted)
             line = timeline(stamps(data, walker))
-            found = walker.found()
-            tables = decode(data, found, needed)
-        _report_damage(found, path, ledger)
-        again = partial(_decoded, path)
-        return contents_of(counts_of(found), found.bad_bytes, line, tables, again, ledger)
+            index = walker.index()
+            tables = decode(data, index, wanted)
+        report_damage(
+            ledger, path.name, unit="record", bad_bytes=index.bad_bytes, first_bad=index.first_bad,
+            cut_bytes=index.cut_bytes,
+        )  # fmt: skip
+        for refused in index.refused:
+            what = f"an FMT record is not valid: {refused}"
+            ledger.loss("LOG-BAD-FORMAT", what, where=path.name, count=1)
+        return contents_of(
+            index.message_counts(), line, tables, ledger, bad_bytes=index.bad_bytes,
+            reread=partial(_decode_all_fields, path),
+        )  # fmt: skip
 
 
 DATAFLASH = DataFlash()
@@ -63,100 +75,80 @@ def read_tables(path: Path, names: Collection[str] | None = None) -> dict[str, T
 
     Returns the columns of each type, bit-equal with what pymavlink's DFReader gives.
     """
-    return {name: one.columns for name, one in _decoded(path, names).items()}
+    return {name: table.columns for name, table in _decode_all_fields(path, names).items()}
 
 
-def _decoded(path: Path, names: Collection[str] | None) -> dict[str, Decoded]:
-    """All fields of some types, or of every type."""
+def _decode_all_fields(path: Path, names: Collection[str] | None) -> dict[str, Decoded]:
     with open_view(path) as data:
-        found = walk(data, names)
-        chosen = counts_of(found) if names is None else names
-        return decode(data, found, dict.fromkeys(chosen, _every_field))
+        index = find_records(data, names)
+        chosen = index.message_counts() if names is None else names
+        return decode(data, index, dict.fromkeys(chosen, lambda _: True))
 
 
 def contents_of(
     counts: Mapping[str, int],
-    bad_bytes: int,
     line: Timeline,
     tables: dict[str, Decoded],
-    again: Callable[[set[str]], dict[str, Decoded]],
     ledger: Ledger,
+    *,
+    bad_bytes: int,
+    reread: Callable[[set[str]], dict[str, Decoded]],
 ) -> Contents:
-    """What a log holds, binary or text.
+    """The contents of a log, binary or text.
 
     Parameters
     ----------
     counts : of the messages of each type.
-    bad_bytes : that belong to no message.
     line : the power-ups.
     tables : the wanted fields of the wanted types; they are used up.
-    again : reads all fields of some types, when they are asked for.
+    bad_bytes : that belong to no message.
+    reread : reads all fields of some types, when they are asked for.
     """
-    timed = timed_only(tables, ledger)
+    timed = timed_tables(tables, ledger)
     clock = clock_of(line, timed, ledger)
+
+    def table(name: str, instance: str | None) -> Table:
+        decoded = reread({name})
+        return stamped(decoded[name], clock, instance) if name in decoded else {}
+
+    lost = 0  # neither records nor lines carry a sequence number
+    channels = channels_of(timed, clock, ledger)
     return Contents(
-        counts,
-        channels_of(timed, clock, ledger),
-        bad_bytes,
-        0,  # neither records nor lines carry a sequence number
-        clock.line.boots,
-        clock.words,
-        partial(_table, again, clock),
-    )
+        counts, channels, bad_bytes, lost, clock.line.boots, clock.description, table
+    )  # fmt: skip
 
 
-def counts_of(found: Walk) -> dict[str, int]:
-    """How many messages of each type there are."""
-    result: Counter[str] = Counter()
-    for form, count in zip(found.definitions, found.counts.tolist(), strict=True):
-        if count:
-            result[form.name] += count
-    return dict(result)
+def timed_tables(tables: dict[str, Decoded], ledger: Ledger) -> dict[str, Decoded]:
+    """The tables with a time since boot, without the rows that lack it.
 
-
-def timed_only(tables: dict[str, Decoded], ledger: Ledger) -> dict[str, Decoded]:
-    """The tables with a time since boot, without the rows that lack it."""
+    Columns are dropped which a damaged definition makes no numbers, or no text, where these are
+    needed.
+    """
     result = {}
     for name in list(tables):
-        table = settled(tables.pop(name), name, ledger)
-        table = _with_numbers(table, name, ledger)
+        table = without_objects(tables.pop(name), name, ledger)
+        count = table.places.size
+        odd = [
+            field
+            for field, column in table.columns.items()
+            if (field in _NUMBERS and not is_number(column))
+            or (field == "Name" and column.ndim != 1)
+        ]
+        if odd:
+            what = f"{', '.join(odd)} of {count} rows hold no numbers, by their definition"
+            ledger.loss("LOG-FIELDS", what, where=name, count=count)
+            columns = {f: column for f, column in table.columns.items() if f not in odd}
+            table = Decoded(columns, table.places)
         time = table.columns.get("TimeUS")
         if time is None or not is_number(time):
-            what = f"{table.places.size} rows have no time: the log defines no field TimeUS"
-            ledger.loss("LOG-FIELDS", what, where=name, count=table.places.size)
+            what = f"{count} rows have no time: the log defines no field TimeUS"
+            ledger.loss("LOG-FIELDS", what, where=name, count=count)
             continue
         result[name] = table.take(np.isfinite(time)) if time.dtype.kind == "f" else table
     return result
 
 
-def _with_numbers(table: Decoded, name: str, ledger: Ledger) -> Decoded:
-    """A table without what a damaged definition makes no number, or no text, where it is needed."""
-    odd = [
-        field
-        for field, column in table.columns.items()
-        if (field in _NUMBERS and not is_number(column)) or (field == "Name" and column.ndim != 1)
-    ]
-    if not odd:
-        return table
-    count = table.places.size
-    what = f"{', '.join(odd)} of {count} rows hold no numbers, by their definition"
-    ledger.loss("LOG-FIELDS", what, where=name, count=count)
-    return Decoded({f: c for f, c in table.columns.items() if f not in odd}, table.places)
-
-
-def _every_field(_: str) -> bool:
-    return True
-
-
-def _table(
-    again: Callable[[set[str]], dict[str, Decoded]], clock: Clock, name: str, instance: str | None
-) -> Table:
-    """The messages of one type, for `Log.message`."""
-    decoded = again({name})
-    return stamped(decoded[name], clock, instance) if name in decoded else {}
-
-
-def stamped(decoded: Decoded, clock: Clock, instance: str | None) -> Table:
+def stamped(decoded: Decoded, clock: LogClock, instance: str | None) -> Table:
     """A table with UTC and boot before its own columns; only an instance, where one is given."""
     table, places = decoded.columns, decoded.places
     if "TimeUS" in table and is_number(table["TimeUS"]):
@@ -166,14 +158,3 @@ def stamped(decoded: Decoded, clock: Clock, instance: str | None) -> Table:
         return table
     rows = instance_of(table).astype(np.str_) == instance
     return {field: column[rows] for field, column in table.items()} if rows.any() else {}
-
-
-def _report_damage(found: Walk, path: Path, ledger: Ledger) -> None:
-    report_damage(
-        ledger, path.name, unit="record", bad_bytes=found.bad_bytes, first_bad=found.first_bad,
-        cut_bytes=found.cut_bytes,
-    )  # fmt: skip
-    for refused in found.refused:
-        ledger.loss(
-            "LOG-BAD-FORMAT", f"an FMT record makes no sense: {refused}", where=path.name, count=1
-        )

@@ -1,14 +1,14 @@
-"""Walking the records of an ArduPilot DataFlash log, and round the damage in it.
+"""Records of an ArduPilot DataFlash log: their definitions, their places, recovery after damage.
 
 A record is 0xA3 0x95, a type byte and a payload whose length the FMT record of that type gave.
-There is no checksum: what proves a record is that the next one begins where it ends. All places
-where a record may begin are found at once in a block of the file; where each ends on the next,
-nothing has to be walked.
+There is no checksum: a record is confirmed when the next one begins where it ends. All places where
+a record may begin are found at once in a block of the file; where each ends on the next, nothing
+has to be walked.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,25 +16,98 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.ingest.buffers import SPAN, FileView, gather
-from pipeline.ingest.dataflash.formats import (
-    FMT_LENGTH,
-    FMT_TYPE,
-    HEADER,
-    Definition,
-    builtin,
-    define,
-)
 
 MAGIC = b"\xa3\x95"
+HEADER = 3
+FMT_TYPE = 128
+FMT_LENGTH = 89
 FMT_START = MAGIC + bytes([FMT_TYPE])
-LINKS = 3  # records in a row that prove a place to go on after damage
+_FMT_PAYLOAD = (
+    bytes([FMT_TYPE, FMT_LENGTH])
+    + b"FMT".ljust(4, b"\0")
+    + b"BBnNZ".ljust(16, b"\0")
+    + b"Type,Length,Name,Format,Columns".ljust(64, b"\0")
+)
+LINKS = 3  # records in a row that confirm a place to continue after damage
 LONGEST = 255  # bytes of a record: its length is one byte
 REACH = 1 << 14  # [bytes] first searched after damage: the next record is seldom farther
-MOST_DEFINITIONS = 1 << 15  # real logs have 16 to 200; the number of one fits two bytes
+MOST_DEFINITIONS = 1 << 15  # real logs have 16 to 200; the number of a definition fits two bytes
 
 
 @dataclass(frozen=True)
-class Part:
+class RecordDefinition:
+    """The definition of a record type by an FMT record: its name, and where its fields are.
+
+    ``divisors`` of the scaled fields by field name: values are integers that are to be divided.
+    ``letters`` by field name: the format letters of ArduPilot's LogStructure.h.
+    """
+
+    type_id: int
+    name: str
+    length: int
+    dtype: np.dtype[Any]
+    divisors: Mapping[str, float]
+    letters: Mapping[str, str]
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        return self.dtype.names or ()
+
+    @property
+    def timed(self) -> bool:
+        """Whether the records begin with their time, as all do since 2014."""
+        fields = self.dtype.fields
+        return (
+            fields is not None
+            and "TimeUS" in fields
+            and fields["TimeUS"][:2] == (np.dtype("<u8"), HEADER)
+        )
+
+
+def define(payload: bytes) -> RecordDefinition | None:
+    """The definition in the payload of an FMT record (86 bytes); None when it is not valid."""
+    from pymavlink.DFReader import FORMAT_TO_STRUCT, DFFormat
+
+    type_id, length = payload[0], payload[1]
+    try:
+        name, codes, columns = (
+            part.split(b"\0", 1)[0].decode("ascii")
+            for part in (payload[2:6], payload[6:22], payload[22:86])
+        )
+    except UnicodeDecodeError:
+        return None
+    if not name.isidentifier() or not set(codes) <= set(FORMAT_TO_STRUCT):
+        return None
+    form = DFFormat(type_id, name, length, codes, columns)
+    fields = tuple(form.columns)
+    kinds: list[np.dtype[Any]] = []
+    for code in codes:  # "64s" -> S64, "h" -> <i2; bytes of files stay bytes
+        letters = FORMAT_TO_STRUCT[code][0]
+        if code == "a":
+            kinds.append(np.dtype(("<i2", (32,))))
+        elif code == "Z" and name == "FILE":
+            kinds.append(np.dtype(("u1", (64,))))
+        else:
+            kinds.append(np.dtype(f"S{letters[:-1]}" if letters.endswith("s") else f"<{letters}"))
+    sizes = [kind.itemsize for kind in kinds]
+    distinct = len(set(fields)) == len(fields) == len(kinds) and all(fields)
+    if not distinct or HEADER + sum(sizes) != length:
+        return None
+    if type_id == FMT_TYPE and length != FMT_LENGTH:
+        return None
+    offsets = [HEADER + sum(sizes[:k]) for k in range(len(sizes))]
+    dtype = np.dtype(
+        {"names": list(fields), "formats": kinds, "offsets": offsets, "itemsize": length}
+    )
+    # 1/0.01 and 1/1e-7 are exactly 100 and 1e7, and division is what the library does.
+    scales = zip(fields, form.msg_mults, strict=True)
+    divisors = {field: 1.0 / scale for field, scale in scales if scale}
+    letters_of = dict(zip(fields, codes, strict=True))
+    return RecordDefinition(type_id, name, length, dtype, divisors, letters_of)
+
+
+@dataclass(frozen=True)
+class RecordBlock:
     """The records that begin in one block of the file: 6 bytes for each.
 
     ``base`` is the block's place, ``at`` (n,) the records' places behind it, rising; ``numbers``
@@ -49,23 +122,18 @@ class Part:
         """A place behind the last record."""
         return self.base + int(self.at[-1]) + LONGEST if self.at.size else self.base
 
-    def only(self, wanted: NDArray[np.bool_]) -> Part:
-        """The records of some definitions; ``wanted`` says for each whether it is."""
-        rows = wanted[self.numbers]
-        return Part(self.base, self.at[rows], self.numbers[rows])
-
 
 @dataclass(frozen=True)
-class Walk:
+class RecordIndex:
     """Where the records are, in the order of the file.
 
-    ``parts`` have the wanted records, ``counts`` (n,) are of all, by definition. ``bad_bytes`` lie
+    ``blocks`` have the wanted records, ``counts`` (n,) are of all, by definition. ``bad_bytes`` lie
     outside all records, the first at ``first_bad``; ``cut_bytes`` are a last record that the end of
-    the file cuts off; ``refused`` FMT records that make no sense.
+    the file cuts off; ``refused`` describes FMT records that are not valid.
     """
 
-    definitions: tuple[Definition, ...]
-    parts: tuple[Part, ...]
+    definitions: tuple[RecordDefinition, ...]
+    blocks: tuple[RecordBlock, ...]
     counts: NDArray[np.int64]
     bad_bytes: int
     first_bad: int
@@ -75,18 +143,26 @@ class Walk:
     @property
     def offsets(self) -> NDArray[np.int64]:
         """The place of every record, (n,): 8 bytes each."""
-        places = [part.at.astype(np.int64) + part.base for part in self.parts]
+        places = [block.at.astype(np.int64) + block.base for block in self.blocks]
         return np.concatenate(places) if places else np.empty(0, np.int64)
 
     @property
     def numbers(self) -> NDArray[np.uint16]:
         """The definition of every record, (n,)."""
-        numbers = [part.numbers for part in self.parts]
+        numbers = [block.numbers for block in self.blocks]
         return np.concatenate(numbers) if numbers else np.empty(0, np.uint16)
+
+    def message_counts(self) -> dict[str, int]:
+        """How many messages of each name there are."""
+        counts: dict[str, int] = {}
+        for form, count in zip(self.definitions, self.counts.tolist(), strict=True):
+            if count:
+                counts[form.name] = counts.get(form.name, 0) + count
+        return counts
 
 
 @dataclass
-class _Block:
+class _Candidates:
     """Where a record may begin in one block: places, type bytes and the lengths of these types.
 
     ``breaks`` are the rows whose record does not end at the place of the next row.
@@ -98,14 +174,14 @@ class _Block:
     breaks: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))
 
     def link(self, length_of: NDArray[np.int64]) -> None:
-        """Set the lengths, and find out what ends where; again when a length has changed."""
+        """Set the lengths and the breaks; again when a length has changed."""
         self.lengths = length_of[self.types]
         links = self.places[:-1] + self.lengths[:-1] == self.places[1:]
         self.breaks = np.append(np.flatnonzero(~links), self.places.shape[0] - 1)
 
 
-class Walker:
-    """One walk: which type has which length now, and what was found.
+class RecordWalker:
+    """One pass over a file: the current definition of each type, and the records so far.
 
     Parameters
     ----------
@@ -114,33 +190,36 @@ class Walker:
     """
 
     def __init__(self, data: FileView, names: Collection[str] | None = None) -> None:
+        fmt = define(_FMT_PAYLOAD)
+        if fmt is None:
+            raise LookupError("pymavlink does not know the format letters of FMT")
         self.data = data
         self.names = names
         self.size = data.size
-        self.definitions = [builtin()]
+        self.definitions = [fmt]
         self.number_of = np.zeros(256, np.uint16)
         self.length_of = np.zeros(256, np.int64)
         self.length_of[FMT_TYPE] = FMT_LENGTH
         self.seen: dict[bytes, int] = {}
         self.refused: list[str] = []
-        self.wanted: list[Part] = []
+        self.wanted: list[RecordBlock] = []
         self.total = np.zeros(1, np.int64)
         self.runs: list[tuple[NDArray[np.int64], NDArray[np.uint16]]] = []
         self.bad_bytes, self.first_bad, self.cut_bytes = 0, -1, 0
 
-    def parts(self) -> Iterator[Part]:
-        """All records, a part at a time, while its bytes are at hand; the wanted ones are kept."""
+    def blocks(self) -> Iterator[RecordBlock]:
+        """All records block by block, while their bytes are in memory; wanted ones are kept."""
         at = 0
         while at + HEADER <= self.size:
             at = self._walk_block(at)
-            yield from self._flush(keep=1)  # damage where a block begins may cost the one before
+            yield from self._flush(keep=1)  # damage where the next block begins may include it
         if at < self.size:
             self._resume(at)
         yield from self._flush(keep=0)
 
-    def found(self) -> Walk:
-        """What was found, when all parts have been seen."""
-        return Walk(
+    def index(self) -> RecordIndex:
+        """The index, after all blocks."""
+        return RecordIndex(
             tuple(self.definitions), tuple(self.wanted), self._totals(), self.bad_bytes,
             self.first_bad, self.cut_bytes, tuple(self.refused),
         )  # fmt: skip
@@ -149,16 +228,13 @@ class Walker:
         missing = len(self.definitions) - self.total.shape[0]
         return np.append(self.total, np.zeros(missing, np.int64)) if missing else self.total
 
-    def _enter_part(self, part: Part) -> None:
-        self.total = self._totals() + np.bincount(part.numbers, minlength=len(self.definitions))
-        if self.names is not None:
-            names = self.names
-            part = part.only(np.array([form.name in names for form in self.definitions], np.bool_))
-        self.wanted.append(part)
-
     def _walk_block(self, at: int) -> int:
-        """Past the records that begin in the block at a place: where the next one should be."""
-        block, end = self._block(at)
+        """Walk the records that begin in the block at a place; returns where the next begins."""
+        begin, end = at, min(at + SPAN, self.size - HEADER + 1)
+        raw = self.data.array(begin, end + HEADER - 1)
+        rows = np.flatnonzero((raw[:-2] == MAGIC[0]) & (raw[1:-1] == MAGIC[1]))
+        block = _Candidates(rows + begin, raw[rows + 2])
+        block.link(self.length_of)
         while at < end:
             row = int(np.searchsorted(block.places, at))
             if row == block.places.shape[0] or block.places[row] != at:
@@ -166,7 +242,7 @@ class Walker:
                 continue
             stop = int(block.breaks[np.searchsorted(block.breaks, row)]) + 1
             if not 0 < block.lengths[stop - 1] <= self.size - block.places[stop - 1]:
-                stop -= 1  # of unknown type, or past the end of the file
+                stop -= 1  # its type is unknown, or the file ends in it
             if stop == row:
                 at = self._resume(at)
                 continue
@@ -176,22 +252,14 @@ class Walker:
                 block.link(self.length_of)
         return at
 
-    def _block(self, begin: int) -> tuple[_Block, int]:
-        end = min(begin + SPAN, self.size - HEADER + 1)
-        raw = self.data.array(begin, end + HEADER - 1)
-        rows = np.flatnonzero((raw[:-2] == MAGIC[0]) & (raw[1:-1] == MAGIC[1]))
-        block = _Block(rows + begin, raw[rows + 2])
-        block.link(self.length_of)
-        return block, end
-
-    def _keep(self, block: _Block, row: int, stop: int) -> int:
-        """Enter a run of records; it ends early where an FMT record changes what follows."""
+    def _keep(self, block: _Candidates, row: int, stop: int) -> int:
+        """Keep a run of records; it ends early where an FMT record redefines the following ones."""
         definitions = row + np.flatnonzero(block.types[row:stop] == FMT_TYPE)
         for place in definitions.tolist():
             number = self._read_definition(int(block.places[place]))
             if number is None:
                 continue
-            self._enter(block, row, place + 1)  # as they were defined until now
+            self._enter(block, row, place + 1)  # by the definitions before this one
             row = place + 1
             self.number_of[self.definitions[number].type_id] = number
             self.length_of[self.definitions[number].type_id] = self.definitions[number].length
@@ -200,13 +268,13 @@ class Walker:
         self._enter(block, row, stop)
         return stop
 
-    def _enter(self, block: _Block, row: int, stop: int) -> None:
+    def _enter(self, block: _Candidates, row: int, stop: int) -> None:
         if row < stop:
             numbers = self.number_of[block.types[row:stop]]
             self.runs.append((block.places[row:stop], numbers))
 
     def _read_definition(self, at: int) -> int | None:
-        """The number of what an FMT record defines, or None when it says nothing new."""
+        """The number of a definition, or None when it is the current one or not valid."""
         payload = self.data[at + HEADER : at + FMT_LENGTH]
         number = self.seen.get(payload)
         if number is None:
@@ -219,42 +287,49 @@ class Walker:
         known = self.number_of[self.definitions[number].type_id] == number
         return None if known else number
 
-    def _flush(self, keep: int) -> Iterator[Part]:
-        """Pack the runs into a part; the last record may stay, to be taken back."""
+    def _flush(self, keep: int) -> Iterator[RecordBlock]:
+        """Pack the runs into blocks; the last record may be kept back, as damage may include it."""
         if not self.runs:
             return
         places = np.concatenate([run for run, _ in self.runs])
         numbers = np.concatenate([numbers for _, numbers in self.runs])
         self.runs = [(places[-keep:].copy(), numbers[-keep:].copy())] if keep else []
         places, numbers = places[: places.shape[0] - keep], numbers[: numbers.shape[0] - keep]
-        holes = np.flatnonzero(np.diff(places) > SPAN) + 1  # a part is read in one piece
-        for some, which in zip(np.split(places, holes), np.split(numbers, holes), strict=True):
-            if some.size:
-                base = int(some[0])
-                part = Part(base, (some - base).astype(np.uint32), which)
-                yield part
-                self._enter_part(part)
+        holes = np.flatnonzero(np.diff(places) > SPAN) + 1  # a block is read in one piece
+        for at, which in zip(np.split(places, holes), np.split(numbers, holes), strict=True):
+            if not at.size:
+                continue
+            block = RecordBlock(int(at[0]), (at - at[0]).astype(np.uint32), which)
+            yield block
+            self.total = self._totals() + np.bincount(which, minlength=len(self.definitions))
+            if self.names is not None:
+                wanted = [form.name in self.names for form in self.definitions]
+                rows = np.array(wanted, np.bool_)[which]
+                block = RecordBlock(block.base, block.at[rows], which[rows])
+            self.wanted.append(block)
 
     def _resume(self, at: int) -> int:
-        """Past the damage at a byte where no record begins: where to go on."""
-        begin = self._suspect(at)
-        found = self._next(begin + 1)
-        if found == self.size and self._is_cut(at):
-            self.cut_bytes = self.size - at
+        """Skip the damage at a byte where no record begins; returns where records continue."""
+        begin = self._begin_of_damage(at)
+        resumed = self._next_chain(begin + 1)
+        header = self.data[at : at + HEADER]
+        cut = len(header) < HEADER or self._length(header[2:]) > self.size - at
+        if resumed == self.size and cut and MAGIC.startswith(header[:2]):
+            self.cut_bytes = self.size - at  # the file ends in a record that begins here
             return self.size
         if begin < at:  # the record before is part of the damage
             places, numbers = self.runs.pop()
             if places.shape[0] > 1:
                 self.runs.append((places[:-1], numbers[:-1]))
-        self.bad_bytes += found - begin
+        self.bad_bytes += resumed - begin
         self.first_bad = begin if self.first_bad < 0 else self.first_bad
-        return found
+        return resumed
 
-    def _suspect(self, at: int) -> int:
-        """Where the damage found at a byte begins: there, or at the record before.
+    def _begin_of_damage(self, at: int) -> int:
+        """Where the damage at a byte begins: there, or at the record before.
 
-        A record whose type byte was flipped ends in the wrong place. It is given up when records
-        follow from inside it, or when nothing at its end looks like a header.
+        A record whose type byte was flipped ends in the wrong place. It is damaged when records
+        follow from inside it, or when the bytes at its end do not resemble a header.
         """
         if not self.runs:
             return at
@@ -269,7 +344,7 @@ class Walker:
         header = self.data[at : at + 2]
         return at if not header or header[:1] == MAGIC[:1] or header[1:] == MAGIC[1:] else before
 
-    def _next(self, at: int) -> int:
+    def _next_chain(self, at: int) -> int:
         """The next byte from which a chain of records runs, or the end of the file.
 
         The search widens as it goes: where all records of a type are damaged, it costs what lies
@@ -290,6 +365,7 @@ class Walker:
         return int(self.length_of[type_byte[0]]) if type_byte else 0
 
     def _chain(self, at: int) -> bool:
+        """Whether `LINKS` records follow each other from a byte, or as many as the file has."""
         for link in range(LINKS):
             header = self.data[at : at + HEADER]
             if not MAGIC.startswith(header[:2]):
@@ -304,15 +380,8 @@ class Walker:
                 return at == self.size or link > 0  # the last record may be cut
         return True
 
-    def _is_cut(self, at: int) -> bool:
-        """Whether the file ends inside a record that begins here."""
-        header = self.data[at : at + HEADER]
-        if not MAGIC.startswith(header[:2]):
-            return False
-        return len(header) < HEADER or self._length(header[2:]) > self.size - at
 
-
-def walk(data: FileView, names: Collection[str] | None = None) -> Walk:
+def find_records(data: FileView, names: Collection[str] | None = None) -> RecordIndex:
     """Find every whole record of a DataFlash log.
 
     Parameters
@@ -320,40 +389,40 @@ def walk(data: FileView, names: Collection[str] | None = None) -> Walk:
     data : the file.
     names : the message types whose places are wanted; all where it is None.
 
-    Returns where the records are and what lies between them. A flipped type byte costs that one
-    record; after any damage the walk goes on where a chain of three records begins.
+    Returns where the records are, and the damage between them. A flipped type byte costs that one
+    record; after any damage reading continues where a chain of three records begins.
     """
-    walker = Walker(data, names)
-    for _ in walker.parts():
+    walker = RecordWalker(data, names)
+    for _ in walker.blocks():
         pass
-    return walker.found()
+    return walker.index()
 
 
-def records(
-    data: FileView, walk: Walk, wanted: NDArray[np.bool_]
+def read_records(
+    data: FileView, index: RecordIndex, wanted: NDArray[np.bool_]
 ) -> Iterator[tuple[int, NDArray[Any], NDArray[np.int64]]]:
     """The records of some definitions, a block of the file at a time.
 
     Parameters
     ----------
-    wanted : for each definition, whether it is.
+    wanted : for each definition, whether its records are wanted.
 
     Yields the number of a definition, its records in a block as a structured array, and their
     places in the file; those of one definition come in the order of the file.
     """
-    for part in walk.parts:
-        rows = np.flatnonzero(wanted[part.numbers])
+    for block in index.blocks:
+        rows = np.flatnonzero(wanted[block.numbers])
         if rows.size == 0:
             continue
-        numbers = part.numbers[rows]
+        numbers = block.numbers[rows]
         order = rows[np.argsort(numbers, kind="stable")]
         counts = np.bincount(numbers, minlength=wanted.shape[0])
-        raw = data.array(part.base, part.end())
+        raw = data.array(block.base, block.end())
         begin = 0
         for number in np.flatnonzero(counts).tolist():
-            at = part.at[order[begin : begin + counts[number]]]
+            at = block.at[order[begin : begin + counts[number]]]
             begin += int(counts[number])
-            form = walk.definitions[number]
+            form = index.definitions[number]
             # Every place of the block seen as a record: the wanted ones are then one copy each.
-            rows = gather(raw, at, form.length).view(form.dtype)
-            yield number, rows, at.astype(np.int64) + part.base
+            rows_of_type = gather(raw, at, form.length).view(form.dtype)
+            yield number, rows_of_type, at.astype(np.int64) + block.base

@@ -10,7 +10,6 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.ingest.boot_clock import Stamps, microseconds, timeline
-from pipeline.ingest.dataflash.channels import wanted
-from pipeline.ingest.dataflash.columns import Decoded, merged
+from pipeline.ingest.dataflash.channels import wanted_fields
 from pipeline.ingest.dataflash.log import contents_of
+from pipeline.ingest.dataflash.tables import Decoded, merge_tables
 from pipeline.ingest.log import Contents, report_damage
 from pipeline.ledger import Ledger
 
@@ -33,7 +32,7 @@ _TEXT = "nNZaM"  # arrays and flight modes are words in these logs
 
 @dataclass(frozen=True)
 class DataFlashText:
-    """The registry's line of this format."""
+    """The registry's entry of this format."""
 
     name: str = "dataflash-text"
     title: str = "ArduPilot DataFlash as text"
@@ -43,34 +42,64 @@ class DataFlashText:
         return _FIRST.search(head[:LONGEST]) is not None
 
     def read(self, path: Path, ledger: Ledger) -> Contents:
-        found = _Lines()
-        tables = found.read(path, set(wanted()))
+        reader = _LineReader()
+        tables = reader.read(path, set(wanted_fields()))
         report_damage(
-            ledger, path.name, unit="line", bad_bytes=found.bad_bytes, first_bad=found.first_bad,
-            cut_bytes=found.cut_bytes,
+            ledger, path.name, unit="line", bad_bytes=reader.bad_bytes, first_bad=reader.first_bad,
+            cut_bytes=reader.cut_bytes,
         )  # fmt: skip
-        line, again = timeline(_stamps(found)), partial(_decoded, path)
-        return contents_of(dict(found.counts), found.bad_bytes, line, tables, again, ledger)
+        return contents_of(
+            dict(reader.counts), timeline(reader.stamps()), tables, ledger,
+            bad_bytes=reader.bad_bytes, reread=lambda names: _LineReader().read(path, names),
+        )  # fmt: skip
 
 
 DATAFLASH_TEXT = DataFlashText()
 
 
 @dataclass(frozen=True)
-class _Format:
-    """What a FMT line said: the letters and the names of the fields."""
+class _LineFormat:
+    """The definition of a message by an FMT line: the letters and the names of its fields."""
 
     letters: str
     fields: tuple[str, ...]
 
+    def accepts(self, values: list[str]) -> bool:
+        """Whether there is a value for each field, and a number for each letter of numbers."""
+        if len(values) != len(self.fields):
+            return False
+        try:
+            for letter, value in zip(self.letters, values, strict=True):
+                if letter in _DECIMAL:
+                    float(value)
+                elif letter not in _TEXT and not -(1 << 63) <= int(value) < 1 << 64:
+                    return False
+        except ValueError:
+            return False
+        return True
+
+    def table(self, rows: list[tuple[int, list[str]]]) -> Decoded:
+        """Places and values of lines as columns."""
+        columns: dict[str, NDArray[Any]] = {}
+        by_field = zip(*(values for _, values in rows), strict=True)
+        for name, letter, values in zip(self.fields, self.letters, by_field, strict=True):
+            if letter in _TEXT:
+                columns[name] = np.array(values, np.str_)
+            elif letter in _DECIMAL:
+                columns[name] = np.array([float(value) for value in values])
+            else:
+                whole = [int(value) for value in values]
+                columns[name] = np.array(whole, np.uint64 if min(whole) >= 0 else np.int64)
+        return Decoded(columns, np.array([place for place, _ in rows], np.int64))
+
 
 @dataclass
-class _Lines:
-    """One reading of a file: what its lines define, how many there are, and which make no sense."""
+class _LineReader:
+    """One pass over a file: the current definitions, counts of messages, and damage."""
 
-    formats: dict[str, _Format] = field(
+    formats: dict[str, _LineFormat] = field(
         default_factory=lambda: {
-            "FMT": _Format("BBnNZ", ("Type", "Length", "Name", "Format", "Columns"))
+            "FMT": _LineFormat("BBnNZ", ("Type", "Length", "Name", "Format", "Columns"))
         }
     )
     counts: Counter[str] = field(default_factory=Counter)
@@ -81,112 +110,62 @@ class _Lines:
 
     def read(self, path: Path, wanted: set[str]) -> dict[str, Decoded]:
         """The wanted messages as tables; everything is counted."""
-        rows: dict[tuple[str, _Format], list[tuple[int, list[str]]]] = {}
+        rows: dict[tuple[str, _LineFormat], list[tuple[int, list[str]]]] = {}
         tables: dict[str, list[Decoded]] = {}
-        for place, raw in _lines(path):
-            if not raw.endswith(b"\n") and len(raw) < LONGEST:  # the last one, maybe in a number
-                self.cut_bytes = len(raw)
-                break
-            name, values = self._parsed(raw)
-            if not name:
-                self._count_bad(place, raw)
-                continue
-            form = self.formats[name]
-            self.counts[name] += 1
-            if form.fields[0] == "TimeUS" and form.letters[0] == "Q":
-                self.times.append((place, int(values[0])))
-            if name in wanted:
-                some = rows.setdefault((name, form), [])
-                some.append((place, values))
-                if len(some) == ROWS:
-                    tables.setdefault(name, []).append(_table_of(form, some))
-                    some.clear()
-        for (name, form), some in rows.items():
-            if some:
-                tables.setdefault(name, []).append(_table_of(form, some))
-        return {name: merged(several) for name, several in tables.items()}
+        begin = 0
+        with path.open("rb") as stream:
+            while raw := stream.readline(LONGEST):  # a longer line comes in pieces
+                place, begin = begin, begin + len(raw)
+                if not raw.endswith(b"\n") and len(raw) < LONGEST:  # the last, maybe in a number
+                    self.cut_bytes = len(raw)
+                    break
+                name, values = self._parse(raw)
+                if not name:
+                    if raw.strip():
+                        self.bad_bytes += len(raw)
+                        self.first_bad = place if self.first_bad < 0 else self.first_bad
+                    continue
+                form = self.formats[name]
+                self.counts[name] += 1
+                if form.fields[0] == "TimeUS" and form.letters[0] == "Q":
+                    self.times.append((place, int(values[0])))
+                if name in wanted:
+                    pending = rows.setdefault((name, form), [])
+                    pending.append((place, values))
+                    if len(pending) == ROWS:
+                        tables.setdefault(name, []).append(form.table(pending))
+                        pending.clear()
+        for (name, form), pending in rows.items():
+            if pending:
+                tables.setdefault(name, []).append(form.table(pending))
+        return {name: merge_tables(several) for name, several in tables.items()}
 
-    def _count_bad(self, place: int, raw: bytes) -> None:
-        if raw.strip():
-            self.bad_bytes += len(raw)
-            self.first_bad = place if self.first_bad < 0 else self.first_bad
-
-    def _parsed(self, raw: bytes) -> tuple[str, list[str]]:
-        """The message of a line and its values; no name when the line makes no sense."""
+    def _parse(self, raw: bytes) -> tuple[str, list[str]]:
+        """The message of a line and its values; no name when the line is not valid."""
         text = raw.decode("utf-8", "replace").rstrip("\r\n")
         name, _, rest = text.partition(",")
         form = self.formats.get(name)
         if form is None:
             return "", []
         values = [value.strip() for value in rest.split(",", len(form.fields) - 1)]
-        if len(values) != len(form.fields) or not _sound(form.letters, values):
+        if not form.accepts(values):
             return "", []
-        if name == "FMT" and not self._defined(values):
-            return "", []
+        if name == "FMT":
+            _, _, defined, letters, columns = values
+            fields = tuple(part.strip() for part in columns.split(","))
+            if columns == "Type,Length,Name,Format":  # old logs forget the last one
+                fields += ("Columns",)
+            distinct = len(set(fields)) == len(fields) == len(letters) and all(fields)
+            if not defined.isidentifier() or not distinct:
+                return "", []
+            if defined == "FMT" and len(fields) != 5:
+                return "", []
+            self.formats[defined] = _LineFormat(letters, fields)
         return name, values
 
-    def _defined(self, values: list[str]) -> bool:
-        _, _, name, letters, columns = values
-        fields = tuple(part.strip() for part in columns.split(","))
-        if columns == "Type,Length,Name,Format":  # old logs forget the last one
-            fields += ("Columns",)
-        if not name.isidentifier() or len(set(fields)) != len(fields) or not all(fields):
-            return False
-        if len(letters) != len(fields) or (name == "FMT" and len(fields) != 5):
-            return False
-        self.formats[name] = _Format(letters, fields)
-        return True
-
-
-def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
-    """The lines of a file with their places; an endless one comes in pieces."""
-    place = 0
-    with path.open("rb") as stream:
-        while raw := stream.readline(LONGEST):
-            yield place, raw
-            place += len(raw)
-
-
-def _sound(letters: str, values: list[str]) -> bool:
-    try:
-        for letter, value in zip(letters, values, strict=True):
-            if letter in _DECIMAL:
-                float(value)
-            elif letter not in _TEXT and not -(1 << 63) <= int(value) < 1 << 64:
-                return False
-    except ValueError:
-        return False
-    return True
-
-
-def _table_of(form: _Format, rows: list[tuple[int, list[str]]]) -> Decoded:
-    places = np.array([place for place, _ in rows], np.int64)
-    columns = zip(*(values for _, values in rows), strict=True)
-    return Decoded(
-        {
-            name: _column(letter, column)
-            for name, letter, column in zip(form.fields, form.letters, columns, strict=True)
-        },
-        places,
-    )
-
-
-def _column(letter: str, values: tuple[str, ...]) -> NDArray[Any]:
-    if letter in _TEXT:
-        return np.array(values, np.str_)
-    if letter in _DECIMAL:
-        return np.array([float(value) for value in values])
-    whole = [int(value) for value in values]
-    return np.array(whole, np.uint64 if min(whole) >= 0 else np.int64)
-
-
-def _stamps(found: _Lines) -> Iterator[Stamps]:
-    if found.times:
-        places, times = zip(*found.times, strict=True)
-        raw = np.array([max(time, 0) for time in times], np.uint64)
-        yield np.array(places, np.int64), microseconds(raw) * 1000
-
-
-def _decoded(path: Path, names: set[str]) -> dict[str, Decoded]:
-    """All fields of some types."""
-    return _Lines().read(path, names)
+    def stamps(self) -> Iterator[Stamps]:
+        """The times of all lines that begin with one, as a single block."""
+        if self.times:
+            places, times = zip(*self.times, strict=True)
+            raw = np.array([max(time, 0) for time in times], np.uint64)
+            yield np.array(places, np.int64), microseconds(raw) * 1000

@@ -16,7 +16,7 @@ from pipeline.flight.clock import full_weeks, utc_of_gps
 from pipeline.ingest import Log, open_log
 from pipeline.ingest.buffers import view_of_bytes
 from pipeline.ingest.dataflash.log import read_tables
-from pipeline.ingest.dataflash.records import walk
+from pipeline.ingest.dataflash.records import find_records
 
 ROOT = Path(__file__).resolve().parents[3]
 SAMPLE = ROOT / "sample_logs" / "flight.bin"
@@ -129,7 +129,7 @@ def test_one_flipped_type_byte_in_the_middle_costs_one_message(
 ) -> None:
     """pymavlink's index loses more than half of the GPS rows of this log."""
     data = bytearray(real_log("beastayyg_sample.bin").read_bytes())
-    whole = walk(view_of_bytes(bytes(data)))
+    whole = find_records(view_of_bytes(bytes(data)))
     places = whole.offsets
     middle = int(places[np.searchsorted(places, len(data) // 2)])
     path = tmp_path / "flight.bin"
@@ -154,15 +154,15 @@ def test_the_walk_does_not_depend_on_where_blocks_end(monkeypatch: pytest.Monkey
     data = bytearray(SAMPLE.read_bytes()[:60_000])
     for at in range(5_000, 55_000, 1_700):  # damage of several kinds, all over
         data[at : at + 1 + at % 97] = bytes(1 + at % 97)
-    expected = walk(view_of_bytes(bytes(data)))
+    expected = find_records(view_of_bytes(bytes(data)))
     for span in (97, 512, 4_001, 30_000):
         monkeypatch.setattr(dataflash_records, "SPAN", span)
         monkeypatch.setattr(window, "SPAN", span)
-        found = walk(view_of_bytes(bytes(data)))
+        found = find_records(view_of_bytes(bytes(data)))
         np.testing.assert_array_equal(found.offsets, expected.offsets, f"{span}")
         np.testing.assert_array_equal(found.numbers, expected.numbers)
         assert (found.bad_bytes, found.first_bad) == (expected.bad_bytes, expected.first_bad)
-    assert len(expected.parts) < len(found.parts)
+    assert len(expected.blocks) < len(found.blocks)
 
 
 def test_messages_as_columns_and_as_a_frame(opened: Callable, writer: Any) -> None:

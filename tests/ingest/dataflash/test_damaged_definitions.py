@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.ingest import Log, open_log
 from pipeline.ingest.buffers import FileView, view_of_bytes
-from pipeline.ingest.dataflash.records import walk
+from pipeline.ingest.dataflash.records import find_records
 
 BARO, HYGR, GPS, POS = 23, 24, 20, 25
 ROWS = 400
@@ -72,7 +72,7 @@ def test_a_flipped_bit_of_an_instance_is_no_sensor(
     tmp_path: Path, dataflash_writer: Callable
 ) -> None:
     data = bytearray(written(dataflash_writer).data)
-    found = walk(view_of_bytes(bytes(data)))
+    found = find_records(view_of_bytes(bytes(data)))
     number = next(n for n, form in enumerate(found.definitions) if form.name == "HYGR")
     data[int(found.offsets[found.numbers == number][200]) + 3 + 8] ^= 32
     log = opened(tmp_path, bytes(data))
@@ -184,6 +184,6 @@ def test_all_records_of_a_type_in_doubt_cost_what_lies_between_them(
 
     monkeypatch.setattr(FileView, "array", counted)
     monkeypatch.setattr("pipeline.ingest.dataflash.records.REACH", 8)
-    found = walk(view_of_bytes(bytes(data)))
+    found = find_records(view_of_bytes(bytes(data)))
     assert found.bad_bytes >= 18 * ROWS
     assert sum(read) < 10 * len(data)

@@ -15,15 +15,14 @@ from pipeline.flight.clock import utc_of_gps
 from pipeline.flight.roles import assign_roles
 from pipeline.ingest import Log, open_log
 from pipeline.ingest.buffers import view_of_bytes
-from pipeline.ingest.dataflash.records import Walk
-from pipeline.ingest.dataflash.records import walk as walk_window
+from pipeline.ingest.dataflash.records import RecordIndex, find_records
 from pipeline.ledger import Ledger
 
 DEGREE = np.pi / 180.0
 
 
-def walk(data: bytes) -> Walk:
-    return walk_window(view_of_bytes(data))
+def walk(data: bytes) -> RecordIndex:
+    return find_records(view_of_bytes(data))
 
 
 def library_rows(path: Path, message: str) -> list:

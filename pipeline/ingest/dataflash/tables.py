@@ -1,4 +1,4 @@
-"""Records of a DataFlash log -> columns, one message type a table, as pymavlink would name them."""
+"""Records of a DataFlash log -> one table a message type, with the columns that pymavlink gives."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.ingest.buffers import FileView, allocate
 from pipeline.ingest.dataflash.fields import INSTANCE_FIELDS
-from pipeline.ingest.dataflash.formats import Definition, texts
-from pipeline.ingest.dataflash.records import Walk, records
+from pipeline.ingest.dataflash.records import RecordDefinition, RecordIndex, read_records
 from pipeline.ingest.log import Table
 from pipeline.ledger import Ledger
 
@@ -37,7 +36,7 @@ class Decoded:
 
 
 def decode(
-    data: FileView, found: Walk, wanted: Mapping[str, Callable[[str], bool]]
+    data: FileView, index: RecordIndex, wanted: Mapping[str, Callable[[str], bool]]
 ) -> dict[str, Decoded]:
     """The columns of some message types, in one pass over the file.
 
@@ -47,27 +46,27 @@ def decode(
 
     Returns those that the log has. Memory: the columns, and a block of the file. Types of
     one name that differ in their fields are one table; what a row does not have is NaN or empty.
-    A field that was text and number is a column of objects (`settled`).
+    A field that was text and number is a column of objects (`without_objects`).
     """
-    counts = found.counts
+    counts = index.counts
     tables = {
-        number: _Filling(form, int(counts[number]), wanted[form.name])
-        for number, form in enumerate(found.definitions)
+        number: _TableBuilder(form, int(counts[number]), wanted[form.name])
+        for number, form in enumerate(index.definitions)
         if form.name in wanted and counts[number]
     }
-    mask = np.array([number in tables for number in range(len(found.definitions))], np.bool_)
-    for number, rows, places in records(data, found, mask):
+    mask = np.array([number in tables for number in range(len(index.definitions))], np.bool_)
+    for number, rows, places in read_records(data, index, mask):
         tables[number].add(rows, places)
     by_name: dict[str, list[Decoded]] = {}
     for number in sorted(tables):
-        by_name.setdefault(found.definitions[number].name, []).append(tables.pop(number).done())
-    return {name: merged(several) for name, several in by_name.items()}
+        by_name.setdefault(index.definitions[number].name, []).append(tables.pop(number).table())
+    return {name: merge_tables(several) for name, several in by_name.items()}
 
 
-class _Filling:
+class _TableBuilder:
     """Columns of a known length that are filled a block at a time."""
 
-    def __init__(self, form: Definition, count: int, wanted: Callable[[str], bool]) -> None:
+    def __init__(self, form: RecordDefinition, count: int, wanted: Callable[[str], bool]) -> None:
         self.form = form
         self.filled = 0
         self.places = allocate(count, np.int64)
@@ -88,7 +87,7 @@ class _Filling:
         self.places[begin:end] = places
         self.filled = end
 
-    def done(self) -> Decoded:
+    def table(self) -> Decoded:
         columns = {
             name: texts(column) if column.dtype.kind == "S" else column
             for name, column in self.columns.items()
@@ -96,24 +95,43 @@ class _Filling:
         return Decoded(columns, self.places)
 
 
-def merged(several: list[Decoded]) -> Decoded:
+def texts(raw: NDArray[np.bytes_]) -> NDArray[np.str_]:
+    """Character fields as text, cut at the first NUL.
+
+    UTF-8, or Latin-1 where a field is not valid UTF-8, which is what pymavlink does.
+
+    >>> texts(np.array([b"GPS", b"30\\xb0", b"a\\0b"]))
+    array(['GPS', '30°', 'a'], dtype='<U3')
+    """
+    different, places = np.unique(raw, return_inverse=True)
+    words = []
+    for value in different.tolist():
+        try:
+            word = value.decode("utf-8")
+        except UnicodeDecodeError:
+            word = value.decode("latin-1")
+        words.append(word.split("\0", 1)[0])
+    return np.array(words, np.str_)[places] if words else np.empty(0, "U1")
+
+
+def merge_tables(several: list[Decoded]) -> Decoded:
     """Tables of one message whose definition changed in the file, in the order of the file."""
     if len(several) == 1:
         return several[0]
-    places = np.concatenate([one.places for one in several])
+    places = np.concatenate([table.places for table in several])
     order = np.argsort(places, kind="stable")
-    names = dict.fromkeys(name for one in several for name in one.columns)
-    return Decoded({name: _joined(name, several)[order] for name in names}, places[order])
+    names = dict.fromkeys(name for table in several for name in table.columns)
+    return Decoded({name: _merge_column(name, several)[order] for name in names}, places[order])
 
 
-def _joined(name: str, several: list[Decoded]) -> NDArray[Any]:
+def _merge_column(name: str, several: list[Decoded]) -> NDArray[Any]:
     """One column through all definitions, every value as it is logged.
 
     Missing are NaN, in text the empty string, and -1 in numbers of instances, which tell rows
     apart. Where no type of numpy holds all values, text beside numbers or integers beyond 2^53
     beside others, they are objects, and None is missing.
     """
-    columns = [one.columns.get(name) for one in several]
+    columns = [table.columns.get(name) for table in several]
     present = [column for column in columns if column is not None]
     kinds = {column.dtype.kind for column in present}
     if len({column.shape[1:] for column in present}) > 1 or (kinds != {"U"} and "U" in kinds):
@@ -123,41 +141,39 @@ def _joined(name: str, several: list[Decoded]) -> NDArray[Any]:
         missing = "" if kinds == {"U"} else -1 if whole else np.nan
         shape = present[0].shape[1:]
         filled = [
-            np.full((one.places.size, *shape), missing) if column is None else column
-            for column, one in zip(columns, several, strict=True)
+            np.full((table.places.size, *shape), missing) if column is None else column
+            for column, table in zip(columns, several, strict=True)
         ]
     else:
         filled = present
     joined = np.concatenate(filled)
-    if joined.dtype.kind != "f" or all(map(_exact, filled)):
+    if joined.dtype.kind != "f" or all(
+        column.dtype.kind == "f" or column.dtype.itemsize < 8 or not _exceeds(column, 1 << 53)
+        for column in filled
+    ):  # float64 holds all values
         return joined
-    if all(column.dtype.kind in "iu" and not _beyond(column, LAST_INT64) for column in filled):
+    if all(column.dtype.kind in "iu" and not _exceeds(column, LAST_INT64) for column in filled):
         return np.concatenate([column.astype(np.int64) for column in filled])
     return _objects(columns, several)
 
 
-def _exact(column: NDArray[Any]) -> bool:
-    """Whether float64 holds all values."""
-    return column.dtype.kind == "f" or column.dtype.itemsize < 8 or not _beyond(column, 1 << 53)
-
-
-def _beyond(column: NDArray[Any], limit: int) -> bool:
+def _exceeds(column: NDArray[Any], limit: int) -> bool:
     return bool(column.size) and (int(column.max()) > limit or int(column.min()) < -limit)
 
 
 def _objects(columns: list[NDArray[Any] | None], several: list[Decoded]) -> NDArray[Any]:
-    result = np.empty(sum(one.places.size for one in several), object)
+    result = np.empty(sum(table.places.size for table in several), object)
     row = 0
-    for column, one in zip(columns, several, strict=True):
+    for column, table in zip(columns, several, strict=True):
         for value in () if column is None else column.tolist():
             result[row] = value
             row += 1
-        row += one.places.size if column is None else 0
+        row += table.places.size if column is None else 0
     return result
 
 
-def settled(decoded: Decoded, name: str, ledger: Ledger) -> Decoded:
-    """A table without objects: the last value of a column says whether it is text or numbers."""
+def without_objects(decoded: Decoded, name: str, ledger: Ledger) -> Decoded:
+    """A table without objects: the last value of a column decides between text and numbers."""
     columns = dict(decoded.columns)
     for field, column in decoded.columns.items():
         if column.dtype.kind != "O":
@@ -175,7 +191,7 @@ def settled(decoded: Decoded, name: str, ledger: Ledger) -> Decoded:
             ledger.loss(
                 "LOG-REDEFINED",
                 f"{lost} of {len(known)} values of {field} are of another kind, text or numbers, "
-                "than the last definition in the log says: no channel has them, the table has",
+                "than in the last definition of the log: they are in its table, in no channel",
                 where=name,
                 count=lost,
             )
