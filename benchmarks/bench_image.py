@@ -20,9 +20,10 @@ def undistort(x: Any, y: Any) -> tuple[Any, Any]:
     """Ideal image coordinates by fixed point."""
     u_d, v_d = (x - CAMERA.cx_px) / CAMERA.fx_px, (y - CAMERA.cy_px) / CAMERA.fy_px
     u, v = u_d, v_d
+    k1, k2, k3, _, _ = CAMERA.distortion
     for _ in range(8):
         r2 = u * u + v * v
-        radial = 1.0 + r2 * (CAMERA.k1 + r2 * (CAMERA.k2 + r2 * CAMERA.k3))
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
         u, v = u_d / radial, v_d / radial
     return u, v
 
@@ -51,6 +52,7 @@ def correct_by_numpy(n_of: Any, x: Any, y: Any, h_g: Any, e: Any, ex: Any) -> tu
     """The same steps, column by column, in blocks that fit the cache."""
     u, v = undistort(x, y)
     d = np.stack([u, v, np.ones_like(u)]) / np.sqrt(u * u + v * v + 1.0)
+    k1, k2, k3, _, _ = CAMERA.distortion
     excess = ((ex.refractivity_cabin - ex.refractivity_outside) / (1 + ex.refractivity_outside))[e]
     outside = d * (1.0 + excess)
     outside[2] = np.sqrt(1.0 - outside[0] ** 2 - outside[1] ** 2)
@@ -65,7 +67,7 @@ def correct_by_numpy(n_of: Any, x: Any, y: Any, h_g: Any, e: Any, ex: Any) -> tu
     seen = outside + np.einsum("nij,jn->in", turn, lower)
     u, v = seen[0] / seen[2], seen[1] / seen[2]
     r2 = u * u + v * v
-    radial = 1.0 + r2 * (CAMERA.k1 + r2 * (CAMERA.k2 + r2 * CAMERA.k3))
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     return CAMERA.fx_px * u * radial + CAMERA.cx_px, CAMERA.fy_px * v * radial + CAMERA.cy_px
 
 
@@ -86,13 +88,13 @@ def test_image_points_beside_numpy(pair):
     grid = np.linspace(0.0, 6100.0, 400)
     fitted = np.polynomial.Polynomial.fit(grid, profile.refractivity(grid), 9)
 
-    ours = correct_observations(x[few], y[few], h_g[few], e[few], ex, CAMERA, table)
+    ours = correct_observations(x[few], y[few], h_g[few], e[few], ex, camera=CAMERA, table=table)
     theirs = replace_in_blocks(fitted, x[few], y[few], h_g[few], e[few], ex)
     assert np.abs(ours.x_px - theirs[0]).max() < 1e-6
     assert np.abs(ours.y_px - theirs[1]).max() < 1e-6
 
     ratio = pair(
-        lambda: correct_observations(x, y, h_g, e, ex, CAMERA, table),
+        lambda: correct_observations(x, y, h_g, e, ex, camera=CAMERA, table=table),
         lambda: replace_in_blocks(fitted, x[few], y[few], h_g[few], e[few], ex),
         POINTS,
         BY_NUMPY,

@@ -81,12 +81,12 @@ def beside_quad(pair, refractivity: Callable[[float], float], by_quad: int) -> f
     h_c = np.repeat(H_C + 0.01 * np.arange(CAMERAS), RAYS // CAMERAS)
     some = list(zip(h_g[:by_quad].tolist(), zeta[:by_quad].tolist(), strict=True))
 
-    found, _ = bend(table, H_C, h_g[:by_quad], sine[:by_quad], cosine[:by_quad], RADIUS)
+    found, _ = bend(table, H_C, h_g[:by_quad], sine[:by_quad], cosine[:by_quad], radius=RADIUS)
     integrated = np.array([angle_by_quad(refractivity, *ray) for ray in some])
     assert np.abs(found - integrated).max() < 1e-6 * 4.85e-6, "the two are not the same ray"
 
     return pair(
-        lambda: bend(table, h_c, h_g, sine, cosine, RADIUS),
+        lambda: bend(table, h_c, h_g, sine, cosine, radius=RADIUS),
         lambda: [angle_by_quad(refractivity, *ray) for ray in some],
         RAYS,
         by_quad,

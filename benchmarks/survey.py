@@ -11,9 +11,18 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere import Profile, standard_atmosphere
 from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.refraction import Camera, Exposures, StationSigmas, Uncertainty, uncertainty_of
+from pipeline.refraction import (
+    BrownConrady,
+    Camera,
+    Exposures,
+    StationSigmas,
+    Uncertainty,
+    uncertainty_of,
+)
 
-CAMERA = Camera(14_000, 10_600, 20_000.0, 20_000.0, 7012.4, 5291.7, -0.018, 0.009, -0.002)
+CAMERA = Camera(
+    14_000, 10_600, 20_000.0, 20_000.0, 7012.4, 5291.7, BrownConrady(-0.018, 0.009, -0.002)
+)
 GROUND_M = 500.0
 _DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 
@@ -46,7 +55,7 @@ def uncertainty(of: Exposures) -> Uncertainty | None:
     )  # fmt: skip
     return uncertainty_of(
         profile, ProfileCovariance(profile, 0.0, np.diag(known**2)), of, stations,
-        [(CAMERA, np.ones(count, bool))], (-600.0, 10_000.0),
+        [(CAMERA, np.ones(count, bool))], ground_heights_m=(-600.0, 10_000.0),
     )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 from pipeline.config import load_mission
-from pipeline.refraction.spread import ImageGrid
+from pipeline.refraction.statistics import ImageGrid
 from pipeline.report.figures import (
     ADJUSTED,
     STANDARD,

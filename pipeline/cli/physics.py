@@ -84,7 +84,7 @@ def radial(
     metres on the ground are given where only the bent ray lands and the straight one passes over
     the horizon.
     """
-    from pipeline.refraction.radial import angles_to, radial_table
+    from pipeline.refraction.angle import angles_to, radial_table
     from pipeline.report.progress import DelayedProgressBar
     from pipeline.report.terminal import print_ledger, print_radial, radial_rows
     from pipeline.stages.story import air_of_mission_or_standard

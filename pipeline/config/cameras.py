@@ -15,7 +15,7 @@ from pydantic import (
 )
 
 from pipeline.flight.mount import Mount
-from pipeline.refraction import Cabin, Camera, LensInAir, Window
+from pipeline.refraction import BrownConrady, Cabin, Camera, LensInAir, Window
 from pipeline.tables.pixels import PixelOrigin, PixelSystem
 from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K
 
@@ -219,7 +219,7 @@ class CameraSection(Section):
             self.f_px or self.fy_px or 0.0,
             pixels.to_colmap(self.cx_px),
             pixels.to_colmap(self.cy_px),
-            **self.distortion.model_dump(),
+            BrownConrady(**self.distortion.model_dump()),
         )
 
 

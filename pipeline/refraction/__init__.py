@@ -1,11 +1,12 @@
 """Light through the air: the ray, the window, the camera and the image."""
 
-from pipeline.refraction.camera.camera import Camera
+from pipeline.refraction.camera.brown_conrady import BrownConrady
+from pipeline.refraction.camera.camera import Camera, LensInAir
 from pipeline.refraction.chord import height_at_distance
 from pipeline.refraction.forward import apply_refraction
 from pipeline.refraction.image import Corrections, Exposures, correct_observations
-from pipeline.refraction.lens import LensInAir
-from pipeline.refraction.ray import METHODS, RayTable, bend, ray_table, refraction_angle
+from pipeline.refraction.ray import METHODS, bend, refraction_angle
+from pipeline.refraction.ray_table import RayTable, ray_table
 from pipeline.refraction.status import STATUS_NAMES
 from pipeline.refraction.uncertainty.budget import (
     BlockScale,
@@ -26,6 +27,7 @@ __all__ = [
     "METHODS",
     "STATUS_NAMES",
     "BlockScale",
+    "BrownConrady",
     "Cabin",
     "Camera",
     "Corrections",

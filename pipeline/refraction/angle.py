@@ -1,29 +1,46 @@
-"""One refraction angle through a standard atmosphere, in the units people use."""
+"""Refraction angles in the units people use: one angle, a table over the nadir angle, methods
+beside each other."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pipeline.atmosphere import standard_atmosphere
+from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
 from pipeline.refraction.image import ground_displacement
-from pipeline.refraction.ray import angle_and_status
+from pipeline.refraction.published import manual
+from pipeline.refraction.ray import (
+    DEFAULT_RADIUS_M,
+    METHODS,
+    angle_and_status,
+    bend,
+    rays_by,
+    refraction_angle,
+)
 from pipeline.refraction.status import FAR_BRANCH, STATUS_NAMES
 from pipeline.units import ARCSEC, DEGREE, MICRORADIAN
+
+Array = NDArray[np.float64]
 
 
 def one_angle(
     atmosphere: str,
-    index: str,
     camera_height: float,
     ground_height: float,
     nadir_angle: float,
-    radius: float,
-    method: str,
+    *,
+    index: str = "ciddor",
+    radius: float = DEFAULT_RADIUS_M,
+    method: str = "spherical",
     distance: float | None = None,
 ) -> dict[str, Any]:
-    """What ``unbend angle`` prints.
+    """One refraction angle through a standard atmosphere, as ``unbend angle`` prints it.
 
     Heights [m above sea level], nadir angle [degrees], radius of the earth [m]; the angle comes in
     arcsec, microradians and metres on the ground. ``distance`` [m] is the slant range, which
@@ -32,7 +49,7 @@ def one_angle(
     distance) or ``far_branch``. ``ground_m`` is None where the straight apparent ray passes over
     the horizon and only the bent one lands.
 
-    >>> round(one_angle("us1976", "gyer", 1e4, 0.0, 75.0, 6371e3, "spherical")["r_c_arcsec"], 6)
+    >>> round(one_angle("us1976", 1e4, 0.0, 75.0, index="gyer")["r_c_arcsec"], 6)
     61.778543
     """
     if distance is not None and not 0.0 < distance < math.inf:
@@ -43,12 +60,15 @@ def one_angle(
         )
     air = standard_atmosphere(atmosphere, index=index)
     zeta = nadir_angle * DEGREE
-    angle, code = angle_and_status(
-        air, camera_height, ground_height, zeta, radius, method,
-        math.nan if distance is None else distance,
+    r_c, status = angle_and_status(
+        air, camera_height, ground_height, zeta, radius, method=method,
+        distance=math.nan if distance is None else distance,
     )  # fmt: skip
-    ground = ground_displacement(
-        camera_height, ground_height, zeta, angle, radius, far=code == FAR_BRANCH
+    angle, code = float(r_c), int(status)
+    ground = float(
+        ground_displacement(
+            camera_height, ground_height, zeta, angle, radius, far=code == FAR_BRANCH
+        )
     )
     return {
         "r_c_arcsec": angle / ARCSEC,
@@ -65,3 +85,169 @@ def one_angle(
         "distance_m": distance,
         "radius_m": radius,
     }
+
+
+@dataclass(frozen=True, eq=False)
+class RadialTable:
+    """The refraction of one camera height over one ground; (n,) arrays over the nadir angle.
+
+    ``r_c_rad`` is NaN where ``status`` (codes of `pipeline.refraction.status`) says why;
+    ``shift_ground_m`` is the horizontal displacement on the ground, also NaN where the straight
+    apparent ray passes over the horizon and only the bent one lands. For an image taken vertically
+    ``radius_px`` is the distance from the principal point and ``dr_px`` what to add to it; both
+    are NaN without a principal distance. ``k_rad`` is R at 45 degrees, the K of the Manual of
+    Photogrammetry, and ``k_manual_rad`` the value of its formula (NaN where it has none).
+    """
+
+    h_c_m: float
+    h_g_m: float
+    nadir_angle_rad: Array
+    r_c_rad: Array
+    shift_ground_m: Array
+    radius_px: Array
+    dr_px: Array
+    status: NDArray[np.uint8]
+    k_rad: float
+    k_manual_rad: float
+
+
+def radial_table(
+    profile: Profile,
+    h_c: float,
+    h_g: float,
+    nadir_angle: Array,
+    *,
+    focal_px: float | None = None,
+    radius: float = DEFAULT_RADIUS_M,
+    method: str = "spherical",
+) -> RadialTable:
+    """Refraction over the nadir angle, for one flying height.
+
+    Parameters
+    ----------
+    profile : the air.
+    h_c, h_g : heights of camera and ground above sea level [m], the camera's the greater.
+    nadir_angle : (n,) apparent nadir angles [rad], 0 to below 90 degrees.
+    focal_px : principal distance [px], for the shift in a vertical image.
+    radius : of the sphere [m].
+    method : one of `pipeline.refraction.METHODS`.
+
+    Without a window and without distortion. Accuracy is that of the method; the shift is
+    f (tan(zeta - R) - tan zeta), without cancellation.
+
+    >>> from pipeline.atmosphere import standard_atmosphere
+    >>> air = standard_atmosphere("us1976", index="gyer")
+    >>> table = radial_table(air, 6000.0, 0.0, np.array([0.5]), focal_px=20000.0)
+    >>> table.dr_px.round(3).tolist(), round(table.k_rad * 1e6, 2)
+    ([-0.836], 58.92)
+    """
+    zeta = np.asarray(nadir_angle, dtype=np.float64)
+    if not bool(np.all((zeta >= 0.0) & (zeta < 90.0 * DEGREE))):
+        raise PhysicsError(
+            "RADIAL-ANGLE",
+            "a radial table goes from the nadir to below the horizon, not from "
+            f"{zeta.min() / DEGREE:g} to {zeta.max() / DEGREE:g} degrees",
+            remedy="choose a largest nadir angle of more than 0 and less than 90 degrees",
+        )
+    if not h_c > h_g:
+        raise PhysicsError(
+            "RADIAL-HEIGHTS",
+            f"a camera at {h_c:g} m is not above a ground at {h_g:g} m",
+            remedy="give both in metres above sea level, the camera's the greater",
+        )
+    if focal_px is not None and not 0.0 < focal_px < math.inf:
+        raise PhysicsError(
+            "RADIAL-FOCAL",
+            f"a principal distance of {focal_px:g} px is none",
+            remedy="give it in pixels",
+        )
+    k = refraction_angle(profile, h_c, h_g, 45.0 * DEGREE, radius, method=method)
+    air = rays_by(profile, method)
+    r_c, status = bend(air, h_c, h_g, np.sin(zeta), np.cos(zeta), radius=radius)
+    ground = ground_displacement(h_c, h_g, zeta, r_c, radius)
+    f = math.nan if focal_px is None else focal_px
+    return RadialTable(
+        h_c, h_g, zeta, r_c, ground, f * np.tan(zeta),
+        f * np.sin(-r_c) / (np.cos(zeta) * np.cos(zeta - r_c)) + 0.0, status,
+        k, float(manual(profile, h_c, h_g, 45.0 * DEGREE, radius)),
+    )  # fmt: skip
+
+
+def angles_to(largest_deg: float, step_deg: float = 5.0) -> Array:
+    """Nadir angles [rad] in whole steps from 0 up to, and with, the largest.
+
+    >>> (angles_to(12.0, 5.0) / DEGREE).round(9).tolist()
+    [0.0, 5.0, 10.0, 12.0]
+    """
+    if not (0.0 < largest_deg < 90.0 and step_deg > 0.0):
+        raise PhysicsError(
+            "RADIAL-ANGLE",
+            f"nadir angles to {largest_deg:g} degrees in steps of {step_deg:g} make no table",
+            remedy="choose a largest nadir angle of more than 0 and less than 90 degrees",
+        )
+    steps = np.arange(0.0, largest_deg - 1e-9 * step_deg, step_deg)
+    return np.append(steps, largest_deg) * DEGREE
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Refraction angles of several methods in the same air over one ground.
+
+    ``exact_rad`` (h, z) is the spherical form at ``h_c_m`` (h,) and ``nadir_angle_rad`` (z,);
+    ``error_rad`` (m, h, z) is method minus exact, NaN where the method is not defined.
+    """
+
+    methods: tuple[str, ...]
+    h_c_m: Array
+    h_g_m: float
+    nadir_angle_rad: Array
+    exact_rad: Array
+    error_rad: Array
+
+    def good_to(self, limit_rad: float) -> Array:
+        """(m, h) the largest nadir angle [rad] up to which a method errs by no more than a limit.
+
+        Counts angles of the table: all up to this one are within the limit. NaN where the method
+        is not defined at all; -1 where it is outside already at the first angle.
+        """
+        within = np.logical_and.accumulate(np.abs(self.error_rad) <= limit_rad, axis=2)
+        count = within.sum(axis=2)
+        angle = np.append(self.nadir_angle_rad, -1.0)[count - 1]
+        return np.where(np.isfinite(self.error_rad).any(axis=2), angle, np.nan)
+
+
+def compare_methods(
+    profile: Profile,
+    h_c: Array,
+    h_g: float,
+    nadir_angle: Array,
+    *,
+    methods: tuple[str, ...] = METHODS[1:],
+    radius: float = DEFAULT_RADIUS_M,
+) -> Comparison:
+    """Errors of refraction methods against ``spherical``.
+
+    Parameters
+    ----------
+    profile : the air; its index should be that of the papers' light (``gyer``), or the errors
+        hold its difference from 0.589 um too.
+    h_c, h_g : heights of cameras (h,) and ground above sea level [m].
+    nadir_angle : (z,) apparent nadir angles [rad], ascending.
+    radius : of the sphere [m].
+
+    The reference is good to 1e-9 arcsec.
+
+    >>> from pipeline.atmosphere import standard_atmosphere
+    >>> from pipeline.units import ARCSEC, DEGREE
+    >>> air = standard_atmosphere("us1976", index="gyer")
+    >>> angles = np.arange(0.0, 86.0) * DEGREE
+    >>> errors = compare_methods(air, np.array([3000.0]), 0.0, angles, methods=("plane", "manual"))
+    >>> (errors.good_to(0.1 * ARCSEC) / DEGREE).round().tolist()
+    [[74.0], [6.0]]
+    """
+    angles = np.asarray(nadir_angle, dtype=np.float64)
+    heights = np.asarray(h_c, dtype=np.float64)
+    at = (profile, heights[:, None], h_g, angles[None, :], radius)
+    exact = refraction_angle(*at)
+    error = np.stack([refraction_angle(*at, method=method) - exact for method in methods])
+    return Comparison(methods, heights, h_g, angles, exact, error)

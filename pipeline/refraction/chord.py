@@ -9,9 +9,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.refraction.camera.camera import Camera
-from pipeline.refraction.image import Constants, Exposures, look_out
+from pipeline.refraction.image import Exposures, outgoing_rays
+from pipeline.refraction.kernels.columns import (
+    COS,
+    H_C,
+    RADIUS,
+    SIN,
+    ObservationColumns,
+    RayColumns,
+)
 from pipeline.refraction.kernels.threads import in_blocks
-from pipeline.refraction.ray import DEFAULT_RADIUS_M, PublishedRays, RayTable, as_columns, bend
+from pipeline.refraction.ray import DEFAULT_RADIUS_M, PublishedRays, as_columns, bend
+from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.status import BAD_MEASUREMENT, MISSES_GROUND, OK
 
 Array = NDArray[np.float64]
@@ -30,6 +39,7 @@ def height_at_distance(
     sin_zeta_c: ArrayLike,
     cos_zeta_c: ArrayLike,
     distance: ArrayLike,
+    *,
     radius: ArrayLike = DEFAULT_RADIUS_M,
 ) -> tuple[Array, NDArray[np.uint8]]:
     """Heights of targets whose slant range is known, along the bent rays that show them.
@@ -62,21 +72,23 @@ def height_at_distance(
     (600.2176, 0)
     """
     # The compiled functions are imported with the first ray, not with the package.
-    from pipeline.refraction.kernels.chord import ray_heights
+    from pipeline.refraction.kernels.ray import ray_heights
 
-    shape, flat = as_columns(h_c, sin_zeta_c, cos_zeta_c, radius, distance)
+    shape, (h_c, sin_z, cos_z, distance, radius) = as_columns(
+        h_c, sin_zeta_c, cos_zeta_c, distance, radius
+    )
     if isinstance(table, PublishedRays):
-        height, status = _by_repetition(table, *flat)
+        rays = RayColumns(h_c, np.empty(h_c.shape), sin_z, cos_z, radius, distance)
+        height, status = _by_repetition(table, rays)
         return height.reshape(shape), status.reshape(shape)
-    height = np.empty(flat[0].shape)
-    status = np.empty(flat[0].shape, np.uint8)
+    height = np.empty(h_c.shape)
+    status = np.empty(h_c.shape, np.uint8)
+    rays = RayColumns(h_c, height, sin_z, cos_z, radius, distance)  # h_g is not read
 
-    def some(rows: slice) -> None:
-        ray_heights(
-            table.edge_m, table.coefficient, *(a[rows] for a in flat), height[rows], status[rows]
-        )
+    def heights_of_block(rows: slice) -> None:
+        ray_heights(table.pieces, RayColumns(*(a[rows] for a in rays)), height[rows], status[rows])
 
-    in_blocks(some, flat[0].size)
+    in_blocks(heights_of_block, h_c.size)
     return height.reshape(shape), status.reshape(shape)
 
 
@@ -86,9 +98,9 @@ def target_heights(
     distance_m: Array,
     exposure: NDArray[np.int64],
     exposures: Exposures,
+    *,
     camera: Camera,
     table: RayTable | PublishedRays,
-    *,
     ideal: bool = False,
 ) -> Array:
     """Heights of the targets of image observations whose slant range is known.
@@ -102,10 +114,7 @@ def target_heights(
     Returns the heights above sea level [m], (n,), NaN where the observation lacks something that
     `correct_observations` will name, or its chord ends outside the profile.
     """
-    # The compiled functions are imported with the first ray, not with the package.
-    from pipeline.refraction.kernels import image as kernel
-
-    if ideal:  # a straight line sees no window and no lens, and may lie beside the format
+    if ideal:  # a straight line has no window and no lens, and may lie beside the format
         exposures = replace(
             exposures,
             refractivity_cabin=exposures.refractivity_outside,
@@ -119,43 +128,40 @@ def target_heights(
             cy_px=camera.cy_px + _MARGIN_PX,
         )
         x_px, y_px = x_px + _MARGIN_PX, y_px + _MARGIN_PX
-    rays, _, _ = look_out((x_px, y_px, distance_m, exposure), Constants.of(exposures, camera))
-    h_c, radius = rays[kernel.H_C], rays[kernel.RADIUS]
-    sine, cosine = rays[kernel.SIN], rays[kernel.COS]
+    observed = ObservationColumns(x_px, y_px, distance_m, distance_m, exposure)
+    rays, _, _ = outgoing_rays(observed, camera.constants, exposures.columns)
+    h_c, radius = rays[H_C], rays[RADIUS]
     if ideal:
         with np.errstate(invalid="ignore"):
-            return chord_height(h_c, sine, cosine, np.zeros(h_c.shape), distance_m, radius)
-    return height_at_distance(table, h_c, sine, cosine, distance_m, radius)[0]
+            return chord_height(h_c, rays[COS], distance_m, radius)
+    return height_at_distance(table, h_c, rays[SIN], rays[COS], distance_m, radius=radius)[0]
 
 
-def chord_height(
-    h_c: Array, sin_zeta: Array, cos_zeta: Array, angle: Array, distance: Array, radius: Array
-) -> Array:
-    """Height [m] of the end of a straight chord at the nadir angle zeta - ``angle``.
+def chord_height(h_c: Array, cos_zeta: Array, distance: Array, radius: Array) -> Array:
+    """Height [m] of the end of a straight chord at the nadir angle of cosine ``cos_zeta``.
 
-    Without cancellation: h_g - h_c = D (D - 2 r_c cos(zeta - angle)) / (r_c + r_g).
+    Without cancellation: h_g - h_c = D (D - 2 r_c cos zeta) / (r_c + r_g).
 
     >>> one = np.ones(1)
-    >>> chord_height(500.0 * one, 0.0 * one, one, 0.0 * one, 200.0 * one, 6.4e6 * one).tolist()
+    >>> chord_height(500.0 * one, one, 200.0 * one, 6.4e6 * one).tolist()
     [300.0]
     """
     r_c = radius + h_c
-    across = cos_zeta * np.cos(angle) + sin_zeta * np.sin(angle)
-    fall = distance * (distance - 2.0 * r_c * across)
+    fall = distance * (distance - 2.0 * r_c * cos_zeta)
     return np.asarray(h_c + fall / (r_c + np.sqrt(r_c * r_c + fall)))
 
 
-def _by_repetition(
-    table: PublishedRays, h_c: Array, sin_z: Array, cos_z: Array, radius: Array, distance: Array
-) -> tuple[Array, NDArray[np.uint8]]:
-    """As `height_at_distance`, from the height along the apparent direction on."""
+def _by_repetition(table: PublishedRays, rays: RayColumns) -> tuple[Array, NDArray[np.uint8]]:
+    """As `height_at_distance`, starting with the height along the apparent direction."""
+    h_c, _, sin_z, cos_z, radius, distance = rays
     with np.errstate(invalid="ignore"):
         sound = np.isfinite(distance) & (distance > 0.0)
         given = np.where(sound, distance, math.nan)
-        height = chord_height(h_c, sin_z, cos_z, np.zeros(h_c.shape), given, radius)
+        height = chord_height(h_c, cos_z, given, radius)
         for _ in range(_ROUNDS):
-            r_c, status = bend(table, h_c, height, sin_z, cos_z, radius)
-            step = chord_height(h_c, sin_z, cos_z, r_c, given, radius) - height
+            r_c, status = bend(table, h_c, height, sin_z, cos_z, radius=radius)
+            cos_chord = cos_z * np.cos(r_c) + sin_z * np.sin(r_c)
+            step = chord_height(h_c, cos_chord, given, radius) - height
             height = height + step
             if not np.nanmax(np.abs(step), initial=0.0) > _CLOSE_M:
                 break

@@ -77,6 +77,7 @@ def effects_on_r(
     covariance: ProfileCovariance | None,
     h_c: float,
     h_g: float,
+    *,
     angles_deg: Sequence[float] = ANGLES_DEG,
 ) -> tuple[Effect, ...]:
     """R at some nadir angles in an air and in the standard; none where no ray looks down.

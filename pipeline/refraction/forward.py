@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,10 @@ from pipeline.refraction.image import (
     Exposures,
     correct_observations,
     sigmas_at,
+    straight_reach,
 )
-from pipeline.refraction.ray import PublishedRays, RayTable, bend
+from pipeline.refraction.ray import PublishedRays, bend
+from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.status import (
     BEYOND_GRAZING,
     FAR_BRANCH,
@@ -27,7 +29,7 @@ from pipeline.refraction.status import (
     OUTSIDE_CAMERA,
 )
 from pipeline.refraction.uncertainty.sigmas import Uncertainty
-from pipeline.refraction.window import leave_compartment
+from pipeline.refraction.window import refract_at_window
 
 Array = NDArray[np.float64]
 
@@ -52,9 +54,9 @@ def apply_refraction(
     h_g: Array,
     exposure: NDArray[np.int64],
     exposures: Exposures,
+    *,
     camera: Camera,
     table: RayTable | PublishedRays,
-    *,
     distance_m: Array | None = None,
     uncertainty: Uncertainty | None = None,
     sigma_h_g: Array | None = None,
@@ -78,7 +80,7 @@ def apply_refraction(
     point is displaced out of the format and ``misses_ground`` where no ray shows the target.
 
     The inverse of `correct_observations` to 1e-9 px, within 0.02 degree of grazing to 1e-8: solved
-    for by repetition, whatever that does. There two rays may show points of the same straight line;
+    by repetition, whatever that does. There two rays may show points of the same straight line;
     without a distance it is the point that the line reaches first.
 
     >>> from pipeline.atmosphere import standard_atmosphere
@@ -88,7 +90,8 @@ def apply_refraction(
     ...     one > 0.0, np.diag([1.0, -1.0, -1.0])[None], none, 3000.0 * one, 2e-4 * one, 2e-4 * one)
     >>> camera = Camera(10_000, 10_000, 10_000.0, 10_000.0, 5000.0, 5000.0)
     >>> air, first = ray_table(standard_atmosphere("us1976")), np.zeros(1, np.int64)
-    >>> seen = apply_refraction(9000.0 * one, 5000.0 * one, none, first, down, camera, air)
+    >>> seen = apply_refraction(
+    ...     9000.0 * one, 5000.0 * one, none, first, down, camera=camera, table=air)
     >>> seen.x_px.round(3).tolist()
     [9000.16]
     """
@@ -96,16 +99,17 @@ def apply_refraction(
     ideal[~np.isfinite(ideal).all(axis=1)] = np.nan
     upper = np.array([camera.width_px, camera.height_px], np.float64)
     close = np.maximum(_CLOSE_PX, _CLOSE_ULP * np.spacing(np.abs(np.nan_to_num(ideal))))
-    point = ideal.copy()
-    _start_near_level(point, h_g, exposure, exposures, camera, table, distance_m)
+    distance = np.full(x_px.shape, np.nan) if distance_m is None else distance_m
+    targets = _Targets(h_g, distance, exposure)
+    point = _starting_points(ideal, targets, exposures, camera, table)
     nearest = np.full(x_px.shape, np.inf)
     columns = {name: np.full(x_px.shape, np.nan) for name in (*COLUMNS, "status")}
     rows = np.arange(x_px.size)
     for _ in range(_ROUNDS):
         at = np.clip(point[rows], 0.0, upper)  # there is no shift outside the format
         removed = correct_observations(
-            at[:, 0], at[:, 1], h_g[rows], exposure[rows], exposures, camera, table,
-            distance_m=None if distance_m is None else distance_m[rows],
+            at[:, 0], at[:, 1], h_g[rows], exposure[rows], exposures, camera=camera, table=table,
+            distance_m=distance[rows],
         )  # fmt: skip
         shift = np.stack([removed.dx_px, removed.dy_px], axis=1)
         miss = np.abs(at - ideal[rows] + shift).max(axis=1)
@@ -121,99 +125,102 @@ def apply_refraction(
         if rows.size == 0:
             break
     columns["status"][rows[nearest[rows] > _NOISE_PX]] = MISSES_GROUND
-    found = _displaced(columns, ideal, upper)
+    displaced = _displaced(columns, ideal, upper)
     if uncertainty is None:
-        return found
-    sigmas = sigmas_at(found, h_g, exposure, exposures, camera, uncertainty, sigma_h_g)
-    return replace(found, sigmas=sigmas)
+        return displaced
+    sigmas = sigmas_at(
+        displaced, h_g, exposure, exposures, camera=camera, uncertainty=uncertainty,
+        sigma_h_g=sigma_h_g,
+    )  # fmt: skip
+    return replace(displaced, sigmas=sigmas)
 
 
-def _start_near_level(
-    point: Array,
-    h_g: Array,
-    exposure: NDArray[np.int64],
+class _Targets(NamedTuple):
+    """Heights of targets [m], slant ranges [m], NaN where unknown, and rows of exposures."""
+
+    h_g: Array
+    distance: Array
+    exposure: NDArray[np.int64]
+
+
+def _starting_points(
+    ideal: Array,
+    targets: _Targets,
     exposures: Exposures,
     camera: Camera,
     table: RayTable | PublishedRays,
-    distance_m: Array | None,
-) -> None:
-    """Put the points of nearly level chords where a ray shows the chord's end.
+) -> Array:
+    """Pixels (n, 2) from where to search: the ideal ones, or where a ray shows the chord's end.
 
-    From the ideal pixels themselves a search may end at the other of two rays through the same
-    straight line, or begin under the ground. The length of the chord tells them apart.
+    For nearly level chords a search from the ideal pixels themselves may end at the other of two
+    rays through the same straight line, or begin under the ground. The length of the chord
+    separates the two.
     """
+    point = ideal.copy()
+    h_g, distance, exposure = targets
     x, y = np.clip(point, 0.0, [camera.width_px, camera.height_px]).T
     u, v, covered = camera.rays(x, y)
     row = np.maximum(exposure, 0)
     known = covered & (exposure >= 0) & np.isfinite(h_g)
     if not bool(known.any()):
-        return
-    ideal = np.stack([u, v, np.ones(u.shape)], axis=1)
-    ideal /= np.sqrt(u * u + v * v + 1.0)[:, None]
-    down = -np.einsum("ni,ni->n", exposures.rotation[row, :, 2], ideal)
+        return point
+    inside = np.stack([u, v, np.ones(u.shape)], axis=1)
+    inside /= np.sqrt(u * u + v * v + 1.0)[:, None]
+    down = -np.einsum("ni,ni->n", exposures.rotation[row, :, 2], inside)
     level = np.flatnonzero(known & exposures.usable[row] & (np.abs(down) < _NEARLY_LEVEL))
     if level.size == 0:
-        return
+        return point
     row = row[level]
-    chord = np.einsum("nji,nj->ni", exposures.rotation[row], ideal[level])
-    given = np.full(level.size, np.nan) if distance_m is None else distance_m[level]
-    apparent = _apparent(chord, h_g[level], given, row, exposures, table)
-    inside = np.einsum("nij,nj->ni", exposures.rotation[row], apparent)
+    rotation = exposures.rotation[row]
+    chord = np.einsum("nji,nj->ni", rotation, inside[level])
+    apparent = _apparent(chord, _Targets(h_g[level], distance[level], row), exposures, table)
+    inside = np.einsum("nij,nj->ni", rotation, apparent)
     outside, cabin = exposures.refractivity_outside[row], exposures.refractivity_cabin[row]
-    # In through the window by the law by which it leaves.
-    inside += leave_compartment(inside, outside, cabin, exposures.normals[row])[0]
+    inside += refract_at_window(inside, outside, cabin, exposures.normals[row])[0]
     with np.errstate(invalid="ignore", divide="ignore"):
         u_d, v_d = camera.distort(inside[:, 0] / inside[:, 2], inside[:, 1] / inside[:, 2])
     change = exposures.changes_px[row]
     f_x, f_y = camera.fx_px + change, camera.fy_px + change
     start = np.stack([f_x * u_d + camera.cx_px, f_y * v_d + camera.cy_px], axis=1)
-    found = np.isfinite(start).all(axis=1) & (inside[:, 2] > 0.0)
-    point[level[found]] = start[found]
+    usable = np.isfinite(start).all(axis=1) & (inside[:, 2] > 0.0)
+    point[level[usable]] = start[usable]
+    return point
 
 
 def _apparent(
-    chord: Array,
-    h_g: Array,
-    distance: Array,
-    row: NDArray[np.int64],
-    exposures: Exposures,
-    table: RayTable | PublishedRays,
+    chord: Array, targets: _Targets, exposures: Exposures, table: RayTable | PublishedRays
 ) -> Array:
     """Directions (n, 3), east-north-up, of the rays that show the ends of straight chords.
 
     The ray is sought that is as far above its chord, at the chord's length, as refraction lifts
-    it; NaN where the straight line does not reach ``h_g``.
+    it; NaN where the straight line does not reach the target's height.
     """
+    h_g, distance, row = targets
     sin_z, cos_z = np.hypot(chord[:, 0], chord[:, 1]), -chord[:, 2]
-    h_c, radius = exposures.height_m[row], _radius(exposures, row, chord)
-    r_c, r_g = radius + h_c, radius + h_g
-    drop = (h_c - h_g) * (r_c + r_g)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        reach = np.sqrt((r_c * cos_z) ** 2 - drop)
-        near, far = drop / (r_c * cos_z + reach), r_c * cos_z + reach
-        beyond = (h_g > h_c) | (np.abs(far - distance) < np.abs(near - distance))
-        length = np.where(beyond, far, near)
+    if exposures.radius_m is None:
+        azimuth = np.arctan2(chord[:, 0], chord[:, 1])
+        radius = np.asarray(euler_radius(exposures.latitude_rad[row], azimuth))
+    else:
+        radius = np.full(row.shape, exposures.radius_m)
+    h_c = exposures.height_m[row]
+    near, far = (
+        straight_reach(h_c, h_g, cos_z, radius=radius, far=second) for second in (False, True)
+    )
+    with np.errstate(invalid="ignore"):
+        length = np.where(np.abs(far - distance) < np.abs(near - distance), far, near)
     zeta = np.arctan2(sin_z, cos_z)
-    lifted = _USUAL_CURVATURE * length * sin_z / r_c
+    lifted = _USUAL_CURVATURE * length * sin_z / (radius + h_c)
     for _ in range(_LIFTS):
         sine, cosine = np.sin(zeta + lifted), np.cos(zeta + lifted)
-        height, _ = height_at_distance(table, h_c, sine, cosine, length, radius)
-        found, _ = bend(table, h_c, height, sine, cosine, radius, length)
-        lifted = np.where(np.isfinite(found), found, 1.2 * lifted)
+        height, _ = height_at_distance(table, h_c, sine, cosine, length, radius=radius)
+        r_c, _ = bend(table, h_c, height, sine, cosine, radius=radius, distance=length)
+        lifted = np.where(np.isfinite(r_c), r_c, 1.2 * lifted)
     stretch = (np.sin(zeta + lifted) / sin_z)[:, None]
     return np.concatenate([chord[:, :2] * stretch, -np.cos(zeta + lifted)[:, None]], axis=1)
 
 
-def _radius(exposures: Exposures, row: NDArray[np.int64], direction: Array) -> Array:
-    """Of the sphere (n,) [m], in the azimuths of directions (n, 3), east-north-up."""
-    if exposures.radius_m is not None:
-        return np.full(row.shape, exposures.radius_m)
-    azimuth = np.arctan2(direction[:, 0], direction[:, 1])
-    return np.asarray(euler_radius(exposures.latitude_rad[row], azimuth))
-
-
 def _displaced(columns: dict[str, Any], ideal: Array, upper: Array) -> Corrections:
-    """What a removal that ends in the ideal pixels says, as a displacement."""
+    """A removal that ends in the ideal pixels, as a displacement."""
     columns["dx_px"], columns["dy_px"] = -columns["dx_px"], -columns["dy_px"]
     columns["x_px"] = ideal[:, 0] + columns["dx_px"]
     columns["y_px"] = ideal[:, 1] + columns["dy_px"]

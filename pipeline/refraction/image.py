@@ -10,14 +10,28 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pipeline.geodesy import principal_radii
 from pipeline.refraction.camera.camera import Camera
+from pipeline.refraction.kernels.columns import (
+    COS,
+    H_C,
+    RADIUS,
+    RAY_ROWS,
+    SIN,
+    CameraConstants,
+    ExposureColumns,
+    ObservationColumns,
+    RayColumns,
+    ShiftColumns,
+    TracedColumns,
+)
 from pipeline.refraction.kernels.threads import in_blocks
-from pipeline.refraction.ray import PublishedRays, RayTable, bend
+from pipeline.refraction.ray import PublishedRays, as_columns, bend
+from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.status import OK, STATUS_NAMES
-from pipeline.refraction.uncertainty.sigmas import Sigmas, Solved, Uncertainty
+from pipeline.refraction.uncertainty.sigmas import Sigmas, Uncertainty
 from pipeline.refraction.window import OPTICAL_AXIS
 
 Array = NDArray[np.float64]
@@ -62,6 +76,18 @@ class Exposures:
         if self.principal_change_px is None:
             return np.zeros(self.usable.size)
         return self.principal_change_px
+
+    @property
+    def columns(self) -> ExposureColumns:
+        """The exposures for compiled functions."""
+        if self.radius_m is None:
+            curvature = 1.0 / np.stack(principal_radii(self.latitude_rad), axis=1)
+        else:
+            curvature = np.full((self.usable.size, 2), 1.0 / self.radius_m)
+        return ExposureColumns(
+            self.usable, self.rotation, curvature, self.height_m, self.refractivity_outside,
+            self.refractivity_cabin, self.normals, self.changes_px,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,9 +138,9 @@ def correct_observations(
     h_g: Array,
     exposure: NDArray[np.int64],
     exposures: Exposures,
+    *,
     camera: Camera,
     table: RayTable | PublishedRays,
-    *,
     distance_m: Array | None = None,
     uncertainty: Uncertainty | None = None,
     sigma_h_g: Array | None = None,
@@ -135,195 +161,193 @@ def correct_observations(
     1e-10 px, whatever the size of the pixel coordinates. Rows of one exposure that follow each
     other are fastest.
     """
-    order = _by_exposure(exposure)
-    if order is not None:
-        found = correct_observations(
-            x_px[order], y_px[order], h_g[order], exposure[order], exposures, camera, table,
-            distance_m=None if distance_m is None else distance_m[order],
-            uncertainty=uncertainty,
-            sigma_h_g=None if sigma_h_g is None else sigma_h_g[order],
-        )  # fmt: skip
-        return found.rows(np.argsort(order))
     n = x_px.size
+    distance = np.full(n, np.nan) if distance_m is None else distance_m
+    sigma_h_g = np.full(n, np.nan) if sigma_h_g is None else sigma_h_g
+    changes = int(np.count_nonzero(np.diff(exposure)))
+    if changes * _ROWS_OF_AN_IMAGE > n and not bool(np.all(np.diff(exposure) >= 0)):
+        order = np.argsort(exposure, kind="stable")
+        sorted_corrections = correct_observations(
+            x_px[order], y_px[order], h_g[order], exposure[order], exposures, camera=camera,
+            table=table, distance_m=distance[order], uncertainty=uncertainty,
+            sigma_h_g=sigma_h_g[order],
+        )  # fmt: skip
+        return sorted_corrections.rows(np.argsort(order))
     # In one piece: the system hands large ones out in large pages, which take less time.
     columns = dict(zip(COLUMNS, np.empty((len(COLUMNS), n)), strict=True))
     status = np.empty(n, np.uint8)
     sigmas = None if uncertainty is None else Sigmas.room(n)
-    unknown = np.broadcast_to(np.nan, n)
-    observed = (x_px, y_px, h_g, exposure, unknown if distance_m is None else distance_m)
-    sigma_h_g = unknown if sigma_h_g is None else sigma_h_g
-    k = Constants.of(exposures, camera)
+    observations = ObservationColumns(x_px, y_px, h_g, sigma_h_g, exposure)
+    setup = camera.constants, exposures.columns
 
-    def some(rows: slice) -> None:
-        part = {name: values[rows] for name, values in columns.items()}
-        rays = _correct_block([a[rows] for a in observed], k, table, part, status[rows])
+    def correct_block(rows: slice) -> None:
+        observed = observations.part(rows)
+        part = {name: values[rows] for name, values in columns.items()} | {"status": status[rows]}
+        traced = _correct_block(observed, distance[rows], setup, table, part)
         if sigmas is not None and uncertainty is not None:
-            solved = Solved(
-                h_g[rows], sigma_h_g[rows], exposure[rows], k.camera, k.rotation, rays,
-                part["r_c_rad"], status[rows],
-            )  # fmt: skip
-            sigmas.fill(rows, uncertainty, solved)
+            sigmas.rows(rows).fill(uncertainty, observed, setup, traced)
 
-    in_blocks(some, n)
+    in_blocks(correct_block, n)
     return Corrections(status=status, sigmas=sigmas, **columns)
 
 
+def _correct_block(
+    observed: ObservationColumns,
+    distance: Array,
+    setup: tuple[CameraConstants, ExposureColumns],
+    table: RayTable | PublishedRays,
+    columns: dict[str, Any],
+) -> TracedColumns:
+    """Pixels to rays, rays through the air, and back; fills the ``columns`` of `Corrections`."""
+    # The compiled functions are imported with the first ray, not with the package.
+    from pipeline.refraction.kernels.image import shift_back
+
+    rays, columns["r_cc_rad"][:], status = outgoing_rays(observed, *setup)
+    r_c, ray_status = bend(
+        table, rays[H_C], observed.h_g, rays[SIN], rays[COS], radius=rays[RADIUS], distance=distance
+    )
+    status = np.where(status == OK, ray_status, status)
+    traced = TracedColumns(rays, r_c, status)
+    columns["r_c_rad"][:] = r_c
+    columns["zeta_c_rad"][:] = np.arctan2(rays[SIN], rays[COS])
+    columns["status"][:] = status
+    shifts = ShiftColumns(columns["dx_px"], columns["dy_px"], columns["shift_ground_m"])
+    shift_back(observed, *setup, traced, shifts)
+    columns["x_px"][:] = observed.x + columns["dx_px"]
+    columns["y_px"][:] = observed.y + columns["dy_px"]
+    return traced
+
+
+def outgoing_rays(
+    observed: ObservationColumns, camera: CameraConstants, exposures: ExposureColumns
+) -> tuple[Array, Array, NDArray[np.uint8]]:
+    """The matrix of rays that pixels see outside the window, R_cc [rad] and status."""
+    # The compiled functions are imported with the first ray, not with the package.
+    from pipeline.refraction.kernels import image as kernel
+
+    n = observed.x.size
+    rays, r_cc, status = np.empty((RAY_ROWS, n)), np.empty(n), np.empty(n, np.uint8)
+    kernel.outgoing_rays(observed, camera, exposures, rays, (status, r_cc))
+    return rays, r_cc, status
+
+
 def sigmas_at(
-    found: Corrections,
+    corrections: Corrections,
     h_g: Array,
     exposure: NDArray[np.int64],
     exposures: Exposures,
+    *,
     camera: Camera,
     uncertainty: Uncertainty,
     sigma_h_g: Array | None = None,
 ) -> Sigmas:
     """Standard deviations of displacements, at the pixels ``x_px``, ``y_px`` that they lead to.
 
-    ``found`` (n,) from `apply_refraction`; the rest as for `correct_observations`.
+    ``corrections`` (n,) from `apply_refraction`; the rest as for `correct_observations`.
     """
-    n = found.x_px.size
-    sigmas, k = Sigmas.room(n), Constants.of(exposures, camera)
+    n = corrections.x_px.size
+    sigmas, setup = Sigmas.room(n), (camera.constants, exposures.columns)
     sigma_h_g = np.full(n, np.nan) if sigma_h_g is None else sigma_h_g
+    observations = ObservationColumns(corrections.x_px, corrections.y_px, h_g, sigma_h_g, exposure)
 
-    def some(rows: slice) -> None:
-        observed = (found.x_px[rows], found.y_px[rows], h_g[rows], exposure[rows])
-        rays, _, _ = look_out(observed, k)
-        solved = Solved(
-            h_g[rows], sigma_h_g[rows], exposure[rows], k.camera, k.rotation, rays,
-            found.r_c_rad[rows], found.status[rows],
-        )  # fmt: skip
-        sigmas.fill(rows, uncertainty, solved)
+    def propagate_block(rows: slice) -> None:
+        observed = observations.part(rows)
+        rays, _, _ = outgoing_rays(observed, *setup)
+        traced = TracedColumns(rays, corrections.r_c_rad[rows], corrections.status[rows])
+        sigmas.rows(rows).fill(uncertainty, observed, setup, traced)
 
-    in_blocks(some, n)
+    in_blocks(propagate_block, n)
     return sigmas
 
 
-@dataclass(frozen=True, eq=False)
-class Constants:
-    """Exposures and camera in the form the kernels take."""
-
-    camera: tuple[float, ...]
-    usable: NDArray[np.bool_]
-    rotation: Array
-    curvature: Array
-    air: tuple[Array, ...]
-    change: Array
-
-    @classmethod
-    def of(cls, exposures: Exposures, camera: Camera) -> Constants:
-        if exposures.radius_m is None:
-            radii = principal_radii(exposures.latitude_rad)
-            curvature = 1.0 / np.stack(radii, axis=1)
-        else:
-            curvature = np.full((exposures.usable.size, 2), 1.0 / exposures.radius_m)
-        air = (
-            exposures.height_m,
-            exposures.refractivity_outside,
-            exposures.refractivity_cabin,
-            exposures.normals,
-        )
-        return cls(
-            camera.numbers,
-            exposures.usable,
-            exposures.rotation,
-            curvature,
-            air,
-            exposures.changes_px,
-        )
-
-
-def _correct_block(
-    observed: list[Any],
-    constants: Constants,
-    table: RayTable | PublishedRays,
-    columns: dict[str, Array],
-    status: NDArray[np.uint8],
+def straight_reach(
+    h_c: ArrayLike, h_g: ArrayLike, cos_zeta: ArrayLike, *, radius: ArrayLike, far: ArrayLike
 ) -> Array:
-    """Pixels to rays, rays through the air, and back; fills ``columns`` and ``status``.
+    """How far away [m] straight lines reach a height; NaN where they never get there.
 
-    Gives the columns of the rays.
+    Heights of camera and target above sea level [m], cosine of the nadir angle, radius of the
+    sphere [m], and whether the second of two crossings is meant (downwards only; upwards there is
+    one). Arguments broadcast.
+
+    >>> straight_reach(3000.0, 1000.0, 0.8, radius=6371e3, far=[False, True]).round(3).tolist()
+    [2500.221, 10195899.779]
     """
     # The compiled functions are imported with the first ray, not with the package.
     from pipeline.refraction.kernels import image as kernel
 
-    x, y, h_g, exposure, distance = observed
-    k = constants
-    rays, columns["r_cc_rad"][:], status[:] = look_out((x, y, h_g, exposure), k)
-    sine, cosine = rays[kernel.SIN], rays[kernel.COS]
-    r_c, ray_status = bend(
-        table, rays[kernel.H_C], h_g, sine, cosine, rays[kernel.RADIUS], distance
+    shape, (h_c, h_g, cosine, radius, far) = as_columns(h_c, h_g, cos_zeta, radius, far)
+    distance = np.empty(h_c.shape)
+    kernel.straight_reach(
+        RayColumns(h_c, h_g, cosine, cosine, radius, distance), far != 0.0, distance
     )
-    traced = status == OK
-    status[traced] = ray_status[traced]
-    columns["r_c_rad"][:] = r_c
-    columns["zeta_c_rad"][:] = np.arctan2(sine, cosine)
-    kernel.shift_back(
-        x, y, h_g, exposure, k.camera, k.rotation, k.change, rays, r_c, status,
-        columns["dx_px"], columns["dy_px"], columns["shift_ground_m"],
-    )  # fmt: skip
-    columns["x_px"][:] = x + columns["dx_px"]
-    columns["y_px"][:] = y + columns["dy_px"]
-    return rays
-
-
-def look_out(
-    observed: tuple[Array, Array, Array, NDArray[np.int64]], k: Constants
-) -> tuple[Array, Array, NDArray[np.uint8]]:
-    """Columns of the rays of pixels, R_cc and status."""
-    from pipeline.refraction.kernels import image as kernel
-
-    n = observed[0].size
-    rays, r_cc, status = np.empty((kernel.COLUMNS, n)), np.empty(n), np.empty(n, np.uint8)
-    kernel.look_out(
-        *observed, k.camera, k.usable, k.rotation, k.curvature, *k.air, k.change, rays, r_cc, status
-    )
-    return rays, r_cc, status
-
-
-def _by_exposure(exposure: NDArray[np.int64]) -> NDArray[np.intp] | None:
-    """The order that brings rows of one exposure together; None where they are."""
-    changes = int(np.count_nonzero(np.diff(exposure)))
-    if changes * _ROWS_OF_AN_IMAGE <= exposure.size or bool(np.all(np.diff(exposure) >= 0)):
-        return None
-    return np.argsort(exposure, kind="stable")
-
-
-def landing_point(
-    direction: Array, h_c: Array, h_g: Array, radius: Array, *, far: bool = False
-) -> Array:
-    """Where straight rays first reach a height, from the camera: (n, 3) east, north, up [m].
-
-    ``direction`` (n, 3) unit vectors; NaN where the line never gets there. ``far`` asks for where
-    it leaves that height again.
-    """
-    r_c, r_g = radius + h_c, radius + h_g
-    cos_z = -direction[:, 2]
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        q = np.sqrt((r_c * cos_z) ** 2 - (h_c - h_g) * (r_c + r_g))
-        # Downwards the nearer of two crossings, upwards the only one.
-        distance = np.where(
-            (h_c >= h_g) & ~np.bool_(far),
-            (h_c - h_g) * (r_c + r_g) / (r_c * cos_z + q),
-            r_c * cos_z + q,
-        )
-        distance = np.where(h_c == h_g, 0.0, distance)
-        distance = np.where(distance >= 0.0, distance, np.nan)
-    return np.asarray(direction * distance[:, None])
+    return distance.reshape(shape)
 
 
 def ground_displacement(
-    h_c: float, h_g: float, zeta_c: float, r_c: float, radius: float, *, far: bool = False
-) -> float:
-    """How far [m] a refraction angle moves the point where a straight ray reaches a height.
+    h_c: float, h_g: float, zeta_c: ArrayLike, r_c: ArrayLike, radius: float, *, far: bool = False
+) -> Array:
+    """How far [m] refraction angles move the points where straight rays reach a height.
 
-    NaN where the apparent line passes over the horizon, though the bent ray may land. ``far`` takes
-    the second crossing of the height, for rays of the status ``far_branch``.
+    ``zeta_c``, ``r_c`` [rad] broadcast. NaN where the apparent line passes over the horizon, though
+    the bent ray may land. ``far`` takes the second crossing of the height, for rays of the status
+    ``far_branch``.
 
-    >>> round(ground_displacement(10000.0, 0.0, 0.7853981633974483, 7.94e-5, 6371000.0), 3)
+    >>> ground_displacement(10000.0, 0.0, 0.7853981633974483, 7.94e-5, 6371000.0).round(3).item()
     1.592
     """
-    angle = np.array([zeta_c, zeta_c - r_c])
-    rays = np.stack([np.sin(angle), np.zeros(2), -np.cos(angle)], axis=1)
-    ones = np.ones(2)
-    apparent, true = landing_point(rays, h_c * ones, h_g * ones, radius * ones, far=far)
-    return float(np.linalg.norm(apparent - true))
+    angles = np.stack(np.broadcast_arrays(zeta_c, np.subtract(zeta_c, r_c)))
+    reach = straight_reach(h_c, h_g, np.cos(angles), radius=radius, far=far)
+    apparent, true = np.stack([np.sin(angles), -np.cos(angles)], axis=1) * reach[:, None]
+    return np.asarray(np.sqrt((apparent[0] - true[0]) ** 2 + (apparent[1] - true[1]) ** 2))
+
+
+def lattice_nodes(camera: Camera, columns: int, rows: int) -> tuple[Array, Array]:
+    """Pixels of a grid from corner to corner of a camera's format.
+
+    ``columns``, ``rows`` : nodes across and down, 2 or more. Returns x, y (rows * columns,) [px],
+    COLMAP's pixels, row by row from the upper left.
+
+    >>> x, y = lattice_nodes(Camera(400, 300, 500.0, 500.0, 200.0, 150.0), 3, 2)
+    >>> x.tolist(), y.tolist()
+    ([0.0, 200.0, 400.0, 0.0, 200.0, 400.0], [0.0, 0.0, 0.0, 300.0, 300.0, 300.0])
+    """
+    if columns < 2 or rows < 2:
+        raise ValueError("a lattice has at least two columns and two rows")
+    x, y = np.meshgrid(
+        np.linspace(0.0, camera.width_px, columns), np.linspace(0.0, camera.height_px, rows)
+    )
+    return x.ravel(), y.ravel()
+
+
+def lattice_corrections(
+    x_px: Array,
+    y_px: Array,
+    ground_m: Array,
+    exposure: NDArray[np.int64],
+    exposures: Exposures,
+    *,
+    camera: Camera,
+    table: RayTable | PublishedRays,
+) -> Corrections:
+    """The corrections of `correct_observations` at the same nodes in every one of some images.
+
+    Parameters
+    ----------
+    x_px, y_px : (k,) nodes, from `lattice_nodes`.
+    ground_m : (s,) height of the ground above sea level that each image is computed for [m].
+    exposure : (s,) rows of ``exposures``.
+    camera, table : as for `correct_observations`.
+
+    Returns (s * k,) rows, image by image. At a node nothing is approximated; between nodes the
+    bilinear interpolation errs by an eighth of the curvature of the shift across a cell.
+    """
+    images, nodes = exposure.size, x_px.size
+    return correct_observations(
+        np.tile(x_px, images),
+        np.tile(y_px, images),
+        np.repeat(ground_m, nodes),
+        np.repeat(exposure, nodes),
+        exposures,
+        camera=camera,
+        table=table,
+    )

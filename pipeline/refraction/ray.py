@@ -2,17 +2,16 @@
 
 Gyer 1996, Eq. 1-16, without his cancellations. A ray obeys n r sin(zeta) = k. The angle it
 subtends at the centre of the earth is compared with that of the straight line that leaves the
-camera in the same apparent direction; the difference is integrated directly (`_bend_difference`).
-Near grazing, where that form has a singularity at the end of its interval, the subtended angle
-itself is integrated with h = h_90 + s^2, which is smooth through the lowest point P_90
-(`_bend_subtended`).
+camera in the same apparent direction; the difference is integrated directly
+(`bend_by_difference` of `kernels.ray`). Near grazing, where that form has a singularity at the end
+of its interval, the subtended angle itself is integrated with h = h_90 + s^2, which is smooth
+through the lowest point P_90 (`bend_by_subtended`).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -20,10 +19,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
-from pipeline.refraction.kernels.pieces import cut
+from pipeline.refraction.kernels.columns import RayColumns
 from pipeline.refraction.kernels.threads import in_blocks
-from pipeline.refraction.published import PUBLISHED, Method
-from pipeline.refraction.published.trace import trace
+from pipeline.refraction.published import PUBLISHED
+from pipeline.refraction.published.column import Method, finite
+from pipeline.refraction.ray_table import RayTable, ray_table
 from pipeline.refraction.status import (
     BAD_MEASUREMENT,
     BEYOND_GRAZING,
@@ -38,59 +38,6 @@ Array = NDArray[np.float64]
 
 DEFAULT_RADIUS_M = 6_371_000.0
 
-# Pieces of the profile on which n - 1 is a polynomial of degree 7 in height: at 500 m a
-# troposphere is reproduced to 1e-13 of n - 1.
-_PIECE_M = 500.0
-
-# Three nodes over this height integrate the moments of the air to 1e-12, sharp inversions included.
-_FINE_M = 62.5
-_FINE_DEGREE = 5
-_HINT_M = 125.0
-_DEGREE = 7
-
-
-@dataclass(frozen=True, eq=False)
-class RayTable:
-    """A profile's refractivity as polynomials, the form the ray kernel reads.
-
-    ``edge_m`` is (m + 1,) heights [m]; ``coefficient`` is (m, 8): refractivity in piece i is the
-    polynomial in u = (h - edge[i]) / (edge[i + 1] - edge[i]), lowest power first.
-    """
-
-    edge_m: Array
-    coefficient: Array
-
-    @cached_property
-    def fine(self) -> tuple[Array, Array, NDArray[np.intp]]:
-        """Intervals of at most 62.5 m, in which moments of the air are kept for many rays.
-
-        Their edges [m], (k + 1,); refractivity in each as a polynomial of degree 5 in the share of
-        it, (k, 6), lowest power first (1e-15 of n - 1 apart); and the number of the interval at
-        every 125 m from the bottom, from where one is found in a step or two.
-        """
-        edge = cut(self.edge_m, _FINE_M)
-        piece = np.searchsorted(self.edge_m, edge[:-1], side="right") - 1
-        nodes = _chebyshev(_FINE_DEGREE)
-        height = edge[:-1, None] + np.diff(edge)[:, None] * nodes
-        u = (height - self.edge_m[piece, None]) / np.diff(self.edge_m)[piece, None]
-        value = np.zeros(u.shape)
-        for power in range(_DEGREE, -1, -1):
-            value = value * u + self.coefficient[piece, power, None]
-        marks = np.arange(edge[0], edge[-1], _HINT_M)
-        hint = np.clip(np.searchsorted(edge, marks, side="right") - 1, 0, edge.size - 2)
-        return edge, _polynomials(nodes, value), hint
-
-
-def _chebyshev(degree: int) -> Array:
-    """degree + 1 nodes between 0 and 1."""
-    return 0.5 - 0.5 * np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
-
-
-def _polynomials(nodes: Array, values: Array) -> Array:
-    """(m, d + 1) coefficients, lowest power first, through (m, d + 1) values at the nodes."""
-    vandermonde = np.vander(nodes, nodes.size, increasing=True)
-    return np.ascontiguousarray(np.linalg.solve(vandermonde, values.T).T)
-
 
 @dataclass(frozen=True, eq=False)
 class PublishedRays:
@@ -98,6 +45,41 @@ class PublishedRays:
 
     profile: Profile
     method: Method
+
+    def bend(
+        self,
+        h_c: ArrayLike,
+        h_g: ArrayLike,
+        sin_zeta_c: ArrayLike,
+        cos_zeta_c: ArrayLike,
+        radius: ArrayLike,
+    ) -> tuple[Array, NDArray[np.uint8]]:
+        """Refraction angles by the method, each with a status; arguments as for `bend`.
+
+        The status is ``bad_measurement`` where a height, the angle or the radius is none, whether
+        the method reads it or not; ``outside_profile`` where the method does not cover the heights
+        (a ground above the camera among them), ``misses_ground`` where it has no ray in that
+        direction.
+
+        >>> from pipeline.atmosphere import standard_atmosphere
+        >>> plane = rays_by(standard_atmosphere("us1976"), "plane")
+        >>> r_c, status = plane.bend(6000.0, [0.0, 0.0, 7000.0], [0.6, 1.0, 0.6], 0.8, 6.4e6)
+        >>> np.isnan(r_c).tolist(), status.tolist()
+        ([False, False, True], [0, 0, 7])
+        """
+        h_c, h_g, sin_z, cos_z, radius = finite(h_c, h_g, sin_zeta_c, cos_zeta_c, radius)
+        zeta_c = np.arctan2(sin_z, cos_z)
+        good = np.isfinite(h_c) & np.isfinite(h_g) & (radius > 0.0)
+        good &= (zeta_c >= 0.0) & (zeta_c <= math.pi)
+        r_c = np.full(good.shape, np.nan)
+        r_c[good] = self.method(self.profile, h_c[good], h_g[good], zeta_c[good], radius[good])
+        status = np.where(good, OK, BAD_MEASUREMENT).astype(np.uint8)
+        lost = np.isnan(r_c) & good
+        # Straight down every ray reaches the ground: what is missing there is missing for the
+        # heights.
+        at_nadir = self.method(self.profile, h_c[lost], h_g[lost], 0.0, radius[lost])
+        status[lost] = np.where(np.isnan(at_nadir), OUTSIDE_PROFILE, MISSES_GROUND)
+        return r_c, status
 
 
 def rays_by(profile: Profile, method: str) -> RayTable | PublishedRays:
@@ -120,38 +102,13 @@ def rays_by(profile: Profile, method: str) -> RayTable | PublishedRays:
     return PublishedRays(profile, PUBLISHED[method])
 
 
-@lru_cache(maxsize=64)
-def ray_table(profile: Profile) -> RayTable:
-    """Tabulate the refractivity of a profile for the ray kernel (agreement 1e-13 of n - 1)."""
-    edge = cut(profile.break_heights_m, _PIECE_M)
-    nodes = _chebyshev(_DEGREE)
-    heights = edge[:-1, None] + np.diff(edge)[:, None] * nodes
-    # Nodes stay inside their piece, so each is evaluated in its own layer.
-    return RayTable(edge, _polynomials(nodes, profile.refractivity(heights)))
-
-
-def _bend_block(
-    table: RayTable, rays: list[Array], distance: Array, r_c: Array, status: NDArray[np.uint8]
-) -> None:
-    """Angles and states of some rays: those that can share a table of moments, then the others."""
-    # The compiled functions are imported with the first ray, not with the package.
-    from pipeline.refraction.kernels.ray import bend_rays
-    from pipeline.refraction.kernels.steep import LEFT, WORTH_A_TABLE, bend_steep_rays
-
-    left = np.arange(r_c.size)
-    if r_c.size > WORTH_A_TABLE:
-        bend_steep_rays(*table.fine, *rays, r_c, status)
-        left = np.flatnonzero(status == LEFT)
-    if left.size:
-        bend_rays(table.edge_m, table.coefficient, *rays, distance, left, r_c, status)
-
-
 def bend(
     table: RayTable | PublishedRays,
     h_c: ArrayLike,
     h_g: ArrayLike,
     sin_zeta_c: ArrayLike,
     cos_zeta_c: ArrayLike,
+    *,
     radius: ArrayLike = DEFAULT_RADIUS_M,
     distance: ArrayLike = math.nan,
 ) -> tuple[Array, NDArray[np.uint8]]:
@@ -179,15 +136,25 @@ def bend(
     Rays from one height that follow each other are fastest: they share what the air between does.
     """
     if isinstance(table, PublishedRays):
-        return trace(table.method, table.profile, h_c, h_g, sin_zeta_c, cos_zeta_c, radius)
-    shape, (*flat, distances) = as_columns(h_c, h_g, sin_zeta_c, cos_zeta_c, radius, distance)
+        return table.bend(h_c, h_g, sin_zeta_c, cos_zeta_c, radius)
+    # The compiled functions are imported with the first ray, not with the package.
+    from pipeline.refraction.kernels.ray import bend_rays
+    from pipeline.refraction.kernels.steep import LEFT, WORTH_A_TABLE, bend_steep_rays
+
+    shape, flat = as_columns(h_c, h_g, sin_zeta_c, cos_zeta_c, radius, distance)
     r_c = np.empty(flat[0].shape)
     status = np.empty(flat[0].shape, np.uint8)
 
-    def some(rows: slice) -> None:
-        _bend_block(table, [a[rows] for a in flat], distances[rows], r_c[rows], status[rows])
+    def bend_block(rows: slice) -> None:
+        rays, r_c_rows, status_rows = RayColumns(*(a[rows] for a in flat)), r_c[rows], status[rows]
+        left = np.arange(r_c_rows.size)
+        if left.size > WORTH_A_TABLE:  # those that can share a table of moments first
+            bend_steep_rays(table.fine, rays, r_c_rows, status_rows)
+            left = np.flatnonzero(status_rows == LEFT)
+        if left.size:
+            bend_rays(table.pieces, rays, left, r_c_rows, status_rows)
 
-    in_blocks(some, flat[0].size)
+    in_blocks(bend_block, flat[0].size)
     return r_c.reshape(shape), status.reshape(shape)
 
 
@@ -216,6 +183,7 @@ def refraction_angle(
     h_g: ArrayLike,
     zeta_c: ArrayLike,
     radius: ArrayLike = DEFAULT_RADIUS_M,
+    *,
     method: str = "spherical",
     distance: ArrayLike = math.nan,
 ) -> Any:
@@ -231,7 +199,7 @@ def refraction_angle(
     distance : slant range [m], which says which of two crossings is meant; see `bend`.
 
     Arguments broadcast. Scalars give a float and raise `PhysicsError` where there is no angle;
-    arrays give NaN there (`bend` tells why for each).
+    arrays give NaN there (`bend` gives the reason for each).
 
     Source: Gyer 1996, Eq. 1, 11, 12 and 15 in a form free of cancellation.
 
@@ -241,51 +209,31 @@ def refraction_angle(
     >>> round(refraction_angle(air, 10000.0, 0.0, 45.0 * DEGREE) / ARCSEC, 6)
     16.378452
     """
-    r_c, status = _bent(profile, h_c, h_g, zeta_c, radius, method, distance)
-    if r_c.ndim:
-        return r_c
-    _refuse_no_angle(int(status), profile, method, h_c, h_g, zeta_c)
-    return float(r_c)
+    r_c, _ = angle_and_status(profile, h_c, h_g, zeta_c, radius, method=method, distance=distance)
+    return r_c if r_c.ndim else float(r_c)
 
 
 def angle_and_status(
     profile: Profile,
-    h_c: float,
-    h_g: float,
-    zeta_c: float,
-    radius: float = DEFAULT_RADIUS_M,
-    method: str = "spherical",
-    distance: float = math.nan,
-) -> tuple[float, int]:
-    """One angle as `refraction_angle` has it [rad], and which crossing it is for, as a status."""
-    r_c, status = _bent(profile, h_c, h_g, zeta_c, radius, method, distance)
-    _refuse_no_angle(int(status), profile, method, h_c, h_g, zeta_c)
-    return float(r_c), int(status)
-
-
-def _bent(
-    profile: Profile,
     h_c: ArrayLike,
     h_g: ArrayLike,
     zeta_c: ArrayLike,
-    radius: ArrayLike,
-    method: str,
-    distance: ArrayLike,
+    radius: ArrayLike = DEFAULT_RADIUS_M,
+    *,
+    method: str = "spherical",
+    distance: ArrayLike = math.nan,
 ) -> tuple[Array, NDArray[np.uint8]]:
-    """`bend` of nadir angles [rad], which are none below 0 and above pi."""
+    """Angles as `refraction_angle` has them [rad], and which crossing each is for, as a status."""
     zeta = np.asarray(zeta_c, dtype=np.float64)
-    in_range = (zeta >= 0.0) & (zeta <= math.pi)
-    safe = np.where(in_range, zeta, np.nan)
-    return bend(rays_by(profile, method), h_c, h_g, np.sin(safe), np.cos(safe), radius, distance)
-
-
-def _refuse_no_angle(
-    status: int, profile: Profile, method: str, h_c: ArrayLike, h_g: ArrayLike, zeta_c: ArrayLike
-) -> None:
-    """Raise `PhysicsError` where the status of a ray says that it has no angle, and tell why."""
+    zeta = np.where((zeta >= 0.0) & (zeta <= math.pi), zeta, np.nan)
+    r_c, codes = bend(
+        rays_by(profile, method), h_c, h_g, np.sin(zeta), np.cos(zeta), radius=radius,
+        distance=distance,
+    )  # fmt: skip
+    status = int(codes) if codes.ndim == 0 else OK
     if status in (OK, BEYOND_GRAZING, FAR_BRANCH):
-        return
-    what = {
+        return r_c, codes
+    reason = {
         BAD_MEASUREMENT: "the heights and the nadir angle (0 to 180 degrees) must be numbers",
         OUTSIDE_PROFILE: f"the profile ({profile.bottom_m:.0f} to {profile.top_m:.0f} m) "
         f"or the method ({method}) does not cover the heights",
@@ -293,7 +241,7 @@ def _refuse_no_angle(
     }[status]
     raise PhysicsError(
         f"RAY-{STATUS_NAMES[status].upper().replace('_', '-')}",
-        what,
+        reason,
         where=f"h_c = {h_c!r} m, h_g = {h_g!r} m, zeta_c = {np.degrees(zeta_c):.6f} deg",
         remedy="check heights and nadir angle (inside the package angles are radians)",
     )

@@ -94,45 +94,45 @@ def scheduled_pressure(ambient_pa: ArrayLike) -> Array:
     return np.maximum(np.asarray(ambient_pa, dtype=np.float64), SCHEDULE_PRESSURE_PA)
 
 
-def leave_compartment(
+def refract_at_window(
     direction: Array,
-    refractivity_cabin: ArrayLike,
-    refractivity_outside: ArrayLike,
+    refractivity_before: ArrayLike,
+    refractivity_after: ArrayLike,
     normal: Array = OPTICAL_AXIS,
 ) -> tuple[Array, Array]:
-    """Change of direction of rays traced from the camera out through a plane window.
+    """Change of direction of rays that cross a plane window, by Snell's law.
+
+    Rays traced from the camera go out from the cabin's air (before) into that outside (after), or
+    back in from outside; either way the normal points to where they go.
 
     Parameters
     ----------
-    direction : (n, 3) unit vectors inside, in the frame of ``normal``.
-    refractivity_cabin, refractivity_outside : n - 1 of the air on either side, () or (n,).
-    normal : (3,) or (n, 3) unit vectors of the window, pointing outside.
+    direction : (n, 3) unit vectors before the window, in the frame of ``normal``.
+    refractivity_before, refractivity_after : n - 1 of the air on either side, () or (n,).
+    normal : (3,) or (n, 3) unit vectors of the window.
 
     Returns
     -------
     change : (n, 3), to be added to ``direction``; NaN for a ray that the window reflects wholly,
-        and for one along the window or from outside it (normal . direction <= 0).
-    r_cc : (n,) angle between the two [rad], positive when the cabin moved the image inward; NaN
-        with ``change``.
+        and for one along the window or against the normal (normal . direction <= 0).
+    angle : (n,) between the two [rad], positive where the air before is the denser: R_cc of a ray
+        out of the compartment, whose image point the cabin has moved inward; NaN with ``change``.
 
     Exact, without differencing. Source: Gyer 1996, Eq. 36 in vector form.
 
     >>> ray = np.array([[0.70710678118654752, 0.0, 0.70710678118654752]])
-    >>> _, r_cc = leave_compartment(ray, 187.84e-6, 93.57e-6)
+    >>> _, r_cc = refract_at_window(ray, 187.84e-6, 93.57e-6)
     >>> (r_cc * 180 * 3600 / np.pi).round(2).tolist()  # Gyer's Table 7, 10 km: 19.44
     [19.44]
     """
-    n_out = np.asarray(refractivity_outside, dtype=np.float64)
-    excess = (np.asarray(refractivity_cabin, np.float64) - n_out) / (1.0 + n_out)
-    cos_inside = np.einsum("ij,ij->i", direction, np.broadcast_to(normal, direction.shape))
-    cos_inside = np.where(cos_inside > 0.0, cos_inside, np.nan)
-    tangent = direction - cos_inside[:, None] * normal
-    sin2_inside = np.einsum("ij,ij->i", tangent, tangent)
-    ratio = 1.0 + excess
-    with np.errstate(invalid="ignore"):
-        cos_outside = np.sqrt(1.0 - ratio * ratio * sin2_inside)
-        along = -excess * (2.0 + excess) * sin2_inside / (cos_outside + cos_inside)
-    change = np.broadcast_to(excess, sin2_inside.shape)[:, None] * tangent
-    change = change + along[:, None] * normal
-    length = np.sqrt(np.einsum("ij,ij->i", change, change))
-    return change, np.asarray(np.copysign(2.0 * np.arcsin(0.5 * length), excess))
+    # The compiled functions are imported with the first ray, not with the package.
+    from pipeline.refraction.kernels.image import refract_directions
+
+    n_after = np.asarray(refractivity_after, dtype=np.float64)
+    excess = (np.asarray(refractivity_before, np.float64) - n_after) / (1.0 + n_after)
+    rays = np.array(direction, np.float64, order="C")
+    normals = np.array(np.broadcast_to(normal, rays.shape), np.float64)
+    change, angle = np.empty(rays.shape), np.empty(rays.shape[0])
+    excess = np.array(np.broadcast_to(excess, angle.shape))
+    refract_directions(rays, normals, excess, change, angle)
+    return change, angle

@@ -19,7 +19,7 @@ from rich.padding import Padding
 from rich.table import Table
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.refraction.published.compare import Comparison, compare_methods
+from pipeline.refraction.angle import Comparison, compare_methods
 from pipeline.refraction.ray import refraction_angle
 from pipeline.units import ARCSEC, DEGREE
 

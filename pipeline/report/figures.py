@@ -16,7 +16,7 @@ from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import vapour_pressure
 from pipeline.errors import ConfigError, StorageError
 from pipeline.refraction.effect import FlightAir
-from pipeline.refraction.spread import ImageGrid
+from pipeline.refraction.statistics import ImageGrid
 from pipeline.report.summary import effect_lines
 from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.refraction.effect import FlightAir
-from pipeline.refraction.spread import ImageGrid
+from pipeline.refraction.statistics import ImageGrid
 from pipeline.report.figures import as_svg, correction_figure, profile_figure
 from pipeline.report.summary import (
     CORRECTION_HEAD,

@@ -13,8 +13,8 @@ from rich.padding import Padding
 from rich.table import Table
 
 from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS
+from pipeline.refraction.angle import RadialTable
 from pipeline.refraction.effect import FlightAir
-from pipeline.refraction.radial import RadialTable
 from pipeline.refraction.status import STATUS_NAMES
 from pipeline.report.summary import (
     CORRECTION_HEAD,

@@ -31,9 +31,10 @@ from pipeline.refraction.chord import target_heights
 from pipeline.refraction.forward import apply_refraction
 from pipeline.refraction.image import COLUMNS, Corrections, Exposures, correct_observations
 from pipeline.refraction.kernels.threads import usable_cpus
-from pipeline.refraction.ray import PublishedRays, RayTable, rays_by
+from pipeline.refraction.ray import PublishedRays, rays_by
+from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.status import NO_STATION
-from pipeline.refraction.uncertainty.budget import at_the_window
+from pipeline.refraction.uncertainty.budget import window_turn
 from pipeline.refraction.uncertainty.sigmas import Sigmas, Uncertainty
 from pipeline.stages.exposure_setup import cameras_of_mission
 from pipeline.stages.statistics import Statistics, evenly_spaced
@@ -289,8 +290,8 @@ def ground_heights(batch: Batch, station: Rows, setup: CorrectionSetup) -> Array
             batch.distance_m[rows],
             station[rows],
             setup.exposures,
-            camera,
-            setup.rays[profile],
+            camera=camera,
+            table=setup.rays[profile],
             ideal=setup.direction == "apply",
         )
     return plausible_heights(h_g)
@@ -313,8 +314,8 @@ def correct_batch(batch: Batch, station: Rows, h_g: Array, setup: CorrectionSetu
             h_g[rows],
             station[rows],
             setup.exposures,
-            camera,
-            setup.rays[profile],
+            camera=camera,
+            table=setup.rays[profile],
             distance_m=None if batch.distance_m is None else batch.distance_m[rows],
             uncertainty=uncertainty,
             sigma_h_g=None if uncertainty is None else setup.ground.sigmas(batch)[rows],
@@ -351,7 +352,7 @@ def _sample_of_rays(
         u, v, _ = camera.rays(x[of_camera], y[of_camera])
         direction[of_camera] = np.stack([u, v, np.ones(u.size)], axis=1)
     direction /= np.linalg.norm(direction, axis=1)[:, None]
-    turns = at_the_window(direction, -exposures.rotation[of_row, :, 2], exposures.normals[of_row])
+    turns = window_turn(direction, -exposures.rotation[of_row, :, 2], exposures.normals[of_row])
     view = np.zeros(rows.size) if setup.views is None else setup.views[of_row]
     rays = np.stack([h_c[rows], h_g[rows], corrections.zeta_c_rad[rows], view, *turns])
     return np.asarray(rays[:, np.isfinite(rays).all(axis=0)])

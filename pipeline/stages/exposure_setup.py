@@ -16,9 +16,8 @@ from pipeline.config import Mission
 from pipeline.errors import MissionError
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Ledger
-from pipeline.refraction.camera.camera import Camera
+from pipeline.refraction.camera.camera import Camera, LensInAir, is_absurd, principal_change
 from pipeline.refraction.image import Exposures
-from pipeline.refraction.lens import LensInAir, is_absurd, principal_change
 from pipeline.refraction.window import (
     OPTICAL_AXIS,
     SCHEDULE_CEILING_M,

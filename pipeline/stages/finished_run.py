@@ -214,7 +214,7 @@ def largest_difference_px(run: FinishedRun, table: pa.Table, station: NDArray[np
             rows = np.flatnonzero(of_camera & (run.air.profile_number[station] == air))
             now = correct_observations(
                 x[rows], y[rows], h_g[rows], station[rows],
-                run.exposures, camera.camera, run.rays[air],
+                run.exposures, camera=camera.camera, table=run.rays[air],
             )  # fmt: skip
             difference = np.hypot(now.x_px - x_then[rows], now.y_px - y_then[rows])
             largest = max(largest, float(np.nan_to_num(difference, nan=np.inf).max()))

@@ -13,7 +13,7 @@ from pipeline.config.sections import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Corrections
-from pipeline.refraction.spread import SPREADS, Extent, ImageGrid, Spread
+from pipeline.refraction.statistics import SPREADS, Extent, ImageGrid, Spread
 from pipeline.refraction.status import STATUS_NAMES
 from pipeline.tables.observations import Batch
 
@@ -64,7 +64,7 @@ class Statistics:
         """(6, n) at most 400 of the sampled rays.
 
         Rows: height of camera and of target [m], nadir angle [rad], and the three arrays of
-        `Views`.
+        `RayWindows`.
         """
         rays = np.concatenate([np.empty((6, 0)), *self.rays], axis=1)
         return np.asarray(rays[:, evenly_spaced(rays.shape[1], _MOST_RAYS)])

@@ -17,11 +17,11 @@ from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Exposures
 from pipeline.refraction.ray import DEFAULT_RADIUS_M
-from pipeline.refraction.uncertainty.air_sigma import OPEN, view_of
+from pipeline.refraction.uncertainty.air_sigma import OPEN, window_kind_of
 from pipeline.refraction.uncertainty.budget import (
     BlockScale,
+    RayWindows,
     StationSigmas,
-    Views,
     block_scale,
     uncertainty_of,
 )
@@ -62,7 +62,13 @@ def uncertainties_of_mission(
         in_profile = replace(exposures, usable=exposures.usable & (air.profile_number == number))
         uncertainties.append(
             uncertainty_of(
-                timed.profile, timed.covariance, in_profile, sigmas, masks, ground_limits_m, views
+                timed.profile,
+                timed.covariance,
+                in_profile,
+                sigmas,
+                masks,
+                ground_heights_m=ground_limits_m,
+                window_kinds=views,
             )
         )
     return tuple(uncertainties)
@@ -76,7 +82,7 @@ def views_of_mission(mission: Mission, stations: Stations, air: ProfileSeries) -
         if window.shape == "plane" and window.cabin is not None:
             rows = stations.camera == name
             scheduled = window.cabin.source == "standard_schedule"
-            views[rows] = view_of(pressure[rows], scheduled=scheduled)
+            views[rows] = window_kind_of(pressure[rows], scheduled=scheduled)
     return views
 
 
@@ -130,5 +136,7 @@ def scale_of_block(
     if covariance is None:
         return None
     h_c, h_g, zeta_c, view, towards, across = statistics.sampled_rays()
-    views = Views(view.astype(np.int64), towards, across)
-    return block_scale(profile, covariance, h_c, h_g, zeta_c, radius_m or DEFAULT_RADIUS_M, views)
+    views = RayWindows(view.astype(np.int64), towards, across)
+    return block_scale(
+        profile, covariance, h_c, h_g, zeta_c, radius=radius_m or DEFAULT_RADIUS_M, windows=views
+    )

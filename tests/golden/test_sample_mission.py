@@ -86,8 +86,8 @@ def correct_with(
             part["h_g_m"].to_numpy(),
             row[mine],
             exposures,
-            section.build(),
-            table,
+            camera=section.build(),
+            table=table,
         )
         error[mine] = np.hypot(found.x_px - part["x_true_px"], found.y_px - part["y_true_px"])
     shift = np.hypot(
@@ -195,7 +195,12 @@ def test_kernel_against_the_ode_on_the_true_profile(
     worst = 0.0
     for zeta in (0.2, 45.0, 75.0, 85.0):
         found, _ = bend(
-            ray_table(air), 3450.0, 412.0, np.sin(zeta * DEGREE), np.cos(zeta * DEGREE), 6.38e6
+            ray_table(air),
+            3450.0,
+            412.0,
+            np.sin(zeta * DEGREE),
+            np.cos(zeta * DEGREE),
+            radius=6.38e6,
         )
         expected = ray_angle_sphere(index, 3450.0, 412.0, zeta * DEGREE, 6.38e6, breaks=inside)
         worst = max(worst, abs(float(found) - expected) / ARCSEC)

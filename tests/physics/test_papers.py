@@ -104,7 +104,7 @@ class TestGyer:
         zeta = np.radians(table["zeta_c_deg"])
         r_c, status = bend(
             rays_by(ardc, "gyer1996"), table["h_c_m"], table["h_g_m"], np.sin(zeta), np.cos(zeta),
-            6_378_000.0,
+            radius=6_378_000.0,
         )  # fmt: skip
         assert not status.any()
         same, _, worst = agreement(r_c / ARCSEC, table["printed"])

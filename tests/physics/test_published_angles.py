@@ -12,7 +12,7 @@ import pytest
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.refractive_index import refractivity_gyer
 from pipeline.refraction import refraction_angle
-from pipeline.refraction.window import leave_compartment
+from pipeline.refraction.window import refract_at_window
 from pipeline.units import ARCSEC, DEGREE
 
 DATA = Path(__file__).resolve().parents[1] / "data"
@@ -74,7 +74,7 @@ def test_table_7(ardc1959):
         pressure = max(701.2e2, float(ardc1959.pressure(h_c)))
         cabin = float(refractivity_gyer(294.26, pressure))
         assert cabin * 1e6 == pytest.approx(row["n_cc_minus_1_e6"], abs=0.0151)
-        r_cc = float(leave_compartment(ray, cabin, outside)[1][0]) / ARCSEC
+        r_cc = float(refract_at_window(ray, cabin, outside)[1][0]) / ARCSEC
         assert r_cc == pytest.approx(row["r_cc_arcsec"], abs=0.01)
         r_c = refraction_angle(ardc1959, h_c, 0.0, 45.0 * DEGREE, GYER_RADIUS_M) / ARCSEC
         assert r_c == pytest.approx(row["r_c_arcsec"], abs=0.012)

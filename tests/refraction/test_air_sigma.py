@@ -38,10 +38,12 @@ def tabulated(profile, covariance, h_c, h_g, zeta, ground=(-600.0, 10_000.0)):
     axis = np.tile([0.0, 0.0, 1.0], (n, 1))
     stations = StationSigmas(np.full(n, 1e-4), np.full(n, 1e-4), axis, np.zeros(n))
     all_of_them = [(NARROW, np.ones(n, bool))]
-    uncertainty = uncertainty_of(profile, covariance, exposures, stations, all_of_them, ground)
+    uncertainty = uncertainty_of(
+        profile, covariance, exposures, stations, all_of_them, ground_heights_m=ground
+    )
     centre = np.full(n, 100.0)
     sigmas = correct_observations(
-        centre, centre, h_g, np.arange(n), exposures, NARROW, ray_table(profile),
+        centre, centre, h_g, np.arange(n), exposures, camera=NARROW, table=ray_table(profile),
         uncertainty=uncertainty,
     ).sigmas  # fmt: skip
     return sigmas.r_c_rad, sigmas.station_dy_px.astype(float) / NARROW.fy_px / 1e-4, uncertainty.air
@@ -49,7 +51,7 @@ def tabulated(profile, covariance, h_c, h_g, zeta, ground=(-600.0, 10_000.0)):
 
 def traced(profile, covariance, h_c, h_g, zeta):
     """The same by the gradient of each ray; C is multiplied out, not factored."""
-    found = sensitivity(profile, h_c, h_g, zeta, RADIUS, covariance.anchor_height_m)
+    found = sensitivity(profile, h_c, h_g, zeta, RADIUS, anchor_height_m=covariance.anchor_height_m)
     g = found.gradient
     return np.sqrt(np.einsum("ni,ij,nj->n", g, covariance.matrix, g)), found.d_zeta_c
 
@@ -96,7 +98,7 @@ def test_sigma_is_the_spread_of_drawn_airs(doubt):
     sigma, _, _ = tabulated(profile, covariance, h_c, h_g, zeta)
     rng = np.random.default_rng(11)
     drawn = np.array([
-        bend(ray_table(doubt.drawn(rng)), h_c, h_g, np.sin(zeta), np.cos(zeta), RADIUS)[0]
+        bend(ray_table(doubt.drawn(rng)), h_c, h_g, np.sin(zeta), np.cos(zeta), radius=RADIUS)[0]
         for _ in range(600)
     ])  # fmt: skip
     # A standard deviation of 600 draws is good to 2.9 %.
@@ -104,7 +106,7 @@ def test_sigma_is_the_spread_of_drawn_airs(doubt):
 
     weight = drawn.mean(axis=0) ** 2
     weight /= weight.sum()
-    scale = block_scale(profile, covariance, h_c, h_g, zeta, RADIUS)
+    scale = block_scale(profile, covariance, h_c, h_g, zeta, radius=RADIUS)
     fitted = (drawn / drawn.mean(axis=0)) @ weight
     np.testing.assert_allclose(fitted.std(), scale.sigma, rtol=0.09)
     correlation = np.corrcoef(drawn.T)
@@ -129,10 +131,10 @@ def test_the_scale_of_rays_that_disagree(doubt):
     profile, covariance = doubt.air()
     h_c, h_g = np.array([2700.0, 2700.0, 2900.0, 1700.0]), np.array([200.0, 2500.0, 0.0, 1400.0])
     zeta = np.radians([45.0, 70.0, 20.0, 75.0])
-    found = sensitivity(profile, h_c, h_g, zeta, RADIUS, covariance.anchor_height_m)
+    found = sensitivity(profile, h_c, h_g, zeta, RADIUS, anchor_height_m=covariance.anchor_height_m)
     g, r = found.gradient, found.r_c
     errors = g @ covariance.matrix @ g.T
-    scale = block_scale(profile, covariance, h_c, h_g, zeta, RADIUS)
+    scale = block_scale(profile, covariance, h_c, h_g, zeta, radius=RADIUS)
     np.testing.assert_allclose(scale.sigma**2, r @ errors @ r / (r @ r) ** 2, rtol=1e-6)
     alike = errors / np.sqrt(np.outer(np.diag(errors), np.diag(errors)))
     weight = r * np.abs(r) / (r @ r)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.refraction import Camera
+from pipeline.refraction import BrownConrady, Camera
 from pipeline.simulate.camera import SimulatedCamera
 
 WIDTH, HEIGHT, FOCAL = 14_000, 10_600, 11_000.0
@@ -16,8 +16,11 @@ cameras = st.builds(
     Camera,
     st.just(WIDTH), st.just(HEIGHT), st.floats(8_000.0, 30_000.0), st.floats(8_000.0, 30_000.0),
     st.floats(6_800.0, 7_200.0), st.floats(5_100.0, 5_500.0),
-    k1=st.floats(-0.15, 0.15), k2=st.floats(-0.03, 0.03), k3=st.floats(-0.01, 0.01),
-    p1=st.floats(-2e-3, 2e-3), p2=st.floats(-2e-3, 2e-3),
+    st.builds(
+        BrownConrady,
+        k1=st.floats(-0.15, 0.15), k2=st.floats(-0.03, 0.03), k3=st.floats(-0.01, 0.01),
+        p1=st.floats(-2e-3, 2e-3), p2=st.floats(-2e-3, 2e-3),
+    ),
 )  # fmt: skip
 
 
@@ -35,7 +38,7 @@ def test_there_and_back(camera, pixels):
 def test_a_moderate_lens_covers_its_whole_image():
     camera = Camera(
         WIDTH, HEIGHT, FOCAL, FOCAL, 7012.4, 5291.7,
-        k1=-0.018, k2=0.009, k3=-0.002, p1=1.5e-4, p2=-1e-4,
+        distortion=BrownConrady(k1=-0.018, k2=0.009, k3=-0.002, p1=1.5e-4, p2=-1e-4),
     )  # fmt: skip
     x, y = (a.ravel() for a in np.meshgrid(np.linspace(0, WIDTH, 29), np.linspace(0, HEIGHT, 23)))
     u, v, covered = camera.rays(x, y)
@@ -51,7 +54,9 @@ def test_a_moderate_lens_covers_its_whole_image():
 
 def test_the_distortion_is_opencvs():
     # Worked by hand: u = 0.5, v = -0.25, r^2 = 0.3125.
-    camera = Camera(10, 10, 1.0, 1.0, 0.0, 0.0, k1=0.1, k2=0.2, k3=0.3, p1=0.01, p2=0.02)
+    camera = Camera(
+        10, 10, 1.0, 1.0, 0.0, 0.0, BrownConrady(k1=0.1, k2=0.2, k3=0.3, p1=0.01, p2=0.02)
+    )
     radial = 1.0 + 0.1 * 0.3125 + 0.2 * 0.3125**2 + 0.3 * 0.3125**3
     u, v = camera.distort(np.array([0.5]), np.array([-0.25]))
     assert u[0] == pytest.approx(0.5 * radial + 2 * 0.01 * -0.125 + 0.02 * (0.3125 + 0.5), 1e-14)
@@ -62,7 +67,7 @@ def test_the_distortion_is_opencvs():
 
 def test_beyond_the_calibrated_radius_is_not_covered():
     # r (1 - 0.5 r^2) turns over at r = sqrt(2/3) and reaches 0.544 there.
-    camera = Camera(2000, 2000, 1000.0, 1000.0, 1000.0, 1000.0, k1=-0.5)
+    camera = Camera(2000, 2000, 1000.0, 1000.0, 1000.0, 1000.0, BrownConrady(k1=-0.5))
     assert camera.largest_radius == pytest.approx(np.sqrt(2.0 / 3.0), rel=1e-12)
     u, v, covered = camera.rays(np.array([1540.0, 1550.0, 2000.0]), np.full(3, 1000.0))
     assert covered.tolist() == [True, False, False]
@@ -73,9 +78,11 @@ def test_beyond_the_calibrated_radius_is_not_covered():
 
 @pytest.mark.parametrize("tiny", [0.0, 5e-324, -1e-310, 1e-200, -1e-20])
 def test_coefficients_of_no_size_do_no_harm(tiny):
-    camera = Camera(2000, 2000, 1000.0, 1000.0, 1000.0, 1000.0, k1=-0.5, k2=tiny, k3=tiny)
+    camera = Camera(
+        2000, 2000, 1000.0, 1000.0, 1000.0, 1000.0, BrownConrady(k1=-0.5, k2=tiny, k3=tiny)
+    )
     assert camera.largest_radius == pytest.approx(np.sqrt(2.0 / 3.0), rel=1e-9)
-    assert Camera(10, 10, 1.0, 1.0, 5.0, 5.0, k1=tiny, k3=tiny).largest_radius > 1e3
+    assert Camera(10, 10, 1.0, 1.0, 5.0, 5.0, BrownConrady(k1=tiny, k3=tiny)).largest_radius > 1e3
 
 
 def test_outside_the_format_is_not_covered():

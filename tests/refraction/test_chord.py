@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.refraction import Camera, Exposures, bend, correct_observations, ray_table
+from pipeline.refraction import (
+    BrownConrady,
+    Camera,
+    Exposures,
+    bend,
+    correct_observations,
+    ray_table,
+)
 from pipeline.refraction.chord import height_at_distance, target_heights
 from pipeline.refraction.ray import rays_by
 from pipeline.refraction.status import (
@@ -27,7 +34,7 @@ TABLE = ray_table(AIR)
 
 def heights(h_c, degrees, distance, table=TABLE):
     zeta = np.radians(degrees)
-    return height_at_distance(table, h_c, np.sin(zeta), np.cos(zeta), distance, RADIUS)
+    return height_at_distance(table, h_c, np.sin(zeta), np.cos(zeta), distance, radius=RADIUS)
 
 
 def chord_of(truth, h_c, h, degrees, beyond=False) -> float:
@@ -94,7 +101,7 @@ def test_the_angle_at_that_height_gives_the_distance_back():
     found, status = heights(h_c, degrees, distance)
     assert set(status.tolist()) == {OK}
     zeta = np.radians(degrees)
-    r_c, _ = bend(TABLE, h_c, found, np.sin(zeta), np.cos(zeta), RADIUS)
+    r_c, _ = bend(TABLE, h_c, found, np.sin(zeta), np.cos(zeta), radius=RADIUS)
     # Law of sines in the triangle camera, target, centre of the earth.
     central = np.arcsin((RADIUS + h_c) / (RADIUS + found) * np.sin(zeta - r_c)) - (zeta - r_c)
     across = 4.0 * (RADIUS + h_c) * (RADIUS + found) * np.sin(0.5 * central) ** 2
@@ -140,7 +147,9 @@ def test_arguments_broadcast():
 
 LEVEL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 DOWN = np.diag([1.0, -1.0, -1.0])
-CAMERA = Camera(14_000, 10_600, 11_000.0, 11_000.0, 7012.4, 5291.7, k1=-0.018, p1=1.5e-4)
+CAMERA = Camera(
+    14_000, 10_600, 11_000.0, 11_000.0, 7012.4, 5291.7, BrownConrady(k1=-0.018, p1=1.5e-4)
+)
 
 
 def seen_from(rotation, h_c=3450.0, cabin=6e-5, change=-3.0) -> Exposures:
@@ -158,18 +167,27 @@ def test_targets_of_an_image_and_of_its_ideal_pixels(rotation):
     x, y = rng.uniform(0.0, 14_000.0, 200), rng.uniform(5800.0, 10_600.0, 200)
     distance, first = np.full(200, 3200.0), np.zeros(200, np.int64)
     exposures = seen_from(rotation)
-    found = target_heights(x, y, distance, first, exposures, CAMERA, TABLE)
+    found = target_heights(x, y, distance, first, exposures, camera=CAMERA, table=TABLE)
     assert np.isfinite(found).all()
     assert np.ptp(found) > 100.0
     corrected = correct_observations(
-        x, y, found, first, exposures, CAMERA, TABLE, distance_m=distance
+        x, y, found, first, exposures, camera=CAMERA, table=TABLE, distance_m=distance
     )
     assert set(corrected.status.tolist()) <= {OK, FAR_BRANCH}
     straight = target_heights(
-        corrected.x_px, corrected.y_px, distance, first, exposures, CAMERA, TABLE, ideal=True
+        corrected.x_px,
+        corrected.y_px,
+        distance,
+        first,
+        exposures,
+        camera=CAMERA,
+        table=TABLE,
+        ideal=True,
     )
     np.testing.assert_allclose(straight, found, rtol=0.0, atol=1e-6)
-    uncorrected = target_heights(x, y, distance, first, exposures, CAMERA, TABLE, ideal=True)
+    uncorrected = target_heights(
+        x, y, distance, first, exposures, camera=CAMERA, table=TABLE, ideal=True
+    )
     assert np.abs(uncorrected - found).max() > 1e-2
 
 
@@ -178,6 +196,10 @@ def test_an_observation_that_lacks_something_has_no_height():
     y, first = np.full(5, 5000.0), np.array([0, 0, -1, 0, 0])
     distance = np.array([np.nan, 3000.0, 3000.0, 3000.0, 9e6])
     for ideal in (False, True):
-        found = target_heights(x, y, distance, first, seen_from(DOWN), CAMERA, TABLE, ideal=ideal)
+        found = target_heights(
+            x, y, distance, first, seen_from(DOWN), camera=CAMERA, table=TABLE, ideal=ideal
+        )
         assert np.isnan(found[:4]).all(), ideal
-    assert np.isnan(target_heights(x, y, distance, first, seen_from(DOWN), CAMERA, TABLE)[4])
+    assert np.isnan(
+        target_heights(x, y, distance, first, seen_from(DOWN), camera=CAMERA, table=TABLE)[4]
+    )

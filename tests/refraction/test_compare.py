@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.refraction.published.compare import Comparison, compare_methods
+from pipeline.refraction.angle import Comparison, compare_methods
 from pipeline.units import ARCSEC, DEGREE
 
 

@@ -74,7 +74,7 @@ def test_rays_in_a_duct(warming):
         h_c = rng.uniform(5.0, 60.0)
         h_g = rng.uniform(0.0, h_c)
         zeta = math.pi / 2 - 10.0 ** rng.uniform(-6.0, -2.0)
-        angle, status = bend(table, h_c, h_g, math.sin(zeta), math.cos(zeta), RADIUS)
+        angle, status = bend(table, h_c, h_g, math.sin(zeta), math.cos(zeta), radius=RADIUS)
         wanted = expected(table, h_c, h_g, zeta)
         if not math.isnan(wanted):
             seen += 1
@@ -98,7 +98,7 @@ def test_grazing_the_top_of_a_duct_from_above():
     level = math.asin(n[0] * (RADIUS + top) / (n[1] * (RADIUS + 1658.7)))
     for below in (1e-7, 1e-5, 1e-3):
         zeta = level - below
-        angle, _ = bend(table, 1658.7, 17.9, math.sin(zeta), math.cos(zeta), RADIUS)
+        angle, _ = bend(table, 1658.7, 17.9, math.sin(zeta), math.cos(zeta), radius=RADIUS)
         assert angle / ARCSEC == pytest.approx(expected(table, 1658.7, 17.9, zeta), abs=1e-7)
 
 
@@ -111,11 +111,11 @@ def test_a_tenth_of_a_microdegree_from_level():
 def test_the_far_crossing_of_the_cameras_own_height():
     table = ray_table(standard_atmosphere("us1976"))
     zeta = math.pi / 2 - 0.02
-    given = (math.sin(zeta), math.cos(zeta), RADIUS)
-    nothing, at_camera = bend(table, 3000.0, 3000.0, *given)
+    given = (math.sin(zeta), math.cos(zeta))
+    nothing, at_camera = bend(table, 3000.0, 3000.0, *given, radius=RADIUS)
     assert nothing == 0.0
     assert at_camera == BEYOND_GRAZING
-    far, status = bend(table, 3000.0, 3000.0, *given, 250e3)
-    nearly, _ = bend(table, 3000.0, 3000.0 - 1e-6, *given, 250e3)
+    far, status = bend(table, 3000.0, 3000.0, *given, radius=RADIUS, distance=250e3)
+    nearly, _ = bend(table, 3000.0, 3000.0 - 1e-6, *given, radius=RADIUS, distance=250e3)
     assert status == FAR_BRANCH
     assert far == pytest.approx(float(nearly), rel=1e-7)

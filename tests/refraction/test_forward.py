@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.geodesy import euler_radius
-from pipeline.refraction import Camera, Exposures, correct_observations, ray_table
+from pipeline.refraction import BrownConrady, Camera, Exposures, correct_observations, ray_table
 from pipeline.refraction.forward import apply_refraction
 from pipeline.refraction.ray import rays_by
 from pipeline.refraction.status import (
@@ -33,7 +33,7 @@ AIR = standard_atmosphere("us1976", index="gyer")
 TABLE = ray_table(AIR)
 CAMERA = Camera(
     14_000, 10_600, 11_000.0, 11_000.0, 7012.4, 5291.7,
-    k1=-0.018, k2=0.009, k3=-0.002, p1=1.5e-4, p2=-1e-4,
+    distortion=BrownConrady(k1=-0.018, k2=0.009, k3=-0.002, p1=1.5e-4, p2=-1e-4),
 )  # fmt: skip
 PINHOLE = Camera(14_000, 10_600, 11_000.0, 11_000.0, 7000.0, 5300.0)
 DOWN = np.diag([1.0, -1.0, -1.0])
@@ -65,9 +65,18 @@ def both_ways(x, y, h_g, exposures, camera=CAMERA, table=TABLE, distance=None):
     h_g, first = np.broadcast_to(np.asarray(h_g, float), x.shape), np.zeros(x.shape, np.int64)
     if distance is not None:
         distance = np.broadcast_to(np.asarray(distance, float), x.shape)
-    ideal = correct_observations(x, y, h_g, first, exposures, camera, table, distance_m=distance)
+    ideal = correct_observations(
+        x, y, h_g, first, exposures, camera=camera, table=table, distance_m=distance
+    )
     seen = apply_refraction(
-        ideal.x_px, ideal.y_px, h_g, first, exposures, camera, table, distance_m=distance
+        ideal.x_px,
+        ideal.y_px,
+        h_g,
+        first,
+        exposures,
+        camera=camera,
+        table=table,
+        distance_m=distance,
     )
     return ideal, seen
 
@@ -109,9 +118,11 @@ def test_and_again_from_the_other_side(scene):
     x, y = rng.uniform(20.0, 13_980.0, 500), rng.uniform(20.0, 10_580.0, 500)
     first, exposures = np.zeros(500, np.int64), seen_from(rotation, h_c, **more)
     ground = np.full(500, h_g)
-    seen = apply_refraction(x, y, ground, first, exposures, CAMERA, TABLE)
+    seen = apply_refraction(x, y, ground, first, exposures, camera=CAMERA, table=TABLE)
     assert set(seen.status.tolist()) == {OK}
-    back = correct_observations(seen.x_px, seen.y_px, ground, first, exposures, CAMERA, TABLE)
+    back = correct_observations(
+        seen.x_px, seen.y_px, ground, first, exposures, camera=CAMERA, table=TABLE
+    )
     np.testing.assert_allclose(back.x_px, x, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(back.y_px, y, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(seen.x_px - x, seen.dx_px, rtol=0.0, atol=1e-11)
@@ -121,7 +132,13 @@ def test_the_ray_is_displaced_away_from_the_nadir():
     x = np.array([8000.0, 7000.0, 7000.0])
     y = np.array([5300.0, 6300.0, 5300.0])
     seen = apply_refraction(
-        x, y, np.zeros(3), np.zeros(3, np.int64), seen_from(DOWN, 3000.0), PINHOLE, TABLE
+        x,
+        y,
+        np.zeros(3),
+        np.zeros(3, np.int64),
+        seen_from(DOWN, 3000.0),
+        camera=PINHOLE,
+        table=TABLE,
     )
     assert seen.dx_px[0] > 0.01
     assert seen.dy_px[1] == pytest.approx(seen.dx_px[0], rel=1e-2)
@@ -175,7 +192,7 @@ def test_what_the_simulator_sees(tilt):
     assert inside.sum() > 15
     seen = apply_refraction(
         ideal[inside, 0], ideal[inside, 1], h_g[inside], np.zeros(inside.sum(), np.int64),
-        seen_from(rotation, h_c), CAMERA, TABLE,
+        seen_from(rotation, h_c), camera=CAMERA, table=TABLE,
     )  # fmt: skip
     shift = np.abs(truth - ideal)[inside].max()
     miss = np.abs(np.stack([seen.x_px, seen.y_px], 1) - truth[inside]).max()
@@ -245,7 +262,7 @@ def test_two_rays_for_one_straight_line_are_told_apart_by_distance(tilt, window)
     # Both are right: they end in the same ideal pixel.
     again = correct_observations(
         other.x_px[band], other.y_px[band], np.full(band.sum(), h_g),
-        np.zeros(band.sum(), np.int64), exposures, PINHOLE, TABLE,
+        np.zeros(band.sum(), np.int64), exposures, camera=PINHOLE, table=TABLE,
     )  # fmt: skip
     np.testing.assert_allclose(again.y_px, ideal.y_px[band], rtol=0.0, atol=1e-8)
     distance = far_end(ideal.rows(np.flatnonzero(band)), h_c, h_g)
@@ -269,7 +286,13 @@ def test_points_on_the_edge_of_the_format_come_back():
 def test_a_point_displaced_out_of_the_format_is_outside():
     x, y = np.array([13_999.9, 13_999.0, 14_009.0]), np.full(3, 5300.0)
     seen = apply_refraction(
-        x, y, np.zeros(3), np.zeros(3, np.int64), seen_from(DOWN, 8000.0), PINHOLE, TABLE
+        x,
+        y,
+        np.zeros(3),
+        np.zeros(3, np.int64),
+        seen_from(DOWN, 8000.0),
+        camera=PINHOLE,
+        table=TABLE,
     )
     assert seen.status.tolist() == [OUTSIDE_CAMERA, OK, OUTSIDE_CAMERA]
     assert np.isfinite(seen.x_px).tolist() == [False, True, False]
@@ -289,7 +312,7 @@ def test_each_reason_in_its_place():
             "window_normal", "principal_change_px")},
     )  # fmt: skip
     two.rotation[1] = np.nan
-    seen = apply_refraction(x, y, h_g, row, two, CAMERA, TABLE)
+    seen = apply_refraction(x, y, h_g, row, two, camera=CAMERA, table=TABLE)
     assert seen.status.tolist() == [
         OK, BAD_MEASUREMENT, BAD_MEASUREMENT, NO_STATION, NO_GROUND, OUTSIDE_CAMERA,
         OUTSIDE_PROFILE, NO_STATION, NO_GROUND,
@@ -302,7 +325,7 @@ def test_over_the_horizon_no_ray_shows_the_ground():
     y = level_pixels([88.0, 88.6, 90.5])
     seen = apply_refraction(
         np.full(3, 7000.0), y, np.full(3, 450.0), np.zeros(3, np.int64),
-        seen_from(looking(90.0), 3450.0), PINHOLE, TABLE,
+        seen_from(looking(90.0), 3450.0), camera=PINHOLE, table=TABLE,
     )  # fmt: skip
     assert seen.status.tolist() == [OK, MISSES_GROUND, MISSES_GROUND]
     assert np.isfinite(seen.y_px).tolist() == [True, False, False]
@@ -313,10 +336,12 @@ def test_neighbours_do_not_matter():
     x, y = rng.uniform(0.0, 14_000.0, 50), rng.uniform(0.0, 10_600.0, 50)
     x[7] = np.nan
     h_g, first, exposures = np.full(50, 450.0), np.zeros(50, np.int64), seen_from(DOWN, 3450.0)
-    together = apply_refraction(x, y, h_g, first, exposures, CAMERA, TABLE)
+    together = apply_refraction(x, y, h_g, first, exposures, camera=CAMERA, table=TABLE)
     for i in (3, 7, 30):
         one = slice(i, i + 1)
-        alone = apply_refraction(x[one], y[one], h_g[one], first[one], exposures, CAMERA, TABLE)
+        alone = apply_refraction(
+            x[one], y[one], h_g[one], first[one], exposures, camera=CAMERA, table=TABLE
+        )
         np.testing.assert_allclose(alone.x_px, together.x_px[one], rtol=0.0, atol=1e-10)
         assert alone.status[0] == together.status[i]
 
@@ -335,11 +360,13 @@ def test_a_published_method_goes_both_ways_too():
 
 def test_nothing_to_displace():
     none, empty = seen_from(DOWN, 3450.0), np.empty(0)
-    found = apply_refraction(empty, empty, empty, np.empty(0, np.int64), none, CAMERA, TABLE)
+    found = apply_refraction(
+        empty, empty, empty, np.empty(0, np.int64), none, camera=CAMERA, table=TABLE
+    )
     assert found.x_px.shape == (0,)
     stationless = Exposures(
         np.empty(0, bool), np.empty((0, 3, 3)), empty, empty, empty, empty, np.empty((0, 3)), empty
     )
     one = np.ones(1)
-    found = apply_refraction(one, one, one, np.array([-1]), stationless, CAMERA, TABLE)
+    found = apply_refraction(one, one, one, np.array([-1]), stationless, camera=CAMERA, table=TABLE)
     assert found.status.tolist() == [NO_STATION]

@@ -11,8 +11,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.refraction import Camera, Exposures, correct_observations, ray_table, refraction_angle
-from pipeline.refraction.image import ground_displacement, landing_point
+from pipeline.refraction import (
+    BrownConrady,
+    Camera,
+    Exposures,
+    correct_observations,
+    ray_table,
+    refraction_angle,
+)
+from pipeline.refraction.image import ground_displacement, straight_reach
 from pipeline.refraction.status import (
     BAD_MEASUREMENT,
     BEYOND_GRAZING,
@@ -23,7 +30,7 @@ from pipeline.refraction.status import (
     OUTSIDE_CAMERA,
     OUTSIDE_PROFILE,
 )
-from pipeline.refraction.window import leave_compartment
+from pipeline.refraction.window import refract_at_window
 from pipeline.units import DEGREE
 
 RADIUS = 6_371_000.0
@@ -72,7 +79,7 @@ def correct(
     x, y = np.atleast_1d(np.asarray(x, float)), np.atleast_1d(np.asarray(y, float))
     return correct_observations(
         x, y, np.broadcast_to(np.asarray(h_g, float), x.shape), np.zeros(x.shape, np.int64),
-        exposures(rotation, cabin, h_c, normal), camera, TABLE, **more,
+        exposures(rotation, cabin, h_c, normal), camera=camera, table=TABLE, **more,
     )  # fmt: skip
 
 
@@ -185,7 +192,9 @@ def test_against_a_brute_force_rotation(tilt):
 
 
 def test_distorted_pixels_go_out_as_distorted_pixels():
-    camera = replace(PINHOLE, k1=-0.018, k2=0.009, k3=-0.002, p1=1.5e-4, p2=-1e-4)
+    camera = replace(
+        PINHOLE, distortion=BrownConrady(k1=-0.018, k2=0.009, k3=-0.002, p1=1.5e-4, p2=-1e-4)
+    )
     rotation = looking(30, 80)
     x, y = np.array(POINTS).T
     u, v, _ = camera.rays(x, y)
@@ -280,7 +289,7 @@ def test_each_reason_in_its_place():
                          "refractivity_cabin")
         }, usable=np.array([True, False]),
     )  # fmt: skip
-    found = correct_observations(x, y, h_g, row, two, PINHOLE, TABLE)
+    found = correct_observations(x, y, h_g, row, two, camera=PINHOLE, table=TABLE)
     assert found.status.tolist() == [
         OK, BAD_MEASUREMENT, NO_STATION, NO_GROUND, OUTSIDE_CAMERA, OUTSIDE_PROFILE, NO_STATION,
         BAD_MEASUREMENT, NO_STATION,
@@ -293,7 +302,7 @@ def test_a_lens_that_cannot_be_has_a_status(change):
     one = replace(exposures(DOWN), principal_change_px=np.array([change]))
     found = correct_observations(
         np.array([7000.0]), np.array([5000.0]), np.array([H_G]), np.zeros(1, np.int64), one,
-        PINHOLE, TABLE,
+        camera=PINHOLE, table=TABLE,
     )  # fmt: skip
     assert found.status.tolist() == [OUTSIDE_CAMERA]
     assert np.isnan([found.x_px[0], found.dx_px[0], found.r_c_rad[0]]).all()
@@ -310,7 +319,13 @@ def test_no_stations_at_all():
         )
     )
     found = correct_observations(
-        np.array([1.0]), np.array([1.0]), np.array([0.0]), np.array([-1]), none, PINHOLE, TABLE
+        np.array([1.0]),
+        np.array([1.0]),
+        np.array([0.0]),
+        np.array([-1]),
+        none,
+        camera=PINHOLE,
+        table=TABLE,
     )
     assert found.status.tolist() == [NO_STATION]
 
@@ -320,7 +335,7 @@ def test_the_ellipsoid_gives_the_radius():
     free = replace(exposures(looking(45)), radius_m=None)
     found = correct_observations(
         np.array([100.0]), np.array([200.0]), np.array([H_G]), np.zeros(1, np.int64), free,
-        PINHOLE, TABLE,
+        camera=PINHOLE, table=TABLE,
     )  # fmt: skip
     assert 0.0 < abs(float(found.r_c_rad[0] / fixed.r_c_rad[0]) - 1.0) < 1e-3
 
@@ -339,7 +354,7 @@ def test_a_tilted_window_bends_about_its_own_normal():
 @pytest.mark.parametrize("cabin", [CABIN, OUTSIDE - 6e-5])
 @pytest.mark.parametrize("tilt_deg", [0.0, 5.0, 63.8, 64.2, 80.0, 120.0])
 def test_any_window_bends_a_ray_as_snell_has_it(tilt_deg, cabin):
-    """From straight through to total reflection, and from behind; `leave_compartment` is tested
+    """From straight through to total reflection, and from behind; `refract_at_window` is tested
     with 40 digits."""
     normal = np.array([0.0, math.sin(tilt_deg * DEGREE), math.cos(tilt_deg * DEGREE)])
     # Up the middle of the image, to rays 25.7 degrees aside, which graze a window of 64.
@@ -347,7 +362,7 @@ def test_any_window_bends_a_ray_as_snell_has_it(tilt_deg, cabin):
     found = correct(np.full(y.size, PINHOLE.cx_px), y, DOWN, cabin=cabin, normal=normal)
     ray = np.stack([np.zeros(y.size), (y - PINHOLE.cy_px) / PINHOLE.fy_px, np.ones(y.size)], 1)
     ray /= np.linalg.norm(ray, axis=1)[:, None]
-    change, r_cc = leave_compartment(ray, cabin, OUTSIDE, normal)
+    change, r_cc = refract_at_window(ray, cabin, OUTSIDE, normal)
     np.testing.assert_allclose(found.r_cc_rad, r_cc, rtol=1e-11, atol=1e-17)
     np.testing.assert_array_equal(found.status == OUTSIDE_CAMERA, np.isnan(r_cc))
     # Outside the window the nadir angle is that of the bent ray; near total reflection to 6e-15.
@@ -360,7 +375,7 @@ def test_landing_points_lie_on_the_sphere():
     ray = rng.normal(size=(200, 3))
     ray /= np.linalg.norm(ray, axis=1)[:, None]
     h_c, h_g = rng.uniform(0.0, 9000.0, 200), rng.uniform(0.0, 9000.0, 200)
-    point = landing_point(ray, h_c, h_g, np.full(200, RADIUS))
+    point = ray * straight_reach(h_c, h_g, -ray[:, 2], radius=RADIUS, far=False)[:, None]
     hit = np.isfinite(point[:, 0])
     assert hit.sum() > 80
     # Every ray upwards reaches a higher target, none a lower one.
@@ -373,8 +388,7 @@ def test_landing_points_lie_on_the_sphere():
 
 def test_a_target_at_the_cameras_height_is_at_the_camera():
     ray = np.array([[0.6, 0.0, -0.8], [0.6, 0.0, 0.8], [1.0, 0.0, 0.0]])
-    ones = np.ones(3)
-    assert not landing_point(ray, 500.0 * ones, 500.0 * ones, RADIUS * ones).any()
+    assert not straight_reach(500.0, 500.0, -ray[:, 2], radius=RADIUS, far=False).any()
 
 
 def test_metres_on_the_ground():
@@ -396,7 +410,7 @@ def test_over_the_horizon_there_are_no_metres_and_a_good_status():
     below = np.radians(90.0 - np.array([horizon - 0.005, horizon + 0.005, 86.9]))
     found = correct_observations(
         np.full(3, PINHOLE.cx_px), PINHOLE.cy_px + 11_000.0 * np.tan(below), np.zeros(3),
-        np.zeros(3, np.int64), exposures(looking(90.0), h_c=10_000.0), PINHOLE, TABLE,
+        np.zeros(3, np.int64), exposures(looking(90.0), h_c=10_000.0), camera=PINHOLE, table=TABLE,
     )  # fmt: skip
     assert found.status.tolist() == [OK] * 3
     assert np.isfinite(found.y_px).all()

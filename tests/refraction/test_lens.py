@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from pipeline.refraction.lens import LensInAir, is_absurd, principal_change
+from pipeline.refraction.camera.camera import LensInAir, is_absurd, principal_change
 
 # A lens of 153 mm on pixels of 7.65 um, calibrated on the ground.
 PITCH_MM = 0.00765

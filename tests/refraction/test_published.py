@@ -17,7 +17,7 @@ from pipeline.refraction import METHODS, refraction_angle
 from pipeline.refraction import published as pub
 from pipeline.refraction.published import gyer
 from pipeline.refraction.published.column import density, mean
-from pipeline.refraction.published.trace import trace
+from pipeline.refraction.ray import PublishedRays
 from pipeline.refraction.status import BAD_MEASUREMENT, MISSES_GROUND, OK, OUTSIDE_PROFILE
 from pipeline.units import ARCSEC, DEGREE
 
@@ -420,7 +420,9 @@ class TestTrace:
 
     def rays(self, name, profile, h_c, h_g, degrees):
         zeta = np.radians(degrees)
-        return trace(pub.PUBLISHED[name], profile, h_c, h_g, np.sin(zeta), np.cos(zeta), RADIUS)
+        return PublishedRays(profile, pub.PUBLISHED[name]).bend(
+            h_c, h_g, np.sin(zeta), np.cos(zeta), RADIUS
+        )
 
     @pytest.mark.parametrize("name", pub.PUBLISHED)
     def test_gives_the_angles_of_the_method(self, name, us1962):
@@ -453,17 +455,17 @@ class TestTrace:
         h_c = np.array([np.inf, -np.inf, 6000.0, 6000.0, 6000.0, 6000.0, 6000.0, 6000.0, 6000.0])
         h_g = np.array([0.0, 0.0, np.inf, -np.inf, 0.0, 0.0, 0.0, 0.0, 0.0])
         radius = np.array([RADIUS] * 4 + [np.nan, np.inf, 0.0, -RADIUS, RADIUS])
-        r_c, status = trace(pub.PUBLISHED[name], us1962, h_c, h_g, 0.6, 0.8, radius)
+        r_c, status = PublishedRays(us1962, pub.PUBLISHED[name]).bend(h_c, h_g, 0.6, 0.8, radius)
         assert status.tolist() == [BAD_MEASUREMENT] * 8 + [OK]
         assert np.isnan(r_c[:-1]).all()
-        alone, _ = trace(pub.PUBLISHED[name], us1962, 6000.0, 0.0, 0.6, 0.8, RADIUS)
+        alone, _ = PublishedRays(us1962, pub.PUBLISHED[name]).bend(6000.0, 0.0, 0.6, 0.8, RADIUS)
         assert float(alone) == r_c[-1] > 0.0
 
     @pytest.mark.parametrize("name", pub.PUBLISHED)
     @pytest.mark.parametrize("h_c", [math.inf, -math.inf])
     def test_an_endless_height_is_refused(self, name, h_c, us1962):
         with pytest.raises(PhysicsError) as refusal:
-            refraction_angle(us1962, h_c, 0.0, DIAGONAL, RADIUS, name)
+            refraction_angle(us1962, h_c, 0.0, DIAGONAL, RADIUS, method=name)
         assert refusal.value.code == "RAY-BAD-MEASUREMENT"
 
     def test_the_spherical_ray_has_the_same_status(self, us1962):
@@ -471,7 +473,7 @@ class TestTrace:
         for radius in (math.nan, math.inf, 0.0, -1.0):
             for name in ("spherical", "plane", "gyer1996"):
                 with pytest.raises(PhysicsError) as refusal:
-                    refraction_angle(us1962, 6000.0, 0.0, DIAGONAL, radius, name)
+                    refraction_angle(us1962, 6000.0, 0.0, DIAGONAL, radius, method=name)
                 assert refusal.value.code == "RAY-BAD-MEASUREMENT"
 
     @pytest.mark.parametrize(("h_c", "h_g"), [(1e12, 0.0), (6000.0, -1e12), (1e300, -1e300)])
@@ -485,12 +487,14 @@ class TestTrace:
             return real(integrand, h, width, first, np.minimum(count, 100.0))
 
         monkeypatch.setattr(gyer, "_eq_31", counted)
-        r_c, status = trace(
-            pub.gyer1996, us1962, np.array([h_c, 6000.0]), np.array([h_g, 0.0]), 0.6, 0.8, RADIUS
+        r_c, status = PublishedRays(us1962, pub.gyer1996).bend(
+            np.array([h_c, 6000.0]), np.array([h_g, 0.0]), 0.6, 0.8, RADIUS
         )
         assert status.tolist() == [OUTSIDE_PROFILE, OK]
         assert np.isnan(r_c[0])
-        stepped = pub.plane_first_term(us1962, [h_c, 6000.0], [h_g, 0.0], DIAGONAL, RADIUS, 1000.0)
+        stepped = pub.plane_first_term(
+            us1962, [h_c, 6000.0], [h_g, 0.0], DIAGONAL, RADIUS, step=1000.0
+        )
         assert np.isnan(stepped).tolist() == [True, False]
         assert summed == [6.0, 0.0, 6.0]
 

@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.errors import PhysicsError
-from pipeline.refraction.radial import angles_to, radial_table
+from pipeline.refraction.angle import angles_to, radial_table
 from pipeline.units import ARCSEC, DEGREE
 
 AIR = standard_atmosphere("us1976", index="gyer")

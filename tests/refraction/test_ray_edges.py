@@ -30,7 +30,7 @@ nadir_angles = st.floats(0.0, math.pi)
 
 
 def bent(h_c, h_g, zeta, table=None):
-    return bend(table or ray_table(AIR), h_c, h_g, np.sin(zeta), np.cos(zeta), RADIUS)
+    return bend(table or ray_table(AIR), h_c, h_g, np.sin(zeta), np.cos(zeta), radius=RADIUS)
 
 
 def constant_index(value: float) -> RayTable:
@@ -42,17 +42,17 @@ def constant_index(value: float) -> RayTable:
 def test_exactly_at_the_nadir_and_at_the_zenith_nothing_bends():
     assert refraction_angle(AIR, 3000.0, 0.0, 0.0) == 0.0
     assert abs(refraction_angle(AIR, 1000.0, 3000.0, math.pi)) < 1e-18
-    r_c, status = bend(ray_table(AIR), 1000.0, 3000.0, 0.0, -1.0, RADIUS)
+    r_c, status = bend(ray_table(AIR), 1000.0, 3000.0, 0.0, -1.0, radius=RADIUS)
     assert (float(r_c), int(status)) == (0.0, OK)
 
 
 def test_exactly_level():
     # cos(90 deg) is 6e-17, or 0 exactly from a rotation matrix: both must do.
-    r_c, status = bend(ray_table(AIR), 1000.0, 1500.0, 1.0, [0.0, 6e-17, -6e-17], RADIUS)
+    r_c, status = bend(ray_table(AIR), 1000.0, 1500.0, 1.0, [0.0, 6e-17, -6e-17], radius=RADIUS)
     assert status.tolist() == [OK, OK, OK]
     assert np.ptp(r_c) / ARCSEC < 1e-8
     assert 60.0 < r_c[0] / ARCSEC < 400.0
-    _, status = bend(ray_table(AIR), 1000.0, 500.0, 1.0, 0.0, RADIUS)
+    _, status = bend(ray_table(AIR), 1000.0, 500.0, 1.0, 0.0, radius=RADIUS)
     assert int(status) == MISSES_GROUND
 
 
@@ -115,11 +115,11 @@ def test_what_is_no_number_is_flagged(bad):
     for i in range(5):
         values = good.copy()
         values[i] = bad
-        r_c, status = bend(table, *values)
+        r_c, status = bend(table, *values[:4], radius=values[4])
         assert np.isnan(r_c)
         assert int(status) == BAD_MEASUREMENT
     for radius in (0.0, -RADIUS):
-        assert int(bend(table, 3000.0, 0.0, 0.6, 0.8, radius)[1]) == BAD_MEASUREMENT
+        assert int(bend(table, 3000.0, 0.0, 0.6, 0.8, radius=radius)[1]) == BAD_MEASUREMENT
 
 
 def test_neighbours_of_bad_rows_are_untouched():

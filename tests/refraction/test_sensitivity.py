@@ -212,7 +212,9 @@ def differences(index: str, h_c: float, h_g: float, degrees: float) -> dict[str,
 def worst(index: str, h_c: float, h_g: float, degrees: float) -> dict[str, float]:
     """Largest error of each derivative, in parts of the largest of its kind."""
     expected = differences(index, h_c, h_g, degrees)
-    found = sensitivity(profile_of(index), h_c, h_g, degrees * DEGREE, RADIUS, ANCHOR_M)
+    found = sensitivity(
+        profile_of(index), h_c, h_g, degrees * DEGREE, RADIUS, anchor_height_m=ANCHOR_M
+    )
     assert found.valid
     assert found.d_pressure == pytest.approx(found.d_log_pressure / ANCHOR_PA, rel=1e-14)
     return {
@@ -293,7 +295,7 @@ def horizon(profile: Profile, h_c: float) -> float:
 def test_near_the_horizon(h_c, below):
     profile = profile_of()
     zeta = horizon(profile, h_c) - below * DEGREE
-    found = sensitivity(profile, h_c, 0.0, zeta, RADIUS, ANCHOR_M)
+    found = sensitivity(profile, h_c, 0.0, zeta, RADIUS, anchor_height_m=ANCHOR_M)
     assert found.valid
     with mp.workdps(DIGITS):
         ray, step = [mp.mpf(h_c), mp.mpf(0), mp.mpf(zeta)], mp.mpf("1e-10")
@@ -334,7 +336,9 @@ def bend_difference(change, step: float, *ray: float) -> float:
 
 @pytest.mark.parametrize("ray", [(10_000.0, 0.0, 1.3), (2500.0, 800.0, 0.7), (900.0, 6000.0, 1.9)])
 def test_uniform_warming_is_the_sum_over_the_edges(ray):
-    found = sensitivity(profile_of("ciddor"), *ray, RADIUS, ANCHOR_M).d_temperature.sum()
+    found = sensitivity(
+        profile_of("ciddor"), *ray, RADIUS, anchor_height_m=ANCHOR_M
+    ).d_temperature.sum()
     expected = bend_difference(lambda s: profile_of("ciddor", np.add(T_M, s)), 0.2, *ray)
     # Reached: 1e-12.
     assert found == pytest.approx(expected, rel=1e-9)
@@ -343,7 +347,7 @@ def test_uniform_warming_is_the_sum_over_the_edges(ray):
 def test_from_virtual_temperature_to_the_thermometer():
     """The two formulas in the docstring of AirJacobian, for edge 1."""
     ray = (3000.0, 200.0, 1.1)
-    found = sensitivity(profile_of("ciddor"), *ray, RADIUS, ANCHOR_M)
+    found = sensitivity(profile_of("ciddor"), *ray, RADIUS, anchor_height_m=ANCHOR_M)
     wet = 0.378 * VAPOUR[1]
     kelvin = T_M[1] * (1.0 - wet)
 
@@ -406,11 +410,11 @@ def test_many_rays_are_each_what_they_are_alone(monkeypatch):
     monkeypatch.setattr(weights, "_BLOCK", 3000)
     profile = profile_of("ciddor")
     h_c, zeta = np.array([9000.0, 1200.0, 4000.0]), np.array([[0.2], [1.5], [0.9], [1.2]])
-    together = sensitivity(profile, h_c, 0.0, zeta, RADIUS, ANCHOR_M)
+    together = sensitivity(profile, h_c, 0.0, zeta, RADIUS, anchor_height_m=ANCHOR_M)
     assert together.d_temperature.shape == (4, 3, len(EDGES))
     for i in range(4):
         for j in range(3):
-            alone = sensitivity(profile, h_c[j], 0.0, zeta[i, 0], RADIUS, ANCHOR_M)
+            alone = sensitivity(profile, h_c[j], 0.0, zeta[i, 0], RADIUS, anchor_height_m=ANCHOR_M)
             np.testing.assert_allclose(
                 together.d_temperature[i, j], alone.d_temperature, rtol=1e-9, atol=1e-20
             )
@@ -432,7 +436,7 @@ def test_no_ray_and_one_ray_have_their_shape(shape):
 
 def test_pressure_is_referred_to_a_height_inside_the_profile():
     with pytest.raises(PhysicsError) as refusal:
-        sensitivity(profile_of(), 3000.0, 0.0, 0.5, RADIUS, 20_000.0)
+        sensitivity(profile_of(), 3000.0, 0.0, 0.5, RADIUS, anchor_height_m=20_000.0)
     assert refusal.value.code == "PROFILE-RANGE"
     assert "20000 m" in refusal.value.what
     outside = air_jacobian(profile_of(), [-1000.0, 100.0, 20_000.0], 0.0)

@@ -41,14 +41,17 @@ def rays(rng, h_c, count, steepest=84.0):
 
 
 def one_by_one(table, h_c, h_g, sine, cosine, radius):
-    found = [bend(table, h_c, *ray) for ray in zip(h_g, sine, cosine, radius, strict=True)]
+    found = [
+        bend(table, h_c, *ray[:3], radius=ray[3])
+        for ray in zip(h_g, sine, cosine, radius, strict=True)
+    ]
     return tuple(np.array(column) for column in zip(*found, strict=True))
 
 
 @pytest.mark.parametrize("h_c", [10.0, 120.0, 1000.0, 3450.0, 10_000.0, 30_000.0])
 def test_a_ray_among_many_is_the_ray_by_itself(table, h_c):
     given = rays(np.random.default_rng(int(h_c)), h_c, 300)
-    together, status = bend(table, h_c, *given)
+    together, status = bend(table, h_c, *given[:3], radius=given[3])
     alone, status_alone = one_by_one(table, h_c, *given)
     np.testing.assert_array_equal(status, status_alone)
     # Reached: 3e-10 arcsec.
@@ -60,7 +63,7 @@ def test_flat_rays_among_steep_ones_to_the_same_height(table, first):
     """Those that bend too much for the series are left out of it one by one."""
     zeta = np.append(np.linspace(40.0, 88.0, 99), first)[::-1] * DEGREE
     given = (np.full(100, 20.0), np.sin(zeta), np.cos(zeta), np.full(100, RADIUS))
-    together, status = bend(table, 300.0, *given)
+    together, status = bend(table, 300.0, *given[:3], radius=given[3])
     alone, status_alone = one_by_one(table, 300.0, *given)
     np.testing.assert_array_equal(status, status_alone)
     np.testing.assert_allclose(together / ARCSEC, alone / ARCSEC, rtol=0.0, atol=1e-9)
@@ -69,11 +72,12 @@ def test_flat_rays_among_steep_ones_to_the_same_height(table, first):
 def test_the_series_is_what_is_used(table):
     """The comparison above would be empty if all rays were integrated one by one."""
     from pipeline.refraction.kernels import steep as kernel
+    from pipeline.refraction.kernels.columns import RayColumns
 
     h_g, sine, cosine, radius = rays(np.random.default_rng(5), 3450.0, 300, steepest=60.0)
     angle, status = np.empty(300), np.empty(300, np.uint8)
     kernel.bend_steep_rays(
-        *table.fine, np.full(300, 3450.0), h_g, sine, cosine, radius, angle, status
+        table.fine, RayColumns(np.full(300, 3450.0), h_g, sine, cosine, radius, h_g), angle, status
     )  # fmt: skip
     assert (status == OK).all()
     assert kernel.LEFT not in status
@@ -84,7 +88,7 @@ def test_many_rays_against_forty_digits(truth):
     rng = np.random.default_rng(1974)
     for h_c in (120.0, 3000.0, 10_000.0, 24_000.0):
         h_g, sine, cosine, _ = rays(rng, h_c, 200, steepest=80.0)
-        found, _ = bend(table, h_c, h_g, sine, cosine, RADIUS)
+        found, _ = bend(table, h_c, h_g, sine, cosine, radius=RADIUS)
         for i in rng.integers(0, 200, 8):
             zeta = math.atan2(sine[i], cosine[i])
             expected = oracle.angle(h_c, float(h_g[i]), zeta)
@@ -119,10 +123,10 @@ def test_inversions_against_eighty_bits():
     table, rng = ray_table(inversions()), np.random.default_rng(1966)
     for h_c in (60.0, 840.0, 1000.0, 6000.0, 17_000.0):
         h_g, sine, cosine, _ = rays(rng, h_c, 120, steepest=82.0)
-        found, _ = bend(table, h_c, h_g, sine, cosine, RADIUS)
+        found, _ = bend(table, h_c, h_g, sine, cosine, radius=RADIUS)
         for i in range(0, 120, 12):
             zeta = math.atan2(sine[i], cosine[i])
-            alone, _ = bend(table, h_c, h_g[i], sine[i], cosine[i], RADIUS)
+            alone, _ = bend(table, h_c, h_g[i], sine[i], cosine[i], radius=RADIUS)
             expected = theta_form(table, h_c, float(h_g[i]), zeta)
             # Reached: 4e-11 arcsec, of which the 80 bits are the larger part.
             assert found[i] / ARCSEC == pytest.approx(expected, abs=1e-9)
@@ -154,15 +158,15 @@ def test_the_order_of_the_cameras_does_not_matter(table):
     sine = rng.uniform(0.0, 0.9, 300)
     cosine = np.sqrt(1.0 - sine * sine)
     order = rng.permutation(300)
-    grouped, _ = bend(table, h_c, h_g, sine, cosine, RADIUS)
-    mixed, _ = bend(table, h_c[order], h_g[order], sine[order], cosine[order], RADIUS)
+    grouped, _ = bend(table, h_c, h_g, sine, cosine, radius=RADIUS)
+    mixed, _ = bend(table, h_c[order], h_g[order], sine[order], cosine[order], radius=RADIUS)
     np.testing.assert_allclose(grouped[order] / ARCSEC, mixed / ARCSEC, rtol=0.0, atol=1e-9)
 
 
 def test_radii_far_from_each_other_do_not_share(table):
     radius = np.where(np.arange(100) % 2, 6.371e6, 1.0e6)
-    together, _ = bend(table, 3000.0, 200.0, 0.6, 0.8, radius)
-    alone = [bend(table, 3000.0, 200.0, 0.6, 0.8, r)[0] for r in radius]
+    together, _ = bend(table, 3000.0, 200.0, 0.6, 0.8, radius=radius)
+    alone = [bend(table, 3000.0, 200.0, 0.6, 0.8, radius=r)[0] for r in radius]
     np.testing.assert_allclose(together / ARCSEC, np.array(alone) / ARCSEC, rtol=0.0, atol=1e-9)
 
 
@@ -187,7 +191,9 @@ def test_the_slant_range_says_which_crossing_is_meant(truth, h_c, h_g, degrees):
         ]
     assert ranges[1] > 1.5 * ranges[0]
     given = [math.nan, ranges[0] * 1.05, ranges[1] * 0.95]
-    found, status = bend(table, h_c, h_g, math.sin(zeta), math.cos(zeta), RADIUS, given)
+    found, status = bend(
+        table, h_c, h_g, math.sin(zeta), math.cos(zeta), radius=RADIUS, distance=given
+    )
     assert status.tolist() == [BEYOND_GRAZING, OK, FAR_BRANCH]
     wanted = [expected[0], expected[0], expected[1]]
     # Reached: 2e-9 arcsec; the lowest point keeps 1e-13 m of its height.
@@ -195,7 +201,7 @@ def test_the_slant_range_says_which_crossing_is_meant(truth, h_c, h_g, degrees):
 
 
 def test_a_slant_range_changes_nothing_where_there_is_one_crossing(table):
-    plain = bend(table, 3000.0, 100.0, 0.6, 0.8, RADIUS)
-    ranged = bend(table, 3000.0, 100.0, 0.6, 0.8, RADIUS, 1e6)
+    plain = bend(table, 3000.0, 100.0, 0.6, 0.8, radius=RADIUS)
+    ranged = bend(table, 3000.0, 100.0, 0.6, 0.8, radius=RADIUS, distance=1e6)
     assert plain[0] == ranged[0]
     assert ranged[1] == OK

@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.refraction import (
+    BrownConrady,
     Camera,
     Exposures,
     StationSigmas,
@@ -24,7 +25,13 @@ from pipeline.units import DEGREE
 RADIUS = 6_371_000.0
 H_C = 2680.0
 CAMERA = Camera(
-    14_000, 10_600, 11_000.0, 11_200.0, 7012.4, 5291.7, -0.02, 0.01, -0.002, 2e-4, -1e-4
+    14_000,
+    10_600,
+    11_000.0,
+    11_200.0,
+    7012.4,
+    5291.7,
+    BrownConrady(-0.02, 0.01, -0.002, 2e-4, -1e-4),
 )
 DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 # Aircraft banked and pitched, its camera 40 degrees to the side: nothing is level here.
@@ -61,12 +68,17 @@ def points(n=400) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def shifts(air, ex, x, y, h_g, **more):
     one = np.zeros(x.size, np.int64)
-    return correct_observations(x, y, h_g, one, ex, CAMERA, ray_table(air), **more)
+    return correct_observations(x, y, h_g, one, ex, camera=CAMERA, table=ray_table(air), **more)
 
 
 def with_sigmas(air, ex, stations, x, y, h_g, covariance=None, sigma=GROUND):
     uncertainty = uncertainty_of(
-        air, covariance, ex, stations, [(CAMERA, np.array([True]))], (-600.0, 10_000.0)
+        air,
+        covariance,
+        ex,
+        stations,
+        [(CAMERA, np.array([True]))],
+        ground_heights_m=(-600.0, 10_000.0),
     )
     return shifts(
         air, ex, x, y, h_g, uncertainty=uncertainty, sigma_h_g=np.full(x.size, sigma)
@@ -167,11 +179,12 @@ def test_a_tilt_of_half_a_degree(air):
         ex = exposed(profile, looking, 10_000.0)
         uncertainty = uncertainty_of(
             profile, None, ex, station_sigmas(0.5 * DEGREE, 0.5 * DEGREE, 0.0),
-            [(narrow, np.array([True]))], (0.0, 0.0),
+            [(narrow, np.array([True]))], ground_heights_m=(0.0, 0.0),
         )  # fmt: skip
         centre = np.array([100.0])
         found = correct_observations(
-            centre, centre, np.zeros(1), np.zeros(1, np.int64), ex, narrow, ray_table(profile),
+            centre, centre, np.zeros(1), np.zeros(1, np.int64), ex, camera=narrow,
+            table=ray_table(profile),
             uncertainty=uncertainty,
         )  # fmt: skip
         assert abs(found.dx_px[0]) < 1e-9
@@ -187,14 +200,19 @@ def test_exactly_at_the_nadir(air):
     """There the shift is zero in every direction, and a tilt moves it alike in each."""
     profile, _ = air
     ex = exposed(profile, DOWN)
-    pinhole = replace(CAMERA, fy_px=11_000.0, k1=0.0, k2=0.0, k3=0.0, p1=0.0, p2=0.0)
+    pinhole = replace(CAMERA, fy_px=11_000.0, distortion=BrownConrady())
     uncertainty = uncertainty_of(
-        profile, None, ex, station_sigmas(), [(pinhole, np.array([True]))], (-600.0, 1e4)
+        profile,
+        None,
+        ex,
+        station_sigmas(),
+        [(pinhole, np.array([True]))],
+        ground_heights_m=(-600.0, 1e4),
     )
     x = np.array([pinhole.cx_px, pinhole.cx_px + 1.0])
     y = np.array([pinhole.cy_px, pinhole.cy_px])
     found = correct_observations(
-        x, y, np.zeros(2), np.zeros(2, np.int64), ex, pinhole, ray_table(profile),
+        x, y, np.zeros(2), np.zeros(2, np.int64), ex, camera=pinhole, table=ray_table(profile),
         uncertainty=uncertainty, sigma_h_g=np.full(2, GROUND),
     )  # fmt: skip
     s = found.sigmas
@@ -216,14 +234,19 @@ def test_rows_in_any_order(air, order):
         refractivity_cabin=profile.refractivity(np.array([H_C, 2700.0])),
     )  # fmt: skip
     uncertainty = uncertainty_of(
-        profile, covariance, two, station_sigmas(n=2), [(CAMERA, np.ones(2, bool))], (0.0, 900.0)
+        profile,
+        covariance,
+        two,
+        station_sigmas(n=2),
+        [(CAMERA, np.ones(2, bool))],
+        ground_heights_m=(0.0, 900.0),
     )
     row = np.array(order)
     x, y, h_g = points(row.size)
 
     def sigmas(rows):
         return correct_observations(
-            x[rows], y[rows], h_g[rows], row[rows], two, CAMERA, ray_table(profile),
+            x[rows], y[rows], h_g[rows], row[rows], two, camera=CAMERA, table=ray_table(profile),
             uncertainty=uncertainty, sigma_h_g=np.full(rows.size, GROUND),
         ).sigmas.columns()  # fmt: skip
 
@@ -263,10 +286,15 @@ def test_without_a_correction_no_sigma(air):
     h_g[1] = np.nan
     row = np.array([0, 0, -1, 0])
     uncertainty = uncertainty_of(
-        profile, covariance, ex, station_sigmas(), [(CAMERA, np.array([True]))], (0.0, 900.0)
+        profile,
+        covariance,
+        ex,
+        station_sigmas(),
+        [(CAMERA, np.array([True]))],
+        ground_heights_m=(0.0, 900.0),
     )
     found = correct_observations(
-        x, y, h_g, row, ex, CAMERA, ray_table(profile), uncertainty=uncertainty,
+        x, y, h_g, row, ex, camera=CAMERA, table=ray_table(profile), uncertainty=uncertainty,
         sigma_h_g=np.full(4, GROUND),
     )  # fmt: skip
     assert found.status[1:3].tolist() == [NO_GROUND, NO_STATION]
@@ -282,11 +310,16 @@ def test_the_far_branch_has_none(air):
     ex = exposed(profile, level, 6000.0)
     narrow = Camera(200, 200, 20_000.0, 20_000.0, 100.0, 100.0)
     uncertainty = uncertainty_of(
-        profile, None, ex, station_sigmas(), [(narrow, np.array([True]))], (0.0, 6000.0)
+        profile,
+        None,
+        ex,
+        station_sigmas(),
+        [(narrow, np.array([True]))],
+        ground_heights_m=(0.0, 6000.0),
     )
     centre, h_g = np.full(2, 100.0), np.full(2, 5900.0)
     found = correct_observations(
-        centre, centre, h_g, np.zeros(2, np.int64), ex, narrow, ray_table(profile),
+        centre, centre, h_g, np.zeros(2, np.int64), ex, camera=narrow, table=ray_table(profile),
         distance_m=np.array([3000.0, 500_000.0]), uncertainty=uncertainty,
     )  # fmt: skip
     assert found.status[1] == FAR_BRANCH
@@ -298,11 +331,16 @@ def test_displacing_has_the_sigmas_of_where_it_ends(air):
     profile, covariance = air
     ex, (x, y, h_g) = exposed(profile), points(60)
     uncertainty = uncertainty_of(
-        profile, covariance, ex, station_sigmas(), [(CAMERA, np.array([True]))], (0.0, 900.0)
+        profile,
+        covariance,
+        ex,
+        station_sigmas(),
+        [(CAMERA, np.array([True]))],
+        ground_heights_m=(0.0, 900.0),
     )
     how = {"uncertainty": uncertainty, "sigma_h_g": np.full(x.size, GROUND)}
     there = apply_refraction(
-        x, y, h_g, np.zeros(x.size, np.int64), ex, CAMERA, ray_table(profile), **how
+        x, y, h_g, np.zeros(x.size, np.int64), ex, camera=CAMERA, table=ray_table(profile), **how
     )
     back = shifts(profile, ex, there.x_px, there.y_px, h_g, **how)
     for name, values in there.sigmas.columns().items():
@@ -313,4 +351,9 @@ def test_nobody_flies(air):
     profile, covariance = air
     ex = replace(exposed(profile), usable=np.array([False]))
     cameras = [(CAMERA, np.array([True]))]
-    assert uncertainty_of(profile, covariance, ex, station_sigmas(), cameras, (0.0, 1.0)) is None
+    assert (
+        uncertainty_of(
+            profile, covariance, ex, station_sigmas(), cameras, ground_heights_m=(0.0, 1.0)
+        )
+        is None
+    )

@@ -14,7 +14,7 @@ from pipeline.refraction.window import (
     SCHEDULE_TEMPERATURE_K,
     Cabin,
     Window,
-    leave_compartment,
+    refract_at_window,
     scheduled_pressure,
 )
 
@@ -33,7 +33,7 @@ def test_against_scalar_snell(normal, degrees, cabin, outside):
     across = unit(np.cross(normal, [0.3, 0.7, -0.2]))
     zeta = math.radians(degrees)
     ray = math.cos(zeta) * normal + math.sin(zeta) * across
-    change, r_cc = leave_compartment(ray[None], cabin, outside, normal)
+    change, r_cc = refract_at_window(ray[None], cabin, outside, normal)
     with mp.workdps(40):
         sine = mp.norm(mp.matrix(np.cross(ray, normal).tolist()))
         inside = mp.atan2(sine, mp.mpf(float(ray @ normal)))
@@ -51,13 +51,13 @@ def test_against_scalar_snell(normal, degrees, cabin, outside):
 def test_first_order():
     """R_cc = tan(zeta_f) (n_cc - n_a) / n_a: Gyer 1996, Eq. 38 with the sign of Eq. 39."""
     ray = unit([math.tan(0.6), 0.0, 1.0])[None]
-    r_cc = float(leave_compartment(ray, CABIN, OUTSIDE)[1][0])
+    r_cc = float(refract_at_window(ray, CABIN, OUTSIDE)[1][0])
     assert r_cc == pytest.approx(math.tan(0.6) * (CABIN - OUTSIDE), rel=3e-4)
 
 
 def test_denser_cabin_air_had_pulled_the_point_inward():
     rays = np.array([unit([0.5, 0.0, 1.0]), unit([-0.5, 0.2, 1.0])])
-    change, r_cc = leave_compartment(rays, CABIN, OUTSIDE)
+    change, r_cc = refract_at_window(rays, CABIN, OUTSIDE)
     assert np.all(r_cc > 0.0)
     out = rays + change
     assert np.all(np.hypot(*out[:, :2].T) / out[:, 2] > np.hypot(*rays[:, :2].T) / rays[:, 2])
@@ -65,7 +65,7 @@ def test_denser_cabin_air_had_pulled_the_point_inward():
 
 def test_one_index_a_ray():
     rays = np.repeat(unit([0.5, 0.0, 1.0])[None], 3, axis=0)
-    _, r_cc = leave_compartment(rays, np.array([CABIN, OUTSIDE, 0.0]), OUTSIDE)
+    _, r_cc = refract_at_window(rays, np.array([CABIN, OUTSIDE, 0.0]), OUTSIDE)
     assert r_cc[0] > 0.0
     assert r_cc[1] == 0.0
     assert r_cc[2] < 0.0
@@ -73,7 +73,7 @@ def test_one_index_a_ray():
 
 def test_total_reflection_is_nan():
     ray = unit([1.0, 0.0, 1e-4])[None]
-    change, r_cc = leave_compartment(ray, 3e-4, 0.0)
+    change, r_cc = refract_at_window(ray, 3e-4, 0.0)
     assert np.isnan(r_cc).all()
     assert np.isnan(change).any()
 
@@ -81,18 +81,18 @@ def test_total_reflection_is_nan():
 def test_one_normal_a_ray():
     rays = np.array([unit([0.3, 0.1, 1.0]), unit([-0.2, 0.4, 1.0])])
     normals = np.array([unit([0.1, 0.0, 1.0]), unit([0.0, -0.3, 1.0])])
-    change, r_cc = leave_compartment(rays, CABIN, OUTSIDE, normals)
+    change, r_cc = refract_at_window(rays, CABIN, OUTSIDE, normals)
     for i in range(2):
-        alone, angle = leave_compartment(rays[i : i + 1], CABIN, OUTSIDE, normals[i])
+        alone, angle = refract_at_window(rays[i : i + 1], CABIN, OUTSIDE, normals[i])
         np.testing.assert_array_equal(change[i], alone[0])
         assert r_cc[i] == angle[0]
-    assert r_cc[0] != leave_compartment(rays[:1], CABIN, OUTSIDE, normals[1])[1][0]
+    assert r_cc[0] != refract_at_window(rays[:1], CABIN, OUTSIDE, normals[1])[1][0]
 
 
 @pytest.mark.parametrize("cabin", [CABIN, OUTSIDE, 0.0])
 def test_a_ray_along_the_window_or_from_outside_has_no_number(cabin):
     rays = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], unit([0.5, 0.0, -1.0]), [0.0, 0.0, -1.0]])
-    change, r_cc = leave_compartment(rays, cabin, OUTSIDE)
+    change, r_cc = refract_at_window(rays, cabin, OUTSIDE)
     assert np.isnan(r_cc).tolist() == [False, True, True, True]
     assert np.isnan(change).all(axis=1).tolist() == [False, True, True, True]
 

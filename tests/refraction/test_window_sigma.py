@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.refraction import (
+    BrownConrady,
     Camera,
     Exposures,
     StationSigmas,
@@ -17,13 +18,19 @@ from pipeline.refraction import (
     refraction_angle,
     uncertainty_of,
 )
-from pipeline.refraction.uncertainty.air_sigma import OPEN, SCHEDULED, SEALED, view_of
-from pipeline.refraction.uncertainty.budget import Views, at_the_window
-from pipeline.refraction.window import leave_compartment
+from pipeline.refraction.uncertainty.air_sigma import OPEN, SCHEDULED, SEALED, window_kind_of
+from pipeline.refraction.uncertainty.budget import RayWindows, window_turn
+from pipeline.refraction.window import refract_at_window
 
 RADIUS = 6_371_000.0
 CAMERA = Camera(
-    14_000, 10_600, 11_000.0, 11_200.0, 7012.4, 5291.7, -0.02, 0.01, -0.002, 2e-4, -1e-4
+    14_000,
+    10_600,
+    11_000.0,
+    11_200.0,
+    7012.4,
+    5291.7,
+    BrownConrady(-0.02, 0.01, -0.002, 2e-4, -1e-4),
 )
 DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 BANKED = Rotation.from_euler("zyx", [20.0, 5.0, 40.0], degrees=True).as_matrix() @ DOWN
@@ -77,7 +84,7 @@ def shifts(profile, table, look, at_m=None, **more):
     x, y, h_g = points()
     zero = np.zeros(x.size, np.int64)
     return correct_observations(
-        x, y, h_g, zero, exposed(profile, look, at_m), CAMERA, table, **more
+        x, y, h_g, zero, exposed(profile, look, at_m), camera=CAMERA, table=table, **more
     )
 
 
@@ -87,7 +94,7 @@ def claimed(profile, covariance, look, height=0.0):
     )
     made = uncertainty_of(
         profile, covariance, exposed(profile, look), stations, [(CAMERA, np.array([True]))],
-        (-600.0, 10_000.0), np.array([look[3]]),
+        ground_heights_m=(-600.0, 10_000.0), window_kinds=np.array([look[3]]),
     )  # fmt: skip
     return shifts(profile, ray_table(profile), look, uncertainty=made).sigmas
 
@@ -186,7 +193,7 @@ def net_directions(profile, look, rays) -> tuple[np.ndarray, np.ndarray]:
     """Corrected rays (n, 3) in east-north-up, by the window and the angle alone; and R_c."""
     rotation, h_c, normal, view = look
     ex = exposed(profile, look)
-    change, _ = leave_compartment(
+    change, _ = refract_at_window(
         rays, ex.refractivity_cabin, ex.refractivity_outside, np.array(normal)
     )
     out = (rays + change if view != OPEN else rays) @ rotation
@@ -197,12 +204,12 @@ def net_directions(profile, look, rays) -> tuple[np.ndarray, np.ndarray]:
     return np.column_stack([level * np.sin(chord)[:, None], -np.cos(chord)]), r_c
 
 
-def views_of(look, rays) -> Views:
+def views_of(look, rays) -> RayWindows:
     rotation, _, normal, view = look
     shape = rays.shape
     down = np.broadcast_to(-rotation[:, 2], shape)
-    turns = at_the_window(rays, down, np.broadcast_to(normal, shape))
-    return Views(np.full(shape[0], view), *turns)
+    turns = window_turn(rays, down, np.broadcast_to(normal, shape))
+    return RayWindows(np.full(shape[0], view), *turns)
 
 
 @pytest.mark.parametrize("name", ["no window", "nadir camera", "banked camera, leaning window"])
@@ -229,18 +236,29 @@ def test_one_scale_factor_for_the_block(by_all, name):
     zeta = np.arctan2(np.hypot(*straight[:, :2].T), -straight[:, 2]) + r_c
     height = np.full(30, look[1])
     scale = block_scale(
-        profile, covariance, height, np.full(30, 100.0), zeta, RADIUS, views_of(look, rays)
+        profile,
+        covariance,
+        height,
+        np.full(30, 100.0),
+        zeta,
+        radius=RADIUS,
+        windows=views_of(look, rays),
     )
     np.testing.assert_allclose(scale.sigma, np.linalg.norm((errors / r_c) @ weight), rtol=2e-3)
     np.testing.assert_allclose(scale.correlation, shared @ shared, rtol=2e-3)
     if name == "banked camera, leaning window":
         assert scale.correlation < 0.95
-    plain = block_scale(profile, covariance, height, np.full(30, 100.0), zeta, RADIUS)
+    plain = block_scale(profile, covariance, height, np.full(30, 100.0), zeta, radius=RADIUS)
     assert (scale == plain) == (name == "no window")
 
 
 def test_the_schedule_ends_where_the_cabin_stops_to_follow():
     """701.2 hPa: thinner air outside leaves the cabin as it is."""
     outside = np.array([90_000.0, 70_121.0, 70_119.0, np.nan])
-    assert view_of(outside, scheduled=True).tolist() == [SCHEDULED, SCHEDULED, SEALED, SEALED]
-    assert view_of(outside, scheduled=False).tolist() == [SEALED] * 4
+    assert window_kind_of(outside, scheduled=True).tolist() == [
+        SCHEDULED,
+        SCHEDULED,
+        SEALED,
+        SEALED,
+    ]
+    assert window_kind_of(outside, scheduled=False).tolist() == [SEALED] * 4

@@ -20,9 +20,9 @@ from pipeline.flight.heights import HeightSystem
 from pipeline.flight.mount import Mount
 from pipeline.flight.stations import Stations, join_stations
 from pipeline.ledger import Kind, Ledger
-from pipeline.refraction.lens import LensInAir
+from pipeline.refraction.camera.camera import LensInAir
 from pipeline.refraction.papers.gyer import gyer_air
-from pipeline.refraction.window import Cabin, Window, leave_compartment
+from pipeline.refraction.window import Cabin, Window, refract_at_window
 from pipeline.stages.exposure_setup import exposures_of, report_lenses, report_windows
 from pipeline.units import ARCSEC
 
@@ -93,7 +93,7 @@ def test_gyers_table_7():
     found, ledger = look(at, Window(SCHEDULE), profile=gyer_air())
     inside, outside = found.refractivity_cabin, found.refractivity_outside
     ray = np.full((len(at), 3), [math.sqrt(0.5), 0.0, math.sqrt(0.5)])
-    r_cc = leave_compartment(ray, inside, outside, found.window_normal)[1]
+    r_cc = refract_at_window(ray, inside, outside, found.window_normal)[1]
     np.testing.assert_allclose(inside * 1e6, printed["n_cc_minus_1_e6"], atol=0.015)
     np.testing.assert_allclose(r_cc / ARCSEC, printed["r_cc_arcsec"], atol=0.01)
     assert codes(ledger) == ["CABIN-SCHEDULE"]
@@ -164,7 +164,7 @@ def test_a_camera_tilted_behind_the_window_in_the_belly(degrees, shift_px):
     found, _ = look(stations(7500.0, mount=mount), Window(SCHEDULE, BELLY, "body"), None,
                     gyer_air())  # fmt: skip
     axis = np.array([[0.0, 0.0, 1.0]])
-    change, r_cc = leave_compartment(
+    change, r_cc = refract_at_window(
         axis, found.refractivity_cabin, found.refractivity_outside, found.window_normal
     )
     out = (axis + change)[0]

@@ -1,1 +1,28 @@
-"""Cameras: pixels to rays and back. One module for each distortion model."""
+"""Cameras: pixels to rays and back. One module for each distortion model.
+
+A model is a module with ``Parameters`` (a named tuple of numbers), ``distort``, ``slopes`` and
+``largest_radius`` like those of `brown_conrady`, and a line in `DISTORTION_MODELS`. ``distort`` and
+``slopes`` are called with numpy columns and also compiled: arithmetic and `math` only. A camera
+carries parameters, and their type says which model is meant, so that the compiler makes a version
+of each kernel for each model in use, without a branch in its loops.
+"""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+from pipeline.refraction.camera import brown_conrady
+
+DISTORTION_MODELS: dict[str, ModuleType] = {
+    "brown_conrady": brown_conrady,
+}
+"""Distortion models by name."""
+
+
+def model_of(parameters: type) -> ModuleType:
+    """The module of the model whose parameters have a type.
+
+    >>> model_of(brown_conrady.BrownConrady).__name__.rpartition(".")[2]
+    'brown_conrady'
+    """
+    return next(m for m in DISTORTION_MODELS.values() if m.Parameters is parameters)

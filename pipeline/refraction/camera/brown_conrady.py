@@ -1,4 +1,4 @@
-"""The distortion of a lens: Brown-Conrady in OpenCV's form, for numbers and for columns.
+"""The distortion of a lens by Brown and Conrady, in OpenCV's form, for numbers and for columns.
 
 With (u, v) ideal image coordinates in units of the principal distance and r^2 = u^2 + v^2,
 
@@ -8,17 +8,31 @@ With (u, v) ideal image coordinates in units of the principal distance and r^2 =
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 
-def brown_conrady(
-    u: Any, v: Any, k1: float, k2: float, k3: float, p1: float, p2: float
-) -> tuple[Any, Any]:
+class BrownConrady(NamedTuple):
+    """Coefficients as OpenCV defines them."""
+
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+
+
+Parameters = BrownConrady
+
+
+def distort(u: Any, v: Any, parameters: BrownConrady) -> tuple[Any, Any]:
     """Distorted image coordinates of ideal ones.
 
-    >>> [round(c, 9) for c in brown_conrady(0.5, 0.0, -0.1, 0.0, 0.0, 0.0, 0.001)]
+    >>> [round(c, 9) for c in distort(0.5, 0.0, BrownConrady(k1=-0.1, p2=0.001))]
     [0.48825, 0.0]
     """
+    k1, k2, k3, p1, p2 = parameters
     r2 = u * u + v * v
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     u_d = u * radial + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u)
@@ -26,10 +40,9 @@ def brown_conrady(
     return u_d, v_d
 
 
-def brown_conrady_slopes(
-    u: Any, v: Any, k1: float, k2: float, k3: float, p1: float, p2: float
-) -> tuple[Any, Any, Any]:
-    """Derivatives du_d/du, du_d/dv = dv_d/du and dv_d/dv of `brown_conrady`."""
+def slopes(u: Any, v: Any, parameters: BrownConrady) -> tuple[Any, Any, Any]:
+    """Derivatives du_d/du, du_d/dv = dv_d/du and dv_d/dv of `distort`."""
+    k1, k2, k3, p1, p2 = parameters
     r2 = u * u + v * v
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
@@ -37,3 +50,15 @@ def brown_conrady_slopes(
     uv = u * v * slope + 2.0 * p1 * u + 2.0 * p2 * v
     vv = radial + v * v * slope + 6.0 * p1 * v + 2.0 * p2 * u
     return uu, uv, vv
+
+
+def largest_radius(parameters: BrownConrady) -> float:
+    """Ideal radius (tan of the field angle) up to which the distortion can be inverted.
+
+    >>> round(largest_radius(BrownConrady(k1=-1.0 / 3.0)), 9)  # d(r - r^3 / 3)/dr = 0
+    1.0
+    """
+    # Where d(r_d)/dr = 0, in 1/r^2: so nothing is divided by a coefficient that may be tiny.
+    roots = np.roots([1.0, 3.0 * parameters.k1, 5.0 * parameters.k2, 7.0 * parameters.k3])
+    real = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots.real)) & (roots.real > 1e-12)]
+    return float(1.0 / np.sqrt(real.max())) if real.size else np.inf

@@ -1,15 +1,30 @@
 """From pixels to rays outside the window, and from bent rays back to pixels, compiled.
 
-Columns of rays that pass between the two are those of `U` to `H_C` below.
+Rays travel as rows `U` to `H_C` of a matrix. Rows of one exposure that follow each other are taken
+together, in short passes over all of them: what belongs to the exposure is read once, and a loop
+without a branch runs four rays at a time. ``span`` is the pair of first row and end of such a run.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
+from numba.extending import overload
 
-from pipeline.refraction.camera.brown_conrady import brown_conrady, brown_conrady_slopes
+from pipeline.refraction.camera import model_of
+from pipeline.refraction.kernels.columns import (
+    APPARENT,
+    COS,
+    H_C,
+    RADIUS,
+    RAY_ROWS,
+    SIN,
+    THROUGH,
+    U,
+    V,
+)
 from pipeline.refraction.kernels.jit import entry, jit, within
 from pipeline.refraction.status import (
     BAD_MEASUREMENT,
@@ -21,92 +36,135 @@ from pipeline.refraction.status import (
     OUTSIDE_PROFILE,
 )
 
-# Ideal image coordinates; change of direction in the window (camera frame); direction outside
-# (east, north, up); sine and cosine of the nadir angle, radius of the sphere, height of the camera.
-U, V, THROUGH, APPARENT, SIN, COS, RADIUS, H_C = 0, 1, 2, 5, 8, 9, 10, 11
-COLUMNS = 12
 
-_distort, _slopes = jit(brown_conrady), jit(brown_conrady_slopes)
+def distort(u: Any, v: Any, parameters: Any) -> Any:
+    """`distort` of the model that the type of the parameters names; compiled code only."""
+    raise NotImplementedError
+
+
+def slopes(u: Any, v: Any, parameters: Any) -> Any:
+    """`slopes` of the model that the type of the parameters names; compiled code only."""
+    raise NotImplementedError
+
+
+@overload(distort)
+def _distort_of_model(u, v, parameters):  # type: ignore[no-untyped-def]
+    compiled = jit(model_of(parameters.instance_class).distort)
+    return lambda u, v, parameters: compiled(u, v, parameters)
+
+
+@overload(slopes)
+def _slopes_of_model(u, v, parameters):  # type: ignore[no-untyped-def]
+    compiled = jit(model_of(parameters.instance_class).slopes)
+    return lambda u, v, parameters: compiled(u, v, parameters)
 
 
 @jit
-def _newton(u_d, v_d, u, v, k1, k2, k3, p1, p2):  # type: ignore[no-untyped-def]
+def _newton(u_d, v_d, u, v, parameters):  # type: ignore[no-untyped-def]
     """A step of Newton's iteration towards the ideal image coordinates of distorted ones."""
-    u_0, v_0 = _distort(u, v, k1, k2, k3, p1, p2)
-    uu, uv, vv = _slopes(u, v, k1, k2, k3, p1, p2)
+    u_0, v_0 = distort(u, v, parameters)
+    uu, uv, vv = slopes(u, v, parameters)
     inverse = 1.0 / (uu * vv - uv * uv)
     res_u, res_v = u_d - u_0, v_d - v_0
     return u + (vv * res_u - uv * res_v) * inverse, v + (uu * res_v - uv * res_u) * inverse
 
 
 @jit
-def _undistort(first, last, u_d, v_d, u, v, k1, k2, k3, p1, p2):  # type: ignore[no-untyped-def]
-    """Fill u, v with three steps each: the loop has no branch and runs four points at a time."""
-    for i in range(first, last):
-        a, b = u_d[i], v_d[i]
-        for _ in range(3):
-            a, b = _newton(u_d[i], v_d[i], a, b, k1, k2, k3, p1, p2)
-        u[i], v[i] = a, b
-
-
-@jit
-def _settle(u_d, v_d, u, v, k1, k2, k3, p1, p2, largest):  # type: ignore[no-untyped-def]
-    """u, v after more steps where three were too few; NaN where the iteration does not arrive."""
+def _converged(u_d, v_d, u, v, camera):  # type: ignore[no-untyped-def]
+    """u, v after more steps where three were too few; NaN where the iteration does not converge."""
+    parameters, largest = camera.distortion, camera.largest_radius
     for _ in range(30):
-        u_0, v_0 = _distort(u, v, k1, k2, k3, p1, p2)
+        u_0, v_0 = distort(u, v, parameters)
         if abs(u_0 - u_d) + abs(v_0 - v_d) < 4e-15:
             break
-        u, v = _newton(u_d, v_d, u, v, k1, k2, k3, p1, p2)
-    u_0, v_0 = _distort(u, v, k1, k2, k3, p1, p2)
-    arrived = abs(u_0 - u_d) + abs(v_0 - v_d) < 1e-12
-    if arrived and u * u + v * v <= largest * largest:
+        u, v = _newton(u_d, v_d, u, v, parameters)
+    u_0, v_0 = distort(u, v, parameters)
+    close = abs(u_0 - u_d) + abs(v_0 - v_d) < 1e-12
+    if close and u * u + v * v <= largest * largest:
         return u, v
     return math.nan, math.nan
 
 
 @jit
-def _ideal(first, last, x, y, camera, extra, scratch, u, v):  # type: ignore[no-untyped-def]
-    """Fill the ideal image coordinates of pixels, NaN where the camera does not cover them.
+def _ideal(span, pixels, camera, change_px, rays):  # type: ignore[no-untyped-def]
+    """Fill `U` and `V` of pixels, NaN where the camera does not cover them.
 
-    ``extra`` is added to the principal distance; ``scratch`` (2, n) is room to work in.
+    ``change_px`` is added to the principal distance; the two rows from `THROUGH` are used as room.
     """
-    width, height, fx, fy, cx, cy, k1, k2, k3, p1, p2, largest = camera
-    fx, fy = fx + extra, fy + extra
-    u_d, v_d = scratch[0], scratch[1]
+    first, last = span
+    x, y = pixels
+    fx, fy = camera.fx + change_px, camera.fy + change_px
+    cx, cy, width, height = camera.cx, camera.cy, camera.width, camera.height
+    parameters = camera.distortion
+    u, v, u_d, v_d = rays[U], rays[V], rays[THROUGH], rays[THROUGH + 1]
     for i in range(first, last):
         u_d[i] = (x[i] - cx) / fx
         v_d[i] = (y[i] - cy) / fy
-    _undistort(first, last, u_d, v_d, u, v, k1, k2, k3, p1, p2)
+    for i in range(first, last):  # three steps each, without a branch
+        a, b = u_d[i], v_d[i]
+        for _ in range(3):
+            a, b = _newton(u_d[i], v_d[i], a, b, parameters)
+        u[i], v[i] = a, b
     lens = 0.0 < fx < math.inf and 0.0 < fy < math.inf
     for i in range(first, last):
         if lens and 0.0 <= x[i] <= width and 0.0 <= y[i] <= height:
-            u[i], v[i] = _settle(u_d[i], v_d[i], u[i], v[i], k1, k2, k3, p1, p2, largest)
+            u[i], v[i] = _converged(u_d[i], v_d[i], u[i], v[i], camera)
         else:
             u[i] = v[i] = math.nan
 
 
 @entry
-def rays_of_pixels(x, y, camera, u, v):  # type: ignore[no-untyped-def]
-    """Fill ideal image coordinates of pixels; NaN where the camera does not cover them."""
-    _ideal(np.uint64(0), np.uint64(x.size), x, y, camera, 0.0, np.empty((2, x.size)), u, v)
+def rays_of_pixels(x, y, camera, rays):  # type: ignore[no-untyped-def]
+    """Fill the rows `U` and `V` of pixels; NaN where the camera does not cover them."""
+    _ideal((np.uint64(0), np.uint64(x.size)), (x, y), camera, 0.0, rays)
 
 
 @jit
-def _refract(first, last, d, normal, excess, along, r_cc):  # type: ignore[no-untyped-def]
-    """Snell's law at a plane window (Gyer 1996, Eq. 36, in vectors), without its differences.
+def _snell(cos_in, sin2, excess):  # type: ignore[no-untyped-def]
+    """Snell's law at a plane (Gyer 1996, Eq. 36, in vectors), without its differences.
 
-    Directions ``d`` (3, n) change by ``excess`` times themselves and ``along`` times the normal;
-    R_cc is good below 0.01. NaN for rays that the window reflects wholly, or that do not lead out
-    of it.
+    A direction with the cosine ``cos_in`` to the normal, and the squared sine ``sin2``, changes by
+    ``excess`` = n_in / n_out - 1 times its part along the plane, and along the normal by the first
+    number that this returns; the second is the squared length of the change.
     """
-    d_0, d_1, d_2, n_0, n_1, n_2 = d[0], d[1], d[2], normal[0], normal[1], normal[2]
+    cos_out = math.sqrt(1.0 - (1.0 + excess) * (1.0 + excess) * sin2)
+    forward = -excess * (2.0 + excess) * sin2 / (cos_out + cos_in)
+    return forward, excess * excess * sin2 + forward * forward
+
+
+@entry
+def refract_directions(direction, normal, excess, change, angle):  # type: ignore[no-untyped-def]
+    """Fill the change (n, 3) of directions at planes, and the angle it amounts to (n,) [rad]."""
+    for i in range(angle.size):
+        d, normal_i, tangent = direction[i], normal[i], change[i]
+        cos_in = d[0] * normal_i[0] + d[1] * normal_i[1] + d[2] * normal_i[2]
+        if not cos_in > 0.0:
+            cos_in = math.nan
+        for k in range(3):
+            tangent[k] = d[k] - cos_in * normal_i[k]
+        sin2 = tangent[0] ** 2 + tangent[1] ** 2 + tangent[2] ** 2
+        forward, length2 = _snell(cos_in, sin2, excess[i])
+        for k in range(3):
+            tangent[k] = excess[i] * tangent[k] + forward * normal_i[k]
+        angle[i] = math.copysign(2.0 * math.asin(0.5 * math.sqrt(length2)), excess[i])
+
+
+@jit
+def _refract(span, rays, inside, window, along_and_r_cc):  # type: ignore[no-untyped-def]
+    """Fill by how much directions ``inside`` (3, n) change along the normal, and R_cc.
+
+    They change besides by ``excess`` times themselves. ``window`` holds the normal and the excess.
+    R_cc is good below 0.01. NaN for rays that the window reflects wholly, or that do not lead out.
+    """
+    first, last = span
+    normal, excess = window
+    along, r_cc = along_and_r_cc
+    d_0, d_1, d_2 = inside[0], inside[1], inside[2]
+    n_0, n_1, n_2 = normal[0], normal[1], normal[2]
     for i in range(first, last):
         cos_in = d_0[i] * n_0 + d_1[i] * n_1 + d_2[i] * n_2
         t_0, t_1, t_2 = d_0[i] - cos_in * n_0, d_1[i] - cos_in * n_1, d_2[i] - cos_in * n_2
-        sin2 = t_0 * t_0 + t_1 * t_1 + t_2 * t_2
-        cos_out = math.sqrt(1.0 - (1.0 + excess) * (1.0 + excess) * sin2)
-        forward = -excess * (2.0 + excess) * sin2 / (cos_out + cos_in)
-        length2 = excess * excess * sin2 + forward * forward
+        forward, length2 = _snell(cos_in, t_0 * t_0 + t_1 * t_1 + t_2 * t_2, excess)
         # Twice the arcsine of half the length.
         turned = math.sqrt(length2) * (1.0 + length2 * (1.0 + 0.1125 * length2) / 24.0)
         out = 1.0 if cos_in > 0.0 else math.nan
@@ -114,12 +172,26 @@ def _refract(first, last, d, normal, excess, along, r_cc):  # type: ignore[no-un
         r_cc[i] = out * math.copysign(turned, excess)
 
 
-@jit
-def _look_through(first, last, rays, d, along, normal, excess, turn):  # type: ignore[no-untyped-def]
-    """Fill the change of direction at the window, and the direction outside.
+@within
+def _leave_camera(span, rays, scratch, exposure, r_cc):  # type: ignore[no-untyped-def]
+    """Fill the rays of one exposure from their ideal image coordinates; NaN stays NaN.
 
-    A loop for each column: with few columns in a loop the compiler takes four rays at a time.
+    ``exposure`` holds normal of the window, excess n_cc/n - 1, rotation and curvature;
+    ``scratch`` (4, n) is room to work in. A loop for each column: few columns in a loop are fast.
     """
+    first, last = span
+    normal, excess, turn, curvature = exposure
+    u, v, d, along = rays[U], rays[V], scratch[:3], scratch[3]
+    for i in range(first, last):
+        d[2, i] = 1.0 / math.sqrt(u[i] * u[i] + v[i] * v[i] + 1.0)
+    for i in range(first, last):
+        d[0, i] = u[i] * d[2, i]
+        d[1, i] = v[i] * d[2, i]
+    if excess == 0.0:
+        for i in range(first, last):
+            along[i] = r_cc[i] = 0.0
+    else:
+        _refract(span, rays, d, (normal, excess), (along, r_cc))
     for k in range(3):
         change, inside, part = rays[THROUGH + k], d[k], normal[k]
         for i in range(first, last):
@@ -133,14 +205,17 @@ def _look_through(first, last, rays, d, along, normal, excess, turn):  # type: i
         t_0, t_1, t_2, apparent = turn[0, k], turn[1, k], turn[2, k], rays[APPARENT + k]
         for i in range(first, last):
             apparent[i] = t_0 * d_0[i] + t_1 * d_1[i] + t_2 * d_2[i]
+    _angles_outside(span, rays, curvature)
 
 
 @jit
-def _angles_outside(first, last, rays, meridian, vertical):  # type: ignore[no-untyped-def]
+def _angles_outside(span, rays, curvature):  # type: ignore[no-untyped-def]
     """Fill sine and cosine of the nadir angle, and Euler's radius in the azimuth of the ray.
 
     From 1/radius in the meridian, which also serves at the nadir, and in the prime vertical.
     """
+    first, last = span
+    meridian, vertical = curvature[0], curvature[1]
     east, north, up = rays[APPARENT], rays[APPARENT + 1], rays[APPARENT + 2]
     sine, cosine, radius = rays[SIN], rays[COS], rays[RADIUS]
     for i in range(first, last):
@@ -156,47 +231,9 @@ def _angles_outside(first, last, rays, meridian, vertical):  # type: ignore[no-u
 
 
 @within
-def _see_out(  # type: ignore[no-untyped-def]
-    first, last, rays, scratch, curvature, height, outside, cabin, normal, turn, r_cc
-):
-    """Fill the rays of one exposure from their ideal image coordinates; NaN stays NaN."""
-    u, v, d, along = rays[U], rays[V], scratch[:3], scratch[3]
-    for i in range(first, last):
-        d[2, i] = 1.0 / math.sqrt(u[i] * u[i] + v[i] * v[i] + 1.0)
-        rays[H_C, i] = height
-    for i in range(first, last):
-        d[0, i] = u[i] * d[2, i]
-        d[1, i] = v[i] * d[2, i]
-    excess = (cabin - outside) / (1.0 + outside)
-    if excess == 0.0:
-        for i in range(first, last):
-            along[i] = r_cc[i] = 0.0
-    else:
-        _refract(first, last, d, normal, excess, along, r_cc)
-    _look_through(first, last, rays, d, along, normal, excess, turn)
-    _angles_outside(first, last, rays, curvature[0], curvature[1])
-
-
-@jit
-def _measured(first, last, x, y, h_g, station, status):  # type: ignore[no-untyped-def]
-    """The first thing that observations of one exposure lack before any ray, or OK."""
-    then = OK if station else NO_STATION
-    for i in range(first, last):
-        grounded = then if math.isfinite(h_g[i]) or not station else NO_GROUND
-        seen = math.isfinite(x[i]) and math.isfinite(y[i])
-        status[i] = grounded if seen else BAD_MEASUREMENT
-
-
-@jit
-def _wide_turn(rays, i, r_cc):  # type: ignore[no-untyped-def]
-    """R_cc where its series is not good: near total reflection."""
-    x, y, z = rays[THROUGH, i], rays[THROUGH + 1, i], rays[THROUGH + 2, i]
-    return math.copysign(2.0 * math.asin(0.5 * math.sqrt(x * x + y * y + z * z)), r_cc)
-
-
-@within
-def _judge(first, last, rays, outside, r_cc, status):  # type: ignore[no-untyped-def]
-    """Give rays that came to nothing their status, and take the numbers out of all without one."""
+def _flag_without_ray(span, rays, outside, r_cc, status):  # type: ignore[no-untyped-def]
+    """Give observations without a ray their status, and take the numbers out of all of those."""
+    first, last = span
     u = rays[U]
     for i in range(first, last):
         if status[i] == OK:
@@ -206,68 +243,55 @@ def _judge(first, last, rays, outside, r_cc, status):  # type: ignore[no-untyped
                 status[i] = OUTSIDE_PROFILE
             elif math.isnan(r_cc[i]):
                 status[i] = OUTSIDE_CAMERA
-            elif abs(r_cc[i]) > 0.01:
-                r_cc[i] = _wide_turn(rays, i, r_cc[i])
+            elif abs(r_cc[i]) > 0.01:  # its series is not good near total reflection
+                x, y, z = rays[THROUGH, i], rays[THROUGH + 1, i], rays[THROUGH + 2, i]
+                turned = 2.0 * math.asin(0.5 * math.sqrt(x * x + y * y + z * z))
+                r_cc[i] = math.copysign(turned, r_cc[i])
         if status[i] != OK:
             r_cc[i] = math.nan
-            for k in range(COLUMNS):
+            for k in range(RAY_ROWS):
                 rays[k, i] = math.nan
 
 
-@jit
-def _run_end(exposure, first):  # type: ignore[no-untyped-def]
-    """Where rows of one exposure that follow each other end.
+@entry
+def outgoing_rays(observed, camera, exposures, rays, status_and_r_cc):  # type: ignore[no-untyped-def]
+    """Fill the matrix of rays, a status where there is no ray to follow, and R_cc.
 
     Rows are unsigned: an index that might count from the end would keep the compiler from vectors.
     """
-    last = first + np.uint64(1)
-    while last < exposure.size and exposure[last] == exposure[first]:
-        last += np.uint64(1)
-    return last
-
-
-@entry
-def look_out(  # type: ignore[no-untyped-def]
-    x, y, h_g, exposure, camera, usable, rotation, curvature, height, outside, cabin, normal,
-    change, rays, r_cc, status,
-):  # fmt: skip
-    """Fill the columns of ``rays``, R_cc, and a status where there is no ray to follow.
-
-    ``curvature`` (s, 2) is 1/radius in the meridian and in the prime vertical. Rows of one exposure
-    that follow each other are taken together, in passes over all of them: short loops keep the
-    processor busy, and what belongs to the exposure is read once.
-    """
+    x, y, h_g, _, exposure = observed
+    status, r_cc = status_and_r_cc
     scratch = np.empty((4, x.size))
     last = np.uint64(0)
     while last < x.size:
-        first, last = last, _run_end(exposure, last)
-        e = exposure[first]
-        station = 0 <= e < usable.size and usable[e]
-        _measured(first, last, x, y, h_g, station, status)
+        first, last = last, last + np.uint64(1)
+        while last < exposure.size and exposure[last] == exposure[first]:
+            last += np.uint64(1)
+        span, e = (first, last), exposure[first]
+        station = 0 <= e < exposures.usable.size and exposures.usable[e]
+        then = OK if station else NO_STATION
+        for i in range(first, last):
+            grounded = then if math.isfinite(h_g[i]) or not station else NO_GROUND
+            seen = math.isfinite(x[i]) and math.isfinite(y[i])
+            status[i] = grounded if seen else BAD_MEASUREMENT
+        outside = math.nan
         if station:
-            _ideal(first, last, x, y, camera, change[e], scratch, rays[U], rays[V])
-            _see_out(
-                first, last, rays, scratch, curvature[e], height[e], outside[e], cabin[e],
-                normal[e], rotation[e], r_cc,
+            outside, height = exposures.outside[e], exposures.height[e]
+            for i in range(first, last):
+                rays[H_C, i] = height
+            _ideal(span, (x, y), camera, exposures.change_px[e], rays)
+            excess = (exposures.cabin[e] - outside) / (1.0 + outside)
+            exposure_e = (
+                exposures.normal[e], excess, exposures.rotation[e], exposures.curvature[e],
             )  # fmt: skip
-        _judge(first, last, rays, outside[e] if station else math.nan, r_cc, status)
-
-
-@jit
-def _lowered(a, sin_z, cos_z, angle, out):  # type: ignore[no-untyped-def]
-    """Change of a unit vector that turns towards the nadir; zero for a ray at the nadir."""
-    back = -2.0 * math.sin(0.5 * angle) ** 2
-    sin_a = math.sin(angle)
-    inward = sin_a * cos_z / sin_z if sin_z > 0.0 else 0.0
-    out[0] = a[0] * (back - inward)
-    out[1] = a[1] * (back - inward)
-    out[2] = a[2] * back - sin_a * sin_z
+            _leave_camera(span, rays, scratch, exposure_e, r_cc)
+        _flag_without_ray(span, rays, outside, r_cc, status)
 
 
 @jit
 def _reach(cos_z, h_c, h_g, radius, far):  # type: ignore[no-untyped-def]
     """Distance along a straight line to where it meets a height; NaN where it never does."""
-    if h_c == h_g:
+    if h_c == h_g and not far:
         return 0.0
     along = (radius + h_c) * cos_z
     drop = (h_c - h_g) * (2.0 * radius + h_c + h_g)
@@ -278,34 +302,48 @@ def _reach(cos_z, h_c, h_g, radius, far):  # type: ignore[no-untyped-def]
 
 
 @entry
-def shift_back(  # type: ignore[no-untyped-def]
-    x, y, h_g, exposure, camera, rotation, change, rays, r_c, status, dx, dy, shift_ground
-):
+def straight_reach(rays, far, distance):  # type: ignore[no-untyped-def]
+    """Fill the distances at which the straight lines of `RayColumns` meet their target heights.
+
+    Downwards the nearer of two crossings, or the other where ``far`` (n,); sin_c is not read.
+    """
+    for i in range(distance.size):
+        distance[i] = _reach(rays.cos_c[i], rays.h_c[i], rays.h_g[i], rays.r_e[i], far[i])
+
+
+@entry
+def shift_back(observed, camera, exposures, traced, shifts):  # type: ignore[no-untyped-def]
     """Fill the shifts in the image and on the ground that refraction angles amount to."""
-    fx, fy = camera[2], camera[3]
-    k1, k2, k3, p1, p2 = camera[6:11]
+    h_g, exposure = observed.h_g, observed.exposure
+    rays, r_c, status = traced
+    fx, fy, parameters = camera.fx, camera.fy, camera.distortion
+    dx, dy, shift_ground = shifts
     apparent, lower, seen = np.empty(3), np.empty(3), np.empty(3)
-    for i in range(x.size):
+    for i in range(h_g.size):
         if math.isnan(r_c[i]):
             dx[i] = dy[i] = shift_ground[i] = math.nan
             continue
-        turn = rotation[exposure[i]]
+        turn = exposures.rotation[exposure[i]]
         for k in range(3):
             apparent[k] = rays[APPARENT + k, i]
-        _lowered(apparent, rays[SIN, i], rays[COS, i], r_c[i], lower)
-        u, v, extra = rays[U, i], rays[V, i], change[exposure[i]]
+        # The direction turns towards the nadir; zero for a ray at the nadir.
+        sin_z, cos_z = rays[SIN, i], rays[COS, i]
+        back, sin_r = -2.0 * math.sin(0.5 * r_c[i]) ** 2, math.sin(r_c[i])
+        inward = sin_r * cos_z / sin_z if sin_z > 0.0 else 0.0
+        lower[0], lower[1] = apparent[0] * (back - inward), apparent[1] * (back - inward)
+        lower[2] = apparent[2] * back - sin_r * sin_z
+        u, v, change_px = rays[U, i], rays[V, i], exposures.change_px[exposure[i]]
         for k in range(3):
             seen[k] = rays[THROUGH + k, i] + (
                 turn[k, 0] * lower[0] + turn[k, 1] * lower[1] + turn[k, 2] * lower[2]
             )
         depth = 1.0 / math.sqrt(u * u + v * v + 1.0) + seen[2]
-        u_0, v_0 = _distort(u, v, k1, k2, k3, p1, p2)
-        u_1, v_1 = _distort(
-            u + (seen[0] - u * seen[2]) / depth, v + (seen[1] - v * seen[2]) / depth,
-            k1, k2, k3, p1, p2,
-        )  # fmt: skip
-        dx[i] = fx * (u_1 - u_0) - extra * u_0
-        dy[i] = fy * (v_1 - v_0) - extra * v_0
+        u_0, v_0 = distort(u, v, parameters)
+        u_1, v_1 = distort(
+            u + (seen[0] - u * seen[2]) / depth, v + (seen[1] - v * seen[2]) / depth, parameters
+        )
+        dx[i] = fx * (u_1 - u_0) - change_px * u_0
+        dy[i] = fy * (v_1 - v_0) - change_px * v_0
         far, radius, h_c = status[i] == FAR_BRANCH, rays[RADIUS, i], rays[H_C, i]
         for k in range(3):  # the direction inside the window, east-north-up
             seen[k] = apparent[k] - (

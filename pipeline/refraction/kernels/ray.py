@@ -1,4 +1,4 @@
-"""The compiled part of `ray`: one ray at a time, in double precision.
+"""The compiled parts of `ray` and `chord`: one ray at a time, in double precision.
 
 Symbols are those of Gyer 1996: r = r_e + h, k = n_c r_c sin zeta_c, N = n - 1.
 """
@@ -6,19 +6,22 @@ Symbols are those of Gyer 1996: r = r_e + h, k = n_c r_c sin zeta_c, N = n - 1.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from pipeline.refraction.kernels.jit import entry, jit
-from pipeline.refraction.kernels.polynomials import piece, refractivity
 from pipeline.refraction.kernels.subtended import (
     LOWEST_TERRAIN_M,
     angle_to,
     chord2,
     excess,
-    lift_of,
+    piece,
+    ray_at,
+    refractivity,
     subtended,
     subtended_through_turn,
+    turning_height,
 )
 from pipeline.refraction.status import (
     BAD_MEASUREMENT,
@@ -37,39 +40,77 @@ _GRAZING_GUARD = 0.5
 # The difference form is also left where the ray is bent to half the slope of the straight line.
 _BENT_GUARD = 0.5
 
+# The height at a distance is known when the step is shorter [m]: a height is rounded to 1e-12 m.
+_SHORTEST_STEP_M = 1e-10
+
 _X4, _W4 = (0.5 * a for a in np.polynomial.legendre.leggauss(4))
 _X8, _W8 = (0.5 * a for a in np.polynomial.legendre.leggauss(8))
 _X4, _X8 = 0.5 + _X4, 0.5 + _X8
 
 
+class Triangle(NamedTuple):
+    """The straight line from camera to target height: ``sense`` -1 upwards, ``s`` r_c sin zeta_c,
+    ``rise`` of one end over the other, ``along`` r_c |cos zeta_c|, ``b2_g`` (r_g cos)^2."""
+
+    sense: float
+    s: float
+    rise: float
+    along: float
+    b2_g: float
+    r_c: float
+    r_g: float
+
+
+class _Search(NamedTuple):
+    """Where a height is sought: limits, lowest point of the ray, first guess [m]; angle subtended
+    through P_90 and up again (0 without), sign of d(chord)/dh."""
+
+    low: float
+    high: float
+    turn: float
+    start: float
+    around: float
+    sense: float
+
+
 @jit
-def integrand(n, n_c, h, h_c, b2_c, r_c, r_e):  # type: ignore[no-untyped-def]
-    """(n^2 - n_c^2) r / (a b (a + b)) of the difference form; NaN near and past a turning point."""
-    r = r_e + h
-    index2 = (1.0 + n_c) * (1.0 + n_c)
-    straight2 = index2 * (b2_c - (h_c - h) * (r_c + r))
-    squares = (n - n_c) * (2.0 + n + n_c)
-    bent2 = straight2 + squares * r * r
-    if not (straight2 > 0.0 and bent2 > _BENT_GUARD * straight2):
-        return math.nan
-    a, b = math.sqrt(bent2), math.sqrt(straight2)
-    return squares * r / (a * b * (a + b))
+def sides_of(half, line):  # type: ignore[no-untyped-def]
+    """Two lengths, across and ahead, whose ratio is tan R_c.
+
+    ``half`` is half the difference of the subtended angles, ``line`` a `Triangle`.
+    """
+    q = math.sqrt(line.b2_g)
+    upon = line.along + q
+    # half is below 0.01: the next terms are 1e-14 of these.
+    square = half * half
+    sin_half = half - half * square * (1.0 / 6.0 - square / 120.0)
+    cos_half = 1.0 - square * (0.5 - square / 24.0)
+    across = 2.0 * sin_half * upon
+    turned = line.sense * across * (line.s * cos_half - q * sin_half)
+    ahead = line.rise * (line.r_c + line.r_g) - turned
+    return across * (q * cos_half + line.s * sin_half), ahead
+
+
+@jit
+def small_angle(tangent):  # type: ignore[no-untyped-def]
+    """Arctangent of up to 0.01, to 1e-16 of it."""
+    square = tangent * tangent
+    return tangent - tangent * square * (1.0 / 3.0 - square * (0.2 - square / 7.0))
 
 
 @entry
-def _bend_difference(  # type: ignore[no-untyped-def]
-    edge, coefficient, h_c, h_g, sin_c, cos_c, r_e
-):
+def bend_by_difference(table, ray, h_g):  # type: ignore[no-untyped-def]
     """R_c from the difference between straight and bent ray, both on their way to h_g.
 
     NaN where the bent ray is nearly level before it gets there.
     """
+    edge, h_c, n_c, r_e = table.edge, ray.h_c, ray.n_c, ray.r_e
     r_c, r_g = r_e + h_c, r_e + h_g
-    n_c = refractivity(edge, coefficient, piece(edge, h_c), h_c)
     index_c = 1.0 + n_c
-    s = r_c * sin_c
+    index2 = index_c * index_c
+    s = r_c * ray.sin_c
     # (r cos z)^2 along the straight line is linear in r^2.
-    b2_c = (r_c * cos_c) ** 2
+    b2_c = (r_c * ray.cos_c) ** 2
     b2_g = b2_c - (h_c - h_g) * (r_c + r_g)
     steep = min(b2_g, b2_c) > 0.9 * max(b2_g, b2_c)
     low, high = min(h_c, h_g), max(h_c, h_g)
@@ -88,96 +129,62 @@ def _bend_difference(  # type: ignore[no-untyped-def]
         part = 0.0
         for j in range(count):
             h = h_0 + width * x[j]
-            n = refractivity(edge, coefficient, i, h)
-            part += w[j] * integrand(n, n_c, h, h_c, b2_c, r_c, r_e)
+            n, r = refractivity(table, i, h), r_e + h
+            # (n^2 - n_c^2) r / (a b (a + b)), a along the bent and b along the straight line.
+            squares = (n - n_c) * (2.0 + n + n_c)
+            straight2 = index2 * (b2_c - (h_c - h) * (r_c + r))
+            bent2 = straight2 + squares * r * r
+            if not (straight2 > 0.0 and bent2 > _BENT_GUARD * straight2):
+                return math.nan
+            a, b = math.sqrt(bent2), math.sqrt(straight2)
+            part += w[j] * (squares * r / (a * b * (a + b)))
         integral += part * width
     # Upwards the bent ray subtends the larger angle, and both signs turn over.
     sense = 1.0 if h_g < h_c else -1.0
     half = 0.5 * sense * index_c * s * integral
-    return angle_of(half, sense, s, abs(h_c - h_g), r_c * abs(cos_c), b2_g, r_c, r_g)
-
-
-@jit
-def sides_of(half, sense, s, rise, along, b2_g, r_c, r_g):  # type: ignore[no-untyped-def]
-    """Two lengths, across and ahead, whose ratio is tan R_c.
-
-    ``half`` is half the difference of the subtended angles, ``sense`` is -1 upwards.
-    """
-    q = math.sqrt(b2_g)
-    upon = along + q
-    # half is below 0.01: the next terms are 1e-14 of these.
-    square = half * half
-    sin_half = half - half * square * (1.0 / 6.0 - square / 120.0)
-    cos_half = 1.0 - square * (0.5 - square / 24.0)
-    across = 2.0 * sin_half * upon
-    ahead = rise * (r_c + r_g) - sense * across * (s * cos_half - q * sin_half)
-    return across * (q * cos_half + s * sin_half), ahead
-
-
-@jit
-def small_angle(tangent):  # type: ignore[no-untyped-def]
-    """Arctangent of up to 0.01, to 1e-16 of it."""
-    square = tangent * tangent
-    return tangent - tangent * square * (1.0 / 3.0 - square * (0.2 - square / 7.0))
-
-
-@jit
-def angle_of(half, sense, s, rise, along, b2_g, r_c, r_g):  # type: ignore[no-untyped-def]
-    """R_c from half the difference of the subtended angles; ``sense`` is -1 upwards."""
-    aside, ahead = sides_of(half, sense, s, rise, along, b2_g, r_c, r_g)
+    line = Triangle(sense, s, abs(h_c - h_g), r_c * abs(ray.cos_c), b2_g, r_c, r_g)
+    aside, ahead = sides_of(half, line)
     if abs(aside) < 0.01 * ahead:
         return small_angle(aside / ahead)
     return math.atan2(aside, ahead)
 
 
 @entry
-def _bend_subtended(  # type: ignore[no-untyped-def]
-    edge, coefficient, h_c, h_g, sin_c, cos_c, r_e
-):
+def bend_by_subtended(table, ray, h_g):  # type: ignore[no-untyped-def]
     """R_c from the subtended angle (Gyer 1996, Eq. 11, 12, 15), good at and beyond grazing."""
-    n_c, lift = lift_of(edge, coefficient, h_c, sin_c, cos_c, r_e)
-    low, high = min(h_c, h_g), max(h_c, h_g)
-    if h_g > h_c and cos_c > 0.0:  # down through P_90 and up again
-        theta = subtended_through_turn(
-            edge, coefficient, n_c, h_c, sin_c, cos_c, r_e, lift
-        ) + subtended(edge, coefficient, h_c, h_g, n_c, h_c, r_e, lift, False)
+    h_c = ray.h_c
+    if h_g > h_c and ray.cos_c > 0.0:  # down through P_90 and up again
+        theta = subtended_through_turn(table, ray) + subtended(table, ray, h_c, h_g, False)
     else:
-        if not excess(edge, coefficient, piece(edge, low), low, n_c, h_c, r_e, lift) >= 0.0:
+        low, high = min(h_c, h_g), max(h_c, h_g)
+        if not excess(table, ray, piece(table.edge, low), low) >= 0.0:
             return math.nan
-        theta = subtended(edge, coefficient, low, high, n_c, h_c, r_e, lift, False)
-    return angle_to(theta, h_c, h_g, sin_c, cos_c, r_e)
+        theta = subtended(table, ray, low, high, False)
+    return angle_to(ray, theta, h_g)
 
 
 @jit
-def two_crossings(edge, coefficient, h_c, h_g, sin_c, cos_c, r_e):  # type: ignore[no-untyped-def]
+def _two_crossings(table, ray, h_g):  # type: ignore[no-untyped-def]
     """Whether a downward ray turns above the ground, and so meets heights below h_c twice."""
-    floor = max(edge[0], min(LOWEST_TERRAIN_M, h_g))
+    floor = max(table.edge[0], min(LOWEST_TERRAIN_M, h_g))
     # The straight line's lowest point lies deeper than the ray's, by less than a fifth in any air
-    # in which n falls with height; far below the floor there is nothing to look at.
-    if (r_e + h_c) * cos_c * cos_c > 2.0 * (1.0 + sin_c) * (h_c - floor + 100.0):
+    # in which n falls with height; a line that goes far below the floor needs no further test.
+    depth = ray.h_c - floor + 100.0
+    if (ray.r_e + ray.h_c) * ray.cos_c * ray.cos_c > 2.0 * (1.0 + ray.sin_c) * depth:
         return False
-    n_c, lift = lift_of(edge, coefficient, h_c, sin_c, cos_c, r_e)
-    i = piece(edge, floor)
-    return excess(edge, coefficient, i, floor, n_c, h_c, r_e, lift) < 0.0
+    return excess(table, ray, piece(table.edge, floor), floor) < 0.0
 
 
 @jit
-def _choose_crossing(  # type: ignore[no-untyped-def]
-    edge, coefficient, h_c, h_g, sin_c, cos_c, r_e, distance, near
-):
-    """The crossing whose slant range is nearer to the one that was given, and its status."""
-    n_c, lift = lift_of(edge, coefficient, h_c, sin_c, cos_c, r_e)
-    theta = subtended(edge, coefficient, h_g, h_c, n_c, h_c, r_e, lift, False)
-    around = subtended_through_turn(edge, coefficient, n_c, h_c, sin_c, cos_c, r_e, lift)
-    far = math.sqrt(chord2(around - theta, h_c, h_g, r_e))
-    if abs(far - distance) < abs(math.sqrt(chord2(theta, h_c, h_g, r_e)) - distance):
-        return angle_to(around - theta, h_c, h_g, sin_c, cos_c, r_e), FAR_BRANCH
-    return near, OK
-
-
-@jit
-def impossible(edge, h_c, h_g, sin_c, cos_c, r_e):  # type: ignore[no-untyped-def]
-    """Why there can be no angle, or OK."""
+def _impossible(edge, rays, i):  # type: ignore[no-untyped-def]
+    """Why ray i of some columns can have no angle, or OK."""
+    h_c, h_g, sin_c, cos_c, r_e = (
+        rays.h_c[i],
+        rays.h_g[i],
+        rays.sin_c[i],
+        rays.cos_c[i],
+        rays.r_e[i],
+    )
     finite = math.isfinite(h_c) and math.isfinite(h_g) and math.isfinite(r_e)
     if not (finite and 0.0 <= sin_c <= 1.0 and abs(cos_c) <= 1.0 and r_e > 0.0):
         return BAD_MEASUREMENT
@@ -190,40 +197,132 @@ def impossible(edge, h_c, h_g, sin_c, cos_c, r_e):  # type: ignore[no-untyped-de
 
 
 @jit
-def _bend_one(  # type: ignore[no-untyped-def]
-    edge, coefficient, h_c, h_g, sin_c, cos_c, r_e, distance
-):
+def _bend_one(table, ray, h_g, distance):  # type: ignore[no-untyped-def]
     """R_c and status of one ray, by itself."""
-    b2_c = ((r_e + h_c) * cos_c) ** 2
+    h_c, r_e = ray.h_c, ray.r_e
+    b2_c = ((r_e + h_c) * ray.cos_c) ** 2
     b2_g = b2_c - (h_c - h_g) * (2.0 * r_e + h_c + h_g)
-    r_angle = 0.0 if h_g == h_c else math.nan
-    through_turn = h_g > h_c and cos_c > 0.0
+    angle = 0.0 if h_g == h_c else math.nan
+    through_turn = h_g > h_c and ray.cos_c > 0.0
     if h_g != h_c and not through_turn and min(b2_c, b2_g) >= _GRAZING_GUARD * max(b2_c, b2_g):
-        r_angle = _bend_difference(edge, coefficient, h_c, h_g, sin_c, cos_c, r_e)
-    if math.isnan(r_angle):
-        r_angle = _bend_subtended(edge, coefficient, h_c, h_g, sin_c, cos_c, r_e)
-    if math.isnan(r_angle):
+        angle = bend_by_difference(table, ray, h_g)
+    if math.isnan(angle):
+        angle = bend_by_subtended(table, ray, h_g)
+    if math.isnan(angle):
         return math.nan, MISSES_GROUND
     # At the camera's own height the far crossing of a level ray is the near one.
-    down = h_g < h_c or (h_g == h_c and cos_c > 1e-9)
-    if down and two_crossings(edge, coefficient, h_c, h_g, sin_c, cos_c, r_e):
-        if distance > 0.0:
-            return _choose_crossing(
-                edge, coefficient, h_c, h_g, sin_c, cos_c, r_e, distance, r_angle
-            )
-        return r_angle, BEYOND_GRAZING
-    return r_angle, OK
+    down = h_g < h_c or (h_g == h_c and ray.cos_c > 1e-9)
+    if not (down and _two_crossings(table, ray, h_g)):
+        return angle, OK
+    if not distance > 0.0:
+        return angle, BEYOND_GRAZING
+    # The crossing whose slant range is nearer to the one that was given.
+    theta = subtended(table, ray, h_g, h_c, False)
+    around = subtended_through_turn(table, ray)
+    far = math.sqrt(chord2(ray, around - theta, h_g))
+    if abs(far - distance) < abs(math.sqrt(chord2(ray, theta, h_g)) - distance):
+        return angle_to(ray, around - theta, h_g), FAR_BRANCH
+    return angle, OK
 
 
 @entry
-def bend_rays(  # type: ignore[no-untyped-def]
-    edge, coefficient, h_c, h_g, sin_c, cos_c, r_e, distance, which, angle, status
-):
-    """Fill ``angle`` [rad] and ``status`` for the rays of vectors that ``which`` numbers."""
+def bend_rays(table, rays, which, angle, status):  # type: ignore[no-untyped-def]
+    """Fill ``angle`` [rad] and ``status`` for the rays of `RayColumns` that ``which`` numbers."""
     for i in which:
-        status[i] = impossible(edge, h_c[i], h_g[i], sin_c[i], cos_c[i], r_e[i])
+        status[i] = _impossible(table.edge, rays, i)
         angle[i] = math.nan
         if status[i] == OK:
-            angle[i], status[i] = _bend_one(
-                edge, coefficient, h_c[i], h_g[i], sin_c[i], cos_c[i], r_e[i], distance[i]
-            )
+            ray = ray_at(table, rays.h_c[i], rays.sin_c[i], rays.cos_c[i], rays.r_e[i])
+            angle[i], status[i] = _bend_one(table, ray, rays.h_g[i], rays.distance[i])
+
+
+@jit
+def _subtended_up_to(table, ray, h, around):  # type: ignore[no-untyped-def]
+    """Angle subtended up to height h; ``around`` is that through P_90 and up again, else 0."""
+    if around > 0.0 and h >= ray.h_c:
+        return around + subtended(table, ray, ray.h_c, h, False)
+    theta = subtended(table, ray, min(h, ray.h_c), max(h, ray.h_c), False)
+    return around - theta if around > 0.0 else theta
+
+
+@jit
+def _search_height(table, ray, distance, search):  # type: ignore[no-untyped-def]
+    """The height at which the chord is ``distance`` long, and status.
+
+    Newton's iteration from ``start`` in s with h = turn + s^2, in which the chord is smooth through
+    P_90, and bisection where it would leave the interval from ``low`` to ``high``.
+    """
+    low, high, turn, start, around, sense = search
+    s_0, s_1 = math.sqrt(max(low - turn, 0.0)), math.sqrt(max(high - turn, 0.0))
+    s = math.sqrt(start - turn) if low < start < high else 0.5 * (s_0 + s_1)
+    reached = False
+    for _ in range(100):
+        h = min(max(turn + s * s, low), high)
+        theta = _subtended_up_to(table, ray, h, around)
+        miss = chord2(ray, theta, h) - distance * distance
+        if math.isnan(miss):
+            return math.nan, MISSES_GROUND
+        reached = reached or miss >= 0.0
+        if miss * sense > 0.0:
+            s_1 = s
+        else:
+            s_0 = s
+        # d(chord^2)/dh along the ray.
+        above = excess(table, ray, piece(table.edge, h), h)
+        r_c, r_h = ray.r_e + ray.h_c, ray.r_e + h
+        turning = sense * ray.k / (r_h * math.sqrt(above * (above + 2.0 * ray.k)))
+        slope = 2.0 * (h - ray.h_c) + 4.0 * r_c * math.sin(0.5 * theta) ** 2
+        slope += 2.0 * r_c * r_h * math.sin(theta) * turning
+        step = -miss / (slope * 2.0 * s) if s > 0.0 else math.nan
+        if not s_0 < s + step < s_1:  # also where the slope is no number
+            step = 0.5 * (s_0 + s_1) - s
+        s += step
+        if abs(step) * (2.0 * s + abs(step)) < _SHORTEST_STEP_M:
+            break
+    if reached or abs(miss) < 2e-6 * distance:
+        return min(max(turn + s * s, low), high), OK
+    return math.nan, OUTSIDE_PROFILE  # not even at the end of the profile is it so far
+
+
+@jit
+def _ray_height(table, ray, distance):  # type: ignore[no-untyped-def]
+    """Height and status of one ray at one distance."""
+    h_c = ray.h_c
+    bottom, top, level = table.edge[0], table.edge[-1], h_c - ray.lift
+    # Along the straight line: tenths of a metre off for steep rays, kilometres for level ones.
+    r_c = ray.r_e + h_c
+    fall = distance * (distance - 2.0 * r_c * ray.cos_c)
+    start = h_c + fall / (r_c + math.sqrt(max(r_c * r_c + fall, 0.0)))
+    if ray.cos_c <= 0.0:
+        search = _Search(h_c, top, level, start, 0.0, 1.0)
+        return _search_height(table, ray, distance, search)
+    turn = turning_height(table, ray)
+    if math.isnan(turn):
+        search = _Search(bottom, h_c, min(level, bottom), start, 0.0, -1.0)
+        return _search_height(table, ray, distance, search)
+    half = subtended(table, ray, turn, h_c, True)
+    if math.sqrt(chord2(ray, half, turn)) >= distance:
+        search = _Search(turn, h_c, turn, start, 0.0, -1.0)
+        return _search_height(table, ray, distance, search)
+    around = subtended_through_turn(table, ray)
+    if not around > 0.0:
+        return math.nan, MISSES_GROUND  # its lowest point lies under all land
+    search = _Search(turn, top, turn, start, around, 1.0)
+    return _search_height(table, ray, distance, search)
+
+
+@entry
+def ray_heights(table, rays, height, status):  # type: ignore[no-untyped-def]
+    """Fill ``height`` [m] and ``status`` for `RayColumns` at their distances; h_g is not read."""
+    edge = table.edge
+    for i in range(rays.h_c.size):
+        h_c, sin_c, cos_c, r_e = rays.h_c[i], rays.sin_c[i], rays.cos_c[i], rays.r_e[i]
+        height[i], status[i] = math.nan, BAD_MEASUREMENT
+        sound = 0.0 <= sin_c <= 1.0 and abs(cos_c) <= 1.0 and r_e > 0.0
+        if not (sound and 0.0 < rays.distance[i] < math.inf and math.isfinite(h_c + r_e)):
+            continue
+        if not edge[0] <= h_c <= edge[-1]:
+            status[i] = OUTSIDE_PROFILE
+            continue
+        ray = ray_at(table, h_c, sin_c, cos_c, r_e)
+        height[i], status[i] = _ray_height(table, ray, rays.distance[i])

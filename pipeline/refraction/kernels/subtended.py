@@ -1,17 +1,17 @@
 """The angle that a ray subtends at the earth's centre, compiled: good at and beyond grazing.
 
-Symbols are those of Gyer 1996: r = r_e + h, k = n_c r_c sin zeta_c, N = n - 1; ``lift`` is
-n_c r_c (1 - sin zeta_c).
+Symbols are those of Gyer 1996: r = r_e + h, k = n_c r_c sin zeta_c, N = n - 1. Compiled functions
+take no keywords: what belongs together travels in named tuples.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from pipeline.refraction.kernels.jit import jit
-from pipeline.refraction.kernels.polynomials import gradient, piece, refractivity
 
 # Within this depth of its lowest point [m] a ray follows closed form to 1e-9 arcsec, while n - n_c
 # has lost its digits.
@@ -29,40 +29,95 @@ _X8, _W8 = (0.5 * a for a in np.polynomial.legendre.leggauss(8))
 _X8 = 0.5 + _X8
 
 
-@jit
-def lift_of(edge, coefficient, h_c, sin_c, cos_c, r_e):  # type: ignore[no-untyped-def]
-    """N_c, and n_c r_c (1 - sin zeta_c) without cancellation."""
-    n_c = refractivity(edge, coefficient, piece(edge, h_c), h_c)
-    return n_c, (1.0 + n_c) * (r_e + h_c) * cos_c * cos_c / (1.0 + sin_c)
+class Ray(NamedTuple):
+    """A ray at its camera, and what stays the same along it.
+
+    ``h_c`` height of the camera [m]; ``sin_c``, ``cos_c`` of the apparent nadir angle; ``r_e``
+    radius of the sphere [m]; ``n_c`` N at the camera; ``lift`` n_c r_c (1 - sin zeta_c) [m]; ``k``.
+    """
+
+    h_c: float
+    sin_c: float
+    cos_c: float
+    r_e: float
+    n_c: float
+    lift: float
+    k: float
+
+
+class _Base(NamedTuple):
+    """Where panels begin: piece of the table, height, n r - k there, up (1) or down (-1)."""
+
+    piece: int
+    height: float
+    excess: float
+    sense: float
 
 
 @jit
-def excess(edge, coefficient, i, h, n_c, h_c, r_e, lift):  # type: ignore[no-untyped-def]
-    """n r - k without cancellation; ``lift`` is n_c r_c (1 - sin zeta_c)."""
-    n = refractivity(edge, coefficient, i, h)
-    return (r_e + h) * (n - n_c) + (1.0 + n_c) * (h - h_c) + lift
+def piece(edge, h):  # type: ignore[no-untyped-def]
+    """Number of the piece of the table that holds height h."""
+    low, high = 0, edge.size - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if edge[middle] <= h:
+            low = middle
+        else:
+            high = middle
+    return low
 
 
 @jit
-def _slope(edge, coefficient, i, h, r_e):  # type: ignore[no-untyped-def]
+def refractivity(table, i, h):  # type: ignore[no-untyped-def]
+    """N at height h by the polynomial of piece i."""
+    edge, coefficient = table
+    u = (h - edge[i]) / (edge[i + 1] - edge[i])
+    value = coefficient[i, 7]
+    for j in range(6, -1, -1):
+        value = value * u + coefficient[i, j]
+    return value
+
+
+@jit
+def ray_at(table, h_c, sin_c, cos_c, r_e):  # type: ignore[no-untyped-def]
+    """The `Ray` that leaves a camera; ``lift`` without cancellation."""
+    n_c = refractivity(table, piece(table.edge, h_c), h_c)
+    lift = (1.0 + n_c) * (r_e + h_c) * cos_c * cos_c / (1.0 + sin_c)
+    return Ray(h_c, sin_c, cos_c, r_e, n_c, lift, (1.0 + n_c) * (r_e + h_c) - lift)
+
+
+@jit
+def excess(table, ray, i, h):  # type: ignore[no-untyped-def]
+    """n r - k at height h in piece i, without cancellation."""
+    n = refractivity(table, i, h)
+    return (ray.r_e + h) * (n - ray.n_c) + (1.0 + ray.n_c) * (h - ray.h_c) + ray.lift
+
+
+@jit
+def _slope(table, i, h, r_e):  # type: ignore[no-untyped-def]
     """d(n r)/dh at height h; about 0.8 in common air, below zero in a duct."""
-    n = refractivity(edge, coefficient, i, h)
-    return 1.0 + n + (r_e + h) * gradient(edge, coefficient, i, h)
+    edge, coefficient = table
+    width = edge[i + 1] - edge[i]
+    u = (h - edge[i]) / width
+    gradient = 7.0 * coefficient[i, 7]
+    for j in range(6, 0, -1):
+        gradient = gradient * u + j * coefficient[i, j]
+    return 1.0 + refractivity(table, i, h) + (r_e + h) * (gradient / width)
 
 
 @jit
-def turning_height(edge, coefficient, n_c, h_c, r_e, lift):  # type: ignore[no-untyped-def]
+def turning_height(table, ray):  # type: ignore[no-untyped-def]
     """h_90 at or below the camera, where n r = k (Gyer 1996, Eq. 16); NaN below the profile."""
-    i = piece(edge, h_c)
-    high = h_c
+    i = piece(table.edge, ray.h_c)
+    high = ray.h_c
     while i >= 0:
-        low = edge[i]
-        if excess(edge, coefficient, i, low, n_c, h_c, r_e, lift) <= 0.0:
+        low = table.edge[i]
+        if excess(table, ray, i, low) <= 0.0:
             for _ in range(80):
                 middle = 0.5 * (low + high)
                 if middle <= low or middle >= high:
                     break
-                if excess(edge, coefficient, i, middle, n_c, h_c, r_e, lift) > 0.0:
+                if excess(table, ray, i, middle) > 0.0:
                     high = middle
                 else:
                     low = middle
@@ -73,10 +128,12 @@ def turning_height(edge, coefficient, n_c, h_c, r_e, lift):  # type: ignore[no-u
 
 
 @jit
-def _excess_near(edge, coefficient, i, base, at_base, y, r_e):  # type: ignore[no-untyped-def]
-    """n r - k at ``base`` + y, where it is ``at_base`` at y = 0; y may be as small as it likes."""
+def _excess_near(table, ray, base, y):  # type: ignore[no-untyped-def]
+    """n r - k at the height of ``base`` + y; y may be as small as it likes."""
+    edge, coefficient = table
+    i = base.piece
     width = edge[i + 1] - edge[i]
-    u_0 = (base - edge[i]) / width
+    u_0 = (base.height - edge[i]) / width
     u = u_0 + y / width
     # The divided difference of the polynomial, by Horner's scheme beside that of its value.
     value = quotient = coefficient[i, 7]
@@ -84,31 +141,30 @@ def _excess_near(edge, coefficient, i, base, at_base, y, r_e):  # type: ignore[n
         value = value * u_0 + coefficient[i, j]
         quotient = quotient * u + value
     value = value * u_0 + coefficient[i, 0]
-    return at_base + (1.0 + value) * y + (r_e + base + y) * (y / width) * quotient
+    return base.excess + (1.0 + value) * y + (ray.r_e + base.height + y) * (y / width) * quotient
 
 
 @jit
-def _panel(  # type: ignore[no-untyped-def]
-    edge, coefficient, i, base, at_base, sense, near, far, depth, k, r_e
-):
-    """Angle subtended between ``near`` and ``far`` from ``base``, up (sense 1) or down (-1).
+def _panel(table, ray, base, span, depth):  # type: ignore[no-untyped-def]
+    """Angle subtended between the two distances ``span`` from ``base``.
 
     With s^2 = distance + ``depth`` as the variable; NaN where the ray turns in between.
     """
-    s_0, s_1 = math.sqrt(near + depth), math.sqrt(far + depth)
+    s_0, s_1 = math.sqrt(span[0] + depth), math.sqrt(span[1] + depth)
     total = 0.0
     for j in range(_X8.size):
         s = s_0 + (s_1 - s_0) * _X8[j]
-        y = sense * (s * s - depth)
-        above = _excess_near(edge, coefficient, i, base, at_base, y, r_e)
+        y = base.sense * (s * s - depth)
+        above = _excess_near(table, ray, base, y)
         if not above > 0.0:
             return math.nan
-        total += _W8[j] * 2.0 * s * k / ((r_e + base + y) * math.sqrt(above * (above + 2.0 * k)))
+        r = ray.r_e + base.height + y
+        total += _W8[j] * 2.0 * s * ray.k / (r * math.sqrt(above * (above + 2.0 * ray.k)))
     return total * (s_1 - s_0)
 
 
 @jit
-def _graded(edge, coefficient, i, base, at_base, sense, width, k, r_e):  # type: ignore[no-untyped-def]
+def _graded(table, ray, base, width):  # type: ignore[no-untyped-def]
     """Angle subtended over ``width`` from ``base``, in panels that halve towards it.
 
     For air in which n r hardly grows, or falls, away from its smallest value in the layer.
@@ -116,103 +172,99 @@ def _graded(edge, coefficient, i, base, at_base, sense, width, k, r_e):  # type:
     total, far = 0.0, width
     for _ in range(_HALVINGS):
         near = 0.5 * far
-        total += _panel(edge, coefficient, i, base, at_base, sense, near, far, 0.0, k, r_e)
+        total += _panel(table, ray, base, (near, far), 0.0)
         far = near
-    return total + _panel(edge, coefficient, i, base, at_base, sense, 0.0, far, 0.0, k, r_e)
+    return total + _panel(table, ray, base, (0.0, far), 0.0)
 
 
 @jit
-def _depth(edge, coefficient, i, base, at_base, slope, r_e):  # type: ignore[no-untyped-def]
-    """How far below ``base`` the ray would be level if piece i of the table went on."""
-    depth = at_base / slope
-    # Farther down the integrand is smooth whatever the substitution; nearer, digits run out.
-    if _LEVEL_M < depth < 0.5 * (edge[i + 1] - edge[i]):
-        for _ in range(5):
-            depth += _excess_near(edge, coefficient, i, base, at_base, -depth, r_e) / slope
-    return max(depth, 0.0)
-
-
-@jit
-def _flattest(edge, coefficient, i, low, high, r_e):  # type: ignore[no-untyped-def]
-    """Where n r is smallest between heights at whose ends it falls inwards."""
+def _flat_layer(table, ray, i, ends, at_0):  # type: ignore[no-untyped-def]
+    """Angle subtended between two heights of piece i where n r hardly grows, or falls."""
+    h_0, h_1 = ends
+    at_1 = ray.lift if h_1 == ray.h_c else excess(table, ray, i, h_1)
+    if not _slope(table, i, h_0, ray.r_e) < 0.0 < _slope(table, i, h_1, ray.r_e):
+        half = 0.5 * (h_1 - h_0)
+        return _graded(table, ray, _Base(i, h_0, at_0, 1.0), half) + _graded(
+            table, ray, _Base(i, h_1, at_1, -1.0), half
+        )
+    least, high = h_0, h_1  # n r is smallest in between
     for _ in range(60):
-        middle = 0.5 * (low + high)
-        if _slope(edge, coefficient, i, middle, r_e) < 0.0:
-            low = middle
+        middle = 0.5 * (least + high)
+        if _slope(table, i, middle, ray.r_e) < 0.0:
+            least = middle
         else:
             high = middle
-    return low
+    at_least = excess(table, ray, i, least)
+    return _graded(table, ray, _Base(i, least, at_least, -1.0), least - h_0) + _graded(
+        table, ray, _Base(i, least, at_least, 1.0), h_1 - least
+    )
 
 
 @jit
-def subtended(  # type: ignore[no-untyped-def]
-    edge, coefficient, low, high, n_c, h_c, r_e, lift, level_at_low
-):
+def subtended(table, ray, low, high, level_at_low):  # type: ignore[no-untyped-def]
     """Angle the ray subtends between two heights (Gyer 1996, Eq. 12), with h = turn + s^2.
 
     ``turn`` is where the ray would be level by each piece of the table; the substitution takes
     the singularity out of the integrand. With ``level_at_low`` that is ``low`` itself, which
     rounding would miss: 1e-13 m of depth there are 3e-5 arcsec. NaN where the ray turns in between.
     """
-    k = (1.0 + n_c) * (r_e + h_c) - lift
+    edge = table.edge
     total = 0.0
     for i in range(piece(edge, low), piece(edge, high) + 1):
         h_0, h_1 = max(low, edge[i]), min(high, edge[i + 1])
         if h_1 <= h_0:
             continue
-        at_0 = at_1 = lift
+        at_0 = ray.lift
         if level_at_low and h_0 == low:
             at_0 = 0.0
-        elif h_0 != h_c:
-            at_0 = excess(edge, coefficient, i, h_0, n_c, h_c, r_e, lift)
-        slope_0 = _slope(edge, coefficient, i, h_0, r_e)
-        slope_1 = _slope(edge, coefficient, i, h_1, r_e)
-        if min(slope_0, slope_1) > _COMMON_SLOPE:
-            depth = _depth(edge, coefficient, i, h_0, at_0, slope_0, r_e) if at_0 > 0.0 else 0.0
-            total += _panel(edge, coefficient, i, h_0, at_0, 1.0, 0.0, h_1 - h_0, depth, k, r_e)
+        elif h_0 != ray.h_c:
+            at_0 = excess(table, ray, i, h_0)
+        slope = _slope(table, i, h_0, ray.r_e)
+        if not min(slope, _slope(table, i, h_1, ray.r_e)) > _COMMON_SLOPE:
+            total += _flat_layer(table, ray, i, (h_0, h_1), at_0)
             continue
-        if h_1 != h_c:
-            at_1 = excess(edge, coefficient, i, h_1, n_c, h_c, r_e, lift)
-        if slope_0 < 0.0 < slope_1:  # n r is smallest in between
-            least = _flattest(edge, coefficient, i, h_0, h_1, r_e)
-            at_least = excess(edge, coefficient, i, least, n_c, h_c, r_e, lift)
-            total += _graded(
-                edge, coefficient, i, least, at_least, -1.0, least - h_0, k, r_e
-            ) + _graded(edge, coefficient, i, least, at_least, 1.0, h_1 - least, k, r_e)
-        else:
-            half = 0.5 * (h_1 - h_0)
-            total += _graded(edge, coefficient, i, h_0, at_0, 1.0, half, k, r_e) + _graded(
-                edge, coefficient, i, h_1, at_1, -1.0, half, k, r_e
-            )
+        # How far below h_0 the ray would be level if piece i of the table went on.
+        base = _Base(i, h_0, at_0, 1.0)
+        depth = 0.0
+        if at_0 > 0.0:
+            depth = at_0 / slope
+            # Farther down the integrand is smooth whatever the substitution; nearer, digits end.
+            if _LEVEL_M < depth < 0.5 * (edge[i + 1] - edge[i]):
+                for _ in range(5):
+                    depth += _excess_near(table, ray, base, -depth) / slope
+            depth = max(depth, 0.0)
+        total += _panel(table, ray, base, (0.0, h_1 - h_0), depth)
     return total
 
 
 @jit
-def subtended_through_turn(  # type: ignore[no-untyped-def]
-    edge, coefficient, n_c, h_c, sin_c, cos_c, r_e, lift
-):
+def subtended_through_turn(table, ray):  # type: ignore[no-untyped-def]
     """Angle from the camera down to P_90 and up to the camera's height again; NaN below land."""
-    i = piece(edge, h_c)
-    if i > 0 and h_c <= edge[i]:
+    i = piece(table.edge, ray.h_c)
+    if i > 0 and ray.h_c <= table.edge[i]:
         i -= 1
-    slope = _slope(edge, coefficient, i, h_c, r_e)
-    if slope > 0.0 and lift < _LEVEL_M * slope:
-        return 2.0 * (1.0 + n_c) * sin_c * cos_c / slope
-    turn = turning_height(edge, coefficient, n_c, h_c, r_e, lift)
+    slope = _slope(table, i, ray.h_c, ray.r_e)
+    if slope > 0.0 and ray.lift < _LEVEL_M * slope:
+        return 2.0 * (1.0 + ray.n_c) * ray.sin_c * ray.cos_c / slope
+    turn = turning_height(table, ray)
     if not turn >= LOWEST_TERRAIN_M:
         return math.nan
-    return 2.0 * subtended(edge, coefficient, turn, h_c, n_c, h_c, r_e, lift, True)
+    return 2.0 * subtended(table, ray, turn, ray.h_c, True)
 
 
 @jit
-def chord2(theta, h_c, h_g, r_e):  # type: ignore[no-untyped-def]
-    """Square of the straight distance between two heights that subtend theta."""
-    return (h_c - h_g) ** 2 + 4.0 * (r_e + h_c) * (r_e + h_g) * math.sin(0.5 * theta) ** 2
+def chord2(ray, theta, h):  # type: ignore[no-untyped-def]
+    """Square of the straight distance to a point at height h that the ray sees theta away."""
+    return (ray.h_c - h) ** 2 + 4.0 * (ray.r_e + ray.h_c) * (ray.r_e + h) * math.sin(
+        0.5 * theta
+    ) ** 2
 
 
 @jit
-def angle_to(theta, h_c, h_g, sin_c, cos_c, r_e):  # type: ignore[no-untyped-def]
+def angle_to(ray, theta, h_g):  # type: ignore[no-untyped-def]
     """R_c of the point at height h_g where the ray has subtended theta (Gyer 1996, Eq. 11)."""
     across = math.sin(theta)
-    along = (h_c - h_g) / (r_e + h_g) + 2.0 * math.sin(0.5 * theta) ** 2
-    return math.atan2(sin_c * along - cos_c * across, cos_c * along + sin_c * across)
+    along = (ray.h_c - h_g) / (ray.r_e + h_g) + 2.0 * math.sin(0.5 * theta) ** 2
+    return math.atan2(
+        ray.sin_c * along - ray.cos_c * across, ray.cos_c * along + ray.sin_c * across
+    )

@@ -8,7 +8,8 @@ import numpy as np
 
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.refraction.papers.rows import Array, Block, block, printed_table
-from pipeline.refraction.ray import RayTable, bend, refraction_angle
+from pipeline.refraction.ray import bend, refraction_angle
+from pipeline.refraction.ray_table import RayTable
 from pipeline.units import DEGREE, MICRORADIAN
 
 RADIUS_M = 6_378_000.0
@@ -62,7 +63,7 @@ def bertram_rows() -> list[Block]:
         else:
             air = _between_densities(levels["z_m"], levels["density_kg_m3"])
             diagonal = math.sqrt(0.5)
-            exact = bend(air, h_c, 0.0, diagonal, diagonal, RADIUS_M)[0]
+            exact = bend(air, h_c, 0.0, diagonal, diagonal, radius=RADIUS_M)[0]
         blocks.append(
             block(
                 str(number), "refraction", "urad", h_c=h_c, h_g=0.0, zeta_deg=45.0,

@@ -15,7 +15,7 @@ from pipeline.refraction.published.gyer import STEP_M, gyer1996, plane_first_ter
 from pipeline.refraction.ray import refraction_angle
 from pipeline.refraction.window import (
     SCHEDULE_TEMPERATURE_K,
-    leave_compartment,
+    refract_at_window,
     scheduled_pressure,
 )
 from pipeline.units import ARCSEC, DEGREE, HECTOPASCAL
@@ -140,7 +140,7 @@ def _gyer_6(air: Profile) -> list[Block]:
 
     # His distance is the arc at sea level. It cannot be had from the exact R_c, 1 arcsec of which
     # is 2 km of it.
-    theta = subtended_angle(air, h_c, h_g, zeta_c, np.full(h_c.shape, GYER_RADIUS_M), STEP_M)
+    theta = subtended_angle(air, h_c, h_g, zeta_c, np.full(h_c.shape, GYER_RADIUS_M), step=STEP_M)
 
     degrees = zeta_c / DEGREE
     figures = (
@@ -167,7 +167,7 @@ def _gyer_7(air: Profile) -> list[Block]:
     r_c, exact = gyer1996(*bent), np.asarray(refraction_angle(*bent))
     # Eq. 38 with the sign of Eq. 39; tan(zeta_f) = 1.
     r_cc = (cabin - outside) / (1.0 + outside)
-    exact_cc = leave_compartment(ray, cabin, outside)[1]
+    exact_cc = refract_at_window(ray, cabin, outside)[1]
     figures = (
         ("n_c - 1", "1e-6", "n_c_minus_1_e6", outside * 1e6, outside * 1e6),
         ("n_cc - 1", "1e-6", "n_cc_minus_1_e6", cabin * 1e6, cabin * 1e6),

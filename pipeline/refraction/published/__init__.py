@@ -20,6 +20,7 @@ from pipeline.refraction.published.bertram import (
     bertram1966_curved,
     bertram1966_from_ground,
 )
+from pipeline.refraction.published.column import Method
 from pipeline.refraction.published.gyer import gyer1996, plane, plane_first_term
 from pipeline.refraction.published.manual import manual
 from pipeline.refraction.published.moist import plane_moist
@@ -34,7 +35,6 @@ from pipeline.refraction.published.saastamoinen import (
     saastamoinen1974_weather,
     weather_refraction,
 )
-from pipeline.refraction.published.trace import Method
 
 PUBLISHED: dict[str, Method] = {
     "plane": plane,

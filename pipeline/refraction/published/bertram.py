@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pipeline.atmosphere.profile import Profile
-from pipeline.refraction.published.column import Array, density, rays, times_tangent
+from pipeline.refraction.published.column import Array, density, finite, times_tangent
 
 INDEX_PER_DENSITY = 0.000226
 """(n - 1) / rho [m3 kg-1] (Eq. 7)."""
@@ -54,7 +54,7 @@ def bertram1966(
     >>> (r * 1e6).round(1).tolist()
     [80.8, 78.1]
     """
-    h_c, h_g, zeta_c = rays(h_c, h_g, zeta_c)
+    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     sea = np.zeros(h_c.shape)
     usable = (h_c > 0.0) & (h_g >= LOWEST_M)
     camera = _moment(profile, sea, np.where(usable, h_c, np.nan))
@@ -77,7 +77,7 @@ def bertram1966_from_ground(
     >>> float((r * 1e6).round(1))
     66.0
     """
-    h_c, h_g, zeta_c = rays(h_c, h_g, zeta_c)
+    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     rise = np.where(h_c >= h_g, h_c - h_g, np.nan)
     moment = _moment(profile, h_g, rise)
     r = INDEX_PER_DENSITY * moment / np.where(rise > 0.0, rise, 1.0)
@@ -109,7 +109,7 @@ def bertram1966_curved(
     >>> float((r / flat - 1.0).round(4))
     0.0078
     """
-    h_c, h_g, zeta_c, radius = rays(h_c, h_g, zeta_c, radius)
+    h_c, h_g, zeta_c, radius = finite(h_c, h_g, zeta_c, radius)
     rise = np.where(h_c >= h_g, h_c - h_g, np.nan)
     second = _moment(profile, h_g, rise, curvature=True) / radius
     term = INDEX_PER_DENSITY * second / np.where(rise > 0.0, rise, 1.0)

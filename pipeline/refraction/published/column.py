@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.atmosphere.profile import Profile
-from pipeline.refraction.kernels.pieces import cut
+from pipeline.refraction.ray_table import cut
 from pipeline.units import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 Quantity = Callable[[Profile, Array], Array]
+Method = Callable[[Profile, ArrayLike, ArrayLike, ArrayLike, ArrayLike], Array]
 
 # Four Gauss nodes on 500 m of an exponential atmosphere err by 1e-19 of the integral.
 _PIECE_M = 500.0
@@ -34,7 +35,7 @@ def density(profile: Profile, h: ArrayLike) -> Array:
     return np.asarray(gas * profile.pressure(h) / profile.virtual_temperature(h))
 
 
-def rays(*arguments: ArrayLike) -> tuple[Array, ...]:
+def finite(*arguments: ArrayLike) -> tuple[Array, ...]:
     """Arguments of a method as arrays of one shape, NaN for what is infinite.
 
     NaN goes through every formula in silence; infinity times zero is a warning.

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
-from pipeline.refraction.published.column import Array, downward, mean, rays, times_tangent
+from pipeline.refraction.published.column import Array, downward, finite, mean, times_tangent
 
 STEP_M = 1000.0
 
@@ -48,6 +48,7 @@ def plane_first_term(
     h_g: ArrayLike,
     zeta_c: ArrayLike,
     radius: ArrayLike,
+    *,
     step: float | None = None,
 ) -> Array:
     """R_c [rad] in flat layers, first term (Gyer 1996, Eq. 24): the plane form of his Table 5.
@@ -63,7 +64,7 @@ def plane_first_term(
     >>> float((plane_first_term(air, 10000.0, 0.0, 60 * DEGREE, 6378000.0) / ARCSEC).round(2))
     28.33
     """
-    h_c, h_g, zeta_c = rays(h_c, h_g, zeta_c)
+    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     w_c = _squared(profile, h_c)
     if step is None:
         column = mean(profile, _squared, h_g, h_c) - w_c
@@ -95,7 +96,7 @@ def plane(
     >>> float((plane(air, 10000.0, 0.0, 60 * DEGREE, 6378000.0) / ARCSEC).round(2))
     28.31
     """
-    h_c, h_g, zeta_c = rays(h_c, h_g, zeta_c)
+    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     w_c = _squared(profile, h_c)
     m_1 = mean(profile, _squared, h_g, h_c)
     m_2 = mean(profile, _squared_2, h_g, h_c)
@@ -116,6 +117,7 @@ def gyer1996(
     h_g: ArrayLike,
     zeta_c: ArrayLike,
     radius: ArrayLike,
+    *,
     step: float = STEP_M,
 ) -> Array:
     """R_c [rad] through spherical layers as Gyer computed it (1996, Eq. 1, 11, 12, 31, 33-35).
@@ -136,10 +138,12 @@ def gyer1996(
     >>> float((gyer1996(air, 10000.0, 0.0, 75 * DEGREE, 6378000.0) / ARCSEC).round(2))
     61.78
     """
-    h_c, h_g, zeta_c, radius = rays(h_c, h_g, zeta_c, radius)
+    h_c, h_g, zeta_c, radius = finite(h_c, h_g, zeta_c, radius)
     usable = downward(h_c, h_g, zeta_c)
     r_c = np.full(usable.shape, np.nan)
-    theta = subtended_angle(profile, h_c[usable], h_g[usable], zeta_c[usable], radius[usable], step)
+    theta = subtended_angle(
+        profile, h_c[usable], h_g[usable], zeta_c[usable], radius[usable], step=step
+    )
     r_c[usable] = _eq_11(
         radius[usable] + h_c[usable], radius[usable] + h_g[usable], zeta_c[usable], theta
     )
@@ -173,7 +177,7 @@ def _intervals(profile: Profile, h_c: Array, h_g: Array, step: float) -> tuple[A
 
 
 def subtended_angle(
-    profile: Profile, h_c: Array, h_g: Array, zeta_c: Array, radius: Array, step: float
+    profile: Profile, h_c: Array, h_g: Array, zeta_c: Array, radius: Array, *, step: float
 ) -> Array:
     """Angle [rad] that rays subtend at the centre of the earth, as Gyer computed it (Eq. 12).
 

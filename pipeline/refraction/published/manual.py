@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pipeline.atmosphere.profile import Profile
-from pipeline.refraction.published.column import Array, rays, times_tangent
+from pipeline.refraction.published.column import Array, finite, times_tangent
 
 TOP_M = 80_500.0
 
@@ -27,7 +27,7 @@ def manual(
     >>> float((manual(None, 6000.0, 0.0, 0.7853981633974483, 0.0) * 1e6).round(2))
     57.84
     """
-    h_c, h_g, zeta_c = rays(h_c, h_g, zeta_c)
+    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     usable = (h_c > 0.0) & (h_c <= TOP_M)
     H, h = np.where(usable, h_c, np.nan) / 1e3, h_g / 1e3
     r = 2410.0 * H / (H * H - 6.0 * H + 250.0)

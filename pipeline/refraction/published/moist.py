@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pipeline.atmosphere.profile import Profile
-from pipeline.refraction.published.column import Array, mean, rays, times_tangent
+from pipeline.refraction.published.column import Array, finite, mean, times_tangent
 from pipeline.units import HECTOPASCAL
 
 # (n - 1) / (p / T) of dry air and the loss by e / T [urad K hPa-1]: Gyer 1996, Eq. 13, and the
@@ -37,7 +37,7 @@ def plane_moist(
     >>> float((plane_moist(air, 6000.0, 0.0, 0.7853981633974483, 0.0) * 1e6).round(2))
     58.91
     """
-    h_c, h_g, zeta_c = rays(h_c, h_g, zeta_c)
+    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     k, w = COEFFICIENTS[profile.index.name]
     p_c = profile.pressure(h_c)
     rise = profile.gravity.geopotential_height(h_c) - profile.gravity.geopotential_height(h_g)

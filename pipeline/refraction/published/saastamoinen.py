@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
-from pipeline.refraction.published.column import Array, density, mean, rays, times_tangent
+from pipeline.refraction.published.column import Array, density, finite, mean, times_tangent
 from pipeline.units import HECTOPASCAL
 
 INDEX_PER_DENSITY = 0.000226
@@ -38,7 +38,7 @@ def saastamoinen1974(
     >>> float((saastamoinen1974(air, 6000.0, 0.0, 0.7853981633974483, 0.0) * 1e6).round(1))
     58.8
     """
-    h_c, h_g, zeta_c = rays(h_c, h_g, zeta_c)
+    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     r = INDEX_PER_DENSITY * (mean(profile, density, h_g, h_c) - density(profile, h_c))
     return times_tangent(r, h_c, h_g, zeta_c)
 
@@ -55,7 +55,7 @@ def saastamoinen1974_ican(
     >>> float((saastamoinen1974_ican(None, 6000.0, 0.0, 0.7853981633974483, 0.0) * 1e6).round(1))
     58.9
     """
-    h_c, h_g, zeta_c = rays(h_c, h_g, zeta_c)
+    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     usable = (h_c <= ICAN_TOP_M) & (h_g <= ICAN_TROPOPAUSE_M) & (h_c > h_g)
     H, h = np.where(usable, h_c, 1000.0) / 1e3, np.where(usable, h_g, 0.0) / 1e3
     low = np.minimum(H, ICAN_TROPOPAUSE_M / 1e3)
@@ -87,7 +87,7 @@ def saastamoinen1974_quadratic(
     >>> float((r * 1e6).round(2))
     59.28
     """
-    h_c, h_g, zeta_c = rays(h_c, h_g, zeta_c)
+    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     c_1 = -26e-9  # [m-1]
     r = _eq_5(c_1, -0.03e-3 * c_1, np.where(h_c <= QUADRATIC_TOP_M, h_c, np.nan), h_g)
     return times_tangent(r, h_c, h_g, zeta_c)
@@ -125,6 +125,7 @@ def saastamoinen1974_fitted(
     h_g: ArrayLike,
     zeta_c: ArrayLike,
     radius: ArrayLike,
+    *,
     highest: float = QUADRATIC_TOP_M,
 ) -> Array:
     """R_c [rad] by Eq. 5 of Saastamoinen 1974 with coefficients fitted to the profile.
@@ -137,7 +138,7 @@ def saastamoinen1974_fitted(
     >>> float((saastamoinen1974_fitted(air, 6000.0, 0.0, 0.7853981633974483, 0.0) * 1e6).round(1))
     59.1
     """
-    h_c, h_g, zeta_c = rays(h_c, h_g, zeta_c)
+    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     c_1, c_2 = quadratic_coefficients(profile, highest=highest)
     covered = (h_c <= highest) & (h_g >= profile.bottom_m)
     r = np.where(covered, _eq_5(c_1, c_2, h_c, h_g), np.nan)
@@ -186,7 +187,7 @@ def saastamoinen1974_weather(
     >>> float((saastamoinen1974_weather(air, 6000.0, 0.0, 0.7853981633974483, 0.0) * 1e6).round(1))
     59.2
     """
-    h_c, h_g, zeta_c = rays(h_c, h_g, zeta_c)
+    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     p_c = profile.pressure(h_c)
     rise = np.where(h_c > h_g, h_c - h_g, np.nan)
     r = weather_refraction(profile.pressure(h_g), p_c, rise, p_c, profile.virtual_temperature(h_c))
@@ -209,7 +210,7 @@ def saastamoinen1974_series(
     >>> float((saastamoinen1974_series(air, 6000.0, 0.0, 0.7853981633974483, 0.0) * 1e6).round(1))
     59.1
     """
-    h_c, h_g, zeta_c = rays(h_c, h_g, zeta_c)
+    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     rise = (h_c - h_g) / 1e3
     rise = np.where((rise >= 0.0) & (rise <= 30.0), rise, np.nan)
     t_g = profile.virtual_temperature(h_g)
@@ -229,7 +230,7 @@ def saastamoinen1974_series(
 def compartment(refractivity_outside: ArrayLike, refractivity_cabin: ArrayLike) -> Array:
     """Delta R = n_H - n_A [rad at 45 degrees], to be added to R (Saastamoinen 1974, Eq. 9).
 
-    For a horizontal window; the exact form is `pipeline.refraction.window.leave_compartment`. His
+    For a horizontal window; the exact form is `pipeline.refraction.window.refract_at_window`. His
     Delta R is Gyer's -R_cc.
 
     >>> round(float(compartment(149.75e-6, 212.28e-6)) * 1e6, 1)

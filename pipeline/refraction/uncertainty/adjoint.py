@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.atmosphere.profile import Profile
-from pipeline.refraction.kernels.pieces import cut
+from pipeline.refraction.ray_table import cut
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -1,4 +1,4 @@
-"""What the covariance of the air makes of a refraction angle, in tables that a row looks up.
+"""Sigma of the refraction angle from the covariance of the air, in tables that rows interpolate.
 
 In the plane R = tan(zeta) (mean of N over the way - N_c) (Gyer 1996, Eq. 24), so that with the
 state x of the profile, its covariance C and the gradients a = dN/dx
@@ -14,7 +14,7 @@ cancels, and what is left is tan(zeta) times
 
     x = mean of a over the way - a_cc,
 
-a_cc = dN_cc/dx the answer of the air in the cabin. Elsewhere y = a_c - a_cc remains by as much as
+a_cc = dN_cc/dx the response of the air in the cabin. Elsewhere y = a_c - a_cc remains by as much as
 the normal leans; the tables hold sigma of x, how x and y go together, and sigma of y. The sphere
 changes x by less than 1 % up to 80 degrees and by 4 % at 85, and is left out there.
 """
@@ -31,20 +31,21 @@ from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.jacobian import air_jacobian, log_pressure_jacobian
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.standard import standard_atmosphere
-from pipeline.refraction.kernels.pieces import cut
+from pipeline.refraction.kernels.columns import AirTables
+from pipeline.refraction.ray_table import cut
 from pipeline.refraction.uncertainty.sensitivity import sensitivity
 from pipeline.refraction.window import SCHEDULE_PRESSURE_PA, SCHEDULE_TEMPERATURE_K
 
 Array = NDArray[np.float64]
 
 OPEN, SEALED, SCHEDULED = range(3)
-"""What a camera looks through: nothing that bends; a plane window with air behind it that does not
+"""Kinds of windows: none that bends; a plane window with air behind it that does not
 depend on that outside; one with Gyer's schedule where the cabin is as thin as the air outside."""
 
 # Heights at which gradients are kept, linear between them: 4e-4 of R over a way of 10 m.
 _STEP_M = 12.5
 # A layer's share between nodes of camera height: sigma of N_c sags by some 15 % between knots that
-# hardly know of each other, and a straight line over an eighth errs by 0.3 %.
+# hardly correlate, and a straight line over an eighth errs by 0.3 %.
 _PARTS_OF_A_LAYER = 8
 _FINEST_M, _WIDEST_M = 4.0, 50.0
 _AT_MOST_CAMERA_NODES = 600
@@ -78,7 +79,7 @@ class AirSigma:
     factors : (f, j, k, 2) what the sphere multiplies sigma_R and dR/dzeta by, at even heights
         from the lowest camera to the highest.
     ground_m, refractivity : lowest height [m] and (n,) N above it, every 5 m.
-    views : v of `SEALED`, `SCHEDULED`, those that are tabulated.
+    window_kinds : v of `SEALED`, `SCHEDULED`, those that are tabulated.
     behind : (v, 2, c, w) sigma of x, and its covariance with y over sigma of y, in the plane.
     lean : (v, c) sigma of y.
 
@@ -92,7 +93,7 @@ class AirSigma:
     factors: Array
     ground_m: float
     refractivity: Array
-    views: tuple[int, ...]
+    window_kinds: tuple[int, ...]
     behind: Array
     lean: Array
     way_step: float = _WAY_STEP
@@ -100,15 +101,25 @@ class AirSigma:
     incidence_step: float = _INCIDENCE_STEP
     refractivity_step_m: float = _REFRACTIVITY_STEP_M
 
+    @property
+    def tables(self) -> AirTables:
+        """The tables for compiled functions."""
+        return AirTables(
+            self.way_first, self.way_step, self.coarse_step, self.incidence_step, self.sigma,
+            self.angle, self.factors, self.behind, self.lean, self.ground_m,
+            self.refractivity_step_m, self.refractivity,
+        )  # fmt: skip
+
 
 def air_sigma(
     profile: Profile,
     covariance: ProfileCovariance | None,
     camera_heights_m: tuple[float, float],
     ground_heights_m: tuple[float, float],
+    *,
     largest_zeta_rad: float,
     radius: float,
-    views: Sequence[int] = (),
+    window_kinds: Sequence[int] = (),
 ) -> AirSigma:
     """Tabulate sigma of R for the cameras and the ground of a block.
 
@@ -119,40 +130,48 @@ def air_sigma(
     largest_zeta_rad : nadir angle beyond which nothing is seen; beyond 1.7 degrees above level at
         the ground the tables end anyway.
     radius : of the sphere [m].
-    views : of `SEALED` and `SCHEDULED` those that cameras look through.
+    window_kinds : of `SEALED` and `SCHEDULED` those that cameras look through.
 
     Against `sensitivity` with the same covariance, cameras within 150 m: 1 % of sigma_R up to 75
     degrees, 2 % at 80, 3 % at 85, on ways of 100 m and more; 8 % at 85 degrees and 6 km where the
     ground may lie anywhere. dR/dzeta to 1 %.
     """
-    doubt = None if covariance is None else Doubt.of(covariance)
+    root = None if covariance is None else CovarianceRoot.of(covariance)
     low, high = camera_heights_m
     top = min(ground_heights_m[1], high)
     bottom = min(max(ground_heights_m[0], profile.bottom_m), low - _SHORTEST_M)
-    camera = _camera_nodes(profile, low, high)
+    # Each layer in eighths, because its edges are knots of sigma.
+    breaks = profile.break_heights_m
+    inside = breaks[(breaks > low) & (breaks < high)]
+    edges = np.concatenate([[low], inside, [max(high, low + _FINEST_M)]])
+    layer = np.diff(breaks)[np.clip(np.searchsorted(breaks, edges[:-1], side="right") - 1, 0, None)]
+    finest = max(_FINEST_M, float(edges[-1] - edges[0]) / _AT_MOST_CAMERA_NODES)
+    camera = cut(edges, np.clip(layer / _PARTS_OF_A_LAYER, finest, max(_WIDEST_M, finest)))
     first, last = np.sqrt(max(low - top, _SHORTEST_M)), np.sqrt(high - bottom)
     ways = first + _WAY_STEP * np.arange(2 + max(0, int(np.ceil((last - first) / _WAY_STEP - 1))))
-    sigma, angle, behind, lean = _in_the_plane(profile, doubt, camera, ways**2, views)
+    sigma, angle, behind, lean = _in_the_plane(profile, root, camera, ways**2, window_kinds)
     coarse = first + _COARSE_STEP * np.arange(2 + int((ways[-1] - first) / _COARSE_STEP))
+    # Cosine of the largest nadir angle at the lowest ground in sight.
+    sine = np.sin(min(largest_zeta_rad, 0.5 * np.pi)) * (radius + high) / (radius + bottom)
+    least = max(LEVEL_COSINE, float(np.sqrt(max(0.0, 1.0 - sine * sine))))
     factors = _on_the_sphere(
-        profile, doubt, low, high, coarse**2,
-        _least_cosine(high, bottom, largest_zeta_rad, radius), radius,
-    )  # fmt: skip
+        profile, root, (low, high), coarse**2, least_cosine=least, radius=radius
+    )
     heights = np.arange(bottom, high + _REFRACTIVITY_STEP_M, _REFRACTIVITY_STEP_M)
     heights = np.minimum(heights, profile.top_m)
     return AirSigma(
         camera, float(first), sigma, angle, factors, bottom, profile.refractivity(heights),
-        tuple(views), behind, lean,
+        tuple(window_kinds), behind, lean,
     )  # fmt: skip
 
 
-def cabin_response(profile: Profile, h: Array, view: int) -> Array:
+def cabin_response(profile: Profile, h: Array, kind: int) -> Array:
     """(n,) change of N in the cabin with ln p outside, at heights of cameras (n,) [m].
 
     Zero but for `SCHEDULED`, where the pressure in the cabin is that outside and its temperature
     21.1 degC; central differences, good to 1e-6 of it.
     """
-    if view != SCHEDULED:
+    if kind != SCHEDULED:
         return np.zeros(h.shape)
     p, step = profile.pressure(h), 1e-3
 
@@ -162,76 +181,66 @@ def cabin_response(profile: Profile, h: Array, view: int) -> Array:
     return np.asarray((n(1.0 + step) - n(1.0 - step)) / (2.0 * step))
 
 
-def view_of(pressure_pa: Array, *, scheduled: bool) -> NDArray[np.int64]:
-    """(n,) the view from behind a plane window at cameras in outside air of ``pressure_pa``."""
+def window_kind_of(pressure_pa: Array, *, scheduled: bool) -> NDArray[np.int64]:
+    """(n,) the kind from behind a plane window at cameras in outside air of ``pressure_pa``."""
     with np.errstate(invalid="ignore"):
         thin = scheduled & (pressure_pa > SCHEDULE_PRESSURE_PA)
     return np.where(thin, SCHEDULED, SEALED)
 
 
 @dataclass(frozen=True, eq=False)
-class Doubt:
-    """A covariance as ``root`` L, L L^T = C, and the ``anchor_m`` [m] its pressure refers to."""
+class CovarianceRoot:
+    """A covariance as ``matrix`` L, L L^T = C, and the ``anchor_m`` [m] its pressure refers to."""
 
-    root: Array
+    matrix: Array
     anchor_m: float
 
     @classmethod
-    def of(cls, covariance: ProfileCovariance) -> Doubt:
-        return cls(_root_of(covariance.matrix), covariance.anchor_height_m)
+    def of(cls, covariance: ProfileCovariance) -> CovarianceRoot:
+        """By eigenvalues; those that rounding left below zero are zero."""
+        scale = np.sqrt(np.maximum(np.diag(covariance.matrix), 0.0))
+        safe = np.where(scale > 0.0, scale, 1.0)
+        value, vector = np.linalg.eigh(covariance.matrix / np.outer(safe, safe))
+        kept = value > 1e-12 * value[-1]
+        matrix = scale[:, None] * vector[:, kept] * np.sqrt(value[kept])
+        return cls(np.asarray(matrix), covariance.anchor_height_m)
 
 
-def window_errors(profile: Profile, doubt: Doubt, h: Array, view: int) -> Array:
+def window_errors(profile: Profile, root: CovarianceRoot, h: Array, kind: int) -> Array:
     """(n, r) rows whose products are the covariances of y at cameras of heights ``h`` (n,) [m]."""
-    air = air_jacobian(profile, h, doubt.anchor_m).gradient
-    outside = (air / (1.0 + profile.refractivity(h))[:, None]) @ doubt.root
-    return np.asarray(outside - _cabin_errors(profile, doubt, h, view))
+    air = air_jacobian(profile, h, root.anchor_m).gradient
+    outside = (air / (1.0 + profile.refractivity(h))[:, None]) @ root.matrix
+    return np.asarray(outside - _cabin_errors(profile, root, h, kind))
 
 
-def _cabin_errors(profile: Profile, doubt: Doubt, h: Array, view: int) -> Array:
+def _cabin_errors(profile: Profile, root: CovarianceRoot, h: Array, kind: int) -> Array:
     """(n, r) what the errors of the air do to the cabin's N."""
-    response = cabin_response(profile, h, view)[:, None]
-    by_t = log_pressure_jacobian(profile, h, doubt.anchor_m)
+    response = cabin_response(profile, h, kind)[:, None]
+    by_t = log_pressure_jacobian(profile, h, root.anchor_m)
     edges = by_t.shape[1]
-    return np.asarray(response * (by_t @ doubt.root[:edges] + doubt.root[edges]))
-
-
-def _root_of(matrix: Array) -> Array:
-    """L with L L^T the covariance; eigenvalues that rounding left below zero are zero."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    safe = np.where(scale > 0.0, scale, 1.0)
-    value, vector = np.linalg.eigh(matrix / np.outer(safe, safe))
-    kept = value > 1e-12 * value[-1]
-    return np.asarray(scale[:, None] * vector[:, kept] * np.sqrt(value[kept]))
-
-
-def _camera_nodes(profile: Profile, low: float, high: float) -> Array:
-    """Heights of cameras [m]: each layer in eighths, because its edges are knots of sigma."""
-    breaks = profile.break_heights_m
-    inside = breaks[(breaks > low) & (breaks < high)]
-    edges = np.concatenate([[low], inside, [max(high, low + _FINEST_M)]])
-    layer = np.diff(breaks)[np.clip(np.searchsorted(breaks, edges[:-1], side="right") - 1, 0, None)]
-    finest = max(_FINEST_M, float(edges[-1] - edges[0]) / _AT_MOST_CAMERA_NODES)
-    step = np.clip(layer / _PARTS_OF_A_LAYER, finest, max(_WIDEST_M, finest))
-    return cut(edges, step)
+    return np.asarray(response * (by_t @ root.matrix[:edges] + root.matrix[edges]))
 
 
 def _in_the_plane(
-    profile: Profile, doubt: Doubt | None, camera: Array, way: Array, views: Sequence[int]
+    profile: Profile,
+    root: CovarianceRoot | None,
+    camera: Array,
+    way: Array,
+    window_kinds: Sequence[int],
 ) -> tuple[Array, Array, Array, Array]:
     """``sigma``, ``angle``, ``behind`` and ``lean`` of `AirSigma` for ways (w,) [m]."""
-    columns = _Columns.of(profile, doubt, camera[0] - way[-1], camera[-1])
+    columns = _Columns.of(profile, root, camera[0] - way[-1], camera[-1])
     shape = (camera.size, way.size)
     sigma, angle = np.full(shape, np.nan), np.empty(shape)
-    behind = np.full((len(views), 2, *shape), np.nan)
-    lean = np.full((len(views), camera.size), np.nan)
+    behind = np.full((len(window_kinds), 2, *shape), np.nan)
+    lean = np.full((len(window_kinds), camera.size), np.nan)
     at_camera, above = columns.at(camera)
-    cabins = [_cabin_errors(profile, doubt, camera, v) for v in views] if doubt else []
+    cabins = [_cabin_errors(profile, root, camera, v) for v in window_kinds] if root else []
     for row, height in enumerate(camera):
         reach = np.maximum(np.minimum(way, height - columns.height_m[0]), _SHORTEST_M)[:, None]
         mean = (above[row] - columns.at(height - reach[:, 0])[1]) / reach
         angle[row] = (mean[:, 0] - at_camera[row, 0]) / reach[:, 0]
-        if doubt is None:
+        if root is None:
             continue
         own = at_camera[row, 1:]
         sigma[row] = _lengths(mean[:, 1:] - own) / reach[:, 0]
@@ -257,16 +266,16 @@ class _Columns:
     integral: Array
 
     @classmethod
-    def of(cls, profile: Profile, doubt: Doubt | None, low: float, high: float) -> _Columns:
+    def of(cls, profile: Profile, root: CovarianceRoot | None, low: float, high: float) -> _Columns:
         lowest = max(low, profile.bottom_m)
         breaks = profile.break_heights_m
         even = np.arange(lowest, high + _STEP_M, _STEP_M)
         h = np.unique(np.concatenate([even, breaks[(breaks > lowest) & (breaks < even[-1])]]))
         h = h[h <= profile.top_m]
         value = profile.refractivity(h)[:, None]
-        if doubt is not None:
-            state = air_jacobian(profile, h, doubt.anchor_m).gradient
-            value = np.column_stack([value, state @ doubt.root])
+        if root is not None:
+            state = air_jacobian(profile, h, root.anchor_m).gradient
+            value = np.column_stack([value, state @ root.matrix])
         thickness = np.diff(h)[:, None]
         steps = 0.5 * thickness * (value[1:] + value[:-1])
         integral = np.concatenate([np.zeros((1, value.shape[1])), np.cumsum(steps, axis=0)])
@@ -281,19 +290,13 @@ class _Columns:
         return value[i] + slope[i] * rise, integral
 
 
-def _least_cosine(high: float, bottom: float, zeta: float, radius: float) -> float:
-    """Cosine of the largest nadir angle at the lowest ground that is looked at."""
-    sine = np.sin(min(zeta, 0.5 * np.pi)) * (radius + high) / (radius + bottom)
-    return max(LEVEL_COSINE, float(np.sqrt(max(0.0, 1.0 - sine * sine))))
-
-
 def _on_the_sphere(
     profile: Profile,
-    doubt: Doubt | None,
-    low: float,
-    high: float,
+    root: CovarianceRoot | None,
+    camera_heights_m: tuple[float, float],
     way: Array,
-    least: float,
+    *,
+    least_cosine: float,
     radius: float,
 ) -> Array:
     """(f, j, k, 2) factors that take sigma_R / tan(zeta) and dR/dzeta cos^2(zeta) to the sphere.
@@ -301,7 +304,8 @@ def _on_the_sphere(
     That of dR/dzeta is geometry: it is taken from US 1976, whose R is nowhere zero; at 80 degrees
     it is 1.02 and at 85 degrees 1.09 in any air, within 0.01 (3 km).
     """
-    count = 2 + int((least**-0.5 - 1.0) / _INCIDENCE_STEP)
+    low, high = camera_heights_m
+    count = 2 + int((least_cosine**-0.5 - 1.0) / _INCIDENCE_STEP)
     cosine = (1.0 + _INCIDENCE_STEP * np.arange(count)) ** -2.0
     cameras = int(np.clip(_MOST_RAYS // (count * way.size), 2, 2 + (high - low) / _WIDEST_M * 5))
     h_c = np.linspace(low, high, cameras)[:, None, None]
@@ -314,9 +318,8 @@ def _on_the_sphere(
     usual = sensitivity(standard_atmosphere("us1976"), h_c, h_g, zeta, radius)
     slope = usual.d_zeta_c * np.cos(zeta) ** 2
     slope /= slope[..., :1]
-    if doubt is None:
+    if root is None:
         return np.stack([np.full(slope.shape, np.nan), slope], axis=-1)
-    found = sensitivity(profile, h_c, h_g, zeta, radius, doubt.anchor_m)
-    spread = np.linalg.norm(found.gradient @ doubt.root, axis=-1)
-    sigma = spread / np.tan(zeta)
+    traced = sensitivity(profile, h_c, h_g, zeta, radius, anchor_height_m=root.anchor_m)
+    sigma = np.linalg.norm(traced.gradient @ root.matrix, axis=-1) / np.tan(zeta)
     return np.stack([sigma / sigma[..., :1], slope], axis=-1)

@@ -1,8 +1,8 @@
 """The standard deviations of a correction: by the air, by the station, by the ground.
 
-They are of three kinds and stay apart. What the air does is common to the block: it is no noise of
-an observation, and the adjustment gets it as one scale parameter (`block_scale`). What the station
-does is common to an image, what the ground does to a point.
+They are of three kinds and are kept apart. The error of the air is common to the block: it is no
+noise of an observation, and the adjustment gets it as one scale parameter (`block_scale`). That of
+the station is common to an image, that of the ground to a point.
 """
 
 from __future__ import annotations
@@ -17,10 +17,27 @@ from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.profile import Profile
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Exposures
+from pipeline.refraction.kernels.columns import (
+    AXIS_E,
+    AXIS_N,
+    BEND,
+    NODE,
+    NORMAL,
+    SHARE,
+    SIGMA_H,
+    SPAN,
+    STATION_COLUMNS,
+    TILT2,
+    WINDOW,
+    WINDOW_BEND,
+    YAW2,
+    N,
+)
 from pipeline.refraction.ray import DEFAULT_RADIUS_M
 from pipeline.refraction.uncertainty.air_sigma import (
     OPEN,
-    Doubt,
+    AirSigma,
+    CovarianceRoot,
     air_sigma,
     cabin_response,
     window_errors,
@@ -55,11 +72,11 @@ class StationSigmas:
 
 
 @dataclass(frozen=True, eq=False)
-class Views:
-    """Through what each of n exposures or rays looks: (n,) `OPEN`, `SEALED` or `SCHEDULED`.
+class RayWindows:
+    """Windows that n rays cross: (n,) ``kind`` `OPEN`, `SEALED` or `SCHEDULED`.
 
-    ``towards``, ``across`` : (n,) of rays alone, how far a ray turns to the nadir and square to
-    that per unit of dN_c - dN_cc; see `at_the_window`.
+    ``towards``, ``across`` : (n,) how far a ray turns to the nadir and square to that per unit of
+    dN_c - dN_cc; see `window_turn`.
     """
 
     kind: NDArray[np.int64]
@@ -87,8 +104,9 @@ def uncertainty_of(
     exposures: Exposures,
     stations: StationSigmas,
     cameras: Sequence[tuple[Camera, NDArray[np.bool_]]],
+    *,
     ground_heights_m: tuple[float, float],
-    views: NDArray[np.int64] | None = None,
+    window_kinds: NDArray[np.int64] | None = None,
 ) -> Uncertainty | None:
     """Tables for the standard deviations of a block's corrections.
 
@@ -99,7 +117,7 @@ def uncertainty_of(
     exposures, stations : of s exposures.
     cameras : each with the mask (s,) of its exposures.
     ground_heights_m : lowest and highest ground, above sea level [m].
-    views : (s,) `OPEN`, `SEALED` or `SCHEDULED`; by default no window is in the way.
+    window_kinds : (s,) `OPEN`, `SEALED` or `SCHEDULED`; by default no window is in the way.
 
     None where no exposure can be used. The sigmas are of first order. Against changed inputs and
     drawn airs (tests/refraction/test_uncertainty.py): station and ground 1 %, air as `air_sigma`.
@@ -113,31 +131,33 @@ def uncertainty_of(
     ...     one > 0.0, np.diag([1.0, -1.0, -1.0])[None], none, 3000.0 * one, 2e-4 * one, 2e-4 * one)
     >>> camera = Camera(10_000, 10_000, 10_000.0, 10_000.0, 5000.0, 5000.0)
     >>> half_a_degree = StationSigmas(0.0087 * one, 0.0087 * one, np.array([[0.0, 0.0, 1.0]]), none)
-    >>> made = uncertainty_of(air, None, down, half_a_degree, [(camera, one > 0.0)], (0.0, 0.0))
-    >>> found = correct_observations(
-    ...     9000.0 * one, 5000.0 * one, none, np.zeros(1, np.int64), down, camera, ray_table(air),
-    ...     uncertainty=made)
-    >>> round(float(found.dx_px[0]), 3), round(float(found.sigmas.station_dx_px[0]), 4)
-    (-0.16, 0.004)
+    >>> uncertainty = uncertainty_of(
+    ...     air, None, down, half_a_degree, [(camera, one > 0.0)], ground_heights_m=(0.0, 0.0))
+    >>> corrections = correct_observations(
+    ...     9000.0 * one, 5000.0 * one, none, np.zeros(1, np.int64), down, camera=camera,
+    ...     table=ray_table(air), uncertainty=uncertainty)
+    >>> round(float(corrections.dx_px[0]), 3)
+    -0.16
+    >>> round(float(corrections.sigmas.station_dx_px[0]), 4)
+    0.004
     """
     usable = exposures.usable & np.isfinite(exposures.refractivity_outside)
     if not bool(usable.any()):
         return None
     heights = exposures.height_m[usable]
     radius = exposures.radius_m or DEFAULT_RADIUS_M
+    kinds = np.full(usable.shape, OPEN) if window_kinds is None else window_kinds
+    kinds = np.where(usable, kinds, OPEN)
     air = air_sigma(
         profile,
         covariance,
         (float(heights.min()), float(heights.max())),
         ground_heights_m,
-        _largest_zeta(exposures, usable, cameras),
-        radius,
-        [] if views is None else sorted({int(v) for v in views[usable]} - {OPEN}),
+        largest_zeta_rad=_largest_zeta(exposures, usable, cameras),
+        radius=radius,
+        window_kinds=sorted({int(kind) for kind in kinds} - {OPEN}),
     )
-    columns = _station_columns(profile, exposures, stations, usable, air.camera_m)
-    if views is not None:
-        _add_windows(columns, profile, exposures, np.where(usable, views, OPEN), air.views)
-    return Uncertainty(air, columns)
+    return Uncertainty(air, _station_columns(profile, exposures, stations, kinds, air))
 
 
 def block_scale(
@@ -146,8 +166,9 @@ def block_scale(
     h_c: Array,
     h_g: Array,
     zeta_c: Array,
+    *,
     radius: float = DEFAULT_RADIUS_M,
-    views: Views | None = None,
+    windows: RayWindows | None = None,
 ) -> BlockScale | None:
     """The scale factor of R that some rays of a block share, with its sigma.
 
@@ -156,7 +177,7 @@ def block_scale(
     h_c, h_g, zeta_c : (n,) heights [m above sea level] and nadir angles [rad] of rays that stand
         for all.
     radius : of the sphere [m].
-    views : of the rays; by default no window is in the way.
+    windows : of the rays; by default no window is in the way.
 
     The error of a ray is that of R, and behind a plane window that of R - R_cc, in the ray's
     vertical plane and across it. With K its covariance in the plane, a fit of s R to it by least
@@ -174,47 +195,45 @@ def block_scale(
     >>> round(scale.sigma, 5), round(scale.correlation, 6)
     (0.001, 1.0)
     """
-    found = sensitivity(profile, h_c, h_g, zeta_c, radius, covariance.anchor_height_m)
-    good = found.valid & (np.abs(found.r_c) > 0.0)
+    traced = sensitivity(
+        profile, h_c, h_g, zeta_c, radius, anchor_height_m=covariance.anchor_height_m
+    )
+    good = traced.valid & (np.abs(traced.r_c) > 0.0)
     if not bool(good.any()):
         return None
-    r = found.r_c[good]
-    doubt = Doubt.of(covariance)
-    errors = found.gradient[good] @ doubt.root
+    r = traced.r_c[good]
+    root = CovarianceRoot.of(covariance)
+    errors = traced.gradient[good] @ root.matrix
     length = np.linalg.norm(errors, axis=1)
-    if views is not None:
-        turned = _window_turns(profile, doubt, np.broadcast_to(h_c, good.shape), views)
-        steep = (1.0 - found.d_zeta_c)[good]
-        errors = errors + (steep[:, None] * turned[0][good])
-        length = np.hypot(*(np.linalg.norm(e, axis=1) for e in (errors, turned[1][good])))
+    if windows is not None:
+        heights = np.broadcast_to(h_c, good.shape)
+        turns = np.zeros((heights.size, root.matrix.shape[1]))
+        for kind in np.unique(windows.kind):
+            if kind != OPEN:
+                rows = windows.kind == kind
+                turns[rows] = window_errors(profile, root, heights[rows], int(kind))
+        towards, across = (
+            (np.broadcast_to(side, heights.shape)[:, None] * turns)[good]
+            for side in (windows.towards, windows.across)
+        )
+        errors = errors + (1.0 - traced.d_zeta_c)[good][:, None] * towards
+        length = np.hypot(np.linalg.norm(errors, axis=1), np.linalg.norm(across, axis=1))
     weight = r * r / np.sum(r * r)
     shared = weight @ (errors / r[:, None])
     known = length > 0.0
-    towards = np.sign(r[known])[:, None] * errors[known] / length[known][:, None]
-    mean = weight[known] @ towards / max(float(weight[known].sum()), 1e-300)
+    correlated = np.sign(r[known])[:, None] * errors[known] / length[known][:, None]
+    mean = weight[known] @ correlated / max(float(weight[known].sum()), 1e-300)
     return BlockScale(float(np.linalg.norm(shared)), float(mean @ mean), int(good.sum()))
 
 
-def _window_turns(profile: Profile, doubt: Doubt, h_c: Array, views: Views) -> tuple[Array, Array]:
-    """(n, r) errors of the turn at the window, towards the nadir and across."""
-    errors = np.zeros((h_c.size, doubt.root.shape[1]))
-    for view in np.unique(views.kind):
-        if view != OPEN:
-            mine = views.kind == view
-            errors[mine] = window_errors(profile, doubt, h_c[mine], int(view))
-    sides = (np.broadcast_to(side, h_c.shape)[:, None] for side in (views.towards, views.across))
-    towards, across = (np.asarray(side * errors) for side in sides)
-    return towards, across
-
-
-def at_the_window(direction: Array, down: Array, normal: Array) -> tuple[Array, Array]:
+def window_turn(direction: Array, down: Array, normal: Array) -> tuple[Array, Array]:
     """How far rays turn towards the nadir, and across, per unit of dN_c - dN_cc at a plane window.
 
     (n, 3) unit vectors of the rays, the nadir and the window's normal in one frame. With n sin of
     the angle to the normal kept (Gyer 1996, Eq. 36) a ray d turns by normal / (normal . d) - d.
 
     >>> ray, down = np.array([[0.6, 0.0, 0.8]]), np.array([[0.0, 0.0, 1.0]])
-    >>> [float(side[0].round(12)) for side in at_the_window(ray, down, down)]  # tan(zeta)
+    >>> [float(side[0].round(12)) for side in window_turn(ray, down, down)]  # tan(zeta)
     [0.75, 0.0]
     """
     cosine = np.einsum("ij,ij->i", down, direction)
@@ -225,28 +244,6 @@ def at_the_window(direction: Array, down: Array, normal: Array) -> tuple[Array, 
     towards = np.einsum("ij,ij->i", normal, to_nadir) / out
     across = np.einsum("ij,ij->i", normal, np.cross(direction, to_nadir)) / out
     return towards, across
-
-
-def _add_windows(
-    columns: Array,
-    profile: Profile,
-    exposures: Exposures,
-    views: NDArray[np.int64],
-    tabulated: tuple[int, ...],
-) -> None:
-    """Fill in the columns on plane windows."""
-    from pipeline.refraction.kernels import sigma as kernel
-
-    for number, view in enumerate(tabulated):
-        mine = np.flatnonzero(views == view)
-        h = exposures.height_m[mine]
-        low, high = _about(profile, h)
-        thinner = np.log(profile.pressure(high) / profile.pressure(low)) / (high - low)
-        columns[mine, kernel.VIEW] = number
-        columns[mine, kernel.WINDOW_BEND] = columns[mine, kernel.BEND] - thinner * cabin_response(
-            profile, h, view
-        )
-    columns[:, kernel.NORMAL :] = exposures.normals
 
 
 def _largest_zeta(
@@ -271,37 +268,38 @@ def _largest_zeta(
     return float(np.arccos(least) + np.radians(0.5))
 
 
-def _about(profile: Profile, h: Array) -> tuple[Array, Array]:
-    """Heights half a metre below and above, within the profile."""
-    low = np.maximum(h - _SLOPE_STEP_M, profile.bottom_m)
-    return low, np.minimum(h + _SLOPE_STEP_M, profile.top_m)
-
-
 def _station_columns(
     profile: Profile,
     exposures: Exposures,
     stations: StationSigmas,
-    usable: NDArray[np.bool_],
-    camera_m: Array,
+    kinds: NDArray[np.int64],
+    air: AirSigma,
 ) -> Array:
-    """(s, 16) what the kernel needs to know of each exposure, without what is of windows."""
-    from pipeline.refraction.kernels import sigma as kernel
-
-    h = np.where(usable, exposures.height_m, camera_m[0])
-    columns = np.full((h.size, kernel.STATION_COLUMNS), np.nan)
-    low, high = _about(profile, h)
+    """(s, 15) columns `N` to `NORMAL` of `kernels.columns`; ``kinds`` (s,) are those of windows."""
+    camera_m, n = air.camera_m, exposures.refractivity_outside
+    h = np.where(exposures.usable & np.isfinite(n), exposures.height_m, camera_m[0])
+    columns = np.full((h.size, STATION_COLUMNS), np.nan)
+    # Slopes over half a metre below and above, within the profile.
+    low = np.maximum(h - _SLOPE_STEP_M, profile.bottom_m)
+    high = np.minimum(h + _SLOPE_STEP_M, profile.top_m)
     slope = (profile.refractivity(high) - profile.refractivity(low)) / (high - low)
+    thinner = np.log(profile.pressure(high) / profile.pressure(low)) / (high - low)
     node = np.clip(np.searchsorted(camera_m, h, side="right") - 1, 0, camera_m.size - 2)
     axis = np.einsum("sji,sj->si", exposures.rotation, stations.yaw_axis)
-    columns[:, kernel.N] = exposures.refractivity_outside
-    columns[:, kernel.BEND] = slope / (1.0 + exposures.refractivity_outside)
-    columns[:, kernel.NODE] = node
-    columns[:, kernel.SHARE] = (h - camera_m[node]) / (camera_m[node + 1] - camera_m[node])
-    columns[:, kernel.SPAN] = (h - camera_m[0]) / (camera_m[-1] - camera_m[0])
-    columns[:, kernel.TILT2] = stations.tilt_rad**2
-    columns[:, kernel.YAW2] = stations.yaw_rad**2 - stations.tilt_rad**2
-    columns[:, kernel.AXIS_E], columns[:, kernel.AXIS_N] = axis[:, 0], axis[:, 1]
-    columns[:, kernel.SIGMA_H] = np.nan_to_num(stations.height_m)
-    columns[:, kernel.VIEW], columns[:, kernel.WINDOW_BEND] = -1.0, 0.0
-    columns[:, kernel.NORMAL :] = 0.0
+    columns[:, N] = n
+    columns[:, BEND] = slope / (1.0 + n)
+    columns[:, NODE] = node
+    columns[:, SHARE] = (h - camera_m[node]) / (camera_m[node + 1] - camera_m[node])
+    columns[:, SPAN] = (h - camera_m[0]) / (camera_m[-1] - camera_m[0])
+    columns[:, TILT2] = stations.tilt_rad**2
+    columns[:, YAW2] = stations.yaw_rad**2 - stations.tilt_rad**2
+    columns[:, AXIS_E], columns[:, AXIS_N] = axis[:, 0], axis[:, 1]
+    columns[:, SIGMA_H] = np.nan_to_num(stations.height_m)
+    columns[:, WINDOW], columns[:, WINDOW_BEND] = -1.0, 0.0
+    columns[:, NORMAL:] = exposures.normals
+    for number, kind in enumerate(air.window_kinds):
+        rows = kinds == kind
+        response = cabin_response(profile, h[rows], kind)
+        columns[rows, WINDOW] = number
+        columns[rows, WINDOW_BEND] = columns[rows, BEND] - thinner[rows] * response
     return columns

@@ -1,4 +1,4 @@
-"""How the refraction angle answers to the air and to where camera and target are.
+"""Derivatives of the refraction angle by the air and by the places of camera and target.
 
 A small change of the air moves R_c by sum of w_j dN_j: the adjoint of the ray gives the weights w
 (`adjoint`), the layers' closed forms give dN (`pipeline.atmosphere.jacobian`).
@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.atmosphere.jacobian import air_jacobian
 from pipeline.atmosphere.profile import Profile
-from pipeline.refraction.ray import DEFAULT_RADIUS_M, as_columns, bend, ray_table
+from pipeline.refraction.ray import DEFAULT_RADIUS_M, as_columns, bend
+from pipeline.refraction.ray_table import ray_table
 from pipeline.refraction.status import BEYOND_GRAZING, OK
 from pipeline.refraction.uncertainty.adjoint import (
     Adjoints,
@@ -130,6 +131,7 @@ def sensitivity(
     h_g: ArrayLike,
     zeta_c: ArrayLike,
     radius: ArrayLike = DEFAULT_RADIUS_M,
+    *,
     anchor_height_m: float = 0.0,
 ) -> Sensitivity:
     """Derivatives of R_c with respect to the air, the heights and the nadir angle.
@@ -210,7 +212,7 @@ def _traced(
     """The rays, with their refraction angles."""
     shape, (h_c, h_g, zeta_c, radius) = as_columns(h_c, h_g, zeta_c, radius)
     safe = np.where((zeta_c >= 0.0) & (zeta_c <= np.pi), zeta_c, np.nan)
-    r_c, status = bend(ray_table(profile), h_c, h_g, np.sin(safe), np.cos(safe), radius)
+    r_c, status = bend(ray_table(profile), h_c, h_g, np.sin(safe), np.cos(safe), radius=radius)
     turns = (h_g > h_c) & (np.cos(safe) > 0.0)
     rows = np.flatnonzero(np.isin(status, (OK, BEYOND_GRAZING)) & ~turns)
     # The steepest first: blocks of them need fewer nodes.

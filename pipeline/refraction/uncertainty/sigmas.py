@@ -8,6 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.refraction.kernels.columns import (
+    CameraConstants,
+    ExposureColumns,
+    ObservationColumns,
+    TracedColumns,
+)
 from pipeline.refraction.uncertainty.air_sigma import AirSigma
 
 Array = NDArray[np.float64]
@@ -18,7 +24,8 @@ Single = NDArray[np.float32]
 class Uncertainty:
     """All that turns corrections into standard deviations; made by `uncertainty_of`.
 
-    ``air`` : tables of sigma_R; ``stations`` (s, 16) columns of `_sigma_kernel`.
+    ``air`` : tables of sigma_R; ``stations`` (s, 15) columns `N` to `NORMAL` of
+    `pipeline.refraction.kernels.columns`.
     """
 
     air: AirSigma
@@ -59,8 +66,8 @@ class Sigmas:
         """The arrays by their names."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
-    def rows(self, which: NDArray[np.intp]) -> Sigmas:
-        """Some of the rows."""
+    def rows(self, which: NDArray[np.intp] | slice) -> Sigmas:
+        """Some of the rows; those of a slice can be filled."""
         return Sigmas(**{name: values[which] for name, values in self.columns().items()})
 
     def put(self, rows: NDArray[np.intp], part: Sigmas) -> None:
@@ -68,31 +75,19 @@ class Sigmas:
         for name, values in self.columns().items():
             values[rows] = getattr(part, name)
 
-    def fill(self, rows: slice, uncertainty: Uncertainty, solved: Solved) -> None:
-        """Fill the rows in that a block of observations has been solved for."""
+    def fill(
+        self,
+        uncertainty: Uncertainty,
+        observed: ObservationColumns,
+        setup: tuple[CameraConstants, ExposureColumns],
+        traced: TracedColumns,
+    ) -> None:
+        """Fill in the standard deviations of observations that have been traced to the ground."""
         # The compiled functions are imported with the first ray, not with the package.
-        from pipeline.refraction.kernels.sigma import spread_out
+        from pipeline.refraction.kernels.sigma import propagate
 
-        air, k = uncertainty.air, solved
-        columns = [values[rows] for values in self.columns().values()]
-        spread_out(
-            k.h_g, k.sigma_h_g, k.exposure, k.camera, k.rotation, k.rays, k.r_c, k.status,
-            uncertainty.stations,
-            (air.way_first, air.way_step, air.coarse_step, air.incidence_step, air.sigma, air.angle,
-             air.factors, air.behind, air.lean),
-            (air.ground_m, air.refractivity_step_m, air.refractivity), *columns,
+        camera, exposures = setup
+        propagate(
+            observed, (camera, exposures.rotation), traced,
+            (uncertainty.stations, uncertainty.air.tables), tuple(self.columns().values()),
         )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class Solved:
-    """A block of observations with its rays and angles, as the kernels of the image have them."""
-
-    h_g: Array
-    sigma_h_g: Array
-    exposure: NDArray[np.int64]
-    camera: tuple[float, ...]
-    rotation: Array
-    rays: Array
-    r_c: Array
-    status: NDArray[np.uint8]

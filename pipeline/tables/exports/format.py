@@ -20,7 +20,8 @@ from pipeline.flight.stations import Stations
 from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Exposures
-from pipeline.refraction.ray import PublishedRays, RayTable
+from pipeline.refraction.ray import PublishedRays
+from pipeline.refraction.ray_table import RayTable
 from pipeline.tables.pixels import PixelSystem
 
 Array = NDArray[np.float64]

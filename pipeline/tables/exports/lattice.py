@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 
 from pipeline.ledger import Ledger
-from pipeline.refraction.lattice import lattice_corrections, lattice_nodes
+from pipeline.refraction.image import lattice_corrections, lattice_nodes
 from pipeline.refraction.status import STATUS_NAMES
 from pipeline.tables.exports.format import FinishedRun, Option, Values, parquet_and_csv
 from pipeline.tables.schemas import schema_of
@@ -75,7 +75,7 @@ def _tables(run: FinishedRun, schema: pa.Schema, columns: int, rows: int) -> Ite
                 ground = run.ground_m[part]
                 rays = run.rays[run.air.profile_number[part[0]]]
                 corrections = lattice_corrections(
-                    x, y, ground, part, run.exposures, camera.camera, rays
+                    x, y, ground, part, run.exposures, camera=camera.camera, table=rays
                 )
                 columns_of_table = {
                     "image": np.repeat(run.stations.image[part], x.size),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.refraction.spread import Spread
+from pipeline.refraction.statistics import Spread
 
 
 def test_no_quantile_is_larger_than_the_largest():
