@@ -1,22 +1,23 @@
 """A run's folder: nothing visible is incomplete, one writer at a time, damage can be found.
 
-Everything is written into a hidden staging folder beside its place. Only when all of it is there
-and on the disk are the old results taken away and the new ones moved in, the manifest last.
+Results are written into a hidden staging folder. When all of them are there and on the disk, the
+old results are removed and the new ones renamed into their places, the manifest last.
 """
 
 from __future__ import annotations
 
-import errno
-import fcntl
 import json
 import os
 import re
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from filelock import FileLock, Timeout
 
 from pipeline.errors import OutputInUseError, StorageError
 from pipeline.ingest import hash_file
@@ -25,15 +26,18 @@ MANIFEST = "manifest.json"
 _MANIFEST_KEYS = {"fingerprint", "mission", "outputs", "exit_code"}
 _STAGING = ".staging"
 _LOCK = ".lock"
-_OWNED = "The files of this folder that manifest.json names were written by unbend.\n"
 _PARTS = "observations"
 _PART = re.compile(r"part-[0-9]{5,}\.parquet")
-_OURS = (_PARTS, "stations.parquet", "profile.parquet", "report.html")
+_RESULTS = (_PARTS, "stations.parquet", "profile.parquet", "report.html")
+
+# Windows refuses to replace a file that a virus scanner or a viewer has open; most let go soon.
+_REPLACE_ATTEMPTS = 20 if os.name == "nt" else 1
+_REPLACE_PAUSE_S = 0.1
 
 
 @contextmanager
-def translated(path: Path) -> Iterator[None]:
-    """Turn what the operating system says about a file into a refusal."""
+def storage_errors(path: Path) -> Iterator[None]:
+    """Raise an error of the operating system as StorageError (STORAGE-WRITE)."""
     try:
         yield
     except OSError as error:
@@ -46,15 +50,14 @@ def translated(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def written_whole(path: Path) -> Iterator[Path]:
-    """A place to write to, beside ``path``; the file appears there when all of it is written."""
+def atomic_write(path: Path) -> Iterator[Path]:
+    """A path to write to, beside ``path``; renamed to it when all is written and on the disk."""
     draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
     try:
-        with translated(path):
+        with storage_errors(path):
             yield draft
-            with draft.open("rb") as file:
-                os.fsync(file.fileno())
-            draft.replace(path)
+            sync_file(draft)
+            replace_file(draft, path)
     finally:
         with suppress(OSError):
             draft.unlink(missing_ok=True)
@@ -69,114 +72,131 @@ class RunFolder:
 
     @property
     def staging(self) -> Path:
+        """The hidden folder that results are written to before they are committed."""
         return self.path / _STAGING
 
     def place(self, name: str) -> Path:
-        """Where to write a result for now; its folder exists."""
+        """The path in the staging folder to write a result to; its parent exists."""
         target = self.staging / name
-        with translated(target):
+        with storage_errors(target):
             target.parent.mkdir(parents=True, exist_ok=True)
         return target
 
     def seal(self, name: str) -> None:
-        """Put a result that was written on the disk for good, and remember its hash."""
+        """Flush a written result to the disk, and keep its hash and size for the manifest."""
         target = self.staging / name
-        with translated(target):
-            _sync(target)
+        with storage_errors(target):
+            sync_file(target)
             self._seals[name] = (hash_file(target), target.stat().st_size)
 
     def outputs(self) -> list[dict[str, str | int]]:
-        """What was sealed, for the manifest."""
+        """Name, hash and size of each sealed result, for the manifest."""
         return [
             {"name": name, "sha256": digest, "bytes": size}
             for name, (digest, size) in sorted(self._seals.items())
         ]
 
     def commit(self, manifest: dict[str, Any]) -> None:
-        """Make the staged results the visible ones; the manifest comes last."""
+        """Make the staged results the visible ones; the manifest comes last.
+
+        A power cut between any two steps leaves either the old results with their manifest, or
+        none: `open_folder` then finishes the removal. Therefore each step is flushed to the disk
+        before the next begins.
+        """
         text = json.dumps(manifest, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
-        text += "\n"
-        with translated(self.path):
+        with storage_errors(self.path):
             draft = self.staging / MANIFEST
-            draft.write_text(text, encoding="utf-8")
-            _sync(draft)
-            for folder in {(self.staging / name).parent for name in self._seals}:
-                _sync(folder)
-            # From here on the folder is ours, even if we die before the manifest is written.
-            (self.path / _LOCK).write_text(_OWNED, encoding="ascii")
+            draft.write_text(text + "\n", encoding="utf-8", newline="\n")
+            sync_file(draft)
+            for folder in sorted(
+                {(self.staging / name).parent for name in (*self._seals, MANIFEST)}
+            ):
+                sync_folder(folder)
             (self.path / MANIFEST).unlink(missing_ok=True)
-            _sync(self.path)
-            for part in (self.path / _PARTS).glob("part-*.parquet"):
-                if _PART.fullmatch(part.name) and f"{_PARTS}/{part.name}" not in self._seals:
+            sync_folder(self.path)
+            for part in _parts(self.path):
+                if f"{_PARTS}/{part.name}" not in self._seals:
                     part.unlink()
             for name in sorted(self._seals):
                 target = self.path / name
                 target.parent.mkdir(exist_ok=True)
-                (self.staging / name).replace(target)
-            for folder in {(self.path / name).parent for name in self._seals}:
-                _sync(folder)
-            draft.rename(self.path / MANIFEST)
-            _sync(self.path)
+                replace_file(self.staging / name, target)
+            for folder in sorted({(self.path / name).parent for name in self._seals}):
+                sync_folder(folder)
+            replace_file(draft, self.path / MANIFEST)
+            sync_folder(self.path)
             _remove(self.staging)
 
 
-def _sync(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
+def sync_file(path: Path) -> None:
+    """Flush a file to the disk. Windows flushes only files that are open for writing."""
+    with path.open("r+b") as file:
+        os.fsync(file.fileno())
+
+
+def sync_folder(path: Path) -> None:
+    """Flush the names in a folder to the disk, where the system can (Windows cannot)."""
+    if not hasattr(os, "O_DIRECTORY"):
+        return
+    handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(handle)
     finally:
         os.close(handle)
 
 
+def replace_file(source: Path, target: Path) -> None:
+    """Rename a file over another one; on Windows again for 2 s while the target is open."""
+    for attempt in range(1, _REPLACE_ATTEMPTS + 1):
+        try:
+            source.replace(target)
+            return
+        except PermissionError:
+            if attempt == _REPLACE_ATTEMPTS:
+                raise
+            time.sleep(_REPLACE_PAUSE_S)
+
+
+def _parts(path: Path) -> list[Path]:
+    """The parts of the observations in a folder of results; no other files beside them."""
+    return [p for p in (path / _PARTS).glob("part-*.parquet") if _PART.fullmatch(p.name)]
+
+
 def _remove(path: Path) -> None:
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
+    elif os.path.lexists(path):
+        path.unlink()
 
 
 def would_replace(folder: Path, path: Path) -> bool:
-    """Whether a run that writes to a folder removes this file, or writes in its place.
+    """Whether a run that writes to a folder removes or replaces this file.
 
     >>> would_replace(Path("/r"), Path("/r/observations/own.parquet"))
     True
     >>> would_replace(Path("/r"), Path("/r/flight.bin"))
     False
     """
-    ours = {*_OURS, MANIFEST, _STAGING, _LOCK}
-    # A link may stand in one place and lead to another: neither may be touched.
-    for place in (os.path.abspath, os.path.realpath):
-        holds, held = Path(place(folder)), Path(place(path))
-        if held.is_relative_to(holds) and {*held.relative_to(holds).parts[:1]} & ours:
+    replaced = {*_RESULTS, MANIFEST, _STAGING, _LOCK}
+    # A link may lie in one folder and lead to another: neither path may be among the results.
+    for resolve in (os.path.abspath, os.path.realpath):
+        results, file = Path(resolve(folder)), Path(resolve(path))
+        if file.is_relative_to(results) and {*file.relative_to(results).parts[:1]} & replaced:
             return True
     return False
 
 
-def _refuse_strangers(path: Path) -> None:
-    """Refuse a folder that holds files of our names which no run of ours put there."""
-    lock = path / _LOCK
-    if (lock.is_file() and lock.stat().st_size > 0) or (path / MANIFEST).exists():
-        return
-    strangers = [name for name in _OURS if os.path.lexists(path / name)]
-    if strangers:
-        raise StorageError(
-            "STORAGE-NOT-OURS",
-            f"{', '.join(strangers)} would be replaced, but no run of unbend left traces here",
-            where=str(path),
-            remedy="choose an output.path of its own for the results",
-        )
-
-
 @contextmanager
 def open_folder(path: Path) -> Iterator[RunFolder]:
-    """Lock an output folder and clear what an interrupted run left in it.
+    """Lock an output folder and remove what an interrupted run left in it.
 
-    The lock dies with the process. Refuses a folder that another process writes to, and one that
-    is a symbolic link in disguise.
+    The lock ends with the process that holds it. Refuses a folder that another process writes to
+    (OUTPUT-IN-USE), one with symbolic links in the place of results (STORAGE-SYMLINK), and one
+    whose files are named like results but were written by another program (STORAGE-NOT-OURS).
     """
-    with translated(path):
+    with storage_errors(path):
         path.mkdir(parents=True, exist_ok=True)
-    for name in (_STAGING, *_OURS, MANIFEST):
+    for name in (_LOCK, _STAGING, *_RESULTS, MANIFEST):
         if (path / name).is_symlink():
             raise StorageError(
                 "STORAGE-SYMLINK",
@@ -184,36 +204,48 @@ def open_folder(path: Path) -> Iterator[RunFolder]:
                 where=str(path),
                 remedy="remove it: results are never written through a link",
             )
-    with translated(path):
-        _refuse_strangers(path)
-        lock = os.open(path / _LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+    lock = FileLock(path / _LOCK, timeout=0)
     try:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            if error.errno not in (errno.EAGAIN, errno.EACCES):
-                raise StorageError("STORAGE-LOCK", str(error), where=str(path)) from None
-            raise OutputInUseError(
-                "OUTPUT-IN-USE",
-                "another process is writing to this folder",
-                where=str(path),
-                remedy="wait for it, or choose another output.path",
-            ) from None
-        with translated(path):
-            _remove(path / _STAGING)
+        lock.acquire()
+    except Timeout:
+        raise OutputInUseError(
+            "OUTPUT-IN-USE",
+            "another process is writing to this folder",
+            where=str(path),
+            remedy="wait for it, or choose another output.path",
+        ) from None
+    except (OSError, NotImplementedError) as error:
+        raise StorageError("STORAGE-LOCK", str(error), where=str(path)) from None
+    try:
+        with storage_errors(path):
+            _clear_interrupted(path)
             (path / _STAGING).mkdir()
         try:
             yield RunFolder(path)
         finally:
-            with suppress(OSError):
-                _remove(path / _STAGING)
+            with suppress(OSError, StorageError):
+                _clear_interrupted(path)
     finally:
-        os.close(lock)
+        lock.release()
 
 
-def _listed(manifest: dict[str, Any]) -> list[Any]:
-    outputs = manifest["outputs"]
-    return outputs if isinstance(outputs, list) else [outputs]
+def _clear_interrupted(path: Path) -> None:
+    """Remove the staging folder; after an interrupted commit the results without manifest too."""
+    if not (path / MANIFEST).exists():
+        results = [name for name in _RESULTS if os.path.lexists(path / name)]
+        if results and not (path / _STAGING / MANIFEST).is_file():
+            raise StorageError(
+                "STORAGE-NOT-OURS",
+                f"{', '.join(results)} would be replaced, but were not written by unbend",
+                where=str(path),
+                remedy="choose an output.path of its own for the results",
+            )
+        # Only a commit puts a manifest into the staging folder: it began and did not end.
+        for file in [*_parts(path), *(path / name for name in _RESULTS if name != _PARTS)]:
+            file.unlink(missing_ok=True)
+        with suppress(OSError):  # not empty: it holds files of the user
+            (path / _PARTS).rmdir()
+    _remove(path / _STAGING)
 
 
 def read_manifest(path: Path) -> dict[str, Any] | None:
@@ -229,22 +261,25 @@ def read_manifest(path: Path) -> dict[str, Any] | None:
             where=str(path / MANIFEST),
             remedy="run the mission again with --force",
         ) from None
-    whole = isinstance(manifest, dict) and manifest.keys() >= _MANIFEST_KEYS
-    if not whole or not all(isinstance(item, dict) for item in _listed(manifest)):
+    outputs = manifest.get("outputs") if isinstance(manifest, dict) else None
+    if (
+        not isinstance(outputs, list)
+        or not all(isinstance(item, dict) for item in outputs)
+        or not manifest.keys() >= _MANIFEST_KEYS
+    ):
         raise StorageError(
             "MANIFEST-UNREADABLE",
             "manifest.json is not one that unbend wrote",
             where=str(path / MANIFEST),
             remedy="choose another folder, or remove that file",
         )
-    found: dict[str, Any] = manifest
-    return found
+    return dict(manifest)
 
 
 def find_damage(path: Path, manifest: dict[str, Any], *, read: bool = True) -> list[str]:
-    """What is missing or changed in a run's folder, one line each; empty when it is whole.
+    """What is missing or changed in a run's folder, one line each; empty when nothing is.
 
-    ``read=False`` reads the small files, but of the parts only names and sizes.
+    ``read=False`` compares only names and sizes of the parts, and the content of the other files.
     """
     damage = []
     known = {str(item["name"]) for item in manifest["outputs"]}
@@ -256,6 +291,6 @@ def find_damage(path: Path, manifest: dict[str, Any], *, read: bool = True) -> l
             damage.append(f"{item['name']}: {file.stat().st_size} bytes, not {item['bytes']}")
         elif (read or file.parent == path) and hash_file(file) != item["sha256"]:
             damage.append(f"{item['name']}: its content has changed")
-    found = {f"{_PARTS}/{p.name}" for p in (path / _PARTS).glob("part-*.parquet")}
-    damage += [f"{name}: belongs to no run" for name in sorted(found - known)]
+    present = {f"{_PARTS}/{p.name}" for p in (path / _PARTS).glob("part-*.parquet")}
+    damage += [f"{name}: belongs to no run" for name in sorted(present - known)]
     return damage

@@ -70,9 +70,9 @@ def print_bug(text: str, subject: str = "") -> None:
 
 def write_rows_csv(path: Path, rows: list[dict[str, Any]]) -> None:
     """Write rows of the same keys as CSV; StorageError if the file cannot be written."""
-    from pipeline.batch.store import translated
+    from pipeline.batch.store import storage_errors
 
-    with translated(path), path.open("w", newline="", encoding="utf-8") as file:
+    with storage_errors(path), path.open("w", newline="", encoding="utf-8") as file:
         writer = csv_module.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)

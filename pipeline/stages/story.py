@@ -18,11 +18,11 @@ from pipeline.atmosphere.series.profile_series import TimedProfile, constant_ser
 from pipeline.batch.manifest import Outcome, outcome_of
 from pipeline.batch.plan import Plan, check_unchanged, make_plan
 from pipeline.batch.store import (
+    atomic_write,
     find_damage,
     open_folder,
     read_manifest,
-    translated,
-    written_whole,
+    storage_errors,
 )
 from pipeline.config import load_mission
 from pipeline.errors import ConfigError, StorageError
@@ -114,7 +114,7 @@ def run_mission(path: Path, *, force: bool = False, progress: Progress | None = 
             plan, flight, stations, air, statistics=statistics, scale=scale, ledger=ledger
         )
         report = folder.place("report.html")
-        with translated(report):
+        with storage_errors(report):
             grids = {name: extent.grid for name, extent in statistics.extents.items()}
             write_report(report, manifest, air, prepared.samples, grids)
         folder.seal("report.html")
@@ -213,7 +213,7 @@ def export_run(
     refuse_output(path, out, force=force)
     ledger = Ledger()
     run = rebuild_run(path, verify_run(path), ground_height_m, ledger)
-    with written_whole(out) as draft:
+    with atomic_write(out) as draft:
         rows = form.write(run, values, draft, ledger)
     return rows, ledger
 
@@ -231,5 +231,5 @@ def write_comparison(accuracy: Accuracy, path: Path) -> None:
     text = accuracy_page(accuracy, picture.name)
     png = accuracy_png(accuracy.curves, text_hash(text))
     for target, content in ((path, text.encode()), (picture, png)):
-        with written_whole(target) as draft:
+        with atomic_write(target) as draft:
             draft.write_bytes(content)

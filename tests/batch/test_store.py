@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from pipeline.batch import store
 from pipeline.batch.store import find_damage, open_folder, read_manifest
-from pipeline.errors import StorageError
+from pipeline.errors import OutputInUseError, StorageError
 
 
 def commit(folder: Path, *names: str) -> None:
@@ -53,3 +57,190 @@ def test_a_manifest_of_somebody_else_is_refused(tmp_path: Path, outputs: object)
     (tmp_path / "manifest.json").write_text(json.dumps(text), encoding="utf-8")
     with pytest.raises(StorageError, match="MANIFEST-UNREADABLE"):
         read_manifest(tmp_path)
+
+
+# ---- what a power cut may leave: the order in which names and contents reach the disk
+
+PART = "observations/part-00000.parquet"
+
+
+@pytest.fixture
+def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, ...]]:
+    """Every flush, rename and removal below the folder, in order."""
+    steps: list[tuple[str, ...]] = []
+
+    def name(path: object) -> str:
+        return Path(str(path)).relative_to(tmp_path).as_posix()
+
+    def recorder(owner: object, attribute: str) -> None:
+        original = getattr(owner, attribute)
+
+        def called(*arguments, **options):
+            named = [name(value) for value in arguments if isinstance(value, Path)]
+            steps.append((attribute, *named))
+            return original(*arguments, **options)
+
+        monkeypatch.setattr(owner, attribute, called)
+
+    for function in ("sync_file", "sync_folder"):
+        recorder(store, function)
+    for method in ("replace", "unlink"):
+        recorder(Path, method)
+    return steps
+
+
+def test_the_order_in_which_a_second_commit_reaches_the_disk(tmp_path: Path, recorded) -> None:
+    commit(tmp_path, PART, "stations.parquet")
+    recorded.clear()
+    commit(tmp_path, PART, "stations.parquet")
+    assert recorded == [
+        # What is staged is on the disk, content and names, before anything visible changes ...
+        ("sync_file", f".staging/{PART}"),
+        ("sync_file", ".staging/stations.parquet"),
+        ("sync_file", ".staging/manifest.json"),
+        ("sync_folder", ".staging"),
+        ("sync_folder", ".staging/observations"),
+        # ... the old manifest is gone from the disk before the first old result is replaced ...
+        ("unlink", "manifest.json"),
+        ("sync_folder", "."),
+        ("replace", f".staging/{PART}", PART),
+        ("replace", ".staging/stations.parquet", "stations.parquet"),
+        ("sync_folder", "."),
+        ("sync_folder", "observations"),
+        # ... and the new one appears when all it names is there.
+        ("replace", ".staging/manifest.json", "manifest.json"),
+        ("sync_folder", "."),
+    ]
+
+
+def test_files_and_folders_are_really_flushed(tmp_path: Path, monkeypatch) -> None:
+    flushed = []
+    original = os.fsync
+
+    def fsync(handle: int) -> None:
+        flushed.append(os.fstat(handle).st_ino)
+        original(handle)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    (tmp_path / "file").write_text("content")
+    store.sync_file(tmp_path / "file")
+    store.sync_folder(tmp_path)
+    assert flushed == [(tmp_path / "file").stat().st_ino, tmp_path.stat().st_ino]
+    with store.atomic_write(tmp_path / "file") as draft:
+        draft.write_text("other")
+    assert flushed[2:] == [(tmp_path / "file").stat().st_ino]
+    monkeypatch.delattr(os, "O_DIRECTORY")
+    store.sync_folder(tmp_path)  # on Windows a folder cannot be opened
+    assert len(flushed) == 3
+
+
+@pytest.mark.parametrize("step", range(4))
+@pytest.mark.parametrize("killed", [True, False], ids=["killed", "failed"])
+def test_a_commit_that_ends_half_way_leaves_no_manifest_and_can_be_repeated(
+    tmp_path: Path, monkeypatch, step: int, killed: bool
+) -> None:
+    """Stopped at each rename and at the removal of the staging folder."""
+    names = (PART, "profile.parquet", "stations.parquet")
+    commit(tmp_path, *names)
+    count = 0
+
+    def stop(source: Path, target: Path) -> None:
+        nonlocal count
+        if count == step:
+            raise KeyboardInterrupt if killed else OSError(28, "No space left on device")
+        count += 1
+        source.replace(target)
+
+    monkeypatch.setattr(store, "replace_file", stop)
+
+    def commit_and_stop() -> None:
+        with open_folder(tmp_path) as run:
+            for name in names:
+                run.place(name).write_text(name, encoding="utf-8")
+                run.seal(name)
+            if killed:  # a killed process does not clean up
+                monkeypatch.setattr(store, "_clear_interrupted", lambda path: None)
+            run.commit({"fingerprint": "", "mission": "", "exit_code": 0, "outputs": run.outputs()})
+
+    with pytest.raises(KeyboardInterrupt if killed else StorageError):
+        commit_and_stop()
+    assert (tmp_path / ".staging").exists() is killed
+    assert read_manifest(tmp_path) is None
+    monkeypatch.undo()
+    commit(tmp_path, *names)
+    manifest = read_manifest(tmp_path)
+    assert manifest is not None
+    assert find_damage(tmp_path, manifest) == []
+    assert not (tmp_path / ".staging").exists()
+
+
+def test_a_target_that_a_viewer_has_open_is_replaced_a_moment_later(tmp_path, monkeypatch) -> None:
+    """Windows answers with PermissionError until the other program closes the file."""
+    source, target = tmp_path / "new", tmp_path / "old"
+    source.write_text("new")
+    target.write_text("old")
+    original, refused = Path.replace, []
+
+    def replace(self: Path, other: Path) -> Path:
+        if len(refused) < 3:
+            refused.append(other)
+            raise PermissionError(13, "in use")
+        return original(self, other)
+
+    monkeypatch.setattr(Path, "replace", replace)
+    monkeypatch.setattr(store, "_REPLACE_PAUSE_S", 0.0)
+    monkeypatch.setattr(store, "_REPLACE_ATTEMPTS", 3)
+    with pytest.raises(PermissionError):
+        store.replace_file(source, target)
+    refused.clear()
+    monkeypatch.setattr(store, "_REPLACE_ATTEMPTS", 4)
+    store.replace_file(source, target)
+    assert target.read_text() == "new"
+
+
+# ---- the lock
+
+
+def test_one_writer_at_a_time_and_none_through_a_link(tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    with (
+        open_folder(results),
+        pytest.raises(OutputInUseError, match="OUTPUT-IN-USE"),
+        open_folder(results),
+    ):
+        pass
+    alias = tmp_path / "alias"
+    alias.symlink_to(results)
+    with open_folder(results), pytest.raises(OutputInUseError), open_folder(alias):
+        pass
+    with open_folder(alias):
+        pass
+    (results / ".lock").unlink()
+    (results / ".lock").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(StorageError, match="STORAGE-SYMLINK"), open_folder(results):
+        pass
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_the_lock_of_a_process_that_died_is_free(tmp_path: Path) -> None:
+    code = (
+        "import os, sys; from pathlib import Path\n"
+        "from pipeline.batch.store import open_folder\n"
+        "with open_folder(Path(sys.argv[1])): os._exit(9)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)
+    assert done.returncode == 9
+    assert {p.name for p in tmp_path.iterdir()} == {".lock", ".staging"}
+    commit(tmp_path, "stations.parquet")
+    assert read_manifest(tmp_path) is not None
+
+
+def test_a_disk_without_locks_is_refused_with_its_words(tmp_path: Path, monkeypatch) -> None:
+    def acquire(*_: object, **__: object) -> None:
+        raise OSError(37, "No locks available")
+
+    monkeypatch.setattr(store.FileLock, "acquire", acquire)
+    no_lock = pytest.raises(StorageError, match="No locks available")
+    with no_lock as refusal, open_folder(tmp_path):
+        pass
+    assert refusal.value.code == "STORAGE-LOCK"
