@@ -1,4 +1,4 @@
-"""What a result depends on: inputs, mission file, code. The same again means nothing to do."""
+"""What a result depends on: inputs, mission file, code and libraries; unchanged, it is kept."""
 
 from __future__ import annotations
 
@@ -18,8 +18,15 @@ from pipeline.config import Mission
 from pipeline.errors import ConfigError, InputError
 from pipeline.ingest import hash_file
 
-_KEY = {"log": "log.path", "observations": "observations.path", "events": "events.csv.path"}
-_LIBRARIES = ("numpy", "scipy", "pyarrow", "pandas", "numba", "pymavlink", "mcap")
+_MISSION_FILE_KEYS = {
+    "log": "log.path",
+    "observations": "observations.path",
+    "events": "events.csv.path",
+}
+_LIBRARIES = (
+    "numpy", "scipy", "numba", "llvmlite", "pandas", "pyarrow",  # arithmetic and tables
+    "pymavlink", "mcap", "mcap-ros2-support", "mcap-protobuf-support", "metar",  # decoding
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -43,11 +50,12 @@ class Plan:
 
     @property
     def fingerprint(self) -> str:
-        """Changes when the mission file as understood, an input's content or our code changes."""
+        """SHA-256 over the mission file as understood, the inputs, the code and its libraries."""
         content = {
             "config": self.mission.model_dump(mode="json"),
             "inputs": {item.role: item.sha256 for item in self.inputs},
             "code": code_hash(),
+            "libraries": library_versions(),
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
@@ -71,11 +79,6 @@ def sounding_role(number: int) -> str:
     return f"sounding {number + 1}"
 
 
-def _key_of(role: str) -> str:
-    """Where the mission file names the input of a role."""
-    return _KEY.get(role, "atmosphere.soundings")
-
-
 def make_plan(mission: Mission, folder: Path) -> Plan:
     """Hash the inputs of a mission; relative paths resolve from the mission file's folder.
 
@@ -87,11 +90,12 @@ def make_plan(mission: Mission, folder: Path) -> Plan:
     for role, (name, path) in input_paths(mission, folder).items():
         try:
             if not path.is_file():
+                key = _MISSION_FILE_KEYS.get(role, "atmosphere.soundings")
                 raise InputError(
                     "INPUT-MISSING",
                     f"the {role} file is not there",
                     where=str(path),
-                    remedy=f"check {_key_of(role)} in the mission file; paths are relative to it",
+                    remedy=f"check {key} in the mission file; paths are relative to it",
                 )
             _refuse_among_results(role, path, output)
             stamp = _stamp(path)
@@ -132,20 +136,29 @@ def _stamp(path: Path) -> tuple[int, int]:
 
 @lru_cache(maxsize=1)
 def code_hash() -> str:
-    """SHA-256 over the package's own sources and data."""
+    """SHA-256 over all files of the package: sources, tables of the climatologies, constants."""
+    return hash_of_files(Path(str(resources.files(pipeline))))
+
+
+def hash_of_files(root: Path) -> str:
+    """SHA-256 over names and contents of the files below a folder, without compiled code."""
     digest = hashlib.sha256()
-    root = Path(str(resources.files(pipeline)))
     for path in sorted(root.rglob("*")):
-        if path.suffix in (".py", ".csv"):
+        if path.is_file() and "__pycache__" not in path.parts:
             digest.update(path.relative_to(root).as_posix().encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()
 
 
+def library_versions() -> dict[str, str]:
+    """Versions of the libraries that the numbers depend on."""
+    return {name: metadata.version(name) for name in _LIBRARIES}
+
+
 def versions() -> dict[str, Any]:
-    """Of the code, Python and the libraries that the numbers depend on."""
+    """Versions of the code, Python and the libraries, for the manifest."""
     return {
         "unbend": pipeline.__version__,
         "code_sha256": code_hash(),
         "python": platform.python_version(),
-    } | {name: metadata.version(name) for name in _LIBRARIES}
+    } | library_versions()

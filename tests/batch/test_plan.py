@@ -1,0 +1,120 @@
+"""What a result depends on: a change of any of it makes another fingerprint."""
+
+from __future__ import annotations
+
+import shutil
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+import pipeline
+from pipeline.batch import plan as planning
+from pipeline.batch.plan import check_unchanged, hash_of_files, library_versions, make_plan
+from pipeline.config import load_mission
+from pipeline.errors import ConfigError, InputError
+
+PACKAGE = Path(pipeline.__file__).parent
+
+
+@pytest.fixture
+def plan(mission):
+    return make_plan(load_mission(mission.save()), mission.folder)
+
+
+@pytest.fixture
+def copied(tmp_path) -> Path:
+    """The package's sources and data in a folder of the test's own."""
+    ignore = shutil.ignore_patterns("__pycache__")
+    return Path(shutil.copytree(PACKAGE, tmp_path / "pipeline", ignore=ignore))
+
+
+def test_the_code_and_every_table_of_the_package_count(copied):
+    before = hash_of_files(copied)
+    assert before == hash_of_files(PACKAGE) == planning.code_hash()
+    tables = sorted(copied.rglob("*.csv"))
+    assert len(tables) >= 15, "the climatologies and constants"
+    for path in (*tables, copied / "units.py", copied / "cli" / "entry.py"):
+        content = path.read_bytes()
+        path.write_bytes(content.replace(b"1", b"2", 1))
+        assert hash_of_files(copied) != before, path
+        path.write_bytes(content)
+    assert hash_of_files(copied) == before
+    tables[0].rename(tables[0].with_name("renamed.csv"))
+    assert hash_of_files(copied) != before
+
+
+def test_compiled_code_does_not_count(copied):
+    before = hash_of_files(copied)
+    (copied / "__pycache__").mkdir()
+    (copied / "__pycache__" / "units.cpython-311.pyc").write_bytes(b"compiled")
+    assert hash_of_files(copied) == before
+
+
+@pytest.mark.parametrize(
+    "library",
+    ["numpy", "scipy", "numba", "llvmlite", "pandas", "pyarrow", "pymavlink", "mcap",
+     "mcap-ros2-support", "mcap-protobuf-support", "metar"],
+)  # fmt: skip
+def test_a_library_of_another_version_makes_another_result(plan, monkeypatch, library):
+    before = plan.fingerprint
+    assert before == plan.fingerprint
+    original = metadata.version
+
+    def version(name: str) -> str:
+        return "0.0.1" if name == library else original(name)
+
+    monkeypatch.setattr(metadata, "version", version)
+    assert library_versions()[library] == "0.0.1"
+    assert planning.versions()[library] == "0.0.1"
+    assert plan.fingerprint != before
+
+
+def test_inputs_mission_file_and_code_count(mission, plan, monkeypatch):
+    fingerprints = {plan.fingerprint}
+    mission.config["ground"]["sigma_m"] = 1.5
+    fingerprints.add(make_plan(load_mission(mission.save()), mission.folder).fingerprint)
+    with mission.log.open("ab") as log:
+        log.write(b"\0")
+    fingerprints.add(make_plan(load_mission(mission.file), mission.folder).fingerprint)
+    monkeypatch.setattr(planning, "code_hash", lambda: "other")
+    fingerprints.add(make_plan(load_mission(mission.file), mission.folder).fingerprint)
+    assert len(fingerprints) == 4
+
+
+def test_the_same_file_at_another_time_is_unchanged(mission, plan):
+    mission.log.touch()
+    check_unchanged(plan)
+    with mission.log.open("ab") as log:
+        log.write(b"\0")
+    with pytest.raises(InputError, match="INPUT-CHANGED"):
+        check_unchanged(plan)
+
+
+def test_inputs_have_their_roles_and_their_places_in_the_mission_file(mission):
+    mission.config["atmosphere"] = {"soundings": [{"path": "a.csv"}, {"path": "b.csv"}]}
+    roles = planning.input_paths(load_mission(mission.save()), mission.folder)
+    assert {role: name for role, (name, _) in roles.items()} == {
+        "log": mission.config["log"]["path"],
+        "observations": mission.config["observations"]["path"],
+        "sounding 1": "a.csv",
+        "sounding 2": "b.csv",
+    }
+    (mission.folder / "a.csv").write_text("h")
+    with pytest.raises(InputError) as refusal:
+        make_plan(load_mission(mission.file), mission.folder)
+    assert refusal.value.code == "INPUT-MISSING"
+    assert refusal.value.where == str(mission.folder / "b.csv")
+    assert "atmosphere.soundings" in str(refusal.value)
+    mission.log.unlink()
+    with pytest.raises(InputError, match=r"check log\.path"):
+        make_plan(load_mission(mission.file), mission.folder)
+
+
+def test_a_mission_file_among_its_results_is_refused(mission):
+    mission.config["output"]["path"] = "."
+    for name in ("manifest.json", "report.html", ".lock"):
+        mission.config["observations"]["path"] = name
+        (mission.folder / name).write_text("x")
+        with pytest.raises(ConfigError, match="OUTPUT-OVER-INPUT"):
+            make_plan(load_mission(mission.save()), mission.folder)
