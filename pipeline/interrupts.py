@@ -1,8 +1,7 @@
-"""Ctrl-C and SIGTERM while threads are waited for.
+"""Ctrl-C and SIGTERM are kept back while threads are waited for.
 
-A handler that raises does so anywhere: also where a lock has just been taken and nothing is there
-yet to give it back. The threads that need this lock then wait for ever, and so does whoever waits
-for them.
+A signal handler that raises may do so between taking a lock and entering its ``with`` block: the
+lock is never released, and the threads that need it wait for ever.
 """
 
 from __future__ import annotations
@@ -14,48 +13,48 @@ from contextlib import contextmanager
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-"""What a person or a batch system ends a command with."""
+"""Signals by which a person or a batch system ends a command."""
 
 
 @contextmanager
 def held_back() -> Iterator[Callable[[], None]]:
-    """Keep Ctrl-C and SIGTERM until the block calls what it is given, or is left.
+    """Keep Ctrl-C and SIGTERM back until the block calls the function it is given, or ends.
 
-    Then the handler that was there gets the first that came, as if it came now. Signals without a
-    handler do what they always do, and in other threads than the main one, which hear no signals,
-    nothing changes.
+    Then the first signal that came is passed to the handler that was installed before. A signal
+    without a handler has its usual effect; in other threads than the main one, which receive no
+    signals, nothing changes.
 
-    >>> with held_back() as heard:
-    ...     heard()  # nothing came
+    >>> with held_back() as deliver:
+    ...     deliver()  # nothing came
     """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: None
         return
     handlers = {n: h for n in SIGNALS if callable(h := signal.getsignal(n))}
-    kept: list[tuple[int, FrameType | None]] = []
+    pending: list[tuple[int, FrameType | None]] = []
     over = False
 
     def keep(number: int, frame: FrameType | None) -> None:
-        if over:  # a handler that raised while they were put back may have left this one behind
+        if over:  # a handler that raised while handlers were restored may have left this one behind
             handlers[signal.Signals(number)](number, frame)
         else:
-            kept.append((number, frame))
+            pending.append((number, frame))
 
-    def heard() -> None:
-        if kept:
-            number, frame = kept[0]
-            kept.clear()
+    def deliver() -> None:
+        if pending:
+            number, frame = pending[0]
+            pending.clear()
             handlers[signal.Signals(number)](number, frame)
 
     try:
         for number in handlers:
             signal.signal(number, keep)
-        yield heard
+        yield deliver
     finally:
         over = True
         try:
             for number, handler in handlers.items():
-                if signal.getsignal(number) is keep:  # it may have been changed on purpose
+                if signal.getsignal(number) is keep:  # else the block replaced it on purpose
                     signal.signal(number, handler)
         finally:
-            heard()
+            deliver()

@@ -1,4 +1,4 @@
-"""Many missions: one after the other or side by side, none stopping the rest."""
+"""Many missions: one after the other or side by side; the end of one does not stop the others."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-from pipeline.batch.workers import Bug, End, RunOne, attempt, side_by_side
+from pipeline.batch.workers import Bug, MissionEnd, RunMission, run_guarded, side_by_side
 from pipeline.config import load_mission
 from pipeline.errors import (
     EXIT_BUG,
@@ -22,14 +22,15 @@ from pipeline.errors import (
 
 
 def run_many(
-    one: RunOne,
+    run_mission: RunMission,
     configs: Sequence[Path],
     jobs: int,
     bar: Callable[[str], AbstractContextManager[Any]],
-) -> Generator[tuple[Path, End]]:
+) -> Generator[tuple[Path, MissionEnd]]:
     """Run mission files; yields how each ended, as soon as it did.
 
-    With one job, ``bar`` shows the progress of each; side by side they stay silent.
+    With one job, ``bar`` shows the progress of each; side by side none is shown. A mission whose
+    process dies is run a second time, alone (refused with WORKER-LOST if that dies too).
     """
     shared = shared_outputs(configs)
     waiting = []
@@ -41,16 +42,16 @@ def run_many(
     if jobs == 1 or len(waiting) < 2:
         for config in waiting:
             with bar(config.stem) as progress:
-                end = attempt(one, config, progress)
+                end = run_guarded(run_mission, config, progress)
             yield config, end
         return
     lost: list[Path] = []
-    yield from side_by_side(one, waiting, jobs, lost)
-    # Whatever killed their workers, for want of memory most likely: now each has the machine alone.
+    yield from side_by_side(run_mission, waiting, jobs, lost)
+    # Most processes that die do so for want of memory: now each mission has the machine alone.
     for config in lost:
-        again: list[Path] = []
-        yield from side_by_side(one, [config], 1, again)
-        if again:
+        lost_again: list[Path] = []
+        yield from side_by_side(run_mission, [config], 1, lost_again)
+        if lost_again:
             yield (
                 config,
                 MissionError(
@@ -64,16 +65,19 @@ def run_many(
 
 
 def shared_outputs(configs: Sequence[Path]) -> dict[Path, UnbendError]:
-    """Mission files whose results would fall into the folder of an earlier one."""
-    taken: dict[Path, Path] = {}
+    """Mission files whose results would be written to the folder of an earlier one.
+
+    Folders are compared after symbolic links are resolved, and on Windows without case.
+    """
+    first_of: dict[str, Path] = {}
     refused: dict[Path, UnbendError] = {}
     for config in configs:
         try:
             mission = load_mission(config)
         except UnbendError:
-            continue  # said again, and reported, when its turn comes
-        output = Path(os.path.realpath(config.parent / mission.output.path))
-        first = taken.setdefault(output, config)
+            continue  # raised again, and reported, when the mission is run
+        output = os.path.normcase(os.path.realpath(config.parent / mission.output.path))
+        first = first_of.setdefault(output, config)
         if first is not config:
             refused[config] = ConfigError(
                 "OUTPUT-SHARED",
@@ -84,20 +88,20 @@ def shared_outputs(configs: Sequence[Path]) -> dict[Path, UnbendError]:
     return refused
 
 
-def exit_code_of(ends: Sequence[int]) -> int:
+def exit_code_of(codes: Sequence[int]) -> int:
     """The exit code of several missions: 1 for a bug, 6 for a refusal, else the worst done.
 
-    A mission file that is run alone leaves with the code of its own refusal.
+    The code of a single mission is returned as it is.
 
     >>> exit_code_of([0, 3]), exit_code_of([2]), exit_code_of([0, 2]), exit_code_of([6, 1])
     (3, 2, 6, 1)
     """
-    if len(ends) == 1:
-        return ends[0]
-    if EXIT_BUG in ends:
+    if len(codes) == 1:
+        return codes[0]
+    if EXIT_BUG in codes:
         return EXIT_BUG
     done = (EXIT_DONE, EXIT_LOSSES)
-    return max(end if end in done else EXIT_REFUSED for end in ends)
+    return max(code if code in done else EXIT_REFUSED for code in codes)
 
 
-__all__ = ["Bug", "End", "exit_code_of", "run_many", "shared_outputs"]
+__all__ = ["Bug", "MissionEnd", "exit_code_of", "run_many", "shared_outputs"]

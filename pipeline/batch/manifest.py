@@ -23,7 +23,7 @@ class Outcome:
 
 
 def outcome_of(plan: Plan, manifest: dict[str, Any], *, repeated: bool) -> Outcome:
-    """The outcome that a manifest tells of."""
+    """The outcome that a manifest describes."""
     return Outcome(
         plan.mission.mission.name, plan.output, manifest, int(manifest["exit_code"]), repeated
     )

@@ -1,4 +1,4 @@
-"""Processes that run missions side by side, each for itself: the death of one costs one mission."""
+"""Worker processes that run missions side by side; the death of one costs one mission."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
-from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
@@ -20,11 +19,11 @@ from typing import Any, Protocol
 from pipeline.batch.manifest import Outcome
 from pipeline.errors import EXIT_INTERRUPTED, UnbendError
 
-# How long a worker that was told to stop may clean up before it is killed.
+# How long a worker that was asked to stop may clean up before it is killed.
 _GRACE_S = 3.0
 
 
-class RunOne(Protocol):
+class RunMission(Protocol):
     """Runs one mission file."""
 
     def __call__(self, path: Path, *, progress: Any = None) -> Outcome: ...
@@ -32,104 +31,117 @@ class RunOne(Protocol):
 
 @dataclass(frozen=True)
 class Bug:
-    """A mission that ended in an error of ours."""
+    """A mission that ended in an unexpected exception."""
 
     traceback: str
 
 
-End = Outcome | UnbendError | Bug
+MissionEnd = Outcome | UnbendError | Bug
 
 
-def attempt(one: RunOne, config: Path, progress: Any) -> End:
-    """Run a mission, whatever comes of it."""
+def run_guarded(run_mission: RunMission, config: Path, progress: Any) -> MissionEnd:
+    """Run a mission; refusals and unexpected exceptions are returned, not raised."""
     try:
-        return one(config, progress=progress)
+        return run_mission(config, progress=progress)
     except UnbendError as error:
         return error
     except Exception:
-        # The one broad net: an error of ours in one mission must not cost the user the others.
+        # The one broad except: a bug in one mission must not cost the user the others.
         return Bug(traceback.format_exc())
 
 
 @dataclass(eq=False)
 class _Worker:
-    """A process that has one mission at a time, and the line to it."""
+    """A process that runs one mission at a time, and the connection to it."""
 
     process: SpawnProcess
-    line: Connection
+    connection: Connection
     config: Path | None = None
 
-    def give(self, config: Path) -> None:
-        self.config = config
-        with suppress(OSError):  # that it died is noticed where its answer is due
-            self.line.send(config)
+    @classmethod
+    def start(cls, run_mission: RunMission) -> _Worker:
+        """Start a process and send it the function that runs a mission file."""
+        ours, theirs = multiprocessing.Pipe()
+        process = multiprocessing.get_context("spawn").Process(
+            target=_run_missions, args=(theirs,), daemon=True
+        )
+        process.start()
+        theirs.close()  # otherwise the connection would not end when the worker dies
+        with suppress(OSError):
+            ours.send(run_mission)
+        return cls(process, ours)
 
-    def answer(self) -> End | None:
+    def assign(self, config: Path) -> None:
+        """Send a mission file to the worker."""
+        self.config = config
+        with suppress(OSError):  # a dead worker is noticed when its result is received
+            self.connection.send(config)
+
+    def result(self) -> MissionEnd | None:
         """How its mission ended; None if the process ended first."""
         try:
-            end: End = self.line.recv()
+            end: MissionEnd = self.connection.recv()
         except (EOFError, OSError):
             return None
         return end
 
 
 def side_by_side(
-    one: RunOne, configs: Sequence[Path], jobs: int, lost: list[Path]
-) -> Iterator[tuple[Path, End]]:
+    run_mission: RunMission, configs: Sequence[Path], jobs: int, lost: list[Path]
+) -> Iterator[tuple[Path, MissionEnd]]:
     """Run missions in ``jobs`` processes; yields how each ended, as soon as it did.
 
-    No mission is handed out before a worker is free for it. Those whose worker died are added to
-    ``lost``; the others never notice. When this is left early, the workers stop.
+    A mission is assigned when a worker is free for it. The missions of workers that died are
+    added to ``lost``; the others go on. When the caller leaves early, the workers are stopped.
     """
     waiting = iter(configs)
-    crew: dict[Connection, _Worker] = {}
-    leaving: list[_Worker] = []
+    workers: dict[Connection, _Worker] = {}
+    finished: list[_Worker] = []
+
+    def start(config: Path) -> None:
+        with _interrupts_blocked():
+            worker = _Worker.start(run_mission)
+            workers[worker.connection] = worker
+        worker.assign(config)
+
     try:
         for config in islice(waiting, jobs):
-            _hire(one, crew).give(config)
-        while crew:
-            ready = wait(list(crew))
-            for worker in [crew[line] for line in crew if line in ready]:
-                done, end = worker.config, worker.answer()
+            start(config)
+        while workers:
+            ready = wait(list(workers))
+            for worker in [workers[c] for c in workers if c in ready]:
+                done, end = worker.config, worker.result()
                 following = next(waiting, None)
                 if following is not None and end is not None:
-                    worker.give(following)
+                    worker.assign(following)
                 else:
-                    del crew[worker.line]
-                    worker.line.close()
-                    leaving.append(worker)
+                    del workers[worker.connection]
+                    worker.connection.close()
+                    finished.append(worker)
                     if following is not None:
-                        _hire(one, crew).give(following)
-                if done is None:
-                    continue
-                if end is None:
+                        start(following)
+                if done is not None and end is None:
                     lost.append(done)
-                else:
+                elif done is not None and end is not None:
                     yield done, end
     finally:
-        for worker in crew.values():
+        for worker in workers.values():
             worker.process.terminate()
-        _see_off([*crew.values(), *leaving])
-
-
-def _hire(one: RunOne, crew: dict[Connection, _Worker]) -> _Worker:
-    """Start a worker that knows what to do with a mission file."""
-    ours, theirs = multiprocessing.Pipe()
-    process = multiprocessing.get_context("spawn").Process(
-        target=_work, args=(theirs,), daemon=True
-    )
-    with _without_interrupts():
-        process.start()
-        worker = crew[ours] = _Worker(process, ours)
-    theirs.close()  # else the line would not break when the worker dies
-    with suppress(OSError):
-        ours.send(one)
-    return worker
+        _join([*workers.values(), *finished])
 
 
 @contextmanager
-def _without_interrupts() -> Iterator[None]:
-    """Ctrl-C reaches all processes of a terminal; a worker must not even be born listening."""
+def _interrupts_blocked() -> Iterator[None]:
+    """Block Ctrl-C while a worker starts: a terminal sends it to all processes.
+
+    A process inherits the block. On Windows there is none; there a Ctrl-C in the first moments of
+    a worker ends it like any other process.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    from multiprocessing import resource_tracker
+
     resource_tracker.ensure_running()  # it would unblock the signal when first started
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
@@ -138,27 +150,27 @@ def _without_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _see_off(workers: Iterable[_Worker]) -> None:
-    """Wait until processes that were told to leave have left, and kill those that do not."""
+def _join(workers: Iterable[_Worker]) -> None:
+    """Wait for processes that were asked to end, and kill those that do not within 3 s."""
     deadline = time.monotonic() + _GRACE_S
     for worker in workers:
         worker.process.join(max(0.0, deadline - time.monotonic()))
         if worker.process.is_alive():
             worker.process.kill()
             worker.process.join()
-        worker.line.close()
+        worker.connection.close()
 
 
-def _work(line: Connection) -> None:
-    """What a worker does: a mission at a time, until nobody is at the other end."""
+def _run_missions(connection: Connection) -> None:
+    """Body of a worker process: run the missions it is sent until the connection ends."""
+
+    def stop(_: int, __: FrameType | None) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second one must not stop the cleaning up
+        raise SystemExit(EXIT_INTERRUPTED)
+
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, _stop)
+    signal.signal(signal.SIGTERM, stop)
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
-        one: RunOne = line.recv()
+        run_mission: RunMission = connection.recv()
         while True:
-            line.send(attempt(one, line.recv(), None))
-
-
-def _stop(_: int, __: FrameType | None) -> None:
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second one must not break the cleaning up
-    raise SystemExit(EXIT_INTERRUPTED)
+            connection.send(run_guarded(run_mission, connection.recv(), None))

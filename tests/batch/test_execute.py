@@ -1,0 +1,98 @@
+"""Several missions: which folders are one, in which order they run, and the exit code of all."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+from pathlib import Path
+
+import pytest
+
+from pipeline.batch import workers
+from pipeline.batch.execute import Bug, exit_code_of, run_many, shared_outputs
+from pipeline.batch.manifest import Outcome
+from pipeline.errors import InputError
+
+
+def test_folders_that_links_make_one_are_one(mission_factory, tmp_path):
+    first, second, third, fourth = (mission_factory(tmp_path / name) for name in "abcd")
+    first.output.mkdir()
+    (tmp_path / "link").symlink_to(first.output)
+    (tmp_path / "up").symlink_to(tmp_path)
+    second.config["output"]["path"] = "../link"
+    third.config["output"]["path"] = "../up/d/../a/results"
+    files = [mission.save() for mission in (first, second, third, fourth)]
+    refused = shared_outputs(files)
+    assert sorted(refused) == files[1:3]
+    for error in refused.values():
+        assert error.code == "OUTPUT-SHARED"
+        assert str(files[0]) in str(error)
+
+
+def test_a_broken_mission_file_shares_nothing(mission_factory, tmp_path):
+    first, second = (mission_factory(tmp_path / name) for name in "ab")
+    files = [first.save(), second.save()]
+    files[0].write_text("mission: [")
+    assert shared_outputs(files) == {}
+
+
+def silent(_: str) -> contextlib.AbstractContextManager[None]:
+    return contextlib.nullcontext()
+
+
+def test_missions_run_in_the_order_given_and_no_end_stops_the_rest():
+    begun = []
+
+    def run_mission(path: Path, *, progress: object = None) -> Outcome:
+        begun.append((path.stem, progress))
+        if path.stem == "buggy":
+            raise KeyError("buggy")
+        if path.stem == "refused":
+            raise InputError("OBS-EMPTY", "no rows", where=str(path))
+        return Outcome(path.stem, path, {}, 0, False)
+
+    @contextlib.contextmanager
+    def bar(name: str):
+        yield f"bar of {name}"
+
+    configs = [Path(f"{name}.yaml") for name in ("buggy", "refused", "b", "a")]
+    ends = dict(run_many(run_mission, configs, 1, bar))
+    assert begun == [(path.stem, f"bar of {path.stem}") for path in configs]
+    assert list(ends) == configs
+    bug, refused, *done = ends.values()
+    assert isinstance(bug, Bug)
+    assert "KeyError" in bug.traceback
+    assert isinstance(refused, InputError)
+    assert [end.name for end in done if isinstance(end, Outcome)] == ["b", "a"]
+
+
+def test_interrupts_of_the_user_pass_through():
+    def run_mission(path: Path, *, progress: object = None) -> Outcome:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        list(run_many(run_mission, [Path("a.yaml")], 1, silent))
+
+
+@pytest.mark.parametrize(
+    ("codes", "code"),
+    [([0], 0), ([3], 3), ([2], 2), ([5], 5), ([0, 0], 0), ([0, 3], 3), ([3, 0], 3), ([0, 2], 6),
+     ([3, 4], 6), ([5, 0], 6), ([6, 1], 1), ([1, 0], 1), ([1], 1)],
+)  # fmt: skip
+def test_the_exit_code_of_several(codes, code):
+    assert exit_code_of(codes) == code
+
+
+def test_workers_start_where_no_signal_can_be_blocked(monkeypatch):
+    """Windows has no signal masks."""
+    monkeypatch.delattr(signal, "pthread_sigmask", raising=False)
+    with workers._interrupts_blocked():
+        pass
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no signal masks")
+def test_a_worker_is_born_with_ctrl_c_blocked():
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    with workers._interrupts_blocked():
+        assert signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == before
