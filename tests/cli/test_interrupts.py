@@ -12,6 +12,12 @@ import time
 import pyarrow as pa
 import pytest
 
+# A child of nohup, or of a command in the background of a script, is born with Ctrl-C ignored.
+HEARING = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+
+# The stalled steps last 600 s: who waits for one of them is stopped here.
+LIMIT_S = 300
+
 # Stops in the middle of a named step, says so, and waits to be hit.
 STALLING = """
 import sys, time
@@ -23,7 +29,7 @@ def stall(real, after):
     def stalled(*args, **kwargs):
         result = real(*args, **kwargs) if after else None
         print("stalled", flush=True)
-        time.sleep(60)
+        time.sleep(600)
         return result
     return stalled
 if step == "commit":
@@ -34,7 +40,7 @@ if step == "commit":
         seen.append(target)
         if len(seen) == 2:
             print("stalled", flush=True)
-            time.sleep(60)
+            time.sleep(600)
     store.Path.replace = slow
 else:
     setattr(stages, step, stall(getattr(stages, step), mode == "after"))
@@ -98,7 +104,7 @@ def stalled(mission, step: str, mode: str = "after") -> subprocess.Popen[str]:
 def started(code: str, *words: str) -> subprocess.Popen[str]:
     """A process that has said it waits to be hit."""
     process = subprocess.Popen(
-        [sys.executable, "-c", code, *words],
+        [sys.executable, "-c", HEARING + code, *words],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert process.stdout is not None
@@ -110,7 +116,7 @@ def started(code: str, *words: str) -> subprocess.Popen[str]:
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
     try:
-        out, err = process.communicate(timeout=20)
+        out, err = process.communicate(timeout=LIMIT_S)
     except subprocess.TimeoutExpired:
         process.kill()
         raise AssertionError(f"it did not end, and had said: {process.communicate()}") from None
@@ -122,10 +128,8 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
 )
 def test_a_signal_leaves_nothing_half_done(mission, baseline, number, code):
     process = stalled(mission, "write_tables")
-    begin = time.monotonic()
     os.kill(process.pid, number)
     returned, text = ended(process)
-    assert time.monotonic() - begin < 20.0
     assert returned == code
     assert "Traceback" not in text
     assert [p.name for p in mission.output.iterdir()] == [".lock"]
@@ -146,12 +150,11 @@ def test_impatience_does_no_harm_to_a_stream(mission, numbers, code):
     mission.observe(pa.concat_tables([mission.measurements()] * 200))
     mission.config["output"]["batch_rows"] = 1000
     process = started(STREAMING, str(mission.save()))
-    begin = time.monotonic()
     for number in numbers:
         os.kill(process.pid, number)
         time.sleep(0.15)
     returned, text = ended(process)
-    assert time.monotonic() - begin < 20.0, "the other batches were not given up"
+    assert text.count("stalled") < 11, "the other batches were not given up"
     assert returned == code
     assert "Traceback" not in text
     assert "Exception ignored" not in text
@@ -168,7 +171,7 @@ def test_a_signal_takes_no_lock_with_it(mission, where, number, code):
     words = [*where, str(int(number)), str(mission.save())]
     returned, text = ended(
         subprocess.Popen(
-            [sys.executable, "-c", HITTING, *words],
+            [sys.executable, "-c", HEARING + HITTING, *words],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )
     )  # fmt: skip
@@ -178,7 +181,7 @@ def test_a_signal_takes_no_lock_with_it(mission, where, number, code):
     assert [p.name for p in mission.output.iterdir()] == [".lock"]
 
 
-# Each batch takes half a minute to be read, by the thread that hears signals.
+# Each batch takes ten minutes to be read, by the thread that hears signals.
 READING = """
 import sys, time
 from pipeline.tables.observations import Observations
@@ -186,7 +189,7 @@ real = Observations.batches
 def slow(self, rows):
     for batch in real(self, rows):
         print("stalled", flush=True)
-        time.sleep(30.0)
+        time.sleep(600)
         yield batch
 Observations.batches = slow
 sys.argv = ["unbend", "run", sys.argv[1]]
@@ -199,10 +202,8 @@ def test_a_signal_does_not_wait_for_what_is_read(mission):
     mission.config["output"]["batch_rows"] = 1000
     mission.observe(pa.concat_tables([mission.measurements()] * 50))
     process = started(READING, str(mission.save()))
-    begin = time.monotonic()
     os.kill(process.pid, signal.SIGTERM)
     returned, text = ended(process)
-    assert time.monotonic() - begin < 15.0
     assert returned == 143, text
     assert [p.name for p in mission.output.iterdir()] == [".lock"]
 
@@ -220,7 +221,7 @@ def test_two_signals_at_once_are_one(mission):
         "entry.run_command = pressed\n"
         "entry.main()"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", HEARING + code], capture_output=True, text=True)
     assert done.returncode in (130, 143)  # of two that wait, which is served first is not ours
     assert "Traceback" not in done.stderr
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import threading
-import time
 
 import pytest
 
@@ -12,11 +11,18 @@ from pipeline.refraction.kernels import threads as _threads
 from pipeline.stages import correction as correct
 
 
-class Crowd:
-    """Counts the batches that were read and are not done, and those at work."""
+class Counter:
+    """Counts the batches that were read and are not done, and those at work.
 
-    def __init__(self) -> None:
+    The first ``workers`` batches wait for each other, and until one more was read: so all threads
+    are seen at work, however slow the machine is.
+    """
+
+    def __init__(self, workers: int = 1) -> None:
         self.lock = threading.Lock()
+        self.workers = workers
+        self.together = threading.Barrier(workers)
+        self.one_more_read = threading.Event()
         self.held = self.at_work = self.most_held = self.most_at_work = 0
 
     def batches(self, count: int):
@@ -24,6 +30,8 @@ class Crowd:
             with self.lock:
                 self.held += 1
                 self.most_held = max(self.most_held, self.held)
+            if number == self.workers:
+                self.one_more_read.set()
             yield number
 
     def work(self, number: int, batch: int) -> int:
@@ -31,8 +39,9 @@ class Crowd:
         with self.lock:
             self.at_work += 1
             self.most_at_work = max(self.most_at_work, self.at_work)
-        # The first of each five is slow: the others must not run ahead of it without end.
-        time.sleep(0.05 if number % 5 == 0 else 0.005)
+        if number < self.workers:
+            self.together.wait()
+            self.one_more_read.wait()
         with self.lock:
             self.at_work -= 1
             self.held -= 1
@@ -43,24 +52,24 @@ class Crowd:
 def test_batches_in_flight_are_few_whatever_the_machine(monkeypatch, cpus, workers):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cpus)), raising=False)
     monkeypatch.setattr(os, "cpu_count", lambda: 256)
-    crowd = Crowd()
-    assert list(correct.on_threads(crowd.work, crowd.batches(40))) == list(range(40))
-    assert crowd.most_at_work == workers
-    assert crowd.most_held == workers + 1
-    assert crowd.held == 0
+    counter = Counter(workers)
+    assert list(correct.on_threads(counter.work, counter.batches(40))) == list(range(40))
+    assert counter.most_at_work == workers
+    assert counter.most_held == workers + 1
+    assert counter.held == 0
 
 
 def test_a_batch_that_fails_stops_the_others():
-    crowd = Crowd()
+    counter = Counter()
 
     def broken(number: int, batch: int) -> int:
         if number == 3:
             raise KeyError(number)
-        return crowd.work(number, batch)
+        return counter.work(number, batch)
 
     with pytest.raises(KeyError):
-        list(correct.on_threads(broken, crowd.batches(1000)))
-    assert crowd.held < 10
+        list(correct.on_threads(broken, counter.batches(1000)))
+    assert counter.held < 10
 
 
 def test_cpus_are_those_this_process_may_use(monkeypatch):
