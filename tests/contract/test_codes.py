@@ -23,7 +23,6 @@ LEDGER = {"note", "fallback", "warning", "loss"}
 
 # What no test raises, and why.
 EXPLAINED = {
-    "STORAGE-LOCK": "flock fails for another reason than a lock: no lock manager on the disk",
     "EVENTS-NONE": "the mission file cannot say that: its model asks for log or csv",
     "LOG-UNREADABLE": "a disk that fails while a log is read; tests run as any user, root too",
     "OBS-MISSING": "a table that vanishes between hashing and reading; INPUT-MISSING comes first",
@@ -116,7 +115,7 @@ def test_every_refusal_says_what_to_do():
                 given = {keyword.arg for keyword in node.keywords}
                 if node.func.id in REFUSALS and code and "remedy" not in given:
                     without.append((code, f"{path.relative_to(PACKAGE)}:{node.lineno}"))
-    allowed = {"DISK-WRITE", "EVENTS-NONE", "STORAGE-LOCK", "SIM-ODE", "SIM-PATH", "SIM-GRAZING"}
+    allowed = {"DISK-WRITE", "EVENTS-NONE", "SIM-ODE", "SIM-PATH", "SIM-GRAZING"}
     assert {code for code, _ in without} <= allowed, without
 
 
