@@ -215,7 +215,12 @@ def open_folder(path: Path) -> Iterator[RunFolder]:
             remedy="wait for it, or choose another output.path",
         ) from None
     except (OSError, NotImplementedError) as error:
-        raise StorageError("STORAGE-LOCK", str(error), where=str(path)) from None
+        raise StorageError(
+            "STORAGE-LOCK",
+            f"the folder cannot be locked: {error}",
+            where=str(path),
+            remedy="choose an output.path on a disk that can lock files",
+        ) from None
     try:
         with storage_errors(path):
             _clear_interrupted(path)
