@@ -104,6 +104,6 @@ def test_every_cut_of_the_first_and_last_1000_bytes(trial, logs: list[bytes]) ->
 def test_a_large_hole_ends_at_once(trial, mutate: ModuleType, logs: list[bytes]) -> None:
     """30 MB of zeros, as in a file whose space was set aside before the power went."""
     data = logs[0][:8000] + bytes(30_000_000) + logs[0][8000:]
-    with mutate.limited(2.0):
+    with mutate.limited(30.0 * mutate.work_unit_s()):
         assert trial.examine(0, data, "hole") == "reported"
     assert not trial.failures

@@ -6,7 +6,7 @@ their size, so the layout of a run depends on where it begins modulo 8, which te
 
 from __future__ import annotations
 
-from collections.abc import Sequence as Several
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -15,7 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.ingest.buffers import Bytes, gather
-from pipeline.ingest.mcap.cdr_schema import MAX_COUNT, Numbers, Sequence, Step, Text
+from pipeline.ingest.mcap.cdr_schema import (
+    MAX_COUNT,
+    MessageField,
+    NumberField,
+    SequenceField,
+    TextField,
+)
 
 HEAD = 4  # bytes of encapsulation; alignment counts from behind them
 CDR_LE = 1  # plain CDR, little-endian; 0 is big-endian, larger are other encodings
@@ -23,20 +29,20 @@ ALIGN = 8
 
 
 @dataclass(frozen=True)
-class Program:
+class DecodePlan:
     """The steps of a message as far as they are wanted: runs of numbers, texts and sequences.
 
     Of sequences nothing is kept but, of those in ``counted``, how many elements they have; ``rest``
     stand behind all else.
     """
 
-    steps: tuple[tuple[Numbers, ...] | Text | Sequence, ...]
+    steps: tuple[tuple[NumberField, ...] | TextField | SequenceField, ...]
     wanted: frozenset[str]
     counted: bool = False
-    rest: tuple[Sequence, ...] = ()
+    rest: tuple[SequenceField, ...] = ()
 
 
-def program(steps: Several[Step], wanted: frozenset[str] | None = None) -> Program:
+def decode_plan(steps: Sequence[MessageField], wanted: frozenset[str] | None = None) -> DecodePlan:
     """What to do to get at some columns of a message.
 
     Parameters
@@ -48,41 +54,43 @@ def program(steps: Several[Step], wanted: frozenset[str] | None = None) -> Progr
     """
     if wanted is not None:
         steps = [part for step in steps for part in _elements(step, wanted)]
-    singles = [step for step in steps if not isinstance(step, Sequence)]
+    singles = [step for step in steps if not isinstance(step, SequenceField)]
     paths = frozenset(step.path for step in singles)
     chosen = paths if wanted is None else paths & wanted
     last = max((k for k, step in enumerate(steps) if step.path in chosen), default=-1)
     if wanted is not None:
-        return Program(tuple(_runs(steps[: last + 1])), chosen)
-    rest = tuple(step for step in steps[last + 1 :] if isinstance(step, Sequence))
-    return Program(tuple(_runs(steps[: last + 1])), chosen, True, rest)
+        return DecodePlan(tuple(_runs(steps[: last + 1])), chosen)
+    rest = tuple(step for step in steps[last + 1 :] if isinstance(step, SequenceField))
+    return DecodePlan(tuple(_runs(steps[: last + 1])), chosen, True, rest)
 
 
-def _elements(step: Step, wanted: frozenset[str]) -> list[Step]:
+def _elements(step: MessageField, wanted: frozenset[str]) -> list[MessageField]:
     """An array of which only elements are wanted, as its elements."""
-    if not isinstance(step, Numbers) or not step.array or step.path in wanted:
+    if not isinstance(step, NumberField) or not step.array or step.path in wanted:
         return [step]
-    begin, each = f"{step.path}.", list[Step]()
+    begin, each = f"{step.path}.", list[MessageField]()
     ends = (path[len(begin) :] for path in wanted if path.startswith(begin))
     after = 0
     for k in sorted(int(end) for end in ends if end.isdigit() and int(end) < step.count):
         if k > after:
-            each.append(Numbers(f"{begin}{after}:{k}", step.kind, k - after, True))
-        each.append(Numbers(f"{begin}{k}", step.kind))
+            each.append(NumberField(f"{begin}{after}:{k}", step.kind, k - after, True))
+        each.append(NumberField(f"{begin}{k}", step.kind))
         after = k + 1
     if not after:
         return [step]
     if after < step.count:
-        each.append(Numbers(f"{begin}{after}:", step.kind, step.count - after, True))
+        each.append(NumberField(f"{begin}{after}:", step.kind, step.count - after, True))
     return each
 
 
-def _runs(steps: Several[Step]) -> list[tuple[Numbers, ...] | Text | Sequence]:
+def _runs(
+    steps: Sequence[MessageField],
+) -> list[tuple[NumberField, ...] | TextField | SequenceField]:
     """Steps with neighbouring numbers put together."""
-    result: list[tuple[Numbers, ...] | Text | Sequence] = []
-    run: list[Numbers] = []
+    result: list[tuple[NumberField, ...] | TextField | SequenceField] = []
+    run: list[NumberField] = []
     for step in steps:
-        if isinstance(step, Numbers):
+        if isinstance(step, NumberField):
             run.append(step)
             continue
         if run:
@@ -94,9 +102,9 @@ def _runs(steps: Several[Step]) -> list[tuple[Numbers, ...] | Text | Sequence]:
 
 @dataclass
 class _Cursors:
-    """The messages still read: which rows, where they begin, how long they are, and where we are.
+    """The messages still read: rows, beginnings, lengths, and the place ``at`` of the next field.
 
-    All without the encapsulation; ``big`` where the bytes are the other way round.
+    All without the encapsulation; ``big`` where numbers are big-endian.
     """
 
     data: Bytes
@@ -108,7 +116,7 @@ class _Cursors:
     columns: dict[str, NDArray[Any]] = field(default_factory=dict)
 
     def only(self, good: NDArray[np.bool_]) -> None:
-        """Give up the other messages, also what was read of them."""
+        """Keep these messages only, and what was read of them."""
         if bool(good.all()):
             return
         for name in ("row", "begin", "length", "big", "at"):
@@ -129,7 +137,7 @@ class _Cursors:
 
 
 def decode(
-    data: Bytes, begin: NDArray[np.int64], length: NDArray[np.int64], plan: Program
+    data: Bytes, begin: NDArray[np.int64], length: NDArray[np.int64], plan: DecodePlan
 ) -> tuple[NDArray[np.intp], dict[str, NDArray[Any]]]:
     """Decode messages of one definition.
 
@@ -137,7 +145,7 @@ def decode(
     ----------
     data : the bytes they lie in.
     begin, length : (n,) of each, with the encapsulation.
-    plan : from `program`.
+    plan : from `decode_plan`.
 
     Returns the rows that could be read, and their columns: numbers of their own kind, arrays as
     (m, count), texts as str. A message that ends too early, gives a length beyond its end or is
@@ -145,7 +153,7 @@ def decode(
     XCDR2) is left out. Both byte orders.
 
     >>> data = np.frombuffer(b"\\0\\1\\0\\0" + b"\\2\\0\\0\\0a\\0\\7\\0", np.uint8)
-    >>> plan = program([Text("s"), Numbers("x", "u2")])
+    >>> plan = decode_plan([TextField("s"), NumberField("x", "u2")])
     >>> decode(data, np.array([0]), np.array([12]), plan)[1]
     {'s': array(['a'], dtype='<U1'), 'x': array([7], dtype=uint16)}
     """
@@ -158,18 +166,25 @@ def decode(
     for step in plan.steps:
         if isinstance(step, tuple):
             _read_numbers(cursors, step, plan.wanted)
-        elif isinstance(step, Text):
+        elif isinstance(step, TextField):
             _read_text(cursors, step, step.path in plan.wanted)
         else:
-            _pass(cursors, step, plan.counted)
-    if plan.rest:
-        _count(cursors, plan.rest)
+            _skip(cursors, step, plan.counted)
+    # The last sequences are only counted: of a large message the beginning alone is there.
+    rows = np.arange(cursors.row.shape[0])
+    rest = _Cursors(data, rows, cursors.begin, cursors.length, cursors.big, cursors.at)
+    for step in plan.rest:
+        count = rest.count()
+        column = np.full(rows.shape, -1, np.int64)
+        column[rest.row] = count
+        cursors.columns[f"{step.path}[]"] = column
+        _skip_elements(rest, step, count)
     return cursors.row, cursors.columns
 
 
 @lru_cache(maxsize=1024)
 def _layout(
-    run: tuple[Numbers, ...], wanted: frozenset[str], phase: int, big: bool
+    run: tuple[NumberField, ...], wanted: frozenset[str], phase: int, big: bool
 ) -> tuple[np.dtype[Any] | None, int]:
     """The numpy type of the wanted numbers of a run that begins there, and its length."""
     names, kinds, offsets = [], [], []
@@ -189,7 +204,7 @@ def _layout(
     return np.dtype(used), at - phase  # type: ignore[call-overload]
 
 
-def _read_numbers(cursors: _Cursors, run: tuple[Numbers, ...], wanted: frozenset[str]) -> None:
+def _read_numbers(cursors: _Cursors, run: tuple[NumberField, ...], wanted: frozenset[str]) -> None:
     key = (cursors.at % ALIGN + ALIGN * cursors.big).astype(np.int8)
     sizes = np.zeros(2 * ALIGN, np.int64)
     present = np.flatnonzero(np.bincount(key, minlength=2 * ALIGN)).tolist()
@@ -207,76 +222,52 @@ def _read_numbers(cursors: _Cursors, run: tuple[Numbers, ...], wanted: frozenset
         dtype, size = _layout(run, wanted, which % ALIGN, which >= ALIGN)
         if dtype is None:
             continue
-        mine = slice(None) if len(present) == 1 else key == which
-        records = gather(cursors.data, (cursors.begin + cursors.at)[mine], size).view(dtype)
+        rows = slice(None) if len(present) == 1 else key == which
+        records = gather(cursors.data, (cursors.begin + cursors.at)[rows], size).view(dtype)
         for name in dtype.names or ():
-            cursors.columns[name][mine] = records[name]
+            cursors.columns[name][rows] = records[name]
     cursors.at = cursors.at + sizes[key]
 
 
-def _read_text(cursors: _Cursors, step: Text, wanted: bool) -> None:
+def _read_text(cursors: _Cursors, step: TextField, wanted: bool) -> None:
     length = cursors.count()
     good = cursors.at + length <= cursors.length
     cursors.only(good)
     length = length[good]
-    if wanted:
-        cursors.columns[step.path] = _texts(cursors.data, cursors.begin + cursors.at, length)
+    if wanted:  # without the NUL at the end
+        texts = np.full(length.shape, "", object)
+        begin = cursors.begin + cursors.at
+        for size in np.unique(length[length > 1]).tolist():
+            rows = np.flatnonzero(length == size)
+            raw = gather(cursors.data, begin[rows], size - 1).view(f"S{size - 1}")
+            different, places = np.unique(raw, return_inverse=True)
+            known = [value.decode("utf-8", "backslashreplace") for value in different.tolist()]
+            texts[rows] = np.array(known, object)[places]
+        column = texts.astype(np.str_) if texts.size else np.empty(0, "U1")
+        cursors.columns[step.path] = column
     cursors.at = cursors.at + length
 
 
-def _texts(data: Bytes, begin: NDArray[np.int64], length: NDArray[np.int64]) -> NDArray[np.str_]:
-    """Texts of given lengths, of which the last byte is a NUL."""
-    found = np.zeros(begin.shape, object)
-    found[:] = ""
-    for size in np.unique(length).tolist():
-        if size <= 1:
-            continue
-        rows = np.flatnonzero(length == size)
-        raw = gather(data, begin[rows], size - 1).view(f"S{size - 1}")
-        different, places = np.unique(raw, return_inverse=True)
-        known = [value.decode("utf-8", "backslashreplace") for value in different.tolist()]
-        found[rows] = np.array(known, object)[places]
-    return found.astype(np.str_) if begin.shape[0] else np.empty(0, "U1")
-
-
-def _count(cursors: _Cursors, steps: Several[Sequence]) -> None:
-    """How many elements the last sequences have; a large message is there in part only."""
-    n = cursors.row.shape[0]
-    inner = _Cursors(
-        cursors.data, np.arange(n), cursors.begin, cursors.length, cursors.big, cursors.at
-    )
-    for step in steps:
-        count = inner.count()
-        column = np.full(n, -1, np.int64)
-        column[inner.row] = count
-        cursors.columns[f"{step.path}[]"] = column
-        _pass_counted(inner, step, count)
-
-
-def _pass(cursors: _Cursors, step: Sequence, counted: bool = False) -> None:
+def _skip(cursors: _Cursors, step: SequenceField, counted: bool = False) -> None:
     """Move behind a sequence; of its elements nothing is kept."""
     count = cursors.count()
     if counted:
         cursors.columns[f"{step.path}[]"] = count
-    _pass_counted(cursors, step, count)
+    _skip_elements(cursors, step, count)
 
 
-def _pass_counted(cursors: _Cursors, step: Sequence, count: NDArray[np.int64]) -> None:
+def _skip_elements(cursors: _Cursors, step: SequenceField, count: NDArray[np.int64]) -> None:
+    """Move behind so many elements; those of varying length one at a time in all messages."""
     good = count <= cursors.length  # an element has a byte at least
     cursors.only(good)
     count = count[good]
     only = step.steps[0] if len(step.steps) == 1 else None
-    if isinstance(only, Numbers):
+    if isinstance(only, NumberField):
         size = np.dtype(only.kind).itemsize
         aligned = -(-cursors.at // size) * size
         cursors.at = np.where(count > 0, aligned + count * only.count * size, cursors.at)
         cursors.only(cursors.at <= cursors.length)
         return
-    _pass_elements(cursors, step, count)
-
-
-def _pass_elements(cursors: _Cursors, step: Sequence, count: NDArray[np.int64]) -> None:
-    """Move behind elements of varying length, one element of all messages at a time."""
     steps = _runs(step.steps)
     ends = np.full(cursors.row.shape, -1, np.int64)
     place = np.arange(cursors.row.shape[0])
@@ -292,10 +283,10 @@ def _pass_elements(cursors: _Cursors, step: Sequence, count: NDArray[np.int64]) 
         for part in steps:
             if isinstance(part, tuple):
                 _read_numbers(inner, part, frozenset())
-            elif isinstance(part, Text):
+            elif isinstance(part, TextField):
                 _read_text(inner, part, False)
             else:
-                _pass(inner, part)
+                _skip(inner, part)
         done += 1
     cursors.at = np.maximum(ends, 0)
     cursors.only(ends >= 0)

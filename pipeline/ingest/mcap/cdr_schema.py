@@ -33,7 +33,7 @@ class SchemaError(ValueError):
 
 
 @dataclass(frozen=True)
-class Numbers:
+class NumberField:
     """``count`` numbers of one kind under a name; ``array`` where the message has an array."""
 
     path: str
@@ -43,24 +43,24 @@ class Numbers:
 
 
 @dataclass(frozen=True)
-class Text:
+class TextField:
     """A text under a name."""
 
     path: str
 
 
 @dataclass(frozen=True)
-class Sequence:
+class SequenceField:
     """As many elements as the message says; each consists of steps of its own."""
 
     path: str
-    steps: tuple[Step, ...]
+    steps: tuple[MessageField, ...]
 
 
-Step = Numbers | Text | Sequence
+MessageField = NumberField | TextField | SequenceField
 
 
-def steps_of(name: str, text: str) -> tuple[Step, ...]:
+def steps_of(name: str, text: str) -> tuple[MessageField, ...]:
     """The steps of a message from the definitions that a log has of it.
 
     Parameters
@@ -71,17 +71,17 @@ def steps_of(name: str, text: str) -> tuple[Step, ...]:
     Raises SchemaError. Names are joined by dots.
 
     >>> steps_of("a/msg/B", "C c\\nstring s\\n===\\nMSG: a/C\\nfloat64[3] x")
-    (Numbers(path='c.x', kind='f8', count=3, array=True), Text(path='s'))
+    (NumberField(path='c.x', kind='f8', count=3, array=True), TextField(path='s'))
     """
     definitions = dict(_BUILT_IN)
     current = short(name)
     for part in re.split(r"^={3,}\s*$", text, flags=re.MULTILINE):
-        found = re.search(r"^MSG:\s+(\S+)\s*$", part, flags=re.MULTILINE)
-        if found:
-            current = short(found.group(1))
-            part = part.replace(found.group(0), "", 1)
+        title = re.search(r"^MSG:\s+(\S+)\s*$", part, flags=re.MULTILINE)
+        if title:
+            current = short(title.group(1))
+            part = part.replace(title.group(0), "", 1)
         definitions[current] = part
-    return tuple(_Flat(definitions).message(short(name), "", 0))
+    return tuple(_Flattener(definitions).message(short(name), "", 0))
 
 
 def short(name: str) -> str:
@@ -94,7 +94,7 @@ def short(name: str) -> str:
 
 
 @dataclass
-class _Flat:
+class _Flattener:
     """Flattening: definitions that were parsed, and how many steps there are so far.
 
     Some lines can nest millions of steps, which therefore are counted before they are kept.
@@ -104,60 +104,61 @@ class _Flat:
     parsed: dict[str, list[tuple[str, str, str]]] = field(default_factory=dict)
     count: int = 0
 
-    def message(self, name: str, prefix: str, depth: int) -> Iterator[Step]:
+    def message(self, name: str, prefix: str, depth: int) -> Iterator[MessageField]:
         if depth > MAX_DEPTH:
             raise SchemaError(f"{prefix.rstrip('.')} lies {depth} messages deep")
         if name not in self.parsed:
-            self.parsed[name] = _fields(name, self.definitions)
+            self.parsed[name] = self.parse(name)
         for kind, array, member in self.parsed[name]:
-            yield from self.field(kind, array, prefix + member, name, depth)
+            yield from self.field(kind, array, prefix + member, owner=name, depth=depth)
 
-    def one(self, step: Step) -> Step:
+    def parse(self, name: str) -> list[tuple[str, str, str]]:
+        """Kind, array and name of each field of a definition."""
+        if name not in self.definitions:
+            raise SchemaError(f"the definition of {name} is missing")
+        fields = []
+        for line in self.definitions[name].splitlines():
+            text = line.split("#", 1)[0].strip()
+            if not text or _CONSTANT.match(text):
+                continue
+            match = _FIELD.match(text)
+            if not match:
+                raise SchemaError(f"{text[:60]!r} of {name} is no field")
+            kind, _, array, member = match.groups()
+            fields.append((kind, array or "", member))
+        # IDL knows no empty message: ROS 2 puts a byte there
+        return fields or [("uint8", "", "structure_needs_at_least_one_member")]
+
+    def counted(self, step: MessageField) -> MessageField:
         self.count += 1
         if self.count > MAX_STEPS:
             raise SchemaError(f"more than {MAX_STEPS} fields, at {step.path[:60]}")
         return step
 
-    def field(self, kind: str, array: str, path: str, owner: str, depth: int) -> Iterator[Step]:
+    def field(
+        self, kind: str, array: str, path: str, *, owner: str, depth: int
+    ) -> Iterator[MessageField]:
         if kind == "wstring":
             raise SchemaError(f"{path} is a wstring, which is not read")
         fixed = int(array[1:-1]) if array[1:-1].isdigit() else 0
         if fixed >= MAX_COUNT or (fixed > MAX_STEPS and kind not in KINDS):
             raise SchemaError(f"{path[:60]} has {fixed} elements")
         if kind in KINDS:
-            one = Numbers(path, KINDS[kind], fixed or 1, bool(fixed))
-            yield self.one(Sequence(path, (one,)) if array and not fixed else one)
+            numbers = NumberField(path, KINDS[kind], fixed or 1, bool(fixed))
+            yield self.counted(SequenceField(path, (numbers,)) if array and not fixed else numbers)
             return
         if kind == "string":
             if array and not fixed:
-                yield self.one(Sequence(path, (Text(path),)))
+                yield self.counted(SequenceField(path, (TextField(path),)))
             elif fixed:
-                yield from (self.one(Text(f"{path}.{k}")) for k in range(fixed))
+                yield from (self.counted(TextField(f"{path}.{k}")) for k in range(fixed))
             else:
-                yield self.one(Text(path))
+                yield self.counted(TextField(path))
             return
         inner = short(kind) if "/" in kind else f"{owner.split('/')[0]}/{kind}"
         if array and not fixed:
-            yield Sequence(path, tuple(self.message(inner, f"{path}.", depth + 1)))
+            yield SequenceField(path, tuple(self.message(inner, f"{path}.", depth + 1)))
             return
         for k in range(fixed or 1):
             prefix = f"{path}.{k}." if fixed else f"{path}."
             yield from self.message(inner, prefix, depth + 1)
-
-
-def _fields(name: str, definitions: Mapping[str, str]) -> list[tuple[str, str, str]]:
-    """Kind, array and name of each field of a definition."""
-    if name not in definitions:
-        raise SchemaError(f"the definition of {name} is missing")
-    result = []
-    for line in definitions[name].splitlines():
-        line = line.split("#", 1)[0].strip()
-        if not line or _CONSTANT.match(line):
-            continue
-        found = _FIELD.match(line)
-        if not found:
-            raise SchemaError(f"{line[:60]!r} of {name} is no field")
-        kind, _, array, member = found.groups()
-        result.append((kind, array or "", member))
-    # IDL knows no empty message: ROS 2 puts a byte there
-    return result or [("uint8", "", "structure_needs_at_least_one_member")]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -11,15 +12,20 @@ import numpy as np
 
 from pipeline.errors import LogError
 from pipeline.flight.channels import Channel
-from pipeline.ingest.boot_clock import BootClock, Timeline, UtcReadings, timeline
+from pipeline.flight.clock import BOOT_STEP_NS
+from pipeline.ingest.boot_clock import (
+    BootClock,
+    Timeline,
+    UtcReadings,
+    fit_boot_clock,
+    timeline,
+)
 from pipeline.ingest.channel_builder import channel_of
 from pipeline.ingest.log import Contents, Table
-from pipeline.ingest.mcap.messages import MAGIC
-from pipeline.ingest.mcap.reader import Reader
-from pipeline.ingest.mcap.samples import STAMP, Samples, times_of
-from pipeline.ingest.mcap.time import clock_of, confirmed
-from pipeline.ingest.mcap.topics import Topic, by_clock, names_of
-from pipeline.ingest.mcap.values import stacked
+from pipeline.ingest.mcap.file_format import MAGIC
+from pipeline.ingest.mcap.reader import McapReader
+from pipeline.ingest.mcap.samples import STAMP, TopicSamples, times_of
+from pipeline.ingest.mcap.topics import by_clock, rows_by_name, stack_tables
 from pipeline.ledger import Ledger
 
 PLACE = "\0place"  # of a message in the log, while a table is put together
@@ -38,24 +44,24 @@ class Mcap:
         return head.startswith(MAGIC)
 
     def read(self, path: Path, ledger: Ledger) -> Contents:
-        reader = Reader(ledger, path.name)
+        reader = McapReader(ledger, path.name)
         line = timeline(reader.through(path))
         lost = reader.report()
-        samples = [
-            each for topic in reader.topics.values() for each in (topic.series or {}).values()
+        series = [
+            samples for topic in reader.topics.values() for samples in (topic.series or {}).values()
         ]
-        _name_apart(samples)
-        clock = _clock(line, samples, reader.recorder(), ledger)
+        make_names_unique(series)
+        clock = boot_clock_of(line, series, reader.recorder(), ledger)
         reader.topics.clear()
         reader.topic_of.clear()
-        channels, words = _channels(samples, clock, ledger)
+        channels, time_base = _channels(series, clock, ledger)
         return Contents(
             reader.counts.by_name(reader.names),
             tuple(channels),
             reader.damage.bad_bytes,
             lost,
             clock.line.boots,
-            words,
+            time_base,
             partial(_table, path, clock),
         )
 
@@ -63,97 +69,144 @@ class Mcap:
 MCAP = Mcap()
 
 
-def _clock(
-    line: Timeline, samples: list[Samples], recorder: UtcReadings | None, ledger: Ledger
-) -> BootClock:
-    """The clock since boot, by what receivers and cameras say of UTC."""
-    if line.boots > 1:
-        line = confirmed(line, (each.stamps(line) for each in samples if each.counted))
-    told = [(each.spec.position, each.told()) for each in samples]
-    receivers = [one for receiver, one in told if receiver and one is not None]
-    cameras = [one for receiver, one in told if not receiver and one is not None]
-    return clock_of(line, receivers, cameras, recorder, ledger)
-
-
-def _name_apart(samples: list[Samples]) -> None:
-    """Channels of one topic, which has several schemas, get the schema into their names."""
-    taken = Counter(each.name for each in samples)
-    for each in samples:
-        if taken[each.name] > 1:
-            each.name += f" ({each.source.message})"
+def make_names_unique(series: list[TopicSamples]) -> None:
+    """Channels of one topic that has several schemas get the schema into their names."""
+    topics = Counter(samples.name for samples in series)
+    for samples in series:
+        if topics[samples.name] > 1:
+            samples.name += f" ({samples.source.message})"
     names: Counter[str] = Counter()
-    for each in samples:  # time since boot and Unix time under one name and schema
-        names[each.name] += 1
-        if names[each.name] > 1:
-            each.name += f" #{names[each.name]}"
+    for samples in series:  # time since boot and Unix time under one name and schema
+        names[samples.name] += 1
+        if names[samples.name] > 1:
+            samples.name += f" #{names[samples.name]}"
+
+
+def boots_of_topics(line: Timeline, series: Sequence[TopicSamples]) -> Timeline:
+    """The boots at which the time of at least one topic steps back, of those of the whole log.
+
+    Messages that come late, and chunks that hold one topic each, step back only against others.
+    """
+    starts = np.flatnonzero(np.diff(line.boot) > 0) + 1
+    confirmed = np.zeros(starts.shape, np.bool_)
+    for samples in series if starts.size else ():
+        if samples.counted:
+            places, boot_ns = samples.stamps(line)
+            row = np.searchsorted(places, line.first[starts])
+            inner = (row > 0) & (row < places.shape[0])
+            confirmed[inner] |= boot_ns[row[inner]] < boot_ns[row[inner] - 1] - BOOT_STEP_NS
+    marks = np.zeros(line.boot.shape, np.int16)
+    marks[starts] = confirmed
+    return replace(line, boot=np.cumsum(marks, dtype=np.int16))
+
+
+def boot_clock_of(
+    line: Timeline, series: list[TopicSamples], recorder: UtcReadings | None, ledger: Ledger
+) -> BootClock:
+    """UTC of the clock since boot that PX4's messages count.
+
+    Parameters
+    ----------
+    line : the boots, by the messages of all topics together.
+    series : receivers among them give UTC. A camera's UTC is the autopilot's own clock, which it
+        sets by its receiver now and then: it counts where no receiver has a fix.
+    recorder : log_time of these messages, for boots without any UTC; None where no message counts
+        time since boot.
+    """
+    if line.boots > 1:
+        line = boots_of_topics(line, series)
+    if recorder is None:
+        return BootClock(line, (None,), (False,))
+    receivers: list[UtcReadings] = []
+    cameras: list[UtcReadings] = []
+    for samples in series:
+        readings = samples.utc_readings()
+        if readings is not None:
+            (receivers if samples.spec.position else cameras).append(readings)
+    fixed = any(readings.sound(line).places.shape[0] for readings in receivers)
+    clock = fit_boot_clock(line, receivers if fixed else cameras, ledger, recorder)
+    for number, (fit, known) in enumerate(zip(clock.fits, clock.utc_known, strict=True)):
+        if known:
+            continue
+        where = f"boot {number}"
+        if fit is not None:
+            ledger.fallback(
+                "TIME-LOG-TIME",
+                "time counts from boot, and no GNSS message with a fix ties that to UTC: the clock "
+                "is set by the recorder's time",
+                where=where,
+                count=fit.rows,
+            )
+        else:
+            ledger.fallback(
+                "TIME-NO-UTC",
+                "no GNSS message with a fix and no log_time: time counts from boot, as if in 1970; "
+                "events in this log can be used, matching by UTC is impossible",
+                where=where,
+            )
+    return clock
 
 
 def _channels(
-    samples: list[Samples], clock: BootClock, ledger: Ledger
+    series: list[TopicSamples], clock: BootClock, ledger: Ledger
 ) -> tuple[list[Channel], str]:
     channels, without = [], 0
-    while samples:  # each is let go when its channel is made
-        each = samples.pop(0)
-        rows, unstamped = each.rows(clock, ledger)
+    while series:  # each is released when its channel is made
+        samples = series.pop(0)
+        rows, unstamped = samples.rows(clock, ledger)
         without += unstamped
-        channel = channel_of(rows, each.spec, ledger)
+        channel = channel_of(rows, samples.spec, ledger)
         if channel is not None:
             channels.append(channel)
-    words = "header.stamp of the messages"
+    time_base = "header.stamp of the messages"
     if clock.line.boot.size:
-        words = "the vehicle's time since boot, set to UTC by its GNSS messages"
+        time_base = "the vehicle's time since boot, set to UTC by its GNSS messages"
         if not any(clock.utc_known):
-            words = "the vehicle's time since boot, set by the recorder's clock"
+            time_base = "the vehicle's time since boot, set by the recorder's clock"
         if not any(clock.fits):
-            words = "the vehicle's time since boot; UTC is unknown"
+            time_base = "the vehicle's time since boot; UTC is unknown"
     if without:
-        words += f"; log_time for {without} messages without one"
-    return channels, words
+        time_base += f"; log_time for {without} messages without one"
+    return channels, time_base
 
 
 def _table(path: Path, clock: BootClock, name: str, instance: str | None) -> Table:
-    """The messages of a topic with the recorder's time and their fields as sent."""
-    reader = Reader(Ledger(), path.name, only=name)
+    """The messages of a topic with the recorder's time and their fields as sent.
+
+    A topic of several schemas gives one table, in the order of the file.
+    """
+    reader = McapReader(Ledger(), path.name, only=name)
     deque(reader.through(path), 0)
     tables = []
     for topic in reader.topics.values():
-        parts, topic.parts = topic.parts, []
-        for part in by_clock(parts):
-            places = part.places if part.counted else None
+        blocks, topic.blocks = topic.blocks, []
+        for block in by_clock(blocks):
+            places = block.places if block.counted else None
             time_ns, boot, _ = times_of(
-                part.stamp_ns, part.log_ns, places, clock, reader.ledger, name
+                block.stamp_ns, block.log_ns, places, clock, ledger=reader.ledger, where=name
             )
-            part.columns.pop(STAMP, None)
-            table: Table = {"time_ns": time_ns, "boot": boot, "log_time_ns": part.log_ns}
-            table = _of_instance(table | part.columns | {PLACE: part.places}, topic, instance)
-            if table and table[PLACE].shape[0]:
+            block.columns.pop(STAMP, None)
+            table: Table = {"time_ns": time_ns, "boot": boot, "log_time_ns": block.log_ns}
+            table |= block.columns | {PLACE: block.places}
+            if instance is not None:
+                rows = dict(rows_by_name(table, topic.spec.id_field)).get(instance, slice(0))
+                table = {column: values[rows] for column, values in table.items()}
+            if table[PLACE].shape[0]:
                 tables.append(table)
-    return _whole(tables, reader, name)
-
-
-def _whole(tables: list[Table], reader: Reader, name: str) -> Table:
-    """The tables of the schemas of a topic as one, in the order of the file."""
+    reasons = [entry.what for entry in reader.ledger if entry.code in REASONS]
+    reasons += [topic.misfit for topic in reader.topics.values() if topic.failed]
+    if not tables and reasons:
+        raise LogError(
+            "LOG-NO-TABLE",
+            f"{name} has no rows that can be laid out in columns: {reasons[0]}",
+            where=reader.where,
+            remedy="choose another topic of `unbend inspect`",
+        )
     if not tables:
-        why = [entry.what for entry in reader.ledger if entry.code in REASONS]
-        why += [topic.misfit for topic in reader.topics.values() if topic.failed]
-        if why:
-            raise LogError(
-                "LOG-NO-TABLE",
-                f"{name} has no rows that can be laid out in columns: {why[0]}",
-                where=reader.where,
-                remedy="choose another topic of `unbend inspect`",
-            )
         return {}
-    whole = stacked(tables, [table[PLACE].shape[0] for table in tables])
-    places = whole.pop(PLACE)
-    if bool(np.all(places[1:] > places[:-1])):
+    whole = stack_tables(tables, [table[PLACE].shape[0] for table in tables])
+    places_of_rows = whole.pop(PLACE)
+    if bool(np.all(places_of_rows[1:] > places_of_rows[:-1])):
         return whole
-    order = np.argsort(places)
-    return {key: column[order] for key, column in whole.items()}
-
-
-def _of_instance(table: Table, topic: Topic, instance: str | None) -> Table:
-    if instance is None:
-        return table
-    mine = dict(names_of(table, topic.spec.id_field)).get(instance)
-    return {} if mine is None else {name: column[mine] for name, column in table.items()}
+    order = np.argsort(places_of_rows)
+    return {column: values[order] for column, values in whole.items()}

@@ -1,9 +1,9 @@
-"""Reading an MCAP log: definitions -> decoders, and messages to the topics that they are of."""
+"""Reading an MCAP log: definitions -> decoders, messages -> their topics, counts -> losses."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -11,15 +11,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import UNIX_NS_FROM
 from pipeline.ingest.boot_clock import Stamps, UtcReadings
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.fields import MessageMap
 from pipeline.ingest.mcap.cdr_schema import SchemaError
-from pipeline.ingest.mcap.counts import Counts
 from pipeline.ingest.mcap.fields import PLAIN_JSON, SCHEMAS, known_name
-from pipeline.ingest.mcap.messages import CHANNEL, MAGIC, SCHEMA, Damage, Definition, Messages
+from pipeline.ingest.mcap.file_format import (
+    CHANNEL,
+    MAGIC,
+    SCHEMA,
+    Damage,
+    Definition,
+    Messages,
+)
 from pipeline.ingest.mcap.records import walk
 from pipeline.ingest.mcap.topics import (
     MAX_NAMES,
@@ -37,19 +42,119 @@ _PARSE_ERRORS = (struct.error, ValueError, OverflowError)
 # What a definition that is damaged makes the libraries raise.
 _SCHEMA_ERRORS = (SchemaError, UnicodeDecodeError, TypeError, ValueError, KeyError, RuntimeError)
 
+CHANNEL_NUMBERS = 1 << 16  # they are 16 bits wide
 RECORDED = 512  # messages of each block (4 MiB) whose log_time is kept beside their time since boot
 MAX_CONTRADICTIONS = 1000  # definitions that differ from an earlier one; no log has any
 
 
-class Reader:
-    """Definitions, counts and topics of one file. ``only`` reads all fields of one topic."""
+class MessageCounts:
+    """Messages by channel, and steps of their sequence numbers.
+
+    ``stated`` by channel and ``stated_total`` are the log's own statistics, None without.
+    """
+
+    def __init__(self) -> None:
+        self.counts = np.zeros(CHANNEL_NUMBERS, np.int64)
+        self.orphans = 0
+        self.stated: dict[int, int] = {}
+        self.stated_total: int | None = None
+        self._last = np.full(CHANNEL_NUMBERS, -1, np.int64)
+        self._last_ns = np.zeros(CHANNEL_NUMBERS, np.int64)
+        self._ones = np.zeros(CHANNEL_NUMBERS, np.int64)
+        self._gaps = np.zeros(CHANNEL_NUMBERS, np.int64)
+
+    def take(self, messages: Messages, names: Mapping[int, str]) -> list[int]:
+        """Count some messages; returns the known channels that they are of."""
+        counts = np.bincount(messages.channel, minlength=CHANNEL_NUMBERS)
+        present = np.flatnonzero(counts).tolist()
+        known = [number for number in present if number in names]
+        unknown = [number for number in present if number not in names]
+        self.orphans += messages.short + int(counts[unknown].sum())
+        self.counts[known] += counts[known]
+        if not len(messages):
+            return known
+        order = np.argsort(messages.channel, kind="stable")
+        channel = messages.channel[order].astype(np.int64)
+        sequence = messages.sequence[order].astype(np.int64)
+        log_ns = messages.log_time[order]
+        before, before_ns = (np.concatenate([[-1], each[:-1]]) for each in (sequence, log_ns))
+        first = np.flatnonzero(np.diff(channel, prepend=-1))
+        before[first], before_ns[first] = self._last[channel[first]], self._last_ns[channel[first]]
+        step = np.where(before < 0, 0, sequence - before)
+        last = np.append(first[1:], channel.shape[0]) - 1
+        self._last[channel[last]], self._last_ns[channel[last]] = sequence[last], log_ns[last]
+        np.add.at(self._ones, channel[step == 1], 1)
+        ahead = step > 1
+        np.add.at(self._gaps, channel[ahead], step[ahead] - 1)
+        # chunks in another order fill gaps that stood open; a recorder that begins anew does not
+        back = (step < 0) & (log_ns < before_ns)
+        np.add.at(self._gaps, channel[back], step[back] - 1)
+        return known
+
+    def by_name(self, names: Mapping[int, str]) -> dict[str, int]:
+        """How many messages each topic has; topics without any are left out."""
+        result: dict[str, int] = {}
+        for number in np.flatnonzero(self.counts).tolist():
+            result[names[number]] = result.get(names[number], 0) + int(self.counts[number])
+        return result
+
+    def report(self, names: Mapping[int, str], ledger: Ledger, where: str, *, damaged: bool) -> int:
+        """Enter what is missing; returns how many messages that is."""
+        if self.orphans:
+            ledger.loss(
+                "LOG-BAD-BYTES",
+                f"{self.orphans} messages belong to no channel",
+                where=where,
+                count=self.orphans,
+            )
+        skipped = 0
+        for number in np.flatnonzero(self._gaps > 0).tolist():
+            if 2 * self._ones[number] < self.counts[number] or number not in names:
+                continue  # its numbers do not count its messages
+            count = int(self._gaps[number])
+            skipped += count
+            ledger.loss(
+                "LOG-LINK-LOSS",
+                f"{count} messages are missing by their sequence numbers: the recorder did not "
+                "get them, or they are damaged",
+                where=names[number],
+                count=count,
+            )
+        if self.stated_total is None:
+            if not damaged:
+                ledger.note(
+                    "LOG-NO-STATISTICS",
+                    "the log has no statistics: whether it is whole cannot be checked",
+                    where=where,
+                )
+            return skipped
+        total = int(self.counts.sum())
+        wrong = [
+            number
+            for number in sorted({*self.stated, *np.flatnonzero(self.counts).tolist()})
+            if self.stated and self.stated.get(number, 0) != self.counts[number]
+        ]
+        if total != self.stated_total or wrong:
+            topics = ", ".join(names.get(number, f"channel {number}") for number in wrong[:8])
+            ledger.loss(
+                "LOG-INCONSISTENT",
+                f"{total} messages were read, the log's statistics state {self.stated_total}"
+                + (f"; they differ for {topics}" if topics else ""),
+                where=where,
+                count=max(abs(self.stated_total - total), 1),
+            )
+        return max(self.stated_total - total, skipped, 0)
+
+
+class McapReader:
+    """Definitions, counts and topics of one file; with ``only`` all fields of that topic."""
 
     def __init__(self, ledger: Ledger, where: str, only: str | None = None) -> None:
         self.ledger = ledger
         self.where = where
         self.only = only
         self.damage = Damage()
-        self.counts = Counts()
+        self.counts = MessageCounts()
         self.schemas: dict[int, Any] = {}
         self.channels: dict[int, Any] = {}
         self.names: dict[int, str] = {}
@@ -70,30 +175,25 @@ class Reader:
             for part in walk(data, self.damage):
                 if isinstance(part, Definition):
                     self._define(part)
-                elif stamps := self._take(part):
-                    places, boot_ns, log_ns = (
-                        np.concatenate(each) for each in zip(*stamps, strict=True)
-                    )
+                    continue
+                shares: dict[tuple[str, str], list[tuple[Decoder, NDArray[np.intp]]]] = {}
+                for number in self.counts.take(part, self.names):
+                    if number in self.topic_of:
+                        topic, decoder = self.topic_of[number]
+                        rows = np.flatnonzero(part.channel == number)
+                        shares.setdefault((topic.name, topic.schema), []).append((decoder, rows))
+                before, self.seen = self.seen, self.seen + len(part)
+                stamps = [
+                    stamps_of_part
+                    for key, share in shares.items()
+                    for stamps_of_part in self.topics[key].take(part, share, before)
+                ]
+                if stamps:
+                    places, boot_ns, log_ns = map(np.concatenate, zip(*stamps, strict=True))
                     order = np.argsort(places)
                     sample = order[:: -(-order.shape[0] // RECORDED)]
                     self.recorded.append(np.stack([places, boot_ns, log_ns])[:, sample])
                     yield places[order], boot_ns[order]
-
-    def _take(self, messages: Messages) -> list[tuple[TimeArray, TimeArray, TimeArray]]:
-        before, self.seen = self.seen, self.seen + len(messages)
-        shares: dict[int, list[tuple[Decoder, NDArray[np.intp]]]] = {}
-        topics: dict[int, Topic] = {}
-        for number in self.counts.take(messages, self.names):
-            if number in self.topic_of:
-                topic, decoder = self.topic_of[number]
-                topics[id(topic)] = topic
-                rows = np.flatnonzero(messages.channel == number)
-                shares.setdefault(id(topic), []).append((decoder, rows))
-        return [
-            stamps
-            for key, topic in topics.items()
-            for stamps in topic.take(messages, shares[key], before)
-        ]
 
     def recorder(self) -> UtcReadings | None:
         """log_time beside time since boot, of some messages of each block; None without any."""
@@ -121,8 +221,8 @@ class Reader:
             self.damage.add("LOG-BAD-BYTES", what, definition.at, len(definition.content))
             return
         if kind is library.Statistics:
-            self.counts.promised = dict(record.channel_message_counts)
-            self.counts.promised_total = int(record.message_count)
+            self.counts.stated = dict(record.channel_message_counts)
+            self.counts.stated_total = int(record.message_count)
             return
         known = self.schemas if kind is library.Schema else self.channels
         if record.id not in known:
@@ -191,14 +291,14 @@ class Reader:
 
     def report(self) -> int:
         """Enter the damage; returns how many messages are missing."""
-        for code, what, at, count in self.damage.all():
+        for code, what, at, count in self.damage.entries():
             self.ledger.loss(code, what, where=f"{self.where}, byte {at}", count=count)
         if self.contradictions:
-            some = ", ".join(sorted(self.contradictions)[:8])
+            examples = ", ".join(sorted(self.contradictions)[:8])
             self.ledger.loss(
                 "LOG-INCONSISTENT",
-                f"{len(self.contradictions)} definitions come twice and differ ({some}): the first "
-                "is used",
+                f"{len(self.contradictions)} definitions come twice and differ ({examples}): the "
+                "first is used",
                 where=self.where,
                 count=len(self.contradictions),
             )

@@ -1,9 +1,10 @@
-"""Walking the records of an MCAP file: definitions one by one, messages by the thousand.
+"""The records of an MCAP file in their order: definitions one by one, messages by the thousand.
 
-The definitions are parsed by the mcap library; the walk is ours, because the library's readers
-give nothing for a truncated file, inflate chunks without a bound and lose messages silently when
-the summary is damaged. After bytes that are no record the walk goes on with the next place that
-proves itself: the head of a chunk, or messages of known channels wall to wall.
+The definitions are parsed by the mcap library; the records are read here, because the library's
+readers give nothing for a truncated file, inflate chunks without a limit and lose messages silently
+when the summary is damaged. After bytes that are no record, reading continues at the next place
+that is proved by what stands there: the head of a chunk, or messages of known channels that follow
+each other.
 """
 
 from __future__ import annotations
@@ -15,19 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.ingest.buffers import Bytes, FileView
-from pipeline.ingest.mcap.chunks import (
+from pipeline.ingest.mcap.file_format import (
     BLOCK,
-    COMPRESSIONS,
-    Budget,
-    Chunk,
-    head_of,
-    inflate,
-    inflated,
-    proven,
-)
-from pipeline.ingest.mcap.messages import (
     CHANNEL,
     CHUNK,
+    COMPRESSIONS,
     DATA_END,
     FOOT,
     FOOTER,
@@ -41,14 +34,20 @@ from pipeline.ingest.mcap.messages import (
     RECORD,
     SCHEMA,
     STATISTICS,
+    Chunk,
     Damage,
     Definition,
+    InflationBudget,
+    MessageRuns,
     Messages,
-    Runs,
-    linked,
-    may_begin,
+    candidate_places,
+    chunk_head,
+    chunk_stream,
+    inflate,
+    large_chunk_fault,
     messages_at,
-    next_message,
+    messages_follow,
+    next_message_place,
     raw_of,
     record_at,
 )
@@ -76,12 +75,12 @@ def walk(data: FileView, damage: Damage) -> Iterator[Definition | Messages]:
     A summary that its checksum proves comes first: its definitions serve where those among the
     messages are damaged. A definition may come several times.
     """
-    reader = _Walk(data, damage)
-    yield from reader.summary()
-    yield from reader.records()
+    walk_of_file = _RecordWalk(data, damage)
+    yield from walk_of_file.summary()
+    yield from walk_of_file.records()
 
 
-class _Walk:
+class _RecordWalk:
     def __init__(self, data: FileView, damage: Damage) -> None:
         self.data = data
         self.damage = damage
@@ -90,9 +89,9 @@ class _Walk:
         self.weight = 0
         self.before = len(MAGIC)  # where the last record began: its length may be the damage
         self.data_end = -1  # where the summary begins
-        self.disproved = -1  # a record that others were found in
-        self.budget = Budget(data.size)
-        self.ends, self.ended = 0, False  # records that end the data; whether one was looked at
+        self.disproved = -1  # a record in which others lie
+        self.budget = InflationBudget(data.size)
+        self.ends, self.ended = 0, False  # records that end the data; whether one was checked
 
     def summary(self) -> Iterator[Definition]:
         """The definitions in the summary, where its checksum holds."""
@@ -111,7 +110,8 @@ class _Walk:
         while start + RECORD.size < at:
             opcode, length = RECORD.unpack(self.data[start : start + RECORD.size])
             if opcode in (SCHEMA, CHANNEL) and length <= MAX_DEFINITION:
-                yield self._read_definition(opcode, start + RECORD.size, length)
+                begin = start + RECORD.size
+                yield self._definition(opcode, self.data[begin : begin + length], begin)
             start += RECORD.size + length
 
     def _checksum(self, begin: int, end: int) -> int:
@@ -119,9 +119,6 @@ class _Walk:
         for at in range(begin, end, SPAN):
             crc = zlib.crc32(self.data[at : min(at + SPAN, end)], crc)
         return crc
-
-    def _read_definition(self, opcode: int, at: int, length: int) -> Definition:
-        return self._definition(opcode, self.data[at : at + length], at)
 
     def _definition(self, opcode: int, content: bytes, at: int) -> Definition:
         if opcode == CHANNEL:
@@ -165,10 +162,10 @@ class _Walk:
             opcode, length = unpack(raw, place)
             end = place + RECORD.size + length
             if end > size or not (0 < opcode <= LAST_OPCODE or opcode >= PRIVATE):
-                found = self._resume(at, opcode, length)
-                if 0 <= found < at and starts and begin + starts[-1] == self.disproved:
+                next_place = self._resume(at, opcode, length)
+                if 0 <= next_place < at and starts and begin + starts[-1] == self.disproved:
                     starts.pop()
-                return found
+                return next_place
             if opcode == FOOTER:
                 return self._foot(at, length)
             if opcode == MESSAGE_RECORD:
@@ -216,27 +213,22 @@ class _Walk:
             head = RECORD.pack(MESSAGE_RECORD, MESSAGE_START)
             start = head + self.data[content : content + MESSAGE_START]
             yield from self._collect(np.frombuffer(start, np.uint8), np.zeros(1, np.int64))
-        elif opcode == DATA_END:
-            self._check_data(at, content, length)
+        elif opcode == DATA_END and self.ended:
+            what = "the data end a second time: their checksum here is not checked"
+            self.damage.add("LOG-INCONSISTENT", what, at, 0)
+        elif opcode == DATA_END:  # the checksum is that of all bytes before
+            self.ended = True
+            crc = int.from_bytes(self.data[content : content + min(length, 4)], "little")
+            if crc and self._checksum(0, at) != crc:
+                self.damage.add("LOG-CRC", "the data section fails its checksum", at, 0)
         elif length > MAX_DEFINITION:
             what = f"a definition of {length} bytes (opcode {opcode}) is skipped"
             self.damage.add("LOG-TOO-LARGE", what, at, length)
         else:
-            yield self._read_definition(opcode, content, length)
-
-    def _check_data(self, at: int, content: int, length: int) -> None:
-        """The checksum of all that lies before the first end of the data; no other is checked."""
-        if self.ended:
-            what = "the data end a second time: their checksum here is not checked"
-            self.damage.add("LOG-INCONSISTENT", what, at, 0)
-            return
-        self.ended = True
-        crc = int.from_bytes(self.data[content : content + min(length, 4)], "little")
-        if crc and self._checksum(0, at) != crc:
-            self.damage.add("LOG-CRC", "the data section fails its checksum", at, 0)
+            yield self._definition(opcode, self.data[content : content + length], content)
 
     def _chunk(self, at: int, content: int, length: int) -> Iterator[Definition | Messages]:
-        chunk = head_of(self.data, content, length)
+        chunk = chunk_head(self.data, content, length)
         if chunk is None or chunk.compression not in COMPRESSIONS:
             what = "a chunk has no valid head"
             if chunk is not None:
@@ -255,19 +247,19 @@ class _Walk:
 
     def _large_chunk(self, at: int, chunk: Chunk) -> Iterator[Definition | Messages]:
         """The records of a chunk that is inflated twice: to prove it, and block by block."""
-        fault = proven(self.data, chunk)
+        fault = large_chunk_fault(self.data, chunk)
         if fault is not None:
             self.damage.add(*fault, at, chunk.length)
             return
-        with inflated(self.data, chunk) as stream:
+        with chunk_stream(self.data, chunk) as stream:
             place, kept = 0, bytearray()
             while place + RECORD.size <= chunk.size:
                 header = stream.read(RECORD.size)
                 opcode, length = RECORD.unpack(header)
                 left = chunk.size - place - RECORD.size
                 if opcode == 0 or length > left:
-                    what = f"the last {chunk.size - place} of {chunk.size} bytes of a chunk make"
-                    self.damage.add("LOG-BAD-BYTES", f"{what} no sense", at, chunk.size - place)
+                    what = f"the last {chunk.size - place} of {chunk.size} bytes of a chunk are"
+                    self.damage.add("LOG-BAD-BYTES", f"{what} no record", at, chunk.size - place)
                     break
                 place += RECORD.size + length
                 keep = length if length <= LARGE_MESSAGE else MESSAGE_START
@@ -286,9 +278,9 @@ class _Walk:
     def _inside(self, view: Bytes, at: int) -> Iterator[Definition | Messages]:
         """The records of an inflated chunk: messages by the run, between them definitions."""
         raw, place, size = raw_of(view), 0, int(view.shape[0])
-        runs, starts = Runs.of(view), [np.empty(0, np.int64)]
+        runs, starts = MessageRuns.of(view), [np.empty(0, np.int64)]
         while place < size:
-            run = runs.from_place(place)
+            run = runs.starting_at(place)
             if run.stop > run.start:
                 starts.append(runs.at[run])
                 place = int(runs.end[run.stop - 1])
@@ -297,15 +289,15 @@ class _Walk:
             end = place + RECORD.size + length
             if opcode not in (SCHEMA, CHANNEL) or end > size:
                 last = int(starts[-1][-1]) if starts[-1].size else place
-                found = next_message(view, last, self.channels)
-                lost = found - place
-                if found < place:  # the length of the last message is what is damaged
+                next_place = next_message_place(view, last, self.channels)
+                lost = next_place - place
+                if next_place < place:  # the length of the last message is what is damaged
                     starts[-1] = starts[-1][:-1]
-                    lost = found - last
+                    lost = next_place - last
                 self.damage.add(
-                    "LOG-BAD-BYTES", f"{lost} of {size} bytes of a chunk make no sense", at, lost
+                    "LOG-BAD-BYTES", f"{lost} of {size} bytes of a chunk are no record", at, lost
                 )
-                place = found
+                place = next_place
                 continue
             if length <= MAX_DEFINITION:
                 yield self._definition(opcode, bytes(raw[place + RECORD.size : end]), at)
@@ -331,32 +323,25 @@ class _Walk:
 
     def _resume(self, at: int, opcode: int, length: int) -> int:
         """Where the records go on after damage, or -1 where they do not."""
-        found = self._next_record(self.before + 1)
-        if found < 0:
+        place, begin, reach = -1, self.before + 1, NEAR
+        while place < 0 and begin < self.data.size:
+            view = self.data.array(begin, begin + reach)
+            candidates = candidate_places(view, (FOOTER, MESSAGE_RECORD, CHUNK, DATA_END)).tolist()
+            place = next((begin + k for k in candidates if self._proves(begin + k)), -1)
+            if begin + view.shape[0] >= self.data.size:
+                break
+            begin, reach = begin + view.shape[0] - RECORD.size + 1, SPAN
+        if place < 0:
             rest = self.data.size - at
             what = f"a record of {length} bytes (opcode {opcode}) where {rest} bytes are left"
             self.damage.add("LOG-TRUNCATED", f"{what}: it ends {NO_FOOTER}", at, rest)
             return -1
-        lost = found - at if found > at else found - self.before
+        lost = place - at if place > at else place - self.before
         self.disproved = self.before
         what = f"{lost} bytes are no record, or part of one whose length is damaged"
-        self.damage.add("LOG-BAD-BYTES", what, min(at, found), lost)
-        self.before = found
-        return found
-
-    def _next_record(self, begin: int) -> int:
-        """The next place of the file that proves to be a record, or -1."""
-        reach = NEAR
-        while begin < self.data.size:
-            view = self.data.array(begin, begin + reach)
-            for place in may_begin(view, (FOOTER, MESSAGE_RECORD, CHUNK, DATA_END)).tolist():
-                if self._proves(begin + place):
-                    return int(begin + place)
-            if begin + view.shape[0] >= self.data.size:
-                return -1
-            begin += view.shape[0] - RECORD.size + 1
-            reach = SPAN
-        return -1
+        self.damage.add("LOG-BAD-BYTES", what, min(at, place), lost)
+        self.before = place
+        return place
 
     def _proves(self, at: int) -> bool:
         opcode, length = record_at(self.data[at : at + RECORD.size], 0)
@@ -366,10 +351,10 @@ class _Walk:
         if opcode == FOOTER:
             return length == FOOT.size and end == self.data.size - len(MAGIC)
         if opcode == CHUNK:
-            chunk = head_of(self.data, at + RECORD.size, length)
+            chunk = chunk_head(self.data, at + RECORD.size, length)
             return chunk is not None and chunk.plausible
         if opcode == DATA_END:
             follows = self.data[end : end + 1]
             return length == 4 and bool(follows) and 0 < follows[0] <= LAST_OPCODE
         near = self.data.array(at, at + (LINKS + 1) * LARGE_MESSAGE)
-        return linked(raw_of(near), 0, self.channels)
+        return messages_follow(raw_of(near), 0, self.channels)

@@ -1,9 +1,11 @@
-"""Messages of a topic as they are read: times and columns in SI, block by block."""
+"""Messages of a topic as they are read: their times in any form, and columns in SI."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import numpy as np
@@ -16,16 +18,61 @@ from pipeline.ingest.buffers import ColumnStore
 from pipeline.ingest.channel_builder import DecodedRows
 from pipeline.ingest.fields import MessageMap, extract
 from pipeline.ingest.mcap.fields import LABELS, finished
-from pipeline.ingest.mcap.time import stamps
 from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, UTC_FIELD, captured_rows
 from pipeline.ledger import Ledger
+from pipeline.units import NANOSECONDS_PER_SECOND
 
 Columns = Mapping[str, NDArray[Any]]
-STAMP = "\0stamp_ns"  # the column in which a decoder of objects puts the time it found
+STAMP = "\0stamp_ns"  # the column in which a decoder of objects puts the time of a message
+
+_LAST_NS = 2**63 - 1
+_ISO = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d+))?(Z|[+-]\d\d:\d\d)?")
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+# A bare number is Unix time in the unit in which it lies between 1973 and 2286.
+_UNITS = ((10**17, 1), (10**14, 10**3), (10**11, 10**6), (0, 10**9))
+
+
+def stamp_of(value: Any) -> int:
+    """Unix time [ns] of a time in JSON or protobuf; 0 when there is none.
+
+    Seconds and nanoseconds, a number of seconds (or ms, us, ns: by its size), or RFC 3339.
+
+    >>> stamp_of("2026-05-01T10:00:00.5Z"), stamp_of(1.5e9), stamp_of({"sec": 1, "nsec": 2})
+    (1777629600500000000, 1500000000000000000, 1000000002)
+    """
+    if isinstance(value, bool) or value is None:
+        return 0
+    if isinstance(value, str):
+        match = _ISO.fullmatch(value.strip())
+        if not match:
+            return 0
+        seconds, fraction, zone = match.groups()
+        moment = datetime.fromisoformat(seconds + ("+00:00" if zone in (None, "Z") else zone))
+        time_ns = (moment - _EPOCH) // timedelta(seconds=1) * NANOSECONDS_PER_SECOND
+        time_ns += int((fraction or "0")[:9].ljust(9, "0"))
+    elif isinstance(value, int | float):
+        if not abs(value) < 1e19:  # also not a number
+            return 0
+        factor = next(factor for least, factor in _UNITS if abs(value) >= least)
+        time_ns = int(value) * factor + round((value - int(value)) * factor)
+    else:
+        whole = _first(value, ("sec", "secs", "seconds"))
+        part = _first(value, ("nsec", "nsecs", "nanosec", "nanos"))
+        time_ns = int(whole) * NANOSECONDS_PER_SECOND + int(part)
+    return min(max(time_ns, 0), _LAST_NS)
+
+
+def _first(value: Any, names: tuple[str, ...]) -> Any:
+    for name in names:
+        member = value.get(name) if isinstance(value, dict) else getattr(value, name, None)
+        if member is not None:
+            return member
+    return 0
 
 
 @dataclass
-class Samples:
+class TopicSamples:
     """What was read of one topic, or of one name in it.
 
     ``stamp_ns`` are the messages' own times, 0 without; ``log_ns`` the recorder's with the row of
@@ -64,17 +111,7 @@ class Samples:
             self.utc_us.add(microseconds(utc))
         numbers = {name: part for name, part in columns.items() if part.dtype.kind in "biuf"}
         values = finished(self.source.message, extract(numbers, self.spec.columns))
-        self._keep(values, before, count)
-        if self.spec.event:
-            for name, paths in LABELS.items():
-                path = next((path for path in paths.split() if path in columns), None)
-                said = [""] * count if path is None else columns[path].tolist()
-                texts = ["" if one is None else str(one) for one in said]
-                if path is not None or name in self.labels:
-                    self.labels.setdefault(name, [""] * before).extend(texts)
-
-    def _keep(self, values: Columns, before: int, count: int) -> None:
-        """A column takes memory when it has its first value; where it lacks one, it is NaN."""
+        # A column takes memory when it has its first value; where it lacks one, it is NaN.
         needed = self.spec.position or self.spec.attitude
         for name, column in values.items():
             if name not in self.columns and (needed or bool(np.isfinite(column).any())):
@@ -82,6 +119,13 @@ class Samples:
                 self.columns[name].add(np.broadcast_to(np.nan, before))
         for name, store in self.columns.items():
             store.add(values.get(name, np.broadcast_to(np.nan, count)))
+        if self.spec.event:
+            for name, paths in LABELS.items():
+                path = next((path for path in paths.split() if path in columns), None)
+                values_of = [None] * count if path is None else columns[path].tolist()
+                texts = ["" if value is None else str(value) for value in values_of]
+                if path is not None or name in self.labels:
+                    self.labels.setdefault(name, [""] * before).extend(texts)
 
     def stamps(self, line: Timeline) -> tuple[TimeArray, TimeArray]:
         """Places and times since boot [ns] of the messages that count it."""
@@ -89,8 +133,8 @@ class Samples:
         good = since_boot(stamp_ns) & line.good(places)
         return places[good], stamp_ns[good]
 
-    def told(self) -> UtcReadings | None:
-        """What these messages say of UTC; None where they say nothing."""
+    def utc_readings(self) -> UtcReadings | None:
+        """UTC beside the time since boot in these messages; None where they have none."""
         if not self.counted or not len(self.utc_us):
             return None
         utc_us, stamp_ns, places = map(_copied, (self.utc_us, self.stamp_ns, self.places))
@@ -111,7 +155,9 @@ class Samples:
         self.log_ns.clear()
         places = self.places.whole() if self.counted else None
         good = None if places is None else good_rows(places, stamp_ns, clock)
-        time_ns, boot, count = times_of(stamp_ns, log_ns, places, clock, ledger, self.name)
+        time_ns, boot, count = times_of(
+            stamp_ns, log_ns, places, clock, ledger=ledger, where=self.name
+        )
         columns = {name: store.whole() for name, store in self.columns.items()}
         labels = {name: tuple(texts) for name, texts in self.labels.items()}
         rows = DecodedRows(self.name, self.source, time_ns, boot, columns, labels)
@@ -165,10 +211,24 @@ def in_sequence(sequence: NDArray[np.uint32], time_ns: TimeArray) -> NDArray[np.
 
 
 def own_times(columns: Columns, time_field: str, count: int) -> tuple[TimeArray, bool]:
-    """The times [ns] that messages say, 0 without, and whether they are counted in microseconds."""
-    if STAMP in columns or not columns:
-        return columns.get(STAMP, np.zeros(count, np.int64)), False
-    return stamps(columns, time_field)
+    """The messages' own times [ns], 0 without, and whether they are counted in microseconds.
+
+    Parameters
+    ----------
+    columns : (count,) the fields as decoded; ``time_field`` names one of type Time, or of
+        microseconds, which may be Unix time or count from a boot.
+    """
+    if STAMP in columns:
+        return columns[STAMP], False
+    if f"{time_field}.sec" in columns:
+        seconds = columns[f"{time_field}.sec"].astype(np.int64)
+        names = [f"{time_field}.{name}" for name in ("nanosec", "nsec")]
+        part = next((columns[name] for name in names if name in columns), np.int64(0))
+        time_ns = seconds * NANOSECONDS_PER_SECOND + np.asarray(part).astype(np.int64)
+        return np.asarray(time_ns, np.int64), False
+    if time_field in columns and columns[time_field].dtype.kind in "iu":
+        return microseconds(columns[time_field]) * 1000, True
+    return np.zeros(count, np.int64), False
 
 
 def since_boot(stamp_ns: TimeArray) -> NDArray[np.bool_]:
@@ -177,27 +237,27 @@ def since_boot(stamp_ns: TimeArray) -> NDArray[np.bool_]:
 
 
 def good_rows(places: TimeArray, stamp_ns: TimeArray, clock: BootClock) -> NDArray[np.bool_]:
-    """Which messages have a time that can be believed.
+    """Which messages have a time that fits the log.
 
     Parameters
     ----------
     places, stamp_ns : (n,) of a topic, [ns] counted.
 
-    One that fits none of its neighbours in the log may have come late: it can be believed where it
-    lies between its neighbours of the same topic, and within what the log spans.
+    One that fits none of its neighbours in the log may have come late: it is used where it lies
+    between its neighbours of the same topic, and within the times of the log.
     """
     line, counted = clock.line, since_boot(stamp_ns)
     good = np.asarray(line.good(places) | ~counted, np.bool_)
-    doubted = np.flatnonzero(~good)
-    if not doubted.size:
+    misfits = np.flatnonzero(~good)
+    if not misfits.size:
         return good
     boots, first, last = line.boot_of(places), line.begin[~line.stray], line.end[~line.stray]
-    for number in np.unique(boots[doubted]).tolist():
-        mine = line.boot[~line.stray] == number
+    for number in np.unique(boots[misfits]).tolist():
+        of_boot = line.boot[~line.stray] == number
         known = np.flatnonzero(good & counted & (boots == number))
-        low, high = first[mine].min() - BOOT_STEP_NS, last[mine].max() + BOOT_STEP_NS
+        low, high = first[of_boot].min() - BOOT_STEP_NS, last[of_boot].max() + BOOT_STEP_NS
         bounds = np.concatenate([[low], stamp_ns[known], [high]])
-        rows = doubted[boots[doubted] == number]
+        rows = misfits[boots[misfits] == number]
         after = np.searchsorted(known, rows)
         good[rows] = (bounds[after] < stamp_ns[rows]) & (stamp_ns[rows] < bounds[after + 1])
     return good
@@ -205,7 +265,7 @@ def good_rows(places: TimeArray, stamp_ns: TimeArray, clock: BootClock) -> NDArr
 
 def times_of(
     stamp_ns: TimeArray, log_ns: TimeArray, places: TimeArray | None, clock: BootClock,
-    ledger: Ledger, where: str,
+    *, ledger: Ledger, where: str,
 ) -> tuple[TimeArray, NDArray[np.int16], int]:  # fmt: skip
     """UTC [ns], boot, and how many messages have no time of their own: it is the recorder's.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -12,18 +13,18 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import Source, TimeArray
 from pipeline.ingest.fields import MessageMap
-from pipeline.ingest.mcap.cdr import Program, decode, program
+from pipeline.ingest.mcap.cdr import DecodePlan, decode, decode_plan
 from pipeline.ingest.mcap.cdr_schema import steps_of
 from pipeline.ingest.mcap.fields import LABELS, PLAIN_JSON
-from pipeline.ingest.mcap.messages import Messages
-from pipeline.ingest.mcap.samples import STAMP, Samples, own_times, since_boot
-from pipeline.ingest.mcap.time import stamp_of
-from pipeline.ingest.mcap.values import column_of, number, stacked
+from pipeline.ingest.mcap.file_format import Messages
+from pipeline.ingest.mcap.samples import STAMP, TopicSamples, own_times, since_boot, stamp_of
 from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, UTC_FIELD
 
 Columns = dict[str, NDArray[Any]]
 MAX_ARRAY = 64  # elements of an array that a table spreads over columns
 MAX_NAMES = 1000  # that the messages of a topic may give; a log of values has tens
+EXACT = 1 << 53  # every integer up to here is a float64
+_WORD = 1 << 64
 
 
 class Decoder(Protocol):
@@ -35,7 +36,7 @@ class Decoder(Protocol):
 
 
 @dataclass
-class Part:
+class MessageBlock:
     """Some messages, in the order of the file: columns, own times, log_time [ns], places, numbers.
 
     ``counted`` says that their own times are counted in microseconds.
@@ -48,40 +49,25 @@ class Part:
     sequence: NDArray[np.uint32]
     counted: bool
 
-    def take(self, mine: slice | NDArray[Any]) -> Part:
-        columns = {key: column[mine] for key, column in self.columns.items()}
-        stamp_ns, log_ns, places = self.stamp_ns[mine], self.log_ns[mine], self.places[mine]
-        return Part(columns, stamp_ns, log_ns, places, self.sequence[mine], self.counted)
-
-    @classmethod
-    def of(cls, parts: Sequence[Part]) -> Part:
-        """Parts of one clock put together; they are handed over."""
-        if len(parts) == 1:
-            return parts[0]
-        columns = stacked([part.columns for part in parts], [len(part.places) for part in parts])
-        stamp_ns = np.concatenate([part.stamp_ns for part in parts])
-        log_ns = np.concatenate([part.log_ns for part in parts])
-        places = np.concatenate([part.places for part in parts])
-        sequence = np.concatenate([part.sequence for part in parts])
-        whole = cls(columns, stamp_ns, log_ns, places, sequence, parts[0].counted)
-        if bool(np.all(whole.places[1:] > whole.places[:-1])):
-            return whole
-        return whole.take(np.argsort(whole.places))
+    def take(self, rows: slice | NDArray[Any]) -> MessageBlock:
+        columns = {key: column[rows] for key, column in self.columns.items()}
+        stamp_ns, log_ns, places = self.stamp_ns[rows], self.log_ns[rows], self.places[rows]
+        return MessageBlock(columns, stamp_ns, log_ns, places, self.sequence[rows], self.counted)
 
 
 @dataclass
 class Topic:
     """A topic that is read, of one name of schema, and where its messages go.
 
-    With ``series`` they become channels, one for each name that the messages give (`names_of`),
-    without them the ``parts`` of a table. ``odd`` values are no numbers where one is wanted.
+    With ``series`` they become channels, one for each name that the messages give (`rows_by_name`),
+    without them the ``blocks`` of a table. ``odd`` values are no numbers where one is wanted.
     """
 
     name: str
     schema: str
     spec: MessageMap
-    series: dict[tuple[str | None, bool], Samples] | None
-    parts: list[Part] = field(default_factory=list)
+    series: dict[tuple[str | None, bool], TopicSamples] | None
+    blocks: list[MessageBlock] = field(default_factory=list)
     failed: int = 0
     nameless: int = 0
     odd: int = 0
@@ -97,7 +83,7 @@ class Topic:
 
         Returns places, times since boot and log_time [ns] of those that count from a boot.
         """
-        parts: list[Part] = []
+        blocks: list[MessageBlock] = []
         for decoder, rows in shares:
             done, columns, odd = decoder(messages, rows)
             self.failed += rows.shape[0] - len(done)
@@ -106,38 +92,31 @@ class Topic:
                 stamp_ns, counted = own_times(columns, self.spec.time_field, len(done))
                 rows = rows[done]
                 log_ns, sequence = messages.log_time[rows], messages.sequence[rows]
-                parts.append(Part(columns, stamp_ns, log_ns, rows + before, sequence, counted))
+                blocks.append(
+                    MessageBlock(columns, stamp_ns, log_ns, rows + before, sequence, counted)
+                )
         if self.series is None:
-            self.parts += parts
+            self.blocks += blocks
             return []
-        found = []
-        for part in by_clock(parts):
-            self._sort(part)
-            if part.counted:
-                mine = since_boot(part.stamp_ns)
-                if bool(mine.any()):
-                    found.append((part.places[mine], part.stamp_ns[mine], part.log_ns[mine]))
-        return found
-
-    def _sort(self, part: Part) -> None:
-        """Put messages where those of their name are."""
-        for name, mine in names_of(part.columns, self.spec.id_field):
-            few = part.take(mine)
-            series = self._series(name, part.counted)
-            if series is not None:
-                series.add(few.columns, few.stamp_ns, few.log_ns, few.places, few.sequence)
-            else:
-                self.nameless += int(few.places.shape[0])
-
-    def _series(self, name: str | None, counted: bool) -> Samples | None:
-        key = (name, counted)
-        if self.series is None or (key not in self.series and len(self.series) >= MAX_NAMES):
-            return None
-        if key not in self.series:
-            label = self.name if name is None else f"{self.name}[{name}]"
-            source = Source(self.schema, name)
-            self.series[key] = Samples(label, source, self.spec, counted)
-        return self.series[key]
+        stamps = []
+        for block in by_clock(blocks):
+            for name, rows_of_name in rows_by_name(block.columns, self.spec.id_field):
+                named = block.take(rows_of_name)
+                key = (name, block.counted)
+                if key not in self.series and len(self.series) >= MAX_NAMES:
+                    self.nameless += int(named.places.shape[0])
+                    continue
+                if key not in self.series:
+                    label = self.name if name is None else f"{self.name}[{name}]"
+                    source = Source(self.schema, name)
+                    self.series[key] = TopicSamples(label, source, self.spec, block.counted)
+                self.series[key].add(
+                    named.columns, named.stamp_ns, named.log_ns, named.places, named.sequence
+                )
+            booted = since_boot(block.stamp_ns)
+            if block.counted and bool(booted.any()):
+                stamps.append((block.places[booted], block.stamp_ns[booted], block.log_ns[booted]))
+        return stamps
 
     @property
     def misfit(self) -> str:
@@ -149,24 +128,37 @@ class Topic:
     def lost_values(self) -> int:
         """Values that are no numbers; of a schema of the user's own, only beside numbers."""
         series = (self.series or {}).values()
-        mine = self.spec is not PLAIN_JSON or any(each.columns for each in series)
-        return self.odd if mine else 0
+        wanted = self.spec is not PLAIN_JSON or any(samples.columns for samples in series)
+        return self.odd if wanted else 0
 
 
-def by_clock(parts: Iterable[Part]) -> Iterable[Part]:
-    """Parts put together, those whose times are counted in microseconds apart."""
-    every = list(parts)
+def by_clock(blocks: Iterable[MessageBlock]) -> Iterable[MessageBlock]:
+    """Blocks as one, those whose times are counted in microseconds apart; they are used up."""
+    every = list(blocks)
     for counted in (False, True):
-        if some := [part for part in every if part.counted == counted]:
-            yield Part.of(some)
+        of_clock = [block for block in every if block.counted == counted]
+        if len(of_clock) < 2:
+            yield from of_clock
+            continue
+        sizes = [len(block.places) for block in of_clock]
+        whole = MessageBlock(
+            stack_tables([block.columns for block in of_clock], sizes),
+            np.concatenate([block.stamp_ns for block in of_clock]),
+            np.concatenate([block.log_ns for block in of_clock]),
+            np.concatenate([block.places for block in of_clock]),
+            np.concatenate([block.sequence for block in of_clock]),
+            counted,
+        )
+        in_order = bool(np.all(whole.places[1:] > whole.places[:-1]))
+        yield whole if in_order else whole.take(np.argsort(whole.places))
 
 
-def names_of(
+def rows_by_name(
     columns: Columns, field: str
 ) -> Iterable[tuple[str | None, slice | NDArray[np.bool_]]]:
-    """The names that messages give themselves, and which are theirs; None where they have none.
+    """The names in messages, and the rows of each; None where the messages have no names.
 
-    ``index`` names those whose name is empty.
+    ``index`` is the name of those whose name is empty.
     """
     if not field or field not in columns:
         yield None, slice(None)
@@ -194,12 +186,12 @@ def paths_of(spec: MessageMap) -> frozenset[str]:
 class CdrDecoder:
     """ROS 2 messages by their layout."""
 
-    plan: Program
+    plan: DecodePlan
 
     @classmethod
     def of(cls, schema: str, text: str, wanted: frozenset[str] | None) -> CdrDecoder:
         """By the definition in the log; raises SchemaError."""
-        return cls(program(steps_of(schema, text), wanted))
+        return cls(decode_plan(steps_of(schema, text), wanted))
 
     def __call__(self, messages: Messages, rows: NDArray[np.intp]) -> tuple[Any, Columns, int]:
         begin, length = messages.begin[rows], messages.length[rows]
@@ -213,7 +205,7 @@ class ObjectDecoder:
     ``wanted`` fields become columns, those of ``spec`` of numbers; None takes all there are.
     """
 
-    one: Callable[[bytes], Any]
+    parse: Callable[[bytes], Any]
     errors: tuple[type[Exception], ...]
     spec: MessageMap
     wanted: frozenset[str] | None
@@ -221,34 +213,38 @@ class ObjectDecoder:
     def __call__(self, messages: Messages, rows: NDArray[np.intp]) -> tuple[Any, Columns, int]:
         raw = memoryview(messages.data)  # type: ignore[arg-type]
         done: list[int] = []
-        found: list[dict[str, Any]] = []
+        decoded: list[dict[str, Any]] = []
         for row, (begin, length) in enumerate(
             zip(messages.begin[rows].tolist(), messages.length[rows].tolist(), strict=True)
         ):
             try:
-                message = self.one(bytes(raw[begin : begin + length]))
+                message = self.parse(bytes(raw[begin : begin + length]))
                 values = dict(flat(message, "", self.wanted))
-                values[STAMP] = stamp_of(_member(message, self.spec.time_field))
+                stamp = message
+                for part in self.spec.time_field.split("."):
+                    getter = stamp.get if isinstance(stamp, dict) else partial(getattr, stamp)
+                    stamp = getter(part, None)
+                values[STAMP] = stamp_of(stamp)
             except self.errors:
                 continue
             done.append(row)
-            found.append(values)
+            decoded.append(values)
         if self.wanted is None:
-            return done, columns_of(found), 0
+            return done, columns_of(decoded), 0
         numbers = {name for column in self.spec.columns for name in column.fields}
         odd = 0
-        for values in found:
+        for values in decoded:
             for name in numbers & values.keys():
                 value = number(values[name])
                 odd += value is None
                 values[name] = np.nan if value is None else value
-        return done, columns_of(found), odd
+        return done, columns_of(decoded), odd
 
 
-def columns_of(found: list[dict[str, Any]]) -> Columns:
+def columns_of(decoded: list[dict[str, Any]]) -> Columns:
     """Messages as dictionaries -> columns, where missing as `column_of` says."""
-    names = dict.fromkeys(name for values in found for name in values)
-    result = {name: column_of([values.get(name) for values in found]) for name in names}
+    names = dict.fromkeys(name for values in decoded for name in values)
+    result = {name: column_of([values.get(name) for values in decoded]) for name in names}
     if STAMP in result:
         result[STAMP] = result[STAMP].astype(np.int64)
     return result
@@ -268,20 +264,17 @@ def flat(value: Any, path: str, wanted: frozenset[str] | None) -> Iterable[tuple
     if wanted is None and _long(value):
         yield f"{path}[]", len(value)
         return
-    for name, member in _members(value):
+    members: Iterable[tuple[str, Any]] = ()
+    if isinstance(value, dict):
+        members = ((str(name), member) for name, member in value.items())
+    elif hasattr(value, "DESCRIPTOR"):
+        members = ((part.name, getattr(value, part.name)) for part in value.DESCRIPTOR.fields)
+    elif value is not None and hasattr(value, "__len__") and not _long(value):
+        members = ((str(k), member) for k, member in enumerate(value))
+    for name, member in members:
         inner = f"{path}.{name}" if path else name
         if wanted is None or any(each == inner or each.startswith(f"{inner}.") for each in wanted):
             yield from flat(member, inner, wanted)
-
-
-def _members(value: Any) -> Iterable[tuple[str, Any]]:
-    if isinstance(value, dict):
-        return ((str(name), member) for name, member in value.items())
-    if hasattr(value, "DESCRIPTOR"):
-        return ((part.name, getattr(value, part.name)) for part in value.DESCRIPTOR.fields)
-    if value is None or not hasattr(value, "__len__") or _long(value):
-        return ()
-    return ((str(k), member) for k, member in enumerate(value))
 
 
 def _long(value: Any) -> bool:
@@ -291,23 +284,18 @@ def _long(value: Any) -> bool:
     return isinstance(value, bytes) or len(value) > MAX_ARRAY
 
 
-def _member(value: Any, path: str) -> Any:
-    for part in path.split("."):
-        value = value.get(part) if isinstance(value, dict) else getattr(value, part, None)
+def json_object(data: bytes) -> dict[str, Any]:
+    """A JSON object; any other text raises TypeError."""
+    value = json.loads(data)
+    if not isinstance(value, dict):
+        raise TypeError("not an object")
     return value
 
 
 def json_decoder(spec: MessageMap, wanted: frozenset[str] | None) -> ObjectDecoder:
     """JSON objects; whatever else the text is does not fit."""
     errors = (ValueError, TypeError, AttributeError, OverflowError, RecursionError)
-    return ObjectDecoder(_json_object, errors, spec, wanted)
-
-
-def _json_object(data: bytes) -> dict[str, Any]:
-    value = json.loads(data)
-    if not isinstance(value, dict):
-        raise TypeError("not an object")
-    return value
+    return ObjectDecoder(json_object, errors, spec, wanted)
 
 
 def protobuf_decoder(schema: Any, spec: MessageMap, wanted: frozenset[str] | None) -> ObjectDecoder:
@@ -315,8 +303,91 @@ def protobuf_decoder(schema: Any, spec: MessageMap, wanted: frozenset[str] | Non
     from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
     from mcap_protobuf.decoder import DecoderFactory
 
-    one = DecoderFactory().decoder_for("protobuf", schema)
-    if one is None:
+    parse = DecoderFactory().decoder_for("protobuf", schema)
+    if parse is None:
         raise TypeError(f"a {schema.encoding} schema")
     errors = (DecodeError, ValueError, TypeError, OverflowError, RuntimeError)
-    return ObjectDecoder(one, errors, spec, wanted)
+    return ObjectDecoder(parse, errors, spec, wanted)
+
+
+def number(value: Any) -> float | None:
+    """A number, or the text of one (as protobuf writes 64 bits into JSON); else None.
+
+    >>> number("21.5"), number("n/a"), number(10**400)
+    (21.5, None, None)
+    """
+    try:
+        return float(value) if isinstance(value, bool | int | float | str) else None
+    except (ValueError, OverflowError):
+        return None
+
+
+def is_exact_float(value: Any) -> bool:
+    """Whether a value is no integer that a float64 would alter."""
+    if not isinstance(value, int) or abs(value) <= EXACT:
+        return True
+    return abs(value) < _WORD and int(float(value)) == value
+
+
+def column_of(values: list[Any]) -> NDArray[Any]:
+    """Values of any kind as one column; None is a message that has none.
+
+    Parameters
+    ----------
+    values : of one field, a message each.
+
+    Returns bool, int64, uint64 or float64 where that alters no number (NaN where one is missing),
+    str where all are texts ("" where one is missing), else the values as objects.
+
+    >>> column_of([2**60 + 1, -5]).tolist(), column_of([1, None]), column_of([1, "n/a"])
+    ([1152921504606846977, -5], array([ 1., nan]), array([1, 'n/a'], dtype=object))
+    """
+    kinds = {type(value) for value in values}
+    whole, there = type(None) not in kinds, kinds - {type(None)}
+    if there == {str}:
+        return np.array(["" if value is None else value for value in values], np.str_)
+    if there == {bool} and whole:
+        return np.array(values, np.bool_)
+    if there and there <= {bool, int} and whole:
+        low, high = min(values), max(values)
+        if low >= -_WORD // 2 and high < _WORD // 2:
+            return np.array(values, np.int64)
+        if low >= 0 and high < _WORD:
+            return np.array(values, np.uint64)
+    if there <= {bool, int, float} and all(is_exact_float(value) for value in values):
+        return np.array([np.nan if value is None else value for value in values], np.float64)
+    result = np.empty(len(values), object)
+    for k, value in enumerate(values):  # at once, lists of one length would be an array
+        result[k] = value
+    return result
+
+
+def stack_tables(
+    tables: Sequence[dict[str, NDArray[Any]]], counts: Sequence[int]
+) -> dict[str, NDArray[Any]]:
+    """Tables of so many rows end to end, each column as `join_pieces`; they are used up."""
+    if len(tables) == 1:
+        return tables[0]
+    names = dict.fromkeys(name for table in tables for name in table)
+    pairs = list(zip(tables, counts, strict=True))
+    return {name: join_pieces([table.pop(name, count) for table, count in pairs]) for name in names}
+
+
+def join_pieces(pieces: Sequence[NDArray[Any] | int]) -> NDArray[Any]:
+    """Pieces of a column end to end; an integer stands for so many messages without it.
+
+    >>> join_pieces([np.array([1.5]), 1]), join_pieces([np.array(["a"]), np.array([7])])
+    (array([1.5, nan]), array(['a', 7], dtype=object))
+    """
+    arrays = [piece for piece in pieces if isinstance(piece, np.ndarray)]
+    kinds = {(a.dtype if a.dtype.kind != "U" else np.dtype(np.str_), a.shape[1:]) for a in arrays}
+    dtype, shape = next(iter(kinds), (np.dtype(np.float64), ()))
+    if len(kinds) <= 1 and (len(arrays) == len(pieces) or dtype.kind in "fU"):
+        missing = "" if dtype.kind == "U" else np.nan
+        return np.concatenate(
+            [np.full((p, *shape), missing, dtype) if isinstance(p, int) else p for p in pieces]
+        )
+    values: list[Any] = []
+    for piece in pieces:
+        values += [None] * piece if isinstance(piece, int) else piece.tolist()
+    return column_of(values)

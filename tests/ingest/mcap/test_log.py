@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import random
+import re
 import struct
 import time
 from collections.abc import Callable
@@ -15,7 +16,7 @@ import pytest
 
 from pipeline.errors import LogError
 from pipeline.ingest import Log, open_log
-from pipeline.ingest.mcap.chunks import MAX_CHUNK
+from pipeline.ingest.mcap.file_format import MAX_CHUNK
 
 SECOND = 10**9
 START = 1_763_073_169 * SECOND + 920_749_554
@@ -232,6 +233,24 @@ def test_a_chunk_that_fails_its_checksum_is_left_out(tmp_path: Path) -> None:
     assert entries(log, "LOG-INCONSISTENT")[0].count == log.lost_messages > 0
 
 
+@pytest.mark.parametrize("place", ["image", "checksum"])
+def test_the_checksum_of_a_chunk_over_16_mib_is_compared(tmp_path: Path, place: str) -> None:
+    """One bit is flipped in an image of 20 MiB, or in the checksum of the chunk that holds it."""
+    bag = flight()
+    image = random.Random(1).randbytes(20 << 20)
+    bag.write("/camera", "CompressedImage", START + 9 * SECOND, format="jpeg", data=image)
+    data = bytearray(bag.data)
+    whole = opened(tmp_path, data)
+    assert not whole.ledger.has_losses
+    heads = [match.start() for match in re.finditer(b"\x04\0\0\0zstd", data)]  # behind checksums
+    head = next(k for k in heads if int.from_bytes(data[k + 8 : k + 16], "little") > 20 << 20)
+    data[head - 2 if place == "checksum" else head + (10 << 20)] ^= 4
+    log = opened(tmp_path, bytes(data))
+    assert entries(log, "LOG-CRC")
+    assert log.messages["/camera"] == whole.messages["/camera"] - 1
+    assert len(log.channel("/imu")) > 50
+
+
 @cache
 def packed_zeros(compression: str, size: int) -> bytes:
     import lz4.frame
@@ -263,14 +282,16 @@ def spliced(data: bytes, record: bytes) -> bytes:
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
 @pytest.mark.parametrize("promised", [2 << 30, 2**63, 64 << 20, 1000])
-def test_bombs_are_skipped_at_once(tmp_path: Path, compression: str, promised: int) -> None:
+def test_bombs_are_skipped_at_once(
+    tmp_path: Path, compression: str, promised: int, work_unit_s: float
+) -> None:
     import tracemalloc
 
     path = tmp_path / "flight.mcap"
     path.write_bytes(spliced(flight().data, bomb(compression, promised, 2 << 30)))
     begin = time.process_time()
     log = open_log(path)
-    assert time.process_time() - begin < 1.0
+    assert time.process_time() - begin < 30.0 * work_unit_s
     codes = {entry.code for entry in log.ledger if entry.kind == "loss"}
     # the record moved the summary, whose place is under its checksum
     assert codes == {"LOG-CRC", "LOG-TOO-LARGE" if promised >= MAX_CHUNK else "LOG-BAD-BYTES"}
@@ -292,7 +313,7 @@ def test_a_chunk_that_shrank_too_far_is_refused_above_the_free_size(
 
 
 @pytest.mark.parametrize("size", [1 << 20, 16 << 20, 60 << 20])
-def test_many_small_bombs_share_one_budget(tmp_path: Path, size: int) -> None:
+def test_many_small_bombs_share_one_budget(tmp_path: Path, size: int, work_unit_s: float) -> None:
     """Each chunk is small enough to be free; together they claim 2 GiB."""
     records = bomb("zstd", size, size) * ((2 << 30) // size)
     path = tmp_path / "flight.mcap"
@@ -303,7 +324,7 @@ def test_many_small_bombs_share_one_budget(tmp_path: Path, size: int) -> None:
     refused = [entry for entry in entries(log, "LOG-TOO-LARGE") if entry.kind == "loss"]
     assert refused
     assert len(log.channel("/imu")) == 60
-    assert taken < 1.0
+    assert taken < 30.0 * work_unit_s
 
 
 @pytest.mark.parametrize("size", [1000, 20 << 20])

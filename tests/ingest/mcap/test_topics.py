@@ -13,7 +13,7 @@ import pytest
 
 from pipeline.errors import LogError
 from pipeline.ingest import Log, open_log
-from pipeline.ingest.mcap.cdr import program
+from pipeline.ingest.mcap.cdr import decode_plan
 from pipeline.ingest.mcap.cdr_schema import SchemaError, steps_of
 
 SECOND = 10**9
@@ -221,8 +221,8 @@ def test_other_encapsulations_are_no_cdr(tmp_path: Path, head: bytes, align: int
 
 def test_elements_of_long_arrays_are_found_without_the_others() -> None:
     steps = steps_of("a/msg/B", "float64[2000000000] v\nuint8 k")
-    assert len(program(steps, frozenset({"v.0", "v.4", "k"})).steps[0]) == 5
-    assert program(steps, frozenset({"v.9", "v.x"})).wanted == {"v.9"}
+    assert len(decode_plan(steps, frozenset({"v.0", "v.4", "k"})).steps[0]) == 5
+    assert decode_plan(steps, frozenset({"v.9", "v.x"})).wanted == {"v.9"}
 
 
 def test_a_schema_that_multiplies_is_refused_before_it_has() -> None:

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from pipeline.ingest import Log, open_log
-from pipeline.ingest.mcap.cdr import decode, program
+from pipeline.ingest.mcap.cdr import decode, decode_plan
 from pipeline.ingest.mcap.cdr_schema import SchemaError, steps_of
 
-REPOSITORY = Path(__file__).resolve().parents[2]
+REPOSITORY = Path(__file__).resolve().parents[3]
 FOLDERS = (REPOSITORY.parent / "shared" / "logs", REPOSITORY / "sample_logs")
 LOGS = sorted(path for folder in FOLDERS for path in folder.glob("*.mcap"))
 SECOND = 10**9
@@ -166,7 +166,7 @@ def test_both_byte_orders(order: str) -> None:
     rows[5] = b"\0"
     length = np.array([len(row) for row in rows])
     data = np.frombuffer(b"".join(rows), np.uint8)
-    done, table = decode(data, np.cumsum(length) - length, length, program(steps))
+    done, table = decode(data, np.cumsum(length) - length, length, decode_plan(steps))
     k = np.delete(np.arange(20), [3, 5])
     np.testing.assert_array_equal(done, k)
     np.testing.assert_array_equal(table["x"], k / 3)
