@@ -16,7 +16,7 @@ from pipeline.atmosphere.soundings import (
     nearest_in_time,
     parse_sounding,
 )
-from pipeline.atmosphere.soundings.raw import FILLS, LARGEST, Array, radians, to_si
+from pipeline.atmosphere.soundings.levels import FILLS, LARGEST, Array, radians, to_si
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND
@@ -126,7 +126,7 @@ def _netcdf(path: Path) -> RawLevels:
         longitude_rad=radians(place["lon"], 180.0),
         origin="ARM radiosonde netCDF",
         where=path.name,
-        said={"pressure": "pres [hPa]", "temperature": "tdry [C]", "dew point": "dp [C]"},
+        column_of={"pressure": "pres [hPa]", "temperature": "tdry [C]", "dew point": "dp [C]"},
     )
 
 

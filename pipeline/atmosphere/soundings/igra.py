@@ -11,8 +11,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pipeline.atmosphere.soundings.raw import Array, RawLevels, number, numbers, radians, utc_ns
+from pipeline.atmosphere.soundings.levels import Array, RawLevels, number, numbers, radians, utc_ns
 from pipeline.errors import InputError
+from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
 
 _HEADER = re.compile(r"#[A-Z0-9]{11} \d{4} \d\d \d\d \d\d ")
@@ -30,14 +31,14 @@ def is_derived(text: str) -> bool:
     return is_igra(text) and len(text.split("\n", 1)[0].rstrip()) > 75
 
 
-def parse_igra(text: str, where: str) -> list[RawLevels]:
+def parse_igra(text: str, where: str, _: Ledger) -> list[RawLevels]:
     """The ascents of an IGRA v2 file."""
-    return [_sounding(header, lines, where, at) for header, lines, at in _blocks(text, where)]
+    return [_ascent(header, lines, where, at) for header, lines, at in _blocks(text, where)]
 
 
-def parse_derived(text: str, where: str) -> list[RawLevels]:
+def parse_derived(text: str, where: str, _: Ledger) -> list[RawLevels]:
     """The ascents of an IGRA v2 file of derived parameters; it knows no position."""
-    return [_derived(header, lines, where, at) for header, lines, at in _blocks(text, where)]
+    return [_derived_ascent(header, lines, where, at) for header, lines, at in _blocks(text, where)]
 
 
 def _blocks(text: str, where: str) -> Iterator[tuple[str, list[str], int]]:
@@ -67,7 +68,7 @@ def _column(lines: list[str], first: int, last: int, scale: float) -> Array:
     return numbers(line[first - 1 : last] for line in lines) * scale
 
 
-def _sounding(header: str, lines: list[str], where: str, at: int) -> RawLevels:
+def _ascent(header: str, lines: list[str], where: str, at: int) -> RawLevels:
     t = _column(lines, 23, 27, 0.1) + ZERO_CELSIUS_K
     return RawLevels(
         h_m=_column(lines, 17, 21, 1.0),
@@ -85,7 +86,7 @@ def _sounding(header: str, lines: list[str], where: str, at: int) -> RawLevels:
     )
 
 
-def _derived(header: str, lines: list[str], where: str, at: int) -> RawLevels:
+def _derived_ascent(header: str, lines: list[str], where: str, at: int) -> RawLevels:
     reported, computed = _column(lines, 9, 15, 1.0), _column(lines, 17, 23, 1.0)
     return RawLevels(
         h_m=np.where(np.isfinite(reported), reported, computed),
@@ -117,8 +118,8 @@ def _time_ns(header: str) -> int | None:
         return None
     midnight = start // NANOSECONDS_PER_SECOND
     release = number(header[27:31])
-    told = np.isfinite(release) and release // 100 < 24 and release % 100 < 60
-    if not told:
+    is_known = np.isfinite(release) and release // 100 < 24 and release % 100 < 60
+    if not is_known:
         nominal = None if hour == _NO_HOUR else midnight + 3600 * hour
         return None if nominal is None else nominal * NANOSECONDS_PER_SECOND
     seconds = 3600 * int(release // 100) + 60 * int(release % 100)

@@ -1,7 +1,8 @@
-"""What a file says of an ascent -> a `Sounding`: refusals, and repairs that are counted.
+"""From the levels of a file to a `Sounding`: refusals, and repairs that are counted.
 
-Everything that is dropped, averaged, clipped or worked out stands in the ledger with its number.
-Air that is odd but physical (steep layers, an index that grows with height) is kept, and said.
+Units that cannot be what the file states are refused, because a silent repair may be wrong.
+Everything that is dropped, averaged, clipped or computed is in the ledger with its number. Air
+that is unusual but physical (steep layers, an index that grows with height) is kept, and reported.
 """
 
 from __future__ import annotations
@@ -17,16 +18,14 @@ from pipeline.atmosphere.refractive_index import (
     vapour_pressure,
     virtual_temperature,
 )
-from pipeline.atmosphere.soundings.levels import Sounding
-from pipeline.atmosphere.soundings.raw import Array, RawLevels
-from pipeline.atmosphere.soundings.units import refuse_wrong_heights, refuse_wrong_units
+from pipeline.atmosphere.soundings.levels import Array, RawLevels, Sounding
 from pipeline.errors import InputError
-from pipeline.geodesy import Gravity, normal_gravity
+from pipeline.geodesy import normal_gravity
 from pipeline.ledger import Ledger
-from pipeline.units import DEGREE, HYDROSTATIC_CONSTANT
+from pipeline.units import DEGREE, HECTOPASCAL, HYDROSTATIC_CONSTANT, ZERO_CELSIUS_K
 
 FEWEST_LEVELS = 5
-"""With fewer a sounding says less than the climatology and a surface report."""
+"""With fewer a sounding has less information than the climatology and a surface report."""
 
 _COLDEST_K, _WARMEST_K = 150.0, 340.0
 _HIGHEST_PA = 110_000.0
@@ -35,7 +34,16 @@ _ADIABAT_K_PER_M = 9.8e-3
 _SLICE_M = 100.0
 _STEEPER_K_PER_M = 1e-3
 _INDEX_ROUNDING = 5e-4
-_ELSEWHERE_RAD = 45.0 * DEGREE
+_UNKNOWN_LATITUDE_RAD = 45.0 * DEGREE
+
+# No sounding begins above 25 km, nor below the Dead Sea.
+_GROUND_PA = (2_500.0, 110_000.0)
+# The warmest level of a sounding: air below -75 C or above 60 C is nowhere near the ground.
+_WARMEST_LEVEL_K = (198.0, 333.0)
+_THICKNESS_RATIO = 0.03
+
+WILD = 0.05
+"""Share of a column that may be invalid without the rest being refused."""
 
 
 def check_levels(
@@ -45,7 +53,7 @@ def check_levels(
     latitude_rad: float = math.nan,
     station_h_m: float = math.nan,
 ) -> Sounding:
-    """Levels from the ground up, one at a height, from what a file said.
+    """Levels from the ground up, one at a height, from those of a file.
 
     Parameters
     ----------
@@ -58,22 +66,6 @@ def check_levels(
     Lambert's gravity at the latitude; ignoring it would cost up to 30 m at 10 km.
     """
     refuse_wrong_units(raw)
-    gravity = _gravity(raw, latitude_rad, ledger)
-    if not raw.geopotential:
-        raw = replace(raw, h_m=gravity.geopotential_height(raw.h_m), geopotential=True)
-    raw = _with_pressure_and_temperature(raw, ledger)
-    raw = _sorted(raw, ledger)
-    raw = replace(raw, vapour_pressure_pa=_humidity(raw, ledger))
-    start = float(gravity.geopotential_height(station_h_m))
-    raw = replace(raw, h_m=_heights(raw, start, ledger))
-    raw = _one_at_a_pressure(raw, ledger)
-    raw = _rising(raw, ledger)
-    sounding = _sounding(raw, gravity)
-    _say_what_is_odd(sounding, raw, ledger)
-    return sounding
-
-
-def _gravity(raw: RawLevels, latitude_rad: float, ledger: Ledger) -> Gravity:
     latitude = raw.latitude_rad if math.isfinite(raw.latitude_rad) else latitude_rad
     if not math.isfinite(latitude):
         ledger.fallback(
@@ -82,12 +74,101 @@ def _gravity(raw: RawLevels, latitude_rad: float, ledger: Ledger) -> Gravity:
             "27 m wrong at 10 km",
             where=raw.where,
         )
-        latitude = _ELSEWHERE_RAD
-    return normal_gravity(latitude)
+        latitude = _UNKNOWN_LATITUDE_RAD
+    gravity = normal_gravity(latitude)
+    if not raw.geopotential:
+        raw = replace(raw, h_m=gravity.geopotential_height(raw.h_m), geopotential=True)
+    raw = _complete_levels(raw, ledger)
+    raw = replace(raw, vapour_pressure_pa=_vapour_pressure(raw, ledger))
+    start = float(gravity.geopotential_height(station_h_m))
+    raw = replace(raw, h_m=_heights(raw, start, ledger))
+    raw = _rising_levels(raw, ledger)
+    h, p, t, e = gravity.height(raw.h_m), raw.pressure_pa, raw.temperature_k, _vapour(raw)
+    sounding = Sounding(
+        h, p, t, e, raw.time_ns, raw.station, raw.latitude_rad, raw.longitude_rad, raw.origin
+    )
+    _note_unusual_air(sounding, raw.where, ledger)
+    return sounding
+
+
+def refuse_wrong_units(raw: RawLevels) -> None:
+    """Refuse pressures, temperatures or humidities whose largest values no ground has."""
+    p, t = _largest(raw.pressure_pa), _largest(raw.temperature_k)
+    if p is not None and not _GROUND_PA[0] <= p <= _GROUND_PA[1]:
+        as_pa, as_hpa = p * HECTOPASCAL, p / HECTOPASCAL
+        guess = (
+            "they look like hPa where Pa is stated" if _GROUND_PA[0] <= as_pa <= _GROUND_PA[1]
+            else "they look like Pa where hPa is stated" if _GROUND_PA[0] <= as_hpa <= _GROUND_PA[1]
+            else "that is no air near the ground"
+        )  # fmt: skip
+        raise _refusal(raw, "pressure", f"the highest pressure is {p:.6g} Pa: {guess}",
+                       "pressure_pa or pressure_hpa")  # fmt: skip
+    if t is not None and not _WARMEST_LEVEL_K[0] <= t <= _WARMEST_LEVEL_K[1]:
+        guess = (
+            "they look like Celsius where Kelvin is stated" if t < 80.0
+            else "they look like Kelvin where Celsius is stated" if t > 198.0 + ZERO_CELSIUS_K
+            else "they look like Fahrenheit" if t > _WARMEST_LEVEL_K[1]
+            else "that is too cold for the warmest level of a sounding"
+        )  # fmt: skip
+        raise _refusal(raw, "temperature", f"the warmest level has {t:.6g} K: {guess}",
+                       "temperature_k or temperature_c, and convert Fahrenheit")  # fmt: skip
+    dew = None if raw.dew_point_k is None else _largest(raw.dew_point_k)
+    if dew is not None and not 150.0 <= dew <= 333.0:
+        raise _refusal(raw, "dew point", f"the highest dew point is {dew:.6g} K",
+                       "dew_point_c or dew_point_k")  # fmt: skip
+    wet = None if raw.relative_humidity is None else _largest(raw.relative_humidity)
+    # Sensors read up to 1.1 in cloud. All of a sounding below 1 % does not happen: the lowest
+    # kilometre holds more, even over deserts.
+    if wet is not None and (wet > 1.5 or wet <= 0.011):
+        raise _refusal(raw, "relative humidity", f"the highest is {wet:.4g} as a fraction of one",
+                       "relative_humidity (0 to 1) or relative_humidity_percent")  # fmt: skip
+    e = None if raw.vapour_pressure_pa is None else _largest(raw.vapour_pressure_pa)
+    if e is not None and e > 10_000.0:  # 46 C of dew point
+        raise _refusal(raw, "vapour pressure", f"the highest is {e:.6g} Pa",
+                       "vapour_pressure_pa or vapour_pressure_hpa")  # fmt: skip
+
+
+def refuse_wrong_heights(raw: RawLevels, h: Array, rise: Array) -> None:
+    """Refuse heights that are not those of pressures and temperatures.
+
+    ``h`` and ``rise`` (n,) [m']: heights of the file and by the hypsometric equation. A balloon's
+    heights are computed from its pressures and temperatures and agree to 0.05 %; feet, Fahrenheit
+    or another balloon's heights do not. A single wrong level does not move the median.
+    """
+    apart = max(1, h.size // 4)
+    far = rise[apart:] - rise[:-apart]
+    thick = far > 10.0
+    if not bool(thick.any()):
+        return
+    ratio = float(np.median((h[apart:] - h[:-apart])[thick] / far[thick]))
+    if abs(ratio - 1.0) > _THICKNESS_RATIO:
+        raise InputError(
+            "SOUNDING-INCONSISTENT",
+            f"the layers are {ratio:.3f} times as thick as their pressures and temperatures imply",
+            where=raw.where,
+            remedy="look for heights in feet (3.28 times), temperatures in Fahrenheit, or columns "
+            "mixed up",
+        )
+
+
+def _largest(column: Array) -> float | None:
+    """The largest value but for one in twenty: an outlier is no matter of units."""
+    known = column[np.isfinite(column)]
+    return float(np.quantile(known, 1.0 - WILD, method="lower")) if known.size else None
+
+
+def _refusal(raw: RawLevels, quantity: str, what: str, remedy: str) -> InputError:
+    column = raw.column_of.get(quantity, "")
+    return InputError(
+        "SOUNDING-UNITS",
+        f"{quantity}: {what}" + (f" (column {column})" if column else ""),
+        where=raw.where,
+        remedy=f"state the unit in the column's name: {remedy}",
+    )
 
 
 def _take(raw: RawLevels, keep: NDArray[np.bool_] | NDArray[np.intp]) -> RawLevels:
-    """Some of the levels, in the order given."""
+    """Some of the levels, in the order of ``keep``."""
 
     def part(column: Array | None) -> Array | None:
         return None if column is None else column[keep]
@@ -116,8 +197,8 @@ def _refuse_few(raw: RawLevels) -> RawLevels:
     return raw
 
 
-def _with_pressure_and_temperature(raw: RawLevels, ledger: Ledger) -> RawLevels:
-    """The levels that have both; pressures and temperatures that no air has count as missing."""
+def _complete_levels(raw: RawLevels, ledger: Ledger) -> RawLevels:
+    """The levels with possible pressure and temperature, by falling pressure."""
     if raw.lines_missing > 0:
         ledger.loss(
             "SOUNDING-TRUNCATED",
@@ -145,13 +226,8 @@ def _with_pressure_and_temperature(raw: RawLevels, ledger: Ledger) -> RawLevels:
             where=raw.where,
             count=impossible,
         )
-    return _refuse_few(_take(raw, has & possible))
-
-
-def _sorted(raw: RawLevels, ledger: Ledger) -> RawLevels:
-    """The levels by falling pressure; at one pressure by height."""
-    steps = np.diff(raw.pressure_pa)
-    up = int((steps > 0.0).sum())
+    raw = _refuse_few(_take(raw, has & possible))
+    up = int((np.diff(raw.pressure_pa) > 0.0).sum())
     if up:
         ledger.warning(
             "SOUNDING-UNSORTED",
@@ -159,11 +235,11 @@ def _sorted(raw: RawLevels, ledger: Ledger) -> RawLevels:
             where=raw.where,
             count=up,
         )
-        return _take(raw, np.argsort(-raw.pressure_pa, kind="stable"))
+        raw = _take(raw, np.argsort(-raw.pressure_pa, kind="stable"))
     return raw
 
 
-def _humidity(raw: RawLevels, ledger: Ledger) -> Array:
+def _vapour_pressure(raw: RawLevels, ledger: Ledger) -> Array:
     """Vapour pressure [Pa] from what there is, at most saturation over water; NaN if nothing."""
     t, p = raw.temperature_k, raw.pressure_pa
     e = np.full(t.shape, np.nan)
@@ -171,16 +247,16 @@ def _humidity(raw: RawLevels, ledger: Ledger) -> Array:
         e = raw.vapour_pressure_pa.copy()
     if raw.dew_point_k is not None:
         dew = raw.dew_point_k
-        wild = np.isfinite(dew) & ~((dew >= _COLDEST_K) & (dew <= _WARMEST_K))
-        if bool(wild.any()):
+        impossible = np.isfinite(dew) & ~((dew >= _COLDEST_K) & (dew <= _WARMEST_K))
+        if bool(impossible.any()):
             ledger.warning(
                 "SOUNDING-HUMIDITY-RANGE",
-                f"{int(wild.sum())} levels have a dew point that no air has, the first "
-                f"{dew[wild][0]:.1f} K: taken as unknown",
+                f"{int(impossible.sum())} levels have a dew point that no air has, the first "
+                f"{dew[impossible][0]:.1f} K: taken as unknown",
                 where=raw.where,
-                count=int(wild.sum()),
+                count=int(impossible.sum()),
             )
-        dew = np.where(wild, np.nan, dew)
+        dew = np.where(impossible, np.nan, dew)
         e = np.where(np.isfinite(e), e, vapour_pressure(1.0, dew, p))
     if raw.relative_humidity is not None:
         e = np.where(np.isfinite(e), e, vapour_pressure(raw.relative_humidity, t, p))
@@ -194,7 +270,7 @@ def _humidity(raw: RawLevels, ledger: Ledger) -> Array:
         )
         e[negative] = np.nan
     saturated = vapour_pressure(1.0, t, p)
-    # A rounded dew point, 0.05 K of it, may pass saturation by 0.4 %: nothing to speak of.
+    # A rounded dew point, 0.05 K of it, may pass saturation by 0.4 %: not reported.
     over = np.isfinite(e) & (e > saturated * 1.005)
     if bool(over.any()):
         ledger.warning(
@@ -208,26 +284,21 @@ def _humidity(raw: RawLevels, ledger: Ledger) -> Array:
     return np.asarray(np.minimum(e, saturated))
 
 
-def _thickness(raw: RawLevels) -> Array:
-    """Hypsometric height [m'] of each level above the first, by trapezoids in ln p."""
-    e = np.nan_to_num(_vapour(raw))
-    virtual = virtual_temperature(raw.temperature_k, raw.pressure_pa, e)
+def _heights(raw: RawLevels, start: float, ledger: Ledger) -> Array:
+    """Geopotential heights [m'], computed where the file has none; ``start`` of the lowest."""
+    h = raw.h_m.copy()
+    # Hypsometric height of each level above the first, by trapezoids in ln p.
+    virtual = virtual_temperature(raw.temperature_k, raw.pressure_pa, np.nan_to_num(_vapour(raw)))
     fall = -np.diff(np.log(raw.pressure_pa))
     steps = 0.5 * (virtual[1:] + virtual[:-1]) * fall / HYDROSTATIC_CONSTANT
-    return np.concatenate([[0.0], np.cumsum(steps)])
-
-
-def _heights(raw: RawLevels, start: float, ledger: Ledger) -> Array:
-    """Geopotential heights [m'], worked out where the file has none; ``start`` of the lowest."""
-    h = raw.h_m.copy()
-    rise = _thickness(raw)
+    rise = np.concatenate([[0.0], np.cumsum(steps)])
     if not bool(np.isfinite(h).any()):
         if not math.isfinite(start):
             raise InputError(
                 "SOUNDING-HEIGHT",
                 f"none of the {h.size} levels has a height",
                 where=raw.where,
-                remedy="say how high the station is above the sea (station_h_m)",
+                remedy="give the height of the station above the sea as station_h_msl_m",
             )
         h[0] = start
     known = np.isfinite(h)
@@ -236,7 +307,7 @@ def _heights(raw: RawLevels, start: float, ledger: Ledger) -> Array:
         count = int((~known).sum())
         ledger.fallback(
             "SOUNDING-HEIGHTS",
-            f"{count} levels have no height: it is worked out from pressure and temperature",
+            f"{count} levels have no height: it is computed from pressure and temperature",
             where=raw.where,
             count=count,
         )
@@ -245,11 +316,14 @@ def _heights(raw: RawLevels, start: float, ledger: Ledger) -> Array:
     return h
 
 
-def _one_at_a_pressure(raw: RawLevels, ledger: Ledger) -> RawLevels:
-    """Levels of one pressure, then those of one height, as their mean."""
+def _rising_levels(raw: RawLevels, ledger: Ledger) -> RawLevels:
+    """Means of levels of one pressure or one height, without those out of order.
+
+    The fewest levels are dropped whose removal lets height rise as pressure falls.
+    """
     before = raw.pressure_pa.size
     raw = _mean_of_runs(raw, raw.pressure_pa)
-    # Centimetres: rounding of a conversion must not tell two heights apart.
+    # Centimetres: rounding in a conversion does not make two heights different.
     raw = _mean_of_runs(raw, np.round(raw.h_m, 2))
     merged = before - raw.pressure_pa.size
     if merged:
@@ -259,7 +333,18 @@ def _one_at_a_pressure(raw: RawLevels, ledger: Ledger) -> RawLevels:
             where=raw.where,
             count=merged,
         )
-    return raw
+    keep = _longest_rise(raw.h_m)
+    dropped = raw.h_m.size - keep.size
+    if dropped:
+        out = np.setdiff1d(np.arange(raw.h_m.size), keep)[0]
+        ledger.warning(
+            "SOUNDING-ORDER",
+            f"{dropped} levels stand lower than one of higher pressure, the first at "
+            f"{raw.h_m[out]:.0f} m and {raw.pressure_pa[out] / 100.0:.1f} hPa: not used",
+            where=raw.where,
+            count=dropped,
+        )
+    return _refuse_few(_take(raw, keep))
 
 
 def _mean_of_runs(raw: RawLevels, key: Array) -> RawLevels:
@@ -290,22 +375,6 @@ def _vapour(raw: RawLevels) -> Array:
     return np.full(raw.pressure_pa.shape, np.nan) if e is None else e
 
 
-def _rising(raw: RawLevels, ledger: Ledger) -> RawLevels:
-    """The levels without the fewest whose removal lets height rise as pressure falls."""
-    keep = _longest_rise(raw.h_m)
-    dropped = raw.h_m.size - keep.size
-    if dropped:
-        out = np.setdiff1d(np.arange(raw.h_m.size), keep)[0]
-        ledger.warning(
-            "SOUNDING-ORDER",
-            f"{dropped} levels stand lower than one of higher pressure, the first at "
-            f"{raw.h_m[out]:.0f} m and {raw.pressure_pa[out] / 100.0:.1f} hPa: not used",
-            where=raw.where,
-            count=dropped,
-        )
-    return _refuse_few(_take(raw, keep))
-
-
 def _longest_rise(h: Array) -> NDArray[np.intp]:
     """Indices of the longest strictly increasing subsequence (patience sorting)."""
     tails: list[int] = []
@@ -322,22 +391,8 @@ def _longest_rise(h: Array) -> NDArray[np.intp]:
     return np.array(chain[::-1], dtype=np.intp)
 
 
-def _sounding(raw: RawLevels, gravity: Gravity) -> Sounding:
-    return Sounding(
-        gravity.height(raw.h_m),
-        raw.pressure_pa,
-        raw.temperature_k,
-        _vapour(raw),
-        raw.time_ns,
-        raw.station,
-        raw.latitude_rad,
-        raw.longitude_rad,
-        raw.origin,
-    )
-
-
-def _say_what_is_odd(sounding: Sounding, raw: RawLevels, ledger: Ledger) -> None:
-    """Layers that are unstable, or in which air grows denser upwards: real, near hot ground."""
+def _note_unusual_air(sounding: Sounding, where: str, ledger: Ledger) -> None:
+    """Report layers that are unstable, or in which air grows denser upwards, as near hot ground."""
     grid = np.arange(sounding.h_m[0], sounding.h_m[-1], _SLICE_M)
     lapse = -np.diff(np.interp(grid, sounding.h_m, sounding.temperature_k)) / _SLICE_M
     steep = lapse > _ADIABAT_K_PER_M + _STEEPER_K_PER_M
@@ -347,7 +402,7 @@ def _say_what_is_odd(sounding: Sounding, raw: RawLevels, ledger: Ledger) -> None
             f"over {_SLICE_M * count:.0f} m of height the air cools faster than dry air that "
             f"rises, at most by {1e3 * lapse[i]:.1f} K/km at {grid[i]:.0f} m: kept"
         )
-        ledger.warning("SOUNDING-SUPERADIABATIC", what, where=raw.where, count=count)
+        ledger.warning("SOUNDING-SUPERADIABATIC", what, where=where, count=count)
     n = refractivity_gyer(
         sounding.temperature_k, sounding.pressure_pa, np.nan_to_num(sounding.vapour_pressure_pa)
     )
@@ -358,4 +413,4 @@ def _say_what_is_odd(sounding: Sounding, raw: RawLevels, ledger: Ledger) -> None
             f"in {count} layers the refractive index grows with height, the lowest at "
             f"{sounding.h_m[i]:.0f} m: light bends away from the ground there, a mirage: kept"
         )
-        ledger.warning("SOUNDING-INDEX-RISES", what, where=raw.where, count=count)
+        ledger.warning("SOUNDING-INDEX-RISES", what, where=where, count=count)

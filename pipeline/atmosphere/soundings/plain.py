@@ -1,10 +1,10 @@
-"""A plain CSV of levels, whose column names say the units."""
+"""A plain CSV of levels, whose column names state the units."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from pipeline.atmosphere.soundings.raw import (
+from pipeline.atmosphere.soundings.levels import (
     Array,
     RawLevels,
     number,
@@ -36,7 +36,7 @@ _PLACE = ("time_utc", "latitude_deg", "longitude_deg", "station")
 
 
 def is_plain(text: str) -> bool:
-    """Whether the first line that is no remark names a pressure and a temperature with units."""
+    """Whether the first line that is no comment names a pressure and a temperature with units."""
     lines = (line for line in text.lstrip("\ufeff").splitlines() if not line.startswith("#"))
     names = {name.strip().lower() for name in next(lines, "").split(",")}
     return any(n.startswith("pressure") for n in names) and any(
@@ -45,23 +45,29 @@ def is_plain(text: str) -> bool:
 
 
 def parse_plain(text: str, where: str, ledger: Ledger) -> list[RawLevels]:
-    """The ascent of a plain CSV; columns with other names are left alone, and said to be."""
+    """The ascent of a plain CSV; other columns are not read, which is noted."""
     columns = {name.lower(): fields for name, fields in table(text.splitlines(), where).items()}
     values: dict[str, Array] = {}
-    said: dict[str, str] = {}
+    column_of: dict[str, str] = {}
     for name in (name for name in COLUMNS if name in columns):
         quantity, unit = COLUMNS[name]
-        if quantity in said:
+        if quantity in column_of:
             raise InputError(
                 "SOUNDING-COLUMN",
-                f"{said[quantity]} and {name} both give the {quantity}",
+                f"{column_of[quantity]} and {name} both give the {quantity}",
                 where=where,
                 remedy="keep one of them",
             )
-        values[quantity], said[quantity] = to_si(numbers(columns[name]), unit), name
+        values[quantity], column_of[quantity] = to_si(numbers(columns[name]), unit), name
     for needed in ("pressure", "temperature"):
         if needed not in values:
-            raise _no_unit(needed, list(columns), where)
+            names = [name for name, (quantity, _) in COLUMNS.items() if quantity == needed]
+            raise InputError(
+                "SOUNDING-COLUMN",
+                f"no column gives the {needed} with its unit; there are {', '.join(columns)}",
+                where=where,
+                remedy=f"name the column {' or '.join(names)}",
+            )
     other = sorted(set(columns) - set(COLUMNS) - set(_PLACE))
     if other:
         ledger.note(
@@ -80,11 +86,11 @@ def parse_plain(text: str, where: str, ledger: Ledger) -> list[RawLevels]:
             where=where,
             count=1,
         )
-    nothing = np.full(values["pressure"].shape, np.nan)
+    unknown = np.full(values["pressure"].shape, np.nan)
     first = {name: next(iter(columns.get(name, [])), "") for name in _PLACE}
     return [
         RawLevels(
-            h_m=values.get("geopotential" if geopotential else "height", nothing),
+            h_m=values.get("geopotential" if geopotential else "height", unknown),
             pressure_pa=values["pressure"],
             temperature_k=values["temperature"],
             geopotential=geopotential,
@@ -97,16 +103,6 @@ def parse_plain(text: str, where: str, ledger: Ledger) -> list[RawLevels]:
             longitude_rad=radians(number(first["longitude_deg"]), 180.0),
             origin="plain CSV",
             where=where,
-            said=said,
+            column_of=column_of,
         )
     ]
-
-
-def _no_unit(quantity: str, names: list[str], where: str) -> InputError:
-    takes = [name for name, (what, _) in COLUMNS.items() if what == quantity]
-    return InputError(
-        "SOUNDING-COLUMN",
-        f"no column gives the {quantity} with its unit; there are {', '.join(names)}",
-        where=where,
-        remedy=f"name the column {' or '.join(takes)}",
-    )

@@ -8,32 +8,31 @@ from dataclasses import dataclass
 
 from pipeline.atmosphere.soundings import igra, plain, wyoming
 from pipeline.atmosphere.soundings.level_checks import check_levels
-from pipeline.atmosphere.soundings.levels import Sounding
-from pipeline.atmosphere.soundings.raw import RawLevels
+from pipeline.atmosphere.soundings.levels import RawLevels, Sounding
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND
 
 FAR_HOURS = 6.0
-"""A sounding farther in time is said to be: the boundary layer has become another."""
+"""A sounding farther in time is reported: the boundary layer has changed."""
 
 
 @dataclass(frozen=True)
-class Format:
+class SoundingFormat:
     """A format of text: how it is recognised, and how it is read."""
 
     is_it: Callable[[str], bool]
     parse: Callable[[str, str, Ledger], list[RawLevels]]
 
 
-FORMATS: dict[str, Format] = {
-    "igra_derived": Format(igra.is_derived, lambda text, where, _: igra.parse_derived(text, where)),
-    "igra": Format(igra.is_igra, lambda text, where, _: igra.parse_igra(text, where)),
-    "wyoming_csv": Format(wyoming.is_csv, lambda text, where, _: wyoming.parse_csv(text, where)),
-    "wyoming_list": Format(wyoming.is_list, lambda text, where, _: wyoming.parse_list(text, where)),
-    "csv": Format(plain.is_plain, plain.parse_plain),
+FORMATS: dict[str, SoundingFormat] = {
+    "igra_derived": SoundingFormat(igra.is_derived, igra.parse_derived),
+    "igra": SoundingFormat(igra.is_igra, igra.parse_igra),
+    "wyoming_csv": SoundingFormat(wyoming.is_csv, wyoming.parse_csv),
+    "wyoming_list": SoundingFormat(wyoming.is_list, wyoming.parse_list),
+    "csv": SoundingFormat(plain.is_plain, plain.parse_plain),
 }
-"""In this order a text is tried; the first that knows it reads it."""
+"""In this order a text is tried; the first that recognises it reads it."""
 
 
 def parse_sounding(
@@ -66,7 +65,19 @@ def parse_sounding(
     >>> parse_sounding(text, Ledger()).temperature_k.round(2).tolist()[:3]
     [288.15, 284.9, 281.65]
     """
-    name = _format_of(text, where) if format_name == "auto" else format_name
+    name = format_name
+    if name == "auto":
+        recognised = (name for name, kind in FORMATS.items() if kind.is_it(text))
+        name = next(recognised, "")
+        if not name:
+            begins = text.lstrip()[:60].splitlines()
+            raise InputError(
+                "SOUNDING-FORMAT",
+                f"is no sounding in a known format: it begins with {begins[0] if begins else ''!r}",
+                where=where,
+                remedy="give IGRA v2, a University of Wyoming list or CSV, or a CSV whose columns "
+                "are named like h_m, pressure_hpa, temperature_c, dew_point_c",
+            )
     if name not in FORMATS:
         raise InputError(
             "SOUNDING-FORMAT",
@@ -79,25 +90,31 @@ def parse_sounding(
     return check_levels(raw, ledger, latitude_rad=latitude_rad, station_h_m=station_h_m)
 
 
-def _format_of(text: str, where: str) -> str:
-    for name, kind in FORMATS.items():
-        if kind.is_it(text):
-            return name
-    begins = text.lstrip()[:60].splitlines()
-    raise InputError(
-        "SOUNDING-FORMAT",
-        f"is no sounding in a known format: it begins with {begins[0] if begins else ''!r}",
-        where=where,
-        remedy="give IGRA v2, a University of Wyoming list or CSV, or a CSV whose columns are "
-        "named like h_m, pressure_hpa, temperature_c, dew_point_c",
-    )
-
-
 def nearest_in_time(
     ascents: list[RawLevels], time_ns: int | None, where: str, ledger: Ledger
 ) -> RawLevels:
     """Of several ascents the one released nearest to a time; without a time, the only one."""
-    ascents = _with_levels(ascents, where, ledger)
+    full = [raw for raw in ascents if raw.pressure_pa.size]
+    if not full:
+        raise InputError(
+            "SOUNDING-EMPTY", "the file holds no levels", where=where, remedy="fetch it again"
+        )
+    if len(full) < len(ascents):  # a file that was cut off may end with a header
+        count = len(ascents) - len(full)
+        ledger.loss(
+            "SOUNDING-CUT-OFF",
+            f"{count} soundings have a header and no level: one of them may have been nearer to "
+            "the flight",
+            where=where,
+            count=count,
+        )
+    return _nearest(full, time_ns, where, ledger)
+
+
+def _nearest(
+    ascents: list[RawLevels], time_ns: int | None, where: str, ledger: Ledger
+) -> RawLevels:
+    """The ascent nearest to a time, of those that have levels."""
     if len(ascents) == 1 and (time_ns is None or ascents[0].time_ns is None):
         return ascents[0]
     if time_ns is None:
@@ -105,7 +122,7 @@ def nearest_in_time(
             "SOUNDING-CHOICE",
             f"the file holds {len(ascents)} soundings and no time is given to choose by",
             where=where,
-            remedy="say the time of the flight, or keep one sounding",
+            remedy="keep the one sounding of the flight in the file",
         )
     dated = [(abs(raw.time_ns - time_ns), raw) for raw in ascents if raw.time_ns is not None]
     if not dated:
@@ -131,22 +148,3 @@ def nearest_in_time(
             count=len(ascents),
         )
     return raw
-
-
-def _with_levels(ascents: list[RawLevels], where: str, ledger: Ledger) -> list[RawLevels]:
-    """The ascents that have levels; a file that was cut off may end with a header."""
-    full = [raw for raw in ascents if raw.pressure_pa.size]
-    if not full:
-        raise InputError(
-            "SOUNDING-EMPTY", "the file holds no levels", where=where, remedy="fetch it again"
-        )
-    if len(full) < len(ascents):
-        count = len(ascents) - len(full)
-        ledger.loss(
-            "SOUNDING-CUT-OFF",
-            f"{count} soundings have a header and no level: one of them may have been nearer to "
-            "the flight",
-            where=where,
-            count=count,
-        )
-    return full

@@ -10,7 +10,7 @@ import re
 
 import numpy as np
 
-from pipeline.atmosphere.soundings.raw import (
+from pipeline.atmosphere.soundings.levels import (
     RawLevels,
     number,
     numbers,
@@ -20,6 +20,7 @@ from pipeline.atmosphere.soundings.raw import (
     utc_ns,
 )
 from pipeline.errors import InputError
+from pipeline.ledger import Ledger
 
 _WIDTH = 7
 _TITLES = re.compile(r"^\s*PRES\s+HGHT\s+TEMP\s+DWPT", re.MULTILINE)
@@ -48,7 +49,7 @@ def is_csv(text: str) -> bool:
     return _CSV_COLUMNS["pressure"] in first and _CSV_COLUMNS["height"] in first
 
 
-def parse_list(text: str, where: str) -> list[RawLevels]:
+def parse_list(text: str, where: str, _: Ledger) -> list[RawLevels]:
     """The ascent of a text list, with or without the page around it."""
     plain = _TAG.sub("", text)
     titles = _TITLES.search(plain)
@@ -56,7 +57,14 @@ def parse_list(text: str, where: str) -> list[RawLevels]:
         rows = [line.split() for line in plain.splitlines() if not line.startswith("#")]
         rows = [row for row in rows if len(row) >= 4]
     else:
-        rows = _fixed_rows(plain[titles.start() :].splitlines())
+        # Fields of the lines between the second rule and the first line that is no level.
+        rows = []
+        for line in plain[titles.start() :].splitlines()[1:]:
+            fields = [line[i : i + _WIDTH] for i in range(0, 5 * _WIDTH, _WIDTH)]
+            if math.isfinite(number(fields[0])):
+                rows.append(fields)
+            elif rows:
+                break
     p, h, t, dew = (numbers(row[i] for row in rows) for i in range(4))
     relative = numbers(row[4] if len(row) > 4 else "" for row in rows)
     return [
@@ -67,36 +75,25 @@ def parse_list(text: str, where: str) -> list[RawLevels]:
             dew_point_k=to_si(dew, "c"),
             relative_humidity=to_si(relative, "percent") if titles is not None else None,
             time_ns=_list_time(plain),
-            station=_told(plain, "Station identifier") or _told(plain, "Station number"),
-            latitude_rad=radians(number(_told(plain, "Station latitude")), 90.0),
-            longitude_rad=radians(number(_told(plain, "Station longitude")), 180.0),
+            station=_header_field(plain, "Station identifier")
+            or _header_field(plain, "Station number"),
+            latitude_rad=radians(number(_header_field(plain, "Station latitude")), 90.0),
+            longitude_rad=radians(number(_header_field(plain, "Station longitude")), 180.0),
             origin="University of Wyoming list",
             where=where,
-            said={"pressure": "PRES hPa", "temperature": "TEMP C", "dew point": "DWPT C"},
+            column_of={"pressure": "PRES hPa", "temperature": "TEMP C", "dew point": "DWPT C"},
         )
     ]
 
 
-def _fixed_rows(lines: list[str]) -> list[list[str]]:
-    """Fields of the lines between the second rule and the first line that is no level."""
-    rows: list[list[str]] = []
-    for line in lines[1:]:
-        fields = [line[i : i + _WIDTH] for i in range(0, 5 * _WIDTH, _WIDTH)]
-        if math.isfinite(number(fields[0])):
-            rows.append(fields)
-        elif rows:
-            break
-    return rows
-
-
-def _told(text: str, what: str) -> str:
+def _header_field(text: str, what: str) -> str:
     found = re.search(rf"{what}:\s*(\S+)", text)
     return found.group(1) if found else ""
 
 
 def _list_time(text: str) -> int | None:
     """Nominal time: ``Observation time: 110522/1200``, or ``12Z 22 May 2011`` in the heading."""
-    stamp = _told(text, "Observation time")
+    stamp = _header_field(text, "Observation time")
     if re.fullmatch(r"\d{6}/\d{4}", stamp):
         # Two digits of the year: the list goes back to 1973.
         century = "19" if stamp[:2] >= "73" else "20"
@@ -109,7 +106,7 @@ def _list_time(text: str) -> int | None:
     return utc_ns(f"{found['year']}-{month:02d}-{int(found['day']):02d}T{found['hour']}:00")
 
 
-def parse_csv(text: str, where: str) -> list[RawLevels]:
+def parse_csv(text: str, where: str, _: Ledger) -> list[RawLevels]:
     """The ascent of a Wyoming CSV; its time is that of the first level."""
     columns = table(text.splitlines(), where)
     missing = [name for name in _CSV_COLUMNS.values() if name not in columns]
@@ -137,6 +134,6 @@ def parse_csv(text: str, where: str) -> list[RawLevels]:
             longitude_rad=np.nan if nowhere else radians(longitude, 180.0),
             origin="University of Wyoming CSV",
             where=where,
-            said=_CSV_COLUMNS,
+            column_of=_CSV_COLUMNS,
         )
     ]

@@ -249,9 +249,9 @@ def test_unsorted_levels_are_sorted():
 
 
 @pytest.mark.parametrize(("levels", "words"), [
-    (air(pressure_hpa=None, pressure_pa=standard_hpa(HEIGHTS)), "hPa where Pa is said"),
-    (air(pressure_hpa=100.0 * standard_hpa(HEIGHTS)), "Pa where hPa is said"),
-    (air(temperature_c=288.15 - 0.0065 * HEIGHTS), "Kelvin where Celsius is said"),
+    (air(pressure_hpa=None, pressure_pa=standard_hpa(HEIGHTS)), "hPa where Pa is stated"),
+    (air(pressure_hpa=100.0 * standard_hpa(HEIGHTS)), "Pa where hPa is stated"),
+    (air(temperature_c=288.15 - 0.0065 * HEIGHTS), "Kelvin where Celsius is stated"),
     (air(temperature_c=None, temperature_k=15.0 - 0.0065 * HEIGHTS), "Celsius where Kelvin"),
     (air(temperature_c=32.0 + 1.8 * (38.0 - 0.0065 * HEIGHTS)), "Fahrenheit"),
     (air(dew_point_c=278.15 - 0.0065 * HEIGHTS), "dew point"),
