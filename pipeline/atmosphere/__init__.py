@@ -1,6 +1,6 @@
 """The air: its refractive index, standard atmospheres, and the profile of a flight."""
 
-from pipeline.atmosphere.jacobian import AirJacobian, air_jacobian
+from pipeline.atmosphere.covariance import AirJacobian, air_jacobian
 from pipeline.atmosphere.profile import (
     Profile,
     pressure_gradient_layer,

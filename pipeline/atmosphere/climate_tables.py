@@ -3,7 +3,8 @@
 ``data/supplements1966.csv``: the nine profiles of the U.S. Standard Atmosphere Supplements, 1966,
 reconstructed from public tables descended from it (temperatures to 0.05 K below 25 km, above
 that extrapolated). ``data/afgl1986.csv``: the six model atmospheres of Anderson et al. 1986, AFGL
-Atmospheric Constituent Profiles (0-120 km), AFGL-TR-86-0110, to 80 km.
+Atmospheric Constituent Profiles (0-120 km), AFGL-TR-86-0110, to 80 km. NRLMSIS 2.1 comes from the
+package pymsis: temperature only, because it has no water.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from pipeline.atmosphere.profile import STANDARD, Profile, stack_layers
 from pipeline.atmosphere.refractive_index import IndexModel, saturation_vapour_pressure
+from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity, lambert_gravity
 from pipeline.units import DEGREE, VAPOUR_DEFICIT
 
@@ -30,6 +32,8 @@ SUPPLEMENTS_ORIGIN = (
     "U.S. Standard Atmosphere Supplements 1966, reconstructed from public tables descended from it"
 )
 AFGL_ORIGIN = "AFGL 1986 model atmospheres (AFGL-TR-86-0110)"
+MSIS = "nrlmsis2.1"
+MSIS_ORIGIN = "NRLMSIS 2.1 (Emmert et al. 2022), temperature only"
 
 LOWEST_GEOPOTENTIAL_M = -5000.0
 """As far down as the atmospheres of this package go."""
@@ -39,9 +43,14 @@ LOWEST_GEOPOTENTIAL_M = -5000.0
 _STEP_M = 500.0
 _DRY_ABOVE_M = 16_000.0
 
+_MSIS_TOP_M, _MSIS_STEP_M = 80_000.0, 500.0
+_MSIS_TEMPERATURE = 10  # column of pymsis.Variable.TEMPERATURE
+# Solar flux and geomagnetic index have no effect below 80 km: given, so that nothing is downloaded.
+_SOLAR_FLUX, _GEOMAGNETIC = 150.0, 4.0
+
 
 @dataclass(frozen=True, eq=False)
-class _Column:
+class _SupplementsColumn:
     """One profile of the Supplements; (k,) by geopotential height [m'], pressure at H = 0 [Pa]."""
 
     latitude_deg: float
@@ -76,9 +85,8 @@ def climate_profile(
     """
     if name in _supplements():
         column = _supplements()[name]
-        return _blend(
-            [(1.0, column)], gravity or lambert_gravity(column.latitude_deg * DEGREE), index, name
-        )
+        gravity = gravity or lambert_gravity(column.latitude_deg * DEGREE)
+        return _mean_of_columns([(1.0, column)], gravity, index, name)
     rows = _afgl()[name]
     gravity = gravity or lambert_gravity(rows[0]["latitude_deg"] * DEGREE)
     table = gravity.geopotential_height([row["h_m"] for row in rows])
@@ -86,8 +94,9 @@ def climate_profile(
     temperature = np.interp(edge, table, [row["temperature_k"] for row in rows])
     log_water = np.log([row["water_ppmv"] * 1e-6 for row in rows])
     vapour = np.exp(np.interp(edge, table, log_water))
+    surface_pa = rows[0]["pressure_pa"]
     return hydrostatic_profile(
-        edge, temperature, lambda _: vapour, rows[0]["pressure_pa"], gravity, index, name
+        edge, temperature, lambda _: vapour, surface_pa, gravity, index=index, name=name
     )
 
 
@@ -115,12 +124,13 @@ def supplements_profile(
     summer = 0.5 - 0.5 * season(latitude_rad, month)
     nodes = np.array([15.0, 30.0, 45.0, 60.0, 75.0])
     parts = []
-    for latitude, weight in zip(nodes, _hats(degrees, nodes), strict=True):
+    weights = [np.interp(degrees, nodes, row) for row in np.eye(nodes.size)]
+    for latitude, weight in zip(nodes, weights, strict=True):
         for column in _supplements().values():
             if column.latitude_deg == latitude and weight > 0.0:
                 share = {"annual": 1.0, "january": 1.0 - summer, "july": summer}[column.season]
                 parts.append((float(weight) * share, column))
-    return _blend(parts, gravity or lambert_gravity(latitude_rad), index, SUPPLEMENTS)
+    return _mean_of_columns(parts, gravity or lambert_gravity(latitude_rad), index, SUPPLEMENTS)
 
 
 def season(latitude_rad: float, month: float) -> float:
@@ -133,9 +143,45 @@ def season(latitude_rad: float, month: float) -> float:
     return math.cos(2.0 * math.pi * (month - 1.0 + shift) / 12.0)
 
 
-def _hats(x: float, nodes: Array) -> Array:
-    """Weights of linear interpolation between nodes, constant beyond them."""
-    return np.array([np.interp(x, nodes, row) for row in np.eye(nodes.size)])
+def msis_profile(
+    latitude_rad: float,
+    longitude_rad: float,
+    month: float,
+    surface_pa: float,
+    gravity: Gravity,
+    *,
+    index: IndexModel | None = None,
+) -> Profile:
+    """The dry profile of NRLMSIS 2.1 at a place and season, at noon UTC.
+
+    ``month`` : 1.0 is mid-January; ``surface_pa`` : pressure at sea level [Pa], from which that of
+    the model's temperatures follows. Valid to 80 km. Source: Emmert et al. 2022, NRLMSIS 2.1,
+    doi:10.1029/2022JA030896. Raises ``PhysicsError`` where pymsis is not installed.
+    """
+    try:
+        import pymsis
+    except ImportError:
+        raise PhysicsError(
+            "ATMOSPHERE-MSIS",
+            "NRLMSIS 2.1 needs the package pymsis, which is not installed",
+            remedy='pip install "unbend[msis]", or take another climatology',
+        ) from None
+    day = math.floor(((month - 1.0) % 12.0) / 12.0 * 365.25) + 14
+    date = np.datetime64("2001-01-01T12:00") + np.timedelta64(day % 365, "D")
+    h = np.arange(0.0, _MSIS_TOP_M + 1.0, _MSIS_STEP_M)
+    answer = pymsis.calculate(
+        date,
+        longitude_rad / DEGREE,
+        latitude_rad / DEGREE,
+        h / 1000.0,
+        f107s=[_SOLAR_FLUX],
+        f107as=[_SOLAR_FLUX],
+        aps=[[_GEOMAGNETIC] * 7],
+        version=2.1,
+    )
+    t = np.asarray(answer, dtype=np.float64).reshape(h.size, -1)[:, _MSIS_TEMPERATURE]
+    edge = gravity.geopotential_height(h)
+    return hydrostatic_profile(edge, t, np.zeros_like, surface_pa, gravity, index=index, name=MSIS)
 
 
 def _rows(file: str) -> list[dict[str, str]]:
@@ -144,18 +190,18 @@ def _rows(file: str) -> list[dict[str, str]]:
 
 
 @lru_cache(maxsize=1)
-def _supplements() -> dict[str, _Column]:
+def _supplements() -> dict[str, _SupplementsColumn]:
     rows = _rows("supplements1966.csv")
     columns = {}
     for name in dict.fromkeys(row["name"] for row in rows):
-        mine = [row for row in rows if row["name"] == name]
+        levels = [row for row in rows if row["name"] == name]
         edge, t, e, p = (
-            np.array([float(row[key]) for row in mine])
+            np.array([float(row[key]) for row in levels])
             for key in ("geopotential_m", "temperature_k", "vapour_pressure_pa", "pressure_pa")
         )
-        columns[name] = _Column(
-            float(mine[0]["latitude_deg"]),
-            mine[0]["season"],
+        columns[name] = _SupplementsColumn(
+            float(levels[0]["latitude_deg"]),
+            levels[0]["season"],
             edge,
             t,
             e / saturation_vapour_pressure(t),
@@ -187,8 +233,11 @@ def _edges(*breaks: Array) -> Array:
     return np.asarray(every[np.concatenate([[True], np.diff(every) > 1e-3])])
 
 
-def _blend(
-    parts: list[tuple[float, _Column]], gravity: Gravity, index: IndexModel | None, name: str
+def _mean_of_columns(
+    parts: list[tuple[float, _SupplementsColumn]],
+    gravity: Gravity,
+    index: IndexModel | None,
+    name: str,
 ) -> Profile:
     """Weighted mean of columns in temperature, relative humidity and surface pressure."""
     edge = _edges(*(column.edge for _, column in parts))
@@ -200,7 +249,9 @@ def _blend(
     )
     e = humidity * saturation_vapour_pressure(temperature)
     surface = sum(w * c.sea_level_pa for w, c in parts)
-    return hydrostatic_profile(edge, temperature, lambda p: e / p, surface, gravity, index, name)
+    return hydrostatic_profile(
+        edge, temperature, lambda p: e / p, surface, gravity, index=index, name=name
+    )
 
 
 def hydrostatic_profile(
@@ -209,6 +260,7 @@ def hydrostatic_profile(
     vapour_of: Callable[[Array], Array],
     surface_pa: float,
     gravity: Gravity,
+    *,
     index: IndexModel | None,
     name: str,
 ) -> Profile:

@@ -1,8 +1,7 @@
 """What the air is like without any measurement, and how far from that it may be.
 
-The expected profile comes from `climates` (US Supplements 1966 by latitude and season, AFGL 1986),
-`standard` or `msis`; the spread is the same model of one sigma for all of them, widened by how
-far each departs from the Supplements.
+The expected profile is one of `standard.MODELS`; the spread is the same model of one sigma for all
+of them, increased by how far each departs from the US Supplements 1966.
 """
 
 from __future__ import annotations
@@ -13,25 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pipeline.atmosphere.climate_tables import (
-    AFGL_ORIGIN,
-    SUPPLEMENTS,
-    SUPPLEMENTS_ORIGIN,
-    climate_names,
-    climate_profile,
-    season,
-    supplements_profile,
-)
-from pipeline.atmosphere.msis import MSIS, MSIS_ORIGIN, msis_profile
+from pipeline.atmosphere.climate_tables import SUPPLEMENTS, season
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import IndexModel, saturation_vapour_pressure
-from pipeline.atmosphere.standard import gravity_at, standard_atmosphere, standard_names
+from pipeline.atmosphere.standard import AUTO, MODELS, SeasonAndPlace, known_names
 from pipeline.errors import PhysicsError
 from pipeline.units import DEGREE
 
 Array = NDArray[np.float64]
-
-AUTO = "auto"
 
 TEMPERATURE_CORRELATION_M = 4000.0
 HUMIDITY_CORRELATION_M = 1000.0
@@ -95,24 +83,6 @@ class Climatology:
         return self.profile.vapour_pressure(h) / saturated
 
 
-def climatology_names() -> tuple[str, ...]:
-    """Names that `climatology` takes, beside those of the standard atmospheres.
-
-    >>> climatology_names()[:2], climatology_names()[-1]
-    (('auto', 'supplements1966'), 'nrlmsis2.1')
-    """
-    return (AUTO, SUPPLEMENTS, *climate_names(), MSIS)
-
-
-def known_names() -> tuple[str, ...]:
-    """All names that `climatology` takes, each once.
-
-    >>> known_names()[-4:]
-    ('us1962', 'icao', 'ardc1959', 'ican')
-    """
-    return tuple(dict.fromkeys((*climatology_names(), *standard_names())))
-
-
 def climatology(
     name: str = AUTO,
     *,
@@ -141,29 +111,21 @@ def climatology(
     >>> [round(float(t), 1) for t in (air.profile.temperature(0), air.spread.sigma_temperature(0))]
     [293.8, 7.3]
     """
-    gravity = gravity_at(latitude_rad)
-    expected = supplements_profile(latitude_rad, month, index, gravity)
-    spread = expected_spread(latitude_rad, month, ground_h_m)
-    if name in (AUTO, SUPPLEMENTS):
-        return Climatology(expected, spread, SUPPLEMENTS_ORIGIN, True)
-    if name in climate_names():
-        profile = climate_profile(name, index, gravity)
-        origin, moist = SUPPLEMENTS_ORIGIN if name.startswith(SUPPLEMENTS) else AFGL_ORIGIN, True
-    elif name == MSIS:
-        surface = float(expected.pressure(0.0))
-        profile = msis_profile(latitude_rad, longitude_rad, month, surface, index, gravity)
-        origin, moist = MSIS_ORIGIN, False
-    elif name in standard_names():
-        profile = standard_atmosphere(name, latitude=latitude_rad)
-        profile = replace(profile, index=index or IndexModel())
-        origin, moist = f"standard atmosphere {name}", False
-    else:
+    model = MODELS.get(name)
+    if model is None:
         raise PhysicsError(
             "ATMOSPHERE-NAME",
             f"no climatology is called {name!r}",
             remedy=f"one of {', '.join(known_names())}",
         )
-    return Climatology(profile, _widened(spread, profile, expected), origin, moist)
+    index = index or IndexModel()
+    place = SeasonAndPlace(latitude_rad, month, longitude_rad)
+    profile = model.profile(place, index)
+    spread = expected_spread(latitude_rad, month, ground_h_m)
+    if model is not MODELS[SUPPLEMENTS]:
+        expected = MODELS[SUPPLEMENTS].profile(place, index)
+        spread = _with_difference(spread, profile, expected)
+    return Climatology(profile, spread, model.origin, model.has_humidity)
 
 
 def month_of(time_ns: int | None) -> float:
@@ -213,7 +175,7 @@ def expected_spread(latitude_rad: float, month: float, ground_h_m: float = 0.0) 
     )
 
 
-def _widened(spread: Spread, profile: Profile, expected: Profile) -> Spread:
+def _with_difference(spread: Spread, profile: Profile, expected: Profile) -> Spread:
     """The spread about a profile that is not the expected one: their difference is part of it."""
     inside = (spread.h_m <= profile.top_m) & (spread.h_m <= expected.top_m)
     h = spread.h_m[inside]

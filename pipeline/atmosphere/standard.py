@@ -1,21 +1,33 @@
-"""Standard atmospheres, each with the constants of its own definition.
+"""The registry of atmospheres, and the standard atmospheres, each with its own constants.
 
-The breakpoints stand in ``data/standard_atmospheres.csv``: US Standard Atmosphere 1976 and 1962,
-ICAO 1993 (ISO 2533), ARDC Model Atmosphere 1959 (the one behind the tables of Gyer 1996 and
-Bertram 1966) and ICAN (Saastamoinen 1974). The US Supplements 1966 and AFGL 1986 are in `climates`.
+A new atmosphere is one function and a line in `MODELS`: names in mission files, on the command line
+and in refusals follow. The breakpoints of the standards stand in ``data/standard_atmospheres.csv``:
+US Standard Atmosphere 1976 and 1962, ICAO 1993 (ISO 2533), ARDC Model Atmosphere 1959 (the one
+behind the tables of Gyer 1996 and Bertram 1966) and ICAN (Saastamoinen 1974). The US Supplements
+1966, AFGL 1986 and NRLMSIS are in `climate_tables`.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from pipeline.atmosphere.climate_tables import (
+    AFGL_ORIGIN,
     LOWEST_GEOPOTENTIAL_M,
+    MSIS,
+    MSIS_ORIGIN,
+    SUPPLEMENTS,
+    SUPPLEMENTS_ORIGIN,
     climate_names,
     climate_profile,
+    msis_profile,
     read_models,
+    supplements_profile,
 )
 from pipeline.atmosphere.profile import STANDARD, Profile, stack_layers
 from pipeline.atmosphere.refractive_index import DEFAULT_WAVELENGTH_M, IndexModel
@@ -24,19 +36,38 @@ from pipeline.geodesy import Gravity, normal_gravity
 from pipeline.units import STANDARD_GRAVITY
 
 SEA_LEVEL_PRESSURE_PA = 101325.0
+AUTO = "auto"
 
 
-def _breakpoints() -> dict[str, list[dict[str, float]]]:
-    return read_models("standard_atmospheres.csv")
+@dataclass(frozen=True)
+class SeasonAndPlace:
+    """Where and when a profile is wanted; ``latitude_rad`` None for a standard on its own.
 
-
-def standard_names() -> tuple[str, ...]:
-    """Names that `standard_atmosphere` takes: the standards, then the tables of `climates`.
-
-    >>> standard_names()[:5], standard_names()[5]
-    (('us1976', 'us1962', 'icao', 'ardc1959', 'ican'), 'supplements1966_15n_annual')
+    ``month`` 1.0 is mid-January, 7.0 mid-July.
     """
-    return (*_breakpoints(), *climate_names())
+
+    latitude_rad: float | None = None
+    month: float = 4.0
+    longitude_rad: float = 0.0
+
+    @property
+    def gravity(self) -> Gravity | None:
+        """Normal gravity of the latitude, None without one."""
+        return None if self.latitude_rad is None else gravity_at(self.latitude_rad)
+
+
+@dataclass(frozen=True)
+class AtmosphereModel:
+    """An atmosphere by name: how it becomes a profile, and where its numbers are from.
+
+    ``has_humidity`` is false where the model has no water vapour at all; ``needs_place`` is true
+    where it has no profile without a latitude and a season.
+    """
+
+    profile: Callable[[SeasonAndPlace, IndexModel], Profile]
+    origin: str
+    has_humidity: bool
+    needs_place: bool = False
 
 
 def gravity_at(latitude_rad: float) -> Gravity:
@@ -48,6 +79,90 @@ def gravity_at(latitude_rad: float) -> Gravity:
             remedy="give it in radians",
         )
     return normal_gravity(latitude_rad)
+
+
+def _standard_profile(name: str, place: SeasonAndPlace, index: IndexModel) -> Profile:
+    """A standard from its breakpoints, dry; by default under the gravity of its definition."""
+    rows = read_models("standard_atmospheres.csv")[name]
+    first = rows[0]
+    gravity = place.gravity or Gravity(first["g0_m_s2"], first["r0_m"])
+    edge = np.array([row["geopotential_m"] for row in rows])
+    temperature = np.array([row["temperature_k"] for row in rows])
+    lapse = (temperature[1] - temperature[0]) / (edge[1] - edge[0])
+    # The troposphere's lapse rate goes on down, as ISO 2533 tabulates it.
+    if edge[0] > LOWEST_GEOPOTENTIAL_M:
+        down = LOWEST_GEOPOTENTIAL_M - edge[0]
+        edge = np.concatenate([[LOWEST_GEOPOTENTIAL_M], edge])
+        temperature = np.concatenate([[temperature[0] + lapse * down], temperature])
+    constant = STANDARD_GRAVITY * first["m0_kg_per_kmol"] / first["r_star_j_per_kmol_k"]
+    layers = stack_layers(
+        edge,
+        temperature,
+        np.zeros(edge.size),
+        (STANDARD,) * (edge.size - 1),
+        anchor=(0.0, SEA_LEVEL_PRESSURE_PA),
+        constant=constant,
+    )
+    return Profile(layers, gravity, index, name, constant)
+
+
+def _climate_table(name: str, place: SeasonAndPlace, index: IndexModel) -> Profile:
+    return climate_profile(name, index, place.gravity)
+
+
+def _supplements(place: SeasonAndPlace, index: IndexModel) -> Profile:
+    return supplements_profile(place.latitude_rad or 0.0, place.month, index, place.gravity)
+
+
+def _msis(place: SeasonAndPlace, index: IndexModel) -> Profile:
+    latitude = place.latitude_rad or 0.0
+    surface = float(_supplements(place, index).pressure(0.0))
+    return msis_profile(
+        latitude, place.longitude_rad, place.month, surface, gravity_at(latitude), index=index
+    )
+
+
+_OF_SEASON = AtmosphereModel(_supplements, SUPPLEMENTS_ORIGIN, True, needs_place=True)
+
+MODELS: dict[str, AtmosphereModel] = {
+    AUTO: _OF_SEASON,
+    SUPPLEMENTS: _OF_SEASON,
+    **{
+        name: AtmosphereModel(
+            partial(_climate_table, name),
+            SUPPLEMENTS_ORIGIN if name.startswith(SUPPLEMENTS) else AFGL_ORIGIN,
+            has_humidity=True,
+        )
+        for name in climate_names()
+    },
+    MSIS: AtmosphereModel(_msis, MSIS_ORIGIN, has_humidity=False, needs_place=True),
+    **{
+        name: AtmosphereModel(
+            partial(_standard_profile, name), f"standard atmosphere {name}", has_humidity=False
+        )
+        for name in read_models("standard_atmospheres.csv")
+    },
+}
+"""All atmospheres by name; `known_names`, mission files and the command line follow from it."""
+
+
+def known_names() -> tuple[str, ...]:
+    """All names of atmospheres, each once.
+
+    >>> known_names()[:2], known_names()[-4:]
+    (('auto', 'supplements1966'), ('us1962', 'icao', 'ardc1959', 'ican'))
+    """
+    return tuple(MODELS)
+
+
+def standard_names() -> tuple[str, ...]:
+    """Names that `standard_atmosphere` takes: dry standards first, then tables with humidity.
+
+    >>> standard_names()[:5], standard_names()[5]
+    (('us1976', 'us1962', 'icao', 'ardc1959', 'ican'), 'supplements1966_15n_annual')
+    """
+    fixed = [name for name, model in MODELS.items() if not model.needs_place]
+    return tuple(sorted(fixed, key=lambda name: MODELS[name].has_humidity))
 
 
 def standard_atmosphere(
@@ -72,34 +187,11 @@ def standard_atmosphere(
     >>> (profile.refractivity(0.0) * 1e6).round(3).item()
     277.201
     """
-    gravity = None if latitude is None else gravity_at(latitude)
-    if name in climate_names():
-        return climate_profile(name, IndexModel(index, wavelength_m), gravity)
-    try:
-        rows = _breakpoints()[name]
-    except KeyError:
+    model = MODELS.get(name)
+    if model is None or model.needs_place:
         raise PhysicsError(
             "ATMOSPHERE-NAME",
             f"no standard atmosphere is called {name!r}",
             remedy=f"one of {', '.join(standard_names())}",
-        ) from None
-    first = rows[0]
-    gravity = gravity or Gravity(first["g0_m_s2"], first["r0_m"])
-    edge = np.array([row["geopotential_m"] for row in rows])
-    temperature = np.array([row["temperature_k"] for row in rows])
-    lapse = (temperature[1] - temperature[0]) / (edge[1] - edge[0])
-    # The troposphere's lapse rate goes on down, as ISO 2533 tabulates it.
-    if edge[0] > LOWEST_GEOPOTENTIAL_M:
-        down = LOWEST_GEOPOTENTIAL_M - edge[0]
-        edge = np.concatenate([[LOWEST_GEOPOTENTIAL_M], edge])
-        temperature = np.concatenate([[temperature[0] + lapse * down], temperature])
-    constant = STANDARD_GRAVITY * first["m0_kg_per_kmol"] / first["r_star_j_per_kmol_k"]
-    layers = stack_layers(
-        edge,
-        temperature,
-        np.zeros(edge.size),
-        (STANDARD,) * (edge.size - 1),
-        anchor=(0.0, SEA_LEVEL_PRESSURE_PA),
-        constant=constant,
-    )
-    return Profile(layers, gravity, IndexModel(index, wavelength_m), name, constant)
+        )
+    return model.profile(SeasonAndPlace(latitude), IndexModel(index, wavelength_m))

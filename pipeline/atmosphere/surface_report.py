@@ -41,7 +41,7 @@ class SurfaceReport:
     pressure_pa : pressure at that height [Pa], NaN where not reported.
     temperature_k : [K], NaN where not reported.
     vapour_pressure_pa : [Pa], NaN where not reported.
-    time_ns : [Unix ns]; None if not told.
+    time_ns : [Unix ns]; None if unknown.
     origin : ``METAR KOUN`` or ``mission file``.
     sigma_temperature_k, sigma_pressure_pa : rounding and sensor, not how far away the station is.
     """
@@ -57,7 +57,7 @@ class SurfaceReport:
 
     @property
     def name(self) -> str:
-        """For a person."""
+        """For messages."""
         return f"surface report {self.origin}".strip()
 
 
@@ -89,13 +89,14 @@ def parse_metar(
     ----------
     text : the report, on one line or several.
     station_h_m : elevation of the station [m above sea level]; a METAR has none.
-    flight_ns : a time of the flight [Unix ns]: a METAR tells the day of the month only, and the
+    flight_ns : a time of the flight [Unix ns]: a METAR has only the day of the month, and the
         nearest such day is taken. Without it the report has no time.
     where : where the text stands, for refusals.
 
     Temperatures are whole degrees, tenths where the remarks have a T group. An altimeter setting
     is rounded down, by ICAO's rule to whole hPa and by FAA's to 0.01 inch, so half a step is
-    added. Raises ``InputError`` where the report does not parse or has values that no ground has.
+    added. Raises ``InputError`` where the report does not parse or has values that do not occur at
+    the ground.
 
     >>> text = "METAR EDDF 221150Z 24011KT 9999 SCT040 M05/M10 Q1013"
     >>> report = parse_metar(text, 111.0, Ledger())
@@ -107,8 +108,21 @@ def parse_metar(
     fields = _decode(flat, flight_ns, ledger, where)
     t = math.nan if fields.temperature_c is None else fields.temperature_c + ZERO_CELSIUS_K
     dew = math.nan if fields.dew_point_c is None else fields.dew_point_c + ZERO_CELSIUS_K
-    qnh = math.nan if fields.qnh_pa is None else fields.qnh_pa + _half_a_step(flat)
-    _refuse_values(t, qnh, flat, where)
+    # Half of the last digit of the altimeter setting [Pa].
+    half_step = 0.005 * _INCH_OF_MERCURY_PA if _QNH_INCHES.search(flat) else 0.0
+    half_step = 0.5 * HECTOPASCAL if _QNH_HPA.search(flat) else half_step
+    qnh = math.nan if fields.qnh_pa is None else fields.qnh_pa + half_step
+    for value, (low, high), quantity, unit in (
+        (t, _GROUND_K, "temperature", "K"),
+        (qnh, _QNH_PA, "altimeter setting", "Pa"),
+    ):
+        if value < low or value > high:
+            raise InputError(
+                "METAR-RANGE",
+                f"the {quantity} is {value:.6g} {unit}, which does not occur at the ground",
+                where=f"{where}: {flat[:80]!r}",
+                remedy="check whether a digit is missing",
+            )
     if dew > t:
         ledger.warning(
             "METAR-DEW-POINT",
@@ -118,43 +132,19 @@ def parse_metar(
             count=1,
         )
         dew = t
-    _say_what_is_missing(t, dew, qnh, flat, where, ledger)
+    quantities = (("temperature", t), ("dew point", dew), ("altimeter setting", qnh))
+    missing = [quantity for quantity, value in quantities if not math.isfinite(value)]
+    if missing:
+        what = f"no {' and no '.join(missing)} can be read in {flat[:80]!r}"
+        if not math.isfinite(t) and math.isfinite(dew):
+            what += "; the dew point alone gives no humidity without the temperature"
+        ledger.fallback("METAR-MISSING", what, where=where, count=len(missing))
     pressure = station_pressure(qnh, station_h_m) if math.isfinite(qnh) else math.nan
     dew = dew if math.isfinite(t) else math.nan
     e = float(vapour_pressure(1.0, dew, pressure if math.isfinite(pressure) else _SEA_LEVEL_PA))
     sigma = _TENTH_K if _TENTHS.search(flat) else _WHOLE_K
     origin = f"METAR {fields.station}".strip()
     return SurfaceReport(station_h_m, pressure, t, e, fields.time_ns, origin, sigma)
-
-
-def _say_what_is_missing(
-    t: float, dew: float, qnh: float, flat: str, where: str, ledger: Ledger
-) -> None:
-    without = [
-        word
-        for word, value in (("temperature", t), ("dew point", dew), ("altimeter setting", qnh))
-        if not math.isfinite(value)
-    ]
-    if not without:
-        return
-    what = f"no {' and no '.join(without)} can be read in {flat[:80]!r}"
-    if not math.isfinite(t) and math.isfinite(dew):
-        what += "; the dew point says nothing without the temperature"
-    ledger.fallback("METAR-MISSING", what, where=where, count=len(without))
-
-
-def _refuse_values(t: float, qnh: float, flat: str, where: str) -> None:
-    for value, (low, high), what, unit in (
-        (t, _GROUND_K, "temperature", "K"),
-        (qnh, _QNH_PA, "altimeter setting", "Pa"),
-    ):
-        if value < low or value > high:
-            raise InputError(
-                "METAR-RANGE",
-                f"the {what} is {value:.6g} {unit}, which no ground has",
-                where=f"{where}: {flat[:80]!r}",
-                remedy="look whether a digit is missing",
-            )
 
 
 @dataclass(frozen=True)
@@ -170,21 +160,21 @@ def _decode(flat: str, flight_ns: int | None, ledger: Ledger, where: str) -> _Fi
     """What the package ``metar`` reads in a report; groups it does not know are in the ledger."""
     from metar import Metar
 
-    with warnings.catch_warnings(record=True) as said:
-        # Not strict, it warns of a group it does not know, and of one it stumbled over, and stops
-        # there; a strange runway group must not cost the temperature behind it.
+    with warnings.catch_warnings(record=True) as caught:
+        # Not strict, it warns of a group it does not know or cannot decode, and goes on: a strange
+        # runway group must not cost the temperature behind it.
         warnings.simplefilter("always")
         try:
             # Month and year only keep it from guessing; January has every day.
             report = Metar.Metar(flat, month=1, year=2000, strict=False)
         except (Metar.ParserError, ValueError, TypeError) as error:
             raise _no_metar(f"the report does not parse: {error}", flat, where) from None
-    complaints = "; ".join(" ".join(str(warning.message).split()) for warning in said)
+    complaints = "; ".join(" ".join(str(warning.message).split()) for warning in caught)
     if report.station_id is None or (report.temp is None and report.press is None):
         why = "no station, or neither temperature nor altimeter setting, is found"
         raise _no_metar(f"{why}: {complaints}" if complaints else why, flat, where)
     if complaints:
-        ledger.note("METAR-GROUPS", complaints, where=where, count=len(said))
+        ledger.note("METAR-GROUPS", complaints, where=where, count=len(caught))
     return _Fields(
         str(report.station_id),
         None if report.temp is None else float(report.temp.value("C")),
@@ -192,13 +182,6 @@ def _decode(flat: str, flight_ns: int | None, ledger: Ledger, where: str) -> _Fi
         None if report.press is None else float(report.press.value("HPA")) * HECTOPASCAL,
         _nearest_day(flat, flight_ns, ledger, where),
     )
-
-
-def _half_a_step(flat: str) -> float:
-    """Half of the last digit of an altimeter setting [Pa]."""
-    if _QNH_HPA.search(flat):
-        return 0.5 * HECTOPASCAL
-    return 0.005 * _INCH_OF_MERCURY_PA if _QNH_INCHES.search(flat) else 0.0
 
 
 def _nearest_day(flat: str, flight_ns: int | None, ledger: Ledger, where: str) -> int | None:
@@ -244,8 +227,8 @@ def surface_report(
     where : where the numbers stand, for refusals.
 
     Raises ``InputError`` where values cannot be those of air at the ground, as Fahrenheit taken
-    for Celsius, or QNH taken for the station's pressure 650 m up, are not. A mission is asked more
-    by place and season, see `pipeline.stages.surface_reports`.
+    for Celsius, or QNH taken for the station's pressure 650 m up, are not. Missions are also
+    checked by place and season, see `pipeline.stages.surface_reports`.
 
     >>> surface_report(100.0, temperature_k=293.15, relative_humidity=0.5).pressure_pa
     nan

@@ -9,9 +9,9 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator, model_validator
 
 from pipeline.atmosphere import standard_names
-from pipeline.atmosphere.climatology import known_names
 from pipeline.atmosphere.estimate.sensors import SensorCalibration
 from pipeline.atmosphere.estimate.state import SensorFault
+from pipeline.atmosphere.standard import known_names
 from pipeline.config.cameras import Section
 from pipeline.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
 

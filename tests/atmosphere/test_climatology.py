@@ -14,10 +14,10 @@ from pipeline.atmosphere import standard_atmosphere, standard_names
 from pipeline.atmosphere.climate_tables import climate_names, climate_profile, supplements_profile
 from pipeline.atmosphere.climatology import (
     climatology,
-    climatology_names,
     expected_spread,
     month_of,
 )
+from pipeline.atmosphere.standard import known_names
 from pipeline.errors import PhysicsError
 from pipeline.ledger import Ledger
 from pipeline.simulate.true_air import normal_gravity
@@ -239,9 +239,10 @@ def test_refusals():
     with pytest.raises(PhysicsError) as caught:
         climatology("cira1972", latitude_rad=0.8, month=1.0)
     assert caught.value.code == "ATMOSPHERE-NAME"
-    told = caught.value.remedy.removeprefix("one of ").split(", ")
-    assert set(told) >= {*climatology_names(), *standard_names()}
-    assert len(told) == len(set(told))
+    names = caught.value.remedy.removeprefix("one of ").split(", ")
+    assert names == list(known_names())
+    assert len(names) == len(set(names))
+    assert set(names) == {"auto", "supplements1966", "nrlmsis2.1", *standard_names()}
     with pytest.raises(PhysicsError) as caught:
         climatology(latitude_rad=47.0, month=1.0)
     assert caught.value.code == "ATMOSPHERE-LATITUDE"

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import csv
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere, standard_names
+from pipeline.atmosphere.climatology import climatology
+from pipeline.atmosphere.profile import Profile, stack_layers
+from pipeline.atmosphere.standard import MODELS, AtmosphereModel, known_names
+from pipeline.config.atmosphere import AtmosphereSection
 from pipeline.errors import PhysicsError
+from pipeline.geodesy import normal_gravity
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 
@@ -129,3 +135,28 @@ def test_unknown_name_and_degrees_for_radians_are_refused():
     assert refusal.value.code == "ATMOSPHERE-LATITUDE"
     with pytest.raises(PhysicsError):
         standard_atmosphere(latitude=float("nan"))
+
+
+def test_an_atmosphere_costs_one_function_and_a_line(monkeypatch, unbend):
+    """A new entry of the registry is a name for standards, climatologies, missions and commands."""
+
+    def isothermal(place, index):
+        edge = np.array([-5000.0, 30_000.0])
+        layers = stack_layers(edge, np.full(2, 260.0), np.zeros(2), ("standard",),
+                              anchor=(0.0, 1e5))  # fmt: skip
+        return Profile(layers, place.gravity or normal_gravity(0.0), index, "isothermal260")
+
+    model = AtmosphereModel(isothermal, "a test", has_humidity=False)
+    monkeypatch.setitem(MODELS, "isothermal260", model)
+    assert "isothermal260" in known_names()
+    assert float(standard_atmosphere("isothermal260").temperature(7000.0)) == 260.0
+    made = climatology("isothermal260", latitude_rad=0.8, month=7.0)
+    assert (made.origin, made.has_humidity) == ("a test", False)
+    # Its distance from the Supplements (293.8 K at the sea) is part of its spread.
+    assert made.spread.temperature_k[0] == pytest.approx(math.hypot(7.3, 33.8), abs=0.1)
+    section = AtmosphereSection(standard="isothermal260", climatology="isothermal260")
+    assert section.standard == "isothermal260"
+    shown = unbend("profile", "--atmosphere", "isothermal260", "--step", "10000")
+    assert shown.code == 0
+    refused = unbend("profile", "--atmosphere", "isothermal", "--step", "10000")
+    assert "isothermal260" in "".join(refused.text.split())

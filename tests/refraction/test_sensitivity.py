@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import hypsometry, jacobian, standard_atmosphere
-from pipeline.atmosphere.jacobian import air_jacobian
+from pipeline.atmosphere.covariance import air_jacobian
 from pipeline.atmosphere.profile import Profile, stack_layers
 from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.errors import PhysicsError

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.atmosphere.air_samples import AirSamples
-from pipeline.atmosphere.climatology import AUTO, Climatology, climatology, month_of
+from pipeline.atmosphere.climatology import Climatology, climatology, month_of
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.estimate.candidates import (
     Candidate,
@@ -152,7 +152,7 @@ def build_adjusted_profile(
     middle = next((middle for middle in middles if middle is not None), time_ns)
     flight = TimeAndPlace(middle, latitude_rad, longitude_rad)
     month = month_of(flight.time_ns)
-    moisture = climatology(AUTO, latitude_rad=latitude_rad, month=month, index=standard.index)
+    moisture = climatology(latitude_rad=latitude_rad, month=month, index=standard.index)
     if background is None:
         named = climatology(standard.name, latitude_rad=latitude_rad, month=month)
         background = replace(named, profile=standard)

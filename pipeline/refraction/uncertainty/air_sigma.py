@@ -27,8 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.atmosphere.jacobian import air_jacobian, log_pressure_jacobian
+from pipeline.atmosphere.covariance import ProfileCovariance, air_jacobian, log_pressure_jacobian
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.standard import standard_atmosphere
 from pipeline.refraction.kernels.columns import AirTables

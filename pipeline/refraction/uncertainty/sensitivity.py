@@ -1,7 +1,7 @@
 """Derivatives of the refraction angle by the air and by the places of camera and target.
 
 A small change of the air moves R_c by sum of w_j dN_j: the adjoint of the ray gives the weights w
-(`adjoint`), the layers' closed forms give dN (`pipeline.atmosphere.jacobian`).
+(`adjoint`), the layers' closed forms give dN (`pipeline.atmosphere.covariance`).
 Both are derived, not differenced. With C the covariance of temperatures, ln p and e/p, and g the
 gradient here, sigma of R_c is sqrt(g^T C g).
 """
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pipeline.atmosphere.jacobian import air_jacobian
+from pipeline.atmosphere.covariance import air_jacobian
 from pipeline.atmosphere.profile import Profile
 from pipeline.refraction.ray import DEFAULT_RADIUS_M, as_columns, bend
 from pipeline.refraction.ray_table import ray_table
@@ -69,7 +69,7 @@ class Sensitivity:
     status : (...) codes of `pipeline.refraction.status`.
     valid : (...).
 
-    `pipeline.atmosphere.jacobian.AirJacobian` tells how to go from T_M to a thermometer's T.
+    `pipeline.atmosphere.covariance.AirJacobian` tells how to go from T_M to a thermometer's T.
     """
 
     edge_height_m: Array
