@@ -1,29 +1,76 @@
 """How functions are compiled: in double precision, without the interpreter's lock, and cached.
 
-Imported with the first ray only, because importing numba costs most of a second.
+Imported with the first ray only, because importing numba costs most of a second. numba compares the
+file of a cached function with the source, but not the files of the functions it calls; so the cache
+is a folder named after the hash of all sources that may be compiled in.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
+import re
+import shutil
+import time
 from collections.abc import Callable
 from typing import Any
 
 import numba
 
+_ROOM = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+_FOLDER = re.compile(r"unbend-[0-9a-f]{16}")
+_KEPT_S = 7 * 86_400.0  # unused this long, the folder of another version is removed
 
-def _user_cache() -> str | None:
-    """A folder of the user's for compiled code; never site-packages, which may be read-only."""
-    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    folder = numba.config.CACHE_DIR or os.path.join(base, "unbend", "numba")
+
+def source_hash(room: str = _ROOM) -> str:
+    """16 hexadecimal digits for numba's version and every source that may be compiled in.
+
+    Those are the modules of ``room`` itself and of its folders kernels and camera: 2 ms.
+    """
+    digest = hashlib.sha256(numba.__version__.encode())
+    for folder in (room, os.path.join(room, "camera"), os.path.join(room, "kernels")):
+        for name in sorted(os.listdir(folder)):
+            if name.endswith(".py"):
+                with open(os.path.join(folder, name), "rb") as source:
+                    digest.update(f"\0{name}\0".encode() + source.read())
+    return digest.hexdigest()[:16]
+
+
+def cache_folder() -> str | None:
+    """The folder for compiled code of these sources, or None where nothing can be written.
+
+    In ``NUMBA_CACHE_DIR`` or the user's cache; never site-packages, which may be read-only. Folders
+    of other sources that nobody has used for a week are removed; a process that still uses one
+    compiles again.
+    """
+    base = numba.config.CACHE_DIR or os.path.join(
+        os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "unbend", "numba"
+    )
     try:
+        folder = os.path.join(base, f"unbend-{source_hash()}")
         os.makedirs(folder, exist_ok=True)
+        os.utime(folder)  # the time of the last use
     except OSError:
         return None
-    return folder if os.access(folder, os.W_OK) else None
+    if not os.access(folder, os.W_OK):
+        return None
+    try:
+        with os.scandir(base) as entries:
+            unused = [
+                entry.path
+                for entry in entries
+                if _FOLDER.fullmatch(entry.name)
+                and entry.path != folder
+                and time.time() - entry.stat().st_mtime > _KEPT_S
+            ]
+    except OSError:  # another process removes them at this moment
+        unused = []
+    for path in unused:
+        shutil.rmtree(path, ignore_errors=True)
+    return folder
 
 
-_CACHE = _user_cache()
+_CACHE = cache_folder()
 
 
 def _compiled(function: Callable[..., Any], cache: bool, **options: Any) -> Callable[..., Any]:

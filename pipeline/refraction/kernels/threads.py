@@ -26,8 +26,9 @@ def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(usable_cpus(), thread_name_prefix="rays")
 
 
-# A child after a fork has none of its parent's threads.
-os.register_at_fork(after_in_child=_pool.cache_clear)
+if hasattr(os, "register_at_fork"):  # Windows has no fork
+    # A child after a fork has none of its parent's threads.
+    os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
 def in_blocks(function: Callable[[slice], None], rows: int) -> None:

@@ -1,0 +1,126 @@
+"""Machine code in the cache is that of the sources, whichever module was edited."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import pipeline
+from pipeline.refraction.kernels.jit import source_hash
+
+ROOM = Path(pipeline.__file__).parent / "refraction"
+DISTORTED = """
+import numpy as np
+from pipeline.refraction import BrownConrady, Camera
+camera = Camera(1000, 1000, 1000.0, 1000.0, 0.0, 0.0, BrownConrady(k1=0.5))
+print(camera.rays(np.array([100.0]), np.array([0.0]))[0][0])
+"""
+
+
+def run(code: str, tree: Path, cache: Path | str, **environment: str) -> str:
+    """What a new process prints that imports the package from a tree."""
+    surroundings = os.environ | {"PYTHONPATH": str(tree), "NUMBA_CACHE_DIR": str(cache)}
+    command = [sys.executable, "-W", "error", "-c", code]
+    return subprocess.run(
+        command, check=True, env=surroundings | environment, capture_output=True, text=True,
+        cwd=tree,
+    ).stdout.strip()  # fmt: skip
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """A copy of the package."""
+    shutil.copytree(
+        ROOM.parent, tmp_path / "tree" / "pipeline", ignore=shutil.ignore_patterns("__pycache__")
+    )
+    return tmp_path / "tree"
+
+
+def test_an_edited_helper_is_compiled_again_and_old_code_removed(tree, tmp_path):
+    """The model is no entry function: numba itself compares the file of those only."""
+    cache = tmp_path / "cache"
+    u = float(run(DISTORTED, tree, cache))
+    assert u + 0.5 * u**3 == pytest.approx(0.1, abs=1e-14)
+    (old,) = cache.iterdir()
+    foreign = [cache / "unbend-notes", cache / "unbend-0123456789abcdeg", cache / "other"]
+    for folder in foreign:
+        folder.mkdir()
+    recent = cache / "unbend-0123456789abcdef"
+    recent.mkdir()
+    assert float(run(DISTORTED, tree, cache)) == u
+    assert old in cache.iterdir()
+
+    model = tree / "pipeline/refraction/camera/brown_conrady.py"
+    text = model.read_text()
+    assert text.count("radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))") == 2
+    model.write_text(text.replace("r2 * (k1 + r2 * (k2", "r2 * (2.0 * k1 + r2 * (k2"))
+    for folder in (old, *foreign):
+        os.utime(folder, (time.time() - 8 * 86_400,) * 2)
+    edited = float(run(DISTORTED, tree, cache))
+    assert edited + edited**3 == pytest.approx(0.1, abs=1e-13)
+    assert not old.exists()
+    assert recent.exists()
+    assert all(folder.exists() for folder in foreign)
+    (new,) = set(cache.iterdir()) - {recent, *foreign}
+    assert re.fullmatch(r"unbend-[0-9a-f]{16}", new.name)
+    assert any(new.rglob("*.nbi"))
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="permissions are those of POSIX")
+def test_nothing_is_written_where_nothing_can_be(tree, tmp_path):
+    """A file in the place of the folder, which root cannot write to either."""
+    blocked = tmp_path / "blocked"
+    blocked.write_text("")
+    assert (
+        run(
+            "from pipeline.refraction.kernels.jit import _CACHE as c; print(c)",
+            tree,
+            blocked / "cache",
+        )
+        == "None"
+    )
+    assert blocked.read_text() == ""
+    assert not list(tree.rglob("*.nbi"))
+
+
+def test_every_source_that_may_be_compiled_in_is_hashed(tmp_path):
+    """What the kernels import from the package lies in the folders that are hashed."""
+    seen, left = set(), [*ROOM.glob("kernels/*.py"), *ROOM.glob("camera/*.py")]
+    left = [path for path in left if path.name not in ("jit.py", "threads.py")]
+    for path in left:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("pipeline"):
+                seen.add(node.module)
+    hashed = re.compile(r"pipeline\.refraction(\.(kernels|camera))?(\.\w+)?")
+    assert len(seen) > 5
+    assert all(hashed.fullmatch(module) for module in seen), seen
+
+    copy = tmp_path / "refraction"
+    shutil.copytree(ROOM, copy)
+    assert source_hash(str(copy)) == source_hash()
+    for path in ("status.py", "camera/brown_conrady.py", "kernels/subtended.py"):
+        before = source_hash(str(copy))
+        with (copy / path).open("a") as source:
+            source.write("\n")
+        assert source_hash(str(copy)) != before, path
+
+
+def test_the_package_is_imported_where_there_is_no_fork(tree):
+    """As on Windows: no fork, no affinity of processes."""
+    code = (
+        "import os\n"
+        "for name in ('register_at_fork', 'fork', 'sched_getaffinity'):\n"
+        "    if hasattr(os, name): delattr(os, name)\n"
+        "import pipeline.refraction\n"
+        "from pipeline.refraction.kernels.threads import usable_cpus\n"
+        "print(usable_cpus() >= 1)\n"
+    )
+    assert run(code, tree, tree / "cache") == "True"
