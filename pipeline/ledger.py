@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from enum import StrEnum
+from typing import TypeVar
 
 
 class Kind(StrEnum):
@@ -32,6 +33,32 @@ class Entry:
     what: str
     where: str = ""
     count: int = 0
+
+
+Result = TypeVar("Result")
+
+Notes = tuple[Entry, ...]
+"""What a function of a pure room has to report, beside its result."""
+
+
+def note(code: str, what: str, *, where: str = "", count: int = 0) -> Entry:
+    """An entry for a choice that was made."""
+    return Entry(Kind.NOTE, code, what, where, count)
+
+
+def fallback(code: str, what: str, *, where: str = "", count: int = 0) -> Entry:
+    """An entry for an allowed substitute."""
+    return Entry(Kind.FALLBACK, code, what, where, count)
+
+
+def warning(code: str, what: str, *, where: str = "", count: int = 0) -> Entry:
+    """An entry for what the user should look at, though the result stands."""
+    return Entry(Kind.WARNING, code, what, where, count)
+
+
+def loss(code: str, what: str, *, where: str = "", count: int = 0) -> Entry:
+    """An entry for what was lost, damaged, flagged or absent."""
+    return Entry(Kind.LOSS, code, what, where, count)
 
 
 class Ledger:
@@ -66,17 +93,28 @@ class Ledger:
         for entry in entries:
             self.add(entry)
 
+    def take(self, outcome: tuple[Result, Notes]) -> Result:
+        """The result of a function that returns notes beside it; the notes are added.
+
+        >>> ledger = Ledger()
+        >>> ledger.take((1.5, (note("LENS-IN-AIR", "0.3 px"),))), len(ledger)
+        (1.5, 1)
+        """
+        result, notes = outcome
+        self.extend(notes)
+        return result
+
     def note(self, code: str, what: str, *, where: str = "", count: int = 0) -> None:
-        self.add(Entry(Kind.NOTE, code, what, where, count))
+        self.add(note(code, what, where=where, count=count))
 
     def fallback(self, code: str, what: str, *, where: str = "", count: int = 0) -> None:
-        self.add(Entry(Kind.FALLBACK, code, what, where, count))
+        self.add(fallback(code, what, where=where, count=count))
 
     def warning(self, code: str, what: str, *, where: str = "", count: int = 0) -> None:
-        self.add(Entry(Kind.WARNING, code, what, where, count))
+        self.add(warning(code, what, where=where, count=count))
 
     def loss(self, code: str, what: str, *, where: str = "", count: int = 0) -> None:
-        self.add(Entry(Kind.LOSS, code, what, where, count))
+        self.add(loss(code, what, where=where, count=count))
 
     def rows(self) -> list[dict[str, str | int]]:
         """The entries as plain dictionaries, sorted, for the manifest."""

@@ -12,7 +12,7 @@ from pydantic import Field, field_validator, model_validator
 
 from pipeline.config.atmosphere import AtmosphereSection, PathText
 from pipeline.config.cameras import CameraSection, MountSection, Section
-from pipeline.flight.local_origin import GeodeticOrigin
+from pipeline.flight.heights import GeodeticOrigin
 from pipeline.refraction import METHODS
 from pipeline.tables.pixels import PixelOrigin, PixelSystem
 from pipeline.units import DEGREE

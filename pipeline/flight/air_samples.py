@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.flight.channels import Channel
 from pipeline.flight.heights import HeightSystem, heights_at
-from pipeline.ledger import Ledger
+from pipeline.ledger import Notes, note
 
 Array = NDArray[np.float64]
 
@@ -19,18 +19,18 @@ SOAK_SECONDS = 120.0
 of 1 km, with realistic sensors and no descent, R scatters by 2.0 %; with 60 s by 2.2 %."""
 
 AWAY_SECONDS = 60.0
-"""Who is away from the ground for less has not taken off [s]."""
+"""An aircraft that is away from the ground for less has not taken off [s]."""
 
 GROUND_RISE_M = 20.0
-"""So near the lowest height of the log an aircraft that does not move stands on the ground [m]."""
+"""An aircraft that does not move, this near the lowest height of the log, is on the ground [m]."""
 
 STILL_M_S = 1.0
 """Slower than this, over ten seconds, an aircraft does not move [m/s]."""
 
 
 def air_samples(
-    roles: Mapping[str, Channel], heights: HeightSystem, max_gap_s: float, ledger: Ledger
-) -> AirSamples:
+    roles: Mapping[str, Channel], heights: HeightSystem, max_gap_s: float
+) -> tuple[AirSamples, Notes]:
     """The readings of the outside sensors at their heights above sea level.
 
     Temperature and humidity on the ground and in the first two minutes after take-off are shown
@@ -38,53 +38,45 @@ def air_samples(
     """
     height = roles.get("height")
     if height is None:
-        return AirSamples()
-    stood = _times_on_the_ground(height)
-    found: dict[str, SensorSamples] = {}
-    airspeed = roles.get("airspeed")
+        return AirSamples(), ()
+    on_ground_ns = _times_on_the_ground(height)
+    samples: dict[str, SensorSamples] = {}
+    notes = []
     for role, column in (
         ("temperature", "temperature_k"),
         ("pressure", "pressure_pa"),
         ("humidity", "relative_humidity"),
+        ("airspeed", "airspeed_m_s"),
     ):
         channel = roles.get(role)
         if channel is None or len(channel) == 0:
             continue
         h, _ = heights_at(height, channel.time_ns, heights, max_gap_s)
         accepted = np.isfinite(h)
-        if role != "pressure":
-            soaked = _soaked(channel.time_ns, stood)
-            if bool((soaked & accepted).any()):
-                ledger.note(
-                    "AIR-GROUND-SOAK",
-                    f"{int((soaked & accepted).sum())} readings on the ground or within "
-                    f"{SOAK_SECONDS:.0f} s of take-off are not used",
-                    where=channel.name,
-                    count=int((soaked & accepted).sum()),
+        if role in ("temperature", "humidity") and on_ground_ns.size:
+            last = np.searchsorted(on_ground_ns, channel.time_ns, side="right") - 1
+            since_s = (channel.time_ns - on_ground_ns[np.maximum(last, 0)]) * 1e-9
+            soaked = (last >= 0) & (since_s < SOAK_SECONDS) & accepted
+            if bool(soaked.any()):
+                what = (
+                    f"{int(soaked.sum())} readings on the ground or within {SOAK_SECONDS:.0f} s of "
+                    "take-off are not used"
                 )
+                count = int(soaked.sum())
+                notes.append(note("AIR-GROUND-SOAK", what, where=channel.name, count=count))
             accepted &= ~soaked
-        found[role] = SensorSamples(channel.time_ns, h, channel[column], accepted, channel.name)
-    if airspeed is not None and len(airspeed) > 0:
-        h, _ = heights_at(height, airspeed.time_ns, heights, max_gap_s)
-        known = np.isfinite(h)
-        found["airspeed"] = SensorSamples(
-            airspeed.time_ns, h, airspeed["airspeed_m_s"], known, airspeed.name
-        )
-    return AirSamples(
-        found.get("temperature"),
-        found.get("pressure"),
-        found.get("humidity"),
-        found.get("airspeed"),
-        _takeoffs(stood),
+        samples[role] = SensorSamples(channel.time_ns, h, channel[column], accepted, channel.name)
+    # When the aircraft last stood before it was away for a minute or more.
+    away = np.diff(on_ground_ns, append=np.iinfo(np.int64).max) > AWAY_SECONDS * 1e9
+    takeoffs_ns = on_ground_ns[away] if on_ground_ns.size else on_ground_ns
+    of_flight = AirSamples(
+        samples.get("temperature"),
+        samples.get("pressure"),
+        samples.get("humidity"),
+        samples.get("airspeed"),
+        takeoffs_ns,
     )
-
-
-def _takeoffs(stood: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Times [Unix ns] at which the aircraft last stood before it was away for a minute or more."""
-    if stood.size == 0:
-        return stood
-    away = np.diff(stood, append=np.iinfo(np.int64).max) > AWAY_SECONDS * 1e9
-    return np.asarray(stood[away])
+    return of_flight, tuple(notes)
 
 
 def _times_on_the_ground(height: Channel) -> NDArray[np.int64]:
@@ -126,12 +118,3 @@ def _speed(seconds: Array, track: tuple[Array, ...], window: float) -> Array:
     known = lasted >= 0.5 * abs(window)
     distance = np.sqrt(np.sum(np.square(moved), axis=0))
     return np.asarray(np.where(known, distance / np.where(known, lasted, 1.0), np.inf))
-
-
-def _soaked(time_ns: NDArray[np.int64], stood: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether readings were taken on the ground or within the soak after it."""
-    if stood.size == 0:
-        return np.zeros(time_ns.shape, dtype=bool)
-    last = np.searchsorted(stood, time_ns, side="right") - 1
-    since = (time_ns - stood[np.maximum(last, 0)]) * 1e-9
-    return np.asarray((last >= 0) & (since < SOAK_SECONDS))

@@ -54,6 +54,8 @@ class Channel:
     rank : the smaller, the sooner it is chosen among candidates for a role.
     labels : strings that belong to the samples, such as image names.
     logged_units : by column, the unit of the log that was converted; SI where a column has none.
+    masked : by column, how many of its unknown values were impossible ones, counted in the ledger
+        when the log was read.
 
     Columns in use: lat_rad, lon_rad, h_msl_m, h_gnss_m (above sea level, by the receiver alone),
     h_ellipsoid_m, h_home_m, east_m, north_m, up_m (local), sigma_h_m, sigma_v_m, fix; q_w, q_x,
@@ -71,6 +73,7 @@ class Channel:
     rank: int = 50
     labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     logged_units: Mapping[str, str] = field(default_factory=dict)
+    masked: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n = self.time_ns.shape[0]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.flight.channels import Array, TimeArray
-from pipeline.ledger import Ledger
+from pipeline.ledger import Entry, loss, note
 from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH
 
 SECONDS_PER_WEEK = 604_800
@@ -267,14 +267,14 @@ def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> ClockOffset | None:
     apart = (difference - base).astype(np.float64)
     low, middle, high = np.percentile(apart, (5.0, 50.0, 95.0))
     largest = max(float(apart.max() - middle), float(middle - apart.min()))
-    found = ClockOffset(
+    offset = ClockOffset(
         base + round(middle), round(high - low), int(utc_ns.shape[0]), round(largest)
     )
     if largest <= LARGEST_SPREAD_NS:
-        return found
+        return offset
     far = np.abs(apart - middle) > LARGEST_SPREAD_NS
     first, stepped = int(boot_ns[np.argmax(far)]), bool(_in_long_runs(far).any())
-    return replace(found, far=int(np.count_nonzero(far)), first_far_ns=first, stepped=stepped)
+    return replace(offset, far=int(np.count_nonzero(far)), first_far_ns=first, stepped=stepped)
 
 
 def new_readings(time_ns: TimeArray) -> NDArray[np.bool_]:
@@ -322,8 +322,8 @@ def clock_map(from_ns: TimeArray, to_ns: TimeArray) -> Callable[[TimeArray], Tim
     return mapped
 
 
-def report_clock_fit(ledger: Ledger, source: str, fit: ClockOffset, where: str) -> None:
-    """Say how well the stamps agree that tie a vehicle's clock to UTC; one that stepped is a loss.
+def clock_fit_note(source: str, fit: ClockOffset, where: str) -> Entry:
+    """How well the stamps agree that tie a vehicle's clock to UTC; one that stepped is a loss.
 
     p5 to p95 do not see a tenth of the rows: the farthest counts as well, and rows that stay away.
     """
@@ -333,9 +333,8 @@ def report_clock_fit(ledger: Ledger, source: str, fit: ClockOffset, where: str) 
     )
     steady = fit.spread_ns <= LARGEST_SPREAD_NS and fit.largest_ns <= BOOT_STEP_NS
     if steady and not fit.stepped:
-        ledger.note("TIME-FIT", what, where=where, count=fit.rows)
-        return
-    ledger.loss(
+        return note("TIME-FIT", what, where=where, count=fit.rows)
+    return loss(
         "TIME-FIT",
         f"{what}, {fit.far} are off by more than {LARGEST_SPREAD_NS / 1e6:.0f} ms: one of the two "
         "clocks stepped, and exposures by UTC may be that far off",

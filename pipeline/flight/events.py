@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel
-from pipeline.ledger import Ledger
+from pipeline.ledger import Notes, loss, note
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,16 +23,21 @@ class Events:
 
 
 def events_of_channel(
-    channel: Channel, camera: str, pattern: str, delay_s: float, ledger: Ledger
-) -> Events:
+    channel: Channel, camera: str, pattern: str, delay_s: float
+) -> tuple[Events, Notes]:
     """Exposures of an event channel, named by a pattern of ``{index}`` and ``{n}``.
 
-    Numbers that the log skips are pulses that were lost: they go into the ledger. ``{index}`` is
+    Parameters
+    ----------
+    delay_s : what is added to the times of the log [s], positive where the shutter opens later.
+
+    Numbers that the log skips are pulses that were lost: a loss for each power-up. ``{index}`` is
     the number as the log has it, which may count modulo 65536.
     """
     index = channel["event_index"].astype(np.int64)
     names = [pattern.format(index=int(i), n=n) for n, i in enumerate(index, start=1)]
-    if _report_skipped(channel, index, ledger) and "{n" in pattern:
+    notes = _skipped_numbers(channel, index)
+    if notes and "{n" in pattern:
         raise MissionError(
             "EVENTS-COUNTED",
             "the log has lost events: images counted by {n} would get the stations of others",
@@ -40,7 +45,7 @@ def events_of_channel(
             remedy="name the images by {index}, or give their times in events.csv",
         )
     time_ns = channel.time_ns + round(delay_s * 1e9)
-    return Events(camera, np.array(names, dtype=object), time_ns)
+    return Events(camera, np.array(names, dtype=object), time_ns), notes
 
 
 def events_of_table(
@@ -50,9 +55,9 @@ def events_of_table(
     camera: str,
     delay_s: float,
 ) -> Events:
-    """Exposures of one camera from a table, with the offset of the table's clock taken out."""
-    mine = camera_of == camera
-    return Events(camera, image[mine], time_ns[mine] + round(delay_s * 1e9))
+    """Exposures of one camera from a table; ``delay_s`` [s] is added to the table's times."""
+    rows = camera_of == camera
+    return Events(camera, image[rows], time_ns[rows] + round(delay_s * 1e9))
 
 
 # Counts of 16 bits run over; a count that goes on farther than this from zero is one begun anew.
@@ -71,36 +76,36 @@ def unwrapped_numbers(index: NDArray[np.int64]) -> NDArray[np.int64]:
     """
     step = np.diff(index)
     ran_over = (step < 0) & (step + _COUNT_ROUND < _COUNT_NEAR)
-    went_back = (step > 0) & (_COUNT_ROUND - step < _COUNT_NEAR)  # one of before, told late
+    went_back = (step > 0) & (_COUNT_ROUND - step < _COUNT_NEAR)  # logged after its successor
     rounds = np.cumsum(ran_over.astype(np.int64) - went_back)
     return np.asarray(index + _COUNT_ROUND * np.append(0, rounds), np.int64)
 
 
-def _report_skipped(channel: Channel, index: NDArray[np.int64], ledger: Ledger) -> int:
-    """How many numbers of a power-up have no event between others; they go into the ledger."""
-    lost = 0
+def _skipped_numbers(channel: Channel, index: NDArray[np.int64]) -> Notes:
+    """A loss for each power-up in which numbers between others have no event."""
+    notes = []
     for boot in np.unique(channel.boot):
-        counted = unwrapped_numbers(index[channel.boot == boot])
-        known = np.unique(counted)
+        known = np.unique(unwrapped_numbers(index[channel.boot == boot]))
         gaps = np.diff(known) - 1
         missing = int(gaps.sum())
         if missing == 0:
             continue
-        lost += missing
         holes = zip(known[:-1][gaps > 0][:4].tolist(), gaps[gaps > 0][:4].tolist(), strict=True)
         first = [
             f"{_sent(low + 1)}" if gap == 1 else f"{_sent(low + 1)} to {_sent(low + gap)}"
             for low, gap in holes
         ]
         more = " ..." if np.count_nonzero(gaps) > 4 else ""
-        ledger.loss(
-            "EVENTS-LOST",
-            f"{missing} numbers between {_sent(int(known[0]))} and {_sent(int(known[-1]))} have "
-            f"no event: {', '.join(first)}{more}",
-            where=channel.name if int(channel.boot[-1]) == 0 else f"{channel.name}, boot {boot}",
-            count=missing,
+        notes.append(
+            loss(
+                "EVENTS-LOST",
+                f"{missing} numbers between {_sent(int(known[0]))} and {_sent(int(known[-1]))} "
+                f"have no event: {', '.join(first)}{more}",
+                where=channel.name if channel.boot[-1] == 0 else f"{channel.name}, boot {boot}",
+                count=missing,
+            )
         )
-    return lost
+    return tuple(notes)
 
 
 def _sent(counted: int) -> int:
@@ -126,38 +131,44 @@ def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Cha
     )
 
 
-def report_lost_triggers(channels: tuple[Channel, ...], chosen: Channel, ledger: Ledger) -> None:
-    """Say how many triggers have no shutter event, and when the events are triggers themselves.
+def trigger_notes(channels: tuple[Channel, ...], chosen: Channel) -> Notes:
+    """How many triggers have no shutter event, and whether the events are triggers themselves.
 
     ArduPilot logs TRIG at the trigger and CAM at the feedback of a camera with a feedback pin, and
     without one CAM alone, at the trigger. Cameras fire apart: the rows of one instance are one's.
     """
+    notes = []
     triggers = [c for c in channels if c.source.message == "TRIG" and _of_one_camera(c, chosen)]
     if chosen.source.message in ("TRIG", "CAMERA_TRIGGER") or (
         chosen.source.message == "CAM" and not triggers
     ):
-        ledger.note(
-            "EVENTS-TRIGGER-TIME",
-            f"{chosen.name} has the times of the trigger commands, for want of a feedback pin: the "
-            "shutter opens later (70 to 160 ms were measured), which events.log.<camera>.delay_s "
-            "takes into account",
-            where=chosen.name,
-            count=len(chosen),
+        notes.append(
+            note(
+                "EVENTS-TRIGGER-TIME",
+                f"{chosen.name} has the times of the trigger commands, for want of a feedback pin: "
+                "the shutter opens later (70 to 160 ms were measured), which "
+                "events.log.<camera>.delay_s takes into account",
+                where=chosen.name,
+                count=len(chosen),
+            )
         )
     if chosen.source.message != "CAM":
-        return
+        return tuple(notes)
     for trigger in triggers:
         fired = [c for c in channels if c.source.message == "CAM" and _of_one_camera(trigger, c)]
         names, events = ", ".join(c.name for c in fired), sum(map(len, fired))
         if len(trigger) > events:
-            ledger.loss(
-                "EVENTS-LOST",
-                f"{len(trigger)} triggers of {trigger.name}, {events} shutter events of "
-                f"{names}: {len(trigger) - events} pulses were lost, their images "
-                "have no station",
-                where=names,
-                count=len(trigger) - events,
+            notes.append(
+                loss(
+                    "EVENTS-LOST",
+                    f"{len(trigger)} triggers of {trigger.name}, {events} shutter events of "
+                    f"{names}: {len(trigger) - events} pulses were lost, their images "
+                    "have no station",
+                    where=names,
+                    count=len(trigger) - events,
+                )
             )
+    return tuple(notes)
 
 
 def _of_one_camera(trigger: Channel, shots: Channel) -> bool:

@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 from pipeline.atmosphere.refractive_index import vapour_pressure
 from pipeline.flight.channels import Array, Channel
 from pipeline.flight.events import Events
-from pipeline.flight.gimbals import is_of_gimbal
 from pipeline.flight.heights import HeightSystem, heights_at
-from pipeline.flight.mount import Mount
+from pipeline.flight.mount import Mount, is_of_gimbal
 from pipeline.flight.stations import (
     HEIGHT_REFERENCE_UNKNOWN,
     IN_GAP,
@@ -27,15 +26,15 @@ from pipeline.flight.stations import (
     Stations,
     empty_stations,
 )
-from pipeline.flight.trajectory import IN_GAP as GAP_VERDICT
 from pipeline.flight.trajectory import (
+    GAP_IN_CHANNEL,
     INSIDE,
     interpolate,
     interpolate_attitude,
     interpolate_position,
 )
 from pipeline.geodesy import offset_geodetic
-from pipeline.ledger import Ledger
+from pipeline.ledger import Notes, loss
 
 _NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
@@ -52,154 +51,135 @@ def build_stations(
     An exposure outside the log, in a gap of it, or without position, attitude or a height above
     sea level is not invented: its status says why and its values are NaN.
     """
-    n = events.time_ns.size
-    camera = np.full(n, events.camera, dtype=object)
-    blank = empty_stations(events.image, camera, STATION_OK)
-    stations = replace(blank, time_ns=events.time_ns)
     time_ns = events.time_ns
+    n = time_ns.size
+    camera = np.full(n, events.camera, dtype=object)
+    stations = replace(empty_stations(events.image, camera, STATION_OK), time_ns=time_ns)
     if "position" not in roles:
         return stations.with_status(np.ones(n, bool), NO_POSITION)
     position, height = roles["position"], roles["height"]
-    lat, lon, where = interpolate_position(position, time_ns, max_gap_s)
-    h_msl, h_ell = heights_at(height, time_ns, heights, max_gap_s)
-    stations = _gaps(stations, where)
+    lat, lon, coverage = interpolate_position(position, time_ns, max_gap_s)
+    h_msl, h_ellipsoid = heights_at(height, time_ns, heights, max_gap_s)
+    stations = _not_covered(stations, coverage)
     stations = stations.with_status(np.isnan(lat), NO_POSITION)
     if "attitude" not in roles:
         return stations.with_status(np.ones(n, bool), NO_ATTITUDE)
-    attitude, where = interpolate_attitude(roles["attitude"], time_ns, max_gap_s)
-    stations = _gaps(stations, where)
+    attitude, coverage = interpolate_attitude(roles["attitude"], time_ns, max_gap_s)
+    stations = _not_covered(stations, coverage)
     stations = stations.with_status(np.asarray(np.isnan(attitude).any(axis=1)), NO_ATTITUDE)
-    no_height = np.isnan(h_msl) & np.isnan(h_ell)
-    stations = stations.with_status(no_height, IN_GAP)
+    stations = stations.with_status(np.isnan(h_msl) & np.isnan(h_ellipsoid), IN_GAP)
     stations = stations.with_status(np.isnan(h_msl), HEIGHT_REFERENCE_UNKNOWN)
     stations = replace(
         stations,
+        lat_rad=lat,
+        lon_rad=lon,
+        h_msl_m=h_msl,
+        h_ellipsoid_m=h_ellipsoid,
         sigma_horizontal_m=interpolate(position, "sigma_h_m", time_ns, max_gap_s),
         sigma_height_m=interpolate(height, "sigma_v_m", time_ns, max_gap_s),
     )
-    stations = _oriented(stations, mount, lat, lon, h_msl, h_ell, attitude)
+    stations = _moved_to_camera(stations, mount, attitude)
     if "aircraft_attitude" in roles:
         attitude, _ = interpolate_attitude(roles["aircraft_attitude"], time_ns, max_gap_s)
     elif is_of_gimbal(roles["attitude"].source.message):
         attitude = np.full_like(attitude, np.nan)
-    stations = replace(stations, aircraft_quaternion=_body_from_enu(attitude))
+    stations = replace(stations, aircraft_quaternion=_from_enu(attitude, np.eye(3)))
     return _with_air(stations, roles, max_gap_s)
 
 
-def _body_from_enu(attitude: Array) -> Array:
-    """(n, 4) quaternions of v_body = R(q) v_enu from those of v_ned = R(q) v_body; NaN stays."""
+def _not_covered(stations: Stations, coverage: NDArray[np.uint8]) -> Stations:
+    """Stations marked where a channel has a gap, or has ended."""
+    stations = stations.with_status(coverage == GAP_IN_CHANNEL, IN_GAP)
+    return stations.with_status((coverage != INSIDE) & (coverage != GAP_IN_CHANNEL), OUTSIDE_LOG)
+
+
+def _from_enu(attitude: Array, frame_from_body: Array) -> Array:
+    """(n, 4) quaternions of v_frame = R(q) v_enu from attitudes v_ned = R(q) v_body; NaN stays."""
     quaternion = np.full(attitude.shape, np.nan)
     known = np.isfinite(attitude).all(axis=1)
     if bool(known.any()):
         ned_from_body = Rotation.from_quat(attitude[known][:, [1, 2, 3, 0]])
-        turn = ned_from_body.inv() * Rotation.from_matrix(_NED_FROM_ENU)
-        quaternion[known] = turn.as_quat(canonical=True)[:, [3, 0, 1, 2]]
-    return quaternion
-
-
-def _gaps(stations: Stations, coverage: NDArray[np.uint8]) -> Stations:
-    stations = stations.with_status(coverage == GAP_VERDICT, IN_GAP)
-    return stations.with_status((coverage != INSIDE) & (coverage != GAP_VERDICT), OUTSIDE_LOG)
-
-
-def _oriented(
-    stations: Stations,
-    mount: Mount,
-    lat: Array,
-    lon: Array,
-    h_msl: Array,
-    h_ell: Array,
-    attitude: Array,
-) -> Stations:
-    """Stations moved to the projection centre, with the camera's exterior orientation."""
-    n = len(stations)
-    quaternion = np.full((n, 4), np.nan)
-    known = np.isfinite(attitude).all(axis=1) & np.isfinite(lat)
-    lat, lon, h_msl, h_ell = lat.copy(), lon.copy(), h_msl.copy(), h_ell.copy()
-    if bool(known.any()):
-        ned_from_body = Rotation.from_quat(attitude[known][:, [1, 2, 3, 0]])
-        camera_from_enu = (
-            Rotation.from_matrix(mount.camera_from_body)
+        frame_from_enu = (
+            Rotation.from_matrix(frame_from_body)
             * ned_from_body.inv()
             * Rotation.from_matrix(_NED_FROM_ENU)
         )
-        quaternion[known] = camera_from_enu.as_quat(canonical=True)[:, [3, 0, 1, 2]]
+        quaternion[known] = frame_from_enu.as_quat(canonical=True)[:, [3, 0, 1, 2]]
+    return quaternion
+
+
+def _moved_to_camera(stations: Stations, mount: Mount, attitude: Array) -> Stations:
+    """Stations moved by the lever arm, with the camera's exterior orientation."""
+    known = np.isfinite(attitude).all(axis=1) & np.isfinite(stations.lat_rad)
+    attitude = np.where(known[:, None], attitude, np.nan)
+    lat, lon = stations.lat_rad.copy(), stations.lon_rad.copy()
+    h_msl, h_ellipsoid = stations.h_msl_m.copy(), stations.h_ellipsoid_m.copy()
+    if bool(known.any()):
+        ned_from_body = Rotation.from_quat(attitude[known][:, [1, 2, 3, 0]])
         step = ned_from_body.apply(np.array(mount.lever_arm_m)) @ _NED_FROM_ENU
         # Only the difference counts here, so any height will do where the ellipsoidal is unknown.
-        start = np.where(np.isfinite(h_ell[known]), h_ell[known], np.nan_to_num(h_msl[known]))
+        start = h_ellipsoid[known]
+        start = np.where(np.isfinite(start), start, np.nan_to_num(h_msl[known]))
         lat[known], lon[known], end = offset_geodetic(lat[known], lon[known], start, step)
         h_msl[known] += end - start
-        h_ell[known] += end - start
+        h_ellipsoid[known] += end - start
     return replace(
         stations,
         lat_rad=lat,
         lon_rad=lon,
         h_msl_m=h_msl,
-        h_ellipsoid_m=h_ell,
-        quaternion=quaternion,
+        h_ellipsoid_m=h_ellipsoid,
+        quaternion=_from_enu(attitude, mount.camera_from_body),
     )
 
 
 def _with_air(stations: Stations, roles: Mapping[str, Channel], max_gap_s: float) -> Stations:
     """Stations with the air that was measured outside and inside at the exposure."""
+
+    def reading(role: str, column: str) -> Array:
+        channel = roles.get(role)
+        if channel is None:
+            return np.full(len(stations), np.nan)
+        return interpolate(channel, column, stations.time_ns, channel.gap_limit_s(max_gap_s))
+
     columns: dict[str, Any] = {}
     for prefix in ("", "cabin_"):
-        reading = {}
-        for role, column in (
-            ("pressure", "pressure_pa"),
-            ("temperature", "temperature_k"),
-            ("humidity", "relative_humidity"),
-        ):
-            channel = roles.get(prefix + role)
-            reading[role] = (
-                interpolate(channel, column, stations.time_ns, channel.gap_limit_s(max_gap_s))
-                if channel is not None
-                else np.full(len(stations), np.nan)
-            )
-        columns[f"{prefix}pressure_pa"] = reading["pressure"]
-        columns[f"{prefix}temperature_k"] = reading["temperature"]
-        columns[f"{prefix}vapour_pressure_pa"] = vapour_pressure(
-            np.clip(reading["humidity"], 0.0, 1.0), reading["temperature"], reading["pressure"]
-        )
+        pressure = reading(f"{prefix}pressure", "pressure_pa")
+        temperature = reading(f"{prefix}temperature", "temperature_k")
+        humidity = np.clip(reading(f"{prefix}humidity", "relative_humidity"), 0.0, 1.0)
+        columns[f"{prefix}pressure_pa"] = pressure
+        columns[f"{prefix}temperature_k"] = temperature
+        columns[f"{prefix}vapour_pressure_pa"] = vapour_pressure(humidity, temperature, pressure)
     return replace(stations, **columns)
 
 
-def flag_missing_cabin_air(stations: Stations, camera: str, ledger: Ledger) -> Stations:
+def flag_missing_cabin_air(stations: Stations, camera: str) -> tuple[Stations, Notes]:
     """Mark exposures of a camera behind a window whose cabin air is unknown as suspect."""
     known = np.isfinite(stations.cabin_pressure_pa) & np.isfinite(stations.cabin_temperature_k)
-    return _suspect(
-        stations,
-        camera,
-        ~known,
-        "CABIN-MISSING",
-        "no cabin pressure or temperature: the window cannot be corrected",
-        ledger,
-    )
+    what = "no cabin pressure or temperature: the window cannot be corrected"
+    return _suspect(stations, camera, ~known, "CABIN-MISSING", what)
 
 
-def flag_missing_aircraft_attitude(stations: Stations, camera: str, ledger: Ledger) -> Stations:
+def flag_missing_aircraft_attitude(stations: Stations, camera: str) -> tuple[Stations, Notes]:
     """Mark exposures behind a window that is fixed to the aircraft as suspect without its attitude.
 
     For a camera whose window has its normal in the body frame.
     """
-    return _suspect(
-        stations,
-        camera,
-        np.asarray(np.isnan(stations.aircraft_quaternion).any(axis=1)),
-        "AIRCRAFT-ATTITUDE-MISSING",
+    missing = np.asarray(np.isnan(stations.aircraft_quaternion).any(axis=1))
+    what = (
         "no attitude of the aircraft (log.channels.aircraft_attitude): how its window stands "
-        "before the camera is not known",
-        ledger,
+        "before the camera is not known"
     )
+    return _suspect(stations, camera, missing, "AIRCRAFT-ATTITUDE-MISSING", what)
 
 
 def _suspect(
-    stations: Stations, camera: str, missing: NDArray[np.bool_], code: str, what: str,
-    ledger: Ledger,
-) -> Stations:  # fmt: skip
-    """Mark the exposures of a camera that lack something, and enter how many."""
+    stations: Stations, camera: str, missing: NDArray[np.bool_], code: str, what: str
+) -> tuple[Stations, Notes]:
+    """Mark the exposures of a camera that lack something, with a loss that counts them."""
     missing = missing & (stations.camera == camera) & stations.ok
     count = int(missing.sum())
-    if count:
-        ledger.loss(code, f"{count} exposures have {what}", where=f"camera {camera}", count=count)
-    return stations.with_status(missing, SUSPECT)
+    if count == 0:
+        return stations, ()
+    entry = loss(code, f"{count} exposures have {what}", where=f"camera {camera}", count=count)
+    return stations.with_status(missing, SUSPECT), (entry,)

@@ -1,9 +1,12 @@
-"""Heights above sea level and above the ellipsoid, each from the other where it must be."""
+"""Heights above sea level and above the ellipsoid, each from the other where it must be.
+
+Local positions (motion capture, visual odometry) get a place on the earth, and with it heights.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +15,10 @@ from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel
 from pipeline.flight.stations import Stations
 from pipeline.flight.trajectory import interpolate
-from pipeline.ledger import Ledger
+from pipeline.geodesy import offset_geodetic
+from pipeline.ledger import Entry, Notes, note, warning
 
 Array = NDArray[np.float64]
-
 
 STEADY_HOME_M = 2.0
 """The take-off height of a flight does not change by more than this [m]."""
@@ -30,64 +33,57 @@ class HeightSystem:
 
 
 def height_system(
-    roles: Mapping[str, Channel], stated_undulation_m: float | None, ledger: Ledger
-) -> HeightSystem:
-    """Undulation and take-off height, from the mission file or the log itself."""
-    undulation = stated_undulation_m
-    height = roles.get("height")
+    roles: Mapping[str, Channel], stated_undulation_m: float | None
+) -> tuple[HeightSystem, Notes]:
+    """Undulation and take-off height, from the mission file or the log itself.
+
+    The take-off height is known where the height of the position above sea level and above home
+    differ by one value. Before an autopilot sets its home, it gives both heights alike; those rows
+    do not count.
+    """
+    undulation, home = stated_undulation_m, None
+    notes: list[Entry] = []
+    height, position = roles.get("height"), roles.get("position")
     if undulation is None and height is not None:
         both = _difference(height, "h_ellipsoid_m", "h_msl_m")
         if both.size:
             undulation = float(np.median(both))
-            _warn_of_one_height(height, both, ledger)
-            ledger.note(
-                "HEIGHT-UNDULATION",
-                f"undulation {undulation:.2f} m, from the two heights of {height.name}",
-                where=height.name,
-                count=int(both.size),
+            notes.append(
+                note(
+                    "HEIGHT-UNDULATION",
+                    f"undulation {undulation:.2f} m, from the two heights of {height.name}",
+                    where=height.name,
+                    count=int(both.size),
+                )
             )
-    position = roles.get("position")
-    home = _home(position, ledger) if position is not None else None
-    return HeightSystem(undulation, home)
-
-
-def _warn_of_one_height(height: Channel, both: Array, ledger: Ledger) -> None:
-    """Say that a receiver gives one height under two names, as some on a CAN bus do."""
-    if not both.any():
-        ledger.warning(
-            "HEIGHT-SAME",
-            f"both heights of {height.name} are equal to the last digit in {both.size} rows: one "
-            "is a copy of the other, and which of them is meant is unknown; the undulation is "
-            "hardly anywhere 0 (-107 to 86 m), give mission.undulation_m",
-            where=height.name,
-            count=int(both.size),
-        )
-
-
-def _home(position: Channel, ledger: Ledger) -> float | None:
-    """Height of the take-off point above sea level [m], if the log has one and only one.
-
-    Before an autopilot sets its home, it gives both heights alike; those rows do not count.
-    """
-    home = _difference(position, "h_msl_m", "h_home_m")
-    is_set = np.abs(home) > 0.01
-    home = home[is_set] if bool(is_set.any()) else home
-    if home.size == 0:
-        return None
-    low, middle, high = np.percentile(home, [5.0, 50.0, 95.0])
-    if high - low > STEADY_HOME_M:
-        ledger.note(
-            "HEIGHT-HOME",
+        if both.size and not both.any():  # as some receivers on a CAN bus do
+            notes.append(
+                warning(
+                    "HEIGHT-SAME",
+                    f"both heights of {height.name} are equal to the last digit in {both.size} "
+                    "rows: one is a copy of the other, and which of them is meant is unknown; the "
+                    "undulation is hardly anywhere 0 (-107 to 86 m), give mission.undulation_m",
+                    where=height.name,
+                    count=int(both.size),
+                )
+            )
+    homes = np.empty(0) if position is None else _difference(position, "h_msl_m", "h_home_m")
+    is_set = np.abs(homes) > 0.01
+    homes = homes[is_set] if bool(is_set.any()) else homes
+    if position is not None and homes.size:
+        low, middle, high = np.percentile(homes, [5.0, 50.0, 95.0])
+        what = (
             f"the take-off height of {position.name} changes between {low:.1f} and {high:.1f} m: "
-            "it is not used",
-            where=position.name,
+            "it is not used"
         )
-        return None
-    ledger.note("HEIGHT-HOME", f"take-off height {middle:.2f} m", where=position.name)
-    return float(middle)
+        if high - low <= STEADY_HOME_M:
+            home, what = float(middle), f"take-off height {middle:.2f} m"
+        notes.append(note("HEIGHT-HOME", what, where=position.name))
+    return HeightSystem(undulation, home), tuple(notes)
 
 
 def _difference(channel: Channel, first: str, second: str) -> Array:
+    """Known differences of two columns; empty where the channel lacks one."""
     if first not in channel.columns or second not in channel.columns:
         return np.empty(0)
     difference = channel[first] - channel[second]
@@ -97,7 +93,10 @@ def _difference(channel: Channel, first: str, second: str) -> Array:
 def heights_at(
     height: Channel, time_ns: NDArray[np.int64], heights: HeightSystem, max_gap_s: float
 ) -> tuple[Array, Array]:
-    """Heights above sea level and above the ellipsoid, each from the other where it must be."""
+    """Heights above sea level and above the ellipsoid, each from the other where it must be.
+
+    Local positions (motion capture, visual odometry) get a place on the earth, and with it heights.
+    """
     h_msl = interpolate(height, "h_msl_m", time_ns, max_gap_s)
     h_ell = interpolate(height, "h_ellipsoid_m", time_ns, max_gap_s)
     if heights.undulation_m is not None:
@@ -135,3 +134,34 @@ def ground_offsets(reference: str, stations: Stations, heights: HeightSystem) ->
             remedy="give ground.home_h_msl_m",
         )
     return np.full(n, heights.home_h_msl_m)
+
+
+@dataclass(frozen=True)
+class GeodeticOrigin:
+    """Where east = north = up = 0 lies; radians and metres above the ellipsoid."""
+
+    lat_rad: float
+    lon_rad: float
+    h_ellipsoid_m: float
+
+
+def to_geodetic(channel: Channel, origin: GeodeticOrigin) -> Channel:
+    """The channel with its local positions as latitude, longitude and ellipsoidal height.
+
+    A channel without ``east_m``, ``north_m``, ``up_m`` is returned as it is.
+    """
+    if "east_m" not in channel.columns or "lat_rad" in channel.columns:
+        return channel
+    enu = np.stack([channel["east_m"], channel["north_m"], channel["up_m"]], axis=1)
+    n = len(channel)
+    lat, lon, height = offset_geodetic(
+        np.full(n, origin.lat_rad),
+        np.full(n, origin.lon_rad),
+        np.full(n, origin.h_ellipsoid_m),
+        enu,
+    )
+    return replace(
+        channel,
+        columns=dict(channel.columns) | {"lat_rad": lat, "lon_rad": lon, "h_ellipsoid_m": height},
+        roles=(*channel.roles, "height", "position"),
+    )

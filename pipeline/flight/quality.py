@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +12,10 @@ from numpy.typing import NDArray
 from pipeline.errors import MissionError
 from pipeline.flight.channels import ROLE_COLUMNS, Array, Channel
 from pipeline.flight.clock import STRAY_ROWS
-from pipeline.ledger import Ledger
+from pipeline.ledger import Entry, Notes, loss, warning
 
 Mask = NDArray[np.bool_]
 Rows = NDArray[np.intp]
-Apart = Callable[[Channel, Rows, Rows], Array]
-"""How far the samples of some rows are from those of others."""
-
 RANGES: Mapping[str, tuple[float, float]] = {
     "lat_rad": (-np.pi / 2.0, np.pi / 2.0),
     "lon_rad": (-2.0 * np.pi, 2.0 * np.pi),
@@ -40,91 +37,125 @@ FASTEST_M_S = 700.0
 FASTEST_TURN_RAD_S = np.radians(500.0)
 """No aircraft turns faster [rad/s] and, within few samples, back; a flip goes on."""
 
-# What changes no faster: column -> (rate [1/s], step that is noise whatever the interval).
-# 2,500 Pa/s is a climb of 200 m/s at sea level.
-_FASTEST: Mapping[str, tuple[float, float]] = {
-    "pressure_pa": (2_500.0, 100.0),
-    "temperature_k": (20.0, 5.0),
-    "h_msl_m": (FASTEST_CLIMB_M_S, 20.0),
-    "h_ellipsoid_m": (FASTEST_CLIMB_M_S, 20.0),
-}
 _HEIGHTS = ("h_msl_m", "h_ellipsoid_m")
-_PLACE_NOISE_M, _TURN_NOISE_RAD = 100.0, float(np.radians(20.0))
 _METRES_PER_RAD = 6_371_000.0  # a jump of 100 m is told from none: any radius will do
+_TURN_NOISE_RAD = float(np.radians(20.0))
 
-_BLOCK = 1 << 16  # steps that are looked at together: a long channel is not copied
+_BLOCK = 1 << 16  # steps that are compared together: a long channel is not copied
 _MOST_STRETCHES = 20_000  # a series that jumps more often than this has no glitches, it is noise
 
-# Medians that give a wrong unit away: column -> (low, high, the unit it looks like).
-_DISGUISES: Mapping[str, tuple[float, float, str]] = {
+# Medians that show a wrong unit: column -> (low, high, the unit it looks like).
+_WRONG_UNITS: Mapping[str, tuple[float, float, str]] = {
     "pressure_pa": (100.0, 1_200.0, "hPa"),
     "temperature_k": (-90.0, 60.0, "degC"),
     "relative_humidity": (1.2, 100.0, "percent"),
 }
 
+# Roles whose jumps are looked for before a role is given to a channel.
+_ROLES_WITH_JUMPS = ("position", "attitude", "pressure", "temperature", "humidity", "airspeed")
 
-def plausible_samples(channel: Channel, role: str, ledger: Ledger) -> Channel:
-    """The channel without the samples that are missing or cannot be true in its role's columns.
 
-    Out of range, or there and back faster than air or aircraft can change: each is counted in
-    the ledger. Refuses a channel whose median gives away a wrong unit (hPa where Pa is due).
+class _Distance(NamedTuple):
+    """How far samples of two sets of rows are apart, how fast that can change, and what is noise.
+
+    ``rate`` is in units of the distance per second, ``noise`` a step that says nothing whatever
+    the interval.
     """
+
+    between: Callable[[Channel, Rows, Rows], Array]
+    rate: float
+    noise: float
+
+
+def plausible_samples(channel: Channel, role: str) -> tuple[Channel, Notes]:
+    """The channel without the samples that are missing or impossible in the columns of its role.
+
+    Impossible is a value out of range, or one that is reached and left faster than air or aircraft
+    can change: each is counted in the notes, those apart that `mask_impossible_values` has counted.
+    Refuses a channel whose median shows a wrong unit (hPa where Pa is due).
+    """
+    notes: list[Entry] = []
     if role in ("position", "height"):
-        channel = _without_wild_heights(channel, ledger)
+        channel, wild = _mask_heights(channel)
+        notes += wild
     keep = np.ones(len(channel), dtype=bool)
     for column in ROLE_COLUMNS[role]:
         values = channel[column]
         finite = np.isfinite(values)
-        if column in _DISGUISES and finite.any():
-            _refuse_disguise(channel, role, column, float(np.median(values[finite])))
-        if not bool(finite.all()):
-            _report_range(channel, column, ~finite, "not a number", ledger)
+        if column in _WRONG_UNITS and finite.any():
+            low, high, unit = _WRONG_UNITS[column]
+            median = float(np.median(values[finite]))
+            if low <= median <= high:
+                raise MissionError(
+                    "CHANNEL-UNIT",
+                    f"the median of {column} is {median:.4g}: that looks like {unit}",
+                    where=f"channel {channel.name}, role {role}",
+                    remedy=f"say so in the mission file: log.channels.{role}: "
+                    f"{{name: {channel.name}, unit: {unit}}}",
+                )
+        missing = int(np.count_nonzero(~finite)) - channel.masked.get(column, 0)
+        if missing > 0:
+            notes.append(_range_loss(channel, column, missing, "not a number"))
         outside = _outside(values, column)
         if outside.any():
-            _report_range(channel, column, outside, _limits(column), ledger)
+            count = int(np.count_nonzero(outside))
+            notes.append(_range_loss(channel, column, count, _limits(column)))
         keep &= finite & ~outside
-    keep[_jumps(channel, keep, role, ledger)] = False
-    return channel if bool(keep.all()) else subset(channel, keep)
+    jumps, reported = _jumps(channel, keep, role)
+    keep[jumps] = False
+    return channel if bool(keep.all()) else subset(channel, keep), (*notes, *reported)
 
 
-def mask_impossible_values(channel: Channel, ledger: Ledger) -> Channel:
-    """The channel of a log without the values that cannot be true; they are in the ledger.
+def mask_impossible_values(channel: Channel) -> tuple[Channel, Notes]:
+    """The channel of a log without the values that cannot be true; the notes count them.
 
     As `plausible_samples`, before a role is given to it: a wrong value becomes unknown (NaN), and
     its row goes where nothing is left that a role could use. A column whose median is impossible is
     kept, with a warning: it has another unit, or is not of air. Of events only ranges are checked.
     """
-    channel = _without_wild_heights(channel, ledger)
+    before = channel
+    channel, wild = _mask_heights(channel)
+    notes = list(wild)
     columns, wrong = dict(channel.columns), np.zeros(len(channel), np.bool_)
     odd = set()
     for column in [name for name in RANGES if name in columns and name not in _HEIGHTS]:
         outside = _outside(columns[column], column)
         if not outside.any():
             continue
-        if _is_odd(channel, column, ledger):
+        low, high = RANGES[column]
+        median = float(np.nanmedian(channel[column]))
+        if not low <= median <= high:
             odd.add(column)
+            what = (
+                f"the median of {column} is {median:.4g}, {_limits(column)}: it has another unit, "
+                "or is not of air or aircraft; nothing of it is checked"
+            )
+            notes.append(warning("SENSOR-ODD", what, where=channel.name, count=len(channel)))
             continue
-        _report_range(channel, column, outside, _limits(column), ledger)
+        count = int(np.count_nonzero(outside))
+        notes.append(_range_loss(channel, column, count, _limits(column)))
         columns[column] = np.where(outside, np.nan, columns[column])
         wrong |= outside
     channel = replace(channel, columns=columns)
-    if "events" in channel.roles:
-        return channel
-    roles = [role for role in _FLAGGED_AS if channel.fits_role(role)]
+    roles = [role for role in _ROLES_WITH_JUMPS if channel.fits_role(role)]
+    roles = [] if "events" in channel.roles else roles
     for role in [role for role in roles if not odd & {*ROLE_COLUMNS[role]}]:
-        jump = _jumps(channel, _known(channel, role), role, ledger)
-        for column in ROLE_COLUMNS[role] if jump.size else ():
+        jumps, reported = _jumps(channel, _known(channel, role), role)
+        notes += reported
+        for column in ROLE_COLUMNS[role] if jumps.size else ():
             columns[column] = columns[column].copy()
-            columns[column][jump] = np.nan
-        wrong[jump] = True
-    if not wrong.any() or not roles:
-        return channel
+            columns[column][jumps] = np.nan
+        wrong[jumps] = True
     for role in roles:
         wrong &= ~_known(channel, role)
-    return subset(channel, ~wrong) if wrong.any() else channel
-
-
-_FLAGGED_AS = ("position", "attitude", "pressure", "temperature", "humidity", "airspeed")
+    useless = wrong if roles else np.zeros(len(channel), np.bool_)
+    masked = {
+        name: int(np.count_nonzero(np.isnan(values) & ~np.isnan(before[name]) & ~useless))
+        for name, values in columns.items()
+        if values is not before[name]
+    }
+    channel = subset(channel, ~useless) if useless.any() else channel
+    return replace(channel, masked=masked), tuple(notes)
 
 
 def _known(channel: Channel, role: str) -> Mask:
@@ -149,9 +180,8 @@ def _limits(column: str) -> str:
     return f"outside {low:g} to {high:g}"
 
 
-def _report_range(channel: Channel, column: str, bad: Mask, what: str, ledger: Ledger) -> None:
-    count = int(np.count_nonzero(bad))
-    ledger.loss(
+def _range_loss(channel: Channel, column: str, count: int, what: str) -> Entry:
+    return loss(
         "SENSOR-RANGE",
         f"{count} of {len(channel)} samples of {column} are {what} and are not used",
         where=channel.name,
@@ -159,50 +189,60 @@ def _report_range(channel: Channel, column: str, bad: Mask, what: str, ledger: L
     )
 
 
-def _is_odd(channel: Channel, column: str, ledger: Ledger) -> bool:
-    """Whether a column as a whole is not what it is called; a warning says so."""
-    low, high = RANGES[column]
-    median = float(np.nanmedian(channel[column]))
-    if low <= median <= high:
-        return False
-    ledger.warning(
-        "SENSOR-ODD",
-        f"the median of {column} is {median:.4g}, {_limits(column)}: it has another unit, or is "
-        "not of air or aircraft; nothing of it is checked",
-        where=channel.name,
-        count=len(channel),
-    )
-    return True
+def _mask_heights(channel: Channel) -> tuple[Channel, Notes]:
+    """The channel with impossible heights unknown: out of range, or a jump there and back.
+
+    The row keeps its latitude and longitude.
+    """
+    columns = dict(channel.columns)
+    notes: list[Entry] = []
+    for column in [name for name in _HEIGHTS if name in columns]:
+        height = columns[column]
+        wild = _outside(height, column)
+        if "lat_rad" in columns:
+            known = np.isfinite(height) & ~wild
+            jumps, reported = _stray_rows(channel, known, _STEPS[column], channel.name)
+            wild[jumps] = True
+            notes += reported
+        if bool(wild.any()):
+            first = int(np.flatnonzero(wild)[0])
+            notes.append(
+                loss(
+                    "SENSOR-RANGE",
+                    f"{int(wild.sum())} of {len(channel)} values of {column} are impossible or "
+                    f"jump there and back, the first {height[first]:.0f} m in row {first}; not "
+                    "used",
+                    where=channel.name,
+                    count=int(wild.sum()),
+                )
+            )
+            columns[column] = np.where(wild, np.nan, height)
+    return replace(channel, columns=columns), tuple(notes)
 
 
-def _jumps(channel: Channel, known: Mask, role: str, ledger: Ledger) -> Rows:
+def _jumps(channel: Channel, known: Mask, role: str) -> tuple[Rows, Notes]:
     """Few samples in a row that a role's columns cannot reach from those around them."""
-    found = [
-        _glitches(channel, known, apart, rate, noise, f"{channel.name}, as {role}", ledger)
-        for apart, rate, noise in _distances(role)
-    ]
-    jump = np.unique(np.concatenate(found)) if found else np.empty(0, np.intp)
-    if jump.size:
-        time_s = (channel.time_ns[jump[0]] - channel.time_ns[0]) * 1e-9
-        ledger.loss(
-            "SENSOR-JUMP",
-            f"{jump.size} of {len(channel)} samples jump faster than a vehicle or the air can "
-            f"change, the first {time_s:.3f} s after the first sample; not used",
-            where=f"{channel.name}, as {role}",
-            count=int(jump.size),
+    where = f"{channel.name}, as {role}"
+    distances = [_STEPS[name] for name in (role, *ROLE_COLUMNS[role]) if name in _STEPS]
+    notes: list[Entry] = []
+    stray = np.zeros(len(channel), np.bool_)
+    for distance in distances:
+        rows, reported = _stray_rows(channel, known, distance, where)
+        stray[rows] = True
+        notes += reported
+    jumps = np.flatnonzero(stray)
+    if jumps.size:
+        time_s = (channel.time_ns[jumps[0]] - channel.time_ns[0]) * 1e-9
+        notes.append(
+            loss(
+                "SENSOR-JUMP",
+                f"{jumps.size} of {len(channel)} samples jump faster than a vehicle or the air can "
+                f"change, the first {time_s:.3f} s after the first sample; not used",
+                where=where,
+                count=int(jumps.size),
+            )
         )
-    return jump
-
-
-def _distances(role: str) -> Iterator[tuple[Apart, float, float]]:
-    """How far samples are from each other, the fastest rate of that, and what is noise."""
-    if role in ("position", "height"):
-        yield _metres, FASTEST_M_S, _PLACE_NOISE_M
-    elif role == "attitude":
-        yield _angle, float(FASTEST_TURN_RAD_S), _TURN_NOISE_RAD
-    for column in ROLE_COLUMNS[role]:
-        if column in _FASTEST:
-            yield partial(_difference, column), *_FASTEST[column]
+    return jumps, tuple(notes)
 
 
 def _metres(channel: Channel, i: Rows, j: Rows) -> Array:
@@ -221,20 +261,37 @@ def _angle(channel: Channel, i: Rows, j: Rows) -> Array:
     return angle
 
 
-def _difference(column: str, channel: Channel, i: Rows, j: Rows) -> Array:
-    return np.abs(channel[column][j] - channel[column][i])
+def _step_of(column: str, rate: float, noise: float) -> _Distance:
+    """The difference of the values of a column."""
+
+    def between(channel: Channel, i: Rows, j: Rows) -> Array:
+        return np.abs(channel[column][j] - channel[column][i])
+
+    return _Distance(between, rate, noise)
 
 
-def _glitches(
-    channel: Channel, known: Mask, apart: Apart, rate: float, noise: float, where: str,
-    ledger: Ledger,
-) -> Rows:  # fmt: skip
-    """Rows that neither side reaches at a rate, up to `STRAY_ROWS` of them in a row."""
+# By role or by column. 2,500 Pa/s is a climb of 200 m/s at sea level.
+_STEPS: Mapping[str, _Distance] = {
+    "position": _Distance(_metres, FASTEST_M_S, 100.0),
+    "height": _Distance(_metres, FASTEST_M_S, 100.0),
+    "attitude": _Distance(_angle, float(FASTEST_TURN_RAD_S), _TURN_NOISE_RAD),
+    "pressure_pa": _step_of("pressure_pa", 2_500.0, 100.0),
+    "temperature_k": _step_of("temperature_k", 20.0, 5.0),
+    "h_msl_m": _step_of("h_msl_m", FASTEST_CLIMB_M_S, 20.0),
+    "h_ellipsoid_m": _step_of("h_ellipsoid_m", FASTEST_CLIMB_M_S, 20.0),
+}
+
+
+def _stray_rows(
+    channel: Channel, known: Mask, distance: _Distance, where: str
+) -> tuple[Rows, Notes]:
+    """Rows that neither side reaches at the rate of a distance, up to `STRAY_ROWS` in a row."""
     rows = np.flatnonzero(known)
 
     def far(i: Rows, j: Rows) -> Mask:
-        limit = np.maximum(rate * 1e-9 * (channel.time_ns[j] - channel.time_ns[i]), noise)
-        return np.asarray(apart(channel, i, j) > limit, np.bool_)
+        seconds = 1e-9 * (channel.time_ns[j] - channel.time_ns[i])
+        limit = np.maximum(distance.rate * seconds, distance.noise)
+        return np.asarray(distance.between(channel, i, j) > limit, np.bool_)
 
     edges = [np.zeros(1, np.intp)]
     for begin in range(0, rows.size - 1, _BLOCK):
@@ -242,74 +299,31 @@ def _glitches(
         edges.append(np.flatnonzero(far(part[:-1], part[1:])) + begin + 1)
     first = np.concatenate(edges)
     if rows.size < 3 or first.size == 1:
-        return rows[:0]
+        return rows[:0], ()
     if first.size > _MOST_STRETCHES:
-        ledger.warning(
+        noisy = warning(
             "SENSOR-NOISE",
             f"{first.size - 1} of {rows.size} samples are farther from the one before than a "
-            "vehicle or the air can change: which of them are wrong is not to be told",
+            "vehicle or the air can change: which of them are wrong cannot be decided",
             where=where,
             count=int(first.size - 1),
         )
-        return rows[:0]
+        return rows[:0], (noisy,)
     length = np.diff(np.append(first, rows.size))
-    stray = _unreached(rows[first], rows[first + length - 1], length, far)
-    return np.asarray(rows[np.repeat(stray, length)], np.intp)
-
-
-def _unreached(first: Rows, last: Rows, length: Rows, far: Callable[[Rows, Rows], Mask]) -> Mask:
-    """Stretches that are not reached from the longest on, one believed stretch to the next.
-
-    A long one is believed wherever it is: a sensor that is set anew, or the other side of a gap.
-    """
+    begin_row, end_row = rows[first], rows[first + length - 1]
+    # From the longest stretch on, both ways, a stretch is kept that is reached from the last one
+    # kept. A long one is kept wherever it is: a sensor that is set anew, or the end of a gap.
     stray = np.zeros(first.shape, np.bool_)
-    longest = int(np.argmax(length))
-    before = after = longest
-    for k in range(longest + 1, first.size):
-        stray[k] = length[k] <= STRAY_ROWS and far(last[before : before + 1], first[k : k + 1])[0]
+    before = after = int(np.argmax(length))
+    for k in range(before + 1, first.size):
+        short = length[k] <= STRAY_ROWS
+        stray[k] = short and far(end_row[before : before + 1], begin_row[k : k + 1])[0]
         before = before if stray[k] else k
-    for k in range(longest - 1, -1, -1):
-        stray[k] = length[k] <= STRAY_ROWS and far(last[k : k + 1], first[after : after + 1])[0]
+    for k in range(after - 1, -1, -1):
+        short = length[k] <= STRAY_ROWS
+        stray[k] = short and far(end_row[k : k + 1], begin_row[after : after + 1])[0]
         after = after if stray[k] else k
-    return stray
-
-
-def _without_wild_heights(channel: Channel, ledger: Ledger) -> Channel:
-    """The channel with impossible heights unknown: out of range, or a jump there and back.
-
-    The row keeps its latitude and longitude.
-    """
-    columns = dict(channel.columns)
-    for column in [name for name in _HEIGHTS if name in columns]:
-        height = columns[column]
-        wild = _outside(height, column)
-        if "lat_rad" in columns:
-            known = np.isfinite(height) & ~wild
-            apart, limits = partial(_difference, column), _FASTEST[column]
-            wild[_glitches(channel, known, apart, *limits, channel.name, ledger)] = True
-        if bool(wild.any()):
-            first = int(np.flatnonzero(wild)[0])
-            ledger.loss(
-                "SENSOR-RANGE",
-                f"{int(wild.sum())} of {len(channel)} values of {column} are impossible or jump "
-                f"there and back, the first {height[first]:.0f} m in row {first}; not used",
-                where=channel.name,
-                count=int(wild.sum()),
-            )
-            columns[column] = np.where(wild, np.nan, height)
-    return replace(channel, columns=columns)
-
-
-def _refuse_disguise(channel: Channel, role: str, column: str, median: float) -> None:
-    low, high, unit = _DISGUISES[column]
-    if low <= median <= high:
-        raise MissionError(
-            "CHANNEL-UNIT",
-            f"the median of {column} is {median:.4g}: that looks like {unit}",
-            where=f"channel {channel.name}, role {role}",
-            remedy=f"say so in the mission file: log.channels.{role}: "
-            f"{{name: {channel.name}, unit: {unit}}}",
-        )
+    return np.asarray(rows[np.repeat(stray, length)], np.intp), ()
 
 
 def subset(channel: Channel, keep: Mask) -> Channel:

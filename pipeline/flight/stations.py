@@ -1,4 +1,4 @@
-"""Stations: one row an exposure, with where the camera was, how it looked, and the air then."""
+"""Stations: one row an exposure, with position and attitude of the camera, and the air."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.series.profile_series import ProfileSeries
-from pipeline.ledger import Ledger
+from pipeline.ledger import Notes, loss, note
 from pipeline.units import HECTOPASCAL
 
 Array = NDArray[np.float64]
@@ -82,7 +82,7 @@ class Stations:
         return float(known.mean()) if known.size else float(np.pi / 4.0)
 
     def with_status(self, where: NDArray[np.bool_], status: str) -> Stations:
-        """The stations with another status where a mask says so and they were ok."""
+        """The stations with another status where a mask is True and they were ok."""
         return replace(self, status=np.where(where & self.ok, status, self.status))
 
     def to_pandas(self) -> Any:
@@ -153,26 +153,33 @@ def station_columns(stations: Stations) -> dict[str, Any]:
     }
 
 
-def append_unmatched_images(
-    stations: Stations, images: tuple[str, ...], ledger: Ledger
-) -> Stations:
+def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tuple[Stations, Notes]:
     """The stations, with a row for every image that was measured but never exposed in the log."""
+    notes = []
     unknown = np.array(sorted(set(images) - set(stations.image.tolist())), dtype=object)
-    seldom = int((~np.isin(stations.image.astype(str), np.array(images, dtype=str))).sum())
-    if seldom:
-        ledger.note("STATIONS-UNUSED", f"{seldom} exposures have no observations", count=seldom)
+    unused = int((~np.isin(stations.image.astype(str), np.array(images, dtype=str))).sum())
+    if unused:
+        notes.append(
+            note("STATIONS-UNUSED", f"{unused} exposures have no observations", count=unused)
+        )
     if unknown.size == 0:
-        return stations
-    shown = ", ".join(unknown[:3].tolist()) + (" ..." if unknown.size > 3 else "")
-    ledger.loss(
-        "IMAGES-UNMATCHED",
-        f"{unknown.size} images of the observations have no exposure: {shown}"
-        + (f"; the log's are called like '{stations.image[0]}'" if len(stations) else ""),
-        where="events",
-        count=int(unknown.size),
+        return stations, tuple(notes)
+    notes.append(
+        loss(
+            "IMAGES-UNMATCHED",
+            f"{unknown.size} images of the observations have no exposure: {_first_three(unknown)}"
+            + (f"; the log's are called like '{stations.image[0]}'" if len(stations) else ""),
+            where="events",
+            count=int(unknown.size),
+        )
     )
     camera = np.full(unknown.shape, "", dtype=object)
-    return join_stations([stations, empty_stations(unknown, camera, UNMATCHED)])
+    unmatched = empty_stations(unknown, camera, UNMATCHED)
+    return join_stations([stations, unmatched]), tuple(notes)
+
+
+def _first_three(images: NDArray[np.object_]) -> str:
+    return ", ".join(images[:3].tolist()) + (" ..." if images.size > 3 else "")
 
 
 LARGEST_PRESSURE_MISFIT_PA = 800.0
@@ -180,32 +187,33 @@ LARGEST_PRESSURE_MISFIT_PA = 800.0
 
 
 def flag_height_misfits(
-    stations: Stations, profile: Profile | ProfileSeries, ledger: Ledger
-) -> Stations:
+    stations: Stations, profile: Profile | ProfileSeries
+) -> tuple[Stations, Notes]:
     """Mark stations as suspect whose GNSS height contradicts their barometer.
 
     The profile was made from the whole flight; a station where the pressure measured and that of
-    the profile are 8 hPa apart has a wrong height, or its barometer failed.
+    the profile are more than 8 hPa apart has a wrong height, or its barometer failed.
     """
     misfit = stations.pressure_pa - profile.pressure(stations.h_msl_m)
     with np.errstate(invalid="ignore"):
         wrong = stations.ok & (np.abs(misfit) > LARGEST_PRESSURE_MISFIT_PA)
-    if bool(wrong.any()):
-        worst = float(np.nanmax(np.abs(misfit[wrong]))) / HECTOPASCAL
-        ledger.loss(
-            "STATIONS-HEIGHT",
-            f"{int(wrong.sum())} stations are suspect: barometer and GNSS height are up to "
-            f"{worst:.0f} hPa apart there, the first {stations.image[np.argmax(wrong)]}",
-            count=int(wrong.sum()),
-        )
-    return stations.with_status(wrong, SUSPECT)
+    if not bool(wrong.any()):
+        return stations, ()
+    worst = float(np.nanmax(np.abs(misfit[wrong]))) / HECTOPASCAL
+    entry = loss(
+        "STATIONS-HEIGHT",
+        f"{int(wrong.sum())} stations are suspect: barometer and GNSS height are up to "
+        f"{worst:.0f} hPa apart there, the first {stations.image[np.argmax(wrong)]}",
+        count=int(wrong.sum()),
+    )
+    return stations.with_status(wrong, SUSPECT), (entry,)
 
 
-def report_unusable_stations(stations: Stations, ledger: Ledger) -> None:
-    """A loss in the ledger for each reason why stations cannot be used."""
+def unusable_station_notes(stations: Stations) -> Notes:
+    """A loss for each reason why stations cannot be used."""
+    notes = []
     for status in sorted(set(stations.status.tolist()) - {STATION_OK, UNMATCHED}):
-        mine = stations.image[stations.status == status]
-        shown = ", ".join(mine[:3].tolist()) + (" ..." if mine.size > 3 else "")
-        ledger.loss(
-            "STATIONS-FLAGGED", f"{mine.size} exposures are {status}: {shown}", count=int(mine.size)
-        )
+        images = stations.image[stations.status == status]
+        what = f"{images.size} exposures are {status}: {_first_three(images)}"
+        notes.append(loss("STATIONS-FLAGGED", what, count=int(images.size)))
+    return tuple(notes)

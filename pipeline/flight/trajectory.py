@@ -13,14 +13,15 @@ from pipeline.flight.channels import Channel
 Array = NDArray[np.float64]
 TimeArray = NDArray[np.int64]
 
-INSIDE, OUTSIDE_LOG, IN_GAP = 0, 1, 2
+INSIDE, OUTSIDE_CHANNEL, GAP_IN_CHANNEL = 0, 1, 2
 
 
 @dataclass(frozen=True, eq=False)
 class Bracket:
     """Neighbouring samples of instants: (m,) rows before and after, and the fraction between.
 
-    ``coverage`` is INSIDE, OUTSIDE_LOG or IN_GAP; where it is not INSIDE the rest means nothing.
+    ``coverage`` is INSIDE, OUTSIDE_CHANNEL or GAP_IN_CHANNEL; where it is not INSIDE the rest
+    means nothing.
     """
 
     before: NDArray[np.intp]
@@ -38,7 +39,7 @@ def bracket(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Bracket:
     stamps = channel.time_ns
     if stamps.size == 0:
         nowhere = np.zeros(time_ns.shape, np.intp)
-        coverage = np.full(time_ns.shape, OUTSIDE_LOG, np.uint8)
+        coverage = np.full(time_ns.shape, OUTSIDE_CHANNEL, np.uint8)
         return Bracket(nowhere, nowhere, np.zeros(time_ns.shape), coverage)
     after = np.clip(np.searchsorted(stamps, time_ns, side="left"), 0, stamps.size - 1)
     hit = stamps[after] == time_ns
@@ -47,7 +48,7 @@ def bracket(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Bracket:
     torn = (interval > max_gap_s * 1e9) | (channel.boot[after] != channel.boot[before])
     outside = (time_ns < stamps[0]) | (time_ns > stamps[-1])
     fraction = (time_ns - stamps[before]) / np.maximum(interval, 1)
-    coverage = np.select([outside, torn & ~hit], [OUTSIDE_LOG, IN_GAP], INSIDE)
+    coverage = np.select([outside, torn & ~hit], [OUTSIDE_CHANNEL, GAP_IN_CHANNEL], INSIDE)
     return Bracket(before, after, np.where(hit, 0.0, fraction), coverage.astype(np.uint8))
 
 
@@ -65,7 +66,7 @@ def interpolate(channel: Channel, column: str, time_ns: TimeArray, max_gap_s: fl
 def interpolate_position(
     channel: Channel, time_ns: TimeArray, max_gap_s: float
 ) -> tuple[Array, Array, NDArray[np.uint8]]:
-    """Latitude and longitude [rad] at instants, and the coverage of `bracket` for each.
+    """Latitude and longitude [rad] at instants, and the coverage by `bracket` for each.
 
     Interpolates the normal vector of the ellipsoid, so the 180th meridian and the poles are no
     special places. Within 1 mm of the geodesic for samples 1 km apart.
@@ -84,7 +85,7 @@ def interpolate_position(
 def interpolate_attitude(
     channel: Channel, time_ns: TimeArray, max_gap_s: float
 ) -> tuple[Array, NDArray[np.uint8]]:
-    """Attitude at instants by spherical linear interpolation, with the coverage of `bracket`.
+    """Attitude at instants by spherical linear interpolation, with the coverage by `bracket`.
 
     Returns (m, 4) quaternions w, x, y, z with v_ned = R(q) v_body; NaN where there is none.
     """

@@ -19,9 +19,9 @@ from pipeline.flight.clock import (
     LAST_US,
     STRAY_ROWS,
     ClockOffset,
+    clock_fit_note,
     fit_offset,
     new_readings,
-    report_clock_fit,
     stray_stretches,
 )
 from pipeline.ledger import Ledger
@@ -300,7 +300,7 @@ def _best_fit(
     if not fits:
         return None
     chosen, best = max(fits, key=lambda pair: pair[1].rows)
-    report_clock_fit(ledger, f"{best.rows} {chosen.source}", best, place)
+    ledger.add(clock_fit_note(f"{best.rows} {chosen.source}", best, place))
     for source, fit in fits:
         apart = fit.offset_ns - best.offset_ns
         if abs(apart) > BOOT_STEP_NS:

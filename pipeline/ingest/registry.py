@@ -125,7 +125,7 @@ def _read(form: LogFormat, path: Path, ledger: Ledger, needs_channels: bool) -> 
     contents = form.read(path, ledger)
     channels = []
     for channel in contents.channels:
-        channels.append(mask_impossible_values(channel, ledger))
+        channels.append(ledger.take(mask_impossible_values(channel)))
         release_pages()
     channels = sorted((c for c in channels if len(c)), key=lambda channel: channel.name)
     if not contents.messages:

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 
 from pipeline.batch.plan import Plan
 from pipeline.flight.channels import Channel
-from pipeline.flight.gimbals import report_gimbal_frames
-from pipeline.flight.heights import HeightSystem, height_system
-from pipeline.flight.local_origin import to_geodetic
+from pipeline.flight.heights import HeightSystem, height_system, to_geodetic
+from pipeline.flight.mount import gimbal_notes
 from pipeline.flight.quality import plausible_samples
 from pipeline.flight.roles import assign_roles
 from pipeline.ingest import Log, open_log
@@ -61,16 +60,15 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
                 in_stated_unit(c, role, stated.unit) if c.name == stated.name else c
                 for c in channels
             )
-    roles = assign_roles(
-        channels,
-        {role: stated.name for role, stated in named.items()},
-        ledger,
-        needs_cabin=any(camera.needs_cabin_from_log for camera in mission.cameras.values()),
-    )
-    plausible = {role: plausible_samples(channel, role, ledger) for role, channel in roles.items()}
+    needs_cabin = any(camera.needs_cabin_from_log for camera in mission.cameras.values())
+    names = {role: stated.name for role, stated in named.items()}
+    roles = ledger.take(assign_roles(channels, names, needs_cabin=needs_cabin))
+    plausible = {
+        role: ledger.take(plausible_samples(channel, role)) for role, channel in roles.items()
+    }
     mounts = {camera: mount.build() for camera, mount in mission.mount.items()}
-    report_gimbal_frames(log.messages, plausible, mounts, ledger)
-    heights = height_system(plausible, mission.mission.undulation_m, ledger)
+    ledger.extend(gimbal_notes(log.messages, plausible, mounts))
+    heights = ledger.take(height_system(plausible, mission.mission.undulation_m))
     if mission.ground.home_h_msl_m is not None:
         heights = replace(heights, home_h_msl_m=mission.ground.home_h_msl_m)
     return FlightLog(log, channels, plausible, heights)

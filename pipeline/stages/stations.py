@@ -13,7 +13,7 @@ from pipeline.flight.events import (
     events_of_channel,
     events_of_table,
     refuse_repeated_images,
-    report_lost_triggers,
+    trigger_notes,
 )
 from pipeline.flight.exposures import (
     build_stations,
@@ -24,7 +24,7 @@ from pipeline.flight.stations import (
     Stations,
     append_unmatched_images,
     join_stations,
-    report_unusable_stations,
+    unusable_station_notes,
 )
 from pipeline.ledger import Ledger
 from pipeline.stages.inputs import FlightLog
@@ -42,8 +42,9 @@ def exposure_events(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -
         events = []
         for camera, source in section.log.items():
             channel = choose_event_channel(channels, source.channel)
-            report_lost_triggers(channels, channel, ledger)
-            events.append(events_of_channel(channel, camera, source.image, source.delay_s, ledger))
+            ledger.extend(trigger_notes(channels, channel))
+            exposed = events_of_channel(channel, camera, source.image, source.delay_s)
+            events.append(ledger.take(exposed))
         return events
     csv = section.csv
     if csv is None:
@@ -85,9 +86,9 @@ def stations_of_mission(
     )
     for name, camera in mission.cameras.items():
         if camera.needs_cabin_from_log:
-            stations = flag_missing_cabin_air(stations, name, ledger)
+            stations = ledger.take(flag_missing_cabin_air(stations, name))
         if camera.window is not None and camera.window.frame == "body":
-            stations = flag_missing_aircraft_attitude(stations, name, ledger)
-    stations = append_unmatched_images(stations, observations.images, ledger)
-    report_unusable_stations(stations, ledger)
+            stations = ledger.take(flag_missing_aircraft_attitude(stations, name))
+    stations = ledger.take(append_unmatched_images(stations, observations.images))
+    ledger.extend(unusable_station_notes(stations))
     return stations

@@ -93,7 +93,7 @@ def run_mission(path: Path, *, force: bool = False, progress: Progress | None = 
         flight, stations, ledger = prepared.flight, prepared.stations, prepared.ledger
         air = adjusted_profiles(mission, stations, prepared.samples, prepared.sources, ledger)
         if air.adjustment.is_measured:
-            stations = flag_height_misfits(stations, air.series, ledger)
+            stations = ledger.take(flag_height_misfits(stations, air.series))
         progress.start("correcting", prepared.observations.rows)
         exposures = exposures_of_mission(mission, stations, air.series, ledger)
         report_unknown_sigmas(mission, stations, air.series, ledger)
@@ -140,7 +140,8 @@ def prepare_mission(plan: Plan, progress: Progress) -> PreparedMission:
     progress.start("reading the log")
     flight = read_log(plan, ledger)
     stations = stations_of_mission(plan, flight, observations, ledger)
-    samples = air_samples(flight.roles, flight.heights, plan.mission.log.max_gap_s, ledger)
+    max_gap_s = plan.mission.log.max_gap_s
+    samples = ledger.take(air_samples(flight.roles, flight.heights, max_gap_s))
     sources = read_air_sources(plan, stations, samples, ledger, flight.heights.home_h_msl_m)
     ledger.extend(flight.log.ledger)
     return PreparedMission(plan, flight, observations, stations, samples, sources, ledger)

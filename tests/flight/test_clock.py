@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.flight.clock import (
+    clock_fit_note,
     clock_map,
     fit_offset,
     longest_increasing,
     new_readings,
-    report_clock_fit,
     rows_in_time_order,
     stray_times,
     utc_of_gps,
@@ -193,7 +193,7 @@ def test_a_stepping_clock_is_a_loss_counted_and_placed(late_ms, rows, kind, coun
     boot_ns = 50 * SECOND + np.arange(400) * SECOND // 5
     utc_ns = boot_ns + 1_700_000_000 * SECOND
     utc_ns[rows] += late_ms * 1_000_000
-    report_clock_fit(ledger, "400 GPS rows", fit_offset(utc_ns, boot_ns), "boot 0")
+    ledger.add(clock_fit_note("400 GPS rows", fit_offset(utc_ns, boot_ns), "boot 0"))
     (entry,) = ledger
     assert (entry.code, entry.kind, entry.count) == ("TIME-FIT", kind, count)
     if kind == "loss":

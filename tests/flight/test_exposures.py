@@ -16,13 +16,18 @@ from pipeline.flight.events import (
     choose_event_channel,
     events_of_channel,
     refuse_repeated_images,
-    report_lost_triggers,
+    trigger_notes,
 )
 from pipeline.flight.exposures import build_stations, flag_missing_cabin_air
-from pipeline.flight.heights import HeightSystem, ground_offsets, height_system
-from pipeline.flight.local_origin import GeodeticOrigin, to_geodetic
+from pipeline.flight.heights import (
+    GeodeticOrigin,
+    HeightSystem,
+    ground_offsets,
+    height_system,
+    to_geodetic,
+)
 from pipeline.flight.mount import Mount
-from pipeline.flight.stations import append_unmatched_images, report_unusable_stations
+from pipeline.flight.stations import append_unmatched_images, unusable_station_notes
 from pipeline.ledger import Ledger
 
 SECOND = 1_000_000_000
@@ -150,7 +155,7 @@ def test_each_reason_has_its_name() -> None:
     assert build_stations(when, bare, Mount(), HeightSystem(), 1.0).status[1] == "no_attitude"
     assert build_stations(when, {}, Mount(), HeightSystem(), 1.0).status[1] == "no_position"
     ledger = Ledger()
-    report_unusable_stations(with_gap, ledger)
+    ledger.extend(unusable_station_notes(with_gap))
     assert {e.code for e in ledger} == {"STATIONS-FLAGGED"}
     assert ledger.has_losses
 
@@ -166,15 +171,15 @@ def test_air_at_the_exposure() -> None:
     assert station.cabin_vapour_pressure_pa[0] == pytest.approx(0.5 * 2339.2 * 1.0034, rel=1e-3)
     assert np.isnan(station.pressure_pa[0])
     ledger = Ledger()
-    assert flag_missing_cabin_air(station, "cam", ledger).status[0] == "ok"
-    assert flag_missing_cabin_air(one_station(), "cam", ledger).status[0] == "suspect"
+    assert ledger.take(flag_missing_cabin_air(station, "cam")).status[0] == "ok"
+    assert ledger.take(flag_missing_cabin_air(one_station(), "cam")).status[0] == "suspect"
     assert [e.code for e in ledger] == ["CABIN-MISSING"]
 
 
 def test_image_names_and_lost_numbers() -> None:
     shots = channel("CAM[0]", [1, 2, 3, 4], event_index=[7, 8, 10, 11])
     ledger = Ledger()
-    named = events_of_channel(shots, "cam", "IMG_{index:03d}", 0.5, ledger)
+    named = ledger.take(events_of_channel(shots, "cam", "IMG_{index:03d}", 0.5))
     assert named.image.tolist() == ["IMG_007", "IMG_008", "IMG_010", "IMG_011"]
     assert named.time_ns[0] == 1_500_000_000
     (entry,) = ledger
@@ -185,14 +190,14 @@ def test_image_names_and_lost_numbers() -> None:
 def test_many_lost_numbers_are_counted_too() -> None:
     shots = channel("CAM[0]", np.arange(100), event_index=np.arange(1, 301, 3))
     ledger = Ledger()
-    events_of_channel(shots, "cam", "{index}", 0.0, ledger)
+    ledger.take(events_of_channel(shots, "cam", "{index}", 0.0))
     assert [(e.count, e.kind) for e in ledger] == [(198, "loss")]
 
 
 def test_counted_names_after_a_lost_event_are_refused() -> None:
     shots = channel("CAM[0]", [1, 2, 3], event_index=[1, 2, 4])
     with pytest.raises(MissionError, match="EVENTS-COUNTED"):
-        events_of_channel(shots, "cam", "IMG_{n:03d}", 0.0, Ledger())
+        events_of_channel(shots, "cam", "IMG_{n:03d}", 0.0)[0]
 
 
 def test_the_take_off_height_of_two_flights_is_not_guessed() -> None:
@@ -200,15 +205,15 @@ def test_the_take_off_height_of_two_flights_is_not_guessed() -> None:
     home = np.where(seconds < 50, 500.0, 507.0)
     moved = channel("POS", seconds, h_msl_m=home + 10.0, h_home_m=10.0)
     unset = channel("POS", seconds, h_msl_m=510.0, h_home_m=np.where(seconds < 70, 510.0, 10.0))
-    assert height_system({"position": moved}, None, Ledger()).home_h_msl_m is None
-    assert height_system({"position": unset}, None, Ledger()).home_h_msl_m == 500.0
+    assert height_system({"position": moved}, None)[0].home_h_msl_m is None
+    assert height_system({"position": unset}, None)[0].home_h_msl_m == 500.0
 
 
 def test_triggers_without_a_shutter_are_counted() -> None:
     shots = channel("CAM[0]", [1, 2, 3], event_index=[1, 2, 3])
     triggers = channel("TRIG[0]", [1, 2, 3, 4, 5], rank=40, event_index=[1, 2, 3, 4, 5])
     ledger = Ledger()
-    report_lost_triggers((shots, triggers), shots, ledger)
+    ledger.extend(trigger_notes((shots, triggers), shots))
     assert [e.count for e in ledger] == [2]
 
 
@@ -250,7 +255,7 @@ def test_triggers_of_another_camera_do_not_count(
     ledger = Ledger()
     for camera in channels:
         if camera.source.message == "CAM":
-            report_lost_triggers(channels, camera, ledger)
+            ledger.extend(trigger_notes(channels, camera))
     assert [(entry.code, entry.where, entry.count) for entry in ledger] == told
 
 
@@ -275,9 +280,9 @@ def test_undulation_and_home_from_the_log() -> None:
     seconds = np.arange(0.0, 3.0)
     both = channel("GPS[0]", seconds, h_msl_m=[1, 2, 3], h_ellipsoid_m=[49, 50, np.nan])
     home = channel("POS", seconds, h_msl_m=[500.0, 510, 520], h_home_m=[0, 10, 20])
-    system = height_system({"height": both, "position": home}, None, Ledger())
+    system = height_system({"height": both, "position": home}, None)[0]
     assert (system.undulation_m, system.home_h_msl_m) == (48.0, 500.0)
-    assert height_system({"height": both}, 47.0, Ledger()).undulation_m == 47.0
+    assert height_system({"height": both}, 47.0)[0].undulation_m == 47.0
 
 
 def test_ground_heights_of_three_kinds() -> None:
@@ -294,7 +299,7 @@ def test_ground_heights_of_three_kinds() -> None:
 
 def test_images_without_an_exposure_get_a_row() -> None:
     ledger = Ledger()
-    joined = append_unmatched_images(one_station(), ("image_0", "stray"), ledger)
+    joined = ledger.take(append_unmatched_images(one_station(), ("image_0", "stray")))
     assert joined.image.tolist() == ["image_0", "stray"]
     assert joined.status.tolist() == ["ok", "unmatched"]
     assert ledger.has_losses
@@ -330,13 +335,13 @@ def shots(index: list[int], boot: list[int] | None = None) -> Channel:
 )
 def test_an_image_number_that_runs_over(index: list[int], lost: int) -> None:
     ledger = Ledger()
-    events_of_channel(shots(index), "cam", "{index}.jpg", 0.0, ledger)
+    ledger.take(events_of_channel(shots(index), "cam", "{index}.jpg", 0.0))
     assert sum(entry.count for entry in ledger) == lost
 
 
 def test_a_number_lost_over_the_turn_is_named_as_the_log_would() -> None:
     ledger = Ledger()
-    events_of_channel(shots([65534, 65535, 2]), "cam", "{index}.jpg", 0.0, ledger)
+    ledger.take(events_of_channel(shots([65534, 65535, 2]), "cam", "{index}.jpg", 0.0))
     (entry,) = ledger
     assert (entry.code, entry.count) == ("EVENTS-LOST", 2)
     assert "between 65534 and 2" in entry.what
@@ -346,10 +351,10 @@ def test_a_number_lost_over_the_turn_is_named_as_the_log_would() -> None:
 def test_numbers_begin_anew_with_each_boot() -> None:
     ledger = Ledger()
     found = shots([0, 1, 2, 7, 8, 9], [0, 0, 0, 1, 1, 1])
-    events_of_channel(found, "cam", "{n}.jpg", 0.0, ledger)
+    ledger.take(events_of_channel(found, "cam", "{n}.jpg", 0.0))
     assert not list(ledger)
     with pytest.raises(MissionError, match="EVENTS-COUNTED"):
-        events_of_channel(shots([0, 2], [0, 0]), "cam", "{n}.jpg", 0.0, Ledger())
+        events_of_channel(shots([0, 2], [0, 0]), "cam", "{n}.jpg", 0.0)[0]
 
 
 def test_camera_rows_without_triggers_are_the_triggers() -> None:
@@ -360,7 +365,7 @@ def test_camera_rows_without_triggers_are_the_triggers() -> None:
         ((camera, trigger), trigger, True),
     ):
         ledger = Ledger()
-        report_lost_triggers(channels, chosen, ledger)
+        ledger.extend(trigger_notes(channels, chosen))
         assert [entry.code for entry in ledger] == ["EVENTS-TRIGGER-TIME"] * told
         assert all(entry.kind == "note" and "delay_s" in entry.what for entry in ledger)
 
@@ -371,5 +376,5 @@ def test_two_heights_that_are_one_are_told() -> None:
     for apart, told in ((0.0, True), (0.001, False)):
         ledger = Ledger()
         gnss = channel("GPS", np.arange(5.0), **place, h_ellipsoid_m=heights + apart)
-        height_system({"height": gnss}, None, ledger)
+        ledger.take(height_system({"height": gnss}, None))
         assert ("HEIGHT-SAME" in {entry.code for entry in ledger}) is told

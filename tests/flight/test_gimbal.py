@@ -15,9 +15,8 @@ from scipy.spatial.transform import Rotation
 from pipeline.flight.channels import Channel, Source
 from pipeline.flight.events import Events
 from pipeline.flight.exposures import build_stations
-from pipeline.flight.gimbals import report_gimbal_frames
 from pipeline.flight.heights import HeightSystem
-from pipeline.flight.mount import Mount
+from pipeline.flight.mount import Mount, gimbal_notes
 from pipeline.flight.roles import assign_roles
 from pipeline.flight.stations import Stations
 from pipeline.ingest import open_log
@@ -115,8 +114,8 @@ LOGS: dict[str, tuple[str, Callable[[Path], str]]] = {
 def named(*channels: Channel, gimbal: str, mounts: dict[str, Mount]):
     """The roles where a channel is named as attitude, and what is said of gimbals."""
     ledger = Ledger()
-    roles = assign_roles(channels, {"attitude": gimbal}, Ledger(), needs_cabin=False)
-    report_gimbal_frames({"MNT": 20, "ATT": 20}, roles, mounts, ledger)
+    roles = assign_roles(channels, {"attitude": gimbal}, needs_cabin=False)[0]
+    ledger.extend(gimbal_notes({"MNT": 20, "ATT": 20}, roles, mounts))
     return roles, ledger
 
 
@@ -215,7 +214,7 @@ def test_a_gimbal_that_nobody_follows_is_told(messages: dict[str, int], ignored:
     aircraft = attitude("ATT", "ATT", 0.0)
     for roles in ({"attitude": aircraft}, {}):
         ledger = Ledger()
-        report_gimbal_frames(messages, roles, {"nadir": Mount()}, ledger)
+        ledger.extend(gimbal_notes(messages, roles, {"nadir": Mount()}))
         assert [(e.kind, e.code) for e in ledger] == [("warning", "GIMBAL-IGNORED")] * bool(ignored)
         assert all(
             ignored in entry.what and "fixed to the aircraft" in entry.what for entry in ledger

@@ -48,7 +48,7 @@ ARSP = channel("ARSP[0]", 30, "temperature", "airspeed", temperature_k=281.0, ai
 
 def assign(*channels: Channel, cabin: bool = False, **wishes: str):
     ledger = Ledger()
-    roles = assign_roles(channels, wishes, ledger, needs_cabin=cabin)
+    roles = ledger.take(assign_roles(channels, wishes, needs_cabin=cabin))
     return {role: c.name for role, c in roles.items()}, ledger
 
 
@@ -148,7 +148,7 @@ def test_one_channel_is_not_inside_and_outside() -> None:
 )
 def test_a_wrong_unit_is_refused(role: str, column: str, value: float, unit: str) -> None:
     with pytest.raises(MissionError, match=f"looks like {unit}") as refusal:
-        plausible_samples(channel("X", 50, **{column: value}), role, Ledger())
+        plausible_samples(channel("X", 50, **{column: value}), role)[0]
     assert f"unit: {unit}" in refusal.value.remedy
 
 
@@ -156,7 +156,7 @@ def test_impossible_readings_are_taken_out_and_counted() -> None:
     pressure = free_air(HEIGHT)
     pressure[:3], pressure[10] = np.nan, 1e9
     ledger = Ledger()
-    sound = plausible_samples(channel("BARO[0]", 10, pressure_pa=pressure), "pressure", ledger)
+    sound = ledger.take(plausible_samples(channel("BARO[0]", 10, pressure_pa=pressure), "pressure"))
     assert len(sound) == len(TIME) - 4
     assert sorted(e.count for e in ledger) == [1, 3]
     assert ledger.has_losses
@@ -165,7 +165,7 @@ def test_impossible_readings_are_taken_out_and_counted() -> None:
 def test_the_ground_and_the_first_two_minutes_are_not_the_air() -> None:
     roles = {"height": GPS, "temperature": OUT, "pressure": BARO}
     ledger = Ledger()
-    found = air_samples(roles, HeightSystem(), 5.0, ledger)
+    found = ledger.take(air_samples(roles, HeightSystem(), 5.0))
     assert found.temperature is not None
     assert found.pressure is not None
     used = SECONDS[found.temperature.accepted]
@@ -177,7 +177,7 @@ def test_the_ground_and_the_first_two_minutes_are_not_the_air() -> None:
 
 def test_a_log_that_begins_in_the_air_has_no_take_off() -> None:
     flying = channel("GPS[0]", 20, "height", h_msl_m=2000.0 + 3.0 * SECONDS, **PLACE)
-    found = air_samples({"height": flying, "temperature": OUT}, HeightSystem(), 5.0, Ledger())
+    found = air_samples({"height": flying, "temperature": OUT}, HeightSystem(), 5.0)[0]
     assert found.temperature is not None
     assert found.temperature.accepted.all()
 
@@ -188,7 +188,7 @@ def test_the_ground_between_two_flights_is_not_the_air() -> None:
     place = {k: np.full(twice.size, v) for k, v in PLACE.items()}
     gnss = Channel("GPS[0]", time_ns, {"h_msl_m": twice, **place}, Source("GPS"))
     warm = Channel("HYGR[0]", time_ns, {"temperature_k": np.full(twice.size, 280.0)}, Source("H"))
-    found = air_samples({"height": gnss, "temperature": warm}, HeightSystem(), 5.0, Ledger())
+    found = air_samples({"height": gnss, "temperature": warm}, HeightSystem(), 5.0)[0]
     assert found.temperature is not None
     accepted = found.temperature.accepted
     assert not accepted[865:1015].any()
@@ -201,11 +201,11 @@ def test_heights_that_cannot_be_are_taken_out() -> None:
     wild[100], wild[200], wild[300] = 1e6, -50_000.0, wild[300] + 900.0
     ledger = Ledger()
     gnss = channel("GPS[0]", 20, "height", h_msl_m=wild, **PLACE)
-    sound = plausible_samples(gnss, "height", ledger)
+    sound = ledger.take(plausible_samples(gnss, "height"))
     assert np.flatnonzero(np.isnan(sound["h_msl_m"])).tolist() == [100, 200, 300]
     assert len(sound) == len(gnss)
     assert [(e.code, e.count, e.kind) for e in ledger] == [("SENSOR-RANGE", 3, Kind.LOSS)]
-    assert plausible_samples(GPS, "height", Ledger())["h_msl_m"].tolist() == HEIGHT.tolist()
+    assert plausible_samples(GPS, "height")[0]["h_msl_m"].tolist() == HEIGHT.tolist()
 
 
 def test_the_attitude_of_the_aircraft_is_only_ever_named() -> None:

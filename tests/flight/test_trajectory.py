@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from pipeline.flight.channels import Channel, Source
 from pipeline.flight.trajectory import (
-    IN_GAP,
+    GAP_IN_CHANNEL,
     INSIDE,
-    OUTSIDE_LOG,
+    OUTSIDE_CHANNEL,
     bracket,
     interpolate,
     interpolate_attitude,
@@ -41,32 +41,33 @@ def test_linear_between_samples_and_exact_on_them() -> None:
 def test_nothing_outside_the_log() -> None:
     x = channel([0, 1, 2], value=[0.0, 10.0, 40.0])
     assert np.isnan(interpolate(x, "value", at(-0.001, 2.001), 1.0)).all()
-    assert bracket(x, at(-0.001, 2.001), 1.0).coverage.tolist() == [OUTSIDE_LOG, OUTSIDE_LOG]
+    assert bracket(x, at(-0.001, 2.001), 1.0).coverage.tolist() == [OUTSIDE_CHANNEL] * 2
 
 
 def test_nothing_in_a_gap_but_its_edges_stand() -> None:
     x = channel([0, 0.1, 0.2, 0.3, 9.0, 9.1], value=range(6))
     found = bracket(x, at(0.3, 0.31, 5.0, 8.99, 9.0), 1.0).coverage
-    assert found.tolist() == [INSIDE, IN_GAP, IN_GAP, IN_GAP, INSIDE]
+    assert found.tolist() == [INSIDE, GAP_IN_CHANNEL, GAP_IN_CHANNEL, GAP_IN_CHANNEL, INSIDE]
     assert np.isnan(interpolate(x, "value", at(5.0), 1.0)).all()
 
 
 def test_the_limit_is_the_limit_but_slow_air_sensors_have_their_own() -> None:
     x = channel([0, 2, 4, 6], value=range(4))
-    assert bracket(x, at(3.0), 1.0).coverage.tolist() == [IN_GAP]
+    assert bracket(x, at(3.0), 1.0).coverage.tolist() == [GAP_IN_CHANNEL]
     assert x.gap_limit_s(1.0) == 6.0
     assert bracket(x, at(3.0), x.gap_limit_s(1.0)).coverage.tolist() == [INSIDE]
 
 
 def test_a_restart_is_a_gap_however_short() -> None:
     x = channel([0, 0.1, 0.2, 0.3], boot=[0, 0, 1, 1], value=range(4))
-    assert bracket(x, at(0.05, 0.15, 0.25), 1.0).coverage.tolist() == [INSIDE, IN_GAP, INSIDE]
+    coverage = bracket(x, at(0.05, 0.15, 0.25), 1.0).coverage
+    assert coverage.tolist() == [INSIDE, GAP_IN_CHANNEL, INSIDE]
 
 
 def test_an_empty_channel_and_a_missing_column() -> None:
     assert np.isnan(interpolate(channel([]), "value", at(0.0), 1.0)).all()
     assert np.isnan(interpolate(channel([0, 1], value=[0, 1]), "other", at(0.5), 1.0)).all()
-    assert bracket(channel([]), at(0.0), 1.0).coverage.tolist() == [OUTSIDE_LOG]
+    assert bracket(channel([]), at(0.0), 1.0).coverage.tolist() == [OUTSIDE_CHANNEL]
 
 
 def test_longitude_across_the_180th_meridian() -> None:

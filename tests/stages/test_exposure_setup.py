@@ -213,13 +213,13 @@ def test_a_gap_in_the_attitude_of_the_aircraft_is_suspect():
     early = channel("ATT[1]", SECONDS[SECONDS < 3.0], **turned(0.0, 0.0, 10.0))
     at = stations(3000.0, aircraft_attitude=early)
     ledger = Ledger()
-    flagged = flag_missing_aircraft_attitude(at, "nadir", ledger)
+    flagged = ledger.take(flag_missing_aircraft_attitude(at, "nadir"))
     assert flagged.status.tolist() == ["suspect"]
     assert [(e.kind, e.code, e.count) for e in ledger] == [
         (Kind.LOSS, "AIRCRAFT-ATTITUDE-MISSING", 1)
     ]
-    assert flag_missing_aircraft_attitude(at, "other", Ledger()).ok.all()
-    assert flag_missing_aircraft_attitude(stations(3000.0), "nadir", Ledger()).ok.all()
+    assert flag_missing_aircraft_attitude(at, "other")[0].ok.all()
+    assert flag_missing_aircraft_attitude(stations(3000.0), "nadir")[0].ok.all()
     # Nobody asked, and no number all the same; a window in the camera's frame does not care.
     assert not look(at, Window(SCHEDULE, BELLY, "body"))[0].usable.any()
     assert look(at, Window(SCHEDULE))[0].usable.all()

@@ -288,13 +288,13 @@ def test_instances_of_equal_standing_rank_alike(tmp_path: Path, dataflash_writer
     assert ranks["BARO[0]"] < ranks["BARO[1]"]
     # what that means: no hygrometer is guessed to be the one outside, and no probe is air
     ledger = Ledger()
-    roles = assign_roles(log.channels, {}, ledger, needs_cabin=True)
+    roles = ledger.take(assign_roles(log.channels, {}, needs_cabin=True))
     assert not {"temperature", "humidity", "cabin_temperature"} & set(roles)
     told = " ".join(entry.what for entry in ledger if entry.code == "ROLE-AMBIGUOUS")
     assert "HYGR[0], HYGR[1]" in told
     assert "TEMP" not in told
     named = {"cabin_temperature": "TEMP[1]", "temperature": "HYGR[1]"}
-    roles = assign_roles(log.channels, named, Ledger(), needs_cabin=True)
+    roles = assign_roles(log.channels, named, needs_cabin=True)[0]
     assert roles["cabin_temperature"].name == "TEMP[1]"
     assert roles["temperature"].name == "HYGR[1]"
 
