@@ -1,0 +1,657 @@
+"""A manifest in which every number differs, against the page, the terminal and the figures.
+
+The expected texts are written by hand from the manifest, without the functions of the report.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from html.parser import HTMLParser
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.collections import PolyCollection
+from matplotlib.quiver import Quiver
+from rich.console import Console
+
+from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
+from pipeline.refraction.radial import RadialTable
+from pipeline.refraction.spread import ImageGrid
+from pipeline.report.figures import (
+    ADJUSTED,
+    MEASURED,
+    REJECTED,
+    STANDARD,
+    correction_figure,
+    profile_figure,
+    save_figure,
+)
+from pipeline.report.html import write_report
+from pipeline.report.terminal import (
+    print_air,
+    print_angle,
+    print_log,
+    print_paper,
+    print_profile,
+    print_radial,
+    print_run,
+)
+
+
+def spread(count: int, median: float, p95: float, maximum: float) -> dict[str, float]:
+    return {"count": count, "median": median, "p95": p95, "maximum": maximum}
+
+
+def camera(first: float) -> dict[str, Any]:
+    """Distributions in which no number occurs twice."""
+    return {
+        "shift_px": spread(41, first + 0.01, first + 0.02, first + 0.03),
+        "shift_ground_m": spread(42, first + 0.11, first + 0.12, first + 0.13),
+        "refraction_arcsec": spread(43, first + 10.1, first + 10.2, first + 10.3),
+        "window_arcsec": spread(44, first + 20.1, first + 20.2, first + 20.3),
+    }
+
+
+MANIFEST: dict[str, Any] = {
+    "mission": "ridge <north> & [red]south",
+    "config": {
+        "refraction": {"direction": "remove", "method": "spherical"},
+        "cameras": {
+            "belly": {"principal_distance": None, "window": None},
+            "tail": {
+                "principal_distance": {"dc_dp_px_per_hpa": 0.006},
+                "window": {"shape": "plane", "in_calibration": "none"},
+            },
+        },
+    },
+    "correction": {**camera(3.0), "cameras": {"belly": camera(1.0), "tail": camera(2.0)}},
+    "observations": {
+        "rows": 5021,
+        "status": {"ok": 4987, "no_station": 0, "no_ground": 13, "misses_ground": 21},
+    },
+    "stations": {"ok": 88, "in_gap": 7, "unmatched": 0},
+    "profile": {
+        "basis": "thermometer",
+        "reason": "temperatures of HYGR[0] over 2345 m of height",
+        "standard": "us1962",
+        "departure_at_cameras_k": -6.72,
+        "profiles": 11,
+        "windows": [{"change": -0.0123}, {"change": 0.0345}, {"change": 0.0011}],
+        "effect": [
+            {
+                "nadir_angle_deg": 45.0,
+                "h_c_m": 3456.0,
+                "h_g_m": 789.0,
+                "r_c_arcsec": 6.6943,
+                "sigma_arcsec": 0.0223,
+                "standard_arcsec": 6.8637,
+                "factor": 0.97532,
+                "sigma_factor": 0.00331,
+            },
+            {
+                "nadir_angle_deg": 75.0,
+                "h_c_m": 3457.0,
+                "h_g_m": 790.0,
+                "r_c_arcsec": 25.0554,
+                "sigma_arcsec": None,
+                "standard_arcsec": 24.6852,
+                "factor": 1.01499,
+                "sigma_factor": None,
+            },
+        ],
+        "sources": [
+            {
+                "source": "BARO[0]",
+                "used": True,
+                "quantity": "pressure",
+                "readings": 179,
+                "rms_sigma": 0.246,
+                "sigma_inflation": 1.372,
+                "degrees_of_freedom_for_signal": 16.08,
+            },
+            {"source": "METAR", "used": False, "why_not": "61 km away"},
+            {"source": "standard", "used": True},
+        ],
+        "sensors": [
+            {
+                "what": "thermometer bias [K]",
+                "value": -0.498,
+                "sigma": 0.453,
+                "expected_sigma": 0.617,
+            }
+        ],
+    },
+    "channels": {"outside_pressure": "BARO[0]", "temperature": "HYGR[0]"},
+    "inputs": [
+        {"role": "log", "name": "a&b.bin", "sha256": "0123456789abcdef" * 4},
+        {"role": "observations", "name": "o.csv", "sha256": "fedcba9876543210" * 4},
+    ],
+    "ledger": [
+        {"kind": "note", "code": "AIR-ANCHOR", "what": "residuals of 0.14 hPa", "where": "BARO[0]"},
+        {"kind": "fallback", "code": "AIR-FALL", "what": "no humidity", "where": ""},
+        {"kind": "loss", "code": "ZZ-LOSS", "what": "9 messages of GPS <x>", "where": "GPS"},
+        {"kind": "warning", "code": "AA-WARN", "what": "8 rows [b]", "where": "o.csv"},
+        {"kind": "loss", "code": "AA-LOSS", "what": "77 bytes", "where": "flight.bin"},
+    ],
+}
+
+HEADLINE = (
+    "41 of 5,021 observations were corrected, by 3.01 px in the median and 3.03 px at most: "
+    "3.11 m and 3.13 m on the ground."
+)
+CORRECTION = [
+    ["", "median", "95 %", "maximum"],
+    ["shift in the image [px] belly", "1.01", "1.02", "1.03"],
+    ["shift in the image [px] tail", "2.01", "2.02", "2.03"],
+    ["shift on the ground [m] belly", "1.11", "1.12", "1.13"],
+    ["shift on the ground [m] tail", "2.11", "2.12", "2.13"],
+    ["refraction of the air [arcsec] belly", "11.1", "11.2", "11.3"],
+    ["refraction of the air [arcsec] tail", "12.1", "12.2", "12.3"],
+    ["refraction of the window [arcsec] belly", "21.1", "21.2", "21.3"],
+    ["refraction of the window [arcsec] tail", "22.1", "22.2", "22.3"],
+]
+AIR = (
+    "Temperatures of HYGR[0] over 2345 m of height. At the height of the cameras the air is -6.7 K "
+    "against us1962. The air changes: R by -1.2 to +3.5 % of that of the whole flight; 11 profiles "
+    "follow it."
+)
+EFFECTS = [
+    "R at 45° from 3456 m to 789 m: 6.694 ± 0.022 arcsec, 6.864 in us1962: -2.47 ± 0.33 %",
+    "R at 75° from 3457 m to 790 m: 25.055 arcsec, 24.685 in us1962: +1.50 %",
+]
+SOURCES = [
+    ["source", "readings", "RMS [sigma]", "sigma inflation factor",
+     "degrees of freedom for signal"],
+    ["BARO[0], pressure", "179", "0.25", "1.37", "16.1"],
+]  # fmt: skip
+SENSORS = [
+    ["sensor error", "estimate", "sigma", "prior sigma"],
+    ["thermometer bias [K]", "-0.498", "0.45", "0.62"],
+]
+LEDGER = [
+    ["loss", "AA-LOSS", "77 bytes (flight.bin)"],
+    ["loss", "ZZ-LOSS", "9 messages of GPS <x>"],
+    ["warning", "AA-WARN", "8 rows [b] (o.csv)"],
+    ["fallback", "AIR-FALL", "no humidity"],
+    ["note", "AIR-ANCHOR", "residuals of 0.14 hPa (BARO[0])"],
+]
+
+
+class Column:
+    """An atmosphere of straight lines: T, p, e and N at sea level, and their slopes per metre."""
+
+    bottom_m, top_m = -5000.0, 50_000.0
+
+    def __init__(self, name: str, t: float, p: float, e: float, n: float) -> None:
+        self.name, self.t, self.p, self.e, self.n = name, t, p, e, n
+
+    def temperature(self, h):
+        return self.t - 0.0065 * h
+
+    def pressure(self, h):
+        return self.p - 8.0 * h
+
+    def vapour_pressure(self, h):
+        return self.e - 0.1 * h
+
+    def refractivity(self, h):
+        return self.n - 2e-8 * h
+
+
+FLOWN = Column("of this flight", 290.0, 100_000.0, 900.0, 2.9e-4)
+STANDARD_AIR = Column("us1962", 288.15, 101_325.0, 0.0, 2.8e-4)
+EVENING = Column("evening", 285.0, 99_000.0, 700.0, 2.95e-4)
+COVARIANCE = SimpleNamespace(
+    sigma_temperature=lambda h: 0.5 + 0.0 * h,
+    sigma_log_pressure=lambda h: 0.001 + 0.0 * h,
+    sigma_vapour_pressure=lambda h: 60.0 + 0.0 * h,
+    sigma_refractivity=lambda h: 1.4e-6 + 0.0 * h,
+)
+
+
+def readings(name: str, value: list[float], h_m: list[float], accepted: list[bool]) -> Any:
+    samples = object.__new__(SensorSamples)
+    for key, content in {
+        "name": name, "value": np.array(value), "h_m": np.array(h_m),
+        "accepted": np.array(accepted),
+    }.items():  # fmt: skip
+        object.__setattr__(samples, key, content)
+    return samples
+
+
+SAMPLES = AirSamples(
+    temperature=readings("HYGR[0]", [283.15, 280.0, 275.0], [1000.0, 1500.0, 2000.0],
+                         [True, True, False]),
+    pressure=readings("BARO[0]", [91_000.0, 85_000.0], [1100.0, 1600.0], [True, True]),
+    humidity=readings("HYGR[1]", [0.5, 1.7], [1200.0, 1900.0], [True, True]),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def air() -> Any:
+    effects = [SimpleNamespace(row=lambda row=row: row) for row in MANIFEST["profile"]["effect"]]
+    adjustment = SimpleNamespace(
+        profile=FLOWN, standard=STANDARD_AIR, covariance=COVARIANCE, sources=(), faults=(),
+        rejected={"temperature": np.array([False, True, False])},
+    )  # fmt: skip
+    windows = (
+        SimpleNamespace(air=SimpleNamespace(profile=EVENING), why_not=""),
+        SimpleNamespace(air=None, why_not="too few readings"),
+    )
+    series = SimpleNamespace(timed_profiles=(1, 2, 3, 4))
+    return SimpleNamespace(adjustment=adjustment, effects=effects, windows=windows, series=series)
+
+
+@pytest.fixture(scope="module")
+def grids() -> dict[str, ImageGrid]:
+    made = {"belly": ImageGrid(2800, 2000), "tail": ImageGrid(1400, 1000), "off": ImageGrid(7, 5)}
+    made["belly"].add(*np.array([[100.0, 1500.0], [100.0, 1900.0], [3.0, 0.0], [4.0, -2.5]]))
+    made["tail"].add(*np.array([[50.0], [50.0], [1.0], [0.0]]))
+    return made
+
+
+class Page(HTMLParser):
+    """Tables, headings and list items of a page as text; numbers of figures are left out."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tables: list[list[list[str]]] = []
+        self.texts: list[tuple[str, str]] = []
+        self.classes: list[str] = []
+        self._cell = ""
+        self.feed(re.sub(r"<svg.*?</svg>", "", text, flags=re.DOTALL))
+
+    def handle_starttag(self, tag: str, attrs: Any) -> None:
+        self._cell = self._cell if tag == "code" else ""
+        if tag == "table":
+            self.tables.append([])
+        elif tag == "tr":
+            self.tables[-1].append([])
+            self.classes += [value for name, value in attrs if name == "class"]
+
+    def handle_data(self, data: str) -> None:
+        self._cell += data
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag in ("td", "th"):
+            self.tables[-1][-1].append(self._cell)
+        elif tag in ("h1", "h2", "p", "li", "title"):
+            self.texts.append((tag, self._cell))
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory, air, grids) -> Page:
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    write_report(path, MANIFEST, air, SAMPLES, grids)
+    return Page(path.read_text(encoding="utf-8"))
+
+
+def test_every_cell_of_the_page(page):
+    correction, sources, sensors, observations, stations, ledger, inputs = page.tables
+    assert correction == CORRECTION
+    assert sources == SOURCES
+    assert sensors == SENSORS
+    assert observations == [
+        ["observations", ""], ["ok", "4,987"], ["no_ground", "13"], ["misses_ground", "21"]
+    ]  # fmt: skip
+    assert stations == [["stations", ""], ["ok", "88"], ["in_gap", "7"]]
+    assert ledger == LEDGER
+    assert page.classes == [row[0] for row in LEDGER]
+    assert inputs == [
+        ["", "file", "SHA-256"],
+        ["log", "a&b.bin", "0123456789abcdef…"],
+        ["observations", "o.csv", "fedcba9876543210…"],
+    ]
+
+
+def test_every_sentence_of_the_page(page):
+    assert page.texts == [
+        ("title", "unbend: ridge <north> & [red]south"),
+        ("h1", "ridge <north> & [red]south"),
+        ("p", HEADLINE),
+        ("h2", "How large the correction is"),
+        ("h2", "The air"),
+        ("p", AIR),
+        *(("p", line) for line in EFFECTS),
+        ("p", "Not used:"),
+        ("li", "METAR: 61 km away"),
+        ("h2", "What became of the rows"),
+        ("h2", "Ledger"),
+        ("h2", "What is not removed"),
+        (
+            "li",
+            "The principal distance of belly changes with the air in the lens (130 to 310 ppm at 6 "
+            "km on a 153 mm lens, as much as refraction itself): not removed.",
+        ),
+        (
+            "li",
+            "The glass before tail displaces rays, by 7 mm for 20 mm of glass at 45°: not removed.",
+        ),
+        (
+            "li",
+            "Earth curvature and map projection: adjust in earth-centred or one local "
+            "east-north-up frame.",
+        ),
+        (
+            "li",
+            "Switch the refraction correction off in the adjustment: nothing may be corrected "
+            "twice.",
+        ),
+        ("h2", "Inputs"),
+        ("p", "Channels: outside pressure from BARO[0], temperature from HYGR[0]"),
+    ]
+
+
+def changed(**of_profile: Any) -> dict[str, Any]:
+    return MANIFEST | {"profile": MANIFEST["profile"] | of_profile}
+
+
+def printed(write: Any, *arguments: Any, **options: Any) -> list[str]:
+    """What is printed at 80 columns, line by line."""
+    stream = io.StringIO()
+    write(Console(file=stream, width=80, highlight=False), *arguments, **options)
+    lines = [line.rstrip() for line in stream.getvalue().splitlines()]
+    assert max(map(len, lines)) <= 80
+    return lines
+
+
+def cells(lines: list[str]) -> list[list[str]]:
+    """Lines of a table cut at two or more blanks."""
+    return [re.split(r"\s{2,}", line.strip()) for line in lines]
+
+
+def test_every_number_of_the_terminal():
+    lines = printed(print_run, "ridge [1]", "out/[b]", MANIFEST, repeated=False)
+    text = " ".join(" ".join(lines).split())
+    assert lines[0] == "ridge [1]"
+    assert HEADLINE in text
+    first = next(
+        i for i, line in enumerate(lines) if line.split() == ["median", "95", "%", "maximum"]
+    )
+    assert cells(lines[first + 1 : first + 9]) == CORRECTION[1:]
+    tail = text[text.index("Temperatures") :]
+    ledger = " ".join(f"{kind} {code}: {what}" for kind, code, what in LEDGER[:4])
+    assert tail == (
+        f"{AIR} {EFFECTS[0]} {EFFECTS[1]} Flagged rows: 13 no_ground, 21 misses_ground {ledger} "
+        "results in out/[b] report out/[b]/report.html"
+    )
+    assert "nothing to do" not in text
+    assert "nothing to do" in " ".join(printed(print_run, "a", "b", MANIFEST, repeated=True))
+
+
+def test_sentences_that_depend_on_the_air():
+    stated = changed(basis="standard", reason="atmosphere.use is standard", windows=[])
+    text = " ".join(" ".join(printed(print_run, "a", "b", stated, repeated=False)).split())
+    assert "arcsec] tail 22.1 22.2 22.3 atmosphere.use is standard. R at 45°" in text
+    plain = changed(departure_at_cameras_k=None, windows=[])
+    plain["config"] = plain["config"] | {
+        "refraction": {"direction": "remove", "method": "gyer1996"}
+    }
+    text = " ".join(" ".join(printed(print_run, "a", "b", plain, repeated=False)).split())
+    assert (
+        "of height. Rays by the published method gyer1996, for comparison, not for work. R" in text
+    )
+
+
+@pytest.mark.parametrize(("largest", "said"), [(0.0499, True), (0.0501, False)])
+def test_a_tiny_correction_is_called_tiny(largest, said):
+    small = camera(0.0) | {"shift_px": spread(9, 0.0004, 0.003, largest), "cameras": {}}
+    small["window_arcsec"] = spread(9, 0.0, 0.0, 0.0)
+    lines = printed(print_run, "a", "b", MANIFEST | {"correction": small}, repeated=False)
+    text = " ".join(" ".join(lines).split())
+    assert ("far below what can be measured" in text) == said
+    assert "by <0.001 px in the median" in text
+    assert "refraction of the window" not in text
+
+
+def lines_of(axis: Any) -> dict[str, Any]:
+    """Lines of an axis by label and colour."""
+    return {f"{line.get_label()} {line.get_color()}": line for line in axis.lines}
+
+
+def values(axis: Any, key: str) -> tuple[list[float], list[float]]:
+    line = lines_of(axis)[key]
+    return list(line.get_xdata()), list(line.get_ydata())
+
+
+def curve(axis: Any, key: str, h: float) -> float:
+    x, y = values(axis, key)
+    return float(np.interp(h, y, x))
+
+
+def band(axis: Any, h: float) -> tuple[float, float]:
+    """Both edges of the one-sigma band at a height."""
+    (filled,) = (c for c in axis.collections if isinstance(c, PolyCollection))
+    assert filled.get_label() == "one sigma"
+    vertices = filled.get_paths()[0].vertices
+    half = len(vertices) // 2
+    edges = []
+    for part in (vertices[1:half], vertices[half + 1 : -1]):
+        order = np.argsort(part[:, 1])
+        edges.append(float(np.interp(h, part[order, 1], part[order, 0])))
+    return min(edges), max(edges)
+
+
+def test_every_curve_of_the_air(air):
+    figure = profile_figure(air, SAMPLES)
+    t, p, e, n, against, words = figure.axes
+    assert [axis.get_xlabel() for axis in (t, p, e, n, against)] == [
+        "temperature [°C]", "pressure [hPa]", "vapour pressure [hPa]", "(n - 1) 10⁶",
+        "n - 1 against us1962 [%]",
+    ]  # fmt: skip
+    assert t.get_ylabel() == n.get_ylabel() == "height above sea level [m]"
+    # Heights of 1000 to 2000 m and 8 % of them, upwards.
+    for axis in (t, p, e, n, against):
+        assert axis.get_ylim() == pytest.approx((920.0, 2080.0))
+    ours, standard = f"of this flight {ADJUSTED}", f"us1962 {STANDARD}"
+    evening = "parts of the flight #93c5fd"
+    # At 2000 m, by hand: 290 - 13 - 273.15; 1000 - 160 hPa; 9 - 2 hPa; 290 - 40 ppm.
+    assert curve(t, ours, 2000.0) == pytest.approx(3.85)
+    assert curve(t, standard, 2000.0) == pytest.approx(2.0)
+    assert curve(t, evening, 2000.0) == pytest.approx(-1.15)
+    assert curve(p, ours, 2000.0) == pytest.approx(840.0)
+    assert curve(p, standard, 2000.0) == pytest.approx(853.25)
+    assert curve(p, evening, 2000.0) == pytest.approx(830.0)
+    assert curve(e, ours, 2000.0) == pytest.approx(7.0)
+    assert curve(e, standard, 2000.0) == pytest.approx(-2.0)
+    assert curve(n, ours, 2000.0) == pytest.approx(250.0)
+    assert curve(n, standard, 2000.0) == pytest.approx(240.0)
+    assert curve(against, ours, 2000.0) == pytest.approx(100.0 * (250.0 / 240.0 - 1.0))
+    assert curve(against, standard, 2000.0) == 0.0
+    assert band(t, 2000.0) == pytest.approx((3.35, 4.35))
+    assert band(p, 2000.0) == pytest.approx((839.16, 840.84))
+    assert band(e, 2000.0) == pytest.approx((6.4, 7.6))
+    assert band(n, 2000.0) == pytest.approx((248.6, 251.4))
+    middle = 100.0 * (250.0 / 240.0 - 1.0)
+    assert band(against, 2000.0) == pytest.approx((middle - 1.4 / 2.4, middle + 1.4 / 2.4))
+    # Readings: the second of the temperatures is an outlier, the third was not accepted.
+    assert values(t, f"HYGR[0], used {MEASURED}") == ([pytest.approx(10.0)], [1000.0])
+    assert values(t, f"HYGR[0], not used {REJECTED}") == (
+        pytest.approx([6.85, 1.85]), [1500.0, 2000.0]
+    )  # fmt: skip
+    assert values(p, f"BARO[0], used {MEASURED}") == ([910.0, 850.0], [1100.0, 1600.0])
+    # The second reading of 170 % counts as 100 %; the air is at 282.2 and 277.65 K there.
+    moist, at = values(e, f"HYGR[1], used {MEASURED}")
+    assert at == [1200.0, 1900.0]
+    assert moist == pytest.approx([0.5 * buck(282.2, 904.0), buck(277.65, 848.0)], rel=5e-3)
+    (text,) = words.texts
+    assert " ".join(text.get_text().split()) == " ".join(EFFECTS)
+    legend = [entry.get_text() for entry in words.get_legend().get_texts()]
+    assert legend == ["HYGR[0], used", "HYGR[0], not used", "parts of the flight", "us1962",
+                      "one sigma", "of this flight"]  # fmt: skip
+
+
+def buck(t_k: float, p_hpa: float) -> float:
+    """Saturation over water [hPa], Buck 1981 with his enhancement factor."""
+    t = t_k - 273.15
+    return (1.0007 + 3.46e-6 * p_hpa) * 6.1121 * float(np.exp(17.502 * t / (240.97 + t)))
+
+
+def test_a_standard_alone_has_one_curve(air):
+    adjustment = SimpleNamespace(
+        profile=STANDARD_AIR, standard=STANDARD_AIR, covariance=None, rejected={}
+    )
+    alone = SimpleNamespace(adjustment=adjustment, effects=[], windows=())
+    figure = profile_figure(alone, AirSamples())
+    for axis in figure.axes[:5]:
+        assert len(axis.lines) == 1
+        assert not axis.collections
+        assert axis.get_ylim() == (0.0, 10_000.0)
+
+
+def test_every_arrow_over_the_images(grids):
+    figure = correction_figure(grids)
+    belly, tail = (axis for axis in figure.axes if axis.get_title())
+    assert (belly.get_title(), tail.get_title()) == ("belly", "tail")  # off has no observations
+    assert belly.get_xlim() == (0.0, 2800.0)
+    assert belly.get_ylim() == (2000.0, 0.0)  # y of images points down
+    assert (belly.get_xlabel(), belly.get_ylabel()) == ("x [px]", "y [px]")
+    (arrows,) = (c for c in belly.collections if isinstance(c, Quiver))
+    # Cells of 200 px: their centres, the sizes 5 and 2.5 px, the longest arrow 180 px.
+    assert arrows.XY.tolist() == [[100.0, 100.0], [1500.0, 1900.0]]
+    assert arrows.get_array().tolist() == [5.0, 2.5]
+    assert arrows.U.tolist() == pytest.approx([108.0, 0.0])
+    assert arrows.V.tolist() == pytest.approx([144.0, -90.0])
+    assert (arrows.angles, arrows.scale, arrows.scale_units) == ("xy", 1.0, "xy")
+    assert "shift [px]" in [axis.get_ylabel() for axis in figure.axes]
+
+
+def test_a_plot_is_what_its_name_says(air, tmp_path):
+    figure = correction_figure({"off": ImageGrid(7, 5)})
+    save_figure(figure, tmp_path / "a.PNG")
+    save_figure(figure, tmp_path / "a.svg")
+    assert (tmp_path / "a.PNG").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "a.svg").read_text(encoding="utf-8").startswith("<svg")
+
+
+PROFILE_ROW = {
+    "h_m": 1234.4, "temperature_k": 281.237, "sigma_temperature_k": 0.314,
+    "standard_temperature_k": 280.128, "pressure_pa": 87_654.0, "standard_pressure_pa": 87_321.0,
+    "vapour_pressure_pa": 812.3, "standard_vapour_pressure_pa": 4.56, "refractivity": 2.51234e-4,
+    "sigma_refractivity": 1.234e-5, "standard_refractivity": 2.47891e-4, "source": "measured",
+}  # fmt: skip
+
+
+def test_every_cell_of_a_profile():
+    unknown = {"sigma_temperature_k": None, "sigma_refractivity": None, "source": "standard"}
+    lines = printed(print_profile, [PROFILE_ROW, PROFILE_ROW | unknown], "us[1]")
+    assert lines[0].split() == ["h", "T", "±", "std", "p", "std", "e", "std", "N", "±", "std",
+                                "source"]  # fmt: skip
+    assert lines[1].split() == ["[m]", "[K]", "[K]", "[hPa]", "[hPa]", "[hPa]", "[hPa]", "[ppm]",
+                                "[ppm]"]  # fmt: skip
+    full = ["1234", "281.24", "0.31", "280.13", "876.5", "873.2", "8.12", "0.05", "251.23", "12.3",
+            "247.89", "measured"]  # fmt: skip
+    assert lines[2].split() == full
+    assert lines[3].split() == [*full[:2], *full[3:9], full[10], "standard"]
+    assert lines[4] == "N is (n-1)e6; std is us[1] at the same height"
+
+
+def test_every_line_of_the_air(air):
+    from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS
+
+    fault, text = next(iter(FAULT_TEXTS.items()))
+    adjustment = SimpleNamespace(
+        **vars(air.adjustment)
+        | {
+            "sources": [SimpleNamespace(sentence=lambda: "BARO[0]: used")],
+            "faults": [SimpleNamespace(fault=fault, value=-1.2345, sigma=0.678)],
+        }
+    )
+    lines = printed(print_air, SimpleNamespace(**vars(air) | {"adjustment": adjustment}))
+    assert " ".join(" ".join(lines).split()) == (
+        f"{EFFECTS[0]} {EFFECTS[1]} BARO[0]: used {text}: -1.23 ± 0.68 4 profiles follow the air"
+    )
+
+
+def test_every_number_of_an_angle():
+    angle = {
+        "r_c_arcsec": 1.2345678, "r_c_urad": 5.9876543, "ground_m": 0.3456789, "status": "ok",
+        "atmosphere": "icao", "index": "gyer", "method": "plane", "radius_m": 6_371_000.0,
+    }  # fmt: skip
+    lines = [line.strip() for line in printed(print_angle, angle)]
+    assert lines == [
+        "R_c    1.234568 arcsec", "5.987654 microradians", "0.345679 m on the ground",
+        "icao, index gyer, plane, radius 6371000 m",
+    ]  # fmt: skip
+
+
+def test_every_cell_of_a_radial_table():
+    table = object.__new__(RadialTable)
+    columns = {
+        "nadir_angle_deg": [12.34, 80.0, 89.0],
+        "r_c_arcsec": [1.2344, 2.3455, np.nan],
+        "r_c_urad": [5.985, 11.371, np.nan],
+        "shift_ground_m": [0.5671, np.nan, np.nan],
+        "radius_px": [4567.81, 5678.92, np.nan],
+        "dr_px": [-0.12342, -0.23453, np.nan],
+        "status": ["ok", "ok", "misses_ground"],
+    }
+    for name, value in {
+        "h_c_m": 3210.0, "h_g_m": 123.0, "k_rad": 34.56e-6, "k_manual_rad": 29.87e-6,
+        "radius_px": np.array(columns["radius_px"]), "r_c_rad": np.array([1.0, 2.0, np.nan]),
+        "shift_ground_m": np.array(columns["shift_ground_m"]),
+    }.items():  # fmt: skip
+        object.__setattr__(table, name, value)
+    patch = pytest.MonkeyPatch()
+    with patch.context() as context:
+        context.setattr("pipeline.report.terminal.radial_columns", lambda _: columns)
+        lines = printed(print_radial, [table])
+    assert lines[0] == (
+        "camera 3210 m, ground 123 m: R at 45 deg 34.56 urad, the Manual's formula 29.87"
+    )
+    assert cells(lines[1:2]) == [["nadir angle [deg]", "R_c [arcsec]", "R_c [urad]", "ground [m]",
+                                  "radius [px]", "dr [px]"]]  # fmt: skip
+    assert cells(lines[2:5]) == [
+        ["12.34", "1.234", "5.99", "0.567", "4567.8", "-0.1234"],
+        ["80.00", "2.345", "11.37", "5678.9", "-0.2345"],
+        ["89.00", "misses_ground"],
+    ]
+    assert " ".join(" ".join(lines[5:]).split()).startswith("No metres on the ground: the straight")
+
+
+def test_every_cell_of_a_papers_table():
+    row = {
+        "table": 3, "quantity": "R", "unit": "urad", "h_c_m": 9000.0, "h_g_m": 1500.0,
+        "zeta_c_deg": 45.0, "printed": 81.6, "as_published": 81.5512, "exact": 81.71239,
+        "difference": None,
+    }  # fmt: skip
+    other = row | {"unit": "arcsec", "printed": 7.25}
+    lines = printed(print_paper, [row, other], ["a note [b]"])
+    assert lines[0].strip() == "Table 3: R [urad]"
+    assert cells(lines[1:3]) == [
+        ["h_c [km]", "h_g [km]", "zeta [deg]", "printed", "as published", "exact", "difference"],
+        ["9", "1.5", "45", "81.6", "81.5512", "81.7124"],
+    ]
+    assert lines[3].strip() == "Table 3: R [arcsec]"
+    assert cells(lines[5:6])[0][3] == "7.25"
+    assert lines[-1] == "  a note [b]"
+
+
+def test_every_number_of_a_log():
+    log = {
+        "format": "mcap", "duration_s": 1234.56, "start_utc": "2025-06-12T09:00:01Z",
+        "end_utc": "2025-06-12T09:20:36Z", "time_base": "UTC of [x]",
+        "messages": {"A": 1000, "B": 2345}, "boots": 2, "bad_bytes": 7654, "lost_messages": 1321,
+        "channels": [
+            {"name": "BARO[0]", "samples": 6543, "rate_hz": 9.876, "gaps": [1, 2, 3],
+             "roles": ["pressure", "cabin_pressure"]},
+            {"name": "CAM", "samples": 12, "rate_hz": 0.5, "gaps": [], "roles": []},
+        ],
+        "ledger": MANIFEST["ledger"],
+    }  # fmt: skip
+    lines = printed(print_log, log, "a[1].mcap")
+    assert lines[:4] == [
+        "a[1].mcap: mcap, channels over 1234.6 s",
+        "  from 2025-06-12T09:00:01Z to 2025-06-12T09:20:36Z",
+        "  time: UTC of [x]",
+        "  3,345 messages of 2 types, 2 boots, 7,654 bad bytes, 1,321 lost",
+    ]
+    table = [line.split() for line in lines[5:]]
+    assert table[0] == ["channel", "samples", "rate", "[Hz]", "gaps", "can", "play"]
+    assert table[1] == ["BARO[0]", "6,543", "9.88", "3", "pressure,", "cabin_pressure"]
+    assert table[2] == ["CAM", "12", "0.5", "0", "only", "if", "named"]
+    text = " ".join(" ".join(lines).split())
+    assert text.endswith(" ".join(f"{kind} {code}: {what}" for kind, code, what in LEDGER))

@@ -1,0 +1,46 @@
+"""Messages of a log as CSV and as a table of fields, against texts written by hand."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+
+from pipeline.report import messages
+from pipeline.report.messages import field_rows, write_messages_csv
+
+COLUMNS = {
+    "time_ns": np.array([1_000_000_001, 86_400_000_000_000, 2], np.int64),
+    "Temp": np.array([np.nan, -2.5, 0.1]),
+    "Name": np.array(["a,b", 'c"d', ""]),
+    "q": np.array([[1, 2], [3, 4], [6, 5]], np.int16),
+}
+
+
+def test_every_cell_of_the_csv(monkeypatch):
+    expected = (
+        "time_utc,Temp,Name,q[0],q[1]\n"
+        '1970-01-01T00:00:01.000000001Z,nan,"a,b",1,2\n'
+        '1970-01-02T00:00:00.000000000Z,-2.5,"c""d",3,4\n'
+        "1970-01-01T00:00:00.000000002Z,0.1,,6,5\n"
+    )
+    for block in (8192, 2):
+        monkeypatch.setattr(messages, "BLOCK", block)
+        stream = io.StringIO()
+        write_messages_csv(stream, COLUMNS)
+        assert stream.getvalue() == expected
+
+
+def test_every_cell_of_the_fields():
+    assert field_rows(COLUMNS) == [
+        {"field": "time_ns", "type": "int64", "first": "1970-01-01T00:00:01.000000001Z"},
+        {"field": "Temp", "type": "float64", "first": "nan", "lowest": "-2.5", "highest": "0.1"},
+        {"field": "Name", "type": "<U3", "first": "a,b"},
+        {"field": "q[0]", "type": "int16", "first": "1", "lowest": "1", "highest": "6"},
+        {"field": "q[1]", "type": "int16", "first": "2", "lowest": "2", "highest": "5"},
+    ]
+
+
+def test_a_type_without_rows():
+    (row,) = field_rows({"Temp": np.empty(0)})
+    assert row == {"field": "Temp", "type": "float64", "first": ""}
