@@ -124,7 +124,7 @@ MANIFEST: dict[str, Any] = {
             }
         ],
     },
-    "channels": {"outside_pressure": "BARO[0]", "temperature": "HYGR[0]"},
+    "channels": {"outside_pressure": "BARO[0]", "temperature": "<b>HYGR[0]"},
     "inputs": [
         {"role": "log", "name": "a&b.bin", "sha256": "0123456789abcdef" * 4},
         {"role": "observations", "name": "o.csv", "sha256": "fedcba9876543210" * 4},
@@ -341,7 +341,7 @@ def test_every_sentence_of_the_page(page):
             "twice.",
         ),
         ("h2", "Inputs"),
-        ("p", "Channels: outside pressure from BARO[0], temperature from HYGR[0]"),
+        ("p", "Channels: outside pressure from BARO[0], temperature from <b>HYGR[0]"),
     ]
 
 
