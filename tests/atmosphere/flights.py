@@ -9,19 +9,17 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.integrate import cumulative_simpson
-from scipy.io import netcdf_file
 from scipy.signal import lfilter
 
 from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.simulate.true_air import edlen_index, normal_gravity, saturation_pressure_pa
 
-SOUNDINGS = Path(__file__).resolve().parents[2].parent / "shared" / "soundings"
+SOUNDINGS = Path(__file__).resolve().parents[1] / "data" / "soundings"
 TAKEOFF_S = 30.0
 
 
@@ -49,83 +47,6 @@ def from_levels(name: str, degrees: float, p, H, celsius, dew) -> Balloon:
     dew = np.interp(H, H[known], dew[known])
     e = saturation_pressure_pa(np.maximum(dew + 273.15, 190.0))
     return Balloon(name, math.radians(degrees), H, celsius + 273.15, e, float(p[0]) * 100.0)
-
-
-def number(text: str, missing: tuple[str, ...] = ("", "-9999", "-8888", "-99999")) -> float:
-    return math.nan if text.strip() in missing else float(text)
-
-
-def wyoming(name: str, degrees: float) -> list[Balloon]:
-    with (SOUNDINGS / name).open() as file:
-        rows = list(csv.reader(file))[1:]
-    p, H, t, dew = ([number(row[i]) for row in rows] for i in (3, 4, 5, 6))
-    return [from_levels(name, degrees, p, H, t, dew)]
-
-
-def metpy(name: str, degrees: float) -> list[Balloon]:
-    return [from_levels(name, degrees, *np.loadtxt(SOUNDINGS / name).T)]
-
-
-def blocks(name: str) -> Iterator[list[str]]:
-    """The soundings of an IGRA file, each without its header."""
-    block: list[str] = []
-    for line in (SOUNDINGS / name).read_text().splitlines()[1:]:
-        if line.startswith("#"):
-            yield block
-            block = []
-        else:
-            block.append(line)
-    yield block
-
-
-def igra(name: str, degrees: float) -> list[Balloon]:
-    found = []
-    for i, block in enumerate(list(blocks(name))[:2]):
-        p = [number(line[9:15]) / 100.0 for line in block]
-        H, t, depression = (np.array([number(line[a:b]) for line in block])
-                            for a, b in ((16, 21), (22, 27), (34, 39)))  # fmt: skip
-        t, depression = t / 10.0, depression / 10.0
-        found.append(from_levels(f"{name}[{i}]", degrees, p, H, t, t - depression))
-    return found
-
-
-def igra_derived(name: str, degrees: float) -> list[Balloon]:
-    found = []
-    for i, block in enumerate(list(blocks(name))[:2]):
-        columns = np.array([[number(word) for word in line.split()] for line in block])
-        p, H, t, e = (columns[:, i] for i in (0, 2, 3, 9))
-        dew = dew_point(e / 10.0)  # thousandths of a millibar
-        found.append(from_levels(f"{name}[{i}]", degrees, p / 100.0, H, t / 10.0 - 273.15, dew))
-    return found
-
-
-def dew_point(e_pa: np.ndarray) -> np.ndarray:
-    """Celsius at which vapour of a pressure saturates, by inverting the table."""
-    celsius = np.linspace(-80.0, 45.0, 2000)
-    table = saturation_pressure_pa(celsius + 273.15)
-    return np.where(np.isfinite(e_pa), np.interp(e_pa, table, celsius), np.nan)
-
-
-def arm(name: str, degrees: float) -> list[Balloon]:
-    with netcdf_file(SOUNDINGS / name, "r", mmap=False) as file:
-        p, t, dew, alt = (
-            np.array(file.variables[key][::10], dtype=float)
-            for key in ("pres", "tdry", "dp", "alt")
-        )
-    good = (p > 0.0) & (t > -100.0) & (dew > -200.0)
-    H = geopotential(math.radians(degrees), alt)
-    return [from_levels(name, degrees, p[good], H[good], t[good], dew[good])]
-
-
-READERS: list[tuple[Callable[[str, float], list[Balloon]], str, float, int]] = [
-    (wyoming, "wyoming_csv_82244_20120101_00Z.csv", -2.43, 1),
-    (wyoming, "wyoming_csv_BOI_20101209_12Z.csv", 43.56, 12),
-    (wyoming, "wyoming_csv_OUN_20230522_12Z.csv", 35.18, 5),
-    (metpy, "metpy_20110522_OUN_12Z.txt", 35.18, 5),
-    (igra, "igra2_USM00070026_Barrow.txt", 71.29, 6),
-    (igra_derived, "igra2_derived_USM00070026_Barrow.txt", 71.29, 9),
-    (arm, "sgpsondewnpnC1.b1.20190101.053200.cdf", 36.61, 1),
-]
 
 
 def extremes() -> list[Balloon]:
@@ -194,12 +115,19 @@ class Truth:
 
 
 def balloons() -> list[Balloon]:
-    """Nine ascents of five sites."""
-    return [
-        replace(balloon, month=month)
-        for reader, name, degrees, month in READERS
-        for balloon in reader(name, degrees)
-    ]
+    """Nine ascents of five sites: the numbers of ``tests/data/soundings``, with their sources."""
+    found = []
+    for path in sorted(SOUNDINGS.glob("*.csv")):
+        lines = path.read_text(encoding="ascii").splitlines()
+        about = dict(line[2:].split(": ", 1) for line in lines if line.startswith("#"))
+        rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
+        columns = (
+            [float(row[name] or "nan") for row in rows]
+            for name in ("pressure_hpa", "geopotential_m", "temperature_c", "dew_point_c")
+        )
+        balloon = from_levels(path.stem, float(about["latitude_deg"]), *columns)
+        found.append(replace(balloon, month=int(about["month"])))
+    return found
 
 
 @dataclass(frozen=True)

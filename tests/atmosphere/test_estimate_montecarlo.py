@@ -27,8 +27,6 @@ TRANSIENT = SensorFault.TAKEOFF_TRANSIENT
 @pytest.fixture(scope="module")
 def real(flights):
     """Nine soundings of five sites."""
-    if not flights.SOUNDINGS.is_dir():
-        pytest.skip("the real soundings of ../shared are not beside the repository")
     return [flights.Truth(balloon) for balloon in flights.balloons()]
 
 

@@ -82,8 +82,9 @@ def test_us1976_is_not_the_profile_of_gyer_table_2():
 
 
 @pytest.mark.parametrize("name", sorted(MODEL_NAMES))
-def test_base_values_of_every_layer(name):
-    with (DATA / "standard_atmospheres_breakpoints.csv").open() as file:
+def test_heights_and_pressures_at_the_base_of_every_layer(name):
+    """Computed by another program; a temperature that is wrong shows in the pressure above it."""
+    with (DATA / "standard_atmospheres_pressures.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["model"] == name]
     profile = standard_atmosphere(MODEL_NAMES[name])
     assert len(rows) >= 3
@@ -91,8 +92,24 @@ def test_base_values_of_every_layer(name):
         h = float(profile.gravity.height(float(row["H_gpm"])))
         # The table prints height to 0.1 m; near the top of the profile that matters.
         assert h == pytest.approx(float(row["z_m_geometric_r0"]), abs=0.06)
-        assert profile.temperature(h).item() == pytest.approx(float(row["T_K"]), abs=1e-6)
         assert profile.pressure(h).item() / 100.0 == pytest.approx(float(row["p_hPa"]), rel=1e-6)
+
+
+# Temperatures [K] that the definitions state: at the sea and at the tropopause, [m'].
+DEFINED = {
+    "us1976": (288.15, 11_000.0, 216.65), "us1962": (288.15, 11_000.0, 216.65),
+    "icao": (288.15, 11_000.0, 216.65), "ardc1959": (288.16, 11_000.0, 216.66),
+    "ican": (288.0, 11_000.0, 216.5),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DEFINED)
+def test_temperatures_of_the_definitions(name):
+    at_sea, tropopause, kelvin = DEFINED[name]
+    profile = standard_atmosphere(name)
+    assert float(profile.temperature(0.0)) == pytest.approx(at_sea, abs=1e-9)
+    h = float(profile.gravity.height(tropopause))
+    assert float(profile.temperature(h)) == pytest.approx(kelvin, abs=1e-6)
 
 
 @pytest.mark.parametrize("name", standard_names()[:5])
