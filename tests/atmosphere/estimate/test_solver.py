@@ -16,9 +16,9 @@ from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from pipeline.atmosphere.estimate.estimate_checks import is_plausible
 from pipeline.atmosphere.estimate.readings import bin_readings, collect_readings
-from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS, SensorSettings
+from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration, SensorSettings
 from pipeline.atmosphere.estimate.solver import estimate, layout_of, solve
-from pipeline.atmosphere.estimate.state import air_of, place_knots, prior_of
+from pipeline.atmosphere.estimate.state import SensorFault, air_of, place_knots, prior_of
 from pipeline.atmosphere.hypsometry import column
 from pipeline.atmosphere.profile import Profile, stack_layers
 from pipeline.atmosphere.soundings import Sounding
@@ -582,3 +582,24 @@ def test_four_hours_at_ten_hertz(airs):
     air = background(truth)
     made = estimate(AirSamples(*sensors), air)
     assert abs(truth.error(made.profile, 2500.0)) < 0.005
+
+
+@pytest.mark.parametrize("offset_m", [12.0, -12.0])
+def test_an_offset_of_gnss_heights_is_found_with_its_sign(flights, airs, offset_m):
+    """Heights that read too large are reported as a positive offset: the barometer is good to a
+    pascal, and stations say what the pressure is at their heights."""
+    truth = airs[TRADES]
+    sensors = flights.Sensors(noise_k=0.2, pressure_noise_pa=3.0, gnss_offset_m=offset_m)
+    samples = flights.fly(truth, 3000.0, sensors, np.random.default_rng(2), descent=True)
+    stations = [
+        SurfaceReport(float(truth.h[i]), float(truth.p[i]), math.nan, math.nan, truth.start_ns)
+        for i in (0, 100, 200, 300)
+    ]
+    known = {
+        SensorFault.GNSS_HEIGHT_OFFSET: SensorCalibration(sigma=30.0),
+        SensorFault.PRESSURE_OFFSET: SensorCalibration(0.0, 1.0),
+    }
+    made = estimated(truth, samples, surface=stations, settings=SensorSettings(calibration=known))
+    (found,) = [f for f in made.faults if f.fault is SensorFault.GNSS_HEIGHT_OFFSET]
+    assert found.value == pytest.approx(offset_m, abs=2.5 * found.sigma)
+    assert found.sigma < 5.0

@@ -1,0 +1,44 @@
+"""What a refusal tells the user to write exists: keys of mission files, columns of soundings."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+from pipeline.atmosphere.soundings.plain import COLUMNS
+from pipeline.config import Mission
+
+PACKAGE = Path(__file__).resolve().parents[2] / "pipeline"
+WORD = re.compile(r"[a-z][a-z0-9]*(?:_[a-z0-9]+)+")
+
+
+def words_of_remedies() -> dict[str, set[str]]:
+    """Every word with an underscore in a remedy of the package, and the files it stands in."""
+    found: dict[str, set[str]] = {}
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not (isinstance(node, ast.keyword) and node.arg == "remedy"):
+                continue
+            for part in ast.walk(node.value):
+                if isinstance(part, ast.Constant) and isinstance(part.value, str):
+                    for word in WORD.findall(part.value):
+                        found.setdefault(word, set()).add(path.name)
+    return found
+
+
+def keys_of_mission_files(schema: object) -> set[str]:
+    if isinstance(schema, dict):
+        nested = (keys_of_mission_files(value) for value in schema.values())
+        return set(schema.get("properties", {})).union(*nested)
+    if isinstance(schema, list):
+        return set().union(*(keys_of_mission_files(value) for value in schema))
+    return set()
+
+
+def test_remedies_name_keys_that_exist():
+    known = keys_of_mission_files(Mission.model_json_schema()) | set(COLUMNS)
+    words = words_of_remedies()
+    assert len(words) >= 7
+    assert "station_h_msl_m" in words
+    assert {word: files for word, files in words.items() if word not in known} == {}
