@@ -1,12 +1,12 @@
-"""Senders without a clock of their own: cameras and gimbals, which only answer and report.
+"""Clocks of senders without SYSTEM_TIME: cameras and gimbals.
 
 Their times since boot may be those of the autopilot's clock, to which MAVLink cameras are set, or
-of their own; a camera may carry UTC besides. When its messages were received tells which it is.
+of their own; a camera may also send UTC. The times at which its messages were received show which.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,43 +17,49 @@ from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import UNIX_US_FROM
 from pipeline.ingest.boot_clock import microseconds
 from pipeline.ingest.buffers import ColumnStore
-from pipeline.ingest.tlog.clock import CLOCK_FIELDS, EARLIEST_NS, LATEST_NS, Clocks, clock_field
-from pipeline.ingest.tlog.clock_readings import MICROSECOND, Key, Readings, by_source
+from pipeline.ingest.tlog.clock import (
+    CLOCK_FIELDS,
+    EARLIEST_NS,
+    LATEST_NS,
+    MICROSECOND,
+    ClockReadings,
+    Clocks,
+    Key,
+    by_source,
+    clock_field,
+)
 from pipeline.ledger import Ledger
 
 OWN_UTC = "time_utc"
 
 
-def borrowed(clocks: Clocks, sent: Sequence[ColumnStore], ledger: Ledger) -> Clocks:
+def with_borrowed_clocks(clocks: Clocks, sent: Sequence[ColumnStore], ledger: Ledger) -> Clocks:
     """The clocks, with one for each sender whose times do not fit the clock that it would borrow.
 
     Parameters
     ----------
     sent : the messages of each type that become channels.
 
-    Also doubts the UTC that images carry, where it does not fit when they were received.
+    The UTC that images carry is not used where it does not fit the time of their reception.
     """
-    late: dict[Key, list[tuple[Readings, int]]] = {}
+    late: dict[Key, list[tuple[ClockReadings, int]]] = {}
     for store in sent:
         names = store.dtype["records"].names or ()
         field = clock_field(names)
         for block in store.blocks() if field else ():
-            for source, mine in by_source(block):
-                if source not in clocks.senders or OWN_UTC in names:
-                    part = _readings(block[mine], field), CLOCK_FIELDS[field][1]
-                    late.setdefault(source, []).append(part)
+            for source, of_source in by_source(block):
+                if source in clocks.senders and OWN_UTC not in names:
+                    continue
+                rows, (unit, turn) = block[of_source], CLOCK_FIELDS[field]
+                raw = microseconds(rows["records"][field])
+                boot_ns = np.where(raw < UNIX_US_FROM, raw * unit, 0)
+                utc_ns = unix_us(rows["records"]) * MICROSECOND
+                host_ns = rows["host_us"] * MICROSECOND
+                part = ClockReadings(rows["at"], rows["source"], host_ns, boot_ns, utc_ns)
+                late.setdefault(source, []).append((part, turn))
     for source, parts in sorted(late.items()):
-        clocks = _judged(clocks, source, parts, ledger)
+        clocks = _with_checked_clock(clocks, source, parts, ledger)
     return clocks
-
-
-def _readings(rows: NDArray[Any], field: str) -> Readings:
-    raw = microseconds(rows["records"][field])
-    boot_ns = np.where(raw < UNIX_US_FROM, raw * CLOCK_FIELDS[field][0], 0)
-    utc_us = unix_us(rows["records"])
-    return Readings(
-        rows["at"], rows["source"], rows["host_us"] * MICROSECOND, boot_ns, utc_us * MICROSECOND
-    )
 
 
 def unix_us(records: NDArray[Any]) -> NDArray[np.int64]:
@@ -64,19 +70,20 @@ def unix_us(records: NDArray[Any]) -> NDArray[np.int64]:
     return np.asarray(np.where(raw > UNIX_US_FROM, raw, 0), np.int64)
 
 
-def _judged(
-    clocks: Clocks, source: Key, parts: Sequence[tuple[Readings, int]], ledger: Ledger
+def _with_checked_clock(
+    clocks: Clocks, source: Key, parts: Sequence[tuple[ClockReadings, int]], ledger: Ledger
 ) -> Clocks:
-    """The clocks, when it is known what the times of one sender mean."""
+    """The clocks after the delay of one sender's messages is checked, by their UTC and by boot."""
     where = f"system {source[0]}, component {source[1]}"
     delay, by_utc = [], []
-    for mine, turn in parts:
-        received = clocks.utc_of_host(source, mine.at, mine.host_ns)
-        told = mine.utc_ns > 0
-        by_utc.append((received - mine.utc_ns)[told])
-        rest = mine.take(~told & (mine.boot_ns > 0))
+    for part, turn in parts:
+        received = clocks.utc_of_host(source, part.at, part.host_ns)
+        has_utc = part.utc_ns > 0
+        by_utc.append((received - part.utc_ns)[has_utc])
+        by_boot = ~has_utc & (part.boot_ns > 0)
+        rest = part.take(by_boot)
         stamped = clocks.utc_of_boot(source, rest.at, rest.host_ns, rest.boot_ns, turn)
-        delay.append(received[~told & (mine.boot_ns > 0)] - stamped)
+        delay.append(received[by_boot] - stamped)
     late = np.concatenate(by_utc)
     if late.size and not EARLIEST_NS <= np.median(late) <= LATEST_NS:
         ledger.loss(
@@ -86,19 +93,24 @@ def _judged(
             where=where,
             count=int(late.size),
         )
-        clocks = replace(clocks, doubted=clocks.doubted | {source})
-        parts = [(replace(mine, utc_ns=np.zeros_like(mine.utc_ns)), turn) for mine, turn in parts]
-        return _judged(clocks, source, parts, ledger)
+        clocks = replace(clocks, wrong_utc=clocks.wrong_utc | {source})
+        parts = [(replace(part, utc_ns=np.zeros_like(part.utc_ns)), turn) for part, turn in parts]
+        return _with_checked_clock(clocks, source, parts, ledger)
     late = np.concatenate(delay)
     if source in clocks.senders or not late.size:
         return clocks
-    return _with_lender(clocks, source, [mine for mine, _ in parts], late, where, ledger)
+    if _may_borrow(clocks, source, late, ledger):
+        return clocks
+    columns = [vars(part) for part, _ in parts]
+    joined = ClockReadings(**{n: np.concatenate([c[n] for c in columns]) for n in columns[0]})
+    joined = joined.take(joined.boot_ns > 0)
+    joined = joined.take(np.argsort(joined.at, kind="stable"))
+    return clocks.with_own(source, joined, ledger)
 
 
-def _with_lender(
-    clocks: Clocks, source: Key, parts: Sequence[Readings], late: TimeArray, where: str,
-    ledger: Ledger,
-) -> Clocks:  # fmt: skip
+def _may_borrow(clocks: Clocks, source: Key, late: TimeArray, ledger: Ledger) -> bool:
+    """Whether a sender's times are those of the clock that it would borrow, or there is none."""
+    where = f"system {source[0]}, component {source[1]}"
     lender = clocks.lender(source)
     if lender is None:
         ledger.fallback(
@@ -108,7 +120,7 @@ def _with_lender(
             where=where,
             count=int(late.size),
         )
-        return clocks
+        return True
     if EARLIEST_NS <= np.median(late) <= LATEST_NS:
         ledger.note(
             "TIME-BORROWED",
@@ -117,7 +129,7 @@ def _with_lender(
             where=where,
             count=int(late.size),
         )
-        return clocks
+        return True
     ledger.loss(
         "TIME-BORROWED",
         f"the times since boot of {late.size} messages are not those of component {lender[1]}, by "
@@ -126,12 +138,7 @@ def _with_lender(
         where=where,
         count=int(late.size),
     )
-    columns: Mapping[str, list[NDArray[Any]]] = {
-        name: [vars(mine)[name] for mine in parts] for name in vars(parts[0])
-    }
-    joined = Readings(**{name: np.concatenate(several) for name, several in columns.items()})
-    joined = joined.take(joined.boot_ns > 0)
-    return clocks.with_own(source, joined.take(np.argsort(joined.at, kind="stable")), ledger)
+    return False
 
 
 def _seconds(late: TimeArray) -> str:

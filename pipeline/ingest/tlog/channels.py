@@ -1,4 +1,4 @@
-"""Messages of a telemetry log as they were sent -> channels, block by block."""
+"""Messages of a telemetry log as they were sent -> channels; which of them are exposures."""
 
 from __future__ import annotations
 
@@ -23,9 +23,7 @@ from pipeline.ingest.buffers import ColumnStore, allocate
 from pipeline.ingest.channel_builder import DecodedRows, channel_of
 from pipeline.ingest.fields import MessageMap, extract
 from pipeline.ingest.tlog.borrowed_clock import unix_us
-from pipeline.ingest.tlog.clock import CLOCK_FIELDS, Clocks
-from pipeline.ingest.tlog.clock_readings import MICROSECOND, Key, by_source
-from pipeline.ingest.tlog.events import distinct, taken
+from pipeline.ingest.tlog.clock import CLOCK_FIELDS, MICROSECOND, Clocks, Key, by_source
 from pipeline.ingest.tlog.fields import LABELS, MESSAGES, PARAM_VALUE
 from pipeline.ledger import Ledger
 
@@ -34,40 +32,36 @@ Group = tuple[int, Any]
 
 
 def channels_of(sent: dict[str, ColumnStore], clocks: Clocks, ledger: Ledger) -> list[Channel]:
-    """The channels of the wanted messages, each of which is let go on the way."""
+    """The channels of the wanted messages, whose memory is freed on the way."""
     channels = []
-    keys: dict[str, list[str]] = {}
+    keys_of: dict[str, list[str]] = {}
     for key in MESSAGES:
-        keys.setdefault(key.partition(".")[0], []).append(key)
-    for message, mine in keys.items():
-        for series in _series(mine, sent.pop(message), clocks) if message in sent else ():
+        keys_of.setdefault(key.partition(".")[0], []).append(key)
+    for message, keys in keys_of.items():
+        for series in _series(keys, sent.pop(message), clocks) if message in sent else ():
             spec, rows = series.spec, series.rows()
             if series.key == "CAMERA_FEEDBACK":
-                rows = rows.take(distinct(series.records(), rows.name, ledger))
+                rows = rows.take(distinct_exposures(series.records(), rows.name, ledger))
             if series.key == "CAMERA_IMAGE_CAPTURED":
-                rows = rows.take(taken(series.records(), rows.name, ledger))
+                rows = rows.take(captured_images(series.records(), rows.name, ledger))
             if spec.event:  # the link may deliver an exposure late
                 rows = rows.take(np.argsort(rows.time_ns, kind="stable"))
             channel = channel_of(rows, spec, ledger)
             if channel is not None:
                 channels.append(channel)
-    if PARAM_VALUE in sent and _heights_are_ellipsoidal(sent[PARAM_VALUE].whole(), channels):
-        return with_ellipsoidal_heights(channels, ledger, PARAM_VALUE)
+    if PARAM_VALUE in sent:
+        parameters = sent[PARAM_VALUE].whole()
+        systems = [c.source.system or 0 for c in channels if "h_msl_m" in c.columns]
+        records = parameters["records"][np.isin(parameters["source"] >> 8, systems)]
+        values = records["param_value"][records["param_id"] == HEIGHT_OPTION.encode()]
+        if values.shape[0] and selects_ellipsoid(float(values[-1])):
+            return with_ellipsoidal_heights(channels, ledger, PARAM_VALUE)
     return channels
-
-
-def _heights_are_ellipsoidal(parameters: NDArray[Any], channels: list[Channel]) -> bool:
-    """Whether the last value of the vehicle's parameter asks for heights above the ellipsoid."""
-    systems = {channel.source.system for channel in channels if "h_msl_m" in channel.columns}
-    mine = np.isin(parameters["source"] >> 8, [system for system in systems if system is not None])
-    records = parameters["records"][mine]
-    values = records["param_value"][records["param_id"] == HEIGHT_OPTION.encode()]
-    return bool(values.shape[0]) and selects_ellipsoid(float(values[-1]))
 
 
 @dataclass
 class _Series:
-    """A channel as it is filled: ``count`` rows of one sender and instance."""
+    """A channel during reading: ``count`` rows of one sender and instance, ``done`` so far."""
 
     key: str
     spec: MessageMap
@@ -83,12 +77,18 @@ class _Series:
         self.boot = allocate(self.count, np.int16)
 
     def add(self, rows: NDArray[Any], clocks: Clocks) -> None:
-        """The next messages; a column takes memory when it has its first value."""
+        """Add the next messages; a column is allocated when it has its first value."""
         part = slice(self.done, self.done + rows.shape[0])
         source = (self.source.system or 0, self.source.component or 0)
         time_ns, boot = times_of(rows, self.spec.time_field, clocks, source)
         self.time_ns[part], self.boot[part] = time_ns, boot
-        values = extract(_fields(rows["records"]), self.spec.columns)
+        records, fields = rows["records"], {}
+        for name in records.dtype.names or ():
+            fields[name] = records[name]
+            if records[name].ndim == 2:  # the elements of an array also one by one, as "q.0"
+                elements = range(records[name].shape[1])
+                fields |= {f"{name}.{k}": records[name][:, k] for k in elements}
+        values = extract(fields, self.spec.columns)
         needed = self.spec.position or self.spec.attitude
         if self.key == "GIMBAL_DEVICE_ATTITUDE_STATUS":
             values = earth_frame_attitude(values)
@@ -107,7 +107,7 @@ class _Series:
         return np.concatenate(self.sent)
 
     def rows(self) -> DecodedRows:
-        """What was added, with the texts that belong to it."""
+        """All rows, with the texts that belong to them."""
         label = LABELS.get(self.key)
         texts = {label: tuple(map(text_of, self.records()[label].tolist()))} if label else {}
         return DecodedRows(self.name, self.source, self.time_ns, self.boot, self.columns, texts)
@@ -120,7 +120,7 @@ def _series(keys: list[str], store: ColumnStore, clocks: Clocks) -> list[_Series
     for block in store.blocks():
         counts.update({group: rows.shape[0] for group, rows in _split(block, field)})
     several = len({source for source, _ in counts}) > 1
-    found: dict[Group, list[_Series]] = {}
+    by_group: dict[Group, list[_Series]] = {}
     for group in sorted(counts):
         sender, label = divmod(group[0], 256), None if group[1] is None else label_of(group[1])
         for key in keys:
@@ -128,34 +128,24 @@ def _series(keys: list[str], store: ColumnStore, clocks: Clocks) -> list[_Series
             name += f"@{sender[0]}/{sender[1]}" if several else ""
             origin = Source(key.partition(".")[0], label, *sender)
             series = _Series(key, MESSAGES[key], name, origin, counts[group])
-            found.setdefault(group, []).append(series)
+            by_group.setdefault(group, []).append(series)
     for block in store.drained():
         for group, rows in _split(block, field):
-            for series in found[group]:
+            for series in by_group[group]:
                 series.add(rows, clocks)
-    return [series for each in found.values() for series in each]
+    return [series for several in by_group.values() for series in several]
 
 
 def _split(rows: NDArray[Any], field: str) -> Iterator[tuple[Group, NDArray[Any]]]:
     """Messages by their sender and instance."""
-    for source, mine in by_source(rows):
-        part = rows[mine]
+    for source, of_source in by_source(rows):
+        part = rows[of_source]
         number = source[0] * 256 + source[1]
         if not field:
             yield (number, None), part
             continue
         for value in np.unique(part["records"][field]):
             yield (number, value.item()), part[part["records"][field] == value]
-
-
-def _fields(records: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """The fields by name; those of an array also one by one, as ``q.0``."""
-    fields = {}
-    for name in records.dtype.names or ():
-        fields[name] = records[name]
-        if records[name].ndim == 2:
-            fields |= {f"{name}.{k}": records[name][:, k] for k in range(records[name].shape[1])}
-    return fields
 
 
 def times_of(
@@ -174,12 +164,12 @@ def times_of(
     unit, turn = CLOCK_FIELDS[field]
     stamp = microseconds(rows["records"][field])
     since_boot = stamp * unit
-    placed = clocks.placed(source, at, since_boot)
+    placed = clocks.boot_places(source, at, since_boot)
     time_ns = clocks.utc_of_boot(source, placed, host_ns, since_boot, turn)
     boot = clocks.boot(source, placed)
     if field == "time_boot_ms":
         own_us = unix_us(rows["records"])
-        if source in clocks.doubted or not own_us.any():
+        if source in clocks.wrong_utc or not own_us.any():
             return time_ns, boot
         return np.where(own_us > 0, own_us * MICROSECOND, time_ns), boot
     # time_usec: Unix time from some senders, time since boot from others, 0 when not known
@@ -193,10 +183,87 @@ def times_of(
 
 
 def label_of(value: Any) -> str:
-    """An instance in words: a number or a name."""
+    """The label of an instance: its number or its name."""
     return text_of(value) if isinstance(value, bytes) else str(int(value))
 
 
 def text_of(value: bytes) -> str:
     """A char[] field: cut at the first NUL."""
     return value.split(b"\0", 1)[0].decode("ascii", "backslashreplace")
+
+
+def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> NDArray[np.intp]:
+    """The rows of CAMERA_FEEDBACK that are exposures of a camera: no empty ones, each once.
+
+    ArduPilot repeats a row while it waits for the next pulse, sometimes already with the next
+    index: exposures differ by their time, and the first row of a time has its index.
+    """
+    empty = (table["time_usec"] == 0) & (table["lat"] == 0) & (table["lng"] == 0)
+    rows = np.flatnonzero(~empty)
+    times, indices = table["time_usec"][rows], table["img_idx"][rows].astype(np.uint64)
+    keys = np.where(times == 0, indices, times)
+    first = np.sort(np.unique(keys, return_index=True)[1])
+    empties, repeats = int(empty.sum()), int(rows.shape[0] - first.shape[0])
+    if empties:
+        ledger.note(
+            "EVENT-EMPTY",
+            f"{empties} of {table.shape[0]} rows have neither time nor place: no exposure",
+            where=name,
+            count=empties,
+        )
+    if repeats:
+        ledger.note(
+            "EVENT-REPEAT",
+            f"{repeats} of {table.shape[0]} rows repeat the time of an exposure",
+            where=name,
+            count=repeats,
+        )
+    by_unix = int(np.count_nonzero(times[first] > UNIX_US_FROM))
+    if by_unix:
+        ledger.note(
+            "EVENTS-TRIGGER-TIME",
+            f"{by_unix} exposures have Unix time, as autopilots send it without a feedback pin: "
+            "it is that of the trigger command, and the shutter opens later (70 to 160 ms were "
+            "measured), which events.log.<camera>.delay_s takes into account",
+            where=name,
+            count=by_unix,
+        )
+    unseen = np.setdiff1d(indices, indices[first])
+    if unseen.shape[0]:
+        ledger.warning(
+            "EVENT-NO-PULSE",
+            f"{unseen.shape[0]} image indices never got a time of their own (the first is "
+            f"{int(unseen[0])}): the camera was triggered and its feedback was lost",
+            where=name,
+            count=int(unseen.shape[0]),
+        )
+    return rows[first]
+
+
+def captured_images(table: NDArray[Any], name: str, ledger: Ledger) -> NDArray[np.intp]:
+    """The rows of CAMERA_IMAGE_CAPTURED that are images, each once.
+
+    ``capture_result`` is 0 where the camera failed; a camera repeats a row on request, with the
+    same index and time.
+    """
+    failed = table["capture_result"] == 0
+    rows = np.flatnonzero(~failed)
+    keys = table["time_boot_ms"][rows].astype(np.int64) << 32
+    keys |= table["image_index"][rows].astype(np.int64) & 0xFFFFFFFF
+    first = np.sort(np.unique(keys, return_index=True)[1])
+    failures, repeats = int(failed.sum()), int(rows.shape[0] - first.shape[0])
+    if failures:
+        ledger.warning(
+            "EVENT-FAILED",
+            f"{failures} of {table.shape[0]} rows report that the camera took no image",
+            where=name,
+            count=failures,
+        )
+    if repeats:
+        ledger.note(
+            "EVENT-REPEAT",
+            f"{repeats} of {table.shape[0]} rows repeat an image",
+            where=name,
+            count=repeats,
+        )
+    return np.asarray(rows[first], np.intp)

@@ -1,24 +1,47 @@
 """The clocks of a telemetry log: each sender's boots, and its time in UTC.
 
 A sender's messages carry time since its boot; its SYSTEM_TIME ties that to UTC. The stamps of the
-log are the ground station's clock: seconds off UTC and unsteady by the radio link, so they serve
-only to place messages without a time of their own among those that have one.
+log are the ground station's clock: seconds off UTC and irregular by the radio link, so they only
+place messages without a time of their own among those that have one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.flight.channels import TimeArray
-from pipeline.flight.clock import clock_map, stray_times
-from pipeline.ingest.boot_clock import BootClock, UtcReadings, fit_boot_clock, timeline
-from pipeline.ingest.tlog.clock_readings import MICROSECOND, MILLISECOND, Key, Readings
+from pipeline.flight.clock import STRAY_ROWS, UNIX_US_FROM, clock_map, stray_times
+from pipeline.ingest.boot_clock import (
+    BootClock,
+    UtcReadings,
+    fit_boot_clock,
+    microseconds,
+    timeline,
+)
+from pipeline.ingest.buffers import ColumnStore
 from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND
+
+MILLISECOND, MICROSECOND = 1_000_000, 1_000  # [ns]
+
+# Density of the samples of a clock: a message without a time of its own lies between two of them.
+# The link delays it by 55 ms to 2 s (p5 to p95 in real logs), so more samples are no gain.
+SAMPLE_MS = 50
+DELAY_US = 10_000
+STEADY_MS = 1000
+
+Key = tuple[int, int]
+"""A sender: system and component."""
+
+_READING = np.dtype(
+    [("at", "i8"), ("host_us", "i8"), ("source", "u2"), ("boot_ms", "u4"), ("unix_us", "u8")]
+)
+_KINDS = {"at": "i8", "source": "u2", "host_ns": "i8", "boot_ns": "i8", "utc_ns": "i8"}
 
 ROUND_MS = (1 << 32) * MILLISECOND  # 49.7 days: a 32-bit count of milliseconds runs over
 ROUND_US = (1 << 32) * MICROSECOND  # 71.6 minutes: one of microseconds
@@ -27,21 +50,110 @@ CLOCK_FIELDS: Mapping[str, tuple[int, int]] = {
     "time_boot_ms": (MILLISECOND, ROUND_MS),
     "time_usec": (MICROSECOND, ROUND_US),
 }
-"""Fields with a time since boot: their unit [ns], and after what time [ns] they begin again."""
+"""Fields with a time since boot: their unit [ns], and the time [ns] after which they wrap."""
 
-# How far a stamp that ran over may lie from where the sender's clock is: exposures are reported up
-# to some seconds late, and a minute is a seventieth of the shorter round.
+# Largest difference of a stamp that wrapped from the sender's clock: exposures are reported up to
+# some seconds late, and a minute is a seventieth of the shorter period.
 NEAR_NS = 60 * NANOSECONDS_PER_SECOND
-# A message that is stamped on arrival comes after what it tells of, and not much: links and
-# cameras delay by up to some seconds, the link's jitter is 2 s at most in real logs.
+# Delay of a message that is stamped on arrival: links and cameras delay by up to some seconds, the
+# link's jitter is 2 s at most in real logs.
 EARLIEST_NS, LATEST_NS = -2 * NANOSECONDS_PER_SECOND, 10 * NANOSECONDS_PER_SECOND
+
+
+class Sampler:
+    """Samples of the senders' clocks, taken from messages while a log is scanned.
+
+    Each sender's clock is sampled every `SAMPLE_MS`; every `STEADY_MS` while its difference from
+    the ground station's clock is constant within `DELAY_US`; and at all messages with UTC.
+    """
+
+    def __init__(self) -> None:
+        self.rows = ColumnStore(_READING)
+
+    def take(self, timed: Sequence[NDArray[Any]]) -> None:
+        """Sample the next messages of the file, which have ``time_boot_ms``."""
+        if not timed:
+            return
+        rows = np.zeros(sum(part.shape[0] for part in timed), _READING)
+        done = 0
+        for part in timed:
+            piece = rows[done : done + part.shape[0]]
+            for name in ("at", "host_us", "source"):
+                piece[name] = part[name]
+            piece["boot_ms"] = part["records"]["time_boot_ms"]
+            if "time_unix_usec" in (part["records"].dtype.names or ()):
+                piece["unix_us"] = part["records"]["time_unix_usec"]
+            done += part.shape[0]
+        rows = rows[np.lexsort((rows["at"], rows["source"]))]
+        host_ms = rows["host_us"] // 1000
+        first = _changes(rows["source"]) | _changes(rows["boot_ms"] // SAMPLE_MS)
+        rows = rows[first | _changes(host_ms // SAMPLE_MS) | (rows["unix_us"] > 0)]
+        boot_ms = rows["boot_ms"].astype(np.int64)
+        delay = (rows["host_us"] - boot_ms * 1000) // DELAY_US
+        jumps = _changes(rows["source"])
+        jumps[1:] |= np.abs(np.diff(boot_ms)) > STEADY_MS
+        changed = _changes(delay) | _changes(boot_ms // STEADY_MS)
+        keep = changed | np.append(changed[1:], True) | (rows["unix_us"] > 0)
+        for row in np.flatnonzero(jumps).tolist():  # the number of rows after it shows a glitch
+            keep[max(row - STRAY_ROWS - 1, 0) : row + STRAY_ROWS + 1] = True
+        kept = rows[keep]
+        self.rows.add(kept[np.argsort(kept["at"], kind="stable")])
+
+    def readings(self, systems: Set[int]) -> ClockReadings | None:
+        """The samples of the senders of these systems."""
+        columns = {name: ColumnStore(kind) for name, kind in _KINDS.items()}
+        for block in self.rows.drained():
+            rows = block[np.isin(block["source"] >> 8, sorted(systems))]
+            unix_us = microseconds(rows["unix_us"])
+            columns["at"].add(rows["at"])
+            columns["source"].add(rows["source"])
+            columns["host_ns"].add(rows["host_us"] * MICROSECOND)
+            columns["boot_ns"].add(rows["boot_ms"].astype(np.int64) * MILLISECOND)
+            columns["utc_ns"].add(np.where(unix_us > UNIX_US_FROM, unix_us * MICROSECOND, 0))
+        if not len(columns["at"]):
+            return None
+        return ClockReadings(**{name: store.whole() for name, store in columns.items()})
+
+
+def _changes(column: NDArray[Any]) -> NDArray[np.bool_]:
+    """Where a value is not that of the row before."""
+    return np.append(True, column[1:] != column[:-1])
+
+
+def by_source(rows: NDArray[Any]) -> Iterator[tuple[Key, NDArray[np.bool_] | slice]]:
+    """The senders of messages, and the rows of each."""
+    sources = np.unique(rows["source"])
+    for number in sources.tolist():
+        of_source = slice(None) if sources.shape[0] == 1 else rows["source"] == number
+        yield divmod(number, 256), of_source
+
+
+@dataclass(frozen=True)
+class ClockReadings:
+    """ClockReadings of the senders' clocks, (n,) in the order of the file.
+
+    ``at`` byte offset; ``source`` system times 256 plus component; ``host_ns`` the ground
+    station's clock; ``boot_ns`` since boot; ``utc_ns`` or 0.
+    """
+
+    at: NDArray[np.int64]
+    source: NDArray[np.uint16]
+    host_ns: TimeArray
+    boot_ns: TimeArray
+    utc_ns: TimeArray
+
+    def take(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> ClockReadings:
+        """The readings of a mask or an index."""
+        if rows.dtype == np.bool_ and bool(rows.all()):
+            return self
+        return ClockReadings(**{name: column[rows] for name, column in vars(self).items()})
 
 
 @dataclass(frozen=True)
 class _Sender:
     """One sender's clock.
 
-    ``at`` and ``boot_ns`` (n,): what it showed each second, and at the begin of each boot, in the
+    ``at`` and ``boot_ns`` (n,): its readings each second, and at the begin of each boot, in the
     order of the log; ``clock`` its boots and their UTC. By boot: ``counts`` of readings, ``maps``
     from the ground station's clock to UTC.
     """
@@ -67,18 +179,18 @@ class _Sender:
 
 @dataclass(frozen=True)
 class Clocks:
-    """All senders of a log. ``boots`` of the vehicle; ``words`` for the time base.
+    """All senders of a log; ``boots`` of the vehicle; ``description`` of the time base.
 
-    ``doubted`` are senders whose own UTC, which images carry, is not to be believed.
+    ``wrong_utc`` are senders whose own UTC, which images carry, is wrong.
     """
 
     senders: Mapping[Key, _Sender]
     boots: int
-    words: str
-    doubted: frozenset[Key] = frozenset()
+    description: str
+    wrong_utc: frozenset[Key] = frozenset()
 
     def lender(self, source: Key) -> Key | None:
-        """Whose clock serves a sender: its own, else that of another component of its system."""
+        """The sender whose clock is used: this one, else another component of its system."""
         if source in self.senders:
             return source
         same = [key for key in self.senders if key[0] == source[0]]
@@ -93,11 +205,11 @@ class Clocks:
         sender = self._of(source)
         return np.zeros(at.shape, np.int16) if sender is None else sender.clock.line.boot_of(at)
 
-    def ran_on(self, source: Key, at: int, least_ns: int) -> bool:
-        """Whether a sender's clock goes on by so much at a place of the file, within a boot.
+    def advanced(self, source: Key, at: int, least_ns: int) -> bool:
+        """Whether a sender's clock advances by so much at a place of the file, within a boot.
 
         It does not at a restart, nor where only the ground station's clock was set. True where the
-        sender shows no clock.
+        sender has no clock.
         """
         sender = self.senders.get(source)
         if sender is None:
@@ -109,9 +221,13 @@ class Clocks:
         step = int(sender.boot_ns[row] - sender.boot_ns[row - 1])
         return bool(boots[0] == boots[1]) and step >= least_ns
 
-    def placed(self, source: Key, at: NDArray[np.int64], boot_ns: TimeArray) -> NDArray[np.int64]:
-        """Places whose boot is that of times since boot: the first messages of a boot may come
-        before the first that shows its clock, to which they are moved.
+    def boot_places(
+        self, source: Key, at: NDArray[np.int64], boot_ns: TimeArray
+    ) -> NDArray[np.int64]:
+        """Places whose boot is that of times since boot.
+
+        The first messages of a boot may come before the first reading of its clock: they get the
+        place of that.
         """
         sender = self._of(source)
         if sender is None or sender.clock.line.boots == 1:
@@ -133,17 +249,16 @@ class Clocks:
     ) -> TimeArray:
         """UTC [ns] of times since boot; without a clock of this sender, the log's own stamps.
 
-        ``turn`` is the time [ns] after which a count of 32 bits begins again.
+        ``turn`` is the time [ns] after which a count of 32 bits wraps.
         """
         sender = self._of(source)
         if sender is None:
             return host_ns
         return sender.clock.utc(at, unrolled(boot_ns, sender.near(at), turn))
 
-    def with_own(self, source: Key, mine: Readings, ledger: Ledger) -> Clocks:
+    def with_own(self, source: Key, readings: ClockReadings, ledger: Ledger) -> Clocks:
         """These clocks and one more, set by the ground station's stamps through its lender's."""
-        lender = self._of(source)
-        sender = _fit(mine, lender, source, ledger)
+        sender = _fit_sender(readings, self._of(source), source, ledger)
         return replace(self, senders={**self.senders, source: sender})
 
 
@@ -153,13 +268,13 @@ def clock_field(names: Container[str]) -> str:
 
 
 def unrolled(stamp_ns: TimeArray, near_ns: TimeArray, turn: int) -> TimeArray:
-    """Stamps of a counter that ran over, made whole where they then fit the sender's clock.
+    """Stamps of a counter that wrapped, completed where they then fit the sender's clock.
 
     Parameters
     ----------
     stamp_ns : (n,) [ns] as sent.
-    near_ns : (n,) [ns] what the sender's clock showed about then, counted without end.
-    turn : [ns] after which the counter begins again.
+    near_ns : (n,) [ns] the sender's clock about then, which does not wrap.
+    turn : [ns] after which the counter wraps.
 
     >>> unrolled(np.array([5 * 10**9]), np.array([ROUND_US + 4 * 10**9]), ROUND_US) - ROUND_US
     array([5000000000])
@@ -173,8 +288,8 @@ def unrolled(stamp_ns: TimeArray, near_ns: TimeArray, turn: int) -> TimeArray:
     return np.asarray(np.where(fits, whole, stamp_ns), np.int64)
 
 
-def clocks_of(readings: Readings | None, ledger: Ledger) -> Clocks:
-    """Fit the clocks of all senders; how well, and what they fall back on, is in the ledger."""
+def clocks_of(readings: ClockReadings | None, ledger: Ledger) -> Clocks:
+    """Fit the clocks of all senders; residuals and fallbacks are entered in the ledger."""
     if readings is None:
         ledger.fallback(
             "TIME-HOST-CLOCK",
@@ -187,73 +302,68 @@ def clocks_of(readings: Readings | None, ledger: Ledger) -> Clocks:
     vehicle = busiest[0]
     senders: dict[Key, _Sender] = {}
     for source in busiest:
-        mine = readings.take(readings.source == source[0] * 256 + source[1])
+        of_source = readings.take(readings.source == source[0] * 256 + source[1])
         leader = senders.get(vehicle) if vehicle[0] == source[0] else None
-        senders[source] = _fit(mine, leader, source, ledger)
-    return Clocks(senders, senders[vehicle].clock.line.boots, _words(senders[vehicle].clock))
+        senders[source] = _fit_sender(of_source, leader, source, ledger)
+    clock = senders[vehicle].clock
+    known, boots = clock.utc_known.count(True), len(clock.utc_known)
+    description = f"vehicle clock, set to UTC by SYSTEM_TIME in {known} of {boots} boots"
+    if known == boots:
+        description = "vehicle clock, set to UTC by the median of SYSTEM_TIME"
+    elif known == 0:
+        description = "vehicle clock, set by the ground station's clock"
+    return Clocks(senders, clock.line.boots, description)
 
 
-def _fit(mine: Readings, leader: _Sender | None, source: Key, ledger: Ledger) -> _Sender:
+def _fit_sender(
+    readings: ClockReadings, leader: _Sender | None, source: Key, ledger: Ledger
+) -> _Sender:
     """A sender's clock; without UTC of its own it is set by when its messages were received."""
     where = f"system {source[0]}, component {source[1]}"
-    mine = mine.take(~stray_times(mine.boot_ns))  # a glitch of the clock is no boot
-    at, boot_ns = mine.at, _counted_on(mine, where, ledger)
-    host_ns = mine.host_ns if leader is None else leader.utc_of_host(at, mine.host_ns)
-    told = UtcReadings("SYSTEM_TIME messages", at, boot_ns, mine.utc_ns, mine.utc_ns > 0)
+    readings = readings.take(~stray_times(readings.boot_ns))  # a glitch of the clock is no boot
+    at, boot_ns = readings.at, _without_wraps(readings, where, ledger)
+    host_ns = readings.host_ns if leader is None else leader.utc_of_host(at, readings.host_ns)
+    sent_utc = readings.utc_ns
+    system_time = UtcReadings("SYSTEM_TIME messages", at, boot_ns, sent_utc, sent_utc > 0)
     received = UtcReadings("stamps", at, boot_ns, host_ns, np.ones(at.shape, np.bool_))
-    clock = fit_boot_clock(timeline([(at, boot_ns)]), [told], ledger, received, where)
+    clock = fit_boot_clock(timeline([(at, boot_ns)]), [system_time], ledger, received, where)
     boot = clock.line.boot_of(at)
     counts = np.bincount(boot, minlength=clock.line.boots).tolist()
     maps = []
-    for number, count in enumerate(counts):
+    for number, (count, fit) in enumerate(zip(counts, clock.fits, strict=True)):
         rows = slice(sum(counts[:number]), sum(counts[:number]) + count)
-        maps.append(clock_map(mine.host_ns[rows], clock.utc(at[rows], boot_ns[rows])))
-        _report_fallback(clock, number, count, where, ledger)
+        maps.append(clock_map(readings.host_ns[rows], clock.utc(at[rows], boot_ns[rows])))
+        if fit is not None and not clock.utc_known[number]:
+            ledger.fallback(
+                "TIME-HOST-CLOCK",
+                f"no SYSTEM_TIME with UTC: the clock is set by the stamps of {count} messages, "
+                "which are the ground station's and may be seconds off UTC; they agree within "
+                f"{fit.spread_ns / 1e6:.0f} ms (p5 to p95)",
+                where=f"{where}, boot {number}",
+                count=count,
+            )
     mark = np.ones(boot.shape, np.bool_)
     mark[1:] = (np.diff(boot_ns // NANOSECONDS_PER_SECOND) != 0) | (np.diff(boot) != 0)
     return _Sender(at[mark], boot_ns[mark], clock, tuple(counts), tuple(maps))
 
 
-def _counted_on(mine: Readings, where: str, ledger: Ledger) -> TimeArray:
-    """Times since boot that go on where a 32-bit count of milliseconds ran over."""
-    if mine.at.shape[0] < 2:
-        return mine.boot_ns
-    step = np.diff(mine.boot_ns)
-    # A new boot starts near zero too, but not just when the host's clock says that the count was
-    # full. A message that was overtaken shows the time before the turn: a step back by a turn.
+def _without_wraps(readings: ClockReadings, where: str, ledger: Ledger) -> TimeArray:
+    """Times since boot that continue where a 32-bit count of milliseconds wrapped."""
+    if readings.at.shape[0] < 2:
+        return readings.boot_ns
+    step = np.diff(readings.boot_ns)
+    # A new boot starts near zero too, but not exactly when the count was full by the host's clock.
+    # A message that was overtaken has the time before the wrap: a step by a turn the other way.
     turn = np.rint(-step / ROUND_MS).astype(np.int64)
-    turn[np.abs(step + turn * ROUND_MS - np.diff(mine.host_ns)) > NEAR_NS] = 0
+    turn[np.abs(step + turn * ROUND_MS - np.diff(readings.host_ns)) > NEAR_NS] = 0
     if not turn.any():
-        return mine.boot_ns
+        return readings.boot_ns
     turns = np.concatenate([[0], np.cumsum(turn)])
     ledger.note(
         "TIME-WRAP",
-        f"the 32-bit count of milliseconds since boot ran over after 49.7 days, "
-        f"{int(turns.max())} times: it is counted on",
+        f"the 32-bit count of milliseconds since boot wrapped after 49.7 days, "
+        f"{int(turns.max())} times: it is continued",
         where=where,
         count=int(turns.max()),
     )
-    return np.asarray(mine.boot_ns + turns * ROUND_MS, np.int64)
-
-
-def _report_fallback(clock: BootClock, number: int, count: int, where: str, ledger: Ledger) -> None:
-    fit = clock.fits[number]
-    if clock.utc_known[number] or fit is None:
-        return
-    ledger.fallback(
-        "TIME-HOST-CLOCK",
-        f"no SYSTEM_TIME with UTC: the clock is set by the stamps of {count} messages, which are "
-        "the ground station's and may be seconds off UTC; they agree within "
-        f"{fit.spread_ns / 1e6:.0f} ms (p5 to p95)",
-        where=f"{where}, boot {number}",
-        count=count,
-    )
-
-
-def _words(clock: BootClock) -> str:
-    known, boots = clock.utc_known.count(True), len(clock.utc_known)
-    if known == boots:
-        return "vehicle clock, set to UTC by the median of SYSTEM_TIME"
-    if known == 0:
-        return "vehicle clock, set by the ground station's clock"
-    return f"vehicle clock, set to UTC by SYSTEM_TIME in {known} of {boots} boots"
+    return np.asarray(readings.boot_ns + turns * ROUND_MS, np.int64)

@@ -148,19 +148,16 @@ def headers(window: Bytes, places: NDArray[np.int64], room: int) -> Frames:
     return frames.take(frames.end <= room)
 
 
-def _byte_table() -> NDArray[np.uint16]:
-    """CRC-16/MCRF4XX (X.25 of the MAVLink library), one entry a byte."""
-    table = np.arange(256, dtype=np.uint16)
-    for _ in range(8):
-        table = np.where(table & 1, (table >> 1) ^ np.uint16(0x8408), table >> 1).astype(np.uint16)
-    return table
+# CRC-16/MCRF4XX (X.25 of the MAVLink library), one entry a byte.
+_TABLE = np.arange(256, dtype=np.uint16)
+for _ in range(8):
+    _TABLE = np.where(_TABLE & 1, (_TABLE >> 1) ^ np.uint16(0x8408), _TABLE >> 1).astype(np.uint16)
 
 
 def _step(crc: NDArray[np.uint16], byte: NDArray[np.integer[Any]]) -> NDArray[np.uint16]:
     return np.asarray((crc >> 8) ^ _TABLE[(crc ^ byte) & 0xFF], np.uint16)
 
 
-_TABLE = _byte_table()
 # Two bytes a step: the register is 16 bits wide, so one table of 65,536 entries is the whole step.
 _ZERO = np.zeros(1, np.uint16)
 _WORDS = _step(_step(np.arange(1 << 16, dtype=np.uint16), _ZERO), _ZERO)
@@ -194,8 +191,8 @@ def checksums_hold(window: Bytes, frames: Frames, extras: Mapping[int, int]) -> 
         for block in range(begin, end, BLOCK):
             rows = order[block : min(block + BLOCK, end)]
             first = frames.at[rows] + STAMP + 1  # all but the magic byte
-            found, stored = checksums(window, first, covered, extra[rows])
-            holds[rows] = found == stored
+            computed, stored = checksums(window, first, covered, extra[rows])
+            holds[rows] = computed == stored
     return holds
 
 

@@ -15,11 +15,10 @@ from pipeline.flight.channels import Channel
 from pipeline.flight.clock import stray_times
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.log import Contents, Table, report_damage
-from pipeline.ingest.tlog.borrowed_clock import borrowed
+from pipeline.ingest.tlog.borrowed_clock import with_borrowed_clocks
 from pipeline.ingest.tlog.channels import channels_of, label_of, times_of
-from pipeline.ingest.tlog.clock import Clocks, clock_field, clocks_of
-from pipeline.ingest.tlog.clock_readings import MICROSECOND, Key, by_source
-from pipeline.ingest.tlog.dialect import Dialect, Message, dialect
+from pipeline.ingest.tlog.clock import MICROSECOND, Clocks, Key, by_source, clock_field, clocks_of
+from pipeline.ingest.tlog.dialect import Dialect, dialect
 from pipeline.ingest.tlog.fields import MESSAGES, wanted_fields
 from pipeline.ingest.tlog.frames import frame_length
 from pipeline.ingest.tlog.scan import SILENT_US, Scan, Silence, scan
@@ -27,13 +26,13 @@ from pipeline.ledger import Ledger
 
 SILENT_NS = SILENT_US * MICROSECOND
 _CARRIED = {key.partition(".")[0] for key in MESSAGES}
-# When an exposure was asked for, not when it was sent, is the time in it.
+# Messages whose time is that of the exposure, not of sending.
 _LATE = {key for key, spec in MESSAGES.items() if spec.event}
 
 
 @dataclass(frozen=True)
 class Tlog:
-    """The registry's line of this format."""
+    """The registry's entry of this format."""
 
     name: str = "tlog"
     title: str = "MAVLink telemetry"
@@ -48,24 +47,24 @@ class Tlog:
         wanted = wanted_fields()
         with open_view(path) as data:
             late = {known.numbers[name] for name in _LATE if name in known.numbers}
-            found = scan(data, known.extras, known.layouts(wanted), late)
-        damaged = _report_damage(found, known, set(wanted), path, ledger)
-        if not found.steady:
-            _steady_host(found, ledger, path.name)
-        sent = {known.messages[number].name: found.sent.pop(number) for number in [*found.sent]}
+            result = scan(data, known.extras, known.layouts(wanted), late)
+        damaged = _report_damage(result, known, set(wanted), path, ledger)
+        if not result.steady:
+            _replace_stray_stamps(result, ledger, path.name)
+        sent = {known.messages[number].name: result.sent.pop(number) for number in [*result.sent]}
         parts = [part for name, part in sent.items() if name in _CARRIED]
         sources = {int(n) for p in parts for b in p.blocks() for n in np.unique(b["source"])}
-        clocks = clocks_of(found.clock.readings({source >> 8 for source in sources}), ledger)
-        clocks = borrowed(clocks, parts, ledger)
+        clocks = clocks_of(result.clock.readings({source >> 8 for source in sources}), ledger)
+        clocks = with_borrowed_clocks(clocks, parts, ledger)
         channels = channels_of(sent, clocks, ledger)
-        lost = _report_link(found, clocks, channels, path, ledger)
+        lost = _report_link(result, clocks, channels, path, ledger)
         return Contents(
-            {known.name(key): count for key, count in found.counts.items() if count},
+            {known.name(key): count for key, count in result.counts.items() if count},
             tuple(channels),
-            found.bad_bytes + damaged,
+            result.bad_bytes + damaged,
             lost,
             clocks.boots,
-            clocks.words,
+            clocks.description,
             partial(_table, path, clocks),
         )
 
@@ -74,53 +73,54 @@ TLOG = Tlog()
 
 
 def _report_damage(
-    found: Scan, known: Dialect, needed: set[str], path: Path, ledger: Ledger
+    result: Scan, known: Dialect, needed: set[str], path: Path, ledger: Ledger
 ) -> int:
-    """Enter the damage; returns the bytes of frames whose checksum fails by damage."""
+    """Enter the damage; returns the number of bytes of damaged frames."""
     report_damage(
-        ledger, path.name, unit="message", bad_bytes=found.bad_bytes, first_bad=found.first_bad,
-        cut_bytes=found.cut_bytes,
+        ledger, path.name, unit="message", bad_bytes=result.bad_bytes, first_bad=result.first_bad,
+        cut_bytes=result.cut_bytes,
     )  # fmt: skip
-    if found.unknown:
-        count = sum(suspects.count for suspects in found.unknown.values())
-        first = min(suspects.first for suspects in found.unknown.values())
+    if result.unknown:
+        count = sum(rejected.count for rejected in result.unknown.values())
+        first = min(rejected.first for rejected in result.unknown.values())
         ledger.warning(
             "LOG-UNKNOWN-ID",
             f"{count} messages have ids that the dialect does not know "
-            f"({', '.join(str(key) for key in sorted(found.unknown)[:8])}): not checked, not read",
+            f"({', '.join(str(key) for key in sorted(result.unknown)[:8])}): not checked, not read",
             where=f"{path.name}, first at byte {first}",
             count=count,
         )
     damaged = 0
-    for number, suspects in sorted(found.failed.items()):
-        where = f"{path.name}, first at byte {suspects.first}"
+    for number, rejected in sorted(result.failed.items()):
+        where = f"{path.name}, first at byte {rejected.first}"
         name = f"{known.name(number)} (id {number})"
-        if found.counts[number] or known.name(number) in needed:
-            damaged += suspects.size
-            what = f"{suspects.count} messages {name} fail their checksum"
-            ledger.loss("LOG-CRC", what, where=where, count=suspects.count)
+        if result.counts[number] or known.name(number) in needed:
+            damaged += rejected.size
+            what = f"{rejected.count} messages {name} fail their checksum"
+            ledger.loss("LOG-CRC", what, where=where, count=rejected.count)
         else:
             ledger.warning(
                 "LOG-DIALECT",
-                f"{suspects.count} messages {name} fail their checksum, all there are: another "
+                f"{rejected.count} messages {name} fail their checksum, all there are: another "
                 "version of the dialect; nothing here needs them",
                 where=where,
-                count=suspects.count,
+                count=rejected.count,
             )
     return damaged
 
 
 def _report_link(
-    found: Scan, clocks: Clocks, channels: list[Channel], path: Path, ledger: Ledger
+    result: Scan, clocks: Clocks, channels: list[Channel], path: Path, ledger: Ledger
 ) -> int:
-    """Enter what the link lost of the senders of channels; returns how many messages at least."""
+    """Enter the messages of the senders of channels that the link lost; returns the least count."""
     carriers = {(channel.source.system, channel.source.component) for channel in channels}
-    lost = Counter({key: count for key, count in found.lost.items() if key in carriers})
+    lost = Counter({key: count for key, count in result.lost.items() if key in carriers})
     silent: dict[Key, list[Silence]] = {}
-    for silence in found.silences:
-        if silence.source in carriers and clocks.ran_on(silence.source, silence.at, SILENT_NS):
+    for silence in result.silences:
+        if silence.source in carriers and clocks.advanced(silence.source, silence.at, SILENT_NS):
             silent.setdefault(silence.source, []).append(silence)
-            lost[silence.source] += silence.backward  # after seconds of silence nothing overtakes
+            # after seconds of silence no message overtakes another: the step is a loss
+            lost[silence.source] += silence.backward
     for (system, component), count in sorted((+lost).items()):
         ledger.loss(
             "LOG-LINK-LOSS",
@@ -129,24 +129,24 @@ def _report_link(
             where=path.name,
             count=count,
         )
-    for (system, component), mine in sorted(silent.items()):
+    for (system, component), silences in sorted(silent.items()):
         ledger.loss(
             "LOG-GAP",
-            f"nothing of system {system}, component {component} was recorded {len(mine)} times for "
-            f"more than {SILENT_US / 1e6:.0f} s, {sum(one.seconds for one in mine):.1f} s "
-            "together, while its clock ran on: the link was down, or bytes are missing",
-            where=f"{path.name}, first before byte {mine[0].at}",
-            count=len(mine),
+            f"nothing of system {system}, component {component} was recorded {len(silences)} times "
+            f"for more than {SILENT_US / 1e6:.0f} s, {sum(s.seconds for s in silences):.1f} s "
+            "together, while its clock advanced: the link was down, or bytes are missing",
+            where=f"{path.name}, first before byte {silences[0].at}",
+            count=len(silences),
         )
     return lost.total()
 
 
-def _steady_host(found: Scan, ledger: Ledger, where: str) -> None:
-    """Mend the ground station's stamps where they jump away and back.
+def _replace_stray_stamps(result: Scan, ledger: Ledger, where: str) -> None:
+    """Replace stamps of the ground station that jump away and back by the one before.
 
-    The stamps lie outside the checksum. A stray one takes the value of the one before it.
+    The stamps are not covered by the checksum.
     """
-    stores = [*found.sent.values(), found.clock.rows]
+    stores = [*result.sent.values(), result.clock.rows]
     blocks = [block for store in stores[:-1] for block in store.blocks()]
     if not blocks:
         return
@@ -170,8 +170,8 @@ def _steady_host(found: Scan, ledger: Ledger, where: str) -> None:
     for store in stores:
         for block in store.blocks():
             place = np.minimum(np.searchsorted(at[stray], block["at"]), count - 1)
-            mine = at[stray][place] == block["at"]
-            block["host_us"][mine] = good[before[place[mine]]]
+            replaced = at[stray][place] == block["at"]
+            block["host_us"][replaced] = good[before[place[replaced]]]
 
 
 def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table:
@@ -191,14 +191,12 @@ def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table
         ids = rows["records"][message.instance_field]
         asked = [value for value in np.unique(ids) if label_of(value) == instance]
         rows = rows[np.isin(ids, asked)]
-    return _columns_of(rows, message, clocks) if len(rows) else {}
-
-
-def _columns_of(rows: NDArray[Any], message: Message, clocks: Clocks) -> Table:
+    if not len(rows):
+        return {}
     time_ns, boot = np.empty(len(rows), np.int64), np.empty(len(rows), np.int16)
     field = clock_field(message.fields)
-    for source, mine in by_source(rows):
-        time_ns[mine], boot[mine] = times_of(rows[mine], field, clocks, source)
+    for source, of_source in by_source(rows):
+        time_ns[of_source], boot[of_source] = times_of(rows[of_source], field, clocks, source)
     table: Table = {
         "time_ns": time_ns,
         "boot": boot,
@@ -212,7 +210,7 @@ def _columns_of(rows: NDArray[Any], message: Message, clocks: Clocks) -> Table:
 
 
 def _texts(raw: NDArray[Any]) -> NDArray[Any]:
-    """Char arrays as text; what is no ASCII becomes U+FFFD, as in the library."""
+    """Char arrays as text; bytes beyond ASCII become U+FFFD, as in the library."""
     different, places = np.unique(raw, return_inverse=True)
     cut = [value.split(b"\0", 1)[0].decode("ascii", "replace") for value in different.tolist()]
     return np.array(cut, np.str_)[places]

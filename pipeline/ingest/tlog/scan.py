@@ -1,8 +1,8 @@
 """Scanning a telemetry log: every frame checked, the wanted payloads kept, the rest counted.
 
-The file is walked in stretches, so what is kept is all that a large log costs. A frame is believed
-when its checksum holds; what lies between believed frames is either frames that cannot be proven
-(an id outside the dialect) or are disproved (a checksum that fails), or bytes of no message.
+The file is walked in stretches, so a large log costs only the memory of what is kept. A frame is
+accepted when its checksum holds. Between accepted frames there are frames that cannot be checked
+(an id outside the dialect), frames whose checksum fails, and bytes of no message.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pipeline.flight.clock import STRAY_ROWS
 from pipeline.ingest.buffers import Bytes, ColumnStore, FileView
-from pipeline.ingest.tlog.clock_readings import Key, Sampler
+from pipeline.ingest.tlog.clock import Key, Sampler
 from pipeline.ingest.tlog.frames import (
     HEAD,
     LONGEST,
@@ -51,8 +51,8 @@ class Silence:
 
 
 @dataclass
-class Suspects:
-    """Frames of one id that are not believed: how many, the first of them, their bytes."""
+class RejectedFrames:
+    """Frames of one id that are not accepted: how many, the first of them, their bytes."""
 
     count: int = 0
     first: int = -1
@@ -61,11 +61,11 @@ class Suspects:
 
 @dataclass
 class Scan:
-    """What a log holds.
+    """The messages of a log, and what is damaged or missing.
 
     ``counts`` of messages by id; ``sent`` the wanted ones in the order of the file, with ``at``
     (byte offset), ``host_us`` (the ground station's clock), ``source`` (system times 256 plus
-    component) and ``records`` (the payload); ``clock`` what the senders' clocks showed; ``unknown``
+    component) and ``records`` (the payload); ``clock`` samples of the senders' clocks; ``unknown``
     ids that cannot be checked (they are in ``counts``), ``failed`` checksums; ``bad_bytes`` lie
     outside all frames, the first at ``first_bad``; ``cut_bytes`` are a last frame that the end of
     the file cuts off; ``lost`` by the sequence numbers of each (system, component), which count
@@ -76,8 +76,8 @@ class Scan:
     counts: Counter[int] = field(default_factory=Counter)
     sent: dict[int, ColumnStore] = field(default_factory=dict)
     clock: Sampler = field(default_factory=Sampler)
-    unknown: dict[int, Suspects] = field(default_factory=dict)
-    failed: dict[int, Suspects] = field(default_factory=dict)
+    unknown: dict[int, RejectedFrames] = field(default_factory=dict)
+    failed: dict[int, RejectedFrames] = field(default_factory=dict)
     bad_bytes: int = 0
     first_bad: int = -1
     cut_bytes: int = 0
@@ -91,6 +91,7 @@ def scan(
     extras: Mapping[int, int],
     wanted: Mapping[int, np.dtype[Any]],
     late: Set[int] = frozenset(),
+    *,
     stretch: int = STRETCH,
 ) -> Scan:
     """Find every frame of a telemetry log and keep the payloads of some.
@@ -103,18 +104,24 @@ def scan(
     late : those of them whose time is not when they were sent, as of exposures.
     stretch : [bytes] scanned at once.
 
-    An id outside the dialect counts as a message where frames stand wall to wall from a frame
-    that holds to the next; CRC-16/MCRF4XX as the MAVLink library computes it.
+    An id outside the dialect counts as a message where frames follow each other without a gap from
+    one accepted frame to the next; CRC-16/MCRF4XX as the MAVLink library computes it.
     """
-    walk = _Walk(data, extras, wanted, late)
+    scanner = _Scanner(data, extras, wanted, late)
     for begin in range(0, data.size, stretch):
-        walk.take(begin, min(begin + stretch, data.size))
-    walk.finish()
-    return walk.found
+        scanner.scan_stretch(begin, min(begin + stretch, data.size))
+    if scanner.end < data.size:
+        rest = scanner.fill(scanner.end, data.size)
+        if len(rest):
+            scanner.count_lost(rest)
+    return scanner.result
 
 
-class _Walk:
-    """The state between two stretches: where the last believed frame ended, and what was found."""
+class _Scanner:
+    """The state between two stretches: the end of the last accepted frame, and the result so far.
+
+    ``row_types`` of kept messages: the fields of their layout without the gaps between them.
+    """
 
     def __init__(
         self,
@@ -126,15 +133,19 @@ class _Walk:
         self.data = data
         self.extras = extras
         self.wanted = wanted
-        self.kept = {number: _row_of(dtype) for number, dtype in wanted.items()}
+        self.row_types: dict[int, np.dtype[Any]] = {}
+        for number, layout in wanted.items():
+            packed = np.dtype([(name, layout[name]) for name in layout.names or ()])
+            columns = [("at", "i8"), ("host_us", "i8"), ("source", "u2"), ("records", packed)]
+            self.row_types[number] = np.dtype(columns)
         self.late = late
         self.end = 0
         self.host_us = 0
-        self.found = Scan()
+        self.result = Scan()
         self.sequences: dict[int, int] = {}
         self.heard_us: dict[int, int] = {}
 
-    def take(self, begin: int, stop: int) -> None:
+    def scan_stretch(self, begin: int, stop: int) -> None:
         """Scan the frames that begin in a stretch."""
         window = self.data.array(begin, stop + LONGEST)
         room = window.shape[0]
@@ -143,92 +154,81 @@ class _Walk:
         places = candidates(window, stop - begin)
         frames = headers(window, places[places >= self.end - begin], room)
         frames = frames.take(checksums_hold(window, frames, self.extras))
-        frames = _apart(frames)
+        frames = _not_nested(frames)
         self._keep(window, frames, begin)
         frames = frames.moved(begin)
         if len(frames):
             step = np.diff(frames.host_us, prepend=self.host_us or int(frames.host_us[0]))
-            self.found.steady &= bool(np.all(step >= -STEADY_US))
+            self.result.steady &= bool(np.all(step >= -STEADY_US))
             self.host_us = int(frames.host_us[-1])
-            between = self._between(frames)
-            self._count_lost(joined([frames, *between]) if between else frames)
+            ends = np.concatenate([[self.end], frames.end[:-1]])
+            gaps = np.flatnonzero(ends != frames.at)
+            filled = [self.fill(int(ends[k]), int(frames.at[k])) for k in gaps]
+            between = [part for part in filled if len(part)]
+            self.count_lost(joined([frames, *between]) if between else frames)
             self.end = int(frames.end[-1])
         small = frames.message_id[frames.message_id < 1 << 16]
-        tally = np.bincount(small)
-        for number in np.flatnonzero(tally).tolist():
-            self.found.counts[number] += int(tally[number])
+        for number, count in enumerate(np.bincount(small).tolist()):
+            if count:
+                self.result.counts[number] += count
 
     def _keep(self, window: Bytes, frames: Frames, begin: int) -> None:
         timed = []
         for number, dtype in self.wanted.items():
             chosen = np.flatnonzero(frames.message_id == number)
             if chosen.shape[0]:
-                mine = frames.take(chosen)
-                payload = payloads(window, mine, dtype)
-                rows = np.empty(chosen.shape, self.kept[number])
-                rows["at"], rows["host_us"] = mine.at + begin, mine.host_us
-                rows["source"] = _source_of(mine)
+                of_type = frames.take(chosen)
+                payload = payloads(window, of_type, dtype)
+                rows = np.empty(chosen.shape, self.row_types[number])
+                rows["at"], rows["host_us"] = of_type.at + begin, of_type.host_us
+                rows["source"] = _source_of(of_type)
                 for name in dtype.names or ():
                     rows["records"][name] = payload[name]
-                self.found.sent.setdefault(number, ColumnStore(rows.dtype)).add(rows)
+                self.result.sent.setdefault(number, ColumnStore(rows.dtype)).add(rows)
                 if number not in self.late and "time_boot_ms" in (dtype.names or ()):
                     timed.append(rows)
-        self.found.clock.take(timed)
+        self.result.clock.take(timed)
 
-    def _between(self, frames: Frames) -> list[Frames]:
-        """The frames that are not believed, between those that are."""
-        begin = np.concatenate([[self.end], frames.end[:-1]])
-        gaps = np.flatnonzero(begin != frames.at)
-        found = [self._fill(int(begin[k]), int(frames.at[k])) for k in gaps]
-        return [part for part in found if len(part)]
-
-    def finish(self) -> None:
-        """Scan what follows the last believed frame."""
-        if self.end < self.data.size:
-            rest = self._fill(self.end, self.data.size)
-            if len(rest):
-                self._count_lost(rest)
-
-    def _fill(self, begin: int, stop: int) -> Frames:
-        """Count what lies between two believed frames; the frames among it."""
+    def fill(self, begin: int, stop: int) -> Frames:
+        """Count the bytes between two accepted frames; returns the frames among them."""
         places, at = _chain(self.data, begin, stop)
         cut = 0
         if at < stop:
-            disproved = bool(places) and self._number(places[-1]) in self.extras
-            if stop == self.data.size and not disproved and _is_cut(self.data, at):
+            rest = self.data[at : at + LONGEST]
+            is_cut = stop == self.data.size and (
+                stop - at < SHORTEST or frame_length(rest, 0) > len(rest)
+            )
+            if is_cut and places:  # not behind a frame whose checksum fails
+                head = _padded(self.data.array(places[-1], places[-1] + HEAD))
+                last = headers(head, np.zeros(1, np.int64), LONGEST)
+                is_cut = int(last.message_id[0]) not in self.extras
+            if is_cut:
                 cut = stop - at
             elif places:
-                at = places.pop()  # its length may be what is damaged
-        self.found.cut_bytes += cut
+                at = places.pop()  # its length may be damaged
+        self.result.cut_bytes += cut
         if at + cut < stop:
-            self.found.bad_bytes += stop - at
-            self.found.first_bad = at if self.found.first_bad < 0 else self.found.first_bad
+            self.result.bad_bytes += stop - at
+            self.result.first_bad = at if self.result.first_bad < 0 else self.result.first_bad
         window = _padded(self.data.array(begin, at))
         frames = headers(window, np.array(places, np.int64) - begin, at - begin).moved(begin)
-        self._suspect(frames)
+        columns = (frames.message_id, frames.at, frames.total)
+        for number, place, total in zip(*(column.tolist() for column in columns), strict=True):
+            known = number in self.extras
+            by_id = self.result.failed if known else self.result.unknown
+            rejected = by_id.setdefault(number, RejectedFrames())
+            rejected.count += 1
+            rejected.size += total
+            rejected.first = place if rejected.first < 0 else rejected.first
+            self.result.counts[number] += 0 if known else 1
         return frames
 
-    def _number(self, at: int) -> int:
-        head = _padded(self.data.array(at, at + HEAD))
-        return int(headers(head, np.zeros(1, np.int64), LONGEST).message_id[0])
-
-    def _suspect(self, frames: Frames) -> None:
-        columns = (frames.message_id, frames.at, frames.total)
-        for number, at, total in zip(*(column.tolist() for column in columns), strict=True):
-            known = number in self.extras
-            found = (self.found.failed if known else self.found.unknown).setdefault(
-                number, Suspects()
-            )
-            found.count += 1
-            found.size += total
-            found.first = at if found.first < 0 else found.first
-            self.found.counts[number] += 0 if known else 1
-
-    def _count_lost(self, frames: Frames) -> None:
+    def count_lost(self, frames: Frames) -> None:
         """Messages missing by the sequence numbers of each sender.
 
         A step back or a repeat (a second link, a reordering, a restart) is no loss: of the 256
-        possible steps the upper half is taken as backward.
+        possible steps the upper half is taken as backward. A silence before a message counts
+        unless few stamps on one side of it are stray.
         """
         source = _source_of(frames)
         order = np.argsort(source, kind="stable")
@@ -236,40 +236,30 @@ class _Walk:
         begin = np.flatnonzero(np.diff(source[order].astype(np.int32), prepend=-1)).tolist()
         for first, stop in zip(begin, [*begin[1:], order.shape[0]], strict=True):
             key = int(source[order[first]])
-            mine = sequence[first:stop]
-            before = np.uint8(self.sequences.get(key, (int(mine[0]) - 1) % 256))
-            step = np.diff(mine, prepend=before) - np.uint8(1)
-            self.sequences[key] = int(mine[-1])
+            numbers = sequence[first:stop]
+            before = np.uint8(self.sequences.get(key, (int(numbers[0]) - 1) % 256))
+            step = np.diff(numbers, prepend=before) - np.uint8(1)
+            self.sequences[key] = int(numbers[-1])
             lost = int(step[step < 128].sum(dtype=np.int64))
-            self.found.lost[divmod(key, 256)] += lost
+            self.result.lost[divmod(key, 256)] += lost
             host = host_us[first:stop]
-            steps = np.diff(host, prepend=self.heard_us.get(key, int(host[0])))
-            for row in np.flatnonzero(steps > SILENT_US).tolist():
-                self._enter_silence(key, host, row, int(frames.at[order[first + row]]), step[row])
+            heard_us = self.heard_us.get(key, int(host[0]))
+            for row in np.flatnonzero(np.diff(host, prepend=heard_us) > SILENT_US).tolist():
+                last = int(host[max(row - STRAY_ROWS - 1, 0) : row].max(initial=heard_us))
+                silent_us = int(host[row : row + STRAY_ROWS + 1].min()) - last
+                if silent_us > SILENT_US:
+                    at = int(frames.at[order[first + row]])
+                    backward = int(step[row]) if step[row] >= 128 else 0
+                    silence = Silence(divmod(key, 256), at, silent_us / 1e6, backward)
+                    self.result.silences.append(silence)
             self.heard_us[key] = int(host[-1])
-
-    def _enter_silence(
-        self, key: int, host_us: NDArray[np.int64], row: int, at: int, step: np.uint8
-    ) -> None:
-        """A silence before a row, unless few stamps on one side of it are stray."""
-        before = host_us[max(row - STRAY_ROWS - 1, 0) : row].max(initial=self.heard_us.get(key, 0))
-        silent_us = int(host_us[row : row + STRAY_ROWS + 1].min()) - int(before)
-        if silent_us > SILENT_US:
-            backward = int(step) if step >= 128 else 0
-            self.found.silences.append(Silence(divmod(key, 256), at, silent_us / 1e6, backward))
-
-
-def _row_of(layout: np.dtype[Any]) -> np.dtype[Any]:
-    """What is kept of a message: the fields of its layout without the gaps between them."""
-    packed = np.dtype([(name, layout[name]) for name in layout.names or ()])
-    return np.dtype([("at", "i8"), ("host_us", "i8"), ("source", "u2"), ("records", packed)])
 
 
 def _source_of(frames: Frames) -> NDArray[np.uint16]:
     return np.asarray(frames.system.astype(np.uint16) * 256 + frames.component, np.uint16)
 
 
-def _apart(frames: Frames) -> Frames:
+def _not_nested(frames: Frames) -> Frames:
     """The frames that do not begin inside the one before, as a log inside a payload would."""
     if len(frames) < 2 or bool(np.all(frames.at[1:] >= frames.end[:-1])):
         return frames
@@ -282,12 +272,12 @@ def _apart(frames: Frames) -> Frames:
 
 
 def _padded(window: Bytes) -> Bytes:
-    """The bytes with as many zeros behind them as a header may reach too far."""
+    """The bytes and behind them zeros, as many as a header may extend beyond the end."""
     return np.concatenate([window, np.zeros(HEAD, np.uint8)])
 
 
 def _chain(data: FileView, begin: int, stop: int) -> tuple[list[int], int]:
-    """Frames that stand wall to wall, and where the first does not follow."""
+    """The places of frames that follow each other without a gap, and the end of the last."""
     places: list[int] = []
     at = first = begin
     view = b""
@@ -300,8 +290,3 @@ def _chain(data: FileView, begin: int, stop: int) -> tuple[list[int], int]:
         places.append(at)
         at += length
     return places, at
-
-
-def _is_cut(data: FileView, at: int) -> bool:
-    rest = data[at : at + LONGEST]
-    return data.size - at < SHORTEST or frame_length(rest, 0) > len(rest)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pipeline.ingest import Log, open_log
-from pipeline.ingest.tlog.clock_readings import Sampler
+from pipeline.ingest.tlog.clock import Sampler
 
 SECOND = 10**9
 START_US = 1_700_000_000_000_000
