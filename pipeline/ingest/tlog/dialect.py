@@ -1,4 +1,4 @@
-"""What is needed of pymavlink's dialect: names, checksums, layouts and instance fields by id."""
+"""Messages of pymavlink's dialect: names, checksums, layouts and instance fields by id."""
 
 from __future__ import annotations
 
@@ -45,26 +45,23 @@ class Dialect:
         return f"UNKNOWN_{number}" if known is None else known.name
 
     def layouts(self, wanted: Mapping[str, Iterable[str]]) -> dict[int, np.dtype[Any]]:
-        """Where the wanted fields of these messages are, by number, as far as it knows them."""
-        return {
-            self.numbers[name]: _only(self.messages[self.numbers[name]].dtype, set(fields))
-            for name, fields in wanted.items()
-            if name in self.numbers
-        }
-
-
-def _only(dtype: np.dtype[Any], fields: set[str]) -> np.dtype[Any]:
-    """A layout without the other fields; what is left stays where it is."""
-    names = [name for name in dtype.names or () if name in fields]
-    where: Mapping[str, Any] = dtype.fields or {}
-    return np.dtype(
-        {
-            "names": names,
-            "formats": [where[name][0] for name in names],
-            "offsets": [where[name][1] for name in names],
-            "itemsize": dtype.itemsize,
-        }
-    )
+        """The layouts of messages with only the wanted fields at their places, by number."""
+        result = {}
+        for name, fields in wanted.items():
+            number = self.numbers.get(name)
+            if number is not None:
+                dtype, kept = self.messages[number].dtype, set(fields)
+                where: Mapping[str, Any] = dtype.fields or {}
+                names = [field for field in dtype.names or () if field in kept]
+                result[number] = np.dtype(
+                    {
+                        "names": names,
+                        "formats": [where[field][0] for field in names],
+                        "offsets": [where[field][1] for field in names],
+                        "itemsize": dtype.itemsize,
+                    }
+                )
+        return result
 
 
 @cache
@@ -73,20 +70,20 @@ def dialect() -> Dialect:
     from pymavlink.dialects.v20 import all as library
 
     messages = {}
-    for number, found in library.mavlink_map.items():
+    for number, definition in library.mavlink_map.items():
         texts = (
             field
-            for field, kind in zip(found.fieldnames, found.fieldtypes, strict=True)
+            for field, kind in zip(definition.fieldnames, definition.fieldtypes, strict=True)
             if kind == "char"
         )
         messages[int(number)] = Message(
             int(number),
-            str(found.msgname),
-            int(found.crc_extra),
-            layout_of(found.unpacker.format, found.ordered_fieldnames),
-            tuple(found.fieldnames),
+            str(definition.msgname),
+            int(definition.crc_extra),
+            layout_of(definition.unpacker.format, definition.ordered_fieldnames),
+            tuple(definition.fieldnames),
             frozenset(texts),
-            found.instance_field or "",
+            definition.instance_field or "",
         )
     return Dialect(messages, {message.name: number for number, message in messages.items()})
 

@@ -13,11 +13,7 @@ from pipeline.ingest.fields import ATTITUDE, GNSS, PRESSURE, MessageMap, column
 INT16_MAX, UINT16_MAX = 32767.0, 65535.0
 
 _PLACE = (column("lat_rad", "lat", "degE7"), column("lon_rad", "lon lng", "degE7"))
-_ABOVE_HOME = (
-    *_PLACE,
-    column("h_msl_m", "alt", "mm"),
-    column("h_home_m", "relative_alt", "mm"),
-)
+_ABOVE_HOME = (*_PLACE, column("h_msl_m", "alt", "mm"), column("h_home_m", "relative_alt", "mm"))
 _EULER = tuple(column(f"{angle}_rad", angle) for angle in ("roll", "pitch", "yaw"))
 _EULER_DEG = tuple(column(f"{angle}_rad", angle, "deg") for angle in ("roll", "pitch", "yaw"))
 
@@ -48,20 +44,12 @@ def _baro(rank: int) -> MessageMap:
 
 MESSAGES: Mapping[str, MessageMap] = {
     "GLOBAL_POSITION_INT": MessageMap(
-        _ABOVE_HOME,
-        ("position",),
-        10,
-        time_field=_BOOT_MS,
-        position=True,
+        _ABOVE_HOME, ("position",), 10, time_field=_BOOT_MS, position=True
     ),
     "GPS_RAW_INT": MessageMap(_GPS, GNSS, 20, time_field=_USEC, position=True),
     "GPS2_RAW": MessageMap(_GPS, GNSS, 30, time_field=_USEC, position=True),
     "GLOBAL_POSITION_INT_COV": MessageMap(
-        _ABOVE_HOME,
-        ("position",),
-        15,
-        time_field=_USEC,
-        position=True,
+        _ABOVE_HOME, ("position",), 15, time_field=_USEC, position=True
     ),
     # Heights without a place: no role asks for them, a user may.
     "ALTITUDE": MessageMap(
@@ -196,10 +184,7 @@ MESSAGES: Mapping[str, MessageMap] = {
         attitude=True,
     ),
     "GIMBAL_DEVICE_ATTITUDE_STATUS": MessageMap(
-        gimbal_columns(),
-        id_field="gimbal_device_id",
-        time_field=_BOOT_MS,
-        attitude=True,
+        gimbal_columns(), id_field="gimbal_device_id", time_field=_BOOT_MS, attitude=True
     ),
 }
 
