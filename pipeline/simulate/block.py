@@ -1,30 +1,37 @@
-"""The block of images with known truth: stations, ground points, and what every camera measures."""
+"""The block of images with known truth: stations, ground points, observations, and their tables."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from pipeline.errors import MissionError
-from pipeline.simulate.camera import (
-    NED_FROM_ENU,
-    SimulatedCamera,
-    body_rotation,
-    quaternion,
-    through_window,
-)
+from pipeline.errors import MissionError, StorageError
 from pipeline.simulate.flight import (
     UNDULATION_M,
     AirState,
     Flight,
-    State,
     cabin_air,
     geographic,
     terrain_m,
 )
-from pipeline.simulate.rays import enu_axes, height_and_up, shoot, to_ecef, unit
+from pipeline.simulate.optics import (
+    NED_FROM_ENU,
+    SimulatedCamera,
+    body_rotation,
+    enu_axes,
+    height_and_up,
+    quaternion,
+    shoot,
+    through_window,
+    to_ecef,
+    unit,
+)
 from pipeline.simulate.sensors import unix_ns
 from pipeline.simulate.true_air import TrueAir, relative_humidity, temperature_k, vapour_pressure_pa
 
@@ -32,6 +39,14 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 FEWEST_IMAGES = 2  # a point seen once measures nothing
+
+CONVENTIONS = {
+    "pixels": "the centre of the upper left pixel is (0.5, 0.5)",
+    "quaternion": "v_camera = R(q) v_enu, Hamilton, q_w >= 0; camera x right, y down, z forward",
+    "r_c": "positive where the apparent ray is farther from the nadir than the straight one",
+    "r_cc": "positive where the cabin moved the image point inward",
+    "true_px": "projection of the straight chord, without window and air",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +103,8 @@ def stations(flight: Flight, air: TrueAir, cameras: tuple[SimulatedCamera, ...])
     truth = flight.at(flight.exposure_s)
     reference = to_ecef(truth.lat_rad, truth.lon_rad, truth.h_msl_m + UNDULATION_M)
     axes = enu_axes(truth.lat_rad, truth.lon_rad)
-    enu_from_body = _enu_from_body(truth)
+    angles = zip(truth.roll_rad, truth.pitch_rad, truth.yaw_rad, strict=True)
+    enu_from_body = np.stack([NED_FROM_ENU.T @ body_rotation(*rotation) for rotation in angles])
     ecef, rotations = [], []
     for camera in cameras:
         offset = enu_from_body @ np.array(camera.lever_arm_m)
@@ -120,12 +136,6 @@ def stations(flight: Flight, air: TrueAir, cameras: tuple[SimulatedCamera, ...])
         outside,
         cabin_air(air, msl, time_s),
     )
-
-
-def _enu_from_body(state: State) -> Array:
-    """Rotations (n, 3, 3) from body axes to east, north, up."""
-    angles = zip(state.roll_rad, state.pitch_rad, state.yaw_rad, strict=True)
-    return np.stack([NED_FROM_ENU.T @ body_rotation(r, p, y) for r, p, y in angles])
 
 
 def _candidates(spacing_m: float, flight: Flight, rng: np.random.Generator) -> GroundPoints:
@@ -199,6 +209,7 @@ def observe(
     block: TrueStations,
     points: GroundPoints,
     cameras: tuple[SimulatedCamera, ...],
+    *,
     station: Indices,
     point: Indices,
 ) -> TrueObservations:
@@ -209,9 +220,9 @@ def observe(
     inside, r_cc = through_window(apparent, block.outside.n[station], block.cabin.n[station])
     measured, true = np.empty((2, len(station))), np.empty((2, len(station)))
     for index, camera in enumerate(cameras):
-        mine = block.camera[station] == index
-        measured[:, mine] = camera.project(inside[mine])
-        true[:, mine] = camera.project(straight[mine])
+        rows = block.camera[station] == index
+        measured[:, rows] = camera.project(inside[rows])
+        true[:, rows] = camera.project(straight[rows])
     up = height_and_up(block.ecef_m)[1][station]
     down = -np.sum(rays.apparent * up, axis=-1)
     across = np.linalg.norm(np.cross(rays.apparent, up), axis=-1)
@@ -227,3 +238,129 @@ def observe(
         r_cc,
         rays.miss_m,
     )
+
+
+def write_table(path: Path, columns: dict[str, object]) -> int:
+    """Write one Parquet file with the conventions in its metadata; returns the number of rows."""
+    table = pa.table(columns)
+    table = table.replace_schema_metadata({"unbend.conventions": json.dumps(CONVENTIONS)})
+    try:
+        pq.write_table(table, path, compression="zstd")
+    except OSError as error:
+        raise StorageError("DISK-WRITE", str(error), where=str(path)) from error
+    return int(table.num_rows)
+
+
+def write_tables(
+    out: Path,
+    air: TrueAir,
+    block: TrueStations,
+    points: GroundPoints,
+    seen: TrueObservations,
+    *,
+    cameras: tuple[SimulatedCamera, ...],
+    noise_px: float,
+    rng: np.random.Generator,
+) -> None:
+    """Write the observations with noise [px], and the truth in a folder of its own."""
+    truth = out / "truth"
+    try:
+        truth.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(
+            "DISK-WRITE",
+            f"the folder cannot be made: {error}",
+            where=str(out),
+            remedy="choose another folder, or free its name",
+        ) from error
+    measured, true = observation_columns(block, points, seen, noise_px, rng)
+    write_table(out / "observations.parquet", measured)
+    write_table(truth / "observations.parquet", true)
+    write_table(truth / "stations.parquet", station_columns(block, cameras))
+    write_table(truth / "profile.parquet", profile_columns(air))
+    write_table(truth / "points.parquet", point_columns(points))
+
+
+def station_columns(
+    stations: TrueStations, cameras: tuple[SimulatedCamera, ...]
+) -> dict[str, object]:
+    """truth/stations.parquet: one row an image."""
+    outside, cabin = stations.outside, stations.cabin
+    q = stations.quaternion
+    return {
+        "image": list(stations.image),
+        "camera": [cameras[k].name for k in stations.camera],
+        "time_utc": pa.array(stations.time_ns, pa.timestamp("ns", tz="UTC")),
+        "lat_deg": np.degrees(stations.lat_rad),
+        "lon_deg": np.degrees(stations.lon_rad),
+        "h_msl_m": stations.h_msl_m,
+        "h_ellipsoid_m": stations.h_ellipsoid_m,
+        **{name: q[:, i].copy() for i, name in enumerate(("q_w", "q_x", "q_y", "q_z"))},
+        "pressure_pa": outside.pressure_pa,
+        "temperature_k": outside.temperature_k,
+        "vapour_pressure_pa": outside.vapour_pa,
+        "cabin_pressure_pa": cabin.pressure_pa,
+        "cabin_temperature_k": cabin.temperature_k,
+        "cabin_vapour_pressure_pa": cabin.vapour_pa,
+        "n_outside": outside.n,
+        "n_cabin": cabin.n,
+    }
+
+
+def observation_columns(
+    stations: TrueStations,
+    points: GroundPoints,
+    seen: TrueObservations,
+    noise_px: float,
+    rng: np.random.Generator,
+) -> tuple[dict[str, object], dict[str, object]]:
+    """observations.parquet, as a photogrammetrist has it, and truth/observations.parquet."""
+    names = {
+        "image": [stations.image[k] for k in seen.station],
+        "point": [points.name[k] for k in seen.point],
+    }
+    quality = rng.integers(1, 6, len(seen.station))
+    error = noise_px * rng.standard_normal((2, len(seen.station)))
+    h_g = points.h_msl_m[seen.point]
+    measured: dict[str, object] = {
+        **names,
+        "x_px": seen.x_px + error[0],
+        "y_px": seen.y_px + error[1],
+        "h_g_m": h_g,
+        "quality": quality.astype(np.int32),
+    }
+    truth: dict[str, object] = {
+        **names,
+        "x_px": seen.x_px,
+        "y_px": seen.y_px,
+        "x_true_px": seen.x_true_px,
+        "y_true_px": seen.y_true_px,
+        "zeta_c_rad": seen.zeta_c_rad,
+        "r_c_rad": seen.r_c_rad,
+        "r_cc_rad": seen.r_cc_rad,
+        "h_g_m": h_g,
+    }
+    return measured, truth
+
+
+def profile_columns(air: TrueAir) -> dict[str, object]:
+    """truth/profile.parquet: -100 m to 30 km, 5 m apart up to 5 km and 50 m above."""
+    h = np.concatenate([np.arange(-100.0, 5000.0, 5.0), np.arange(5000.0, 30_001.0, 50.0)])
+    return {
+        "h_m": h,
+        "temperature_k": temperature_k(h),
+        "pressure_pa": air.pressure_pa(h),
+        "vapour_pressure_pa": vapour_pressure_pa(h),
+        "refractivity": air.n(h) - 1.0,
+    }
+
+
+def point_columns(points: GroundPoints) -> dict[str, object]:
+    """truth/points.parquet: the ground points."""
+    return {
+        "point": list(points.name),
+        "lat_deg": np.degrees(points.lat_rad),
+        "lon_deg": np.degrees(points.lon_rad),
+        "h_msl_m": points.h_msl_m,
+        "h_ellipsoid_m": points.h_msl_m + UNDULATION_M,
+    }

@@ -129,9 +129,9 @@ def _turn(radius_m: float, angle_rad: float) -> _Leg:
     return _Leg(radius_m * abs(angle_rad), angle_rad)
 
 
-def _walk(legs: list[_Leg]) -> tuple[float, float, float]:
-    """East, north and heading after legs that start at the field towards the east."""
-    x, y, psi = 0.0, 0.0, 0.5 * np.pi
+def _home(legs: list[_Leg], left: bool) -> list[_Leg]:
+    """A turn and a straight that lead from the end of the legs back to the field."""
+    x, y, psi = 0.0, 0.0, 0.5 * np.pi  # east, north and heading; the legs begin eastwards
     for leg in legs:
         if leg.turn_rad:
             radius = leg.length_m / leg.turn_rad
@@ -140,12 +140,6 @@ def _walk(legs: list[_Leg]) -> tuple[float, float, float]:
             psi += leg.turn_rad
         else:
             x, y = x + leg.length_m * np.sin(psi), y + leg.length_m * np.cos(psi)
-    return float(x), float(y), float(psi)
-
-
-def _home(legs: list[_Leg], left: bool) -> list[_Leg]:
-    """A turn and a straight that lead from the end of the legs back to the field."""
-    x, y, psi = _walk(legs)
     side = -1.0 if left else 1.0
     radius = CIRCLE_RADIUS_M
     centre = np.array([x + side * radius * np.cos(psi), y - side * radius * np.sin(psi)])

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.errors import ConfigError, StorageError
-from pipeline.simulate import sensors, tables
-from pipeline.simulate.block import choose_points, observe, stations
-from pipeline.simulate.camera import SimulatedCamera, cameras
+from pipeline.simulate import sensors
+from pipeline.simulate.block import CONVENTIONS, choose_points, observe, stations, write_tables
 from pipeline.simulate.flight import FIELD_LAT_RAD, UNDULATION_M, fly
+from pipeline.simulate.optics import SimulatedCamera, cameras
 from pipeline.simulate.true_air import FIELD_HEIGHT_M, WAVELENGTH_UM, true_air
 from pipeline.simulate.write_dataflash import write_dataflash
 from pipeline.simulate.write_mcap import write_mcap
@@ -95,18 +95,14 @@ def simulate(
     points, station, point = choose_points(
         flight, block, pair, chosen.points_per_image, draw_points
     )
-    seen = observe(air, block, points, pair, station, point)
+    seen = observe(air, block, points, pair, station=station, point=point)
 
     steps.begin("tables")
-    truth = _folders(out)
-    measured, true = tables.observation_columns(
-        block, points, seen, chosen.image_noise_px, draw_image
-    )
-    tables.write_table(out / "observations.parquet", measured)
-    tables.write_table(truth / "observations.parquet", true)
-    tables.write_table(truth / "stations.parquet", tables.station_columns(block, pair))
-    tables.write_table(truth / "profile.parquet", tables.profile_columns(air))
-    tables.write_table(truth / "points.parquet", tables.point_columns(points))
+    truth = out / "truth"
+    write_tables(
+        out, air, block, points, seen,
+        cameras=pair, noise_px=chosen.image_noise_px, rng=draw_image,
+    )  # fmt: skip
 
     samples = sensors.sample(flight, air, chosen.seed, tuple(c.name for c in pair))
     logs = {kind: out / f"flight.{kind}" for kind in KINDS}
@@ -135,7 +131,7 @@ def simulate(
     )
 
 
-_WRITERS: dict[str, Callable[[Path, sensors.Samples, int], int]] = {
+_WRITERS: dict[str, Callable[[Path, sensors.LoggedSamples, int], int]] = {
     "bin": lambda path, samples, _: write_dataflash(path, samples),
     "tlog": write_tlog,
     "mcap": write_mcap,
@@ -143,7 +139,7 @@ _WRITERS: dict[str, Callable[[Path, sensors.Samples, int], int]] = {
 
 
 class _Steps:
-    """Tells a progress bar which of the steps is running."""
+    """Reports to a progress bar which of the steps is running."""
 
     total = 4 + len(KINDS)
 
@@ -161,20 +157,6 @@ class _Steps:
             self.progress("done", self.total, self.total)
 
 
-def _folders(out: Path) -> Path:
-    truth = out / "truth"
-    try:
-        truth.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(
-            "DISK-WRITE",
-            f"the folder cannot be made: {error}",
-            where=str(out),
-            remedy="choose another folder, or free its name",
-        ) from error
-    return truth
-
-
 def _write_text(path: Path, text: str) -> None:
     try:
         path.write_text(text, encoding="utf-8", newline="\n")
@@ -185,10 +167,10 @@ def _write_text(path: Path, text: str) -> None:
 def _truth_json(
     options: SimulationOptions, pair: tuple[SimulatedCamera, ...], duration_s: float
 ) -> str:
-    """What is behind the truth, for whoever finds the folder."""
+    """Options, conventions, cameras and sigmas of the sensors: truth.json."""
     content = {
         "options": asdict(options),
-        "conventions": tables.CONVENTIONS,
+        "conventions": CONVENTIONS,
         "cameras": [asdict(camera) for camera in pair],
         "field_h_msl_m": FIELD_HEIGHT_M,
         "undulation_m": UNDULATION_M,
@@ -228,6 +210,13 @@ _CHANNELS = {
 }  # fmt: skip
 
 
+_EVENTS = {
+    "bin": ("CAM[{instance}]", "index"),
+    "tlog": ("CAMERA_FEEDBACK[{instance}]", "index"),
+    "mcap": ("/camera/{name}/image/compressed", "n"),  # an image topic has no number of its own
+}
+
+
 def mission_yaml(
     kind: str, pair: tuple[SimulatedCamera, ...], *, inputs: str = "", results: str = "results"
 ) -> str:
@@ -235,6 +224,22 @@ def mission_yaml(
 
     ``inputs`` and ``results`` are the folders of both, relative to the mission file.
     """
+    mount, events = [], []
+    for camera in pair:
+        lever = ", ".join(str(value) for value in camera.lever_arm_m)
+        mount += [
+            f"  {camera.name}:",
+            f"    roll_deg: {camera.roll_deg}",
+            f"    pitch_deg: {camera.pitch_deg}",
+            f"    yaw_deg: {camera.yaw_deg}",
+            f"    lever_arm_m: [{lever}]",
+        ]
+        channel, number = _EVENTS[kind]
+        events += [
+            f"    {camera.name}:",
+            f"      channel: {channel.format(instance=camera.instance, name=camera.name)}",
+            f'      image: "{camera.name}_{{{number}:05d}}"',
+        ]
     lines = [
         "mission:",
         f"  name: simulated_{kind}",
@@ -248,10 +253,10 @@ def mission_yaml(
         "cameras:",
         *[line for camera in pair for line in _camera_yaml(camera)],
         "mount:",
-        *[line for camera in pair for line in _mount_yaml(camera)],
+        *mount,
         "events:",
         "  log:",
-        *[line for camera in pair for line in _event_yaml(kind, camera)],
+        *events,
         "ground:",
         "  height: {column: h_g_m}",
         "  reference: msl",
@@ -277,29 +282,4 @@ def _camera_yaml(camera: SimulatedCamera) -> list[str]:
         f"    distortion: {{k1: {k1}, k2: {k2}, k3: {k3}, p1: {p1}, p2: {p2}}}",
         "    calibration: laboratory",
         "    window: {cabin: log}",
-    ]
-
-
-def _mount_yaml(camera: SimulatedCamera) -> list[str]:
-    lever = ", ".join(str(value) for value in camera.lever_arm_m)
-    return [
-        f"  {camera.name}:",
-        f"    roll_deg: {camera.roll_deg}",
-        f"    pitch_deg: {camera.pitch_deg}",
-        f"    yaw_deg: {camera.yaw_deg}",
-        f"    lever_arm_m: [{lever}]",
-    ]
-
-
-def _event_yaml(kind: str, camera: SimulatedCamera) -> list[str]:
-    channel = {
-        "bin": f"CAM[{camera.instance}]",
-        "tlog": f"CAMERA_FEEDBACK[{camera.instance}]",
-        "mcap": f"/camera/{camera.name}/image/compressed",
-    }[kind]
-    number = "n" if kind == "mcap" else "index"  # an image topic has no number of its own
-    return [
-        f"    {camera.name}:",
-        f"      channel: {channel}",
-        f'      image: "{camera.name}_{{{number}:05d}}"',
     ]

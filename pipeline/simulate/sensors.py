@@ -55,6 +55,26 @@ class GnssSamples:
         """Height above the ellipsoid (n,) [m]."""
         return self.h_msl_m + UNDULATION_M
 
+    @classmethod
+    def draw(cls, flight: Flight, rng: np.random.Generator) -> GnssSamples:
+        """The samples of a flight, with noise."""
+        time = _grid(flight, 0.2, 0.0)
+        truth = flight.at(time)
+        lat, lon = _displace(truth.lat_rad, truth.lon_rad, rng, 100.0)
+        height = truth.h_msl_m + _noise(rng, len(time), GNSS_VERTICAL_M, 100.0)
+        # A time-tagged receiver: the row is written within milliseconds, and now and then late.
+        delay = np.minimum(0.0005 + rng.exponential(0.0015, len(time)), 0.05)
+        return cls(
+            time,
+            lat,
+            lon,
+            height,
+            truth.speed_m_s,
+            truth.course_rad,
+            truth.climb_m_s,
+            np.asarray(np.round(delay, 6), np.float64),
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class NavigationSamples:
@@ -70,10 +90,30 @@ class NavigationSamples:
     climb_m_s: Array
     speed_m_s: Array
 
+    @classmethod
+    def draw(cls, flight: Flight, rng: np.random.Generator) -> NavigationSamples:
+        """The samples of a flight, with noise."""
+        time = _grid(flight, 0.05, 0.003)
+        truth = flight.at(time)
+        lat, lon = _displace(truth.lat_rad, truth.lon_rad, rng, 400.0)
+        height = truth.h_msl_m + _noise(rng, len(time), GNSS_VERTICAL_M, 400.0)
+        tilt = np.radians(TILT_DEG)
+        return cls(
+            time,
+            lat,
+            lon,
+            height,
+            truth.roll_rad + _noise(rng, len(time), tilt, 400.0),
+            truth.pitch_rad + _noise(rng, len(time), tilt, 400.0),
+            truth.yaw_rad + _noise(rng, len(time), float(np.radians(HEADING_DEG)), 600.0),
+            truth.climb_m_s,
+            truth.speed_m_s,
+        )
+
 
 @dataclass(frozen=True, eq=False)
-class AirSamples:
-    """One box outside or in the cabin: barometer at 10 Hz, thermometer, hygrometer at 2.5 Hz."""
+class BoxSamples:
+    """A box outside or in the cabin: barometer at 10 Hz, thermometer, hygrometer at 2.5 Hz."""
 
     pressure_time_s: Array
     pressure_pa: Array
@@ -84,13 +124,13 @@ class AirSamples:
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class LoggedSamples:
     """Everything that goes into the logs."""
 
     gnss: GnssSamples
     navigation: NavigationSamples
-    outside: AirSamples
-    cabin: AirSamples
+    outside: BoxSamples
+    cabin: BoxSamples
     exposure_s: Array
     camera_names: tuple[str, ...]
 
@@ -112,14 +152,14 @@ def gps_week_ms(time_s: Array) -> tuple[IntArray, IntArray]:
     return week, rest // 1_000_000
 
 
-def sample(flight: Flight, air: TrueAir, seed: int, camera_names: tuple[str, ...]) -> Samples:
+def sample(flight: Flight, air: TrueAir, seed: int, camera_names: tuple[str, ...]) -> LoggedSamples:
     """Draw every sensor's samples; the same seed gives the same numbers."""
     gnss, navigation, outside, cabin = (
         np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(4)
     )
-    return Samples(
-        _gnss(flight, gnss),
-        _navigation(flight, navigation),
+    return LoggedSamples(
+        GnssSamples.draw(flight, gnss),
+        NavigationSamples.draw(flight, navigation),
         _outside(flight, air, outside),
         _cabin(flight, air, cabin),
         flight.exposure_s,
@@ -133,16 +173,12 @@ def _grid(flight: Flight, period_s: float, first_s: float) -> Array:
     return np.round(first_s + period_s * np.arange(count), 3)
 
 
-def _slow(rng: np.random.Generator, count: int, samples: float) -> Array:
-    """Correlated noise of unit variance: white noise under a Gaussian of that many samples."""
-    smooth = gaussian_filter1d(rng.standard_normal(count), samples, mode="wrap")
-    return np.asarray(smooth * np.sqrt(2.0 * np.sqrt(np.pi) * samples))
-
-
 def _noise(rng: np.random.Generator, count: int, sigma: float, samples: float) -> Array:
-    """Nine tenths slow, the rest white, together sigma."""
+    """Noise of which nine tenths are slow, white under a Gaussian of so many samples."""
     white = rng.standard_normal(count)
-    return np.asarray(sigma * (np.sqrt(0.9) * _slow(rng, count, samples) + np.sqrt(0.1) * white))
+    smooth = gaussian_filter1d(rng.standard_normal(count), samples, mode="wrap")
+    slow = smooth * np.sqrt(2.0 * np.sqrt(np.pi) * samples)  # of unit variance
+    return np.asarray(sigma * (np.sqrt(0.9) * slow + np.sqrt(0.1) * white))
 
 
 def _displace(
@@ -153,55 +189,18 @@ def _displace(
     return lat + north / WGS84_A, lon + east / (WGS84_A * np.cos(lat))
 
 
-def _gnss(flight: Flight, rng: np.random.Generator) -> GnssSamples:
-    time = _grid(flight, 0.2, 0.0)
-    truth = flight.at(time)
-    lat, lon = _displace(truth.lat_rad, truth.lon_rad, rng, 100.0)
-    height = truth.h_msl_m + _noise(rng, len(time), GNSS_VERTICAL_M, 100.0)
-    # A time-tagged receiver: the row is written within milliseconds, and now and then late.
-    delay = np.minimum(0.0005 + rng.exponential(0.0015, len(time)), 0.05)
-    return GnssSamples(
-        time,
-        lat,
-        lon,
-        height,
-        truth.speed_m_s,
-        truth.course_rad,
-        truth.climb_m_s,
-        np.asarray(np.round(delay, 6), np.float64),
-    )
-
-
-def _navigation(flight: Flight, rng: np.random.Generator) -> NavigationSamples:
-    time = _grid(flight, 0.05, 0.003)
-    truth = flight.at(time)
-    lat, lon = _displace(truth.lat_rad, truth.lon_rad, rng, 400.0)
-    height = truth.h_msl_m + _noise(rng, len(time), GNSS_VERTICAL_M, 400.0)
-    tilt = np.radians(TILT_DEG)
-    return NavigationSamples(
-        time,
-        lat,
-        lon,
-        height,
-        truth.roll_rad + _noise(rng, len(time), tilt, 400.0),
-        truth.pitch_rad + _noise(rng, len(time), tilt, 400.0),
-        truth.yaw_rad + _noise(rng, len(time), float(np.radians(HEADING_DEG)), 600.0),
-        truth.climb_m_s,
-        truth.speed_m_s,
-    )
-
-
-def _outside(flight: Flight, air: TrueAir, rng: np.random.Generator) -> AirSamples:
+def _outside(flight: Flight, air: TrueAir, rng: np.random.Generator) -> BoxSamples:
     fast, slow = _grid(flight, 0.1, 0.017), _grid(flight, 0.4, 0.041)
     h_fast, h_slow = flight.at(fast).h_msl_m, flight.at(slow).h_msl_m
     warmer = THERMOMETER_BIAS_K + THERMOMETER_K * rng.standard_normal(len(slow))
     humidity = relative_humidity(h_slow) + HUMIDITY * rng.standard_normal(len(slow))
     pressure = air.pressure_pa(h_fast) + BAROMETER_PA * rng.standard_normal(len(fast))
     board = temperature_k(h_fast) + BOARD_HEAT_K
-    return _read_out(fast, pressure, board, slow, temperature_k(h_slow) + warmer, humidity)
+    temperature = temperature_k(h_slow) + warmer
+    return _read_out((fast, pressure, board), (slow, temperature, humidity))
 
 
-def _cabin(flight: Flight, air: TrueAir, rng: np.random.Generator) -> AirSamples:
+def _cabin(flight: Flight, air: TrueAir, rng: np.random.Generator) -> BoxSamples:
     fast, slow = _grid(flight, 0.1, 0.053), _grid(flight, 0.4, 0.087)
     at_fast = cabin_air(air, flight.at(fast).h_msl_m, fast)
     at_slow = cabin_air(air, flight.at(slow).h_msl_m, slow)
@@ -209,19 +208,19 @@ def _cabin(flight: Flight, air: TrueAir, rng: np.random.Generator) -> AirSamples
     pressure = at_fast.pressure_pa + BAROMETER_PA * rng.standard_normal(len(fast))
     temperature = at_slow.temperature_k + THERMOMETER_K * rng.standard_normal(len(slow))
     board = at_fast.temperature_k + BOARD_HEAT_K
-    return _read_out(fast, pressure, board, slow, temperature, humidity)
+    return _read_out((fast, pressure, board), (slow, temperature, humidity))
 
 
-def _read_out(
-    fast: Array, pressure_pa: Array, board_k: Array, slow: Array, kelvin: Array, humidity: Array
-) -> AirSamples:
-    """Readings to the last digit of each sensor."""
-    return AirSamples(
-        fast,
+def _read_out(fast: tuple[Array, Array, Array], slow: tuple[Array, Array, Array]) -> BoxSamples:
+    """Readings to the last digit of each sensor: time, pressure, board; time, air, humidity."""
+    fast_s, pressure_pa, board_k = fast
+    slow_s, air_k, humidity = slow
+    return BoxSamples(
+        fast_s,
         _digits(pressure_pa, PRESSURE_DIGIT_PA),
         ZERO_CELSIUS_K + _digits(board_k - ZERO_CELSIUS_K, TEMPERATURE_DIGIT_K),
-        slow,
-        ZERO_CELSIUS_K + _digits(kelvin - ZERO_CELSIUS_K, TEMPERATURE_DIGIT_K),
+        slow_s,
+        ZERO_CELSIUS_K + _digits(air_k - ZERO_CELSIUS_K, TEMPERATURE_DIGIT_K),
         np.clip(_digits(humidity, HUMIDITY_DIGIT), 0.0, 1.0),
     )
 

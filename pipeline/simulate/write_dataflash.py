@@ -19,9 +19,8 @@ from pipeline.simulate.sensors import (
     GNSS_HORIZONTAL_M,
     GNSS_VERTICAL_M,
     LOG_BEGINS_BOOT_US,
-    AirSamples,
+    LoggedSamples,
     NavigationSamples,
-    Samples,
     boot_us,
     gps_week_ms,
 )
@@ -115,7 +114,7 @@ _PARAMETERS = {
 _SHUTTER_LAG_US = 85_000
 
 
-def write_dataflash(path: Path, samples: Samples) -> int:
+def write_dataflash(path: Path, samples: LoggedSamples) -> int:
     """Write the log; returns the number of messages, announcements included."""
     head = _announcements()
     rows = [
@@ -154,7 +153,7 @@ def _announcements() -> list[bytes]:
     return rows
 
 
-def _gnss_rows(samples: Samples) -> list[Row]:
+def _gnss_rows(samples: LoggedSamples) -> list[Row]:
     g = samples.gnss
     week, ms = gps_week_ms(g.time_s)
     written = boot_us(g.time_s + g.log_delay_s)
@@ -198,44 +197,30 @@ def _centidegrees(degrees: Array) -> Array:
     return np.asarray(np.round(degrees % 360.0, 2) % 360.0)
 
 
-def _air_rows(samples: Samples) -> list[Row]:
+def _air_rows(samples: LoggedSamples) -> list[Row]:
+    """BARO and HYGR of both boxes, ARSP of a pitot with the outside thermometer in it."""
     rows: list[Row] = []
     for instance, box in enumerate((samples.outside, samples.cabin)):
-        rows += _barometer_rows(instance, box)
-        times = boot_us(box.time_s)
+        board = box.board_k - ZERO_CELSIUS_K
+        # ArduPilot's Alt is a height in the standard atmosphere against the pressure at boot.
+        height = 44_330.8 * (1.0 - (box.pressure_pa / 101_325.0) ** 0.190263)
+        above = height - height[0]
+        for i, time in enumerate(boot_us(box.pressure_time_s).tolist()):
+            rows.append((time, FORMATS["BARO"].pack(
+                time, instance, above[i], above[i] + FIELD_HEIGHT_M, box.pressure_pa[i], board[i],
+                0.0, time // 1000, 0.0, board[0], 1,
+            )))  # fmt: skip
         celsius = box.temperature_k - ZERO_CELSIUS_K
-        for i, time in enumerate(times.tolist()):
+        for i, time in enumerate(boot_us(box.time_s).tolist()):
             rows.append((time, FORMATS["HYGR"].pack(
                 time, instance, 100.0 * box.humidity[i], celsius[i]
             )))  # fmt: skip
-    return rows + _airspeed_rows(samples)
-
-
-def _barometer_rows(instance: int, box: AirSamples) -> list[Row]:
-    times = boot_us(box.pressure_time_s)
-    celsius = box.board_k - ZERO_CELSIUS_K
-    # ArduPilot's Alt is a height in the standard atmosphere against the pressure at boot.
-    height = 44_330.8 * (1.0 - (box.pressure_pa / 101_325.0) ** 0.190263)
-    above = height - height[0]
-    rows: list[Row] = []
-    for i, time in enumerate(times.tolist()):
-        rows.append((time, FORMATS["BARO"].pack(
-            time, instance, above[i], above[i] + FIELD_HEIGHT_M, box.pressure_pa[i], celsius[i],
-            0.0, time // 1000, 0.0, celsius[0], 1,
-        )))  # fmt: skip
-    return rows
-
-
-def _airspeed_rows(samples: Samples) -> list[Row]:
-    """A pitot with the outside thermometer in it: the readings of that thermometer again."""
-    box = samples.outside
-    nav = samples.navigation
+    box, nav = samples.outside, samples.navigation
     speed = np.interp(box.time_s, nav.time_s, nav.speed_m_s)
     pressure = np.interp(box.time_s, box.pressure_time_s, box.pressure_pa)
     dynamic = 0.5 * pressure / (287.05 * box.temperature_k) * speed**2
     indicated = np.sqrt(2.0 * dynamic / 1.225)
     celsius = box.temperature_k - ZERO_CELSIUS_K
-    rows: list[Row] = []
     for i, time in enumerate(boot_us(box.time_s).tolist()):
         rows.append((time, FORMATS["ARSP"].pack(
             time, 0, indicated[i], dynamic[i], celsius[i], dynamic[i], 0.0, 1, 1, 1.0, 0.0, 0
@@ -243,7 +228,7 @@ def _airspeed_rows(samples: Samples) -> list[Row]:
     return rows
 
 
-def _camera_rows(samples: Samples) -> list[Row]:
+def _camera_rows(samples: LoggedSamples) -> list[Row]:
     """TRIG at the command and CAM at the shutter, one of each for every camera."""
     nav, gnss = samples.navigation, samples.gnss
     shutter = boot_us(samples.exposure_s)

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 from mcap_ros2.writer import Writer
-from numpy.typing import NDArray
 
 from pipeline.errors import StorageError
-from pipeline.simulate.camera import NED_FROM_ENU, body_rotation, quaternion
+from pipeline.simulate.optics import NED_FROM_ENU, body_rotation, quaternion
 from pipeline.simulate.sensors import (
     BAROMETER_PA,
     GNSS_HORIZONTAL_M,
@@ -20,8 +19,8 @@ from pipeline.simulate.sensors import (
     HUMIDITY,
     THERMOMETER_K,
     TILT_DEG,
-    AirSamples,
-    Samples,
+    BoxSamples,
+    LoggedSamples,
     unix_ns,
 )
 from pipeline.units import NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
@@ -104,7 +103,7 @@ _CHUNK_BYTES = 1024 * 1024
 Row = tuple[int, str, str, Mapping[str, Any]]
 
 
-def write_mcap(path: Path, samples: Samples, seed: int) -> int:
+def write_mcap(path: Path, samples: LoggedSamples, seed: int) -> int:
     """Write the recording; returns the number of messages.
 
     header.stamp is when a sensor measured; log_time, when the recorder got it, is 2-15 ms later.
@@ -114,8 +113,14 @@ def write_mcap(path: Path, samples: Samples, seed: int) -> int:
         *_imu_rows(samples),
         *_air_rows("outside", samples.outside),
         *_air_rows("cabin", samples.cabin),
-        *_image_rows(samples),
-    ]
+        # Image topics whose pictures were left out of the recording: the stamp is the shutter.
+        *[
+            (stamp, f"/camera/{name}/image/compressed", "sensor_msgs/msg/CompressedImage",
+             {"format": "jpeg", "data": b""})
+            for name in samples.camera_names
+            for stamp in unix_ns(samples.exposure_s).tolist()
+        ],
+    ]  # fmt: skip
     late = np.random.default_rng([seed, 3]).uniform(2e6, 15e6, len(rows)).astype(np.int64)
     arrival = np.array([row[0] for row in rows]) + late
     order = np.argsort(arrival, kind="stable")
@@ -126,8 +131,13 @@ def write_mcap(path: Path, samples: Samples, seed: int) -> int:
             schemas = {name: writer.register_msgdef(name, text) for name, text in _SCHEMAS.items()}
             for i in order.tolist():
                 stamp, topic, schema, fields = rows[i]
+                sec, nanosec = divmod(stamp, NANOSECONDS_PER_SECOND)
+                header = {
+                    "stamp": {"sec": sec, "nanosec": nanosec},
+                    "frame_id": topic.split("/")[1],
+                }
                 writer.write_message(
-                    topic, schemas[schema], {"header": _header(stamp, topic), **fields},
+                    topic, schemas[schema], {"header": header, **fields},
                     log_time=int(arrival[i]), publish_time=int(arrival[i]),
                     sequence=sequence[topic],
                 )  # fmt: skip
@@ -138,12 +148,7 @@ def write_mcap(path: Path, samples: Samples, seed: int) -> int:
     return len(rows)
 
 
-def _header(stamp_ns: int, topic: str) -> dict[str, Any]:
-    sec, nanosec = divmod(stamp_ns, NANOSECONDS_PER_SECOND)
-    return {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": topic.split("/")[1]}
-
-
-def _fix_rows(samples: Samples) -> list[Row]:
+def _fix_rows(samples: LoggedSamples) -> list[Row]:
     """/fix at 5 Hz: NavSatFix.altitude is the height above the ellipsoid."""
     g = samples.gnss
     lat, lon = np.degrees(g.lat_rad).tolist(), np.degrees(g.lon_rad).tolist()
@@ -159,7 +164,7 @@ def _fix_rows(samples: Samples) -> list[Row]:
     ]  # fmt: skip
 
 
-def _imu_rows(samples: Samples) -> list[Row]:
+def _imu_rows(samples: LoggedSamples) -> list[Row]:
     """/imu/data at 20 Hz: orientation of forward-left-up axes in east-north-up (REP 103)."""
     nav = samples.navigation
     tilt, heading = np.radians(TILT_DEG), np.radians(HEADING_DEG)
@@ -168,7 +173,8 @@ def _imu_rows(samples: Samples) -> list[Row]:
     zero = {"x": 0.0, "y": 0.0, "z": 0.0}
     rows: list[Row] = []
     for i, stamp in enumerate(unix_ns(nav.time_s).tolist()):
-        w, x, y, z = _orientation(nav.roll_rad[i], nav.pitch_rad[i], nav.yaw_rad[i]).tolist()
+        ned = body_rotation(nav.roll_rad[i], nav.pitch_rad[i], nav.yaw_rad[i])
+        w, x, y, z = quaternion(NED_FROM_ENU.T @ ned @ _FLU_FROM_FRD).tolist()
         rows.append((stamp, "/imu/data", "sensor_msgs/msg/Imu", {
             "orientation": {"x": x, "y": y, "z": z, "w": w},
             "orientation_covariance": covariance,
@@ -178,12 +184,7 @@ def _imu_rows(samples: Samples) -> list[Row]:
     return rows
 
 
-def _orientation(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
-    """Quaternion with v_enu = R(q) v_flu."""
-    return quaternion(NED_FROM_ENU.T @ body_rotation(roll, pitch, yaw) @ _FLU_FROM_FRD)
-
-
-def _air_rows(place: str, box: AirSamples) -> list[Row]:
+def _air_rows(place: str, box: BoxSamples) -> list[Row]:
     """Pressure of one place at 5 Hz, temperature and humidity at 2.5 Hz."""
     rows: list[Row] = [
         (stamp, f"/{place}/pressure", "sensor_msgs/msg/FluidPressure",
@@ -201,13 +202,3 @@ def _air_rows(place: str, box: AirSamples) -> list[Row]:
         rows.append((stamp, f"/{place}/humidity", "sensor_msgs/msg/RelativeHumidity",
                      {"relative_humidity": humidity[i], "variance": HUMIDITY**2}))  # fmt: skip
     return rows
-
-
-def _image_rows(samples: Samples) -> list[Row]:
-    """Image topics whose pictures were left out of the recording: the stamp is the shutter."""
-    return [
-        (stamp, f"/camera/{name}/image/compressed", "sensor_msgs/msg/CompressedImage",
-         {"format": "jpeg", "data": b""})
-        for name in samples.camera_names
-        for stamp in unix_ns(samples.exposure_s).tolist()
-    ]  # fmt: skip

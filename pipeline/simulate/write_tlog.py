@@ -16,8 +16,7 @@ from pipeline.simulate.sensors import (
     GNSS_VERTICAL_M,
     LOG_BEGINS_BOOT_US,
     LOG_BEGINS_UNIX_NS,
-    AirSamples,
-    Samples,
+    LoggedSamples,
     boot_us,
     unix_ns,
 )
@@ -31,7 +30,7 @@ HOST_JITTER_S = 0.05
 Row = tuple[int, Any]
 
 
-def write_tlog(path: Path, samples: Samples, seed: int) -> int:
+def write_tlog(path: Path, samples: LoggedSamples, seed: int) -> int:
     """Write the log; returns the number of frames.
 
     The host's clock is 1.26 s ahead and stamps a frame up to 50 ms late, in the order in which
@@ -66,7 +65,7 @@ def _degrees_e7(radians: NDArray[np.float64]) -> list[int]:
     return [round(v) for v in (np.degrees(radians) * 1e7).tolist()]
 
 
-def _system_rows(samples: Samples) -> list[Row]:
+def _system_rows(samples: LoggedSamples) -> list[Row]:
     """HEARTBEAT and SYSTEM_TIME at 1 Hz."""
     times = np.arange(0.25, samples.navigation.time_s[-1], 1.0)
     unix_us = unix_ns(times) // 1000
@@ -80,7 +79,7 @@ def _system_rows(samples: Samples) -> list[Row]:
     return rows
 
 
-def _gnss_rows(samples: Samples) -> list[Row]:
+def _gnss_rows(samples: LoggedSamples) -> list[Row]:
     """GPS_RAW_INT at 5 Hz; time_usec since boot, as ArduPilot fills it."""
     g = samples.gnss
     taken = boot_us(g.time_s)
@@ -98,7 +97,7 @@ def _gnss_rows(samples: Samples) -> list[Row]:
     ]  # fmt: skip
 
 
-def _navigation_rows(samples: Samples) -> list[Row]:
+def _navigation_rows(samples: LoggedSamples) -> list[Row]:
     """ATTITUDE at 10 Hz, GLOBAL_POSITION_INT at 5 Hz, VFR_HUD at 1 Hz."""
     nav = samples.navigation
     times = boot_us(nav.time_s)
@@ -131,7 +130,7 @@ def _navigation_rows(samples: Samples) -> list[Row]:
     return rows
 
 
-def _air_rows(samples: Samples) -> list[Row]:
+def _air_rows(samples: LoggedSamples) -> list[Row]:
     """SCALED_PRESSURE (outside), SCALED_PRESSURE2 (cabin) at 5 Hz; HYGROMETER_SENSOR at 2.5 Hz."""
     rows: list[Row] = []
     messages = (mavlink.MAVLink_scaled_pressure_message, mavlink.MAVLink_scaled_pressure2_message)
@@ -142,20 +141,16 @@ def _air_rows(samples: Samples) -> list[Row]:
             sent = int(times[i])
             message = messages[instance](sent // 1000, box.pressure_pa[i] / 100.0, 0.0, board[i])
             rows.append((sent, message))
-        rows += _hygrometer_rows(instance, box)
+        celsius = np.rint(100.0 * (box.temperature_k - ZERO_CELSIUS_K)).astype(int).tolist()
+        percent = np.rint(1e4 * box.humidity).astype(int).tolist()
+        rows += [
+            (sent, mavlink.MAVLink_hygrometer_sensor_message(instance, celsius[i], percent[i]))
+            for i, sent in enumerate(boot_us(box.time_s).tolist())
+        ]
     return rows
 
 
-def _hygrometer_rows(instance: int, box: AirSamples) -> list[Row]:
-    celsius = np.rint(100.0 * (box.temperature_k - ZERO_CELSIUS_K)).astype(int).tolist()
-    percent = np.rint(1e4 * box.humidity).astype(int).tolist()
-    return [
-        (sent, mavlink.MAVLink_hygrometer_sensor_message(instance, celsius[i], percent[i]))
-        for i, sent in enumerate(boot_us(box.time_s).tolist())
-    ]
-
-
-def _camera_rows(samples: Samples) -> list[Row]:
+def _camera_rows(samples: LoggedSamples) -> list[Row]:
     """CAMERA_FEEDBACK of every exposure and camera; time_usec since boot (feedback pin)."""
     nav = samples.navigation
     at = samples.exposure_s

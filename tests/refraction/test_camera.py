@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.refraction import BrownConrady, Camera
-from pipeline.simulate.camera import SimulatedCamera
+from pipeline.simulate.optics import SimulatedCamera
 
 WIDTH, HEIGHT, FOCAL = 14_000, 10_600, 11_000.0
 

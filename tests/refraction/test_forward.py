@@ -25,8 +25,7 @@ from pipeline.refraction.status import (
     OUTSIDE_CAMERA,
     OUTSIDE_PROFILE,
 )
-from pipeline.simulate.camera import SimulatedCamera
-from pipeline.simulate.rays import enu_axes, height_and_up, shoot, to_ecef
+from pipeline.simulate.optics import SimulatedCamera, enu_axes, height_and_up, shoot, to_ecef
 
 LATITUDE = 0.8
 AIR = standard_atmosphere("us1976", index="gyer")

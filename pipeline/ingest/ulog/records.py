@@ -136,7 +136,7 @@ def flat_fields(
     return result
 
 
-class Definitions:
+class ULogDefinitions:
     """Formats by name; of subscriptions by number the ``topics`` (name, instance) and ``sizes``.
 
     Sizes of data [bytes] are those without and with the padding at the end. ``columns`` are what
@@ -194,7 +194,7 @@ class _MessageWalk:
         self.data = data
         self.wanted = wanted
         self.result = ULogMessages()
-        self.definitions = Definitions()
+        self.definitions = ULogDefinitions()
         self.defining = True  # until the first subscription or text
         self.appended = flags_of(data)[1]
         self.places: defaultdict[int, list[int]] = defaultdict(list)  # of data, in one block

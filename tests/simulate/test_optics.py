@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import PhysicsError
-from pipeline.simulate.rays import (
+from pipeline.simulate.optics import (
     enu_axes,
     height_and_up,
     ray_angle_sphere,
