@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 from pipeline.config import load_mission
-from pipeline.refraction.statistics import ImageGrid
+from pipeline.refraction.statistics import ShiftGrid
 from pipeline.report.figures import (
     ADJUSTED,
     STANDARD,
@@ -33,7 +33,7 @@ CAMERA = "oblique"
 
 @styled
 def effect_figure(
-    adjustment: Adjustment, samples: AirSamples, camera: str, grid: ImageGrid
+    adjustment: Adjustment, samples: AirSamples, camera: str, grid: ShiftGrid
 ) -> Figure:
     """The air of a flight beside what it does to the images of one camera."""
     figure, (left, right) = new_figure(2, 8.2, 3.4)
@@ -64,7 +64,7 @@ def main() -> None:
     mission = load_mission(config)
     air, samples, _ = air_of_mission(config)
     camera = mission.cameras[CAMERA]
-    grid = ImageGrid(camera.width_px, camera.height_px)
+    grid = ShiftGrid(camera.width_px, camera.height_px)
     for part in sorted((REPOSITORY / "results" / "sample_bin").glob("observations/part-*.parquet")):
         rows = pq.read_table(part).to_pandas()
         rows = rows[rows["image"].str.startswith(CAMERA) & (rows["status"] == "ok")]

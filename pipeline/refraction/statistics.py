@@ -19,14 +19,14 @@ _BINS_PER_DECADE = 500
 
 
 @dataclass
-class Spread:
+class Distribution:
     """Distribution of non-negative magnitudes in logarithmic bins.
 
     The maximum is exact; quantiles are good to 0.25 % of their value.
 
-    >>> spread = Spread()
-    >>> spread.add(np.arange(1.0, 1000.0))
-    >>> abs(spread.median / 500.0 - 1.0) < 0.005, spread.maximum
+    >>> distribution = Distribution()
+    >>> distribution.add(np.arange(1.0, 1000.0))
+    >>> abs(distribution.median / 500.0 - 1.0) < 0.005, distribution.maximum
     (True, 999.0)
     """
 
@@ -51,7 +51,7 @@ class Spread:
         self.total += values.size
 
     def quantile(self, share: float) -> float | None:
-        """The value that a share of the values does not exceed; None of nothing."""
+        """The value that a share of the values does not exceed; None without values."""
         if self.total == 0:
             return None
         number = int(np.searchsorted(np.cumsum(self.counts), share * self.total))
@@ -62,11 +62,11 @@ class Spread:
 
     @property
     def median(self) -> float | None:
-        """None of nothing."""
+        """None without values."""
         return self.quantile(0.5)
 
-    def __add__(self, other: Spread) -> Spread:
-        return Spread(
+    def __add__(self, other: Distribution) -> Distribution:
+        return Distribution(
             self.counts + other.counts,
             max(self.maximum, other.maximum),
             self.total + other.total,
@@ -87,7 +87,7 @@ class Spread:
 
 
 @dataclass
-class ImageGrid:
+class ShiftGrid:
     """Mean shift of the image points over the format of a camera."""
 
     width_px: int
@@ -106,8 +106,8 @@ class ImageGrid:
             counted = np.bincount(cell, weight, size)
             self.sums[i] += counted.reshape(self.rows, self.columns)
 
-    def merge(self, other: ImageGrid) -> None:
-        """Add what another grid of the same camera holds."""
+    def merge(self, other: ShiftGrid) -> None:
+        """Add the sums of another grid of the same camera."""
         self.sums = self.sums + other.sums
 
     def means(self) -> tuple[Array, Array, Array, Array]:
@@ -122,19 +122,19 @@ class ImageGrid:
         )
 
 
-SPREADS = ("shift_px", "shift_ground_m", "refraction_arcsec", "window_arcsec")
-"""What `Extent` keeps distributions of."""
+DISTRIBUTIONS = ("shift_px", "shift_ground_m", "refraction_arcsec", "window_arcsec")
+"""The quantities of which `ShiftStatistics` keeps distributions."""
 
 
 @dataclass
-class Extent:
+class ShiftStatistics:
     """How large the correction was in the images of one camera, or of several."""
 
-    grid: ImageGrid
-    shift_px: Spread = field(default_factory=Spread)
-    shift_ground_m: Spread = field(default_factory=Spread)
-    refraction_arcsec: Spread = field(default_factory=Spread)
-    window_arcsec: Spread = field(default_factory=Spread)
+    grid: ShiftGrid
+    shift_px: Distribution = field(default_factory=Distribution)
+    shift_ground_m: Distribution = field(default_factory=Distribution)
+    refraction_arcsec: Distribution = field(default_factory=Distribution)
+    window_arcsec: Distribution = field(default_factory=Distribution)
 
     def add(self, x_px: Array, y_px: Array, corrections: Corrections) -> None:
         """Add the corrections of points measured at (x, y); those without one do not count."""
@@ -146,16 +146,16 @@ class Extent:
         self.refraction_arcsec.add(corrections.r_c_rad[good] / ARCSEC)
         self.window_arcsec.add(np.abs(corrections.r_cc_rad[good]) / ARCSEC)
 
-    def merge(self, other: Extent) -> None:
-        """Add what another extent of the same camera holds."""
+    def merge(self, other: ShiftStatistics) -> None:
+        """Add the statistics of other images of the same camera."""
         self.grid.merge(other.grid)
-        for name in SPREADS:
+        for name in DISTRIBUTIONS:
             setattr(self, name, getattr(self, name) + getattr(other, name))
 
-    def spreads(self) -> dict[str, Spread]:
+    def distributions(self) -> dict[str, Distribution]:
         """The four distributions by name."""
-        return {name: getattr(self, name) for name in SPREADS}
+        return {name: getattr(self, name) for name in DISTRIBUTIONS}
 
     def summary(self) -> dict[str, Any]:
         """Counts, medians and maxima, for the manifest."""
-        return {name: spread.summary() for name, spread in self.spreads().items()}
+        return {name: distribution.summary() for name, distribution in self.distributions().items()}

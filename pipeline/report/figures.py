@@ -16,7 +16,7 @@ from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import vapour_pressure
 from pipeline.errors import ConfigError, StorageError
 from pipeline.refraction.effect import FlightAir
-from pipeline.refraction.statistics import ImageGrid
+from pipeline.refraction.statistics import ShiftGrid
 from pipeline.report.summary import effect_lines
 from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K
 
@@ -135,7 +135,7 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 @styled
-def correction_figure(grids: Mapping[str, ImageGrid]) -> Figure:
+def correction_figure(grids: Mapping[str, ShiftGrid]) -> Figure:
     """Mean shift of the image points over the format of each camera, as arrows and colour."""
     shown = {name: grid for name, grid in grids.items() if grid.sums[2].any()} or dict(grids)
     figure, axes = new_figure(len(shown), 3.9 * len(shown), 3.4)
@@ -145,7 +145,7 @@ def correction_figure(grids: Mapping[str, ImageGrid]) -> Figure:
     return figure
 
 
-def draw_shifts(figure: Figure, axis: Axes, grid: ImageGrid) -> None:
+def draw_shifts(figure: Figure, axis: Axes, grid: ShiftGrid) -> None:
     """The mean shifts of a grid as arrows over its image."""
     axis.set_xlim(0, grid.width_px)
     axis.set_ylim(grid.height_px, 0)

@@ -9,7 +9,7 @@ from typing import Any
 
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.refraction.effect import FlightAir
-from pipeline.refraction.statistics import ImageGrid
+from pipeline.refraction.statistics import ShiftGrid
 from pipeline.report.figures import as_svg, correction_figure, profile_figure
 from pipeline.report.summary import (
     CORRECTION_HEAD,
@@ -45,7 +45,7 @@ def write_report(
     manifest: Mapping[str, Any],
     air: FlightAir,
     samples: AirSamples,
-    grids: Mapping[str, ImageGrid],
+    grids: Mapping[str, ShiftGrid],
 ) -> None:
     """Write the report of a run, a page without scripts or external files."""
     title = escape(str(manifest["mission"]))

@@ -13,7 +13,7 @@ from pipeline.config.sections import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Corrections
-from pipeline.refraction.statistics import SPREADS, Extent, ImageGrid, Spread
+from pipeline.refraction.statistics import DISTRIBUTIONS, Distribution, ShiftGrid, ShiftStatistics
 from pipeline.refraction.status import STATUS_NAMES
 from pipeline.tables.observations import Batch
 
@@ -29,7 +29,7 @@ class Statistics:
     ``rays`` : (6, m) arrays of rays that stand for the others, as `sampled_rays` returns them.
     """
 
-    extents: dict[str, Extent]
+    shifts: dict[str, ShiftStatistics]
     rows: int = 0
     parts: int = 0
     status: dict[str, int] = field(default_factory=dict)
@@ -41,8 +41,8 @@ class Statistics:
     @classmethod
     def of(cls, cameras: Mapping[str, Camera]) -> Statistics:
         """Those of no observations."""
-        grids = {n: ImageGrid(c.width_px, c.height_px) for n, c in cameras.items()}
-        return cls({name: Extent(grid) for name, grid in grids.items()})
+        grids = {n: ShiftGrid(c.width_px, c.height_px) for n, c in cameras.items()}
+        return cls({name: ShiftStatistics(grid) for name, grid in grids.items()})
 
     def add(self, batch: Batch, corrections: Corrections, camera: NDArray[np.int64]) -> None:
         """Count a batch; ``camera`` (n,) numbers the cameras, -1 without one."""
@@ -53,12 +53,12 @@ class Statistics:
         counts = np.bincount(corrections.status, minlength=len(STATUS_NAMES))
         for name, count in zip(STATUS_NAMES, counts.tolist(), strict=True):
             self.status[name] = self.status.get(name, 0) + int(count)
-        for number, extent in enumerate(self.extents.values()):
+        for number, shift_statistics in enumerate(self.shifts.values()):
             rows = camera == number
             if bool(rows.all()):
-                extent.add(batch.x_px, batch.y_px, corrections)
+                shift_statistics.add(batch.x_px, batch.y_px, corrections)
             elif bool(rows.any()):
-                extent.add(batch.x_px[rows], batch.y_px[rows], corrections.rows(rows))
+                shift_statistics.add(batch.x_px[rows], batch.y_px[rows], corrections.rows(rows))
 
     def sampled_rays(self) -> Array:
         """(6, n) at most 400 of the sampled rays.
@@ -79,16 +79,18 @@ class Statistics:
         self.parts += other.parts
         for name, count in other.status.items():
             self.status[name] = self.status.get(name, 0) + count
-        for name, extent in other.extents.items():
-            self.extents[name].merge(extent)
+        for name, shift_statistics in other.shifts.items():
+            self.shifts[name].merge(shift_statistics)
 
     def correction(self) -> dict[str, Any]:
         """How large the correction was, over all and camera by camera, for the manifest."""
         together = {
-            name: sum((e.spreads()[name] for e in self.extents.values()), Spread()).summary()
-            for name in SPREADS
+            name: sum(
+                (e.distributions()[name] for e in self.shifts.values()), Distribution()
+            ).summary()
+            for name in DISTRIBUTIONS
         }
-        return together | {"cameras": {n: e.summary() for n, e in self.extents.items()}}
+        return together | {"cameras": {n: e.summary() for n, e in self.shifts.items()}}
 
     def report_flagged(self, ledger: Ledger) -> None:
         """A ledger entry for each reason why observations were not corrected."""

@@ -115,7 +115,9 @@ def run_mission(path: Path, *, force: bool = False, progress: Progress | None = 
         )
         report = folder.place("report.html")
         with storage_errors(report):
-            grids = {name: extent.grid for name, extent in statistics.extents.items()}
+            grids = {
+                name: shift_statistics.grid for name, shift_statistics in statistics.shifts.items()
+            }
             write_report(report, manifest, air, prepared.samples, grids)
         folder.seal("report.html")
         check_unchanged(plan)

@@ -164,39 +164,6 @@ def bend_by_subtended(table, ray, h_g):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _two_crossings(table, ray, h_g):  # type: ignore[no-untyped-def]
-    """Whether a downward ray turns above the ground, and so meets heights below h_c twice."""
-    floor = max(table.edge[0], min(LOWEST_TERRAIN_M, h_g))
-    # The straight line's lowest point lies deeper than the ray's, by less than a fifth in any air
-    # in which n falls with height; a line that goes far below the floor needs no further test.
-    depth = ray.h_c - floor + 100.0
-    if (ray.r_e + ray.h_c) * ray.cos_c * ray.cos_c > 2.0 * (1.0 + ray.sin_c) * depth:
-        return False
-    return excess(table, ray, piece(table.edge, floor), floor) < 0.0
-
-
-@jit
-def _impossible(edge, rays, i):  # type: ignore[no-untyped-def]
-    """Why ray i of some columns can have no angle, or OK."""
-    h_c, h_g, sin_c, cos_c, r_e = (
-        rays.h_c[i],
-        rays.h_g[i],
-        rays.sin_c[i],
-        rays.cos_c[i],
-        rays.r_e[i],
-    )
-    finite = math.isfinite(h_c) and math.isfinite(h_g) and math.isfinite(r_e)
-    if not (finite and 0.0 <= sin_c <= 1.0 and abs(cos_c) <= 1.0 and r_e > 0.0):
-        return BAD_MEASUREMENT
-    slack = 1e-6
-    if min(h_c, h_g) < edge[0] - slack or max(h_c, h_g) > edge[-1] + slack:
-        return OUTSIDE_PROFILE
-    if h_g < h_c and cos_c <= 0.0:
-        return MISSES_GROUND
-    return OK
-
-
-@jit
 def _bend_one(table, ray, h_g, distance):  # type: ignore[no-untyped-def]
     """R_c and status of one ray, by itself."""
     h_c, r_e = ray.h_c, ray.r_e
@@ -211,8 +178,16 @@ def _bend_one(table, ray, h_g, distance):  # type: ignore[no-untyped-def]
     if math.isnan(angle):
         return math.nan, MISSES_GROUND
     # At the camera's own height the far crossing of a level ray is the near one.
-    down = h_g < h_c or (h_g == h_c and ray.cos_c > 1e-9)
-    if not (down and _two_crossings(table, ray, h_g)):
+    if not (h_g < h_c or (h_g == h_c and ray.cos_c > 1e-9)):
+        return angle, OK
+    # Whether the ray turns above the ground, and so meets heights below h_c twice. The straight
+    # line's lowest point lies deeper than the ray's, by less than a fifth in any air in which n
+    # falls with height; a line that goes far below the floor needs no further test.
+    floor = max(table.edge[0], min(LOWEST_TERRAIN_M, h_g))
+    depth = h_c - floor + 100.0
+    if (r_e + h_c) * ray.cos_c * ray.cos_c > 2.0 * (1.0 + ray.sin_c) * depth:
+        return angle, OK
+    if not excess(table, ray, piece(table.edge, floor), floor) < 0.0:
         return angle, OK
     if not distance > 0.0:
         return angle, BEYOND_GRAZING
@@ -228,12 +203,22 @@ def _bend_one(table, ray, h_g, distance):  # type: ignore[no-untyped-def]
 @entry
 def bend_rays(table, rays, which, angle, status):  # type: ignore[no-untyped-def]
     """Fill ``angle`` [rad] and ``status`` for the rays of `RayColumns` that ``which`` numbers."""
+    slack = 1e-6
+    bottom, top = table.edge[0] - slack, table.edge[-1] + slack
     for i in which:
-        status[i] = _impossible(table.edge, rays, i)
+        h_c, h_g, r_e = rays.h_c[i], rays.h_g[i], rays.r_e[i]
+        sin_c, cos_c = rays.sin_c[i], rays.cos_c[i]
         angle[i] = math.nan
-        if status[i] == OK:
-            ray = ray_at(table, rays.h_c[i], rays.sin_c[i], rays.cos_c[i], rays.r_e[i])
-            angle[i], status[i] = _bend_one(table, ray, rays.h_g[i], rays.distance[i])
+        finite = math.isfinite(h_c) and math.isfinite(h_g) and math.isfinite(r_e)
+        if not (finite and 0.0 <= sin_c <= 1.0 and abs(cos_c) <= 1.0 and r_e > 0.0):
+            status[i] = BAD_MEASUREMENT
+        elif min(h_c, h_g) < bottom or max(h_c, h_g) > top:
+            status[i] = OUTSIDE_PROFILE
+        elif h_g < h_c and cos_c <= 0.0:
+            status[i] = MISSES_GROUND
+        else:
+            ray = ray_at(table, h_c, sin_c, cos_c, r_e)
+            angle[i], status[i] = _bend_one(table, ray, h_g, rays.distance[i])
 
 
 @jit

@@ -69,10 +69,11 @@ def _arcsec(angle: ArrayLike) -> Array:
 
 def gyer_rows() -> list[Block]:
     air = gyer_air()
-    return [*_gyer_2(), *_gyer_3_to_5(air), *_gyer_6(air), *_gyer_7(air)]
+    return [*table_2(), *tables_3_to_5(air), *table_6(air), *table_7(air)]
 
 
-def _gyer_2() -> list[Block]:
+def table_2() -> list[Block]:
+    """The atmosphere."""
     table = printed_table("gyer1996_table2")
     h = table["h_km"] * 1e3
     ardc = standard_atmosphere("ardc1959", index="gyer")
@@ -87,7 +88,8 @@ def _gyer_2() -> list[Block]:
     ]
 
 
-def _gyer_3_to_5(air: Profile) -> list[Block]:
+def tables_3_to_5(air: Profile) -> list[Block]:
+    """R_c of the spherical form, and what the plane form lacks of it."""
     blocks = []
     for name, label, key in (
         ("gyer1996_tables3_4", "3-4", "r_c_arcsec"),
@@ -129,7 +131,8 @@ def grazing_angle(profile: Profile, h_c: Array, h_g: Array, radius: float) -> Ar
     return np.asarray(np.arcsin(k / ((1.0 + profile.refractivity(h_c)) * (radius + h_c))))
 
 
-def _gyer_6(air: Profile) -> list[Block]:
+def table_6(air: Profile) -> list[Block]:
+    """Rays that graze the ground."""
     table = printed_table("gyer1996_table6")
     h_c, h_g = table["h_c_km"] * 1e3, table["h_g_km"] * 1e3
     zeta_c = grazing_angle(air, h_c, h_g, GYER_RADIUS_M)
@@ -157,7 +160,8 @@ def _gyer_6(air: Profile) -> list[Block]:
     ]  # fmt: skip
 
 
-def _gyer_7(air: Profile) -> list[Block]:
+def table_7(air: Profile) -> list[Block]:
+    """The pressurised compartment."""
     table = printed_table("gyer1996_table7")
     h_c = table["h_c_km"] * 1e3
     outside = air.refractivity(h_c)

@@ -25,10 +25,10 @@ NOTES = (
 
 
 def saastamoinen_rows() -> list[Block]:
-    return [*_saastamoinen_example(), *_saastamoinen_claims()]
+    return [*worked_example(), *stated_errors()]
 
 
-def _saastamoinen_example() -> list[Block]:
+def worked_example() -> list[Block]:
     """The compartment at 6000 m, p. 300: Eq. 9 after Eq. 3a."""
     air = standard_atmosphere("us1962", index="gyer")
     h_c, diagonal = 6000.0, 45.0 * DEGREE
@@ -54,7 +54,7 @@ def _saastamoinen_example() -> list[Block]:
     ]  # fmt: skip
 
 
-def _saastamoinen_claims() -> list[Block]:
+def stated_errors() -> list[Block]:
     """Largest differences he states for Eq. 3 and 6 against US 1962, and those found."""
     air = standard_atmosphere("us1962", index="gyer")
     diagonal = 45.0 * DEGREE

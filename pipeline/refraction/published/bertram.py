@@ -125,7 +125,7 @@ def _moment(profile: Profile, origin: Array, rise: Array, curvature: bool = Fals
     """
     total = np.zeros(origin.shape)
     known = np.isfinite(origin) & np.isfinite(rise)
-    for low, high, interval in zip(NODES_M[:-1], NODES_M[1:], INTERVAL_M, strict=True):
+    for low, high, interval in zip(NODES_M[:-1], NODES_M[1:], INTERVAL_M.tolist(), strict=True):
         # Below the origin, one step of the same rule.
         used = known & ((rise > low) | ((low == 0.0) & (rise < 0.0)))
         if not used.any():
@@ -134,13 +134,10 @@ def _moment(profile: Profile, origin: Array, rise: Array, curvature: bool = Fals
         for x in (np.full(end.shape, low), end):
             if low == 0.0 and x is not end:
                 continue  # the first lever arm is zero
-            product = x * _gradient(profile, origin[used] + x, float(interval))
+            # -drho/dz [kg m-4] from the densities half an interval below and above.
+            z, half = origin[used] + x, 0.5 * interval
+            gradient = (density(profile, z - half) - density(profile, z + half)) / interval
+            product = x * gradient
             factor = rise[used] - x if curvature else 1.0
             total[used] += 0.5 * (end - low) * product * factor
     return np.where(known, total, np.nan)
-
-
-def _gradient(profile: Profile, z: Array, interval: float) -> Array:
-    """-drho/dz [kg m-4] from the densities half an interval below and above."""
-    half = 0.5 * interval
-    return (density(profile, z - half) - density(profile, z + half)) / interval

@@ -144,20 +144,14 @@ def gyer1996(
     theta = subtended_angle(
         profile, h_c[usable], h_g[usable], zeta_c[usable], radius[usable], step=step
     )
-    r_c[usable] = _eq_11(
-        radius[usable] + h_c[usable], radius[usable] + h_g[usable], zeta_c[usable], theta
-    )
-    return np.where(usable & (h_c == h_g), 0.0, r_c)
-
-
-def _eq_11(r_camera: Array, r_ground: Array, zeta_c: Array, theta: Array) -> Array:
-    """R_c [rad] from the angle subtended at the centre of the earth, as printed."""
-    excess = r_camera / r_ground - np.cos(theta)
-    tangent = np.tan(zeta_c)
+    # Eq. 11 as printed.
+    r_camera, r_ground = radius[usable] + h_c[usable], radius[usable] + h_g[usable]
+    excess, tangent = r_camera / r_ground - np.cos(theta), np.tan(zeta_c[usable])
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(
-            np.arctan((tangent * excess - np.sin(theta)) / (tangent * np.sin(theta) + excess))
+        r_c[usable] = np.arctan(
+            (tangent * excess - np.sin(theta)) / (tangent * np.sin(theta) + excess)
         )
+    return np.where(usable & (h_c == h_g), 0.0, r_c)
 
 
 def _intervals(profile: Profile, h_c: Array, h_g: Array, step: float) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""The adjoint of a ray: how its refraction angle answers to refractivity along the way.
+"""The adjoint of a ray: the derivative of its refraction angle by refractivity along the way.
 
 With s = r_c sin zeta_c and nu = n / n_c the ray subtends (Gyer 1996, Eq. 1 and 12)
 
@@ -133,9 +133,13 @@ def trace_adjoints(pieces: Pieces, rays: Rays) -> Adjoints:
     short = np.abs(rays.h_c - rays.h_g) < _SHORT_M
     valid = way.least > np.where(short, 1e4 * _SHORT_M, LEVEL_GUARD_M)
 
-    chord, cos_beta = _chord(rays, way.theta)
-    r_c = rays.radius + rays.h_c
-    by_theta = (rays.radius + rays.h_g) * cos_beta / chord
+    # Length of the chord, one where camera and target coincide, and cos(beta).
+    r_c, r_g = rays.radius + rays.h_c, rays.radius + rays.h_g
+    fall, sagitta = rays.h_c - rays.h_g, 2.0 * np.sin(0.5 * way.theta) ** 2
+    chord = np.sqrt(fall * fall + 2.0 * r_c * r_g * sagitta)
+    chord[chord == 0.0] = 1.0
+    cos_beta = (fall - r_c * sagitta) / chord
+    by_theta = r_g * cos_beta / chord
     scale = by_theta * r_c * np.sin(rays.zeta_c)
     weight = (scale[:, None, None] * way.moments) @ _TO_COEFFICIENTS
     share = scale * way.by_s / (1.0 + n_c)
@@ -145,9 +149,13 @@ def trace_adjoints(pieces: Pieces, rays: Rays) -> Adjoints:
 
     d_zeta_c = 1.0 - by_theta * r_c * np.cos(rays.zeta_c) * way.by_s
     bend_c = np.sum(pieces.slope[camera] * at_camera, axis=1) / (1.0 + n_c)
-    d_h_c = _by_camera_height(rays, bend_c, d_zeta_c, chord)
+    tan_c = np.tan(rays.zeta_c)
+    d_h_c = tan_c * (d_zeta_c * (bend_c + 1.0 / r_c) - bend_c)
+    d_h_c = d_h_c - np.sin(rays.r_c) / (chord * np.cos(rays.zeta_c))
     d_h_g = _by_target_height(pieces, rays, n_c, chord, cos_beta)
-    limit = _in_the_limit(rays, bend_c)
+    # In the limit of a short ray R_c = -tan(zeta_c) N' (h_c - h_g) / (2 n).
+    half = 0.5 * bend_c
+    limit = -(1.0 + tan_c * tan_c) * half * fall, -tan_c * half, tan_c * half
     d_zeta_c, d_h_c, d_h_g = (
         np.where(valid, np.where(short, a, b), np.nan)
         for a, b in zip(limit, (d_zeta_c, d_h_c, d_h_g), strict=True)
@@ -233,24 +241,6 @@ def _integrals(pieces: Pieces, rays: Rays, n_c: Array) -> _Way:
     )
 
 
-def _chord(rays: Rays, theta: Array) -> tuple[Array, Array]:
-    """Length of the chord [m], one where camera and target coincide, and cos(beta)."""
-    r_c, r_g = rays.radius + rays.h_c, rays.radius + rays.h_g
-    fall = rays.h_c - rays.h_g
-    sagitta = 2.0 * np.sin(0.5 * theta) ** 2
-    chord = np.sqrt(fall * fall + 2.0 * r_c * r_g * sagitta)
-    chord[chord == 0.0] = 1.0
-    return chord, (fall - r_c * sagitta) / chord
-
-
-def _by_camera_height(rays: Rays, bend_c: Array, d_zeta_c: Array, chord: Array) -> Array:
-    """dR_c/dh_c; ``bend_c`` is N' / n at the camera [1/m]."""
-    along = d_zeta_c * (bend_c + 1.0 / (rays.radius + rays.h_c)) - bend_c
-    return np.asarray(
-        np.tan(rays.zeta_c) * along - np.sin(rays.r_c) / (chord * np.cos(rays.zeta_c))
-    )
-
-
 def _by_target_height(
     pieces: Pieces, rays: Rays, n_c: Array, chord: Array, cos_beta: Array
 ) -> Array:
@@ -268,10 +258,3 @@ def _by_target_height(
     sines = (s * (n_g - n_c) / (1.0 + n_g) - turned) / r_g
     bend_g = 2.0 * np.arctan2(sines * down, (cos_beta + cos_g) * down)
     return np.asarray(-np.sin(bend_g) / (chord * cos_g))
-
-
-def _in_the_limit(rays: Rays, bend_c: Array) -> tuple[Array, Array, Array]:
-    """dR_c with zeta_c, h_c and h_g where R_c = -tan(zeta_c) N' (h_c - h_g) / (2 n)."""
-    tan_c = np.tan(rays.zeta_c)
-    half = 0.5 * bend_c
-    return -(1.0 + tan_c * tan_c) * half * (rays.h_c - rays.h_g), -tan_c * half, tan_c * half
