@@ -19,7 +19,9 @@ from pipeline.refraction import (
     ray_table,
     refraction_angle,
 )
-from pipeline.refraction.image import ground_displacement, straight_reach
+from pipeline.refraction.image import ground_displacement, outgoing_rays, straight_reach
+from pipeline.refraction.kernels.columns import RADIUS as RADIUS_ROW
+from pipeline.refraction.kernels.columns import ObservationColumns
 from pipeline.refraction.status import (
     BAD_MEASUREMENT,
     BEYOND_GRAZING,
@@ -338,6 +340,24 @@ def test_the_ellipsoid_gives_the_radius():
         camera=PINHOLE, table=TABLE,
     )  # fmt: skip
     assert 0.0 < abs(float(found.r_c_rad[0] / fixed.r_c_rad[0]) - 1.0) < 1e-3
+
+
+@pytest.mark.parametrize("azimuth", [0.0, 30.0, 90.0, 200.0])
+def test_the_radius_is_eulers_in_the_azimuth_of_the_ray(azimuth):
+    """GRS 80 at 0.8 rad by hand: 1/R = cos^2 A / M + sin^2 A / N."""
+    a, e2, sine = 6_378_137.0, 0.006694380, math.sin(0.8)
+    prime_vertical = a / math.sqrt(1.0 - e2 * sine**2)
+    meridian = a * (1.0 - e2) / (1.0 - e2 * sine**2) ** 1.5
+    free = replace(exposures(looking(45, azimuth)), radius_m=None)
+    h_g, row = np.array([H_G]), np.zeros(1, np.int64)
+    direction = free.rotation[0].T @ np.array([0.0, 0.0, 1.0])
+    to_ray = math.atan2(direction[0], direction[1])
+    expected = 1.0 / (math.cos(to_ray) ** 2 / meridian + math.sin(to_ray) ** 2 / prime_vertical)
+    centre = np.array([PINHOLE.cx_px]), np.array([PINHOLE.cy_px])
+    observed = ObservationColumns(*centre, h_g, h_g, row)
+    rays, _, status = outgoing_rays(observed, PINHOLE.constants, free.columns)
+    assert status.tolist() == [OK]
+    assert rays[RADIUS_ROW, 0] == pytest.approx(expected, rel=1e-7)
 
 
 def test_a_tilted_window_bends_about_its_own_normal():

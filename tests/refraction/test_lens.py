@@ -7,6 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from pipeline.atmosphere import standard_atmosphere
+from pipeline.refraction import Camera, Exposures, correct_observations, ray_table
 from pipeline.refraction.camera.camera import LensInAir, is_absurd, principal_change
 
 # A lens of 153 mm on pixels of 7.65 um, calibrated on the ground.
@@ -53,3 +55,29 @@ def test_more_than_one_percent_is_absurd():
     assert is_absurd(mine, [0.0, 199.0, -199.0, 201.0, -201.0, math.nan]).tolist() == [
         False, False, False, True, True, False,
     ]  # fmt: skip
+
+
+def test_a_longer_principal_distance_puts_the_same_ray_farther_out():
+    """By hand: u = 0.3 stands at 7000 + 11000 * 0.3 calibrated, 12 * 0.3 px farther in flight."""
+    u, v = 0.3, -0.2
+    flown = np.array([7000.0 + 11_012.0 * u]), np.array([5300.0 + 11_012.0 * v])
+    calibrated = np.array([7000.0 + 11_000.0 * u]), np.array([5300.0 + 11_000.0 * v])
+    camera = Camera(14_000, 10_600, 11_000.0, 11_000.0, 7000.0, 5300.0)
+    air = standard_atmosphere("us1976")
+
+    def corrected(x, y, change_px):
+        n = np.atleast_1d(air.refractivity(3000.0))
+        exposures = Exposures(
+            np.array([True]), np.diag([1.0, -1.0, -1.0])[None], np.zeros(1), np.array([3000.0]), n,
+            n, principal_change_px=np.array([change_px]),
+        )  # fmt: skip
+        return correct_observations(
+            x, y, np.zeros(1), np.zeros(1, np.int64), exposures, camera=camera, table=ray_table(air)
+        )
+
+    changed, unchanged = corrected(*flown, 12.0), corrected(*calibrated, 0.0)
+    assert changed.x_px[0] == pytest.approx(unchanged.x_px[0], abs=1e-9)
+    assert changed.y_px[0] == pytest.approx(unchanged.y_px[0], abs=1e-9)
+    assert changed.dx_px[0] - unchanged.dx_px[0] == pytest.approx(-12.0 * u, abs=1e-9)
+    assert changed.dy_px[0] - unchanged.dy_px[0] == pytest.approx(-12.0 * v, abs=1e-9)
+    assert changed.r_c_rad[0] == pytest.approx(unchanged.r_c_rad[0], rel=1e-12)

@@ -247,7 +247,7 @@ def test_rows_in_any_order(air, order):
     def sigmas(rows):
         return correct_observations(
             x[rows], y[rows], h_g[rows], row[rows], two, camera=CAMERA, table=ray_table(profile),
-            uncertainty=uncertainty, sigma_h_g=np.full(rows.size, GROUND),
+            uncertainty=uncertainty, sigma_h_g=1.0 + 0.25 * rows,  # another in each row
         ).sigmas.columns()  # fmt: skip
 
     together = sigmas(np.arange(row.size))
