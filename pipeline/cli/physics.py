@@ -149,7 +149,7 @@ def profile(
     from pipeline.report.progress import DelayedProgressBar
     from pipeline.report.terminal import print_air, print_ledger, print_profile
     from pipeline.stages.story import air_of_mission_or_standard
-    from pipeline.tables.writing import profile_arrow, profiles_arrow
+    from pipeline.tables.writing import table_of_profile, table_of_profiles
 
     _require_one_atmosphere(config, atmosphere)
     console = new_console()
@@ -157,10 +157,10 @@ def profile(
         air, samples, ledger = air_of_mission_or_standard(config, atmosphere)
     adjustment = air.adjustment
     heights = None if step is None else heights_every(adjustment.profile, step)
-    rows = profile_arrow(adjustment, "", heights).drop_columns(["profile_id", "time_utc"])
+    rows = table_of_profile(adjustment, "", heights).drop_columns(["profile_id", "time_utc"])
     if csv is not None:
         several = len(air.series.timed_profiles) > 1
-        whole = profiles_arrow(adjustment, air.series, heights) if several else rows
+        whole = table_of_profiles(adjustment, air.series, heights) if several else rows
         write_rows_csv(csv, whole.to_pylist())
     if plot is not None:
         from pipeline.report.figures import profile_figure, save_figure

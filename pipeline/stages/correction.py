@@ -42,7 +42,7 @@ from pipeline.stages.uncertainty import uncertainties_of_mission, views_of_missi
 from pipeline.tables.marks import Direction
 from pipeline.tables.observations import Batch, Observations
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
-from pipeline.tables.writing import observation_table, write_parquet
+from pipeline.tables.writing import table_of_observations, write_parquet
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -216,7 +216,7 @@ def correct_stream(
         h_g = ground_heights(batch, station, setup)
         corrections = correct_batch(batch, station, h_g, setup)
         name = f"observations/part-{number:05d}.parquet"
-        table = observation_table(batch, corrections, h_g, observations.pixels, schema)
+        table = table_of_observations(batch, corrections, h_g, observations.pixels, schema)
         write_parquet(table, folder.place(name))
         folder.seal(name)
         statistics = Statistics.of(setup.cameras)

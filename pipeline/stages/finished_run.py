@@ -63,7 +63,7 @@ def mission_of(manifest: dict[str, Any], path: Path) -> Mission:
 
 
 def stations_of(table: pa.Table) -> Stations:
-    """Stations from the table of ``stations.parquet``; the inverse of `stations_table`."""
+    """Stations from the table of ``stations.parquet``; the inverse of `table_of_stations`."""
 
     def number(name: str) -> Array:
         return np.asarray(table[name].to_numpy(), dtype=np.float64)
@@ -107,7 +107,7 @@ def air_of(table: pa.Table, profile_id: pa.ChunkedArray) -> ProfileSeries:
 
 
 def profile_of(table: pa.Table) -> Profile:
-    """The profile from a table of one as in ``profile.parquet``; the inverse of `profile_arrow`.
+    """The profile from a table of one as in ``profile.parquet``; the inverse of `table_of_profile`.
 
     One row a layer at its lower edge and one at the top of the last, as a run writes it. The
     refractivity is that of the run to 1e-15 of itself (6e-16 in the sample runs).

@@ -20,7 +20,7 @@ from pipeline.refraction.uncertainty.budget import BlockScale
 from pipeline.stages.inputs import FlightLog
 from pipeline.stages.statistics import Statistics
 from pipeline.tables.schemas import REFRACTION_APPLIED, REFRACTION_KEY, REFRACTION_REMOVED
-from pipeline.tables.writing import profiles_arrow, stations_table, write_parquet
+from pipeline.tables.writing import table_of_profiles, table_of_stations, write_parquet
 
 
 def observation_metadata(mission: Mission) -> dict[str, str]:
@@ -37,8 +37,8 @@ def observation_metadata(mission: Mission) -> dict[str, str]:
 def write_tables(folder: RunFolder, stations: Stations, air: FlightAir) -> None:
     """Write the stations and the profiles beside the observations."""
     for name, table in (
-        ("stations.parquet", stations_table(stations, air.series)),
-        ("profile.parquet", profiles_arrow(air.adjustment, air.series)),
+        ("stations.parquet", table_of_stations(stations, air.series)),
+        ("profile.parquet", table_of_profiles(air.adjustment, air.series)),
     ):
         write_parquet(table, folder.place(name))
         folder.seal(name)

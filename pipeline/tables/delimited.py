@@ -76,7 +76,7 @@ _KINDS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Survey:
+class CsvScan:
     """What a CSV holds: its rows, its images, a type for each column, which digits are codes."""
 
     rows: int
@@ -97,9 +97,9 @@ def csv_names(path: Path) -> list[str]:
     return names
 
 
-def survey_csv(
+def scan_csv(
     path: Path, names: Collection[str], image: str, point: str, numbers: Collection[str]
-) -> Survey:
+) -> CsvScan:
     """Read a CSV once from end to end, to know the type of each of its columns.
 
     Parameters
@@ -127,7 +127,7 @@ def survey_csv(
     except (pa.ArrowInvalid, OSError) as error:
         raise _refusal(path, error) from None
     chosen = {name: next(iter(left), None) for name, left in kinds.items() if name in filled}
-    return Survey(
+    return CsvScan(
         rows,
         images - {None},
         {name: kind.type if (kind := chosen.get(name)) else pa.string() for name in names},

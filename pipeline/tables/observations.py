@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
-from pipeline.tables.delimited import csv_names, open_csv, survey_csv
+from pipeline.tables.delimited import csv_names, open_csv, scan_csv
 from pipeline.tables.marks import Direction, refuse_done, refuse_other_pixels
 from pipeline.tables.naming import no_such_column
 from pipeline.tables.pixels import COLMAP, PixelSystem
@@ -154,10 +154,10 @@ def open_observations(
     csv_types: Mapping[str, pa.DataType] = {}
     if _is_csv(path):
         numbers = {named["x_px"], named["y_px"], ground_column or ""} & set(schema.names)
-        found = survey_csv(path, schema.names, named["image"], named["point"], numbers)
-        rows, images, csv_types = found.rows, found.images, found.types
+        scan = scan_csv(path, schema.names, named["image"], named["point"], numbers)
+        rows, images, csv_types = scan.rows, scan.images, scan.types
         schema = pa.schema(list(csv_types.items()))
-        _note_codes(found.codes, ledger)
+        _note_codes(scan.codes, ledger)
         if distance_column:  # which keeps the type of a column of the user's
             _require(path, schema, "distance_m", distance_column, "observations.columns.distance_m")
         if sigma_column:

@@ -39,7 +39,7 @@ def table_of(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
     return pa.table(arrays, schema=schema)
 
 
-def observation_table(
+def table_of_observations(
     batch: Batch, corrections: Corrections, h_g: Any, pixels: PixelSystem, schema: pa.Schema
 ) -> pa.Table:
     """The output rows of a batch, in the pixel system of the table that it was read from."""
@@ -78,7 +78,7 @@ def profile_ids(series: ProfileSeries) -> list[str]:
     return [PROFILE_ID] if count == 1 else [f"{PROFILE_ID}-{i + 1:03d}" for i in range(count)]
 
 
-def stations_table(stations: Stations, series: ProfileSeries) -> pa.Table:
+def table_of_stations(stations: Stations, series: ProfileSeries) -> pa.Table:
     """``stations.parquet``."""
     columns = station_columns(stations)
     ids = np.array(profile_ids(series), dtype=object)[series.profile_number]
@@ -87,17 +87,17 @@ def stations_table(stations: Stations, series: ProfileSeries) -> pa.Table:
     return table_of(columns, schema_of(STATION_COLUMNS, {}))
 
 
-def profiles_arrow(
+def table_of_profiles(
     adjustment: Adjustment, series: ProfileSeries, heights: ArrayLike | None = None
 ) -> pa.Table:
     """``profile.parquet``: the profiles along a flight, one after the other."""
     return pa.concat_tables(
-        profile_arrow(adjustment, name, heights, air)
+        table_of_profile(adjustment, name, heights, air)
         for name, air in zip(profile_ids(series), series.timed_profiles, strict=True)
     )
 
 
-def profile_arrow(
+def table_of_profile(
     adjustment: Adjustment,
     profile_id: str,
     heights: ArrayLike | None = None,

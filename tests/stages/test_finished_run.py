@@ -20,7 +20,7 @@ from pipeline.flight.stations import NO_TIME, Stations
 from pipeline.stages.finished_run import profile_of, stations_of
 from pipeline.stages.story import air_of_mission
 from pipeline.tables.exports.format import write_csv_stream
-from pipeline.tables.writing import PROFILE_ID, profile_arrow, stations_table
+from pipeline.tables.writing import PROFILE_ID, table_of_profile, table_of_stations
 
 COLUMNS = ["image", "x_px", "y_px", "dx_px", "dy_px", "h_g_m", "status"]
 
@@ -275,7 +275,7 @@ def test_the_profile_comes_back(baseline):
     """Moist, adjusted: the refractivity, gravity and index of the run's own profile."""
     adjustment = air_of_mission(baseline.file)[0].adjustment
     before = adjustment.profile
-    after = profile_of(profile_arrow(adjustment, PROFILE_ID))
+    after = profile_of(table_of_profile(adjustment, PROFILE_ID))
     h = np.linspace(before.bottom_m + 1.0, before.top_m - 1.0, 20_001)
     assert before.vapour_pressure(1000.0) > 100.0
     assert np.abs(after.refractivity(h) / before.refractivity(h) - 1.0).max() < 2e-15
@@ -299,7 +299,7 @@ def test_stations_come_back():
         cabin_vapour_pressure_pa=4e2 * numbers, sigma_horizontal_m=numbers,
         sigma_height_m=2.0 * numbers, status=np.array(["ok", "unmatched"], object),
     )  # fmt: skip
-    table = stations_table(
+    table = table_of_stations(
         before, constant_series(TimedProfile(None, standard_atmosphere("us1976")), 2)
     )
     for axis, values in zip("wxyz", before.aircraft_quaternion.T, strict=True):

@@ -14,7 +14,7 @@ from pipeline.refraction.image import COLUMNS, Corrections
 from pipeline.tables.observations import open_observations
 from pipeline.tables.pixels import PixelSystem
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
-from pipeline.tables.writing import observation_table
+from pipeline.tables.writing import table_of_observations
 
 # 0.1 + 0.5 - 0.5 is not 0.1 in binary: the user's own number must come out, not one computed back.
 X, Y = [0.1, 100.3, 7.0], [0.7, -0.1, 11.25]
@@ -49,7 +49,7 @@ def test_a_batch_is_in_colmap_s_pixels_and_its_results_in_the_user_s(
     np.testing.assert_array_equal(batch.y_px, np.array(Y) + half)
     unknown = {name: np.full(3, np.nan) for name in COLUMNS} | {"status": np.zeros(3, np.uint8)}
     shifted = Corrections(**unknown | {"x_px": batch.x_px + 2.0, "y_px": batch.y_px - 3.0})
-    table = observation_table(
+    table = table_of_observations(
         batch, shifted, np.zeros(3), observations.pixels, schema_of(columns, {})
     )
     assert table["x_px"].to_pylist() == X  # to the last bit
