@@ -39,7 +39,7 @@ from pipeline.refraction.uncertainty.sigmas import Sigmas, Uncertainty
 from pipeline.stages.exposure_setup import cameras_of_mission
 from pipeline.stages.statistics import Statistics, evenly_spaced
 from pipeline.stages.uncertainty import uncertainties_of_mission, views_of_mission
-from pipeline.tables.marks import Direction
+from pipeline.tables.column_checks import Direction
 from pipeline.tables.observations import Batch, Observations
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
 from pipeline.tables.writing import table_of_observations, write_parquet

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pipeline.errors import InputError
 from pipeline.flight.clock import utc_of_gps
 from pipeline.ledger import Ledger
-from pipeline.tables.naming import no_such_column
+from pipeline.tables.column_checks import no_such_column
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ def read_events(path: Path, columns: EventColumns, ledger: Ledger) -> EventTable
                  columns.camera):  # fmt: skip
         if name is not None and name not in table.columns:
             raise no_such_column(
-                "EVENTS-COLUMN", path, name, list(table.columns), "events.csv.columns"
+                "EVENTS-COLUMN", path, name, there=list(table.columns), key="events.csv.columns"
             )
     time_ns, good = _times(table, columns)
     if not bool(good.all()):

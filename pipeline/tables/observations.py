@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,15 +15,22 @@ from numpy.typing import NDArray
 
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
+from pipeline.tables.column_checks import (
+    Direction,
+    WantedColumn,
+    is_text,
+    refuse_ambiguous_names,
+    refuse_done,
+    refuse_other_pixels,
+    require_columns,
+)
 from pipeline.tables.delimited import csv_names, open_csv, scan_csv
-from pipeline.tables.marks import Direction, refuse_done, refuse_other_pixels
-from pipeline.tables.naming import no_such_column
 from pipeline.tables.pixels import COLMAP, PixelSystem
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
 
 Array = NDArray[np.float64]
 
-# A user's column of one of these names would be taken for ours in the results of either direction.
+# A user's column with one of these names would be taken for a result, in either direction.
 _OURS = OBSERVATION_COLUMNS.keys() | DISPLACED_COLUMNS.keys()
 
 
@@ -77,36 +83,29 @@ class Observations:
 
     def batches(self, batch_rows: int) -> Iterator[Batch]:
         """The observations in slices of ``batch_rows``, each row once and in its place."""
-        for table in _slices(_record_batches(self.path, self._csv_types, batch_rows), batch_rows):
-            yield self._batch(table)
-
-    def _batch(self, table: pa.Table) -> Batch:
-        def text(role: str) -> pa.StringArray:
-            return _one(table[self.columns[role]]).cast(pa.string())
-
-        def number(name: str) -> Array:
-            return _as_float(_one(table[name]))
-
-        distance, no_distance, sigma, no_sigma = None, 0, None, 0
-        if self.distance_column is not None:
-            distance, no_distance = _known(_one(table[self.distance_column]), _is_distance)
-        if self.sigma_column is not None:
-            sigma, no_sigma = _known(_one(table[self.sigma_column]), _is_sigma)
-        x, y = number(self.columns["x_px"]), number(self.columns["y_px"])
-        return Batch(
-            text("image"),
-            text("point"),
-            self.pixels.to_colmap(x),
-            self.pixels.to_colmap(y),
-            x,
-            y,
-            number(self.ground_column) if self.ground_column else None,
-            {f.name: _one(table[self._sources[f.name]]) for f in self.user_fields},
-            distance,
-            no_distance,
-            sigma,
-            no_sigma,
-        )
+        records = _record_batches(self.path, self._csv_types, batch_rows)
+        for table in _slices(records, batch_rows):
+            arrays = {name: _one_array(table[name]) for name in table.column_names}
+            x, y = _as_float(arrays[self.columns["x_px"]]), _as_float(arrays[self.columns["y_px"]])
+            distance, no_distance, sigma, no_sigma = None, 0, None, 0
+            if self.distance_column is not None:
+                distance, no_distance = _at_least(0.0, arrays[self.distance_column], above=True)
+            if self.sigma_column is not None:
+                sigma, no_sigma = _at_least(0.0, arrays[self.sigma_column])
+            yield Batch(
+                image=arrays[self.columns["image"]].cast(pa.string()),
+                point=arrays[self.columns["point"]].cast(pa.string()),
+                x_px=self.pixels.to_colmap(x),
+                y_px=self.pixels.to_colmap(y),
+                x_given_px=x,
+                y_given_px=y,
+                ground=_as_float(arrays[self.ground_column]) if self.ground_column else None,
+                users={item.name: arrays[self._sources[item.name]] for item in self.user_fields},
+                distance_m=distance,
+                no_distance=no_distance,
+                ground_sigma=sigma,
+                no_sigma=no_sigma,
+            )
 
 
 def open_observations(
@@ -137,87 +136,70 @@ def open_observations(
     Refuses a table to which that was done already, one that lacks a column, or repeats a name.
     """
     schema = _schema(path)
-    _refuse_repeated(path, schema)
     named = {role: name for role, name in columns.items() if name is not None}
-    distance_column = named.get("distance_m")
-    heights = [ground_column] if ground_column and ground_column == distance_column else []
-    sigmas = [sigma_column] if sigma_column else []
-    _refuse_one_for_two(path, [*named.values(), *heights, *sigmas])
+    wanted = [WantedColumn(r, name, f"observations.columns.{r}") for r, name in named.items()]
+    if ground_column:
+        wanted.append(WantedColumn("ground height", ground_column, "ground.height.column"))
+    if sigma_column:
+        wanted.append(WantedColumn("sigma of the ground", sigma_column, "ground.sigma_column"))
+    refuse_ambiguous_names(path, schema, wanted)
     refuse_done(path, schema, direction)
     refuse_other_pixels(path, schema, direction, named)
-    for role, name in named.items():
-        _require(path, schema, role, name, f"observations.columns.{role}")
-    if ground_column:
-        _require(path, schema, "ground height", ground_column, "ground.height.column")
-    if sigma_column:
-        _require(path, schema, "sigma of the ground", sigma_column, "ground.sigma_column")
+    require_columns(path, schema, wanted)
     csv_types: Mapping[str, pa.DataType] = {}
     if _is_csv(path):
         numbers = {named["x_px"], named["y_px"], ground_column or ""} & set(schema.names)
         scan = scan_csv(path, schema.names, named["image"], named["point"], numbers)
         rows, images, csv_types = scan.rows, scan.images, scan.types
         schema = pa.schema(list(csv_types.items()))
-        _note_codes(scan.codes, ledger)
-        if distance_column:  # which keeps the type of a column of the user's
-            _require(path, schema, "distance_m", distance_column, "observations.columns.distance_m")
-        if sigma_column:
-            _require(path, schema, "sigma of the ground", sigma_column, "ground.sigma_column")
+        require_columns(path, schema, wanted)  # now with the types that the values have
+        for name in scan.codes:
+            ledger.note(
+                "OBS-CODES",
+                f"column {name} is written as text: some of its digits are no plain number",
+            )
     else:
-        rows, images = _count(path, named["image"])
+        rows, images = 0, set()
+        for batch in _record_batches(path, {}, 1 << 20, [named["image"]]):
+            rows += batch.num_rows
+            images.update(pc.unique(batch.column(0).cast(pa.string())).to_pylist())
     if rows == 0:
         raise InputError(
             "OBS-EMPTY", "the table has no rows", where=str(path), remedy="write observations to it"
         )
-    taken = set(named.values()) - {distance_column}
+    replaced = set(named.values()) - {named.get("distance_m")}
     if ground_column == "h_g_m" and ground_is_msl:
-        taken.add("h_g_m")
-    leaving = _leaving([item for item in schema if item.name not in taken], ledger)
+        replaced.add("h_g_m")
+    sources = _written_names([name for name in schema.names if name not in replaced], ledger)
     return Observations(
-        path,
-        named,
-        ground_column,
-        distance_column,
-        rows,
-        tuple(sorted(images)),
-        tuple(pa.field(name, item.type) for name, item in leaving.items()),
-        sigma_column,
-        pixels,
-        {name: item.name for name, item in leaving.items()},
-        csv_types,
+        path=path,
+        columns=named,
+        ground_column=ground_column,
+        distance_column=named.get("distance_m"),
+        rows=rows,
+        images=tuple(sorted(images - {None})),
+        user_fields=tuple(pa.field(n, schema.field(source).type) for n, source in sources.items()),
+        sigma_column=sigma_column,
+        pixels=pixels,
+        _sources=sources,
+        _csv_types=csv_types,
     )
 
 
-def _leaving(users: list[pa.Field], ledger: Ledger) -> dict[str, pa.Field]:
-    """The user's columns under the names they leave with, none of them one of ours."""
-    leaving: dict[str, pa.Field] = {}
-    for item in users:
-        name = item.name
-        while name in _OURS or name in leaving:
+def _written_names(users: list[str], ledger: Ledger) -> dict[str, str]:
+    """Names under which the user's columns are written, none of them one of ours -> their own."""
+    sources: dict[str, str] = {}
+    for own in users:
+        name = own
+        while name in _OURS or name in sources:
             name += "_input"
-        if name != item.name:
+        if name != own:
             ledger.note(
                 "OBS-RENAMED",
-                f"column {item.name} is written as {name}: a column of the results has its name",
+                f"column {own} is written as {name}: a column of the results has its name",
             )
-        leaving[name] = item
-    return leaving
-
-
-def _note_codes(names: Iterable[str], ledger: Ledger) -> None:
-    for name in names:
-        ledger.note(
-            "OBS-CODES",
-            f"column {name} is written as text: some of its digits are no plain number",
-        )
-
-
-def _count(path: Path, image: str) -> tuple[int, set[str]]:
-    """The rows of a Parquet file, and the images they speak of."""
-    rows, images = 0, set()
-    for batch in _record_batches(path, {}, 1 << 20, [image]):
-        rows += batch.num_rows
-        images.update(pc.unique(batch.column(0).cast(pa.string())).to_pylist())
-    return rows, images - {None}
+        sources[name] = own
+    return sources
 
 
 def _is_csv(path: Path) -> bool:
@@ -225,7 +207,7 @@ def _is_csv(path: Path) -> bool:
 
 
 def _schema(path: Path) -> pa.Schema:
-    """The Arrow schema of the file; that of a CSV is all text until it is surveyed."""
+    """The Arrow schema of the file; that of a CSV is all text until it is scanned."""
     if not path.is_file():
         raise InputError(
             "OBS-MISSING",
@@ -250,15 +232,6 @@ def _schema(path: Path) -> pa.Schema:
         where=str(path),
         remedy="convert or rename it",
     )
-
-
-def _refuse_repeated(path: Path, schema: pa.Schema) -> None:
-    twice = sorted({name for name in schema.names if schema.names.count(name) > 1})
-    if twice:
-        raise InputError(
-            "OBS-REPEATED-COLUMN", f"the columns {', '.join(twice)} stand there twice",
-            where=str(path), remedy="rename one of each",
-        )  # fmt: skip
 
 
 def _record_batches(
@@ -297,7 +270,7 @@ def _slices(batches: Iterator[pa.RecordBatch], rows: int) -> Iterator[pa.Table]:
         yield pa.Table.from_batches(waiting)
 
 
-def _one(column: pa.ChunkedArray) -> pa.Array:
+def _one_array(column: pa.ChunkedArray) -> pa.Array:
     """One contiguous array, dictionaries decoded."""
     if pa.types.is_dictionary(column.type):
         column = column.cast(column.type.value_type)
@@ -317,58 +290,15 @@ def _as_float(column: pa.Array) -> Array:
     )
 
 
-def _is_distance(values: Array) -> NDArray[np.bool_]:
-    return np.isfinite(values) & (values > 0.0)
+def _at_least(lowest: float, column: pa.Array, *, above: bool = False) -> tuple[Array, int]:
+    """Finite values from the lowest on (``above``: greater than it), else NaN; how many are not.
 
-
-def _is_sigma(values: Array) -> NDArray[np.bool_]:
-    return np.isfinite(values) & (values >= 0.0)
-
-
-def _known(column: pa.Array, is_one: Callable[[Array], NDArray[np.bool_]]) -> tuple[Array, int]:
-    """Values with NaN for null and for what is none, and how many those are."""
+    Null is no value, and does not count.
+    """
     values = _as_float(column)
     with np.errstate(invalid="ignore"):
-        sound = is_one(values)
+        sound = np.isfinite(values) & ((values > lowest) if above else (values >= lowest))
     absent = column.is_null().to_numpy(zero_copy_only=False)
-    if not _is_text(column.type):
+    if not is_text(column.type):
         absent = absent | np.isnan(values)
     return np.where(sound, values, np.nan), int(np.count_nonzero(~sound & ~absent))
-
-
-def _refuse_one_for_two(path: Path, names: list[str]) -> None:
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise InputError(
-            "OBS-COLUMN", f"the column {twice[0]!r} is named for two quantities", where=str(path),
-            remedy="mend observations.columns",
-        )  # fmt: skip
-
-
-def _require(path: Path, schema: pa.Schema, role: str, name: str, key: str) -> None:
-    if name not in schema.names:
-        raise no_such_column("OBS-COLUMN", path, name, schema.names, key, role)
-    kind = schema.field(name).type
-    if not (_is_text(kind) or _is_number(kind)):
-        named = role in ("image", "point")
-        raise InputError(
-            "OBS-TYPE", f"the column {name} holds {kind}, not {'names' if named else 'numbers'}",
-            where=str(path), remedy=f"write it as {'text' if named else 'float64'}",
-        )  # fmt: skip
-
-
-def _is_text(kind: Any) -> bool:
-    if pa.types.is_dictionary(kind):
-        kind = kind.value_type
-    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
-
-
-def _is_number(kind: Any) -> bool:
-    if pa.types.is_dictionary(kind):
-        kind = kind.value_type
-    return bool(
-        pa.types.is_floating(kind)
-        or pa.types.is_integer(kind)
-        or pa.types.is_decimal(kind)
-        or pa.types.is_null(kind)
-    )

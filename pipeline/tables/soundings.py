@@ -65,10 +65,19 @@ def read_sounding(
         raise _no_netcdf(path, "it is netCDF-4 (HDF5); only the classic format is read")
     if data.startswith(_NETCDF3):
         raw = nearest_in_time([_netcdf(path)], time_ns, path.name, ledger)
-        found = check_levels(raw, ledger, latitude_rad=latitude_rad, station_h_m=station_h_m)
+        sounding = check_levels(raw, ledger, latitude_rad=latitude_rad, station_h_m=station_h_m)
     else:
-        found = parse_sounding(
-            _text(data, path),
+        try:
+            text = data.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise InputError(
+                "SOUNDING-UNREADABLE",
+                f"the byte {data[error.start]:#04x} at offset {error.start} is no UTF-8",
+                where=str(path),
+                remedy="save the file as UTF-8 text",
+            ) from None
+        sounding = parse_sounding(
+            text,
             ledger,
             where=path.name,
             format_name=format_name,
@@ -76,19 +85,7 @@ def read_sounding(
             latitude_rad=latitude_rad,
             station_h_m=station_h_m,
         )
-    return found if found.station else replace(found, station=path.name)
-
-
-def _text(data: bytes, path: Path) -> str:
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(
-            "SOUNDING-UNREADABLE",
-            f"the byte {data[error.start]:#04x} at offset {error.start} is no UTF-8",
-            where=str(path),
-            remedy="save the file as UTF-8 text",
-        ) from None
+    return sounding if sounding.station else replace(sounding, station=path.name)
 
 
 def _netcdf(path: Path) -> RawLevels:
@@ -112,6 +109,10 @@ def _netcdf(path: Path) -> RawLevels:
         if isinstance(error, InputError):
             raise
         raise _no_netcdf(path, f"it cannot be decoded: {error}") from None
+    release_ns = None  # a fill value is no time
+    if start is not None and 0 < start < _LATEST_S:
+        since = offset if math.isfinite(offset) else 0.0
+        release_ns = round((start + since) * NANOSECONDS_PER_SECOND)
     return RawLevels(
         h_m=columns["alt"],
         pressure_pa=to_si(columns["pres"], "hpa"),
@@ -121,21 +122,13 @@ def _netcdf(path: Path) -> RawLevels:
         geopotential=True,
         dew_point_k=to_si(columns["dp"], "c"),
         relative_humidity=to_si(columns["rh"], "percent"),
-        time_ns=_release(start, offset),
+        time_ns=release_ns,
         latitude_rad=radians(place["lat"], 90.0),
         longitude_rad=radians(place["lon"], 180.0),
         origin="ARM radiosonde netCDF",
         where=path.name,
         column_of={"pressure": "pres [hPa]", "temperature": "tdry [C]", "dew point": "dp [C]"},
     )
-
-
-def _release(start_s: int | None, offset_s: float) -> int | None:
-    """Time of the first level [Unix ns]; a fill value is no time."""
-    if start_s is None or not 0 < start_s < _LATEST_S:
-        return None
-    offset = offset_s if math.isfinite(offset_s) else 0.0
-    return round((start_s + offset) * NANOSECONDS_PER_SECOND)
 
 
 def _column(file: netcdf_file, name: str) -> Array:

@@ -1,0 +1,150 @@
+"""Columns by the user's names: refusals of tables that lack one, or went through this before."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import pyarrow as pa
+
+from pipeline.errors import InputError
+from pipeline.tables.schemas import REFRACTION_APPLIED, REFRACTION_KEY, REFRACTION_REMOVED
+
+Direction = Literal["remove", "apply"]
+
+
+class WantedColumn(NamedTuple):
+    """A quantity, the user's name of its column, and the key of the mission file for that."""
+
+    quantity: str
+    name: str
+    key: str
+
+
+def no_such_column(
+    code: str, path: Path, name: str, *, there: Sequence[str], key: str, quantity: str = ""
+) -> InputError:
+    """The refusal of a table that lacks a column, with the name it may have been meant to be.
+
+    ``there`` are the names of its columns, ``key`` is the mission file's, ``quantity`` what the
+    column was to hold.
+
+    >>> print(no_such_column("A-B", Path("o.csv"), "x_px", there=["image", "x_pix"], key="x"))
+    A-B: there is no column 'x_px'; perhaps 'x_pix'?; there is image, x_pix
+      where: o.csv
+      to do: say what it is called: x
+    """
+    near = difflib.get_close_matches(name, there, 1, 0.5)
+    hint = f"; perhaps {near[0]!r}?" if near else ""
+    reason = f" for the {quantity}" if quantity else ""
+    return InputError(
+        code,
+        f"there is no column {name!r}{reason}{hint}; there is {', '.join(there)}",
+        where=str(path),
+        remedy=f"say what it is called: {key}",
+    )
+
+
+def refuse_ambiguous_names(path: Path, schema: pa.Schema, wanted: Sequence[WantedColumn]) -> None:
+    """Refuse a table with two columns of one name, and one column for two quantities."""
+    twice = sorted({name for name in schema.names if schema.names.count(name) > 1})
+    if twice:
+        raise InputError(
+            "OBS-REPEATED-COLUMN", f"the columns {', '.join(twice)} stand there twice",
+            where=str(path), remedy="rename one of each",
+        )  # fmt: skip
+    names = [column.name for column in wanted]
+    shared = sorted({name for name in names if names.count(name) > 1})
+    if shared:
+        raise InputError(
+            "OBS-COLUMN", f"the column {shared[0]!r} is named for two quantities", where=str(path),
+            remedy="mend observations.columns",
+        )  # fmt: skip
+
+
+def require_columns(path: Path, schema: pa.Schema, wanted: Sequence[WantedColumn]) -> None:
+    """Refuse a table that lacks a column, or has one of neither text nor numbers."""
+    for quantity, name, key in wanted:
+        if name not in schema.names:
+            raise no_such_column(
+                "OBS-COLUMN", path, name, there=schema.names, key=key, quantity=quantity
+            )
+        kind = schema.field(name).type
+        if not (is_text(kind) or is_number(kind)):
+            named = quantity in ("image", "point")
+            raise InputError(
+                "OBS-TYPE",
+                f"the column {name} holds {kind}, not {'names' if named else 'numbers'}",
+                where=str(path),
+                remedy=f"write it as {'text' if named else 'float64'}",
+            )
+
+
+def is_text(kind: Any) -> bool:
+    """Whether an Arrow type is text, a dictionary of texts included."""
+    kind = kind.value_type if pa.types.is_dictionary(kind) else kind
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
+
+
+def is_number(kind: Any) -> bool:
+    """Whether an Arrow type is a number or null throughout, a dictionary of these included."""
+    kind = kind.value_type if pa.types.is_dictionary(kind) else kind
+    return bool(
+        pa.types.is_floating(kind)
+        or pa.types.is_integer(kind)
+        or pa.types.is_decimal(kind)
+        or pa.types.is_null(kind)
+    )
+
+
+def refuse_done(path: Path, schema: pa.Schema, direction: Direction) -> None:
+    """Refuse to do to a table what was done to it already.
+
+    ``schema`` is the table's, ``direction`` what is to be done. The mark in the metadata is
+    enough, and so is the column of our results without it: a CSV has no metadata.
+    """
+    removing = direction == "remove"
+    mark = REFRACTION_REMOVED if removing else REFRACTION_APPLIED
+    column = "x_corrected_px" if removing else "x_displaced_px"
+    words = f'"refraction {mark.decode()}"'
+    if (schema.metadata or {}).get(REFRACTION_KEY) == mark:
+        why = f"the table carries the mark {words}"
+    elif column in schema.names:
+        why = f"the table has a column {column}: {words}"
+    else:
+        return
+    if removing:
+        raise InputError(
+            "OBS-ALREADY-CORRECTED",
+            f"{why}; correcting it again would count it twice",
+            where=str(path),
+            remedy="give the measurements as they came from the images",
+        )
+    raise InputError(
+        "OBS-ALREADY-DISPLACED",
+        f"{why}; displacing it again would count it twice",
+        where=str(path),
+        remedy="give ideal observations, free of refraction",
+    )
+
+
+def refuse_other_pixels(
+    path: Path, schema: pa.Schema, direction: Direction, columns: Mapping[str, str]
+) -> None:
+    """Refuse, in a table of our results, the pixels that went in where those that came out are due.
+
+    ``columns`` : x_px, y_px -> the name of the column that is to be read.
+    """
+    due, what = ("displaced", "ideal") if direction == "remove" else ("corrected", "as measured")
+    for role in ("x_px", "y_px"):
+        right = f"{role[0]}_{due}_px"
+        if right in schema.names and columns[role] == role:
+            raise InputError(
+                "OBS-OTHER-PIXELS",
+                f"the column {role} beside {right} holds pixels {what}, which is not what "
+                f"refraction.direction: {direction} starts from",
+                where=str(path),
+                remedy=f"say observations.columns.{role}: {right}",
+            )
