@@ -113,8 +113,8 @@ def log_pressure_jacobian(profile: Profile, h: ArrayLike, anchor_height_m: float
     height = np.where(profile.layer_of(h) < 0, np.nan, height)
     at = np.append(height, profile.gravity.geopotential_height(anchor_height_m))
     _, gradient = column(profile.layers.edge, profile.layers.edge_temperature, at)
-    found = profile.constant * (gradient[-1] - gradient[:-1])
-    return np.where(np.isnan(height)[:, None], np.nan, found)
+    jacobian = profile.constant * (gradient[-1] - gradient[:-1])
+    return np.where(np.isnan(height)[:, None], np.nan, jacobian)
 
 
 def _index_partials(

@@ -184,15 +184,10 @@ class IndexModel:
         return INDEX_MODELS[self.name](self, temperature_k, pressure_pa, vapour_pressure_pa)
 
 
-def _gyer(_: IndexModel, t: ArrayLike, p: ArrayLike, e: ArrayLike) -> Array:
-    return refractivity_gyer(t, p, e)
-
-
-def _ciddor(model: IndexModel, t: ArrayLike, p: ArrayLike, e: ArrayLike) -> Array:
-    return refractivity_ciddor(t, p, e, wavelength_m=model.wavelength_m, co2_ppm=model.co2_ppm)
-
-
 INDEX_MODELS: dict[str, Callable[[IndexModel, ArrayLike, ArrayLike, ArrayLike], Array]] = {
-    "ciddor": _ciddor,
-    "gyer": _gyer,
+    "ciddor": lambda model, t, p, e: refractivity_ciddor(
+        t, p, e, wavelength_m=model.wavelength_m, co2_ppm=model.co2_ppm
+    ),
+    "gyer": lambda _, t, p, e: refractivity_gyer(t, p, e),
 }
+"""Formulas by name, of T [K], p [Pa] and e [Pa]."""

@@ -106,23 +106,7 @@ def parse_metar(
     _refuse_height(station_h_m, where)
     flat = " ".join(text.split()).rstrip("=").strip()
     fields = _decode(flat, flight_ns, ledger, where)
-    t = math.nan if fields.temperature_c is None else fields.temperature_c + ZERO_CELSIUS_K
-    dew = math.nan if fields.dew_point_c is None else fields.dew_point_c + ZERO_CELSIUS_K
-    # Half of the last digit of the altimeter setting [Pa].
-    half_step = 0.005 * _INCH_OF_MERCURY_PA if _QNH_INCHES.search(flat) else 0.0
-    half_step = 0.5 * HECTOPASCAL if _QNH_HPA.search(flat) else half_step
-    qnh = math.nan if fields.qnh_pa is None else fields.qnh_pa + half_step
-    for value, (low, high), quantity, unit in (
-        (t, _GROUND_K, "temperature", "K"),
-        (qnh, _QNH_PA, "altimeter setting", "Pa"),
-    ):
-        if value < low or value > high:
-            raise InputError(
-                "METAR-RANGE",
-                f"the {quantity} is {value:.6g} {unit}, which does not occur at the ground",
-                where=f"{where}: {flat[:80]!r}",
-                remedy="check whether a digit is missing",
-            )
+    t, dew, qnh = fields.temperature_k, fields.dew_point_k, fields.qnh_pa
     if dew > t:
         ledger.warning(
             "METAR-DEW-POINT",
@@ -149,10 +133,12 @@ def parse_metar(
 
 @dataclass(frozen=True)
 class _Fields:
+    """What a report states, NaN where it does not; half a step is added to the QNH."""
+
     station: str
-    temperature_c: float | None
-    dew_point_c: float | None
-    qnh_pa: float | None
+    temperature_k: float
+    dew_point_k: float
+    qnh_pa: float
     time_ns: int | None
 
 
@@ -175,13 +161,28 @@ def _decode(flat: str, flight_ns: int | None, ledger: Ledger, where: str) -> _Fi
         raise _no_metar(f"{why}: {complaints}" if complaints else why, flat, where)
     if complaints:
         ledger.note("METAR-GROUPS", complaints, where=where, count=len(caught))
-    return _Fields(
-        str(report.station_id),
-        None if report.temp is None else float(report.temp.value("C")),
-        None if report.dewpt is None else float(report.dewpt.value("C")),
-        None if report.press is None else float(report.press.value("HPA")) * HECTOPASCAL,
-        _nearest_day(flat, flight_ns, ledger, where),
+    t, dew = (
+        math.nan if value is None else float(value.value("C")) + ZERO_CELSIUS_K
+        for value in (report.temp, report.dewpt)
     )
+    qnh = math.nan
+    if report.press is not None:  # with half of its last digit [Pa]
+        half_step = 0.005 * _INCH_OF_MERCURY_PA if _QNH_INCHES.search(flat) else 0.0
+        half_step = 0.5 * HECTOPASCAL if _QNH_HPA.search(flat) else half_step
+        qnh = float(report.press.value("HPA")) * HECTOPASCAL + half_step
+    for number, (low, high), quantity, unit in (
+        (t, _GROUND_K, "temperature", "K"),
+        (qnh, _QNH_PA, "altimeter setting", "Pa"),
+    ):
+        if number < low or number > high:
+            raise InputError(
+                "METAR-RANGE",
+                f"the {quantity} is {number:.6g} {unit}, which does not occur at the ground",
+                where=f"{where}: {flat[:80]!r}",
+                remedy="check whether a digit is missing",
+            )
+    time_ns = _nearest_day(flat, flight_ns, ledger, where)
+    return _Fields(str(report.station_id), t, dew, qnh, time_ns)
 
 
 def _nearest_day(flat: str, flight_ns: int | None, ledger: Ledger, where: str) -> int | None:

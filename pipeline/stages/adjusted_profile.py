@@ -217,7 +217,7 @@ def _profiles_in_time(
         if windows:
             series = interpolate_series([window.air for window in windows], times, h_c, h_g)
         if adjustment.samples is not None:
-            series = add_ageing(series, times, adjustment.samples, max(h_c), h_g, ledger)
+            series = add_ageing(series, times, adjustment.samples, ledger, h_c=max(h_c), h_g=h_g)
         if not windows and len(stations):
             # The covariance reported for the flight is that at its middle exposure.
             number = series.profile_number[int(np.argmin(np.abs(times - middle)))]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
+from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.estimate.readings import part_of
 from pipeline.atmosphere.estimate.sensors import Barometer, SensorSettings, Thermometer
@@ -162,7 +162,15 @@ def thermometer_is_outside(
         return estimate(part, background, settings=settings, moisture=moisture)
 
     if _sigma_inflation(made, Thermometer) > MISFIT:
-        inflation = _sigma_inflation(estimate_of(_half_an_hour(samples)), Thermometer)
+        # The flight until half an hour after its thermometer's first accepted reading.
+        first = int(temperature.time_ns[temperature.accepted][0])
+        until = first + round(TOGETHER_S * 1e9)
+        early = {
+            name: replace(sensor, accepted=sensor.accepted & (sensor.time_ns <= until))
+            for name in ("temperature", "pressure", "humidity")
+            if (sensor := getattr(samples, name)) is not None
+        }
+        inflation = _sigma_inflation(estimate_of(replace(samples, **early)), Thermometer)
         if inflation > MISFIT:
             return Check(
                 f"its readings within {TOGETHER_S / 60.0:.0f} minutes, beside {pressure.name} "
@@ -179,24 +187,6 @@ def thermometer_is_outside(
                 f"temperatures only with a sigma inflation factor of {inflation:.0f}"
             )
     return PASSED
-
-
-def _half_an_hour(samples: AirSamples) -> AirSamples:
-    """The flight until half an hour after its thermometer's first accepted reading."""
-    sensor = samples.temperature
-    if sensor is None or not bool(sensor.accepted.any()):
-        return samples
-    until = int(sensor.time_ns[sensor.accepted][0]) + round(TOGETHER_S * 1e9)
-
-    def early(part: SensorSamples | None) -> SensorSamples | None:
-        return part and replace(part, accepted=part.accepted & (part.time_ns <= until))
-
-    return replace(
-        samples,
-        temperature=early(samples.temperature),
-        pressure=early(samples.pressure),
-        humidity=early(samples.humidity),
-    )
 
 
 def _sigma_inflation(made: Estimate, kind: type) -> float:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,55 +130,80 @@ def collect_readings(
         external += sounding_readings(sounding, number, background, flight)
     for report in surface:
         external += surface_readings(report, background, flight)
-    flown: list[Readings] = []
+    flown = _NO_SENSOR
+    if start_ns is not None:
+        flown = _sensor_readings(samples, sensors, background.profile, start_ns, settings)
+    heights = np.concatenate(
+        [readings.height for readings in (*external, *flown.sets)] or [np.array(UNMEASURED_M)]
+    )
+    faults = []
+    for fault in flown.faults:
+        known = settings.calibration.get(fault.name, SensorCalibration())
+        mean, sigma = known.mean_or(fault.mean), known.sigma_or(fault.sigma)
+        faults.append(replace(fault, mean=mean, sigma=sigma))
+    return FlightReadings(
+        (*climatological_pressure(background), *external, *flown.sets),
+        tuple(faults),
+        (*flown.drifts, *sounding_departures(soundings, background, flight)),
+        float(heights.min()),
+        float(heights.max()),
+        flown.rejected,
+    )
+
+
+class _SensorReadings(NamedTuple):
+    sets: Sequence[Readings]
+    faults: Sequence[Fault]
+    drifts: Sequence[Drift]
+    rejected: Mapping[str, NDArray[np.bool_]]
+
+
+_NO_SENSOR = _SensorReadings((), (), (), {})
+
+
+def _sensor_readings(
+    samples: AirSamples,
+    sensors: Mapping[str, SensorSamples],
+    profile: Profile,
+    start_ns: int,
+    settings: SensorSettings,
+) -> _SensorReadings:
+    """The readings of the flight's own sensors, with their faults and drifts."""
+    sets: list[Readings] = []
     faults: list[Fault] = []
     drifts: list[Drift] = []
     rejected: dict[str, NDArray[np.bool_]] = {}
-    if start_ns is not None:
-        end_ns = max(int(sensor.time_ns[-1]) for sensor in sensors.values())
-        duration = max((end_ns - start_ns) * 1e-9, 1.0)
-        steps = 1 + min(MOST_DRIFT_STEPS, int(duration / DRIFT_STEP_S))
-        knots = np.linspace(0.0, duration, steps + 1)
-        binning = _Binning.of_flight(sensors, background.profile, start_ns, duration)
-        airspeed = samples.airspeed
-        if (sensor := sensors.get("pressure")) is not None:
-            rejected["pressure"], barometer = _barometer(sensor, airspeed, binning)
-            flown.append(barometer)
-            has_airspeed = barometer.dynamic is not None
-            faults += [*BAROMETER_FAULTS, *([DYNAMIC_PRESSURE_ERROR] if has_airspeed else [])]
-            drifts.append(Drift(SensorFault.BAROMETER_DRIFT, knots, 1.0, 1200.0))
-        if (sensor := sensors.get("temperature")) is not None:
-            takeoffs = _takeoffs(samples, sensors.get("pressure", sensor), start_ns)
-            rejected["temperature"], warm = _thermometer(sensor, airspeed, binning, takeoffs)
-            flown.append(warm)
-            board = settings.board_temperature
-            bias = replace(THERMOMETER_FAULTS[0], sigma=BOARD_BIAS_K if board else USUAL_BIAS_K)
-            has_airspeed = warm.heating is not None
-            faults += [bias, *THERMOMETER_FAULTS[1:], *([RECOVERY_FACTOR] if has_airspeed else [])]
-            known = settings.calibration.get(SensorFault.THERMOMETER_DRIFT, SensorCalibration())
-            sigma = known.sigma_or(BOARD_DRIFT_K if board else USUAL_DRIFT_K)
-            drifts.append(Drift(SensorFault.THERMOMETER_DRIFT, knots, sigma, 900.0))
-        if (sensor := sensors.get("humidity")) is not None:
-            rejected["humidity"], humidities = _hygrometer(sensor, binning)
-            flown.append(humidities)
-            faults.append(HYGROMETER_BIAS)
-    heights = np.concatenate(
-        [readings.height for readings in (*external, *flown)] or [np.array(UNMEASURED_M)]
-    )
-    return FlightReadings(
-        (*climatological_pressure(background), *external, *flown),
-        tuple(_as_calibrated(fault, settings) for fault in faults),
-        (*drifts, *sounding_departures(soundings, background, flight)),
-        float(heights.min()),
-        float(heights.max()),
-        rejected,
-    )
-
-
-def _as_calibrated(fault: Fault, settings: SensorSettings) -> Fault:
-    """A fault with the mean and sigma that the calibration of its sensor states."""
-    known = settings.calibration.get(fault.name, SensorCalibration())
-    return replace(fault, mean=known.mean_or(fault.mean), sigma=known.sigma_or(fault.sigma))
+    end_ns = max(int(sensor.time_ns[-1]) for sensor in sensors.values())
+    duration = max((end_ns - start_ns) * 1e-9, 1.0)
+    steps = 1 + min(MOST_DRIFT_STEPS, int(duration / DRIFT_STEP_S))
+    knots = np.linspace(0.0, duration, steps + 1)
+    binning = _Binning.of_flight(sensors, profile, start_ns, duration)
+    if (sensor := sensors.get("pressure")) is not None:
+        rejected["pressure"], barometer = _barometer(sensor, samples.airspeed, binning)
+        sets.append(barometer)
+        faults += BAROMETER_FAULTS
+        faults += [] if barometer.dynamic is None else [DYNAMIC_PRESSURE_ERROR]
+        drifts.append(Drift(SensorFault.BAROMETER_DRIFT, knots, 1.0, 1200.0))
+    if (sensor := sensors.get("temperature")) is not None:
+        takeoffs = _takeoffs(samples, sensors.get("pressure", sensor), start_ns)
+        rejected["temperature"], warm = _thermometer(sensor, samples.airspeed, binning, takeoffs)
+        sets.append(warm)
+        board = settings.board_temperature
+        bias = replace(THERMOMETER_FAULTS[0], sigma=BOARD_BIAS_K if board else USUAL_BIAS_K)
+        faults += [bias, *THERMOMETER_FAULTS[1:]]
+        faults += [] if warm.heating is None else [RECOVERY_FACTOR]
+        known = settings.calibration.get(SensorFault.THERMOMETER_DRIFT, SensorCalibration())
+        sigma = known.sigma_or(BOARD_DRIFT_K if board else USUAL_DRIFT_K)
+        drifts.append(Drift(SensorFault.THERMOMETER_DRIFT, knots, sigma, 900.0))
+    if (sensor := sensors.get("humidity")) is not None:
+        high_bins = replace(binning, width_m=2.0 * binning.width_m)
+        bins = high_bins.bins(sensor, sensor.value, LEAST_SCATTER_RH)
+        sigmas = np.hypot(bins.sigma, AIR_NOISE_RH)
+        bias_of = SensorFault.HYGROMETER_BIAS
+        sets.append(Humidities(sensor.name, bins.height, bins.value, sigmas, fault=bias_of))
+        rejected["humidity"] = bins.rejected
+        faults.append(HYGROMETER_BIAS)
+    return _SensorReadings(sets, faults, drifts, rejected)
 
 
 def part_of(readings: Readings, rows: NDArray[np.bool_]) -> Readings:
@@ -291,15 +317,6 @@ def _thermometer(
         flown=heights,
         heating=None if speed is None else heating_of(speed, profile.pressure(h), value),
     )
-
-
-def _hygrometer(sensor: SensorSamples, binning: _Binning) -> tuple[NDArray[np.bool_], Humidities]:
-    bins = replace(binning, width_m=2.0 * binning.width_m).bins(
-        sensor, sensor.value, LEAST_SCATTER_RH
-    )
-    sigma = np.hypot(bins.sigma, AIR_NOISE_RH)
-    fault = SensorFault.HYGROMETER_BIAS
-    return bins.rejected, Humidities(sensor.name, bins.height, bins.value, sigma, fault=fault)
 
 
 def _takeoffs(samples: AirSamples, sensor: SensorSamples, start_ns: int) -> Array:

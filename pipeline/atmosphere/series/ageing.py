@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 CHANGE_K2_PER_H, CHANGE_LENGTH_M = 2.0, 1500.0
 CHANGE_ALOFT = 0.3
 """Variance of what the air is from its mean over the flight, at the ground; aloft a third of the
-sigma, with the same scale height as the spread of the climatology. Judgement: the boundary layer
-warms by some 5 K from dawn to noon."""
+sigma, with the same scale height as the spread of the climatology. Set by judgement: the boundary
+layer warms by some 5 K from dawn to noon."""
 
 CHANGE_LOG_P_PER_H = 5e-4
 CHANGE_RH, CHANGE_RH_IN_H = 0.1, 4.0
@@ -71,12 +71,12 @@ def sample_ages(
     bins = np.unique(number)
     visited = [minute[number == i] for i in bins]
     middles = (bins + 0.5) * _BIN_M
-    found = []
+    ages = []
     for now in time_ns:
         apart = np.array([np.abs(at - now // _MINUTE_NS).min() / 60.0 for at in visited])
         fresh = (FRESH_S / 3600.0) ** 2
-        found.append(SampleAges(middles, np.sqrt(np.maximum(apart**2 - fresh, 0.0))))
-    return found
+        ages.append(SampleAges(middles, np.sqrt(np.maximum(apart**2 - fresh, 0.0))))
+    return ages
 
 
 def change_sigma(above_ground_m: Array, hours: Array | float) -> Array:

@@ -38,44 +38,42 @@ _SLIVER_M = 1.0  # edges of two profiles nearer than this become one [m']
 class TimedProfile:
     """The air at a time [Unix ns], with its covariance where there is one.
 
-    Between two ``ends``, of the earlier and the later air and the share of the later, the
-    covariance is made when it is asked for: hundreds of them would fill memory. ``ages`` say how
-    long ago it was sampled, where that is long.
+    Between ``neighbours`` (the earlier and the later profile and the share of the later) the
+    covariance is computed when it is needed: hundreds of them would fill memory. ``ages`` are the
+    ages of its samples, where these are old.
     """
 
     time_ns: int | None
     profile: Profile
-    own: ProfileCovariance | None = None
-    ends: tuple[TimedProfile, TimedProfile, float] | None = None
+    own_covariance: ProfileCovariance | None = None
+    neighbours: tuple[TimedProfile, TimedProfile, float] | None = None
     ages: SampleAges | None = None
 
     @property
     def has_covariance(self) -> bool:
         """Whether `covariance` is known, without making it."""
-        sources = (self,) if self.ends is None else self.ends[:2]
-        return all(air.own is not None for air in sources)
+        sources = (self,) if self.neighbours is None else self.neighbours[:2]
+        return all(source.own_covariance is not None for source in sources)
 
     @property
     def covariance(self) -> ProfileCovariance | None:
-        """That of the estimate, and what the air changed since it was sampled."""
-        found = self._estimated()
-        return (
-            found
-            if found is None or self.ages is None
-            else covariance_with_ageing(found, self.ages)
-        )
+        """That of the estimate, and the change of the air since it was sampled.
 
-    def _estimated(self) -> ProfileCovariance | None:
-        """(1 - share) C_a + share C_b: the most it can be, however the errors correlate."""
-        if self.ends is None:
-            return self.own
-        a, b, share = self.ends
-        if a.own is None or b.own is None:
-            return None
-        edge, anchor = self.profile.layers.edge, a.own.anchor_m
-        matrix = (1.0 - share) * _carried(a.own, edge, anchor)
-        matrix += share * _carried(b.own, edge, anchor)
-        return ProfileCovariance(self.profile, anchor, matrix)
+        Between two profiles it is (1 - share) C_a + share C_b: the largest that it can be, however
+        their errors correlate.
+        """
+        covariance = self.own_covariance
+        if self.neighbours is not None:
+            a, b, share = self.neighbours
+            if a.own_covariance is None or b.own_covariance is None:
+                return None
+            edge, anchor = self.profile.layers.edge, a.own_covariance.anchor_m
+            matrix = (1.0 - share) * _covariance_at(a.own_covariance, edge, anchor)
+            matrix += share * _covariance_at(b.own_covariance, edge, anchor)
+            covariance = ProfileCovariance(self.profile, anchor, matrix)
+        if covariance is None or self.ages is None:
+            return covariance
+        return covariance_with_ageing(covariance, self.ages)
 
     def change_from(self, other: TimedProfile, h_c: Sequence[float], h_g: float) -> float:
         """ln R of this air over that of another, the largest of several cameras.
@@ -97,7 +95,7 @@ def _plane(profile: Profile, h_c: float, h_g: float) -> float:
 class ProfileSeries:
     """Profiles in the order of time, and which of them belongs to each of (s,) exposures.
 
-    It answers like a `Profile` for (s,) heights, one of each exposure.
+    Its functions of height are those of a `Profile`, for (s,) heights, one of each exposure.
     """
 
     timed_profiles: tuple[TimedProfile, ...]
@@ -133,8 +131,8 @@ class ProfileSeries:
             return of(self.timed_profiles[0].profile, h)
         values = np.full(h.shape, np.nan)
         for i, air in enumerate(self.timed_profiles):
-            mine = self.profile_number == i
-            values[mine] = of(air.profile, h[mine])
+            rows = self.profile_number == i
+            values[rows] = of(air.profile, h[rows])
         return values
 
 
@@ -179,9 +177,10 @@ def add_ageing(
     series: ProfileSeries,
     time_ns: NDArray[np.int64],
     samples: AirSamples,
+    ledger: Ledger,
+    *,
     h_c: float,
     h_g: float,
-    ledger: Ledger,
 ) -> ProfileSeries:
     """The same air, with the sigmas that it has for exposures long after, or before, its samples.
 
@@ -235,13 +234,13 @@ def interpolate_profiles(a: TimedProfile, b: TimedProfile, share: float) -> Time
         raise ValueError("air between two times needs both")
     if share in (0.0, 1.0):
         return a if share == 0.0 else b
-    one, other = a.profile.layers, b.profile.layers
-    low, high = max(one.edge[0], other.edge[0]), min(one.edge[-1], other.edge[-1])
-    edge = np.union1d(one.edge, other.edge)
+    edges = a.profile.layers.edge, b.profile.layers.edge
+    low, high = max(edge[0] for edge in edges), min(edge[-1] for edge in edges)
+    edge = np.union1d(*edges)
     edge = edge[(edge >= low) & (edge <= high)]
     edge = edge[np.concatenate([[True], np.diff(edge) > _SLIVER_M])]
     edge[[0, -1]] = low, high
-    anchor = a.own.anchor_m if a.own is not None else 0.0
+    anchor = a.own_covariance.anchor_m if a.own_covariance is not None else 0.0
     here, heights = a.profile.gravity.height(anchor), a.profile.gravity.height(edge)
     parts = [air.profile.state(heights) for air in (a, b)]
     t_m, vapour = ((1.0 - share) * parts[0][i] + share * parts[1][i] for i in (0, 2))
@@ -258,10 +257,10 @@ def interpolate_profiles(a: TimedProfile, b: TimedProfile, share: float) -> Time
     )
     profile = replace(a.profile, layers=layers)
     time_ns = a.time_ns + round(share * (b.time_ns - a.time_ns))
-    return TimedProfile(time_ns, profile, ends=(a, b, share))
+    return TimedProfile(time_ns, profile, neighbours=(a, b, share))
 
 
-def _carried(covariance: ProfileCovariance, edge: Array, anchor: float) -> Array:
+def _covariance_at(covariance: ProfileCovariance, edge: Array, anchor: float) -> Array:
     """A covariance for other edges and another anchor [m']."""
     layers, size = covariance.profile.layers, edge.size
     k = layers.edge.size

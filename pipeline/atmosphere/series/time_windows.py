@@ -164,11 +164,11 @@ def estimate_windows(
         part = part_of_flight(samples, start_ns, end_ns)
         air = replace(fallback, time_ns=_middle_of_heights(part, (start_ns + end_ns) // 2))
         own, why_not = _own_air(part, air, whole, background)
-        if own is None or own.own is None:
+        if own is None or own.own_covariance is None:
             windows.append(TimeWindow(start_ns, end_ns, air, why_not=why_not))
             continue
         change = own.change_from(fallback, h_c, h_g)
-        sigma = own.own.relative_sigma(max(h_c), h_g)
+        sigma = own.own_covariance.relative_sigma(max(h_c), h_g)
         windows.append(TimeWindow(start_ns, end_ns, own, change, sigma))
     estimated = [window for window in windows if not window.why_not]
     if not estimated:

@@ -87,8 +87,8 @@ def parse_list(text: str, where: str, _: Ledger) -> list[RawLevels]:
 
 
 def _header_field(text: str, what: str) -> str:
-    found = re.search(rf"{what}:\s*(\S+)", text)
-    return found.group(1) if found else ""
+    match = re.search(rf"{what}:\s*(\S+)", text)
+    return match.group(1) if match else ""
 
 
 def _list_time(text: str) -> int | None:
@@ -99,11 +99,11 @@ def _list_time(text: str) -> int | None:
         century = "19" if stamp[:2] >= "73" else "20"
         day = f"{century}{stamp[:2]}-{stamp[2:4]}-{stamp[4:6]}"
         return utc_ns(f"{day}T{stamp[7:9]}:{stamp[9:11]}")
-    found = _DATE.search(text)
-    if found is None or found["month"] not in _MONTHS:
+    match = _DATE.search(text)
+    if match is None or match["month"] not in _MONTHS:
         return None
-    month = _MONTHS.index(found["month"]) + 1
-    return utc_ns(f"{found['year']}-{month:02d}-{int(found['day']):02d}T{found['hour']}:00")
+    month = _MONTHS.index(match["month"]) + 1
+    return utc_ns(f"{match['year']}-{month:02d}-{int(match['day']):02d}T{match['hour']}:00")
 
 
 def parse_csv(text: str, where: str, _: Ledger) -> list[RawLevels]:

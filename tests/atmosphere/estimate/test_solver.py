@@ -16,9 +16,23 @@ from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from pipeline.atmosphere.estimate.estimate_checks import is_plausible
 from pipeline.atmosphere.estimate.readings import bin_readings, collect_readings
-from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration, SensorSettings
+from pipeline.atmosphere.estimate.sensors import (
+    FAULT_TEXTS,
+    THERMOMETER_FAULTS,
+    FlownHeights,
+    SensorCalibration,
+    SensorSettings,
+    Thermometer,
+)
 from pipeline.atmosphere.estimate.solver import estimate, layout_of, solve
-from pipeline.atmosphere.estimate.state import SensorFault, air_of, place_knots, prior_of
+from pipeline.atmosphere.estimate.state import (
+    Drift,
+    Layout,
+    SensorFault,
+    air_of,
+    place_knots,
+    prior_of,
+)
 from pipeline.atmosphere.hypsometry import column
 from pipeline.atmosphere.profile import Profile, stack_layers
 from pipeline.atmosphere.soundings import Sounding
@@ -603,3 +617,28 @@ def test_an_offset_of_gnss_heights_is_found_with_its_sign(flights, airs, offset_
     (found,) = [f for f in made.faults if f.fault is SensorFault.GNSS_HEIGHT_OFFSET]
     assert found.value == pytest.approx(offset_m, abs=2.5 * found.sigma)
     assert found.sigma < 5.0
+
+
+def test_the_derivative_by_the_lag_is_that_of_an_exponential_memory():
+    """T = a t^2 in a climb reads a (t^2 - 2 t lag + 2 lag^2): by the lag a (-2 t + 4 lag)."""
+    faults, drift = THERMOMETER_FAULTS, Drift(
+        SensorFault.THERMOMETER_DRIFT, np.array([0.0, 1000.0]), 1.0, 900.0
+    )  # fmt: skip
+    knot = np.arange(-1000.0, 4001.0, 10.0)
+    layout = Layout(knot, np.array([0.0, 15_000.0]), 0.0, faults, (drift,))
+    climb, lag, curve = 5.0, 40.0, -2e-6
+    x = np.zeros(layout.size)
+    x[layout.temperature] = 290.0 + curve * np.maximum(knot, 0.0) ** 2
+    x[layout.fault(SensorFault.THERMOMETER_LAG)] = lag
+    x[layout.fault(SensorFault.TRANSIENT_DECAY)] = math.log(60.0)
+    air = air_of(layout, x, np.full(knot.size, 9e4), 0.0342)
+    seconds = np.array([300.0, 500.0])
+    times = np.arange(0.0, 601.0)
+    sensor = Thermometer("T", seconds, climb * seconds, np.zeros(2), np.ones(2), since_s=seconds,
+                         flown=FlownHeights(times, climb * times))  # fmt: skip
+    reading, jacobian = sensor.predict(air)
+    a = curve * climb**2
+    expected = 290.0 + a * (seconds**2 - 2.0 * seconds * lag + 2.0 * lag**2)
+    np.testing.assert_allclose(reading, expected, atol=0.02)
+    by_lag = jacobian[:, layout.fault(SensorFault.THERMOMETER_LAG)]
+    np.testing.assert_allclose(by_lag, a * (-2.0 * seconds + 4.0 * lag), rtol=0.03)

@@ -13,7 +13,9 @@ import pytest
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
+from pipeline.atmosphere.estimate.sensors import SensorCalibration, SensorSettings
 from pipeline.atmosphere.estimate.solver import estimate
+from pipeline.atmosphere.estimate.state import SensorFault
 from pipeline.atmosphere.series.ageing import sample_ages
 from pipeline.atmosphere.series.profile_series import (
     TimedProfile,
@@ -181,6 +183,21 @@ def test_a_window_counts_its_readings_once(changing):
         np.testing.assert_allclose(ratio, np.sqrt(2.0), rtol=1e-6)
 
 
+def test_a_window_uses_what_is_known_of_the_sensors(changing):
+    """A thermometer that may drift by 5 K in a quarter of an hour says less in each window."""
+    _, whole, windows, _ = changing
+    drifting = SensorSettings(
+        calibration={SensorFault.THERMOMETER_DRIFT: SensorCalibration(sigma=5.0)}
+    )
+    h_c, h_g = float(whole.samples.temperature.h_m.max()), 400.0
+    others = estimate_windows(replace(whole, settings=drifting), [h_c], h_g, Ledger())
+    for window, other in zip(windows, others, strict=True):
+        if not (window.why_not or other.why_not):
+            sigmas = [w.air.covariance.sigma_temperature([2000.0]).item() for w in (window, other)]
+            assert sigmas[1] > 1.1 * sigmas[0]
+    assert any(not other.why_not for other in others)
+
+
 def test_a_window_that_falls_back_is_less_certain(changing):
     """... by what the air changes in four hours, and the ledger says when, in this century."""
     day, whole, _, _ = changing
@@ -278,7 +295,7 @@ def test_sigma_grows_with_the_time_since_the_air_was_sampled(level):
     top, ground = flight.ground + CLIMB, flight.ground
     assert estimate_windows(whole, [top], ground, Ledger()) == ()
     one = constant_series(TimedProfile(whole.time_ns, whole.profile, whole.covariance), times.size)
-    series = add_ageing(one, times, whole.samples, top, ground, ledger)
+    series = add_ageing(one, times, whole.samples, ledger, h_c=top, h_g=ground)
     sigma = sigmas_of_r(series, flight)
     assert sigma[0] == pytest.approx(whole.covariance.relative_sigma(top, ground))
     assert np.all(np.diff(sigma[1:]) > 0.0)
@@ -321,14 +338,16 @@ def test_fresh_air_stays_as_it_is(changing):
     ledger = Ledger()
     top, times = day.ground + CLIMB, day.times[:-1]  # in the end it was low 40 minutes ago
     unaged = interpolate_series([w.air for w in windows], times, [top], day.ground)
-    assert add_ageing(unaged, times, whole.samples, top, day.ground + 300.0, ledger) is unaged
+    assert (
+        add_ageing(unaged, times, whole.samples, ledger, h_c=top, h_g=day.ground + 300.0) is unaged
+    )
     assert list(ledger) == []
     nothing = AirSamples(
         SensorSamples(np.empty(0, np.int64), *[np.empty(0)] * 2, np.empty(0, bool))
     )
     assert all(age.is_fresh for age in sample_ages(nothing, day.times, 0.0, 3000.0))
     assert add_ageing(
-        constant_series(windows[0].air, 0), np.empty(0, np.int64), nothing, 1.0, 0.0, ledger
+        constant_series(windows[0].air, 0), np.empty(0, np.int64), nothing, ledger, h_c=1.0, h_g=0.0
     )
 
 
