@@ -1,0 +1,34 @@
+"""PX4's cameras: which rows are exposures, and what their index is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.flight.channels import Source
+from pipeline.ingest.channel_builder import DecodedRows
+from pipeline.ingest.px4_fields import captured_rows
+from pipeline.ledger import Ledger
+
+
+def shots(result: list[float], index: list[float]) -> DecodedRows:
+    columns = {"result": np.array(result), "event_index": np.array(index)}
+    n = len(result)
+    return DecodedRows("C", Source("C"), np.arange(n), np.zeros(n, np.int16), columns)
+
+
+def test_only_images_that_failed_are_dropped() -> None:
+    # CameraCapture.msg: 1 success, 0 failure, -1 a camera that does not answer
+    ledger = Ledger()
+    rows = captured_rows(shots([1, 0, -1, 1, np.nan], [5, 6, 7, 8, 9]), ledger)
+    assert rows.columns["event_index"].tolist() == [5, 7, 8, 9]
+    assert "result" not in rows.columns
+    assert [(e.kind, e.code, e.count) for e in ledger] == [("warning", "EVENT-FAILED", 1)]
+
+
+def test_an_index_that_is_never_set_is_dropped_with_a_note() -> None:
+    ledger = Ledger()
+    assert "event_index" not in captured_rows(shots([1, 1], [0, 0]), ledger).columns
+    assert [(e.kind, e.code) for e in ledger] == [("note", "EVENT-NO-INDEX")]
+    ledger = Ledger()
+    assert "event_index" in captured_rows(shots([1], [0]), ledger).columns
+    assert not list(ledger)
