@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.ingest.attitude import ned_frd_of_enu_flu, quaternion_of_euler, unit_quaternions
+from pipeline.ingest.attitude import (
+    earth_frame_attitude,
+    ned_frd_of_enu_flu,
+    quaternion_of_euler,
+    unit_quaternions,
+)
 
 ENU_OF_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FLU_OF_FRD = np.diag([1.0, -1.0, -1.0])
@@ -68,3 +73,18 @@ def test_a_zero_quaternion_is_unknown() -> None:
     q = unit_quaternions(np.array([[0.0, 0.0, 0.0, 0.0], [-2.0, 0.0, 0.0, 0.0]]))
     assert np.isnan(q[0]).all()
     np.testing.assert_array_equal(q[1], [1.0, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("flags", "from_north"),
+    [  # GIMBAL_DEVICE_FLAGS: 16 yaw lock, 32 yaw in the vehicle's frame, 64 in the earth's
+        (0, False), (16, True), (32, False), (64, True), (16 | 32, False), (16 | 64, True),
+        (4 | 8, False), (4 | 8 | 16, True), (np.nan, False),
+    ],
+)  # fmt: skip
+def test_the_yaw_of_a_gimbal_is_from_north_as_its_flags_say(flags, from_north) -> None:
+    q = {f"{kind}_{axis}": np.array([0.5]) for kind in ("q", "gimbal_q") for axis in "wxyz"}
+    columns = earth_frame_attitude(q | {"flags": np.array([flags], np.float64)})
+    for axis in "wxyz":
+        assert columns[f"gimbal_q_{axis}"].tolist() == [0.5]
+        np.testing.assert_array_equal(columns[f"q_{axis}"], [0.5 if from_north else np.nan])

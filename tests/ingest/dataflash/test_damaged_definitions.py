@@ -187,3 +187,46 @@ def test_all_records_of_a_type_in_doubt_cost_what_lies_between_them(
     found = find_records(view_of_bytes(bytes(data)))
     assert found.bad_bytes >= 18 * ROWS
     assert sum(read) < 10 * len(data)
+
+
+@pytest.mark.parametrize(("rows", "kept"), [(1, False), (4, False), (5, True)])
+def test_a_slow_second_sensor_is_no_damage(
+    tmp_path: Path, dataflash_writer: Callable, rows: int, kept: bool
+) -> None:
+    """Up to four rows in a row may be one glitch; five beside 600 are a sensor."""
+    writer = written(dataflash_writer)
+    for k in range(600):
+        time = 42_000_000 + k * 100_000
+        writer.row("HYGR", time, 2, 55.0, 9.0)
+        if k % 100 == 0 and k // 100 < rows:
+            writer.row("HYGR", time, 1, 45.0, 19.0)
+    log = opened(tmp_path, writer.data)
+    names = [c.name for c in log.channels if c.name.startswith("HYGR")]
+    assert names == ["HYGR[0]", *(["HYGR[1]"] if kept else []), "HYGR[2]"]
+    assert losses(log) == ([] if kept else [("LOG-INSTANCE", "HYGR", rows)])
+
+
+def test_rows_of_a_definition_without_instances_have_none(
+    tmp_path: Path, dataflash_writer: Callable
+) -> None:
+    writer = dataflash_writer()
+    writer.define(BARO, "BARO", "Qf", "TimeUS,Press")
+    for k in range(50):
+        writer.row("BARO", 1_000_000 + k * 100_000, 95_000.0)
+    writer.define(40, "BARO", "QBf", "TimeUS,I,Press")
+    for k in range(50, 100):
+        writer.row("BARO", 1_000_000 + k * 100_000, 1, 90_000.0)
+    log = opened(tmp_path, writer.data)
+    found = {c.name: (len(c), c["pressure_pa"][0]) for c in log.channels}
+    assert found == {"BARO": (50, 95_000.0), "BARO[1]": (50, 90_000.0)}
+
+
+def test_the_first_damage_is_located(tmp_path: Path, dataflash_writer: Callable) -> None:
+    data = written(dataflash_writer).data
+    places = find_records(view_of_bytes(data)).offsets.tolist()
+    damaged = data[: places[700]] + bytes(40) + data[places[700] : places[1400]]
+    log = opened(tmp_path, damaged + bytes(60) + data[places[1400] :])
+    # a record with zeros behind it may have a wrong length: it belongs to the damage
+    count = 40 + 60 + places[700] - places[699] + places[1400] - places[1399]
+    (entry,) = [e for e in log.ledger if e.code == "LOG-BAD-BYTES"]
+    assert (entry.count, entry.where) == (count, f"flight.bin, first at byte {places[699]}")

@@ -406,3 +406,16 @@ def test_heights_above_the_ellipsoid_by_parameter(
     assert log.channel("GPS[0]")[known][0] == 600.0
     assert unknown not in log.channel("GPS[0]").columns
     assert bool(entries(log, "HEIGHT-ELLIPSOID")) is ellipsoidal
+
+
+def test_the_table_of_an_instance_has_its_rows_only(tmp_path: Path, flight: Callable) -> None:
+    path = tmp_path / "flight.bin"
+    path.write_bytes(flight())
+    log = open_log(path)
+    assert log.message("GPS")["I"].tolist() == [0, 1] * 40
+    for instance in (0, 1):
+        table = log.message("GPS", str(instance))
+        assert table["I"].tolist() == [instance] * 40
+        assert table["TimeUS"][0] == 5_000_000 + instance
+    with pytest.raises(LogError, match="LOG-NO-TABLE"):
+        log.message("GPS", "2")

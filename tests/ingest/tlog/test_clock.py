@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pipeline.ingest import Log, open_log
-from pipeline.ingest.tlog.clock import Sampler
+from pipeline.ingest.tlog.clock import NEAR_NS, ROUND_US, Sampler, unrolled
 
 SECOND = 10**9
 START_US = 1_700_000_000_000_000
@@ -161,6 +161,8 @@ def test_without_utc_the_stamps_of_the_log_tell_a_boot(tmp_path: Path) -> None:
         (30_000, 0.0, 0.0, None, None),  # its own clock, and UTC
         (30_000, None, 0.3, "TIME-BORROWED", "loss"),  # its own clock: when it was received
         (0, -86_400.0, 0.0, "TIME-OWN-UTC", "loss"),  # UTC of yesterday
+        (30_000, -5.0, -5.0, None, None),  # received up to 10 s after the exposure
+        (0, 5.0, 0.0, "TIME-OWN-UTC", "loss"),  # no message arrives before its exposure
     ],
 )
 def test_the_clock_of_a_camera(
@@ -283,3 +285,20 @@ def test_signed_messages(tmp_path: Path, flip: bool) -> None:
         theirs += 1
     reader.close()
     assert theirs == 60 - flip
+
+
+@pytest.mark.parametrize("turns", [0, 1, 3])
+@pytest.mark.parametrize("ahead_s", [-59, -1, 0, 1, 59])
+def test_a_wrapped_stamp_is_completed_near_the_senders_clock(turns: int, ahead_s: int) -> None:
+    """A count of microseconds of 32 bits wraps after 4294.967296 s."""
+    assert ROUND_US == 4_294_967_296_000
+    clock_ns = np.array([turns * ROUND_US + 100 * 10**9])
+    stamp_ns = np.array([(100 + ahead_s) * 10**9])
+    expected = stamp_ns + turns * ROUND_US
+    np.testing.assert_array_equal(unrolled(stamp_ns, clock_ns, ROUND_US), expected)
+
+
+def test_a_stamp_far_from_the_senders_clock_is_left() -> None:
+    clock_ns = np.array([ROUND_US + 100 * 10**9])
+    stamp_ns = np.array([100 * 10**9 + NEAR_NS + 1])
+    assert unrolled(stamp_ns, clock_ns, ROUND_US).tolist() == stamp_ns.tolist()

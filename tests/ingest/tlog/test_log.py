@@ -560,3 +560,30 @@ def test_any_damage_opens_or_refuses(tmp_path: Path) -> None:
         log = opened(tmp_path, bytes(damaged))
         assert log.ledger.has_losses
         assert log.bad_bytes > 0
+
+
+@pytest.mark.parametrize("damaged", [1, 5])
+def test_failed_checksums_are_damage_unless_all_of_an_unneeded_message_fail(
+    tmp_path: Path, damaged: int
+) -> None:
+    """All fail where another version of the dialect defines the message."""
+    writer = flight()
+    whole = len(writer.frames)
+    for k in range(5):
+        writer.send("heartbeat", 80_000 + 1000 * k, type=1, autopilot=3, base_mode=0,
+                    custom_mode=0, system_status=4, mavlink_version=3)  # fmt: skip
+    for k in range(whole, whole + damaged):
+        frame = bytearray(writer.frames[k])
+        frame[20] ^= 4
+        writer.frames[k] = bytes(frame)
+    log = opened(tmp_path, writer.data)
+    code, kind = ("LOG-DIALECT", "warning") if damaged == 5 else ("LOG-CRC", "loss")
+    found = [e for e in log.ledger if e.code in ("LOG-DIALECT", "LOG-CRC")]
+    assert [(e.code, e.kind, e.count) for e in found] == [(code, kind, damaged)]
+    assert log.messages.get("HEARTBEAT", 0) == 5 - damaged
+
+
+def test_the_last_message_ends_with_the_file(tmp_path: Path) -> None:
+    log = opened(tmp_path, flight().data)
+    assert (log.messages["GPS_RAW_INT"], log.bad_bytes) == (100, 0)
+    assert [e for e in log.ledger if e.kind == "loss"] == []
