@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import traceback
+from io import TextIOWrapper
 from types import FrameType, TracebackType
 
 import typer
@@ -84,6 +85,9 @@ def main() -> None:
     # With matrices of some hundred rows, threads are slower and make sums depend on their number.
     # Takes effect if set before numpy is imported; a value of the user's is kept.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # redirected on Windows: code page 1252, strict
+            stream.reconfigure(errors="backslashreplace")
     sys.excepthook = _print_uncaught  # Python then exits with 1, EXIT_BUG
     _install_signal_handlers()
     code = EXIT_DONE

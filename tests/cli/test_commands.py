@@ -5,7 +5,10 @@ from __future__ import annotations
 import csv
 import json
 import math
+import os
 import re
+import subprocess
+import sys
 
 import pyarrow.parquet as pq
 import pytest
@@ -387,3 +390,16 @@ def test_interrupted(unbend, monkeypatch):
     ended = unbend(*words)
     assert ended.code == 130
     assert "interrupted" in ended.err
+
+
+def test_names_outside_the_code_page_of_the_console_are_escaped(tmp_path):
+    """A redirected console on Windows has code page 1252; this is Python's way to have it here."""
+    done = subprocess.run(
+        [sys.executable, "-m", "pipeline", "profile", "--atmosphere", "us1976", "--csv", "\u03a9"],
+        capture_output=True,
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONIOENCODING": "cp1252"},
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == b"\\u03a9"
+    assert (tmp_path / "\u03a9").is_file()
