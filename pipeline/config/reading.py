@@ -57,11 +57,12 @@ _Loader.add_implicit_resolver(
 )
 
 
-def load_mission(path: Path) -> Mission:
+def load_mission(path: Path | str) -> Mission:
     """Read and check a mission file; refuses with every mistake, its line and the nearest key.
 
     Opens nothing but the file itself.
     """
+    path = Path(path)
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:

@@ -75,13 +75,15 @@ class PreparedMission:
         ]
 
 
-def run_mission(path: Path, *, force: bool = False, progress: Progress | None = None) -> Outcome:
+def run_mission(
+    path: Path | str, *, force: bool = False, progress: Progress | None = None
+) -> Outcome:
     """Run one mission, from its file to its folder of results.
 
     Does nothing where the same inputs, mission file and code gave these results before, unless
     ``force``.
     """
-    progress = progress or NoProgress()
+    path, progress = Path(path), progress or NoProgress()
     mission = load_mission(path)
     progress.start("hashing the inputs")
     plan = make_plan(mission, path.parent)
