@@ -101,7 +101,7 @@ class LogSection(Section):
     local_origin: LocalOrigin | None = None
 
 
-class ObservationColumns(Section):
+class ObservationColumnNames(Section):
     """What the columns of the table are called."""
 
     image: str = "image"
@@ -119,7 +119,7 @@ class ObservationsSection(Section):
     """The table of image measurements."""
 
     path: PathText = Field(description="CSV or Parquet")
-    columns: ObservationColumns = ObservationColumns()
+    columns: ObservationColumnNames = ObservationColumnNames()
     pixel_origin: PixelOrigin = Field(
         "corner",
         description="corner: the centre of the upper left pixel is (0.5, 0.5), as in COLMAP; "

@@ -122,7 +122,7 @@ def ray_ends(
 
 
 @dataclass(frozen=True, eq=False)
-class Rays:
+class TracedRays:
     """Apparent and straight unit directions (n, 3), ECEF axes, and R_c (n,) [rad]."""
 
     apparent: Array
@@ -131,7 +131,7 @@ class Rays:
     miss_m: Array
 
 
-def shoot(air: Medium, camera_m: Array, ground_m: Array, undulation_m: float) -> Rays:
+def shoot(air: Medium, camera_m: Array, ground_m: Array, undulation_m: float) -> TracedRays:
     """The direction in which each camera sees its ground point, by shooting.
 
     camera_m, ground_m (n, 3) ECEF [m]. The bending is 1e-5 of the ray, so each repetition of the
@@ -152,7 +152,7 @@ def shoot(air: Medium, camera_m: Array, ground_m: Array, undulation_m: float) ->
     angle = np.arctan2(cross, np.sum(apparent * straight, axis=-1))
     up = height_and_up(camera_m)[1]
     lifted = np.sum((apparent - straight) * up, axis=-1) >= 0.0
-    return Rays(apparent, straight, np.where(lifted, angle, -angle), miss)
+    return TracedRays(apparent, straight, np.where(lifted, angle, -angle), miss)
 
 
 @dataclass(frozen=True)
