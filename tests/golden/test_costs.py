@@ -1,0 +1,339 @@
+"""What a new thing costs, as CONTRIBUTING.md says: a file, and its line in a registry.
+
+A copy of the package gets a toy of each kind, exactly those files and lines, and each is used in a
+process of its own through the command line or the names of `pipeline`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+import yaml
+
+import pipeline
+
+PACKAGE = Path(pipeline.__file__).parent
+CONTRIBUTING = Path(__file__).resolve().parents[2] / "CONTRIBUTING.md"
+
+LOG_FORMAT = '''
+"""A toy: a line of text a sample, with time [ns] and pressure [Pa]."""
+
+import numpy as np
+
+from pipeline.flight.channels import Channel, Source
+from pipeline.ingest.log import Contents
+
+
+class ToyFormat:
+    name, title, extensions = "toy", "Toy log", (".toy",)
+
+    def matches(self, head):
+        return head.startswith(b"toy")
+
+    def read(self, path, ledger):
+        rows = np.loadtxt(path, skiprows=1, delimiter=",", ndmin=2)
+        time_ns = rows[:, 0].astype(np.int64)
+        channel = Channel("TOY", time_ns, {"pressure_pa": rows[:, 1]}, Source("TOY"))
+        return Contents({"TOY": len(rows)}, (channel,), 0, 0, 1, "as logged")
+
+
+TOY = ToyFormat()
+'''
+
+METHOD = '''
+"""A toy: the plane formula, twice."""
+
+from pipeline.refraction.published.gyer import plane
+
+
+def toy(profile, h_c, h_g, zeta_c, radius):
+    """Twice the plane form."""
+    return 2.0 * plane(profile, h_c, h_g, zeta_c, radius)
+'''
+
+ATMOSPHERE = '''def _toy(place: SeasonAndPlace, index: IndexModel) -> Profile:
+    """As ARDC 1959."""
+    return _standard_profile("ardc1959", place, index)
+
+
+MODELS: dict'''
+
+CAMERA_MODEL = '''
+"""A toy: one radial coefficient."""
+
+from typing import Any, NamedTuple
+
+
+class Toy(NamedTuple):
+    """The coefficient of the square of the radius."""
+
+    k: float = 0.0
+
+
+Parameters = Toy
+
+
+def distort(u: Any, v: Any, parameters: Toy) -> Any:
+    scale = 1.0 + parameters.k * (u * u + v * v)
+    return u * scale, v * scale
+
+
+def slopes(u: Any, v: Any, parameters: Toy) -> Any:
+    scale, twice = 1.0 + parameters.k * (u * u + v * v), 2.0 * parameters.k
+    return scale + twice * u * u, twice * u * v, scale + twice * v * v
+
+
+def largest_radius(parameters: Toy) -> float:
+    return 10.0
+'''
+
+# Pixels through the compiled functions, held against a plane triangle and the angle of the ray.
+CAMERA_USED = """
+import numpy as np
+import pipeline
+from pipeline.refraction import Camera, Exposures
+from pipeline.refraction.camera.toy import Toy
+from pipeline.refraction.ray import rays_by
+
+camera = Camera(1000, 800, 900.0, 900.0, 500.0, 400.0, Toy(0.05))
+x, y = np.array([510.0, 950.0]), np.array([410.0, 60.0])
+u, v, covered = camera.rays(x, y)
+assert covered.all()
+np.testing.assert_allclose(camera.project(u, v), (x, y), atol=1e-9)
+
+air, one = pipeline.standard_atmosphere(), np.ones(1)
+down, n = np.diag([1.0, -1.0, -1.0])[None], air.refractivity(3e3) * one
+at = Exposures(one > 0, down, 0.8 * one, 3e3 * one, n, n, radius_m=6.371e6)
+corrected = pipeline.correct_observations(
+    x, y, np.zeros(2), np.zeros(2, np.int64), at, camera=camera, table=rays_by(air, "spherical")
+)
+zeta = np.arctan(np.hypot(u, v))
+straight = np.tan(zeta - pipeline.refraction_angle(air, 3e3, 0.0, zeta)) / np.tan(zeta)
+expected = camera.project(u * straight, v * straight)
+np.testing.assert_allclose((corrected.x_px, corrected.y_px), expected, atol=1e-8)
+assert (np.hypot(corrected.dx_px, corrected.dy_px) > 1e-4).all()
+"""
+
+EXPORT = '''
+"""A toy: the names of the usable images, each some times."""
+
+from pipeline.tables.exports.format import ExportFormat, Option
+
+
+def write(run, values, path, ledger):
+    names = [name for name, usable in zip(run.stations.image, run.exposures.usable) if usable]
+    path.write_text("\\n".join(name for name in names for _ in range(values["times"])))
+    return len(names)
+
+
+TIMES = Option("times", int, 1, "how often each name is written", minimum=1, maximum=9)
+FORMATS = (ExportFormat("toy", "names of the images", ".txt", write, (TIMES,)),)
+'''
+
+
+@dataclass(frozen=True)
+class Thing:
+    """A toy: its new files, and the changed lines of existing ones, as (before, after)."""
+
+    files: Mapping[str, str] = field(default_factory=dict)
+    lines: Mapping[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
+
+
+THINGS = {
+    "log format": Thing(
+        {"pipeline/ingest/toy/log.py": LOG_FORMAT, "pipeline/ingest/toy/__init__.py": '"""Toy."""'},
+        {
+            "pipeline/ingest/registry.py": (
+                ("import TLOG\n", "import TLOG\nfrom pipeline.ingest.toy.log import TOY\n"),
+                ("= (MCAP,", "= (TOY, MCAP,"),
+            )
+        },
+    ),
+    "atmosphere": Thing(
+        {},
+        {
+            "pipeline/atmosphere/standard.py": (
+                ("MODELS: dict", ATMOSPHERE),
+                (
+                    "    AUTO: _OF_SEASON,\n",
+                    '    AUTO: _OF_SEASON,\n    "toy": AtmosphereModel(_toy, "a toy", False),\n',
+                ),
+            )
+        },
+    ),
+    "refraction method": Thing(
+        {"pipeline/refraction/published/toy.py": METHOD},
+        {
+            "pipeline/refraction/published/__init__.py": (
+                ("\nPUBLISHED", "from pipeline.refraction.published.toy import toy\n\nPUBLISHED"),
+                ('    "manual": manual,\n', '    "manual": manual,\n    "toy": toy,\n'),
+            )
+        },
+    ),
+    "camera model": Thing(
+        {"pipeline/refraction/camera/toy.py": CAMERA_MODEL},
+        {
+            "pipeline/refraction/camera/__init__.py": (
+                ("import brown_conrady\n", "import brown_conrady, toy\n"),
+                (
+                    '    "brown_conrady": brown_conrady,\n',
+                    '    "brown_conrady": brown_conrady,\n    "toy": toy,\n',
+                ),
+            )
+        },
+    ),
+    "export": Thing(
+        {"pipeline/tables/exports/toy.py": EXPORT},
+        {
+            "pipeline/tables/exports/__init__.py": (
+                ("import lattice, radial\n", "import lattice, radial, toy\n"),
+                ("MODULES = (lattice, radial)", "MODULES = (lattice, radial, toy)"),
+            )
+        },
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Copy:
+    """A copy of the package with a toy in it."""
+
+    folder: Path
+
+    def python(self, *words: object, code: int = 0) -> str:
+        done = subprocess.run(
+            [sys.executable, *map(str, words)],
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
+            cwd=self.folder,
+            env=os.environ
+            | {
+                "PYTHONPATH": str(self.folder),
+                "PYTHONIOENCODING": "utf-8",
+                "NUMBA_CACHE_DIR": str(self.folder / "compiled"),
+            },
+        )
+        assert done.returncode == code, done.stdout + done.stderr
+        return done.stdout + done.stderr
+
+    def unbend(self, *words: object, code: int = 0) -> str:
+        return self.python("-m", "pipeline", *words, code=code)
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory: pytest.TempPathFactory) -> Copy:
+    """All toys in one copy, so that the kernels are compiled once."""
+    folder = tmp_path_factory.mktemp("toys")
+    shutil.copytree(PACKAGE, folder / "pipeline", ignore=shutil.ignore_patterns("__pycache__"))
+    for thing in THINGS.values():
+        for name, content in thing.files.items():
+            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).write_text(content.lstrip(), encoding="utf-8")
+        for name, changes in thing.lines.items():
+            text = (folder / name).read_text(encoding="utf-8")
+            for before, after in changes:
+                assert text.count(before) == 1, f"{before!r} does not stand once in {name}"
+                text = text.replace(before, after)
+            (folder / name).write_text(text, encoding="utf-8")
+    return Copy(folder)
+
+
+def documented() -> dict[str, tuple[str, str, str]]:
+    """The table of CONTRIBUTING.md: new file, registry and line by kind of thing."""
+    text = CONTRIBUTING.read_text(encoding="utf-8")
+    table = text.split("| new thing | new file | registry | line |\n")[1].split("\n\n")[0]
+    rows = [[cell.strip() for cell in row.strip("|").split("|")] for row in table.splitlines()[1:]]
+    return {kind: (file, registry, line) for kind, file, registry, line in rows}
+
+
+def test_every_documented_thing_is_tried():
+    assert set(documented()) == set(THINGS)
+
+
+@pytest.mark.parametrize("kind", THINGS)
+def test_a_toy_is_what_the_table_says(kind):
+    """One new file (a sub-package's __init__ beside it), one registry, at most two lines of it."""
+    file, registry, line = documented()[kind]
+    thing = THINGS[kind]
+    pattern = re.compile(re.sub(r"<\w+>", "toy", re.findall(r"`([^`]+)`", file)[0]))
+    new = [name for name in thing.files if not name.endswith("__init__.py")]
+    assert [bool(pattern.fullmatch(name)) for name in new] == ([] if "none" in file else [True])
+    assert [f"`{name}`" for name in thing.lines] == [registry]
+    name = re.findall(r"`([^`]+)`", line)[0]
+    text = (PACKAGE.parent / registry.strip("`")).read_text(encoding="utf-8")
+    assert re.search(rf"^{name}\b", text, re.MULTILINE)
+    changes = [change for changes in thing.lines.values() for change in changes]
+    added = [
+        line
+        for before, after in changes
+        for line in difflib.ndiff(before.splitlines(), after.splitlines())
+        if line.startswith("+ ") and line[2:].strip()
+    ]
+    allowed = 2 if "none" not in file else 8  # a line and its import; or a function and its line
+    assert len(added) <= allowed, added
+
+
+def test_a_log_format(copy):
+    (copy.folder / "flight.toy").write_text("toy\n1000000000,101325\n2000000000,101300\n")
+    shown = copy.unbend("inspect", "flight.toy")
+    assert "TOY" in shown
+    code = "import pipeline; print(pipeline.open_log('flight.toy').channel('TOY')['pressure_pa'])"
+    assert "101325" in copy.python("-c", code)
+
+
+def test_an_atmosphere(copy):
+    words = ("--camera-height", 3000, "--ground-height", 0, "--nadir-angle", 45, "--json")
+    toy, ardc, us = (
+        json.loads(copy.unbend("angle", "--atmosphere", name, *words))["r_c_arcsec"]
+        for name in ("toy", "ardc1959", "us1976")
+    )
+    assert toy == ardc != us
+    copy.unbend("profile", "--atmosphere", "toy")
+    assert "toy" in copy.unbend("angle", "--atmosphere", "none of them", *words, code=2)
+    mission = yaml.safe_load((CONTRIBUTING.parent / "configs" / "sample_bin.yaml").read_text())
+    mission["atmosphere"] = {"standard": "toy", "climatology": "toy"}
+    (copy.folder / "mission.yaml").write_text(yaml.safe_dump(mission))
+    code = "import pipeline; print(pipeline.load_mission('mission.yaml').atmosphere.climatology)"
+    assert "toy" in copy.python("-c", code)
+
+
+def test_a_refraction_method(copy):
+    words = ("--camera-height", 3000, "--ground-height", 0, "--nadir-angle", 45, "--json")
+    code = (
+        "import pipeline; air = pipeline.standard_atmosphere()\n"
+        "toy, plane = (pipeline.refraction_angle(air, 3e3, 0.0, 0.7, method=m) "
+        "for m in ('toy', 'plane'))\nassert toy == 2 * plane > 0"
+    )
+    copy.python("-c", code)
+    assert "toy" in copy.unbend("angle", *words, "--method", "toy")
+    assert "toy" in copy.unbend("angle", *words, "--method", "none of them", code=2)
+    assert "toy" in copy.unbend("angle", "--help")
+    copy.unbend("compare", "--out", "page.md")
+    assert "`toy` minus `spherical`" in (copy.folder / "page.md").read_text(encoding="utf-8")
+
+
+def test_a_camera_model(copy):
+    copy.python("-c", CAMERA_USED)
+
+
+def test_an_export(copy, baseline):
+    shown = copy.unbend("export", "--help")
+    assert "names of the images" in shown
+    assert "--times" in shown
+    assert "how often each name is written" in shown
+    run = ("export", baseline.output, "--format", "toy", "--times", 2)
+    copy.unbend(*run, "--out", copy.folder / "names.txt")
+    names = (copy.folder / "names.txt").read_text().splitlines()
+    assert len(names) == 2 * len(set(names)) > 0
+    assert "EXPORT-OPTION" in copy.unbend(*run, "--columns", 3, "--out", "n.txt", code=2)

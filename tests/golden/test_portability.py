@@ -1,0 +1,114 @@
+"""The sample mission where Python has nothing that only POSIX has: see `like_windows`."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[2]
+SAMPLE = ROOT / "configs" / "sample_bin.yaml"
+
+pytestmark = pytest.mark.skipif(
+    not Path("/proc/self/fd").is_dir(), reason="what is open is read from /proc"
+)
+
+
+@pytest.fixture(scope="module")
+def like_windows(tmp_path_factory):
+    """Runs a Python that lacks what Windows lacks, its console in the code page 1252."""
+    folder = tmp_path_factory.mktemp("like_windows")
+    helper = Path(__file__).with_name("like_windows.py")
+    (folder / "sitecustomize.py").write_text(
+        f"import runpy\nrunpy.run_path({str(helper)!r})['install']()\n", encoding="utf-8"
+    )
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)]),
+        "PYTHONWARNDEFAULTENCODING": "1",
+        "PYTHONIOENCODING": "cp1252",
+    }
+
+    def run(*words: object, code: int = 0) -> str:
+        done = subprocess.run(
+            [sys.executable, *map(str, words)],
+            capture_output=True,
+            env=environment,
+            cwd=folder,
+            timeout=600,
+            check=False,
+        )
+        out, err = done.stdout.decode("cp1252"), done.stderr.decode("cp1252", "replace")
+        assert done.returncode == code, f"{done.returncode}\n{out[-3000:]}\n{err[-3000:]}"
+        assert "Traceback" not in err, err
+        return out
+
+    return run
+
+
+def sample(folder: Path, name: str) -> Path:
+    """The sample's mission file with absolute inputs and a folder of results of its own."""
+    config = yaml.safe_load(SAMPLE.read_text(encoding="utf-8"))
+    for section in ("log", "observations"):
+        config[section]["path"] = str((SAMPLE.parent / config[section]["path"]).resolve())
+    config["mission"]["name"] = name
+    config["output"]["path"] = f"results/{name}"
+    path = folder / f"{name}.yaml"
+    path.write_text(yaml.safe_dump(config, sort_keys=False), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import fcntl",
+        "import os; os.register_at_fork(before=print)",
+        "import os; os.open('.', os.O_RDONLY)",
+        "import signal; signal.SIGKILL",
+        "import multiprocessing; multiprocessing.get_context('fork')",
+        "f = open('held', 'wb'); import os; open('new', 'wb').close(); os.replace('new', 'held')",
+        "f = open('held', 'wb'); import os; os.unlink('held')",
+        "f = open('held', 'wb'); import os; os.rename('.', '../other')",
+        "import os; os.fsync(open(os.devnull, 'rb'))",
+        "print('\\u2265')",
+    ],
+)
+def test_what_windows_lacks_is_missing(like_windows, code):
+    with pytest.raises(AssertionError):
+        like_windows("-c", code)
+
+
+def test_the_rooms_can_be_imported(like_windows):
+    for room in ("refraction", "ingest", "stages.story", "simulate", "cli", "report.html"):
+        like_windows("-c", f"import pipeline.{room}")
+
+
+def test_the_sample_runs_and_is_the_same(like_windows, tmp_path):
+    folder = tmp_path / "Vol \u03a9"  # no letter of code page 1252
+    folder.mkdir()
+    first, second = sample(folder, "first"), sample(folder, "second")
+    like_windows("-m", "pipeline", "run", first)
+    like_windows("-m", "pipeline", "run", first)  # finds it up to date
+    like_windows("-m", "pipeline", "run", first, "--force")  # replaces what is there
+    like_windows("-m", "pipeline", "run", first, second, "--jobs", "2", "--force")
+    results = [folder / "results" / name for name in ("first", "second")]
+    like_windows("-m", "pipeline", "verify", *results[:1])
+    names = [path.relative_to(results[0]) for path in sorted(results[0].rglob("*"))]
+    assert not [name for name in names if set(str(name)) & set('<>:"|?*\\')], names
+    tables = [pq.read_table(folder / "observations") for folder in results]
+    assert tables[0].num_rows > 1000
+    assert tables[0].equals(tables[1])
+
+
+@pytest.mark.parametrize("suffix", ["bin", "tlog", "mcap"])
+def test_logs_are_inspected(like_windows, suffix):
+    text = like_windows(
+        "-m", "pipeline", "inspect", ROOT / "sample_logs" / f"flight.{suffix}", "--json"
+    )
+    assert json.loads(text)["channels"]
+    like_windows("-m", "pipeline", "inspect", ROOT / "sample_logs" / f"flight.{suffix}")
