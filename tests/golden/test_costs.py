@@ -66,7 +66,7 @@ ATMOSPHERE = '''def _toy(place: SeasonAndPlace, index: IndexModel) -> Profile:
     return _standard_profile("ardc1959", place, index)
 
 
-MODELS: dict'''
+ATMOSPHERES: dict'''
 
 CAMERA_MODEL = '''
 """A toy: one radial coefficient."""
@@ -163,7 +163,7 @@ THINGS = {
         {},
         {
             "pipeline/atmosphere/standard.py": (
-                ("MODELS: dict", ATMOSPHERE),
+                ("ATMOSPHERES: dict", ATMOSPHERE),
                 (
                     "    AUTO: _OF_SEASON,\n",
                     '    AUTO: _OF_SEASON,\n    "toy": AtmosphereModel(_toy, "a toy", False),\n',
