@@ -1,4 +1,4 @@
-"""What a mission file may say of the air: the standard, the climatology, balloons, stations."""
+"""The sections of a mission file on the air: standard, climatology, soundings, sensors."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class SurfaceSection(Section):
 
     @field_validator("time_utc")
     @classmethod
-    def _is_a_time(cls, value: str | None) -> str | None:
+    def _check_time(cls, value: str | None) -> str | None:
         if value is not None:
             try:
                 datetime.fromisoformat(value)
@@ -51,7 +51,7 @@ class SurfaceSection(Section):
         return value
 
     @model_validator(mode="after")
-    def _metar_or_numbers(self) -> SurfaceSection:
+    def _check_metar_or_numbers(self) -> SurfaceSection:
         numbers = (self.temperature_c, self.pressure_hpa, self.relative_humidity, self.time_utc)
         given = [value for value in numbers if value is not None]
         if (self.metar is None) != bool(given):
@@ -88,7 +88,7 @@ class SurfaceSection(Section):
 
 
 class ThermometerSection(Section):
-    """What is known of the thermometer outside; its reading minus the air."""
+    """Known errors of the thermometer outside: reading minus air."""
 
     bias_k: float | None = Field(None, ge=-30, le=30)
     sigma_bias_k: float | None = Field(None, ge=0.01, le=30, description="by default 3")
@@ -106,14 +106,14 @@ class ThermometerSection(Section):
 
 
 class BarometerSection(Section):
-    """What is known of the static pressure; its reading minus the air."""
+    """Known errors of the static pressure: reading minus air."""
 
     offset_hpa: float | None = Field(None, ge=-30, le=30)
     sigma_offset_hpa: float | None = Field(None, ge=0.01, le=30, description="by default 0.5")
 
 
 class HygrometerSection(Section):
-    """What is known of the hygrometer; its reading minus the air, as relative humidity 0 to 1."""
+    """Known errors of the hygrometer: reading minus air, as relative humidity 0 to 1."""
 
     bias: float | None = Field(None, ge=-0.5, le=0.5)
     sigma_bias: float | None = Field(None, ge=0.001, le=0.5, description="by default 0.03")
@@ -128,7 +128,7 @@ class GnssSection(Section):
 
 
 class SensorsSection(Section):
-    """What calibrations say of the sensors; what is not said is expected as by default."""
+    """Calibrations of the sensors; what is not given has its default sigma."""
 
     thermometer: ThermometerSection = ThermometerSection()
     barometer: BarometerSection = BarometerSection()
@@ -183,14 +183,14 @@ class AtmosphereSection(Section):
 
     @field_validator("standard")
     @classmethod
-    def _is_known(cls, value: str) -> str:
+    def _check_standard(cls, value: str) -> str:
         if value not in standard_names():
             raise ValueError(f"is none of {', '.join(standard_names())}")
         return value
 
     @field_validator("climatology")
     @classmethod
-    def _is_a_climatology(cls, value: str) -> str:
+    def _check_climatology(cls, value: str) -> str:
         if value not in known_names():
             raise ValueError(f"is none of {', '.join(known_names())}")
         return value

@@ -1,4 +1,4 @@
-"""What a mission file may say of a camera: its calibration, window and mount."""
+"""The sections of a mission file on a camera: calibration, window and mount."""
 
 from __future__ import annotations
 
@@ -81,23 +81,23 @@ class WindowSection(Section):
     )
 
     def build(self) -> Window:
-        """The window, with the air behind it in SI or where that comes from."""
+        """The window, with constant cabin air in SI."""
+        cabin = self.cabin
+        if isinstance(cabin, CabinAir):
+            air: Cabin | None = Cabin(
+                "constant",
+                pressure_pa=cabin.pressure_hpa * HECTOPASCAL,
+                temperature_k=cabin.temperature_c + ZERO_CELSIUS_K,
+                relative_humidity=cabin.relative_humidity,
+            )
+        else:
+            air = None if cabin is None else Cabin(cabin)
         x, y, z = self.normal
-        return Window(self._air(), (x, y, z), self.frame, self.shape, self.in_calibration)
-
-    def _air(self) -> Cabin | None:
-        if not isinstance(self.cabin, CabinAir):
-            return None if self.cabin is None else Cabin(self.cabin)
-        return Cabin(
-            "constant",
-            pressure_pa=self.cabin.pressure_hpa * HECTOPASCAL,
-            temperature_k=self.cabin.temperature_c + ZERO_CELSIUS_K,
-            relative_humidity=self.cabin.relative_humidity,
-        )
+        return Window(air, (x, y, z), self.frame, self.shape, self.in_calibration)
 
     @field_validator("cabin")
     @classmethod
-    def _is_there(cls, value: object, info: ValidationInfo) -> object:
+    def _require_cabin(cls, value: object, info: ValidationInfo) -> object:
         if value is None and info.data.get("shape") != "spherical":
             raise ValueError(
                 "is missing: a plane window bends by the air behind it. log, standard_schedule, or "
@@ -107,7 +107,7 @@ class WindowSection(Section):
 
     @field_validator("normal")
     @classmethod
-    def _points_outside(cls, value: list[float], info: ValidationInfo) -> list[float]:
+    def _unit_normal(cls, value: list[float], info: ValidationInfo) -> list[float]:
         length = float(np.linalg.norm(value))
         if not length > 1e-6:
             raise ValueError("has no direction: its length is zero")
@@ -116,7 +116,7 @@ class WindowSection(Section):
         return [component / length for component in value]
 
     @model_validator(mode="after")
-    def _a_dome_has_no_direction(self) -> WindowSection:
+    def _check_spherical(self) -> WindowSection:
         given = sorted({"frame", "normal"} & self.model_fields_set)
         if self.shape == "spherical" and given:
             raise ValueError(f"a spherical window has no {' and no '.join(given)}")
@@ -174,7 +174,7 @@ class CameraSection(Section):
     )
 
     @model_validator(mode="after")
-    def _one_principal_distance(self) -> CameraSection:
+    def _check_principal_distance(self) -> CameraSection:
         both = self.fx_px is not None and self.fy_px is not None
         neither = self.fx_px is None and self.fy_px is None
         if (self.f_px is not None) == both or not (both or neither):
@@ -182,7 +182,7 @@ class CameraSection(Section):
         return self
 
     @model_validator(mode="after")
-    def _air_of_the_lens_is_known(self) -> CameraSection:
+    def _check_lens_air(self) -> CameraSection:
         window = self.window
         if self.principal_distance is not None and window is not None and window.cabin is None:
             raise ValueError(
@@ -202,7 +202,7 @@ class CameraSection(Section):
         return self.window.shape == "plane" or self.principal_distance is not None
 
     def lens(self) -> LensInAir | None:
-        """How the principal distance follows the air, where the file says so."""
+        """How the principal distance follows the air; None where the file does not state it."""
         if self.principal_distance is None:
             return None
         # The smaller of two, to which a change is the larger part.
@@ -251,7 +251,7 @@ class MountSection(Section):
     )
 
     @model_validator(mode="after")
-    def _yaw_is_not_alone(self) -> MountSection:
+    def _check_sigmas(self) -> MountSection:
         if self.sigma_yaw_deg is not None and self.sigma_tilt_deg is None:
             raise ValueError("sigma_yaw_deg needs sigma_tilt_deg beside it")
         return self

@@ -1,4 +1,4 @@
-"""Reading a mission file, and saying what is wrong with it: line, key, nearest right key."""
+"""Reading a mission file; a refusal names line, key and the nearest valid key."""
 
 from __future__ import annotations
 
@@ -108,9 +108,9 @@ def _refusal(error: ValidationError, path: Path, node: yaml.Node | None) -> Conf
         key, line = _place(node, item["loc"])
         what = item["msg"].removeprefix("Value error, ")
         if item["type"] == "extra_forbidden":
-            what = "unknown key" + _nearest(item["loc"])
+            what = "unknown key" + _hint(item["type"], item["loc"])
         elif item["type"] == "missing":
-            what = "is missing" + _meaning(item["loc"])
+            what = "is missing" + _hint(item["type"], item["loc"])
         mistakes.append((line, f"line {line}: {key}: {what}" if key else f"line {line}: {what}"))
     # A union reports each of its arms; what stands at the same place is one mistake.
     ordered = [text for _, text in sorted(dict.fromkeys(mistakes))]
@@ -150,7 +150,7 @@ def _models_at(loc: tuple[int | str, ...]) -> list[type[BaseModel]]:
     models: list[type[BaseModel]] = [Mission]
     a_name_follows = False
     for part in loc:
-        if a_name_follows:  # of a camera, which may be called like one of our keys
+        if a_name_follows:  # the name of a camera, which may be the same as a key
             a_name_follows = False
             continue
         fields = [m.model_fields[str(part)] for m in models if str(part) in m.model_fields]
@@ -168,21 +168,18 @@ def _sections_of(annotation: Any) -> list[type[BaseModel]]:
     return []
 
 
-def _nearest(loc: tuple[int | str, ...]) -> str:
-    known = sorted({name for model in _models_at(loc[:-1]) for name in model.model_fields})
-    near = difflib.get_close_matches(str(loc[-1]), known, 1, 0.5)
-    return f"; perhaps {near[0]!r}?" if near else f"; there is {', '.join(known)}"
-
-
-def _meaning(loc: tuple[int | str, ...]) -> str:
-    for model in _models_at(loc[:-1]):
-        field = model.model_fields.get(str(loc[-1]))
-        if field is not None:
-            choices = (
-                [a for a in typing.get_args(field.annotation) if isinstance(a, str)]
-                if typing.get_origin(field.annotation) is Literal
-                else []
-            )
-            hint = f" ({' | '.join(choices)})" if choices else ""
-            return hint + (f": {field.description}" if field.description else "")
-    return ""
+def _hint(kind: str, loc: tuple[int | str, ...]) -> str:
+    """What to write instead of an unknown key, or the meaning and choices of a missing one."""
+    models = _models_at(loc[:-1])
+    key = str(loc[-1])
+    if kind == "extra_forbidden":
+        known = sorted({name for model in models for name in model.model_fields})
+        near = difflib.get_close_matches(key, known, 1, 0.5)
+        return f"; perhaps {near[0]!r}?" if near else f"; there is {', '.join(known)}"
+    field = next((m.model_fields[key] for m in models if key in m.model_fields), None)
+    if field is None:
+        return ""
+    is_literal = typing.get_origin(field.annotation) is Literal
+    choices = [a for a in typing.get_args(field.annotation) if is_literal and isinstance(a, str)]
+    meaning = f": {field.description}" if field.description else ""
+    return (f" ({' | '.join(choices)})" if choices else "") + meaning

@@ -1,4 +1,4 @@
-"""What a mission file may say: one model a section, strict types, no unknown keys."""
+"""The sections of a mission file as models with strict types and no unknown keys."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pydantic import Field, field_validator, model_validator
 from pipeline.config.atmosphere import AtmosphereSection, PathText
 from pipeline.config.cameras import CameraSection, MountSection, Section
 from pipeline.flight.heights import GeodeticOrigin
+from pipeline.ingest.registry import KNOWN
 from pipeline.refraction import METHODS
 from pipeline.tables.pixels import PixelOrigin, PixelSystem
 from pipeline.units import DEGREE
@@ -24,7 +25,7 @@ _NUMBER_FORMAT = re.compile(r"^0?[0-9]{0,2}d?$")
 
 
 class MissionSection(Section):
-    """What the mission is called, and what its log cannot say."""
+    """Name of the mission, and what its log does not hold."""
 
     name: str = Field(
         pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$",
@@ -89,7 +90,7 @@ class LocalOrigin(Section):
 class LogSection(Section):
     """The flight log."""
 
-    path: PathText = Field(description="DataFlash .bin, MAVLink .tlog or .mcap")
+    path: PathText = Field(description=KNOWN)
     channels: ChannelsSection = ChannelsSection()
     max_gap_s: float = Field(
         2.0,
@@ -144,7 +145,7 @@ class LogEvents(Section):
 
     @field_validator("image")
     @classmethod
-    def _is_a_pattern(cls, value: str) -> str:
+    def _check_pattern(cls, value: str) -> str:
         try:
             pieces = list(string.Formatter().parse(value))
         except ValueError as error:
@@ -168,7 +169,7 @@ class CsvEventColumns(Section):
     camera: str | None = None
 
     @model_validator(mode="after")
-    def _one_clock(self) -> CsvEventColumns:
+    def _check_clock(self) -> CsvEventColumns:
         gps = (self.gps_week is not None, self.gps_seconds is not None)
         if (self.time_utc is None) != all(gps) or gps[0] != gps[1]:
             raise ValueError("give time_utc, or both gps_week and gps_seconds")
@@ -193,7 +194,7 @@ class EventsSection(Section):
     csv: CsvEvents | None = None
 
     @model_validator(mode="after")
-    def _one_source(self) -> EventsSection:
+    def _check_source(self) -> EventsSection:
         if (self.log is None) == (self.csv is None):
             raise ValueError("give either log or csv")
         if self.log is not None and not self.log:
@@ -249,27 +250,23 @@ class GroundSection(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _has_its_reference(cls, values: Any) -> Any:
-        """Heights from the camera's own, above sea level, need no word about their reference."""
+    def _default_reference(cls, values: Any) -> Any:
+        """Heights from distances follow from the camera's own, which is above mean sea level."""
         if isinstance(values, dict) and values.get("height") == "from_distance":
             return {"reference": "msl"} | values
         return values
 
     @field_validator("height")
     @classmethod
-    def _on_earth(cls, value: GroundHeight) -> GroundHeight:
+    def _check_height_range(cls, value: GroundHeight) -> GroundHeight:
         if isinstance(value, float) and not LOWEST_GROUND_M <= value <= HIGHEST_GROUND_M:
             raise ValueError("is no ground height in metres (-600 to 10000)")
         return value
 
     @model_validator(mode="after")
-    def _has_one_sigma(self) -> GroundSection:
+    def _check_combinations(self) -> GroundSection:
         if self.sigma_m is not None and self.sigma_column is not None:
             raise ValueError("give either sigma_m or sigma_column")
-        return self
-
-    @model_validator(mode="after")
-    def _says_nothing_idle(self) -> GroundSection:
         if self.from_distance and (self.reference != "msl" or self.home_h_msl_m is not None):
             raise ValueError(
                 "height: from_distance gives heights above mean sea level; leave reference and "
@@ -296,7 +293,7 @@ class RefractionSection(Section):
 
     @field_validator("method")
     @classmethod
-    def _is_known(cls, value: str) -> str:
+    def _check_method(cls, value: str) -> str:
         if value not in METHODS:
             raise ValueError(f"is none of {', '.join(METHODS)}")
         return value
@@ -324,7 +321,7 @@ class Mission(Section):
     output: OutputSection
 
     @model_validator(mode="after")
-    def _windows_are_looked_through(self) -> Mission:
+    def _check_window_directions(self) -> Mission:
         for name, camera in self.cameras.items():
             window = camera.window
             # A stabilised camera turns behind the window: only the log knows how.
@@ -341,16 +338,12 @@ class Mission(Section):
         return self
 
     @model_validator(mode="after")
-    def _a_board_is_named(self) -> Mission:
+    def _check_named_inputs(self) -> Mission:
         if self.atmosphere.board_temperature and self.log.channels.temperature is None:
             raise ValueError(
                 "atmosphere.board_temperature needs log.channels.temperature, the channel whose "
                 "board is meant, as BARO[0]"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _distances_are_there(self) -> Mission:
         if self.ground.from_distance and self.observations.columns.distance_m is None:
             raise ValueError(
                 "ground.height: from_distance needs observations.columns.distance_m, the name of "
@@ -359,20 +352,20 @@ class Mission(Section):
         return self
 
     @model_validator(mode="after")
-    def _cameras_agree(self) -> Mission:
+    def _check_camera_names(self) -> Mission:
         known = set(self.cameras)
         used = {"mount": set(self.mount)}
         if self.events.log is not None:
             used["events.log"] = set(self.events.log)
         if self.events.csv is not None:
-            one = self.events.csv.camera
-            if one is None and self.events.csv.columns.camera is None and len(known) > 1:
-                raise ValueError("events.csv must say which camera: camera or columns.camera")
-            used["events.csv.camera"] = {one} if one else set()
+            camera = self.events.csv.camera
+            if camera is None and self.events.csv.columns.camera is None and len(known) > 1:
+                raise ValueError("events.csv must state which camera: camera or columns.camera")
+            used["events.csv.camera"] = {camera} if camera else set()
         for where, names in used.items():
             for name in sorted(names - known):
                 near = difflib.get_close_matches(name, known, 1, 0.0)
-                raise ValueError(f"{where} speaks of camera {name!r}; perhaps {near[0]!r}?")
+                raise ValueError(f"{where} names camera {name!r}; perhaps {near[0]!r}?")
         for where, names in used.items():
             for name in sorted(known - names) if where != "events.csv.camera" else ():
                 raise ValueError(f"camera {name!r} has no entry under {where}")

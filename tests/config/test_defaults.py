@@ -1,0 +1,163 @@
+"""What a mission file need not state, each default with its reason; and units on the way in."""
+
+from __future__ import annotations
+
+import typing
+
+import pytest
+
+from pipeline.config.atmosphere import AtmosphereSection, SoundingSection, SurfaceSection
+from pipeline.config.cameras import CameraSection, MountSection, WindowSection
+from pipeline.config.sections import (
+    CsvEvents,
+    GroundSection,
+    LogEvents,
+    LogSection,
+    NamedChannel,
+    ObservationsSection,
+    OutputSection,
+    RefractionSection,
+)
+from pipeline.ingest.fields import STATED_UNITS
+from pipeline.ingest.registry import SUFFIXES
+
+CAMERA = {
+    "width_px": 1000, "height_px": 800, "f_px": 900.0, "cx_px": 500.0, "cy_px": 400.0,
+    "calibration": "laboratory",
+}  # fmt: skip
+
+
+def defaults(model) -> dict[str, object]:
+    return {name: f.default for name, f in model.model_fields.items() if not f.is_required()}
+
+
+def test_the_air():
+    section = defaults(AtmosphereSection)
+    assert section["standard"] == "us1976"  # the standard of the command line, too
+    assert section["adjust"] is True  # it is what the program is for
+    assert section["climatology"] == "auto"  # of place and season
+    assert section["index"] == "ciddor"  # Ciddor 1996 holds for all wavelengths of cameras
+    assert section["wavelength_m"] == 0.55e-6  # the middle of the visible; the eye's maximum
+    assert section["co2_ppm"] == 450.0  # that of Ciddor's standard air
+    assert section["board_temperature"] is False  # a board is 10 K warmer than the air
+    assert defaults(SoundingSection)["format"] == "auto"
+
+
+def test_the_rays():
+    section = RefractionSection()
+    assert section.direction == "remove"  # apply is for planning
+    assert section.method == "spherical"  # plane is 1 % off at 60 degrees
+    assert section.radius_m is None  # the ellipsoid's in the azimuth of the ray
+
+
+def test_cameras_and_mount():
+    camera = CameraSection.model_validate(CAMERA)
+    assert camera.pixel_origin is None  # that of the observations
+    assert set(camera.distortion.model_dump().values()) == {0.0}
+    assert camera.window is None
+    assert camera.principal_distance is None
+    assert (camera.build().cx_px, camera.build().cy_px) == (500.0, 400.0)  # corner: COLMAP's pixels
+    mount = MountSection()
+    # Straight down, the top of the image towards the nose; nothing is known of the errors.
+    assert (mount.roll_deg, mount.pitch_deg, mount.yaw_deg) == (0.0, 0.0, 0.0)
+    assert mount.lever_arm_m == [0.0, 0.0, 0.0]
+    assert (mount.sigma_tilt_deg, mount.sigma_yaw_deg) == (None, None)
+    window = WindowSection(cabin="log")
+    assert (window.shape, window.frame, window.in_calibration) == ("plane", "camera", "none")
+    assert window.normal == [0.0, 0.0, 1.0]  # square to the optical axis
+
+
+def test_inputs_and_outputs():
+    assert defaults(LogSection)["max_gap_s"] == 2.0  # attitude at 10 Hz: twenty lost in a row
+    assert defaults(LogEvents)["delay_s"] == 0.0
+    assert defaults(CsvEvents)["delay_s"] == 0.0
+    assert defaults(CsvEvents)["columns"].time_utc == "time_utc"
+    table = ObservationsSection(path="a.csv")
+    assert table.pixel_origin == "corner"  # COLMAP's
+    assert (table.columns.image, table.columns.point) == ("image", "point")
+    assert (table.columns.x_px, table.columns.y_px) == ("x_px", "y_px")
+    assert table.columns.distance_m is None
+    assert OutputSection(path="out").batch_rows == 250_000  # five batches in memory: 0.5 GB
+
+
+def test_the_ground_has_no_default_but_for_distances():
+    assert {n for n, f in GroundSection.model_fields.items() if f.is_required()} == {
+        "height", "reference",
+    }  # fmt: skip
+    section = GroundSection.model_validate({"height": "from_distance"})
+    assert section.reference == "msl"  # the camera's own height is above mean sea level
+    assert section.from_distance
+    assert (section.constant_m, section.column) == (None, None)
+    column = GroundSection.model_validate({"height": {"column": "z"}, "reference": "ellipsoid"})
+    assert (column.constant_m, column.column, column.from_distance) == (None, "z", False)
+    for height in (-600.0, 10_000.0):
+        given = GroundSection.model_validate({"height": height, "reference": "relative"})
+        assert given.constant_m == height
+    for height in (-600.1, 10_000.1):
+        with pytest.raises(ValueError, match="no ground height"):
+            GroundSection.model_validate({"height": height, "reference": "msl"})
+
+
+@pytest.mark.parametrize(
+    ("own", "of_table", "cx"),
+    [(None, "corner", 500.0), (None, "centre", 500.5), ("corner", "centre", 500.0),
+     ("centre", "corner", 500.5), ("centre", "centre", 500.5)],
+)  # fmt: skip
+def test_the_origin_of_a_camera_goes_before_that_of_the_table(own, of_table, cx):
+    """COLMAP: the centre of the upper left pixel is (0.5, 0.5); OpenCV: it is (0, 0)."""
+    camera = CameraSection.model_validate(CAMERA | {"pixel_origin": own}).build(of_table)
+    assert (camera.cx_px, camera.cy_px) == (cx, cx - 100.0)
+
+
+def test_two_principal_distances_are_those_of_their_axes():
+    given = {key: value for key, value in CAMERA.items() if key != "f_px"}
+    given |= {"fx_px": 901.0, "fy_px": 899.0, "distortion": {"k1": 0.1, "k2": 0.2, "k3": 0.3,
+                                                            "p1": 0.4, "p2": 0.5}}  # fmt: skip
+    camera = CameraSection.model_validate(given).build()
+    assert (camera.fx_px, camera.fy_px, camera.width_px, camera.height_px) == (
+        901.0,
+        899.0,
+        1000,
+        800,
+    )
+    assert camera.distortion._asdict() == given["distortion"]
+
+
+def test_a_mount_in_radians():
+    mount = MountSection(
+        roll_deg=10.0, pitch_deg=20.0, yaw_deg=30.0, lever_arm_m=[1.0, 2.0, 3.0]
+    ).build()
+    assert (mount.roll_rad, mount.pitch_rad, mount.yaw_rad) == pytest.approx(
+        (0.17453292519943295, 0.3490658503988659, 0.5235987755982988), rel=1e-15
+    )
+    assert tuple(mount.lever_arm_m) == (1.0, 2.0, 3.0)
+
+
+def test_a_station_in_si():
+    section = SurfaceSection(
+        h_msl_m=450.0, temperature_c=-3.5, pressure_hpa=966.2, relative_humidity=0.6,
+        time_utc="2026-05-14T10:20:00+02:00",
+    )  # fmt: skip
+    assert section.temperature_k == pytest.approx(269.65)
+    assert section.pressure_pa == pytest.approx(96_620.0)
+    assert section.humidity == 0.6
+    assert section.time_ns == 1_778_746_800_000_000_000  # 08:20 UTC
+    without = SurfaceSection(h_msl_m=0.0, temperature_c=1.0, time_utc="2026-05-14T10:20:00")
+    assert without.time_ns == 1_778_754_000_000_000_000  # without an offset: UTC
+    assert without.pressure_pa != without.pressure_pa
+    assert without.humidity != without.humidity
+
+
+def test_the_formats_of_logs_are_those_that_can_be_read():
+    described = LogSection.model_fields["path"].description
+    assert described is not None
+    for suffix in (".bin", ".log", ".tlog", ".mcap", ".ulg"):
+        assert suffix in SUFFIXES
+    for suffix in SUFFIXES:
+        assert suffix in described
+
+
+def test_the_units_of_a_channel_are_those_that_can_be_converted():
+    annotation = NamedChannel.model_fields["unit"].annotation
+    (literal,) = (arm for arm in typing.get_args(annotation) if arm is not type(None))
+    assert set(typing.get_args(literal)) == set(STATED_UNITS)
