@@ -244,3 +244,17 @@ def test_a_disk_without_locks_is_refused_with_its_words(tmp_path: Path, monkeypa
     with no_lock as refusal, open_folder(tmp_path):
         pass
     assert refusal.value.code == "STORAGE-LOCK"
+
+
+def test_files_among_the_results_by_any_path(tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    (results / "observations").mkdir(parents=True)
+    (results / "observations" / "real.parquet").write_text("x")
+    (tmp_path / "link.parquet").symlink_to(results / "observations" / "real.parquet")
+    (results / "observations" / "out.parquet").symlink_to(tmp_path / "elsewhere.parquet")
+    (tmp_path / "alias").symlink_to(results)
+    for name in ("results/stations.parquet", "link.parquet", "results/observations/out.parquet",
+                 "alias/manifest.json", "results/../results/report.html"):  # fmt: skip
+        assert store.would_replace(results, tmp_path / name), name
+    for name in ("results/flight.bin", "elsewhere.parquet", "observations/own.parquet"):
+        assert not store.would_replace(results, tmp_path / name), name

@@ -23,6 +23,7 @@ from pipeline.simulate.true_air import (
     vapour_pressure_pa,
 )
 from pipeline.stages import adjusted_profile as batch_air
+from pipeline.stages.story import air_of_mission
 
 METAR = "METAR KXYZ 151055Z 24011KT 9999 SCT040 12/08 Q1013"
 
@@ -535,3 +536,24 @@ def test_the_profile_command_writes_every_profile(changed, unbend, tmp_path):
     shown = " ".join(unbend("profile", mission.file).out.split())
     assert "profiles follow the air" in shown
     assert "R at 45° from" in shown
+
+
+# ---- the index of refraction
+
+
+def refractivity(mission, **entries) -> np.ndarray:
+    mission.config["atmosphere"] = {"adjust": False} | entries
+    air, _, _ = air_of_mission(mission.save())
+    return air.adjustment.profile.refractivity(np.array([500.0, 2000.0]))
+
+
+def test_index_wavelength_and_carbon_dioxide_of_the_mission_file_count(mission):
+    """Ciddor 1996: n - 1 of dry air grows by 0.534e-6 of itself a ppm; Edlen's dispersion."""
+    usual = refractivity(mission)
+    more = refractivity(mission, co2_ppm=1450.0)
+    assert more / usual - 1.0 == pytest.approx([5.34e-4, 5.34e-4], rel=2e-2)
+    blue = refractivity(mission, wavelength_m=0.4e-6)
+    # Of dry air at 15 degC: 2.8275e-4 at 0.4 um, 2.7784e-4 at 0.55 um (Ciddor 1996, Eq. 1).
+    assert blue / usual == pytest.approx([1.0177, 1.0177], abs=4e-4)
+    gyer = refractivity(mission, index="gyer")
+    assert (gyer != usual).all()

@@ -72,3 +72,24 @@ def test_heights_from_slant_ranges(baseline, mission, plain_report):
     miss = pixels(found, "corrected_")[2:] - pixels(corrected, "corrected_")[2:]
     assert np.abs(miss).max() < 1e-5
     assert found["range_m"].to_pylist()[0] == -5.0
+
+
+def test_ideal_observations_with_slant_ranges_are_displaced_as_with_heights(
+    baseline, mission, plain_report
+):
+    """Ideal pixels lie on the chord: the height at a distance follows from them directly."""
+    corrected = baseline.results()
+    ideal = corrected.select(["image", "point", "x_corrected_px", "y_corrected_px"])
+    ideal = ideal.append_column("range_m", pa.array(chords(baseline, corrected)))
+    mission.observe(ideal.replace_schema_metadata(None))
+    mission.config["observations"]["columns"] = {
+        "x_px": "x_corrected_px", "y_px": "y_corrected_px", "distance_m": "range_m",
+    }  # fmt: skip
+    mission.config["ground"] = {"height": "from_distance"}
+    mission.config["refraction"] = {"direction": "apply"}
+    ended = mission.run()
+    assert ended.code == 0, ended.text
+    displaced = mission.results()
+    off = displaced["h_g_m"].to_numpy() - corrected["h_g_m"].to_numpy()
+    assert np.abs(off).max() < 0.01  # the sphere here is that of the equator
+    assert np.abs(pixels(displaced, "displaced_") - pixels(corrected, "")).max() < 1e-5

@@ -1,0 +1,125 @@
+"""Ground heights of a batch, and the counts of many batches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.ledger import Kind, Ledger
+from pipeline.refraction.camera.camera import Camera
+from pipeline.refraction.status import STATUS_NAMES
+from pipeline.stages.correction import Ground, plausible_heights
+from pipeline.stages.statistics import Statistics, evenly_spaced
+
+
+@dataclass
+class Heights:
+    """The heights of a batch of observations."""
+
+    ground: np.ndarray | None
+    ground_sigma: np.ndarray | None = None
+    count: int = 3
+
+    def __len__(self) -> int:
+        return self.count
+
+
+OFFSET = np.array([10.0, -20.0, np.nan])
+
+
+def test_heights_and_the_offset_of_their_station():
+    given_m = np.array([100.0, 200.0, 300.0])
+    column = Ground(None, OFFSET)
+    assert column.heights(Heights(given_m), np.array([1, 0, 1])).tolist() == [80.0, 210.0, 280.0]
+    # Of an unknown offset no height follows; without a station there is nothing to reduce.
+    unknown = column.heights(Heights(given_m), np.array([2, -1, 0]))
+    assert np.isnan(unknown[0])
+    assert unknown[1:].tolist() == [200.0, 310.0]
+    constant = Ground(450.0, OFFSET)
+    assert constant.heights(Heights(None), np.array([1, 0, 1])).tolist() == [430.0, 460.0, 430.0]
+
+
+def test_the_limits_are_those_of_all_stations():
+    assert Ground(450.0, OFFSET).limits == (430.0, 460.0)
+    assert Ground(450.0, np.array([np.nan])).limits == (450.0, 450.0)
+    assert Ground(None, OFFSET).limits == (-600.0, 10_000.0)
+
+
+def test_heights_of_no_ground_are_unknown_and_counted():
+    heights = np.array([-600.0, -600.1, 10_000.0, 10_000.1, np.nan])
+    assert np.isfinite(plausible_heights(heights)).tolist() == [True, False, True, False, False]
+    ground = Ground(None, OFFSET)
+    assert ground.count_implausible(Heights(heights)) == 2
+    assert Ground(450.0, OFFSET).count_implausible(Heights(None)) == 0
+
+
+def test_the_sigma_of_a_column_goes_before_that_of_all():
+    own = np.array([1.0, np.nan, 3.0])
+    assert Ground(0.0, OFFSET, sigma_m=5.0).sigmas(Heights(None)).tolist() == [5.0, 5.0, 5.0]
+    np.testing.assert_array_equal(Ground(0.0, OFFSET).sigmas(Heights(None, own)), own)
+    assert np.isnan(Ground(0.0, OFFSET).sigmas(Heights(None))).all()
+
+
+CAMERA = Camera(1000, 800, 900.0, 900.0, 500.0, 400.0)
+
+
+def counted(**counts: object) -> Statistics:
+    statistics = Statistics.of({"nadir": CAMERA})
+    for name, value in counts.items():
+        setattr(statistics, name, value)
+    return statistics
+
+
+def test_the_counts_of_two_parts_are_added():
+    total = counted(rows=10, parts=1, no_distance=1, no_sigma=2, implausible_heights=3,
+                    status={"ok": 6, "no_ground": 4}, rays=[np.zeros((6, 2))])  # fmt: skip
+    total.merge(counted(rows=5, parts=1, no_distance=10, no_sigma=20, implausible_heights=30,
+                        status={"ok": 4, "no_station": 1}, rays=[np.ones((6, 3))]))  # fmt: skip
+    assert (total.rows, total.parts) == (15, 2)
+    assert (total.no_distance, total.no_sigma, total.implausible_heights) == (11, 22, 33)
+    assert total.status == {"ok": 10, "no_ground": 4, "no_station": 1}
+    assert total.sampled_rays().shape == (6, 5)
+
+
+def test_each_reason_has_its_entry_with_its_kind_and_count():
+    status = dict.fromkeys(STATUS_NAMES, 0) | {
+        "ok": 50, "no_ground": 7, "beyond_grazing": 3, "far_branch": 2,
+    }  # fmt: skip
+    ledger = Ledger()
+    counted(
+        rows=62, no_distance=4, no_sigma=5, implausible_heights=6, status=status
+    ).report_flagged(ledger)
+    assert {(e.code, e.kind, e.count) for e in ledger} == {
+        ("OBS-DISTANCE", Kind.WARNING, 4), ("OBS-SIGMA", Kind.WARNING, 5),
+        ("OBS-GROUND-RANGE", Kind.LOSS, 6), ("OBS-FLAGGED", Kind.LOSS, 7),
+        ("OBS-BEYOND-GRAZING", Kind.LOSS, 3), ("OBS-FAR-BRANCH", Kind.NOTE, 2),
+    }  # fmt: skip
+    assert "7 of 62 observations are no_ground" in {e.what for e in ledger}
+    silent = Ledger()
+    counted(rows=50, status={"ok": 50}).report_flagged(silent)
+    assert len(silent) == 0
+
+
+@given(st.integers(1, 2000), st.integers(1, 500))
+def test_evenly_spaced_rows_are_few_ordered_and_reach_both_ends(count, most):
+    rows = evenly_spaced(count, most)
+    assert 1 <= rows.size <= min(count, most)
+    assert rows[0] == 0
+    assert (np.diff(rows) > 0).all()
+    if most > 1:
+        assert rows[-1] == count - 1
+        assert rows.size == min(count, most)
+        assert np.ptp(np.diff(rows)) <= 1 if rows.size > 1 else True
+
+
+def test_no_rows_of_none():
+    assert evenly_spaced(0, 10).size == 0
+
+
+@pytest.mark.parametrize("name", ["rows", "parts"])
+def test_nothing_was_counted_yet(name):
+    assert getattr(Statistics.of({"nadir": CAMERA}), name) == 0
