@@ -557,3 +557,17 @@ def test_index_wavelength_and_carbon_dioxide_of_the_mission_file_count(mission):
     assert blue / usual == pytest.approx([1.0177, 1.0177], abs=4e-4)
     gyer = refractivity(mission, index="gyer")
     assert (gyer != usual).all()
+
+
+@pytest.mark.parametrize(
+    ("ground", "h_g_m"),
+    [
+        ({"height": 600.0, "reference": "msl"}, 600.0),
+        ({"height": 600.0, "reference": "relative"}, 450.0),  # of the field, where it was sampled
+    ],
+)
+def test_the_effect_on_r_is_that_on_the_ground_of_the_mission(mission, ground, h_g_m):
+    mission.config["ground"] = ground
+    air, _, _ = air_of_mission(mission.save())
+    assert [effect.h_g_m for effect in air.effects] == pytest.approx([h_g_m] * 2, abs=10.0)
+    assert all(effect.h_c_m > 2500.0 for effect in air.effects)
