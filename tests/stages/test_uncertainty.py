@@ -17,6 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.stages import story as stages
+from pipeline.stages.story import check_mission
+from pipeline.stages.uncertainty import station_sigmas
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
@@ -33,10 +35,7 @@ def with_covariance(monkeypatch, covariance_of):
     def adjusted_profiles(*given):
         air = original(*given)
         covariance = covariance_of(air.adjustment.profile)
-        airs = tuple(
-            replace(one, own_covariance=covariance, neighbours=None)
-            for one in air.series.timed_profiles
-        )
+        airs = tuple(replace(one, own=covariance, ends=None) for one in air.series.timed_profiles)
         adjustment = replace(air.adjustment, covariance=covariance)
         return replace(air, adjustment=adjustment, series=replace(air.series, timed_profiles=airs))
 
@@ -337,3 +336,23 @@ def test_displaced_observations_have_them_too(mission):
     np.testing.assert_allclose(table["sigma_r_c_rad"], LN_P * table["r_c_rad"], rtol=2e-3)
     assert (table["sigma_station_dx_px"] > 0.0).all()
     assert LN_P < manifest["uncertainty"]["scale_sigma"] < 3.0 * LN_P
+
+
+def test_the_sigmas_of_each_mount_in_radians(mission):
+    first, second = list(mission.config["cameras"])[:2]
+    mission.config["mount"][first] |= {"sigma_tilt_deg": 0.5, "sigma_yaw_deg": 2.0}
+    mission.config["mount"][second] |= {"sigma_tilt_deg": 0.25}
+    prepared = check_mission(mission.save())
+    at, camera = prepared.stations, prepared.stations.camera
+    sigmas = station_sigmas(prepared.plan.mission, at)
+    assert sigmas.tilt_rad[camera == first] == pytest.approx(0.008726646259971648)
+    assert sigmas.yaw_rad[camera == first] == pytest.approx(0.03490658503988659)
+    # By default the yaw is as uncertain as the tilt; heights are those of the log.
+    assert sigmas.yaw_rad[camera == second] == pytest.approx(0.004363323129985824)
+    np.testing.assert_array_equal(sigmas.height_m, at.sigma_height_m)
+    del mission.config["mount"][first]["sigma_yaw_deg"]
+    del mission.config["mount"][first]["sigma_tilt_deg"]
+    prepared = check_mission(mission.save())
+    sigmas = station_sigmas(prepared.plan.mission, prepared.stations)
+    assert np.isnan(sigmas.tilt_rad[camera == first]).all()
+    assert np.isnan(sigmas.yaw_rad[camera == first]).all()
