@@ -20,8 +20,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import yaml
+from hypothesis import settings
 
 from pipeline.simulate import Simulated, SimulationOptions, simulate
+
+# No property depends on how loaded the machine is.
+settings.register_profile("unbend", deadline=None)
+settings.load_profile("unbend")
 
 # Signals between processes, forks, named pipes, memory limits: Windows has none of them.
 collect_ignore = (

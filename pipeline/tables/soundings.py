@@ -95,7 +95,7 @@ def _netcdf(path: Path) -> RawLevels:
             missing = [name for name in _VARIABLES if name not in file.variables]
             if missing:
                 raise _no_netcdf(path, f"it has no variable {missing[0]}")
-            columns = {name: _column(file, name) for name in _VARIABLES}
+            columns = {name: to_si(_column(file, name), unit) for name, unit in _VARIABLES.items()}
             place = {
                 name: float(_column(file, name)[0]) if name in file.variables else math.nan
                 for name in ("lat", "lon")
@@ -115,13 +115,13 @@ def _netcdf(path: Path) -> RawLevels:
         release_ns = round((start + since) * NANOSECONDS_PER_SECOND)
     return RawLevels(
         h_m=columns["alt"],
-        pressure_pa=to_si(columns["pres"], "hpa"),
-        temperature_k=to_si(columns["tdry"], "c"),
+        pressure_pa=columns["pres"],
+        temperature_k=columns["tdry"],
         # ARM does not say so, but they are: the hypsometric equation gives them to 2e-4 up to
         # 24 km, where geometric heights would be 0.7 % off in the upper layers.
         geopotential=True,
-        dew_point_k=to_si(columns["dp"], "c"),
-        relative_humidity=to_si(columns["rh"], "percent"),
+        dew_point_k=columns["dp"],
+        relative_humidity=columns["rh"],
         time_ns=release_ns,
         latitude_rad=radians(place["lat"], 90.0),
         longitude_rad=radians(place["lon"], 180.0),

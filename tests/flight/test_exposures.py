@@ -378,3 +378,26 @@ def test_two_heights_that_are_one_are_told() -> None:
         gnss = channel("GPS", np.arange(5.0), **place, h_ellipsoid_m=heights + apart)
         ledger.take(height_system({"height": gnss}, None))
         assert ("HEIGHT-SAME" in {entry.code for entry in ledger}) is told
+
+
+def test_each_sigma_is_its_own_channels() -> None:
+    """Horizontal from the position, vertical from the height, the cabin's air from its sensors."""
+    seconds = np.arange(0.0, 10.0, 0.1)
+    place = {"lat_rad": LATITUDE, "lon_rad": LONGITUDE}
+    more = {
+        "position": channel("POS", seconds, **place, sigma_h_m=0.3, sigma_v_m=0.4),
+        "height": channel("GPS", seconds, **place, h_msl_m=1000.0, sigma_h_m=0.5, sigma_v_m=0.6),
+        "pressure": channel("BARO[0]", seconds, pressure_pa=90_000.0),
+        "temperature": channel("HYGR[0]", seconds, temperature_k=283.15),
+        "humidity": channel("HYGR[0]", seconds, relative_humidity=0.5),
+        "cabin_pressure": channel("BARO[1]", seconds, pressure_pa=80_000.0),
+        "cabin_temperature": channel("HYGR[1]", seconds, temperature_k=293.15),
+        "cabin_humidity": channel("HYGR[1]", seconds, relative_humidity=1.1),  # clipped to 1
+    }
+    station = build_stations(events(5.0), roles() | more, Mount(), HeightSystem(), 1.0)
+    assert (station.sigma_horizontal_m[0], station.sigma_height_m[0]) == pytest.approx((0.3, 0.6))
+    assert station.pressure_pa[0] == pytest.approx(90_000.0)
+    assert station.cabin_pressure_pa[0] == pytest.approx(80_000.0)
+    # Saturation pressure 12.28 hPa at 10 and 23.39 hPa at 20 degC, some 0.4 % more in air.
+    assert station.vapour_pressure_pa[0] == pytest.approx(0.5 * 1228.0, rel=0.006)
+    assert station.cabin_vapour_pressure_pa[0] == pytest.approx(2339.0, rel=0.006)

@@ -203,3 +203,31 @@ def test_an_impossible_value_is_counted_once() -> None:
     assert sorted((entry.code, entry.count) for entry in ledger) == [
         ("SENSOR-JUMP", 1), ("SENSOR-RANGE", 1), ("SENSOR-RANGE", 2)
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("role", "column", "low", "high"),
+    [
+        ("pressure", "pressure_pa", 20.0, 120_000.0),
+        ("temperature", "temperature_k", 170.0, 340.0),
+        ("humidity", "relative_humidity", -0.05, 1.15),
+        ("airspeed", "airspeed_m_s", -5.0, 700.0),
+    ],
+)
+def test_limits_of_what_can_be_true(role: str, column: str, low: float, high: float) -> None:
+    for limit, beyond in ((low, -1e-3), (high, 1e-3)):
+        kept, notes = plausible_samples(channel(3, **{column: np.full(3, limit)}), role)
+        assert (len(kept), notes) == (3, ())
+        outside = channel(3, **{column: np.full(3, limit + beyond)})
+        kept, notes = plausible_samples(outside, role)
+        assert (len(kept), [(e.code, e.count) for e in notes]) == (0, [("SENSOR-RANGE", 3)])
+
+
+def test_power_ups_stay_with_their_samples() -> None:
+    boot = np.array([0, 0, 1, 1, 2, 2], np.int16)
+    values = {"temperature_k": np.array([280.0, np.nan, 280.0, np.nan, np.nan, 280.0])}
+    logged = Channel("X", np.arange(6) * 10**9, values, Source("X"), boot,
+                     labels={"image": tuple("abcdef")})  # fmt: skip
+    kept, _ = plausible_samples(logged, "temperature")
+    assert kept.boot.tolist() == [0, 1, 2]
+    assert kept.labels["image"] == ("a", "c", "f")

@@ -217,3 +217,32 @@ def test_the_attitude_of_the_aircraft_is_only_ever_named() -> None:
     # Without it a window in the belly would be turned with the camera: no silent substitute.
     with pytest.raises(MissionError, match="CHANNEL-MISSING"):
         assign(POS, GPS, ATT, aircraft_attitude="ATT[7]")
+
+
+def test_humidity_on_the_ground_is_not_the_airs_either_but_airspeed_is_kept() -> None:
+    roles = {"height": GPS, "humidity": OUT, "airspeed": ARSP}
+    samples, notes = air_samples(roles, HeightSystem(), 5.0)
+    assert samples.humidity is not None
+    assert samples.airspeed is not None
+    assert SECONDS[samples.humidity.accepted].min() == pytest.approx(180.0, abs=3.0)
+    assert samples.airspeed.accepted.all()
+    assert samples.takeoff_ns is not None
+    # Off the ground at 60 s; after the landing at 860 s the log ends on the ground.
+    assert (samples.takeoff_ns / 1e9).tolist() == pytest.approx([60.0, 899.0], abs=4.0)
+    assert [(e.kind, e.code) for e in notes] == [("note", "AIR-GROUND-SOAK")]
+
+
+def test_heights_above_sea_level_come_before_those_above_the_ellipsoid() -> None:
+    both = channel("GPS", 1, h_msl_m=HEIGHT, h_ellipsoid_m=HEIGHT + 47.0)
+    assert both.height_column == "h_msl_m"
+    unknown = channel("GPS", 1, h_msl_m=np.nan, h_ellipsoid_m=HEIGHT)
+    assert unknown.height_column == "h_ellipsoid_m"
+    assert OUT.height_column is None
+
+
+def test_a_slowly_leaking_cabin_is_not_outside_air() -> None:
+    """Half of the fall of the outside pressure: a temperature of 550 K would explain it."""
+    leaking = channel("BARO[3]", 10, "pressure", pressure_pa=free_air(0.5 * HEIGHT))
+    assert follows_height(leaking, GPS) is False
+    wavy = free_air(HEIGHT) * (1.0 + 0.05 * np.sin(HEIGHT / 200.0))
+    assert follows_height(channel("BARO[5]", 10, "pressure", pressure_pa=wavy), GPS) is False

@@ -7,8 +7,18 @@ import math
 import numpy as np
 import pyproj
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
-from pipeline.geodesy import Gravity, euler_radius, geodetic_of_ecef, offset_geodetic
+from pipeline.geodesy import (
+    Gravity,
+    euler_radius,
+    geodetic_of_ecef,
+    lambert_gravity,
+    normal_gravity,
+    offset_geodetic,
+    principal_radii,
+)
 
 GEOD = pyproj.Geod(ellps="WGS84")
 TO_ECEF = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)
@@ -89,3 +99,73 @@ def test_geopotential_height_and_back():
     )
     # US Standard Atmosphere 1976, Table I: 86 km is 84 852 m'.
     assert float(gravity.geopotential_height(86_000.0)) == pytest.approx(84_852.0, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("latitude", "gravity"),
+    # Moritz 2000, GRS 80: 9.7803267715 at the equator, 9.8321863685 at a pole; WGS 84 differs by
+    # 1.4e-7 m/s2. At 45 degrees 9.806199203 (Torge, Geodesy).
+    [(0.0, 9.7803253359), (90.0, 9.8321849378), (-90.0, 9.8321849378), (45.0, 9.806197769)],
+)
+def test_normal_gravity_and_its_gradient(latitude, gravity):
+    found = normal_gravity(math.radians(latitude))
+    assert found.g_phi == pytest.approx(gravity, abs=3e-8)
+    assert found.latitude_rad == pytest.approx(math.radians(latitude))
+    # Free air: 0.3087691 - 0.0004398 sin^2 mGal/m (the same book), g (1 - 2 h / r).
+    gradient = (0.3087691 - 0.0004398 * math.sin(math.radians(latitude)) ** 2) * 1e-5
+    assert 2.0 * found.g_phi / found.r_phi == pytest.approx(gradient, rel=5e-5)
+
+
+@pytest.mark.parametrize(("latitude", "gravity"), [(0.0, 9.780356), (90.0, 9.832079)])
+def test_lamberts_gravity(latitude, gravity):
+    """Gyer 1996, p. 307: 9.780356 (1 + 0.0052885 sin^2 - 0.0000059 sin^2 2 phi)."""
+    found = lambert_gravity(math.radians(latitude))
+    assert found.g_phi == pytest.approx(gravity, abs=1e-6)
+    # 3.085462e-6 + 2.27e-9 cos 2 phi - 2e-12 cos 4 phi
+    gradient = 3.085462e-6 + 2.27e-9 * (1.0 if latitude == 0.0 else -1.0) - 2e-12
+    assert 2.0 * found.g_phi / found.r_phi == pytest.approx(gradient, rel=1e-12)
+
+
+LATITUDES, LONGITUDES = st.floats(-1.57, 1.57), st.floats(-math.pi, math.pi)
+
+
+@given(LATITUDES, st.floats(0.0, 2.0 * math.pi))
+def test_eulers_radius_lies_between_the_principal_ones_and_repeats(latitude, azimuth):
+    meridian, prime_vertical = map(float, principal_radii(latitude))
+    radius = float(euler_radius(latitude, azimuth))
+    assert meridian * (1 - 1e-15) <= radius <= prime_vertical * (1 + 1e-15)
+    for same in (azimuth + math.pi, -azimuth):
+        assert float(euler_radius(latitude, same)) == pytest.approx(radius, rel=1e-14)
+    # Curvatures in directions at right angles have the same sum (Euler).
+    other = float(euler_radius(latitude, azimuth + math.pi / 2.0))
+    assert 1.0 / radius + 1.0 / other == pytest.approx(1.0 / meridian + 1.0 / prime_vertical)
+
+
+@given(LATITUDES, LONGITUDES, st.floats(-500.0, 10_000.0), st.floats(-900.0, 900.0))
+def test_a_step_up_changes_the_height_alone(latitude, longitude, height, up):
+    one = (np.array([latitude]), np.array([longitude]), np.array([height]))
+    lat, lon, h = offset_geodetic(*one, np.array([[0.0, 0.0, up]]))
+    assert lat[0] == pytest.approx(latitude, abs=1e-13)
+    assert (lon[0] - longitude + math.pi) % (2.0 * math.pi) - math.pi == pytest.approx(0, abs=1e-12)
+    assert h[0] == pytest.approx(height + up, abs=1e-8)
+
+
+@given(LATITUDES, LONGITUDES, st.floats(-500.0, 10_000.0), st.floats(10.0, 900.0))
+def test_a_step_to_the_east_or_north_goes_there(latitude, longitude, height, step):
+    """By the radii: d phi = n / (M + h), d lambda = e / ((N + h) cos phi), to first order."""
+    assume(abs(latitude) < 1.4)
+    one = (np.array([latitude]), np.array([longitude]), np.array([height]))
+    meridian, prime_vertical = map(float, principal_radii(latitude))
+    lat, _, _ = offset_geodetic(*one, np.array([[0.0, step, 0.0]]))
+    assert lat[0] - latitude == pytest.approx(step / (meridian + height), rel=1e-3)
+    _, lon, _ = offset_geodetic(*one, np.array([[step, 0.0, 0.0]]))
+    turned = (lon[0] - longitude + math.pi) % (2.0 * math.pi) - math.pi
+    east = step / ((prime_vertical + height) * math.cos(latitude))
+    assert turned == pytest.approx(east, rel=1e-3)
+
+
+@given(LATITUDES, st.floats(-600.0, 80_000.0))
+def test_heights_and_geopotential_heights_go_there_and_back(latitude, height):
+    for gravity in (lambert_gravity(latitude), normal_gravity(latitude)):
+        back = float(gravity.height(gravity.geopotential_height(height)))
+        assert back == pytest.approx(height, rel=1e-12, abs=1e-9)

@@ -1,0 +1,98 @@
+"""Stations: what flags them, and their table."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.atmosphere import standard_atmosphere
+from pipeline.flight.exposures import flag_missing_aircraft_attitude, flag_missing_cabin_air
+from pipeline.flight.stations import (
+    NO_TIME,
+    Stations,
+    append_unmatched_images,
+    empty_stations,
+    flag_height_misfits,
+    station_columns,
+    unusable_station_notes,
+)
+
+AIR = standard_atmosphere("us1976")
+
+
+def stations(n: int = 3, camera: str = "cam") -> Stations:
+    names = np.array([f"image_{i}" for i in range(n)], object)
+    made = empty_stations(names, np.full(n, camera, object), "ok")
+    return replace(made, h_msl_m=np.full(n, 3000.0), lat_rad=np.full(n, 0.5))
+
+
+@pytest.mark.parametrize(("misfit_pa", "flagged"), [(-1000.0, True), (1000.0, True), (790.0, False),
+                                                    (-790.0, False), (np.nan, False)])  # fmt: skip
+def test_a_misfit_of_ten_hectopascal_is_noticed_and_one_of_less_than_eight_is_not(
+    misfit_pa, flagged
+):
+    pressure = np.full(3, 70_121.0)  # US 1976, Table I: 701.21 hPa at 3 km
+    pressure[1] += misfit_pa
+    checked, notes = flag_height_misfits(replace(stations(), pressure_pa=pressure), AIR)
+    assert checked.status.tolist() == ["ok", "suspect" if flagged else "ok", "ok"]
+    assert [(e.kind, e.code, e.count) for e in notes] == [("loss", "STATIONS-HEIGHT", 1)] * flagged
+    if flagged:
+        assert "up to 10 hPa apart" in notes[0].what
+        assert "the first image_1" in notes[0].what
+
+
+def test_images_without_an_exposure_are_appended_in_order_and_unused_exposures_are_noted():
+    joined, notes = append_unmatched_images(stations(), ("image_1", "zzz", "aaa"))
+    assert joined.image.tolist() == ["image_0", "image_1", "image_2", "aaa", "zzz"]
+    assert joined.status.tolist() == ["ok"] * 3 + ["unmatched"] * 2
+    assert [(e.kind, e.code, e.count) for e in notes] == [
+        ("note", "STATIONS-UNUSED", 2), ("loss", "IMAGES-UNMATCHED", 2)
+    ]  # fmt: skip
+    assert "aaa, zzz" in notes[1].what
+
+
+def test_each_reason_is_a_loss_but_unmatched_images_are_entered_elsewhere():
+    status = np.array(["in_gap", "ok", "no_attitude", "in_gap", "unmatched"], object)
+    notes = unusable_station_notes(replace(stations(5), status=status))
+    assert [(e.code, e.count, e.what) for e in notes] == [
+        ("STATIONS-FLAGGED", 2, "2 exposures are in_gap: image_0, image_3"),
+        ("STATIONS-FLAGGED", 1, "1 exposures are no_attitude: image_2"),
+    ]
+
+
+@pytest.mark.parametrize("check", [flag_missing_cabin_air, flag_missing_aircraft_attitude])
+def test_only_usable_stations_of_the_camera_are_flagged(check):
+    status = np.array(["ok", "in_gap", "ok"], object)
+    flagged, (entry,) = check(replace(stations(), status=status), "cam")
+    assert flagged.status.tolist() == ["suspect", "in_gap", "suspect"]
+    assert (entry.kind, entry.count, entry.where) == ("loss", 2, "camera cam")
+    untouched, notes = check(stations(), "other")
+    assert untouched.ok.all()
+    assert not notes
+
+
+def test_the_table_is_in_degrees_and_unknown_times_are_null():
+    made = replace(
+        stations(2),
+        time_ns=np.array([NO_TIME, 1_700_000_000_123_456_789]),
+        lon_rad=np.array([-np.pi / 2, np.nan]),
+        quaternion=np.array([[0.1, 0.2, 0.3, 0.4], [np.nan] * 4]),
+        aircraft_quaternion=np.array([[0.5, 0.6, 0.7, 0.8], [np.nan] * 4]),
+    )
+    columns = station_columns(made)
+    assert np.isnat(columns["time_utc"]).tolist() == [True, False]
+    assert columns["time_utc"][1] == np.datetime64("2023-11-14T22:13:20.123456789")
+    assert columns["lon_deg"][0] == pytest.approx(-90.0)
+    assert columns["lat_deg"][0] == pytest.approx(28.64788975654116)
+    assert [columns[f"q_{a}"][0] for a in "wxyz"] == [0.1, 0.2, 0.3, 0.4]
+    assert [columns[f"aircraft_q_{a}"][0] for a in "wxyz"] == [0.5, 0.6, 0.7, 0.8]
+
+
+def test_the_mean_latitude_is_of_the_known_ones():
+    lat = np.array([0.4, np.nan, 0.6])
+    assert replace(stations(), lat_rad=lat).mean_latitude_rad == pytest.approx(0.5)
+    assert empty_stations(np.empty(0, object), np.empty(0, object), "ok").mean_latitude_rad == (
+        pytest.approx(np.pi / 4)
+    )

@@ -1,0 +1,58 @@
+"""A radiosonde from a netCDF file with ARM's names, made here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import netcdf_file
+
+from pipeline.errors import InputError
+from pipeline.ledger import Ledger
+from pipeline.tables.soundings import read_sounding
+
+RELEASE_S = 1_700_000_000
+# US 1976 at six geopotential heights [m'], dry.
+HEIGHT = np.array([300.0, 1000.0, 2000.0, 3000.0, 5000.0, 8000.0])
+CELSIUS = 15.0 - 0.0065 * HEIGHT
+HECTOPASCAL = 1013.25 * ((CELSIUS + 273.15) / 288.15) ** 5.255877
+
+
+def write(path: Path, **changes: object) -> Path:
+    columns = {"pres": HECTOPASCAL, "tdry": CELSIUS, "dp": CELSIUS - 10.0,
+               "rh": np.full(6, 50.0), "alt": HEIGHT} | changes  # fmt: skip
+    with netcdf_file(path, "w") as file:
+        file.createDimension("time", 6)
+        base = file.createVariable("base_time", "i", ())
+        base[...] = RELEASE_S
+        since = file.createVariable("time_offset", "d", ("time",))
+        since[:] = np.arange(6) * 60.0 + 12.5
+        for name, value in {"lat": 36.6, "lon": -97.5}.items():
+            place = file.createVariable(name, "f", ("time",))
+            place[:] = value
+        for name, values in columns.items():
+            if values is not None:
+                column = file.createVariable(name, "d", ("time",))
+                column[:] = values
+    return path
+
+
+def test_levels_release_and_place(tmp_path):
+    sounding = read_sounding(write(tmp_path / "sonde.cdf"), Ledger())
+    assert sounding.time_ns == RELEASE_S * 10**9 + 12_500_000_000
+    assert sounding.station == "sonde.cdf"
+    assert sounding.temperature_k == pytest.approx(CELSIUS + 273.15)
+    assert sounding.pressure_pa == pytest.approx(HECTOPASCAL * 100.0)
+    # Geopotential heights: 5000 m' are some 5 m more at 36.6 degrees, where g is 9.7983 m/s2.
+    assert sounding.h_m[4] == pytest.approx(
+        5000.0 * 9.80665 / 9.7983 * (1 + 5000.0 / 6.36e6), abs=1
+    )
+
+
+def test_a_fill_value_is_no_reading_and_a_missing_variable_is_refused(tmp_path):
+    filled = np.where(np.arange(6) == 3, -9999.0, CELSIUS)
+    sounding = read_sounding(write(tmp_path / "filled.cdf", tdry=filled), Ledger())
+    assert np.nanmin(sounding.temperature_k) == pytest.approx(CELSIUS.min() + 273.15)
+    with pytest.raises(InputError, match="it has no variable rh"):
+        read_sounding(write(tmp_path / "without.cdf", rh=None), Ledger())
