@@ -1,7 +1,7 @@
 """Refusals: what is wrong, where, and what to do about it.
 
-Every refusal carries a stable code that a script may match, and says which of the exit codes of
-the command line it leads to. A refusal is for the user; anything else that escapes is a bug.
+Every refusal carries a stable code that a script may match, and has the exit code of the command
+line that it leads to. A refusal is for the user; anything else that escapes is a bug.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class UnbendError(Exception):
 
 
 def _rebuild(kind: type[UnbendError], code: str, what: str, where: str, remedy: str) -> UnbendError:
-    """A refusal that crossed from one process to another."""
+    """The refusal again, after it was pickled on its way from one process to another."""
     return kind(code, what, where=where, remedy=remedy)
 
 

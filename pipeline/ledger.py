@@ -25,7 +25,7 @@ class Entry:
     """One line of the ledger.
 
     ``code`` is stable (``BARO-RANGE``); ``where`` a channel, file and byte offset, or column;
-    ``count`` how many messages, bytes, samples or rows it speaks of.
+    ``count`` how many messages, bytes, samples or rows it is about.
     """
 
     kind: Kind

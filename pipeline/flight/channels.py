@@ -31,7 +31,7 @@ ROLE_COLUMNS: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Source:
-    """Who sent the messages of a channel. ``None`` where the format has no such notion."""
+    """The sender of the messages of a channel. ``None`` where the format has no such notion."""
 
     message: str
     instance: str | None = None
@@ -48,7 +48,7 @@ class Channel:
     name : the word the config takes, for example ``BARO[1]`` or ``/cabin/pressure``.
     time_ns : (n,) UTC, Unix nanoseconds, strictly increasing.
     columns : (n,) arrays by name, SI and radians, NaN where unknown.
-    source : who sent it.
+    source : the sender.
     boot : (n,) which power-up of the vehicle each sample belongs to, from 0.
     roles : the roles it may take without being named in the config, best first.
     rank : the smaller, the sooner it is chosen among candidates for a role.
@@ -61,7 +61,7 @@ class Channel:
     h_ellipsoid_m, h_home_m, east_m, north_m, up_m (local), sigma_h_m, sigma_v_m, fix; q_w, q_x,
     q_y, q_z (v_ned = R(q) v_body, body forward, right, down); pressure_pa, board_temperature_k,
     temperature_k, relative_humidity (0-1), airspeed_m_s; event_index, roll_rad, pitch_rad, yaw_rad;
-    yaw_in_body_rad (of a gimbal); value (of a named value, in the unit that the mission file says).
+    yaw_in_body_rad (of a gimbal); value (of a named value, in the mission file's unit).
     """
 
     name: str

@@ -152,7 +152,7 @@ def stray_stretches(
         return stray
     stray[0] = short[0] and not short[1] and begin[1] < end[0]
     stray[-1] = short[-1] and not short[-2] and begin[-1] < end[-2]
-    last = begin[1] if stray[0] else end[0]  # the last stamp that can be believed
+    last = begin[1] if stray[0] else end[0]  # the last stamp that is not stray
     for k in range(1, begin.shape[0] - 1):
         far = abs(begin[k] - last) > limit_ns
         stray[k] = short[k] and far and abs(begin[k + 1] - last) <= limit_ns
@@ -163,7 +163,7 @@ def stray_stretches(
 def longest_increasing(time_ns: TimeArray) -> NDArray[np.bool_]:
     """Mark the most rows whose times increase strictly, in the order they have.
 
-    A longest increasing subsequence: one wrong stamp costs one row, whatever it says. Of equal
+    A longest increasing subsequence: one wrong stamp costs one row, whatever its value. Of equal
     stamps the first is marked.
 
     >>> longest_increasing(np.array([1, 3, 900, 4, 5, 5]))

@@ -60,7 +60,7 @@ def events_of_table(
     return Events(camera, image[rows], time_ns[rows] + round(delay_s * 1e9))
 
 
-# Counts of 16 bits run over; a count that goes on farther than this from zero is one begun anew.
+# Counts of 16 bits run over; a count that goes on farther than this from zero has begun anew.
 _COUNT_ROUND, _COUNT_NEAR = 1 << 16, 1 << 12
 
 
@@ -135,7 +135,8 @@ def trigger_notes(channels: tuple[Channel, ...], chosen: Channel) -> Notes:
     """How many triggers have no shutter event, and whether the events are triggers themselves.
 
     ArduPilot logs TRIG at the trigger and CAM at the feedback of a camera with a feedback pin, and
-    without one CAM alone, at the trigger. Cameras fire apart: the rows of one instance are one's.
+    without one CAM alone, at the trigger. Cameras fire apart: the rows of an instance belong to one
+    camera.
     """
     notes = []
     triggers = [c for c in channels if c.source.message == "TRIG" and _of_one_camera(c, chosen)]
@@ -172,7 +173,7 @@ def trigger_notes(channels: tuple[Channel, ...], chosen: Channel) -> Notes:
 
 
 def _of_one_camera(trigger: Channel, shots: Channel) -> bool:
-    """Whether a trigger may be of the camera of some shots: one without an instance is of any."""
+    """Whether a trigger may belong to the camera of some events: any, without an instance."""
     return trigger.source.instance in (None, shots.source.instance)
 
 

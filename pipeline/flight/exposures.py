@@ -49,7 +49,7 @@ def build_stations(
     """Position, attitude and air at each exposure of one camera.
 
     An exposure outside the log, in a gap of it, or without position, attitude or a height above
-    sea level is not invented: its status says why and its values are NaN.
+    sea level is not invented: its status gives the reason and its values are NaN.
     """
     time_ns = events.time_ns
     n = time_ns.size

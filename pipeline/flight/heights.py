@@ -26,7 +26,7 @@ STEADY_HOME_M = 2.0
 
 @dataclass(frozen=True)
 class HeightSystem:
-    """How the two kinds of height go together; None where the log and the user do not say."""
+    """How the two kinds of height go together; None where neither log nor mission file has them."""
 
     undulation_m: float | None = None
     home_h_msl_m: float | None = None

@@ -1,4 +1,4 @@
-"""Readings that cannot be true, and units that look wrong."""
+"""Readings that cannot be true, and units that are probably wrong."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ FASTEST_TURN_RAD_S = np.radians(500.0)
 """No aircraft turns faster [rad/s] and, within few samples, back; a flip goes on."""
 
 _HEIGHTS = ("h_msl_m", "h_ellipsoid_m")
-_METRES_PER_RAD = 6_371_000.0  # a jump of 100 m is told from none: any radius will do
+_METRES_PER_RAD = 6_371_000.0  # only to notice jumps of 100 m: any radius will do
 _TURN_NOISE_RAD = float(np.radians(20.0))
 
 _BLOCK = 1 << 16  # steps that are compared together: a long channel is not copied
@@ -51,15 +51,15 @@ _WRONG_UNITS: Mapping[str, tuple[float, float, str]] = {
     "relative_humidity": (1.2, 100.0, "percent"),
 }
 
-# Roles whose jumps are looked for before a role is given to a channel.
+# Roles for which jumps are searched before a role is given to a channel.
 _ROLES_WITH_JUMPS = ("position", "attitude", "pressure", "temperature", "humidity", "airspeed")
 
 
 class _Distance(NamedTuple):
     """How far samples of two sets of rows are apart, how fast that can change, and what is noise.
 
-    ``rate`` is in units of the distance per second, ``noise`` a step that says nothing whatever
-    the interval.
+    ``rate`` is in units of the distance per second, ``noise`` a step that is no jump whatever the
+    interval.
     """
 
     between: Callable[[Channel, Rows, Rows], Array]
@@ -246,7 +246,7 @@ def _jumps(channel: Channel, known: Mask, role: str) -> tuple[Rows, Notes]:
 
 
 def _metres(channel: Channel, i: Rows, j: Rows) -> Array:
-    """Horizontal distance [m], good enough to tell a jump."""
+    """Horizontal distance [m], good enough to notice a jump."""
     lat, lon = channel["lat_rad"], channel["lon_rad"]
     east = (lon[j] - lon[i] + np.pi) % (2.0 * np.pi) - np.pi
     return np.asarray(_METRES_PER_RAD * np.hypot(lat[j] - lat[i], east * np.cos(lat[i])))

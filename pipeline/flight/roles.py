@@ -1,4 +1,4 @@
-"""Which channel plays which role: named by the user, or found where it is unambiguous."""
+"""Which channel plays which role: named by the user, or chosen where it is unambiguous."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def assign_roles(
     for role in ("temperature", "humidity"):
         inside_role = f"cabin_{role}"
         if needs_cabin and not {role, inside_role} & (filled.keys() | named.keys()):
-            # A sensor that may be outside or in the cabin is not guessed where both are asked for.
+            # A sensor that may be outside or in the cabin is not guessed where both are needed.
             either = [c.name for c in everything if {role, inside_role} <= set(c.roles)]
             what = (
                 f"{', '.join(either)}: is it the {role} outside or in the cabin? none of them is "
@@ -148,7 +148,7 @@ def _fill_barometers(
     named: Mapping[str, str],
     needs_cabin: bool,
 ) -> Notes:
-    """Tell the barometer outside from the one in the cabin by how pressure follows height."""
+    """Distinguish barometers outside and in the cabin by how their pressure follows height."""
     barometers = sorted(
         (c for c in free if "pressure" in c.roles), key=lambda channel: (channel.rank, channel.name)
     )

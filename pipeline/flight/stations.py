@@ -38,7 +38,7 @@ class Stations:
     up along the ellipsoid normal, w >= 0; ``aircraft_quaternion`` likewise with v_body, the body
     forward, right, down. Positions are those of the projection centre.
     ``pressure_pa``, ``temperature_k`` and ``vapour_pressure_pa`` were measured outside at the
-    exposure, the ``cabin_`` columns inside. ``status`` is ok or says what is missing.
+    exposure, the ``cabin_`` columns inside. ``status`` is ok or names what is missing.
     """
 
     image: NDArray[np.object_]

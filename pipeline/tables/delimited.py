@@ -1,4 +1,4 @@
-"""CSV as people write it: types that every value of a column bears out, and nothing altered.
+"""CSV: a column has the type that fits each of its values, and nothing is altered.
 
 A column is given a type only if each of its values can be had back from it. Digits that are no
 plain number, such as 007, +49 or 12345678901234567890, stay text.
@@ -29,7 +29,7 @@ class _Kind:
 
     def holds(self, values: pa.StringArray) -> bool:
         """Whether all values that are not null have the form, and can be read."""
-        # Without a value, the least of booleans is null: then nothing speaks against the type.
+        # Without a value, the least of booleans is null: then any type fits.
         if pc.min(pc.match_substring_regex(values, self.pattern)).as_py() is False:
             return False
         if self.parsed:
@@ -105,7 +105,7 @@ def scan_csv(
     Parameters
     ----------
     names : of all columns.
-    image, point : columns of names, which are text whatever they look like.
+    image, point : columns of names, which are text even where all are digits.
     numbers : columns that should be float64, and are unless a value is no number.
     """
     kinds: dict[str, tuple[_Kind, ...]] = {

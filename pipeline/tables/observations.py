@@ -187,7 +187,7 @@ def open_observations(
 
 
 def _written_names(users: list[str], ledger: Ledger) -> dict[str, str]:
-    """Names under which the user's columns are written, none of them one of ours -> their own."""
+    """Names that the user's columns are written with, no result among them -> the own names."""
     sources: dict[str, str] = {}
     for own in users:
         name = own

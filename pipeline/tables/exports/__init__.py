@@ -1,4 +1,4 @@
-"""Files for people who work in other programs: the formats by name.
+"""Files for other programs: the formats by name.
 
 A new format is a module beside this one, with its formats and their options in a tuple `FORMATS`,
 and its name in `MODULES`. The command line generates the options of ``unbend export`` and their
