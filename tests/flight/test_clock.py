@@ -198,3 +198,16 @@ def test_a_stepping_clock_is_a_loss_counted_and_placed(late_ms, rows, kind, coun
     assert (entry.code, entry.kind, entry.count) == ("TIME-FIT", kind, count)
     if kind == "loss":
         assert entry.where == f"boot 0, first {50 + rows.start / 5:.3f} s after boot"
+
+
+@pytest.mark.parametrize(("late_s", "kind"), [(0.9, "note"), (1.5, "loss"), (5.0, "loss")])
+def test_a_single_stamp_more_than_a_second_off_is_a_loss(late_s: float, kind: str) -> None:
+    """p5 and p95 of 400 rows do not see it."""
+    boot_ns = np.arange(400) * SECOND
+    utc_ns = boot_ns + 1_700_000_000 * SECOND
+    utc_ns[200] += round(late_s * SECOND)
+    fit = fit_offset(utc_ns, boot_ns)
+    assert (fit.spread_ns, fit.largest_ns, fit.far) == (0, round(late_s * SECOND), 1)
+    entry = clock_fit_note("400 GPS rows", fit, "boot 0")
+    assert (entry.kind, entry.count) == (kind, 400 if kind == "note" else 1)
+    assert f"the farthest is {late_s * 1000:.0f} ms off" in entry.what

@@ -20,6 +20,7 @@ from pipeline.errors import InputError
 from pipeline.flight.stations import empty_stations
 from pipeline.geodesy import lambert_gravity
 from pipeline.ledger import Ledger
+from pipeline.tables import delimited
 from pipeline.tables.column_checks import refuse_done, refuse_other_pixels
 from pipeline.tables.events import EventColumns, read_events
 from pipeline.tables.exports.format import write_csv_stream
@@ -147,7 +148,8 @@ def test_observations_are_read_as_they_were_written_whatever_the_batch(tmp_path,
         assert observations.rows == len(rows)
         assert observations.images == tuple(sorted(set(images)))
         batches = list(observations.batches(batch_rows))
-        assert [len(batch) for batch in batches[:-1]] == [batch_rows] * (len(batches) - 1)
+        full, rest = divmod(len(rows), batch_rows)
+        assert [len(batch) for batch in batches] == [batch_rows] * full + [rest] * (rest > 0)
         assert [i for batch in batches for i in batch.image.to_pylist()] == images
         assert [i for batch in batches for i in batch.point.to_pylist()] == points
         assert [i for batch in batches for i in batch.x_given_px.tolist()] == x
@@ -184,3 +186,19 @@ def test_sigmas_of_the_profile_each_in_its_column():
     # g / (R T) 1 km = 0.12 of it; at 4 km 2 of 262.2 K, less 0.49 of it.
     ratio = np.array(table["sigma_refractivity"]) / np.array(table["refractivity"])
     assert ratio == pytest.approx([2.0 / 281.65 * 0.88, 2.0 / 262.2 * 0.51], rel=0.05)
+
+
+@pytest.mark.parametrize("batch_rows", [1, 4, 7, 100])
+def test_batches_are_of_one_size_wherever_the_reader_cuts(tmp_path, monkeypatch, batch_rows):
+    """A CSV that is read in blocks of three rows or so."""
+    monkeypatch.setattr(delimited, "_BLOCK_BYTES", 64)
+    rows = [f"image_{i % 3},p{i},{i}.5,{2 * i}.25" for i in range(31)]
+    (tmp_path / "o.csv").write_text("\n".join(["image,point,x_px,y_px", *rows]) + "\n")
+    observations = open_observations(tmp_path / "o.csv", COLUMNS, None, Ledger())
+    batches = list(observations.batches(batch_rows))
+    sizes = [len(batch) for batch in batches]
+    full, rest = divmod(31, batch_rows)
+    assert sizes == [batch_rows] * full + [rest] * (rest > 0)
+    assert np.concatenate([batch.x_px for batch in batches]).tolist() == [
+        i + 0.5 for i in range(31)
+    ]
