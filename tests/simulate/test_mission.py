@@ -138,6 +138,21 @@ def test_clocks(dataflash, telemetry, recording):
     assert max(lag) < 20_000_000
 
 
+def test_velocities_point_where_the_aircraft_goes(dataflash, telemetry):
+    """GPS.VZ and GLOBAL_POSITION_INT.vz are downwards; vx is north, vy east."""
+    gps = dataflash["GPS"]
+    climb = np.gradient(gps.Alt, gps.GMS / 1000.0)
+    assert climb.max() > 5.0
+    assert np.corrcoef(climb, gps.VZ)[0, 1] < -0.9
+    place = telemetry["GLOBAL_POSITION_INT"]
+    time_s = place.time_boot_ms / 1000.0
+    moved = 6.37e6 * np.radians(np.gradient(place.lat * 1e-7, time_s))
+    assert np.corrcoef(moved, place.vx)[0, 1] > 0.99
+    moved = 4.3e6 * np.radians(np.gradient(place.lon * 1e-7, time_s))
+    assert np.corrcoef(moved, place.vy)[0, 1] > 0.99
+    assert np.corrcoef(np.gradient(place.alt, time_s), place.vz)[0, 1] < -0.9
+
+
 def test_image_topics_are_stamped_at_the_shutter(recording, stations):
     for camera in ("nadir", "oblique"):
         stamps = [stamp for stamp, _, _ in recording[f"/camera/{camera}/image/compressed"]]

@@ -343,11 +343,14 @@ def test_a_window_of_128_mib_is_not_looked_back_over(tmp_path: Path, size: int) 
     assert len(log.channel("/imu")) == 60
 
 
-def test_messages_that_a_recorder_missed_show_by_their_numbers(tmp_path: Path) -> None:
+@pytest.mark.parametrize("statistics", [False, True])
+def test_messages_that_a_recorder_missed_show_by_their_numbers(
+    tmp_path: Path, statistics: bool
+) -> None:
     from mcap.writer import Writer
 
     file = io.BytesIO()
-    writer = Writer(file, use_statistics=False)
+    writer = Writer(file, use_statistics=statistics)
     writer.start(profile="", library="test")
     schema = writer.register_schema("foxglove.LocationFix", "jsonschema", b"{}")
     channel = writer.register_channel("/fix", "json", schema)

@@ -177,6 +177,35 @@ def test_a_height_of_0_above_the_ellipsoid_is_missing(tmp_path: Path) -> None:
     assert "h_ellipsoid_m" not in opened(tmp_path, old).channel("vehicle_gps_position").columns
 
 
+def test_the_filters_position_and_its_height_of_0_that_is_missing(tmp_path: Path) -> None:
+    writer = ULogWriter()
+    fields = "double lat;double lon;float alt;float alt_ellipsoid;float eph;float epv;"
+    writer.define("vehicle_global_position", fields)
+    writer.subscribe("vehicle_global_position")
+    for k in range(20):
+        above = 647.5 if k < 10 else 0.0
+        row = (5_000_000 + 100_000 * k, 47.5, 8.25, 600.0, above, 0.5, 0.75)
+        writer.row("vehicle_global_position", "2d4f", *row)
+    channel = opened(tmp_path, writer.data).channel("vehicle_global_position")
+    np.testing.assert_array_equal(channel["h_ellipsoid_m"], [647.5] * 10 + [np.nan] * 10)
+    assert (channel["h_msl_m"][0], channel["sigma_h_m"][0], channel["sigma_v_m"][0]) == (
+        600.0, 0.5, 0.75,
+    )  # fmt: skip
+
+
+def test_exposures_are_preferred_to_commands(tmp_path: Path) -> None:
+    writer = ULogWriter()
+    for name in ("camera_trigger", "camera_capture"):
+        writer.define(name, "uint64_t timestamp_utc;uint32_t seq;double lat;double lon;")
+    for name in ("camera_trigger", "camera_capture"):
+        writer.subscribe(name)
+        for k in range(5):
+            delay = 80_000 if name == "camera_capture" else 0
+            writer.row(name, "QIdd", 10**6 * (k + 1) + delay, 0, k, 47.5, 8.25)
+    log = opened(tmp_path, writer.data)
+    assert log.channel("camera_capture").rank < log.channel("camera_trigger").rank
+
+
 def test_utc_of_a_receiver_counts_with_a_fix_and_once_a_time(tmp_path: Path) -> None:
     """The first rows are an hour off, without a fix; then two of three repeat the time before."""
 
@@ -197,6 +226,7 @@ def test_a_stray_stamp_costs_its_row(tmp_path: Path, row: int) -> None:
         lost = [(e.kind, e.count) for e in log.ledger if e.code == "TIME-STRAY"]
         assert lost == [("loss", 1)]
         assert "TIME-BACKWARD" not in {e.code for e in log.ledger}
+        assert log.time_base.endswith("the median of 59 rows")
 
 
 def test_a_camera_tells_utc_where_no_receiver_does(tmp_path: Path) -> None:

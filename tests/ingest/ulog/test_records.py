@@ -122,6 +122,15 @@ def test_what_is_not_defined_is_not_read(format_a: bytes) -> None:
     assert bad >= ROWS + len(subscription(0, "a"))
 
 
+def test_data_of_another_length_than_their_format_are_damage() -> None:
+    rows, longer, shorter = 4 * datum(0, bytes(12)), datum(0, bytes(13)), datum(0, bytes(11))
+    start = HEADER + GOOD + subscription(0, "a")
+    found = read(start + rows + longer + rows + shorter + rows, "a")
+    assert found.counts == {"a": 12}
+    assert found.bad_bytes == len(longer) + len(shorter)
+    assert found.first_bad == len(start + rows)
+
+
 def test_a_number_is_given_once() -> None:
     """The first subscription counts; repeated as it is, by a block that came twice, it is none."""
     again = subscription(0, "a")
