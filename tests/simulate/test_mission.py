@@ -153,6 +153,25 @@ def test_velocities_point_where_the_aircraft_goes(dataflash, telemetry):
     assert np.corrcoef(np.gradient(place.alt, time_s), place.vz)[0, 1] < -0.9
 
 
+def test_the_orientation_of_imu_is_that_of_forward_left_up_axes(recording):
+    """REP 103: in east-north-up, the body's z axis is upwards and its x axis along the flight."""
+    stamps, _, messages = zip(*recording["/imu/data"], strict=True)
+    q = [m.orientation for m in messages]
+    rotation = Rotation.from_quat([[each.x, each.y, each.z, each.w] for each in q])
+    assert rotation.apply([0.0, 0.0, 1.0])[:, 2].min() > 0.8
+    fixes = recording["/fix"]
+    time_s = (np.array([stamp for stamp, _, _ in fixes]) - stamps[0]) / 1e9
+    north = np.gradient([m.latitude for _, _, m in fixes], time_s)
+    east = np.gradient([m.longitude for _, _, m in fixes], time_s) * np.cos(np.radians(47.4))
+    at = (np.array(stamps) - stamps[0]) / 1e9
+    track = np.stack([np.interp(at, time_s, east), np.interp(at, time_s, north)], axis=-1)
+    moving = np.linalg.norm(track, axis=-1) > np.degrees(50.0 / 6.37e6)
+    forward = rotation.apply([1.0, 0.0, 0.0])[moving, :2]
+    cosine = np.sum(forward * track[moving], axis=-1)
+    cosine /= np.linalg.norm(forward, axis=-1) * np.linalg.norm(track[moving], axis=-1)
+    assert cosine.min() > 0.99
+
+
 def test_image_topics_are_stamped_at_the_shutter(recording, stations):
     for camera in ("nadir", "oblique"):
         stamps = [stamp for stamp, _, _ in recording[f"/camera/{camera}/image/compressed"]]
