@@ -32,6 +32,7 @@ SUPPLEMENTS_ORIGIN = (
     "U.S. Standard Atmosphere Supplements 1966, reconstructed from public tables descended from it"
 )
 AFGL_ORIGIN = "AFGL 1986 model atmospheres (AFGL-TR-86-0110)"
+_AFGL_FILE = "afgl1986.csv"
 MSIS = "nrlmsis2.1"
 MSIS_ORIGIN = "NRLMSIS 2.1 (Emmert et al. 2022), temperature only"
 
@@ -67,7 +68,7 @@ def climate_names() -> tuple[str, ...]:
     >>> climate_names()[1], climate_names()[-1]
     ('supplements1966_30n_january', 'afgl1986_us_standard')
     """
-    return (*_supplements(), *_afgl())
+    return (*_supplements(), *read_models(_AFGL_FILE))
 
 
 def climate_profile(
@@ -87,7 +88,7 @@ def climate_profile(
         column = _supplements()[name]
         gravity = gravity or lambert_gravity(column.latitude_deg * DEGREE)
         return _mean_of_columns([(1.0, column)], gravity, index, name)
-    rows = _afgl()[name]
+    rows = read_models(_AFGL_FILE)[name]
     gravity = gravity or lambert_gravity(rows[0]["latitude_deg"] * DEGREE)
     table = gravity.geopotential_height([row["h_m"] for row in rows])
     edge = _edges(table)
@@ -208,10 +209,6 @@ def _supplements() -> dict[str, _SupplementsColumn]:
             float(p[0]),
         )
     return columns
-
-
-def _afgl() -> dict[str, list[dict[str, float]]]:
-    return read_models("afgl1986.csv")
 
 
 @lru_cache

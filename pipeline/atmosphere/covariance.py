@@ -182,21 +182,16 @@ class ProfileCovariance:
         weights = self._weights(height)
         t_m, _, vapour = self.profile.state(height)
         zero = np.zeros((height.size, 1))
-        return self._sigma(
-            [
-                (1.0 - VAPOUR_DEFICIT * vapour)[:, None] * weights,
-                zero,
-                (-VAPOUR_DEFICIT * t_m)[:, None] * weights,
-            ]
-        )
+        by_t_m, by_vapour = 1.0 - VAPOUR_DEFICIT * vapour, -VAPOUR_DEFICIT * t_m
+        blocks = (by_t_m[:, None] * weights, zero, by_vapour[:, None] * weights)
+        return self.sigma_of(np.concatenate(blocks, axis=1))
 
     def sigma_log_pressure(self, h: ArrayLike) -> Array:
         """One sigma of ln p, that is sigma_p/p, at heights ``h`` (n,) [m above sea level]."""
         height = np.atleast_1d(np.asarray(h, np.float64))
         by_virtual = self.log_pressure_by_virtual(height)
-        return self._sigma(
-            [by_virtual, np.ones((height.size, 1)), np.zeros((height.size, by_virtual.shape[1]))]
-        )
+        blocks = (by_virtual, np.ones((height.size, 1)), np.zeros(by_virtual.shape))
+        return self.sigma_of(np.concatenate(blocks, axis=1))
 
     def sigma_vapour_pressure(self, h: ArrayLike) -> Array:
         """One sigma of vapour pressure [Pa] at heights ``h`` (n,) [m above sea level]."""
@@ -204,7 +199,8 @@ class ProfileCovariance:
         _, p, vapour = self.profile.state(height)
         e = (vapour * p)[:, None]
         by_vapour = p[:, None] * self._weights(height)
-        return self._sigma([e * self.log_pressure_by_virtual(height), e, by_vapour])
+        blocks = (e * self.log_pressure_by_virtual(height), e, by_vapour)
+        return self.sigma_of(np.concatenate(blocks, axis=1))
 
     def sigma_refractivity(self, h: ArrayLike) -> Array:
         """One sigma of n - 1 at heights ``h`` (n,) [m above sea level]."""
@@ -257,9 +253,6 @@ class ProfileCovariance:
     def log_pressure_by_virtual(self, h: Array) -> Array:
         """(n, k) derivatives of ln p at heights (n,) [m] by T_M at the edges [1/K]."""
         return log_pressure_jacobian(self.profile, h, self.anchor_height_m)
-
-    def _sigma(self, blocks: list[Array]) -> Array:
-        return self.sigma_of(np.concatenate(blocks, axis=1))
 
     def sigma_of(self, gradient: Array) -> Array:
         """One sigma of quantities whose derivatives (n, 2k + 1) are in the order of ``matrix``."""

@@ -163,8 +163,7 @@ def thermometer_is_outside(
 
     if _sigma_inflation(made, Thermometer) > MISFIT:
         # The flight until half an hour after its thermometer's first accepted reading.
-        first = int(temperature.time_ns[temperature.accepted][0])
-        until = first + round(TOGETHER_S * 1e9)
+        until = int(temperature.time_ns[temperature.accepted][0]) + round(TOGETHER_S * 1e9)
         early = {
             name: replace(sensor, accepted=sensor.accepted & (sensor.time_ns <= until))
             for name in ("temperature", "pressure", "humidity")

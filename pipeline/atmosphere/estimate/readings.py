@@ -214,7 +214,7 @@ def part_of(readings: Readings, rows: NDArray[np.bool_]) -> Readings:
         for name, values in vars(readings).items()
         if isinstance(values, np.ndarray) and values.shape == (size,)
     }
-    return replace(readings, **columns)  # type: ignore[type-var]
+    return replace(readings, **columns)  # type: ignore[arg-type]
 
 
 def _usable(sensor: SensorSamples, profile: Profile) -> NDArray[np.bool_]:
@@ -290,7 +290,7 @@ def _barometer(
     speed = binning.airspeed_at(bins.seconds, airspeed)
     dynamic = None if speed is None else dynamic_of(speed)
     sigma = np.hypot(bins.sigma, AIR_NOISE_LOG_P)
-    return bins.rejected, Barometer(sensor.name, bins.seconds, bins.height, value, sigma, dynamic)
+    return bins.rejected, Barometer(sensor.name, bins.height, value, sigma, bins.seconds, dynamic)
 
 
 def _thermometer(
@@ -309,10 +309,10 @@ def _thermometer(
     last = np.maximum(np.searchsorted(takeoffs, bins.seconds, side="right") - 1, 0)
     return bins.rejected, Thermometer(
         sensor.name,
-        bins.seconds,
         bins.height,
         value,
         np.hypot(bins.sigma, AIR_NOISE_K),
+        bins.seconds,
         since_s=np.maximum(bins.seconds - takeoffs[last], 0.0),
         flown=heights,
         heating=None if speed is None else heating_of(speed, profile.pressure(h), value),

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,22 +95,23 @@ class SensorSettings:
     calibration: Mapping[SensorFault, SensorCalibration] = field(default_factory=dict)
 
 
-class Readings(Protocol):
-    """A set of readings (m,) at heights (m,) [m'], with the sigma (m,) of independent errors."""
+@dataclass(frozen=True, eq=False)
+class Readings(ABC):
+    """A set of readings (m,) at heights (m,) [m'], with the sigma (m,) of independent errors.
 
-    @property
-    def name(self) -> str: ...
-    @property
-    def height(self) -> Array: ...
-    @property
-    def value(self) -> Array: ...
-    @property
-    def sigma(self) -> Array: ...
-    @property
-    def robust(self) -> bool: ...
+    ``robust`` readings lose weight where they do not fit.
+    """
+
+    quantity: ClassVar[str]
+    name: str
+    height: Array
+    value: Array
+    sigma: Array
+    robust: bool = field(default=True, kw_only=True)
+
+    @abstractmethod
     def predict(self, air: AirAtKnots) -> tuple[Array, Array]:
         """What would be read, and its (m, s) derivatives by the state."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,21 +126,17 @@ class FlownHeights:
 
 
 @dataclass(frozen=True, eq=False)
-class Thermometer:
+class Thermometer(Readings):
     """Means of a thermometer in bins [K].
 
     ``since_s`` time since take-off [s]; ``heating`` V^2/(2 c_p) of the true airspeed [K], or None.
     """
 
-    name: str
+    quantity = "temperature"
     seconds: Array
-    height: Array
-    value: Array
-    sigma: Array
     since_s: Array
     flown: FlownHeights
     heating: Array | None = None
-    robust: bool = True
 
     def predict(self, air: AirAtKnots) -> tuple[Array, Array]:
         """T as a sensor with a memory reads it, with its faults.
@@ -179,19 +177,15 @@ class Thermometer:
 
 
 @dataclass(frozen=True, eq=False)
-class Barometer:
+class Barometer(Readings):
     """Means of ln of a static pressure [Pa] in bins of GNSS height.
 
     ``dynamic`` pressure q = rho_0 V^2/2 of the indicated airspeed [Pa], or None.
     """
 
-    name: str
+    quantity = "pressure"
     seconds: Array
-    height: Array
-    value: Array
-    sigma: Array
     dynamic: Array | None = None
-    robust: bool = True
 
     def predict(self, air: AirAtKnots) -> tuple[Array, Array]:
         """ln p(H) by Eq. 52-53, with the faults of the sensor and of H.
@@ -224,15 +218,11 @@ class Barometer:
 
 
 @dataclass(frozen=True, eq=False)
-class Temperatures:
+class Temperatures(Readings):
     """Temperatures at heights [K], of a balloon or a station; ``drift`` names their departure."""
 
-    name: str
-    height: Array
-    value: Array
-    sigma: Array
+    quantity = "temperature"
     drift: str | None = None
-    robust: bool = True
 
     def predict(self, air: AirAtKnots) -> tuple[Array, Array]:
         """T(H) + departure(H)."""
@@ -242,16 +232,12 @@ class Temperatures:
 
 
 @dataclass(frozen=True, eq=False)
-class Humidities:
+class Humidities(Readings):
     """Relative humidities (0-1) at heights, of any origin; ``fault`` or ``drift`` is theirs."""
 
-    name: str
-    height: Array
-    value: Array
-    sigma: Array
+    quantity = "humidity"
     fault: SensorFault | None = None
     drift: str | None = None
-    robust: bool = True
 
     def predict(self, air: AirAtKnots) -> tuple[Array, Array]:
         """RH(H) + bias + departure(H)."""
@@ -275,14 +261,10 @@ def _at_heights(
 
 
 @dataclass(frozen=True, eq=False)
-class Pressures:
+class Pressures(Readings):
     """ln of pressures [Pa] at heights that are known: a station, a balloon, the sea level."""
 
-    name: str
-    height: Array
-    value: Array
-    sigma: Array
-    robust: bool = True
+    quantity = "pressure"
 
     def predict(self, air: AirAtKnots) -> tuple[Array, Array]:
         """ln p(H) by Eq. 52-53."""

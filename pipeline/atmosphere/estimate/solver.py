@@ -8,7 +8,7 @@ its own.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,15 +20,7 @@ from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.estimate.external_readings import TimeAndPlace
 from pipeline.atmosphere.estimate.readings import FlightReadings, collect_readings
-from pipeline.atmosphere.estimate.sensors import (
-    Barometer,
-    Humidities,
-    Pressures,
-    Readings,
-    SensorSettings,
-    Temperatures,
-    Thermometer,
-)
+from pipeline.atmosphere.estimate.sensors import Readings, SensorSettings
 from pipeline.atmosphere.estimate.state import (
     AirAtKnots,
     Layout,
@@ -47,14 +39,6 @@ Array = NDArray[np.float64]
 
 FREEDOM = 4.0
 """Degrees of freedom of Student's loss: a bin 5 sigma off weighs a sixth."""
-
-_QUANTITY: Mapping[type, str] = {
-    Thermometer: "temperature",
-    Barometer: "pressure",
-    Temperatures: "temperature",
-    Humidities: "humidity",
-    Pressures: "pressure",
-}
 
 _HUBER = 3.0  # of the first iterations, while residuals are still those of the background
 _HUBER_STEPS, _MOST_STEPS = 3, 80
@@ -215,8 +199,8 @@ def solve(
     an inflation factor until they fit, so that C is not too small. ``start`` is a state near the
     solution; without it the iteration begins at the prior, with a loss that has one minimum.
 
-    The lag of a thermometer times the shape of T(H) is not linear, and whole steps may oscillate
-    without end (in 38 of 84 flights, by 0.1 to 0.3 K): a step that turns back is halved.
+    Lag times the shape of T(H) is not linear, and whole steps may oscillate (in 38 of 84 flights,
+    by 0.1 to 0.3 K): a step that turns back is halved.
     """
     x = prior.mean.copy() if start is None else start
     pressure = background.pressure(background.gravity.height(layout.knot))
@@ -229,10 +213,9 @@ def solve(
         change = linalg.solve(system.normal, system.right, assume_a="pos")
         warming = change[layout.temperature]
         back = bool(warming @ before < 0.0)
-        regained = _REGAINED if step < _LATE else _REGAINED_LATE
-        share = max(0.5 * share, _LEAST_SHARE) if back else min(regained * share, 1.0)
-        before = warming
-        x = layout.bounded(x + share * change)
+        gain = _REGAINED if step < _LATE else _REGAINED_LATE
+        share = max(0.5 * share, _LEAST_SHARE) if back else min(gain * share, 1.0)
+        before, x = warming, layout.bounded(x + share * change)
         air = air_of(layout, x, pressure, background.constant)
         pressure = np.exp(air.log_pressure(layout.knot)[0])
         moved = float(np.abs(warming).max()) * (share if back else 1.0)
@@ -241,7 +224,7 @@ def solve(
         if converged:
             break
     air = air_of(layout, x, pressure, background.constant)
-    covariance = np.asarray(np.linalg.inv(system.normal), dtype=np.float64)
+    covariance = np.asarray(np.linalg.inv(system.normal), np.float64)
     fits = tuple(
         replace(fit, signal_freedom=float(np.sum(covariance * information)))
         for fit, information in zip(system.fits, system.information, strict=True)
@@ -285,8 +268,7 @@ def _normal_equations(
         if readings.robust and step > _HUBER_STEPS:
             after[i] = max(1.0, inflation[i] * np.sqrt(_excess_variance(z, loss)))
         rms = float(np.sqrt(np.mean(np.square(residual / readings.sigma)))) if z.size else 0.0
-        quantity = _QUANTITY[type(readings)]
-        fits.append(Fit(readings.name, quantity, z.size, rms, float(after[i])))
+        fits.append(Fit(readings.name, readings.quantity, z.size, rms, float(after[i])))
     return _System(normal, right, after, tuple(information), tuple(fits))
 
 

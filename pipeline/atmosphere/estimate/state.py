@@ -190,9 +190,6 @@ def prior_of(layout: Layout, background: Climatology, moisture: Climatology) -> 
         mean[where] = values
         precision[where, where] = np.linalg.inv(covariance)
 
-    def put_one(i: int, value: float, sigma: float) -> None:
-        mean[i], precision[i, i] = value, sigma**-2
-
     spread = background.spread.sigma_temperature(gravity.height(knot))
     above = knot - layout.reference
     rough = np.interp(above, [ROUGH_BELOW_M, SMOOTH_ABOVE_M], [ROUGH_K, ROUGH_ALOFT_K])
@@ -211,9 +208,9 @@ def prior_of(layout: Layout, background: Climatology, moisture: Climatology) -> 
     put(layout.humidity, expected, np.outer(sigma_rh, sigma_rh) * exponential(humid, length))
 
     level = float(np.log(background.profile.pressure(gravity.height(layout.reference))))
-    put_one(layout.level, level, _UNKNOWN_LOG_P)
+    mean[layout.level], precision[layout.level, layout.level] = level, _UNKNOWN_LOG_P**-2
     for i, fault in enumerate(layout.faults, layout.level + 1):
-        put_one(i, fault.mean, fault.sigma)
+        mean[i], precision[i, i] = fault.mean, fault.sigma**-2
     for drift in layout.drifts:
         put(layout.drift(drift.name)[1], 0.0, drift.covariance())
     return Prior(mean, precision, spread)

@@ -33,12 +33,47 @@ def is_derived(text: str) -> bool:
 
 def parse_igra(text: str, where: str, _: Ledger) -> list[RawLevels]:
     """The ascents of an IGRA v2 file."""
-    return [_ascent(header, lines, where, at) for header, lines, at in _blocks(text, where)]
+    ascents = []
+    for header, lines, at in _blocks(text, where):
+        t = _column(lines, 23, 27, 0.1) + ZERO_CELSIUS_K
+        ascents.append(
+            RawLevels(
+                h_m=_column(lines, 17, 21, 1.0),
+                pressure_pa=_column(lines, 10, 15, 1.0),
+                temperature_k=t,
+                dew_point_k=t - _column(lines, 35, 39, 0.1),
+                relative_humidity=_column(lines, 29, 33, 0.001),
+                time_ns=_time_ns(header),
+                station=header[1:12],
+                latitude_rad=radians(number(header[55:62]) * 1e-4, 90.0),
+                longitude_rad=radians(number(header[63:71]) * 1e-4, 180.0),
+                origin="IGRA v2",
+                where=f"{where}, line {at}",
+                lines_missing=_announced(header) - len(lines),
+            )
+        )
+    return ascents
 
 
 def parse_derived(text: str, where: str, _: Ledger) -> list[RawLevels]:
     """The ascents of an IGRA v2 file of derived parameters; it knows no position."""
-    return [_derived_ascent(header, lines, where, at) for header, lines, at in _blocks(text, where)]
+    ascents = []
+    for header, lines, at in _blocks(text, where):
+        reported, computed = _column(lines, 9, 15, 1.0), _column(lines, 17, 23, 1.0)
+        ascents.append(
+            RawLevels(
+                h_m=np.where(np.isfinite(reported), reported, computed),
+                pressure_pa=_column(lines, 1, 7, 1.0),
+                temperature_k=_column(lines, 25, 31, 0.1),
+                vapour_pressure_pa=_column(lines, 73, 79, 0.1),  # thousandths of a hectopascal
+                time_ns=_time_ns(header),
+                station=header[1:12],
+                origin="IGRA v2 derived",
+                where=f"{where}, line {at}",
+                lines_missing=_announced(header) - len(lines),
+            )
+        )
+    return ascents
 
 
 def _blocks(text: str, where: str) -> Iterator[tuple[str, list[str], int]]:
@@ -66,39 +101,6 @@ def _blocks(text: str, where: str) -> Iterator[tuple[str, list[str], int]]:
 def _column(lines: list[str], first: int, last: int, scale: float) -> Array:
     """A column by the places of the format description, which count from one."""
     return numbers(line[first - 1 : last] for line in lines) * scale
-
-
-def _ascent(header: str, lines: list[str], where: str, at: int) -> RawLevels:
-    t = _column(lines, 23, 27, 0.1) + ZERO_CELSIUS_K
-    return RawLevels(
-        h_m=_column(lines, 17, 21, 1.0),
-        pressure_pa=_column(lines, 10, 15, 1.0),
-        temperature_k=t,
-        dew_point_k=t - _column(lines, 35, 39, 0.1),
-        relative_humidity=_column(lines, 29, 33, 0.001),
-        time_ns=_time_ns(header),
-        station=header[1:12],
-        latitude_rad=radians(number(header[55:62]) * 1e-4, 90.0),
-        longitude_rad=radians(number(header[63:71]) * 1e-4, 180.0),
-        origin="IGRA v2",
-        where=f"{where}, line {at}",
-        lines_missing=_announced(header) - len(lines),
-    )
-
-
-def _derived_ascent(header: str, lines: list[str], where: str, at: int) -> RawLevels:
-    reported, computed = _column(lines, 9, 15, 1.0), _column(lines, 17, 23, 1.0)
-    return RawLevels(
-        h_m=np.where(np.isfinite(reported), reported, computed),
-        pressure_pa=_column(lines, 1, 7, 1.0),
-        temperature_k=_column(lines, 25, 31, 0.1),
-        vapour_pressure_pa=_column(lines, 73, 79, 0.1),  # thousandths of a hectopascal
-        time_ns=_time_ns(header),
-        station=header[1:12],
-        origin="IGRA v2 derived",
-        where=f"{where}, line {at}",
-        lines_missing=_announced(header) - len(lines),
-    )
 
 
 def _announced(header: str) -> int:

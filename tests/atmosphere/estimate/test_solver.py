@@ -634,7 +634,7 @@ def test_the_derivative_by_the_lag_is_that_of_an_exponential_memory():
     air = air_of(layout, x, np.full(knot.size, 9e4), 0.0342)
     seconds = np.array([300.0, 500.0])
     times = np.arange(0.0, 601.0)
-    sensor = Thermometer("T", seconds, climb * seconds, np.zeros(2), np.ones(2), since_s=seconds,
+    sensor = Thermometer("T", climb * seconds, np.zeros(2), np.ones(2), seconds, since_s=seconds,
                          flown=FlownHeights(times, climb * times))  # fmt: skip
     reading, jacobian = sensor.predict(air)
     a = curve * climb**2
