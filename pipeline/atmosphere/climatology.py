@@ -1,7 +1,7 @@
 """What the air is like without any measurement, and how far from that it may be.
 
-The expected profile is one of `standard.MODELS`; the spread is the same model of one sigma for all
-of them, increased by how far each departs from the US Supplements 1966.
+The expected profile is one of `standard.ATMOSPHERES`; the spread is the same model of one sigma
+for all of them, increased by how far each departs from the US Supplements 1966.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pipeline.atmosphere.climate_tables import SUPPLEMENTS, season
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import IndexModel, saturation_vapour_pressure
-from pipeline.atmosphere.standard import AUTO, MODELS, SeasonAndPlace, known_names
+from pipeline.atmosphere.standard import ATMOSPHERES, AUTO, SeasonAndPlace, known_names
 from pipeline.errors import PhysicsError
 from pipeline.units import DEGREE
 
@@ -111,7 +111,7 @@ def climatology(
     >>> [round(float(t), 1) for t in (air.profile.temperature(0), air.spread.sigma_temperature(0))]
     [293.8, 7.3]
     """
-    model = MODELS.get(name)
+    model = ATMOSPHERES.get(name)
     if model is None:
         raise PhysicsError(
             "ATMOSPHERE-NAME",
@@ -122,8 +122,8 @@ def climatology(
     place = SeasonAndPlace(latitude_rad, month, longitude_rad)
     profile = model.profile(place, index)
     spread = expected_spread(latitude_rad, month, ground_h_m)
-    if model is not MODELS[SUPPLEMENTS]:
-        expected = MODELS[SUPPLEMENTS].profile(place, index)
+    if model is not ATMOSPHERES[SUPPLEMENTS]:
+        expected = ATMOSPHERES[SUPPLEMENTS].profile(place, index)
         spread = _with_difference(spread, profile, expected)
     return Climatology(profile, spread, model.origin, model.has_humidity)
 

@@ -1,10 +1,10 @@
 """The registry of atmospheres, and the standard atmospheres, each with its own constants.
 
-A new atmosphere is one function and a line in `MODELS`: names in mission files, on the command line
-and in refusals follow. The breakpoints of the standards stand in ``data/standard_atmospheres.csv``:
-US Standard Atmosphere 1976 and 1962, ICAO 1993 (ISO 2533), ARDC Model Atmosphere 1959 (the one
-behind the tables of Gyer 1996 and Bertram 1966) and ICAN (Saastamoinen 1974). The US Supplements
-1966, AFGL 1986 and NRLMSIS are in `climate_tables`.
+A new atmosphere is one function and a line in `ATMOSPHERES`: its name in mission files, on the
+command line and in refusals follows. The breakpoints of the standards stand in
+``data/standard_atmospheres.csv``: US Standard Atmosphere 1976 and 1962, ICAO 1993 (ISO 2533), ARDC
+Model Atmosphere 1959 (the one behind the tables of Gyer 1996 and Bertram 1966) and ICAN
+(Saastamoinen 1974). The US Supplements 1966, AFGL 1986 and NRLMSIS are in `climate_tables`.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ def _msis(place: SeasonAndPlace, index: IndexModel) -> Profile:
 
 _OF_SEASON = AtmosphereModel(_supplements, SUPPLEMENTS_ORIGIN, True, needs_place=True)
 
-MODELS: dict[str, AtmosphereModel] = {
+ATMOSPHERES: dict[str, AtmosphereModel] = {
     AUTO: _OF_SEASON,
     SUPPLEMENTS: _OF_SEASON,
     **{
@@ -152,7 +152,7 @@ def known_names() -> tuple[str, ...]:
     >>> known_names()[:2], known_names()[-4:]
     (('auto', 'supplements1966'), ('us1962', 'icao', 'ardc1959', 'ican'))
     """
-    return tuple(MODELS)
+    return tuple(ATMOSPHERES)
 
 
 def standard_names() -> tuple[str, ...]:
@@ -161,8 +161,8 @@ def standard_names() -> tuple[str, ...]:
     >>> standard_names()[:5], standard_names()[5]
     (('us1976', 'us1962', 'icao', 'ardc1959', 'ican'), 'supplements1966_15n_annual')
     """
-    fixed = [name for name, model in MODELS.items() if not model.needs_place]
-    return tuple(sorted(fixed, key=lambda name: MODELS[name].has_humidity))
+    fixed = [name for name, model in ATMOSPHERES.items() if not model.needs_place]
+    return tuple(sorted(fixed, key=lambda name: ATMOSPHERES[name].has_humidity))
 
 
 def standard_atmosphere(
@@ -187,7 +187,7 @@ def standard_atmosphere(
     >>> (profile.refractivity(0.0) * 1e6).round(3).item()
     277.201
     """
-    model = MODELS.get(name)
+    model = ATMOSPHERES.get(name)
     if model is None or model.needs_place:
         raise PhysicsError(
             "ATMOSPHERE-NAME",

@@ -12,7 +12,7 @@ import pytest
 from pipeline.atmosphere import standard_atmosphere, standard_names
 from pipeline.atmosphere.climatology import climatology
 from pipeline.atmosphere.profile import Profile, stack_layers
-from pipeline.atmosphere.standard import MODELS, AtmosphereModel, known_names
+from pipeline.atmosphere.standard import ATMOSPHERES, AtmosphereModel, known_names
 from pipeline.config.atmosphere import AtmosphereSection
 from pipeline.errors import PhysicsError
 from pipeline.geodesy import normal_gravity
@@ -164,7 +164,7 @@ def test_an_atmosphere_costs_one_function_and_a_line(monkeypatch, unbend):
         return Profile(layers, place.gravity or normal_gravity(0.0), index, "isothermal260")
 
     model = AtmosphereModel(isothermal, "a test", has_humidity=False)
-    monkeypatch.setitem(MODELS, "isothermal260", model)
+    monkeypatch.setitem(ATMOSPHERES, "isothermal260", model)
     assert "isothermal260" in known_names()
     assert float(standard_atmosphere("isothermal260").temperature(7000.0)) == 260.0
     made = climatology("isothermal260", latitude_rad=0.8, month=7.0)
