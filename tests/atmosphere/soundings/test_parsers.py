@@ -598,3 +598,11 @@ def test_files(tmp_path, monkeypatch):
     with pytest.raises(InputError) as caught:
         read_sounding(path, Ledger())
     assert caught.value.code == "SOUNDING-SIZE"
+
+
+@pytest.mark.parametrize(("stamp", "year"), [("730101", 1973), ("991231", 1999), ("110522", 2011)])
+def test_the_century_of_a_wyoming_list(stamp, year):
+    """Two digits of the year: the archive begins in 1973."""
+    page = WYOMING_PAGE.replace("110522/1200", f"{stamp}/1200")
+    when = np.datetime64(parse_sounding(page, Ledger()).time_ns, "ns")
+    assert str(when.astype("datetime64[h]")) == f"{year}-{stamp[2:4]}-{stamp[4:]}T12"
