@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.refraction import BrownConrady, Camera
+from pipeline.refraction.camera.brown_conrady import distort, slopes
 from pipeline.simulate.optics import SimulatedCamera
 
 WIDTH, HEIGHT, FOCAL = 14_000, 10_600, 11_000.0
@@ -96,3 +97,28 @@ def test_outside_the_format_is_not_covered():
 def test_no_pixels_no_rays():
     u, _, covered = Camera(100, 80, 90.0, 90.0, 50.0, 40.0).rays(np.empty(0), np.empty(0))
     assert u.shape == covered.shape == (0,)
+
+
+def test_the_largest_radius_is_where_the_distortion_turns_over():
+    """r (1 + k1 r^2 + k2 r^4 + k3 r^6): its derivative is 1 + 3 k1 r^2 + 5 k2 r^4 + 7 k3 r^6."""
+    for k1, k2, k3 in ((0.1, -0.3, 0.0), (-0.2, 0.05, -0.02), (0.0, 0.0, -0.4)):
+        lens = BrownConrady(k1, k2, k3)
+        r2 = Camera(10, 10, 1.0, 1.0, 5.0, 5.0, lens).largest_radius ** 2
+        assert 1.0 + 3.0 * k1 * r2 + 5.0 * k2 * r2**2 + 7.0 * k3 * r2**3 == pytest.approx(
+            0.0, abs=1e-12
+        )
+
+
+def test_the_slopes_are_the_derivatives_of_the_distortion():
+    """Central differences, for each coefficient by itself."""
+    step = 1e-6
+    for parameters in np.eye(5) * 0.1:
+        lens = BrownConrady(*parameters)
+        (right, left), (down, up) = (
+            (distort(0.3 + s * step, -0.2, lens) for s in (1, -1)),
+            (distort(0.3, -0.2 + s * step, lens) for s in (1, -1)),
+        )
+        uu, vu = ((a - b) / (2.0 * step) for a, b in zip(right, left, strict=True))
+        uv, vv = ((a - b) / (2.0 * step) for a, b in zip(down, up, strict=True))
+        assert slopes(0.3, -0.2, lens) == pytest.approx((uu, uv, vv), abs=1e-9)
+        assert uv == pytest.approx(vu, abs=1e-9)

@@ -203,3 +203,23 @@ def test_an_observation_that_lacks_something_has_no_height():
     assert np.isnan(
         target_heights(x, y, distance, first, seen_from(DOWN), camera=CAMERA, table=TABLE)[4]
     )
+
+
+def test_ideal_pixels_have_neither_window_nor_lens():
+    """Of a straight chord the cabin and the air in the lens change nothing, of a ray they do."""
+    n, table = np.atleast_1d(AIR.refractivity(3000.0)), ray_table(AIR)
+    down = np.diag([1.0, -1.0, -1.0])[None]
+    place = (np.array([True]), down, np.array([0.8]), np.array([3000.0]))
+    pixel = (np.array([12_000.0]), np.array([9000.0]), np.array([3500.0]), np.zeros(1, np.int64))
+
+    def height(cabin, change_px, ideal):
+        exposures = Exposures(*place, n, n + cabin, principal_change_px=np.array([change_px]))
+        return float(
+            target_heights(
+                *pixel, exposures, camera=CAMERA, table=table, ideal=ideal
+            )[0]
+        )  # fmt: skip
+
+    for cabin, change_px in ((1e-4, 0.0), (0.0, 20.0)):
+        assert height(cabin, change_px, True) == height(0.0, 0.0, True)
+        assert abs(height(cabin, change_px, False) - height(0.0, 0.0, False)) > 0.05

@@ -25,6 +25,7 @@ from pipeline.refraction.kernels.columns import ObservationColumns
 from pipeline.refraction.status import (
     BAD_MEASUREMENT,
     BEYOND_GRAZING,
+    FAR_BRANCH,
     MISSES_GROUND,
     NO_GROUND,
     NO_STATION,
@@ -457,3 +458,30 @@ def test_metres_at_the_far_crossing():
     found = ground_displacement(3000.0, 1000.0, zeta, r_c, RADIUS, far=True)
     assert found == pytest.approx(by_hand, rel=1e-9)
     assert ground_displacement(3000.0, 1000.0, zeta, r_c, RADIUS) < 0.5 * found
+
+
+def test_mixed_exposures_keep_their_slant_ranges_and_heights():
+    """Rays that meet their ground twice; every row another distance, near or far."""
+    rows = np.arange(60)
+    two = replace(
+        exposures(looking(89.0)), usable=np.ones(2, bool),
+        rotation=np.stack([looking(88.6), looking(88.8, 40.0)]), latitude_rad=np.full(2, 0.8),
+        height_m=np.full(2, H_C), refractivity_outside=np.full(2, OUTSIDE),
+        refractivity_cabin=np.full(2, CABIN), window_normal=np.tile([0.0, 0.0, 1.0], (2, 1)),
+        principal_change_px=np.array([2.0, -3.0]),
+    )  # fmt: skip
+    x, y = 6000.0 + 30.0 * rows, np.full(60, PINHOLE.cy_px)
+    h_g, row = 2900.0 + 5.0 * rows, rows % 2
+    distance = np.where(rows % 3 == 0, 30e3, 300e3)
+
+    def corrected(at):
+        return correct_observations(
+            x[at], y[at], h_g[at], row[at], two, camera=PINHOLE, table=TABLE,
+            distance_m=distance[at],
+        )  # fmt: skip
+
+    together, alone = corrected(rows), [corrected(np.array([i])) for i in rows]
+    assert {OK, FAR_BRANCH} <= set(together.status.tolist())
+    for name in ("status", "dx_px", "dy_px", "r_c_rad", "r_cc_rad", "shift_ground_m"):
+        expected = np.concatenate([getattr(one, name) for one in alone])
+        np.testing.assert_array_equal(getattr(together, name), expected, err_msg=name)

@@ -1,10 +1,12 @@
-"""How large corrections are, told from counts in bins."""
+"""How large corrections are, from counts in bins."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from pipeline.refraction.statistics import Distribution
+from pipeline.refraction.image import COLUMNS, Corrections
+from pipeline.refraction.statistics import Distribution, ShiftGrid, ShiftStatistics
 
 
 def test_no_quantile_is_larger_than_the_largest():
@@ -20,3 +22,43 @@ def test_quantiles_are_those_of_the_values_to_a_bin():
     distribution.add(values)
     for share in (0.1, 0.5, 0.95):
         assert abs(distribution.quantile(share) / np.quantile(values, share) - 1.0) < 0.02
+
+
+def test_each_number_under_its_own_key():
+    distribution = Distribution()
+    distribution.add(np.append(np.arange(1.0, 1000.0), np.nan))
+    summary = distribution.summary()
+    assert summary["count"] == 999
+    assert summary["median"] == pytest.approx(500.0, rel=0.01)
+    assert summary["p95"] == pytest.approx(950.0, rel=0.01)
+    assert summary["maximum"] == 999.0
+
+
+def test_shifts_are_averaged_where_they_are():
+    """Two points in the upper right cell, one in the lower left of 14 x 10."""
+    grid = ShiftGrid(1400, 1000)
+    x, y = np.array([1390.0, 1310.0, 10.0]), np.array([10.0, 90.0, 990.0])
+    grid.add(x, y, np.array([1.0, 3.0, 7.0]), np.array([-1.0, -2.0, 5.0]))
+    centre_x, centre_y, dx, dy = grid.means()
+    assert centre_x.tolist() == [1350.0, 50.0]
+    assert centre_y.tolist() == [50.0, 950.0]
+    assert (dx.tolist(), dy.tolist()) == ([2.0, 7.0], [-1.5, 5.0])
+
+
+def test_every_quantity_is_counted_in_its_own_unit():
+    n = 3
+    arcsec = np.pi / 180.0 / 3600.0
+    columns = {name: np.full(n, 0.5) for name in COLUMNS}
+    columns |= {
+        "dx_px": np.array([3.0, 3.0, np.nan]), "dy_px": np.array([4.0, 4.0, np.nan]),
+        "shift_ground_m": np.full(n, 0.25), "r_c_rad": np.full(n, 20.0 * arcsec),
+        "r_cc_rad": np.full(n, -12.0 * arcsec),
+    }  # fmt: skip
+    statistics = ShiftStatistics(ShiftGrid(1400, 1000))
+    statistics.add(
+        np.full(n, 700.0), np.full(n, 500.0), Corrections(**columns, status=np.zeros(n, np.uint8))
+    )
+    assert {name: row["maximum"] for name, row in statistics.summary().items()} == {
+        "shift_px": 5.0, "shift_ground_m": 0.25, "refraction_arcsec": 20.0, "window_arcsec": 12.0,
+    }  # fmt: skip
+    assert all(row["count"] == 2 for row in statistics.summary().values())
