@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import pipeline
 from pipeline.atmosphere import refractive_index as air
 from pipeline.atmosphere.refractive_index import (
     IndexModel,
@@ -20,7 +21,7 @@ from pipeline.atmosphere.refractive_index import (
 from pipeline.errors import PhysicsError
 from pipeline.simulate.true_air import edlen_index, saturation_pressure_pa
 
-DATA = Path(__file__).resolve().parents[1] / "data"
+PRINTED = Path(pipeline.__file__).parent / "refraction" / "data"
 
 # t [C], RH [%], p [kPa], wavelength [nm] -> (n - 1) 1e9 of Ciddor's equation at 450 ppm of CO2.
 # Rows 1-9: Ciddor (1996), Appl. Opt. 35, 1566, and the NIST Engineering Metrology Toolbox.
@@ -102,7 +103,7 @@ def test_vapour_lowers_the_index_in_both_formulas():
 
 
 def test_gyer_eq_13_against_his_table_2():
-    with (DATA / "gyer1996_table2.csv").open() as file:
+    with (PRINTED / "gyer1996_table2.csv").open() as file:
         rows = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
     for row in rows:
         n = refractivity_gyer(row["temperature_k"], row["pressure_mbar"] * 100.0)

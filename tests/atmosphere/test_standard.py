@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import pipeline
 from pipeline.atmosphere import standard_atmosphere, standard_names
 from pipeline.atmosphere.climatology import climatology
 from pipeline.atmosphere.profile import Profile, stack_layers
@@ -18,6 +19,7 @@ from pipeline.errors import PhysicsError
 from pipeline.geodesy import normal_gravity
 
 DATA = Path(__file__).resolve().parents[1] / "data"
+PRINTED = Path(pipeline.__file__).parent / "refraction" / "data"
 
 # US Standard Atmosphere 1976, Table I: geometric height [m], T [K], p [mbar] as printed.
 US1976 = [
@@ -57,7 +59,7 @@ def test_us1976_against_an_independent_implementation():
 
 def test_ardc1959_is_the_profile_of_gyer_table_2():
     profile = standard_atmosphere("ardc1959", index="gyer")
-    with (DATA / "gyer1996_table2.csv").open() as file:
+    with (PRINTED / "gyer1996_table2.csv").open() as file:
         rows = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
     assert len(rows) == 28
     unit = 0.01 * (1.0 + 1e-9)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import math
 from functools import cache
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import pipeline
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.errors import PhysicsError
 from pipeline.refraction import published as pub
@@ -58,6 +60,31 @@ def test_columns_are_one_table():
 def test_an_unknown_paper_is_refused():
     with pytest.raises(PhysicsError, match="PAPER-NAME"):
         paper_tables("schut1969")
+
+
+# The first digits of the SHA-256 of the lines of each table, as they were read against the papers.
+TRANSCRIBED = {
+    "bertram1966_table1": "997f4cf9b1f5",
+    "bertram1966_table1_density": "36b9fcb0bf32",
+    "bertram1966_table2": "ec0c2c1937f9",
+    "bertram1966_table2_density": "715d2d47b49d",
+    "bertram1966_table3_arctic_january_75n": "843c15e45a83",
+    "bertram1966_table3_arctic_january_75n_density": "32b4c3ee3955",
+    "bertram1966_table4_tropical_15n": "dd26d4fe2986",
+    "bertram1966_table4_tropical_15n_density": "6868fb634a6e",
+    "gyer1996_table2": "e07170ff9a75",
+    "gyer1996_table5": "4041458b540c",
+    "gyer1996_table6": "22f6f3913c31",
+    "gyer1996_table7": "c26683632de0",
+    "gyer1996_tables3_4": "39bc22da8a29",
+}
+
+
+@pytest.mark.parametrize("name", TRANSCRIBED)
+def test_no_printed_figure_has_changed(name):
+    text = (Path(pipeline.__file__).parent / f"refraction/data/{name}.csv").read_text("ascii")
+    digest = hashlib.sha256("\n".join(text.splitlines()).encode()).hexdigest()
+    assert digest.startswith(TRANSCRIBED[name])
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the reference figures are not beside us")
