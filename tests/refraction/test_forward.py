@@ -298,6 +298,17 @@ def test_a_point_displaced_out_of_the_format_is_outside():
     assert seen.dx_px[1] > 0.2
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_and_over_the_left_and_the_upper_edge(axis):
+    pixels = [np.full(2, 7000.0), np.full(2, 5300.0)]
+    pixels[axis] = np.array([0.01, 5.0])
+    seen = apply_refraction(
+        *pixels, np.zeros(2), np.zeros(2, np.int64), seen_from(DOWN, 8000.0), camera=PINHOLE,
+        table=TABLE,
+    )  # fmt: skip
+    assert seen.status.tolist() == [OUTSIDE_CAMERA, OK]
+
+
 def test_each_reason_in_its_place():
     x = np.array([7000.0, np.nan, np.inf, 7000.0, 7000.0, 1e7, 7000.0, 7000.0, 7000.0])
     y = np.full(9, 5000.0)

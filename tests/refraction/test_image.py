@@ -485,3 +485,11 @@ def test_mixed_exposures_keep_their_slant_ranges_and_heights():
     for name in ("status", "dx_px", "dy_px", "r_c_rad", "r_cc_rad", "shift_ground_m"):
         expected = np.concatenate([getattr(one, name) for one in alone])
         np.testing.assert_array_equal(getattr(together, name), expected, err_msg=name)
+
+
+def test_a_given_radius_is_that_of_every_ray():
+    fixed = replace(exposures(looking(45)), radius_m=6_500_000.0)
+    centre, row = np.array([PINHOLE.cx_px, 100.0]), np.zeros(2, np.int64)
+    observed = ObservationColumns(centre, centre, np.zeros(2), np.zeros(2), row)
+    rays, _, _ = outgoing_rays(observed, PINHOLE.constants, fixed.columns)
+    np.testing.assert_allclose(rays[RADIUS_ROW], 6_500_000.0, rtol=1e-14)
