@@ -1,4 +1,4 @@
-"""The air of a flight, and what it does to R beside the standard, with its sigma."""
+"""The air of a flight, and R in it beside R in the standard, with sigma."""
 
 from __future__ import annotations
 

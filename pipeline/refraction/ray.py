@@ -196,7 +196,7 @@ def refraction_angle(
     zeta_c : apparent nadir angle [rad], 0 to pi.
     radius : of the sphere [m].
     method : one of `METHODS`; all but ``spherical`` are those of `pipeline.refraction.published`.
-    distance : slant range [m], which says which of two crossings is meant; see `bend`.
+    distance : slant range [m], which selects one of two crossings; see `bend`.
 
     Arguments broadcast. Scalars give a float and raise `PhysicsError` where there is no angle;
     arrays give NaN there (`bend` gives the reason for each).

@@ -40,11 +40,11 @@ class Cabin:
 
 @dataclass(frozen=True)
 class Window:
-    """What a camera looks through.
+    """The window in front of a camera.
 
     Parameters
     ----------
-    cabin : the air behind it; None where nobody knows, which only a spherical window allows.
+    cabin : the air behind it; None where it is unknown, which only a spherical window allows.
     normal : unit vector out of the compartment.
     frame : of ``normal``: the camera (x right, y down, z forward) or the body of the aircraft
         (x forward, y right, z down), which a stabilised camera moves in.

@@ -3,7 +3,7 @@
 A model is a module with ``Parameters`` (a named tuple of numbers), ``distort``, ``slopes`` and
 ``largest_radius`` like those of `brown_conrady`, and a line in `DISTORTION_MODELS`. ``distort`` and
 ``slopes`` are called with numpy columns and also compiled: arithmetic and `math` only. A camera
-carries parameters, and their type says which model is meant, so that the compiler makes a version
+carries parameters, and their type names the model, so that the compiler makes a version
 of each kernel for each model in use, without a branch in its loops.
 """
 

@@ -44,7 +44,7 @@ def cache_folder() -> str | None:
     """The folder for compiled code of these sources, or None where nothing can be written.
 
     In ``NUMBA_CACHE_DIR`` or the user's cache; never site-packages, which may be read-only. Folders
-    of other sources that nobody has used for a week are removed; a process that still uses one
+    of other sources that were not used for a week are removed; a process that still uses one
     compiles again.
     """
     base = numba.config.CACHE_DIR or os.path.join(

@@ -19,7 +19,7 @@ from pipeline.refraction.papers.rows import Block
 
 @dataclass(frozen=True, eq=False)
 class PaperTable:
-    """A paper's figures in long form, one row a figure, and what was found about them.
+    """A paper's figures in long form, one row a figure, and notes about them.
 
     ``columns`` holds arrays of one length: table, quantity, unit (strings), h_c_m, h_g_m,
     zeta_c_deg, printed, as_published, exact, difference (printed - exact). What a row does not

@@ -6,11 +6,11 @@ computes with. Every method in `PUBLISHED` is a function ``(profile, h_c, h_g, z
 profile : the air.
 h_c, h_g : heights of camera and ground above sea level [m].
 zeta_c : apparent nadir angle at the camera [rad].
-radius : of the sphere [m]; the plane forms do not look at it.
+radius : of the sphere [m]; the plane forms do not use it.
 
 Arguments broadcast. It returns R_c [rad], NaN where the method is not defined: never for
 zeta_c >= 90 degrees, a ground above the camera, or heights that the profile does not cover, and
-within narrower limits where the function says so.
+within narrower limits where the docstring of the function states them.
 """
 
 from __future__ import annotations

@@ -129,7 +129,7 @@ def air_sigma(
     largest_zeta_rad : nadir angle beyond which nothing is seen; beyond 1.7 degrees above level at
         the ground the tables end anyway.
     radius : of the sphere [m].
-    window_kinds : of `SEALED` and `SCHEDULED` those that cameras look through.
+    window_kinds : of `SEALED` and `SCHEDULED` those of the cameras.
 
     Against `sensitivity` with the same covariance, cameras within 150 m: 1 % of sigma_R up to 75
     degrees, 2 % at 80, 3 % at 85, on ways of 100 m and more; 8 % at 85 degrees and 6 km where the

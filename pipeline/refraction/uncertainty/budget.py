@@ -256,8 +256,8 @@ def _largest_zeta(
     side = np.linspace(0.0, 1.0, _BORDER)
     x = np.concatenate([side, side, np.zeros(_BORDER), np.ones(_BORDER)])
     y = np.concatenate([np.zeros(_BORDER), np.ones(_BORDER), side, side])
-    for camera, mine in cameras:
-        down = -exposures.rotation[usable & mine, :, 2]
+    for camera, exposed in cameras:
+        down = -exposures.rotation[usable & exposed, :, 2]
         if down.shape[0] == 0:
             continue
         u, v, covered = camera.rays(x * camera.width_px, y * camera.height_px)

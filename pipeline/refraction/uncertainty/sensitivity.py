@@ -69,7 +69,7 @@ class Sensitivity:
     status : (...) codes of `pipeline.refraction.status`.
     valid : (...).
 
-    `pipeline.atmosphere.covariance.AirJacobian` tells how to go from T_M to a thermometer's T.
+    `pipeline.atmosphere.covariance.AirJacobian` has the formulas from T_M to a thermometer's T.
     """
 
     edge_height_m: Array
