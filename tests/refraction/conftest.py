@@ -106,10 +106,10 @@ def truth() -> Callable[[int], Truth]:
 
 
 @pytest.fixture(scope="session")
-def doubt() -> ModuleType:
+def airs() -> ModuleType:
     """Air with a covariance; tests are imported by path, and so is what they share."""
-    place = Path(__file__).with_name("air_of_doubt.py")
-    spec = importlib.util.spec_from_file_location("air_of_doubt", place)
+    place = Path(__file__).with_name("uncertain_air.py")
+    spec = importlib.util.spec_from_file_location("uncertain_air", place)
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)

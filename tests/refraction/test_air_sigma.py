@@ -69,8 +69,8 @@ def rays(rng, n, low, high, largest_deg):
         (300.0, 420.0, 75.0, 0.03),  # ways from 30 m, less than a layer
     ],
 )  # fmt: skip
-def test_the_tables_beside_traced_rays(doubt, low, high, largest, allowed):
-    profile, covariance = doubt.air()
+def test_the_tables_beside_traced_rays(airs, low, high, largest, allowed):
+    profile, covariance = airs.air()
     ray = rays(np.random.default_rng(4), 300, low, high, largest)
     sigma, slope, _ = tabulated(profile, covariance, *ray)
     true_sigma, true_slope = traced(profile, covariance, *ray)
@@ -80,8 +80,8 @@ def test_the_tables_beside_traced_rays(doubt, low, high, largest, allowed):
     np.testing.assert_allclose(slope, np.abs(true_slope), rtol=0.01, atol=2e-3 * unit)
 
 
-def test_one_height_of_camera_and_ground(doubt):
-    profile, covariance = doubt.air()
+def test_one_height_of_camera_and_ground(airs):
+    profile, covariance = airs.air()
     ray = np.array([2000.0]), np.array([300.0]), np.array([0.9])
     sigma, slope, air = tabulated(profile, covariance, *ray, (300.0, 300.0))
     true_sigma, true_slope = traced(profile, covariance, *ray)
@@ -89,16 +89,16 @@ def test_one_height_of_camera_and_ground(doubt):
     assert air.sigma.size <= 20
 
 
-def test_sigma_is_the_spread_of_drawn_airs(doubt):
+def test_sigma_is_the_spread_of_drawn_airs(airs):
     """600 airs drawn from the covariance, each with its own hydrostatics and rays."""
-    profile, covariance = doubt.air()
+    profile, covariance = airs.air()
     h_c = np.array([2700.0, 2700.0, 2650.0, 2700.0])
     h_g = np.array([200.0, 1500.0, 200.0, 200.0])
     zeta = np.radians([45.0, 60.0, 80.0, 5.0])
     sigma, _, _ = tabulated(profile, covariance, h_c, h_g, zeta)
     rng = np.random.default_rng(11)
     drawn = np.array([
-        bend(ray_table(doubt.drawn(rng)), h_c, h_g, np.sin(zeta), np.cos(zeta), radius=RADIUS)[0]
+        bend(ray_table(airs.drawn(rng)), h_c, h_g, np.sin(zeta), np.cos(zeta), radius=RADIUS)[0]
         for _ in range(600)
     ])  # fmt: skip
     # A standard deviation of 600 draws is good to 2.9 %.
@@ -113,8 +113,8 @@ def test_sigma_is_the_spread_of_drawn_airs(doubt):
     np.testing.assert_allclose(scale.correlation, weight @ correlation @ weight, atol=0.02)
 
 
-def test_errors_of_one_flight_are_one_scale_factor(doubt):
-    profile, covariance = doubt.air()
+def test_errors_of_one_flight_are_one_scale_factor(airs):
+    profile, covariance = airs.air()
     n = 50
     h_c, h_g = np.full(n, 2700.0), np.full(n, 200.0)
     zeta = np.radians(np.linspace(5.0, 60.0, n))
@@ -126,9 +126,9 @@ def test_errors_of_one_flight_are_one_scale_factor(doubt):
     np.testing.assert_allclose(scale.sigma, sigma / r, rtol=2e-3)
 
 
-def test_the_scale_of_rays_that_disagree(doubt):
+def test_the_scale_of_rays_that_disagree(airs):
     """Half a way down, and up at the inversion: the variance of the fit, multiplied out."""
-    profile, covariance = doubt.air()
+    profile, covariance = airs.air()
     h_c, h_g = np.array([2700.0, 2700.0, 2900.0, 1700.0]), np.array([200.0, 2500.0, 0.0, 1400.0])
     zeta = np.radians([45.0, 70.0, 20.0, 75.0])
     found = sensitivity(profile, h_c, h_g, zeta, RADIUS, anchor_height_m=covariance.anchor_height_m)
@@ -142,24 +142,24 @@ def test_the_scale_of_rays_that_disagree(doubt):
     assert alike.min() < 0.8
 
 
-def test_no_ray_no_scale(doubt):
-    profile, covariance = doubt.air()
+def test_no_ray_no_scale(airs):
+    profile, covariance = airs.air()
     assert block_scale(profile, covariance, *np.empty((3, 0))) is None
     upwards = np.array([2000.0]), np.array([1e9]), np.array([0.3])
     assert block_scale(profile, covariance, *upwards) is None
 
 
-def test_where_there_is_no_sigma(doubt):
+def test_where_there_is_no_sigma(airs):
     """Nearly level at the ground, and above the camera."""
-    profile, covariance = doubt.air()
+    profile, covariance = airs.air()
     h_c, h_g = np.full(3, 2650.0), np.array([0.0, 2800.0, 100.0])
     zeta = np.radians([88.3, 95.0, 60.0])
     sigma, slope, _ = tabulated(profile, covariance, h_c, h_g, zeta)
     assert np.isnan(sigma).tolist() == np.isnan(slope).tolist() == [True, True, False]
 
 
-def test_without_a_covariance_only_slopes(doubt):
-    profile, covariance = doubt.air()
+def test_without_a_covariance_only_slopes(airs):
+    profile, covariance = airs.air()
     ray = np.array([2650.0]), np.array([100.0]), np.array([0.8])
     sigma, slope, _ = tabulated(profile, None, *ray)
     assert np.isnan(sigma).all()

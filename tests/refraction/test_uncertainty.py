@@ -41,8 +41,8 @@ TILT, YAW, HEIGHT, GROUND = 0.4 * DEGREE, 1.1 * DEGREE, 12.0, 9.0
 
 
 @pytest.fixture(scope="module")
-def air(doubt):
-    return doubt.air()
+def air(airs):
+    return airs.air()
 
 
 def exposed(profile, rotation=TILTED, h_c=H_C, cabin=0.0) -> Exposures:
@@ -155,13 +155,13 @@ def test_the_ground_against_a_raised_point(air):
         np.testing.assert_allclose(found, true, rtol=0.01, atol=0.002 * np.median(expected))
 
 
-def test_the_air_against_drawn_air(doubt, air):
+def test_the_air_against_drawn_air(airs, air):
     """300 airs from the covariance, each corrected with: a sigma of 300 is good to 4 %."""
     profile, covariance = air
     ex, (x, y, h_g) = exposed(profile), points(40)
     sigmas = with_sigmas(profile, ex, station_sigmas(), x, y, h_g, covariance).sigmas
     rng = np.random.default_rng(8)
-    drawn = [shifts(doubt.drawn(rng), ex, x, y, h_g) for _ in range(300)]
+    drawn = [shifts(airs.drawn(rng), ex, x, y, h_g) for _ in range(300)]
     for name, found in (
         ("dx_px", sigmas.air_dx_px), ("dy_px", sigmas.air_dy_px), ("r_c_rad", sigmas.r_c_rad)
     ):  # fmt: skip

@@ -99,15 +99,17 @@ def claimed(profile, covariance, look, height=0.0):
     return shifts(profile, ray_table(profile), look, uncertainty=made).sigmas
 
 
-def changed(doubt, root: np.ndarray) -> list[list[tuple]]:
+def changed(airs, root: np.ndarray) -> list[list[tuple]]:
     """Two airs for each column of the root of a covariance, with it added and taken away."""
-    size = doubt.EDGES.size
+    size = airs.EDGES.size
     pairs = []
     for column in root.T:
         pair = []
         for x in (column, -column):
-            air = doubt.profile_of(
-                doubt.temperatures() + x[:size], float(x[size]), doubt.vapour() + x[size + 1 :]
+            air = airs.profile_of(
+                airs.temperatures() + x[:size],
+                float(x[size]),
+                airs.vapour() + x[size + 1 :],
             )
             pair.append((air, ray_table(air)))
         pairs.append(pair)
@@ -115,19 +117,19 @@ def changed(doubt, root: np.ndarray) -> list[list[tuple]]:
 
 
 @pytest.fixture(scope="module")
-def by_pressure(doubt):
-    """0.4 % of pressure in doubt: air, covariance, and the airs that differ by it."""
-    profile, size = doubt.air()[0], doubt.EDGES.size
+def by_pressure(airs):
+    """0.4 % uncertainty of pressure: air, covariance, and the airs that differ by it."""
+    profile, size = airs.air()[0], airs.EDGES.size
     root = np.zeros((2 * size + 1, 1))
     root[size] = 0.004
-    covariance = ProfileCovariance(profile, doubt.ANCHOR_M, root @ root.T)
-    return profile, covariance, changed(doubt, root)
+    covariance = ProfileCovariance(profile, airs.ANCHOR_M, root @ root.T)
+    return profile, covariance, changed(airs, root)
 
 
 @pytest.fixture(scope="module")
-def by_all(doubt):
-    """Temperatures, pressure and humidity in doubt."""
-    return *doubt.air(), changed(doubt, doubt.root())
+def by_all(airs):
+    """Uncertain temperatures, pressure and humidity."""
+    return *airs.air(), changed(airs, airs.root())
 
 
 def differences(airs, look) -> np.ndarray:
