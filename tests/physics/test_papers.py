@@ -225,6 +225,9 @@ class TestBertram:
         # One entry of Table 2 is misprinted: 53,400 m.
         off = z != printed["z_m"]
         assert z[off].tolist() == ([53_500.0] if number == 2 else [])
+        # Table 2 goes on where the sum of Table 1 has arrived.
+        table = rows("bertram1966", str(number), "refraction")
+        assert np.abs(table["as_published"] - table["printed"]).max() <= 0.276
 
     @pytest.mark.parametrize("number", [3, 4])
     def test_tables_3_and_4(self, number):
