@@ -122,3 +122,12 @@ def test_the_slopes_are_the_derivatives_of_the_distortion():
         uv, vv = ((a - b) / (2.0 * step) for a, b in zip(down, up, strict=True))
         assert slopes(0.3, -0.2, lens) == pytest.approx((uu, uv, vv), abs=1e-9)
         assert uv == pytest.approx(vu, abs=1e-9)
+
+
+def test_no_pixel_beyond_the_largest_radius_is_covered_by_another_root():
+    """r (1 - 0.5 r^2) takes values above 0.544 again where r is negative."""
+    camera = Camera(4000, 4000, 1000.0, 1000.0, 1000.0, 1000.0, BrownConrady(k1=-0.5))
+    x = np.linspace(1545.0, 4000.0, 500)
+    u, _, covered = camera.rays(x, np.full(x.shape, 1000.0))
+    assert not covered.any()
+    assert np.isnan(u).all()

@@ -18,6 +18,7 @@ from pipeline.refraction import (
     correct_observations,
     ray_table,
     refraction_angle,
+    status,
 )
 from pipeline.refraction.image import ground_displacement, outgoing_rays, straight_reach
 from pipeline.refraction.kernels.columns import RADIUS as RADIUS_ROW
@@ -493,3 +494,20 @@ def test_a_given_radius_is_that_of_every_ray():
     observed = ObservationColumns(centre, centre, np.zeros(2), np.zeros(2), row)
     rays, _, _ = outgoing_rays(observed, PINHOLE.constants, fixed.columns)
     np.testing.assert_allclose(rays[RADIUS_ROW], 6_500_000.0, rtol=1e-14)
+
+
+def test_a_camera_outside_the_profile_has_that_status():
+    above = replace(exposures(looking(0)), refractivity_outside=np.array([np.nan]))
+    corrections = correct_observations(
+        np.array([100.0]), np.array([200.0]), np.array([H_G]), np.zeros(1, np.int64), above,
+        camera=PINHOLE, table=TABLE,
+    )  # fmt: skip
+    assert corrections.status.tolist() == [OUTSIDE_PROFILE]
+
+
+def test_every_status_has_its_own_name():
+    names = ("OK", "NO_STATION", "NO_GROUND", "BAD_MEASUREMENT", "OUTSIDE_CAMERA", "MISSES_GROUND",
+             "BEYOND_GRAZING", "OUTSIDE_PROFILE", "FAR_BRANCH")  # fmt: skip
+    assert [status.STATUS_NAMES[getattr(status, name)] for name in names] == [
+        name.lower() for name in names
+    ]
