@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
 from matplotlib.quiver import Quiver
-from pipeline.refraction.published.radial import RadialTable
 from rich.console import Console
 
 from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
+from pipeline.refraction.angle import RadialTable
 from pipeline.refraction.statistics import ImageGrid
 from pipeline.report.figures import (
     ADJUSTED,
