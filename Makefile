@@ -34,10 +34,9 @@ faults: $(STAMP)
 planted: $(STAMP)
 	$(BIN)/python tests/planted/run.py $(ROOM)
 
-# Ratios within one run, each the median of seven pairs; some minutes on a quiet machine.
+# Ratios of things timed by turns, each with its bound; a quarter of an hour on a quiet machine.
 bench: $(STAMP)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -o addopts='' -o python_files='bench_*.py' -s benchmarks
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -o addopts='' -o python_files='bench_*.py' -q benchmarks
 
 clean:
 	rm -rf $(VENV) results

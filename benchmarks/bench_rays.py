@@ -1,8 +1,7 @@
 """Rays: the kernel beside `scipy.integrate.quad`, one ray at a time.
 
-Twice: quad over `profile.refractivity`, as a user of this package would write it, which is what
-the bound is about; and quad over the same formulas written out in plain floats for one layer of dry
-air, some 40 times as fast, whose ratio is printed only.
+quad integrates the same formulas written out in plain floats for one layer of dry air, which is 40
+times as fast as over the functions of arrays of this package.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from survey import air
 
 from pipeline.refraction import bend, ray_table
 
-RAYS, CAMERAS, BY_QUAD, BY_PROFILE = 2_000_000, 400, 3_000, 60
+RAYS, CAMERAS, BY_QUAD = 2_000_000, 400, 3_000
 RADIUS, H_C = 6_371_000.0, 6000.0
 
 
@@ -65,38 +64,23 @@ def angle_by_quad(refractivity: Callable[[float], float], h_g: float, zeta: floa
     return math.atan2(across * math.cos(z - half), chord - across * math.sin(z - half))
 
 
-def of_the_profile() -> Callable[[float], float]:
-    """n - 1 by the package's own functions of arrays."""
-    profile = air()
-    return lambda h: float(profile.refractivity(h))
-
-
-def beside_quad(pair, refractivity: Callable[[float], float], by_quad: int) -> float:
-    """How many times faster the kernel is for one ray, after a look that both find the same."""
+def test_kernel_beside_quad_over_plain_floats(ratios):
+    refractivity = refractivity_ciddor()
     rng = np.random.default_rng(1)
     table = ray_table(air())
     h_g = rng.uniform(0.0, 2000.0, RAYS)
     zeta = rng.uniform(0.0, math.radians(65.0), RAYS)
     sine, cosine = np.sin(zeta), np.cos(zeta)
     h_c = np.repeat(H_C + 0.01 * np.arange(CAMERAS), RAYS // CAMERAS)
-    some = list(zip(h_g[:by_quad].tolist(), zeta[:by_quad].tolist(), strict=True))
+    rays = list(zip(h_g[:BY_QUAD].tolist(), zeta[:BY_QUAD].tolist(), strict=True))
 
-    found, _ = bend(table, H_C, h_g[:by_quad], sine[:by_quad], cosine[:by_quad], radius=RADIUS)
-    integrated = np.array([angle_by_quad(refractivity, *ray) for ray in some])
-    assert np.abs(found - integrated).max() < 1e-6 * 4.85e-6, "the two are not the same ray"
+    bent, _ = bend(table, H_C, h_g[:BY_QUAD], sine[:BY_QUAD], cosine[:BY_QUAD], radius=RADIUS)
+    integrated = np.array([angle_by_quad(refractivity, *ray) for ray in rays])
+    assert np.abs(bent - integrated).max() < 1e-6 * 4.85e-6, "the two are not the same ray"
 
-    return pair(
+    ratio = ratios.of_times(
         lambda: bend(table, h_c, h_g, sine, cosine, radius=RADIUS),
-        lambda: [angle_by_quad(refractivity, *ray) for ray in some],
-        RAYS,
-        by_quad,
+        lambda: [angle_by_quad(refractivity, *ray) for ray in rays],
+        counts=(RAYS, BY_QUAD),
     )
-
-
-def test_kernel_beside_quad_over_the_profile(pair):
-    assert beside_quad(pair, of_the_profile(), BY_PROFILE) >= 600.0
-
-
-def test_kernel_beside_quad_over_plain_floats(pair):
-    """Printed, with no bound: see the beginning of this file."""
-    beside_quad(pair, refractivity_ciddor(), BY_QUAD)
+    ratios.check("rays, times as fast as scipy's quad over plain floats", ratio, at_least=200.0)

@@ -52,16 +52,15 @@ def copy(source: Path, precomputed: list[pa.Table], out: Path) -> None:
             )  # fmt: skip
 
 
-def test_ten_million_beside_reading_and_writing(pair, tmp_path):
+def test_ten_million_beside_reading_and_writing(ratios, tmp_path):
     source = tmp_path / "observations.parquet"
     write_observations(source, ROWS, IMAGES)
     correct(source, tmp_path / "run")
     parts = sorted((tmp_path / "run" / "observations").glob("*.parquet"))
     precomputed = [pq.read_table(part) for part in parts]
-    ratio = pair(
+    ratio = ratios.of_times(
         lambda: correct(source, tmp_path / "run"),
         lambda: copy(source, precomputed, tmp_path / "copy"),
-        ROWS,
-        ROWS,
+        rounds=3,
     )
-    assert 1.0 / ratio <= 1.5
+    ratios.check("10 million observations, times reading and writing", 1.0 / ratio, at_most=1.8)
