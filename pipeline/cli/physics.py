@@ -4,26 +4,32 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.markup import escape
+from typer.core import TyperCommand
 
 from pipeline.cli.app import app, new_console, write_rows_csv
 from pipeline.errors import EXIT_DONE, EXIT_LOSSES, ConfigError
 
-_METHODS = (
-    "spherical, plane, plane_first_term, plane_moist, gyer1996, saastamoinen1974, "
-    "saastamoinen1974_ican, saastamoinen1974_quadratic, saastamoinen1974_fitted, "
-    "saastamoinen1974_weather, saastamoinen1974_series, bertram1966, bertram1966_from_ground, "
-    "bertram1966_curved, manual"
-)
+
+class _AngleCommand(TyperCommand):
+    """`unbend angle`: --method lists all methods, which are imported when the command is used."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        from pipeline.refraction import METHODS
+
+        params: list[Any] = super().get_params(ctx)
+        next(p for p in params if p.name == "method").help = ", ".join(METHODS)
+        return params
 
 
 @app.command(
+    cls=_AngleCommand,
     # \b: not to be wrapped again, which would break words at their hyphens.
     epilog="\b\nExample: unbend angle --atmosphere us1976 --index gyer \\\n"
-    "  --camera-height 10000 --ground-height 0 --nadir-angle 75"
+    "  --camera-height 10000 --ground-height 0 --nadir-angle 75",
 )
 def angle(
     *,
@@ -31,7 +37,7 @@ def angle(
     ground_height: Annotated[float, typer.Option(help="metres above sea level")],
     nadir_angle: Annotated[float, typer.Option(help="apparent nadir angle, degrees, 0 to 180")],
     atmosphere: Annotated[str, typer.Option(help="name of a standard atmosphere")] = "us1976",
-    method: Annotated[str, typer.Option(help=_METHODS)] = "spherical",
+    method: Annotated[str, typer.Option()] = "spherical",
     index: Annotated[str, typer.Option(help="ciddor or gyer (Eq. 13)")] = "ciddor",
     radius: Annotated[float, typer.Option(help="radius of the earth, metres")] = 6_371_000.0,
     distance: Annotated[

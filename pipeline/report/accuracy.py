@@ -126,8 +126,9 @@ def accuracy_page(accuracy: Accuracy, picture: str) -> str:
             _markdown(*_error_table(comparison, comparison.exact_rad)),
         ]
         for name, error in zip(comparison.methods, comparison.error_rad, strict=True):
+            about = f" ({_ABOUT[name]})" if name in _ABOUT else ""
             parts += [
-                f"`{name}` ({_ABOUT[name]}) minus `spherical` [arcsec], {ground}:",
+                f"`{name}`{about} minus `spherical` [arcsec], {ground}:",
                 _markdown(*_error_table(comparison, error)),
             ]
     return "\n\n".join(parts) + "\n"

@@ -293,7 +293,7 @@ def test_a_reader_who_goes_away_is_no_bug(flown):
     assert process.stderr is not None
     err = process.stderr.read()
     process.stderr.close()
-    assert process.wait(timeout=30) == 130
+    assert process.wait(timeout=LIMIT_S) == 130
     assert "Traceback" not in err
     assert "Exception ignored" not in err
     assert "bug" not in err

@@ -13,6 +13,7 @@ import pytest
 import pipeline.simulate
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.series.profile_series import TimedProfile
+from pipeline.refraction import METHODS
 from pipeline.stages import story
 
 
@@ -98,3 +99,8 @@ def test_a_profile_of_a_long_flight_has_all_its_parts(unbend, monkeypatch, tmp_p
     rows = rows_of(out)
     assert len({row["profile_id"] for row in rows}) == 2
     assert {row["time_utc"][:19] for row in rows} == {"1970-01-01 00:00:00", "1970-01-01 01:00:00"}
+
+
+def test_the_help_of_angle_names_every_method(unbend):
+    text = "".join(unbend("angle", "--help").out.split())
+    assert f"{','.join(METHODS)}[default:spherical]" in text

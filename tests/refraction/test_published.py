@@ -10,11 +10,10 @@ import pytest
 
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.profile import Profile, stack_layers
-from pipeline.cli.physics import _METHODS
 from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity
-from pipeline.refraction import METHODS, refraction_angle
 from pipeline.refraction import published as pub
+from pipeline.refraction import refraction_angle
 from pipeline.refraction.published import gyer
 from pipeline.refraction.published.column import density, mean
 from pipeline.refraction.ray import PublishedRays
@@ -57,10 +56,6 @@ def test_the_names_are_those_of_the_manual():
         "saastamoinen1974_weather", "saastamoinen1974_series", "bertram1966",
         "bertram1966_from_ground", "bertram1966_curved", "manual",
     ]  # fmt: skip
-
-
-def test_the_command_line_names_them_all():
-    assert _METHODS.split(", ") == list(METHODS)
 
 
 @pytest.mark.parametrize("name", pub.PUBLISHED)
