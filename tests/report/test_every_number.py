@@ -19,7 +19,7 @@ from rich.console import Console
 
 from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.refraction.angle import RadialTable
-from pipeline.refraction.statistics import ImageGrid
+from pipeline.refraction.statistics import ShiftGrid
 from pipeline.report.figures import (
     ADJUSTED,
     MEASURED,
@@ -246,8 +246,8 @@ def air() -> Any:
 
 
 @pytest.fixture(scope="module")
-def grids() -> dict[str, ImageGrid]:
-    made = {"belly": ImageGrid(2800, 2000), "tail": ImageGrid(1400, 1000), "off": ImageGrid(7, 5)}
+def grids() -> dict[str, ShiftGrid]:
+    made = {"belly": ShiftGrid(2800, 2000), "tail": ShiftGrid(1400, 1000), "off": ShiftGrid(7, 5)}
     made["belly"].add(*np.array([[100.0, 1500.0], [100.0, 1900.0], [3.0, 0.0], [4.0, -2.5]]))
     made["tail"].add(*np.array([[50.0], [50.0], [1.0], [0.0]]))
     return made
@@ -520,7 +520,7 @@ def test_every_arrow_over_the_images(grids):
 
 
 def test_a_plot_is_what_its_name_says(air, tmp_path):
-    figure = correction_figure({"off": ImageGrid(7, 5)})
+    figure = correction_figure({"off": ShiftGrid(7, 5)})
     save_figure(figure, tmp_path / "a.PNG")
     save_figure(figure, tmp_path / "a.svg")
     assert (tmp_path / "a.PNG").read_bytes().startswith(b"\x89PNG")
