@@ -41,3 +41,12 @@ def test_a_bug_can_be_planted(bug: dict[str, Any]) -> None:
         planted = ast.parse(text.replace(bug["before"], bug["after"]))
         assert ast.dump(planted) != ast.dump(ast.parse(text)), "nothing that runs has changed"
     assert "first" not in bug or (ROOT / bug["first"]).is_file()
+
+
+def test_every_room_has_planted_bugs() -> None:
+    package = ROOT / "pipeline"
+    rooms = {path.name for path in package.iterdir() if (path / "__init__.py").is_file()}
+    planted = {parameters.values[0]["file"].split("/")[1] for parameters in BUGS}
+    if rooms - planted:
+        pytest.skip(f"no planted bugs yet in {', '.join(sorted(rooms - planted))}")
+    assert len(BUGS) >= 120
