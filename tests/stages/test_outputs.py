@@ -333,3 +333,14 @@ def test_a_run_mends_what_verify_finds(mission, unbend):
     assert mission.run("--force").code == 0
     assert tree(mission.output) == before
     assert unbend("verify", mission.output).code == 0
+
+
+def test_the_departure_is_the_adjusted_minus_the_standard_temperature(baseline):
+    manifest = json.loads((baseline.output / "manifest.json").read_text(encoding="utf-8"))
+    level = baseline.stations().to_pandas()["h_msl_m"].median()
+    table = pq.read_table(baseline.output / "profile.parquet").to_pandas()
+    ours, standard = (
+        np.interp(level, table["h_m"], table[f"{name}temperature_k"]) for name in ("", "standard_")
+    )
+    assert abs(ours - standard) > 0.5
+    assert manifest["profile"]["departure_at_cameras_k"] == pytest.approx(ours - standard, abs=0.1)
