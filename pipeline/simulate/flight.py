@@ -129,29 +129,6 @@ def _turn(radius_m: float, angle_rad: float) -> _Leg:
     return _Leg(radius_m * abs(angle_rad), angle_rad)
 
 
-def _home(legs: list[_Leg], left: bool) -> list[_Leg]:
-    """A turn and a straight that lead from the end of the legs back to the field."""
-    x, y, psi = 0.0, 0.0, 0.5 * np.pi  # east, north and heading; the legs begin eastwards
-    for leg in legs:
-        if leg.turn_rad:
-            radius = leg.length_m / leg.turn_rad
-            x += radius * (np.cos(psi) - np.cos(psi + leg.turn_rad))
-            y += radius * (np.sin(psi + leg.turn_rad) - np.sin(psi))
-            psi += leg.turn_rad
-        else:
-            x, y = x + leg.length_m * np.sin(psi), y + leg.length_m * np.cos(psi)
-    side = -1.0 if left else 1.0
-    radius = CIRCLE_RADIUS_M
-    centre = np.array([x + side * radius * np.cos(psi), y - side * radius * np.sin(psi)])
-    distance = float(np.hypot(*centre))
-    if distance <= radius:
-        raise PhysicsError("SIM-PATH", f"the lines end {distance:.0f} m from the field: too near")
-    straight = np.sqrt(distance**2 - radius**2)
-    heading = np.arctan2(-centre[0], -centre[1]) + side * np.arctan2(radius, straight)
-    angle = float((side * (heading - psi)) % (2.0 * np.pi))
-    return [_turn(radius, side * angle), _Leg(float(straight))]
-
-
 def _legs(
     lines: int, line_m: float, climb_m: float
 ) -> tuple[list[_Leg], float, float, list[float]]:
@@ -168,9 +145,27 @@ def _legs(
             legs.append(_turn(TURN_RADIUS_M, np.pi if line % 2 else -np.pi))
     legs.append(_Leg(700.0))
     descent_start = sum(leg.length_m for leg in legs)
-    legs += _home(legs, left=lines % 2 == 0)
-    legs += [circle] * circles
-    legs.append(_Leg(1500.0))
+
+    # Back to the field, by a turn about a centre and a straight that touches its circle.
+    x, y, psi = 0.0, 0.0, 0.5 * np.pi  # east, north and heading; the legs begin eastwards
+    for leg in legs:
+        if leg.turn_rad:
+            radius = leg.length_m / leg.turn_rad
+            x += radius * (np.cos(psi) - np.cos(psi + leg.turn_rad))
+            y += radius * (np.sin(psi + leg.turn_rad) - np.sin(psi))
+            psi += leg.turn_rad
+        else:
+            x, y = x + leg.length_m * np.sin(psi), y + leg.length_m * np.cos(psi)
+    side = -1.0 if lines % 2 == 0 else 1.0  # to the left after an even number of lines
+    radius = CIRCLE_RADIUS_M
+    centre = np.array([x + side * radius * np.cos(psi), y - side * radius * np.sin(psi)])
+    distance = float(np.hypot(*centre))
+    if distance <= radius:
+        raise PhysicsError("SIM-PATH", f"the lines end {distance:.0f} m from the field: too near")
+    straight = np.sqrt(distance**2 - radius**2)
+    heading = np.arctan2(-centre[0], -centre[1]) + side * np.arctan2(radius, straight)
+    angle = float((side * (heading - psi)) % (2.0 * np.pi))
+    legs += [_turn(radius, side * angle), _Leg(float(straight)), *[circle] * circles, _Leg(1500.0)]
     return legs, climb_end, descent_start, starts
 
 

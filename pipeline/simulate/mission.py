@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -83,21 +84,26 @@ def simulate(
     bytes. Takes a few seconds.
     """
     chosen = options or SimulationOptions()
-    steps = _Steps(progress)
-    steps.begin("air and flight")
+    steps, done = 4 + len(KINDS), count()
+
+    def begin(stage: str) -> None:
+        if progress is not None:
+            progress(stage, next(done), steps)
+
+    begin("air and flight")
     air = true_air(FIELD_LAT_RAD)
     pair = cameras(chosen.focal_px)
     flight = fly(chosen.height_above_ground_m, chosen.lines, chosen.exposures_per_line)
     draw_points, draw_image = (np.random.default_rng([chosen.seed, branch]) for branch in (0, 1))
 
-    steps.begin("rays")
+    begin("rays")
     block = stations(flight, air, pair)
     points, station, point = choose_points(
         flight, block, pair, chosen.points_per_image, draw_points
     )
     seen = observe(air, block, points, pair, station=station, point=point)
 
-    steps.begin("tables")
+    begin("tables")
     truth = out / "truth"
     write_tables(
         out, air, block, points, seen,
@@ -108,15 +114,15 @@ def simulate(
     logs = {kind: out / f"flight.{kind}" for kind in KINDS}
     messages: dict[str, int] = {}
     for kind, path in logs.items():
-        steps.begin(path.name)
+        begin(path.name)
         messages[kind] = _WRITERS[kind](path, samples, chosen.seed)
 
-    steps.begin("mission files")
+    begin("mission files")
     missions = {kind: out / f"mission_{kind}.yaml" for kind in KINDS}
     for kind, path in missions.items():
         _write_text(path, mission_yaml(kind, pair))
     _write_text(truth / "truth.json", _truth_json(chosen, pair, flight.duration_s))
-    steps.end()
+    begin("done")
     return Simulated(
         out,
         logs,
@@ -136,25 +142,6 @@ _WRITERS: dict[str, Callable[[Path, sensors.LoggedSamples, int], int]] = {
     "tlog": write_tlog,
     "mcap": write_mcap,
 }
-
-
-class _Steps:
-    """Reports to a progress bar which of the steps is running."""
-
-    total = 4 + len(KINDS)
-
-    def __init__(self, progress: Progress | None) -> None:
-        self.progress = progress
-        self.done = 0
-
-    def begin(self, stage: str) -> None:
-        if self.progress is not None:
-            self.progress(stage, self.done, self.total)
-        self.done += 1
-
-    def end(self) -> None:
-        if self.progress is not None:
-            self.progress("done", self.total, self.total)
 
 
 def _write_text(path: Path, text: str) -> None:
@@ -217,6 +204,20 @@ _EVENTS = {
 }
 
 
+# Distortion without exponents: YAML 1.1 reads 8e-05 as a word.
+_CAMERA = """\
+  {0.name}:
+    width_px: {0.width_px}
+    height_px: {0.height_px}
+    fx_px: {0.focal_px}
+    fy_px: {0.focal_px}
+    cx_px: {0.cx_px}
+    cy_px: {0.cy_px}
+    distortion: {{k1: {1:.6f}, k2: {2:.6f}, k3: {5:.6f}, p1: {3:.6f}, p2: {4:.6f}}}
+    calibration: laboratory
+    window: {{cabin: log}}"""
+
+
 def mission_yaml(
     kind: str, pair: tuple[SimulatedCamera, ...], *, inputs: str = "", results: str = "results"
 ) -> str:
@@ -251,7 +252,7 @@ def mission_yaml(
         "observations:",
         f"  path: {inputs}observations.parquet",
         "cameras:",
-        *[line for camera in pair for line in _camera_yaml(camera)],
+        *[_CAMERA.format(camera, *camera.distortion) for camera in pair],
         "mount:",
         *mount,
         "events:",
@@ -266,20 +267,3 @@ def mission_yaml(
         f"  path: {results}/simulated_{kind}",
     ]
     return "\n".join(lines) + "\n"
-
-
-def _camera_yaml(camera: SimulatedCamera) -> list[str]:
-    # Without exponents: YAML 1.1 reads 8e-05 as a word.
-    k1, k2, p1, p2, k3 = (f"{value:.6f}" for value in camera.distortion)
-    return [
-        f"  {camera.name}:",
-        f"    width_px: {camera.width_px}",
-        f"    height_px: {camera.height_px}",
-        f"    fx_px: {camera.focal_px}",
-        f"    fy_px: {camera.focal_px}",
-        f"    cx_px: {camera.cx_px}",
-        f"    cy_px: {camera.cy_px}",
-        f"    distortion: {{k1: {k1}, k2: {k2}, k3: {k3}, p1: {p1}, p2: {p2}}}",
-        "    calibration: laboratory",
-        "    window: {cabin: log}",
-    ]

@@ -122,6 +122,30 @@ class BoxSamples:
     temperature_k: Array
     humidity: Array
 
+    @classmethod
+    def outside(cls, flight: Flight, air: TrueAir, rng: np.random.Generator) -> BoxSamples:
+        """The samples of the box outside, with noise and the bias of its thermometer."""
+        fast, slow = _grid(flight, 0.1, 0.017), _grid(flight, 0.4, 0.041)
+        h_fast, h_slow = flight.at(fast).h_msl_m, flight.at(slow).h_msl_m
+        warmer = THERMOMETER_BIAS_K + THERMOMETER_K * rng.standard_normal(len(slow))
+        humidity = relative_humidity(h_slow) + HUMIDITY * rng.standard_normal(len(slow))
+        pressure = air.pressure_pa(h_fast) + BAROMETER_PA * rng.standard_normal(len(fast))
+        board = temperature_k(h_fast) + BOARD_HEAT_K
+        temperature = temperature_k(h_slow) + warmer
+        return _read_out((fast, pressure, board), (slow, temperature, humidity))
+
+    @classmethod
+    def cabin(cls, flight: Flight, air: TrueAir, rng: np.random.Generator) -> BoxSamples:
+        """The samples of the box in the cabin, with noise."""
+        fast, slow = _grid(flight, 0.1, 0.053), _grid(flight, 0.4, 0.087)
+        at_fast = cabin_air(air, flight.at(fast).h_msl_m, fast)
+        at_slow = cabin_air(air, flight.at(slow).h_msl_m, slow)
+        humidity = at_slow.humidity + HUMIDITY * rng.standard_normal(len(slow))
+        pressure = at_fast.pressure_pa + BAROMETER_PA * rng.standard_normal(len(fast))
+        temperature = at_slow.temperature_k + THERMOMETER_K * rng.standard_normal(len(slow))
+        board = at_fast.temperature_k + BOARD_HEAT_K
+        return _read_out((fast, pressure, board), (slow, temperature, humidity))
+
 
 @dataclass(frozen=True, eq=False)
 class LoggedSamples:
@@ -160,8 +184,8 @@ def sample(flight: Flight, air: TrueAir, seed: int, camera_names: tuple[str, ...
     return LoggedSamples(
         GnssSamples.draw(flight, gnss),
         NavigationSamples.draw(flight, navigation),
-        _outside(flight, air, outside),
-        _cabin(flight, air, cabin),
+        BoxSamples.outside(flight, air, outside),
+        BoxSamples.cabin(flight, air, cabin),
         flight.exposure_s,
         camera_names,
     )
@@ -187,28 +211,6 @@ def _displace(
     north = _noise(rng, len(lat), GNSS_HORIZONTAL_M, samples)
     east = _noise(rng, len(lat), GNSS_HORIZONTAL_M, samples)
     return lat + north / WGS84_A, lon + east / (WGS84_A * np.cos(lat))
-
-
-def _outside(flight: Flight, air: TrueAir, rng: np.random.Generator) -> BoxSamples:
-    fast, slow = _grid(flight, 0.1, 0.017), _grid(flight, 0.4, 0.041)
-    h_fast, h_slow = flight.at(fast).h_msl_m, flight.at(slow).h_msl_m
-    warmer = THERMOMETER_BIAS_K + THERMOMETER_K * rng.standard_normal(len(slow))
-    humidity = relative_humidity(h_slow) + HUMIDITY * rng.standard_normal(len(slow))
-    pressure = air.pressure_pa(h_fast) + BAROMETER_PA * rng.standard_normal(len(fast))
-    board = temperature_k(h_fast) + BOARD_HEAT_K
-    temperature = temperature_k(h_slow) + warmer
-    return _read_out((fast, pressure, board), (slow, temperature, humidity))
-
-
-def _cabin(flight: Flight, air: TrueAir, rng: np.random.Generator) -> BoxSamples:
-    fast, slow = _grid(flight, 0.1, 0.053), _grid(flight, 0.4, 0.087)
-    at_fast = cabin_air(air, flight.at(fast).h_msl_m, fast)
-    at_slow = cabin_air(air, flight.at(slow).h_msl_m, slow)
-    humidity = at_slow.humidity + HUMIDITY * rng.standard_normal(len(slow))
-    pressure = at_fast.pressure_pa + BAROMETER_PA * rng.standard_normal(len(fast))
-    temperature = at_slow.temperature_k + THERMOMETER_K * rng.standard_normal(len(slow))
-    board = at_fast.temperature_k + BOARD_HEAT_K
-    return _read_out((fast, pressure, board), (slow, temperature, humidity))
 
 
 def _read_out(fast: tuple[Array, Array, Array], slow: tuple[Array, Array, Array]) -> BoxSamples:

@@ -20,7 +20,6 @@ from pipeline.simulate.sensors import (
     GNSS_VERTICAL_M,
     LOG_BEGINS_BOOT_US,
     LoggedSamples,
-    NavigationSamples,
     boot_us,
     gps_week_ms,
 )
@@ -116,10 +115,26 @@ _SHUTTER_LAG_US = 85_000
 
 def write_dataflash(path: Path, samples: LoggedSamples) -> int:
     """Write the log; returns the number of messages, announcements included."""
-    head = _announcements()
+    # FMT, UNIT, MULT, FMTU, PARM, VER and MSG stand at the start of every log.
+    begin = LOG_BEGINS_BOOT_US - 500_000
+    fmt, fmtu = FORMATS["FMT"], FORMATS["FMTU"]
+    head = [
+        fmt.pack(f.type_id, f.struct.size + 3, f.name.encode(), f.format.encode(),
+                 f.columns.encode())
+        for f in FORMATS.values()
+    ]  # fmt: skip
+    head += [FORMATS["UNIT"].pack(begin, ord(k), v.encode()) for k, v in _UNITS.items()]
+    head += [FORMATS["MULT"].pack(begin, ord(k), v) for k, v in _MULTIPLIERS.items()]
+    head += [
+        fmtu.pack(begin, f.type_id, f.units.encode(), f.multipliers.encode())
+        for f in FORMATS.values()
+    ]
+    head += [FORMATS["PARM"].pack(begin, k.encode(), v, v) for k, v in _PARAMETERS.items()]
+    firmware = b"ArduPlane V4.7.0-dev (simulated by unbend)"
+    head.append(FORMATS["VER"].pack(begin, 3, 65535, 4, 7, 0, 0, 0, firmware, 0, 3, 2))
+    head.append(FORMATS["MSG"].pack(begin, firmware))
     rows = [
-        *_gnss_rows(samples),
-        *_navigation_rows(samples.navigation),
+        *_position_rows(samples),
         *_air_rows(samples),
         *_camera_rows(samples),
     ]
@@ -131,30 +146,9 @@ def write_dataflash(path: Path, samples: LoggedSamples) -> int:
     return len(head) + len(rows)
 
 
-def _announcements() -> list[bytes]:
-    """FMT, UNIT, MULT, FMTU, PARM, VER and MSG, as at the start of every log."""
-    begin = LOG_BEGINS_BOOT_US - 500_000
-    fmt, fmtu = FORMATS["FMT"], FORMATS["FMTU"]
-    rows = [
-        fmt.pack(f.type_id, f.struct.size + 3, f.name.encode(), f.format.encode(),
-                 f.columns.encode())
-        for f in FORMATS.values()
-    ]  # fmt: skip
-    rows += [FORMATS["UNIT"].pack(begin, ord(k), v.encode()) for k, v in _UNITS.items()]
-    rows += [FORMATS["MULT"].pack(begin, ord(k), v) for k, v in _MULTIPLIERS.items()]
-    rows += [
-        fmtu.pack(begin, f.type_id, f.units.encode(), f.multipliers.encode())
-        for f in FORMATS.values()
-    ]
-    rows += [FORMATS["PARM"].pack(begin, k.encode(), v, v) for k, v in _PARAMETERS.items()]
-    firmware = b"ArduPlane V4.7.0-dev (simulated by unbend)"
-    rows.append(FORMATS["VER"].pack(begin, 3, 65535, 4, 7, 0, 0, 0, firmware, 0, 3, 2))
-    rows.append(FORMATS["MSG"].pack(begin, firmware))
-    return rows
-
-
-def _gnss_rows(samples: LoggedSamples) -> list[Row]:
-    g = samples.gnss
+def _position_rows(samples: LoggedSamples) -> list[Row]:
+    """GPS and GPA of the receiver; ATT and POS at 10 Hz, half the rate of the autopilot."""
+    g, nav = samples.gnss, samples.navigation
     week, ms = gps_week_ms(g.time_s)
     written = boot_us(g.time_s + g.log_delay_s)
     taken_ms = boot_us(g.time_s) // 1000
@@ -170,16 +164,10 @@ def _gnss_rows(samples: LoggedSamples) -> list[Row]:
             time, 0, 1.1, GNSS_HORIZONTAL_M, GNSS_VERTICAL_M, 0.05, 0.0, 1, int(taken_ms[i]),
             200, g.h_ellipsoid_m[i], 0, 0,
         )))  # fmt: skip
-    return rows
-
-
-def _navigation_rows(nav: NavigationSamples) -> list[Row]:
-    """ATT and POS at 10 Hz: every second of the autopilot's samples."""
     times = boot_us(nav.time_s)
     lat, lon = np.degrees(nav.lat_rad), np.degrees(nav.lon_rad)
     roll, pitch = np.degrees(nav.roll_rad), np.degrees(nav.pitch_rad)
     yaw = _centidegrees(np.degrees(nav.yaw_rad))
-    rows: list[Row] = []
     for i in range(0, len(times), 2):
         time = int(times[i])
         rows.append((time, FORMATS["ATT"].pack(

@@ -109,8 +109,7 @@ def write_mcap(path: Path, samples: LoggedSamples, seed: int) -> int:
     header.stamp is when a sensor measured; log_time, when the recorder got it, is 2-15 ms later.
     """
     rows = [
-        *_fix_rows(samples),
-        *_imu_rows(samples),
+        *_position_rows(samples),
         *_air_rows("outside", samples.outside),
         *_air_rows("cabin", samples.cabin),
         # Image topics whose pictures were left out of the recording: the stamp is the shutter.
@@ -148,13 +147,14 @@ def write_mcap(path: Path, samples: LoggedSamples, seed: int) -> int:
     return len(rows)
 
 
-def _fix_rows(samples: LoggedSamples) -> list[Row]:
-    """/fix at 5 Hz: NavSatFix.altitude is the height above the ellipsoid."""
-    g = samples.gnss
+def _position_rows(samples: LoggedSamples) -> list[Row]:
+    """/fix at 5 Hz: NavSatFix.altitude is the height above the ellipsoid; /imu/data at 20 Hz:
+    orientation of forward-left-up axes in east-north-up (REP 103)."""
+    g, nav = samples.gnss, samples.navigation
     lat, lon = np.degrees(g.lat_rad).tolist(), np.degrees(g.lon_rad).tolist()
     height = g.h_ellipsoid_m.tolist()
     covariance = np.diag([GNSS_HORIZONTAL_M**2] * 2 + [GNSS_VERTICAL_M**2]).ravel().tolist()
-    return [
+    rows: list[Row] = [
         (stamp, "/fix", "sensor_msgs/msg/NavSatFix", {
             "status": {"status": 2, "service": 9}, "latitude": lat[i], "longitude": lon[i],
             "altitude": height[i], "position_covariance": covariance,
@@ -162,16 +162,10 @@ def _fix_rows(samples: LoggedSamples) -> list[Row]:
         })
         for i, stamp in enumerate(unix_ns(g.time_s).tolist())
     ]  # fmt: skip
-
-
-def _imu_rows(samples: LoggedSamples) -> list[Row]:
-    """/imu/data at 20 Hz: orientation of forward-left-up axes in east-north-up (REP 103)."""
-    nav = samples.navigation
     tilt, heading = np.radians(TILT_DEG), np.radians(HEADING_DEG)
     covariance = np.diag([tilt**2, tilt**2, heading**2]).ravel().tolist()
     unknown = [-1.0] + [0.0] * 8  # sensor_msgs/Imu: no estimate of this element
     zero = {"x": 0.0, "y": 0.0, "z": 0.0}
-    rows: list[Row] = []
     for i, stamp in enumerate(unix_ns(nav.time_s).tolist()):
         ned = body_rotation(nav.roll_rad[i], nav.pitch_rad[i], nav.yaw_rad[i])
         w, x, y, z = quaternion(NED_FROM_ENU.T @ ned @ _FLU_FROM_FRD).tolist()

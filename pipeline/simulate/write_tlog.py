@@ -36,8 +36,17 @@ def write_tlog(path: Path, samples: LoggedSamples, seed: int) -> int:
     The host's clock is 1.26 s ahead and stamps a frame up to 50 ms late, in the order in which
     frames arrive.
     """
-    rows = [
-        *_system_rows(samples),
+    rows: list[Row] = []
+    # HEARTBEAT and SYSTEM_TIME at 1 Hz.
+    times = np.arange(0.25, samples.navigation.time_s[-1], 1.0)
+    unix_us = unix_ns(times) // 1000
+    for i, sent in enumerate(boot_us(times).tolist()):
+        rows.append((sent, mavlink.MAVLink_heartbeat_message(
+            mavlink.MAV_TYPE_FIXED_WING, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
+            mavlink.MAV_MODE_FLAG_SAFETY_ARMED, 10, mavlink.MAV_STATE_ACTIVE, 3,
+        )))  # fmt: skip
+        rows.append((sent, mavlink.MAVLink_system_time_message(int(unix_us[i]), sent // 1000)))
+    rows += [
         *_gnss_rows(samples),
         *_navigation_rows(samples),
         *_air_rows(samples),
@@ -63,20 +72,6 @@ def write_tlog(path: Path, samples: LoggedSamples, seed: int) -> int:
 
 def _degrees_e7(radians: NDArray[np.float64]) -> list[int]:
     return [round(v) for v in (np.degrees(radians) * 1e7).tolist()]
-
-
-def _system_rows(samples: LoggedSamples) -> list[Row]:
-    """HEARTBEAT and SYSTEM_TIME at 1 Hz."""
-    times = np.arange(0.25, samples.navigation.time_s[-1], 1.0)
-    unix_us = unix_ns(times) // 1000
-    rows: list[Row] = []
-    for i, sent in enumerate(boot_us(times).tolist()):
-        rows.append((sent, mavlink.MAVLink_heartbeat_message(
-            mavlink.MAV_TYPE_FIXED_WING, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
-            mavlink.MAV_MODE_FLAG_SAFETY_ARMED, 10, mavlink.MAV_STATE_ACTIVE, 3,
-        )))  # fmt: skip
-        rows.append((sent, mavlink.MAVLink_system_time_message(int(unix_us[i]), sent // 1000)))
-    return rows
 
 
 def _gnss_rows(samples: LoggedSamples) -> list[Row]:
