@@ -61,7 +61,15 @@ def bertram_rows() -> list[Block]:
         if number <= 2:
             exact = np.asarray(refraction_angle(ardc, h_c, 0.0, 45.0 * DEGREE, RADIUS_M))
         else:
-            air = _between_densities(levels["z_m"], levels["density_kg_m3"])
+            # Air whose log density is linear between the heights, and goes on down to sea level.
+            z, logs = levels["z_m"], np.log(levels["density_kg_m3"])
+            if z[0] > 0.0:
+                logs = np.append(logs[0] - (logs[1] - logs[0]) / (z[1] - z[0]) * z[0], logs)
+                z = np.append(0.0, z)
+            # exp(step u) to its eighth term: 1e-10 over 1 km.
+            powers = np.array([1.0 / math.factorial(i) for i in range(8)])
+            polynomial = powers * np.diff(logs)[:, None] ** np.arange(8)
+            air = RayTable(z, 226e-6 * np.exp(logs[:-1, None]) * polynomial)
             diagonal = math.sqrt(0.5)
             exact = bend(air, h_c, 0.0, diagonal, diagonal, radius=RADIUS_M)[0]
         blocks.append(
@@ -72,17 +80,3 @@ def bertram_rows() -> list[Block]:
             )
         )  # fmt: skip
     return blocks
-
-
-def _between_densities(z: Array, density: Array) -> RayTable:
-    """Air whose log density is linear between a table's heights, and goes on down to sea level."""
-    logs = np.log(density)
-    if z[0] > 0.0:
-        slope = (logs[1] - logs[0]) / (z[1] - z[0])
-        logs = np.concatenate([[logs[0] - slope * z[0]], logs])
-        z = np.concatenate([[0.0], z])
-    step = np.diff(logs)
-    # exp(step u) to its eighth term: 1e-10 over 1 km.
-    powers = np.array([1.0 / math.factorial(i) for i in range(8)])
-    polynomial = powers * step[:, None] ** np.arange(8)
-    return RayTable(z, 226e-6 * np.exp(logs[:-1, None]) * polynomial)

@@ -19,11 +19,10 @@ from pipeline.refraction.published.bertram import (
     bertram1966,
     bertram1966_curved,
     bertram1966_from_ground,
+    manual,
 )
 from pipeline.refraction.published.column import Method
-from pipeline.refraction.published.gyer import gyer1996, plane, plane_first_term
-from pipeline.refraction.published.manual import manual
-from pipeline.refraction.published.moist import plane_moist
+from pipeline.refraction.published.gyer import gyer1996, plane, plane_first_term, plane_moist
 from pipeline.refraction.published.saastamoinen import (
     compartment,
     quadratic_coefficients,

@@ -71,10 +71,11 @@ def _gauss(profile: Profile, quantity: Quantity, low: Array, high: Array) -> Arr
     return half * total
 
 
-def integral(profile: Profile, quantity: Quantity, h_g: Array, h_c: Array) -> Array:
-    """Integral of a quantity over height from ``h_g`` to ``h_c`` [m], of equal shapes.
+def mean(profile: Profile, quantity: Quantity, h_g: Array, h_c: Array) -> Array:
+    """Mean of a quantity over height between ``h_g`` and ``h_c``; its value where they meet.
 
-    NaN outside the profile. Exact to 1e-15 of the integral from the profile's bottom.
+    Heights [m] are of one shape; NaN outside the profile. The integral is exact to 1e-15 of that
+    from the profile's bottom.
     """
     edge, cumulative = _column(profile, quantity)
 
@@ -83,12 +84,7 @@ def integral(profile: Profile, quantity: Quantity, h_g: Array, h_c: Array) -> Ar
         i = np.clip(np.searchsorted(edge, inside, side="right") - 1, 0, edge.size - 2)
         return np.asarray(cumulative[i] + _gauss(profile, quantity, edge[i], h))
 
-    return up_to(h_c) - up_to(h_g)
-
-
-def mean(profile: Profile, quantity: Quantity, h_g: Array, h_c: Array) -> Array:
-    """Mean of a quantity over height between ``h_g`` and ``h_c``; its value where they meet."""
     rise = h_c - h_g
     thick = rise != 0.0
-    ratio = integral(profile, quantity, h_g, h_c) / np.where(thick, rise, 1.0)
+    ratio = (up_to(h_c) - up_to(h_g)) / np.where(thick, rise, 1.0)
     return np.where(thick, ratio, quantity(profile, h_c))

@@ -1,4 +1,4 @@
-"""The methods of Gyer 1996: the spherical form in steps of a kilometre, and the plane form.
+"""Gyer 1996: the spherical form in steps of a kilometre, the plane form, and that of moist air.
 
 Eq. 24 as printed has three misprints; from Eq. 22 its second term carries (n - n_c)^2 (n + n_c)^2
 over n_c^4 cos^2 zeta_c, its third (n - n_c)^3 (n + n_c)^3 over n_c^6 cos^4 zeta_c with the sign
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
 from pipeline.refraction.published.column import Array, downward, finite, mean, times_tangent
+from pipeline.units import HECTOPASCAL
 
 STEP_M = 1000.0
 
@@ -29,17 +31,18 @@ _RAYS_AT_ONCE = 64
 _ROUNDING = 1e-12
 
 
-def _squared(profile: Profile, h: Array) -> Array:
+# (n - 1) / (p / T) of dry air and the loss by e / T [urad K hPa-1]: Gyer 1996, Eq. 13, and the
+# same two numbers for Ciddor 1996 at 0.55 um.
+MOIST_COEFFICIENTS = {"gyer": (78.831, 11.036), "ciddor": (79.026, 11.27)}
+
+
+def _squared(profile: Profile, h: Array, power: int = 1) -> Array:
+    """Powers of n^2 - 1."""
     n_less_1 = profile.refractivity(h)
-    return np.asarray(n_less_1 * (2.0 + n_less_1))
+    return np.asarray((n_less_1 * (2.0 + n_less_1)) ** power)
 
 
-def _squared_2(profile: Profile, h: Array) -> Array:
-    return np.asarray(_squared(profile, h) ** 2)
-
-
-def _squared_3(profile: Profile, h: Array) -> Array:
-    return np.asarray(_squared(profile, h) ** 3)
+_POWERS = (_squared, partial(_squared, power=2), partial(_squared, power=3))
 
 
 def plane_first_term(
@@ -98,9 +101,7 @@ def plane(
     """
     h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     w_c = _squared(profile, h_c)
-    m_1 = mean(profile, _squared, h_g, h_c)
-    m_2 = mean(profile, _squared_2, h_g, h_c)
-    m_3 = mean(profile, _squared_3, h_g, h_c)
+    m_1, m_2, m_3 = (mean(profile, power, h_g, h_c) for power in _POWERS)
     n2_c = 1.0 + w_c
     u_1 = (m_1 - w_c) / n2_c
     u_2 = (m_2 - w_c * (2.0 * m_1 - w_c)) / n2_c**2
@@ -109,6 +110,41 @@ def plane(
     cos2 = np.cos(np.where(usable, zeta_c, 0.0)) ** 2
     r = 0.5 * u_1 - 0.375 * u_2 / cos2 + 0.3125 * u_3 / cos2**2
     return times_tangent(r, h_c, h_g, zeta_c)
+
+
+def _wetness(profile: Profile, h: Array) -> Array:
+    """e / T [hPa K-1]."""
+    return np.asarray(profile.vapour_pressure(h) / HECTOPASCAL / profile.temperature(h))
+
+
+def plane_moist(
+    profile: Profile, h_c: ArrayLike, h_g: ArrayLike, zeta_c: ArrayLike, radius: ArrayLike
+) -> Array:
+    """R_c [rad] of moist air by hydrostatics, without an integral over the dry part.
+
+    R = k ((p_g - p_c) / (gamma dH) - p_c / Tv_c) + (0.378 k - w) (mean(e/T) - e_c / T_c) with
+    gamma = G M0 / R* and dH the geopotential height difference: since dp = -gamma p / Tv dH, the
+    mean of p / Tv needs only the pressures at both ends.
+
+    Arguments as in `pipeline.refraction.published`. k and w are those of
+    0.589 um for Gyer's index, else of 0.55 um. In dry air and below 60 degrees within 0.3 % of the
+    spherical form up to 12 km, most of it the curvature of the earth.
+
+    >>> from pipeline.atmosphere import standard_atmosphere
+    >>> air = standard_atmosphere("us1976", index="gyer")
+    >>> float((plane_moist(air, 6000.0, 0.0, 0.7853981633974483, 0.0) * 1e6).round(2))
+    58.91
+    """
+    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
+    k, w = MOIST_COEFFICIENTS[profile.index.name]
+    p_c = profile.pressure(h_c)
+    rise = profile.gravity.geopotential_height(h_c) - profile.gravity.geopotential_height(h_g)
+    rise = np.where(rise > 0.0, rise, np.nan)
+    dry = (profile.pressure(h_g) - p_c) / (profile.constant * rise)
+    dry = (dry - p_c / profile.virtual_temperature(h_c)) / HECTOPASCAL
+    wet = mean(profile, _wetness, h_g, h_c) - _wetness(profile, h_c)
+    column = np.where(h_c == h_g, 0.0, k * dry + (0.378 * k - w) * wet)
+    return times_tangent(column * 1e-6, h_c, h_g, zeta_c)
 
 
 def gyer1996(
@@ -196,10 +232,18 @@ def subtended_angle(
             return np.asarray(k_used / (r * np.sqrt((product - k_used) * (product + k_used))))
 
     theta = _eq_31(eq_12, h_g, width, first, count)
+    count_of_shells = _SHELLS_PER_INTERVAL * _SHELL_INTERVALS
+    shells = np.arange(count_of_shells + 1) / count_of_shells
     at = np.flatnonzero(grazing & ~misses)
     for block in np.array_split(at, max(1, math.ceil(at.size / _RAYS_AT_ONCE))):
-        depth = width[block] * first[block]
-        theta[block] += _thin_shells(profile, h_g[block], depth, radius[block], k[block])
+        # Thin shells in the lowest intervals, Eq. 33-35; in shell i the index is that of its lower
+        # end, n_i.
+        h = h_g[block, None] + (width[block] * first[block])[:, None] * shells
+        r = radius[block, None] + h
+        k_n = k[block, None] / (1.0 + profile.refractivity(h[:, :-1]))
+        top = np.arccos(np.minimum(k_n / r[:, 1:], 1.0))
+        bottom = np.arccos(np.minimum(k_n / r[:, :-1], 1.0))
+        theta[block] += np.sum(top - bottom, axis=1)
     return np.where(misses, np.nan, theta)
 
 
@@ -225,15 +269,3 @@ def _eq_31(
         value = integrand(flat[0][used] + node * flat[1][used], used)
         total[used] += weight[used] * flat[1][used] * value
     return total.reshape(h_g.shape)
-
-
-def _thin_shells(profile: Profile, h_g: Array, depth: Array, radius: Array, k: Array) -> Array:
-    """Angle subtended by the part of a ray ``depth`` above the ground, Eq. 33-35."""
-    shells = _SHELLS_PER_INTERVAL * _SHELL_INTERVALS
-    h = h_g[:, None] + depth[:, None] * (np.arange(shells + 1) / shells)
-    r = radius[:, None] + h
-    # In shell i the index is that of its lower end, n_i.
-    k_n = k[:, None] / (1.0 + profile.refractivity(h[:, :-1]))
-    top = np.arccos(np.minimum(k_n / r[:, 1:], 1.0))
-    bottom = np.arccos(np.minimum(k_n / r[:, :-1], 1.0))
-    return np.asarray(np.sum(top - bottom, axis=1))
