@@ -97,35 +97,11 @@ def apply_refraction(
     """
     ideal = np.stack([x_px, y_px], axis=1).astype(np.float64)
     ideal[~np.isfinite(ideal).all(axis=1)] = np.nan
-    upper = np.array([camera.width_px, camera.height_px], np.float64)
-    close = np.maximum(_CLOSE_PX, _CLOSE_ULP * np.spacing(np.abs(np.nan_to_num(ideal))))
     distance = np.full(x_px.shape, np.nan) if distance_m is None else distance_m
     targets = _Targets(h_g, distance, exposure)
-    point = _starting_points(ideal, targets, exposures, camera, table)
-    nearest = np.full(x_px.shape, np.inf)
-    columns = {name: np.full(x_px.shape, np.nan) for name in (*COLUMNS, "status")}
-    rows = np.arange(x_px.size)
-    for _ in range(_ROUNDS):
-        at = np.clip(point[rows], 0.0, upper)  # there is no shift outside the format
-        removed = correct_observations(
-            at[:, 0], at[:, 1], h_g[rows], exposure[rows], exposures, camera=camera, table=table,
-            distance_m=distance[rows],
-        )  # fmt: skip
-        shift = np.stack([removed.dx_px, removed.dy_px], axis=1)
-        miss = np.abs(at - ideal[rows] + shift).max(axis=1)
-        # A point that is near and gets no nearer stays where it was.
-        kept = (nearest[rows] > _NOISE_PX) | (miss < nearest[rows])
-        for name, column in columns.items():
-            column[rows[kept]] = getattr(removed, name)[kept]
-        step = np.abs(ideal[rows] - shift - point[rows])
-        moving = kept & (step > close[rows]).any(axis=1)
-        point[rows] = ideal[rows] - shift
-        nearest[rows[kept]] = miss[kept]
-        rows = rows[moving]
-        if rows.size == 0:
-            break
-    columns["status"][rows[nearest[rows] > _NOISE_PX]] = MISSES_GROUND
-    displaced = _displaced(columns, ideal, upper)
+    start = _starting_points(ideal, targets, exposures, camera, table)
+    columns = _removals_to(ideal, start, targets, exposures, camera=camera, table=table)
+    displaced = _reversed(columns, ideal, camera)
     if uncertainty is None:
         return displaced
     sigmas = sigmas_at(
@@ -219,8 +195,52 @@ def _apparent(
     return np.concatenate([chord[:, :2] * stretch, -np.cos(zeta + lifted)[:, None]], axis=1)
 
 
-def _displaced(columns: dict[str, Any], ideal: Array, upper: Array) -> Corrections:
+def _removals_to(
+    ideal: Array,
+    point: Array,
+    targets: _Targets,
+    exposures: Exposures,
+    *,
+    camera: Camera,
+    table: RayTable | PublishedRays,
+) -> dict[str, Any]:
+    """Columns of `correct_observations` where it leads to the ideal pixels, found by repetition.
+
+    ``point`` (n, 2) are the pixels to start from; they are changed. The status is ``misses_ground``
+    where none is found.
+    """
+    h_g, distance, exposure = targets
+    upper = np.array([camera.width_px, camera.height_px], np.float64)
+    close = np.maximum(_CLOSE_PX, _CLOSE_ULP * np.spacing(np.abs(np.nan_to_num(ideal))))
+    nearest = np.full(h_g.shape, np.inf)
+    columns = {name: np.full(h_g.shape, np.nan) for name in (*COLUMNS, "status")}
+    rows = np.arange(h_g.size)
+    for _ in range(_ROUNDS):
+        at = np.clip(point[rows], 0.0, upper)  # there is no shift outside the format
+        removed = correct_observations(
+            at[:, 0], at[:, 1], h_g[rows], exposure[rows], exposures, camera=camera, table=table,
+            distance_m=distance[rows],
+        )  # fmt: skip
+        shift = np.stack([removed.dx_px, removed.dy_px], axis=1)
+        miss = np.abs(at - ideal[rows] + shift).max(axis=1)
+        # A point that is near and gets no nearer stays where it was.
+        kept = (nearest[rows] > _NOISE_PX) | (miss < nearest[rows])
+        for name, column in columns.items():
+            column[rows[kept]] = getattr(removed, name)[kept]
+        step = np.abs(ideal[rows] - shift - point[rows])
+        moving = kept & (step > close[rows]).any(axis=1)
+        point[rows] = ideal[rows] - shift
+        nearest[rows[kept]] = miss[kept]
+        rows = rows[moving]
+        if rows.size == 0:
+            break
+    columns["status"][rows[nearest[rows] > _NOISE_PX]] = MISSES_GROUND
+    return columns
+
+
+def _reversed(columns: dict[str, Any], ideal: Array, camera: Camera) -> Corrections:
     """A removal that ends in the ideal pixels, as a displacement."""
+    upper = np.array([camera.width_px, camera.height_px], np.float64)
     columns["dx_px"], columns["dy_px"] = -columns["dx_px"], -columns["dy_px"]
     columns["x_px"] = ideal[:, 0] + columns["dx_px"]
     columns["y_px"] = ideal[:, 1] + columns["dy_px"]

@@ -70,24 +70,8 @@ def _newton(u_d, v_d, u, v, parameters):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _converged(u_d, v_d, u, v, camera):  # type: ignore[no-untyped-def]
-    """u, v after more steps where three were too few; NaN where the iteration does not converge."""
-    parameters, largest = camera.distortion, camera.largest_radius
-    for _ in range(30):
-        u_0, v_0 = distort(u, v, parameters)
-        if abs(u_0 - u_d) + abs(v_0 - v_d) < 4e-15:
-            break
-        u, v = _newton(u_d, v_d, u, v, parameters)
-    u_0, v_0 = distort(u, v, parameters)
-    close = abs(u_0 - u_d) + abs(v_0 - v_d) < 1e-12
-    if close and u * u + v * v <= largest * largest:
-        return u, v
-    return math.nan, math.nan
-
-
-@jit
 def _ideal(span, pixels, camera, change_px, rays):  # type: ignore[no-untyped-def]
-    """Fill `U` and `V` of pixels, NaN where the camera does not cover them.
+    """Fill `U` and `V` of pixels, NaN where the camera does not cover them or nothing converges.
 
     ``change_px`` is added to the principal distance; the two rows from `THROUGH` are used as room.
     """
@@ -107,10 +91,18 @@ def _ideal(span, pixels, camera, change_px, rays):  # type: ignore[no-untyped-de
         u[i], v[i] = a, b
     lens = 0.0 < fx < math.inf and 0.0 < fy < math.inf
     for i in range(first, last):
+        a, b = u[i], v[i]
+        u[i] = v[i] = math.nan
         if lens and 0.0 <= x[i] <= width and 0.0 <= y[i] <= height:
-            u[i], v[i] = _converged(u_d[i], v_d[i], u[i], v[i], camera)
-        else:
-            u[i] = v[i] = math.nan
+            for _ in range(30):  # more steps where three were too few
+                u_0, v_0 = distort(a, b, parameters)
+                if abs(u_0 - u_d[i]) + abs(v_0 - v_d[i]) < 4e-15:
+                    break
+                a, b = _newton(u_d[i], v_d[i], a, b, parameters)
+            u_0, v_0 = distort(a, b, parameters)
+            close = abs(u_0 - u_d[i]) + abs(v_0 - v_d[i]) < 1e-12
+            if close and a * a + b * b <= camera.largest_radius * camera.largest_radius:
+                u[i], v[i] = a, b
 
 
 @entry

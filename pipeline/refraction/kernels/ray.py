@@ -222,15 +222,6 @@ def bend_rays(table, rays, which, angle, status):  # type: ignore[no-untyped-def
 
 
 @jit
-def _subtended_up_to(table, ray, h, around):  # type: ignore[no-untyped-def]
-    """Angle subtended up to height h; ``around`` is that through P_90 and up again, else 0."""
-    if around > 0.0 and h >= ray.h_c:
-        return around + subtended(table, ray, ray.h_c, h, False)
-    theta = subtended(table, ray, min(h, ray.h_c), max(h, ray.h_c), False)
-    return around - theta if around > 0.0 else theta
-
-
-@jit
 def _search_height(table, ray, distance, search):  # type: ignore[no-untyped-def]
     """The height at which the chord is ``distance`` long, and status.
 
@@ -243,7 +234,11 @@ def _search_height(table, ray, distance, search):  # type: ignore[no-untyped-def
     reached = False
     for _ in range(100):
         h = min(max(turn + s * s, low), high)
-        theta = _subtended_up_to(table, ray, h, around)
+        if around > 0.0 and h >= ray.h_c:  # through P_90 and up again
+            theta = around + subtended(table, ray, ray.h_c, h, False)
+        else:
+            theta = subtended(table, ray, min(h, ray.h_c), max(h, ray.h_c), False)
+            theta = around - theta if around > 0.0 else theta
         miss = chord2(ray, theta, h) - distance * distance
         if math.isnan(miss):
             return math.nan, MISSES_GROUND

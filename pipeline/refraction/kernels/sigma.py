@@ -45,6 +45,25 @@ class _Ray(NamedTuple):
     r: float
 
 
+class _Motion(NamedTuple):
+    """How the ray of an observation turns: tangent of its nadir angle, dR/dzeta, R/sin(zeta).
+
+    ``out_t``, ``out_q`` towards the nadir and across per unit of dN_c - dN_cc at the window;
+    ``d_h_c``, ``d_h_g`` dR/dh_c and dR/dh_g [rad/m]; ``yaw_along``, ``yaw_across`` the yaw axis in
+    the ray's vertical plane and across it.
+    """
+
+    tan_z: float
+    d_zeta: float
+    swing: float
+    out_t: float
+    out_q: float
+    d_h_c: float
+    d_h_g: float
+    yaw_along: float
+    yaw_across: float
+
+
 @jit
 def _bilinear(table, i, a, j, b):  # type: ignore[no-untyped-def]
     """Bilinear in a table (c, w)."""
@@ -135,32 +154,47 @@ def _moved(point, t, camera, d_image):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _at_the_window(point, t, q, s):  # type: ignore[no-untyped-def]
-    """How far the ray turns towards the nadir and across per unit of dN_c - dN_cc at the window."""
-    u, v, depth = point
-    n0, n1, n2 = s[NORMAL], s[NORMAL + 1], s[NORMAL + 2]
-    out = (n0 * u + n1 * v + n2) / depth
-    along = (n0 * t[0] + n1 * t[1] + n2 * t[2]) / out
-    return along, (n0 * q[0] + n1 * q[1] + n2 * q[2]) / out
+def _in_the_image(along, across, motion, air, s):  # type: ignore[no-untyped-def]
+    """Sigma of x or y [px] by the air and by the station, and the pixel's motion with h_g [px/m].
 
-
-@jit
-def _of_both(straight, leaning, x, shared, y):  # type: ignore[no-untyped-def]
-    """Sigma of straight x + leaning y, from sigmas of x and y and their covariance over y's."""
-    both = straight * straight * x * x + 2.0 * straight * leaning * shared * y
-    both += leaning * leaning * y * y
-    return 0.0 if both < 0.0 else math.sqrt(both)
-
-
-@jit
-def _by_station(moved, d_zeta, swing, axis, s):  # type: ignore[no-untyped-def]
-    """Sigma [px] by tilt, yaw and height: ``moved`` are the pixel's motions with a turn along and
-    across the vertical plane and with the height, ``axis`` the yaw axis along and across it."""
-    along, across, by_height = moved
-    k_e, k_p = -d_zeta * along, swing * across
+    ``along`` and ``across`` are what a turn of the ray along the vertical plane and across it does
+    to the pixel [px/rad]; ``air`` is sigma of R_c, sigma of x, its covariance with y over sigma of
+    y, and sigma of y.
+    """
+    sigma_r, sigma_x, shared, sigma_y = air
+    # What dN_c - dN_cc does at the window, and how much of it is not the x of a level one.
+    window = along * motion.out_t + across * motion.out_q
+    by_air = abs(along) * sigma_r
+    if s[WINDOW] >= 0.0:
+        straight = along * motion.tan_z
+        leaning = window - along * (motion.tan_z * (1.0 - motion.d_zeta))
+        both = straight * straight * sigma_x * sigma_x
+        both += 2.0 * straight * leaning * shared * sigma_y
+        both += leaning * leaning * sigma_y * sigma_y
+        by_air = 0.0 if both < 0.0 else math.sqrt(both)
+    # A tilt turns the nadir: zeta by its part in the ray's plane, the plane by that across it.
+    k_e, k_p = -motion.d_zeta * along, motion.swing * across
     turned2 = s[TILT2] * (k_e * k_e + k_p * k_p)
-    turned2 += s[YAW2] * (k_e * axis[0] + k_p * axis[1]) ** 2
-    return math.sqrt(turned2 + by_height * by_height)
+    turned2 += s[YAW2] * (k_e * motion.yaw_along + k_p * motion.yaw_across) ** 2
+    lift = (along * motion.d_h_c + window * s[WINDOW_BEND]) * s[SIGMA_H]
+    return by_air, math.sqrt(turned2 + lift * lift), along * motion.d_h_g
+
+
+@jit
+def _axes(turn, ray, east, north):  # type: ignore[no-untyped-def]
+    """Unit vectors in the camera: towards the nadir, and across the ray's vertical plane."""
+    sin_z, cos_z = ray.sin_z, ray.cos_z
+    t = (
+        _towards(turn[0], east, north, sin_z, cos_z),
+        _towards(turn[1], east, north, sin_z, cos_z),
+        _towards(turn[2], east, north, sin_z, cos_z),
+    )
+    q = (
+        turn[0, 1] * east - turn[0, 0] * north,
+        turn[1, 1] * east - turn[1, 0] * north,
+        turn[2, 1] * east - turn[2, 0] * north,
+    )
+    return t, q
 
 
 @entry
@@ -194,51 +228,31 @@ def propagate(observed, camera_and_rotation, traced, stations_and_air, sigmas): 
         n_g = refractivity[j] + b * (refractivity[j + 1] - refractivity[j])
         d_h_c, d_h_g = _by_heights(ray, d_zeta, n_g, s)
 
-        # Unit vectors in the camera: t towards the nadir, q across; at the nadir any will do.
+        # At the nadir any azimuth will do.
         east, north, swing = 1.0, 0.0, d_zeta
         if sin_z > _AT_NADIR:
             inverse = 1.0 / sin_z
             east, north = rays[APPARENT, i] * inverse, rays[APPARENT + 1, i] * inverse
             swing = r * inverse
-        t = (
-            _towards(turn[0], east, north, sin_z, cos_z),
-            _towards(turn[1], east, north, sin_z, cos_z),
-            _towards(turn[2], east, north, sin_z, cos_z),
-        )
-        q = (
-            turn[0, 1] * east - turn[0, 0] * north,
-            turn[1, 1] * east - turn[1, 0] * north,
-            turn[2, 1] * east - turn[2, 0] * north,
-        )
+        t, q = _axes(turn, ray, east, north)
         u, v = rays[U, i], rays[V, i]
         point = (u, v, math.sqrt(u * u + v * v + 1.0))
         out_t = out_q = 0.0
         if s[WINDOW] >= 0.0:
-            out_t, out_q = _at_the_window(point, t, q, s)
-            out_t *= 1.0 - d_zeta
+            # How far it turns towards the nadir and across per unit of dN_c - dN_cc.
+            n0, n1, n2 = s[NORMAL], s[NORMAL + 1], s[NORMAL + 2]
+            out = (n0 * u + n1 * v + n2) / point[2]
+            out_t = (n0 * t[0] + n1 * t[1] + n2 * t[2]) / out * (1.0 - d_zeta)
+            out_q = (n0 * q[0] + n1 * q[1] + n2 * q[2]) / out
         d_image = slopes(u, v, camera.distortion)
         along_x, along_y = _moved(point, t, camera, d_image)
         across_x, across_y = _moved(point, q, camera, d_image)
-
-        # What dN_c - dN_cc does at the window, and how much of it is not the x of a level one.
-        window_x, window_y = along_x * out_t + across_x * out_q, along_y * out_t + across_y * out_q
-        tan_z = sin_z * secant
-        if s[WINDOW] >= 0.0:
-            level = tan_z * (1.0 - d_zeta)
-            lean_x, lean_y = window_x - along_x * level, window_y - along_y * level
-            air_x[i] = _of_both(along_x * tan_z, lean_x, sigma_x, shared, sigma_y)
-            air_y[i] = _of_both(along_y * tan_z, lean_y, sigma_x, shared, sigma_y)
-        else:
-            air_x[i] = abs(along_x) * sigma_r[i]
-            air_y[i] = abs(along_y) * sigma_r[i]
-        # A tilt turns the nadir: zeta by its part in the ray's plane, the plane by that across it.
-        axis = (
-            s[AXIS_N] * east - s[AXIS_E] * north,
-            -s[AXIS_N] * north - s[AXIS_E] * east,
-        )
-        lift_x = (along_x * d_h_c + window_x * s[WINDOW_BEND]) * s[SIGMA_H]
-        lift_y = (along_y * d_h_c + window_y * s[WINDOW_BEND]) * s[SIGMA_H]
-        station_x[i] = _by_station((along_x, across_x, lift_x), d_zeta, swing, axis, s)
-        station_y[i] = _by_station((along_y, across_y, lift_y), d_zeta, swing, axis, s)
-        ground_x[i] = abs(along_x * d_h_g) * sigma_h_g[i]
-        ground_y[i] = abs(along_y * d_h_g) * sigma_h_g[i]
+        motion = _Motion(
+            sin_z * secant, d_zeta, swing, out_t, out_q, d_h_c, d_h_g,
+            s[AXIS_N] * east - s[AXIS_E] * north, -s[AXIS_N] * north - s[AXIS_E] * east,
+        )  # fmt: skip
+        air_of_ray = (sigma_r[i], sigma_x, shared, sigma_y)
+        air_x[i], station_x[i], by_h_g = _in_the_image(along_x, across_x, motion, air_of_ray, s)
+        ground_x[i] = abs(by_h_g) * sigma_h_g[i]
+        air_y[i], station_y[i], by_h_g = _in_the_image(along_y, across_y, motion, air_of_ray, s)
+        ground_y[i] = abs(by_h_g) * sigma_h_g[i]

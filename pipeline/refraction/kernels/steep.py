@@ -143,23 +143,6 @@ def _fill_moments(air, camera, first, last):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _class_of(n, camera, rays, largest):  # type: ignore[no-untyped-def]
-    """Class of lengths of the series that is enough for all rays it serves; -1 without any."""
-    h_g, w, x = rays[_H_G], rays[_W], rays[_X]
-    drop = bend = -1.0
-    for i in range(n):
-        if largest * w[i] <= _LARGEST_BEND:
-            fall = 2.0 * (camera.h_c - h_g[i]) * w[i] * x[i]
-            bend = largest * w[i] if largest * w[i] > bend else bend
-            drop = fall if fall > drop else drop
-    if bend >= 0.0:
-        for c in range(_DROP.size):
-            if drop <= _DROP[c] and bend <= _BEND[c]:
-                return c
-    return -1
-
-
-@jit
 def _series(n, moments, c, x_table, rays):  # type: ignore[no-untyped-def]
     """Fill delta / (x tan zeta_c) of n rays between one height and the camera, by class c.
 
@@ -284,7 +267,16 @@ def _to_interval(n, air, i, camera, rays):  # type: ignore[no-untyped-def]
     for j in range(n):
         w[j] = 1.0 / (cos_c[j] * cos_c[j])
         x[j] = 1.0 / (r_e[j] + h_c)
-    size = _class_of(n, camera, rays, camera.table[i, -1])
+    # Class of lengths of the series that is enough for all rays it serves.
+    largest, drop, bend, size = camera.table[i, -1], -1.0, -1.0, -1
+    for j in range(n):
+        if largest * w[j] <= _LARGEST_BEND:
+            fall = 2.0 * (h_c - h_g[j]) * w[j] * x[j]
+            bend = largest * w[j] if largest * w[j] > bend else bend
+            drop = fall if fall > drop else drop
+    for c in range(_DROP.size - 1, -1, -1):
+        if bend >= 0.0 and drop <= _DROP[c] and bend <= _BEND[c]:
+            size = c
     if size < 0:
         return False
     _series(n, camera.table[i + 1], size, camera.x, rays)
