@@ -52,6 +52,20 @@ class SensorSamples:
             return None
         return int(used[0]) + (int(used[-1]) - int(used[0])) // 2
 
+    @property
+    def middle_of_heights_ns(self) -> int | None:
+        """When the heights were visited [Unix ns]: each bin of 100 m has the same weight.
+
+        A climb at the end of an hour of level flight measures the air of that time, not of half an
+        hour before.
+        """
+        used = self.time_ns[self.accepted]
+        if used.size == 0:
+            return None
+        _, number = np.unique(np.floor(self.h_m[self.accepted] / 100.0), return_inverse=True)
+        mean = np.bincount(number, (used - used[0]) * 1e-9) / np.bincount(number)
+        return int(used[0]) + round(float(mean.mean()) * 1e9)
+
 
 @dataclass(frozen=True, eq=False)
 class AirSamples:

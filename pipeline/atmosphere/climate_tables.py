@@ -3,8 +3,7 @@
 ``data/supplements1966.csv``: the nine profiles of the U.S. Standard Atmosphere Supplements, 1966,
 reconstructed from public tables descended from it (temperatures to 0.05 K below 25 km, above
 that extrapolated). ``data/afgl1986.csv``: the six model atmospheres of Anderson et al. 1986, AFGL
-Atmospheric Constituent Profiles (0-120 km), AFGL-TR-86-0110, to 80 km. NRLMSIS 2.1 comes from the
-package pymsis: temperature only, because it has no water.
+Atmospheric Constituent Profiles (0-120 km), AFGL-TR-86-0110, to 80 km.
 """
 
 from __future__ import annotations
@@ -21,7 +20,6 @@ from numpy.typing import NDArray
 
 from pipeline.atmosphere.profile import STANDARD, Profile, stack_layers
 from pipeline.atmosphere.refractive_index import IndexModel, saturation_vapour_pressure
-from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity, lambert_gravity
 from pipeline.units import DEGREE, VAPOUR_DEFICIT
 
@@ -33,8 +31,6 @@ SUPPLEMENTS_ORIGIN = (
 )
 AFGL_ORIGIN = "AFGL 1986 model atmospheres (AFGL-TR-86-0110)"
 _AFGL_FILE = "afgl1986.csv"
-MSIS = "nrlmsis2.1"
-MSIS_ORIGIN = "NRLMSIS 2.1 (Emmert et al. 2022), temperature only"
 
 LOWEST_GEOPOTENTIAL_M = -5000.0
 """As far down as the atmospheres of this package go."""
@@ -43,11 +39,6 @@ LOWEST_GEOPOTENTIAL_M = -5000.0
 # where there is water: halving it moves R from 10 km by 7e-6 at most.
 _STEP_M = 500.0
 _DRY_ABOVE_M = 16_000.0
-
-_MSIS_TOP_M, _MSIS_STEP_M = 80_000.0, 500.0
-_MSIS_TEMPERATURE = 10  # column of pymsis.Variable.TEMPERATURE
-# Solar flux and geomagnetic index have no effect below 80 km: given, so that nothing is downloaded.
-_SOLAR_FLUX, _GEOMAGNETIC = 150.0, 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,47 +133,6 @@ def season(latitude_rad: float, month: float) -> float:
     """
     shift = 0.0 if latitude_rad >= 0.0 else 6.0
     return math.cos(2.0 * math.pi * (month - 1.0 + shift) / 12.0)
-
-
-def msis_profile(
-    latitude_rad: float,
-    longitude_rad: float,
-    month: float,
-    surface_pa: float,
-    gravity: Gravity,
-    *,
-    index: IndexModel | None = None,
-) -> Profile:
-    """The dry profile of NRLMSIS 2.1 at a place and season, at noon UTC.
-
-    ``month`` : 1.0 is mid-January; ``surface_pa`` : pressure at sea level [Pa], from which that of
-    the model's temperatures follows. Valid to 80 km. Source: Emmert et al. 2022, NRLMSIS 2.1,
-    doi:10.1029/2022JA030896. Raises ``PhysicsError`` where pymsis is not installed.
-    """
-    try:
-        import pymsis
-    except ImportError:
-        raise PhysicsError(
-            "ATMOSPHERE-MSIS",
-            "NRLMSIS 2.1 needs the package pymsis, which is not installed",
-            remedy='pip install "unbend[msis]", or take another climatology',
-        ) from None
-    day = math.floor(((month - 1.0) % 12.0) / 12.0 * 365.25) + 14
-    date = np.datetime64("2001-01-01T12:00") + np.timedelta64(day % 365, "D")
-    h = np.arange(0.0, _MSIS_TOP_M + 1.0, _MSIS_STEP_M)
-    answer = pymsis.calculate(
-        date,
-        longitude_rad / DEGREE,
-        latitude_rad / DEGREE,
-        h / 1000.0,
-        f107s=[_SOLAR_FLUX],
-        f107as=[_SOLAR_FLUX],
-        aps=[[_GEOMAGNETIC] * 7],
-        version=2.1,
-    )
-    t = np.asarray(answer, dtype=np.float64).reshape(h.size, -1)[:, _MSIS_TEMPERATURE]
-    edge = gravity.geopotential_height(h)
-    return hydrostatic_profile(edge, t, np.zeros_like, surface_pa, gravity, index=index, name=MSIS)
 
 
 def _rows(file: str) -> list[dict[str, str]]:

@@ -63,6 +63,23 @@ class Spread:
         """One sigma of relative humidity (0 to 1) at heights ``h`` [m above sea level]."""
         return np.interp(np.asarray(h, np.float64), self.h_m, self.relative_humidity)
 
+    def about(self, profile: Profile, expected: Profile) -> Spread:
+        """The spread about another profile than the expected: their difference is part of it."""
+        inside = (self.h_m <= profile.top_m) & (self.h_m <= expected.top_m)
+        h = self.h_m[inside]
+        saturated = saturation_vapour_pressure(expected.temperature(h))
+        off = profile.temperature(h) - expected.temperature(h)
+        wet = (profile.vapour_pressure(h) - expected.vapour_pressure(h)) / saturated
+        wet = np.where(h < _DRY_ABOVE_M, wet, 0.0)
+        level = float(np.log(profile.pressure(0.0) / expected.pressure(0.0)))
+        return replace(
+            self,
+            h_m=h,
+            temperature_k=np.hypot(self.temperature_k[inside], off),
+            relative_humidity=np.hypot(self.relative_humidity[inside], wet),
+            pressure_ratio=math.hypot(self.pressure_ratio, level),
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Climatology:
@@ -123,8 +140,7 @@ def climatology(
     profile = model.profile(place, index)
     spread = expected_spread(latitude_rad, month, ground_h_m)
     if model is not ATMOSPHERES[SUPPLEMENTS]:
-        expected = ATMOSPHERES[SUPPLEMENTS].profile(place, index)
-        spread = _with_difference(spread, profile, expected)
+        spread = spread.about(profile, ATMOSPHERES[SUPPLEMENTS].profile(place, index))
     return Climatology(profile, spread, model.origin, model.has_humidity)
 
 
@@ -172,22 +188,4 @@ def expected_spread(latitude_rad: float, month: float, ground_h_m: float = 0.0) 
         TEMPERATURE_CORRELATION_M,
         HUMIDITY_CORRELATION_M,
         0.006 + away * (0.004 + 0.003 * winter),
-    )
-
-
-def _with_difference(spread: Spread, profile: Profile, expected: Profile) -> Spread:
-    """The spread about a profile that is not the expected one: their difference is part of it."""
-    inside = (spread.h_m <= profile.top_m) & (spread.h_m <= expected.top_m)
-    h = spread.h_m[inside]
-    saturated = saturation_vapour_pressure(expected.temperature(h))
-    off = profile.temperature(h) - expected.temperature(h)
-    wet = (profile.vapour_pressure(h) - expected.vapour_pressure(h)) / saturated
-    wet = np.where(h < _DRY_ABOVE_M, wet, 0.0)
-    level = float(np.log(profile.pressure(0.0) / expected.pressure(0.0)))
-    return replace(
-        spread,
-        h_m=h,
-        temperature_k=np.hypot(spread.temperature_k[inside], off),
-        relative_humidity=np.hypot(spread.relative_humidity[inside], wet),
-        pressure_ratio=math.hypot(spread.pressure_ratio, level),
     )

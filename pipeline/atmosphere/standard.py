@@ -4,7 +4,8 @@ A new atmosphere is one function and a line in `ATMOSPHERES`: its name in missio
 command line and in refusals follows. The breakpoints of the standards stand in
 ``data/standard_atmospheres.csv``: US Standard Atmosphere 1976 and 1962, ICAO 1993 (ISO 2533), ARDC
 Model Atmosphere 1959 (the one behind the tables of Gyer 1996 and Bertram 1966) and ICAN
-(Saastamoinen 1974). The US Supplements 1966, AFGL 1986 and NRLMSIS are in `climate_tables`.
+(Saastamoinen 1974). The US Supplements 1966 and AFGL 1986 are in `climate_tables`; NRLMSIS 2.1
+comes from the package pymsis, temperature only, because it has no water.
 """
 
 from __future__ import annotations
@@ -19,13 +20,11 @@ import numpy as np
 from pipeline.atmosphere.climate_tables import (
     AFGL_ORIGIN,
     LOWEST_GEOPOTENTIAL_M,
-    MSIS,
-    MSIS_ORIGIN,
     SUPPLEMENTS,
     SUPPLEMENTS_ORIGIN,
     climate_names,
     climate_profile,
-    msis_profile,
+    hydrostatic_profile,
     read_models,
     supplements_profile,
 )
@@ -33,9 +32,16 @@ from pipeline.atmosphere.profile import STANDARD, Profile, stack_layers
 from pipeline.atmosphere.refractive_index import DEFAULT_WAVELENGTH_M, IndexModel
 from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity, normal_gravity
-from pipeline.units import STANDARD_GRAVITY
+from pipeline.units import DEGREE, STANDARD_GRAVITY
 
 SEA_LEVEL_PRESSURE_PA = 101325.0
+
+MSIS = "nrlmsis2.1"
+_MSIS_TOP_M, _MSIS_STEP_M = 80_000.0, 500.0
+_MSIS_TEMPERATURE = 10  # column of pymsis.Variable.TEMPERATURE
+# Solar flux and geomagnetic index have no effect below 80 km: given, so that nothing is downloaded.
+_SOLAR_FLUX, _GEOMAGNETIC = 150.0, 4.0
+
 AUTO = "auto"
 
 
@@ -115,11 +121,36 @@ def _supplements(place: SeasonAndPlace, index: IndexModel) -> Profile:
 
 
 def _msis(place: SeasonAndPlace, index: IndexModel) -> Profile:
+    """The dry profile of NRLMSIS 2.1 at noon UTC, to 80 km, with the sea-level pressure of the
+    Supplements.
+
+    Source: Emmert et al. 2022, NRLMSIS 2.1, doi:10.1029/2022JA030896.
+    """
+    try:
+        import pymsis
+    except ImportError:
+        raise PhysicsError(
+            "ATMOSPHERE-MSIS",
+            "NRLMSIS 2.1 needs the package pymsis, which is not installed",
+            remedy='pip install "unbend[msis]", or take another climatology',
+        ) from None
     latitude = place.latitude_rad or 0.0
-    surface = float(_supplements(place, index).pressure(0.0))
-    return msis_profile(
-        latitude, place.longitude_rad, place.month, surface, gravity_at(latitude), index=index
+    day = math.floor(((place.month - 1.0) % 12.0) / 12.0 * 365.25) + 14
+    h = np.arange(0.0, _MSIS_TOP_M + 1.0, _MSIS_STEP_M)
+    answer = pymsis.calculate(
+        np.datetime64("2001-01-01T12:00") + np.timedelta64(day % 365, "D"),
+        place.longitude_rad / DEGREE,
+        latitude / DEGREE,
+        h / 1000.0,
+        f107s=[_SOLAR_FLUX],
+        f107as=[_SOLAR_FLUX],
+        aps=[[_GEOMAGNETIC] * 7],
+        version=2.1,
     )
+    t = np.asarray(answer, dtype=np.float64).reshape(h.size, -1)[:, _MSIS_TEMPERATURE]
+    gravity, surface = gravity_at(latitude), float(_supplements(place, index).pressure(0.0))
+    edge = gravity.geopotential_height(h)
+    return hydrostatic_profile(edge, t, np.zeros_like, surface, gravity, index=index, name=MSIS)
 
 
 _OF_SEASON = AtmosphereModel(_supplements, SUPPLEMENTS_ORIGIN, True, needs_place=True)
@@ -135,7 +166,12 @@ ATMOSPHERES: dict[str, AtmosphereModel] = {
         )
         for name in climate_names()
     },
-    MSIS: AtmosphereModel(_msis, MSIS_ORIGIN, has_humidity=False, needs_place=True),
+    MSIS: AtmosphereModel(
+        _msis,
+        "NRLMSIS 2.1 (Emmert et al. 2022), temperature only",
+        has_humidity=False,
+        needs_place=True,
+    ),
     **{
         name: AtmosphereModel(
             partial(_standard_profile, name), f"standard atmosphere {name}", has_humidity=False

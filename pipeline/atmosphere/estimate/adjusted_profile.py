@@ -252,7 +252,16 @@ def _adjustment(
     ledger: Ledger,
 ) -> Adjustment:
     """An estimate that passed its checks, with the sources of its layers and its remarks."""
-    layers = replace(made.profile.layers, source=_layer_sources(made))
+    # Source of each layer: a thermometer's heights, a barometer's, neighbours, or nothing.
+    edge = made.profile.layers.edge
+    middle = 0.5 * (edge[1:] + edge[:-1])
+    warm = _covered(middle, made, (Thermometer, Temperatures), WIDEST_GAP_M)
+    weighed = _covered(middle, made, (Barometer,), 2.0 * WIDEST_GAP_M)
+    sigma = made.covariance.sigma_temperature(made.profile.break_heights_m)
+    learnt = sigma < UNCHANGED * made.background_sigma_k
+    between = np.where(learnt[1:] | learnt[:-1], RELAXED, STANDARD)
+    source = np.where(warm, MEASURED, np.where(weighed, BAROMETRIC, between))
+    layers = replace(made.profile.layers, source=tuple(str(name) for name in source))
     profile = replace(made.profile, layers=layers)
     samples, main = candidate.samples, candidate.main
     if candidate.basis == "barometer":
@@ -325,22 +334,6 @@ def under_gravity(standard: Profile, latitude_rad: float) -> Profile:
 def unadjusted(standard: Profile, reason: str) -> Adjustment:
     """A standard atmosphere in the place of an adjusted profile, with the reason in words."""
     return Adjustment(standard, standard, UNADJUSTED, reason)
-
-
-def _layer_sources(made: Estimate) -> tuple[str, ...]:
-    """Source of each layer: a thermometer's heights, a barometer's, neighbours, or nothing."""
-    edge = made.profile.layers.edge
-    middle = 0.5 * (edge[1:] + edge[:-1])
-    warm = _covered(middle, made, (Thermometer, Temperatures), WIDEST_GAP_M)
-    weighed = _covered(middle, made, (Barometer,), 2.0 * WIDEST_GAP_M)
-    sigma = made.covariance.sigma_temperature(made.profile.break_heights_m)
-    learnt = sigma < UNCHANGED * made.background_sigma_k
-    names = np.where(
-        warm,
-        MEASURED,
-        np.where(weighed, BAROMETRIC, np.where(learnt[1:] | learnt[:-1], RELAXED, STANDARD)),
-    )
-    return tuple(str(name) for name in names)
 
 
 def _covered(

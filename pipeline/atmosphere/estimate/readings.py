@@ -179,22 +179,29 @@ def _sensor_readings(
     knots = np.linspace(0.0, duration, steps + 1)
     binning = _Binning.of_flight(sensors, profile, start_ns, duration)
     if (sensor := sensors.get("pressure")) is not None:
-        rejected["pressure"], barometer = _barometer(sensor, samples.airspeed, binning)
-        sets.append(barometer)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            departure = np.log(sensor.value) - np.log(profile.pressure(sensor.h_m))
+        bins = binning.bins(sensor, departure, LEAST_SCATTER_LOG_P)
+        rejected["pressure"] = bins.rejected
+        value = bins.value + np.log(profile.pressure(profile.gravity.height(bins.height)))
+        speed = binning.airspeed_at(bins.seconds, samples.airspeed)
+        dynamic = None if speed is None else dynamic_of(speed)
+        sigma = np.hypot(bins.sigma, AIR_NOISE_LOG_P)
+        sets.append(Barometer(sensor.name, bins.height, value, sigma, bins.seconds, dynamic))
         faults += BAROMETER_FAULTS
-        faults += [] if barometer.dynamic is None else [DYNAMIC_PRESSURE_ERROR]
+        faults += [] if dynamic is None else [DYNAMIC_PRESSURE_ERROR]
         drifts.append(Drift(SensorFault.BAROMETER_DRIFT, knots, 1.0, 1200.0))
     if (sensor := sensors.get("temperature")) is not None:
-        takeoffs = _takeoffs(samples, sensors.get("pressure", sensor), start_ns)
-        rejected["temperature"], warm = _thermometer(sensor, samples.airspeed, binning, takeoffs)
+        climbing = sensors.get("pressure", sensor)
+        rejected["temperature"], warm = _thermometer(sensor, samples, climbing, binning)
         sets.append(warm)
         board = settings.board_temperature
         bias = replace(THERMOMETER_FAULTS[0], sigma=BOARD_BIAS_K if board else USUAL_BIAS_K)
         faults += [bias, *THERMOMETER_FAULTS[1:]]
         faults += [] if warm.heating is None else [RECOVERY_FACTOR]
         known = settings.calibration.get(SensorFault.THERMOMETER_DRIFT, SensorCalibration())
-        sigma = known.sigma_or(BOARD_DRIFT_K if board else USUAL_DRIFT_K)
-        drifts.append(Drift(SensorFault.THERMOMETER_DRIFT, knots, sigma, 900.0))
+        drift = known.sigma_or(BOARD_DRIFT_K if board else USUAL_DRIFT_K)
+        drifts.append(Drift(SensorFault.THERMOMETER_DRIFT, knots, drift, 900.0))
     if (sensor := sensors.get("humidity")) is not None:
         high_bins = replace(binning, width_m=2.0 * binning.width_m)
         bins = high_bins.bins(sensor, sensor.value, LEAST_SCATTER_RH)
@@ -279,31 +286,29 @@ class _Binning:
         return np.interp(seconds, times, np.maximum(sensor.value[known], 0.0))
 
 
-def _barometer(
-    sensor: SensorSamples, airspeed: SensorSamples | None, binning: _Binning
-) -> tuple[NDArray[np.bool_], Barometer]:
-    profile = binning.profile
-    with np.errstate(invalid="ignore", divide="ignore"):
-        departure = np.log(sensor.value) - np.log(profile.pressure(sensor.h_m))
-    bins = binning.bins(sensor, departure, LEAST_SCATTER_LOG_P)
-    value = bins.value + np.log(profile.pressure(profile.gravity.height(bins.height)))
-    speed = binning.airspeed_at(bins.seconds, airspeed)
-    dynamic = None if speed is None else dynamic_of(speed)
-    sigma = np.hypot(bins.sigma, AIR_NOISE_LOG_P)
-    return bins.rejected, Barometer(sensor.name, bins.height, value, sigma, bins.seconds, dynamic)
-
-
 def _thermometer(
-    sensor: SensorSamples, airspeed: SensorSamples | None, binning: _Binning, takeoffs: Array
+    sensor: SensorSamples, samples: AirSamples, climbing: SensorSamples, binning: _Binning
 ) -> tuple[NDArray[np.bool_], Thermometer]:
-    profile = binning.profile
+    """Outliers and readings of a thermometer.
+
+    Where the take-off is not known, it is when ``climbing`` first left the lowest 20 m.
+    """
+    profile, start_ns = binning.profile, binning.start_ns
+    if samples.takeoff_ns is None:
+        with np.errstate(invalid="ignore"):
+            up = climbing.h_m > np.nanmin(climbing.h_m) + _GROUND_RISE_M
+        first = max(int(np.argmax(up)) - 1, 0) if bool(up.any()) else 0
+        takeoffs = np.array([(int(climbing.time_ns[first]) - start_ns) * 1e-9])
+    else:
+        takeoffs = (samples.takeoff_ns - start_ns) * 1e-9
+        takeoffs = takeoffs if takeoffs.size else np.array([LONG_AGO_S])
     bins = binning.bins(sensor, sensor.value - profile.temperature(sensor.h_m), LEAST_SCATTER_K)
     h = profile.gravity.height(bins.height)
     value = bins.value + profile.temperature(h)
-    speed = binning.airspeed_at(bins.seconds, airspeed)
+    speed = binning.airspeed_at(bins.seconds, samples.airspeed)
     known = np.isfinite(sensor.h_m)
     heights = FlownHeights(
-        _seconds(sensor, binning.start_ns)[known],
+        _seconds(sensor, start_ns)[known],
         profile.gravity.geopotential_height(sensor.h_m[known]),
     )
     last = np.maximum(np.searchsorted(takeoffs, bins.seconds, side="right") - 1, 0)
@@ -317,17 +322,6 @@ def _thermometer(
         flown=heights,
         heating=None if speed is None else heating_of(speed, profile.pressure(h), value),
     )
-
-
-def _takeoffs(samples: AirSamples, sensor: SensorSamples, start_ns: int) -> Array:
-    """Times of take-off [s]; where they are not known, when the lowest 20 m were first left."""
-    if samples.takeoff_ns is not None:
-        seconds = (samples.takeoff_ns - start_ns) * 1e-9
-        return np.asarray(seconds) if seconds.size else np.array([LONG_AGO_S])
-    with np.errstate(invalid="ignore"):
-        up = sensor.h_m > np.nanmin(sensor.h_m) + _GROUND_RISE_M
-    first = max(int(np.argmax(up)) - 1, 0) if bool(up.any()) else 0
-    return np.array([(int(sensor.time_ns[first]) - start_ns) * 1e-9])
 
 
 @dataclass(frozen=True, eq=False)

@@ -263,14 +263,12 @@ def _disagreement(
         """The largest disagreement [K] of sensors outside, compared over a height [m]."""
         return float(np.hypot(of_sensor_k, CERTAIN * wander_m / extent_m * MILD_K))
 
-    def excess_between(low: float, high: float) -> float | None:
-        return _excess_over_pressure(temperature, pressure, standard, low, high)
-
-    excess = excess_between(low, high)
+    excess = _excess_over_pressure(temperature, pressure, standard, low, high)
     if excess is not None and abs(excess) > largest(LARGEST_DISAGREEMENT_K, WANDER_M, high - low):
         return f"reads {excess:+.1f} K"
     half = 0.5 * (high + low)
-    lower, upper = excess_between(low, half), excess_between(half, high)
+    lower = _excess_over_pressure(temperature, pressure, standard, low, half)
+    upper = _excess_over_pressure(temperature, pressure, standard, half, high)
     if lower is None or upper is None or half - low < HALF_TO_COMPARE_M:
         return None
     change = upper - lower

@@ -108,6 +108,30 @@ class Solution:
     fits: tuple[Fit, ...]
     converged: bool
 
+    def profile(self, background: Profile) -> tuple[Profile, ProfileCovariance]:
+        """The layers of the state, and the covariance of what defines them: T_M, ln p, e/p."""
+        air, layout = self.air, self.air.layout
+        k = layout.knot.size
+        layers = stack_layers(
+            layout.knot,
+            air.virtual,
+            air.vapour,
+            (RELAXED,) * (k - 1),
+            anchor=(layout.reference, float(np.exp(self.x[layout.level]))),
+            constant=background.constant,
+        )
+        profile = Profile(
+            layers, background.gravity, background.index, "adjusted", background.constant
+        )
+        by_state = np.zeros((2 * k + 1, layout.size))
+        by_state[:k, layout.temperature] = np.diag(air.virtual_by_t)
+        by_state[:k, layout.humidity] = air.virtual_by_rh[:, None] * air.spreading
+        by_state[k, layout.level] = 1.0
+        by_state[k + 1 :, layout.temperature] = np.diag(air.vapour_by_t)
+        by_state[k + 1 :, layout.humidity] = air.vapour_by_rh[:, None] * air.spreading
+        matrix = by_state @ self.covariance @ by_state.T
+        return profile, ProfileCovariance(profile, layout.reference, 0.5 * (matrix + matrix.T))
+
 
 def estimate(
     samples: AirSamples,
@@ -160,7 +184,7 @@ def estimate(
     layout = layout_of(readings, background)
     prior = prior_of(layout, background, moisture or background)
     solution = solve(layout, prior, readings.sets, background.profile)
-    profile, covariance = _profile_of(solution, background.profile)
+    profile, covariance = solution.profile(background.profile)
     sigma = np.sqrt(np.diag(solution.covariance))
     estimated = tuple(
         FaultEstimate(fault.name, float(solution.x[i]), float(sigma[i]), fault.sigma)
@@ -265,49 +289,18 @@ def _normal_equations(
         information.append((jacobian.T * weight) @ jacobian)
         normal += information[-1]
         right += jacobian.T @ (weight * residual)
-        if readings.robust and step > _HUBER_STEPS:
-            after[i] = max(1.0, inflation[i] * np.sqrt(_excess_variance(z, loss)))
+        if readings.robust and step > _HUBER_STEPS and z.size >= 5:
+            # Ratio of the variance of the residuals to that of their sigmas. Readings are in the
+            # order of their bins, so neighbours are near in time and height; a first-order process
+            # with correlation r has means as uncertain as (1 + r)/(1 - r) times the variance.
+            square = float(np.mean(loss * z * z)) / _EXPECTED_SQUARE
+            bounded = np.sqrt(loss) * z
+            pairs = np.sum(bounded[1:] ** 2 + bounded[:-1] ** 2)
+            correlation = float(2.0 * np.sum(bounded[1:] * bounded[:-1]) / max(pairs, 1e-12))
+            correlation = min(correlation, _MOST_CORRELATED)
+            if correlation > _CORRELATED:
+                square *= (1.0 + correlation) / (1.0 - correlation)
+            after[i] = max(1.0, inflation[i] * np.sqrt(square))
         rms = float(np.sqrt(np.mean(np.square(residual / readings.sigma)))) if z.size else 0.0
         fits.append(Fit(readings.name, readings.quantity, z.size, rms, float(after[i])))
     return _System(normal, right, after, tuple(information), tuple(fits))
-
-
-def _excess_variance(z: Array, loss: Array) -> float:
-    """Ratio of the variance of residuals to that of their sigmas.
-
-    Readings are in the order of their bins, so neighbours are near in time and height; a first
-    order process with correlation r has means as uncertain as (1 + r)/(1 - r) times the variance.
-    """
-    if z.size < 5:
-        return 1.0
-    square = float(np.mean(loss * z * z)) / _EXPECTED_SQUARE
-    bounded = np.sqrt(loss) * z
-    pairs = np.sum(bounded[1:] ** 2 + bounded[:-1] ** 2)
-    correlation = float(2.0 * np.sum(bounded[1:] * bounded[:-1]) / max(pairs, 1e-12))
-    correlation = min(correlation, _MOST_CORRELATED)
-    if correlation > _CORRELATED:
-        square *= (1.0 + correlation) / (1.0 - correlation)
-    return square
-
-
-def _profile_of(solution: Solution, background: Profile) -> tuple[Profile, ProfileCovariance]:
-    """The layers of a state, and the covariance of what defines them: T_M, ln p, e/p."""
-    air, layout = solution.air, solution.air.layout
-    k = layout.knot.size
-    layers = stack_layers(
-        layout.knot,
-        air.virtual,
-        air.vapour,
-        (RELAXED,) * (k - 1),
-        anchor=(layout.reference, float(np.exp(solution.x[layout.level]))),
-        constant=background.constant,
-    )
-    profile = Profile(layers, background.gravity, background.index, "adjusted", background.constant)
-    by_state = np.zeros((2 * k + 1, layout.size))
-    by_state[:k, layout.temperature] = np.diag(air.virtual_by_t)
-    by_state[:k, layout.humidity] = air.virtual_by_rh[:, None] * air.spreading
-    by_state[k, layout.level] = 1.0
-    by_state[k + 1 :, layout.temperature] = np.diag(air.vapour_by_t)
-    by_state[k + 1 :, layout.humidity] = air.vapour_by_rh[:, None] * air.spreading
-    matrix = by_state @ solution.covariance @ by_state.T
-    return profile, ProfileCovariance(profile, layout.reference, 0.5 * (matrix + matrix.T))

@@ -162,7 +162,10 @@ def estimate_windows(
     windows = []
     for start_ns, end_ns in parts:
         part = part_of_flight(samples, start_ns, end_ns)
-        air = replace(fallback, time_ns=_middle_of_heights(part, (start_ns + end_ns) // 2))
+        deciding = _deciding_sensor(part)
+        visited_ns = deciding[0].middle_of_heights_ns if deciding is not None else None
+        middle_ns = (start_ns + end_ns) // 2 if visited_ns is None else visited_ns
+        air = replace(fallback, time_ns=middle_ns)
         own, why_not = _own_air(part, air, whole, background)
         if own is None or own.own_covariance is None:
             windows.append(TimeWindow(start_ns, end_ns, air, why_not=why_not))
@@ -245,21 +248,3 @@ def _own_air(
     doubled = COUNTED_TWICE * made.covariance.matrix
     covariance = replace(made.covariance, profile=profile, matrix=doubled)
     return TimedProfile(fallback.time_ns, profile, covariance), ""
-
-
-def _middle_of_heights(part: AirSamples, otherwise: int) -> int:
-    """When the heights of a part were visited [Unix ns]: each bin of 100 m has the same weight.
-
-    A climb at the end of an hour of level flight measures the air of that time, not of half an hour
-    before.
-    """
-    deciding = _deciding_sensor(part)
-    if deciding is None or not bool(deciding[0].accepted.any()):
-        return otherwise
-    sensor = deciding[0]
-    h, _ = sensor.used()
-    time = sensor.time_ns[sensor.accepted]
-    _, number = np.unique(np.floor(h / 100.0), return_inverse=True)
-    seconds = (time - time[0]) * 1e-9
-    mean = np.bincount(number, seconds) / np.bincount(number)
-    return int(time[0]) + round(float(mean.mean()) * 1e9)

@@ -108,27 +108,20 @@ def nearest_in_time(
             where=where,
             count=count,
         )
-    return _nearest(full, time_ns, where, ledger)
-
-
-def _nearest(
-    ascents: list[RawLevels], time_ns: int | None, where: str, ledger: Ledger
-) -> RawLevels:
-    """The ascent nearest to a time, of those that have levels."""
-    if len(ascents) == 1 and (time_ns is None or ascents[0].time_ns is None):
-        return ascents[0]
+    if len(full) == 1 and (time_ns is None or full[0].time_ns is None):
+        return full[0]
     if time_ns is None:
         raise InputError(
             "SOUNDING-CHOICE",
-            f"the file holds {len(ascents)} soundings and no time is given to choose by",
+            f"the file holds {len(full)} soundings and no time is given to choose by",
             where=where,
             remedy="keep the one sounding of the flight in the file",
         )
-    dated = [(abs(raw.time_ns - time_ns), raw) for raw in ascents if raw.time_ns is not None]
+    dated = [(abs(raw.time_ns - time_ns), raw) for raw in full if raw.time_ns is not None]
     if not dated:
         raise InputError(
             "SOUNDING-CHOICE",
-            f"none of the {len(ascents)} soundings has a date to choose by",
+            f"none of the {len(full)} soundings has a date to choose by",
             where=where,
             remedy="keep one sounding",
         )
@@ -140,11 +133,11 @@ def _nearest(
             f"the nearest sounding is {hours:.0f} hours away from the flight",
             where=raw.where,
         )
-    if len(ascents) > 1:
+    if len(full) > 1:
         ledger.note(
             "SOUNDING-CHOSEN",
-            f"of {len(ascents)} soundings the one {hours:.1f} hours away is taken",
+            f"of {len(full)} soundings the one {hours:.1f} hours away is taken",
             where=raw.where,
-            count=len(ascents),
+            count=len(full),
         )
     return raw
