@@ -86,7 +86,7 @@ def test_one_height_of_camera_and_ground(airs):
     sigma, slope, air = tabulated(profile, covariance, *ray, (300.0, 300.0))
     true_sigma, true_slope = traced(profile, covariance, *ray)
     np.testing.assert_allclose((sigma[0], slope[0]), (true_sigma[0], true_slope[0]), rtol=3e-3)
-    assert air.sigma.size <= 20
+    assert air.tables.sigma.size <= 20
 
 
 def test_sigma_is_the_spread_of_drawn_airs(airs):

@@ -125,7 +125,22 @@ class ShiftColumns(NamedTuple):
 
 
 class AirTables(NamedTuple):
-    """`AirSigma` for compiled functions; ``ground_m``, ``spacing_m`` belong to refractivity."""
+    """Tables of sigma_R and dR/dzeta, of c cameras, w ways and v kinds of windows.
+
+    Parameters
+    ----------
+    way_first : root of the first way [m^0.5], ``way_step`` before the next.
+    coarse_step, incidence_step : spacing of the factors in the root of the way and in
+        1 / sqrt(cos z) at the ground, from 1.
+    sigma, angle : (c, w) sigma_R / (tan(zeta) way) and R / (tan(zeta) way) in the plane [rad/m].
+    factors : (f, j, k, 2) what the sphere multiplies sigma_R and dR/dzeta by, at even heights
+        from the lowest camera to the highest.
+    behind : (v, 2, c, w) sigma of x, and its covariance with y over sigma of y, in the plane.
+    lean : (v, c) sigma of y.
+    ground_m, spacing_m : lowest height [m] and spacing of ``refractivity`` (n,).
+
+    The sigmas are NaN throughout without a covariance.
+    """
 
     way_first: float
     way_step: float

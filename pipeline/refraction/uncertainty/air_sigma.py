@@ -71,43 +71,13 @@ class AirSigma:
     Parameters
     ----------
     camera_m : (c,) heights of cameras [m above sea level].
-    way_first : root of the first way [m^0.5], ``way_step`` before the next.
-    sigma, angle : (c, w) sigma_R / (tan(zeta) way) and R / (tan(zeta) way) in the plane [rad/m].
-    coarse_step, incidence_step : spacing of the factors in the root of the way and in
-        1 / sqrt(cos z) at the ground, from 1.
-    factors : (f, j, k, 2) what the sphere multiplies sigma_R and dR/dzeta by, at even heights
-        from the lowest camera to the highest.
-    ground_m, refractivity : lowest height [m] and (n,) N above it, every 5 m.
     window_kinds : v of `SEALED`, `SCHEDULED`, those that are tabulated.
-    behind : (v, 2, c, w) sigma of x, and its covariance with y over sigma of y, in the plane.
-    lean : (v, c) sigma of y.
-
-    The sigmas are NaN throughout without a covariance.
+    tables : over those cameras and windows.
     """
 
     camera_m: Array
-    way_first: float
-    sigma: Array
-    angle: Array
-    factors: Array
-    ground_m: float
-    refractivity: Array
     window_kinds: tuple[int, ...]
-    behind: Array
-    lean: Array
-    way_step: float = _WAY_STEP
-    coarse_step: float = _COARSE_STEP
-    incidence_step: float = _INCIDENCE_STEP
-    refractivity_step_m: float = _REFRACTIVITY_STEP_M
-
-    @property
-    def tables(self) -> AirTables:
-        """The tables for compiled functions."""
-        return AirTables(
-            self.way_first, self.way_step, self.coarse_step, self.incidence_step, self.sigma,
-            self.angle, self.factors, self.behind, self.lean, self.ground_m,
-            self.refractivity_step_m, self.refractivity,
-        )  # fmt: skip
+    tables: AirTables
 
 
 def air_sigma(
@@ -158,10 +128,11 @@ def air_sigma(
     )
     heights = np.arange(bottom, high + _REFRACTIVITY_STEP_M, _REFRACTIVITY_STEP_M)
     heights = np.minimum(heights, profile.top_m)
-    return AirSigma(
-        camera, float(first), sigma, angle, factors, bottom, profile.refractivity(heights),
-        tuple(window_kinds), behind, lean,
+    tables = AirTables(
+        float(first), _WAY_STEP, _COARSE_STEP, _INCIDENCE_STEP, sigma, angle, factors, behind, lean,
+        bottom, _REFRACTIVITY_STEP_M, profile.refractivity(heights),
     )  # fmt: skip
+    return AirSigma(camera, tuple(window_kinds), tables)
 
 
 def cabin_response(profile: Profile, h: Array, kind: int) -> Array:
@@ -227,7 +198,7 @@ def _in_the_plane(
     way: Array,
     window_kinds: Sequence[int],
 ) -> tuple[Array, Array, Array, Array]:
-    """``sigma``, ``angle``, ``behind`` and ``lean`` of `AirSigma` for ways (w,) [m]."""
+    """``sigma``, ``angle``, ``behind`` and ``lean`` of `AirTables` for ways (w,) [m]."""
     columns = _Columns.of(profile, root, camera[0] - way[-1], camera[-1])
     shape = (camera.size, way.size)
     sigma, angle = np.full(shape, np.nan), np.empty(shape)
