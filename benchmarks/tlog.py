@@ -17,8 +17,7 @@ import numpy as np
 
 from pipeline.ingest import open_log
 from pipeline.ingest.buffers import open_view
-from pipeline.ingest.tlog.dialect import dialect
-from pipeline.ingest.tlog.fields import wanted_fields
+from pipeline.ingest.tlog.fields import dialect, wanted_fields
 from pipeline.ingest.tlog.frames import (
     HEAD,
     STAMP,

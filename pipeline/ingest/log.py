@@ -26,14 +26,19 @@ if in 1970, where UTC is unknown), ``boot``, ``system``, ``component``.
 """
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Contents:
     """The result of reading a file of one format.
 
-    ``messages`` counts every type or topic, wanted or not; ``bad_bytes`` belong to no message;
-    ``lost_messages`` are missing by the log's own numbering or count; ``time_base`` describes the
-    source of UTC. ``table`` decodes all messages of one type or topic when it is called; with an
-    instance (or None for all), only those.
+    Parameters
+    ----------
+    messages : count of every message type or topic, wanted or not.
+    channels : none is empty in a `Log`, where they are sorted by name.
+    bad_bytes : bytes that belong to no valid message.
+    lost_messages : missing by the log's own numbering or statistics.
+    boots : how often the vehicle was powered up in it.
+    time_base : a description of the source of its UTC.
+    table : decodes all messages of one type or topic; with an instance (None for all) only those.
     """
 
     messages: Mapping[str, int]
@@ -70,20 +75,14 @@ class LogFormat(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class Log:
-    """A log that was read: its channels, and the damage, repairs and assumptions on the way.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Log(Contents):
+    """A log that was read: its contents, and the damage, repairs and assumptions on the way.
 
     Parameters
     ----------
     path, size_bytes, sha256 : the file; hashed before it was read, if it begins as a log does.
     format : the name of its format, such as ``dataflash``.
-    messages : count of every message type or topic, sorted by name.
-    channels : sorted by name; none is empty.
-    bad_bytes : bytes that belong to no valid message.
-    lost_messages : missing by the sequence numbers or the statistics of the log.
-    boots : how often the vehicle was powered up in it.
-    time_base : a description of the source of its UTC.
     start_ns, end_ns : Unix time [ns] of the first and the last sample of any channel.
     ledger : what was repaired, assumed, skipped and lost.
     """
@@ -92,16 +91,9 @@ class Log:
     format: str
     sha256: str
     size_bytes: int
-    messages: Mapping[str, int]
-    channels: tuple[Channel, ...]
-    bad_bytes: int
-    lost_messages: int
-    boots: int
-    time_base: str
     start_ns: int
     end_ns: int
     ledger: Ledger
-    table: Callable[[str, str | None], Table] | None = None
 
     @property
     def duration_s(self) -> float:

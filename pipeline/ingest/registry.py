@@ -79,20 +79,14 @@ def open_log(path: Path | str, sha256: str | None = None, *, needs_channels: boo
         ) from error
     channels = contents.channels
     return Log(
+        **vars(contents),
         path=path,
         format=form.name,
         sha256=sha256,
         size_bytes=size,
-        messages=dict(sorted(contents.messages.items())),
-        channels=channels,
-        bad_bytes=contents.bad_bytes,
-        lost_messages=contents.lost_messages,
-        boots=contents.boots,
-        time_base=contents.time_base,
         start_ns=min((int(channel.time_ns[0]) for channel in channels), default=0),
         end_ns=max((int(channel.time_ns[-1]) for channel in channels), default=0),
         ledger=ledger,
-        table=contents.table,
     )
 
 
@@ -146,4 +140,5 @@ def _read(form: LogFormat, path: Path, ledger: Ledger, needs_channels: bool) -> 
             remedy=f"check what the vehicle logs; this log has {kinds}, which "
             "`unbend inspect --type` shows",
         )
-    return replace(contents, channels=tuple(channels))
+    messages = dict(sorted(contents.messages.items()))
+    return replace(contents, messages=messages, channels=tuple(channels))

@@ -257,34 +257,13 @@ def _join_accuracy(decoded: Decoded, accuracy: Decoded) -> Table:
     key, other_key = _key(table), _key(other)
     if np.array_equal(key, other_key):  # one for one, as in all logs without damage
         return table | {field: other[field] for field in fields}
-    row, match = _nearest(key, decoded.places, other_key, accuracy.places)
-    added = {field: np.full(decoded.places.shape, np.nan) for field in fields}
-    for field, column in added.items():
-        column[row] = other[field][match]
-    return table | added
-
-
-def _key(table: Table) -> NDArray[np.int64]:
-    # 2^52 us are 142 years: the instance fits above the time.
-    instance = (instance_of(table).astype(np.int64) + 1 & 0x3FF) << 52
-    return np.asarray(microseconds(table["TimeUS"]) + instance, np.int64)
-
-
-def _nearest(
-    key: NDArray[np.int64],
-    places: NDArray[np.int64],
-    other_key: NDArray[np.int64],
-    other_places: NDArray[np.int64],
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Pairs of rows of equal key, each row in one pair: the next behind a row, or that before."""
-    n = key.shape[0]
+    places, other_places, n = decoded.places, accuracy.places, key.shape[0]
     order = np.lexsort((np.concatenate([places, other_places]), np.concatenate([key, other_key])))
     is_other = order >= n
-    at = np.flatnonzero(~is_other)
-    count = np.cumsum(is_other)
+    at, count = np.flatnonzero(~is_other), np.cumsum(is_other)
     others = order[is_other] - n
     rows, pairs, apart = [], [], []
-    for shift in (0, -1):
+    for shift in (0, -1):  # of equal key the next behind a row, or that before
         nearest = count[at] + shift
         inside = (nearest >= 0) & (nearest < others.shape[0])
         row, match = order[at[inside]], others[nearest[inside]]
@@ -294,6 +273,15 @@ def _nearest(
         apart.append(np.abs(places[row[same]] - other_places[match[same]]) - (shift << 40))
     row, match = np.concatenate(rows), np.concatenate(pairs)
     order = np.argsort(np.concatenate(apart), kind="stable")
-    for column in (row, match):
+    for column in (row, match):  # each row in one pair
         order = order[np.sort(np.unique(column[order], return_index=True)[1])]
-    return row[order], match[order]
+    added = {field: np.full(places.shape, np.nan) for field in fields}
+    for field, values in added.items():
+        values[row[order]] = other[field][match[order]]
+    return table | added
+
+
+def _key(table: Table) -> NDArray[np.int64]:
+    # 2^52 us are 142 years: the instance fits above the time.
+    instance = (instance_of(table).astype(np.int64) + 1 & 0x3FF) << 52
+    return np.asarray(microseconds(table["TimeUS"]) + instance, np.int64)

@@ -55,9 +55,7 @@ _SHOT = (
 MESSAGES: Mapping[str, MessageMap] = {
     "POS": MessageMap(
         (*_PLACE, column("h_msl_m", "Alt"), column("h_home_m", "RelHomeAlt RelAlt")),
-        ("position",),
-        10,
-        position=True,
+        ("position",), 10, position=True,
     ),
     "GPS": MessageMap(_GPS, GNSS, 20, position=True, spare_rank=30),
     "GPS2": MessageMap(_GPS, GNSS, 30, position=True),
@@ -70,9 +68,7 @@ MESSAGES: Mapping[str, MessageMap] = {
             column("lon_rad", "Lng", "deg", missing=0.0),
             column("h_msl_m", "Alt"),
         ),
-        ATTITUDE,
-        40,
-        attitude=True,
+        ATTITUDE, 40, attitude=True,
     ),
     "XKQ": MessageMap(_QUATERNION, ATTITUDE, 50, attitude=True, spare_rank=51),
     "XKQ1": MessageMap(_QUATERNION, ATTITUDE, 50, attitude=True),
@@ -88,24 +84,21 @@ MESSAGES: Mapping[str, MessageMap] = {
             column("yaw_rad", "YawE", "deg"),
             column("yaw_in_body_rad", "YawB", "deg"),
         ),
-        rank=70,
-        attitude=True,
+        rank=70, attitude=True,
     ),
     "BARO": MessageMap(_BARO, PRESSURE, 10, spare_rank=20),
     "BAR2": MessageMap(_BARO, PRESSURE, 20),
     "BAR3": MessageMap(_BARO, PRESSURE, 30),
     "ARSP": MessageMap(
         (column("temperature_k", "Temp", "degC"), column("airspeed_m_s", "Airspeed")),
-        ("temperature", "airspeed"),
-        30,
+        ("temperature", "airspeed"), 30,
     ),
     "HYGR": MessageMap(
         (
             column("temperature_k", "Temp Temperature", "degC"),
             column("relative_humidity", "Humidity", "%"),
         ),
-        ("temperature", "humidity", "cabin_temperature", "cabin_humidity"),
-        20,
+        ("temperature", "humidity", "cabin_temperature", "cabin_humidity"), 20,
     ),
     # A probe anywhere: motor, battery, cabin, air. It plays only when the user names it.
     "TEMP": MessageMap((column("temperature_k", "Temp", "degC"),)),
@@ -113,7 +106,7 @@ MESSAGES: Mapping[str, MessageMap] = {
     "NVF": MessageMap((column("value", "Value"),), id_field="Name"),
     "CAM": MessageMap(_SHOT, ("events",), 10),
     "TRIG": MessageMap(_SHOT, ("events",), 40),
-}
+}  # fmt: skip
 
 # Accuracy, and the ellipsoidal height of new logs (INT32_MIN / 100 means unknown), come in a
 # message of their own with the time stamp of the GPS row.

@@ -211,7 +211,26 @@ class RecordWalker:
         """All records block by block, while their bytes are in memory; wanted ones are kept."""
         at = 0
         while at + HEADER <= self.size:
-            at = self._walk_block(at)
+            begin, end = at, min(at + SPAN, self.size - HEADER + 1)
+            raw = self.data.array(begin, end + HEADER - 1)
+            rows = np.flatnonzero((raw[:-2] == MAGIC[0]) & (raw[1:-1] == MAGIC[1]))
+            block = _Candidates(rows + begin, raw[rows + 2])
+            block.link(self.length_of)
+            while at < end:
+                row = int(np.searchsorted(block.places, at))
+                if row == block.places.shape[0] or block.places[row] != at:
+                    at = self._resume(at)
+                    continue
+                stop = int(block.breaks[np.searchsorted(block.breaks, row)]) + 1
+                if not 0 < block.lengths[stop - 1] <= self.size - block.places[stop - 1]:
+                    stop -= 1  # its type is unknown, or the file ends in it
+                if stop == row:
+                    at = self._resume(at)
+                    continue
+                stop = self._keep(block, row, stop)
+                at = int(block.places[stop - 1] + block.lengths[stop - 1])
+                if block.types[stop - 1] == FMT_TYPE:
+                    block.link(self.length_of)
             yield from self._flush(keep=1)  # damage where the next block begins may include it
         if at < self.size:
             self._resume(at)
@@ -228,41 +247,26 @@ class RecordWalker:
         missing = len(self.definitions) - self.total.shape[0]
         return np.append(self.total, np.zeros(missing, np.int64)) if missing else self.total
 
-    def _walk_block(self, at: int) -> int:
-        """Walk the records that begin in the block at a place; returns where the next begins."""
-        begin, end = at, min(at + SPAN, self.size - HEADER + 1)
-        raw = self.data.array(begin, end + HEADER - 1)
-        rows = np.flatnonzero((raw[:-2] == MAGIC[0]) & (raw[1:-1] == MAGIC[1]))
-        block = _Candidates(rows + begin, raw[rows + 2])
-        block.link(self.length_of)
-        while at < end:
-            row = int(np.searchsorted(block.places, at))
-            if row == block.places.shape[0] or block.places[row] != at:
-                at = self._resume(at)
-                continue
-            stop = int(block.breaks[np.searchsorted(block.breaks, row)]) + 1
-            if not 0 < block.lengths[stop - 1] <= self.size - block.places[stop - 1]:
-                stop -= 1  # its type is unknown, or the file ends in it
-            if stop == row:
-                at = self._resume(at)
-                continue
-            stop = self._keep(block, row, stop)
-            at = int(block.places[stop - 1] + block.lengths[stop - 1])
-            if block.types[stop - 1] == FMT_TYPE:
-                block.link(self.length_of)
-        return at
-
     def _keep(self, block: _Candidates, row: int, stop: int) -> int:
         """Keep a run of records; it ends early where an FMT record redefines the following ones."""
         definitions = row + np.flatnonzero(block.types[row:stop] == FMT_TYPE)
         for place in definitions.tolist():
-            number = self._read_definition(int(block.places[place]))
+            at = int(block.places[place])
+            payload = self.data[at + HEADER : at + FMT_LENGTH]
+            number = self.seen.get(payload)
             if number is None:
-                continue
+                definition = define(payload)
+                if definition is None or len(self.definitions) == MOST_DEFINITIONS:
+                    self.refused.append(f"type {payload[0]} {payload[2:6]!r} at byte {at}")
+                    continue
+                number = self.seen[payload] = len(self.definitions)
+                self.definitions.append(definition)
+            form = self.definitions[number]
+            if self.number_of[form.type_id] == number:
+                continue  # repeated
             self._enter(block, row, place + 1)  # by the definitions before this one
             row = place + 1
-            self.number_of[self.definitions[number].type_id] = number
-            self.length_of[self.definitions[number].type_id] = self.definitions[number].length
+            self.number_of[form.type_id], self.length_of[form.type_id] = number, form.length
             if not (block.types[row:stop] == FMT_TYPE).all():  # whose length never changes
                 return row
         self._enter(block, row, stop)
@@ -272,20 +276,6 @@ class RecordWalker:
         if row < stop:
             numbers = self.number_of[block.types[row:stop]]
             self.runs.append((block.places[row:stop], numbers))
-
-    def _read_definition(self, at: int) -> int | None:
-        """The number of a definition, or None when it is the current one or not valid."""
-        payload = self.data[at + HEADER : at + FMT_LENGTH]
-        number = self.seen.get(payload)
-        if number is None:
-            definition = define(payload)
-            if definition is None or len(self.definitions) == MOST_DEFINITIONS:
-                self.refused.append(f"type {payload[0]} {payload[2:6]!r} at byte {at}")
-                return None
-            number = self.seen[payload] = len(self.definitions)
-            self.definitions.append(definition)
-        known = self.number_of[self.definitions[number].type_id] == number
-        return None if known else number
 
     def _flush(self, keep: int) -> Iterator[RecordBlock]:
         """Pack the runs into blocks; the last record may be kept back, as damage may include it."""
@@ -311,7 +301,16 @@ class RecordWalker:
     def _resume(self, at: int) -> int:
         """Skip the damage at a byte where no record begins; returns where records continue."""
         begin = self._begin_of_damage(at)
-        resumed = self._next_chain(begin + 1)
+        resumed, place, reach = self.size, begin + 1, REACH
+        while resumed == self.size and place < self.size:
+            # The search widens: where all records of a type are damaged, it costs what lies between
+            # two of them and not a block for each.
+            end = min(place + reach, self.size)
+            raw = self.data.array(place, end + 1)
+            rows = np.flatnonzero((raw[:-1] == MAGIC[0]) & (raw[1:] == MAGIC[1]))
+            chains = (row for row in (rows + place).tolist() if self._chain(row))
+            resumed = next(chains, self.size)
+            place, reach = end, min(2 * reach, SPAN)
         header = self.data[at : at + HEADER]
         cut = len(header) < HEADER or self._length(header[2:]) > self.size - at
         if resumed == self.size and cut and MAGIC.startswith(header[:2]):
@@ -343,23 +342,6 @@ class RecordWalker:
             inside = self.data.find(MAGIC, inside + 1, at)
         header = self.data[at : at + 2]
         return at if not header or header[:1] == MAGIC[:1] or header[1:] == MAGIC[1:] else before
-
-    def _next_chain(self, at: int) -> int:
-        """The next byte from which a chain of records runs, or the end of the file.
-
-        The search widens as it goes: where all records of a type are damaged, it costs what lies
-        between two of them and not a block for each.
-        """
-        begin, reach = at, REACH
-        while begin < self.size:
-            end = min(begin + reach, self.size)
-            raw = self.data.array(begin, end + 1)
-            rows = np.flatnonzero((raw[:-1] == MAGIC[0]) & (raw[1:] == MAGIC[1]))
-            for place in (rows + begin).tolist():
-                if self._chain(place):
-                    return int(place)
-            begin, reach = end, min(2 * reach, SPAN)
-        return self.size
 
     def _length(self, type_byte: bytes) -> int:
         return int(self.length_of[type_byte[0]]) if type_byte else 0

@@ -115,28 +115,24 @@ def texts(raw: NDArray[np.bytes_]) -> NDArray[np.str_]:
 
 
 def merge_tables(several: list[Decoded]) -> Decoded:
-    """Tables of one message whose definition changed in the file, in the order of the file."""
+    """Tables of one message whose definition changed in the file, in the order of the file.
+
+    Every value is as it is logged. Missing are NaN, in text the empty string, and -1 in numbers of
+    instances, which tell rows apart. Where no type of numpy holds all values, text beside numbers
+    or integers beyond 2^53 beside others, they are objects, and None is missing.
+    """
     if len(several) == 1:
         return several[0]
     places = np.concatenate([table.places for table in several])
     order = np.argsort(places, kind="stable")
-    names = dict.fromkeys(name for table in several for name in table.columns)
-    return Decoded({name: _merge_column(name, several)[order] for name in names}, places[order])
-
-
-def _merge_column(name: str, several: list[Decoded]) -> NDArray[Any]:
-    """One column through all definitions, every value as it is logged.
-
-    Missing are NaN, in text the empty string, and -1 in numbers of instances, which tell rows
-    apart. Where no type of numpy holds all values, text beside numbers or integers beyond 2^53
-    beside others, they are objects, and None is missing.
-    """
-    columns = [table.columns.get(name) for table in several]
-    present = [column for column in columns if column is not None]
-    kinds = {column.dtype.kind for column in present}
-    if len({column.shape[1:] for column in present}) > 1 or (kinds != {"U"} and "U" in kinds):
-        return _objects(columns, several)
-    if len(present) < len(columns):
+    merged: Table = {}
+    for name in dict.fromkeys(name for table in several for name in table.columns):
+        columns = [table.columns.get(name) for table in several]
+        present = [column for column in columns if column is not None]
+        kinds = {column.dtype.kind for column in present}
+        if len({column.shape[1:] for column in present}) > 1 or (kinds != {"U"} and "U" in kinds):
+            merged[name] = _objects(columns, several)[order]
+            continue
         whole = name in INSTANCE_FIELDS and kinds <= set("iu")
         missing = "" if kinds == {"U"} else -1 if whole else np.nan
         shape = present[0].shape[1:]
@@ -144,17 +140,19 @@ def _merge_column(name: str, several: list[Decoded]) -> NDArray[Any]:
             np.full((table.places.size, *shape), missing) if column is None else column
             for column, table in zip(columns, several, strict=True)
         ]
-    else:
-        filled = present
-    joined = np.concatenate(filled)
-    if joined.dtype.kind != "f" or all(
-        column.dtype.kind == "f" or column.dtype.itemsize < 8 or not _exceeds(column, 1 << 53)
-        for column in filled
-    ):  # float64 holds all values
-        return joined
-    if all(column.dtype.kind in "iu" and not _exceeds(column, LAST_INT64) for column in filled):
-        return np.concatenate([column.astype(np.int64) for column in filled])
-    return _objects(columns, several)
+        joined = np.concatenate(filled)
+        if joined.dtype.kind == "f" and any(
+            column.dtype.kind != "f" and column.dtype.itemsize == 8 and _exceeds(column, 1 << 53)
+            for column in filled
+        ):  # float64 does not hold all values
+            fits = all(c.dtype.kind in "iu" and not _exceeds(c, LAST_INT64) for c in filled)
+            joined = (
+                np.concatenate([column.astype(np.int64) for column in filled])
+                if fits
+                else _objects(columns, several)
+            )
+        merged[name] = joined[order]
+    return Decoded(merged, places[order])
 
 
 def _exceeds(column: NDArray[Any], limit: int) -> bool:

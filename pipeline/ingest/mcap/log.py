@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.errors import LogError
-from pipeline.flight.channels import Channel
 from pipeline.flight.clock import BOOT_STEP_NS
 from pipeline.ingest.boot_clock import (
     BootClock,
@@ -54,16 +53,28 @@ class Mcap:
         clock = boot_clock_of(line, series, reader.recorder(), ledger)
         reader.topics.clear()
         reader.topic_of.clear()
-        channels, time_base = _channels(series, clock, ledger)
+        channels, without = [], 0
+        while series:  # each is released when its channel is made
+            samples = series.pop(0)
+            rows, unstamped = samples.rows(clock, ledger)
+            without += unstamped
+            channel = channel_of(rows, samples.spec, ledger)
+            if channel is not None:
+                channels.append(channel)
+        time_base = "header.stamp of the messages"
+        if clock.line.boot.size:
+            time_base = "the vehicle's time since boot, set to UTC by its GNSS messages"
+            if not any(clock.utc_known):
+                time_base = "the vehicle's time since boot, set by the recorder's clock"
+            if not any(clock.fits):
+                time_base = "the vehicle's time since boot; UTC is unknown"
+        if without:
+            time_base += f"; log_time for {without} messages without one"
+        counts = reader.counts.by_name(reader.names)
         return Contents(
-            reader.counts.by_name(reader.names),
-            tuple(channels),
-            reader.damage.bad_bytes,
-            lost,
-            clock.line.boots,
-            time_base,
+            counts, tuple(channels), reader.damage.bad_bytes, lost, clock.line.boots, time_base,
             partial(_table, path, clock),
-        )
+        )  # fmt: skip
 
 
 MCAP = Mcap()
@@ -145,29 +156,6 @@ def boot_clock_of(
                 where=where,
             )
     return clock
-
-
-def _channels(
-    series: list[TopicSamples], clock: BootClock, ledger: Ledger
-) -> tuple[list[Channel], str]:
-    channels, without = [], 0
-    while series:  # each is released when its channel is made
-        samples = series.pop(0)
-        rows, unstamped = samples.rows(clock, ledger)
-        without += unstamped
-        channel = channel_of(rows, samples.spec, ledger)
-        if channel is not None:
-            channels.append(channel)
-    time_base = "header.stamp of the messages"
-    if clock.line.boot.size:
-        time_base = "the vehicle's time since boot, set to UTC by its GNSS messages"
-        if not any(clock.utc_known):
-            time_base = "the vehicle's time since boot, set by the recorder's clock"
-        if not any(clock.fits):
-            time_base = "the vehicle's time since boot; UTC is unknown"
-    if without:
-        time_base += f"; log_time for {without} messages without one"
-    return channels, time_base
 
 
 def _table(path: Path, clock: BootClock, name: str, instance: str | None) -> Table:

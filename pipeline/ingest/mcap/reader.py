@@ -247,7 +247,7 @@ class McapReader:
         if decoder is None:
             try:
                 decoder = self._decoder(channel, schema, name, spec)
-            except _schema_errors() as error:
+            except _SCHEMA_ERRORS as error:
                 decoder = error
             if decoder is not None:
                 self.decoders[key] = decoder
@@ -304,12 +304,7 @@ class McapReader:
             )
         for topic in self.topics.values():
             if topic.failed:
-                self.ledger.loss(
-                    "LOG-DECODE",
-                    topic.misfit,
-                    where=topic.name,
-                    count=topic.failed,
-                )
+                self.ledger.loss("LOG-DECODE", topic.misfit, where=topic.name, count=topic.failed)
             if topic.lost_values:
                 self.ledger.loss(
                     "LOG-DECODE",
@@ -328,14 +323,3 @@ class McapReader:
                 )
         damaged = bool(self.damage.losses)
         return self.counts.report(self.names, self.ledger, self.where, damaged=damaged)
-
-
-def _schema_errors() -> tuple[type[Exception], ...]:
-    """What a damaged definition raises in our parser and in the libraries'."""
-    from mcap.exceptions import McapError
-
-    try:
-        from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
-    except ImportError:
-        return (McapError, *_SCHEMA_ERRORS)
-    return (McapError, DecodeError, *_SCHEMA_ERRORS)

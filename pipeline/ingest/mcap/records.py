@@ -208,7 +208,20 @@ class _RecordWalk:
     def _other(self, opcode: int, at: int, length: int) -> Iterator[Definition | Messages]:
         content = at + RECORD.size
         if opcode == CHUNK:
-            yield from self._chunk(at, content, length)
+            chunk = chunk_head(self.data, content, length)
+            if chunk is None or chunk.compression not in COMPRESSIONS:
+                what = "a chunk has no valid head"
+                if chunk is not None:
+                    what = f"a chunk is compressed with {chunk.compression!r}, which is not known"
+                self.damage.add("LOG-BAD-BYTES", what, at, length)
+            elif too_large := self.budget.too_large(chunk):
+                self.damage.add("LOG-TOO-LARGE", too_large, at, length)
+            elif not chunk.small:
+                yield from self._large_chunk(at, chunk)
+            elif isinstance(records := inflate(self.data, chunk), bytes):
+                yield from self._inside(np.frombuffer(records, np.uint8), at)
+            else:
+                self.damage.add(*records, at, length)
         elif opcode == MESSAGE_RECORD:
             head = RECORD.pack(MESSAGE_RECORD, MESSAGE_START)
             start = head + self.data[content : content + MESSAGE_START]
@@ -226,24 +239,6 @@ class _RecordWalk:
             self.damage.add("LOG-TOO-LARGE", what, at, length)
         else:
             yield self._definition(opcode, self.data[content : content + length], content)
-
-    def _chunk(self, at: int, content: int, length: int) -> Iterator[Definition | Messages]:
-        chunk = chunk_head(self.data, content, length)
-        if chunk is None or chunk.compression not in COMPRESSIONS:
-            what = "a chunk has no valid head"
-            if chunk is not None:
-                what = f"a chunk is compressed with {chunk.compression!r}, which is not known"
-            self.damage.add("LOG-BAD-BYTES", what, at, length)
-        elif too_large := self.budget.too_large(chunk):
-            self.damage.add("LOG-TOO-LARGE", too_large, at, length)
-        elif not chunk.small:
-            yield from self._large_chunk(at, chunk)
-        else:
-            records = inflate(self.data, chunk)
-            if isinstance(records, bytes):
-                yield from self._inside(np.frombuffer(records, np.uint8), at)
-            else:
-                self.damage.add(*records, at, length)
 
     def _large_chunk(self, at: int, chunk: Chunk) -> Iterator[Definition | Messages]:
         """The records of a chunk that is inflated twice: to prove it, and block by block."""

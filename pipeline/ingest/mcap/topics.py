@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pipeline.flight.channels import Source, TimeArray
 from pipeline.ingest.fields import MessageMap
 from pipeline.ingest.mcap.cdr import DecodePlan, decode, decode_plan
-from pipeline.ingest.mcap.cdr_schema import steps_of
+from pipeline.ingest.mcap.cdr_schema import SchemaError, steps_of
 from pipeline.ingest.mcap.fields import LABELS, PLAIN_JSON
 from pipeline.ingest.mcap.file_format import Messages
 from pipeline.ingest.mcap.samples import STAMP, TopicSamples, own_times, since_boot, stamp_of
@@ -299,11 +299,15 @@ def json_decoder(spec: MessageMap, wanted: frozenset[str] | None) -> ObjectDecod
 
 
 def protobuf_decoder(schema: Any, spec: MessageMap, wanted: frozenset[str] | None) -> ObjectDecoder:
-    """Protobuf by mcap-protobuf-support; raises ImportError without it, or as it refuses."""
+    """Protobuf by mcap-protobuf-support; raises ImportError without it, SchemaError on damage."""
     from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
+    from mcap.exceptions import McapError
     from mcap_protobuf.decoder import DecoderFactory
 
-    parse = DecoderFactory().decoder_for("protobuf", schema)
+    try:
+        parse = DecoderFactory().decoder_for("protobuf", schema)
+    except (DecodeError, McapError) as error:
+        raise SchemaError(str(error)) from error
     if parse is None:
         raise TypeError(f"a {schema.encoding} schema")
     errors = (DecodeError, ValueError, TypeError, OverflowError, RuntimeError)

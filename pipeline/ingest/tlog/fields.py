@@ -1,11 +1,17 @@
-"""Which MAVLink messages are wanted, and which of their fields are which columns.
+"""Which MAVLink messages are wanted, which fields are which columns, and pymavlink's dialect.
 
 A key with a dot is a second channel out of the same message.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
 
 from pipeline.ingest.attitude import gimbal_columns
 from pipeline.ingest.fields import ATTITUDE, GNSS, PRESSURE, MessageMap, column
@@ -59,10 +65,7 @@ MESSAGES: Mapping[str, MessageMap] = {
     "ATTITUDE": MessageMap(_EULER, ATTITUDE, 10, time_field=_BOOT_MS, attitude=True),
     "ATTITUDE_QUATERNION": MessageMap(
         tuple(column(f"q_{axis}", f"q{k}") for k, axis in enumerate("wxyz", 1)),
-        ATTITUDE,
-        20,
-        time_field=_BOOT_MS,
-        attitude=True,
+        ATTITUDE, 20, time_field=_BOOT_MS, attitude=True,
     ),
     # A second estimate: its place is 0, 0 until it has one.
     "AHRS2": MessageMap(
@@ -72,9 +75,7 @@ MESSAGES: Mapping[str, MessageMap] = {
             column("lon_rad", "lng", "degE7", missing=0.0),
             column("h_msl_m", "altitude"),
         ),
-        ATTITUDE,
-        40,
-        attitude=True,
+        ATTITUDE, 40, attitude=True,
     ),
     "SCALED_PRESSURE": _baro(10),
     "SCALED_PRESSURE2": _baro(20),
@@ -87,37 +88,28 @@ MESSAGES: Mapping[str, MessageMap] = {
             column("pressure_pa", "abs_pressure", "hPa", missing=0.0),
             column("board_temperature_k", "temperature", "degC"),
         ),
-        PRESSURE,
-        15,
-        id_field="id",
-        time_field=_USEC,
-        spare_rank=16,
+        PRESSURE, 15, id_field="id", time_field=_USEC, spare_rank=16,
     ),
     "HYGROMETER_SENSOR": MessageMap(
         (
             column("temperature_k", "temperature", "cdegC", missing=INT16_MAX),
             column("relative_humidity", "humidity", "c%", missing=UINT16_MAX),
         ),
-        ("temperature", "humidity", "cabin_temperature", "cabin_humidity"),
-        20,
-        id_field="id",
+        ("temperature", "humidity", "cabin_temperature", "cabin_humidity"), 20, id_field="id",
     ),
     "AIRSPEED": MessageMap(
         (
             column("temperature_k", "temperature", "cdegC", missing=INT16_MAX),
             column("airspeed_m_s", "airspeed"),
         ),
-        ("temperature", "airspeed"),
-        30,
-        id_field="id",
+        ("temperature", "airspeed"), 30, id_field="id",
     ),
     "VFR_HUD": MessageMap(
         (column("airspeed_m_s", "airspeed"), column("h_msl_m", "alt")), ("airspeed",), 60
     ),
     # The sensor's own temperature, an extension of MAVLink 2: trimmed or absent it looks like 0.
     "RAW_IMU": MessageMap(
-        (column("board_temperature_k", "temperature", "cdegC", missing=0.0),),
-        id_field="id",
+        (column("board_temperature_k", "temperature", "cdegC", missing=0.0),), id_field="id",
         time_field=_USEC,
     ),
     "MCU_STATUS": MessageMap(
@@ -135,8 +127,7 @@ MESSAGES: Mapping[str, MessageMap] = {
             column("value", "data.0"),
             *(column(f"value_{k}", f"data.{k}", missing=0.0) for k in range(1, 58)),
         ),
-        id_field="name",
-        time_field=_USEC,
+        id_field="name", time_field=_USEC,
     ),
     "CAMERA_FEEDBACK": MessageMap(
         (
@@ -146,10 +137,7 @@ MESSAGES: Mapping[str, MessageMap] = {
             column("event_index", "img_idx"),
             *_EULER_DEG,
         ),
-        ("events",),
-        10,
-        id_field="cam_idx",
-        time_field=_USEC,
+        ("events",), 10, id_field="cam_idx", time_field=_USEC,
     ),
     "CAMERA_IMAGE_CAPTURED": MessageMap(
         (
@@ -157,10 +145,7 @@ MESSAGES: Mapping[str, MessageMap] = {
             column("event_index", "image_index"),
             *(column(f"camera_q_{axis}", f"q.{k}") for k, axis in enumerate("wxyz")),
         ),
-        ("events",),
-        20,
-        id_field="camera_id",
-        time_field=_BOOT_MS,
+        ("events",), 20, id_field="camera_id", time_field=_BOOT_MS,
     ),
     "CAMERA_TRIGGER": MessageMap(
         (column("event_index", "seq"),), ("events",), 30, time_field=_USEC
@@ -180,17 +165,15 @@ MESSAGES: Mapping[str, MessageMap] = {
             # an extension of MAVLink 2: trimmed or absent it looks like 0
             column("yaw_rad", "yaw_absolute", "deg", missing=0.0),
         ),
-        time_field=_BOOT_MS,
-        attitude=True,
+        time_field=_BOOT_MS, attitude=True,
     ),
     "GIMBAL_DEVICE_ATTITUDE_STATUS": MessageMap(
         gimbal_columns(), id_field="gimbal_device_id", time_field=_BOOT_MS, attitude=True
     ),
-}
+}  # fmt: skip
 
 LABELS: Mapping[str, str] = {"CAMERA_IMAGE_CAPTURED": "file_url"}
 """Messages with a text that belongs to each row."""
-
 
 SYSTEM_TIME, PARAM_VALUE = "SYSTEM_TIME", "PARAM_VALUE"
 
@@ -207,3 +190,98 @@ def wanted_fields() -> dict[str, set[str]]:
         fields |= {spec.id_field, spec.time_field, LABELS.get(key, "")}
         wanted.setdefault(key.partition(".")[0], set()).update(fields)
     return wanted
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message of the dialect.
+
+    ``dtype`` of the payload in the order of the wire; ``fields`` in the order of the definition;
+    ``texts`` those of them that are char arrays; ``instance_field`` or "".
+    """
+
+    number: int
+    name: str
+    crc_extra: int
+    dtype: np.dtype[Any]
+    fields: tuple[str, ...]
+    texts: frozenset[str]
+    instance_field: str
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """Messages by number, and numbers by name."""
+
+    messages: Mapping[int, Message]
+    numbers: Mapping[str, int]
+
+    @property
+    def extras(self) -> dict[int, int]:
+        return {number: message.crc_extra for number, message in self.messages.items()}
+
+    def name(self, number: int) -> str:
+        """The name of a message, made up where the dialect does not know it."""
+        known = self.messages.get(number)
+        return f"UNKNOWN_{number}" if known is None else known.name
+
+    def layouts(self, wanted: Mapping[str, Iterable[str]]) -> dict[int, np.dtype[Any]]:
+        """The layouts of messages with only the wanted fields at their places, by number."""
+        result = {}
+        for name, fields in wanted.items():
+            number = self.numbers.get(name)
+            if number is not None:
+                dtype, kept = self.messages[number].dtype, set(fields)
+                where: Mapping[str, Any] = dtype.fields or {}
+                names = [field for field in dtype.names or () if field in kept]
+                result[number] = np.dtype(
+                    {
+                        "names": names,
+                        "formats": [where[field][0] for field in names],
+                        "offsets": [where[field][1] for field in names],
+                        "itemsize": dtype.itemsize,
+                    }
+                )
+        return result
+
+
+@cache
+def dialect() -> Dialect:
+    """The library's union of all dialects."""
+    from pymavlink.dialects.v20 import all as library
+
+    messages = {}
+    for number, definition in library.mavlink_map.items():
+        texts = (
+            field
+            for field, kind in zip(definition.fieldnames, definition.fieldtypes, strict=True)
+            if kind == "char"
+        )
+        messages[int(number)] = Message(
+            int(number),
+            str(definition.msgname),
+            int(definition.crc_extra),
+            layout_of(definition.unpacker.format, definition.ordered_fieldnames),
+            tuple(definition.fieldnames),
+            frozenset(texts),
+            definition.instance_field or "",
+        )
+    return Dialect(messages, {message.name: number for number, message in messages.items()})
+
+
+def layout_of(layout: str, fields: list[str]) -> np.dtype[Any]:
+    """The numpy type of a struct format such as ``<If10s``, which has one item a field.
+
+    >>> layout_of("<If10s", ["time_boot_ms", "value", "name"]).itemsize
+    18
+    """
+    kinds: list[tuple[str, str] | tuple[str, str, int]] = []
+    items = re.findall(r"(\d*)([a-zA-Z])", layout)
+    for field, (count, letter) in zip(fields, items, strict=True):
+        if letter == "s":
+            kinds.append((field, f"S{count or 1}"))
+        elif count:
+            kinds.append((field, f"<{letter}", int(count)))
+        else:
+            kinds.append((field, f"<{letter}"))
+    return np.dtype(kinds)

@@ -6,10 +6,8 @@ from collections import Counter
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.flight.channels import Channel
 from pipeline.flight.clock import stray_times
@@ -18,8 +16,7 @@ from pipeline.ingest.log import Contents, Table, report_damage
 from pipeline.ingest.tlog.borrowed_clock import with_borrowed_clocks
 from pipeline.ingest.tlog.channels import channels_of, label_of, times_of
 from pipeline.ingest.tlog.clock import MICROSECOND, Clocks, Key, by_source, clock_field, clocks_of
-from pipeline.ingest.tlog.dialect import Dialect, dialect
-from pipeline.ingest.tlog.fields import MESSAGES, wanted_fields
+from pipeline.ingest.tlog.fields import MESSAGES, Dialect, dialect, wanted_fields
 from pipeline.ingest.tlog.frames import frame_length
 from pipeline.ingest.tlog.scan import SILENT_US, Scan, Silence, scan
 from pipeline.ledger import Ledger
@@ -58,15 +55,11 @@ class Tlog:
         clocks = with_borrowed_clocks(clocks, parts, ledger)
         channels = channels_of(sent, clocks, ledger)
         lost = _report_link(result, clocks, channels, path, ledger)
+        counts = {known.name(key): count for key, count in result.counts.items() if count}
         return Contents(
-            {known.name(key): count for key, count in result.counts.items() if count},
-            tuple(channels),
-            result.bad_bytes + damaged,
-            lost,
-            clocks.boots,
-            clocks.description,
-            partial(_table, path, clocks),
-        )
+            counts, tuple(channels), result.bad_bytes + damaged, lost, clocks.boots,
+            clocks.description, partial(_table, path, clocks),
+        )  # fmt: skip
 
 
 TLOG = Tlog()
@@ -204,13 +197,9 @@ def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table
         "component": rows["source"] & 0xFF,
     }
     for name in message.fields:
-        raw = rows["records"][name]
-        table[name] = _texts(raw) if name in message.texts else np.ascontiguousarray(raw)
+        raw = table[name] = np.ascontiguousarray(rows["records"][name])
+        if name in message.texts:  # bytes beyond ASCII become U+FFFD, as in the library
+            values, places = np.unique(raw, return_inverse=True)
+            texts = [v.split(b"\0", 1)[0].decode("ascii", "replace") for v in values.tolist()]
+            table[name] = np.array(texts, np.str_)[places]
     return table
-
-
-def _texts(raw: NDArray[Any]) -> NDArray[Any]:
-    """Char arrays as text; bytes beyond ASCII become U+FFFD, as in the library."""
-    different, places = np.unique(raw, return_inverse=True)
-    cut = [value.split(b"\0", 1)[0].decode("ascii", "replace") for value in different.tolist()]
-    return np.array(cut, np.str_)[places]

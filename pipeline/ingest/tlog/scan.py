@@ -154,7 +154,14 @@ class _Scanner:
         places = candidates(window, stop - begin)
         frames = headers(window, places[places >= self.end - begin], room)
         frames = frames.take(checksums_hold(window, frames, self.extras))
-        frames = _not_nested(frames)
+        if not bool(np.all(frames.at[1:] >= frames.end[:-1])):
+            # some begin inside the one before, as where a payload holds a log
+            rows, end = [], 0
+            for row, pair in enumerate(zip(frames.at.tolist(), frames.end.tolist(), strict=True)):
+                if pair[0] >= end:
+                    rows.append(row)
+                    end = pair[1]
+            frames = frames.take(np.array(rows, np.intp))
         self._keep(window, frames, begin)
         frames = frames.moved(begin)
         if len(frames):
@@ -257,18 +264,6 @@ class _Scanner:
 
 def _source_of(frames: Frames) -> NDArray[np.uint16]:
     return np.asarray(frames.system.astype(np.uint16) * 256 + frames.component, np.uint16)
-
-
-def _not_nested(frames: Frames) -> Frames:
-    """The frames that do not begin inside the one before, as a log inside a payload would."""
-    if len(frames) < 2 or bool(np.all(frames.at[1:] >= frames.end[:-1])):
-        return frames
-    keep, end = [], 0
-    for row, (at, stop) in enumerate(zip(frames.at.tolist(), frames.end.tolist(), strict=True)):
-        if at >= end:
-            keep.append(row)
-            end = stop
-    return frames.take(np.array(keep, np.intp))
 
 
 def _padded(window: Bytes) -> Bytes:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import LogError
-from pipeline.flight.channels import Channel, Source, TimeArray
+from pipeline.flight.channels import Source, TimeArray
 from pipeline.flight.clock import UNIX_US_FROM, stray_times
 from pipeline.ingest.attitude import earth_frame_attitude
 from pipeline.ingest.boot_clock import UtcReadings, fit_boot_clock, microseconds, timeline
@@ -62,18 +62,32 @@ class ULogFormat:
         channels = []
         for (topic, instance), rows in messages.rows.items():
             source = Source(topic, str(instance) if topic in numbered else None)
-            channel = _channel(rows, names[topic, instance], source, offset_ns, ledger)
+            spec, name, boot_ns = TOPICS[topic], names[topic, instance], _times(rows)
+            fields = {_ELEMENT.sub(r".\1", field): rows[field] for field in _names(rows)}
+            columns = extract(fields, spec.columns)
+            if "flags" in columns:
+                columns = earth_frame_attitude(columns)
+            boot = np.zeros(boot_ns.shape, np.int16)
+            decoded = DecodedRows(name, source, boot_ns + offset_ns, boot, columns)
+            stray = stray_times(boot_ns)
+            if stray.any():
+                ledger.loss(
+                    "TIME-STRAY",
+                    f"{int(stray.sum())} of {len(decoded)} rows carry a time that fits none of "
+                    "their neighbours: they are not used",
+                    where=f"{name}, first at row {int(np.flatnonzero(stray)[0])}",
+                    count=int(stray.sum()),
+                )
+                decoded = decoded.take(~stray)
+            decoded = captured_rows(decoded, ledger) if spec.event else decoded
+            channel = channel_of(decoded, spec, ledger)
             if channel:
                 channels.append(channel)
+        lost = int(messages.bad_bytes > 0 or messages.damaged_values > 0)
         return Contents(
-            dict(messages.counts),
-            tuple(channels),
-            messages.bad_bytes,
-            int(messages.bad_bytes > 0 or messages.damaged_values > 0),
-            1,
-            time_base,
+            dict(messages.counts), tuple(channels), messages.bad_bytes, lost, 1, time_base,
             partial(_table, path, offset_ns),
-        )
+        )  # fmt: skip
 
 
 ULOG = ULogFormat()
@@ -137,29 +151,6 @@ def _clock(
         where="boot 0",
     )
     return 0, "vehicle clock; UTC is unknown"
-
-
-def _channel(
-    logged: NDArray[Any], name: str, source: Source, offset_ns: int, ledger: Ledger
-) -> Channel | None:
-    boot_ns, spec = _times(logged), TOPICS[source.message]
-    fields = {_ELEMENT.sub(r".\1", field): logged[field] for field in _names(logged)}
-    columns = extract(fields, spec.columns)
-    if "flags" in columns:
-        columns = earth_frame_attitude(columns)
-    boot = np.zeros(boot_ns.shape, np.int16)
-    rows = DecodedRows(name, source, boot_ns + offset_ns, boot, columns)
-    stray = stray_times(boot_ns)
-    if stray.any():
-        ledger.loss(
-            "TIME-STRAY",
-            f"{int(stray.sum())} of {len(rows)} rows carry a time that fits none of their "
-            "neighbours: they are not used",
-            where=f"{name}, first at row {int(np.flatnonzero(stray)[0])}",
-            count=int(stray.sum()),
-        )
-        rows = rows.take(~stray)
-    return channel_of(captured_rows(rows, ledger) if spec.event else rows, spec, ledger)
 
 
 def _table(path: Path, offset_ns: int, topic: str, instance: str | None) -> Table:
