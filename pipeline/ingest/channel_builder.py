@@ -73,7 +73,16 @@ def channel_of(rows: DecodedRows, spec: MessageMap, ledger: Ledger) -> Channel |
                 events[name] = np.where(nowhere, np.nan, events[name])
         rows = replace(rows, columns=events)
     rows = _in_rising_time(rows, ledger)
-    columns = _unit_quaternions(dict(rows.columns)) if spec.attitude else dict(rows.columns)
+    columns = dict(rows.columns)
+    if spec.attitude:  # unit quaternions, in the memory of what was logged
+        if "roll_rad" in columns:
+            parts = [columns.pop(f"{name}_rad") for name in ("roll", "pitch", "yaw")]
+            parts.append(allocate(parts[0].shape[0], np.float64))
+            replace_in_blocks(lambda angles: quaternion_of_euler(*angles.T[:3]), parts)
+        else:
+            parts = [columns.pop(f"q_{axis}") for axis in "wxyz"]
+            replace_in_blocks(unit_quaternions, parts)
+        columns |= dict(zip(("q_w", "q_x", "q_y", "q_z"), parts, strict=True))
     columns = {name: values for name, values in columns.items() if np.isfinite(values).any()}
     if len(rows) == 0 or not columns:
         return None
@@ -94,12 +103,8 @@ def _with_fix(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
     dropped = int(np.count_nonzero(~good))
     if not dropped:
         return rows
-    ledger.note(
-        "POSITION-NO-FIX",
-        f"{dropped} of {len(rows)} rows have no fix and are not used",
-        where=rows.name,
-        count=dropped,
-    )
+    what = f"{dropped} of {len(rows)} rows have no fix and are not used"
+    ledger.note("POSITION-NO-FIX", what, where=rows.name, count=dropped)
     return rows.take(good)
 
 
@@ -150,15 +155,3 @@ def _in_rising_time(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
     numbers = np.stack([result.boot, stretch])
     boot = np.unique(numbers, axis=1, return_inverse=True)[1].reshape(-1)
     return replace(result, boot=boot.astype(np.int16))
-
-
-def _unit_quaternions(columns: dict[str, Array]) -> dict[str, Array]:
-    """Unit quaternions instead of Euler angles or of any quaternions, in the same memory."""
-    if "roll_rad" in columns:
-        parts = [columns.pop(f"{name}_rad") for name in ("roll", "pitch", "yaw")]
-        parts.append(allocate(parts[0].shape[0], np.float64))
-        replace_in_blocks(lambda angles: quaternion_of_euler(*angles.T[:3]), parts)
-    else:
-        parts = [columns.pop(f"q_{axis}") for axis in "wxyz"]
-        replace_in_blocks(unit_quaternions, parts)
-    return columns | dict(zip(("q_w", "q_x", "q_y", "q_z"), parts, strict=True))

@@ -147,19 +147,11 @@ def captured_rows(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
     index = columns.get("event_index", np.empty(0))
     if index.shape[0] > 1 and not index.any():
         del columns["event_index"]
-        ledger.note(
-            "EVENT-NO-INDEX",
-            f"all {len(rows)} rows have the index 0: they are numbered from 0 in order",
-            where=rows.name,
-            count=len(rows),
-        )
+        what = f"all {len(rows)} rows have the index 0: they are numbered from 0 in order"
+        ledger.note("EVENT-NO-INDEX", what, where=rows.name, count=len(rows))
     rows = replace(rows, columns=columns)
     if not failed.any():
         return rows
-    ledger.warning(
-        "EVENT-FAILED",
-        f"{int(failed.sum())} of {len(rows)} rows report that the camera took no image",
-        where=rows.name,
-        count=int(failed.sum()),
-    )
+    what = f"{int(failed.sum())} of {len(rows)} rows report that the camera took no image"
+    ledger.warning("EVENT-FAILED", what, where=rows.name, count=int(failed.sum()))
     return rows.take(~failed)

@@ -300,7 +300,18 @@ class RecordWalker:
 
     def _resume(self, at: int) -> int:
         """Skip the damage at a byte where no record begins; returns where records continue."""
-        begin = self._begin_of_damage(at)
+        begin = at
+        before = int(self.runs[-1][0][-1]) if self.runs else -1
+        if self.runs and before + self._length(self.data[before + 2 : before + 3]) == at:
+            # A record whose type byte was flipped ends in the wrong place. It is damaged when
+            # the bytes at its end do not resemble a header, or when records follow from inside it.
+            mark = self.data[at : at + 2]
+            if mark and mark[:1] != MAGIC[:1] and mark[1:] != MAGIC[1:]:
+                begin = before
+            inside = self.data.find(MAGIC, before + HEADER, at)
+            while inside != -1 and begin == at:
+                begin = before if self._chain(inside) else at
+                inside = self.data.find(MAGIC, inside + 1, at)
         resumed, place, reach = self.size, begin + 1, REACH
         while resumed == self.size and place < self.size:
             # The search widens: where all records of a type are damaged, it costs what lies between
@@ -323,25 +334,6 @@ class RecordWalker:
         self.bad_bytes += resumed - begin
         self.first_bad = begin if self.first_bad < 0 else self.first_bad
         return resumed
-
-    def _begin_of_damage(self, at: int) -> int:
-        """Where the damage at a byte begins: there, or at the record before.
-
-        A record whose type byte was flipped ends in the wrong place. It is damaged when records
-        follow from inside it, or when the bytes at its end do not resemble a header.
-        """
-        if not self.runs:
-            return at
-        before = int(self.runs[-1][0][-1])
-        if before + self._length(self.data[before + 2 : before + 3]) != at:
-            return at  # damage ended right there, and begins again
-        inside = self.data.find(MAGIC, before + HEADER, at)
-        while inside != -1:
-            if self._chain(inside):
-                return before
-            inside = self.data.find(MAGIC, inside + 1, at)
-        header = self.data[at : at + 2]
-        return at if not header or header[:1] == MAGIC[:1] or header[1:] == MAGIC[1:] else before
 
     def _length(self, type_byte: bytes) -> int:
         return int(self.length_of[type_byte[0]]) if type_byte else 0

@@ -52,35 +52,30 @@ def decode_plan(steps: Sequence[MessageField], wanted: frozenset[str] | None = N
         that each message has once, arrays as arrays, and of sequences how many elements they have
         (``path[]``; -1 where the message ends before that).
     """
-    if wanted is not None:
-        steps = [part for step in steps for part in _elements(step, wanted)]
-    singles = [step for step in steps if not isinstance(step, SequenceField)]
+    parts: list[MessageField] = []
+    for step in steps:
+        begin, after = f"{step.path}.", 0
+        others = frozenset[str]() if wanted is None or step.path in wanted else wanted
+        if isinstance(step, NumberField) and step.array:
+            # an array of which only elements are wanted becomes its elements
+            ends = (path[len(begin) :] for path in others if path.startswith(begin))
+            for k in sorted(int(end) for end in ends if end.isdigit() and int(end) < step.count):
+                if k > after:
+                    parts.append(NumberField(f"{begin}{after}:{k}", step.kind, k - after, True))
+                parts.append(NumberField(f"{begin}{k}", step.kind))
+                after = k + 1
+            if 0 < after < step.count:
+                parts.append(NumberField(f"{begin}{after}:", step.kind, step.count - after, True))
+        if not after:
+            parts.append(step)
+    singles = [step for step in parts if not isinstance(step, SequenceField)]
     paths = frozenset(step.path for step in singles)
     chosen = paths if wanted is None else paths & wanted
-    last = max((k for k, step in enumerate(steps) if step.path in chosen), default=-1)
+    last = max((k for k, step in enumerate(parts) if step.path in chosen), default=-1)
     if wanted is not None:
-        return DecodePlan(tuple(_runs(steps[: last + 1])), chosen)
-    rest = tuple(step for step in steps[last + 1 :] if isinstance(step, SequenceField))
-    return DecodePlan(tuple(_runs(steps[: last + 1])), chosen, True, rest)
-
-
-def _elements(step: MessageField, wanted: frozenset[str]) -> list[MessageField]:
-    """An array of which only elements are wanted, as its elements."""
-    if not isinstance(step, NumberField) or not step.array or step.path in wanted:
-        return [step]
-    begin, each = f"{step.path}.", list[MessageField]()
-    ends = (path[len(begin) :] for path in wanted if path.startswith(begin))
-    after = 0
-    for k in sorted(int(end) for end in ends if end.isdigit() and int(end) < step.count):
-        if k > after:
-            each.append(NumberField(f"{begin}{after}:{k}", step.kind, k - after, True))
-        each.append(NumberField(f"{begin}{k}", step.kind))
-        after = k + 1
-    if not after:
-        return [step]
-    if after < step.count:
-        each.append(NumberField(f"{begin}{after}:", step.kind, step.count - after, True))
-    return each
+        return DecodePlan(tuple(_runs(parts[: last + 1])), chosen)
+    rest = tuple(step for step in parts[last + 1 :] if isinstance(step, SequenceField))
+    return DecodePlan(tuple(_runs(parts[: last + 1])), chosen, True, rest)
 
 
 def _runs(

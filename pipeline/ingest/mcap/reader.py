@@ -101,12 +101,8 @@ class MessageCounts:
     def report(self, names: Mapping[int, str], ledger: Ledger, where: str, *, damaged: bool) -> int:
         """Enter what is missing; returns how many messages that is."""
         if self.orphans:
-            ledger.loss(
-                "LOG-BAD-BYTES",
-                f"{self.orphans} messages belong to no channel",
-                where=where,
-                count=self.orphans,
-            )
+            what = f"{self.orphans} messages belong to no channel"
+            ledger.loss("LOG-BAD-BYTES", what, where=where, count=self.orphans)
         skipped = 0
         for number in np.flatnonzero(self._gaps > 0).tolist():
             if 2 * self._ones[number] < self.counts[number] or number not in names:
@@ -122,11 +118,8 @@ class MessageCounts:
             )
         if self.stated_total is None:
             if not damaged:
-                ledger.note(
-                    "LOG-NO-STATISTICS",
-                    "the log has no statistics: whether it is whole cannot be checked",
-                    where=where,
-                )
+                what = "the log has no statistics: whether it is whole cannot be checked"
+                ledger.note("LOG-NO-STATISTICS", what, where=where)
             return skipped
         total = int(self.counts.sum())
         wrong = [
@@ -252,11 +245,8 @@ class McapReader:
             if decoder is not None:
                 self.decoders[key] = decoder
         if isinstance(decoder, Exception):
-            self.ledger.loss(
-                "LOG-SCHEMA",
-                f"the schema of {name} cannot be parsed ({decoder}): the topic is not read",
-                where=channel.topic,
-            )
+            what = f"the schema of {name} cannot be parsed ({decoder}): the topic is not read"
+            self.ledger.loss("LOG-SCHEMA", what, where=channel.topic)
         elif decoder is not None:
             topic = Topic(channel.topic, name, spec, None if self.only else {})
             topic = self.topics.setdefault((channel.topic, name), topic)

@@ -281,12 +281,8 @@ def times_of(
         early &= ~counted
     count = int(np.count_nonzero(none))
     if count:
-        ledger.fallback(
-            "TIME-LOG-TIME",
-            f"{count} messages have no header.stamp: the recorder's time is used",
-            where=where,
-            count=count,
-        )
+        what = f"{count} messages have no header.stamp: the recorder's time is used"
+        ledger.fallback("TIME-LOG-TIME", what, where=where, count=count)
         stamp_ns[none] = log_ns[none]
         early[none] = log_ns[none] < UNIX_NS_FROM
     if bool(early.any()):

@@ -205,19 +205,11 @@ def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> NDArra
     first = np.sort(np.unique(keys, return_index=True)[1])
     empties, repeats = int(empty.sum()), int(rows.shape[0] - first.shape[0])
     if empties:
-        ledger.note(
-            "EVENT-EMPTY",
-            f"{empties} of {table.shape[0]} rows have neither time nor place: no exposure",
-            where=name,
-            count=empties,
-        )
+        what = f"{empties} of {table.shape[0]} rows have neither time nor place: no exposure"
+        ledger.note("EVENT-EMPTY", what, where=name, count=empties)
     if repeats:
-        ledger.note(
-            "EVENT-REPEAT",
-            f"{repeats} of {table.shape[0]} rows repeat the time of an exposure",
-            where=name,
-            count=repeats,
-        )
+        what = f"{repeats} of {table.shape[0]} rows repeat the time of an exposure"
+        ledger.note("EVENT-REPEAT", what, where=name, count=repeats)
     by_unix = int(np.count_nonzero(times[first] > UNIX_US_FROM))
     if by_unix:
         ledger.note(
@@ -253,17 +245,9 @@ def captured_images(table: NDArray[Any], name: str, ledger: Ledger) -> NDArray[n
     first = np.sort(np.unique(keys, return_index=True)[1])
     failures, repeats = int(failed.sum()), int(rows.shape[0] - first.shape[0])
     if failures:
-        ledger.warning(
-            "EVENT-FAILED",
-            f"{failures} of {table.shape[0]} rows report that the camera took no image",
-            where=name,
-            count=failures,
-        )
+        what = f"{failures} of {table.shape[0]} rows report that the camera took no image"
+        ledger.warning("EVENT-FAILED", what, where=name, count=failures)
     if repeats:
-        ledger.note(
-            "EVENT-REPEAT",
-            f"{repeats} of {table.shape[0]} rows repeat an image",
-            where=name,
-            count=repeats,
-        )
+        what = f"{repeats} of {table.shape[0]} rows repeat an image"
+        ledger.note("EVENT-REPEAT", what, where=name, count=repeats)
     return np.asarray(rows[first], np.intp)

@@ -321,7 +321,22 @@ def _fit_sender(
     """A sender's clock; without UTC of its own it is set by when its messages were received."""
     where = f"system {source[0]}, component {source[1]}"
     readings = readings.take(~stray_times(readings.boot_ns))  # a glitch of the clock is no boot
-    at, boot_ns = readings.at, _without_wraps(readings, where, ledger)
+    at, boot_ns = readings.at, readings.boot_ns
+    step = np.diff(boot_ns)
+    # A new boot starts near zero too, but not exactly when the count was full by the host's clock.
+    # A message that was overtaken has the time before the wrap: a step by a turn the other way.
+    turn = np.rint(-step / ROUND_MS).astype(np.int64)
+    turn[np.abs(step + turn * ROUND_MS - np.diff(readings.host_ns)) > NEAR_NS] = 0
+    if turn.any():
+        turns = np.concatenate([[0], np.cumsum(turn)])
+        boot_ns = np.asarray(boot_ns + turns * ROUND_MS, np.int64)
+        ledger.note(
+            "TIME-WRAP",
+            f"the 32-bit count of milliseconds since boot wrapped after 49.7 days, "
+            f"{int(turns.max())} times: it is continued",
+            where=where,
+            count=int(turns.max()),
+        )
     host_ns = readings.host_ns if leader is None else leader.utc_of_host(at, readings.host_ns)
     sent_utc = readings.utc_ns
     system_time = UtcReadings("SYSTEM_TIME messages", at, boot_ns, sent_utc, sent_utc > 0)
@@ -345,25 +360,3 @@ def _fit_sender(
     mark = np.ones(boot.shape, np.bool_)
     mark[1:] = (np.diff(boot_ns // NANOSECONDS_PER_SECOND) != 0) | (np.diff(boot) != 0)
     return _Sender(at[mark], boot_ns[mark], clock, tuple(counts), tuple(maps))
-
-
-def _without_wraps(readings: ClockReadings, where: str, ledger: Ledger) -> TimeArray:
-    """Times since boot that continue where a 32-bit count of milliseconds wrapped."""
-    if readings.at.shape[0] < 2:
-        return readings.boot_ns
-    step = np.diff(readings.boot_ns)
-    # A new boot starts near zero too, but not exactly when the count was full by the host's clock.
-    # A message that was overtaken has the time before the wrap: a step by a turn the other way.
-    turn = np.rint(-step / ROUND_MS).astype(np.int64)
-    turn[np.abs(step + turn * ROUND_MS - np.diff(readings.host_ns)) > NEAR_NS] = 0
-    if not turn.any():
-        return readings.boot_ns
-    turns = np.concatenate([[0], np.cumsum(turn)])
-    ledger.note(
-        "TIME-WRAP",
-        f"the 32-bit count of milliseconds since boot wrapped after 49.7 days, "
-        f"{int(turns.max())} times: it is continued",
-        where=where,
-        count=int(turns.max()),
-    )
-    return np.asarray(readings.boot_ns + turns * ROUND_MS, np.int64)

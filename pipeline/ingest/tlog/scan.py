@@ -198,7 +198,17 @@ class _Scanner:
 
     def fill(self, begin: int, stop: int) -> Frames:
         """Count the bytes between two accepted frames; returns the frames among them."""
-        places, at = _chain(self.data, begin, stop)
+        places: list[int] = []  # of frames that follow each other without a gap
+        at = first = begin
+        view = b""
+        while at < stop:
+            if at + LONGEST > first + len(view) < stop:
+                first, view = at, self.data[at : min(at + STRETCH, stop)]
+            length = frame_length(view, at - first)
+            if not length or at + length > stop:
+                break
+            places.append(at)
+            at += length
         cut = 0
         if at < stop:
             rest = self.data[at : at + LONGEST]
@@ -269,19 +279,3 @@ def _source_of(frames: Frames) -> NDArray[np.uint16]:
 def _padded(window: Bytes) -> Bytes:
     """The bytes and behind them zeros, as many as a header may extend beyond the end."""
     return np.concatenate([window, np.zeros(HEAD, np.uint8)])
-
-
-def _chain(data: FileView, begin: int, stop: int) -> tuple[list[int], int]:
-    """The places of frames that follow each other without a gap, and the end of the last."""
-    places: list[int] = []
-    at = first = begin
-    view = b""
-    while at < stop:
-        if at + LONGEST > first + len(view) < stop:
-            first, view = at, data[at : min(at + STRETCH, stop)]
-        length = frame_length(view, at - first)
-        if not length or at + length > stop:
-            break
-        places.append(at)
-        at += length
-    return places, at

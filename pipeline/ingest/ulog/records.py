@@ -91,12 +91,8 @@ class ULogMessages:
             )
         if self.dropouts_ms:
             count, lost_s = len(self.dropouts_ms), sum(self.dropouts_ms) / 1000.0
-            ledger.loss(
-                "LOG-DROPOUT",
-                f"the logger could not keep up {count} times, {lost_s:.3f} s together",
-                where=file_name,
-                count=count,
-            )
+            what = f"the logger could not keep up {count} times, {lost_s:.3f} s together"
+            ledger.loss("LOG-DROPOUT", what, where=file_name, count=count)
 
 
 def flags_of(data: FileView) -> tuple[bytes, list[int]]:
@@ -202,14 +198,26 @@ class _MessageWalk:
 
     def run(self) -> ULogMessages:
         at, end = FILE_HEADER, self.data.size
+        sizes, unpack, places_of = self.definitions.sizes, DATA.unpack_from, self.places
         if self.data[0 : len(MAGIC)] != MAGIC:
             self._drop(0, FILE_HEADER)
         while at < end:
             raw = self.data[at : at + SPAN + LONGEST]
             last = len(raw) if at + len(raw) >= end else SPAN
+            data_last = min(last, len(raw) - HEAD.size - 2)
+            stop = len(raw) if not self.appended else 0  # such files are read message by message
             place = 0
             while place < last:
-                place = self._data_run(raw, place, last)
+                while place < data_last:  # data wall to wall, which most of a file is
+                    size, kind, number = unpack(raw, place)
+                    following = place + HEAD.size + size
+                    if kind != _DATUM or following > stop or number not in sizes:
+                        break
+                    least, most = sizes[number]
+                    if not least <= size - 2 <= most:
+                        break
+                    places_of[number].append(place)
+                    place = following
                 length = self._length(raw, place, at) if place < last else 0
                 if length and not self._take(raw, place, length):
                     self._drop(at + place, at + place + length)
@@ -238,23 +246,6 @@ class _MessageWalk:
         self.result.bad_bytes += end - begin
         if self.result.first_bad < 0:
             self.result.first_bad = begin
-
-    def _data_run(self, raw: bytes, place: int, last: int) -> int:
-        """Take data messages wall to wall, which most of a file is; where they end."""
-        last = min(last, len(raw) - HEAD.size - 2)
-        stop = len(raw) if not self.appended else 0  # such files are read message by message
-        sizes, unpack, places = self.definitions.sizes, DATA.unpack_from, self.places
-        while place < last:
-            size, kind, number = unpack(raw, place)
-            end = place + HEAD.size + size
-            if kind != _DATUM or end > stop or number not in sizes:
-                break
-            least, most = sizes[number]
-            if not least <= size - 2 <= most:
-                break
-            places[number].append(place)
-            place = end
-        return place
 
     def _length(self, raw: bytes, place: int, base: int, *, loose: bool = False) -> int:
         """The length of the message that begins here; 0 where none does.
