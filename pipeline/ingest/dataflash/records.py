@@ -211,26 +211,7 @@ class RecordWalker:
         """All records block by block, while their bytes are in memory; wanted ones are kept."""
         at = 0
         while at + HEADER <= self.size:
-            begin, end = at, min(at + SPAN, self.size - HEADER + 1)
-            raw = self.data.array(begin, end + HEADER - 1)
-            rows = np.flatnonzero((raw[:-2] == MAGIC[0]) & (raw[1:-1] == MAGIC[1]))
-            block = _Candidates(rows + begin, raw[rows + 2])
-            block.link(self.length_of)
-            while at < end:
-                row = int(np.searchsorted(block.places, at))
-                if row == block.places.shape[0] or block.places[row] != at:
-                    at = self._resume(at)
-                    continue
-                stop = int(block.breaks[np.searchsorted(block.breaks, row)]) + 1
-                if not 0 < block.lengths[stop - 1] <= self.size - block.places[stop - 1]:
-                    stop -= 1  # its type is unknown, or the file ends in it
-                if stop == row:
-                    at = self._resume(at)
-                    continue
-                stop = self._keep(block, row, stop)
-                at = int(block.places[stop - 1] + block.lengths[stop - 1])
-                if block.types[stop - 1] == FMT_TYPE:
-                    block.link(self.length_of)
+            at = self._walk_block(at)
             yield from self._flush(keep=1)  # damage where the next block begins may include it
         if at < self.size:
             self._resume(at)
@@ -246,6 +227,30 @@ class RecordWalker:
     def _totals(self) -> NDArray[np.int64]:
         missing = len(self.definitions) - self.total.shape[0]
         return np.append(self.total, np.zeros(missing, np.int64)) if missing else self.total
+
+    def _walk_block(self, at: int) -> int:
+        """Walk the records that begin in a block; its arrays are freed before the next is read."""
+        begin, end = at, min(at + SPAN, self.size - HEADER + 1)
+        raw = self.data.array(begin, end + HEADER - 1)
+        rows = np.flatnonzero((raw[:-2] == MAGIC[0]) & (raw[1:-1] == MAGIC[1]))
+        block = _Candidates(rows + begin, raw[rows + 2])
+        block.link(self.length_of)
+        while at < end:
+            row = int(np.searchsorted(block.places, at))
+            if row == block.places.shape[0] or block.places[row] != at:
+                at = self._resume(at)
+                continue
+            stop = int(block.breaks[np.searchsorted(block.breaks, row)]) + 1
+            if not 0 < block.lengths[stop - 1] <= self.size - block.places[stop - 1]:
+                stop -= 1  # its type is unknown, or the file ends in it
+            if stop == row:
+                at = self._resume(at)
+                continue
+            stop = self._keep(block, row, stop)
+            at = int(block.places[stop - 1] + block.lengths[stop - 1])
+            if block.types[stop - 1] == FMT_TYPE:
+                block.link(self.length_of)
+        return at
 
     def _keep(self, block: _Candidates, row: int, stop: int) -> int:
         """Keep a run of records; it ends early where an FMT record redefines the following ones."""
