@@ -41,12 +41,16 @@ def storage_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise StorageError(
-            "STORAGE-WRITE",
-            f"{error.strerror or error}",
-            where=str(error.filename or path),
-            remedy="free space or mend permissions, then run again: finished missions are kept",
-        ) from None
+        raise _storage_error(error, path) from None
+
+
+def _storage_error(error: OSError, path: Path) -> StorageError:
+    return StorageError(
+        "STORAGE-WRITE",
+        f"{error.strerror or error}",
+        where=str(error.filename or path),
+        remedy="free space or mend permissions, then run again: finished missions are kept",
+    )
 
 
 @contextmanager
@@ -214,6 +218,8 @@ def open_folder(path: Path) -> Iterator[RunFolder]:
             where=str(path),
             remedy="wait for it, or choose another output.path",
         ) from None
+    except PermissionError as error:
+        raise _storage_error(error, path) from None
     except (OSError, NotImplementedError) as error:
         raise StorageError(
             "STORAGE-LOCK",
@@ -224,7 +230,7 @@ def open_folder(path: Path) -> Iterator[RunFolder]:
     try:
         with storage_errors(path):
             _clear_interrupted(path)
-            (path / _STAGING).mkdir()
+            (path / _STAGING).mkdir(exist_ok=True)
         try:
             yield RunFolder(path)
         finally:
@@ -241,15 +247,22 @@ def _clear_interrupted(path: Path) -> None:
         if results and not (path / _STAGING / MANIFEST).is_file():
             raise StorageError(
                 "STORAGE-NOT-OURS",
-                f"{', '.join(results)} would be replaced, but were not written by unbend",
+                f"{', '.join(results)} would be replaced, but there is no manifest.json that says "
+                "that unbend wrote them",
                 where=str(path),
-                remedy="choose an output.path of its own for the results",
+                remedy="choose an output.path of its own for the results, or remove these",
             )
         # Only a commit puts a manifest into the staging folder: it began and did not end.
         for file in [*_parts(path), *(path / name for name in _RESULTS if name != _PARTS)]:
             file.unlink(missing_ok=True)
         with suppress(OSError):  # not empty: it holds files of the user
             (path / _PARTS).rmdir()
+        if os.path.lexists(path / _PARTS):
+            # The staged manifest stays until a commit ends: it shows that the folder is unbend's.
+            for file in (path / _STAGING).iterdir():
+                if file.name != MANIFEST:
+                    _remove(file)
+            return
     _remove(path / _STAGING)
 
 
@@ -276,7 +289,7 @@ def read_manifest(path: Path) -> dict[str, Any] | None:
             "MANIFEST-UNREADABLE",
             "manifest.json is not one that unbend wrote",
             where=str(path / MANIFEST),
-            remedy="choose another folder, or remove that file",
+            remedy="choose another folder, or remove that file and the results beside it",
         )
     return dict(manifest)
 

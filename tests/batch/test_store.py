@@ -174,6 +174,35 @@ def test_a_commit_that_ends_half_way_leaves_no_manifest_and_can_be_repeated(
     assert not (tmp_path / ".staging").exists()
 
 
+@pytest.mark.parametrize("killed", [True, False], ids=["killed", "failed"])
+def test_a_file_of_the_user_among_interrupted_results_does_not_stop_the_next_run(
+    tmp_path: Path, monkeypatch, killed: bool
+) -> None:
+    """A full disk in the middle of a commit, a run that is refused, and one that succeeds."""
+    commit(tmp_path, PART, "stations.parquet")
+    (tmp_path / "observations" / "notes.txt").write_text("mine", encoding="utf-8")
+
+    def full(source: Path, target: Path) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(store, "replace_file", full)
+    if killed:
+        monkeypatch.setattr(store.shutil, "rmtree", lambda path: None)
+    with pytest.raises(StorageError, match="STORAGE-WRITE"):
+        commit(tmp_path, PART, "stations.parquet")
+    monkeypatch.undo()
+    for _ in range(2):  # ends before it commits anything
+        with open_folder(tmp_path):
+            assert sorted(p.name for p in (tmp_path / ".staging").iterdir()) == ["manifest.json"]
+    assert [p.name for p in (tmp_path / "observations").iterdir()] == ["notes.txt"]
+    commit(tmp_path, PART, "stations.parquet")
+    manifest = read_manifest(tmp_path)
+    assert manifest is not None
+    assert find_damage(tmp_path, manifest) == []
+    assert (tmp_path / "observations" / "notes.txt").read_text(encoding="utf-8") == "mine"
+    assert not (tmp_path / ".staging").exists()
+
+
 def test_a_target_that_a_viewer_has_open_is_replaced_a_moment_later(tmp_path, monkeypatch) -> None:
     """Windows answers with PermissionError until the other program closes the file."""
     source, target = tmp_path / "new", tmp_path / "old"
@@ -244,6 +273,18 @@ def test_a_disk_without_locks_is_refused_with_its_words(tmp_path: Path, monkeypa
     with no_lock as refusal, open_folder(tmp_path):
         pass
     assert refusal.value.code == "STORAGE-LOCK"
+
+
+def test_a_folder_that_may_not_be_written_to_is_not_taken_for_a_disk_without_locks(
+    tmp_path: Path, monkeypatch
+) -> None:
+    def acquire(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied", str(tmp_path / ".lock"))
+
+    monkeypatch.setattr(store.FileLock, "acquire", acquire)
+    with pytest.raises(StorageError, match="Permission denied") as refusal, open_folder(tmp_path):
+        pass
+    assert (refusal.value.code, refusal.value.where) == ("STORAGE-WRITE", str(tmp_path / ".lock"))
 
 
 def test_files_among_the_results_by_any_path(tmp_path: Path) -> None:
