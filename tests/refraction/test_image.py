@@ -334,16 +334,6 @@ def test_no_stations_at_all():
     assert found.status.tolist() == [NO_STATION]
 
 
-def test_the_ellipsoid_gives_the_radius():
-    fixed = correct(100.0, 200.0, looking(45))
-    free = replace(exposures(looking(45)), radius_m=None)
-    found = correct_observations(
-        np.array([100.0]), np.array([200.0]), np.array([H_G]), np.zeros(1, np.int64), free,
-        camera=PINHOLE, table=TABLE,
-    )  # fmt: skip
-    assert 0.0 < abs(float(found.r_c_rad[0] / fixed.r_c_rad[0]) - 1.0) < 1e-3
-
-
 @pytest.mark.parametrize("azimuth", [0.0, 30.0, 90.0, 200.0])
 def test_the_radius_is_eulers_in_the_azimuth_of_the_ray(azimuth):
     """GRS 80 at 0.8 rad by hand: 1/R = cos^2 A / M + sin^2 A / N."""

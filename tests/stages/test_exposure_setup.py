@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +20,7 @@ from pipeline.flight.stations import Stations, join_stations
 from pipeline.ledger import Kind, Ledger
 from pipeline.refraction.camera.camera import LensInAir
 from pipeline.refraction.papers.gyer import gyer_air
+from pipeline.refraction.papers.rows import printed_table
 from pipeline.refraction.window import Cabin, Window, refract_at_window
 from pipeline.stages.exposure_setup import exposures_of, report_lenses, report_windows
 from pipeline.units import ARCSEC
@@ -85,10 +84,7 @@ def codes(ledger: Ledger) -> list[str]:
 
 def test_gyers_table_7():
     """To the two digits of the paper: R_cc within 0.01 arcsec, n_cc within 0.015e-6."""
-    path = Path(__file__).parents[1] / "data" / "gyer1996_table7.csv"
-    with path.open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    printed = {key: np.array([float(row[key]) for row in rows]) for key in rows[0]}
+    printed = printed_table("gyer1996_table7")
     at = stations(*(printed["h_c_km"] * 1e3))
     found, ledger = look(at, Window(SCHEDULE), profile=gyer_air())
     inside, outside = found.refractivity_cabin, found.refractivity_outside

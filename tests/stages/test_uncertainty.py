@@ -35,7 +35,10 @@ def with_covariance(monkeypatch, covariance_of):
     def adjusted_profiles(*given):
         air = original(*given)
         covariance = covariance_of(air.adjustment.profile)
-        airs = tuple(replace(one, own=covariance, ends=None) for one in air.series.timed_profiles)
+        airs = tuple(
+            replace(timed, own_covariance=covariance, neighbours=None)
+            for timed in air.series.timed_profiles
+        )
         adjustment = replace(air.adjustment, covariance=covariance)
         return replace(air, adjustment=adjustment, series=replace(air.series, timed_profiles=airs))
 
