@@ -1,185 +1,192 @@
-"""From camera events to stations."""
+"""Camera pulses become exposures: their channel, the names of their images, and lost pulses."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from pipeline.atmosphere.refractive_index import vapour_pressure
-from pipeline.flight.channels import Array, Channel
-from pipeline.flight.events import Events
-from pipeline.flight.heights import HeightSystem, heights_at
-from pipeline.flight.mount import Mount, is_of_gimbal
-from pipeline.flight.stations import (
-    HEIGHT_REFERENCE_UNKNOWN,
-    IN_GAP,
-    NO_ATTITUDE,
-    NO_POSITION,
-    OUTSIDE_LOG,
-    STATION_OK,
-    SUSPECT,
-    Stations,
-    empty_stations,
-)
-from pipeline.flight.trajectory import (
-    GAP_IN_CHANNEL,
-    INSIDE,
-    interpolate,
-    interpolate_attitude,
-    interpolate_position,
-)
-from pipeline.geodesy import offset_geodetic
-from pipeline.ledger import Notes, loss
-
-_NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+from pipeline.errors import MissionError
+from pipeline.flight.channels import Channel
+from pipeline.ledger import Notes, loss, note
 
 
-def build_stations(
-    events: Events,
-    roles: Mapping[str, Channel],
-    mount: Mount,
-    heights: HeightSystem,
-    max_gap_s: float,
-) -> Stations:
-    """Position, attitude and air at each exposure of one camera.
+@dataclass(frozen=True, eq=False)
+class Events:
+    """Exposures of one camera: (m,) names and times (UTC, ns)."""
 
-    An exposure outside the log, in a gap of it, or without position, attitude or a height above
-    sea level is not invented: its status gives the reason and its values are NaN.
+    camera: str
+    image: NDArray[np.object_]
+    time_ns: NDArray[np.int64]
+
+
+def events_of_channel(
+    channel: Channel, camera: str, pattern: str, delay_s: float
+) -> tuple[Events, Notes]:
+    """Exposures of an event channel, named by a pattern of ``{index}`` and ``{n}``.
+
+    Parameters
+    ----------
+    delay_s : what is added to the times of the log [s], positive where the shutter opens later.
+
+    Numbers that the log skips are pulses that were lost: a loss for each power-up. ``{index}`` is
+    the number as the log has it, which may count modulo 65536.
     """
-    time_ns = events.time_ns
-    n = time_ns.size
-    camera = np.full(n, events.camera, dtype=object)
-    stations = replace(empty_stations(events.image, camera, STATION_OK), time_ns=time_ns)
-    if "position" not in roles:
-        return stations.with_status(np.ones(n, bool), NO_POSITION)
-    position, height = roles["position"], roles["height"]
-    lat, lon, coverage = interpolate_position(position, time_ns, max_gap_s)
-    h_msl, h_ellipsoid = heights_at(height, time_ns, heights, max_gap_s)
-    stations = _not_covered(stations, coverage)
-    stations = stations.with_status(np.isnan(lat), NO_POSITION)
-    if "attitude" not in roles:
-        return stations.with_status(np.ones(n, bool), NO_ATTITUDE)
-    attitude, coverage = interpolate_attitude(roles["attitude"], time_ns, max_gap_s)
-    stations = _not_covered(stations, coverage)
-    stations = stations.with_status(np.asarray(np.isnan(attitude).any(axis=1)), NO_ATTITUDE)
-    stations = stations.with_status(np.isnan(h_msl) & np.isnan(h_ellipsoid), IN_GAP)
-    stations = stations.with_status(np.isnan(h_msl), HEIGHT_REFERENCE_UNKNOWN)
-    stations = replace(
-        stations,
-        lat_rad=lat,
-        lon_rad=lon,
-        h_msl_m=h_msl,
-        h_ellipsoid_m=h_ellipsoid,
-        sigma_horizontal_m=interpolate(position, "sigma_h_m", time_ns, max_gap_s),
-        sigma_height_m=interpolate(height, "sigma_v_m", time_ns, max_gap_s),
-    )
-    stations = _moved_to_camera(stations, mount, attitude)
-    if "aircraft_attitude" in roles:
-        attitude, _ = interpolate_attitude(roles["aircraft_attitude"], time_ns, max_gap_s)
-    elif is_of_gimbal(roles["attitude"].source.message):
-        attitude = np.full_like(attitude, np.nan)
-    stations = replace(stations, aircraft_quaternion=_from_enu(attitude, np.eye(3)))
-    return _with_air(stations, roles, max_gap_s)
-
-
-def _not_covered(stations: Stations, coverage: NDArray[np.uint8]) -> Stations:
-    """Stations marked where a channel has a gap, or has ended."""
-    stations = stations.with_status(coverage == GAP_IN_CHANNEL, IN_GAP)
-    return stations.with_status((coverage != INSIDE) & (coverage != GAP_IN_CHANNEL), OUTSIDE_LOG)
-
-
-def _from_enu(attitude: Array, frame_from_body: Array) -> Array:
-    """(n, 4) quaternions of v_frame = R(q) v_enu from attitudes v_ned = R(q) v_body; NaN stays."""
-    quaternion = np.full(attitude.shape, np.nan)
-    known = np.isfinite(attitude).all(axis=1)
-    if bool(known.any()):
-        ned_from_body = Rotation.from_quat(attitude[known][:, [1, 2, 3, 0]])
-        frame_from_enu = (
-            Rotation.from_matrix(frame_from_body)
-            * ned_from_body.inv()
-            * Rotation.from_matrix(_NED_FROM_ENU)
+    index = channel["event_index"].astype(np.int64)
+    names = [pattern.format(index=int(i), n=n) for n, i in enumerate(index, start=1)]
+    notes = _skipped_numbers(channel, index)
+    if notes and "{n" in pattern:
+        raise MissionError(
+            "EVENTS-COUNTED",
+            "the log has lost events: images counted by {n} would get the stations of others",
+            where=f"events.log.{camera}, channel {channel.name}",
+            remedy="name the images by {index}, or give their times in events.csv",
         )
-        quaternion[known] = frame_from_enu.as_quat(canonical=True)[:, [3, 0, 1, 2]]
-    return quaternion
+    time_ns = channel.time_ns + round(delay_s * 1e9)
+    return Events(camera, np.array(names, dtype=object), time_ns), notes
 
 
-def _moved_to_camera(stations: Stations, mount: Mount, attitude: Array) -> Stations:
-    """Stations moved by the lever arm, with the camera's exterior orientation."""
-    known = np.isfinite(attitude).all(axis=1) & np.isfinite(stations.lat_rad)
-    attitude = np.where(known[:, None], attitude, np.nan)
-    lat, lon = stations.lat_rad.copy(), stations.lon_rad.copy()
-    h_msl, h_ellipsoid = stations.h_msl_m.copy(), stations.h_ellipsoid_m.copy()
-    if bool(known.any()):
-        ned_from_body = Rotation.from_quat(attitude[known][:, [1, 2, 3, 0]])
-        step = ned_from_body.apply(np.array(mount.lever_arm_m)) @ _NED_FROM_ENU
-        # Only the difference counts here, so any height will do where the ellipsoidal is unknown.
-        start = h_ellipsoid[known]
-        start = np.where(np.isfinite(start), start, np.nan_to_num(h_msl[known]))
-        lat[known], lon[known], end = offset_geodetic(lat[known], lon[known], start, step)
-        h_msl[known] += end - start
-        h_ellipsoid[known] += end - start
-    return replace(
-        stations,
-        lat_rad=lat,
-        lon_rad=lon,
-        h_msl_m=h_msl,
-        h_ellipsoid_m=h_ellipsoid,
-        quaternion=_from_enu(attitude, mount.camera_from_body),
-    )
+def events_of_table(
+    image: NDArray[np.object_],
+    camera_of: NDArray[Any],
+    time_ns: NDArray[np.int64],
+    camera: str,
+    delay_s: float,
+) -> Events:
+    """Exposures of one camera from a table; ``delay_s`` [s] is added to the table's times."""
+    rows = camera_of == camera
+    return Events(camera, image[rows], time_ns[rows] + round(delay_s * 1e9))
 
 
-def _with_air(stations: Stations, roles: Mapping[str, Channel], max_gap_s: float) -> Stations:
-    """Stations with the air that was measured outside and inside at the exposure."""
-
-    def reading(role: str, column: str) -> Array:
-        channel = roles.get(role)
-        if channel is None:
-            return np.full(len(stations), np.nan)
-        return interpolate(channel, column, stations.time_ns, channel.gap_limit_s(max_gap_s))
-
-    columns: dict[str, Any] = {}
-    for prefix in ("", "cabin_"):
-        pressure = reading(f"{prefix}pressure", "pressure_pa")
-        temperature = reading(f"{prefix}temperature", "temperature_k")
-        humidity = np.clip(reading(f"{prefix}humidity", "relative_humidity"), 0.0, 1.0)
-        columns[f"{prefix}pressure_pa"] = pressure
-        columns[f"{prefix}temperature_k"] = temperature
-        columns[f"{prefix}vapour_pressure_pa"] = vapour_pressure(humidity, temperature, pressure)
-    return replace(stations, **columns)
+# Counts of 16 bits run over; a count that goes on farther than this from zero has begun anew.
+_COUNT_ROUND, _COUNT_NEAR = 1 << 16, 1 << 12
 
 
-def flag_missing_cabin_air(stations: Stations, camera: str) -> tuple[Stations, Notes]:
-    """Mark exposures of a camera behind a window whose cabin air is unknown as suspect."""
-    known = np.isfinite(stations.cabin_pressure_pa) & np.isfinite(stations.cabin_temperature_k)
-    what = "no cabin pressure or temperature: the window cannot be corrected"
-    return _suspect(stations, camera, ~known, "CABIN-MISSING", what)
+def unwrapped_numbers(index: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Image numbers that count on where a number of 16 bits ran over.
 
+    Parameters
+    ----------
+    index : (n,) in the order of their time, of one power-up.
 
-def flag_missing_aircraft_attitude(stations: Stations, camera: str) -> tuple[Stations, Notes]:
-    """Mark exposures behind a window that is fixed to the aircraft as suspect without its attitude.
-
-    For a camera whose window has its normal in the body frame.
+    >>> unwrapped_numbers(np.array([65534, 65535, 1, 2]))
+    array([65534, 65535, 65537, 65538])
     """
-    missing = np.asarray(np.isnan(stations.aircraft_quaternion).any(axis=1))
-    what = (
-        "no attitude of the aircraft (log.channels.aircraft_attitude): how its window stands "
-        "before the camera is not known"
+    step = np.diff(index)
+    ran_over = (step < 0) & (step + _COUNT_ROUND < _COUNT_NEAR)
+    went_back = (step > 0) & (_COUNT_ROUND - step < _COUNT_NEAR)  # logged after its successor
+    rounds = np.cumsum(ran_over.astype(np.int64) - went_back)
+    return np.asarray(index + _COUNT_ROUND * np.append(0, rounds), np.int64)
+
+
+def _skipped_numbers(channel: Channel, index: NDArray[np.int64]) -> Notes:
+    """A loss for each power-up in which numbers between others have no event."""
+    notes = []
+    for boot in np.unique(channel.boot):
+        known = np.unique(unwrapped_numbers(index[channel.boot == boot]))
+        gaps = np.diff(known) - 1
+        missing = int(gaps.sum())
+        if missing == 0:
+            continue
+        holes = zip(known[:-1][gaps > 0][:4].tolist(), gaps[gaps > 0][:4].tolist(), strict=True)
+        first = [
+            f"{_sent(low + 1)}" if gap == 1 else f"{_sent(low + 1)} to {_sent(low + gap)}"
+            for low, gap in holes
+        ]
+        more = " ..." if np.count_nonzero(gaps) > 4 else ""
+        notes.append(
+            loss(
+                "EVENTS-LOST",
+                f"{missing} numbers between {_sent(int(known[0]))} and {_sent(int(known[-1]))} "
+                f"have no event: {', '.join(first)}{more}",
+                where=channel.name if channel.boot[-1] == 0 else f"{channel.name}, boot {boot}",
+                count=missing,
+            )
+        )
+    return tuple(notes)
+
+
+def _sent(counted: int) -> int:
+    """A counted number as the log has it."""
+    return counted % _COUNT_ROUND if counted >= _COUNT_ROUND else counted
+
+
+def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Channel:
+    """The event channel of a camera: the one that was named, or the only one of the best rank."""
+    able = [c for c in channels if c.fits_role("events")]
+    candidates = [c for c in able if c.name == name] if name else able
+    if candidates:
+        best = [c for c in candidates if c.rank == min(c.rank for c in candidates)]
+        if len(best) == 1:
+            return best[0]
+    there = ", ".join(f"{c.name} ({len(c)})" for c in able) or "no camera events at all"
+    what = f"the log has no event channel {name!r}" if name else "which events are this camera's?"
+    raise MissionError(
+        "EVENTS-CHANNEL",
+        f"{what}; the log has {there}",
+        where="events.log",
+        remedy="name one of them as channel, or give the times of the images in events.csv",
     )
-    return _suspect(stations, camera, missing, "AIRCRAFT-ATTITUDE-MISSING", what)
 
 
-def _suspect(
-    stations: Stations, camera: str, missing: NDArray[np.bool_], code: str, what: str
-) -> tuple[Stations, Notes]:
-    """Mark the exposures of a camera that lack something, with a loss that counts them."""
-    missing = missing & (stations.camera == camera) & stations.ok
-    count = int(missing.sum())
-    if count == 0:
-        return stations, ()
-    entry = loss(code, f"{count} exposures have {what}", where=f"camera {camera}", count=count)
-    return stations.with_status(missing, SUSPECT), (entry,)
+def trigger_notes(channels: tuple[Channel, ...], chosen: Channel) -> Notes:
+    """How many triggers have no shutter event, and whether the events are triggers themselves.
+
+    ArduPilot logs TRIG at the trigger and CAM at the feedback of a camera with a feedback pin, and
+    without one CAM alone, at the trigger. Cameras fire apart: the rows of an instance belong to one
+    camera.
+    """
+    notes = []
+    triggers = [c for c in channels if c.source.message == "TRIG" and _of_one_camera(c, chosen)]
+    if chosen.source.message in ("TRIG", "CAMERA_TRIGGER") or (
+        chosen.source.message == "CAM" and not triggers
+    ):
+        notes.append(
+            note(
+                "EVENTS-TRIGGER-TIME",
+                f"{chosen.name} has the times of the trigger commands, for want of a feedback pin: "
+                "the shutter opens later (70 to 160 ms were measured), which "
+                "events.log.<camera>.delay_s takes into account",
+                where=chosen.name,
+                count=len(chosen),
+            )
+        )
+    if chosen.source.message != "CAM":
+        return tuple(notes)
+    for trigger in triggers:
+        fired = [c for c in channels if c.source.message == "CAM" and _of_one_camera(trigger, c)]
+        names, events = ", ".join(c.name for c in fired), sum(map(len, fired))
+        if len(trigger) > events:
+            notes.append(
+                loss(
+                    "EVENTS-LOST",
+                    f"{len(trigger)} triggers of {trigger.name}, {events} shutter events of "
+                    f"{names}: {len(trigger) - events} pulses were lost, their images "
+                    "have no station",
+                    where=names,
+                    count=len(trigger) - events,
+                )
+            )
+    return tuple(notes)
+
+
+def _of_one_camera(trigger: Channel, shots: Channel) -> bool:
+    """Whether a trigger may belong to the camera of some events: any, without an instance."""
+    return trigger.source.instance in (None, shots.source.instance)
+
+
+def refuse_repeated_images(events: list[Events]) -> None:
+    """Refuse two exposures of one name: the observations could belong to either."""
+    names = np.concatenate([e.image for e in events]) if events else np.empty(0, object)
+    unique, count = np.unique(names.astype(str), return_counts=True)
+    if bool((count > 1).any()):
+        twice = unique[count > 1]
+        raise MissionError(
+            "EVENTS-REPEATED",
+            f"{twice.size} image names stand for more than one exposure, for example '{twice[0]}'",
+            where="events",
+            remedy="give each exposure a name of its own: a pattern for each camera, or one row "
+            "an image in events.csv",
+        )

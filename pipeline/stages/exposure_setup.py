@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere import Profile
-from pipeline.atmosphere.refractive_index import vapour_pressure
 from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.config import Mission
 from pipeline.errors import MissionError
@@ -20,25 +18,13 @@ from pipeline.refraction.camera.camera import Camera, LensInAir, is_absurd, prin
 from pipeline.refraction.image import Exposures
 from pipeline.refraction.window import (
     OPTICAL_AXIS,
-    SCHEDULE_CEILING_M,
-    SCHEDULE_TEMPERATURE_K,
-    Cabin,
     Window,
-    scheduled_pressure,
 )
+from pipeline.stages.cabin_air import AirAtExposures, cabin_air
 from pipeline.units import HECTOPASCAL
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-
-@dataclass(frozen=True, eq=False)
-class _AirAtExposures:
-    """(m,) pressure [Pa], temperature [K] and vapour pressure [Pa] at m exposures."""
-
-    pressure_pa: Array
-    temperature_k: Array
-    vapour_pressure_pa: Array
 
 
 def cameras_of_mission(mission: Mission) -> dict[str, Camera]:
@@ -106,9 +92,9 @@ def exposures_of(
             continue
         window, lens = windows.get(name), lenses.get(name)
         plane = window is not None and window.shape == "plane"
-        air = _AirAtExposures(pressure[rows], temperature[rows], vapour[rows])
+        air = AirAtExposures(pressure[rows], temperature[rows], vapour[rows])
         if window is not None and window.cabin is not None and (plane or lens is not None):
-            air = _cabin_air(window.cabin, air, stations, rows, name=name, ledger=ledger)
+            air = cabin_air(window.cabin, air, stations, rows, name=name, ledger=ledger)
         if window is not None and plane:
             inside[rows] = profile.index.refractivity(
                 air.temperature_k, air.pressure_pa, air.vapour_pressure_pa
@@ -155,56 +141,8 @@ def _window_normals(window: Window, rotation: Array, aircraft_quaternion: Array)
     return np.asarray(np.einsum("nij,nj->ni", rotation, in_enu))
 
 
-def _cabin_air(
-    cabin: Cabin,
-    outside: _AirAtExposures,
-    stations: Stations,
-    rows: Mask,
-    *,
-    name: str,
-    ledger: Ledger,
-) -> _AirAtExposures:
-    """The air in the compartment at the exposures ``rows`` (s,) of a camera."""
-    if cabin.source == "log":
-        e = stations.cabin_vapour_pressure_pa[rows]
-        dry = int((~np.isfinite(e) & stations.ok[rows]).sum())
-        if dry:
-            ledger.fallback(
-                "CABIN-DRY",
-                f"no humidity in the cabin for {dry} exposures: its air is taken as dry",
-                where=f"camera {name}",
-                count=dry,
-            )
-        p, t = stations.cabin_pressure_pa[rows], stations.cabin_temperature_k[rows]
-        return _AirAtExposures(p, t, np.where(np.isfinite(e), e, 0.0))
-    m = int(rows.sum())
-    if cabin.source == "constant":
-        e = vapour_pressure(cabin.relative_humidity, cabin.temperature_k, cabin.pressure_pa)
-        constant = (cabin.pressure_pa, cabin.temperature_k, float(e))
-        return _AirAtExposures(*(np.full(m, value) for value in constant))
-    where = f"cameras.{name}.window.cabin"
-    ledger.note(
-        "CABIN-SCHEDULE",
-        "the cabin's air is Gyer's schedule, dry and not measured: as outside to 3 km pressure "
-        "altitude, then 701.2 hPa; 21.1 degC",
-        where=where,
-    )
-    with np.errstate(invalid="ignore"):
-        above = int((stations.ok & rows & (stations.h_msl_m > SCHEDULE_CEILING_M)).sum())
-    if above:
-        ledger.warning(
-            "CABIN-SCHEDULE-HIGH",
-            f"{above} exposures lie above 10 km, where the schedule of the cabin's pressure ends; "
-            "701.2 hPa are taken there too",
-            where=where,
-            count=above,
-        )
-    pressure = scheduled_pressure(outside.pressure_pa)
-    return _AirAtExposures(pressure, np.full(m, SCHEDULE_TEMPERATURE_K), np.zeros(m))
-
-
 def _principal_change(
-    lens: LensInAir, air: _AirAtExposures, ok: Mask, name: str, ledger: Ledger
+    lens: LensInAir, air: AirAtExposures, ok: Mask, name: str, ledger: Ledger
 ) -> Array:
     """(m,) change of the principal distance of a camera by the air in its lens [px]."""
     change = principal_change(lens, air.pressure_pa, air.temperature_k)

@@ -7,7 +7,7 @@ import numpy as np
 from pipeline.batch.plan import Plan
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel
-from pipeline.flight.events import (
+from pipeline.flight.exposures import (
     Events,
     choose_event_channel,
     events_of_channel,
@@ -15,10 +15,9 @@ from pipeline.flight.events import (
     refuse_repeated_images,
     trigger_notes,
 )
-from pipeline.flight.exposures import (
+from pipeline.flight.station_builder import (
     build_stations,
     flag_missing_aircraft_attitude,
-    flag_missing_cabin_air,
 )
 from pipeline.flight.stations import (
     Stations,
@@ -27,6 +26,7 @@ from pipeline.flight.stations import (
     unusable_station_notes,
 )
 from pipeline.ledger import Ledger
+from pipeline.stages.cabin_air import flag_missing_cabin_air
 from pipeline.stages.inputs import FlightLog
 from pipeline.tables.events import EventColumns, read_events
 from pipeline.tables.observations import Observations

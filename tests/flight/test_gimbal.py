@@ -13,11 +13,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.flight.channels import Channel, Source
-from pipeline.flight.events import Events
-from pipeline.flight.exposures import build_stations
+from pipeline.flight.exposures import Events
 from pipeline.flight.heights import HeightSystem
 from pipeline.flight.mount import Mount, gimbal_notes
 from pipeline.flight.roles import assign_roles
+from pipeline.flight.station_builder import build_stations
 from pipeline.flight.stations import Stations
 from pipeline.ingest import open_log
 from pipeline.ledger import Ledger

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.flight.exposures import flag_missing_aircraft_attitude, flag_missing_cabin_air
+from pipeline.flight.station_builder import flag_missing_aircraft_attitude
 from pipeline.flight.stations import (
     NO_TIME,
     Stations,
@@ -18,6 +18,7 @@ from pipeline.flight.stations import (
     station_columns,
     unusable_station_notes,
 )
+from pipeline.stages.cabin_air import flag_missing_cabin_air
 
 AIR = standard_atmosphere("us1976")
 

@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel, Source
-from pipeline.flight.events import Events
-from pipeline.flight.exposures import build_stations, flag_missing_aircraft_attitude
+from pipeline.flight.exposures import Events
 from pipeline.flight.heights import HeightSystem
 from pipeline.flight.mount import Mount
+from pipeline.flight.station_builder import build_stations, flag_missing_aircraft_attitude
 from pipeline.flight.stations import Stations, join_stations
 from pipeline.ledger import Kind, Ledger
 from pipeline.refraction.camera.camera import LensInAir

@@ -1,0 +1,178 @@
+"""From camera events to stations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pipeline.atmosphere.refractive_index import vapour_pressure
+from pipeline.flight.channels import Array, Channel
+from pipeline.flight.exposures import Events
+from pipeline.flight.heights import HeightSystem, heights_at
+from pipeline.flight.mount import Mount, is_of_gimbal
+from pipeline.flight.stations import (
+    HEIGHT_REFERENCE_UNKNOWN,
+    IN_GAP,
+    NO_ATTITUDE,
+    NO_POSITION,
+    OUTSIDE_LOG,
+    STATION_OK,
+    SUSPECT,
+    Stations,
+    empty_stations,
+)
+from pipeline.flight.trajectory import (
+    GAP_IN_CHANNEL,
+    INSIDE,
+    interpolate,
+    interpolate_attitude,
+    interpolate_position,
+)
+from pipeline.geodesy import offset_geodetic
+from pipeline.ledger import Notes, loss
+
+_NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+
+
+def build_stations(
+    events: Events,
+    roles: Mapping[str, Channel],
+    mount: Mount,
+    heights: HeightSystem,
+    max_gap_s: float,
+) -> Stations:
+    """Position, attitude and air at each exposure of one camera.
+
+    An exposure outside the log, in a gap of it, or without position, attitude or a height above
+    sea level is not invented: its status gives the reason and its values are NaN.
+    """
+    time_ns = events.time_ns
+    n = time_ns.size
+    camera = np.full(n, events.camera, dtype=object)
+    stations = replace(empty_stations(events.image, camera, STATION_OK), time_ns=time_ns)
+    if "position" not in roles:
+        return stations.with_status(np.ones(n, bool), NO_POSITION)
+    position, height = roles["position"], roles["height"]
+    lat, lon, coverage = interpolate_position(position, time_ns, max_gap_s)
+    h_msl, h_ellipsoid = heights_at(height, time_ns, heights, max_gap_s)
+    stations = _not_covered(stations, coverage)
+    stations = stations.with_status(np.isnan(lat), NO_POSITION)
+    if "attitude" not in roles:
+        return stations.with_status(np.ones(n, bool), NO_ATTITUDE)
+    attitude, coverage = interpolate_attitude(roles["attitude"], time_ns, max_gap_s)
+    stations = _not_covered(stations, coverage)
+    stations = stations.with_status(np.asarray(np.isnan(attitude).any(axis=1)), NO_ATTITUDE)
+    stations = stations.with_status(np.isnan(h_msl) & np.isnan(h_ellipsoid), IN_GAP)
+    stations = stations.with_status(np.isnan(h_msl), HEIGHT_REFERENCE_UNKNOWN)
+    stations = replace(
+        stations,
+        lat_rad=lat,
+        lon_rad=lon,
+        h_msl_m=h_msl,
+        h_ellipsoid_m=h_ellipsoid,
+        sigma_horizontal_m=interpolate(position, "sigma_h_m", time_ns, max_gap_s),
+        sigma_height_m=interpolate(height, "sigma_v_m", time_ns, max_gap_s),
+    )
+    stations = _moved_to_camera(stations, mount, attitude)
+    if "aircraft_attitude" in roles:
+        attitude, _ = interpolate_attitude(roles["aircraft_attitude"], time_ns, max_gap_s)
+    elif is_of_gimbal(roles["attitude"].source.message):
+        attitude = np.full_like(attitude, np.nan)
+    stations = replace(stations, aircraft_quaternion=_from_enu(attitude, np.eye(3)))
+    return _with_air(stations, roles, max_gap_s)
+
+
+def _not_covered(stations: Stations, coverage: NDArray[np.uint8]) -> Stations:
+    """Stations marked where a channel has a gap, or has ended."""
+    stations = stations.with_status(coverage == GAP_IN_CHANNEL, IN_GAP)
+    return stations.with_status((coverage != INSIDE) & (coverage != GAP_IN_CHANNEL), OUTSIDE_LOG)
+
+
+def _from_enu(attitude: Array, frame_from_body: Array) -> Array:
+    """(n, 4) quaternions of v_frame = R(q) v_enu from attitudes v_ned = R(q) v_body; NaN stays."""
+    quaternion = np.full(attitude.shape, np.nan)
+    known = np.isfinite(attitude).all(axis=1)
+    if bool(known.any()):
+        ned_from_body = Rotation.from_quat(attitude[known][:, [1, 2, 3, 0]])
+        frame_from_enu = (
+            Rotation.from_matrix(frame_from_body)
+            * ned_from_body.inv()
+            * Rotation.from_matrix(_NED_FROM_ENU)
+        )
+        quaternion[known] = frame_from_enu.as_quat(canonical=True)[:, [3, 0, 1, 2]]
+    return quaternion
+
+
+def _moved_to_camera(stations: Stations, mount: Mount, attitude: Array) -> Stations:
+    """Stations moved by the lever arm, with the camera's exterior orientation."""
+    known = np.isfinite(attitude).all(axis=1) & np.isfinite(stations.lat_rad)
+    attitude = np.where(known[:, None], attitude, np.nan)
+    lat, lon = stations.lat_rad.copy(), stations.lon_rad.copy()
+    h_msl, h_ellipsoid = stations.h_msl_m.copy(), stations.h_ellipsoid_m.copy()
+    if bool(known.any()):
+        ned_from_body = Rotation.from_quat(attitude[known][:, [1, 2, 3, 0]])
+        step = ned_from_body.apply(np.array(mount.lever_arm_m)) @ _NED_FROM_ENU
+        # Only the difference counts here, so any height will do where the ellipsoidal is unknown.
+        start = h_ellipsoid[known]
+        start = np.where(np.isfinite(start), start, np.nan_to_num(h_msl[known]))
+        lat[known], lon[known], end = offset_geodetic(lat[known], lon[known], start, step)
+        h_msl[known] += end - start
+        h_ellipsoid[known] += end - start
+    return replace(
+        stations,
+        lat_rad=lat,
+        lon_rad=lon,
+        h_msl_m=h_msl,
+        h_ellipsoid_m=h_ellipsoid,
+        quaternion=_from_enu(attitude, mount.camera_from_body),
+    )
+
+
+def _with_air(stations: Stations, roles: Mapping[str, Channel], max_gap_s: float) -> Stations:
+    """Stations with the air that was measured outside and inside at the exposure."""
+
+    def reading(role: str, column: str) -> Array:
+        channel = roles.get(role)
+        if channel is None:
+            return np.full(len(stations), np.nan)
+        return interpolate(channel, column, stations.time_ns, channel.gap_limit_s(max_gap_s))
+
+    columns: dict[str, Any] = {}
+    for prefix in ("", "cabin_"):
+        pressure = reading(f"{prefix}pressure", "pressure_pa")
+        temperature = reading(f"{prefix}temperature", "temperature_k")
+        humidity = np.clip(reading(f"{prefix}humidity", "relative_humidity"), 0.0, 1.0)
+        columns[f"{prefix}pressure_pa"] = pressure
+        columns[f"{prefix}temperature_k"] = temperature
+        columns[f"{prefix}vapour_pressure_pa"] = vapour_pressure(humidity, temperature, pressure)
+    return replace(stations, **columns)
+
+
+def flag_missing_aircraft_attitude(stations: Stations, camera: str) -> tuple[Stations, Notes]:
+    """Mark exposures behind a window that is fixed to the aircraft as suspect without its attitude.
+
+    For a camera whose window has its normal in the body frame.
+    """
+    missing = np.asarray(np.isnan(stations.aircraft_quaternion).any(axis=1))
+    what = (
+        "no attitude of the aircraft (log.channels.aircraft_attitude): how its window stands "
+        "before the camera is not known"
+    )
+    return mark_suspect(stations, camera, missing, "AIRCRAFT-ATTITUDE-MISSING", what)
+
+
+def mark_suspect(
+    stations: Stations, camera: str, missing: NDArray[np.bool_], code: str, what: str
+) -> tuple[Stations, Notes]:
+    """Mark the exposures of a camera that lack something, with a loss that counts them."""
+    missing = missing & (stations.camera == camera) & stations.ok
+    count = int(missing.sum())
+    if count == 0:
+        return stations, ()
+    entry = loss(code, f"{count} exposures have {what}", where=f"camera {camera}", count=count)
+    return stations.with_status(missing, SUSPECT), (entry,)
