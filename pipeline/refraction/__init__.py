@@ -7,7 +7,7 @@ from pipeline.refraction.forward import apply_refraction
 from pipeline.refraction.image import Corrections, Exposures, correct_observations
 from pipeline.refraction.ray import METHODS, bend, refraction_angle
 from pipeline.refraction.ray_table import RayTable, ray_table
-from pipeline.refraction.status import STATUS_NAMES
+from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.refraction.uncertainty.budget import (
     BlockScale,
     StationSigmas,

@@ -23,7 +23,7 @@ from pipeline.refraction.ray import (
     rays_by,
     refraction_angle,
 )
-from pipeline.refraction.status import FAR_BRANCH, STATUS_NAMES
+from pipeline.refraction.status_codes import FAR_BRANCH, STATUS_NAMES
 from pipeline.units import ARCSEC, DEGREE, MICRORADIAN
 
 Array = NDArray[np.float64]
@@ -91,7 +91,7 @@ def one_angle(
 class RadialTable:
     """The refraction of one camera height over one ground; (n,) arrays over the nadir angle.
 
-    ``r_c_rad`` is NaN where ``status`` (codes of `pipeline.refraction.status`) says why;
+    ``r_c_rad`` is NaN where ``status`` (codes of `pipeline.refraction.status_codes`) says why;
     ``shift_ground_m`` is the horizontal displacement on the ground, also NaN where the straight
     apparent ray passes over the horizon and only the bent one lands. For an image taken vertically
     ``radius_px`` is the distance from the principal point and ``dr_px`` what to add to it; both

@@ -21,7 +21,7 @@ from pipeline.refraction.kernels.columns import (
 from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.ray import DEFAULT_RADIUS_M, PublishedRays, as_columns, bend
 from pipeline.refraction.ray_table import RayTable
-from pipeline.refraction.status import BAD_MEASUREMENT, MISSES_GROUND, OK
+from pipeline.refraction.status_codes import BAD_MEASUREMENT, MISSES_GROUND, OK
 
 Array = NDArray[np.float64]
 

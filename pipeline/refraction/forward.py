@@ -21,7 +21,7 @@ from pipeline.refraction.image import (
 )
 from pipeline.refraction.ray import PublishedRays, bend
 from pipeline.refraction.ray_table import RayTable
-from pipeline.refraction.status import (
+from pipeline.refraction.status_codes import (
     BEYOND_GRAZING,
     FAR_BRANCH,
     MISSES_GROUND,

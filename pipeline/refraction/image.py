@@ -30,7 +30,7 @@ from pipeline.refraction.kernels.columns import (
 from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.ray import PublishedRays, as_columns, bend
 from pipeline.refraction.ray_table import RayTable
-from pipeline.refraction.status import OK, STATUS_NAMES
+from pipeline.refraction.status_codes import OK, STATUS_NAMES
 from pipeline.refraction.uncertainty.sigmas import Sigmas, Uncertainty
 from pipeline.refraction.window import OPTICAL_AXIS
 

@@ -24,7 +24,7 @@ from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.published import PUBLISHED
 from pipeline.refraction.published.column import Method, finite
 from pipeline.refraction.ray_table import RayTable, ray_table
-from pipeline.refraction.status import (
+from pipeline.refraction.status_codes import (
     BAD_MEASUREMENT,
     BEYOND_GRAZING,
     FAR_BRANCH,
@@ -130,7 +130,7 @@ def bend(
     -------
     r_c : refraction angle [rad], positive when the apparent ray is farther from the nadir than
         the straight one; NaN where ``status`` says there is none.
-    status : codes of `pipeline.refraction.status`.
+    status : codes of `pipeline.refraction.status_codes`.
 
     Against 40-digit arithmetic 1e-9 arcsec, also near grazing; 1e-8 in ducts, 1e-7 through P_90.
     Rays from one height that follow each other are fastest: they share what the air between does.

@@ -15,7 +15,7 @@ from rich.table import Table
 from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS
 from pipeline.refraction.angle import RadialTable
 from pipeline.refraction.effect import FlightAir
-from pipeline.refraction.status import STATUS_NAMES
+from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.report.summary import (
     CORRECTION_HEAD,
     air_sentences,

@@ -33,7 +33,7 @@ from pipeline.refraction.image import COLUMNS, Corrections, Exposures, correct_o
 from pipeline.refraction.kernels.threads import usable_cpus
 from pipeline.refraction.ray import PublishedRays, rays_by
 from pipeline.refraction.ray_table import RayTable
-from pipeline.refraction.status import NO_STATION
+from pipeline.refraction.status_codes import NO_STATION
 from pipeline.refraction.uncertainty.budget import window_turn
 from pipeline.refraction.uncertainty.sigmas import Sigmas, Uncertainty
 from pipeline.stages.exposure_setup import cameras_of_mission

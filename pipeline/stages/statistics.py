@@ -14,7 +14,7 @@ from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Corrections
 from pipeline.refraction.statistics import DISTRIBUTIONS, Distribution, ShiftGrid, ShiftStatistics
-from pipeline.refraction.status import STATUS_NAMES
+from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.tables.observations import Batch
 
 Array = NDArray[np.float64]

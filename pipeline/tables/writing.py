@@ -18,7 +18,7 @@ from pipeline.atmosphere.series.profile_series import ProfileSeries, TimedProfil
 from pipeline.errors import StorageError
 from pipeline.flight.stations import Stations, station_columns
 from pipeline.refraction.image import Corrections
-from pipeline.refraction.status import STATUS_NAMES
+from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.tables.observations import Batch
 from pipeline.tables.pixels import PixelSystem
 from pipeline.tables.schemas import PROFILE_COLUMNS, STATION_COLUMNS, schema_of

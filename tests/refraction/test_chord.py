@@ -19,7 +19,7 @@ from pipeline.refraction import (
 )
 from pipeline.refraction.chord import height_at_distance, target_heights
 from pipeline.refraction.ray import rays_by
-from pipeline.refraction.status import (
+from pipeline.refraction.status_codes import (
     BAD_MEASUREMENT,
     FAR_BRANCH,
     MISSES_GROUND,

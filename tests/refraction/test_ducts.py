@@ -13,7 +13,7 @@ from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.atmosphere.standard import standard_atmosphere
 from pipeline.geodesy import lambert_gravity
 from pipeline.refraction import bend, ray_table, refraction_angle
-from pipeline.refraction.status import BEYOND_GRAZING, FAR_BRANCH, OK
+from pipeline.refraction.status_codes import BEYOND_GRAZING, FAR_BRANCH, OK
 from pipeline.units import ARCSEC
 
 RADIUS = 6_371_000.0

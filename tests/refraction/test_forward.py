@@ -14,7 +14,7 @@ from pipeline.geodesy import euler_radius
 from pipeline.refraction import BrownConrady, Camera, Exposures, correct_observations, ray_table
 from pipeline.refraction.forward import apply_refraction
 from pipeline.refraction.ray import rays_by
-from pipeline.refraction.status import (
+from pipeline.refraction.status_codes import (
     BAD_MEASUREMENT,
     BEYOND_GRAZING,
     FAR_BRANCH,

@@ -23,7 +23,7 @@ from pipeline.refraction import (
 from pipeline.refraction.image import ground_displacement, outgoing_rays, straight_reach
 from pipeline.refraction.kernels.columns import RADIUS as RADIUS_ROW
 from pipeline.refraction.kernels.columns import ObservationColumns
-from pipeline.refraction.status import (
+from pipeline.refraction.status_codes import (
     BAD_MEASUREMENT,
     BEYOND_GRAZING,
     FAR_BRANCH,

@@ -20,7 +20,7 @@ from pipeline.refraction import (
     correct_observations,
     ray_table,
 )
-from pipeline.refraction.status import OK
+from pipeline.refraction.status_codes import OK
 from pipeline.refraction.window import refract_at_window
 
 RADIUS = 6_371_000.0

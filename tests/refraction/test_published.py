@@ -17,7 +17,7 @@ from pipeline.refraction import refraction_angle
 from pipeline.refraction.published import gyer
 from pipeline.refraction.published.column import density, mean
 from pipeline.refraction.ray import PublishedRays
-from pipeline.refraction.status import BAD_MEASUREMENT, MISSES_GROUND, OK, OUTSIDE_PROFILE
+from pipeline.refraction.status_codes import BAD_MEASUREMENT, MISSES_GROUND, OK, OUTSIDE_PROFILE
 from pipeline.units import ARCSEC, DEGREE
 
 RADIUS = 6_378_000.0

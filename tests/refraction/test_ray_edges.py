@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.errors import PhysicsError
 from pipeline.refraction import RayTable, bend, ray_table, refraction_angle
-from pipeline.refraction.status import (
+from pipeline.refraction.status_codes import (
     BAD_MEASUREMENT,
     BEYOND_GRAZING,
     MISSES_GROUND,

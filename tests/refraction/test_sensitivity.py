@@ -17,7 +17,7 @@ from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity
 from pipeline.refraction import refraction_angle
-from pipeline.refraction.status import BAD_MEASUREMENT, MISSES_GROUND, OK, OUTSIDE_PROFILE
+from pipeline.refraction.status_codes import BAD_MEASUREMENT, MISSES_GROUND, OK, OUTSIDE_PROFILE
 from pipeline.refraction.uncertainty import adjoint as weights
 from pipeline.refraction.uncertainty.sensitivity import ray_weights, sensitivity
 from pipeline.units import DEGREE, HYDROSTATIC_CONSTANT

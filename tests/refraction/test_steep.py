@@ -12,7 +12,7 @@ from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.profile import profile_from_table
 from pipeline.geodesy import lambert_gravity
 from pipeline.refraction import bend, ray_table
-from pipeline.refraction.status import BEYOND_GRAZING, FAR_BRANCH, OK
+from pipeline.refraction.status_codes import BEYOND_GRAZING, FAR_BRANCH, OK
 from pipeline.units import ARCSEC, DEGREE
 
 RADIUS = 6_371_000.0

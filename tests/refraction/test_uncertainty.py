@@ -19,7 +19,7 @@ from pipeline.refraction import (
     refraction_angle,
     uncertainty_of,
 )
-from pipeline.refraction.status import FAR_BRANCH, NO_GROUND, NO_STATION
+from pipeline.refraction.status_codes import FAR_BRANCH, NO_GROUND, NO_STATION
 from pipeline.units import DEGREE
 
 RADIUS = 6_371_000.0

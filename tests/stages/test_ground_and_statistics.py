@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pipeline.ledger import Kind, Ledger
 from pipeline.refraction.camera.camera import Camera
-from pipeline.refraction.status import STATUS_NAMES
+from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.stages.correction import Ground, plausible_heights
 from pipeline.stages.statistics import Statistics, evenly_spaced
 

@@ -17,7 +17,7 @@ from pipeline.refraction.kernels.subtended import (
     subtended,
     subtended_through_turn,
 )
-from pipeline.refraction.status import BEYOND_GRAZING, FAR_BRANCH, OK
+from pipeline.refraction.status_codes import BEYOND_GRAZING, FAR_BRANCH, OK
 
 
 @jit

@@ -26,7 +26,7 @@ from pipeline.refraction.kernels.columns import (
     V,
 )
 from pipeline.refraction.kernels.jit import entry, jit, within
-from pipeline.refraction.status import (
+from pipeline.refraction.status_codes import (
     BAD_MEASUREMENT,
     FAR_BRANCH,
     NO_GROUND,

@@ -25,7 +25,7 @@ _KEPT_S = 7 * 86_400.0  # unused this long, the folder of another version is rem
 def source_hash(room: str = _ROOM) -> str:
     """16 hexadecimal digits for numba's version and every source that may be compiled in.
 
-    Those are the modules in the folders kernels and camera of ``room``, and status: 1 ms.
+    Those are the modules in the folders kernels and camera of ``room``, and status_codes: 1 ms.
     """
     digest = hashlib.sha256(numba.__version__.encode())
     names = [
@@ -34,7 +34,7 @@ def source_hash(room: str = _ROOM) -> str:
         for name in sorted(os.listdir(os.path.join(room, folder)))
         if name.endswith(".py")
     ]
-    for name in (*names, "status.py"):
+    for name in (*names, "status_codes.py"):
         with open(os.path.join(room, name), "rb") as source:
             digest.update(f"\0{name}\0".encode() + source.read())
     return digest.hexdigest()[:16]

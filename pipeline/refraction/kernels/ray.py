@@ -23,7 +23,7 @@ from pipeline.refraction.kernels.subtended import (
     subtended_through_turn,
     turning_height,
 )
-from pipeline.refraction.status import (
+from pipeline.refraction.status_codes import (
     BAD_MEASUREMENT,
     MISSES_GROUND,
     OK,

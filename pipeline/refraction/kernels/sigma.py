@@ -29,7 +29,7 @@ from pipeline.refraction.kernels.columns import (
 )
 from pipeline.refraction.kernels.image import slopes
 from pipeline.refraction.kernels.jit import entry, jit
-from pipeline.refraction.status import FAR_BRANCH
+from pipeline.refraction.status_codes import FAR_BRANCH
 
 _AT_NADIR = 1e-9  # the sine below which R / sin(zeta) is dR/dzeta, and no azimuth is known
 

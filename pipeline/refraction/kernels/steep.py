@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pipeline.refraction.kernels.columns import HINT_M
 from pipeline.refraction.kernels.jit import entry, jit, within
 from pipeline.refraction.kernels.ray import Triangle, sides_of, small_angle
-from pipeline.refraction.status import OK
+from pipeline.refraction.status_codes import OK
 
 Array = NDArray[np.float64]
 

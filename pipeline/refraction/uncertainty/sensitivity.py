@@ -18,7 +18,7 @@ from pipeline.atmosphere.covariance import air_jacobian
 from pipeline.atmosphere.profile import Profile
 from pipeline.refraction.ray import DEFAULT_RADIUS_M, as_columns, bend
 from pipeline.refraction.ray_table import ray_table
-from pipeline.refraction.status import BEYOND_GRAZING, OK
+from pipeline.refraction.status_codes import BEYOND_GRAZING, OK
 from pipeline.refraction.uncertainty.adjoint import (
     Adjoints,
     Pieces,
@@ -41,7 +41,7 @@ class RayWeights:
     weight : (..., n) derivative of R_c with respect to N at these heights [rad]. The camera's
         refractivity, interpolated between them, is included: N to N + c (1 + N) changes nothing.
     r_c : (...) refraction angle [rad].
-    status : (...) codes of `pipeline.refraction.status`.
+    status : (...) codes of `pipeline.refraction.status_codes`.
     valid : (...) false where a weight is NaN.
     """
 
@@ -66,7 +66,7 @@ class Sensitivity:
     d_log_pressure, d_pressure : (...) with respect to ln p [rad] and p [rad/Pa] at the anchor.
     d_h_c, d_h_g : (...) with respect to the heights of camera and target [rad/m], the air held.
     d_zeta_c : (...) with respect to the apparent nadir angle at the camera.
-    status : (...) codes of `pipeline.refraction.status`.
+    status : (...) codes of `pipeline.refraction.status_codes`.
     valid : (...).
 
     `pipeline.atmosphere.covariance.AirJacobian` has the formulas from T_M to a thermometer's T.

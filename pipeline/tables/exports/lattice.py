@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from pipeline.ledger import Ledger
 from pipeline.refraction.image import lattice_corrections, lattice_nodes
-from pipeline.refraction.status import STATUS_NAMES
+from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.tables.exports.format import FinishedRun, Option, Values, parquet_and_csv
 from pipeline.tables.schemas import schema_of
 from pipeline.tables.writing import table_of

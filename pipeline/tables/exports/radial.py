@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pipeline.geodesy import euler_radius
 from pipeline.ledger import Ledger
 from pipeline.refraction.angle import RadialTable, angles_to, radial_table
-from pipeline.refraction.status import STATUS_NAMES
+from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.tables.exports.format import FinishedRun, Values, parquet_and_csv
 from pipeline.tables.schemas import schema_of
 from pipeline.tables.writing import table_of
