@@ -233,6 +233,7 @@ def test_a_report_of_another_day_is_left_out(mission, unbend):
         ({"temperature_c": 77.0}, "SURFACE-TEMPERATURE", "Fahrenheit"),
         ({"temperature_c": 59.0}, "SURFACE-CLIMATE", "Fahrenheit"),
         ({"temperature_c": 45.0}, "SURFACE-CLIMATE", "45.0 F would be 7.2 C"),
+        ({"temperature_c": 30.5}, "SURFACE-CLIMATE", "30.5 F would be -0.8 C"),
         ({"temperature_c": -30.0}, "SURFACE-CLIMATE", "sigma"),
         ({"pressure_hpa": 1013.0, "h_msl_m": 345.0}, "SURFACE-LEVEL", "as QNH"),
         ({"pressure_hpa": 1019.0, "h_msl_m": 450.0}, "SURFACE-LEVEL", "as QNH"),
