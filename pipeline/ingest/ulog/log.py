@@ -137,9 +137,9 @@ def _clock(
             fix = rows["fix_type"] if "fix_type" in _names(rows) else np.empty(0)
             places = np.arange(boot_ns.shape[0])
             words = f"rows of {names[topic, instance]}"
-            told = UtcReadings(words, places, boot_ns, utc_us * 1000, usable, fix)
-            if told.sound(_ONE_BOOT).places.size:
-                sources.append(told)
+            utc_readings = UtcReadings(words, places, boot_ns, utc_us * 1000, usable, fix)
+            if utc_readings.sound(_ONE_BOOT).places.size:
+                sources.append(utc_readings)
         if sources:
             fit = fit_boot_clock(_ONE_BOOT, sources, ledger).fits[0]
             words = "vehicle clock, set to UTC by the median of"
