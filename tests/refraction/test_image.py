@@ -18,8 +18,8 @@ from pipeline.refraction import (
     correct_observations,
     ray_table,
     refraction_angle,
-    status,
 )
+from pipeline.refraction import status_codes as status
 from pipeline.refraction.image import ground_displacement, outgoing_rays, straight_reach
 from pipeline.refraction.kernels.columns import RADIUS as RADIUS_ROW
 from pipeline.refraction.kernels.columns import ObservationColumns
