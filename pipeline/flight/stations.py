@@ -38,7 +38,10 @@ class Stations:
     up along the ellipsoid normal, w >= 0; ``aircraft_quaternion`` likewise with v_body, the body
     forward, right, down. Positions are those of the projection centre.
     ``pressure_pa``, ``temperature_k`` and ``vapour_pressure_pa`` were measured outside at the
-    exposure, the ``cabin_`` columns inside. ``status`` is ok or names what is missing.
+    exposure, the ``cabin_`` columns inside. ``sigma_tilt_rad`` is that of the attitude about each
+    of the body's level axes, ``sigma_yaw_rad`` about its vertical one. ``suspect_reason`` is empty
+    but for stations that contradict other evidence, which may be ``suspect_m`` off [m].
+    ``status`` is ok or names what is missing.
     """
 
     image: NDArray[np.object_]
@@ -58,6 +61,10 @@ class Stations:
     cabin_vapour_pressure_pa: Array
     sigma_horizontal_m: Array
     sigma_height_m: Array
+    sigma_tilt_rad: Array
+    sigma_yaw_rad: Array
+    suspect_reason: NDArray[np.object_]
+    suspect_m: Array
     status: NDArray[np.object_]
 
     def __post_init__(self) -> None:
@@ -105,6 +112,7 @@ def empty_stations(
         "image": image,
         "camera": camera,
         "time_ns": np.full(n, NO_TIME, np.int64),
+        "suspect_reason": np.full(n, "", dtype=object),
         "status": np.full(n, status, dtype=object),
     }
     return Stations(**blank)
@@ -149,6 +157,10 @@ def station_columns(stations: Stations) -> dict[str, Any]:
         "cabin_vapour_pressure_pa": stations.cabin_vapour_pressure_pa,
         "sigma_horizontal_m": stations.sigma_horizontal_m,
         "sigma_height_m": stations.sigma_height_m,
+        "sigma_tilt_deg": np.degrees(stations.sigma_tilt_rad),
+        "sigma_yaw_deg": np.degrees(stations.sigma_yaw_rad),
+        "suspect_reason": [reason or None for reason in stations.suspect_reason],
+        "suspect_m": stations.suspect_m,
         "status": stations.status,
     }
 

@@ -66,16 +66,17 @@ def stations_of(table: pa.Table) -> Stations:
     """Stations from the table of ``stations.parquet``; the inverse of `table_of_stations`."""
 
     def number(name: str) -> Array:
+        if name not in table.schema.names:  # of an older version
+            return np.full(table.num_rows, np.nan)
         return np.asarray(table[name].to_numpy(), dtype=np.float64)
 
     def quaternion(prefix: str) -> Array:
-        names = [f"{prefix}_{axis}" for axis in "wxyz"]
-        if names[0] not in table.schema.names:
-            return np.full((table.num_rows, 4), np.nan)
-        return np.stack([number(name) for name in names], axis=1)
+        return np.stack([number(f"{prefix}_{axis}") for axis in "wxyz"], axis=1)
 
     def text(name: str) -> NDArray[np.object_]:
-        return np.array(table[name].to_pylist(), dtype=object)
+        if name not in table.schema.names:
+            return np.full(table.num_rows, "", dtype=object)
+        return np.array([value or "" for value in table[name].to_pylist()], dtype=object)
 
     time = pc.fill_null(table["time_utc"].cast(pa.int64()), int(NO_TIME)).to_numpy()
     derived: dict[str, Any] = {
@@ -87,6 +88,9 @@ def stations_of(table: pa.Table) -> Stations:
         "lon_rad": np.radians(number("lon_deg")),
         "quaternion": quaternion("q"),
         "aircraft_quaternion": quaternion("aircraft_q"),
+        "sigma_tilt_rad": np.radians(number("sigma_tilt_deg")),
+        "sigma_yaw_rad": np.radians(number("sigma_yaw_deg")),
+        "suspect_reason": text("suspect_reason"),
     }
     names = [field.name for field in fields(Stations) if field.name not in derived]
     return Stations(**(derived | {name: number(name) for name in names}))

@@ -89,6 +89,10 @@ STATION_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
     "cabin_vapour_pressure_pa": (_F, "Pa", "in the compartment"),
     "sigma_horizontal_m": (_F, "m", "standard deviation per axis, as the receiver gave it"),
     "sigma_height_m": (_F, "m", "standard deviation, as the receiver gave it"),
+    "sigma_tilt_deg": (_F, "deg", "standard deviation about each of the body's level axes"),
+    "sigma_yaw_deg": (_F, "deg", "standard deviation about the body's vertical axis"),
+    "suspect_reason": (_S, "", "which evidence contradicts the station; null where none does"),
+    "suspect_m": (_F, "m", "how far off a suspect position may be"),
     "status": (_S, "", "ok, or what is missing"),
 }
 

@@ -8,10 +8,9 @@ import pytest
 
 from pipeline.config.atmosphere import AtmosphereSection, SoundingSection, SurfaceSection
 from pipeline.config.cameras import CameraSection, MountSection, WindowSection
+from pipeline.config.event_sources import CsvEvents, LogEvents
 from pipeline.config.sections import (
-    CsvEvents,
     GroundSection,
-    LogEvents,
     LogSection,
     NamedChannel,
     ObservationsSection,

@@ -297,7 +297,9 @@ def test_stations_come_back():
         pressure_pa=9e4 * numbers, temperature_k=280.0 * numbers, vapour_pressure_pa=5e2 * numbers,
         cabin_pressure_pa=8e4 * numbers, cabin_temperature_k=294.0 * numbers,
         cabin_vapour_pressure_pa=4e2 * numbers, sigma_horizontal_m=numbers,
-        sigma_height_m=2.0 * numbers, status=np.array(["ok", "unmatched"], object),
+        sigma_height_m=2.0 * numbers, sigma_tilt_rad=0.003 * numbers, sigma_yaw_rad=0.01 * numbers,
+        suspect_reason=np.array(["a step of 77 m", ""], object), suspect_m=77.0 * numbers,
+        status=np.array(["ok", "unmatched"], object),
     )  # fmt: skip
     table = table_of_stations(
         before, constant_series(TimedProfile(None, standard_atmosphere("us1976")), 2)
@@ -310,7 +312,7 @@ def test_stations_come_back():
     for name in Stations.__dataclass_fields__:
         was, is_now = getattr(before, name), getattr(after, name)
         assert was.dtype == is_now.dtype
-        if name in ("lat_rad", "lon_rad"):
+        if name.endswith("_rad"):
             np.testing.assert_allclose(is_now, was, rtol=1e-15)
         else:
             np.testing.assert_array_equal(is_now, was)

@@ -31,7 +31,8 @@ STATIONS = {
     "temperature_k": "double",
     "vapour_pressure_pa": "double", "cabin_pressure_pa": "double", "cabin_temperature_k": "double",
     "cabin_vapour_pressure_pa": "double", "sigma_horizontal_m": "double",
-    "sigma_height_m": "double", "status": "string",
+    "sigma_height_m": "double", "sigma_tilt_deg": "double", "sigma_yaw_deg": "double",
+    "suspect_reason": "string", "suspect_m": "double", "status": "string",
 }  # fmt: skip
 PROFILE = {
     "profile_id", "time_utc", "h_m", "geopotential_m", "temperature_k", "pressure_pa",

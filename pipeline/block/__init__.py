@@ -1,0 +1,1 @@
+"""Several images of one point: their rays intersected, and what that says of the stations."""
