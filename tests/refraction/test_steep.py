@@ -58,6 +58,19 @@ def test_a_ray_among_many_is_the_ray_by_itself(table, h_c):
     np.testing.assert_allclose(together / ARCSEC, alone / ARCSEC, rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("degrees", [25.0, 45.0, 55.0])
+@pytest.mark.parametrize("h_c", [20_000.0, 30_000.0])
+def test_deep_targets_at_one_nadir_angle_have_moments_enough(table, h_c, degrees):
+    """How far the series goes is chosen for all rays of a group: here by their depth alone."""
+    zeta = np.full(100, degrees * DEGREE)
+    h_g = np.random.default_rng(1).uniform(-400.0, 0.9 * h_c, 100)
+    given = (h_g, np.sin(zeta), np.cos(zeta), np.full(100, RADIUS))
+    together, _ = bend(table, h_c, *given[:3], radius=given[3])
+    alone, _ = one_by_one(table, h_c, *given)
+    # Reached: 1.2e-12 of the angle.
+    np.testing.assert_allclose(together, alone, rtol=4e-12, atol=0.0)
+
+
 @pytest.mark.parametrize("first", [40.0, 88.0])
 def test_flat_rays_among_steep_ones_to_the_same_height(table, first):
     """Those that bend too much for the series are left out of it one by one."""
