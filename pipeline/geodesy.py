@@ -126,17 +126,40 @@ def offset_geodetic(
     coordinates, so poles and the 180th meridian are no special case. Longitudes return in
     [-pi, pi].
     """
+    to_ecef = enu_from_ecef(latitude_rad, longitude_rad).transpose(0, 2, 1)
+    start = ecef_of_geodetic(latitude_rad, longitude_rad, h_ellipsoid)
+    return geodetic_of_ecef(*(start + np.einsum("nij,nj->ni", to_ecef, enu)).T)
+
+
+def ecef_of_geodetic(latitude_rad: Array, longitude_rad: Array, h_ellipsoid: Array) -> Array:
+    """(n, 3) earth-centred coordinates [m] of (n,) geodetic ones on WGS84.
+
+    >>> ecef_of_geodetic(np.zeros(1), np.zeros(1), np.full(1, 100.0)).tolist()
+    [[6378237.0, 0.0, 0.0]]
+    """
+    sin_p, cos_p = np.sin(latitude_rad), np.cos(latitude_rad)
+    radius = WGS84_A / np.sqrt(1.0 - _E2 * sin_p * sin_p)
+    return np.stack(
+        [
+            (radius + h_ellipsoid) * cos_p * np.cos(longitude_rad),
+            (radius + h_ellipsoid) * cos_p * np.sin(longitude_rad),
+            (radius * (1.0 - _E2) + h_ellipsoid) * sin_p,
+        ],
+        axis=-1,
+    )
+
+
+def enu_from_ecef(latitude_rad: Array, longitude_rad: Array) -> Array:
+    """(n, 3, 3) rotations from earth-centred axes to east, north, up at (n,) places.
+
+    The vertical turns with the place: 324 arcsec per 10 km.
+    """
     sin_p, cos_p = np.sin(latitude_rad), np.cos(latitude_rad)
     sin_l, cos_l = np.sin(longitude_rad), np.cos(longitude_rad)
-    e, n, u = enu[:, 0], enu[:, 1], enu[:, 2]
-    radius = WGS84_A / np.sqrt(1.0 - _E2 * sin_p * sin_p)
-    x = (radius + h_ellipsoid) * cos_p * cos_l
-    y = (radius + h_ellipsoid) * cos_p * sin_l
-    z = (radius * (1.0 - _E2) + h_ellipsoid) * sin_p
-    x = x - sin_l * e - sin_p * cos_l * n + cos_p * cos_l * u
-    y = y + cos_l * e - sin_p * sin_l * n + cos_p * sin_l * u
-    z = z + cos_p * n + sin_p * u
-    return geodetic_of_ecef(x, y, z)
+    east = np.stack([-sin_l, cos_l, np.zeros_like(sin_l)], axis=-1)
+    north = np.stack([-sin_p * cos_l, -sin_p * sin_l, cos_p], axis=-1)
+    up = np.stack([cos_p * cos_l, cos_p * sin_l, sin_p], axis=-1)
+    return np.stack([east, north, up], axis=-2)
 
 
 def geodetic_of_ecef(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:

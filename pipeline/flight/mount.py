@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pipeline.flight.channels import Array, Channel
+from pipeline.flight.rotations import CAMERA_AT_REST
 from pipeline.ledger import Entry, Kind, Notes, warning
 
 _GIMBALS = ("MNT", "MOUNTSTATUS", "MOUNTORIENTATION", "GIMBALDEVICEATTITUDESTATUS")
@@ -16,10 +17,6 @@ _GIMBALS = ("MNT", "MOUNTSTATUS", "MOUNTORIENTATION", "GIMBALDEVICEATTITUDESTATU
 # A camera on a gimbal looks along its forward axis; with the mount of an aircraft, in which it
 # looks down, it is 90 degrees away from there.
 _LARGEST_AXIS_ANGLE_DEG = 45.0
-
-# A camera at rest in its mount looks down with the top of its image towards the nose: camera x is
-# the body's y (right), camera y the body's -x (aft), camera z the body's z (down).
-_CAMERA_FROM_REST = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True)
@@ -40,7 +37,7 @@ class Mount:
         1.0
         """
         turn = Rotation.from_euler("ZYX", [self.yaw_rad, self.pitch_rad, self.roll_rad])
-        return np.asarray(_CAMERA_FROM_REST @ turn.as_matrix().T)
+        return np.asarray(CAMERA_AT_REST @ turn.as_matrix().T)
 
 
 def gimbal_notes(

@@ -6,12 +6,12 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere import Profile
 from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.config import Mission
 from pipeline.errors import MissionError
+from pipeline.flight.rotations import matrices_of
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera, LensInAir, is_absurd, principal_change
@@ -76,7 +76,7 @@ def exposures_of(
     whose cabin air is known the lens is in that air, else in the air outside. Refuses a change of
     the principal distance of more than 1 % (MissionError LENS-CHANGE).
     """
-    rotation = _rotation_matrices(stations.quaternion)
+    rotation = matrices_of(stations.quaternion)
     h = stations.h_msl_m
     pressure, temperature, vapour = (
         profile.pressure(h),
@@ -119,15 +119,6 @@ def exposures_of(
     )
 
 
-def _rotation_matrices(quaternion: Array) -> Array:
-    """(n, 3, 3) rotations of (n, 4) quaternions w, x, y, z; NaN stays."""
-    matrix = np.full((quaternion.shape[0], 3, 3), np.nan)
-    known = np.isfinite(quaternion).all(axis=1)
-    if bool(known.any()):
-        matrix[known] = Rotation.from_quat(quaternion[known][:, [1, 2, 3, 0]]).as_matrix()
-    return matrix
-
-
 def _window_normals(window: Window, rotation: Array, aircraft_quaternion: Array) -> Array:
     """(m, 3) normals of a window in the frame of its camera at each exposure; NaN stays.
 
@@ -137,7 +128,7 @@ def _window_normals(window: Window, rotation: Array, aircraft_quaternion: Array)
     normal = np.array(window.normal)
     if window.frame == "camera":
         return np.broadcast_to(normal, (rotation.shape[0], 3))
-    in_enu = np.einsum("nji,j->ni", _rotation_matrices(aircraft_quaternion), normal)
+    in_enu = np.einsum("nji,j->ni", matrices_of(aircraft_quaternion), normal)
     return np.asarray(np.einsum("nij,nj->ni", rotation, in_enu))
 
 

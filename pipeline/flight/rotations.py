@@ -1,0 +1,142 @@
+"""Attitudes as angles, quaternions and matrices, and the frames they are measured in.
+
+The attitude of a camera is the quaternion of ``v_camera = R(q) v_frame``: camera x right, y down,
+z forward, Hamilton, (n, 4) w, x, y, z with w >= 0. What is unknown (NaN) stays unknown.
+
+Photogrammetry has the camera's y up and z backward, and a matrix M that turns from the camera to
+the frame: ``M = Rx(omega) Ry(phi) Rz(kappa)``. Textbooks that turn from the frame to the camera
+print its transpose (Wolf and Dewitt 2000, Appendix C): the angles are the same.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pipeline.flight.channels import Array
+
+CAMERA_AT_REST = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""From the body (forward, right, down) to a camera that looks down, its top towards the nose."""
+
+NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""From east, north, up to north, east, down; its own inverse."""
+
+_FROM_PHOTOGRAMMETRIC = np.diag([1.0, -1.0, -1.0])
+
+_Axes = Literal["XYZ", "YXZ", "ZYX"]
+
+# Axes of the frame and of the camera once turned (intrinsic rotations), as scipy names them.
+_ORDERS: dict[str, _Axes] = {"omega_phi_kappa": "XYZ", "phi_omega_kappa": "YXZ"}
+
+
+def matrices_of(quaternion: Array) -> Array:
+    """(n, 3, 3) rotation matrices of (n, 4) quaternions w, x, y, z.
+
+    >>> matrices_of(np.array([[0.0, 1.0, 0.0, 0.0]]))[0].diagonal().tolist()
+    [1.0, -1.0, -1.0]
+    """
+    matrix = np.full((quaternion.shape[0], 3, 3), np.nan)
+    known = np.isfinite(quaternion).all(axis=1)
+    if bool(known.any()):
+        matrix[known] = Rotation.from_quat(quaternion[known], scalar_first=True).as_matrix()
+    return matrix
+
+
+def quaternions_of(matrix: Array) -> Array:
+    """(n, 4) quaternions w, x, y, z, w >= 0, of (n, 3, 3) rotation matrices."""
+    quaternion = np.full((matrix.shape[0], 4), np.nan)
+    known = np.isfinite(matrix).all(axis=(1, 2))
+    if bool(known.any()):
+        rotation = Rotation.from_matrix(matrix[known])
+        quaternion[known] = rotation.as_quat(canonical=True, scalar_first=True)
+    return quaternion
+
+
+def quaternion_of_opk(angles: Array, order: str = "omega_phi_kappa") -> Array:
+    """(n, 4) attitudes of cameras from the angles of photogrammetry.
+
+    Parameters
+    ----------
+    angles : (n, 3) in the order of their names [rad], any range: omega about x, phi about y, kappa
+        about z, counter-clockwise seen from the axis' tip.
+    order : ``omega_phi_kappa``, or ``phi_omega_kappa`` where phi is the primary rotation (BLUH).
+
+    With all angles zero the camera looks along -z of the frame, the image's x along x. Reproduces
+    the rotation matrices that Pix4D prints beside its angles to the angles' rounding.
+
+    >>> quaternion_of_opk(np.zeros((1, 3))).tolist()
+    [[0.0, 1.0, 0.0, 0.0]]
+    """
+    matrix = _euler_matrices(_ORDERS[order], angles)
+    return quaternions_of(_FROM_PHOTOGRAMMETRIC @ matrix.transpose(0, 2, 1))
+
+
+def opk_of_quaternion(quaternion: Array, order: str = "omega_phi_kappa") -> Array:
+    """(n, 3) angles [rad] in the order of their names; inverse of `quaternion_of_opk`.
+
+    The first and the last lie in [-pi, pi], the second in [-pi/2, pi/2]. At its ends, where the
+    camera looks along the axis of the first, the last is zero and the first holds both.
+    """
+    matrix = matrices_of(quaternion).transpose(0, 2, 1) @ _FROM_PHOTOGRAMMETRIC
+    return _euler_angles(_ORDERS[order], matrix)
+
+
+def quaternion_of_rpy(angles: Array, camera_from_body: Array = CAMERA_AT_REST) -> Array:
+    """(n, 4) attitudes of cameras against east, north, up from those of the body.
+
+    Parameters
+    ----------
+    angles : (n, 3) roll, pitch, yaw [rad] of the body (forward, right, down) against north, east,
+        down: right wing down, nose up, clockwise from north; yaw is applied first, roll last.
+    camera_from_body : (3, 3), by default of a camera that looks down, its top towards the nose.
+
+    >>> quaternion_of_rpy(np.zeros((1, 3))).round(6).tolist()
+    [[0.0, 1.0, 0.0, 0.0]]
+    """
+    ned_from_body = _euler_matrices("ZYX", angles[:, ::-1])
+    return quaternions_of(camera_from_body @ ned_from_body.transpose(0, 2, 1) @ NED_FROM_ENU)
+
+
+def rpy_of_quaternion(quaternion: Array, camera_from_body: Array = CAMERA_AT_REST) -> Array:
+    """(n, 3) roll, pitch, yaw [rad]; inverse of `quaternion_of_rpy`, the pitch in [-pi/2, pi/2]."""
+    ned_from_body = NED_FROM_ENU @ matrices_of(quaternion).transpose(0, 2, 1) @ camera_from_body
+    return np.asarray(_euler_angles("ZYX", ned_from_body)[:, ::-1])
+
+
+def in_turned_frame(quaternion: Array, frame_from_other: Array) -> Array:
+    """Attitudes of v_camera = R(q) v_frame as those of v_camera = R(q) v_other.
+
+    ``frame_from_other`` is (3, 3) or (n, 3, 3); `geodesy.enu_from_ecef` and `enu_from_grid` give
+    its transpose.
+    """
+    return quaternions_of(matrices_of(quaternion) @ frame_from_other)
+
+
+def enu_from_grid(convergence_rad: Array | float) -> Array:
+    """(3, 3) or (n, 3, 3) rotation from a map's grid (x, y, up) to east, north, up.
+
+    ``convergence_rad`` is positive where grid north lies east of true north, as on the northern
+    hemisphere east of a projection's central meridian: true azimuth = grid azimuth + convergence.
+
+    >>> (enu_from_grid(np.radians(2.0)) @ [0.0, 1.0, 0.0]).round(4).tolist()
+    [0.0349, 0.9994, 0.0]
+    """
+    return np.asarray(Rotation.from_euler("z", -np.asarray(convergence_rad)).as_matrix())
+
+
+def _euler_matrices(axes: _Axes, angles: Array) -> Array:
+    matrix = np.full((angles.shape[0], 3, 3), np.nan)
+    known = np.isfinite(angles).all(axis=1)
+    if bool(known.any()):
+        matrix[known] = Rotation.from_euler(axes, angles[known]).as_matrix()
+    return matrix
+
+
+def _euler_angles(axes: _Axes, matrix: Array) -> Array:
+    angles = np.full((matrix.shape[0], 3), np.nan)
+    known = np.isfinite(matrix).all(axis=(1, 2))
+    if bool(known.any()):
+        angles[known] = Rotation.from_matrix(matrix[known]).as_euler(axes, suppress_warnings=True)
+    return angles

@@ -1,0 +1,180 @@
+"""Attitudes against numbers that other programs and a published block print."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pipeline.flight.rotations import (
+    CAMERA_AT_REST,
+    NED_FROM_ENU,
+    enu_from_grid,
+    in_turned_frame,
+    matrices_of,
+    opk_of_quaternion,
+    quaternion_of_opk,
+    quaternion_of_rpy,
+    quaternions_of,
+    rpy_of_quaternion,
+)
+from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef
+
+# Pix4D writes angles into *_calibrated_external_camera_parameters.txt, and for the same image a
+# matrix from the world to a camera with x right, y down, z forward into *_calibrated_camera_
+# parameters.txt. The image DSC_0157.JPG of a published project.
+PIX4D_DEG = (-2.946680, 3.053212, 119.804001)
+PIX4D_MATRIX = [
+    [-0.49632901575943477734, 0.86794436424468834890, -0.01816834310427051929],
+    [0.86649900151927328196, 0.49400145706385401034, -0.07170802455019638366],
+    [-0.05326338781351704077, -0.05133362440616233424, -0.99726018196053234366],
+]
+# Metashape.Utils.ypr2mat((30, 91, 0)), from a camera with y up and z back to east, north, up
+# (agisoft.com/forum, topic 12200).
+AGISOFT_MATRIX = [
+    [0.8660254037844387, -0.008726203218641737, -0.4999238475781956],
+    [-0.49999999999999994, -0.01511422733185856, -0.8658935039207541],
+    [0.0, 0.9998476951563913, -0.017452406437283477],
+]
+# MathWorks, Aerospace Toolbox, example of angle2quat and of angle2dcm (body from north-east-down).
+MATLAB_YPR = (0.7854, 0.1, 0.0)
+MATLAB_QUATERNION = [0.9227, -0.0191, 0.0462, 0.3822]
+MATLAB_MATRIX = [[0.7036, 0.7036, -0.0998], [-0.7071, 0.7071, 0.0], [0.0706, 0.0706, 0.9950]]
+
+# DBAT's published solution of the block over Strasbourg (Boerlin): angles [deg] and projection
+# centre [m] of an image, then three control points [m] and where they were measured [px].
+DBAT_BLOCK = [
+    (
+        (0.829772, -0.417236, -89.914549), (999660.940086, 112368.368648, 1916.563176),
+        [((999604.580, 112344.443, 139.453), (5007.6667, 7275.6667)),
+         ((999619.041, 112370.818, 138.970), (4700.3506, 7105.9468)),
+         ((999170.674, 112692.548, 139.640), (955.1383, 12311.1660))],
+    ),
+]  # fmt: skip
+DBAT_F_PX, DBAT_CENTRE_PX = 123.939 / 0.006, (26.577 / 0.006, 38.811 / 0.006)
+
+
+def test_opk_is_the_matrix_that_pix4d_prints():
+    q = quaternion_of_opk(np.radians([PIX4D_DEG]))
+    assert matrices_of(q)[0] == pytest.approx(np.array(PIX4D_MATRIX), abs=2e-8)
+    back = opk_of_quaternion(quaternions_of(np.array([PIX4D_MATRIX])))
+    assert np.degrees(back[0]) == pytest.approx(PIX4D_DEG, abs=1e-6)
+
+
+def test_yaw_pitch_roll_is_the_matrix_that_metashape_prints():
+    q = quaternion_of_rpy(np.radians([[0.0, 91.0, 30.0]]))
+    y_up_z_back = np.diag([1.0, -1.0, -1.0])
+    assert matrices_of(q)[0].T @ y_up_z_back == pytest.approx(np.array(AGISOFT_MATRIX), abs=1e-12)
+
+
+def test_roll_pitch_yaw_is_the_quaternion_and_the_matrix_that_matlab_prints():
+    yaw, pitch, roll = MATLAB_YPR
+    body = quaternion_of_rpy(np.array([[roll, pitch, yaw]]), np.eye(3))
+    body_from_ned = matrices_of(body)[0] @ NED_FROM_ENU
+    assert body_from_ned == pytest.approx(np.array(MATLAB_MATRIX), abs=5e-5)
+    q = quaternions_of(body_from_ned.T[None])[0]
+    assert q == pytest.approx(MATLAB_QUATERNION, abs=5e-5)
+
+
+@pytest.mark.parametrize(("angles", "centre", "points"), DBAT_BLOCK)
+def test_a_published_block_projects_its_control_points(angles, centre, points):
+    matrix = matrices_of(quaternion_of_opk(np.radians([angles])))[0]
+    for point, measured in points:
+        x, y, z = matrix @ (np.array(point) - centre)
+        projected = np.array(DBAT_CENTRE_PX) + DBAT_F_PX * np.array([x, y]) / z
+        assert z > 1000.0
+        # The block's residuals: a swapped or negated angle moves these points by 100 px or more.
+        assert projected == pytest.approx(measured, abs=4.0)
+
+
+def test_a_camera_by_hand():
+    # Heading east, nose 10 deg up: the picture's top is east, its right is south, and the camera
+    # looks down and 10 deg ahead.
+    matrix = matrices_of(quaternion_of_rpy(np.radians([[0.0, 10.0, 90.0]])))[0]
+    sin, cos = np.sin(np.radians(10.0)), np.cos(np.radians(10.0))
+    assert matrix[0] == pytest.approx([0.0, -1.0, 0.0], abs=1e-12)
+    assert matrix[1] == pytest.approx([-cos, 0.0, -sin], abs=1e-12)
+    assert matrix[2] == pytest.approx([sin, 0.0, -cos], abs=1e-12)
+    # The same in the angles of photogrammetry: x of the image points south, so kappa is -90.
+    opk = np.degrees(opk_of_quaternion(quaternions_of(matrix[None])))[0]
+    assert opk == pytest.approx([0.0, -10.0, -90.0], abs=1e-9)
+
+
+def test_right_wing_down_looks_to_the_left():
+    north_bound = matrices_of(quaternion_of_rpy(np.radians([[10.0, 0.0, 0.0]])))[0]
+    assert north_bound[2] == pytest.approx([-np.sin(np.radians(10.0)), 0.0, -np.cos(0.174532925)])
+
+
+@pytest.mark.parametrize("order", ["omega_phi_kappa", "phi_omega_kappa"])
+def test_angles_come_back(order):
+    rng = np.random.default_rng(5)
+    angles = rng.uniform([-3.1, -1.5, -3.1], [3.1, 1.5, 3.1], (200, 3))
+    angles[7] = np.nan
+    q = quaternion_of_opk(angles, order)
+    assert (q[np.arange(200) != 7, 0] >= 0.0).all()
+    assert opk_of_quaternion(q, order) == pytest.approx(angles, abs=1e-9, nan_ok=True)
+    assert np.isnan(q[7]).all()
+    assert rpy_of_quaternion(quaternion_of_rpy(angles[:, ::-1])) == pytest.approx(
+        angles[:, ::-1], abs=1e-9, nan_ok=True
+    )
+
+
+def test_the_primary_angle_is_about_the_axis_of_the_frame():
+    # 40 deg of the first angle, then 20 of the second: the camera's axis stays at right angles to
+    # the axis of the first.
+    q = quaternion_of_opk(np.radians([[40.0, 0.0, 0.0], [40.0, 20.0, 0.0]]), "phi_omega_kappa")
+    down = matrices_of(q)[:, 2]
+    assert down[0] == pytest.approx([-np.sin(np.radians(40)), 0.0, -np.cos(np.radians(40))])
+    assert down[1][1] == pytest.approx(np.sin(np.radians(20.0)))
+    q = quaternion_of_opk(np.radians([[40.0, 20.0, 0.0]]), "omega_phi_kappa")
+    assert matrices_of(q)[0, 2, 0] == pytest.approx(-np.sin(np.radians(20.0)))
+
+
+def test_looking_along_the_axis_of_the_first_angle_both_are_one():
+    straight_ahead = quaternion_of_opk(np.radians([[20.0, 90.0, 15.0]]))
+    back = opk_of_quaternion(straight_ahead)
+    again = quaternion_of_opk(back)
+    assert np.isfinite(back).all()
+    assert again == pytest.approx(straight_ahead, abs=1e-9)
+
+
+def test_convergence_is_the_map_projection_s_own():
+    pyproj = pytest.importorskip("pyproj")
+    utm = pyproj.Proj("EPSG:32632")
+    lat, lon = 48.0, 11.5  # east of the central meridian, 9 degrees
+    (x0, y0), (x1, y1) = utm(lon, lat), utm(lon, lat + 1e-5)
+    convergence = np.radians(utm.get_factors(lon, lat).meridian_convergence)
+    assert np.degrees(convergence) == pytest.approx(1.8584, abs=1e-4)
+    step = np.array([x1 - x0, y1 - y0, 0.0]) / np.hypot(x1 - x0, y1 - y0)
+    assert enu_from_grid(convergence) @ step == pytest.approx([0.0, 1.0, 0.0], abs=1e-6)
+    # Heading along grid north, that is 1.86 deg east of the meridian.
+    on_grid = quaternion_of_rpy(np.zeros((1, 3)))
+    on_earth = in_turned_frame(on_grid, enu_from_grid(convergence).T)
+    assert np.degrees(rpy_of_quaternion(on_earth)[0]) == pytest.approx([0, 0, 1.8584], abs=1e-4)
+
+
+def test_the_vertical_turns_0_9_degrees_in_100_km():
+    lat, lon = np.radians([47.0, 47.0]), np.radians([8.0, 8.0])
+    origin, axes = ecef_of_geodetic(lat[:1], lon[:1], np.zeros(1))[0], enu_from_ecef(lat, lon)[0]
+    far = geodetic_of_ecef(*(origin + axes.T @ [0.0, 100e3, 0.0])[:, None])
+    turn = enu_from_ecef(far[0], far[1])[0] @ axes.T
+    assert np.degrees(Rotation.from_matrix(turn).magnitude()) == pytest.approx(0.8991, abs=2e-3)
+    # Plumb lines meet at the earth's centre: along the first vertical, a camera at the other place
+    # looks beyond the point below it, away from the first.
+    straight_down = quaternion_of_opk(np.zeros((1, 3)))
+    at_the_other = matrices_of(in_turned_frame(straight_down, turn.T))[0]
+    assert np.degrees(np.arcsin(at_the_other[2, 1])) == pytest.approx(0.8991, abs=2e-3)
+
+
+def test_earth_centred_coordinates_against_pyproj():
+    pyproj = pytest.importorskip("pyproj")
+    lat, lon, h = np.array([-33.5, 0.0, 89.9]), np.array([151.0, -180.0, 12.0]), [100.0, -50, 9000]
+    to_ecef = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
+    expected = np.stack(to_ecef.transform(lon, lat, h), axis=1)
+    found = ecef_of_geodetic(np.radians(lat), np.radians(lon), np.array(h))
+    assert found == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_camera_at_rest_looks_down_with_its_top_to_the_nose():
+    assert CAMERA_AT_REST[2].tolist() == [0.0, 0.0, 1.0]
+    assert (CAMERA_AT_REST @ [1.0, 0.0, 0.0]).tolist() == [0.0, -1.0, 0.0]
