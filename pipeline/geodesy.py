@@ -126,9 +126,11 @@ def offset_geodetic(
     coordinates, so poles and the 180th meridian are no special case. Longitudes return in
     [-pi, pi].
     """
-    to_ecef = enu_from_ecef(latitude_rad, longitude_rad).transpose(0, 2, 1)
-    start = ecef_of_geodetic(latitude_rad, longitude_rad, h_ellipsoid)
-    return geodetic_of_ecef(*(start + np.einsum("nij,nj->ni", to_ecef, enu)).T)
+    point = ecef_of_geodetic(latitude_rad, longitude_rad, h_ellipsoid)
+    axes = enu_from_ecef(latitude_rad, longitude_rad)
+    for axis in range(3):
+        point = point + axes[:, axis] * enu[:, axis, None]
+    return geodetic_of_ecef(*point.T)
 
 
 def ecef_of_geodetic(latitude_rad: Array, longitude_rad: Array, h_ellipsoid: Array) -> Array:
