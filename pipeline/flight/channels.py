@@ -28,6 +28,12 @@ ROLE_COLUMNS: Mapping[str, tuple[str, ...]] = {
 }
 """Roles a channel can play, and the columns it needs for that."""
 
+_OF_HEALTH = {
+    "innovation_velocity", "innovation_position", "innovation_height", "innovation_compass",
+    "filter_flags", "filter_timeouts", "filter_faults", "vibration_m_s2", "clipping",
+    "rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s",
+}  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Source:
@@ -58,10 +64,21 @@ class Channel:
         when the log was read.
 
     Columns in use: lat_rad, lon_rad, h_msl_m, h_gnss_m (above sea level, by the receiver alone),
-    h_ellipsoid_m, h_home_m, east_m, north_m, up_m (local), sigma_h_m, sigma_v_m, fix; q_w, q_x,
-    q_y, q_z (v_ned = R(q) v_body, body forward, right, down); pressure_pa, board_temperature_k,
+    h_ellipsoid_m, h_home_m, east_m, north_m, up_m (local); v_north_m_s, v_east_m_s, v_down_m_s;
+    q_w, q_x, q_y, q_z (v_ned = R(q) v_body, body forward, right, down); rate_x_rad_s, rate_y_rad_s,
+    rate_z_rad_s (about the body's forward, right and down axis); pressure_pa, board_temperature_k,
     temperature_k, relative_humidity (0-1), airspeed_m_s; event_index, roll_rad, pitch_rad, yaw_rad;
     yaw_in_body_rad (of a gimbal); value (of a named value, in the mission file's unit).
+
+    Of a receiver: fix (GPS_FIX_TYPE of MAVLink: 3 is 3D, 6 RTK fixed), satellites, hdop, sigma_h_m,
+    sigma_v_m, sigma_speed_m_s; gps_week and gps_week_s, the epoch of the row in GPS time, as logged
+    (a week may count modulo 1024). Of a filter: innovation_velocity, innovation_position,
+    innovation_height, innovation_compass (largest innovation over the gate: what is above 1 is
+    rejected); filter_flags, whose bits 0 to 9 are those of MAVLink's EKF_STATUS_FLAGS in all
+    formats, 10 never healthy, 15 GPS glitch, 18 dead reckoning; filter_timeouts and filter_faults
+    (bits of ArduPilot's XKF4.TS and FS); vibration_m_s2 (of the worst axis), clipping (count since
+    boot). What the autopilot says is a channel without columns and with the label ``text``; texts
+    of one time are lines of one row.
     """
 
     name: str
@@ -92,6 +109,11 @@ class Channel:
 
     def __getitem__(self, column: str) -> Array:
         return self.columns[column]
+
+    @property
+    def is_evidence(self) -> bool:
+        """Whether it only tells how well others can be believed: health of a filter, texts."""
+        return not self.roles and self.columns.keys() <= _OF_HEALTH
 
     def fits_role(self, role: str) -> bool:
         """Whether the columns that a role needs are there."""

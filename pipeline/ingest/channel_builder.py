@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +51,8 @@ class DecodedRows:
 
 def channel_of(rows: DecodedRows, spec: MessageMap, ledger: Ledger) -> Channel | None:
     """A channel from decoded rows, or None when nothing is left; drops are in the ledger."""
+    if spec.text_field:
+        return _channel_of_texts(rows, spec)
     needed = {"lat_rad", "lon_rad"} if spec.position else set()
     if spec.attitude:
         euler = "roll_rad" in rows.columns
@@ -93,6 +96,19 @@ def channel_of(rows: DecodedRows, spec: MessageMap, ledger: Ledger) -> Channel |
     )  # fmt: skip
     roles = tuple(role for role in spec.roles if channel.fits_role(role))
     return replace(channel, roles=roles)
+
+
+def _channel_of_texts(rows: DecodedRows, spec: MessageMap) -> Channel | None:
+    """What an autopilot says, in the order of time; texts of one time are lines of one row."""
+    order = np.argsort(rows.time_ns, kind="stable")
+    time_ns, first = np.unique(rows.time_ns[order], return_index=True)
+    words = [rows.labels["text"][row].strip() for row in order.tolist()]
+    bounds = [*first.tolist(), len(words)]
+    texts = tuple("\n".join(words[a:b]) for a, b in pairwise(bounds))
+    if not time_ns.size:
+        return None
+    boot = rows.boot[order][first]
+    return Channel(rows.name, time_ns, {}, rows.source, boot, (), spec.rank, {"text": texts})
 
 
 def _with_fix(rows: DecodedRows, ledger: Ledger) -> DecodedRows:

@@ -21,12 +21,24 @@ UNITS: Mapping[str, tuple[float, float, float]] = {
     "degE7": (1e7, DEGREE, 0.0),
     "cdeg": (100.0, DEGREE, 0.0),
     "mm": (1e3, 1.0, 0.0),
-    "-m": (1.0, -1.0, 0.0),
+    "cm": (100.0, 1.0, 0.0),
+    "ms": (1e3, 1.0, 0.0),
+    "1/100": (100.0, 1.0, 0.0),
+    "-": (1.0, -1.0, 0.0),  # of the other sign
     "hPa": (1.0, HECTOPASCAL, 0.0),
     "degC": (1.0, 1.0, ZERO_CELSIUS_K),
     "cdegC": (100.0, 1.0, ZERO_CELSIUS_K),
     "%": (100.0, 1.0, 0.0),
     "c%": (1e4, 1.0, 0.0),
+}
+
+# Bits 0 to 9 of the flags of a filter are the same everywhere; of others, where they are -> where
+# they are in `Channel.columns`. Sources: EKF_STATUS_FLAGS and ESTIMATOR_STATUS_FLAGS of MAVLink's
+# common.xml, nav_filter_status in ArduPilot's AP_Nav_Common.h (XKF4.SS).
+FLAGS: Mapping[str, tuple[tuple[int, int], ...]] = {
+    "EKF_STATUS_FLAGS": ((10, 10), (15, 15)),
+    "ESTIMATOR_STATUS_FLAGS": ((10, 15),),
+    "nav_filter_status": ((14, 15), (18, 18)),
 }
 
 # unit that a mission file may state -> (column, factor, offset): SI = number * factor + offset
@@ -84,6 +96,7 @@ class MessageMap:
     ``spare_rank`` is the rank of all instances but the first, where those are spares. Where it is
     not given all have the same rank: instance numbers do not tell which thermometer is outside.
     ``position`` drops rows without a fix, ``attitude`` turns Euler angles into a quaternion.
+    ``text_field`` names the text of what the autopilot says: such a channel has no columns.
     """
 
     columns: tuple[FieldColumn, ...]
@@ -93,6 +106,7 @@ class MessageMap:
     time_field: str = ""
     position: bool = False
     attitude: bool = False
+    text_field: str = ""
     spare_rank: int | None = None
 
     def rank_of(self, instance: str | None) -> int:
@@ -119,6 +133,12 @@ def to_si(raw: NDArray[Any], spec: FieldColumn) -> Array:
         unknown |= value == spec.missing
     if spec.floor is not None:
         unknown |= value < spec.floor
+    if spec.unit in FLAGS:
+        bits = np.where(unknown, 0.0, value).astype(np.int64)
+        flags = bits & 0x3FF
+        for logged, meant in FLAGS[spec.unit]:
+            flags |= (bits >> logged & 1) << meant
+        return np.where(unknown, np.nan, flags.astype(np.float64))
     divisor, factor, offset = UNITS[spec.unit]
     value[unknown] = np.nan  # before the arithmetic, which warns of signalling NaNs
     value /= divisor  # in place: a column of a long log has hundreds of MB
@@ -172,11 +192,22 @@ def extract(
 ) -> dict[str, Array]:
     """The columns of a field map that a decoded message has, each as it is to be ``kept``.
 
-    A field that is an array or a text where a number is expected is left out.
+    A field that is an array or a text where a number is expected is left out. Speed and course
+    become velocity, a vibration that of the worst axis, clippings of several sensors their sum.
     """
     result: dict[str, Array] = {}
     for spec in columns:
         field = next((n for n in spec.fields if n in table and is_number(table[n])), None)
         if field is not None:
             result[spec.name] = kept(to_si(table[field], spec))
+    if {"speed_m_s", "course_rad"} <= result.keys():
+        speed, course = result.pop("speed_m_s"), result.pop("course_rad")
+        result["v_north_m_s"] = kept(speed * np.cos(course))
+        result["v_east_m_s"] = kept(speed * np.sin(course))
+    has_vertical = result.pop("has_vertical_speed", None)  # the speed is 0 where it has none
+    if has_vertical is not None and "v_down_m_s" in result:
+        result["v_down_m_s"][has_vertical == 0.0] = np.nan
+    for name, joined in (("vibration_m_s2", np.fmax.reduce), ("clipping", np.add.reduce)):
+        if parts := [result.pop(part) for part in sorted(result) if part.startswith(f"{name}_")]:
+            result[name] = kept(joined(parts))
     return result

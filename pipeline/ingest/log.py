@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -39,6 +39,7 @@ class Contents:
     boots : how often the vehicle was powered up in it.
     time_base : a description of the source of its UTC.
     table : decodes all messages of one type or topic; with an instance (None for all) only those.
+    parameters : the autopilot's settings by name, as logged, the last value of each.
     """
 
     messages: Mapping[str, int]
@@ -48,6 +49,7 @@ class Contents:
     boots: int
     time_base: str
     table: Callable[[str, str | None], Table] | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 class LogFormat(Protocol):
@@ -221,8 +223,8 @@ def utc_text(time_ns: int) -> str:
 
 
 def gaps_of(channel: Channel) -> list[tuple[int, float]]:
-    """The gaps of a channel: start [ns] and length [s]; events are irregular and have none."""
-    if "events" in channel.roles or len(channel) < 3:
+    """The gaps of a channel: start [ns] and length [s]; events and texts come when they come."""
+    if "events" in channel.roles or not channel.columns or len(channel) < 3:
         return []
     steps = np.diff(channel.time_ns) / 1e9
     rows = np.flatnonzero(steps > channel.gap_limit_s())

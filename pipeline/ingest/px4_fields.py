@@ -7,7 +7,7 @@ the message; a number is an index into an array. ``timestamp`` counts microsecon
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -43,6 +43,13 @@ def camera_quaternion(path: str, axes: str = "0123") -> tuple[FieldColumn, ...]:
     return tuple(column(f"camera_q_{axis}", f"{path}.{name}") for axis, name in pairs)
 
 
+def _axes(names: Iterable[str], fields: Iterable[str]) -> tuple[FieldColumn, ...]:
+    return tuple(map(column, names, fields))
+
+
+_VELOCITY = ("v_north_m_s", "v_east_m_s", "v_down_m_s")
+_RATES = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
+
 # SensorGps has had its degrees as 1e-7 integers and its heights as mm before PX4 1.14.
 _RECEIVER = MessageMap(
     (
@@ -57,6 +64,10 @@ _RECEIVER = MessageMap(
         column("sigma_h_m", "eph"),
         column("sigma_v_m", "epv"),
         column("fix", "fix_type"),
+        column("sigma_speed_m_s", "s_variance_m_s"),
+        column("satellites", "satellites_used"),
+        column("hdop", "hdop"),
+        *_axes(_VELOCITY, ("vel_n_m_s", "vel_e_m_s", "vel_d_m_s")),
     ),
     GNSS, 20, time_field=TIMESTAMP, position=True,
 )  # fmt: skip
@@ -83,12 +94,49 @@ MESSAGES: Mapping[str, MessageMap] = {
             column("h_ellipsoid_m", "alt_ellipsoid", missing=0.0),
             column("sigma_h_m", "eph"),
             column("sigma_v_m", "epv"),
+            *_axes(_VELOCITY, ("vel_n", "vel_e", "vel_d")),
         ),
         ("position",), 10, time_field=TIMESTAMP, position=True,
     ),
+    "VehicleLocalPosition": MessageMap(
+        (
+            *_axes(("north_m", "east_m"), "xy"),
+            column("up_m", "z", "-"),
+            *_axes(_VELOCITY, ("vx", "vy", "vz")),
+            column("sigma_h_m", "eph"),
+            column("sigma_v_m", "epv"),
+            column("sigma_speed_m_s", "evh"),
+        ),
+        time_field=TIMESTAMP,
+    ),
     "VehicleAttitude": MessageMap(
-        tuple(column(f"q_{axis}", f"q.{k}") for k, axis in enumerate("wxyz")),
+        (
+            *(column(f"q_{axis}", f"q.{k}") for k, axis in enumerate("wxyz")),
+            *_axes(_RATES, ("rollspeed", "pitchspeed", "yawspeed")),  # until PX4 1.10
+        ),
         ATTITUDE, 10, time_field=TIMESTAMP, attitude=True,
+    ),
+    "VehicleAngularVelocity": MessageMap(
+        _axes(_RATES, ("xyz.0", "xyz.1", "xyz.2")), time_field=TIMESTAMP
+    ),
+    "EstimatorStatus": MessageMap(
+        (
+            column("innovation_velocity", "vel_test_ratio"),
+            column("innovation_position", "pos_test_ratio"),
+            column("innovation_height", "hgt_test_ratio"),
+            column("innovation_compass", "mag_test_ratio"),
+            column("filter_flags", "solution_status_flags", "ESTIMATOR_STATUS_FLAGS"),
+            column("sigma_h_m", "pos_horiz_accuracy"),
+            column("sigma_v_m", "pos_vert_accuracy"),
+        ),
+        time_field=TIMESTAMP,
+    ),
+    "VehicleImuStatus": MessageMap(
+        (
+            column("vibration_m_s2", "accel_vibration_metric"),
+            *(column(f"clipping_{k}", f"accel_clipping.{k}") for k in range(3)),
+        ),
+        time_field=TIMESTAMP,
     ),
     "VehicleAirData": MessageMap(
         (

@@ -130,7 +130,7 @@ def _read(form: LogFormat, path: Path, ledger: Ledger, needs_channels: bool) -> 
             where=str(path),
             remedy=f"check that it is the whole log; known are {KNOWN}",
         )
-    if needs_channels and not channels:
+    if needs_channels and all(channel.is_evidence for channel in channels):
         kinds = ", ".join(sorted(contents.messages)[:12])
         raise LogError(
             "LOG-NO-MESSAGES",

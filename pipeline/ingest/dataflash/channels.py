@@ -30,7 +30,9 @@ from pipeline.ingest.buffers import FileView, copy_rows, gather
 from pipeline.ingest.channel_builder import DecodedRows, channel_of
 from pipeline.ingest.dataflash.fields import (
     ACCURACY,
-    ACCURACY_MESSAGE,
+    ACCURACY_MESSAGES,
+    ERRORS,
+    EVENTS,
     INSTANCE_FIELDS,
     MESSAGES,
     instance_of,
@@ -145,16 +147,28 @@ def wanted_fields() -> dict[str, Callable[[str], bool]]:
     fields = {
         name: always
         | {field for column in spec.columns for field in column.fields}
-        | {spec.id_field}
+        | {spec.id_field, spec.text_field}
         | set(_OF_TIME if name in RECEIVERS else ())
         for name, spec in MESSAGES.items()
     }
-    fields[ACCURACY_MESSAGE] = always | {field for column in ACCURACY for field in column.fields}
+    of_accuracy = always | {field for column in ACCURACY for field in column.fields}
+    fields |= dict.fromkeys(ACCURACY_MESSAGES.values(), of_accuracy)
+    fields["ERR"] |= {"ECode"}
     fields["PARM"] = {"TimeUS", "Name", "Value"}
     return {name: names.__contains__ for name, names in fields.items()}
 
 
-def channels_of(tables: dict[str, Decoded], clock: LogClock, ledger: Ledger) -> tuple[Channel, ...]:
+def parameters_of(tables: Mapping[str, Decoded]) -> dict[str, float]:
+    """The last value of each parameter of the autopilot, by name."""
+    table = tables["PARM"].columns if "PARM" in tables else {}
+    if not {"Name", "Value"} <= table.keys():
+        return {}
+    return dict(zip(table["Name"].tolist(), table["Value"].tolist(), strict=True))
+
+
+def channels_of(
+    tables: dict[str, Decoded], parameters: Mapping[str, float], clock: LogClock, ledger: Ledger
+) -> tuple[Channel, ...]:
     """The channels of the messages that the field map knows; their tables are used up."""
     channels = []
     for message, spec in MESSAGES.items():
@@ -162,7 +176,7 @@ def channels_of(tables: dict[str, Decoded], clock: LogClock, ledger: Ledger) -> 
             channel = channel_of(rows, spec, ledger)
             if channel is not None:
                 channels.append(channel)
-    if "PARM" in tables and heights_are_ellipsoidal(tables["PARM"].columns):
+    if selects_ellipsoid(parameters.get(HEIGHT_OPTION, 0.0)):
         return tuple(with_ellipsoidal_heights(channels, ledger, "PARM"))
     return tuple(with_undulation(channel) for channel in channels)
 
@@ -178,9 +192,16 @@ def _instances(
     time_ns = copy_rows(clock.utc(table, decoded.places))
     boot = copy_rows(clock.line.boot_of(decoded.places))
     good = clock.line.good(decoded.places)
-    if message == "GPS" and ACCURACY_MESSAGE in tables:
-        table = _join_accuracy(decoded, tables.pop(ACCURACY_MESSAGE))
+    accuracy = tables.pop(ACCURACY_MESSAGES.get(message, ""), None)
+    if accuracy is not None:
+        table = _join_accuracy(decoded, accuracy)
         spec = replace(spec, columns=spec.columns + ACCURACY)
+    texts = _texts(message, spec, table, ledger) if spec.text_field else None
+    if texts is not None:
+        rows = DecodedRows(message, Source(message), time_ns, boot, {}, {"text": texts})
+        yield rows if good.all() else rows.take(good)
+    if spec.text_field:
+        return
     named = table.get(spec.id_field)
     instance = instance_of(table) if named is None else named
     values = extract(table, spec.columns, copy_rows)
@@ -236,12 +257,19 @@ def _report_fields(
         ledger.loss("LOG-FIELDS", what, where=message, count=count)
 
 
-def heights_are_ellipsoidal(parameters: Table) -> bool:
-    """Whether the last value of the parameter selects heights above the ellipsoid."""
-    if not {"Name", "Value"} <= set(parameters):
-        return False
-    values = parameters["Value"][parameters["Name"] == HEIGHT_OPTION]
-    return bool(values.size) and selects_ellipsoid(float(values[-1]))
+def _texts(message: str, spec: MessageMap, table: Table, ledger: Ledger) -> tuple[str, ...] | None:
+    """What the autopilot says in each row; None where the log does not define the text."""
+    words, codes = table.get(spec.text_field), table.get("ECode", np.empty(0))
+    if words is None or words.dtype.kind != ("U" if message == "MSG" else "u"):
+        what = f"its rows hold no text: the log defines no field {spec.text_field} for it"
+        ledger.loss("LOG-FIELDS", what, where=message)
+        return None
+    if message == "MSG":
+        return tuple(words.tolist())
+    if message == "EV":
+        return tuple(f"EV {EVENTS.get(number, number)}" for number in words.tolist())
+    pairs = zip(words.tolist(), codes.tolist() or [""] * words.shape[0], strict=True)
+    return tuple(f"ERR {ERRORS.get(number, number)} {code}".strip() for number, code in pairs)
 
 
 def _join_accuracy(decoded: Decoded, accuracy: Decoded) -> Table:

@@ -38,7 +38,41 @@ _EULER = (
 )
 _QUATERNION = (column("q_w", "Q1"), column("q_x", "Q2"), column("q_y", "Q3"), column("q_z", "Q4"))
 
-_GPS = (*_PLACE, column("h_msl_m", "Alt"), column("fix", "Status"))
+_VELOCITY = tuple(
+    column(f"v_{axis}_m_s", f"V{axis[0].upper()}") for axis in ("north", "east", "down")
+)
+_EPOCH = (column("gps_week", "GWk GPSWeek", missing=0.0), column("gps_week_s", "GMS GPSTime", "ms"))
+_GPS = (
+    *_PLACE,
+    column("h_msl_m", "Alt"),
+    column("fix", "Status"),
+    column("speed_m_s", "Spd"),
+    column("course_rad", "GCrs", "deg"),
+    column("v_down_m_s", "VZ"),
+    column("satellites", "NSats"),
+    column("hdop", "HDop", missing=99.99),
+    *_EPOCH,
+)
+
+# Of a filter: attitude, velocity, and the place from the origin (ORGN[0]).
+_FILTER = (
+    *_EULER,
+    *_VELOCITY,
+    column("north_m", "PN"),
+    column("east_m", "PE"),
+    column("up_m", "PD", "-"),
+)
+_HEALTH = MessageMap(
+    (
+        column("innovation_velocity", "SV"),
+        column("innovation_position", "SP"),
+        column("innovation_height", "SH"),
+        column("innovation_compass", "SM"),
+        column("filter_flags", "SS", "nav_filter_status"),
+        column("filter_timeouts", "TS"),
+        column("filter_faults", "FS"),
+    )
+)
 
 # Temp of a barometer is its board: 20-51 C were seen in the air, never the outside temperature.
 _BARO = (column("pressure_pa", "Press"), column("board_temperature_k", "Temp", "degC"))
@@ -50,6 +84,7 @@ _SHOT = (
     column("h_gnss_m", "GPSAlt"),
     column("event_index", "Img"),
     *_EULER,
+    *_EPOCH,
 )
 
 MESSAGES: Mapping[str, MessageMap] = {
@@ -73,8 +108,22 @@ MESSAGES: Mapping[str, MessageMap] = {
     "XKQ": MessageMap(_QUATERNION, ATTITUDE, 50, attitude=True, spare_rank=51),
     "XKQ1": MessageMap(_QUATERNION, ATTITUDE, 50, attitude=True),
     "NKQ1": MessageMap(_QUATERNION, ATTITUDE, 50, attitude=True),
-    "XKF1": MessageMap(_EULER, ATTITUDE, 60, attitude=True, spare_rank=61),
-    "NKF1": MessageMap(_EULER, ATTITUDE, 60, attitude=True, spare_rank=61),
+    "XKF1": MessageMap(_FILTER, ATTITUDE, 60, attitude=True, spare_rank=61),
+    "NKF1": MessageMap(_FILTER, ATTITUDE, 60, attitude=True, spare_rank=61),
+    # Type 0 is the origin of the filter's local places, 1 is home.
+    "ORGN": MessageMap((*_PLACE, column("h_msl_m", "Alt")), id_field="Type"),
+    "XKF4": _HEALTH,
+    "NKF4": _HEALTH,
+    "VIBE": MessageMap(
+        (
+            *(column(f"vibration_m_s2_{axis}", f"Vibe{axis}") for axis in "XYZ"),
+            column("clipping_0", "Clip Clip0"),
+            column("clipping_1", "Clip1"),
+            column("clipping_2", "Clip2"),
+        ),
+        id_field="IMU",
+    ),
+    "IMU": MessageMap(tuple(column(f"rate_{axis.lower()}_rad_s", f"Gyr{axis}") for axis in "XYZ")),
     # The gimbal: its roll and pitch are to the horizon, YawE is to north. It is the attitude of a
     # camera, not of the aircraft: it plays a role only when the user names it.
     "MNT": MessageMap(
@@ -104,17 +153,31 @@ MESSAGES: Mapping[str, MessageMap] = {
     "TEMP": MessageMap((column("temperature_k", "Temp", "degC"),)),
     # What a script on the autopilot logs, a cabin sensor for one; it plays only when named.
     "NVF": MessageMap((column("value", "Value"),), id_field="Name"),
+    "MSG": MessageMap((), text_field="Message"),
+    "EV": MessageMap((), text_field="Id"),
+    "ERR": MessageMap((), text_field="Subsys"),
     "CAM": MessageMap(_SHOT, ("events",), 10),
     "TRIG": MessageMap(_SHOT, ("events",), 40),
 }  # fmt: skip
 
+# What EV and ERR mean, as far as they tell of the filter and the receivers (AP_Logger.h); in ERR
+# the second number is 0 where the trouble is over.
+EVENTS = {60: "EKF_ALT_RESET", 62: "EKF_YAW_RESET", 67: "GPS_PRIMARY_CHANGED"}
+ERRORS = {
+    3: "COMPASS", 7: "FAILSAFE_GPS", 11: "GPS", 12: "CRASH_CHECK", 16: "EKFCHECK",
+    17: "FAILSAFE_EKFINAV", 18: "BARO", 24: "EKF_PRIMARY", 29: "FAILSAFE_VIBE",
+    31: "FAILSAFE_DEADRECKON",
+}  # fmt: skip
+
 # Accuracy, and the ellipsoidal height of new logs (INT32_MIN / 100 means unknown), come in a
 # message of their own with the time stamp of the GPS row.
-ACCURACY_MESSAGE = "GPA"
+ACCURACY_MESSAGES = {"GPS": "GPA", "GPS2": "GPA2"}
 ACCURACY = (
     column("h_ellipsoid_m", "AEl", floor=-1e5),
     column("sigma_h_m", "HAcc", missing=0.0),
     column("sigma_v_m", "VAcc", missing=0.0),
+    column("sigma_speed_m_s", "SAcc", missing=0.0),
+    column("has_vertical_speed", "VV"),
     # Until 4.6 ArduPilot logged sea level minus ellipsoid, and 0 where it did not know.
-    column("undulation_m", "Und", "-m", missing=0.0),
+    column("undulation_m", "Und", "-", missing=0.0),
 )

@@ -15,6 +15,7 @@ from pipeline.ingest.dataflash.channels import (
     LogClock,
     channels_of,
     clock_of,
+    parameters_of,
     stamps,
     wanted_fields,
 )
@@ -112,9 +113,10 @@ def contents_of(
         return stamped(decoded[name], clock, instance) if name in decoded else {}
 
     lost = 0  # neither records nor lines carry a sequence number
-    channels = channels_of(timed, clock, ledger)
+    parameters = parameters_of(timed)
+    channels = channels_of(timed, parameters, clock, ledger)
     return Contents(
-        counts, channels, bad_bytes, lost, clock.line.boots, clock.description, table
+        counts, channels, bad_bytes, lost, clock.line.boots, clock.description, table, parameters
     )  # fmt: skip
 
 

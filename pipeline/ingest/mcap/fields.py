@@ -62,7 +62,13 @@ _IMAGE = MessageMap((), _EVENTS, 20, time_field=HEADER)
 _ROS = {
     "sensor_msgs/NavSatFix": _FIX,
     "sensor_msgs/Imu": MessageMap(
-        (*_orientation("orientation"), column("covariance_0", "orientation_covariance.0")),
+        (
+            *_orientation("orientation"),
+            column("covariance_0", "orientation_covariance.0"),
+            column("rate_x_rad_s", "angular_velocity.x"),  # of a body forward, left, up
+            column("rate_y_rad_s", "angular_velocity.y", "-"),
+            column("rate_z_rad_s", "angular_velocity.z", "-"),
+        ),
         ATTITUDE, 20, time_field=HEADER, attitude=True,
     ),
     "nav_msgs/Odometry": MessageMap(
@@ -108,6 +114,10 @@ _MAVROS = {
             column("sigma_h_m", "h_acc", "mm", missing=0.0),
             column("sigma_v_m", "v_acc", "mm", missing=0.0),
             column("fix", "fix_type"),
+            column("satellites", "satellites_visible", missing=255.0),
+            column("hdop", "eph", "1/100", missing=65535.0),
+            column("speed_m_s", "vel", "cm", missing=65535.0),
+            column("course_rad", "cog", "cdeg", missing=65535.0),
         ),
         GNSS, 25, time_field=HEADER, position=True,
     ),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -31,8 +31,10 @@ Group = tuple[int, Any]
 """Who sent a message (system times 256 plus component), and its instance as sent, or None."""
 
 
-def channels_of(sent: dict[str, ColumnStore], clocks: Clocks, ledger: Ledger) -> list[Channel]:
-    """The channels of the wanted messages, whose memory is freed on the way."""
+def channels_of(
+    sent: dict[str, ColumnStore], clocks: Clocks, ledger: Ledger
+) -> tuple[list[Channel], dict[str, float]]:
+    """The channels of the wanted messages, whose memory is freed on the way, and the parameters."""
     channels = []
     keys_of: dict[str, list[str]] = {}
     for key in MESSAGES:
@@ -42,6 +44,8 @@ def channels_of(sent: dict[str, ColumnStore], clocks: Clocks, ledger: Ledger) ->
             spec, rows = series.spec, series.rows()
             if series.key == "CAMERA_FEEDBACK":
                 rows = rows.take(distinct_exposures(series.records(), rows.name, ledger))
+            if series.key == "STATUSTEXT":
+                rows = _whole_texts(rows, series.records())
             if series.key == "CAMERA_IMAGE_CAPTURED":
                 rows = rows.take(captured_images(series.records(), rows.name, ledger))
             if spec.event:  # the link may deliver an exposure late
@@ -49,14 +53,16 @@ def channels_of(sent: dict[str, ColumnStore], clocks: Clocks, ledger: Ledger) ->
             channel = channel_of(rows, spec, ledger)
             if channel is not None:
                 channels.append(channel)
-    if PARAM_VALUE in sent:
-        parameters = sent[PARAM_VALUE].whole()
-        systems = [c.source.system or 0 for c in channels if "h_msl_m" in c.columns]
-        records = parameters["records"][np.isin(parameters["source"] >> 8, systems)]
-        values = records["param_value"][records["param_id"] == HEIGHT_OPTION.encode()]
-        if values.shape[0] and selects_ellipsoid(float(values[-1])):
-            return with_ellipsoidal_heights(channels, ledger, PARAM_VALUE)
-    return channels
+    if PARAM_VALUE not in sent:
+        return channels, {}
+    rows_sent = sent[PARAM_VALUE].whole()
+    systems = [c.source.system or 0 for c in channels if "h_msl_m" in c.columns]
+    records = rows_sent["records"][np.isin(rows_sent["source"] >> 8, systems)]
+    names = map(text_of, records["param_id"].tolist())
+    parameters = dict(zip(names, records["param_value"].tolist(), strict=True))
+    if selects_ellipsoid(parameters.get(HEIGHT_OPTION, 0.0)):
+        channels = with_ellipsoidal_heights(channels, ledger, PARAM_VALUE)
+    return channels, parameters
 
 
 @dataclass
@@ -98,7 +104,7 @@ class _Series:
                 self.columns[name][:] = np.nan
             if name in self.columns:
                 self.columns[name][part] = column
-        if self.spec.event:
+        if self.spec.event or self.spec.text_field:
             self.sent.append(rows["records"])
         self.done += rows.shape[0]
 
@@ -190,6 +196,27 @@ def label_of(value: Any) -> str:
 def text_of(value: bytes) -> str:
     """A char[] field: cut at the first NUL."""
     return value.split(b"\0", 1)[0].decode("ascii", "backslashreplace")
+
+
+def _whole_texts(rows: DecodedRows, records: NDArray[Any]) -> DecodedRows:
+    """The texts of an autopilot, those of more than 50 characters joined from their chunks.
+
+    Chunks of a text have the same id, which is not 0, and count from 0; a missing one is "...".
+    """
+    texts: list[str] = []
+    firsts: list[int] = []
+    open_texts: dict[int, tuple[int, int]] = {}  # by id, the text and the number of the next chunk
+    chunks = zip(rows.labels["text"], records["id"].tolist(), records["chunk_seq"], strict=True)
+    for row, (text, number, chunk) in enumerate(chunks):
+        begun, due = open_texts.get(number, (-1, 0))
+        if number and chunk and begun >= 0 and chunk >= due:
+            texts[begun] += ("..." if chunk > due else "") + text
+        else:
+            begun = len(texts)
+            texts.append(("..." if number and chunk else "") + text)
+            firsts.append(row)
+        open_texts[number] = begun, int(chunk) + 1
+    return replace(rows.take(np.array(firsts, np.intp)), labels={"text": tuple(texts)})
 
 
 def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> NDArray[np.intp]:

@@ -20,6 +20,12 @@ INT16_MAX, UINT16_MAX = 32767.0, 65535.0
 
 _PLACE = (column("lat_rad", "lat", "degE7"), column("lon_rad", "lon lng", "degE7"))
 _ABOVE_HOME = (*_PLACE, column("h_msl_m", "alt", "mm"), column("h_home_m", "relative_alt", "mm"))
+_AXES = (("v_north_m_s", "vx"), ("v_east_m_s", "vy"), ("v_down_m_s", "vz"))
+_RATES = (
+    column("rate_x_rad_s", "rollspeed"),
+    column("rate_y_rad_s", "pitchspeed"),
+    column("rate_z_rad_s", "yawspeed"),
+)
 _EULER = tuple(column(f"{angle}_rad", angle) for angle in ("roll", "pitch", "yaw"))
 _EULER_DEG = tuple(column(f"{angle}_rad", angle, "deg") for angle in ("roll", "pitch", "yaw"))
 
@@ -30,7 +36,12 @@ _GPS = (
     column("h_ellipsoid_m", "alt_ellipsoid", "mm", missing=0.0),
     column("sigma_h_m", "h_acc", "mm", missing=0.0),
     column("sigma_v_m", "v_acc", "mm", missing=0.0),
+    column("sigma_speed_m_s", "vel_acc", "mm", missing=0.0),
     column("fix", "fix_type"),
+    column("satellites", "satellites_visible", missing=255.0),
+    column("hdop", "eph", "1/100", missing=UINT16_MAX),
+    column("speed_m_s", "vel", "cm", missing=UINT16_MAX),
+    column("course_rad", "cog", "cdeg", missing=UINT16_MAX),
 )
 _BARO = (
     column("pressure_pa", "press_abs", "hPa"),
@@ -50,21 +61,32 @@ def _baro(rank: int) -> MessageMap:
 
 MESSAGES: Mapping[str, MessageMap] = {
     "GLOBAL_POSITION_INT": MessageMap(
-        _ABOVE_HOME, ("position",), 10, time_field=_BOOT_MS, position=True
+        (*_ABOVE_HOME, *(column(name, axis, "cm") for name, axis in _AXES)),
+        ("position",), 10, time_field=_BOOT_MS, position=True,
     ),
     "GPS_RAW_INT": MessageMap(_GPS, GNSS, 20, time_field=_USEC, position=True),
     "GPS2_RAW": MessageMap(_GPS, GNSS, 30, time_field=_USEC, position=True),
     "GLOBAL_POSITION_INT_COV": MessageMap(
-        _ABOVE_HOME, ("position",), 15, time_field=_USEC, position=True
+        (*_ABOVE_HOME, *(column(name, axis) for name, axis in _AXES)),
+        ("position",), 15, time_field=_USEC, position=True,
+    ),
+    "LOCAL_POSITION_NED": MessageMap(
+        (
+            column("north_m", "x"),
+            column("east_m", "y"),
+            column("up_m", "z", "-"),
+            *(column(name, axis) for name, axis in _AXES),
+        ),
+        time_field=_BOOT_MS,
     ),
     # Heights without a place: no role asks for them, a user may.
     "ALTITUDE": MessageMap(
         (column("h_msl_m", "altitude_amsl"), column("h_home_m", "altitude_relative")),
         time_field=_USEC,
     ),
-    "ATTITUDE": MessageMap(_EULER, ATTITUDE, 10, time_field=_BOOT_MS, attitude=True),
+    "ATTITUDE": MessageMap((*_EULER, *_RATES), ATTITUDE, 10, time_field=_BOOT_MS, attitude=True),
     "ATTITUDE_QUATERNION": MessageMap(
-        tuple(column(f"q_{axis}", f"q{k}") for k, axis in enumerate("wxyz", 1)),
+        (*(column(f"q_{axis}", f"q{k}") for k, axis in enumerate("wxyz", 1)), *_RATES),
         ATTITUDE, 20, time_field=_BOOT_MS, attitude=True,
     ),
     # A second estimate: its place is 0, 0 until it has one.
@@ -150,6 +172,35 @@ MESSAGES: Mapping[str, MessageMap] = {
     "CAMERA_TRIGGER": MessageMap(
         (column("event_index", "seq"),), ("events",), 30, time_field=_USEC
     ),
+    "EKF_STATUS_REPORT": MessageMap(
+        (
+            column("innovation_velocity", "velocity_variance"),
+            column("innovation_position", "pos_horiz_variance"),
+            column("innovation_height", "pos_vert_variance"),
+            column("innovation_compass", "compass_variance"),
+            column("filter_flags", "flags", "EKF_STATUS_FLAGS"),
+        )
+    ),
+    "ESTIMATOR_STATUS": MessageMap(
+        (
+            column("innovation_velocity", "vel_ratio"),
+            column("innovation_position", "pos_horiz_ratio"),
+            column("innovation_height", "pos_vert_ratio"),
+            column("innovation_compass", "mag_ratio"),
+            column("filter_flags", "flags", "ESTIMATOR_STATUS_FLAGS"),
+            column("sigma_h_m", "pos_horiz_accuracy", missing=0.0),
+            column("sigma_v_m", "pos_vert_accuracy", missing=0.0),
+        ),
+        time_field=_USEC,
+    ),
+    "VIBRATION": MessageMap(
+        (
+            *(column(f"vibration_m_s2_{axis}", f"vibration_{axis}") for axis in "xyz"),
+            *(column(f"clipping_{k}", f"clipping_{k}") for k in range(3)),
+        ),
+        time_field=_USEC,
+    ),
+    "STATUSTEXT": MessageMap((), text_field="text"),
     # A gimbal plays no role unless it is named: whether a camera hangs on it, no log says.
     "MOUNT_STATUS": MessageMap(
         (
@@ -172,7 +223,7 @@ MESSAGES: Mapping[str, MessageMap] = {
     ),
 }  # fmt: skip
 
-LABELS: Mapping[str, str] = {"CAMERA_IMAGE_CAPTURED": "file_url"}
+LABELS: Mapping[str, str] = {"CAMERA_IMAGE_CAPTURED": "file_url", "STATUSTEXT": "text"}
 """Messages with a text that belongs to each row."""
 
 SYSTEM_TIME, PARAM_VALUE = "SYSTEM_TIME", "PARAM_VALUE"
@@ -184,6 +235,7 @@ def wanted_fields() -> dict[str, set[str]]:
         SYSTEM_TIME: {"time_boot_ms", "time_unix_usec"},
         PARAM_VALUE: {"param_id", "param_value"},
         "CAMERA_IMAGE_CAPTURED": {"capture_result", "time_utc"},
+        "STATUSTEXT": {"id", "chunk_seq"},
     }
     for key, spec in MESSAGES.items():
         fields = {name.partition(".")[0] for column in spec.columns for name in column.fields}

@@ -53,12 +53,12 @@ class Tlog:
         sources = {int(n) for p in parts for b in p.blocks() for n in np.unique(b["source"])}
         clocks = clocks_of(result.clock.readings({source >> 8 for source in sources}), ledger)
         clocks = with_borrowed_clocks(clocks, parts, ledger)
-        channels = channels_of(sent, clocks, ledger)
+        channels, parameters = channels_of(sent, clocks, ledger)
         lost = _report_link(result, clocks, channels, path, ledger)
         counts = {known.name(key): count for key, count in result.counts.items() if count}
         return Contents(
             counts, tuple(channels), result.bad_bytes + damaged, lost, clocks.boots,
-            clocks.description, partial(_table, path, clocks),
+            clocks.description, partial(_table, path, clocks), parameters,
         )  # fmt: skip
 
 
