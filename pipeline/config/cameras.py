@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import (
@@ -14,8 +14,10 @@ from pydantic import (
     model_validator,
 )
 
+from pipeline.errors import PhysicsError
 from pipeline.flight.mount import Mount
 from pipeline.refraction import BrownConrady, Cabin, Camera, LensInAir, Window
+from pipeline.refraction.window import UNKNOWN
 from pipeline.tables.pixels import PixelOrigin, PixelSystem
 from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K
 
@@ -43,12 +45,82 @@ class DistortionSection(Section):
     p2: Coefficient = 0.0
 
 
-class CabinAir(Section):
-    """Constant air in the compartment."""
+Hectopascal = Annotated[float, Field(ge=100, le=1200)]
+Celsius = Annotated[float, Field(ge=-60, le=60)]
 
-    pressure_hpa: float = Field(ge=100, le=1200)
-    temperature_c: float = Field(ge=-60, le=60)
-    relative_humidity: float = Field(0.0, ge=0, le=1)
+
+class CabinAir(Section):
+    """The air in the compartment, quantity by quantity."""
+
+    pressure: Literal["log", "ambient"] | Hectopascal | None = Field(
+        None, description="log; ambient: not pressurised, as outside; or constant [hPa]"
+    )
+    pressure_hpa: Hectopascal | None = Field(
+        None, validate_default=True, description="constant; the same as a number under pressure"
+    )
+    temperature_c: Literal["log"] | Celsius | None = Field(
+        None,
+        description="log, or constant. Without it the log's, where it has one, else 21 degC: "
+        "+- 5 K where the cabin is pressurised, +- 10 K where it is not",
+    )
+    relative_humidity: float | None = Field(
+        None, ge=0, le=1, description="without it the log's, else dry air (ambient: as outside)"
+    )
+    sigma_pressure_hpa: float | None = Field(
+        None,
+        ge=0,
+        le=300,
+        description="standard deviation; without it 3 hPa of pressure that is logged or ambient",
+    )
+    sigma_temperature_k: float | None = Field(
+        None,
+        ge=0,
+        le=50,
+        description="standard deviation; without it 1 K of a thermometer that is logged",
+    )
+
+    @field_validator("pressure_hpa")
+    @classmethod
+    def _one_pressure(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if value is None and info.data.get("pressure") is None:
+            raise ValueError("is missing: give it, or pressure: log or ambient")
+        if value is not None and info.data.get("pressure") is not None:
+            raise ValueError("is the same as pressure: give one of them")
+        return value
+
+    def build(self) -> Cabin:
+        """In SI."""
+        given = self.pressure if self.pressure_hpa is None else self.pressure_hpa
+        celsius = self.temperature_c
+        logged = celsius == "log"
+
+        def si(value: float | None, unit: float = 1.0) -> float:
+            return UNKNOWN if value is None else value * unit
+
+        return Cabin(
+            given if isinstance(given, str) else "constant",
+            UNKNOWN if isinstance(given, str) else si(given, HECTOPASCAL),
+            UNKNOWN if isinstance(celsius, str) else si(celsius) + ZERO_CELSIUS_K,
+            si(self.relative_humidity),
+            si(self.sigma_pressure_hpa, HECTOPASCAL),
+            si(self.sigma_temperature_k),
+            temperature_logged=logged,
+        )
+
+
+def _cabin(stated: str | CabinAir | None) -> Cabin | None:
+    """The air of the compartment, however it is stated."""
+    if isinstance(stated, CabinAir):
+        return stated.build()
+    return None if stated is None else Cabin("log" if stated == "log" else "standard_schedule")
+
+
+def _checked_window(*given: Any) -> Window:
+    """A window, its refusal as pydantic expects it."""
+    try:
+        return Window(*given)
+    except PhysicsError as error:
+        raise ValueError(f"{error.what}; {error.remedy}") from None
 
 
 class WindowSection(Section):
@@ -62,7 +134,7 @@ class WindowSection(Section):
         None,
         validate_default=True,
         description="log: from the cabin channels of the log; standard_schedule: as outside up to "
-        "3 km, then 701.2 hPa, 21.1 degC (Gyer's Table 7); or constant values",
+        "3 km, then 701.2 hPa, 21.1 degC (Gyer's Table 7); or {pressure, temperature_c}",
     )
     frame: Literal["camera", "body"] = Field(
         "camera",
@@ -81,39 +153,24 @@ class WindowSection(Section):
     )
 
     def build(self) -> Window:
-        """The window, with constant cabin air in SI."""
-        cabin = self.cabin
-        if isinstance(cabin, CabinAir):
-            air: Cabin | None = Cabin(
-                "constant",
-                pressure_pa=cabin.pressure_hpa * HECTOPASCAL,
-                temperature_k=cabin.temperature_c + ZERO_CELSIUS_K,
-                relative_humidity=cabin.relative_humidity,
-            )
-        else:
-            air = None if cabin is None else Cabin(cabin)
+        """The window, with cabin air in SI."""
         x, y, z = self.normal
-        return Window(air, (x, y, z), self.frame, self.shape, self.in_calibration)
+        return Window(_cabin(self.cabin), (x, y, z), self.frame, self.shape, self.in_calibration)
 
     @field_validator("cabin")
     @classmethod
     def _require_cabin(cls, value: object, info: ValidationInfo) -> object:
-        if value is None and info.data.get("shape") != "spherical":
-            raise ValueError(
-                "is missing: a plane window bends by the air behind it. log, standard_schedule, or "
-                "{pressure_hpa, temperature_c, relative_humidity}"
-            )
+        if value is None:
+            _checked_window(None, (0.0, 0.0, 1.0), "camera", info.data.get("shape", "plane"))
         return value
 
     @field_validator("normal")
     @classmethod
     def _unit_normal(cls, value: list[float], info: ValidationInfo) -> list[float]:
         length = float(np.linalg.norm(value))
-        if not length > 1e-6:
-            raise ValueError("has no direction: its length is zero")
-        if info.data.get("frame") == "camera" and value[2] <= 0.0:
-            raise ValueError("must point out of the compartment: a positive third component")
-        return [component / length for component in value]
+        unit = [component / length for component in value] if length > 1e-6 else [0.0, 0.0, 0.0]
+        _checked_window(None, tuple(unit), info.data.get("frame", "camera"), "spherical")
+        return unit
 
     @model_validator(mode="after")
     def _check_spherical(self) -> WindowSection:
@@ -192,14 +249,22 @@ class CameraSection(Section):
         return self
 
     @property
-    def needs_cabin_from_log(self) -> bool:
-        """Whether a number depends on the cabin's air, and that is to come from the log.
+    def needs_cabin(self) -> bool:
+        """Whether a number depends on the cabin's air.
 
         A spherical window bends nothing: behind it the air counts only in the lens.
         """
-        if self.window is None or self.window.cabin != "log":
+        if self.window is None or self.window.cabin is None:
             return False
         return self.window.shape == "plane" or self.principal_distance is not None
+
+    @property
+    def needs_cabin_from_log(self) -> bool:
+        """Whether a number depends on the cabin's air, and that is to come from the log."""
+        cabin = None if self.window is None else self.window.build().cabin
+        if cabin is None or not self.needs_cabin:
+            return False
+        return cabin.source == "log" or cabin.temperature_logged
 
     def lens(self) -> LensInAir | None:
         """How the principal distance follows the air; None where the file does not state it."""

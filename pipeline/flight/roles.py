@@ -78,8 +78,7 @@ def assign_roles(
         notes += _fill(filled, role, everything, named)
         if needs_cabin:
             notes += _fill(filled, inside_role, everything, named)
-    needed = ["position", "attitude"] + (["cabin_pressure", "cabin_temperature"] * needs_cabin)
-    for role in needed:
+    for role in ("position", "attitude"):  # what the cabin lacks is told camera by camera
         if role not in filled and role not in named:
             what = (
                 f"no channel of the log can be taken for the {role.replace('_', ' ')}; it has "

@@ -38,9 +38,10 @@ class Stations:
     up along the ellipsoid normal, w >= 0; ``aircraft_quaternion`` likewise with v_body, the body
     forward, right, down. Positions are those of the projection centre.
     ``pressure_pa``, ``temperature_k`` and ``vapour_pressure_pa`` were measured outside at the
-    exposure, the ``cabin_`` columns inside. ``sigma_tilt_rad`` is that of the attitude about each
-    of the body's level axes, ``sigma_yaw_rad`` about its vertical one. ``suspect_reason`` is empty
-    but for stations that contradict other evidence, which may be ``suspect_m`` off [m].
+    exposure, the ``cabin_`` columns inside, or are stated or assumed there. ``sigma_tilt_rad`` is
+    that of the attitude about each of the body's level axes, ``sigma_yaw_rad`` about its vertical
+    one. ``suspect_reason`` is empty but for stations that contradict other evidence, which may be
+    ``suspect_m`` off [m].
     ``status`` is ok or names what is missing.
     """
 
@@ -59,6 +60,8 @@ class Stations:
     cabin_pressure_pa: Array
     cabin_temperature_k: Array
     cabin_vapour_pressure_pa: Array
+    sigma_cabin_pressure_pa: Array
+    sigma_cabin_temperature_k: Array
     sigma_horizontal_m: Array
     sigma_height_m: Array
     sigma_tilt_rad: Array
@@ -155,6 +158,8 @@ def station_columns(stations: Stations) -> dict[str, Any]:
         "cabin_pressure_pa": stations.cabin_pressure_pa,
         "cabin_temperature_k": stations.cabin_temperature_k,
         "cabin_vapour_pressure_pa": stations.cabin_vapour_pressure_pa,
+        "sigma_cabin_pressure_pa": stations.sigma_cabin_pressure_pa,
+        "sigma_cabin_temperature_k": stations.sigma_cabin_temperature_k,
         "sigma_horizontal_m": stations.sigma_horizontal_m,
         "sigma_height_m": stations.sigma_height_m,
         "sigma_tilt_deg": np.degrees(stations.sigma_tilt_rad),

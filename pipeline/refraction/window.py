@@ -25,17 +25,31 @@ SCHEDULE_PRESSURE_PA = 701.2 * HECTOPASCAL  # of 3 km pressure altitude
 SCHEDULE_CEILING_M = 10_000.0  # Table 7 ends here
 
 
+UNKNOWN = float("nan")
+
+
 @dataclass(frozen=True)
 class Cabin:
-    """Air in the compartment: logged with each exposure, constant, or Gyer's schedule.
+    """What is stated about the air in the compartment; NaN where nothing is.
 
-    Pressure [Pa], temperature [K] and relative humidity 0 to 1 belong to ``constant``.
+    Parameters
+    ----------
+    source : of the pressure: logged with each exposure, constant, ambient (as outside), or Gyer's
+        schedule.
+    pressure_pa : of ``constant`` [Pa].
+    temperature_k : [K]; where it is not stated it may be logged, or has to be assumed.
+    relative_humidity : 0 to 1; likewise.
+    sigma_pressure_pa, sigma_temperature_k : standard deviations [Pa, K].
+    temperature_logged : whether the log is stated to have the temperature.
     """
 
-    source: Literal["log", "constant", "standard_schedule"]
-    pressure_pa: float = float("nan")
-    temperature_k: float = float("nan")
-    relative_humidity: float = 0.0
+    source: Literal["log", "constant", "ambient", "standard_schedule"]
+    pressure_pa: float = UNKNOWN
+    temperature_k: float = UNKNOWN
+    relative_humidity: float = UNKNOWN
+    sigma_pressure_pa: float = UNKNOWN
+    sigma_temperature_k: float = UNKNOWN
+    temperature_logged: bool = False
 
 
 @dataclass(frozen=True)
@@ -73,10 +87,16 @@ class Window:
                 f"the normal of a window has the length {length:.9g}",
                 remedy="give a unit vector that points out of the compartment",
             )
+        if self.frame == "camera" and not self.normal[2] > 0.0:
+            raise PhysicsError(
+                "WINDOW-NORMAL",
+                "the normal of a window points into the compartment",
+                remedy="in the camera frame its third component is positive",
+            )
         if self.cabin is None and self.shape == "plane":
             raise PhysicsError(
                 "WINDOW-AIR",
-                "a plane window bends by the air behind it, which is not given",
+                "the air behind the window is missing: a plane window bends by it",
                 remedy="give the cabin's air",
             )
 

@@ -24,7 +24,29 @@ def headline(manifest: Mapping[str, Any]) -> str:
     )
     if shift["maximum"] < 0.05:
         sentence += " That is far below what can be measured in an image."
-    return sentence
+    return sentence + _cabin_limit(manifest)
+
+
+LARGEST_CABIN_SHARE = 0.02
+"""From this standard deviation on, as a share of R, the air in the cabin is in the headline."""
+
+
+def _cabin_limit(manifest: Mapping[str, Any]) -> str:
+    """That the air in the cabin limits the result, where it does."""
+    cabin = manifest["cabin_sigma_share"]["median"]
+    if cabin is None or cabin <= LARGEST_CABIN_SHARE:
+        return ""
+    size = f"its standard deviation is {100.0 * cabin:.2g} % of R in the median"
+    air = manifest["uncertainty"]
+    if air is None:
+        return f" The air in the cabin limits the result: {size}."
+    outside = f"{100.0 * air['scale_sigma']:.2g} %"
+    if cabin > air["scale_sigma"]:
+        return (
+            f" The air in the cabin, not that outside, limits the result: {size}, that of the "
+            f"air outside {outside}."
+        )
+    return f" The air in the cabin adds to the error: {size}, that of the air outside {outside}."
 
 
 def three_digits(value: float | None) -> str:

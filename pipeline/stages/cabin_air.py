@@ -1,79 +1,267 @@
-"""The air in the pressurised compartment of a camera at each exposure, and where it is missing."""
+"""The air in the compartment of a camera at each exposure: its values, its sigmas, what is missing.
+
+A window turns rays by the air behind it. Of that only the pressure has to be known: without a
+thermometer a pressurised cabin is near 21 degC, and the sigma says how near.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.refractive_index import vapour_pressure
+from pipeline.atmosphere import Profile
+from pipeline.atmosphere.refractive_index import IndexModel, vapour_pressure
+from pipeline.atmosphere.series.profile_series import ProfileSeries
+from pipeline.flight.channels import Channel
 from pipeline.flight.station_builder import mark_suspect
 from pipeline.flight.stations import Stations
-from pipeline.ledger import Ledger, Notes
+from pipeline.ledger import Ledger, Notes, fallback, loss
+from pipeline.refraction.camera.camera import LensInAir
 from pipeline.refraction.window import (
     SCHEDULE_CEILING_M,
     SCHEDULE_TEMPERATURE_K,
     Cabin,
+    Window,
     scheduled_pressure,
 )
+from pipeline.units import HECTOPASCAL
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+USUAL_TEMPERATURE_K = 294.15
+SIGMA_PRESSURISED_K, SIGMA_AMBIENT_K = 5.0, 10.0
+"""21 degC, and the standard deviation about it of cabins with and without pressurisation."""
 
-@dataclass(frozen=True, eq=False)
-class AirAtExposures:
-    """(m,) pressure [Pa], temperature [K] and vapour pressure [Pa] at m exposures."""
+PRESSURISED_PA = 20.0 * HECTOPASCAL
+"""A cabin with so much more pressure than the air outside is pressurised."""
 
-    pressure_pa: Array
-    temperature_k: Array
-    vapour_pressure_pa: Array
+SIGMA_BAROMETER_PA = 3.0 * HECTOPASCAL
+"""Of a barometer that nobody calibrated; and of a vented cabin against the air outside, which the
+alternate static sources of light aircraft show (some 25 m of height)."""
+
+SIGMA_THERMOMETER_K = 1.0
+"""Of a thermometer in the cabin that nobody calibrated, against the air before the window."""
+
+BOARD_WARMER_K, SIGMA_BOARD_K = 10.0, 6.0
+"""A barometer's board against the air about it: 0 to 20 K warmer in autopilots and their simulator,
+evenly spread (standard deviation 5.8 K); the same 10 K as `atmosphere.estimate.readings` has."""
 
 
-def flag_missing_cabin_air(stations: Stations, camera: str) -> tuple[Stations, Notes]:
-    """Mark exposures of a camera behind a window whose cabin air is unknown as suspect."""
-    known = np.isfinite(stations.cabin_pressure_pa) & np.isfinite(stations.cabin_temperature_k)
-    what = "no cabin pressure or temperature: the window cannot be corrected"
-    return mark_suspect(stations, camera, ~known, "CABIN-MISSING", what)
-
-
-def cabin_air(
-    cabin: Cabin,
-    outside: AirAtExposures,
+def cabin_from_log(
     stations: Stations,
-    rows: Mask,
-    *,
-    name: str,
-    ledger: Ledger,
-) -> AirAtExposures:
-    """The air in the compartment at the exposures ``rows`` (s,) of a camera."""
+    camera: str,
+    cabin: Cabin,
+    channels: Iterable[Channel] = (),
+    roles: Mapping[str, Channel] | None = None,
+) -> tuple[Stations, Notes]:
+    """Stations of a camera with what the log has of its cabin, and what it lacks.
+
+    Exposures without the pressure that is to come from the log become suspect (CABIN-MISSING). A
+    temperature that is missing is assumed later (CABIN-TEMPERATURE; a loss where the mission file
+    names the log). The messages name the ``channels`` that could play the role, which none of the
+    ``roles`` outside has. A barometer's board is less `BOARD_WARMER_K` the air (CABIN-BOARD).
+    """
+    roles = roles or {}
+    notes: Notes = ()
+
+    def could_play(quantity: str) -> str:
+        outside = roles.get(quantity)
+        names = []
+        for channel in channels:
+            if outside is None or channel.name != outside.name:
+                if channel.fits_role(f"cabin_{quantity}"):
+                    names.append(channel.name)
+                elif quantity == "temperature" and "board_temperature_k" in channel.columns:
+                    names.append(f"{channel.name} (its board, warmer than the air)")
+        if not names:
+            return f"no channel of the log could play cabin_{quantity}"
+        return f"log.channels.cabin_{quantity} could be {', '.join(names)}"
+
     if cabin.source == "log":
-        e = stations.cabin_vapour_pressure_pa[rows]
-        dry = int((~np.isfinite(e) & stations.ok[rows]).sum())
-        if dry:
-            ledger.fallback(
-                "CABIN-DRY",
-                f"no humidity in the cabin for {dry} exposures: its air is taken as dry",
-                where=f"camera {name}",
-                count=dry,
-            )
-        p, t = stations.cabin_pressure_pa[rows], stations.cabin_temperature_k[rows]
-        return AirAtExposures(p, t, np.where(np.isfinite(e), e, 0.0))
-    m = int(rows.sum())
-    if cabin.source == "constant":
-        e = vapour_pressure(cabin.relative_humidity, cabin.temperature_k, cabin.pressure_pa)
-        constant = (cabin.pressure_pa, cabin.temperature_k, float(e))
-        return AirAtExposures(*(np.full(m, value) for value in constant))
+        missing = np.isnan(stations.cabin_pressure_pa)
+        what = (
+            f"no cabin pressure, without which the window cannot be corrected: "
+            f"{could_play('pressure')}"
+        )
+        stations, notes = mark_suspect(stations, camera, missing, "CABIN-MISSING", what)
+    of_camera = (stations.camera == camera) & stations.ok
+    stated = cabin.source == "standard_schedule" or np.isfinite(cabin.temperature_k)
+    count = int((of_camera & np.isnan(stations.cabin_temperature_k)).sum())
+    if count and not stated:
+        entry = loss if cabin.temperature_logged else fallback
+        what = (
+            f"{count} exposures have no cabin temperature: 21 degC are taken, +- 5 K where the "
+            f"cabin is pressurised, +- 10 K where it is not; {could_play('temperature')}"
+        )
+        notes += (entry("CABIN-TEMPERATURE", what, where=f"camera {camera}", count=count),)
+    thermometer = roles.get("cabin_temperature")
+    if stated or thermometer is None or "board_temperature_k" not in thermometer.columns:
+        return stations, notes
+    board, p = stations.cabin_temperature_k, stations.cabin_pressure_pa
+    air = board - BOARD_WARMER_K
+    drier = vapour_pressure(1.0, air, p) / vapour_pressure(1.0, board, p)
+    what = (
+        f"the temperature of the cabin is that of the board of {thermometer.name}, less "
+        f"{BOARD_WARMER_K:.0f} +- {SIGMA_BOARD_K:.0f} K"
+    )
+    where = f"camera {camera}"
+    notes += (fallback("CABIN-BOARD", what, where=where, count=int(of_camera.sum())),)
+    mine = stations.camera == camera
+    vapour = stations.cabin_vapour_pressure_pa
+    sigma = np.where(np.isfinite(board), SIGMA_BOARD_K, np.nan)
+    return replace(
+        stations,
+        cabin_temperature_k=np.where(mine, air, board),
+        cabin_vapour_pressure_pa=np.where(mine, vapour * drier, vapour),
+        sigma_cabin_temperature_k=np.where(mine, sigma, stations.sigma_cabin_temperature_k),
+    ), notes
+
+
+def with_cabin_air(
+    stations: Stations,
+    windows: Mapping[str, Window],
+    lenses: Iterable[str],
+    profile: Profile | ProfileSeries,
+    ledger: Ledger,
+) -> Stations:
+    """Stations with the air in the cabins of those cameras that it matters to, and its sigmas.
+
+    It matters behind a plane window and, behind any, to a lens of which the mission file says how
+    the air changes it. ``lenses`` are the names of the cameras with such a lens; ``profile`` is the
+    air outside. Sigmas are NaN for numbers of the mission file that have none.
+    """
+    columns = {
+        name: getattr(stations, name).copy()
+        for name in (
+            "cabin_pressure_pa", "cabin_temperature_k", "cabin_vapour_pressure_pa",
+            "sigma_cabin_pressure_pa", "sigma_cabin_temperature_k",
+        )
+    }  # fmt: skip
+    lenses = set(lenses)
+    h = stations.h_msl_m
+    outside = profile.pressure(h), profile.vapour_pressure(h)
+    for name, window in windows.items():
+        rows = stations.camera == name
+        matters = window.shape == "plane" or name in lenses
+        if window.cabin is None or not matters or not bool(rows.any()):
+            continue
+        logged = tuple(column[rows] for column in columns.values())
+        ambient = outside[0][rows], outside[1][rows]
+        values = _air_in(window.cabin, logged, ambient)
+        for column, value in zip(columns.values(), values, strict=True):
+            column[rows] = value
+        _report(window.cabin, name, stations.ok[rows], h[rows], ledger,
+                logged=logged, thinner_pa=ambient[0] - values[0])  # fmt: skip
+    return replace(stations, **columns)
+
+
+def _air_in(
+    cabin: Cabin, logged: tuple[Array, ...], outside: tuple[Array, Array]
+) -> tuple[Array, ...]:
+    """(m,) pressure [Pa], temperature [K], vapour pressure [Pa], sigmas of the first two.
+
+    ``logged`` has the same five, NaN where the log has none; ``outside`` pressure and vapour
+    pressure [Pa].
+    """
+    p_logged, t_logged, e_logged, _, sigma_board = logged
+    p_outside, e_outside = outside
+    scheduled = cabin.source == "standard_schedule"
+    p = {
+        "log": p_logged,
+        "constant": np.full(p_logged.shape, cabin.pressure_pa),
+        "ambient": p_outside,
+        "standard_schedule": scheduled_pressure(p_outside),
+    }[cabin.source]
+    sigma_p = SIGMA_BAROMETER_PA if cabin.source in ("log", "ambient") else np.nan
+    sigma_p = cabin.sigma_pressure_pa if np.isfinite(cabin.sigma_pressure_pa) else sigma_p
+    pressurised = p - p_outside > PRESSURISED_PA
+    assumed = SCHEDULE_TEMPERATURE_K if scheduled else USUAL_TEMPERATURE_K
+    sigma_assumed = np.where(pressurised, SIGMA_PRESSURISED_K, SIGMA_AMBIENT_K)
+    if np.isfinite(cabin.temperature_k):
+        t, sigma_t = np.full(p.shape, cabin.temperature_k), np.full(p.shape, np.nan)
+    elif scheduled:
+        t, sigma_t = np.full(p.shape, assumed), sigma_assumed
+    else:
+        measured = np.isfinite(t_logged)
+        sigma_t = np.where(np.isfinite(sigma_board), sigma_board, SIGMA_THERMOMETER_K)
+        t = np.where(measured, t_logged, assumed)
+        sigma_t = np.where(measured, sigma_t, sigma_assumed)
+    if np.isfinite(cabin.sigma_temperature_k):
+        sigma_t = np.full(p.shape, cabin.sigma_temperature_k)
+    if np.isfinite(cabin.relative_humidity):
+        e = vapour_pressure(cabin.relative_humidity, t, p)
+    else:
+        otherwise = e_outside if cabin.source == "ambient" else np.zeros(p.shape)
+        e = np.where(np.isfinite(e_logged) & (not scheduled), e_logged, otherwise)
+    return p, t, np.asarray(e), np.full(p.shape, sigma_p), sigma_t
+
+
+def cabin_changes(stations: Stations, lenses: Mapping[str, LensInAir], index: IndexModel) -> Array:
+    """What one sigma of a cabin's pressure and of its temperature change; (s, 4).
+
+    In the refractivity there (first two), and in the principal distance of those ``lenses`` that
+    are behind a window [px]. NaN where neither has a sigma; one without does not count beside one
+    that has. Derivatives by central differences over 2 hPa and 2 K, good to 1e-4 of them.
+    """
+    p, t, e = (
+        stations.cabin_pressure_pa, stations.cabin_temperature_k, stations.cabin_vapour_pressure_pa
+    )  # fmt: skip
+    sigmas = np.stack([stations.sigma_cabin_pressure_pa, stations.sigma_cabin_temperature_k], 1)
+    slopes = np.zeros((len(stations), 4))
+    slopes[:, 0] = index.refractivity(t, p + 100.0, e) - index.refractivity(t, p - 100.0, e)
+    slopes[:, 0] /= 200.0
+    slopes[:, 1] = 0.5 * (index.refractivity(t + 1.0, p, e) - index.refractivity(t - 1.0, p, e))
+    for name, lens in lenses.items():
+        slopes[stations.camera == name, 2:] = lens.px_per_pa, lens.px_per_k
+    changes = slopes * np.tile(np.nan_to_num(sigmas), 2)
+    changes[np.isnan(sigmas).all(axis=1)] = np.nan
+    return np.asarray(changes)
+
+
+def _report(
+    cabin: Cabin,
+    name: str,
+    ok: Mask,
+    h: Array,
+    ledger: Ledger,
+    *,
+    logged: tuple[Array, ...],
+    thinner_pa: Array,
+) -> None:
+    """Ledger entries for a cabin's air that is assumed, or that cannot be right."""
     where = f"cameras.{name}.window.cabin"
+    dry = int((~np.isfinite(logged[2]) & ok).sum())
+    if cabin.source == "log" and not np.isfinite(cabin.relative_humidity) and dry:
+        ledger.fallback(
+            "CABIN-DRY",
+            f"no humidity in the cabin for {dry} exposures: its air is taken as dry",
+            where=f"camera {name}",
+            count=dry,
+        )
+    with np.errstate(invalid="ignore"):
+        thin = ok & (thinner_pa > 0.5 * PRESSURISED_PA)
+        above = int((ok & (h > SCHEDULE_CEILING_M)).sum())
+    if bool(thin.any()):
+        ledger.warning(
+            "CABIN-THIN",
+            f"the cabin of {name} has up to {float(thinner_pa[thin].max()) / HECTOPASCAL:.0f} hPa "
+            "less pressure than the air outside, which no cabin has: another sensor, or another "
+            "unit",
+            where=where,
+            count=int(thin.sum()),
+        )
+    if cabin.source != "standard_schedule":
+        return
     ledger.note(
         "CABIN-SCHEDULE",
         "the cabin's air is Gyer's schedule, dry and not measured: as outside to 3 km pressure "
         "altitude, then 701.2 hPa; 21.1 degC",
         where=where,
     )
-    with np.errstate(invalid="ignore"):
-        above = int((stations.ok & rows & (stations.h_msl_m > SCHEDULE_CEILING_M)).sum())
     if above:
         ledger.warning(
             "CABIN-SCHEDULE-HIGH",
@@ -82,5 +270,3 @@ def cabin_air(
             where=where,
             count=above,
         )
-    pressure = scheduled_pressure(outside.pressure_pa)
-    return AirAtExposures(pressure, np.full(m, SCHEDULE_TEMPERATURE_K), np.zeros(m))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +21,19 @@ from pipeline.refraction.window import (
     OPTICAL_AXIS,
     Window,
 )
-from pipeline.stages.cabin_air import AirAtExposures, cabin_air
 from pipeline.units import HECTOPASCAL
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class AirAtExposures:
+    """(m,) pressure [Pa], temperature [K] and vapour pressure [Pa] at m exposures."""
+
+    pressure_pa: Array
+    temperature_k: Array
+    vapour_pressure_pa: Array
 
 
 def cameras_of_mission(mission: Mission) -> dict[str, Camera]:
@@ -36,6 +45,11 @@ def cameras_of_mission(mission: Mission) -> dict[str, Camera]:
 def windows_of_mission(mission: Mission) -> dict[str, Window]:
     """The windows of the cameras that have one."""
     return {n: camera.window.build() for n, camera in mission.cameras.items() if camera.window}
+
+
+def lenses_of_mission(mission: Mission) -> dict[str, LensInAir]:
+    """How the lenses follow the air, of the cameras of which the mission file says it."""
+    return {n: lens for n, camera in mission.cameras.items() if (lens := camera.lens())}
 
 
 def exposures_of_mission(
@@ -52,7 +66,7 @@ def exposures_of_mission(
                 where=f"cameras.{name}.calibration",
             )
     windows = windows_of_mission(mission)
-    lenses = {n: lens for n, camera in mission.cameras.items() if (lens := camera.lens())}
+    lenses = lenses_of_mission(mission)
     report_windows(windows, ledger)
     report_lenses(mission.cameras, lenses, ledger)
     return exposures_of(
@@ -72,9 +86,10 @@ def exposures_of(
     """Attitude, height, window and lens of each exposure, and the air beside them.
 
     ``windows`` and ``lenses`` are those of the cameras that have one, by name. The air outside is
-    the profile's at the height of the camera, the same that the ray starts in. Behind a window
-    whose cabin air is known the lens is in that air, else in the air outside. Refuses a change of
-    the principal distance of more than 1 % (MissionError LENS-CHANGE).
+    the profile's at the height of the camera, the same that the ray starts in; that in the cabin is
+    the stations' (`with_cabin_air`). Behind a window the lens is in the cabin's air, else in the
+    air outside. Refuses a change of the principal distance of more than 1 % (MissionError
+    LENS-CHANGE).
     """
     rotation = matrices_of(stations.quaternion)
     h = stations.h_msl_m
@@ -94,7 +109,11 @@ def exposures_of(
         plane = window is not None and window.shape == "plane"
         air = AirAtExposures(pressure[rows], temperature[rows], vapour[rows])
         if window is not None and window.cabin is not None and (plane or lens is not None):
-            air = cabin_air(window.cabin, air, stations, rows, name=name, ledger=ledger)
+            air = AirAtExposures(
+                stations.cabin_pressure_pa[rows],
+                stations.cabin_temperature_k[rows],
+                stations.cabin_vapour_pressure_pa[rows],
+            )
         if window is not None and plane:
             inside[rows] = profile.index.refractivity(
                 air.temperature_k, air.pressure_pa, air.vapour_pressure_pa

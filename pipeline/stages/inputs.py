@@ -51,8 +51,9 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
         origin = mission.log.local_origin.build()
         channels = tuple(to_geodetic(channel, origin) for channel in channels)
     named = mission.log.channels.named()
-    if mission.atmosphere.board_temperature:
-        board = named["temperature"].name
+    outside = ["temperature"] if mission.atmosphere.board_temperature else []
+    for role in [*outside, "cabin_temperature"]:
+        board = named[role].name if role in named else ""
         channels = tuple(_board_as_air(c) if c.name == board else c for c in channels)
     for role, stated in named.items():
         if stated.unit is not None:

@@ -90,6 +90,7 @@ def manifest_of(
         },
         "correction": statistics.correction(),
         "uncertainty": None if scale is None else _scale(scale),
+        "cabin_sigma_share": statistics.cabin_share.summary(),
         "ledger": entries,
         "exit_code": EXIT_LOSSES if ledger.has_losses else EXIT_DONE,
     }

@@ -26,7 +26,7 @@ from pipeline.flight.stations import (
     unusable_station_notes,
 )
 from pipeline.ledger import Ledger
-from pipeline.stages.cabin_air import flag_missing_cabin_air
+from pipeline.stages.cabin_air import cabin_from_log
 from pipeline.stages.inputs import FlightLog
 from pipeline.tables.events import EventColumns, read_events
 from pipeline.tables.observations import Observations
@@ -85,8 +85,11 @@ def stations_of_mission(
         ]
     )
     for name, camera in mission.cameras.items():
-        if camera.needs_cabin_from_log:
-            stations = ledger.take(flag_missing_cabin_air(stations, name))
+        cabin = None if camera.window is None else camera.window.build().cabin
+        if cabin is not None and camera.needs_cabin:
+            stations = ledger.take(
+                cabin_from_log(stations, name, cabin, flight.channels, flight.roles)
+            )
         if camera.window is not None and camera.window.frame == "body":
             stations = ledger.take(flag_missing_aircraft_attitude(stations, name))
     stations = ledger.take(append_unmatched_images(stations, observations.images))

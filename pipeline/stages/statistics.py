@@ -27,6 +27,7 @@ class Statistics:
     """Counts of observations, and how large the corrections were in each camera.
 
     ``rays`` : (6, m) arrays of rays that stand for the others, as `sampled_rays` returns them.
+    ``cabin_share`` : sigma of R_cc by the air in the cabin as a share of R_c.
     """
 
     shifts: dict[str, ShiftStatistics]
@@ -37,6 +38,7 @@ class Statistics:
     no_sigma: int = 0
     implausible_heights: int = 0
     rays: list[Array] = field(default_factory=list)
+    cabin_share: Distribution = field(default_factory=Distribution)
 
     @classmethod
     def of(cls, cameras: Mapping[str, Camera]) -> Statistics:
@@ -50,6 +52,9 @@ class Statistics:
         self.no_distance += batch.no_distance
         self.no_sigma += batch.no_sigma
         self.parts += 1
+        if corrections.sigmas is not None:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                self.cabin_share.add(corrections.sigmas.r_cc_rad / np.abs(corrections.r_c_rad))
         counts = np.bincount(corrections.status, minlength=len(STATUS_NAMES))
         for name, count in zip(STATUS_NAMES, counts.tolist(), strict=True):
             self.status[name] = self.status.get(name, 0) + int(count)
@@ -76,6 +81,7 @@ class Statistics:
         self.no_sigma += other.no_sigma
         self.implausible_heights += other.implausible_heights
         self.rays += other.rays
+        self.cabin_share += other.cabin_share
         self.parts += other.parts
         for name, count in other.status.items():
             self.status[name] = self.status.get(name, 0) + count

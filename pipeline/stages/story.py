@@ -34,8 +34,13 @@ from pipeline.report.accuracy import Accuracy, accuracy_page, accuracy_png, text
 from pipeline.report.html import write_report
 from pipeline.report.progress import NoProgress, Progress
 from pipeline.stages.adjusted_profile import AirSources, adjusted_profiles, read_air_sources
+from pipeline.stages.cabin_air import with_cabin_air
 from pipeline.stages.correction import correct_stream, correction_setup
-from pipeline.stages.exposure_setup import exposures_of_mission
+from pipeline.stages.exposure_setup import (
+    exposures_of_mission,
+    lenses_of_mission,
+    windows_of_mission,
+)
 from pipeline.stages.finished_run import rebuild_run, refuse_output
 from pipeline.stages.inputs import FlightLog, read_log, read_observations
 from pipeline.stages.outputs import manifest_of, observation_metadata, write_tables
@@ -97,6 +102,8 @@ def run_mission(
         if air.adjustment.is_measured:
             stations = ledger.take(flag_height_misfits(stations, air.series))
         progress.start("correcting", prepared.observations.rows)
+        windows, lenses = windows_of_mission(mission), lenses_of_mission(mission)
+        stations = with_cabin_air(stations, windows, lenses, air.series, ledger)
         exposures = exposures_of_mission(mission, stations, air.series, ledger)
         report_unknown_sigmas(mission, stations, air.series, ledger)
         statistics = correct_stream(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.profile import Profile
+from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.config import Mission
 from pipeline.flight.stations import Stations
@@ -17,7 +18,7 @@ from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Exposures
 from pipeline.refraction.ray import DEFAULT_RADIUS_M
-from pipeline.refraction.uncertainty.air_sigma import OPEN, window_kind_of
+from pipeline.refraction.uncertainty.air_sigma import OPEN, SCHEDULED, window_kind_of
 from pipeline.refraction.uncertainty.budget import (
     BlockScale,
     RayWindows,
@@ -26,7 +27,8 @@ from pipeline.refraction.uncertainty.budget import (
     uncertainty_of,
 )
 from pipeline.refraction.uncertainty.sigmas import Uncertainty
-from pipeline.stages.exposure_setup import windows_of_mission
+from pipeline.stages.cabin_air import cabin_changes
+from pipeline.stages.exposure_setup import lenses_of_mission, windows_of_mission
 from pipeline.stages.statistics import Statistics
 from pipeline.units import DEGREE
 
@@ -51,8 +53,10 @@ def uncertainties_of_mission(
         any(mission.mount[name].sigma_tilt_deg is not None for name in mission.cameras)
         or ground.sigma_m is not None
         or ground.sigma_column is not None
+        or bool(np.isfinite(stations.sigma_cabin_temperature_k).any())
+        or bool(np.isfinite(stations.sigma_cabin_pressure_pa).any())
     )
-    sigmas = station_sigmas(mission, stations)
+    sigmas = station_sigmas(mission, stations, air.profiles[0].index)
     masks = [(camera, stations.camera == name) for name, camera in cameras.items()]
     uncertainties: list[Uncertainty | None] = []
     for number, timed in enumerate(air.timed_profiles):
@@ -83,11 +87,16 @@ def views_of_mission(mission: Mission, stations: Stations, air: ProfileSeries) -
             rows = stations.camera == name
             scheduled = window.cabin.source == "standard_schedule"
             views[rows] = window_kind_of(pressure[rows], scheduled=scheduled)
+            if window.cabin.source == "ambient":
+                views[rows] = SCHEDULED
     return views
 
 
-def station_sigmas(mission: Mission, stations: Stations) -> StationSigmas:
-    """Sigmas of the attitude from the mission file, of the height from the log; NaN if unknown."""
+def station_sigmas(mission: Mission, stations: Stations, index: IndexModel) -> StationSigmas:
+    """Sigmas of attitude and cabin from the mission file, of the height from the log; NaN unknown.
+
+    ``index`` gives the refractivity of the cabin's air.
+    """
     count = len(stations)
     tilt, yaw = np.full(count, np.nan), np.full(count, np.nan)
     axis = np.tile([0.0, 0.0, 1.0], (count, 1))
@@ -99,7 +108,11 @@ def station_sigmas(mission: Mission, stations: Stations) -> StationSigmas:
         tilt[rows] = mount.sigma_tilt_deg * DEGREE
         yaw[rows] = sigma_yaw * DEGREE
         axis[rows] = mount.build().camera_from_body[:, 2]
-    return StationSigmas(tilt, yaw, axis, stations.sigma_height_m)
+    behind = {name: lens for name, lens in lenses_of_mission(mission).items()
+              if mission.cameras[name].window is not None}  # fmt: skip
+    return StationSigmas(
+        tilt, yaw, axis, stations.sigma_height_m, cabin_changes(stations, behind, index)
+    )
 
 
 def report_unknown_sigmas(
@@ -116,6 +129,15 @@ def report_unknown_sigmas(
     heights = int((stations.ok & ~np.isfinite(stations.sigma_height_m)).sum())
     if heights and len(cameras) < len(mission.cameras):
         missing.append(f"the height of {heights} stations (not in the log; it does not count)")
+    for name, window in windows_of_mission(mission).items():
+        rows = np.asarray((stations.camera == name) & stations.ok)
+        rows &= window.shape == "plane"
+        for key, sigma in (
+            ("sigma_pressure_hpa", stations.sigma_cabin_pressure_pa),
+            ("sigma_temperature_k", stations.sigma_cabin_temperature_k),
+        ):
+            if bool(np.isnan(sigma[rows]).any()):
+                missing.append(f"the cabin's air (cameras.{name}.window.cabin.{key})")
     if missing:
         ledger.note(
             "SIGMA-UNKNOWN",

@@ -23,6 +23,10 @@ _COMMON = (
 )
 _STATION = "attitude and height, common to an image; null where the attitude has no sigma"
 _GROUND = "the same for each image of the point; null where the height has no sigma"
+_CABIN = (
+    "common to a camera, never to be added to the weights of observations; null without a window "
+    "and where the cabin has no sigma"
+)
 
 OBSERVATION_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
     "image": (_S, "", "name of the image"),
@@ -41,6 +45,9 @@ OBSERVATION_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
     "sigma_station_dy_px": (_F4, "px", f"of the shift in y, by the station; {_STATION}"),
     "sigma_ground_dx_px": (_F4, "px", f"of the shift in x, by the height of the point; {_GROUND}"),
     "sigma_ground_dy_px": (_F4, "px", f"of the shift in y, by the height of the point; {_GROUND}"),
+    "sigma_r_cc_rad": (_F4, "rad", f"standard deviation of r_cc_rad by the cabin's air; {_CABIN}"),
+    "sigma_cabin_dx_px": (_F4, "px", f"of the shift in x, by the cabin's air; {_CABIN}"),
+    "sigma_cabin_dy_px": (_F4, "px", f"of the shift in y, by the cabin's air; {_CABIN}"),
     "h_g_m": (_F, "m", "height of the point above mean sea level that was used"),
     "status": (_S, "", "ok, or why there is no correction"),
 }
@@ -84,9 +91,11 @@ STATION_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
     "pressure_pa": (_F, "Pa", "static pressure outside, as logged"),
     "temperature_k": (_F, "K", "temperature outside, as logged"),
     "vapour_pressure_pa": (_F, "Pa", "water vapour outside, as logged"),
-    "cabin_pressure_pa": (_F, "Pa", "in the compartment"),
-    "cabin_temperature_k": (_F, "K", "in the compartment"),
+    "cabin_pressure_pa": (_F, "Pa", "in the compartment, as logged, stated or assumed"),
+    "cabin_temperature_k": (_F, "K", "in the compartment, as logged, stated or assumed"),
     "cabin_vapour_pressure_pa": (_F, "Pa", "in the compartment"),
+    "sigma_cabin_pressure_pa": (_F, "Pa", "standard deviation; null without a window"),
+    "sigma_cabin_temperature_k": (_F, "K", "standard deviation; null without a window"),
     "sigma_horizontal_m": (_F, "m", "standard deviation per axis, as the receiver gave it"),
     "sigma_height_m": (_F, "m", "standard deviation, as the receiver gave it"),
     "sigma_tilt_deg": (_F, "deg", "standard deviation about each of the body's level axes"),

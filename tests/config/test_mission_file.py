@@ -48,7 +48,10 @@ FULL: dict[str, Any] = {
             "distortion": {"k1": 0.1, "k2": 0.1, "k3": 0.1, "p1": 0.1, "p2": 0.1},
             "calibration": "laboratory",
             "window": {
-                "cabin": {"pressure_hpa": 800.0, "temperature_c": 20.0, "relative_humidity": 0.3},
+                "cabin": {
+                    "pressure_hpa": 800.0, "temperature_c": 20.0, "relative_humidity": 0.3,
+                    "sigma_pressure_hpa": 2.0, "sigma_temperature_k": 1.5,
+                },
                 "shape": "plane", "frame": "camera", "normal": [0.0, 0.0, 1.0],
                 "in_calibration": "glass",
             },

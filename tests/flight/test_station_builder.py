@@ -29,7 +29,8 @@ from pipeline.flight.mount import Mount
 from pipeline.flight.station_builder import build_stations
 from pipeline.flight.stations import append_unmatched_images, unusable_station_notes
 from pipeline.ledger import Ledger
-from pipeline.stages.cabin_air import flag_missing_cabin_air
+from pipeline.refraction.window import Cabin
+from pipeline.stages.cabin_air import cabin_from_log
 
 SECOND = 1_000_000_000
 LATITUDE, LONGITUDE = np.radians(47.0), np.radians(8.0)
@@ -172,8 +173,9 @@ def test_air_at_the_exposure() -> None:
     assert station.cabin_vapour_pressure_pa[0] == pytest.approx(0.5 * 2339.2 * 1.0034, rel=1e-3)
     assert np.isnan(station.pressure_pa[0])
     ledger = Ledger()
-    assert ledger.take(flag_missing_cabin_air(station, "cam")).status[0] == "ok"
-    assert ledger.take(flag_missing_cabin_air(one_station(), "cam")).status[0] == "suspect"
+    logged = Cabin("log")
+    assert ledger.take(cabin_from_log(station, "cam", logged)).status[0] == "ok"
+    assert ledger.take(cabin_from_log(one_station(), "cam", logged)).status[0] == "suspect"
     assert [e.code for e in ledger] == ["CABIN-MISSING"]
 
 

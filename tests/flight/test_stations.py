@@ -18,7 +18,8 @@ from pipeline.flight.stations import (
     station_columns,
     unusable_station_notes,
 )
-from pipeline.stages.cabin_air import flag_missing_cabin_air
+from pipeline.refraction.window import Cabin
+from pipeline.stages.cabin_air import cabin_from_log
 
 AIR = standard_atmosphere("us1976")
 
@@ -63,7 +64,12 @@ def test_each_reason_is_a_loss_but_unmatched_images_are_entered_elsewhere():
     ]
 
 
-@pytest.mark.parametrize("check", [flag_missing_cabin_air, flag_missing_aircraft_attitude])
+def flag_missing_pressure(stations, camera):
+    """Without the note on the temperature, which is assumed."""
+    return cabin_from_log(stations, camera, Cabin("log", temperature_k=294.0))
+
+
+@pytest.mark.parametrize("check", [flag_missing_pressure, flag_missing_aircraft_attitude])
 def test_only_usable_stations_of_the_camera_are_flagged(check):
     status = np.array(["ok", "in_gap", "ok"], object)
     flagged, (entry,) = check(replace(stations(), status=status), "cam")

@@ -12,13 +12,21 @@ PLANE = {"shape": "plane", "in_calibration": "none"}
 LENS = {"dc_dp_px_per_hpa": 0.006}
 
 
-def manifest(direction: str = "remove", count: int = 3, **cameras: dict) -> dict:
+def manifest(
+    direction: str = "remove",
+    count: int = 3,
+    cabin: float | None = None,
+    air: float | None = None,
+    **cameras: dict,
+) -> dict:
     full = {n: {"window": None, "principal_distance": None} | c for n, c in cameras.items()}
     some = {"count": count, "median": 0.3, "maximum": 1.2}
     return {
         "config": {"refraction": {"direction": direction}, "cameras": full},
         "correction": {"shift_px": some, "shift_ground_m": some},
         "observations": {"rows": 4},
+        "cabin_sigma_share": {"median": cabin},
+        "uncertainty": None if air is None else {"scale_sigma": air},
     }
 
 
@@ -27,6 +35,19 @@ def test_the_headline_says_what_was_done(direction, done):
     assert headline(manifest(direction)).startswith(f"3 of 4 observations were {done}, by 0.3 px")
     none = headline(manifest(direction, count=0))
     assert none == f"None of the 4 observations could be {done}."
+
+
+def test_the_headline_says_that_the_cabin_limits_the_result():
+    """5 K are 5 % of R at 6 km; up to 2 % nothing is said, nor without a window."""
+    for cabin in (None, 0.004, 0.02):
+        assert headline(manifest(cabin=cabin, air=0.01)) == headline(manifest())
+    assert "The air in the cabin, not that outside, limits the result: its standard deviation " \
+        "is 5 % of R in the median, that of the air outside 1.2 %." in headline(
+            manifest(cabin=0.05, air=0.012))  # fmt: skip
+    both = headline(manifest(cabin=0.021, air=0.13))
+    assert "not that outside" not in both
+    assert "adds to the error" in both
+    assert "The air in the cabin limits the result" in headline(manifest(cabin=0.03))
 
 
 def test_cameras_whose_lens_is_not_corrected_are_named():

@@ -22,6 +22,7 @@ from pipeline.refraction.camera.camera import LensInAir
 from pipeline.refraction.papers.gyer import gyer_air
 from pipeline.refraction.papers.rows import printed_table
 from pipeline.refraction.window import Cabin, Window, refract_at_window
+from pipeline.stages.cabin_air import with_cabin_air
 from pipeline.stages.exposure_setup import exposures_of, report_lenses, report_windows
 from pipeline.units import ARCSEC
 
@@ -72,6 +73,7 @@ def look(at: Stations, window: Window | None = None, lens: LensInAir | None = No
     ledger = Ledger()
     windows = {} if window is None else {"nadir": window}
     lenses = {} if lens is None else {"nadir": lens}
+    at = with_cabin_air(at, windows, lenses, profile, ledger)
     return exposures_of(at, profile, windows, lenses, ledger, radius_m=6_378_000.0), ledger
 
 
@@ -116,7 +118,7 @@ def test_air_of_the_log_of_the_file_and_none():
     )
     assert constant.refractivity_cabin.tolist() == [logged.refractivity_cabin[0]] * 2
     assert codes(ledger) == ["CABIN-DRY"]
-    # Not told by flag_missing_cabin_air, and no number all the same.
+    # Not told by cabin_from_log, and no number all the same.
     assert logged.usable.tolist() == [True, False]
     bare, ledger = look(at)
     np.testing.assert_array_equal(bare.refractivity_cabin, bare.refractivity_outside)
@@ -139,6 +141,7 @@ def test_each_camera_has_its_own():
     tilted = (0.0, math.sin(0.2), math.cos(0.2))
     windows = {"nadir": Window(SCHEDULE), "left": Window(Cabin("constant", 9e4, 280.0), tilted)}
     lenses = {"free": LensInAir(20_000.0, 101_325.0, 288.15, 1e-4, 0.0)}
+    at = with_cabin_air(at, windows, lenses, US1976, Ledger())
     found = exposures_of(at, US1976, windows, lenses, Ledger(), radius_m=None)
     excess = found.refractivity_cabin - found.refractivity_outside
     assert (np.diff([0.0, *excess[[2, 0, 1]]]) > 0).tolist() == [False, True, True]

@@ -20,6 +20,7 @@ OBSERVATIONS = {
     "r_c_rad": "double", "r_cc_rad": "double", "sigma_r_c_rad": "double",
     "sigma_air_dx_px": "float", "sigma_air_dy_px": "float", "sigma_station_dx_px": "float",
     "sigma_station_dy_px": "float", "sigma_ground_dx_px": "float", "sigma_ground_dy_px": "float",
+    "sigma_r_cc_rad": "float", "sigma_cabin_dx_px": "float", "sigma_cabin_dy_px": "float",
     "h_g_m": "double", "status": "string",
 }  # fmt: skip
 STATIONS = {
@@ -30,7 +31,8 @@ STATIONS = {
     "aircraft_q_y": "double", "aircraft_q_z": "double", "pressure_pa": "double",
     "temperature_k": "double",
     "vapour_pressure_pa": "double", "cabin_pressure_pa": "double", "cabin_temperature_k": "double",
-    "cabin_vapour_pressure_pa": "double", "sigma_horizontal_m": "double",
+    "cabin_vapour_pressure_pa": "double", "sigma_cabin_pressure_pa": "double",
+    "sigma_cabin_temperature_k": "double", "sigma_horizontal_m": "double",
     "sigma_height_m": "double", "sigma_tilt_deg": "double", "sigma_yaw_deg": "double",
     "suspect_reason": "string", "suspect_m": "double", "status": "string",
 }  # fmt: skip

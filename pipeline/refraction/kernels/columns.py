@@ -24,10 +24,12 @@ RAY_ROWS = 12
 # the lowest to the highest camera; variance of tilt, by what that of yaw exceeds it [rad2], east
 # and north of the yaw axis; sigma of height [m]; number of its kind of window in the tables, -1
 # without a plane window; N'/n less the cabin's share that follows it [1/m]; the normal of the
-# window in the camera frame.
+# window in the camera frame; what the sigmas of pressure and of temperature in the cabin do to its
+# refractivity, and to the principal distance [px].
 N, BEND, NODE, SHARE, SPAN, TILT2, YAW2, AXIS_E, AXIS_N, SIGMA_H = range(10)
 WINDOW, WINDOW_BEND, NORMAL = 10, 11, 12
-STATION_COLUMNS = NORMAL + 3
+CABIN = NORMAL + 3
+STATION_COLUMNS = CABIN + 4
 
 
 class IndexTable(NamedTuple):

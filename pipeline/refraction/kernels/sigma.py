@@ -10,6 +10,7 @@ from pipeline.refraction.kernels.columns import (
     AXIS_E,
     AXIS_N,
     BEND,
+    CABIN,
     COS,
     H_C,
     NODE,
@@ -199,7 +200,7 @@ def _axes(turn, ray, east, north):  # type: ignore[no-untyped-def]
 
 @entry
 def propagate(observed, camera_and_rotation, traced, stations_and_air, sigmas):  # type: ignore[no-untyped-def]
-    """Fill sigma of R_c [rad] and those of x and y [px] by the air, the station, the ground.
+    """Fill sigma of R_c [rad], of x and y [px] by air, station and ground, and by the cabin.
 
     ``sigmas`` are the columns of `Sigmas`. NaN where not known.
     """
@@ -207,11 +208,12 @@ def propagate(observed, camera_and_rotation, traced, stations_and_air, sigmas): 
     camera, rotation = camera_and_rotation
     rays, r_c, status = traced
     stations, air = stations_and_air
-    sigma_r, air_x, air_y, station_x, station_y, ground_x, ground_y = sigmas
+    sigma_r, air_x, air_y, station_x, station_y, ground_x, ground_y, r_cc, cabin_x, cabin_y = sigmas
     refractivity = air.refractivity
     for i in range(h_g.size):
         sigma_r[i] = math.nan
         air_x[i] = air_y[i] = station_x[i] = station_y[i] = ground_x[i] = ground_y[i] = math.nan
+        r_cc[i] = cabin_x[i] = cabin_y[i] = math.nan
         r = r_c[i]
         if math.isnan(r) or status[i] == FAR_BRANCH:
             continue
@@ -237,13 +239,14 @@ def propagate(observed, camera_and_rotation, traced, stations_and_air, sigmas): 
         t, q = _axes(turn, ray, east, north)
         u, v = rays[U, i], rays[V, i]
         point = (u, v, math.sqrt(u * u + v * v + 1.0))
-        out_t = out_q = 0.0
+        out_t = out_q = steepness = 0.0
         if s[WINDOW] >= 0.0:
             # How far it turns towards the nadir and across per unit of dN_c - dN_cc.
             n0, n1, n2 = s[NORMAL], s[NORMAL + 1], s[NORMAL + 2]
             out = (n0 * u + n1 * v + n2) / point[2]
             out_t = (n0 * t[0] + n1 * t[1] + n2 * t[2]) / out * (1.0 - d_zeta)
             out_q = (n0 * q[0] + n1 * q[1] + n2 * q[2]) / out
+            steepness = math.sqrt(max(0.0, 1.0 - out * out)) / out
         d_image = slopes(u, v, camera.distortion)
         along_x, along_y = _moved(point, t, camera, d_image)
         across_x, across_y = _moved(point, q, camera, d_image)
@@ -256,3 +259,13 @@ def propagate(observed, camera_and_rotation, traced, stations_and_air, sigmas): 
         ground_x[i] = abs(by_h_g) * sigma_h_g[i]
         air_y[i], station_y[i], by_h_g = _in_the_image(along_y, across_y, motion, air_of_ray, s)
         ground_y[i] = abs(by_h_g) * sigma_h_g[i]
+
+        # N in the cabin turns the ray at the window (Gyer 1996, Eq. 36), and its air the lens.
+        n_p, n_t, lens_p, lens_t = s[CABIN], s[CABIN + 1], s[CABIN + 2], s[CABIN + 3]
+        r_cc[i] = steepness * math.hypot(n_p, n_t)
+        turned = along_x * out_t + across_x * out_q
+        lever = (observed.x[i] - camera.cx) / camera.fx
+        cabin_x[i] = math.hypot(turned * n_p + lever * lens_p, turned * n_t + lever * lens_t)
+        turned = along_y * out_t + across_y * out_q
+        lever = (observed.y[i] - camera.cy) / camera.fy
+        cabin_y[i] = math.hypot(turned * n_p + lever * lens_p, turned * n_t + lever * lens_t)

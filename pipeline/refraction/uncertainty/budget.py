@@ -21,6 +21,7 @@ from pipeline.refraction.kernels.columns import (
     AXIS_E,
     AXIS_N,
     BEND,
+    CABIN,
     NODE,
     NORMAL,
     SHARE,
@@ -62,6 +63,9 @@ class StationSigmas:
     yaw_axis : (s, 3) unit vectors in the camera frame: the aircraft's own vertical.
     height_m : of the projection centre. Where it is unknown it does not count.
 
+    cabin : (s, 4) what one sigma of pressure and one of temperature in the cabin change in the
+        refractivity there (first two), and in the principal distance [px]; by default unknown.
+
     A turn about the vertical changes nothing: yaw matters as far as its axis is not vertical.
     """
 
@@ -69,6 +73,7 @@ class StationSigmas:
     yaw_rad: Array
     yaw_axis: Array
     height_m: Array
+    cabin: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,7 +280,7 @@ def _station_columns(
     kinds: NDArray[np.int64],
     air: AirSigma,
 ) -> Array:
-    """(s, 15) columns `N` to `NORMAL` of `kernels.columns`; ``kinds`` (s,) are those of windows."""
+    """(s, 19) columns `N` to `CABIN` of `kernels.columns`; ``kinds`` (s,) are those of windows."""
     camera_m, n = air.camera_m, exposures.refractivity_outside
     h = np.where(exposures.usable & np.isfinite(n), exposures.height_m, camera_m[0])
     columns = np.full((h.size, STATION_COLUMNS), np.nan)
@@ -296,7 +301,9 @@ def _station_columns(
     columns[:, AXIS_E], columns[:, AXIS_N] = axis[:, 0], axis[:, 1]
     columns[:, SIGMA_H] = np.nan_to_num(stations.height_m)
     columns[:, WINDOW], columns[:, WINDOW_BEND] = -1.0, 0.0
-    columns[:, NORMAL:] = exposures.normals
+    columns[:, NORMAL:CABIN] = exposures.normals
+    if stations.cabin is not None:
+        columns[:, CABIN:] = stations.cabin
     for number, kind in enumerate(air.window_kinds):
         rows = kinds == kind
         response = cabin_response(profile, h[rows], kind)

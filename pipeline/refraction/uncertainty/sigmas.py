@@ -24,7 +24,7 @@ Single = NDArray[np.float32]
 class Uncertainty:
     """All that turns corrections into standard deviations; made by `uncertainty_of`.
 
-    ``air`` : tables of sigma_R; ``stations`` (s, 15) columns `N` to `NORMAL` of
+    ``air`` : tables of sigma_R; ``stations`` (s, 19) columns `N` to `CABIN` of
     `pipeline.refraction.kernels.columns`.
     """
 
@@ -37,8 +37,9 @@ class Sigmas:
     """Standard deviations of corrections; (n,) arrays, NaN where unknown.
 
     ``r_c_rad`` and ``air_*`` are common to the block: they must not be added to the weights of
-    observations. ``station_*`` are common to an image, ``ground_*`` to a point. dx and dy of one
-    kind are fully correlated but for ``station_*``.
+    observations. ``station_*`` are common to an image, ``ground_*`` to a point, ``r_cc_rad`` and
+    ``cabin_*`` (by the air behind the window) to a camera. dx and dy of one kind are fully
+    correlated but for ``station_*`` and ``cabin_*``.
     """
 
     r_c_rad: Array
@@ -48,6 +49,9 @@ class Sigmas:
     station_dy_px: Single
     ground_dx_px: Single
     ground_dy_px: Single
+    r_cc_rad: Single
+    cabin_dx_px: Single
+    cabin_dy_px: Single
 
     @classmethod
     def room(cls, n: int) -> Sigmas:
