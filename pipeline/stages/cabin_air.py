@@ -203,9 +203,9 @@ def _air_in(
 def cabin_changes(stations: Stations, lenses: Mapping[str, LensInAir], index: IndexModel) -> Array:
     """What one sigma of a cabin's pressure and of its temperature change; (s, 4).
 
-    In the refractivity there (first two), and in the principal distance of those ``lenses`` that
-    are behind a window [px]. NaN where neither has a sigma; one without does not count beside one
-    that has. Derivatives by central differences over 2 hPa and 2 K, good to 1e-4 of them.
+    In the refractivity there (first two), and in the principal distance of a camera that is among
+    the ``lenses`` [px]. NaN where neither has a sigma; one without does not count beside one that
+    has. Derivatives by central differences over 2 hPa and 2 K, good to 1e-4 of them.
     """
     p, t, e = (
         stations.cabin_pressure_pa, stations.cabin_temperature_k, stations.cabin_vapour_pressure_pa

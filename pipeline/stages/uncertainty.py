@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.profile import Profile
-from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.config import Mission
 from pipeline.flight.stations import Stations
@@ -49,14 +48,14 @@ def uncertainties_of_mission(
     sea level]. None for a profile without covariance where the mission file has no sigma either.
     """
     ground = mission.ground
+    cabin = cabin_changes(stations, lenses_of_mission(mission), air.profiles[0].index)
     any_sigma = (
         any(mission.mount[name].sigma_tilt_deg is not None for name in mission.cameras)
         or ground.sigma_m is not None
         or ground.sigma_column is not None
-        or bool(np.isfinite(stations.sigma_cabin_temperature_k).any())
-        or bool(np.isfinite(stations.sigma_cabin_pressure_pa).any())
+        or bool(np.isfinite(cabin).any())
     )
-    sigmas = station_sigmas(mission, stations, air.profiles[0].index)
+    sigmas = replace(station_sigmas(mission, stations), cabin=cabin)
     masks = [(camera, stations.camera == name) for name, camera in cameras.items()]
     uncertainties: list[Uncertainty | None] = []
     for number, timed in enumerate(air.timed_profiles):
@@ -92,11 +91,8 @@ def views_of_mission(mission: Mission, stations: Stations, air: ProfileSeries) -
     return views
 
 
-def station_sigmas(mission: Mission, stations: Stations, index: IndexModel) -> StationSigmas:
-    """Sigmas of attitude and cabin from the mission file, of the height from the log; NaN unknown.
-
-    ``index`` gives the refractivity of the cabin's air.
-    """
+def station_sigmas(mission: Mission, stations: Stations) -> StationSigmas:
+    """Sigmas of the attitude from the mission file, of the height from the log; NaN if unknown."""
     count = len(stations)
     tilt, yaw = np.full(count, np.nan), np.full(count, np.nan)
     axis = np.tile([0.0, 0.0, 1.0], (count, 1))
@@ -108,11 +104,7 @@ def station_sigmas(mission: Mission, stations: Stations, index: IndexModel) -> S
         tilt[rows] = mount.sigma_tilt_deg * DEGREE
         yaw[rows] = sigma_yaw * DEGREE
         axis[rows] = mount.build().camera_from_body[:, 2]
-    behind = {name: lens for name, lens in lenses_of_mission(mission).items()
-              if mission.cameras[name].window is not None}  # fmt: skip
-    return StationSigmas(
-        tilt, yaw, axis, stations.sigma_height_m, cabin_changes(stations, behind, index)
-    )
+    return StationSigmas(tilt, yaw, axis, stations.sigma_height_m)
 
 
 def report_unknown_sigmas(

@@ -56,7 +56,7 @@ def exposed(profile, rotation=TILTED, h_c=H_C, cabin=0.0) -> Exposures:
 def station_sigmas(tilt=TILT, yaw=YAW, height=HEIGHT, axis=(0.0, 0.0, 1.0), n=1) -> StationSigmas:
     return StationSigmas(
         np.full(n, tilt), np.full(n, yaw), np.tile(np.asarray(axis, float), (n, 1)),
-        np.full(n, height),
+        np.full(n, height), np.full((n, 4), 1e-6),
     )  # fmt: skip
 
 

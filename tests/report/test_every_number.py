@@ -72,6 +72,7 @@ MANIFEST: dict[str, Any] = {
         "rows": 5021,
         "status": {"ok": 4987, "no_station": 0, "no_ground": 13, "misses_ground": 21},
     },
+    "cabin_sigma_share": spread(4987, 0.0123, 0.014, 0.019),
     "stations": {"ok": 88, "in_gap": 7, "unmatched": 0},
     "profile": {
         "basis": "thermometer",
