@@ -32,7 +32,7 @@ def grow(log: Path, out: Path, size_bytes: int) -> int:
     data = log.read_bytes()
     found = find_records(view_of_bytes(data))
     places, numbers = found.offsets, found.numbers
-    timed = np.array([form.timed for form in found.definitions], np.bool_)
+    timed = np.array([form.time_field == "TimeUS" for form in found.definitions], np.bool_)
     stamps = places[timed[numbers]] + HEADER
     source = np.frombuffer(data, np.uint8).copy()
     anywhere = np.ndarray((source.shape[0] - 7,), "<u8", source, strides=(1,))

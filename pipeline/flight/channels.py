@@ -67,8 +67,9 @@ class Channel:
     h_ellipsoid_m, h_home_m, east_m, north_m, up_m (local); v_north_m_s, v_east_m_s, v_down_m_s;
     q_w, q_x, q_y, q_z (v_ned = R(q) v_body, body forward, right, down); rate_x_rad_s, rate_y_rad_s,
     rate_z_rad_s (about the body's forward, right and down axis); pressure_pa, board_temperature_k,
-    temperature_k, relative_humidity (0-1), airspeed_m_s; event_index, roll_rad, pitch_rad, yaw_rad;
-    yaw_in_body_rad (of a gimbal); value (of a named value, in the mission file's unit).
+    temperature_k, relative_humidity (0-1), airspeed_m_s; event_index, sigma_time_s (of an event
+    whose time is not logged exactly), roll_rad, pitch_rad, yaw_rad; yaw_in_body_rad (of a gimbal);
+    value (of a named value, in the mission file's unit).
 
     Of a receiver: fix (GPS_FIX_TYPE of MAVLink: 3 is 3D, 6 RTK fixed), satellites, hdop, sigma_h_m,
     sigma_v_m, sigma_speed_m_s; gps_week and gps_week_s, the epoch of the row in GPS time, as logged

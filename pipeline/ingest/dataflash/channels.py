@@ -44,20 +44,26 @@ from pipeline.ingest.log import Table
 from pipeline.ledger import Ledger
 
 RECEIVERS = ("GPS", "GPS2")
-FIRST_WEEK = 1_773  # 2013-12-29: no log with the field TimeUS is older
+FIRST_WEEK = 1_721  # 2012-12-30: no log that defines its own records is older
 _WEEKS = 1 << 13  # until 2137: the fit is by the median, which more than half of the rows decide
-_OF_TIME = ("GMS", "GWk", "Status")
+_OF_TIME = ("GMS", "GWk", "Status", "Week", "T")
 STRAY_SHARE = 100  # rows of an instance for each row of one that is damage
 
 
 def stamps(data: FileView, walker: RecordWalker) -> Iterator[Stamps]:
     """The times of all records that begin with one, during the walk."""
     for block in walker.blocks():
-        timed = np.array([form.timed for form in walker.definitions], np.bool_)
-        at = block.at[timed[block.numbers]].astype(np.int64)
+        fields = [form.time_field for form in walker.definitions]
+        timed = np.array([bool(field) for field in fields])
+        old = np.array([field == "TimeMS" for field in fields])
+        rows = timed[block.numbers]
+        at = block.at[rows].astype(np.int64)
         if at.size:
             raw = data.array(block.base, block.end())
             time_us = microseconds(gather(raw, at + HEADER, 8).view("<u8"))
+            if old.any():
+                in_ms = old[block.numbers[rows]]
+                time_us[in_ms] = gather(raw, at[in_ms] + HEADER, 4).view("<u4") * np.int64(1000)
             yield at + block.base, time_us * 1000
 
 
@@ -143,7 +149,7 @@ def _receiver_utc(
 
 def wanted_fields() -> dict[str, Callable[[str], bool]]:
     """The messages that become channels or are needed for it, and which of their fields."""
-    always = {"TimeUS", *INSTANCE_FIELDS}
+    always = {"TimeUS", "TimeMS", *INSTANCE_FIELDS}
     fields = {
         name: always
         | {field for column in spec.columns for field in column.fields}

@@ -85,6 +85,7 @@ _SHOT = (
     column("event_index", "Img"),
     *_EULER,
     *_EPOCH,
+    column("sigma_time_s", "sigma_time_s"),  # made of what old logs have
 )
 
 MESSAGES: Mapping[str, MessageMap] = {
@@ -110,10 +111,12 @@ MESSAGES: Mapping[str, MessageMap] = {
     "NKQ1": MessageMap(_QUATERNION, ATTITUDE, 50, attitude=True),
     "XKF1": MessageMap(_FILTER, ATTITUDE, 60, attitude=True, spare_rank=61),
     "NKF1": MessageMap(_FILTER, ATTITUDE, 60, attitude=True, spare_rank=61),
+    "EKF1": MessageMap(_FILTER, ATTITUDE, 60, attitude=True),
     # Type 0 is the origin of the filter's local places, 1 is home.
     "ORGN": MessageMap((*_PLACE, column("h_msl_m", "Alt")), id_field="Type"),
     "XKF4": _HEALTH,
     "NKF4": _HEALTH,
+    "EKF4": _HEALTH,
     "VIBE": MessageMap(
         (
             *(column(f"vibration_m_s2_{axis}", f"Vibe{axis}") for axis in "XYZ"),

@@ -6,12 +6,16 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pipeline.ingest.boot_clock import Timeline, timeline
+from pipeline.flight.clock import LAST_US, SECONDS_PER_WEEK
+from pipeline.ingest.boot_clock import LOWEST_FIX, Timeline, microseconds, timeline
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.dataflash.channels import (
+    RECEIVERS,
     LogClock,
     channels_of,
     clock_of,
@@ -27,9 +31,10 @@ from pipeline.ingest.log import Contents, Table, report_damage
 from pipeline.ledger import Ledger
 
 # Fields that are used as they are logged, without a field map that checks that they are numbers.
-_NUMBERS = {*INSTANCE_FIELDS, "TimeUS", "GMS", "GWk", "Status", "Value"} | {
+_NUMBERS = {*INSTANCE_FIELDS, "TimeUS", "GMS", "GWk", "Week", "Status", "Value"} | {
     field for column in ACCURACY for field in column.fields
 }
+_TIMELESS = {"CAM", "MSG", "EV", "ERR", "PARM"}  # rows without a time until 2015
 
 
 @dataclass(frozen=True)
@@ -110,7 +115,7 @@ def contents_of(
 
     def table(name: str, instance: str | None) -> Table:
         decoded = reread({name})
-        return stamped(decoded[name], clock, instance) if name in decoded else {}
+        return stamped(name, decoded[name], clock, instance) if name in decoded else {}
 
     lost = 0  # neither records nor lines carry a sequence number
     parameters = parameters_of(timed)
@@ -126,7 +131,8 @@ def timed_tables(tables: dict[str, Decoded], ledger: Ledger) -> dict[str, Decode
     Columns are dropped which a damaged definition makes no numbers, or no text, where these are
     needed.
     """
-    result = {}
+    result, timeless = {}, {}
+    old = not any("TimeUS" in table.columns for table in tables.values())
     for name in list(tables):
         table = without_objects(tables.pop(name), name, ledger)
         count = table.places.size
@@ -141,20 +147,85 @@ def timed_tables(tables: dict[str, Decoded], ledger: Ledger) -> dict[str, Decode
             ledger.loss("LOG-FIELDS", what, where=name, count=count)
             columns = {f: column for f, column in table.columns.items() if f not in odd}
             table = Decoded(columns, table.places)
+        table = with_time(name, table)
         time = table.columns.get("TimeUS")
-        if time is None or not is_number(time):
+        if time is not None and is_number(time):
+            result[name] = table.take(np.isfinite(time)) if time.dtype.kind == "f" else table
+        elif old and name in _TIMELESS:
+            timeless[name] = table
+        else:
             what = f"{count} rows have no time: the log defines no field TimeUS"
             ledger.loss("LOG-FIELDS", what, where=name, count=count)
-            continue
-        result[name] = table.take(np.isfinite(time)) if time.dtype.kind == "f" else table
+    if not timeless or not result:
+        return result
+    places = np.concatenate([table.places for table in result.values()])
+    order = np.argsort(places, kind="stable")
+    times = np.concatenate([microseconds(table.columns["TimeUS"]) for table in result.values()])
+    for name, table in timeless.items():
+        row = np.searchsorted(places[order], table.places) - 1
+        time_us = times[order][np.maximum(row, 0)]
+        table = Decoded(table.columns | {"TimeUS": time_us}, table.places)
+        result[name] = _by_last_fix(table, result.get("GPS"), ledger) if name == "CAM" else table
     return result
 
 
-def stamped(decoded: Decoded, clock: LogClock, instance: str | None) -> Table:
+def with_time(name: str, decoded: Decoded) -> Decoded:
+    """A table with the field TimeUS; before 2015 the time since boot was in milliseconds.
+
+    It was TimeMS, except in rows of receivers: there TimeMS is the time of the week, and T the time
+    since boot.
+    """
+    columns = decoded.columns
+    time_ms = columns.get("T" if name in RECEIVERS else "TimeMS")
+    if "TimeUS" in columns or time_ms is None or not is_number(time_ms):
+        return decoded
+    columns = columns | {"TimeUS": np.minimum(microseconds(time_ms), LAST_US // 1000) * 1000}
+    if name in RECEIVERS:
+        renamed = {"GMS": "TimeMS", "GWk": "Week"}
+        columns |= {new: columns[old] for new, old in renamed.items() if old in columns}
+    return Decoded(columns, decoded.places)
+
+
+def _by_last_fix(exposures: Decoded, receiver: Decoded | None, ledger: Ledger) -> Decoded:
+    """Exposures with only the GPS time of the last fix: they are half an interval behind it.
+
+    A row whose fix is not in the log stays at the time of the record before it.
+    """
+    time_us = exposures.columns["TimeUS"].copy()
+    fix_us, fix_ms = (np.empty(0, np.int64),) * 2
+    if receiver is not None and {"GMS", "GWk", "Status"} <= receiver.columns.keys():
+        fixes = receiver.take(receiver.columns["Status"] >= LOWEST_FIX).columns
+        fix_ms, first = np.unique(_gps_ms(fixes["GWk"], fixes["GMS"]), return_index=True)
+        fix_us = microseconds(fixes["TimeUS"])[first]
+    interval_s = float(np.median(np.diff(fix_ms))) / 1000.0 if fix_ms.size > 1 else np.nan
+    columns, known = exposures.columns, np.zeros(time_us.shape, np.bool_)
+    if {"GPSTime", "GPSWeek"} <= columns.keys() and np.isfinite(interval_s):
+        own_ms = _gps_ms(columns["GPSWeek"], columns["GPSTime"])
+        row = np.minimum(np.searchsorted(fix_ms, own_ms), fix_ms.size - 1)
+        known = fix_ms[row] == own_ms
+        time_us[known] = fix_us[row[known]] + round(interval_s * 5e5)
+    what = (
+        f"{time_us.size} exposures have no time since boot: {int(known.sum())} are half an "
+        f"interval of the receiver ({interval_s / 2.0:.3f} s) behind the fix that they name, with "
+        f"a sigma of {interval_s / np.sqrt(12.0):.3f} s, {int((~known).sum())} at the record "
+        "before them"
+    )
+    ledger.fallback("EVENTS-FIX-TIME", what, where="CAM", count=time_us.size)
+    sigma_s = np.full(time_us.shape, interval_s / np.sqrt(12.0))
+    return Decoded(columns | {"TimeUS": time_us, "sigma_time_s": sigma_s}, exposures.places)
+
+
+def _gps_ms(week: NDArray[Any], time_ms: NDArray[Any]) -> NDArray[np.int64]:
+    week_ms = np.asarray(week, np.int64) * (SECONDS_PER_WEEK * 1000)
+    return np.asarray(week_ms + np.asarray(time_ms, np.int64), np.int64)
+
+
+def stamped(name: str, decoded: Decoded, clock: LogClock, instance: str | None) -> Table:
     """A table with UTC and boot before its own columns; only an instance, where one is given."""
     table, places = decoded.columns, decoded.places
-    if "TimeUS" in table and is_number(table["TimeUS"]):
-        added: Table = {"time_ns": clock.utc(table, places), "boot": clock.line.boot_of(places)}
+    timed = with_time(name, decoded).columns
+    if "TimeUS" in timed and is_number(timed["TimeUS"]):
+        added: Table = {"time_ns": clock.utc(timed, places), "boot": clock.line.boot_of(places)}
         table = added | table
     if instance is None:
         return table

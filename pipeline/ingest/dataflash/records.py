@@ -54,14 +54,13 @@ class RecordDefinition:
         return self.dtype.names or ()
 
     @property
-    def timed(self) -> bool:
-        """Whether the records begin with their time, as all do since 2014."""
-        fields = self.dtype.fields
-        return (
-            fields is not None
-            and "TimeUS" in fields
-            and fields["TimeUS"][:2] == (np.dtype("<u8"), HEADER)
-        )
+    def time_field(self) -> str:
+        """The time since boot with which the records begin: TimeUS, until 2015 TimeMS; or ""."""
+        fields: Mapping[str, Any] = self.dtype.fields or {}
+        for name, kind in (("TimeUS", "<u8"), ("TimeMS", "<u4")):
+            if name in fields and fields[name][:2] == (np.dtype(kind), HEADER):
+                return name
+        return ""
 
 
 def define(payload: bytes) -> RecordDefinition | None:

@@ -127,8 +127,11 @@ class _LineReader:
                     continue
                 form = self.formats[name]
                 self.counts[name] += 1
-                if form.fields[0] == "TimeUS" and form.letters[0] == "Q":
-                    self.times.append((place, int(values[0])))
+                unit = {("TimeUS", "Q"): 1, ("TimeMS", "I"): 1000}.get(
+                    (form.fields[0], form.letters[0])
+                )
+                if unit:
+                    self.times.append((place, int(values[0]) * unit))
                 if name in wanted:
                     pending = rows.setdefault((name, form), [])
                     pending.append((place, values))
