@@ -20,8 +20,8 @@ import pipeline
 from pipeline.errors import UnbendError
 
 _ORDER = (
-    "run", "check", "inspect", "angle", "radial", "tables", "profile", "compare", "simulate",
-    "export", "verify",
+    "run", "check", "stations", "inspect", "angle", "radial", "tables", "profile", "compare",
+    "simulate", "export", "verify",
 )  # fmt: skip
 """Order of the commands in the help: missions, atmosphere and rays, results."""
 

@@ -15,7 +15,7 @@ import typer
 from rich.markup import escape
 from typer.core import TyperCommand
 
-from pipeline.cli.app import app, new_console, print_bug, print_error
+from pipeline.cli.app import app, new_console, print_bug, print_error, write_rows_csv
 from pipeline.errors import EXIT_BUG, EXIT_DONE, EXIT_LOSSES, ConfigError, UnbendError
 
 
@@ -74,6 +74,40 @@ def check(
         print_ledger(console, checked.ledger.rows())
         codes.append(EXIT_LOSSES if checked.ledger.has_losses else EXIT_DONE)
     raise typer.Exit(exit_code_of(codes))
+
+
+@app.command(epilog="Example: unbend stations mission.yaml --plot flight.png")
+def stations(
+    config: Annotated[Path, typer.Argument(help="a mission file", metavar="CONFIG")],
+    csv: Annotated[Path | None, typer.Option(help="write all stations as CSV")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="draw the flight with its stations, .png or .svg")
+    ] = None,
+) -> None:
+    """Stations of a mission, how events became images, and a drawing."""
+    from pipeline.report.progress import DelayedProgressBar
+    from pipeline.report.terminal import print_ledger, print_stations
+    from pipeline.stages.story import check_mission
+    from pipeline.tables.writing import rows_of_stations
+
+    console = new_console()
+    with DelayedProgressBar(console, f"reading {config.name}"):
+        checked = check_mission(config)
+    table = rows_of_stations(checked.stations)
+    if csv is not None:
+        write_rows_csv(csv, table)
+    if plot is not None:
+        from pipeline.report.figures import flight_figure, save_figure
+
+        save_figure(flight_figure(checked.stations, checked.track()), plot)
+    print_stations(console, table)
+    about = ("EVENTS-", "IMAGES-", "STATIONS-", "SUSPECT-")
+    rows = checked.ledger.rows()
+    shown = [e for e in rows if e["kind"] != "note" or str(e["code"]).startswith(about)]
+    print_ledger(console, shown)
+    for path in filter(None, (csv, plot)):
+        console.print(escape(str(path)), soft_wrap=True)
+    raise typer.Exit(EXIT_LOSSES if checked.ledger.has_losses else EXIT_DONE)
 
 
 @app.command(

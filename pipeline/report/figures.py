@@ -6,7 +6,7 @@ import io
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import vapour_pressure
 from pipeline.errors import ConfigError, StorageError
+from pipeline.flight.stations import NO_TIME, SUSPECT, Stations
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.statistics import ShiftGrid
 from pipeline.report.summary import effect_lines
@@ -142,6 +143,60 @@ def correction_figure(grids: Mapping[str, ShiftGrid]) -> Figure:
     for axis, (name, grid) in zip(axes, shown.items(), strict=True):
         axis.set_title(name, fontsize=9)
         draw_shifts(figure, axis, grid)
+    return figure
+
+
+@styled
+def flight_figure(
+    stations: Stations, track: tuple[NDArray[np.int64], Array, Array, Array]
+) -> Figure:
+    """A flight from above, and its height over time: stations, suspect ones, and rejected events.
+
+    ``track`` : time [Unix ns], latitude, longitude [rad] and height above sea level [m] as logged.
+    Events without a position have only their time.
+    """
+    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+
+    figure, (above, beside) = new_figure(2, 10.2, 4.6)
+    time_ns, lat, lon, h = track
+    places = np.concatenate([stations.lat_rad, lat]), np.concatenate([stations.lon_rad, lon])
+    middle = [float(np.nanmedian(p)) if np.isfinite(p).any() else 0.0 for p in places]
+    # Across the 180th meridian longitudes go on beyond 180 degrees.
+    lon_stations, lon = (np.unwrap([np.full(x.shape, middle[1]), x], axis=0)[1]
+                         for x in (stations.lon_rad, lon))  # fmt: skip
+    every = slice(None, None, max(1, time_ns.size // 20_000))
+    above.plot(np.degrees(lon[every]), np.degrees(lat[every]), color=STANDARD, lw=0.7, label="log")
+    beside.plot(time_ns[every].astype("datetime64[ns]"), h[every], color=STANDARD, lw=0.7)
+    when = stations.time_ns.astype("datetime64[ns]")
+    suspect = stations.status == SUSPECT
+    timed = stations.time_ns != NO_TIME
+    for rows, marker, color, label in (
+        (stations.ok, ".", ADJUSTED, "ok"),
+        (suspect, "x", MEASURED, "suspect"),
+        (timed & ~stations.ok & ~suspect, "|", "#7c3aed", "cannot be used"),
+    ):
+        if not bool(rows.any()):
+            continue
+        style: dict[str, Any] = {"marker": marker, "ls": "", "color": color, "ms": 5}
+        name = f"{int(rows.sum()):,} {label}"
+        above.plot(np.degrees(lon_stations[rows]), np.degrees(stations.lat_rad[rows]), **style,
+                   label=name)  # fmt: skip
+        known = np.isfinite(stations.h_msl_m)
+        beside.plot(when[rows & known], stations.h_msl_m[rows & known], **style)
+        # At the foot of the axis where there is only a time.
+        beside.plot(when[rows & ~known], np.full((rows & ~known).sum(), 0.02), **style,
+                    transform=beside.get_xaxis_transform())  # fmt: skip
+    above.set_aspect(1.0 / max(0.01, float(np.cos(middle[0]))), adjustable="datalim")
+    above.ticklabel_format(useOffset=False)
+    above.locator_params(axis="x", nbins=5)
+    above.set_xlabel("longitude [deg]")
+    above.set_ylabel("latitude [deg]")
+    locator = AutoDateLocator()
+    beside.xaxis.set_major_locator(locator)
+    beside.xaxis.set_major_formatter(ConciseDateFormatter(locator))
+    beside.set_xlabel("UTC")
+    beside.set_ylabel("height above sea level [m]")
+    figure.legend(loc="outside upper center", ncols=4, frameon=False)
     return figure
 
 

@@ -112,6 +112,55 @@ def print_check(console: Console, lines: Sequence[tuple[str, str]]) -> None:
     _print_indented(console, table)
 
 
+_STATION_COLUMNS = (
+    ("lat\n[deg]", "lat_deg", ".5f"),
+    ("lon\n[deg]", "lon_deg", ".5f"),
+    ("± xy\n[m]", "sigma_horizontal_m", ".2f"),
+    ("h\n[m]", "h_msl_m", ".1f"),
+    ("± h\n[m]", "sigma_height_m", ".2f"),
+    ("tilt\n± deg", "sigma_tilt_deg", ".2f"),
+)
+_FIRST_STATIONS, _LAST_STATIONS = 25, 5
+
+
+def print_stations(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
+    """The first and last stations as a table, how many there are, and why some cannot be used."""
+    heads = ("image\n", "UTC\n", *(head for head, *_ in _STATION_COLUMNS), "status\n")
+    table = _table(heads, gap=1)
+    table.columns[0].overflow = table.columns[-1].overflow = "fold"
+    table.columns[-1].justify = "left"
+    for column in table.columns[1:-1]:
+        column.no_wrap = True
+    few = len(rows) <= _FIRST_STATIONS + _LAST_STATIONS
+    for row in rows if few else (*rows[:_FIRST_STATIONS], None, *rows[-_LAST_STATIONS:]):
+        if row is None:
+            table.add_row("...")
+            continue
+        time = f"{row['time_utc']:%H:%M:%S.%f}"[:10] if row["time_utc"] else ""
+        cells = (
+            "" if row[name] is None else f"{row[name]:{digits}}"
+            for _, name, digits in _STATION_COLUMNS
+        )
+        table.add_row(escape(row["image"]), time, *cells, row["status"])
+    _print_indented(console, table)
+    if not few:
+        hidden = len(rows) - _FIRST_STATIONS - _LAST_STATIONS
+        _print_indented(console, f"{hidden:,} rows are not shown: all of them with --csv FILE")
+    groups: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
+    for row in rows:
+        key = row["camera"] or "no camera", row["status"], row["suspect_reason"] or ""
+        groups.setdefault(key, []).append(row)
+    for (camera, status, reason), of_group in groups.items():
+        line = f"{camera}: {len(of_group):,} {status}"
+        if status != "ok":
+            names = [row["image"] for row in of_group]
+            line += f", {names[0]}" if len(names) == 1 else f", {names[0]} to {names[-1]}"
+        off = max((row["suspect_m"] or 0.0 for row in of_group), default=0.0)
+        line += f": {reason}" if reason else ""
+        line += f" (up to {off:.0f} m off)" if off else ""
+        _print_indented(console, escape(line))
+
+
 def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
     """What ``unbend inspect`` prints: the channels by the names that a mission file uses."""
     seconds = f"channels over {log['duration_s']:.1f} s"

@@ -11,6 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.estimate.adjusted_profile import unadjusted
@@ -27,6 +30,7 @@ from pipeline.batch.store import (
 from pipeline.config import load_mission
 from pipeline.errors import ConfigError, StorageError
 from pipeline.flight.air_samples import air_samples
+from pipeline.flight.heights import heights_at
 from pipeline.flight.stations import Stations, flag_height_misfits
 from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir
@@ -49,6 +53,8 @@ from pipeline.stages.uncertainty import report_unknown_sigmas, scale_of_block
 from pipeline.tables.exports import find_format
 from pipeline.tables.observations import Observations
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True, eq=False)
 class PreparedMission:
@@ -61,6 +67,17 @@ class PreparedMission:
     samples: AirSamples
     sources: AirSources
     ledger: Ledger
+
+    def track(self) -> tuple[NDArray[np.int64], Array, Array, Array]:
+        """(n,) time [Unix ns], latitude, longitude [rad], height above sea level [m] as logged."""
+        position, height = (self.flight.roles.get(role) for role in ("position", "height"))
+        if position is None or height is None:
+            none = np.empty(0)
+            return np.empty(0, np.int64), none, none, none
+        h_msl, _ = heights_at(
+            height, position.time_ns, self.flight.heights, self.plan.mission.log.max_gap_s
+        )
+        return position.time_ns, position["lat_rad"], position["lon_rad"], h_msl
 
     def lines(self) -> list[tuple[str, str]]:
         """A label and a description of each input, for `unbend check`."""

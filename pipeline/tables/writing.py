@@ -87,6 +87,14 @@ def table_of_stations(stations: Stations, series: ProfileSeries) -> pa.Table:
     return table_of(columns, schema_of(STATION_COLUMNS, {}))
 
 
+def rows_of_stations(stations: Stations) -> list[dict[str, Any]]:
+    """The stations as rows of ``stations.parquet`` before the air is known, None for null."""
+    columns = station_columns(stations)
+    schema = schema_of({name: STATION_COLUMNS[name] for name in columns}, {})
+    rows: list[dict[str, Any]] = table_of(columns, schema).to_pylist()
+    return rows
+
+
 def table_of_profiles(
     adjustment: Adjustment, series: ProfileSeries, heights: ArrayLike | None = None
 ) -> pa.Table:

@@ -1,0 +1,129 @@
+"""`unbend stations`: the table, why stations cannot be used, CSV and drawing."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.flight.stations import NO_TIME, Stations, empty_stations, station_columns
+from pipeline.report.figures import flight_figure
+from pipeline.report.terminal import print_stations
+from pipeline.tables.writing import rows_of_stations
+
+SECOND = 1_000_000_000
+NINE = 1_749_718_800 * SECOND  # 2025-06-12, 09:00 UTC
+
+
+@pytest.fixture(autouse=True)
+def eighty_columns(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+
+
+def flown(n: int = 40) -> Stations:
+    """Eastwards along the equator; the 4th to 6th suspect, the 8th outside the log."""
+    names = np.array([f"DSC_{i + 1:05d}.tif" for i in range(n)], object)
+    status = np.full(n, "ok", object)
+    status[3:6], status[7] = "suspect", "outside_log"
+    reason = np.full(n, "", object)
+    reason[3:6] = "the position steps at 820 m/s"
+    off = np.full(n, np.nan)
+    off[3:6] = [13.0, 77.4, 40.0]
+    here = np.where(np.arange(n) == 7, np.nan, 1.0)
+    return replace(
+        empty_stations(names, np.full(n, "nadir", object), "ok"),
+        time_ns=NINE + 2 * SECOND * np.arange(n), lat_rad=0.5 * here,
+        lon_rad=np.radians(179.98 + 0.001 * np.arange(n)) * here, h_msl_m=1234.5 * here,
+        sigma_horizontal_m=1.25 * here, sigma_height_m=2.5 * here, sigma_tilt_rad=0.01 * here,
+        suspect_reason=reason, suspect_m=off, status=status,
+    )  # fmt: skip
+
+
+def printed(stations: Stations, capsys) -> list[str]:
+    from pipeline.cli.app import new_console
+
+    print_stations(new_console(), rows_of_stations(stations))
+    return [line.strip() for line in capsys.readouterr().out.splitlines()]
+
+
+def test_the_table_and_the_reasons(capsys):
+    lines = printed(flown(), capsys)
+    assert all(len(line) <= 78 for line in lines)
+    heads = ["image", "UTC", "lat", "lon", "±", "xy", "h", "±", "h", "tilt", "status"]
+    assert lines[0].split() == heads
+    assert lines[2].split() == [
+        "DSC_00001.tif", "09:00:00.0", "28.64789", "179.98000", "1.25", "1234.5", "2.50", "0.57",
+        "ok",
+    ]  # fmt: skip
+    assert lines[9].split() == ["DSC_00008.tif", "09:00:14.0", "outside_log"]
+    assert "DSC_00025.tif" in lines[26]
+    assert lines[27] == "..."
+    assert lines[28].startswith("DSC_00036.tif")
+    assert lines[33:] == [
+        "10 rows are not shown: all of them with --csv FILE",
+        "nadir: 36 ok",
+        "nadir: 3 suspect, DSC_00004.tif to DSC_00006.tif: the position steps at 820",
+        "m/s (up to 77 m off)",
+        "nadir: 1 outside_log, DSC_00008.tif",
+    ]
+    assert "..." not in printed(flown(30), capsys)
+
+
+def points_of(axis, label: str) -> np.ndarray:
+    (line,) = (line for line in axis.get_lines() if str(line.get_label()).endswith(label))
+    return np.asarray(line.get_xydata())
+
+
+def test_the_drawing():
+    stations = flown()
+    track = stations.time_ns[::-1], stations.lat_rad, stations.lon_rad, stations.h_msl_m + 1.0
+    stations.time_ns[9] = NO_TIME
+    stations.status[9] = "unmatched"
+    figure = flight_figure(stations, track)
+    above, beside = figure.axes
+    suspect = points_of(above, "3 suspect")
+    np.testing.assert_allclose(suspect[:, 0], [179.983, 179.984, 179.985], atol=1e-9)
+    np.testing.assert_allclose(suspect[:, 1], np.degrees(0.5))
+    assert points_of(above, "log")[0] == pytest.approx([179.98, np.degrees(0.5)])
+    # The flight crosses the 180th meridian, and the drawing does not jump back to -180.
+    behind = replace(stations, lon_rad=(stations.lon_rad + np.pi) % (2 * np.pi) - np.pi)
+    drawn = points_of(flight_figure(behind, track).axes[0], "ok")
+    assert np.ptp(drawn[:, 0]) == pytest.approx(0.039, abs=1e-6)
+    # The event outside the log has a time and no height: it stands at the foot.
+    foot = [line for line in beside.get_lines() if line.get_transform() != beside.transData]
+    assert [len(line.get_xdata()) for line in foot] == [0, 0, 1]
+    assert foot[-1].get_xdata()[0] == np.datetime64(NINE + 14 * SECOND, "ns")
+    assert above.get_xlabel() == "longitude [deg]"
+
+
+def test_the_command(unbend, mission, tmp_path):
+    table, plot = tmp_path / "stations.csv", tmp_path / "flight.png"
+    ended = unbend("stations", mission.save(), "--csv", table, "--plot", plot)
+    checked = unbend("check", mission.save())
+    assert (ended.code, checked.code) == (0, 0), ended.text
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    with table.open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert mission.run().code == 0
+    run = mission.stations().to_pandas()
+    assert [row["image"] for row in rows] == run["image"].tolist()
+    for name in ("lat_deg", "lon_deg", "h_msl_m", "q_w", "pressure_pa"):
+        np.testing.assert_array_equal([float(row[name]) for row in rows], run[name])
+    assert set(rows[0]) == set(station_columns(flown())) == set(run.columns) - {
+        "profile_id", "geometry"}  # fmt: skip
+    assert f"nadir: {sum(run['camera'] == 'nadir')} ok" in ended.out
+
+
+def test_losses_and_refusals_are_those_of_check(unbend, mission):
+    """An image without an exposure is a loss; a format that is no picture is refused."""
+    rows = mission.measurements().to_pandas()
+    rows.loc[0, "image"] = "unknown.tif"
+    mission.observe_text(rows.to_csv(index=False))
+    ended = unbend("stations", mission.save())
+    assert ended.code == unbend("check", mission.save()).code == 3
+    assert "IMAGES-UNMATCHED" in ended.out
+    assert "no camera: 1 unmatched, unknown.tif" in ended.out
+    refused = unbend("stations", mission.save(), "--plot", mission.folder / "flight.gif")
+    assert (refused.code, "PLOT-FORMAT" in refused.err) == (2, True)
