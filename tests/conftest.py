@@ -177,7 +177,7 @@ def unbend() -> Callable[..., Ended]:
     return run_command
 
 
-COUNTED = ("cells compared", "mutations")
+COUNTED = ("cells compared", "mutations", "assignments")
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
@@ -196,5 +196,5 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     if cells:
         total = sum(count for _, count in cells)
         terminalreporter.write_line(f"{total:,} cells of {len(cells)} logs are the libraries'")
-    for test, summary in found["mutations"]:
+    for test, summary in found["mutations"] + found["assignments"]:
         terminalreporter.write_line(f"{test}: {summary}")
