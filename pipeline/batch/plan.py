@@ -15,6 +15,7 @@ from typing import Any
 import pipeline
 from pipeline.batch.store import would_replace
 from pipeline.config import Mission
+from pipeline.config.station_sources import KnownPositions
 from pipeline.errors import ConfigError, InputError
 from pipeline.ingest import hash_file
 
@@ -22,6 +23,8 @@ _MISSION_FILE_KEYS = {
     "log": "log.path",
     "observations": "observations.path",
     "events": "events.csv.path",
+    "orientation": "stations.orientation.path",
+    "known positions": "stations.orientation.known_positions.path",
 }
 _LIBRARIES = (
     "numpy", "scipy", "numba", "llvmlite", "pandas", "pyarrow",  # arithmetic and tables
@@ -60,14 +63,21 @@ class Plan:
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
     def input(self, role: str) -> Input:
-        """The input of a role: log, observations, events, or ``sounding 1``."""
+        """The input of a role: log, observations, events, orientation, or ``sounding 1``."""
         return next(item for item in self.inputs if item.role == role)
 
 
 def input_paths(mission: Mission, folder: Path) -> dict[str, tuple[str, Path]]:
     """role -> (name in the mission file, path) of the files a mission reads."""
-    named = {"log": mission.log.path, "observations": mission.observations.path}
-    if mission.events.csv is not None:
+    named = {"observations": mission.observations.path}
+    if mission.log is not None:
+        named = {"log": mission.log.path} | named
+    orientation = mission.stations.orientation
+    if orientation is not None:
+        named["orientation"] = orientation.path
+        if isinstance(orientation.known_positions, KnownPositions):
+            named["known positions"] = orientation.known_positions.path
+    if mission.events is not None and mission.events.csv is not None:
         named["events"] = mission.events.csv.path
     for number, sounding in enumerate(mission.atmosphere.soundings):
         named[sounding_role(number)] = sounding.path

@@ -11,11 +11,10 @@ from pydantic import Field, field_validator, model_validator
 from pipeline.config.atmosphere import AtmosphereSection, PathText
 from pipeline.config.cameras import CameraSection, MountSection, Section
 from pipeline.config.event_sources import EventsSection
-from pipeline.flight.heights import GeodeticOrigin
+from pipeline.config.station_sources import LocalOrigin, StationsSection
 from pipeline.ingest.registry import KNOWN
 from pipeline.refraction import METHODS
 from pipeline.tables.pixels import PixelOrigin, PixelSystem
-from pipeline.units import DEGREE
 
 LOWEST_GROUND_M, HIGHEST_GROUND_M = -600.0, 10_000.0
 """Heights outside this range are no ground heights [m]."""
@@ -70,18 +69,6 @@ class ChannelsSection(Section):
             for role, value in given.items()
             if value is not None
         }
-
-
-class LocalOrigin(Section):
-    """Where the origin of local (east, north, up) positions lies."""
-
-    lat_deg: float = Field(ge=-90, le=90)
-    lon_deg: float = Field(ge=-180, le=360)
-    h_ellipsoid_m: float = Field(ge=-500, le=50_000)
-
-    def build(self) -> GeodeticOrigin:
-        """In radians."""
-        return GeodeticOrigin(self.lat_deg * DEGREE, self.lon_deg * DEGREE, self.h_ellipsoid_m)
 
 
 class LogSection(Section):
@@ -238,22 +225,77 @@ class Mission(Section):
     """A mission file as understood."""
 
     mission: MissionSection
-    log: LogSection
+    log: LogSection | None = Field(
+        None, description="may be left out where stations.orientation gives the stations"
+    )
     observations: ObservationsSection
     cameras: dict[str, CameraSection] = Field(min_length=1)
-    mount: dict[str, MountSection]
-    events: EventsSection
+    mount: dict[str, MountSection] = Field(
+        {}, description="by camera; with stations.orientation only where one is not at rest"
+    )
+    events: EventsSection | None = Field(
+        None, description="may be left out with stations.orientation"
+    )
+    stations: StationsSection = StationsSection()
     ground: GroundSection
     atmosphere: AtmosphereSection = AtmosphereSection()
     refraction: RefractionSection = RefractionSection()
     output: OutputSection
+
+    @model_validator(mode="before")
+    @classmethod
+    def _mounts_at_rest(cls, values: Any) -> Any:
+        """With stations from elsewhere, a camera without a mount is at rest in the aircraft."""
+        if not isinstance(values, dict):
+            return values
+        cameras, stations, mount = (values.get(key, {}) for key in ("cameras", "stations", "mount"))
+        sections = isinstance(cameras, dict) and isinstance(mount, dict)
+        if sections and isinstance(stations, dict) and stations.get("orientation") is not None:
+            return values | {"mount": {name: {} for name in cameras} | mount}
+        return values
+
+    @model_validator(mode="after")
+    def _check_station_source(self) -> Mission:
+        orientation = self.stations.orientation
+        of_log = self.events is not None and self.events.log is not None
+        if self.log is None and orientation is None:
+            raise ValueError("log is missing: the flight log, unless stations.orientation gives "
+                             "position and attitude of every image")  # fmt: skip
+        if self.events is None and orientation is None:
+            raise ValueError("events is missing: when the images were exposed")
+        if self.log is None and of_log:
+            raise ValueError("events.log takes the exposures from a log, and there is no log")
+        for name, camera in self.cameras.items() if self.log is None else ():
+            if camera.needs_cabin_from_log:
+                raise ValueError(f"cameras.{name}.window.cabin takes the cabin's air from a log, "
+                                 "and there is no log")  # fmt: skip
+        if orientation is None:
+            return self
+        if orientation.known_positions == "log" and (self.log is None or self.events is None):
+            raise ValueError("known_positions: log needs log and events")
+        named = orientation.camera
+        if named is None and orientation.columns.camera is None and len(self.cameras) > 1:
+            raise ValueError("stations.orientation must state which camera: camera or "
+                             "columns.camera")  # fmt: skip
+        if named is not None and named not in self.cameras:
+            raise ValueError(f"stations.orientation names camera {named!r}, which is not there")
+        timed = orientation.has_clock or orientation.date is not None or self.events is not None
+        if self.atmosphere.adjust and not timed:
+            raise ValueError("stations.orientation needs a time for the air: columns.time_utc, "
+                             "gps_week and gps_seconds, or date")  # fmt: skip
+        return self
+
+    @property
+    def max_gap_s(self) -> float:
+        """The longest interval of a log that is no gap [s]."""
+        return LogSection(path="-").max_gap_s if self.log is None else self.log.max_gap_s
 
     @model_validator(mode="after")
     def _check_window_directions(self) -> Mission:
         for name, camera in self.cameras.items():
             window = camera.window
             # A stabilised camera turns behind the window: only the log knows how.
-            moves = self.log.channels.aircraft_attitude is not None
+            moves = self.log is not None and self.log.channels.aircraft_attitude is not None
             if window is None or window.frame == "camera" or moves or name not in self.mount:
                 continue
             x, y, z = self.mount[name].build().camera_from_body @ np.array(window.normal)
@@ -267,7 +309,8 @@ class Mission(Section):
 
     @model_validator(mode="after")
     def _check_named_inputs(self) -> Mission:
-        if self.atmosphere.board_temperature and self.log.channels.temperature is None:
+        named = ChannelsSection() if self.log is None else self.log.channels
+        if self.atmosphere.board_temperature and named.temperature is None:
             raise ValueError(
                 "atmosphere.board_temperature needs log.channels.temperature, the channel whose "
                 "board is meant, as BARO[0]"
@@ -283,9 +326,9 @@ class Mission(Section):
     def _check_camera_names(self) -> Mission:
         known = set(self.cameras)
         used = {"mount": set(self.mount)}
-        if self.events.log is not None:
+        if self.events is not None and self.events.log is not None:
             used["events.log"] = set(self.events.log)
-        if self.events.csv is not None:
+        if self.events is not None and self.events.csv is not None:
             camera = self.events.csv.camera
             if camera is None and self.events.csv.columns.camera is None and len(known) > 1:
                 raise ValueError("events.csv must state which camera: camera or columns.camera")

@@ -84,7 +84,7 @@ def build_stations(
     elif is_of_gimbal(roles["attitude"].source.message):
         attitude = np.full_like(attitude, np.nan)
     stations = replace(stations, aircraft_quaternion=_from_enu(attitude, np.eye(3)))
-    return _with_air(stations, roles, max_gap_s)
+    return with_air(stations, roles, max_gap_s)
 
 
 def _not_covered(stations: Stations, coverage: NDArray[np.uint8]) -> Stations:
@@ -133,7 +133,7 @@ def _moved_to_camera(stations: Stations, mount: Mount, attitude: Array) -> Stati
     )
 
 
-def _with_air(stations: Stations, roles: Mapping[str, Channel], max_gap_s: float) -> Stations:
+def with_air(stations: Stations, roles: Mapping[str, Channel], max_gap_s: float) -> Stations:
     """Stations with the air that was measured outside and inside at the exposure."""
 
     def reading(role: str, column: str) -> Array:

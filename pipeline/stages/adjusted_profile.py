@@ -113,6 +113,9 @@ def read_air_sources(
     """
     section = plan.mission.atmosphere
     flight_ns = _middle_exposure_ns(stations)
+    orientation = plan.mission.stations.orientation
+    if flight_ns is None and orientation is not None:
+        flight_ns = orientation.date_ns
     latitude = stations.mean_latitude_rad
     known = stations.lon_rad[np.isfinite(stations.lon_rad)]
     longitude = float(np.median(known)) if known.size else math.nan
@@ -213,7 +216,8 @@ def _profiles_in_time(
     series = constant_series(whole, len(stations))
     middle = _middle_exposure_ns(stations)
     if middle is not None:
-        times = np.where(stations.ok, stations.time_ns, middle)
+        timed = stations.ok & (stations.time_ns != NO_TIME)
+        times = np.where(timed, stations.time_ns, middle)
         if windows:
             series = interpolate_series([window.air for window in windows], times, h_c, h_g)
         if adjustment.samples is not None:

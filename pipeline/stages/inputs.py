@@ -18,9 +18,12 @@ from pipeline.tables.observations import Observations, open_observations
 
 @dataclass(frozen=True, eq=False)
 class FlightLog:
-    """A log after its channels were given their roles; ``roles`` holds plausible values only."""
+    """A log after its channels were given their roles; ``roles`` holds plausible values only.
 
-    log: Log
+    ``log`` is None, and there are no channels, where the stations come from elsewhere.
+    """
+
+    log: Log | None
     channels: tuple[Channel, ...]
     roles: dict[str, Channel]
     heights: HeightSystem
@@ -44,6 +47,9 @@ def read_observations(plan: Plan, ledger: Ledger) -> Observations:
 def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     """Read the log, assign its channels to roles, and relate its heights to sea level."""
     mission = plan.mission
+    home = mission.ground.home_h_msl_m
+    if mission.log is None:
+        return FlightLog(None, (), {}, HeightSystem(mission.mission.undulation_m, home))
     file = plan.input("log")
     log = open_log(file.path, file.sha256)
     channels = log.channels
@@ -70,8 +76,8 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     mounts = {camera: mount.build() for camera, mount in mission.mount.items()}
     ledger.extend(gimbal_notes(log.messages, plausible, mounts))
     heights = ledger.take(height_system(plausible, mission.mission.undulation_m))
-    if mission.ground.home_h_msl_m is not None:
-        heights = replace(heights, home_h_msl_m=mission.ground.home_h_msl_m)
+    if home is not None:
+        heights = replace(heights, home_h_msl_m=home)
     return FlightLog(log, channels, plausible, heights)
 
 

@@ -14,6 +14,7 @@ from pipeline.batch.store import RunFolder
 from pipeline.config import Mission
 from pipeline.errors import EXIT_DONE, EXIT_LOSSES
 from pipeline.flight.stations import Stations
+from pipeline.ingest import Log
 from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.uncertainty.budget import BlockScale
@@ -60,8 +61,9 @@ def manifest_of(
     """
     log = flight.log
     entries = ledger.rows()
-    for entry in entries:  # the log is named as in the mission file, without its folder
-        entry["where"] = str(entry["where"]).replace(str(log.path), plan.mission.log.path)
+    for entry in entries:  # a file is named as in the mission file, without its folder
+        for item in plan.inputs:
+            entry["where"] = str(entry["where"]).replace(str(item.path), item.name)
     return {
         "manifest_version": MANIFEST_VERSION,
         "mission": plan.mission.mission.name,
@@ -71,15 +73,7 @@ def manifest_of(
             {"role": item.role, "name": item.name, "sha256": item.sha256} for item in plan.inputs
         ],
         "versions": versions(),
-        "log": {
-            "format": log.format,
-            "messages": dict(log.messages),
-            "bad_bytes": log.bad_bytes,
-            "lost_messages": log.lost_messages,
-            "boots": log.boots,
-            "duration_s": round(log.duration_s, 3),
-            "time_base": log.time_base,
-        },
+        "log": None if log is None else _log(log),
         "channels": {role: channel.name for role, channel in sorted(flight.roles.items())},
         "stations": dict(sorted(Counter(stations.status.tolist()).items())),
         "profile": _profile(air, stations),
@@ -93,6 +87,18 @@ def manifest_of(
         "cabin_sigma_share": statistics.cabin_share.summary(),
         "ledger": entries,
         "exit_code": EXIT_LOSSES if ledger.has_losses else EXIT_DONE,
+    }
+
+
+def _log(log: Log) -> dict[str, Any]:
+    return {
+        "format": log.format,
+        "messages": dict(log.messages),
+        "bad_bytes": log.bad_bytes,
+        "lost_messages": log.lost_messages,
+        "boots": log.boots,
+        "duration_s": round(log.duration_s, 3),
+        "time_base": log.time_base,
     }
 
 

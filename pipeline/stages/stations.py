@@ -18,6 +18,7 @@ from pipeline.flight.exposures import (
 from pipeline.flight.station_builder import (
     build_stations,
     flag_missing_aircraft_attitude,
+    with_air,
 )
 from pipeline.flight.stations import (
     Stations,
@@ -28,6 +29,7 @@ from pipeline.flight.stations import (
 from pipeline.ledger import Ledger
 from pipeline.stages.cabin_air import cabin_from_log
 from pipeline.stages.inputs import FlightLog
+from pipeline.stages.oriented_stations import oriented_stations
 from pipeline.tables.events import EventColumns, read_events
 from pipeline.tables.observations import Observations
 
@@ -38,6 +40,8 @@ def exposure_events(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -
     Refuses (MissionError EVENTS-CAMERA) a table that names a camera which the mission lacks.
     """
     section = plan.mission.events
+    if section is None:
+        return []
     if section.log is not None:
         events = []
         for camera, source in section.log.items():
@@ -72,18 +76,21 @@ def stations_of_mission(
     mission = plan.mission
     events = exposure_events(plan, flight.channels, ledger)
     refuse_repeated_images(events)
-    stations = join_stations(
-        [
-            build_stations(
-                events_of_camera,
-                flight.roles,
-                mission.mount[events_of_camera.camera].build(),
-                flight.heights,
-                mission.log.max_gap_s,
-            )
-            for events_of_camera in events
-        ]
-    )
+    exposed = [
+        build_stations(
+            events_of_camera,
+            flight.roles,
+            mission.mount[events_of_camera.camera].build(),
+            flight.heights,
+            mission.max_gap_s,
+        )
+        for events_of_camera in events
+    ]
+    if mission.stations.orientation is None:
+        stations = join_stations(exposed)
+    else:
+        oriented = oriented_stations(plan, flight, exposed, ledger)
+        stations = with_air(oriented, flight.roles, mission.max_gap_s)
     for name, camera in mission.cameras.items():
         cabin = None if camera.window is None else camera.window.build().cabin
         if cabin is not None and camera.needs_cabin:

@@ -87,9 +87,12 @@ class PreparedMission:
         )
         cameras = Counter(self.stations.camera[self.stations.ok].tolist())
         images = len(self.observations.images)
+        log = "none: the stations come from elsewhere, and so does the air"
+        if self.flight.log is not None:
+            log = f"{self.plan.input('log').name}: {self.flight.log.format}"
         return [
-            ("log", f"{self.plan.mission.log.path}: {self.flight.log.format}"),
-            ("channels", channels),
+            ("log", log),
+            ("channels", channels or "none"),
             ("stations", ", ".join(f"{n} of {name}" for name, n in cameras.items()) or "none"),
             ("observations", f"{self.observations.rows:,} in {images} images"),
             *self.sources.lines(),
@@ -168,10 +171,9 @@ def prepare_mission(plan: Plan, progress: Progress) -> PreparedMission:
     progress.start("reading the log")
     flight = read_log(plan, ledger)
     stations = stations_of_mission(plan, flight, observations, ledger)
-    max_gap_s = plan.mission.log.max_gap_s
-    samples = ledger.take(air_samples(flight.roles, flight.heights, max_gap_s))
+    samples = ledger.take(air_samples(flight.roles, flight.heights, plan.mission.max_gap_s))
     sources = read_air_sources(plan, stations, samples, ledger, flight.heights.home_h_msl_m)
-    ledger.extend(flight.log.ledger)
+    ledger.extend(flight.log.ledger if flight.log is not None else ())
     return PreparedMission(plan, flight, observations, stations, samples, sources, ledger)
 
 

@@ -1,0 +1,213 @@
+"""The section of a mission file on stations that come from elsewhere than the log."""
+
+from __future__ import annotations
+
+from datetime import UTC, date, datetime
+from typing import Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from pipeline.config.atmosphere import PathText
+from pipeline.config.cameras import Section
+from pipeline.flight.heights import GeodeticOrigin
+from pipeline.units import DEGREE
+
+_OF_ANGLES = {
+    "omega_phi_kappa": ("omega", "phi", "kappa"),
+    "phi_omega_kappa": ("phi", "omega", "kappa"),
+    "roll_pitch_yaw": ("roll", "pitch", "yaw"),
+    "quaternion": ("q_w", "q_x", "q_y", "q_z"),
+    "quaternion_to_frame": ("q_w", "q_x", "q_y", "q_z"),
+}
+_GEODETIC, _CARTESIAN = ("latitude", "longitude", "height"), ("x", "y", "z")
+_SIGMAS = ("sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
+_CLOCK = ("time_utc", "gps_week", "gps_seconds")
+
+
+class OrientationColumns(Section):
+    """What the columns are called; those of the position and the angles by default as here."""
+
+    image: str = "image"
+    camera: str | None = Field(None, description="the camera of the row, where there are several")
+    latitude: str | None = Field(None, description="degrees, whatever the unit of the angles")
+    longitude: str | None = None
+    height: str | None = None
+    x: str | None = None
+    y: str | None = None
+    z: str | None = None
+    omega: str | None = None
+    phi: str | None = None
+    kappa: str | None = None
+    roll: str | None = None
+    pitch: str | None = None
+    yaw: str | None = None
+    q_w: str | None = None
+    q_x: str | None = None
+    q_y: str | None = None
+    q_z: str | None = None
+    time_utc: str | None = None
+    gps_week: str | None = None
+    gps_seconds: str | None = None
+    sigma_horizontal_m: str | None = Field(None, description="per axis")
+    sigma_height_m: str | None = None
+    sigma_tilt: str | None = Field(None, description="about a level axis, in the unit of angles")
+    sigma_yaw: str | None = Field(None, description="about the vertical, in the unit of angles")
+
+    @model_validator(mode="after")
+    def _check_clock(self) -> OrientationColumns:
+        if (self.gps_week is None) != (self.gps_seconds is None):
+            raise ValueError("gps_week and gps_seconds go together")
+        if self.time_utc is not None and self.gps_week is not None:
+            raise ValueError("give time_utc, or gps_week and gps_seconds")
+        return self
+
+
+class KnownPositions(Section):
+    """Positions of at least three images, for a frame that is unknown."""
+
+    path: PathText = Field(description="a CSV of image, latitude and longitude [deg], height")
+    image: str = "image"
+    latitude: str = "latitude"
+    longitude: str = "longitude"
+    height: str = "height"
+
+
+class LocalOrigin(Section):
+    """Where the origin of local (east, north, up) positions lies."""
+
+    lat_deg: float = Field(ge=-90, le=90)
+    lon_deg: float = Field(ge=-180, le=360)
+    h_ellipsoid_m: float = Field(ge=-500, le=50_000)
+
+    def build(self) -> GeodeticOrigin:
+        """In radians."""
+        return GeodeticOrigin(self.lat_deg * DEGREE, self.lon_deg * DEGREE, self.h_ellipsoid_m)
+
+
+class EnuFrame(Section):
+    """One topocentric frame for all stations."""
+
+    enu: LocalOrigin
+
+
+class OrientationSection(Section):
+    """Position and attitude of every image from a CSV."""
+
+    path: PathText
+    angles: Literal[
+        "omega_phi_kappa", "phi_omega_kappa", "roll_pitch_yaw", "quaternion", "quaternion_to_frame"
+    ] = Field(
+        description="omega, phi and kappa of the camera, the primary rotation first; roll, pitch "
+        "and yaw of the aircraft, to which the camera is mounted as under mount; or q_w to q_z, "
+        "which turns from the frame to the camera (x right, y down, z forward), or back"
+    )
+    unit: Literal["deg", "rad", "grad"] = Field("deg", description="of the angles")
+    frame: Literal["geographic", "ecef", "unknown"] | EnuFrame = Field(
+        description="of the angles, and of x, y, z. geographic: east, north, up (roll_pitch_yaw: "
+        "north, east, down) at each station; ecef: earth-centred; {enu: {lat_deg, lon_deg, "
+        "h_ellipsoid_m}}: east, north, up at this one place; unknown: fitted to known_positions"
+    )
+    heights: Literal["msl", "ellipsoid"] | None = Field(
+        None,
+        description="what the height column counts from: mean sea level or the ellipsoid (in a "
+        "frame that is unknown, that of known_positions)",
+    )
+    convergence_deg: float = Field(
+        0.0,
+        ge=-30,
+        le=30,
+        description="of the grid from whose north kappa or yaw is counted: true minus grid "
+        "azimuth, positive where grid north lies east of true north",
+    )
+    columns: OrientationColumns = OrientationColumns()
+    camera: str | None = Field(None, description="the camera of every row without a camera column")
+    date: str | None = Field(
+        None,
+        description="UTC day, as 2026-05-14, or day and time, where no column has the time: season "
+        "of the climatology, and how far soundings and surface reports are away",
+    )
+    known_positions: KnownPositions | Literal["log"] | None = Field(
+        None, description="of images, for an unknown frame: a CSV, or the exposures of the log"
+    )
+    sigma_horizontal_m: float | None = Field(None, ge=0, le=10_000, description="per axis")
+    sigma_height_m: float | None = Field(None, ge=0, le=10_000)
+    sigma_tilt_deg: float | None = Field(None, ge=0, le=45)
+    sigma_yaw_deg: float | None = Field(None, ge=0, le=180)
+
+    @property
+    def is_geodetic(self) -> bool:
+        """Whether the positions are latitude, longitude and height."""
+        return self.frame == "geographic" or self.columns.latitude is not None
+
+    @property
+    def column_names(self) -> dict[str, str]:
+        """Quantity -> name of its column, for all that are to be read."""
+        needed = _GEODETIC if self.is_geodetic else _CARTESIAN
+        named = {name: getattr(self.columns, name) or name for name in needed}
+        named |= {n: getattr(self.columns, n) or n for n in _OF_ANGLES[self.angles]}
+        optional = {name: getattr(self.columns, name) for name in ("camera", *_CLOCK, *_SIGMAS)}
+        given = {name: column for name, column in optional.items() if column is not None}
+        return {"image": self.columns.image} | named | given
+
+    @property
+    def angle_names(self) -> tuple[str, ...]:
+        """The quantities of the attitude, in the order of their names."""
+        return _OF_ANGLES[self.angles]
+
+    @property
+    def has_clock(self) -> bool:
+        """Whether columns give the time of each image."""
+        return any(getattr(self.columns, name) is not None for name in _CLOCK)
+
+    @property
+    def date_ns(self) -> int | None:
+        """The stated date [Unix ns]; a day without a time is its noon in UTC."""
+        if self.date is None:
+            return None
+        time = datetime.fromisoformat(self.date)
+        time = time.replace(hour=12) if len(self.date) == len("2026-05-14") else time
+        time = time.replace(tzinfo=UTC) if time.tzinfo is None else time
+        return round(time.timestamp()) * 1_000_000_000
+
+    @field_validator("date")
+    @classmethod
+    def _check_date(cls, value: str | None) -> str | None:
+        try:
+            if value is not None and datetime.fromisoformat(value).date() < date(1900, 1, 1):
+                raise ValueError
+        except ValueError:
+            raise ValueError("is no date like 2026-05-14 or 2026-05-14T10:20") from None
+        return value
+
+    @model_validator(mode="after")
+    def _check_combinations(self) -> OrientationSection:
+        unknown = self.frame == "unknown"
+        if self.angles == "roll_pitch_yaw" and self.frame != "geographic":
+            raise ValueError("roll, pitch and yaw are those of north, east and down at the "
+                             "station: frame is geographic")  # fmt: skip
+        if unknown and self.is_geodetic:
+            raise ValueError("an unknown frame has x, y and z, not columns.latitude")
+        if unknown and self.known_positions is None:
+            raise ValueError(
+                "an unknown frame has no vertical, no north and no scale: give known_positions, of "
+                "at least three images that do not lie on one line"
+            )
+        if not unknown and self.known_positions is not None:
+            raise ValueError("known_positions are for frame: unknown")
+        if (self.is_geodetic or isinstance(self.known_positions, KnownPositions)) != (
+            self.heights is not None
+        ):
+            raise ValueError(
+                "give heights, msl or ellipsoid, where there is a column of heights, and only there"
+            )
+        if self.convergence_deg and self.frame != "geographic":
+            raise ValueError("convergence_deg is for frame: geographic")
+        if self.has_clock and self.date is not None:
+            raise ValueError("give either date, or the columns of time")
+        return self
+
+
+class StationsSection(Section):
+    """Stations from elsewhere, and which stations may be used."""
+
+    orientation: OrientationSection | None = None

@@ -1,0 +1,291 @@
+"""Images whose position and attitude another program has determined: their frame, and stations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pipeline.errors import MissionError
+from pipeline.flight.channels import Array
+from pipeline.flight.heights import GeodeticOrigin, HeightSystem
+from pipeline.flight.mount import Mount
+from pipeline.flight.rotations import in_turned_frame, matrices_of, quaternions_of
+from pipeline.flight.stations import (
+    NO_ATTITUDE,
+    NO_POSITION,
+    STATION_OK,
+    SUSPECT,
+    Stations,
+    empty_stations,
+)
+from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef, offset_geodetic
+from pipeline.ledger import Entry, Notes, loss, note, warning
+
+LARGEST_FIT_TILT_RAD = np.radians(1.0)
+"""A vertical that known positions determine no better than this is none (1 deg is 5 % of R)."""
+
+LARGEST_FIT_RESIDUAL = 0.02
+"""Residuals of a fit, in parts of the extent of the known positions, above which it is no fit."""
+
+FEW_LOOK_UP = 0.1
+"""Of so few images that look above the horizon, each is flagged; more have another cause."""
+
+
+@dataclass(frozen=True, eq=False)
+class CartesianFrame:
+    """A frame of x, y, z on the earth: x_ecef = origin_m + scale * ecef_from_frame @ x.
+
+    ``tilt_rad`` is the standard deviation of its vertical where it was fitted, else 0.
+    """
+
+    ecef_from_frame: Array
+    origin_m: Array
+    scale: float = 1.0
+    tilt_rad: float = 0.0
+
+    def geodetic(self, xyz: Array) -> tuple[Array, Array, Array]:
+        """Latitude, longitude [rad] and ellipsoidal height [m] of (n, 3) positions."""
+        return geodetic_of_ecef(*(self.origin_m + self.scale * xyz @ self.ecef_from_frame.T).T)
+
+    def local_attitude(self, quaternion: Array, lat_rad: Array, lon_rad: Array) -> Array:
+        """(n, 4) attitudes against this frame as those against east, north, up at each place."""
+        ecef_from_enu = enu_from_ecef(lat_rad, lon_rad).transpose(0, 2, 1)
+        return in_turned_frame(quaternion, self.ecef_from_frame.T @ ecef_from_enu)
+
+
+ECEF = CartesianFrame(np.eye(3), np.zeros(3))
+
+
+def topocentric(origin: GeodeticOrigin) -> CartesianFrame:
+    """The frame whose x, y, z are east, north and up at one place."""
+    place = (np.array([origin.lat_rad]), np.array([origin.lon_rad]))
+    height = np.array([origin.h_ellipsoid_m])
+    return CartesianFrame(enu_from_ecef(*place)[0].T, ecef_of_geodetic(*place, height)[0])
+
+
+def fitted_frame(
+    image: NDArray[np.object_], xyz: Array, known_image: NDArray[np.object_], known: Array
+) -> tuple[CartesianFrame, Notes]:
+    """The frame of a model, by a similarity of seven parameters through known positions.
+
+    Parameters
+    ----------
+    image, xyz : (n,) names and (n, 3) positions in the frame of the model.
+    known_image, known : (m,) names and (m, 3) latitude, longitude [rad] and ellipsoidal height [m].
+
+    Least squares with equal weights (Umeyama 1991; the rotation by scipy's align_vectors). Refuses
+    (MissionError) fewer than three images that are in both, positions on a line, and residuals of
+    more than 2 % of the extent: then it is another model, a mirrored one, or the names are others.
+    """
+    where = "stations.orientation.known_positions"
+    row = {name: number for number, name in enumerate(image.tolist())}
+    pairs = [(row[name], k) for k, name in enumerate(known_image.tolist()) if name in row]
+    usable = [(i, k) for i, k in pairs if np.isfinite(xyz[i]).all() and np.isfinite(known[k]).all()]
+    if len(usable) < 3:
+        raise MissionError(
+            "ORIENTATION-KNOWN",
+            f"{len(usable)} of {known_image.size} known positions belong to an image of the "
+            "orientation: a model in an unknown frame has no vertical, no north and no scale, and "
+            "needs at least three",
+            where=where,
+            remedy="give more known positions, with the names of images as in the orientation, or "
+            "state the frame",
+        )
+    model = xyz[[i for i, _ in usable]]
+    known = known[[k for _, k in usable]]
+    earth = ecef_of_geodetic(*known.T)
+    middle, centre = model.mean(axis=0), earth.mean(axis=0)
+    spread = np.linalg.svd(model - middle, compute_uv=False)
+    if spread[1] < 1e-6 * spread[0]:
+        tilt = np.inf
+    else:
+        turn, _ = Rotation.align_vectors(earth - centre, model - middle)
+        turned = turn.apply(model - middle)
+        scale = float(np.sum(turned * (earth - centre)) / np.sum(turned**2))
+        residual = np.linalg.norm(earth - centre - scale * turned, axis=1)
+        sigma = np.sqrt(np.sum(residual**2) / (3 * len(usable) - 7))
+        tilt = float(sigma / (abs(scale) * spread[1]))
+    extent = float(np.linalg.norm(np.ptp(earth, axis=0)))
+    if tilt < np.inf and np.sqrt(np.mean(residual**2)) > LARGEST_FIT_RESIDUAL * extent:
+        worst = image[usable[int(np.argmax(residual))][0]]
+        raise MissionError(
+            "ORIENTATION-FIT",
+            f"the model does not fit {len(usable)} known positions: residuals of "
+            f"{np.sqrt(np.mean(residual**2)):.1f} m (rms) over {extent:.0f} m, the largest "
+            f"{residual.max():.1f} m at {worst}",
+            where=where,
+            remedy="are latitude and longitude swapped, are the names those of other images, are "
+            "x, y and z right-handed?",
+        )
+    if tilt > LARGEST_FIT_TILT_RAD:
+        raise MissionError(
+            "ORIENTATION-LINE",
+            f"{len(usable)} known positions lie on a line, or nearly so: they leave the model free "
+            f"to roll about it by {np.degrees(tilt):.2g} deg (one sigma)",
+            where=where,
+            remedy="give known positions on both sides of that line",
+        )
+    frame = CartesianFrame(
+        turn.as_matrix(), centre - scale * turn.as_matrix() @ middle, scale, tilt
+    )
+    entry = note(
+        "ORIENTATION-FIT",
+        f"the model was fitted to {len(usable)} known positions: scale {scale:.6g}, residuals "
+        f"{np.sqrt(np.mean(residual**2)):.2f} m (rms), the largest {residual.max():.2f} m at "
+        f"{image[usable[int(np.argmax(residual))][0]]}; its vertical is good to "
+        f"{np.degrees(tilt):.2g} deg",
+        where=where,
+        count=len(usable),
+    )
+    return frame, (entry,)
+
+
+@dataclass(frozen=True, eq=False)
+class OrientedImages:
+    """Oriented images against east, north, up at each; (n,) arrays, SI and radians, NaN unknown.
+
+    ``quaternion`` (n, 4) turns to the camera, or to the body where ``of_body``: then the position
+    is that of the point the lever arms count from. ``h_m`` is above the ellipsoid, or above mean
+    sea level where ``is_msl``. ``sigmas`` by the names of `Stations`.
+    """
+
+    image: NDArray[np.object_]
+    camera: NDArray[np.object_]
+    time_ns: NDArray[np.int64]
+    lat_rad: Array
+    lon_rad: Array
+    h_m: Array
+    is_msl: bool
+    quaternion: Array
+    of_body: bool
+    sigmas: Mapping[str, Any]
+
+
+def stations_of_images(
+    images: OrientedImages, mounts: Mapping[str, Mount], heights: HeightSystem
+) -> tuple[Stations, Notes]:
+    """Stations of oriented images; refuses attitudes that are read in the wrong way.
+
+    What has no position or no attitude says so in its status. Refuses (MissionError) heights above
+    the ellipsoid without an undulation, cameras that look above the horizon, and images that turn
+    against the flight.
+    """
+    undulation = np.nan if heights.undulation_m is None else heights.undulation_m
+    if not images.is_msl and heights.undulation_m is None:
+        raise MissionError(
+            "HEIGHT-REFERENCE",
+            "the heights of the stations are above the ellipsoid, and nothing says how high mean "
+            "sea level is above it",
+            where="stations.orientation",
+            remedy="give mission.undulation_m (ellipsoidal minus mean sea level)",
+        )
+    lat, lon, h = images.lat_rad.copy(), images.lon_rad.copy(), images.h_m.copy()
+    camera_quaternion, body_quaternion = images.quaternion.copy(), images.quaternion.copy()
+    for camera, mount in mounts.items():
+        rows = images.camera == camera
+        given, camera_from_body = matrices_of(images.quaternion[rows]), mount.camera_from_body
+        if not images.of_body:
+            body_quaternion[rows] = quaternions_of(camera_from_body.T @ given)
+            continue
+        camera_quaternion[rows] = quaternions_of(camera_from_body @ given)
+        step = np.nan_to_num(np.einsum("nji,j->ni", given, np.array(mount.lever_arm_m)))
+        lat[rows], lon[rows], h[rows] = offset_geodetic(lat[rows], lon[rows], h[rows], step)
+    stations = empty_stations(images.image, images.camera, STATION_OK)
+    stations = replace(
+        stations,
+        time_ns=images.time_ns,
+        lat_rad=lat,
+        lon_rad=np.mod(lon + np.pi, 2.0 * np.pi) - np.pi,
+        h_msl_m=h if images.is_msl else h - undulation,
+        h_ellipsoid_m=h + undulation if images.is_msl else h,
+        quaternion=camera_quaternion,
+        aircraft_quaternion=body_quaternion,
+        **images.sigmas,
+    )
+    stations = stations.with_status(np.asarray(np.isnan(lat + lon + h)), NO_POSITION)
+    unknown = np.asarray(np.isnan(camera_quaternion).any(axis=1))
+    stations = stations.with_status(unknown, NO_ATTITUDE)
+    stations, notes = _flag_above_horizon(stations)
+    return stations, (*notes, *_turn_notes(stations))
+
+
+def _flag_above_horizon(stations: Stations) -> tuple[Stations, Notes]:
+    """Mark cameras that look above the horizon as suspect; refuses where more than few do."""
+    with np.errstate(invalid="ignore"):
+        up = stations.ok & (matrices_of(stations.quaternion)[:, 2, 2] > 0.0)
+    count, of = int(up.sum()), int(stations.ok.sum())
+    if count == 0:
+        return stations, ()
+    what = f"the camera looks above the horizon in {count} of {of} images"
+    first = f"the first is {stations.image[np.argmax(up)]}"
+    where = "stations.orientation"
+    if count > FEW_LOOK_UP * of:
+        raise MissionError(
+            "ORIENTATION-UP",
+            f"{what}; {first}",
+            where=where,
+            remedy="check the unit (grad?), angles and the names of their columns, the frame, and "
+            "the axes of the camera: x right, y down, z forward for a quaternion; roll, pitch and "
+            "yaw of 0 look straight down unless mount says otherwise",
+        )
+    reason = np.where(up, "looks above the horizon", stations.suspect_reason)
+    stations = replace(stations, suspect_reason=reason).with_status(up, SUSPECT)
+    return stations, (
+        loss("ORIENTATION-UP", f"{what}: suspect; {first}", where=where, count=count),
+    )
+
+
+def _turn_notes(stations: Stations) -> Notes:
+    """Whether the images turn with the flight; refuses those that turn against it.
+
+    The angle between the sides of the image and the track is that of the mount and the drift, the
+    same in all lines but for quarter turns. Where instead the sum of the two azimuths is the same,
+    the sense of kappa or yaw is the other one, or the rotation is the inverse.
+    """
+    differences, sums = [], []
+    for camera in set(stations.camera[stations.ok].tolist()):
+        rows = np.flatnonzero(stations.ok & (stations.camera == camera))
+        if (stations.time_ns[rows] > 0).all():
+            rows = rows[np.argsort(stations.time_ns[rows], kind="stable")]
+        lat, lon = stations.lat_rad[rows], np.unwrap(stations.lon_rad[rows])
+        north, east = np.diff(lat), np.diff(lon) * np.cos(lat[:-1])
+        step = np.hypot(north, east)
+        along = step < 2.0 * np.median(step) if step.size else np.zeros(0, bool)
+        track = np.arctan2(east, north)[along]
+        top = -matrices_of(stations.quaternion[rows])[:-1, 1][along]
+        azimuth = np.arctan2(top[:, 0], top[:, 1])
+        differences.append(azimuth - track)
+        sums.append(azimuth + track)
+    if sum(part.size for part in sums) < 10:
+        return ()
+    # Four times the angle, in which quarter turns are none; of each camera about its own mean.
+    same, against = (
+        sum(abs(np.exp(4j * part).sum()) for part in parts) / sum(part.size for part in parts)
+        for parts in (differences, sums)
+    )
+    if against > 0.8 and same < 0.5:
+        raise MissionError(
+            "ORIENTATION-TURNS",
+            "the images turn against the flight: where the track turns right, they turn left",
+            where="stations.orientation",
+            remedy="yaw counts clockwise from north, kappa counter-clockwise; a quaternion may be "
+            "the inverse one: choose angles: quaternion or quaternion_to_frame",
+        )
+    off = [abs(float(np.angle(np.exp(4j * part).sum()))) / 4.0 for part in (*differences, *sums)]
+    half = len(differences)
+    entries: list[Entry] = []
+    if min(same, against) > 0.8 and min(off[:half]) > np.radians(20) and max(off[half:]) < 0.17:
+        entries.append(
+            warning(
+                "ORIENTATION-TURNED",
+                f"the sides of the images stand {np.degrees(min(off[:half])):.0f} deg across the "
+                "flight lines; with kappa or yaw of the other sign they would be along them",
+                where="stations.orientation",
+            )
+        )
+    return tuple(entries)

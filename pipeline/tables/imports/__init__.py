@@ -1,0 +1,1 @@
+"""Stations, trajectories and camera events from the files of other programs."""
