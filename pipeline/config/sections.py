@@ -261,8 +261,9 @@ class Mission(Section):
         if self.log is None and orientation is None:
             raise ValueError("log is missing: the flight log, unless stations.orientation gives "
                              "position and attitude of every image")  # fmt: skip
-        if self.events is None and orientation is None:
-            raise ValueError("events is missing: when the images were exposed")
+        for name in ("events", "mount") if orientation is None else ():
+            if not getattr(self, name):
+                raise ValueError(f"{name} is missing, and there is no stations.orientation")
         if self.log is None and of_log:
             raise ValueError("events.log takes the exposures from a log, and there is no log")
         for name, camera in self.cameras.items() if self.log is None else ():

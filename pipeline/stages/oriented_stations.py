@@ -5,10 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.batch.plan import Plan
-from pipeline.config.station_sources import EnuFrame, KnownPositions, OrientationSection
-from pipeline.errors import MissionError
-from pipeline.flight.channels import Array
-from pipeline.flight.oriented_block import (
+from pipeline.block.oriented_block import (
     ECEF,
     CartesianFrame,
     OrientedImages,
@@ -16,6 +13,9 @@ from pipeline.flight.oriented_block import (
     stations_of_images,
     topocentric,
 )
+from pipeline.config.station_sources import EnuFrame, KnownPositions, OrientationSection
+from pipeline.errors import MissionError
+from pipeline.flight.channels import Array
 from pipeline.flight.rotations import (
     enu_from_grid,
     in_turned_frame,

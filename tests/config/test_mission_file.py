@@ -119,6 +119,46 @@ def with_csv_events() -> dict[str, Any]:
     return FULL | {"events": CSV_EVENTS, "ground": SIGMA_COLUMN}
 
 
+ORIENTED_COLUMNS = {
+    name: name
+    for name in ("image", "camera", "x", "y", "z", "omega", "phi", "kappa", "time_utc",
+                 "sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
+}  # fmt: skip
+WITHOUT_WINDOW = {key: value for key, value in FULL["cameras"]["nadir"].items() if key != "window"}
+ORIENTED: dict[str, Any] = {
+    name: FULL[name] for name in ("mission", "observations", "ground", "output")
+} | {
+    "cameras": {"nadir": WITHOUT_WINDOW, "window": WITHOUT_WINDOW},
+    "stations": {
+        "orientation": {
+            "path": "block.csv", "angles": "omega_phi_kappa", "unit": "grad", "frame": "unknown",
+            "heights": "ellipsoid", "columns": ORIENTED_COLUMNS, "camera": "nadir",
+            "known_positions": {
+                "path": "known.csv", "image": "i", "latitude": "b", "longitude": "l", "height": "h"
+            },
+            "sigma_horizontal_m": 0.1, "sigma_height_m": 0.1, "sigma_tilt_deg": 0.01,
+            "sigma_yaw_deg": 0.01,
+        }
+    },
+}  # fmt: skip
+GEOGRAPHIC = {
+    "path": "block.csv", "angles": "roll_pitch_yaw", "frame": "geographic", "heights": "msl",
+    "convergence_deg": 1.2, "date": "2026-05-14", "camera": "nadir",
+    "columns": {"roll": "r", "pitch": "p", "yaw": "y", "latitude": "b", "longitude": "l",
+                "height": "h", "camera": "c"},
+}  # fmt: skip
+TOPOCENTRIC = {
+    "path": "block.csv", "angles": "quaternion", "camera": "nadir",
+    "frame": {"enu": {"lat_deg": 47.0, "lon_deg": 11.0, "h_ellipsoid_m": 600.0}},
+    "columns": {"q_w": "a", "q_x": "b", "q_y": "c", "q_z": "d", "gps_week": "w",
+                "gps_seconds": "s"},
+}  # fmt: skip
+
+
+def oriented(orientation: dict[str, Any]) -> dict[str, Any]:
+    return ORIENTED | {"stations": {"orientation": orientation}}
+
+
 Keys = tuple[str, ...]
 NAMES = {"nadir", "window"}
 
@@ -221,13 +261,14 @@ def fields_of(model: type[BaseModel], seen: set[type[BaseModel]]) -> Iterator[st
 
 
 def test_the_examples_here_use_every_key_there_is(accepted):
-    used = {keys[-1] for tree in (FULL, with_csv_events()) for keys in keys_of(tree)}
+    others = [with_csv_events(), ORIENTED, oriented(GEOGRAPHIC), oriented(TOPOCENTRIC)]
+    used = {keys[-1] for tree in (FULL, *others) for keys in keys_of(tree)}
     listed = [*FULL["atmosphere"]["soundings"], *FULL["atmosphere"]["surface"]]
     used |= {key for entry in listed for key in entry}
     known = set(fields_of(Mission, set()))
     assert known <= used
-    accepted(FULL)
-    accepted(with_csv_events())
+    for tree in (FULL, *others):
+        accepted(tree)
 
 
 def typos(word: str, draw: random.Random) -> Iterator[str]:
@@ -487,3 +528,47 @@ def test_aliases_cannot_swell(refused):
     for i in range(1, 30):
         bomb += f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n"
     assert refused(bomb).code == "CONFIG-UNKNOWN-KEY"
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"frame": None}, "orientation.frame"),
+        ({"angles": None}, "orientation.angles"),
+        ({"heights": None}, "give heights, msl or ellipsoid"),
+        ({"frame": "ecef"}, "frame is geographic"),
+        ({"frame": "ecef", "angles": "quaternion", "convergence_deg": 0.0, "columns": {}},
+         "only there"),
+        ({"frame": "unknown", "angles": "quaternion", "convergence_deg": 0.0, "columns": {},
+          "heights": None}, "no vertical, no north and no scale"),
+        ({"frame": "unknown", "angles": "quaternion", "known_positions": "log"},
+         "not columns.latitude"),
+        ({"known_positions": {"path": "k.csv"}}, "known_positions are for frame: unknown"),
+        ({"angles": "quaternion", "frame": "ecef"}, "convergence_deg is for frame: geographic"),
+        ({"date": "14.5.2026"}, "no date like"),
+        ({"date": None}, "needs a time for the air"),
+        ({"columns": {"time_utc": "t"}}, "either date, or the columns of time"),
+        ({"columns": {"gps_week": "t"}}, "go together"),
+        ({"camera": None, "columns": {}}, "must state which camera"),
+        ({"camera": "forward"}, "names camera 'forward'"),
+        ({"unit": "gon"}, "grad"),
+    ],
+)  # fmt: skip
+def test_an_orientation_that_says_too_little_or_too_much(refused, change, says):
+    orientation = {k: v for k, v in (GEOGRAPHIC | change).items() if v is not None}
+    assert says in refused(oriented(orientation)).what
+
+
+def test_without_a_log_nothing_comes_from_a_log(refused, accepted):
+    assert "stations.orientation" in refused(without(FULL, ("log",))).what
+    no_log = oriented(GEOGRAPHIC)
+    accepted(no_log)
+    assert "there is no log" in refused(no_log | {"events": FULL["events"]}).what
+    cameras = {name: camera | {"window": {"cabin": "log"}}
+               for name, camera in no_log["cameras"].items()}  # fmt: skip
+    assert "there is no log" in refused(no_log | {"cameras": cameras}).what
+    unknown = ORIENTED["stations"]["orientation"] | {"known_positions": "log"}
+    del unknown["heights"]
+    assert "needs log and events" in refused(oriented(unknown)).what
+    air = {"board_temperature": True}
+    assert "log.channels.temperature" in refused(no_log | {"atmosphere": air}).what

@@ -30,7 +30,7 @@ COLUMNS = {
 
 def with_covariance(monkeypatch, covariance_of):
     """Runs whose air, all of it, has this covariance."""
-    original = stages.adjusted_profiles
+    original = stages.air.adjusted_profiles
 
     def adjusted_profiles(*given):
         air = original(*given)
@@ -141,7 +141,7 @@ def test_behind_a_window_against_runs_in_other_air(mission, monkeypatch, windows
             del camera["window"]
         else:
             camera["window"] = window
-    original = stages.adjusted_profiles
+    original = stages.air.adjusted_profiles
 
     def shifts(ln_p: float):
         with monkeypatch.context() as patch:

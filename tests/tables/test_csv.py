@@ -360,7 +360,7 @@ def test_rows_without_a_time_are_counted(tmp_path):
 @pytest.mark.parametrize(
     ("text", "code"),
     [
-        (b"", "EVENTS-CSV"), (b"image;time\na;2025-06-12T10:00:00Z\n", "EVENTS-COLUMN"),
+        (b"", "EVENTS-CSV"), (b"image time\na 2025-06-12T10:00:00Z\n", "EVENTS-COLUMN"),
         (b"image,tme\na,2025-06-12T10:00:00Z\n", "EVENTS-COLUMN"),
         (b"image,time\na,soon\n", "EVENTS-EMPTY"), (b"image,time\n", "EVENTS-EMPTY"),
         (b"image,time\na,1,2,3\nb,1\n", "EVENTS-CSV"),
@@ -373,6 +373,13 @@ def test_rows_without_a_time_are_counted(tmp_path):
 def test_tables_of_exposures_that_are_none(tmp_path, text, code):
     with pytest.raises(InputError, match=code):
         events(tmp_path, text)
+
+
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+def test_semicolons_and_tabs_separate_too(tmp_path, mark):
+    found, ledger = events(tmp_path, f"image{mark}time\na{mark}2025-06-12T10:00:00Z\n")
+    assert found.image.tolist() == ["a"]
+    assert not len(ledger)
 
 
 def test_a_column_that_nearly_has_the_name(tmp_path):

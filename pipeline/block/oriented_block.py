@@ -274,7 +274,7 @@ def _turn_notes(stations: Stations) -> Notes:
             "the images turn against the flight: where the track turns right, they turn left",
             where="stations.orientation",
             remedy="yaw counts clockwise from north, kappa counter-clockwise; a quaternion may be "
-            "the inverse one: choose angles: quaternion or quaternion_to_frame",
+            "the inverse one: choose the other sense of stations.orientation.angles",
         )
     off = [abs(float(np.angle(np.exp(4j * part).sum()))) / 4.0 for part in (*differences, *sums)]
     half = len(differences)

@@ -37,7 +37,7 @@ from pipeline.config.atmosphere import AtmosphereSection
 from pipeline.flight.stations import NO_TIME, Stations
 from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir, effects_on_r
-from pipeline.stages.surface_reports import read_report
+from pipeline.stages.air.surface_reports import read_report
 from pipeline.tables.soundings import read_sounding
 from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K
 

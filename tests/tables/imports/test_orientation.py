@@ -1,0 +1,139 @@
+"""Tables of orientations that are read, and those that are refused with their line."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.errors import InputError
+from pipeline.flight.stations import NO_TIME
+from pipeline.tables.imports.orientation import read_known_positions, read_orientation
+
+NAMES = {
+    "image": "image", "latitude": "lat", "longitude": "lon", "height": "h",
+    "omega": "o", "phi": "p", "kappa": "k",
+}  # fmt: skip
+OPK = ("omega", "phi", "kappa")
+HEAD = "image,lat,lon,h,o,p,k\n"
+ROW = "a,47.5,8.5,3000.5,1.0,-2.0,90.0\n"
+
+
+def read(tmp_path, text: str, names=NAMES, angles=OPK, unit: str = "deg"):
+    path = tmp_path / "block.csv"
+    path.write_text(text, encoding="utf-8")
+    return read_orientation(path, names, angles, unit=unit)
+
+
+def refused(tmp_path, text: str, code: str, **options) -> InputError:
+    with pytest.raises(InputError, match=code) as caught:
+        read(tmp_path, text, **options)
+    assert "block.csv" in caught.value.where
+    assert caught.value.remedy
+    return caught.value
+
+
+@pytest.mark.parametrize(
+    ("unit", "numbers"),
+    [("deg", "10,20,90"), ("grad", "11.1111111111,22.2222222222,100"),
+     ("rad", "0.17453292520,0.34906585040,1.5707963268")],
+)  # fmt: skip
+def test_angles_in_each_unit_are_radians(tmp_path, unit, numbers):
+    table, notes = read(tmp_path, f"{HEAD}a,47.5,8.5,3000.5,{numbers}\n", unit=unit)
+    assert np.degrees(table.angles[0]) == pytest.approx([10.0, 20.0, 90.0], abs=1e-8)
+    assert table.position[0] == pytest.approx([np.radians(47.5), np.radians(8.5), 3000.5])
+    assert table.time_ns.tolist() == [NO_TIME]
+    assert table.camera is None
+    assert notes == ()
+
+
+def test_semicolons_the_camera_the_sigmas_and_the_time(tmp_path):
+    names = NAMES | {"camera": "c", "time_utc": "t", "sigma_tilt": "st", "sigma_height_m": "sh"}
+    head = "image;lat;lon;h;o;p;k;c;t;st;sh\n"
+    text = head + "a;47.5;8.5;3000;0;0;0;left;2026-05-14T10:00:00.25Z;0.5;0.1\n"
+    text += "b;47.5;8.5;3000;0;0;0;right;later;;\n"
+    table, notes = read(tmp_path, text, names)
+    assert table.camera is not None
+    assert table.camera.tolist() == ["left", "right"]
+    assert table.time_ns.tolist() == [1_778_752_800_250_000_000, NO_TIME]
+    assert table.sigmas["sigma_tilt_rad"] == pytest.approx([np.radians(0.5), np.nan], nan_ok=True)
+    assert table.sigmas["sigma_height_m"] == pytest.approx([0.1, np.nan], nan_ok=True)
+    (entry,) = notes
+    assert (entry.code, entry.kind, entry.count) == ("ORIENTATION-TIME", "loss", 1)
+    assert "line 3" in entry.what
+
+
+def test_gps_week_and_seconds(tmp_path):
+    names = NAMES | {"gps_week": "w", "gps_seconds": "s"}
+    table, _ = read(tmp_path, HEAD[:-1] + ",w,s\n" + ROW[:-1] + ",2200,18.5\n", names)
+    # 2022-03-06 00:00:00 of GPS is the start of week 2200, 18 s ahead of UTC.
+    assert table.time_ns.tolist() == [1_646_524_800_500_000_000]
+
+
+def test_what_is_empty_is_unknown(tmp_path):
+    table, _ = read(tmp_path, HEAD + "a,,8.5,,,-2,90\n")
+    assert np.isnan(table.position[0, [0, 2]]).all()
+    assert np.isnan(table.angles[0, 0])
+
+
+def test_a_column_that_is_not_there(tmp_path):
+    error = refused(tmp_path, HEAD.replace(",k", ",kap") + ROW, "ORIENTATION-COLUMN")
+    assert "stations.orientation.columns.kappa" in error.remedy
+
+
+def test_a_comma_for_a_decimal_point(tmp_path):
+    text = HEAD.replace(",", ";") + "a;47,5;8,5;3000;1;2;3\n"
+    error = refused(tmp_path, text, "ORIENTATION-NUMBER")
+    assert "'47,5'" in error.what
+    assert error.where.endswith("line 2")
+
+
+def test_an_image_that_stands_there_twice(tmp_path):
+    error = refused(tmp_path, HEAD + ROW + ROW.replace("a,", "b,") + ROW, "ORIENTATION-REPEATED")
+    assert "lines 2, 4" in error.what
+
+
+def test_a_table_without_rows_and_none_at_all(tmp_path):
+    refused(tmp_path, HEAD, "ORIENTATION-EMPTY")
+    refused(tmp_path, "", "ORIENTATION-CSV")
+
+
+def test_grads_and_columns_of_something_else(tmp_path):
+    error = refused(tmp_path, HEAD + ROW.replace("90.0", "399.7"), "ORIENTATION-UNIT")
+    assert "is the unit grad?" in error.what
+    error = refused(tmp_path, HEAD + ROW, "ORIENTATION-UNIT", unit="rad")
+    assert "is the unit deg?" in error.what
+    error = refused(tmp_path, HEAD + ROW.replace("90.0", "5300.0"), "ORIENTATION-UNIT")
+    assert "is the unit" not in error.what
+
+
+def test_latitude_and_longitude_swapped(tmp_path):
+    text = HEAD + ROW.replace("47.5,8.5", "151.2,-33.9")
+    assert "swapped" in refused(tmp_path, text, "ORIENTATION-POSITION").what
+    text = HEAD + ROW.replace("47.5,8.5", "5262000.0,612000.0")
+    error = refused(tmp_path, text, "ORIENTATION-POSITION")
+    assert "swapped" not in error.what
+    assert "projected" in error.remedy
+
+
+def test_quaternions_that_are_none(tmp_path):
+    names = {"image": "i", "x": "x", "y": "y", "z": "z"} | {f"q_{a}": f"q{a}" for a in "wxyz"}
+    axes = ("q_w", "q_x", "q_y", "q_z")
+    head = "i,x,y,z,qw,qx,qy,qz\n"
+    table, _ = read(tmp_path, head + "a,1,2,3,0.0,0.6,0.8,0.0003\n", names, axes)
+    assert np.linalg.norm(table.angles[0]) == pytest.approx(1.0, abs=1e-15)
+    assert table.position.tolist() == [[1.0, 2.0, 3.0]]
+    text = head + "a,1,2,3,0,0.6,0.8,0\nb,1,2,3,0.5,0.6,0.8,0\n"
+    error = refused(tmp_path, text, "ORIENTATION-QUATERNION", names=names, angles=axes)
+    assert error.where.endswith("line 3")
+    assert "1.11803" in error.what
+
+
+def test_known_positions(tmp_path):
+    path = tmp_path / "known.csv"
+    path.write_text("name,b,l,h\nx,47.0,8.0,2500\n", encoding="utf-8")
+    names = {"image": "name", "latitude": "b", "longitude": "l", "height": "h"}
+    image, position = read_known_positions(path, names)
+    assert image.tolist() == ["x"]
+    assert position[0] == pytest.approx([np.radians(47.0), np.radians(8.0), 2500.0])
+    with pytest.raises(InputError, match="ORIENTATION-COLUMN"):
+        read_known_positions(path, names | {"height": "hoehe"})
