@@ -168,12 +168,10 @@ class OrientedImages:
 
 def stations_of_images(
     images: OrientedImages, mounts: Mapping[str, Mount], heights: HeightSystem
-) -> tuple[Stations, Notes]:
-    """Stations of oriented images; refuses attitudes that are read in the wrong way.
+) -> Stations:
+    """Stations of oriented images; what has no position or no attitude says so in its status.
 
-    What has no position or no attitude says so in its status. Refuses (MissionError) heights above
-    the ellipsoid without an undulation, cameras that look above the horizon, and images that turn
-    against the flight.
+    Refuses (MissionError) heights above the ellipsoid without an undulation.
     """
     undulation = np.nan if heights.undulation_m is None else heights.undulation_m
     if not images.is_msl and heights.undulation_m is None:
@@ -209,12 +207,10 @@ def stations_of_images(
     )
     stations = stations.with_status(np.asarray(np.isnan(lat + lon + h)), NO_POSITION)
     unknown = np.asarray(np.isnan(camera_quaternion).any(axis=1))
-    stations = stations.with_status(unknown, NO_ATTITUDE)
-    stations, notes = _flag_above_horizon(stations)
-    return stations, (*notes, *_turn_notes(stations))
+    return stations.with_status(unknown, NO_ATTITUDE)
 
 
-def _flag_above_horizon(stations: Stations) -> tuple[Stations, Notes]:
+def flag_above_horizon(stations: Stations) -> tuple[Stations, Notes]:
     """Mark cameras that look above the horizon as suspect; refuses where more than few do."""
     with np.errstate(invalid="ignore"):
         up = stations.ok & (matrices_of(stations.quaternion)[:, 2, 2] > 0.0)
@@ -240,7 +236,7 @@ def _flag_above_horizon(stations: Stations) -> tuple[Stations, Notes]:
     )
 
 
-def _turn_notes(stations: Stations) -> Notes:
+def turn_notes(stations: Stations) -> Notes:
     """Whether the images turn with the flight; refuses those that turn against it.
 
     The angle between the sides of the image and the track is that of the mount and the drift, the

@@ -10,8 +10,10 @@ from pipeline.block.oriented_block import (
     CartesianFrame,
     OrientedImages,
     fitted_frame,
+    flag_above_horizon,
     stations_of_images,
     topocentric,
+    turn_notes,
 )
 from pipeline.config.station_sources import EnuFrame, KnownPositions, OrientationSection
 from pipeline.errors import MissionError
@@ -59,7 +61,7 @@ def oriented_stations(
     if section.frame == "geographic":
         quaternion = in_turned_frame(quaternion, enu_from_grid(section.convergence_deg * DEGREE).T)
     else:
-        frame = _frame(plan, section, table, exposed, ledger)
+        frame = frame_of_block(plan, section, table, exposed, ledger)
         tilt_rad = frame.tilt_rad
         if not section.is_geodetic:
             lat, lon, h = frame.geodetic(table.position)
@@ -80,13 +82,16 @@ def oriented_stations(
     is_msl = section.is_geodetic and section.heights == "msl"
     images = OrientedImages(
         table.image, camera, time_ns, lat, lon, h, is_msl, quaternion, of_body,
-        _sigmas(section, table, tilt_rad),
+        sigmas_of_block(section, table, tilt_rad),
     )  # fmt: skip
     mounts = {name: mount.build() for name, mount in mission.mount.items()}
-    return ledger.take(stations_of_images(images, mounts, flight.heights))
+    stations = stations_of_images(images, mounts, flight.heights)
+    stations = ledger.take(flag_above_horizon(stations))
+    ledger.extend(turn_notes(stations))
+    return stations
 
 
-def _frame(
+def frame_of_block(
     plan: Plan,
     section: OrientationSection,
     table: OrientationTable,
@@ -121,7 +126,7 @@ def _frame(
     return ledger.take(fitted_frame(table.image, table.position, image, position))
 
 
-def _sigmas(
+def sigmas_of_block(
     section: OrientationSection, table: OrientationTable, tilt_rad: float
 ) -> dict[str, Array]:
     """Standard deviations by the names of `Stations`: a column, or a constant, or unknown."""

@@ -14,7 +14,6 @@ from pipeline.batch.store import RunFolder
 from pipeline.config import Mission
 from pipeline.errors import EXIT_DONE, EXIT_LOSSES
 from pipeline.flight.stations import Stations
-from pipeline.ingest import Log
 from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.uncertainty.budget import BlockScale
@@ -73,7 +72,16 @@ def manifest_of(
             {"role": item.role, "name": item.name, "sha256": item.sha256} for item in plan.inputs
         ],
         "versions": versions(),
-        "log": None if log is None else _log(log),
+        "log": log
+        and {
+            "format": log.format,
+            "messages": dict(log.messages),
+            "bad_bytes": log.bad_bytes,
+            "lost_messages": log.lost_messages,
+            "boots": log.boots,
+            "duration_s": round(log.duration_s, 3),
+            "time_base": log.time_base,
+        },
         "channels": {role: channel.name for role, channel in sorted(flight.roles.items())},
         "stations": dict(sorted(Counter(stations.status.tolist()).items())),
         "profile": _profile(air, stations),
@@ -87,18 +95,6 @@ def manifest_of(
         "cabin_sigma_share": statistics.cabin_share.summary(),
         "ledger": entries,
         "exit_code": EXIT_LOSSES if ledger.has_losses else EXIT_DONE,
-    }
-
-
-def _log(log: Log) -> dict[str, Any]:
-    return {
-        "format": log.format,
-        "messages": dict(log.messages),
-        "bad_bytes": log.bad_bytes,
-        "lost_messages": log.lost_messages,
-        "boots": log.boots,
-        "duration_s": round(log.duration_s, 3),
-        "time_base": log.time_base,
     }
 
 

@@ -37,8 +37,8 @@ from pipeline.refraction.effect import FlightAir
 from pipeline.report.accuracy import Accuracy, accuracy_page, accuracy_png, text_hash
 from pipeline.report.html import write_report
 from pipeline.report.progress import NoProgress, Progress
-from pipeline.stages.cabin_air import with_cabin_air
 from pipeline.stages.air.adjusted_profile import AirSources, adjusted_profiles, read_air_sources
+from pipeline.stages.cabin_air import with_cabin_air
 from pipeline.stages.correction import correct_stream, correction_setup
 from pipeline.stages.exposure_setup import (
     exposures_of_mission,

@@ -11,8 +11,10 @@ from scipy.spatial.transform import Rotation
 from pipeline.block.oriented_block import (
     OrientedImages,
     fitted_frame,
+    flag_above_horizon,
     stations_of_images,
     topocentric,
+    turn_notes,
 )
 from pipeline.errors import MissionError
 from pipeline.flight.heights import GeodeticOrigin, HeightSystem
@@ -54,7 +56,9 @@ def block(drift_deg: float = 3.0, roll_deg: float = 2.0, n: int = 6) -> Oriented
 
 
 def stations(images: OrientedImages, mount: Mount | None = None, heights=HEIGHTS):
-    return stations_of_images(images, {"nadir": mount or Mount()}, heights)
+    found = stations_of_images(images, {"nadir": mount or Mount()}, heights)
+    found, notes = flag_above_horizon(found)
+    return found, (*notes, *turn_notes(found))
 
 
 def changed(images: OrientedImages, matrix: np.ndarray) -> OrientedImages:

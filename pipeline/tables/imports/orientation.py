@@ -64,14 +64,8 @@ def read_orientation(
         if quantity not in ("image", "camera", "time_utc")
     }
     angles = np.stack([numbers[name] for name in angle_names], axis=1)
-    to_radians = 2.0 * np.pi / TURN[unit]
-    if len(angle_names) == 4:
-        angles = _unit_quaternions(angles, path)
-    else:
-        _refuse_angles(angles, unit, path)
-        angles = angles * to_radians
     for tilt in {"sigma_tilt", "sigma_yaw"} & numbers.keys():
-        numbers[f"{tilt}_rad"] = numbers.pop(tilt) * to_radians
+        numbers[f"{tilt}_rad"] = numbers.pop(tilt) * (2.0 * np.pi / TURN[unit])
     position = _positions(numbers, path, key)
     time_ns, notes = np.full(len(table), NO_TIME, np.int64), []
     if "time_utc" in names or "gps_week" in names:
@@ -92,7 +86,8 @@ def read_orientation(
     camera = table[names["camera"]].to_numpy(object) if "camera" in names else None
     sigmas = {name: values for name, values in numbers.items() if name.startswith("sigma_")}
     image = table[names["image"]].to_numpy(object)
-    return OrientationTable(image, camera, time_ns, position, angles, sigmas), tuple(notes)
+    attitudes = _attitudes(angles, unit, path)
+    return OrientationTable(image, camera, time_ns, position, attitudes, sigmas), tuple(notes)
 
 
 def read_known_positions(path: Path, names: Mapping[str, str]) -> tuple[NDArray[np.object_], Array]:
@@ -154,27 +149,16 @@ def _positions(numbers: Mapping[str, Array], path: Path, key: str) -> Array:
     return np.stack([*np.radians(degrees), numbers["height"]], axis=1)
 
 
-def _refuse_angles(angles: Array, unit: str, path: Path) -> None:
-    """Refuse angles of more than a turn: they are in another unit."""
-    beyond = (np.abs(angles) > TURN[unit] * (1.0 + 1e-6)).any(axis=1)
-    if not bool(beyond.any()):
-        return
-    worst = float(np.nanmax(np.abs(angles)))
-    likely = next((other for other, turn in TURN.items() if worst <= turn), None)
-    raise InputError(
-        "ORIENTATION-UNIT",
-        f"{int(beyond.sum())} images have an angle of more than a turn ({TURN[unit]:g} {unit}), "
-        f"up to {worst:g}" + (f"; is the unit {likely}?" if likely and likely != unit else ""),
-        where=f"{path}, line {int(np.argmax(beyond)) + 2}",
-        remedy="state stations.orientation.unit (deg, rad or grad), or name the columns of angles",
-    )
+def _attitudes(given: Array, unit: str, path: Path) -> Array:
+    """(n, 3) angles in radians, or (n, 4) quaternions at unit length.
 
-
-def _unit_quaternions(quaternions: Array, path: Path) -> Array:
-    """The quaternions at unit length; refuses those whose length is not 1 to 0.001."""
-    length = np.linalg.norm(quaternions, axis=1)
-    wrong = np.abs(length - 1.0) > _LONGEST_NORM_ERROR
-    if bool(wrong.any()):
+    Refuses angles of more than a turn, and quaternions whose length is not 1 to 0.001.
+    """
+    if given.shape[1] == 4:
+        length = np.linalg.norm(given, axis=1)
+        wrong = np.abs(length - 1.0) > _LONGEST_NORM_ERROR
+        if not bool(wrong.any()):
+            return np.asarray(given / length[:, None])
         worst = int(np.nanargmax(np.abs(length - 1.0)))
         raise InputError(
             "ORIENTATION-QUATERNION",
@@ -184,4 +168,15 @@ def _unit_quaternions(quaternions: Array, path: Path) -> Array:
             remedy="name the columns q_w, q_x, q_y and q_z (w is the cosine of half the angle), "
             "and write them with all their digits",
         )
-    return np.asarray(quaternions / length[:, None])
+    beyond = (np.abs(given) > TURN[unit] * (1.0 + 1e-6)).any(axis=1)
+    if not bool(beyond.any()):
+        return given * (2.0 * np.pi / TURN[unit])
+    worst_angle = float(np.nanmax(np.abs(given)))
+    likely = next((other for other, turn in TURN.items() if worst_angle <= turn), None)
+    raise InputError(
+        "ORIENTATION-UNIT",
+        f"{int(beyond.sum())} images have an angle of more than a turn ({TURN[unit]:g} {unit}), "
+        f"up to {worst_angle:g}" + (f"; is the unit {likely}?" if likely else ""),
+        where=f"{path}, line {int(np.argmax(beyond)) + 2}",
+        remedy="state stations.orientation.unit (deg, rad or grad), or name the columns of angles",
+    )
