@@ -75,7 +75,7 @@ class PreparedMission:
             none = np.empty(0)
             return np.empty(0, np.int64), none, none, none
         h_msl, _ = heights_at(
-            height, position.time_ns, self.flight.heights, self.plan.mission.log.max_gap_s
+            height, position.time_ns, self.flight.heights, self.plan.mission.max_gap_s
         )
         return position.time_ns, position["lat_rad"], position["lon_rad"], h_msl
 

@@ -22,7 +22,7 @@ from pipeline.simulate.true_air import (
     true_air,
     vapour_pressure_pa,
 )
-from pipeline.stages import adjusted_profile as batch_air
+from pipeline.stages.air import adjusted_profile as batch_air
 from pipeline.stages.story import air_of_mission
 
 METAR = "METAR KXYZ 151055Z 24011KT 9999 SCT040 12/08 Q1013"
