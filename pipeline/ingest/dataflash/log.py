@@ -61,7 +61,10 @@ class DataFlash:
         )  # fmt: skip
         for refused in index.refused:
             what = f"an FMT record is not valid: {refused}"
-            ledger.loss("LOG-BAD-FORMAT", what, where=path.name, count=1)
+            if index.bad_bytes:
+                ledger.loss("LOG-BAD-FORMAT", what, where=path.name, count=1)
+            else:  # all bytes are of records that are defined
+                ledger.note("LOG-BAD-FORMAT", f"{what}; there is no record of it", where=path.name)
         return contents_of(
             index.message_counts(), line, tables, ledger, bad_bytes=index.bad_bytes,
             reread=partial(_decode_all_fields, path),

@@ -26,7 +26,7 @@ RECORD = struct.Struct("<BQ")
 MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 FOOT = struct.Struct("<QQI")  # start of the summary, of its offsets, checksum
 
-FOOTER, SCHEMA, CHANNEL, MESSAGE_RECORD, CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE_RECORD, CHUNK = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06
 STATISTICS, DATA_END = 0x0B, 0x0F
 LAST_OPCODE = 0x0F
 PRIVATE = 0x80  # opcodes from here on belong to applications; those between are not given out

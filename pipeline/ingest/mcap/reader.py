@@ -19,7 +19,6 @@ from pipeline.ingest.mcap.cdr_schema import SchemaError
 from pipeline.ingest.mcap.fields import PLAIN_JSON, SCHEMAS, known_name
 from pipeline.ingest.mcap.file_format import (
     CHANNEL,
-    MAGIC,
     SCHEMA,
     Damage,
     Definition,
@@ -162,9 +161,6 @@ class McapReader:
     def through(self, path: Path) -> Iterator[Stamps]:
         """Read the file; yields places and times since boot of the messages that count it."""
         with open_view(path) as data:
-            if data[0 : len(MAGIC)] != MAGIC:
-                self.damage.add("LOG-BAD-BYTES", "the file begins as no MCAP does", 0, data.size)
-                return
             for part in walk(data, self.damage):
                 if isinstance(part, Definition):
                     self._define(part)

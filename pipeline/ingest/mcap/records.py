@@ -24,6 +24,7 @@ from pipeline.ingest.mcap.file_format import (
     DATA_END,
     FOOT,
     FOOTER,
+    HEADER,
     LARGE_MESSAGE,
     LAST_OPCODE,
     LINKS,
@@ -69,7 +70,7 @@ def walk(data: FileView, damage: Damage) -> Iterator[Definition | Messages]:
 
     Parameters
     ----------
-    data : the file, which begins with `MAGIC`.
+    data : the file; where it does not begin with `MAGIC`, its head is damaged or lost.
     damage : filled on the way with what is cut off, corrupt or too large.
 
     A summary that its checksum proves comes first: its definitions serve where those among the
@@ -87,14 +88,33 @@ class _RecordWalk:
         self.channels: set[int] = set()
         self.waiting: list[tuple[Bytes, NDArray[np.int64]]] = []
         self.weight = 0
-        self.before = len(MAGIC)  # where the last record began: its length may be the damage
+        self.begin = self._first_record()
+        self.before = self.begin - 1  # where the last record began: its length may be the damage
         self.data_end = -1  # where the summary begins
         self.disproved = -1  # a record in which others lie
         self.budget = InflationBudget(data.size)
         self.ends, self.ended = 0, False  # records that end the data; whether one was checked
 
+    def _first_record(self) -> int:
+        """Where the records begin: behind the mark, or at the header record near the beginning."""
+        if self.data[0 : len(MAGIC)] == MAGIC:
+            return len(MAGIC)
+        begin = 0
+        for place in range(len(MAGIC) + 1):
+            opcode, length = record_at(self.data[place : place + RECORD.size].ljust(9, b"\0"), 0)
+            end = place + RECORD.size + length
+            behind = (self.data[end : end + 1] if length < NEAR else b"") or b"\0"
+            if opcode == HEADER and 0 < behind[0] <= LAST_OPCODE:
+                begin = place
+        what = "the file begins as no MCAP does: its first bytes are damaged or lost"
+        self.damage.add("LOG-BAD-BYTES", what, 0, begin)
+        return begin
+
     def summary(self) -> Iterator[Definition]:
-        """The definitions in the summary, where its checksum holds."""
+        """The definitions in the summary, where its checksum holds.
+
+        Where bytes are missing before it, it is not where the footer says: it follows the data end.
+        """
         at = self.data.size - len(MAGIC) - FOOT.size
         if at < RECORD.size or self.data[at + FOOT.size : self.data.size] != MAGIC:
             return
@@ -102,11 +122,21 @@ class _RecordWalk:
         start, _, crc = FOOT.unpack_from(foot, RECORD.size)
         if RECORD.unpack_from(foot) != (FOOTER, FOOT.size) or not crc or not start:
             return
-        if not 0 < start <= at or self._checksum(start, at + FOOT.size - 4) != crc:
+        end = at + FOOT.size - 4
+        if not 0 < start <= at or self._checksum(start, end) != crc:
             self.damage.add(
                 "LOG-CRC", "the summary is not where the footer says, or fails its checksum", at, 0
             )
-            return
+            mark, start = RECORD.pack(DATA_END, 4), -1
+            for _ in range(LINKS):
+                start = self.data.find(mark, start + 1, at)
+                if start < 0 or self._checksum(start + len(mark) + 4, end) == crc:
+                    break
+            else:
+                return
+            if start < 0:
+                return
+            start += len(mark) + 4
         while start + RECORD.size < at:
             opcode, length = RECORD.unpack(self.data[start : start + RECORD.size])
             if opcode in (SCHEMA, CHANNEL) and length <= MAX_DEFINITION:
@@ -127,7 +157,7 @@ class _RecordWalk:
 
     def records(self) -> Iterator[Definition | Messages]:
         """The records from the beginning of the file to its footer."""
-        at: int = len(MAGIC)
+        at = self.begin
         while at >= 0:
             starts: list[int] = []
             view = self.data.array(at, at + SPAN)

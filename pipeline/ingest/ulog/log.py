@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import LogError
 from pipeline.flight.channels import Source, TimeArray
-from pipeline.flight.clock import UNIX_US_FROM, stray_times
+from pipeline.flight.clock import STRAY_ROWS, UNIX_US_FROM, stray_times
 from pipeline.ingest.attitude import earth_frame_attitude
 from pipeline.ingest.boot_clock import UtcReadings, fit_boot_clock, microseconds, timeline
 from pipeline.ingest.buffers import open_view
@@ -31,6 +31,9 @@ from pipeline.ingest.ulog.records import (
     read_messages,
 )
 from pipeline.ledger import Ledger
+
+SILENCE_NS = 100_000_000  # PX4 logs tens to hundreds of messages in this time
+LONGEST_INTERVAL_NS = 200_000_000  # of a topic that shows whether anything was logged
 
 _ONE_BOOT = timeline([(np.zeros(1, np.int64), np.zeros(1, np.int64))])  # a log a boot
 _ELEMENT = re.compile(r"\[(\d+)\]")
@@ -83,6 +86,7 @@ class ULogFormat:
             channel = channel_of(decoded, spec, ledger)
             if channel:
                 channels.append(channel)
+        _report_silences(messages, path.name, ledger)
         lost = int(messages.bad_bytes > 0 or messages.damaged_values > 0)
         return Contents(
             dict(messages.counts), tuple(channels), messages.bad_bytes, lost, 1, time_base,
@@ -117,6 +121,40 @@ def _names(rows: NDArray[Any]) -> tuple[str, ...]:
 
 def _times(rows: NDArray[Any]) -> TimeArray:
     return microseconds(rows["timestamp"]) * 1000
+
+
+def _report_silences(messages: ULogMessages, name: str, ledger: Ledger) -> None:
+    """Enter the times in which no topic has a message, though some come at regular intervals.
+
+    The format does not number messages: nothing else shows that whole ones were cut out. Stamps of
+    a topic that were sampled before the logger began, and stray ones, do not count.
+    """
+    parts, shortest = [], float(LONGEST_INTERVAL_NS)
+    for rows in messages.rows.values():
+        time_ns = _times(rows)[2:]
+        time_ns = time_ns[~stray_times(time_ns)]
+        interval = float(np.median(np.diff(time_ns))) if time_ns.size > STRAY_ROWS else np.inf
+        if interval <= LONGEST_INTERVAL_NS:
+            parts.append(time_ns)
+            shortest = min(shortest, interval)
+    if not parts:
+        return
+    begin = max(int(part[0]) for part in parts)
+    time_ns = np.unique(np.concatenate(parts))
+    steps = np.diff(time_ns[np.searchsorted(time_ns, begin) :])
+    silent = steps > max(SILENCE_NS, 5.0 * shortest)
+    if not silent.any():
+        return
+    first_s = float(time_ns[-1] - steps[np.argmax(silent) :].sum()) * 1e-9
+    rate = messages.counts.total() / float(steps[~silent].sum())
+    ledger.loss(
+        "LOG-GAP",
+        f"nothing at all was logged {int(silent.sum())} times, {steps[silent].sum() / 1e9:.3f} s "
+        f"together, about {round(rate * float(steps[silent].sum()))} messages: they were cut out, "
+        "or the logger stopped",
+        where=f"{name}, first {first_s:.3f} s after boot",
+        count=int(silent.sum()),
+    )
 
 
 def _clock(

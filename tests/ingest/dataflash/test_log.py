@@ -332,13 +332,18 @@ def test_not_a_number_is_kept_as_a_row(tmp_path: Path, dataflash_writer: Callabl
     np.testing.assert_array_equal(np.isnan(channel["pressure_pa"]), [False, True, True, False])
 
 
-def test_a_definition_that_makes_no_sense_is_a_loss(
+def test_a_definition_that_makes_no_sense_is_a_loss_where_there_are_records_of_it(
     tmp_path: Path, flight: Callable, dataflash_writer: Callable
 ) -> None:
+    """Copter 3.4 defines BAR3 with more letters than names, and most vehicles log none of it."""
     writer = dataflash_writer()
     writer.data = flight()
-    writer.define(60, "XYZ", "QB", "TimeUS,A", length=77)
+    writer.define(60, "BAR3", "QffcfIf", "TimeUS,Alt,Press,Temp,CRt,SMS")
     log = opened(tmp_path, writer.data)
+    assert entries(log, "LOG-BAD-FORMAT")[0].kind == "note"
+    assert not log.ledger.has_losses
+    writer.row("BAR3", 1_000_000, 0.0, 94_000.0, 20.0, 0.0, 0, 0.0)
+    log = opened(tmp_path, writer.data + flight())
     assert entries(log, "LOG-BAD-FORMAT")[0].kind == "loss"
 
 

@@ -608,3 +608,37 @@ def test_any_damage_opens_or_refuses(tmp_path: Path) -> None:
             "losses",
             "whole",
         }
+
+
+SAMPLE = Path(__file__).resolve().parents[3] / "sample_logs" / "flight.mcap"
+
+
+def headless(data: bytes, what: str) -> bytes:
+    """A file whose beginning is lost, or overwritten with zeros."""
+    count = {"first": 1, "mark": 8, "header": 60, "quarter": len(data) // 4}[what.split()[0]]
+    return (bytes(count) if what.endswith("zero") else b"") + data[count:]
+
+
+@pytest.mark.parametrize("end", ["lost", "zero"])
+@pytest.mark.parametrize("what", ["first", "mark", "header", "quarter"])
+@pytest.mark.parametrize("name", ["sample", "cubs2_cub_stabilize.mcap"])
+def test_a_file_whose_head_is_lost(
+    tmp_path: Path, real_log: Callable, name: str, what: str, end: str
+) -> None:
+    """Chunks behind the damage are whole: what they hold is the same, and the loss is told."""
+    whole = SAMPLE if name == "sample" else real_log(name)
+    path = tmp_path / "headless.mcap"
+    path.write_bytes(headless(whole.read_bytes(), f"{what} {end}"))
+    log, expected = open_log(path), open_log(whole)
+    assert [c.name for c in log.channels] == [c.name for c in expected.channels]
+    for ours, theirs in zip(log.channels, expected.channels, strict=True):
+        rows = np.isin(theirs.time_ns, ours.time_ns)
+        np.testing.assert_array_equal(ours.time_ns, theirs.time_ns[rows])
+        for column in ours.columns:
+            if column != "event_index":  # counted from the first that is there
+                np.testing.assert_array_equal(ours[column], theirs[column][rows], column)
+        assert bool(rows.all()) == (what != "quarter") or what == "quarter"
+    read = sum(log.messages.values()) / sum(expected.messages.values())
+    assert read > 0.7 if what == "quarter" else read == 1.0
+    assert log.ledger.has_losses
+    assert "first bytes" in next(e.what for e in log.ledger if e.code == "LOG-BAD-BYTES")

@@ -421,3 +421,65 @@ def test_a_pitot_tube_gives_dynamic_pressure_and_heating(tmp_path: Path) -> None
 def test_pyulog_is_not_needed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyulog", None)
     assert len(opened(tmp_path, flight()).channels) == 6
+
+
+@pytest.mark.parametrize("count", [1, 7, 16, 40])
+def test_a_file_whose_head_is_lost(tmp_path: Path, count: int) -> None:
+    """The definitions are whole: all messages are there, and the loss is told."""
+    expected = opened(tmp_path, flight())
+    for data in (flight()[count:], bytes(count) + flight()[count:]):
+        log = opened(tmp_path, data)
+        assert log.messages == expected.messages
+        assert [c.name for c in log.channels] == [c.name for c in expected.channels]
+        for ours, theirs in zip(log.channels, expected.channels, strict=True):
+            np.testing.assert_array_equal(ours.time_ns, theirs.time_ns)
+        assert {e.code for e in log.ledger if e.kind == "loss"} == {"LOG-BAD-BYTES"}
+
+
+def regular() -> tuple[bytes, list[bytes]]:
+    """Definitions, and 60 s of messages: attitude at 100 Hz, air at 50 Hz, receiver at 5 Hz."""
+    writer = ULogWriter()
+    writer.define("sensor_gps", NEW_GPS)
+    writer.define("vehicle_attitude", "float[4] q;")
+    writer.define("vehicle_air_data", "float baro_pressure_pa;float ambient_temperature;")
+    for name in ("sensor_gps", "vehicle_attitude", "vehicle_air_data"):
+        writer.subscribe(name)
+    head, rows = writer.data, []
+
+    def row(name: str, layout: str, *values: float) -> None:
+        writer.data = b""
+        writer.row(name, layout, *values)
+        rows.append(writer.data)
+
+    row("vehicle_air_data", "ff", 3_000_000, 94_000.0, 40.0)  # of before the logger began
+    for k in range(6000):
+        t = 60_000_000 + 10_000 * k
+        row("vehicle_attitude", "4f", t, 1.0, 0.0, 0.0, 0.0)
+        if k % 2 == 0:
+            row("vehicle_air_data", "ff", t - 1500, 94_000.0, 40.0)
+        if k % 20 == 0:
+            place = (47.5, 8.25, 600.0, 647.5)
+            row("sensor_gps", "QddddB", t - 90_000, NOW_US + t, *place, 3)
+    return head, rows
+
+
+def test_messages_that_were_cut_out_between_records_are_told(tmp_path: Path) -> None:
+    head, rows = regular()
+    assert not opened(tmp_path, head + b"".join(rows)).ledger.has_losses
+    for begin, count in ((2000, 3948), (5000, 60)):
+        log = opened(tmp_path, head + b"".join(rows[:begin] + rows[begin + count :]))
+        gap = next(e for e in log.ledger if e.code == "LOG-GAP")
+        assert (gap.kind, gap.count) == ("loss", 1)
+        told = int(gap.what.split("about ")[1].split()[0])
+        assert told == pytest.approx(count, rel=0.05)
+        seconds = float(gap.where.split("first ")[1].split()[0])
+        assert seconds == pytest.approx(60.0 + begin / 155.0, abs=0.1)
+    assert not [e for e in log.ledger if e.kind == "loss" and e.code != "LOG-GAP"]
+
+
+def test_a_stray_time_is_no_cut(tmp_path: Path) -> None:
+    head, rows = regular()
+    at = next(k for k in range(1500, 2000) if len(rows[k]) == 29)  # an attitude
+    rows[at] = rows[at][:5] + struct.pack("<Q", 900_000_000) + rows[at][13:]
+    log = opened(tmp_path, head + b"".join(rows))
+    assert {e.code for e in log.ledger if e.kind == "loss"} == {"TIME-STRAY"}
