@@ -52,7 +52,7 @@ class DecodedRows:
 def channel_of(rows: DecodedRows, spec: MessageMap, ledger: Ledger) -> Channel | None:
     """A channel from decoded rows, or None when nothing is left; drops are in the ledger."""
     if spec.text_field:
-        return _channel_of_texts(rows, spec)
+        return channel_of_texts(rows, spec)
     needed = {"lat_rad", "lon_rad"} if spec.position else set()
     if spec.attitude:
         euler = "roll_rad" in rows.columns
@@ -98,7 +98,7 @@ def channel_of(rows: DecodedRows, spec: MessageMap, ledger: Ledger) -> Channel |
     return replace(channel, roles=roles)
 
 
-def _channel_of_texts(rows: DecodedRows, spec: MessageMap) -> Channel | None:
+def channel_of_texts(rows: DecodedRows, spec: MessageMap) -> Channel | None:
     """What an autopilot says, in the order of time; texts of one time are lines of one row."""
     order = np.argsort(rows.time_ns, kind="stable")
     time_ns, first = np.unique(rows.time_ns[order], return_index=True)

@@ -31,11 +31,10 @@ from pipeline.ingest.channel_builder import DecodedRows, channel_of
 from pipeline.ingest.dataflash.fields import (
     ACCURACY,
     ACCURACY_MESSAGES,
-    ERRORS,
-    EVENTS,
     INSTANCE_FIELDS,
     MESSAGES,
     instance_of,
+    texts_of,
 )
 from pipeline.ingest.dataflash.records import HEADER, RecordWalker
 from pipeline.ingest.dataflash.tables import Decoded
@@ -202,11 +201,14 @@ def _instances(
     if accuracy is not None:
         table = _join_accuracy(decoded, accuracy)
         spec = replace(spec, columns=spec.columns + ACCURACY)
-    texts = _texts(message, spec, table, ledger) if spec.text_field else None
-    if texts is not None:
+    if spec.text_field:
+        texts = texts_of(message, spec.text_field, table)
+        if texts is None:
+            what = f"its rows hold no text: the log defines no field {spec.text_field} for it"
+            ledger.loss("LOG-FIELDS", what, where=message)
+            return
         rows = DecodedRows(message, Source(message), time_ns, boot, {}, {"text": texts})
         yield rows if good.all() else rows.take(good)
-    if spec.text_field:
         return
     named = table.get(spec.id_field)
     instance = instance_of(table) if named is None else named
@@ -261,21 +263,6 @@ def _report_fields(
     if absent := needed - set(odd.values()) - known:
         what = f"{count} rows have no {', '.join(sorted(absent))}: the log defines no field for it"
         ledger.loss("LOG-FIELDS", what, where=message, count=count)
-
-
-def _texts(message: str, spec: MessageMap, table: Table, ledger: Ledger) -> tuple[str, ...] | None:
-    """What the autopilot says in each row; None where the log does not define the text."""
-    words, codes = table.get(spec.text_field), table.get("ECode", np.empty(0))
-    if words is None or words.dtype.kind != ("U" if message == "MSG" else "u"):
-        what = f"its rows hold no text: the log defines no field {spec.text_field} for it"
-        ledger.loss("LOG-FIELDS", what, where=message)
-        return None
-    if message == "MSG":
-        return tuple(words.tolist())
-    if message == "EV":
-        return tuple(f"EV {EVENTS.get(number, number)}" for number in words.tolist())
-    pairs = zip(words.tolist(), codes.tolist() or [""] * words.shape[0], strict=True)
-    return tuple(f"ERR {ERRORS.get(number, number)} {code}".strip() for number, code in pairs)
 
 
 def _join_accuracy(decoded: Decoded, accuracy: Decoded) -> Table:

@@ -172,6 +172,24 @@ ERRORS = {
     31: "FAILSAFE_DEADRECKON",
 }  # fmt: skip
 
+
+def texts_of(message: str, field: str, table: Table) -> tuple[str, ...] | None:
+    """What the autopilot says in each row of MSG, EV or ERR; None where no text is defined.
+
+    >>> texts_of("ERR", "Subsys", {"Subsys": np.array([16], "u1"), "ECode": np.array([2], "u1")})
+    ('ERR EKFCHECK 2',)
+    """
+    words = table.get(field)
+    if words is None or words.dtype.kind != ("U" if message == "MSG" else "u"):
+        return None
+    if message == "MSG":
+        return tuple(words.tolist())
+    names = EVENTS if message == "EV" else ERRORS
+    codes = table["ECode"].tolist() if "ECode" in table else [""] * words.shape[0]
+    pairs = zip(words.tolist(), codes, strict=True)
+    return tuple(f"{message} {names.get(number, number)} {code}".strip() for number, code in pairs)
+
+
 # Accuracy, and the ellipsoidal height of new logs (INT32_MIN / 100 means unknown), come in a
 # message of their own with the time stamp of the GPS row.
 ACCURACY_MESSAGES = {"GPS": "GPA", "GPS2": "GPA2"}

@@ -168,7 +168,9 @@ def timed_tables(tables: dict[str, Decoded], ledger: Ledger) -> dict[str, Decode
         row = np.searchsorted(places[order], table.places) - 1
         time_us = times[order][np.maximum(row, 0)]
         table = Decoded(table.columns | {"TimeUS": time_us}, table.places)
-        result[name] = _by_last_fix(table, result.get("GPS"), ledger) if name == "CAM" else table
+        result[name] = (
+            exposures_by_last_fix(table, result.get("GPS"), ledger) if name == "CAM" else table
+        )
     return result
 
 
@@ -189,7 +191,7 @@ def with_time(name: str, decoded: Decoded) -> Decoded:
     return Decoded(columns, decoded.places)
 
 
-def _by_last_fix(exposures: Decoded, receiver: Decoded | None, ledger: Ledger) -> Decoded:
+def exposures_by_last_fix(exposures: Decoded, receiver: Decoded | None, ledger: Ledger) -> Decoded:
     """Exposures with only the GPS time of the last fix: they are half an interval behind it.
 
     A row whose fix is not in the log stays at the time of the record before it.

@@ -88,27 +88,11 @@ class _RecordWalk:
         self.channels: set[int] = set()
         self.waiting: list[tuple[Bytes, NDArray[np.int64]]] = []
         self.weight = 0
-        self.begin = self._first_record()
-        self.before = self.begin - 1  # where the last record began: its length may be the damage
+        self.before = -1  # where the last record began: its length may be the damage
         self.data_end = -1  # where the summary begins
         self.disproved = -1  # a record in which others lie
         self.budget = InflationBudget(data.size)
         self.ends, self.ended = 0, False  # records that end the data; whether one was checked
-
-    def _first_record(self) -> int:
-        """Where the records begin: behind the mark, or at the header record near the beginning."""
-        if self.data[0 : len(MAGIC)] == MAGIC:
-            return len(MAGIC)
-        begin = 0
-        for place in range(len(MAGIC) + 1):
-            opcode, length = record_at(self.data[place : place + RECORD.size].ljust(9, b"\0"), 0)
-            end = place + RECORD.size + length
-            behind = (self.data[end : end + 1] if length < NEAR else b"") or b"\0"
-            if opcode == HEADER and 0 < behind[0] <= LAST_OPCODE:
-                begin = place
-        what = "the file begins as no MCAP does: its first bytes are damaged or lost"
-        self.damage.add("LOG-BAD-BYTES", what, 0, begin)
-        return begin
 
     def summary(self) -> Iterator[Definition]:
         """The definitions in the summary, where its checksum holds.
@@ -156,8 +140,21 @@ class _RecordWalk:
         return Definition(opcode, content, at)
 
     def records(self) -> Iterator[Definition | Messages]:
-        """The records from the beginning of the file to its footer."""
-        at = self.begin
+        """The records from the beginning of the file to its footer.
+
+        They begin behind the mark; where that is damaged, at the header record or what follows it.
+        """
+        at = len(MAGIC) if self.data[0 : len(MAGIC)] == MAGIC else 0
+        if not at:
+            for place in range(len(MAGIC) + 1):
+                header = self.data[place : place + RECORD.size].ljust(RECORD.size, b"\0")
+                opcode, length = record_at(header, 0)
+                end = place + RECORD.size + length
+                behind = (self.data[end : end + 1] if length < NEAR else b"") or b"\0"
+                at = place if opcode == HEADER and 0 < behind[0] <= LAST_OPCODE else at
+            what = "the file begins as no MCAP does: its first bytes are damaged or lost"
+            self.damage.add("LOG-BAD-BYTES", what, 0, at)
+        self.before = at - 1
         while at >= 0:
             starts: list[int] = []
             view = self.data.array(at, at + SPAN)

@@ -45,7 +45,7 @@ def channels_of(
             if series.key == "CAMERA_FEEDBACK":
                 rows = rows.take(distinct_exposures(series.records(), rows.name, ledger))
             if series.key == "STATUSTEXT":
-                rows = _whole_texts(rows, series.records())
+                rows = whole_texts(rows, series.records())
             if series.key == "CAMERA_IMAGE_CAPTURED":
                 rows = rows.take(captured_images(series.records(), rows.name, ledger))
             if spec.event:  # the link may deliver an exposure late
@@ -198,7 +198,7 @@ def text_of(value: bytes) -> str:
     return value.split(b"\0", 1)[0].decode("ascii", "backslashreplace")
 
 
-def _whole_texts(rows: DecodedRows, records: NDArray[Any]) -> DecodedRows:
+def whole_texts(rows: DecodedRows, records: NDArray[Any]) -> DecodedRows:
     """The texts of an autopilot, those of more than 50 characters joined from their chunks.
 
     Chunks of a text have the same id, which is not 0, and count from 0; a missing one is "...".

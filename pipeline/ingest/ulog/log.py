@@ -86,7 +86,7 @@ class ULogFormat:
             channel = channel_of(decoded, spec, ledger)
             if channel:
                 channels.append(channel)
-        _report_silences(messages, path.name, ledger)
+        report_silences(messages, path.name, ledger)
         lost = int(messages.bad_bytes > 0 or messages.damaged_values > 0)
         return Contents(
             dict(messages.counts), tuple(channels), messages.bad_bytes, lost, 1, time_base,
@@ -123,7 +123,7 @@ def _times(rows: NDArray[Any]) -> TimeArray:
     return microseconds(rows["timestamp"]) * 1000
 
 
-def _report_silences(messages: ULogMessages, name: str, ledger: Ledger) -> None:
+def report_silences(messages: ULogMessages, name: str, ledger: Ledger) -> None:
     """Enter the times in which no topic has a message, though some come at regular intervals.
 
     The format does not number messages: nothing else shows that whole ones were cut out. Stamps of
