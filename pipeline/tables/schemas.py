@@ -103,6 +103,12 @@ STATION_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
     "suspect_reason": (_S, "", "which evidence contradicts the station; null where none does"),
     "suspect_m": (_F, "m", "how far off a suspect position may be"),
     "status": (_S, "", "ok, or what is missing"),
+    "geometry": (
+        pa.binary(),
+        "",
+        "WKB point of the projection centre: longitude, latitude [deg], height above the ellipsoid "
+        "[m] where it is known",
+    ),
 }
 
 PROFILE_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {

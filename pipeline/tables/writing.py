@@ -19,6 +19,7 @@ from pipeline.errors import StorageError
 from pipeline.flight.stations import Stations, station_columns
 from pipeline.refraction.image import Corrections
 from pipeline.refraction.status_codes import STATUS_NAMES
+from pipeline.tables.geoparquet import geo_metadata, points_wkb
 from pipeline.tables.observations import Batch
 from pipeline.tables.pixels import PixelSystem
 from pipeline.tables.schemas import PROFILE_COLUMNS, STATION_COLUMNS, schema_of
@@ -79,12 +80,15 @@ def profile_ids(series: ProfileSeries) -> list[str]:
 
 
 def table_of_stations(stations: Stations, series: ProfileSeries) -> pa.Table:
-    """``stations.parquet``."""
+    """``stations.parquet``, which is GeoParquet."""
     columns = station_columns(stations)
+    columns["geometry"] = points_wkb(
+        columns["lon_deg"], columns["lat_deg"], columns["h_ellipsoid_m"]
+    )
     ids = np.array(profile_ids(series), dtype=object)[series.profile_number]
     ids[~stations.ok] = None
     columns["profile_id"] = ids
-    return table_of(columns, schema_of(STATION_COLUMNS, {}))
+    return table_of(columns, schema_of(STATION_COLUMNS, geo_metadata("geometry")))
 
 
 def rows_of_stations(stations: Stations) -> list[dict[str, Any]]:

@@ -34,7 +34,7 @@ STATIONS = {
     "cabin_vapour_pressure_pa": "double", "sigma_cabin_pressure_pa": "double",
     "sigma_cabin_temperature_k": "double", "sigma_horizontal_m": "double",
     "sigma_height_m": "double", "sigma_tilt_deg": "double", "sigma_yaw_deg": "double",
-    "suspect_reason": "string", "suspect_m": "double", "status": "string",
+    "suspect_reason": "string", "suspect_m": "double", "status": "string", "geometry": "binary",
 }  # fmt: skip
 PROFILE = {
     "profile_id", "time_utc", "h_m", "geopotential_m", "temperature_k", "pressure_pa",

@@ -1,0 +1,77 @@
+"""stations.parquet as GeoParquet: geopandas and a validator read it. Truth: their own decoding."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import geopandas
+import geoparquet_validator
+import numpy as np
+import pyarrow.parquet as pq
+import pyproj
+import pytest
+
+from pipeline.atmosphere import standard_atmosphere
+from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
+from pipeline.flight.stations import Stations, empty_stations
+from pipeline.tables.writing import table_of_stations, write_parquet
+
+SKIPPED_OF_POINTS = {"crs-consistency", "crs-default", "edges-value", "epoch", "orientation-value",
+                     "orientation-rings", "bbox-array", "bbox-crs", "bbox-extent",
+                     "media-type"}  # fmt: skip
+
+
+@pytest.fixture
+def path(tmp_path):
+    """Zurich with a height; Sydney with a height above sea level alone; one without a position."""
+    nan = np.nan
+    names = np.array(["a,b.tif", "<c>.tif", "d.tif"], object)
+    stations: Stations = replace(
+        empty_stations(names, np.full(3, "nadir", object), "ok"),
+        lat_rad=np.radians([47.4, -33.9, nan]), lon_rad=np.radians([8.5, 151.2, nan]),
+        h_msl_m=np.array([452.0, 90.0, nan]), h_ellipsoid_m=np.array([499.5, nan, nan]),
+        status=np.array(["ok", "ok", "in_gap"], object),
+    )  # fmt: skip
+    air = constant_series(TimedProfile(None, standard_atmosphere("us1976")), 3)
+    file = tmp_path / "stations.parquet"
+    write_parquet(table_of_stations(stations, air), file)
+    return file
+
+
+def test_geopandas_opens_it(path):
+    frame = geopandas.read_parquet(path)
+    zurich, sydney, nowhere = frame.geometry
+    assert (zurich.x, zurich.y, zurich.z) == pytest.approx((8.5, 47.4, 499.5))
+    assert (sydney.x, sydney.y, sydney.has_z) == (pytest.approx(151.2), pytest.approx(-33.9), False)
+    assert nowhere is None
+    assert frame.crs.to_epsg() == 4979
+    assert frame.crs.equals(pyproj.CRS(4979))
+    # The same place by the program's own columns and PROJ, in earth-centred coordinates.
+    centred = frame.iloc[:1].to_crs(4978).geometry[0]
+    expected = pyproj.Transformer.from_crs(4979, 4978, always_xy=True).transform(8.5, 47.4, 499.5)
+    assert (centred.x, centred.y, centred.z) == pytest.approx(expected, abs=1e-3)
+    assert frame["image"].tolist() == ["a,b.tif", "<c>.tif", "d.tif"]
+
+
+def test_a_validator_finds_nothing_wrong(path):
+    report = geoparquet_validator.check(str(path))
+    assert report["version"] == "1.1.0"
+    assert geoparquet_validator.failed(report, "core") == []
+    core = {o["id"].removeprefix("/conf/core/"): o["status"] for o in report["outcomes"]
+            if o["id"].startswith("/conf/core/")}  # fmt: skip
+    assert {name for name, status in core.items() if status != "pass"} == SKIPPED_OF_POINTS
+
+
+def test_the_geometry_is_the_last_column_and_the_units_stay(path):
+    schema = pq.read_schema(path)
+    assert schema.names[-1] == "geometry"
+    assert b"unbend.conventions" in schema.metadata
+    assert json.loads(schema.metadata[b"geo"])["primary_column"] == "geometry"
+
+
+def test_a_run_writes_it(baseline):
+    frame = geopandas.read_parquet(baseline.output / "stations.parquet")
+    np.testing.assert_array_equal(frame.geometry.x, frame["lon_deg"])
+    np.testing.assert_array_equal(frame.geometry.y, frame["lat_deg"])
+    np.testing.assert_array_equal(frame.geometry.z, frame["h_ellipsoid_m"])
