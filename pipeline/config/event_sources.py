@@ -4,39 +4,45 @@ from __future__ import annotations
 
 import re
 import string
+from typing import Annotated, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from pipeline.config.atmosphere import PathText
 from pipeline.config.cameras import Section
+from pipeline.config.trajectories import ImportTime
+from pipeline.tables.imports import EventFormat
 
 _NUMBER_FORMAT = re.compile(r"^0?[0-9]{0,2}d?$")
+
+
+def _checked_pattern(value: str) -> str:
+    """A pattern of the names of images, once it is one."""
+    try:
+        pieces = list(string.Formatter().parse(value))
+    except ValueError as error:
+        raise ValueError(f"is not a pattern with {{index}} or {{n}} ({error})") from None
+    fields = [piece[1:] for piece in pieces if piece[1] is not None]
+    for name, code, conversion in fields:
+        if name not in ("index", "n") or conversion or not _NUMBER_FORMAT.match(code or ""):
+            raise ValueError("is not a pattern with {index} or {n}, as in IMG_{index:05d}.tif")
+    if not fields:
+        raise ValueError("gives every exposure the same name; put {index} or {n} into it")
+    return value
+
+
+ImagePattern = Annotated[str, AfterValidator(_checked_pattern)]
 
 
 class LogEvents(Section):
     """Exposures of one camera from the log."""
 
     channel: str | None = Field(None, description="by default the only event channel of the log")
-    image: str = Field(
+    image: ImagePattern = Field(
         description="name of the image: {index} the log's number, {n} counted from 1; format "
         "codes as in Python, for example IMG_{index:05d}.tif"
     )
     delay_s: float = Field(0.0, ge=-10, le=10, description="shutter time minus event time")
-
-    @field_validator("image")
-    @classmethod
-    def _check_pattern(cls, value: str) -> str:
-        try:
-            pieces = list(string.Formatter().parse(value))
-        except ValueError as error:
-            raise ValueError(f"is not a pattern with {{index}} or {{n}} ({error})") from None
-        fields = [piece[1:] for piece in pieces if piece[1] is not None]
-        for name, code, conversion in fields:
-            if name not in ("index", "n") or conversion or not _NUMBER_FORMAT.match(code or ""):
-                raise ValueError("is not a pattern with {index} or {n}, as in IMG_{index:05d}.tif")
-        if not fields:
-            raise ValueError("gives every exposure the same name; put {index} or {n} into it")
-        return value
 
 
 class CsvEventColumns(Section):
@@ -67,16 +73,47 @@ class CsvEvents(Section):
     )
 
 
+class PositionEvents(Section):
+    """Exposures of one camera with their positions, as receivers and other programs write them."""
+
+    path: PathText
+    format: EventFormat | None = Field(
+        None, description="by default by the ending: .pos, .MRK, .txt (POSPac's EO)"
+    )
+    image: ImagePattern | Literal["{name}"] = Field(
+        description="name of the image: {index} the file's number, {n} counted from 1, {name} the "
+        "column ID of an EO text"
+    )
+    delay_s: float = Field(0.0, ge=-10, le=10, description="shutter time minus the file's")
+    times_only: bool = Field(
+        False, description="true: positions come from the log or a trajectory, not from this file"
+    )
+    point: Literal["antenna", "camera"] | None = Field(
+        None, description="whose positions it has; by default the camera's, of .pos the antenna's"
+    )
+    heights: Literal["msl", "ellipsoid"] | None = Field(None, description="where not in the file")
+    time: ImportTime = ImportTime()
+
+    @model_validator(mode="after")
+    def _check_delay(self) -> PositionEvents:
+        if self.delay_s and not self.times_only:
+            raise ValueError("its positions are of its times: delay_s needs times_only: true")
+        return self
+
+
 class EventsSection(Section):
-    """When the images were exposed: from the log, per camera, or from a CSV."""
+    """When the images were exposed: from the log, a CSV or files with positions, per camera."""
 
     log: dict[str, LogEvents] | None = None
     csv: CsvEvents | None = None
+    positions: dict[str, PositionEvents] | None = None
 
     @model_validator(mode="after")
     def _check_source(self) -> EventsSection:
-        if (self.log is None) == (self.csv is None):
-            raise ValueError("give either log or csv")
-        if self.log is not None and not self.log:
-            raise ValueError("log needs at least one camera")
+        given = [source for source in (self.log, self.csv, self.positions) if source is not None]
+        if len(given) != 1:
+            raise ValueError("give either log, csv or positions")
+        if not given[0]:
+            raise ValueError(f"{'log' if self.log is not None else 'positions'} needs at least one "
+                             "camera")  # fmt: skip
         return self

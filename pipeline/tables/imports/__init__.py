@@ -1,1 +1,70 @@
-"""Stations, trajectories and camera events from the files of other programs."""
+"""Files of other programs that are read: trajectories and camera events, by format.
+
+A new format is a module beside this one, and its reader in `TRAJECTORIES` or `CAMERA_EVENTS`: a
+function of the path, what the mission file states, and the ledger, that returns a channel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Literal
+
+from pipeline.errors import InputError
+from pipeline.flight.channels import Channel
+from pipeline.ledger import Ledger
+from pipeline.tables.imports.eo_text import read_eo_text
+from pipeline.tables.imports.mrk import read_mrk
+from pipeline.tables.imports.rtklib import read_pos
+from pipeline.tables.imports.sbet import read_sbet
+from pipeline.tables.imports.stated import Stated
+from pipeline.tables.imports.trajectory_csv import read_trajectory_csv
+
+Reader = Callable[[Path, Stated, Ledger], Channel]
+TrajectoryFormat = Literal["rtklib", "sbet", "csv"]
+EventFormat = Literal["rtklib", "mrk", "eo"]
+
+TRAJECTORIES: Mapping[str, tuple[Reader, tuple[str, ...]]] = {
+    "rtklib": (read_pos, (".pos",)),
+    "sbet": (read_sbet, (".sbet", ".out")),
+    "csv": (read_trajectory_csv, (".csv", ".txt")),
+}
+"""Readers of trajectories, and the endings by which a file is known."""
+
+CAMERA_EVENTS: Mapping[str, tuple[Reader, tuple[str, ...]]] = {
+    "rtklib": (read_pos, (".pos",)),
+    "mrk": (read_mrk, (".mrk",)),
+    "eo": (read_eo_text, (".txt", ".eo", ".dat")),
+}
+"""Readers of exposures with their positions: columns of positions, and ``event_index``."""
+
+
+def reader_of(
+    readers: Mapping[str, tuple[Reader, tuple[str, ...]]], path: Path, name: str | None
+) -> tuple[str, Reader]:
+    """The format of a file, stated or by its ending, and its reader.
+
+    >>> reader_of(CAMERA_EVENTS, Path("100_0001_Timestamp.MRK"), None)[0]
+    'mrk'
+    """
+    for known, (reader, endings) in readers.items():
+        if known == name or (name is None and path.suffix.lower() in endings):
+            return known, reader
+    able = ", ".join(ending for _, endings in readers.values() for ending in endings)
+    raise InputError(
+        "IMPORT-FORMAT",
+        f"its ending {path.suffix or 'is missing: it'} says nothing; known are {able}",
+        where=str(path),
+        remedy=f"give format: {', '.join(readers)}",
+    )
+
+
+__all__ = [
+    "CAMERA_EVENTS",
+    "TRAJECTORIES",
+    "EventFormat",
+    "Reader",
+    "Stated",
+    "TrajectoryFormat",
+    "reader_of",
+]

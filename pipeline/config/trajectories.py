@@ -1,0 +1,114 @@
+"""The keys of a mission file on trajectories of other programs, and on the times of their files."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from pipeline.config.atmosphere import PathText
+from pipeline.config.cameras import LeverArm, Section
+from pipeline.tables.imports import TrajectoryFormat
+from pipeline.tables.imports.stated import AngleUnit
+
+Replaced = Literal["position", "height", "attitude"]
+
+
+class ImportTime(Section):
+    """The time of a file of another program."""
+
+    system: Literal["gpst", "utc"] | None = Field(
+        None, description="needed where the file does not say it: SBET, EO text, CSV"
+    )
+    week: int | None = Field(
+        None, ge=0, le=9999, description="GPS week of the first row; by default that of the log"
+    )
+
+
+class TrajectoryColumns(Section):
+    """Columns of a CSV; position is latitude, longitude, height, or earth-centred x, y, z [m]."""
+
+    time: str = "time"
+    week: str | None = None
+    latitude: str | None = None
+    longitude: str | None = None
+    height: str | None = None
+    x: str | None = None
+    y: str | None = None
+    z: str | None = None
+    roll: str | None = None
+    pitch: str | None = None
+    yaw: str | None = None
+    q_w: str | None = None
+    q_x: str | None = None
+    q_y: str | None = None
+    q_z: str | None = None
+    v_north_m_s: str | None = None
+    v_east_m_s: str | None = None
+    v_down_m_s: str | None = None
+    sigma_h_m: str | None = None
+    sigma_v_m: str | None = None
+
+    @model_validator(mode="after")
+    def _check_groups(self) -> TrajectoryColumns:
+        groups: dict[str, tuple[str, ...]] = {
+            "position": ("latitude", "longitude", "height"),
+            "earth-centred position": ("x", "y", "z"),
+            "angles": ("roll", "pitch", "yaw"),
+            "quaternion": ("q_w", "q_x", "q_y", "q_z"),
+        }
+        given = {what: [getattr(self, n) is not None for n in names]
+                 for what, names in groups.items()}  # fmt: skip
+        for what, names in groups.items():
+            if any(given[what]) and not all(given[what]):
+                raise ValueError(f"{what} needs {', '.join(names)}")
+        if any(given["position"]) == any(given["earth-centred position"]):
+            raise ValueError("give either latitude, longitude, height or x, y, z")
+        if any(given["angles"]) and any(given["quaternion"]):
+            raise ValueError("give either roll, pitch, yaw or q_w, q_x, q_y, q_z")
+        return self
+
+
+class TrajectorySection(Section):
+    """A trajectory of another program, in place of the log's."""
+
+    path: PathText
+    format: TrajectoryFormat | None = Field(
+        None, description="by default by the ending: .pos, .sbet and .out, .csv and .txt"
+    )
+    replaces: list[Replaced] | None = Field(
+        None, min_length=1, description="by default all that the file has"
+    )
+    point: Literal["imu", "antenna", "camera"] = Field(
+        description="whose positions it has; with camera, the mount has no lever arm"
+    )
+    lever_arm_m: LeverArm | Literal["from_events"] = Field(
+        default_factory=lambda: [0.0, 0.0, 0.0],
+        description="point from which mount.<camera>.lever_arm_m counts, minus the file's: "
+        "forward, right, down; from_events: antenna to camera as in the .MRK of events.positions",
+    )
+    heights: Literal["msl", "ellipsoid"] | None = Field(
+        None, description="what they count from; needed for SBET and for latitudes in a CSV"
+    )
+    time: ImportTime = ImportTime()
+    accuracy: PathText | None = Field(None, description="smrmsg file of an SBET")
+    columns: TrajectoryColumns | None = Field(None, description="needed for CSV")
+    position_unit: AngleUnit = Field("deg", description="of latitude and longitude in a CSV")
+    angle_unit: AngleUnit = Field("deg", description="of roll, pitch, yaw in a CSV")
+    angle_order: str = Field(
+        "ZYX",
+        pattern="^(?:XYZ|XZY|YXZ|YZX|ZXY|ZYX)$",
+        description="order of the rotations about the body's axes: ZYX is yaw, pitch, roll",
+    )
+
+    @model_validator(mode="after")
+    def _check_point(self) -> TrajectorySection:
+        if self.lever_arm_m == "from_events" and self.point != "antenna":
+            raise ValueError("lever_arm_m: from_events leads from the antenna: point: antenna")
+        if self.point == "camera" and self.lever_arm_m != [0.0, 0.0, 0.0]:
+            raise ValueError("point: camera has no lever arm")
+        moved = {"position", "height"} & set(self.replaces or ("position", "height"))
+        away = self.point == "camera" or self.lever_arm_m != [0.0, 0.0, 0.0]
+        if len(moved) == 1 and away:
+            raise ValueError("a lever arm or point: camera needs both position and height replaced")
+        return self

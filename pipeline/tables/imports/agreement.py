@@ -1,0 +1,289 @@
+"""A trajectory, or the positions of camera events, against the log: time, place, height, attitude.
+
+What cannot belong to the flight of the log is refused with what would make it fit; what differs
+more than autopilots err is a warning or a loss.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.spatial.transform import Rotation
+
+from pipeline.errors import MissionError
+from pipeline.flight.channels import Array, Channel
+from pipeline.flight.heights import HeightSystem, heights_at
+from pipeline.flight.trajectory import interpolate_attitude
+from pipeline.geodesy import principal_radii
+from pipeline.ledger import Kind, Ledger
+from pipeline.tables.imports.stated import RADIANS
+from pipeline.tables.imports.tracks import wrapped
+
+_MOST_SAMPLES = 3000
+_MAX_GAP_S = 5.0
+
+# Seconds by which clocks are usually set wrong: leap seconds and their like, and time zones.
+_SHIFTS_S = np.concatenate([np.arange(-60.0, 60.1, 0.5), 3600.0 * np.arange(-14.0, 14.1, 0.5)])
+_LARGEST_SHIFT_S, _LARGE_SHIFT_S = 0.75, 0.15
+
+# Limits of [m] in place and height and [deg] in tilt and yaw: beyond the first a warning, beyond
+# the second a loss. Autopilots are within the first.
+_LIMITS = {"place": (5.0, 20.0), "height": (10.0, 30.0), "tilt": (3.0, 20.0), "yaw": (10.0, 30.0)}
+_OTHER_FLIGHT_M = 100.0
+
+
+def compare_with_log(
+    imported: Channel,
+    own: Mapping[str, Channel],
+    heights: HeightSystem,
+    ledger: Ledger,
+    *,
+    replaces: tuple[str, ...],
+) -> None:
+    """Compare an imported channel with what the log itself has in the same roles.
+
+    Refuses (MissionError) other times (TRAJECTORY-OVERLAP, TRAJECTORY-TIME), another place
+    (TRAJECTORY-PLACE), heights above the other surface (TRAJECTORY-HEIGHT) and attitudes in another
+    unit or sense (TRAJECTORY-ANGLES), where the log shows it.
+    """
+    position = own.get("position")
+    if position is None or len(position) < 2:
+        ledger.warning("TRAJECTORY-ALONE", "the log has no position to compare it with: time, "
+                       "place and height stay unchecked", where=imported.name)  # fmt: skip
+        return
+    known = np.flatnonzero(np.isfinite(imported["lat_rad"]))
+    rows = known[np.unique(np.linspace(0, known.size - 1, _MOST_SAMPLES).astype(int))]
+    track = _Track(position, imported.time_ns[rows])
+    places = track.metres(imported["lat_rad"][rows], imported["lon_rad"][rows])
+    _compare_places(imported, track, places, ledger)
+    time_ns = imported.time_ns[rows]
+    if "height" in replaces and "height" in own:
+        _compare_heights(imported, rows, own["height"], heights, ledger)
+    if "attitude" in replaces and "attitude" in own:
+        theirs, _ = interpolate_attitude(own["attitude"], time_ns, _MAX_GAP_S)
+        mine = np.stack([imported[f"q_{axis}"][rows] for axis in "wxyz"], axis=1)
+        _compare_attitudes(imported.name, mine, theirs, ledger)
+
+
+class _Track:
+    """The log's positions in metres about their middle, and how far others are from them."""
+
+    def __init__(self, position: Channel, time_ns: NDArray[np.int64]) -> None:
+        keep = np.isfinite(position["lat_rad"]) & np.isfinite(position["lon_rad"])
+        lat, lon = position["lat_rad"][keep], position["lon_rad"][keep]
+        self.name, self.time_ns = position.name, position.time_ns[keep]
+        self.origin = float(np.median(lat)), float(lon[lon.size // 2])
+        self._base = self.time_ns[0]
+        self._seconds = (self.time_ns - self._base) * 1e-9
+        self._at = (time_ns - self._base) * 1e-9
+        self._own = self.metres(lat, lon)
+
+    def metres(self, lat: Array, lon: Array) -> NDArray[np.complex128]:
+        """North + 1j east from the origin, good to a thousandth within 100 km [m]."""
+        meridian, vertical = principal_radii(self.origin[0])
+        east = wrapped(lon - self.origin[1]) * vertical * np.cos(self.origin[0])
+        return np.asarray((lat - self.origin[0]) * meridian + 1j * east)
+
+    def distances(self, places: NDArray[np.complex128], shift_s: float) -> Array:
+        """Distances to the log's positions ``shift_s`` later; of those the log has [m]."""
+        at = self._at + shift_s
+        after = np.clip(np.searchsorted(self._seconds, at), 1, self._seconds.size - 1)
+        torn = self._seconds[after] - self._seconds[after - 1] > _MAX_GAP_S
+        inside = (at >= self._seconds[0]) & (at <= self._seconds[-1]) & ~torn
+        own = np.interp(at[inside], self._seconds, self._own.real) + 1j * np.interp(
+            at[inside], self._seconds, self._own.imag
+        )
+        return np.asarray(np.abs(places[inside] - own))
+
+    def misfit(self, places: NDArray[np.complex128], shift_s: float) -> float:
+        """Median of the distances [m]; infinite where too few are left to say."""
+        distance = self.distances(places, shift_s)
+        enough = min(20, max(1, places.size // 2))
+        return float(np.median(distance)) if distance.size >= enough else np.inf
+
+
+def _compare_places(
+    imported: Channel, track: _Track, places: NDArray[np.complex128], ledger: Ledger
+) -> None:
+    """Position and time offset against the log's positions."""
+    misfits = [track.misfit(places, float(shift)) for shift in _SHIFTS_S]
+    coarse = float(_SHIFTS_S[int(np.argmin(misfits))])
+    fine = minimize_scalar(
+        lambda shift: min(track.misfit(places, float(shift)), 1e9),
+        bounds=(coarse - 0.5, coarse + 0.5),
+        method="bounded",
+        options={"xatol": 1e-3},
+    )
+    shift, best = float(fine.x), float(fine.fun)
+    distance = track.distances(places, 0.0)
+    now = float(np.median(distance)) if distance.size else np.inf
+    better = best < 0.5 * now and now - best > 2.0
+    if better and abs(shift) > _LARGEST_SHIFT_S and best < _OTHER_FLIGHT_M:
+        leap = "; GPS time is 18 s ahead of UTC since 2017" if 14.5 < abs(shift) < 18.5 else ""
+        zone = "; a time zone" if abs(shift) > 1700.0 else ""
+        raise MissionError(
+            "TRAJECTORY-TIME",
+            f"its times are {abs(shift):.2f} s {'late' if shift < 0 else 'early'}: by that much it "
+            f"fits {track.name} of the log within {best:.1f} m, as it is within {now:.0f} m"
+            f"{leap}{zone}",
+            where=imported.name,
+            remedy="state time: {system: gpst} or {system: utc} as it was written",
+        )
+    if distance.size == 0:
+        theirs, mine = track.time_ns, imported.time_ns
+        raise MissionError(
+            "TRAJECTORY-OVERLAP",
+            f"it covers {_utc(mine[0])} to {_utc(mine[-1])}, the log {_utc(theirs[0])} to "
+            f"{_utc(theirs[-1])}: it is of another flight",
+            where=imported.name,
+            remedy="name the file of this flight, or state the week or the system of its times",
+        )
+    if now > _OTHER_FLIGHT_M:
+        raise MissionError(
+            "TRAJECTORY-PLACE",
+            f"it is {_metres(now)} from {track.name} of the log in the median"
+            + _what_would_fit(imported, track, now),
+            where=imported.name,
+            remedy="name the file of this flight; state position_unit, and which column is which",
+        )
+    kind = _grade(now, "place")
+    if better and abs(shift) > _LARGE_SHIFT_S:
+        kind = max(kind, Kind.WARNING, key=_SERIOUS.index)
+    _enter(ledger, kind, "TRAJECTORY-AGREES", imported.name, distance.size,
+           f"{now:.2f} m from {track.name} of the log in the median, 95 % within "
+           f"{np.percentile(distance, 95):.2f} m; a time offset of {shift:+.3f} s leaves "
+           f"{best:.2f} m")  # fmt: skip
+
+
+def _what_would_fit(imported: Channel, track: _Track, now: float) -> str:
+    """Which mistake about the columns explains a wrong place; empty where none does."""
+    lat, lon = imported["lat_rad"], imported["lon_rad"]
+    mistakes: dict[str, tuple[Array, Array]] = {
+        "with latitude and longitude exchanged": (lon, lat),
+        "with the other sign of the longitude": (lat, -lon),
+        "taken for radians": (lat / RADIANS["deg"], lon / RADIANS["deg"]),
+        "taken for degrees": (lat * RADIANS["deg"], lon * RADIANS["deg"]),
+        "taken for grads": (lat * 0.9, lon * 0.9),
+    }
+    for what, (north, east) in mistakes.items():
+        away = float(np.nanmedian(np.abs(track.metres(north, east))))
+        if away < 0.01 * now:
+            return f"; {what} it is {_metres(away)} from the middle of the flight"
+    return ""
+
+
+def _compare_heights(
+    imported: Channel,
+    rows: NDArray[np.intp],
+    own: Channel,
+    heights: HeightSystem,
+    ledger: Ledger,
+) -> None:
+    """Heights against the log's, above the same surface and above the other."""
+    column = imported.height_column or "h_msl_m"
+    time_ns, mine = imported.time_ns[rows], imported[column][rows]
+    h_msl, h_ellipsoid = heights_at(own, time_ns, heights, _MAX_GAP_S)
+    same, other = (h_msl, h_ellipsoid) if column == "h_msl_m" else (h_ellipsoid, h_msl)
+    if not np.isfinite(same - mine).any():
+        ledger.note("TRAJECTORY-HEIGHT-ALONE", "the log has no height above the same surface to "
+                    "compare it with", where=imported.name)  # fmt: skip
+        return
+    apart = float(np.nanmedian(mine - same))
+    by_other = float(np.nanmedian(mine - other)) if np.isfinite(other - mine).any() else np.inf
+    if abs(apart) > _LIMITS["height"][0] and abs(by_other) < abs(apart) / 3.0:
+        stated, meant = ("ellipsoid", "msl") if column != "h_msl_m" else ("msl", "ellipsoid")
+        raise MissionError(
+            "TRAJECTORY-HEIGHT",
+            f"its heights are {apart:+.1f} m from those of {own.name} as heights above {stated}, "
+            f"and {by_other:+.1f} m as heights above {meant}",
+            where=imported.name,
+            remedy=f"give heights: {meant}, or mend mission.undulation_m",
+        )
+    spread = float(np.nanpercentile(np.abs(mine - same - apart), 95.0))
+    _enter(ledger, _grade(abs(apart), "height"), "TRAJECTORY-HEIGHT-AGREES", imported.name,
+           rows.size, f"{apart:+.2f} m from the height of {own.name} of the log in the median, "
+           f"within {spread:.2f} m of that in 95 %")  # fmt: skip
+
+
+def _compare_attitudes(name: str, mine: Array, theirs: Array, ledger: Ledger) -> None:
+    """Attitudes (n, 4) w, x, y, z against the log's, about the body's axes."""
+    known = np.isfinite(mine).all(axis=1) & np.isfinite(theirs).all(axis=1)
+    if np.count_nonzero(known) < 20:
+        ledger.note("TRAJECTORY-ANGLES-ALONE", "the log has no attitude at its times to compare it "
+                    "with", where=name)  # fmt: skip
+        return
+    own = Rotation.from_quat(theirs[known][:, [1, 2, 3, 0]])
+    imported = Rotation.from_quat(mine[known][:, [1, 2, 3, 0]])
+
+    def apart(attitude: Rotation) -> Array:
+        return np.asarray(np.degrees((own.inv() * attitude).as_rotvec()))
+
+    turned = apart(imported)
+    size = float(np.percentile(np.linalg.norm(turned, axis=1), 90.0))
+    tilt = float(np.median(np.hypot(turned[:, 0], turned[:, 1])))
+    yaw = float(np.median(np.abs(turned[:, 2])))
+    if max(tilt / _LIMITS["tilt"][0], yaw / _LIMITS["yaw"][0]) > 1.0:
+        yaw_pitch_roll = imported.as_euler("ZYX")
+        for what, changed in _MISTAKES.items():
+            mended = Rotation.from_euler("ZYX", changed(yaw_pitch_roll))
+            left = float(np.percentile(np.linalg.norm(apart(mended), axis=1), 90.0))
+            if left < min(5.0, size / 3.0):
+                raise MissionError(
+                    "TRAJECTORY-ANGLES",
+                    f"its attitude is up to {size:.1f} deg from that of the log (90 %), {what} up "
+                    f"to {left:.1f} deg",
+                    where=name,
+                    remedy="state angle_unit and angle_order, and which column is which; roll is "
+                    "right wing down, pitch nose up, yaw clockwise from north",
+                )
+    kind = max(_grade(tilt, "tilt"), _grade(yaw, "yaw"), key=_SERIOUS.index)
+    signed = float(np.median(turned[:, 2]))
+    _enter(ledger, kind, "TRAJECTORY-ANGLES-AGREE", name, int(known.sum()),
+           f"{tilt:.2f} deg from the attitude of the log in tilt and {signed:+.2f} deg in yaw, in "
+           "the median: mount angles count from the body axes of this file")  # fmt: skip
+
+
+def _scaled(factor: float) -> Callable[[Array], Array]:
+    return lambda yaw_pitch_roll: np.asarray(wrapped(yaw_pitch_roll % (2.0 * np.pi) * factor))
+
+
+def _times(*factors: float) -> Callable[[Array], Array]:
+    return lambda yaw_pitch_roll: np.asarray(yaw_pitch_roll * factors)
+
+
+_MISTAKES: Mapping[str, Callable[[Array], Array]] = {
+    "taken for grads": _scaled(0.9),
+    "taken for degrees": _scaled(RADIANS["deg"]),
+    "with the other sign of the yaw": _times(-1.0, 1.0, 1.0),
+    "with the other sign of the pitch": _times(1.0, -1.0, 1.0),
+    "with the other sign of the roll": _times(1.0, 1.0, -1.0),
+    "with roll and pitch exchanged": lambda angles: np.asarray(angles[:, [0, 2, 1]]),
+    "with yaw counted from east to north": lambda angles: np.asarray(
+        np.pi / 2.0 * np.array([1.0, 0.0, 0.0]) + angles * np.array([-1.0, 1.0, 1.0])
+    ),
+}
+
+_SERIOUS = (Kind.NOTE, Kind.WARNING, Kind.LOSS)
+
+
+def _grade(size: float, what: str) -> Kind:
+    """How serious a difference is."""
+    usual, largest = _LIMITS[what]
+    return Kind.LOSS if size > largest else Kind.WARNING if size > usual else Kind.NOTE
+
+
+def _enter(ledger: Ledger, kind: Kind, code: str, where: str, count: int, what: str) -> None:
+    {Kind.NOTE: ledger.note, Kind.WARNING: ledger.warning, Kind.LOSS: ledger.loss}[kind](
+        code, what, where=where, count=count
+    )
+
+
+def _metres(distance: float) -> str:
+    return f"{distance / 1000.0:,.0f} km" if distance > 10_000.0 else f"{distance:.0f} m"
+
+
+def _utc(time_ns: np.int64) -> str:
+    return f"{np.datetime64(int(time_ns), 'ns').astype('datetime64[s]')} UTC"
