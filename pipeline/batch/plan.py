@@ -25,6 +25,8 @@ _MISSION_FILE_KEYS = {
     "events": "events.csv.path",
     "orientation": "stations.orientation.path",
     "known positions": "stations.orientation.known_positions.path",
+    "trajectory": "stations.trajectory.path",
+    "trajectory accuracy": "stations.trajectory.accuracy",
 }
 _LIBRARIES = (
     "numpy", "scipy", "numba", "llvmlite", "pandas", "pyarrow",  # arithmetic and tables
@@ -79,6 +81,13 @@ def input_paths(mission: Mission, folder: Path) -> dict[str, tuple[str, Path]]:
             named["known positions"] = orientation.known_positions.path
     if mission.events is not None and mission.events.csv is not None:
         named["events"] = mission.events.csv.path
+    for camera, source in mission.position_events.items():
+        named[f"events of {camera}"] = source.path
+    trajectory = mission.stations.trajectory
+    if trajectory is not None:
+        named["trajectory"] = trajectory.path
+        if trajectory.accuracy is not None:
+            named["trajectory accuracy"] = trajectory.accuracy
     for number, sounding in enumerate(mission.atmosphere.soundings):
         named[sounding_role(number)] = sounding.path
     return {role: (name, folder / name) for role, name in named.items()}
@@ -100,7 +109,8 @@ def make_plan(mission: Mission, folder: Path) -> Plan:
     for role, (name, path) in input_paths(mission, folder).items():
         try:
             if not path.is_file():
-                key = _MISSION_FILE_KEYS.get(role, "atmosphere.soundings")
+                other = "events.positions" if role.startswith("events") else "atmosphere.soundings"
+                key = _MISSION_FILE_KEYS.get(role, other)
                 raise InputError(
                     "INPUT-MISSING",
                     f"the {role} file is not there",

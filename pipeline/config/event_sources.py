@@ -16,7 +16,7 @@ from pipeline.tables.imports import EventFormat
 _NUMBER_FORMAT = re.compile(r"^0?[0-9]{0,2}d?$")
 
 
-def _checked_pattern(value: str) -> str:
+def image_pattern(value: str) -> str:
     """A pattern of the names of images, once it is one."""
     try:
         pieces = list(string.Formatter().parse(value))
@@ -31,7 +31,7 @@ def _checked_pattern(value: str) -> str:
     return value
 
 
-ImagePattern = Annotated[str, AfterValidator(_checked_pattern)]
+ImagePattern = Annotated[str, AfterValidator(image_pattern)]
 
 
 class LogEvents(Section):

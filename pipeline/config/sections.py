@@ -10,7 +10,7 @@ from pydantic import Field, field_validator, model_validator
 
 from pipeline.config.atmosphere import AtmosphereSection, PathText
 from pipeline.config.cameras import CameraSection, MountSection, Section
-from pipeline.config.event_sources import EventsSection
+from pipeline.config.event_sources import EventsSection, PositionEvents
 from pipeline.config.station_sources import LocalOrigin, StationsSection
 from pipeline.ingest.registry import KNOWN
 from pipeline.refraction import METHODS
@@ -287,6 +287,11 @@ class Mission(Section):
         return self
 
     @property
+    def position_events(self) -> dict[str, PositionEvents]:
+        """Files of exposures with their positions, by camera."""
+        return (self.events.positions if self.events is not None else None) or {}
+
+    @property
     def max_gap_s(self) -> float:
         """The longest interval of a log that is no gap [s]."""
         return LogSection(path="-").max_gap_s if self.log is None else self.log.max_gap_s
@@ -324,11 +329,33 @@ class Mission(Section):
         return self
 
     @model_validator(mode="after")
+    def _check_positions(self) -> Mission:
+        trajectory, events = self.stations.trajectory, self.position_events
+        if self.stations.orientation is not None and (trajectory is not None or events):
+            raise ValueError("stations.orientation has position and attitude of every image: leave "
+                             "stations.trajectory and events.positions out")  # fmt: skip
+        if trajectory is None or not trajectory.moves_stations:
+            return self
+        if trajectory.point == "camera" and len(self.cameras) > 1:
+            raise ValueError("stations.trajectory.point: camera is that of one camera, not of "
+                             f"{', '.join(self.cameras)}")  # fmt: skip
+        if any(not source.times_only for source in events.values()):
+            raise ValueError(
+                "stations.trajectory and events.positions both give positions; events.positions."
+                "<camera>.times_only: true leaves them to the trajectory"
+            )
+        if trajectory.lever_arm_m == "from_events" and not events:
+            raise ValueError("stations.trajectory.lever_arm_m: from_events needs events.positions")
+        return self
+
+    @model_validator(mode="after")
     def _check_camera_names(self) -> Mission:
         known = set(self.cameras)
         used = {"mount": set(self.mount)}
         if self.events is not None and self.events.log is not None:
             used["events.log"] = set(self.events.log)
+        if self.position_events:
+            used["events.positions"] = set(self.position_events)
         if self.events is not None and self.events.csv is not None:
             camera = self.events.csv.camera
             if camera is None and self.events.csv.columns.camera is None and len(known) > 1:

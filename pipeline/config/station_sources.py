@@ -9,6 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from pipeline.config.atmosphere import PathText
 from pipeline.config.cameras import Section
+from pipeline.config.trajectories import TrajectorySection
 from pipeline.flight.heights import GeodeticOrigin
 from pipeline.units import DEGREE
 
@@ -211,3 +212,4 @@ class StationsSection(Section):
     """Stations from elsewhere, and which stations may be used."""
 
     orientation: OrientationSection | None = None
+    trajectory: TrajectorySection | None = None

@@ -101,6 +101,17 @@ class TrajectorySection(Section):
         description="order of the rotations about the body's axes: ZYX is yaw, pitch, roll",
     )
 
+    @property
+    def moves_stations(self) -> bool:
+        """Whether positions come from it, and with them the point that they are of."""
+        return self.replaces is None or "position" in self.replaces
+
+    @property
+    def stated_columns(self) -> dict[str, str]:
+        """Quantity -> column, for those that are named."""
+        named = self.columns.model_dump() if self.columns is not None else {}
+        return {quantity: name for quantity, name in named.items() if name is not None}
+
     @model_validator(mode="after")
     def _check_point(self) -> TrajectorySection:
         if self.lever_arm_m == "from_events" and self.point != "antenna":

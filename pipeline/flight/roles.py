@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,11 @@ _REQUIRED = {"position", "attitude", "aircraft_attitude", "cabin_pressure", "cab
 
 
 def assign_roles(
-    channels: Iterable[Channel], named: Mapping[str, str], *, needs_cabin: bool
+    channels: Iterable[Channel],
+    named: Mapping[str, str],
+    *,
+    needs_cabin: bool,
+    elsewhere: Collection[str] = (),
 ) -> tuple[dict[str, Channel], Notes]:
     """The channel of each role that can be filled, by role.
 
@@ -33,6 +37,7 @@ def assign_roles(
     channels : all channels of the log.
     named : role -> channel named in the mission file.
     needs_cabin : whether the window asks for cabin air from the log.
+    elsewhere : roles that a file other than the log fills: there they are not missed.
 
     The notes hold each choice, and each role left empty. Named channels that are absent refuse the
     mission where the role is needed, and are a loss where it is not. ``aircraft_attitude`` is only
@@ -79,7 +84,7 @@ def assign_roles(
         if needs_cabin:
             notes += _fill(filled, inside_role, everything, named)
     for role in ("position", "attitude"):  # what the cabin lacks is told camera by camera
-        if role not in filled and role not in named:
+        if role not in {*filled, *named, *elsewhere}:
             what = (
                 f"no channel of the log can be taken for the {role.replace('_', ' ')}; it has "
                 + (", ".join(by_name) or "no channel at all")

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from pipeline.batch.plan import Plan
-from pipeline.flight.channels import Channel
+from pipeline.errors import MissionError
+from pipeline.flight.channels import ROLE_COLUMNS, Channel
 from pipeline.flight.heights import HeightSystem, height_system, to_geodetic
 from pipeline.flight.mount import gimbal_notes
 from pipeline.flight.quality import plausible_samples
@@ -13,12 +14,16 @@ from pipeline.flight.roles import assign_roles
 from pipeline.ingest import Log, open_log
 from pipeline.ingest.fields import in_stated_unit
 from pipeline.ledger import Ledger
+from pipeline.tables.imports import CAMERA_EVENTS, TRAJECTORIES, Stated, reader_of
+from pipeline.tables.imports.agreement import compare_with_log
 from pipeline.tables.observations import Observations, open_observations
 
 
 @dataclass(frozen=True, eq=False)
 class FlightLog:
-    """A log after its channels were given their roles; ``roles`` holds plausible values only.
+    """A log after its channels were given their roles; these hold plausible values only.
+
+    ``own`` are the roles as the log fills them; in ``roles`` a trajectory has replaced some.
 
     ``log`` is None, and there are no channels, where the stations come from elsewhere.
     """
@@ -26,7 +31,16 @@ class FlightLog:
     log: Log | None
     channels: tuple[Channel, ...]
     roles: dict[str, Channel]
+    own: dict[str, Channel]
     heights: HeightSystem
+
+    @property
+    def air_roles(self) -> dict[str, Channel]:
+        """Roles for the samples of the air: at the log's own heights, which are there throughout.
+
+        A trajectory may cover the lines alone, without climb and descent.
+        """
+        return self.roles | self.own
 
 
 def read_observations(plan: Plan, ledger: Ledger) -> Observations:
@@ -49,7 +63,7 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     mission = plan.mission
     home = mission.ground.home_h_msl_m
     if mission.log is None:
-        return FlightLog(None, (), {}, HeightSystem(mission.mission.undulation_m, home))
+        return FlightLog(None, (), {}, {}, HeightSystem(mission.mission.undulation_m, home))
     file = plan.input("log")
     log = open_log(file.path, file.sha256)
     channels = log.channels
@@ -69,7 +83,9 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
             )
     needs_cabin = any(camera.needs_cabin_from_log for camera in mission.cameras.values())
     names = {role: stated.name for role, stated in named.items()}
-    roles = ledger.take(assign_roles(channels, names, needs_cabin=needs_cabin))
+    trajectory = read_trajectory(plan, channels, ledger)
+    elsewhere = () if trajectory is None else replaced_roles(plan, trajectory)
+    roles = ledger.take(assign_roles(channels, names, needs_cabin=needs_cabin, elsewhere=elsewhere))
     plausible = {
         role: ledger.take(plausible_samples(channel, role)) for role, channel in roles.items()
     }
@@ -78,7 +94,86 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     heights = ledger.take(height_system(plausible, mission.mission.undulation_m))
     if home is not None:
         heights = replace(heights, home_h_msl_m=home)
-    return FlightLog(log, channels, plausible, heights)
+    own = dict(plausible)
+    if trajectory is not None:
+        compare_with_log(trajectory, own, heights, ledger, replaces=elsewhere)
+        for role in elsewhere:
+            plausible[role] = ledger.take(plausible_samples(trajectory, role))
+        plausible.setdefault("height", plausible["position"]) if "position" in plausible else None
+        former = ", ".join(f"{role} of {own[role].name}" for role in elsewhere if role in own)
+        ledger.note(
+            "TRAJECTORY-REPLACES",
+            f"{trajectory.name} gives {', '.join(elsewhere)}"
+            + (f", in place of {former}" if former else ", which the log has not"),
+            where="stations.trajectory",
+        )
+    return FlightLog(log, channels, plausible, own, heights)
+
+
+def read_trajectory(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -> Channel | None:
+    """The trajectory that the mission file names."""
+    section = plan.mission.stations.trajectory
+    if section is None:
+        return None
+    path = plan.input("trajectory").path
+    _, reader = reader_of(TRAJECTORIES, path, section.format)
+    accuracy = plan.input("trajectory accuracy").path if section.accuracy else None
+    stated = Stated(
+        section.time.system,
+        section.time.week,
+        _time_range(channels),
+        section.heights,
+        accuracy,
+        section.stated_columns,
+        section.position_unit,
+        section.angle_unit,
+        section.angle_order,
+    )
+    return reader(path, stated, ledger)
+
+
+def replaced_roles(plan: Plan, trajectory: Channel) -> tuple[str, ...]:
+    """The roles that a trajectory plays; refuses one that lacks what is to be replaced."""
+    section = plan.mission.stations.trajectory
+    able = [role for role in ("position", "height", "attitude") if trajectory.fits_role(role)]
+    if section is None or section.replaces is None:
+        return tuple(able)
+    for role in section.replaces:
+        if role not in able:
+            raise MissionError(
+                "TRAJECTORY-REPLACES",
+                f"it has no {role} ({', '.join(ROLE_COLUMNS[role])}); it has {', '.join(able)}",
+                where=trajectory.name,
+                remedy="leave that out of stations.trajectory.replaces",
+            )
+    return tuple(section.replaces)
+
+
+def read_camera_events(plan: Plan, flight: FlightLog, ledger: Ledger) -> dict[str, Channel]:
+    """The exposures of each camera that come from a file with their positions."""
+    events = {}
+    for camera, source in plan.mission.position_events.items():
+        path = plan.input(f"events of {camera}").path
+        _, reader = reader_of(CAMERA_EVENTS, path, source.format)
+        around = _time_range(flight.channels)
+        stated = Stated(source.time.system, source.time.week, around, source.heights)
+        events[camera] = reader(path, stated, ledger)
+        compare_with_log(
+            events[camera], flight.own, flight.heights, ledger, replaces=("position", "height")
+        )
+    return events
+
+
+def _time_range(channels: tuple[Channel, ...]) -> tuple[int, int] | None:
+    """First and last time of the positions of a log, or of all that it has [Unix ns]."""
+    filled = [channel for channel in channels if len(channel)]
+    placed = [channel for channel in filled if channel.fits_role("position")] or filled
+    if not placed:
+        return None
+    return (
+        min(int(channel.time_ns[0]) for channel in placed),
+        max(int(channel.time_ns[-1]) for channel in placed),
+    )
 
 
 def _board_as_air(channel: Channel) -> Channel:

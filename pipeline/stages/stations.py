@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
 
 from pipeline.batch.plan import Plan
@@ -15,6 +18,7 @@ from pipeline.flight.exposures import (
     refuse_repeated_images,
     trigger_notes,
 )
+from pipeline.flight.mount import Mount
 from pipeline.flight.station_builder import (
     build_stations,
     flag_missing_aircraft_attitude,
@@ -26,16 +30,20 @@ from pipeline.flight.stations import (
     join_stations,
     unusable_station_notes,
 )
+from pipeline.geodesy import offset_geodetic
 from pipeline.ledger import Ledger
 from pipeline.stages.cabin_air import cabin_from_log
-from pipeline.stages.inputs import FlightLog
+from pipeline.stages.inputs import FlightLog, read_camera_events
 from pipeline.stages.oriented_stations import oriented_stations
 from pipeline.tables.events import EventColumns, read_events
+from pipeline.tables.imports import CAMERA_EVENTS, reader_of
 from pipeline.tables.observations import Observations
 
 
-def exposure_events(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -> list[Events]:
-    """When each camera was exposed, from the log or from a table.
+def exposure_events(
+    plan: Plan, channels: tuple[Channel, ...], positions: Mapping[str, Channel], ledger: Ledger
+) -> list[Events]:
+    """When each camera was exposed, from the log, a table, or files with positions, by camera.
 
     Refuses (MissionError EVENTS-CAMERA) a table that names a camera which the mission lacks.
     """
@@ -50,6 +58,11 @@ def exposure_events(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -
             exposed = events_of_channel(channel, camera, source.image, source.delay_s)
             events.append(ledger.take(exposed))
         return events
+    if section.positions is not None:
+        return [
+            events_of_file(positions[camera], camera, source.image, source.delay_s, ledger)
+            for camera, source in section.positions.items()
+        ]
     csv = section.csv
     if csv is None:
         raise MissionError("EVENTS-NONE", "the mission names no events", where="events")
@@ -69,23 +82,40 @@ def exposure_events(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -
     ]
 
 
+def events_of_file(
+    channel: Channel, camera: str, image: str, delay_s: float, ledger: Ledger
+) -> Events:
+    """Exposures of a file with positions, named by it or by a pattern."""
+    if image != "{name}":
+        return ledger.take(events_of_channel(channel, camera, image, delay_s))
+    names = channel.labels.get("name")
+    if names is None:
+        raise MissionError(
+            "EVENTS-NAMELESS",
+            "the file has no names of images (the column ID of an EO text)",
+            where=channel.name,
+            remedy="name the images by {index} or {n}, as in image: DJI_{index:04d}.JPG",
+        )
+    time_ns = channel.time_ns + round(delay_s * 1e9)
+    return Events(camera, np.array(names, dtype=object), time_ns)
+
+
 def stations_of_mission(
     plan: Plan, flight: FlightLog, observations: Observations, ledger: Ledger
 ) -> Stations:
     """Position, attitude and air of each exposure, or the status that says what is missing."""
     mission = plan.mission
-    events = exposure_events(plan, flight.channels, ledger)
+    positions = read_camera_events(plan, flight, ledger)
+    events = exposure_events(plan, flight.channels, positions, ledger)
     refuse_repeated_images(events)
-    exposed = [
-        build_stations(
-            events_of_camera,
-            flight.roles,
-            mission.mount[events_of_camera.camera].build(),
-            flight.heights,
-            mission.max_gap_s,
-        )
-        for events_of_camera in events
-    ]
+    exposed = []
+    for events_of_camera in events:
+        name, roles = events_of_camera.camera, flight.roles
+        mount, from_events = mount_of(plan, name)
+        if name in positions and not mission.position_events[name].times_only:
+            roles = roles | {"position": positions[name], "height": positions[name]}
+        part = build_stations(events_of_camera, roles, mount, flight.heights, mission.max_gap_s)
+        exposed.append(moved_by_offsets(part, positions.get(name)) if from_events else part)
     if mission.stations.orientation is None:
         stations = join_stations(exposed)
     else:
@@ -102,3 +132,54 @@ def stations_of_mission(
     stations = ledger.take(append_unmatched_images(stations, observations.images))
     ledger.extend(unusable_station_notes(stations))
     return stations
+
+
+def mount_of(plan: Plan, camera: str) -> tuple[Mount, bool]:
+    """The mount with its lever arm from the point whose positions are used.
+
+    The second is True where the way from that point to the camera is that of the events' file.
+    """
+    mission = plan.mission
+    mount = mission.mount[camera].build()
+    events = mission.position_events.get(camera)
+    trajectory = mission.stations.trajectory
+    at_camera = replace(mount, lever_arm_m=(0.0, 0.0, 0.0))
+    if events is not None and not events.times_only:
+        path = plan.input(f"events of {camera}").path
+        name, _ = reader_of(CAMERA_EVENTS, path, events.format)
+        point = events.point or ("antenna" if name == "rtklib" else "camera")
+        if point == "camera":
+            return at_camera, False
+        return (at_camera, True) if name == "mrk" else (mount, False)
+    if trajectory is None or not trajectory.moves_stations:
+        return mount, False
+    if isinstance(trajectory.lever_arm_m, str) or trajectory.point == "camera":
+        return at_camera, trajectory.point != "camera"
+    forward, right, down = np.add(mount.lever_arm_m, trajectory.lever_arm_m).tolist()
+    return replace(mount, lever_arm_m=(forward, right, down)), False
+
+
+def moved_by_offsets(stations: Stations, channel: Channel | None) -> Stations:
+    """Stations moved from the antenna to the camera by the offsets of an MRK file."""
+    if channel is None or "offset_down_m" not in channel.columns:
+        raise MissionError(
+            "EVENTS-OFFSETS",
+            "it has no offsets from the antenna to the camera: only .MRK files have",
+            where="" if channel is None else channel.name,
+            remedy="give stations.trajectory.lever_arm_m in metres",
+        )
+    # The row of the nearest event: a delay moves all alike, by less than half an interval.
+    row = np.searchsorted((channel.time_ns[:-1] + channel.time_ns[1:]) // 2, stations.time_ns)
+    north, east, down = (channel[f"offset_{axis}_m"][row] for axis in ("north", "east", "down"))
+    enu = np.stack([east, north, -down], axis=1)
+    start = np.where(
+        np.isfinite(stations.h_ellipsoid_m), stations.h_ellipsoid_m, np.nan_to_num(stations.h_msl_m)
+    )
+    lat, lon, end = offset_geodetic(stations.lat_rad, stations.lon_rad, start, enu)
+    return replace(
+        stations,
+        lat_rad=lat,
+        lon_rad=lon,
+        h_msl_m=stations.h_msl_m + end - start,
+        h_ellipsoid_m=stations.h_ellipsoid_m + end - start,
+    )

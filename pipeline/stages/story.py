@@ -171,7 +171,7 @@ def prepare_mission(plan: Plan, progress: Progress) -> PreparedMission:
     progress.start("reading the log")
     flight = read_log(plan, ledger)
     stations = stations_of_mission(plan, flight, observations, ledger)
-    samples = ledger.take(air_samples(flight.roles, flight.heights, plan.mission.max_gap_s))
+    samples = ledger.take(air_samples(flight.air_roles, flight.heights, plan.mission.max_gap_s))
     sources = read_air_sources(plan, stations, samples, ledger, flight.heights.home_h_msl_m)
     ledger.extend(flight.log.ledger if flight.log is not None else ())
     return PreparedMission(plan, flight, observations, stations, samples, sources, ledger)

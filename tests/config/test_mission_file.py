@@ -159,6 +159,33 @@ def oriented(orientation: dict[str, Any]) -> dict[str, Any]:
     return ORIENTED | {"stations": {"orientation": orientation}}
 
 
+TRAJECTORY = {
+    "path": "t.csv", "format": "csv", "replaces": ["position", "height", "attitude"],
+    "point": "antenna", "lever_arm_m": [0.1, 0.2, -1.0], "heights": "msl",
+    "time": {"system": "gpst", "week": 2400}, "accuracy": "s.out",
+    "position_unit": "deg", "angle_unit": "grad", "angle_order": "ZYX",
+}  # fmt: skip
+
+
+def with_imports() -> Iterator[dict[str, Any]]:
+    """Trajectories and camera events of others, with the columns that exclude each other."""
+    source = {
+        "path": "e.MRK", "format": "mrk", "image": "{index:04d}.JPG", "times_only": True,
+        "delay_s": 0.1, "point": "camera", "heights": "ellipsoid",
+        "time": {"system": "gpst", "week": 2400},
+    }  # fmt: skip
+    velocities = ("v_north_m_s", "v_east_m_s", "v_down_m_s", "sigma_h_m", "sigma_v_m")
+    for names in (
+        ("latitude", "longitude", "height", "roll", "pitch", "yaw", *velocities),
+        ("x", "y", "z", "q_w", "q_x", "q_y", "q_z", "week"),
+    ):
+        columns = {"time": "t"} | {name: name.upper() for name in names}
+        yield FULL | {
+            "events": {"positions": {"nadir": source, "window": source}},
+            "stations": {"trajectory": TRAJECTORY | {"columns": columns}},
+        }
+
+
 Keys = tuple[str, ...]
 NAMES = {"nadir", "window"}
 
@@ -261,7 +288,13 @@ def fields_of(model: type[BaseModel], seen: set[type[BaseModel]]) -> Iterator[st
 
 
 def test_the_examples_here_use_every_key_there_is(accepted):
-    others = [with_csv_events(), ORIENTED, oriented(GEOGRAPHIC), oriented(TOPOCENTRIC)]
+    others = [
+        with_csv_events(),
+        ORIENTED,
+        oriented(GEOGRAPHIC),
+        oriented(TOPOCENTRIC),
+        *with_imports(),
+    ]
     used = {keys[-1] for tree in (FULL, *others) for keys in keys_of(tree)}
     listed = [*FULL["atmosphere"]["soundings"], *FULL["atmosphere"]["surface"]]
     used |= {key for entry in listed for key in entry}
@@ -446,9 +479,10 @@ def test_cameras_must_agree(refused):
 
 
 def test_exposures_have_one_source_and_one_clock(refused):
-    assert "either log or csv" in refused(changed(FULL, ("events",), {})).what
+    assert "either log, csv or positions" in refused(changed(FULL, ("events",), {})).what
     assert (
-        "either log or csv" in refused(changed(FULL, ("events",), FULL["events"] | CSV_EVENTS)).what
+        "either log, csv or positions"
+        in refused(changed(FULL, ("events",), FULL["events"] | CSV_EVENTS)).what
     )
     columns = ("events", "csv", "columns")
     for given in ({"time_utc": "t", "gps_week": "w", "gps_seconds": "s"}, {"gps_week": "w"}, {}):

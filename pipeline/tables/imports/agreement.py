@@ -18,7 +18,7 @@ from pipeline.flight.channels import Array, Channel
 from pipeline.flight.heights import HeightSystem, heights_at
 from pipeline.flight.trajectory import interpolate_attitude
 from pipeline.geodesy import principal_radii
-from pipeline.ledger import Kind, Ledger
+from pipeline.ledger import Entry, Kind, Ledger
 from pipeline.tables.imports.stated import RADIANS
 from pipeline.tables.imports.tracks import wrapped
 
@@ -27,12 +27,14 @@ _MAX_GAP_S = 5.0
 
 # Seconds by which clocks are usually set wrong: leap seconds and their like, and time zones.
 _SHIFTS_S = np.concatenate([np.arange(-60.0, 60.1, 0.5), 3600.0 * np.arange(-14.0, 14.1, 0.5)])
-_LARGEST_SHIFT_S, _LARGE_SHIFT_S = 0.75, 0.15
 
-# Limits of [m] in place and height and [deg] in tilt and yaw: beyond the first a warning, beyond
-# the second a loss. Autopilots are within the first.
-_LIMITS = {"place": (5.0, 20.0), "height": (10.0, 30.0), "tilt": (3.0, 20.0), "yaw": (10.0, 30.0)}
-_OTHER_FLIGHT_M = 100.0
+# Limits of place and height [m], tilt and yaw [deg] and time [s]: beyond the first a warning,
+# beyond the second a loss. Autopilots are within the first.
+_LIMITS = {
+    "place": (5.0, 20.0), "height": (10.0, 30.0), "tilt": (3.0, 20.0), "yaw": (10.0, 30.0),
+    "time": (0.15, 0.75),
+}  # fmt: skip
+_OTHER_FLIGHT_M, _LARGE_TURN_DEG = 100.0, 5.0
 
 
 def compare_with_log(
@@ -58,14 +60,14 @@ def compare_with_log(
     rows = known[np.unique(np.linspace(0, known.size - 1, _MOST_SAMPLES).astype(int))]
     track = _Track(position, imported.time_ns[rows])
     places = track.metres(imported["lat_rad"][rows], imported["lon_rad"][rows])
-    _compare_places(imported, track, places, ledger)
+    compare_places(imported, track, places, ledger)
     time_ns = imported.time_ns[rows]
     if "height" in replaces and "height" in own:
-        _compare_heights(imported, rows, own["height"], heights, ledger)
+        compare_heights(imported, rows, own["height"], heights, ledger)
     if "attitude" in replaces and "attitude" in own:
         theirs, _ = interpolate_attitude(own["attitude"], time_ns, _MAX_GAP_S)
         mine = np.stack([imported[f"q_{axis}"][rows] for axis in "wxyz"], axis=1)
-        _compare_attitudes(imported.name, mine, theirs, ledger)
+        compare_attitudes(imported.name, mine, theirs, ledger)
 
 
 class _Track:
@@ -105,7 +107,7 @@ class _Track:
         return float(np.median(distance)) if distance.size >= enough else np.inf
 
 
-def _compare_places(
+def compare_places(
     imported: Channel, track: _Track, places: NDArray[np.complex128], ledger: Ledger
 ) -> None:
     """Position and time offset against the log's positions."""
@@ -121,7 +123,7 @@ def _compare_places(
     distance = track.distances(places, 0.0)
     now = float(np.median(distance)) if distance.size else np.inf
     better = best < 0.5 * now and now - best > 2.0
-    if better and abs(shift) > _LARGEST_SHIFT_S and best < _OTHER_FLIGHT_M:
+    if better and abs(shift) > _LIMITS["time"][1] and best < _OTHER_FLIGHT_M:
         leap = "; GPS time is 18 s ahead of UTC since 2017" if 14.5 < abs(shift) < 18.5 else ""
         zone = "; a time zone" if abs(shift) > 1700.0 else ""
         raise MissionError(
@@ -145,20 +147,19 @@ def _compare_places(
         raise MissionError(
             "TRAJECTORY-PLACE",
             f"it is {_metres(now)} from {track.name} of the log in the median"
-            + _what_would_fit(imported, track, now),
+            + likely_mistake(imported, track, now),
             where=imported.name,
             remedy="name the file of this flight; state position_unit, and which column is which",
         )
-    kind = _grade(now, "place")
-    if better and abs(shift) > _LARGE_SHIFT_S:
-        kind = max(kind, Kind.WARNING, key=_SERIOUS.index)
-    _enter(ledger, kind, "TRAJECTORY-AGREES", imported.name, distance.size,
-           f"{now:.2f} m from {track.name} of the log in the median, 95 % within "
-           f"{np.percentile(distance, 95):.2f} m; a time offset of {shift:+.3f} s leaves "
-           f"{best:.2f} m")  # fmt: skip
+    kind = _grade(place=now, time=abs(shift) if better else 0.0)
+    what = (
+        f"{now:.2f} m from {track.name} of the log in the median, 95 % within "
+        f"{np.percentile(distance, 95):.2f} m; a time offset of {shift:+.3f} s leaves {best:.2f} m"
+    )
+    ledger.add(Entry(kind, "TRAJECTORY-AGREES", what, imported.name, distance.size))
 
 
-def _what_would_fit(imported: Channel, track: _Track, now: float) -> str:
+def likely_mistake(imported: Channel, track: _Track, now: float) -> str:
     """Which mistake about the columns explains a wrong place; empty where none does."""
     lat, lon = imported["lat_rad"], imported["lon_rad"]
     mistakes: dict[str, tuple[Array, Array]] = {
@@ -175,7 +176,7 @@ def _what_would_fit(imported: Channel, track: _Track, now: float) -> str:
     return ""
 
 
-def _compare_heights(
+def compare_heights(
     imported: Channel,
     rows: NDArray[np.intp],
     own: Channel,
@@ -203,12 +204,15 @@ def _compare_heights(
             remedy=f"give heights: {meant}, or mend mission.undulation_m",
         )
     spread = float(np.nanpercentile(np.abs(mine - same - apart), 95.0))
-    _enter(ledger, _grade(abs(apart), "height"), "TRAJECTORY-HEIGHT-AGREES", imported.name,
-           rows.size, f"{apart:+.2f} m from the height of {own.name} of the log in the median, "
-           f"within {spread:.2f} m of that in 95 %")  # fmt: skip
+    what = (
+        f"{apart:+.2f} m from the height of {own.name} of the log in the median, within "
+        f"{spread:.2f} m of that in 95 %"
+    )
+    kind = _grade(height=abs(apart))
+    ledger.add(Entry(kind, "TRAJECTORY-HEIGHT-AGREES", what, imported.name, rows.size))
 
 
-def _compare_attitudes(name: str, mine: Array, theirs: Array, ledger: Ledger) -> None:
+def compare_attitudes(name: str, mine: Array, theirs: Array, ledger: Ledger) -> None:
     """Attitudes (n, 4) w, x, y, z against the log's, about the body's axes."""
     known = np.isfinite(mine).all(axis=1) & np.isfinite(theirs).all(axis=1)
     if np.count_nonzero(known) < 20:
@@ -217,46 +221,47 @@ def _compare_attitudes(name: str, mine: Array, theirs: Array, ledger: Ledger) ->
         return
     own = Rotation.from_quat(theirs[known][:, [1, 2, 3, 0]])
     imported = Rotation.from_quat(mine[known][:, [1, 2, 3, 0]])
+    angles, down = imported.as_euler("ZYX"), np.array([0.0, 0.0, 1.0])
 
-    def apart(attitude: Rotation) -> Array:
-        return np.asarray(np.degrees((own.inv() * attitude).as_rotvec()))
+    def apart(attitude: Rotation) -> float:
+        return float(np.degrees(np.percentile((own.inv() * attitude).magnitude(), 90.0)))
 
-    turned = apart(imported)
-    size = float(np.percentile(np.linalg.norm(turned, axis=1), 90.0))
-    tilt = float(np.median(np.hypot(turned[:, 0], turned[:, 1])))
-    yaw = float(np.median(np.abs(turned[:, 2])))
-    if max(tilt / _LIMITS["tilt"][0], yaw / _LIMITS["yaw"][0]) > 1.0:
-        yaw_pitch_roll = imported.as_euler("ZYX")
-        for what, changed in _MISTAKES.items():
-            mended = Rotation.from_euler("ZYX", changed(yaw_pitch_roll))
-            left = float(np.percentile(np.linalg.norm(apart(mended), axis=1), 90.0))
-            if left < min(5.0, size / 3.0):
-                raise MissionError(
-                    "TRAJECTORY-ANGLES",
-                    f"its attitude is up to {size:.1f} deg from that of the log (90 %), {what} up "
-                    f"to {left:.1f} deg",
-                    where=name,
-                    remedy="state angle_unit and angle_order, and which column is which; roll is "
-                    "right wing down, pitch nose up, yaw clockwise from north",
-                )
-    kind = max(_grade(tilt, "tilt"), _grade(yaw, "yaw"), key=_SERIOUS.index)
-    signed = float(np.median(turned[:, 2]))
-    _enter(ledger, kind, "TRAJECTORY-ANGLES-AGREE", name, int(known.sum()),
-           f"{tilt:.2f} deg from the attitude of the log in tilt and {signed:+.2f} deg in yaw, in "
-           "the median: mount angles count from the body axes of this file")  # fmt: skip
+    size = apart(imported)
+    for what, changed in _MISTAKES.items() if size > _LARGE_TURN_DEG else ():
+        left = apart(Rotation.from_euler("ZYX", changed(angles)))
+        if left < min(_LARGE_TURN_DEG, size / 3.0):
+            raise MissionError(
+                "TRAJECTORY-ANGLES",
+                f"its attitude is up to {size:.1f} deg from that of the log (90 %), {what} up to "
+                f"{left:.1f} deg",
+                where=name,
+                remedy="state angle_unit and angle_order, and which column is which; roll is right "
+                "wing down, pitch nose up, yaw clockwise from north",
+            )
+    cosine = np.sum(own.inv().apply(down) * imported.inv().apply(down), axis=1)
+    tilt = float(np.degrees(np.median(np.arccos(np.clip(cosine, -1.0, 1.0)))))
+    yaw = float(np.degrees(np.median(wrapped(angles[:, 0] - own.as_euler("ZYX")[:, 0]))))
+    what = (
+        f"{tilt:.2f} deg from the attitude of the log in tilt and {yaw:+.2f} deg in yaw, in the "
+        "median: mount angles count from the body axes of this file"
+    )
+    kind = _grade(tilt=tilt, yaw=abs(yaw))
+    ledger.add(Entry(kind, "TRAJECTORY-ANGLES-AGREE", what, name, int(known.sum())))
 
 
 def _scaled(factor: float) -> Callable[[Array], Array]:
-    return lambda yaw_pitch_roll: np.asarray(wrapped(yaw_pitch_roll % (2.0 * np.pi) * factor))
+    """Another unit of the angles; the yaw counts from 0 to a full circle."""
+    circle = np.array([2.0 * np.pi, 0.0, 0.0])
+    return lambda angles: np.asarray((angles + circle * (angles < 0.0)) * factor)
 
 
 def _times(*factors: float) -> Callable[[Array], Array]:
-    return lambda yaw_pitch_roll: np.asarray(yaw_pitch_roll * factors)
+    return lambda angles: np.asarray(angles * factors)
 
 
 _MISTAKES: Mapping[str, Callable[[Array], Array]] = {
     "taken for grads": _scaled(0.9),
-    "taken for degrees": _scaled(RADIANS["deg"]),
+    "taken for radians": _scaled(1.0 / RADIANS["deg"]),
     "with the other sign of the yaw": _times(-1.0, 1.0, 1.0),
     "with the other sign of the pitch": _times(1.0, -1.0, 1.0),
     "with the other sign of the roll": _times(1.0, 1.0, -1.0),
@@ -266,19 +271,11 @@ _MISTAKES: Mapping[str, Callable[[Array], Array]] = {
     ),
 }
 
-_SERIOUS = (Kind.NOTE, Kind.WARNING, Kind.LOSS)
 
-
-def _grade(size: float, what: str) -> Kind:
-    """How serious a difference is."""
-    usual, largest = _LIMITS[what]
-    return Kind.LOSS if size > largest else Kind.WARNING if size > usual else Kind.NOTE
-
-
-def _enter(ledger: Ledger, kind: Kind, code: str, where: str, count: int, what: str) -> None:
-    {Kind.NOTE: ledger.note, Kind.WARNING: ledger.warning, Kind.LOSS: ledger.loss}[kind](
-        code, what, where=where, count=count
-    )
+def _grade(**sizes: float) -> Kind:
+    """How serious the worst of some differences is, by their names in `_LIMITS`."""
+    level = max(sum(size > limit for limit in _LIMITS[what]) for what, size in sizes.items())
+    return (Kind.NOTE, Kind.WARNING, Kind.LOSS)[level]
 
 
 def _metres(distance: float) -> str:

@@ -79,7 +79,7 @@ def read_pos(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         time_ns = utc_of_week_seconds(path, seconds, stated, system, week)
     if names[0] == "JST":
         time_ns = time_ns - _JST_NS
-    place = _positions(path, header, value, stated)
+    place = positions_of(path, header, value, stated)
     quality = value["Q"]
     readable &= np.isfinite(quality) & (quality > 0) & np.isfinite(place["lat_rad"])
     place |= {"solution_quality": quality, "event_index": np.arange(1.0, len(rows) + 1.0)}
@@ -95,7 +95,7 @@ def read_pos(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     return channel
 
 
-def _positions(
+def positions_of(
     path: Path, header: list[str], value: dict[str, Array], stated: Stated
 ) -> dict[str, Array]:
     """Positions and their sigmas per axis, whichever coordinates the file has."""
@@ -108,7 +108,7 @@ def _positions(
     if "x-ecef(m)" in value:
         x, y, z = (value[f"{axis}-ecef(m)"] for axis in "xyz")
         lat, lon, height = geodetic_of_ecef(x, y, z)
-        sigma_h, sigma_v = _sigmas_of_ecef(value, lat, lon)
+        sigma_h, sigma_v = sigmas_of_ecef(value, lat, lon)
         surface = height_column(path, stated, "ellipsoid")
     elif "e-baseline(m)" in value:
         base = next((line for line in header if re.match(r"%\s*ref pos\s*:", line)), "")
@@ -129,8 +129,11 @@ def _positions(
         if _DEGREES in value:
             lat, lon = np.radians(value[_DEGREES]), np.radians(value["longitude(deg)"])
         else:
-            lat, lon = (_of_minutes(*(value[f"{axis}_{p}"] for p in "dms"))
-                        for axis in ("lat", "lon"))  # fmt: skip
+            parts = {axis: [value[f"{axis}_{part}"] for part in "dms"] for axis in ("lat", "lon")}
+            lat, lon = (  # the degrees carry the sign, -0 as well
+                np.radians(np.copysign(np.abs(d) + m / 60.0 + sec / 3600.0, d))
+                for d, m, sec in parts.values()
+            )
         height = value["height(m)"]
         sigma_h, sigma_v = sigma("ne"), sigma("u")
         said = re.search(r"height=[^/]+/(ellipsoidal|geodetic)", "\n".join(header))
@@ -145,13 +148,7 @@ def _positions(
     }
 
 
-def _of_minutes(degrees: Array, minutes: Array, seconds: Array) -> Array:
-    """Degrees, minutes and seconds [rad]; the degrees carry the sign, -0 as well."""
-    size = np.abs(degrees) + minutes / 60.0 + seconds / 3600.0
-    return np.asarray(np.radians(np.copysign(size, degrees)))
-
-
-def _sigmas_of_ecef(value: dict[str, Array], lat: Array, lon: Array) -> tuple[Array, Array]:
+def sigmas_of_ecef(value: dict[str, Array], lat: Array, lon: Array) -> tuple[Array, Array]:
     """Sigmas per horizontal axis and in height from a covariance in earth-centred axes.
 
     RTKLIB writes covariances as square roots with the sign of the covariance.

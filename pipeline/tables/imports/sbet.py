@@ -43,7 +43,7 @@ def read_sbet(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     positions once turned by the same angle; where they are not in that frame, by the heading
     against the course. Velocities and rates that contradict positions and attitude are left out.
     """
-    rows = _rows(path, ledger)
+    rows = sbet_rows(path, ledger)
     system = time_system(path, stated)
     time_ns = utc_of_week_seconds(path, rows[:, 0], stated, system)
     order = np.argsort(time_ns, kind="stable")
@@ -53,7 +53,7 @@ def read_sbet(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         "lon_rad": wrapped(rows[:, 2]),
         height_column(path, stated): rows[:, 3],
     }
-    sign, velocity = _wander_sign(path, time_ns, rows, ledger)
+    sign, velocity = wander_sign(path, time_ns, rows, ledger)
     if velocity is not None:
         columns |= {"v_north_m_s": velocity.real, "v_east_m_s": velocity.imag}
     heading = rows[:, 9] + sign * rows[:, 10]
@@ -67,12 +67,12 @@ def read_sbet(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     if misfit < 0.5 * np.median(np.abs(rates)):
         columns |= {f"rate_{axis}_rad_s": rows[:, 14 + k] for k, axis in enumerate("xyz")}
     if stated.accuracy is not None:
-        columns |= _sigmas(stated.accuracy, rows[:, 0])
+        columns |= smrmsg_sigmas(stated.accuracy, rows[:, 0])
     return channel_of_rows(path, "SBET", time_ns, columns, ledger,
                            readable=np.ones(time_ns.shape, np.bool_))  # fmt: skip
 
 
-def _rows(path: Path, ledger: Ledger) -> Array:
+def sbet_rows(path: Path, ledger: Ledger) -> Array:
     """(n, 17) rows; refuses what is no SBET with what it is instead."""
     content = path.read_bytes()
     size = 8 * _ROW
@@ -85,7 +85,7 @@ def _rows(path: Path, ledger: Ledger) -> Array:
             raise not_of_format(path, "its numbers are big-endian: an SBET is little-endian",
                                 "export it again without swapping bytes")  # fmt: skip
         sigmas = np.frombuffer(content, "<f8", len(content) // 80 * _SIGMA_ROW)
-        if _are_sigmas(sigmas.reshape(-1, _SIGMA_ROW)):
+        if _aresmrmsg_sigmas(sigmas.reshape(-1, _SIGMA_ROW)):
             raise not_of_format(
                 path,
                 "it has the rows of a smrmsg file (10 doubles): standard deviations, no trajectory",
@@ -134,7 +134,7 @@ def _implausible(rows: Array) -> str:
     return ""
 
 
-def _are_sigmas(rows: Array) -> bool:
+def _aresmrmsg_sigmas(rows: Array) -> bool:
     return bool(
         rows.shape[0] > 2
         and np.isfinite(rows).all()
@@ -145,7 +145,7 @@ def _are_sigmas(rows: Array) -> bool:
     )
 
 
-def _wander_sign(
+def wander_sign(
     path: Path, time_ns: NDArray[np.int64], rows: Array, ledger: Ledger
 ) -> tuple[float, NDArray[np.complex128] | None]:
     """The sign of the wander angle in the true heading, and the velocity north + 1j east.
@@ -224,11 +224,11 @@ def _wander_sign(
     return sign, None
 
 
-def _sigmas(path: Path, seconds: Array) -> dict[str, Array]:
+def smrmsg_sigmas(path: Path, seconds: Array) -> dict[str, Array]:
     """Sigmas of a smrmsg file at the times of the SBET; NaN where it has none."""
     content = path.read_bytes()
     rows = np.frombuffer(content, "<f8", len(content) // 80 * _SIGMA_ROW).reshape(-1, _SIGMA_ROW)
-    if len(content) % 80 or not _are_sigmas(rows):
+    if len(content) % 80 or not _aresmrmsg_sigmas(rows):
         raise not_of_format(path, "it is no smrmsg file: rows of 10 doubles, time and sigmas",
                             "give the smrmsg file that was written with the SBET")  # fmt: skip
     rows = rows[np.argsort(rows[:, 0], kind="stable")]

@@ -54,7 +54,7 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         quantity: np.array([number(field) for field in table[name]])
         for quantity, name in stated.columns.items()
     }
-    time_ns, readable = _times(path, table, value, stated)
+    time_ns, readable = utc_of_column(path, table, value, stated)
     columns = {name: value[name] for name in _AS_THEY_ARE if name in value}
     if "x" in value:
         lat, lon, height = geodetic_of_ecef(value["x"], value["y"], value["z"])
@@ -73,7 +73,7 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         surface = height_column(path, stated)
     columns |= {"lat_rad": lat, "lon_rad": lon, surface: height}
     if "yaw" in value:
-        columns |= _quaternions(path, value, stated)
+        columns |= quaternions_of_angles(path, value, stated)
     readable = readable & np.isfinite(np.stack([lat, lon, height])).all(axis=0)
     return channel_of_rows(path, "CSV", time_ns, columns, ledger, readable=readable)
 
@@ -92,7 +92,7 @@ def _table(path: Path) -> pd.DataFrame:
     )
 
 
-def _times(
+def utc_of_column(
     path: Path, table: pd.DataFrame, value: dict[str, Array], stated: Stated
 ) -> tuple[TimeArray, NDArray[np.bool_]]:
     """UTC of the rows, and which have a readable time."""
@@ -125,7 +125,7 @@ def _times(
     return utc_of_calendar(time_ns, system), stamps.notna().to_numpy()
 
 
-def _quaternions(path: Path, value: dict[str, Array], stated: Stated) -> dict[str, Array]:
+def quaternions_of_angles(path: Path, value: dict[str, Array], stated: Stated) -> dict[str, Array]:
     """v_ned = R(q) v_body from roll, pitch and yaw in the stated unit and order."""
     unit = RADIANS[stated.angle_unit]
     by_axis = {"X": value["roll"], "Y": value["pitch"], "Z": value["yaw"]}
