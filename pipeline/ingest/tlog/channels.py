@@ -23,7 +23,7 @@ from pipeline.ingest.buffers import ColumnStore, allocate
 from pipeline.ingest.channel_builder import DecodedRows, channel_of
 from pipeline.ingest.fields import MessageMap, extract
 from pipeline.ingest.tlog.borrowed_clock import unix_us
-from pipeline.ingest.tlog.clock import CLOCK_FIELDS, MICROSECOND, Clocks, Key, by_source
+from pipeline.ingest.tlog.clock import CLOCK_FIELDS, LATEST_NS, MICROSECOND, Clocks, Key, by_source
 from pipeline.ingest.tlog.fields import LABELS, MESSAGES, PARAM_VALUE
 from pipeline.ledger import Ledger
 
@@ -48,7 +48,9 @@ def channels_of(
                 rows = whole_texts(rows, series.records())
             if series.key == "CAMERA_IMAGE_CAPTURED":
                 rows = rows.take(captured_images(series.records(), rows.name, ledger))
-            if spec.event:  # the link may deliver an exposure late
+            late_ns = np.maximum.accumulate(rows.time_ns) - rows.time_ns
+            if spec.event or 0 < int(late_ns.max(initial=0)) < LATEST_NS:
+                # the link delivers exposures late, and others overtake each other
                 rows = rows.take(np.argsort(rows.time_ns, kind="stable"))
             channel = channel_of(rows, spec, ledger)
             if channel is not None:

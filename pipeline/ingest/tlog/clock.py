@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.flight.channels import TimeArray
-from pipeline.flight.clock import STRAY_ROWS, UNIX_US_FROM, clock_map, stray_times
+from pipeline.flight.clock import BOOT_STEP_NS, STRAY_ROWS, UNIX_US_FROM, clock_map, stray_times
 from pipeline.ingest.boot_clock import (
     BootClock,
     UtcReadings,
@@ -321,6 +321,12 @@ def _fit_sender(
     """A sender's clock; without UTC of its own it is set by when its messages were received."""
     where = f"system {source[0]}, component {source[1]}"
     readings = readings.take(~stray_times(readings.boot_ns))  # a glitch of the clock is no boot
+    # Nor is a message that others overtook: its sender was on long before those were received.
+    newest = np.maximum.accumulate(readings.boot_ns)
+    row = np.maximum.accumulate(np.where(newest == readings.boot_ns, np.arange(newest.shape[0]), 0))
+    late = newest - readings.boot_ns
+    on_before = readings.host_ns - readings.boot_ns < readings.host_ns[row] - LATEST_NS
+    readings = readings.take(~((late > BOOT_STEP_NS) & (late < LATEST_NS) & on_before))
     at, boot_ns = readings.at, readings.boot_ns
     step = np.diff(boot_ns)
     # A new boot starts near zero too, but not exactly when the count was full by the host's clock.

@@ -143,6 +143,7 @@ class _Scanner:
         self.host_us = 0
         self.result = Scan()
         self.sequences: dict[int, int] = {}
+        self.highest: dict[int, int] = {}  # how far the highest number is ahead of the last
         self.heard_us: dict[int, int] = {}
 
     def scan_stretch(self, begin: int, stop: int) -> None:
@@ -243,9 +244,9 @@ class _Scanner:
     def count_lost(self, frames: Frames) -> None:
         """Messages missing by the sequence numbers of each sender.
 
-        A step back or a repeat (a second link, a reordering, a restart) is no loss: of the 256
-        possible steps the upper half is taken as backward. A silence before a message counts
-        unless few stamps on one side of it are stray.
+        A step back or a repeat (a second link, a restart) is no loss: of the 256 possible steps the
+        upper half is taken as backward. What comes late fills the gap that it left. A silence
+        before a message counts unless few stamps on one side of it are stray.
         """
         source = _source_of(frames)
         order = np.argsort(source, kind="stable")
@@ -257,10 +258,15 @@ class _Scanner:
             before = np.uint8(self.sequences.get(key, (int(numbers[0]) - 1) % 256))
             step = np.diff(numbers, prepend=before) - np.uint8(1)
             self.sequences[key] = int(numbers[-1])
-            lost = int(step[step < 128].sum(dtype=np.int64))
-            self.result.lost[divmod(key, 256)] += lost
             host = host_us[first:stop]
             heard_us = self.heard_us.get(key, int(host[0]))
+            forward = step.view(np.int8).astype(np.int64) + 1
+            forward[(forward < 0) & (np.diff(host, prepend=heard_us) > SILENT_US)] = 1
+            place, highest = np.cumsum(forward), self.highest.get(key, 0)
+            new = np.unique(place[place > highest])
+            lost = int(new[-1]) - highest - new.shape[0] if new.size else 0
+            self.highest[key] = max(highest, int(place.max())) - int(place[-1])
+            self.result.lost[divmod(key, 256)] += lost
             for row in np.flatnonzero(np.diff(host, prepend=heard_us) > SILENT_US).tolist():
                 last = int(host[max(row - STRAY_ROWS - 1, 0) : row].max(initial=heard_us))
                 silent_us = int(host[row : row + STRAY_ROWS + 1].min()) - last

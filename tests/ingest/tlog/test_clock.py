@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -302,3 +303,47 @@ def test_a_stamp_far_from_the_senders_clock_is_left() -> None:
     clock_ns = np.array([ROUND_US + 100 * 10**9])
     stamp_ns = np.array([100 * 10**9 + NEAR_NS + 1])
     assert unrolled(stamp_ns, clock_ns, ROUND_US).tolist() == stamp_ns.tolist()
+
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+
+
+def frames_of(data: bytes) -> list[bytes]:
+    """The frames of a log without damage, each with the stamp before it."""
+    from pipeline.ingest.tlog.frames import frame_length
+
+    frames, at = [], 0
+    while at < len(data) and (length := frame_length(data[at : at + 400], 0)):
+        frames.append(data[at : at + length])
+        at += length
+    return frames
+
+
+@pytest.mark.parametrize("name", ["sample", "sitl_belowsea_2cam.tlog"])
+def test_packets_that_others_overtake_are_no_boot_and_no_loss(
+    tmp_path: Path, real_log: Callable, name: str
+) -> None:
+    """Half a second of packets arrives 1.4 s late, behind those that were sent after it."""
+    whole = REPOSITORY / "sample_logs" / "flight.tlog" if name == "sample" else real_log(name)
+    frames = frames_of(whole.read_bytes())
+    stamps = np.array([struct.unpack(">Q", frame[:8])[0] for frame in frames])
+    for fraction in (0.3, 0.6):
+        first = int(np.searchsorted(stamps, stamps[0] + fraction * (stamps[-1] - stamps[0])))
+        last, back = (int(k) for k in np.searchsorted(stamps, stamps[first] + [500_000, 1_900_000]))
+        stamp = frames[back][:8]
+        moved = [stamp + frame[8:] for frame in frames[first:last]]
+        frames = frames[:first] + frames[last:back] + moved + frames[back:]
+    path = tmp_path / "late.tlog"
+    path.write_bytes(b"".join(frames))
+    log, expected = open_log(path), open_log(whole)
+    assert log.boots == expected.boots == 1
+    known = {(entry.code, entry.count) for entry in expected.ledger if entry.kind == "loss"}
+    assert {(entry.code, entry.count) for entry in log.ledger if entry.kind == "loss"} == known
+    assert not {entry.code for entry in log.ledger} & {"TIME-SET-BACK", "TIME-BACKWARD"}
+    for channel in expected.channels:
+        ours = log.channel(channel.name)
+        if channel.name in ("ATTITUDE", "GLOBAL_POSITION_INT"):  # which carry their own time
+            # a SYSTEM_TIME less in the median of UTC
+            assert np.abs(ours.time_ns - channel.time_ns).max() < 1000
+            for column in channel.columns:
+                np.testing.assert_array_equal(ours[column], channel[column], column)
