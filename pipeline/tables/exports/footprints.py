@@ -1,0 +1,74 @@
+"""What the exports of stations have in common: which have a place, and what each image shows."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.flight.rotations import matrices_of
+from pipeline.geodesy import euler_radius, offset_geodetic
+from pipeline.ledger import Ledger
+from pipeline.refraction.image import straight_reach
+from pipeline.tables.exports.format import FinishedRun
+
+Array = NDArray[np.float64]
+
+
+def placed_stations(
+    run: FinishedRun, known: NDArray[np.bool_], what: str, ledger: Ledger
+) -> NDArray[np.int64]:
+    """(n,) the stations that are ``known`` (s,); the others are a loss, ``what`` they lack."""
+    missing = run.stations.image[~known]
+    if missing.size:
+        ledger.loss(
+            "EXPORT-LEFT-OUT",
+            f"{missing.size} stations have no {what} and are left out, the first {missing[0]}",
+            where="stations.parquet",
+            count=int(missing.size),
+        )
+    return np.flatnonzero(known).astype(np.int64)
+
+
+def footprints(run: FinishedRun, ledger: Ledger) -> Array:
+    """(s, 4, 2) longitude, latitude [deg] of the ground at the corners of each image.
+
+    Counter-clockwise seen from above, from the upper left: straight lines through the corners, at
+    the height ``run.ground_m``; refraction moves them by some metres. Longitudes go on beyond 180
+    degrees across that meridian. NaN for an image without ground, or a corner of which shows none
+    (ledger: EXPORT-NO-GROUND).
+    """
+    stations, corners = run.stations, np.full((len(run.stations), 4, 2), np.nan)
+    turn = matrices_of(stations.quaternion)
+    height = np.where(np.isfinite(stations.h_ellipsoid_m), stations.h_ellipsoid_m, stations.h_msl_m)
+    for name, camera in run.cameras.items():
+        width, depth = camera.camera.width_px, camera.camera.height_px
+        u, v, _ = camera.camera.rays(
+            np.array([0.0, 0.0, width, width]), np.array([0.0, depth, depth, 0.0])
+        )
+        rays = np.stack([u, v, np.ones(4)], axis=1) / np.sqrt(u * u + v * v + 1.0)[:, None]
+        rows = run.rows_of(name)
+        rows = rows[run.ground_m[rows] < stations.h_msl_m[rows]]
+        for corner, ray in enumerate(rays):
+            enu = np.einsum("nji,j->ni", turn[rows], ray)
+            azimuth = np.arctan2(enu[:, 0], enu[:, 1])
+            radius = run.exposures.radius_m or euler_radius(stations.lat_rad[rows], azimuth)
+            reach = straight_reach(
+                stations.h_msl_m[rows], run.ground_m[rows], -enu[:, 2], radius=radius, far=False
+            )
+            lat, lon, _ = offset_geodetic(
+                stations.lat_rad[rows], stations.lon_rad[rows], height[rows], enu * reach[:, None]
+            )
+            lon = np.unwrap([stations.lon_rad[rows], lon], axis=0)[1]
+            corners[rows, corner] = np.degrees(np.stack([lon, lat], axis=1))
+    without = np.isnan(corners).any(axis=(1, 2))
+    corners[without] = np.nan
+    count = int((without & run.exposures.usable).sum())
+    if count:
+        ledger.loss(
+            "EXPORT-NO-GROUND",
+            f"{count} images have no footprint: no ground height is known (--ground-height gives "
+            "one), or a corner shows no ground",
+            where="observations",
+            count=count,
+        )
+    return corners
