@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pipeline.flight.channels import Array, Channel
-from pipeline.flight.rotations import CAMERA_AT_REST
-from pipeline.ledger import Entry, Kind, Notes, warning
+from pipeline.flight.rotations import CAMERA_AT_REST, matrices_of, ned_from_body, quaternions_of
+from pipeline.flight.trajectory import interpolate_attitude
+from pipeline.ledger import Entry, Kind, Notes, note, warning
 
+_Q = ("q_w", "q_x", "q_y", "q_z")
 _GIMBALS = ("MNT", "MOUNTSTATUS", "MOUNTORIENTATION", "GIMBALDEVICEATTITUDESTATUS")
 
 # A camera on a gimbal looks along its forward axis; with the mount of an aircraft, in which it
@@ -38,6 +40,63 @@ class Mount:
         """
         turn = Rotation.from_euler("ZYX", [self.yaw_rad, self.pitch_rad, self.roll_rad])
         return np.asarray(CAMERA_AT_REST @ turn.as_matrix().T)
+
+
+def payload_attitude(
+    gimbal: Channel, aircraft: Channel | None, max_gap_s: float
+) -> tuple[Channel, Notes]:
+    """A gimbal's channel with the attitude of its payload where its yaw counts from the nose.
+
+    Roll and pitch of gimbals are to the horizon, so only the yaw of the aircraft is added:
+    v_ned = Rz(yaw of the aircraft) Rz(yaw) Ry(pitch) Rx(roll) v_payload, then comes the mount
+    (boresight) of the camera. ``aircraft`` is the channel of its attitude, interpolated at the
+    gimbal's times. Source: MAVLink's common.xml, GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME and
+    MOUNT_ORIENTATION; ArduPilot sends MOUNT_STATUS so.
+    """
+    known = np.stack([gimbal.columns.get(name, np.full(len(gimbal), np.nan)) for name in _Q], 1)
+    if f"gimbal_{_Q[0]}" in gimbal.columns:
+        to_nose = matrices_of(np.stack([gimbal[f"gimbal_{name}"] for name in _Q], axis=1))
+    elif "gimbal_yaw_rad" in gimbal.columns:
+        angles = [gimbal[f"gimbal_{name}_rad"] for name in ("roll", "pitch", "yaw")]
+        to_nose = ned_from_body(np.stack(angles, axis=1))
+    else:
+        return gimbal, ()
+    missing = np.isnan(known).any(axis=1) & np.isfinite(to_nose).all(axis=(1, 2))
+    if aircraft is None or not bool(missing.any()):
+        return gimbal, ()
+    attitude, _ = interpolate_attitude(aircraft, gimbal.time_ns[missing], max_gap_s)
+    nose = matrices_of(attitude)[:, :2, 0]
+    level = np.zeros((nose.shape[0], 3))
+    level[:, 2] = np.arctan2(nose[:, 1], nose[:, 0])
+    known[missing] = quaternions_of(ned_from_body(level) @ to_nose[missing])
+    told = note(
+        "GIMBAL-YAW",
+        f"the yaw of {gimbal.name} counts from the nose in {int(missing.sum())} of {len(gimbal)} "
+        f"rows: that of {aircraft.name} is added",
+        where=gimbal.name,
+        count=int(missing.sum()),
+    )
+    columns = dict(gimbal.columns) | dict(zip(_Q, known.T, strict=True))
+    return replace(gimbal, columns=columns), (told,)
+
+
+def with_payload_attitude(
+    channels: tuple[Channel, ...], named: Mapping[str, str], max_gap_s: float
+) -> tuple[tuple[Channel, ...], Notes]:
+    """The channels, that of a gimbal which is named as attitude with its `payload_attitude`.
+
+    ``named`` : role -> channel. The aircraft is the channel named for that, or the best that may
+    play the attitude.
+    """
+    gimbals = [c for c in channels if c.name == named.get("attitude")]
+    if not gimbals or not is_of_gimbal(gimbals[0].source.message):
+        return channels, ()
+    own = named.get("aircraft_attitude")
+    able = [c for c in channels if c.name == own or "attitude" in c.roles]
+    able = sorted(able, key=lambda c: (c.name != own, c.rank))
+    aircraft = next((c for c in able if c.fits_role("attitude")), None)
+    payload, notes = payload_attitude(gimbals[0], aircraft, max_gap_s)
+    return tuple(payload if c is gimbals[0] else c for c in channels), notes
 
 
 def gimbal_notes(

@@ -95,14 +95,20 @@ def quaternion_of_rpy(angles: Array, camera_from_body: Array = CAMERA_AT_REST) -
     >>> quaternion_of_rpy(np.zeros((1, 3))).round(6).tolist()
     [[0.0, 1.0, 0.0, 0.0]]
     """
-    ned_from_body = _euler_matrices("ZYX", angles[:, ::-1])
-    return quaternions_of(camera_from_body @ ned_from_body.transpose(0, 2, 1) @ NED_FROM_ENU)
+    return quaternions_of(
+        camera_from_body @ ned_from_body(angles).transpose(0, 2, 1) @ NED_FROM_ENU
+    )
+
+
+def ned_from_body(angles: Array) -> Array:
+    """(n, 3, 3) rotations Rz(yaw) Ry(pitch) Rx(roll) of (n, 3) roll, pitch, yaw [rad]."""
+    return _euler_matrices("ZYX", angles[:, ::-1])
 
 
 def rpy_of_quaternion(quaternion: Array, camera_from_body: Array = CAMERA_AT_REST) -> Array:
     """(n, 3) roll, pitch, yaw [rad]; inverse of `quaternion_of_rpy`, the pitch in [-pi/2, pi/2]."""
-    ned_from_body = NED_FROM_ENU @ matrices_of(quaternion).transpose(0, 2, 1) @ camera_from_body
-    return np.asarray(_euler_angles("ZYX", ned_from_body)[:, ::-1])
+    matrix = NED_FROM_ENU @ matrices_of(quaternion).transpose(0, 2, 1) @ camera_from_body
+    return np.asarray(_euler_angles("ZYX", matrix)[:, ::-1])
 
 
 def in_turned_frame(quaternion: Array, frame_from_other: Array) -> Array:

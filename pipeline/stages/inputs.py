@@ -8,7 +8,7 @@ from pipeline.batch.plan import Plan
 from pipeline.errors import MissionError
 from pipeline.flight.channels import ROLE_COLUMNS, Channel
 from pipeline.flight.heights import HeightSystem, height_system, to_geodetic
-from pipeline.flight.mount import gimbal_notes
+from pipeline.flight.mount import gimbal_notes, with_payload_attitude
 from pipeline.flight.quality import plausible_samples
 from pipeline.flight.roles import assign_roles
 from pipeline.ingest import Log, open_log
@@ -83,6 +83,7 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
             )
     needs_cabin = any(camera.needs_cabin_from_log for camera in mission.cameras.values())
     names = {role: stated.name for role, stated in named.items()}
+    channels = ledger.take(with_payload_attitude(channels, names, mission.log.max_gap_s))
     trajectory = read_trajectory(plan, channels, ledger)
     elsewhere = () if trajectory is None else replaced_roles(plan, trajectory)
     roles = ledger.take(assign_roles(channels, names, needs_cabin=needs_cabin, elsewhere=elsewhere))

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.flight.channels import Channel, Source
 from pipeline.flight.exposures import Events
 from pipeline.flight.heights import HeightSystem
-from pipeline.flight.mount import Mount, gimbal_notes
+from pipeline.flight.mount import Mount, gimbal_notes, payload_attitude
 from pipeline.flight.roles import assign_roles
 from pipeline.flight.station_builder import build_stations
 from pipeline.flight.stations import Stations
@@ -155,6 +155,51 @@ def test_a_camera_of_every_gimbal_looks_forward_and_down(message: str, tmp_path:
     assert told == [
         ("note", "GIMBAL-FRAME", "mount.right"), ("warning", "GIMBAL-FRAME", "mount.wrong"),
     ]  # fmt: skip
+
+
+def of_angles(name: str, roll_deg: float, pitch_deg: float, yaw_deg: float) -> Channel:
+    """An aircraft's attitude: yaw, then pitch, then roll, by products of half-angle quaternions."""
+    w, x, y, z = Rotation.from_euler(
+        "ZYX", [yaw_deg, pitch_deg, roll_deg], degrees=True
+    ).as_quat()[[3, 0, 1, 2]]  # fmt: skip
+    columns = {"q_w": w, "q_x": x, "q_y": y, "q_z": z}
+    return Channel(
+        name, np.arange(5) * SECOND, {k: np.full(5, v) for k, v in columns.items()}, Source(name),
+        roles=("attitude",),
+    )  # fmt: skip
+
+
+NOSE_ANGLES = {"gimbal_roll_rad": 0.0, "gimbal_pitch_rad": PITCH, "gimbal_yaw_rad": YAW}
+NOSE_QUATERNION = dict(
+    zip(("gimbal_q_w", "gimbal_q_x", "gimbal_q_y", "gimbal_q_z"), Q, strict=True)
+)
+
+
+@pytest.mark.parametrize("columns", [NOSE_ANGLES, NOSE_QUATERNION], ids=["angles", "quaternion"])
+def test_yaw_from_the_nose_is_turned_by_the_aircraft_s(columns: dict[str, float]) -> None:
+    """The aircraft flies east, banks 20 deg and climbs: the payload looks to 94 deg and 45 down."""
+    unknown = {f"q_{axis}": np.nan for axis in "wxyz"} if columns is NOSE_QUATERNION else {}
+    gimbal = Channel(
+        "MOUNT_STATUS", np.arange(1, 11) * SECOND // 3,
+        {name: np.full(10, value) for name, value in (columns | unknown).items()},
+        Source("MOUNT_STATUS"),
+    )  # fmt: skip
+    aircraft = of_angles("ATTITUDE", 20.0, 8.0, 90.0)
+    payload, (told,) = payload_attitude(gimbal, aircraft, 2.0)
+    axis, top = camera_axes(payload, AHEAD)
+    to_the_east = FORWARD_DOWN[[1, 0, 2]] * [1.0, -1.0, 1.0]
+    assert axis == pytest.approx(to_the_east, abs=1e-9)
+    assert top == pytest.approx(to_the_east * [1.0, 1.0, -1.0], abs=1e-9)
+    assert (told.code, told.kind, told.count) == ("GIMBAL-YAW", "note", 10)
+    assert "ATTITUDE is added" in told.what
+
+
+def test_a_gimbal_that_knows_north_and_one_without_an_aircraft_stay_as_they_are() -> None:
+    mnt = attitude("MNT[0]", "MNT", -30.0)
+    assert payload_attitude(mnt, of_angles("ATT", 0.0, 0.0, 90.0), 2.0) == (mnt, ())
+    status = Channel("S", np.arange(3) * SECOND, {k: np.full(3, v) for k, v in NOSE_ANGLES.items()},
+                     Source("MOUNT_STATUS"))  # fmt: skip
+    assert payload_attitude(status, None, 2.0) == (status, ())
 
 
 def attitude(name: str, message: str, pitch_deg: float) -> Channel:

@@ -205,3 +205,220 @@ def test_one_topocentric_frame_100_km_away(block, by_log):
     orientation["columns"] |= {"latitude": "latitude"}
     ran(block)
     assert_same(block, by_log, atol=2e-5)
+
+
+def test_a_grid_whose_north_is_not_the_meridian(block, by_log):
+    """Kappa from the north of a map where it lies 1.8 deg east of true north."""
+    east_of_north = np.radians(1.8)
+    cos, sin = np.cos(east_of_north), np.sin(east_of_north)
+    enu_from_grid = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    matrix = textbook_matrix(block.table[["q_w", "q_x", "q_y", "q_z"]]) @ enu_from_grid
+    table = columns_of(block.table)
+    table[["omega", "phi", "kappa"]] = textbook_opk(matrix)
+    write(block, table)
+    block.config["stations"]["orientation"]["convergence_deg"] = 1.8
+    ran(block)
+    assert_same(block, by_log)
+
+
+def test_roll_pitch_and_yaw_of_the_aircraft_with_the_mounts_of_its_cameras(block, by_log):
+    block.config["mount"] = {
+        name: mount | {"lever_arm_m": [0.0, 0.0, 0.0]}
+        for name, mount in by_log.config["mount"].items()
+    }
+    body = textbook_matrix(block.table[[f"aircraft_q_{axis}" for axis in "wxyz"]])
+    ned = body @ np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])  # v_body = ned v_ned
+    table = columns_of(block.table).drop(columns=["omega", "phi", "kappa"])
+    table["roll"] = np.degrees(np.arctan2(ned[:, 1, 2], ned[:, 2, 2]))
+    table["pitch"] = np.degrees(-np.arcsin(ned[:, 0, 2]))
+    table["yaw"] = np.degrees(np.arctan2(ned[:, 0, 1], ned[:, 0, 0]))
+    write(block, table)
+    block.config["stations"]["orientation"]["angles"] = "roll_pitch_yaw"
+    ran(block)
+    assert_same(block, by_log)
+
+
+def model_of(block, keep: int) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The block as a model of no scale and no vertical, and known positions of some images."""
+    xyz, enu = earth_centred(block.table["lat_deg"], block.table["lon_deg"],
+                             block.table["h_ellipsoid_m"].to_numpy())  # fmt: skip
+    a, b = np.radians(40.0), np.radians(25.0)
+    turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+    turn = turn @ np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
+    table = columns_of(block.table).drop(columns=["latitude", "longitude", "height"])
+    table[["x", "y", "z"]] = 0.02 * (xyz - xyz.mean(axis=0)) @ turn.T
+    matrix = textbook_matrix(block.table[["q_w", "q_x", "q_y", "q_z"]]) @ enu @ turn.T
+    table[["omega", "phi", "kappa"]] = textbook_opk(matrix)
+    known = block.table[["image", "lat_deg", "lon_deg", "h_ellipsoid_m"]].iloc[:keep]
+    return table, known.set_axis(["image", "latitude", "longitude", "height"], axis=1)
+
+
+def unknown_frame(block) -> dict:
+    orientation = block.config["stations"]["orientation"]
+    orientation |= {"frame": "unknown", "known_positions": {"path": "known.csv"},
+                    "heights": "ellipsoid"}  # fmt: skip
+    return orientation
+
+
+def spread_out(block) -> None:
+    """The stations of a block of two lines, 2 km apart: those flown are on one."""
+    block.table.loc[block.table["camera"] == "oblique", "lat_deg"] += 0.018
+
+
+def test_a_model_in_an_unknown_frame_is_fitted_to_known_positions(block):
+    spread_out(block)
+    write(block, columns_of(block.table))
+    ran(block)
+    direct = shift(block)
+    table, known = model_of(block, keep=6)
+    write(block, table)
+    write(block, known, "known.csv")
+    unknown_frame(block)
+    manifest = ran(block)
+    np.testing.assert_allclose(shift(block), direct, atol=2e-5)
+    (fit,) = [entry for entry in manifest["ledger"] if entry["code"] == "ORIENTATION-FIT"]
+    assert "scale 50" in fit["what"]
+    assert "6 known positions" in fit["what"]
+    assert {item["role"] for item in manifest["inputs"]} >= {"known positions"}
+
+
+def test_an_unknown_frame_without_three_known_positions_is_refused(block):
+    spread_out(block)
+    table, known = model_of(block, keep=2)
+    write(block, table)
+    write(block, known, "known.csv")
+    unknown_frame(block)
+    assert "no vertical, no north and no scale" in refused(block, "ORIENTATION-KNOWN")
+    write(block, model_of(block, keep=6)[1], "known.csv")
+    unknown_frame(block)["heights"] = "msl"
+    del block.config["mission"]["undulation_m"]
+    refused(block, "HEIGHT-REFERENCE")
+
+
+def test_known_positions_of_the_log(block, by_log):
+    """The flight is one line, from which a model cannot have its roll: refused, not guessed."""
+    table, _ = model_of(block, keep=6)
+    write(block, table)
+    orientation = unknown_frame(block) | {"known_positions": "log"}
+    del orientation["heights"]
+    block.config["stations"]["orientation"] = orientation
+    for section in ("log", "mount", "events"):
+        block.config[section] = by_log.config[section]
+    refused(block, "ORIENTATION-LINE")
+
+
+def test_stations_of_a_block_beside_a_log(block, by_log):
+    """The log gives the times of the exposures, by its events, and the air."""
+    table = columns_of(block.table).drop(columns=["time"])
+    write(block, table)
+    del block.config["stations"]["orientation"]["columns"]["time_utc"]
+    for section in ("log", "mount", "events"):
+        block.config[section] = by_log.config[section]
+    block.config["mount"] = {name: mount | {"lever_arm_m": [0.0, 0.0, 0.0]}
+                             for name, mount in by_log.config["mount"].items()}  # fmt: skip
+    manifest = ran(block)
+    assert_same(block, by_log)
+    mine, theirs = block.stations().to_pandas(), by_log.stations().to_pandas()
+    assert mine["time_utc"].tolist() == theirs["time_utc"].tolist()
+    np.testing.assert_allclose(mine["pressure_pa"], theirs["pressure_pa"])
+    assert manifest["log"]["format"] == "dataflash"
+
+
+def test_the_date_chooses_the_season(block, by_log):
+    table = columns_of(block.table).drop(columns=["time"])
+    write(block, table)
+    orientation = block.config["stations"]["orientation"]
+    del orientation["columns"]["time_utc"]
+    block.config["atmosphere"] = {}
+    sizes = {}
+    for date in ("2026-01-15", "2026-07-15"):
+        orientation["date"] = date
+        manifest = ran(block)
+        sizes[date] = np.abs(shift(block)).mean()
+        assert block.stations()["time_utc"].null_count == len(table)
+        assert manifest["profile"]["basis"] != "standard"
+    # The air of a winter in the Alps is denser than that of a summer.
+    assert 1.01 < sizes["2026-01-15"] / sizes["2026-07-15"] < 1.2
+
+
+def test_stated_sigmas_and_those_of_columns(block):
+    table = columns_of(block.table)
+    table["s_tilt"] = [0.01 * (k + 1) for k in range(len(table))]
+    write(block, table)
+    orientation = block.config["stations"]["orientation"]
+    orientation |= {"sigma_height_m": 0.15, "sigma_yaw_deg": 0.02}
+    orientation["columns"]["sigma_tilt"] = "s_tilt"
+    ran(block)
+    stations = block.stations().to_pandas()
+    assert stations["sigma_height_m"].tolist() == [0.15] * len(table)
+    np.testing.assert_allclose(stations["sigma_tilt_deg"], table["s_tilt"])
+    np.testing.assert_allclose(stations["sigma_yaw_deg"], 0.02)
+    assert stations["sigma_horizontal_m"].isna().all()
+
+
+def test_images_without_orientation_and_orientation_without_images(block):
+    table = columns_of(block.table)
+    image = table["image"].iloc[0]
+    table.loc[0, "image"] = "another"
+    write(block, table)
+    manifest = ran(block, 3)
+    told = {entry["code"]: entry for entry in manifest["ledger"]}
+    assert told["STATIONS-UNUSED"]["count"] == 1
+    assert told["IMAGES-UNMATCHED"]["count"] == 1
+    status = dict(zip(*(block.stations()[name].to_pylist() for name in ("image", "status")),
+                      strict=True))  # fmt: skip
+    assert status[image] == "unmatched"
+    assert "no_station" in block.results()["status"].to_pylist()
+
+
+def test_heights_in_the_ground_are_refused_and_others_told(block):
+    table = columns_of(block.table)
+    write(block, table)
+    manifest = ran(block)
+    (told,) = [entry for entry in manifest["ledger"] if entry["code"] == "ORIENTATION-HEIGHT"]
+    assert told["kind"] == "note"
+    assert "m above the ground in the median" in told["what"]
+    write(block, table.assign(height=table["height"] - 2900.0))
+    assert "below the ground" in refused(block, "ORIENTATION-HEIGHT")
+    write(block, table.assign(height=table["height"] * 10.0))
+    ended = block.run()
+    assert "ORIENTATION-HEIGHT" in ended.text
+
+
+def test_a_camera_that_is_not_there(block):
+    table = columns_of(block.table)
+    write(block, table.assign(camera="forward"))
+    assert "forward" in refused(block, "EVENTS-CAMERA")
+
+
+def test_angles_of_another_convention_are_refused(block):
+    table = columns_of(block.table)
+    write(block, table.assign(omega=table["omega"] + 180.0))
+    assert "above the horizon" in refused(block, "ORIENTATION-UP")
+    write(block, table.assign(kappa=table["kappa"] * 400.0 / 360.0 + 400.0))
+    refused(block, "ORIENTATION-UNIT")
+
+
+def test_check_copes_without_a_log(block, unbend):
+    write(block, columns_of(block.table))
+    ended = unbend("check", block.save())
+    assert ended.code == 0, ended.text
+    assert "none: the stations come from elsewhere" in " ".join(ended.out.split())
+    ended = unbend("stations", block.save())
+    assert ended.code == 0, ended.text
+
+
+def test_a_table_that_is_not_there(block):
+    assert "stations.orientation.path" in refused(block, "INPUT-MISSING")
+
+
+def test_from_a_sounding_and_the_true_stations_comes_the_true_correction(
+    mission_factory, flown, tmp_path
+):
+    """Simulated truth throughout: its stations as omega, phi and kappa, its air as a sounding."""
+    mission = mission_factory(tmp_path / "mission")
+    table = pq.read_table(flown.truth / "stations.parquet").to_pandas()
+    air = pq.read_table(flown.truth / "profile.parquet").to_pandas()
+    print(air.columns.tolist(), pq.read_table(flown.truth / "observations.parquet").schema.names)
+    assert table is not None
+    assert mission is not None

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import csv
+import json
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import all as dialect
 
 from pipeline.stages.story import check_mission
 
@@ -44,3 +46,38 @@ def test_a_delay_of_a_table_is_true_time_minus_the_tables(mission, delay_s):
     assert times_ns(mission) == dict(
         zip(stations.image.tolist(), stations.time_ns.tolist(), strict=True)
     )
+
+
+def test_a_gimbal_whose_yaw_counts_from_the_nose(mission_factory, tmp_path):
+    """MOUNT_STATUS of a payload that points straight down, beside the attitude of the aircraft."""
+    mission = mission_factory(tmp_path / "mission", "tlog")
+    data, made, at = mission.log.read_bytes(), bytearray(), 0
+    sender = dialect.MAVLink(None, 1, dialect.MAV_COMP_ID_GIMBAL)
+    while at < len(data):
+        end = at + 8 + 12 + data[at + 9]  # the time, then a frame of MAVLink 2 without signature
+        made += data[at:end]
+        if data[at + 15] == dialect.MAVLINK_MSG_ID_ATTITUDE:
+            pointing = dialect.MAVLink_mount_status_message(1, 1, -9000, 0, 0, 0)
+            made += data[at : at + 8] + pointing.pack(sender)
+            sender.seq = (sender.seq + 1) % 256
+        at = end
+    mission.log.write_bytes(bytes(made))
+    mission.config["log"]["channels"] |= {
+        "attitude": "MOUNT_STATUS", "aircraft_attitude": "ATTITUDE",
+    }  # fmt: skip
+    mission.config["mount"] = {name: {"pitch_deg": 90.0} for name in mission.config["cameras"]}
+    ended = mission.run()
+    assert ended.code == 0, ended.text
+    manifest = json.loads((mission.output / "manifest.json").read_text(encoding="utf-8"))
+    assert "GIMBAL-YAW" in {entry["code"] for entry in manifest["ledger"]}
+    table = mission.stations().to_pandas().query("status == 'ok'")
+    assert len(table) >= 4
+    w, x, y, z = (table[f"q_{axis}"].to_numpy() for axis in "wxyz")
+    down = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
+    assert down == pytest.approx(np.tile([0.0, 0.0, -1.0], (len(table), 1)), abs=1e-6)
+    # The picture's top (-y of the camera) is where the aircraft's nose points.
+    top = -np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=1)
+    w, x, y, z = (table[f"aircraft_q_{axis}"].to_numpy() for axis in "wxyz")
+    nose = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z)], axis=1)
+    nose /= np.linalg.norm(nose, axis=1)[:, None]
+    assert top[:, :2] == pytest.approx(nose, abs=1e-3)
