@@ -69,7 +69,12 @@ def topocentric(origin: GeodeticOrigin) -> CartesianFrame:
 
 
 def fitted_frame(
-    image: NDArray[np.object_], xyz: Array, known_image: NDArray[np.object_], known: Array
+    image: NDArray[np.object_],
+    xyz: Array,
+    known_image: NDArray[np.object_],
+    known: Array,
+    *,
+    sigma_m: float = 0.0,
 ) -> tuple[CartesianFrame, Notes]:
     """The frame of a model, by a similarity of seven parameters through known positions.
 
@@ -77,6 +82,8 @@ def fitted_frame(
     ----------
     image, xyz : (n,) names and (n, 3) positions in the frame of the model.
     known_image, known : (m,) names and (m, 3) latitude, longitude [rad] and ellipsoidal height [m].
+    sigma_m : standard deviation of the known positions, at least; errors that they share hardly
+        show in the residuals.
 
     Least squares with equal weights (Umeyama 1991; the rotation by scipy's align_vectors). Refuses
     (MissionError) fewer than three images that are in both, positions on a line, and residuals of
@@ -108,7 +115,7 @@ def fitted_frame(
         turned = turn.apply(model - middle)
         scale = float(np.sum(turned * (earth - centre)) / np.sum(turned**2))
         residual = np.linalg.norm(earth - centre - scale * turned, axis=1)
-        sigma = np.sqrt(np.sum(residual**2) / (3 * len(usable) - 7))
+        sigma = max(sigma_m, np.sqrt(np.sum(residual**2) / (3 * len(usable) - 7)))
         tilt = float(sigma / (abs(scale) * spread[1]))
     extent = float(np.linalg.norm(np.ptp(earth, axis=0)))
     if tilt < np.inf and np.sqrt(np.mean(residual**2)) > LARGEST_FIT_RESIDUAL * extent:

@@ -185,7 +185,7 @@ def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tupl
         loss(
             "IMAGES-UNMATCHED",
             f"{unknown.size} images of the observations have no exposure: {_first_three(unknown)}"
-            + (f"; the log's are called like '{stations.image[0]}'" if len(stations) else ""),
+            + (f"; exposures are called like '{stations.image[0]}'" if len(stations) else ""),
             where="events",
             count=int(unknown.size),
         )

@@ -18,6 +18,7 @@ from pipeline.block.oriented_block import (
 from pipeline.config.station_sources import EnuFrame, KnownPositions, OrientationSection
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Array
+from pipeline.flight.heights import ground_offsets
 from pipeline.flight.rotations import (
     enu_from_grid,
     in_turned_frame,
@@ -32,7 +33,15 @@ from pipeline.tables.imports.orientation import (
     read_known_positions,
     read_orientation,
 )
+from pipeline.tables.observations import Observations
 from pipeline.units import DEGREE
+
+_FEW_BELOW_GROUND = 0.1
+_SIGMA_OF_LOG_M = 1.5
+"""Positions of an autopilot that fuses a receiver without corrections."""
+
+_HIGHEST_ABOVE_GROUND_M = 15_000.0
+"""No survey is flown higher, in the median, than that above its ground."""
 
 
 def oriented_stations(
@@ -91,6 +100,40 @@ def oriented_stations(
     return stations
 
 
+def report_height_above_ground(
+    plan: Plan, flight: FlightLog, stations: Stations, observations: Observations, ledger: Ledger
+) -> None:
+    """Tell how high the cameras are above the ground; refuses those that are in it.
+
+    The ground is that of the mission file, or of the first observations.
+    """
+    section = plan.mission.ground
+    batch = next(observations.batches(plan.mission.output.batch_rows))
+    given = batch.ground if batch.ground is not None else np.array([section.constant_m], np.float64)
+    given = given[np.isfinite(given)]
+    if section.from_distance or given.size == 0 or not bool(stations.ok.any()):
+        return
+    ground = ground_offsets(section.reference, stations, flight.heights) + np.median(given)
+    above = (stations.h_msl_m - ground)[stations.ok]
+    low = int((above <= 0.0).sum())
+    what = (
+        f"the cameras are {np.median(above):.0f} m above the ground in the median, "
+        f"{above.min():.0f} to {above.max():.0f} m"
+    )
+    where = "stations.orientation"
+    if low > _FEW_BELOW_GROUND * above.size:
+        raise MissionError(
+            "ORIENTATION-HEIGHT",
+            f"{low} of {above.size} stations lie below the ground: {what}",
+            where=where,
+            remedy="check the column of heights, their unit (metres), heights (msl or ellipsoid), "
+            "and the ground's",
+        )
+    strange = low > 0 or np.median(above) > _HIGHEST_ABOVE_GROUND_M
+    tell = ledger.warning if strange else ledger.note
+    tell("ORIENTATION-HEIGHT", what, where=where, count=above.size)
+
+
 def frame_of_block(
     plan: Plan,
     section: OrientationSection,
@@ -123,7 +166,8 @@ def frame_of_block(
         image = of_log.image[of_log.ok]
         geodetic = [of_log.lat_rad, of_log.lon_rad, of_log.h_ellipsoid_m]
         position = np.stack(geodetic, axis=1)[of_log.ok]
-    return ledger.take(fitted_frame(table.image, table.position, image, position))
+    sigma_m = _SIGMA_OF_LOG_M if section.known_positions == "log" else 0.0
+    return ledger.take(fitted_frame(table.image, table.position, image, position, sigma_m=sigma_m))
 
 
 def sigmas_of_block(

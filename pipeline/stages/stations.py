@@ -34,7 +34,7 @@ from pipeline.geodesy import offset_geodetic
 from pipeline.ledger import Ledger
 from pipeline.stages.cabin_air import cabin_from_log
 from pipeline.stages.inputs import FlightLog, read_camera_events
-from pipeline.stages.oriented_stations import oriented_stations
+from pipeline.stages.oriented_stations import oriented_stations, report_height_above_ground
 from pipeline.tables.events import EventColumns, read_events
 from pipeline.tables.imports import CAMERA_EVENTS, reader_of
 from pipeline.tables.observations import Observations
@@ -120,6 +120,7 @@ def stations_of_mission(
         stations = join_stations(exposed)
     else:
         oriented = oriented_stations(plan, flight, exposed, ledger)
+        report_height_above_ground(plan, flight, oriented, observations, ledger)
         stations = with_air(oriented, flight.roles, mission.max_gap_s)
     for name, camera in mission.cameras.items():
         cabin = None if camera.window is None else camera.window.build().cabin
