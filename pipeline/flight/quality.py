@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pipeline.errors import MissionError
 from pipeline.flight.channels import ROLE_COLUMNS, Array, Channel
 from pipeline.flight.clock import STRAY_ROWS
-from pipeline.ledger import Entry, Notes, loss, warning
+from pipeline.ledger import Entry, Notes, loss, note, warning
 
 Mask = NDArray[np.bool_]
 Rows = NDArray[np.intp]
@@ -231,15 +231,29 @@ def _jumps(channel: Channel, known: Mask, role: str) -> tuple[Rows, Notes]:
         stray[rows] = True
         notes += reported
     jumps = np.flatnonzero(stray)
-    if jumps.size:
-        time_s = (channel.time_ns[jumps[0]] - channel.time_ns[0]) * 1e-9
+    told = jumps
+    if jumps.size and role.endswith("attitude"):
+        kept = np.flatnonzero(known & ~stray)
+        after = np.searchsorted(kept, jumps)
+        inner = (after > 0) & (after < kept.size)
+        i, j = kept[after[inner] - 1], kept[after[inner]]
+        limit = _STEPS["attitude"].rate * 1e-9 * (channel.time_ns[j] - channel.time_ns[i])
+        stays = after == 0  # what comes behind is another attitude than what was before
+        stays[inner] = _angle(channel, i, j) > np.maximum(limit, _TURN_NOISE_RAD)
+        told = jumps[~stays]
+        if stays.any():
+            count = int(np.count_nonzero(stays))
+            what = f"{count} samples in which the filter was aligned or reset are not used"
+            notes.append(note("ATTITUDE-ALIGNED", what, where=where, count=count))
+    if told.size:
+        time_s = (channel.time_ns[told[0]] - channel.time_ns[0]) * 1e-9
         notes.append(
             loss(
                 "SENSOR-JUMP",
-                f"{jumps.size} of {len(channel)} samples jump faster than a vehicle or the air can "
+                f"{told.size} of {len(channel)} samples jump faster than a vehicle or the air can "
                 f"change, the first {time_s:.3f} s after the first sample; not used",
                 where=where,
-                count=int(jumps.size),
+                count=int(told.size),
             )
         )
     return jumps, tuple(notes)

@@ -231,3 +231,33 @@ def test_power_ups_stay_with_their_samples() -> None:
     kept, _ = plausible_samples(logged, "temperature")
     assert kept.boot.tolist() == [0, 1, 2]
     assert kept.labels["image"] == ("a", "c", "f")
+
+
+def yawed(degrees: np.ndarray) -> dict[str, np.ndarray]:
+    half = np.radians(degrees) / 2.0
+    return {"q_w": np.cos(half), "q_x": 0.0 * half, "q_y": 0.0 * half, "q_z": np.sin(half)}
+
+
+@pytest.mark.parametrize("before", [0, 2, 20])
+def test_the_first_attitude_after_alignment_is_no_loss(before: int) -> None:
+    """Yaw is 0 until the filter is aligned, half-way there in one sample, then right."""
+    yaw = np.full(60, 170.0)
+    yaw[:before], yaw[before] = 0.0, 80.0
+    ledger = Ledger()
+    sound = ledger.take(plausible_samples(channel(**yawed(yaw)), "attitude"))
+    (entry,) = ledger
+    told = before + 1 if before <= 4 else 1
+    assert (entry.kind, entry.code, entry.count) == ("note", "ATTITUDE-ALIGNED", told)
+    assert len(sound) == 60 - told
+
+
+def test_a_glitch_beside_an_alignment_is_a_loss() -> None:
+    yaw = np.full(60, 170.0)
+    yaw[0], yaw[40] = 80.0, 20.0
+    ledger = Ledger()
+    sound = ledger.take(mask_impossible_values(channel(**yawed(yaw))))
+    assert len(sound) == 58
+    assert [(entry.kind, entry.code, entry.count) for entry in ledger] == [
+        ("note", "ATTITUDE-ALIGNED", 1), ("loss", "SENSOR-JUMP", 1),
+    ]  # fmt: skip
+    assert "4.000 s" in list(ledger)[1].what

@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from pipeline.errors import LogError
+from pipeline.flight.roles import assign_roles
 from pipeline.ingest import Log, open_log
 from pipeline.ingest.buffers import view_of_bytes
 from pipeline.ingest.tlog.scan import scan
@@ -535,6 +537,21 @@ def test_gimbals(tmp_path: Path) -> None:
     assert mount["gimbal_yaw_rad"][0] == 10 * DEGREE
     assert log.channel("MOUNT_STATUS")["gimbal_roll_rad"][0] == pytest.approx(1.5 * DEGREE)
     assert {device.roles, mount.roles, log.channel("MOUNT_STATUS").roles} == {()}
+
+
+def test_a_stabilised_gimbal_of_a_real_flight(real_log: Callable) -> None:
+    """Its servos counter the copter's roll: composed, the roll is steady."""
+    log = open_log(real_log("pymavlink_swift_flight.tlog"))
+    mount = log.channel("MOUNT_STATUS")
+    known = np.isfinite(mount["q_w"])
+    assert known.mean() > 0.98
+    q = np.stack([mount[f"q_{axis}"][known] for axis in "xyzw"], axis=1)
+    roll = Rotation.from_quat(q).as_euler("ZYX")[:, 2]
+    spread = [np.subtract(*np.percentile(x, (95, 5))) / DEGREE
+              for x in (roll, mount["gimbal_roll_rad"])]  # fmt: skip
+    assert spread[0] < 1.0 < 7.0 < spread[1]
+    roles, _ = assign_roles(log.channels, {"attitude": "MOUNT_STATUS"}, needs_cabin=False)
+    assert roles["attitude"].name == "MOUNT_STATUS"
 
 
 def test_every_type_is_a_table(tmp_path: Path) -> None:
