@@ -213,3 +213,8 @@ class StationsSection(Section):
 
     orientation: OrientationSection | None = None
     trajectory: TrajectorySection | None = None
+    use_suspect: bool = Field(
+        False,
+        description="true corrects the observations of stations that contradict other evidence of "
+        "the log (status suspect) too; the run ends with code 3 all the same",
+    )

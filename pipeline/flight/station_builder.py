@@ -22,7 +22,6 @@ from pipeline.flight.stations import (
     NO_POSITION,
     OUTSIDE_LOG,
     STATION_OK,
-    SUSPECT,
     Stations,
     empty_stations,
 )
@@ -175,4 +174,4 @@ def mark_suspect(
     if count == 0:
         return stations, ()
     entry = loss(code, f"{count} exposures have {what}", where=f"camera {camera}", count=count)
-    return stations.with_status(missing, SUSPECT), (entry,)
+    return stations.as_suspect(missing, what, np.nan, use=False), (entry,)

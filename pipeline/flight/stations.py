@@ -42,7 +42,8 @@ class Stations:
     that of the attitude about each of the body's level axes, ``sigma_yaw_rad`` about its vertical
     one. ``suspect_reason`` is empty but for stations that contradict other evidence, which may be
     ``suspect_m`` off [m].
-    ``status`` is ok or names what is missing.
+    ``status`` is ok or names what is missing; ``accepted`` (s,) are suspect ones that are used all
+    the same, as the mission file wants.
     """
 
     image: NDArray[np.object_]
@@ -68,6 +69,7 @@ class Stations:
     sigma_yaw_rad: Array
     suspect_reason: NDArray[np.object_]
     suspect_m: Array
+    accepted: NDArray[np.bool_]
     status: NDArray[np.object_]
 
     def __post_init__(self) -> None:
@@ -83,7 +85,7 @@ class Stations:
     @property
     def ok(self) -> NDArray[np.bool_]:
         """(s,) which stations can be used."""
-        return np.asarray(self.status == STATION_OK)
+        return np.asarray((self.status == STATION_OK) | self.accepted)
 
     @property
     def mean_latitude_rad(self) -> float:
@@ -93,7 +95,27 @@ class Stations:
 
     def with_status(self, where: NDArray[np.bool_], status: str) -> Stations:
         """The stations with another status where a mask is True and they were ok."""
-        return replace(self, status=np.where(where & self.ok, status, self.status))
+        changed = where & self.ok
+        accepted = self.accepted & ~changed
+        return replace(self, status=np.where(changed, status, self.status), accepted=accepted)
+
+    def as_suspect(
+        self, where: NDArray[np.bool_], reason: str, off_m: float | Array, *, use: bool
+    ) -> Stations:
+        """The stations marked as suspect where a mask is True and they were ok or suspect.
+
+        A reason is added to those that a station has; ``off_m`` is how far off they may be [m], NaN
+        where unknown; ``use`` leaves them usable (`ok`).
+        """
+        where = where & self.ok if use else where & (self.ok | (self.status == SUSPECT))
+        reasons = [f"{told}; {reason}" if told else reason for told in self.suspect_reason]
+        return replace(
+            self,
+            suspect_reason=np.where(where, np.array(reasons, dtype=object), self.suspect_reason),
+            suspect_m=np.where(where, np.fmax(self.suspect_m, off_m), self.suspect_m),
+            accepted=np.where(where, use, self.accepted),
+            status=np.where(where, SUSPECT, self.status),
+        )
 
     def to_pandas(self) -> Any:
         """The stations as a pandas DataFrame with the columns of ``stations.parquet``."""
@@ -116,6 +138,7 @@ def empty_stations(
         "camera": camera,
         "time_ns": np.full(n, NO_TIME, np.int64),
         "suspect_reason": np.full(n, "", dtype=object),
+        "accepted": np.zeros(n, dtype=np.bool_),
         "status": np.full(n, status, dtype=object),
     }
     return Stations(**blank)
@@ -202,14 +225,17 @@ def _first_three(images: NDArray[np.object_]) -> str:
 LARGEST_PRESSURE_MISFIT_PA = 800.0
 """Barometer against profile at one exposure: 8 hPa are some 80 m of height."""
 
+_SCALE_M_PER_K = 29.27  # the gas constant of dry air over gravity: scale height of 1 K
+
 
 def flag_height_misfits(
-    stations: Stations, profile: Profile | ProfileSeries
+    stations: Stations, profile: Profile | ProfileSeries, *, use_suspect: bool = False
 ) -> tuple[Stations, Notes]:
     """Mark stations as suspect whose GNSS height contradicts their barometer.
 
     The profile was made from the whole flight; a station where the pressure measured and that of
-    the profile are more than 8 hPa apart has a wrong height, or its barometer failed.
+    the profile are more than 8 hPa apart has a wrong height, or its barometer failed. They stay
+    usable with ``use_suspect``.
     """
     misfit = stations.pressure_pa - profile.pressure(stations.h_msl_m)
     with np.errstate(invalid="ignore"):
@@ -223,7 +249,10 @@ def flag_height_misfits(
         f"{worst:.0f} hPa apart there, the first {stations.image[np.argmax(wrong)]}",
         count=int(wrong.sum()),
     )
-    return stations.with_status(wrong, SUSPECT), (entry,)
+    off_m = np.abs(misfit) * _SCALE_M_PER_K * profile.temperature(stations.h_msl_m)
+    off_m = off_m / stations.pressure_pa
+    reason = "barometer and GNSS height contradict each other"
+    return stations.as_suspect(wrong, reason, off_m, use=use_suspect), (entry,)
 
 
 def unusable_station_notes(stations: Stations) -> Notes:

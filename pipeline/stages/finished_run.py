@@ -22,7 +22,7 @@ from pipeline.atmosphere.series.profile_series import ProfileSeries, TimedProfil
 from pipeline.config import Mission
 from pipeline.config.sections import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.errors import ConfigError, MissionError
-from pipeline.flight.stations import NO_TIME, Stations
+from pipeline.flight.stations import NO_TIME, SUSPECT, Stations
 from pipeline.geodesy import Gravity
 from pipeline.ledger import Ledger
 from pipeline.refraction.image import correct_observations
@@ -91,6 +91,7 @@ def stations_of(table: pa.Table) -> Stations:
         "sigma_tilt_rad": np.radians(number("sigma_tilt_deg")),
         "sigma_yaw_rad": np.radians(number("sigma_yaw_deg")),
         "suspect_reason": text("suspect_reason"),
+        "accepted": np.equal(text("status"), SUSPECT) & table["profile_id"].is_valid().to_numpy(),
     }
     names = [field.name for field in fields(Stations) if field.name not in derived]
     return Stations(**(derived | {name: number(name) for name in names}))

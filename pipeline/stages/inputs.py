@@ -11,6 +11,8 @@ from pipeline.flight.heights import HeightSystem, height_system, to_geodetic
 from pipeline.flight.mount import gimbal_notes, with_payload_attitude
 from pipeline.flight.quality import plausible_samples
 from pipeline.flight.roles import assign_roles
+from pipeline.flight.suspicion.doubts import examine
+from pipeline.flight.suspicion.evidence import Stretch
 from pipeline.ingest import Log, open_log
 from pipeline.ingest.fields import in_stated_unit
 from pipeline.ledger import Ledger
@@ -23,6 +25,9 @@ from pipeline.tables.observations import Observations, open_observations
 class FlightLog:
     """A log after its channels were given their roles; these hold plausible values only.
 
+    Where a source of the log is doubtful and another stands in, they hold its samples; ``doubts``
+    are all stretches in which the log contradicts itself.
+
     ``own`` are the roles as the log fills them; in ``roles`` a trajectory has replaced some.
 
     ``log`` is None, and there are no channels, where the stations come from elsewhere.
@@ -33,6 +38,7 @@ class FlightLog:
     roles: dict[str, Channel]
     own: dict[str, Channel]
     heights: HeightSystem
+    doubts: tuple[Stretch, ...] = ()
 
     @property
     def air_roles(self) -> dict[str, Channel]:
@@ -95,7 +101,9 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     heights = ledger.take(height_system(plausible, mission.mission.undulation_m))
     if home is not None:
         heights = replace(heights, home_h_msl_m=home)
-    own = dict(plausible)
+    own, doubts, notes = examine(channels, plausible)
+    plausible = dict(own)
+    ledger.extend(notes)
     if trajectory is not None:
         compare_with_log(trajectory, own, heights, ledger, replaces=elsewhere)
         for role in elsewhere:
@@ -108,7 +116,8 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
             + (f", in place of {former}" if former else ", which the log has not"),
             where="stations.trajectory",
         )
-    return FlightLog(log, channels, plausible, own, heights)
+    doubts = tuple(doubt for doubt in doubts if doubt.quantity not in elsewhere)
+    return FlightLog(log, channels, plausible, own, heights, doubts)
 
 
 def read_trajectory(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -> Channel | None:

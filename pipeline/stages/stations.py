@@ -30,6 +30,7 @@ from pipeline.flight.stations import (
     join_stations,
     unusable_station_notes,
 )
+from pipeline.flight.suspicion.doubts import flag_doubtful
 from pipeline.geodesy import offset_geodetic
 from pipeline.ledger import Ledger
 from pipeline.stages.cabin_air import cabin_from_log
@@ -110,11 +111,13 @@ def stations_of_mission(
     refuse_repeated_images(events)
     exposed = []
     for events_of_camera in events:
-        name, roles = events_of_camera.camera, flight.roles
+        name, roles, doubts = events_of_camera.camera, flight.roles, flight.doubts
         mount, from_events = mount_of(plan, name)
         if name in positions and not mission.position_events[name].times_only:
             roles = roles | {"position": positions[name], "height": positions[name]}
+            doubts = tuple(doubt for doubt in doubts if doubt.quantity == "attitude")
         part = build_stations(events_of_camera, roles, mount, flight.heights, mission.max_gap_s)
+        part = ledger.take(flag_doubtful(part, doubts, use_suspect=mission.stations.use_suspect))
         exposed.append(moved_by_offsets(part, positions.get(name)) if from_events else part)
     if mission.stations.orientation is None:
         stations = join_stations(exposed)

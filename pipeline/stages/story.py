@@ -120,7 +120,10 @@ def run_mission(
         flight, stations, ledger = prepared.flight, prepared.stations, prepared.ledger
         air = adjusted_profiles(mission, stations, prepared.samples, prepared.sources, ledger)
         if air.adjustment.is_measured:
-            stations = ledger.take(flag_height_misfits(stations, air.series))
+            use_suspect = mission.stations.use_suspect
+            stations = ledger.take(
+                flag_height_misfits(stations, air.series, use_suspect=use_suspect)
+            )
         progress.start("correcting", prepared.observations.rows)
         windows, lenses = windows_of_mission(mission), lenses_of_mission(mission)
         stations = with_cabin_air(stations, windows, lenses, air.series, ledger)

@@ -300,7 +300,7 @@ def test_stations_come_back():
         sigma_cabin_temperature_k=5.0 * numbers, sigma_horizontal_m=numbers,
         sigma_height_m=2.0 * numbers, sigma_tilt_rad=0.003 * numbers, sigma_yaw_rad=0.01 * numbers,
         suspect_reason=np.array(["a step of 77 m", ""], object), suspect_m=77.0 * numbers,
-        status=np.array(["ok", "unmatched"], object),
+        accepted=np.array([True, False]), status=np.array(["suspect", "unmatched"], object),
     )  # fmt: skip
     table = table_of_stations(
         before, constant_series(TimedProfile(None, standard_atmosphere("us1976")), 2)

@@ -1,0 +1,181 @@
+"""What filter, autopilot and second attitudes say against a flight, as stretches of time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.flight.channels import Array, Channel, TimeArray
+from pipeline.flight.suspicion.tracks import POSITION, SECOND, Mask, beside, runs
+from pipeline.flight.trajectory import interpolate
+
+ATTITUDE = "attitude"
+
+NOISE_TILT_DEG = 1.5
+"""A difference of the verticals of two attitudes that is noise, whatever is usual [deg]."""
+
+SETTLED_RATIO, SETTLED_S = 0.7, 3.0
+"""A filter has recovered when its innovation ratios have been below this for so long."""
+
+_GLITCH, _DEAD_RECKONING = 1 << 15, 1 << 18  # bits of filter_flags
+
+# What an autopilot says when its position or attitude is in doubt, and when no longer.
+_TROUBLE = re.compile(
+    r"DCM active|dead.?reckon|GPS glitch|EKF[ _]variance|EKF failsafe|stopped aiding|lane switch"
+    r"|primary changed|forced reset|emergency yaw|GPS (signal )?lost|EV GPS_PRIMARY_CHANGED"
+    r"|ERR (EKFCHECK|FAILSAFE_EKFINAV|FAILSAFE_GPS|GPS|FAILSAFE_DEADRECKON|EKF_PRIMARY) [1-9]"
+    r"|(position|navigation).*(fail|invalid)",
+    re.IGNORECASE,
+)
+_OVER = re.compile(
+    r"EKF\d? active|cleared|using GPS|regained|reckoning (ended|stopped)|"
+    r"ERR (EKFCHECK|FAILSAFE_EKFINAV|FAILSAFE_GPS|GPS|FAILSAFE_DEADRECKON) 0",
+    re.IGNORECASE,
+)
+_MOMENTARY = re.compile(r"lane switch|primary|forced reset|emergency yaw", re.IGNORECASE)
+_OF_ATTITUDE = re.compile(r"DCM|lane|EKF.primary|forced|yaw", re.IGNORECASE)
+
+
+@dataclass(frozen=True, order=True)
+class Stretch:
+    """From ``begin_ns`` to ``end_ns`` a quantity is doubtful.
+
+    ``quantity`` is position, height or attitude; ``reason`` says why, in plain words; ``off_m`` is
+    how far off it may be [m], NaN where the evidence does not tell; ``instead`` is the channel that
+    stands in for the doubtful one, or empty.
+    """
+
+    begin_ns: int
+    end_ns: int
+    quantity: str
+    reason: str
+    off_m: float = np.nan
+    instead: str = ""
+
+    def covers(self, time_ns: TimeArray) -> Mask:
+        """Which instants lie in it."""
+        return np.asarray((time_ns >= self.begin_ns) & (time_ns <= self.end_ns))
+
+    @property
+    def when(self) -> str:
+        """From when to when, UTC."""
+        begin, end = (
+            np.datetime64(t, "ns").astype("datetime64[s]") for t in (self.begin_ns, self.end_ns)
+        )
+        return f"{begin} to {end} UTC"
+
+    def meets(self, other: Stretch) -> bool:
+        """Whether the two have a time in common."""
+        return self.begin_ns <= other.end_ns and other.begin_ns <= self.end_ns
+
+
+def filter_evidence(channels: Sequence[Channel]) -> list[Stretch]:
+    """What the filter says of itself: innovations, health, clipping accelerometers.
+
+    Innovation ratios above 1 are rejected measurements. Of several lanes the best counts, which is
+    the one an autopilot flies by.
+    """
+    found = []
+    kinds = {
+        "innovation_position": (POSITION, "the filter rejected the receiver's position"),
+        "innovation_velocity": (ATTITUDE, "the filter rejected the receiver's velocity"),
+        "innovation_compass": (ATTITUDE, "the filter rejected the compass"),
+    }
+    for column, (quantity, reason) in kinds.items():
+        lanes = [c for c in channels if column in c.columns]
+        if not lanes:
+            continue
+        time_ns, ratio = lanes[0].time_ns, lanes[0][column]
+        for lane in lanes[1:]:
+            ratio = np.fmin(ratio, interpolate(lane, column, time_ns, lane.gap_limit_s(2.0)))
+        for a, b in runs(time_ns, ratio > SETTLED_RATIO, ratio > 1.0, SETTLED_S):
+            lasts_s = (time_ns[b] - time_ns[a]) * 1e-9
+            worst = float(np.nanmax(ratio[a : b + 1]))
+            if worst < 2.0 and lasts_s < (5.0 if column == "innovation_compass" else 0.5):
+                continue
+            why = f"{reason} (innovation ratio {worst:.3g})"
+            found.append(Stretch(*beside(time_ns, a, b), quantity, why))
+            if column == "innovation_velocity":
+                found.append(replace(found[-1], quantity=POSITION))
+    for channel in channels:
+        time_ns = channel.time_ns
+        if "filter_flags" in channel.columns:
+            flags = np.nan_to_num(channel["filter_flags"]).astype(np.int64)
+            signs = {
+                "the filter sees a GPS glitch": flags & _GLITCH > 0,
+                "the filter is dead reckoning": flags & _DEAD_RECKONING > 0,
+            }
+            for why, bad in signs.items():
+                pairs = runs(time_ns, bad, bad, SETTLED_S)
+                found += [Stretch(*beside(time_ns, a, b), POSITION, why) for a, b in pairs]
+        if "clipping" in channel.columns and len(channel) > 1:
+            rate = np.append(0.0, np.diff(channel["clipping"]) / np.diff(time_ns) * SECOND)
+            for a, b in runs(time_ns, rate > 50.0, rate > 100.0):
+                if time_ns[b] - time_ns[a] > 2 * SECOND:
+                    why = f"the accelerometers clip {rate[a : b + 1].max():.0f} times a second"
+                    found.append(Stretch(*beside(time_ns, a, b), ATTITUDE, why))
+    return found
+
+
+def message_evidence(channels: Sequence[Channel]) -> list[Stretch]:
+    """What the autopilot says of its position and attitude, until it says that this is over.
+
+    A switch from one filter to another counts for 5 s. It takes half a second to say so.
+    """
+    found = []
+    for channel in channels:
+        texts = channel.labels.get("text", ())
+        for row, text in enumerate(texts):
+            lines = [line for line in text.splitlines() if _TROUBLE.search(line)]
+            for line in lines:
+                begin = int(channel.time_ns[row]) - SECOND // 2
+                end = begin + 5 * SECOND
+                if not _MOMENTARY.search(line):
+                    later = range(row + 1, len(texts))
+                    over = [k for k in later if _OVER.search(texts[k])]
+                    boot = int(channel.time_ns[channel.boot == channel.boot[row]][-1])
+                    end = max(end, int(channel.time_ns[over[0]]) if over else boot + 3600 * SECOND)
+                stretch = Stretch(begin, end, POSITION, f'the autopilot says "{line.strip()}"')
+                found.append(stretch)
+                if _OF_ATTITUDE.search(line):
+                    found.append(replace(stretch, quantity=ATTITUDE))
+    return found
+
+
+def attitude_evidence(attitude: Channel, channels: Sequence[Channel]) -> list[Stretch]:
+    """Where the vertical of an attitude differs from that of another, beyond what is usual.
+
+    What the aircraft turns in 0.2 s does not count: telemetry does not tell times better.
+    """
+
+    def vertical(c: Channel) -> Channel:
+        w, x, y, z = (c[f"q_{axis}"] for axis in "wxyz")
+        down = (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))
+        return replace(c, columns=dict(zip("xyz", down, strict=True)), labels={})
+
+    def down_at(c: Channel, time_ns: TimeArray) -> Array:
+        return np.stack([interpolate(c, axis, time_ns, c.gap_limit_s(1.0)) for axis in "xyz"])
+
+    def angle(a: Array, b: Array) -> Array:
+        half = np.clip(0.5 * np.linalg.norm(a - b, axis=0), 0.0, 1.0)
+        return np.asarray(np.degrees(2.0 * np.arcsin(half)))
+
+    found, mine = [], vertical(attitude)
+    for other in channels:
+        if other.name == attitude.name or ATTITUDE not in other.roles or len(other) < 2:
+            continue
+        time_ns, theirs = other.time_ns, down_at(vertical(other), other.time_ns)
+        own, late, early = (down_at(mine, time_ns + k * SECOND // 10) for k in (0, 1, -1))
+        tilt = angle(own, theirs) - np.nan_to_num(angle(late, early))
+        if not np.isfinite(tilt).any():
+            continue
+        limit = max(NOISE_TILT_DEG, 3.0 * float(np.nanpercentile(tilt, 95.0)))
+        for a, b in runs(time_ns, tilt > 0.5 * limit, tilt > limit):
+            if np.count_nonzero(tilt[a : b + 1] > limit) > 1:
+                worst = float(np.nanmax(angle(own, theirs)[a : b + 1]))
+                why = f"{attitude.name} and {other.name} are {worst:.1f} deg apart"
+                found.append(Stretch(*beside(time_ns, a, b), ATTITUDE, why))
+    return found

@@ -1,0 +1,247 @@
+"""Sources of position and height: steps that no vehicle makes, and differences between them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from pipeline.flight.channels import Array, Channel, TimeArray
+from pipeline.flight.quality import subset
+from pipeline.flight.trajectory import interpolate
+
+Mask = NDArray[np.bool_]
+
+POSITION, HEIGHT = "position", "height"
+
+NOISE_STEP_M = {POSITION: 3.0, HEIGHT: 5.0}
+"""A step from sample to sample that is noise, beyond what velocity and neighbours explain [m]."""
+
+NOISE_MISFIT_M = {POSITION: 2.0, HEIGHT: 4.0}
+"""A difference of two sources that is noise, beyond lag and offset [m]."""
+
+WORST_ACCURACY_M = 5.0
+"""A receiver that reports worse is not to be believed [m]."""
+
+SECOND = 1_000_000_000
+_SEVERAL = 6.0  # a difference of so many times the usual one is no noise
+_RADIUS_M = 6_371_000.0  # for differences of metres: any radius will do
+_LONGEST_STEP_S = 10.0
+_MOST_STEPS = 1_000
+_SLOPE_M = -8434.5  # dh / d ln p at 288.15 K
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One source of positions or heights, and what it says against itself.
+
+    ``wander_m`` (n, 2) north and east, or (n, 1) up, is how far its own steps have carried it from
+    where it was before and is later; ``good`` (n,) where it has not stepped away and reports a
+    useful accuracy; ``part`` (n,) numbers what lies between restarts and steps that do not return.
+    ``step_ns`` and ``lone_ns`` are the times of all steps and of those, ``fastest_m_s`` the speed
+    of the worst.
+    """
+
+    channel: Channel
+    wander_m: Array
+    good: Mask
+    part: NDArray[np.intp]
+    step_ns: TimeArray
+    lone_ns: TimeArray
+    fastest_m_s: float
+
+
+def runs(time_ns: TimeArray, bad: Mask, seed: Mask, join_s: float = 1.0) -> list[tuple[int, int]]:
+    """First and last row of each run of bad rows with a seed; ``join_s`` [s] apart they are one."""
+    rows = np.flatnonzero(bad | seed)
+    if not seed.any():
+        return []
+    cut = np.flatnonzero(np.diff(time_ns[rows]) > join_s * SECOND)
+    first, last = rows[np.append(0, cut + 1)], rows[np.append(cut, rows.size - 1)]
+    pairs = zip(first.tolist(), last.tolist(), strict=True)
+    return [(a, b) for a, b in pairs if seed[a : b + 1].any()]
+
+
+def beside(time_ns: TimeArray, a: int, b: int) -> tuple[int, int]:
+    """The times of the rows before and after those from a to b [ns]."""
+    return int(time_ns[max(a - 1, 0)]), int(time_ns[min(b + 1, time_ns.size - 1)])
+
+
+def places_of(channel: Channel, quantity: str) -> tuple[Array, Array]:
+    """(n, k) places of a channel, and (n - 1, k) metres from each to the next.
+
+    Places are latitude and longitude [rad], unwrapped, or a height [m] above any one surface.
+    """
+    if quantity == HEIGHT:
+        h = channel[channel.height_column or "h_msl_m"][:, None]
+        return h, np.diff(h, axis=0)
+    places = np.stack([channel["lat_rad"], np.unwrap(channel["lon_rad"])], axis=1)
+    return places, metres(np.diff(places, axis=0), places[1:, 0])
+
+
+def metres(change: Array, lat_rad: Array) -> Array:
+    """(n, 2) metres north and east of (n, 2) changes of latitude and longitude [rad]."""
+    east = (change[:, 1] + np.pi) % (2.0 * np.pi) - np.pi
+    return _RADIUS_M * np.stack([change[:, 0], east * np.cos(lat_rad)], axis=1)
+
+
+def velocity_at(channels: Iterable[Channel], quantity: str, time_ns: TimeArray) -> Array:
+    """(n, 2) north and east or (n, 1) up [m/s] from the first channel that has it; NaN without."""
+    names = ("v_down_m_s",) if quantity == HEIGHT else ("v_north_m_s", "v_east_m_s")
+    for channel in channels:
+        if len(channel) > 1 and all(name in channel.columns for name in names):
+            gap_s = channel.gap_limit_s(2.0)
+            found = [interpolate(channel, name, time_ns, gap_s) for name in names]
+            return np.stack(found, axis=1) * (-1.0 if quantity == HEIGHT else 1.0)
+    return np.full((time_ns.size, len(names)), np.nan)
+
+
+def track_of(channel: Channel, quantity: str, channels: Iterable[Channel]) -> Track:
+    """A source with the steps that no vehicle makes, whatever happens between them.
+
+    A step is what neither the velocity (of the first of ``channels`` that has one) nor the speed of
+    the neighbouring samples explains: more than 3 m horizontally, 5 m in height, and several times
+    what is usual in the channel. Steps add up; from the one that leaves to the one that returns the
+    source is away. One without return parts the channel: which side is right, it does not tell.
+    """
+    places, _ = places_of(channel, quantity)
+    known = np.asarray(np.isfinite(places).all(axis=1))
+    channel = channel if known.all() else subset(channel, known)
+    time_ns, n = channel.time_ns, len(channel)
+    _, moved = places_of(channel, quantity)
+    dt = np.diff(time_ns)[:, None] * 1e-9
+    rest = (moved / dt) - median_filter(moved / dt, size=(7, 1), mode="nearest")
+    velocity = velocity_at(channels, quantity, time_ns)
+    by_velocity = moved / dt - 0.5 * (velocity[1:] + velocity[:-1])
+    smaller = np.linalg.norm(by_velocity, axis=1) < np.linalg.norm(rest, axis=1)
+    rest = dt * np.where(smaller[:, None], by_velocity, rest)
+    torn = (np.diff(channel.boot) != 0) | (dt[:, 0] > _LONGEST_STEP_S)
+    rest[torn] = 0.0
+    size = np.linalg.norm(rest, axis=1)
+    noise = max(NOISE_STEP_M[quantity], _SEVERAL * float(np.percentile(size, 95.0)))
+    step = np.flatnonzero(size > noise + 2.0 * dt[:, 0] ** 2)
+    step = step if step.size <= _MOST_STEPS else step[:0]  # a channel that always steps is noise
+    near = np.zeros(n - 1, np.bool_)  # a receiver smooths a step: what is left of it lies beside
+    for row in step:
+        near |= np.abs(time_ns[1:] - time_ns[row + 1]) <= SECOND
+    place = np.cumsum(np.where(near[:, None], rest, 0.0), axis=0)
+    place = np.concatenate([np.zeros((1, moved.shape[1])), place])
+    edges = [0, *(step + 1).tolist(), n]
+    levels = [np.median(place[a:b], axis=0) for a, b in pairwise(edges)]
+    wander, part, lone = np.zeros_like(place), channel.boot.astype(np.intp), list[int]()
+    base, k = levels[0], 1
+    while k < len(levels):
+        leap = float(np.linalg.norm(levels[k] - base))
+        back = k
+        if leap > noise:
+            tolerance = noise + 0.1 * leap
+            later = range(k + 1, len(levels))
+            back = next((j for j in later if np.linalg.norm(levels[j] - base) < tolerance), 0)
+            if back:
+                wander[edges[k] : edges[back]] = place[edges[k] : edges[back]] - base
+            else:
+                base, lone = levels[k], [*lone, edges[k]]
+                part[edges[k] :] += int(part.max()) + 1
+        k = max(back, k + 1)
+    good = np.asarray(~wander.any(axis=1))
+    sigma = channel.columns.get("sigma_v_m" if quantity == HEIGHT else "sigma_h_m")
+    if sigma is not None:
+        good &= ~(sigma > max(WORST_ACCURACY_M, 3.0 * float(np.nanmedian(sigma))))
+    fastest = float((size[step] / dt[step, 0]).max()) if step.size else 0.0
+    return Track(channel, wander, good, part, time_ns[step + 1], time_ns[lone], fastest)
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """How far a source is from another, at the times of the other.
+
+    ``apart_m`` (n, k) from the other less its own steps and its constant lag ``lag_s``; ``off_m``
+    (n,) beyond the usual offset. NaN where either is missing, or the other's accuracy is poor.
+    ``limit_m`` is the largest ``off_m`` that is noise, ``usual_m`` its standard deviation.
+    """
+
+    other: Track
+    apart_m: Array
+    off_m: Array
+    lag_s: float
+    limit_m: float
+    usual_m: float
+
+    @property
+    def apart(self) -> list[tuple[int, int]]:
+        """Rows of the other between which the two differ by more than noise."""
+        with np.errstate(invalid="ignore"):
+            bad, seed = self.off_m > 0.5 * self.limit_m, self.off_m > self.limit_m
+        return runs(self.other.channel.time_ns, bad, seed)
+
+
+def difference(mine: Channel, other: Track, quantity: str, velocity: Array) -> Difference:
+    """How far ``mine`` is from another source; ``velocity`` (n, k) [m/s] at the times of that."""
+    time_ns = other.channel.time_ns
+    theirs, _ = places_of(other.channel, quantity)
+    own, _ = places_of(mine, quantity)
+    gap_s = mine.gap_limit_s(2.0)
+    columns = {str(k): own[:, k] for k in range(own.shape[1])}
+    placed = replace(mine, columns=columns, labels={})
+    own = np.stack([interpolate(placed, name, time_ns, gap_s) for name in columns], axis=1)
+    apart = own - theirs if quantity == HEIGHT else metres(own - theirs, theirs[:, 0])
+    apart += other.wander_m
+    known = np.isfinite(apart).all(axis=1) & other.good
+    lag_s, speed2 = 0.0, np.sum(np.nan_to_num(velocity) ** 2, axis=1)
+    fast = known & (speed2 > max(4.0, 0.1 * float(np.percentile(speed2, 95.0))))
+    if np.count_nonzero(fast) >= 20:
+        known = fast
+        lag_s = float(np.median(np.sum(apart * velocity, axis=1)[fast] / speed2[fast]))
+    apart -= lag_s * np.nan_to_num(velocity)
+    reported = other.good | other.wander_m.any(axis=1)
+    apart[~reported] = np.nan
+    off = np.full(time_ns.size, np.nan)
+    for part in np.unique(other.part):  # heights above home have a new home in each
+        rows = other.part == part
+        usual_apart = np.median(
+            apart[rows & known] if (rows & known).any() else apart[rows], axis=0
+        )
+        off[rows] = np.linalg.norm(apart[rows] - usual_apart, axis=1)
+    usual = 1.48 * float(np.median(off[known])) if known.any() else 0.0
+    limit_m = max(NOISE_MISFIT_M[quantity], _SEVERAL * usual)
+    return Difference(other, apart, off, lag_s, limit_m, usual)
+
+
+def moved(channel: Channel, rows: Mask, by_m: Array, height_column: str | None) -> dict[str, Array]:
+    """Columns of some rows of a channel, moved by (2,) metres north and east or (1,) up."""
+    if by_m.size == 1:
+        h = channel[channel.height_column or "h_msl_m"][rows] + by_m[0]
+        return {height_column or "h_msl_m": h}
+    lat, lon = channel["lat_rad"][rows], channel["lon_rad"][rows]
+    north, east = by_m / _RADIUS_M
+    return {"lat_rad": lat + north, "lon_rad": lon + east / np.cos(lat)}
+
+
+def height_of_pressure(barometer: Channel, height: Channel) -> Channel | None:
+    """A barometer as a source of heights, by the flight's own relation of height and ln p.
+
+    A parabola, fitted twice (what is farther off than three standard deviations is left out), or a
+    line of standard air where the flight spans under 300 m. None for one that gives no heights.
+    """
+    column = height.height_column
+    if column is None or "pressure_pa" not in barometer.columns:
+        return None
+    h = interpolate(height, column, barometer.time_ns, height.gap_limit_s(2.0))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        log_p = np.log(barometer["pressure_pa"])
+    use = np.isfinite(h) & np.isfinite(log_p)
+    if np.count_nonzero(use) < 30:
+        return None
+    heights = np.full(h.shape, np.nan)
+    for _ in range(2):
+        if float(np.ptp(h[use])) > 300.0:
+            heights = np.polynomial.Polynomial.fit(log_p[use], h[use], 2)(log_p)
+        else:
+            heights = float(np.median(h[use] - _SLOPE_M * log_p[use])) + _SLOPE_M * log_p
+        off = np.abs(h - heights)
+        use &= off < max(3.0 * 1.48 * float(np.nanmedian(off)), 1.0)
+    return replace(barometer, columns={"h_msl_m": heights}, roles=(), labels={})
