@@ -130,6 +130,7 @@ ORIENTED: dict[str, Any] = {
 } | {
     "cameras": {"nadir": WITHOUT_WINDOW, "window": WITHOUT_WINDOW},
     "stations": {
+        "use_suspect": True,
         "orientation": {
             "path": "block.csv", "angles": "omega_phi_kappa", "unit": "grad", "frame": "unknown",
             "heights": "ellipsoid", "columns": ORIENTED_COLUMNS, "camera": "nadir",
