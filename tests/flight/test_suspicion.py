@@ -16,7 +16,7 @@ from pipeline.flight.suspicion.evidence import (
     filter_evidence,
     message_evidence,
 )
-from pipeline.flight.suspicion.tracks import POSITION, difference, runs, track_of, velocity_at
+from pipeline.flight.suspicion.sources import POSITION, difference, runs, track_of, velocity_at
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND

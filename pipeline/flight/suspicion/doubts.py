@@ -19,7 +19,7 @@ from pipeline.flight.suspicion.evidence import (
     filter_evidence,
     message_evidence,
 )
-from pipeline.flight.suspicion.tracks import (
+from pipeline.flight.suspicion.sources import (
     HEIGHT,
     POSITION,
     SECOND,

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.flight.channels import Array, Channel, TimeArray
-from pipeline.flight.suspicion.tracks import POSITION, SECOND, Mask, beside, runs
+from pipeline.flight.suspicion.sources import POSITION, SECOND, Mask, beside, runs
 from pipeline.flight.trajectory import interpolate
 
 ATTITUDE = "attitude"
