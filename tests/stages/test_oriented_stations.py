@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 import yaml
 
@@ -413,3 +416,48 @@ def test_check_copes_without_a_log(block, unbend):
 
 def test_a_table_that_is_not_there(block):
     assert "stations.orientation.path" in refused(block, "INPUT-MISSING")
+
+
+README = Path(__file__).resolve().parents[2] / "README.md"
+
+
+def test_the_example_of_the_readme_finds_the_simulated_truth(flown, mission_factory, tmp_path):
+    """As it stands there, under twenty lines: true stations as angles, the true air as a sounding.
+
+    The cameras of the simulation look through a window; its cabin is added to the example.
+    """
+    _, example = re.findall(r"```yaml\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+    assert len(example.splitlines()) < 20
+    mission = mission_factory(tmp_path / "mission")
+    table = pq.read_table(flown.truth / "stations.parquet").to_pandas().query("camera == 'nadir'")
+    written = columns_of(table).drop(columns=["camera", "time"])
+    write(mission, written.assign(height=table["h_ellipsoid_m"].round(4)), "opk.csv")
+    air = pq.read_table(flown.truth / "profile.parquet").to_pandas().query("h_m < 9000")[::20]
+    air[["h_m", "pressure_pa", "temperature_k", "vapour_pressure_pa"]].assign(
+        time_utc=table["time_utc"].iloc[0].strftime("%Y-%m-%dT%H:%M:%SZ"),
+        latitude_deg=table["lat_deg"].iloc[0].round(3),
+        longitude_deg=table["lon_deg"].iloc[0].round(3),
+    ).to_csv(mission.folder / "sounding.csv", index=False)
+    seen = mission.measurements().to_pandas()
+    mission.config = yaml.safe_load(example)
+    mission.config["stations"]["orientation"]["date"] = f"{table['time_utc'].iloc[0]}"[:16]
+    mission.config["cameras"]["nadir"]["window"] = {
+        "cabin": {
+            "pressure_hpa": float(table["cabin_pressure_pa"].mean() / 100.0),
+            "temperature_c": float(table["cabin_temperature_k"].mean() - 273.15),
+            "relative_humidity": float(table["cabin_vapour_pressure_pa"].mean() / 2640.0),
+        }
+    }
+    nadir = seen["image"].str.startswith("nadir")
+    seen[nadir].to_parquet(mission.folder / "observations.parquet", index=False)
+    manifest = ran(mission)
+    assert manifest["exit_code"] == 0
+    truth = pq.read_table(flown.truth / "observations.parquet").to_pandas()[nadir.to_numpy()]
+    size = np.hypot(truth["x_true_px"] - truth["x_px"], truth["y_true_px"] - truth["y_px"])
+    result = mission.results().to_pandas()
+    left = np.hypot(result["x_corrected_px"] - truth["x_true_px"].to_numpy(),
+                    result["y_corrected_px"] - truth["y_true_px"].to_numpy())  # fmt: skip
+    assert size.max() > 0.05
+    # What is left is the cabin's: its pressure is not the same at each exposure, as stated here.
+    assert left.max() < 0.02 * size.max()
+    assert np.sqrt(np.mean(left**2)) < 0.012 * np.sqrt(np.mean(size**2))
