@@ -25,7 +25,7 @@ from pipeline.flight.suspicion.sources import (
     SECOND,
     WORST_ACCURACY_M,
     Difference,
-    Track,
+    SourcePath,
     beside,
     difference,
     height_of_pressure,
@@ -60,7 +60,7 @@ class Sources:
     """
 
     quantity: str
-    own: Track
+    own: SourcePath
     differences: tuple[Difference, ...]
     barometers: tuple[str, ...] = ()
 
@@ -194,7 +194,7 @@ def doubts_of(sources: Sources, while_on: Channel) -> tuple[list[Stretch], list[
     return found, drifts
 
 
-def self_doubts(track: Track, quantity: str) -> list[Stretch]:
+def self_doubts(track: SourcePath, quantity: str) -> list[Stretch]:
     """Where a source has stepped away from itself, or reports a poor accuracy."""
     time_ns, name, found = track.channel.time_ns, track.channel.name, []
     away = np.linalg.norm(track.wander_m, axis=1)
@@ -271,7 +271,7 @@ def stand_in_for(sources: Sources, doubt: Stretch) -> Difference | None:
     own, long = sources.own, doubt.end_ns - doubt.begin_ns > LONGEST_STAND_IN_S * SECOND
     wide = replace(doubt, begin_ns=doubt.begin_ns - SECOND, end_ns=doubt.end_ns + SECOND)
 
-    def fails(track: Track) -> bool:
+    def fails(track: SourcePath) -> bool:
         rows = wide.covers(track.channel.time_ns)
         silent = bool(np.diff(track.channel.time_ns[rows], prepend=wide.begin_ns,
                               append=wide.end_ns).max() > LONGEST_COAST_S * SECOND)  # fmt: skip
@@ -294,7 +294,7 @@ def stand_in_for(sources: Sources, doubt: Stretch) -> Difference | None:
     return None
 
 
-def drifted(own: Track, d: Difference, doubt: Stretch) -> list[Stretch]:
+def drifted(own: SourcePath, d: Difference, doubt: Stretch) -> list[Stretch]:
     """A filter that left its stand-in without a step has a wrong vertical: a doubtful attitude.
 
     Half a degree of tilt carries a coasting filter 0.04 m/s² t² away.

@@ -36,7 +36,7 @@ _SLOPE_M = -8434.5  # dh / d ln p at 288.15 K
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class SourcePath:
     """One source of positions or heights, and what it says against itself.
 
     ``wander_m`` (n, 2) north and east, or (n, 1) up, is how far its own steps have carried it from
@@ -100,7 +100,7 @@ def velocity_at(channels: Iterable[Channel], quantity: str, time_ns: TimeArray) 
     return np.full((time_ns.size, len(names)), np.nan)
 
 
-def track_of(channel: Channel, quantity: str, channels: Iterable[Channel]) -> Track:
+def track_of(channel: Channel, quantity: str, channels: Iterable[Channel]) -> SourcePath:
     """A source with the steps that no vehicle makes, whatever happens between them.
 
     A step is what neither the velocity (of the first of ``channels`` that has one) nor the speed of
@@ -152,7 +152,7 @@ def track_of(channel: Channel, quantity: str, channels: Iterable[Channel]) -> Tr
     if sigma is not None:
         good &= ~(sigma > max(WORST_ACCURACY_M, 3.0 * float(np.nanmedian(sigma))))
     fastest = float((size[step] / dt[step, 0]).max()) if step.size else 0.0
-    return Track(channel, wander, good, part, time_ns[step + 1], time_ns[lone], fastest)
+    return SourcePath(channel, wander, good, part, time_ns[step + 1], time_ns[lone], fastest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +164,7 @@ class Difference:
     ``limit_m`` is the largest ``off_m`` that is noise, ``usual_m`` its standard deviation.
     """
 
-    other: Track
+    other: SourcePath
     apart_m: Array
     off_m: Array
     lag_s: float
@@ -179,7 +179,7 @@ class Difference:
         return runs(self.other.channel.time_ns, bad, seed)
 
 
-def difference(mine: Channel, other: Track, quantity: str, velocity: Array) -> Difference:
+def difference(mine: Channel, other: SourcePath, quantity: str, velocity: Array) -> Difference:
     """How far ``mine`` is from another source; ``velocity`` (n, k) [m/s] at the times of that."""
     time_ns = other.channel.time_ns
     theirs, _ = places_of(other.channel, quantity)
