@@ -11,18 +11,29 @@ from types import ModuleType
 import pytest
 
 
-@pytest.fixture(scope="session")
-def drawn_flights() -> ModuleType:
-    """The module drawn_flights.py beside this file."""
-    name = "unbend_tests_drawn_flights"
-    place = Path(__file__).with_name("drawn_flights.py")
-    spec = importlib.util.spec_from_file_location(name, place)
+def _beside(name: str) -> ModuleType:
+    """A module beside this file, which no package contains."""
+    spec = importlib.util.spec_from_file_location(
+        f"unbend_tests_{name}", Path(__file__).with_name(f"{name}.py")
+    )
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up
+    sys.modules[spec.name] = module  # dataclasses look their module up
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="session")
+def drawn_flights() -> ModuleType:
+    """The module drawn_flights.py."""
+    return _beside("drawn_flights")
+
+
+@pytest.fixture(scope="session")
+def simulated_block() -> ModuleType:
+    """The module simulated_block.py."""
+    return _beside("simulated_block")
 
 
 @pytest.fixture(scope="session")
