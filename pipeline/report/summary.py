@@ -32,21 +32,16 @@ LARGEST_CABIN_SHARE = 0.02
 
 
 def _cabin_limit(manifest: Mapping[str, Any]) -> str:
-    """That the air in the cabin limits the result, where it does."""
-    cabin = manifest["cabin_sigma_share"]["median"]
+    """How uncertain the air in the cabin is, and whether that limits the result."""
+    cabin, air = manifest["cabin_sigma_share"]["median"], manifest["uncertainty"]
     if cabin is None or cabin <= LARGEST_CABIN_SHARE:
         return ""
-    size = f"its standard deviation is {100.0 * cabin:.2g} % of R in the median"
-    air = manifest["uncertainty"]
+    sentence = f" The air in the cabin is uncertain by {100.0 * cabin:.2g} % of R in the median"
     if air is None:
-        return f" The air in the cabin limits the result: {size}."
-    outside = f"{100.0 * air['scale_sigma']:.2g} %"
-    if cabin > air["scale_sigma"]:
-        return (
-            f" The air in the cabin, not that outside, limits the result: {size}, that of the "
-            f"air outside {outside}."
-        )
-    return f" The air in the cabin adds to the error: {size}, that of the air outside {outside}."
+        return sentence + "."
+    sentence += f", the air outside by {100.0 * air['scale_sigma']:.2g} %"
+    limits = cabin > air["scale_sigma"]
+    return sentence + (": the cabin, not the air, limits the result." if limits else ".")
 
 
 def three_digits(value: float | None) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pipeline.atmosphere import Profile
 from pipeline.atmosphere.refractive_index import IndexModel, vapour_pressure
@@ -18,7 +18,7 @@ from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.flight.channels import Channel
 from pipeline.flight.station_builder import mark_suspect
 from pipeline.flight.stations import Stations
-from pipeline.ledger import Ledger, Notes, fallback, loss
+from pipeline.ledger import Ledger, Notes, fallback, loss, note, warning
 from pipeline.refraction.camera.camera import LensInAir
 from pipeline.refraction.window import (
     SCHEDULE_CEILING_M,
@@ -27,10 +27,9 @@ from pipeline.refraction.window import (
     Window,
     scheduled_pressure,
 )
-from pipeline.units import HECTOPASCAL
+from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 USUAL_TEMPERATURE_K = 294.15
 SIGMA_PRESSURISED_K, SIGMA_AMBIENT_K = 5.0, 10.0
@@ -49,6 +48,12 @@ SIGMA_THERMOMETER_K = 1.0
 BOARD_WARMER_K, SIGMA_BOARD_K = 10.0, 6.0
 """A barometer's board against the air about it: 0 to 20 K warmer in autopilots and their simulator,
 evenly spread (standard deviation 5.8 K); the same 10 K as `atmosphere.estimate.readings` has."""
+
+
+_COLUMNS = (
+    "cabin_pressure_pa", "cabin_temperature_k", "cabin_vapour_pressure_pa",
+    "sigma_cabin_pressure_pa", "sigma_cabin_temperature_k",
+)  # fmt: skip
 
 
 def cabin_from_log(
@@ -101,24 +106,17 @@ def cabin_from_log(
     thermometer = roles.get("cabin_temperature")
     if stated or thermometer is None or "board_temperature_k" not in thermometer.columns:
         return stations, notes
-    board, p = stations.cabin_temperature_k, stations.cabin_pressure_pa
-    air = board - BOARD_WARMER_K
-    drier = vapour_pressure(1.0, air, p) / vapour_pressure(1.0, board, p)
+    mine = (stations.camera == camera) & np.isfinite(stations.cabin_temperature_k)
     what = (
         f"the temperature of the cabin is that of the board of {thermometer.name}, less "
         f"{BOARD_WARMER_K:.0f} +- {SIGMA_BOARD_K:.0f} K"
     )
-    where = f"camera {camera}"
-    notes += (fallback("CABIN-BOARD", what, where=where, count=int(of_camera.sum())),)
-    mine = stations.camera == camera
-    vapour = stations.cabin_vapour_pressure_pa
-    sigma = np.where(np.isfinite(board), SIGMA_BOARD_K, np.nan)
+    entry_of_board = fallback("CABIN-BOARD", what, where=f"camera {camera}", count=int(mine.sum()))
     return replace(
         stations,
-        cabin_temperature_k=np.where(mine, air, board),
-        cabin_vapour_pressure_pa=np.where(mine, vapour * drier, vapour),
-        sigma_cabin_temperature_k=np.where(mine, sigma, stations.sigma_cabin_temperature_k),
-    ), notes
+        cabin_temperature_k=stations.cabin_temperature_k - BOARD_WARMER_K * mine,
+        sigma_cabin_temperature_k=np.where(mine, SIGMA_BOARD_K, stations.sigma_cabin_temperature_k),
+    ), (*notes, entry_of_board)
 
 
 def with_cabin_air(
@@ -134,29 +132,78 @@ def with_cabin_air(
     the air changes it. ``lenses`` are the names of the cameras with such a lens; ``profile`` is the
     air outside. Sigmas are NaN for numbers of the mission file that have none.
     """
-    columns = {
-        name: getattr(stations, name).copy()
-        for name in (
-            "cabin_pressure_pa", "cabin_temperature_k", "cabin_vapour_pressure_pa",
-            "sigma_cabin_pressure_pa", "sigma_cabin_temperature_k",
-        )
-    }  # fmt: skip
-    lenses = set(lenses)
+    columns = {name: getattr(stations, name).copy() for name in _COLUMNS}
     h = stations.h_msl_m
     outside = profile.pressure(h), profile.vapour_pressure(h)
     for name, window in windows.items():
-        rows = stations.camera == name
-        matters = window.shape == "plane" or name in lenses
-        if window.cabin is None or not matters or not bool(rows.any()):
+        rows, cabin = stations.camera == name, window.cabin
+        if cabin is None or not (window.shape == "plane" or name in lenses):
             continue
         logged = tuple(column[rows] for column in columns.values())
         ambient = outside[0][rows], outside[1][rows]
-        values = _air_in(window.cabin, logged, ambient)
+        values = _air_in(cabin, logged, ambient)
         for column, value in zip(columns.values(), values, strict=True):
             column[rows] = value
-        _report(window.cabin, name, stations.ok[rows], h[rows], ledger,
-                logged=logged, thinner_pa=ambient[0] - values[0])  # fmt: skip
+        ok = stations.ok[rows]
+        dry = int((~np.isfinite(logged[2]) & ok).sum())
+        if cabin.source == "log" and not np.isfinite(cabin.relative_humidity) and dry:
+            what = f"no humidity in the cabin for {dry} exposures: its air is taken as dry"
+            ledger.fallback("CABIN-DRY", what, where=f"camera {name}", count=dry)
+        with np.errstate(invalid="ignore"):
+            above = int((ok & (h[rows] > SCHEDULE_CEILING_M)).sum())
+        if cabin.source == "standard_schedule":
+            ledger.extend(_notes_of_schedule(name, above))
+        ledger.extend(_doubts(name, ok, values, ambient[0]))
     return replace(stations, **columns)
+
+
+def _notes_of_schedule(name: str, above: int) -> Notes:
+    """That a cabin's air is not measured; ``above`` exposures lie beyond the schedule's end."""
+    where = f"cameras.{name}.window.cabin"
+    what = (
+        "the cabin's air is Gyer's schedule, dry and not measured: as outside to 3 km pressure "
+        "altitude, then 701.2 hPa; 21.1 degC"
+    )
+    too_high = (
+        f"{above} exposures lie above 10 km, where the schedule of the cabin's pressure ends; "
+        "701.2 hPa are taken there too"
+    )
+    notes = (note("CABIN-SCHEDULE", what, where=where),)
+    if not above:
+        return notes
+    return (*notes, warning("CABIN-SCHEDULE-HIGH", too_high, where=where, count=above))
+
+
+def _doubts(name: str, ok: NDArray[np.bool_], values: tuple[Array, ...], p_outside: Array) -> Notes:
+    """Warnings where pressure or temperature are those of no cabin."""
+    p, t = values[:2]
+    sigma_t = np.where(p - p_outside > PRESSURISED_PA, SIGMA_PRESSURISED_K, SIGMA_AMBIENT_K)
+    notes = []
+    with np.errstate(invalid="ignore"):
+        thin = ok & (p_outside - p > 0.5 * PRESSURISED_PA)
+        odd = ok & (np.abs(t - USUAL_TEMPERATURE_K) > 4.0 * sigma_t)
+    for wrong, what in (
+        (thin, "less pressure than the air outside"),
+        (odd, "a temperature far from 21 degC"),
+    ):
+        count, first = int(wrong.sum()), int(np.argmax(wrong))
+        if count:
+            what = (
+                f"the cabin of {name} has {what}: {p[first] / HECTOPASCAL:.0f} hPa and "
+                f"{t[first] - ZERO_CELSIUS_K:.0f} degC at the first of {count} exposures; is it "
+                "another sensor, or another unit?"
+            )
+            where = f"cameras.{name}.window.cabin"
+            notes.append(warning("CABIN-DOUBTFUL", what, where=where, count=count))
+    return tuple(notes)
+
+
+def _first_known(*values: ArrayLike) -> Array:
+    """Of several numbers or arrays the first that is known, element by element."""
+    found, *others = (np.asarray(value, np.float64) for value in values)
+    for other in others:
+        found = np.where(np.isfinite(found), found, other)
+    return found
 
 
 def _air_in(
@@ -169,35 +216,33 @@ def _air_in(
     """
     p_logged, t_logged, e_logged, _, sigma_board = logged
     p_outside, e_outside = outside
-    scheduled = cabin.source == "standard_schedule"
+    blank = np.full(p_logged.shape, np.nan)
+    if cabin.source == "standard_schedule":  # whatever is logged, for instance of another cabin
+        t_logged, e_logged = np.full(blank.shape, SCHEDULE_TEMPERATURE_K), np.zeros(blank.shape)
     p = {
         "log": p_logged,
-        "constant": np.full(p_logged.shape, cabin.pressure_pa),
+        "constant": _first_known(blank, cabin.pressure_pa),
         "ambient": p_outside,
         "standard_schedule": scheduled_pressure(p_outside),
     }[cabin.source]
-    sigma_p = SIGMA_BAROMETER_PA if cabin.source in ("log", "ambient") else np.nan
-    sigma_p = cabin.sigma_pressure_pa if np.isfinite(cabin.sigma_pressure_pa) else sigma_p
-    pressurised = p - p_outside > PRESSURISED_PA
-    assumed = SCHEDULE_TEMPERATURE_K if scheduled else USUAL_TEMPERATURE_K
-    sigma_assumed = np.where(pressurised, SIGMA_PRESSURISED_K, SIGMA_AMBIENT_K)
+    t = _first_known(blank, cabin.temperature_k, t_logged, USUAL_TEMPERATURE_K)
+    measured = np.isfinite(t_logged) & (cabin.source != "standard_schedule")
+    sigma_t = np.where(
+        measured,
+        _first_known(sigma_board, SIGMA_THERMOMETER_K),
+        np.where(p - p_outside > PRESSURISED_PA, SIGMA_PRESSURISED_K, SIGMA_AMBIENT_K),
+    )
     if np.isfinite(cabin.temperature_k):
-        t, sigma_t = np.full(p.shape, cabin.temperature_k), np.full(p.shape, np.nan)
-    elif scheduled:
-        t, sigma_t = np.full(p.shape, assumed), sigma_assumed
-    else:
-        measured = np.isfinite(t_logged)
-        sigma_t = np.where(np.isfinite(sigma_board), sigma_board, SIGMA_THERMOMETER_K)
-        t = np.where(measured, t_logged, assumed)
-        sigma_t = np.where(measured, sigma_t, sigma_assumed)
-    if np.isfinite(cabin.sigma_temperature_k):
-        sigma_t = np.full(p.shape, cabin.sigma_temperature_k)
-    if np.isfinite(cabin.relative_humidity):
-        e = vapour_pressure(cabin.relative_humidity, t, p)
-    else:
-        otherwise = e_outside if cabin.source == "ambient" else np.zeros(p.shape)
-        e = np.where(np.isfinite(e_logged) & (not scheduled), e_logged, otherwise)
-    return p, t, np.asarray(e), np.full(p.shape, sigma_p), sigma_t
+        sigma_t = blank
+    sigma_p = SIGMA_BAROMETER_PA if cabin.source in ("log", "ambient") else np.nan
+    stated = vapour_pressure(cabin.relative_humidity, t, p)
+    return (
+        p,
+        t,
+        _first_known(stated, e_logged, e_outside if cabin.source == "ambient" else 0.0),
+        _first_known(blank, cabin.sigma_pressure_pa, sigma_p),
+        _first_known(blank, cabin.sigma_temperature_k, sigma_t),
+    )
 
 
 def cabin_changes(stations: Stations, lenses: Mapping[str, LensInAir], index: IndexModel) -> Array:
@@ -220,53 +265,3 @@ def cabin_changes(stations: Stations, lenses: Mapping[str, LensInAir], index: In
     changes = slopes * np.tile(np.nan_to_num(sigmas), 2)
     changes[np.isnan(sigmas).all(axis=1)] = np.nan
     return np.asarray(changes)
-
-
-def _report(
-    cabin: Cabin,
-    name: str,
-    ok: Mask,
-    h: Array,
-    ledger: Ledger,
-    *,
-    logged: tuple[Array, ...],
-    thinner_pa: Array,
-) -> None:
-    """Ledger entries for a cabin's air that is assumed, or that cannot be right."""
-    where = f"cameras.{name}.window.cabin"
-    dry = int((~np.isfinite(logged[2]) & ok).sum())
-    if cabin.source == "log" and not np.isfinite(cabin.relative_humidity) and dry:
-        ledger.fallback(
-            "CABIN-DRY",
-            f"no humidity in the cabin for {dry} exposures: its air is taken as dry",
-            where=f"camera {name}",
-            count=dry,
-        )
-    with np.errstate(invalid="ignore"):
-        thin = ok & (thinner_pa > 0.5 * PRESSURISED_PA)
-        above = int((ok & (h > SCHEDULE_CEILING_M)).sum())
-    if bool(thin.any()):
-        ledger.warning(
-            "CABIN-THIN",
-            f"the cabin of {name} has up to {float(thinner_pa[thin].max()) / HECTOPASCAL:.0f} hPa "
-            "less pressure than the air outside, which no cabin has: another sensor, or another "
-            "unit",
-            where=where,
-            count=int(thin.sum()),
-        )
-    if cabin.source != "standard_schedule":
-        return
-    ledger.note(
-        "CABIN-SCHEDULE",
-        "the cabin's air is Gyer's schedule, dry and not measured: as outside to 3 km pressure "
-        "altitude, then 701.2 hPa; 21.1 degC",
-        where=where,
-    )
-    if above:
-        ledger.warning(
-            "CABIN-SCHEDULE-HIGH",
-            f"{above} exposures lie above 10 km, where the schedule of the cabin's pressure ends; "
-            "701.2 hPa are taken there too",
-            where=where,
-            count=above,
-        )

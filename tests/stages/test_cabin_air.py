@@ -152,26 +152,37 @@ def test_a_missing_thermometer_loses_no_row():
 
 
 def test_a_board_is_warmer_than_the_air():
-    """315 K on the board are 305 +- 6 K of air; half saturated it holds less vapour then."""
-    at = stations(6000.0, cabin_pressure_pa=80_000.0, cabin_temperature_k=315.0,
-                  cabin_vapour_pressure_pa=4000.0)  # fmt: skip
+    """315 K on the board are 305 +- 6 K of air."""
+    at = stations(6000.0, cabin_pressure_pa=80_000.0, cabin_temperature_k=315.0)
     at, (entry,) = cabin_from_log(at, "cam", Cabin("log"), (BARO,), {"cabin_temperature": BARO})
     assert (entry.kind, entry.code) == ("fallback", "CABIN-BOARD")
     assert "BARO[1], less 10 +- 6 K" in entry.what
     found, _ = filled(at, Cabin("log"))
     assert (found.cabin_temperature_k[0], found.sigma_cabin_temperature_k[0]) == (305.0, 6.0)
-    # Saturation at 41.85 and 31.85 degC: 81.6 and 47.2 hPa.
-    assert found.cabin_vapour_pressure_pa[0] == pytest.approx(4000.0 * 47.2 / 81.6, rel=5e-3)
 
 
 def test_a_cabin_thinner_than_the_air_outside_is_told():
     thin = stations(1000.0, cabin_pressure_pa=80_000.0, cabin_temperature_k=290.0)
     _, ledger = filled(thin, Cabin("log"))
-    (entry,) = (e for e in ledger if e.code == "CABIN-THIN")
-    assert entry.kind == "warning"
-    assert "up to 99 hPa less" in entry.what  # 898.76 hPa at 1000 m
+    (entry,) = (e for e in ledger if e.code == "CABIN-DOUBTFUL")
+    assert entry.kind == "warning"  # 898.76 hPa at 1000 m
+    assert "less pressure than the air outside: 800 hPa and 17 degC" in entry.what
     _, ledger = filled(replace(thin, h_msl_m=np.array([1900.0])), Cabin("log"))  # 805 hPa
-    assert "CABIN-THIN" not in [e.code for e in ledger]
+    assert "CABIN-DOUBTFUL" not in [e.code for e in ledger]
+
+
+@pytest.mark.parametrize(
+    ("celsius", "height", "doubtful"),
+    [(2.0, 6000.0, False), (0.0, 6000.0, True), (0.0, 1900.0, False), (-20.0, 1900.0, True)],
+)
+def test_a_temperature_that_is_no_cabins_is_told(celsius, height, doubtful):
+    """Four sigmas of 21 +- 5 degC in a pressurised cabin, +- 10 in another; a number stands."""
+    at = stations(height, cabin_pressure_pa=80_000.0, cabin_temperature_k=celsius + 273.15)
+    found, ledger = filled(at, Cabin("log"))
+    told = [e.what for e in ledger if e.code == "CABIN-DOUBTFUL"]
+    assert bool(told) == doubtful
+    assert all(f"800 hPa and {celsius:.0f} degC" in what for what in told)
+    assert found.cabin_temperature_k[0] == celsius + 273.15
 
 
 # ---------------------------------------------------------------- the sigma against the truth
@@ -270,7 +281,7 @@ def test_a_log_without_a_cabin_thermometer(mission, unbend, monkeypatch):
     ended = mission.run()
     assert ended.code == 0, ended.text
     assert "CABIN-TEMPERATURE" in ended.text
-    assert "The air in the cabin, not that outside, limits the result" in " ".join(
+    assert "the cabin, not the air, limits the result" in " ".join(
         ended.text.split())  # fmt: skip
     table = mission.results().to_pandas()
     assert (table["status"] == "ok").all()

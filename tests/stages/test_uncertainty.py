@@ -30,7 +30,7 @@ COLUMNS = {
 
 def with_covariance(monkeypatch, covariance_of):
     """Runs whose air, all of it, has this covariance."""
-    original = stages.air.adjusted_profiles
+    original = stages.adjusted_profiles
 
     def adjusted_profiles(*given):
         air = original(*given)
@@ -130,6 +130,7 @@ WINDOWS = {
         {"cabin": CABIN, "frame": "body", "normal": [0.0, 0.5735764, 0.8191520]},
     ),
     "none, and logged": (None, {"cabin": "log"}),
+    "ambient": ({"cabin": {"pressure": "ambient"}}, {"cabin": {"pressure": "ambient"}}),
 }
 
 
@@ -141,7 +142,7 @@ def test_behind_a_window_against_runs_in_other_air(mission, monkeypatch, windows
             del camera["window"]
         else:
             camera["window"] = window
-    original = stages.air.adjusted_profiles
+    original = stages.adjusted_profiles
 
     def shifts(ln_p: float):
         with monkeypatch.context() as patch:
