@@ -177,11 +177,10 @@ def _notes_of_schedule(name: str, above: int) -> Notes:
 def _doubts(name: str, ok: NDArray[np.bool_], values: tuple[Array, ...], p_outside: Array) -> Notes:
     """Warnings where pressure or temperature are those of no cabin."""
     p, t = values[:2]
-    sigma_t = np.where(p - p_outside > PRESSURISED_PA, SIGMA_PRESSURISED_K, SIGMA_AMBIENT_K)
     notes = []
     with np.errstate(invalid="ignore"):
         thin = ok & (p_outside - p > 0.5 * PRESSURISED_PA)
-        odd = ok & (np.abs(t - USUAL_TEMPERATURE_K) > 4.0 * sigma_t)
+        odd = ok & (np.abs(t - USUAL_TEMPERATURE_K) > 4.0 * _usual_sigma(p, p_outside))
     for wrong, what in (
         (thin, "less pressure than the air outside"),
         (odd, "a temperature far from 21 degC"),
@@ -196,6 +195,11 @@ def _doubts(name: str, ok: NDArray[np.bool_], values: tuple[Array, ...], p_outsi
             where = f"cameras.{name}.window.cabin"
             notes.append(warning("CABIN-DOUBTFUL", what, where=where, count=count))
     return tuple(notes)
+
+
+def _usual_sigma(p: Array, p_outside: Array) -> Array:
+    """(m,) standard deviation of a cabin's temperature about 21 degC [K], by its pressure [Pa]."""
+    return np.where(p - p_outside > PRESSURISED_PA, SIGMA_PRESSURISED_K, SIGMA_AMBIENT_K)
 
 
 def _first_known(*values: ArrayLike) -> Array:
@@ -230,7 +234,7 @@ def _air_in(
     sigma_t = np.where(
         measured,
         _first_known(sigma_board, SIGMA_THERMOMETER_K),
-        np.where(p - p_outside > PRESSURISED_PA, SIGMA_PRESSURISED_K, SIGMA_AMBIENT_K),
+        _usual_sigma(p, p_outside),
     )
     if np.isfinite(cabin.temperature_k):
         sigma_t = blank
