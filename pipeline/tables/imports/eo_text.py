@@ -60,9 +60,10 @@ def read_eo_text(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     above = "ellipsoid" if height.startswith("ELLIPSOID") else "msl"
     seconds = next(name for name in titles if name.startswith("TIME"))
     readable = np.isfinite(np.stack([value[n] for n in (seconds, "LAT", "LONG", height)])).all(0)
-    number = value.get("EVENT", np.arange(1.0, len(rows) + 1.0))
+    count = np.arange(1.0, len(rows) + 1.0)
+    event = value.get("EVENT", count)
     columns = {
-        "event_index": np.where(np.isfinite(number), number, np.arange(1.0, len(rows) + 1.0)),
+        "event_index": np.where(np.isfinite(event), event, count),
         "lat_rad": np.radians(value["LAT"]),
         "lon_rad": np.radians(value["LONG"]),
         height_column(path, stated, above): value[height],

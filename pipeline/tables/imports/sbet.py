@@ -56,6 +56,11 @@ def read_sbet(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     sign, velocity = wander_sign(path, time_ns, rows, ledger)
     if velocity is not None:
         columns |= {"v_north_m_s": velocity.real, "v_east_m_s": velocity.imag}
+        with np.errstate(all="ignore"):  # times may repeat
+            climb = np.gradient(rows[:, 3], (time_ns - time_ns[0]) * 1e-9)
+        downwards = [float(np.median(np.abs(climb + sign * rows[:, 6]))) for sign in (1.0, -1.0)]
+        if min(downwards) < 0.3:
+            columns["v_down_m_s"] = rows[:, 6] * (1.0 if downwards[0] <= downwards[1] else -1.0)
     heading = rows[:, 9] + sign * rows[:, 10]
     angles = np.stack([heading, rows[:, 8], rows[:, 7]], axis=1)
     attitude = Rotation.from_euler("ZYX", angles)
@@ -85,7 +90,7 @@ def sbet_rows(path: Path, ledger: Ledger) -> Array:
             raise not_of_format(path, "its numbers are big-endian: an SBET is little-endian",
                                 "export it again without swapping bytes")  # fmt: skip
         sigmas = np.frombuffer(content, "<f8", len(content) // 80 * _SIGMA_ROW)
-        if _aresmrmsg_sigmas(sigmas.reshape(-1, _SIGMA_ROW)):
+        if _are_sigmas(sigmas.reshape(-1, _SIGMA_ROW)):
             raise not_of_format(
                 path,
                 "it has the rows of a smrmsg file (10 doubles): standard deviations, no trajectory",
@@ -134,7 +139,7 @@ def _implausible(rows: Array) -> str:
     return ""
 
 
-def _aresmrmsg_sigmas(rows: Array) -> bool:
+def _are_sigmas(rows: Array) -> bool:
     return bool(
         rows.shape[0] > 2
         and np.isfinite(rows).all()
@@ -228,7 +233,7 @@ def smrmsg_sigmas(path: Path, seconds: Array) -> dict[str, Array]:
     """Sigmas of a smrmsg file at the times of the SBET; NaN where it has none."""
     content = path.read_bytes()
     rows = np.frombuffer(content, "<f8", len(content) // 80 * _SIGMA_ROW).reshape(-1, _SIGMA_ROW)
-    if len(content) % 80 or not _aresmrmsg_sigmas(rows):
+    if len(content) % 80 or not _are_sigmas(rows):
         raise not_of_format(path, "it is no smrmsg file: rows of 10 doubles, time and sigmas",
                             "give the smrmsg file that was written with the SBET")  # fmt: skip
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
@@ -244,7 +249,7 @@ def smrmsg_sigmas(path: Path, seconds: Array) -> dict[str, Array]:
         return np.interp(seconds, rows[:, 0], values, left=np.nan, right=np.nan)
 
     return {
-        "sigma_h_m": at(np.hypot(rows[:, 1], rows[:, 2]) / np.sqrt(2.0)),
+        "sigma_h_m": at(np.hypot(rows[:, 1], rows[:, 2])),
         "sigma_v_m": at(rows[:, 3]),
         "sigma_tilt_rad": at(np.hypot(rows[:, 7], rows[:, 8]) / np.sqrt(2.0)) * _ARCMIN,
         "sigma_yaw_rad": at(rows[:, 9]) * _ARCMIN,

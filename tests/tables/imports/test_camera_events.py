@@ -1,0 +1,146 @@
+"""Camera events with positions: .MRK, RTKLIB's events, POSPac's EO text."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.errors import InputError
+from pipeline.ledger import Ledger
+from pipeline.tables.imports import CAMERA_EVENTS, Stated, reader_of
+from pipeline.tables.imports.eo_text import read_eo_text
+from pipeline.tables.imports.mrk import read_mrk
+from pipeline.tables.imports.rtklib import read_pos
+
+WEEK = 2417
+
+
+def metres(channel, flight):
+    north = (channel["lat_rad"] - np.radians(flight.lat)) * 6.37e6
+    east = (channel["lon_rad"] - np.radians(flight.lon)) * 6.38e6 * np.cos(np.radians(flight.lat))
+    up = channel["h_ellipsoid_m"] - flight.height
+    return max(np.abs(north).max(), np.abs(east).max(), np.abs(up).max())
+
+
+def entries(ledger, code):
+    return [entry for entry in ledger if entry.code == code]
+
+
+def refused(reader, path, stated):
+    with pytest.raises(InputError) as caught:
+        reader(path, stated, Ledger())
+    assert caught.value.remedy
+    return caught.value
+
+
+def test_a_published_line_of_an_mrk(flight):
+    path = flight.put(
+        "one.MRK",
+        "1\t400373.488877\t[2264]\t   -40,N\t     0,E\t    86,V\t44.42824637,Lat\t1.26196331,Lon\t"
+        "359.494,Ellh\t0.028, 0.031, 0.055\t16,Q\n",
+    )
+    ledger = Ledger()
+    channel = read_mrk(path, Stated(), ledger)
+    assert channel["event_index"].tolist() == [1.0]
+    offsets = [channel[f"offset_{axis}_m"][0] for axis in ("north", "east", "down")]
+    assert offsets == pytest.approx([-0.040, 0.0, 0.086])
+    assert np.degrees(channel["lat_rad"][0]) == pytest.approx(44.42824637, abs=1e-11)
+    assert np.degrees(channel["lon_rad"][0]) == pytest.approx(1.26196331, abs=1e-11)
+    assert channel["h_ellipsoid_m"][0] == 359.494
+    assert channel["sigma_h_m"][0] == pytest.approx(np.hypot(0.028, 0.031))
+    assert channel["sigma_v_m"][0] == 0.055
+    # Week 2264 began on Sunday 2023-05-28; 400,373.488877 s later less 18 s.
+    assert str(np.datetime64(int(channel.time_ns[0]), "ns")) == "2023-06-01T15:12:35.488877000"
+    assert entries(ledger, "TRAJECTORY-SINGLE")[0].count == 1
+
+
+def test_an_mrk_is_read_to_its_last_digit(exposures):
+    ledger = Ledger()
+    channel = read_mrk(exposures.mrk(), Stated(), ledger)
+    assert np.abs(channel.time_ns - exposures.utc_ns).max() < 1000
+    assert metres(channel, exposures) < 2e-3
+    assert channel["event_index"].tolist() == list(range(1, 31))
+    assert not list(ledger)
+
+
+def test_images_without_a_position_keep_their_time_and_are_told(exposures):
+    path = exposures.mrk()
+    lines = path.read_text().splitlines(keepends=True)
+    lines[3] = lines[3].replace("50,Q", "0,Q")
+    lines[5] = "garbage\n"
+    path.write_text("".join(lines))
+    ledger = Ledger()
+    channel = read_mrk(path, Stated(), ledger)
+    assert len(channel) == 29
+    assert np.flatnonzero(np.isnan(channel["lat_rad"])).tolist() == [3]
+    assert (entries(ledger, "IMPORT-NO-POSITION")[0].kind, ledger.has_losses) == ("loss", True)
+    assert [entry.count for entry in entries(ledger, "IMPORT-ROWS")] == [1]
+
+
+def test_an_mrk_contradicted_and_no_mrk_are_refused(exposures):
+    assert refused(read_mrk, exposures.mrk(), Stated("utc")).code == "IMPORT-TIME-SYSTEM"
+    assert refused(read_mrk, exposures.mrk(), Stated(heights="msl")).code == "IMPORT-HEIGHT"
+    text = exposures.put("x.MRK", "image,lat,lon\n")
+    assert refused(read_mrk, text, Stated()).code == "IMPORT-FORMAT"
+    binary = exposures.put("y.MRK", bytes(range(256)))
+    assert refused(read_mrk, binary, Stated()).code == "IMPORT-FORMAT"
+
+
+def test_events_of_rtklib_are_counted_by_their_rows(exposures):
+    path = exposures.pos("flight_events.pos")
+    lines = path.read_text().splitlines(keepends=True)
+    first = next(k for k, line in enumerate(lines) if line[0] != "%")
+    lines[first + 4] = "damaged\n"
+    path.write_text("".join(lines))
+    channel = read_pos(path, Stated(), Ledger())
+    assert channel["event_index"].tolist() == [k for k in range(1, 31) if k != 5]
+    assert reader_of(CAMERA_EVENTS, path, None)[0] == "rtklib"
+
+
+def test_an_eo_text_with_names(exposures):
+    ledger = Ledger()
+    channel = read_eo_text(exposures.eo(), Stated("gpst", WEEK), ledger)
+    assert np.abs(channel.time_ns - exposures.utc_ns).max() < 1000
+    assert metres(channel, exposures) < 1e-3
+    assert channel.labels["name"][:2] == ("img_000", "img_001")
+    assert channel["event_index"].tolist() == list(range(1, 31))
+    assert entries(ledger, "IMPORT-EO-ANGLES")
+
+
+def test_the_published_example_of_an_eo_text(exposures):
+    """ArcGIS' help of the Applanix exterior orientation file, tab separated."""
+    path = exposures.put(
+        "a.txt",
+        "(position in Meters, orientation in Degrees, lat, long in Deg)\n"
+        "ID\t# EVENT\tTIME(s)\tEASTING\tNORTHING\tELLIPSOID HEIGHT\tOMEGA\tPHI\tKAPPA\tLAT\tLONG\n"
+        "196493710\t3\t564155.65\t365324.63\t3096141.49\t2088.37\t-1.05\t0.32\t179.18\t27.98\t-82.36\n",
+    )
+    channel = read_eo_text(path, Stated("gpst", WEEK), Ledger())
+    assert channel.labels["name"] == ("196493710",)
+    assert channel["event_index"].tolist() == [3.0]
+    assert channel["h_ellipsoid_m"].tolist() == [2088.37]
+    assert np.degrees([channel["lat_rad"][0], channel["lon_rad"][0]]) == pytest.approx(
+        [27.98, -82.36]
+    )
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda text: text.replace("\tLAT\tLONG", ""), "grid alone"),
+        (lambda text: text.replace("lat, long in Deg", "lat, long in Rad"), "in Deg"),
+        (lambda text: text.replace("TIME (s)", "WHEN"), "names the columns"),
+        (lambda text: text[: text.index("img_000")], "none of its rows"),
+    ],
+)
+def test_an_eo_text_in_other_units_is_refused(exposures, spoil, words):
+    path = exposures.put("b.txt", spoil(exposures.eo().read_text()))
+    error = refused(read_eo_text, path, Stated("gpst", WEEK))
+    assert error.code == "IMPORT-FORMAT"
+    assert words in error.what
+
+
+def test_an_eo_text_does_not_say_its_time_system(exposures):
+    assert refused(read_eo_text, exposures.eo(), Stated(week=WEEK)).code == "IMPORT-TIME-SYSTEM"
+    utc = read_eo_text(exposures.eo(), Stated("utc", WEEK), Ledger())
+    assert np.abs(utc.time_ns - exposures.utc_ns - 18 * 10**9).max() < 1000
