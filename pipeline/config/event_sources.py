@@ -10,8 +10,8 @@ from pydantic import AfterValidator, Field, model_validator
 
 from pipeline.config.atmosphere import PathText
 from pipeline.config.cameras import Section
-from pipeline.config.trajectories import ImportTime
-from pipeline.tables.imports import EventFormat
+from pipeline.config.trajectories import ImportTime, known_format
+from pipeline.tables.imports import CAMERA_EVENTS
 
 _NUMBER_FORMAT = re.compile(r"^0?[0-9]{0,2}d?$")
 
@@ -77,7 +77,7 @@ class PositionEvents(Section):
     """Exposures of one camera with their positions, as receivers and other programs write them."""
 
     path: PathText
-    format: EventFormat | None = Field(
+    format: Annotated[str, known_format(CAMERA_EVENTS)] | None = Field(
         None, description="by default by the ending: .pos, .MRK, .txt (POSPac's EO)"
     )
     image: ImagePattern | Literal["{name}"] = Field(

@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Collection
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from pipeline.config.atmosphere import PathText
 from pipeline.config.cameras import LeverArm, Section
-from pipeline.tables.imports import TrajectoryFormat
+from pipeline.tables.imports import TRAJECTORIES
 from pipeline.tables.imports.stated import AngleUnit
 
 Replaced = Literal["position", "height", "attitude"]
+
+
+def known_format(names: Collection[str]) -> AfterValidator:
+    """The check that a format is one of those that are registered."""
+
+    def check(value: str) -> str:
+        if value not in names:
+            raise ValueError(f"is none of {', '.join(names)}")
+        return value
+
+    return AfterValidator(check)
 
 
 class ImportTime(Section):
@@ -73,7 +85,7 @@ class TrajectorySection(Section):
     """A trajectory of another program, in place of the log's."""
 
     path: PathText
-    format: TrajectoryFormat | None = Field(
+    format: Annotated[str, known_format(TRAJECTORIES)] | None = Field(
         None, description="by default by the ending: .pos, .sbet and .out, .csv and .txt"
     )
     replaces: list[Replaced] | None = Field(

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Literal
 
 from pipeline.errors import InputError
 from pipeline.flight.channels import Channel
@@ -21,8 +20,6 @@ from pipeline.tables.imports.stated import Stated
 from pipeline.tables.imports.trajectory_csv import read_trajectory_csv
 
 Reader = Callable[[Path, Stated, Ledger], Channel]
-TrajectoryFormat = Literal["rtklib", "sbet", "csv"]
-EventFormat = Literal["rtklib", "mrk", "eo"]
 
 TRAJECTORIES: Mapping[str, tuple[Reader, tuple[str, ...]]] = {
     "rtklib": (read_pos, (".pos",)),
@@ -62,9 +59,7 @@ def reader_of(
 __all__ = [
     "CAMERA_EVENTS",
     "TRAJECTORIES",
-    "EventFormat",
     "Reader",
     "Stated",
-    "TrajectoryFormat",
     "reader_of",
 ]

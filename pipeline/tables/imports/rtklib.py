@@ -66,8 +66,8 @@ def read_pos(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         raise not_of_format(path, "it has a header and no solutions", "process the flight again")
     width = len(columns) + 2
     rows = [(row + [""] * width)[:width] for row in rows]
-    numbers = np.array([[number(field) for field in row[2:]] for row in rows])
-    value = {name: numbers[:, k] for k, name in enumerate(columns)}
+    fields = np.array([[number(field) for field in row[2:]] for row in rows])
+    value = {name: fields[:, k] for k, name in enumerate(columns)}
     if "/" in rows[0][0]:
         text = [f"{row[0].replace('/', '-')}T{row[1]}" for row in rows]
         stamps = pd.Series(pd.to_datetime(text, format="ISO8601", errors="coerce"))
@@ -88,10 +88,25 @@ def read_pos(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         if name in value and "x-ecef(m)" not in value:
             place[column] = sign * value[name]
     single = quality == 5
-    place["sigma_h_m"] = _at_least(place["sigma_h_m"], single, SINGLE_SIGMA_H_M)
-    place["sigma_v_m"] = _at_least(place["sigma_v_m"], single, SINGLE_SIGMA_V_M)
+    for name, least in (("sigma_h_m", SINGLE_SIGMA_H_M), ("sigma_v_m", SINGLE_SIGMA_V_M)):
+        place[name] = np.where(single, np.fmax(place[name], least), place[name])
     channel = channel_of_rows(path, "RTKLIB", time_ns, place, ledger, readable=readable)
-    _tell_quality(channel, ledger)
+    numbers, counts = np.unique(channel["solution_quality"].astype(int), return_counts=True)
+    counted = dict(zip(numbers.tolist(), counts.tolist(), strict=True))
+    shares = ", ".join(
+        f"{100.0 * count / len(channel):.1f} % {_QUALITY.get(q, f'Q {q}')}"
+        for q, count in counted.items()
+    )
+    ledger.note("TRAJECTORY-QUALITY", f"solutions: {shares}", where=path.name, count=len(channel))
+    if counted.get(5):
+        ledger.warning(
+            "TRAJECTORY-SINGLE",
+            f"{counted[5]} of {len(channel)} solutions are single-point fixes (Q 5): metres, not "
+            f"centimetres; their sigma is at least {SINGLE_SIGMA_H_M} m, {SINGLE_SIGMA_V_M} m in "
+            "height",
+            where=path.name,
+            count=counted[5],
+        )
     return channel
 
 
@@ -165,28 +180,3 @@ def sigmas_of_ecef(value: dict[str, Array], lat: Array, lon: Array) -> tuple[Arr
     vertical = np.maximum(vertical, 0.0)
     horizontal = np.maximum(xx + yy + zz - vertical, 0.0)
     return np.sqrt(horizontal), np.sqrt(vertical)
-
-
-def _at_least(sigma: Array, where: Array, least: float) -> Array:
-    return np.asarray(np.where(where, np.fmax(sigma, least), sigma))
-
-
-def _tell_quality(channel: Channel, ledger: Ledger) -> None:
-    """How many solutions are of which quality; single-point ones are a warning."""
-    quality = channel["solution_quality"]
-    counts = {q: int(np.count_nonzero(quality == q)) for q in np.unique(quality).astype(int)}
-    shares = ", ".join(
-        f"{100.0 * count / len(channel):.1f} % {_QUALITY.get(q, f'Q {q}')}"
-        for q, count in counts.items()
-    )
-    ledger.note("TRAJECTORY-QUALITY", f"solutions: {shares}", where=channel.name,
-                count=len(channel))  # fmt: skip
-    if counts.get(5):
-        ledger.warning(
-            "TRAJECTORY-SINGLE",
-            f"{counts[5]} of {len(channel)} solutions are single-point fixes (Q 5): metres, not "
-            f"centimetres; their sigma is at least {SINGLE_SIGMA_H_M} m, {SINGLE_SIGMA_V_M} m in "
-            "height",
-            where=channel.name,
-            count=counts[5],
-        )

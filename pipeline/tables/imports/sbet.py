@@ -115,27 +115,21 @@ def _implausible(rows: Array) -> str:
         return f"it has {rows.shape[0]} rows"
     if not bool(np.isfinite(rows).all()):
         return "not all of its values are numbers"
-    with np.errstate(over="ignore", invalid="ignore"):
-        time = rows[:, 0]
+    time, largest = rows[:, 0], np.abs(rows).max(axis=0)
+    with np.errstate(over="ignore"):
         back = int(np.count_nonzero(np.diff(time) <= 0.0))
-        if time.min() < 0.0 or time.max() > 3 * 604_800.0 or back > 0.01 * time.size:
-            return "its first column is no time that increases"
-        lat, lon = np.abs(rows[:, 1]).max(), np.abs(rows[:, 2]).max()
-        if lat > np.pi / 2.0 or lon > 2.0 * np.pi:
-            if lat <= 90.0 and lon <= 360.0:
-                return (
-                    f"latitude and longitude reach {lat:.4f} and {lon:.4f}: degrees, or exchanged, "
-                    "where an SBET has radians, latitude first"
-                )
-            return f"latitude and longitude reach {lat:.4g} and {lon:.4g} radians"
-        if rows[:, 3].min() < -1_000.0 or rows[:, 3].max() > 60_000.0:
-            return f"heights are between {rows[:, 3].min():.4g} and {rows[:, 3].max():.4g} m"
-        largest = np.abs(rows[:, 7:11]).max(axis=0)
-        if bool((largest > np.array([1.0, 0.51, 2.0, 2.0]) * np.pi).any()):
-            return (
-                "roll, pitch, heading and wander angle reach "
-                f"{', '.join(f'{angle:.4g}' for angle in largest)} radians: degrees?"
-            )
+    if time.min() < 0.0 or time.max() > 3 * 604_800.0 or back > 0.01 * time.size:
+        return "its first column is no time that increases"
+    if largest[1] > np.pi / 2.0 or largest[2] > 2.0 * np.pi:
+        return (
+            f"latitude and longitude reach {largest[1]:.4g} and {largest[2]:.4g}: degrees, or "
+            "exchanged, where an SBET has radians, latitude first"
+        )
+    if rows[:, 3].min() < -1_000.0 or largest[3] > 60_000.0:
+        return f"heights are between {rows[:, 3].min():.4g} and {rows[:, 3].max():.4g} m"
+    if bool((largest[7:11] > np.array([1.0, 0.51, 2.0, 2.0]) * np.pi).any()):
+        reach = ", ".join(f"{angle:.4g}" for angle in largest[7:11])
+        return f"roll, pitch, heading and wander angle reach {reach} radians: degrees?"
     return ""
 
 

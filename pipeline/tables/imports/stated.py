@@ -79,48 +79,36 @@ def not_of_format(path: Path, why: str, remedy: str = "") -> InputError:
     )
 
 
-def height_column(path: Path, stated: Stated, found: str | None = None) -> str:
-    """The channel's column of the heights of a file, which states them itself or is stated."""
-    if found is not None and stated.heights not in (None, found):
+def settled(path: Path, key: str, found: str | None, stated: str | None) -> str:
+    """What a file says of itself or the mission file of it; they may not contradict each other."""
+    if found is not None and stated not in (None, found):
         raise InputError(
-            "IMPORT-HEIGHT",
-            f"its header says that heights are above the {_SURFACES[found]}, the mission file that "
-            f"they are above the {_SURFACES[stated.heights or found]}",
+            "IMPORT-CONTRADICTED",
+            f"by its header {key} is {found}, by the mission file {stated}",
             where=str(path),
-            remedy="leave heights out, or export the file again",
+            remedy=f"leave {key} out, or export the file again",
         )
-    known = found or stated.heights
+    known = found or stated
     if known is None:
         raise InputError(
-            "IMPORT-HEIGHT",
-            "nothing says what its heights are above",
+            "IMPORT-UNSTATED",
+            f"the file does not say its {key}: GPS time is 18 s ahead of UTC since 2017, heights "
+            "above ellipsoid and sea are up to 107 m apart",
             where=str(path),
-            remedy="give heights: ellipsoid or heights: msl; the two are up to 107 m apart",
+            remedy="give time: {system: gpst} or {system: utc}, and heights: ellipsoid or msl",
         )
+    return known
+
+
+def height_column(path: Path, stated: Stated, found: str | None = None) -> str:
+    """The channel's column for the heights of a file."""
+    known = settled(path, "heights", found, stated.heights)
     return "h_ellipsoid_m" if known == "ellipsoid" else "h_msl_m"
 
 
-_SURFACES = {"ellipsoid": "ellipsoid", "msl": "mean sea level"}
-
-
 def time_system(path: Path, stated: Stated, found: str | None = None) -> str:
-    """gpst or utc; refuses where nothing says it, or file and mission file contradict."""
-    if found is not None and stated.time_system not in (None, found):
-        raise InputError(
-            "IMPORT-TIME-SYSTEM",
-            f"its header says {found.upper()}, the mission file {str(stated.time_system).upper()}",
-            where=str(path),
-            remedy="leave time.system out, or export the file again",
-        )
-    system = found or stated.time_system
-    if system is None:
-        raise InputError(
-            "IMPORT-TIME-SYSTEM",
-            "nothing says whether its times are GPS time or UTC, which are 18 s apart since 2017",
-            where=str(path),
-            remedy="give time: {system: gpst} or time: {system: utc}",
-        )
-    return system
+    """The time system of a file: gpst or utc."""
+    return settled(path, "time.system", found, stated.time_system)
 
 
 def utc_of_calendar(time_ns: TimeArray, system: str) -> TimeArray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -23,11 +22,11 @@ from pipeline.tables.imports.stated import (
     height_column,
     not_of_format,
     number,
-    read_text,
     time_system,
     utc_of_calendar,
     utc_of_week_seconds,
 )
+from pipeline.tables.text_columns import text_table
 
 _SINCE_EPOCH_S = 1e8
 """Seconds beyond this count from an epoch, not from the beginning of a week."""
@@ -45,7 +44,10 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     earth-centred x, y and z. The attitude is a quaternion (v_ned = R(q) v_body), or roll, pitch and
     yaw: rotations about the body's x, y and z in the stated order.
     """
-    table = _table(path)
+    if not stated.columns:
+        raise not_of_format(path, "nothing says what its columns are",
+                            "name them under stations.trajectory.columns")  # fmt: skip
+    table = text_table(path, "IMPORT-FORMAT")
     for quantity, name in stated.columns.items():
         if name not in table.columns:
             raise no_such_column("IMPORT-COLUMN", path, name, there=list(table.columns),
@@ -76,20 +78,6 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         columns |= quaternions_of_angles(path, value, stated)
     readable = readable & np.isfinite(np.stack([lat, lon, height])).all(axis=0)
     return channel_of_rows(path, "CSV", time_ns, columns, ledger, readable=readable)
-
-
-def _table(path: Path) -> pd.DataFrame:
-    """All fields as text, under the names of the first line that is no remark."""
-    lines = [line for line in read_text(path) if line.strip() and not line.startswith(("#", "%"))]
-    if len(lines) < 2:
-        raise not_of_format(path, f"it has {len(lines)} lines: a header and rows are due")
-    mark = max(",;\t", key=lines[0].count)
-    split = re.compile(r"\s+" if not lines[0].count(mark) else rf"\s*{mark}\s*")
-    names = [name.strip() for name in split.split(lines[0].strip())]
-    rows = [split.split(line.strip()) for line in lines[1:]]
-    return pd.DataFrame(
-        [(row + [""] * len(names))[: len(names)] for row in rows], columns=names, dtype=object
-    )
 
 
 def utc_of_column(

@@ -78,8 +78,8 @@ def test_images_without_a_position_keep_their_time_and_are_told(exposures):
 
 
 def test_an_mrk_contradicted_and_no_mrk_are_refused(exposures):
-    assert refused(read_mrk, exposures.mrk(), Stated("utc")).code == "IMPORT-TIME-SYSTEM"
-    assert refused(read_mrk, exposures.mrk(), Stated(heights="msl")).code == "IMPORT-HEIGHT"
+    assert refused(read_mrk, exposures.mrk(), Stated("utc")).code == "IMPORT-CONTRADICTED"
+    assert refused(read_mrk, exposures.mrk(), Stated(heights="msl")).code == "IMPORT-CONTRADICTED"
     text = exposures.put("x.MRK", "image,lat,lon\n")
     assert refused(read_mrk, text, Stated()).code == "IMPORT-FORMAT"
     binary = exposures.put("y.MRK", bytes(range(256)))
@@ -141,6 +141,6 @@ def test_an_eo_text_in_other_units_is_refused(exposures, spoil, words):
 
 
 def test_an_eo_text_does_not_say_its_time_system(exposures):
-    assert refused(read_eo_text, exposures.eo(), Stated(week=WEEK)).code == "IMPORT-TIME-SYSTEM"
+    assert refused(read_eo_text, exposures.eo(), Stated(week=WEEK)).code == "IMPORT-UNSTATED"
     utc = read_eo_text(exposures.eo(), Stated("utc", WEEK), Ledger())
     assert np.abs(utc.time_ns - exposures.utc_ns - 18 * 10**9).max() < 1000

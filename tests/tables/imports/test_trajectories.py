@@ -169,9 +169,9 @@ def test_a_pos_file_without_its_header_and_one_that_is_contradicted(flight):
     head = "".join(x for x in path.read_text().splitlines(keepends=True) if x[0] == "%")
     assert refused(read_pos, flight.put("head.pos", head)).code == "IMPORT-FORMAT"
     contradicted = refused(read_pos, path, Stated(time_system="utc"))
-    assert contradicted.code == "IMPORT-TIME-SYSTEM"
-    assert "GPST" in contradicted.what
-    assert refused(read_pos, path, Stated(heights="msl")).code == "IMPORT-HEIGHT"
+    assert contradicted.code == "IMPORT-CONTRADICTED"
+    assert "gpst" in contradicted.what
+    assert refused(read_pos, path, Stated(heights="msl")).code == "IMPORT-CONTRADICTED"
 
 
 # SBET
@@ -306,8 +306,8 @@ def test_sigmas_of_another_flight_and_no_sigmas_are_refused(flight):
 
 
 def test_what_an_sbet_does_not_say_must_be_stated(flight):
-    assert refused(read_sbet, flight.sbet(), Stated(heights="msl")).code == "IMPORT-TIME-SYSTEM"
-    assert refused(read_sbet, flight.sbet(), Stated("gpst", WEEK)).code == "IMPORT-HEIGHT"
+    assert refused(read_sbet, flight.sbet(), Stated(heights="msl")).code == "IMPORT-UNSTATED"
+    assert refused(read_sbet, flight.sbet(), Stated("gpst", WEEK)).code == "IMPORT-UNSTATED"
 
 
 # CSV
@@ -405,7 +405,8 @@ def test_swapped_columns_missing_columns_and_zones_are_refused(flight):
     zoned = flight.put("z.csv", "t,lat,lon,h\n2026-05-06T12:00:00Z,35.7,139.7,100\n")
     assert refused(read_trajectory_csv, zoned, stated).code == "IMPORT-TIME-SYSTEM"
     stated = Stated(heights="ellipsoid", columns=NAMES)
-    assert refused(read_trajectory_csv, zoned, stated).code == "IMPORT-TIME-SYSTEM"
+    assert refused(read_trajectory_csv, zoned, stated).code == "IMPORT-UNSTATED"
+    assert "columns" in refused(read_trajectory_csv, zoned, GPST).what
     empty = flight.put("e.csv", "t,lat,lon,h\nnever,35.7,139.7,100\n")
     stated = Stated("utc", heights="ellipsoid", columns=NAMES)
     assert refused(read_trajectory_csv, empty, stated).code == "IMPORT-FORMAT"
