@@ -51,12 +51,11 @@ def compare_with_log(
     (TRAJECTORY-PLACE), heights above the other surface (TRAJECTORY-HEIGHT) and attitudes in another
     unit or sense (TRAJECTORY-ANGLES), where the log shows it.
     """
-    position = own.get("position")
-    if position is None or len(position) < 2:
-        ledger.warning("TRAJECTORY-ALONE", "the log has no position to compare it with: time, "
-                       "place and height stay unchecked", where=imported.name)  # fmt: skip
+    position, known = own.get("position"), np.flatnonzero(np.isfinite(imported["lat_rad"]))
+    if position is None or len(position) < 2 or known.size == 0:
+        ledger.warning("TRAJECTORY-ALONE", "there are no positions of the log to compare it with: "
+                       "time, place and height stay unchecked", where=imported.name)  # fmt: skip
         return
-    known = np.flatnonzero(np.isfinite(imported["lat_rad"]))
     rows = known[np.unique(np.linspace(0, known.size - 1, _MOST_SAMPLES).astype(int))]
     track = _Track(position, imported.time_ns[rows])
     places = track.metres(imported["lat_rad"][rows], imported["lon_rad"][rows])
@@ -100,21 +99,21 @@ class _Track:
         )
         return np.asarray(np.abs(places[inside] - own))
 
-    def misfit(self, places: NDArray[np.complex128], shift_s: float) -> float:
-        """Median of the distances [m]; infinite where too few are left to say."""
-        distance = self.distances(places, shift_s)
-        enough = min(20, max(1, places.size // 2))
-        return float(np.median(distance)) if distance.size >= enough else np.inf
-
 
 def compare_places(
     imported: Channel, track: _Track, places: NDArray[np.complex128], ledger: Ledger
 ) -> None:
     """Position and time offset against the log's positions."""
-    misfits = [track.misfit(places, float(shift)) for shift in _SHIFTS_S]
-    coarse = float(_SHIFTS_S[int(np.argmin(misfits))])
+    most = max(track.distances(places, float(shift)).size for shift in _SHIFTS_S)
+
+    def misfit(shift: float) -> float:
+        """Median of the distances [m], where half of the places are within the log."""
+        distance = track.distances(places, shift)
+        return float(np.median(distance)) if 2 * distance.size >= max(most, 2) else 1e9
+
+    coarse = float(min(_SHIFTS_S, key=lambda shift: misfit(float(shift))))
     fine = minimize_scalar(
-        lambda shift: min(track.misfit(places, float(shift)), 1e9),
+        lambda shift: misfit(float(shift)),
         bounds=(coarse - 0.5, coarse + 0.5),
         method="bounded",
         options={"xatol": 1e-3},
@@ -123,7 +122,8 @@ def compare_places(
     distance = track.distances(places, 0.0)
     now = float(np.median(distance)) if distance.size else np.inf
     better = best < 0.5 * now and now - best > 2.0
-    if better and abs(shift) > _LIMITS["time"][1] and best < _OTHER_FLIGHT_M:
+    far = now > _LIMITS["place"][0] and abs(shift) > _LIMITS["time"][1]
+    if better and far and best < _OTHER_FLIGHT_M:
         leap = "; GPS time is 18 s ahead of UTC since 2017" if 14.5 < abs(shift) < 18.5 else ""
         zone = "; a time zone" if abs(shift) > 1700.0 else ""
         raise MissionError(
