@@ -15,7 +15,7 @@ def headline(manifest: Mapping[str, Any]) -> str:
     rows = manifest["observations"]["rows"]
     verb = "displaced" if is_applied(manifest) else "corrected"
     if not shift["count"]:
-        return f"None of the {rows:,} observations could be {verb}."
+        return f"None of the {rows:,} observations could be {verb}." + _suspects(manifest)
     sentence = (
         f"{shift['count']:,} of {rows:,} observations were {verb}, by "
         f"{three_digits(shift['median'])} px in the median and "
@@ -24,7 +24,17 @@ def headline(manifest: Mapping[str, Any]) -> str:
     )
     if shift["maximum"] < 0.05:
         sentence += " That is far below what can be measured in an image."
-    return sentence + _cabin_limit(manifest)
+    return sentence + _cabin_limit(manifest) + _suspects(manifest)
+
+
+def _suspects(manifest: Mapping[str, Any]) -> str:
+    """How many stations are suspect, and the first reason."""
+    reasons = [e["what"] for e in manifest["ledger"] if e["code"] == "STATIONS-SUSPECT"]
+    count = manifest["stations"].get("suspect", 0)
+    if not count or not reasons:
+        return ""
+    more = f" (and {len(reasons) - 1} more entries in the ledger)" if len(reasons) > 1 else ""
+    return f" {count} stations are suspect: {reasons[0]}{more}."
 
 
 LARGEST_CABIN_SHARE = 0.02
@@ -33,9 +43,10 @@ LARGEST_CABIN_SHARE = 0.02
 
 def _cabin_limit(manifest: Mapping[str, Any]) -> str:
     """How uncertain the air in the cabin is, and whether that limits the result."""
-    cabin, air = manifest["cabin_sigma_share"]["median"], manifest["uncertainty"]
+    cabin = manifest["cabin_sigma_share"]["median"]
     if cabin is None or cabin <= LARGEST_CABIN_SHARE:
         return ""
+    air = manifest["uncertainty"]
     sentence = f" The air in the cabin is uncertain by {100.0 * cabin:.2g} % of R in the median"
     if air is None:
         return sentence + "."

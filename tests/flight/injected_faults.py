@@ -153,7 +153,10 @@ def inject(
     if kind == "drift":
         rate = float(rng.uniform(1.0, 3.0))
         fault.detail["m/s"] = rate
-        amount = np.where(inside, rate * (gps.time_ns - fault.begin_ns) / SECOND, 0.0)
+        since, until = (gps.time_ns - fault.begin_ns, fault.end_ns - gps.time_ns)
+        returns = rng.random() < 0.5  # as slowly as it went, or by a step
+        seconds = (np.minimum(since, until) if returns else since) / SECOND
+        amount = np.where(inside, rate * seconds, 0.0)
         up = 0.3 * amount
         if rng.random() < 0.5:  # the Doppler velocity is led away too
             gps = with_columns(gps, **{

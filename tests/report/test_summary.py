@@ -27,6 +27,8 @@ def manifest(
         "observations": {"rows": 4},
         "cabin_sigma_share": {"median": cabin},
         "uncertainty": None if air is None else {"scale_sigma": air},
+        "stations": {"ok": 2},
+        "ledger": [],
     }
 
 
@@ -47,6 +49,18 @@ def test_the_headline_says_that_the_cabin_limits_the_result():
     )
     assert headline(manifest(cabin=0.021, air=0.13)).endswith("the air outside by 13 %.")
     assert headline(manifest(cabin=0.03)).endswith("uncertain by 3 % of R in the median.")
+
+
+@pytest.mark.parametrize("count", [0, 3])
+def test_the_headline_counts_suspect_stations_and_gives_the_first_reason(count):
+    entries = [{"code": "ROLE", "what": "x"}] + [
+        {"code": "STATIONS-SUSPECT", "what": f"{n} exposures: GPS[0] steps"} for n in (2, 1)
+    ]
+    suspect = manifest(count=count) | {"stations": {"ok": 2, "suspect": 3}, "ledger": entries}
+    assert headline(suspect).endswith(
+        " 3 stations are suspect: 2 exposures: GPS[0] steps (and 1 more entries in the ledger)."
+    )
+    assert headline(suspect | {"ledger": entries[:2]}).endswith("2 exposures: GPS[0] steps.")
 
 
 def test_cameras_whose_lens_is_not_corrected_are_named():

@@ -34,6 +34,7 @@ from pipeline.flight.suspicion.sources import (
     runs,
     track_of,
     velocity_at,
+    with_places,
 )
 from pipeline.ledger import Entry, Notes, fallback, loss, warning
 
@@ -87,7 +88,7 @@ def examine(
         found = merged([*found, *attitude_evidence(attitude, channels)])
     for quantity in (POSITION, HEIGHT):
         mine = roles.get(quantity)
-        if mine is None or len(mine) <= _FEWEST:
+        if mine is None or len(with_places(mine, quantity)) <= _FEWEST:
             continue
         sources = sources_of(quantity, mine, channels, roles)
         steady = (roles.get(name) for name in (ATTITUDE, POSITION))
@@ -138,8 +139,8 @@ def sources_of(
     others = [
         c
         for c in sorted(channels, key=lambda c: (not is_receiver(c), c.rank))
-        if c.name != mine.name and POSITION in c.roles and len(c) > _FEWEST
-        and (quantity == POSITION or c.height_column)
+        if c.name != mine.name and POSITION in c.roles
+        and len(with_places(c, quantity)) > _FEWEST
     ]  # fmt: skip
     pressure, barometers = roles.get("pressure"), list[Channel]()
     if pressure is not None and quantity == HEIGHT:
@@ -277,8 +278,8 @@ def stand_in_for(sources: Sources, doubt: Stretch) -> Difference | None:
                               append=wide.end_ns).max() > LONGEST_COAST_S * SECOND)  # fmt: skip
         return silent or not track.good[rows].all() or bool(wide.covers(track.step_ns).any())
 
-    tracks = [own, *(d.other for d in sources.differences)]
-    if not any(fails(track) for track in tracks if is_receiver(track.channel)):
+    paths = [own, *(d.other for d in sources.differences)]
+    if not any(fails(path) for path in paths if is_receiver(path.channel)):
         return None
     for d in sources.differences:
         channel = d.other.channel

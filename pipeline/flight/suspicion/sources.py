@@ -83,6 +83,14 @@ def places_of(channel: Channel, quantity: str) -> tuple[Array, Array]:
     return places, metres(np.diff(places, axis=0), places[1:, 0])
 
 
+def with_places(channel: Channel, quantity: str) -> Channel:
+    """The samples of a channel whose place is known; none where it gives none."""
+    if quantity == HEIGHT and channel.height_column is None:
+        return subset(channel, np.zeros(len(channel), np.bool_))
+    known = np.asarray(np.isfinite(places_of(channel, quantity)[0]).all(axis=1))
+    return channel if known.all() else subset(channel, known)
+
+
 def metres(change: Array, lat_rad: Array) -> Array:
     """(n, 2) metres north and east of (n, 2) changes of latitude and longitude [rad]."""
     east = (change[:, 1] + np.pi) % (2.0 * np.pi) - np.pi
@@ -108,9 +116,7 @@ def track_of(channel: Channel, quantity: str, channels: Iterable[Channel]) -> So
     what is usual in the channel. Steps add up; from the one that leaves to the one that returns the
     source is away. One without return parts the channel: which side is right, it does not tell.
     """
-    places, _ = places_of(channel, quantity)
-    known = np.asarray(np.isfinite(places).all(axis=1))
-    channel = channel if known.all() else subset(channel, known)
+    channel = with_places(channel, quantity)
     time_ns, n = channel.time_ns, len(channel)
     _, moved = places_of(channel, quantity)
     dt = np.diff(time_ns)[:, None] * 1e-9
@@ -149,7 +155,7 @@ def track_of(channel: Channel, quantity: str, channels: Iterable[Channel]) -> So
         k = max(back, k + 1)
     good = np.asarray(~wander.any(axis=1))
     sigma = channel.columns.get("sigma_v_m" if quantity == HEIGHT else "sigma_h_m")
-    if sigma is not None:
+    if sigma is not None and np.isfinite(sigma).any():
         good &= ~(sigma > max(WORST_ACCURACY_M, 3.0 * float(np.nanmedian(sigma))))
     fastest = float((size[step] / dt[step, 0]).max()) if step.size else 0.0
     return SourcePath(channel, wander, good, part, time_ns[step + 1], time_ns[lone], fastest)
@@ -202,10 +208,9 @@ def difference(mine: Channel, other: SourcePath, quantity: str, velocity: Array)
     off = np.full(time_ns.size, np.nan)
     for part in np.unique(other.part):  # heights above home have a new home in each
         rows = other.part == part
-        usual_apart = np.median(
-            apart[rows & known] if (rows & known).any() else apart[rows], axis=0
-        )
-        off[rows] = np.linalg.norm(apart[rows] - usual_apart, axis=1)
+        usable = rows & known if (rows & known).any() else rows & np.isfinite(apart).all(axis=1)
+        if usable.any():
+            off[rows] = np.linalg.norm(apart[rows] - np.median(apart[usable], axis=0), axis=1)
     usual = 1.48 * float(np.median(off[known])) if known.any() else 0.0
     limit_m = max(NOISE_MISFIT_M[quantity], _SEVERAL * usual)
     return Difference(other, apart, off, lag_s, limit_m, usual)
@@ -215,7 +220,8 @@ def moved(channel: Channel, rows: Mask, by_m: Array, height_column: str | None) 
     """Columns of some rows of a channel, moved by (2,) metres north and east or (1,) up."""
     if by_m.size == 1:
         h = channel[channel.height_column or "h_msl_m"][rows] + by_m[0]
-        return {height_column or "h_msl_m": h}
+        others = ("h_msl_m", "h_ellipsoid_m", "h_home_m", "h_gnss_m")
+        return dict.fromkeys(others, np.full(h.shape, np.nan)) | {height_column or "h_msl_m": h}
     lat, lon = channel["lat_rad"][rows], channel["lon_rad"][rows]
     north, east = by_m / _RADIUS_M
     return {"lat_rad": lat + north, "lon_rad": lon + east / np.cos(lat)}
