@@ -99,7 +99,8 @@ def stations(
     if plot is not None:
         from pipeline.report.figures import flight_figure, save_figure
 
-        save_figure(flight_figure(checked.stations, checked.track()), plot)
+        doubts = [(doubt.begin_ns, doubt.end_ns) for doubt in checked.flight.doubts]
+        save_figure(flight_figure(checked.stations, checked.track(), doubts), plot)
     print_stations(console, table)
     about = ("EVENTS-", "IMAGES-", "STATIONS-", "SUSPECT-")
     rows = checked.ledger.rows()
