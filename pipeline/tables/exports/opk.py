@@ -7,7 +7,6 @@ two formats differ by that.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -24,9 +23,11 @@ from pipeline.tables.exports.format import ExportFormat, FinishedRun, Values, wr
 from pipeline.tables.schemas import schema_of
 from pipeline.tables.writing import table_of
 
-_F = pa.float64()
 _PLACES = ("lat_deg", "lon_deg", "h_ellipsoid_m")
 _ANGLES = ("omega_deg", "phi_deg", "kappa_deg")
+_AXES = ("x_m", "y_m", "z_m")
+_WORDS = ("image", "camera", "status")
+_SIGMAS = ("sigma_horizontal_m", "sigma_height_m", "sigma_tilt_deg", "sigma_yaw_deg")
 
 
 def _write(topocentric: bool, run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
@@ -36,12 +37,12 @@ def _write(topocentric: bool, run: FinishedRun, _: Values, path: Path, ledger: L
     rows = placed_stations(run, known, "usable position, attitude and ellipsoidal height", ledger)
     lat, lon, h = stations.lat_rad[rows], stations.lon_rad[rows], stations.h_ellipsoid_m[rows]
     attitude = stations.quaternion[rows]
-    found: dict[str, object] = {n: columns[n][rows] for n in ("image", "camera", *_PLACES)}
+    found: dict[str, object] = {n: columns[n][rows] for n in (*_WORDS, *_PLACES, *_SIGMAS)}
     if topocentric and rows.size:
         origin = _middle(lat, lon, h)
         to_origin = enu_from_ecef(*origin[:2])[0]
         xyz = ecef_of_geodetic(lat, lon, h) - ecef_of_geodetic(*origin)
-        found |= dict(zip(("x_m", "y_m", "z_m"), (xyz @ to_origin.T).T, strict=True))
+        found |= dict(zip(_AXES, (xyz @ to_origin.T).T, strict=True))
         attitude = in_turned_frame(attitude, enu_from_ecef(lat, lon) @ to_origin.T)
         stated = np.degrees(origin[0]), np.degrees(origin[1]), origin[2]
         found |= {
@@ -49,13 +50,10 @@ def _write(topocentric: bool, run: FinishedRun, _: Values, path: Path, ledger: L
         }
     angles = np.degrees(opk_of_quaternion(attitude))
     found |= dict(zip(_ANGLES, angles.T, strict=True))
-    names = ["image", "camera", *_PLACES, *_ANGLES]
+    names = [*_WORDS, *_PLACES, *_ANGLES, *_SIGMAS]
     if topocentric:
-        names[5:5] = ["x_m", "y_m", "z_m"]
-        names += [f"origin_{name}" for name in _PLACES]
-    kinds: Mapping[str, tuple[pa.DataType, str, str]] = {
-        name: (pa.string() if name in ("image", "camera") else _F, "", "") for name in names
-    }
+        names += [*_AXES, *(f"origin_{name}" for name in _PLACES)]
+    kinds = {n: (pa.string() if n in _WORDS else pa.float64(), "", "") for n in names}
     schema = schema_of(kinds, run.metadata)
     return write_csv_stream(path, schema, [table_of(found, schema)])
 

@@ -55,6 +55,7 @@ def run() -> FinishedRun:
         time_ns=np.full(n, 1_749_718_800_500_000_000), lat_rad=np.radians(LAT),
         lon_rad=np.radians(LON), h_msl_m=np.full(n, H_MSL),
         h_ellipsoid_m=np.full(n, H_MSL + UNDULATION), quaternion=quaternion,
+        sigma_horizontal_m=np.full(n, 0.5), sigma_tilt_rad=np.full(n, np.radians(0.25)),
         suspect_reason=np.array(["", "no fix", "", "", ""], object),
         suspect_m=np.array([np.nan, 77.0, np.nan, np.nan, np.nan]),
     )  # fmt: skip
@@ -201,6 +202,11 @@ def test_angles_against_the_horizon_of_each_station(run, tmp_path):
         place = [float(row[name]) for name in ("lat_deg", "lon_deg", "h_ellipsoid_m")]
         assert place == pytest.approx([LAT[station], LON[station], H_MSL + UNDULATION])
     assert [(e.code, e.count) for e in ledger] == [("EXPORT-LEFT-OUT", 2)]
+    assert [float(rows[1][f"sigma_{n}"]) for n in ("horizontal_m", "tilt_deg")] == [0.5, 0.25]
+    # A suspect station that is used all the same is marked as such.
+    used = replace(run.stations, accepted=np.array(run.stations.status == "suspect"))
+    rows, _ = rows_of(replace(run, stations=used), "opk", tmp_path)
+    assert [row["status"] for row in rows] == ["ok", "suspect", "ok", "ok"]
     assert "omega" in FORMATS["opk"].contents
 
 
