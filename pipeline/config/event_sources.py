@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import string
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
@@ -11,7 +12,7 @@ from pydantic import AfterValidator, Field, model_validator
 from pipeline.config.atmosphere import PathText
 from pipeline.config.cameras import Section
 from pipeline.config.trajectories import ImportTime, known_format
-from pipeline.tables.imports import CAMERA_EVENTS
+from pipeline.tables.imports import CAMERA_EVENTS, reader_of
 
 _NUMBER_FORMAT = re.compile(r"^0?[0-9]{0,2}d?$")
 
@@ -93,6 +94,16 @@ class PositionEvents(Section):
     )
     heights: Literal["msl", "ellipsoid"] | None = Field(None, description="where not in the file")
     time: ImportTime = ImportTime()
+
+    @property
+    def format_name(self) -> str:
+        """The format, stated or by the ending."""
+        return reader_of(CAMERA_EVENTS, Path(self.path), self.format)[0]
+
+    @property
+    def reference_point(self) -> str:
+        """Whose positions it has: antenna or camera."""
+        return self.point or ("antenna" if self.format_name == "rtklib" else "camera")
 
     @model_validator(mode="after")
     def _check_delay(self) -> PositionEvents:

@@ -168,6 +168,13 @@ def read_camera_events(plan: Plan, flight: FlightLog, ledger: Ledger) -> dict[st
         around = _time_range(flight.channels)
         stated = Stated(source.time.system, source.time.week, around, source.heights)
         events[camera] = reader(path, stated, ledger)
+        places = "" if source.times_only else f", and where the {source.reference_point} was then"
+        ledger.note(
+            "EVENTS-POSITIONS",
+            f"{path.name} says when {camera} was exposed{places}",
+            where=f"events.positions.{camera}",
+            count=len(events[camera]),
+        )
         compare_with_log(
             events[camera], flight.own, flight.heights, ledger, replaces=("position", "height")
         )

@@ -37,7 +37,6 @@ from pipeline.stages.cabin_air import cabin_from_log
 from pipeline.stages.inputs import FlightLog, read_camera_events
 from pipeline.stages.oriented_stations import oriented_stations, report_height_above_ground
 from pipeline.tables.events import EventColumns, read_events
-from pipeline.tables.imports import CAMERA_EVENTS, reader_of
 from pipeline.tables.observations import Observations
 
 
@@ -149,12 +148,9 @@ def mount_of(plan: Plan, camera: str) -> tuple[Mount, bool]:
     trajectory = mission.stations.trajectory
     at_camera = replace(mount, lever_arm_m=(0.0, 0.0, 0.0))
     if events is not None and not events.times_only:
-        path = plan.input(f"events of {camera}").path
-        name, _ = reader_of(CAMERA_EVENTS, path, events.format)
-        point = events.point or ("antenna" if name == "rtklib" else "camera")
-        if point == "camera":
+        if events.reference_point == "camera":
             return at_camera, False
-        return (at_camera, True) if name == "mrk" else (mount, False)
+        return (at_camera, True) if events.format_name == "mrk" else (mount, False)
     if trajectory is None or not trajectory.moves_stations:
         return mount, False
     if isinstance(trajectory.lever_arm_m, str) or trajectory.point == "camera":

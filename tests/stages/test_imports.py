@@ -381,7 +381,20 @@ def test_positions_of_an_mrk_are_those_of_the_camera(mission, files, truth):
     with_events(mission, files)
     prepared = prepare(mission)
     assert np.abs(offsets(prepared, truth)).max() < 0.002
+    told = [entry.what for entry in entries(prepared, "EVENTS-POSITIONS")]
+    assert "nadir.MRK says when nadir was exposed, and where the camera was then" in told
     assert prepared.stations.image[prepared.stations.ok][0] == "nadir_0001.tif"
+
+
+def test_events_of_rtklib_are_of_the_antenna_from_which_the_mount_counts(mission, files, truth):
+    files.t = np.sort(files.flight.exposure_s)
+    files.pos()
+    mission.config["events"] = {"positions": {
+        camera: {"path": "flight.pos", "image": f"{camera}_{{index:05d}}"} for camera in LEVER
+    }}  # fmt: skip
+    place, height, _ = errors(prepare(mission), truth)
+    assert place < 0.01
+    assert height < 0.01
 
 
 def test_an_antenna_is_moved_to_the_camera_by_the_offsets_of_the_mrk(mission, files, truth):
