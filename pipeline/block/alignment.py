@@ -189,7 +189,7 @@ class Axis:
     def likelihoods(self, clocks: Array, shares: tuple[float, float]) -> Array:
         """(c,) log likelihood of each clock, with what is known of clocks beforehand."""
         total = np.empty(clocks.shape[0])
-        at_once = max(1, _MOST_PAIRS // (self.images.size * _WIDEST))
+        at_once = max(1, _MOST_PAIRS // (self.images.size * 8))
         for start in range(0, total.size, at_once):
             pairs = self.pairs(clocks[start : start + at_once], shares)
             parts = _first_parts(pairs, shares) + pairs.after
@@ -211,7 +211,10 @@ class Axis:
         between_images = np.median(np.diff(self.images)) if self.images.size > 1 else 0.0
         longest = 1.6 * max(self.interval, float(between_images))
         for h, (row, predicted) in enumerate(zip(rows, self.predicted(clocks), strict=True)):
-            exposed = np.sort(np.concatenate([self.events, predicted[row < 0]]))
+            has = np.flatnonzero(row >= 0)
+            between = slice(has[0], has[-1]) if has.size else slice(0)
+            lonely = predicted[between][row[between] < 0]
+            exposed = np.sort(np.concatenate([self.events, lonely]))
             pauses[h] = np.count_nonzero(np.diff(exposed) > longest)
         return np.asarray(each * pauses)
 
@@ -258,15 +261,15 @@ def _first_parts(pairs: Pairs, shares: tuple[float, float]) -> Array:
     """
     log_image, log_event = np.log(shares)
     count, images, width = pairs.weight.shape
-    place = np.arange(width + 1)
+    place, row = np.arange(width + 1), np.arange(count)[:, None]
     parts = np.empty_like(pairs.weight)
     ended = run = np.full((count, width + 1), _NEVER)
     low = pairs.low[:, 0]
     for i in range(images):
         source = (pairs.low[:, i] - low)[:, None] + place
         low, inside = pairs.low[:, i], np.minimum(source, width)
-        run = np.take_along_axis(run, inside, 1) + log_event * (source - inside)
-        ended = np.where(source <= width, np.take_along_axis(ended, inside, 1), _NEVER)
+        run = run[row, inside] + log_event * (source - inside)
+        ended = np.where(source <= width, ended[row, inside], _NEVER)
         ended[:, 0] = run[:, 0]
         parts[:, i] = pairs.weight[:, i] + np.logaddexp(run[:, :-1], pairs.before[:, i])
         ended = ended + log_image
