@@ -82,6 +82,20 @@ def test_constant_intervals_are_refused(drawn_flights, flight_count, flight_seed
     assert refused >= 0.95 * flight_count
 
 
+@pytest.mark.parametrize(
+    "seed", [(1, 359), (2, 440), (2, 593), (2, 710), (3, 152), (3, 215), (3, 494), (11, 1, 691)]
+)
+def test_gaps_at_random_in_constant_intervals_decide_nothing(drawn_flights, seed):
+    """Accepted and shifted where a pair more counts, but not the place more where both miss."""
+    kind = drawn_flights.KINDS[seed[-1] % len(drawn_flights.KINDS)]
+    flight = drawn_flights.draw(np.random.default_rng(seed), kind, constant=True)
+    evidence = ImageEvidence(flight.image_s.size, time_s=flight.image_s, sigma_s=flight.sigma_s)
+    found = assign(CameraEvents(flight.event_s), evidence)
+    assert judge(flight, found)[0] > 10  # the best is a wrong one
+    assert not found.accepted
+    assert "times less likely" in found.reason
+
+
 def test_five_exposures_without_an_image_are_found_by_the_rhythm():
     """256 events, 251 images named by {n}: the names alone shift the flight by 600 m."""
     events = lines(count=16, each=16)
