@@ -306,7 +306,8 @@ class MountSection(Section):
         None,
         ge=0,
         le=45,
-        description="standard deviation of the attitude about each of the body's two level axes",
+        description="standard deviation of the attitude about each of the body's two level axes, "
+        "in place of what the log tells; what the time between samples adds is added to it",
     )
     sigma_yaw_deg: float | None = Field(
         None,
@@ -324,6 +325,13 @@ class MountSection(Section):
     def build(self) -> Mount:
         """In radians."""
         x, y, z = self.lever_arm_m
+        tilt = self.sigma_tilt_deg
+        yaw = tilt if self.sigma_yaw_deg is None else self.sigma_yaw_deg
         return Mount(
-            self.roll_deg * DEGREE, self.pitch_deg * DEGREE, self.yaw_deg * DEGREE, (x, y, z)
+            self.roll_deg * DEGREE,
+            self.pitch_deg * DEGREE,
+            self.yaw_deg * DEGREE,
+            (x, y, z),
+            sigma_tilt_rad=None if tilt is None else tilt * DEGREE,
+            sigma_yaw_rad=None if yaw is None else yaw * DEGREE,
         )

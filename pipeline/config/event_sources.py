@@ -43,7 +43,11 @@ class LogEvents(Section):
         description="name of the image: {index} the log's number, {n} counted from 1; format "
         "codes as in Python, for example IMG_{index:05d}.tif"
     )
-    delay_s: float = Field(0.0, ge=-10, le=10, description="shutter time minus event time")
+    delay_s: Annotated[float, Field(ge=-10, le=10)] | Literal["from_feedback"] = Field(
+        0.0,
+        description="shutter time minus event time; from_feedback takes the median of the triggers "
+        "of this camera whose shutter pulse was logged too",
+    )
 
 
 class CsvEventColumns(Section):

@@ -218,3 +218,10 @@ class StationsSection(Section):
         description="true corrects the observations of stations that contradict other evidence of "
         "the log (status suspect) too; the run ends with code 3 all the same",
     )
+    max_sigma_horizontal_m: float | None = Field(
+        None, gt=0, description="largest sigma of a position, per axis, that serves the mission"
+    )
+    max_sigma_height_m: float | None = Field(None, gt=0, description="the same of a height")
+    max_sigma_tilt_deg: float | None = Field(
+        None, gt=0, le=45, description="the same of the attitude about each level axis"
+    )

@@ -71,9 +71,10 @@ class Channel:
     whose time is not logged exactly), roll_rad, pitch_rad, yaw_rad; yaw_in_body_rad (of a gimbal);
     value (of a named value, in the mission file's unit).
 
-    Of a receiver: fix (GPS_FIX_TYPE of MAVLink: 3 is 3D, 6 RTK fixed), satellites, hdop, sigma_h_m,
-    sigma_v_m, sigma_speed_m_s; gps_week and gps_week_s, the epoch of the row in GPS time, as logged
-    (a week may count modulo 1024). Of a filter: innovation_velocity, innovation_position,
+    Of a receiver: fix (GPS_FIX_TYPE of MAVLink: 3 is 3D, 6 RTK fixed), satellites, hdop, sigma_h_m
+    (of one horizontal axis), sigma_v_m, sigma_speed_m_s;
+    gps_week and gps_week_s, the epoch of the row in GPS time, as logged (a week may count modulo
+    1024). Of a filter: innovation_velocity, innovation_position,
     innovation_height, innovation_compass (largest innovation over the gate: what is above 1 is
     rejected); filter_flags, whose bits 0 to 9 are those of MAVLink's EKF_STATUS_FLAGS in all
     formats, 10 never healthy, 15 GPS glitch, 18 dead reckoning; filter_timeouts and filter_faults

@@ -9,27 +9,67 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import MissionError
-from pipeline.flight.channels import Channel
+from pipeline.flight.channels import Array, Channel
 from pipeline.ledger import Notes, loss, note
 
 
 @dataclass(frozen=True, eq=False)
 class Events:
-    """Exposures of one camera: (m,) names and times (UTC, ns)."""
+    """Exposures of one camera: (m,) names, times (UTC, ns) and, one or (m,), their sigma [s]."""
 
     camera: str
     image: NDArray[np.object_]
     time_ns: NDArray[np.int64]
+    sigma_time_s: Array | float = 0.0
+
+
+LONGEST_LAG_S, FEWEST_PAIRS = 1.0, 10
+
+
+def lag_from_feedback(
+    channels: tuple[Channel, ...], trigger: Channel, camera: str
+) -> tuple[tuple[float, float], Notes]:
+    """The shutter's lag behind the trigger and its sigma [s], by triggers with a logged pulse.
+
+    The median of the pairs of one number and power-up, with their scatter as sigma; refuses
+    (MissionError EVENTS-FEEDBACK) fewer than ten, or events that are no triggers.
+    """
+    lags = np.empty(0)
+    for shots in channels:
+        pairs = shots.source.message == "CAM" and trigger.source.message == "TRIG"
+        if not pairs or not _of_one_camera(trigger, shots):
+            continue
+        sent, seen = (c["event_index"] + 1e6 * c.boot for c in (trigger, shots))
+        _, first, second = np.intersect1d(sent, seen, return_indices=True)
+        apart = (shots.time_ns[second] - trigger.time_ns[first]) * 1e-9
+        lags = np.append(lags, apart[(apart > 0.0) & (apart < LONGEST_LAG_S)])
+    if lags.size < FEWEST_PAIRS:
+        raise MissionError(
+            "EVENTS-FEEDBACK",
+            f"{trigger.name} has {lags.size} triggers whose shutter pulse was logged too, of "
+            f"{FEWEST_PAIRS} that a lag takes",
+            where=f"events.log.{camera}.delay_s",
+            remedy="give the lag in seconds; or name the channel of the triggers (TRIG) of a "
+            "camera with a feedback pin",
+        )
+    low, middle, high = np.percentile(lags, [16.0, 50.0, 84.0])
+    what = (
+        f"the shutter of {camera} opens {middle * 1e3:.0f} ms after its trigger, with a scatter of "
+        f"{(high - low) * 5e2:.0f} ms, by {lags.size} triggers whose shutter pulse was logged too"
+    )
+    entry = note("EVENTS-SHUTTER-LAG", what, where=trigger.name, count=int(lags.size))
+    return (float(middle), float(high - low) / 2.0), (entry,)
 
 
 def events_of_channel(
-    channel: Channel, camera: str, pattern: str, delay_s: float
+    channel: Channel, camera: str, pattern: str, delay_s: float, sigma_s: float = 0.0
 ) -> tuple[Events, Notes]:
     """Exposures of an event channel, named by a pattern of ``{index}`` and ``{n}``.
 
     Parameters
     ----------
     delay_s : what is added to the times of the log [s], positive where the shutter opens later.
+    sigma_s : of that [s].
 
     Numbers that the log skips are pulses that were lost: a loss for each power-up. ``{index}`` is
     the number as the log has it, which may count modulo 65536.
@@ -45,7 +85,9 @@ def events_of_channel(
             remedy="name the images by {index}, or give their times in events.csv",
         )
     time_ns = channel.time_ns + round(delay_s * 1e9)
-    return Events(camera, np.array(names, dtype=object), time_ns), notes
+    logged = np.nan_to_num(channel.columns.get("sigma_time_s", np.zeros(len(channel))))
+    late = np.hypot(logged, sigma_s)
+    return Events(camera, np.array(names, dtype=object), time_ns, late), notes
 
 
 def events_of_table(
@@ -54,10 +96,15 @@ def events_of_table(
     time_ns: NDArray[np.int64],
     camera: str,
     delay_s: float,
+    *,
+    sigma_s: float = 0.0,
 ) -> Events:
-    """Exposures of one camera from a table; ``delay_s`` [s] is added to the table's times."""
+    """Exposures of one camera from a table.
+
+    ``delay_s`` [s] is added to the table's times, whose sigma [s] against the log is ``sigma_s``.
+    """
     rows = camera_of == camera
-    return Events(camera, image[rows], time_ns[rows] + round(delay_s * 1e9))
+    return Events(camera, image[rows], time_ns[rows] + round(delay_s * 1e9), sigma_s)
 
 
 # Counts of 16 bits run over; a count that goes on farther than this from zero has begun anew.

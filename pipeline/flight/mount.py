@@ -23,12 +23,18 @@ _LARGEST_AXIS_ANGLE_DEG = 45.0
 
 @dataclass(frozen=True)
 class Mount:
-    """How a camera sits in the aircraft; angles [rad], lever arm [m] in the body frame."""
+    """How a camera sits in the aircraft; angles [rad], lever arm [m] in the body frame.
+
+    ``sigma_tilt_rad`` about each level axis of the body and ``sigma_yaw_rad`` about its vertical
+    one are those of the attitude and the mount together; None for what the log tells.
+    """
 
     roll_rad: float = 0.0
     pitch_rad: float = 0.0
     yaw_rad: float = 0.0
     lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    sigma_tilt_rad: float | None = None
+    sigma_yaw_rad: float | None = None
 
     @property
     def camera_from_body(self) -> Array:

@@ -28,9 +28,12 @@ from pipeline.flight.stations import (
 from pipeline.flight.trajectory import (
     GAP_IN_CHANNEL,
     INSIDE,
+    Evidence,
+    attitude_at,
+    bend_of_heights,
     interpolate,
-    interpolate_attitude,
-    interpolate_position,
+    quaternion_products,
+    track_at,
 )
 from pipeline.geodesy import offset_geodetic
 from pipeline.ledger import Notes, loss
@@ -44,11 +47,15 @@ def build_stations(
     mount: Mount,
     heights: HeightSystem,
     max_gap_s: float,
+    *,
+    evidence: Evidence = Evidence(),  # noqa: B008
 ) -> Stations:
-    """Position, attitude and air at each exposure of one camera.
+    """Position, attitude and air at each exposure of one camera, with their sigmas.
 
     An exposure outside the log, in a gap of it, or without position, attitude or a height above
-    sea level is not invented: its status gives the reason and its values are NaN.
+    sea level is not invented: its status gives the reason and its values are NaN. Each sigma is
+    that of the log's samples by the ``evidence``, of the interpolation between them, and of the
+    exposure's time at its speed and rate of turn.
     """
     time_ns = events.time_ns
     n = time_ns.size
@@ -57,30 +64,54 @@ def build_stations(
     if "position" not in roles:
         return stations.with_status(np.ones(n, bool), NO_POSITION)
     position, height = roles["position"], roles["height"]
-    lat, lon, coverage = interpolate_position(position, time_ns, max_gap_s)
+    track = track_at(position, time_ns, max_gap_s)
     h_msl, h_ellipsoid = heights_at(height, time_ns, heights, max_gap_s)
-    stations = _not_covered(stations, coverage)
-    stations = stations.with_status(np.isnan(lat), NO_POSITION)
+    stations = _not_covered(stations, track.coverage)
+    stations = stations.with_status(np.isnan(track.lat_rad), NO_POSITION)
     if "attitude" not in roles:
         return stations.with_status(np.ones(n, bool), NO_ATTITUDE)
-    attitude, coverage = interpolate_attitude(roles["attitude"], time_ns, max_gap_s)
-    stations = _not_covered(stations, coverage)
+    turning = attitude_at(roles["attitude"], time_ns, max_gap_s)
+    attitude = turning.quaternion
+    stations = _not_covered(stations, turning.coverage)
     stations = stations.with_status(np.asarray(np.isnan(attitude).any(axis=1)), NO_ATTITUDE)
     stations = stations.with_status(np.isnan(h_msl) & np.isnan(h_ellipsoid), IN_GAP)
     stations = stations.with_status(np.isnan(h_msl), HEIGHT_REFERENCE_UNKNOWN)
+    bend, speed_down, sigma_bend = np.zeros((3, n))
+    if height.height_column is not None:
+        bend, speed_down, sigma_bend = bend_of_heights(
+            height, height.height_column, time_ns, max_gap_s
+        )
+    # Time, and with it the sampled rates, acts along one direction: half of it on each axis.
+    late = events.sigma_time_s
+    of_time = np.square(late) * np.square(track.velocity_m_s).mean(axis=1)
+    horizontal, _ = evidence.accuracy(position, time_ns)
+    _, vertical = evidence.accuracy(height, time_ns)
+    gimbal = is_of_gimbal(roles["attitude"].source.message)
+    tilt, yaw = (Evidence() if gimbal else evidence).attitude(roles["attitude"], time_ns)
+    tilt = tilt if mount.sigma_tilt_rad is None else np.full(n, mount.sigma_tilt_rad)
+    yaw = yaw if mount.sigma_yaw_rad is None else np.full(n, mount.sigma_yaw_rad)
+    of_turn = np.square(turning.sigma_rad) + np.square(
+        turning.rate_rad_s * np.reshape(late, (-1, 1))
+    )
     stations = replace(
         stations,
-        lat_rad=lat,
-        lon_rad=lon,
-        h_msl_m=h_msl,
-        h_ellipsoid_m=h_ellipsoid,
-        sigma_horizontal_m=interpolate(position, "sigma_h_m", time_ns, max_gap_s),
-        sigma_height_m=interpolate(height, "sigma_v_m", time_ns, max_gap_s),
+        lat_rad=track.lat_rad,
+        lon_rad=track.lon_rad,
+        h_msl_m=h_msl + bend,
+        h_ellipsoid_m=h_ellipsoid + bend,
+        sigma_horizontal_m=np.sqrt(
+            np.square(horizontal) + np.square(track.sigma_m).mean(axis=1) + of_time
+        ),
+        sigma_height_m=np.sqrt(
+            np.square(vertical) + np.square(sigma_bend) + np.square(late * speed_down)
+        ),
+        sigma_tilt_rad=np.sqrt(np.square(tilt) + of_turn[:, :2].mean(axis=1)),
+        sigma_yaw_rad=np.sqrt(np.square(yaw) + of_turn[:, 2]),
     )
     stations = _moved_to_camera(stations, mount, attitude)
     if "aircraft_attitude" in roles:
-        attitude, _ = interpolate_attitude(roles["aircraft_attitude"], time_ns, max_gap_s)
-    elif is_of_gimbal(roles["attitude"].source.message):
+        attitude = attitude_at(roles["aircraft_attitude"], time_ns, max_gap_s).quaternion
+    elif gimbal:
         attitude = np.full_like(attitude, np.nan)
     stations = replace(stations, aircraft_quaternion=_from_enu(attitude, np.eye(3)))
     return with_air(stations, roles, max_gap_s)
@@ -94,17 +125,12 @@ def _not_covered(stations: Stations, coverage: NDArray[np.uint8]) -> Stations:
 
 def _from_enu(attitude: Array, frame_from_body: Array) -> Array:
     """(n, 4) quaternions of v_frame = R(q) v_enu from attitudes v_ned = R(q) v_body; NaN stays."""
-    quaternion = np.full(attitude.shape, np.nan)
-    known = np.isfinite(attitude).all(axis=1)
-    if bool(known.any()):
-        ned_from_body = Rotation.from_quat(attitude[known][:, [1, 2, 3, 0]])
-        frame_from_enu = (
-            Rotation.from_matrix(frame_from_body)
-            * ned_from_body.inv()
-            * Rotation.from_matrix(_NED_FROM_ENU)
-        )
-        quaternion[known] = frame_from_enu.as_quat(canonical=True)[:, [3, 0, 1, 2]]
-    return quaternion
+    frame, enu = (
+        Rotation.from_matrix(matrix).as_quat()[None] for matrix in (frame_from_body, _NED_FROM_ENU)
+    )
+    body_from_ned = attitude[:, [1, 2, 3, 0]] * [-1.0, -1.0, -1.0, 1.0]
+    found = quaternion_products(quaternion_products(frame, body_from_ned), enu)
+    return np.where(found[:, 3:] < 0.0, -found, found)[:, [3, 0, 1, 2]]
 
 
 def _moved_to_camera(stations: Stations, mount: Mount, attitude: Array) -> Stations:

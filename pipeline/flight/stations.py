@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.ledger import Notes, loss, note
-from pipeline.units import HECTOPASCAL
+from pipeline.units import DEGREE, HECTOPASCAL
 
 Array = NDArray[np.float64]
 
@@ -262,4 +262,53 @@ def unusable_station_notes(stations: Stations) -> Notes:
         images = stations.image[stations.status == status]
         what = f"{images.size} exposures are {status}: {_first_three(images)}"
         notes.append(loss("STATIONS-FLAGGED", what, count=int(images.size)))
+    return tuple(notes)
+
+
+def sigma_notes(
+    stations: Stations,
+    max_horizontal_m: float | None,
+    max_height_m: float | None,
+    max_tilt_rad: float | None,
+) -> Notes:
+    """How well the stations are known, and a loss for each limit that some of them exceed.
+
+    A station whose sigma is unknown exceeds a limit.
+    """
+    notes, medians = [], []
+    for what, sigma, limit, factor, unit in (
+        ("position (per axis)", stations.sigma_horizontal_m, max_horizontal_m, 1.0, "m"),
+        ("height", stations.sigma_height_m, max_height_m, 1.0, "m"),
+        (
+            "attitude (about a level axis)",
+            stations.sigma_tilt_rad,
+            max_tilt_rad,
+            1.0 / DEGREE,
+            "deg",
+        ),
+    ):
+        sigma = sigma[stations.ok] * factor
+        if not bool(np.isfinite(sigma).any()):
+            medians.append(f"{what} unknown")
+        else:
+            medians.append(f"{what} {np.nanmedian(sigma):.2f} {unit}")
+        if limit is None:
+            continue
+        large = ~(sigma <= limit * factor)
+        if bool(large.any()):
+            worst = int(np.argmax(np.nan_to_num(sigma, nan=np.inf)))
+            size = f"{sigma[worst]:.2f} {unit}" if np.isfinite(sigma[worst]) else "an unknown sigma"
+            notes.append(
+                loss(
+                    "STATIONS-SIGMA",
+                    f"{int(large.sum())} of {sigma.size} stations are known worse than the mission "
+                    f"needs: {what} {limit * factor:g} {unit}, the worst is "
+                    f"{stations.image[stations.ok][worst]} with {size}",
+                    where="stations",
+                    count=int(large.sum()),
+                )
+            )
+    if bool(stations.ok.any()):
+        what = f"sigmas of the stations, in the median: {', '.join(medians)}"
+        notes.append(note("STATIONS-SIGMA", what, where="stations", count=int(stations.ok.sum())))
     return tuple(notes)

@@ -21,6 +21,8 @@ UNITS: Mapping[str, tuple[float, float, float]] = {
     "degE7": (1e7, DEGREE, 0.0),
     "cdeg": (100.0, DEGREE, 0.0),
     "mm": (1e3, 1.0, 0.0),
+    "m plane": (2**0.5, 1.0, 0.0),  # a distance rms in the plane, per axis
+    "mm plane": (1e3 * 2**0.5, 1.0, 0.0),
     "cm": (100.0, 1.0, 0.0),
     "ms": (1e3, 1.0, 0.0),
     "1/100": (100.0, 1.0, 0.0),

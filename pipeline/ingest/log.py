@@ -40,6 +40,7 @@ class Contents:
     time_base : a description of the source of its UTC.
     table : decodes all messages of one type or topic; with an instance (None for all) only those.
     parameters : the autopilot's settings by name, as logged, the last value of each.
+    utc_sigma_s : sigma of its UTC [s], NaN where that is unknown.
     """
 
     messages: Mapping[str, int]
@@ -50,6 +51,7 @@ class Contents:
     time_base: str
     table: Callable[[str, str | None], Table] | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
+    utc_sigma_s: float = float("nan")
 
 
 class LogFormat(Protocol):

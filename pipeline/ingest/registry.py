@@ -12,6 +12,7 @@ from pipeline.ingest.dataflash.log import DATAFLASH
 from pipeline.ingest.dataflash.text import DATAFLASH_TEXT
 from pipeline.ingest.log import Contents, Log, LogFormat, hash_file
 from pipeline.ingest.mcap.log import MCAP
+from pipeline.ingest.receiver_delay import with_receiver_delay
 from pipeline.ingest.tlog.log import TLOG
 from pipeline.ingest.ulog.log import ULOG
 from pipeline.ledger import Ledger
@@ -141,4 +142,5 @@ def _read(form: LogFormat, path: Path, ledger: Ledger, needs_channels: bool) -> 
             "`unbend inspect --type` shows",
         )
     messages = dict(sorted(contents.messages.items()))
-    return replace(contents, messages=messages, channels=tuple(channels))
+    contents = replace(contents, messages=messages, channels=tuple(channels))
+    return with_receiver_delay(contents, ledger)

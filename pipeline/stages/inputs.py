@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from pipeline.batch.plan import Plan
 from pipeline.errors import MissionError
@@ -10,9 +10,10 @@ from pipeline.flight.channels import ROLE_COLUMNS, Channel
 from pipeline.flight.heights import HeightSystem, height_system, to_geodetic
 from pipeline.flight.mount import gimbal_notes, with_payload_attitude
 from pipeline.flight.quality import plausible_samples
-from pipeline.flight.roles import assign_roles
+from pipeline.flight.roles import assign_roles, with_evidence
 from pipeline.flight.suspicion.doubts import examine
 from pipeline.flight.suspicion.evidence import Stretch
+from pipeline.flight.trajectory import Evidence
 from pipeline.ingest import Log, open_log
 from pipeline.ingest.fields import in_stated_unit
 from pipeline.ledger import Ledger
@@ -30,6 +31,8 @@ class FlightLog:
 
     ``own`` are the roles as the log fills them; in ``roles`` a trajectory has replaced some.
 
+    ``evidence`` is what it says about the accuracy of its positions and attitudes.
+
     ``log`` is None, and there are no channels, where the stations come from elsewhere.
     """
 
@@ -39,6 +42,7 @@ class FlightLog:
     own: dict[str, Channel]
     heights: HeightSystem
     doubts: tuple[Stretch, ...] = ()
+    evidence: Evidence = field(default_factory=Evidence)
 
     @property
     def air_roles(self) -> dict[str, Channel]:
@@ -117,7 +121,8 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
             where="stations.trajectory",
         )
     doubts = tuple(doubt for doubt in doubts if doubt.quantity not in elsewhere)
-    return FlightLog(log, channels, plausible, own, heights, doubts)
+    plausible, evidence = with_evidence(plausible, channels)
+    return FlightLog(log, channels, plausible, own, heights, doubts, evidence)
 
 
 def read_trajectory(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -> Channel | None:

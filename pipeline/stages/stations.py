@@ -15,6 +15,7 @@ from pipeline.flight.exposures import (
     choose_event_channel,
     events_of_channel,
     events_of_table,
+    lag_from_feedback,
     refuse_repeated_images,
     trigger_notes,
 )
@@ -28,6 +29,7 @@ from pipeline.flight.stations import (
     Stations,
     append_unmatched_images,
     join_stations,
+    sigma_notes,
     unusable_station_notes,
 )
 from pipeline.flight.suspicion.doubts import flag_doubtful
@@ -38,14 +40,20 @@ from pipeline.stages.inputs import FlightLog, read_camera_events
 from pipeline.stages.oriented_stations import oriented_stations, report_height_above_ground
 from pipeline.tables.events import EventColumns, read_events
 from pipeline.tables.observations import Observations
+from pipeline.units import DEGREE
 
 
 def exposure_events(
-    plan: Plan, channels: tuple[Channel, ...], positions: Mapping[str, Channel], ledger: Ledger
+    plan: Plan,
+    channels: tuple[Channel, ...],
+    positions: Mapping[str, Channel],
+    utc_sigma_s: float,
+    ledger: Ledger,
 ) -> list[Events]:
     """When each camera was exposed, from the log, a table, or files with positions, by camera.
 
-    Refuses (MissionError EVENTS-CAMERA) a table that names a camera which the mission lacks.
+    ``utc_sigma_s`` is that of the log's UTC, which places the times of a table. Refuses
+    (MissionError EVENTS-CAMERA) a table that names a camera which the mission lacks.
     """
     section = plan.mission.events
     if section is None:
@@ -55,7 +63,11 @@ def exposure_events(
         for camera, source in section.log.items():
             channel = choose_event_channel(channels, source.channel)
             ledger.extend(trigger_notes(channels, channel))
-            exposed = events_of_channel(channel, camera, source.image, source.delay_s)
+            if source.delay_s == "from_feedback":
+                lag = ledger.take(lag_from_feedback(channels, channel, camera))
+            else:
+                lag = source.delay_s, 0.0
+            exposed = events_of_channel(channel, camera, source.image, *lag)
             events.append(ledger.take(exposed))
         return events
     if section.positions is not None:
@@ -77,7 +89,9 @@ def exposure_events(
             remedy=f"cameras are {', '.join(plan.mission.cameras)}",
         )
     return [
-        events_of_table(table.image, camera_of, table.time_ns, camera, csv.delay_s)
+        events_of_table(
+            table.image, camera_of, table.time_ns, camera, csv.delay_s, sigma_s=utc_sigma_s
+        )
         for camera in plan.mission.cameras
     ]
 
@@ -105,8 +119,9 @@ def stations_of_mission(
 ) -> Stations:
     """Position, attitude and air of each exposure, or the status that says what is missing."""
     mission = plan.mission
+    utc_sigma_s = 0.0 if flight.log is None else float(np.nan_to_num(flight.log.utc_sigma_s))
     positions = read_camera_events(plan, flight, ledger)
-    events = exposure_events(plan, flight.channels, positions, ledger)
+    events = exposure_events(plan, flight.channels, positions, utc_sigma_s, ledger)
     refuse_repeated_images(events)
     exposed = []
     for events_of_camera in events:
@@ -115,7 +130,14 @@ def stations_of_mission(
         if name in positions and not mission.position_events[name].times_only:
             roles = roles | {"position": positions[name], "height": positions[name]}
             doubts = tuple(doubt for doubt in doubts if doubt.quantity == "attitude")
-        part = build_stations(events_of_camera, roles, mount, flight.heights, mission.max_gap_s)
+        part = build_stations(
+            events_of_camera,
+            roles,
+            mount,
+            flight.heights,
+            mission.max_gap_s,
+            evidence=flight.evidence,
+        )
         part = ledger.take(flag_doubtful(part, doubts, use_suspect=mission.stations.use_suspect))
         exposed.append(moved_by_offsets(part, positions.get(name)) if from_events else part)
     if mission.stations.orientation is None:
@@ -134,6 +156,16 @@ def stations_of_mission(
             stations = ledger.take(flag_missing_aircraft_attitude(stations, name))
     stations = ledger.take(append_unmatched_images(stations, observations.images))
     ledger.extend(unusable_station_notes(stations))
+    limits = mission.stations
+    tilt = limits.max_sigma_tilt_deg
+    ledger.extend(
+        sigma_notes(
+            stations,
+            limits.max_sigma_horizontal_m,
+            limits.max_sigma_height_m,
+            None if tilt is None else tilt * DEGREE,
+        )
+    )
     return stations
 
 

@@ -29,7 +29,6 @@ from pipeline.refraction.uncertainty.sigmas import Uncertainty
 from pipeline.stages.cabin_air import cabin_changes
 from pipeline.stages.exposure_setup import lenses_of_mission, windows_of_mission
 from pipeline.stages.statistics import Statistics
-from pipeline.units import DEGREE
 
 
 def uncertainties_of_mission(
@@ -49,13 +48,14 @@ def uncertainties_of_mission(
     """
     ground = mission.ground
     cabin = cabin_changes(stations, lenses_of_mission(mission), air.profiles[0].index)
+    attitude = station_sigmas(mission, stations)
     any_sigma = (
-        any(mission.mount[name].sigma_tilt_deg is not None for name in mission.cameras)
+        bool(np.isfinite(attitude.tilt_rad[stations.ok]).any())
         or ground.sigma_m is not None
         or ground.sigma_column is not None
         or bool(np.isfinite(cabin).any())
     )
-    sigmas = replace(station_sigmas(mission, stations), cabin=cabin)
+    sigmas = replace(attitude, cabin=cabin)
     masks = [(camera, stations.camera == name) for name, camera in cameras.items()]
     uncertainties: list[Uncertainty | None] = []
     for number, timed in enumerate(air.timed_profiles):
@@ -92,18 +92,17 @@ def views_of_mission(mission: Mission, stations: Stations, air: ProfileSeries) -
 
 
 def station_sigmas(mission: Mission, stations: Stations) -> StationSigmas:
-    """Sigmas of the attitude from the mission file, of the height from the log; NaN if unknown."""
-    count = len(stations)
-    tilt, yaw = np.full(count, np.nan), np.full(count, np.nan)
-    axis = np.tile([0.0, 0.0, 1.0], (count, 1))
-    for name, mount in mission.mount.items():
-        if mount.sigma_tilt_deg is None:
-            continue
-        rows = stations.camera == name
-        sigma_yaw = mount.sigma_tilt_deg if mount.sigma_yaw_deg is None else mount.sigma_yaw_deg
-        tilt[rows] = mount.sigma_tilt_deg * DEGREE
-        yaw[rows] = sigma_yaw * DEGREE
-        axis[rows] = mount.build().camera_from_body[:, 2]
+    """Sigmas of attitude and height of each exposure; NaN where unknown.
+
+    Those of the stations; of the attitude the mission file's where a station has none.
+    """
+    tilt, yaw = stations.sigma_tilt_rad.copy(), stations.sigma_yaw_rad.copy()
+    axis = np.tile([0.0, 0.0, 1.0], (len(stations), 1))
+    for name, section in mission.mount.items():
+        rows, mount = stations.camera == name, section.build()
+        axis[rows] = mount.camera_from_body[:, 2]
+        for sigma, stated in ((tilt, mount.sigma_tilt_rad), (yaw, mount.sigma_yaw_rad)):
+            sigma[rows & np.isnan(sigma)] = np.nan if stated is None else stated
     return StationSigmas(tilt, yaw, axis, stations.sigma_height_m)
 
 
@@ -114,12 +113,13 @@ def report_unknown_sigmas(
     missing = []
     if not all(timed.has_covariance for timed in air.timed_profiles):
         missing.append("the air (its profile has no covariance)")
-    cameras = [name for name in mission.cameras if mission.mount[name].sigma_tilt_deg is None]
+    unknown = stations.ok & np.isnan(station_sigmas(mission, stations).tilt_rad)
+    cameras = sorted(set(stations.camera[unknown].tolist()))
     missing += [f"the attitude (mount.{name}.sigma_tilt_deg)" for name in cameras]
     if mission.ground.sigma_m is None and mission.ground.sigma_column is None:
         missing.append("the ground (ground.sigma_m or ground.sigma_column)")
     heights = int((stations.ok & ~np.isfinite(stations.sigma_height_m)).sum())
-    if heights and len(cameras) < len(mission.cameras):
+    if heights:
         missing.append(f"the height of {heights} stations (not in the log; it does not count)")
     for name, window in windows_of_mission(mission).items():
         rows = np.asarray((stations.camera == name) & stations.ok)

@@ -78,6 +78,9 @@ FULL: dict[str, Any] = {
             "window": {"channel": "CAM[1]", "image": "w{n}.tif"},
         },
     },
+    "stations": {
+        "max_sigma_horizontal_m": 1.5, "max_sigma_height_m": 2.0, "max_sigma_tilt_deg": 0.5,
+    },
     "ground": {"height": {"column": "h_g_m"}, "reference": "msl", "home_h_msl_m": 580.0,
                "sigma_m": 2.0},
     "atmosphere": {

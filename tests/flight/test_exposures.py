@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel, Source
-from pipeline.flight.exposures import events_of_channel, events_of_table, unwrapped_numbers
+from pipeline.flight.exposures import (
+    events_of_channel,
+    events_of_table,
+    lag_from_feedback,
+    unwrapped_numbers,
+)
 
 SECOND = 10**9
 
@@ -47,3 +53,45 @@ def test_holes_of_the_count_are_listed():
     _, (entry,) = events_of_channel(shots(3, 5, 9, 10), "cam", "{index}", 0.0)
     assert (entry.kind, entry.code, entry.count) == ("loss", "EVENTS-LOST", 4)
     assert "4 numbers between 3 and 10 have no event: 4, 6 to 8" in entry.what
+
+
+def pulses(message: str, instance: str, seconds: np.ndarray, index: np.ndarray) -> Channel:
+    time_ns = np.rint(seconds * SECOND).astype(np.int64)
+    source = Source(message, instance)
+    return Channel(f"{message}[{instance}]", time_ns, {"event_index": index * 1.0}, source)
+
+
+def test_the_lag_of_the_shutter_is_that_of_triggers_whose_pulse_was_logged():
+    """A third of the pulses was lost, one was late; the other camera has another lag."""
+    number = np.arange(1, 61)
+    trigger = pulses("TRIG", "0", number * 5.0, number)
+    seen = number % 3 != 0
+    late = 0.11 + 0.02 * np.sin(number)
+    late[3] = 4.9
+    shutter = pulses("CAM", "0", (number * 5.0 + late)[seen], number[seen])
+    other = pulses("CAM", "1", number * 5.0 + 0.4, number)
+    (delay_s, sigma_s), (note,) = lag_from_feedback((other, shutter, trigger), trigger, "cam")
+    used = seen.copy()
+    used[3] = False
+    assert delay_s == pytest.approx(np.median(late[used]), abs=1e-6)
+    assert 0.01 < sigma_s < 0.02
+    assert (note.code, note.count) == ("EVENTS-SHUTTER-LAG", 39)
+    events, _ = events_of_channel(trigger, "cam", "{index}", delay_s, sigma_s)
+    np.testing.assert_allclose(events.sigma_time_s, sigma_s)
+
+
+def test_a_lag_takes_ten_pairs_and_triggers():
+    number = np.arange(1, 10)
+    trigger = pulses("TRIG", "0", number * 5.0, number)
+    shutter = pulses("CAM", "0", number * 5.0 + 0.1, number)
+    for channel in (trigger, shutter):
+        with pytest.raises(MissionError, match="EVENTS-FEEDBACK"):
+            lag_from_feedback((trigger, shutter), channel, "cam")
+
+
+def test_the_sigma_of_logged_times_is_kept():
+    channel = shots(1, 2)
+    columns = dict(channel.columns) | {"sigma_time_s": np.array([0.06, np.nan])}
+    logged = Channel("CAM", channel.time_ns, columns, channel.source)
+    events, _ = events_of_channel(logged, "cam", "{index}", 0.1, 0.08)
+    assert np.asarray(events.sigma_time_s).tolist() == pytest.approx([0.1, 0.08])

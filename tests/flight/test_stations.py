@@ -15,6 +15,7 @@ from pipeline.flight.stations import (
     append_unmatched_images,
     empty_stations,
     flag_height_misfits,
+    sigma_notes,
     station_columns,
     unusable_station_notes,
 )
@@ -103,3 +104,23 @@ def test_the_mean_latitude_is_of_the_known_ones():
     assert empty_stations(np.empty(0, object), np.empty(0, object), "ok").mean_latitude_rad == (
         pytest.approx(np.pi / 4)
     )
+
+
+def test_stations_that_are_known_worse_than_needed_are_a_loss_for_each_limit():
+    known = replace(
+        stations(4),
+        sigma_horizontal_m=np.array([0.5, 2.0, 9.0, 0.5]),
+        sigma_height_m=np.array([1.0, 1.0, np.nan, 1.0]),
+        sigma_tilt_rad=np.radians([0.1, 0.2, 0.3, 0.4]),
+        status=np.array(["ok", "ok", "ok", "in_gap"], object),
+    )
+    far, high, said = sigma_notes(known, 1.0, 1.5, np.radians(0.35))
+    assert (far.kind, far.code, far.count) == ("loss", "STATIONS-SIGMA", 2)
+    assert f"the worst is {known.image[2]} with 9.00 m" in far.what
+    assert high.count == 1
+    assert "an unknown sigma" in high.what
+    assert said.kind == "note"
+    for median in ("2.00 m", "1.00 m", "0.20 deg"):
+        assert median in said.what
+    assert [entry.kind for entry in sigma_notes(known, None, None, None)] == ["note"]
+    assert sigma_notes(known.with_status(known.ok, "in_gap"), 1.0, 1.0, 1.0) == ()

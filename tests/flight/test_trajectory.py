@@ -13,10 +13,15 @@ from pipeline.flight.trajectory import (
     GAP_IN_CHANNEL,
     INSIDE,
     OUTSIDE_CHANNEL,
+    Evidence,
+    attitude_at,
+    bend_of_heights,
     bracket,
     interpolate,
     interpolate_attitude,
     interpolate_position,
+    track_at,
+    with_slopes,
 )
 
 SECOND = 1_000_000_000
@@ -114,3 +119,135 @@ def test_no_attitude_from_zeros_or_nan() -> None:
     x = channel([0, 1, 2], q_x=[0, 0, 0], q_y=[0, 0, 0], q_z=[0, np.nan, 0], q_w=[1, 1, 0])
     found, _ = interpolate_attitude(x, at(0.5, 1.5), 2.0)
     assert np.isnan(found).all()
+
+
+def circle(seconds: np.ndarray) -> dict[str, np.ndarray]:
+    """30 m/s around a circle of 150 m, climbing faster and faster, in closed form."""
+    angle = seconds * 0.2
+    return {
+        "lat_rad": 0.8 + 150.0 * np.sin(angle) / MERIDIAN,
+        "lon_rad": 0.1 - 150.0 * np.cos(angle) / PARALLEL,
+        "h_msl_m": 500.0 + 0.4 * seconds**2,
+        "v_north_m_s": 30.0 * np.cos(angle),
+        "v_east_m_s": 30.0 * np.sin(angle),
+        "v_down_m_s": -0.8 * seconds,
+    }
+
+
+# WGS84 at 0.8 rad, by hand: e2 = 0.00669438, w2 = 1 - e2 sin^2(0.8) = 0.99655504
+MERIDIAN, PARALLEL = 6_378_137.0 * 0.99330562 / 0.99655504**1.5, 6_389_152.0 * np.cos(0.8)
+SECONDS = np.arange(0.0, 20.0, 2.0)
+
+
+@pytest.mark.parametrize(("velocity", "allowed"), [(True, 0.06), (False, 0.5)])
+def test_a_turn_is_followed_by_its_velocities(velocity: bool, allowed: float) -> None:
+    """The chord of 2 s is 3.0 m beside the circle, and in height 0.4 m below the parabola."""
+    columns = circle(SECONDS)
+    if not velocity:
+        columns = {name: c for name, c in columns.items() if not name.startswith("v_")}
+    x, when = channel(list(SECONDS), **columns), np.array([6.5, 7.0, 9.0, 11.3])
+    true, found = circle(when), track_at(x, at(*when), 3.0)
+    north = (found.lat_rad - true["lat_rad"]) * MERIDIAN
+    east = (found.lon_rad - true["lon_rad"]) * PARALLEL
+    assert np.hypot(north, east).max() < allowed
+    chord = interpolate(x, "lat_rad", at(*when), 3.0), interpolate(x, "lon_rad", at(*when), 3.0)
+    beside = np.hypot(
+        (chord[0] - true["lat_rad"]) * MERIDIAN, (chord[1] - true["lon_rad"]) * PARALLEL
+    )
+    assert beside.max() > 2.9
+    assert np.linalg.norm(found.sigma_m, axis=1).max() < 2.0
+    bend, down, _ = bend_of_heights(x, "h_msl_m", at(*when), 3.0)
+    height = interpolate(x, "h_msl_m", at(*when), 3.0) + bend
+    np.testing.assert_allclose(height, true["h_msl_m"], atol=1e-6)
+    np.testing.assert_allclose(down[1:3], true["v_down_m_s"][1:3] if velocity else [-5.6, -7.2])
+    np.testing.assert_allclose(
+        found.velocity_m_s[1], [30 * np.cos(1.4), 30 * np.sin(1.4)], rtol=0.05
+    )
+
+
+def test_velocities_that_contradict_the_positions_are_not_followed() -> None:
+    columns = circle(SECONDS) | {"v_north_m_s": np.full(10, 300.0)}
+    x = channel(list(SECONDS), **columns)
+    straight = interpolate(x, "lat_rad", at(7.0), 3.0)
+    assert (track_at(x, at(7.0), 3.0).lat_rad - straight)[0] * MERIDIAN == pytest.approx(
+        0, abs=0.01
+    )
+
+
+def rolling(seconds: np.ndarray) -> tuple[Rotation, np.ndarray]:
+    """A roll to and fro by 35 degrees and a steady turn, and its body rates by differences."""
+
+    def attitude(t: np.ndarray) -> Rotation:
+        angles = np.stack([0.25 * t, np.full(t.shape, 0.05), 0.6 * np.sin(1.3 * t)], axis=1)
+        return Rotation.from_euler("ZYX", angles)
+
+    step = attitude(seconds - 1e-5).inv() * attitude(seconds + 1e-5)
+    return attitude(seconds), step.as_rotvec() / 2e-5
+
+
+def test_an_attitude_at_1_hz_follows_its_rates_and_knows_its_sigma() -> None:
+    seconds, when = np.arange(0.0, 30.0), np.arange(4.0, 26.0, 0.07)
+    true, rates = rolling(seconds)
+    q = true.as_quat()
+    names = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
+    gyro = channel(list(seconds), **dict(zip(names, rates.T, strict=True)))
+    bare = channel(list(seconds), q_x=q[:, 0], q_y=q[:, 1], q_z=q[:, 2], q_w=q[:, 3])
+    errors = [rms_deg(rolling(when)[0], Slerp(seconds, true)(when))]
+    from_middle = np.abs(when % 1.0 - 0.5)
+    for x in (bare, with_slopes(bare, [gyro], names)):
+        found = attitude_at(x, at(*when), 2.0)
+        rotation = Rotation.from_quat(found.quaternion[:, [1, 2, 3, 0]])
+        errors.append(rms_deg(rolling(when)[0], rotation))
+        sigma = np.degrees(found.sigma_rad)
+        assert 0.1 < errors[-1] / np.sqrt(np.mean(sigma**2)) < 1.2
+        assert sigma[from_middle < 0.1].mean() > 2.0 * sigma[from_middle > 0.4].mean()
+    slerp, parabolas, with_rates = errors
+    assert slerp > 2.0
+    assert parabolas < slerp / 2.0
+    assert with_rates < slerp / 10.0
+
+
+def rms_deg(true: Rotation, found: Rotation) -> float:
+    return float(np.sqrt(np.mean((true.inv() * found).as_rotvec(degrees=True) ** 2)))
+
+
+def test_a_filter_has_the_accuracy_of_its_receiver_and_its_innovations() -> None:
+    seconds = list(np.arange(0.0, 60.0, 0.2))
+    receiver = channel(seconds, sigma_h_m=np.full(300, 1.0), sigma_v_m=np.full(300, 1.5))
+    health = channel(
+        seconds,
+        innovation_position=np.full(300, 0.4),
+        innovation_height=np.zeros(300),
+        innovation_velocity=np.repeat([0.0, 0.2], 150),
+    )
+    fused = channel(seconds, lat_rad=np.zeros(300))
+    evidence = Evidence(receiver, health)
+    horizontal, vertical = evidence.accuracy(fused, at(5.0, 50.0))
+    # 0.4 of a gate of 2.5 m is 1 m; 0.2 of 2.5 m/s in 1.5 s are 0.75 m
+    np.testing.assert_allclose(horizontal, [np.sqrt(2.0), np.sqrt(2.0 + 0.75**2)], rtol=1e-9)
+    np.testing.assert_allclose(vertical, 1.5)
+    tilt, yaw = evidence.attitude(fused, at(5.0, 50.0))
+    np.testing.assert_allclose(np.degrees(tilt), [0.1, np.hypot(0.1, 0.24)])
+    np.testing.assert_allclose(np.degrees(yaw), 0.5)
+    assert np.degrees(Evidence().attitude(fused, at(5.0))[0]) == pytest.approx([0.3])
+    assert np.isnan(Evidence().accuracy(fused, at(5.0))[0]).all()
+
+
+def test_without_an_accuracy_the_dilution_counts_and_without_fixes_the_filter_drifts() -> None:
+    seconds = [*np.arange(0.0, 10.0), *np.arange(30.0, 40.0)]
+    receiver = channel(seconds, hdop=np.full(20, 0.8))
+    fused = channel(seconds, lat_rad=np.zeros(20))
+    horizontal, vertical = Evidence(receiver).accuracy(fused, at(5.0, 15.0))
+    # 0.8 times 3 m in the plane; 6 s behind the last fix, which is 5 s more than 1 s, at 2 m/s
+    np.testing.assert_allclose(horizontal, np.sqrt([2.4**2 / 2, 2.4**2 / 2 + 10.0**2]))
+    np.testing.assert_allclose(vertical, np.sqrt([3.6**2, 3.6**2 + 10.0**2]))
+
+
+def test_the_height_of_a_receiver_that_swings_about_the_filter_is_that_uncertain() -> None:
+    seconds = np.arange(0.0, 120.0, 0.2)
+    climb = 500.0 + 3.0 * seconds
+    swing = np.where(seconds > 60.0, 0.8 * np.sin(0.63 * seconds), 0.0)
+    receiver = channel(list(seconds), sigma_v_m=np.full(600, 0.3), h_msl_m=climb + swing)
+    fused = channel(list(seconds), h_msl_m=climb + 7.0)
+    _, vertical = Evidence(receiver, None, fused).accuracy(receiver, at(30.0, 95.0))
+    np.testing.assert_allclose(vertical, [0.3, np.hypot(0.3, 0.8 / np.sqrt(2.0))], rtol=0.05)

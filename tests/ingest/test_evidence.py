@@ -177,7 +177,8 @@ def test_texts_of_one_time_are_lines_of_one_row(tmp_path: Path, dataflash_writer
     said = log.channel("MSG")
     assert said.labels["text"] == ("GPS Glitch\nDCM active", "EKF3 lane switch")
     assert np.diff(said.time_ns).tolist() == [100_000_000]
-    assert said.time_ns[0] - log.channel("GPS").time_ns[0] == 300_000_000
+    # the first fix was stamped 120 ms after its epoch, which is the time of its row
+    assert said.time_ns[0] - log.channel("GPS").time_ns[0] == 420_000_000
     assert log.channel("ERR").labels["text"] == ("ERR EKFCHECK 2", "ERR 99 0")
     assert log.channel("EV").labels["text"] == ("EV EKF_YAW_RESET",)
     assert log.parameters == {"GPS_DELAY_MS": 120.0, "GPS_TYPE": 1.0}

@@ -38,7 +38,7 @@ MAVLINK: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
         E7 | USEC
         | {"fix_type": 3, "alt": 600_250, "alt_ellipsoid": 580_500, "h_acc": 450, "vel_acc": 120,
            "vel": 2_000, "cog": 12_000, "eph": 121, "satellites_visible": 17},
-        PLACE | {"h_msl_m": 600.25, "h_ellipsoid_m": 580.5, "sigma_h_m": 0.45}
+        PLACE | {"h_msl_m": 600.25, "h_ellipsoid_m": 580.5, "sigma_h_m": 0.45 / 2**0.5}
         | {"sigma_speed_m_s": 0.12, "v_north_m_s": -10.0, "v_east_m_s": 10.0 * math.sqrt(3.0),
            "hdop": 1.21, "satellites": 17.0, "fix": 3.0},
     ),
@@ -68,7 +68,8 @@ MAVLINK: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
         USEC | {"vel_ratio": 0.25, "pos_horiz_ratio": 14.5, "pos_vert_ratio": 0.5,
                 "mag_ratio": 0.75, "flags": 831 | 1 << 10, "pos_horiz_accuracy": 1.5},
         {"innovation_velocity": 0.25, "innovation_position": 14.5, "innovation_height": 0.5,
-         "innovation_compass": 0.75, "filter_flags": float(831 | 1 << 15), "sigma_h_m": 1.5},
+         "innovation_compass": 0.75, "filter_flags": float(831 | 1 << 15),
+         "sigma_h_m": 1.5 / 2**0.5},
     ),
     "VIBRATION": (
         USEC | {"vibration_x": 3.5, "vibration_y": 31.25, "vibration_z": 2.0, "clipping_0": 4,
@@ -314,7 +315,8 @@ ROS: list[tuple[str, str, dict[str, Any], dict[str, float]]] = [
      "uint32 h_acc\nuint32 v_acc",
      RAW_GPS | {"fix_type": 3, "h_acc": 450, "eph": 121, "vel": 2_000, "cog": 12_000,
                 "satellites_visible": 17},
-     RAW_PLACE | {"sigma_h_m": 0.45, "hdop": 1.21, "satellites": 17.0, "v_north_m_s": -10.0,
+     RAW_PLACE | {"sigma_h_m": 0.45 / 2**0.5, "hdop": 1.21, "satellites": 17.0,
+                  "v_north_m_s": -10.0,
                   "v_east_m_s": 10.0 * math.sqrt(3.0)}),
     ("mavros_msgs/CameraImageCaptured", HEADER + "geographic_msgs/GeoPoint geo\n"
      "float32 relative_alt\nint32 image_index\nint8 capture_result\nstring file_url",
@@ -351,7 +353,7 @@ ROS: list[tuple[str, str, dict[str, Any], dict[str, float]]] = [
      "float32 vx\nfloat32 vy\nfloat32 vz\nfloat32 eph\nfloat32 epv\nfloat32 evh",
      {"x": 10.5, "y": -20.25, "z": -30.5, "vx": 1.5, "vy": -2.75, "vz": 0.5, "eph": 0.5,
       "epv": 0.75, "evh": 0.25},
-     MOVING | {"north_m": 10.5, "east_m": -20.25, "up_m": 30.5, "sigma_h_m": 0.5,
+     MOVING | {"north_m": 10.5, "east_m": -20.25, "up_m": 30.5, "sigma_h_m": 0.5 / 2**0.5,
                "sigma_v_m": 0.75, "sigma_speed_m_s": 0.25}),
     ("px4_msgs/VehicleAngularVelocity", "uint64 timestamp\nfloat32[3] xyz",
      {"xyz": [0.5, -0.25, 0.125]}, TURNING),

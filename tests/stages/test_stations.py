@@ -81,3 +81,19 @@ def test_a_gimbal_whose_yaw_counts_from_the_nose(mission_factory, tmp_path):
     nose = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z)], axis=1)
     nose /= np.linalg.norm(nose, axis=1)[:, None]
     assert top[:, :2] == pytest.approx(nose, abs=1e-3)
+
+
+def test_a_limit_that_stations_exceed_ends_with_3(mission):
+    mission.config["stations"] = {"max_sigma_horizontal_m": 100.0, "max_sigma_tilt_deg": 0.01}
+    ended = mission.run("--force")
+    assert ended.code == 3, ended.text
+    assert "STATIONS-SIGMA" in ended.text
+    assert "attitude (about a level axis)" in ended.text
+
+
+def test_a_lag_from_feedback_needs_triggers(mission):
+    for camera in mission.config["events"]["log"].values():
+        camera["delay_s"] = "from_feedback"
+    ended = mission.run("--force")
+    assert ended.code == 6, ended.text
+    assert "EVENTS-FEEDBACK" in ended.text

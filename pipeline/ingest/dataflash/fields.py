@@ -195,7 +195,7 @@ def texts_of(message: str, field: str, table: Table) -> tuple[str, ...] | None:
 ACCURACY_MESSAGES = {"GPS": "GPA", "GPS2": "GPA2"}
 ACCURACY = (
     column("h_ellipsoid_m", "AEl", floor=-1e5),
-    column("sigma_h_m", "HAcc", missing=0.0),
+    column("sigma_h_m", "HAcc", "m plane", missing=0.0),
     column("sigma_v_m", "VAcc", missing=0.0),
     column("sigma_speed_m_s", "SAcc", missing=0.0),
     column("has_vertical_speed", "VV"),

@@ -111,7 +111,7 @@ _MAVROS = {
             column("lon_rad", "lon", "degE7"),
             column("h_msl_m", "alt", "mm"),
             column("h_ellipsoid_m", "alt_ellipsoid", "mm", missing=0.0),
-            column("sigma_h_m", "h_acc", "mm", missing=0.0),
+            column("sigma_h_m", "h_acc", "mm plane", missing=0.0),
             column("sigma_v_m", "v_acc", "mm", missing=0.0),
             column("fix", "fix_type"),
             column("satellites", "satellites_visible", missing=255.0),
@@ -194,6 +194,5 @@ def finished(schema: str, columns: Mapping[str, Array]) -> dict[str, Array]:
         known = result.pop("covariance_type") > 0.0
         variances = [result.pop(f"variance_{k}", np.full(known.shape, np.nan)) for k in range(3)]
         east, north, up = (np.where(known, np.maximum(part, 0.0), np.nan) for part in variances)
-        # one horizontal axis, as HAcc of a receiver
         result |= {"sigma_h_m": np.sqrt(east / 2.0 + north / 2.0), "sigma_v_m": np.sqrt(up)}
     return result

@@ -112,7 +112,7 @@ def test_accuracy_goes_to_its_boot_and_its_instance(writer: Any, opened: Callabl
         channel = log.channel(f"GPS[{instance}]")
         told = 0.5 + channel.boot + 0.25 * instance
         told[lost] = np.nan
-        np.testing.assert_array_equal(channel["sigma_h_m"], told)
+        np.testing.assert_allclose(channel["sigma_h_m"], told / np.sqrt(2.0), rtol=1e-12)
         np.testing.assert_array_equal(channel["h_ellipsoid_m"], 600.0 + told)
 
 

@@ -148,7 +148,7 @@ def test_known_flight(tmp_path: Path, flight: Callable) -> None:
     assert (len(first), first.rank, second.rank) == (36, 20, 30)
     assert first.roles == ("height", "position")
     np.testing.assert_array_equal(first["h_ellipsoid_m"], 584.5 + np.arange(36))
-    np.testing.assert_array_equal(first["sigma_h_m"], np.full(36, 0.5))
+    np.testing.assert_allclose(first["sigma_h_m"], np.full(36, 0.5 / np.sqrt(2.0)))
     assert "h_ellipsoid_m" not in second.columns
     np.testing.assert_array_equal(second["sigma_v_m"], np.full(36, 0.5))
     assert entries(log, "POSITION-NO-FIX")[0].count == 4

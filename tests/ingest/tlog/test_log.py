@@ -69,9 +69,8 @@ def test_five_boots(real_log: Callable[[str], Path]) -> None:
     for boot in range(5):  # within a boot, time is the vehicle's, moved as a whole
         mine = boots == boot
         assert np.ptp(channel.time_ns[mine] - since_boot[mine]) == 0
-    assert [entry.where[-6:] for entry in entries(log, "TIME-FIT")] == [
-        f"boot {k}" for k in range(5)
-    ]
+    agreement = [e.where[-6:] for e in entries(log, "TIME-FIT") if "accurate" not in e.what]
+    assert agreement == [f"boot {k}" for k in range(5)]
 
 
 def test_repeats_and_the_empty_row_of_the_camera_feedback(
@@ -190,7 +189,7 @@ def test_known_flight(tmp_path: Path, version: int) -> None:
     if version == 2:
         assert np.isnan(gps["h_ellipsoid_m"][:50]).all()
         np.testing.assert_array_equal(gps["h_ellipsoid_m"][50:], np.full(50, 580.5))
-        assert gps["sigma_h_m"][0] == 0.45
+        assert gps["sigma_h_m"][0] == pytest.approx(0.45 / np.sqrt(2.0))
         assert "sigma_v_m" not in gps.columns
         air = log.channel("HYGROMETER_SENSOR[2]")
         assert air["temperature_k"][0] == 273.15 - 12.5

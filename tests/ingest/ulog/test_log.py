@@ -188,9 +188,8 @@ def test_the_filters_position_and_its_height_of_0_that_is_missing(tmp_path: Path
         writer.row("vehicle_global_position", "2d4f", *row)
     channel = opened(tmp_path, writer.data).channel("vehicle_global_position")
     np.testing.assert_array_equal(channel["h_ellipsoid_m"], [647.5] * 10 + [np.nan] * 10)
-    assert (channel["h_msl_m"][0], channel["sigma_h_m"][0], channel["sigma_v_m"][0]) == (
-        600.0, 0.5, 0.75,
-    )  # fmt: skip
+    assert (channel["h_msl_m"][0], channel["sigma_v_m"][0]) == (600.0, 0.75)
+    assert channel["sigma_h_m"][0] == pytest.approx(0.5 / np.sqrt(2.0))
 
 
 def test_exposures_are_preferred_to_commands(tmp_path: Path) -> None:
