@@ -113,9 +113,17 @@ def shift(mission) -> np.ndarray:
 
 
 def assert_same(block, by_log, atol: float = 2e-6) -> None:
-    """Every correction is that of the log; refraction alone is up to a pixel here."""
+    """Every correction is that of the log, up to a pixel here, and so is every attitude.
+
+    A heading alone does not change a correction.
+    """
     assert np.abs(shift(by_log)).max() > 0.3
     np.testing.assert_allclose(shift(block), shift(by_log), atol=atol)
+    mine, theirs = (
+        textbook_matrix(mission.stations().to_pandas()[["q_w", "q_x", "q_y", "q_z"]])
+        for mission in (block, by_log)
+    )
+    np.testing.assert_allclose(mine, theirs, atol=1e-7)
 
 
 def refused(mission, code: str) -> str:
