@@ -292,7 +292,10 @@ class MountSection(Section):
     """How a camera sits in the aircraft (body frame: x forward, y right, z down).
 
     With all angles zero it looks straight down, the top of the image towards the nose; yaw, pitch
-    and roll then turn it about the body's axes, in that order (intrinsic z-y-x)."""
+    and roll then turn it about the body's axes, in that order (intrinsic z-y-x). Composed are the
+    attitude of the aircraft, the angles of a gimbal that plays the attitude, and these (boresight):
+    v_ned = R(aircraft) R(gimbal) R(mount) v_camera, where a gimbal that is level to the horizon
+    takes of the aircraft its yaw alone, and one whose yaw counts from north takes nothing."""
 
     roll_deg: float = 0.0
     pitch_deg: float = 0.0

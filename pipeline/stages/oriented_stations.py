@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+
 import numpy as np
+import pyarrow as pa
 
 from pipeline.batch.plan import Plan
+from pipeline.block.intersection import (
+    ImageRays,
+    Orientations,
+    choose_tie_points,
+    intersect,
+    orientations_of,
+)
 from pipeline.block.oriented_block import (
     ECEF,
     CartesianFrame,
@@ -16,7 +28,7 @@ from pipeline.block.oriented_block import (
     turn_notes,
 )
 from pipeline.config.station_sources import EnuFrame, KnownPositions, OrientationSection
-from pipeline.errors import MissionError
+from pipeline.errors import InputError, MissionError
 from pipeline.flight.channels import Array
 from pipeline.flight.heights import ground_offsets
 from pipeline.flight.rotations import (
@@ -27,8 +39,12 @@ from pipeline.flight.rotations import (
 )
 from pipeline.flight.stations import NO_TIME, Stations, join_stations
 from pipeline.ledger import Ledger
+from pipeline.refraction.camera.camera import Camera
+from pipeline.stages.correction import station_rows
+from pipeline.stages.exposure_setup import cameras_of_mission
 from pipeline.stages.inputs import FlightLog
 from pipeline.tables.imports.orientation import (
+    TURN,
     OrientationTable,
     read_known_positions,
     read_orientation,
@@ -37,6 +53,17 @@ from pipeline.tables.observations import Observations
 from pipeline.units import DEGREE
 
 _FEW_BELOW_GROUND = 0.1
+_MOST_OBSERVATIONS, _MOST_TIE_POINTS, _FEWEST_TIE_POINTS = 250_000, 300, 10
+
+_FAR_MORE_LIKELY = np.log(1000.0)
+"""Of two readings, the log likelihood by which one is believed against what is stated."""
+
+_GOOD_FACTOR, _POOR_FACTOR = 2.0, 5.0
+"""Residuals over those of an adjusted block: what another reading may have, and what is told."""
+
+_SIGMAS_OF_BLOCK = (0.3, 0.3, 0.5, *np.radians([0.02, 0.02, 0.05]))
+"""East, north, up [m], tilts and yaw [rad] of adjusted stations without sigmas: judgement."""
+
 _SIGMA_OF_LOG_M = 1.5
 """Positions of an autopilot that fuses a receiver without corrections."""
 
@@ -45,18 +72,131 @@ _HIGHEST_ABOVE_GROUND_M = 15_000.0
 
 
 def oriented_stations(
-    plan: Plan, flight: FlightLog, exposed: list[Stations], ledger: Ledger
+    plan: Plan,
+    flight: FlightLog,
+    exposed: list[Stations],
+    observations: Observations,
+    ledger: Ledger,
 ) -> Stations:
     """The stations of `stations.orientation`; ``exposed`` are those of the events, if any.
 
-    The events give the times of images for which the table has none.
+    Refuses (MissionError ORIENTATION-READING) a table whose angles or positions make the rays of
+    the user's tie points meet far better in another reading.
     """
-    mission, section = plan.mission, plan.mission.stations.orientation
+    section = plan.mission.stations.orientation
     if section is None:
         raise MissionError("EVENTS-NONE", "the mission names no orientation", where="stations")
     source = plan.input("orientation").path
     names, angle_names = section.column_names, section.angle_names
     table = ledger.take(read_orientation(source, names, angle_names, unit=section.unit))
+    stations = stations_of_table(plan, flight, section, table, exposed, ledger)
+    report_height_above_ground(plan, flight, stations, observations, ledger)
+    rays = tie_rays(cameras_of_mission(plan.mission), stations, observations)
+    rays = rays.of_points(choose_tie_points(block_of(stations), rays, most=_MOST_TIE_POINTS))
+    if np.unique(rays.point).size < _FEWEST_TIE_POINTS:
+        return stations
+    stated = intersect(block_of(stations), rays)
+    found = {}
+    for what, changed in other_readings(section, table).items():
+        with suppress(MissionError):
+            other = stations_of_table(plan, flight, section, changed, exposed, Ledger())
+            found[what] = intersect(block_of(other), rays)
+    likely = max(found, key=lambda what: found[what].log_likelihood)
+    better = found[likely].log_likelihood - stated.log_likelihood
+    if better > _FAR_MORE_LIKELY and found[likely].sigma_factor < _GOOD_FACTOR:
+        raise InputError(
+            "ORIENTATION-READING",
+            f"the rays of {stated.point.size} tie points meet far better {likely}: the log "
+            f"likelihood is {better:.0f} higher",
+            where=section.path,
+            remedy="state under stations.orientation what the table holds, or mend it",
+        )
+    residual = np.sqrt(np.nanmean(stated.residual_rad**2)) / float(np.median(rays.sigma_rad))
+    poor = stated.used.sum() < 0.5 * stated.point.size or stated.sigma_factor > _POOR_FACTOR
+    what = (
+        f"the rays of {int(stated.used.sum())} of {stated.point.size} tie points miss each other "
+        f"by {residual:.1f} px (rms), refraction included"
+    )
+    if poor:
+        what += ": a point has one name in all images, or the orientation is not what it should be"
+    tell = ledger.warning if poor else ledger.note
+    tell("ORIENTATION-TIES", what, where="stations.orientation", count=stated.point.size)
+    return stations
+
+
+def other_readings(
+    section: OrientationSection, table: OrientationTable
+) -> dict[str, OrientationTable]:
+    """What else a table could mean, by what it would mean then."""
+    angles, position = table.angles, table.position
+    other: dict[str, OrientationTable] = {}
+    if section.angles.startswith("quaternion"):
+        other["if the quaternions turn the other way"] = replace(
+            table, angles=angles * [1, -1, -1, -1]
+        )
+    else:
+        first, second, last = section.angle_names
+        for unit, turn in TURN.items():
+            if unit != section.unit:
+                as_unit = angles * (TURN[section.unit] / turn)
+                other[f"if the angles are in {unit}"] = replace(table, angles=as_unit)
+        for names, signs in {last: [1, 1, -1], f"{first} and {second}": [-1, -1, 1]}.items():
+            text = f"with the other sign of {names}"
+            other[text] = replace(table, angles=angles * signs)
+        exchanged = replace(table, angles=angles[:, [1, 0, 2]])
+        other[f"with {first} and {second} exchanged"] = exchanged
+    if section.is_geodetic:
+        exchanged = replace(table, position=position[:, [1, 0, 2]])
+        other["with latitude and longitude exchanged"] = exchanged
+        other["if the heights are in feet"] = replace(table, position=position * [1, 1, 0.3048])
+    return other
+
+
+def block_of(stations: Stations) -> Orientations:
+    """The orientations of an adjusted block: what is not stated is good to decimetres."""
+    h = stations.h_ellipsoid_m
+    h = np.where(np.isfinite(h), h, stations.h_msl_m)
+    block = orientations_of(replace(stations, h_ellipsoid_m=h))
+    columns = ("horizontal_m", "horizontal_m", "height_m", "tilt_rad", "tilt_rad", "yaw_rad")
+    stated = np.stack([getattr(stations, f"sigma_{name}") for name in columns], axis=1)
+    return replace(block, sigma=np.where(np.isfinite(stated), stated, _SIGMAS_OF_BLOCK))
+
+
+def tie_rays(
+    cameras: Mapping[str, Camera], stations: Stations, observations: Observations
+) -> ImageRays:
+    """The rays of points that were measured in two images or more, of the first observations.
+
+    Refraction is not removed: it is small beside what another reading does.
+    """
+    batch = next(observations.batches(_MOST_OBSERVATIONS))
+    image = station_rows(batch.image, pa.array(stations.image, pa.string()))
+    point = batch.point.dictionary_encode().indices.to_numpy(zero_copy_only=False)
+    u, v, covered = np.full((3, len(batch)), np.nan)
+    sigma = np.full(len(batch), np.nan)
+    for name, camera in cameras.items():
+        rows = (stations.camera == name)[image] & (image >= 0)
+        u[rows], v[rows], covered[rows] = camera.rays(batch.x_px[rows], batch.y_px[rows])
+        sigma[rows] = 1.0 / camera.fx_px
+    seen = np.flatnonzero((covered == 1.0) & np.isfinite(point))
+    number = np.unique(point[seen], return_inverse=True)[1]
+    seen = seen[np.bincount(number, minlength=1)[number] > 1]
+    direction = np.stack([u, v, np.ones(u.size)], axis=1)[seen]
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    points = np.asarray(point[seen], np.int64)
+    return ImageRays(image[seen], points, direction, sigma[seen])
+
+
+def stations_of_table(
+    plan: Plan,
+    flight: FlightLog,
+    section: OrientationSection,
+    table: OrientationTable,
+    exposed: list[Stations],
+    ledger: Ledger,
+) -> Stations:
+    """The stations of a table in one reading; the events give the times it does not have."""
+    mission = plan.mission
     of_body = section.angles == "roll_pitch_yaw"
     if of_body:
         quaternion = quaternion_of_rpy(table.angles, np.eye(3))

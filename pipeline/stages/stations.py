@@ -37,7 +37,7 @@ from pipeline.geodesy import offset_geodetic
 from pipeline.ledger import Ledger
 from pipeline.stages.cabin_air import cabin_from_log
 from pipeline.stages.inputs import FlightLog, read_camera_events
-from pipeline.stages.oriented_stations import oriented_stations, report_height_above_ground
+from pipeline.stages.oriented_stations import oriented_stations
 from pipeline.tables.events import EventColumns, read_events
 from pipeline.tables.observations import Observations
 from pipeline.units import DEGREE
@@ -143,8 +143,7 @@ def stations_of_mission(
     if mission.stations.orientation is None:
         stations = join_stations(exposed)
     else:
-        oriented = oriented_stations(plan, flight, exposed, ledger)
-        report_height_above_ground(plan, flight, oriented, observations, ledger)
+        oriented = oriented_stations(plan, flight, exposed, observations, ledger)
         stations = with_air(oriented, flight.roles, mission.max_gap_s)
     for name, camera in mission.cameras.items():
         cabin = None if camera.window is None else camera.window.build().cabin

@@ -12,6 +12,10 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
+from pipeline.errors import InputError
+from pipeline.simulate import SimulationOptions, simulate
+from pipeline.stages.story import check_mission
+
 pytestmark = pytest.mark.usefixtures("plain_report")
 
 CABIN = {"pressure_hpa": 812.0, "temperature_c": 21.0, "relative_humidity": 0.3}
@@ -394,9 +398,10 @@ def test_heights_in_the_ground_are_refused_and_others_told(block):
     assert "m above the ground in the median" in told["what"]
     write(block, table.assign(height=table["height"] - 2900.0))
     assert "below the ground" in refused(block, "ORIENTATION-HEIGHT")
-    write(block, table.assign(height=table["height"] * 10.0))
-    ended = block.run()
-    assert "ORIENTATION-HEIGHT" in ended.text
+    write(block, table.assign(height=table["height"] + 20_000.0))
+    manifest = ran(block)
+    (told,) = [entry for entry in manifest["ledger"] if entry["code"] == "ORIENTATION-HEIGHT"]
+    assert told["kind"] == "warning"
 
 
 def test_a_camera_that_is_not_there(block):
@@ -469,3 +474,94 @@ def test_the_example_of_the_readme_finds_the_simulated_truth(flown, mission_fact
     # What is left is the cabin's: its pressure is not the same at each exposure, as stated here.
     assert left.max() < 0.02 * size.max()
     assert np.sqrt(np.mean(left**2)) < 0.012 * np.sqrt(np.mean(size**2))
+
+
+# --- the user's own tie points decide between readings ---------------------------------------
+
+
+@pytest.fixture(scope="module")
+def crossing(tmp_path_factory):
+    """Three lines with tie points between them, as a mission without a log, and its true table."""
+    folder = tmp_path_factory.mktemp("crossing")
+    options = SimulationOptions(
+        seed=9, height_above_ground_m=2500.0, lines=3, exposures_per_line=5, points_per_image=25,
+        image_noise_px=0.3,
+    )  # fmt: skip
+    flown = simulate(folder, options)
+    config = yaml.safe_load(flown.missions["bin"].read_text(encoding="utf-8"))
+    for section in ("log", "mount", "events"):
+        del config[section]
+    for camera in config["cameras"].values():
+        del camera["window"]
+    truth = pq.read_table(flown.truth / "stations.parquet").to_pandas()
+    config["stations"] = {
+        "orientation": {
+            "path": "block.csv", "angles": "omega_phi_kappa", "frame": "geographic",
+            "heights": "msl", "columns": {"camera": "camera", "time_utc": "time"},
+        }
+    }  # fmt: skip
+    return folder, config, truth
+
+
+def told_of(crossing, table: pd.DataFrame, **orientation):
+    folder, config, _ = crossing
+    table.to_csv(folder / "block.csv", index=False)
+    config = yaml.safe_load(yaml.safe_dump(config))
+    config["stations"]["orientation"] |= orientation
+    (folder / "block.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
+    ledger = check_mission(folder / "block.yaml").ledger
+    (ties,) = [entry for entry in ledger if entry.code == "ORIENTATION-TIES"]
+    return ties
+
+
+@pytest.mark.parametrize("cameras", [["nadir"], ["nadir", "oblique"]])
+def test_the_true_orientation_lets_tie_points_meet(crossing, cameras):
+    table = columns_of(crossing[2])
+    ties = told_of(crossing, table[table["camera"].isin(cameras)])
+    assert ties.kind == "note"
+    assert float(re.search(r"by ([0-9.]+) px", ties.what)[1]) < 0.5
+    assert ties.count > 100
+
+
+def in_grads(table: pd.DataFrame) -> pd.DataFrame:
+    return table.assign(**{name: table[name] * 400 / 360 for name in ("omega", "phi", "kappa")})
+
+
+READINGS = {
+    "the angles are in grad": in_grads,
+    "the other sign of kappa": lambda t: t.assign(kappa=-t["kappa"]),
+    "the other sign of omega and phi": lambda t: t.assign(omega=-t["omega"], phi=-t["phi"]),
+    "omega and phi exchanged": lambda t: t.assign(omega=t["phi"], phi=t["omega"]),
+    "latitude and longitude exchanged": lambda t: t.assign(
+        latitude=t["longitude"], longitude=t["latitude"]
+    ),
+    "the heights are in feet": lambda t: t.assign(height=t["height"] / 0.3048),
+}
+
+
+@pytest.mark.parametrize("reading", READINGS)
+def test_tie_points_tell_another_reading_of_nadir_images(crossing, reading):
+    """Within a degree of the vertical: nothing in the numbers themselves tells it."""
+    table = columns_of(crossing[2])
+    table = table[table["camera"] == "nadir"]
+    with pytest.raises(InputError, match="ORIENTATION-READING") as refusal:
+        told_of(crossing, READINGS[reading](table))
+    assert reading in refusal.value.what
+
+
+def test_tie_points_tell_the_inverse_of_a_quaternion(crossing):
+    table, q = columns_of(crossing[2]), crossing[2][["q_w", "q_x", "q_y", "q_z"]]
+    assert told_of(crossing, table.join(q), angles="quaternion").kind == "note"
+    inverse = table.join(q * [1, -1, -1, -1])
+    with pytest.raises(InputError, match="turn the other way"):
+        told_of(crossing, inverse, angles="quaternion")
+    assert told_of(crossing, inverse, angles="quaternion_to_frame").kind == "note"
+
+
+def test_an_orientation_that_fits_in_no_reading_is_told(crossing):
+    table = columns_of(crossing[2])
+    draw = np.random.default_rng(1)
+    table["omega"] += draw.normal(0.0, 1.0, len(table))
+    ties = told_of(crossing, table)
+    assert ties.kind == "warning"
+    assert "not what it should be" in ties.what
