@@ -89,7 +89,7 @@ def oriented_stations(
     source = plan.input("orientation").path
     names, angle_names = section.column_names, section.angle_names
     table = ledger.take(read_orientation(source, names, angle_names, unit=section.unit))
-    stations = stations_of_table(plan, flight, section, table, exposed, ledger)
+    stations = stations_of_table(plan, flight, section, table, exposed=exposed, ledger=ledger)
     report_height_above_ground(plan, flight, stations, observations, ledger)
     rays = tie_rays(cameras_of_mission(plan.mission), stations, observations)
     rays = rays.of_points(choose_tie_points(block_of(stations), rays, most=_MOST_TIE_POINTS))
@@ -99,7 +99,9 @@ def oriented_stations(
     found = {}
     for what, changed in other_readings(section, table).items():
         with suppress(MissionError):
-            other = stations_of_table(plan, flight, section, changed, exposed, Ledger())
+            other = stations_of_table(
+                plan, flight, section, changed, exposed=exposed, ledger=Ledger()
+            )
             found[what] = intersect(block_of(other), rays)
     likely = max(found, key=lambda what: found[what].log_likelihood)
     better = found[likely].log_likelihood - stated.log_likelihood
@@ -192,6 +194,7 @@ def stations_of_table(
     flight: FlightLog,
     section: OrientationSection,
     table: OrientationTable,
+    *,
     exposed: list[Stations],
     ledger: Ledger,
 ) -> Stations:
