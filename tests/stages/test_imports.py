@@ -149,7 +149,7 @@ def test_a_trajectory_replaces_the_positions_of_the_log(mission, files, truth):
     assert attitude == pytest.approx(before[2], abs=0.02)
     assert prepared.flight.roles["position"].name == "flight.pos"
     assert prepared.flight.air_roles["height"].name != "flight.pos"
-    assert prepared.stations.sigma_horizontal_m[0] == pytest.approx(0.011, abs=0.005)
+    assert prepared.stations.sigma_horizontal_m[0] == pytest.approx(0.0092, abs=0.002)
     (told,) = entries(prepared, "TRAJECTORY-REPLACES")
     assert "position of GPS" in told.what or "position of" in told.what
     (agrees,) = entries(prepared, "TRAJECTORY-AGREES")

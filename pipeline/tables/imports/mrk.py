@@ -65,7 +65,7 @@ def read_mrk(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         "lat_rad": np.where(lost, np.nan, np.radians(value[6])),
         "lon_rad": np.where(lost, np.nan, np.radians(value[7])),
         height_column(path, stated, "ellipsoid"): np.where(lost, np.nan, value[8]),
-        "sigma_h_m": np.hypot(value[9], value[10]),
+        "sigma_h_m": np.hypot(value[9], value[10]) / np.sqrt(2.0),
         "sigma_v_m": value[11],
         "solution_quality": value[12],
     }

@@ -113,12 +113,12 @@ def read_pos(path: Path, stated: Stated, ledger: Ledger) -> Channel:
 def positions_of(
     path: Path, header: list[str], value: dict[str, Array], stated: Stated
 ) -> dict[str, Array]:
-    """Positions and their sigmas, whichever coordinates the file has."""
+    """Positions and their sigmas per axis, whichever coordinates the file has."""
     nowhere = np.full(next(iter(value.values())).shape, np.nan)
 
     def sigma(axes: str) -> Array:
         parts = [value.get(f"sd{axis}(m)", nowhere) for axis in axes]
-        return np.asarray(np.sqrt(np.sum(np.square(parts), axis=0)))
+        return np.asarray(np.sqrt(np.mean(np.square(parts), axis=0)))
 
     if "x-ecef(m)" in value:
         x, y, z = (value[f"{axis}-ecef(m)"] for axis in "xyz")
@@ -164,7 +164,7 @@ def positions_of(
 
 
 def sigmas_of_ecef(value: dict[str, Array], lat: Array, lon: Array) -> tuple[Array, Array]:
-    """Sigmas, horizontal (of both axes) and in height, from a covariance in earth-centred axes.
+    """Sigmas per horizontal axis and in height from a covariance in earth-centred axes.
 
     RTKLIB writes covariances as square roots with the sign of the covariance.
     """
@@ -178,5 +178,5 @@ def sigmas_of_ecef(value: dict[str, Array], lat: Array, lon: Array) -> tuple[Arr
     vertical = up[0] ** 2 * xx + up[1] ** 2 * yy + up[2] ** 2 * zz
     vertical += 2.0 * (up[0] * up[1] * xy + up[1] * up[2] * yz + up[2] * up[0] * zx)
     vertical = np.maximum(vertical, 0.0)
-    horizontal = np.maximum(xx + yy + zz - vertical, 0.0)
+    horizontal = np.maximum((xx + yy + zz - vertical) / 2.0, 0.0)
     return np.sqrt(horizontal), np.sqrt(vertical)

@@ -243,7 +243,7 @@ def smrmsg_sigmas(path: Path, seconds: Array) -> dict[str, Array]:
         return np.interp(seconds, rows[:, 0], values, left=np.nan, right=np.nan)
 
     return {
-        "sigma_h_m": at(np.hypot(rows[:, 1], rows[:, 2])),
+        "sigma_h_m": at(np.hypot(rows[:, 1], rows[:, 2]) / np.sqrt(2.0)),
         "sigma_v_m": at(rows[:, 3]),
         "sigma_tilt_rad": at(np.hypot(rows[:, 7], rows[:, 8]) / np.sqrt(2.0)) * _ARCMIN,
         "sigma_yaw_rad": at(rows[:, 9]) * _ARCMIN,

@@ -47,7 +47,7 @@ def test_a_published_line_of_an_mrk(flight):
     assert np.degrees(channel["lat_rad"][0]) == pytest.approx(44.42824637, abs=1e-11)
     assert np.degrees(channel["lon_rad"][0]) == pytest.approx(1.26196331, abs=1e-11)
     assert channel["h_ellipsoid_m"][0] == 359.494
-    assert channel["sigma_h_m"][0] == pytest.approx(np.hypot(0.028, 0.031))
+    assert channel["sigma_h_m"][0] == pytest.approx(np.hypot(0.028, 0.031) / np.sqrt(2))
     assert channel["sigma_v_m"][0] == 0.055
     # Week 2264 began on Sunday 2023-05-28; 400,373.488877 s later less 18 s.
     assert str(np.datetime64(int(channel.time_ns[0]), "ns")) == "2023-06-01T15:12:35.488877000"

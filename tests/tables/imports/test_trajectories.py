@@ -50,7 +50,7 @@ def test_a_pos_file_is_read_to_its_last_digit(flight):
     channel = read_pos(flight.pos(), Stated(), ledger)
     assert np.array_equal(channel.time_ns, flight.utc_ns)
     assert metres(channel, flight) < 2e-4
-    assert channel["sigma_h_m"][0] == pytest.approx(np.hypot(0.011, 0.007))
+    assert channel["sigma_h_m"][0] == pytest.approx(np.hypot(0.011, 0.007) / np.sqrt(2))
     assert channel["sigma_v_m"][0] == 0.021
     assert "100.0 % fixed" in entries(ledger, "TRAJECTORY-QUALITY")[0].what
     assert not ledger.has_losses
@@ -86,7 +86,7 @@ def test_a_published_file_in_earth_centred_coordinates(flight):
     root = np.array([[0.0117, 0.0056, 0.0097], [0.0056, 0.0063, 0.0048], [0.0097, 0.0048, 0.0128]])
     local = axes @ root**2 @ axes.T
     assert channel["sigma_v_m"][1] == pytest.approx(np.sqrt(local[2, 2]), rel=1e-6)
-    assert channel["sigma_h_m"][1] == pytest.approx(np.sqrt(local[0, 0] + local[1, 1]))
+    assert channel["sigma_h_m"][1] == pytest.approx(np.sqrt((local[0, 0] + local[1, 1]) / 2))
     assert str(np.datetime64(int(channel.time_ns[1]), "ns")) == "2024-05-18T00:00:12.000000000"
 
 
@@ -101,7 +101,7 @@ def test_week_and_seconds_commas_and_minutes(flight):
     assert np.degrees(channel["lat_rad"][0]) == pytest.approx(-(47 + 18 / 60 + 30.6 / 3600))
     assert np.degrees(channel["lon_rad"][0]) == pytest.approx(-(0.5 + 0.36 / 3600))
     assert channel["h_msl_m"][0] == 1453.1
-    assert channel["sigma_h_m"][0] == pytest.approx(np.sqrt(0.01 + 0.04))
+    assert channel["sigma_h_m"][0] == pytest.approx(np.sqrt((0.01 + 0.04) / 2))
     assert channel.time_ns[0] == flight.utc_ns[0] + 18 * 10**9 + 250_000_000  # seconds of UTC
 
 
@@ -185,7 +185,7 @@ def test_an_sbet_and_its_sigmas_are_read(flight, wander_deg):
     assert np.abs(channel.time_ns - flight.utc_ns).max() < 100
     assert metres(channel, flight) < 1e-4
     assert degrees(channel, flight) < 1e-6
-    assert channel["sigma_h_m"] == pytest.approx(0.05)
+    assert channel["sigma_h_m"] == pytest.approx(0.05 / np.sqrt(2))
     assert channel["sigma_v_m"] == pytest.approx(0.05)
     assert np.degrees(channel["sigma_tilt_rad"]) == pytest.approx(1.0 / 60.0 / np.sqrt(2))
     assert np.degrees(channel["sigma_yaw_rad"]) == pytest.approx(0.05)
