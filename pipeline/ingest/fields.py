@@ -191,17 +191,22 @@ def extract(
     table: Mapping[str, NDArray[Any]],
     columns: tuple[FieldColumn, ...],
     kept: Callable[[Array], Array] = np.asarray,
+    used_up: dict[str, NDArray[Any]] | None = None,
 ) -> dict[str, Array]:
     """The columns of a field map that a decoded message has, each as it is to be ``kept``.
 
     A field that is an array or a text where a number is expected is left out. Speed and course
     become velocity, a vibration that of the worst axis, clippings of several sensors their sum.
+    Fields that are read are removed from ``used_up``: memory has its peak here.
     """
     result: dict[str, Array] = {}
+    last = {field: spec.name for spec in columns for field in spec.fields}
     for spec in columns:
         field = next((n for n in spec.fields if n in table and is_number(table[n])), None)
         if field is not None:
             result[spec.name] = kept(to_si(table[field], spec))
+            if used_up is not None and last[field] == spec.name:
+                del used_up[field]
     if {"speed_m_s", "course_rad"} <= result.keys():
         speed, course = result.pop("speed_m_s"), result.pop("course_rad")
         result["v_north_m_s"] = kept(speed * np.cos(course))

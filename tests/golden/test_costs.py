@@ -196,8 +196,8 @@ THINGS = {
         {"pipeline/tables/exports/toy.py": EXPORT},
         {
             "pipeline/tables/exports/__init__.py": (
-                ("import lattice, radial\n", "import lattice, radial, toy\n"),
-                ("MODULES = (lattice, radial)", "MODULES = (lattice, radial, toy)"),
+                ("lattice, opk, radial\n", "lattice, opk, radial, toy\n"),
+                ("geojson, kml, opk)", "geojson, kml, opk, toy)"),
             )
         },
     ),

@@ -211,12 +211,15 @@ def _instances(
         yield rows if good.all() else rows.take(good)
         return
     named = table.get(spec.id_field)
+    is_named = named is not None
     instance = instance_of(table) if named is None else named
-    values = extract(table, spec.columns, copy_rows)
-    _report_fields(message, spec, table, set(values), ledger)
-    del decoded, table
+    _report_fields(message, spec, table, ledger)
+    table = dict(table)
+    del decoded, accuracy, named
+    values = extract(table, spec.columns, copy_rows, used_up=table)
+    del table
     numbers, counts = np.unique(instance, return_counts=True)
-    if named is None and not spec.event:
+    if not is_named and not spec.event:
         # a few rows beside a hundred times as many of another instance: a flipped bit
         stray = (counts <= STRAY_ROWS) & (counts * STRAY_SHARE <= counts.max(initial=0))
         if stray.any():
@@ -232,16 +235,14 @@ def _instances(
             )
         numbers = numbers[~stray]
     for which in numbers.tolist():
-        label = str(which) if named is not None or which >= 0 else None
+        label = str(which) if is_named or which >= 0 else None
         name = message if label is None else f"{message}[{label}]"
         rows = DecodedRows(name, Source(message, label), time_ns, boot, values)
         chosen = (instance == which) & good
         yield rows if chosen.all() else rows.take(chosen)
 
 
-def _report_fields(
-    message: str, spec: MessageMap, table: Table, known: set[str], ledger: Ledger
-) -> None:
+def _report_fields(message: str, spec: MessageMap, table: Table, ledger: Ledger) -> None:
     """Enter fields that hold no numbers, and columns of roles for which there is no field at all.
 
     Either is damage of a definition, of a letter or of a name.
@@ -260,6 +261,10 @@ def _report_fields(
     if spec.attitude or spec.position:  # `channel_of` reports that these are absent
         needed -= {"q_w", "q_x", "q_y", "q_z", "lat_rad", "lon_rad"}
     needed |= {"h_msl_m"} if spec.position else set()
+    known = {
+        column.name for column in spec.columns
+        if any(field in table and is_number(table[field]) for field in column.fields)
+    }  # fmt: skip
     if absent := needed - set(odd.values()) - known:
         what = f"{count} rows have no {', '.join(sorted(absent))}: the log defines no field for it"
         ledger.loss("LOG-FIELDS", what, where=message, count=count)

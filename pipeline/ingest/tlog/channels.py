@@ -48,10 +48,11 @@ def channels_of(
                 rows = whole_texts(rows, series.records())
             if series.key == "CAMERA_IMAGE_CAPTURED":
                 rows = rows.take(captured_images(series.records(), rows.name, ledger))
-            late_ns = np.maximum.accumulate(rows.time_ns) - rows.time_ns
-            if spec.event or 0 < int(late_ns.max(initial=0)) < LATEST_NS:
-                # the link delivers exposures late, and others overtake each other
-                rows = rows.take(np.argsort(rows.time_ns, kind="stable"))
+            late = spec.event  # the link delivers exposures late, and others overtake each other
+            if not bool(np.all(rows.time_ns[1:] >= rows.time_ns[:-1])):
+                newest = np.maximum.accumulate(rows.time_ns)
+                late |= int(np.max(newest - rows.time_ns)) < LATEST_NS
+            rows = rows.take(np.argsort(rows.time_ns, kind="stable")) if late else rows
             channel = channel_of(rows, spec, ledger)
             if channel is not None:
                 channels.append(channel)

@@ -315,18 +315,27 @@ def clocks_of(readings: ClockReadings | None, ledger: Ledger) -> Clocks:
     return Clocks(senders, clock.line.boots, description)
 
 
+def overtaken(readings: ClockReadings) -> NDArray[np.bool_]:
+    """Which readings are of messages that others overtook: of one sender, (n,).
+
+    They are up to `LATEST_NS` older than a reading before them, and their sender was on as long
+    before that one was received: it was not restarted.
+    """
+    newest = np.maximum.accumulate(readings.boot_ns)
+    row = np.maximum.accumulate(np.where(newest == readings.boot_ns, np.arange(newest.size), 0))
+    late = newest - readings.boot_ns
+    on_before = readings.host_ns - readings.boot_ns < readings.host_ns[row] - LATEST_NS
+    return np.asarray((late > BOOT_STEP_NS) & (late < LATEST_NS) & on_before, np.bool_)
+
+
 def _fit_sender(
     readings: ClockReadings, leader: _Sender | None, source: Key, ledger: Ledger
 ) -> _Sender:
     """A sender's clock; without UTC of its own it is set by when its messages were received."""
     where = f"system {source[0]}, component {source[1]}"
     readings = readings.take(~stray_times(readings.boot_ns))  # a glitch of the clock is no boot
-    # Nor is a message that others overtook: its sender was on long before those were received.
-    newest = np.maximum.accumulate(readings.boot_ns)
-    row = np.maximum.accumulate(np.where(newest == readings.boot_ns, np.arange(newest.shape[0]), 0))
-    late = newest - readings.boot_ns
-    on_before = readings.host_ns - readings.boot_ns < readings.host_ns[row] - LATEST_NS
-    readings = readings.take(~((late > BOOT_STEP_NS) & (late < LATEST_NS) & on_before))
+    if bool(np.any(np.diff(readings.boot_ns) < -BOOT_STEP_NS)):
+        readings = readings.take(~overtaken(readings))
     at, boot_ns = readings.at, readings.boot_ns
     step = np.diff(boot_ns)
     # A new boot starts near zero too, but not exactly when the count was full by the host's clock.

@@ -19,7 +19,7 @@ from pipeline.ingest.attitude import earth_frame_attitude
 from pipeline.ingest.boot_clock import UtcReadings, fit_boot_clock, microseconds, timeline
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.channel_builder import DecodedRows, channel_of
-from pipeline.ingest.fields import extract
+from pipeline.ingest.fields import MessageMap, extract
 from pipeline.ingest.log import Contents, Table
 from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, TOPICS, UTC_FIELD, captured_rows
 from pipeline.ingest.ulog.records import (
@@ -86,11 +86,18 @@ class ULogFormat:
             channel = channel_of(decoded, spec, ledger)
             if channel:
                 channels.append(channel)
+        times = [time_us for time_us, _ in messages.texts]
+        boot_ns = microseconds(np.array(times, np.uint64)) * 1000
+        texts = {"text": tuple(text for _, text in messages.texts)}
+        boot = np.zeros(boot_ns.shape, np.int16)
+        said = DecodedRows("MSG", Source("MSG"), boot_ns + offset_ns, boot, {}, texts)
+        if channel := channel_of(said, MessageMap((), text_field="text"), ledger):
+            channels.append(channel)
         report_silences(messages, path.name, ledger)
         lost = int(messages.bad_bytes > 0 or messages.damaged_values > 0)
         return Contents(
             dict(messages.counts), tuple(channels), messages.bad_bytes, lost, 1, time_base,
-            partial(_table, path, offset_ns),
+            partial(_table, path, offset_ns), messages.parameters,
         )  # fmt: skip
 
 

@@ -59,7 +59,8 @@ class ULogMessages:
     ``bad_bytes`` are part of no message, the first at ``first_bad``; ``cut_bytes`` belong to a last
     message that the end of the file cuts off; ``damaged_values`` counts parameters and items of
     information whose value does not have the length of its type; ``dropouts_ms`` the durations in
-    which the logger lost messages.
+    which the logger lost messages. ``texts`` what the vehicle says, with its time since boot [us];
+    ``parameters`` by name, the last value of each.
     """
 
     counts: Counter[str] = field(default_factory=Counter)
@@ -70,6 +71,8 @@ class ULogMessages:
     cut_bytes: int = 0
     damaged_values: int = 0
     dropouts_ms: list[int] = field(default_factory=list)
+    texts: list[tuple[int, str]] = field(default_factory=list)
+    parameters: dict[str, float] = field(default_factory=dict)
 
     def report_damage(self, ledger: Ledger, file_name: str) -> None:
         """Enter what is damaged. The format does not number messages: lost ones are not counted."""
@@ -290,13 +293,20 @@ class _MessageWalk:
             return self.defining and self.definitions.define(raw[begin:end])
         elif kind in b"ALC":
             self.defining = False
+            if kind != ord("A") and (begin := begin + (3 if kind == ord("C") else 1)) + 8 <= end:
+                text = raw[begin + 8 : end].decode("utf-8", "replace")
+                self.result.texts.append((int.from_bytes(raw[begin : begin + 8], "little"), text))
             return kind != ord("A") or self.definitions.subscribe(raw[begin:end])
         elif kind in _KEYED:
             begin += _KEYED[kind]
             value = begin + 1 + raw[begin]
             key = _KEY.fullmatch(raw[begin + 1 : value])
             dtype = _TYPES.get(key[1].decode()) if key else None
-            self.result.damaged_values += dtype is not None and end - value != int(dtype[-1])
+            fits = dtype is None or end - value == int(dtype[-1])
+            self.result.damaged_values += not fits
+            if kind == ord("P") and key and dtype and fits:
+                name = key[0].decode().partition(" ")[2]
+                self.result.parameters[name] = float(np.frombuffer(raw[value:end], dtype)[0])
         elif kind == ord("O") and not self.defining:
             self.result.dropouts_ms.append(int.from_bytes(raw[begin:end], "little"))
         return True

@@ -482,3 +482,30 @@ def test_a_stray_time_is_no_cut(tmp_path: Path) -> None:
     rows[at] = rows[at][:5] + struct.pack("<Q", 900_000_000) + rows[at][13:]
     log = opened(tmp_path, head + b"".join(rows))
     assert {e.code for e in log.ledger if e.kind == "loss"} == {"TIME-STRAY"}
+
+
+def test_texts_and_parameters(tmp_path: Path) -> None:
+    head = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1000)
+    writer = ULogWriter()
+    for key, value in (
+        (b"float EKF2_GPS_DELAY", struct.pack("<f", 110.0)),
+        (b"int32_t GPS_1_CONFIG", struct.pack("<i", 201)),
+        (b"float EKF2_GPS_DELAY", struct.pack("<f", 127.5)),
+    ):
+        writer.message("P", bytes([len(key)]) + key + value)
+    body = flight()[len(head) :]
+    said = [
+        (b"L", b"\x34" + struct.pack("<Q", 6_000_000) + b"GPS fix lost"),
+        (b"C", b"\x34" + struct.pack("<HQ", 7, 6_500_000) + b"Estimator reset"),
+        (b"L", b"\x34" + struct.pack("<Q", 6_000_000) + b"Position lost"),
+    ]
+    tail = b"".join(struct.pack("<H", len(text)) + kind + text for kind, text in said)
+    log = opened(tmp_path, writer.data + body[43:] + tail)
+    assert log.parameters == {"EKF2_GPS_DELAY": 127.5, "GPS_1_CONFIG": 201.0}
+    channel = log.channel("MSG")
+    assert channel.labels["text"] == ("GPS fix lost\nPosition lost", "Estimator reset")
+    np.testing.assert_array_equal(
+        channel.time_ns, (NOW_US + np.array([6_000_000, 6_500_000])) * 1000
+    )
+    assert not log.ledger.has_losses
+    assert not opened(tmp_path, flight()).parameters
