@@ -20,6 +20,8 @@ _GIMBALS = ("MNT", "MOUNTSTATUS", "MOUNTORIENTATION", "GIMBALDEVICEATTITUDESTATU
 # looks down, it is 90 degrees away from there.
 _LARGEST_AXIS_ANGLE_DEG = 45.0
 
+_COUNTERED = -0.5  # slope of angles that counter a motion, half-way to none
+
 
 @dataclass(frozen=True)
 class Mount:
@@ -57,28 +59,39 @@ def payload_attitude(
     v_ned = Rz(yaw of the aircraft) Rz(yaw) Ry(pitch) Rx(roll) v_payload, then comes the mount
     (boresight) of the camera. ``aircraft`` is the channel of its attitude, interpolated at the
     gimbal's times. Source: MAVLink's common.xml, GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME and
-    MOUNT_ORIENTATION; ArduPilot sends MOUNT_STATUS so.
+    MOUNT_ORIENTATION. MOUNT_STATUS is not defined so far, and autopilots send the angles of servos
+    in it: where they counter roll and pitch of the aircraft (a slope of -1; in a real log, -1.00)
+    they are to the aircraft, v_ned = R(aircraft) Rz(yaw) Ry(pitch) Rx(roll) v_payload. Angles
+    beyond a turn are none: old autopilots send a place there.
     """
     known = np.stack([gimbal.columns.get(name, np.full(len(gimbal), np.nan)) for name in _Q], 1)
     if f"gimbal_{_Q[0]}" in gimbal.columns:
         to_nose = matrices_of(np.stack([gimbal[f"gimbal_{name}"] for name in _Q], axis=1))
     elif "gimbal_yaw_rad" in gimbal.columns:
-        angles = [gimbal[f"gimbal_{name}_rad"] for name in ("roll", "pitch", "yaw")]
-        to_nose = ned_from_body(np.stack(angles, axis=1))
+        angles = np.stack([gimbal[f"gimbal_{name}_rad"] for name in ("roll", "pitch", "yaw")], 1)
+        angles[(np.abs(angles) > 2.0 * np.pi).any(axis=1)] = np.nan
+        to_nose = ned_from_body(angles)
     else:
         return gimbal, ()
     missing = np.isnan(known).any(axis=1) & np.isfinite(to_nose).all(axis=(1, 2))
     if aircraft is None or not bool(missing.any()):
         return gimbal, ()
     attitude, _ = interpolate_attitude(aircraft, gimbal.time_ns[missing], max_gap_s)
-    nose = matrices_of(attitude)[:, :2, 0]
-    level = np.zeros((nose.shape[0], 3))
-    level[:, 2] = np.arctan2(nose[:, 1], nose[:, 0])
-    known[missing] = quaternions_of(ned_from_body(level) @ to_nose[missing])
+    turned = matrices_of(attitude)
+    added = f"that of {aircraft.name} is added"
+    if is_of_gimbal(gimbal.source.message, "MOUNTSTATUS") and (
+        slope_of(roll_and_pitch(to_nose[missing]), roll_and_pitch(turned)) < _COUNTERED
+    ):
+        added = f"its angles counter the motion of {aircraft.name} and are added to its attitude"
+    else:
+        level = np.zeros((turned.shape[0], 3))
+        level[:, 2] = np.arctan2(turned[:, 1, 0], turned[:, 0, 0])
+        turned = ned_from_body(level)
+    known[missing] = quaternions_of(turned @ to_nose[missing])
     told = note(
         "GIMBAL-YAW",
         f"the yaw of {gimbal.name} counts from the nose in {int(missing.sum())} of {len(gimbal)} "
-        f"rows: that of {aircraft.name} is added",
+        f"rows: {added}",
         where=gimbal.name,
         count=int(missing.sum()),
     )
@@ -156,6 +169,25 @@ def gimbal_notes(
     return tuple(notes)
 
 
-def is_of_gimbal(message: str) -> bool:
-    """Whether a message is a gimbal's; PX4 writes the same name as a topic and as a ROS type."""
-    return message.rpartition("/")[2].replace("_", "").upper() in _GIMBALS
+def roll_and_pitch(ned_from_body: Array) -> Array:
+    """(2, n) roll and pitch [rad] of (n, 3, 3) matrices."""
+    right, down = ned_from_body[:, 2, 1], ned_from_body[:, 2, 2]
+    return np.stack([np.arctan2(right, down), -np.arcsin(ned_from_body[:, 2, 0].clip(-1.0, 1.0))])
+
+
+def slope_of(angles: Array, motion: Array) -> float:
+    """By how much angles follow a motion, (k, n) each: -1 where they counter it; 0 without any.
+
+    >>> slope_of(np.array([[0.1, 0.0, -0.1]]), np.array([[-0.1, 0.0, 0.1]]))
+    -1.0
+    """
+    both = np.isfinite(angles).all(axis=0) & np.isfinite(motion).all(axis=0)
+    if not both.any():
+        return 0.0
+    own, moved = (x[:, both] - np.median(x[:, both], 1, keepdims=True) for x in (angles, motion))
+    return round(float(np.sum(own * moved) / max(np.sum(moved**2), 1e-9)), 3)
+
+
+def is_of_gimbal(message: str, *names: str) -> bool:
+    """Whether a message is a gimbal's, or of these names; PX4 writes it as topic and ROS type."""
+    return message.rpartition("/")[2].replace("_", "").upper() in (names or _GIMBALS)

@@ -6,15 +6,11 @@ The convention: v_ned = R(q) v_body, Hamilton, body forward-right-down, q_w >= 0
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from pipeline.flight.channels import Array, Channel
-from pipeline.flight.trajectory import interpolate_attitude
+from pipeline.flight.channels import Array
 from pipeline.ingest.fields import FieldColumn, column
-from pipeline.ledger import Ledger
 
 BLOCK = 65_536  # rows
 
@@ -112,50 +108,3 @@ def earth_frame_attitude(columns: Mapping[str, Array]) -> dict[str, Array]:
     north = (flags & _YAW_IN_EARTH_FRAME != 0) | lock
     attitude = {f"q_{axis}": np.where(north, columns[f"q_{axis}"], np.nan) for axis in "wxyz"}
     return dict(columns) | attitude
-
-
-def with_vehicle_attitude(
-    mount: Channel, vehicle: Channel, ledger: Ledger, *, servos: bool = False
-) -> Channel:
-    """The channel of a gimbal with its attitude: its angles on top of those of the vehicle.
-
-    Parameters
-    ----------
-    mount : with gimbal_roll_rad, gimbal_pitch_rad and gimbal_yaw_rad (from the vehicle's nose).
-    vehicle : the attitude of the vehicle.
-    servos : whether parameters say that servos move it.
-
-    MAVLink does not say whether roll and pitch of MOUNT_STATUS are to the horizon or the vehicle.
-    To the vehicle are those of servos, and those that counter its motion: a slope of -1; in a real
-    log, -1.00. Order of the turns: yaw, pitch, roll. Where a row's angles exceed a turn they are no
-    angles, as of old autopilots that point at a place, and it has no attitude.
-    """
-    angles = np.stack([mount[f"gimbal_{name}_rad"] for name in ("roll", "pitch", "yaw")])
-    angles = np.where(np.abs(angles) <= 2.0 * np.pi, angles, np.nan)
-    q, _ = interpolate_attitude(vehicle, mount.time_ns, vehicle.gap_limit_s())
-    known = np.isfinite(q).all(axis=1) & np.isfinite(angles).all(axis=0)
-    parts = {f"q_{axis}": np.full(len(mount), np.nan) for axis in "wxyz"}
-    if not known.any():
-        return mount
-    turn = Rotation.from_quat(q[known], scalar_first=True)
-    heading, *tilt = turn.as_euler("ZYX").T
-    own, moved = angles[:, known], np.stack(tilt[::-1])
-    apart = [part - np.median(part, axis=1, keepdims=True) for part in (own[:2], moved)]
-    slope = float(np.sum(apart[0] * apart[1]) / max(np.sum(apart[1] ** 2), 1e-12))
-    to_vehicle = servos or slope < -0.5
-    if to_vehicle:
-        turn = turn * Rotation.from_euler("ZYX", own[::-1].T)
-    else:
-        turn = Rotation.from_euler("ZYX", np.stack([heading + own[2], own[1], own[0]], axis=1))
-    for part, values in zip(parts.values(), turn.as_quat(True, scalar_first=True).T, strict=True):
-        part[known] = values
-    ledger.note(
-        "GIMBAL-COMPOSED",
-        f"its yaw counts from the vehicle's nose; its roll and pitch are taken as "
-        f"{'to the vehicle' if to_vehicle else 'to the horizon'} (they follow the vehicle's by "
-        f"{slope:+.2f}{', and servos move it' if servos else ''}): its attitude is that of "
-        f"{vehicle.name} and these",
-        where=mount.name,
-        count=int(known.sum()),
-    )
-    return replace(mount, columns=dict(mount.columns) | parts)

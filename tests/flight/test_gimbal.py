@@ -194,6 +194,35 @@ def test_yaw_from_the_nose_is_turned_by_the_aircraft_s(columns: dict[str, float]
     assert "ATTITUDE is added" in told.what
 
 
+@pytest.mark.parametrize("message", ["MOUNT_STATUS", "MOUNT_ORIENTATION"])
+@pytest.mark.parametrize("servos", [True, False])
+def test_angles_of_servos_are_to_the_aircraft(message: str, servos: bool) -> None:
+    """They counter its roll and pitch; MOUNT_ORIENTATION is to the horizon by its definition."""
+    k = np.arange(200)
+    roll, pitch, yaw = 0.3 * np.sin(k / 7.0), 0.2 * np.cos(k / 11.0), k / 40.0
+    turns = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1))
+    columns = dict(zip(("q_x", "q_y", "q_z", "q_w"), turns.as_quat().T, strict=True))
+    aircraft = Channel("ATTITUDE", k * SECOND // 10, columns, Source("ATTITUDE"))
+    own = np.stack([0.5 + 0.0 * k, 0.1 - servos * pitch, -servos * roll], axis=1)
+    angles = dict(
+        zip(("gimbal_yaw_rad", "gimbal_pitch_rad", "gimbal_roll_rad"), own.T, strict=True)
+    )
+    angles["gimbal_yaw_rad"] = np.where(
+        k == 3, 4.7e6, 0.5
+    )  # a place, as autopilots of 2012 send it
+    payload, _ = payload_attitude(
+        Channel(message, aircraft.time_ns, angles, Source(message)), aircraft, 2.0
+    )
+    ours = np.stack([payload[f"q_{axis}"] for axis in "xyzw"], axis=1)
+    assert np.flatnonzero(np.isnan(ours).any(axis=1)).tolist() == [3]
+    if servos and message == "MOUNT_STATUS":
+        expected = turns * Rotation.from_euler("ZYX", own)
+    else:
+        expected = Rotation.from_euler("ZYX", own + np.stack([yaw, 0.0 * k, 0.0 * k], axis=1))
+    apart = (Rotation.from_quat(ours[k != 3]) * expected[k != 3].inv()).magnitude()
+    assert apart.max() < 1e-7
+
+
 def test_a_gimbal_that_knows_north_and_one_without_an_aircraft_stay_as_they_are() -> None:
     mnt = attitude("MNT[0]", "MNT", -30.0)
     assert payload_attitude(mnt, of_angles("ATT", 0.0, 0.0, 90.0), 2.0) == (mnt, ())

@@ -4,15 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.flight.channels import Channel, Source
 from pipeline.ingest.attitude import (
     earth_frame_attitude,
     ned_frd_of_enu_flu,
     quaternion_of_euler,
     unit_quaternions,
-    with_vehicle_attitude,
 )
-from pipeline.ledger import Ledger
 
 ENU_OF_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FLU_OF_FRD = np.diag([1.0, -1.0, -1.0])
@@ -91,58 +88,3 @@ def test_the_yaw_of_a_gimbal_is_from_north_as_its_flags_say(flags, from_north) -
     for axis in "wxyz":
         assert columns[f"gimbal_q_{axis}"].tolist() == [0.5]
         np.testing.assert_array_equal(columns[f"q_{axis}"], [0.5 if from_north else np.nan])
-
-
-def turning(rows: int = 200) -> tuple[Channel, np.ndarray]:
-    """A vehicle that rolls, pitches and turns at 10 Hz, and its roll, pitch and yaw."""
-    k = np.arange(rows)
-    euler = np.stack([0.3 * np.sin(k / 7.0), 0.2 * np.cos(k / 11.0), k / 40.0])
-    q = Rotation.from_euler("ZYX", euler[::-1].T).as_quat(True, scalar_first=True)
-    columns = {f"q_{axis}": part for axis, part in zip("wxyz", q.T, strict=True)}
-    return Channel("ATTITUDE", k * 10**8 + 5, columns, Source("ATTITUDE")), euler
-
-
-def mount_status(vehicle: Channel, roll: np.ndarray, pitch: np.ndarray) -> Channel:
-    columns = {
-        "gimbal_roll_rad": roll, "gimbal_pitch_rad": pitch,
-        "gimbal_yaw_rad": np.full(len(vehicle), 0.5),
-    }  # fmt: skip
-    return Channel("MOUNT_STATUS", vehicle.time_ns, columns, Source("MOUNT_STATUS"))
-
-
-def test_a_gimbal_level_with_the_horizon() -> None:
-    vehicle, (_, _, yaw) = turning()
-    level = np.full(len(vehicle), -1.2)
-    ledger = Ledger()
-    found = with_vehicle_attitude(mount_status(vehicle, 0.0 * level, level), vehicle, ledger)
-    angles = np.stack([yaw + 0.5, level, 0.0 * level], axis=1)
-    expected = Rotation.from_euler("ZYX", angles).as_matrix()
-    ours = matrix(np.stack([found[f"q_{axis}"] for axis in "wxyz"], axis=1))
-    np.testing.assert_allclose(ours, expected, atol=1e-12)
-    assert "to the horizon" in next(e.what for e in ledger if e.code == "GIMBAL-COMPOSED")
-
-
-@pytest.mark.parametrize("servos", [False, True])
-def test_servos_counter_the_vehicle(servos: bool) -> None:
-    """Angles to the vehicle: its own attitude and theirs, one behind the other."""
-    vehicle, (roll, pitch, _) = turning()
-    fixed = 0.0 if servos else 1.0  # servos that do not move say nothing of their frame
-    found = with_vehicle_attitude(
-        mount_status(vehicle, -fixed * roll, 0.1 - fixed * pitch), vehicle, Ledger(), servos=servos
-    )
-    angles = np.stack([np.full(len(vehicle), 0.5), 0.1 - fixed * pitch, -fixed * roll], axis=1)
-    expected = matrix(np.stack([vehicle[f"q_{a}"] for a in "wxyz"], 1)) @ (
-        Rotation.from_euler("ZYX", angles).as_matrix()
-    )
-    ours = matrix(np.stack([found[f"q_{axis}"] for axis in "wxyz"], axis=1))
-    np.testing.assert_allclose(ours, expected, atol=1e-12)
-
-
-def test_what_is_no_angle_is_no_attitude() -> None:
-    vehicle, _ = turning()
-    degrees = np.full(len(vehicle), 0.2)
-    degrees[3] = 4.7e6  # a latitude, as autopilots of 2012 send it
-    mount = mount_status(vehicle, degrees, 0.0 * degrees)
-    found = with_vehicle_attitude(mount, vehicle, Ledger())
-    assert np.flatnonzero(np.isnan(found["q_w"])).tolist() == [3]
-    assert found.fits_role("attitude")

@@ -17,7 +17,7 @@ from pipeline.ingest.ardupilot_heights import (
     selects_ellipsoid,
     with_ellipsoidal_heights,
 )
-from pipeline.ingest.attitude import earth_frame_attitude, with_vehicle_attitude
+from pipeline.ingest.attitude import earth_frame_attitude
 from pipeline.ingest.boot_clock import microseconds
 from pipeline.ingest.buffers import ColumnStore, allocate
 from pipeline.ingest.channel_builder import DecodedRows, channel_of
@@ -65,15 +65,6 @@ def channels_of(
         parameters = dict(zip(names, records["param_value"].tolist(), strict=True))
     if selects_ellipsoid(parameters.get(HEIGHT_OPTION, 0.0)):
         channels = with_ellipsoidal_heights(channels, ledger, PARAM_VALUE)
-    servos = 1.0 in (parameters.get("MNT_TYPE"), parameters.get("MNT1_TYPE"))
-    for row, mount in enumerate(channels):
-        if mount.source.message == "MOUNT_STATUS":
-            same = [c for c in channels if c.source.system == mount.source.system]
-            vehicle = min(
-                (c for c in same if "attitude" in c.roles), key=lambda c: c.rank, default=None
-            )
-            if vehicle is not None:
-                channels[row] = with_vehicle_attitude(mount, vehicle, ledger, servos=servos)
     return channels, parameters
 
 
