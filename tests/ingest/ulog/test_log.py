@@ -488,9 +488,9 @@ def test_texts_and_parameters(tmp_path: Path) -> None:
     head = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1000)
     writer = ULogWriter()
     for key, value in (
-        (b"float EKF2_GPS_DELAY", struct.pack("<f", 110.0)),
+        (b"float EKF2_BARO_DELAY", struct.pack("<f", 110.0)),
         (b"int32_t GPS_1_CONFIG", struct.pack("<i", 201)),
-        (b"float EKF2_GPS_DELAY", struct.pack("<f", 127.5)),
+        (b"float EKF2_BARO_DELAY", struct.pack("<f", 127.5)),
     ):
         writer.message("P", bytes([len(key)]) + key + value)
     body = flight()[len(head) :]
@@ -501,7 +501,7 @@ def test_texts_and_parameters(tmp_path: Path) -> None:
     ]
     tail = b"".join(struct.pack("<H", len(text)) + kind + text for kind, text in said)
     log = opened(tmp_path, writer.data + body[43:] + tail)
-    assert log.parameters == {"EKF2_GPS_DELAY": 127.5, "GPS_1_CONFIG": 201.0}
+    assert log.parameters == {"EKF2_BARO_DELAY": 127.5, "GPS_1_CONFIG": 201.0}
     channel = log.channel("MSG")
     assert channel.labels["text"] == ("GPS fix lost\nPosition lost", "Estimator reset")
     np.testing.assert_array_equal(
