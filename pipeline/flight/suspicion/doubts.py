@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.flight.channels import Channel
+from pipeline.flight.channels import Array, Channel
 from pipeline.flight.mount import is_of_gimbal
 from pipeline.flight.quality import subset
 from pipeline.flight.roles import follows_height
@@ -102,12 +102,13 @@ def examine(
             what = f"{drift.reason}: its pressure is not used from {drift.when}"
             notes.append(warning("BARO-DRIFT", what, where=pressure.name))
         for doubt in merged(doubts):
-            stand_in = stand_in_for(sources, doubt)
-            if stand_in is not None:
+            found_one = stand_in_for(sources, doubt)
+            if found_one is not None:
+                stand_in, offsets = found_one
                 if quantity == POSITION and not is_receiver(mine):
                     found += drifted(sources.own, stand_in, doubt)
                 doubt = replace(doubt, instead=stand_in.other.channel.name)
-                result[quantity] = spliced(result[quantity], stand_in, doubt, quantity)
+                result[quantity] = spliced(result[quantity], stand_in, doubt, quantity, offsets)
             found.append(doubt)
     return result, tuple(sorted(found)), tuple(notes)
 
@@ -261,13 +262,13 @@ def receiver_is_right(sources: Sources, d: Difference, a: int, b: int) -> bool:
     return False
 
 
-def stand_in_for(sources: Sources, doubt: Stretch) -> Difference | None:
-    """The source that replaces a doubtful one, where the evidence names who is wrong.
+def stand_in_for(sources: Sources, doubt: Stretch) -> tuple[Difference, list[Array]] | None:
+    """The source that replaces a doubtful one where it is plain who is wrong, and two offsets.
 
     Who is wrong has steps of its own, a poor accuracy or no fix: the source itself, or, where that
     is a filter, one of several receivers. The one that stands in has none of these from 10 s before
-    to 10 s after, and agrees before and after. A filter or a barometer stands in for a receiver,
-    for at most 60 s.
+    to 10 s after, and agrees before and after, where its offsets are taken. A filter or a barometer
+    stands in for a receiver, for at most 60 s.
     """
     own, long = sources.own, doubt.end_ns - doubt.begin_ns > LONGEST_STAND_IN_S * SECOND
     wide = replace(doubt, begin_ns=doubt.begin_ns - SECOND, end_ns=doubt.end_ns + SECOND)
@@ -288,10 +289,13 @@ def stand_in_for(sources: Sources, doubt: Stretch) -> Difference | None:
         margin = int(BESIDE_S * SECOND)
         before = replace(wide, begin_ns=wide.begin_ns - margin, end_ns=wide.begin_ns)
         after = replace(wide, begin_ns=wide.end_ns, end_ns=wide.end_ns + margin)
-        sides = [d.off_m[side.covers(channel.time_ns)] for side in (before, after)]
-        known = [side[np.isfinite(side)] for side in sides]
-        if all(side.size > 4 and np.percentile(side, 90.0) < d.limit_m for side in known):
-            return d
+        known = np.isfinite(d.off_m)
+        sides = [side.covers(channel.time_ns) & known for side in (before, after)]
+        if all(
+            np.count_nonzero(side) > 4 and np.percentile(d.off_m[side], 90.0) < d.limit_m
+            for side in sides
+        ):
+            return d, [np.median(d.apart_m[side], axis=0) for side in sides]
     return None
 
 
@@ -311,42 +315,33 @@ def drifted(own: SourcePath, d: Difference, doubt: Stretch) -> list[Stretch]:
     return [replace(doubt, quantity=ATTITUDE, reason=reason, off_m=np.nan)]
 
 
-def spliced(channel: Channel, d: Difference, doubt: Stretch, quantity: str) -> Channel:
+def spliced(
+    channel: Channel, d: Difference, doubt: Stretch, quantity: str, offsets: list[Array]
+) -> Channel:
     """The channel with the samples of another source in a stretch, its lag and offset taken out.
 
-    The offset is the mean of those 10 s before and after; half their difference and the usual
+    The offset is the mean of those before and after; half their difference and the usual
     difference of the two go into the standard deviation, with the source's own.
     """
-    other, margin = d.other.channel, int(BESIDE_S * SECOND)
+    other, sigma = d.other.channel, "sigma_v_m" if quantity == HEIGHT else "sigma_h_m"
     time_ns = other.time_ns - round(d.lag_s * 1e9)
-    inside = doubt.covers(time_ns)
-    before = (other.time_ns < doubt.begin_ns - SECOND) & (
-        other.time_ns > doubt.begin_ns - SECOND - margin
+    inside, keep = doubt.covers(time_ns), ~doubt.covers(channel.time_ns)
+    spread = np.hypot(0.5 * float(np.linalg.norm(offsets[1] - offsets[0])), d.usual_m)
+    fill = {name: values[inside] for name, values in other.columns.items()}
+    fill |= moved(other, inside, 0.5 * (offsets[0] + offsets[1]), channel.height_column)
+    unknown = np.full(np.count_nonzero(inside), np.nan)
+    fill[sigma] = np.hypot(np.nan_to_num(fill.get(sigma, unknown)), spread)
+    joined, rows = np.unique(
+        np.concatenate([channel.time_ns[keep], time_ns[inside]]), return_index=True
     )
-    after = (other.time_ns > doubt.end_ns + SECOND) & (
-        other.time_ns < doubt.end_ns + SECOND + margin
-    )
-    first, last = np.nanmedian(d.apart_m[before], axis=0), np.nanmedian(d.apart_m[after], axis=0)
-    sigma_name = "sigma_v_m" if quantity == HEIGHT else "sigma_h_m"
-    theirs = other.columns.get(sigma_name, np.full(len(other), np.nan))
-    spread = np.hypot(0.5 * float(np.linalg.norm(last - first)), d.usual_m)
-    columns = {name: values[inside] for name, values in other.columns.items()}
-    columns[sigma_name] = np.hypot(np.nan_to_num(theirs[inside]), spread)
-    columns |= moved(other, inside, 0.5 * (first + last), channel.height_column)
-    keep = ~doubt.covers(channel.time_ns)
-    joined = np.concatenate([channel.time_ns[keep], time_ns[inside]])
-    order = np.unique(joined, return_index=True)[1]
-    boot = np.concatenate([channel.boot[keep], other.boot[inside]])
-    names = (channel.columns.keys() | {sigma_name}) & {*columns, *channel.columns}
-    mine = {n: channel.columns.get(n, np.full(len(channel), np.nan))[keep] for n in names}
-    fill = {n: columns.get(n, np.full(int(inside.sum()), np.nan)) for n in names}
-    return replace(
-        channel,
-        time_ns=joined[order],
-        boot=boot[order],
-        columns={n: np.concatenate([mine[n], fill[n]])[order] for n in names},
-        labels={},
-    )
+
+    def column(name: str) -> Array:
+        mine = channel.columns.get(name, np.full(len(channel), np.nan))[keep]
+        return np.concatenate([mine, fill.get(name, unknown)])[rows]
+
+    boot = np.concatenate([channel.boot[keep], other.boot[inside]])[rows]
+    columns = {name: column(name) for name in (*channel.columns, sigma)}
+    return replace(channel, time_ns=joined, boot=boot, columns=columns, labels={})
 
 
 def flag_doubtful(
