@@ -397,6 +397,13 @@ class Evidence:
             apart = channel[column] - interpolate(self.fused, column, channel.time_ns, limit)
             _, scatter = _about(channel.time_ns, apart, time_ns, WINDOW_NS)
             vertical += np.square(scatter)
+        silent = ~np.isfinite(horizontal)
+        if own and self.receiver is not None and channel is not self.receiver and silent.any():
+            stood_in = {"sigma_h_m", "sigma_v_m", "hdop"}  # reported for a part of the time only
+            columns = {k: v for k, v in channel.columns.items() if k not in stood_in}
+            of_filter = self.accuracy(replace(channel, columns=columns), time_ns)
+            horizontal = np.where(silent, np.square(of_filter[0]), horizontal)
+            vertical = np.where(silent, np.square(of_filter[1]), vertical)
         return np.sqrt(horizontal), np.sqrt(vertical)
 
     def attitude(self, channel: Channel, time_ns: TimeArray) -> tuple[Array, Array]:

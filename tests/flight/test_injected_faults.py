@@ -25,7 +25,7 @@ from pipeline.flight.exposures import Events
 from pipeline.flight.heights import height_system
 from pipeline.flight.mount import Mount
 from pipeline.flight.quality import plausible_samples
-from pipeline.flight.roles import assign_roles
+from pipeline.flight.roles import assign_roles, with_evidence
 from pipeline.flight.station_builder import build_stations
 from pipeline.flight.stations import Stations
 from pipeline.flight.suspicion.doubts import examine, flag_doubtful
@@ -82,20 +82,23 @@ def stations_of(channels: dict[str, Channel], time_ns: np.ndarray) -> tuple[Stat
     examined, doubts, _ = examine(everything, plausible)
     image = np.array([f"i{k}" for k in range(time_ns.size)], object)
     heights, _ = height_system(examined, None)
-    built = build_stations(Events("cam", image, time_ns), examined, Mount(), heights, 2.0)
+    roles, evidence = with_evidence(examined, everything)
+    exposed = Events("cam", image, time_ns)
+    built = build_stations(exposed, roles, Mount(), heights, 2.0, evidence=evidence)
     flagged, notes = flag_doubtful(built, doubts, use_suspect=False)
     return flagged, Counter({entry.code: entry.count for entry in notes})
 
 
 def errors_of(stations: Stations, at: Flown) -> dict[str, np.ndarray]:
-    """Metres north, east and up, and degrees between the verticals (optical axes looking down)."""
+    """Metres north, east and up, and degrees by which the vertical is turned."""
     body = Rotation.from_quat(np.nan_to_num(stations.aircraft_quaternion[:, [1, 2, 3, 0]], nan=0.5))
-    cosine = np.sum(-body.apply([0.0, 0.0, 1.0]) * at.down, axis=1)
+    turned = np.degrees(np.cross(-body.apply([0.0, 0.0, 1.0]), at.down))
     return {
         "north": (stations.lat_rad - at.lat) * RADIUS_M,
         "east": (stations.lon_rad - at.lon) * RADIUS_M * np.cos(at.lat),
         "up": stations.h_msl_m - at.h,
-        "axis": np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))),
+        "roll": turned[:, 0],
+        "pitch": turned[:, 1],
     }
 
 
@@ -103,7 +106,16 @@ def too_far(stations: Stations, at: Flown) -> np.ndarray:
     """Where a station is beyond 5 m or 1 degree of the optical axis."""
     off = errors_of(stations, at)
     return (np.hypot(off["north"], off["east"]) > 5.0) | (np.abs(off["up"]) > 5.0) | (
-        off["axis"] > 1.0)  # fmt: skip
+        np.hypot(off["roll"], off["pitch"]) > 1.0)  # fmt: skip
+
+
+def beyond_four_sigmas(stations: Stations, at: Flown) -> np.ndarray:
+    off = errors_of(stations, at)
+    tilt = np.degrees(stations.sigma_tilt_rad)
+    sigmas = {"north": stations.sigma_horizontal_m, "east": stations.sigma_horizontal_m,
+              "up": stations.sigma_height_m, "roll": tilt, "pitch": tilt}  # fmt: skip
+    assert all(np.isfinite(sigma[stations.ok]).all() for sigma in sigmas.values())
+    return np.any([np.abs(off[name]) > 4.0 * sigma for name, sigma in sigmas.items()], axis=0)
 
 
 def test_good_logs_have_no_suspect(logs):
@@ -111,7 +123,7 @@ def test_good_logs_have_no_suspect(logs):
         stations, codes = stations_of(log.channels, log.time_ns)
         assert stations.ok.all()
         assert not codes
-        assert not too_far(stations, log).any()
+        assert not (too_far(stations, log) | beyond_four_sigmas(stations, log)).any()
 
 
 def test_no_usable_station_is_far_off_and_few_good_ones_are_lost(logs, record_property):
@@ -124,14 +136,15 @@ def test_no_usable_station_is_far_off_and_few_good_ones_are_lost(logs, record_pr
         channels, fault = inject(log.channels, kind, int(rng.choice(log.time_ns)), rng)
         stations, codes = stations_of(channels, log.time_ns)
         far = too_far(stations, log)
+        wild = far | beyond_four_sigmas(stations, log)
         inside = (log.time_ns >= fault.begin_ns) & (log.time_ns <= fault.end_ns)
         good = ~inside & ~far
         counts["far"] += int(far.sum())
         counts["good"] += int(good.sum())
         counts["good but suspect"] += int((good & ~stations.ok).sum())
         counts["replaced"] += codes["STATIONS-STAND-IN"]
-        if (far & stations.ok).any():
-            failures.append(f"draw {draw}: {fault}: {int((far & stations.ok).sum())} stations")
+        if (wild & stations.ok).any():
+            failures.append(f"draw {draw}: {fault}: {int((wild & stations.ok).sum())} stations")
     print(dict(counts))
     assert not failures, "\n".join(failures)
     assert counts["far"] > 300  # the faults do harm

@@ -16,6 +16,7 @@ from pipeline.flight.suspicion.evidence import (
     ATTITUDE,
     Stretch,
     attitude_evidence,
+    covered,
     filter_evidence,
     message_evidence,
 )
@@ -47,8 +48,8 @@ BESIDE_S = 10.0
 LONGEST_STAND_IN_S = 60
 """A filter without its receiver, or a barometer, stands in for no longer [s]."""
 
-LARGEST_DRIFT_M_S2 = 0.04
-"""Half the acceleration by which a filter drifts whose vertical is half a degree wrong [m/s2]."""
+LARGEST_DRIFT_M_S2 = 0.02
+"""Half the acceleration by which a filter drifts whose vertical is 0.25 degrees wrong [m/s2]."""
 
 _FEWEST = 10  # samples of which a channel must have more to be compared
 
@@ -82,10 +83,11 @@ def examine(
     receivers = [c for c in channels if is_receiver(c)]
     evidence = [*filter_evidence(channels), *message_evidence(channels)] if receivers else []
     attitude, result, notes = roles.get(ATTITUDE), dict(roles), list[Entry]()
-    found: list[Stretch] = []
-    if attitude is not None and not is_of_gimbal(attitude.source.message):
-        found = [s for s in evidence if s.quantity == ATTITUDE]
-        found = merged([*found, *attitude_evidence(attitude, channels)])
+    found, turned = list[Stretch](), list[Stretch]()
+    of_vehicle = attitude is not None and not is_of_gimbal(attitude.source.message)
+    if attitude is not None and of_vehicle:
+        turned = [s for s in evidence if s.quantity == ATTITUDE]
+        turned += attitude_evidence(attitude, channels)
     for quantity in (POSITION, HEIGHT):
         mine = roles.get(quantity)
         if mine is None or len(with_places(mine, quantity)) <= _FEWEST:
@@ -94,8 +96,19 @@ def examine(
         steady = (roles.get(name) for name in (ATTITUDE, POSITION))
         while_on = next((c for c in steady if c is not None and c.name != mine.name), mine)
         doubts, drifts = doubts_of(sources, while_on)
-        if quantity == POSITION and not is_receiver(mine):
+        of_filter = quantity == POSITION and not is_receiver(mine)
+        if of_filter:
             doubts += [s for s in evidence if s.quantity == POSITION]
+            # A filter whose vertical was wrong settles with its position.
+            ends = [[s.end_ns, *(d.end_ns for d in merged(doubts) if s.meets(d))] for s in turned]
+            turned = [replace(s, end_ns=max(end)) for s, end in zip(turned, ends, strict=True)]
+        elif quantity == HEIGHT and is_receiver(mine):
+            # A fix that has stepped away in position is wrong in height too.
+            path = track_of(mine, POSITION, [mine, *sorted(channels, key=is_receiver)])
+            away = [s for s in self_doubts(path, POSITION) if np.isfinite(s.off_m)]
+            doubts += [replace(s, quantity=HEIGHT, off_m=np.nan) for s in away]
+            good = sources.own.good & ~covered(away, sources.own.channel.time_ns)
+            sources = replace(sources, own=replace(sources.own, good=good))
         for drift in merged(drifts):
             pressure = result["pressure"]
             result["pressure"] = subset(pressure, ~drift.covers(pressure.time_ns))
@@ -105,12 +118,12 @@ def examine(
             found_one = stand_in_for(sources, doubt)
             if found_one is not None:
                 stand_in, offsets = found_one
-                if quantity == POSITION and not is_receiver(mine):
-                    found += drifted(sources.own, stand_in, doubt)
+                if of_filter and of_vehicle:
+                    turned += drifted(sources.own, stand_in, doubt)
                 doubt = replace(doubt, instead=stand_in.other.channel.name)
                 result[quantity] = spliced(result[quantity], stand_in, doubt, quantity, offsets)
             found.append(doubt)
-    return result, tuple(sorted(found)), tuple(notes)
+    return result, tuple(sorted([*found, *merged(turned)])), tuple(notes)
 
 
 def merged(stretches: Sequence[Stretch]) -> list[Stretch]:
@@ -302,7 +315,7 @@ def stand_in_for(sources: Sources, doubt: Stretch) -> tuple[Difference, list[Arr
 def drifted(own: SourcePath, d: Difference, doubt: Stretch) -> list[Stretch]:
     """A filter that left its stand-in without a step has a wrong vertical: a doubtful attitude.
 
-    Half a degree of tilt carries a coasting filter 0.04 m/s² t² away.
+    A quarter of a degree of tilt carries a coasting filter 0.02 m/s² t² away.
     """
     time_ns = d.other.channel.time_ns
     stepped = np.interp(time_ns, own.channel.time_ns, own.wander_m.any(axis=1))

@@ -72,6 +72,14 @@ class Stretch:
         return self.begin_ns <= other.end_ns and other.begin_ns <= self.end_ns
 
 
+def covered(stretches: Sequence[Stretch], time_ns: TimeArray) -> Mask:
+    """Which instants lie in any of several stretches."""
+    inside = np.zeros(time_ns.shape, np.bool_)
+    for stretch in stretches:
+        inside |= stretch.covers(time_ns)
+    return inside
+
+
 def filter_evidence(channels: Sequence[Channel]) -> list[Stretch]:
     """What the filter says of itself: innovations, health, clipping accelerometers.
 
