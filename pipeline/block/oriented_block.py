@@ -24,7 +24,7 @@ from pipeline.flight.stations import (
     empty_stations,
 )
 from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef, offset_geodetic
-from pipeline.ledger import Entry, Notes, loss, note, warning
+from pipeline.ledger import Notes, loss, note
 
 LARGEST_FIT_TILT_RAD = np.radians(1.0)
 """A vertical that known positions determine no better than this is none (1 deg is 5 % of R)."""
@@ -243,8 +243,8 @@ def flag_above_horizon(stations: Stations) -> tuple[Stations, Notes]:
     )
 
 
-def turn_notes(stations: Stations) -> Notes:
-    """Whether the images turn with the flight; refuses those that turn against it.
+def refuse_turned_images(stations: Stations) -> None:
+    """Refuse (MissionError) images that turn against the flight.
 
     The angle between the sides of the image and the track is that of the mount and the drift, the
     same in all lines but for quarter turns. Where instead the sum of the two azimuths is the same,
@@ -265,7 +265,7 @@ def turn_notes(stations: Stations) -> Notes:
         differences.append(azimuth - track)
         sums.append(azimuth + track)
     if sum(part.size for part in sums) < 10:
-        return ()
+        return
     # Four times the angle, in which quarter turns are none; of each camera about its own mean.
     same, against = (
         sum(abs(np.exp(4j * part).sum()) for part in parts) / sum(part.size for part in parts)
@@ -279,16 +279,3 @@ def turn_notes(stations: Stations) -> Notes:
             remedy="yaw counts clockwise from north, kappa counter-clockwise; a quaternion may be "
             "the inverse one: choose the other sense of stations.orientation.angles",
         )
-    off = [abs(float(np.angle(np.exp(4j * part).sum()))) / 4.0 for part in (*differences, *sums)]
-    half = len(differences)
-    entries: list[Entry] = []
-    if min(same, against) > 0.8 and min(off[:half]) > np.radians(20) and max(off[half:]) < 0.17:
-        entries.append(
-            warning(
-                "ORIENTATION-TURNED",
-                f"the sides of the images stand {np.degrees(min(off[:half])):.0f} deg across the "
-                "flight lines; with kappa or yaw of the other sign they would be along them",
-                where="stations.orientation",
-            )
-        )
-    return tuple(entries)

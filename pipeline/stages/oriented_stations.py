@@ -23,9 +23,9 @@ from pipeline.block.oriented_block import (
     OrientedImages,
     fitted_frame,
     flag_above_horizon,
+    refuse_turned_images,
     stations_of_images,
     topocentric,
-    turn_notes,
 )
 from pipeline.config.station_sources import EnuFrame, KnownPositions, OrientationSection
 from pipeline.errors import InputError, MissionError
@@ -239,7 +239,7 @@ def stations_of_table(
     mounts = {name: mount.build() for name, mount in mission.mount.items()}
     stations = stations_of_images(images, mounts, flight.heights)
     stations = ledger.take(flag_above_horizon(stations))
-    ledger.extend(turn_notes(stations))
+    refuse_turned_images(stations)
     return stations
 
 

@@ -49,7 +49,7 @@ def test_a_delay_of_a_table_is_true_time_minus_the_tables(mission, delay_s):
 
 
 def test_a_gimbal_whose_yaw_counts_from_the_nose(mission_factory, tmp_path):
-    """MOUNT_STATUS of a payload that points straight down, beside the attitude of the aircraft."""
+    """MOUNT_ORIENTATION without the yaw from north, of a payload that points straight down."""
     mission = mission_factory(tmp_path / "mission", "tlog")
     data, made, at = mission.log.read_bytes(), bytearray(), 0
     sender = dialect.MAVLink(None, 1, dialect.MAV_COMP_ID_GIMBAL)
@@ -57,13 +57,14 @@ def test_a_gimbal_whose_yaw_counts_from_the_nose(mission_factory, tmp_path):
         end = at + 8 + 12 + data[at + 9]  # the time, then a frame of MAVLink 2 without signature
         made += data[at:end]
         if data[at + 15] == dialect.MAVLINK_MSG_ID_ATTITUDE:
-            pointing = dialect.MAVLink_mount_status_message(1, 1, -9000, 0, 0, 0)
+            boot_ms = int.from_bytes(data[at + 18 : at + 22], "little")
+            pointing = dialect.MAVLink_mount_orientation_message(boot_ms, 0.0, -90.0, 0.0)
             made += data[at : at + 8] + pointing.pack(sender)
             sender.seq = (sender.seq + 1) % 256
         at = end
     mission.log.write_bytes(bytes(made))
     mission.config["log"]["channels"] |= {
-        "attitude": "MOUNT_STATUS", "aircraft_attitude": "ATTITUDE",
+        "attitude": "MOUNT_ORIENTATION", "aircraft_attitude": "ATTITUDE",
     }  # fmt: skip
     mission.config["mount"] = {name: {"pitch_deg": 90.0} for name in mission.config["cameras"]}
     ended = mission.run()
