@@ -41,6 +41,7 @@ _FILTER_SIGMA_S = 0.015
 _LARGEST_DELAY_S = 0.5
 _LEAST_DELAY_S = 0.005  # receivers need more; positions that are closer are stamped at their epoch
 _LEAST_ROWS, _LEAST_SPEED_M_S = 100, 2.0
+MOST_ROWS = 10_000  # more are thinned evenly
 
 
 @dataclass(frozen=True)
@@ -135,13 +136,15 @@ def estimated_delay(receiver: Channel, fused: Channel) -> ReceiverDelay | None:
         names = ("lat_rad", "lon_rad")
         return np.stack([interpolate(fused, name, time_ns, limit) for name in names])
 
-    fixes = np.stack([receiver["lat_rad"], receiver["lon_rad"]])
+    every = slice(None, None, max(len(receiver) // MOST_ROWS, 1))  # memory has its peak here
+    time_ns = receiver.time_ns[every]
+    fixes = np.stack([receiver["lat_rad"][every], receiver["lon_rad"][every]])
     latitude = float(np.nanmedian(fixes[0]))
     meridian, prime_vertical = principal_radii(latitude)
     scale = np.array([[float(meridian)], [float(prime_vertical) * np.cos(latitude)]])
     delay_s, half_ns = 0.1, round(2.5e8)
     for _ in range(4):
-        at = receiver.time_ns - round(delay_s * 1e9)
+        at = time_ns - round(delay_s * 1e9)
         apart = _wrapped(fixes - places(at)) * scale
         speed = _wrapped(places(at + half_ns) - places(at - half_ns)) * scale / (2e-9 * half_ns)
         square = (speed**2).sum(axis=0)
@@ -156,7 +159,8 @@ def estimated_delay(receiver: Channel, fused: Channel) -> ReceiverDelay | None:
         delay_s += float(np.median(behind))
     scatter = 1.4826 * float(np.median(np.abs(behind - np.median(behind))))
     # What is left between filter and receiver lasts some 5 s.
-    independent = behind.size * min(1.0, 1.0 / max(5.0 * receiver.rate_hz, 1.0))
+    rate_hz = receiver.rate_hz / every.step
+    independent = behind.size * min(1.0, 1.0 / max(5.0 * rate_hz, 1.0))
     sigma_s = 1.2533 * scatter / np.sqrt(independent)
     if sigma_s > _FILTER_SIGMA_S or not -_LEAST_DELAY_S < delay_s < _LARGEST_DELAY_S:
         return None
