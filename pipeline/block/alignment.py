@@ -38,6 +38,7 @@ _RAREST_IMAGE, _RAREST_EVENT = 0.03, 0.3
 _MOST_VOTERS = 300
 _WINDOW, _WIDEST = 6.0, 40  # sigmas within which an image may belong to an event, and most events
 _MOST_PAIRS = 4_000_000  # of hypotheses, images and events at a time
+_CONSTANT, _ODD = 0.05, 0.1  # intervals are constant that are whole multiples, but for these
 _NEVER = -1e12
 
 
@@ -206,6 +207,10 @@ class Axis:
         event less without a partner, but also one more place where both are missing: it is not
         more likely.
         """
+        step = np.diff(self.events[np.append(True, np.diff(self.pulse) > 0)]) / self.interval
+        odd = np.abs(step - np.rint(step)) > _CONSTANT
+        if odd.sum() > _ODD * odd.size:  # the pauses of a survey are its turns
+            return np.zeros(rows.shape[0])
         each = np.log(shares[0]) + np.log(shares[1]) - 0.5
         pauses = np.empty(rows.shape[0])
         between_images = np.median(np.diff(self.images)) if self.images.size > 1 else 0.0

@@ -117,6 +117,21 @@ def test_five_exposures_without_an_image_are_found_by_the_rhythm():
     assert np.abs(found.residual_s).max() < 0.7
 
 
+@pytest.mark.parametrize("seed", [5, 12, 16])
+def test_pauses_of_a_flight_that_is_triggered_by_distance_are_its_turns(seed):
+    """A slow climb with an exposure every 8 to 12 s, then lines up and down the wind."""
+    rng = np.random.default_rng(seed)
+    steps = [11.0 * rng.uniform(0.7, 1.1, 60)]
+    for line in range(5):
+        along = (3.4 if line % 2 else 4.0) * rng.normal(1.0, 0.01, 30)
+        steps += [rng.uniform(15.0, 70.0, 1), along]
+    events = np.cumsum(np.concatenate(steps))
+    images = ImageEvidence(events.size - 5, time_s=np.floor(events[5:] + 7237.4), sigma_s=0.5)
+    found = assign(CameraEvents(events), images)
+    assert found.accepted
+    assert found.event.tolist() == list(range(5, events.size))
+
+
 def test_equal_counts_pass_by_counting_unless_times_contradict():
     events = lines()
     n = np.arange(1, 61)
