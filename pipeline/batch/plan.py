@@ -18,6 +18,7 @@ from pipeline.config import Mission
 from pipeline.config.station_sources import KnownPositions
 from pipeline.errors import ConfigError, InputError
 from pipeline.ingest import hash_file
+from pipeline.tables.imports.exif import image_files
 
 _MISSION_FILE_KEYS = {
     "log": "log.path",
@@ -27,10 +28,14 @@ _MISSION_FILE_KEYS = {
     "known positions": "stations.orientation.known_positions.path",
     "trajectory": "stations.trajectory.path",
     "trajectory accuracy": "stations.trajectory.accuracy",
+    "images": "events.images.path",
 }
+_EXIF_BYTES = 1 << 18
+
 _LIBRARIES = (
     "numpy", "scipy", "numba", "llvmlite", "pandas", "pyarrow",  # arithmetic and tables
     "pymavlink", "mcap", "mcap-ros2-support", "mcap-protobuf-support", "metar",  # decoding
+    "exifread",  # times of images
 )  # fmt: skip
 
 
@@ -81,6 +86,8 @@ def input_paths(mission: Mission, folder: Path) -> dict[str, tuple[str, Path]]:
             named["known positions"] = orientation.known_positions.path
     if mission.events is not None and mission.events.csv is not None:
         named["events"] = mission.events.csv.path
+    if mission.events is not None and mission.events.images is not None:
+        named["images"] = mission.events.images.path
     for camera, source in mission.position_events.items():
         named[f"events of {camera}"] = source.path
     trajectory = mission.stations.trajectory
@@ -108,7 +115,7 @@ def make_plan(mission: Mission, folder: Path) -> Plan:
     inputs = []
     for role, (name, path) in input_paths(mission, folder).items():
         try:
-            if not path.is_file():
+            if not path.is_file() and not (role == "images" and path.is_dir()):
                 other = "events.positions" if role.startswith("events") else "atmosphere.soundings"
                 key = _MISSION_FILE_KEYS.get(role, other)
                 raise InputError(
@@ -119,7 +126,7 @@ def make_plan(mission: Mission, folder: Path) -> Plan:
                 )
             _refuse_among_results(role, path, output)
             stamp = _stamp(path)
-            inputs.append(Input(role, name, path, hash_file(path), stamp))
+            inputs.append(Input(role, name, path, _hash_input(path), stamp))
         except OSError as error:
             raise InputError(
                 "INPUT-UNREADABLE", str(error.strerror), where=str(path), remedy="mend permissions"
@@ -140,7 +147,7 @@ def _refuse_among_results(role: str, path: Path, output: Path) -> None:
 def check_unchanged(plan: Plan) -> None:
     """Refuse results whose inputs changed while they were made."""
     for item in plan.inputs:
-        if _stamp(item.path) != item.stamp and hash_file(item.path) != item.sha256:
+        if _stamp(item.path) != item.stamp and _hash_input(item.path) != item.sha256:
             raise InputError(
                 "INPUT-CHANGED",
                 f"the {item.role} file changed during the run",
@@ -149,9 +156,21 @@ def check_unchanged(plan: Plan) -> None:
             )
 
 
+def _hash_input(path: Path) -> str:
+    """SHA-256 of a file; of a folder of images over their names, sizes and first 256 KiB."""
+    if path.is_file():
+        return hash_file(path)
+    digest = hashlib.sha256()
+    for image in image_files(path):
+        with image.open("rb") as stream:
+            digest.update(f"{image.relative_to(path)}\0{image.stat().st_size}\0".encode())
+            digest.update(stream.read(_EXIF_BYTES))
+    return digest.hexdigest()
+
+
 def _stamp(path: Path) -> tuple[int, int]:
-    status = path.stat()
-    return status.st_mtime_ns, status.st_size
+    stats = [file.stat() for file in ([path] if path.is_file() else image_files(path))]
+    return max((s.st_mtime_ns for s in stats), default=0), sum(s.st_size for s in stats)
 
 
 @lru_cache(maxsize=1)

@@ -102,7 +102,7 @@ def stations(
         doubts = [(doubt.begin_ns, doubt.end_ns) for doubt in checked.flight.doubts]
         save_figure(flight_figure(checked.stations, checked.track(), doubts), plot)
     print_stations(console, table)
-    about = ("EVENTS-", "IMAGES-", "STATIONS-", "SUSPECT-")
+    about = ("EVENTS-", "EXIF-", "IMAGES-", "STATIONS-", "SUSPECT-")
     rows = checked.ledger.rows()
     shown = [e for e in rows if e["kind"] != "note" or str(e["code"]).startswith(about)]
     print_ledger(console, shown)

@@ -27,8 +27,8 @@ def image_pattern(value: str) -> str:
     for name, code, conversion in fields:
         if name not in ("index", "n") or conversion or not _NUMBER_FORMAT.match(code or ""):
             raise ValueError("is not a pattern with {index} or {n}, as in IMG_{index:05d}.tif")
-    if not fields:
-        raise ValueError("gives every exposure the same name; put {index} or {n} into it")
+    if not fields and "*" not in value:
+        raise ValueError("gives every exposure the same name; put {index}, {n} or * into it")
     return value
 
 
@@ -40,8 +40,10 @@ class LogEvents(Section):
 
     channel: str | None = Field(None, description="by default the only event channel of the log")
     image: ImagePattern = Field(
+        "*",
         description="name of the image: {index} the log's number, {n} counted from 1; format "
-        "codes as in Python, for example IMG_{index:05d}.tif"
+        "codes as in Python, for example IMG_{index:05d}.tif. With * for any characters, as in "
+        "left/* or DJI_*_{n:04d}.JPG, the names are those of the observations and of events.images",
     )
     delay_s: Annotated[float, Field(ge=-10, le=10)] | Literal["from_feedback"] = Field(
         0.0,
@@ -116,12 +118,39 @@ class PositionEvents(Section):
         return self
 
 
+class ImageFiles(Section):
+    """The images that exist, beside the pulses of events.log or events.positions."""
+
+    path: PathText = Field(
+        description="folder of the images, whose EXIF has their times, or a table that exiftool "
+        "-csv -r FOLDER wrote"
+    )
+    time_zone: str = Field(
+        "",
+        pattern=r"^(|UTC|[+-](0[0-9]|1[0-4]):[0-5][0-9])$",
+        description="of the camera's clock, as +02:00 or UTC, where the images do not state it",
+    )
+
+
+class FirstImage(Section):
+    """One image and its event, which fixes all others by their order."""
+
+    image: str
+    event: int = Field(1, ge=1, description="the event's place among those of its channel, from 1")
+
+
 class EventsSection(Section):
     """When the images were exposed: from the log, a CSV or files with positions, per camera."""
 
     log: dict[str, LogEvents] | None = None
     csv: CsvEvents | None = None
     positions: dict[str, PositionEvents] | None = None
+    images: ImageFiles | None = None
+    first_image: dict[str, str | FirstImage] = Field(
+        {},
+        description="by camera, where the evidence does not decide: the image of the first event, "
+        "or {image: NAME, event: 6} that of the sixth",
+    )
 
     @model_validator(mode="after")
     def _check_source(self) -> EventsSection:
@@ -131,4 +160,33 @@ class EventsSection(Section):
         if not given[0]:
             raise ValueError(f"{'log' if self.log is not None else 'positions'} needs at least one "
                              "camera")  # fmt: skip
+        if self.csv is not None and (self.images is not None or self.first_image):
+            raise ValueError(
+                "images and first_image say which pulse an image belongs to; a csv gives each "
+                "image a time of its own"
+            )
+        for camera in sorted(set(self.first_image) - set(self.patterns)):
+            raise ValueError(f"first_image names camera {camera!r}, which has no pulses")
+        for camera, pattern in self.patterns.items():
+            if camera in self.first_image and re.search("{index|{name", pattern):
+                raise ValueError(
+                    f"the image {pattern} of {camera} has the number or name of its event: leave "
+                    "first_image out, or count the images by {n} or name them by *"
+                )
+            if pattern == "*" and len(self.patterns) > 1:
+                raise ValueError(
+                    f"the image of {camera} must state which images are this camera's, as in left/*"
+                )
         return self
+
+    @property
+    def patterns(self) -> dict[str, str]:
+        """By camera, the names of images whose events are pulses of a log or file."""
+        sources = self.log or self.positions or {}
+        return {camera: source.image for camera, source in sources.items()}
+        return self
+
+    def anchor(self, camera: str) -> FirstImage | None:
+        """The image and event that are stated for a camera."""
+        stated = self.first_image.get(camera)
+        return FirstImage(image=stated) if isinstance(stated, str) else stated

@@ -15,12 +15,18 @@ from pipeline.ledger import Notes, loss, note
 
 @dataclass(frozen=True, eq=False)
 class Events:
-    """Exposures of one camera: (m,) names, times (UTC, ns) and, one or (m,), their sigma [s]."""
+    """Exposures of one camera: (m,) names, times (UTC, ns) and, one or (m,), their sigma [s].
+
+    A name is "" where only the images themselves can tell it. ``index`` (m,) are the log's numbers
+    where they count on from the first event to the last, ``lost`` how many of them have no event.
+    """
 
     camera: str
     image: NDArray[np.object_]
     time_ns: NDArray[np.int64]
     sigma_time_s: Array | float = 0.0
+    index: NDArray[np.int64] | None = None
+    lost: int = 0
 
 
 LONGEST_LAG_S, FEWEST_PAIRS = 1.0, 10
@@ -68,6 +74,7 @@ def events_of_channel(
 
     Parameters
     ----------
+    pattern : with ``*`` in it, the names are those of images that exist, and left empty here.
     delay_s : what is added to the times of the log [s], positive where the shutter opens later.
     sigma_s : of that [s].
 
@@ -75,19 +82,18 @@ def events_of_channel(
     the number as the log has it, which may count modulo 65536.
     """
     index = channel["event_index"].astype(np.int64)
-    names = [pattern.format(index=int(i), n=n) for n, i in enumerate(index, start=1)]
+    names = [
+        "" if "*" in pattern else pattern.format(index=int(i), n=n)
+        for n, i in enumerate(index, start=1)
+    ]
     notes = _skipped_numbers(channel, index)
-    if notes and "{n" in pattern:
-        raise MissionError(
-            "EVENTS-COUNTED",
-            "the log has lost events: images counted by {n} would get the stations of others",
-            where=f"events.log.{camera}, channel {channel.name}",
-            remedy="name the images by {index}, or give their times in events.csv",
-        )
     time_ns = channel.time_ns + round(delay_s * 1e9)
     logged = np.nan_to_num(channel.columns.get("sigma_time_s", np.zeros(len(channel))))
     late = np.hypot(logged, sigma_s)
-    return Events(camera, np.array(names, dtype=object), time_ns, late), notes
+    counts_on = bool((np.diff(unwrapped_numbers(index)) > 0).all())
+    lost = sum(entry.count for entry in notes)
+    image = np.array(names, dtype=object)
+    return Events(camera, image, time_ns, late, index if counts_on else None, lost), notes
 
 
 def events_of_table(
@@ -227,6 +233,7 @@ def _of_one_camera(trigger: Channel, shots: Channel) -> bool:
 def refuse_repeated_images(events: list[Events]) -> None:
     """Refuse two exposures of one name: the observations could belong to either."""
     names = np.concatenate([e.image for e in events]) if events else np.empty(0, object)
+    names = names[names != ""]
     unique, count = np.unique(names.astype(str), return_counts=True)
     if bool((count > 1).any()):
         twice = unique[count > 1]

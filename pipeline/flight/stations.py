@@ -117,6 +117,10 @@ class Stations:
             status=np.where(where, SUSPECT, self.status),
         )
 
+    def rows(self, which: NDArray[np.int64]) -> Stations:
+        """Some of the stations, in the order of ``which``."""
+        return Stations(*(getattr(self, field.name)[which] for field in fields(self)))
+
     def to_pandas(self) -> Any:
         """The stations as a pandas DataFrame with the columns of ``stations.parquet``."""
         import pandas as pd

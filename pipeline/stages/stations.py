@@ -36,6 +36,7 @@ from pipeline.flight.suspicion.doubts import flag_doubtful
 from pipeline.geodesy import offset_geodetic
 from pipeline.ledger import Ledger
 from pipeline.stages.cabin_air import cabin_from_log
+from pipeline.stages.image_events import assigned_stations
 from pipeline.stages.inputs import FlightLog, read_camera_events
 from pipeline.stages.oriented_stations import oriented_stations
 from pipeline.tables.events import EventColumns, read_events
@@ -140,6 +141,10 @@ def stations_of_mission(
         )
         part = ledger.take(flag_doubtful(part, doubts, use_suspect=mission.stations.use_suspect))
         exposed.append(moved_by_offsets(part, positions.get(name)) if from_events else part)
+    if mission.events is not None:
+        exposed = assigned_stations(
+            plan, mission.events, events, exposed, observations=observations, ledger=ledger
+        )
     if mission.stations.orientation is None:
         stations = join_stations(exposed)
     else:

@@ -54,7 +54,7 @@ def test_compiled_code_does_not_count(copied):
 @pytest.mark.parametrize(
     "library",
     ["numpy", "scipy", "numba", "llvmlite", "pandas", "pyarrow", "pymavlink", "mcap",
-     "mcap-ros2-support", "mcap-protobuf-support", "metar"],
+     "mcap-ros2-support", "mcap-protobuf-support", "metar", "exifread"],
 )  # fmt: skip
 def test_a_library_of_another_version_makes_another_result(plan, monkeypatch, library):
     before = plan.fingerprint

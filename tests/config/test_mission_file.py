@@ -77,6 +77,8 @@ FULL: dict[str, Any] = {
             "nadir": {"channel": "CAM[0]", "image": "n{index:05d}", "delay_s": 0.1},
             "window": {"channel": "CAM[1]", "image": "w{n}.tif"},
         },
+        "images": {"path": "images", "time_zone": "+02:00"},
+        "first_image": {"window": {"image": "w1.tif", "event": 6}},
     },
     "stations": {
         "max_sigma_horizontal_m": 1.5, "max_sigma_height_m": 2.0, "max_sigma_tilt_deg": 0.5,
@@ -203,7 +205,9 @@ def keys_of(tree: Any, above: Keys = ()) -> Iterator[Keys]:
 
 
 def is_camera_name(keys: Keys) -> bool:
-    return keys[-1] in NAMES and keys[:-1] in {("cameras",), ("mount",), ("events", "log")}
+    return keys[-1] in NAMES and keys[:-1] in {
+        ("cameras",), ("mount",), ("events", "log"), ("events", "first_image")
+    }  # fmt: skip
 
 
 def at(tree: dict[str, Any], keys: Keys) -> Any:
@@ -354,7 +358,7 @@ def test_a_required_key_that_is_missing_is_named(refused):
         ("cameras", "nadir", "width_px"), ("cameras", "nadir", "height_px"),
         ("cameras", "nadir", "cx_px"), ("cameras", "nadir", "cy_px"),
         ("cameras", "nadir", "calibration"), ("cameras", "nadir", "window", "cabin"),
-        ("events", "log", "nadir", "image"), ("ground", "height"), ("ground", "reference"),
+        ("ground", "height"), ("ground", "reference"),
         ("output", "path"), ("log", "local_origin", "lat_deg"),
         ("log", "local_origin", "h_ellipsoid_m"), ("log", "channels", "pressure", "name"),
         ("cameras", "nadir", "window", "cabin", "pressure_hpa"),
@@ -439,6 +443,8 @@ def test_a_value_of_the_wrong_type_is_refused_where_it_stands(refused):
         (("events", "log", "nadir", "image"), "{index!r}"),
         (("events", "log", "nadir", "image"), "{index:999999999d}"),
         (("events", "log", "nadir", "image"), "{index"),
+        (("events", "images", "time_zone"), "CEST"), (("events", "images", "time_zone"), "+25:00"),
+        (("events", "first_image", "window", "event"), 0),
         (("ground", "height"), 40000.0), (("ground", "reference"), "wgs84"),
         (("atmosphere", "standard"), "us1967"), (("atmosphere", "index"), "edlen"),
         (("refraction", "method"), "magic"), (("refraction", "radius_m"), 6371.0),
@@ -448,6 +454,29 @@ def test_a_value_of_the_wrong_type_is_refused_where_it_stands(refused):
 )  # fmt: skip
 def test_a_value_out_of_range_is_refused(refused, keys, value):
     assert ".".join(keys) in refused(changed(FULL, keys, value)).what
+
+
+@pytest.mark.parametrize(
+    ("events", "why"),
+    [
+        (CSV_EVENTS | {"images": {"path": "images"}}, "a csv gives each image a time of its own"),
+        (CSV_EVENTS | {"first_image": {"nadir": "n1"}}, "a csv gives each image a time of its own"),
+        (FULL["events"] | {"first_image": {"left": "n1"}}, "which has no pulses"),
+        (FULL["events"] | {"first_image": {"nadir": "n1"}}, "leave first_image out"),
+        (
+            FULL["events"] | {"log": {"nadir": {}, "window": {"image": "w{n}.tif"}}},
+            "the image of nadir must state which images are this camera's",
+        ),
+    ],
+)
+def test_events_that_contradict_each_other(refused, events, why):
+    assert why in refused(FULL | {"events": events}).what
+
+
+def test_the_image_of_the_first_event_may_be_stated_by_its_name(accepted):
+    events = FULL["events"] | {"first_image": {"window": "w7.tif"}}
+    anchor = accepted(FULL | {"events": events}).events.anchor("window")
+    assert (anchor.image, anchor.event) == ("w7.tif", 1)
 
 
 def test_sigmas_that_contradict_each_other(refused):

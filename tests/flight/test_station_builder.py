@@ -197,10 +197,19 @@ def test_many_lost_numbers_are_counted_too() -> None:
     assert [(e.count, e.kind) for e in ledger] == [(198, "loss")]
 
 
-def test_counted_names_after_a_lost_event_are_refused() -> None:
-    shots = channel("CAM[0]", [1, 2, 3], event_index=[1, 2, 4])
-    with pytest.raises(MissionError, match="EVENTS-COUNTED"):
-        events_of_channel(shots, "cam", "IMG_{n:03d}", 0.0)[0]
+def test_lost_events_are_counted_beside_counted_names() -> None:
+    shots = channel("CAM[0]", [1, 2, 3], event_index=[1, 2, 5])
+    events, _ = events_of_channel(shots, "cam", "IMG_{n:03d}", 0.0)
+    assert events.lost == 2
+    assert events.index is not None
+    assert events.index.tolist() == [1, 2, 5]
+
+
+def test_names_that_only_the_images_know_stay_empty() -> None:
+    shots = channel("CAM[0]", [1, 2], event_index=[1, 2])
+    events, _ = events_of_channel(shots, "cam", "left/*", 0.0)
+    assert events.image.tolist() == ["", ""]
+    refuse_repeated_images([events])
 
 
 def test_the_take_off_height_of_two_flights_is_not_guessed() -> None:
@@ -356,8 +365,8 @@ def test_numbers_begin_anew_with_each_boot() -> None:
     found = shots([0, 1, 2, 7, 8, 9], [0, 0, 0, 1, 1, 1])
     ledger.take(events_of_channel(found, "cam", "{n}.jpg", 0.0))
     assert not list(ledger)
-    with pytest.raises(MissionError, match="EVENTS-COUNTED"):
-        events_of_channel(shots([0, 2], [0, 0]), "cam", "{n}.jpg", 0.0)[0]
+    begun_anew = shots([3, 4, 0, 1], [0, 0, 1, 1])
+    assert events_of_channel(begun_anew, "cam", "{n}.jpg", 0.0)[0].index is None
 
 
 def test_camera_rows_without_triggers_are_the_triggers() -> None:

@@ -1,0 +1,299 @@
+"""Which image belongs to which camera pulse: by numbers, times, rhythm and tie points."""
+
+from __future__ import annotations
+
+import re
+import string
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.batch.plan import Plan
+from pipeline.block.assignment import Assignment, CameraEvents, ImageEvidence, assign
+from pipeline.block.intersection import ImageRays, intersect, orientations_of
+from pipeline.config.event_sources import EventsSection, FirstImage
+from pipeline.errors import InputError, MissionError
+from pipeline.flight.exposures import Events, refuse_repeated_images
+from pipeline.flight.stations import Stations
+from pipeline.ledger import Ledger, Notes, loss, note, warning
+from pipeline.refraction.camera.camera import Camera
+from pipeline.stages.exposure_setup import cameras_of_mission
+from pipeline.tables.imports.exif import NO_TIME, ImageTimes, read_image_times
+from pipeline.tables.observations import Observations
+from pipeline.tables.tie_points import TiePoints, draw_tie_points
+
+Indices = NDArray[np.int64]
+Likelihood = Callable[[Indices], float]
+
+_DAY_S = 86_400.0
+_FEW_CONTRADICTED = 0.02
+_FEWEST_POINTS, _TIE_POINTS = 10, 200  # 800 rays tell a shift by a factor of e^3000
+_REFRACTION_RAD = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class CameraImages:
+    """The images of one camera, (k,): names, numbers in them, rows of their files (-1 without).
+
+    ``numbering`` as for `ImageEvidence`: what the numbers are.
+    """
+
+    name: NDArray[np.object_]
+    number: Indices
+    numbering: str
+    file: Indices
+
+
+def assigned_stations(
+    plan: Plan,
+    section: EventsSection,
+    events: list[Events],
+    stations: list[Stations],
+    *,
+    observations: Observations,
+    ledger: Ledger,
+) -> list[Stations]:
+    """The stations of the events of each camera that have an image, under its name.
+
+    ``stations`` are those of all events, camera by camera. Images whose events are named by the
+    file that has them keep them.
+    """
+    if section.csv is not None:
+        return stations
+    files = None
+    if section.images is not None:
+        files = read_image_times(plan.input("images").path, section.images.time_zone, ledger)
+        absent = sorted(set(observations.images) - set(files.rows_of(observations.images)))
+        if len(absent) == len(observations.images):
+            raise InputError(
+                "IMAGES-OTHER",
+                f"none of the images of the observations is there: {absent[0]} is not, but "
+                f"{files.file[0]} is",
+                where=section.images.path,
+                remedy="check events.images.path; names may differ in their ending only",
+            )
+        if absent:
+            what = f"{len(absent)} images of the observations are not there: {absent[0]} ..."
+            ledger.loss("IMAGES-ABSENT", what, where=section.images.path, count=len(absent))
+    ties = draw_tie_points(observations, _TIE_POINTS)
+    result, chosen = [], []
+    for exposed, of_events in zip(events, stations, strict=True):
+        pattern = section.patterns[exposed.camera]
+        if pattern == "{name}":
+            result.append(of_events)
+            chosen.append(exposed)
+            continue
+        images = images_of_camera(pattern, observations.images, files)
+        camera = cameras_of_mission(plan.mission)[exposed.camera]
+        likelihood = tie_likelihood(ties, images, camera, of_events)
+        named, rows, notes = assigned_events(
+            exposed, images, files, section.anchor(exposed.camera), likelihood
+        )
+        ledger.extend(notes)
+        chosen.append(named)
+        result.append(replace(of_events.rows(rows), image=named.image))
+    refuse_repeated_images(chosen)
+    return result
+
+
+def tie_likelihood(
+    ties: TiePoints, images: CameraImages, camera: Camera, stations: Stations
+) -> Likelihood | None:
+    """Log likelihood of assignments by the tie points of one camera; None where they are too few.
+
+    ``stations`` are those of all its events. Refraction stays in the rays: its 0.1 mrad is added
+    to their sigma, a tenth of what is known of the attitude of the best stations.
+    """
+    place = {name: row for row, name in enumerate(images.name.tolist())}
+    image = np.array([place.get(name, -1) for name in ties.images], np.int64)[ties.image]
+    u, v, covered = camera.rays(ties.x_px, ties.y_px)
+    rows = np.flatnonzero((image >= 0) & covered)
+    rows = rows[np.bincount(ties.point[rows], minlength=1)[ties.point[rows]] > 1]
+    if np.unique(ties.point[rows]).size < _FEWEST_POINTS or stations.ok.sum() < 2:
+        return None
+    inside = np.stack([u[rows], v[rows], np.ones(rows.size)], axis=1)
+    inside /= np.linalg.norm(inside, axis=1)[:, None]
+    rays = ImageRays(image[rows], ties.point[rows], inside, 1.0 / camera.fx_px + _REFRACTION_RAD)
+    h = np.where(np.isfinite(stations.h_ellipsoid_m), stations.h_ellipsoid_m, stations.h_msl_m)
+    of_events = orientations_of(replace(stations, h_ellipsoid_m=h))
+    return lambda event: intersect(of_events.assigned(event), rays).log_likelihood
+
+
+def images_of_camera(
+    pattern: str, observed: tuple[str, ...], files: ImageTimes | None
+) -> CameraImages:
+    """Images of the observations, and files without any, that a pattern describes, in their order.
+
+    A file without observations is called as the pattern says, or by its path. Where a pattern has
+    no number, the digits that differ most from image to image are the camera's count.
+    """
+    text, fields = "", []
+    for literal, field, _, _ in string.Formatter().parse(pattern):
+        text += ".*".join(re.escape(part) for part in literal.split("*"))
+        if field is not None:
+            text += r"\d+" if field in fields else rf"(?P<{field}>\d+)"
+            fields.append(field)
+    whole = re.compile(text, re.IGNORECASE)
+    stem = re.compile(re.sub(r"\\\.\w+$", "", text) + r"(\.\w+)?", re.IGNORECASE)
+    paths: list[str] = [] if files is None else files.file.tolist()
+    row_of = {} if files is None else files.rows_of(observed)
+    found: list[tuple[str, int, dict[str, str]]] = []
+    for image in observed:
+        row = row_of.get(image, -1)
+        match = whole.fullmatch(image) or (stem.fullmatch(paths[row]) if row >= 0 else None)
+        if match is not None:
+            found.append((image, row, match.groupdict()))
+    for row in sorted(set(range(len(paths))) - set(row_of.values())):
+        match = stem.fullmatch(paths[row]) or stem.fullmatch(paths[row].rpartition("/")[2])
+        if match is not None:
+            values = {key: int(value) for key, value in match.groupdict().items()}
+            named = "*" not in pattern and len(set(fields)) == 1
+            name = pattern.format(**values) if named else paths[row]
+            found.append((name, row, match.groupdict()))
+    found.sort(key=lambda item: [t.zfill(20) for t in re.split(r"(\d+)", item[0])])
+    names = np.array([image for image, _, _ in found], object)
+    file = np.array([row for _, row, _ in found], np.int64)
+    for field, numbering in (("index", "index"), ("n", "counted")):
+        if field in fields:
+            number = np.array([int(values[field]) for _, _, values in found], np.int64)
+            return CameraImages(names, number, numbering, file)
+    count = np.arange(names.size, dtype=np.int64)
+    groups = [re.findall(r"\d{1,15}", image) for image in names]
+    if len({len(group) for group in groups}) == 1 and groups[0]:
+        digits = np.array(groups).astype(np.int64).T[::-1]
+        most = digits[np.argmax([np.unique(column).size for column in digits])]
+        count = most if bool((np.diff(most) > 0).all()) else count
+    return CameraImages(names, count, "sequence", file)
+
+
+def assigned_events(
+    exposed: Events,
+    images: CameraImages,
+    files: ImageTimes | None,
+    anchor: FirstImage | None,
+    tie_points: Likelihood | None,
+) -> tuple[Events, Indices, Notes]:
+    """The events that have an image, under its name, and their rows among all events.
+
+    The log's own numbers in the names of images are believed, and all events keep their names,
+    unless times or tie points contradict (MissionError EVENTS-CONTRADICTED). Everything else is
+    decided by the likelihood, and refused (EVENTS-AMBIGUOUS) where the runner-up is not 1000 times
+    less likely.
+    """
+    where = f"events.log.{exposed.camera}"
+    every = np.arange(exposed.time_ns.size, dtype=np.int64)
+    called = bool((exposed.image != "").all())
+    if images.name.size == 0 or every.size == 0:
+        kept = every[: every.size * called]
+        return Events(exposed.camera, exposed.image[kept], exposed.time_ns[kept]), kept, ()
+    numbering = images.numbering
+    if numbering == "index" and exposed.index is None:
+        if called:  # the numbers begin anew, but their names do not repeat
+            return exposed, every, ()
+        numbering = "sequence"
+    keys, wanted = exposed.image.tolist(), images.name.tolist()
+    if numbering == "index" and exposed.index is not None and not called:
+        keys, wanted = exposed.index.tolist(), images.number.tolist()
+    row_of = {key: row for row, key in enumerate(keys) if key != ""}
+    named = np.array([row_of.get(key, -1) for key in wanted], np.int64)
+    first = None
+    if anchor is not None:
+        row = np.flatnonzero(images.name == anchor.image)
+        if row.size == 0 or anchor.event > every.size:
+            raise MissionError(
+                "EVENTS-FIRST-IMAGE",
+                f"there is no image {anchor.image!r}, or no event {anchor.event} of {every.size}; "
+                f"the first image is {images.name[0]!r}",
+                where=f"events.first_image.{exposed.camera}",
+                remedy="name an image of this camera as the observations or the files call it",
+            )
+        first = (int(row[0]), anchor.event - 1)
+    begin = int(exposed.time_ns[0])
+    # Where pulses were lost, equal counts mean nothing.
+    evidence = ImageEvidence(
+        images.name.size,
+        number=images.number,
+        numbering=numbering,
+        total=-1 if exposed.lost else None,
+    )
+    if files is not None:
+        time_ns = np.append(files.time_ns, NO_TIME)[images.file]
+        timed = time_ns != NO_TIME
+        if bool(timed.any()):
+            evidence = replace(
+                evidence,
+                time_s=np.where(timed, (np.where(timed, time_ns, begin) - begin) / 1e9, np.nan),
+                sigma_s=np.append(files.sigma_s, np.nan)[images.file],
+                clock_sigma_s=files.clock_sigma_s,
+            )
+    events = CameraEvents((exposed.time_ns - begin) / 1e9, exposed.index)
+    found = assign(events, evidence, first_image=first, tie_points=tie_points)
+    told, event = account(found, images, exposed), found.event
+    if numbering == "index":
+        contradicted = (event >= 0) & (event != named)
+        if float(contradicted.mean()) > _FEW_CONTRADICTED:
+            raise MissionError(
+                "EVENTS-CONTRADICTED",
+                f"the log's numbers in the names of images are contradicted: {told}",
+                where=where,
+                remedy="check which camera the channel belongs to; count the images by {n} or "
+                "name them by *, and the evidence decides",
+            )
+        event, undecided = np.where(contradicted, -1, named), contradicted
+    elif found.accepted:
+        undecided = found.ambiguous
+    else:
+        raise MissionError(
+            "EVENTS-AMBIGUOUS",
+            f"which image belongs to which event is not decided: {found.reason}. {told}",
+            where=where,
+            remedy=f"state one under events.first_image.{exposed.camera}, as {{image: "
+            f"{images.name[0]}, event: 1}}; or give the images' times under events.images",
+        )
+    entries = [note("EVENTS-ASSIGNED", told, where=where, count=int((event >= 0).sum()))]
+    if evidence.time_s is not None and abs(found.offset_s) > _DAY_S:
+        what = f"the camera's clock is {found.offset_s / 3600:+.1f} h off: images of this day?"
+        entries.append(warning("EXIF-CLOCK", what, where="events.images"))
+    if bool(undecided.any()):
+        what = f"{undecided.sum()} images are of one event by some of the evidence and of another "
+        what += f"by the rest, and have none: {', '.join(images.name[undecided][:3])}"
+        entries.append(loss("EVENTS-UNDECIDED", what, where=where, count=int(undecided.sum())))
+    if called and np.array_equal(event, named):
+        return exposed, every, tuple(entries)
+    has_image = np.flatnonzero(event >= 0)
+    has_image = has_image[np.argsort(event[has_image], kind="stable")]
+    rows = event[has_image]
+    unused = np.setdiff1d(every, rows)
+    if unused.size:
+        numbers = unused + 1 if exposed.index is None else exposed.index[unused]
+        what = f"{unused.size} events have no image: {', '.join(map(str, numbers[:8]))}"
+        what += " ..." if unused.size > 8 else ""
+        entries.append(note("EVENTS-UNUSED", what, where=where, count=int(unused.size)))
+    chosen = Events(exposed.camera, images.name[has_image], exposed.time_ns[rows])
+    return chosen, rows, tuple(entries)
+
+
+def account(found: Assignment, images: CameraImages, exposed: Events) -> str:
+    """The assignment with its residuals and its runner-up, in one sentence or two."""
+    last = int((found.event >= 0).sum())
+    text = f"{last} of {images.name.size} images and {exposed.time_ns.size} events"
+    if last:
+        i = int(np.argmax(found.event >= 0))
+        number = found.event[i] + 1 if exposed.index is None else exposed.index[found.event[i]]
+        text += f", {images.name[i]} of event {number}"
+    text += f", by {', '.join(found.evidence)}"
+    residual = found.residual_s[np.isfinite(found.residual_s)]
+    if residual.size:
+        text += (
+            f"; times fit to {np.sqrt(np.mean(residual**2)):.3f} s rms, "
+            f"{np.abs(residual).max():.3f} s at most, after {found.offset_s:+.3f} s and "
+            f"{1e6 * found.drift:+.1f} ppm"
+        )
+    if found.runner_up.size:
+        text += (
+            f"; the runner-up ({found.shift:+d} events) is 10^{found.log_ratio / np.log(10):.1f} "
+            "times less likely"
+        )
+    return text

@@ -1,0 +1,67 @@
+"""Points that two or more images show, drawn from a table of observations of any size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from pipeline.tables.observations import Observations
+
+Array = NDArray[np.float64]
+
+_MOST_ROWS = 20_000_000  # read in some seconds; the rest of a larger table is not looked at
+_ROWS_KEPT = 500_000
+_MOST_RAYS = 4  # of one point: a survey from high up shows a point in a hundred images
+
+
+@dataclass(frozen=True, eq=False)
+class TiePoints:
+    """Observations of points in two or more images, (n,): in COLMAP's pixels, by point.
+
+    ``image`` are rows of ``images``; ``point`` counts from 0.
+    """
+
+    images: tuple[str, ...]
+    image: NDArray[np.int64]
+    point: NDArray[np.int64]
+    x_px: Array
+    y_px: Array
+
+
+def draw_tie_points(observations: Observations, most: int) -> TiePoints:
+    """Up to ``most`` points with two to four rays, spread over the images: each has its first few.
+
+    The same table gives the same points, whatever the order of its rows. Of more than 500,000 rows
+    those of every k-th point are kept, by the hash of its name; rows behind the first 20 million
+    are not read.
+    """
+    every = np.uint64(max(1, min(observations.rows, _MOST_ROWS) // _ROWS_KEPT))
+    parts, rows = [], 0
+    for batch in observations.batches(250_000):
+        columns = {"image": batch.image, "point": batch.point}
+        part = pd.DataFrame({name: column.to_pandas() for name, column in columns.items()})
+        part = part.assign(x=batch.x_px, y=batch.y_px).dropna()
+        part["point"] = pd.util.hash_pandas_object(part["point"], index=False)
+        parts.append(part[part["point"].to_numpy() % every == 0])
+        rows += len(batch)
+        if rows >= _MOST_ROWS:
+            break
+    table = pd.concat(parts, ignore_index=True).drop_duplicates(["image", "point"])
+    table = table[table.groupby("point")["image"].transform("size") > 1]
+    # In the order of hashes, the first point of an image comes before the second of any.
+    table = table.sort_values(["point", "image"])
+    place = table.groupby("image").cumcount()
+    first = place.groupby(table["point"]).min().sort_values(kind="stable").index[:most]
+    table = table[table["point"].isin(first)]
+    drawn = table.sample(frac=1.0, random_state=0).groupby("point").cumcount() < _MOST_RAYS
+    table = table[drawn.reindex(table.index)]
+    return TiePoints(
+        observations.images,
+        pd.Index(observations.images).get_indexer(pd.Index(table["image"])).astype(np.int64),
+        np.unique(table["point"].to_numpy(), return_inverse=True)[1].astype(np.int64),
+        table["x"].to_numpy(),
+        table["y"].to_numpy(),
+    )

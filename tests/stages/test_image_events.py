@@ -1,0 +1,304 @@
+"""Images get the events they were exposed at, or a refusal: on logs of the autopilot simulator."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from pymavlink.DFReader import DFReader_binary
+
+from pipeline.errors import InputError, MissionError
+from pipeline.stages.image_events import images_of_camera
+from pipeline.stages.story import PreparedMission, check_mission
+
+from .flown_images import CAMERA, SHARED, tie_points, truth_of
+
+needs_shared = pytest.mark.skipif(
+    not (SHARED / "logs").is_dir(), reason="../shared/logs is not beside this checkout"
+)
+CHANNEL = {"BIN": "CAM[{}]", "tlog": "CAMERA_FEEDBACK[{}]"}
+
+
+def scattered(names: list[str]) -> pd.DataFrame:
+    """Observations of which no point is seen twice."""
+    return pd.DataFrame(
+        {
+            "image": np.repeat(names, 2),
+            "point": [f"p{i}" for i in range(2 * len(names))],
+            "x_px": 100.0,
+            "y_px": 200.0,
+        }
+    )
+
+
+def exif_table(path: Path, names: list[str], time_s: np.ndarray, *, decimals: int = 2) -> None:
+    """What exiftool -csv writes for images exposed at these Unix times by the camera's clock."""
+    moment = pd.to_datetime(np.floor(time_s * 10**decimals) / 10**decimals, unit="s").round("ms")
+    table = pd.DataFrame(
+        {
+            "SourceFile": [f"./{name}" for name in names],
+            "DateTimeOriginal": moment.strftime("%Y:%m:%d %H:%M:%S"),
+            "SubSecTimeOriginal": [
+                f"{round(t.microsecond / 1e6 * 10**decimals):0{decimals}d}" if decimals else ""
+                for t in moment
+            ],
+        }
+    )
+    table.to_csv(path, index=False)
+
+
+def mission_of(
+    folder: Path, log: str, observations: pd.DataFrame, events: dict[str, Any], ground: float
+) -> Path:
+    observations.to_parquet(folder / "observations.parquet")
+    cameras = list(events["log"])
+    sections = {
+        "mission": {"name": "flight"},
+        "log": {"path": str(SHARED / "logs" / log)},
+        "observations": {"path": "observations.parquet"},
+        "cameras": {camera: dict(CAMERA) for camera in cameras},
+        "mount": {camera: {} for camera in cameras},
+        "events": events,
+        "ground": {"height": ground, "reference": "msl"},
+        "output": {"path": "results"},
+    }
+    path = folder / "mission.yaml"
+    path.write_text(yaml.safe_dump(sections, sort_keys=False), encoding="utf-8")
+    return path
+
+
+def misplaced(prepared: PreparedMission, truth: pd.DataFrame, names: list[str]) -> int:
+    """How many images have a station farther than 20 m from where they were taken.
+
+    The exposures of both flights are farther apart than that.
+    """
+    stations = prepared.stations
+    row = {name: i for i, name in enumerate(stations.image.tolist())}
+    rows = np.array([row[name] for name in names])
+    north = (np.degrees(stations.lat_rad[rows]) - truth["lat"]) * 111_200.0
+    east = (np.degrees(stations.lon_rad[rows]) - truth["lng"]) * 111_320.0
+    east *= np.cos(np.radians(truth["lat"]))
+    return int(np.count_nonzero(~(np.hypot(north, east) < 20.0)))
+
+
+def entries(prepared: PreparedMission, code: str) -> list[Any]:
+    return [entry for entry in prepared.ledger if entry.code == code]
+
+
+@pytest.fixture(scope="module")
+def survey() -> tuple[pd.DataFrame, list[str]]:
+    """The images of a survey whose first five exposures gave none: 251, counted from 1."""
+    truth = truth_of("sitl_survey", 0).iloc[5:].reset_index(drop=True)
+    return truth, [f"IMG_{n:04d}.tif" for n in range(1, 252)]
+
+
+@needs_shared
+@pytest.mark.parametrize("extension", ["BIN", "tlog"])
+@pytest.mark.parametrize("pattern", ["IMG_{n:04d}.tif", "*"])
+def test_tie_points_find_the_five_exposures_without_an_image(survey, extension, pattern, tmp_path):
+    truth, names = survey
+    events = {"log": {"cam": {"channel": CHANNEL[extension].format(0), "image": pattern}}}
+    observations = tie_points(truth, names, 590.0)
+    path = mission_of(tmp_path, f"sitl_survey.{extension}", observations, events, 590.0)
+    prepared = check_mission(path)
+    assert misplaced(prepared, truth, names) == 0
+    assert prepared.stations.image.tolist() == names
+    (entry,) = entries(prepared, "EVENTS-ASSIGNED")
+    assert "tie points" in entry.what
+    assert "IMG_0001.tif of event 6" in entry.what
+    (entry,) = entries(prepared, "EVENTS-UNUSED")
+    assert "5 events have no image: 1, 2, 3, 4, 5" in entry.what
+    assert not prepared.ledger.has_losses
+
+
+@needs_shared
+@pytest.mark.parametrize("pattern", ["IMG_{n:04d}.tif", "*"])
+def test_counting_alone_never_decides_where_counts_differ(survey, pattern, tmp_path):
+    truth, names = survey
+    events: dict[str, Any] = {"log": {"cam": {"channel": "CAM[0]", "image": pattern}}}
+    path = mission_of(tmp_path, "sitl_survey.BIN", scattered(names), events, 590.0)
+    with pytest.raises(MissionError, match="EVENTS-AMBIGUOUS") as caught:
+        check_mission(path)
+    assert "251" in caught.value.what
+    assert "events.first_image.cam" in caught.value.remedy
+    events["first_image"] = {"cam": {"image": "IMG_0001.tif", "event": 6}}
+    path = mission_of(tmp_path, "sitl_survey.BIN", scattered(names), events, 590.0)
+    assert misplaced(check_mission(path), truth, names) == 0
+    events["first_image"] = {"cam": {"image": "IMG_0252.tif", "event": 6}}
+    path = mission_of(tmp_path, "sitl_survey.BIN", scattered(names), events, 590.0)
+    with pytest.raises(MissionError, match="EVENTS-FIRST-IMAGE"):
+        check_mission(path)
+
+
+@needs_shared
+@pytest.mark.parametrize("decimals", [0, 2])
+@pytest.mark.parametrize("off_s", [7237.4, -3 * 86_400.0])
+def test_times_of_a_clock_that_is_off_and_drifts(survey, decimals, off_s, tmp_path):
+    truth, names = survey
+    time_s = log_times("sitl_survey.BIN", truth)
+    clock = time_s + off_s + 2e-5 * (time_s - time_s[0])
+    exif_table(tmp_path / "exif.csv", names, clock, decimals=decimals)
+    events = {
+        "log": {"cam": {"channel": "CAM[0]", "image": "IMG_{n:04d}.tif"}},
+        "images": {"path": "exif.csv"},
+    }
+    prepared = check_mission(
+        mission_of(tmp_path, "sitl_survey.BIN", scattered(names), events, 590.0)
+    )
+    assert misplaced(prepared, truth, names) == 0
+    assert bool(entries(prepared, "EXIF-CLOCK")) == (abs(off_s) > 86_400.0)
+    assert "times" in entries(prepared, "EVENTS-ASSIGNED")[0].what
+
+
+@needs_shared
+@pytest.mark.parametrize("extension", ["BIN", "tlog"])
+@pytest.mark.parametrize("by", ["number", "times"])
+def test_two_cameras_and_lost_pulses(extension, by, tmp_path):
+    """Of 142 exposures of the left camera 15 have no pulse; the right one's 128 all have."""
+    names, times, parts = {}, {}, []
+    whole = pd.read_csv(SHARED / "logs" / "sitl_belowsea_2cam_truth.csv")
+    for camera, instance in (("left", 0), ("right", 1)):
+        truth = truth_of("sitl_belowsea_2cam", instance)
+        fired = truth
+        if camera == "left":  # the shutter follows the trigger by what it does elsewhere
+            triggers = whole[(whole["row"] == "TRIG") & (whole["I"] == 0)]
+            lost = triggers[~triggers["Img"].isin(truth["Img"])].assign(lost=True)
+            lost["TimeUS"] += 120_000
+            fired = pd.concat([truth, lost]).sort_values("TimeUS")
+            assert len(fired) == 142
+        numbers = fired["Img"] if by == "number" else range(501, 501 + len(fired))
+        names[camera] = [f"{camera}/DSC_{i:04d}.JPG" for i in numbers]
+        times[camera] = log_times("sitl_belowsea_2cam.BIN", fired)
+        parts.append(scattered(names[camera]))
+    events: dict[str, Any] = {
+        "log": {
+            camera: {
+                "channel": CHANNEL[extension].format(i),
+                "image": f"{camera}/*" if by == "times" else f"{camera}/DSC_{{index:04d}}.JPG",
+            }
+            for i, camera in enumerate(names)
+        }
+    }
+    if by == "times":
+        clock = np.concatenate([times["left"] - 3600.0, times["right"] - 3600.0])
+        exif_table(tmp_path / "exif.csv", names["left"] + names["right"], clock)
+        events["images"] = {"path": "exif.csv"}
+    observations = pd.concat(parts)
+    path = mission_of(tmp_path, f"sitl_belowsea_2cam.{extension}", observations, events, -428.0)
+    prepared = check_mission(path)
+    stations = prepared.stations
+    for camera, instance in (("left", 0), ("right", 1)):
+        truth = truth_of("sitl_belowsea_2cam", instance)
+        # What is not among the truth's numbers had no pulse.
+        fired = np.arange(1, len(names[camera]) + 1)
+        own = [names[camera][i] for i in np.flatnonzero(np.isin(fired, truth["Img"]))]
+        assert misplaced(prepared, truth, own) == 0
+    unmatched = stations.image[stations.status == "unmatched"]
+    assert len(unmatched) == 15
+    assert all(image.startswith("left/") for image in unmatched)
+    (entry,) = entries(prepared, "IMAGES-UNMATCHED")
+    assert entry.count == 15
+
+
+@needs_shared
+def test_the_logs_numbers_are_contradicted_by_tie_points(survey, tmp_path):
+    """Files that count from the first image, taken for the log's numbers: five events off."""
+    truth, names = survey
+    events = {"log": {"cam": {"channel": "CAM[0]", "image": "IMG_{index:04d}.tif"}}}
+    observations = tie_points(truth, names, 590.0)
+    path = mission_of(tmp_path, "sitl_survey.BIN", observations, events, 590.0)
+    with pytest.raises(MissionError, match="EVENTS-CONTRADICTED"):
+        check_mission(path)
+    right = [f"IMG_{n:04d}.tif" for n in truth["Img"]]
+    observations = tie_points(truth, right, 590.0)
+    path = mission_of(tmp_path, "sitl_survey.BIN", observations, events, 590.0)
+    prepared = check_mission(path)
+    assert misplaced(prepared, truth, right) == 0
+    assert "tie points" in entries(prepared, "EVENTS-ASSIGNED")[0].what
+
+
+@needs_shared
+def test_counted_names_after_lost_pulses_are_not_believed(tmp_path):
+    """127 images of the left camera, 127 pulses: but the log's numbers say that 14 are missing."""
+    truth = truth_of("sitl_belowsea_2cam", 0)
+    names = [f"left_{n:04d}" for n in range(1, 128)]
+    events = {"log": {"left": {"channel": "CAM[0]", "image": "left_{n:04d}"}}}
+    path = mission_of(tmp_path, "sitl_belowsea_2cam.BIN", scattered(names), events, -428.0)
+    with pytest.raises(MissionError, match="EVENTS-AMBIGUOUS"):
+        check_mission(path)
+    path = mission_of(
+        tmp_path, "sitl_belowsea_2cam.BIN", tie_points(truth, names, -428.0), events, -428.0
+    )
+    assert misplaced(check_mission(path), truth, names) == 0
+
+
+@needs_shared
+def test_images_and_files_that_do_not_go_together(survey, tmp_path):
+    truth, names = survey
+    time_s = log_times("sitl_survey.BIN", truth)
+    events = {
+        "log": {"cam": {"channel": "CAM[0]", "image": "*"}},
+        "images": {"path": "exif.csv"},
+    }
+    exif_table(tmp_path / "exif.csv", [f"IMG_{n:04d}.NEF" for n in range(1, 200)], time_s[:199])
+    path = mission_of(tmp_path, "sitl_survey.BIN", scattered(names[100:]), events, 590.0)
+    prepared = check_mission(path)
+    assert misplaced(prepared, truth.iloc[100:199].reset_index(), names[100:199]) == 0
+    assert entries(prepared, "IMAGES-ABSENT")[0].count == 52
+    assert entries(prepared, "IMAGES-UNMATCHED")[0].count == 52
+    assert entries(prepared, "STATIONS-UNUSED")[0].count == 100
+    exif_table(tmp_path / "exif.csv", [f"DSC_{n:04d}.NEF" for n in range(1, 200)], time_s[:199])
+    with pytest.raises(InputError, match="IMAGES-OTHER"):
+        check_mission(path)
+    exif_table(tmp_path / "exif.csv", [f"{f}/{names[100]}" for f in "ab"], time_s[:2])
+    with pytest.raises(InputError, match="IMAGES-DUPLICATE"):
+        check_mission(path)
+
+
+@needs_shared
+def test_a_pattern_of_no_image_leaves_all_unmatched(survey, tmp_path):
+    _, names = survey
+    events = {"log": {"cam": {"channel": "CAM[0]", "image": "DSC_*"}}}
+    path = mission_of(tmp_path, "sitl_survey.BIN", scattered(names), events, 590.0)
+    prepared = check_mission(path)
+    assert set(prepared.stations.status) == {"unmatched"}
+    assert entries(prepared, "IMAGES-UNMATCHED")[0].count == 251
+
+
+def test_names_and_numbers_of_a_pattern():
+    observed = ("DJI_20260501_0009_V.JPG", "DJI_20260501_0010_V.JPG", "other.tif")
+    counted = images_of_camera("DJI_*_{n:04d}_V.JPG", observed, None)
+    assert counted.name.tolist() == list(observed[:2])
+    assert counted.number.tolist() == [9, 10]
+    assert counted.numbering == "counted"
+    sequence = images_of_camera("DJI*", observed, None)
+    assert sequence.number.tolist() == [9, 10]
+    assert sequence.numbering == "sequence"
+    assert images_of_camera("*", ("a9", "a10", "a1"), None).name.tolist() == ["a1", "a9", "a10"]
+    assert images_of_camera("*", ("a", "b"), None).number.tolist() == [0, 1]
+    index = images_of_camera("{n}_{index:05d}.tif", ("7_00012.TIF", "8_x.tif"), None)
+    assert (index.name.tolist(), index.number.tolist()) == (["7_00012.TIF"], [12])
+
+
+@lru_cache
+def boot_time(log: str) -> float:
+    """Unix time of the boot of a log by its first GPS week and milliseconds, to 0.3 s."""
+    file = DFReader_binary(str(SHARED / "logs" / log))
+    try:
+        while (row := file.recv_match(type="GPS")) is not None:
+            if row.GWk > 0 and row.Status >= 3:
+                week_s = 315_964_800 + row.GWk * 604_800 - 18
+                return week_s + row.GMS / 1e3 - row.TimeUS / 1e6
+    finally:
+        file.data_map.close()
+        file.filehandle.close()
+    raise AssertionError("no GPS time")
+
+
+def log_times(log: str, truth: pd.DataFrame) -> np.ndarray:
+    return boot_time(log) + truth["TimeUS"].to_numpy() / 1e6

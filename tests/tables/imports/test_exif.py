@@ -1,0 +1,203 @@
+"""Times of images from real small JPEG files and from exiftool's table."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from pipeline.errors import InputError
+from pipeline.ledger import Ledger
+from pipeline.tables.imports.exif import NO_TIME, parse_time, read_image_times
+
+EXIF, GPS = 0x8769, 0x8825
+ORIGINAL, OFFSET, SUBSEC = 0x9003, 0x9011, 0x9291
+
+
+def ns(text: str) -> int:
+    moment = datetime.fromisoformat(text).replace(tzinfo=UTC)
+    return (moment - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(microseconds=1) * 1000
+
+
+def write_jpeg(
+    path: Path,
+    original: str | None,
+    subsec: str | None = None,
+    offset: str | None = None,
+    *,
+    gps: tuple[str, tuple[float, float, float]] | None = None,
+    xmp: str = "",
+) -> None:
+    """A JPEG of 8 x 8 pixels with these tags, written by Pillow."""
+    exif = Image.Exif()
+    for tag, value in ((ORIGINAL, original), (SUBSEC, subsec), (OFFSET, offset)):
+        if value is not None:
+            exif.get_ifd(EXIF)[tag] = value
+    if gps is not None:
+        exif.get_ifd(GPS)[0x001D], exif.get_ifd(GPS)[0x0007] = gps
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.new("RGB", (8, 8)).save(path, exif=exif.tobytes(), xmp=xmp.encode())
+
+
+def read(path: Path, zone: str = ""):
+    ledger = Ledger()
+    return read_image_times(path, zone, ledger), {entry.code: entry for entry in ledger}
+
+
+def test_sub_seconds_and_offset_of_a_jpeg(tmp_path):
+    for i in range(6):
+        write_jpeg(tmp_path / f"IMG_{i}.JPG", f"2026:05:01 10:20:3{i}", f"{i}5", "+02:00")
+    times, entries = read(tmp_path)
+    assert times.file.tolist() == [f"IMG_{i}.JPG" for i in range(6)]
+    assert times.is_utc
+    assert times.time_ns.tolist() == [ns(f"2026-05-01T08:20:3{i}.{i}5") for i in range(6)]
+    assert times.sigma_s.tolist() == pytest.approx([0.005] * 6)
+    assert not entries
+
+
+@pytest.mark.parametrize("subsec", [None, "00", "000"])
+def test_without_sub_seconds_half_a_second_is_the_sigma(tmp_path, subsec):
+    for i in range(6):
+        write_jpeg(tmp_path / f"IMG_{i}.JPG", f"2026:05:01 10:20:3{i}", subsec)
+    times, entries = read(tmp_path)
+    assert not times.is_utc
+    assert times.sigma_s.tolist() == [0.5] * 6
+    assert entries["EXIF-WHOLE-SECONDS"].count == 6
+
+
+def test_a_zone_is_inferred_only_where_gps_stamps_prove_it(tmp_path):
+    for i in range(4):
+        write_jpeg(
+            tmp_path / f"{i}.jpg", f"2026:05:01 10:20:3{i}", "25",
+            gps=("2026:05:01", (8.0, 20.0, 29.5 + i)),
+        )  # fmt: skip
+    times, entries = read(tmp_path)
+    assert times.is_utc
+    assert times.time_ns[0] == ns("2026-05-01T08:20:30.25")
+    assert "+2 h" in entries["EXIF-ZONE"].what
+    for i in range(4):  # stamps that disagree prove nothing: the time stays local
+        write_jpeg(
+            tmp_path / f"{i}.jpg", f"2026:05:01 10:20:3{i}", "25",
+            gps=("2026:05:01", (8.0 + i % 2, 27.0, 30.0)),
+        )  # fmt: skip
+    times, entries = read(tmp_path)
+    assert not times.is_utc
+    assert times.time_ns[0] == ns("2026-05-01T10:20:30.25")
+    assert "EXIF-ZONE" not in entries
+
+
+def test_a_stated_zone_holds_for_times_without_an_offset_only(tmp_path):
+    write_jpeg(tmp_path / "a.jpg", "2026:05:01 10:20:30", "5", "+01:00")
+    write_jpeg(tmp_path / "b.jpg", "2026:05:01 10:20:30", "5")
+    times, _ = read(tmp_path, "-03:30")
+    assert times.time_ns.tolist() == [ns("2026-05-01T09:20:30.5"), ns("2026-05-01T13:50:30.5")]
+
+
+def test_djis_utc_at_exposure_is_the_first_choice(tmp_path):
+    xmp = (
+        '<x:xmpmeta><rdf:Description drone-dji:UTCAtExposure="2026:05:01 08:20:30.123456" '
+        'drone-dji:GimbalYawDegree="+12.30"/></x:xmpmeta>'
+    )
+    write_jpeg(tmp_path / "DJI_0001.JPG", "2026:05:01 11:00:00", xmp=xmp)
+    times, _ = read(tmp_path)
+    assert times.is_utc
+    assert times.time_ns[0] == ns("2026-05-01T08:20:30.123456")
+
+
+def test_images_without_time_and_damaged_ones_are_counted_and_named(tmp_path):
+    write_jpeg(tmp_path / "a.jpg", "2026:05:01 10:20:30", "5")
+    write_jpeg(tmp_path / "b.jpg", None)
+    write_jpeg(tmp_path / "c.jpg", "0000:00:00 00:00:00")
+    write_jpeg(tmp_path / "d.jpg", "2026:02:30 10:20:30")
+    (tmp_path / "e.jpg").write_bytes(b"no image")
+    (tmp_path / "f.jpg").write_bytes((tmp_path / "a.jpg").read_bytes()[:60])
+    (tmp_path / "notes.txt").write_text("2026:05:01 10:20:30")
+    times, entries = read(tmp_path)
+    assert times.file.tolist() == [f"{name}.jpg" for name in "abcdef"]
+    assert (times.time_ns != NO_TIME).tolist() == [True] + [False] * 5
+    assert entries["EXIF-TIME"].kind == "loss"
+    assert entries["EXIF-TIME"].count == 5
+    assert "b.jpg, c.jpg, d.jpg" in entries["EXIF-TIME"].what
+
+
+def test_a_local_time_among_times_in_utc_is_none(tmp_path):
+    for i in range(3):
+        write_jpeg(tmp_path / f"{i}.jpg", f"2026:05:01 10:20:3{i}", "5", "+02:00")
+    write_jpeg(tmp_path / "9.jpg", "2026:05:01 10:20:39", "5")
+    times, entries = read(tmp_path)
+    assert times.time_ns[3] == NO_TIME
+    assert "9.jpg" in entries["EXIF-TIME"].what
+
+
+def test_exiftools_table(tmp_path):
+    path = tmp_path / "exif.csv"
+    path.write_text(
+        "SourceFile,FileName,EXIF:DateTimeOriginal,EXIF:SubSecTimeOriginal,OffsetTimeOriginal\n"
+        "./left/DSC_1.JPG,DSC_1.JPG,2026:05:01 10:20:30,04,+02:00\n"
+        "./left/DSC_2.JPG,DSC_2.JPG,2026:05:01 10:20:32.5,,+02:00\n"
+        "./left/DSC_3.JPG,DSC_3.JPG,,,\n"
+    )
+    times, entries = read(path)
+    assert times.time_ns[:2].tolist() == [ns("2026-05-01T08:20:30.04"), ns("2026-05-01T08:20:32.5")]
+    assert entries["EXIF-TIME"].count == 1
+    assert times.rows_of(["dsc_2.tif", "left/DSC_3", "DSC_9.jpg"]) == {
+        "dsc_2.tif": 1, "left/DSC_3": 2
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("columns", "values", "expected"),
+    [
+        ("gps_week,gps_seconds", "2416,462030.5", "2026-05-01T08:20:12.5"),
+        ("unix_time", "1777623630.25", "2026-05-01T08:20:30.25"),
+        ("time_utc", "2026-05-01T08:20:30.25", "2026-05-01T08:20:30.25"),
+        ("timestamp", "2026-05-01T08:20:30+02:00", "2026-05-01T06:20:30"),
+        ("SubSecDateTimeOriginal", "2026:05:01 08:20:30.5Z", "2026-05-01T08:20:30.5"),
+        ("GPSDateStamp,GPSTimeStamp", "2026:05:01,08:20:30", "2026-05-01T08:20:30"),
+    ],
+)
+def test_other_times_in_a_table(tmp_path, columns, values, expected):
+    """GPS week 2416 began on Sunday 2026-04-26; 462030.5 s is Friday 8:20:30.5, 18 leap seconds."""
+    path = tmp_path / "exif.csv"
+    path.write_text(f"FileName,{columns}\nDSC_1.JPG,{values}\n")
+    times, _ = read(path)
+    assert times.is_utc
+    assert times.time_ns.tolist() == [ns(expected)]
+
+
+def test_a_name_in_two_folders_is_told_apart_by_its_folder(tmp_path):
+    for folder in ("left", "right"):
+        write_jpeg(tmp_path / folder / "DSC_1.JPG", "2026:05:01 10:20:30", "5")
+    times, _ = read(tmp_path)
+    assert times.rows_of(["right/DSC_1.JPG"]) == {"right/DSC_1.JPG": 1}
+    with pytest.raises(InputError, match="IMAGES-DUPLICATE"):
+        times.rows_of(["DSC_1.JPG"])
+
+
+def test_a_raw_image_and_its_jpeg_are_one(tmp_path):
+    write_jpeg(tmp_path / "DSC_1.JPG", "2026:05:01 10:20:30", "5")
+    (tmp_path / "DSC_1.NEF").write_bytes(b"raw")
+    times, _ = read(tmp_path)
+    assert times.file.tolist() == ["DSC_1.JPG"]
+
+
+def test_no_images(tmp_path):
+    with pytest.raises(InputError, match="IMAGES-NONE"):
+        read(tmp_path)
+    path = tmp_path / "exif.csv"
+    path.write_text("Name,DateTimeOriginal\na,b\n")
+    with pytest.raises(InputError, match="IMAGES-NONE"):
+        read(path)
+    path.write_bytes(b"\xff\xfe\x00\x81")
+    with pytest.raises(InputError, match="IMAGES-CSV"):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "    :  :     :  :  ", "2026:13:01 00:00:00", "1777623630250", "12:30", "2026:05:01"],
+)
+def test_what_is_no_time(text):
+    assert parse_time(text) is None
