@@ -31,6 +31,7 @@ _DAY_S = 86_400.0
 _FEW_CONTRADICTED = 0.02
 _FEWEST_POINTS, _TIE_POINTS = 10, 200  # 800 rays tell a shift by a factor of e^3000
 _REFRACTION_RAD = 1e-4
+_USABLE_STATIONS = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +112,9 @@ def tie_likelihood(
     u, v, covered = camera.rays(ties.x_px, ties.y_px)
     rows = np.flatnonzero((image >= 0) & covered)
     rows = rows[np.bincount(ties.point[rows], minlength=1)[ties.point[rows]] > 1]
-    if np.unique(ties.point[rows]).size < _FEWEST_POINTS or stations.ok.sum() < 2:
+    # Rays without a station count as bad: where many have none, the others' events seem better.
+    few = np.unique(ties.point[rows]).size < _FEWEST_POINTS
+    if few or stations.ok.sum() < max(2.0, _USABLE_STATIONS * len(stations)):
         return None
     inside = np.stack([u[rows], v[rows], np.ones(rows.size)], axis=1)
     inside /= np.linalg.norm(inside, axis=1)[:, None]
