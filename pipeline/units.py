@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Literal
 
 ARCSEC = math.pi / 648_000.0  # [rad]
 DEGREE = math.pi / 180.0  # [rad]
 MICRORADIAN = 1e-6  # [rad]
+AngleUnit = Literal["deg", "rad", "grad"]
+RADIANS: Mapping[AngleUnit, float] = {"deg": DEGREE, "rad": 1.0, "grad": math.pi / 200.0}
 HECTOPASCAL = 100.0  # [Pa]
 ZERO_CELSIUS_K = 273.15  # [K]
 NANOSECONDS_PER_SECOND = 1_000_000_000

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from pipeline.config.atmosphere import PathText
 from pipeline.config.cameras import Section
-from pipeline.config.trajectories import ImportTime, known_format
+from pipeline.config.trajectories import ClockColumns, ImportTime, known_format
 from pipeline.tables.imports import CAMERA_EVENTS, reader_of
 
 _NUMBER_FORMAT = re.compile(r"^0?[0-9]{0,2}d?$")
@@ -52,19 +52,12 @@ class LogEvents(Section):
     )
 
 
-class CsvEventColumns(Section):
+class CsvEventColumns(ClockColumns):
     """Columns of a table of exposures: a UTC time, or GPS week and seconds of week."""
 
-    image: str = "image"
-    time_utc: str | None = None
-    gps_week: str | None = None
-    gps_seconds: str | None = None
-    camera: str | None = None
-
     @model_validator(mode="after")
-    def _check_clock(self) -> CsvEventColumns:
-        gps = (self.gps_week is not None, self.gps_seconds is not None)
-        if (self.time_utc is None) != all(gps) or gps[0] != gps[1]:
+    def _check_time(self) -> CsvEventColumns:
+        if self.time_utc is None and self.gps_week is None:
             raise ValueError("give time_utc, or both gps_week and gps_seconds")
         return self
 

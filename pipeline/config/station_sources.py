@@ -9,9 +9,9 @@ from pydantic import Field, field_validator, model_validator
 
 from pipeline.config.atmosphere import PathText
 from pipeline.config.cameras import Section
-from pipeline.config.trajectories import TrajectorySection
+from pipeline.config.trajectories import ClockColumns, PoseColumns, TrajectorySection
 from pipeline.flight.heights import GeodeticOrigin
-from pipeline.units import DEGREE
+from pipeline.units import DEGREE, AngleUnit
 
 _OF_ANGLES = {
     "omega_phi_kappa": ("omega", "phi", "kappa"),
@@ -25,42 +25,16 @@ _SIGMAS = ("sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
 _CLOCK = ("time_utc", "gps_week", "gps_seconds")
 
 
-class OrientationColumns(Section):
+class OrientationColumns(ClockColumns, PoseColumns):
     """What the columns are called; those of the position and the angles by default as here."""
 
-    image: str = "image"
-    camera: str | None = Field(None, description="the camera of the row, where there are several")
-    latitude: str | None = Field(None, description="degrees, whatever the unit of the angles")
-    longitude: str | None = None
-    height: str | None = None
-    x: str | None = None
-    y: str | None = None
-    z: str | None = None
     omega: str | None = None
     phi: str | None = None
     kappa: str | None = None
-    roll: str | None = None
-    pitch: str | None = None
-    yaw: str | None = None
-    q_w: str | None = None
-    q_x: str | None = None
-    q_y: str | None = None
-    q_z: str | None = None
-    time_utc: str | None = None
-    gps_week: str | None = None
-    gps_seconds: str | None = None
     sigma_horizontal_m: str | None = Field(None, description="per axis")
     sigma_height_m: str | None = None
     sigma_tilt: str | None = Field(None, description="about a level axis, in the unit of angles")
     sigma_yaw: str | None = Field(None, description="about the vertical, in the unit of angles")
-
-    @model_validator(mode="after")
-    def _check_clock(self) -> OrientationColumns:
-        if (self.gps_week is None) != (self.gps_seconds is None):
-            raise ValueError("gps_week and gps_seconds go together")
-        if self.time_utc is not None and self.gps_week is not None:
-            raise ValueError("give time_utc, or gps_week and gps_seconds")
-        return self
 
 
 class KnownPositions(Section):
@@ -102,7 +76,7 @@ class OrientationSection(Section):
         "and yaw of the aircraft, to which the camera is mounted as under mount; or q_w to q_z, "
         "which turns from the frame to the camera (x right, y down, z forward), or back"
     )
-    unit: Literal["deg", "rad", "grad"] = Field("deg", description="of the angles")
+    unit: AngleUnit = Field("deg", description="of the angles; latitude, longitude: degrees")
     frame: Literal["geographic", "ecef", "unknown"] | EnuFrame = Field(
         description="of the angles, and of x, y, z. geographic: east, north, up (roll_pitch_yaw: "
         "north, east, down) at each station; ecef: earth-centred; {enu: {lat_deg, lon_deg, "
@@ -143,12 +117,11 @@ class OrientationSection(Section):
     @property
     def column_names(self) -> dict[str, str]:
         """Quantity -> name of its column, for all that are to be read."""
-        needed = _GEODETIC if self.is_geodetic else _CARTESIAN
-        named = {name: getattr(self.columns, name) or name for name in needed}
-        named |= {n: getattr(self.columns, n) or n for n in _OF_ANGLES[self.angles]}
-        optional = {name: getattr(self.columns, name) for name in ("camera", *_CLOCK, *_SIGMAS)}
-        given = {name: column for name, column in optional.items() if column is not None}
-        return {"image": self.columns.image} | named | given
+        needed = (*(_GEODETIC if self.is_geodetic else _CARTESIAN), *self.angle_names)
+        named = self.columns.named
+        given = {name: named[name] for name in ("image", "camera", *_CLOCK, *_SIGMAS)
+                 if name in named}  # fmt: skip
+        return given | {name: named.get(name, name) for name in needed}
 
     @property
     def angle_names(self) -> tuple[str, ...]:
@@ -158,7 +131,7 @@ class OrientationSection(Section):
     @property
     def has_clock(self) -> bool:
         """Whether columns give the time of each image."""
-        return any(getattr(self.columns, name) is not None for name in _CLOCK)
+        return not self.columns.named.keys().isdisjoint(_CLOCK)
 
     @property
     def date_ns(self) -> int | None:
@@ -167,8 +140,7 @@ class OrientationSection(Section):
             return None
         time = datetime.fromisoformat(self.date)
         time = time.replace(hour=12) if len(self.date) == len("2026-05-14") else time
-        time = time.replace(tzinfo=UTC) if time.tzinfo is None else time
-        return round(time.timestamp()) * 1_000_000_000
+        return round(time.replace(tzinfo=time.tzinfo or UTC).timestamp()) * 1_000_000_000
 
     @field_validator("date")
     @classmethod

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
 from pipeline.config.atmosphere import PathText
 from pipeline.config.cameras import LeverArm, Section
 from pipeline.tables.imports import TRAJECTORIES
-from pipeline.tables.imports.stated import AngleUnit
+from pipeline.units import AngleUnit
 
 Replaced = Literal["position", "height", "attitude"]
 
@@ -37,11 +37,35 @@ class ImportTime(Section):
     )
 
 
-class TrajectoryColumns(Section):
-    """Columns of a CSV; position is latitude, longitude, height, or earth-centred x, y, z [m]."""
+class NamedColumns(Section):
+    """What the columns of a table are called, by quantity."""
 
-    time: str = "time"
-    week: str | None = None
+    @property
+    def named(self) -> dict[str, str]:
+        """Quantity -> column, for those that are named."""
+        return self.model_dump(exclude_none=True)
+
+
+class ClockColumns(NamedColumns):
+    """Columns of images with their times: UTC, or GPS week and seconds of the week."""
+
+    image: str = "image"
+    camera: str | None = Field(None, description="the camera of the row, where there are several")
+    time_utc: str | None = None
+    gps_week: str | None = None
+    gps_seconds: str | None = None
+
+    @model_validator(mode="after")
+    def _check_clock(self) -> Self:
+        gps = self.gps_week is not None
+        if gps != (self.gps_seconds is not None) or (gps and self.time_utc is not None):
+            raise ValueError("give time_utc, or both gps_week and gps_seconds")
+        return self
+
+
+class PoseColumns(NamedColumns):
+    """Columns of a position, latitude, longitude, height or x, y, z [m], and of an attitude."""
+
     latitude: str | None = None
     longitude: str | None = None
     height: str | None = None
@@ -55,6 +79,13 @@ class TrajectoryColumns(Section):
     q_x: str | None = None
     q_y: str | None = None
     q_z: str | None = None
+
+
+class TrajectoryColumns(PoseColumns):
+    """Columns of a CSV; position is latitude, longitude, height, or earth-centred x, y, z [m]."""
+
+    time: str = "time"
+    week: str | None = None
     v_north_m_s: str | None = None
     v_east_m_s: str | None = None
     v_down_m_s: str | None = None
@@ -63,22 +94,21 @@ class TrajectoryColumns(Section):
 
     @model_validator(mode="after")
     def _check_groups(self) -> TrajectoryColumns:
-        groups: dict[str, tuple[str, ...]] = {
-            "position": ("latitude", "longitude", "height"),
-            "earth-centred position": ("x", "y", "z"),
-            "angles": ("roll", "pitch", "yaw"),
-            "quaternion": ("q_w", "q_x", "q_y", "q_z"),
-        }
-        given = {what: [getattr(self, n) is not None for n in names]
-                 for what, names in groups.items()}  # fmt: skip
-        for what, names in groups.items():
-            if any(given[what]) and not all(given[what]):
-                raise ValueError(f"{what} needs {', '.join(names)}")
-        if any(given["position"]) == any(given["earth-centred position"]):
+        geodetic, cartesian, angles, quaternion = (
+            self._has(*names.split())
+            for names in ("latitude longitude height", "x y z", "roll pitch yaw", "q_w q_x q_y q_z")
+        )
+        if geodetic == cartesian:
             raise ValueError("give either latitude, longitude, height or x, y, z")
-        if any(given["angles"]) and any(given["quaternion"]):
+        if angles and quaternion:
             raise ValueError("give either roll, pitch, yaw or q_w, q_x, q_y, q_z")
         return self
+
+    def _has(self, *names: str) -> bool:
+        given = [name for name in names if name in self.named]
+        if given and len(given) < len(names):
+            raise ValueError(f"{given[0]} needs {', '.join(names)}")
+        return bool(given)
 
 
 class TrajectorySection(Section):
@@ -117,12 +147,6 @@ class TrajectorySection(Section):
     def moves_stations(self) -> bool:
         """Whether positions come from it, and with them the point that they are of."""
         return self.replaces is None or "position" in self.replaces
-
-    @property
-    def stated_columns(self) -> dict[str, str]:
-        """Quantity -> column, for those that are named."""
-        named = self.columns.model_dump() if self.columns is not None else {}
-        return {quantity: name for quantity, name in named.items() if name is not None}
 
     @model_validator(mode="after")
     def _check_point(self) -> TrajectorySection:

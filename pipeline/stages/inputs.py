@@ -139,7 +139,7 @@ def read_trajectory(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -
         _time_range(channels),
         section.heights,
         accuracy,
-        section.stated_columns,
+        {} if section.columns is None else section.columns.named,
         section.position_unit,
         section.angle_unit,
         section.angle_order,

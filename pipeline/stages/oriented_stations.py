@@ -44,13 +44,12 @@ from pipeline.stages.correction import station_rows
 from pipeline.stages.exposure_setup import cameras_of_mission
 from pipeline.stages.inputs import FlightLog
 from pipeline.tables.imports.orientation import (
-    TURN,
     OrientationTable,
     read_known_positions,
     read_orientation,
 )
 from pipeline.tables.observations import Observations
-from pipeline.units import DEGREE
+from pipeline.units import DEGREE, RADIANS
 
 _FEW_BELOW_GROUND = 0.1
 _MOST_OBSERVATIONS, _MOST_TIE_POINTS, _FEWEST_TIE_POINTS = 250_000, 300, 10
@@ -138,9 +137,9 @@ def other_readings(
         )
     else:
         first, second, last = section.angle_names
-        for unit, turn in TURN.items():
+        for unit, size in RADIANS.items():
             if unit != section.unit:
-                as_unit = angles * (TURN[section.unit] / turn)
+                as_unit = angles * (size / RADIANS[section.unit])
                 other[f"if the angles are in {unit}"] = replace(table, angles=as_unit)
         for names, signs in {last: [1, 1, -1], f"{first} and {second}": [-1, -1, 1]}.items():
             text = f"with the other sign of {names}"

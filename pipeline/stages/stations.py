@@ -39,7 +39,7 @@ from pipeline.stages.cabin_air import cabin_from_log
 from pipeline.stages.image_events import assigned_stations
 from pipeline.stages.inputs import FlightLog, read_camera_events
 from pipeline.stages.oriented_stations import oriented_stations
-from pipeline.tables.events import EventColumns, read_events
+from pipeline.tables.events import read_events
 from pipeline.tables.observations import Observations
 from pipeline.units import DEGREE
 
@@ -79,7 +79,7 @@ def exposure_events(
     csv = section.csv
     if csv is None:
         raise MissionError("EVENTS-NONE", "the mission names no events", where="events")
-    table = read_events(plan.input("events").path, EventColumns(**csv.columns.model_dump()), ledger)
+    table = read_events(plan.input("events").path, csv.columns.named, ledger)
     only = csv.camera or next(iter(plan.mission.cameras))
     camera_of = table.camera if table.camera is not None else np.full(table.image.shape, only)
     for name in sorted(set(camera_of.tolist()) - set(plan.mission.cameras)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +11,6 @@ from numpy.typing import NDArray
 
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
-from pipeline.tables.column_checks import no_such_column
 from pipeline.tables.text_columns import text_table, utc_of_columns
 
 
@@ -23,30 +23,17 @@ class EventTable:
     time_ns: NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class EventColumns:
-    """The user's names of the columns."""
-
-    image: str
-    time_utc: str | None
-    gps_week: str | None
-    gps_seconds: str | None
-    camera: str | None
-
-
-def read_events(path: Path, columns: EventColumns, ledger: Ledger) -> EventTable:
+def read_events(path: Path, columns: Mapping[str, str], ledger: Ledger) -> EventTable:
     """Read a table of exposures; a row without a readable time is a loss in the ledger.
 
-    Times without a zone are UTC. GPS seconds are reduced by the leap seconds of their date.
+    ``columns`` : image, time_utc or gps_week and gps_seconds, and camera where it is there -> the
+    user's names. Times without a zone are UTC; GPS seconds are reduced by the leap seconds of
+    their date.
     """
-    table = text_table(path, "EVENTS-CSV")
-    for name in (columns.image, columns.time_utc, columns.gps_week, columns.gps_seconds,
-                 columns.camera):  # fmt: skip
-        if name is not None and name not in table.columns:
-            raise no_such_column(
-                "EVENTS-COLUMN", path, name, there=list(table.columns), key="events.csv.columns"
-            )
-    time_ns, good = utc_of_columns(table, columns.time_utc, columns.gps_week, columns.gps_seconds)
+    table = text_table(path, columns, codes=("EVENTS-CSV", "EVENTS-COLUMN"),
+                       key="events.csv.columns")  # fmt: skip
+    clock = [columns.get(name) for name in ("time_utc", "gps_week", "gps_seconds")]
+    time_ns, good = utc_of_columns(table, *clock)
     if not bool(good.all()):
         rows = np.flatnonzero(~good)
         ledger.loss(
@@ -61,5 +48,5 @@ def read_events(path: Path, columns: EventColumns, ledger: Ledger) -> EventTable
             remedy="times look like 2026-05-01T10:20:30.123Z",
         )  # fmt: skip
     table, time_ns = table[good], time_ns[good]
-    camera = table[columns.camera].to_numpy(object) if columns.camera else None
-    return EventTable(table[columns.image].to_numpy(object), camera, time_ns)
+    camera = table[columns["camera"]].to_numpy(object) if "camera" in columns else None
+    return EventTable(table[columns["image"]].to_numpy(object), camera, time_ns)

@@ -1,7 +1,9 @@
-"""Small tables read as text, and their columns as numbers and times."""
+"""Small tables read as text, and their columns as numbers, angles and times."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,14 +11,22 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from pipeline.errors import InputError
-from pipeline.flight.clock import utc_of_gps
+from pipeline.flight.channels import Array, TimeArray
+from pipeline.flight.clock import SECONDS_PER_WEEK, utc_of_gps
+from pipeline.tables.column_checks import no_such_column
+from pipeline.units import NANOSECONDS_PER_SECOND, RADIANS, UNIX_NS_OF_GPS_EPOCH, AngleUnit
+
+_WEEK_NS = SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND
 
 
-def text_table(path: Path, code: str) -> pd.DataFrame:
+def text_table(
+    path: Path, wanted: Mapping[str, str], *, codes: tuple[str, str], key: str
+) -> pd.DataFrame:
     """All fields as text, under the names of the first line; a field that is not there is empty.
 
-    Commas, semicolons or tabs, whichever the first line has most of. Refuses (``code``) what is no
-    table, and two columns of one name.
+    Commas, semicolons or tabs, whichever the first line has most of. ``wanted`` : quantity -> name
+    of its column, as stated under ``key`` of the mission file. Refuses what is no table or has two
+    columns of one name (the first of ``codes``), and one that lacks a column (the second).
     """
     try:
         with path.open(encoding="utf-8-sig") as file:
@@ -26,27 +36,46 @@ def text_table(path: Path, code: str) -> pd.DataFrame:
             path, header=None, dtype=str, keep_default_na=False, skipinitialspace=True,
             encoding="utf-8-sig", sep=max(",;\t", key=head.count),
         ).fillna("")  # fmt: skip
+        names = rows.iloc[0].tolist()
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"the columns {', '.join(twice)} stand there twice")
     except (OSError, ValueError) as error:
-        raise _no_csv(path, str(error).strip(), code) from None
-    names = rows.iloc[0].tolist()
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise _no_csv(path, f"the columns {', '.join(twice)} stand there twice", code)
+        raise InputError(
+            codes[0], f"is no readable CSV: {str(error).strip()}", where=str(path),
+            remedy="a table has a header line, commas, and as many fields in every row",
+        ) from None  # fmt: skip
+    for quantity, name in wanted.items():
+        if name not in names:
+            raise no_such_column(
+                codes[1], path, name, there=names, key=f"{key}.{quantity}", quantity=quantity
+            )
     return rows.iloc[1:].set_axis(names, axis="columns").reset_index(drop=True)
 
 
-def _no_csv(path: Path, why: str, code: str) -> InputError:
-    return InputError(
-        code,
-        f"is no readable CSV: {why}",
-        where=str(path),
-        remedy="a table has a header line, commas, and as many fields in every row",
+def split_lines(lines: Sequence[str], names: Sequence[str], separator: str) -> pd.DataFrame:
+    """Lines as rows of text, split at the regular expression; a field that is not there is empty.
+
+    >>> split_lines(["1 2,3", "4"], ["a", "b"], r"[ ,]").values.tolist()
+    [['1', '2'], ['4', '']]
+    """
+    rows = [re.split(separator, line.strip()) for line in lines]
+    return pd.DataFrame(
+        [(row + [""] * len(names))[: len(names)] for row in rows], columns=list(names), dtype=str
     )
 
 
-def numbers_of(table: pd.DataFrame, name: str, path: Path, code: str) -> NDArray[np.float64]:
+def numbers(text: pd.Series[str]) -> Array:
+    """(n,) numbers of fields, NaN where one is none; -0 keeps its sign."""
+    try:
+        return text.to_numpy(object).astype(np.float64)
+    except ValueError:
+        return pd.to_numeric(text, errors="coerce").to_numpy(np.float64)
+
+
+def numbers_of(table: pd.DataFrame, name: str, path: Path, code: str) -> Array:
     """(n,) a column as numbers, NaN where a field is empty; refuses (``code``) any other text."""
-    values = pd.to_numeric(table[name], errors="coerce").to_numpy(np.float64)
+    values = numbers(table[name])
     wrong = np.flatnonzero(~np.isfinite(values) & (table[name].str.strip() != "").to_numpy())
     if wrong.size:
         raise InputError(
@@ -59,21 +88,64 @@ def numbers_of(table: pd.DataFrame, name: str, path: Path, code: str) -> NDArray
     return values
 
 
+def angles_in_radians(given: Array, unit: AngleUnit, path: Path, code: str, key: str) -> Array:
+    """(n, 3) angles in radians; refuses (``code``) more than a full turn in the unit stated.
+
+    ``key`` is the mission file's for the unit.
+    """
+    turn = {name: 2.0 * np.pi / size for name, size in RADIANS.items()}
+    beyond = (np.abs(given) > turn[unit] * (1.0 + 1e-6)).any(axis=1)
+    if not bool(beyond.any()):
+        return given * RADIANS[unit]
+    worst = float(np.nanmax(np.abs(given)))
+    likely = next((other for other in turn if worst <= turn[other]), None)
+    raise InputError(
+        code,
+        f"{int(beyond.sum())} rows have an angle of more than a turn ({turn[unit]:g} {unit}), "
+        f"up to {worst:g}" + (f"; is the unit {likely}?" if likely else ""),
+        where=f"{path}, line {int(np.argmax(beyond)) + 2}",
+        remedy=f"state {key} (deg, rad or grad), or name the columns of angles",
+    )
+
+
+def utc_of_dates(text: pd.Series[str], system: str = "utc") -> tuple[TimeArray, NDArray[np.bool_]]:
+    """(n,) Unix nanoseconds of dates with a time of day in UTC or GPS time; which are good.
+
+    ISO 8601, or with slashes between year, month and day; zones are honoured.
+    """
+    iso = text.str.replace("/", "-", regex=False)
+    stamps = pd.to_datetime(iso, utc=True, errors="coerce", format="ISO8601")
+    good = stamps.notna().to_numpy()
+    time_ns = np.where(good, stamps.to_numpy("datetime64[ns]").astype(np.int64), 0)
+    if system == "gpst":
+        week, rest = np.divmod(time_ns - UNIX_NS_OF_GPS_EPOCH, _WEEK_NS)
+        time_ns = utc_of_gps(week, rest / NANOSECONDS_PER_SECOND)
+    return time_ns, good
+
+
+def utc_of_weeks(week: Array | int, seconds: Array, system: str) -> TimeArray:
+    """(n,) Unix nanoseconds of weeks since 1980-01-06 and their seconds, in GPS time or UTC.
+
+    0 where one of both is unknown (NaN).
+    """
+    known = np.isfinite(week) & np.isfinite(seconds)
+    week, seconds = np.where(known, week, 0).astype(np.int64), np.where(known, seconds, 0.0)
+    if system == "gpst":
+        return np.where(known, utc_of_gps(week, seconds), 0)
+    start = UNIX_NS_OF_GPS_EPOCH + week * _WEEK_NS
+    return np.where(known, start + np.rint(seconds * 1e9).astype(np.int64), 0)
+
+
 def utc_of_columns(
     table: pd.DataFrame, time_utc: str | None, gps_week: str | None, gps_seconds: str | None
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+) -> tuple[TimeArray, NDArray[np.bool_]]:
     """(n,) Unix nanoseconds from a column of UTC times, or GPS week and seconds; which are good.
 
     Times without a zone are UTC; GPS seconds are reduced by the leap seconds of their date.
     """
     if time_utc is not None:
-        stamps = pd.to_datetime(table[time_utc], utc=True, errors="coerce", format="ISO8601")
-        good = stamps.notna().to_numpy()
-        return stamps.to_numpy("datetime64[ns]").astype(np.int64), good
-    week = pd.to_numeric(table[gps_week], errors="coerce").to_numpy(np.float64)
-    seconds = pd.to_numeric(table[gps_seconds], errors="coerce").to_numpy(np.float64)
+        return utc_of_dates(table[time_utc])
+    week, seconds = numbers(table[gps_week]), numbers(table[gps_seconds])
     good = np.isfinite(week) & np.isfinite(seconds) & (week > 0) & (week == np.floor(week))
     good &= (seconds >= 0.0) & (seconds <= 604_800.0)
-    time_ns = np.zeros(good.shape, np.int64)
-    time_ns[good] = utc_of_gps(week[good], seconds[good])
-    return time_ns, good
+    return utc_of_weeks(np.where(good, week, np.nan), seconds, "gpst"), good

@@ -615,7 +615,7 @@ def test_aliases_cannot_swell(refused):
         ({"date": "14.5.2026"}, "no date like"),
         ({"date": None}, "needs a time for the air"),
         ({"columns": {"time_utc": "t"}}, "either date, or the columns of time"),
-        ({"columns": {"gps_week": "t"}}, "go together"),
+        ({"columns": {"gps_week": "t"}}, "both gps_week and gps_seconds"),
         ({"camera": None, "columns": {}}, "must state which camera"),
         ({"camera": "forward"}, "names camera 'forward'"),
         ({"unit": "gon"}, "grad"),

@@ -13,7 +13,7 @@ import pytest
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
 from pipeline.tables import delimited
-from pipeline.tables.events import EventColumns, read_events
+from pipeline.tables.events import read_events
 from pipeline.tables.observations import open_observations
 
 COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
@@ -313,8 +313,8 @@ def whole_images(observations) -> list[str]:
     return [name for batch in observations.batches(2) for name in batch.image.to_pylist()]
 
 
-UTC = EventColumns("image", "time", None, None, None)
-GPS = EventColumns("image", None, "week", "seconds", "camera")
+UTC = {"image": "image", "time_utc": "time"}
+GPS = {"image": "image", "gps_week": "week", "gps_seconds": "seconds", "camera": "camera"}
 
 
 def events(tmp_path, text, columns=UTC):
@@ -385,4 +385,4 @@ def test_semicolons_and_tabs_separate_too(tmp_path, mark):
 def test_a_column_that_nearly_has_the_name(tmp_path):
     with pytest.raises(InputError, match="perhaps 'tme'") as refusal:
         events(tmp_path, "image,tme\na,2025-06-12T10:00:00Z\n")
-    assert refusal.value.remedy == "say what it is called: events.csv.columns"
+    assert refusal.value.remedy == "say what it is called: events.csv.columns.time_utc"

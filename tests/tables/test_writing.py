@@ -22,7 +22,7 @@ from pipeline.geodesy import lambert_gravity
 from pipeline.ledger import Ledger
 from pipeline.tables import delimited
 from pipeline.tables.column_checks import refuse_done, refuse_other_pixels
-from pipeline.tables.events import EventColumns, read_events
+from pipeline.tables.events import read_events
 from pipeline.tables.exports.format import write_csv_stream
 from pipeline.tables.observations import open_observations
 from pipeline.tables.schemas import (
@@ -163,7 +163,7 @@ def test_events_of_gps_weeks_and_lines_of_bad_rows(tmp_path):
         "image,week,seconds\na,2300,18.5\nb,2300,-1\nc,2300,604801\nd,0,5\ne,2300,604800\n"
     )
     ledger = Ledger()
-    columns = EventColumns("image", None, "week", "seconds", None)
+    columns = {"image": "image", "gps_week": "week", "gps_seconds": "seconds"}
     table = read_events(path, columns, ledger)
     assert table.image.tolist() == ["a", "e"]
     sunday = np.datetime64("2024-02-04T00:00:00", "ns").astype(np.int64)

@@ -19,8 +19,8 @@ from pipeline.flight.heights import HeightSystem, heights_at
 from pipeline.flight.trajectory import interpolate_attitude
 from pipeline.geodesy import principal_radii
 from pipeline.ledger import Entry, Kind, Ledger
-from pipeline.tables.imports.stated import RADIANS
-from pipeline.tables.imports.tracks import wrapped
+from pipeline.tables.imports.stated import wrapped
+from pipeline.units import RADIANS
 
 _MOST_SAMPLES = 3000
 _MAX_GAP_S = 5.0

@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 from pipeline.errors import InputError
 from pipeline.flight.stations import NO_TIME
 from pipeline.ledger import Notes, loss
-from pipeline.tables.column_checks import no_such_column
-from pipeline.tables.text_columns import numbers_of, text_table, utc_of_columns
+from pipeline.tables.text_columns import (
+    angles_in_radians,
+    numbers_of,
+    text_table,
+    utc_of_columns,
+)
+from pipeline.units import RADIANS, AngleUnit
 
 Array = NDArray[np.float64]
-
-TURN = {"deg": 360.0, "rad": 2.0 * np.pi, "grad": 400.0}
-"""A full turn in each unit of angles."""
 
 _LIMITS_DEG = {"latitude": 90.0, "longitude": 360.0}
 _LONGEST_NORM_ERROR = 1e-3
@@ -43,7 +45,7 @@ class OrientationTable:
 
 
 def read_orientation(
-    path: Path, names: Mapping[str, str], angle_names: Sequence[str], *, unit: str
+    path: Path, names: Mapping[str, str], angle_names: Sequence[str], *, unit: AngleUnit
 ) -> tuple[OrientationTable, Notes]:
     """Read a table of orientations by the user's names of its columns.
 
@@ -56,61 +58,43 @@ def read_orientation(
     Refuses (InputError) columns that are not there, text for numbers, images that stand there
     twice, latitudes and angles that none can be, and quaternions that are no rotations.
     """
-    key = "stations.orientation.columns"
-    table = _table_with(path, names, key)
-    numbers = {
-        quantity: numbers_of(table, column, path, "ORIENTATION-NUMBER")
-        for quantity, column in names.items()
-        if quantity not in ("image", "camera", "time_utc")
-    }
-    angles = np.stack([numbers[name] for name in angle_names], axis=1)
-    for tilt in {"sigma_tilt", "sigma_yaw"} & numbers.keys():
-        numbers[f"{tilt}_rad"] = numbers.pop(tilt) * (2.0 * np.pi / TURN[unit])
-    position = _positions(numbers, path, key)
+    table = _table_with(path, names, "stations.orientation.columns")
+    value = _numbers(table, names, path)
+    position = _positions(value, path, "stations.orientation.columns")
+    angles = np.stack([value[name] for name in angle_names], axis=1)
+    if len(angle_names) == 4:
+        attitude = _unit_quaternions(angles, path)
+    else:
+        attitude = angles_in_radians(angles, unit, path, "ORIENTATION-UNIT",
+                                     "stations.orientation.unit")  # fmt: skip
+    sigmas = {name: values for name, values in value.items() if name.startswith("sigma_")}
+    for tilt in {"sigma_tilt", "sigma_yaw"} & sigmas.keys():
+        sigmas[f"{tilt}_rad"] = sigmas.pop(tilt) * RADIANS[unit]
     time_ns, notes = np.full(len(table), NO_TIME, np.int64), []
     if "time_utc" in names or "gps_week" in names:
         clock = [names.get(name) for name in ("time_utc", "gps_week", "gps_seconds")]
         read_ns, good = utc_of_columns(table, *clock)
         time_ns[good] = read_ns[good]
-        if not bool(good.all()):
-            first = int(np.argmin(good))
-            notes.append(
-                loss(
-                    "ORIENTATION-TIME",
-                    f"{int((~good).sum())} rows have no readable time, the first in line "
-                    f"{first + 2}: the air of the middle exposure is taken for them",
-                    where=path.name,
-                    count=int((~good).sum()),
-                )
-            )
+        if bad := int((~good).sum()):
+            what = (f"{bad} rows have no readable time, the first in line {np.argmin(good) + 2}: "
+                    "the air of the middle exposure is taken for them")  # fmt: skip
+            notes.append(loss("ORIENTATION-TIME", what, where=path.name, count=bad))
     camera = table[names["camera"]].to_numpy(object) if "camera" in names else None
-    sigmas = {name: values for name, values in numbers.items() if name.startswith("sigma_")}
     image = table[names["image"]].to_numpy(object)
-    attitudes = _attitudes(angles, unit, path)
-    return OrientationTable(image, camera, time_ns, position, attitudes, sigmas), tuple(notes)
+    return OrientationTable(image, camera, time_ns, position, attitude, sigmas), tuple(notes)
 
 
 def read_known_positions(path: Path, names: Mapping[str, str]) -> tuple[NDArray[np.object_], Array]:
     """Images, and (m, 3) their latitude, longitude [rad] and height [m], from a CSV."""
-    table = _table_with(path, names, "stations.orientation.known_positions")
-    numbers = {
-        quantity: numbers_of(table, column, path, "ORIENTATION-NUMBER")
-        for quantity, column in names.items()
-        if quantity != "image"
-    }
-    position = _positions(numbers, path, "stations.orientation.known_positions")
+    key = "stations.orientation.known_positions"
+    table = _table_with(path, names, key)
+    position = _positions(_numbers(table, names, path), path, key)
     return table[names["image"]].to_numpy(object), position
 
 
 def _table_with(path: Path, names: Mapping[str, str], key: str) -> pd.DataFrame:
     """A table that has the columns, and each image once."""
-    table = text_table(path, "ORIENTATION-CSV")
-    for quantity, column in names.items():
-        if column not in table.columns:
-            raise no_such_column(
-                "ORIENTATION-COLUMN", path, column, there=list(table.columns),
-                key=f"{key}.{quantity}", quantity=quantity,
-            )  # fmt: skip
+    table = text_table(path, names, codes=("ORIENTATION-CSV", "ORIENTATION-COLUMN"), key=key)
     images = table[names["image"]]
     if len(images) == 0:
         raise InputError(
@@ -129,54 +113,46 @@ def _table_with(path: Path, names: Mapping[str, str], key: str) -> pd.DataFrame:
     return table
 
 
-def _positions(numbers: Mapping[str, Array], path: Path, key: str) -> Array:
+def _numbers(table: pd.DataFrame, names: Mapping[str, str], path: Path) -> dict[str, Array]:
+    """The columns that hold numbers, by quantity."""
+    return {
+        quantity: numbers_of(table, column, path, "ORIENTATION-NUMBER")
+        for quantity, column in names.items()
+        if quantity not in ("image", "camera", "time_utc")
+    }
+
+
+def _positions(value: Mapping[str, Array], path: Path, key: str) -> Array:
     """(n, 3) positions, latitude and longitude in radians; refuses those of no place on earth."""
-    if "x" in numbers:
-        return np.stack([numbers[axis] for axis in "xyz"], axis=1)
+    if "x" in value:
+        return np.stack([value[axis] for axis in "xyz"], axis=1)
     for quantity, limit in _LIMITS_DEG.items():
-        wrong = np.abs(numbers[quantity]) > limit
+        wrong = np.abs(value[quantity]) > limit
         if bool(wrong.any()):
-            swapped = quantity == "latitude" and bool((np.abs(numbers[quantity]) <= 360.0).all())
+            swapped = quantity == "latitude" and bool((np.abs(value[quantity]) <= 360.0).all())
             raise InputError(
                 "ORIENTATION-POSITION",
                 f"{int(wrong.sum())} values of {quantity} lie beyond {limit:.0f} deg, the first "
-                f"{numbers[quantity][np.argmax(wrong)]:g}"
+                f"{value[quantity][np.argmax(wrong)]:g}"
                 + ("; are latitude and longitude swapped?" if swapped else ""),
                 where=f"{path}, line {int(np.argmax(wrong)) + 2}",
                 remedy=f"name the columns under {key}; they hold degrees, no projected coordinates",
             )
-    degrees = [numbers["latitude"], numbers["longitude"]]
-    return np.stack([*np.radians(degrees), numbers["height"]], axis=1)
+    lat, lon = np.radians(value["latitude"]), np.radians(value["longitude"])
+    return np.stack([lat, lon, value["height"]], axis=1)
 
 
-def _attitudes(given: Array, unit: str, path: Path) -> Array:
-    """(n, 3) angles in radians, or (n, 4) quaternions at unit length.
-
-    Refuses angles of more than a turn, and quaternions whose length is not 1 to 0.001.
-    """
-    if given.shape[1] == 4:
-        length = np.linalg.norm(given, axis=1)
-        wrong = np.abs(length - 1.0) > _LONGEST_NORM_ERROR
-        if not bool(wrong.any()):
-            return np.asarray(given / length[:, None])
-        worst = int(np.nanargmax(np.abs(length - 1.0)))
-        raise InputError(
-            "ORIENTATION-QUATERNION",
-            f"{int(wrong.sum())} quaternions are no rotations: their length is not 1, the farthest "
-            f"{length[worst]:.6g}",
-            where=f"{path}, line {worst + 2}",
-            remedy="name the columns q_w, q_x, q_y and q_z (w is the cosine of half the angle), "
-            "and write them with all their digits",
-        )
-    beyond = (np.abs(given) > TURN[unit] * (1.0 + 1e-6)).any(axis=1)
-    if not bool(beyond.any()):
-        return given * (2.0 * np.pi / TURN[unit])
-    worst_angle = float(np.nanmax(np.abs(given)))
-    likely = next((other for other, turn in TURN.items() if worst_angle <= turn), None)
+def _unit_quaternions(given: Array, path: Path) -> Array:
+    """(n, 4) quaternions; refuses those whose length is not 1 to 0.001."""
+    length = np.linalg.norm(given, axis=1)
+    wrong = np.abs(length - 1.0) > _LONGEST_NORM_ERROR
+    if not bool(wrong.any()):
+        return np.asarray(given / length[:, None])
+    worst = int(np.nanargmax(np.abs(length - 1.0)))
     raise InputError(
-        "ORIENTATION-UNIT",
-        f"{int(beyond.sum())} images have an angle of more than a turn ({TURN[unit]:g} {unit}), "
-        f"up to {worst_angle:g}" + (f"; is the unit {likely}?" if likely else ""),
-        where=f"{path}, line {int(np.argmax(beyond)) + 2}",
-        remedy="state stations.orientation.unit (deg, rad or grad), or name the columns of angles",
+        "ORIENTATION-QUATERNION",
+        f"the length of {int(wrong.sum())} quaternions is not 1, the farthest {length[worst]:.6g}",
+        where=f"{path}, line {worst + 2}",
+        remedy="name the columns q_w, q_x, q_y and q_z (w is the cosine of half the angle), and "
+        "write them with all their digits",
     )

@@ -9,7 +9,6 @@ and heading [arcmin].
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,17 +16,13 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.errors import InputError
 from pipeline.flight.channels import Array, Channel
+from pipeline.geodesy import principal_radii
 from pipeline.ledger import Ledger
-from pipeline.tables.imports.stated import (
-    Stated,
-    channel_of_rows,
-    height_column,
-    not_of_format,
-    time_system,
-    utc_of_week_seconds,
-)
-from pipeline.tables.imports.tracks import FASTEST_M_S, track_velocity, wrapped
+from pipeline.tables.imports.stated import Stated, channel_of_rows, not_of_format, wrapped
 from pipeline.units import ARCSEC
+
+FASTEST_M_S = 700.0
+"""No aircraft that takes pictures flies faster [m/s]."""
 
 _ROW, _SIGMA_ROW = 17, 10
 _ARCMIN = 60.0 * ARCSEC
@@ -38,95 +33,85 @@ _LEAST_WANDER_RAD = np.radians(0.05)  # less does not matter for any camera
 def read_sbet(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     """Position, velocity, attitude and body rates of an SBET, sigmas of its smrmsg.
 
-    The true heading is platform heading minus wander angle by POSPac's convention. The sign is
-    tested on each file: its velocities are in the wander frame too, and must be those of its
-    positions once turned by the same angle; where they are not in that frame, by the heading
-    against the course. Velocities and rates that contradict positions and attitude are left out.
+    The true heading is platform heading minus wander angle by POSPac's convention; on each file
+    both signs are tried. Velocities and rates that contradict positions and attitude are left out.
     """
-    rows = sbet_rows(path, ledger)
-    system = time_system(path, stated)
-    time_ns = utc_of_week_seconds(path, rows[:, 0], stated, system)
+    rows = _sbet_rows(path, ledger)
+    time_ns = stated.utc_of_week_seconds(path, rows[:, 0], stated.system_of(path))
     order = np.argsort(time_ns, kind="stable")
     rows, time_ns = rows[order], time_ns[order]
+    seconds = (time_ns - time_ns[0]) * 1e-9
     columns: dict[str, Array] = {
         "lat_rad": rows[:, 1],
         "lon_rad": wrapped(rows[:, 2]),
-        height_column(path, stated): rows[:, 3],
+        stated.height_column(path): rows[:, 3],
     }
-    sign, velocity = wander_sign(path, time_ns, rows, ledger)
+    sign, velocity = wander_sign(path, seconds, rows, ledger)
     if velocity is not None:
         columns |= {"v_north_m_s": velocity.real, "v_east_m_s": velocity.imag}
         with np.errstate(all="ignore"):  # times may repeat
-            climb = np.gradient(rows[:, 3], (time_ns - time_ns[0]) * 1e-9)
-        downwards = [float(np.median(np.abs(climb + sign * rows[:, 6]))) for sign in (1.0, -1.0)]
-        if min(downwards) < 0.3:
-            columns["v_down_m_s"] = rows[:, 6] * (1.0 if downwards[0] <= downwards[1] else -1.0)
+            climb = np.gradient(rows[:, 3], seconds)
+        upwards, downwards = (np.median(np.abs(climb - s * rows[:, 6])) for s in (1.0, -1.0))
+        if min(upwards, downwards) < 0.3:
+            columns["v_down_m_s"] = rows[:, 6] * (1.0 if downwards <= upwards else -1.0)
     heading = rows[:, 9] + sign * rows[:, 10]
-    angles = np.stack([heading, rows[:, 8], rows[:, 7]], axis=1)
-    attitude = Rotation.from_euler("ZYX", angles)
-    quaternion = attitude.as_quat(canonical=True)
-    columns |= {f"q_{axis}": quaternion[:, k] for k, axis in enumerate("xyzw")}
+    attitude = Rotation.from_euler("ZYX", np.stack([heading, rows[:, 8], rows[:, 7]], axis=1))
+    columns |= dict(zip(("q_x", "q_y", "q_z", "q_w"), attitude.as_quat(canonical=True).T,
+                        strict=True))  # fmt: skip
     turned = (attitude[:-1].inv() * attitude[1:]).as_rotvec()
-    rates = turned / np.maximum(np.diff(time_ns) * 1e-9, 1e-4)[:, None]
-    misfit = np.median(np.abs(rates - (rows[:-1, 14:17] + rows[1:, 14:17]) / 2.0))
-    if misfit < 0.5 * np.median(np.abs(rates)):
+    rates = turned / np.maximum(np.diff(seconds), 1e-4)[:, None]
+    misfit = np.abs(rates - (rows[:-1, 14:17] + rows[1:, 14:17]) / 2.0)
+    if np.median(misfit) < 0.5 * np.median(np.abs(rates)):
         columns |= {f"rate_{axis}_rad_s": rows[:, 14 + k] for k, axis in enumerate("xyz")}
     if stated.accuracy is not None:
-        columns |= smrmsg_sigmas(stated.accuracy, rows[:, 0])
+        columns |= _smrmsg_sigmas(stated.accuracy, rows[:, 0])
     return channel_of_rows(path, "SBET", time_ns, columns, ledger,
                            readable=np.ones(time_ns.shape, np.bool_))  # fmt: skip
 
 
-def sbet_rows(path: Path, ledger: Ledger) -> Array:
+def _doubles(content: bytes, width: int, kind: str = "<f8") -> Array:
+    """The whole rows of a file."""
+    whole = len(content) // (8 * width) * width
+    return np.frombuffer(content, kind, whole).reshape(-1, width).astype(np.float64)
+
+
+def _sbet_rows(path: Path, ledger: Ledger) -> Array:
     """(n, 17) rows; refuses what is no SBET with what it is instead."""
     content = path.read_bytes()
-    size = 8 * _ROW
-    whole = len(content) // size
-    little = np.frombuffer(content, "<f8", whole * _ROW).reshape(-1, _ROW)
-    why = _implausible(little)
-    if why:
-        big = np.frombuffer(content, ">f8", whole * _ROW).reshape(-1, _ROW)
-        if not _implausible(big):
-            raise not_of_format(path, "its numbers are big-endian: an SBET is little-endian",
-                                "export it again without swapping bytes")  # fmt: skip
-        sigmas = np.frombuffer(content, "<f8", len(content) // 80 * _SIGMA_ROW)
-        if _are_sigmas(sigmas.reshape(-1, _SIGMA_ROW)):
-            raise not_of_format(
-                path,
-                "it has the rows of a smrmsg file (10 doubles): standard deviations, no trajectory",
-                "give the SBET as path and this file as accuracy",
-            )
-        raise not_of_format(path, f"read as an SBET, {why}")
-    left = len(content) - whole * size
-    if left:
+    rows = _doubles(content, _ROW)
+    if why := _implausible(rows):
+        if not _implausible(_doubles(content, _ROW, ">f8")):
+            why = "its numbers are big-endian, those of an SBET are little-endian"
+        elif _are_sigmas(_doubles(content, _SIGMA_ROW)):
+            why = "it is a smrmsg file (10 doubles a row), to be named as accuracy beside the SBET"
+        raise not_of_format(path, f"it is no SBET: {why}")
+    if left := len(content) % (8 * _ROW):
         ledger.loss(
             "IMPORT-CUT",
-            f"the last {left} bytes are no whole row of {size}: the file was cut after "
-            f"{whole} rows",
+            f"the last {left} bytes are no whole row of {8 * _ROW}: the file was cut after "
+            f"{len(rows)} rows",
             where=path.name,
             count=left,
         )
-    return np.asarray(little, np.float64)
+    return rows
 
 
 def _implausible(rows: Array) -> str:
     """What in rows cannot be of an SBET; empty where nothing is."""
-    if rows.shape[0] < 3:
-        return f"it has {rows.shape[0]} rows"
+    if len(rows) < 3:
+        return f"it has {len(rows)} rows"
     if not bool(np.isfinite(rows).all()):
         return "not all of its values are numbers"
-    time, largest = rows[:, 0], np.abs(rows).max(axis=0)
+    time, height, largest = rows[:, 0], rows[:, 3], np.abs(rows).max(axis=0)
     with np.errstate(over="ignore"):
-        back = int(np.count_nonzero(np.diff(time) <= 0.0))
+        back = np.count_nonzero(np.diff(time) <= 0.0)
     if time.min() < 0.0 or time.max() > 3 * 604_800.0 or back > 0.01 * time.size:
         return "its first column is no time that increases"
     if largest[1] > np.pi / 2.0 or largest[2] > 2.0 * np.pi:
-        return (
-            f"latitude and longitude reach {largest[1]:.4g} and {largest[2]:.4g}: degrees, or "
-            "exchanged, where an SBET has radians, latitude first"
-        )
-    if rows[:, 3].min() < -1_000.0 or largest[3] > 60_000.0:
-        return f"heights are between {rows[:, 3].min():.4g} and {rows[:, 3].max():.4g} m"
+        return (f"latitude and longitude reach {largest[1]:.4g} and {largest[2]:.4g}: degrees, or "
+                "exchanged, not radians, latitude first")  # fmt: skip
+    if height.min() < -1_000.0 or height.max() > 60_000.0:
+        return f"heights are between {height.min():.4g} and {height.max():.4g} m"
     if bool((largest[7:11] > np.array([1.0, 0.51, 2.0, 2.0]) * np.pi).any()):
         reach = ", ".join(f"{angle:.4g}" for angle in largest[7:11])
         return f"roll, pitch, heading and wander angle reach {reach} radians: degrees?"
@@ -134,32 +119,30 @@ def _implausible(rows: Array) -> str:
 
 
 def _are_sigmas(rows: Array) -> bool:
-    return bool(
-        rows.shape[0] > 2
-        and np.isfinite(rows).all()
-        and np.median(np.diff(rows[:, 0])) > 0.0
-        and 0.0 <= rows[:, 0].min() <= rows[:, 0].max() < 3 * 604_800.0
-        and rows[:, 1:].min() >= 0.0
-        and rows[:, 1:].max() < 1e5
-    )
+    """Whether rows of ten can be those of a smrmsg file: increasing seconds, small sigmas."""
+    if len(rows) < 3 or not bool(np.isfinite(rows).all()):
+        return False
+    increase, sigmas = np.median(np.diff(rows[:, 0])), rows[:, 1:]
+    in_week = rows[:, 0].min() >= 0.0 and rows[:, 0].max() < 3 * 604_800.0
+    return bool(in_week and increase > 0.0 and sigmas.min() >= 0.0 and sigmas.max() < 1e5)
 
 
 def wander_sign(
-    path: Path, time_ns: NDArray[np.int64], rows: Array, ledger: Ledger
+    path: Path, seconds: Array, rows: Array, ledger: Ledger
 ) -> tuple[float, NDArray[np.complex128] | None]:
     """The sign of the wander angle in the true heading, and the velocity north + 1j east.
 
-    The velocity is None where the file's has no frame in which it is that of the positions.
+    Velocities are in the wander frame: turned by the same angle they are those of the positions.
+    Where the file has none that are, the heading is tried against the course. The velocity is None
+    where the file's is that of the positions in no frame.
     """
-    track = track_velocity(time_ns, rows[:, 1], rows[:, 2], 0.5)
-    wander, speed = rows[:, 10], np.abs(track)
-    with np.errstate(invalid="ignore"):
-        moving = speed > _MOVING_M_S
+    track, wander = ground_velocity(seconds, rows[:, 1], rows[:, 2]), rows[:, 10]
+    moving = np.abs(track) > _MOVING_M_S
     if not bool(moving.any()):
         ledger.note("IMPORT-WANDER", "nothing in the file moves: the true heading is taken as "
                     "platform heading minus wander angle", where=path.name)  # fmt: skip
         return -1.0, None
-    usual = float(np.median(speed[moving]))
+    usual = float(np.median(np.abs(track[moving])))
     said = float(np.median(np.hypot(rows[moving, 4], rows[moving, 5])))
     if usual > FASTEST_M_S or (said > 0.0 and not 0.8 < usual / said < 1.25):
         raise InputError(
@@ -169,82 +152,78 @@ def wander_sign(
             where=str(path),
             remedy="export an SBET in radians, latitude before longitude",
         )
-    # Mirrored where y points left (wander frame north, west, up), and turned by the wander angle.
-    fits: dict[tuple[int, int], Any] = {
-        (mirror, sign): (rows[:, 4] + 1j * mirror * rows[:, 5]) * np.exp(1j * sign * wander)
-        for mirror in (-1, 1)
-        for sign in (-1, 0, 1)
-    }
-    misfit = {key: float(np.median(np.abs(fit - track)[moving])) for key, fit in fits.items()}
-    mirror, turned = min(misfit, key=misfit.__getitem__)
-    trusted = misfit[mirror, turned] < max(0.3, 0.03 * usual)
-    largest = float(np.abs(wander[moving]).max())
-    minus, plus = misfit[mirror, -1], misfit[mirror, 1]
-    how, unit = "velocities and positions", "m/s"
-    if not (trusted and turned and max(minus, plus) > 3.0 * min(minus, plus)):
-        course = np.angle(track[moving])
-        minus, plus = (
-            float(np.degrees(np.median(np.abs(wrapped(rows[moving, 9] + s * wander[moving]
-                                                      - course))))) for s in (-1, 1)
-        )  # fmt: skip
-        how, unit = "heading and course", "deg"
-    sign = -1.0 if minus <= plus else 1.0
-    what = (
-        f"true heading is platform heading {'minus' if sign < 0 else 'plus'} wander angle (up to "
-        f"{np.degrees(largest):.2f} deg): {how} differ by {min(minus, plus):.2f} {unit} that way, "
-        f"by {max(minus, plus):.2f} {unit} the other"
-    )
-    neither = unit == "deg" and min(minus, plus) > 30.0
-    close = unit == "deg" and abs(plus - minus) < 0.5 * np.degrees(largest)
-    if largest < _LEAST_WANDER_RAD:
+
+    def misfits(velocity: NDArray[np.complex128]) -> list[float]:
+        """Against the movement of the positions, with the wander angle subtracted and added."""
+        turned = (velocity * np.exp(1j * sign * wander) - track for sign in (-1.0, 1.0))
+        return [float(np.median(np.abs(difference[moving]))) for difference in turned]
+
+    # y points left (frame north, west, up) or right.
+    velocity = min((rows[:, 4] + 1j * side * rows[:, 5] for side in (-1, 1)),
+                   key=lambda able: min(misfits(able)))  # fmt: skip
+    trusted = min(misfits(velocity)) < max(0.3, 0.03 * usual)
+    forward = np.abs(track) * np.exp(1j * rows[:, 9])
+    minus, plus = misfits(velocity if trusted else forward)
+    largest = 2.0 * float(np.abs(np.sin(wander[moving])).max())
+    decided = min(minus, plus) < 0.5 * usual and abs(plus - minus) > 0.25 * largest * usual
+    sign = 1.0 if decided and plus < minus else -1.0
+    if largest < 2.0 * _LEAST_WANDER_RAD:
         ledger.note("IMPORT-WANDER", "the wander angle is zero throughout", where=path.name)
-    elif neither or close:
-        sign = -1.0
-        ledger.warning(
-            "IMPORT-WANDER",
-            f"the sign of the wander angle (up to {np.degrees(largest):.2f} deg) is that of "
-            f"POSPac, heading minus wander angle: {how} do not decide it ({minus:.2f} against "
-            f"{plus:.2f} deg)",
-            where=path.name,
-        )
-    elif sign > 0:
-        ledger.warning("IMPORT-WANDER", what + "; POSPac has the other sign", where=path.name)
     else:
-        ledger.note("IMPORT-WANDER", what, where=path.name)
-    if trusted:
-        return sign, fits[mirror, turned]
-    if said > 0.0:
-        ledger.warning(
-            "IMPORT-VELOCITY",
-            f"its velocities are those of its positions in no frame ({misfit[mirror, turned]:.2f} "
-            "m/s apart): they are not used",
+        tell = ledger.note if decided and sign < 0.0 else ledger.warning
+        tell(
+            "IMPORT-WANDER",
+            f"true heading is platform heading {'minus' if sign < 0 else 'plus'} wander angle (up "
+            f"to {np.degrees(np.abs(wander[moving]).max()):.2f} deg; POSPac: minus): "
+            f"{'velocities and positions' if trusted else 'heading and course'} "
+            f"{'differ' if decided else 'do not decide it, they differ'} by {minus:.2f} m/s with "
+            f"minus, {plus:.2f} m/s with plus",
             where=path.name,
         )
+    if trusted:
+        return sign, velocity * np.exp(1j * sign * wander)
+    if said > 0.0:
+        ledger.warning("IMPORT-VELOCITY", "its velocities are those of its positions in no frame ("
+                       f"{min(misfits(velocity)):.2f} m/s apart): they are not used",
+                       where=path.name)  # fmt: skip
     return sign, None
 
 
-def smrmsg_sigmas(path: Path, seconds: Array) -> dict[str, Array]:
+def ground_velocity(seconds: Array, lat_rad: Array, lon_rad: Array) -> NDArray[np.complex128]:
+    """(n,) velocity over the ground, north + 1j east [m/s], from positions half a second apart.
+
+    >>> seconds = np.arange(5.0)
+    >>> ground_velocity(seconds, np.zeros(5), np.arange(5) * 1e-6)[2].round(3)
+    np.complex128(6.378j)
+    """
+    ends = np.clip(seconds + np.array([[-0.25], [0.25]]), seconds[0], seconds[-1])
+    moved = np.diff([np.interp(ends, seconds, angle) for angle in (lat_rad, np.unwrap(lon_rad))],
+                    axis=1)[:, 0]  # fmt: skip
+    meridian, vertical = principal_radii(lat_rad)
+    metres = moved[0] * meridian + 1j * moved[1] * vertical * np.cos(lat_rad)
+    return np.asarray(metres / np.maximum(ends[1] - ends[0], 1e-3))
+
+
+def _smrmsg_sigmas(path: Path, seconds: Array) -> dict[str, Array]:
     """Sigmas of a smrmsg file at the times of the SBET; NaN where it has none."""
     content = path.read_bytes()
-    rows = np.frombuffer(content, "<f8", len(content) // 80 * _SIGMA_ROW).reshape(-1, _SIGMA_ROW)
-    if len(content) % 80 or not _are_sigmas(rows):
-        raise not_of_format(path, "it is no smrmsg file: rows of 10 doubles, time and sigmas",
-                            "give the smrmsg file that was written with the SBET")  # fmt: skip
+    rows = _doubles(content, _SIGMA_ROW)
+    why = ""
+    if len(content) % (8 * _SIGMA_ROW) or not _are_sigmas(rows):
+        why = "it is no smrmsg file: rows of 10 doubles, time and sigmas"
+    elif rows[:, 0].max() < seconds[0] or rows[:, 0].min() > seconds[-1]:
+        why = (f"its seconds of the week, {rows[0, 0]:.0f} to {rows[-1, 0]:.0f}, are not those of "
+               f"the SBET, {seconds[0]:.0f} to {seconds[-1]:.0f}")  # fmt: skip
+    if why:
+        raise not_of_format(path, why, "give the smrmsg file that was written with the SBET")
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
-    if rows[-1, 0] < seconds[0] or rows[0, 0] > seconds[-1]:
-        raise not_of_format(
-            path,
-            f"its seconds of the week, {rows[0, 0]:.0f} to {rows[-1, 0]:.0f}, are not those of the "
-            f"SBET, {seconds[0]:.0f} to {seconds[-1]:.0f}",
-            "give the smrmsg file that was written with the SBET",
-        )
-
-    def at(values: Array) -> Array:
-        return np.interp(seconds, rows[:, 0], values, left=np.nan, right=np.nan)
-
+    north, east, down, roll, pitch, heading = (
+        np.interp(seconds, rows[:, 0], rows[:, k], left=np.nan, right=np.nan)
+        for k in (1, 2, 3, 7, 8, 9)
+    )
     return {
-        "sigma_h_m": at(np.hypot(rows[:, 1], rows[:, 2]) / np.sqrt(2.0)),
-        "sigma_v_m": at(rows[:, 3]),
-        "sigma_tilt_rad": at(np.hypot(rows[:, 7], rows[:, 8]) / np.sqrt(2.0)) * _ARCMIN,
-        "sigma_yaw_rad": at(rows[:, 9]) * _ARCMIN,
+        "sigma_h_m": np.hypot(north, east) / np.sqrt(2.0),
+        "sigma_v_m": down,
+        "sigma_tilt_rad": np.hypot(roll, pitch) / np.sqrt(2.0) * _ARCMIN,
+        "sigma_yaw_rad": heading * _ARCMIN,
     }

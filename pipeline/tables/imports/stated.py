@@ -1,6 +1,6 @@
 """What the mission file states of a file of another program, and what every such file needs.
 
-Text, times in UTC, and a channel in the order of time.
+The week of its seconds, and a channel in the order of time.
 """
 
 from __future__ import annotations
@@ -11,19 +11,15 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from pipeline.errors import InputError
 from pipeline.flight.channels import Array, Channel, Source, TimeArray
-from pipeline.flight.clock import SECONDS_PER_WEEK, utc_of_gps
+from pipeline.flight.clock import SECONDS_PER_WEEK
 from pipeline.ledger import Ledger
-from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH
-
-AngleUnit = Literal["deg", "rad", "grad"]
-RADIANS: Mapping[str, float] = {"deg": np.pi / 180.0, "rad": 1.0, "grad": np.pi / 200.0}
-"""Units of angles [rad]."""
-
-_WEEK_NS = SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND
+from pipeline.tables.text_columns import utc_of_weeks
+from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, AngleUnit
 
 
 @dataclass(frozen=True)
@@ -52,34 +48,39 @@ class Stated:
     angle_unit: AngleUnit = "deg"
     angle_order: str = "ZYX"
 
+    def system_of(self, path: Path, found: str | None = None) -> str:
+        """The time system, gpst or utc; ``found`` is what the file says of itself."""
+        return _settled(path, "time.system", found, self.time_system)
 
-def read_text(path: Path) -> list[str]:
-    """The lines of a text file; refuses one that cannot be read or is no text."""
-    try:
-        return path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise not_of_format(path, f"it cannot be read as text: {error}") from None
+    def height_column(self, path: Path, found: str | None = None) -> str:
+        """The channel's column for heights above ``ellipsoid`` or ``msl``, as found or stated."""
+        known = _settled(path, "heights", found, self.heights)
+        return "h_ellipsoid_m" if known == "ellipsoid" else "h_msl_m"
+
+    def utc_of_week_seconds(self, path: Path, seconds: Array, system: str) -> TimeArray:
+        """UTC of seconds of a week that the file does not name.
+
+        It is the stated one, or that in which most of the file lies within the log. Seconds that
+        begin anew belong to the next week.
+        """
+        known = np.asarray(pd.Series(seconds).ffill().bfill().fillna(0.0), np.float64)
+        back = np.diff(known, prepend=known[:1]) < -SECONDS_PER_WEEK / 2
+        seconds = known + SECONDS_PER_WEEK * np.cumsum(back)
+        if self.week is not None:
+            return utc_of_weeks(self.week, seconds, system)
+        if self.around_ns is None:
+            raise InputError(
+                "IMPORT-WEEK", "it has seconds of the week, and nothing says of which week",
+                where=str(path), remedy="give time: {week: NUMBER}, counted from 1980-01-06",
+            )  # fmt: skip
+        first, last = self.around_ns
+        since = (first + last) // 2 - UNIX_NS_OF_GPS_EPOCH
+        week = since // (SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND)
+        able = [utc_of_weeks(near, seconds, system) for near in (week, week - 1, week + 1)]
+        return max(able, key=lambda time_ns: np.sum((time_ns >= first) & (time_ns <= last)))
 
 
-def number(text: str) -> float:
-    """The number of a field, NaN where it is none; -0 keeps its sign."""
-    try:
-        return float(text)
-    except ValueError:
-        return np.nan
-
-
-def not_of_format(path: Path, why: str, remedy: str = "") -> InputError:
-    """The refusal of a file that is not what its format says."""
-    return InputError(
-        "IMPORT-FORMAT",
-        why,
-        where=str(path),
-        remedy=remedy or "name the format of the file, or export it again",
-    )
-
-
-def settled(path: Path, key: str, found: str | None, stated: str | None) -> str:
+def _settled(path: Path, key: str, found: str | None, stated: str | None) -> str:
     """What a file says of itself or the mission file of it; they may not contradict each other."""
     if found is not None and stated not in (None, found):
         raise InputError(
@@ -92,73 +93,33 @@ def settled(path: Path, key: str, found: str | None, stated: str | None) -> str:
     if known is None:
         raise InputError(
             "IMPORT-UNSTATED",
-            f"the file does not say its {key}: GPS time is 18 s ahead of UTC since 2017, heights "
-            "above ellipsoid and sea are up to 107 m apart",
+            f"it does not say its {key}: GPS time is 18 s ahead of UTC since 2017, heights above "
+            "ellipsoid and sea are up to 107 m apart",
             where=str(path),
             remedy="give time: {system: gpst} or {system: utc}, and heights: ellipsoid or msl",
         )
     return known
 
 
-def height_column(path: Path, stated: Stated, found: str | None = None) -> str:
-    """The channel's column for the heights of a file."""
-    known = settled(path, "heights", found, stated.heights)
-    return "h_ellipsoid_m" if known == "ellipsoid" else "h_msl_m"
+def read_text(path: Path) -> list[str]:
+    """The lines of a text file that are not empty; refuses what is no text."""
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise not_of_format(path, f"it cannot be read as text: {error}") from None
+    return [line for line in lines if line.strip()]
 
 
-def time_system(path: Path, stated: Stated, found: str | None = None) -> str:
-    """The time system of a file: gpst or utc."""
-    return settled(path, "time.system", found, stated.time_system)
+def not_of_format(
+    path: Path, why: str, remedy: str = "name the format of the file, or export it again"
+) -> InputError:
+    """The refusal of a file that is not what its format says."""
+    return InputError("IMPORT-FORMAT", why, where=str(path), remedy=remedy)
 
 
-def utc_of_calendar(time_ns: TimeArray, system: str) -> TimeArray:
-    """UTC of dates and times of day in GPS time or UTC, as if Unix time [ns]."""
-    if system == "utc":
-        return time_ns
-    since = time_ns - UNIX_NS_OF_GPS_EPOCH
-    return utc_of_gps(since // _WEEK_NS, (since % _WEEK_NS) / NANOSECONDS_PER_SECOND)
-
-
-def utc_of_week_seconds(
-    path: Path, seconds: Array, stated: Stated, system: str, week: Array | None = None
-) -> TimeArray:
-    """UTC of seconds of the week; ``week`` (n,) where the file has it.
-
-    Seconds that begin anew belong to the next week. Without a week it is the stated one, or that
-    in which most of the file lies within the log.
-    """
-    known = np.where(np.isfinite(seconds), seconds, 0.0)
-    if week is None:
-        known = known + SECONDS_PER_WEEK * np.cumsum(
-            np.diff(known, prepend=known[:1]) < -SECONDS_PER_WEEK / 2
-        )
-
-    def utc(weeks: Array | int) -> TimeArray:
-        if system == "gpst":
-            return utc_of_gps(weeks, known)
-        start = UNIX_NS_OF_GPS_EPOCH + np.asarray(weeks, np.int64) * _WEEK_NS
-        return np.asarray(start + np.rint(known * 1e9).astype(np.int64), np.int64)
-
-    if week is not None:
-        return utc(np.where(np.isfinite(week), week, 0.0))
-    if stated.week is not None:
-        return utc(stated.week)
-    if stated.around_ns is None:
-        raise InputError(
-            "IMPORT-WEEK",
-            "it has seconds of the week, and nothing says of which week",
-            where=str(path),
-            remedy="give time: {week: NUMBER}, counted from 1980-01-06",
-        )
-    first, last = stated.around_ns
-    middle = (first + last) // 2 - UNIX_NS_OF_GPS_EPOCH
-
-    def inside(candidate: int) -> float:
-        time_ns = utc(candidate)
-        return float(np.count_nonzero((time_ns >= first) & (time_ns <= last)))
-
-    at = int(middle // _WEEK_NS)
-    return utc(max((at, at - 1, at + 1), key=inside))
+def wrapped(angle: Array) -> Array:
+    """Angles in [-pi, pi)."""
+    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def channel_of_rows(
@@ -173,24 +134,23 @@ def channel_of_rows(
 ) -> Channel:
     """A channel called like the file, in the order of time, without rows that cannot be read.
 
-    ``readable`` (n,) False where a row is damaged or repeats a time; these rows are a loss. The
-    positions of no row may be outside the earth's coordinates.
+    ``readable`` (n,) False where a row is damaged; these rows, and those that repeat a time, are a
+    loss. Refuses latitudes beyond the poles.
     """
-    order = np.argsort(time_ns, kind="stable")
-    again = np.zeros(time_ns.shape, np.bool_)
-    in_order = order[readable[order]]
-    again[in_order[1:]] = np.diff(time_ns[in_order]) == 0
-    for bad, what in ((~readable, "cannot be read"), (again, "repeat the time of another")):
-        if bool(bad.any()):
-            count = int(np.count_nonzero(bad))
+    rows = np.argsort(time_ns, kind="stable")
+    rows = rows[readable[rows]]
+    again = np.diff(time_ns[rows], prepend=-1) == 0
+    for bad, what in ((np.flatnonzero(~readable), "cannot be read"),
+                      (np.sort(rows[again]), "repeat the time of another")):  # fmt: skip
+        if bad.size:
             ledger.loss(
                 "IMPORT-ROWS",
-                f"{count} of {time_ns.size} rows {what} and are not used, the first is row "
-                f"{int(np.argmax(bad)) + 1}",
+                f"{bad.size} of {time_ns.size} rows {what} and are not used, the first is row "
+                f"{bad[0] + 1}",
                 where=path.name,
-                count=count,
+                count=int(bad.size),
             )
-    rows = in_order[~again[in_order]]
+    rows = rows[~again]
     if rows.size == 0:
         raise not_of_format(path, "none of its rows can be read")
     worst = float(np.fmax.reduce(np.abs(columns["lat_rad"][rows]), initial=0.0))
@@ -201,13 +161,6 @@ def channel_of_rows(
             where=str(path),
             remedy="exchange the columns of latitude and longitude, or state the unit that it has",
         )
-    return Channel(
-        path.name,
-        time_ns[rows],
-        {name: values[rows] for name, values in columns.items()},
-        Source(kind),
-        labels={
-            name: tuple(np.array(values, dtype=object)[rows])
-            for name, values in (labels or {}).items()
-        },
-    )
+    values = {name: column[rows] for name, column in columns.items()}
+    words = {n: tuple(np.array(v, dtype=object)[rows]) for n, v in (labels or {}).items()}
+    return Channel(path.name, time_ns[rows], values, Source(kind), labels=words)

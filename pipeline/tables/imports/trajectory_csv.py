@@ -14,19 +14,15 @@ from pipeline.flight.channels import Array, Channel, TimeArray
 from pipeline.flight.clock import SECONDS_PER_WEEK
 from pipeline.geodesy import geodetic_of_ecef
 from pipeline.ledger import Ledger
-from pipeline.tables.column_checks import no_such_column
-from pipeline.tables.imports.stated import (
-    RADIANS,
-    Stated,
-    channel_of_rows,
-    height_column,
-    not_of_format,
-    number,
-    time_system,
-    utc_of_calendar,
-    utc_of_week_seconds,
+from pipeline.tables.imports.stated import Stated, channel_of_rows, not_of_format
+from pipeline.tables.text_columns import (
+    angles_in_radians,
+    numbers,
+    text_table,
+    utc_of_dates,
+    utc_of_weeks,
 )
-from pipeline.tables.text_columns import text_table
+from pipeline.units import RADIANS
 
 _SINCE_EPOCH_S = 1e8
 """Seconds beyond this count from an epoch, not from the beginning of a week."""
@@ -47,91 +43,56 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     if not stated.columns:
         raise not_of_format(path, "nothing says what its columns are",
                             "name them under stations.trajectory.columns")  # fmt: skip
-    table = text_table(path, "IMPORT-FORMAT")
-    for quantity, name in stated.columns.items():
-        if name not in table.columns:
-            raise no_such_column("IMPORT-COLUMN", path, name, there=list(table.columns),
-                                 key="stations.trajectory.columns", quantity=quantity)  # fmt: skip
-    value = {
-        quantity: np.array([number(field) for field in table[name]])
-        for quantity, name in stated.columns.items()
-    }
-    time_ns, readable = utc_of_column(path, table, value, stated)
+    table = text_table(path, stated.columns, codes=("IMPORT-FORMAT", "IMPORT-COLUMN"),
+                       key="stations.trajectory.columns")  # fmt: skip
+    value = {quantity: numbers(table[name]) for quantity, name in stated.columns.items()}
     columns = {name: value[name] for name in _AS_THEY_ARE if name in value}
     if "x" in value:
         lat, lon, height = geodetic_of_ecef(value["x"], value["y"], value["z"])
-        surface = height_column(path, stated, "ellipsoid")
-        radius = float(np.nanmedian(np.sqrt(value["x"] ** 2 + value["y"] ** 2 + value["z"] ** 2)))
+        surface = stated.height_column(path, "ellipsoid")
+        radius = float(np.nanmedian(np.linalg.norm([value[axis] for axis in "xyz"], axis=0)))
         if not 6.3e6 < radius < 6.5e6:
             raise InputError(
-                "IMPORT-RANGE",
-                f"x, y and z are {radius:.4g} m from the centre of the earth",
-                where=str(path),
-                remedy="name columns of earth-centred coordinates in metres (WGS84)",
-            )
+                "IMPORT-RANGE", f"x, y and z are {radius:.4g} m from the centre of the earth",
+                where=str(path), remedy="name columns of earth-centred coordinates (WGS84, metres)",
+            )  # fmt: skip
     else:
         unit = RADIANS[stated.position_unit]
         lat, lon, height = value["latitude"] * unit, value["longitude"] * unit, value["height"]
-        surface = height_column(path, stated)
+        surface = stated.height_column(path)
     columns |= {"lat_rad": lat, "lon_rad": lon, surface: height}
     if "yaw" in value:
-        columns |= quaternions_of_angles(path, value, stated)
-    readable = readable & np.isfinite(np.stack([lat, lon, height])).all(axis=0)
+        angles = np.stack([value[name] for name in ("roll", "pitch", "yaw")], axis=1)
+        angles = angles_in_radians(angles, stated.angle_unit, path, "IMPORT-ANGLES",
+                                   "stations.trajectory.angle_unit")  # fmt: skip
+        known = np.isfinite(angles).all(axis=1)
+        in_order = angles[known][:, ["XYZ".index(axis) for axis in stated.angle_order]]
+        q = np.full((known.size, 4), np.nan)
+        q[known] = Rotation.from_euler(stated.angle_order, in_order).as_quat(canonical=True)
+        columns |= {f"q_{axis}": q[:, k] for k, axis in enumerate("xyzw")}
+    time_ns, readable = _utc(path, table[stated.columns["time"]].str.strip(), value, stated)
+    readable = readable & np.isfinite([lat, lon, height]).all(axis=0)
     return channel_of_rows(path, "CSV", time_ns, columns, ledger, readable=readable)
 
 
-def utc_of_column(
-    path: Path, table: pd.DataFrame, value: dict[str, Array], stated: Stated
+def _utc(
+    path: Path, text: pd.Series[str], value: dict[str, Array], stated: Stated
 ) -> tuple[TimeArray, NDArray[np.bool_]]:
     """UTC of the rows, and which have a readable time."""
-    seconds, system = value["time"], time_system(path, stated)
-    if bool(np.isfinite(seconds).any()):
-        readable = np.isfinite(seconds)
-        week = value.get("week")
-        if week is not None:
-            readable &= np.isfinite(week)
-        elif float(np.nanmedian(seconds)) > _SINCE_EPOCH_S:
-            since = np.where(readable, seconds, 0.0)
-            if system == "gpst":
-                whole = np.floor(since / SECONDS_PER_WEEK)
-                return utc_of_week_seconds(
-                    path, since - whole * SECONDS_PER_WEEK, stated, system, whole
-                ), readable
-            return np.rint(since * 1e6).astype(np.int64) * 1000, readable
-        return utc_of_week_seconds(path, seconds, stated, system, week), readable
-    text = table[stated.columns["time"]].str.replace("/", "-")
-    stamps = pd.to_datetime(text, format="ISO8601", errors="coerce", utc=True)
-    zoned = text.str.contains(r"(?:Z|[+-][0-9]{2}:?[0-9]{2})$", regex=True)
-    if system == "gpst" and bool(zoned.any()):
-        raise InputError(
-            "IMPORT-TIME-SYSTEM",
-            f"{text.iloc[0]} has a time zone, which GPS time has not",
-            where=str(path),
-            remedy="give time: {system: utc}",
-        )
-    time_ns = stamps.to_numpy("datetime64[ns]").astype(np.int64)
-    return utc_of_calendar(time_ns, system), stamps.notna().to_numpy()
-
-
-def quaternions_of_angles(path: Path, value: dict[str, Array], stated: Stated) -> dict[str, Array]:
-    """v_ned = R(q) v_body from roll, pitch and yaw in the stated unit and order."""
-    unit = RADIANS[stated.angle_unit]
-    by_axis = {"X": value["roll"], "Y": value["pitch"], "Z": value["yaw"]}
-    worst = {name: float(np.fmax.reduce(np.abs(value[name]), initial=0.0))
-             for name in ("roll", "pitch", "yaw")}  # fmt: skip
-    limit = 2.0 * np.pi / unit * 1.0001
-    if max(worst.values()) > limit:
-        raise InputError(
-            "IMPORT-ANGLES",
-            f"roll, pitch and yaw reach {worst['roll']:.1f}, {worst['pitch']:.1f} and "
-            f"{worst['yaw']:.1f}, more than the full circle of {limit:.4g} {stated.angle_unit}",
-            where=str(path),
-            remedy="state angle_unit: deg, rad or grad (400 in the circle)",
-        )
-    angles = np.stack([by_axis[axis] * unit for axis in stated.angle_order], axis=1)
-    known = np.isfinite(angles).all(axis=1)
-    quaternion = np.full((known.size, 4), np.nan)
-    if bool(known.any()):
-        turned = Rotation.from_euler(stated.angle_order, angles[known])
-        quaternion[known] = turned.as_quat(canonical=True)
-    return {f"q_{axis}": quaternion[:, k] for k, axis in enumerate("xyzw")}
+    system, seconds = stated.system_of(path), value["time"]
+    readable = np.isfinite(seconds)
+    if not bool(readable.any()):
+        if system == "gpst" and bool(text.str.contains(r"(?:Z|[+-]\d\d:?\d\d)$").any()):
+            raise InputError(
+                "IMPORT-TIME-SYSTEM", f"{text.iloc[0]} has a time zone, which GPS time has not",
+                where=str(path), remedy="give time: {system: utc}",
+            )  # fmt: skip
+        return utc_of_dates(text, system)
+    if "week" in value:
+        readable = readable & np.isfinite(value["week"])
+        return utc_of_weeks(value["week"], seconds, system), readable
+    if float(np.nanmedian(seconds)) < _SINCE_EPOCH_S:
+        return stated.utc_of_week_seconds(path, seconds, system), readable
+    if system == "gpst":
+        return utc_of_weeks(*np.divmod(seconds, SECONDS_PER_WEEK), system), readable
+    return np.rint(np.where(readable, seconds, 0.0) * 1e6).astype(np.int64) * 1000, readable
