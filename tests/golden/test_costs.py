@@ -140,6 +140,21 @@ TIMES = Option("times", int, 1, "how often each name is written", minimum=1, max
 FORMATS = (ExportFormat("toy", "names of the images", ".txt", write, (TIMES,)),)
 '''
 
+IMPORT = '''
+"""A toy: a line of text a sample, with time [ns], latitude and longitude [rad] and height [m]."""
+
+import numpy as np
+
+from pipeline.flight.channels import Channel, Source
+
+
+def read_toy(path, stated, ledger):
+    rows = np.loadtxt(path, delimiter=",", ndmin=2)
+    names = ("lat_rad", "lon_rad", f"h_{stated.heights}_m")
+    columns = dict(zip(names, rows[:, 1:].T))
+    return Channel("toy", rows[:, 0].astype(np.int64), columns, Source("toy"))
+'''
+
 
 @dataclass(frozen=True)
 class Thing:
@@ -188,6 +203,22 @@ THINGS = {
                 (
                     '    "brown_conrady": brown_conrady,\n',
                     '    "brown_conrady": brown_conrady,\n    "toy": toy,\n',
+                ),
+            )
+        },
+    ),
+    "import": Thing(
+        {"pipeline/tables/imports/toy.py": IMPORT},
+        {
+            "pipeline/tables/imports/__init__.py": (
+                (
+                    "import read_trajectory_csv\n",
+                    "import read_trajectory_csv\n"
+                    "from pipeline.tables.imports.toy import read_toy\n",
+                ),
+                (
+                    '    "sbet": (read_sbet,',
+                    '    "toy": (read_toy, (".toy",)),\n    "sbet": (read_sbet,',
                 ),
             )
         },
@@ -337,3 +368,24 @@ def test_an_export(copy, baseline):
     names = (copy.folder / "names.txt").read_text().splitlines()
     assert len(names) == 2 * len(set(names)) > 0
     assert "EXPORT-OPTION" in copy.unbend(*run, "--columns", 3, "--out", "n.txt", code=2)
+
+
+def test_an_import(copy):
+    (copy.folder / "flown.toy").write_text("1000000000,0.8,0.2,500\n2000000000,0.8,0.2,501\n")
+    mission = yaml.safe_load((CONTRIBUTING.parent / "configs" / "sample_bin.yaml").read_text())
+    trajectory = {"path": "flown.toy", "format": "toy", "point": "imu", "heights": "msl"}
+    mission["stations"] = {"trajectory": trajectory}
+    (copy.folder / "with_toy.yaml").write_text(yaml.safe_dump(mission))
+    code = (
+        "import pipeline; from pathlib import Path; from pipeline.ledger import Ledger\n"
+        "from pipeline.tables.imports import TRAJECTORIES, Stated, reader_of\n"
+        "stated = pipeline.load_mission('with_toy.yaml').stations.trajectory\n"
+        "by_ending = reader_of(TRAJECTORIES, Path('flown.toy'), None)\n"
+        "name, read = reader_of(TRAJECTORIES, Path('flown.toy'), stated.format)\n"
+        "assert (name, read) == by_ending\n"
+        "print(read(Path('flown.toy'), Stated(heights=stated.heights), Ledger())['h_msl_m'])"
+    )
+    assert "501" in copy.python("-c", code)
+    mission["stations"]["trajectory"]["format"] = "none of them"
+    (copy.folder / "with_toy.yaml").write_text(yaml.safe_dump(mission))
+    assert "toy" in copy.unbend("check", "with_toy.yaml", code=2)
