@@ -180,123 +180,143 @@ def assigned_events(
 ) -> tuple[Events, Indices, Notes]:
     """The events that have an image, under its name, and their rows among all events.
 
-    The log's own numbers in the names of images are believed, and all events keep their names,
-    unless times or tie points contradict (MissionError EVENTS-CONTRADICTED). Everything else is
-    decided by the likelihood, and refused (EVENTS-AMBIGUOUS) where the runner-up is not 1000 times
-    less likely.
+    The log's own numbers in the names of images decide, and all events keep their names, unless
+    times or tie points contradict (MissionError EVENTS-CONTRADICTED). Everything else is decided
+    by the likelihood, and refused (EVENTS-AMBIGUOUS) where the runner-up is not 1000 times less
+    likely.
     """
     where = f"events.log.{exposed.camera}"
     every = np.arange(exposed.time_ns.size, dtype=np.int64)
-    called = bool((exposed.image != "").all())
+    has_names = bool((exposed.image != "").all())
     if images.name.size == 0 or every.size == 0:
-        kept = every[: every.size * called]
+        kept = every[: every.size * has_names]
         return Events(exposed.camera, exposed.image[kept], exposed.time_ns[kept]), kept, ()
-    numbering = images.numbering
-    if numbering == "index" and exposed.index is None:
-        if called:  # the numbers begin anew, but their names do not repeat
+    by_index = images.numbering == "index" and exposed.index is not None
+    if images.numbering == "index" and not by_index:
+        if has_names:  # the numbers begin anew, but their names do not repeat
             return exposed, every, ()
-        numbering = "sequence"
+        images = replace(images, numbering="sequence")
     keys, wanted = exposed.image.tolist(), images.name.tolist()
-    if numbering == "index" and exposed.index is not None and not called:
+    if by_index and exposed.index is not None and not has_names:
         keys, wanted = exposed.index.tolist(), images.number.tolist()
     row_of = {key: row for row, key in enumerate(keys) if key != ""}
-    named = np.array([row_of.get(key, -1) for key in wanted], np.int64)
-    first = None
-    if anchor is not None:
-        row = np.flatnonzero(images.name == anchor.image)
-        if row.size == 0 or anchor.event > every.size:
-            raise MissionError(
-                "EVENTS-FIRST-IMAGE",
-                f"there is no image {anchor.image!r}, or no event {anchor.event} of {every.size}; "
-                f"the first image is {images.name[0]!r}",
-                where=f"events.first_image.{exposed.camera}",
-                remedy="name an image of this camera as the observations or the files call it",
-            )
-        first = (int(row[0]), anchor.event - 1)
-    begin = int(exposed.time_ns[0])
-    # Where pulses were lost, equal counts mean nothing.
-    evidence = ImageEvidence(
-        images.name.size,
-        number=images.number,
-        numbering=numbering,
-        total=-1 if exposed.lost else None,
+    event_by_name = np.array([row_of.get(key, -1) for key in wanted], np.int64)
+    evidence = evidence_of_images(exposed, images, files)
+    assignment = assign(
+        CameraEvents((exposed.time_ns - exposed.time_ns[0]) / 1e9, exposed.index),
+        evidence,
+        first_image=anchor_rows(anchor, images, exposed),
+        tie_points=tie_points,
     )
-    if files is not None:
-        time_ns = np.append(files.time_ns, NO_TIME)[images.file]
-        timed = time_ns != NO_TIME
-        if bool(timed.any()):
-            evidence = replace(
-                evidence,
-                time_s=np.where(timed, (np.where(timed, time_ns, begin) - begin) / 1e9, np.nan),
-                sigma_s=np.append(files.sigma_s, np.nan)[images.file],
-                clock_sigma_s=files.clock_sigma_s,
-            )
-    events = CameraEvents((exposed.time_ns - begin) / 1e9, exposed.index)
-    found = assign(events, evidence, first_image=first, tie_points=tie_points)
-    told, event = account(found, images, exposed), found.event
-    if numbering == "index":
-        contradicted = (event >= 0) & (event != named)
-        if float(contradicted.mean()) > _FEW_CONTRADICTED:
+    description, event = describe_assignment(assignment, images, exposed), assignment.event
+    undecided = assignment.ambiguous
+    if by_index:
+        undecided = (event >= 0) & (event != event_by_name)
+        if float(undecided.mean()) > _FEW_CONTRADICTED:
             raise MissionError(
                 "EVENTS-CONTRADICTED",
-                f"the log's numbers in the names of images are contradicted: {told}",
+                f"the log's numbers in the names of images are contradicted: {description}",
                 where=where,
                 remedy="check which camera the channel belongs to; count the images by {n} or "
                 "name them by *, and the evidence decides",
             )
-        event, undecided = np.where(contradicted, -1, named), contradicted
-    elif found.accepted:
-        undecided = found.ambiguous
-    else:
+        event = np.where(undecided, -1, event_by_name)
+    elif not assignment.accepted:
         raise MissionError(
             "EVENTS-AMBIGUOUS",
-            f"which image belongs to which event is not decided: {found.reason}. {told}",
+            f"which image belongs to which event is not decided: {assignment.reason}. "
+            f"{description}",
             where=where,
             remedy=f"state one under events.first_image.{exposed.camera}, as {{image: "
             f"{images.name[0]}, event: 1}}; or give the images' times under events.images",
         )
-    entries = [note("EVENTS-ASSIGNED", told, where=where, count=int((event >= 0).sum()))]
-    if evidence.time_s is not None and abs(found.offset_s) > _DAY_S:
-        what = f"the camera's clock is {found.offset_s / 3600:+.1f} h off: images of this day?"
+    entries = [note("EVENTS-ASSIGNED", description, where=where, count=int((event >= 0).sum()))]
+    if evidence.time_s is not None and abs(assignment.offset_s) > _DAY_S:
+        what = f"the camera's clock is {assignment.offset_s / 3600:+.1f} h off: images of this day?"
         entries.append(warning("EXIF-CLOCK", what, where="events.images"))
     if bool(undecided.any()):
         what = f"{undecided.sum()} images are of one event by some of the evidence and of another "
         what += f"by the rest, and have none: {', '.join(images.name[undecided][:3])}"
         entries.append(loss("EVENTS-UNDECIDED", what, where=where, count=int(undecided.sum())))
-    if called and np.array_equal(event, named):
+    if has_names and np.array_equal(event, event_by_name):
         return exposed, every, tuple(entries)
-    has_image = np.flatnonzero(event >= 0)
-    has_image = has_image[np.argsort(event[has_image], kind="stable")]
-    rows = event[has_image]
+    has_event = np.flatnonzero(event >= 0)
+    has_event = has_event[np.argsort(event[has_event], kind="stable")]
+    rows = event[has_event]
     unused = np.setdiff1d(every, rows)
     if unused.size:
         numbers = unused + 1 if exposed.index is None else exposed.index[unused]
         what = f"{unused.size} events have no image: {', '.join(map(str, numbers[:8]))}"
         what += " ..." if unused.size > 8 else ""
         entries.append(note("EVENTS-UNUSED", what, where=where, count=int(unused.size)))
-    chosen = Events(exposed.camera, images.name[has_image], exposed.time_ns[rows])
+    chosen = Events(exposed.camera, images.name[has_event], exposed.time_ns[rows])
     return chosen, rows, tuple(entries)
 
 
-def account(found: Assignment, images: CameraImages, exposed: Events) -> str:
-    """The assignment with its residuals and its runner-up, in one sentence or two."""
-    last = int((found.event >= 0).sum())
-    text = f"{last} of {images.name.size} images and {exposed.time_ns.size} events"
-    if last:
-        i = int(np.argmax(found.event >= 0))
-        number = found.event[i] + 1 if exposed.index is None else exposed.index[found.event[i]]
+def anchor_rows(
+    anchor: FirstImage | None, images: CameraImages, exposed: Events
+) -> tuple[int, int] | None:
+    """Rows of the image and the event that the mission file says belong together."""
+    if anchor is None:
+        return None
+    row = np.flatnonzero(images.name == anchor.image)
+    if row.size == 0 or anchor.event > exposed.time_ns.size:
+        raise MissionError(
+            "EVENTS-FIRST-IMAGE",
+            f"there is no image {anchor.image!r}, or no event {anchor.event} of "
+            f"{exposed.time_ns.size}; the first image is {images.name[0]!r}",
+            where=f"events.first_image.{exposed.camera}",
+            remedy="name an image of this camera as the observations or the files call it",
+        )
+    return int(row[0]), anchor.event - 1
+
+
+def evidence_of_images(
+    exposed: Events, images: CameraImages, files: ImageTimes | None
+) -> ImageEvidence:
+    """Numbers of the images, and their times from the first event on where files have them."""
+    evidence = ImageEvidence(
+        images.name.size,
+        number=images.number,
+        numbering=images.numbering,
+        total=-1 if exposed.lost else None,  # where pulses were lost, equal counts mean nothing
+    )
+    if files is None:
+        return evidence
+    time_ns = np.append(files.time_ns, NO_TIME)[images.file]
+    timed = time_ns != NO_TIME
+    if not bool(timed.any()):
+        return evidence
+    begin = exposed.time_ns[0]
+    return replace(
+        evidence,
+        time_s=np.where(timed, (np.where(timed, time_ns, begin) - begin) / 1e9, np.nan),
+        sigma_s=np.append(files.sigma_s, np.nan)[images.file],
+        clock_sigma_s=files.clock_sigma_s,
+    )
+
+
+def describe_assignment(assignment: Assignment, images: CameraImages, exposed: Events) -> str:
+    """An assignment with its residuals and its runner-up, in one sentence or two."""
+    assigned = int((assignment.event >= 0).sum())
+    text = f"{assigned} of {images.name.size} images and {exposed.time_ns.size} events"
+    if assigned:
+        i = int(np.argmax(assignment.event >= 0))
+        number = (
+            assignment.event[i] + 1 if exposed.index is None else exposed.index[assignment.event[i]]
+        )
         text += f", {images.name[i]} of event {number}"
-    text += f", by {', '.join(found.evidence)}"
-    residual = found.residual_s[np.isfinite(found.residual_s)]
+    text += f", by {', '.join(assignment.evidence)}"
+    residual = assignment.residual_s[np.isfinite(assignment.residual_s)]
     if residual.size:
         text += (
             f"; times fit to {np.sqrt(np.mean(residual**2)):.3f} s rms, "
-            f"{np.abs(residual).max():.3f} s at most, after {found.offset_s:+.3f} s and "
-            f"{1e6 * found.drift:+.1f} ppm"
+            f"{np.abs(residual).max():.3f} s at most, after {assignment.offset_s:+.3f} s and "
+            f"{1e6 * assignment.drift:+.1f} ppm"
         )
-    if found.runner_up.size:
+    if assignment.runner_up.size:
+        decades = assignment.log_ratio / np.log(10)
         text += (
-            f"; the runner-up ({found.shift:+d} events) is 10^{found.log_ratio / np.log(10):.1f} "
-            "times less likely"
+            f"; the runner-up ({assignment.shift:+d} events) is 10^{decades:.1f} times less likely"
         )
     return text
