@@ -108,27 +108,26 @@ def fitted_frame(
     earth = ecef_of_geodetic(*known.T)
     middle, centre = model.mean(axis=0), earth.mean(axis=0)
     spread = np.linalg.svd(model - middle, compute_uv=False)
-    if spread[1] < 1e-6 * spread[0]:
-        tilt = np.inf
-    else:
+    extent = float(np.linalg.norm(np.ptp(earth, axis=0)))
+    tilt, fit = np.inf, ""
+    if spread[1] >= 1e-6 * spread[0]:
         turn, _ = Rotation.align_vectors(earth - centre, model - middle)
         turned = turn.apply(model - middle)
         scale = float(np.sum(turned * (earth - centre)) / np.sum(turned**2))
         residual = np.linalg.norm(earth - centre - scale * turned, axis=1)
         sigma = max(sigma_m, np.sqrt(np.sum(residual**2) / (3 * len(usable) - 7)))
-        tilt = float(sigma / (abs(scale) * spread[1]))
-    extent = float(np.linalg.norm(np.ptp(earth, axis=0)))
-    if tilt < np.inf and np.sqrt(np.mean(residual**2)) > LARGEST_FIT_RESIDUAL * extent:
+        tilt, rms = float(sigma / (abs(scale) * spread[1])), np.sqrt(np.mean(residual**2))
         worst = image[usable[int(np.argmax(residual))][0]]
-        raise MissionError(
-            "ORIENTATION-FIT",
-            f"the model does not fit {len(usable)} known positions: residuals of "
-            f"{np.sqrt(np.mean(residual**2)):.1f} m (rms) over {extent:.0f} m, the largest "
-            f"{residual.max():.1f} m at {worst}",
-            where=where,
-            remedy="are latitude and longitude swapped, are the names those of other images, are "
-            "x, y and z right-handed?",
-        )
+        fit = (f"residuals of {rms:.2f} m (rms) over {extent:.0f} m, the largest "
+               f"{residual.max():.2f} m at {worst}")  # fmt: skip
+        if rms > LARGEST_FIT_RESIDUAL * extent:
+            raise MissionError(
+                "ORIENTATION-FIT",
+                f"the model does not fit {len(usable)} known positions: {fit}",
+                where=where,
+                remedy="are latitude and longitude swapped, are the names those of other images, "
+                "are x, y and z right-handed?",
+            )
     if tilt > LARGEST_FIT_TILT_RAD:
         raise MissionError(
             "ORIENTATION-LINE",
@@ -137,19 +136,15 @@ def fitted_frame(
             where=where,
             remedy="give known positions on both sides of that line",
         )
-    frame = CartesianFrame(
-        turn.as_matrix(), centre - scale * turn.as_matrix() @ middle, scale, tilt
-    )
+    matrix = turn.as_matrix()
     entry = note(
         "ORIENTATION-FIT",
-        f"the model was fitted to {len(usable)} known positions: scale {scale:.6g}, residuals "
-        f"{np.sqrt(np.mean(residual**2)):.2f} m (rms), the largest {residual.max():.2f} m at "
-        f"{image[usable[int(np.argmax(residual))][0]]}; its vertical is good to "
-        f"{np.degrees(tilt):.2g} deg",
+        f"the model was fitted to {len(usable)} known positions: scale {scale:.6g}, {fit}; its "
+        f"vertical is good to {np.degrees(tilt):.2g} deg",
         where=where,
         count=len(usable),
     )
-    return frame, (entry,)
+    return CartesianFrame(matrix, centre - scale * matrix @ middle, scale, tilt), (entry,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,14 +176,8 @@ def stations_of_images(
     Refuses (MissionError) heights above the ellipsoid without an undulation.
     """
     undulation = np.nan if heights.undulation_m is None else heights.undulation_m
-    if not images.is_msl and heights.undulation_m is None:
-        raise MissionError(
-            "HEIGHT-REFERENCE",
-            "the heights of the stations are above the ellipsoid, and nothing says how high mean "
-            "sea level is above it",
-            where="stations.orientation",
-            remedy="give mission.undulation_m (ellipsoidal minus mean sea level)",
-        )
+    if not images.is_msl:
+        undulation = heights.known_undulation_m("the stations", "stations.orientation")
     lat, lon, h = images.lat_rad.copy(), images.lon_rad.copy(), images.h_m.copy()
     camera_quaternion, body_quaternion = images.quaternion.copy(), images.quaternion.copy()
     for camera, mount in mounts.items():

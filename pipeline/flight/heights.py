@@ -31,6 +31,18 @@ class HeightSystem:
     undulation_m: float | None = None
     home_h_msl_m: float | None = None
 
+    def known_undulation_m(self, what: str, where: str) -> float:
+        """The undulation; refuses (MissionError) heights of ``what`` that cannot do without."""
+        if self.undulation_m is not None:
+            return self.undulation_m
+        raise MissionError(
+            "HEIGHT-REFERENCE",
+            f"the heights of {what} cannot be related from the ellipsoid to mean sea level: "
+            "nothing says how far the two are apart",
+            where=where,
+            remedy="give mission.undulation_m (ellipsoidal minus mean sea level)",
+        )
+
 
 def height_system(
     roles: Mapping[str, Channel], stated_undulation_m: float | None

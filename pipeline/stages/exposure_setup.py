@@ -42,6 +42,29 @@ def cameras_of_mission(mission: Mission) -> dict[str, Camera]:
     return {name: camera.build(origin) for name, camera in mission.cameras.items()}
 
 
+def camera_of_rows(
+    mission: Mission,
+    given: NDArray[np.object_] | None,
+    only: str | None,
+    count: int,
+    path: str,
+) -> NDArray[np.object_]:
+    """(n,) the camera of each row of a table: as its column says, or the only one there is.
+
+    Refuses (MissionError EVENTS-CAMERA) one that the mission lacks.
+    """
+    named = np.full(count, only or next(iter(mission.cameras)), dtype=object)
+    named = named if given is None else given
+    for name in sorted(set(named.tolist()) - set(mission.cameras)):
+        raise MissionError(
+            "EVENTS-CAMERA",
+            f"the table names camera {name!r}, which the mission file does not define",
+            where=path,
+            remedy=f"cameras are {', '.join(mission.cameras)}",
+        )
+    return named
+
+
 def windows_of_mission(mission: Mission) -> dict[str, Window]:
     """The windows of the cameras that have one."""
     return {n: camera.window.build() for n, camera in mission.cameras.items() if camera.window}

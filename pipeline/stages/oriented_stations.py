@@ -7,13 +7,11 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
-import pyarrow as pa
 
 from pipeline.batch.plan import Plan
 from pipeline.block.intersection import (
     ImageRays,
     Orientations,
-    choose_tie_points,
     intersect,
     orientations_of,
 )
@@ -40,8 +38,7 @@ from pipeline.flight.rotations import (
 from pipeline.flight.stations import NO_TIME, Stations, join_stations
 from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera
-from pipeline.stages.correction import station_rows
-from pipeline.stages.exposure_setup import cameras_of_mission
+from pipeline.stages.exposure_setup import camera_of_rows, cameras_of_mission
 from pipeline.stages.inputs import FlightLog
 from pipeline.tables.imports.orientation import (
     OrientationTable,
@@ -49,10 +46,11 @@ from pipeline.tables.imports.orientation import (
     read_orientation,
 )
 from pipeline.tables.observations import Observations
+from pipeline.tables.tie_points import draw_tie_points
 from pipeline.units import DEGREE, RADIANS
 
 _FEW_BELOW_GROUND = 0.1
-_MOST_OBSERVATIONS, _MOST_TIE_POINTS, _FEWEST_TIE_POINTS = 250_000, 300, 10
+_MOST_TIE_POINTS, _FEWEST_TIE_POINTS = 300, 10
 
 _FAR_MORE_LIKELY = np.log(1000.0)
 """Of two readings, the log likelihood by which one is believed against what is stated."""
@@ -91,11 +89,10 @@ def oriented_stations(
     stations = stations_of_table(plan, flight, section, table, exposed=exposed, ledger=ledger)
     report_height_above_ground(plan, flight, stations, observations, ledger)
     rays = tie_rays(cameras_of_mission(plan.mission), stations, observations)
-    rays = rays.of_points(choose_tie_points(block_of(stations), rays, most=_MOST_TIE_POINTS))
     if np.unique(rays.point).size < _FEWEST_TIE_POINTS:
         return stations
     stated = intersect(block_of(stations), rays)
-    found = {}
+    found = {"as stated": stated}
     for what, changed in other_readings(section, table).items():
         with suppress(MissionError):
             other = stations_of_table(
@@ -166,26 +163,22 @@ def block_of(stations: Stations) -> Orientations:
 def tie_rays(
     cameras: Mapping[str, Camera], stations: Stations, observations: Observations
 ) -> ImageRays:
-    """The rays of points that were measured in two images or more, of the first observations.
+    """The rays of points that two stations or more have in their images.
 
     Refraction is not removed: it is small beside what another reading does.
     """
-    batch = next(observations.batches(_MOST_OBSERVATIONS))
-    image = station_rows(batch.image, pa.array(stations.image, pa.string()))
-    point = batch.point.dictionary_encode().indices.to_numpy(zero_copy_only=False)
-    u, v, covered = np.full((3, len(batch)), np.nan)
-    sigma = np.full(len(batch), np.nan)
+    ties = draw_tie_points(observations, _MOST_TIE_POINTS)
+    row = {name: k for k, name in enumerate(stations.image.tolist())}
+    image = np.array([row.get(name, -1) for name in ties.images], np.int64)[ties.image]
+    direction, sigma = np.full((image.size, 3), np.nan), np.full(image.size, np.nan)
     for name, camera in cameras.items():
-        rows = (stations.camera == name)[image] & (image >= 0)
-        u[rows], v[rows], covered[rows] = camera.rays(batch.x_px[rows], batch.y_px[rows])
-        sigma[rows] = 1.0 / camera.fx_px
-    seen = np.flatnonzero((covered == 1.0) & np.isfinite(point))
-    number = np.unique(point[seen], return_inverse=True)[1]
-    seen = seen[np.bincount(number, minlength=1)[number] > 1]
-    direction = np.stack([u, v, np.ones(u.size)], axis=1)[seen]
-    direction /= np.linalg.norm(direction, axis=1)[:, None]
-    points = np.asarray(point[seen], np.int64)
-    return ImageRays(image[seen], points, direction, sigma[seen])
+        rows = np.flatnonzero((image >= 0) & (stations.camera == name)[image])
+        u, v, _ = camera.rays(ties.x_px[rows], ties.y_px[rows])
+        direction[rows], sigma[rows] = np.stack([u, v, np.ones(u.size)], 1), 1.0 / camera.fx_px
+    seen = np.flatnonzero(np.isfinite(direction[:, 0]))
+    seen = seen[np.bincount(ties.point[seen], minlength=1)[ties.point[seen]] > 1]
+    direction = direction[seen] / np.linalg.norm(direction[seen], axis=1)[:, None]
+    return ImageRays(image[seen], ties.point[seen], direction, sigma[seen])
 
 
 def stations_of_table(
@@ -212,20 +205,12 @@ def stations_of_table(
     if section.frame == "geographic":
         quaternion = in_turned_frame(quaternion, enu_from_grid(section.convergence_deg * DEGREE).T)
     else:
-        frame = frame_of_block(plan, section, table, exposed, ledger)
+        frame = frame_of_block(plan, flight, section, table, exposed=exposed, ledger=ledger)
         tilt_rad = frame.tilt_rad
         if not section.is_geodetic:
             lat, lon, h = frame.geodetic(table.position)
         quaternion = frame.local_attitude(quaternion, lat, lon)
-    only = np.full(len(table.image), section.camera or next(iter(mission.cameras)), dtype=object)
-    camera = only if table.camera is None else table.camera
-    for name in sorted(set(camera.tolist()) - set(mission.cameras)):
-        raise MissionError(
-            "EVENTS-CAMERA",
-            f"the orientation names camera {name!r}, which the mission file does not define",
-            where=section.path,
-            remedy=f"cameras are {', '.join(mission.cameras)}",
-        )
+    camera = camera_of_rows(mission, table.camera, section.camera, len(table.image), section.path)
     time_ns = table.time_ns
     if exposed and not section.has_clock:
         known = {n: t for part in exposed for n, t in zip(part.image, part.time_ns, strict=True)}
@@ -278,8 +263,10 @@ def report_height_above_ground(
 
 def frame_of_block(
     plan: Plan,
+    flight: FlightLog,
     section: OrientationSection,
     table: OrientationTable,
+    *,
     exposed: list[Stations],
     ledger: Ledger,
 ) -> CartesianFrame:
@@ -293,16 +280,9 @@ def frame_of_block(
         names = known.model_dump(exclude={"path"})
         image, position = read_known_positions(plan.input("known positions").path, names)
         if section.heights == "msl":
-            undulation = plan.mission.mission.undulation_m
-            if undulation is None:
-                raise MissionError(
-                    "HEIGHT-REFERENCE",
-                    "the known positions are above mean sea level, and nothing says how high that "
-                    "is above the ellipsoid",
-                    where="stations.orientation.known_positions",
-                    remedy="give mission.undulation_m (ellipsoidal minus mean sea level)",
-                )
-            position[:, 2] += undulation
+            position[:, 2] += flight.heights.known_undulation_m(
+                "the known positions", "stations.orientation.known_positions"
+            )
     else:
         of_log = join_stations(exposed)
         image = of_log.image[of_log.ok]
@@ -316,12 +296,15 @@ def sigmas_of_block(
     section: OrientationSection, table: OrientationTable, tilt_rad: float
 ) -> dict[str, Array]:
     """Standard deviations by the names of `Stations`: a column, or a constant, or unknown."""
-    degrees = {"sigma_tilt_rad": section.sigma_tilt_deg, "sigma_yaw_rad": section.sigma_yaw_deg}
-    stated = {name: None if value is None else value * DEGREE for name, value in degrees.items()}
-    stated |= {name: getattr(section, name) for name in ("sigma_horizontal_m", "sigma_height_m")}
+    stated = {
+        "sigma_tilt_rad": (section.sigma_tilt_deg, DEGREE),
+        "sigma_yaw_rad": (section.sigma_yaw_deg, DEGREE),
+        "sigma_horizontal_m": (section.sigma_horizontal_m, 1.0),
+        "sigma_height_m": (section.sigma_height_m, 1.0),
+    }
     sigmas: dict[str, Array] = {}
-    for name, constant in stated.items():
-        value = np.nan if constant is None else constant
+    for name, (constant, unit) in stated.items():
+        value = np.nan if constant is None else constant * unit
         sigmas[name] = table.sigmas.get(name, np.full(len(table.image), value))
     if tilt_rad > 0.0:
         sigmas["sigma_tilt_rad"] = np.hypot(np.nan_to_num(sigmas["sigma_tilt_rad"]), tilt_rad)

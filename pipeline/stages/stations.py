@@ -36,6 +36,7 @@ from pipeline.flight.suspicion.doubts import flag_doubtful
 from pipeline.geodesy import offset_geodetic
 from pipeline.ledger import Ledger
 from pipeline.stages.cabin_air import cabin_from_log
+from pipeline.stages.exposure_setup import camera_of_rows
 from pipeline.stages.image_events import assigned_stations
 from pipeline.stages.inputs import FlightLog, read_camera_events
 from pipeline.stages.oriented_stations import oriented_stations
@@ -80,15 +81,9 @@ def exposure_events(
     if csv is None:
         raise MissionError("EVENTS-NONE", "the mission names no events", where="events")
     table = read_events(plan.input("events").path, csv.columns.named, ledger)
-    only = csv.camera or next(iter(plan.mission.cameras))
-    camera_of = table.camera if table.camera is not None else np.full(table.image.shape, only)
-    for name in sorted(set(camera_of.tolist()) - set(plan.mission.cameras)):
-        raise MissionError(
-            "EVENTS-CAMERA",
-            f"the table of exposures names camera {name!r}, which the mission file does not define",
-            where=str(csv.path),
-            remedy=f"cameras are {', '.join(plan.mission.cameras)}",
-        )
+    camera_of = camera_of_rows(
+        plan.mission, table.camera, csv.camera, table.time_ns.size, str(csv.path)
+    )
     return [
         events_of_table(
             table.image, camera_of, table.time_ns, camera, csv.delay_s, sigma_s=utc_sigma_s

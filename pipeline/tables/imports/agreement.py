@@ -35,6 +35,30 @@ _LIMITS = {
     "time": (0.15, 0.75),
 }  # fmt: skip
 _OTHER_FLIGHT_M, _LARGE_TURN_DEG = 100.0, 5.0
+_TURN = 2.0 * np.pi
+
+_Change = Callable[[Array, Array], tuple[Array, Array]]
+_OF_PLACE: Mapping[str, _Change] = {
+    "with latitude and longitude exchanged": lambda lat, lon: (lon, lat),
+    "with the other sign of the longitude": lambda lat, lon: (lat, -lon),
+    "taken for radians": lambda lat, lon: (lat / RADIANS["deg"], lon / RADIANS["deg"]),
+    "taken for degrees": lambda lat, lon: (lat * RADIANS["deg"], lon * RADIANS["deg"]),
+    "taken for grads": lambda lat, lon: (lat * 0.9, lon * 0.9),
+}
+"""Mistakes about the columns of positions, and what undoes them."""
+
+_OF_ANGLES: Mapping[str, Callable[..., tuple[Array, Array, Array]]] = {
+    "taken for grads": lambda yaw, pitch, roll: (yaw % _TURN * 0.9, pitch * 0.9, roll * 0.9),
+    "taken for radians": lambda yaw, pitch, roll: (
+        yaw % _TURN / RADIANS["deg"], pitch / RADIANS["deg"], roll / RADIANS["deg"]
+    ),
+    "with the other sign of the yaw": lambda yaw, pitch, roll: (-yaw, pitch, roll),
+    "with the other sign of the pitch": lambda yaw, pitch, roll: (yaw, -pitch, roll),
+    "with the other sign of the roll": lambda yaw, pitch, roll: (yaw, pitch, -roll),
+    "with roll and pitch exchanged": lambda yaw, pitch, roll: (yaw, roll, pitch),
+    "with yaw counted from east to north": lambda yaw, pitch, roll: (np.pi / 2 - yaw, pitch, roll),
+}  # fmt: skip
+"""Mistakes about the columns of angles."""
 
 
 def compare_with_log(
@@ -57,69 +81,62 @@ def compare_with_log(
                        "time, place and height stay unchecked", where=imported.name)  # fmt: skip
         return
     rows = known[np.unique(np.linspace(0, known.size - 1, _MOST_SAMPLES).astype(int))]
-    track = _Track(position, imported.time_ns[rows])
-    places = track.metres(imported["lat_rad"][rows], imported["lon_rad"][rows])
-    compare_places(imported, track, places, ledger)
-    time_ns = imported.time_ns[rows]
+    _compare_places(imported, rows, _Track(position), ledger)
     if "height" in replaces and "height" in own:
-        compare_heights(imported, rows, own["height"], heights, ledger)
+        _compare_heights(imported, rows, own["height"], heights, ledger)
     if "attitude" in replaces and "attitude" in own:
-        theirs, _ = interpolate_attitude(own["attitude"], time_ns, _MAX_GAP_S)
+        theirs, _ = interpolate_attitude(own["attitude"], imported.time_ns[rows], _MAX_GAP_S)
         mine = np.stack([imported[f"q_{axis}"][rows] for axis in "wxyz"], axis=1)
-        compare_attitudes(imported.name, mine, theirs, ledger)
+        _compare_attitudes(imported.name, mine, theirs, ledger)
 
 
 class _Track:
     """The log's positions in metres about their middle, and how far others are from them."""
 
-    def __init__(self, position: Channel, time_ns: NDArray[np.int64]) -> None:
+    def __init__(self, position: Channel) -> None:
         keep = np.isfinite(position["lat_rad"]) & np.isfinite(position["lon_rad"])
         lat, lon = position["lat_rad"][keep], position["lon_rad"][keep]
         self.name, self.time_ns = position.name, position.time_ns[keep]
-        self.origin = float(np.median(lat)), float(lon[lon.size // 2])
-        self._base = self.time_ns[0]
-        self._seconds = (self.time_ns - self._base) * 1e-9
-        self._at = (time_ns - self._base) * 1e-9
+        self._origin = float(np.median(lat)), float(lon[lon.size // 2])
+        self._seconds = (self.time_ns - self.time_ns[0]) * 1e-9
         self._own = self.metres(lat, lon)
 
     def metres(self, lat: Array, lon: Array) -> NDArray[np.complex128]:
         """North + 1j east from the origin, good to a thousandth within 100 km [m]."""
-        meridian, vertical = principal_radii(self.origin[0])
-        east = wrapped(lon - self.origin[1]) * vertical * np.cos(self.origin[0])
-        return np.asarray((lat - self.origin[0]) * meridian + 1j * east)
+        meridian, vertical = principal_radii(self._origin[0])
+        east = wrapped(lon - self._origin[1]) * vertical * np.cos(self._origin[0])
+        return np.asarray((lat - self._origin[0]) * meridian + 1j * east)
 
-    def distances(self, places: NDArray[np.complex128], shift_s: float) -> Array:
-        """Distances to the log's positions ``shift_s`` later; of those the log has [m]."""
-        at = self._at + shift_s
-        after = np.clip(np.searchsorted(self._seconds, at), 1, self._seconds.size - 1)
-        torn = self._seconds[after] - self._seconds[after - 1] > _MAX_GAP_S
-        inside = (at >= self._seconds[0]) & (at <= self._seconds[-1]) & ~torn
-        own = np.interp(at[inside], self._seconds, self._own.real) + 1j * np.interp(
-            at[inside], self._seconds, self._own.imag
-        )
-        return np.asarray(np.abs(places[inside] - own))
+    def distances(
+        self, time_ns: NDArray[np.int64], places: NDArray[np.complex128], shift_s: float
+    ) -> Array:
+        """From the log's positions ``shift_s`` later; of those the log has, without gaps [m]."""
+        at, seconds = (time_ns - self.time_ns[0]) * 1e-9 + shift_s, self._seconds
+        after = np.clip(np.searchsorted(seconds, at), 1, seconds.size - 1)
+        near = seconds[after] - seconds[after - 1] <= _MAX_GAP_S
+        inside = (at >= seconds[0]) & (at <= seconds[-1]) & near
+        return np.asarray(np.abs(places[inside] - np.interp(at[inside], seconds, self._own)))
 
 
-def compare_places(
-    imported: Channel, track: _Track, places: NDArray[np.complex128], ledger: Ledger
+def _compare_places(
+    imported: Channel, rows: NDArray[np.intp], track: _Track, ledger: Ledger
 ) -> None:
     """Position and time offset against the log's positions."""
-    most = max(track.distances(places, float(shift)).size for shift in _SHIFTS_S)
+    places = track.metres(imported["lat_rad"][rows], imported["lon_rad"][rows])
+    at = [track.distances(imported.time_ns[rows], places, shift) for shift in _SHIFTS_S.tolist()]
+    fewest = max(distance.size for distance in at) / 2
 
-    def misfit(shift: float) -> float:
-        """Median of the distances [m], where half of the places are within the log."""
-        distance = track.distances(places, shift)
-        return float(np.median(distance)) if 2 * distance.size >= max(most, 2) else 1e9
+    def misfit(distance: Array) -> float:
+        """Median [m], where half of the places are within the log."""
+        return float(np.median(distance)) if distance.size >= max(fewest, 1) else 1e9
 
-    coarse = float(min(_SHIFTS_S, key=lambda shift: misfit(float(shift))))
+    coarse = _SHIFTS_S[np.argmin([misfit(distance) for distance in at])]
     fine = minimize_scalar(
-        lambda shift: misfit(float(shift)),
-        bounds=(coarse - 0.5, coarse + 0.5),
-        method="bounded",
-        options={"xatol": 1e-3},
-    )
+        lambda shift: misfit(track.distances(imported.time_ns[rows], places, float(shift))),
+        bounds=(coarse - 0.5, coarse + 0.5), method="bounded", options={"xatol": 1e-3},
+    )  # fmt: skip
     shift, best = float(fine.x), float(fine.fun)
-    distance = track.distances(places, 0.0)
+    distance = track.distances(imported.time_ns[rows], places, 0.0)
     now = float(np.median(distance)) if distance.size else np.inf
     better = best < 0.5 * now and now - best > 2.0
     far = now > _LIMITS["place"][0] and abs(shift) > _LIMITS["time"][1]
@@ -135,48 +152,31 @@ def compare_places(
             remedy="state time: {system: gpst} or {system: utc} as it was written",
         )
     if distance.size == 0:
-        theirs, mine = track.time_ns, imported.time_ns
         raise MissionError(
             "TRAJECTORY-OVERLAP",
-            f"it covers {_utc(mine[0])} to {_utc(mine[-1])}, the log {_utc(theirs[0])} to "
-            f"{_utc(theirs[-1])}: it is of another flight",
+            f"it covers {_span(imported.time_ns)}, the log {_span(track.time_ns)}",
             where=imported.name,
             remedy="name the file of this flight, or state the week or the system of its times",
         )
     if now > _OTHER_FLIGHT_M:
+        what = f"it is {_metres(now)} from {track.name} of the log in the median"
+        for mistake, undone in _OF_PLACE.items():
+            other = track.metres(*undone(imported["lat_rad"], imported["lon_rad"]))
+            if (away := float(np.nanmedian(np.abs(other)))) < 0.01 * now:
+                what += f"; {mistake} it is {_metres(away)} from the middle of the flight"
         raise MissionError(
-            "TRAJECTORY-PLACE",
-            f"it is {_metres(now)} from {track.name} of the log in the median"
-            + likely_mistake(imported, track, now),
-            where=imported.name,
+            "TRAJECTORY-PLACE", what, where=imported.name,
             remedy="name the file of this flight; state position_unit, and which column is which",
-        )
-    kind = _grade(place=now, time=abs(shift) if better else 0.0)
+        )  # fmt: skip
     what = (
         f"{now:.2f} m from {track.name} of the log in the median, 95 % within "
         f"{np.percentile(distance, 95):.2f} m; a time offset of {shift:+.3f} s leaves {best:.2f} m"
     )
+    kind = _grade(place=now, time=abs(shift) if better else 0.0)
     ledger.add(Entry(kind, "TRAJECTORY-AGREES", what, imported.name, distance.size))
 
 
-def likely_mistake(imported: Channel, track: _Track, now: float) -> str:
-    """Which mistake about the columns explains a wrong place; empty where none does."""
-    lat, lon = imported["lat_rad"], imported["lon_rad"]
-    mistakes: dict[str, tuple[Array, Array]] = {
-        "with latitude and longitude exchanged": (lon, lat),
-        "with the other sign of the longitude": (lat, -lon),
-        "taken for radians": (lat / RADIANS["deg"], lon / RADIANS["deg"]),
-        "taken for degrees": (lat * RADIANS["deg"], lon * RADIANS["deg"]),
-        "taken for grads": (lat * 0.9, lon * 0.9),
-    }
-    for what, (north, east) in mistakes.items():
-        away = float(np.nanmedian(np.abs(track.metres(north, east))))
-        if away < 0.01 * now:
-            return f"; {what} it is {_metres(away)} from the middle of the flight"
-    return ""
-
-
-def compare_heights(
+def _compare_heights(
     imported: Channel,
     rows: NDArray[np.intp],
     own: Channel,
@@ -185,50 +185,49 @@ def compare_heights(
 ) -> None:
     """Heights against the log's, above the same surface and above the other."""
     column = imported.height_column or "h_msl_m"
-    time_ns, mine = imported.time_ns[rows], imported[column][rows]
-    h_msl, h_ellipsoid = heights_at(own, time_ns, heights, _MAX_GAP_S)
-    same, other = (h_msl, h_ellipsoid) if column == "h_msl_m" else (h_ellipsoid, h_msl)
-    if not np.isfinite(same - mine).any():
+    names = ("msl", "ellipsoid") if column == "h_msl_m" else ("ellipsoid", "msl")
+    log = dict(zip(("msl", "ellipsoid"),
+                   heights_at(own, imported.time_ns[rows], heights, _MAX_GAP_S),
+                   strict=True))  # fmt: skip
+    same, other = (imported[column][rows] - log[name] for name in names)
+    if not np.isfinite(same).any():
         ledger.note("TRAJECTORY-HEIGHT-ALONE", "the log has no height above the same surface to "
                     "compare it with", where=imported.name)  # fmt: skip
         return
-    apart = float(np.nanmedian(mine - same))
-    by_other = float(np.nanmedian(mine - other)) if np.isfinite(other - mine).any() else np.inf
+    apart = float(np.nanmedian(same))
+    by_other = float(np.nanmedian(other)) if np.isfinite(other).any() else np.inf
     if abs(apart) > _LIMITS["height"][0] and abs(by_other) < abs(apart) / 3.0:
-        stated, meant = ("ellipsoid", "msl") if column != "h_msl_m" else ("msl", "ellipsoid")
         raise MissionError(
             "TRAJECTORY-HEIGHT",
-            f"its heights are {apart:+.1f} m from those of {own.name} as heights above {stated}, "
-            f"and {by_other:+.1f} m as heights above {meant}",
+            f"its heights are {apart:+.1f} m from those of {own.name} as heights above {names[0]}, "
+            f"and {by_other:+.1f} m as heights above {names[1]}",
             where=imported.name,
-            remedy=f"give heights: {meant}, or mend mission.undulation_m",
+            remedy=f"give heights: {names[1]}, or mend mission.undulation_m",
         )
-    spread = float(np.nanpercentile(np.abs(mine - same - apart), 95.0))
     what = (
         f"{apart:+.2f} m from the height of {own.name} of the log in the median, within "
-        f"{spread:.2f} m of that in 95 %"
+        f"{np.nanpercentile(np.abs(same - apart), 95.0):.2f} m of that in 95 %"
     )
     kind = _grade(height=abs(apart))
     ledger.add(Entry(kind, "TRAJECTORY-HEIGHT-AGREES", what, imported.name, rows.size))
 
 
-def compare_attitudes(name: str, mine: Array, theirs: Array, ledger: Ledger) -> None:
+def _compare_attitudes(name: str, mine: Array, theirs: Array, ledger: Ledger) -> None:
     """Attitudes (n, 4) w, x, y, z against the log's, about the body's axes."""
     known = np.isfinite(mine).all(axis=1) & np.isfinite(theirs).all(axis=1)
     if np.count_nonzero(known) < 20:
         ledger.note("TRAJECTORY-ANGLES-ALONE", "the log has no attitude at its times to compare it "
                     "with", where=name)  # fmt: skip
         return
-    own = Rotation.from_quat(theirs[known][:, [1, 2, 3, 0]])
-    imported = Rotation.from_quat(mine[known][:, [1, 2, 3, 0]])
-    angles, down = imported.as_euler("ZYX"), np.array([0.0, 0.0, 1.0])
+    own, imported = (Rotation.from_quat(q[known][:, [1, 2, 3, 0]]) for q in (theirs, mine))
+    angles = imported.as_euler("ZYX")
 
     def apart(attitude: Rotation) -> float:
         return float(np.degrees(np.percentile((own.inv() * attitude).magnitude(), 90.0)))
 
     size = apart(imported)
-    for what, changed in _MISTAKES.items() if size > _LARGE_TURN_DEG else ():
-        left = apart(Rotation.from_euler("ZYX", changed(angles)))
+    for what, undone in _OF_ANGLES.items() if size > _LARGE_TURN_DEG else ():
+        left = apart(Rotation.from_euler("ZYX", np.stack(undone(*angles.T), axis=1)))
         if left < min(_LARGE_TURN_DEG, size / 3.0):
             raise MissionError(
                 "TRAJECTORY-ANGLES",
@@ -238,7 +237,7 @@ def compare_attitudes(name: str, mine: Array, theirs: Array, ledger: Ledger) -> 
                 remedy="state angle_unit and angle_order, and which column is which; roll is right "
                 "wing down, pitch nose up, yaw clockwise from north",
             )
-    cosine = np.sum(own.inv().apply(down) * imported.inv().apply(down), axis=1)
+    cosine = np.sum(own.as_matrix()[:, 2] * imported.as_matrix()[:, 2], axis=1)
     tilt = float(np.degrees(np.median(np.arccos(np.clip(cosine, -1.0, 1.0)))))
     yaw = float(np.degrees(np.median(wrapped(angles[:, 0] - own.as_euler("ZYX")[:, 0]))))
     what = (
@@ -247,29 +246,6 @@ def compare_attitudes(name: str, mine: Array, theirs: Array, ledger: Ledger) -> 
     )
     kind = _grade(tilt=tilt, yaw=abs(yaw))
     ledger.add(Entry(kind, "TRAJECTORY-ANGLES-AGREE", what, name, int(known.sum())))
-
-
-def _scaled(factor: float) -> Callable[[Array], Array]:
-    """Another unit of the angles; the yaw counts from 0 to a full circle."""
-    circle = np.array([2.0 * np.pi, 0.0, 0.0])
-    return lambda angles: np.asarray((angles + circle * (angles < 0.0)) * factor)
-
-
-def _times(*factors: float) -> Callable[[Array], Array]:
-    return lambda angles: np.asarray(angles * factors)
-
-
-_MISTAKES: Mapping[str, Callable[[Array], Array]] = {
-    "taken for grads": _scaled(0.9),
-    "taken for radians": _scaled(1.0 / RADIANS["deg"]),
-    "with the other sign of the yaw": _times(-1.0, 1.0, 1.0),
-    "with the other sign of the pitch": _times(1.0, -1.0, 1.0),
-    "with the other sign of the roll": _times(1.0, 1.0, -1.0),
-    "with roll and pitch exchanged": lambda angles: np.asarray(angles[:, [0, 2, 1]]),
-    "with yaw counted from east to north": lambda angles: np.asarray(
-        np.pi / 2.0 * np.array([1.0, 0.0, 0.0]) + angles * np.array([-1.0, 1.0, 1.0])
-    ),
-}
 
 
 def _grade(**sizes: float) -> Kind:
@@ -282,5 +258,6 @@ def _metres(distance: float) -> str:
     return f"{distance / 1000.0:,.0f} km" if distance > 10_000.0 else f"{distance:.0f} m"
 
 
-def _utc(time_ns: np.int64) -> str:
-    return f"{np.datetime64(int(time_ns), 'ns').astype('datetime64[s]')} UTC"
+def _span(time_ns: NDArray[np.int64]) -> str:
+    first, last = time_ns[[0, -1]].astype("datetime64[ns]").astype("datetime64[s]")
+    return f"{first} to {last} UTC"
