@@ -18,6 +18,7 @@ from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.flight.channels import Channel
 from pipeline.flight.station_builder import mark_suspect
 from pipeline.flight.stations import Stations
+from pipeline.flight.trajectory import interpolate
 from pipeline.ledger import Ledger, Notes, fallback, loss, note, warning
 from pipeline.refraction.camera.camera import LensInAir
 from pipeline.refraction.window import (
@@ -94,6 +95,8 @@ def cabin_from_log(
         )
         stations, notes = mark_suspect(stations, camera, missing, "CABIN-MISSING", what)
     of_camera = (stations.camera == camera) & stations.ok
+    if cabin.source == "ambient":
+        notes += _pressurised_after_all(stations, of_camera, camera, channels, roles)
     stated = cabin.source == "standard_schedule" or np.isfinite(cabin.temperature_k)
     count = int((of_camera & np.isnan(stations.cabin_temperature_k)).sum())
     if count and not stated:
@@ -117,6 +120,32 @@ def cabin_from_log(
         cabin_temperature_k=stations.cabin_temperature_k - BOARD_WARMER_K * mine,
         sigma_cabin_temperature_k=np.where(mine, SIGMA_BOARD_K, stations.sigma_cabin_temperature_k),
     ), (*notes, entry_of_board)
+
+
+def _pressurised_after_all(
+    stations: Stations,
+    of_camera: NDArray[np.bool_],
+    camera: str,
+    channels: Iterable[Channel],
+    roles: Mapping[str, Channel],
+) -> Notes:
+    """A warning where a barometer of the log has much more pressure than the air outside."""
+    outside = roles.get("pressure")
+    for channel in channels:
+        if outside is None or channel.name == outside.name or not channel.fits_role("pressure"):
+            continue
+        inside = interpolate(channel, "pressure_pa", stations.time_ns[of_camera], 10.0)
+        excess = inside - stations.pressure_pa[of_camera]
+        excess = excess[np.isfinite(excess)]
+        if excess.size and float(np.median(excess)) > PRESSURISED_PA:
+            what = (
+                f"the cabin of {camera} is said to have the pressure of the air outside, but "
+                f"{channel.name} has {np.median(excess) / HECTOPASCAL:.0f} hPa more than that at "
+                "the exposures: if it is in the cabin, give pressure: log"
+            )
+            where = f"cameras.{camera}.window.cabin.pressure"
+            return (warning("CABIN-DOUBTFUL", what, where=where, count=excess.size),)
+    return ()
 
 
 def with_cabin_air(

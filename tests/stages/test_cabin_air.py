@@ -171,6 +171,18 @@ def test_a_cabin_thinner_than_the_air_outside_is_told():
     assert "CABIN-DOUBTFUL" not in [e.code for e in ledger]
 
 
+@pytest.mark.parametrize(("inside_pa", "doubtful"), [(61_917.0, True), (47_300.0, False)])
+def test_a_cabin_that_is_said_to_be_ambient_and_is_not(inside_pa, doubtful):
+    at = stations(6000.0, 6000.0, pressure_pa=KM6_PA)
+    at = replace(at, time_ns=np.array([0, 1]))
+    other = channel("BARO[1]", pressure_pa=inside_pa)
+    _, notes = cabin_from_log(at, "cam", Cabin("ambient"), (HULL, other), {"pressure": HULL})
+    warnings = [entry for entry in notes if entry.code == "CABIN-DOUBTFUL"]
+    assert len(warnings) == doubtful
+    if doubtful:
+        assert "BARO[1] has 147 hPa more" in warnings[0].what
+
+
 @pytest.mark.parametrize(
     ("celsius", "height", "doubtful"),
     [(2.0, 6000.0, False), (0.0, 6000.0, True), (0.0, 1900.0, False), (-20.0, 1900.0, True)],
