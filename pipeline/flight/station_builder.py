@@ -35,7 +35,6 @@ from pipeline.flight.trajectory import (
     quaternion_products,
     track_at,
 )
-from pipeline.geodesy import offset_geodetic
 from pipeline.ledger import Notes, loss
 
 _NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -137,25 +136,11 @@ def _moved_to_camera(stations: Stations, mount: Mount, attitude: Array) -> Stati
     """Stations moved by the lever arm, with the camera's exterior orientation."""
     known = np.isfinite(attitude).all(axis=1) & np.isfinite(stations.lat_rad)
     attitude = np.where(known[:, None], attitude, np.nan)
-    lat, lon = stations.lat_rad.copy(), stations.lon_rad.copy()
-    h_msl, h_ellipsoid = stations.h_msl_m.copy(), stations.h_ellipsoid_m.copy()
+    step = np.full((len(stations), 3), np.nan)
     if bool(known.any()):
         ned_from_body = Rotation.from_quat(attitude[known][:, [1, 2, 3, 0]])
-        step = ned_from_body.apply(np.array(mount.lever_arm_m)) @ _NED_FROM_ENU
-        # Only the difference counts here, so any height will do where the ellipsoidal is unknown.
-        start = h_ellipsoid[known]
-        start = np.where(np.isfinite(start), start, np.nan_to_num(h_msl[known]))
-        lat[known], lon[known], end = offset_geodetic(lat[known], lon[known], start, step)
-        h_msl[known] += end - start
-        h_ellipsoid[known] += end - start
-    return replace(
-        stations,
-        lat_rad=lat,
-        lon_rad=lon,
-        h_msl_m=h_msl,
-        h_ellipsoid_m=h_ellipsoid,
-        quaternion=_from_enu(attitude, mount.camera_from_body),
-    )
+        step[known] = ned_from_body.apply(np.array(mount.lever_arm_m)) @ _NED_FROM_ENU
+    return replace(stations.moved(step), quaternion=_from_enu(attitude, mount.camera_from_body))
 
 
 def with_air(stations: Stations, roles: Mapping[str, Channel], max_gap_s: float) -> Stations:

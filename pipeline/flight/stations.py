@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.series.profile_series import ProfileSeries
+from pipeline.geodesy import offset_geodetic
 from pipeline.ledger import Notes, loss, note
 from pipeline.units import DEGREE, HECTOPASCAL
 
@@ -116,6 +117,21 @@ class Stations:
             accepted=np.where(where, use, self.accepted),
             status=np.where(where, SUSPECT, self.status),
         )
+
+    def moved(self, enu_m: NDArray[np.float64]) -> Stations:
+        """The same moved by (n, 3) east, north and up [m], where that is known."""
+        at = np.flatnonzero(np.isfinite(enu_m).all(axis=1) & np.isfinite(self.lat_rad))
+        # Only the difference counts here, so any height will do where the ellipsoidal is unknown.
+        start = self.h_ellipsoid_m[at]
+        start = np.where(np.isfinite(start), start, np.nan_to_num(self.h_msl_m[at]))
+        lat, lon, h_msl, h_ellipsoid = (
+            values.copy()
+            for values in (self.lat_rad, self.lon_rad, self.h_msl_m, self.h_ellipsoid_m)
+        )
+        lat[at], lon[at], end = offset_geodetic(lat[at], lon[at], start, enu_m[at])
+        h_msl[at] += end - start
+        h_ellipsoid[at] += end - start
+        return replace(self, lat_rad=lat, lon_rad=lon, h_msl_m=h_msl, h_ellipsoid_m=h_ellipsoid)
 
     def rows(self, which: NDArray[np.int64]) -> Stations:
         """Some of the stations, in the order of ``which``."""

@@ -33,7 +33,6 @@ from pipeline.flight.stations import (
     unusable_station_notes,
 )
 from pipeline.flight.suspicion.doubts import flag_doubtful
-from pipeline.geodesy import offset_geodetic
 from pipeline.ledger import Ledger
 from pipeline.stages.cabin_air import cabin_from_log
 from pipeline.stages.exposure_setup import camera_of_rows
@@ -202,15 +201,4 @@ def moved_by_offsets(stations: Stations, channel: Channel | None) -> Stations:
     # The row of the nearest event: a delay moves all alike, by less than half an interval.
     row = np.searchsorted((channel.time_ns[:-1] + channel.time_ns[1:]) // 2, stations.time_ns)
     north, east, down = (channel[f"offset_{axis}_m"][row] for axis in ("north", "east", "down"))
-    enu = np.stack([east, north, -down], axis=1)
-    start = np.where(
-        np.isfinite(stations.h_ellipsoid_m), stations.h_ellipsoid_m, np.nan_to_num(stations.h_msl_m)
-    )
-    lat, lon, end = offset_geodetic(stations.lat_rad, stations.lon_rad, start, enu)
-    return replace(
-        stations,
-        lat_rad=lat,
-        lon_rad=lon,
-        h_msl_m=stations.h_msl_m + end - start,
-        h_ellipsoid_m=stations.h_ellipsoid_m + end - start,
-    )
+    return stations.moved(np.stack([east, north, -down], axis=1))
