@@ -26,7 +26,7 @@ from pipeline.tables.writing import table_of
 _PLACES = ("lat_deg", "lon_deg", "h_ellipsoid_m")
 _ANGLES = ("omega_deg", "phi_deg", "kappa_deg")
 _AXES = ("x_m", "y_m", "z_m")
-_WORDS = ("image", "camera", "status")
+_WORDS = ("image", "camera", "status", "time_utc")
 _SIGMAS = ("sigma_horizontal_m", "sigma_height_m", "sigma_tilt_deg", "sigma_yaw_deg")
 
 
@@ -53,7 +53,8 @@ def _write(topocentric: bool, run: FinishedRun, _: Values, path: Path, ledger: L
     names = [*_WORDS, *_PLACES, *_ANGLES, *_SIGMAS]
     if topocentric:
         names += [*_AXES, *(f"origin_{name}" for name in _PLACES)]
-    kinds = {n: (pa.string() if n in _WORDS else pa.float64(), "", "") for n in names}
+    texts = dict.fromkeys(_WORDS, pa.string()) | {"time_utc": pa.timestamp("ns", "UTC")}
+    kinds = {name: (texts.get(name, pa.float64()), "", "") for name in names}
     schema = schema_of(kinds, run.metadata)
     return write_csv_stream(path, schema, [table_of(found, schema)])
 

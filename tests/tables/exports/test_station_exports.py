@@ -8,11 +8,14 @@ from __future__ import annotations
 import csv
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import geopandas
 import numpy as np
+import pyarrow.parquet as pq
 import pyproj
 import pytest
+import yaml
 from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere import standard_atmosphere
@@ -26,6 +29,7 @@ from pipeline.refraction.ray import rays_by
 from pipeline.tables.exports import FORMATS, ExportCamera, FinishedRun
 from pipeline.tables.pixels import PixelSystem
 
+README = Path(__file__).resolve().parents[3] / "README.md"
 CAMERA = Camera(1000, 800, 900.0, 880.0, 510.0, 395.0, BrownConrady(k1=-0.02, p1=1e-3))
 CORNERS = np.array([[0.0, 0.0], [0.0, 800.0], [1000.0, 800.0], [1000.0, 0.0]])
 NAMES = ["a,b.tif", '<c> & "d".tif', "e\x01.tif", "over the horizon", "nowhere"]
@@ -243,3 +247,36 @@ def test_from_the_command_line(unbend, baseline, tmp_path):
         assert out.stat().st_size > 500
     help_text = " ".join(unbend("export", "--help").out.split())
     assert "geojson, kml: stations and footprints" in help_text
+
+
+@pytest.mark.usefixtures("plain_report")
+def test_exported_orientations_are_read_again(unbend, baseline, tmp_path):
+    """As the README says, without renaming a column: the stations are those of the run."""
+    exported = tmp_path / "opk.csv"
+    unbend("export", baseline.output, "--format", "opk", "--out", exported)
+    mission = yaml.safe_load((baseline.folder / "mission.yaml").read_text())
+    text = README.read_text(encoding="utf-8")
+    after = text.split("`unbend export --format opk` has `columns: ")[1]
+    columns = yaml.safe_load(after.split("`")[0])
+    for key in ("log", "mount", "events"):
+        del mission[key]
+    mission["observations"]["path"] = str(baseline.folder / mission["observations"]["path"])
+    mission["stations"] = {"orientation": {
+        "path": "opk.csv", "angles": "omega_phi_kappa", "frame": "geographic",
+        "heights": "ellipsoid", "columns": columns,
+    }}  # fmt: skip
+    for camera in mission["cameras"].values():
+        camera.pop("window", None)
+    mission["output"] = {"path": "results"}
+    (tmp_path / "block.yaml").write_text(yaml.safe_dump(mission))
+    ended = unbend("run", tmp_path / "block.yaml")
+    assert ended.code == 0, ended.text
+    one, other = (
+        pq.read_table(folder / "stations.parquet").to_pandas().set_index("image").sort_index()
+        for folder in (baseline.output, tmp_path / "results")
+    )
+    assert one.index.equals(other.index)
+    tolerances = {"lat_deg": 1e-12, "h_ellipsoid_m": 1e-6, "q_w": 1e-12, "q_x": 1e-12}
+    for name, tolerance in tolerances.items():
+        np.testing.assert_allclose(other[name], one[name], rtol=0.0, atol=tolerance)
+    assert (one["time_utc"] == other["time_utc"]).all()
