@@ -144,3 +144,14 @@ def test_an_eo_text_does_not_say_its_time_system(exposures):
     assert refused(read_eo_text, exposures.eo(), Stated(week=WEEK)).code == "IMPORT-UNSTATED"
     utc = read_eo_text(exposures.eo(), Stated("utc", WEEK), Ledger())
     assert np.abs(utc.time_ns - exposures.utc_ns - 18 * 10**9).max() < 1000
+
+
+def test_a_damaged_time_moves_no_other_by_a_week(exposures):
+    """Seconds of the week that begin anew are of the next one; a field that is none is not."""
+    lines = exposures.eo().read_text().splitlines(keepends=True)
+    first = next(k for k, line in enumerate(lines) if line.startswith("img_000"))
+    fields = lines[first + 5].split("\t")
+    lines[first + 5] = "\t".join([*fields[:2], "never", *fields[3:]])
+    path = exposures.put("damaged.txt", "".join(lines))
+    channel = read_eo_text(path, Stated("gpst", WEEK), Ledger())
+    assert np.abs(channel.time_ns - np.delete(exposures.utc_ns, 5)).max() < 1000
