@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ class Events:
 
     A name is "" where only the images themselves can tell it. ``index`` (m,) are the log's numbers
     where they count on from the first event to the last, ``lost`` how many of them have no event.
+    ``counts`` of a file: always, where its rows have no numbers of their own, or maybe, where they
+    begin at 1 and skip none, which a file renumbered after a loss does too.
     """
 
     camera: str
@@ -27,6 +29,7 @@ class Events:
     sigma_time_s: Array | float = 0.0
     index: NDArray[np.int64] | None = None
     lost: int = 0
+    counts: Literal["no", "maybe", "always"] = "no"
 
 
 LONGEST_LAG_S, FEWEST_PAIRS = 1.0, 10

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.batch.plan import Plan
+from pipeline.block.alignment import LOG_RATIO_NEEDED
 from pipeline.block.assignment import Assignment, CameraEvents, ImageEvidence, assign
 from pipeline.block.intersection import ImageRays, intersect, orientations_of
 from pipeline.config.event_sources import EventsSection, FirstImage
@@ -191,6 +192,11 @@ def assigned_events(
     if images.name.size == 0 or every.size == 0:
         kept = every[: every.size * has_names]
         return Events(exposed.camera, exposed.image[kept], exposed.time_ns[kept]), kept, ()
+    beyond = images.number.max() > every.size
+    if images.numbering == "index" and (
+        exposed.counts == "always" or (exposed.counts == "maybe" and beyond)
+    ):
+        images, has_names = replace(images, numbering="counted"), False
     by_index = images.numbering == "index" and exposed.index is not None
     if images.numbering == "index" and not by_index:
         if has_names:  # the numbers begin anew, but their names do not repeat
@@ -221,11 +227,10 @@ def assigned_events(
                 "name them by *, and the evidence decides",
             )
         event = np.where(undecided, -1, event_by_name)
-    elif not assignment.accepted:
+    elif reason := assignment.reason or hole_between(assignment, images, exposed, tie_points):
         raise MissionError(
             "EVENTS-AMBIGUOUS",
-            f"which image belongs to which event is not decided: {assignment.reason}. "
-            f"{description}",
+            f"which image belongs to which event is not decided: {reason}. {description}",
             where=where,
             remedy=f"state one under events.first_image.{exposed.camera}, as {{image: "
             f"{images.name[0]}, event: 1}}; or give the images' times under events.images",
@@ -251,6 +256,34 @@ def assigned_events(
         entries.append(note("EVENTS-UNUSED", what, where=where, count=int(unused.size)))
     chosen = Events(exposed.camera, images.name[has_event], exposed.time_ns[rows])
     return chosen, rows, tuple(entries)
+
+
+def hole_between(
+    assignment: Assignment, images: CameraImages, exposed: Events, tie_points: Likelihood | None
+) -> str:
+    """Why images in their order are not those of the events in theirs; empty where they are.
+
+    An exposure without event, or an event without image, may lie between them: then a part is
+    shifted. Tie points tell, and where there are none, nothing does.
+    """
+    count, m, event = images.name.size, exposed.time_ns.size, assignment.event
+    last = int(images.number.max()) if images.numbering == "counted" else count
+    if "times" in assignment.evidence or (count == last == m and not exposed.lost):
+        return ""
+    if (exposed.lost or last > m) and "first_image" not in assignment.evidence:
+        return f"{m} events for images counted up to {last}: some were lost"
+    if tie_points is None:
+        return ""
+    whole = images.number + int(np.median((event - images.number)[event >= 0]))
+    order, likely = np.argsort(images.number, kind="stable"), tie_points(event)
+    for k in np.unique(np.linspace(1, count - 1, 20).astype(int)).tolist() if count > 1 else []:
+        for rows in (order[:k], order[k:]):
+            for shift in (-2, -1, 1, 2):
+                parted, moved = event.copy(), whole[rows] + shift
+                parted[rows] = np.where((moved >= 0) & (moved < m), moved, -1)
+                if tie_points(parted) > likely + LOG_RATIO_NEEDED:
+                    return f"by tie points one is missing near {images.name[order[k]]}"
+    return ""
 
 
 def anchor_rows(

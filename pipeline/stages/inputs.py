@@ -13,6 +13,7 @@ from pipeline.flight.quality import plausible_samples
 from pipeline.flight.roles import assign_roles, with_evidence
 from pipeline.flight.suspicion.doubts import examine
 from pipeline.flight.suspicion.evidence import Stretch
+from pipeline.flight.suspicion.imported import doubts_of_import
 from pipeline.flight.trajectory import Evidence
 from pipeline.ingest import Log, open_log
 from pipeline.ingest.fields import in_stated_unit
@@ -29,7 +30,8 @@ class FlightLog:
     Where a source of the log is doubtful and another stands in, they hold its samples; ``doubts``
     are all stretches in which the log contradicts itself.
 
-    ``own`` are the roles as the log fills them; in ``roles`` a trajectory has replaced some.
+    ``own`` are the roles as the log fills them, with their ``own_doubts``; in ``roles`` a
+    trajectory has replaced some.
 
     ``evidence`` is what it says about the accuracy of its positions and attitudes.
 
@@ -42,6 +44,7 @@ class FlightLog:
     own: dict[str, Channel]
     heights: HeightSystem
     doubts: tuple[Stretch, ...] = ()
+    own_doubts: tuple[Stretch, ...] = ()
     evidence: Evidence = field(default_factory=Evidence)
 
     @property
@@ -105,11 +108,14 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     heights = ledger.take(height_system(plausible, mission.mission.undulation_m))
     if home is not None:
         heights = replace(heights, home_h_msl_m=home)
-    own, doubts, notes = examine(channels, plausible)
-    plausible = dict(own)
+    own, own_doubts, notes = examine(channels, plausible)
+    plausible, section = dict(own), mission.stations.trajectory
+    of_trajectory: tuple[Stretch, ...] = ()
     ledger.extend(notes)
     if trajectory is not None:
-        compare_with_log(trajectory, own, heights, ledger, replaces=elsewhere)
+        of_trajectory = doubts_of_import(trajectory, elsewhere, own, own_doubts)
+        order = "ZYX" if section is None else section.angle_order
+        compare_with_log(trajectory, own, heights, ledger, replaces=elsewhere, angle_order=order)
         for role in elsewhere:
             plausible[role] = ledger.take(plausible_samples(trajectory, role))
         plausible.setdefault("height", plausible["position"]) if "position" in plausible else None
@@ -120,9 +126,9 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
             + (f", in place of {former}" if former else ", which the log has not"),
             where="stations.trajectory",
         )
-    doubts = tuple(doubt for doubt in doubts if doubt.quantity not in elsewhere)
+    doubts = (*(d for d in own_doubts if d.quantity not in elsewhere), *of_trajectory)
     plausible, evidence = with_evidence(plausible, channels)
-    return FlightLog(log, channels, plausible, own, heights, doubts, evidence)
+    return FlightLog(log, channels, plausible, own, heights, doubts, own_doubts, evidence)
 
 
 def read_trajectory(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -> Channel | None:

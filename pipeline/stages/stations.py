@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -18,6 +19,7 @@ from pipeline.flight.exposures import (
     lag_from_feedback,
     refuse_repeated_images,
     trigger_notes,
+    unwrapped_numbers,
 )
 from pipeline.flight.mount import Mount
 from pipeline.flight.station_builder import (
@@ -33,6 +35,7 @@ from pipeline.flight.stations import (
     unusable_station_notes,
 )
 from pipeline.flight.suspicion.doubts import flag_doubtful
+from pipeline.flight.suspicion.imported import doubts_of_import
 from pipeline.ledger import Ledger
 from pipeline.stages.cabin_air import cabin_from_log
 from pipeline.stages.exposure_setup import camera_of_rows
@@ -95,8 +98,24 @@ def events_of_file(
     channel: Channel, camera: str, image: str, delay_s: float, ledger: Ledger
 ) -> Events:
     """Exposures of a file with positions, named by it or by a pattern."""
+    index = channel["event_index"].astype(np.int64)
+    reversed_rows = int(np.count_nonzero(np.diff(unwrapped_numbers(index)) < 0))
     if image != "{name}":
-        return ledger.take(events_of_channel(channel, camera, image, delay_s))
+        events = ledger.take(events_of_channel(channel, camera, image, delay_s))
+        if reversed_rows and "{index" in image:
+            raise MissionError(
+                "EVENTS-ORDER",
+                f"{reversed_rows} of its numbers fall as time goes on: the images that are named "
+                "by them would be in another order than their exposures",
+                where=channel.name,
+                remedy="put the rows in the order of their time; or name the images by {n}, "
+                "counted in the order of time",
+            )
+        _tell_order(reversed_rows, channel, ledger)
+        if channel.source.message == "RTKLIB":
+            return replace(events, counts="always")
+        whole = np.array_equal(index, np.arange(1, index.size + 1))
+        return replace(events, counts="maybe" if whole else "no")
     names = channel.labels.get("name")
     if names is None:
         raise MissionError(
@@ -105,8 +124,19 @@ def events_of_file(
             where=channel.name,
             remedy="name the images by {index} or {n}, as in image: DJI_{index:04d}.JPG",
         )
+    digits = [re.findall(r"\d{1,15}", name) for name in names]
+    numbers = np.array([int(found[-1]) if found else 0 for found in digits], np.int64)
+    _tell_order(int(np.count_nonzero(np.diff(numbers) < 0)), channel, ledger)
     time_ns = channel.time_ns + round(delay_s * 1e9)
     return Events(camera, np.array(names, dtype=object), time_ns)
+
+
+def _tell_order(fallen: int, channel: Channel, ledger: Ledger) -> None:
+    """A warning where most of a file's numbers fall as time goes on."""
+    if 2 * fallen > len(channel) - 1:
+        what = f"{fallen} of {len(channel)} numbers or names fall as time goes on: "
+        what += "images may be in the other order than their exposures"
+        ledger.warning("EVENTS-ORDER", what, where=channel.name, count=fallen)
 
 
 def stations_of_mission(
@@ -124,7 +154,11 @@ def stations_of_mission(
         mount, from_events = mount_of(plan, name)
         if name in positions and not mission.position_events[name].times_only:
             roles = roles | {"position": positions[name], "height": positions[name]}
-            doubts = tuple(doubt for doubt in doubts if doubt.quantity == "attitude")
+            places = ("position", "height")
+            doubts = (
+                *(doubt for doubt in doubts if doubt.quantity == "attitude"),
+                *doubts_of_import(positions[name], places, flight.own, flight.own_doubts),
+            )
         part = build_stations(
             events_of_camera,
             roles,

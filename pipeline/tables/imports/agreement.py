@@ -7,6 +7,7 @@ more than autopilots err is a warning or a loss.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,8 @@ _LIMITS = {
     "place": (5.0, 20.0), "height": (10.0, 30.0), "tilt": (3.0, 20.0), "yaw": (10.0, 30.0),
     "time": (0.15, 0.75),
 }  # fmt: skip
-_OTHER_FLIGHT_M, _LARGE_TURN_DEG = 100.0, 5.0
+_OTHER_FLIGHT_M, _LARGE_TURN_DEG, _SMALL_TURN_DEG = 100.0, 5.0, 2.0
+_ORDERS = ("ZYX", "ZXY", "YXZ", "YZX", "XYZ", "XZY")
 _TURN = 2.0 * np.pi
 
 _Change = Callable[[Array, Array], tuple[Array, Array]]
@@ -68,12 +70,14 @@ def compare_with_log(
     ledger: Ledger,
     *,
     replaces: tuple[str, ...],
+    angle_order: str = "ZYX",
 ) -> None:
     """Compare an imported channel with what the log itself has in the same roles.
 
     Refuses (MissionError) other times (TRAJECTORY-OVERLAP, TRAJECTORY-TIME), another place
     (TRAJECTORY-PLACE), heights above the other surface (TRAJECTORY-HEIGHT) and attitudes in another
-    unit or sense (TRAJECTORY-ANGLES), where the log shows it.
+    unit, sense or order (TRAJECTORY-ANGLES), where the log shows it. ``angle_order`` is that by
+    which roll, pitch and yaw became its attitude.
     """
     position, known = own.get("position"), np.flatnonzero(np.isfinite(imported["lat_rad"]))
     if position is None or len(position) < 2 or known.size == 0:
@@ -87,7 +91,7 @@ def compare_with_log(
     if "attitude" in replaces and "attitude" in own:
         theirs, _ = interpolate_attitude(own["attitude"], imported.time_ns[rows], _MAX_GAP_S)
         mine = np.stack([imported[f"q_{axis}"][rows] for axis in "wxyz"], axis=1)
-        _compare_attitudes(imported.name, mine, theirs, ledger)
+        _compare_attitudes(imported.name, mine, theirs, angle_order, ledger)
 
 
 class _Track:
@@ -149,7 +153,8 @@ def _compare_places(
             f"fits {track.name} of the log within {best:.1f} m, as it is within {now:.0f} m"
             f"{leap}{zone}",
             where=imported.name,
-            remedy="state time: {system: gpst} or {system: utc} as it was written",
+            remedy="state time: {system: gpst} or {system: utc} as it was written; other offsets "
+            "are to be mended in the file",
         )
     if distance.size == 0:
         raise MissionError(
@@ -168,11 +173,12 @@ def _compare_places(
             "TRAJECTORY-PLACE", what, where=imported.name,
             remedy="name the file of this flight; state position_unit, and which column is which",
         )  # fmt: skip
+    most_m = float(np.percentile(distance, 95.0))
     what = (
         f"{now:.2f} m from {track.name} of the log in the median, 95 % within "
-        f"{np.percentile(distance, 95):.2f} m; a time offset of {shift:+.3f} s leaves {best:.2f} m"
+        f"{most_m:.2f} m; a time offset of {shift:+.3f} s leaves {best:.2f} m"
     )
-    kind = _grade(place=now, time=abs(shift) if better else 0.0)
+    kind = _grade(place=max(now, most_m), time=abs(shift) if better else 0.0)
     ledger.add(Entry(kind, "TRAJECTORY-AGREES", what, imported.name, distance.size))
 
 
@@ -204,15 +210,18 @@ def _compare_heights(
             where=imported.name,
             remedy=f"give heights: {names[1]}, or mend mission.undulation_m",
         )
+    spread = float(np.nanpercentile(np.abs(same - apart), 95.0))
     what = (
         f"{apart:+.2f} m from the height of {own.name} of the log in the median, within "
-        f"{np.nanpercentile(np.abs(same - apart), 95.0):.2f} m of that in 95 %"
+        f"{spread:.2f} m of that in 95 %"
     )
-    kind = _grade(height=abs(apart))
+    kind = _grade(height=max(abs(apart), spread))
     ledger.add(Entry(kind, "TRAJECTORY-HEIGHT-AGREES", what, imported.name, rows.size))
 
 
-def _compare_attitudes(name: str, mine: Array, theirs: Array, ledger: Ledger) -> None:
+def _compare_attitudes(
+    name: str, mine: Array, theirs: Array, angle_order: str, ledger: Ledger
+) -> None:
     """Attitudes (n, 4) w, x, y, z against the log's, about the body's axes."""
     known = np.isfinite(mine).all(axis=1) & np.isfinite(theirs).all(axis=1)
     if np.count_nonzero(known) < 20:
@@ -236,6 +245,20 @@ def _compare_attitudes(name: str, mine: Array, theirs: Array, ledger: Ledger) ->
                 where=name,
                 remedy="state angle_unit and angle_order, and which column is which; roll is right "
                 "wing down, pitch nose up, yaw clockwise from north",
+            )
+    # The angle about each axis, as the file has it, in another order of the rotations.
+    seq: Any = angle_order
+    about = dict(zip(seq, imported.as_euler(seq).T, strict=True))
+    for order in _ORDERS if size > _SMALL_TURN_DEG else ():
+        again = Rotation.from_euler(order, np.stack([about[axis] for axis in order], axis=1))
+        left = apart(again)
+        if order != angle_order and left < min(_LARGE_TURN_DEG, size / 3.0):
+            raise MissionError(
+                "TRAJECTORY-ANGLES",
+                f"its attitude is up to {size:.1f} deg from that of the log (90 %), in the order "
+                f"{order} up to {left:.1f} deg",
+                where=name,
+                remedy=f"state angle_order: {order}",
             )
     cosine = np.sum(own.as_matrix()[:, 2] * imported.as_matrix()[:, 2], axis=1)
     tilt = float(np.degrees(np.median(np.arccos(np.clip(cosine, -1.0, 1.0)))))

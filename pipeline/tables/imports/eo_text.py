@@ -50,13 +50,14 @@ def read_eo_text(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     readable = np.asarray(np.isfinite(needed).all(axis=0))
     count = np.arange(1.0, len(rows) + 1.0)
     event = value.get("EVENT", count)
+    surface = "ellipsoid" if above == "ELLIPSOID" else "msl"
     columns = {
         "event_index": np.where(np.isfinite(event), event, count),
         "lat_rad": np.radians(value["LAT"]),
         "lon_rad": np.radians(value["LONG"]),
-        stated.height_column(path, "ellipsoid" if above == "ELLIPSOID" else "msl"): value[above],
+        stated.height_column(path, ledger, surface): value[above],
     }
-    time_ns = stated.utc_of_week_seconds(path, value["TIME"], stated.system_of(path))
+    time_ns = stated.utc_of_week_seconds(path, value["TIME"], stated.system_of(path, ledger))
     if "OMEGA" in titles:
         ledger.note("IMPORT-EO-ANGLES", "omega, phi and kappa count in the grid of the export: "
                     "attitudes are taken from elsewhere", where=path.name)  # fmt: skip

@@ -39,7 +39,7 @@ def read_mrk(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     table = split_lines(lines, _NAMES, r"\s*(?:\[|\]|,[A-Za-z]*|\s)\s*")
     value = {name: numbers(table[name]) for name in _NAMES}
     readable = of_mrk & np.isfinite(list(value.values())).all(axis=0)
-    time_ns = utc_of_weeks(value["week"], value["seconds"], stated.system_of(path, "gpst"))
+    time_ns = utc_of_weeks(value["week"], value["seconds"], stated.system_of(path, ledger, "gpst"))
     lost = (value["Q"] == 0) | ((value["Lat"] == 0.0) & (value["Lon"] == 0.0))
     if bool(lost.any()):
         ledger.loss(
@@ -64,7 +64,7 @@ def read_mrk(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         "offset_down_m": value["V"] * _MILLIMETRE,
         "lat_rad": np.where(lost, np.nan, np.radians(value["Lat"])),
         "lon_rad": np.where(lost, np.nan, np.radians(value["Lon"])),
-        stated.height_column(path, "ellipsoid"): np.where(lost, np.nan, value["Ellh"]),
+        stated.height_column(path, ledger, "ellipsoid"): np.where(lost, np.nan, value["Ellh"]),
         "sigma_h_m": np.hypot(value["sd_n"], value["sd_e"]) / np.sqrt(2.0),
         "sigma_v_m": value["sd_u"],
         "solution_quality": value["Q"],

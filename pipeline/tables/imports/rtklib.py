@@ -49,13 +49,13 @@ def read_pos(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         names = [f"{axis}_{part}" for axis in ("lat", "lon") for part in "dms"] + names[2:]
     table = split_lines(rows, ["day", "time", *names], _SEPARATOR)
     value = {name: numbers(table[name]) for name in names}
-    system = stated.system_of(path, "gpst" if clock == "GPST" else "utc")
+    system = stated.system_of(path, ledger, "gpst" if clock == "GPST" else "utc")
     if "/" in rows[0].split()[0]:
         time_ns, readable = utc_of_dates(table["day"] + "T" + table["time"], system)
     else:
         week, seconds = numbers(table["day"]), numbers(table["time"])
         time_ns, readable = utc_of_weeks(week, seconds, system), np.isfinite(week + seconds)
-    columns = _positions(path, header, value, stated)
+    columns = _positions(path, header, value, stated, ledger)
     quality = value["Q"]
     readable = readable & (quality > 0) & np.isfinite(columns["lat_rad"])
     columns |= {"solution_quality": quality, "event_index": np.arange(1.0, len(rows) + 1.0)}
@@ -64,7 +64,7 @@ def read_pos(path: Path, stated: Stated, ledger: Ledger) -> Channel:
             columns[f"v_{name}_m_s"] = sign * value[f"{written}(m/s)"]
     for name, least in (("sigma_h_m", SINGLE_SIGMA_H_M), ("sigma_v_m", SINGLE_SIGMA_V_M)):
         columns[name] = np.where(quality == 5, np.fmax(columns[name], least), columns[name])
-    time_ns = time_ns - (_JST_NS if clock == "JST" else 0)
+    time_ns = time_ns - (_JST_NS if clock == "JST" and system == "utc" else 0)
     channel = channel_of_rows(path, "RTKLIB", time_ns, columns, ledger, readable=readable)
     found, counts = np.unique(channel["solution_quality"].astype(int), return_counts=True)
     shares = ", ".join(
@@ -84,7 +84,7 @@ def read_pos(path: Path, stated: Stated, ledger: Ledger) -> Channel:
 
 
 def _positions(
-    path: Path, header: list[str], value: Mapping[str, Array], stated: Stated
+    path: Path, header: list[str], value: Mapping[str, Array], stated: Stated, ledger: Ledger
 ) -> dict[str, Array]:
     """Positions and their sigmas per axis, whichever coordinates the file has."""
     nowhere = np.full(value["Q"].shape, np.nan)
@@ -126,7 +126,7 @@ def _positions(
     return {
         "lat_rad": lat,
         "lon_rad": lon,
-        stated.height_column(path, above): height,
+        stated.height_column(path, ledger, above): height,
         "sigma_h_m": sigma_h,
         "sigma_v_m": sigma_v,
     }

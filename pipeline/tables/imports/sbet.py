@@ -37,14 +37,14 @@ def read_sbet(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     both signs are tried. Velocities and rates that contradict positions and attitude are left out.
     """
     rows = _sbet_rows(path, ledger)
-    time_ns = stated.utc_of_week_seconds(path, rows[:, 0], stated.system_of(path))
+    time_ns = stated.utc_of_week_seconds(path, rows[:, 0], stated.system_of(path, ledger))
     order = np.argsort(time_ns, kind="stable")
     rows, time_ns = rows[order], time_ns[order]
     seconds = (time_ns - time_ns[0]) * 1e-9
     columns: dict[str, Array] = {
         "lat_rad": rows[:, 1],
         "lon_rad": wrapped(rows[:, 2]),
-        stated.height_column(path): rows[:, 3],
+        stated.height_column(path, ledger): rows[:, 3],
     }
     sign, velocity = wander_sign(path, seconds, rows, ledger)
     if velocity is not None:

@@ -48,13 +48,13 @@ class Stated:
     angle_unit: AngleUnit = "deg"
     angle_order: str = "ZYX"
 
-    def system_of(self, path: Path, found: str | None = None) -> str:
+    def system_of(self, path: Path, ledger: Ledger, found: str | None = None) -> str:
         """The time system, gpst or utc; ``found`` is what the file says of itself."""
-        return _settled(path, "time.system", found, self.time_system)
+        return _settled(path, "time.system", found, self.time_system, ledger)
 
-    def height_column(self, path: Path, found: str | None = None) -> str:
+    def height_column(self, path: Path, ledger: Ledger, found: str | None = None) -> str:
         """The channel's column for heights above ``ellipsoid`` or ``msl``, as found or stated."""
-        known = _settled(path, "heights", found, self.heights)
+        known = _settled(path, "heights", found, self.heights, ledger)
         return "h_ellipsoid_m" if known == "ellipsoid" else "h_msl_m"
 
     def utc_of_week_seconds(self, path: Path, seconds: Array, system: str) -> TimeArray:
@@ -80,16 +80,12 @@ class Stated:
         return max(able, key=lambda time_ns: np.sum((time_ns >= first) & (time_ns <= last)))
 
 
-def _settled(path: Path, key: str, found: str | None, stated: str | None) -> str:
-    """What a file says of itself or the mission file of it; they may not contradict each other."""
+def _settled(path: Path, key: str, found: str | None, stated: str | None, ledger: Ledger) -> str:
+    """What the mission file says of a file, or the file of itself; a contradiction is told."""
     if found is not None and stated not in (None, found):
-        raise InputError(
-            "IMPORT-CONTRADICTED",
-            f"by its header {key} is {found}, by the mission file {stated}",
-            where=str(path),
-            remedy=f"leave {key} out, or export the file again",
-        )
-    known = found or stated
+        what = f"by its header {key} is {found}, by the mission file {stated}, which holds"
+        ledger.warning("IMPORT-CONTRADICTED", what, where=path.name)
+    known = stated or found
     if known is None:
         raise InputError(
             "IMPORT-UNSTATED",

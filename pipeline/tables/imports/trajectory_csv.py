@@ -49,7 +49,7 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     columns = {name: value[name] for name in _AS_THEY_ARE if name in value}
     if "x" in value:
         lat, lon, height = geodetic_of_ecef(value["x"], value["y"], value["z"])
-        surface = stated.height_column(path, "ellipsoid")
+        surface = stated.height_column(path, ledger, "ellipsoid")
         radius = float(np.nanmedian(np.linalg.norm([value[axis] for axis in "xyz"], axis=0)))
         if not 6.3e6 < radius < 6.5e6:
             raise InputError(
@@ -59,7 +59,7 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     else:
         unit = RADIANS[stated.position_unit]
         lat, lon, height = value["latitude"] * unit, value["longitude"] * unit, value["height"]
-        surface = stated.height_column(path)
+        surface = stated.height_column(path, ledger)
     columns |= {"lat_rad": lat, "lon_rad": lon, surface: height}
     if "yaw" in value:
         angles = np.stack([value[name] for name in ("roll", "pitch", "yaw")], axis=1)
@@ -70,16 +70,16 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         q = np.full((known.size, 4), np.nan)
         q[known] = Rotation.from_euler(stated.angle_order, in_order).as_quat(canonical=True)
         columns |= {f"q_{axis}": q[:, k] for k, axis in enumerate("xyzw")}
-    time_ns, readable = _utc(path, table[stated.columns["time"]].str.strip(), value, stated)
+    time_ns, readable = _utc(path, table[stated.columns["time"]].str.strip(), value, stated, ledger)
     readable = readable & np.isfinite([lat, lon, height]).all(axis=0)
     return channel_of_rows(path, "CSV", time_ns, columns, ledger, readable=readable)
 
 
 def _utc(
-    path: Path, text: pd.Series[str], value: dict[str, Array], stated: Stated
+    path: Path, text: pd.Series[str], value: dict[str, Array], stated: Stated, ledger: Ledger
 ) -> tuple[TimeArray, NDArray[np.bool_]]:
     """UTC of the rows, and which have a readable time."""
-    system, seconds = stated.system_of(path), value["time"]
+    system, seconds = stated.system_of(path, ledger), value["time"]
     readable = np.isfinite(seconds)
     if not bool(readable.any()):
         if system == "gpst" and bool(text.str.contains(r"(?:Z|[+-]\d\d:?\d\d)$").any()):

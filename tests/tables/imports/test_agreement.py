@@ -10,6 +10,8 @@ import pytest
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel, Source
 from pipeline.flight.heights import HeightSystem
+from pipeline.flight.suspicion.evidence import Stretch
+from pipeline.flight.suspicion.imported import doubts_of_import
 from pipeline.ledger import Ledger
 from pipeline.tables.imports.agreement import compare_with_log
 
@@ -70,3 +72,52 @@ def test_the_height_of_the_other_surface_is_named(exposures, own):
         compared(replace(sea, columns=wrong), own)
     assert caught.value.code == "TRAJECTORY-HEIGHT"
     assert "+47.6" in caught.value.what
+
+
+def shifted(imported, rows, *, up_m=0.0, north_m=0.0):
+    columns = dict(imported.columns)
+    columns["h_ellipsoid_m"] = columns["h_ellipsoid_m"] + np.where(rows, up_m, 0.0)
+    columns["lat_rad"] = columns["lat_rad"] + np.where(rows, north_m / 6.37e6, 0.0)
+    return replace(imported, columns=columns)
+
+
+def test_a_tenth_of_a_trajectory_that_is_off_is_graded_and_doubtful(flight, own):
+    true = channel(flight, "t.pos")
+    rows = np.arange(len(true)) // (len(true) // 10) == 4
+    begin, end = true.time_ns[rows][[0, -1]]
+    for off, code, quantity in (
+        ({"north_m": 40.0}, "TRAJECTORY-AGREES", "position"),
+        ({"up_m": 60.0}, "TRAJECTORY-HEIGHT-AGREES", "height"),
+    ):
+        wrong = shifted(true, rows, **off)
+        assert compared(wrong, own)[code].kind == "loss"
+        (doubt,) = doubts_of_import(wrong, ROLES, own, ())
+        assert doubt.quantity == quantity
+        assert doubt.off_m == pytest.approx(next(iter(off.values())), rel=0.02)
+        assert abs(doubt.begin_ns - begin) < 2e9
+        assert abs(doubt.end_ns - end) < 2e9
+    assert compared(true, own)["TRAJECTORY-AGREES"].kind == "note"
+    assert doubts_of_import(true, ROLES, own, ()) == ()
+
+
+def test_a_log_that_is_doubtful_or_a_sigma_that_says_so_casts_no_doubt(flight, own):
+    true = channel(flight, "t.pos")
+    rows = np.arange(len(true)) // (len(true) // 10) == 4
+    away = {n: shifted(c, rows, north_m=40.0) for n, c in own.items()}
+    assert doubts_of_import(true, ROLES, away, ())
+    whole = Stretch(int(true.time_ns[0]), int(true.time_ns[-1]), "position", "it drifts")
+    assert doubts_of_import(true, ROLES, away, (whole,)) == ()
+    sigma = {"sigma_h_m": np.where(rows, 20.0, 0.02)}
+    told = shifted(replace(true, columns=dict(true.columns) | sigma), rows, north_m=40.0)
+    assert doubts_of_import(told, ROLES, own, ()) == ()
+
+
+def test_heights_above_another_surface_are_no_doubt(flight, own):
+    """In a climb a constant difference is not taken for a lag."""
+    true = channel(flight, "t.pos")
+    climb = np.linspace(0.0, 900.0, len(true))
+    sea = {n: v for n, v in true.columns.items() if n != "h_ellipsoid_m"}
+    gps = replace(true, name="GPS[0]", columns=sea | {"h_msl_m": flight.height - 47.6 + climb})
+    up = replace(true, columns=dict(true.columns) | {"h_ellipsoid_m": flight.height + climb,
+                 "v_down_m_s": np.full(len(true), -3.0)})  # fmt: skip
+    assert doubts_of_import(up, ROLES, {"position": gps, "height": gps}, ()) == ()

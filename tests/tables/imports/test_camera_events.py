@@ -77,9 +77,15 @@ def test_images_without_a_position_keep_their_time_and_are_told(exposures):
     assert [entry.count for entry in entries(ledger, "IMPORT-ROWS")] == [1]
 
 
-def test_an_mrk_contradicted_and_no_mrk_are_refused(exposures):
-    assert refused(read_mrk, exposures.mrk(), Stated("utc")).code == "IMPORT-CONTRADICTED"
-    assert refused(read_mrk, exposures.mrk(), Stated(heights="msl")).code == "IMPORT-CONTRADICTED"
+def test_what_is_stated_against_an_mrk_holds_and_is_told(exposures):
+    ledger = Ledger()
+    channel = read_mrk(exposures.mrk(), Stated("utc", heights="msl"), ledger)
+    assert [e.kind for e in entries(ledger, "IMPORT-CONTRADICTED")] == ["warning"] * 2
+    assert np.abs(channel.time_ns - exposures.utc_ns - 18 * 10**9).max() < 1000
+    assert channel["h_msl_m"] == pytest.approx(exposures.height, abs=1e-3)
+
+
+def test_what_is_no_mrk_is_refused(exposures):
     text = exposures.put("x.MRK", "image,lat,lon\n")
     assert refused(read_mrk, text, Stated()).code == "IMPORT-FORMAT"
     binary = exposures.put("y.MRK", bytes(range(256)))

@@ -162,16 +162,19 @@ def test_damaged_and_repeated_rows_are_counted(flight):
     assert [(e.kind, e.count) for e in entries(ledger, "IMPORT-ROWS")] == [("loss", 2), ("loss", 1)]
 
 
-def test_a_pos_file_without_its_header_and_one_that_is_contradicted(flight):
+def test_a_pos_file_without_its_header_and_one_whose_header_is_wrong(flight):
     path = flight.pos()
     bare = "".join(x for x in path.read_text().splitlines(keepends=True) if x[0] != "%")
     assert refused(read_pos, flight.put("bare.pos", bare)).code == "IMPORT-FORMAT"
     head = "".join(x for x in path.read_text().splitlines(keepends=True) if x[0] == "%")
     assert refused(read_pos, flight.put("head.pos", head)).code == "IMPORT-FORMAT"
-    contradicted = refused(read_pos, path, Stated(time_system="utc"))
-    assert contradicted.code == "IMPORT-CONTRADICTED"
-    assert "gpst" in contradicted.what
-    assert refused(read_pos, path, Stated(heights="msl")).code == "IMPORT-CONTRADICTED"
+    ledger = Ledger()
+    channel = read_pos(path, Stated(time_system="utc", heights="msl"), ledger)
+    told = entries(ledger, "IMPORT-CONTRADICTED")
+    assert [entry.kind for entry in told] == ["warning", "warning"]
+    assert "time.system is gpst, by the mission file utc" in told[0].what
+    assert np.abs(channel.time_ns - flight.utc_ns - 18 * 10**9).max() < 2e6
+    assert channel["h_msl_m"] == pytest.approx(flight.height, abs=1e-3)
 
 
 # SBET
