@@ -227,7 +227,11 @@ def assigned_events(
                 "name them by *, and the evidence decides",
             )
         event = np.where(undecided, -1, event_by_name)
-    elif reason := assignment.reason or hole_between(assignment, images, exposed, tie_points):
+    reason = ""
+    if exposed.counts == "maybe" or not by_index:
+        reason = "" if by_index else assignment.reason
+        reason = reason or hole_between(assignment, images, exposed, tie_points)
+    if reason:
         raise MissionError(
             "EVENTS-AMBIGUOUS",
             f"which image belongs to which event is not decided: {reason}. {description}",
@@ -268,7 +272,7 @@ def hole_between(
     """
     count, m, event = images.name.size, exposed.time_ns.size, assignment.event
     last = int(images.number.max()) if images.numbering == "counted" else count
-    if "times" in assignment.evidence or (count == last == m and not exposed.lost):
+    if "times" in assignment.evidence:
         return ""
     if (exposed.lost or last > m) and "first_image" not in assignment.evidence:
         return f"{m} events for images counted up to {last}: some were lost"
