@@ -274,7 +274,8 @@ def hole_between(
     last = int(images.number.max()) if images.numbering == "counted" else count
     if "times" in assignment.evidence:
         return ""
-    if (exposed.lost or last > m) and "first_image" not in assignment.evidence:
+    lost = last > m or (exposed.lost > 0 and tie_points is None)
+    if lost and "first_image" not in assignment.evidence:
         return f"{m} events for images counted up to {last}: some were lost"
     if tie_points is None:
         return ""
