@@ -24,13 +24,22 @@ from pipeline.flight.stations import (
     empty_stations,
 )
 from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef, offset_geodetic
-from pipeline.ledger import Notes, loss, note
+from pipeline.ledger import Notes, loss, note, warning
 
 LARGEST_FIT_TILT_RAD = np.radians(1.0)
 """A vertical that known positions determine no better than this is none (1 deg is 5 % of R)."""
 
 LARGEST_FIT_RESIDUAL = 0.02
 """Residuals of a fit, in parts of the extent of the known positions, above which it is no fit."""
+
+USUAL_FIT_RESIDUAL, USUAL_FIT_SIGMAS = 0.003, 5.0
+"""Largest residual, in parts of the extent and in sigmas, above which a fit is told as doubtful."""
+
+FIT_OUTLIER = 4.0
+"""A known position that the others predict worse than by this many times their residuals."""
+
+FAR_M, FAR_FACTOR = 10_000.0, 20.0
+"""An image beyond both, the latter in median distances from the middle, is elsewhere."""
 
 FEW_LOOK_UP = 0.1
 """Of so few images that look above the horizon, each is flagged; more have another cause."""
@@ -74,7 +83,7 @@ def fitted_frame(
     known_image: NDArray[np.object_],
     known: Array,
     *,
-    sigma_m: float = 0.0,
+    sigma_m: float = 1.0,
 ) -> tuple[CartesianFrame, Notes]:
     """The frame of a model, by a similarity of seven parameters through known positions.
 
@@ -82,12 +91,14 @@ def fitted_frame(
     ----------
     image, xyz : (n,) names and (n, 3) positions in the frame of the model.
     known_image, known : (m,) names and (m, 3) latitude, longitude [rad] and ellipsoidal height [m].
-    sigma_m : standard deviation of the known positions, at least; errors that they share hardly
-        show in the residuals.
+    sigma_m : standard deviation of the known coordinates, at least: few residuals tell little, and
+        the heights of three positions leave none.
 
     Least squares with equal weights (Umeyama 1991; the rotation by scipy's align_vectors). Refuses
     (MissionError) fewer than three images that are in both, positions on a line, and residuals of
     more than 2 % of the extent: then it is another model, a mirrored one, or the names are others.
+    Warns of three positions, which nothing checks, of a residual above 5 sigmas and 0.3 % of the
+    extent, and of a position that contradicts the others.
     """
     where = "stations.orientation.known_positions"
     row = {name: number for number, name in enumerate(image.tolist())}
@@ -106,17 +117,15 @@ def fitted_frame(
     model = xyz[[i for i, _ in usable]]
     known = known[[k for _, k in usable]]
     earth = ecef_of_geodetic(*known.T)
-    middle, centre = model.mean(axis=0), earth.mean(axis=0)
+    middle = model.mean(axis=0)
     spread = np.linalg.svd(model - middle, compute_uv=False)
     extent = float(np.linalg.norm(np.ptp(earth, axis=0)))
-    tilt, fit = np.inf, ""
+    tilt, sigma, fit = np.inf, sigma_m, ""
     if spread[1] >= 1e-6 * spread[0]:
-        turn, _ = Rotation.align_vectors(earth - centre, model - middle)
-        turned = turn.apply(model - middle)
-        scale = float(np.sum(turned * (earth - centre)) / np.sum(turned**2))
-        residual = np.linalg.norm(earth - centre - scale * turned, axis=1)
+        frame, miss = _similarity(model, earth, np.ones(len(usable), np.bool_))
+        residual = np.linalg.norm(miss, axis=1)
         sigma = max(sigma_m, np.sqrt(np.sum(residual**2) / (3 * len(usable) - 7)))
-        tilt, rms = float(sigma / (abs(scale) * spread[1])), np.sqrt(np.mean(residual**2))
+        tilt, rms = float(sigma / (frame.scale * spread[1])), np.sqrt(np.mean(residual**2))
         worst = image[usable[int(np.argmax(residual))][0]]
         fit = (f"residuals of {rms:.2f} m (rms) over {extent:.0f} m, the largest "
                f"{residual.max():.2f} m at {worst}")  # fmt: skip
@@ -131,20 +140,58 @@ def fitted_frame(
     if tilt > LARGEST_FIT_TILT_RAD:
         raise MissionError(
             "ORIENTATION-LINE",
-            f"{len(usable)} known positions lie on a line, or nearly so: they leave the model free "
-            f"to roll about it by {np.degrees(tilt):.2g} deg (one sigma)",
+            f"{len(usable)} known positions lie on a line, or nearly so: with {sigma:.2g} m of "
+            "sigma they leave the model free to roll about it by "
+            f"{np.degrees(tilt):.2g} deg (one sigma)",
             where=where,
             remedy="give known positions on both sides of that line",
         )
-    matrix = turn.as_matrix()
-    entry = note(
-        "ORIENTATION-FIT",
-        f"the model was fitted to {len(usable)} known positions: scale {scale:.6g}, {fit}; its "
-        f"vertical is good to {np.degrees(tilt):.2g} deg",
-        where=where,
-        count=len(usable),
+    what = (
+        f"the model was fitted to {len(usable)} known positions: scale {frame.scale:.6g}, {fit}; "
+        f"its vertical is good to {np.degrees(tilt):.2g} deg, with {sigma:.2g} m of sigma"
     )
-    return CartesianFrame(matrix, centre - scale * matrix @ middle, scale, tilt), (entry,)
+    doubts = []
+    if len(usable) == 3:
+        doubts.append(
+            "nothing checks three positions: an error of one height leaves no residual, and the "
+            "vertical is only as good as they are; give more"
+        )
+    usual = USUAL_FIT_SIGMAS * sigma_m
+    if residual.max() > max(usual, USUAL_FIT_RESIDUAL * extent):
+        doubts.append(f"{worst} misses by more than known positions should")
+    # Four without one leave three, which fit anything.
+    alone = [
+        _alone(model, earth, int(k)) for k in np.argsort(-residual)[:5] if len(usable) > 4
+    ]  # of the five that fit worst: one error moves the others
+    for others, off, k in sorted(alone)[:1]:
+        if off > max(usual, FIT_OUTLIER * others):
+            doubts.append(
+                f"without {image[usable[k][0]]} the others fit to {others:.2f} m (rms), and it is "
+                f"{off:.1f} m off: another image, or a wrong position"
+            )
+    frame = replace(frame, tilt_rad=tilt)
+    if not doubts:
+        return frame, (note("ORIENTATION-FIT", what, where=where, count=len(usable)),)
+    what += "".join(f"; {doubt}" for doubt in doubts)
+    return frame, (warning("ORIENTATION-FIT", what, where=where, count=len(usable)),)
+
+
+def _similarity(model: Array, earth: Array, use: NDArray[np.bool_]) -> tuple[CartesianFrame, Array]:
+    """The frame through some of the positions, and what all of them (n, 3) miss it by [m]."""
+    middle, centre = model[use].mean(axis=0), earth[use].mean(axis=0)
+    rotation, _ = Rotation.align_vectors(earth[use] - centre, model[use] - middle)
+    turned = rotation.apply(model - middle)
+    scale = float(np.sum(turned[use] * (earth - centre)[use]) / np.sum(turned[use] ** 2))
+    matrix = rotation.as_matrix()
+    frame = CartesianFrame(matrix, centre - scale * matrix @ middle, scale)
+    return frame, earth - centre - scale * turned
+
+
+def _alone(model: Array, earth: Array, row: int) -> tuple[float, float, int]:
+    """Rms residual [m] of a fit without one position, how far that one is from it, and its row."""
+    others = np.arange(len(model)) != row
+    miss = np.linalg.norm(_similarity(model, earth, others)[1], axis=1)
+    return float(np.sqrt(np.mean(miss[others] ** 2))), float(miss[row]), int(row)
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,6 +277,29 @@ def flag_above_horizon(stations: Stations) -> tuple[Stations, Notes]:
     return stations, (
         loss("ORIENTATION-UP", f"{what}: suspect; {first}", where=where, count=count),
     )
+
+
+def flag_far_images(stations: Stations, *, use: bool) -> tuple[Stations, Notes]:
+    """Mark images far from all others as suspect: a position of zero, or of another flight."""
+    place = ecef_of_geodetic(stations.lat_rad, stations.lon_rad, np.zeros(stations.image.size))
+    if not bool(stations.ok.any()):
+        return stations, ()
+    distance = np.linalg.norm(place - np.median(place[stations.ok], axis=0), axis=1)
+    limit = max(FAR_M, FAR_FACTOR * float(np.median(distance[stations.ok])))
+    with np.errstate(invalid="ignore"):
+        far = stations.ok & (distance > limit)
+    if not bool(far.any()):
+        return stations, ()
+    first = int(np.argmax(far))
+    entry = loss(
+        "ORIENTATION-FAR",
+        f"{int(far.sum())} of {int(stations.ok.sum())} images are more than "
+        f"{limit / 1000.0:.0f} km from the middle of all: suspect; the first is "
+        f"{stations.image[first]}, {distance[first] / 1000.0:.0f} km away",
+        where="stations.orientation",
+        count=int(far.sum()),
+    )
+    return stations.as_suspect(far, "far from all others", distance, use=use), (entry,)
 
 
 def refuse_turned_images(stations: Stations) -> None:

@@ -10,7 +10,9 @@ import numpy as np
 
 from pipeline.batch.plan import Plan
 from pipeline.block.intersection import (
+    MINIMUM_ANGLE_RAD,
     ImageRays,
+    Intersection,
     Orientations,
     intersect,
     orientations_of,
@@ -21,6 +23,7 @@ from pipeline.block.oriented_block import (
     OrientedImages,
     fitted_frame,
     flag_above_horizon,
+    flag_far_images,
     refuse_turned_images,
     stations_of_images,
     topocentric,
@@ -32,6 +35,7 @@ from pipeline.flight.heights import ground_offsets
 from pipeline.flight.rotations import (
     enu_from_grid,
     in_turned_frame,
+    opk_of_quaternion,
     quaternion_of_opk,
     quaternion_of_rpy,
 )
@@ -61,6 +65,9 @@ _GOOD_FACTOR, _POOR_FACTOR = 2.0, 5.0
 _SIGMAS_OF_BLOCK = (0.3, 0.3, 0.5, *np.radians([0.02, 0.02, 0.05]))
 """East, north, up [m], tilts and yaw [rad] of adjusted stations without sigmas: judgement."""
 
+_GROUND_SIGMAS, _GROUND_SHARE = 5.0, 0.01
+"""How far intersected heights may be from given ones: sigmas, and part of the flying height."""
+
 _SIGMA_OF_LOG_M = 1.5
 """Positions of an autopilot that fuses a receiver without corrections."""
 
@@ -87,10 +94,14 @@ def oriented_stations(
     names, angle_names = section.column_names, section.angle_names
     table = ledger.take(read_orientation(source, names, angle_names, unit=section.unit))
     stations = stations_of_table(plan, flight, section, table, exposed=exposed, ledger=ledger)
-    report_height_above_ground(plan, flight, stations, observations, ledger)
+    stations = ledger.take(flag_far_images(stations, use=plan.mission.stations.use_suspect))
+    stations = check_height_above_ground(plan, flight, stations, observations, ledger)
     rays = tie_rays(cameras_of_mission(plan.mission), stations, observations)
     if np.unique(rays.point).size < _FEWEST_TIE_POINTS:
         return stations
+    first = np.unique(rays.point, return_index=True)[1]
+    given = np.full(first.size, np.nan) if rays.height_m is None else rays.height_m[first]
+    rays = replace(rays, height_m=None)
     stated = intersect(block_of(stations), rays)
     found = {"as stated": stated}
     for what, changed in other_readings(section, table).items():
@@ -109,17 +120,86 @@ def oriented_stations(
             where=section.path,
             remedy="state under stations.orientation what the table holds, or mend it",
         )
-    residual = np.sqrt(np.nanmean(stated.residual_rad**2)) / float(np.median(rays.sigma_rad))
-    poor = stated.used.sum() < 0.5 * stated.point.size or stated.sigma_factor > _POOR_FACTOR
-    what = (
-        f"the rays of {int(stated.used.sum())} of {stated.point.size} tie points miss each other "
-        f"by {residual:.1f} px (rms), refraction included"
-    )
-    if poor:
-        what += ": a point has one name in all images, or the orientation is not what it should be"
-    tell = ledger.warning if poor else ledger.note
-    tell("ORIENTATION-TIES", what, where="stations.orientation", count=stated.point.size)
+    judge_tie_points(stations, stated, rays, ledger)
+    if np.isfinite(given).any() and not plan.mission.ground.from_distance:
+        compare_with_ground(plan, flight, stations, stated, given, ledger)
     return stations
+
+
+def judge_tie_points(
+    stations: Stations, stated: Intersection, rays: ImageRays, ledger: Ledger
+) -> None:
+    """Tell how far the rays of tie points miss each other; a loss where no station explains it."""
+    at = np.searchsorted(stated.point, rays.point)
+    line = stated.position_m[at] - stated.orientations.centre_m[rays.image]
+    miss = np.sqrt(np.mean(stated.residual_rad**2, axis=1))
+    # A point whose rays are all but parallel tells nothing.
+    judged = stated.used | (stated.angle_rad >= MINIMUM_ANGLE_RAD)
+    judged[at[stated.bad]] = True
+    lost = (stated.bad | np.isnan(miss)) & judged[at]
+    points = int(stated.used.sum())
+    what = f"no rays of {stated.point.size} tie points meet at an angle that checks anything"
+    if points:
+        pixels = np.sqrt(np.nanmean(miss**2)) / float(np.median(rays.sigma_rad))
+        what = (
+            f"the rays of {points} of {stated.point.size} tie points miss each other by "
+            f"{pixels:.1f} px (rms), refraction included"
+        )
+    size, where = stated.point.size, "stations.orientation"
+    if points >= 0.5 * judged.sum() and not stated.sigma_factor > _POOR_FACTOR:
+        ledger.note("ORIENTATION-TIES", what, where=where, count=size)
+        return
+    for camera in sorted(set(stations.camera[rays.image].tolist())):
+        of = stations.camera[rays.image] == camera
+        met = of & ~lost & judged[at]
+        what += f"; {camera}: {lost[of].sum()} of {of.sum()} rays meet no other"
+        if met.any():
+            metres = np.median(miss[met] * np.linalg.norm(line[met], axis=1))
+            what += f", the others miss by {np.degrees(np.median(miss[met])):.2g} deg, "
+            what += f"{metres:.2g} m, in the median"
+    seen = np.bincount(rays.image, minlength=stations.image.size)
+    share = np.bincount(rays.image[lost], minlength=seen.size) / np.maximum(seen, 1)
+    worst = [str(stations.image[k]) for k in np.argsort(-share, kind="stable")[:3] if share[k] > 0]
+    if worst:
+        what += f"; most of {', '.join(worst)}"
+    what += (
+        ": the orientation is not what it should be (rows of other images or cameras, another "
+        "convention), or the name of a point is not that of one point in all images"
+    )
+    ledger.loss("ORIENTATION-TIES", what, where=where, count=size)
+
+
+def compare_with_ground(
+    plan: Plan,
+    flight: FlightLog,
+    stations: Stations,
+    stated: Intersection,
+    given: Array,
+    ledger: Ledger,
+) -> None:
+    """Tell where intersected points lie at other heights than those given, (p,) each."""
+    to_msl = np.nanmedian(ground_offsets(plan.mission.ground.reference, stations, flight.heights))
+    undulation = stations.h_ellipsoid_m - stations.h_msl_m
+    known = undulation[np.isfinite(undulation)]
+    h = stated.geodetic[2] - (np.median(known) if known.size else 0.0)
+    off = h - (given + to_msl)
+    usable = stated.used & np.isfinite(off)
+    if usable.sum() < _FEWEST_TIE_POINTS:
+        return
+    median = float(np.median(off[usable]))
+    sigma = float(np.median(stated.sigma_height_m[usable])) * max(1.0, stated.sigma_factor)
+    above = float(np.median(stations.h_msl_m[stations.ok]) - np.median(h[usable]))
+    if abs(median) <= max(_GROUND_SIGMAS * sigma, _GROUND_SHARE * abs(above)):
+        return
+    ledger.loss(
+        "ORIENTATION-GROUND",
+        f"{int(usable.sum())} intersected tie points lie {median:+.0f} m from their given heights "
+        f"in the median, where {sigma:.1f} m of one point are expected: the height column, its "
+        "unit or stations.orientation.heights (msl, ellipsoid), mission.undulation_m or "
+        "ground.reference is another one",
+        where="stations.orientation",
+        count=int(usable.sum()),
+    )
 
 
 def other_readings(
@@ -141,8 +221,13 @@ def other_readings(
         for names, signs in {last: [1, 1, -1], f"{first} and {second}": [-1, -1, 1]}.items():
             text = f"with the other sign of {names}"
             other[text] = replace(table, angles=angles * signs)
-        exchanged = replace(table, angles=angles[:, [1, 0, 2]])
-        other[f"with {first} and {second} exchanged"] = exchanged
+        swapped = angles[:, [1, 0, 2]]
+        other[f"with {first} and {second} exchanged"] = replace(table, angles=swapped)
+        orders = {"omega_phi_kappa": "phi_omega_kappa", "phi_omega_kappa": "omega_phi_kappa"}
+        if section.angles in orders:
+            order = orders[section.angles]
+            same = opk_of_quaternion(quaternion_of_opk(swapped, order), section.angles)
+            other[f"if the angles are {order}"] = replace(table, angles=same)
     if section.is_geodetic:
         exchanged = replace(table, position=position[:, [1, 0, 2]])
         other["with latitude and longitude exchanged"] = exchanged
@@ -165,7 +250,8 @@ def tie_rays(
 ) -> ImageRays:
     """The rays of points that two stations or more have in their images.
 
-    Refraction is not removed: it is small beside what another reading does.
+    Refraction is not removed: it is small beside what another reading does. ``height_m`` is what
+    the table gives, if it does, above what `ground.reference` says.
     """
     ties = draw_tie_points(observations, _MOST_TIE_POINTS)
     row = {name: k for k, name in enumerate(stations.image.tolist())}
@@ -178,7 +264,7 @@ def tie_rays(
     seen = np.flatnonzero(np.isfinite(direction[:, 0]))
     seen = seen[np.bincount(ties.point[seen], minlength=1)[ties.point[seen]] > 1]
     direction = direction[seen] / np.linalg.norm(direction[seen], axis=1)[:, None]
-    return ImageRays(image[seen], ties.point[seen], direction, sigma[seen])
+    return ImageRays(image[seen], ties.point[seen], direction, sigma[seen], ties.ground[seen])
 
 
 def stations_of_table(
@@ -227,19 +313,20 @@ def stations_of_table(
     return stations
 
 
-def report_height_above_ground(
+def check_height_above_ground(
     plan: Plan, flight: FlightLog, stations: Stations, observations: Observations, ledger: Ledger
-) -> None:
+) -> Stations:
     """Tell how high the cameras are above the ground; refuses those that are in it.
 
-    The ground is that of the mission file, or of the first observations.
+    Single ones that are far too high are suspect. The ground is that of the mission file, or of
+    the first observations.
     """
     section = plan.mission.ground
     batch = next(observations.batches(plan.mission.output.batch_rows))
     given = batch.ground if batch.ground is not None else np.array([section.constant_m], np.float64)
     given = given[np.isfinite(given)]
     if section.from_distance or given.size == 0 or not bool(stations.ok.any()):
-        return
+        return stations
     ground = ground_offsets(section.reference, stations, flight.heights) + np.median(given)
     above = (stations.h_msl_m - ground)[stations.ok]
     low = int((above <= 0.0).sum())
@@ -256,9 +343,20 @@ def report_height_above_ground(
             remedy="check the column of heights, their unit (metres), heights (msl or ellipsoid), "
             "and the ground's",
         )
-    strange = low > 0 or np.median(above) > _HIGHEST_ABOVE_GROUND_M
-    tell = ledger.warning if strange else ledger.note
+    with np.errstate(invalid="ignore"):
+        high = stations.ok & (stations.h_msl_m - ground > _HIGHEST_ABOVE_GROUND_M)
+    if 0 < high.sum() <= _FEW_BELOW_GROUND * above.size:
+        ledger.loss(
+            "ORIENTATION-HEIGHT",
+            f"{int(high.sum())} stations are suspect, the first {stations.image[high][0]}: {what}",
+            where=where,
+            count=int(high.sum()),
+        )
+        use = plan.mission.stations.use_suspect
+        return stations.as_suspect(high, "far above the others", np.nan, use=use)
+    tell = ledger.warning if low > 0 or high.any() else ledger.note
     tell("ORIENTATION-HEIGHT", what, where=where, count=above.size)
+    return stations
 
 
 def frame_of_block(
@@ -277,7 +375,7 @@ def frame_of_block(
         return ECEF
     known = section.known_positions
     if isinstance(known, KnownPositions):
-        names = known.model_dump(exclude={"path"})
+        names, sigma_m = known.model_dump(exclude={"path", "sigma_m"}), known.sigma_m
         image, position = read_known_positions(plan.input("known positions").path, names)
         if section.heights == "msl":
             position[:, 2] += flight.heights.known_undulation_m(
@@ -288,7 +386,9 @@ def frame_of_block(
         image = of_log.image[of_log.ok]
         geodetic = [of_log.lat_rad, of_log.lon_rad, of_log.h_ellipsoid_m]
         position = np.stack(geodetic, axis=1)[of_log.ok]
-    sigma_m = _SIGMA_OF_LOG_M if section.known_positions == "log" else 0.0
+        stated = np.hypot(of_log.sigma_horizontal_m, of_log.sigma_height_m)[of_log.ok] / np.sqrt(2)
+        stated = stated[np.isfinite(stated)]
+        sigma_m = float(np.median(stated)) if stated.size else _SIGMA_OF_LOG_M
     return ledger.take(fitted_frame(table.image, table.position, image, position, sigma_m=sigma_m))
 
 

@@ -21,7 +21,8 @@ _MOST_RAYS = 4  # of one point: a survey from high up shows a point in a hundred
 class TiePoints:
     """Observations of points in two or more images, (n,): in COLMAP's pixels, by point.
 
-    ``image`` are rows of ``images``; ``point`` counts from 0.
+    ``image`` are rows of ``images``; ``point`` counts from 0. ``ground`` is the given
+    height of the point [m], NaN where none is.
     """
 
     images: tuple[str, ...]
@@ -29,6 +30,7 @@ class TiePoints:
     point: NDArray[np.int64]
     x_px: Array
     y_px: Array
+    ground: Array
 
 
 def draw_tie_points(observations: Observations, most: int) -> TiePoints:
@@ -43,7 +45,9 @@ def draw_tie_points(observations: Observations, most: int) -> TiePoints:
     for batch in observations.batches(250_000):
         columns = {"image": batch.image, "point": batch.point}
         part = pd.DataFrame({name: column.to_pandas() for name, column in columns.items()})
-        part = part.assign(x=batch.x_px, y=batch.y_px).dropna()
+        given = np.nan if batch.ground is None else batch.ground
+        part = part.assign(x=batch.x_px, y=batch.y_px, ground=given)
+        part = part.dropna(subset=["image", "point", "x", "y"])
         part["point"] = pd.util.hash_pandas_object(part["point"], index=False)
         parts.append(part[part["point"].to_numpy() % every == 0])
         rows += len(batch)
@@ -64,4 +68,5 @@ def draw_tie_points(observations: Observations, most: int) -> TiePoints:
         np.unique(table["point"].to_numpy(), return_inverse=True)[1].astype(np.int64),
         table["x"].to_numpy(),
         table["y"].to_numpy(),
+        table["ground"].to_numpy(),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from pipeline.block.oriented_block import (
     OrientedImages,
     fitted_frame,
     flag_above_horizon,
+    flag_far_images,
     refuse_turned_images,
     stations_of_images,
     topocentric,
@@ -27,7 +29,7 @@ from pipeline.flight.rotations import (
     quaternions_of,
     rpy_of_quaternion,
 )
-from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef
+from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef
 
 LAT, LON = np.radians(47.0), np.radians(8.0)
 METRE = 1.0 / 6.37e6
@@ -214,6 +216,78 @@ def test_the_vertical_is_as_good_as_its_sigma_says():
         tilt = np.linalg.norm(np.cross(fitted_up, up)) / np.sqrt(2.0)  # of each level axis
         ratios.append(tilt / frame.tilt_rad)
     assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.2
+
+
+def test_three_known_positions_are_not_checked_by_anything():
+    """60 m of height at one of three: residuals of centimetres, and a tilt of 0.3 degrees."""
+    images, xyz, known, _ = model()
+    three, true = [0, 17, 23], known[[0, 17, 23]]
+    higher = true + np.array([[0.0, 0.0, 60.0], [0.0] * 3, [0.0] * 3])
+    good, (entry,) = fitted_frame(images.image, xyz, images.image[three], true)
+    assert entry.kind == "warning"
+    assert "nothing checks three positions" in entry.what
+    wrong, (entry,) = fitted_frame(images.image, xyz, images.image[three], higher)
+    assert entry.kind == "warning"
+    up = enu_from_ecef(known[:1, 0], known[:1, 1])[0, 2]
+    turned = wrong.ecef_from_frame @ good.ecef_from_frame.T @ up
+    tilt = np.linalg.norm(np.cross(turned, up))
+    assert tilt > np.radians(0.1)
+    # The sigma is what 1 m in each height would do, not what residuals of nothing say.
+    assert 1.0 / 120.0 < good.tilt_rad / tilt < 1.0 / 20.0
+
+
+def test_the_sigma_of_known_positions_is_in_that_of_the_vertical():
+    images, xyz, known, _ = model()
+    one, _ = fitted_frame(images.image, xyz, images.image, known, sigma_m=1.0)
+    five, _ = fitted_frame(images.image, xyz, images.image, known, sigma_m=5.0)
+    assert five.tilt_rad == pytest.approx(5.0 * one.tilt_rad)
+    default, _ = fitted_frame(images.image, xyz, images.image, known)
+    assert default.tilt_rad == one.tilt_rad
+
+
+def test_a_known_position_that_contradicts_the_others_is_named():
+    images, xyz, known, _ = model(0.3)
+    _, (entry,) = fitted_frame(images.image, xyz, images.image[::2], known[::2])
+    assert entry.kind == "note"
+    for row, off in ((0, 30.0), (9, -30.0)):
+        wrong = known[::2].copy()
+        wrong[row, 2] += off
+        _, (entry,) = fitted_frame(images.image, xyz, images.image[::2], wrong)
+        assert entry.kind == "warning"
+        assert f"without {images.image[2 * row]} the others fit" in entry.what
+        told = float(re.search(r"it is ([0-9.]+) m off", entry.what)[1])
+        assert told == pytest.approx(30.0, abs=3.0)
+
+
+def test_residuals_that_no_sigma_explains_are_doubtful():
+    """Every other height above another datum: no single position is the wrong one."""
+    images, xyz, known, _ = model()
+    known[::2, 2] -= 140.0
+    _, (entry,) = fitted_frame(images.image, xyz, images.image, known)
+    assert entry.kind == "warning"
+    assert "more than known positions should" in entry.what
+
+
+def test_a_line_with_metres_of_wobble_is_refused():
+    """Noise across a line is no base for a vertical, however well a model fits it."""
+    images, _, known, _ = model()
+    wobble = np.random.default_rng(2).normal(0.0, 3.0, (6, 3))
+    line = ecef_of_geodetic(*known[:6].T) + wobble
+    straight = np.stack(geodetic_of_ecef(*line.T), axis=1)
+    with pytest.raises(MissionError, match="ORIENTATION-LINE") as refusal:
+        fitted_frame(images.image[:6], 0.01 * line, images.image[:6], straight)
+    assert "1 m of sigma" in refusal.value.what
+
+
+def test_images_far_from_all_others_are_suspect():
+    images = block()
+    images.lat_rad[5] = images.lon_rad[5] = 0.0
+    found, (entry,) = flag_far_images(stations(images)[0], use=False)
+    assert (entry.code, entry.kind, entry.count) == ("ORIENTATION-FAR", "loss", 1)
+    assert np.flatnonzero(found.status == "suspect").tolist() == [5]
+    assert found.suspect_reason[5] == "far from all others"
+    assert found.suspect_m[5] == pytest.approx(5.2e6, rel=0.05)
+    assert flag_far_images(stations(block())[0], use=False)[1] == ()
 
 
 def test_fewer_than_three_known_positions_are_refused():

@@ -153,7 +153,10 @@ def test_without_a_log_the_corrections_are_those_of_the_log(block, by_log):
 
 def test_a_coarse_table_is_as_good_as_its_digits(block, by_log):
     write(block, columns_of(block.table, digits=3))  # 0.001 deg of tilt: 2 parts in 10,000
-    block.config["stations"]["orientation"]["columns"]["camera"] = "camera"
+    # Places to 0.001 deg are known to 40 m: unsaid, intersected heights are not those given.
+    assert any(e["code"] == "ORIENTATION-GROUND" and e["kind"] == "loss"
+               for e in ran(block, 3)["ledger"])  # fmt: skip
+    block.config["stations"]["orientation"]["sigma_horizontal_m"] = 40.0
     ran(block)
     relative = np.abs(shift(block) - shift(by_log)).max() / np.abs(shift(by_log)).max()
     assert 1e-7 < relative < 3e-4
@@ -294,6 +297,12 @@ def test_a_model_in_an_unknown_frame_is_fitted_to_known_positions(block):
     (fit,) = [entry for entry in manifest["ledger"] if entry["code"] == "ORIENTATION-FIT"]
     assert "scale 50" in fit["what"]
     assert "6 known positions" in fit["what"]
+    # 1 m, unless the mission file says so, over lines 2 km apart.
+    tilt = block.stations()["sigma_tilt_deg"].to_numpy()
+    assert 0.005 < tilt[0] < 0.1
+    block.config["stations"]["orientation"]["known_positions"]["sigma_m"] = 3.0
+    ran(block)
+    np.testing.assert_allclose(block.stations()["sigma_tilt_deg"].to_numpy(), 3.0 * tilt, rtol=1e-3)
     assert {item["role"] for item in manifest["inputs"]} >= {"known positions"}
 
 
@@ -399,7 +408,7 @@ def test_heights_in_the_ground_are_refused_and_others_told(block):
     write(block, table.assign(height=table["height"] - 2900.0))
     assert "below the ground" in refused(block, "ORIENTATION-HEIGHT")
     write(block, table.assign(height=table["height"] + 20_000.0))
-    manifest = ran(block)
+    manifest = ran(block, 3)
     (told,) = [entry for entry in manifest["ledger"] if entry["code"] == "ORIENTATION-HEIGHT"]
     assert told["kind"] == "warning"
 
@@ -549,6 +558,12 @@ def test_tie_points_tell_another_reading_of_nadir_images(crossing, reading):
     assert reading in refusal.value.what
 
 
+def test_tie_points_tell_the_order_of_the_rotations(crossing):
+    """Angles of oblique images in the other order of rotations, by their matrices."""
+    with pytest.raises(InputError, match="if the angles are omega_phi_kappa"):
+        told_of(crossing, columns_of(crossing[2]), angles="phi_omega_kappa")
+
+
 def test_tie_points_tell_the_inverse_of_a_quaternion(crossing):
     table, q = columns_of(crossing[2]), crossing[2][["q_w", "q_x", "q_y", "q_z"]]
     assert told_of(crossing, table.join(q), angles="quaternion").kind == "note"
@@ -563,5 +578,50 @@ def test_an_orientation_that_fits_in_no_reading_is_told(crossing):
     draw = np.random.default_rng(1)
     table["omega"] += draw.normal(0.0, 1.0, len(table))
     ties = told_of(crossing, table)
-    assert ties.kind == "warning"
+    assert ties.kind == "loss"
     assert "not what it should be" in ties.what
+    rays = {name: int(n) for name, n in re.findall(r"(\w+): (\d+) of \d+ rays", ties.what)}
+    assert set(rays) == {"nadir", "oblique"}
+
+
+def test_rows_that_belong_to_the_next_image_are_a_loss(crossing):
+    """Each row is a possible station: only the rays of the tie points contradict."""
+    table = columns_of(crossing[2])
+    assert told_of(crossing, table).kind == "note"
+    numbers = [name for name in table if name not in ("image", "camera", "time")]
+    moved = table.copy()
+    moved[numbers] = table.groupby("camera")[numbers].shift(1).bfill()
+    ties = told_of(crossing, moved)
+    assert ties.kind == "loss"
+    assert "rows of other images" in ties.what
+
+
+def ledger_of(crossing, table: pd.DataFrame, **orientation) -> dict:
+    """The ledger by its codes; the last entry of each."""
+    told_of(crossing, table, **orientation)
+    return {entry.code: entry for entry in check_mission(crossing[0] / "block.yaml").ledger}
+
+
+def test_intersected_heights_are_compared_with_those_given(crossing):
+    """Heights of another datum move all cameras and points alike: the rays meet as before."""
+    table = columns_of(crossing[2])
+    assert "ORIENTATION-GROUND" not in ledger_of(crossing, table)
+    told = ledger_of(crossing, table.assign(height=table["height"] + 60.0))
+    assert told["ORIENTATION-TIES"].kind == "note"
+    ground = told["ORIENTATION-GROUND"]
+    assert ground.kind == "loss"
+    assert int(re.search(r"lie ([+-]\d+) m", ground.what)[1]) == pytest.approx(60, abs=6)
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [({"latitude": 0.0, "longitude": 0.0}, "ORIENTATION-FAR"),
+     ({"height": 34_990.0}, "ORIENTATION-HEIGHT")],
+)  # fmt: skip
+def test_a_single_image_that_is_elsewhere_is_a_loss(crossing, change, code):
+    table = columns_of(crossing[2])
+    table.loc[3, list(change)] = list(change.values())
+    told = ledger_of(crossing, table)
+    assert (told[code].kind, told[code].count) == ("loss", 1)
+    assert table["image"][3] in told[code].what
+    assert told["ORIENTATION-TIES"].kind == "note"
