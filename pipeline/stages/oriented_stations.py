@@ -122,7 +122,7 @@ def oriented_stations(
         )
     judge_tie_points(stations, stated, rays, ledger)
     if np.isfinite(given).any() and not plan.mission.ground.from_distance:
-        compare_with_ground(plan, flight, stations, stated, given, ledger)
+        compare_with_ground(plan, flight, stations, stated, given=given, ledger=ledger)
     return stations
 
 
@@ -174,6 +174,7 @@ def compare_with_ground(
     flight: FlightLog,
     stations: Stations,
     stated: Intersection,
+    *,
     given: Array,
     ledger: Ledger,
 ) -> None:
