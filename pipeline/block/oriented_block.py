@@ -91,8 +91,7 @@ def fitted_frame(
     ----------
     image, xyz : (n,) names and (n, 3) positions in the frame of the model.
     known_image, known : (m,) names and (m, 3) latitude, longitude [rad] and ellipsoidal height [m].
-    sigma_m : standard deviation of the known coordinates, at least: few residuals tell little, and
-        the heights of three positions leave none.
+    sigma_m : standard deviation of the known coordinates, at least: few residuals tell little.
 
     Least squares with equal weights (Umeyama 1991; the rotation by scipy's align_vectors). Refuses
     (MissionError) fewer than three images that are in both, positions on a line, and residuals of
@@ -159,21 +158,23 @@ def fitted_frame(
     usual = USUAL_FIT_SIGMAS * sigma_m
     if residual.max() > max(usual, USUAL_FIT_RESIDUAL * extent):
         doubts.append(f"{worst} misses by more than known positions should")
-    # Four without one leave three, which fit anything.
-    alone = [
-        _alone(model, earth, int(k)) for k in np.argsort(-residual)[:5] if len(usable) > 4
-    ]  # of the five that fit worst: one error moves the others
-    for others, off, k in sorted(alone)[:1]:
-        if off > max(usual, FIT_OUTLIER * others):
+    alone = []
+    # Of the five that fit worst: one error moves the others. Four without one leave three.
+    for k in np.argsort(-residual)[:5] if len(usable) > 4 else ():
+        others = np.arange(len(usable)) != k
+        miss = np.linalg.norm(_similarity(model, earth, others)[1], axis=1)
+        alone.append((float(np.sqrt(np.mean(miss[others] ** 2))), float(miss[k]), int(k)))
+    for rest, off, k in sorted(alone)[:1]:
+        if off > max(usual, FIT_OUTLIER * rest):
             doubts.append(
-                f"without {image[usable[k][0]]} the others fit to {others:.2f} m (rms), and it is "
+                f"without {image[usable[k][0]]} the others fit to {rest:.2f} m (rms), and it is "
                 f"{off:.1f} m off: another image, or a wrong position"
             )
     frame = replace(frame, tilt_rad=tilt)
-    if not doubts:
-        return frame, (note("ORIENTATION-FIT", what, where=where, count=len(usable)),)
-    what += "".join(f"; {doubt}" for doubt in doubts)
-    return frame, (warning("ORIENTATION-FIT", what, where=where, count=len(usable)),)
+    if doubts:
+        what = "; ".join([what, *doubts])
+        return frame, (warning("ORIENTATION-FIT", what, where=where, count=len(usable)),)
+    return frame, (note("ORIENTATION-FIT", what, where=where, count=len(usable)),)
 
 
 def _similarity(model: Array, earth: Array, use: NDArray[np.bool_]) -> tuple[CartesianFrame, Array]:
@@ -185,13 +186,6 @@ def _similarity(model: Array, earth: Array, use: NDArray[np.bool_]) -> tuple[Car
     matrix = rotation.as_matrix()
     frame = CartesianFrame(matrix, centre - scale * matrix @ middle, scale)
     return frame, earth - centre - scale * turned
-
-
-def _alone(model: Array, earth: Array, row: int) -> tuple[float, float, int]:
-    """Rms residual [m] of a fit without one position, how far that one is from it, and its row."""
-    others = np.arange(len(model)) != row
-    miss = np.linalg.norm(_similarity(model, earth, others)[1], axis=1)
-    return float(np.sqrt(np.mean(miss[others] ** 2))), float(miss[row]), int(row)
 
 
 @dataclass(frozen=True, eq=False)

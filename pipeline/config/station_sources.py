@@ -45,9 +45,7 @@ class KnownPositions(Section):
     latitude: str = "latitude"
     longitude: str = "longitude"
     height: str = "height"
-    sigma_m: float = Field(
-        default=1.0, gt=0, le=1000, description="standard deviation of each coordinate [m]"
-    )
+    sigma_m: float = Field(default=1.0, gt=0, le=1000, description="of each coordinate [m]")
 
 
 class LocalOrigin(Section):

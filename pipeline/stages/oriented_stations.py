@@ -138,14 +138,12 @@ def judge_tie_points(
     judged[at[stated.bad]] = True
     lost = (stated.bad | np.isnan(miss)) & judged[at]
     points = int(stated.used.sum())
-    what = f"no rays of {stated.point.size} tie points meet at an angle that checks anything"
+    size, where = stated.point.size, "stations.orientation"
+    what = f"no rays of {size} tie points meet at an angle that checks anything"
     if points:
         pixels = np.sqrt(np.nanmean(miss**2)) / float(np.median(rays.sigma_rad))
-        what = (
-            f"the rays of {points} of {stated.point.size} tie points miss each other by "
-            f"{pixels:.1f} px (rms), refraction included"
-        )
-    size, where = stated.point.size, "stations.orientation"
+        what = f"the rays of {points} of {size} tie points miss each other by {pixels:.1f} px "
+        what += "(rms), refraction included"
     if points >= 0.5 * judged.sum() and not stated.sigma_factor > _POOR_FACTOR:
         ledger.note("ORIENTATION-TIES", what, where=where, count=size)
         return
@@ -160,8 +158,7 @@ def judge_tie_points(
     seen = np.bincount(rays.image, minlength=stations.image.size)
     share = np.bincount(rays.image[lost], minlength=seen.size) / np.maximum(seen, 1)
     worst = [str(stations.image[k]) for k in np.argsort(-share, kind="stable")[:3] if share[k] > 0]
-    if worst:
-        what += f"; most of {', '.join(worst)}"
+    what += f"; most of {', '.join(worst)}" if worst else ""
     what += (
         ": the orientation is not what it should be (rows of other images or cameras, another "
         "convention), or the name of a point is not that of one point in all images"
@@ -187,19 +184,19 @@ def compare_with_ground(
     usable = stated.used & np.isfinite(off)
     if usable.sum() < _FEWEST_TIE_POINTS:
         return
-    median = float(np.median(off[usable]))
+    count, median = int(usable.sum()), float(np.median(off[usable]))
     sigma = float(np.median(stated.sigma_height_m[usable])) * max(1.0, stated.sigma_factor)
     above = float(np.median(stations.h_msl_m[stations.ok]) - np.median(h[usable]))
     if abs(median) <= max(_GROUND_SIGMAS * sigma, _GROUND_SHARE * abs(above)):
         return
     ledger.loss(
         "ORIENTATION-GROUND",
-        f"{int(usable.sum())} intersected tie points lie {median:+.0f} m from their given heights "
+        f"{count} intersected tie points lie {median:+.0f} m from their given heights "
         f"in the median, where {sigma:.1f} m of one point are expected: the height column, its "
         "unit or stations.orientation.heights (msl, ellipsoid), mission.undulation_m or "
         "ground.reference is another one",
         where="stations.orientation",
-        count=int(usable.sum()),
+        count=count,
     )
 
 
@@ -210,9 +207,8 @@ def other_readings(
     angles, position = table.angles, table.position
     other: dict[str, OrientationTable] = {}
     if section.angles.startswith("quaternion"):
-        other["if the quaternions turn the other way"] = replace(
-            table, angles=angles * [1, -1, -1, -1]
-        )
+        inverse = replace(table, angles=angles * [1, -1, -1, -1])
+        other["if the quaternions turn the other way"] = inverse
     else:
         first, second, last = section.angle_names
         for unit, size in RADIANS.items():
@@ -220,18 +216,16 @@ def other_readings(
                 as_unit = angles * (size / RADIANS[section.unit])
                 other[f"if the angles are in {unit}"] = replace(table, angles=as_unit)
         for names, signs in {last: [1, 1, -1], f"{first} and {second}": [-1, -1, 1]}.items():
-            text = f"with the other sign of {names}"
-            other[text] = replace(table, angles=angles * signs)
+            other[f"with the other sign of {names}"] = replace(table, angles=angles * signs)
         swapped = angles[:, [1, 0, 2]]
         other[f"with {first} and {second} exchanged"] = replace(table, angles=swapped)
-        orders = {"omega_phi_kappa": "phi_omega_kappa", "phi_omega_kappa": "omega_phi_kappa"}
-        if section.angles in orders:
-            order = orders[section.angles]
+        if last == "kappa":
+            order = f"{second}_{first}_kappa"
             same = opk_of_quaternion(quaternion_of_opk(swapped, order), section.angles)
             other[f"if the angles are {order}"] = replace(table, angles=same)
     if section.is_geodetic:
-        exchanged = replace(table, position=position[:, [1, 0, 2]])
-        other["with latitude and longitude exchanged"] = exchanged
+        swapped = position[:, [1, 0, 2]]
+        other["with latitude and longitude exchanged"] = replace(table, position=swapped)
         other["if the heights are in feet"] = replace(table, position=position * [1, 1, 0.3048])
     return other
 
