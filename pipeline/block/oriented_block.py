@@ -100,38 +100,23 @@ def fitted_frame(
     extent, and of a position that contradicts the others.
     """
     where = "stations.orientation.known_positions"
-    row = {name: number for number, name in enumerate(image.tolist())}
-    pairs = [(row[name], k) for k, name in enumerate(known_image.tolist()) if name in row]
-    usable = [(i, k) for i, k in pairs if np.isfinite(xyz[i]).all() and np.isfinite(known[k]).all()]
-    if len(usable) < 3:
-        raise MissionError(
-            "ORIENTATION-KNOWN",
-            f"{len(usable)} of {known_image.size} known positions belong to an image of the "
-            "orientation: a model in an unknown frame has no vertical, no north and no scale, and "
-            "needs at least three",
-            where=where,
-            remedy="give more known positions, with the names of images as in the orientation, or "
-            "state the frame",
-        )
-    model = xyz[[i for i, _ in usable]]
-    known = known[[k for _, k in usable]]
-    earth = ecef_of_geodetic(*known.T)
+    names, model, earth = _positions_of_both(image, xyz, known_image, known)
     middle = model.mean(axis=0)
     spread = np.linalg.svd(model - middle, compute_uv=False)
     extent = float(np.linalg.norm(np.ptp(earth, axis=0)))
     tilt, sigma, fit = np.inf, sigma_m, ""
     if spread[1] >= 1e-6 * spread[0]:
-        frame, miss = _similarity(model, earth, np.ones(len(usable), np.bool_))
+        frame, miss = _similarity(model, earth, np.ones(names.size, np.bool_))
         residual = np.linalg.norm(miss, axis=1)
-        sigma = max(sigma_m, np.sqrt(np.sum(residual**2) / (3 * len(usable) - 7)))
+        sigma = max(sigma_m, np.sqrt(np.sum(residual**2) / (3 * names.size - 7)))
         tilt, rms = float(sigma / (frame.scale * spread[1])), np.sqrt(np.mean(residual**2))
-        worst = image[usable[int(np.argmax(residual))][0]]
+        worst = names[np.argmax(residual)]
         fit = (f"residuals of {rms:.2f} m (rms) over {extent:.0f} m, the largest "
                f"{residual.max():.2f} m at {worst}")  # fmt: skip
         if rms > LARGEST_FIT_RESIDUAL * extent:
             raise MissionError(
                 "ORIENTATION-FIT",
-                f"the model does not fit {len(usable)} known positions: {fit}",
+                f"the model does not fit {names.size} known positions: {fit}",
                 where=where,
                 remedy="are latitude and longitude swapped, are the names those of other images, "
                 "are x, y and z right-handed?",
@@ -139,42 +124,71 @@ def fitted_frame(
     if tilt > LARGEST_FIT_TILT_RAD:
         raise MissionError(
             "ORIENTATION-LINE",
-            f"{len(usable)} known positions lie on a line, or nearly so: with {sigma:.2g} m of "
+            f"{names.size} known positions lie on a line, or nearly so: with {sigma:.2g} m of "
             "sigma they leave the model free to roll about it by "
             f"{np.degrees(tilt):.2g} deg (one sigma)",
             where=where,
             remedy="give known positions on both sides of that line",
         )
     what = (
-        f"the model was fitted to {len(usable)} known positions: scale {frame.scale:.6g}, {fit}; "
+        f"the model was fitted to {names.size} known positions: scale {frame.scale:.6g}, {fit}; "
         f"its vertical is good to {np.degrees(tilt):.2g} deg, with {sigma:.2g} m of sigma"
     )
-    doubts = []
-    if len(usable) == 3:
+    doubts = _doubts_of_fit(names, model, earth, residual, sigma_m)
+    frame = replace(frame, tilt_rad=tilt)
+    if doubts:
+        what = "; ".join([what, *doubts])
+        return frame, (warning("ORIENTATION-FIT", what, where=where, count=names.size),)
+    return frame, (note("ORIENTATION-FIT", what, where=where, count=names.size),)
+
+
+def _positions_of_both(
+    image: NDArray[np.object_], xyz: Array, known_image: NDArray[np.object_], known: Array
+) -> tuple[NDArray[np.object_], Array, Array]:
+    """Names of the images that model and known positions share, and both positions (k, 3) [m]."""
+    row = {name: number for number, name in enumerate(image.tolist())}
+    pairs = [(row[name], k) for k, name in enumerate(known_image.tolist()) if name in row]
+    usable = [(i, k) for i, k in pairs if np.isfinite(xyz[i]).all() and np.isfinite(known[k]).all()]
+    if len(usable) < 3:
+        raise MissionError(
+            "ORIENTATION-KNOWN",
+            f"{len(usable)} of {known_image.size} known positions belong to an image of the "
+            "orientation and are complete: a model in an unknown frame has no vertical, no north "
+            "and no scale, and needs at least three",
+            where="stations.orientation.known_positions",
+            remedy="give more known positions, with the names of images as in the orientation, or "
+            "state the frame",
+        )
+    of_model, of_earth = np.array(usable).T
+    return image[of_model], xyz[of_model], ecef_of_geodetic(*known[of_earth].T)
+
+
+def _doubts_of_fit(
+    names: NDArray[np.object_], model: Array, earth: Array, residual: Array, sigma_m: float
+) -> list[str]:
+    """What speaks against a fit that its residuals allow."""
+    doubts, count = [], names.size
+    if count == 3:
         doubts.append(
             "nothing checks three positions: an error of one height leaves no residual, and the "
             "vertical is only as good as they are; give more"
         )
-    usual = USUAL_FIT_SIGMAS * sigma_m
+    usual, extent = USUAL_FIT_SIGMAS * sigma_m, float(np.linalg.norm(np.ptp(earth, axis=0)))
     if residual.max() > max(usual, USUAL_FIT_RESIDUAL * extent):
-        doubts.append(f"{worst} misses by more than known positions should")
+        doubts.append(f"{names[np.argmax(residual)]} misses by more than known positions should")
     alone = []
     # Of the five that fit worst: one error moves the others. Four without one leave three.
-    for k in np.argsort(-residual)[:5] if len(usable) > 4 else ():
-        others = np.arange(len(usable)) != k
+    for k in np.argsort(-residual)[:5] if count > 4 else ():
+        others = np.arange(count) != k
         miss = np.linalg.norm(_similarity(model, earth, others)[1], axis=1)
         alone.append((float(np.sqrt(np.mean(miss[others] ** 2))), float(miss[k]), int(k)))
     for rest, off, k in sorted(alone)[:1]:
         if off > max(usual, FIT_OUTLIER * rest):
             doubts.append(
-                f"without {image[usable[k][0]]} the others fit to {rest:.2f} m (rms), and it is "
+                f"without {names[k]} the others fit to {rest:.2f} m (rms), and it is "
                 f"{off:.1f} m off: another image, or a wrong position"
             )
-    frame = replace(frame, tilt_rad=tilt)
-    if doubts:
-        what = "; ".join([what, *doubts])
-        return frame, (warning("ORIENTATION-FIT", what, where=where, count=len(usable)),)
-    return frame, (note("ORIENTATION-FIT", what, where=where, count=len(usable)),)
+    return doubts
 
 
 def _similarity(model: Array, earth: Array, use: NDArray[np.bool_]) -> tuple[CartesianFrame, Array]:
