@@ -82,10 +82,16 @@ class Orientations:
         )
 
 
-def orientations_of(stations: Stations) -> Orientations:
-    """Orientations of stations; what says no sigma has `UNKNOWN_SIGMAS`, what is not ok is NaN."""
-    lat, lon = stations.lat_rad, stations.lon_rad
-    centre = ecef_of_geodetic(lat, lon, stations.h_ellipsoid_m)
+def orientations_of(
+    stations: Stations, unknown_sigmas: tuple[float, ...] = UNKNOWN_SIGMAS
+) -> Orientations:
+    """Orientations of stations; a sigma that is not stated is ``unknown_sigmas``'.
+
+    What is not ok is NaN. Heights of which only that above mean sea level is known count from
+    there: rays meet as well.
+    """
+    lat, lon, h = stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m
+    centre = ecef_of_geodetic(lat, lon, np.where(np.isfinite(h), h, stations.h_msl_m))
     axes = enu_from_ecef(lat, lon)
     usable = stations.ok & np.all(np.isfinite(stations.quaternion), axis=1)
     q = np.where(usable[:, None], stations.quaternion, [1.0, 0.0, 0.0, 0.0])
@@ -99,7 +105,7 @@ def orientations_of(stations: Stations) -> Orientations:
         centre_m=np.where(usable[:, None], centre, np.nan),
         camera_from_ecef=Rotation.from_quat(q[:, [1, 2, 3, 0]]).as_matrix() @ axes,
         enu_from_ecef=axes,
-        sigma=np.where(np.isfinite(sigma), sigma, UNKNOWN_SIGMAS),
+        sigma=np.where(np.isfinite(sigma), sigma, unknown_sigmas),
     )
 
 

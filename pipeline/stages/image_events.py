@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pipeline.batch.plan import Plan
 from pipeline.block.alignment import LOG_RATIO_NEEDED
 from pipeline.block.assignment import Assignment, CameraEvents, ImageEvidence, assign
-from pipeline.block.intersection import ImageRays, intersect, orientations_of
+from pipeline.block.intersection import intersect, orientations_of
 from pipeline.config.event_sources import EventsSection, FirstImage
 from pipeline.errors import InputError, MissionError
 from pipeline.flight.exposures import Events, refuse_repeated_images
@@ -23,7 +23,7 @@ from pipeline.refraction.camera.camera import Camera
 from pipeline.stages.exposure_setup import cameras_of_mission
 from pipeline.tables.imports.exif import NO_TIME, ImageTimes, read_image_times
 from pipeline.tables.observations import Observations
-from pipeline.tables.tie_points import TiePoints, draw_tie_points
+from pipeline.tables.tie_points import TiePoints, draw_tie_points, tie_rays
 
 Indices = NDArray[np.int64]
 Likelihood = Callable[[Indices], float]
@@ -108,20 +108,14 @@ def tie_likelihood(
     ``stations`` are those of all its events. Refraction stays in the rays: its 0.1 mrad is added
     to their sigma, a tenth of what is known of the attitude of the best stations.
     """
-    place = {name: row for row, name in enumerate(images.name.tolist())}
-    image = np.array([place.get(name, -1) for name in ties.images], np.int64)[ties.image]
-    u, v, covered = camera.rays(ties.x_px, ties.y_px)
-    rows = np.flatnonzero((image >= 0) & covered)
-    rows = rows[np.bincount(ties.point[rows], minlength=1)[ties.point[rows]] > 1]
+    of_camera = np.full(images.name.shape, "camera", object)
+    rays = tie_rays(ties, images.name, of_camera, {"camera": camera})
     # Rays without a station count as bad: where many have none, the others' events seem better.
-    few = np.unique(ties.point[rows]).size < _FEWEST_POINTS
+    few = np.unique(rays.point).size < _FEWEST_POINTS
     if few or stations.ok.sum() < max(2.0, _USABLE_STATIONS * len(stations)):
         return None
-    inside = np.stack([u[rows], v[rows], np.ones(rows.size)], axis=1)
-    inside /= np.linalg.norm(inside, axis=1)[:, None]
-    rays = ImageRays(image[rows], ties.point[rows], inside, 1.0 / camera.fx_px + _REFRACTION_RAD)
-    h = np.where(np.isfinite(stations.h_ellipsoid_m), stations.h_ellipsoid_m, stations.h_msl_m)
-    of_events = orientations_of(replace(stations, h_ellipsoid_m=h))
+    rays = replace(rays, sigma_rad=rays.sigma_rad + _REFRACTION_RAD, height_m=None)
+    of_events = orientations_of(stations)
     return lambda event: intersect(of_events.assigned(event), rays).log_likelihood
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 
@@ -13,7 +12,6 @@ from pipeline.block.intersection import (
     MINIMUM_ANGLE_RAD,
     ImageRays,
     Intersection,
-    Orientations,
     intersect,
     orientations_of,
 )
@@ -41,7 +39,6 @@ from pipeline.flight.rotations import (
 )
 from pipeline.flight.stations import NO_TIME, Stations, join_stations
 from pipeline.ledger import Ledger
-from pipeline.refraction.camera.camera import Camera
 from pipeline.stages.exposure_setup import camera_of_rows, cameras_of_mission
 from pipeline.stages.inputs import FlightLog
 from pipeline.tables.imports.orientation import (
@@ -50,7 +47,7 @@ from pipeline.tables.imports.orientation import (
     read_orientation,
 )
 from pipeline.tables.observations import Observations
-from pipeline.tables.tie_points import draw_tie_points
+from pipeline.tables.tie_points import draw_tie_points, tie_rays
 from pipeline.units import DEGREE, RADIANS
 
 _FEW_BELOW_GROUND = 0.1
@@ -96,20 +93,21 @@ def oriented_stations(
     stations = stations_of_table(plan, flight, section, table, exposed=exposed, ledger=ledger)
     stations = ledger.take(flag_far_images(stations, use=plan.mission.stations.use_suspect))
     stations = check_height_above_ground(plan, flight, stations, observations, ledger)
-    rays = tie_rays(cameras_of_mission(plan.mission), stations, observations)
+    ties = draw_tie_points(observations, _MOST_TIE_POINTS)
+    rays = tie_rays(ties, stations.image, stations.camera, cameras_of_mission(plan.mission))
     if np.unique(rays.point).size < _FEWEST_TIE_POINTS:
         return stations
     first = np.unique(rays.point, return_index=True)[1]
     given = np.full(first.size, np.nan) if rays.height_m is None else rays.height_m[first]
     rays = replace(rays, height_m=None)
-    stated = intersect(block_of(stations), rays)
+    stated = intersect(orientations_of(stations, _SIGMAS_OF_BLOCK), rays)
     found = {"as stated": stated}
     for what, changed in other_readings(section, table).items():
         with suppress(MissionError):
             other = stations_of_table(
                 plan, flight, section, changed, exposed=exposed, ledger=Ledger()
             )
-            found[what] = intersect(block_of(other), rays)
+            found[what] = intersect(orientations_of(other, _SIGMAS_OF_BLOCK), rays)
     likely = max(found, key=lambda what: found[what].log_likelihood)
     better = found[likely].log_likelihood - stated.log_likelihood
     if better > _FAR_MORE_LIKELY and found[likely].sigma_factor < _GOOD_FACTOR:
@@ -228,38 +226,6 @@ def other_readings(
         other["with latitude and longitude exchanged"] = replace(table, position=swapped)
         other["if the heights are in feet"] = replace(table, position=position * [1, 1, 0.3048])
     return other
-
-
-def block_of(stations: Stations) -> Orientations:
-    """The orientations of an adjusted block: what is not stated is good to decimetres."""
-    h = stations.h_ellipsoid_m
-    h = np.where(np.isfinite(h), h, stations.h_msl_m)
-    block = orientations_of(replace(stations, h_ellipsoid_m=h))
-    columns = ("horizontal_m", "horizontal_m", "height_m", "tilt_rad", "tilt_rad", "yaw_rad")
-    stated = np.stack([getattr(stations, f"sigma_{name}") for name in columns], axis=1)
-    return replace(block, sigma=np.where(np.isfinite(stated), stated, _SIGMAS_OF_BLOCK))
-
-
-def tie_rays(
-    cameras: Mapping[str, Camera], stations: Stations, observations: Observations
-) -> ImageRays:
-    """The rays of points that two stations or more have in their images.
-
-    Refraction is not removed: it is small beside what another reading does. ``height_m`` is what
-    the table gives, if it does, above what `ground.reference` says.
-    """
-    ties = draw_tie_points(observations, _MOST_TIE_POINTS)
-    row = {name: k for k, name in enumerate(stations.image.tolist())}
-    image = np.array([row.get(name, -1) for name in ties.images], np.int64)[ties.image]
-    direction, sigma = np.full((image.size, 3), np.nan), np.full(image.size, np.nan)
-    for name, camera in cameras.items():
-        rows = np.flatnonzero((image >= 0) & (stations.camera == name)[image])
-        u, v, _ = camera.rays(ties.x_px[rows], ties.y_px[rows])
-        direction[rows], sigma[rows] = np.stack([u, v, np.ones(u.size)], 1), 1.0 / camera.fx_px
-    seen = np.flatnonzero(np.isfinite(direction[:, 0]))
-    seen = seen[np.bincount(ties.point[seen], minlength=1)[ties.point[seen]] > 1]
-    direction = direction[seen] / np.linalg.norm(direction[seen], axis=1)[:, None]
-    return ImageRays(image[seen], ties.point[seen], direction, sigma[seen], ties.ground[seen])
 
 
 def stations_of_table(

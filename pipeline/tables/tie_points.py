@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from pipeline.block.intersection import ImageRays
+from pipeline.refraction.camera.camera import Camera
 from pipeline.tables.observations import Observations
 
 Array = NDArray[np.float64]
@@ -70,3 +73,27 @@ def draw_tie_points(observations: Observations, most: int) -> TiePoints:
         table["y"].to_numpy(),
         table["ground"].to_numpy(),
     )
+
+
+def tie_rays(
+    ties: TiePoints,
+    image: NDArray[np.object_],
+    camera_of: NDArray[np.object_],
+    cameras: Mapping[str, Camera],
+) -> ImageRays:
+    """The rays of tie points that two or more of some images show, and their given heights.
+
+    ``image`` and ``camera_of`` (k,) name the images, to whose rows the rays refer, and their
+    cameras. Refraction is not removed: it is small beside what another image or reading does.
+    """
+    row_of = {name: row for row, name in enumerate(image.tolist())}
+    row = np.array([row_of.get(name, -1) for name in ties.images], np.int64)[ties.image]
+    direction, sigma = np.full((row.size, 3), np.nan), np.full(row.size, np.nan)
+    for name, camera in cameras.items():
+        rows = np.flatnonzero(np.append(camera_of == name, False)[row])
+        u, v, _ = camera.rays(ties.x_px[rows], ties.y_px[rows])
+        direction[rows], sigma[rows] = np.stack([u, v, np.ones(u.size)], 1), 1.0 / camera.fx_px
+    seen = np.flatnonzero(np.isfinite(direction[:, 0]))
+    seen = seen[np.bincount(ties.point[seen], minlength=1)[ties.point[seen]] > 1]
+    direction = direction[seen] / np.linalg.norm(direction[seen], axis=1)[:, None]
+    return ImageRays(row[seen], ties.point[seen], direction, sigma[seen], ties.ground[seen])

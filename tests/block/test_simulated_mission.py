@@ -17,6 +17,7 @@ def test_rays_of_a_run_meet_at_the_heights_of_its_ground(baseline):
     stations = SimpleNamespace(
         lat_rad=np.radians(table.lat_deg.to_numpy()),
         lon_rad=np.radians(table.lon_deg.to_numpy()),
+        h_msl_m=table.h_msl_m.to_numpy(),
         h_ellipsoid_m=table.h_ellipsoid_m.to_numpy(),
         quaternion=table[["q_w", "q_x", "q_y", "q_z"]].to_numpy(),
         ok=(table.status == "ok").to_numpy(),
