@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -17,6 +18,7 @@ from pydantic import (
 from pipeline.errors import PhysicsError
 from pipeline.flight.mount import Mount
 from pipeline.refraction import BrownConrady, Cabin, Camera, LensInAir, Window
+from pipeline.refraction.camera.colmap import COLMAP_MODELS, camera_of_colmap
 from pipeline.refraction.window import UNKNOWN
 from pipeline.tables.pixels import PixelOrigin, PixelSystem
 from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K
@@ -212,13 +214,22 @@ class CameraSection(Section):
 
     width_px: int = Field(gt=0, le=1_000_000)
     height_px: int = Field(gt=0, le=1_000_000)
+    model: Literal[tuple(COLMAP_MODELS)] | None = Field(  # type: ignore[valid-type]
+        None, description="COLMAP's name of the camera model, instead of f_px, cx_px, cy_px ..."
+    )
+    params: list[float] | None = Field(
+        None,
+        description="its parameters in COLMAP's order, as in cameras.txt; in COLMAP's pixels",
+    )
     f_px: PrincipalDistance | None = None
     fx_px: PrincipalDistance | None = None
     fy_px: PrincipalDistance | None = None
-    cx_px: float = Field(ge=-1e6, le=1e6)
-    cy_px: float = Field(ge=-1e6, le=1e6)
+    cx_px: float | None = Field(None, ge=-1e6, le=1e6, validate_default=True)
+    cy_px: float | None = Field(None, ge=-1e6, le=1e6, validate_default=True)
     pixel_origin: PixelOrigin | None = Field(
-        None, description="of the principal point; by default that of the observations"
+        None,
+        description="of the principal point; by default that of the observations, and corner for "
+        "params",
     )
     distortion: DistortionSection = DistortionSection()
     calibration: Literal["laboratory", "in_flight_uncorrected", "in_flight_corrected"] = Field(
@@ -230,12 +241,33 @@ class CameraSection(Section):
         None, description="how it follows the air in the lens; without it that is not removed"
     )
 
+    @field_validator("cx_px", "cy_px")
+    @classmethod
+    def _require_point(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if value is None and not (info.data.get("model") or info.data.get("params")):
+            raise ValueError("is missing: the principal point (or give model and params)")
+        return value
+
     @model_validator(mode="after")
-    def _check_principal_distance(self) -> CameraSection:
+    def _check_orientation(self) -> CameraSection:
+        """Either a principal distance, a principal point and Brown's coefficients, or a model."""
+        own = {"f_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion"} & self.model_fields_set
+        if (self.model is None) != (self.params is None):
+            raise ValueError("give model and params together, as they stand in cameras.txt")
+        if self.model is not None:
+            if own:
+                raise ValueError(f"params hold {', '.join(sorted(own))} already: leave that out")
+            try:
+                camera = self.build()
+            except PhysicsError as error:
+                raise ValueError(f"{error.what}; {error.remedy}") from None
+            if not all(10.0 <= f <= 1e6 for f in (camera.fx_px, camera.fy_px)):
+                raise ValueError("params: the principal distance is 10 to 1000000 pixels")
+            return self
         both = self.fx_px is not None and self.fy_px is not None
         neither = self.fx_px is None and self.fy_px is None
         if (self.f_px is not None) == both or not (both or neither):
-            raise ValueError("give f_px, or both fx_px and fy_px")
+            raise ValueError("give f_px, or both fx_px and fy_px; or model and params")
         return self
 
     @model_validator(mode="after")
@@ -270,20 +302,25 @@ class CameraSection(Section):
         """How the principal distance follows the air; None where the file does not state it."""
         if self.principal_distance is None:
             return None
+        camera = self.build()
         # The smaller of two, to which a change is the larger part.
-        shortest = min(f for f in (self.f_px, self.fx_px, self.fy_px) if f is not None)
-        return self.principal_distance.build(shortest)
+        return self.principal_distance.build(min(camera.fx_px, camera.fy_px))
 
     def build(self, pixel_origin: PixelOrigin = "corner") -> Camera:
         """The camera in COLMAP's pixels; ``pixel_origin`` where it names none itself."""
+        if self.model is not None and self.params is not None:
+            camera = camera_of_colmap(self.model, self.width_px, self.height_px, self.params)
+            pixels = PixelSystem(self.pixel_origin or "corner")
+            cx, cy = pixels.to_colmap(camera.cx_px), pixels.to_colmap(camera.cy_px)
+            return replace(camera, cx_px=cx, cy_px=cy)
         pixels = PixelSystem(self.pixel_origin or pixel_origin)
         return Camera(
             self.width_px,
             self.height_px,
             self.f_px or self.fx_px or 0.0,
             self.f_px or self.fy_px or 0.0,
-            pixels.to_colmap(self.cx_px),
-            pixels.to_colmap(self.cy_px),
+            pixels.to_colmap(self.cx_px or 0.0),
+            pixels.to_colmap(self.cy_px or 0.0),
             BrownConrady(**self.distortion.model_dump()),
         )
 

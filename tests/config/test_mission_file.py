@@ -64,6 +64,10 @@ FULL: dict[str, Any] = {
             "width_px": 100, "height_px": 100, "f_px": 200.0, "cx_px": 50.0, "cy_px": 50.0,
             "calibration": "in_flight_corrected", "window": {"cabin": "log"},
         },
+        "colmap": {
+            "width_px": 100, "height_px": 100, "model": "SIMPLE_RADIAL",
+            "params": [200.0, 50.0, 50.0, -0.01], "calibration": "laboratory",
+        },
     },
     "mount": {
         "nadir": {
@@ -71,11 +75,13 @@ FULL: dict[str, Any] = {
             "sigma_tilt_deg": 0.05, "sigma_yaw_deg": 0.2,
         },
         "window": {"roll_deg": 45.0},
+        "colmap": {},
     },
     "events": {
         "log": {
             "nadir": {"channel": "CAM[0]", "image": "n{index:05d}", "delay_s": 0.1},
             "window": {"channel": "CAM[1]", "image": "w{n}.tif"},
+            "colmap": {"channel": "CAM[2]", "image": "c{index}"},
         },
         "images": {"path": "images", "time_zone": "+02:00"},
         "first_image": {"window": {"image": "w1.tif", "event": 6}},
@@ -193,7 +199,7 @@ def with_imports() -> Iterator[dict[str, Any]]:
 
 
 Keys = tuple[str, ...]
-NAMES = {"nadir", "window"}
+NAMES = {"nadir", "window", "colmap"}
 
 
 def keys_of(tree: Any, above: Keys = ()) -> Iterator[Keys]:

@@ -1,0 +1,71 @@
+"""A camera by COLMAP's name and parameters, and what does not fit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from pipeline.config.cameras import CameraSection
+from pipeline.refraction.camera.colmap import COLMAP_MODELS
+
+FORMAT = {"width_px": 4000, "height_px": 3000, "calibration": "laboratory"}
+PARAMS = {
+    "SIMPLE_PINHOLE": [3200.0, 1990.0, 1510.0],
+    "PINHOLE": [3200.0, 3210.0, 1990.0, 1510.0],
+    "SIMPLE_RADIAL": [3200.0, 1990.0, 1510.0, -0.05],
+    "RADIAL": [3200.0, 1990.0, 1510.0, -0.05, 0.01],
+    "OPENCV": [3200.0, 3210.0, 1990.0, 1510.0, -0.05, 0.01, 2e-4, -3e-4],
+    "FULL_OPENCV": [3200.0, 3210.0, 1990.0, 1510.0, 0.08, -0.02, 2e-4, -3e-4, 1e-3, 0.1, -0.01,
+                    1e-3],
+    "SIMPLE_FISHEYE": [1500.0, 1990.0, 1510.0],
+    "FISHEYE": [1500.0, 1510.0, 1990.0, 1510.0],
+    "SIMPLE_RADIAL_FISHEYE": [1500.0, 1990.0, 1510.0, -0.02],
+    "RADIAL_FISHEYE": [1500.0, 1990.0, 1510.0, -0.02, 0.004],
+    "OPENCV_FISHEYE": [1500.0, 1510.0, 1990.0, 1510.0, -0.02, 0.004, -1e-3, 1e-4],
+}  # fmt: skip
+
+
+def test_every_model_is_tried_here():
+    assert set(PARAMS) == set(COLMAP_MODELS)
+
+
+@pytest.mark.parametrize("model", sorted(PARAMS))
+def test_names_and_order_are_colmaps(model):
+    pycolmap = pytest.importorskip("pycolmap")
+    params = PARAMS[model]
+    camera = CameraSection(**FORMAT, model=model, params=params).build("centre")
+    reference = pycolmap.Camera(model=model, width=4000, height=3000, params=params)
+    u, v = (a.ravel() for a in np.meshgrid(np.linspace(-0.6, 0.6, 13), np.linspace(-0.45, 0.45, 9)))
+    wanted = reference.img_from_cam(np.stack([u, v, np.ones_like(u)], axis=1))
+    found = np.stack(camera.project(u, v), axis=1)
+    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-9)
+
+
+def test_pixels_of_another_rule_are_turned_into_colmaps():
+    camera = CameraSection(
+        **FORMAT, model="SIMPLE_PINHOLE", params=[3200.0, 1990.0, 1510.0], pixel_origin="centre"
+    ).build()
+    assert (camera.cx_px, camera.cy_px) == (1990.5, 1510.5)
+
+
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        ({"model": "OPENCV"}, "together"),
+        ({"params": [1.0]}, "together"),
+        ({"model": "FOV", "params": [3200.0, 1.0, 1.0, 1.0]}, "SIMPLE_PINHOLE"),
+        ({"model": "RADIAL", "params": [3200.0, 1990.0, 1510.0]}, "RADIAL has 5 parameters"),
+        ({"model": "PINHOLE", "params": [320.0, 320.0, 1.0, 2.0], "f_px": 320.0}, "f_px already"),
+        (
+            {"model": "SIMPLE_RADIAL", "params": [3200.0, 1990.0, 1510.0, 0.0],
+             "distortion": {"k1": 0.1}},
+            "distortion already",
+        ),
+        ({"model": "PINHOLE", "params": [0.8, 0.8, 0.5, 0.5]}, "10 to 1000000 pixels"),
+        ({"f_px": 3200.0, "cx_px": 2000.0}, "cy_px\n  Value error, is missing"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_refused(given, why):
+    with pytest.raises(ValidationError, match=why):
+        CameraSection(**FORMAT, **given)
