@@ -193,7 +193,7 @@ def with_imports() -> Iterator[dict[str, Any]]:
     ):
         columns = {"time": "t"} | {name: name.upper() for name in names}
         yield FULL | {
-            "events": {"positions": {"nadir": source, "window": source}},
+            "events": {"positions": dict.fromkeys(FULL["cameras"], source)},
             "stations": {"trajectory": TRAJECTORY | {"columns": columns}},
         }
 

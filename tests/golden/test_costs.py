@@ -199,7 +199,7 @@ THINGS = {
         {"pipeline/refraction/camera/toy.py": CAMERA_MODEL},
         {
             "pipeline/refraction/camera/__init__.py": (
-                ("import brown_conrady\n", "import brown_conrady, toy\n"),
+                ("import brown_conrady, full_opencv", "import brown_conrady, toy, full_opencv"),
                 (
                     '    "brown_conrady": brown_conrady,\n',
                     '    "brown_conrady": brown_conrady,\n    "toy": toy,\n',

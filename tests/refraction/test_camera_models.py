@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pipeline.errors import PhysicsError
 from pipeline.refraction import Camera
 from pipeline.refraction.camera import DISTORTION_MODELS
 from pipeline.refraction.camera.brown_conrady import BrownConrady
+from pipeline.refraction.camera.colmap import camera_of_colmap
 from pipeline.refraction.camera.full_opencv import FullOpenCV
 from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
 
@@ -100,3 +102,13 @@ def test_a_distortion_that_turns_back_ends_there(parameters, degrees):
     x, y = np.linspace(0.0, 4000.0, 400), np.full(400, 1490.0)
     u, v, covered = camera.rays(x, y)
     assert np.hypot(u, v)[covered].max() <= camera.largest_radius
+
+
+@pytest.mark.parametrize(
+    ("model", "params"),
+    [("FOV", [900.0, 900.0, 50.0, 50.0, 0.1]), ("PINHOLE", [900.0]), ("PINHOLE", [np.nan] * 4)],
+)
+def test_models_and_parameters_that_are_not_known(model, params):
+    with pytest.raises(PhysicsError) as refused:
+        camera_of_colmap(model, 100, 100, params)
+    assert refused.value.code == "CAMERA-MODEL"
