@@ -183,3 +183,81 @@ def geodetic_of_ecef(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]
     w = np.sqrt(1.0 - _E2 * sin_p * sin_p)
     height = p * cos_p + z * sin_p - WGS84_A * w
     return latitude, np.arctan2(y, x), height
+
+
+@dataclass(frozen=True, eq=False)
+class GeoidGrid:
+    """Undulations on a grid of geographic coordinates.
+
+    Parameters
+    ----------
+    name : of the geoid and its grid.
+    values_m : (rows, columns) ellipsoidal minus orthometric height [m], from the south-west corner
+        to the north and east; NaN where unknown.
+    south_deg, west_deg : the place of the first value.
+    step_lat_deg, step_lon_deg : between rows and between columns.
+    """
+
+    name: str
+    values_m: NDArray[np.float32]
+    south_deg: float
+    west_deg: float
+    step_lat_deg: float
+    step_lon_deg: float
+
+    @property
+    def _goes_round(self) -> bool:
+        """Whether the columns reach round the earth."""
+        return bool(abs(self.values_m.shape[1] * self.step_lon_deg - 360.0) < 1e-6)
+
+    def _cell(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> tuple[Array, Array, Array]:
+        """The values about places (2, 2, ...), and the fractions of the way north and east."""
+        rows, columns = self.values_m.shape
+        y = (np.degrees(np.asarray(lat_rad, np.float64)) - self.south_deg) / self.step_lat_deg
+        # A place on the western edge may be a little less than 360 degrees east of it.
+        x = (np.degrees(np.asarray(lon_rad, np.float64)) - self.west_deg + 1e-9) % 360.0 - 1e-9
+        y, x = np.broadcast_arrays(y, x / self.step_lon_deg)
+        last = columns if self._goes_round else columns - 1
+        known = (y > -1e-6) & (y < rows - 1 + 1e-6) & (x < last + 1e-6)
+        row = np.clip(np.where(known, y, 0.0).astype(np.int64), 0, rows - 2)
+        column = np.clip(np.where(known, x, 0.0).astype(np.int64), 0, last - 1)
+        beside = (column + 1) % columns
+        values = self.values_m
+        corners = np.array(
+            [
+                [values[row, column], values[row, beside]],
+                [values[row + 1, column], values[row + 1, beside]],
+            ],
+            dtype=np.float64,
+        )
+        return np.where(known, corners, np.nan), y - row, x - column
+
+    def undulation(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
+        """Undulation [m] at places [rad] that broadcast; NaN outside the grid and in its holes.
+
+        Bilinear, as PROJ's vgridshift; continuous over the date line and at the poles.
+        """
+        corners, north, east = self._cell(lat_rad, lon_rad)
+        south_side = corners[0, 0] * (1.0 - east) + corners[0, 1] * east
+        north_side = corners[1, 0] * (1.0 - east) + corners[1, 1] * east
+        return np.asarray(south_side * (1.0 - north) + north_side * north)
+
+    def slope(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> tuple[Array, Array]:
+        """How much the geoid rises to the east and to the north [rad], at places [rad].
+
+        The deflection of the vertical is its negative: the plumb line leans away from the rise.
+        Of the cell of the grid; EGM96 at 15 minutes smooths over some 28 km. No value at the poles.
+        """
+        corners, north, east = self._cell(lat_rad, lon_rad)
+        lat = np.asarray(lat_rad, np.float64)
+        eastwards = (corners[0, 1] - corners[0, 0]) * (1.0 - north) + (
+            corners[1, 1] - corners[1, 0]
+        ) * north
+        northwards = (corners[1, 0] - corners[0, 0]) * (1.0 - east) + (
+            corners[1, 1] - corners[0, 1]
+        ) * east
+        meridian, prime_vertical = principal_radii(lat)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            across = prime_vertical * np.cos(lat) * np.radians(self.step_lon_deg)
+            along = meridian * np.radians(self.step_lat_deg)
+            return np.asarray(eastwards / across), np.asarray(northwards / along)
