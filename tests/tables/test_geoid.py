@@ -132,7 +132,7 @@ def test_a_projected_raster_is_refused(tmp_path):
     path = tmp_path / "utm.tif"
     with rasterio.open(path, "w", driver="GTiff", height=2, width=2, count=1, dtype="float32",
                        crs="EPSG:32632",
-                       transform=rasterio.Affine(1.0, 0.0, 0.0, 0.0, -1.0, 9.0)) as raster:  # fmt: skip
+                       transform=rasterio.Affine(1, 0, 0, 0, -1, 9)) as raster:  # fmt: skip
         raster.write(np.ones((2, 2), np.float32), 1)
     with pytest.raises(InputError, match="geographic"):
         read_geoid(path)
