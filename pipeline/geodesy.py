@@ -242,11 +242,12 @@ class GeoidGrid:
         north_side = corners[1, 0] * (1.0 - east) + corners[1, 1] * east
         return np.asarray(south_side * (1.0 - north) + north_side * north)
 
-    def slope(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> tuple[Array, Array]:
-        """How much the geoid rises to the east and to the north [rad], at places [rad].
+    def deflection(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> tuple[Array, Array]:
+        """Deflection of the vertical to the north (xi) and to the east (eta), [rad] all.
 
-        The deflection of the vertical is its negative: the plumb line leans away from the rise.
-        Of the cell of the grid; EGM96 at 15 minutes smooths over some 28 km. No value at the poles.
+        The zenith of the plumb line lies north and east of the ellipsoid's: minus the slopes of
+        the geoid (Heiskanen & Moritz 1967, Eq. 2-204). Of the cell of the grid: EGM96 at 15
+        minutes smooths over some 28 km, in mountains by several arcseconds. None at the poles.
         """
         corners, north, east = self._cell(lat_rad, lon_rad)
         lat = np.asarray(lat_rad, np.float64)
@@ -260,4 +261,4 @@ class GeoidGrid:
         with np.errstate(divide="ignore", invalid="ignore"):
             across = prime_vertical * np.cos(lat) * np.radians(self.step_lon_deg)
             along = meridian * np.radians(self.step_lat_deg)
-            return np.asarray(eastwards / across), np.asarray(northwards / along)
+            return np.asarray(-northwards / along), np.asarray(-eastwards / across)

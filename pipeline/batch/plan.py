@@ -29,6 +29,7 @@ _MISSION_FILE_KEYS = {
     "trajectory": "stations.trajectory.path",
     "trajectory accuracy": "stations.trajectory.accuracy",
     "images": "events.images.path",
+    "geoid": "mission.geoid",
 }
 _EXIF_BYTES = 1 << 18
 
@@ -79,6 +80,8 @@ def input_paths(mission: Mission, folder: Path) -> dict[str, tuple[str, Path]]:
     named = {"observations": mission.observations.path}
     if mission.log is not None:
         named = {"log": mission.log.path} | named
+    if mission.mission.geoid != "egm96":
+        named["geoid"] = mission.mission.geoid
     orientation = mission.stations.orientation
     if orientation is not None:
         named["orientation"] = orientation.path

@@ -16,6 +16,7 @@ from pipeline.flight.heights import GeodeticOrigin, HeightSystem
 from pipeline.flight.mount import Mount
 from pipeline.flight.rotations import in_turned_frame, matrices_of, quaternions_of
 from pipeline.flight.stations import (
+    HEIGHT_REFERENCE_UNKNOWN,
     NO_ATTITUDE,
     NO_POSITION,
     STATION_OK,
@@ -226,13 +227,7 @@ class OrientedImages:
 def stations_of_images(
     images: OrientedImages, mounts: Mapping[str, Mount], heights: HeightSystem
 ) -> Stations:
-    """Stations of oriented images; what has no position or no attitude says so in its status.
-
-    Refuses (MissionError) heights above the ellipsoid without an undulation.
-    """
-    undulation = np.nan if heights.undulation_m is None else heights.undulation_m
-    if not images.is_msl:
-        undulation = heights.known_undulation_m("the stations", "stations.orientation")
+    """Stations of oriented images; what one lacks, its height above the sea too, is its status."""
     lat, lon, h = images.lat_rad.copy(), images.lon_rad.copy(), images.h_m.copy()
     camera_quaternion, body_quaternion = images.quaternion.copy(), images.quaternion.copy()
     for camera, mount in mounts.items():
@@ -244,6 +239,7 @@ def stations_of_images(
         camera_quaternion[rows] = quaternions_of(camera_from_body @ given)
         step = np.nan_to_num(np.einsum("nji,j->ni", given, np.array(mount.lever_arm_m)))
         lat[rows], lon[rows], h[rows] = offset_geodetic(lat[rows], lon[rows], h[rows], step)
+    undulation = heights.undulation(lat, lon)
     stations = empty_stations(images.image, images.camera, STATION_OK)
     stations = replace(
         stations,
@@ -257,6 +253,7 @@ def stations_of_images(
         **images.sigmas,
     )
     stations = stations.with_status(np.asarray(np.isnan(lat + lon + h)), NO_POSITION)
+    stations = stations.with_status(np.isnan(stations.h_msl_m), HEIGHT_REFERENCE_UNKNOWN)
     unknown = np.asarray(np.isnan(camera_quaternion).any(axis=1))
     return stations.with_status(unknown, NO_ATTITUDE)
 

@@ -32,7 +32,12 @@ class MissionSection(Section):
         ge=-120,
         le=100,
         description="ellipsoidal height minus height above mean sea level, where the log does "
-        "not carry both",
+        "not carry both; by default that of the geoid",
+    )
+    geoid: Literal["egm96"] | PathText = Field(
+        "egm96",
+        description="of undulations that neither the log nor undulation_m gives: egm96, or the "
+        "path of a .gtx or a GeoTIFF of ellipsoidal minus orthometric heights [m]",
     )
 
 

@@ -15,8 +15,8 @@ from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel
 from pipeline.flight.stations import Stations
 from pipeline.flight.trajectory import interpolate
-from pipeline.geodesy import offset_geodetic
-from pipeline.ledger import Entry, Notes, note, warning
+from pipeline.geodesy import GeoidGrid, offset_geodetic
+from pipeline.ledger import Entry, Notes, loss, note, warning
 
 Array = NDArray[np.float64]
 
@@ -24,61 +24,83 @@ STEADY_HOME_M = 2.0
 """The take-off height of a flight does not change by more than this [m]."""
 
 
+USUAL_GEOID_M, LARGEST_GEOID_M = 3.0, 10.0
+"""EGM96 at 15 minutes and national sea levels differ by less than the first, and by the second
+nowhere [m]."""
+
+
 @dataclass(frozen=True)
 class HeightSystem:
-    """How the two kinds of height go together; None where neither log nor mission file has them."""
+    """How the two kinds of height go together; without undulation and geoid that is unknown.
+
+    Parameters
+    ----------
+    undulation_m : ellipsoidal height minus height above sea level, the same everywhere.
+    home_h_msl_m : height of the take-off point.
+    geoid : its undulations plus ``offset_m`` (the log's own minus the grid's) hold where
+        ``undulation_m`` is None.
+    source : where the undulation comes from.
+    one_height : the log's height above the ellipsoid is a copy of the other and not used.
+    """
 
     undulation_m: float | None = None
     home_h_msl_m: float | None = None
+    geoid: GeoidGrid | None = None
+    offset_m: float = 0.0
+    source: str = ""
+    one_height: bool = False
 
-    def known_undulation_m(self, what: str, where: str) -> float:
-        """The undulation; refuses (MissionError) heights of ``what`` that cannot do without."""
-        if self.undulation_m is not None:
-            return self.undulation_m
-        raise MissionError(
-            "HEIGHT-REFERENCE",
-            f"the heights of {what} cannot be related from the ellipsoid to mean sea level: "
-            "nothing says how far the two are apart",
-            where=where,
-            remedy="give mission.undulation_m (ellipsoidal minus mean sea level)",
-        )
+    def undulation(self, lat_rad: Array, lon_rad: Array) -> Array:
+        """(n,) undulation [m] at (n,) places; NaN where unknown, and outside the grid."""
+        if self.undulation_m is None and self.geoid is not None:
+            return self.geoid.undulation(lat_rad, lon_rad) + self.offset_m
+        return np.full(np.shape(lat_rad), self.undulation_m, np.float64)
 
 
 def height_system(
-    roles: Mapping[str, Channel], stated_undulation_m: float | None
+    roles: Mapping[str, Channel],
+    stated_undulation_m: float | None,
+    geoid: GeoidGrid | None = None,
 ) -> tuple[HeightSystem, Notes]:
-    """Undulation and take-off height, from the mission file or the log itself.
+    """Undulation and take-off height, from the mission file, the log itself or a geoid.
 
     The take-off height is known where the height of the position above sea level and above home
     differ by one value. Before an autopilot sets its home, it gives both heights alike; those rows
     do not count.
     """
     undulation, home = stated_undulation_m, None
+    offset, one_height, source = 0.0, False, "mission.undulation_m"
     notes: list[Entry] = []
     height, position = roles.get("height"), roles.get("position")
-    if undulation is None and height is not None:
-        both = _difference(height, "h_ellipsoid_m", "h_msl_m")
-        if both.size:
-            undulation = float(np.median(both))
-            notes.append(
-                note(
-                    "HEIGHT-UNDULATION",
-                    f"undulation {undulation:.2f} m, from the two heights of {height.name}",
-                    where=height.name,
-                    count=int(both.size),
-                )
+    if undulation is None:
+        source = "unknown" if geoid is None else geoid.name
+    both = np.empty(0) if height is None else _difference(height, "h_ellipsoid_m", "h_msl_m")
+    if height is not None and both.size:
+        count, own = int(both.size), float(np.median(both))
+        one_height = not both.any()  # as some receivers on a CAN bus do
+        if one_height:
+            what = (
+                f"both heights of {height.name} are equal to the last digit in {count} rows: one "
+                "is a copy of the other, and which of them is meant is unknown; they are taken as "
+                f"above mean sea level, and the others follow by {source}: if they are above the "
+                "ellipsoid, the stations are too high by the undulation (-107 to 86 m), and "
+                "log.channels.height must name another channel"
             )
-        if both.size and not both.any():  # as some receivers on a CAN bus do
-            notes.append(
-                warning(
-                    "HEIGHT-SAME",
-                    f"both heights of {height.name} are equal to the last digit in {both.size} "
-                    "rows: one is a copy of the other, and which of them is meant is unknown; the "
-                    "undulation is hardly anywhere 0 (-107 to 86 m), give mission.undulation_m",
-                    where=height.name,
-                    count=int(both.size),
-                )
+            notes.append(warning("HEIGHT-SAME", what, where=height.name, count=count))
+        elif undulation is None:
+            source = f"the two heights of {height.name}"
+            if geoid is None:
+                undulation = own
+            else:
+                of_grid = geoid.undulation(height["lat_rad"], height["lon_rad"])
+                apart = height["h_ellipsoid_m"] - height["h_msl_m"] - of_grid
+                offset = float(np.nanmedian(apart)) if np.isfinite(apart).any() else 0.0
+        elif abs(undulation - own) > USUAL_GEOID_M:
+            what = (
+                f"mission.undulation_m is {undulation:.1f} m, the two heights of {height.name} are "
+                f"{own:.1f} m apart: those of the log are used where it has both"
             )
+            notes.append(_by_size(undulation - own, what, height.name, count))
     homes = np.empty(0) if position is None else _difference(position, "h_msl_m", "h_home_m")
     is_set = np.abs(homes) > 0.01
     homes = homes[is_set] if bool(is_set.any()) else homes
@@ -91,7 +113,46 @@ def height_system(
         if high - low <= STEADY_HOME_M:
             home, what = float(middle), f"take-off height {middle:.2f} m"
         notes.append(note("HEIGHT-HOME", what, where=position.name))
-    return HeightSystem(undulation, home), tuple(notes)
+    system = HeightSystem(undulation, home, geoid, offset, source, one_height)
+    return system, tuple(notes)
+
+
+def _by_size(off_m: float, what: str, where: str, count: int) -> Entry:
+    """An undulation that is off: a warning, beyond 10 m a loss."""
+    tell = loss if abs(off_m) > LARGEST_GEOID_M else warning
+    return tell("HEIGHT-GEOID", what, where=where, count=count)
+
+
+def undulation_notes(heights: HeightSystem, stations: Stations, egm96: GeoidGrid) -> Notes:
+    """Which undulation is used at the stations; what speaks against it, by EGM96.
+
+    A difference of more than 3 m is a warning and of more than 10 m a loss (HEIGHT-GEOID), with
+    what the other sign would give.
+    """
+    placed = np.isfinite(stations.lat_rad)
+    lat, lon = stations.lat_rad[placed], stations.lon_rad[placed]
+    used, where = heights.undulation(lat, lon), "mission.geoid"
+    known, notes = np.isfinite(used), []
+    if heights.undulation_m is not None:
+        where = "mission.undulation_m"
+    if not bool(known.all()):
+        count = int((~known).sum())
+        what = f"{count} of {known.size} stations lie outside {heights.source}, or in its holes"
+        notes.append(loss("GEOID-OUTSIDE", what, where=where, count=count))
+    if not bool(known.any()):
+        return tuple(notes)
+    used, of_egm = used[known], egm96.undulation(lat, lon)[known]
+    span, size = f"{used.min():.2f} to {used.max():.2f} m", int(used.size)
+    what = f"undulation of {span}, by {heights.source}"
+    notes.append(note("HEIGHT-UNDULATION", what, where=where, count=size))
+    off, other = float(np.median(used - of_egm)), float(np.median(-used - of_egm))
+    if abs(off) > USUAL_GEOID_M:
+        what += f", is {off:+.1f} m from EGM96, which has {np.median(of_egm):.1f} m here"
+        if abs(other) < min(USUAL_GEOID_M, abs(off)):
+            what += f"; with the other sign it is {other:+.1f} m from it: the undulation is the "
+            what += "ellipsoidal height minus the height above sea level"
+        notes.append(_by_size(off, what, where, size))
+    return tuple(notes)
 
 
 def _difference(channel: Channel, first: str, second: str) -> Array:
@@ -111,9 +172,17 @@ def heights_at(
     """
     h_msl = interpolate(height, "h_msl_m", time_ns, max_gap_s)
     h_ell = interpolate(height, "h_ellipsoid_m", time_ns, max_gap_s)
-    if heights.undulation_m is not None:
-        h_msl = np.where(np.isfinite(h_msl), h_msl, h_ell - heights.undulation_m)
-        h_ell = np.where(np.isfinite(h_ell), h_ell, h_msl + heights.undulation_m)
+    if heights.one_height:
+        h_ell = np.full(h_msl.shape, np.nan)
+    if np.isnan(h_msl).any() or np.isnan(h_ell).any():
+        # At the next sample: within 0.2 km, where a geoid rises by a centimetre.
+        known = np.flatnonzero(np.isfinite(height["lat_rad"]) & np.isfinite(height["lon_rad"]))
+        undulation = np.full(h_msl.shape, np.nan)
+        if known.size:
+            row = known[np.searchsorted(height.time_ns[known[:-1]], time_ns)]
+            undulation = heights.undulation(height["lat_rad"][row], height["lon_rad"][row])
+        h_msl = np.where(np.isfinite(h_msl), h_msl, h_ell - undulation)
+        h_ell = np.where(np.isfinite(h_ell), h_ell, h_msl + undulation)
     return h_msl, h_ell
 
 
@@ -131,10 +200,10 @@ def ground_offsets(reference: str, stations: Stations, heights: HeightSystem) ->
         if not bool(np.isfinite(undulation[stations.ok]).any()) and bool(stations.ok.any()):
             raise MissionError(
                 "HEIGHT-REFERENCE",
-                "ground heights are above the ellipsoid, but the log gives only heights above "
-                "mean sea level and nothing says how the two go together",
+                "ground heights are above the ellipsoid, and no undulation is known at any station",
                 where="ground.reference",
-                remedy="give mission.undulation_m (ellipsoidal minus mean sea level)",
+                remedy="give mission.undulation_m (ellipsoidal minus mean sea level), or a "
+                "mission.geoid that reaches as far",
             )
         return -undulation
     if heights.home_h_msl_m is None:

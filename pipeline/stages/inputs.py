@@ -15,9 +15,11 @@ from pipeline.flight.suspicion.doubts import examine
 from pipeline.flight.suspicion.evidence import Stretch
 from pipeline.flight.suspicion.imported import doubts_of_import
 from pipeline.flight.trajectory import Evidence
+from pipeline.geodesy import GeoidGrid
 from pipeline.ingest import Log, open_log
 from pipeline.ingest.fields import in_stated_unit
 from pipeline.ledger import Ledger
+from pipeline.tables.geoid import package_geoid, read_geoid
 from pipeline.tables.imports import CAMERA_EVENTS, TRAJECTORIES, Stated, reader_of
 from pipeline.tables.imports.agreement import compare_with_log
 from pipeline.tables.observations import Observations, open_observations
@@ -73,10 +75,11 @@ def read_observations(plan: Plan, ledger: Ledger) -> Observations:
 
 def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     """Read the log, assign its channels to roles, and relate its heights to sea level."""
-    mission = plan.mission
-    home = mission.ground.home_h_msl_m
+    mission, geoid = plan.mission, geoid_of_mission(plan)
+    home, undulation_m = mission.ground.home_h_msl_m, mission.mission.undulation_m
     if mission.log is None:
-        return FlightLog(None, (), {}, {}, HeightSystem(mission.mission.undulation_m, home))
+        heights, _ = height_system({}, undulation_m, geoid)
+        return FlightLog(None, (), {}, {}, replace(heights, home_h_msl_m=home))
     file = plan.input("log")
     log = open_log(file.path, file.sha256)
     channels = log.channels
@@ -105,7 +108,7 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     }
     mounts = {camera: mount.build() for camera, mount in mission.mount.items()}
     ledger.extend(gimbal_notes(log.messages, plausible, mounts))
-    heights = ledger.take(height_system(plausible, mission.mission.undulation_m))
+    heights = ledger.take(height_system(plausible, undulation_m, geoid))
     if home is not None:
         heights = replace(heights, home_h_msl_m=home)
     own, own_doubts, notes = examine(channels, plausible)
@@ -129,6 +132,13 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     doubts = (*(d for d in own_doubts if d.quantity not in elsewhere), *of_trajectory)
     plausible, evidence = with_evidence(plausible, channels)
     return FlightLog(log, channels, plausible, own, heights, doubts, own_doubts, evidence)
+
+
+def geoid_of_mission(plan: Plan) -> GeoidGrid:
+    """The geoid that the mission file names, EGM96 where it names none."""
+    if plan.mission.mission.geoid == "egm96":
+        return package_geoid()
+    return read_geoid(plan.input("geoid").path)
 
 
 def read_trajectory(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -> Channel | None:

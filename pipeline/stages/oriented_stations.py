@@ -339,9 +339,7 @@ def frame_of_block(
         names, sigma_m = known.model_dump(exclude={"path", "sigma_m"}), known.sigma_m
         image, position = read_known_positions(plan.input("known positions").path, names)
         if section.heights == "msl":
-            position[:, 2] += flight.heights.known_undulation_m(
-                "the known positions", "stations.orientation.known_positions"
-            )
+            position[:, 2] += flight.heights.undulation(position[:, 0], position[:, 1])
     else:
         of_log = join_stations(exposed)
         image = of_log.image[of_log.ok]

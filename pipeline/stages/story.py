@@ -30,7 +30,7 @@ from pipeline.batch.store import (
 from pipeline.config import load_mission
 from pipeline.errors import ConfigError, StorageError
 from pipeline.flight.air_samples import air_samples
-from pipeline.flight.heights import heights_at
+from pipeline.flight.heights import heights_at, undulation_notes
 from pipeline.flight.stations import Stations, flag_height_misfits
 from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir
@@ -51,6 +51,7 @@ from pipeline.stages.outputs import manifest_of, observation_metadata, write_tab
 from pipeline.stages.stations import stations_of_mission
 from pipeline.stages.uncertainty import report_unknown_sigmas, scale_of_block
 from pipeline.tables.exports import find_format
+from pipeline.tables.geoid import package_geoid
 from pipeline.tables.observations import Observations
 
 Array = NDArray[np.float64]
@@ -174,6 +175,7 @@ def prepare_mission(plan: Plan, progress: Progress) -> PreparedMission:
     progress.start("reading the log")
     flight = read_log(plan, ledger)
     stations = stations_of_mission(plan, flight, observations, ledger)
+    ledger.extend(undulation_notes(flight.heights, stations, package_geoid()))
     samples = ledger.take(air_samples(flight.air_roles, flight.heights, plan.mission.max_gap_s))
     sources = read_air_sources(plan, stations, samples, ledger, flight.heights.home_h_msl_m)
     ledger.extend(flight.log.ledger if flight.log is not None else ())

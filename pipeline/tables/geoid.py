@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import lzma
 import struct
+from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 
@@ -19,6 +20,7 @@ float32 from the south-west corner, row by row to the north. -88.8888 has no val
 _GTX_MISSING = np.float32(-88.8888)
 
 
+@lru_cache(maxsize=1)
 def package_geoid() -> GeoidGrid:
     """EGM96 on a grid of 15 minutes, the geoid of autopilots and receivers.
 
@@ -36,7 +38,7 @@ def package_geoid() -> GeoidGrid:
 def read_geoid(path: Path) -> GeoidGrid:
     """A user's grid of undulations [m], ellipsoidal minus orthometric height, GTX or GeoTIFF.
 
-    GeoTIFFs need rasterio (the extra `dem`), one band and geographic coordinates. Refuses
+    GeoTIFFs need rasterio (the extra `rasters`), one band and geographic coordinates. Refuses
     (InputError GEOID-GRID) a file that is no such grid, or whose values are no undulations.
     """
     try:
@@ -78,7 +80,7 @@ def _grid_of_raster(path: Path) -> GeoidGrid:
     try:
         import rasterio
     except ImportError:
-        raise ValueError("a GeoTIFF needs rasterio: pip install 'unbend[dem]'") from None
+        raise ValueError("a GeoTIFF needs rasterio: pip install 'unbend[rasters]'") from None
     try:
         with rasterio.open(path) as raster:
             if raster.count != 1 or raster.crs is None or not raster.crs.is_geographic:

@@ -77,8 +77,8 @@ def test_heights_of_both_kinds():
     assert found.h_msl_m == pytest.approx(2952.4)
     found, _ = stations(block(), heights=HeightSystem())
     assert np.isnan(found.h_ellipsoid_m).all()
-    with pytest.raises(MissionError, match="HEIGHT-REFERENCE"):
-        stations(replace(block(), is_msl=False), heights=HeightSystem())
+    found, _ = stations(replace(block(), is_msl=False), heights=HeightSystem())
+    assert set(found.status) == {"height_reference_unknown"}
 
 
 def test_what_is_not_known_says_so():

@@ -29,7 +29,7 @@ CHANNELS = {
 }  # fmt: skip
 
 FULL: dict[str, Any] = {
-    "mission": {"name": "survey", "undulation_m": 47.5},
+    "mission": {"name": "survey", "undulation_m": 47.5, "geoid": "egm96"},
     "log": {
         "path": "a.bin",
         "channels": CHANNELS,

@@ -28,6 +28,7 @@ from pipeline.flight.heights import (
 from pipeline.flight.mount import Mount
 from pipeline.flight.station_builder import build_stations
 from pipeline.flight.stations import append_unmatched_images, unusable_station_notes
+from pipeline.geodesy import GeoidGrid
 from pipeline.ledger import Ledger
 from pipeline.refraction.window import Cabin
 from pipeline.stages.cabin_air import cabin_from_log
@@ -139,6 +140,29 @@ def test_ellipsoidal_height_alone_is_no_height_above_the_sea() -> None:
     assert station.status[0] == "height_reference_unknown"
     known = one_station(heights=HeightSystem(undulation_m=48.0), height=gnss)
     assert (known.status[0], known.h_msl_m[0]) == ("ok", pytest.approx(1000.0))
+    lat = np.degrees(LATITUDE)
+    # 40 m at the parallel of the place, and 2 m more in each degree to the north.
+    values = 40.0 + np.outer([-2.0, 0.0, 2.0], np.ones(360))
+    grid = GeoidGrid("plane", values.astype(np.float32), lat - 1.0, -180.0, 1.0, 1.0)
+    system, _ = height_system({"height": gnss}, None, grid)
+    known = one_station(heights=system, height=gnss)
+    assert (known.status[0], known.h_msl_m[0]) == ("ok", pytest.approx(1008.0, abs=1e-3))
+    north = np.array([LATITUDE + np.radians(0.5)]), np.array([LONGITUDE])
+    assert system.undulation(*north) == pytest.approx(41.0)
+    # A log whose two heights are 41.5 m apart here has 42.5 m there.
+    both = channel("GPS", seconds, lat_rad=LATITUDE, lon_rad=LONGITUDE, h_ellipsoid_m=1041.5,
+                   h_msl_m=1000.0)  # fmt: skip
+    system, _ = height_system({"height": both}, None, grid)
+    assert system.undulation(*north) == pytest.approx(42.5)
+    assert "GPS" in system.source
+
+
+def test_an_undulation_that_the_log_contradicts_is_told() -> None:
+    place = {"lat_rad": LATITUDE, "lon_rad": LONGITUDE, "h_msl_m": 1000.0}
+    both = channel("GPS", np.arange(5.0), **place, h_ellipsoid_m=1048.0)
+    for stated, kinds in ((47.0, []), (44.0, ["warning"]), (-48.0, ["loss"])):
+        _, notes = height_system({"height": both}, stated)
+        assert [note.kind for note in notes if note.code == "HEIGHT-GEOID"] == kinds
 
 
 def test_each_reason_has_its_name() -> None:

@@ -17,6 +17,8 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from pymavlink import DFReader
 
+from pipeline.tables.geoid import package_geoid
+
 pytestmark = pytest.mark.usefixtures("plain_report")
 
 UNDULATION_M = 47.6
@@ -38,6 +40,16 @@ def ran(mission, exit_code: int = 0) -> dict:
 
 def codes(manifest: dict, kind: str) -> set[str]:
     return {e["code"] for e in manifest["ledger"] if e["kind"] == kind}
+
+
+def entry_of(manifest: dict, code: str) -> dict:
+    return next(entry for entry in manifest["ledger"] if entry["code"] == code)
+
+
+def refused_code(mission, code: str) -> str:
+    ended = mission.run()
+    assert (ended.code, code in ended.err) == (6, True), ended.text
+    return ended.err
 
 
 def shifted_ground(mission, by: float) -> None:
@@ -64,13 +76,57 @@ def test_ground_above_the_ellipsoid_when_the_log_knows_the_undulation(mission, b
     np.testing.assert_allclose(corrected(mission), corrected(baseline), atol=1e-3)
 
 
-def test_nothing_is_guessed_about_the_undulation(mission_factory, tmp_path):
-    """NavSatFix has heights above the ellipsoid alone: without the undulation, no station."""
+def test_the_geoid_gives_the_undulation_that_the_log_lacks(mission_factory, tmp_path):
+    """NavSatFix has heights above the ellipsoid alone; EGM96 has 47.2 m there, at each place."""
+    mission = mission_factory(tmp_path, "mcap")
+    stated = ran(mission)
+    assert "by mission.undulation_m" in entry_of(stated, "HEIGHT-UNDULATION")["what"]
+    sea_level = mission.stations()["h_msl_m"].to_numpy()
+    del mission.config["mission"]["undulation_m"]
+    manifest = ran(mission)
+    stations = mission.stations()
+    place = (np.radians(stations[f"{axis}_deg"].to_numpy()) for axis in ("lat", "lon"))
+    undulation = package_geoid().undulation(*place)
+    assert np.ptp(undulation) > 0.02
+    found = stations["h_msl_m"].to_numpy() - sea_level
+    np.testing.assert_allclose(found, UNDULATION_M - undulation, atol=1e-3)
+    assert "EGM96" in entry_of(manifest, "HEIGHT-UNDULATION")["what"]
+
+
+@pytest.mark.parametrize("kind", ["bin", "tlog", "mcap"])
+def test_an_undulation_of_the_wrong_sign_is_a_loss(mission_factory, tmp_path, kind):
+    mission = mission_factory(tmp_path, kind)
+    mission.config["mission"]["undulation_m"] = -UNDULATION_M
+    entries = [e for e in ran(mission, 3)["ledger"] if e["code"] == "HEIGHT-GEOID"]
+    assert {entry["kind"] for entry in entries} == {"loss"}
+    assert any("-94.8 m from EGM96" in e["what"] and "other sign" in e["what"] for e in entries)
+    mission.config["mission"]["undulation_m"] = UNDULATION_M - 5.0
+    assert {e["kind"] for e in ran(mission, 0)["ledger"] if e["code"] == "HEIGHT-GEOID"} == {
+        "warning"
+    }
+
+
+def test_a_grid_of_the_mission_file_and_its_mistakes(mission_factory, tmp_path):
     mission = mission_factory(tmp_path, "mcap")
     del mission.config["mission"]["undulation_m"]
+    mission.config["mission"]["geoid"] = "national.gtx"
+    assert "mission.geoid" in refused_code(mission, "INPUT-MISSING")
+
+    def grid(south, value):
+        head = struct.pack(">4d2i", south, 8.0, 0.5, 0.5, 3, 3)
+        (mission.folder / "national.gtx").write_bytes(head + np.full(9, value, ">f4").tobytes())
+
+    grid(47.0, 47.5)
+    what = entry_of(ran(mission), "HEIGHT-UNDULATION")["what"]
+    assert what == "undulation of 47.50 to 47.50 m, by national.gtx"
+    grid(47.0, -47.5)
+    assert "other sign" in entry_of(ran(mission, 3), "HEIGHT-GEOID")["what"]
+    grid(49.0, 47.5)
     manifest = ran(mission, 3)
+    assert "6 of 6 stations lie outside national.gtx" in entry_of(manifest, "GEOID-OUTSIDE")["what"]
     assert manifest["stations"] == {"height_reference_unknown": 6}
-    assert mission.results()["x_corrected_px"].null_count == mission.results().num_rows
+    (mission.folder / "national.gtx").write_bytes(b"not a grid")
+    refused_code(mission, "GEOID-GRID")
 
 
 def test_heights_above_an_unknown_take_off_point(mission_factory, tmp_path):

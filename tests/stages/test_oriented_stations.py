@@ -313,10 +313,6 @@ def test_an_unknown_frame_without_three_known_positions_is_refused(block):
     write(block, known, "known.csv")
     unknown_frame(block)
     assert "no vertical, no north and no scale" in refused(block, "ORIENTATION-KNOWN")
-    write(block, model_of(block, keep=6)[1], "known.csv")
-    unknown_frame(block)["heights"] = "msl"
-    del block.config["mission"]["undulation_m"]
-    refused(block, "HEIGHT-REFERENCE")
 
 
 def test_known_positions_of_the_log(block, by_log):

@@ -7,6 +7,7 @@ import struct
 from importlib.resources import files
 
 import numpy as np
+import pyproj
 import pytest
 
 from pipeline.errors import InputError
@@ -32,7 +33,6 @@ def places(count):
 
 
 def test_undulations_are_those_of_proj(tmp_path):
-    pyproj = pytest.importorskip("pyproj")
     path = tmp_path / "egm96_15.gtx"
     packed = files("pipeline.tables").joinpath("data/egm96_15.gtx.xz").read_bytes()
     path.write_bytes(lzma.decompress(packed))
@@ -74,15 +74,38 @@ def test_a_plane_is_exact_and_outside_is_unknown(tmp_path):
     found = grid.undulation(lat, lon)
     np.testing.assert_allclose(found[:3], [20.0 + 2.6 - 6.3, 15.0, 20.0], rtol=1e-6)
     assert np.isnan(found[3:]).all()
-    eastwards, northwards = grid.slope(lat[0], lon[0])
+    xi, eta = grid.deflection(lat[0], lon[0])
     # 2 m in a degree of latitude at 41.3 deg: 111,063 m (meridian radius 6,363,456 m).
-    assert float(northwards) == pytest.approx(2.0 / 111_063.0, rel=1e-4)
-    assert float(eastwards) == pytest.approx(-3.0 / (np.cos(lat[0]) * 111_483.0), rel=1e-3)
+    assert float(xi) == pytest.approx(-2.0 / 111_063.0, rel=1e-4)
+    assert float(eta) == pytest.approx(3.0 / (np.cos(lat[0]) * 111_483.0), rel=1e-3)
 
 
-def test_the_slope_of_the_geoid_is_of_the_size_of_deflections():
-    eastwards, northwards = package_geoid().slope(np.radians(47.2), np.radians(11.3))
-    assert 1.0 < np.hypot(eastwards, northwards) / ARCSEC < 30.0
+def test_deflections_are_differences_of_projs_undulations(tmp_path):
+    """One second of arc around each place, on the ellipsoid by PROJ's own geodesic."""
+    path = tmp_path / "egm96_15.gtx"
+    packed = files("pipeline.tables").joinpath("data/egm96_15.gtx.xz").read_bytes()
+    path.write_bytes(lzma.decompress(packed))
+    shift = pyproj.Transformer.from_pipeline(f"+proj=vgridshift +grids={path} +multiplier=1")
+    rng, step = np.random.default_rng(3), 1.0 / 3600.0
+    lat, lon = (
+        rng.integers(low, high, 200) * 0.25 + 0.1 for low, high in ((-320, 320), (-720, 719))
+    )
+    xi, eta = package_geoid().deflection(np.radians(lat), np.radians(lon))
+
+    def slope(from_lat, from_lon, to_lat, to_lon):
+        ends = ((from_lon, from_lat), (to_lon, to_lat))
+        rise = [shift.transform(x, y, np.zeros(200))[2] for x, y in ends]
+        metres = pyproj.Geod(ellps="WGS84").inv(from_lon, from_lat, to_lon, to_lat)[2]
+        return (rise[1] - rise[0]) / metres
+
+    np.testing.assert_allclose(-xi, slope(lat - step, lon, lat + step, lon), atol=1e-8)
+    np.testing.assert_allclose(-eta, slope(lat, lon - step, lat, lon + step), atol=1e-8)
+
+
+def test_the_deflection_at_greenwich_is_the_published_one():
+    """Airy's meridian lies 5.31 arcsec of longitude west of the ellipsoid's (Malys et al. 2015)."""
+    _, eta = package_geoid().deflection(np.radians(51.4778), np.radians(-0.00147))
+    assert float(eta) / ARCSEC == pytest.approx(5.31 * np.cos(np.radians(51.4778)), abs=0.3)
 
 
 def test_a_hole_is_unknown(tmp_path):
