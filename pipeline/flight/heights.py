@@ -61,6 +61,8 @@ def height_system(
     roles: Mapping[str, Channel],
     stated_undulation_m: float | None,
     geoid: GeoidGrid | None = None,
+    *,
+    stated_home_m: float | None = None,
 ) -> tuple[HeightSystem, Notes]:
     """Undulation and take-off height, from the mission file, the log itself or a geoid.
 
@@ -113,6 +115,7 @@ def height_system(
         if high - low <= STEADY_HOME_M:
             home, what = float(middle), f"take-off height {middle:.2f} m"
         notes.append(note("HEIGHT-HOME", what, where=position.name))
+    home = home if stated_home_m is None else stated_home_m
     system = HeightSystem(undulation, home, geoid, offset, source, one_height)
     return system, tuple(notes)
 

@@ -78,8 +78,8 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     mission, geoid = plan.mission, geoid_of_mission(plan)
     home, undulation_m = mission.ground.home_h_msl_m, mission.mission.undulation_m
     if mission.log is None:
-        heights, _ = height_system({}, undulation_m, geoid)
-        return FlightLog(None, (), {}, {}, replace(heights, home_h_msl_m=home))
+        heights, _ = height_system({}, undulation_m, geoid, stated_home_m=home)
+        return FlightLog(None, (), {}, {}, heights)
     file = plan.input("log")
     log = open_log(file.path, file.sha256)
     channels = log.channels
@@ -108,9 +108,7 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     }
     mounts = {camera: mount.build() for camera, mount in mission.mount.items()}
     ledger.extend(gimbal_notes(log.messages, plausible, mounts))
-    heights = ledger.take(height_system(plausible, undulation_m, geoid))
-    if home is not None:
-        heights = replace(heights, home_h_msl_m=home)
+    heights = ledger.take(height_system(plausible, undulation_m, geoid, stated_home_m=home))
     own, own_doubts, notes = examine(channels, plausible)
     plausible, section = dict(own), mission.stations.trajectory
     of_trajectory: tuple[Stretch, ...] = ()
