@@ -99,8 +99,8 @@ def stations(
     if plot is not None:
         from pipeline.report.figures import flight_figure, save_figure
 
-        doubts = [(doubt.begin_ns, doubt.end_ns) for doubt in checked.flight.doubts]
-        save_figure(flight_figure(checked.stations, checked.track(), doubts), plot)
+        suspect = [(stretch.begin_ns, stretch.end_ns) for stretch in checked.flight.suspect]
+        save_figure(flight_figure(checked.stations, checked.track(), suspect), plot)
     print_stations(console, table)
     about = ("EVENTS-", "EXIF-", "IMAGES-", "STATIONS-", "SUSPECT-")
     rows = checked.ledger.rows()

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.flight.channels import Array, Channel
 from pipeline.flight.rotations import CAMERA_AT_REST, matrices_of, ned_from_body, quaternions_of
-from pipeline.flight.trajectory import interpolate_attitude
+from pipeline.flight.trajectory import attitude_at
 from pipeline.ledger import Entry, Kind, Notes, note, warning
 
 _Q = ("q_w", "q_x", "q_y", "q_z")
@@ -76,7 +76,7 @@ def payload_attitude(
     missing = np.isnan(known).any(axis=1) & np.isfinite(to_nose).all(axis=(1, 2))
     if aircraft is None or not bool(missing.any()):
         return gimbal, ()
-    attitude, _ = interpolate_attitude(aircraft, gimbal.time_ns[missing], max_gap_s)
+    attitude = attitude_at(aircraft, gimbal.time_ns[missing], max_gap_s).quaternion
     turned = matrices_of(attitude)
     added = f"that of {aircraft.name} is added"
     if is_of_gimbal(gimbal.source.message, "MOUNTSTATUS") and (

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from pipeline.atmosphere.hypsometry import fall_of_pressure
 from pipeline.errors import MissionError
 from pipeline.flight.channels import ROLE_COLUMNS, Channel
-from pipeline.flight.mount import is_of_gimbal
-from pipeline.flight.trajectory import RATES, VELOCITY, Evidence, interpolate, with_slopes
+from pipeline.flight.trajectory import interpolate
 from pipeline.ledger import Entry, Notes, loss, note, warning
 
 Array = NDArray[np.float64]
@@ -201,30 +200,3 @@ def follows_height(barometer: Channel, height: Channel) -> bool | None:
         return None
     fall = fall_of_pressure(h[use], np.log(p[use]))
     return fall.is_of_air and fall.unexplained < 0.01
-
-
-def with_evidence(
-    roles: Mapping[str, Channel], channels: Iterable[Channel]
-) -> tuple[dict[str, Channel], Evidence]:
-    """The channels of the roles with velocities and body rates, and what is said about them.
-
-    Position, height and attitude get the columns of other channels of the same sender. Those of a
-    gimbal do not: the body rates are the aircraft's.
-    """
-    result, everything = dict(roles), tuple(channels)
-    by_rank = sorted(everything, key=lambda channel: (channel.rank, channel.name))
-    for role, names in (
-        ("position", VELOCITY),
-        ("height", VELOCITY),
-        ("attitude", RATES),
-        ("aircraft_attitude", RATES),
-    ):
-        if role in roles and not is_of_gimbal(roles[role].source.message):
-            result[role] = with_slopes(roles[role], by_rank, names)
-    system = roles["position"].source.system if "position" in roles else None
-    own = [channel for channel in by_rank if channel.source.system == system and len(channel)]
-    receivers = [c for c in own if "height" in c.roles and {"sigma_h_m", "hdop"} & c.columns.keys()]
-    health = [c for c in own if {"innovation_position", "innovation_velocity"} <= c.columns.keys()]
-    fused = [c for c in own if "position" in c.roles and "height" not in c.roles]
-    best = [next(iter(group), None) for group in (receivers, health, fused)]
-    return result, Evidence(*best)

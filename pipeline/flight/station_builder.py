@@ -12,9 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere.refractive_index import vapour_pressure
 from pipeline.flight.channels import Array, Channel
+from pipeline.flight.evidence.log_accuracy import LogAccuracy
 from pipeline.flight.exposures import Events
 from pipeline.flight.heights import HeightSystem, heights_at
 from pipeline.flight.mount import Mount, is_of_gimbal
+from pipeline.flight.rotations import NED_FROM_ENU, quaternion_products
 from pipeline.flight.stations import (
     HEIGHT_REFERENCE_UNKNOWN,
     IN_GAP,
@@ -28,16 +30,12 @@ from pipeline.flight.stations import (
 from pipeline.flight.trajectory import (
     GAP_IN_CHANNEL,
     INSIDE,
-    Evidence,
     attitude_at,
     bend_of_heights,
     interpolate,
-    quaternion_products,
     track_at,
 )
 from pipeline.ledger import Notes, loss
-
-_NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 def build_stations(
@@ -47,13 +45,13 @@ def build_stations(
     heights: HeightSystem,
     max_gap_s: float,
     *,
-    evidence: Evidence = Evidence(),  # noqa: B008
+    accuracy: LogAccuracy = LogAccuracy(),  # noqa: B008
 ) -> Stations:
     """Position, attitude and air at each exposure of one camera, with their sigmas.
 
     An exposure outside the log, in a gap of it, or without position, attitude or a height above
     sea level is not invented: its status gives the reason and its values are NaN. Each sigma is
-    that of the log's samples by the ``evidence``, of the interpolation between them, and of the
+    that of the log's samples by their ``accuracy``, of the interpolation between them, and of the
     exposure's time at its speed and rate of turn.
     """
     time_ns = events.time_ns
@@ -83,10 +81,12 @@ def build_stations(
     # Time, and with it the sampled rates, acts along one direction: half of it on each axis.
     late = events.sigma_time_s
     of_time = np.square(late) * np.square(track.velocity_m_s).mean(axis=1)
-    horizontal, _ = evidence.accuracy(position, time_ns)
-    _, vertical = evidence.accuracy(height, time_ns)
+    horizontal, _ = accuracy.positions(position, time_ns)
+    _, vertical = accuracy.positions(height, time_ns)
     gimbal = is_of_gimbal(roles["attitude"].source.message)
-    tilt, yaw = (Evidence() if gimbal else evidence).attitude(roles["attitude"], time_ns)
+    tilt, yaw = (LogAccuracy() if gimbal else accuracy).attitude(
+        roles["attitude"], time_ns, track.lat_rad
+    )
     tilt = tilt if mount.sigma_tilt_rad is None else np.full(n, mount.sigma_tilt_rad)
     yaw = yaw if mount.sigma_yaw_rad is None else np.full(n, mount.sigma_yaw_rad)
     of_turn = np.square(turning.sigma_rad) + np.square(
@@ -125,7 +125,7 @@ def _not_covered(stations: Stations, coverage: NDArray[np.uint8]) -> Stations:
 def _from_enu(attitude: Array, frame_from_body: Array) -> Array:
     """(n, 4) quaternions of v_frame = R(q) v_enu from attitudes v_ned = R(q) v_body; NaN stays."""
     frame, enu = (
-        Rotation.from_matrix(matrix).as_quat()[None] for matrix in (frame_from_body, _NED_FROM_ENU)
+        Rotation.from_matrix(matrix).as_quat()[None] for matrix in (frame_from_body, NED_FROM_ENU)
     )
     body_from_ned = attitude[:, [1, 2, 3, 0]] * [-1.0, -1.0, -1.0, 1.0]
     found = quaternion_products(quaternion_products(frame, body_from_ned), enu)
@@ -139,7 +139,7 @@ def _moved_to_camera(stations: Stations, mount: Mount, attitude: Array) -> Stati
     step = np.full((len(stations), 3), np.nan)
     if bool(known.any()):
         ned_from_body = Rotation.from_quat(attitude[known][:, [1, 2, 3, 0]])
-        step[known] = ned_from_body.apply(np.array(mount.lever_arm_m)) @ _NED_FROM_ENU
+        step[known] = ned_from_body.apply(np.array(mount.lever_arm_m)) @ NED_FROM_ENU
     return replace(stations.moved(step), quaternion=_from_enu(attitude, mount.camera_from_body))
 
 

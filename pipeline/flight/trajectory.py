@@ -8,30 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.flight.channels import Channel
+from pipeline.flight.channels import Array, Channel, TimeArray
+from pipeline.flight.rotations import quaternion_products, rotation_vectors
 from pipeline.geodesy import principal_radii
-from pipeline.units import NANOSECONDS_PER_SECOND
 
-Array = NDArray[np.float64]
-TimeArray = NDArray[np.int64]
 Rows = NDArray[np.intp]
 
 VELOCITY = ("v_north_m_s", "v_east_m_s", "v_down_m_s")
 _LIMITS_M, _LIMITS_RAD = (1.0, 20.0), (0.02, 20.0)  # twice what aircraft of survey do
 RATE_LAG_S = 0.1  # gyroscopes are filtered at 20 Hz; with it 10 Hz samples gain nothing in gusts
 RATES = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
-
-# What an innovation is whose ratio to its gate is 1: five times the measurement noise that
-# ArduPilot's filter takes by default (EK3_POSNE_M_NSE, EK3_VELNE_M_NSE, EK3_ALT_M_NSE), and how
-# long it takes the filter to follow its positions at these.
-POSITION_GATE_M, VELOCITY_GATE_M_S, HEIGHT_GATE_M, FILTER_TIME_S = 2.5, 2.5, 15.0, 1.5
-# The attitude of filters, measured on flights of ArduPilot's simulator: 0.08 deg about each level
-# axis in calm air and 0.17 deg in strong turbulence, with innovations of velocity of 0.004 and 0.13
-# of the gate; 0.36 and 0.52 deg about the vertical one. Without innovations, typical of both.
-LEAST_TILT_RAD, TILT_AT_GATE_RAD, UNCHECKED_TILT_RAD, YAW_RAD = np.radians([0.1, 1.2, 0.3, 0.5])
-RANGE_ERROR_M = 3.0  # of a receiver without corrections, which its HDOP multiplies
-DRIFT_M_S = 2.0  # of a filter without fixes
-WINDOW_NS = 10 * NANOSECONDS_PER_SECOND  # on both sides of an instant; fixes err for longer
 
 INSIDE, OUTSIDE_CHANNEL, GAP_IN_CHANNEL = 0, 1, 2
 
@@ -81,22 +67,6 @@ def interpolate(channel: Channel, column: str, time_ns: TimeArray, max_gap_s: fl
     value = values[place.before] * (1.0 - place.fraction)
     value += np.where(place.fraction > 0.0, values[place.after], 0.0) * place.fraction
     return np.where(place.coverage == INSIDE, value, np.nan)
-
-
-def interpolate_position(
-    channel: Channel, time_ns: TimeArray, max_gap_s: float
-) -> tuple[Array, Array, NDArray[np.uint8]]:
-    """Latitude and longitude [rad] at instants, and the coverage by `bracket`; see `track_at`."""
-    track = track_at(channel, time_ns, max_gap_s)
-    return track.lat_rad, track.lon_rad, track.coverage
-
-
-def interpolate_attitude(
-    channel: Channel, time_ns: TimeArray, max_gap_s: float
-) -> tuple[Array, NDArray[np.uint8]]:
-    """(m, 4) attitudes at instants, and the coverage by `bracket`; see `attitude_at`."""
-    attitude = attitude_at(channel, time_ns, max_gap_s)
-    return attitude.quaternion, attitude.coverage
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,21 +213,6 @@ def attitude_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Attit
     return Attitudes(quaternion, rate, sigma, place.coverage)
 
 
-def quaternion_products(first: Array, second: Array) -> Array:
-    """(m, 4) products of unit quaternions x, y, z, w, in a fifth of the time of scipy's."""
-    a, b, p, q = first[:, :3], second[:, :3], first[:, 3:], second[:, 3:]
-    vector = p * b + q * a + np.cross(a, b)
-    return np.concatenate([vector, p * q - np.sum(a * b, axis=1, keepdims=True)], axis=1)
-
-
-def rotation_vectors(quaternion: Array) -> Array:
-    """(m, 3) rotation vectors [rad], at most half a turn, of unit quaternions x, y, z, w."""
-    vector = np.where(quaternion[:, 3:] < 0.0, -1.0, 1.0) * quaternion[:, :3]
-    sine = np.linalg.norm(vector, axis=1, keepdims=True)
-    half = np.arctan2(sine, np.abs(quaternion[:, 3:]))
-    return vector * np.where(sine > 1e-9, 2.0 * half / np.maximum(sine, 1e-9), 2.0)
-
-
 @dataclass(frozen=True, eq=False)
 class _Curve:
     """Cubics through neighbouring samples of a channel.
@@ -343,107 +298,3 @@ class _Curve:
         count = known[which.reshape(about.shape)].sum(axis=0)
         u, misfit = place.fraction[:, None], np.sqrt(square / np.maximum(count, 1.0))
         return np.asarray(2.0 * u * (1.0 - u) * misfit)
-
-
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """What a log says about the accuracy of its positions and attitudes; None where nothing.
-
-    ``receiver`` has ``sigma_h_m`` and ``sigma_v_m``, or ``hdop``; ``health`` the innovations of the
-    filter over their gates; ``fused`` the heights of the filter.
-    """
-
-    receiver: Channel | None = None
-    health: Channel | None = None
-    fused: Channel | None = None
-
-    def accuracy(self, channel: Channel, time_ns: TimeArray) -> tuple[Array, Array]:
-        """(m,) sigmas of positions of a channel, per horizontal axis and of heights [m].
-
-        What the channel itself reports; in height with the scatter about that of the filter, whose
-        own drift is slow. The output of a filter that reports nothing has the sigmas of the
-        receiver that it follows, and its innovations beside them; where fixes are more than 1 s
-        apart, it drifts away from the last.
-        """
-        own = any(name in channel.columns for name in ("sigma_h_m", "sigma_v_m", "hdop"))
-        source = channel if own else self.receiver
-        if source is None:
-            return np.full(time_ns.shape, np.nan), np.full(time_ns.shape, np.nan)
-        dop = source.columns.get("hdop", np.full(len(source), np.nan))
-        row = np.clip(np.searchsorted(source.time_ns, time_ns), 1, max(len(source) - 1, 1))
-        row -= time_ns - source.time_ns[row - 1] < source.time_ns[row % len(source)] - time_ns
-        drift = DRIFT_M_S * np.maximum(np.abs(time_ns - source.time_ns[row]) * 1e-9 - 1.0, 0.0)
-        sigmas = []
-        for name, error in (
-            ("sigma_h_m", RANGE_ERROR_M / 2**0.5),
-            ("sigma_v_m", 1.5 * RANGE_ERROR_M),
-        ):
-            reported = source.columns.get(name, np.full(len(source), np.nan))
-            reported = np.where(np.isfinite(reported), reported, error * dop)
-            sigmas.append(np.square(reported[row]) + np.square(drift))
-        horizontal, vertical = sigmas
-        if not own:
-            position, velocity, height = (
-                np.square(self.innovation(name, time_ns))
-                for name in ("position", "velocity", "height")
-            )
-            horizontal += POSITION_GATE_M**2 * position
-            horizontal += (VELOCITY_GATE_M_S * FILTER_TIME_S) ** 2 * velocity
-            vertical += HEIGHT_GATE_M**2 * height
-        elif (
-            self.fused is not None and (column := channel.height_column or "") in self.fused.columns
-        ):
-            limit = self.fused.gap_limit_s()
-            apart = channel[column] - interpolate(self.fused, column, channel.time_ns, limit)
-            _, scatter = _about(channel.time_ns, apart, time_ns, WINDOW_NS)
-            vertical += np.square(scatter)
-        silent = ~np.isfinite(horizontal)
-        if own and self.receiver is not None and channel is not self.receiver and silent.any():
-            stood_in = {"sigma_h_m", "sigma_v_m", "hdop"}  # reported for a part of the time only
-            columns = {k: v for k, v in channel.columns.items() if k not in stood_in}
-            of_filter = self.accuracy(replace(channel, columns=columns), time_ns)
-            horizontal = np.where(silent, np.square(of_filter[0]), horizontal)
-            vertical = np.where(silent, np.square(of_filter[1]), vertical)
-        return np.sqrt(horizontal), np.sqrt(vertical)
-
-    def attitude(self, channel: Channel, time_ns: TimeArray) -> tuple[Array, Array]:
-        """(m,) sigmas of attitudes of a channel about a level and the vertical axis [rad].
-
-        What the channel itself reports, else what is typical of a filter with these innovations.
-        """
-        if "sigma_tilt_rad" in channel.columns and "sigma_yaw_rad" in channel.columns:
-            limit = channel.gap_limit_s()
-            names = ("sigma_tilt_rad", "sigma_yaw_rad")
-            tilt, yaw = (interpolate(channel, name, time_ns, limit) for name in names)
-            return tilt, yaw
-        tilt = np.full(time_ns.shape, UNCHECKED_TILT_RAD)
-        if self.health is not None:
-            velocity = self.innovation("velocity", time_ns)
-            tilt = np.hypot(LEAST_TILT_RAD, TILT_AT_GATE_RAD * velocity)
-        return tilt, np.full(time_ns.shape, YAW_RAD)
-
-    def innovation(self, kind: str, time_ns: TimeArray) -> Array:
-        """Rms of an innovation over its gate about instants; 0 where it is not logged."""
-        values = None if self.health is None else self.health.columns.get(f"innovation_{kind}")
-        if self.health is None or values is None:
-            return np.zeros(time_ns.shape)
-        mean, scatter = _about(self.health.time_ns, values, time_ns, WINDOW_NS)
-        return np.hypot(mean, scatter)
-
-
-def _about(
-    stamps: TimeArray, values: Array, time_ns: TimeArray, window_ns: int
-) -> tuple[Array, Array]:
-    """(m,) mean and standard deviation of known values within a window on both sides of instants.
-
-    0 where there is none.
-    """
-    known = np.isfinite(values)
-    stamps, values = stamps[known], values[known]
-    middle = float(np.median(values)) if values.size else 0.0  # so that squares do not cancel
-    first = np.searchsorted(stamps, time_ns - window_ns)
-    last = np.searchsorted(stamps, time_ns + window_ns, side="right")
-    sums = (np.append(0.0, np.cumsum((values - middle) ** power)) for power in (1, 2))
-    mean, square = ((s[last] - s[first]) / np.maximum(last - first, 1) for s in sums)
-    deviation = np.sqrt(np.maximum(square - mean**2, 0.0))
-    return np.where(last > first, middle + mean, 0.0), deviation

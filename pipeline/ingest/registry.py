@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pipeline.errors import LogError
-from pipeline.flight.quality import mask_impossible_values
+from pipeline.flight.evidence.quality import mask_impossible_values
 from pipeline.ingest.buffers import release_pages
 from pipeline.ingest.dataflash.log import DATAFLASH
 from pipeline.ingest.dataflash.text import DATAFLASH_TEXT

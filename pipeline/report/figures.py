@@ -150,13 +150,13 @@ def correction_figure(grids: Mapping[str, ShiftGrid]) -> Figure:
 def flight_figure(
     stations: Stations,
     track: tuple[NDArray[np.int64], Array, Array, Array],
-    doubts: Sequence[tuple[int, int]] = (),
+    stretches: Sequence[tuple[int, int]] = (),
 ) -> Figure:
     """A flight from above, and its height over time: stations, suspect ones, and rejected events.
 
     ``track`` : time [Unix ns], latitude, longitude [rad] and height above sea level [m] as logged;
-    ``doubts`` : from when to when [Unix ns] the log contradicts itself. Events without a position
-    have only their time.
+    ``stretches`` : from when to when [Unix ns] the log contradicts itself. Events without a
+    position have only their time.
     """
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
@@ -170,10 +170,10 @@ def flight_figure(
     every = slice(None, None, max(1, time_ns.size // 20_000))
     above.plot(np.degrees(lon[every]), np.degrees(lat[every]), color=STANDARD, lw=0.7, label="log")
     beside.plot(time_ns[every].astype("datetime64[ns]"), h[every], color=STANDARD, lw=0.7)
-    for number, (begin, end) in enumerate(doubts):
+    for number, (begin, end) in enumerate(stretches):
         inside = (time_ns >= begin) & (time_ns <= end)
         above.plot(np.degrees(lon[inside]), np.degrees(lat[inside]), color=REJECTED, lw=4.0,
-                   alpha=0.7, label="doubtful" if number == 0 else None)  # fmt: skip
+                   alpha=0.7, label="suspect stretch" if number == 0 else None)  # fmt: skip
         beside.axvspan(*np.array([begin, end]).astype("datetime64[ns]"), color=REJECTED, alpha=0.5)
     when = stations.time_ns.astype("datetime64[ns]")
     suspect = stations.status == SUSPECT

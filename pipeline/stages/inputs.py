@@ -7,14 +7,14 @@ from dataclasses import dataclass, field, replace
 from pipeline.batch.plan import Plan
 from pipeline.errors import MissionError
 from pipeline.flight.channels import ROLE_COLUMNS, Channel
+from pipeline.flight.evidence.contradictions import examine
+from pipeline.flight.evidence.imported import contradictions_of_import
+from pipeline.flight.evidence.log_accuracy import LogAccuracy, with_accuracy
+from pipeline.flight.evidence.quality import plausible_samples
+from pipeline.flight.evidence.stretches import Stretch
 from pipeline.flight.heights import HeightSystem, height_system, to_geodetic
 from pipeline.flight.mount import gimbal_notes, with_payload_attitude
-from pipeline.flight.quality import plausible_samples
-from pipeline.flight.roles import assign_roles, with_evidence
-from pipeline.flight.suspicion.doubts import examine
-from pipeline.flight.suspicion.evidence import Stretch
-from pipeline.flight.suspicion.imported import doubts_of_import
-from pipeline.flight.trajectory import Evidence
+from pipeline.flight.roles import assign_roles
 from pipeline.geodesy import GeoidGrid
 from pipeline.ingest import Log, open_log
 from pipeline.ingest.fields import in_stated_unit
@@ -29,13 +29,13 @@ from pipeline.tables.observations import Observations, open_observations
 class FlightLog:
     """A log after its channels were given their roles; these hold plausible values only.
 
-    Where a source of the log is doubtful and another stands in, they hold its samples; ``doubts``
+    Where a source of the log is suspect and another replaces it, they hold its samples; ``suspect``
     are all stretches in which the log contradicts itself.
 
-    ``own`` are the roles as the log fills them, with their ``own_doubts``; in ``roles`` a
+    ``own`` are the roles as the log fills them, with their ``own_suspect``; in ``roles`` a
     trajectory has replaced some.
 
-    ``evidence`` is what it says about the accuracy of its positions and attitudes.
+    ``accuracy`` is what it says about the accuracy of its positions and attitudes.
 
     ``log`` is None, and there are no channels, where the stations come from elsewhere.
     """
@@ -45,9 +45,9 @@ class FlightLog:
     roles: dict[str, Channel]
     own: dict[str, Channel]
     heights: HeightSystem
-    doubts: tuple[Stretch, ...] = ()
-    own_doubts: tuple[Stretch, ...] = ()
-    evidence: Evidence = field(default_factory=Evidence)
+    suspect: tuple[Stretch, ...] = ()
+    own_suspect: tuple[Stretch, ...] = ()
+    accuracy: LogAccuracy = field(default_factory=LogAccuracy)
 
     @property
     def air_roles(self) -> dict[str, Channel]:
@@ -109,12 +109,12 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     mounts = {camera: mount.build() for camera, mount in mission.mount.items()}
     ledger.extend(gimbal_notes(log.messages, plausible, mounts))
     heights = ledger.take(height_system(plausible, undulation_m, geoid, stated_home_m=home))
-    own, own_doubts, notes = examine(channels, plausible)
+    own, own_suspect, notes = examine(channels, plausible)
     plausible, section = dict(own), mission.stations.trajectory
     of_trajectory: tuple[Stretch, ...] = ()
     ledger.extend(notes)
     if trajectory is not None:
-        of_trajectory = doubts_of_import(trajectory, elsewhere, own, own_doubts)
+        of_trajectory = contradictions_of_import(trajectory, elsewhere, own, own_suspect)
         order = "ZYX" if section is None else section.angle_order
         compare_with_log(trajectory, own, heights, ledger, replaces=elsewhere, angle_order=order)
         for role in elsewhere:
@@ -127,9 +127,9 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
             + (f", in place of {former}" if former else ", which the log has not"),
             where="stations.trajectory",
         )
-    doubts = (*(d for d in own_doubts if d.quantity not in elsewhere), *of_trajectory)
-    plausible, evidence = with_evidence(plausible, channels)
-    return FlightLog(log, channels, plausible, own, heights, doubts, own_doubts, evidence)
+    suspect = (*(d for d in own_suspect if d.quantity not in elsewhere), *of_trajectory)
+    plausible, accuracy = with_accuracy(plausible, channels)
+    return FlightLog(log, channels, plausible, own, heights, suspect, own_suspect, accuracy)
 
 
 def geoid_of_mission(plan: Plan) -> GeoidGrid:

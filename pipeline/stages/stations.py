@@ -11,6 +11,8 @@ import numpy as np
 from pipeline.batch.plan import Plan
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel
+from pipeline.flight.evidence.imported import contradictions_of_import
+from pipeline.flight.evidence.stretches import flag_suspect
 from pipeline.flight.exposures import (
     Events,
     choose_event_channel,
@@ -34,8 +36,6 @@ from pipeline.flight.stations import (
     sigma_notes,
     unusable_station_notes,
 )
-from pipeline.flight.suspicion.doubts import flag_doubtful
-from pipeline.flight.suspicion.imported import doubts_of_import
 from pipeline.ledger import Ledger
 from pipeline.stages.cabin_air import cabin_from_log
 from pipeline.stages.exposure_setup import camera_of_rows
@@ -150,14 +150,14 @@ def stations_of_mission(
     refuse_repeated_images(events)
     exposed = []
     for events_of_camera in events:
-        name, roles, doubts = events_of_camera.camera, flight.roles, flight.doubts
+        name, roles, suspect = events_of_camera.camera, flight.roles, flight.suspect
         mount, from_events = mount_of(plan, name)
         if name in positions and not mission.position_events[name].times_only:
             roles = roles | {"position": positions[name], "height": positions[name]}
             places = ("position", "height")
-            doubts = (
-                *(doubt for doubt in doubts if doubt.quantity == "attitude"),
-                *doubts_of_import(positions[name], places, flight.own, flight.own_doubts),
+            suspect = (
+                *(stretch for stretch in suspect if stretch.quantity == "attitude"),
+                *contradictions_of_import(positions[name], places, flight.own, flight.own_suspect),
             )
         part = build_stations(
             events_of_camera,
@@ -165,9 +165,9 @@ def stations_of_mission(
             mount,
             flight.heights,
             mission.max_gap_s,
-            evidence=flight.evidence,
+            accuracy=flight.accuracy,
         )
-        part = ledger.take(flag_doubtful(part, doubts, use_suspect=mission.stations.use_suspect))
+        part = ledger.take(flag_suspect(part, suspect, use_suspect=mission.stations.use_suspect))
         exposed.append(moved_by_offsets(part, positions.get(name)) if from_events else part)
     if mission.events is not None:
         exposed = assigned_stations(

@@ -82,18 +82,18 @@ def test_the_drawing():
     track = stations.time_ns[::-1], stations.lat_rad, stations.lon_rad, stations.h_msl_m + 1.0
     stations.time_ns[9] = NO_TIME
     stations.status[9] = "unmatched"
-    doubts = [(NINE + 5 * SECOND, NINE + 11 * SECOND), (NINE + 60 * SECOND, NINE + 61 * SECOND)]
-    figure = flight_figure(stations, track, doubts)
+    stretches = [(NINE + 5 * SECOND, NINE + 11 * SECOND), (NINE + 60 * SECOND, NINE + 61 * SECOND)]
+    figure = flight_figure(stations, track, stretches)
     above, beside = figure.axes
     suspect = points_of(above, "3 suspect")
     np.testing.assert_allclose(suspect[:, 0], [179.983, 179.984, 179.985], atol=1e-9)
     np.testing.assert_allclose(suspect[:, 1], np.degrees(0.5))
     assert points_of(above, "log")[0] == pytest.approx([179.98, np.degrees(0.5)])
     # A point every 2 s: 6, 8 and 10 s lie in the first of the two stretches, none in the other.
-    doubtful = points_of(above, "doubtful")
-    assert len(doubtful) == 3
+    marked = points_of(above, "suspect stretch")
+    assert len(marked) == 3
     assert [patch.get_x() for patch in beside.patches] == pytest.approx(
-        [date2num(np.datetime64(begin, "ns")) for begin, _ in doubts])  # fmt: skip
+        [date2num(np.datetime64(begin, "ns")) for begin, _ in stretches])  # fmt: skip
     # The flight crosses the 180th meridian, and the drawing does not jump back to -180.
     behind = replace(stations, lon_rad=(stations.lon_rad + np.pi) % (2 * np.pi) - np.pi)
     drawn = points_of(flight_figure(behind, track).axes[0], "ok")

@@ -193,7 +193,7 @@ def inject(
         )
     channels["GPS[0]"] = raised(displaced(gps, *error.T), up, ("h_msl_m", "h_ellipsoid_m"))
     if not fix.all():
-        from pipeline.flight.quality import subset
+        from pipeline.flight.evidence.quality import subset
 
         channels["GPS[0]"] = subset(channels["GPS[0]"], fix)
     channels["POS"] = displaced(pos, *places.T)

@@ -21,14 +21,16 @@ sys.path.insert(0, str(Path(__file__).parent))
 from injected_faults import KINDS, inject
 
 from pipeline.flight.channels import Channel
+from pipeline.flight.evidence.contradictions import examine
+from pipeline.flight.evidence.log_accuracy import with_accuracy
+from pipeline.flight.evidence.quality import plausible_samples
+from pipeline.flight.evidence.stretches import flag_suspect
 from pipeline.flight.exposures import Events
 from pipeline.flight.heights import height_system
 from pipeline.flight.mount import Mount
-from pipeline.flight.quality import plausible_samples
-from pipeline.flight.roles import assign_roles, with_evidence
+from pipeline.flight.roles import assign_roles
 from pipeline.flight.station_builder import build_stations
 from pipeline.flight.stations import Stations
-from pipeline.flight.suspicion.doubts import examine, flag_doubtful
 from pipeline.ingest import open_log
 
 LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs"
@@ -79,13 +81,13 @@ def stations_of(channels: dict[str, Channel], time_ns: np.ndarray) -> tuple[Stat
     everything = tuple(channels.values())
     roles, _ = assign_roles(everything, {}, needs_cabin=False)
     plausible = {role: plausible_samples(c, role)[0] for role, c in roles.items()}
-    examined, doubts, _ = examine(everything, plausible)
+    examined, suspect, _ = examine(everything, plausible)
     image = np.array([f"i{k}" for k in range(time_ns.size)], object)
     heights, _ = height_system(examined, None)
-    roles, evidence = with_evidence(examined, everything)
+    roles, accuracy = with_accuracy(examined, everything)
     exposed = Events("cam", image, time_ns)
-    built = build_stations(exposed, roles, Mount(), heights, 2.0, evidence=evidence)
-    flagged, notes = flag_doubtful(built, doubts, use_suspect=False)
+    built = build_stations(exposed, roles, Mount(), heights, 2.0, accuracy=accuracy)
+    flagged, notes = flag_suspect(built, suspect, use_suspect=False)
     return flagged, Counter({entry.code: entry.count for entry in notes})
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.flight.channels import Channel, Source
-from pipeline.flight.quality import RANGES, mask_impossible_values, plausible_samples
+from pipeline.flight.evidence.quality import RANGES, mask_impossible_values, plausible_samples
 from pipeline.ledger import Ledger
 
 RATE_HZ = 10.0

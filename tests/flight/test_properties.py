@@ -17,8 +17,8 @@ from pipeline.flight.clock import (
     stray_times,
     utc_of_gps,
 )
-from pipeline.flight.quality import RANGES, mask_impossible_values, plausible_samples
-from pipeline.flight.trajectory import INSIDE, bracket, interpolate, interpolate_position
+from pipeline.flight.evidence.quality import RANGES, mask_impossible_values, plausible_samples
+from pipeline.flight.trajectory import INSIDE, bracket, interpolate, track_at
 
 SECOND = 10**9
 STEPS = st.lists(st.integers(1, 5 * SECOND), min_size=2, max_size=30)
@@ -55,8 +55,8 @@ def test_positions_turn_with_the_earth(lat, lon, step, when):
     at = np.array([round(when * SECOND) + SECOND])
     first = channel([SECOND, SECOND], lat_rad=lats, lon_rad=np.array([lon, lon + step]))
     turned = channel([SECOND, SECOND], lat_rad=lats, lon_rad=np.array([lon, lon + step]) + 2.0)
-    (a,), (b,), _ = interpolate_position(first, at, 2.0)
-    (c,), (d,), _ = interpolate_position(turned, at, 2.0)
+    here, there = track_at(first, at, 2.0), track_at(turned, at, 2.0)
+    ((a,), (b,)), ((c,), (d,)) = ((t.lat_rad, t.lon_rad) for t in (here, there))
     assert abs(a - c) < 1e-14
     assert abs((d - b - 2.0 + np.pi) % (2.0 * np.pi) - np.pi) < 1e-11
 

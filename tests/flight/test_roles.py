@@ -8,8 +8,8 @@ import pytest
 from pipeline.errors import MissionError
 from pipeline.flight.air_samples import air_samples
 from pipeline.flight.channels import Channel, Source
+from pipeline.flight.evidence.quality import plausible_samples
 from pipeline.flight.heights import HeightSystem
-from pipeline.flight.quality import plausible_samples
 from pipeline.flight.roles import assign_roles, follows_height
 from pipeline.ledger import Kind, Ledger
 

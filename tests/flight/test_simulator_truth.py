@@ -16,10 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.flight.channels import Channel
 from pipeline.flight.clock import utc_of_gps
+from pipeline.flight.evidence.log_accuracy import with_accuracy
 from pipeline.flight.exposures import Events
 from pipeline.flight.heights import height_system
 from pipeline.flight.mount import Mount
-from pipeline.flight.roles import assign_roles, with_evidence
+from pipeline.flight.roles import assign_roles
 from pipeline.flight.station_builder import build_stations
 from pipeline.flight.stations import Stations
 from pipeline.ingest import Log, open_log
@@ -54,10 +55,10 @@ class Flight:
             thin, time_ns=thin.time_ns[::every], boot=thin.boot[::every],
             columns={name: values[::every] for name, values in thin.columns.items()},
         )  # fmt: skip
-        roles, evidence = with_evidence(roles, self.log.channels)
+        roles, accuracy = with_accuracy(roles, self.log.channels)
         names = np.array([str(k) for k in range(time_ns.size)], object)
         events = Events("cam", names, time_ns, sigma_s)
-        return build_stations(events, roles, Mount(), heights, 1.0, evidence=evidence)
+        return build_stations(events, roles, Mount(), heights, 1.0, accuracy=accuracy)
 
 
 @pytest.fixture(scope="module")

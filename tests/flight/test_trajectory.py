@@ -13,13 +13,10 @@ from pipeline.flight.trajectory import (
     GAP_IN_CHANNEL,
     INSIDE,
     OUTSIDE_CHANNEL,
-    Evidence,
     attitude_at,
     bend_of_heights,
     bracket,
     interpolate,
-    interpolate_attitude,
-    interpolate_position,
     track_at,
     with_slopes,
 )
@@ -77,7 +74,8 @@ def test_an_empty_channel_and_a_missing_column() -> None:
 
 def test_longitude_across_the_180th_meridian() -> None:
     x = channel([0, 1], lat_rad=[0.3, 0.3], lon_rad=np.radians([179.9999, -179.9999]))
-    latitude, longitude, _ = interpolate_position(x, at(0.25, 0.5, 0.75), 2.0)
+    track = track_at(x, at(0.25, 0.5, 0.75), 2.0)
+    latitude, longitude = track.lat_rad, track.lon_rad
     degrees = np.degrees(longitude) % 360.0
     assert np.allclose(degrees, [179.99995, 180.0, 180.00005], rtol=0, atol=1e-9)
     assert np.allclose(latitude, 0.3, rtol=0, atol=1e-12)
@@ -85,7 +83,7 @@ def test_longitude_across_the_180th_meridian() -> None:
 
 def test_position_over_the_pole() -> None:
     x = channel([0, 1], lat_rad=np.radians([89.9999, 89.9999]), lon_rad=np.radians([10, 190.0]))
-    latitude, _, _ = interpolate_position(x, at(0.5), 2.0)
+    latitude = track_at(x, at(0.5), 2.0).lat_rad
     assert np.degrees(latitude[0]) == pytest.approx(90.0, abs=1e-7)
 
 
@@ -98,7 +96,7 @@ def test_attitude_agrees_with_scipys_slerp(angles: list[float], when: list[float
     both = Rotation.from_euler("ZYX", np.array(angles).reshape(2, 3))
     q = both.as_quat()
     x = channel([0, 1], q_x=q[:, 0], q_y=q[:, 1], q_z=q[:, 2], q_w=q[:, 3])
-    found, _ = interpolate_attitude(x, at(*when), 2.0)
+    found = attitude_at(x, at(*when), 2.0).quaternion
     instants = at(*when) / SECOND
     expected = Slerp([0, 1], both)(instants)
     turned = expected.inv() * Rotation.from_quat(found[:, [1, 2, 3, 0]])
@@ -111,13 +109,13 @@ def test_quaternions_of_either_sign_are_the_same_attitude() -> None:
     q = Rotation.from_euler("Z", [[0.1], [0.3]]).as_quat()
     signed = q * np.array([[1.0], [-1.0]])
     x = channel([0, 1], q_x=signed[:, 0], q_y=signed[:, 1], q_z=signed[:, 2], q_w=signed[:, 3])
-    found, _ = interpolate_attitude(x, at(0.5), 2.0)
+    found = attitude_at(x, at(0.5), 2.0).quaternion
     assert Rotation.from_quat(found[0, [1, 2, 3, 0]]).as_euler("ZYX")[0] == pytest.approx(0.2)
 
 
 def test_no_attitude_from_zeros_or_nan() -> None:
     x = channel([0, 1, 2], q_x=[0, 0, 0], q_y=[0, 0, 0], q_z=[0, np.nan, 0], q_w=[1, 1, 0])
-    found, _ = interpolate_attitude(x, at(0.5, 1.5), 2.0)
+    found = attitude_at(x, at(0.5, 1.5), 2.0).quaternion
     assert np.isnan(found).all()
 
 
@@ -209,45 +207,3 @@ def test_an_attitude_at_1_hz_follows_its_rates_and_knows_its_sigma() -> None:
 
 def rms_deg(true: Rotation, found: Rotation) -> float:
     return float(np.sqrt(np.mean((true.inv() * found).as_rotvec(degrees=True) ** 2)))
-
-
-def test_a_filter_has_the_accuracy_of_its_receiver_and_its_innovations() -> None:
-    seconds = list(np.arange(0.0, 60.0, 0.2))
-    receiver = channel(seconds, sigma_h_m=np.full(300, 1.0), sigma_v_m=np.full(300, 1.5))
-    health = channel(
-        seconds,
-        innovation_position=np.full(300, 0.4),
-        innovation_height=np.zeros(300),
-        innovation_velocity=np.repeat([0.0, 0.2], 150),
-    )
-    fused = channel(seconds, lat_rad=np.zeros(300))
-    evidence = Evidence(receiver, health)
-    horizontal, vertical = evidence.accuracy(fused, at(5.0, 50.0))
-    # 0.4 of a gate of 2.5 m is 1 m; 0.2 of 2.5 m/s in 1.5 s are 0.75 m
-    np.testing.assert_allclose(horizontal, [np.sqrt(2.0), np.sqrt(2.0 + 0.75**2)], rtol=1e-9)
-    np.testing.assert_allclose(vertical, 1.5)
-    tilt, yaw = evidence.attitude(fused, at(5.0, 50.0))
-    np.testing.assert_allclose(np.degrees(tilt), [0.1, np.hypot(0.1, 0.24)])
-    np.testing.assert_allclose(np.degrees(yaw), 0.5)
-    assert np.degrees(Evidence().attitude(fused, at(5.0))[0]) == pytest.approx([0.3])
-    assert np.isnan(Evidence().accuracy(fused, at(5.0))[0]).all()
-
-
-def test_without_an_accuracy_the_dilution_counts_and_without_fixes_the_filter_drifts() -> None:
-    seconds = [*np.arange(0.0, 10.0), *np.arange(30.0, 40.0)]
-    receiver = channel(seconds, hdop=np.full(20, 0.8))
-    fused = channel(seconds, lat_rad=np.zeros(20))
-    horizontal, vertical = Evidence(receiver).accuracy(fused, at(5.0, 15.0))
-    # 0.8 times 3 m in the plane; 6 s behind the last fix, which is 5 s more than 1 s, at 2 m/s
-    np.testing.assert_allclose(horizontal, np.sqrt([2.4**2 / 2, 2.4**2 / 2 + 10.0**2]))
-    np.testing.assert_allclose(vertical, np.sqrt([3.6**2, 3.6**2 + 10.0**2]))
-
-
-def test_the_height_of_a_receiver_that_swings_about_the_filter_is_that_uncertain() -> None:
-    seconds = np.arange(0.0, 120.0, 0.2)
-    climb = 500.0 + 3.0 * seconds
-    swing = np.where(seconds > 60.0, 0.8 * np.sin(0.63 * seconds), 0.0)
-    receiver = channel(list(seconds), sigma_v_m=np.full(600, 0.3), h_msl_m=climb + swing)
-    fused = channel(list(seconds), h_msl_m=climb + 7.0)
-    _, vertical = Evidence(receiver, None, fused).accuracy(receiver, at(30.0, 95.0))
-    np.testing.assert_allclose(vertical, [0.3, np.hypot(0.3, 0.8 / np.sqrt(2.0))], rtol=0.05)

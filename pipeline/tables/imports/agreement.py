@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Array, Channel
 from pipeline.flight.heights import HeightSystem, heights_at
-from pipeline.flight.trajectory import interpolate_attitude
+from pipeline.flight.trajectory import attitude_at
 from pipeline.geodesy import principal_radii
 from pipeline.ledger import Entry, Kind, Ledger
 from pipeline.tables.imports.stated import wrapped
@@ -89,7 +89,7 @@ def compare_with_log(
     if "height" in replaces and "height" in own:
         _compare_heights(imported, rows, own["height"], heights, ledger)
     if "attitude" in replaces and "attitude" in own:
-        theirs, _ = interpolate_attitude(own["attitude"], imported.time_ns[rows], _MAX_GAP_S)
+        theirs = attitude_at(own["attitude"], imported.time_ns[rows], _MAX_GAP_S).quaternion
         mine = np.stack([imported[f"q_{axis}"][rows] for axis in "wxyz"], axis=1)
         _compare_attitudes(imported.name, mine, theirs, angle_order, ledger)
 

@@ -9,9 +9,9 @@ import pytest
 
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel, Source
+from pipeline.flight.evidence.imported import contradictions_of_import
+from pipeline.flight.evidence.stretches import Stretch
 from pipeline.flight.heights import HeightSystem
-from pipeline.flight.suspicion.evidence import Stretch
-from pipeline.flight.suspicion.imported import doubts_of_import
 from pipeline.ledger import Ledger
 from pipeline.tables.imports.agreement import compare_with_log
 
@@ -91,25 +91,25 @@ def test_a_tenth_of_a_trajectory_that_is_off_is_graded_and_doubtful(flight, own)
     ):
         wrong = shifted(true, rows, **off)
         assert compared(wrong, own)[code].kind == "loss"
-        (doubt,) = doubts_of_import(wrong, ROLES, own, ())
-        assert doubt.quantity == quantity
-        assert doubt.off_m == pytest.approx(next(iter(off.values())), rel=0.02)
-        assert abs(doubt.begin_ns - begin) < 2e9
-        assert abs(doubt.end_ns - end) < 2e9
+        (stretch,) = contradictions_of_import(wrong, ROLES, own, ())
+        assert stretch.quantity == quantity
+        assert stretch.off_m == pytest.approx(next(iter(off.values())), rel=0.02)
+        assert abs(stretch.begin_ns - begin) < 2e9
+        assert abs(stretch.end_ns - end) < 2e9
     assert compared(true, own)["TRAJECTORY-AGREES"].kind == "note"
-    assert doubts_of_import(true, ROLES, own, ()) == ()
+    assert contradictions_of_import(true, ROLES, own, ()) == ()
 
 
 def test_a_log_that_is_doubtful_or_a_sigma_that_says_so_casts_no_doubt(flight, own):
     true = channel(flight, "t.pos")
     rows = np.arange(len(true)) // (len(true) // 10) == 4
     away = {n: shifted(c, rows, north_m=40.0) for n, c in own.items()}
-    assert doubts_of_import(true, ROLES, away, ())
+    assert contradictions_of_import(true, ROLES, away, ())
     whole = Stretch(int(true.time_ns[0]), int(true.time_ns[-1]), "position", "it drifts")
-    assert doubts_of_import(true, ROLES, away, (whole,)) == ()
+    assert contradictions_of_import(true, ROLES, away, (whole,)) == ()
     sigma = {"sigma_h_m": np.where(rows, 20.0, 0.02)}
     told = shifted(replace(true, columns=dict(true.columns) | sigma), rows, north_m=40.0)
-    assert doubts_of_import(told, ROLES, own, ()) == ()
+    assert contradictions_of_import(told, ROLES, own, ()) == ()
 
 
 def test_heights_above_another_surface_are_no_doubt(flight, own):
@@ -120,4 +120,4 @@ def test_heights_above_another_surface_are_no_doubt(flight, own):
     gps = replace(true, name="GPS[0]", columns=sea | {"h_msl_m": flight.height - 47.6 + climb})
     up = replace(true, columns=dict(true.columns) | {"h_ellipsoid_m": flight.height + climb,
                  "v_down_m_s": np.full(len(true), -3.0)})  # fmt: skip
-    assert doubts_of_import(up, ROLES, {"position": gps, "height": gps}, ()) == ()
+    assert contradictions_of_import(up, ROLES, {"position": gps, "height": gps}, ()) == ()

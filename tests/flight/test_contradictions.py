@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from pipeline.flight.channels import Channel, Source
-from pipeline.flight.stations import empty_stations
-from pipeline.flight.suspicion.doubts import examine, flag_doubtful, merged
-from pipeline.flight.suspicion.evidence import (
-    Stretch,
+from pipeline.flight.evidence.contradictions import examine
+from pipeline.flight.evidence.filter_health import (
     attitude_evidence,
     filter_evidence,
     message_evidence,
 )
-from pipeline.flight.suspicion.sources import POSITION, difference, runs, track_of, velocity_at
+from pipeline.flight.evidence.sources import difference, source_path, velocity_at
+from pipeline.flight.evidence.stretches import POSITION, Stretch, flag_suspect, merged, runs
+from pipeline.flight.stations import empty_stations
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND
@@ -74,7 +74,7 @@ def flight(*more: Channel, north=0.0, gps: Channel | None = None) -> tuple[list[
 
 def found(channels, roles):
     roles, stretches, notes = examine(channels, roles)
-    return roles, [(s.quantity, s.instead) for s in stretches], stretches, notes
+    return roles, [(s.quantity, s.replaced_by) for s in stretches], stretches, notes
 
 
 def test_a_good_flight_is_not_doubted():
@@ -265,7 +265,7 @@ def test_differences_know_lag_offset_and_the_date_line():
                 "lon_rad": (c["lon_rad"] + shift + np.pi) % (2.0 * np.pi) - np.pi})
             for c in (placed("POS", T10, ("position",), **VELOCITY), gps)
         ]  # fmt: skip
-        track = track_of(moved[1], POSITION, moved)
+        track = source_path(moved[1], POSITION, moved)
         velocity = velocity_at(moved, POSITION, moved[1].time_ns)
         apart = difference(moved[0], track, POSITION, velocity)
         assert not track.step_ns.size
@@ -302,7 +302,7 @@ def test_flagged_stations_have_reason_and_distance_and_are_used_only_where_asked
         Stretch(START + 9 * SECOND, START + 21 * SECOND, "position", "a step", 77.0),
         Stretch(START + 29 * SECOND, START + 31 * SECOND, "position", "lost", 40.0, "GPS[1]"),
     )
-    flagged, notes = flag_doubtful(made, stretches, use_suspect=use)
+    flagged, notes = flag_suspect(made, stretches, use_suspect=use)
     assert flagged.status.tolist() == ["ok", "suspect", "suspect", "ok"]
     assert flagged.ok.tolist() == [True, use, use, True]
     assert flagged.suspect_reason.tolist() == ["", "tilt; a step", "a step", ""]

@@ -11,12 +11,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from pipeline.flight.channels import Array, Channel, TimeArray
-from pipeline.flight.quality import subset
+from pipeline.flight.evidence.quality import subset
+from pipeline.flight.evidence.stretches import HEIGHT, POSITION, SECOND, Mask, runs
 from pipeline.flight.trajectory import interpolate
-
-Mask = NDArray[np.bool_]
-
-POSITION, HEIGHT = "position", "height"
 
 NOISE_STEP_M = {POSITION: 3.0, HEIGHT: 5.0}
 """A step from sample to sample that is noise, beyond what velocity and neighbours explain [m]."""
@@ -25,9 +22,8 @@ NOISE_MISFIT_M = {POSITION: 2.0, HEIGHT: 4.0}
 """A difference of two sources that is noise, beyond lag and offset [m]."""
 
 WORST_ACCURACY_M = 5.0
-"""A receiver that reports worse is not to be believed [m]."""
+"""A receiver that reports worse is not used [m]."""
 
-SECOND = 1_000_000_000
 _SEVERAL = 6.0  # a difference of so many times the usual one is no noise
 _RADIUS_M = 6_371_000.0  # for differences of metres: any radius will do
 _LONGEST_STEP_S = 10.0
@@ -39,36 +35,25 @@ _SLOPE_M = -8434.5  # dh / d ln p at 288.15 K
 class SourcePath:
     """One source of positions or heights, and what it says against itself.
 
-    ``wander_m`` (n, 2) north and east, or (n, 1) up, is how far its own steps have carried it from
+    ``stepped_m`` (n, 2) north and east, or (n, 1) up, is how far its own steps have carried it from
     where it was before and is later; ``good`` (n,) where it has not stepped away and reports a
     useful accuracy; ``part`` (n,) numbers what lies between restarts and steps that do not return.
-    ``step_ns`` and ``lone_ns`` are the times of all steps and of those, ``fastest_m_s`` the speed
-    of the worst.
+    ``step_ns`` and ``lasting_ns`` are the times of all steps and of those, ``fastest_m_s`` the
+    speed of the worst.
     """
 
     channel: Channel
-    wander_m: Array
+    stepped_m: Array
     good: Mask
     part: NDArray[np.intp]
     step_ns: TimeArray
-    lone_ns: TimeArray
+    lasting_ns: TimeArray
     fastest_m_s: float
 
 
-def runs(time_ns: TimeArray, bad: Mask, seed: Mask, join_s: float = 1.0) -> list[tuple[int, int]]:
-    """First and last row of each run of bad rows with a seed; ``join_s`` [s] apart they are one."""
-    rows = np.flatnonzero(bad | seed)
-    if not seed.any():
-        return []
-    cut = np.flatnonzero(np.diff(time_ns[rows]) > join_s * SECOND)
-    first, last = rows[np.append(0, cut + 1)], rows[np.append(cut, rows.size - 1)]
-    pairs = zip(first.tolist(), last.tolist(), strict=True)
-    return [(a, b) for a, b in pairs if seed[a : b + 1].any()]
-
-
-def beside(time_ns: TimeArray, a: int, b: int) -> tuple[int, int]:
-    """The times of the rows before and after those from a to b [ns]."""
-    return int(time_ns[max(a - 1, 0)]), int(time_ns[min(b + 1, time_ns.size - 1)])
+def is_receiver(channel: Channel) -> bool:
+    """Whether a channel is a GNSS receiver, which gives both positions and heights."""
+    return {POSITION, HEIGHT} <= set(channel.roles)
 
 
 def places_of(channel: Channel, quantity: str) -> tuple[Array, Array]:
@@ -108,7 +93,7 @@ def velocity_at(channels: Iterable[Channel], quantity: str, time_ns: TimeArray) 
     return np.full((time_ns.size, len(names)), np.nan)
 
 
-def track_of(channel: Channel, quantity: str, channels: Iterable[Channel]) -> SourcePath:
+def source_path(channel: Channel, quantity: str, channels: Iterable[Channel]) -> SourcePath:
     """A source with the steps that no vehicle makes, whatever happens between them.
 
     A step is what neither the velocity (of the first of ``channels`` that has one) nor the speed of
@@ -138,7 +123,7 @@ def track_of(channel: Channel, quantity: str, channels: Iterable[Channel]) -> So
     place = np.concatenate([np.zeros((1, moved.shape[1])), place])
     edges = [0, *(step + 1).tolist(), n]
     levels = [np.median(place[a:b], axis=0) for a, b in pairwise(edges)]
-    wander, part, lone = np.zeros_like(place), channel.boot.astype(np.intp), list[int]()
+    stepped, part, lone = np.zeros_like(place), channel.boot.astype(np.intp), list[int]()
     base, k = levels[0], 1
     while k < len(levels):
         leap = float(np.linalg.norm(levels[k] - base))
@@ -148,17 +133,17 @@ def track_of(channel: Channel, quantity: str, channels: Iterable[Channel]) -> So
             later = range(k + 1, len(levels))
             back = next((j for j in later if np.linalg.norm(levels[j] - base) < tolerance), 0)
             if back:
-                wander[edges[k] : edges[back]] = place[edges[k] : edges[back]] - base
+                stepped[edges[k] : edges[back]] = place[edges[k] : edges[back]] - base
             else:
                 base, lone = levels[k], [*lone, edges[k]]
                 part[edges[k] :] += int(part.max()) + 1
         k = max(back, k + 1)
-    good = np.asarray(~wander.any(axis=1))
+    good = np.asarray(~stepped.any(axis=1))
     sigma = channel.columns.get("sigma_v_m" if quantity == HEIGHT else "sigma_h_m")
     if sigma is not None and np.isfinite(sigma).any():
         good &= ~(sigma > max(WORST_ACCURACY_M, 3.0 * float(np.nanmedian(sigma))))
     fastest = float((size[step] / dt[step, 0]).max()) if step.size else 0.0
-    return SourcePath(channel, wander, good, part, time_ns[step + 1], time_ns[lone], fastest)
+    return SourcePath(channel, stepped, good, part, time_ns[step + 1], time_ns[lone], fastest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +152,7 @@ class Difference:
 
     ``apart_m`` (n, k) from the other less its own steps and its constant lag ``lag_s``; ``off_m``
     (n,) beyond the usual offset. NaN where either is missing, or the other's accuracy is poor.
-    ``limit_m`` is the largest ``off_m`` that is noise, ``usual_m`` its standard deviation.
+    ``limit_m`` is the largest ``off_m`` that is noise, ``scatter_m`` its standard deviation.
     """
 
     other: SourcePath
@@ -175,7 +160,7 @@ class Difference:
     off_m: Array
     lag_s: float
     limit_m: float
-    usual_m: float
+    scatter_m: float
 
     @property
     def apart(self) -> list[tuple[int, int]]:
@@ -195,7 +180,7 @@ def difference(mine: Channel, other: SourcePath, quantity: str, velocity: Array)
     placed = replace(mine, columns=columns, labels={})
     own = np.stack([interpolate(placed, name, time_ns, gap_s) for name in columns], axis=1)
     apart = own - theirs if quantity == HEIGHT else metres(own - theirs, theirs[:, 0])
-    apart += other.wander_m
+    apart += other.stepped_m
     known = np.isfinite(apart).all(axis=1) & other.good
     lag_s, speed2 = 0.0, np.sum(np.nan_to_num(velocity) ** 2, axis=1)
     fast = known & (speed2 > max(4.0, 0.1 * float(np.percentile(speed2, 95.0))))
@@ -203,7 +188,7 @@ def difference(mine: Channel, other: SourcePath, quantity: str, velocity: Array)
         known = fast
         lag_s = float(np.median(np.sum(apart * velocity, axis=1)[fast] / speed2[fast]))
     apart -= lag_s * np.nan_to_num(velocity)
-    reported = other.good | other.wander_m.any(axis=1)
+    reported = other.good | other.stepped_m.any(axis=1)
     apart[~reported] = np.nan
     off = np.full(time_ns.size, np.nan)
     for part in np.unique(other.part):  # heights above home have a new home in each

@@ -1,18 +1,16 @@
-"""What filter, autopilot and second attitudes say against a flight, as stretches of time."""
+"""What filter, autopilot and second attitudes say against a flight, as suspect stretches."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from pipeline.flight.channels import Array, Channel, TimeArray
-from pipeline.flight.suspicion.sources import POSITION, SECOND, Mask, beside, runs
+from pipeline.flight.evidence.stretches import ATTITUDE, POSITION, SECOND, Stretch, beside, runs
 from pipeline.flight.trajectory import interpolate
-
-ATTITUDE = "attitude"
 
 NOISE_TILT_DEG = 1.5
 """A difference of the verticals of two attitudes that is noise, whatever is usual [deg]."""
@@ -22,7 +20,7 @@ SETTLED_RATIO, SETTLED_S = 0.7, 3.0
 
 _GLITCH, _DEAD_RECKONING = 1 << 15, 1 << 18  # bits of filter_flags
 
-# What an autopilot says when its position or attitude is in doubt, and when no longer.
+# What an autopilot says when its position or attitude is suspect, and when no longer.
 _TROUBLE = re.compile(
     r"DCM active|dead.?reckon|GPS glitch|EKF[ _]variance|EKF failsafe|stopped aiding|lane switch"
     r"|primary changed|forced reset|emergency yaw|GPS (signal )?lost|EV GPS_PRIMARY_CHANGED"
@@ -37,47 +35,6 @@ _OVER = re.compile(
 )
 _MOMENTARY = re.compile(r"lane switch|primary|forced reset|emergency yaw", re.IGNORECASE)
 _OF_ATTITUDE = re.compile(r"DCM|lane|EKF.primary|forced|yaw", re.IGNORECASE)
-
-
-@dataclass(frozen=True, order=True)
-class Stretch:
-    """From ``begin_ns`` to ``end_ns`` a quantity is doubtful.
-
-    ``quantity`` is position, height or attitude; ``reason`` says why, in plain words; ``off_m`` is
-    how far off it may be [m], NaN where the evidence does not tell; ``instead`` is the channel that
-    stands in for the doubtful one, or empty.
-    """
-
-    begin_ns: int
-    end_ns: int
-    quantity: str
-    reason: str
-    off_m: float = np.nan
-    instead: str = ""
-
-    def covers(self, time_ns: TimeArray) -> Mask:
-        """Which instants lie in it."""
-        return np.asarray((time_ns >= self.begin_ns) & (time_ns <= self.end_ns))
-
-    @property
-    def when(self) -> str:
-        """From when to when, UTC."""
-        begin, end = (
-            np.datetime64(t, "ns").astype("datetime64[s]") for t in (self.begin_ns, self.end_ns)
-        )
-        return f"{begin} to {end} UTC"
-
-    def meets(self, other: Stretch) -> bool:
-        """Whether the two have a time in common."""
-        return self.begin_ns <= other.end_ns and other.begin_ns <= self.end_ns
-
-
-def covered(stretches: Sequence[Stretch], time_ns: TimeArray) -> Mask:
-    """Which instants lie in any of several stretches."""
-    inside = np.zeros(time_ns.shape, np.bool_)
-    for stretch in stretches:
-        inside |= stretch.covers(time_ns)
-    return inside
 
 
 def filter_evidence(channels: Sequence[Channel]) -> list[Stretch]:

@@ -1,0 +1,242 @@
+"""Suspect stretches of a flight by all evidence of its log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.flight.channels import Channel
+from pipeline.flight.evidence.filter_health import (
+    attitude_evidence,
+    filter_evidence,
+    message_evidence,
+)
+from pipeline.flight.evidence.quality import subset
+from pipeline.flight.evidence.replacement import (
+    BESIDE_S,
+    LONGEST_COAST_S,
+    LONGEST_REPLACED_S,
+    Sources,
+    drifted,
+    replacement_for,
+    with_replaced,
+)
+from pipeline.flight.evidence.sources import (
+    WORST_ACCURACY_M,
+    Difference,
+    SourcePath,
+    difference,
+    height_of_pressure,
+    is_receiver,
+    places_of,
+    source_path,
+    velocity_at,
+    with_places,
+)
+from pipeline.flight.evidence.stretches import (
+    ATTITUDE,
+    HEIGHT,
+    POSITION,
+    SECOND,
+    Stretch,
+    beside,
+    covered,
+    merged,
+    runs,
+)
+from pipeline.flight.mount import is_of_gimbal
+from pipeline.flight.roles import follows_height
+from pipeline.ledger import Entry, Notes, warning
+
+_FEWEST = 10  # samples of which a channel must have more to be compared
+
+
+def examine(
+    channels: Sequence[Channel], roles: Mapping[str, Channel]
+) -> tuple[dict[str, Channel], tuple[Stretch, ...], Notes]:
+    """What all evidence of a log says against the position, height and attitude of its roles.
+
+    Returns the roles, with the samples of a better source where there is one; the suspect
+    stretches, which name it; and notes on other sensors that are wrong.
+    """
+    receivers = [c for c in channels if is_receiver(c)]
+    evidence = [*filter_evidence(channels), *message_evidence(channels)] if receivers else []
+    attitude, result, notes = roles.get(ATTITUDE), dict(roles), list[Entry]()
+    found, turned = list[Stretch](), list[Stretch]()
+    of_vehicle = attitude is not None and not is_of_gimbal(attitude.source.message)
+    if attitude is not None and of_vehicle:
+        turned = [s for s in evidence if s.quantity == ATTITUDE]
+        turned += attitude_evidence(attitude, channels)
+    for quantity in (POSITION, HEIGHT):
+        mine = roles.get(quantity)
+        if mine is None or len(with_places(mine, quantity)) <= _FEWEST:
+            continue
+        sources = sources_of(quantity, mine, channels, roles)
+        steady = (roles.get(name) for name in (ATTITUDE, POSITION))
+        while_on = next((c for c in steady if c is not None and c.name != mine.name), mine)
+        suspect, drifts = contradictions_of(sources, while_on)
+        of_filter = quantity == POSITION and not is_receiver(mine)
+        if of_filter:
+            suspect += [s for s in evidence if s.quantity == POSITION]
+            # A filter whose vertical was wrong settles with its position.
+            ends = [[s.end_ns, *(d.end_ns for d in merged(suspect) if s.meets(d))] for s in turned]
+            turned = [replace(s, end_ns=max(end)) for s, end in zip(turned, ends, strict=True)]
+        elif quantity == HEIGHT and is_receiver(mine):
+            # A fix that has stepped away in position is wrong in height too.
+            path = source_path(mine, POSITION, [mine, *sorted(channels, key=is_receiver)])
+            away = [s for s in own_contradictions(path, POSITION) if np.isfinite(s.off_m)]
+            suspect += [replace(s, quantity=HEIGHT, off_m=np.nan) for s in away]
+            good = sources.own.good & ~covered(away, sources.own.channel.time_ns)
+            sources = replace(sources, own=replace(sources.own, good=good))
+        for drift in merged(drifts):
+            pressure = result["pressure"]
+            result["pressure"] = subset(pressure, ~drift.covers(pressure.time_ns))
+            what = f"{drift.reason}: its pressure is not used from {drift.when}"
+            notes.append(warning("BARO-DRIFT", what, where=pressure.name))
+        for stretch in merged(suspect):
+            replacement = replacement_for(sources, stretch)
+            if replacement is not None:
+                better, offsets = replacement
+                if of_filter and of_vehicle:
+                    turned += drifted(sources.own, better, stretch)
+                stretch = replace(stretch, replaced_by=better.other.channel.name)
+                result[quantity] = with_replaced(
+                    result[quantity], better, stretch, quantity, offsets
+                )
+            found.append(stretch)
+    return result, tuple(sorted([*found, *merged(turned)])), tuple(notes)
+
+
+def sources_of(
+    quantity: str, mine: Channel, channels: Sequence[Channel], roles: Mapping[str, Channel]
+) -> Sources:
+    """Compare the source of a quantity with all others, receivers first; heights with barometers.
+
+    The height of a barometer is that of the flight's own relation of pressure and height.
+    """
+    moving = sorted(channels, key=is_receiver)  # a filter's velocity is smoother than a receiver's
+    others = [
+        c
+        for c in sorted(channels, key=lambda c: (not is_receiver(c), c.rank))
+        if c.name != mine.name and POSITION in c.roles
+        and len(with_places(c, quantity)) > _FEWEST
+    ]  # fmt: skip
+    pressure, barometers = roles.get("pressure"), list[Channel]()
+    if pressure is not None and quantity == HEIGHT:
+        barometers = [pressure] + [
+            c
+            for c in channels
+            if "pressure" in c.roles and c.name != pressure.name and follows_height(c, mine)
+        ]
+        heights = (height_of_pressure(c, mine) for c in barometers)
+        others += [h for h in heights if h is not None]
+    differences = []
+    for other in others:
+        track = source_path(other, quantity, [other, *moving])
+        velocity = velocity_at([mine, *moving], quantity, track.channel.time_ns)
+        differences.append(difference(mine, track, quantity, velocity))
+    own = source_path(mine, quantity, [mine, *moving])
+    return Sources(quantity, own, tuple(differences), tuple(c.name for c in barometers))
+
+
+def contradictions_of(sources: Sources, while_on: Channel) -> tuple[list[Stretch], list[Stretch]]:
+    """Where a source contradicts itself or the others, and where only the barometer is wrong.
+
+    ``while_on`` is a channel that goes on where a receiver has no fix.
+    """
+    own, name, quantity = sources.own, sources.own.channel.name, sources.quantity
+    found, drifts = own_contradictions(own, quantity), list[Stretch]()
+    receivers = [d.other for d in sources.differences if is_receiver(d.other.channel)]
+    if is_receiver(own.channel):
+        found += silences(own.channel, while_on, quantity)
+    elif receivers:
+        # A filter that was led away leaves the receiver's path less its steps. One that steps back
+        # to it was wrong before the step, which its own path does not tell.
+        found = own_contradictions(receivers[0], quantity) if len(receivers) == 1 else []
+        found = [s for s in found if not np.isfinite(s.off_m)]
+        quiet = [silences(r.channel, own.channel, quantity) for r in receivers]
+        found += [s for s in quiet[0] if all(any(map(s.meets, more)) for more in quiet[1:])]
+    for d in sources.differences:
+        other, time_ns = d.other, d.other.channel.time_ns
+        for a, b in d.apart:
+            off_m = float(np.nanmax(d.off_m[a : b + 1]))
+            reason = f"{name} and {other.channel.name} are {off_m:.0f} m apart"
+            if other.stepped_m[a : b + 1].any():
+                reason = f"{other.channel.name} steps at {other.fastest_m_s:.0f} m/s; {reason}"
+            stretch = Stretch(*beside(time_ns, a, b), quantity, reason, off_m)
+            of_receiver = is_receiver(own.channel) and not is_receiver(other.channel)
+            if quantity == HEIGHT and of_receiver and receiver_is_right(sources, d, a, b):
+                # A filter's height follows the barometer: it says nothing of its own.
+                if other.channel.name in sources.barometers[:1]:
+                    drifts.append(stretch)
+            else:
+                found.append(stretch)
+    return found, drifts
+
+
+def own_contradictions(track: SourcePath, quantity: str) -> list[Stretch]:
+    """Where a source has stepped away from itself, or reports a poor accuracy."""
+    time_ns, name, found = track.channel.time_ns, track.channel.name, []
+    away = np.linalg.norm(track.stepped_m, axis=1)
+    for a, b in runs(time_ns, away > 0.0, away > 0.0):
+        off_m = float(away[a : b + 1].max())
+        reason = f"{name} steps by {off_m:.0f} m at {track.fastest_m_s:.0f} m/s"
+        found.append(Stretch(*beside(time_ns, a, b), quantity, reason, off_m))
+    for time in track.lasting_ns.tolist():
+        reason = f"{name} steps at {track.fastest_m_s:.0f} m/s and does not return"
+        wide = LONGEST_REPLACED_S // 2 * SECOND
+        found.append(Stretch(int(time - wide), int(time + wide), quantity, reason))
+    poor = ~track.good & (away == 0.0)
+    for a, b in runs(time_ns, poor, poor):
+        reason = f"{name} reports an accuracy worse than {WORST_ACCURACY_M:g} m"
+        found.append(Stretch(*beside(time_ns, a, b), quantity, reason))
+    return found
+
+
+def silences(channel: Channel, while_on: Channel, quantity: str) -> list[Stretch]:
+    """When a receiver gives nothing though another channel goes on: it has no fix."""
+    limit_ns = max(LONGEST_COAST_S, 5.0 / max(channel.rate_hz, 1e-3)) * SECOND
+    edges = np.concatenate([while_on.time_ns[:1], channel.time_ns, while_on.time_ns[-1:]])
+    found = []
+    for k in np.flatnonzero(np.diff(edges) > limit_ns):
+        begin, end = int(edges[k]), int(edges[k + 1])
+        rows = int(np.diff(np.searchsorted(while_on.time_ns, [begin, end]))[0])
+        if rows > 0.8 * while_on.rate_hz * (end - begin) / SECOND:
+            reason = f"{channel.name} has no fix for {(end - begin) / SECOND:.0f} s"
+            found.append(Stretch(begin + SECOND // 2, end, quantity, reason))
+    return found
+
+
+def receiver_is_right(sources: Sources, d: Difference, a: int, b: int) -> bool:
+    """Whether a receiver's height is confirmed where a barometer, or a filter by it, departs.
+
+    By its own vertical velocity from 10 s before to the greatest difference, or by a source that
+    does not depend on that barometer and agrees all the time. ``a`` and ``b`` are rows of the other
+    source of ``d``.
+    """
+    own, time_ns = sources.own, d.other.channel.time_ns
+    worst = a + int(np.nanargmax(d.off_m[a : b + 1]))
+    mine = own.channel
+    rows = np.flatnonzero(
+        (mine.time_ns >= time_ns[a] - BESIDE_S * SECOND) & (mine.time_ns <= time_ns[b])
+    )
+    if rows.size < 2 or own.stepped_m[rows].any():
+        return False
+    rows = rows[mine.time_ns[rows] <= time_ns[worst]]
+    climb = velocity_at([mine], HEIGHT, mine.time_ns[rows])[:, 0]
+    if rows.size > 1 and np.isfinite(climb).all():
+        dt = np.diff(mine.time_ns[rows]) * 1e-9
+        h, _ = places_of(mine, HEIGHT)
+        climbed = float(np.sum(0.5 * (climb[1:] + climb[:-1]) * dt))
+        return abs(climbed - float(h[rows[-1], 0] - h[rows[0], 0])) < 0.5 * float(d.off_m[worst])
+    for free in sources.differences:
+        stamps = free.other.channel.time_ns
+        inside = (stamps >= time_ns[a]) & (stamps <= time_ns[b])
+        name = free.other.channel.name
+        independent = is_receiver(free.other.channel) or name in sources.barometers[1:]
+        agrees = inside.any() and bool((free.off_m[inside] < free.limit_m).all())
+        if independent and name != d.other.channel.name and agrees:
+            return True
+    return False
