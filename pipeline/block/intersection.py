@@ -4,10 +4,9 @@ How to use it::
 
     stations = orientations_of(stations_of_the_flight)         # or Orientations(...) directly
     rays = ImageRays(image, point, direction, sigma_rad)            # straight, corrected rays
-    chosen = choose_tie_points(stations, rays)                 # up to 2,000 points, well spread
-    found = intersect(stations, rays.of_points(chosen))
+    found = intersect(stations, rays)
     found.log_likelihood, found.by_image.chi_square, found.by_camera.rotation_rad
-    other = intersect(stations.assigned(event_of_image), rays.of_points(chosen))   # a hypothesis
+    other = intersect(stations.assigned(event_of_image), rays)   # a hypothesis
     found.log_likelihood - other.log_likelihood                # its likelihood ratio
 
 There is no bundle adjustment: stations stay, points are intersected by least squares.
@@ -29,111 +28,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
-from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from pipeline.flight.stations import Stations
-from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef
+from pipeline.block.image_rays import (
+    MINIMUM_ANGLE_RAD,
+    ImageRays,
+    Orientations,
+    SortedRays,
+    sorted_rays,
+)
+from pipeline.geodesy import enu_from_ecef, geodetic_of_ecef
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-MINIMUM_ANGLE_RAD = float(np.radians(3.0))
-"""Least angle between two rays of a point that is used."""
-
-UNKNOWN_SIGMAS = (3.0, 3.0, 6.0, np.radians(1.0), np.radians(1.0), np.radians(3.0))
-"""East, north, up [m], tilts and yaw [rad] of a station that does not say: judgement."""
-
 # A bad tie point is anywhere within half a radian, and one in fifty is bad.
 _LOG_BAD, _WIDTH_OF_BAD_RAD = np.log(0.02), 0.5
 _ROUNDS = 4  # of finding bad ones
-
-
-@dataclass(frozen=True, eq=False)
-class Orientations:
-    """Exterior orientation of images; (s,) arrays, NaN centres where there is none.
-
-    ``centre_m`` (s, 3) earth-centred (WGS84); ``camera_from_ecef`` and ``enu_from_ecef``
-    (s, 3, 3); ``sigma`` (s, 6) of east, north, up [m] and of rotations about these axes [rad].
-    """
-
-    camera: NDArray[np.object_]
-    centre_m: Array
-    camera_from_ecef: Array
-    enu_from_ecef: Array
-    sigma: Array
-
-    def assigned(self, row: Indices) -> Orientations:
-        """Orientations of images (k,), each that of a row, or none for -1: a hypothesis."""
-        centre = np.where(row[:, None] >= 0, self.centre_m[row], np.nan)
-        return Orientations(
-            self.camera[row], centre, self.camera_from_ecef[row], self.enu_from_ecef[row],
-            self.sigma[row],
-        )  # fmt: skip
-
-    def turned(self, rotation: Array, camera: str) -> Orientations:
-        """With one camera turned by a rotation vector [rad] in its own frame (mount angles)."""
-        turn = Rotation.from_rotvec(rotation).as_matrix()
-        own = (self.camera == camera)[:, None, None]
-        return replace(
-            self,
-            camera_from_ecef=np.where(own, turn @ self.camera_from_ecef, self.camera_from_ecef),
-        )
-
-
-def orientations_of(
-    stations: Stations, unknown_sigmas: tuple[float, ...] = UNKNOWN_SIGMAS
-) -> Orientations:
-    """Orientations of stations; a sigma that is not stated is ``unknown_sigmas``'.
-
-    What is not ok is NaN. Heights of which only that above mean sea level is known count from
-    there: rays meet as well.
-    """
-    lat, lon, h = stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m
-    centre = ecef_of_geodetic(lat, lon, np.where(np.isfinite(h), h, stations.h_msl_m))
-    axes = enu_from_ecef(lat, lon)
-    usable = stations.ok & np.all(np.isfinite(stations.quaternion), axis=1)
-    q = np.where(usable[:, None], stations.quaternion, [1.0, 0.0, 0.0, 0.0])
-    tilt, horizontal = stations.sigma_tilt_rad, stations.sigma_horizontal_m
-    sigma = np.stack(
-        [horizontal, horizontal, stations.sigma_height_m, tilt, tilt, stations.sigma_yaw_rad],
-        axis=1,
-    )
-    return Orientations(
-        camera=stations.camera,
-        centre_m=np.where(usable[:, None], centre, np.nan),
-        camera_from_ecef=Rotation.from_quat(q[:, [1, 2, 3, 0]]).as_matrix() @ axes,
-        enu_from_ecef=axes,
-        sigma=np.where(np.isfinite(sigma), sigma, unknown_sigmas),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class ImageRays:
-    """Straight rays (r,): row of the image, number of the point, direction in the camera.
-
-    ``direction`` (r, 3) with the camera's x right, y down, z forward, unit length;
-    ``sigma_rad`` (r,) or one: the pixel's, across the ray. ``height_m`` (r,) given height of the
-    point above the ellipsoid, NaN where unknown, with ``sigma_height_m``.
-    """
-
-    image: Indices
-    point: Indices
-    direction: Array
-    sigma_rad: float | Array
-    height_m: Array | None = None
-    sigma_height_m: float = 1.0
-
-    def of_points(self, points: Indices) -> ImageRays:
-        """The rays of some points."""
-        keep = np.isin(self.point, points)
-        sigma = np.broadcast_to(self.sigma_rad, keep.shape)[keep]
-        height = None if self.height_m is None else self.height_m[keep]
-        return ImageRays(
-            self.image[keep], self.point[keep], self.direction[keep], sigma, height,
-            self.sigma_height_m,
-        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,18 +115,6 @@ class Intersection:
             np.sum(step**2, axis=1) + np.asarray(by_stations.multiply(by_stations).sum(1))[:, 0]
         )
         return np.where(self.used, np.sqrt(variance), np.nan)
-
-    @cached_property
-    def expected_rad(self) -> Array:
-        """(r, 2) what the sigmas predict for the residuals: each over this has a sigma of 1."""
-        system = self.system
-        of_points = np.asarray(system.Y.multiply(system.Y).sum(1))[:, 0]
-        W = system.J - system.Y @ system.Z
-        of_stations = np.asarray(W.multiply(W).sum(1))[:, 0]
-        rows = (1.0 - of_points + of_stations)[: 2 * system.order.size].reshape(-1, 2)
-        expected = np.empty(rows.shape)
-        expected[system.order] = np.sqrt(np.maximum(rows, 0.0)) * system.sigma[:, None]
-        return np.where(np.isfinite(self.residual_rad), expected, np.nan)
 
     @cached_property
     def by_image(self) -> ResidualGroups:
@@ -303,126 +203,33 @@ def _blocks(values: Array, column: Indices, columns: int) -> sparse.csr_matrix:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _SortedRays:
-    """Rays sorted by their points: (r, ...) arrays of what does not change while points move."""
-
-    order: Indices
-    image: Indices
-    index: Indices  # which point
-    start: Indices  # (p,) the first ray of each point
-    sigma: Array
-    oriented: Mask
-    centre: Array  # (r, 3) from `origin`
-    direction: Array  # (r, 3) earth-centred
-    across: Array  # (r, 2, 3) unit vectors along the image's x and y, across the ray
-    origin: Array
-    height: Array  # (p,) given, NaN where unknown
-    sigma_height: float
-
-    def sums(self, values: NDArray[Any]) -> NDArray[Any]:
-        """(p, ...) sums over the rays of each point."""
-        return np.asarray(np.add.reduceat(values, self.start, axis=0))
-
-    def positions(self, good: Mask) -> Array:
-        """(p, 3) points by least squares of the angles across their good rays."""
-        distance = np.ones(self.sigma.shape)
-        square = np.swapaxes(self.across, 1, 2) @ self.across
-        for _ in range(3):
-            weight = np.where(good, (self.sigma * distance) ** -2.0, 0.0)
-            normal = self.sums(weight[:, None, None] * square)
-            size = np.trace(normal, axis1=1, axis2=2) + (self.sums(good * 1.0) < 2)
-            normal += 1e-12 * size[:, None, None] * np.eye(3)
-            right = self.sums(weight[:, None] * np.einsum("rij,rj->ri", square, self.centre))
-            position = np.linalg.solve(normal, right[..., None])[..., 0]
-            distance = np.linalg.norm(position[self.index] - self.centre, axis=1) + 1e-3
-        return np.asarray(position, np.float64)
-
-    def angles(self, good: Mask) -> Array:
-        """(p,) largest angle [rad] between two good rays, by going twice to the farthest."""
-        reference = self.direction[self.start[self.index]]
-        for _ in range(2):
-            cosine = np.where(good, np.sum(reference * self.direction, axis=1), 2.0)
-            least = np.minimum.reduceat(cosine, self.start)
-            farthest = np.flatnonzero(cosine == least[self.index])
-            ray = farthest[np.searchsorted(self.index[farthest], np.arange(self.start.size))]
-            reference = self.direction[ray][self.index]
-        return np.where(least < 2.0, np.arccos(np.clip(least, -1.0, 1.0)), 0.0)
-
-    def linearised(self, o: Orientations, position: Array, good: Mask) -> _System:
-        """The system at some positions, of the good self."""
-        points = self.start.size
-        line = position[self.index] - self.centre
-        distance = np.linalg.norm(line, axis=1) + 1e-3
-        u = line / distance[:, None]
-        # A rotation is linear up to the square of its angle, which is added to the pixel's sigma.
-        enu, angles = o.enu_from_ecef[self.image], o.sigma[self.image, 3:] ** 2
-        along = np.einsum("rij,rj->ri", enu, u) ** 2
-        curved = np.sqrt(
-            np.sum(angles * along, axis=1) * np.sum(angles * (1.0 - along), axis=1) / 8.0
-        )
-        sigma = np.hypot(self.sigma, curved)
-        weight = np.where(good, 1.0 / sigma, 0.0)[:, None, None]
-        A = weight * self.across / distance[:, None, None]
-        turned = -np.cross(self.across, u[:, None, :])  # across @ [u]x
-        J = np.concatenate([-A, weight * turned], axis=2)
-        to_enu = np.swapaxes(enu, 1, 2)
-        J = np.concatenate([J[..., :3] @ to_enu, J[..., 3:] @ to_enu], axis=2)
-        J *= o.sigma[self.image, None, :]
-        y = -np.einsum("rij,rj->ri", weight * self.across, u).ravel()
-        lat, lon, h = geodetic_of_ecef(*(position + self.origin).T)
-        known = np.isfinite(self.height) & (self.sums(good * 1) >= 2)
-        up = np.where(known[:, None], enu_from_ecef(lat, lon)[:, 2] / self.sigma_height, 0.0)
-        above = np.where(known, (self.height - h) / self.sigma_height, 0.0)
-        normal = self.sums(np.swapaxes(A, 1, 2) @ A) + up[:, :, None] * up[:, None, :]
-        trace = np.trace(normal, axis1=1, axis2=2)
-        normal += (1e-12 * trace + (trace == 0.0))[:, None, None] * np.eye(3)
-        half_inverse = np.linalg.inv(np.linalg.cholesky(normal))
-        half = np.swapaxes(half_inverse, 1, 2)
-        Y = sparse.vstack(
-            [_blocks(A @ half[self.index], self.index, points),
-             _blocks(up[:, None, :] @ half, np.arange(points), points)], format="csr",
-        )  # fmt: skip
-        J_rays = _blocks(J, self.image, o.camera.size)
-        J_all = sparse.vstack([J_rays, sparse.csr_matrix((points, J_rays.shape[1]))], format="csr")
-        y = np.append(y, above)
-        Z = (Y.T @ J_all).tocsr()
-        M = (J_all.T @ J_all - Z.T @ Z).tocsr()
-        residual = y - Y @ (Y.T @ y)
-        factor = splu((sparse.identity(M.shape[0]) + M).tocsc(), permc_spec="MMD_AT_PLUS_A",
-                      diag_pivot_thresh=0.0, options={"SymmetricMode": True})  # fmt: skip
-        errors = factor.solve(J_all.T @ residual)
-        return _System(
-            self.order, self.image, sigma, half_inverse, Y, J_all, Z, M, residual, factor, errors
-        )
-
-
-def _sorted(o: Orientations, rays: ImageRays) -> _SortedRays:
-    order = np.lexsort((rays.image, rays.point))
-    image, d = rays.image[order], np.nan_to_num(rays.direction[order])
-    oriented = np.all(np.isfinite(o.centre_m[image]), axis=1) & np.any(d != 0.0, axis=1)
-    _, start, index = np.unique(rays.point[order], return_index=True, return_inverse=True)
-    x = np.array([1.0, 0.0, 0.0]) - d[:, :1] * d
-    x /= np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-9)
-    rotation = o.camera_from_ecef[image]
-    origin = o.centre_m[image][oriented].mean(axis=0) if np.any(oriented) else np.zeros(3)
-    height = np.full(start.size, np.nan)
-    if rays.height_m is not None:
-        height = rays.height_m[order][start]
-    return _SortedRays(
-        order=order,
-        image=image,
-        index=index,
-        start=start,
-        sigma=np.broadcast_to(rays.sigma_rad, image.shape)[order].astype(np.float64),
-        oriented=oriented,
-        centre=np.where(oriented[:, None], o.centre_m[image] - origin, 0.0),
-        direction=np.einsum("rji,rj->ri", rotation, d),
-        across=np.stack([x, np.cross(d, x)], axis=1) @ rotation,
-        origin=origin,
-        height=height,
-        sigma_height=rays.sigma_height_m,
-    )
+def _linearised(r: SortedRays, o: Orientations, position: Array, good: Mask) -> _System:
+    """The system at some positions, of the good rays."""
+    points = r.start.size
+    sigma, A, J, y = r.derivatives(o, position, good)
+    lat, lon, h = geodetic_of_ecef(*(position + r.origin).T)
+    known = np.isfinite(r.height) & (r.sums(good * 1) >= 2)
+    up = np.where(known[:, None], enu_from_ecef(lat, lon)[:, 2] / r.sigma_height, 0.0)
+    above = np.where(known, (r.height - h) / r.sigma_height, 0.0)
+    normal = r.sums(np.swapaxes(A, 1, 2) @ A) + up[:, :, None] * up[:, None, :]
+    trace = np.trace(normal, axis1=1, axis2=2)
+    normal += (1e-12 * trace + (trace == 0.0))[:, None, None] * np.eye(3)
+    half_inverse = np.linalg.inv(np.linalg.cholesky(normal))
+    half = np.swapaxes(half_inverse, 1, 2)
+    Y = sparse.vstack(
+        [_blocks(A @ half[r.index], r.index, points),
+         _blocks(up[:, None, :] @ half, np.arange(points), points)], format="csr",
+    )  # fmt: skip
+    J_rays = _blocks(J, r.image, o.camera.size)
+    J_all = sparse.vstack([J_rays, sparse.csr_matrix((points, J_rays.shape[1]))], format="csr")
+    y = np.append(y.ravel(), above)
+    Z = (Y.T @ J_all).tocsr()
+    M = (J_all.T @ J_all - Z.T @ Z).tocsr()
+    residual = y - Y @ (Y.T @ y)
+    factor = splu((sparse.identity(M.shape[0]) + M).tocsc(), permc_spec="MMD_AT_PLUS_A",
+                  diag_pivot_thresh=0.0, options={"SymmetricMode": True})  # fmt: skip
+    errors = factor.solve(J_all.T @ residual)
+    return _System(r.order, r.image, sigma, half_inverse, Y, J_all, Z, M, residual, factor, errors)
 
 
 def intersect(
@@ -437,7 +244,7 @@ def intersect(
     attitude is not known to a degree, the square of its sigma is added to the pixel's.
     """
     o = orientations
-    r = _sorted(o, rays)
+    r = sorted_rays(o, rays)
     given = r.sums(np.ones(r.sigma.size, np.int64))
     bad, contradictions = np.zeros(r.sigma.shape, np.bool_), 0
     for last in range(_ROUNDS - 1, -1, -1):
@@ -449,7 +256,7 @@ def intersect(
             r.sums(good & (np.sum(line * r.direction, axis=1) <= 0.0)) == 0
         )
         good &= meet[r.index] & (r.sums(good * 1) >= 2)[r.index]
-        system = r.linearised(o, position, good)
+        system = _linearised(r, o, position, good)
         count = r.sums(good * 1)
         e = system.residual - system.J @ system.errors + system.Y @ (system.Z @ system.errors)
         e_rays = e[: 2 * r.sigma.size].reshape(-1, 2)
@@ -492,36 +299,3 @@ def intersect(
         log_likelihood=float(log_likelihood),
         system=system,
     )
-
-
-def choose_tie_points(
-    orientations: Orientations,
-    rays: ImageRays,
-    *,
-    most: int = 2000,
-    minimum_angle_rad: float = 1.5 * MINIMUM_ANGLE_RAD,
-) -> Indices:
-    """Numbers of up to ``most`` points that cover all images, seen under angles large enough.
-
-    Each image is cut into cells, about one for each ray that is wanted of it; points of the widest
-    angle in a cell come first, then the second ones of all cells, and so on.
-    """
-    r = _sorted(orientations, rays)
-    points = np.unique(rays.point)
-    if points.size == 0:
-        return points
-    angle = r.angles(r.oriented)
-    angle[angle < minimum_angle_rad] = 0.0
-    images = max(1, np.unique(rays.image).size)
-    cells = int(np.clip(np.sqrt(2.0 * most / images), 1, 8))
-    d = rays.direction[r.order, :2]
-    low, high = np.nanmin(d, axis=0), np.nanmax(d, axis=0)
-    place = np.floor(np.nan_to_num((d - low) / np.maximum(high - low, 1e-9)) * 0.999 * cells)
-    cell = ((r.image * cells + place[:, 0]) * cells + place[:, 1]).astype(np.int64)
-    by_cell = np.lexsort((-angle[r.index], cell))
-    first = np.append(True, np.diff(cell[by_cell]) > 0)
-    rank = np.empty(cell.size, np.int64)
-    rank[by_cell] = np.arange(cell.size) - np.flatnonzero(first)[np.cumsum(first) - 1]
-    best_rank = np.minimum.reduceat(rank, r.start)
-    chosen = np.lexsort((-angle, best_rank))
-    return np.sort(points[chosen[angle[chosen] > 0.0][:most]])

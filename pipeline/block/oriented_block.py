@@ -39,6 +39,9 @@ USUAL_FIT_RESIDUAL, USUAL_FIT_SIGMAS = 0.003, 5.0
 FIT_OUTLIER = 4.0
 """A known position that the others predict worse than by this many times their residuals."""
 
+SIGMAS_OF_BLOCK = (0.3, 0.3, 0.5, *np.radians([0.02, 0.02, 0.05]))
+"""East, north, up [m], tilts and yaw [rad] of adjusted stations without sigmas: judgement."""
+
 FAR_M, FAR_FACTOR = 10_000.0, 20.0
 """An image beyond both, the latter in median distances from the middle, is elsewhere."""
 

@@ -128,14 +128,15 @@ class GroundColumn(Section):
     column: str
 
 
-GroundHeight = float | GroundColumn | Literal["from_distance"]
+GroundHeight = float | GroundColumn | Literal["from_distance", "intersected"]
 
 
 class GroundSection(Section):
     """Heights of the observed points. There is no default."""
 
     height: GroundHeight = Field(
-        description="metres, or {column: NAME}, or from_distance: where the slant range ends"
+        description="metres, or {column: NAME}, or from_distance: where the slant range ends, or "
+        "intersected: where the rays of the point meet, with the stations as they are"
     )
     reference: Literal["msl", "ellipsoid", "relative"] = Field(
         description="above mean sea level, above the ellipsoid, or above the take-off point"
@@ -171,8 +172,8 @@ class GroundSection(Section):
     @model_validator(mode="before")
     @classmethod
     def _default_reference(cls, values: Any) -> Any:
-        """Heights from distances follow from the camera's own, which is above mean sea level."""
-        if isinstance(values, dict) and values.get("height") == "from_distance":
+        """Heights that follow from the camera's own are above mean sea level."""
+        if isinstance(values, dict) and values.get("height") in ("from_distance", "intersected"):
             return {"reference": "msl"} | values
         return values
 
@@ -187,11 +188,15 @@ class GroundSection(Section):
     def _check_combinations(self) -> GroundSection:
         if self.sigma_m is not None and self.sigma_column is not None:
             raise ValueError("give either sigma_m or sigma_column")
-        if self.from_distance and (self.reference != "msl" or self.home_h_msl_m is not None):
+        of_camera = self.height in ("from_distance", "intersected")
+        if of_camera and (self.reference != "msl" or self.home_h_msl_m is not None):
             raise ValueError(
-                "height: from_distance gives heights above mean sea level; leave reference and "
+                f"height: {self.height} gives heights above mean sea level; leave reference and "
                 "home_h_msl_m out"
             )
+        if self.height == "intersected" and (self.sigma_m is not None or self.sigma_column):
+            raise ValueError("height: intersected has sigmas of its own; leave sigma_m and "
+                             "sigma_column out")  # fmt: skip
         return self
 
 

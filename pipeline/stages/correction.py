@@ -60,17 +60,21 @@ class Ground:
 
     ``offset_m`` (s,) is added per station: minus the undulation for ellipsoidal heights, the
     take-off height for relative ones. ``from_distance`` where they follow from the slant ranges.
-    ``sigma_m`` is the standard deviation that all of them share, where there is one.
+    ``sigma_m`` is the standard deviation that all of them share, where there is one. ``of_rows``
+    (2, rows) are heights and sigmas of all rows of the table, where they were computed.
     """
 
     constant_m: float | None
     offset_m: Array
     from_distance: bool = False
     sigma_m: float | None = None
+    of_rows: Array | None = None
 
     def heights(self, batch: Batch, station: Rows) -> Array:
         """(n,) heights above sea level [m] of the points of a batch; NaN where implausible."""
-        if batch.ground is not None:
+        if self.of_rows is not None:
+            given = np.array(self.of_rows[0, batch.first_row : batch.first_row + len(batch)])
+        elif batch.ground is not None:
             given = batch.ground
         else:
             given = np.full(len(batch), self.constant_m, dtype=np.float64)
@@ -87,6 +91,8 @@ class Ground:
 
     def sigmas(self, batch: Batch) -> Array:
         """(n,) standard deviations of the heights [m], NaN where unknown."""
+        if self.of_rows is not None:
+            return np.array(self.of_rows[1, batch.first_row : batch.first_row + len(batch)])
         if batch.ground_sigma is not None:
             return batch.ground_sigma
         return np.full(len(batch), np.nan if self.sigma_m is None else self.sigma_m)

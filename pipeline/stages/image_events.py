@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from pipeline.batch.plan import Plan
 from pipeline.block.alignment import LOG_RATIO_NEEDED
 from pipeline.block.assignment import Assignment, CameraEvents, ImageEvidence, assign
-from pipeline.block.intersection import intersect, orientations_of
+from pipeline.block.image_rays import orientations_of
+from pipeline.block.intersection import intersect
 from pipeline.config.event_sources import EventsSection, FirstImage
 from pipeline.errors import InputError, MissionError
 from pipeline.flight.exposures import Events, refuse_repeated_images

@@ -8,15 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.batch.plan import Plan
-from pipeline.block.intersection import (
-    MINIMUM_ANGLE_RAD,
-    ImageRays,
-    Intersection,
-    intersect,
-    orientations_of,
-)
+from pipeline.block.image_rays import MINIMUM_ANGLE_RAD, ImageRays, orientations_of
+from pipeline.block.intersection import Intersection, intersect
 from pipeline.block.oriented_block import (
     ECEF,
+    SIGMAS_OF_BLOCK,
     CartesianFrame,
     OrientedImages,
     fitted_frame,
@@ -59,9 +55,6 @@ _FAR_MORE_LIKELY = np.log(1000.0)
 _GOOD_FACTOR, _POOR_FACTOR = 2.0, 5.0
 """Residuals over those of an adjusted block: what another reading may have, and what is told."""
 
-_SIGMAS_OF_BLOCK = (0.3, 0.3, 0.5, *np.radians([0.02, 0.02, 0.05]))
-"""East, north, up [m], tilts and yaw [rad] of adjusted stations without sigmas: judgement."""
-
 _GROUND_SIGMAS, _GROUND_SHARE = 5.0, 0.01
 """How far intersected heights may be from given ones: sigmas, and part of the flying height."""
 
@@ -100,14 +93,14 @@ def oriented_stations(
     first = np.unique(rays.point, return_index=True)[1]
     given = np.full(first.size, np.nan) if rays.height_m is None else rays.height_m[first]
     rays = replace(rays, height_m=None)
-    stated = intersect(orientations_of(stations, _SIGMAS_OF_BLOCK), rays)
+    stated = intersect(orientations_of(stations, SIGMAS_OF_BLOCK), rays)
     found = {"as stated": stated}
     for what, changed in other_readings(section, table).items():
         with suppress(MissionError):
             other = stations_of_table(
                 plan, flight, section, changed, exposed=exposed, ledger=Ledger()
             )
-            found[what] = intersect(orientations_of(other, _SIGMAS_OF_BLOCK), rays)
+            found[what] = intersect(orientations_of(other, SIGMAS_OF_BLOCK), rays)
     likely = max(found, key=lambda what: found[what].log_likelihood)
     better = found[likely].log_likelihood - stated.log_likelihood
     if better > _FAR_MORE_LIKELY and found[likely].sigma_factor < _GOOD_FACTOR:

@@ -27,6 +27,8 @@ from pipeline.batch.store import (
     read_manifest,
     storage_errors,
 )
+from pipeline.block.image_rays import UNKNOWN_SIGMAS
+from pipeline.block.oriented_block import SIGMAS_OF_BLOCK
 from pipeline.config import load_mission
 from pipeline.errors import ConfigError, StorageError
 from pipeline.flight.air_samples import air_samples
@@ -47,6 +49,7 @@ from pipeline.stages.exposure_setup import (
 )
 from pipeline.stages.finished_run import rebuild_run, refuse_output
 from pipeline.stages.inputs import FlightLog, read_log, read_observations
+from pipeline.stages.intersected_heights import with_intersected_heights
 from pipeline.stages.outputs import manifest_of, observation_metadata, write_tables
 from pipeline.stages.stations import stations_of_mission
 from pipeline.stages.uncertainty import report_unknown_sigmas, scale_of_block
@@ -130,9 +133,16 @@ def run_mission(
         stations = with_cabin_air(stations, windows, lenses, air.series, ledger)
         exposures = exposures_of_mission(mission, stations, air.series, ledger)
         report_unknown_sigmas(mission, stations, air.series, ledger)
+        setup = correction_setup(mission, stations, air.series, exposures, flight.heights)
+        if mission.ground.height == "intersected":
+            oriented = mission.stations.orientation is not None
+            setup = with_intersected_heights(
+                prepared.observations, setup, stations, ledger,
+                unknown_sigmas=SIGMAS_OF_BLOCK if oriented else UNKNOWN_SIGMAS,
+            )  # fmt: skip
         statistics = correct_stream(
             prepared.observations,
-            correction_setup(mission, stations, air.series, exposures, flight.heights),
+            setup,
             folder,
             batch_rows=mission.output.batch_rows,
             metadata=observation_metadata(mission),

@@ -41,7 +41,8 @@ class Batch:
     ``x_px``, ``y_px`` are COLMAP's; ``x_given_px``, ``y_given_px`` the numbers of the table.
     ``distance_m`` are slant ranges, NaN where there is none; ``no_distance`` counts those that are
     none: zero, negative, infinite or no number. ``ground_sigma`` and ``no_sigma`` likewise for
-    standard deviations of ground heights, of which zero is one.
+    standard deviations of ground heights, of which zero is one. ``first_row`` is the place of its
+    first row in the table.
     """
 
     image: pa.StringArray
@@ -56,6 +57,7 @@ class Batch:
     no_distance: int = 0
     ground_sigma: Array | None = None
     no_sigma: int = 0
+    first_row: int = 0
 
     def __len__(self) -> int:
         return len(self.image)
@@ -83,7 +85,7 @@ class Observations:
 
     def batches(self, batch_rows: int) -> Iterator[Batch]:
         """The observations in slices of ``batch_rows``, each row once and in its place."""
-        records = _record_batches(self.path, self._csv_types, batch_rows)
+        records, first_row = _record_batches(self.path, self._csv_types, batch_rows), 0
         for table in _slices(records, batch_rows):
             arrays = {name: _one_array(table[name]) for name in table.column_names}
             x, y = _as_float(arrays[self.columns["x_px"]]), _as_float(arrays[self.columns["y_px"]])
@@ -105,7 +107,9 @@ class Observations:
                 no_distance=no_distance,
                 ground_sigma=sigma,
                 no_sigma=no_sigma,
+                first_row=first_row,
             )
+            first_row += table.num_rows
 
 
 def open_observations(

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from pipeline.block.intersection import ImageRays
+from pipeline.block.image_rays import ImageRays
 from pipeline.refraction.camera.camera import Camera
 from pipeline.tables.observations import Observations
 

@@ -7,7 +7,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from pipeline.block.intersection import ImageRays, intersect, orientations_of
+from pipeline.block.image_rays import ImageRays, orientations_of
+from pipeline.block.intersection import intersect
 from pipeline.refraction.camera.brown_conrady import BrownConrady
 from pipeline.refraction.camera.camera import Camera
 

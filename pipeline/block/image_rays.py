@@ -1,0 +1,215 @@
+"""Rays of image points, sorted by their points: what does not change while points move.
+
+Exterior orientations of images and the straight rays that they measured become positions of the
+points (least squares of the angles across the rays), and derivatives of what the rays miss them by.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pipeline.flight.stations import Stations
+from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+MINIMUM_ANGLE_RAD = float(np.radians(3.0))
+"""Least angle between two rays of a point that is used."""
+
+UNKNOWN_SIGMAS = (3.0, 3.0, 6.0, np.radians(1.0), np.radians(1.0), np.radians(3.0))
+"""East, north, up [m], tilts and yaw [rad] of a station that does not say: judgement."""
+
+
+@dataclass(frozen=True, eq=False)
+class Orientations:
+    """Exterior orientation of images; (s,) arrays, NaN centres where there is none.
+
+    ``centre_m`` (s, 3) earth-centred (WGS84); ``camera_from_ecef`` and ``enu_from_ecef``
+    (s, 3, 3); ``sigma`` (s, 6) of east, north, up [m] and of rotations about these axes [rad].
+    """
+
+    camera: NDArray[np.object_]
+    centre_m: Array
+    camera_from_ecef: Array
+    enu_from_ecef: Array
+    sigma: Array
+
+    def assigned(self, row: Indices) -> Orientations:
+        """Orientations of images (k,), each that of a row, or none for -1: a hypothesis."""
+        centre = np.where(row[:, None] >= 0, self.centre_m[row], np.nan)
+        return Orientations(
+            self.camera[row], centre, self.camera_from_ecef[row], self.enu_from_ecef[row],
+            self.sigma[row],
+        )  # fmt: skip
+
+    def turned(self, rotation: Array, camera: str) -> Orientations:
+        """With one camera turned by a rotation vector [rad] in its own frame (mount angles)."""
+        turn = Rotation.from_rotvec(rotation).as_matrix()
+        own = (self.camera == camera)[:, None, None]
+        return replace(
+            self,
+            camera_from_ecef=np.where(own, turn @ self.camera_from_ecef, self.camera_from_ecef),
+        )
+
+
+def orientations_of(
+    stations: Stations, unknown_sigmas: tuple[float, ...] = UNKNOWN_SIGMAS
+) -> Orientations:
+    """Orientations of stations; a sigma that is not stated is ``unknown_sigmas``'.
+
+    What is not ok is NaN. Heights of which only that above mean sea level is known count from
+    there: rays meet as well.
+    """
+    lat, lon, h = stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m
+    centre = ecef_of_geodetic(lat, lon, np.where(np.isfinite(h), h, stations.h_msl_m))
+    axes = enu_from_ecef(lat, lon)
+    usable = stations.ok & np.all(np.isfinite(stations.quaternion), axis=1)
+    q = np.where(usable[:, None], stations.quaternion, [1.0, 0.0, 0.0, 0.0])
+    tilt, horizontal = stations.sigma_tilt_rad, stations.sigma_horizontal_m
+    sigma = np.stack(
+        [horizontal, horizontal, stations.sigma_height_m, tilt, tilt, stations.sigma_yaw_rad],
+        axis=1,
+    )
+    return Orientations(
+        camera=stations.camera,
+        centre_m=np.where(usable[:, None], centre, np.nan),
+        camera_from_ecef=Rotation.from_quat(q[:, [1, 2, 3, 0]]).as_matrix() @ axes,
+        enu_from_ecef=axes,
+        sigma=np.where(np.isfinite(sigma), sigma, unknown_sigmas),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class ImageRays:
+    """Straight rays (r,): row of the image, number of the point, direction in the camera.
+
+    ``direction`` (r, 3) with the camera's x right, y down, z forward, unit length;
+    ``sigma_rad`` (r,) or one: the pixel's, across the ray. ``height_m`` (r,) given height of the
+    point above the ellipsoid, NaN where unknown, with ``sigma_height_m``.
+    """
+
+    image: Indices
+    point: Indices
+    direction: Array
+    sigma_rad: float | Array
+    height_m: Array | None = None
+    sigma_height_m: float = 1.0
+
+    def of_points(self, points: Indices) -> ImageRays:
+        """The rays of some points."""
+        keep = np.isin(self.point, points)
+        sigma = np.broadcast_to(self.sigma_rad, keep.shape)[keep]
+        height = None if self.height_m is None else self.height_m[keep]
+        return ImageRays(
+            self.image[keep], self.point[keep], self.direction[keep], sigma, height,
+            self.sigma_height_m,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class SortedRays:
+    """Rays sorted by their points: (r, ...) arrays of what does not change while points move."""
+
+    order: Indices
+    image: Indices
+    index: Indices  # which point
+    start: Indices  # (p,) the first ray of each point
+    sigma: Array
+    oriented: Mask
+    centre: Array  # (r, 3) from `origin`
+    direction: Array  # (r, 3) earth-centred
+    across: Array  # (r, 2, 3) unit vectors along the image's x and y, across the ray
+    origin: Array
+    height: Array  # (p,) given, NaN where unknown
+    sigma_height: float
+
+    def sums(self, values: NDArray[Any]) -> NDArray[Any]:
+        """(p, ...) sums over the rays of each point."""
+        return np.asarray(np.add.reduceat(values, self.start, axis=0))
+
+    def positions(self, good: Mask) -> Array:
+        """(p, 3) points by least squares of the angles across their good rays."""
+        distance = np.ones(self.sigma.shape)
+        square = np.swapaxes(self.across, 1, 2) @ self.across
+        for _ in range(3):
+            weight = np.where(good, (self.sigma * distance) ** -2.0, 0.0)
+            normal = self.sums(weight[:, None, None] * square)
+            size = np.trace(normal, axis1=1, axis2=2) + (self.sums(good * 1.0) < 2)
+            normal += 1e-12 * size[:, None, None] * np.eye(3)
+            right = self.sums(weight[:, None] * np.einsum("rij,rj->ri", square, self.centre))
+            position = np.linalg.solve(normal, right[..., None])[..., 0]
+            distance = np.linalg.norm(position[self.index] - self.centre, axis=1) + 1e-3
+        return np.asarray(position, np.float64)
+
+    def angles(self, good: Mask) -> Array:
+        """(p,) largest angle [rad] between two good rays, by going twice to the farthest."""
+        reference = self.direction[self.start[self.index]]
+        for _ in range(2):
+            cosine = np.where(good, np.sum(reference * self.direction, axis=1), 2.0)
+            least = np.minimum.reduceat(cosine, self.start)
+            farthest = np.flatnonzero(cosine == least[self.index])
+            ray = farthest[np.searchsorted(self.index[farthest], np.arange(self.start.size))]
+            reference = self.direction[ray][self.index]
+        return np.where(least < 2.0, np.arccos(np.clip(least, -1.0, 1.0)), 0.0)
+
+    def derivatives(
+        self, o: Orientations, position: Array, good: Mask
+    ) -> tuple[Array, Array, Array, Array]:
+        """What good rays miss points by, in sigmas of their pixels, and what changes it.
+
+        Returns the sigmas (r,) [rad], and the derivatives by the point (r, 2, 3) [m] and by the
+        errors of the station (r, 2, 6) in units of their sigmas, and the misses (r, 2).
+        """
+        line = position[self.index] - self.centre
+        distance = np.linalg.norm(line, axis=1) + 1e-3
+        u = line / distance[:, None]
+        # A rotation is linear up to the square of its angle, which is added to the pixel's sigma.
+        enu, angles = o.enu_from_ecef[self.image], o.sigma[self.image, 3:] ** 2
+        along = np.einsum("rij,rj->ri", enu, u) ** 2
+        curved = np.sqrt(
+            np.sum(angles * along, axis=1) * np.sum(angles * (1.0 - along), axis=1) / 8.0
+        )
+        sigma = np.hypot(self.sigma, curved)
+        weight = np.where(good, 1.0 / sigma, 0.0)[:, None, None]
+        A = weight * self.across / distance[:, None, None]
+        turned = -np.cross(self.across, u[:, None, :])  # across @ [u]x
+        to_enu = np.swapaxes(enu, 1, 2)
+        J = np.concatenate([-A @ to_enu, (weight * turned) @ to_enu], axis=2)
+        J *= o.sigma[self.image, None, :]
+        return sigma, A, J, -np.einsum("rij,rj->ri", weight * self.across, u)
+
+
+def sorted_rays(o: Orientations, rays: ImageRays) -> SortedRays:
+    """Rays by their points, under some orientations."""
+    order = np.lexsort((rays.image, rays.point))
+    image, d = rays.image[order], np.nan_to_num(rays.direction[order])
+    oriented = np.all(np.isfinite(o.centre_m[image]), axis=1) & np.any(d != 0.0, axis=1)
+    _, start, index = np.unique(rays.point[order], return_index=True, return_inverse=True)
+    x = np.array([1.0, 0.0, 0.0]) - d[:, :1] * d
+    x /= np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-9)
+    rotation = o.camera_from_ecef[image]
+    origin = o.centre_m[image][oriented].mean(axis=0) if np.any(oriented) else np.zeros(3)
+    height = np.full(start.size, np.nan)
+    if rays.height_m is not None:
+        height = rays.height_m[order][start]
+    return SortedRays(
+        order=order,
+        image=image,
+        index=index,
+        start=start,
+        sigma=np.broadcast_to(rays.sigma_rad, image.shape)[order].astype(np.float64),
+        oriented=oriented,
+        centre=np.where(oriented[:, None], o.centre_m[image] - origin, 0.0),
+        direction=np.einsum("rji,rj->ri", rotation, d),
+        across=np.stack([x, np.cross(d, x)], axis=1) @ rotation,
+        origin=origin,
+        height=height,
+        sigma_height=rays.sigma_height_m,
+    )

@@ -1,0 +1,135 @@
+"""Ground heights from the observations themselves: each point intersected with the stations."""
+
+from __future__ import annotations
+
+from collections import Counter
+from contextlib import ExitStack
+from dataclasses import replace
+from tempfile import TemporaryFile
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from pipeline.block.image_rays import ImageRays, Orientations, orientations_of
+from pipeline.block.point_heights import PointHeights, point_heights
+from pipeline.errors import MissionError
+from pipeline.flight.stations import Stations
+from pipeline.ledger import Entry, Kind, Ledger
+from pipeline.refraction.image import correct_observations
+from pipeline.stages.correction import CorrectionSetup, station_rows
+from pipeline.tables.observations import Observations
+
+Array = NDArray[np.float64]
+
+_RAY = np.dtype([("point", "u8"), ("row", "i8"), ("station", "i8"), ("x", "f8"), ("y", "f8")])
+_ROWS_OF_A_FILE, _MOST_FILES, _BATCH_ROWS = 300_000, 200, 250_000
+
+_POOR = 0.05
+"""Sigma of a height, in heights of the camera above it, in the median: 5 % are 5 % of R."""
+
+
+def with_intersected_heights(
+    observations: Observations,
+    setup: CorrectionSetup,
+    stations: Stations,
+    ledger: Ledger,
+    *,
+    unknown_sigmas: tuple[float, ...],
+) -> CorrectionSetup:
+    """The setup with a ground height and its sigma for each row of the observations.
+
+    The rays of a point may lie anywhere in a table of any length: its rows are divided by the hash
+    of their points into temporary files of some 300,000 rows, which are intersected one after the
+    other, by rays without refraction of air and window. Heights lie in a temporary file too (16
+    bytes a row, the rays 40). Refuses (MissionError GROUND-INTERSECTED) where no point has a
+    height; those without one are NaN.
+    """
+    with TemporaryFile() as file:  # the map keeps it
+        heights = np.memmap(file, np.float64, "w+", shape=(2, observations.rows))
+    heights[:] = np.nan
+    count = min(_MOST_FILES, 1 + observations.rows // _ROWS_OF_A_FILE)
+    images = pa.array(setup.images, pa.string())
+    orientations = orientations_of(stations, unknown_sigmas)
+    counts: Counter[str] = Counter()
+    shares = []
+    with ExitStack() as stack:
+        files = [stack.enter_context(TemporaryFile()) for _ in range(count)]
+        for batch in observations.batches(_BATCH_ROWS):
+            part = np.empty(len(batch), _RAY)
+            part["point"] = pd.util.hash_pandas_object(batch.point.to_pandas(), index=False)
+            part["row"] = batch.first_row + np.arange(len(batch))
+            part["station"] = station_rows(batch.image, images)
+            part["x"], part["y"] = batch.x_px, batch.y_px
+            named = batch.point.is_valid().to_numpy(zero_copy_only=False)
+            part = part[named & (part["station"] >= 0) & np.isfinite(part["x"] + part["y"])]
+            of_file = part["point"] % np.uint64(count)
+            for number in np.unique(of_file):
+                files[number].write(part[of_file == number].tobytes())
+        for file in files:
+            file.seek(0)
+            rays = np.frombuffer(file.read(), _RAY)
+            if rays.size == 0:
+                continue
+            h_msl, found = _heights_of(rays, setup, stations, orientations)
+            heights[:, rays["row"]] = h_msl, found.sigma_m[found.index]
+            counts["points"] += found.h_m.size
+            for why in ("few", "narrow", "apart"):
+                counts[why] += int(getattr(found, why).sum())
+            with np.errstate(invalid="ignore"):
+                above = stations.h_msl_m[rays["station"]] - h_msl
+                share = found.sigma_m[found.index] / np.abs(above)
+            shares.append(share[np.isfinite(share)][:: max(1, rays.size // 10_000)])
+    known = counts["points"] - counts["few"] - counts["narrow"] - counts["apart"]
+    share = float(np.median(np.concatenate(shares))) if known else np.nan
+    what = (
+        f"{known} of {counts['points']} points have a height by the intersection of their rays; "
+        f"{counts['few']} have fewer than two rays, {counts['narrow']} only rays within 3 deg of "
+        f"each other, and of {counts['apart']} the rays do not meet"
+    )
+    if known == 0:
+        raise MissionError(
+            "GROUND-INTERSECTED",
+            what,
+            where="ground.height",
+            remedy="give ground.height as a number or a column; the same point must have the same "
+            "name in all images",
+        )
+    what += f"; sigma of a height is {100.0 * share:.2g} % of the height above it, in the median"
+    kind = Kind.LOSS if share > _POOR else Kind.NOTE
+    ledger.add(Entry(kind, "GROUND-INTERSECTED", what, "ground.height", known))
+    return replace(setup, ground=replace(setup.ground, of_rows=heights))
+
+
+def _heights_of(
+    rays: NDArray[np.void], setup: CorrectionSetup, stations: Stations, orientations: Orientations
+) -> tuple[Array, PointHeights]:
+    """(n,) heights above sea level of the points of rays, and the points.
+
+    The heights of a first intersection, of the rays as measured, say how much these are bent.
+    """
+    undulation = np.nan_to_num(stations.h_ellipsoid_m - stations.h_msl_m)[rays["station"]]
+    h_msl: Array | None = None
+    while True:
+        direction, sigma = np.full((rays.size, 3), np.nan), np.ones(rays.size)
+        for rows, camera, profile in setup.groups(rays["station"]):
+            x, y, station = (rays[name][rows] for name in ("x", "y", "station"))
+            if h_msl is not None and setup.direction == "remove":
+                corrected = correct_observations(
+                    x, y, h_msl[rows], station, setup.exposures, camera=camera,
+                    table=setup.rays[profile],
+                )  # fmt: skip
+                x, y = corrected.x_px, corrected.y_px
+            u, v, _ = camera.rays(x, y)
+            direction[rows] = np.stack([u, v, np.ones(u.size)], axis=1)
+            sigma[rows] = 1.0 / camera.fx_px
+        direction /= np.linalg.norm(direction, axis=1)[:, None]
+        found = point_heights(
+            orientations, ImageRays(rays["station"], rays["point"], direction, sigma)
+        )
+        number = np.maximum(np.bincount(found.index), 1)
+        last = h_msl is not None
+        h_msl = (found.h_m - np.bincount(found.index, undulation) / number)[found.index]
+        if last:
+            return h_msl, found
