@@ -39,9 +39,9 @@ from pipeline.flight.stations import (
 from pipeline.ledger import Ledger
 from pipeline.stages.cabin_air import cabin_from_log
 from pipeline.stages.exposure_setup import camera_of_rows
-from pipeline.stages.image_events import assigned_stations
 from pipeline.stages.inputs import FlightLog, read_camera_events
-from pipeline.stages.oriented_stations import oriented_stations
+from pipeline.stages.multi_image.image_events import assigned_stations
+from pipeline.stages.multi_image.oriented_stations import oriented_stations
 from pipeline.tables.events import read_events
 from pipeline.tables.observations import Observations
 from pipeline.units import DEGREE

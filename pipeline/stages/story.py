@@ -49,7 +49,7 @@ from pipeline.stages.exposure_setup import (
 )
 from pipeline.stages.finished_run import rebuild_run, refuse_output
 from pipeline.stages.inputs import FlightLog, read_log, read_observations
-from pipeline.stages.intersected_heights import with_intersected_heights
+from pipeline.stages.multi_image.intersected_heights import with_intersected_heights
 from pipeline.stages.outputs import manifest_of, observation_metadata, write_tables
 from pipeline.stages.stations import stations_of_mission
 from pipeline.stages.uncertainty import report_unknown_sigmas, scale_of_block

@@ -13,7 +13,7 @@ import yaml
 from pymavlink.DFReader import DFReader_binary
 
 from pipeline.errors import InputError, MissionError
-from pipeline.stages.image_events import images_of_camera
+from pipeline.stages.multi_image.image_events import images_of_camera
 from pipeline.stages.story import PreparedMission, check_mission
 
 from .flown_images import CAMERA, SHARED, tie_points, truth_of

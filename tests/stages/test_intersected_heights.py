@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from pipeline.simulate import SimulationOptions, simulate
-from pipeline.stages import intersected_heights
+from pipeline.stages.multi_image import intersected_heights
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 

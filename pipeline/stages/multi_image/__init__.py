@@ -1,0 +1,1 @@
+"""Stages that compare several images of one point: assignment, orientations, heights."""
