@@ -12,7 +12,8 @@ from survey import CAMERA, air, exposures, image_names, uncertainty, write_obser
 from pipeline.batch.store import open_folder
 from pipeline.ledger import Ledger
 from pipeline.refraction.ray import rays_by
-from pipeline.stages.correction import CorrectionSetup, Ground, correct_stream
+from pipeline.stages.correction import CorrectionSetup, correct_stream
+from pipeline.stages.ground.ground_heights import GivenGround
 from pipeline.tables.observations import open_observations
 
 IMAGES = 2_000
@@ -26,7 +27,7 @@ def correct(source: Path, out: Path) -> None:
     names, seen_from = image_names(IMAGES), exposures(IMAGES)
     setup = CorrectionSetup(
         names, np.full(IMAGES, "nadir", object), seen_from,
-        Ground(None, np.zeros(IMAGES), sigma_m=2.0), {"nadir": CAMERA},
+        GivenGround(None, np.zeros(IMAGES), sigma_m=2.0), {"nadir": CAMERA},
         (rays_by(air(), "spherical"),), np.zeros(IMAGES, np.int64),
         uncertainties=(uncertainty(seen_from),),
     )  # fmt: skip

@@ -22,12 +22,10 @@ from numpy.typing import NDArray
 from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.batch.store import RunFolder
 from pipeline.config import Mission
-from pipeline.config.sections import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.flight.heights import HeightSystem, ground_offsets
 from pipeline.flight.stations import Stations
 from pipeline.interrupts import held_back
 from pipeline.refraction.camera.camera import Camera
-from pipeline.refraction.chord import target_heights
 from pipeline.refraction.forward import apply_refraction
 from pipeline.refraction.image import COLUMNS, Corrections, Exposures, correct_observations
 from pipeline.refraction.kernels.threads import usable_cpus
@@ -37,6 +35,12 @@ from pipeline.refraction.status_codes import NO_STATION
 from pipeline.refraction.uncertainty.budget import window_turn
 from pipeline.refraction.uncertainty.sigmas import Sigmas, Uncertainty
 from pipeline.stages.exposure_setup import cameras_of_mission
+from pipeline.stages.ground.ground_heights import (
+    GivenGround,
+    Ground,
+    GroundHeights,
+    SlantRangeGround,
+)
 from pipeline.stages.statistics import Statistics, evenly_spaced
 from pipeline.stages.uncertainty import uncertainties_of_mission, views_of_mission
 from pipeline.tables.column_checks import Direction
@@ -52,66 +56,6 @@ _MOST_WORKERS = 4
 rest of the time."""
 
 _RAYS_OF_A_PART = 128
-
-
-@dataclass(frozen=True, eq=False)
-class Ground:
-    """Heights of the points above sea level: a constant, or a column plus an offset.
-
-    ``offset_m`` (s,) is added per station: minus the undulation for ellipsoidal heights, the
-    take-off height for relative ones. ``from_distance`` where they follow from the slant ranges.
-    ``sigma_m`` is the standard deviation that all of them share, where there is one. ``of_rows``
-    (2, rows) are heights and sigmas of all rows of the table, where they were computed.
-    """
-
-    constant_m: float | None
-    offset_m: Array
-    from_distance: bool = False
-    sigma_m: float | None = None
-    of_rows: Array | None = None
-
-    def heights(self, batch: Batch, station: Rows) -> Array:
-        """(n,) heights above sea level [m] of the points of a batch; NaN where implausible."""
-        if self.of_rows is not None:
-            given = np.array(self.of_rows[0, batch.first_row : batch.first_row + len(batch)])
-        elif batch.ground is not None:
-            given = batch.ground
-        else:
-            given = np.full(len(batch), self.constant_m, dtype=np.float64)
-        offset = np.append(self.offset_m, np.nan)[station]
-        # Without a station there is no offset; such an observation gets the status no_station.
-        return np.asarray(plausible_heights(given) + np.where(station < 0, 0.0, offset))
-
-    def count_implausible(self, batch: Batch) -> int:
-        """The number of heights of a batch that are numbers, but of no ground on earth."""
-        if batch.ground is None:
-            return 0
-        implausible = np.isfinite(batch.ground) & np.isnan(plausible_heights(batch.ground))
-        return int(np.count_nonzero(implausible))
-
-    def sigmas(self, batch: Batch) -> Array:
-        """(n,) standard deviations of the heights [m], NaN where unknown."""
-        if self.of_rows is not None:
-            return np.array(self.of_rows[1, batch.first_row : batch.first_row + len(batch)])
-        if batch.ground_sigma is not None:
-            return batch.ground_sigma
-        return np.full(len(batch), np.nan if self.sigma_m is None else self.sigma_m)
-
-    @property
-    def limits(self) -> tuple[float, float]:
-        """The lowest and the highest height above sea level that a point can have [m]."""
-        if self.constant_m is None:
-            return LOWEST_GROUND_M, HIGHEST_GROUND_M
-        offset = self.offset_m[np.isfinite(self.offset_m)]
-        if offset.size == 0:
-            offset = np.zeros(1)
-        return self.constant_m + float(offset.min()), self.constant_m + float(offset.max())
-
-
-def plausible_heights(height_m: Array) -> Array:
-    """Heights [m] with NaN for those below -600 and above 10,000 m."""
-    plausible = (height_m >= LOWEST_GROUND_M) & (height_m <= HIGHEST_GROUND_M)
-    return np.where(plausible, height_m, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,9 +116,7 @@ def correction_setup(
     heights: HeightSystem,
 ) -> CorrectionSetup:
     """Cameras, rays, ground and uncertainties of a mission. ``heights`` are those of its log."""
-    section = mission.ground
-    offsets = ground_offsets(section.reference, stations, heights)
-    ground = Ground(section.constant_m, offsets, section.from_distance, section.sigma_m)
+    ground = ground_of_mission(mission, stations, heights)
     cameras = cameras_of_mission(mission)
     views = views_of_mission(mission, stations, air)
     return CorrectionSetup(
@@ -199,6 +141,15 @@ def correction_setup(
     )
 
 
+def ground_of_mission(mission: Mission, stations: Stations, heights: HeightSystem) -> Ground:
+    """The source of heights that the mission file names."""
+    section = mission.ground
+    if section.from_distance:
+        return SlantRangeGround(section.sigma_m)
+    offsets = ground_offsets(section.reference, stations, heights)
+    return GivenGround(section.constant_m, offsets, section.sigma_m)
+
+
 def correct_stream(
     observations: Observations,
     setup: CorrectionSetup,
@@ -219,17 +170,17 @@ def correct_stream(
 
     def correct_part(number: int, batch: Batch) -> Statistics:
         station = station_rows(batch.image, images)
-        h_g = ground_heights(batch, station, setup)
-        corrections = correct_batch(batch, station, h_g, setup)
+        ground = setup.ground.heights(batch, station, setup)
+        corrections = ground.flagged(correct_batch(batch, station, ground, setup))
         name = f"observations/part-{number:05d}.parquet"
-        table = table_of_observations(batch, corrections, h_g, observations.pixels, schema)
+        table = table_of_observations(batch, corrections, ground.h_m, observations.pixels, schema)
         write_parquet(table, folder.place(name))
         folder.seal(name)
         statistics = Statistics.of(setup.cameras)
         statistics.add(batch, corrections, setup.camera_number[station])
-        statistics.implausible_heights += setup.ground.count_implausible(batch)
+        statistics.implausible_heights += ground.implausible
         if setup.computes_sigmas:
-            statistics.rays.append(_sample_of_rays(batch, corrections, station, h_g, setup))
+            statistics.rays.append(_sample_of_rays(batch, corrections, station, ground.h_m, setup))
         return statistics
 
     total = Statistics.of(setup.cameras)
@@ -284,29 +235,12 @@ def station_rows(image: pa.StringArray, images: pa.StringArray) -> Rows:
     return np.asarray(by_code[codes])
 
 
-def ground_heights(batch: Batch, station: Rows, setup: CorrectionSetup) -> Array:
-    """(n,) heights of the points above sea level [m], NaN where unknown or implausible."""
-    h_g = setup.ground.heights(batch, station)
-    if not setup.ground.from_distance or batch.distance_m is None:
-        return h_g
-    for rows, camera, profile in setup.groups(station):
-        h_g[rows] = target_heights(
-            batch.x_px[rows],
-            batch.y_px[rows],
-            batch.distance_m[rows],
-            station[rows],
-            setup.exposures,
-            camera=camera,
-            table=setup.rays[profile],
-            ideal=setup.direction == "apply",
-        )
-    return plausible_heights(h_g)
-
-
-def correct_batch(batch: Batch, station: Rows, h_g: Array, setup: CorrectionSetup) -> Corrections:
+def correct_batch(
+    batch: Batch, station: Rows, ground: GroundHeights, setup: CorrectionSetup
+) -> Corrections:
     """The corrections of a batch, computed for each camera and profile, in the order of its rows.
 
-    ``station`` (n,) as `station_rows` returns it, ``h_g`` (n,) above sea level [m].
+    ``station`` (n,) as `station_rows` returns it, ``ground`` the heights of the batch.
     """
     method = correct_observations if setup.direction == "remove" else apply_refraction
     parts: list[tuple[NDArray[np.intp], Corrections]] = []
@@ -317,14 +251,14 @@ def correct_batch(batch: Batch, station: Rows, h_g: Array, setup: CorrectionSetu
         corrections = method(
             batch.x_px[rows],
             batch.y_px[rows],
-            h_g[rows],
+            ground.h_m[rows],
             station[rows],
             setup.exposures,
             camera=camera,
             table=setup.rays[profile],
             distance_m=None if batch.distance_m is None else batch.distance_m[rows],
             uncertainty=uncertainty,
-            sigma_h_g=None if uncertainty is None else setup.ground.sigmas(batch)[rows],
+            sigma_h_g=None if uncertainty is None else ground.sigma_m[rows],
         )
         if whole:
             return corrections

@@ -11,8 +11,16 @@ from hypothesis import strategies as st
 
 from pipeline.ledger import Kind, Ledger
 from pipeline.refraction.camera.camera import Camera
-from pipeline.refraction.status_codes import STATUS_NAMES
-from pipeline.stages.correction import Ground, plausible_heights
+from pipeline.refraction.image import Corrections
+from pipeline.refraction.status_codes import (
+    MISSES_GROUND,
+    NO_GROUND,
+    NO_STATION,
+    OK,
+    OUTSIDE_CAMERA,
+    STATUS_NAMES,
+)
+from pipeline.stages.ground.ground_heights import GivenGround, GroundHeights, plausible_heights
 from pipeline.stages.statistics import Statistics, evenly_spaced
 
 
@@ -33,35 +41,60 @@ OFFSET = np.array([10.0, -20.0, np.nan])
 
 def test_heights_and_the_offset_of_their_station():
     given_m = np.array([100.0, 200.0, 300.0])
-    column = Ground(None, OFFSET)
-    assert column.heights(Heights(given_m), np.array([1, 0, 1])).tolist() == [80.0, 210.0, 280.0]
+    column = GivenGround(None, OFFSET)
+    found = column.heights(Heights(given_m), np.array([1, 0, 1]))
+    assert found.h_m.tolist() == [
+        80.0,
+        210.0,
+        280.0,
+    ]
     # Of an unknown offset no height follows; without a station there is nothing to reduce.
-    unknown = column.heights(Heights(given_m), np.array([2, -1, 0]))
+    unknown = column.heights(Heights(given_m), np.array([2, -1, 0])).h_m
     assert np.isnan(unknown[0])
     assert unknown[1:].tolist() == [200.0, 310.0]
-    constant = Ground(450.0, OFFSET)
-    assert constant.heights(Heights(None), np.array([1, 0, 1])).tolist() == [430.0, 460.0, 430.0]
+    constant = GivenGround(450.0, OFFSET)
+    found = constant.heights(Heights(None), np.array([1, 0, 1]))
+    assert found.h_m.tolist() == [
+        430.0,
+        460.0,
+        430.0,
+    ]
 
 
 def test_the_limits_are_those_of_all_stations():
-    assert Ground(450.0, OFFSET).limits == (430.0, 460.0)
-    assert Ground(450.0, np.array([np.nan])).limits == (450.0, 450.0)
-    assert Ground(None, OFFSET).limits == (-600.0, 10_000.0)
+    assert GivenGround(450.0, OFFSET).limits == (430.0, 460.0)
+    assert GivenGround(450.0, np.array([np.nan])).limits == (450.0, 450.0)
+    assert GivenGround(None, OFFSET).limits == (-600.0, 10_000.0)
 
 
 def test_heights_of_no_ground_are_unknown_and_counted():
     heights = np.array([-600.0, -600.1, 10_000.0, 10_000.1, np.nan])
     assert np.isfinite(plausible_heights(heights)).tolist() == [True, False, True, False, False]
-    ground = Ground(None, OFFSET)
-    assert ground.count_implausible(Heights(heights)) == 2
-    assert Ground(450.0, OFFSET).count_implausible(Heights(None)) == 0
+    ground = GivenGround(None, OFFSET)
+    station = np.zeros(5, np.int64)
+    assert ground.heights(Heights(heights, count=5), station).implausible == 2
+    constant = GivenGround(450.0, OFFSET)
+    assert constant.heights(Heights(None, count=5), station).implausible == 0
+
+
+def test_the_status_of_the_ground_goes_before_ok_and_no_ground_only():
+    codes = [OK, OK, NO_GROUND, NO_STATION, OUTSIDE_CAMERA]
+    corrections = Corrections(*np.full((8, 5), np.nan), status=np.array(codes, np.uint8))
+    assert GroundHeights(np.zeros(5), np.zeros(5)).flagged(corrections) is corrections
+    of_ground = np.array([MISSES_GROUND, OK, *[MISSES_GROUND] * 3], np.uint8)
+    flagged = GroundHeights(np.zeros(5), np.zeros(5), of_ground).flagged(corrections).status
+    assert flagged.tolist() == [MISSES_GROUND, OK, MISSES_GROUND, NO_STATION, OUTSIDE_CAMERA]
 
 
 def test_the_sigma_of_a_column_goes_before_that_of_all():
     own = np.array([1.0, np.nan, 3.0])
-    assert Ground(0.0, OFFSET, sigma_m=5.0).sigmas(Heights(None)).tolist() == [5.0, 5.0, 5.0]
-    np.testing.assert_array_equal(Ground(0.0, OFFSET).sigmas(Heights(None, own)), own)
-    assert np.isnan(Ground(0.0, OFFSET).sigmas(Heights(None))).all()
+
+    def sigmas(ground, column=None):
+        return ground.heights(Heights(None, column), np.zeros(3, np.int64)).sigma_m
+
+    assert sigmas(GivenGround(0.0, OFFSET, sigma_m=5.0)).tolist() == [5.0, 5.0, 5.0]
+    np.testing.assert_array_equal(sigmas(GivenGround(0.0, OFFSET), own), own)
+    assert np.isnan(sigmas(GivenGround(0.0, OFFSET))).all()
 
 
 CAMERA = Camera(1000, 800, 900.0, 900.0, 500.0, 400.0)

@@ -19,6 +19,7 @@ from pipeline.flight.stations import Stations
 from pipeline.ledger import Entry, Kind, Ledger
 from pipeline.refraction.image import correct_observations
 from pipeline.stages.correction import CorrectionSetup, station_rows
+from pipeline.stages.ground.ground_heights import ComputedGround
 from pipeline.tables.observations import Observations
 
 Array = NDArray[np.float64]
@@ -99,7 +100,7 @@ def with_intersected_heights(
     what += f"; sigma of a height is {100.0 * share:.2g} % of the height above it, in the median"
     kind = Kind.LOSS if share > _POOR else Kind.NOTE
     ledger.add(Entry(kind, "GROUND-INTERSECTED", what, "ground.height", known))
-    return replace(setup, ground=replace(setup.ground, of_rows=heights))
+    return replace(setup, ground=ComputedGround(heights))
 
 
 def _heights_of(

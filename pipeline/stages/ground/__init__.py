@@ -1,0 +1,1 @@
+"""Heights of the ground under the observed points: one module a kind of source."""

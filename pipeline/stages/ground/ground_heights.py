@@ -1,0 +1,145 @@
+"""Heights of the observed points, batch by batch, from whatever source the mission file names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.config.sections import HIGHEST_GROUND_M, LOWEST_GROUND_M
+from pipeline.refraction.chord import target_heights
+from pipeline.refraction.image import Corrections
+from pipeline.refraction.status_codes import NO_GROUND, OK
+from pipeline.tables.observations import Batch
+
+if TYPE_CHECKING:
+    from pipeline.stages.correction import CorrectionSetup
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+
+class GroundHeights(NamedTuple):
+    """Heights of the points of a batch above sea level [m] (n,), NaN where unknown.
+
+    ``sigma_m`` (n,) are their standard deviations, NaN where unknown. ``status`` (n,) are codes of
+    `pipeline.refraction.status_codes` for observations that are not simply ok, where a source has
+    such. ``implausible`` counts heights that are numbers, but of no ground on earth.
+    """
+
+    h_m: Array
+    sigma_m: Array
+    status: NDArray[np.uint8] | None = None
+    implausible: int = 0
+
+    def flagged(self, corrections: Corrections) -> Corrections:
+        """The corrections with this status where theirs is ok or no_ground."""
+        if self.status is None:
+            return corrections
+        of_ground = np.isin(corrections.status, (OK, NO_GROUND)) & (self.status != OK)
+        status = np.where(of_ground, self.status, corrections.status)
+        return replace(corrections, status=status.astype(np.uint8))
+
+
+class Ground(Protocol):
+    """A source of heights: one class each; `correction_setup` chooses."""
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The lowest and the highest height above sea level that a point can have [m]."""
+
+    def heights(self, batch: Batch, station: Rows, setup: CorrectionSetup) -> GroundHeights:
+        """The heights of a batch; ``station`` (n,) as `station_rows` returns it."""
+
+
+@dataclass(frozen=True, eq=False)
+class GivenGround:
+    """Heights that are given: a constant, or a column; plus an offset.
+
+    ``offset_m`` (s,) is added per station: minus the undulation for ellipsoidal heights, the
+    take-off height for relative ones. ``sigma_m`` is the standard deviation that all of them share,
+    where there is one.
+    """
+
+    constant_m: float | None
+    offset_m: Array
+    sigma_m: float | None = None
+
+    def heights(
+        self, batch: Batch, station: Rows, setup: CorrectionSetup | None = None
+    ) -> GroundHeights:
+        """(n,) heights above sea level [m]; NaN where implausible."""
+        given = batch.ground
+        if given is None:
+            given = np.full(len(batch), self.constant_m, dtype=np.float64)
+        plausible = plausible_heights(given)
+        offset = np.append(self.offset_m, np.nan)[station]
+        # Without a station there is no offset; such an observation gets the status no_station.
+        return GroundHeights(
+            plausible + np.where(station < 0, 0.0, offset),
+            sigmas_given(batch, self.sigma_m),
+            implausible=int(np.count_nonzero(np.isfinite(given) & np.isnan(plausible))),
+        )
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Those of the constant; of a column those of all land."""
+        if self.constant_m is None:
+            return LOWEST_GROUND_M, HIGHEST_GROUND_M
+        offset = self.offset_m[np.isfinite(self.offset_m)]
+        if offset.size == 0:
+            offset = np.zeros(1)
+        return self.constant_m + float(offset.min()), self.constant_m + float(offset.max())
+
+
+@dataclass(frozen=True, eq=False)
+class SlantRangeGround:
+    """Heights where the slant ranges end; ``sigma_m`` as for `GivenGround`."""
+
+    sigma_m: float | None = None
+    limits: tuple[float, float] = (LOWEST_GROUND_M, HIGHEST_GROUND_M)
+
+    def heights(self, batch: Batch, station: Rows, setup: CorrectionSetup) -> GroundHeights:
+        """(n,) heights above sea level [m] of the ends of the chords; NaN without a distance."""
+        h_g = np.full(len(batch), np.nan)
+        if batch.distance_m is not None:
+            for rows, camera, profile in setup.groups(station):
+                h_g[rows] = target_heights(
+                    batch.x_px[rows],
+                    batch.y_px[rows],
+                    batch.distance_m[rows],
+                    station[rows],
+                    setup.exposures,
+                    camera=camera,
+                    table=setup.rays[profile],
+                    ideal=setup.direction == "apply",
+                )
+        return GroundHeights(plausible_heights(h_g), sigmas_given(batch, self.sigma_m))
+
+
+@dataclass(frozen=True, eq=False)
+class ComputedGround:
+    """Heights and sigmas [m] of all rows of the table, (2, rows), computed before."""
+
+    of_rows: Array
+    limits: tuple[float, float] = (LOWEST_GROUND_M, HIGHEST_GROUND_M)
+
+    def heights(self, batch: Batch, station: Rows, setup: CorrectionSetup) -> GroundHeights:
+        """(n,) heights above sea level [m], NaN where none was computed, or it is implausible."""
+        h_m, sigma_m = np.array(self.of_rows[:, batch.first_row : batch.first_row + len(batch)])
+        return GroundHeights(plausible_heights(h_m), sigma_m)
+
+
+def sigmas_given(batch: Batch, sigma_m: float | None) -> Array:
+    """(n,) standard deviations [m] of a batch's column, or the one of all; NaN where unknown."""
+    if batch.ground_sigma is not None:
+        return batch.ground_sigma
+    return np.full(len(batch), np.nan if sigma_m is None else sigma_m)
+
+
+def plausible_heights(height_m: Array) -> Array:
+    """Heights [m] with NaN for those below -600 and above 10,000 m."""
+    plausible = (height_m >= LOWEST_GROUND_M) & (height_m <= HIGHEST_GROUND_M)
+    return np.where(plausible, height_m, np.nan)
