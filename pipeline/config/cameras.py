@@ -334,6 +334,11 @@ class MountSection(Section):
     v_ned = R(aircraft) R(gimbal) R(mount) v_camera, where a gimbal that is level to the horizon
     takes of the aircraft its yaw alone, and one whose yaw counts from north takes nothing."""
 
+    attitude: str | None = Field(
+        None,
+        description="channel of this camera's own gimbal or head, where each has one; by default "
+        "log.channels.attitude",
+    )
     roll_deg: float = 0.0
     pitch_deg: float = 0.0
     yaw_deg: float = 0.0

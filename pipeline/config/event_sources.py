@@ -86,12 +86,18 @@ class PositionEvents(Section):
     )
     delay_s: float = Field(0.0, ge=-10, le=10, description="shutter time minus the file's")
     times_only: bool = Field(
-        False, description="true: positions come from the log or a trajectory, not from this file"
+        False, description="true: positions (and attitudes) come from the log or a trajectory"
     )
     point: Literal["antenna", "camera"] | None = Field(
         None, description="whose positions it has; by default the camera's, of .pos the antenna's"
     )
     heights: Literal["msl", "ellipsoid"] | None = Field(None, description="where not in the file")
+    grid: str | None = Field(
+        None,
+        pattern=r"^EPSG:\d{4,6}$",
+        description="in whose axes omega, phi, kappa of an EO text count, as EPSG:32632, where its "
+        "head names no UTM zone",
+    )
     time: ImportTime = ImportTime()
 
     @property

@@ -236,7 +236,9 @@ class Mission(Section):
 
     mission: MissionSection
     log: LogSection | None = Field(
-        None, description="may be left out where stations.orientation gives the stations"
+        None,
+        description="may be left out where stations.orientation, or stations.trajectory with "
+        "attitudes and events with times, give the stations",
     )
     observations: ObservationsSection
     cameras: dict[str, CameraSection] = Field(min_length=1)
@@ -266,16 +268,29 @@ class Mission(Section):
 
     @model_validator(mode="after")
     def _check_station_source(self) -> Mission:
-        orientation = self.stations.orientation
+        orientation, trajectory = self.stations.orientation, self.stations.trajectory
         of_log = self.events is not None and self.events.log is not None
-        if self.log is None and orientation is None:
-            raise ValueError("log is missing: the flight log, unless stations.orientation gives "
-                             "position and attitude of every image")  # fmt: skip
+        if self.log is None and orientation is None and not (self.position_events or trajectory):
+            raise ValueError(
+                "log is missing: the flight log, unless stations.orientation, "
+                "stations.trajectory or events.positions gives position and attitude"
+            )
+        if self.log is None and trajectory is not None and trajectory.replaces is not None:
+            placed = any(not source.times_only for source in self.position_events.values())
+            needed = {"attitude"} if placed else {"position", "height", "attitude"}
+            if needed - set(trajectory.replaces):
+                raise ValueError(
+                    "stations.trajectory.replaces leaves to the log what there is no "
+                    "log for: leave it out"
+                )
         for name in ("events", "mount") if orientation is None else ():
             if not getattr(self, name):
                 raise ValueError(f"{name} is missing, and there is no stations.orientation")
         if self.log is None and of_log:
             raise ValueError("events.log takes the exposures from a log, and there is no log")
+        for name, mount in self.mount.items() if self.log is None else ():
+            if mount.attitude is not None:
+                raise ValueError(f"mount.{name}.attitude names a channel, and there is no log")
         for name, camera in self.cameras.items() if self.log is None else ():
             if camera.needs_cabin_from_log:
                 raise ValueError(f"cameras.{name}.window.cabin takes the cabin's air from a log, "
@@ -313,6 +328,8 @@ class Mission(Section):
             # A stabilised camera turns behind the window: only the log knows how.
             moves = self.log is not None and self.log.channels.aircraft_attitude is not None
             if window is None or window.frame == "camera" or moves or name not in self.mount:
+                continue
+            if self.mount[name].attitude is not None:
                 continue
             x, y, z = self.mount[name].build().camera_from_body @ np.array(window.normal)
             if z <= 0.0:

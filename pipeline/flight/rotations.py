@@ -120,8 +120,8 @@ def in_turned_frame(quaternion: Array, frame_from_other: Array) -> Array:
     return quaternions_of(matrices_of(quaternion) @ frame_from_other)
 
 
-def enu_from_grid(convergence_rad: float) -> Array:
-    """(3, 3) rotation from a map's grid (x, y, up) to east, north, up.
+def enu_from_grid(convergence_rad: float | Array) -> Array:
+    """(3, 3), of (n,) angles (n, 3, 3), rotation from a map's grid (x, y, up) to east, north, up.
 
     ``convergence_rad`` is positive where grid north lies east of true north, as on the northern
     hemisphere east of a projection's central meridian: true azimuth = grid azimuth + convergence.
@@ -129,7 +129,8 @@ def enu_from_grid(convergence_rad: float) -> Array:
     >>> (enu_from_grid(np.radians(2.0)) @ [0.0, 1.0, 0.0]).round(4).tolist()
     [0.0349, 0.9994, 0.0]
     """
-    return np.asarray(Rotation.from_euler("z", -convergence_rad).as_matrix())
+    up = np.array([0.0, 0.0, 1.0])
+    return np.asarray(Rotation.from_rotvec(np.multiply.outer(-convergence_rad, up)).as_matrix())
 
 
 def quaternion_products(first: Array, second: Array) -> Array:

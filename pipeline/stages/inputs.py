@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from pipeline.batch.plan import Plan
 from pipeline.errors import MissionError
@@ -13,8 +16,9 @@ from pipeline.flight.evidence.log_accuracy import LogAccuracy, with_accuracy
 from pipeline.flight.evidence.quality import plausible_samples
 from pipeline.flight.evidence.stretches import Stretch
 from pipeline.flight.heights import HeightSystem, height_system, to_geodetic
-from pipeline.flight.mount import gimbal_notes, with_payload_attitude
+from pipeline.flight.mount import gimbal_notes, is_of_gimbal, with_payload_attitude
 from pipeline.flight.roles import assign_roles
+from pipeline.flight.rotations import CAMERA_AT_REST, in_turned_frame
 from pipeline.geodesy import GeoidGrid
 from pipeline.ingest import Log, open_log
 from pipeline.ingest.fields import in_stated_unit
@@ -38,6 +42,8 @@ class FlightLog:
     ``accuracy`` is what it says about the accuracy of its positions and attitudes.
 
     ``log`` is None, and there are no channels, where the stations come from elsewhere.
+
+    ``heads`` are the attitudes of cameras that have one of their own, such as a gimbal each.
     """
 
     log: Log | None
@@ -48,6 +54,16 @@ class FlightLog:
     suspect: tuple[Stretch, ...] = ()
     own_suspect: tuple[Stretch, ...] = ()
     accuracy: LogAccuracy = field(default_factory=LogAccuracy)
+    heads: Mapping[str, Channel] = field(default_factory=dict)
+
+    def roles_of(self, camera: str) -> dict[str, Channel]:
+        """The roles for one camera; beside its own head the attitude is that of the aircraft."""
+        if camera not in self.heads:
+            return self.roles
+        aircraft = self.roles.get("attitude")
+        fixed = aircraft is not None and not is_of_gimbal(aircraft.source.message)
+        own = {"aircraft_attitude": aircraft} if aircraft is not None and fixed else {}
+        return own | self.roles | {"attitude": self.heads[camera]}
 
     @property
     def air_roles(self) -> dict[str, Channel]:
@@ -74,43 +90,58 @@ def read_observations(plan: Plan, ledger: Ledger) -> Observations:
 
 
 def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
-    """Read the log, assign its channels to roles, and relate its heights to sea level."""
+    """Read the log, assign its channels to roles, and relate its heights to sea level.
+
+    Without a log a trajectory has all the roles; refuses (MissionError STATIONS-ATTITUDE) one
+    without attitudes.
+    """
     mission, geoid = plan.mission, geoid_of_mission(plan)
     home, undulation_m = mission.ground.home_h_msl_m, mission.mission.undulation_m
-    if mission.log is None:
+    section = mission.stations.trajectory
+    log, names = None, dict[str, str]()
+    channels: tuple[Channel, ...] = ()
+    heads = {camera: m.attitude for camera, m in mission.mount.items() if m.attitude is not None}
+    if mission.log is not None:
+        file = plan.input("log")
+        log = open_log(file.path, file.sha256)
+        names = {role: stated.name for role, stated in mission.log.channels.named().items()}
+        channels = stated_channels(plan, log.channels)
+        for attitude in dict.fromkeys([names.get("attitude", ""), *heads.values()]):
+            payload = with_payload_attitude(
+                channels, names | {"attitude": attitude}, mission.log.max_gap_s
+            )
+            channels = ledger.take(payload)
+    elif section is None:
         heights, _ = height_system({}, undulation_m, geoid, stated_home_m=home)
         return FlightLog(None, (), {}, {}, heights)
-    file = plan.input("log")
-    log = open_log(file.path, file.sha256)
-    channels = log.channels
-    if mission.log.local_origin is not None:
-        origin = mission.log.local_origin.build()
-        channels = tuple(to_geodetic(channel, origin) for channel in channels)
-    named = mission.log.channels.named()
-    outside = ["temperature"] if mission.atmosphere.board_temperature else []
-    for role in [*outside, "cabin_temperature"]:
-        board = named[role].name if role in named else ""
-        channels = tuple(_board_as_air(c) if c.name == board else c for c in channels)
-    for role, stated in named.items():
-        if stated.unit is not None:
-            channels = tuple(
-                in_stated_unit(c, role, stated.unit) if c.name == stated.name else c
-                for c in channels
-            )
     needs_cabin = any(camera.needs_cabin_from_log for camera in mission.cameras.values())
-    names = {role: stated.name for role, stated in named.items()}
-    channels = ledger.take(with_payload_attitude(channels, names, mission.log.max_gap_s))
     trajectory = read_trajectory(plan, channels, ledger)
     elsewhere = () if trajectory is None else replaced_roles(plan, trajectory)
-    roles = ledger.take(assign_roles(channels, names, needs_cabin=needs_cabin, elsewhere=elsewhere))
+    if log is None and "attitude" not in elsewhere:
+        raise without_attitude("stations.trajectory")
+    missed = elsewhere if log is not None else ("position", "attitude")
+    roles = ledger.take(assign_roles(channels, names, needs_cabin=needs_cabin, elsewhere=missed))
     plausible = {
         role: ledger.take(plausible_samples(channel, role)) for role, channel in roles.items()
     }
     mounts = {camera: mount.build() for camera, mount in mission.mount.items()}
-    ledger.extend(gimbal_notes(log.messages, plausible, mounts))
+    able = {channel.name: channel for channel in channels if channel.fits_role("attitude")}
+    of_head: dict[str, Channel] = {}
+    for camera, name in heads.items():
+        if name not in able:
+            raise MissionError(
+                "CHANNEL-MISSING",
+                f"the log has no attitudes called {name!r}; it has {', '.join(able) or 'none'}",
+                where=f"mount.{camera}.attitude",
+                remedy="name a channel as `unbend inspect` prints it",
+            )
+        of_head[camera] = ledger.take(plausible_samples(able[name], "attitude"))
+        ledger.extend(gimbal_notes({}, {"attitude": of_head[camera]}, {camera: mounts.pop(camera)}))
+    if log is not None:
+        ledger.extend(gimbal_notes({} if heads else log.messages, plausible, mounts))
     heights = ledger.take(height_system(plausible, undulation_m, geoid, stated_home_m=home))
     own, own_suspect, notes = examine(channels, plausible)
-    plausible, section = dict(own), mission.stations.trajectory
+    plausible = dict(own)
     of_trajectory: tuple[Stretch, ...] = ()
     ledger.extend(notes)
     if trajectory is not None:
@@ -129,7 +160,9 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
         )
     suspect = (*(d for d in own_suspect if d.quantity not in elsewhere), *of_trajectory)
     plausible, accuracy = with_accuracy(plausible, channels)
-    return FlightLog(log, channels, plausible, own, heights, suspect, own_suspect, accuracy)
+    return FlightLog(
+        log, channels, plausible, own, heights, suspect, own_suspect, accuracy, of_head
+    )
 
 
 def geoid_of_mission(plan: Plan) -> GeoidGrid:
@@ -137,6 +170,38 @@ def geoid_of_mission(plan: Plan) -> GeoidGrid:
     if plan.mission.mission.geoid == "egm96":
         return package_geoid()
     return read_geoid(plan.input("geoid").path)
+
+
+def stated_channels(plan: Plan, channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
+    """The channels of the log on the earth, in the units and for the boards that are stated."""
+    section = plan.mission.log
+    if section is None:
+        return channels
+    if section.local_origin is not None:
+        origin = section.local_origin.build()
+        channels = tuple(to_geodetic(channel, origin) for channel in channels)
+    named = section.channels.named()
+    outside = ["temperature"] if plan.mission.atmosphere.board_temperature else []
+    for role in [*outside, "cabin_temperature"]:
+        board = named[role].name if role in named else ""
+        channels = tuple(_board_as_air(c) if c.name == board else c for c in channels)
+    for role, stated in named.items():
+        if stated.unit is not None:
+            channels = tuple(
+                in_stated_unit(c, role, stated.unit) if c.name == stated.name else c
+                for c in channels
+            )
+    return channels
+
+
+def without_attitude(where: str) -> MissionError:
+    """The refusal of stations of which nothing gives the attitude."""
+    return MissionError(
+        "STATIONS-ATTITUDE",
+        "there is no log, and the file has no attitudes: nothing says where the cameras look",
+        where=where,
+        remedy="give log, or a stations.trajectory with roll, pitch and yaw",
+    )
 
 
 def read_trajectory(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -> Channel | None:
@@ -179,14 +244,30 @@ def replaced_roles(plan: Plan, trajectory: Channel) -> tuple[str, ...]:
 
 
 def read_camera_events(plan: Plan, flight: FlightLog, ledger: Ledger) -> dict[str, Channel]:
-    """The exposures of each camera that come from a file with their positions."""
+    """The exposures of each camera that come from a file with their positions.
+
+    Attitudes of cameras that a file has become those of the aircraft, by the mount. Refuses
+    (MissionError STATIONS-ATTITUDE) a file without, where there is no log and no trajectory.
+    """
     events = {}
     for camera, source in plan.mission.position_events.items():
         path = plan.input(f"events of {camera}").path
         _, reader = reader_of(CAMERA_EVENTS, path, source.format)
         around = _time_range(flight.channels)
-        stated = Stated(source.time.system, source.time.week, around, source.heights)
-        events[camera] = reader(path, stated, ledger)
+        stated = Stated(
+            source.time.system, source.time.week, around, source.heights, grid=source.grid
+        )
+        channel = reader(path, stated, ledger)
+        attitude = channel.fits_role("attitude") and not source.times_only
+        if attitude:
+            at_rest = np.stack([channel[f"q_{axis}"] for axis in "wxyz"], axis=1)
+            mount = plan.mission.mount[camera].build()
+            of_body = in_turned_frame(at_rest, CAMERA_AT_REST.T @ mount.camera_from_body)
+            columns = {f"q_{axis}": of_body[:, k] for k, axis in enumerate("wxyz")}
+            channel = replace(channel, columns=dict(channel.columns) | columns)
+        elif "attitude" not in flight.roles and plan.mission.log is None:
+            raise without_attitude(f"events.positions.{camera}")
+        events[camera] = channel
         places = "" if source.times_only else f", and where the {source.reference_point} was then"
         ledger.note(
             "EVENTS-POSITIONS",
@@ -194,9 +275,8 @@ def read_camera_events(plan: Plan, flight: FlightLog, ledger: Ledger) -> dict[st
             where=f"events.positions.{camera}",
             count=len(events[camera]),
         )
-        compare_with_log(
-            events[camera], flight.own, flight.heights, ledger, replaces=("position", "height")
-        )
+        replaces = ("position", "height", *(["attitude"] if attitude else []))
+        compare_with_log(channel, flight.own, flight.heights, ledger, replaces=replaces)
     return events
 
 

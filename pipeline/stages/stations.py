@@ -150,11 +150,14 @@ def stations_of_mission(
     refuse_repeated_images(events)
     exposed = []
     for events_of_camera in events:
-        name, roles, suspect = events_of_camera.camera, flight.roles, flight.suspect
+        name, suspect = events_of_camera.camera, flight.suspect
+        roles = flight.roles_of(name)
         mount, from_events = mount_of(plan, name)
         if name in positions and not mission.position_events[name].times_only:
             roles = roles | {"position": positions[name], "height": positions[name]}
             places = ("position", "height")
+            if positions[name].fits_role("attitude"):
+                roles, suspect = roles | {"attitude": positions[name]}, ()
             suspect = (
                 *(stretch for stretch in suspect if stretch.quantity == "attitude"),
                 *contradictions_of_import(positions[name], places, flight.own, flight.own_suspect),

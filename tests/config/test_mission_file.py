@@ -184,7 +184,7 @@ def with_imports() -> Iterator[dict[str, Any]]:
     source = {
         "path": "e.MRK", "format": "mrk", "image": "{index:04d}.JPG", "times_only": True,
         "delay_s": 0.1, "point": "camera", "heights": "ellipsoid",
-        "time": {"system": "gpst", "week": 2400},
+        "time": {"system": "gpst", "week": 2400}, "grid": "EPSG:32632",
     }  # fmt: skip
     velocities = ("v_north_m_s", "v_east_m_s", "v_down_m_s", "sigma_h_m", "sigma_v_m")
     for names in (

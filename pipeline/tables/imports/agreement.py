@@ -25,6 +25,7 @@ from pipeline.units import RADIANS
 
 _MOST_SAMPLES = 3000
 _MAX_GAP_S = 5.0
+_FEWEST = 20
 
 # Seconds by which clocks are usually set wrong: leap seconds and their like, and time zones.
 _SHIFTS_S = np.concatenate([np.arange(-60.0, 60.1, 0.5), 3600.0 * np.arange(-14.0, 14.1, 0.5)])
@@ -224,7 +225,7 @@ def _compare_attitudes(
 ) -> None:
     """Attitudes (n, 4) w, x, y, z against the log's, about the body's axes."""
     known = np.isfinite(mine).all(axis=1) & np.isfinite(theirs).all(axis=1)
-    if np.count_nonzero(known) < 20:
+    if not known.any():
         ledger.note("TRAJECTORY-ANGLES-ALONE", "the log has no attitude at its times to compare it "
                     "with", where=name)  # fmt: skip
         return
@@ -234,7 +235,8 @@ def _compare_attitudes(
     def apart(attitude: Rotation) -> float:
         return float(np.degrees(np.percentile((own.inv() * attitude).magnitude(), 90.0)))
 
-    size = apart(imported)
+    # Few attitudes, as of some events, do not tell one mistake from another.
+    size = apart(imported) if np.count_nonzero(known) >= _FEWEST else 0.0
     for what, undone in _OF_ANGLES.items() if size > _LARGE_TURN_DEG else ():
         left = apart(Rotation.from_euler("ZYX", np.stack(undone(*angles.T), axis=1)))
         if left < min(_LARGE_TURN_DEG, size / 3.0):

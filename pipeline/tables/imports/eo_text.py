@@ -1,24 +1,41 @@
 """POSPac's exterior orientation as text: one line an event, after a header.
 
 The header names the columns, among them ``TIME (s)``, ``ELLIPSOID HEIGHT`` or ``ORTHOMETRIC
-HEIGHT``, ``LAT`` and ``LONG``; the line of units says ``lat, long in Deg``.
+HEIGHT``, ``LAT`` and ``LONG``; the line of units says ``lat, long in Deg`` and ``orientation in
+Degrees``, that of the grid ``Zone:  UTM North 32``.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+import pyproj
 
-from pipeline.flight.channels import Channel
+from pipeline.errors import InputError
+from pipeline.flight.channels import Array, Channel
+from pipeline.flight.rotations import (
+    CAMERA_AT_REST,
+    NED_FROM_ENU,
+    enu_from_grid,
+    matrices_of,
+    ned_from_body,
+    quaternion_of_opk,
+    quaternions_of,
+)
 from pipeline.ledger import Ledger
 from pipeline.tables.imports.stated import Stated, channel_of_rows, not_of_format, read_text
 from pipeline.tables.text_columns import numbers, split_lines
+from pipeline.units import RADIANS
+
+FARTHEST_FROM_GRID_M = 5000.0
+"""Another zone or projection is farther away; another datum, or rounded degrees, are nearer [m]."""
 
 _TITLES = re.compile(
     r"EVENT|TIME(?=\s*\(s\))|EASTING|NORTHING|(?:ELLIPSOID|ORTHOMETRIC)(?=\s+HEIGHT)|OMEGA|PHI"
-    r"|KAPPA|LAT\b|LONG\b|\bID\b",
+    r"|KAPPA|ROLL|PITCH|HEADING|LAT\b|LONG\b|\bID\b",
     re.IGNORECASE,
 )
 
@@ -26,8 +43,8 @@ _TITLES = re.compile(
 def read_eo_text(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     """Events with the position of the camera; labels ``name`` from the column ID where it has one.
 
-    Omega, phi and kappa count in the grid of the export and are not read here. Seconds are those
-    of the GPS week, or of UTC, as stated: the file does not say.
+    The attitude is that of a body in which the camera is at rest (`CAMERA_AT_REST`). Seconds are
+    those of the GPS week, or of UTC, as stated: the file does not say.
     """
     lines = read_text(path)
     at = next((k for k, line in enumerate(lines) if re.search(r"TIME\s*\(s\)", line)), None)
@@ -58,8 +75,64 @@ def read_eo_text(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         stated.height_column(path, ledger, surface): value[above],
     }
     time_ns = stated.utc_of_week_seconds(path, value["TIME"], stated.system_of(path, ledger))
-    if "OMEGA" in titles:
-        ledger.note("IMPORT-EO-ANGLES", "omega, phi and kappa count in the grid of the export: "
-                    "attitudes are taken from elsewhere", where=path.name)  # fmt: skip
+    head = "\n".join(lines[:at])
+    columns |= attitudes_of_eo(path, head, value, stated, ledger)
     labels = {"name": tuple(table["ID"])} if "ID" in titles else None
     return channel_of_rows(path, "EO", time_ns, columns, ledger, readable=readable, labels=labels)
+
+
+def attitudes_of_eo(
+    path: Path, head: str, value: Mapping[str, Array], stated: Stated, ledger: Ledger
+) -> dict[str, Array]:
+    """The columns q_w to q_z by omega, phi and kappa in a grid, or by roll, pitch and heading.
+
+    The axes of the grid are turned by its convergence at each event (PROJ's). Easting and northing
+    prove the grid: refuses (InputError IMPORT-EO-GRID) one in which they lie elsewhere.
+    """
+    names = ("OMEGA", "PHI", "KAPPA") if "OMEGA" in value else ("ROLL", "PITCH", "HEADING")
+    if not set(names) <= value.keys() or value["LAT"].size == 0:
+        return {}
+    unit = re.search(r"orientation in (deg|grad|gon|rad)", head, re.IGNORECASE)
+    zone = re.search(r"UTM\s+(North|South)\s+(\d{1,2})\b", head, re.IGNORECASE)
+    grid = stated.grid
+    if zone is not None and grid is None:
+        grid = f"EPSG:{32600 + 100 * (zone[1].lower() == 'south') + int(zone[2])}"
+    if unit is None or (grid is None and "OMEGA" in value):
+        missing = "'orientation in Degrees'" if unit is None else "its UTM zone"
+        ledger.fallback(
+            "IMPORT-EO-ANGLES",
+            f"its head does not say {missing}: attitudes are taken from elsewhere; "
+            "events.positions.<camera>.grid states the grid",
+            where=path.name,
+        )
+        return {}
+    scale = {"d": RADIANS["deg"], "r": RADIANS["rad"], "g": RADIANS["grad"]}[unit[1][0].lower()]
+    angles = np.stack([value[name] for name in names], axis=1) * scale
+    if "OMEGA" not in value:
+        q = quaternions_of(ned_from_body(angles))
+    else:
+        try:
+            projection = pyproj.Proj(grid)
+        except pyproj.exceptions.ProjError as error:
+            raise eo_grid(path, f"{grid} is no grid that PROJ knows: {error}") from None
+        place = np.nan_to_num([value["LONG"], value["LAT"]])
+        unknown = np.full(place[0].shape, np.nan)
+        grid_m = np.stack([value.get(name, unknown) for name in ("EASTING", "NORTHING")])
+        off_m = np.hypot(*(np.stack(projection(*place)) - grid_m))
+        off_m = off_m[np.isfinite(off_m)]
+        if off_m.size and not np.median(off_m) < FARTHEST_FROM_GRID_M:
+            raise eo_grid(
+                path,
+                f"its eastings and northings lie {np.median(off_m):.3g} m from its latitudes and "
+                f"longitudes in {grid}: its angles count in another grid",
+            )
+        turn = enu_from_grid(np.radians(projection.get_factors(*place).meridian_convergence))
+        camera = matrices_of(quaternion_of_opk(angles)) @ turn.transpose(0, 2, 1)
+        q = quaternions_of(NED_FROM_ENU @ camera.transpose(0, 2, 1) @ CAMERA_AT_REST)
+    return dict(zip(("q_w", "q_x", "q_y", "q_z"), q.T, strict=True))
+
+
+def eo_grid(path: Path, why: str) -> InputError:
+    """The refusal of a grid that is not the file's."""
+    return InputError("IMPORT-EO-GRID", why, where=str(path),
+                      remedy="state events.positions.<camera>.grid, as EPSG:32632")  # fmt: skip

@@ -36,6 +36,7 @@ class Stated:
     columns : quantity -> name of the column, of a CSV.
     position_unit, angle_unit : of latitude and longitude, and of the attitude, in a CSV.
     angle_order : intrinsic rotations about z, y and x, as ``ZYX``.
+    grid : the projected coordinate system in whose axes omega, phi and kappa count.
     """
 
     time_system: Literal["gpst", "utc"] | None = None
@@ -47,6 +48,7 @@ class Stated:
     position_unit: AngleUnit = "deg"
     angle_unit: AngleUnit = "deg"
     angle_order: str = "ZYX"
+    grid: str | None = None
 
     def system_of(self, path: Path, ledger: Ledger, found: str | None = None) -> str:
         """The time system, gpst or utc; ``found`` is what the file says of itself."""

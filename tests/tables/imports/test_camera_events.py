@@ -110,7 +110,7 @@ def test_an_eo_text_with_names(exposures):
     assert metres(channel, exposures) < 1e-3
     assert channel.labels["name"][:2] == ("img_000", "img_001")
     assert channel["event_index"].tolist() == list(range(1, 31))
-    assert entries(ledger, "IMPORT-EO-ANGLES")
+    assert channel.fits_role("attitude")
 
 
 def test_the_published_example_of_an_eo_text(exposures):
