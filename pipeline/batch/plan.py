@@ -30,6 +30,7 @@ _MISSION_FILE_KEYS = {
     "trajectory accuracy": "stations.trajectory.accuracy",
     "images": "events.images.path",
     "geoid": "mission.geoid",
+    "object points": "ground.height.points",
 }
 _EXIF_BYTES = 1 << 18
 
@@ -37,6 +38,7 @@ _LIBRARIES = (
     "numpy", "scipy", "numba", "llvmlite", "pandas", "pyarrow",  # arithmetic and tables
     "pymavlink", "mcap", "mcap-ros2-support", "mcap-protobuf-support", "metar",  # decoding
     "exifread",  # times of images
+    "pyproj",  # coordinate systems
 )  # fmt: skip
 
 
@@ -82,6 +84,8 @@ def input_paths(mission: Mission, folder: Path) -> dict[str, tuple[str, Path]]:
         named = {"log": mission.log.path} | named
     if mission.mission.geoid != "egm96":
         named["geoid"] = mission.mission.geoid
+    if mission.ground.points is not None:
+        named["object points"] = mission.ground.points.points
     orientation = mission.stations.orientation
     if orientation is not None:
         named["orientation"] = orientation.path

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import difflib
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from pipeline.config.atmosphere import AtmosphereSection, PathText
 from pipeline.config.cameras import CameraSection, MountSection, Section
 from pipeline.config.event_sources import EventsSection, PositionEvents
 from pipeline.config.station_sources import LocalOrigin, StationsSection
+from pipeline.config.trajectories import NamedColumns
 from pipeline.ingest.registry import KNOWN
 from pipeline.refraction import METHODS
 from pipeline.tables.pixels import PixelOrigin, PixelSystem
@@ -128,14 +129,59 @@ class GroundColumn(Section):
     column: str
 
 
-GroundHeight = float | GroundColumn | Literal["from_distance", "intersected"]
+class PointColumns(NamedColumns):
+    """Columns of a table of object points: latitude and longitude [deg], or x and y of its crs."""
+
+    point: str = "point"
+    latitude: str | None = None
+    longitude: str | None = None
+    x: str | None = Field(None, description="east")
+    y: str | None = Field(None, description="north")
+    height: str = "height"
+
+    @model_validator(mode="after")
+    def _check_places(self) -> PointColumns:
+        given = self.named.keys() - {"point", "height"}
+        if given not in ({"latitude", "longitude"}, {"x", "y"}):
+            raise ValueError("give either latitude and longitude, or x and y")
+        return self
+
+
+class PointTable(Section):
+    """Ground heights by the names of points, in a table of their own."""
+
+    points: PathText = Field(description="CSV or Parquet, one row a point")
+    columns: PointColumns
+    crs: str = Field(
+        description="of the places, as EPSG:4326 or EPSG:25832; with a vertical part, as "
+        "EPSG:25832+5773, of the heights too"
+    )
+
+
+def _kind_of_height(value: Any) -> str:
+    """Which of the sources of heights a value is meant for, so that one has its messages alone."""
+    if isinstance(value, str | Section):
+        return "name" if isinstance(value, str) else type(value).__name__
+    if isinstance(value, dict):
+        return "PointTable" if "points" in value else "GroundColumn"
+    return "number"
+
+
+GroundHeight = Annotated[
+    Annotated[float, Tag("number")]
+    | Annotated[GroundColumn, Tag("GroundColumn")]
+    | Annotated[PointTable, Tag("PointTable")]
+    | Annotated[Literal["from_distance", "intersected"], Tag("name")],
+    Discriminator(_kind_of_height),
+]
 
 
 class GroundSection(Section):
     """Heights of the observed points. There is no default."""
 
     height: GroundHeight = Field(
-        description="metres, or {column: NAME}, or from_distance: where the slant range ends, or "
+        description="metres, or {column: NAME}, or {points: PATH, columns, crs}: a table of "
+        "object points, or from_distance: where the slant range ends, or "
         "intersected: where the rays of the point meet, with the stations as they are"
     )
     reference: Literal["msl", "ellipsoid", "relative"] = Field(
@@ -163,6 +209,16 @@ class GroundSection(Section):
     def column(self) -> str | None:
         """The column of heights, where there is one."""
         return self.height.column if isinstance(self.height, GroundColumn) else None
+
+    @property
+    def points(self) -> PointTable | None:
+        """The table of points with their heights, where there is one."""
+        return self.height if isinstance(self.height, PointTable) else None
+
+    @property
+    def reference_of_values(self) -> Literal["msl", "ellipsoid", "relative"]:
+        """What the heights of the observations count from: those of a table are reduced to msl."""
+        return "msl" if self.points is not None else self.reference
 
     @property
     def from_distance(self) -> bool:

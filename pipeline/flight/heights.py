@@ -209,15 +209,20 @@ def ground_offsets(reference: str, stations: Stations, heights: HeightSystem) ->
                 "mission.geoid that reaches as far",
             )
         return -undulation
-    if heights.home_h_msl_m is None:
-        raise MissionError(
-            "HEIGHT-REFERENCE",
-            "ground heights are relative to the take-off point, of which the log gives no height, "
-            "or more than one",
-            where="ground.reference",
-            remedy="give ground.home_h_msl_m",
-        )
-    return np.full(n, heights.home_h_msl_m)
+    return np.full(n, known_home_m(heights))
+
+
+def known_home_m(heights: HeightSystem) -> float:
+    """The height of the take-off point; refuses (MissionError) heights relative to an unknown."""
+    if heights.home_h_msl_m is not None:
+        return heights.home_h_msl_m
+    raise MissionError(
+        "HEIGHT-REFERENCE",
+        "ground heights are relative to the take-off point, of which the log gives no height, or "
+        "more than one",
+        where="ground.reference",
+        remedy="give ground.home_h_msl_m",
+    )
 
 
 @dataclass(frozen=True)

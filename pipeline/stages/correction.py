@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from pipeline.atmosphere.series.profile_series import ProfileSeries
@@ -44,6 +43,7 @@ from pipeline.stages.ground.ground_heights import (
 from pipeline.stages.statistics import Statistics, evenly_spaced
 from pipeline.stages.uncertainty import uncertainties_of_mission, views_of_mission
 from pipeline.tables.column_checks import Direction
+from pipeline.tables.object_points import matching_rows
 from pipeline.tables.observations import Batch, Observations
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
 from pipeline.tables.writing import table_of_observations, write_parquet
@@ -146,7 +146,7 @@ def ground_of_mission(mission: Mission, stations: Stations, heights: HeightSyste
     section = mission.ground
     if section.from_distance:
         return SlantRangeGround(section.sigma_m)
-    offsets = ground_offsets(section.reference, stations, heights)
+    offsets = ground_offsets(section.reference_of_values, stations, heights)
     return GivenGround(section.constant_m, offsets, section.sigma_m)
 
 
@@ -169,7 +169,7 @@ def correct_stream(
     images = pa.array(setup.images, pa.string())
 
     def correct_part(number: int, batch: Batch) -> Statistics:
-        station = station_rows(batch.image, images)
+        station = matching_rows(batch.image, images)
         ground = setup.ground.heights(batch, station, setup)
         corrections = ground.flagged(correct_batch(batch, station, ground, setup))
         name = f"observations/part-{number:05d}.parquet"
@@ -222,25 +222,12 @@ def on_threads(
             pool.shutdown()
 
 
-def station_rows(image: pa.StringArray, images: pa.StringArray) -> Rows:
-    """(n,) the station of each observation, -1 where its image has none.
-
-    >>> station_rows(pa.array(["b", None, "x", "a"]), pa.array(["a", "b"])).tolist()
-    [1, -1, -1, 0]
-    """
-    encoded = image.dictionary_encode()
-    station = pc.fill_null(pc.index_in(encoded.dictionary, value_set=images), -1)
-    by_code = np.append(station.to_numpy(zero_copy_only=False).astype(np.int64), -1)
-    codes = pc.fill_null(encoded.indices, len(by_code) - 1).to_numpy(zero_copy_only=False)
-    return np.asarray(by_code[codes])
-
-
 def correct_batch(
     batch: Batch, station: Rows, ground: GroundHeights, setup: CorrectionSetup
 ) -> Corrections:
     """The corrections of a batch, computed for each camera and profile, in the order of its rows.
 
-    ``station`` (n,) as `station_rows` returns it, ``ground`` the heights of the batch.
+    ``station`` (n,) as `matching_rows` returns it, ``ground`` the heights of the batch.
     """
     method = correct_observations if setup.direction == "remove" else apply_refraction
     parts: list[tuple[NDArray[np.intp], Corrections]] = []

@@ -27,13 +27,13 @@ from pipeline.geodesy import Gravity
 from pipeline.ledger import Ledger
 from pipeline.refraction.image import correct_observations
 from pipeline.refraction.ray import rays_by
-from pipeline.stages.correction import station_rows
 from pipeline.stages.exposure_setup import (
     cameras_of_mission,
     exposures_of_mission,
     windows_of_mission,
 )
 from pipeline.tables.exports import ExportCamera, FinishedRun
+from pipeline.tables.object_points import matching_rows
 
 Array = NDArray[np.float64]
 
@@ -160,7 +160,7 @@ def ground_of(parts: tuple[Path, ...], stations: Stations, ledger: Ledger) -> Ar
     rows, heights = [], []
     for part in parts:
         table = pq.read_table(part, columns=["image", "h_g_m"])
-        rows.append(station_rows(table["image"].combine_chunks(), names))
+        rows.append(matching_rows(table["image"].combine_chunks(), names))
         heights.append(table["h_g_m"].to_numpy())
     series = pd.Series(np.concatenate(heights)).dropna()
     by_station = series.groupby(np.concatenate(rows)[series.index]).median()
@@ -190,7 +190,7 @@ def check_reproduced(run: FinishedRun, path: Path) -> None:
     for part in run.parts:
         table = pq.read_table(part, columns=_CHECKED)
         table = table.take(np.arange(0, table.num_rows, 1 + table.num_rows // _MOST_CHECKED))
-        station = station_rows(table["image"].combine_chunks(), names)
+        station = matching_rows(table["image"].combine_chunks(), names)
         largest = max(largest, largest_difference_px(run, table, station))
     if largest > _LARGEST_DIFFERENCE_PX:
         raise MissionError(

@@ -204,6 +204,11 @@ def without_attitude(where: str) -> MissionError:
     )
 
 
+def user_geoid(plan: Plan) -> GeoidGrid | None:
+    """The grid that the mission file names, which a vertical datum other than sea level needs."""
+    return None if plan.mission.mission.geoid == "egm96" else geoid_of_mission(plan)
+
+
 def read_trajectory(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -> Channel | None:
     """The trajectory that the mission file names."""
     section = plan.mission.stations.trajectory

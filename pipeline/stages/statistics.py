@@ -36,6 +36,7 @@ class Statistics:
     status: dict[str, int] = field(default_factory=dict)
     no_distance: int = 0
     no_sigma: int = 0
+    no_point: int = 0
     implausible_heights: int = 0
     rays: list[Array] = field(default_factory=list)
     cabin_share: Distribution = field(default_factory=Distribution)
@@ -51,6 +52,7 @@ class Statistics:
         self.rows += len(batch)
         self.no_distance += batch.no_distance
         self.no_sigma += batch.no_sigma
+        self.no_point += batch.no_point
         self.parts += 1
         if corrections.sigmas is not None:
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -79,6 +81,7 @@ class Statistics:
         self.rows += other.rows
         self.no_distance += other.no_distance
         self.no_sigma += other.no_sigma
+        self.no_point += other.no_point
         self.implausible_heights += other.implausible_heights
         self.rays += other.rays
         self.cabin_share += other.cabin_share
@@ -115,6 +118,14 @@ class Statistics:
                 "no number: taken as unknown",
                 where="ground.sigma_column",
                 count=self.no_sigma,
+            )
+        if self.no_point:
+            ledger.loss(
+                "POINTS-MISSING",
+                f"{self.no_point} of {self.rows} observations are of points that the table of "
+                "object points has not: they are no_ground",
+                where="ground.height.points",
+                count=self.no_point,
             )
         if self.implausible_heights:
             ledger.loss(

@@ -48,6 +48,7 @@ from pipeline.stages.exposure_setup import (
     windows_of_mission,
 )
 from pipeline.stages.finished_run import rebuild_run, refuse_output
+from pipeline.stages.ground.point_table import check_object_points, with_object_points
 from pipeline.stages.inputs import FlightLog, read_log, read_observations
 from pipeline.stages.multi_image.intersected_heights import with_intersected_heights
 from pipeline.stages.outputs import manifest_of, observation_metadata, write_tables
@@ -184,7 +185,9 @@ def prepare_mission(plan: Plan, progress: Progress) -> PreparedMission:
     observations = read_observations(plan, ledger)
     progress.start("reading the log")
     flight = read_log(plan, ledger)
+    observations = with_object_points(plan, observations, flight.heights, ledger)
     stations = stations_of_mission(plan, flight, observations, ledger)
+    check_object_points(observations, stations, ledger)
     ledger.extend(undulation_notes(flight.heights, stations, package_geoid()))
     samples = ledger.take(air_samples(flight.air_roles, flight.heights, plan.mission.max_gap_s))
     sources = read_air_sources(plan, stations, samples, ledger, flight.heights.home_h_msl_m)

@@ -25,6 +25,7 @@ from pipeline.tables.column_checks import (
     require_columns,
 )
 from pipeline.tables.delimited import csv_names, open_csv, scan_csv
+from pipeline.tables.object_points import ObjectPoints
 from pipeline.tables.pixels import COLMAP, PixelSystem
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
 
@@ -42,7 +43,7 @@ class Batch:
     ``distance_m`` are slant ranges, NaN where there is none; ``no_distance`` counts those that are
     none: zero, negative, infinite or no number. ``ground_sigma`` and ``no_sigma`` likewise for
     standard deviations of ground heights, of which zero is one. ``first_row`` is the place of its
-    first row in the table.
+    first row in the table; ``no_point`` counts points that a table of object points has not.
     """
 
     image: pa.StringArray
@@ -57,6 +58,7 @@ class Batch:
     no_distance: int = 0
     ground_sigma: Array | None = None
     no_sigma: int = 0
+    no_point: int = 0
     first_row: int = 0
 
     def __len__(self) -> int:
@@ -68,7 +70,7 @@ class Observations:
     """A table of observations, opened and checked, not yet read.
 
     ``user_fields`` are the columns that pass through, under the names they leave with; ``pixels``
-    the system of the table's pixels.
+    the system of the table's pixels, ``points`` give the heights where they do.
     """
 
     path: Path
@@ -80,6 +82,7 @@ class Observations:
     user_fields: tuple[pa.Field, ...]
     sigma_column: str | None = None
     pixels: PixelSystem = COLMAP
+    points: ObjectPoints | None = None
     _sources: Mapping[str, str] = field(repr=False, default_factory=dict)
     _csv_types: Mapping[str, pa.DataType] = field(repr=False, default_factory=dict)
 
@@ -90,23 +93,30 @@ class Observations:
             arrays = {name: _one_array(table[name]) for name in table.column_names}
             x, y = _as_float(arrays[self.columns["x_px"]]), _as_float(arrays[self.columns["y_px"]])
             distance, no_distance, sigma, no_sigma = None, 0, None, 0
+            point, ground, no_point = arrays[self.columns["point"]].cast(pa.string()), None, 0
+            if self.ground_column is not None:
+                ground = _as_float(arrays[self.ground_column])
+            if self.points is not None:
+                ground, row = self.points.heights(point)
+                no_point = int((row < 0).sum())
             if self.distance_column is not None:
                 distance, no_distance = _at_least(0.0, arrays[self.distance_column], above=True)
             if self.sigma_column is not None:
                 sigma, no_sigma = _at_least(0.0, arrays[self.sigma_column])
             yield Batch(
                 image=arrays[self.columns["image"]].cast(pa.string()),
-                point=arrays[self.columns["point"]].cast(pa.string()),
+                point=point,
                 x_px=self.pixels.to_colmap(x),
                 y_px=self.pixels.to_colmap(y),
                 x_given_px=x,
                 y_given_px=y,
-                ground=_as_float(arrays[self.ground_column]) if self.ground_column else None,
+                ground=ground,
                 users={item.name: arrays[self._sources[item.name]] for item in self.user_fields},
                 distance_m=distance,
                 no_distance=no_distance,
                 ground_sigma=sigma,
                 no_sigma=no_sigma,
+                no_point=no_point,
                 first_row=first_row,
             )
             first_row += table.num_rows

@@ -198,6 +198,12 @@ def with_imports() -> Iterator[dict[str, Any]]:
         }
 
 
+def with_object_points() -> dict[str, Any]:
+    columns = {"point": "name", "x": "east", "y": "north", "height": "h"}
+    points = {"points": "points.csv", "columns": columns, "crs": "EPSG:25832"}
+    return FULL | {"ground": {"height": points, "reference": "msl"}}
+
+
 Keys = tuple[str, ...]
 NAMES = {"nadir", "window", "colmap"}
 
@@ -308,6 +314,7 @@ def test_the_examples_here_use_every_key_there_is(accepted):
         oriented(GEOGRAPHIC),
         oriented(TOPOCENTRIC),
         *with_imports(),
+        with_object_points(),
     ]
     used = {keys[-1] for tree in (FULL, *others) for keys in keys_of(tree)}
     listed = [*FULL["atmosphere"]["soundings"], *FULL["atmosphere"]["surface"]]

@@ -51,7 +51,7 @@ class Ground(Protocol):
         """The lowest and the highest height above sea level that a point can have [m]."""
 
     def heights(self, batch: Batch, station: Rows, setup: CorrectionSetup) -> GroundHeights:
-        """The heights of a batch; ``station`` (n,) as `station_rows` returns it."""
+        """The heights of a batch; ``station`` (n,) as `matching_rows` returns it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,9 @@ from pipeline.errors import MissionError
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Entry, Kind, Ledger
 from pipeline.refraction.image import correct_observations
-from pipeline.stages.correction import CorrectionSetup, station_rows
+from pipeline.stages.correction import CorrectionSetup
 from pipeline.stages.ground.ground_heights import ComputedGround
+from pipeline.tables.object_points import matching_rows
 from pipeline.tables.observations import Observations
 
 Array = NDArray[np.float64]
@@ -61,7 +62,7 @@ def with_intersected_heights(
             part = np.empty(len(batch), _RAY)
             part["point"] = pd.util.hash_pandas_object(batch.point.to_pandas(), index=False)
             part["row"] = batch.first_row + np.arange(len(batch))
-            part["station"] = station_rows(batch.image, images)
+            part["station"] = matching_rows(batch.image, images)
             part["x"], part["y"] = batch.x_px, batch.y_px
             named = batch.point.is_valid().to_numpy(zero_copy_only=False)
             part = part[named & (part["station"] >= 0) & np.isfinite(part["x"] + part["y"])]

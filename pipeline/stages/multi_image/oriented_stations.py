@@ -167,7 +167,9 @@ def compare_with_ground(
     ledger: Ledger,
 ) -> None:
     """Tell where intersected points lie at other heights than those given, (p,) each."""
-    to_msl = np.nanmedian(ground_offsets(plan.mission.ground.reference, stations, flight.heights))
+    to_msl = np.nanmedian(
+        ground_offsets(plan.mission.ground.reference_of_values, stations, flight.heights)
+    )
     undulation = stations.h_ellipsoid_m - stations.h_msl_m
     known = undulation[np.isfinite(undulation)]
     h = stated.geodetic[2] - (np.median(known) if known.size else 0.0)
@@ -281,7 +283,9 @@ def check_height_above_ground(
     given = given[np.isfinite(given)]
     if section.from_distance or given.size == 0 or not bool(stations.ok.any()):
         return stations
-    ground = ground_offsets(section.reference, stations, flight.heights) + np.median(given)
+    ground = ground_offsets(section.reference_of_values, stations, flight.heights) + np.median(
+        given
+    )
     above = (stations.h_msl_m - ground)[stations.ok]
     low = int((above <= 0.0).sum())
     what = (

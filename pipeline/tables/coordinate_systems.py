@@ -1,0 +1,197 @@
+"""Positions in a stated coordinate system, brought to WGS 84; the only module that uses pyproj.
+
+Horizontally by PROJ without ballpark transformations. Heights stay what they are, by the name of
+their datum: PROJ returns them unchanged, and says nothing, where it lacks a grid.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import InputError
+from pipeline.geodesy import GeoidGrid
+from pipeline.ledger import Entry, Notes, loss, note, warning
+from pipeline.units import WGS84_A
+
+Array = NDArray[np.float64]
+
+_GOOD_M = 1.0
+"""A transformation that is no better than this is a warning [m]."""
+
+_MARGIN_DEG = 2.0
+"""So far outside its area of use a coordinate system is still meant."""
+
+_SEA_LEVELS = ("EGM96 height", "MSL height")
+"""Vertical datums that are mean sea level here."""
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """(n,) latitude, longitude [rad] on WGS 84 and height [m] of positions; NaN where unknown.
+
+    ``heights`` says what they count from: msl, ellipsoid, or as stated. ``convergence_rad`` is the
+    azimuth of grid north, 0 where the positions were geographic.
+    """
+
+    lat_rad: Array
+    lon_rad: Array
+    h_m: Array
+    heights: str
+    convergence_rad: Array
+
+
+def places_of(
+    crs: str,
+    xyh: tuple[Array, Array, Array],
+    *,
+    heights: str,
+    geoid: GeoidGrid | None,
+    where: str,
+    key: str,
+) -> tuple[Places, Notes]:
+    """Positions on WGS 84 of (n,) x, y and heights in a coordinate system.
+
+    Parameters
+    ----------
+    crs : as PROJ knows it, EPSG:25832 or EPSG:25832+7837.
+    xyh : x to the east and y to the north in its unit, or longitude and latitude [deg], whatever
+        the order of its axes; heights in metres, or in the unit of its vertical part.
+    heights : what they count from, as stated: msl, ellipsoid or relative.
+    geoid : a grid of the user's that belongs to the vertical part, where that is no mean sea level.
+    where, key : the file, and the key of the mission file that states the system.
+
+    Refuses (InputError) what is no such system (CRS-UNKNOWN), one that has only a ballpark
+    transformation (CRS-BALLPARK), positions outside its area (CRS-AREA), and a vertical part that
+    contradicts ``heights`` or needs a grid (CRS-VERTICAL). A transformation worse than 1 m is a
+    warning (CRS-DATUM), which names the grid that would make it better.
+    """
+    from pyproj import Proj, Transformer
+    from pyproj.aoi import AreaOfInterest
+    from pyproj.transformer import TransformerGroup
+
+    horizontal, vertical = _system(crs, heights, where, key)
+    x, y, h = xyh
+    own = horizontal.geodetic_crs
+    to_own = Transformer.from_crs(horizontal, own, always_xy=True)
+    lon_lat = np.array(to_own.transform(x, y, errcheck=False))
+    lon_lat, notes = _inside(lon_lat, horizontal, where, key, (x, y))
+    known = np.isfinite(lon_lat).all(axis=0)
+    corners = (*lon_lat[:, known].min(axis=1).tolist(), *lon_lat[:, known].max(axis=1).tolist())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # told below
+        group = TransformerGroup(
+            horizontal, "EPSG:4326", always_xy=True, allow_ballpark=False,
+            area_of_interest=AreaOfInterest(*corners),
+        )  # fmt: skip
+    if not group.transformers:
+        raise InputError(
+            "CRS-BALLPARK",
+            f"{horizontal.name} has no transformation to WGS 84 with a known accuracy",
+            where=where,
+            remedy=f"transform the positions to a system on WGS 84 or ETRS89, and state it: {key}",
+        )
+    best, count = group.transformers[0], int(known.sum())
+    what = f"{count} positions in {horizontal.name} ({crs}) brought to WGS 84 by "
+    what += f"{best.description or 'an unnamed operation'}"
+    what += f", to {best.accuracy:g} m" if best.accuracy >= 0.0 else ", of unknown accuracy"
+    if not group.best_available and (missing := group.unavailable_operations[:1]):
+        grids = ", ".join(grid.short_name for grid in missing[0].grids)
+        what += f"; {missing[0].name} to {missing[0].accuracy:g} m needs {grids} in PROJ's folder"
+    tell = note if 0.0 <= best.accuracy <= _GOOD_M else warning
+    notes.append(tell("CRS-DATUM", what, where=where, count=count))
+    lon, lat = np.radians(np.array(best.transform(np.where(known, x, np.nan), y, errcheck=False)))
+    lat[~known] = lon[~known] = np.nan
+    convergence = np.zeros(lat.size)
+    if horizontal.is_projected:
+        factors = Proj(horizontal).get_factors(*lon_lat[:, known])
+        convergence[known] = np.radians(factors.meridian_convergence)
+    if vertical is not None:
+        axis = vertical.axis_info[0]
+        h = h * axis.unit_conversion_factor * (-1.0 if axis.direction == "down" else 1.0)
+        if vertical.name not in _SEA_LEVELS:
+            if geoid is None:
+                raise _vertical(
+                    f"its heights are {vertical.name}, and nothing relates them to others",
+                    where, key,
+                    "give mission.geoid, the path of this datum's grid of undulations (.gtx or "
+                    f"GeoTIFF); or state {horizontal.to_string()} alone, where some decimetres to "
+                    "a metre of difference between sea levels do not matter",
+                )  # fmt: skip
+            what = f"{vertical.name} taken as {geoid.name} relates it to the ellipsoid"
+            notes.append(note("CRS-VERTICAL", what, where=where, count=count))
+            h, heights = h + geoid.undulation(lat, lon), "ellipsoid"
+    return Places(lat, lon, h, heights, convergence), tuple(notes)
+
+
+def _system(crs: str, heights: str, where: str, key: str) -> tuple[Any, Any]:
+    """The horizontal part, two-dimensional, and the vertical part or None; refuses no system.
+
+    And heights that are not above what the system says, or above an ellipsoid of a past survey.
+    """
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        whole = CRS.from_user_input(crs)
+        horizontal, *vertical = whole.sub_crs_list if whole.is_compound else [whole]
+        if not (horizontal.is_projected or horizontal.is_geographic) or horizontal.is_geocentric:
+            raise CRSError(f"{whole.name} is a {whole.type_name}")
+    except CRSError as error:
+        raise InputError(
+            "CRS-UNKNOWN", f"{crs!r} is no coordinate system for positions that PROJ knows: "
+            f"{error}", where=where,
+            remedy=f"state {key} as EPSG:25832, EPSG:4326 or EPSG:25832+5773",
+        ) from None  # fmt: skip
+    of_system, ellipsoid = "msl" if vertical else heights, horizontal.ellipsoid
+    if not vertical and len(whole.axis_info) == 3:
+        of_system = "ellipsoid"
+    if of_system != heights:
+        raise _vertical(f"the heights of {whole.name} are {of_system}, stated are {heights}", where,
+                        key, f"state {of_system}, or a system without heights")  # fmt: skip
+    if heights == "ellipsoid" and abs(ellipsoid.semi_major_metre - WGS84_A) > 1.0:
+        raise _vertical(
+            f"the ellipsoid of {horizontal.name} is {ellipsoid.name}, and receivers give no "
+            "heights above that", where, key, "give heights above mean sea level (msl), or "
+            "positions in a system of WGS 84 or ETRS89",
+        )  # fmt: skip
+    return horizontal.to_2d(), vertical[0] if vertical else None
+
+
+def _vertical(what: str, where: str, key: str, remedy: str) -> InputError:
+    return InputError("CRS-VERTICAL", what, where=where, remedy=f"{key}: {remedy}")
+
+
+def _inside(
+    lon_lat: Array, horizontal: Any, where: str, key: str, given: tuple[Array, Array]
+) -> tuple[Array, list[Entry]]:
+    """(2, n) places with NaN outside the system's area of use; refuses where most are outside."""
+    area, known = horizontal.area_of_use, np.isfinite(given).all(axis=0)
+    lon_lat = np.where(np.isfinite(lon_lat), lon_lat, np.nan)
+    inside = np.isfinite(lon_lat).all(axis=0)
+    if area is not None:
+        west, east = area.west - _MARGIN_DEG, area.east + _MARGIN_DEG
+        width = (east - west) % 360.0 if east - west < 360.0 else 360.0
+        inside &= (lon_lat[0] - west) % 360.0 <= width
+        south, north = area.south - _MARGIN_DEG, area.north + _MARGIN_DEG
+        inside &= (lon_lat[1] >= south) & (lon_lat[1] <= north)
+    count = int((known & ~inside).sum())
+    if count == 0 and known.any():
+        return lon_lat, []
+    what = "there are no positions"
+    if known.any():
+        first = int(np.argmax(known & ~inside))
+        what = f"{count} of {int(known.sum())} positions lie outside the area of {horizontal.name} "
+        what += f"({area.name if area else 'the earth'}), the first {given[0][first]:g}, "
+        what += f"{given[1][first]:g}"
+    if 2 * count >= known.sum():
+        raise InputError(
+            "CRS-AREA", what, where=where,
+            remedy=f"check {key}, and which column is which: x is east or longitude, y north or "
+            "latitude, whatever the order of the system's axes",
+        )  # fmt: skip
+    return np.where(inside, lon_lat, np.nan), [loss("CRS-AREA", what, where=where, count=count)]

@@ -1,0 +1,98 @@
+"""Object points with their heights, from a table of the user's, looked up by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from pipeline.errors import InputError
+from pipeline.tables.column_checks import no_such_column
+from pipeline.tables.text_columns import numbers_of, text_table
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+_CODES = ("POINTS-TABLE", "POINTS-COLUMN")
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectPoints:
+    """Points by name, (p,); places [rad] on WGS 84, heights [m] as observations have them."""
+
+    name: pa.StringArray
+    lat_rad: Array
+    lon_rad: Array
+    h_m: Array
+
+    def heights(self, point: pa.StringArray) -> tuple[Array, Rows]:
+        """(n,) heights [m] of named points, NaN where unknown; and their rows, -1 without one."""
+        row = matching_rows(point, self.name)
+        return np.append(self.h_m, np.nan)[row], row
+
+
+def matching_rows(name: pa.StringArray, known: pa.StringArray) -> Rows:
+    """(n,) the row of each name among those that are known, -1 where it is not.
+
+    >>> matching_rows(pa.array(["b", None, "x", "a"]), pa.array(["a", "b"])).tolist()
+    [1, -1, -1, 0]
+    """
+    encoded = name.dictionary_encode()
+    row = pc.fill_null(pc.index_in(encoded.dictionary, value_set=known), -1)
+    by_code = np.append(row.to_numpy(zero_copy_only=False).astype(np.int64), -1)
+    codes = pc.fill_null(encoded.indices, len(by_code) - 1).to_numpy(zero_copy_only=False)
+    return np.asarray(by_code[codes])
+
+
+def read_object_points(
+    path: Path, columns: Mapping[str, str]
+) -> tuple[pa.StringArray, dict[str, Array]]:
+    """Names (p,), and the other columns as numbers by quantity, of a CSV or Parquet table.
+
+    ``columns`` : point, height, and x, y or longitude, latitude -> the user's names. Refuses
+    (InputError) a column that is not there or holds no numbers, and names that stand there twice.
+    """
+    key = "ground.height.columns"
+    if path.suffix.lower() in (".parquet", ".pq"):
+        try:
+            there = pq.read_schema(path).names
+            for quantity, name in columns.items():
+                if name not in there:
+                    raise no_such_column(_CODES[1], path, name, there=there,
+                                         key=f"{key}.{quantity}", quantity=quantity)  # fmt: skip
+            table = pq.read_table(path, columns=list(columns.values()))
+            given = table[columns["point"]].cast(pa.string()).combine_chunks()
+            values = {
+                quantity: table[name].cast(pa.float64(), safe=False).to_numpy()
+                for quantity, name in columns.items()
+                if quantity != "point"
+            }
+        except (pa.ArrowException, OSError) as error:
+            raise InputError(
+                _CODES[0], f"is no readable table of points: {error}", where=str(path),
+                remedy="write a Parquet file with names as text and numbers as float64",
+            ) from None  # fmt: skip
+    else:
+        text = text_table(path, columns, codes=_CODES, key=key)
+        given = pa.array(text[columns["point"]].str.strip(), pa.string())
+        values = {
+            quantity: numbers_of(text, name, path, _CODES[0])
+            for quantity, name in columns.items()
+            if quantity != "point"
+        }
+    names = pd.Series(given.to_pandas())
+    twice = names[names.duplicated(keep=False)]
+    if len(names) == 0 or len(twice):
+        what = "the table has no rows"
+        if len(twice):
+            what = f"{twice.nunique()} points stand there more than once, first {twice.iloc[0]!r}"
+        raise InputError("POINTS-REPEATED" if len(twice) else "POINTS-EMPTY", what, where=str(path),
+                         remedy="write one row for each point")  # fmt: skip
+    return given, values

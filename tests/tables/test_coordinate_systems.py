@@ -1,0 +1,116 @@
+"""Positions in stated coordinate systems: PROJ's own numbers, published ones, and refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyproj
+import pytest
+
+from pipeline.errors import InputError
+from pipeline.geodesy import GeoidGrid
+from pipeline.tables.coordinate_systems import places_of
+
+
+def placed(crs, x, y, h=0.0, heights="msl", geoid=None):
+    columns = tuple(np.atleast_1d(np.asarray(values, float)) for values in (x, y, h))
+    columns = tuple(np.broadcast_to(column, columns[0].shape) for column in columns)
+    return places_of(crs, columns, heights=heights, geoid=geoid, where="points.csv", key="crs")
+
+
+def refusal(*args, **kwargs) -> InputError:
+    with pytest.raises(InputError) as refused:
+        placed(*args, **kwargs)
+    return refused.value
+
+
+GEOID = GeoidGrid("national.gtx", np.full((181, 360), 46.0, np.float32), -90.0, -180.0, 1.0, 1.0)
+
+
+def test_utm_has_the_published_place_and_convergence():
+    """Ordnance Survey's worked example, guide to coordinate systems: OSGB36 E 651409.903."""
+    places, notes = placed("EPSG:27700", 651409.903, 313177.270)
+    # On WGS 84 by the guide's Helmert example within the 5 m that it promises.
+    assert np.degrees(places.lat_rad[0]) == pytest.approx(52 + 39 / 60 + 28.8282 / 3600, abs=5e-5)
+    assert np.degrees(places.lon_rad[0]) == pytest.approx(1 + 42 / 60 + 57.8663 / 3600, abs=8e-5)
+    (entry,) = notes
+    assert (entry.kind, entry.code) == ("warning", "CRS-DATUM")
+    assert "needs uk_os_OSTN15" in entry.what
+
+
+@pytest.mark.parametrize("code", [25832, 32733, 2056, 2154, 31467])
+def test_convergence_is_the_azimuth_of_grid_north(code):
+    """One metre to the grid's north, its azimuth on the ellipsoid by PROJ's geodesic."""
+    system = pyproj.CRS(code)
+    west, south, east, north = system.area_of_use.bounds
+    rng = np.random.default_rng(5)
+    lon, lat = rng.uniform(west, east, 50), rng.uniform(south, min(north, 70.0), 50)
+    to_grid = pyproj.Transformer.from_crs(system.geodetic_crs, system, always_xy=True)
+    x, y = to_grid.transform(lon, lat)
+    below, above = (to_grid.transform(x, y + d, direction="INVERSE") for d in (-1.0, 1.0))
+    azimuth = system.get_geod().inv(*below, *above)[0]
+    found = np.degrees(placed(f"EPSG:{code}", x, y)[0].convergence_rad)
+    np.testing.assert_allclose(found, azimuth, atol=2e-5)
+    assert np.abs(found).max() > 0.5
+
+
+def test_places_are_projs_whatever_the_order_of_the_axes():
+    lon, lat = np.array([9.1, 9.4]), np.array([48.2, 48.9])
+    for crs in ("EPSG:25832", "EPSG:32632", "EPSG:3035"):
+        x, y = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(lon, lat)
+        places, notes = placed(crs, x, y, 300.0)
+        np.testing.assert_allclose(np.degrees([places.lon_rad, places.lat_rad]), [lon, lat],
+                                   atol=1e-9)  # fmt: skip
+        assert places.h_m.tolist() == [300.0, 300.0]
+        assert [note.kind for note in notes] == ["note"]
+    places, _ = placed("EPSG:4326", lon, lat)
+    assert places.convergence_rad.tolist() == [0.0, 0.0]
+
+
+def test_heights_by_the_name_of_their_datum():
+    place = (500_000.0, 5_400_000.0, 100.0)
+    assert placed("EPSG:25832+5773", *place)[0].heights == "msl"
+    value = refusal("EPSG:25832+7837", *place)
+    assert value.code == "CRS-VERTICAL"
+    assert "DHHN2016 height" in str(value)
+    assert "mission.geoid" in str(value)
+    places, notes = placed("EPSG:25832+7837", *place, geoid=GEOID)
+    assert (places.heights, places.h_m[0]) == ("ellipsoid", pytest.approx(146.0))
+    assert "CRS-VERTICAL" in {note.code for note in notes}
+    assert refusal("EPSG:25832+7837", *place, heights="ellipsoid").code == "CRS-VERTICAL"
+    assert refusal("EPSG:4979", 9.0, 48.0, 100.0).code == "CRS-VERTICAL"
+    assert placed("EPSG:4979", 9.0, 48.0, 100.0, heights="ellipsoid")[0].heights == "ellipsoid"
+    # Above Bessel's ellipsoid nobody measures.
+    assert "Bessel" in str(refusal("EPSG:31467", 3_500_000, 5_400_000, heights="ellipsoid"))
+
+
+def test_feet_of_a_compound_system_are_metres():
+    x, y = pyproj.Transformer.from_crs("EPSG:4269", "EPSG:2263", always_xy=True).transform(
+        -73.5, 40.7
+    )
+    places, _ = placed("EPSG:2263+6360", x, y, 1000.0, geoid=GEOID)
+    assert places.h_m[0] == pytest.approx(1000.0 * 1200.0 / 3937.0 + 46.0, abs=1e-6)
+    assert np.degrees(places.lat_rad[0]) == pytest.approx(40.7, abs=3e-5)
+
+
+@pytest.mark.parametrize(
+    "crs", ["EPSG:99999", "no system", "EPSG:5773", "EPSG:4978", "EPSG:25832+99"]
+)
+def test_what_is_no_system_is_refused(crs):
+    assert refusal(crs, 500_000.0, 5_400_000.0).code == "CRS-UNKNOWN"
+
+
+def test_a_ballpark_transformation_is_refused():
+    local = "+proj=tmerc +lat_0=48 +lon_0=9 +x_0=0 +y_0=0 +ellps=bessel +type=crs"
+    assert refusal(local, 100.0, 200.0).code == "CRS-BALLPARK"
+
+
+def test_positions_outside_the_area_of_the_system():
+    value = refusal("EPSG:25832", [5_400_000.0, 5_401_000.0], [500_000.0, 500_100.0])
+    assert value.code == "CRS-AREA"
+    assert "2 of 2" in str(value)
+    places, notes = placed("EPSG:25832", [5e5, 5e5, 0.0], [5.4e6, 5.4e6, 0.0])
+    assert np.isnan(places.lat_rad).tolist() == [False, False, True]
+    assert [n.kind for n in notes if n.code == "CRS-AREA"] == ["loss"]
+    assert refusal("EPSG:25832", np.nan, np.nan).code == "CRS-AREA"
+    # An area across the date line: the Chatham Islands, on its other side.
+    assert placed("EPSG:3793", 3_500_000.0, 5_100_000.0)[0].lon_rad[0] < 0.0
