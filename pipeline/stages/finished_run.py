@@ -33,7 +33,7 @@ from pipeline.stages.exposure_setup import (
     windows_of_mission,
 )
 from pipeline.tables.exports import ExportCamera, FinishedRun
-from pipeline.tables.object_points import matching_rows
+from pipeline.tables.geodata.object_points import matching_rows
 
 Array = NDArray[np.float64]
 

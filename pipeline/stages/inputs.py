@@ -23,7 +23,7 @@ from pipeline.geodesy import GeoidGrid
 from pipeline.ingest import Log, open_log
 from pipeline.ingest.fields import in_stated_unit
 from pipeline.ledger import Ledger
-from pipeline.tables.geoid import package_geoid, read_geoid
+from pipeline.tables.geodata.geoid import package_geoid, read_geoid
 from pipeline.tables.imports import CAMERA_EVENTS, TRAJECTORIES, Stated, reader_of
 from pipeline.tables.imports.agreement import compare_with_log
 from pipeline.tables.observations import Observations, open_observations

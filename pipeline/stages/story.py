@@ -55,7 +55,7 @@ from pipeline.stages.outputs import manifest_of, observation_metadata, write_tab
 from pipeline.stages.stations import stations_of_mission
 from pipeline.stages.uncertainty import report_unknown_sigmas, scale_of_block
 from pipeline.tables.exports import find_format
-from pipeline.tables.geoid import package_geoid
+from pipeline.tables.geodata.geoid import package_geoid
 from pipeline.tables.observations import Observations
 
 Array = NDArray[np.float64]

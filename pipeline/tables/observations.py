@@ -25,7 +25,7 @@ from pipeline.tables.column_checks import (
     require_columns,
 )
 from pipeline.tables.delimited import csv_names, open_csv, scan_csv
-from pipeline.tables.object_points import ObjectPoints
+from pipeline.tables.geodata.object_points import ObjectPoints
 from pipeline.tables.pixels import COLMAP, PixelSystem
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
 

@@ -14,8 +14,8 @@ from pipeline.flight.stations import Stations
 from pipeline.geodesy import ecef_of_geodetic
 from pipeline.ledger import Ledger
 from pipeline.stages.inputs import user_geoid
-from pipeline.tables.coordinate_systems import places_of
-from pipeline.tables.object_points import ObjectPoints, matching_rows, read_object_points
+from pipeline.tables.geodata.coordinate_systems import places_of
+from pipeline.tables.geodata.object_points import ObjectPoints, matching_rows, read_object_points
 from pipeline.tables.observations import Observations
 from pipeline.units import WGS84_A
 

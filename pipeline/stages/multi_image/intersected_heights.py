@@ -20,7 +20,7 @@ from pipeline.ledger import Entry, Kind, Ledger
 from pipeline.refraction.image import correct_observations
 from pipeline.stages.correction import CorrectionSetup
 from pipeline.stages.ground.ground_heights import ComputedGround
-from pipeline.tables.object_points import matching_rows
+from pipeline.tables.geodata.object_points import matching_rows
 from pipeline.tables.observations import Observations
 
 Array = NDArray[np.float64]

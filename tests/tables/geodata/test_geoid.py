@@ -12,7 +12,7 @@ import pytest
 
 from pipeline.errors import InputError
 from pipeline.geodesy import GeoidGrid
-from pipeline.tables.geoid import package_geoid, read_geoid
+from pipeline.tables.geodata.geoid import package_geoid, read_geoid
 from pipeline.units import ARCSEC
 
 

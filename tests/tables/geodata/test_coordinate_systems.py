@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.errors import InputError
 from pipeline.geodesy import GeoidGrid
-from pipeline.tables.coordinate_systems import places_of
+from pipeline.tables.geodata.coordinate_systems import places_of
 
 
 def placed(crs, x, y, h=0.0, heights="msl", geoid=None):
