@@ -12,11 +12,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.spatial.transform import Rotation
+from scipy.integrate import cumulative_trapezoid
+from scipy.ndimage import uniform_filter1d
+from scipy.spatial.transform import Rotation, Slerp
 
 from pipeline.flight.channels import Channel
 from pipeline.flight.clock import utc_of_gps
-from pipeline.flight.evidence.log_accuracy import with_accuracy
+from pipeline.flight.evidence.log_accuracy import LEAST_TILT_RAD, LEAST_YAW_RAD, with_accuracy
 from pipeline.flight.exposures import Events
 from pipeline.flight.heights import height_system
 from pipeline.flight.mount import Mount
@@ -127,6 +129,38 @@ def test_positions_attitudes_and_their_sigmas(flights, name, kind) -> None:
         assert np.median(stated) < 2.0 * rms(error[what]), what
 
 
+def flown_throughout(flight: Flight, simulated: Log) -> tuple[dict, dict]:
+    """Errors and sigmas every second in the air, by the simulator's own rows."""
+    sim, moved = (simulated.message(name) for name in ("SIM", "SIM2"))
+    speed = np.interp(sim["TimeUS"], moved["TimeUS"], np.hypot(moved["VN"], moved["VE"]))
+    rows = np.flatnonzero((speed > 12.0) & (sim["Alt"] > sim["Alt"][0] + 50.0))[::10]
+    names = {"Lat": "lat", "Lng": "lng", "Alt": "alt_amsl", "Yaw": "yaw", "Pitch": "pitch",
+             "Roll": "roll"}  # fmt: skip
+    truth = pd.DataFrame({name: sim[column][rows] for column, name in names.items()})
+    stations = flight.stations(sim["time_ns"][rows])
+    assert len(stations) > 1000
+    assert stations.ok.all()
+    return errors(stations, truth), sigmas(stations)
+
+
+@pytest.mark.parametrize("kind", ["BIN", "tlog"])
+@pytest.mark.parametrize(("learnt", "tested"), [FLIGHTS, FLIGHTS[::-1]])
+def test_what_one_flight_says_of_attitudes_holds_for_the_other(flights, learnt, tested, kind):
+    """What no innovation shows is the one empirical part: by one flight, tested on the other."""
+    parts = {"tilt": np.degrees(LEAST_TILT_RAD), "yaw": np.degrees(LEAST_YAW_RAD)}
+    of_learnt = flown_throughout(flights[learnt, "BIN"], flights[learnt, "BIN"].log)
+    of_tested = flown_throughout(flights[tested, kind], flights[tested, "BIN"].log)
+    for what, stated in parts.items():
+        error, sigma = of_learnt[0][what], of_learnt[1][what]
+        square = np.mean(error**2) - np.mean(sigma**2 - stated**2)
+        assert 0.8 * stated < np.sqrt(square) < 1.25 * stated  # the program's is of both
+        error, sigma = of_tested[0][what], of_tested[1][what]
+        predicted = np.sqrt(sigma**2 - stated**2 + square)
+        for stated_sigma in (predicted, sigma):
+            assert 0.7 < rms(error / stated_sigma) < 1.2, what
+            assert np.median(stated_sigma) < 2.0 * rms(error), what
+
+
 @pytest.mark.parametrize("every", [2, 3])
 @pytest.mark.parametrize("kind", ["BIN", "tlog"])
 @pytest.mark.parametrize("name", FLIGHTS)
@@ -176,6 +210,65 @@ def test_exposures_in_true_utc_have_true_positions(flights, name, kind) -> None:
     assert np.percentile(np.concatenate(apart), 95) < 0.5
     assert abs(np.median(np.concatenate(late))) < 1.5 * flight.log.utc_sigma_s
     assert flight.log.utc_sigma_s < 0.04
+
+
+def delay_by_accelerations(log: Log) -> float:
+    """Stamp less epoch of the fixes [s], by accelerations turned by the attitude and integrated.
+
+    Receiver's velocities against them as the stamps go, both less their means over 3 s, which the
+    error of the vertical does not reach. Accelerations pass a Butterworth filter of the second
+    order, INS_ACCEL_FILTER, which delays them by sqrt(2) / (2 pi f).
+    """
+    fix, imu, turn = (log.message(name) for name in ("GPS", "IMU", "XKQ"))
+    new = np.append(True, np.diff(fix["GMS"].astype(np.int64)) != 0)
+    stamps, course = fix["TimeUS"][new] * 1e-6, np.radians(fix["GCrs"][new])
+    speed = fix["Spd"][new].astype(float)
+    seen = np.stack([speed * np.cos(course), speed * np.sin(course)])
+    attitude = Rotation.from_quat(np.stack([turn[f"Q{k}"] for k in (2, 3, 4, 1)], axis=1))
+    known = Slerp(turn["TimeUS"] * 1e-6, attitude)
+    at = imu["TimeUS"] * 1e-6
+    rows = (imu["I"] == 0) & (at > known.times[0]) & (at < known.times[-1])
+    at, force = at[rows], np.stack([imu[f"Acc{axis}"][rows] for axis in "XYZ"], axis=1)
+    pushed = known(at).apply(force)[:, :2]
+    gained = cumulative_trapezoid(pushed, at, axis=0, initial=0.0).T
+    width = 2 * round(1.0 / np.median(np.diff(stamps))) + 1
+
+    def quick(values: np.ndarray) -> np.ndarray:
+        return values - uniform_filter1d(values, width, axis=1)
+
+    delay = 0.1
+    for _ in range(5):
+        model, late, early = (np.stack([np.interp(stamps - delay + s, at, g) for g in gained])
+                              for s in (0.0, 0.02, -0.02))  # fmt: skip
+        left, slope = quick(seen - model), quick((late - early) / 0.04)
+        fast = np.flatnonzero(speed > 8.0)[2 * width : -2 * width]
+        delay -= float((left * slope)[:, fast].sum() / np.square(slope[:, fast]).sum())
+    cut_off = dict(zip(log.message("PARM")["Name"], log.message("PARM")["Value"], strict=True))
+    return delay + 2.0**0.5 / (2.0 * np.pi * float(cut_off["INS_ACCEL_FILTER"]))
+
+
+@pytest.mark.parametrize("name", FLIGHTS)
+def test_accelerations_give_the_clock_and_the_filters_positions_the_place(flights, name) -> None:
+    """Why UTC goes with the filter's positions: an exposure in UTC is then nearer to its place.
+
+    Accelerations find the true delay, which no tlog has rows enough for. The filter leads by what
+    it takes the delay too large for; at the true time its positions are that far ahead.
+    """
+    flight = flights[name, "BIN"]
+    stamps = flight.log.message("GPS")
+    epoch = utc_of_gps(stamps["GWk"], stamps["GMS"] / 1e3)
+    offset_ns, _ = true_offset_ns(flight.log)
+    behind = stamps["TimeUS"].astype(np.int64) * 1000 + round(offset_ns) - epoch
+    true_delay_s = (
+        np.median(behind[np.append(True, np.diff(stamps["GMS"].astype(int)) != 0)]) * 1e-9
+    )
+    assert delay_by_accelerations(flight.log) == pytest.approx(true_delay_s, abs=0.005)
+    ahead = []
+    for channel, truth in flight.events():
+        found = errors(flight.stations(channel.time_ns), truth)["horizontal"]
+        speed = np.hypot(truth["vn"], truth["ve"]).to_numpy()
+        ahead.append(np.linalg.norm(found, axis=1) / speed * 24.0)
+    assert 0.2 < np.median(np.concatenate(ahead)) < 0.55  # by UTC of the positions: under 0.1
 
 
 @pytest.mark.parametrize("name", FLIGHTS)

@@ -163,7 +163,12 @@ def test_profile_is_the_air_and_not_the_board(
     dry = measured["temperature_k"] / (
         1.0 - 0.378 * measured["vapour_pressure_pa"] / measured["pressure_pa"]
     )
-    assert np.abs(dry - temperature).max() < 0.55
+    # What is left is that vapour, largest at the ground: 0.9 K of virtual temperature, of which the
+    # measured temperatures give half back, 0.43 K (.BIN) and 0.50 K (.tlog) or 1.3 sigmas there.
+    # Fixes stamped at their epoch moved it from 0.49 and 0.47, by the vapour alone: pressures at
+    # the ground went from 4 to 1 Pa off (.BIN) and stayed at 2 Pa (.tlog).
+    assert (np.abs(dry - temperature) < 2.0 * measured["sigma_temperature_k"]).all()
+    assert np.sqrt(np.mean((dry - temperature) ** 2)) < 0.25
     assert np.abs(measured["temperature_k"] - temperature).max() < 2.5
     assert np.abs(measured["pressure_pa"] / 100.0 - pressure).max() < 0.5
     role = flown.outcome.manifest["channels"]["temperature"]
