@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.flight.channels import Channel
+from pipeline.flight.evidence.stretches import HEIGHT, Stretch, covered
 from pipeline.flight.heights import HeightSystem, heights_at
-from pipeline.ledger import Notes, note
+from pipeline.ledger import Notes, note, warning
 
 Array = NDArray[np.float64]
 
@@ -29,16 +30,21 @@ STILL_M_S = 1.0
 
 
 def air_samples(
-    roles: Mapping[str, Channel], heights: HeightSystem, max_gap_s: float
+    roles: Mapping[str, Channel],
+    heights: HeightSystem,
+    max_gap_s: float,
+    suspect: Sequence[Stretch] = (),
 ) -> tuple[AirSamples, Notes]:
     """The readings of the outside sensors at their heights above sea level.
 
     Temperature and humidity on the ground and in the first two minutes after take-off are shown
-    but not accepted: they are the runway's.
+    but not accepted: they are the runway's. Nor are readings where the height is ``suspect`` and
+    no other source replaces it.
     """
     height = roles.get("height")
     if height is None:
         return AirSamples(), ()
+    contradicted = [s for s in suspect if s.quantity == HEIGHT and not s.replaced_by]
     on_ground_ns = _times_on_the_ground(height)
     samples: dict[str, SensorSamples] = {}
     notes = []
@@ -52,17 +58,20 @@ def air_samples(
         if channel is None or len(channel) == 0:
             continue
         h, _ = heights_at(height, channel.time_ns, heights, max_gap_s)
-        accepted = np.isfinite(h)
+        known = np.isfinite(h)
+        accepted = known & ~covered(contradicted, channel.time_ns)
+        if count := int(np.count_nonzero(known & ~accepted)):
+            what = f"{count} readings are not used, at heights that other evidence contradicts"
+            notes.append(warning("AIR-SUSPECT-HEIGHT", what, where=channel.name, count=count))
         if role in ("temperature", "humidity") and on_ground_ns.size:
             last = np.searchsorted(on_ground_ns, channel.time_ns, side="right") - 1
             since_s = (channel.time_ns - on_ground_ns[np.maximum(last, 0)]) * 1e-9
             soaked = (last >= 0) & (since_s < SOAK_SECONDS) & accepted
-            if bool(soaked.any()):
+            if count := int(np.count_nonzero(soaked)):
                 what = (
-                    f"{int(soaked.sum())} readings on the ground or within {SOAK_SECONDS:.0f} s of "
-                    "take-off are not used"
+                    f"{count} readings on the ground or within {SOAK_SECONDS:.0f} s of take-off "
+                    "are not used"
                 )
-                count = int(soaked.sum())
                 notes.append(note("AIR-GROUND-SOAK", what, where=channel.name, count=count))
             accepted &= ~soaked
         samples[role] = SensorSamples(channel.time_ns, h, channel[column], accepted, channel.name)

@@ -189,7 +189,9 @@ def prepare_mission(plan: Plan, progress: Progress) -> PreparedMission:
     stations = stations_of_mission(plan, flight, observations, ledger)
     check_object_points(observations, stations, ledger)
     ledger.extend(undulation_notes(flight.heights, stations, package_geoid()))
-    samples = ledger.take(air_samples(flight.air_roles, flight.heights, plan.mission.max_gap_s))
+    samples = ledger.take(
+        air_samples(flight.air_roles, flight.heights, plan.mission.max_gap_s, flight.own_suspect)
+    )
     sources = read_air_sources(plan, stations, samples, ledger, flight.heights.home_h_msl_m)
     ledger.extend(flight.log.ledger if flight.log is not None else ())
     return PreparedMission(plan, flight, observations, stations, samples, sources, ledger)

@@ -162,6 +162,43 @@ def test_a_second_receiver_tells_a_slow_drift_that_nothing_else_shows():
     assert stretch.off_m == pytest.approx(40.0, abs=1.5)
 
 
+def lasting(t: np.ndarray, *, by_a_step: bool, size_m: float = 40.0) -> np.ndarray:
+    """An error from 60 s to the end of the flight, 1.5 m/s of a drift or at once."""
+    return np.where(t > 60.0, size_m, 0.0) if by_a_step else np.interp(t, [60.0, 90.0], [0, size_m])
+
+
+@pytest.mark.parametrize("by_a_step", [True, False])
+def test_a_fault_longer_than_half_a_flight_is_seen_by_a_second_receiver(by_a_step):
+    gps = receiver(north=lasting(T5, by_a_step=by_a_step), up=lasting(T5, by_a_step=by_a_step))
+    second = receiver("GPS[1]", seed=3, north=0.4, lag_s=0.2)
+    _, what, stretches, _ = found(*flight(second, north=lasting(T10, by_a_step=by_a_step), gps=gps))
+    assert {quantity for quantity, _ in what} == {"position", "height"}
+    assert {name for _, name in what} == {""}  # nothing agrees with it afterwards
+    for quantity in ("position", "height"):
+        wrong = np.zeros(T5.size, bool)
+        for s in stretches:
+            wrong |= s.covers(gps.time_ns) & (s.quantity == quantity)
+        assert wrong[T5 > 75.0].all(), quantity
+        assert not wrong[T5 < 25.0].any(), quantity
+
+
+@pytest.mark.parametrize("better_s", [None, 60.0])
+def test_a_height_that_steps_for_most_of_a_flight_is_seen_by_the_barometer(better_s):
+    """Unless the receiver is the better after its step, as it reports: then it was wrong before."""
+    sigma = np.full(T5.size, 0.8) if better_s is None else np.where(better_s > T5, 2.5, 0.8)
+    channels, roles = flight(
+        barometer(), gps=receiver(up=lasting(T5, by_a_step=True), sigma_v_m=sigma)
+    )
+    roles["pressure"] = channels[2]
+    _, what, stretches, _ = found(channels, roles)
+    assert what == [("height", "")]
+    wrong = np.zeros(T5.size, bool)
+    for s in stretches:
+        wrong |= s.covers(channels[1].time_ns) & (s.quantity == "height")
+    before, after = (wrong[side].mean() for side in (T5 < 25.0, T5 > 95.0))
+    assert (before, after) == ((0.0, 1.0) if better_s is None else (1.0, 0.0))
+
+
 @pytest.mark.parametrize("spare", [True, False], ids=["spare barometer", "vertical velocity"])
 def test_a_barometer_that_winds_up_leaves_the_stations_and_its_pressure_is_not_used(spare):
     up = np.interp(T10, [80.0, 105.0, 115.0, 140.0], [0.0, 40.0, 40.0, 0.0])

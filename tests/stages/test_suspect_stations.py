@@ -6,6 +6,7 @@ import json
 import struct
 
 import numpy as np
+import pandas as pd
 import pytest
 
 pytestmark = pytest.mark.usefixtures("plain_report")
@@ -33,15 +34,23 @@ def records(content: bytes):
         i += length
 
 
-def moved_north(content: bytes, first_us: int, last_us: int, names: set[str]) -> bytes:
-    """The log with the latitudes of messages moved by 77 m between two times."""
+def moved(
+    content: bytes, first_us: float, last_us: float, names: set[str], *, column: str, by: int
+) -> bytes:
+    """The log with a column of messages changed between two times, in the log's own unit."""
     changed = bytearray(content)
     for at, name, letters, columns, time_us in records(content):
         if name in names and first_us <= time_us <= last_us:
-            where = at + 3 + sum(SIZES[x] for x in letters[: columns.index("Lat")])
-            (lat,) = struct.unpack_from("<i", content, where)
-            struct.pack_into("<i", changed, where, lat + round(np.degrees(NORTH_M / 6.371e6) * 1e7))
+            where = at + 3 + sum(SIZES[x] for x in letters[: columns.index(column)])
+            (value,) = struct.unpack_from("<i", content, where)
+            struct.pack_into("<i", changed, where, value + by)
     return bytes(changed)
+
+
+def moved_north(content: bytes, first_us: int, last_us: int, names: set[str]) -> bytes:
+    """The log with the latitudes of messages moved by 77 m between two times."""
+    by = round(np.degrees(NORTH_M / 6.371e6) * 1e7)
+    return moved(content, first_us, last_us, names, column="Lat", by=by)
 
 
 @pytest.fixture
@@ -111,3 +120,23 @@ def test_a_filter_that_stays_where_it_was_is_not_suspect(mission):
     ended = mission.run()
     assert ended.code == 0, ended.text
     assert set(mission.stations()["status"].to_pylist()) == {"ok"}
+
+
+def test_air_is_not_sampled_at_heights_that_the_barometer_contradicts(mission, baseline):
+    """80 m for a sixth of the flight, too long for the barometer to replace them."""
+    content = mission.log.read_bytes()
+    times = [time for _, name, _, _, time in records(content) if name == "GPS"]
+    begin = times[0] + 0.4 * (times[-1] - times[0])
+    end = begin + (times[-1] - times[0]) / 6.0
+    mission.log.write_bytes(moved(content, begin, end, {"GPS"}, column="Alt", by=8_000))
+    ended = mission.run()
+    assert ended.code == 3, ended.text
+    manifest = json.loads((mission.output / "manifest.json").read_text())
+    entries = [e for e in manifest["ledger"] if e["code"] == "AIR-SUSPECT-HEIGHT"]
+    assert {e["kind"] for e in entries} == {"warning"}
+    assert sum(e["count"] for e in entries) > 100
+    profile, clean = (pd.read_parquet(folder.output / "profile.parquet")
+                      for folder in (mission, baseline))  # fmt: skip
+    for column, allowed in (("temperature_k", 0.1), ("refractivity", 1e-7)):
+        there = np.interp(clean["h_m"], profile["h_m"], profile[column])
+        np.testing.assert_allclose(there, clean[column], rtol=0.0, atol=allowed)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from pipeline.flight.channels import Channel
 from pipeline.flight.evidence.filter_health import (
@@ -132,12 +133,21 @@ def sources_of(
         ]
         heights = (height_of_pressure(c, mine) for c in barometers)
         others += [h for h in heights if h is not None]
+    own, steady_until_ns = source_path(mine, quantity, [mine, *moving]), None
+    if own.lasting_ns.size:  # what is better after a step than before it was wrong before
+        sigma = mine.columns.get(
+            "sigma_v_m" if quantity == HEIGHT else "sigma_h_m", np.ones(len(mine))
+        )
+        later = mine.time_ns > own.lasting_ns[0]
+        if not np.median(sigma[later]) < 0.5 * np.median(sigma[~later]):
+            steady_until_ns = int(own.lasting_ns[0])
     differences = []
     for other in others:
-        track = source_path(other, quantity, [other, *moving])
-        velocity = velocity_at([mine, *moving], quantity, track.channel.time_ns)
-        differences.append(difference(mine, track, quantity, velocity))
-    own = source_path(mine, quantity, [mine, *moving])
+        path = source_path(other, quantity, [other, *moving])
+        velocity = velocity_at([mine, *moving], quantity, path.channel.time_ns)
+        differences.append(
+            difference(mine, path, quantity, velocity, steady_until_ns=steady_until_ns)
+        )
     return Sources(quantity, own, tuple(differences), tuple(c.name for c in barometers))
 
 
@@ -212,25 +222,24 @@ def silences(channel: Channel, while_on: Channel, quantity: str) -> list[Stretch
 def receiver_is_right(sources: Sources, d: Difference, a: int, b: int) -> bool:
     """Whether a receiver's height is confirmed where a barometer, or a filter by it, departs.
 
-    By its own vertical velocity from 10 s before to the greatest difference, or by a source that
-    does not depend on that barometer and agrees all the time. ``a`` and ``b`` are rows of the other
-    source of ``d``.
+    By its own vertical velocity from 10 s before to the greatest difference and about the end, or
+    by a source that does not depend on that barometer and agrees all the time. ``a`` and ``b`` are
+    rows of the other source of ``d``.
     """
-    own, time_ns = sources.own, d.other.channel.time_ns
-    worst = a + int(np.nanargmax(d.off_m[a : b + 1]))
-    mine = own.channel
-    rows = np.flatnonzero(
-        (mine.time_ns >= time_ns[a] - BESIDE_S * SECOND) & (mine.time_ns <= time_ns[b])
-    )
-    if rows.size < 2 or own.stepped_m[rows].any():
+    mine, time_ns, beside_ns = sources.own.channel, d.other.channel.time_ns, int(BESIDE_S * SECOND)
+    begin_ns, end_ns = time_ns[a] - beside_ns, time_ns[b] + beside_ns
+    rows = (mine.time_ns >= begin_ns) & (mine.time_ns <= end_ns)
+    if np.count_nonzero(rows) < 2 or sources.own.stepped_m[rows].any():
         return False
-    rows = rows[mine.time_ns[rows] <= time_ns[worst]]
-    climb = velocity_at([mine], HEIGHT, mine.time_ns[rows])[:, 0]
-    if rows.size > 1 and np.isfinite(climb).all():
-        dt = np.diff(mine.time_ns[rows]) * 1e-9
-        h, _ = places_of(mine, HEIGHT)
-        climbed = float(np.sum(0.5 * (climb[1:] + climb[:-1]) * dt))
-        return abs(climbed - float(h[rows[-1], 0] - h[rows[0], 0])) < 0.5 * float(d.off_m[worst])
+    worst = a + int(np.nanargmax(d.off_m[a : b + 1]))
+    times = mine.time_ns[rows]
+    climb = velocity_at([mine], HEIGHT, times)[:, 0]
+    if np.isfinite(climb).all():
+        climbed = cumulative_trapezoid(climb, times * 1e-9, initial=0)
+        left = climbed - places_of(mine, HEIGHT)[0][rows, 0]
+        at = np.searchsorted(times, [begin_ns, time_ns[worst], time_ns[b] - beside_ns, end_ns])
+        left = left[np.minimum(at, times.size - 1)]
+        return bool((np.abs(left[1::2] - left[::2]) < 0.5 * float(d.off_m[worst])).all())
     for free in sources.differences:
         stamps = free.other.channel.time_ns
         inside = (stamps >= time_ns[a]) & (stamps <= time_ns[b])

@@ -27,6 +27,7 @@ WORST_ACCURACY_M = 5.0
 _SEVERAL = 6.0  # a difference of so many times the usual one is no noise
 _RADIUS_M = 6_371_000.0  # for differences of metres: any radius will do
 _LONGEST_STEP_S = 10.0
+_PART_OF_FLIGHT = 0.1  # in which two sources agree: no chance, whatever the rest is like
 _MOST_STEPS = 1_000
 _SLOPE_M = -8434.5  # dh / d ln p at 288.15 K
 
@@ -170,8 +171,20 @@ class Difference:
         return runs(self.other.channel.time_ns, bad, seed)
 
 
-def difference(mine: Channel, other: SourcePath, quantity: str, velocity: Array) -> Difference:
-    """How far ``mine`` is from another source; ``velocity`` (n, k) [m/s] at the times of that."""
+def difference(
+    mine: Channel,
+    other: SourcePath,
+    quantity: str,
+    velocity: Array,
+    *,
+    steady_until_ns: int | None = None,
+) -> Difference:
+    """How far ``mine`` is from another source; ``velocity`` (n, k) [m/s] at the times of that.
+
+    The usual offset is the median, or that of a tenth of the flight or more in which the two agree:
+    positions, and heights of receivers, near 0; other heights before ``steady_until_ns``, when
+    ``mine`` stepped and did not return. A fault longer than half a flight is so no usual offset.
+    """
     time_ns = other.channel.time_ns
     theirs, _ = places_of(other.channel, quantity)
     own, _ = places_of(mine, quantity)
@@ -182,23 +195,42 @@ def difference(mine: Channel, other: SourcePath, quantity: str, velocity: Array)
     apart = own - theirs if quantity == HEIGHT else metres(own - theirs, theirs[:, 0])
     apart += other.stepped_m
     known = np.isfinite(apart).all(axis=1) & other.good
-    lag_s, speed2 = 0.0, np.sum(np.nan_to_num(velocity) ** 2, axis=1)
+    velocity, noise_m = np.nan_to_num(velocity), NOISE_MISFIT_M[quantity]
+    speed2 = np.sum(velocity**2, axis=1)
     fast = known & (speed2 > max(4.0, 0.1 * float(np.percentile(speed2, 95.0))))
+    near_zero = quantity == POSITION or (is_receiver(mine) and is_receiver(other.channel))
+    lag_s = 0.0
     if np.count_nonzero(fast) >= 20:
         known = fast
-        lag_s = float(np.median(np.sum(apart * velocity, axis=1)[fast] / speed2[fast]))
-    apart -= lag_s * np.nan_to_num(velocity)
+        lags = np.sum(apart * velocity, axis=1)[fast] / speed2[fast]
+        lag_s = float(np.median(lags))
+        if near_zero and np.median(np.abs(lags - lag_s)) * np.sqrt(np.median(speed2)) > noise_m:
+
+            def closest(lag_s: float) -> float:
+                left = np.linalg.norm(apart[fast] - lag_s * velocity[fast], axis=1)
+                return float(np.percentile(left, 100.0 * _PART_OF_FLIGHT))
+
+            lag_s = min((float(np.median(part)) for part in np.array_split(lags, 20)), key=closest)
+    apart -= lag_s * velocity
     reported = other.good | other.stepped_m.any(axis=1)
     apart[~reported] = np.nan
-    off = np.full(time_ns.size, np.nan)
+    off, settled = np.full(time_ns.size, np.nan), np.zeros(time_ns.size, np.bool_)
+    early = time_ns < (time_ns[0] if steady_until_ns is None else steady_until_ns)
+    agree = np.linalg.norm(apart, axis=1) < noise_m if near_zero else early
     for part in np.unique(other.part):  # heights above home have a new home in each
         rows = other.part == part
         usable = rows & known if (rows & known).any() else rows & np.isfinite(apart).all(axis=1)
-        if usable.any():
-            off[rows] = np.linalg.norm(apart[rows] - np.median(apart[usable], axis=0), axis=1)
-    usual = 1.48 * float(np.median(off[known])) if known.any() else 0.0
-    limit_m = max(NOISE_MISFIT_M[quantity], _SEVERAL * usual)
-    return Difference(other, apart, off, lag_s, limit_m, usual)
+        if not usable.any():
+            continue
+        offset_m, least = np.median(apart[usable], axis=0), _PART_OF_FLIGHT * usable.sum()
+        if np.count_nonzero(usable & agree) > least:
+            usual_m = np.median(apart[usable & agree], axis=0)
+            if np.linalg.norm(usual_m - offset_m) > noise_m:
+                usable, offset_m = usable & agree, usual_m
+        off[rows] = np.linalg.norm(apart[rows] - offset_m, axis=1)
+        settled |= usable & known
+    scatter_m = 1.48 * float(np.median(off[settled])) if settled.any() else 0.0
+    return Difference(other, apart, off, lag_s, max(noise_m, _SEVERAL * scatter_m), scatter_m)
 
 
 def moved(channel: Channel, rows: Mask, by_m: Array, height_column: str | None) -> dict[str, Array]:
