@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -131,18 +132,18 @@ class Channel:
     @property
     def rate_hz(self) -> float:
         """Median sampling rate [1/s]; 0 with fewer than two samples."""
-        if len(self) < 2:
-            return 0.0
-        return 1e9 / float(np.median(np.diff(self.time_ns)))
+        return 0.0 if len(self) < 2 else 1.0 / self._usual_interval_s
 
     def gap_limit_s(self, max_gap_s: float = 1.0) -> float:
         """The longest interval between two samples that is no gap [s].
 
         ``max_gap_s``, or three of the channel's usual intervals where it is slower than that.
         """
-        if len(self) < 2:
-            return max_gap_s
-        return max(max_gap_s, 3e-9 * float(np.median(np.diff(self.time_ns))))
+        return max_gap_s if len(self) < 2 else max(max_gap_s, 3.0 * self._usual_interval_s)
+
+    @cached_property
+    def _usual_interval_s(self) -> float:
+        return float(np.median(np.diff(self.time_ns))) * 1e-9
 
     def to_pandas(self) -> Any:
         """The channel as a pandas DataFrame indexed by UTC time."""

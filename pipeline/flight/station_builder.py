@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -63,16 +63,18 @@ def build_stations(
     position, height = roles["position"], roles["height"]
     track = track_at(position, time_ns, max_gap_s)
     h_msl, h_ellipsoid = heights_at(height, time_ns, heights, max_gap_s)
-    stations = _not_covered(stations, track.coverage)
-    stations = stations.with_status(np.isnan(track.lat_rad), NO_POSITION)
+    missing = [*_not_covered(track.coverage), (np.isnan(track.lat_rad), NO_POSITION)]
     if "attitude" not in roles:
-        return stations.with_status(np.ones(n, bool), NO_ATTITUDE)
+        return _with_first(stations, [*missing, (np.ones(n, np.bool_), NO_ATTITUDE)])
     turning = attitude_at(roles["attitude"], time_ns, max_gap_s)
     attitude = turning.quaternion
-    stations = _not_covered(stations, turning.coverage)
-    stations = stations.with_status(np.asarray(np.isnan(attitude).any(axis=1)), NO_ATTITUDE)
-    stations = stations.with_status(np.isnan(h_msl) & np.isnan(h_ellipsoid), IN_GAP)
-    stations = stations.with_status(np.isnan(h_msl), HEIGHT_REFERENCE_UNKNOWN)
+    missing += [
+        *_not_covered(turning.coverage),
+        (np.asarray(np.isnan(attitude).any(axis=1)), NO_ATTITUDE),
+        (np.isnan(h_msl) & np.isnan(h_ellipsoid), IN_GAP),
+        (np.isnan(h_msl), HEIGHT_REFERENCE_UNKNOWN),
+    ]
+    stations = _with_first(stations, missing)
     bend, speed_down, sigma_bend = np.zeros((3, n))
     if height.height_column is not None:
         bend, speed_down, sigma_bend = bend_of_heights(
@@ -107,7 +109,14 @@ def build_stations(
         sigma_tilt_rad=np.sqrt(np.square(tilt) + of_turn[:, :2].mean(axis=1)),
         sigma_yaw_rad=np.sqrt(np.square(yaw) + of_turn[:, 2]),
     )
-    stations = _moved_to_camera(stations, mount, attitude)
+    known = np.isfinite(attitude).all(axis=1) & np.isfinite(stations.lat_rad)
+    of_camera = _from_enu(np.where(known[:, None], attitude, np.nan), mount.camera_from_body)
+    stations = replace(stations, quaternion=of_camera)
+    if any(mount.lever_arm_m) and known.any():
+        step = np.full((n, 3), np.nan)
+        ned_from_body = Rotation.from_quat(attitude[known], scalar_first=True)
+        step[known] = ned_from_body.apply(np.array(mount.lever_arm_m)) @ NED_FROM_ENU
+        stations = stations.moved(step)
     if "aircraft_attitude" in roles:
         attitude = attitude_at(roles["aircraft_attitude"], time_ns, max_gap_s).quaternion
     elif gimbal:
@@ -116,31 +125,27 @@ def build_stations(
     return with_air(stations, roles, max_gap_s)
 
 
-def _not_covered(stations: Stations, coverage: NDArray[np.uint8]) -> Stations:
-    """Stations marked where a channel has a gap, or has ended."""
-    stations = stations.with_status(coverage == GAP_IN_CHANNEL, IN_GAP)
-    return stations.with_status((coverage != INSIDE) & (coverage != GAP_IN_CHANNEL), OUTSIDE_LOG)
+def _with_first(stations: Stations, missing: Sequence[tuple[NDArray[np.bool_], str]]) -> Stations:
+    """Stations with the first of several statuses whose mask is True, ok without any."""
+    masks, names = zip(*missing, strict=True)
+    return replace(stations, status=np.select(masks, names, STATION_OK).astype(object))
+
+
+def _not_covered(coverage: NDArray[np.uint8]) -> list[tuple[NDArray[np.bool_], str]]:
+    """Where a channel has a gap, or has ended."""
+    outside = (coverage != INSIDE) & (coverage != GAP_IN_CHANNEL)
+    return [(coverage == GAP_IN_CHANNEL, IN_GAP), (outside, OUTSIDE_LOG)]
 
 
 def _from_enu(attitude: Array, frame_from_body: Array) -> Array:
     """(n, 4) quaternions of v_frame = R(q) v_enu from attitudes v_ned = R(q) v_body; NaN stays."""
     frame, enu = (
-        Rotation.from_matrix(matrix).as_quat()[None] for matrix in (frame_from_body, NED_FROM_ENU)
+        Rotation.from_matrix(matrix).as_quat() * np.ones((4, 1))
+        for matrix in (frame_from_body, NED_FROM_ENU)
     )
-    body_from_ned = attitude[:, [1, 2, 3, 0]] * [-1.0, -1.0, -1.0, 1.0]
-    found = quaternion_products(quaternion_products(frame, body_from_ned), enu)
+    turns = quaternion_products(quaternion_products(frame, np.eye(4)), enu)  # linear in the middle
+    found = attitude[:, [1, 2, 3, 0]] * [-1.0, -1.0, -1.0, 1.0] @ turns
     return np.where(found[:, 3:] < 0.0, -found, found)[:, [3, 0, 1, 2]]
-
-
-def _moved_to_camera(stations: Stations, mount: Mount, attitude: Array) -> Stations:
-    """Stations moved by the lever arm, with the camera's exterior orientation."""
-    known = np.isfinite(attitude).all(axis=1) & np.isfinite(stations.lat_rad)
-    attitude = np.where(known[:, None], attitude, np.nan)
-    step = np.full((len(stations), 3), np.nan)
-    if bool(known.any()):
-        ned_from_body = Rotation.from_quat(attitude[known][:, [1, 2, 3, 0]])
-        step[known] = ned_from_body.apply(np.array(mount.lever_arm_m)) @ NED_FROM_ENU
-    return replace(stations.moved(step), quaternion=_from_enu(attitude, mount.camera_from_body))
 
 
 def with_air(stations: Stations, roles: Mapping[str, Channel], max_gap_s: float) -> Stations:

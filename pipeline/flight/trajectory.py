@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.flight.channels import Array, Channel, TimeArray
-from pipeline.flight.rotations import quaternion_products, rotation_vectors
+from pipeline.flight.rotations import lengths, quaternion_products, rotation_vectors
 from pipeline.geodesy import principal_radii
 
 Rows = NDArray[np.intp]
@@ -187,8 +187,8 @@ def attitude_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Attit
     place = bracket(channel, time_ns, max_gap_s)
     stored = np.stack([channel[c] for c in ("q_x", "q_y", "q_z", "q_w")], axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        unit = stored / np.linalg.norm(stored, axis=1, keepdims=True)
-    usable = np.isfinite(unit).all(axis=1)
+        unit = stored / lengths(stored)[:, None]
+    usable = np.asarray(np.isfinite(unit).all(axis=1))
     good = (place.coverage == INSIDE) & usable[place.before] & usable[place.after]
     quaternion, rate, sigma = (np.full((time_ns.size, k), np.nan) for k in (4, 3, 3))
     if not bool(good.any()):
@@ -206,7 +206,7 @@ def attitude_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Attit
     step, bend = curve.between(place_of_good)
     rate[good], sigma[good] = curve.rate(place_of_good), curve.sigma(place_of_good)
     between = step * place_of_good.fraction[:, None] + bend
-    angle = np.linalg.norm(between, axis=1, keepdims=True)
+    angle = lengths(between)[:, None]
     small = np.concatenate([np.sinc(angle / (2.0 * np.pi)) / 2.0 * between, np.cos(angle / 2.0)], 1)
     found = quaternion_products(unit[place_of_good.before], small)
     quaternion[good] = np.where(found[:, 3:] < 0.0, -found, found)[:, [3, 0, 1, 2]]
@@ -265,8 +265,8 @@ class _Curve:
                 end = end + across / 2.0 + np.cross(step, across) / 12.0
             u = place.fraction[:, None]
             allowed = self.limits[0] + self.limits[1] * interval[:, 0] ** 2 / 2.0
-            credible = np.linalg.norm(begin - step, axis=1) <= allowed
-            credible &= np.linalg.norm(end - step, axis=1) <= allowed
+            credible = lengths(begin - step) <= allowed
+            credible &= lengths(end - step) <= allowed
             bend = u * (1.0 - u) * ((1.0 - u) * (begin - step) - u * (end - step))
             bend *= interval**2 / (interval**2 + self.lag_s**2)
         return step, np.where(credible[:, None], bend, 0.0)
@@ -285,16 +285,16 @@ class _Curve:
         """
         last = len(self.channel) - 1
         about = np.stack([place.before - 1, place.before, place.after, place.after + 1])
-        middle, which = np.unique(
-            np.clip(about, min(1, last), max(last - 1, 0)), return_inverse=True
-        )
+        about = np.clip(about, min(1, last), max(last - 1, 0))
+        used = np.zeros(last + 1, np.bool_)
+        used[about] = True
+        middle, which = np.flatnonzero(used), (np.cumsum(used) - 1)[about]
         left, right = np.maximum(middle - 1, 0), np.minimum(middle + 1, last)
         part = self._seconds(left, middle) / np.maximum(self._seconds(left, right), 1e-9)
         inside = np.full(middle.shape, INSIDE, np.uint8)
         step, bend = self.between(Bracket(left, right, part[:, 0], inside))
         square = np.square(self.difference(left, middle) - step * part - bend)
         known = np.isfinite(square.sum(axis=1))[:, None]
-        square = np.where(known, square, 0.0)[which.reshape(about.shape)].sum(axis=0)
-        count = known[which.reshape(about.shape)].sum(axis=0)
+        square, count = np.where(known, square, 0.0)[which].sum(axis=0), known[which].sum(axis=0)
         u, misfit = place.fraction[:, None], np.sqrt(square / np.maximum(count, 1.0))
         return np.asarray(2.0 * u * (1.0 - u) * misfit)

@@ -27,6 +27,7 @@ WORST_ACCURACY_M = 5.0
 _SEVERAL = 6.0  # a difference of so many times the usual one is no noise
 _RADIUS_M = 6_371_000.0  # for differences of metres: any radius will do
 _LONGEST_STEP_S = 10.0
+_LONGEST_LAG_S = 0.3  # of receivers; a constant offset seems to be one along a line
 _PART_OF_FLIGHT = 0.1  # in which two sources agree: no chance, whatever the rest is like
 _MOST_STEPS = 1_000
 _SLOPE_M = -8434.5  # dh / d ln p at 288.15 K
@@ -210,7 +211,8 @@ def difference(
                 left = np.linalg.norm(apart[fast] - lag_s * velocity[fast], axis=1)
                 return float(np.percentile(left, 100.0 * _PART_OF_FLIGHT))
 
-            lag_s = min((float(np.median(part)) for part in np.array_split(lags, 20)), key=closest)
+            parts = [float(np.median(part)) for part in np.array_split(lags, 20)]
+            lag_s = min([lag_s, *(lag for lag in parts if abs(lag) < _LONGEST_LAG_S)], key=closest)
     apart -= lag_s * velocity
     reported = other.good | other.stepped_m.any(axis=1)
     apart[~reported] = np.nan
