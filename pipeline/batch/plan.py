@@ -95,6 +95,7 @@ def input_paths(mission: Mission, folder: Path) -> dict[str, tuple[str, Path]]:
         named["events"] = mission.events.csv.path
     if mission.events is not None and mission.events.images is not None:
         named["images"] = mission.events.images.path
+    named |= {f"camera {name}": c.file for name, c in mission.cameras.items() if c.file}
     for camera, source in mission.position_events.items():
         named[f"events of {camera}"] = source.path
     trajectory = mission.stations.trajectory
@@ -115,7 +116,8 @@ def sounding_role(number: int) -> str:
 def make_plan(mission: Mission, folder: Path) -> Plan:
     """Hash the inputs of a mission; relative paths resolve from the mission file's folder.
 
-    Refuses a mission that would write its results over one of its inputs.
+    The cameras of the plan have the numbers of their files. Refuses a mission that would write its
+    results over one of its inputs.
     """
     output = Path(os.path.normpath(folder / mission.output.path))
     _refuse_among_results("mission", folder, output)
@@ -123,8 +125,10 @@ def make_plan(mission: Mission, folder: Path) -> Plan:
     for role, (name, path) in input_paths(mission, folder).items():
         try:
             if not path.is_file() and not (role == "images" and path.is_dir()):
-                other = "events.positions" if role.startswith("events") else "atmosphere.soundings"
-                key = _MISSION_FILE_KEYS.get(role, other)
+                other = {"events": "events.positions", "camera": "cameras.<name>.file"}
+                key = _MISSION_FILE_KEYS.get(
+                    role, other.get(role.split()[0], "atmosphere.soundings")
+                )
                 raise InputError(
                     "INPUT-MISSING",
                     f"the {role} file is not there",
@@ -138,7 +142,12 @@ def make_plan(mission: Mission, folder: Path) -> Plan:
             raise InputError(
                 "INPUT-UNREADABLE", str(error.strerror), where=str(path), remedy="mend permissions"
             ) from None
-    return Plan(mission, tuple(inputs), output)
+    files = {item.role: item.path for item in inputs if item.role.startswith("camera ")}
+    cameras = {
+        name: camera.with_file(files[f"camera {name}"]) if camera.file is not None else camera
+        for name, camera in mission.cameras.items()
+    }
+    return Plan(mission.model_copy(update={"cameras": cameras}), tuple(inputs), output)
 
 
 def _refuse_among_results(role: str, path: Path, output: Path) -> None:

@@ -1,8 +1,7 @@
-"""The sections of a mission file on a camera: calibration, window and mount."""
+"""The sections of a mission file on a camera: window, air in the lens, and mount."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -17,14 +16,10 @@ from pydantic import (
 
 from pipeline.errors import PhysicsError
 from pipeline.flight.mount import Mount
-from pipeline.refraction import BrownConrady, Cabin, Camera, LensInAir, Window
-from pipeline.refraction.camera.colmap import COLMAP_MODELS, camera_of_colmap
+from pipeline.refraction import Cabin, LensInAir, Window
 from pipeline.refraction.window import UNKNOWN
-from pipeline.tables.pixels import PixelOrigin, PixelSystem
 from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K
 
-PrincipalDistance = Annotated[float, Field(ge=10, le=1e6)]
-Coefficient = Annotated[float, Field(ge=-10, le=10)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 LeverArm = Annotated[
     list[Annotated[float, Field(ge=-100, le=100)]], Field(min_length=3, max_length=3)
@@ -35,16 +30,6 @@ class Section(BaseModel):
     """A part of the mission file: strict types, no unknown keys, no NaN."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-class DistortionSection(Section):
-    """Brown-Conrady coefficients as OpenCV defines them."""
-
-    k1: Coefficient = 0.0
-    k2: Coefficient = 0.0
-    k3: Coefficient = 0.0
-    p1: Coefficient = 0.0
-    p2: Coefficient = 0.0
 
 
 Hectopascal = Annotated[float, Field(ge=100, le=1200)]
@@ -206,122 +191,6 @@ class LensSection(Section):
             self.reference.temperature_c + ZERO_CELSIUS_K,
             self.dc_dp_px_per_hpa / HECTOPASCAL,
             self.dc_dt_px_per_k,
-        )
-
-
-class CameraSection(Section):
-    """Interior orientation of one camera."""
-
-    width_px: int = Field(gt=0, le=1_000_000)
-    height_px: int = Field(gt=0, le=1_000_000)
-    model: Literal[tuple(COLMAP_MODELS)] | None = Field(  # type: ignore[valid-type]
-        None, description="COLMAP's name of the camera model, instead of f_px, cx_px, cy_px ..."
-    )
-    params: list[float] | None = Field(
-        None,
-        description="its parameters in COLMAP's order, as in cameras.txt; in COLMAP's pixels",
-    )
-    f_px: PrincipalDistance | None = None
-    fx_px: PrincipalDistance | None = None
-    fy_px: PrincipalDistance | None = None
-    cx_px: float | None = Field(None, ge=-1e6, le=1e6, validate_default=True)
-    cy_px: float | None = Field(None, ge=-1e6, le=1e6, validate_default=True)
-    pixel_origin: PixelOrigin | None = Field(
-        None,
-        description="of the principal point; by default that of the observations, and corner for "
-        "params",
-    )
-    distortion: DistortionSection = DistortionSection()
-    calibration: Literal["laboratory", "in_flight_uncorrected", "in_flight_corrected"] = Field(
-        description="how it was calibrated. A calibration estimated in flight on uncorrected "
-        "images already contains the nadir refraction of that height"
-    )
-    window: WindowSection | None = None
-    principal_distance: LensSection | None = Field(
-        None, description="how it follows the air in the lens; without it that is not removed"
-    )
-
-    @field_validator("cx_px", "cy_px")
-    @classmethod
-    def _require_point(cls, value: float | None, info: ValidationInfo) -> float | None:
-        if value is None and not (info.data.get("model") or info.data.get("params")):
-            raise ValueError("is missing: the principal point (or give model and params)")
-        return value
-
-    @model_validator(mode="after")
-    def _check_orientation(self) -> CameraSection:
-        """Either a principal distance, a principal point and Brown's coefficients, or a model."""
-        own = {"f_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion"} & self.model_fields_set
-        if (self.model is None) != (self.params is None):
-            raise ValueError("give model and params together, as they stand in cameras.txt")
-        if self.model is not None:
-            if own:
-                raise ValueError(f"params hold {', '.join(sorted(own))} already: leave that out")
-            try:
-                camera = self.build()
-            except PhysicsError as error:
-                raise ValueError(f"{error.what}; {error.remedy}") from None
-            if not all(10.0 <= f <= 1e6 for f in (camera.fx_px, camera.fy_px)):
-                raise ValueError("params: the principal distance is 10 to 1000000 pixels")
-            return self
-        both = self.fx_px is not None and self.fy_px is not None
-        neither = self.fx_px is None and self.fy_px is None
-        if (self.f_px is not None) == both or not (both or neither):
-            raise ValueError("give f_px, or both fx_px and fy_px; or model and params")
-        return self
-
-    @model_validator(mode="after")
-    def _check_lens_air(self) -> CameraSection:
-        window = self.window
-        if self.principal_distance is not None and window is not None and window.cabin is None:
-            raise ValueError(
-                "principal_distance needs the air in the lens, and behind a window that is the "
-                "cabin's: give window.cabin"
-            )
-        return self
-
-    @property
-    def needs_cabin(self) -> bool:
-        """Whether a number depends on the cabin's air.
-
-        A spherical window bends nothing: behind it the air counts only in the lens.
-        """
-        if self.window is None or self.window.cabin is None:
-            return False
-        return self.window.shape == "plane" or self.principal_distance is not None
-
-    @property
-    def needs_cabin_from_log(self) -> bool:
-        """Whether a number depends on the cabin's air, and that is to come from the log."""
-        cabin = None if self.window is None else self.window.build().cabin
-        if cabin is None or not self.needs_cabin:
-            return False
-        return cabin.source == "log" or cabin.temperature_logged
-
-    def lens(self) -> LensInAir | None:
-        """How the principal distance follows the air; None where the file does not state it."""
-        if self.principal_distance is None:
-            return None
-        camera = self.build()
-        # The smaller of two, to which a change is the larger part.
-        return self.principal_distance.build(min(camera.fx_px, camera.fy_px))
-
-    def build(self, pixel_origin: PixelOrigin = "corner") -> Camera:
-        """The camera in COLMAP's pixels; ``pixel_origin`` where it names none itself."""
-        if self.model is not None and self.params is not None:
-            camera = camera_of_colmap(self.model, self.width_px, self.height_px, self.params)
-            pixels = PixelSystem(self.pixel_origin or "corner")
-            cx, cy = pixels.to_colmap(camera.cx_px), pixels.to_colmap(camera.cy_px)
-            return replace(camera, cx_px=cx, cy_px=cy)
-        pixels = PixelSystem(self.pixel_origin or pixel_origin)
-        return Camera(
-            self.width_px,
-            self.height_px,
-            self.f_px or self.fx_px or 0.0,
-            self.f_px or self.fy_px or 0.0,
-            pixels.to_colmap(self.cx_px or 0.0),
-            pixels.to_colmap(self.cy_px or 0.0),
-            BrownConrady(**self.distortion.model_dump()),
         )
 
 

@@ -9,8 +9,9 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from pipeline.config.atmosphere import AtmosphereSection, PathText
-from pipeline.config.cameras import CameraSection, MountSection, Section
+from pipeline.config.cameras import MountSection, Section
 from pipeline.config.event_sources import EventsSection, PositionEvents
+from pipeline.config.interior_orientation import CameraSection
 from pipeline.config.station_sources import LocalOrigin, StationsSection
 from pipeline.config.trajectories import NamedColumns
 from pipeline.ingest.registry import KNOWN

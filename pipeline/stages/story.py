@@ -114,9 +114,10 @@ def run_mission(
     ``force``.
     """
     path, progress = Path(path), progress or NoProgress()
-    mission = load_mission(path)
+    mission_file = load_mission(path)
     progress.start("hashing the inputs")
-    plan = make_plan(mission, path.parent)
+    plan = make_plan(mission_file, path.parent)
+    mission = plan.mission
     with open_folder(plan.output) as folder:
         earlier = None if force else finished_before(plan)
         if earlier is not None:

@@ -7,8 +7,9 @@ import typing
 import pytest
 
 from pipeline.config.atmosphere import AtmosphereSection, SoundingSection, SurfaceSection
-from pipeline.config.cameras import CameraSection, MountSection, WindowSection
+from pipeline.config.cameras import MountSection, WindowSection
 from pipeline.config.event_sources import CsvEvents, LogEvents
+from pipeline.config.interior_orientation import CameraSection
 from pipeline.config.sections import (
     GroundSection,
     LogSection,
@@ -52,7 +53,7 @@ def test_the_rays():
 def test_cameras_and_mount():
     camera = CameraSection.model_validate(CAMERA)
     assert camera.pixel_origin is None  # that of the observations
-    assert set(camera.distortion.model_dump().values()) == {0.0}
+    assert set(camera.build().distortion) == {0.0}
     assert camera.window is None
     assert camera.principal_distance is None
     assert (camera.build().cx_px, camera.build().cy_px) == (500.0, 400.0)  # corner: COLMAP's pixels
@@ -111,7 +112,7 @@ def test_the_origin_of_a_camera_goes_before_that_of_the_table(own, of_table, cx)
 def test_two_principal_distances_are_those_of_their_axes():
     given = {key: value for key, value in CAMERA.items() if key != "f_px"}
     given |= {"fx_px": 901.0, "fy_px": 899.0, "distortion": {"k1": 0.1, "k2": 0.2, "k3": 0.3,
-                                                            "p1": 0.4, "p2": 0.5}}  # fmt: skip
+                                                            "p1": 0.004, "p2": 0.005}}  # fmt: skip
     camera = CameraSection.model_validate(given).build()
     assert (camera.fx_px, camera.fy_px, camera.width_px, camera.height_px) == (
         901.0,

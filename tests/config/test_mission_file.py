@@ -68,6 +68,24 @@ FULL: dict[str, Any] = {
             "width_px": 100, "height_px": 100, "model": "SIMPLE_RADIAL",
             "params": [200.0, 50.0, 50.0, -0.01], "calibration": "laboratory",
         },
+        "filed": {
+            "file": "cameras.json", "format": "opensfm", "camera": "v2 x", "width_px": 100,
+            "height_px": 100, "calibration": "laboratory",
+        },
+        "metric": {
+            "width_px": 100, "height_px": 100, "calibration": "laboratory",
+            "metric": {
+                "focal_mm": 100.0, "pixel_um": [1000.0, 1000.0], "format_mm": [100.0, 100.0],
+                "origin": "image_centre", "axes": "right up", "ppa_mm": [0.1, 0.0],
+                "ppbs_mm": [0.0, 0.0], "radius_mm": 80.0,
+                "distortion": {
+                    "sense": "correction", "k0": 0.0, "k1": 1e-8, "k2": 0.0, "k3": 0.0,
+                    "k4": 0.0, "p1": 1e-7, "p2": 0.0, "b1": 1e-5, "b2": 0.0,
+                },
+                "table": {"sense": "distortion", "by": "radius_mm",
+                          "rows": [[20.0, 0.0], [40.0, -0.5], [60.0, -2.0]]},
+            },
+        },
     },
     "mount": {
         "nadir": {
@@ -76,12 +94,16 @@ FULL: dict[str, Any] = {
         },
         "window": {"roll_deg": 45.0},
         "colmap": {},
+        "filed": {},
+        "metric": {},
     },
     "events": {
         "log": {
             "nadir": {"channel": "CAM[0]", "image": "n{index:05d}", "delay_s": 0.1},
             "window": {"channel": "CAM[1]", "image": "w{n}.tif"},
             "colmap": {"channel": "CAM[2]", "image": "c{index}"},
+            "filed": {"channel": "CAM[3]", "image": "f{index}"},
+            "metric": {"channel": "CAM[4]", "image": "m{index}"},
         },
         "images": {"path": "images", "time_zone": "+02:00"},
         "first_image": {"window": {"image": "w1.tif", "event": 6}},
@@ -205,7 +227,7 @@ def with_object_points() -> dict[str, Any]:
 
 
 Keys = tuple[str, ...]
-NAMES = {"nadir", "window", "colmap"}
+NAMES = set(FULL["cameras"])
 
 
 def keys_of(tree: Any, above: Keys = ()) -> Iterator[Keys]:

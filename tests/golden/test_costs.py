@@ -199,7 +199,7 @@ THINGS = {
         {"pipeline/refraction/camera/toy.py": CAMERA_MODEL},
         {
             "pipeline/refraction/camera/__init__.py": (
-                ("import brown_conrady, full_opencv", "import brown_conrady, toy, full_opencv"),
+                ("import brown_conrady, general", "import brown_conrady, toy, general"),
                 (
                     '    "brown_conrady": brown_conrady,\n',
                     '    "brown_conrady": brown_conrady,\n    "toy": toy,\n',

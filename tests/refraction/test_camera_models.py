@@ -7,10 +7,10 @@ import pytest
 
 from pipeline.errors import PhysicsError
 from pipeline.refraction import Camera
+from pipeline.refraction.calibration.named_models import camera_of_model
 from pipeline.refraction.camera import DISTORTION_MODELS
 from pipeline.refraction.camera.brown_conrady import BrownConrady
-from pipeline.refraction.camera.colmap import camera_of_colmap
-from pipeline.refraction.camera.full_opencv import FullOpenCV
+from pipeline.refraction.camera.general_frame import GeneralFrame
 from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
 
 pycolmap = pytest.importorskip("pycolmap")
@@ -20,7 +20,7 @@ CASES = [
     ("OPENCV", BrownConrady(k1=-0.08, k2=0.012, p1=4e-4, p2=-7e-4), (-0.08, 0.012, 4e-4, -7e-4)),
     (
         "FULL_OPENCV",
-        FullOpenCV(0.09, -0.03, 5e-4, -3e-4, 0.004, 0.12, -0.021, 0.003),
+        GeneralFrame(k1=0.09, k2=-0.03, py=5e-4, px=-3e-4, k3=0.004, q1=0.12, q2=-0.021, q3=0.003),
         (0.09, -0.03, 5e-4, -3e-4, 0.004, 0.12, -0.021, 0.003),
     ),
     ("OPENCV_FISHEYE", OpenCVFisheye(-0.03, 0.008, -0.002, 3e-4), (-0.03, 0.008, -0.002, 3e-4)),
@@ -91,8 +91,8 @@ def test_the_axis_of_a_fisheye_is_no_special_place():
 @pytest.mark.parametrize(
     ("parameters", "degrees"),
     [
-        (FullOpenCV(k4=1.0), 45.0),  # r / (1 + r^2) turns back at r = 1
-        (FullOpenCV(k4=-4.0), np.degrees(np.arctan(0.5))),  # a pole
+        (GeneralFrame(q1=1.0), 45.0),  # r / (1 + r^2) turns back at r = 1
+        (GeneralFrame(q1=-4.0), np.degrees(np.arctan(0.5))),  # a pole
         (OpenCVFisheye(k1=-1.0 / 3.0), np.degrees(1.0)),  # theta - theta^3 / 3
     ],
 )
@@ -110,5 +110,5 @@ def test_a_distortion_that_turns_back_ends_there(parameters, degrees):
 )
 def test_models_and_parameters_that_are_not_known(model, params):
     with pytest.raises(PhysicsError) as refused:
-        camera_of_colmap(model, 100, 100, params)
+        camera_of_model(model, 100, 100, params)
     assert refused.value.code == "CAMERA-MODEL"

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from types import ModuleType
 
-from pipeline.refraction.camera import brown_conrady, full_opencv, opencv_fisheye
+from pipeline.refraction.camera import brown_conrady, general_frame, opencv_fisheye
 
 DISTORTION_MODELS: dict[str, ModuleType] = {
     "brown_conrady": brown_conrady,
-    "full_opencv": full_opencv,
+    "general_frame": general_frame,
     "opencv_fisheye": opencv_fisheye,
 }
 """Distortion models by name."""

@@ -58,7 +58,17 @@ def largest_radius(parameters: BrownConrady) -> float:
     >>> round(largest_radius(BrownConrady(k1=-1.0 / 3.0)), 9)  # d(r - r^3 / 3)/dr = 0
     1.0
     """
-    # Where d(r_d)/dr = 0, in 1/r^2: so nothing is divided by a coefficient that may be tiny.
-    roots = np.roots([1.0, 3.0 * parameters.k1, 5.0 * parameters.k2, 7.0 * parameters.k3])
+    p = parameters
+    return first_root([1.0, 3.0 * p.k1, 5.0 * p.k2, 7.0 * p.k3])  # of d(r_d)/dr
+
+
+def first_root(coefficients: Any) -> float:
+    """Smallest positive r at which a polynomial in r^2 is zero, lowest power first; else infinity.
+
+    >>> first_root([1.0, -0.25])
+    2.0
+    """
+    # In 1/r^2: so nothing is divided by a coefficient that may be tiny.
+    roots = np.roots(np.asarray(getattr(coefficients, "coef", coefficients)))
     real = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots.real)) & (roots.real > 1e-12)]
     return float(1.0 / np.sqrt(real.max())) if real.size else np.inf

@@ -15,6 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pipeline.refraction.camera.brown_conrady import first_root
+
 # Added to r^2: the quotients below are then exact on the axis too.
 _NOTHING = 1e-300
 
@@ -37,7 +39,7 @@ Parameters = OpenCVFisheye
 def distort(u: Any, v: Any, parameters: OpenCVFisheye) -> tuple[Any, Any]:
     """Image coordinates behind the lens of ideal ones.
 
-    >>> [round(c, 9) for c in distort(1.0, 0.0, OpenCVFisheye())]  # 45 degrees
+    >>> [round(float(c), 9) for c in distort(1.0, 0.0, OpenCVFisheye())]  # 45 degrees
     [0.785398163, 0.0]
     """
     k1, k2, k3, k4 = parameters
@@ -68,8 +70,5 @@ def largest_radius(parameters: OpenCVFisheye) -> float:
     89.5
     """
     k1, k2, k3, k4 = parameters
-    # Where d(theta_d)/d(theta) = 0, in 1/theta^2: nothing is divided by a tiny coefficient.
-    roots = np.roots([1.0, 3.0 * k1, 5.0 * k2, 7.0 * k3, 9.0 * k4])
-    real = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots.real)) & (roots.real > 1e-12)]
-    turn = 1.0 / np.sqrt(real.max()) if real.size else np.inf
+    turn = first_root([1.0, 3.0 * k1, 5.0 * k2, 7.0 * k3, 9.0 * k4])  # of d(theta_d)/d(theta)
     return float(np.tan(min(turn, LARGEST_ANGLE_RAD)))

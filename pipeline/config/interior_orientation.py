@@ -1,0 +1,282 @@
+"""The interior orientation of a camera in a mission file: pixels, a report in mm, or a file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
+
+from pipeline.config.atmosphere import PathText
+from pipeline.config.cameras import LensSection, Section, WindowSection
+from pipeline.errors import InputError, PhysicsError
+from pipeline.refraction import BrownConrady, Camera, LensInAir
+from pipeline.refraction.calibration.camera_checks import refuse_impossible
+from pipeline.refraction.calibration.metric_frame import metric_camera
+from pipeline.refraction.calibration.named_models import (
+    MODELS,
+    camera_of_model,
+    model_of_camera,
+)
+from pipeline.tables.imports.camera_files import CAMERA_FILES, read_camera
+from pipeline.tables.pixels import PixelOrigin, PixelSystem
+
+PrincipalDistance = Annotated[float, Field(ge=10, le=1e6)]
+Coefficient = Annotated[float, Field(ge=-10, le=10)]
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+Sense = Literal["correction", "distortion"]
+
+
+class DistortionSection(Section):
+    """Brown-Conrady coefficients as OpenCV defines them."""
+
+    k1: Coefficient = 0.0
+    k2: Coefficient = 0.0
+    k3: Coefficient = 0.0
+    p1: Coefficient = 0.0
+    p2: Coefficient = 0.0
+
+
+class MetricDistortion(Section):
+    """Coefficients of a calibration report, in powers of mm, about the point of symmetry."""
+
+    sense: Sense = Field(
+        description="correction: what is added to measured coordinates (reports of the USGS); "
+        "distortion: what the lens does to ideal ones"
+    )
+    k0: float = 0.0
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+    p1: float = Field(0.0, description="dx = p1 (r^2 + 2 x^2) + 2 p2 x y: not OpenCV's order")
+    p2: float = 0.0
+    b1: float = Field(0.0, ge=-0.05, le=0.05, description="affinity, dx = b1 x + b2 y")
+    b2: float = Field(0.0, ge=-0.05, le=0.05)
+
+
+class MetricTable(Section):
+    """Tabulated radial distortion of a calibration report."""
+
+    sense: Sense = Field(description="distortion: positive is away from the point of symmetry")
+    by: Literal["radius_mm", "field_angle_deg"]
+    rows: list[Pair] = Field(min_length=3, description="[radius or angle, micrometres]")
+
+    @field_validator("rows")
+    @classmethod
+    def _check_order(cls, rows: list[list[float]], info: ValidationInfo) -> list[list[float]]:
+        first = [row[0] for row in rows]
+        last = 80.0 if info.data.get("by") == "field_angle_deg" else np.inf
+        if first[0] < 0.0 or np.any(np.diff(first) <= 0.0) or first[-1] > last:
+            raise ValueError("radii, or angles of up to 80 degrees, grow from row to row")
+        return rows
+
+
+class MetricSection(Section):
+    """The calibration report of a metric frame camera, in millimetres."""
+
+    focal_mm: float = Field(ge=1, le=5000, description="calibrated principal distance")
+    pixel_um: Pair = Field(description="size of a pixel, [across, down]")
+    format_mm: Pair = Field(description="width and height of the image, to check pixel_um")
+    origin: Literal["image_centre"] | Pair = Field(
+        description="of the report's coordinates: image_centre, or its pixel (centre of fiducials)"
+    )
+    axes: Literal["right up", "right down", "left up", "left down", "up right", "up left",
+                  "down right", "down left"]  # fmt: skip
+    ppa_mm: Pair = Field(description="principal point of autocollimation, origin of projection")
+    ppbs_mm: Pair | None = Field(
+        None, description="point of best symmetry, origin of distortion; by default ppa_mm"
+    )
+    radius_mm: float | None = Field(
+        None, gt=0, description="calibrated to here; by default the last row of the table"
+    )
+    distortion: MetricDistortion | None = None
+    table: MetricTable | None = None
+
+    def build(self, size_px: tuple[int, int], pixels: PixelSystem) -> Camera:
+        """The camera; refuses as `metric_camera`."""
+        centre, table = np.array(size_px) / 2.0, None
+        known = {} if self.distortion is None else self.distortion.model_dump()
+        if self.table is not None:
+            rows = np.array(self.table.rows) * [1.0, 1e-3]
+            if self.table.by == "field_angle_deg":
+                rows[:, 0] = self.focal_mm * np.tan(np.radians(rows[:, 0]))
+            table = rows, self.table.sense
+        return metric_camera(
+            size_px, self.focal_mm, pixel_mm=np.array(self.pixel_um) * 1e-3,
+            format_mm=self.format_mm, axes=self.axes, ppa_mm=self.ppa_mm,
+            origin_px=centre if isinstance(self.origin, str)
+            else pixels.to_colmap(np.array(self.origin)),
+            ppbs_mm=self.ppbs_mm or self.ppa_mm, sense=known.pop("sense", "distortion"),
+            coefficients=known, table=table, radius_mm=self.radius_mm or np.inf,
+        )  # fmt: skip
+
+
+_OTHER_WAYS = ["file", "model", "params", "metric"]
+
+
+class CameraSection(Section):
+    """Interior orientation of one camera, in one of four ways."""
+
+    file: PathText | None = Field(
+        None, description="of a program: COLMAP, OpenSfM or ODM, Metashape; then no numbers here"
+    )
+    format: Literal[tuple(CAMERA_FILES)] | None = Field(  # type: ignore[valid-type]
+        None, description="of file, where its ending does not say it"
+    )
+    camera: str | None = Field(None, description="its name in file, where that has several")
+    model: Literal[tuple(MODELS)] | None = Field(  # type: ignore[valid-type]
+        None, description="COLMAP's name of the camera model"
+    )
+    params: list[float] | None = Field(
+        None,
+        description="its parameters in COLMAP's order, as in cameras.txt; in COLMAP's pixels",
+    )
+    metric: MetricSection | None = None
+    width_px: int | None = Field(None, gt=0, le=1_000_000, validate_default=True)
+    height_px: int | None = Field(None, gt=0, le=1_000_000, validate_default=True)
+    f_px: PrincipalDistance | None = None
+    fx_px: PrincipalDistance | None = None
+    fy_px: PrincipalDistance | None = None
+    cx_px: float | None = Field(None, ge=-1e6, le=1e6, validate_default=True)
+    cy_px: float | None = Field(None, ge=-1e6, le=1e6, validate_default=True)
+    pixel_origin: PixelOrigin | None = Field(
+        None,
+        description="of the principal point; by default that of the observations, and corner for "
+        "params",
+    )
+    distortion: DistortionSection | None = None
+    calibration: Literal["laboratory", "in_flight_uncorrected", "in_flight_corrected"] = Field(
+        description="how it was calibrated. A calibration estimated in flight on uncorrected "
+        "images already contains the nadir refraction of that height"
+    )
+    window: WindowSection | None = None
+    principal_distance: LensSection | None = Field(
+        None, description="how it follows the air in the lens; without it that is not removed"
+    )
+
+    @field_validator("width_px", "height_px", "cx_px", "cy_px")
+    @classmethod
+    def _require(cls, value: float | None, info: ValidationInfo) -> float | None:
+        others = ["file"] if info.field_name in ("width_px", "height_px") else _OTHER_WAYS
+        if value is None and all(info.data.get(name) is None for name in others):
+            raise ValueError(f"is missing, and there is no {' or '.join(others)}")
+        return value
+
+    @model_validator(mode="after")
+    def _check_orientation(self) -> CameraSection:
+        """One way to give the interior orientation, and a camera that can be one."""
+        single = (self.f_px is not None, self.fx_px is not None, self.fy_px is not None)
+        numbers = any((*single, self.cx_px is not None, self.distortion is not None))
+        given = [name for name in _OTHER_WAYS if getattr(self, name) is not None]
+        given += ["f_px, cx_px, distortion"] * numbers
+        if (self.model is None) != (self.params is None):
+            raise ValueError("give model and params together, as they stand in cameras.txt")
+        if len(given) > 1 + (self.model is not None):
+            raise ValueError(f"{', '.join(given)}: each gives the interior orientation; keep one")
+        of_file = (self.format, self.camera, self.file and self.pixel_origin)
+        if any(of_file) and (self.file is None or self.pixel_origin is not None):
+            raise ValueError("format and camera go with file, and pixel_origin does not")
+        if self.file is not None:
+            return self
+        if numbers and single not in ((True, False, False), (False, True, True)):
+            raise ValueError("give f_px, or both fx_px and fy_px")
+        try:
+            camera = self.build()
+            if not all(10.0 <= f <= 1e6 for f in (camera.fx_px, camera.fy_px)):
+                raise ValueError("the principal distance is 10 to 1000000 pixels")
+            refuse_impossible(camera)
+        except PhysicsError as error:
+            raise ValueError(f"{error.code}: {error.what}; {error.remedy}") from None
+        return self
+
+    @model_validator(mode="after")
+    def _check_lens_air(self) -> CameraSection:
+        window = self.window
+        if self.principal_distance is not None and window is not None and window.cabin is None:
+            raise ValueError(
+                "principal_distance needs the air in the lens, and behind a window that is the "
+                "cabin's: give window.cabin"
+            )
+        return self
+
+    @property
+    def needs_cabin(self) -> bool:
+        """Whether a number depends on the cabin's air.
+
+        A spherical window bends nothing: behind it the air counts only in the lens.
+        """
+        if self.window is None or self.window.cabin is None:
+            return False
+        return self.window.shape == "plane" or self.principal_distance is not None
+
+    @property
+    def needs_cabin_from_log(self) -> bool:
+        """Whether a number depends on the cabin's air, and that is to come from the log."""
+        cabin = None if self.window is None else self.window.build().cabin
+        if cabin is None or not self.needs_cabin:
+            return False
+        return cabin.source == "log" or cabin.temperature_logged
+
+    def lens(self) -> LensInAir | None:
+        """How the principal distance follows the air; None where the file does not state it."""
+        if self.principal_distance is None:
+            return None
+        camera = self.build()
+        # The smaller of two, to which a change is the larger part.
+        return self.principal_distance.build(min(camera.fx_px, camera.fy_px))
+
+    def build(self, pixel_origin: PixelOrigin = "corner") -> Camera:
+        """The camera in COLMAP's pixels; ``pixel_origin`` where it names none itself.
+
+        That of a `file` is known when the file was read (`with_file`).
+        """
+        width, height = self.width_px or 0, self.height_px or 0
+        pixels = PixelSystem(self.pixel_origin or pixel_origin)
+        if self.metric is not None:
+            return self.metric.build((width, height), pixels)
+        if self.model is not None and self.params is not None:
+            camera = camera_of_model(self.model, width, height, self.params)
+            pixels = PixelSystem(self.pixel_origin or "corner")
+            cx, cy = pixels.to_colmap(camera.cx_px), pixels.to_colmap(camera.cy_px)
+            return replace(camera, cx_px=cx, cy_px=cy)
+        if self.cx_px is None or self.cy_px is None:
+            raise ValueError(f"{self.file} has not been read")
+        return Camera(
+            width,
+            height,
+            self.f_px or self.fx_px or 0.0,
+            self.f_px or self.fy_px or 0.0,
+            pixels.to_colmap(self.cx_px),
+            pixels.to_colmap(self.cy_px),
+            BrownConrady(**(self.distortion or DistortionSection()).model_dump()),
+        )
+
+    def with_file(self, path: Path) -> CameraSection:
+        """The section with model and parameters of its file, which is at ``path``.
+
+        Refuses as `read_camera`, and a file whose images have another size (CAMERA-SIZE).
+        """
+        camera = read_camera(path, self.format, self.camera)
+        size = camera.width_px, camera.height_px
+        stated = self.width_px or size[0], self.height_px or size[1]
+        if stated != size:
+            raise InputError(
+                "CAMERA-SIZE",
+                f"it is of {size[0]} x {size[1]} px, and the mission file says {stated[0]} x "
+                f"{stated[1]}",
+                where=str(path),
+                remedy="check width_px and height_px, or choose the camera of these images",
+            )
+        model, params = model_of_camera(camera)
+        known = {"model": model, "params": params, "width_px": size[0], "height_px": size[1]}
+        kept = self.model_dump(exclude={"file", "format", "camera"}, exclude_unset=True)
+        try:
+            return CameraSection.model_validate(kept | known)
+        except ValidationError as error:
+            what = error.errors()[0]["msg"].removeprefix("Value error, ")
+            raise InputError(
+                "CAMERA-FILE", what, where=str(path), remedy="check the file, or give another one"
+            ) from None
