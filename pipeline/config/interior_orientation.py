@@ -13,13 +13,13 @@ from pipeline.config.atmosphere import PathText
 from pipeline.config.cameras import LensSection, Section, WindowSection
 from pipeline.errors import InputError, PhysicsError
 from pipeline.refraction import BrownConrady, Camera, LensInAir
-from pipeline.refraction.calibration.camera_checks import refuse_impossible
-from pipeline.refraction.calibration.metric_frame import metric_camera
-from pipeline.refraction.calibration.named_models import (
+from pipeline.refraction.calibration import (
     MODELS,
     camera_of_model,
     model_of_camera,
+    refuse_impossible,
 )
+from pipeline.refraction.metric_frame import metric_camera
 from pipeline.tables.imports.camera_files import CAMERA_FILES, read_camera
 from pipeline.tables.pixels import PixelOrigin, PixelSystem
 

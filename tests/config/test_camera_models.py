@@ -7,7 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from pipeline.config.interior_orientation import CameraSection
-from pipeline.refraction.calibration.named_models import MODELS
+from pipeline.refraction.calibration import MODELS
 
 FORMAT = {"width_px": 4000, "height_px": 3000, "calibration": "laboratory"}
 PARAMS = {

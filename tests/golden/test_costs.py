@@ -155,6 +155,22 @@ def read_toy(path, stated, ledger):
     return Channel("toy", rows[:, 0].astype(np.int64), columns, Source("toy"))
 '''
 
+CAMERA_FILE = '''
+"""A toy: a line of text a camera, with its name, width, height and principal distance."""
+
+from pipeline.refraction.camera.camera import Camera
+
+
+def _camera(width, height, f):
+    return lambda: Camera(int(width), int(height), float(f), float(f), int(width) / 2,
+                          int(height) / 2)
+
+
+def read_toy_cameras(path):
+    rows = [line.split() for line in path.read_text().splitlines()]
+    return {name: _camera(*numbers) for name, *numbers in rows}
+'''
+
 
 @dataclass(frozen=True)
 class Thing:
@@ -203,6 +219,23 @@ THINGS = {
                 (
                     '    "brown_conrady": brown_conrady,\n',
                     '    "brown_conrady": brown_conrady,\n    "toy": toy,\n',
+                ),
+            )
+        },
+    ),
+    "camera file": Thing(
+        {"pipeline/tables/imports/camera_files/toy_cameras.py": CAMERA_FILE},
+        {
+            "pipeline/tables/imports/camera_files/__init__.py": (
+                (
+                    "import read_opensfm_cameras\n",
+                    "import read_opensfm_cameras\n"
+                    "from pipeline.tables.imports.camera_files.toy_cameras import "
+                    "read_toy_cameras\n",
+                ),
+                (
+                    '    "opensfm": (read',
+                    '    "toy": (read_toy_cameras, (".toycam",)),\n    "opensfm": (read',
                 ),
             )
         },
@@ -356,6 +389,17 @@ def test_a_refraction_method(copy):
 
 def test_a_camera_model(copy):
     copy.python("-c", CAMERA_USED)
+
+
+def test_a_camera_file(copy):
+    (copy.folder / "cameras.toycam").write_text("left 400 300 500\nright 400 300 501\n")
+    code = (
+        "from pathlib import Path\n"
+        "from pipeline.config.interior_orientation import CameraSection\n"
+        "camera = CameraSection(file='cameras.toycam', camera='right', calibration='laboratory')\n"
+        "print(camera.with_file(Path('cameras.toycam')).build().fx_px)"
+    )
+    assert "501" in copy.python("-c", code)
 
 
 def test_an_export(copy, baseline):

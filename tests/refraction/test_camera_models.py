@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.errors import PhysicsError
 from pipeline.refraction import Camera
-from pipeline.refraction.calibration.named_models import camera_of_model
+from pipeline.refraction.calibration import camera_of_model
 from pipeline.refraction.camera import DISTORTION_MODELS
 from pipeline.refraction.camera.brown_conrady import BrownConrady
 from pipeline.refraction.camera.general_frame import GeneralFrame

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from pipeline.refraction.calibration.named_models import MODELS, camera_of_model
+from pipeline.refraction.calibration import MODELS, camera_of_model
 from pipeline.refraction.camera.camera import Camera
 from pipeline.tables.imports.stated import read_text
 

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
 
-from pipeline.refraction.calibration.named_models import camera_of_model
+from pipeline.refraction.calibration import camera_of_model
 from pipeline.refraction.camera.camera import Camera
 
 _NOT_MODELLED = {"frame": ("p3", "p4"), "fisheye": ("p1", "p2", "p3", "p4", "b2", "skew")}

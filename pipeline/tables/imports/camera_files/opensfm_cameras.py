@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pipeline.refraction.calibration.named_models import camera_of_model
+from pipeline.refraction.calibration import camera_of_model
 from pipeline.refraction.camera.camera import Camera
 
 _COEFFICIENTS: Mapping[str, tuple[str, tuple[str, ...]]] = {

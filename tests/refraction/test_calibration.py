@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.errors import PhysicsError
 from pipeline.refraction import BrownConrady, Camera
-from pipeline.refraction.calibration.camera_checks import (
+from pipeline.refraction.calibration import (
     field_of_view,
     refuse_impossible,
 )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import PhysicsError
-from pipeline.refraction.calibration.metric_frame import metric_camera
+from pipeline.refraction.metric_frame import metric_camera
 
 # USGS reports OSL/2985 (Wild RC30, 15/4 UAG-S 13413) and OSL/3030 (RC30, 13365): calibrated focal
 # length [mm], coefficients that correct, symmetric radial distortion [um] by field angle.
