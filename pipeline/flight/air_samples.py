@@ -19,14 +19,11 @@ SOAK_SECONDS = 120.0
 """A thermometer still carries the heat of the ground for so long after take-off [s]. Over a climb
 of 1 km, with realistic sensors and no descent, R scatters by 2.0 %; with 60 s by 2.2 %."""
 
-AWAY_SECONDS = 60.0
-"""An aircraft that is away from the ground for less has not taken off [s]."""
-
+AWAY_SECONDS = 60.0  # an aircraft that is away from the ground for less has not taken off [s]
+# An aircraft that does not move, this near the lowest height of the log, is on the ground [m].
 GROUND_RISE_M = 20.0
-"""An aircraft that does not move, this near the lowest height of the log, is on the ground [m]."""
-
-STILL_M_S = 1.0
-"""Slower than this, over ten seconds, an aircraft does not move [m/s]."""
+_EARTH_M = 6.37e6
+STILL_M_S = 1.0  # slower than this, over ten seconds, an aircraft does not move [m/s]
 
 
 def air_samples(
@@ -78,14 +75,7 @@ def air_samples(
     # When the aircraft last stood before it was away for a minute or more.
     away = np.diff(on_ground_ns, append=np.iinfo(np.int64).max) > AWAY_SECONDS * 1e9
     takeoffs_ns = on_ground_ns[away] if on_ground_ns.size else on_ground_ns
-    of_flight = AirSamples(
-        samples.get("temperature"),
-        samples.get("pressure"),
-        samples.get("humidity"),
-        samples.get("airspeed"),
-        takeoffs_ns,
-    )
-    return of_flight, tuple(notes)
+    return AirSamples(**samples, takeoff_ns=takeoffs_ns), tuple(notes)
 
 
 def _times_on_the_ground(height: Channel) -> NDArray[np.int64]:
@@ -95,35 +85,19 @@ def _times_on_the_ground(height: Channel) -> NDArray[np.int64]:
     log; so each landing and take-off of a log with several flights is seen.
     """
     column = height.height_column
-    if column is None:
+    known = np.isfinite(height["lat_rad"] if column is None else height[column] + height["lat_rad"])
+    if column is None or known.sum() < 3:
         return np.empty(0, np.int64)
-    h = height[column]
-    known = np.isfinite(h) & np.isfinite(height["lat_rad"])
-    if known.sum() < 3:
-        return np.empty(0, np.int64)
-    time_ns, h = height.time_ns[known], h[known]
+    time_ns, h, lat = height.time_ns[known], height[column][known], height["lat_rad"][known]
     seconds = (time_ns - time_ns[0]) * 1e-9
-    lat, lon = height["lat_rad"][known], np.unwrap(height["lon_rad"][known])
-    north = (lat - lat[0]) * _EARTH_M
-    east = (lon - lon[0]) * _EARTH_M * np.cos(lat)
-    track = (north, east, h)
+    east = np.unwrap(height["lon_rad"][known]) * np.cos(lat[0])
+    track = (lat * _EARTH_M, east * _EARTH_M, h)
+    still = np.zeros(h.size, np.bool_)
     # The ten seconds before see the take-off, the ten seconds after the landing.
-    still = (_speed(seconds, track, -10.0) < STILL_M_S) | (_speed(seconds, track, 10.0) < STILL_M_S)
+    for window_s in (-10.0, 10.0):
+        other = np.clip(seconds + window_s, seconds[0], seconds[-1])
+        moved = [np.interp(other, seconds, values) - values for values in track]
+        lasted = np.abs(other - seconds)  # of a log that began in the air there is no half of it
+        still |= (lasted >= 5.0) & (np.sqrt(np.sum(np.square(moved), axis=0)) < STILL_M_S * lasted)
     lowest = float(np.percentile(h, 0.5))
     return np.asarray(time_ns[still & (h < lowest + GROUND_RISE_M)])
-
-
-_EARTH_M = 6.37e6
-
-
-def _speed(seconds: Array, track: tuple[Array, ...], window: float) -> Array:
-    """Mean speed over a window [s] that ends (negative) or begins at each sample [m/s].
-
-    Infinite where the log holds less than half of the window: it may well begin in the air.
-    """
-    other = np.clip(seconds + window, seconds[0], seconds[-1])
-    moved = [np.interp(other, seconds, values) - values for values in track]
-    lasted = np.abs(other - seconds)
-    known = lasted >= 0.5 * abs(window)
-    distance = np.sqrt(np.sum(np.square(moved), axis=0))
-    return np.asarray(np.where(known, distance / np.where(known, lasted, 1.0), np.inf))

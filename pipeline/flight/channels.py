@@ -118,6 +118,10 @@ class Channel:
         """Whether it only tells how well others can be believed: health of a filter, texts."""
         return not self.roles and self.columns.keys() <= _OF_HEALTH
 
+    def get(self, column: str) -> Array:
+        """A column; NaN where the channel has none of that name."""
+        return self.columns.get(column, np.full(len(self), np.nan))
+
     def fits_role(self, role: str) -> bool:
         """Whether the columns that a role needs are there."""
         return all(column in self.columns for column in ROLE_COLUMNS[role])

@@ -19,31 +19,15 @@ from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH
 SECONDS_PER_WEEK = 604_800
 WEEKS_PER_ROLLOVER = 1024  # the week has 10 bits in the signal
 
-# GPS minus UTC and the UTC date it begins, from IERS Bulletin C (numbers 1-70) and the USNO table
-# tai-utc.dat less 19 s. None has been announced after 2017-01-01.
-_LEAPS = (
-    ("1980-01-06", 0),
-    ("1981-07-01", 1),
-    ("1982-07-01", 2),
-    ("1983-07-01", 3),
-    ("1985-07-01", 4),
-    ("1988-01-01", 5),
-    ("1990-01-01", 6),
-    ("1991-01-01", 7),
-    ("1992-07-01", 8),
-    ("1993-07-01", 9),
-    ("1994-07-01", 10),
-    ("1996-01-01", 11),
-    ("1997-07-01", 12),
-    ("1999-01-01", 13),
-    ("2006-01-01", 14),
-    ("2009-01-01", 15),
-    ("2012-07-01", 16),
-    ("2015-07-01", 17),
-    ("2017-01-01", 18),
+# The UTC dates from which GPS minus UTC is 0, 1, 2 ... s, from IERS Bulletin C (numbers 1-70) and
+# the USNO table tai-utc.dat less 19 s. None has been announced after 2017-01-01.
+_LEAP_DATES = (
+    "1980-01-06 1981-07-01 1982-07-01 1983-07-01 1985-07-01 1988-01-01 1990-01-01 1991-01-01 "
+    "1992-07-01 1993-07-01 1994-07-01 1996-01-01 1997-07-01 1999-01-01 2006-01-01 2009-01-01 "
+    "2012-07-01 2015-07-01 2017-01-01"
 )
-_LEAP_SECONDS = np.array([seconds for _, seconds in _LEAPS], np.int64)
-_LEAP_UTC_NS = np.array([date for date, _ in _LEAPS], "datetime64[ns]").astype(np.int64)
+_LEAP_UTC_NS = np.array(_LEAP_DATES.split(), "datetime64[ns]").astype(np.int64)
+_LEAP_SECONDS = np.arange(_LEAP_UTC_NS.size)
 _LEAP_GPS_NS = _LEAP_UTC_NS + _LEAP_SECONDS * NANOSECONDS_PER_SECOND - UNIX_NS_OF_GPS_EPOCH
 
 # A field of MAVLink called time_usec holds either time since boot or Unix time; 1e15 us since boot

@@ -152,15 +152,12 @@ def _skipped_numbers(channel: Channel, index: NDArray[np.int64]) -> Notes:
             for low, gap in holes
         ]
         more = " ..." if np.count_nonzero(gaps) > 4 else ""
-        notes.append(
-            loss(
-                "EVENTS-LOST",
-                f"{missing} numbers between {_sent(int(known[0]))} and {_sent(int(known[-1]))} "
-                f"have no event: {', '.join(first)}{more}",
-                where=channel.name if channel.boot[-1] == 0 else f"{channel.name}, boot {boot}",
-                count=missing,
-            )
+        what = (
+            f"{missing} numbers between {_sent(int(known[0]))} and {_sent(int(known[-1]))} "
+            f"have no event: {', '.join(first)}{more}"
         )
+        where = channel.name if channel.boot[-1] == 0 else f"{channel.name}, boot {boot}"
+        notes.append(loss("EVENTS-LOST", what, where=where, count=missing))
     return tuple(notes)
 
 
@@ -199,32 +196,24 @@ def trigger_notes(channels: tuple[Channel, ...], chosen: Channel) -> Notes:
     if chosen.source.message in ("TRIG", "CAMERA_TRIGGER") or (
         chosen.source.message == "CAM" and not triggers
     ):
-        notes.append(
-            note(
-                "EVENTS-TRIGGER-TIME",
-                f"{chosen.name} has the times of the trigger commands, for want of a feedback pin: "
-                "the shutter opens later (70 to 160 ms were measured), which "
-                "events.log.<camera>.delay_s takes into account",
-                where=chosen.name,
-                count=len(chosen),
-            )
+        what = (
+            f"{chosen.name} has the times of the trigger commands, for want of a feedback pin: "
+            "the shutter opens later (70 to 160 ms were measured), which "
+            "events.log.<camera>.delay_s takes into account"
         )
+        notes.append(note("EVENTS-TRIGGER-TIME", what, where=chosen.name, count=len(chosen)))
     if chosen.source.message != "CAM":
         return tuple(notes)
     for trigger in triggers:
         fired = [c for c in channels if c.source.message == "CAM" and _of_one_camera(trigger, c)]
         names, events = ", ".join(c.name for c in fired), sum(map(len, fired))
         if len(trigger) > events:
-            notes.append(
-                loss(
-                    "EVENTS-LOST",
-                    f"{len(trigger)} triggers of {trigger.name}, {events} shutter events of "
-                    f"{names}: {len(trigger) - events} pulses were lost, their images "
-                    "have no station",
-                    where=names,
-                    count=len(trigger) - events,
-                )
+            what = (
+                f"{len(trigger)} triggers of {trigger.name}, {events} shutter events of "
+                f"{names}: {len(trigger) - events} pulses were lost, their images "
+                "have no station"
             )
+            notes.append(loss("EVENTS-LOST", what, where=names, count=len(trigger) - events))
     return tuple(notes)
 
 

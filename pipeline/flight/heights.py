@@ -20,8 +20,7 @@ from pipeline.ledger import Entry, Notes, loss, note, warning
 
 Array = NDArray[np.float64]
 
-STEADY_HOME_M = 2.0
-"""The take-off height of a flight does not change by more than this [m]."""
+STEADY_HOME_M = 2.0  # the take-off height of a flight does not change by more than this [m]
 
 
 USUAL_GEOID_M, LARGEST_GEOID_M = 3.0, 10.0

@@ -9,7 +9,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pipeline.flight.channels import Array, Channel
-from pipeline.flight.rotations import CAMERA_AT_REST, matrices_of, ned_from_body, quaternions_of
+from pipeline.flight.rotations import (
+    CAMERA_AT_REST,
+    down_in_body,
+    matrices_of,
+    ned_from_body,
+    quaternions_of,
+)
 from pipeline.flight.trajectory import attitude_at
 from pipeline.ledger import Entry, Kind, Notes, note, warning
 
@@ -64,7 +70,7 @@ def payload_attitude(
     they are to the aircraft, v_ned = R(aircraft) Rz(yaw) Ry(pitch) Rx(roll) v_payload. Angles
     beyond a turn are none: old autopilots send a place there.
     """
-    known = np.stack([gimbal.columns.get(name, np.full(len(gimbal), np.nan)) for name in _Q], 1)
+    known = np.stack([gimbal.get(name) for name in _Q], 1)
     if f"gimbal_{_Q[0]}" in gimbal.columns:
         to_nose = matrices_of(np.stack([gimbal[f"gimbal_{name}"] for name in _Q], axis=1))
     elif "gimbal_yaw_rad" in gimbal.columns:
@@ -88,7 +94,7 @@ def payload_attitude(
         level[:, 2] = np.arctan2(turned[:, 1, 0], turned[:, 0, 0])
         turned = ned_from_body(level)
     known[missing] = quaternions_of(turned @ to_nose[missing])
-    told = note(
+    entry = note(
         "GIMBAL-YAW",
         f"the yaw of {gimbal.name} counts from the nose in {int(missing.sum())} of {len(gimbal)} "
         f"rows: {added}",
@@ -96,7 +102,7 @@ def payload_attitude(
         count=int(missing.sum()),
     )
     columns = dict(gimbal.columns) | dict(zip(_Q, known.T, strict=True))
-    return replace(gimbal, columns=columns), (told,)
+    return replace(gimbal, columns=columns), (entry,)
 
 
 def with_payload_attitude(
@@ -143,13 +149,9 @@ def gimbal_notes(
             ),
         )
     notes = []
-    w, x, y, z = (attitude[f"q_{name}"] for name in "wxyz")
-    down_in_body = np.stack(
-        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1 - 2.0 * (x * x + y * y)]
-    )
     for camera, mount in mounts.items():
         optical_axis = mount.camera_from_body[2]
-        cosine = optical_axis @ down_in_body
+        cosine = optical_axis @ down_in_body(attitude)
         cosine = cosine[np.isfinite(cosine)]
         if cosine.size == 0:
             continue

@@ -116,10 +116,7 @@ def _named_but_absent(channels: tuple[Channel, ...], role: str, name: str) -> En
 
 
 def _fill(
-    filled: dict[str, Channel],
-    role: str,
-    channels: tuple[Channel, ...],
-    named: Mapping[str, str],
+    filled: dict[str, Channel], role: str, channels: tuple[Channel, ...], named: Mapping[str, str]
 ) -> Notes:
     """Fill a role that was not named, from the candidates of the best rank."""
     if role in filled or role in named:

@@ -10,18 +10,18 @@ print its transpose (Wolf and Dewitt 2000, Appendix C): the angles are the same.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pipeline.flight.channels import Array
+from pipeline.flight.channels import Array, Channel
 
+# From the body (forward, right, down) to a camera that looks down, its top towards the nose.
 CAMERA_AT_REST = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""From the body (forward, right, down) to a camera that looks down, its top towards the nose."""
-
+# From east, north, up to north, east, down; its own inverse.
 NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""From east, north, up to north, east, down; its own inverse."""
 
 _FROM_PHOTOGRAMMETRIC = np.diag([1.0, -1.0, -1.0])
 
@@ -37,21 +37,16 @@ def matrices_of(quaternion: Array) -> Array:
     >>> matrices_of(np.array([[0.0, 1.0, 0.0, 0.0]]))[0].diagonal().tolist()
     [1.0, -1.0, -1.0]
     """
-    matrix = np.full((quaternion.shape[0], 3, 3), np.nan)
-    known = np.isfinite(quaternion).all(axis=1)
-    if bool(known.any()):
-        matrix[known] = Rotation.from_quat(quaternion[known], scalar_first=True).as_matrix()
-    return matrix
+    return _where_known(
+        lambda q: Rotation.from_quat(q, scalar_first=True).as_matrix(), quaternion, (3, 3)
+    )
 
 
 def quaternions_of(matrix: Array) -> Array:
     """(n, 4) quaternions w, x, y, z, w >= 0, of (n, 3, 3) rotation matrices."""
-    quaternion = np.full((matrix.shape[0], 4), np.nan)
-    known = np.isfinite(matrix).all(axis=(1, 2))
-    if bool(known.any()):
-        rotation = Rotation.from_matrix(matrix[known])
-        quaternion[known] = rotation.as_quat(canonical=True, scalar_first=True)
-    return quaternion
+    return _where_known(
+        lambda m: Rotation.from_matrix(m).as_quat(canonical=True, scalar_first=True), matrix, (4,)
+    )
 
 
 def quaternion_of_opk(angles: Array, order: str = "omega_phi_kappa") -> Array:
@@ -145,6 +140,12 @@ def quaternion_products(first: Array, second: Array) -> Array:
     return np.stack(parts, axis=1)
 
 
+def down_in_body(channel: Channel) -> Array:
+    """(3, n) direction of down about the body's axes, of the attitudes of a channel."""
+    w, x, y, z = (channel[f"q_{axis}"] for axis in "wxyz")
+    return np.stack([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)])
+
+
 def lengths(vectors: Array) -> Array:
     """(m,) Euclidean lengths of (m, k) vectors, in a third of the time of numpy's norm."""
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))
@@ -159,16 +160,19 @@ def rotation_vectors(quaternion: Array) -> Array:
 
 
 def _euler_matrices(axes: _Axes, angles: Array) -> Array:
-    matrix = np.full((angles.shape[0], 3, 3), np.nan)
-    known = np.isfinite(angles).all(axis=1)
-    if bool(known.any()):
-        matrix[known] = Rotation.from_euler(axes, angles[known]).as_matrix()
-    return matrix
+    return _where_known(lambda known: Rotation.from_euler(axes, known).as_matrix(), angles, (3, 3))
 
 
 def _euler_angles(axes: _Axes, matrix: Array) -> Array:
-    angles = np.full((matrix.shape[0], 3), np.nan)
-    known = np.isfinite(matrix).all(axis=(1, 2))
+    return _where_known(
+        lambda m: Rotation.from_matrix(m).as_euler(axes, suppress_warnings=True), matrix, (3,)
+    )
+
+
+def _where_known(turned: Callable[[Array], Array], values: Array, shape: tuple[int, ...]) -> Array:
+    """(n, *shape) results of a function of the rows that are known; NaN for the others."""
+    result = np.full((values.shape[0], *shape), np.nan)
+    known = np.isfinite(values.reshape(values.shape[0], -1)).all(axis=1)
     if bool(known.any()):
-        angles[known] = Rotation.from_matrix(matrix[known]).as_euler(axes, suppress_warnings=True)
-    return angles
+        result[known] = turned(values[known])
+    return result

@@ -24,9 +24,7 @@ NO_ATTITUDE = "no_attitude"
 HEIGHT_REFERENCE_UNKNOWN = "height_reference_unknown"
 UNMATCHED = "unmatched"
 SUSPECT = "suspect"
-
-NO_TIME = np.iinfo(np.int64).min
-"""Time of a station that has none."""
+NO_TIME = np.iinfo(np.int64).min  # time of a station that has none
 
 _QUATERNIONS = ("quaternion", "aircraft_quaternion")
 
@@ -109,7 +107,7 @@ class Stations:
         where unknown; ``use`` leaves them usable (`ok`).
         """
         where = where & self.ok if use else where & (self.ok | (self.status == SUSPECT))
-        reasons = [f"{told}; {reason}" if told else reason for told in self.suspect_reason]
+        reasons = [f"{known}; {reason}" if known else reason for known in self.suspect_reason]
         return replace(
             self,
             suspect_reason=np.where(where, np.array(reasons, dtype=object), self.suspect_reason),
@@ -166,51 +164,28 @@ def empty_stations(
 
 def join_stations(parts: list[Stations]) -> Stations:
     """Stations of several cameras or sources, one after the other."""
-    return Stations(
-        *(
-            np.concatenate([getattr(part, field.name) for part in parts])
-            for field in fields(Stations)
-        )
-    )
+    joined = (np.concatenate([getattr(p, field.name) for p in parts]) for field in fields(Stations))
+    return Stations(*joined)
 
 
 def station_columns(stations: Stations) -> dict[str, Any]:
     """Columns of ``stations.parquet``: degrees, UTC, null (NaT, NaN) where unknown."""
     time = stations.time_ns.astype("datetime64[ns]")
     time[stations.time_ns == NO_TIME] = np.datetime64("NaT")
-    q, aircraft = stations.quaternion, stations.aircraft_quaternion
-    return {
-        "image": stations.image,
-        "camera": stations.camera,
-        "time_utc": time,
-        "lat_deg": np.degrees(stations.lat_rad),
-        "lon_deg": np.degrees(stations.lon_rad),
-        "h_msl_m": stations.h_msl_m,
-        "h_ellipsoid_m": stations.h_ellipsoid_m,
-        "q_w": q[:, 0],
-        "q_x": q[:, 1],
-        "q_y": q[:, 2],
-        "q_z": q[:, 3],
-        "aircraft_q_w": aircraft[:, 0],
-        "aircraft_q_x": aircraft[:, 1],
-        "aircraft_q_y": aircraft[:, 2],
-        "aircraft_q_z": aircraft[:, 3],
-        "pressure_pa": stations.pressure_pa,
-        "temperature_k": stations.temperature_k,
-        "vapour_pressure_pa": stations.vapour_pressure_pa,
-        "cabin_pressure_pa": stations.cabin_pressure_pa,
-        "cabin_temperature_k": stations.cabin_temperature_k,
-        "cabin_vapour_pressure_pa": stations.cabin_vapour_pressure_pa,
-        "sigma_cabin_pressure_pa": stations.sigma_cabin_pressure_pa,
-        "sigma_cabin_temperature_k": stations.sigma_cabin_temperature_k,
-        "sigma_horizontal_m": stations.sigma_horizontal_m,
-        "sigma_height_m": stations.sigma_height_m,
-        "sigma_tilt_deg": np.degrees(stations.sigma_tilt_rad),
-        "sigma_yaw_deg": np.degrees(stations.sigma_yaw_rad),
-        "suspect_reason": [reason or None for reason in stations.suspect_reason],
-        "suspect_m": stations.suspect_m,
-        "status": stations.status,
-    }
+    columns: dict[str, Any] = {}
+    for field in fields(stations):
+        name, values = field.name, getattr(stations, field.name)
+        if name in _QUATERNIONS:
+            prefix = name.removesuffix("quaternion") + "q_"
+            columns |= {f"{prefix}{axis}": values[:, k] for k, axis in enumerate("wxyz")}
+        elif name.endswith("_rad"):
+            columns[name.removesuffix("rad") + "deg"] = np.degrees(values)
+        else:
+            columns[name] = values
+    del columns["accepted"]
+    reasons = [reason or None for reason in stations.suspect_reason]
+    columns = {{"time_ns": "time_utc"}.get(name, name): v for name, v in columns.items()}
+    return columns | {"time_utc": time, "suspect_reason": reasons}
 
 
 def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tuple[Stations, Notes]:
@@ -224,15 +199,11 @@ def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tupl
         )
     if unknown.size == 0:
         return stations, tuple(notes)
-    notes.append(
-        loss(
-            "IMAGES-UNMATCHED",
-            f"{unknown.size} images of the observations have no exposure: {_first_three(unknown)}"
-            + (f"; exposures are called like '{stations.image[0]}'" if len(stations) else ""),
-            where="events",
-            count=int(unknown.size),
-        )
+    what = (
+        f"{unknown.size} images of the observations have no exposure: {_first_three(unknown)}"
+        + (f"; exposures are called like '{stations.image[0]}'" if len(stations) else "")
     )
+    notes.append(loss("IMAGES-UNMATCHED", what, where="events", count=int(unknown.size)))
     camera = np.full(unknown.shape, "", dtype=object)
     unmatched = empty_stations(unknown, camera, UNMATCHED)
     return join_stations([stations, unmatched]), tuple(notes)
@@ -242,8 +213,8 @@ def _first_three(images: NDArray[np.object_]) -> str:
     return ", ".join(images[:3].tolist()) + (" ..." if images.size > 3 else "")
 
 
+# Barometer against profile at one exposure: 8 hPa are some 80 m of height.
 LARGEST_PRESSURE_MISFIT_PA = 800.0
-"""Barometer against profile at one exposure: 8 hPa are some 80 m of height."""
 
 _SCALE_M_PER_K = 29.27  # the gas constant of dry air over gravity: scale height of 1 K
 
@@ -299,35 +270,23 @@ def sigma_notes(
     for what, sigma, limit, factor, unit in (
         ("position (per axis)", stations.sigma_horizontal_m, max_horizontal_m, 1.0, "m"),
         ("height", stations.sigma_height_m, max_height_m, 1.0, "m"),
-        (
-            "attitude (about a level axis)",
-            stations.sigma_tilt_rad,
-            max_tilt_rad,
-            1.0 / DEGREE,
-            "deg",
-        ),
+        ("attitude (about a level axis)", stations.sigma_tilt_rad, max_tilt_rad, 1 / DEGREE, "deg"),
     ):
         sigma = sigma[stations.ok] * factor
-        if not bool(np.isfinite(sigma).any()):
-            medians.append(f"{what} unknown")
-        else:
-            medians.append(f"{what} {np.nanmedian(sigma):.2f} {unit}")
-        if limit is None:
-            continue
-        large = ~(sigma <= limit * factor)
-        if bool(large.any()):
+        is_known = bool(np.isfinite(sigma).any())
+        medians.append(
+            f"{what} {np.nanmedian(sigma):.2f} {unit}" if is_known else f"{what} unknown"
+        )
+        large = np.zeros(sigma.size, bool) if limit is None else ~(sigma <= limit * factor)
+        if limit is not None and bool(large.any()):
             worst = int(np.argmax(np.nan_to_num(sigma, nan=np.inf)))
             size = f"{sigma[worst]:.2f} {unit}" if np.isfinite(sigma[worst]) else "an unknown sigma"
-            notes.append(
-                loss(
-                    "STATIONS-SIGMA",
-                    f"{int(large.sum())} of {sigma.size} stations are known worse than the mission "
-                    f"needs: {what} {limit * factor:g} {unit}, the worst is "
-                    f"{stations.image[stations.ok][worst]} with {size}",
-                    where="stations",
-                    count=int(large.sum()),
-                )
+            text = (
+                f"{int(large.sum())} of {sigma.size} stations are known worse than the mission "
+                f"needs: {what} {limit * factor:g} {unit}, the worst is "
+                f"{stations.image[stations.ok][worst]} with {size}"
             )
+            notes.append(loss("STATIONS-SIGMA", text, where="stations", count=int(large.sum())))
     if bool(stations.ok.any()):
         what = f"sigmas of the stations, in the median: {', '.join(medians)}"
         notes.append(note("STATIONS-SIGMA", what, where="stations", count=int(stations.ok.sum())))

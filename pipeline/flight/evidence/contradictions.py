@@ -103,9 +103,7 @@ def examine(
                 if of_filter and of_vehicle:
                     turned += drifted(sources.own, better, stretch)
                 stretch = replace(stretch, replaced_by=better.other.channel.name)
-                result[quantity] = with_replaced(
-                    result[quantity], better, stretch, quantity, offsets
-                )
+                result[quantity] = with_replaced(result[quantity], better, stretch, offsets)
             found.append(stretch)
     return result, tuple(sorted([*found, *merged(turned)])), tuple(notes)
 

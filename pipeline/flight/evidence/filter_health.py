@@ -10,13 +10,13 @@ import numpy as np
 
 from pipeline.flight.channels import Array, Channel, TimeArray
 from pipeline.flight.evidence.stretches import ATTITUDE, POSITION, SECOND, Stretch, beside, runs
+from pipeline.flight.rotations import down_in_body
 from pipeline.flight.trajectory import interpolate
 
+# A difference of the verticals of two attitudes that is noise, whatever is usual [deg].
 NOISE_TILT_DEG = 1.5
-"""A difference of the verticals of two attitudes that is noise, whatever is usual [deg]."""
-
+# A filter has recovered when its innovation ratios have been below this for so long.
 SETTLED_RATIO, SETTLED_S = 0.7, 3.0
-"""A filter has recovered when its innovation ratios have been below this for so long."""
 
 _GLITCH, _DEAD_RECKONING = 1 << 15, 1 << 18  # bits of filter_flags
 
@@ -117,9 +117,7 @@ def attitude_evidence(attitude: Channel, channels: Sequence[Channel]) -> list[St
     """
 
     def vertical(c: Channel) -> Channel:
-        w, x, y, z = (c[f"q_{axis}"] for axis in "wxyz")
-        down = (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))
-        return replace(c, columns=dict(zip("xyz", down, strict=True)), labels={})
+        return replace(c, columns=dict(zip("xyz", down_in_body(c), strict=True)), labels={})
 
     def down_at(c: Channel, time_ns: TimeArray) -> Array:
         return np.stack([interpolate(c, axis, time_ns, c.gap_limit_s(1.0)) for axis in "xyz"])

@@ -20,8 +20,8 @@ from pipeline.flight.evidence.stretches import (
     runs,
 )
 
+# A difference from the log that is an autopilot's own, beyond a constant one [m].
 LEAST_M = {POSITION: 5.0, HEIGHT: 10.0}
-"""A difference from the log that is an autopilot's own, beyond a constant one [m]."""
 
 _FEWEST, _SLOWEST_HZ, _SIGMAS = 10, 1.0, 3.0
 

@@ -57,38 +57,28 @@ class LogAccuracy:
         source = channel if own else self.receiver
         if source is None:
             return np.full(time_ns.shape, np.nan), np.full(time_ns.shape, np.nan)
-        dop = source.columns.get("hdop", np.full(len(source), np.nan))
         row = np.clip(np.searchsorted(source.time_ns, time_ns), 1, max(len(source) - 1, 1))
         row -= time_ns - source.time_ns[row - 1] < source.time_ns[row % len(source)] - time_ns
         drift = DRIFT_M_S * np.maximum(np.abs(time_ns - source.time_ns[row]) * 1e-9 - 1.0, 0.0)
         sigmas = []
-        for name, error in (
-            ("sigma_h_m", RANGE_ERROR_M / 2**0.5),
-            ("sigma_v_m", 1.5 * RANGE_ERROR_M),
-        ):
-            reported = source.columns.get(name, np.full(len(source), np.nan))
-            reported = np.where(np.isfinite(reported), reported, error * dop)
+        for name, ranges in (("sigma_h_m", 0.5**0.5), ("sigma_v_m", 1.5)):
+            by_dop = ranges * RANGE_ERROR_M * source.get("hdop")
+            reported = np.where(np.isfinite(source.get(name)), source.get(name), by_dop)
             sigmas.append(np.square(reported[row]) + np.square(drift))
         horizontal, vertical = sigmas
         if not own:
-            position, velocity, height = (
-                np.square(self.innovation(name, time_ns))
-                for name in ("position", "velocity", "height")
-            )
-            horizontal += POSITION_GATE_M**2 * position
-            horizontal += (VELOCITY_GATE_M_S * FILTER_TIME_S) ** 2 * velocity
-            vertical += HEIGHT_GATE_M**2 * height
-        elif (
-            self.fused is not None and (column := channel.height_column or "") in self.fused.columns
-        ):
+            of_velocity = VELOCITY_GATE_M_S * FILTER_TIME_S * self.innovation("velocity", time_ns)
+            horizontal += np.square(POSITION_GATE_M * self.innovation("position", time_ns))
+            horizontal += np.square(of_velocity)
+            vertical += np.square(HEIGHT_GATE_M * self.innovation("height", time_ns))
+        elif self.fused and (name := channel.height_column or "") in self.fused.columns:
             limit = self.fused.gap_limit_s()
-            apart = channel[column] - interpolate(self.fused, column, channel.time_ns, limit)
-            _, scatter = _about(channel.time_ns, apart, time_ns)
-            vertical += np.square(scatter)
+            apart = channel[name] - interpolate(self.fused, name, channel.time_ns, limit)
+            vertical += np.square(_about(channel.time_ns, apart, time_ns)[1])
         silent = ~np.isfinite(horizontal)
         if own and self.receiver is not None and channel is not self.receiver and silent.any():
-            stood_in = {"sigma_h_m", "sigma_v_m", "hdop"}  # reported for a part of the time only
-            columns = {k: v for k, v in channel.columns.items() if k not in stood_in}
+            reports = {"sigma_h_m", "sigma_v_m", "hdop"}  # for a part of the time only
+            columns = {k: v for k, v in channel.columns.items() if k not in reports}
             of_filter = self.positions(replace(channel, columns=columns), time_ns)
             horizontal = np.where(silent, np.square(of_filter[0]), horizontal)
             vertical = np.where(silent, np.square(of_filter[1]), vertical)
@@ -103,9 +93,8 @@ class LogAccuracy:
         """
         if "sigma_tilt_rad" in channel.columns and "sigma_yaw_rad" in channel.columns:
             limit = channel.gap_limit_s()
-            names = ("sigma_tilt_rad", "sigma_yaw_rad")
-            tilt, yaw = (interpolate(channel, name, time_ns, limit) for name in names)
-            return tilt, yaw
+            tilt = interpolate(channel, "sigma_tilt_rad", time_ns, limit)
+            return tilt, interpolate(channel, "sigma_yaw_rad", time_ns, limit)
         gates = np.full(time_ns.shape, 0.2)  # one sigma, where no innovations are logged
         if self.health is not None:
             gates = self.innovation("velocity", time_ns)

@@ -28,14 +28,10 @@ RANGES: Mapping[str, tuple[float, float]] = {
 }
 """What can be true of the air and the aircraft, in SI."""
 
-FASTEST_CLIMB_M_S = 200.0
-"""No survey aircraft climbs or sinks faster [m/s]."""
-
-FASTEST_M_S = 700.0
-"""No aircraft that takes pictures flies faster over the ground [m/s]."""
-
+FASTEST_CLIMB_M_S = 200.0  # no survey aircraft climbs or sinks faster [m/s]
+FASTEST_M_S = 700.0  # no aircraft that takes pictures flies faster over the ground [m/s]
+# No aircraft turns faster [rad/s] and, within few samples, back; a flip goes on.
 FASTEST_TURN_RAD_S = np.radians(500.0)
-"""No aircraft turns faster [rad/s] and, within few samples, back; a flip goes on."""
 
 _HEIGHTS = ("h_msl_m", "h_ellipsoid_m")
 _METRES_PER_RAD = 6_371_000.0  # only to notice jumps of 100 m: any radius will do
@@ -206,16 +202,12 @@ def _mask_heights(channel: Channel) -> tuple[Channel, Notes]:
             notes += reported
         if bool(wild.any()):
             first = int(np.flatnonzero(wild)[0])
-            notes.append(
-                loss(
-                    "SENSOR-RANGE",
-                    f"{int(wild.sum())} of {len(channel)} values of {column} are impossible or "
-                    f"jump there and back, the first {height[first]:.0f} m in row {first}; not "
-                    "used",
-                    where=channel.name,
-                    count=int(wild.sum()),
-                )
+            what = (
+                f"{int(wild.sum())} of {len(channel)} values of {column} are impossible or "
+                f"jump there and back, the first {height[first]:.0f} m in row {first}; not "
+                "used"
             )
+            notes.append(loss("SENSOR-RANGE", what, where=channel.name, count=int(wild.sum())))
             columns[column] = np.where(wild, np.nan, height)
     return replace(channel, columns=columns), tuple(notes)
 
@@ -231,7 +223,7 @@ def _jumps(channel: Channel, known: Mask, role: str) -> tuple[Rows, Notes]:
         stray[rows] = True
         notes += reported
     jumps = np.flatnonzero(stray)
-    told = jumps
+    lost = jumps
     if jumps.size and role.endswith("attitude"):
         kept = np.flatnonzero(known & ~stray)
         after = np.searchsorted(kept, jumps)
@@ -240,22 +232,18 @@ def _jumps(channel: Channel, known: Mask, role: str) -> tuple[Rows, Notes]:
         limit = _STEPS["attitude"].rate * 1e-9 * (channel.time_ns[j] - channel.time_ns[i])
         stays = after == 0  # what comes behind is another attitude than what was before
         stays[inner] = _angle(channel, i, j) > np.maximum(limit, _TURN_NOISE_RAD)
-        told = jumps[~stays]
+        lost = jumps[~stays]
         if stays.any():
             count = int(np.count_nonzero(stays))
             what = f"{count} samples in which the filter was aligned or reset are not used"
             notes.append(note("ATTITUDE-ALIGNED", what, where=where, count=count))
-    if told.size:
-        time_s = (channel.time_ns[told[0]] - channel.time_ns[0]) * 1e-9
-        notes.append(
-            loss(
-                "SENSOR-JUMP",
-                f"{told.size} of {len(channel)} samples jump faster than a vehicle or the air can "
-                f"change, the first {time_s:.3f} s after the first sample; not used",
-                where=where,
-                count=int(told.size),
-            )
+    if lost.size:
+        time_s = (channel.time_ns[lost[0]] - channel.time_ns[0]) * 1e-9
+        text = (
+            f"{lost.size} of {len(channel)} samples jump faster than a vehicle or the air can "
+            f"change, the first {time_s:.3f} s after the first sample; not used"
         )
+        notes.append(loss("SENSOR-JUMP", text, where=where, count=int(lost.size)))
     return jumps, tuple(notes)
 
 
@@ -277,11 +265,7 @@ def _angle(channel: Channel, i: Rows, j: Rows) -> Array:
 
 def _step_of(column: str, rate: float, noise: float) -> _Distance:
     """The difference of the values of a column."""
-
-    def between(channel: Channel, i: Rows, j: Rows) -> Array:
-        return np.abs(channel[column][j] - channel[column][i])
-
-    return _Distance(between, rate, noise)
+    return _Distance(lambda c, i, j: np.abs(c[column][j] - c[column][i]), rate, noise)
 
 
 # By role or by column. 2,500 Pa/s is a climb of 200 m/s at sea level.

@@ -10,17 +10,12 @@ from pipeline.flight.channels import Array, Channel
 from pipeline.flight.evidence.sources import Difference, SourcePath, is_receiver, moved
 from pipeline.flight.evidence.stretches import ATTITUDE, HEIGHT, SECOND, Stretch
 
-LONGEST_COAST_S = 2.0
-"""A filter without a receiver for longer is no longer known to be right [s]."""
-
-BESIDE_S = 10.0
-"""A source that replaces another agrees with it for so long before and after [s]."""
-
+LONGEST_COAST_S = 2.0  # a filter without a receiver for longer is no longer known to be right [s]
+BESIDE_S = 10.0  # a source that replaces another agrees with it for so long before and after [s]
+# A filter without its receiver, or a barometer, replaces a receiver for no longer [s].
 LONGEST_REPLACED_S = 60
-"""A filter without its receiver, or a barometer, replaces a receiver for no longer [s]."""
-
+# Half the acceleration by which a filter drifts whose vertical is 0.25 degrees wrong [m/s2].
 LARGEST_DRIFT_M_S2 = 0.02
-"""Half the acceleration by which a filter drifts whose vertical is 0.25 degrees wrong [m/s2]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,14 +85,14 @@ def drifted(own: SourcePath, d: Difference, stretch: Stretch) -> list[Stretch]:
 
 
 def with_replaced(
-    channel: Channel, d: Difference, stretch: Stretch, quantity: str, offsets: list[Array]
+    channel: Channel, d: Difference, stretch: Stretch, offsets: list[Array]
 ) -> Channel:
     """The channel with the samples of another source in a stretch, its lag and offset taken out.
 
     The offset is the mean of those before and after; half their difference and the usual
     difference of the two go into the standard deviation, with the source's own.
     """
-    other, sigma = d.other.channel, "sigma_v_m" if quantity == HEIGHT else "sigma_h_m"
+    other, sigma = d.other.channel, "sigma_v_m" if stretch.quantity == HEIGHT else "sigma_h_m"
     time_ns = other.time_ns - round(d.lag_s * 1e9)
     inside, keep = stretch.covers(time_ns), ~stretch.covers(channel.time_ns)
     spread = np.hypot(0.5 * float(np.linalg.norm(offsets[1] - offsets[0])), d.scatter_m)
@@ -110,7 +105,7 @@ def with_replaced(
     )
 
     def column(name: str) -> Array:
-        mine = channel.columns.get(name, np.full(len(channel), np.nan))[keep]
+        mine = channel.get(name)[keep]
         return np.concatenate([mine, fill.get(name, unknown)])[rows]
 
     boot = np.concatenate([channel.boot[keep], other.boot[inside]])[rows]

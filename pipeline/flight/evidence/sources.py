@@ -15,14 +15,11 @@ from pipeline.flight.evidence.quality import subset
 from pipeline.flight.evidence.stretches import HEIGHT, POSITION, SECOND, Mask, runs
 from pipeline.flight.trajectory import interpolate
 
+# A step from sample to sample that is noise, beyond what velocity and neighbours explain [m].
 NOISE_STEP_M = {POSITION: 3.0, HEIGHT: 5.0}
-"""A step from sample to sample that is noise, beyond what velocity and neighbours explain [m]."""
-
+# A difference of two sources that is noise, beyond lag and offset [m].
 NOISE_MISFIT_M = {POSITION: 2.0, HEIGHT: 4.0}
-"""A difference of two sources that is noise, beyond lag and offset [m]."""
-
-WORST_ACCURACY_M = 5.0
-"""A receiver that reports worse is not used [m]."""
+WORST_ACCURACY_M = 5.0  # a receiver that reports worse is not used [m]
 
 _SEVERAL = 6.0  # a difference of so many times the usual one is no noise
 _RADIUS_M = 6_371_000.0  # for differences of metres: any radius will do
