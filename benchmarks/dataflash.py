@@ -31,7 +31,8 @@ def grow(log: Path, out: Path, size_bytes: int) -> int:
     """
     data = log.read_bytes()
     found = find_records(view_of_bytes(data))
-    places, numbers = found.offsets, found.numbers
+    places = np.concatenate([block.base + block.at.astype(np.int64) for block in found.wanted])
+    numbers = np.concatenate([block.numbers for block in found.wanted])
     timed = np.array([form.time_field == "TimeUS" for form in found.definitions], np.bool_)
     stamps = places[timed[numbers]] + HEADER
     source = np.frombuffer(data, np.uint8).copy()
@@ -87,12 +88,12 @@ def library_all(log: Path) -> int:
 
 def ours_needed(log: Path) -> int:
     """The same types as columns."""
-    return sum(len(next(iter(table.values()))) for table in read_tables(log, NEEDED).values())
+    return sum(table.places.size for table in read_tables(log, NEEDED).values())
 
 
 def ours_all(log: Path) -> int:
     """Every type as columns."""
-    return sum(len(next(iter(table.values()))) for table in read_tables(log).values())
+    return sum(table.places.size for table in read_tables(log).values())
 
 
 def seconds(action: Callable[[Path], object], log: Path) -> float:

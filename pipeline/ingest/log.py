@@ -7,7 +7,7 @@ import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,29 +54,20 @@ class Contents:
     utc_sigma_s: float = float("nan")
 
 
-class LogFormat(Protocol):
+@dataclass(frozen=True)
+class LogFormat:
     """A log format: what the registry needs to recognise a file and to read it.
 
     ``name`` is its identifier, ``title`` its name in messages; ``extensions`` are in lower case,
-    with their dot, the usual one first.
+    with their dot, the usual one first. ``matches`` says whether the first 64 KiB of a file look
+    like this format; ``read`` decodes the wanted messages, and enters what is damaged or skipped.
     """
 
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def title(self) -> str: ...
-
-    @property
-    def extensions(self) -> tuple[str, ...]: ...
-
-    def matches(self, head: bytes) -> bool:
-        """Whether the first 64 KiB of a file look like this format."""
-        ...
-
-    def read(self, path: Path, ledger: Ledger) -> Contents:
-        """Decode the wanted messages; what is damaged or skipped goes into the ledger."""
-        ...
+    name: str
+    title: str
+    extensions: tuple[str, ...]
+    matches: Callable[[bytes], bool]
+    read: Callable[[Path, Ledger], Contents]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -186,33 +177,37 @@ def _available(name: str, names: list[str]) -> str:
     return f"{meant}this log has {', '.join(names)}"
 
 
-def report_damage(
-    ledger: Ledger, name: str, *, unit: str, bad_bytes: int, first_bad: int, cut_bytes: int
-) -> None:
-    """Enter the bytes outside all messages of a log whose format has no end mark.
+@dataclass
+class DamagedBytes:
+    """Bytes outside all messages of a log whose format has no end mark.
 
-    Parameters
-    ----------
-    name : of the file.
-    unit : the format's word for a message, such as "record".
-    bad_bytes, first_bad : bytes outside all messages, and the place of the first.
-    cut_bytes : of a last message that the end of the file cuts off.
+    ``bad_bytes`` belong to no message, the first at ``first_bad``; ``cut_bytes`` to a last message
+    that the end of the file cuts off.
     """
-    if bad_bytes:
-        ledger.loss(
-            "LOG-BAD-BYTES",
-            f"{bad_bytes} bytes belong to no {unit}",
-            where=f"{name}, first at byte {first_bad}",
-            count=bad_bytes,
-        )
-    if cut_bytes:
-        ledger.loss(
-            "LOG-TRUNCATED",
-            f"the last {unit} is cut off after {cut_bytes} bytes, as when the power is lost: this "
-            "format has no end mark; every whole one before it was read",
-            where=name,
-            count=cut_bytes,
-        )
+
+    bad_bytes: int = 0
+    first_bad: int = -1
+    cut_bytes: int = 0
+
+    def drop(self, begin: int, end: int) -> None:
+        """Count bytes of the file that belong to no message."""
+        self.bad_bytes += end - begin
+        self.first_bad = begin if self.first_bad < 0 else self.first_bad
+
+    def report_bytes(self, ledger: Ledger, name: str, unit: str) -> None:
+        """Enter them; ``name`` of the file, ``unit`` the format's word for a message."""
+        if self.bad_bytes:
+            what = f"{self.bad_bytes} bytes belong to no {unit}"
+            where = f"{name}, first at byte {self.first_bad}"
+            ledger.loss("LOG-BAD-BYTES", what, where=where, count=self.bad_bytes)
+        if self.cut_bytes:
+            ledger.loss(
+                "LOG-TRUNCATED",
+                f"the last {unit} is cut off after {self.cut_bytes} bytes, as when the power is "
+                "lost: this format has no end mark; every whole one before it was read",
+                where=name,
+                count=self.cut_bytes,
+            )
 
 
 def utc_text(time_ns: int) -> str:

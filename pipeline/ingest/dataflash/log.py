@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ from pipeline.ingest.dataflash.fields import ACCURACY, INSTANCE_FIELDS, instance
 from pipeline.ingest.dataflash.records import FMT_START, RecordWalker, find_records
 from pipeline.ingest.dataflash.tables import Decoded, decode, without_objects
 from pipeline.ingest.fields import is_number
-from pipeline.ingest.log import Contents, Table, report_damage
+from pipeline.ingest.log import Contents, DamagedBytes, LogFormat, Table
 from pipeline.ledger import Ledger
 
 # Fields that are used as they are logged, without a field map that checks that they are numbers.
@@ -37,80 +36,53 @@ _NUMBERS = {*INSTANCE_FIELDS, "TimeUS", "GMS", "GWk", "Week", "Status", "Value"}
 _TIMELESS = {"CAM", "MSG", "EV", "ERR", "PARM"}  # rows without a time until 2015
 
 
-@dataclass(frozen=True)
-class DataFlash:
-    """The registry's entry of this format."""
-
-    name: str = "dataflash"
-    title: str = "ArduPilot DataFlash"
-    extensions: tuple[str, ...] = (".bin",)
-
-    def matches(self, head: bytes) -> bool:
-        return head.startswith(FMT_START)
-
-    def read(self, path: Path, ledger: Ledger) -> Contents:
-        wanted = wanted_fields()
-        with open_view(path) as data:
-            walker = RecordWalker(data, wanted)
-            line = timeline(stamps(data, walker))
-            index = walker.index()
-            tables = decode(data, index, wanted)
-        report_damage(
-            ledger, path.name, unit="record", bad_bytes=index.bad_bytes, first_bad=index.first_bad,
-            cut_bytes=index.cut_bytes,
-        )  # fmt: skip
-        for refused in index.refused:
-            what = f"an FMT record is not valid: {refused}"
-            if index.bad_bytes:
-                ledger.loss("LOG-BAD-FORMAT", what, where=path.name, count=1)
-            else:  # all bytes are of records that are defined
-                ledger.note("LOG-BAD-FORMAT", f"{what}; there is no record of it", where=path.name)
-        return contents_of(
-            index.message_counts(), line, tables, ledger, bad_bytes=index.bad_bytes,
-            reread=partial(_decode_all_fields, path),
-        )  # fmt: skip
-
-
-DATAFLASH = DataFlash()
-
-
-def read_tables(path: Path, names: Collection[str] | None = None) -> dict[str, Table]:
-    """All messages of some types, or of every type, as columns; no channels are made.
-
-    Parameters
-    ----------
-    path : a DataFlash log.
-    names : the types; all where it is None.
-
-    Returns the columns of each type, bit-equal with what pymavlink's DFReader gives.
-    """
-    return {name: table.columns for name, table in _decode_all_fields(path, names).items()}
-
-
-def _decode_all_fields(path: Path, names: Collection[str] | None) -> dict[str, Decoded]:
+def read_log(path: Path, ledger: Ledger) -> Contents:
+    """The contents of a binary log."""
+    wanted = wanted_fields()
     with open_view(path) as data:
-        index = find_records(data, names)
-        chosen = index.message_counts() if names is None else names
-        return decode(data, index, dict.fromkeys(chosen, lambda _: True))
+        walker = RecordWalker(data, wanted)
+        line = timeline(stamps(data, walker))
+        tables = decode(walker, wanted)
+    walker.report_bytes(ledger, path.name, "record")
+    for refused in walker.refused:
+        what = f"an FMT record is not valid: {refused}"
+        if walker.bad_bytes:
+            ledger.loss("LOG-BAD-FORMAT", what, where=path.name, count=1)
+        else:  # all bytes are of records that are defined
+            ledger.note("LOG-BAD-FORMAT", f"{what}; there is no record of it", where=path.name)
+    reread = partial(read_tables, path)
+    return contents_of(walker, walker.message_counts(), line, tables, ledger, reread=reread)
+
+
+DATAFLASH = LogFormat(
+    "dataflash", "ArduPilot DataFlash", (".bin",), lambda head: head.startswith(FMT_START), read_log
+)
+
+
+def read_tables(path: Path, names: Collection[str] | None = None) -> dict[str, Decoded]:
+    """All messages of some types, or of every type, with all their fields."""
+    with open_view(path) as data:
+        found = find_records(data, names)
+        chosen = found.message_counts() if names is None else names
+        return decode(found, dict.fromkeys(chosen, lambda _: True))
 
 
 def contents_of(
+    damage: DamagedBytes,
     counts: Mapping[str, int],
     line: Timeline,
     tables: dict[str, Decoded],
     ledger: Ledger,
     *,
-    bad_bytes: int,
     reread: Callable[[set[str]], dict[str, Decoded]],
 ) -> Contents:
     """The contents of a log, binary or text.
 
     Parameters
     ----------
-    counts : of the messages of each type.
+    damage, counts : bytes of no message, and the messages of each type.
     line : the power-ups.
     tables : the wanted fields of the wanted types; they are used up.
-    bad_bytes : that belong to no message.
     reread : reads all fields of some types, when they are asked for.
     """
     timed = timed_tables(tables, ledger)
@@ -124,7 +96,8 @@ def contents_of(
     parameters = parameters_of(timed)
     channels = channels_of(timed, parameters, clock, ledger)
     return Contents(
-        counts, channels, bad_bytes, lost, clock.line.boots, clock.description, table, parameters
+        counts, channels, damage.bad_bytes, lost, clock.line.boots, clock.description, table,
+        parameters,
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ has to be walked.
 
 from __future__ import annotations
 
+from collections import Counter, deque
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.ingest.buffers import SPAN, FileView, gather
+from pipeline.ingest.log import DamagedBytes
 
 MAGIC = b"\xa3\x95"
 HEADER = 3
@@ -122,44 +124,6 @@ class RecordBlock:
         return self.base + int(self.at[-1]) + LONGEST if self.at.size else self.base
 
 
-@dataclass(frozen=True)
-class RecordIndex:
-    """Where the records are, in the order of the file.
-
-    ``blocks`` have the wanted records, ``counts`` (n,) are of all, by definition. ``bad_bytes`` lie
-    outside all records, the first at ``first_bad``; ``cut_bytes`` are a last record that the end of
-    the file cuts off; ``refused`` describes FMT records that are not valid.
-    """
-
-    definitions: tuple[RecordDefinition, ...]
-    blocks: tuple[RecordBlock, ...]
-    counts: NDArray[np.int64]
-    bad_bytes: int
-    first_bad: int
-    cut_bytes: int
-    refused: tuple[str, ...]
-
-    @property
-    def offsets(self) -> NDArray[np.int64]:
-        """The place of every record, (n,): 8 bytes each."""
-        places = [block.at.astype(np.int64) + block.base for block in self.blocks]
-        return np.concatenate(places) if places else np.empty(0, np.int64)
-
-    @property
-    def numbers(self) -> NDArray[np.uint16]:
-        """The definition of every record, (n,)."""
-        numbers = [block.numbers for block in self.blocks]
-        return np.concatenate(numbers) if numbers else np.empty(0, np.uint16)
-
-    def message_counts(self) -> dict[str, int]:
-        """How many messages of each name there are."""
-        counts: dict[str, int] = {}
-        for form, count in zip(self.definitions, self.counts.tolist(), strict=True):
-            if count:
-                counts[form.name] = counts.get(form.name, 0) + count
-        return counts
-
-
 @dataclass
 class _Candidates:
     """Where a record may begin in one block: places, type bytes and the lengths of these types.
@@ -179,8 +143,11 @@ class _Candidates:
         self.breaks = np.append(np.flatnonzero(~links), self.places.shape[0] - 1)
 
 
-class RecordWalker:
-    """One pass over a file: the current definition of each type, and the records so far.
+class RecordWalker(DamagedBytes):
+    """One pass over a file: the definitions, and where the records are, in the order of the file.
+
+    After the pass ``wanted`` has the blocks of the wanted records, ``definitions`` are all that
+    occurred, and ``refused`` describes FMT records that are not valid.
 
     Parameters
     ----------
@@ -189,6 +156,7 @@ class RecordWalker:
     """
 
     def __init__(self, data: FileView, names: Collection[str] | None = None) -> None:
+        super().__init__()
         fmt = define(_FMT_PAYLOAD)
         if fmt is None:
             raise LookupError("pymavlink does not know the format letters of FMT")
@@ -202,9 +170,8 @@ class RecordWalker:
         self.seen: dict[bytes, int] = {}
         self.refused: list[str] = []
         self.wanted: list[RecordBlock] = []
-        self.total = np.zeros(1, np.int64)
+        self._counts = np.zeros(1, np.int64)
         self.runs: list[tuple[NDArray[np.int64], NDArray[np.uint16]]] = []
-        self.bad_bytes, self.first_bad, self.cut_bytes = 0, -1, 0
 
     def blocks(self) -> Iterator[RecordBlock]:
         """All records block by block, while their bytes are in memory; wanted ones are kept."""
@@ -216,16 +183,18 @@ class RecordWalker:
             self._resume(at)
         yield from self._flush(keep=0)
 
-    def index(self) -> RecordIndex:
-        """The index, after all blocks."""
-        return RecordIndex(
-            tuple(self.definitions), tuple(self.wanted), self._totals(), self.bad_bytes,
-            self.first_bad, self.cut_bytes, tuple(self.refused),
-        )  # fmt: skip
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """(n,) how many records there are so far, wanted or not, by definition."""
+        missing = len(self.definitions) - self._counts.shape[0]
+        return np.append(self._counts, np.zeros(missing, np.int64)) if missing else self._counts
 
-    def _totals(self) -> NDArray[np.int64]:
-        missing = len(self.definitions) - self.total.shape[0]
-        return np.append(self.total, np.zeros(missing, np.int64)) if missing else self.total
+    def message_counts(self) -> dict[str, int]:
+        """How many messages of each name there are."""
+        counts: Counter[str] = Counter()
+        for form, count in zip(self.definitions, self.counts.tolist(), strict=True):
+            counts[form.name] += count
+        return dict(+counts)
 
     def _walk_block(self, at: int) -> int:
         """Walk the records that begin in a block; its arrays are freed before the next is read."""
@@ -295,7 +264,7 @@ class RecordWalker:
                 continue
             block = RecordBlock(int(at[0]), (at - at[0]).astype(np.uint32), which)
             yield block
-            self.total = self._totals() + np.bincount(which, minlength=len(self.definitions))
+            self._counts = self.counts + np.bincount(which, minlength=len(self.definitions))
             if self.names is not None:
                 wanted = [form.name in self.names for form in self.definitions]
                 rows = np.array(wanted, np.bool_)[which]
@@ -335,8 +304,7 @@ class RecordWalker:
             places, numbers = self.runs.pop()
             if places.shape[0] > 1:
                 self.runs.append((places[:-1], numbers[:-1]))
-        self.bad_bytes += resumed - begin
-        self.first_bad = begin if self.first_bad < 0 else self.first_bad
+        self.drop(begin, resumed)
         return resumed
 
     def _length(self, type_byte: bytes) -> int:
@@ -359,7 +327,7 @@ class RecordWalker:
         return True
 
 
-def find_records(data: FileView, names: Collection[str] | None = None) -> RecordIndex:
+def find_records(data: FileView, names: Collection[str] | None = None) -> RecordWalker:
     """Find every whole record of a DataFlash log.
 
     Parameters
@@ -371,13 +339,12 @@ def find_records(data: FileView, names: Collection[str] | None = None) -> Record
     record; after any damage reading continues where a chain of three records begins.
     """
     walker = RecordWalker(data, names)
-    for _ in walker.blocks():
-        pass
-    return walker.index()
+    deque(walker.blocks(), 0)
+    return walker
 
 
 def read_records(
-    data: FileView, index: RecordIndex, wanted: NDArray[np.bool_]
+    found: RecordWalker, wanted: NDArray[np.bool_]
 ) -> Iterator[tuple[int, NDArray[Any], NDArray[np.int64]]]:
     """The records of some definitions, a block of the file at a time.
 
@@ -388,19 +355,19 @@ def read_records(
     Yields the number of a definition, its records in a block as a structured array, and their
     places in the file; those of one definition come in the order of the file.
     """
-    for block in index.blocks:
+    for block in found.wanted:
         rows = np.flatnonzero(wanted[block.numbers])
         if rows.size == 0:
             continue
         numbers = block.numbers[rows]
         order = rows[np.argsort(numbers, kind="stable")]
         counts = np.bincount(numbers, minlength=wanted.shape[0])
-        raw = data.array(block.base, block.end())
+        raw = found.data.array(block.base, block.end())
         begin = 0
         for number in np.flatnonzero(counts).tolist():
             at = block.at[order[begin : begin + counts[number]]]
             begin += int(counts[number])
-            form = index.definitions[number]
+            form = found.definitions[number]
             # Every place of the block seen as a record: the wanted ones are then one copy each.
             rows_of_type = gather(raw, at, form.length).view(form.dtype)
             yield number, rows_of_type, at.astype(np.int64) + block.base

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.buffers import FileView, allocate
+from pipeline.ingest.buffers import allocate
 from pipeline.ingest.dataflash.fields import INSTANCE_FIELDS
-from pipeline.ingest.dataflash.records import RecordDefinition, RecordIndex, read_records
+from pipeline.ingest.dataflash.records import RecordDefinition, RecordWalker, read_records
 from pipeline.ingest.log import Table
 from pipeline.ledger import Ledger
 
@@ -35,9 +35,7 @@ class Decoded:
         return Decoded(columns, self.places[rows])
 
 
-def decode(
-    data: FileView, index: RecordIndex, wanted: Mapping[str, Callable[[str], bool]]
-) -> dict[str, Decoded]:
+def decode(found: RecordWalker, wanted: Mapping[str, Callable[[str], bool]]) -> dict[str, Decoded]:
     """The columns of some message types, in one pass over the file.
 
     Parameters
@@ -48,18 +46,18 @@ def decode(
     one name that differ in their fields are one table; what a row does not have is NaN or empty.
     A field that was text and number is a column of objects (`without_objects`).
     """
-    counts = index.counts
+    counts, forms = found.counts.tolist(), found.definitions
     tables = {
-        number: _TableBuilder(form, int(counts[number]), wanted[form.name])
-        for number, form in enumerate(index.definitions)
-        if form.name in wanted and counts[number]
+        number: _TableBuilder(form, count, wanted[form.name])
+        for number, (form, count) in enumerate(zip(forms, counts, strict=True))
+        if form.name in wanted and count
     }
-    mask = np.array([number in tables for number in range(len(index.definitions))], np.bool_)
-    for number, rows, places in read_records(data, index, mask):
+    mask = np.array([number in tables for number in range(len(forms))], np.bool_)
+    for number, rows, places in read_records(found, mask):
         tables[number].add(rows, places)
     by_name: dict[str, list[Decoded]] = {}
     for number in sorted(tables):
-        by_name.setdefault(index.definitions[number].name, []).append(tables.pop(number).table())
+        by_name.setdefault(forms[number].name, []).append(tables.pop(number).table())
     return {name: merge_tables(several) for name, several in by_name.items()}
 
 

@@ -20,7 +20,7 @@ from pipeline.ingest.boot_clock import Stamps, microseconds, timeline
 from pipeline.ingest.dataflash.channels import wanted_fields
 from pipeline.ingest.dataflash.log import contents_of
 from pipeline.ingest.dataflash.tables import Decoded, merge_tables
-from pipeline.ingest.log import Contents, report_damage
+from pipeline.ingest.log import Contents, DamagedBytes, LogFormat
 from pipeline.ledger import Ledger
 
 LONGEST = 4096  # bytes of a line; real ones have up to 250
@@ -30,31 +30,26 @@ _DECIMAL = "cCeELfdg"  # scaled and floating-point letters
 _TEXT = "nNZaM"  # arrays and flight modes are words in these logs
 
 
-@dataclass(frozen=True)
-class DataFlashText:
-    """The registry's entry of this format."""
+def read_log(path: Path, ledger: Ledger) -> Contents:
+    """The contents of a log as text."""
+    reader = _LineReader()
+    tables = reader.read(path, set(wanted_fields()))
+    reader.report_bytes(ledger, path.name, "line")
 
-    name: str = "dataflash-text"
-    title: str = "ArduPilot DataFlash as text"
-    extensions: tuple[str, ...] = (".log",)
+    def reread(names: set[str]) -> dict[str, Decoded]:
+        return _LineReader().read(path, names)
 
-    def matches(self, head: bytes) -> bool:
-        return _FIRST.search(head[:LONGEST]) is not None
-
-    def read(self, path: Path, ledger: Ledger) -> Contents:
-        reader = _LineReader()
-        tables = reader.read(path, set(wanted_fields()))
-        report_damage(
-            ledger, path.name, unit="line", bad_bytes=reader.bad_bytes, first_bad=reader.first_bad,
-            cut_bytes=reader.cut_bytes,
-        )  # fmt: skip
-        return contents_of(
-            dict(reader.counts), timeline(reader.stamps()), tables, ledger,
-            bad_bytes=reader.bad_bytes, reread=lambda names: _LineReader().read(path, names),
-        )  # fmt: skip
+    line = timeline(reader.stamps())
+    return contents_of(reader, dict(reader.counts), line, tables, ledger, reread=reread)
 
 
-DATAFLASH_TEXT = DataFlashText()
+DATAFLASH_TEXT = LogFormat(
+    "dataflash-text",
+    "ArduPilot DataFlash as text",
+    (".log",),
+    lambda head: _FIRST.search(head[:LONGEST]) is not None,
+    read_log,
+)
 
 
 @dataclass(frozen=True)
@@ -94,7 +89,7 @@ class _LineFormat:
 
 
 @dataclass
-class _LineReader:
+class _LineReader(DamagedBytes):
     """One pass over a file: the current definitions, counts of messages, and damage."""
 
     formats: dict[str, _LineFormat] = field(
@@ -104,9 +99,6 @@ class _LineReader:
     )
     counts: Counter[str] = field(default_factory=Counter)
     times: list[tuple[int, int]] = field(default_factory=list)
-    bad_bytes: int = 0
-    first_bad: int = -1
-    cut_bytes: int = 0
 
     def read(self, path: Path, wanted: set[str]) -> dict[str, Decoded]:
         """The wanted messages as tables; everything is counted."""
@@ -122,8 +114,7 @@ class _LineReader:
                 name, values = self._parse(raw)
                 if not name:
                     if raw.strip():
-                        self.bad_bytes += len(raw)
-                        self.first_bad = place if self.first_bad < 0 else self.first_bad
+                        self.drop(place, begin)
                     continue
                 form = self.formats[name]
                 self.counts[name] += 1

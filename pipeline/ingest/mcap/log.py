@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from pipeline.ingest.boot_clock import (
     timeline,
 )
 from pipeline.ingest.channel_builder import channel_of
-from pipeline.ingest.log import Contents, Table
+from pipeline.ingest.log import Contents, LogFormat, Table
 from pipeline.ingest.mcap.file_format import MAGIC
 from pipeline.ingest.mcap.reader import McapReader
 from pipeline.ingest.mcap.samples import STAMP, TopicSamples, times_of
@@ -31,53 +31,43 @@ PLACE = "\0place"  # of a message in the log, while a table is put together
 REASONS = ("LOG-SCHEMA", "LOG-NOT-ROS2", "LOG-NO-PROTOBUF")  # for no table
 
 
-@dataclass(frozen=True)
-class Mcap:
-    """The registry's line of this format."""
-
-    name: str = "mcap"
-    title: str = "MCAP"
-    extensions: tuple[str, ...] = (".mcap",)
-
-    def matches(self, head: bytes) -> bool:
-        return head.startswith(MAGIC)
-
-    def read(self, path: Path, ledger: Ledger) -> Contents:
-        reader = McapReader(ledger, path.name)
-        line = timeline(reader.through(path))
-        lost = reader.report()
-        series = [
-            samples for topic in reader.topics.values() for samples in (topic.series or {}).values()
-        ]
-        make_names_unique(series)
-        clock = boot_clock_of(line, series, reader.recorder(), ledger)
-        reader.topics.clear()
-        reader.topic_of.clear()
-        channels, without = [], 0
-        while series:  # each is released when its channel is made
-            samples = series.pop(0)
-            rows, unstamped = samples.rows(clock, ledger)
-            without += unstamped
-            channel = channel_of(rows, samples.spec, ledger)
-            if channel is not None:
-                channels.append(channel)
-        time_base = "header.stamp of the messages"
-        if clock.line.boot.size:
-            time_base = "the vehicle's time since boot, set to UTC by its GNSS messages"
-            if not any(clock.utc_known):
-                time_base = "the vehicle's time since boot, set by the recorder's clock"
-            if not any(clock.fits):
-                time_base = "the vehicle's time since boot; UTC is unknown"
-        if without:
-            time_base += f"; log_time for {without} messages without one"
-        counts = reader.counts.by_name(reader.names)
-        return Contents(
-            counts, tuple(channels), reader.damage.bad_bytes, lost, clock.line.boots, time_base,
-            partial(_table, path, clock),
-        )  # fmt: skip
+def read_log(path: Path, ledger: Ledger) -> Contents:
+    """The contents of an MCAP log."""
+    reader = McapReader(ledger, path.name)
+    line = timeline(reader.through(path))
+    lost = reader.report()
+    series = [
+        samples for topic in reader.topics.values() for samples in (topic.series or {}).values()
+    ]
+    make_names_unique(series)
+    clock = boot_clock_of(line, series, reader.recorder(), ledger)
+    reader.topics.clear()
+    reader.topic_of.clear()
+    channels, without = [], 0
+    while series:  # each is released when its channel is made
+        samples = series.pop(0)
+        rows, unstamped = samples.rows(clock, ledger)
+        without += unstamped
+        channel = channel_of(rows, samples.spec, ledger)
+        if channel is not None:
+            channels.append(channel)
+    time_base = "header.stamp of the messages"
+    if clock.line.boot.size:
+        time_base = "the vehicle's time since boot, set to UTC by its GNSS messages"
+        if not any(clock.utc_known):
+            time_base = "the vehicle's time since boot, set by the recorder's clock"
+        if not any(clock.fits):
+            time_base = "the vehicle's time since boot; UTC is unknown"
+    if without:
+        time_base += f"; log_time for {without} messages without one"
+    counts = reader.counts.by_name(reader.names)
+    return Contents(
+        counts, tuple(channels), reader.damage.bad_bytes, lost, clock.line.boots, time_base,
+        partial(_table, path, clock),
+    )  # fmt: skip
 
 
-MCAP = Mcap()
+MCAP = LogFormat("mcap", "MCAP", (".mcap",), lambda head: head.startswith(MAGIC), read_log)
 
 
 def make_names_unique(series: list[TopicSamples]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import numpy as np
 from pipeline.flight.channels import Channel
 from pipeline.flight.clock import stray_times
 from pipeline.ingest.buffers import open_view
-from pipeline.ingest.log import Contents, Table, report_damage
+from pipeline.ingest.log import Contents, LogFormat, Table
 from pipeline.ingest.tlog.borrowed_clock import with_borrowed_clocks
 from pipeline.ingest.tlog.channels import channels_of, label_of, times_of
 from pipeline.ingest.tlog.clock import MICROSECOND, Clocks, Key, by_source, clock_field, clocks_of
@@ -27,52 +26,44 @@ _CARRIED = {key.partition(".")[0] for key in MESSAGES}
 _LATE = {key for key, spec in MESSAGES.items() if spec.event}
 
 
-@dataclass(frozen=True)
-class Tlog:
-    """The registry's entry of this format."""
-
-    name: str = "tlog"
-    title: str = "MAVLink telemetry"
-    extensions: tuple[str, ...] = (".tlog", ".rlog")
-
-    def matches(self, head: bytes) -> bool:
-        first = frame_length(head, 0)
-        return first > 0 and (first == len(head) or frame_length(head, first) > 0)
-
-    def read(self, path: Path, ledger: Ledger) -> Contents:
-        known = dialect()
-        wanted = wanted_fields()
-        with open_view(path) as data:
-            late = {known.numbers[name] for name in _LATE if name in known.numbers}
-            result = scan(data, known.extras, known.layouts(wanted), late)
-        damaged = _report_damage(result, known, set(wanted), path, ledger)
-        if not result.steady:
-            _replace_stray_stamps(result, ledger, path.name)
-        sent = {known.messages[number].name: result.sent.pop(number) for number in [*result.sent]}
-        parts = [part for name, part in sent.items() if name in _CARRIED]
-        sources = {int(n) for p in parts for b in p.blocks() for n in np.unique(b["source"])}
-        clocks = clocks_of(result.clock.readings({source >> 8 for source in sources}), ledger)
-        clocks = with_borrowed_clocks(clocks, parts, ledger)
-        channels, parameters = channels_of(sent, clocks, ledger)
-        lost = _report_link(result, clocks, channels, path, ledger)
-        counts = {known.name(key): count for key, count in result.counts.items() if count}
-        return Contents(
-            counts, tuple(channels), result.bad_bytes + damaged, lost, clocks.boots,
-            clocks.description, partial(_table, path, clocks), parameters,
-        )  # fmt: skip
+def read_log(path: Path, ledger: Ledger) -> Contents:
+    """The contents of a telemetry log."""
+    known = dialect()
+    wanted = wanted_fields()
+    with open_view(path) as data:
+        late = {known.numbers[name] for name in _LATE if name in known.numbers}
+        result = scan(data, known.extras, known.layouts(wanted), late)
+    damaged = _report_damage(result, known, set(wanted), path, ledger)
+    if not result.steady:
+        _replace_stray_stamps(result, ledger, path.name)
+    sent = {known.messages[number].name: result.sent.pop(number) for number in [*result.sent]}
+    parts = [part for name, part in sent.items() if name in _CARRIED]
+    sources = {int(n) for p in parts for b in p.blocks() for n in np.unique(b["source"])}
+    clocks = clocks_of(result.clock.readings({source >> 8 for source in sources}), ledger)
+    clocks = with_borrowed_clocks(clocks, parts, ledger)
+    channels, parameters = channels_of(sent, clocks, ledger)
+    lost = _report_link(result, clocks, channels, path, ledger)
+    counts = {known.name(key): count for key, count in result.counts.items() if count}
+    return Contents(
+        counts, tuple(channels), result.bad_bytes + damaged, lost, clocks.boots,
+        clocks.description, partial(_table, path, clocks), parameters,
+    )  # fmt: skip
 
 
-TLOG = Tlog()
+def is_tlog(head: bytes) -> bool:
+    """Whether a file begins with two frames, or one that is all of it."""
+    first = frame_length(head, 0)
+    return first > 0 and (first == len(head) or frame_length(head, first) > 0)
+
+
+TLOG = LogFormat("tlog", "MAVLink telemetry", (".tlog", ".rlog"), is_tlog, read_log)
 
 
 def _report_damage(
     result: Scan, known: Dialect, needed: set[str], path: Path, ledger: Ledger
 ) -> int:
     """Enter the damage; returns the number of bytes of damaged frames."""
-    report_damage(
-        ledger, path.name, unit="message", bad_bytes=result.bad_bytes, first_bad=result.first_bad,
-        cut_bytes=result.cut_bytes,
-    )  # fmt: skip
+    result.report_bytes(ledger, path.name, "message")
     if result.unknown:
         count = sum(rejected.count for rejected in result.unknown.values())
         first = min(rejected.first for rejected in result.unknown.values())

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pipeline.flight.clock import STRAY_ROWS
 from pipeline.ingest.buffers import Bytes, ColumnStore, FileView
+from pipeline.ingest.log import DamagedBytes
 from pipeline.ingest.tlog.clock import Key, Sampler
 from pipeline.ingest.tlog.frames import (
     HEAD,
@@ -60,17 +61,16 @@ class RejectedFrames:
 
 
 @dataclass
-class Scan:
+class Scan(DamagedBytes):
     """The messages of a log, and what is damaged or missing.
 
     ``counts`` of messages by id; ``sent`` the wanted ones in the order of the file, with ``at``
     (byte offset), ``host_us`` (the ground station's clock), ``source`` (system times 256 plus
     component) and ``records`` (the payload); ``clock`` samples of the senders' clocks; ``unknown``
-    ids that cannot be checked (they are in ``counts``), ``failed`` checksums; ``bad_bytes`` lie
-    outside all frames, the first at ``first_bad``; ``cut_bytes`` are a last frame that the end of
-    the file cuts off; ``lost`` by the sequence numbers of each (system, component), which count
-    modulo 256; ``silences`` of senders; ``steady`` whether no stamp of the ground station lies more
-    than a second before the one before: a stray one has one or follows one.
+    ids that cannot be checked (they are in ``counts``), ``failed`` checksums; ``lost`` by the
+    sequence numbers of each (system, component), which count modulo 256; ``silences`` of senders;
+    ``steady`` whether no stamp of the ground station lies more than a second before the one before:
+    a stray one has one or follows one.
     """
 
     counts: Counter[int] = field(default_factory=Counter)
@@ -78,9 +78,6 @@ class Scan:
     clock: Sampler = field(default_factory=Sampler)
     unknown: dict[int, RejectedFrames] = field(default_factory=dict)
     failed: dict[int, RejectedFrames] = field(default_factory=dict)
-    bad_bytes: int = 0
-    first_bad: int = -1
-    cut_bytes: int = 0
     lost: Counter[Key] = field(default_factory=Counter)
     silences: list[Silence] = field(default_factory=list)
     steady: bool = True
@@ -226,8 +223,7 @@ class _Scanner:
                 at = places.pop()  # its length may be damaged
         self.result.cut_bytes += cut
         if at + cut < stop:
-            self.result.bad_bytes += stop - at
-            self.result.first_bad = at if self.result.first_bad < 0 else self.result.first_bad
+            self.result.drop(at, stop)
         window = _padded(self.data.array(begin, at))
         frames = headers(window, np.array(places, np.int64) - begin, at - begin).moved(begin)
         columns = (frames.message_id, frames.at, frames.total)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from pipeline.ingest.boot_clock import UtcReadings, fit_boot_clock, microseconds
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.channel_builder import DecodedRows, channel_of
 from pipeline.ingest.fields import MessageMap, extract
-from pipeline.ingest.log import Contents, Table
+from pipeline.ingest.log import Contents, LogFormat, Table
 from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, TOPICS, UTC_FIELD, captured_rows
 from pipeline.ingest.ulog.records import (
     APPENDED,
@@ -42,66 +41,58 @@ TopicRows = Mapping[tuple[str, int], NDArray[Any]]
 """Rows as logged, by topic and instance."""
 
 
-@dataclass(frozen=True)
-class ULogFormat:
-    """The registry's line of this format."""
-
-    name: str = "ulog"
-    title: str = "PX4 ULog"
-    extensions: tuple[str, ...] = (".ulg", ".ulog")
-
-    def matches(self, head: bytes) -> bool:
-        return head.startswith(MAGIC)
-
-    def read(self, path: Path, ledger: Ledger) -> Contents:
-        messages = _messages(path, list(TOPICS))
-        messages.report_damage(ledger, path.name)
-        numbered = {topic for topic, instance in messages.rows if instance}
-        names = {
-            (topic, instance): f"{topic}[{instance}]" if topic in numbered else topic
-            for topic, instance in messages.rows
-        }
-        offset_ns, time_base = _clock(messages.rows, names, ledger)
-        channels = []
-        for (topic, instance), rows in messages.rows.items():
-            source = Source(topic, str(instance) if topic in numbered else None)
-            spec, name, boot_ns = TOPICS[topic], names[topic, instance], _times(rows)
-            fields = {_ELEMENT.sub(r".\1", field): rows[field] for field in _names(rows)}
-            columns = extract(fields, spec.columns)
-            if "flags" in columns:
-                columns = earth_frame_attitude(columns)
-            boot = np.zeros(boot_ns.shape, np.int16)
-            decoded = DecodedRows(name, source, boot_ns + offset_ns, boot, columns)
-            stray = stray_times(boot_ns)
-            if stray.any():
-                ledger.loss(
-                    "TIME-STRAY",
-                    f"{int(stray.sum())} of {len(decoded)} rows carry a time that fits none of "
-                    "their neighbours: they are not used",
-                    where=f"{name}, first at row {int(np.flatnonzero(stray)[0])}",
-                    count=int(stray.sum()),
-                )
-                decoded = decoded.take(~stray)
-            decoded = captured_rows(decoded, ledger) if spec.event else decoded
-            channel = channel_of(decoded, spec, ledger)
-            if channel:
-                channels.append(channel)
-        times = [time_us for time_us, _ in messages.texts]
-        boot_ns = microseconds(np.array(times, np.uint64)) * 1000
-        texts = {"text": tuple(text for _, text in messages.texts)}
+def read_log(path: Path, ledger: Ledger) -> Contents:
+    """The contents of a PX4 log."""
+    messages = _messages(path, list(TOPICS))
+    messages.report_damage(ledger, path.name)
+    numbered = {topic for topic, instance in messages.rows if instance}
+    names = {
+        (topic, instance): f"{topic}[{instance}]" if topic in numbered else topic
+        for topic, instance in messages.rows
+    }
+    offset_ns, time_base = _clock(messages.rows, names, ledger)
+    channels = []
+    for (topic, instance), rows in messages.rows.items():
+        source = Source(topic, str(instance) if topic in numbered else None)
+        spec, name, boot_ns = TOPICS[topic], names[topic, instance], _times(rows)
+        fields = {_ELEMENT.sub(r".\1", field): rows[field] for field in _names(rows)}
+        columns = extract(fields, spec.columns)
+        if "flags" in columns:
+            columns = earth_frame_attitude(columns)
         boot = np.zeros(boot_ns.shape, np.int16)
-        said = DecodedRows("MSG", Source("MSG"), boot_ns + offset_ns, boot, {}, texts)
-        if channel := channel_of(said, MessageMap((), text_field="text"), ledger):
+        decoded = DecodedRows(name, source, boot_ns + offset_ns, boot, columns)
+        stray = stray_times(boot_ns)
+        if stray.any():
+            ledger.loss(
+                "TIME-STRAY",
+                f"{int(stray.sum())} of {len(decoded)} rows carry a time that fits none of "
+                "their neighbours: they are not used",
+                where=f"{name}, first at row {int(np.flatnonzero(stray)[0])}",
+                count=int(stray.sum()),
+            )
+            decoded = decoded.take(~stray)
+        decoded = captured_rows(decoded, ledger) if spec.event else decoded
+        channel = channel_of(decoded, spec, ledger)
+        if channel:
             channels.append(channel)
-        report_silences(messages, path.name, ledger)
-        lost = int(messages.bad_bytes > 0 or messages.damaged_values > 0)
-        return Contents(
-            dict(messages.counts), tuple(channels), messages.bad_bytes, lost, 1, time_base,
-            partial(_table, path, offset_ns), messages.parameters,
-        )  # fmt: skip
+    times = [time_us for time_us, _ in messages.texts]
+    boot_ns = microseconds(np.array(times, np.uint64)) * 1000
+    texts = {"text": tuple(text for _, text in messages.texts)}
+    boot = np.zeros(boot_ns.shape, np.int16)
+    said = DecodedRows("MSG", Source("MSG"), boot_ns + offset_ns, boot, {}, texts)
+    if channel := channel_of(said, MessageMap((), text_field="text"), ledger):
+        channels.append(channel)
+    report_silences(messages, path.name, ledger)
+    lost = int(messages.bad_bytes > 0 or messages.damaged_values > 0)
+    return Contents(
+        dict(messages.counts), tuple(channels), messages.bad_bytes, lost, 1, time_base,
+        partial(_table, path, offset_ns), messages.parameters,
+    )  # fmt: skip
 
 
-ULOG = ULogFormat()
+ULOG = LogFormat(
+    "ulog", "PX4 ULog", (".ulg", ".ulog"), lambda head: head.startswith(MAGIC), read_log
+)
 
 
 def _messages(path: Path, topics: list[str]) -> ULogMessages:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.ingest.buffers import ColumnStore, FileView, gather
-from pipeline.ingest.log import report_damage
+from pipeline.ingest.log import DamagedBytes
 from pipeline.ledger import Ledger
 
 MAGIC = b"ULog\x01\x12\x35"
@@ -51,24 +51,20 @@ Fields = list[tuple[str, int, str]]
 
 
 @dataclass
-class ULogMessages:
+class ULogMessages(DamagedBytes):
     """What a file holds.
 
     ``counts`` the data messages by topic; ``rows`` of the wanted topics by name and instance, each
     a structured array; ``timeless`` topics, whose format has no timestamp: they have no rows.
-    ``bad_bytes`` are part of no message, the first at ``first_bad``; ``cut_bytes`` belong to a last
-    message that the end of the file cuts off; ``damaged_values`` counts parameters and items of
-    information whose value does not have the length of its type; ``dropouts_ms`` the durations in
-    which the logger lost messages. ``texts`` what the vehicle says, with its time since boot [us];
-    ``parameters`` by name, the last value of each.
+    ``damaged_values`` counts parameters and items of information whose value does not have the
+    length of its type; ``dropouts_ms`` the durations in which the logger lost messages. ``texts``
+    what the vehicle says, with its time since boot [us]; ``parameters`` by name, the last value of
+    each.
     """
 
     counts: Counter[str] = field(default_factory=Counter)
     rows: dict[tuple[str, int], NDArray[Any]] = field(default_factory=dict)
     timeless: set[str] = field(default_factory=set)
-    bad_bytes: int = 0
-    first_bad: int = -1
-    cut_bytes: int = 0
     damaged_values: int = 0
     dropouts_ms: list[int] = field(default_factory=list)
     texts: list[tuple[int, str]] = field(default_factory=list)
@@ -76,10 +72,7 @@ class ULogMessages:
 
     def report_damage(self, ledger: Ledger, file_name: str) -> None:
         """Enter what is damaged. The format does not number messages: lost ones are not counted."""
-        report_damage(
-            ledger, file_name, unit="message", bad_bytes=self.bad_bytes, first_bad=self.first_bad,
-            cut_bytes=self.cut_bytes,
-        )  # fmt: skip
+        self.report_bytes(ledger, file_name, "message")
         for topic in sorted(self.timeless):
             count = self.counts[topic]
             what = f"{count} rows cannot be used: the log defines no field for timestamp"
@@ -203,7 +196,7 @@ class _MessageWalk:
         at, end = FILE_HEADER, self.data.size
         sizes, unpack, places_of = self.definitions.sizes, DATA.unpack_from, self.places
         if self.data[0 : len(MAGIC)] != MAGIC:
-            self._drop(0, FILE_HEADER)
+            self.result.drop(0, FILE_HEADER)
         while at < end:
             raw = self.data[at : at + SPAN + LONGEST]
             last = len(raw) if at + len(raw) >= end else SPAN
@@ -223,7 +216,7 @@ class _MessageWalk:
                     place = following
                 length = self._length(raw, place, at) if place < last else 0
                 if length and not self._take(raw, place, length):
-                    self._drop(at + place, at + place + length)
+                    self.result.drop(at + place, at + place + length)
                 elif place < last and not length:
                     length = self._resume(raw, place, at) - at - place
                 place += length
@@ -244,11 +237,6 @@ class _MessageWalk:
             key: store.whole() for key, store in sorted(self.stores.items()) if len(store)
         }
         return self.result
-
-    def _drop(self, begin: int, end: int) -> None:
-        self.result.bad_bytes += end - begin
-        if self.result.first_bad < 0:
-            self.result.first_bad = begin
 
     def _length(self, raw: bytes, place: int, base: int, *, loose: bool = False) -> int:
         """The length of the message that begins here; 0 where none does.
@@ -317,7 +305,7 @@ class _MessageWalk:
         skipped = self._length(raw, place, base, loose=True)  # data whose definition was lost
         unknown = int.from_bytes(raw[place + 3 : place + 5], "little") not in self.definitions.sizes
         if skipped and unknown and self._linked(raw, place + skipped, base):
-            self._drop(at, at + skipped)
+            self.result.drop(at, at + skipped)
             return at + skipped
         begin, reach = at + 1, NEAR
         while begin < self.data.size:
@@ -327,7 +315,7 @@ class _MessageWalk:
             cuts = [cut - begin for cut in self.appended if begin <= cut < begin + reach]
             for start in sorted({*starts, *cuts}):
                 if self._linked(block, start, begin):
-                    self._drop(at, begin + start)
+                    self.result.drop(at, begin + start)
                     return begin + start
             begin, reach = begin + reach, SPAN
         rest = self.data[at : at + LONGEST]
@@ -335,7 +323,7 @@ class _MessageWalk:
         if cut and (len(rest) < HEAD.size + 2 or self._fits(rest, 0, at)):
             self.result.cut_bytes = self.data.size - at
         else:
-            self._drop(at, self.data.size)
+            self.result.drop(at, self.data.size)
         return self.data.size
 
     def _linked(self, raw: bytes, place: int, base: int) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,17 @@ from pipeline.ingest.dataflash.records import find_records
 
 BARO, HYGR, GPS, POS = 23, 24, 20, 25
 ROWS = 400
+
+
+def records(data: bytes) -> SimpleNamespace:
+    """The place and the definition of every record in a file, and its damage."""
+    found = find_records(view_of_bytes(data))
+    blocks = [(block.base + block.at.astype(np.int64), block.numbers) for block in found.wanted]
+    offsets, numbers = map(np.concatenate, zip(*blocks, strict=True))
+    damage = {name: getattr(found, name) for name in ("bad_bytes", "first_bad", "cut_bytes")}
+    return SimpleNamespace(
+        offsets=offsets, numbers=numbers, definitions=found.definitions, **damage
+    )
 
 
 def written(dataflash_writer: Callable) -> Any:
@@ -72,7 +84,7 @@ def test_a_flipped_bit_of_an_instance_is_no_sensor(
     tmp_path: Path, dataflash_writer: Callable
 ) -> None:
     data = bytearray(written(dataflash_writer).data)
-    found = find_records(view_of_bytes(bytes(data)))
+    found = records(bytes(data))
     number = next(n for n, form in enumerate(found.definitions) if form.name == "HYGR")
     data[int(found.offsets[found.numbers == number][200]) + 3 + 8] ^= 32
     log = opened(tmp_path, bytes(data))
@@ -184,7 +196,7 @@ def test_all_records_of_a_type_in_doubt_cost_what_lies_between_them(
 
     monkeypatch.setattr(FileView, "array", counted)
     monkeypatch.setattr("pipeline.ingest.dataflash.records.REACH", 8)
-    found = find_records(view_of_bytes(bytes(data)))
+    found = records(bytes(data))
     assert found.bad_bytes >= 18 * ROWS
     assert sum(read) < 10 * len(data)
 
@@ -223,7 +235,7 @@ def test_rows_of_a_definition_without_instances_have_none(
 
 def test_the_first_damage_is_located(tmp_path: Path, dataflash_writer: Callable) -> None:
     data = written(dataflash_writer).data
-    places = find_records(view_of_bytes(data)).offsets.tolist()
+    places = records(data).offsets.tolist()
     damaged = data[: places[700]] + bytes(40) + data[places[700] : places[1400]]
     log = opened(tmp_path, damaged + bytes(60) + data[places[1400] :])
     # a record with zeros behind it may have a wrong length: it belongs to the damage

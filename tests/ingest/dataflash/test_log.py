@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,14 +16,21 @@ from pipeline.flight.clock import utc_of_gps
 from pipeline.flight.roles import assign_roles
 from pipeline.ingest import Log, open_log
 from pipeline.ingest.buffers import view_of_bytes
-from pipeline.ingest.dataflash.records import RecordIndex, find_records
+from pipeline.ingest.dataflash.records import find_records
 from pipeline.ledger import Ledger
 
 DEGREE = np.pi / 180.0
 
 
-def walk(data: bytes) -> RecordIndex:
-    return find_records(view_of_bytes(data))
+def walk(data: bytes) -> SimpleNamespace:
+    """The place and the definition of every record in a file, and its damage."""
+    found = find_records(view_of_bytes(data))
+    blocks = [(block.base + block.at.astype(np.int64), block.numbers) for block in found.wanted]
+    offsets, numbers = map(np.concatenate, zip(*blocks, strict=True))
+    damage = {name: getattr(found, name) for name in ("bad_bytes", "first_bad", "cut_bytes")}
+    return SimpleNamespace(
+        offsets=offsets, numbers=numbers, definitions=found.definitions, **damage
+    )
 
 
 def library_rows(path: Path, message: str) -> list:
