@@ -52,6 +52,11 @@ class State:
     climb_m_s: Array
     course_rad: Array
 
+    def between(self, time_s: Array) -> State:
+        """At other times (n,), linear between these."""
+        rows = {name: np.interp(time_s, self.time_s, row) for name, row in vars(self).items()}
+        return State(**rows)
+
 
 @dataclass(frozen=True, eq=False)
 class Flight:

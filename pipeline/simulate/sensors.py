@@ -5,13 +5,13 @@ All three logs carry (a subset of) these samples, so they differ in nothing but 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from pipeline.simulate.flight import UNDULATION_M, Flight, cabin_air
+from pipeline.simulate.flight import UNDULATION_M, Flight, State, cabin_air
 from pipeline.simulate.true_air import TrueAir, relative_humidity, temperature_k
 from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, WGS84_A, ZERO_CELSIUS_K
 
@@ -38,16 +38,9 @@ BOARD_HEAT_K = 15.0  # a barometer's own thermometer sits on a warm board
 
 
 @dataclass(frozen=True, eq=False)
-class GnssSamples:
-    """Receiver fixes, 5 Hz, on the receiver's own time: radians, metres, metres per second."""
+class GnssSamples(State):
+    """Receiver fixes, 5 Hz, on the receiver's own time, and how late [s] each row is written."""
 
-    time_s: Array
-    lat_rad: Array
-    lon_rad: Array
-    h_msl_m: Array
-    speed_m_s: Array
-    course_rad: Array
-    climb_m_s: Array
     log_delay_s: Array
 
     @property
@@ -58,57 +51,22 @@ class GnssSamples:
     @classmethod
     def draw(cls, flight: Flight, rng: np.random.Generator) -> GnssSamples:
         """The samples of a flight, with noise."""
-        time = _grid(flight, 0.2, 0.0)
-        truth = flight.at(time)
-        lat, lon = _displace(truth.lat_rad, truth.lon_rad, rng, 100.0)
-        height = truth.h_msl_m + _noise(rng, len(time), GNSS_VERTICAL_M, 100.0)
+        fixes = _displaced(flight.at(_grid(flight, 0.2, 0.0)), rng, 100.0)
         # A time-tagged receiver: the row is written within milliseconds, and now and then late.
-        delay = np.minimum(0.0005 + rng.exponential(0.0015, len(time)), 0.05)
-        return cls(
-            time,
-            lat,
-            lon,
-            height,
-            truth.speed_m_s,
-            truth.course_rad,
-            truth.climb_m_s,
-            np.asarray(np.round(delay, 6), np.float64),
-        )
+        delay = np.minimum(0.0005 + rng.exponential(0.0015, len(fixes.time_s)), 0.05)
+        return cls(**vars(fixes), log_delay_s=np.asarray(np.round(delay, 6), np.float64))
 
 
-@dataclass(frozen=True, eq=False)
-class NavigationSamples:
-    """The autopilot's position and attitude, 20 Hz."""
-
-    time_s: Array
-    lat_rad: Array
-    lon_rad: Array
-    h_msl_m: Array
-    roll_rad: Array
-    pitch_rad: Array
-    yaw_rad: Array
-    climb_m_s: Array
-    speed_m_s: Array
-
-    @classmethod
-    def draw(cls, flight: Flight, rng: np.random.Generator) -> NavigationSamples:
-        """The samples of a flight, with noise."""
-        time = _grid(flight, 0.05, 0.003)
-        truth = flight.at(time)
-        lat, lon = _displace(truth.lat_rad, truth.lon_rad, rng, 400.0)
-        height = truth.h_msl_m + _noise(rng, len(time), GNSS_VERTICAL_M, 400.0)
-        tilt = np.radians(TILT_DEG)
-        return cls(
-            time,
-            lat,
-            lon,
-            height,
-            truth.roll_rad + _noise(rng, len(time), tilt, 400.0),
-            truth.pitch_rad + _noise(rng, len(time), tilt, 400.0),
-            truth.yaw_rad + _noise(rng, len(time), float(np.radians(HEADING_DEG)), 600.0),
-            truth.climb_m_s,
-            truth.speed_m_s,
-        )
+def navigation_samples(flight: Flight, rng: np.random.Generator) -> State:
+    """The autopilot's position and attitude, 20 Hz, with noise."""
+    state = _displaced(flight.at(_grid(flight, 0.05, 0.003)), rng, 400.0)
+    count, tilt = len(state.time_s), np.radians(TILT_DEG)
+    return replace(
+        state,
+        roll_rad=state.roll_rad + _noise(rng, count, tilt, 400.0),
+        pitch_rad=state.pitch_rad + _noise(rng, count, tilt, 400.0),
+        yaw_rad=state.yaw_rad + _noise(rng, count, float(np.radians(HEADING_DEG)), 600.0),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +110,7 @@ class LoggedSamples:
     """Everything that goes into the logs."""
 
     gnss: GnssSamples
-    navigation: NavigationSamples
+    navigation: State
     outside: BoxSamples
     cabin: BoxSamples
     exposure_s: Array
@@ -183,7 +141,7 @@ def sample(flight: Flight, air: TrueAir, seed: int, camera_names: tuple[str, ...
     )
     return LoggedSamples(
         GnssSamples.draw(flight, gnss),
-        NavigationSamples.draw(flight, navigation),
+        navigation_samples(flight, navigation),
         BoxSamples.outside(flight, air, outside),
         BoxSamples.cabin(flight, air, cabin),
         flight.exposure_s,
@@ -205,12 +163,17 @@ def _noise(rng: np.random.Generator, count: int, sigma: float, samples: float) -
     return np.asarray(sigma * (np.sqrt(0.9) * slow + np.sqrt(0.1) * white))
 
 
-def _displace(
-    lat: Array, lon: Array, rng: np.random.Generator, samples: float
-) -> tuple[Array, Array]:
-    north = _noise(rng, len(lat), GNSS_HORIZONTAL_M, samples)
-    east = _noise(rng, len(lat), GNSS_HORIZONTAL_M, samples)
-    return lat + north / WGS84_A, lon + east / (WGS84_A * np.cos(lat))
+def _displaced(truth: State, rng: np.random.Generator, samples: float) -> State:
+    """A true state with the noise of a receiver's place and height."""
+    lat, count = truth.lat_rad, len(truth.time_s)
+    north = _noise(rng, count, GNSS_HORIZONTAL_M, samples)
+    east = _noise(rng, count, GNSS_HORIZONTAL_M, samples)
+    return replace(
+        truth,
+        lat_rad=lat + north / WGS84_A,
+        lon_rad=truth.lon_rad + east / (WGS84_A * np.cos(lat)),
+        h_msl_m=truth.h_msl_m + _noise(rng, count, GNSS_VERTICAL_M, samples),
+    )
 
 
 def _read_out(fast: tuple[Array, Array, Array], slow: tuple[Array, Array, Array]) -> BoxSamples:

@@ -223,12 +223,10 @@ def _camera_rows(samples: LoggedSamples) -> list[Row]:
     rows: list[Row] = []
     for message, times_us in (("TRIG", shutter - _SHUTTER_LAG_US), ("CAM", shutter)):
         at = (times_us - LOG_BEGINS_BOOT_US) * 1e-6
-        lat = np.degrees(np.interp(at, nav.time_s, nav.lat_rad))
-        lon = np.degrees(np.interp(at, nav.time_s, nav.lon_rad))
-        alt = np.interp(at, nav.time_s, nav.h_msl_m)
-        roll = np.degrees(np.interp(at, nav.time_s, nav.roll_rad))
-        pitch = np.degrees(np.interp(at, nav.time_s, nav.pitch_rad))
-        yaw = _centidegrees(np.degrees(np.interp(at, nav.time_s, nav.yaw_rad)))
+        shot = nav.between(np.asarray(at, np.float64))
+        lat, lon, alt = np.degrees(shot.lat_rad), np.degrees(shot.lon_rad), shot.h_msl_m
+        roll, pitch = np.degrees(shot.roll_rad), np.degrees(shot.pitch_rad)
+        yaw = _centidegrees(np.degrees(shot.yaw_rad))
         last_fix = np.searchsorted(gnss.time_s + gnss.log_delay_s, at, side="right") - 1
         week, ms = gps_week_ms(gnss.time_s[last_fix])
         for instance in range(len(samples.camera_names)):

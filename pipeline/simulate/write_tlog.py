@@ -147,14 +147,10 @@ def _air_rows(samples: LoggedSamples) -> list[Row]:
 
 def _camera_rows(samples: LoggedSamples) -> list[Row]:
     """CAMERA_FEEDBACK of every exposure and camera; time_usec since boot (feedback pin)."""
-    nav = samples.navigation
-    at = samples.exposure_s
-    lat = _degrees_e7(np.interp(at, nav.time_s, nav.lat_rad))
-    lon = _degrees_e7(np.interp(at, nav.time_s, nav.lon_rad))
-    height = np.interp(at, nav.time_s, nav.h_msl_m)
-    roll = np.degrees(np.interp(at, nav.time_s, nav.roll_rad))
-    pitch = np.degrees(np.interp(at, nav.time_s, nav.pitch_rad))
-    yaw = np.degrees(np.interp(at, nav.time_s, nav.yaw_rad)) % 360.0
+    shot, at = samples.navigation.between(samples.exposure_s), samples.exposure_s
+    lat, lon, height = _degrees_e7(shot.lat_rad), _degrees_e7(shot.lon_rad), shot.h_msl_m
+    roll, pitch = np.degrees(shot.roll_rad), np.degrees(shot.pitch_rad)
+    yaw = np.degrees(shot.yaw_rad) % 360.0
     rows: list[Row] = []
     for i, shutter in enumerate(boot_us(at).tolist()):
         for instance in range(len(samples.camera_names)):

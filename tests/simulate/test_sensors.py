@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,9 +10,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.simulate.block import observation_columns, stations
-from pipeline.simulate.flight import FIELD_LAT_RAD, UNDULATION_M, Flight, fly
+from pipeline.simulate.flight import FIELD_LAT_RAD, UNDULATION_M, Flight, State, fly
 from pipeline.simulate.optics import cameras
-from pipeline.simulate.sensors import GnssSamples, LoggedSamples, NavigationSamples, sample
+from pipeline.simulate.sensors import GnssSamples, LoggedSamples, navigation_samples, sample
 from pipeline.simulate.true_air import TrueAir, relative_humidity, temperature_k, true_air
 
 E2 = 0.00669437999014  # WGS84
@@ -32,14 +33,14 @@ def logged(flight: Flight, air: TrueAir) -> LoggedSamples:
     return sample(flight, air, 5, ("a",))
 
 
-@pytest.mark.parametrize("kind", [GnssSamples, NavigationSamples])
+@pytest.mark.parametrize("draw", [GnssSamples.draw, navigation_samples])
 def test_positions_scatter_alike_to_the_north_and_to_the_east(
-    flight: Flight, kind: type[GnssSamples] | type[NavigationSamples]
+    flight: Flight, draw: Callable[[Flight, np.random.Generator], State]
 ) -> None:
     """3 cm each; in radians of longitude that is more than in latitude, by 1/cos(47.4 deg)."""
     north, east, up = [], [], []
     for seed in range(12):
-        drawn = kind.draw(flight, np.random.default_rng(seed))
+        drawn = draw(flight, np.random.default_rng(seed))
         truth = flight.at(drawn.time_s)
         north.append(6_378_137.0 * (drawn.lat_rad - truth.lat_rad))
         east.append(6_378_137.0 * np.cos(truth.lat_rad) * (drawn.lon_rad - truth.lon_rad))
