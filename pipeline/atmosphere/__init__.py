@@ -1,6 +1,6 @@
 """The air: its refractive index, standard atmospheres, and the profile of a flight."""
 
-from pipeline.atmosphere.covariance import AirJacobian, air_jacobian
+from pipeline.atmosphere.covariance import air_jacobian
 from pipeline.atmosphere.profile import (
     Profile,
     pressure_gradient_layer,
@@ -11,7 +11,6 @@ from pipeline.atmosphere.profile import (
 from pipeline.atmosphere.standard import standard_atmosphere, standard_names
 
 __all__ = [
-    "AirJacobian",
     "Profile",
     "air_jacobian",
     "pressure_gradient_layer",

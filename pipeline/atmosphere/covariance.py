@@ -35,34 +35,8 @@ _PRESSURE_STEP = 0.05  # of p
 _VAPOUR_STEP = 0.05  # of e/p
 
 
-@dataclass(frozen=True, eq=False)
-class AirJacobian:
+def air_jacobian(profile: Profile, h: ArrayLike, anchor_height_m: float) -> Array:
     """Derivatives of N = n - 1 at heights with respect to what the profile is made of.
-
-    Parameters
-    ----------
-    d_temperature : (n, m + 1) with respect to T_M at the m + 1 edges of the layers [1/K], e/p held,
-        pressure following by hydrostatics from the anchor.
-    d_log_pressure : (n,) with respect to ln p at the anchor; one height is as good as another.
-    d_vapour : (n, m + 1) with respect to e/p at the edges, T_M held (so pressure stays).
-
-    A thermometer measures T = T_M (1 - 0.378 e/p). With x_k for e/p at edge k, the derivative with
-    respect to T_k at fixed x_k is that for T_M,k divided by (1 - 0.378 x_k); the one with respect
-    to x_k at fixed T_k is ``d_vapour`` + ``d_temperature`` * 0.378 T_M,k / (1 - 0.378 x_k).
-    """
-
-    d_temperature: Array
-    d_log_pressure: Array
-    d_vapour: Array
-
-    @property
-    def gradient(self) -> Array:
-        """(n, 2m + 3) all of them, in the order of `ProfileCovariance.matrix`."""
-        return np.column_stack([self.d_temperature, self.d_log_pressure, self.d_vapour])
-
-
-def air_jacobian(profile: Profile, h: ArrayLike, anchor_height_m: float) -> AirJacobian:
-    """Derivatives of the refractivity with respect to the edges of the layers.
 
     Parameters
     ----------
@@ -70,12 +44,21 @@ def air_jacobian(profile: Profile, h: ArrayLike, anchor_height_m: float) -> AirJ
     h : (n,) heights [m above sea level]; rows of heights outside the profile are NaN.
     anchor_height_m : where pressure stays as it is when temperatures change [m above sea level].
 
+    Returns (n, 2m + 3), in the order of `ProfileCovariance.matrix`: with respect to T_M at the
+    m + 1 edges of the layers [1/K], e/p held, pressure following by hydrostatics from the anchor;
+    to ln p at the anchor, where one height is as good as another; and to e/p at the edges, T_M
+    held (so pressure stays).
+
+    A thermometer measures T = T_M (1 - 0.378 e/p). With x_k for e/p at edge k, the derivative with
+    respect to T_k at fixed x_k is that for T_M,k divided by (1 - 0.378 x_k); the one with respect
+    to x_k at fixed T_k is that for x_k + that for T_M,k * 0.378 T_M,k / (1 - 0.378 x_k).
+
     Raises `PhysicsError` for an anchor outside the profile. Against
     30-digit arithmetic 3e-13 of the largest derivative.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> air = air_jacobian(standard_atmosphere("us1976"), [0.0, 8000.0], 0.0)
-    >>> (air.d_temperature[:, :3] * 1e9).round(2).tolist()
+    >>> (air[:, :3] * 1e9).round(2).tolist()
     [[0.0, -967.15, 0.0], [0.0, 154.8, -182.09]]
     """
     h = np.asarray(h, dtype=np.float64)
@@ -84,10 +67,12 @@ def air_jacobian(profile: Profile, h: ArrayLike, anchor_height_m: float) -> AirJ
     by_t, by_log_p, by_vapour = _index_partials(profile.index, t_m * dryness, p, vapour)
     weights = hats(profile.layers.edge, profile.gravity.geopotential_height(h))
     log_pressure = log_pressure_jacobian(profile, h, anchor_height_m)
-    return AirJacobian(
-        by_log_p[:, None] * log_pressure + (by_t * dryness)[:, None] * weights,
-        by_log_p,
-        (by_vapour - VAPOUR_DEFICIT * t_m * by_t)[:, None] * weights,
+    return np.column_stack(
+        [
+            by_log_p[:, None] * log_pressure + (by_t * dryness)[:, None] * weights,
+            by_log_p,
+            (by_vapour - VAPOUR_DEFICIT * t_m * by_t)[:, None] * weights,
+        ]
     )
 
 
@@ -181,31 +166,28 @@ class ProfileCovariance:
         height = np.atleast_1d(np.asarray(h, np.float64))
         weights = self._weights(height)
         t_m, _, vapour = self.profile.state(height)
-        zero = np.zeros((height.size, 1))
         by_t_m, by_vapour = 1.0 - VAPOUR_DEFICIT * vapour, -VAPOUR_DEFICIT * t_m
-        blocks = (by_t_m[:, None] * weights, zero, by_vapour[:, None] * weights)
-        return self.sigma_of(np.concatenate(blocks, axis=1))
+        level = np.zeros(height.size)
+        blocks = (by_t_m[:, None] * weights, level, by_vapour[:, None] * weights)
+        return self.sigma_of(np.column_stack(blocks))
 
     def sigma_log_pressure(self, h: ArrayLike) -> Array:
         """One sigma of ln p, that is sigma_p/p, at heights ``h`` (n,) [m above sea level]."""
-        height = np.atleast_1d(np.asarray(h, np.float64))
-        by_virtual = self.log_pressure_by_virtual(height)
-        blocks = (by_virtual, np.ones((height.size, 1)), np.zeros(by_virtual.shape))
-        return self.sigma_of(np.concatenate(blocks, axis=1))
+        by_virtual = self.log_pressure_by_virtual(np.atleast_1d(np.asarray(h, np.float64)))
+        level = np.ones(by_virtual.shape[0])
+        return self.sigma_of(np.column_stack((by_virtual, level, np.zeros(by_virtual.shape))))
 
     def sigma_vapour_pressure(self, h: ArrayLike) -> Array:
         """One sigma of vapour pressure [Pa] at heights ``h`` (n,) [m above sea level]."""
         height = np.atleast_1d(np.asarray(h, np.float64))
         _, p, vapour = self.profile.state(height)
-        e = (vapour * p)[:, None]
-        by_vapour = p[:, None] * self._weights(height)
-        blocks = (e * self.log_pressure_by_virtual(height), e, by_vapour)
-        return self.sigma_of(np.concatenate(blocks, axis=1))
+        e, by_virtual = vapour * p, self.log_pressure_by_virtual(height)
+        blocks = (e[:, None] * by_virtual, e, p[:, None] * self._weights(height))
+        return self.sigma_of(np.column_stack(blocks))
 
     def sigma_refractivity(self, h: ArrayLike) -> Array:
         """One sigma of n - 1 at heights ``h`` (n,) [m above sea level]."""
-        gradient = self.refractivity_gradient(np.atleast_1d(np.asarray(h, np.float64)))
-        return self.sigma_of(gradient)
+        return self.sigma_of(self.refractivity_gradient(np.atleast_1d(np.asarray(h, np.float64))))
 
     def refractivity_gradient(self, h: Array) -> Array:
         """(n, 2k + 1) derivatives of n - 1 at heights (n,) [m] by the quantities of ``matrix``.
@@ -222,14 +204,8 @@ class ProfileCovariance:
         by_vapour = self._index(t_m, p, vapour + step) - self._index(t_m, p, vapour - step)
         by_vapour = by_vapour / (2.0 * step)
         carried = by_level[:, None] * self.log_pressure_by_virtual(h)
-        return np.concatenate(
-            [
-                by_virtual[:, None] * weights + carried,
-                by_level[:, None],
-                by_vapour[:, None] * weights,
-            ],
-            axis=1,
-        )
+        by_virtual = by_virtual[:, None] * weights + carried
+        return np.column_stack((by_virtual, by_level, by_vapour[:, None] * weights))
 
     def relative_sigma(self, h_c: float, h_g: float) -> float:
         """sigma_R/R of rays from a camera at ``h_c`` to the ground at ``h_g`` [m], to first order.

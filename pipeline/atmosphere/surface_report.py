@@ -6,6 +6,7 @@ import math
 import re
 import warnings
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -105,62 +106,7 @@ def parse_metar(
     """
     _refuse_height(station_h_m, where)
     flat = " ".join(text.split()).rstrip("=").strip()
-    fields = _decode(flat, flight_ns, ledger, where)
-    t, dew, qnh = fields.temperature_k, fields.dew_point_k, fields.qnh_pa
-    if dew > t:
-        ledger.warning(
-            "METAR-DEW-POINT",
-            f"the dew point {dew - ZERO_CELSIUS_K:.1f} C lies above the temperature "
-            f"{t - ZERO_CELSIUS_K:.1f} C: taken as saturated",
-            where=where,
-            count=1,
-        )
-        dew = t
-    quantities = (("temperature", t), ("dew point", dew), ("altimeter setting", qnh))
-    missing = [quantity for quantity, value in quantities if not math.isfinite(value)]
-    if missing:
-        what = f"no {' and no '.join(missing)} can be read in {flat[:80]!r}"
-        if not math.isfinite(t) and math.isfinite(dew):
-            what += "; the dew point alone gives no humidity without the temperature"
-        ledger.fallback("METAR-MISSING", what, where=where, count=len(missing))
-    pressure = station_pressure(qnh, station_h_m) if math.isfinite(qnh) else math.nan
-    dew = dew if math.isfinite(t) else math.nan
-    e = float(vapour_pressure(1.0, dew, pressure if math.isfinite(pressure) else _SEA_LEVEL_PA))
-    sigma = _TENTH_K if _TENTHS.search(flat) else _WHOLE_K
-    origin = f"METAR {fields.station}".strip()
-    return SurfaceReport(station_h_m, pressure, t, e, fields.time_ns, origin, sigma)
-
-
-@dataclass(frozen=True)
-class _Fields:
-    """What a report states, NaN where it does not; half a step is added to the QNH."""
-
-    station: str
-    temperature_k: float
-    dew_point_k: float
-    qnh_pa: float
-    time_ns: int | None
-
-
-def _decode(flat: str, flight_ns: int | None, ledger: Ledger, where: str) -> _Fields:
-    """What the package ``metar`` reads in a report; groups it does not know are in the ledger."""
-    from metar import Metar
-
-    with warnings.catch_warnings(record=True) as caught:
-        # Not strict, it warns of a group it does not know or cannot decode, and goes on: a strange
-        # runway group must not cost the temperature behind it.
-        warnings.simplefilter("always")
-        try:
-            # Month and year only keep it from guessing; January has every day.
-            report = Metar.Metar(flat, month=1, year=2000, strict=False)
-        except (Metar.ParserError, ValueError, TypeError) as error:
-            raise _no_metar(f"the report does not parse: {error}", flat, where) from None
-    complaints = "; ".join(" ".join(str(warning.message).split()) for warning in caught)
-    if report.station_id is None or (report.temp is None and report.press is None):
-        why = "no station, or neither temperature nor altimeter setting, is found"
-        raise _no_metar(f"{why}: {complaints}" if complaints else why, flat, where)
-    if complaints:
-        ledger.note("METAR-GROUPS", complaints, where=where, count=len(caught))
+    report = _decode(flat, ledger, where)
     t, dew = (
         math.nan if value is None else float(value.value("C")) + ZERO_CELSIUS_K
         for value in (report.temp, report.dewpt)
@@ -182,7 +128,50 @@ def _decode(flat: str, flight_ns: int | None, ledger: Ledger, where: str) -> _Fi
                 remedy="check whether a digit is missing",
             )
     time_ns = _nearest_day(flat, flight_ns, ledger, where)
-    return _Fields(str(report.station_id), t, dew, qnh, time_ns)
+    if dew > t:
+        ledger.warning(
+            "METAR-DEW-POINT",
+            f"the dew point {dew - ZERO_CELSIUS_K:.1f} C lies above the temperature "
+            f"{t - ZERO_CELSIUS_K:.1f} C: taken as saturated",
+            where=where,
+            count=1,
+        )
+        dew = t
+    quantities = (("temperature", t), ("dew point", dew), ("altimeter setting", qnh))
+    missing = [quantity for quantity, value in quantities if not math.isfinite(value)]
+    if missing:
+        what = f"no {' and no '.join(missing)} can be read in {flat[:80]!r}"
+        if not math.isfinite(t) and math.isfinite(dew):
+            what += "; the dew point alone gives no humidity without the temperature"
+        ledger.fallback("METAR-MISSING", what, where=where, count=len(missing))
+    pressure = station_pressure(qnh, station_h_m) if math.isfinite(qnh) else math.nan
+    dew = dew if math.isfinite(t) else math.nan
+    e = float(vapour_pressure(1.0, dew, pressure if math.isfinite(pressure) else _SEA_LEVEL_PA))
+    sigma = _TENTH_K if _TENTHS.search(flat) else _WHOLE_K
+    origin = f"METAR {report.station_id}".strip()
+    return SurfaceReport(station_h_m, pressure, t, e, time_ns, origin, sigma)
+
+
+def _decode(flat: str, ledger: Ledger, where: str) -> Any:
+    """A report as the package ``metar`` reads it; groups it does not know are in the ledger."""
+    from metar import Metar
+
+    with warnings.catch_warnings(record=True) as caught:
+        # Not strict, it warns of a group it does not know or cannot decode, and goes on: a strange
+        # runway group must not cost the temperature behind it.
+        warnings.simplefilter("always")
+        try:
+            # Month and year only keep it from guessing; January has every day.
+            report = Metar.Metar(flat, month=1, year=2000, strict=False)
+        except (Metar.ParserError, ValueError, TypeError) as error:
+            raise _no_metar(f"the report does not parse: {error}", flat, where) from None
+    complaints = "; ".join(" ".join(str(warning.message).split()) for warning in caught)
+    if report.station_id is None or (report.temp is None and report.press is None):
+        why = "no station, or neither temperature nor altimeter setting, is found"
+        raise _no_metar(f"{why}: {complaints}" if complaints else why, flat, where)
+    if complaints:
+        ledger.note("METAR-GROUPS", complaints, where=where, count=len(caught))
+    return report
 
 
 def _nearest_day(flat: str, flight_ns: int | None, ledger: Ledger, where: str) -> int | None:

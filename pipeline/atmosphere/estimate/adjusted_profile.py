@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -166,93 +167,99 @@ def build_adjusted_profile(
         if why is not None:
             unused[source.name] = why
             ledger.loss("AIR-SOURCE-FAR", f"{source.name} is not used: {why}", where=source.name)
-    inputs = _Inputs(
-        samples=samples,
-        usable=usable,
-        external=external,
-        unused=unused,
-        flight=flight,
+    near = [sounding for sounding in soundings if sounding.name not in unused]
+    reports = [report for report in surface if report.name not in unused]
+    tried: list[AirSamples] = []
+    faults: list[str] = []
+    passed = _first_that_passes(
+        candidates(usable, near, reports), background, settings, tried, faults,
+        moisture=moisture, flight=flight, ledger=ledger,
+    )  # fmt: skip
+    usage = partial(source_usage, external=external, background=background, standard=standard.name)
+    if passed is None:  # the background itself, in layers fine enough to carry its covariance
+        profile = background.profile
+        is_standard = profile.name == standard.name
+        kept = f"the {'standard atmosphere' if is_standard else 'climatology'} {profile.name}"
+        reason = reason_unadjusted(usable, faults, kept)
+        ledger.fallback("AIR-STANDARD", reason)
+        note_unused_calibration(set(settings.calibration), ledger)
+        made = estimate(AirSamples(), background)
+        edge = made.profile.layers.edge
+        t_m, _, vapour = profile.state(profile.gravity.height(edge))
+        layers = stack_layers(
+            edge, t_m, vapour, (STANDARD,) * (edge.size - 1),
+            anchor=(0.0, float(profile.pressure(0.0))), constant=profile.constant,
+        )  # fmt: skip
+        profile = replace(profile, layers=layers)
+        covariance = replace(made.covariance, profile=profile)
+        basis = UNADJUSTED if is_standard else UNMEASURED
+        sources = usage(UsedSamples(samples, usable, tried), (), unused=unused)
+        return Adjustment(profile, standard, basis, reason, None, covariance, sources=sources)
+    candidate, made = passed
+    for name in candidate.external.left_out:
+        unused[name] = LEFT_OUT
+        ledger.loss("AIR-SOURCE-REFUSED", f"{name} is not used: {LEFT_OUT}", where=name)
+    profile = replace(made.profile, layers=replace(made.profile.layers, source=_sources(made)))
+    note_pressure_level(profile, background, candidate.samples.pressure, ledger)
+    _note_estimate(candidate, made, ledger)
+    check_calibration(made, settings, ledger)
+    flown = UsedSamples(samples, usable, tried, candidate.samples)
+    return Adjustment(
+        profile,
+        standard,
+        candidate.basis,
+        candidate.reason,
+        candidate.main.middle_ns if candidate.main is not None else None,
+        replace(made.covariance, profile=profile),
+        made.faults,
+        usage(flown, made.fits, unused=unused),
+        made.readings.rejected,
+        samples=candidate.samples,
         settings=settings,
-        standard=standard,
-        background=background,
         moisture=moisture,
     )
-    return _first_estimate_that_passes(inputs, ledger)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Inputs:
-    """What an adjusted profile is made from, after the checks of sensors and sources."""
-
-    samples: AirSamples
-    usable: AirSamples
-    external: ExternalSources
-    unused: Mapping[str, str]
-    flight: TimeAndPlace
-    settings: SensorSettings
-    standard: Profile
-    background: Climatology
-    moisture: Climatology
-
-
-def _first_estimate_that_passes(inputs: _Inputs, ledger: Ledger) -> Adjustment:
-    """The estimate of the first candidate that passes its checks, else the background."""
-    background, moisture, settings = inputs.background, inputs.moisture, inputs.settings
-    soundings, surface, unused = inputs.external.soundings, inputs.external.surface, inputs.unused
-    near = [s for s in soundings if s.name not in unused]
-    reports = [r for r in surface if r.name not in unused]
-    faults: list[str] = []
+def _first_that_passes(
+    choices: Sequence[Candidate],
+    background: Climatology,
+    settings: SensorSettings,
+    tried: list[AirSamples],
+    faults: list[str],
+    *,
+    moisture: Climatology,
+    flight: TimeAndPlace,
+    ledger: Ledger,
+) -> tuple[Candidate, Estimate] | None:
+    """The first estimate that passes its checks; all that were ``tried``, and their ``faults``."""
     indoors = False
-    tried: list[AirSamples] = []
-    for candidate in candidates(inputs.usable, near, reports):
+    for candidate in choices:
         if indoors and candidate.samples.temperature is not None:
             continue
         tried.append(candidate.samples)
         made = estimate(
-            candidate.samples,
-            background,
-            settings=settings,
-            moisture=moisture,
-            soundings=candidate.external.soundings,
-            surface=candidate.external.surface,
-            flight=inputs.flight,
-        )
-        outside = thermometer_is_outside(candidate.samples, made, background, moisture, settings)
-        if not outside and candidate.main is not None:
-            indoors, name = True, candidate.main.name
-            faults.append(outside.reason)
-            ledger.loss("AIR-THERMOMETER", f"{name} is not used: {outside.reason}", where=name)
-            continue
-        check = is_plausible(made, background)
-        check = check and is_better_than_background(made, background, moisture)
-        if check:
-            for name in candidate.external.left_out:
-                ledger.loss("AIR-SOURCE-REFUSED", f"{name} is not used: {LEFT_OUT}", where=name)
-            left_out = dict.fromkeys(candidate.external.left_out, LEFT_OUT)
-            flown = UsedSamples(inputs.samples, inputs.usable, tried, candidate.samples)
-            usage = source_usage(
-                flown, made.fits, inputs.external, {**unused, **left_out},
-                background=background, standard=inputs.standard.name,
-            )  # fmt: skip
-            return _adjustment(candidate, made, inputs, usage, ledger)
+            candidate.samples, background, settings=settings, moisture=moisture,
+            soundings=candidate.external.soundings, surface=candidate.external.surface,
+            flight=flight,
+        )  # fmt: skip
+        name = candidate.main.name if candidate.main is not None else ""
+        check = thermometer_is_outside(candidate.samples, made, background, moisture, settings)
+        if not check and candidate.main is not None:
+            indoors = True
+            ledger.loss("AIR-THERMOMETER", f"{name} is not used: {check.reason}", where=name)
+        else:
+            check = is_plausible(made, background)
+            check = check and is_better_than_background(made, background, moisture)
+            if check:
+                return candidate, made
+            what = f"the air estimated from {candidate.reason} is not used: {check.reason}"
+            ledger.loss("AIR-IMPLAUSIBLE", what, where=name)
         faults.append(check.reason)
-        ledger.loss(
-            "AIR-IMPLAUSIBLE",
-            f"the air estimated from {candidate.reason} is not used: {check.reason}",
-            where=candidate.main.name if candidate.main is not None else "",
-        )
-    return _unchanged(inputs, tried, faults, ledger)
+    return None
 
 
-def _adjustment(
-    candidate: Candidate,
-    made: Estimate,
-    inputs: _Inputs,
-    usage: tuple[SourceUse, ...],
-    ledger: Ledger,
-) -> Adjustment:
-    """An estimate that passed its checks, with the sources of its layers and its remarks."""
-    # Source of each layer: a thermometer's heights, a barometer's, neighbours, or nothing.
+def _sources(made: Estimate) -> tuple[str, ...]:
+    """Source of each layer: a thermometer's heights, a barometer's, neighbours, or nothing."""
     edge = made.profile.layers.edge
     middle = 0.5 * (edge[1:] + edge[:-1])
     warm = _covered(middle, made, (Thermometer, Temperatures), WIDEST_GAP_M)
@@ -261,69 +268,7 @@ def _adjustment(
     learnt = sigma < UNCHANGED * made.background_sigma_k
     between = np.where(learnt[1:] | learnt[:-1], RELAXED, STANDARD)
     source = np.where(warm, MEASURED, np.where(weighed, BAROMETRIC, between))
-    layers = replace(made.profile.layers, source=tuple(str(name) for name in source))
-    profile = replace(made.profile, layers=layers)
-    samples, main = candidate.samples, candidate.main
-    if candidate.basis == "barometer":
-        ledger.fallback("AIR-BAROMETRIC", candidate.reason, where=main.name if main else "")
-    if not any(isinstance(readings, Humidities) for readings in made.readings.sets):
-        what = "no humidity measured outside: that of the climatology is taken"
-        ledger.fallback("AIR-HUMIDITY-EXPECTED", what)
-    note_pressure_level(profile, inputs.background, samples.pressure, ledger)
-    _note_sensors(made, samples, ledger)
-    check_calibration(made, inputs.settings, ledger)
-    if not made.converged:
-        ledger.warning("AIR-UNSETTLED", "the estimate did not converge: its last step still moved")
-    return Adjustment(
-        profile,
-        inputs.standard,
-        candidate.basis,
-        candidate.reason,
-        main.middle_ns if main is not None else None,
-        replace(made.covariance, profile=profile),
-        made.faults,
-        usage,
-        made.readings.rejected,
-        samples=samples,
-        settings=inputs.settings,
-        moisture=inputs.moisture,
-    )
-
-
-def _unchanged(
-    inputs: _Inputs, tried: Sequence[AirSamples], faults: Sequence[str], ledger: Ledger
-) -> Adjustment:
-    """The background itself, in layers fine enough to carry its covariance."""
-    background, profile = inputs.background, inputs.background.profile
-    is_standard = profile.name == inputs.standard.name
-    kept = f"the {'standard atmosphere' if is_standard else 'climatology'} {profile.name}"
-    reason = reason_unadjusted(inputs.usable, faults, kept)
-    ledger.fallback("AIR-STANDARD", reason)
-    note_unused_calibration(set(inputs.settings.calibration), ledger)
-    made = estimate(AirSamples(), background)
-    edge = made.profile.layers.edge
-    t_m, _, vapour = profile.state(profile.gravity.height(edge))
-    layers = stack_layers(
-        edge,
-        t_m,
-        vapour,
-        (STANDARD,) * (edge.size - 1),
-        anchor=(0.0, float(profile.pressure(0.0))),
-        constant=profile.constant,
-    )
-    layered = replace(profile, layers=layers)
-    usage = source_usage(
-        UsedSamples(inputs.samples, inputs.usable, tried), (), inputs.external, inputs.unused,
-        background=background, standard=inputs.standard.name,
-    )  # fmt: skip
-    return Adjustment(
-        layered,
-        inputs.standard,
-        UNADJUSTED if is_standard else UNMEASURED,
-        reason,
-        covariance=replace(made.covariance, profile=layered),
-        sources=usage,
-    )
+    return tuple(str(name) for name in source)
 
 
 def under_gravity(standard: Profile, latitude_rad: float) -> Profile:
@@ -350,14 +295,20 @@ def _covered(
     return np.asarray(inside & (at[upper] - at[lower] <= widest))
 
 
-def _note_sensors(made: Estimate, samples: AirSamples, ledger: Ledger) -> None:
-    """Report estimated sensor faults, readings that do not fit, and outliers."""
+def _note_estimate(candidate: Candidate, made: Estimate, ledger: Ledger) -> None:
+    """Report substitutes, estimated sensor faults, readings that do not fit, and outliers."""
+    if candidate.basis == "barometer":
+        where = candidate.main.name if candidate.main else ""
+        ledger.fallback("AIR-BAROMETRIC", candidate.reason, where=where)
+    if not any(isinstance(readings, Humidities) for readings in made.readings.sets):
+        what = "no humidity measured outside: that of the climatology is taken"
+        ledger.fallback("AIR-HUMIDITY-EXPECTED", what)
+    if not made.converged:
+        ledger.warning("AIR-UNSETTLED", "the estimate did not converge: its last step still moved")
     learnt = [f for f in made.faults if f.sigma < 0.7 * f.prior_sigma]
     if learnt:
-        ledger.note(
-            "AIR-SENSORS",
-            "; ".join(f"{FAULT_TEXTS[f.fault]} {f.value:.3g} ± {f.sigma:.2g}" for f in learnt),
-        )
+        texts = (f"{FAULT_TEXTS[f.fault]} {f.value:.3g} ± {f.sigma:.2g}" for f in learnt)
+        ledger.note("AIR-SENSORS", "; ".join(texts))
     for fit in made.fits:
         few = fit.count < FEWEST_TO_INFLATE
         if fit.sigma_inflation > MISFIT or (few and fit.rms > MISFIT):
@@ -373,7 +324,7 @@ def _note_sensors(made: Estimate, samples: AirSamples, ledger: Ledger) -> None:
             )
     for name, rejected in made.readings.rejected.items():
         if bool(rejected.any()):
-            sensor = getattr(samples, name)
+            sensor = getattr(candidate.samples, name)
             ledger.note(
                 "AIR-OUTLIERS",
                 f"{int(rejected.sum())} of {int(sensor.accepted.sum())} readings are far from "

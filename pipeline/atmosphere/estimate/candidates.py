@@ -239,9 +239,9 @@ class UsedSamples:
 def source_usage(
     flown: UsedSamples,
     fits: Sequence[Fit],
+    *,
     external: ExternalSources,
     unused: Mapping[str, str],
-    *,
     background: Climatology,
     standard: str,
 ) -> tuple[SourceUse, ...]:

@@ -202,13 +202,6 @@ def note_source_distances(
             )
 
 
-def climatological_pressure(background: Climatology) -> list[Readings]:
-    """The climatology's pressure at sea level."""
-    value = np.log(background.profile.pressure(np.zeros(1)))
-    sigma = np.array([background.spread.pressure_ratio])
-    return [Pressures("climatology", np.zeros(1), value, sigma, robust=False)]
-
-
 def sounding_departures(
     soundings: Sequence[Sounding], background: Climatology, flight: TimeAndPlace
 ) -> tuple[Drift, ...]:

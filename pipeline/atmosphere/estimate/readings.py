@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,6 @@ from pipeline.atmosphere.air_samples import AirSamples, SensorSamples, climb_of
 from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.estimate.external_readings import (
     TimeAndPlace,
-    climatological_pressure,
     sounding_departures,
     sounding_readings,
     surface_readings,
@@ -30,6 +28,7 @@ from pipeline.atmosphere.estimate.sensors import (
     Barometer,
     FlownHeights,
     Humidities,
+    Pressures,
     Readings,
     SensorCalibration,
     SensorSettings,
@@ -130,35 +129,36 @@ def collect_readings(
         external += sounding_readings(sounding, number, background, flight)
     for report in surface:
         external += surface_readings(report, background, flight)
-    flown = _NO_SENSOR
+    sets: list[Readings] = []
+    expected: list[Fault] = []
+    drifts: list[Drift] = []
+    rejected: dict[str, NDArray[np.bool_]] = {}
     if start_ns is not None:
-        flown = _sensor_readings(samples, sensors, background.profile, start_ns, settings)
+        sets, expected, drifts, rejected = _sensor_readings(
+            samples, sensors, background.profile, start_ns, settings
+        )
     heights = np.concatenate(
-        [readings.height for readings in (*external, *flown.sets)] or [np.array(UNMEASURED_M)]
+        [readings.height for readings in (*external, *sets)] or [np.array(UNMEASURED_M)]
     )
     faults = []
-    for fault in flown.faults:
+    for fault in expected:
         known = settings.calibration.get(fault.name, SensorCalibration())
         mean, sigma = known.mean_or(fault.mean), known.sigma_or(fault.sigma)
         faults.append(replace(fault, mean=mean, sigma=sigma))
+    at_sea, level = np.zeros(1), np.array([background.spread.pressure_ratio])
+    log_pressure = np.log(background.profile.pressure(at_sea))
     return FlightReadings(
-        (*climatological_pressure(background), *external, *flown.sets),
+        (
+            Pressures("climatology", at_sea, log_pressure, level, robust=False),
+            *external,
+            *sets,
+        ),
         tuple(faults),
-        (*flown.drifts, *sounding_departures(soundings, background, flight)),
+        (*drifts, *sounding_departures(soundings, background, flight)),
         float(heights.min()),
         float(heights.max()),
-        flown.rejected,
+        rejected,
     )
-
-
-class _SensorReadings(NamedTuple):
-    sets: Sequence[Readings]
-    faults: Sequence[Fault]
-    drifts: Sequence[Drift]
-    rejected: Mapping[str, NDArray[np.bool_]]
-
-
-_NO_SENSOR = _SensorReadings((), (), (), {})
 
 
 def _sensor_readings(
@@ -167,7 +167,7 @@ def _sensor_readings(
     profile: Profile,
     start_ns: int,
     settings: SensorSettings,
-) -> _SensorReadings:
+) -> tuple[list[Readings], list[Fault], list[Drift], dict[str, NDArray[np.bool_]]]:
     """The readings of the flight's own sensors, with their faults and drifts."""
     sets: list[Readings] = []
     faults: list[Fault] = []
@@ -210,7 +210,7 @@ def _sensor_readings(
         sets.append(Humidities(sensor.name, bins.height, bins.value, sigmas, fault=bias_of))
         rejected["humidity"] = bins.rejected
         faults.append(HYGROMETER_BIAS)
-    return _SensorReadings(sets, faults, drifts, rejected)
+    return sets, faults, drifts, rejected
 
 
 def part_of(readings: Readings, rows: NDArray[np.bool_]) -> Readings:

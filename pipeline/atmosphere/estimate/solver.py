@@ -228,13 +228,12 @@ def solve(
     """
     x = prior.mean.copy() if start is None else start
     pressure = background.pressure(background.gravity.height(layout.knot))
-    system = _System(np.empty(0), np.empty(0), np.ones(len(sets)), (), ())
+    inflation = np.ones(len(sets))
     share, before, converged = 1.0, np.zeros(layout.knot.size), False
     for step in range(0 if start is None else _HUBER_STEPS, _MOST_STEPS):
         air = air_of(layout, x, pressure, background.constant)
-        inflation = system.inflation
-        system = _normal_equations(prior, sets, air, inflation, step)
-        change = linalg.solve(system.normal, system.right, assume_a="pos")
+        normal, right, after, of_sets = _normal_equations(prior, sets, air, inflation, step)
+        change = linalg.solve(normal, right, assume_a="pos")
         warming = change[layout.temperature]
         back = bool(warming @ before < 0.0)
         gain = _REGAINED if step < _LATE else _REGAINED_LATE
@@ -243,37 +242,27 @@ def solve(
         air = air_of(layout, x, pressure, background.constant)
         pressure = np.exp(air.log_pressure(layout.knot)[0])
         moved = float(np.abs(warming).max()) * (share if back else 1.0)
-        settled = bool(np.all(np.abs(system.inflation / inflation - 1.0) < 0.02))
+        settled = bool(np.all(np.abs(after / inflation - 1.0) < 0.02))
+        inflation = after
         converged = step > _HUBER_STEPS + 1 and settled and moved < _CONVERGED_K
         if converged:
             break
     air = air_of(layout, x, pressure, background.constant)
-    covariance = np.asarray(np.linalg.inv(system.normal), np.float64)
+    covariance = np.asarray(np.linalg.inv(normal), np.float64)
     fits = tuple(
         replace(fit, signal_freedom=float(np.sum(covariance * information)))
-        for fit, information in zip(system.fits, system.information, strict=True)
+        for fit, information in of_sets
     )
     return Solution(x, covariance, air, fits, converged)
 
 
-@dataclass(frozen=True, eq=False)
-class _System:
-    """The normal equations at a state, the share of each set of readings, and how it fits."""
-
-    normal: Array
-    right: Array
-    inflation: Array
-    information: tuple[Array, ...]
-    fits: tuple[Fit, ...]
-
-
 def _normal_equations(
     prior: Prior, sets: Sequence[Readings], air: AirAtKnots, inflation: Array, step: int
-) -> _System:
-    """Prior and weighted readings; ``inflation`` of the result is that of the next step."""
+) -> tuple[Array, Array, Array, list[tuple[Fit, Array]]]:
+    """Matrix and right side, the inflation of the next step, and of each set fit and share."""
     normal, right = prior.precision.copy(), prior.precision @ (prior.mean - air.x)
     after = inflation.copy()
-    fits, information = [], []
+    of_sets = []
     for i, readings in enumerate(sets):
         predicted, jacobian = readings.predict(air)
         residual = readings.value - predicted
@@ -286,8 +275,8 @@ def _normal_equations(
         else:
             loss = (FREEDOM + 1.0) / (FREEDOM + z * z)
         weight = loss / sigma**2
-        information.append((jacobian.T * weight) @ jacobian)
-        normal += information[-1]
+        information = (jacobian.T * weight) @ jacobian
+        normal += information
         right += jacobian.T @ (weight * residual)
         if readings.robust and step > _HUBER_STEPS and z.size >= 5:
             # Ratio of the variance of the residuals to that of their sigmas. Readings are in the
@@ -302,5 +291,6 @@ def _normal_equations(
                 square *= (1.0 + correlation) / (1.0 - correlation)
             after[i] = max(1.0, inflation[i] * np.sqrt(square))
         rms = float(np.sqrt(np.mean(np.square(residual / readings.sigma)))) if z.size else 0.0
-        fits.append(Fit(readings.name, readings.quantity, z.size, rms, float(after[i])))
-    return _System(normal, right, after, tuple(information), tuple(fits))
+        fit = Fit(readings.name, readings.quantity, z.size, rms, float(after[i]))
+        of_sets.append((fit, information))
+    return normal, right, after, of_sets

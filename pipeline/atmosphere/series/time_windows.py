@@ -107,12 +107,9 @@ def _deciding_sensor(samples: AirSamples) -> tuple[SensorSamples, float] | None:
 def _part(sensor: SensorSamples, start_ns: int, end_ns: int) -> SensorSamples:
     rows = slice(*np.searchsorted(sensor.time_ns, [start_ns, end_ns]))
     return SensorSamples(
-        sensor.time_ns[rows],
-        sensor.h_m[rows],
-        sensor.value[rows],
-        sensor.accepted[rows],
+        sensor.time_ns[rows], sensor.h_m[rows], sensor.value[rows], sensor.accepted[rows],
         sensor.name,
-    )
+    )  # fmt: skip
 
 
 def part_of_flight(samples: AirSamples, start_ns: int, end_ns: int) -> AirSamples:

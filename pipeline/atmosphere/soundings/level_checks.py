@@ -170,18 +170,8 @@ def _refusal(raw: RawLevels, quantity: str, what: str, remedy: str) -> InputErro
 def _take(raw: RawLevels, keep: NDArray[np.bool_] | NDArray[np.intp]) -> RawLevels:
     """Some of the levels, in the order of ``keep``."""
 
-    def part(column: Array | None) -> Array | None:
-        return None if column is None else column[keep]
-
-    return replace(
-        raw,
-        h_m=raw.h_m[keep],
-        pressure_pa=raw.pressure_pa[keep],
-        temperature_k=raw.temperature_k[keep],
-        dew_point_k=part(raw.dew_point_k),
-        vapour_pressure_pa=part(raw.vapour_pressure_pa),
-        relative_humidity=part(raw.relative_humidity),
-    )
+    columns = {name: part[keep] for name, part in vars(raw).items() if isinstance(part, np.ndarray)}
+    return replace(raw, **columns)  # type: ignore[arg-type]
 
 
 def _refuse_few(raw: RawLevels) -> RawLevels:

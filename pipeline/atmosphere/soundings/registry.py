@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from pipeline.atmosphere.soundings import igra, plain, wyoming
 from pipeline.atmosphere.soundings.level_checks import check_levels
@@ -17,22 +16,15 @@ FAR_HOURS = 6.0
 """A sounding farther in time is reported: the boundary layer has changed."""
 
 
-@dataclass(frozen=True)
-class SoundingFormat:
-    """A format of text: how it is recognised, and how it is read."""
-
-    is_it: Callable[[str], bool]
-    parse: Callable[[str, str, Ledger], list[RawLevels]]
-
-
-FORMATS: dict[str, SoundingFormat] = {
-    "igra_derived": SoundingFormat(igra.is_derived, igra.parse_derived),
-    "igra": SoundingFormat(igra.is_igra, igra.parse_igra),
-    "wyoming_csv": SoundingFormat(wyoming.is_csv, wyoming.parse_csv),
-    "wyoming_list": SoundingFormat(wyoming.is_list, wyoming.parse_list),
-    "csv": SoundingFormat(plain.is_plain, plain.parse_plain),
+FORMATS: dict[str, tuple[Callable[[str], bool], Callable[[str, str, Ledger], list[RawLevels]]]] = {
+    "igra_derived": (igra.is_derived, igra.parse_derived),
+    "igra": (igra.is_igra, igra.parse_igra),
+    "wyoming_csv": (wyoming.is_csv, wyoming.parse_csv),
+    "wyoming_list": (wyoming.is_list, wyoming.parse_list),
+    "csv": (plain.is_plain, plain.parse_plain),
 }
-"""In this order a text is tried; the first that recognises it reads it."""
+"""How a text in a format is recognised and read. In this order a text is tried; the first that
+recognises it reads it."""
 
 
 def parse_sounding(
@@ -67,8 +59,7 @@ def parse_sounding(
     """
     name = format_name
     if name == "auto":
-        recognised = (name for name, kind in FORMATS.items() if kind.is_it(text))
-        name = next(recognised, "")
+        name = next((name for name, (is_it, _) in FORMATS.items() if is_it(text)), "")
         if not name:
             begins = text.lstrip()[:60].splitlines()
             raise InputError(
@@ -85,7 +76,7 @@ def parse_sounding(
             where=where,
             remedy=f"one of auto, {', '.join(FORMATS)}",
         )
-    ascents = FORMATS[name].parse(text, where, ledger)
+    ascents = FORMATS[name][1](text, where, ledger)
     raw = nearest_in_time(ascents, time_ns, where, ledger)
     return check_levels(raw, ledger, latitude_rad=latitude_rad, station_h_m=station_h_m)
 

@@ -178,7 +178,7 @@ class CovarianceRoot:
 
 def window_errors(profile: Profile, root: CovarianceRoot, h: Array, kind: int) -> Array:
     """(n, r) rows whose products are the covariances of y at cameras of heights ``h`` (n,) [m]."""
-    air = air_jacobian(profile, h, root.anchor_m).gradient
+    air = air_jacobian(profile, h, root.anchor_m)
     outside = (air / (1.0 + profile.refractivity(h))[:, None]) @ root.matrix
     return np.asarray(outside - _cabin_errors(profile, root, h, kind))
 
@@ -244,7 +244,7 @@ class _Columns:
         h = h[h <= profile.top_m]
         value = profile.refractivity(h)[:, None]
         if root is not None:
-            state = air_jacobian(profile, h, root.anchor_m).gradient
+            state = air_jacobian(profile, h, root.anchor_m)
             value = np.column_stack([value, state @ root.matrix])
         thickness = np.diff(h)[:, None]
         steps = 0.5 * thickness * (value[1:] + value[:-1])

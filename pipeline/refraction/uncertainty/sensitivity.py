@@ -69,7 +69,7 @@ class Sensitivity:
     status : (...) codes of `pipeline.refraction.status_codes`.
     valid : (...).
 
-    `pipeline.atmosphere.covariance.AirJacobian` has the formulas from T_M to a thermometer's T.
+    `pipeline.atmosphere.covariance.air_jacobian` has the formulas from T_M to a thermometer's T.
     """
 
     edge_height_m: Array
@@ -160,9 +160,8 @@ def sensitivity(
     ([0.0, -413.824, 58.604], [-0.0, -11.8448])
     """
     batch = _traced(profile, h_c, h_g, zeta_c, radius)
-    jacobian = air_jacobian(profile, batch.pieces.height_m.reshape(-1), anchor_height_m)
+    air = air_jacobian(profile, batch.pieces.height_m.reshape(-1), anchor_height_m)
     edges = profile.layers.edge.size
-    air = jacobian.gradient
     gradient = np.full((batch.status.size, air.shape[1]), np.nan)
     place = np.full((batch.status.size, 3), np.nan)
     valid = np.zeros(batch.status.size, dtype=bool)
