@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 from pipeline.flight.channels import Channel
@@ -22,38 +23,31 @@ def selects_ellipsoid(value: float) -> bool:
     return 0.0 <= value < 2**15 and bool(int(value) & _HEIGHT_ELLIPSOID)
 
 
-def with_undulation(channel: Channel, *, ellipsoidal: bool = False) -> Channel:
-    """The channel with both heights, where the receiver gave the undulation with one of them.
+def with_both_heights(
+    channels: Iterable[Channel], parameters: Mapping[str, float], ledger: Ledger, where: str
+) -> list[Channel]:
+    """The channels with both heights, where the receiver gave the undulation with one of them.
 
-    ``ellipsoidal`` says that what stands as height above sea level is above the ellipsoid.
+    Where the autopilot's setting selects it, what stands as height above sea level is above the
+    ellipsoid; ``where`` the settings stand.
     """
-    columns = dict(channel.columns)
-    undulation = columns.pop("undulation_m", None)
-    if undulation is None:
-        return channel
-    logged = columns.get("h_msl_m")
-    if logged is not None and ellipsoidal:
-        columns |= {"h_ellipsoid_m": logged, "h_msl_m": logged - undulation}
-    elif logged is not None and "h_ellipsoid_m" not in columns:
-        columns["h_ellipsoid_m"] = logged + undulation
-    return replace(channel, columns=columns)
-
-
-def with_ellipsoidal_heights(channels: list[Channel], ledger: Ledger, where: str) -> list[Channel]:
-    """The channels of a log whose "heights above sea level" are above the ellipsoid."""
-    ledger.note(
-        "HEIGHT-ELLIPSOID",
-        f"the parameter {HEIGHT_OPTION} selects GNSS heights above the ellipsoid: all heights of "
-        "this log are, except those that are computed with the undulation",
-        where=where,
-    )
+    ellipsoidal = selects_ellipsoid(parameters.get(HEIGHT_OPTION, 0.0))
+    if ellipsoidal:
+        ledger.note(
+            "HEIGHT-ELLIPSOID",
+            f"the parameter {HEIGHT_OPTION} selects GNSS heights above the ellipsoid: all heights "
+            "of this log are, except those that are computed with the undulation",
+            where=where,
+        )
     result = []
     for channel in channels:
         columns = dict(channel.columns)
-        if "undulation_m" in columns:
-            channel = with_undulation(channel, ellipsoidal=True)
-        elif "h_msl_m" in columns:
+        undulation, logged = columns.pop("undulation_m", None), columns.get("h_msl_m")
+        if logged is not None and undulation is not None:
+            if ellipsoidal:
+                columns |= {"h_ellipsoid_m": logged, "h_msl_m": logged - undulation}
+            columns.setdefault("h_ellipsoid_m", logged + undulation)
+        elif logged is not None and ellipsoidal:
             columns = {"h_ellipsoid_m": columns.pop("h_msl_m")} | columns
-            channel = replace(channel, columns=columns)
-        result.append(channel)
+        result.append(replace(channel, columns=columns))
     return result

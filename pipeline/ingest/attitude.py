@@ -88,11 +88,11 @@ def ned_frd_of_enu_flu(q: Array) -> Array:
         return unit_quaternions(np.sqrt(0.5) * np.stack([w + z, x + y, x - y, w - z], axis=1))
 
 
-def gimbal_columns(path: str = "q") -> tuple[FieldColumn, ...]:
+def gimbal_columns() -> tuple[FieldColumn, ...]:
     """The columns of MAVLink's GIMBAL_DEVICE_ATTITUDE_STATUS, where ``q`` is w, x, y, z."""
     return (
-        *(column(f"q_{axis}", f"{path}.{k}") for k, axis in enumerate("wxyz")),
-        *(column(f"gimbal_q_{axis}", f"{path}.{k}") for k, axis in enumerate("wxyz")),
+        *(column(f"q_{axis}", f"q.{k}") for k, axis in enumerate("wxyz")),
+        *(column(f"gimbal_q_{axis}", f"q.{k}") for k, axis in enumerate("wxyz")),
         column("flags", "flags device_flags"),
     )
 

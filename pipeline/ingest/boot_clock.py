@@ -89,6 +89,13 @@ def microseconds(raw: NDArray[Any]) -> TimeArray:
     return cut.view(np.int64)
 
 
+def nanoseconds(raw: NDArray[Any]) -> TimeArray:
+    """Time fields in microseconds as a new array in nanoseconds, cut as by `microseconds`."""
+    time_ns = microseconds(raw)
+    time_ns *= 1000
+    return time_ns
+
+
 def timeline(blocks: Iterable[Stamps]) -> Timeline:
     """Power-ups and stray stamps, from all times since boot of a log in its order.
 
@@ -128,14 +135,14 @@ def timeline(blocks: Iterable[Stamps]) -> Timeline:
     return Timeline(starts, begins, ends, counts, stray, boot)
 
 
-def report_timeline(line: Timeline, ledger: Ledger, place: str = "byte") -> None:
-    """Enter stray stamps and silences of a log; ``place`` is what its places count."""
+def report_timeline(line: Timeline, ledger: Ledger) -> None:
+    """Enter stray stamps and silences of a log whose places are bytes."""
     if line.stray.any():
         count = int(line.length[line.stray].sum())
         ledger.loss(
             "TIME-STRAY",
             f"{count} records carry a time that fits none of their neighbours",
-            where=f"first at {place} {int(line.first[line.stray][0])}",
+            where=f"first at byte {int(line.first[line.stray][0])}",
             count=count,
         )
     after, silence = line.silences()
@@ -144,7 +151,7 @@ def report_timeline(line: Timeline, ledger: Ledger, place: str = "byte") -> None
             "LOG-GAP",
             f"nothing at all was logged {after.size} times for more than 1 s, "
             f"{silence.sum() / 1e9:.1f} s together: the logger stopped, or bytes are missing",
-            where=f"first before {place} {int(line.first[after[0]])}",
+            where=f"first before byte {int(line.first[after[0]])}",
             count=int(after.size),
         )
 
@@ -197,7 +204,9 @@ class BootClock:
 
     def utc(self, places: Places, boot_ns: TimeArray) -> TimeArray:
         """UTC [ns] of times since boot at places of the log."""
-        return np.asarray(boot_ns + self.offsets[self.line.boot_of(places)], np.int64)
+        utc_ns = self.offsets[self.line.boot_of(places)]
+        utc_ns += boot_ns  # memory has its peak here
+        return utc_ns
 
 
 def fit_boot_clock(
@@ -206,6 +215,9 @@ def fit_boot_clock(
     ledger: Ledger,
     recorder: UtcReadings | None = None,
     where: str = "",
+    *,
+    cameras: Sequence[UtcReadings] = (),
+    utc_of: str = "source of UTC",
 ) -> BootClock:
     """One offset of UTC from the time since boot, for each boot; how well it fits is reported.
 
@@ -216,12 +228,18 @@ def fit_boot_clock(
         used, by their median; another that differs by more than 1 s is a loss.
     recorder : the clock of the recorder of the log. It is used in boots without UTC.
     where : the vehicle, for the ledger.
+    cameras : exposures by the autopilot's clock, which it sets by its receiver now and then: they
+        count where none of ``sources`` has UTC.
+    utc_of : what gives UTC in this format; a boot without it counts time as if in 1970.
 
     A boot is also split where nothing was recorded for more than 1 s and UTC minus time since boot
     is different after it by more than 1 s, and stays so: the time of a new boot may be later than
     the last of the one before. Where it steps while the time runs on, a clock was set: no boot.
     """
-    sources = sorted((source.sound(line) for source in sources), key=lambda s: -s.places.shape[0])
+    sources = [source.sound(line) for source in sources]
+    if not any(source.places.size for source in sources):
+        sources = [camera.sound(line) for camera in cameras]
+    sources = sorted(sources, key=lambda source: -source.places.size)
     spare = [recorder.sound(line)] if recorder is not None else []
     known = line.boots
     at_silence = line.first[line.silences()[0]]
@@ -243,11 +261,19 @@ def fit_boot_clock(
         )
     fits, known_utc = [], []
     for number in range(line.boots):
+        place = f"{where}, boot {number}".removeprefix(", ")
         by_source = [(source, _fit_boot(line, number, source)) for source in sources]
-        fit = _best_fit(by_source, f"{where}, boot {number}".removeprefix(", "), ledger)
+        fit = _best_fit(by_source, place, ledger)
         known_utc.append(fit is not None)
         if fit is None and spare:
             fit = _fit_boot(line, number, spare[0])
+        if fit is None:
+            ledger.fallback(
+                "TIME-NO-UTC",
+                f"no {utc_of}: time counts from boot, as if in 1970; events in this log can be "
+                "used, matching by UTC is impossible",
+                where=place,
+            )
         fits.append(fit)
     return BootClock(line, tuple(fits), tuple(known_utc))
 

@@ -64,7 +64,14 @@ def channel_of(rows: DecodedRows, spec: MessageMap, ledger: Ledger) -> Channel |
     if not spec.event and not any(np.isfinite(column).any() for column in rows.columns.values()):
         return None  # no values: what is dropped of them is not worth an entry
     if spec.position:
-        rows = _with_fix(rows, ledger)
+        lat, lon = rows.columns["lat_rad"], rows.columns["lon_rad"]
+        good = np.isfinite(lat) & np.isfinite(lon) & ~((lat == 0.0) & (lon == 0.0))
+        if "fix" in rows.columns:
+            good &= rows.columns["fix"] >= LOWEST_FIX
+        if dropped := int(np.count_nonzero(~good)):
+            what = f"{dropped} of {len(rows)} rows have no fix and are not used"
+            ledger.note("POSITION-NO-FIX", what, where=rows.name, count=dropped)
+            rows = rows.take(good)
     rows = _without_repeats(rows, ledger, event=spec.event)
     if spec.event:
         events = dict(rows.columns)
@@ -111,17 +118,19 @@ def channel_of_texts(rows: DecodedRows, spec: MessageMap) -> Channel | None:
     return Channel(rows.name, time_ns, {}, rows.source, boot, (), spec.rank, {"text": texts})
 
 
-def _with_fix(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
-    lat, lon = rows.columns["lat_rad"], rows.columns["lon_rad"]
-    good = np.isfinite(lat) & np.isfinite(lon) & ~((lat == 0.0) & (lon == 0.0))
-    if "fix" in rows.columns:
-        good &= rows.columns["fix"] >= LOWEST_FIX
-    dropped = int(np.count_nonzero(~good))
-    if not dropped:
+def without_stray(rows: DecodedRows, stray: NDArray[np.bool_], ledger: Ledger) -> DecodedRows:
+    """The rows without those whose time since boot fits none of their neighbours."""
+    if not stray.any():
         return rows
-    what = f"{dropped} of {len(rows)} rows have no fix and are not used"
-    ledger.note("POSITION-NO-FIX", what, where=rows.name, count=dropped)
-    return rows.take(good)
+    count = int(np.count_nonzero(stray))
+    ledger.loss(
+        "TIME-STRAY",
+        f"{count} of {len(rows)} rows carry a time that fits none of their neighbours: they are "
+        "not used",
+        where=f"{rows.name}, first at row {np.argmax(stray)}",
+        count=count,
+    )
+    return rows.take(~stray)
 
 
 def _without_repeats(rows: DecodedRows, ledger: Ledger, *, event: bool) -> DecodedRows:

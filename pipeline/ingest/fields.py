@@ -90,6 +90,23 @@ def column(
     return FieldColumn(name, tuple(fields.split()), unit, missing, floor)
 
 
+# A fix in MAVLink's units, also as mavros passes it on. Trimmed zeros of MAVLink 2 and the short
+# MAVLink 1 message look like 0: 0 is missing.
+MAVLINK_FIX = (
+    column("lat_rad", "lat", "degE7"),
+    column("lon_rad", "lon lng", "degE7"),
+    column("h_msl_m", "alt", "mm"),
+    column("h_ellipsoid_m", "alt_ellipsoid", "mm", missing=0.0),
+    column("sigma_h_m", "h_acc", "mm plane", missing=0.0),
+    column("sigma_v_m", "v_acc", "mm", missing=0.0),
+    column("fix", "fix_type"),
+    column("satellites", "satellites_visible", missing=255.0),
+    column("hdop", "eph", "1/100", missing=65535.0),
+    column("speed_m_s", "vel", "cm", missing=65535.0),
+    column("course_rad", "cog", "cdeg", missing=65535.0),
+)
+
+
 @dataclass(frozen=True)
 class MessageMap:
     """One message and the channel it becomes.

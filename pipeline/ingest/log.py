@@ -219,17 +219,12 @@ def utc_text(time_ns: int) -> str:
     return f"{np.datetime64(time_ns // 1000, 'us')}Z"
 
 
-def gaps_of(channel: Channel) -> list[tuple[int, float]]:
-    """The gaps of a channel: start [ns] and length [s]; events and texts come when they come."""
-    if "events" in channel.roles or not channel.columns or len(channel) < 3:
-        return []
-    steps = np.diff(channel.time_ns) / 1e9
-    rows = np.flatnonzero(steps > channel.gap_limit_s())
-    return [(int(channel.time_ns[row]), float(steps[row])) for row in rows]
-
-
 def describe(channel: Channel) -> dict[str, Any]:
     """A summary of a channel for ``unbend inspect --json``."""
+    steps = np.diff(channel.time_ns) / 1e9
+    gaps = np.flatnonzero(steps > channel.gap_limit_s()).tolist()
+    if "events" in channel.roles or not channel.columns or len(channel) < 3:
+        gaps = []  # events and texts come when they come
     return {
         "name": channel.name,
         "roles": list(channel.roles),
@@ -239,8 +234,8 @@ def describe(channel: Channel) -> dict[str, Any]:
         "start_utc": utc_text(int(channel.time_ns[0])),
         "end_utc": utc_text(int(channel.time_ns[-1])),
         "gaps": [
-            {"start_utc": utc_text(start), "seconds": seconds}
-            for start, seconds in gaps_of(channel)
+            {"start_utc": utc_text(int(channel.time_ns[row])), "seconds": float(steps[row])}
+            for row in gaps
         ],
     }
 

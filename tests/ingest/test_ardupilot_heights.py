@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.flight.channels import Channel, Source
-from pipeline.ingest.ardupilot_heights import with_ellipsoidal_heights, with_undulation
+from pipeline.ingest.ardupilot_heights import HEIGHT_OPTION, with_both_heights
 from pipeline.ledger import Ledger
 
 # The undulation at Zurich is 47.5 m: the ellipsoid lies below sea level.
@@ -25,12 +25,19 @@ BOTH = {"h_msl_m": SEA_LEVEL, "h_ellipsoid_m": ELLIPSOID}
 
 
 def test_sea_level_and_undulation_give_the_height_above_the_ellipsoid() -> None:
-    assert heights(with_undulation(channel(h_msl_m=SEA_LEVEL, undulation_m=UNDULATION))) == BOTH
+    assert (
+        heights(
+            with_both_heights(
+                [channel(h_msl_m=SEA_LEVEL, undulation_m=UNDULATION)], {}, Ledger(), "PARM"
+            )[0]
+        )
+        == BOTH
+    )
 
 
 def test_a_logged_height_above_the_ellipsoid_is_kept() -> None:
     logged = channel(h_msl_m=SEA_LEVEL, h_ellipsoid_m=599.0, undulation_m=UNDULATION)
-    assert heights(with_undulation(logged))["h_ellipsoid_m"] == 599.0
+    assert heights(with_both_heights([logged], {}, Ledger(), "PARM")[0])["h_ellipsoid_m"] == 599.0
 
 
 def test_the_parameter_turns_heights_above_sea_level_into_those_above_the_ellipsoid() -> None:
@@ -40,7 +47,9 @@ def test_the_parameter_turns_heights_above_sea_level_into_those_above_the_ellips
         channel(h_msl_m=ELLIPSOID, sigma_v_m=1.0),
         channel(pressure_pa=9e4),
     ]
-    with_undulation_, without, baro = with_ellipsoidal_heights(logged, ledger, "PARM")
+    with_undulation_, without, baro = with_both_heights(
+        logged, {HEIGHT_OPTION: 16.0}, ledger, "PARM"
+    )
     assert heights(with_undulation_) == BOTH
     assert heights(without) == {"h_ellipsoid_m": ELLIPSOID, "sigma_v_m": 1.0}
     assert heights(baro) == {"pressure_pa": 9e4}

@@ -65,6 +65,17 @@ def parse_list(text: str, where: str, _: Ledger) -> list[RawLevels]:
                 rows.append(fields)
             elif rows:
                 break
+    # Nominal time: ``Observation time: 110522/1200``, or ``12Z 22 May 2011`` in the heading.
+    time_ns, stamp = None, _header_field(plain, "Observation time")
+    match = _DATE.search(plain)
+    if re.fullmatch(r"\d{6}/\d{4}", stamp):
+        # Two digits of the year: the list goes back to 1973.
+        century = "19" if stamp[:2] >= "73" else "20"
+        day = f"{century}{stamp[:2]}-{stamp[2:4]}-{stamp[4:6]}"
+        time_ns = utc_ns(f"{day}T{stamp[7:9]}:{stamp[9:11]}")
+    elif match is not None and match["month"] in _MONTHS:
+        month = _MONTHS.index(match["month"]) + 1
+        time_ns = utc_ns(f"{match['year']}-{month:02d}-{int(match['day']):02d}T{match['hour']}:00")
     p, h, t, dew = (numbers(row[i] for row in rows) for i in range(4))
     relative = numbers(row[4] if len(row) > 4 else "" for row in rows)
     return [
@@ -74,7 +85,7 @@ def parse_list(text: str, where: str, _: Ledger) -> list[RawLevels]:
             temperature_k=to_si(t, "c"),
             dew_point_k=to_si(dew, "c"),
             relative_humidity=to_si(relative, "percent") if titles is not None else None,
-            time_ns=_list_time(plain),
+            time_ns=time_ns,
             station=_header_field(plain, "Station identifier")
             or _header_field(plain, "Station number"),
             latitude_rad=radians(number(_header_field(plain, "Station latitude")), 90.0),
@@ -89,21 +100,6 @@ def parse_list(text: str, where: str, _: Ledger) -> list[RawLevels]:
 def _header_field(text: str, what: str) -> str:
     match = re.search(rf"{what}:\s*(\S+)", text)
     return match.group(1) if match else ""
-
-
-def _list_time(text: str) -> int | None:
-    """Nominal time: ``Observation time: 110522/1200``, or ``12Z 22 May 2011`` in the heading."""
-    stamp = _header_field(text, "Observation time")
-    if re.fullmatch(r"\d{6}/\d{4}", stamp):
-        # Two digits of the year: the list goes back to 1973.
-        century = "19" if stamp[:2] >= "73" else "20"
-        day = f"{century}{stamp[:2]}-{stamp[2:4]}-{stamp[4:6]}"
-        return utc_ns(f"{day}T{stamp[7:9]}:{stamp[9:11]}")
-    match = _DATE.search(text)
-    if match is None or match["month"] not in _MONTHS:
-        return None
-    month = _MONTHS.index(match["month"]) + 1
-    return utc_ns(f"{match['year']}-{month:02d}-{int(match['day']):02d}T{match['hour']}:00")
 
 
 def parse_csv(text: str, where: str, _: Ledger) -> list[RawLevels]:

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.flight.channels import ROLE_COLUMNS, Channel, Source, TimeArray
+from pipeline.flight.channels import ROLE_COLUMNS, Channel, Source
 from pipeline.flight.clock import SECONDS_PER_WEEK, STRAY_ROWS, full_weeks, utc_of_gps
-from pipeline.ingest.ardupilot_heights import (
-    HEIGHT_OPTION,
-    selects_ellipsoid,
-    with_ellipsoidal_heights,
-    with_undulation,
-)
+from pipeline.ingest.ardupilot_heights import with_both_heights
 from pipeline.ingest.boot_clock import (
     LOWEST_FIX,
     BootClock,
@@ -24,6 +19,7 @@ from pipeline.ingest.boot_clock import (
     UtcReadings,
     fit_boot_clock,
     microseconds,
+    nanoseconds,
     report_timeline,
 )
 from pipeline.ingest.buffers import FileView, copy_rows, gather
@@ -66,46 +62,20 @@ def stamps(data: FileView, walker: RecordWalker) -> Iterator[Stamps]:
             yield at + block.base, time_us * 1000
 
 
-@dataclass(frozen=True)
-class LogClock:
-    """Time since boot -> UTC, of tables; ``description`` of the source of UTC."""
-
-    boots: BootClock
-    description: str
-
-    @property
-    def line(self) -> Timeline:
-        return self.boots.line
-
-    def utc(self, table: Table, places: NDArray[np.int64]) -> TimeArray:
-        """The UTC of rows with the field TimeUS."""
-        time_ns = microseconds(table["TimeUS"])  # a new array: memory has its peak here
-        time_ns *= 1000
-        time_ns += self.boots.offsets[self.line.boot_of(places)]
-        return time_ns
-
-
-def clock_of(line: Timeline, tables: Mapping[str, Decoded], ledger: Ledger) -> LogClock:
-    """The clock of a log from the rows of its GNSS receivers, one offset for each boot."""
+def clock_of(
+    line: Timeline, tables: Mapping[str, Decoded], ledger: Ledger
+) -> tuple[BootClock, str]:
+    """The clock of a log from the rows of its GNSS receivers, and where its UTC comes from."""
     report_timeline(line, ledger)
     sources: list[UtcReadings] = []
     for name in RECEIVERS:
         if name in tables:
             sources += _receiver_utc(line, tables[name], name, ledger)
-    boots = fit_boot_clock(line, sources, ledger)
-    for number, known in enumerate(boots.utc_known):
-        if not known:
-            ledger.fallback(
-                "TIME-NO-UTC",
-                "no GPS row with a fix and a week: time counts from boot, as if in 1970; "
-                "events in this log can be used, matching by UTC is impossible",
-                where=f"boot {number}",
-            )
-    rows = sum(fit.rows for fit in boots.fits if fit is not None)
-    description = f"vehicle clock, set to UTC by the median of {rows} GPS rows"
-    if unknown := boots.utc_known.count(False):
-        description = f"vehicle clock; UTC is unknown in {unknown} of {len(boots.fits)} boots"
-    return LogClock(boots, description)
+    clock = fit_boot_clock(line, sources, ledger, utc_of="GPS row with a fix and a week")
+    if unknown := clock.utc_known.count(False):
+        return clock, f"vehicle clock; UTC is unknown in {unknown} of {len(clock.fits)} boots"
+    rows = sum(fit.rows for fit in clock.fits if fit is not None)
+    return clock, f"vehicle clock, set to UTC by the median of {rows} GPS rows"
 
 
 def _receiver_utc(
@@ -125,8 +95,7 @@ def _receiver_utc(
         rows = slice(None) if bool(of_instance.all()) else of_instance  # a long log is not copied
         label = f"{name}[{which}]" if which >= 0 else name
         places, fix, week = decoded.places[rows], table["Status"][rows], table["GWk"][rows]
-        boot_ns = microseconds(table["TimeUS"][rows])
-        boot_ns *= 1000
+        boot_ns = nanoseconds(table["TimeUS"][rows])
         boot = line.boot_of(places)
         for number in np.unique(boot):  # a receiver rolls over in all rows of a boot or in none
             fixes = (boot == number) & (fix >= LOWEST_FIX)
@@ -172,7 +141,7 @@ def parameters_of(tables: Mapping[str, Decoded]) -> dict[str, float]:
 
 
 def channels_of(
-    tables: dict[str, Decoded], parameters: Mapping[str, float], clock: LogClock, ledger: Ledger
+    tables: dict[str, Decoded], parameters: Mapping[str, float], clock: BootClock, ledger: Ledger
 ) -> tuple[Channel, ...]:
     """The channels of the messages that the field map knows; their tables are used up."""
     channels = []
@@ -181,20 +150,18 @@ def channels_of(
             channel = channel_of(rows, spec, ledger)
             if channel is not None:
                 channels.append(channel)
-    if selects_ellipsoid(parameters.get(HEIGHT_OPTION, 0.0)):
-        return tuple(with_ellipsoidal_heights(channels, ledger, "PARM"))
-    return tuple(with_undulation(channel) for channel in channels)
+    return tuple(with_both_heights(channels, parameters, ledger, "PARM"))
 
 
 def _instances(
-    message: str, spec: MessageMap, tables: dict[str, Decoded], clock: LogClock, ledger: Ledger
+    message: str, spec: MessageMap, tables: dict[str, Decoded], clock: BootClock, ledger: Ledger
 ) -> Iterator[DecodedRows]:
     """The rows of each instance of a message, whose table is used up: memory has its peak here."""
     if message not in tables:
         return
     decoded = tables.pop(message)
     table = decoded.columns
-    time_ns = copy_rows(clock.utc(table, decoded.places))
+    time_ns = copy_rows(clock.utc(decoded.places, nanoseconds(table["TimeUS"])))
     boot = copy_rows(clock.line.boot_of(decoded.places))
     good = clock.line.good(decoded.places)
     accuracy = tables.pop(ACCURACY_MESSAGES.get(message, ""), None)

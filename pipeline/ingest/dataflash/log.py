@@ -11,11 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.flight.clock import LAST_US, SECONDS_PER_WEEK
-from pipeline.ingest.boot_clock import LOWEST_FIX, Timeline, microseconds, timeline
+from pipeline.ingest.boot_clock import (
+    LOWEST_FIX,
+    BootClock,
+    Timeline,
+    microseconds,
+    nanoseconds,
+    timeline,
+)
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.dataflash.channels import (
     RECEIVERS,
-    LogClock,
     channels_of,
     clock_of,
     parameters_of,
@@ -86,7 +92,7 @@ def contents_of(
     reread : reads all fields of some types, when they are asked for.
     """
     timed = timed_tables(tables, ledger)
-    clock = clock_of(line, timed, ledger)
+    clock, time_base = clock_of(line, timed, ledger)
 
     def table(name: str, instance: str | None) -> Table:
         decoded = reread({name})
@@ -96,7 +102,7 @@ def contents_of(
     parameters = parameters_of(timed)
     channels = channels_of(timed, parameters, clock, ledger)
     return Contents(
-        counts, channels, damage.bad_bytes, lost, clock.line.boots, clock.description, table,
+        counts, channels, damage.bad_bytes, lost, clock.line.boots, time_base, table,
         parameters,
     )  # fmt: skip
 
@@ -198,12 +204,13 @@ def _gps_ms(week: NDArray[Any], time_ms: NDArray[Any]) -> NDArray[np.int64]:
     return np.asarray(week_ms + np.asarray(time_ms, np.int64), np.int64)
 
 
-def stamped(name: str, decoded: Decoded, clock: LogClock, instance: str | None) -> Table:
+def stamped(name: str, decoded: Decoded, clock: BootClock, instance: str | None) -> Table:
     """A table with UTC and boot before its own columns; only an instance, where one is given."""
     table, places = decoded.columns, decoded.places
     timed = with_time(name, decoded).columns
     if "TimeUS" in timed and is_number(timed["TimeUS"]):
-        added: Table = {"time_ns": clock.utc(timed, places), "boot": clock.line.boot_of(places)}
+        time_ns = clock.utc(places, nanoseconds(timed["TimeUS"]))
+        added: Table = {"time_ns": time_ns, "boot": clock.line.boot_of(places)}
         table = added | table
     if instance is None:
         return table

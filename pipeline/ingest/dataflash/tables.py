@@ -13,9 +13,8 @@ from pipeline.ingest.buffers import allocate
 from pipeline.ingest.dataflash.fields import INSTANCE_FIELDS
 from pipeline.ingest.dataflash.records import RecordDefinition, RecordWalker, read_records
 from pipeline.ingest.log import Table
+from pipeline.ingest.stacking import stack_tables
 from pipeline.ledger import Ledger
-
-LAST_INT64 = (1 << 63) - 1
 
 
 @dataclass(frozen=True)
@@ -29,8 +28,8 @@ class Decoded:
     columns: Table
     places: NDArray[np.int64]
 
-    def take(self, rows: NDArray[np.bool_]) -> Decoded:
-        """The rows of a mask."""
+    def take(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Decoded:
+        """The rows of a mask or an index."""
         columns = {name: column[rows] for name, column in self.columns.items()}
         return Decoded(columns, self.places[rows])
 
@@ -115,57 +114,20 @@ def texts(raw: NDArray[np.bytes_]) -> NDArray[np.str_]:
 def merge_tables(several: list[Decoded]) -> Decoded:
     """Tables of one message whose definition changed in the file, in the order of the file.
 
-    Every value is as it is logged. Missing are NaN, in text the empty string, and -1 in numbers of
-    instances, which tell rows apart. Where no type of numpy holds all values, text beside numbers
-    or integers beyond 2^53 beside others, they are objects, and None is missing.
+    Every value is as it is logged, see `stack_tables`; missing numbers of instances, which tell
+    rows apart, are -1.
     """
     if len(several) == 1:
         return several[0]
+    counts = [table.places.size for table in several]
+    for name in INSTANCE_FIELDS:
+        present = [table.columns[name] for table in several if name in table.columns]
+        if present and all(column.dtype.kind in "iu" for column in present):
+            for table in several:
+                table.columns.setdefault(name, np.full(table.places.size, -1))
+    merged = stack_tables([table.columns for table in several], counts)
     places = np.concatenate([table.places for table in several])
-    order = np.argsort(places, kind="stable")
-    merged: Table = {}
-    for name in dict.fromkeys(name for table in several for name in table.columns):
-        columns = [table.columns.get(name) for table in several]
-        present = [column for column in columns if column is not None]
-        kinds = {column.dtype.kind for column in present}
-        if len({column.shape[1:] for column in present}) > 1 or (kinds != {"U"} and "U" in kinds):
-            merged[name] = _objects(columns, several)[order]
-            continue
-        whole = name in INSTANCE_FIELDS and kinds <= set("iu")
-        missing = "" if kinds == {"U"} else -1 if whole else np.nan
-        shape = present[0].shape[1:]
-        filled = [
-            np.full((table.places.size, *shape), missing) if column is None else column
-            for column, table in zip(columns, several, strict=True)
-        ]
-        joined = np.concatenate(filled)
-        if joined.dtype.kind == "f" and any(
-            column.dtype.kind != "f" and column.dtype.itemsize == 8 and _exceeds(column, 1 << 53)
-            for column in filled
-        ):  # float64 does not hold all values
-            fits = all(c.dtype.kind in "iu" and not _exceeds(c, LAST_INT64) for c in filled)
-            joined = (
-                np.concatenate([column.astype(np.int64) for column in filled])
-                if fits
-                else _objects(columns, several)
-            )
-        merged[name] = joined[order]
-    return Decoded(merged, places[order])
-
-
-def _exceeds(column: NDArray[Any], limit: int) -> bool:
-    return bool(column.size) and (int(column.max()) > limit or int(column.min()) < -limit)
-
-
-def _objects(columns: list[NDArray[Any] | None], several: list[Decoded]) -> NDArray[Any]:
-    result = np.empty(sum(table.places.size for table in several), object)
-    row = 0
-    for column, table in zip(columns, several, strict=True):
-        for value in () if column is None else column.tolist():
-            result[row] = value
-            row += 1
-        row += table.places.size if column is None else 0
-    return result
+    return Decoded(merged, places).take(np.argsort(places, kind="stable"))
 
 
 def without_objects(decoded: Decoded, name: str, ledger: Ledger) -> Decoded:

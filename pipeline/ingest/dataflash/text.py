@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.boot_clock import Stamps, microseconds, timeline
+from pipeline.ingest.boot_clock import Stamps, nanoseconds, timeline
 from pipeline.ingest.dataflash.channels import wanted_fields
 from pipeline.ingest.dataflash.log import contents_of
 from pipeline.ingest.dataflash.tables import Decoded, merge_tables
@@ -162,4 +162,4 @@ class _LineReader(DamagedBytes):
         if self.times:
             places, times = zip(*self.times, strict=True)
             raw = np.array([max(time, 0) for time in times], np.uint64)
-            yield np.array(places, np.int64), microseconds(raw) * 1000
+            yield np.array(places, np.int64), nanoseconds(raw)

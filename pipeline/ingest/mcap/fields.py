@@ -19,6 +19,7 @@ from pipeline.ingest.fields import (
     ATTITUDE,
     GNSS,
     HUMIDITY,
+    MAVLINK_FIX,
     PRESSURE,
     TEMPERATURE,
     FieldColumn,
@@ -105,22 +106,7 @@ _CAPTURED = MessageMap(
 _NAMED_VALUE_INT = 4.0  # DebugValue.TYPE_NAMED_VALUE_INT: the value is in another field
 
 _MAVROS = {
-    "mavros_msgs/GPSRAW": MessageMap(
-        (
-            column("lat_rad", "lat", "degE7"),
-            column("lon_rad", "lon", "degE7"),
-            column("h_msl_m", "alt", "mm"),
-            column("h_ellipsoid_m", "alt_ellipsoid", "mm", missing=0.0),
-            column("sigma_h_m", "h_acc", "mm plane", missing=0.0),
-            column("sigma_v_m", "v_acc", "mm", missing=0.0),
-            column("fix", "fix_type"),
-            column("satellites", "satellites_visible", missing=255.0),
-            column("hdop", "eph", "1/100", missing=65535.0),
-            column("speed_m_s", "vel", "cm", missing=65535.0),
-            column("course_rad", "cog", "cdeg", missing=65535.0),
-        ),
-        GNSS, 25, time_field=HEADER, position=True,
-    ),
+    "mavros_msgs/GPSRAW": MessageMap(MAVLINK_FIX, GNSS, 25, time_field=HEADER, position=True),
     "mavros_msgs/CameraImageCaptured": _CAPTURED,
     "mavros_msgs/CamIMUStamp": MessageMap(
         (column("event_index", "frame_seq_id"),), _EVENTS, 25, time_field="frame_stamp"

@@ -23,11 +23,10 @@ from pipeline.ingest.channel_builder import channel_of
 from pipeline.ingest.log import Contents, LogFormat, Table
 from pipeline.ingest.mcap.file_format import MAGIC
 from pipeline.ingest.mcap.reader import McapReader
-from pipeline.ingest.mcap.samples import STAMP, TopicSamples, times_of
-from pipeline.ingest.mcap.topics import by_clock, rows_by_name, stack_tables
+from pipeline.ingest.mcap.samples import LOG_TIME, PLACE, SEQUENCE, STAMP, TopicSamples, times_of
+from pipeline.ingest.mcap.topics import in_order, rows_by_name
 from pipeline.ledger import Ledger
 
-PLACE = "\0place"  # of a message in the log, while a table is put together
 REASONS = ("LOG-SCHEMA", "LOG-NOT-ROS2", "LOG-NO-PROTOBUF")  # for no table
 
 
@@ -109,8 +108,7 @@ def boot_clock_of(
     Parameters
     ----------
     line : the boots, by the messages of all topics together.
-    series : receivers among them give UTC. A camera's UTC is the autopilot's own clock, which it
-        sets by its receiver now and then: it counts where no receiver has a fix.
+    series : receivers among them give UTC, cameras where no receiver has a fix.
     recorder : log_time of these messages, for boots without any UTC; None where no message counts
         time since boot.
     """
@@ -124,26 +122,16 @@ def boot_clock_of(
         readings = samples.utc_readings()
         if readings is not None:
             (receivers if samples.spec.position else cameras).append(readings)
-    fixed = any(readings.sound(line).places.shape[0] for readings in receivers)
-    clock = fit_boot_clock(line, receivers if fixed else cameras, ledger, recorder)
+    utc_of = "GNSS message with a fix and no log_time"
+    clock = fit_boot_clock(line, receivers, ledger, recorder, cameras=cameras, utc_of=utc_of)
     for number, (fit, known) in enumerate(zip(clock.fits, clock.utc_known, strict=True)):
-        if known:
-            continue
-        where = f"boot {number}"
-        if fit is not None:
+        if fit is not None and not known:
             ledger.fallback(
                 "TIME-LOG-TIME",
                 "time counts from boot, and no GNSS message with a fix ties that to UTC: the clock "
                 "is set by the recorder's time",
-                where=where,
+                where=f"boot {number}",
                 count=fit.rows,
-            )
-        else:
-            ledger.fallback(
-                "TIME-NO-UTC",
-                "no GNSS message with a fix and no log_time: time counts from boot, as if in 1970; "
-                "events in this log can be used, matching by UTC is impossible",
-                where=where,
             )
     return clock
 
@@ -157,15 +145,18 @@ def _table(path: Path, clock: BootClock, name: str, instance: str | None) -> Tab
     deque(reader.through(path), 0)
     tables = []
     for topic in reader.topics.values():
-        blocks, topic.blocks = topic.blocks, []
-        for block in by_clock(blocks):
-            places = block.places if block.counted else None
+        for counted in topic.blocks:
+            blocks, topic.blocks[counted] = topic.blocks[counted], []
+            if not blocks:
+                continue
+            block = in_order(blocks)
+            del block[SEQUENCE]
+            log_ns, places = block.pop(LOG_TIME), block[PLACE] if counted else None
             time_ns, boot, _ = times_of(
-                block.stamp_ns, block.log_ns, places, clock, ledger=reader.ledger, where=name
+                block.pop(STAMP), log_ns, places, clock, ledger=reader.ledger, where=name
             )
-            block.columns.pop(STAMP, None)
-            table: Table = {"time_ns": time_ns, "boot": boot, "log_time_ns": block.log_ns}
-            table |= block.columns | {PLACE: block.places}
+            table: Table = {"time_ns": time_ns, "boot": boot, "log_time_ns": log_ns}
+            table |= block
             if instance is not None:
                 rows = dict(rows_by_name(table, topic.spec.id_field)).get(instance, slice(0))
                 table = {column: values[rows] for column, values in table.items()}
@@ -182,9 +173,6 @@ def _table(path: Path, clock: BootClock, name: str, instance: str | None) -> Tab
         )
     if not tables:
         return {}
-    whole = stack_tables(tables, [table[PLACE].shape[0] for table in tables])
-    places_of_rows = whole.pop(PLACE)
-    if bool(np.all(places_of_rows[1:] > places_of_rows[:-1])):
-        return whole
-    order = np.argsort(places_of_rows)
-    return {column: values[order] for column, values in whole.items()}
+    whole = in_order(tables)
+    del whole[PLACE]
+    return whole

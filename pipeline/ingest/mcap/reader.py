@@ -27,9 +27,9 @@ from pipeline.ingest.mcap.file_format import (
 from pipeline.ingest.mcap.records import walk
 from pipeline.ingest.mcap.topics import (
     MAX_NAMES,
-    CdrDecoder,
     Decoder,
     Topic,
+    cdr_decoder,
     json_decoder,
     paths_of,
     protobuf_decoder,
@@ -255,7 +255,7 @@ class McapReader:
         if schema is None:
             return None
         if encoding == "cdr" and schema.encoding == "ros2msg":
-            return CdrDecoder.of(schema.name, schema.data.decode(), wanted)
+            return cdr_decoder(schema.name, schema.data.decode(), wanted)
         if encoding == "protobuf" and schema.encoding == "protobuf":
             try:
                 return protobuf_decoder(schema, spec, wanted)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import Source, TimeArray
 from pipeline.flight.clock import BOOT_STEP_NS, UNIX_NS_FROM, UNIX_US_FROM
-from pipeline.ingest.boot_clock import BootClock, Timeline, UtcReadings, microseconds
+from pipeline.ingest.boot_clock import BootClock, Timeline, UtcReadings, microseconds, nanoseconds
 from pipeline.ingest.buffers import ColumnStore
-from pipeline.ingest.channel_builder import DecodedRows
+from pipeline.ingest.channel_builder import DecodedRows, without_stray
 from pipeline.ingest.fields import MessageMap, extract
 from pipeline.ingest.mcap.fields import LABELS, finished
 from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, UTC_FIELD, captured_rows
@@ -23,7 +23,9 @@ from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND
 
 Columns = Mapping[str, NDArray[Any]]
-STAMP = "\0stamp_ns"  # the column in which a decoder of objects puts the time of a message
+STAMP, LOG_TIME, PLACE, SEQUENCE = "\0stamp_ns", "\0log_ns", "\0place", "\0sequence"
+"""Columns beside the fields: a message's own time and log_time [ns], its place among all messages
+of the log, and its number."""
 
 _LAST_NS = 2**63 - 1
 _ISO = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d+))?(Z|[+-]\d\d:\d\d)?")
@@ -93,19 +95,16 @@ class TopicSamples:
     columns: dict[str, ColumnStore] = field(default_factory=dict)
     labels: dict[str, list[str]] = field(default_factory=dict)
 
-    def add(
-        self, columns: Columns, stamp_ns: TimeArray, log_ns: TimeArray, places: TimeArray,
-        sequence: NDArray[np.uint32],
-    ) -> None:  # fmt: skip
+    def add(self, columns: Columns) -> None:
         """The next messages, as decoded."""
-        before, count = len(self.stamp_ns), log_ns.shape[0]
-        self.stamp_ns.add(stamp_ns)
+        before, count = len(self.stamp_ns), columns[STAMP].shape[0]
+        self.stamp_ns.add(columns[STAMP])
         if self.counted:
-            self.places.add(places)
+            self.places.add(columns[PLACE])
         else:
-            self.sequence.add(sequence)
-        if not bool(stamp_ns.all()):
-            self.log_ns.append((before, log_ns))
+            self.sequence.add(columns[SEQUENCE])
+        if not bool(columns[STAMP].all()):
+            self.log_ns.append((before, columns[LOG_TIME]))
         utc = columns.get(UTC_FIELD if self.spec.position else CAPTURE_UTC_FIELD)
         if utc is not None and utc.dtype.kind in "iu":
             self.utc_us.add(microseconds(utc))
@@ -172,16 +171,8 @@ class TopicSamples:
                 count=moved,
             )
             rows = rows.take(order)
-        if good is not None and not good.all():
-            lost = np.flatnonzero(~good)
-            ledger.loss(
-                "TIME-STRAY",
-                f"{lost.shape[0]} of {len(rows)} messages carry a time since boot that fits none "
-                "of their neighbours: they are not used",
-                where=f"{self.name}, first at row {lost[0]}",
-                count=int(lost.shape[0]),
-            )
-            rows = rows.take(good)
+        if good is not None:
+            rows = without_stray(rows, ~good, ledger)
         return captured_rows(rows, ledger) if self.spec.event else rows, count
 
 
@@ -227,7 +218,7 @@ def own_times(columns: Columns, time_field: str, count: int) -> tuple[TimeArray,
         time_ns = seconds * NANOSECONDS_PER_SECOND + np.asarray(part).astype(np.int64)
         return np.asarray(time_ns, np.int64), False
     if time_field in columns and columns[time_field].dtype.kind in "iu":
-        return microseconds(columns[time_field]) * 1000, True
+        return nanoseconds(columns[time_field]), True
     return np.zeros(count, np.int64), False
 
 

@@ -3,56 +3,42 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.flight.channels import Source, TimeArray
 from pipeline.ingest.fields import MessageMap
-from pipeline.ingest.mcap.cdr import DecodePlan, decode, decode_plan
+from pipeline.ingest.mcap.cdr import decode, decode_plan
 from pipeline.ingest.mcap.cdr_schema import SchemaError, steps_of
 from pipeline.ingest.mcap.fields import LABELS, PLAIN_JSON
 from pipeline.ingest.mcap.file_format import Messages
-from pipeline.ingest.mcap.samples import STAMP, TopicSamples, own_times, since_boot, stamp_of
+from pipeline.ingest.mcap.samples import (
+    LOG_TIME,
+    PLACE,
+    SEQUENCE,
+    STAMP,
+    TopicSamples,
+    own_times,
+    since_boot,
+    stamp_of,
+)
 from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, UTC_FIELD
+from pipeline.ingest.stacking import column_of, stack_tables
 
 Columns = dict[str, NDArray[Any]]
 MAX_ARRAY = 64  # elements of an array that a table spreads over columns
 MAX_NAMES = 1000  # that the messages of a topic may give; a log of values has tens
-EXACT = 1 << 53  # every integer up to here is a float64
-_WORD = 1 << 64
 
 
-class Decoder(Protocol):
-    """Messages of one definition -> columns."""
-
-    def __call__(self, messages: Messages, rows: NDArray[np.intp]) -> tuple[Any, Columns, int]:
-        """The rows that could be decoded, among these, their columns, and values left out."""
-        ...
-
-
-@dataclass
-class MessageBlock:
-    """Some messages, in the order of the file: columns, own times, log_time [ns], places, numbers.
-
-    ``counted`` says that their own times are counted in microseconds.
-    """
-
-    columns: Columns
-    stamp_ns: TimeArray
-    log_ns: TimeArray
-    places: TimeArray
-    sequence: NDArray[np.uint32]
-    counted: bool
-
-    def take(self, rows: slice | NDArray[Any]) -> MessageBlock:
-        columns = {key: column[rows] for key, column in self.columns.items()}
-        stamp_ns, log_ns, places = self.stamp_ns[rows], self.log_ns[rows], self.places[rows]
-        return MessageBlock(columns, stamp_ns, log_ns, places, self.sequence[rows], self.counted)
+Decoder = Callable[[Messages, NDArray[np.intp]], tuple[Any, Columns, int]]
+"""Rows of messages of one definition -> those that could be decoded, counted among these, their
+columns, and how many values were left out."""
 
 
 @dataclass
@@ -60,14 +46,15 @@ class Topic:
     """A topic that is read, of one name of schema, and where its messages go.
 
     With ``series`` they become channels, one for each name that the messages give (`rows_by_name`),
-    without them the ``blocks`` of a table. ``odd`` values are no numbers where one is wanted.
+    without them the ``blocks`` of a table, those apart whose times are counted in microseconds.
+    ``odd`` values are no numbers where one is wanted.
     """
 
     name: str
     schema: str
     spec: MessageMap
     series: dict[tuple[str | None, bool], TopicSamples] | None
-    blocks: list[MessageBlock] = field(default_factory=list)
+    blocks: dict[bool, list[Columns]] = field(default_factory=lambda: {False: [], True: []})
     failed: int = 0
     nameless: int = 0
     odd: int = 0
@@ -83,39 +70,38 @@ class Topic:
 
         Returns places, times since boot and log_time [ns] of those that count from a boot.
         """
-        blocks: list[MessageBlock] = []
+        blocks: dict[bool, list[Columns]] = {False: [], True: []}
         for decoder, rows in shares:
             done, columns, odd = decoder(messages, rows)
             self.failed += rows.shape[0] - len(done)
             self.odd += odd
             if len(done):
-                stamp_ns, counted = own_times(columns, self.spec.time_field, len(done))
+                columns[STAMP], counted = own_times(columns, self.spec.time_field, len(done))
                 rows = rows[done]
-                log_ns, sequence = messages.log_time[rows], messages.sequence[rows]
-                blocks.append(
-                    MessageBlock(columns, stamp_ns, log_ns, rows + before, sequence, counted)
-                )
+                columns |= {LOG_TIME: messages.log_time[rows], PLACE: rows + before}
+                columns[SEQUENCE] = messages.sequence[rows]
+                (blocks if self.series is not None else self.blocks)[counted].append(columns)
+        stamps: list[tuple[TimeArray, TimeArray, TimeArray]] = []
         if self.series is None:
-            self.blocks += blocks
-            return []
-        stamps = []
-        for block in by_clock(blocks):
-            for name, rows_of_name in rows_by_name(block.columns, self.spec.id_field):
-                named = block.take(rows_of_name)
-                key = (name, block.counted)
+            return stamps
+        for counted, parts in blocks.items():
+            if not parts:
+                continue
+            block = in_order(parts)
+            for name, rows_of_name in rows_by_name(block, self.spec.id_field):
+                named = {path: column[rows_of_name] for path, column in block.items()}
+                key = (name, counted)
                 if key not in self.series and len(self.series) >= MAX_NAMES:
-                    self.nameless += int(named.places.shape[0])
+                    self.nameless += int(named[PLACE].shape[0])
                     continue
                 if key not in self.series:
                     label = self.name if name is None else f"{self.name}[{name}]"
                     source = Source(self.schema, name)
-                    self.series[key] = TopicSamples(label, source, self.spec, block.counted)
-                self.series[key].add(
-                    named.columns, named.stamp_ns, named.log_ns, named.places, named.sequence
-                )
-            booted = since_boot(block.stamp_ns)
-            if block.counted and bool(booted.any()):
-                stamps.append((block.places[booted], block.stamp_ns[booted], block.log_ns[booted]))
+                    self.series[key] = TopicSamples(label, source, self.spec, counted)
+                self.series[key].add(named)
+            booted = since_boot(block[STAMP])
+            if counted and bool(booted.any()):
+                stamps.append((block[PLACE][booted], block[STAMP][booted], block[LOG_TIME][booted]))
         return stamps
 
     @property
@@ -132,25 +118,13 @@ class Topic:
         return self.odd if wanted else 0
 
 
-def by_clock(blocks: Iterable[MessageBlock]) -> Iterable[MessageBlock]:
-    """Blocks as one, those whose times are counted in microseconds apart; they are used up."""
-    every = list(blocks)
-    for counted in (False, True):
-        of_clock = [block for block in every if block.counted == counted]
-        if len(of_clock) < 2:
-            yield from of_clock
-            continue
-        sizes = [len(block.places) for block in of_clock]
-        whole = MessageBlock(
-            stack_tables([block.columns for block in of_clock], sizes),
-            np.concatenate([block.stamp_ns for block in of_clock]),
-            np.concatenate([block.log_ns for block in of_clock]),
-            np.concatenate([block.places for block in of_clock]),
-            np.concatenate([block.sequence for block in of_clock]),
-            counted,
-        )
-        in_order = bool(np.all(whole.places[1:] > whole.places[:-1]))
-        yield whole if in_order else whole.take(np.argsort(whole.places))
+def in_order(tables: list[Columns]) -> Columns:
+    """Messages as one table, in the order of the log; the tables are used up."""
+    whole = stack_tables(tables, [table[PLACE].shape[0] for table in tables])
+    if bool(np.all(whole[PLACE][1:] > whole[PLACE][:-1])):
+        return whole
+    order = np.argsort(whole[PLACE])
+    return {name: column[order] for name, column in whole.items()}
 
 
 def rows_by_name(
@@ -182,63 +156,54 @@ def paths_of(spec: MessageMap) -> frozenset[str]:
     return frozenset(fields)
 
 
-@dataclass(frozen=True)
-class CdrDecoder:
-    """ROS 2 messages by their layout."""
+def cdr_decoder(schema: str, text: str, wanted: frozenset[str] | None) -> Decoder:
+    """ROS 2 messages, by their definition in the log; raises SchemaError."""
+    plan = decode_plan(steps_of(schema, text), wanted)
 
-    plan: DecodePlan
-
-    @classmethod
-    def of(cls, schema: str, text: str, wanted: frozenset[str] | None) -> CdrDecoder:
-        """By the definition in the log; raises SchemaError."""
-        return cls(decode_plan(steps_of(schema, text), wanted))
-
-    def __call__(self, messages: Messages, rows: NDArray[np.intp]) -> tuple[Any, Columns, int]:
+    def decoder(messages: Messages, rows: NDArray[np.intp]) -> tuple[Any, Columns, int]:
         begin, length = messages.begin[rows], messages.length[rows]
-        return (*decode(messages.data, begin, length, self.plan), 0)
+        return (*decode(messages.data, begin, length, plan), 0)
+
+    return decoder
 
 
-@dataclass(frozen=True)
-class ObjectDecoder:
+def object_decoder(
+    parse: Callable[[bytes], Any],
+    errors: tuple[type[Exception], ...],
+    spec: MessageMap,
+    wanted: frozenset[str] | None,
+) -> Decoder:
     """Messages that a library decodes one by one, such as protobuf and JSON.
 
     ``wanted`` fields become columns, those of ``spec`` of numbers; None takes all there are.
     """
 
-    parse: Callable[[bytes], Any]
-    errors: tuple[type[Exception], ...]
-    spec: MessageMap
-    wanted: frozenset[str] | None
+    def values_of(raw: bytes) -> dict[str, Any]:
+        message = parse(raw)
+        values = dict(flat(message, "", wanted))
+        stamp = message
+        for part in spec.time_field.split("."):
+            getter = stamp.get if isinstance(stamp, dict) else partial(getattr, stamp)
+            stamp = getter(part, None)
+        return values | {STAMP: stamp_of(stamp)}
 
-    def __call__(self, messages: Messages, rows: NDArray[np.intp]) -> tuple[Any, Columns, int]:
+    def decoder(messages: Messages, rows: NDArray[np.intp]) -> tuple[Any, Columns, int]:
         raw = memoryview(messages.data)  # type: ignore[arg-type]
-        done: list[int] = []
-        decoded: list[dict[str, Any]] = []
-        for row, (begin, length) in enumerate(
-            zip(messages.begin[rows].tolist(), messages.length[rows].tolist(), strict=True)
-        ):
-            try:
-                message = self.parse(bytes(raw[begin : begin + length]))
-                values = dict(flat(message, "", self.wanted))
-                stamp = message
-                for part in self.spec.time_field.split("."):
-                    getter = stamp.get if isinstance(stamp, dict) else partial(getattr, stamp)
-                    stamp = getter(part, None)
-                values[STAMP] = stamp_of(stamp)
-            except self.errors:
-                continue
-            done.append(row)
-            decoded.append(values)
-        if self.wanted is None:
-            return done, columns_of(decoded), 0
-        numbers = {name for column in self.spec.columns for name in column.fields}
+        places = zip(messages.begin[rows].tolist(), messages.length[rows].tolist(), strict=True)
+        decoded: dict[int, dict[str, Any]] = {}
+        for row, (begin, length) in enumerate(places):
+            with suppress(*errors):
+                decoded[row] = values_of(bytes(raw[begin : begin + length]))
         odd = 0
-        for values in decoded:
+        numbers = {name for column in spec.columns for name in column.fields}
+        for values in decoded.values() if wanted is not None else ():
             for name in numbers & values.keys():
                 value = number(values[name])
                 odd += value is None
                 values[name] = np.nan if value is None else value
-        return done, columns_of(decoded), odd
+        return list(decoded), columns_of([*decoded.values()]), odd
+
+    return decoder
 
 
 def columns_of(decoded: list[dict[str, Any]]) -> Columns:
@@ -284,21 +249,20 @@ def _long(value: Any) -> bool:
     return isinstance(value, bytes) or len(value) > MAX_ARRAY
 
 
-def json_object(data: bytes) -> dict[str, Any]:
-    """A JSON object; any other text raises TypeError."""
-    value = json.loads(data)
-    if not isinstance(value, dict):
-        raise TypeError("not an object")
-    return value
-
-
-def json_decoder(spec: MessageMap, wanted: frozenset[str] | None) -> ObjectDecoder:
+def json_decoder(spec: MessageMap, wanted: frozenset[str] | None) -> Decoder:
     """JSON objects; whatever else the text is does not fit."""
+
+    def parse(data: bytes) -> dict[str, Any]:
+        value = json.loads(data)
+        if not isinstance(value, dict):
+            raise TypeError("not an object")
+        return value
+
     errors = (ValueError, TypeError, AttributeError, OverflowError, RecursionError)
-    return ObjectDecoder(json_object, errors, spec, wanted)
+    return object_decoder(parse, errors, spec, wanted)
 
 
-def protobuf_decoder(schema: Any, spec: MessageMap, wanted: frozenset[str] | None) -> ObjectDecoder:
+def protobuf_decoder(schema: Any, spec: MessageMap, wanted: frozenset[str] | None) -> Decoder:
     """Protobuf by mcap-protobuf-support; raises ImportError without it, SchemaError on damage."""
     from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
     from mcap.exceptions import McapError
@@ -311,7 +275,7 @@ def protobuf_decoder(schema: Any, spec: MessageMap, wanted: frozenset[str] | Non
     if parse is None:
         raise TypeError(f"a {schema.encoding} schema")
     errors = (DecodeError, ValueError, TypeError, OverflowError, RuntimeError)
-    return ObjectDecoder(parse, errors, spec, wanted)
+    return object_decoder(parse, errors, spec, wanted)
 
 
 def number(value: Any) -> float | None:
@@ -324,74 +288,3 @@ def number(value: Any) -> float | None:
         return float(value) if isinstance(value, bool | int | float | str) else None
     except (ValueError, OverflowError):
         return None
-
-
-def is_exact_float(value: Any) -> bool:
-    """Whether a value is no integer that a float64 would alter."""
-    if not isinstance(value, int) or abs(value) <= EXACT:
-        return True
-    return abs(value) < _WORD and int(float(value)) == value
-
-
-def column_of(values: list[Any]) -> NDArray[Any]:
-    """Values of any kind as one column; None is a message that has none.
-
-    Parameters
-    ----------
-    values : of one field, a message each.
-
-    Returns bool, int64, uint64 or float64 where that alters no number (NaN where one is missing),
-    str where all are texts ("" where one is missing), else the values as objects.
-
-    >>> column_of([2**60 + 1, -5]).tolist(), column_of([1, None]), column_of([1, "n/a"])
-    ([1152921504606846977, -5], array([ 1., nan]), array([1, 'n/a'], dtype=object))
-    """
-    kinds = {type(value) for value in values}
-    whole, there = type(None) not in kinds, kinds - {type(None)}
-    if there == {str}:
-        return np.array(["" if value is None else value for value in values], np.str_)
-    if there == {bool} and whole:
-        return np.array(values, np.bool_)
-    if there and there <= {bool, int} and whole:
-        low, high = min(values), max(values)
-        if low >= -_WORD // 2 and high < _WORD // 2:
-            return np.array(values, np.int64)
-        if low >= 0 and high < _WORD:
-            return np.array(values, np.uint64)
-    if there <= {bool, int, float} and all(is_exact_float(value) for value in values):
-        return np.array([np.nan if value is None else value for value in values], np.float64)
-    result = np.empty(len(values), object)
-    for k, value in enumerate(values):  # at once, lists of one length would be an array
-        result[k] = value
-    return result
-
-
-def stack_tables(
-    tables: Sequence[dict[str, NDArray[Any]]], counts: Sequence[int]
-) -> dict[str, NDArray[Any]]:
-    """Tables of so many rows end to end, each column as `join_pieces`; they are used up."""
-    if len(tables) == 1:
-        return tables[0]
-    names = dict.fromkeys(name for table in tables for name in table)
-    pairs = list(zip(tables, counts, strict=True))
-    return {name: join_pieces([table.pop(name, count) for table, count in pairs]) for name in names}
-
-
-def join_pieces(pieces: Sequence[NDArray[Any] | int]) -> NDArray[Any]:
-    """Pieces of a column end to end; an integer stands for so many messages without it.
-
-    >>> join_pieces([np.array([1.5]), 1]), join_pieces([np.array(["a"]), np.array([7])])
-    (array([1.5, nan]), array(['a', 7], dtype=object))
-    """
-    arrays = [piece for piece in pieces if isinstance(piece, np.ndarray)]
-    kinds = {(a.dtype if a.dtype.kind != "U" else np.dtype(np.str_), a.shape[1:]) for a in arrays}
-    dtype, shape = next(iter(kinds), (np.dtype(np.float64), ()))
-    if len(kinds) <= 1 and (len(arrays) == len(pieces) or dtype.kind in "fU"):
-        missing = "" if dtype.kind == "U" else np.nan
-        return np.concatenate(
-            [np.full((p, *shape), missing, dtype) if isinstance(p, int) else p for p in pieces]
-        )
-    values: list[Any] = []
-    for piece in pieces:
-        values += [None] * piece if isinstance(piece, int) else piece.tolist()
-    return column_of(values)

@@ -22,9 +22,10 @@ from pipeline.ingest.tlog.clock import (
     EARLIEST_NS,
     LATEST_NS,
     MICROSECOND,
-    ClockReadings,
+    READING,
     Clocks,
     Key,
+    Readings,
     by_source,
     clock_field,
 )
@@ -42,7 +43,7 @@ def with_borrowed_clocks(clocks: Clocks, sent: Sequence[ColumnStore], ledger: Le
 
     The UTC that images carry is not used where it does not fit the time of their reception.
     """
-    late: dict[Key, list[tuple[ClockReadings, int]]] = {}
+    late: dict[Key, list[tuple[Readings, int]]] = {}
     for store in sent:
         names = store.dtype["records"].names or ()
         field = clock_field(names)
@@ -52,10 +53,11 @@ def with_borrowed_clocks(clocks: Clocks, sent: Sequence[ColumnStore], ledger: Le
                     continue
                 rows, (unit, turn) = block[of_source], CLOCK_FIELDS[field]
                 raw = microseconds(rows["records"][field])
-                boot_ns = np.where(raw < UNIX_US_FROM, raw * unit, 0)
-                utc_ns = unix_us(rows["records"]) * MICROSECOND
-                host_ns = rows["host_us"] * MICROSECOND
-                part = ClockReadings(rows["at"], rows["source"], host_ns, boot_ns, utc_ns)
+                part = np.empty(rows.shape, READING)
+                for name in ("at", "source", "host_us"):
+                    part[name] = rows[name]
+                part["boot_ns"] = np.where(raw < UNIX_US_FROM, raw * unit, 0)
+                part["utc_ns"] = unix_us(rows["records"]) * MICROSECOND
                 late.setdefault(source, []).append((part, turn))
     for source, parts in sorted(late.items()):
         clocks = _with_checked_clock(clocks, source, parts, ledger)
@@ -71,19 +73,19 @@ def unix_us(records: NDArray[Any]) -> NDArray[np.int64]:
 
 
 def _with_checked_clock(
-    clocks: Clocks, source: Key, parts: Sequence[tuple[ClockReadings, int]], ledger: Ledger
+    clocks: Clocks, source: Key, parts: Sequence[tuple[Readings, int]], ledger: Ledger
 ) -> Clocks:
     """The clocks after the delay of one sender's messages is checked, by their UTC and by boot."""
     where = f"system {source[0]}, component {source[1]}"
-    delay, by_utc = [], []
+    delay, by_utc, clock = [], [], clocks.of(source)
     for part, turn in parts:
-        received = clocks.utc_of_host(source, part.at, part.host_ns)
-        has_utc = part.utc_ns > 0
-        by_utc.append((received - part.utc_ns)[has_utc])
-        by_boot = ~has_utc & (part.boot_ns > 0)
-        rest = part.take(by_boot)
-        stamped = clocks.utc_of_boot(source, rest.at, rest.host_ns, rest.boot_ns, turn)
-        delay.append(received[by_boot] - stamped)
+        at, host_ns, boot_ns = part["at"], part["host_us"] * MICROSECOND, part["boot_ns"]
+        received = clock.utc_of_host(at, host_ns)
+        has_utc = part["utc_ns"] > 0
+        by_utc.append((received - part["utc_ns"])[has_utc])
+        rest = ~has_utc & (boot_ns > 0)
+        stamped = clock.utc_of_boot(at[rest], host_ns[rest], boot_ns[rest], turn)
+        delay.append(received[rest] - stamped)
     late = np.concatenate(by_utc)
     if late.size and not EARLIEST_NS <= np.median(late) <= LATEST_NS:
         ledger.loss(
@@ -94,17 +96,16 @@ def _with_checked_clock(
             count=int(late.size),
         )
         clocks = replace(clocks, wrong_utc=clocks.wrong_utc | {source})
-        parts = [(replace(part, utc_ns=np.zeros_like(part.utc_ns)), turn) for part, turn in parts]
+        for part, _ in parts:
+            part["utc_ns"] = 0
         return _with_checked_clock(clocks, source, parts, ledger)
     late = np.concatenate(delay)
     if source in clocks.senders or not late.size:
         return clocks
     if _may_borrow(clocks, source, late, ledger):
         return clocks
-    columns = [vars(part) for part, _ in parts]
-    joined = ClockReadings(**{n: np.concatenate([c[n] for c in columns]) for n in columns[0]})
-    joined = joined.take(joined.boot_ns > 0)
-    joined = joined.take(np.argsort(joined.at, kind="stable"))
+    joined = np.concatenate([part[part["boot_ns"] > 0] for part, _ in parts])
+    joined = joined[np.argsort(joined["at"], kind="stable")]
     return clocks.with_own(source, joined, ledger)
 
 

@@ -12,11 +12,7 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import Array, Channel, Source, TimeArray
 from pipeline.flight.clock import UNIX_US_FROM
-from pipeline.ingest.ardupilot_heights import (
-    HEIGHT_OPTION,
-    selects_ellipsoid,
-    with_ellipsoidal_heights,
-)
+from pipeline.ingest.ardupilot_heights import with_both_heights
 from pipeline.ingest.attitude import earth_frame_attitude
 from pipeline.ingest.boot_clock import microseconds
 from pipeline.ingest.buffers import ColumnStore, allocate
@@ -63,9 +59,7 @@ def channels_of(
         records = rows_sent["records"][np.isin(rows_sent["source"] >> 8, systems)]
         names = map(text_of, records["param_id"].tolist())
         parameters = dict(zip(names, records["param_value"].tolist(), strict=True))
-    if selects_ellipsoid(parameters.get(HEIGHT_OPTION, 0.0)):
-        channels = with_ellipsoidal_heights(channels, ledger, PARAM_VALUE)
-    return channels, parameters
+    return with_both_heights(channels, parameters, ledger, PARAM_VALUE), parameters
 
 
 @dataclass
@@ -167,15 +161,15 @@ def times_of(
     rows : (n,) of one sender, as a scan keeps them.
     field : the message's own time, or "".
     """
-    at, host_ns = rows["at"], rows["host_us"] * MICROSECOND
+    at, host_ns, clock = rows["at"], rows["host_us"] * MICROSECOND, clocks.of(source)
     if not field:
-        return clocks.utc_of_host(source, at, host_ns), clocks.boot(source, at)
+        return clock.utc_of_host(at, host_ns), clock.boot(at)
     unit, turn = CLOCK_FIELDS[field]
     stamp = microseconds(rows["records"][field])
     since_boot = stamp * unit
-    placed = clocks.boot_places(source, at, since_boot)
-    time_ns = clocks.utc_of_boot(source, placed, host_ns, since_boot, turn)
-    boot = clocks.boot(source, placed)
+    placed = clock.boot_places(at, since_boot)
+    time_ns = clock.utc_of_boot(placed, host_ns, since_boot, turn)
+    boot = clock.boot(placed)
     if field == "time_boot_ms":
         own_us = unix_us(rows["records"])
         if source in clocks.wrong_utc or not own_us.any():
@@ -185,9 +179,9 @@ def times_of(
     time_ns = np.where(stamp > UNIX_US_FROM, since_boot, time_ns)
     other = (stamp == 0) | (stamp > UNIX_US_FROM)
     if other.any():
-        boot[other] = clocks.boot(source, at[other])
+        boot[other] = clock.boot(at[other])
         unknown = stamp == 0
-        time_ns[unknown] = clocks.utc_of_host(source, at[unknown], host_ns[unknown])
+        time_ns[unknown] = clock.utc_of_host(at[unknown], host_ns[unknown])
     return time_ns, boot
 
 

@@ -38,10 +38,14 @@ STEADY_MS = 1000
 Key = tuple[int, int]
 """A sender: system and component."""
 
-_READING = np.dtype(
-    [("at", "i8"), ("host_us", "i8"), ("source", "u2"), ("boot_ms", "u4"), ("unix_us", "u8")]
+READING = np.dtype(
+    [("at", "i8"), ("host_us", "i8"), ("source", "u2"), ("boot_ns", "i8"), ("utc_ns", "i8")]
 )
-_KINDS = {"at": "i8", "source": "u2", "host_ns": "i8", "boot_ns": "i8", "utc_ns": "i8"}
+"""A sample of a sender's clock: ``at`` byte offset; ``host_us`` the ground station's clock;
+``source`` system times 256 plus component; ``boot_ns`` since boot; ``utc_ns`` or 0."""
+
+Readings = NDArray[Any]
+"""(n,) samples of `READING` in the order of the file."""
 
 ROUND_MS = (1 << 32) * MILLISECOND  # 49.7 days: a 32-bit count of milliseconds runs over
 ROUND_US = (1 << 32) * MICROSECOND  # 71.6 minutes: one of microseconds
@@ -68,51 +72,45 @@ class Sampler:
     """
 
     def __init__(self) -> None:
-        self.rows = ColumnStore(_READING)
+        self.rows = ColumnStore(READING)
 
     def take(self, timed: Sequence[NDArray[Any]]) -> None:
         """Sample the next messages of the file, which have ``time_boot_ms``."""
         if not timed:
             return
-        rows = np.zeros(sum(part.shape[0] for part in timed), _READING)
+        rows = np.zeros(sum(part.shape[0] for part in timed), READING)
         done = 0
         for part in timed:
             piece = rows[done : done + part.shape[0]]
             for name in ("at", "host_us", "source"):
                 piece[name] = part[name]
-            piece["boot_ms"] = part["records"]["time_boot_ms"]
+            piece["boot_ns"] = part["records"]["time_boot_ms"].astype(np.int64) * MILLISECOND
             if "time_unix_usec" in (part["records"].dtype.names or ()):
-                piece["unix_us"] = part["records"]["time_unix_usec"]
+                piece["utc_ns"] = microseconds(part["records"]["time_unix_usec"])  # for now
             done += part.shape[0]
         rows = rows[np.lexsort((rows["at"], rows["source"]))]
-        host_ms = rows["host_us"] // 1000
-        first = _changes(rows["source"]) | _changes(rows["boot_ms"] // SAMPLE_MS)
-        rows = rows[first | _changes(host_ms // SAMPLE_MS) | (rows["unix_us"] > 0)]
-        boot_ms = rows["boot_ms"].astype(np.int64)
+        host_ms, boot_ms = rows["host_us"] // 1000, rows["boot_ns"] // MILLISECOND
+        first = _changes(rows["source"]) | _changes(boot_ms // SAMPLE_MS)
+        sampled = first | _changes(host_ms // SAMPLE_MS) | (rows["utc_ns"] > 0)
+        rows, boot_ms = rows[sampled], boot_ms[sampled]
         delay = (rows["host_us"] - boot_ms * 1000) // DELAY_US
         jumps = _changes(rows["source"])
         jumps[1:] |= np.abs(np.diff(boot_ms)) > STEADY_MS
         changed = _changes(delay) | _changes(boot_ms // STEADY_MS)
-        keep = changed | np.append(changed[1:], True) | (rows["unix_us"] > 0)
+        keep = changed | np.append(changed[1:], True) | (rows["utc_ns"] > 0)
         for row in np.flatnonzero(jumps).tolist():  # the number of rows after it shows a glitch
             keep[max(row - STRAY_ROWS - 1, 0) : row + STRAY_ROWS + 1] = True
         kept = rows[keep]
+        unix_us = kept["utc_ns"]
+        kept["utc_ns"] = np.where(unix_us > UNIX_US_FROM, unix_us * MICROSECOND, 0)
         self.rows.add(kept[np.argsort(kept["at"], kind="stable")])
 
-    def readings(self, systems: Set[int]) -> ClockReadings | None:
-        """The samples of the senders of these systems."""
-        columns = {name: ColumnStore(kind) for name, kind in _KINDS.items()}
+    def readings(self, systems: Set[int]) -> Readings:
+        """The samples of the senders of these systems; all are used up."""
+        chosen = ColumnStore(READING)
         for block in self.rows.drained():
-            rows = block[np.isin(block["source"] >> 8, sorted(systems))]
-            unix_us = microseconds(rows["unix_us"])
-            columns["at"].add(rows["at"])
-            columns["source"].add(rows["source"])
-            columns["host_ns"].add(rows["host_us"] * MICROSECOND)
-            columns["boot_ns"].add(rows["boot_ms"].astype(np.int64) * MILLISECOND)
-            columns["utc_ns"].add(np.where(unix_us > UNIX_US_FROM, unix_us * MICROSECOND, 0))
-        if not len(columns["at"]):
-            return None
-        return ClockReadings(**{name: store.whole() for name, store in columns.items()})
+            chosen.add(block[np.isin(block["source"] >> 8, sorted(systems))])
+        return chosen.whole()
 
 
 def _changes(column: NDArray[Any]) -> NDArray[np.bool_]:
@@ -129,33 +127,12 @@ def by_source(rows: NDArray[Any]) -> Iterator[tuple[Key, NDArray[np.bool_] | sli
 
 
 @dataclass(frozen=True)
-class ClockReadings:
-    """ClockReadings of the senders' clocks, (n,) in the order of the file.
-
-    ``at`` byte offset; ``source`` system times 256 plus component; ``host_ns`` the ground
-    station's clock; ``boot_ns`` since boot; ``utc_ns`` or 0.
-    """
-
-    at: NDArray[np.int64]
-    source: NDArray[np.uint16]
-    host_ns: TimeArray
-    boot_ns: TimeArray
-    utc_ns: TimeArray
-
-    def take(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> ClockReadings:
-        """The readings of a mask or an index."""
-        if rows.dtype == np.bool_ and bool(rows.all()):
-            return self
-        return ClockReadings(**{name: column[rows] for name, column in vars(self).items()})
-
-
-@dataclass(frozen=True)
-class _Sender:
+class SenderClock:
     """One sender's clock.
 
     ``at`` and ``boot_ns`` (n,): its readings each second, and at the begin of each boot, in the
-    order of the log; ``clock`` its boots and their UTC. By boot: ``counts`` of readings, ``maps``
-    from the ground station's clock to UTC.
+    order of the log, empty where no clock is known; ``clock`` its boots and their UTC. By boot:
+    ``counts`` of readings, ``maps`` from the ground station's clock to UTC.
     """
 
     at: NDArray[np.int64]
@@ -164,17 +141,53 @@ class _Sender:
     counts: tuple[int, ...]
     maps: tuple[Callable[[TimeArray], TimeArray], ...]
 
-    def near(self, at: NDArray[np.int64]) -> TimeArray:
+    def boot(self, at: NDArray[np.int64]) -> NDArray[np.int16]:
+        """The boot of messages at these places of the file."""
+        return self.clock.line.boot_of(at)
+
+    def _row(self, at: NDArray[np.int64]) -> NDArray[np.intp]:
         """The reading that stands before each place of the file, or the first."""
-        row = np.maximum(np.searchsorted(self.at, at, side="right") - 1, 0)
-        return np.asarray(self.boot_ns[row], np.int64)
+        return np.maximum(np.searchsorted(self.at, at, side="right") - 1, 0)
+
+    def boot_places(self, at: NDArray[np.int64], boot_ns: TimeArray) -> NDArray[np.int64]:
+        """Places whose boot is that of times since boot.
+
+        The first messages of a boot may come before the first reading of its clock: they get the
+        place of that.
+        """
+        if self.clock.line.boots == 1:
+            return at
+        row = self._row(at)
+        after = np.minimum(row + 1, self.at.shape[0] - 1)
+        closer = np.abs(boot_ns - self.boot_ns[after]) < np.abs(boot_ns - self.boot_ns[row])
+        closer &= self.boot(self.at[after]) != self.boot(at)
+        return np.asarray(np.where(closer, self.at[after], at), np.int64)
 
     def utc_of_host(self, at: NDArray[np.int64], host_ns: TimeArray) -> TimeArray:
-        boot, result = self.clock.line.boot_of(at), host_ns.copy()
+        """UTC [ns] of messages without a time of their own."""
+        boot, result = self.boot(at), host_ns.copy()
         for number in np.unique(boot):
             asked = boot == number
             result[asked] = self.maps[int(number)](host_ns[asked])
         return result
+
+    def utc_of_boot(
+        self, at: NDArray[np.int64], host_ns: TimeArray, boot_ns: TimeArray, turn: int
+    ) -> TimeArray:
+        """UTC [ns] of times since boot; where no clock is known, the log's own stamps.
+
+        ``turn`` is the time [ns] after which a count of 32 bits wraps.
+        """
+        if not self.at.size:
+            return host_ns
+        near = np.asarray(self.boot_ns[self._row(at)], np.int64)
+        return self.clock.utc(at, unrolled(boot_ns, near, turn))
+
+
+_HOST_CLOCK = SenderClock(
+    np.empty(0, np.int64), np.empty(0, np.int64), BootClock(timeline([]), (None,), (False,)), (0,),
+    (lambda host_ns: host_ns,),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -184,7 +197,7 @@ class Clocks:
     ``wrong_utc`` are senders whose own UTC, which images carry, is wrong.
     """
 
-    senders: Mapping[Key, _Sender]
+    senders: Mapping[Key, SenderClock]
     boots: int
     description: str
     wrong_utc: frozenset[Key] = frozenset()
@@ -196,14 +209,10 @@ class Clocks:
         same = [key for key in self.senders if key[0] == source[0]]
         return max(same, key=lambda key: sum(self.senders[key].counts), default=None)
 
-    def _of(self, source: Key) -> _Sender | None:
+    def of(self, source: Key) -> SenderClock:
+        """The clock of a sender; where none is known, that of the ground station."""
         lender = self.lender(source)
-        return None if lender is None else self.senders[lender]
-
-    def boot(self, source: Key, at: NDArray[np.int64]) -> NDArray[np.int16]:
-        """The boot of messages at these places of the file."""
-        sender = self._of(source)
-        return np.zeros(at.shape, np.int16) if sender is None else sender.clock.line.boot_of(at)
+        return _HOST_CLOCK if lender is None else self.senders[lender]
 
     def advanced(self, source: Key, at: int, least_ns: int) -> bool:
         """Whether a sender's clock advances by so much at a place of the file, within a boot.
@@ -211,54 +220,17 @@ class Clocks:
         It does not at a restart, nor where only the ground station's clock was set. True where the
         sender has no clock.
         """
-        sender = self.senders.get(source)
-        if sender is None:
-            return True
+        sender = self.senders.get(source, _HOST_CLOCK)
         row = int(np.searchsorted(sender.at, at))
         if not 0 < row < sender.at.shape[0]:
             return True
-        boots = sender.clock.line.boot_of(sender.at[row - 1 : row + 1])
+        boots = sender.boot(sender.at[row - 1 : row + 1])
         step = int(sender.boot_ns[row] - sender.boot_ns[row - 1])
         return bool(boots[0] == boots[1]) and step >= least_ns
 
-    def boot_places(
-        self, source: Key, at: NDArray[np.int64], boot_ns: TimeArray
-    ) -> NDArray[np.int64]:
-        """Places whose boot is that of times since boot.
-
-        The first messages of a boot may come before the first reading of its clock: they get the
-        place of that.
-        """
-        sender = self._of(source)
-        if sender is None or sender.clock.line.boots == 1:
-            return at
-        row = np.maximum(np.searchsorted(sender.at, at, side="right") - 1, 0)
-        after = np.minimum(row + 1, sender.at.shape[0] - 1)
-        line = sender.clock.line
-        closer = np.abs(boot_ns - sender.boot_ns[after]) < np.abs(boot_ns - sender.boot_ns[row])
-        closer &= line.boot_of(sender.at[after]) != line.boot_of(at)
-        return np.asarray(np.where(closer, sender.at[after], at), np.int64)
-
-    def utc_of_host(self, source: Key, at: NDArray[np.int64], host_ns: TimeArray) -> TimeArray:
-        """UTC [ns] of messages without a time of their own."""
-        sender = self._of(source)
-        return host_ns if sender is None else sender.utc_of_host(at, host_ns)
-
-    def utc_of_boot(
-        self, source: Key, at: NDArray[np.int64], host_ns: TimeArray, boot_ns: TimeArray, turn: int
-    ) -> TimeArray:
-        """UTC [ns] of times since boot; without a clock of this sender, the log's own stamps.
-
-        ``turn`` is the time [ns] after which a count of 32 bits wraps.
-        """
-        sender = self._of(source)
-        if sender is None:
-            return host_ns
-        return sender.clock.utc(at, unrolled(boot_ns, sender.near(at), turn))
-
-    def with_own(self, source: Key, readings: ClockReadings, ledger: Ledger) -> Clocks:
+    def with_own(self, source: Key, readings: Readings, ledger: Ledger) -> Clocks:
         """These clocks and one more, set by the ground station's stamps through its lender's."""
-        sender = _fit_sender(readings, self._of(source), source, ledger)
+        sender = _fit_sender(readings, self.of(source), source, ledger)
         return replace(self, senders={**self.senders, source: sender})
 
 
@@ -288,22 +260,22 @@ def unrolled(stamp_ns: TimeArray, near_ns: TimeArray, turn: int) -> TimeArray:
     return np.asarray(np.where(fits, whole, stamp_ns), np.int64)
 
 
-def clocks_of(readings: ClockReadings | None, ledger: Ledger) -> Clocks:
+def clocks_of(readings: Readings, ledger: Ledger) -> Clocks:
     """Fit the clocks of all senders; residuals and fallbacks are entered in the ledger."""
-    if readings is None:
+    if not readings.size:
         ledger.fallback(
             "TIME-HOST-CLOCK",
             "no message carries the vehicle's time: the ground station's clock is used, "
             "which may be seconds off UTC",
         )
         return Clocks({}, 1, "ground station clock")
-    unique, counts = np.unique(readings.source, return_counts=True)
+    unique, counts = np.unique(readings["source"], return_counts=True)
     busiest = [divmod(key, 256) for key in unique[np.argsort(-counts, kind="stable")].tolist()]
     vehicle = busiest[0]
-    senders: dict[Key, _Sender] = {}
+    senders: dict[Key, SenderClock] = {}
     for source in busiest:
-        of_source = readings.take(readings.source == source[0] * 256 + source[1])
-        leader = senders.get(vehicle) if vehicle[0] == source[0] else None
+        of_source = _some(readings, readings["source"] == source[0] * 256 + source[1])
+        leader = senders.get(vehicle, _HOST_CLOCK) if vehicle[0] == source[0] else _HOST_CLOCK
         senders[source] = _fit_sender(of_source, leader, source, ledger)
     clock = senders[vehicle].clock
     known, boots = clock.utc_known.count(True), len(clock.utc_known)
@@ -315,33 +287,40 @@ def clocks_of(readings: ClockReadings | None, ledger: Ledger) -> Clocks:
     return Clocks(senders, clock.line.boots, description)
 
 
-def overtaken(readings: ClockReadings) -> NDArray[np.bool_]:
+def _some(readings: Readings, rows: NDArray[np.bool_]) -> Readings:
+    """Some of the readings, not copied where these are all: memory has its peak here."""
+    return readings if bool(rows.all()) else readings[rows]
+
+
+def overtaken(readings: Readings) -> NDArray[np.bool_]:
     """Which readings are of messages that others overtook: of one sender, (n,).
 
     They are up to `LATEST_NS` older than a reading before them, and their sender was on as long
     before that one was received: it was not restarted.
     """
-    newest = np.maximum.accumulate(readings.boot_ns)
-    row = np.maximum.accumulate(np.where(newest == readings.boot_ns, np.arange(newest.size), 0))
-    late = newest - readings.boot_ns
-    on_before = readings.host_ns - readings.boot_ns < readings.host_ns[row] - LATEST_NS
+    boot_ns, host_ns = readings["boot_ns"], readings["host_us"] * MICROSECOND
+    newest = np.maximum.accumulate(boot_ns)
+    row = np.maximum.accumulate(np.where(newest == boot_ns, np.arange(newest.size), 0))
+    late = newest - boot_ns
+    on_before = host_ns - boot_ns < host_ns[row] - LATEST_NS
     return np.asarray((late > BOOT_STEP_NS) & (late < LATEST_NS) & on_before, np.bool_)
 
 
 def _fit_sender(
-    readings: ClockReadings, leader: _Sender | None, source: Key, ledger: Ledger
-) -> _Sender:
+    readings: Readings, leader: SenderClock, source: Key, ledger: Ledger
+) -> SenderClock:
     """A sender's clock; without UTC of its own it is set by when its messages were received."""
     where = f"system {source[0]}, component {source[1]}"
-    readings = readings.take(~stray_times(readings.boot_ns))  # a glitch of the clock is no boot
-    if bool(np.any(np.diff(readings.boot_ns) < -BOOT_STEP_NS)):
-        readings = readings.take(~overtaken(readings))
-    at, boot_ns = readings.at, readings.boot_ns
+    readings = _some(readings, ~stray_times(readings["boot_ns"]))  # a glitch of it is no boot
+    if bool(np.any(np.diff(readings["boot_ns"]) < -BOOT_STEP_NS)):
+        readings = _some(readings, ~overtaken(readings))
+    at, boot_ns, sent_utc = readings["at"], readings["boot_ns"], readings["utc_ns"]
+    stamped_ns = readings["host_us"] * MICROSECOND
     step = np.diff(boot_ns)
     # A new boot starts near zero too, but not exactly when the count was full by the host's clock.
     # A message that was overtaken has the time before the wrap: a step by a turn the other way.
     turn = np.rint(-step / ROUND_MS).astype(np.int64)
-    turn[np.abs(step + turn * ROUND_MS - np.diff(readings.host_ns)) > NEAR_NS] = 0
+    turn[np.abs(step + turn * ROUND_MS - np.diff(stamped_ns)) > NEAR_NS] = 0
     if turn.any():
         turns = np.concatenate([[0], np.cumsum(turn)])
         boot_ns = np.asarray(boot_ns + turns * ROUND_MS, np.int64)
@@ -352,8 +331,7 @@ def _fit_sender(
             where=where,
             count=int(turns.max()),
         )
-    host_ns = readings.host_ns if leader is None else leader.utc_of_host(at, readings.host_ns)
-    sent_utc = readings.utc_ns
+    host_ns = leader.utc_of_host(at, stamped_ns)
     system_time = UtcReadings("SYSTEM_TIME messages", at, boot_ns, sent_utc, sent_utc > 0)
     received = UtcReadings("stamps", at, boot_ns, host_ns, np.ones(at.shape, np.bool_))
     clock = fit_boot_clock(timeline([(at, boot_ns)]), [system_time], ledger, received, where)
@@ -362,7 +340,7 @@ def _fit_sender(
     maps = []
     for number, (count, fit) in enumerate(zip(counts, clock.fits, strict=True)):
         rows = slice(sum(counts[:number]), sum(counts[:number]) + count)
-        maps.append(clock_map(readings.host_ns[rows], clock.utc(at[rows], boot_ns[rows])))
+        maps.append(clock_map(stamped_ns[rows], clock.utc(at[rows], boot_ns[rows])))
         if fit is not None and not clock.utc_known[number]:
             ledger.fallback(
                 "TIME-HOST-CLOCK",
@@ -374,4 +352,4 @@ def _fit_sender(
             )
     mark = np.ones(boot.shape, np.bool_)
     mark[1:] = (np.diff(boot_ns // NANOSECONDS_PER_SECOND) != 0) | (np.diff(boot) != 0)
-    return _Sender(at[mark], boot_ns[mark], clock, tuple(counts), tuple(maps))
+    return SenderClock(at[mark], boot_ns[mark], clock, tuple(counts), tuple(maps))

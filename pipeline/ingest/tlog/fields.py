@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from pipeline.ingest.attitude import gimbal_columns
-from pipeline.ingest.fields import ATTITUDE, GNSS, PRESSURE, MessageMap, column
+from pipeline.ingest.fields import ATTITUDE, GNSS, MAVLINK_FIX, PRESSURE, MessageMap, column
 
 INT16_MAX, UINT16_MAX = 32767.0, 65535.0
 
-_PLACE = (column("lat_rad", "lat", "degE7"), column("lon_rad", "lon lng", "degE7"))
+_PLACE = MAVLINK_FIX[:2]
 _ABOVE_HOME = (*_PLACE, column("h_msl_m", "alt", "mm"), column("h_home_m", "relative_alt", "mm"))
 _AXES = (("v_north_m_s", "vx"), ("v_east_m_s", "vy"), ("v_down_m_s", "vz"))
 _RATES = (
@@ -29,20 +29,7 @@ _RATES = (
 _EULER = tuple(column(f"{angle}_rad", angle) for angle in ("roll", "pitch", "yaw"))
 _EULER_DEG = tuple(column(f"{angle}_rad", angle, "deg") for angle in ("roll", "pitch", "yaw"))
 
-# Trimmed zeros of MAVLink 2 and the short MAVLink 1 message look like 0: 0 is missing.
-_GPS = (
-    *_PLACE,
-    column("h_msl_m", "alt", "mm"),
-    column("h_ellipsoid_m", "alt_ellipsoid", "mm", missing=0.0),
-    column("sigma_h_m", "h_acc", "mm plane", missing=0.0),
-    column("sigma_v_m", "v_acc", "mm", missing=0.0),
-    column("sigma_speed_m_s", "vel_acc", "mm", missing=0.0),
-    column("fix", "fix_type"),
-    column("satellites", "satellites_visible", missing=255.0),
-    column("hdop", "eph", "1/100", missing=UINT16_MAX),
-    column("speed_m_s", "vel", "cm", missing=UINT16_MAX),
-    column("course_rad", "cog", "cdeg", missing=UINT16_MAX),
-)
+_GPS = (*MAVLINK_FIX, column("sigma_speed_m_s", "vel_acc", "mm", missing=0.0))
 _BARO = (
     column("pressure_pa", "press_abs", "hPa"),
     column("board_temperature_k", "temperature", "cdegC"),
@@ -284,16 +271,7 @@ class Dialect:
             number = self.numbers.get(name)
             if number is not None:
                 dtype, kept = self.messages[number].dtype, set(fields)
-                where: Mapping[str, Any] = dtype.fields or {}
-                names = [field for field in dtype.names or () if field in kept]
-                result[number] = np.dtype(
-                    {
-                        "names": names,
-                        "formats": [where[field][0] for field in names],
-                        "offsets": [where[field][1] for field in names],
-                        "itemsize": dtype.itemsize,
-                    }
-                )
+                result[number] = dtype[[name for name in dtype.names or () if name in kept]]
         return result
 
 
@@ -327,13 +305,6 @@ def layout_of(layout: str, fields: list[str]) -> np.dtype[Any]:
     >>> layout_of("<If10s", ["time_boot_ms", "value", "name"]).itemsize
     18
     """
-    kinds: list[tuple[str, str] | tuple[str, str, int]] = []
     items = re.findall(r"(\d*)([a-zA-Z])", layout)
-    for field, (count, letter) in zip(fields, items, strict=True):
-        if letter == "s":
-            kinds.append((field, f"S{count or 1}"))
-        elif count:
-            kinds.append((field, f"<{letter}", int(count)))
-        else:
-            kinds.append((field, f"<{letter}"))
-    return np.dtype(kinds)
+    kinds = [f"S{count or 1}" if kind == "s" else f"{count}<{kind}" for count, kind in items]
+    return np.dtype(list(zip(fields, kinds, strict=True)))

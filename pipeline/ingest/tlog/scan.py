@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -60,29 +60,6 @@ class RejectedFrames:
     size: int = 0
 
 
-@dataclass
-class Scan(DamagedBytes):
-    """The messages of a log, and what is damaged or missing.
-
-    ``counts`` of messages by id; ``sent`` the wanted ones in the order of the file, with ``at``
-    (byte offset), ``host_us`` (the ground station's clock), ``source`` (system times 256 plus
-    component) and ``records`` (the payload); ``clock`` samples of the senders' clocks; ``unknown``
-    ids that cannot be checked (they are in ``counts``), ``failed`` checksums; ``lost`` by the
-    sequence numbers of each (system, component), which count modulo 256; ``silences`` of senders;
-    ``steady`` whether no stamp of the ground station lies more than a second before the one before:
-    a stray one has one or follows one.
-    """
-
-    counts: Counter[int] = field(default_factory=Counter)
-    sent: dict[int, ColumnStore] = field(default_factory=dict)
-    clock: Sampler = field(default_factory=Sampler)
-    unknown: dict[int, RejectedFrames] = field(default_factory=dict)
-    failed: dict[int, RejectedFrames] = field(default_factory=dict)
-    lost: Counter[Key] = field(default_factory=Counter)
-    silences: list[Silence] = field(default_factory=list)
-    steady: bool = True
-
-
 def scan(
     data: FileView,
     extras: Mapping[int, int],
@@ -104,20 +81,21 @@ def scan(
     An id outside the dialect counts as a message where frames follow each other without a gap from
     one accepted frame to the next; CRC-16/MCRF4XX as the MAVLink library computes it.
     """
-    scanner = _Scanner(data, extras, wanted, late)
-    for begin in range(0, data.size, stretch):
-        scanner.scan_stretch(begin, min(begin + stretch, data.size))
-    if scanner.end < data.size:
-        rest = scanner.fill(scanner.end, data.size)
-        if len(rest):
-            scanner.count_lost(rest)
-    return scanner.result
+    result = Scan(data, extras, wanted, late)
+    result.read(stretch)
+    return result
 
 
-class _Scanner:
-    """The state between two stretches: the end of the last accepted frame, and the result so far.
+class Scan(DamagedBytes):
+    """The messages of a log, and what is damaged or missing.
 
-    ``row_types`` of kept messages: the fields of their layout without the gaps between them.
+    ``counts`` of messages by id; ``sent`` the wanted ones in the order of the file, with ``at``
+    (byte offset), ``host_us`` (the ground station's clock), ``source`` (system times 256 plus
+    component) and ``records`` (the payload); ``clock`` samples of the senders' clocks; ``unknown``
+    ids that cannot be checked (they are in ``counts``), ``failed`` checksums; ``lost`` by the
+    sequence numbers of each (system, component), which count modulo 256; ``silences`` of senders;
+    ``steady`` whether no stamp of the ground station lies more than a second before the one before:
+    a stray one has one or follows one.
     """
 
     def __init__(
@@ -127,81 +105,95 @@ class _Scanner:
         wanted: Mapping[int, np.dtype[Any]],
         late: Set[int],
     ) -> None:
-        self.data = data
-        self.extras = extras
-        self.wanted = wanted
-        self.row_types: dict[int, np.dtype[Any]] = {}
+        super().__init__()
+        self.counts: Counter[int] = Counter()
+        self.sent: dict[int, ColumnStore] = {}
+        self.clock = Sampler()
+        self.unknown: dict[int, RejectedFrames] = {}
+        self.failed: dict[int, RejectedFrames] = {}
+        self.lost: Counter[Key] = Counter()
+        self.silences: list[Silence] = []
+        self.steady = True
+        self._data = data
+        self._extras = extras
+        self._wanted = wanted
+        self._row_types: dict[int, np.dtype[Any]] = {}
         for number, layout in wanted.items():
             packed = np.dtype([(name, layout[name]) for name in layout.names or ()])
             columns = [("at", "i8"), ("host_us", "i8"), ("source", "u2"), ("records", packed)]
-            self.row_types[number] = np.dtype(columns)
-        self.late = late
-        self.end = 0
-        self.host_us = 0
-        self.result = Scan()
-        self.sequences: dict[int, int] = {}
-        self.highest: dict[int, int] = {}  # how far the highest number is ahead of the last
-        self.heard_us: dict[int, int] = {}
+            self._row_types[number] = np.dtype(columns)
+        self._late = late
+        self._end = 0
+        self._host_us = 0
+        self._sequences: dict[int, int] = {}
+        self._highest: dict[int, int] = {}  # how far the highest number is ahead of the last
+        self._heard_us: dict[int, int] = {}
+
+    def read(self, stretch: int) -> None:
+        """Walk over the file."""
+        for begin in range(0, self._data.size, stretch):
+            self.scan_stretch(begin, min(begin + stretch, self._data.size))
+        if self._end < self._data.size:
+            rest = self._fill(self._end, self._data.size)
+            if len(rest):
+                self._count_lost(rest)
 
     def scan_stretch(self, begin: int, stop: int) -> None:
         """Scan the frames that begin in a stretch."""
-        window = self.data.array(begin, stop + LONGEST)
+        window = self._data.array(begin, stop + LONGEST)
         room = window.shape[0]
-        if stop == self.data.size:
+        if stop == self._data.size:
             window = _padded(window)
         places = candidates(window, stop - begin)
-        frames = headers(window, places[places >= self.end - begin], room)
-        frames = frames.take(checksums_hold(window, frames, self.extras))
+        frames = headers(window, places[places >= self._end - begin], room)
+        frames = frames.take(checksums_hold(window, frames, self._extras))
         if not bool(np.all(frames.at[1:] >= frames.end[:-1])):
             # some begin inside the one before, as where a payload holds a log
-            rows, end = [], 0
+            apart, end = [], 0
             for row, pair in enumerate(zip(frames.at.tolist(), frames.end.tolist(), strict=True)):
                 if pair[0] >= end:
-                    rows.append(row)
+                    apart.append(row)
                     end = pair[1]
-            frames = frames.take(np.array(rows, np.intp))
-        self._keep(window, frames, begin)
-        frames = frames.moved(begin)
-        if len(frames):
-            step = np.diff(frames.host_us, prepend=self.host_us or int(frames.host_us[0]))
-            self.result.steady &= bool(np.all(step >= -STEADY_US))
-            self.host_us = int(frames.host_us[-1])
-            ends = np.concatenate([[self.end], frames.end[:-1]])
-            gaps = np.flatnonzero(ends != frames.at)
-            filled = [self.fill(int(ends[k]), int(frames.at[k])) for k in gaps]
-            between = [part for part in filled if len(part)]
-            self.count_lost(joined([frames, *between]) if between else frames)
-            self.end = int(frames.end[-1])
-        small = frames.message_id[frames.message_id < 1 << 16]
-        for number, count in enumerate(np.bincount(small).tolist()):
-            if count:
-                self.result.counts[number] += count
-
-    def _keep(self, window: Bytes, frames: Frames, begin: int) -> None:
+            frames = frames.take(np.array(apart, np.intp))
         timed = []
-        for number, dtype in self.wanted.items():
+        for number, dtype in self._wanted.items():
             chosen = np.flatnonzero(frames.message_id == number)
             if chosen.shape[0]:
                 of_type = frames.take(chosen)
                 payload = payloads(window, of_type, dtype)
-                rows = np.empty(chosen.shape, self.row_types[number])
+                rows = np.empty(chosen.shape, self._row_types[number])
                 rows["at"], rows["host_us"] = of_type.at + begin, of_type.host_us
                 rows["source"] = _source_of(of_type)
                 for name in dtype.names or ():
                     rows["records"][name] = payload[name]
-                self.result.sent.setdefault(number, ColumnStore(rows.dtype)).add(rows)
-                if number not in self.late and "time_boot_ms" in (dtype.names or ()):
+                self.sent.setdefault(number, ColumnStore(rows.dtype)).add(rows)
+                if number not in self._late and "time_boot_ms" in (dtype.names or ()):
                     timed.append(rows)
-        self.result.clock.take(timed)
+        self.clock.take(timed)
+        frames = frames.moved(begin)
+        if len(frames):
+            step = np.diff(frames.host_us, prepend=self._host_us or int(frames.host_us[0]))
+            self.steady &= bool(np.all(step >= -STEADY_US))
+            self._host_us = int(frames.host_us[-1])
+            ends = np.concatenate([[self._end], frames.end[:-1]])
+            gaps = np.flatnonzero(ends != frames.at)
+            filled = [self._fill(int(ends[k]), int(frames.at[k])) for k in gaps]
+            between = [part for part in filled if len(part)]
+            self._count_lost(joined([frames, *between]) if between else frames)
+            self._end = int(frames.end[-1])
+        small = frames.message_id[frames.message_id < 1 << 16]
+        for number, count in enumerate(np.bincount(small).tolist()):
+            if count:
+                self.counts[number] += count
 
-    def fill(self, begin: int, stop: int) -> Frames:
+    def _fill(self, begin: int, stop: int) -> Frames:
         """Count the bytes between two accepted frames; returns the frames among them."""
         places: list[int] = []  # of frames that follow each other without a gap
         at = first = begin
         view = b""
         while at < stop:
             if at + LONGEST > first + len(view) < stop:
-                first, view = at, self.data[at : min(at + STRETCH, stop)]
+                first, view = at, self._data[at : min(at + STRETCH, stop)]
             length = frame_length(view, at - first)
             if not length or at + length > stop:
                 break
@@ -209,35 +201,35 @@ class _Scanner:
             at += length
         cut = 0
         if at < stop:
-            rest = self.data[at : at + LONGEST]
-            is_cut = stop == self.data.size and (
+            rest = self._data[at : at + LONGEST]
+            is_cut = stop == self._data.size and (
                 stop - at < SHORTEST or frame_length(rest, 0) > len(rest)
             )
             if is_cut and places:  # not behind a frame whose checksum fails
-                head = _padded(self.data.array(places[-1], places[-1] + HEAD))
+                head = _padded(self._data.array(places[-1], places[-1] + HEAD))
                 last = headers(head, np.zeros(1, np.int64), LONGEST)
-                is_cut = int(last.message_id[0]) not in self.extras
+                is_cut = int(last.message_id[0]) not in self._extras
             if is_cut:
                 cut = stop - at
             elif places:
                 at = places.pop()  # its length may be damaged
-        self.result.cut_bytes += cut
+        self.cut_bytes += cut
         if at + cut < stop:
-            self.result.drop(at, stop)
-        window = _padded(self.data.array(begin, at))
+            self.drop(at, stop)
+        window = _padded(self._data.array(begin, at))
         frames = headers(window, np.array(places, np.int64) - begin, at - begin).moved(begin)
         columns = (frames.message_id, frames.at, frames.total)
         for number, place, total in zip(*(column.tolist() for column in columns), strict=True):
-            known = number in self.extras
-            by_id = self.result.failed if known else self.result.unknown
+            known = number in self._extras
+            by_id = self.failed if known else self.unknown
             rejected = by_id.setdefault(number, RejectedFrames())
             rejected.count += 1
             rejected.size += total
             rejected.first = place if rejected.first < 0 else rejected.first
-            self.result.counts[number] += 0 if known else 1
+            self.counts[number] += 0 if known else 1
         return frames
 
-    def count_lost(self, frames: Frames) -> None:
+    def _count_lost(self, frames: Frames) -> None:
         """Messages missing by the sequence numbers of each sender.
 
         A step back or a repeat (a second link, a restart) is no loss: of the 256 possible steps the
@@ -251,18 +243,18 @@ class _Scanner:
         for first, stop in zip(begin, [*begin[1:], order.shape[0]], strict=True):
             key = int(source[order[first]])
             numbers = sequence[first:stop]
-            before = np.uint8(self.sequences.get(key, (int(numbers[0]) - 1) % 256))
+            before = np.uint8(self._sequences.get(key, (int(numbers[0]) - 1) % 256))
             step = np.diff(numbers, prepend=before) - np.uint8(1)
-            self.sequences[key] = int(numbers[-1])
+            self._sequences[key] = int(numbers[-1])
             host = host_us[first:stop]
-            heard_us = self.heard_us.get(key, int(host[0]))
+            heard_us = self._heard_us.get(key, int(host[0]))
             forward = step.view(np.int8).astype(np.int64) + 1
             forward[(forward < 0) & (np.diff(host, prepend=heard_us) > SILENT_US)] = 1
-            place, highest = np.cumsum(forward), self.highest.get(key, 0)
+            place, highest = np.cumsum(forward), self._highest.get(key, 0)
             new = np.unique(place[place > highest])
             lost = int(new[-1]) - highest - new.shape[0] if new.size else 0
-            self.highest[key] = max(highest, int(place.max())) - int(place[-1])
-            self.result.lost[divmod(key, 256)] += lost
+            self._highest[key] = max(highest, int(place.max())) - int(place[-1])
+            self.lost[divmod(key, 256)] += lost
             for row in np.flatnonzero(np.diff(host, prepend=heard_us) > SILENT_US).tolist():
                 last = int(host[max(row - STRAY_ROWS - 1, 0) : row].max(initial=heard_us))
                 silent_us = int(host[row : row + STRAY_ROWS + 1].min()) - last
@@ -270,8 +262,8 @@ class _Scanner:
                     at = int(frames.at[order[first + row]])
                     backward = int(step[row]) if step[row] >= 128 else 0
                     silence = Silence(divmod(key, 256), at, silent_us / 1e6, backward)
-                    self.result.silences.append(silence)
-            self.heard_us[key] = int(host[-1])
+                    self.silences.append(silence)
+            self._heard_us[key] = int(host[-1])
 
 
 def _source_of(frames: Frames) -> NDArray[np.uint16]:

@@ -12,12 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import LogError
-from pipeline.flight.channels import Source, TimeArray
+from pipeline.flight.channels import Source
 from pipeline.flight.clock import STRAY_ROWS, UNIX_US_FROM, stray_times
 from pipeline.ingest.attitude import earth_frame_attitude
-from pipeline.ingest.boot_clock import UtcReadings, fit_boot_clock, microseconds, timeline
+from pipeline.ingest.boot_clock import (
+    UtcReadings,
+    fit_boot_clock,
+    microseconds,
+    nanoseconds,
+    timeline,
+)
 from pipeline.ingest.buffers import open_view
-from pipeline.ingest.channel_builder import DecodedRows, channel_of
+from pipeline.ingest.channel_builder import DecodedRows, channel_of, without_stray
 from pipeline.ingest.fields import MessageMap, extract
 from pipeline.ingest.log import Contents, LogFormat, Table
 from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, TOPICS, UTC_FIELD, captured_rows
@@ -54,29 +60,20 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
     channels = []
     for (topic, instance), rows in messages.rows.items():
         source = Source(topic, str(instance) if topic in numbered else None)
-        spec, name, boot_ns = TOPICS[topic], names[topic, instance], _times(rows)
+        spec, name, boot_ns = TOPICS[topic], names[topic, instance], nanoseconds(rows["timestamp"])
         fields = {_ELEMENT.sub(r".\1", field): rows[field] for field in _names(rows)}
         columns = extract(fields, spec.columns)
         if "flags" in columns:
             columns = earth_frame_attitude(columns)
         boot = np.zeros(boot_ns.shape, np.int16)
         decoded = DecodedRows(name, source, boot_ns + offset_ns, boot, columns)
-        stray = stray_times(boot_ns)
-        if stray.any():
-            ledger.loss(
-                "TIME-STRAY",
-                f"{int(stray.sum())} of {len(decoded)} rows carry a time that fits none of "
-                "their neighbours: they are not used",
-                where=f"{name}, first at row {int(np.flatnonzero(stray)[0])}",
-                count=int(stray.sum()),
-            )
-            decoded = decoded.take(~stray)
+        decoded = without_stray(decoded, stray_times(boot_ns), ledger)
         decoded = captured_rows(decoded, ledger) if spec.event else decoded
         channel = channel_of(decoded, spec, ledger)
         if channel:
             channels.append(channel)
     times = [time_us for time_us, _ in messages.texts]
-    boot_ns = microseconds(np.array(times, np.uint64)) * 1000
+    boot_ns = nanoseconds(np.array(times, np.uint64))
     texts = {"text": tuple(text for _, text in messages.texts)}
     boot = np.zeros(boot_ns.shape, np.int16)
     said = DecodedRows("MSG", Source("MSG"), boot_ns + offset_ns, boot, {}, texts)
@@ -117,10 +114,6 @@ def _names(rows: NDArray[Any]) -> tuple[str, ...]:
     return rows.dtype.names or ()
 
 
-def _times(rows: NDArray[Any]) -> TimeArray:
-    return microseconds(rows["timestamp"]) * 1000
-
-
 def report_silences(messages: ULogMessages, name: str, ledger: Ledger) -> None:
     """Enter the times in which no topic has a message, though some come at regular intervals.
 
@@ -129,7 +122,7 @@ def report_silences(messages: ULogMessages, name: str, ledger: Ledger) -> None:
     """
     parts, shortest = [], float(LONGEST_INTERVAL_NS)
     for rows in messages.rows.values():
-        time_ns = _times(rows)[2:]
+        time_ns = nanoseconds(rows["timestamp"])[2:]
         time_ns = time_ns[~stray_times(time_ns)]
         interval = float(np.median(np.diff(time_ns))) if time_ns.size > STRAY_ROWS else np.inf
         if interval <= LONGEST_INTERVAL_NS:
@@ -158,34 +151,22 @@ def report_silences(messages: ULogMessages, name: str, ledger: Ledger) -> None:
 def _clock(
     rows_of: TopicRows, names: Mapping[tuple[str, int], str], ledger: Ledger
 ) -> tuple[int, str]:
-    """UTC minus time since boot [ns], and where it comes from.
-
-    Receivers come first: the UTC of a camera is the autopilot's own clock, which it sets by its
-    receiver now and then.
-    """
+    """UTC minus time since boot [ns], and where it comes from."""
+    by_role: dict[str, list[UtcReadings]] = {"position": [], "events": []}
     for field, role in ((UTC_FIELD, "position"), (CAPTURE_UTC_FIELD, "events")):
-        sources = []
         for (topic, instance), rows in rows_of.items():
-            if role not in TOPICS[topic].roles or field not in _names(rows):
-                continue
-            boot_ns, utc_us = _times(rows), microseconds(rows[field])
-            usable = (utc_us > UNIX_US_FROM) & ~stray_times(boot_ns)
-            fix = rows["fix_type"] if "fix_type" in _names(rows) else np.empty(0)
-            places = np.arange(boot_ns.shape[0])
-            words = f"rows of {names[topic, instance]}"
-            utc_readings = UtcReadings(words, places, boot_ns, utc_us * 1000, usable, fix)
-            if utc_readings.sound(_ONE_BOOT).places.size:
-                sources.append(utc_readings)
-        if sources:
-            fit = fit_boot_clock(_ONE_BOOT, sources, ledger).fits[0]
-            words = "vehicle clock, set to UTC by the median of"
-            return (fit.offset_ns, f"{words} {fit.rows} rows") if fit else (0, "")
-    ledger.fallback(
-        "TIME-NO-UTC",
-        "no GPS row with a fix and UTC: time counts from boot, as if in 1970; events in this log "
-        "can be used, matching by UTC is impossible",
-        where="boot 0",
-    )
+            if role in TOPICS[topic].roles and field in _names(rows):
+                boot_ns, utc_us = nanoseconds(rows["timestamp"]), microseconds(rows[field])
+                usable = (utc_us > UNIX_US_FROM) & ~stray_times(boot_ns)
+                fix = rows["fix_type"] if "fix_type" in _names(rows) else np.empty(0)
+                places, words = np.arange(len(rows)), f"rows of {names[topic, instance]}"
+                readings = UtcReadings(words, places, boot_ns, utc_us * 1000, usable, fix)
+                by_role[role].append(readings)
+    receivers, cameras = by_role.values()
+    utc_of = "GPS row with a fix and UTC"
+    clock = fit_boot_clock(_ONE_BOOT, receivers, ledger, cameras=cameras, utc_of=utc_of)
+    if fit := clock.fits[0]:
+        return fit.offset_ns, f"vehicle clock, set to UTC by the median of {fit.rows} rows"
     return 0, "vehicle clock; UTC is unknown"
 
 
@@ -200,5 +181,5 @@ def _table(path: Path, offset_ns: int, topic: str, instance: str | None) -> Tabl
         return {}
     rows = np.concatenate(list(rows_of.values()))
     numbers = np.repeat(np.array(list(rows_of), np.int16), [len(part) for part in rows_of.values()])
-    table: Table = {"time_ns": _times(rows) + offset_ns, "instance": numbers}
+    table: Table = {"time_ns": nanoseconds(rows["timestamp"]) + offset_ns, "instance": numbers}
     return table | {field: rows[field] for field in _names(rows)}

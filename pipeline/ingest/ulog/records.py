@@ -12,7 +12,6 @@ import re
 import struct
 from collections import Counter, defaultdict
 from collections.abc import Collection
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -48,47 +47,6 @@ _LEVELS = tuple(bytes([level]) for level in b"01234567")
 
 Fields = list[tuple[str, int, str]]
 """Type, number of elements (0 for no array) and name of each field of a format."""
-
-
-@dataclass
-class ULogMessages(DamagedBytes):
-    """What a file holds.
-
-    ``counts`` the data messages by topic; ``rows`` of the wanted topics by name and instance, each
-    a structured array; ``timeless`` topics, whose format has no timestamp: they have no rows.
-    ``damaged_values`` counts parameters and items of information whose value does not have the
-    length of its type; ``dropouts_ms`` the durations in which the logger lost messages. ``texts``
-    what the vehicle says, with its time since boot [us]; ``parameters`` by name, the last value of
-    each.
-    """
-
-    counts: Counter[str] = field(default_factory=Counter)
-    rows: dict[tuple[str, int], NDArray[Any]] = field(default_factory=dict)
-    timeless: set[str] = field(default_factory=set)
-    damaged_values: int = 0
-    dropouts_ms: list[int] = field(default_factory=list)
-    texts: list[tuple[int, str]] = field(default_factory=list)
-    parameters: dict[str, float] = field(default_factory=dict)
-
-    def report_damage(self, ledger: Ledger, file_name: str) -> None:
-        """Enter what is damaged. The format does not number messages: lost ones are not counted."""
-        self.report_bytes(ledger, file_name, "message")
-        for topic in sorted(self.timeless):
-            count = self.counts[topic]
-            what = f"{count} rows cannot be used: the log defines no field for timestamp"
-            ledger.loss("LOG-FIELDS", what, where=topic, count=count)
-        if self.damaged_values:
-            ledger.loss(
-                "LOG-ULOG-DAMAGE",
-                f"{self.damaged_values} values of parameters or of information do not have the "
-                "length of their type; how many messages are lost is unknown",
-                where=file_name,
-                count=self.damaged_values,
-            )
-        if self.dropouts_ms:
-            count, lost_s = len(self.dropouts_ms), sum(self.dropouts_ms) / 1000.0
-            what = f"the logger could not keep up {count} times, {lost_s:.3f} s together"
-            ledger.loss("LOG-DROPOUT", what, where=file_name, count=count)
 
 
 def flags_of(data: FileView) -> tuple[bytes, list[int]]:
@@ -172,36 +130,71 @@ class ULogDefinitions:
 
 
 def read_messages(data: FileView, wanted: Collection[str]) -> ULogMessages:
-    """The messages of a file, those of the wanted topics as rows.
+    """The messages of a file with a whole header, those of the wanted topics as rows."""
+    messages = ULogMessages(data, wanted)
+    messages.read()
+    return messages
 
-    Parameters
-    ----------
-    data : the file, with a whole header.
+
+class ULogMessages(DamagedBytes):
+    """What a file holds, filled by one walk over it.
+
+    ``counts`` the data messages by topic; ``rows`` of the wanted topics by name and instance, each
+    a structured array; ``timeless`` topics, whose format has no timestamp: they have no rows.
+    ``damaged_values`` counts parameters and items of information whose value does not have the
+    length of its type; ``dropouts_ms`` the durations in which the logger lost messages. ``texts``
+    what the vehicle says, with its time since boot [us]; ``parameters`` by name, the last value of
+    each.
     """
-    return _MessageWalk(data, wanted).run()
 
-
-class _MessageWalk:
     def __init__(self, data: FileView, wanted: Collection[str]) -> None:
-        self.data = data
-        self.wanted = wanted
-        self.result = ULogMessages()
-        self.definitions = ULogDefinitions()
-        self.defining = True  # until the first subscription or text
-        self.appended = flags_of(data)[1]
-        self.places: defaultdict[int, list[int]] = defaultdict(list)  # of data, in one block
-        self.stores: dict[tuple[str, int], ColumnStore] = {}
+        super().__init__()
+        self.counts: Counter[str] = Counter()
+        self.rows: dict[tuple[str, int], NDArray[Any]] = {}
+        self.timeless: set[str] = set()
+        self.damaged_values = 0
+        self.dropouts_ms: list[int] = []
+        self.texts: list[tuple[int, str]] = []
+        self.parameters: dict[str, float] = {}
+        self._data = data
+        self._wanted = wanted
+        self._definitions = ULogDefinitions()
+        self._defining = True  # until the first subscription or text
+        self._appended = flags_of(data)[1]
+        self._places: defaultdict[int, list[int]] = defaultdict(list)  # of data, in one block
+        self._stores: dict[tuple[str, int], ColumnStore] = {}
 
-    def run(self) -> ULogMessages:
-        at, end = FILE_HEADER, self.data.size
-        sizes, unpack, places_of = self.definitions.sizes, DATA.unpack_from, self.places
-        if self.data[0 : len(MAGIC)] != MAGIC:
-            self.result.drop(0, FILE_HEADER)
+    def report_damage(self, ledger: Ledger, file_name: str) -> None:
+        """Enter what is damaged. The format does not number messages: lost ones are not counted."""
+        self.report_bytes(ledger, file_name, "message")
+        for topic in sorted(self.timeless):
+            count = self.counts[topic]
+            what = f"{count} rows cannot be used: the log defines no field for timestamp"
+            ledger.loss("LOG-FIELDS", what, where=topic, count=count)
+        if self.damaged_values:
+            ledger.loss(
+                "LOG-ULOG-DAMAGE",
+                f"{self.damaged_values} values of parameters or of information do not have the "
+                "length of their type; how many messages are lost is unknown",
+                where=file_name,
+                count=self.damaged_values,
+            )
+        if self.dropouts_ms:
+            count, lost_s = len(self.dropouts_ms), sum(self.dropouts_ms) / 1000.0
+            what = f"the logger could not keep up {count} times, {lost_s:.3f} s together"
+            ledger.loss("LOG-DROPOUT", what, where=file_name, count=count)
+
+    def read(self) -> None:
+        """Walk over the file."""
+        at, end = FILE_HEADER, self._data.size
+        sizes, unpack, places_of = self._definitions.sizes, DATA.unpack_from, self._places
+        if self._data[0 : len(MAGIC)] != MAGIC:
+            self.drop(0, FILE_HEADER)
         while at < end:
-            raw = self.data[at : at + SPAN + LONGEST]
+            raw = self._data[at : at + SPAN + LONGEST]
             last = len(raw) if at + len(raw) >= end else SPAN
             data_last = min(last, len(raw) - HEAD.size - 2)
-            stop = len(raw) if not self.appended else 0  # such files are read message by message
+            stop = len(raw) if not self._appended else 0  # such files are read message by message
             place = 0
             while place < last:
                 while place < data_last:  # data wall to wall, which most of a file is
@@ -216,27 +209,26 @@ class _MessageWalk:
                     place = following
                 length = self._length(raw, place, at) if place < last else 0
                 if length and not self._take(raw, place, length):
-                    self.result.drop(at + place, at + place + length)
+                    self.drop(at + place, at + place + length)
                 elif place < last and not length:
                     length = self._resume(raw, place, at) - at - place
                 place += length
             view = np.frombuffer(raw, np.uint8)
-            for number, places in self.places.items():
-                name, instance = self.definitions.topics[number]
-                self.result.counts[name] += len(places)
-                columns = self.definitions.columns.get(name)
+            for number, places in self._places.items():
+                name, instance = self._definitions.topics[number]
+                self.counts[name] += len(places)
+                columns = self._definitions.columns.get(name)
                 if columns is None:
-                    self.result.timeless.add(name)
-                elif name in self.wanted:
-                    store = self.stores.setdefault((name, instance), ColumnStore(columns))
+                    self.timeless.add(name)
+                elif name in self._wanted:
+                    store = self._stores.setdefault((name, instance), ColumnStore(columns))
                     starts = np.array(places, np.int64) + DATA.size
                     store.add(gather(view, starts, columns.itemsize).view(columns))
-            self.places.clear()
+            self._places.clear()
             at += place
-        self.result.rows = {
-            key: store.whole() for key, store in sorted(self.stores.items()) if len(store)
+        self.rows = {
+            key: store.whole() for key, store in sorted(self._stores.items()) if len(store)
         }
-        return self.result
 
     def _length(self, raw: bytes, place: int, base: int, *, loose: bool = False) -> int:
         """The length of the message that begins here; 0 where none does.
@@ -247,7 +239,7 @@ class _MessageWalk:
             return 0
         size, kind = HEAD.unpack_from(raw, place)
         end = place + HEAD.size + size
-        if end > len(raw) or any(base + place < cut < base + end for cut in self.appended):
+        if end > len(raw) or any(base + place < cut < base + end for cut in self._appended):
             return 0
         fits = self._fits(raw, place, base)
         return HEAD.size + size if fits or (loose and kind == _DATUM and size >= 10) else 0
@@ -266,7 +258,7 @@ class _MessageWalk:
             return begin + 1 + len(key) <= end and _KEY.fullmatch(key) is not None
         if kind == _DATUM:
             number = int.from_bytes(raw[content : content + 2], "little")
-            least, most = self.definitions.sizes.get(number, (1, 0))
+            least, most = self._definitions.sizes.get(number, (1, 0))
             return bool(least + 2 <= size <= most + 2)
         if kind == ord("B"):
             return bool(base + place == FILE_HEADER and size >= FLAGS.size)
@@ -276,61 +268,63 @@ class _MessageWalk:
         """Take a message; False where it cannot be used."""
         kind, begin, end = raw[place + 2], place + HEAD.size, place + length
         if kind == _DATUM:
-            self.places[raw[begin] | raw[begin + 1] << 8].append(place)
+            self._places[raw[begin] | raw[begin + 1] << 8].append(place)
         elif kind == ord("F"):  # among the data it is none
-            return self.defining and self.definitions.define(raw[begin:end])
+            return self._defining and self._definitions.define(raw[begin:end])
         elif kind in b"ALC":
-            self.defining = False
+            self._defining = False
             if kind != ord("A") and (begin := begin + (3 if kind == ord("C") else 1)) + 8 <= end:
                 text = raw[begin + 8 : end].decode("utf-8", "replace")
-                self.result.texts.append((int.from_bytes(raw[begin : begin + 8], "little"), text))
-            return kind != ord("A") or self.definitions.subscribe(raw[begin:end])
+                self.texts.append((int.from_bytes(raw[begin : begin + 8], "little"), text))
+            return kind != ord("A") or self._definitions.subscribe(raw[begin:end])
         elif kind in _KEYED:
             begin += _KEYED[kind]
             value = begin + 1 + raw[begin]
             key = _KEY.fullmatch(raw[begin + 1 : value])
             dtype = _TYPES.get(key[1].decode()) if key else None
             fits = dtype is None or end - value == int(dtype[-1])
-            self.result.damaged_values += not fits
+            self.damaged_values += not fits
             if kind == ord("P") and key and dtype and fits:
                 name = key[0].decode().partition(" ")[2]
-                self.result.parameters[name] = float(np.frombuffer(raw[value:end], dtype)[0])
-        elif kind == ord("O") and not self.defining:
-            self.result.dropouts_ms.append(int.from_bytes(raw[begin:end], "little"))
+                self.parameters[name] = float(np.frombuffer(raw[value:end], dtype)[0])
+        elif kind == ord("O") and not self._defining:
+            self.dropouts_ms.append(int.from_bytes(raw[begin:end], "little"))
         return True
 
     def _resume(self, raw: bytes, place: int, base: int) -> int:
         """Where in the file messages go on after a place that begins none."""
         at = base + place
         skipped = self._length(raw, place, base, loose=True)  # data whose definition was lost
-        unknown = int.from_bytes(raw[place + 3 : place + 5], "little") not in self.definitions.sizes
+        unknown = (
+            int.from_bytes(raw[place + 3 : place + 5], "little") not in self._definitions.sizes
+        )
         if skipped and unknown and self._linked(raw, place + skipped, base):
-            self.result.drop(at, at + skipped)
+            self.drop(at, at + skipped)
             return at + skipped
         begin, reach = at + 1, NEAR
-        while begin < self.data.size:
-            view = self.data.array(begin, begin + reach + LONGEST * LINKS)
+        while begin < self._data.size:
+            view = self._data.array(begin, begin + reach + LONGEST * LINKS)
             block = view.tobytes()
             starts = np.flatnonzero(np.isin(view[2 : reach + 2], _KINDS)).tolist()
-            cuts = [cut - begin for cut in self.appended if begin <= cut < begin + reach]
+            cuts = [cut - begin for cut in self._appended if begin <= cut < begin + reach]
             for start in sorted({*starts, *cuts}):
                 if self._linked(block, start, begin):
-                    self.result.drop(at, begin + start)
+                    self.drop(at, begin + start)
                     return begin + start
             begin, reach = begin + reach, SPAN
-        rest = self.data[at : at + LONGEST]
+        rest = self._data[at : at + LONGEST]
         cut = len(rest) < HEAD.size + 2 or HEAD.unpack_from(rest)[0] + HEAD.size > len(rest)
         if cut and (len(rest) < HEAD.size + 2 or self._fits(rest, 0, at)):
-            self.result.cut_bytes = self.data.size - at
+            self.cut_bytes = self._data.size - at
         else:
-            self.result.drop(at, self.data.size)
-        return self.data.size
+            self.drop(at, self._data.size)
+        return self._data.size
 
     def _linked(self, raw: bytes, place: int, base: int) -> bool:
         """Whether three messages follow each other from here, or fewer up to the file's end."""
-        if base + place in self.appended:
+        if base + place in self._appended:
             return True
-        whole = base + len(raw) >= self.data.size
+        whole = base + len(raw) >= self._data.size
         for link in range(LINKS):
             length = self._length(raw, place, base, loose=link > 0)
             if not length:

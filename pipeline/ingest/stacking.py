@@ -1,0 +1,92 @@
+"""Columns of messages whose definitions differ, as one table: no value is altered."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.ingest.log import Table
+
+EXACT = 1 << 53  # every integer up to here is a float64
+_WORD = 1 << 64
+
+
+def column_of(values: list[Any]) -> NDArray[Any]:
+    """Values of any kind as one column; None is a message that has none.
+
+    Parameters
+    ----------
+    values : of one field, a message each.
+
+    Returns bool, int64, uint64 or float64 where that alters no number (NaN where one is missing),
+    str where all are texts ("" where one is missing), else the values as objects.
+
+    >>> column_of([2**60 + 1, -5]).tolist(), column_of([1, None]), column_of([1, "n/a"])
+    ([1152921504606846977, -5], array([ 1., nan]), array([1, 'n/a'], dtype=object))
+    """
+    kinds = {type(value) for value in values}
+    whole, there = type(None) not in kinds, kinds - {type(None)}
+    if there == {str}:
+        return np.array(["" if value is None else value for value in values], np.str_)
+    if there == {bool} and whole:
+        return np.array(values, np.bool_)
+    if there and there <= {bool, int} and whole:
+        low, high = min(values), max(values)
+        if low >= -_WORD // 2 and high < _WORD // 2:
+            return np.array(values, np.int64)
+        if low >= 0 and high < _WORD:
+            return np.array(values, np.uint64)
+    if there <= {bool, int, float} and all(
+        not isinstance(value, int)
+        or abs(value) <= EXACT
+        or (abs(value) < _WORD and int(float(value)) == value)
+        for value in values
+    ):
+        return np.array([np.nan if value is None else value for value in values], np.float64)
+    result = np.empty(len(values), object)
+    for k, value in enumerate(values):  # at once, lists of one length would be an array
+        result[k] = value
+    return result
+
+
+def stack_tables(tables: Sequence[Table], counts: Sequence[int]) -> Table:
+    """Tables of so many rows end to end, each column as `join_pieces`; they are used up."""
+    if len(tables) == 1:
+        return tables[0]
+    names = dict.fromkeys(name for table in tables for name in table)
+    pairs = list(zip(tables, counts, strict=True))
+    return {name: join_pieces([table.pop(name, count) for table, count in pairs]) for name in names}
+
+
+def join_pieces(pieces: Sequence[NDArray[Any] | int]) -> NDArray[Any]:
+    """Pieces of a column end to end; an integer stands for so many rows without it.
+
+    Missing numbers are NaN, missing texts empty. What no type of numpy holds is as `column_of` has
+    it: numbers beside texts, arrays of several lengths, integers beyond 2^53 beside others.
+
+    >>> join_pieces([np.array([1.5]), 1]), join_pieces([np.array(["a"]), np.array([7])])
+    (array([1.5, nan]), array(['a', 7], dtype=object))
+    """
+    arrays = [piece for piece in pieces if isinstance(piece, np.ndarray)]
+    kinds, shapes = {a.dtype.kind for a in arrays}, {a.shape[1:] for a in arrays}
+    if len(shapes) == 1 and (kinds == {"U"} or kinds <= set("biuf")):
+        is_float = "f" in kinds or len(arrays) < len(pieces)
+        kind = next((a.dtype for a in arrays if a.dtype.kind in "fU"), np.dtype(np.float64))
+        missing = "" if kinds == {"U"} else np.nan
+        filled = [
+            np.full((p, *arrays[0].shape[1:]), missing, kind) if isinstance(p, int) else p
+            for p in pieces
+        ]
+        joined = np.concatenate(filled)
+        large = (a for a in arrays if a.dtype.kind in "iu" and a.dtype.itemsize == 8 and a.size)
+        if joined.dtype.kind != "f" or (
+            is_float and all(a.min() >= -EXACT and a.max() <= EXACT for a in large)
+        ):
+            return joined
+    values: list[Any] = []
+    for piece in pieces:
+        values += [None] * piece if isinstance(piece, int) else piece.tolist()
+    return column_of(values)
