@@ -165,6 +165,8 @@ class SenderClock:
 
     def utc_of_host(self, at: NDArray[np.int64], host_ns: TimeArray) -> TimeArray:
         """UTC [ns] of messages without a time of their own."""
+        if not self.at.size:
+            return host_ns
         boot, result = self.boot(at), host_ns.copy()
         for number in np.unique(boot):
             asked = boot == number
