@@ -168,8 +168,9 @@ class CameraSection(Section):
     @model_validator(mode="after")
     def _check_orientation(self) -> CameraSection:
         """One way to give the interior orientation, and a camera that can be one."""
-        single = (self.f_px is not None, self.fx_px is not None, self.fy_px is not None)
-        numbers = any((*single, self.cx_px is not None, self.distortion is not None))
+        single = tuple(f is not None for f in (self.f_px, self.fx_px, self.fy_px))
+        others = (self.cx_px, self.cy_px, self.distortion)
+        numbers = any(single) or any(value is not None for value in others)
         given = [name for name in _OTHER_WAYS if getattr(self, name) is not None]
         given += ["f_px, cx_px, distortion"] * numbers
         if (self.model is None) != (self.params is None):

@@ -81,10 +81,15 @@ def metric_camera(
     px, py = to_image @ (given("p1", 0.0), given("p2", 0.0)) * c
     stretch = [[1.0 + given("b1", 0.0), given("b2", 0.0)], [0.0, 1.0]]
     affine = to_image @ (stretch if sign > 0.0 else np.linalg.inv(stretch)) @ to_image.T
+    # Slope of a correction in the corners, and so many steps that it is inverted to 1e-17.
+    corner = 0.6 * np.hypot(*size * pixel) * np.linspace(0.0, 1.0, 50)[:, None]
+    slope = np.abs((known * np.arange(1, 10, 2) * corner ** np.arange(0, 10, 2)).sum(axis=1)).max()
+    slope += 6.0 * (abs(given("p1", 0.0)) + abs(given("p2", 0.0))) * corner[-1, 0]
+    steps = np.ceil(np.log(1e-17) / np.log(np.clip(slope, 1e-9, 0.27)))
     numbers = (
         *known * c ** np.arange(0, 10, 2), 0.0, 0.0, 0.0, px, py, *offset,
         affine[0, 1] / affine[0, 0], affine[1, 0] / affine[1, 1], sign,
-        min(radius_mm / c - np.hypot(*offset), 1e9),
+        min(radius_mm / c - np.hypot(*offset), 1e9), steps,
     )  # fmt: skip
     fx, fy, cx, cy = map(float, (*c / pixel * affine.diagonal(), *point))
     return Camera(*size_px, fx, fy, cx, cy, GeneralFrame(*map(float, numbers)))

@@ -24,7 +24,8 @@ _STEEPEST = 0.3  # slope of a correction that the iteration of `distort` inverts
 
 class GeneralFrame(NamedTuple):
     """Coefficients; ``offset`` is principal point minus point of symmetry, ``limit`` the calibrated
-    radius about the principal point, both in units of the principal distance."""
+    radius about the principal point, both in units of the principal distance; ``steps`` of the
+    iteration that inverts a correction, each of which gains a factor of its slope."""
 
     k0: float = 0.0
     k1: float = 0.0
@@ -42,6 +43,7 @@ class GeneralFrame(NamedTuple):
     skew_y: float = 0.0
     sense: float = 1.0
     limit: float = 1e9
+    steps: float = 30.0
 
 
 Parameters = GeneralFrame
@@ -56,10 +58,10 @@ def distort(u: Any, v: Any, parameters: GeneralFrame) -> tuple[Any, Any]:
     >>> round(x + 0.1 * x**3, 12)
     0.5
     """
-    k0, k1, k2, k3, k4, q1, q2, q3, px, py, a, b, skew_x, skew_y, sense, _ = parameters
+    k0, k1, k2, k3, k4, q1, q2, q3, px, py, a, b, skew_x, skew_y, sense, _, steps = parameters
     s, t = u + a, v + b
     x, y = s, t
-    for _ in range(1 if sense > 0.0 else 30):
+    for _ in range(1 if sense > 0.0 else int(steps)):
         r2 = x * x + y * y
         above = k0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)))
         below = r2 * (q1 + r2 * (q2 + r2 * q3))
@@ -72,10 +74,10 @@ def distort(u: Any, v: Any, parameters: GeneralFrame) -> tuple[Any, Any]:
 
 def slopes(u: Any, v: Any, parameters: GeneralFrame) -> tuple[Any, Any, Any]:
     """Derivatives du_d/du, du_d/dv = dv_d/du and dv_d/dv of `distort`, but for the affinity."""
-    k0, k1, k2, k3, k4, q1, q2, q3, px, py, a, b, _, _, sense, _ = parameters
+    k0, k1, k2, k3, k4, q1, q2, q3, px, py, a, b, _, _, sense, _, steps = parameters
     s, t = u + a, v + b
     x, y = s, t
-    for _ in range(0 if sense > 0.0 else 30):
+    for _ in range(0 if sense > 0.0 else int(steps)):
         r2 = x * x + y * y
         radial = k0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)))
         dx = x * radial + px * (r2 + 2.0 * x * x) + 2.0 * py * x * y

@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 
 from pipeline.refraction.calibration import camera_of_model
 from pipeline.refraction.camera.camera import Camera
+from pipeline.refraction.camera.general_frame import GeneralFrame
 
 _NOT_MODELLED = {"frame": ("p3", "p4"), "fisheye": ("p1", "p2", "p3", "p4", "b2", "skew")}
 
@@ -69,5 +70,5 @@ def _camera(calibration: ElementTree.Element | None) -> Camera:
         return camera_of_model(kind, width, height, frame)
     if k4 == 0.0 and skew == 0.0:
         return camera_of_model("BROWN", width, height, [*frame, k1, k2, k3, p2, p1])
-    general = [0.0, k1, k2, k3, k4, 0.0, 0.0, 0.0, p1, p2, 0.0, 0.0, skew / frame[0], 0.0, 1.0, 1e9]
+    general = GeneralFrame(k1=k1, k2=k2, k3=k3, k4=k4, px=p1, py=p2, skew_x=skew / frame[0])
     return camera_of_model("GENERAL_FRAME", width, height, [*frame, *general])
