@@ -18,7 +18,7 @@ from pipeline.refraction.calibration import (
     camera_of_model,
     model_of_camera,
     refuse_impossible,
-)
+)  # fmt: skip
 from pipeline.refraction.metric_frame import metric_camera
 from pipeline.tables.imports.camera_files import CAMERA_FILES, read_camera
 from pipeline.tables.pixels import PixelOrigin, PixelSystem
@@ -245,15 +245,10 @@ class CameraSection(Section):
             return replace(camera, cx_px=cx, cy_px=cy)
         if self.cx_px is None or self.cy_px is None:
             raise ValueError(f"{self.file} has not been read")
-        return Camera(
-            width,
-            height,
-            self.f_px or self.fx_px or 0.0,
-            self.f_px or self.fy_px or 0.0,
-            pixels.to_colmap(self.cx_px),
-            pixels.to_colmap(self.cy_px),
-            BrownConrady(**(self.distortion or DistortionSection()).model_dump()),
-        )
+        fx, fy = self.f_px or self.fx_px or 0.0, self.f_px or self.fy_px or 0.0
+        cx, cy = pixels.to_colmap(self.cx_px), pixels.to_colmap(self.cy_px)
+        known = BrownConrady(**(self.distortion or DistortionSection()).model_dump())
+        return Camera(width, height, fx, fy, cx, cy, known)
 
     def with_file(self, path: Path) -> CameraSection:
         """The section with model and parameters of its file, which is at ``path``.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TypeVar
 
 from pipeline.errors import InputError
 from pipeline.flight.channels import Channel
@@ -20,6 +21,7 @@ from pipeline.tables.imports.stated import Stated
 from pipeline.tables.imports.trajectory_csv import read_trajectory_csv
 
 Reader = Callable[[Path, Stated, Ledger], Channel]
+AnyReader = TypeVar("AnyReader")
 
 TRAJECTORIES: Mapping[str, tuple[Reader, tuple[str, ...]]] = {
     "rtklib": (read_pos, (".pos",)),
@@ -37,8 +39,8 @@ CAMERA_EVENTS: Mapping[str, tuple[Reader, tuple[str, ...]]] = {
 
 
 def reader_of(
-    readers: Mapping[str, tuple[Reader, tuple[str, ...]]], path: Path, name: str | None
-) -> tuple[str, Reader]:
+    readers: Mapping[str, tuple[AnyReader, tuple[str, ...]]], path: Path, name: str | None
+) -> tuple[str, AnyReader]:
     """The format of a file, stated or by its ending, and its reader.
 
     >>> reader_of(CAMERA_EVENTS, Path("100_0001_Timestamp.MRK"), None)[0]

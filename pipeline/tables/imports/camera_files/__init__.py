@@ -12,6 +12,7 @@ from pathlib import Path
 
 from pipeline.errors import InputError, PhysicsError
 from pipeline.refraction.camera.camera import Camera
+from pipeline.tables.imports import reader_of
 from pipeline.tables.imports.camera_files.colmap_cameras import read_colmap_cameras
 from pipeline.tables.imports.camera_files.metashape_cameras import read_metashape_cameras
 from pipeline.tables.imports.camera_files.opensfm_cameras import read_opensfm_cameras
@@ -33,22 +34,16 @@ def read_camera(path: Path, file_format: str | None, name: str | None) -> Camera
     Refuses (InputError) a format that is not known or not met (IMPORT-FORMAT), a name that is not
     there, and several cameras without a name (CAMERA-NAME).
     """
-    formats = [
-        known for known, (_, endings) in CAMERA_FILES.items()
-        if known == file_format or (file_format is None and path.suffix.lower() in endings)
-    ]  # fmt: skip
-    if not formats:
-        remedy = f"give format: {', '.join(CAMERA_FILES)}"
-        raise not_of_format(path, "its ending does not say of which program it is", remedy)
+    program, reader = reader_of(CAMERA_FILES, path, file_format)
     try:
-        cameras = CAMERA_FILES[formats[0]][0](path)
+        cameras = reader(path)
         chosen = next(iter(cameras)) if name is None and len(cameras) == 1 else name or ""
         if chosen in cameras:
             return cameras[chosen]()
     except PhysicsError as error:
         raise InputError(error.code, error.what, where=str(path), remedy=error.remedy) from None
     except (LookupError, ValueError, TypeError, AttributeError, OSError, SyntaxError) as error:
-        raise not_of_format(path, f"as a file of {formats[0]}: {error!r}") from None
+        raise not_of_format(path, f"as a file of {program}: {error!r}") from None
     raise InputError(
         "CAMERA-NAME",
         f"it holds {', '.join(map(repr, cameras)) or 'no camera'}, "
