@@ -24,7 +24,7 @@ from pipeline.report.figures import (
     scatter,
     styled,
 )
-from pipeline.stages.story import air_of_mission
+from pipeline.stages.story import read_mission
 from pipeline.units import ZERO_CELSIUS_K
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -62,7 +62,8 @@ def _draw_temperature(axis: Axes, adjustment: Adjustment, samples: AirSamples) -
 def main() -> None:
     config = REPOSITORY / "configs" / "sample_bin.yaml"
     mission = load_mission(config)
-    air, samples, _ = air_of_mission(config)
+    prepared = read_mission(config)
+    air, samples = prepared.air, prepared.samples
     camera = mission.cameras[CAMERA]
     grid = ShiftGrid(camera.width_px, camera.height_px)
     for part in sorted((REPOSITORY / "results" / "sample_bin").glob("observations/part-*.parquet")):

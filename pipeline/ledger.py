@@ -5,18 +5,19 @@ Every stage adds to it, nothing is removed from it, and it ends in the manifest 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from typing import TypeVar
 
 
 class Kind(StrEnum):
-    """How serious an entry is. ``LOSS`` makes a run end with exit code 3."""
+    """How serious an entry is. ``LOSS`` and ``FINDING`` make a run end with exit code 3."""
 
     NOTE = "note"  # a choice made, for example which channel plays which role
     FALLBACK = "fallback"  # an allowed substitute, for example dry air without a hygrometer
     WARNING = "warning"  # the user should look, but the result stands
+    FINDING = "finding"  # an input contradicts another, or what is plausible; may be accepted
     LOSS = "loss"  # data was lost, damaged, flagged, or something the config names is absent
 
 
@@ -61,6 +62,11 @@ def loss(code: str, what: str, *, where: str = "", count: int = 0) -> Entry:
     return Entry(Kind.LOSS, code, what, where, count)
 
 
+def finding(code: str, what: str, *, where: str = "", count: int = 0) -> Entry:
+    """An entry for inputs that contradict each other, or what is plausible."""
+    return Entry(Kind.FINDING, code, what, where, count)
+
+
 class Ledger:
     """An append-only list of entries.
 
@@ -83,7 +89,7 @@ class Ledger:
 
     @property
     def has_losses(self) -> bool:
-        return any(entry.kind is Kind.LOSS for entry in self._entries)
+        return any(entry.kind in (Kind.LOSS, Kind.FINDING) for entry in self._entries)
 
     def add(self, entry: Entry) -> None:
         if entry not in self._entries:
@@ -92,6 +98,23 @@ class Ledger:
     def extend(self, entries: Iterable[Entry]) -> None:
         for entry in entries:
             self.add(entry)
+
+    def accept(self, reasons: Mapping[str, str]) -> tuple[str, ...]:
+        """Make warnings of the findings of some codes; returns the codes that no finding has.
+
+        ``reasons`` by code: why the mission file accepts it.
+
+        >>> ledger = Ledger([finding("PLAUSIBLE-GROUND", "the ground is 400 m off")])
+        >>> ledger.accept({"PLAUSIBLE-GROUND": "a gorge"}), ledger.has_losses
+        ((), False)
+        """
+        unused = set(reasons)
+        for i, entry in enumerate(self._entries):
+            if entry.kind is Kind.FINDING and entry.code in reasons:
+                what = f"{entry.what} (accepted: {reasons[entry.code]})"
+                self._entries[i] = replace(entry, kind=Kind.WARNING, what=what)
+                unused.discard(entry.code)
+        return tuple(sorted(unused))
 
     def take(self, outcome: tuple[Result, Notes]) -> Result:
         """The result of a function that returns notes beside it; the notes are added.

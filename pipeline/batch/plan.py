@@ -150,6 +150,19 @@ def make_plan(mission: Mission, folder: Path) -> Plan:
     return Plan(mission.model_copy(update={"cameras": cameras}), tuple(inputs), output)
 
 
+def refuse_other_mission(plan: Plan, manifest: dict[str, Any] | None) -> None:
+    """Refuse (OUTPUT-OTHER) a folder whose manifest is that of a mission of another name."""
+    name = plan.mission.mission.name
+    if manifest is not None and manifest["mission"] != name:
+        raise ConfigError(
+            "OUTPUT-OTHER",
+            f"the folder holds the results of mission {manifest['mission']}, and {name} would "
+            "replace them",
+            where=str(plan.output),
+            remedy="give each mission an output.path of its own, or remove the other results",
+        )
+
+
 def _refuse_among_results(role: str, path: Path, output: Path) -> None:
     if would_replace(output, path):
         raise ConfigError(

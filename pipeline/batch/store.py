@@ -14,6 +14,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from errno import EACCES
 from pathlib import Path
 from typing import Any
 
@@ -190,6 +191,19 @@ def would_replace(folder: Path, path: Path) -> bool:
     return False
 
 
+def rehearse_folder(path: Path) -> None:
+    """Refuse what `open_folder` would, and a folder that cannot be written to; writes nothing."""
+    exists = next(folder for folder in (path, *path.parents) if os.path.lexists(folder))
+    with storage_errors(path):
+        os.stat(exists / ".")  # NotADirectoryError where it is a file
+        if not os.access(exists, os.W_OK | os.X_OK):
+            raise PermissionError(EACCES, os.strerror(EACCES), str(exists))
+    _refuse_links(path)
+    _refuse_strangers(path)
+    if (path / _LOCK).exists():
+        _locked(path).release()
+
+
 @contextmanager
 def open_folder(path: Path) -> Iterator[RunFolder]:
     """Lock an output folder and remove what an interrupted run left in it.
@@ -200,6 +214,22 @@ def open_folder(path: Path) -> Iterator[RunFolder]:
     """
     with storage_errors(path):
         path.mkdir(parents=True, exist_ok=True)
+    _refuse_links(path)
+    lock = _locked(path)
+    try:
+        with storage_errors(path):
+            _clear_interrupted(path)
+            (path / _STAGING).mkdir(exist_ok=True)
+        try:
+            yield RunFolder(path)
+        finally:
+            with suppress(OSError, StorageError):
+                _clear_interrupted(path)
+    finally:
+        lock.release()
+
+
+def _refuse_links(path: Path) -> None:
     for name in (_LOCK, _STAGING, *_RESULTS, MANIFEST):
         if (path / name).is_symlink():
             raise StorageError(
@@ -208,6 +238,10 @@ def open_folder(path: Path) -> Iterator[RunFolder]:
                 where=str(path),
                 remedy="remove it: results are never written through a link",
             )
+
+
+def _locked(path: Path) -> FileLock:
+    """The lock of an output folder, acquired."""
     lock = FileLock(path / _LOCK, timeout=0)
     try:
         lock.acquire()
@@ -227,31 +261,27 @@ def open_folder(path: Path) -> Iterator[RunFolder]:
             where=str(path),
             remedy="choose an output.path on a disk that can lock files",
         ) from None
-    try:
-        with storage_errors(path):
-            _clear_interrupted(path)
-            (path / _STAGING).mkdir(exist_ok=True)
-        try:
-            yield RunFolder(path)
-        finally:
-            with suppress(OSError, StorageError):
-                _clear_interrupted(path)
-    finally:
-        lock.release()
+    return lock
+
+
+def _refuse_strangers(path: Path) -> None:
+    """Refuse files that are named like results where no manifest says whose they are."""
+    results = [name for name in _RESULTS if os.path.lexists(path / name)]
+    manifests = (path / MANIFEST).exists() or (path / _STAGING / MANIFEST).is_file()
+    if results and not manifests:
+        raise StorageError(
+            "STORAGE-NOT-OURS",
+            f"{', '.join(results)} would be replaced, but there is no manifest.json that says "
+            "that unbend wrote them",
+            where=str(path),
+            remedy="choose an output.path of its own for the results, or remove these",
+        )
 
 
 def _clear_interrupted(path: Path) -> None:
     """Remove the staging folder; after an interrupted commit the results without manifest too."""
+    _refuse_strangers(path)
     if not (path / MANIFEST).exists():
-        results = [name for name in _RESULTS if os.path.lexists(path / name)]
-        if results and not (path / _STAGING / MANIFEST).is_file():
-            raise StorageError(
-                "STORAGE-NOT-OURS",
-                f"{', '.join(results)} would be replaced, but there is no manifest.json that says "
-                "that unbend wrote them",
-                where=str(path),
-                remedy="choose an output.path of its own for the results, or remove these",
-            )
         # Only a commit puts a manifest into the staging folder: it began and did not end.
         for file in [*_parts(path), *(path / name for name in _RESULTS if name != _PARTS)]:
             file.unlink(missing_ok=True)
@@ -266,13 +296,15 @@ def _clear_interrupted(path: Path) -> None:
     _remove(path / _STAGING)
 
 
-def read_manifest(path: Path) -> dict[str, Any] | None:
-    """The manifest of a run's folder; None where there is none."""
+def read_manifest(path: Path, *, damaged: bool = False) -> dict[str, Any] | None:
+    """The manifest of a run's folder; None where there is none, or ``damaged`` where it is that."""
     try:
         manifest = json.loads((path / MANIFEST).read_text(encoding="utf-8"))
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:
+        if damaged:
+            return None
         raise StorageError(
             "MANIFEST-UNREADABLE",
             f"the manifest cannot be read: {error}",
@@ -285,6 +317,8 @@ def read_manifest(path: Path) -> dict[str, Any] | None:
         or not all(isinstance(item, dict) for item in outputs)
         or not manifest.keys() >= _MANIFEST_KEYS
     ):
+        if damaged:
+            return None
         raise StorageError(
             "MANIFEST-UNREADABLE",
             "manifest.json is not one that unbend wrote",

@@ -53,26 +53,32 @@ def run(
 def check(
     configs: Annotated[list[Path], typer.Argument(help="mission files", metavar="CONFIG...")],
 ) -> None:
-    """Validate mission files and their inputs; correct nothing."""
-    from pipeline.batch.execute import exit_code_of
+    """Rehearse `run` on a sample: all it would say, and its exit code.
+
+    Writes nothing.
+    """
+    from pipeline.batch.execute import exit_code_of, shared_outputs
     from pipeline.report.progress import DelayedProgressBar
-    from pipeline.report.terminal import print_check, print_ledger
+    from pipeline.report.terminal import print_check
+    from pipeline.stages.rehearsal import input_lines, rehearsal_lines
     from pipeline.stages.story import check_mission
 
     console = new_console()
     codes: list[int] = []
+    shared = shared_outputs(configs)
     for config in configs:
         try:
-            with DelayedProgressBar(console, f"checking {config.name}"):
-                checked = check_mission(config)
+            if config in shared:
+                raise shared[config]
+            with DelayedProgressBar(console, f"checking {config.name}") as bar:
+                checked = check_mission(config, progress=bar)
+                lines = [*input_lines(checked), *rehearsal_lines(checked)]
         except UnbendError as error:
             print_error(error, str(config))
             codes.append(error.exit_code)
             continue
-        console.print(f"[bold]{escape(str(config))}[/bold] can be run")
-        print_check(console, checked.lines())
-        print_ledger(console, checked.ledger.rows())
-        codes.append(EXIT_LOSSES if checked.ledger.has_losses else EXIT_DONE)
+        print_check(console, str(config), lines, checked.manifest)
+        codes.append(int(checked.manifest["exit_code"]))
     raise typer.Exit(exit_code_of(codes))
 
 
@@ -87,12 +93,12 @@ def stations(
     """Stations of a mission, how events became images, and a drawing."""
     from pipeline.report.progress import DelayedProgressBar
     from pipeline.report.terminal import print_ledger, print_stations
-    from pipeline.stages.story import check_mission
+    from pipeline.stages.story import read_mission
     from pipeline.tables.writing import rows_of_stations
 
     console = new_console()
     with DelayedProgressBar(console, f"reading {config.name}"):
-        checked = check_mission(config)
+        checked = read_mission(config)
     table = rows_of_stations(checked.stations)
     if csv is not None:
         write_rows_csv(csv, table)

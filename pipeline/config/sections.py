@@ -288,6 +288,15 @@ class OutputSection(Section):
     batch_rows: int = Field(250_000, ge=1_000, le=2_000_000)
 
 
+class AcceptedFinding(Section):
+    """A finding that no longer makes a run end with code 3; the ledger keeps it, with the reason.
+
+    Losses (rows flagged, data lost or damaged) cannot be accepted."""
+
+    code: str = Field(pattern="^[A-Z0-9]+(-[A-Z0-9]+)+$", description="as the ledger prints it")
+    reason: str = Field(min_length=3, description="why it is right all the same")
+
+
 class Mission(Section):
     """A mission file as understood."""
 
@@ -310,6 +319,7 @@ class Mission(Section):
     atmosphere: AtmosphereSection = AtmosphereSection()
     refraction: RefractionSection = RefractionSection()
     output: OutputSection
+    accept: list[AcceptedFinding] = Field([], description="findings that are right all the same")
 
     @model_validator(mode="before")
     @classmethod

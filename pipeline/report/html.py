@@ -18,6 +18,7 @@ from pipeline.report.summary import (
     air_sentences,
     correction_rows,
     effect_lines,
+    findings_first,
     headline,
     is_applied,
     ledger_rows,
@@ -35,7 +36,7 @@ table { border-collapse: collapse; } td, th { padding: .2rem .9rem .2rem 0; text
        vertical-align: top; border-bottom: 1px solid #e2e8f0; }
 td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
 svg { max-width: 100%; height: auto; } .lead { font-size: 1.05rem; }
-.loss { color: #b91c1c; } .warning { color: #b45309; } .fallback { color: #1d4ed8; }
+.finding, .loss { color: #b91c1c; } .warning { color: #b45309; } .fallback { color: #1d4ed8; }
 .note { color: #475569; } code { font-size: .9em; }
 """
 
@@ -48,7 +49,7 @@ def write_report(
     grids: Mapping[str, ShiftGrid],
 ) -> None:
     """Write the report of a run, a page without scripts or external files."""
-    title = escape(str(manifest["mission"]))
+    title, findings = escape(str(manifest["mission"])), findings_first(manifest)
     change, left = (
         ("displacement", "What is not applied")
         if is_applied(manifest)
@@ -60,6 +61,7 @@ def write_report(
     )
     sections = [
         f"<h1>{title}</h1>",
+        f'<p class="lead finding">{escape(findings)}</p>' if findings else "",
         f'<p class="lead">{escape(headline(manifest))}</p>',
         f"<h2>How large the {change} is</h2>",
         _table(CORRECTION_HEAD, correction_rows(manifest), numeric=True),

@@ -5,7 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-_GRAVEST_FIRST = ("loss", "warning", "fallback", "note")
+_GRAVEST_FIRST = ("finding", "loss", "warning", "fallback", "note")
+
+
+_NEARLY_ALL = 0.9
+
+
+def findings_first(manifest: Mapping[str, Any]) -> str:
+    """The codes of the findings that lead to exit code 3, in one line; empty without any."""
+    codes = dict.fromkeys(e["code"] for e in manifest["ledger"] if e["kind"] == "finding")
+    return f"Likely mistakes, see below: {', '.join(codes)}." if codes else ""
 
 
 def headline(manifest: Mapping[str, Any]) -> str:
@@ -16,13 +25,22 @@ def headline(manifest: Mapping[str, Any]) -> str:
     verb = "displaced" if is_applied(manifest) else "corrected"
     if not shift["count"]:
         return f"None of the {rows:,} observations could be {verb}." + _suspects(manifest)
+    of_camera = {
+        k: c for k, c in manifest["correction"]["cameras"].items() if c["shift_px"]["count"]
+    }
+    texts = {}
+    for key, unit in (("shift_px", "px"), ("shift_ground_m", "m")):
+        medians = [f"{three_digits(c[key]['median'])} {unit} ({k})" for k, c in of_camera.items()]
+        texts[key] = " and ".join(medians)
+    if len(of_camera) < 2:
+        median_px, median_m = three_digits(shift["median"]), three_digits(ground["median"])
+        texts = {"shift_px": f"{median_px} px", "shift_ground_m": f"{median_m} m"}
     sentence = (
-        f"{shift['count']:,} of {rows:,} observations were {verb}, by "
-        f"{three_digits(shift['median'])} px in the median and "
-        f"{three_digits(shift['maximum'])} px at most: "
-        f"{three_digits(ground['median'])} m and {three_digits(ground['maximum'])} m on the ground."
+        f"{shift['count']:,} of {rows:,} observations were {verb}, by {texts['shift_px']} in the "
+        f"median and {three_digits(shift['maximum'])} px at most: {texts['shift_ground_m']} and "
+        f"{three_digits(ground['maximum'])} m on the ground."
     )
-    if shift["maximum"] < 0.05:
+    if shift["maximum"] < 0.05 and shift["count"] > _NEARLY_ALL * rows:
         sentence += " That is far below what can be measured in an image."
     return sentence + _cabin_limit(manifest) + _suspects(manifest)
 

@@ -21,6 +21,7 @@ from pipeline.report.summary import (
     air_sentences,
     correction_rows,
     effect_lines,
+    findings_first,
     headline,
     ledger_rows,
 )
@@ -37,7 +38,7 @@ _OVER_THE_HORIZON = (
     "and only the bent one lands"
 )
 
-_COLOURS = {"loss": "red", "warning": "yellow", "fallback": "cyan", "note": "dim"}
+_COLOURS = {"finding": "red", "loss": "red", "warning": "yellow", "fallback": "cyan", "note": "dim"}
 
 _PAPER_COLUMNS = (
     ("h_c [km]", "h_c_m", 1e3, 3),
@@ -78,6 +79,8 @@ def print_run(
     console.print(f"[bold]{escape(name)}[/bold]")
     if repeated:
         console.print("  nothing to do: mission file, inputs and code are those of the last run")
+    if findings := findings_first(manifest):
+        _print_indented(console, f"[red]{escape(findings)}[/]")
     _print_indented(console, escape(headline(manifest)))
     table = _table(CORRECTION_HEAD, gap=2)
     for row in correction_rows(manifest):
@@ -102,14 +105,19 @@ def print_ledger(console: Console, entries: Sequence[Mapping[str, Any]]) -> None
         _print_indented(console, f"[{_COLOURS[kind]}]{kind}[/] {escape(code)}: {escape(what)}")
 
 
-def print_check(console: Console, lines: Sequence[tuple[str, str]]) -> None:
-    """What ``unbend check`` read in a mission file and its inputs."""
+def print_check(
+    console: Console, name: str, lines: Sequence[tuple[str, str]], manifest: Mapping[str, Any]
+) -> None:
+    """What ``unbend check`` read and expects of a run, and what the ledger of a run would hold."""
+    verdict = "a run would end with code 3" if manifest["exit_code"] else "can be run"
+    console.print(f"[bold]{escape(name)}[/bold] {verdict}")
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
     for label, text in lines:
         table.add_row(label, escape(text))
     _print_indented(console, table)
+    print_ledger(console, manifest["ledger"])
 
 
 _STATION_COLUMNS = (

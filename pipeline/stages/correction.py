@@ -6,6 +6,7 @@ part holds does not depend on how many are in progress.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -40,7 +41,7 @@ from pipeline.stages.ground.ground_heights import (
     GroundHeights,
     SlantRangeGround,
 )
-from pipeline.stages.statistics import Statistics, evenly_spaced
+from pipeline.stages.statistics import SAMPLED_ROWS, SampledRows, Statistics, evenly_spaced
 from pipeline.stages.uncertainty import uncertainties_of_mission, views_of_mission
 from pipeline.tables.column_checks import Direction
 from pipeline.tables.geodata.object_points import matching_rows
@@ -166,21 +167,14 @@ def correct_stream(
     """
     columns = OBSERVATION_COLUMNS if setup.direction == "remove" else DISPLACED_COLUMNS
     schema = schema_of(columns, metadata, list(observations.user_fields))
-    images = pa.array(setup.images, pa.string())
 
     def correct_part(number: int, batch: Batch) -> Statistics:
-        station = matching_rows(batch.image, images)
-        ground = setup.ground.heights(batch, station, setup)
-        corrections = ground.flagged(correct_batch(batch, station, ground, setup))
+        sampled = math.ceil(SAMPLED_ROWS * len(batch) / observations.rows)
+        corrections, h_g, statistics = correct_counted(batch, setup, sampled)
         name = f"observations/part-{number:05d}.parquet"
-        table = table_of_observations(batch, corrections, ground.h_m, observations.pixels, schema)
+        table = table_of_observations(batch, corrections, h_g, observations.pixels, schema)
         write_parquet(table, folder.place(name))
         folder.seal(name)
-        statistics = Statistics.of(setup.cameras)
-        statistics.add(batch, corrections, setup.camera_number[station])
-        statistics.implausible_heights += ground.implausible
-        if setup.computes_sigmas:
-            statistics.rays.append(_sample_of_rays(batch, corrections, station, ground.h_m, setup))
         return statistics
 
     total = Statistics.of(setup.cameras)
@@ -190,6 +184,25 @@ def correct_stream(
             total.merge(part)
             progress(part.rows)
     return total
+
+
+def correct_counted(
+    batch: Batch, setup: CorrectionSetup, sampled: int = SAMPLED_ROWS
+) -> tuple[Corrections, Array, Statistics]:
+    """The corrections of a batch, heights of its points [m], counts of both.
+
+    ``sampled`` rows of it are kept in the counts.
+    """
+    station = matching_rows(batch.image, pa.array(setup.images, pa.string()))
+    ground = setup.ground.heights(batch, station, setup)
+    corrections = ground.flagged(correct_batch(batch, station, ground, setup))
+    statistics = Statistics.of(setup.cameras)
+    statistics.add(batch, corrections, setup.camera_number[station])
+    statistics.implausible_heights += ground.implausible
+    statistics.sampled.append(SampledRows.of(batch, corrections, ground.h_m, station, sampled))
+    if setup.computes_sigmas:
+        statistics.rays.append(_sample_of_rays(batch, corrections, station, ground.h_m, setup))
+    return corrections, ground.h_m, statistics
 
 
 def on_threads(

@@ -74,8 +74,8 @@ class FlightLog:
         return self.roles | self.own
 
 
-def read_observations(plan: Plan, ledger: Ledger) -> Observations:
-    """Open the table of observations and check its columns and rows."""
+def read_observations(plan: Plan, ledger: Ledger, most_rows: int | None = None) -> Observations:
+    """Open the table of observations, check its columns and rows, and draw ``most_rows`` of it."""
     section, ground = plan.mission.observations, plan.mission.ground
     return open_observations(
         plan.input("observations").path,
@@ -86,6 +86,7 @@ def read_observations(plan: Plan, ledger: Ledger) -> Observations:
         sigma_column=ground.sigma_column,
         direction=plan.mission.refraction.direction,
         pixels=section.pixels,
+        most_rows=most_rows,
     )
 
 

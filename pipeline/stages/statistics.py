@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +21,63 @@ Array = NDArray[np.float64]
 
 _MOST_RAYS = 400
 
+SAMPLED_ROWS = 20_000
+"""Rows that stand for all others, where what is plausible is looked at."""
+
+
+class SampledRows(NamedTuple):
+    """Rows that stand for all; (n,) each.
+
+    ``station`` is -1 where an image has none; ``weight`` how many rows each stands for.
+    """
+
+    station: NDArray[np.int64]
+    x_px: Array
+    y_px: Array
+    h_g_m: Array
+    distance_m: Array
+    zeta_c_rad: Array
+    r_c_rad: Array
+    shift_px: Array
+    shift_ground_m: Array
+    status: NDArray[np.uint8]
+    weight: Array
+
+    @classmethod
+    def of(
+        cls,
+        batch: Batch,
+        corrections: Corrections,
+        h_g: Array,
+        station: NDArray[np.int64],
+        most: int,
+    ) -> SampledRows:
+        """Rows of a batch, evenly spaced."""
+        rows = evenly_spaced(len(batch), most)
+        nothing = np.full(len(batch), np.nan)
+        weight = np.ones(len(batch)) if batch.weight is None else batch.weight
+        distance = nothing if batch.distance_m is None else batch.distance_m
+        return cls(
+            station[rows],
+            batch.x_px[rows],
+            batch.y_px[rows],
+            h_g[rows],
+            distance[rows],
+            corrections.zeta_c_rad[rows],
+            corrections.r_c_rad[rows],
+            np.hypot(corrections.dx_px, corrections.dy_px)[rows],
+            corrections.shift_ground_m[rows],
+            corrections.status[rows],
+            weight[rows] * len(batch) / rows.size,
+        )
+
 
 @dataclass
 class Statistics:
     """Counts of observations, and how large the corrections were in each camera.
 
     ``rays`` : (6, m) arrays of rays that stand for the others, as `sampled_rays` returns them.
+    ``sampled`` : rows of each part, of which `SAMPLED_ROWS` stand for all.
     ``cabin_share`` : sigma of R_cc by the air in the cabin as a share of R_c.
     """
 
@@ -39,6 +90,7 @@ class Statistics:
     no_point: int = 0
     implausible_heights: int = 0
     rays: list[Array] = field(default_factory=list)
+    sampled: list[SampledRows] = field(default_factory=list)
     cabin_share: Distribution = field(default_factory=Distribution)
 
     @classmethod
@@ -49,17 +101,18 @@ class Statistics:
 
     def add(self, batch: Batch, corrections: Corrections, camera: NDArray[np.int64]) -> None:
         """Count a batch; ``camera`` (n,) numbers the cameras, -1 without one."""
-        self.rows += len(batch)
-        self.no_distance += batch.no_distance
-        self.no_sigma += batch.no_sigma
-        self.no_point += batch.no_point
+        rows = len(batch) if batch.weight is None else round(batch.weight.sum())
+        self.rows += rows
+        self.no_distance += round(batch.no_distance * rows / len(batch))
+        self.no_sigma += round(batch.no_sigma * rows / len(batch))
+        self.no_point += round(batch.no_point * rows / len(batch))
         self.parts += 1
         if corrections.sigmas is not None:
             with np.errstate(divide="ignore", invalid="ignore"):
                 self.cabin_share.add(corrections.sigmas.r_cc_rad / np.abs(corrections.r_c_rad))
-        counts = np.bincount(corrections.status, minlength=len(STATUS_NAMES))
+        counts = np.bincount(corrections.status, batch.weight, minlength=len(STATUS_NAMES))
         for name, count in zip(STATUS_NAMES, counts.tolist(), strict=True):
-            self.status[name] = self.status.get(name, 0) + int(count)
+            self.status[name] = self.status.get(name, 0) + round(count)
         for number, shift_statistics in enumerate(self.shifts.values()):
             rows = camera == number
             if bool(rows.all()):
@@ -76,6 +129,10 @@ class Statistics:
         rays = np.concatenate([np.empty((6, 0)), *self.rays], axis=1)
         return np.asarray(rays[:, evenly_spaced(rays.shape[1], _MOST_RAYS)])
 
+    def sampled_rows(self) -> SampledRows:
+        """The rows that stand for all."""
+        return SampledRows(*map(np.concatenate, zip(*self.sampled, strict=True)))
+
     def merge(self, other: Statistics) -> None:
         """Add the counts of another part."""
         self.rows += other.rows
@@ -84,6 +141,7 @@ class Statistics:
         self.no_point += other.no_point
         self.implausible_heights += other.implausible_heights
         self.rays += other.rays
+        self.sampled += other.sampled
         self.cabin_share += other.cabin_share
         self.parts += other.parts
         for name, count in other.status.items():
@@ -101,8 +159,11 @@ class Statistics:
         }
         return together | {"cameras": {n: e.summary() for n, e in self.shifts.items()}}
 
-    def report_flagged(self, ledger: Ledger) -> None:
-        """A ledger entry for each reason why observations were not corrected."""
+    def report_flagged(self, ledger: Ledger, causes: Mapping[str, str]) -> None:
+        """A ledger entry for each reason why observations were not corrected.
+
+        ``causes`` by status: what likely led to it.
+        """
         if self.no_distance:
             ledger.warning(
                 "OBS-DISTANCE",
@@ -140,8 +201,9 @@ class Statistics:
             what = f"{count} of {self.rows} observations are {name}"
             if name == "ok" or count == 0:
                 continue
+            what += f": {causes[name]}" if causes.get(name) else ""
             if name == "beyond_grazing":
-                ledger.loss("OBS-BEYOND-GRAZING", what + ": near branch used", count=count)
+                ledger.loss("OBS-BEYOND-GRAZING", what + "; near branch used", count=count)
             elif name == "far_branch":
                 ledger.note("OBS-FAR-BRANCH", what + ", by their slant range", count=count)
             else:

@@ -5,9 +5,8 @@ Nothing is computed here: each step is a call of a stage, and each stage has a m
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +18,14 @@ from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.estimate.adjusted_profile import unadjusted
 from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
 from pipeline.batch.manifest import Outcome, outcome_of
-from pipeline.batch.plan import Plan, check_unchanged, make_plan
+from pipeline.batch.plan import Plan, check_unchanged, make_plan, refuse_other_mission
 from pipeline.batch.store import (
+    RunFolder,
     atomic_write,
     find_damage,
     open_folder,
     read_manifest,
+    rehearse_folder,
     storage_errors,
 )
 from pipeline.block.image_rays import UNKNOWN_SIGMAS
@@ -41,7 +42,12 @@ from pipeline.report.html import write_report
 from pipeline.report.progress import NoProgress, Progress
 from pipeline.stages.air.adjusted_profile import AirSources, adjusted_profiles, read_air_sources
 from pipeline.stages.cabin_air import with_cabin_air
-from pipeline.stages.correction import correct_stream, correction_setup
+from pipeline.stages.correction import (
+    CorrectionSetup,
+    correct_counted,
+    correct_stream,
+    correction_setup,
+)
 from pipeline.stages.exposure_setup import (
     exposures_of_mission,
     lenses_of_mission,
@@ -52,7 +58,15 @@ from pipeline.stages.ground.point_table import check_object_points, with_object_
 from pipeline.stages.inputs import FlightLog, read_log, read_observations
 from pipeline.stages.multi_image.intersected_heights import with_intersected_heights
 from pipeline.stages.outputs import manifest_of, observation_metadata, write_tables
+from pipeline.stages.plausibility import (
+    Facts,
+    accept_findings,
+    causes_of_statuses,
+    findings_of,
+    takeoff_of,
+)
 from pipeline.stages.stations import stations_of_mission
+from pipeline.stages.statistics import SAMPLED_ROWS, Statistics
 from pipeline.stages.uncertainty import report_unknown_sigmas, scale_of_block
 from pipeline.tables.exports import find_format
 from pipeline.tables.geodata.geoid import package_geoid
@@ -63,7 +77,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PreparedMission:
-    """A mission with its inputs read and its stations built, before anything is corrected."""
+    """A mission before its observations are corrected: its inputs, stations and air."""
 
     plan: Plan
     flight: FlightLog
@@ -71,6 +85,7 @@ class PreparedMission:
     stations: Stations
     samples: AirSamples
     sources: AirSources
+    air: FlightAir
     ledger: Ledger
 
     def track(self) -> tuple[NDArray[np.int64], Array, Array, Array]:
@@ -84,25 +99,18 @@ class PreparedMission:
         )
         return position.time_ns, position["lat_rad"], position["lon_rad"], h_msl
 
-    def lines(self) -> list[tuple[str, str]]:
-        """A label and a description of each input, for `unbend check`."""
-        channels = ", ".join(
-            f"{role.replace('_', ' ')} {channel.name}"
-            for role, channel in sorted(self.flight.roles.items())
-        )
-        cameras = Counter(self.stations.camera[self.stations.ok].tolist())
-        images = len(self.observations.images)
-        log = "none: the stations come from elsewhere, and so does the air"
-        if self.flight.log is not None:
-            log = f"{self.plan.input('log').name}: {self.flight.log.format}"
-        return [
-            ("log", log),
-            ("channels", channels or "none"),
-            ("stations", ", ".join(f"{n} of {name}" for name, n in cameras.items()) or "none"),
-            ("observations", f"{self.observations.rows:,} in {images} images"),
-            *self.sources.lines(),
-            ("results", str(self.plan.output)),
-        ]
+
+@dataclass(frozen=True, eq=False)
+class CorrectedMission:
+    """A mission after its observations were corrected: what the report is made of."""
+
+    prepared: PreparedMission
+    stations: Stations
+    air: FlightAir
+    setup: CorrectionSetup
+    statistics: Statistics
+    facts: Facts
+    manifest: dict[str, Any]
 
 
 def run_mission(
@@ -119,71 +127,74 @@ def run_mission(
     plan = make_plan(mission_file, path.parent)
     mission = plan.mission
     with open_folder(plan.output) as folder:
-        earlier = None if force else finished_before(plan)
+        earlier = finished_before(plan, force=force)
         if earlier is not None:
             return outcome_of(plan, earlier, repeated=True)
         prepared = prepare_mission(plan, progress)
-        flight, stations, ledger = prepared.flight, prepared.stations, prepared.ledger
-        air = adjusted_profiles(mission, stations, prepared.samples, prepared.sources, ledger)
-        if air.adjustment.is_measured:
-            use_suspect = mission.stations.use_suspect
-            stations = ledger.take(
-                flag_height_misfits(stations, air.series, use_suspect=use_suspect)
+        observations = prepared.observations
+        progress.start("correcting", observations.rows)
+
+        def correct_all(setup: CorrectionSetup) -> Statistics:
+            return correct_stream(
+                observations,
+                setup,
+                folder,
+                batch_rows=mission.output.batch_rows,
+                metadata=observation_metadata(mission),
+                progress=progress.advance,
             )
-        progress.start("correcting", prepared.observations.rows)
-        windows, lenses = windows_of_mission(mission), lenses_of_mission(mission)
-        stations = with_cabin_air(stations, windows, lenses, air.series, ledger)
-        exposures = exposures_of_mission(mission, stations, air.series, ledger)
-        report_unknown_sigmas(mission, stations, air.series, ledger)
-        setup = correction_setup(mission, stations, air.series, exposures, flight.heights)
-        if mission.ground.height == "intersected":
-            oriented = mission.stations.orientation is not None
-            setup = with_intersected_heights(
-                prepared.observations, setup, stations, ledger,
-                unknown_sigmas=SIGMAS_OF_BLOCK if oriented else UNKNOWN_SIGMAS,
-            )  # fmt: skip
-        statistics = correct_stream(
-            prepared.observations,
-            setup,
-            folder,
-            batch_rows=mission.output.batch_rows,
-            metadata=observation_metadata(mission),
-            progress=progress.advance,
-        )
-        statistics.report_flagged(ledger)
+
+        corrected = correct_mission(prepared, correct_all)
         progress.start("writing the report")
-        write_tables(folder, stations, air)
-        estimate, radius_m = air.adjustment, mission.refraction.radius_m
-        scale = scale_of_block(estimate.profile, estimate.covariance, radius_m, statistics)
-        manifest = manifest_of(
-            plan, flight, stations, air, statistics=statistics, scale=scale, ledger=ledger
-        )
-        report = folder.place("report.html")
-        with storage_errors(report):
-            grids = {
-                name: shift_statistics.grid for name, shift_statistics in statistics.shifts.items()
-            }
-            write_report(report, manifest, air, prepared.samples, grids)
-        folder.seal("report.html")
+        write_results(corrected, folder)
         check_unchanged(plan)
-        manifest["outputs"] = folder.outputs()
+        manifest = corrected.manifest | {"outputs": folder.outputs()}
         folder.commit(manifest)
     return outcome_of(plan, manifest, repeated=False)
 
 
-def finished_before(plan: Plan) -> dict[str, Any] | None:
-    """The manifest of an earlier run of exactly this plan, if its results are still there."""
-    manifest = read_manifest(plan.output)
-    if manifest is None or manifest.get("fingerprint") != plan.fingerprint:
+def check_mission(path: Path | str, *, progress: Progress | None = None) -> CorrectedMission:
+    """Rehearse a mission: all that `run_mission` does, on a sample, and nothing is written.
+
+    Every station, and observations spread over all images, at most `SAMPLED_ROWS`; of a table with
+    no more than that, all. Raises what a run would; counts are those expected of a run.
+    """
+    path, progress = Path(path), progress or NoProgress()
+    plan = make_plan(load_mission(path), path.parent)
+    rehearse_folder(plan.output)
+    finished_before(plan)
+    prepared = prepare_mission(plan, progress, SAMPLED_ROWS)
+    progress.start("correcting a sample")
+
+    def correct_sample(setup: CorrectionSetup) -> Statistics:
+        _, _, statistics = correct_counted(prepared.observations.sampled(), setup)
+        return statistics
+
+    return correct_mission(prepared, correct_sample)
+
+
+def finished_before(plan: Plan, *, force: bool = False) -> dict[str, Any] | None:
+    """The manifest of an earlier run of exactly this plan, if its results are still there.
+
+    Refuses the folder of another mission. ``force`` ignores results, not whose they are.
+    """
+    manifest = read_manifest(plan.output, damaged=force)
+    refuse_other_mission(plan, manifest)
+    if force or manifest is None or manifest.get("fingerprint") != plan.fingerprint:
         return None
     return None if find_damage(plan.output, manifest, read=False) else manifest
 
 
-def prepare_mission(plan: Plan, progress: Progress) -> PreparedMission:
-    """Read the observations and the log, build the stations, and read the sources of the air."""
+def prepare_mission(
+    plan: Plan, progress: Progress, most_rows: int | None = None
+) -> PreparedMission:
+    """Read the observations and the log, build the stations, and estimate the air.
+
+    ``most_rows`` of the observations are drawn for a rehearsal.
+    """
     ledger = Ledger()
     progress.start("reading the observations")
-    observations = read_observations(plan, ledger)
+    observations = read_observations(plan, ledger, most_rows)
     progress.start("reading the log")
     flight = read_log(plan, ledger)
     observations = with_object_points(plan, observations, flight.heights, ledger)
@@ -194,21 +205,71 @@ def prepare_mission(plan: Plan, progress: Progress) -> PreparedMission:
         air_samples(flight.air_roles, flight.heights, plan.mission.max_gap_s, flight.own_suspect)
     )
     sources = read_air_sources(plan, stations, samples, ledger, flight.heights.home_h_msl_m)
+    air = adjusted_profiles(plan.mission, stations, samples, sources, ledger)
+    if air.adjustment.is_measured:
+        use_suspect = plan.mission.stations.use_suspect
+        stations = ledger.take(flag_height_misfits(stations, air.series, use_suspect=use_suspect))
     ledger.extend(flight.log.ledger if flight.log is not None else ())
-    return PreparedMission(plan, flight, observations, stations, samples, sources, ledger)
+    return PreparedMission(plan, flight, observations, stations, samples, sources, air, ledger)
 
 
-def check_mission(path: Path) -> PreparedMission:
-    """A mission with everything read and built, and nothing corrected or written."""
+def correct_mission(
+    prepared: PreparedMission, correct: Callable[[CorrectionSetup], Statistics]
+) -> CorrectedMission:
+    """Correct the observations of a mission, or a sample of them, and say what became of them."""
+    mission, air, ledger = prepared.plan.mission, prepared.air, prepared.ledger
+    windows, lenses = windows_of_mission(mission), lenses_of_mission(mission)
+    stations = with_cabin_air(prepared.stations, windows, lenses, air.series, ledger)
+    exposures = exposures_of_mission(mission, stations, air.series, ledger)
+    report_unknown_sigmas(mission, stations, air.series, ledger)
+    setup = correction_setup(mission, stations, air.series, exposures, prepared.flight.heights)
+    if mission.ground.height == "intersected":
+        oriented = mission.stations.orientation is not None
+        setup = with_intersected_heights(
+            prepared.observations, setup, stations, ledger,
+            unknown_sigmas=SIGMAS_OF_BLOCK if oriented else UNKNOWN_SIGMAS,
+        )  # fmt: skip
+    statistics = correct(setup)
+    facts = Facts(
+        mission,
+        stations,
+        exposures,
+        setup.cameras,
+        statistics.sampled_rows(),
+        air.adjustment,
+        takeoff_of(prepared.track(), prepared.flight.heights.home_h_msl_m),
+    )
+    statistics.report_flagged(ledger, causes_of_statuses(facts))
+    ledger.extend(findings_of(facts))
+    accept_findings(mission, ledger)
+    air = replace(air, effects=facts.effects)
+    estimate, radius_m = air.adjustment, mission.refraction.radius_m
+    manifest = manifest_of(
+        prepared.plan,
+        prepared.flight,
+        stations,
+        air,
+        statistics=statistics,
+        scale=scale_of_block(estimate.profile, estimate.covariance, radius_m, statistics),
+        ledger=ledger,
+    )
+    return CorrectedMission(prepared, stations, air, setup, statistics, facts, manifest)
+
+
+def write_results(corrected: CorrectedMission, folder: RunFolder) -> None:
+    """Write stations, profiles and the report beside the observations."""
+    write_tables(folder, corrected.stations, corrected.air)
+    report = folder.place("report.html")
+    with storage_errors(report):
+        grids = {name: shifts.grid for name, shifts in corrected.statistics.shifts.items()}
+        samples = corrected.prepared.samples
+        write_report(report, corrected.manifest, corrected.air, samples, grids)
+    folder.seal("report.html")
+
+
+def read_mission(path: Path) -> PreparedMission:
+    """A mission with everything read, its stations built and its air estimated."""
     return prepare_mission(make_plan(load_mission(path), path.parent), NoProgress())
-
-
-def air_of_mission(path: Path) -> tuple[FlightAir, AirSamples, Ledger]:
-    """The air that a run would use, and the samples that it is estimated from."""
-    prepared = check_mission(path)
-    mission, ledger = prepared.plan.mission, prepared.ledger
-    samples, sources = prepared.samples, prepared.sources
-    return adjusted_profiles(mission, prepared.stations, samples, sources, ledger), samples, ledger
 
 
 def verify_run(path: Path) -> dict[str, Any]:
@@ -237,7 +298,8 @@ def air_of_mission_or_standard(
 ) -> tuple[FlightAir, AirSamples, Ledger]:
     """The air of a mission, or a standard atmosphere by its name."""
     if config is not None:
-        return air_of_mission(config)
+        prepared = read_mission(config)
+        return prepared.air, prepared.samples, prepared.ledger
     standard = standard_atmosphere(atmosphere or "")
     adjustment = unadjusted(standard, f"the standard atmosphere {standard.name}")
     return (

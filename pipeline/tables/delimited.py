@@ -6,7 +6,7 @@ plain number, such as 007, +49 or 12345678901234567890, stay text.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -98,7 +98,13 @@ def csv_names(path: Path) -> list[str]:
 
 
 def scan_csv(
-    path: Path, names: Collection[str], image: str, point: str, numbers: Collection[str]
+    path: Path,
+    names: Collection[str],
+    image: str,
+    point: str,
+    numbers: Collection[str],
+    *,
+    add_names: Callable[[pa.StringArray], None] | None = None,
 ) -> CsvScan:
     """Read a CSV once from end to end, to know the type of each of its columns.
 
@@ -107,6 +113,7 @@ def scan_csv(
     names : of all columns.
     image, point : columns of names, which are text even where all are digits.
     numbers : columns that should be float64, and are unless a value is no number.
+    add_names : called with the images of the next rows.
     """
     kinds: dict[str, tuple[_Kind, ...]] = {
         name: (_NUMBER,) if name in numbers else () if name in (image, point) else _KINDS
@@ -119,6 +126,8 @@ def scan_csv(
             for batch in reader:
                 rows += batch.num_rows
                 images.update(pc.unique(batch.column(image)).to_pylist())
+                if add_names is not None:
+                    add_names(batch.column(image))
                 for name, left in kinds.items():
                     values = batch.column(name)
                     kinds[name] = tuple(kind for kind in left if kind.holds(values))

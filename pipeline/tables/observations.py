@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +44,8 @@ class Batch:
     none: zero, negative, infinite or no number. ``ground_sigma`` and ``no_sigma`` likewise for
     standard deviations of ground heights, of which zero is one. ``first_row`` is the place of its
     first row in the table; ``no_point`` counts points that a table of object points has not.
+    Of a sample, ``numbers`` are the places of its rows, and ``weight`` how many rows of the table
+    each stands for.
     """
 
     image: pa.StringArray
@@ -60,9 +62,74 @@ class Batch:
     no_sigma: int = 0
     no_point: int = 0
     first_row: int = 0
+    numbers: NDArray[np.int64] | None = None
+    weight: Array | None = None
+
+    @property
+    def rows(self) -> slice | NDArray[np.int64]:
+        """Places of its rows in the table."""
+        if self.numbers is not None:
+            return self.numbers
+        return slice(self.first_row, self.first_row + len(self))
 
     def __len__(self) -> int:
         return len(self.image)
+
+
+@dataclass
+class RowSample:
+    """At most ``most`` rows of a table, spread over its images, drawn in one pass over their names.
+
+    An image has as many as any other, or all of its own where these are fewer. The same table
+    gives the same rows. ``counts`` are the rows of each image, ``of_each`` how many are drawn of
+    one at most.
+
+    >>> sample = RowSample(4)
+    >>> sample.add(pa.array(["a"] * 7 + ["b", None]))
+    >>> sample.number.tolist(), sample.weights.tolist()
+    ([1, 4, 7, 8], [3.5, 3.5, 1.0, 1.0])
+    """
+
+    most: int
+    of_each: int = 1 << 62
+    counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    number: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    image: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    _codes: dict[str | None, int] = field(default_factory=dict)
+
+    def add(self, names: pa.StringArray) -> None:
+        """The images of the next rows of the table."""
+        encoded = names.dictionary_encode("encode")
+        coded = [
+            self._codes.setdefault(n, len(self._codes)) for n in encoded.dictionary.to_pylist()
+        ]
+        image = np.array(coded, np.int64)[encoded.indices.to_numpy()]
+        number = np.arange(image.size) + self.counts.sum()
+        self.counts = np.pad(self.counts, (0, len(self._codes) - self.counts.size))
+        self.counts += np.bincount(image, minlength=self.counts.size)
+        image, number = np.append(self.image, image), np.append(self.number, number)
+        order = np.argsort(image.astype(np.uint64) << np.uint64(40) | _scattered(number))
+        begin = np.searchsorted(image[order], np.arange(self.counts.size))
+        rank = np.arange(order.size) - begin[image[order]]
+        fitting = int(np.searchsorted(np.bincount(rank).cumsum(), self.most, "right"))
+        self.of_each = min(self.of_each, fitting)
+        kept = order[rank < max(self.of_each, 1)]
+        if self.of_each == 0:  # more images than rows: of some of them one
+            kept = kept[np.argsort(_scattered(image[kept]), kind="stable")[: self.most]]
+        kept = np.sort(kept)
+        self.number, self.image = number[kept], image[kept]
+
+    @property
+    def weights(self) -> Array:
+        """(m,) rows of the table that each row drawn stands for."""
+        drawn = np.bincount(self.image, minlength=self.counts.size)
+        weights = self.counts[self.image] / drawn[self.image]
+        return np.asarray(weights * (self.counts.sum() / weights.sum()))
+
+
+def _scattered(number: NDArray[np.int64]) -> NDArray[np.uint64]:
+    """Multiples of the golden ratio: of consecutive numbers the lowest lie evenly among them."""
+    return number.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(24)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,43 +150,60 @@ class Observations:
     sigma_column: str | None = None
     pixels: PixelSystem = COLMAP
     points: ObjectPoints | None = None
+    sample: RowSample | None = field(repr=False, default=None)
     _sources: Mapping[str, str] = field(repr=False, default_factory=dict)
     _csv_types: Mapping[str, pa.DataType] = field(repr=False, default_factory=dict)
+
+    def sampled(self) -> Batch:
+        """The rows that were drawn when the table was opened, without the user's columns."""
+        drawn = self.sample or RowSample(0)
+        wanted = {*self.columns.values(), self.ground_column or "", self.sigma_column or ""} - {""}
+        first, parts = 0, []
+        for records in _record_batches(self.path, self._csv_types, 1 << 18, sorted(wanted)):
+            begin, end = np.searchsorted(drawn.number, (first, first + len(records)))
+            parts.append(records.take(pa.array(drawn.number[begin:end] - first)))
+            first += len(records)
+        batch = self._batch(pa.Table.from_batches(parts), {})
+        return replace(batch, numbers=drawn.number, weight=drawn.weights)
 
     def batches(self, batch_rows: int) -> Iterator[Batch]:
         """The observations in slices of ``batch_rows``, each row once and in its place."""
         records, first_row = _record_batches(self.path, self._csv_types, batch_rows), 0
         for table in _slices(records, batch_rows):
-            arrays = {name: _one_array(table[name]) for name in table.column_names}
-            x, y = _as_float(arrays[self.columns["x_px"]]), _as_float(arrays[self.columns["y_px"]])
-            distance, no_distance, sigma, no_sigma = None, 0, None, 0
-            point, ground, no_point = arrays[self.columns["point"]].cast(pa.string()), None, 0
-            if self.ground_column is not None:
-                ground = _as_float(arrays[self.ground_column])
-            if self.points is not None:
-                ground, row = self.points.heights(point)
-                no_point = int((row < 0).sum())
-            if self.distance_column is not None:
-                distance, no_distance = _at_least(0.0, arrays[self.distance_column], above=True)
-            if self.sigma_column is not None:
-                sigma, no_sigma = _at_least(0.0, arrays[self.sigma_column])
-            yield Batch(
-                image=arrays[self.columns["image"]].cast(pa.string()),
-                point=point,
-                x_px=self.pixels.to_colmap(x),
-                y_px=self.pixels.to_colmap(y),
-                x_given_px=x,
-                y_given_px=y,
-                ground=ground,
-                users={item.name: arrays[self._sources[item.name]] for item in self.user_fields},
-                distance_m=distance,
-                no_distance=no_distance,
-                ground_sigma=sigma,
-                no_sigma=no_sigma,
-                no_point=no_point,
-                first_row=first_row,
-            )
+            users = {f.name: self._sources[f.name] for f in self.user_fields}
+            yield replace(self._batch(table, users), first_row=first_row)
             first_row += table.num_rows
+
+    def _batch(self, table: pa.Table, users: Mapping[str, str]) -> Batch:
+        """A slice of the table; ``users`` names the user's columns of it."""
+        arrays = {name: _one_array(table[name]) for name in table.column_names}
+        x, y = _as_float(arrays[self.columns["x_px"]]), _as_float(arrays[self.columns["y_px"]])
+        distance, no_distance, sigma, no_sigma = None, 0, None, 0
+        point, ground, no_point = arrays[self.columns["point"]].cast(pa.string()), None, 0
+        if self.ground_column is not None:
+            ground = _as_float(arrays[self.ground_column])
+        if self.points is not None:
+            ground, row = self.points.heights(point)
+            no_point = int((row < 0).sum())
+        if self.distance_column is not None:
+            distance, no_distance = _at_least(0.0, arrays[self.distance_column], above=True)
+        if self.sigma_column is not None:
+            sigma, no_sigma = _at_least(0.0, arrays[self.sigma_column])
+        return Batch(
+            image=arrays[self.columns["image"]].cast(pa.string()),
+            point=point,
+            x_px=self.pixels.to_colmap(x),
+            y_px=self.pixels.to_colmap(y),
+            x_given_px=x,
+            y_given_px=y,
+            ground=ground,
+            users={name: arrays[source] for name, source in users.items()},
+            distance_m=distance,
+            no_distance=no_distance,
+            ground_sigma=sigma,
+            no_sigma=no_sigma,
+            no_point=no_point,
+        )
 
 
 def open_observations(
@@ -132,6 +216,7 @@ def open_observations(
     sigma_column: str | None = None,
     direction: Direction = "remove",
     pixels: PixelSystem = COLMAP,
+    most_rows: int | None = None,
 ) -> Observations:
     """Check a table of observations: its columns, its marks, its images.
 
@@ -146,6 +231,7 @@ def open_observations(
     sigma_column : the column of standard deviations of the ground heights, which passes through.
     direction : whether refraction will be removed from these observations or applied to them.
     pixels : where the table counts its pixels from.
+    most_rows : draw that many rows, spread over the images, for `Observations.sampled`.
 
     Refuses a table to which that was done already, one that lacks a column, or repeats a name.
     """
@@ -161,9 +247,17 @@ def open_observations(
     refuse_other_pixels(path, schema, direction, named)
     require_columns(path, schema, wanted)
     csv_types: Mapping[str, pa.DataType] = {}
+    sample = None if most_rows is None else RowSample(most_rows)
     if _is_csv(path):
         numbers = {named["x_px"], named["y_px"], ground_column or ""} & set(schema.names)
-        scan = scan_csv(path, schema.names, named["image"], named["point"], numbers)
+        scan = scan_csv(
+            path,
+            schema.names,
+            named["image"],
+            named["point"],
+            numbers,
+            add_names=None if sample is None else sample.add,
+        )
         rows, images, csv_types = scan.rows, scan.images, scan.types
         schema = pa.schema(list(csv_types.items()))
         require_columns(path, schema, wanted)  # now with the types that the values have
@@ -176,7 +270,10 @@ def open_observations(
         rows, images = 0, set()
         for batch in _record_batches(path, {}, 1 << 20, [named["image"]]):
             rows += batch.num_rows
-            images.update(pc.unique(batch.column(0).cast(pa.string())).to_pylist())
+            names = batch.column(0).cast(pa.string())
+            images.update(pc.unique(names).to_pylist())
+            if sample is not None:
+                sample.add(names)
     if rows == 0:
         raise InputError(
             "OBS-EMPTY", "the table has no rows", where=str(path), remedy="write observations to it"
@@ -195,6 +292,7 @@ def open_observations(
         user_fields=tuple(pa.field(n, schema.field(source).type) for n, source in sources.items()),
         sigma_column=sigma_column,
         pixels=pixels,
+        sample=sample,
         _sources=sources,
         _csv_types=csv_types,
     )

@@ -299,7 +299,7 @@ def test_summary_of_a_run(baseline):
     assert ended.code == 0
     assert ended.err == ""
     assert "59 of 59 observations were corrected" in ended.out
-    for words in ("px in the median", "m on the ground", "[px]", "[arcsec]", "results"):
+    for words in ("in the median", "m on the ground", "[px]", "[arcsec]", "results"):
         assert words in ended.out
     assert longest(ended.out) <= 80
 

@@ -32,7 +32,7 @@ def test_the_mission_file_loads(tmp_path):
     whole = [block for block in shown if block.startswith("mission:")]
     sections = [block for block in shown if not block.startswith("mission:")]
     assert len(whole) == 2  # the second is run in tests/stages/test_oriented_stations.py
-    assert len(sections) == 1
+    assert len(sections) == 2
     for block in [*whole, *(whole[0] + section for section in sections)]:
         (tmp_path / "mission.yaml").write_text(block, encoding="utf-8")
         assert load_mission(tmp_path / "mission.yaml").output.path.startswith("results/")

@@ -140,8 +140,8 @@ MANIFEST: dict[str, Any] = {
 }
 
 HEADLINE = (
-    "41 of 5,021 observations were corrected, by 3.01 px in the median and 3.03 px at most: "
-    "3.11 m and 3.13 m on the ground."
+    "41 of 5,021 observations were corrected, by 1.01 px (belly) and 2.01 px (tail) in the median "
+    "and 3.03 px at most: 1.11 m (belly) and 2.11 m (tail) and 3.13 m on the ground."
 )
 CORRECTION = [
     ["", "median", "95 %", "maximum"],
@@ -401,7 +401,8 @@ def test_sentences_that_depend_on_the_air():
 def test_a_tiny_correction_is_called_tiny(largest, said):
     small = camera(0.0) | {"shift_px": spread(9, 0.0004, 0.003, largest), "cameras": {}}
     small["window_arcsec"] = spread(9, 0.0, 0.0, 0.0)
-    lines = printed(print_run, "a", "b", MANIFEST | {"correction": small}, repeated=False)
+    nine = {"observations": MANIFEST["observations"] | {"rows": 9}}
+    lines = printed(print_run, "a", "b", MANIFEST | nine | {"correction": small}, repeated=False)
     text = " ".join(" ".join(lines).split())
     assert ("far below what can be measured" in text) == said
     assert "by <0.001 px in the median" in text

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from pipeline.report.summary import headline, not_included
+from pipeline.report.summary import findings_first, headline, not_included
 
 PLANE = {"shape": "plane", "in_calibration": "none"}
 LENS = {"dc_dp_px_per_hpa": 0.006}
@@ -23,7 +23,7 @@ def manifest(
     some = {"count": count, "median": 0.3, "maximum": 1.2}
     return {
         "config": {"refraction": {"direction": direction}, "cameras": full},
-        "correction": {"shift_px": some, "shift_ground_m": some},
+        "correction": {"shift_px": some, "shift_ground_m": some, "cameras": {}},
         "observations": {"rows": 4},
         "cabin_sigma_share": {"median": cabin},
         "uncertainty": None if air is None else {"scale_sigma": air},
@@ -100,3 +100,23 @@ def test_the_report_of_a_run_holds_these_lines(baseline):
     for line in lines:
         assert f"<li>{line}</li>" in page
     assert "What is not removed" in page
+
+
+def test_medians_are_told_by_camera_and_findings_first():
+    """Nadir and oblique are never pooled; a tiny shift is called so only of nearly all rows."""
+    several = manifest(count=3)
+    shift = {name: {"shift_px": {"count": 2, "median": px}, "shift_ground_m": {"median": px / 2}}
+             for name, px in (("nadir", 0.01), ("oblique", 0.5))}  # fmt: skip
+    several["correction"]["cameras"] = shift
+    text = headline(several)
+    assert "by 0.01 px (nadir) and 0.5 px (oblique) in the median and 1.2 px at most" in text
+    assert "0.005 m (nadir) and 0.25 m (oblique) and 1.2 m on the ground" in text
+    assert findings_first(several) == ""
+    found = {"kind": "finding", "code": "PLAUSIBLE-VIEW", "what": "f in mm", "where": "f_px"}
+    assert "likely mistakes" in findings_first(several | {"ledger": [found, found]}).lower()
+    assert findings_first(several | {"ledger": [found, found]}).count("PLAUSIBLE-VIEW") == 1
+    tiny = manifest(count=3)
+    tiny["correction"]["shift_px"] = {"count": 3, "median": 0.001, "maximum": 0.01}
+    assert "far below" not in headline(tiny)  # 3 of 4 rows
+    tiny["observations"]["rows"] = 3
+    assert "far below" in headline(tiny)

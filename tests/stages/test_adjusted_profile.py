@@ -23,7 +23,7 @@ from pipeline.simulate.true_air import (
     vapour_pressure_pa,
 )
 from pipeline.stages.air import adjusted_profile as batch_air
-from pipeline.stages.story import air_of_mission
+from pipeline.stages.story import read_mission
 
 METAR = "METAR KXYZ 151055Z 24011KT 9999 SCT040 12/08 Q1013"
 
@@ -544,7 +544,7 @@ def test_the_profile_command_writes_every_profile(changed, unbend, tmp_path):
 
 def refractivity(mission, **entries) -> np.ndarray:
     mission.config["atmosphere"] = {"adjust": False} | entries
-    air, _, _ = air_of_mission(mission.save())
+    air = read_mission(mission.save()).air
     return air.adjustment.profile.refractivity(np.array([500.0, 2000.0]))
 
 
@@ -569,6 +569,6 @@ def test_index_wavelength_and_carbon_dioxide_of_the_mission_file_count(mission):
 )
 def test_the_effect_on_r_is_that_on_the_ground_of_the_mission(mission, ground, h_g_m):
     mission.config["ground"] = ground
-    air, _, _ = air_of_mission(mission.save())
+    air = read_mission(mission.save()).air
     assert [effect.h_g_m for effect in air.effects] == pytest.approx([h_g_m] * 2, abs=10.0)
     assert all(effect.h_c_m > 2500.0 for effect in air.effects)

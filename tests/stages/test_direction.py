@@ -27,6 +27,7 @@ def test_what_was_removed_is_applied_again(baseline, mission, plain_report):
     mission.observe(corrected)
     mission.config["observations"]["columns"] = {"x_px": "x_corrected_px", "y_px": "y_corrected_px"}
     mission.config["refraction"] = {"direction": "apply"}
+    mission.config["accept"] = [{"code": "PLAUSIBLE-APPLY", "reason": "there and back"}]
     ended = mission.run()
     assert ended.code == 0, ended.text
     assert "59 of 59 observations were displaced" in ended.out
@@ -87,6 +88,7 @@ def test_ideal_observations_with_slant_ranges_are_displaced_as_with_heights(
     }  # fmt: skip
     mission.config["ground"] = {"height": "from_distance"}
     mission.config["refraction"] = {"direction": "apply"}
+    mission.config["accept"] = [{"code": "PLAUSIBLE-APPLY", "reason": "there and back"}]
     ended = mission.run()
     assert ended.code == 0, ended.text
     displaced = mission.results()

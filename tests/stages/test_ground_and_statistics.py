@@ -125,7 +125,7 @@ def test_each_reason_has_its_entry_with_its_kind_and_count():
     ledger = Ledger()
     counted(
         rows=62, no_distance=4, no_sigma=5, implausible_heights=6, status=status
-    ).report_flagged(ledger)
+    ).report_flagged(ledger, {})
     assert {(e.code, e.kind, e.count) for e in ledger} == {
         ("OBS-DISTANCE", Kind.WARNING, 4), ("OBS-SIGMA", Kind.WARNING, 5),
         ("OBS-GROUND-RANGE", Kind.LOSS, 6), ("OBS-FLAGGED", Kind.LOSS, 7),
@@ -133,7 +133,7 @@ def test_each_reason_has_its_entry_with_its_kind_and_count():
     }  # fmt: skip
     assert "7 of 62 observations are no_ground" in {e.what for e in ledger}
     silent = Ledger()
-    counted(rows=50, status={"ok": 50}).report_flagged(silent)
+    counted(rows=50, status={"ok": 50}).report_flagged(silent, {})
     assert len(silent) == 0
 
 

@@ -14,7 +14,7 @@ from pymavlink.DFReader import DFReader_binary
 
 from pipeline.errors import InputError, MissionError
 from pipeline.stages.multi_image.image_events import images_of_camera
-from pipeline.stages.story import PreparedMission, check_mission
+from pipeline.stages.story import PreparedMission, read_mission
 
 from .flown_images import CAMERA, SHARED, tie_points, truth_of
 
@@ -105,7 +105,7 @@ def test_tie_points_find_the_five_exposures_without_an_image(survey, extension, 
     events = {"log": {"cam": {"channel": CHANNEL[extension].format(0), "image": pattern}}}
     observations = tie_points(truth, names, 590.0)
     path = mission_of(tmp_path, f"sitl_survey.{extension}", observations, events, 590.0)
-    prepared = check_mission(path)
+    prepared = read_mission(path)
     assert misplaced(prepared, truth, names) == 0
     assert prepared.stations.image.tolist() == names
     (entry,) = entries(prepared, "EVENTS-ASSIGNED")
@@ -123,16 +123,16 @@ def test_counting_alone_never_decides_where_counts_differ(survey, pattern, tmp_p
     events: dict[str, Any] = {"log": {"cam": {"channel": "CAM[0]", "image": pattern}}}
     path = mission_of(tmp_path, "sitl_survey.BIN", scattered(names), events, 590.0)
     with pytest.raises(MissionError, match="EVENTS-AMBIGUOUS") as caught:
-        check_mission(path)
+        read_mission(path)
     assert "251" in caught.value.what
     assert "events.first_image.cam" in caught.value.remedy
     events["first_image"] = {"cam": {"image": "IMG_0001.tif", "event": 6}}
     path = mission_of(tmp_path, "sitl_survey.BIN", scattered(names), events, 590.0)
-    assert misplaced(check_mission(path), truth, names) == 0
+    assert misplaced(read_mission(path), truth, names) == 0
     events["first_image"] = {"cam": {"image": "IMG_0252.tif", "event": 6}}
     path = mission_of(tmp_path, "sitl_survey.BIN", scattered(names), events, 590.0)
     with pytest.raises(MissionError, match="EVENTS-FIRST-IMAGE"):
-        check_mission(path)
+        read_mission(path)
 
 
 @needs_shared
@@ -147,7 +147,7 @@ def test_times_of_a_clock_that_is_off_and_drifts(survey, decimals, off_s, tmp_pa
         "log": {"cam": {"channel": "CAM[0]", "image": "IMG_{n:04d}.tif"}},
         "images": {"path": "exif.csv"},
     }
-    prepared = check_mission(
+    prepared = read_mission(
         mission_of(tmp_path, "sitl_survey.BIN", scattered(names), events, 590.0)
     )
     assert misplaced(prepared, truth, names) == 0
@@ -190,7 +190,7 @@ def test_two_cameras_and_lost_pulses(extension, by, tmp_path):
         events["images"] = {"path": "exif.csv"}
     observations = pd.concat(parts)
     path = mission_of(tmp_path, f"sitl_belowsea_2cam.{extension}", observations, events, -428.0)
-    prepared = check_mission(path)
+    prepared = read_mission(path)
     stations = prepared.stations
     for camera, instance in (("left", 0), ("right", 1)):
         truth = truth_of("sitl_belowsea_2cam", instance)
@@ -213,11 +213,11 @@ def test_the_logs_numbers_are_contradicted_by_tie_points(survey, tmp_path):
     observations = tie_points(truth, names, 590.0)
     path = mission_of(tmp_path, "sitl_survey.BIN", observations, events, 590.0)
     with pytest.raises(MissionError, match="EVENTS-CONTRADICTED"):
-        check_mission(path)
+        read_mission(path)
     right = [f"IMG_{n:04d}.tif" for n in truth["Img"]]
     observations = tie_points(truth, right, 590.0)
     path = mission_of(tmp_path, "sitl_survey.BIN", observations, events, 590.0)
-    prepared = check_mission(path)
+    prepared = read_mission(path)
     assert misplaced(prepared, truth, right) == 0
     assert "tie points" in entries(prepared, "EVENTS-ASSIGNED")[0].what
 
@@ -230,11 +230,11 @@ def test_counted_names_after_lost_pulses_are_not_believed(tmp_path):
     events = {"log": {"left": {"channel": "CAM[0]", "image": "left_{n:04d}"}}}
     path = mission_of(tmp_path, "sitl_belowsea_2cam.BIN", scattered(names), events, -428.0)
     with pytest.raises(MissionError, match="EVENTS-AMBIGUOUS"):
-        check_mission(path)
+        read_mission(path)
     path = mission_of(
         tmp_path, "sitl_belowsea_2cam.BIN", tie_points(truth, names, -428.0), events, -428.0
     )
-    assert misplaced(check_mission(path), truth, names) == 0
+    assert misplaced(read_mission(path), truth, names) == 0
 
 
 @needs_shared
@@ -247,17 +247,17 @@ def test_images_and_files_that_do_not_go_together(survey, tmp_path):
     }
     exif_table(tmp_path / "exif.csv", [f"IMG_{n:04d}.NEF" for n in range(1, 200)], time_s[:199])
     path = mission_of(tmp_path, "sitl_survey.BIN", scattered(names[100:]), events, 590.0)
-    prepared = check_mission(path)
+    prepared = read_mission(path)
     assert misplaced(prepared, truth.iloc[100:199].reset_index(), names[100:199]) == 0
     assert entries(prepared, "IMAGES-ABSENT")[0].count == 52
     assert entries(prepared, "IMAGES-UNMATCHED")[0].count == 52
     assert entries(prepared, "STATIONS-UNUSED")[0].count == 100
     exif_table(tmp_path / "exif.csv", [f"DSC_{n:04d}.NEF" for n in range(1, 200)], time_s[:199])
     with pytest.raises(InputError, match="IMAGES-OTHER"):
-        check_mission(path)
+        read_mission(path)
     exif_table(tmp_path / "exif.csv", [f"{f}/{names[100]}" for f in "ab"], time_s[:2])
     with pytest.raises(InputError, match="IMAGES-DUPLICATE"):
-        check_mission(path)
+        read_mission(path)
 
 
 @needs_shared
@@ -265,7 +265,7 @@ def test_a_pattern_of_no_image_leaves_all_unmatched(survey, tmp_path):
     _, names = survey
     events = {"log": {"cam": {"channel": "CAM[0]", "image": "DSC_*"}}}
     path = mission_of(tmp_path, "sitl_survey.BIN", scattered(names), events, 590.0)
-    prepared = check_mission(path)
+    prepared = read_mission(path)
     assert set(prepared.stations.status) == {"unmatched"}
     assert entries(prepared, "IMAGES-UNMATCHED")[0].count == 251
 

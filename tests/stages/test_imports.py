@@ -15,7 +15,7 @@ import pytest
 
 from pipeline.errors import ConfigError, MissionError
 from pipeline.simulate.flight import UNDULATION_M, fly
-from pipeline.stages.story import check_mission
+from pipeline.stages.story import read_mission
 
 GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
 NEAR_M = 0.15  # events are 1.6 ms off by the clock of the log, at 70 m/s
@@ -115,7 +115,7 @@ def files(mission, truth):
 
 def prepare(mission, **stations):
     mission.config["stations"] = stations
-    return check_mission(mission.save())
+    return read_mission(mission.save())
 
 
 def errors(prepared, truth) -> tuple[float, float, float]:

@@ -14,7 +14,7 @@ import yaml
 
 from pipeline.errors import InputError
 from pipeline.simulate import SimulationOptions, simulate
-from pipeline.stages.story import check_mission
+from pipeline.stages.story import read_mission
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
@@ -514,7 +514,7 @@ def told_of(crossing, table: pd.DataFrame, **orientation):
     config = yaml.safe_load(yaml.safe_dump(config))
     config["stations"]["orientation"] |= orientation
     (folder / "block.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
-    ledger = check_mission(folder / "block.yaml").ledger
+    ledger = read_mission(folder / "block.yaml").ledger
     (ties,) = [entry for entry in ledger if entry.code == "ORIENTATION-TIES"]
     return ties
 
@@ -595,7 +595,7 @@ def test_rows_that_belong_to_the_next_image_are_a_loss(crossing):
 def ledger_of(crossing, table: pd.DataFrame, **orientation) -> dict:
     """The ledger by its codes; the last entry of each."""
     told_of(crossing, table, **orientation)
-    return {entry.code: entry for entry in check_mission(crossing[0] / "block.yaml").ledger}
+    return {entry.code: entry for entry in read_mission(crossing[0] / "block.yaml").ledger}
 
 
 def test_intersected_heights_are_compared_with_those_given(crossing):

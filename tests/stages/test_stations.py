@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
-from pipeline.stages.story import check_mission
+from pipeline.stages.story import read_mission
 
 
 def times_ns(mission) -> dict[str, int]:
-    stations = check_mission(mission.save()).stations
+    stations = read_mission(mission.save()).stations
     return dict(zip(stations.image.tolist(), stations.time_ns.tolist(), strict=True))
 
 
@@ -29,7 +29,7 @@ def test_a_delay_of_log_events_is_the_shutter_after_the_event(mission, delay_s):
 @pytest.mark.parametrize("delay_s", [0.25, -0.125])
 def test_a_delay_of_a_table_is_true_time_minus_the_tables(mission, delay_s):
     """A camera whose clock is a quarter of a second slow writes times that much too early."""
-    prepared = check_mission(mission.save())
+    prepared = read_mission(mission.save())
     stations = prepared.stations
     with (mission.folder / "events.csv").open("w", newline="") as file:
         rows = csv.writer(file)

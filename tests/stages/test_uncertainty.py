@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.flight.trajectory import _Curve
 from pipeline.stages import story as stages
-from pipeline.stages.story import check_mission
+from pipeline.stages.story import read_mission
 from pipeline.stages.uncertainty import station_sigmas
 
 pytestmark = pytest.mark.usefixtures("plain_report")
@@ -85,6 +85,7 @@ def unknown(manifest: dict) -> list[str]:
 
 
 def without_windows(mission) -> None:
+    mission.config["accept"] = [{"code": "PLAUSIBLE-WINDOW", "reason": "the hatch was open"}]
     for camera in mission.config["cameras"].values():
         del camera["window"]
 
@@ -342,6 +343,7 @@ def test_a_column_that_is_not_there(mission):
 def test_displaced_observations_have_them_too(mission):
     with_tilt(mission)
     mission.config["refraction"] = {"direction": "apply"}
+    mission.config["accept"] = [{"code": "PLAUSIBLE-APPLY", "reason": "there and back"}]
     manifest = ran(mission)
     table = good(mission)
     np.testing.assert_allclose(table["sigma_r_c_rad"], LN_P * table["r_c_rad"], rtol=2e-3)
@@ -354,7 +356,7 @@ def test_the_sigmas_of_each_mount_in_radians(mission):
     first, second = list(mission.config["cameras"])[:2]
     mission.config["mount"][first] |= {"sigma_tilt_deg": 0.5, "sigma_yaw_deg": 2.0}
     mission.config["mount"][second] |= {"sigma_tilt_deg": 0.25}
-    prepared = check_mission(mission.save())
+    prepared = read_mission(mission.save())
     at, camera = prepared.stations, prepared.stations.camera
     sigmas = station_sigmas(prepared.plan.mission, at)
     assert sigmas.tilt_rad[camera == first] == pytest.approx(0.008726646259971648)
@@ -364,7 +366,7 @@ def test_the_sigmas_of_each_mount_in_radians(mission):
     np.testing.assert_array_equal(sigmas.height_m, at.sigma_height_m)
     del mission.config["mount"][first]["sigma_yaw_deg"]
     del mission.config["mount"][first]["sigma_tilt_deg"]
-    prepared = check_mission(mission.save())
+    prepared = read_mission(mission.save())
     sigmas = station_sigmas(prepared.plan.mission, prepared.stations)
     ok = prepared.stations.ok & (camera == first)
     # without innovations of a filter 0.3 deg, and 0.5 deg of yaw

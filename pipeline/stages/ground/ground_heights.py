@@ -128,7 +128,7 @@ class ComputedGround:
 
     def heights(self, batch: Batch, station: Rows, setup: CorrectionSetup) -> GroundHeights:
         """(n,) heights above sea level [m], NaN where none was computed, or it is implausible."""
-        h_m, sigma_m = np.array(self.of_rows[:, batch.first_row : batch.first_row + len(batch)])
+        h_m, sigma_m = np.array(self.of_rows[:, batch.rows])
         return GroundHeights(plausible_heights(h_m), sigma_m)
 
 

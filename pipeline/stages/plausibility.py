@@ -1,0 +1,452 @@
+"""What looks like a mistake in a mission file: rules, each of which says what it found.
+
+None of them proves a mistake: a mission file can accept one by its code.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
+from pipeline.config import Mission
+from pipeline.errors import MissionError
+from pipeline.flight.stations import Stations
+from pipeline.ledger import Entry, Kind, Ledger, finding
+from pipeline.refraction.camera.camera import Camera
+from pipeline.refraction.effect import Effect, effects_on_r
+from pipeline.refraction.image import Exposures
+from pipeline.refraction.status_codes import MISSES_GROUND, OUTSIDE_CAMERA, STATUS_NAMES
+from pipeline.stages.statistics import SampledRows
+
+Array = NDArray[np.float64]
+Findings = Iterator[tuple[str, str, str]]
+"""Code, key to change, and what was found, was expected, and is the likely mistake."""
+
+_RADIUS_M = 6.371e6
+_FAR_KM = 30.0
+_LARGEST_SHARE = 0.2
+_LARGEST_FACTOR = 1.5
+_FEWEST_ROWS = 100
+
+
+@dataclass(frozen=True, eq=False)
+class Takeoff:
+    """Where the log stands still at its begin: latitude, longitude [rad], above sea level [m]."""
+
+    lat_rad: float
+    lon_rad: float
+    h_msl_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Facts:
+    """What the rules look at: a mission, its stations, cameras, and rows that stand for all.
+
+    ``camera`` (n,) names the camera of each row, empty without a station.
+    """
+
+    mission: Mission
+    stations: Stations
+    exposures: Exposures
+    cameras: Mapping[str, Camera]
+    rows: SampledRows
+    adjustment: Adjustment
+    takeoff: Takeoff | None = None
+
+    @cached_property
+    def effects(self) -> tuple[Effect, ...]:
+        """R between the median heights of camera and ground of the rows, beside the standard's."""
+        known = np.isfinite(self.camera_height_m - self.rows.h_g_m)
+        if not known.any():
+            return ()
+        air, heights = self.adjustment, (self.camera_height_m[known], self.rows.h_g_m[known])
+        h_c, h_g = (float(np.median(height)) for height in heights)
+        return effects_on_r(air.profile, air.standard, air.covariance, h_c, h_g)
+
+    @cached_property
+    def camera(self) -> NDArray[np.object_]:
+        """(n,) the camera of each row, empty without one."""
+        return np.append(self.stations.camera, "")[self.rows.station]
+
+    @cached_property
+    def camera_height_m(self) -> Array:
+        """(n,) above sea level."""
+        return np.append(self.exposures.height_m, np.nan)[self.rows.station]
+
+    @cached_property
+    def nadir_angle_rad(self) -> Array:
+        """(n,) of the measured ray in the camera, before the window; NaN outside the camera."""
+        angle = np.full(self.rows.station.size, np.nan)
+        for name, camera in self.cameras.items():
+            rows = np.flatnonzero((self.camera == name) & (self.rows.station >= 0))
+            u, v, _ = camera.rays(self.rows.x_px[rows], self.rows.y_px[rows])
+            up = self.exposures.rotation[self.rows.station[rows], :, 2]
+            cosine = -(up[:, 0] * u + up[:, 1] * v + up[:, 2]) / np.sqrt(u * u + v * v + 1.0)
+            angle[rows] = np.arccos(np.clip(cosine, -1.0, 1.0))
+        return angle
+
+    def axis_deg(self, name: str) -> float:
+        """The median nadir angle of a camera's axis [deg]; NaN without stations."""
+        rows = (self.stations.camera == name) & self.stations.ok
+        cosine = -self.exposures.rotation[rows, 2, 2]
+        cosine = cosine[np.isfinite(cosine)]
+        return float(np.degrees(np.median(np.arccos(cosine)))) if cosine.size else math.nan
+
+    def of_camera(self, name: str, values: Array) -> Array:
+        """The finite values of the rows of one camera."""
+        values = values[self.camera == name]
+        return np.asarray(values[np.isfinite(values)])
+
+    def view_deg(self, name: str) -> float:
+        """The field of view over the diagonal [deg], as if without distortion."""
+        camera = self.cameras[name]
+        half = math.hypot(camera.width_px / camera.fx_px, camera.height_px / camera.fy_px) / 2.0
+        return 2.0 * math.degrees(math.atan(half))
+
+
+def takeoff_of(
+    track: tuple[NDArray[np.int64], Array, Array, Array], home_m: float | None
+) -> Takeoff | None:
+    """Where a log begins, if it stands still there or has a take-off height ``home_m`` [m].
+
+    ``track`` holds time [Unix ns], latitude, longitude [rad] and height above sea level [m].
+    """
+    known = np.isfinite(np.sum(track[1:], axis=0))
+    time, lat, lon, h = (values[known] for values in track)
+    if not time.size:
+        return None
+    first = time <= time[0] + 10 * 10**9
+    north, east = np.ptp(lat[first]) * _RADIUS_M, np.ptp(lon[first]) * _RADIUS_M * math.cos(lat[0])
+    if home_m is None and max(math.hypot(north, east), float(np.ptp(h[first]))) > 20.0:
+        return None
+    height = float(np.median(h[first])) if home_m is None else home_m
+    return Takeoff(float(lat[0]), float(lon[0]), height)
+
+
+def cause_of_misses(facts: Facts) -> str:
+    """Why rays miss the ground: how far it lies above the camera, or beyond the horizon."""
+    rows = facts.rows.status == MISSES_GROUND
+    above = (facts.rows.h_g_m - facts.camera_height_m)[rows]
+    angle, height = facts.nadir_angle_rad[rows], -above
+    causes, under = [], above < 0.0
+    if bool((~under).any()):
+        most = f"up to {np.max(above[~under]):.0f} m" if above[~under].size > 1 else "so far"
+        causes.append(f"the ground lies {most} above the camera (ground.height, ground.reference)")
+    if bool(under.any()):
+        dip = np.arccos(_RADIUS_M / (_RADIUS_M + height[under]))
+        beyond = np.degrees(angle[under] + dip) - 90.0
+        causes.append(
+            f"rays pass up to {np.nanmax(beyond):.1f} deg beyond the horizon (angles of mount, "
+            "f_px of the camera)"
+        )
+    return "; ".join(causes)
+
+
+def causes_of_statuses(facts: Facts) -> dict[str, str]:
+    """A likely cause of each status that flags rows, with the keys to look at."""
+    causes = {
+        "no_station": "their images have no usable station (events, log)",
+        "no_ground": "their points have no height (ground.height)",
+        "bad_measurement": "x_px or y_px is no number (observations.columns)",
+        "outside_profile": "their rays leave the profile of the air (ground.height)",
+        "beyond_grazing": "their rays graze the ground (angles of mount)",
+    }
+    if bool((facts.rows.status == MISSES_GROUND).any()):
+        causes["misses_ground"] = cause_of_misses(facts)
+    outside = facts.rows.status == OUTSIDE_CAMERA
+    if bool(outside.any()):
+        parts = []
+        for name in np.unique(facts.camera[outside]).tolist():
+            camera, rows = facts.cameras[name], outside & (facts.camera == name)
+            x, y = facts.rows.x_px[rows], facts.rows.y_px[rows]
+            off = (x < 0) | (y < 0) | (x > camera.width_px) | (y > camera.height_px)
+            parts += [f"outside {camera.width_px} x {camera.height_px} px (cameras.{name}.width_px,"
+                      f" height_px; observations.columns)"] if off.any() else []  # fmt: skip
+            parts += [f"beyond where the distortion of {name} can be inverted (cameras.{name}."
+                      "distortion, f_px, fx_px)"] if not off.all() else []  # fmt: skip
+        causes["outside_camera"] = "; ".join(parts)
+    return causes
+
+
+def ground_near_takeoff(facts: Facts) -> Findings:
+    """The ground within 300 m of the take-off, and 20 m for each km from it; to 30 km."""
+    ok, off, known = facts.stations.ok, facts.takeoff, np.isfinite(facts.rows.h_g_m)
+    if off is None or not known.any() or not ok.any():
+        return
+    north = (facts.stations.lat_rad[ok] - off.lat_rad) * _RADIUS_M
+    turn = (facts.stations.lon_rad[ok] - off.lon_rad + np.pi) % (2.0 * np.pi) - np.pi
+    km = float(np.median(np.hypot(north, turn * math.cos(off.lat_rad) * _RADIUS_M))) / 1000.0
+    ground, allowed = float(np.median(facts.rows.h_g_m[known])), 300.0 + 20.0 * km
+    if km > _FAR_KM or abs(ground - off.h_msl_m) <= allowed:
+        return
+    readings = {
+        "feet": ground * 0.3048,
+        "km": ground * 1000.0,
+        "heights above the take-off (ground.reference: relative)": ground + off.h_msl_m,
+        "heights above sea level, not relative ones (ground.reference)": ground - off.h_msl_m,
+    }
+    best = min(readings, key=lambda reading: abs(readings[reading] - off.h_msl_m))
+    if ground == 0.0 or abs(readings[best] - off.h_msl_m) > 0.5 * abs(ground - off.h_msl_m):
+        best = "another height, datum or unit than that of ground.height"
+    column = facts.mission.ground.column
+    what = (
+        f"the ground lies {ground:.0f} m above sea level in the median, the take-off "
+        f"{off.h_msl_m:.0f} m and {km:.0f} km away: expected within {allowed:.0f} m of it; likely "
+        f"{best}"
+    )
+    yield "PLAUSIBLE-GROUND", "ground.height" + (f", column {column}" if column else ""), what
+
+
+def field_of_view(facts: Facts) -> Findings:
+    """A diagonal field of view between 3 and 130 deg, and pixels that are nearly square."""
+    for name, camera in facts.cameras.items():
+        view, key = facts.view_deg(name), f"cameras.{name}.fx_px"
+        if not 3.0 <= view <= 130.0:
+            what = (
+                f"camera {name} sees {view:.3g} deg over the diagonal of {camera.width_px} x "
+                f"{camera.height_px} px with f of {camera.fx_px:g} px, expected 3 to 130 deg: "
+                "likely f in millimetres, or that of other pixels (f_px, fx_px, pixel_pitch_um)"
+            )
+            yield "PLAUSIBLE-VIEW", key, what
+        if abs(camera.fx_px / camera.fy_px - 1.0) > 0.02:
+            what = (
+                f"fx of camera {name} is {camera.fx_px:g} px and fy {camera.fy_px:g} px, expected "
+                "within 2 %: likely the value of another camera or unit"
+            )
+            yield "PLAUSIBLE-VIEW", key, what
+
+
+def principal_point(facts: Facts) -> Findings:
+    """The principal point within a tenth of the image from its centre."""
+    for name, camera in facts.cameras.items():
+        off_x = abs(camera.cx_px / camera.width_px - 0.5)
+        off = max(off_x, abs(camera.cy_px / camera.height_px - 0.5))
+        if off > 0.1:
+            what = (
+                f"the principal point of {name} at {camera.cx_px:g}, {camera.cy_px:g} px is "
+                f"{100.0 * off:.0f} % of the image from its centre, expected up to 10 %: likely an "
+                "offset from the centre, millimetres, or width_px and height_px exchanged"
+            )
+            yield "PLAUSIBLE-PRINCIPAL-POINT", f"cameras.{name}.cx_px", what
+
+
+def distortion(facts: Facts) -> Findings:
+    """At the corners between 1e-6 and a third of the radius, and tangential less than radial."""
+    for name, camera in facts.cameras.items():
+        values = {k: v for k, v in camera.distortion._asdict().items() if v}
+        view, where = facts.view_deg(name), f"cameras.{name}.distortion"
+        if not values or view > 130.0:
+            continue
+        u = np.array([0.5, 0.5, -0.5, -0.5]) * camera.width_px / camera.fx_px
+        v = np.array([0.5, -0.5, 0.5, -0.5]) * camera.height_px / camera.fy_px
+        u_d, v_d = camera.distort(u, v)
+        share = float(np.max(np.hypot(u_d - u, v_d - v) / np.hypot(u, v)))
+        if not 1e-6 <= share <= (0.3 if view < 90.0 else 1.0):
+            what = (
+                f"the distortion of {name} moves the corners of the image by {share:.2g} of their "
+                "radius, expected 1e-6 to 0.3: likely coefficients of pixels or millimetres, not "
+                "of tangents"
+            )
+            yield "PLAUSIBLE-DISTORTION", where, what
+        tangential = max(abs(values.get(k, 0.0)) for k in ("p1", "p2"))
+        if tangential > 1e-3 and tangential > 3.0 * abs(values.get("k3", 0.0)):
+            what = (
+                f"p1 or p2 of {name} is {tangential:g}, expected below 0.001: likely coefficients "
+                "in another order (k1, k2, p1, p2, k3; params)"
+            )
+            yield "PLAUSIBLE-DISTORTION", f"{where}.k3", what
+
+
+def extent_of_observations(facts: Facts) -> Findings:
+    """Observations that fill the image, and hardly any outside it."""
+    for name, camera in facts.cameras.items():
+        rows = (facts.camera == name) & np.isfinite(facts.rows.x_px + facts.rows.y_px)
+        x, y = facts.rows.x_px[rows], facts.rows.y_px[rows]
+        if x.size == 0:
+            continue
+        width, height = camera.width_px, camera.height_px
+        outside = float(np.mean((x < 0) | (x > width) | (y < 0) | (y > height)))
+        expected, mistake = "none outside", "millimetres, or images of another size"
+        if x.max() <= height and y.max() <= width:
+            mistake = "width and height, or x and y, exchanged"
+        if outside <= 0.01:
+            expected, mistake = "to fill it", "measured in reduced images"
+            if x.size < _FEWEST_ROWS or max(x.max() / width, y.max() / height) >= 0.7:
+                continue
+        what = (
+            f"observations of {name} span x {x.min():.6g} to {x.max():.6g} and y {y.min():.6g} to "
+            f"{y.max():.6g} in an image of {width} x {height} px, {100.0 * outside:.0f} % outside "
+            f"it, expected {expected}: likely {mistake} (width_px, height_px; "
+            "observations.columns.x_px, y_px)"
+        )
+        yield "PLAUSIBLE-EXTENT", f"cameras.{name}.width_px", what
+
+
+def direction_of_cameras(facts: Facts) -> Findings:
+    """Cameras that look down, and those of a telling name where it says."""
+    for name in facts.cameras:
+        axis, half, expected = facts.axis_deg(name), facts.view_deg(name) / 2.0, ""
+        if axis > 90.0 - min(half, 10.0):
+            expected = "down: likely 0 for a camera that looks down, not -90"
+        elif axis > 30.0 and any(word in name.lower() for word in ("nadir", "down", "vertical")):
+            expected = f"within 30 deg of the nadir by the name of {name}"
+        elif axis < 10.0 and "oblique" in name.lower():
+            expected = f"more than 10 deg off by the name of {name}: likely radians, or exchanged"
+        if expected:
+            what = (
+                f"the axis of {name} is {axis:.1f} deg from the nadir in the median, expected "
+                f"{expected} (mount.{name}.roll_deg, pitch_deg)"
+            )
+            yield "PLAUSIBLE-DIRECTION", f"mount.{name}", what
+
+
+def stated_numbers(facts: Facts) -> Findings:
+    """Angles that are no round ones in radians, short lever arms and delays, sigmas of a ground."""
+    mission = facts.mission
+    for name, mount in mission.mount.items():
+        for key in ("roll_deg", "pitch_deg", "yaw_deg"):
+            value = getattr(mount, key)
+            steps = math.degrees(value) / 15.0
+            if value and abs(value) <= math.tau and abs(steps - round(steps)) < 2e-3:
+                what = (
+                    f"{key} of {name} is {value:g}, which is {math.degrees(value):.0f} deg in "
+                    "radians: likely radians, expected degrees"
+                )
+                yield "PLAUSIBLE-ANGLE", f"mount.{name}.{key}", what
+        length = math.hypot(*mount.lever_arm_m)
+        if length > 10.0:
+            what = (
+                f"the lever arm of {name} is {length:.0f} m long, expected less than 10 m: likely "
+                "centimetres or millimetres"
+            )
+            yield "PLAUSIBLE-LEVER-ARM", f"mount.{name}.lever_arm_m", what
+    if (sigma := mission.ground.sigma_m or 0.0) > 50.0:
+        what = (
+            f"sigma_m of the ground is {sigma:g} m, expected below 50 m: likely millimetres or "
+            "centimetres, or the height itself"
+        )
+        yield "PLAUSIBLE-SIGMA", "ground.sigma_m", what
+    for name, source in ((mission.events and mission.events.log) or {}).items():
+        if isinstance(source.delay_s, float) and abs(source.delay_s) > 1.0:
+            what = (
+                f"delay_s of {name} is {source.delay_s:g} s, expected below 1 s: likely "
+                "milliseconds, or the offset of a clock"
+            )
+            yield "PLAUSIBLE-DELAY", f"events.log.{name}.delay_s", what
+
+
+def windows(facts: Facts) -> Findings:
+    """Windows where a cabin is logged, and square within 35 deg to the camera they belong to."""
+    mission, windows = facts.mission, {n: c.window for n, c in facts.mission.cameras.items()}
+    named = None if mission.log is None else mission.log.channels.cabin_pressure
+    if named is not None and not any(windows.values()):
+        first = next(iter(windows))
+        what = (
+            "log.channels.cabin_pressure is named, and no camera has a window: expected a window, "
+            "or no channel of a cabin"
+        )
+        yield "PLAUSIBLE-WINDOW", f"cameras.{first}.window", what
+    for name, window in windows.items():
+        tilt = 0.0 if window is None else math.degrees(math.acos(window.build().normal[2]))
+        if window is not None and window.frame == "camera" and tilt > 35.0:
+            what = (
+                f"the window of {name} leans {tilt:.0f} deg from the optical axis, expected less "
+                "than 35 deg: likely a normal in the frame of the body (normal, frame)"
+            )
+            yield "PLAUSIBLE-WINDOW", f"cameras.{name}.window.frame", what
+
+
+def slant_ranges(facts: Facts) -> Findings:
+    """Slant ranges that fit the heights of camera and ground."""
+    straight = (facts.camera_height_m - facts.rows.h_g_m) / np.cos(facts.nadir_angle_rad)
+    ratio = facts.rows.distance_m / straight
+    ratio = ratio[np.isfinite(ratio) & (facts.nadir_angle_rad < 1.4)]
+    if ratio.size and not 0.7 < np.median(ratio) < 1.4:
+        what = (
+            f"slant ranges are {np.median(ratio):.3g} times what the heights of camera and ground "
+            "give in the median, expected 1: likely feet or km, or another ground.height"
+        )
+        yield "PLAUSIBLE-DISTANCE", "observations.columns.distance_m", what
+
+
+def flagged_rows(facts: Facts) -> Findings:
+    """No more than a fifth of the rows flagged for one cause."""
+    for name, cause in causes_of_statuses(facts).items():
+        flagged = facts.rows.status == STATUS_NAMES.index(name)
+        share = float(np.sum(facts.rows.weight[flagged]) / np.sum(facts.rows.weight))
+        if share > _LARGEST_SHARE:
+            what = (
+                f"{100.0 * share:.0f} % of the observations are {name}, expected at most "
+                f"{100.0 * _LARGEST_SHARE:.0f} %: {cause}"
+            )
+            yield "PLAUSIBLE-FLAGGED", "observations", what
+
+
+def air_of_flight(facts: Facts) -> Findings:
+    """R within a factor of 1.5 of that in US 1976 between the same heights."""
+    for effect in facts.effects[:1]:
+        if not 1.0 / _LARGEST_FACTOR < effect.factor < _LARGEST_FACTOR:
+            what = (
+                f"R at {effect.nadir_deg:.0f} deg from {effect.h_c_m:.0f} to {effect.h_g_m:.0f} m "
+                f"is {effect.factor:.2f} times that in the standard atmosphere, expected 0.67 to "
+                "1.5: likely a barometer or thermometer of another place or unit "
+                "(log.channels.pressure, log.channels.temperature)"
+            )
+            yield "PLAUSIBLE-AIR", "atmosphere", what
+
+
+def measured_observations(facts: Facts) -> Findings:
+    """Refraction is applied to observations for plans, not to those of a flight with a log."""
+    mission = facts.mission
+    if mission.refraction.direction == "apply" and mission.stations.orientation is None:
+        what = (
+            "direction is apply, and the stations are those of a log: refraction would be put "
+            "twice into observations that were measured; expected remove"
+        )
+        yield "PLAUSIBLE-APPLY", "refraction.direction", what
+
+
+RULES: tuple[Callable[[Facts], Findings], ...] = (
+    ground_near_takeoff,
+    field_of_view,
+    principal_point,
+    distortion,
+    extent_of_observations,
+    direction_of_cameras,
+    stated_numbers,
+    windows,
+    slant_ranges,
+    flagged_rows,
+    air_of_flight,
+    measured_observations,
+)
+
+
+def findings_of(facts: Facts) -> tuple[Entry, ...]:
+    """What all the rules find."""
+    found = (each for rule in RULES for each in rule(facts))
+    return tuple(finding(code, what, where=key) for code, key, what in found)
+
+
+def accept_findings(mission: Mission, ledger: Ledger) -> None:
+    """Make warnings of the findings that a mission file accepts; losses cannot be accepted.
+
+    Refuses (MissionError ACCEPT-LOSS) the code of a loss.
+    """
+    losses = {entry.code for entry in ledger if entry.kind is Kind.LOSS}
+    for accepted in mission.accept:
+        if accepted.code in losses:
+            raise MissionError(
+                "ACCEPT-LOSS",
+                f"{accepted.code} is a loss: data is missing or flagged whatever the reason is",
+                where="accept",
+                remedy="mend what leads to it; findings can be accepted, losses cannot",
+            )
+    for code in ledger.accept({accepted.code: accepted.reason for accepted in mission.accept}):
+        ledger.warning("ACCEPT-UNUSED", f"nothing is found that {code} accepts", where="accept")

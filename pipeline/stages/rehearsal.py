@@ -1,0 +1,199 @@
+"""What ``unbend check`` tells of a mission: its inputs, and what a run would do, in ten lines."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pipeline.atmosphere.profile import Profile, stack_layers
+from pipeline.flight.stations import NO_TIME
+from pipeline.refraction.ray import rays_by
+from pipeline.report.summary import effect_lines
+from pipeline.stages.correction import correct_batch
+from pipeline.stages.ground.ground_heights import GroundHeights
+from pipeline.stages.plausibility import Facts, causes_of_statuses
+from pipeline.stages.statistics import evenly_spaced
+from pipeline.stages.story import CorrectedMission
+from pipeline.tables.geodata.geoid import package_geoid
+from pipeline.tables.observations import Batch
+from pipeline.units import ARCSEC
+
+Array = NDArray[np.float64]
+
+_ROWS = 1000
+
+
+def input_lines(checked: CorrectedMission) -> list[tuple[str, str]]:
+    """A label and a description of each input."""
+    prepared = checked.prepared
+    flight, log = prepared.flight, "none: the stations come from elsewhere, and so does the air"
+    channels = ", ".join(
+        f"{role.replace('_', ' ')} {channel.name}" for role, channel in sorted(flight.roles.items())
+    )
+    cameras = Counter(checked.stations.camera[checked.stations.ok].tolist())
+    images = len(prepared.observations.images)
+    if flight.log is not None:
+        log = f"{prepared.plan.input('log').name}: {flight.log.format}"
+    return [
+        ("log", log),
+        ("channels", channels or "none"),
+        ("stations", ", ".join(f"{n} of {name}" for name, n in cameras.items()) or "none"),
+        ("observations", f"{prepared.observations.rows:,} in {images} images"),
+        *prepared.sources.lines(),
+        ("results", str(prepared.plan.output)),
+    ]
+
+
+def rehearsal_lines(checked: CorrectedMission) -> list[tuple[str, str]]:
+    """What a run would do, each line with its label."""
+    facts, prepared = checked.facts, checked.prepared
+    mission, heights = facts.mission, prepared.flight.heights
+    ok, home = facts.stations.ok, facts.takeoff
+    undulation = (facts.stations.h_ellipsoid_m - facts.stations.h_msl_m)[ok]
+    height_role = prepared.flight.roles.get("height")
+    source = "orientation" if height_role is None else height_role.name
+    pixels = {name: _span(facts.of_camera(name, facts.rows.shift_px), 3) for name in facts.cameras}
+    metres = {
+        name: _span(facts.of_camera(name, facts.rows.shift_ground_m), 3) for name in facts.cameras
+    }
+    angles = {
+        name: _span(np.degrees(facts.of_camera(name, facts.nadir_angle_rad)), 2)
+        for name in facts.cameras
+    }
+    status = {k: n for k, n in checked.statistics.status.items() if n}
+    causes = causes_of_statuses(facts)
+    rows = (f"{n:,} {k}" + (f" ({causes[k]})" if k in causes else "") for k, n in status.items())
+    taken = "unknown" if home is None else f"{home.h_msl_m:.0f} m"
+    above = facts.camera_height_m - facts.rows.h_g_m
+    return [
+        ("datum", f"cameras by {source}, ground {mission.ground.reference}, all above mean sea "
+         f"level; undulation {_span(undulation, 4)} m ({heights.source})"),
+        ("heights", f"ground {_span(facts.rows.h_g_m, 4)} m, take-off {taken}, cameras "
+         f"{_span(facts.stations.h_msl_m[ok], 5)} m; above ground {_span(above, 4)} m"),
+        ("cameras", "; ".join(camera_text(facts, name) for name in facts.cameras)),
+        ("nadir angles", f"{_by_camera(angles)} deg"),
+        ("time", times_text(checked)),
+        ("shift", f"{_by_camera(pixels)} px; {_by_camera(metres)} m on the ground"),
+        ("changes by", changes_text(checked)),
+        ("rows", f"{', '.join(rows)}, expected of {checked.statistics.rows:,}"),
+        ("vertical", deflection_text(facts)),
+        ("air", "; ".join(effect_lines(
+            [effect.row() for effect in facts.effects[:1]], facts.adjustment.standard.name))
+         or "no ray looks down"),
+    ]  # fmt: skip
+
+
+def _span(values: Array, digits: int) -> str:
+    """Lowest to highest of the finite values."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return "unknown"
+    low, high = (
+        f"{v:.{digits}g}" if abs(v) < 1e4 else f"{v:.0f}" for v in (known.min(), known.max())
+    )
+    return low if low == high else f"{low} to {high}"
+
+
+def _by_camera(texts: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} {text}" for name, text in texts.items())
+
+
+def camera_text(facts: Facts, name: str) -> str:
+    """Field of view, ground sampling distance and footprint at the median height, straight down."""
+    camera = facts.cameras[name]
+    above = facts.of_camera(name, facts.camera_height_m - facts.rows.h_g_m)
+    height = float(np.median(above)) if above.size else math.nan
+    far = height / max(math.cos(math.radians(facts.axis_deg(name))), 0.02)
+    wide, high = camera.width_px / camera.fx_px, camera.height_px / camera.fy_px
+    views = (2.0 * math.degrees(math.atan(0.5 * side)) for side in (wide, high))
+    return (
+        f"{name} {' x '.join(f'{view:.0f}' for view in views)} deg, {far / camera.fx_px:.2g} m a "
+        f"pixel, {far * wide:.0f} x {far * high:.0f} m across the axis"
+    )
+
+
+def times_text(checked: CorrectedMission) -> str:
+    """When the log begins and ends, and when the events do."""
+    time, events = checked.prepared.track()[0], checked.stations.time_ns
+    events = events[events != NO_TIME]
+    parts = []
+    for label, values in (("log", time), ("events", events)):
+        if values.size:
+            first, last = (np.datetime64(int(t), "ns").astype("datetime64[s]") for t in
+                           (values.min(), values.max()))  # fmt: skip
+            parts.append(f"{label} {str(first).replace('T', ' ')} to {str(last)[11:]} UTC")
+    return "; ".join(parts) or "unknown"
+
+
+def deflection_text(facts: Facts) -> str:
+    """What the deflection of the vertical does to directions that were levelled by gravity."""
+    ok = facts.stations.ok
+    lat, lon = facts.stations.lat_rad[ok], facts.stations.lon_rad[ok]
+    above = (facts.camera_height_m - facts.rows.h_g_m)[np.isfinite(facts.rows.h_g_m)]
+    if not lat.size or not above.size:
+        return "unknown"
+    deflection = float(np.median(np.hypot(*package_geoid().deflection(lat, lon))))
+    metres = deflection * float(np.nanmedian(above))
+    return (
+        f"deflected by {deflection / ARCSEC:.1f} arcsec (EGM96), {metres:.2f} m on the ground: not "
+        "removed unless the trajectory did"
+    )
+
+
+def changes_text(checked: CorrectedMission) -> str:
+    """How far the correction moves, in the median of each camera [px], with what it is made of."""
+    facts, setup = checked.facts, checked.setup
+    rows = np.flatnonzero(np.isfinite(facts.rows.shift_px))
+    rows = rows[evenly_spaced(rows.size, _ROWS)]
+    if not rows.size:
+        return "unknown: no row is corrected"
+    station, h_g, distance = (
+        facts.rows.station[rows],
+        facts.rows.h_g_m[rows],
+        facts.rows.distance_m[rows],
+    )
+    exposures, setup = setup.exposures, replace(setup, uncertainties=(None,) * len(setup.rays))
+    names = pa.nulls(rows.size, pa.string())
+    x, y = facts.rows.x_px[rows], facts.rows.y_px[rows]
+    batch = Batch(names, names, x, y, x, y, None, {}, distance_m=distance)
+    warm = tuple(rays_by(warmer(p, 5.0), facts.mission.refraction.method)
+                 for p in checked.air.series.profiles)  # fmt: skip
+    turn = Rotation.from_rotvec([math.radians(0.5), 0.0, 0.0]).as_matrix()
+    tilted = replace(exposures, rotation=turn @ exposures.rotation)
+    higher = replace(exposures, height_m=exposures.height_m + 10.0)
+    unknown = np.full(rows.size, np.nan)
+    before = correct_batch(batch, station, GroundHeights(h_g, unknown), setup)
+    camera, texts = facts.camera[rows], []
+    for label, changed, ground in (
+        ("10 m of ground", setup, h_g + 10.0),
+        ("10 m of height", replace(setup, exposures=higher), h_g),
+        ("0.5 deg of tilt", replace(setup, exposures=tilted), h_g),
+        ("5 K", replace(setup, rays=warm), h_g),
+    ):
+        after = correct_batch(batch, station, GroundHeights(ground, unknown), changed)
+        moved = np.hypot(after.dx_px - before.dx_px, after.dy_px - before.dy_px)
+        medians = {n: f"{np.nanmedian(moved[camera == n]):.2g}" for n in np.unique(camera)}
+        texts.append(f"{label} {_by_camera(medians)} px")
+    return "; ".join(texts)
+
+
+def warmer(profile: Profile, by_k: float) -> Profile:
+    """The air warmer by the same at every height, with the pressure at its bottom."""
+    layers = profile.layers
+    top = layers.vapour[-1] + layers.vapour_slope[-1] * (layers.edge[-1] - layers.edge[-2])
+    warmer = stack_layers(
+        layers.edge,
+        layers.edge_temperature + by_k,
+        np.append(layers.vapour, top),
+        layers.source,
+        anchor=(float(layers.edge[0]), float(layers.pressure[0])),
+        constant=profile.constant,
+    )
+    return replace(profile, layers=warmer)

@@ -1,0 +1,251 @@
+"""Missions with a mistake in them, derived from the samples as `tests/data/mistakes.yaml` says."""
+
+from __future__ import annotations
+
+import copy
+import struct
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import yaml
+from scipy.spatial.transform import Rotation
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+SAMPLES = REPOSITORY / "sample_logs"
+MISTAKES = REPOSITORY / "tests" / "data" / "mistakes.yaml"
+
+
+@cache
+def sample_sections(base: str) -> dict[str, Any]:
+    text = (REPOSITORY / "configs" / f"{base}.yaml").read_text(encoding="utf-8")
+    return yaml.safe_load(text)
+
+
+def changed(sections: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """The sections of a mission file with other values under dotted keys; ``delete`` removes."""
+    sections = copy.deepcopy(sections)
+    for key, value in changes.items():
+        *path, last = key.split(".")
+        at = sections
+        for part in path:
+            at = at.setdefault(part, {})
+        if value == "delete":
+            at.pop(last, None)
+        else:
+            at[last] = value
+    return sections
+
+
+@cache
+def stations_of(base: str) -> pd.DataFrame:
+    """The stations of a sample mission, as `unbend stations --csv` writes them."""
+    from pipeline.flight.stations import station_columns
+    from pipeline.stages.story import read_mission
+
+    stations = read_mission(REPOSITORY / "configs" / f"{base}.yaml").stations
+    return pd.DataFrame(station_columns(stations))
+
+
+@cache
+def orientation_of(base: str) -> pd.DataFrame:
+    """Omega, phi, kappa and places of the images of a sample mission, in degrees."""
+    table = stations_of(base)
+    q = table[["q_w", "q_x", "q_y", "q_z"]].to_numpy()
+    w, x, y, z = q.T
+    # Rows of R(q): east-north-up to a camera of x right, y down, z forward.
+    r = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    m = r.copy()  # to photogrammetric axes: x right, y up, z backward
+    m[1], m[2] = -m[1], -m[2]
+    angles = {
+        "omega_deg": np.arctan2(-m[2, 1], m[2, 2]),
+        "phi_deg": np.arcsin(np.clip(m[2, 0], -1, 1)),
+        "kappa_deg": np.arctan2(-m[1, 0], m[0, 0]),
+    }
+    return table.assign(**{name: np.degrees(angle) for name, angle in angles.items()})
+
+
+def write_observations(path: Path, recipe: str) -> None:
+    table = pq.read_table(SAMPLES / "observations.parquet").replace_schema_metadata(None)
+    rows = table.to_pandas()
+    if recipe == "rotate images by 11":
+        number = (rows["image"].str[-5:].astype(int) + 10) % 28 + 1
+        rows["image"] = rows["image"].str[:-5] + number.map("{:05d}".format)
+    else:
+        rows = evaluated(rows, recipe)
+    pq.write_table(pa.Table.from_pandas(rows, table.schema, preserve_index=False), path)
+
+
+def evaluated(rows: pd.DataFrame, recipe: str) -> pd.DataFrame:
+    """Assignments separated by semicolons, as `pandas.DataFrame.eval` understands them."""
+    for assignment in filter(None, recipe.split("; ")):
+        if assignment.startswith("drop "):
+            rows = rows.drop(columns=assignment[5:])
+        else:
+            rows = rows.eval(assignment)
+    return rows
+
+
+def write_orientation(path: Path, recipe: str) -> None:
+    rows = orientation_of("sample_bin").copy()
+    if recipe == "reverse the first line":
+        places = ["lat_deg", "lon_deg", "h_ellipsoid_m"]
+        line = rows["image"].isin([f"nadir_{i:05d}" for i in range(1, 8)])
+        rows.loc[line, places] = rows.loc[line, places].to_numpy()[::-1]
+        recipe = ""
+    rows = evaluated(rows, recipe)
+    if "time_utc" in rows:
+        rows["time_utc"] = iso(rows["time_utc"])
+    rows.to_csv(path, index=False)
+
+
+def write_quaternions(path: Path, recipe: str) -> None:
+    rows = stations_of("sample_bin").copy()
+    w, x, y, z = rows[["q_w", "q_x", "q_y", "q_z"]].to_numpy().T
+    assert recipe == "half turn about x"
+    rows[["q_w", "q_x", "q_y", "q_z"]] = np.stack([-x, w, -z, y], axis=1)  # (0,1,0,0) * q
+    rows.assign(time_utc=iso(rows["time_utc"])).to_csv(path, index=False)
+
+
+def iso(times: pd.Series) -> pd.Series:
+    return times.dt.strftime("%Y-%m-%dT%H:%M:%S.%f") + "Z"
+
+
+def write_events(path: Path, recipe: str) -> None:
+    rows = stations_of("sample_bin")[["image", "camera", "time_utc"]].copy()
+    time = rows.pop("time_utc")
+    if recipe == "gps week - 1":
+        seconds = (time - pd.Timestamp("1980-01-06")).dt.total_seconds() + 18.0
+        rows["gps_week"] = (seconds // 604800).astype(int) - 1
+        rows["gps_seconds"] = (seconds % 604800).round(6)
+    else:
+        late = pd.Timedelta(seconds=7200 if recipe == "utc + 7200 s" else 0)
+        rows["time_utc"] = iso(time + late)
+    rows.to_csv(path, index=False)
+
+
+def write_trajectory(path: Path, recipe: str) -> None:
+    """Positions and attitudes of the log at 5 Hz, heights above the ellipsoid."""
+    from pipeline.ingest import open_log
+
+    channels = {c.name: c for c in open_log(SAMPLES / "flight.bin").channels}
+    gps, att = channels["GPS[0]"], channels["ATT"]
+    time = att.time_ns[4:-4:2]
+    late = np.timedelta64(18 if recipe == "+ 18 s" else 0, "s")
+    q = np.stack([att[f"q_{axis}"][4:-4:2] for axis in "xyzw"], axis=1)
+    yaw, pitch, roll = Rotation.from_quat(q).as_euler("ZYX", degrees=True).T
+
+    def at(name: str) -> np.ndarray:
+        return np.interp(time, gps.time_ns, gps[name])
+
+    pd.DataFrame(
+        {
+            "time_utc": iso(pd.Series(time.astype("datetime64[ns]") + late)),
+            "lat": np.degrees(at("lat_rad")),
+            "lon": np.degrees(at("lon_rad")),
+            "h": at("h_ellipsoid_m"),
+            "roll": roll,
+            "pitch": pitch,
+            "yaw": yaw % 360.0,
+        }
+    ).to_csv(path, index=False, float_format="%.9f")
+
+
+def write_sounding(path: Path, recipe: str) -> None:
+    h = np.arange(400.0, 12001.0, 200.0)
+    temperature = 288.15 - 0.0065 * (h - 400.0)
+    pressure = 974.0 * (temperature / 288.15) ** (9.80665 * 0.0289644 / 8.31432 / 0.0065)
+    year, colder = (2024, 12.0) if recipe else (2025, 0.0)
+    pd.DataFrame(
+        {
+            "h_m": h,
+            "pressure_hpa": pressure.round(2),
+            "temperature_c": (temperature - 273.15 - colder).round(2),
+            "dew_point_c": (temperature - 279.15 - colder).round(2),
+            "time_utc": f"{year}-06-12T09:00:00Z",
+            "latitude_deg": 47.4,
+            "longitude_deg": 8.6,
+        }
+    ).to_csv(path, index=False)
+
+
+WIDTHS = (64, 1, 1, 2, 2, 4, 4, 4, 4, 16, 64, 2, 2, 4, 4, 4, 1, 8, 8, 8)
+SIZES = dict(zip("abBhHiIfnNZcCeELMqQd", WIDTHS, strict=True))
+CODES = {"b": "b", "B": "B", "h": "h", "H": "H", "i": "i", "I": "I", "f": "f", "c": "h", "C": "H",
+         "e": "i", "E": "I", "L": "i", "M": "B", "q": "q", "Q": "Q", "d": "d"}  # fmt: skip
+
+
+def write_log(path: Path, recipe: str) -> None:
+    """The flight a day earlier: pressure 8 hPa higher, air 6 K warmer, roll and pitch reversed."""
+    assert recipe == "a day before"
+    data = bytearray((SAMPLES / "flight.bin").read_bytes())
+    kinds: dict[int, tuple[int, str, str, list[str]]] = {}
+    shifts = {("GPS", "GMS"): -86_400_000, ("BARO", "Press"): 800.0, ("HYGR", "Temp"): 6.0}
+    at = 0
+    while at + 3 <= len(data):
+        kind = data[at + 2]
+        if kind == 128:
+            number, length = data[at + 3 : at + 5]
+            name, form, labels = (
+                bytes(data[at + i : at + j]).split(b"\0")[0].decode()
+                for i, j in ((5, 9), (9, 25), (25, 89))
+            )
+            kinds[number] = (length, name, form, labels.split(","))
+        length, name, form, labels = kinds[kind] if kind != 128 else (89, "FMT", "", [])
+        place, fields = at + 3, {}
+        for letter, label in zip(form, labels, strict=False):
+            fields[label] = (letter, place)
+            place += SIZES[letter]
+        if name in ("GPS", "BARO", "HYGR", "ATT"):
+            first = "I" not in fields or data[fields["I"][1]] == 0
+            for label, (letter, offset) in fields.items():
+                code = "<" + CODES.get(letter, "x")
+                shift = shifts.get((name, label))
+                reverse = name == "ATT" and label in ("Roll", "Pitch")
+                if (shift is None or not first) and not reverse:
+                    continue
+                (value,) = struct.unpack_from(code, data, offset)
+                scale = 100.0 if letter in "cCeE" else 1
+                value = -value if reverse else value + shift * scale
+                struct.pack_into(code, data, offset, value if letter in "fd" else int(value))
+        at += length
+    path.write_bytes(data)
+
+
+WRITERS = {
+    "observations": ("observations_mistake.parquet", write_observations),
+    "orientation": ("orientation.csv", write_orientation),
+    "quaternions": ("orientation.csv", write_quaternions),
+    "events": ("events.csv", write_events),
+    "trajectory": ("trajectory.csv", write_trajectory),
+    "sounding": ("sounding.csv", write_sounding),
+    "log": ("flight_mistake.bin", write_log),
+}
+
+
+def write_mistake(folder: Path, mistake: dict[str, Any]) -> Path:
+    """The mission file of a mistake, with its changed inputs beside it."""
+    sections = sample_sections(mistake["base"])
+    for name in ("log", "observations"):
+        sections[name]["path"] = str((REPOSITORY / "configs" / sections[name]["path"]).resolve())
+    sections["output"]["path"] = "results"
+    sections = changed(sections, mistake["mission"])
+    log = sections.get("log", {}).get("path", "")
+    if log.startswith("../sample_logs"):
+        sections["log"]["path"] = str(SAMPLES / Path(log).name)
+    for name, recipe in mistake.get("files", {}).items():
+        file, write = WRITERS[name]
+        write(folder / file, recipe)
+    path = folder / "mission.yaml"
+    path.write_text(yaml.safe_dump(sections, sort_keys=False), encoding="utf-8")
+    return path

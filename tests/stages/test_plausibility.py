@@ -1,0 +1,164 @@
+"""Each rule finds its mistake in a mission that is sound otherwise, and nothing else does."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from pipeline.stages.plausibility import RULES
+from pipeline.stages.story import check_mission
+
+from .test_rehearsal import config, rows
+
+pytestmark = pytest.mark.usefixtures("plain_report")
+
+
+def scaled(**factors):
+    def change(table):
+        for name, factor in factors.items():
+            table[name] *= factor
+
+    return rows(change)
+
+
+def many(spoil):
+    """The observations ten times, so that their extent counts, before they are spoiled."""
+
+    def change(mission):
+        table = mission.measurements().to_pandas()
+        table = table.loc[table.index.repeat(10)].reset_index(drop=True)
+        mission.observe(pa.Table.from_pandas(table, preserve_index=False), "observations.parquet")
+        spoil(mission)
+
+    return change
+
+
+def exchanged(table):
+    table["x_px"], table["y_px"] = table["y_px"].copy(), table["x_px"].copy()
+
+
+NADIR = "cameras__nadir__"
+# What is changed -> the code, the key it must name, and words of what was found.
+FOUND = {
+    "feet": (scaled(h_g_m=3.28084), "PLAUSIBLE-GROUND", "ground.height", "likely feet"),
+    "f in mm": (config(**{NADIR + "fx_px": 3000.0, NADIR + "fy_px": 3000.0,
+                          NADIR + "distortion": {}}), "PLAUSIBLE-VIEW", "cameras.nadir.fx_px",
+                r"sees 142 deg .* likely f in millimetres"),
+    "f in um": (config(**{NADIR + "fx_px": 920000.0, NADIR + "fy_px": 920000.0}), "PLAUSIBLE-VIEW",
+                "cameras.nadir.fx_px", r"sees 1.09 deg"),
+    "fy of another": (config(**{NADIR + "fy_px": 26000.0}), "PLAUSIBLE-VIEW",
+                      "cameras.nadir.fx_px", "fx of camera nadir is 20000 px and fy 26000 px"),
+    "offset of c": (config(**{NADIR + "cx_px": 12.4}), "PLAUSIBLE-PRINCIPAL-POINT",
+                    "cameras.nadir.cx_px", "is 50 % of the image from its centre"),
+    "k1 of pixels": (config(**{NADIR + "distortion": {"k1": -4.5e-11}}), "PLAUSIBLE-DISTORTION",
+                     "cameras.nadir.distortion", "coefficients of pixels"),
+    "order of k": (config(**{NADIR + "distortion": {"k1": -0.018, "k2": 0.009, "k3": 0.00015,
+                                                   "p1": -0.0001, "p2": -0.002}}),
+                   "PLAUSIBLE-DISTORTION", "cameras.nadir.distortion.k3", "in another order"),
+    "reduced images": (many(scaled(x_px=0.5, y_px=0.5)), "PLAUSIBLE-EXTENT",
+                       "cameras.nadir.width_px", "measured in reduced images"),
+    "x and y": (rows(exchanged), "PLAUSIBLE-EXTENT", "observations.columns.x_px",
+                "width and height, or x and y, exchanged"),
+    "width and height": (config(**{NADIR + "width_px": 10600, NADIR + "height_px": 14000}),
+                         "PLAUSIBLE-EXTENT", "cameras.nadir.width_px", "exchanged"),
+    "gimbal": (config(mount__nadir__pitch_deg=-90.0), "PLAUSIBLE-DIRECTION", "mount.nadir",
+               r"9\d.* deg from the nadir|8\d.* deg from the nadir"),
+    "nadir by name": (config(mount__nadir__roll_deg=45.0), "PLAUSIBLE-DIRECTION", "mount.nadir",
+                      "within 30 deg of the nadir by the name of nadir"),
+    "radians": (config(mount__oblique__roll_deg=-0.7853982), "PLAUSIBLE-ANGLE",
+                "mount.oblique.roll_deg", "which is -45 deg in radians"),
+    "oblique by name": (config(mount__oblique__roll_deg=-0.7), "PLAUSIBLE-DIRECTION",
+                        "mount.oblique", "more than 10 deg off by the name of oblique"),
+    "lever arm in cm": (config(mount__oblique__lever_arm_m=[20.0, 28.0, 55.0]),
+                        "PLAUSIBLE-LEVER-ARM", "mount.oblique.lever_arm_m", "is 65 m long"),
+    "sigma in mm": (config(ground__sigma_m=150.0), "PLAUSIBLE-SIGMA", "ground.sigma_m", "150 m"),
+    "delay of a clock": (config(events__log__nadir__delay_s=3.0), "PLAUSIBLE-DELAY", "delay_s",
+                         "delay_s of nadir is 3 s"),
+    "no window": (config(**{NADIR + "window": None, "cameras__oblique__window": None}),
+                  "PLAUSIBLE-WINDOW", "cameras.nadir.window", "no camera has a window"),
+    "normal in body": (config(cameras__oblique__window={"cabin": "log",
+                                                        "normal": [0.0, 0.7071, 0.7071]}),
+                       "PLAUSIBLE-WINDOW", "cameras.oblique.window.frame", "leans 45 deg"),
+    "no heights": (rows(lambda table: table.__setitem__("h_g_m", np.nan)), "PLAUSIBLE-FLAGGED",
+                   "ground.height", "100 % of the observations are no_ground"),
+    "ground above": (config(ground__height=4000.0), "PLAUSIBLE-FLAGGED", "ground.height",
+                     r"the ground lies up to 1\d{3} m above the camera"),
+    "apply": (config(refraction={"direction": "apply"}), "PLAUSIBLE-APPLY",
+              "refraction.direction", "expected remove"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", FOUND)
+def test_a_mistake_is_found_with_its_key(mission, what):
+    spoil, code, key, words = FOUND[what]
+    spoil(mission)
+    manifest = check_mission(mission.save()).manifest
+    found = [e for e in manifest["ledger"] if e["kind"] == "finding" and e["code"] == code]
+    texts = [f"{e['what']} {e['where']}" for e in found]
+    assert any(re.search(words, text) and key in text for text in texts), manifest["ledger"]
+    assert manifest["exit_code"] == 3
+
+
+def test_slant_ranges_in_feet(mission):
+    """Straight lines from 2500 m above the field to the points, 3.28 times as long."""
+    checked = check_mission(mission.save())
+    facts = checked.facts
+    length = (facts.camera_height_m - facts.rows.h_g_m) / np.cos(facts.nadir_angle_rad)
+    for factor, finds in ((1.0, False), (3.28084, True)):
+        rows(lambda t, f=factor: t.insert(5, "slant", length * f))(mission)
+        mission.config["observations"]["columns"] = {"distance_m": "slant"}
+        ledger = check_mission(mission.save()).manifest["ledger"]
+        text = [e["what"] for e in ledger if e["code"] == "PLAUSIBLE-DISTANCE"]
+        assert bool(text) is finds
+        assert not finds or "3.28 times" in text[0]
+        mission.config["observations"] = {"path": "observations.parquet"}
+
+
+def test_air_of_another_pressure(mission, monkeypatch):
+    """R in air of half the pressure is half of the standard's, beyond the factor of 1.5."""
+    from dataclasses import replace
+
+    from pipeline.stages import story
+
+    real = story.adjusted_profiles
+
+    def thin(*args):
+        air = real(*args)
+        profile = air.adjustment.profile
+        layers = replace(profile.layers, pressure=0.5 * profile.layers.pressure)
+        profile = replace(profile, layers=layers)
+        return replace(air, adjustment=replace(air.adjustment, profile=profile))
+
+    monkeypatch.setattr(story, "adjusted_profiles", thin)
+    ledger = check_mission(mission.save()).manifest["ledger"]
+    (text,) = [e["what"] for e in ledger if e["code"] == "PLAUSIBLE-AIR"]
+    assert "is 0.50 times that in the standard" in text
+
+
+@pytest.mark.parametrize("kind", ["bin", "tlog", "mcap"])
+def test_a_sound_mission_has_no_findings(mission_factory, tmp_path, kind):
+    manifest = check_mission(mission_factory(tmp_path / "m", kind).save()).manifest
+    assert [e for e in manifest["ledger"] if e["kind"] in ("finding", "loss")] == []
+
+
+def test_every_rule_is_a_function_with_one_sentence():
+    assert len(RULES) == len(set(RULES))
+    assert all(rule.__doc__ and rule.__doc__.strip().endswith(".") for rule in RULES)
+
+
+def test_rays_beyond_the_horizon_are_told_by_how_much(mission):
+    """A camera that looks 120 deg from the nadir sees nothing but sky."""
+    mission.config["mount"]["nadir"]["pitch_deg"] = -120.0
+    checked = check_mission(mission.save())
+    (entry,) = [e for e in checked.manifest["ledger"]
+                if e["code"] == "OBS-FLAGGED" and "misses_ground" in e["what"]]  # fmt: skip
+    degrees = float(re.search(r"up to ([\d.]+) deg beyond the horizon", entry["what"])[1])
+    facts = checked.facts
+    angle = np.degrees(np.nanmax(facts.nadir_angle_rad[facts.camera == "nadir"]))
+    # Geometry by hand: the horizon of a sphere of 6371 km from the height above the ground.
+    height = np.nanmax(facts.camera_height_m - facts.rows.h_g_m)
+    dip = np.degrees(np.sqrt(2.0 * height / 6.371e6))
+    assert degrees == pytest.approx(angle - 90.0 + dip, abs=0.2)
