@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import pipeline
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.refraction import Camera, correct_observations, ray_table
+from pipeline.refraction import STATUS_NAMES, Camera, correct_observations, ray_table
 from pipeline.refraction.camera.brown_conrady import BrownConrady
 from pipeline.refraction.camera.general_frame import GeneralFrame
 from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
@@ -129,3 +129,40 @@ def test_the_order_of_effects(name):
     for wrong in ((window, undistort, air), (window, air, undistort), (air, undistort, window),
                   (undistort, air, window), (undistort, air)):  # fmt: skip
         assert np.abs(by(*wrong) - moved).max() > 2e-6, [step.__name__ for step in wrong]
+
+
+def test_a_fisheye_that_sees_to_85_degrees_off_the_axis(monkeypatch):
+    """The nadir angle outside the window, its bending and the shift, against the same chain."""
+    down = np.diag([1.0, -1.0, -1.0])
+    monkeypatch.setitem(globals(), "TO_CAMERA", down)
+    camera = Camera(7000, 7000, 2200.0, 2200.0, 3500.0, 3500.0, OpenCVFisheye(0.01, -0.002))
+    theta = np.radians([20.0, 60.0, 80.0, 84.0, 85.0])
+    u, v = np.tan(theta) * np.cos(0.7), np.tan(theta) * np.sin(0.7)
+    pixels = np.stack(camera.project(u, v), axis=1)
+    rows = len(pixels)
+    exposures = Exposures(
+        np.array([True]), down[None], np.array([0.8]), np.array([H_C]), np.array([OUTSIDE]),
+        np.array([CABIN]), radius_m=RADIUS,
+    )  # fmt: skip
+    found = correct_observations(
+        pixels[:, 0].copy(), pixels[:, 1].copy(), np.full(rows, H_G), np.zeros(rows, np.int64),
+        exposures, camera=camera, table=ray_table(AIR),
+    )  # fmt: skip
+    assert (found.status == 0).all()
+    outside = np.arcsin(np.sin(theta) * (1.0 + CABIN) / (1.0 + OUTSIDE))  # Snell, by angles
+    np.testing.assert_allclose(found.zeta_c_rad, outside, rtol=0.0, atol=1e-13)
+    # R_cc from the camera's direction to the one outside.
+    np.testing.assert_allclose(found.r_cc_rad, outside - theta, rtol=0.0, atol=1e-13)
+    r = [float(pipeline.refraction_angle(AIR, H_C, H_G, z, radius=RADIUS)) for z in outside]
+    np.testing.assert_allclose(found.r_c_rad, r, rtol=1e-9)
+    wanted = np.array([chain(p, camera, (undistort, window, air)) for p in pixels]) - pixels
+    np.testing.assert_allclose(
+        np.stack([found.dx_px, found.dy_px], axis=1), wanted, rtol=0.0, atol=2e-7
+    )
+    t = np.radians(89.9)
+    beyond = 2200.0 * t * (1.0 + 0.01 * t**2 - 0.002 * t**4)
+    late = correct_observations(
+        np.array([3500.0 + beyond]), np.array([3500.0]), np.array([H_G]), np.zeros(1, np.int64),
+        exposures, camera=camera, table=ray_table(AIR),
+    )  # fmt: skip
+    assert STATUS_NAMES[late.status[0]] == "outside_camera"
