@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.errors import ConfigError, StorageError
+from pipeline.errors import ConfigError
 from pipeline.simulate import sensors
 from pipeline.simulate.block import CONVENTIONS, choose_points, observe, stations, write_tables
 from pipeline.simulate.flight import FIELD_LAT_RAD, UNDULATION_M, fly
@@ -120,8 +120,8 @@ def simulate(
     begin("mission files")
     missions = {kind: out / f"mission_{kind}.yaml" for kind in KINDS}
     for kind, path in missions.items():
-        _write_text(path, mission_yaml(kind, pair))
-    _write_text(truth / "truth.json", _truth_json(chosen, pair, flight.duration_s))
+        sensors.write_file(path, mission_yaml(kind, pair).encode())
+    sensors.write_file(truth / "truth.json", _truth_json(chosen, pair, flight.duration_s).encode())
     begin("done")
     return Simulated(
         out,
@@ -142,13 +142,6 @@ _WRITERS: dict[str, Callable[[Path, sensors.LoggedSamples, int], int]] = {
     "tlog": write_tlog,
     "mcap": write_mcap,
 }
-
-
-def _write_text(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise StorageError("DISK-WRITE", str(error), where=str(path)) from error
 
 
 def _truth_json(

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import StorageError
 from pipeline.simulate.sensors import (
     GNSS_HORIZONTAL_M,
     GNSS_VERTICAL_M,
@@ -22,6 +21,7 @@ from pipeline.simulate.sensors import (
     LoggedSamples,
     boot_us,
     gps_week_ms,
+    write_file,
 )
 from pipeline.simulate.true_air import FIELD_HEIGHT_M
 from pipeline.units import ZERO_CELSIUS_K
@@ -139,10 +139,7 @@ def write_dataflash(path: Path, samples: LoggedSamples) -> int:
         *_camera_rows(samples),
     ]
     rows.sort(key=lambda row: row[0])
-    try:
-        path.write_bytes(b"".join([*head, *(record for _, record in rows)]))
-    except OSError as error:
-        raise StorageError("DISK-WRITE", str(error), where=str(path)) from error
+    write_file(path, b"".join([*head, *(record for _, record in rows)]))
     return len(head) + len(rows)
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from pipeline.errors import StorageError
 from pipeline.simulate.sensors import (
     GNSS_HORIZONTAL_M,
     GNSS_VERTICAL_M,
@@ -19,6 +18,7 @@ from pipeline.simulate.sensors import (
     LoggedSamples,
     boot_us,
     unix_ns,
+    write_file,
 )
 from pipeline.simulate.true_air import FIELD_HEIGHT_M
 from pipeline.units import ZERO_CELSIUS_K
@@ -63,10 +63,7 @@ def write_tlog(path: Path, samples: LoggedSamples, seed: int) -> int:
         # The two lowest bits of a stamp carry MAVProxy's link number; this is link 0.
         out += struct.pack(">Q", microseconds & ~3) + message.pack(sender)
         sender.seq = (sender.seq + 1) % 256
-    try:
-        path.write_bytes(out)
-    except OSError as error:
-        raise StorageError("DISK-WRITE", str(error), where=str(path)) from error
+    write_file(path, out)
     return len(rows)
 
 

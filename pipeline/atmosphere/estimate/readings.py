@@ -143,8 +143,8 @@ def collect_readings(
     faults = []
     for fault in expected:
         known = settings.calibration.get(fault.name, SensorCalibration())
-        mean, sigma = known.mean_or(fault.mean), known.sigma_or(fault.sigma)
-        faults.append(replace(fault, mean=mean, sigma=sigma))
+        mean = fault.mean if known.mean is None else known.mean
+        faults.append(replace(fault, mean=mean, sigma=known.sigma_or(fault.sigma)))
     at_sea, level = np.zeros(1), np.array([background.spread.pressure_ratio])
     log_pressure = np.log(background.profile.pressure(at_sea))
     return FlightReadings(

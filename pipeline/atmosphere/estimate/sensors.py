@@ -76,9 +76,6 @@ class SensorCalibration:
     sigma: float | None = None
     subtracted: float = 0.0
 
-    def mean_or(self, usual: float) -> float:
-        return usual if self.mean is None else self.mean
-
     def sigma_or(self, usual: float) -> float:
         return usual if self.sigma is None else self.sigma
 

@@ -282,18 +282,14 @@ def dialect() -> Dialect:
 
     messages = {}
     for number, definition in library.mavlink_map.items():
-        texts = (
-            field
-            for field, kind in zip(definition.fieldnames, definition.fieldtypes, strict=True)
-            if kind == "char"
-        )
+        kinds = zip(definition.fieldnames, definition.fieldtypes, strict=True)
         messages[int(number)] = Message(
             int(number),
             str(definition.msgname),
             int(definition.crc_extra),
             layout_of(definition.unpacker.format, definition.ordered_fieldnames),
             tuple(definition.fieldnames),
-            frozenset(texts),
+            frozenset(field for field, kind in kinds if kind == "char"),
             definition.instance_field or "",
         )
     return Dialect(messages, {message.name: number for number, message in messages.items()})
