@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -233,6 +234,14 @@ def not_included(manifest: Mapping[str, Any]) -> list[str]:
         lines.append(
             f"The glass before {', '.join(behind_glass)} displaces rays, by 7 mm for 20 mm of "
             f"glass at 45°: {remains}."
+        )
+    lean = manifest.get("heights", {}).get("deflection", {})
+    if lean.get("applies") and lean["north_arcsec"] is not None and not applied:
+        size = math.hypot(lean["north_arcsec"], lean["east_arcsec"])
+        lines.append(
+            f"Deflection of the vertical: the plumb line, by which autopilots are levelled, leans "
+            f"{size:.1f} arcsec ({lean['geoid']}), {math.radians(size / 3.6):.3f} m on the ground "
+            "for each kilometre of height: not removed, unless a trajectory allows for it."
         )
     if not applied:
         lines += [

@@ -21,6 +21,7 @@ from pipeline.stages.inputs import FlightLog
 from pipeline.stages.statistics import Statistics
 from pipeline.tables.schemas import REFRACTION_APPLIED, REFRACTION_KEY, REFRACTION_REMOVED
 from pipeline.tables.writing import table_of_profiles, table_of_stations, write_parquet
+from pipeline.units import ARCSEC
 
 
 def observation_metadata(mission: Mission) -> dict[str, str]:
@@ -84,6 +85,7 @@ def manifest_of(
         },
         "channels": {role: channel.name for role, channel in sorted(flight.roles.items())},
         "stations": dict(sorted(Counter(stations.status.tolist()).items())),
+        "heights": _heights(plan.mission, flight, stations),
         "profile": _profile(air, stations),
         "observations": {
             "rows": statistics.rows,
@@ -95,6 +97,44 @@ def manifest_of(
         "cabin_sigma_share": statistics.cabin_share.summary(),
         "ledger": entries,
         "exit_code": EXIT_LOSSES if ledger.has_losses else EXIT_DONE,
+    }
+
+
+def _heights(mission: Mission, flight: FlightLog, stations: Stations) -> dict[str, Any]:
+    """What all heights count from, what relates them, and how the vertical leans there."""
+    ground, height, heights = mission.ground, flight.roles.get("height"), flight.heights
+    of_log = [] if height is None else [
+        name for name, column in (("msl", "h_msl_m"), ("ellipsoid", "h_ellipsoid_m"))
+        if np.isfinite(height.columns.get(column, np.nan)).any()
+    ]  # fmt: skip
+    ok, orientation = stations.ok, mission.stations.orientation
+    undulation = (stations.h_ellipsoid_m - stations.h_msl_m)[ok]
+    undulation = undulation[np.isfinite(undulation)]
+    geoid, lean = heights.geoid, np.empty((2, 0))
+    if geoid is not None:
+        lean = np.array(geoid.deflection(stations.lat_rad[ok], stations.lon_rad[ok])) / ARCSEC
+        lean = lean[:, np.isfinite(lean).all(axis=0)]
+    xi, eta = np.median(lean, axis=1).tolist() if lean.size else (None, None)
+    return {
+        "all": "above mean sea level",
+        "log": of_log,
+        "stations": orientation.path if orientation else height and height.name,
+        "ground": {
+            "reference": ground.reference,
+            "crs": None if ground.points is None else ground.points.crs,
+        },
+        "take_off_h_msl_m": heights.home_h_msl_m,
+        "undulation": {
+            "source": heights.source,
+            "min_m": round(float(undulation.min()), 3) if undulation.size else None,
+            "max_m": round(float(undulation.max()), 3) if undulation.size else None,
+        },
+        "deflection": {
+            "geoid": None if geoid is None else geoid.name,
+            "north_arcsec": xi and round(xi, 2),
+            "east_arcsec": eta and round(eta, 2),
+            "applies": orientation is None,
+        },
     }
 
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
 from pipeline.report.summary import findings_first, headline, not_included
+
+NORTH_ARCSEC, EAST_ARCSEC = 0.17, 3.97
 
 PLANE = {"shape": "plane", "in_calibration": "none"}
 LENS = {"dc_dp_px_per_hpa": 0.006}
@@ -96,7 +99,18 @@ def test_the_report_of_a_run_holds_these_lines(baseline):
     page = (baseline.output / "report.html").read_text(encoding="utf-8")
     config = json.loads((baseline.output / "manifest.json").read_text(encoding="utf-8"))
     lines = not_included(config)
-    assert len(lines) == 4
+    assert len(lines) == 5
+    # PROJ's vgridshift at the middle of the flight, 47.400 N 8.642 E: differences over 1 km.
+    heights = config["heights"]
+    assert heights["deflection"]["north_arcsec"] == pytest.approx(NORTH_ARCSEC, abs=0.2)
+    assert heights["deflection"]["east_arcsec"] == pytest.approx(EAST_ARCSEC, abs=0.2)
+    size = np.hypot(NORTH_ARCSEC, EAST_ARCSEC)
+    assert f"leans {size:.0f}" in " ".join(lines)
+    assert heights["undulation"] == {
+        "source": "mission.undulation_m", "min_m": 47.6, "max_m": 47.6
+    }  # fmt: skip
+    assert heights["log"] == ["msl", "ellipsoid"]
+    assert heights["stations"].startswith("GPS")
     for line in lines:
         assert f"<li>{line}</li>" in page
     assert "What is not removed" in page
