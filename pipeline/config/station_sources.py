@@ -78,15 +78,21 @@ class OrientationSection(Section):
         "which turns from the frame to the camera (x right, y down, z forward), or back"
     )
     unit: AngleUnit = Field("deg", description="of the angles; latitude, longitude: degrees")
-    frame: Literal["geographic", "ecef", "unknown"] | EnuFrame = Field(
+    frame: Literal["geographic", "projected", "ecef", "unknown"] | EnuFrame = Field(
         description="of the angles, and of x, y, z. geographic: east, north, up (roll_pitch_yaw: "
-        "north, east, down) at each station; ecef: earth-centred; {enu: {lat_deg, lon_deg, "
+        "north, east, down) at each station; projected: x, y of crs, whose grid north the angles "
+        "count from, and z, the height; ecef: earth-centred; {enu: {lat_deg, lon_deg, "
         "h_ellipsoid_m}}: east, north, up at this one place; unknown: fitted to known_positions"
     )
     heights: Literal["msl", "ellipsoid"] | None = Field(
         None,
         description="what the height column counts from: mean sea level or the ellipsoid (in a "
         "frame that is unknown, that of known_positions)",
+    )
+    crs: str | None = Field(
+        None,
+        description="coordinate system of x and y, as EPSG:25832, or of latitude and longitude "
+        "that are not WGS 84",
     )
     convergence_deg: float = Field(
         0.0,
@@ -112,13 +118,15 @@ class OrientationSection(Section):
 
     @property
     def is_geodetic(self) -> bool:
-        """Whether the positions are latitude, longitude and height."""
-        return self.frame == "geographic" or self.columns.latitude is not None
+        """Whether the positions are latitude, longitude and height, or become them by the crs."""
+        level = self.frame in ("geographic", "projected")
+        return level or self.columns.latitude is not None
 
     @property
     def column_names(self) -> dict[str, str]:
         """Quantity -> name of its column, for all that are to be read."""
-        needed = (*(_GEODETIC if self.is_geodetic else _CARTESIAN), *self.angle_names)
+        geodetic = self.is_geodetic and self.frame != "projected"
+        needed = (*(_GEODETIC if geodetic else _CARTESIAN), *self.angle_names)
         named = self.columns.named
         given = {name: named[name] for name in ("image", "camera", *_CLOCK, *_SIGMAS)
                  if name in named}  # fmt: skip
@@ -156,9 +164,13 @@ class OrientationSection(Section):
     @model_validator(mode="after")
     def _check_combinations(self) -> OrientationSection:
         unknown = self.frame == "unknown"
-        if self.angles == "roll_pitch_yaw" and self.frame != "geographic":
+        level = self.frame in ("geographic", "projected")
+        if self.angles == "roll_pitch_yaw" and not level:
             raise ValueError("roll, pitch and yaw are those of north, east and down at the "
-                             "station: frame is geographic")  # fmt: skip
+                             "station: frame is geographic, or projected")  # fmt: skip
+        if (self.frame == "projected") > (self.crs is not None) or (self.crs and not level):
+            raise ValueError("frame: projected needs crs, as EPSG:25832, and crs frame: projected "
+                             "or geographic")  # fmt: skip
         if unknown and self.is_geodetic:
             raise ValueError("an unknown frame has x, y and z, not columns.latitude")
         if unknown and self.known_positions is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
@@ -133,6 +134,11 @@ class TrajectorySection(Section):
         None, description="what they count from; needed for SBET and for latitudes in a CSV"
     )
     time: ImportTime = ImportTime()
+    crs: str | None = Field(
+        None,
+        description="of a CSV whose x and y are in a projection, and z heights; or of latitude and "
+        "longitude that are not WGS 84. Attitudes and velocities then count from grid north",
+    )
     accuracy: PathText | None = Field(None, description="smrmsg file of an SBET")
     columns: TrajectoryColumns | None = Field(None, description="needed for CSV")
     position_unit: AngleUnit = Field("deg", description="of latitude and longitude in a CSV")
@@ -150,6 +156,9 @@ class TrajectorySection(Section):
 
     @model_validator(mode="after")
     def _check_point(self) -> TrajectorySection:
+        by_ending = Path(self.path).suffix.lower() in TRAJECTORIES["csv"][1] and not self.format
+        if self.crs is not None and self.format != "csv" and not by_ending:
+            raise ValueError("crs is that of a CSV; the positions of other formats are WGS 84")
         if self.lever_arm_m == "from_events" and self.point != "antenna":
             raise ValueError("lever_arm_m: from_events leads from the antenna: point: antenna")
         if self.point == "camera" and self.lever_arm_m != [0.0, 0.0, 0.0]:

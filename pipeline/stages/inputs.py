@@ -228,6 +228,8 @@ def read_trajectory(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -
         section.position_unit,
         section.angle_unit,
         section.angle_order,
+        crs=section.crs,
+        geoid=user_geoid(plan),
     )
     return reader(path, stated, ledger)
 

@@ -181,6 +181,10 @@ GEOGRAPHIC = {
     "columns": {"roll": "r", "pitch": "p", "yaw": "y", "latitude": "b", "longitude": "l",
                 "height": "h", "camera": "c"},
 }  # fmt: skip
+PROJECTED = {
+    "path": "block.csv", "angles": "roll_pitch_yaw", "frame": "projected", "crs": "EPSG:25832",
+    "heights": "msl", "camera": "nadir", "date": "2026-05-14",
+}  # fmt: skip
 TOPOCENTRIC = {
     "path": "block.csv", "angles": "quaternion", "camera": "nadir",
     "frame": {"enu": {"lat_deg": 47.0, "lon_deg": 11.0, "h_ellipsoid_m": 600.0}},
@@ -337,6 +341,7 @@ def test_the_examples_here_use_every_key_there_is(accepted):
         oriented(TOPOCENTRIC),
         *with_imports(),
         with_object_points(),
+        oriented(PROJECTED),
     ]
     used = {keys[-1] for tree in (FULL, *others) for keys in keys_of(tree)}
     listed = [*FULL["atmosphere"]["soundings"], *FULL["atmosphere"]["surface"]]
@@ -647,6 +652,7 @@ def test_aliases_cannot_swell(refused):
          "not columns.latitude"),
         ({"known_positions": {"path": "k.csv"}}, "known_positions are for frame: unknown"),
         ({"angles": "quaternion", "frame": "ecef"}, "convergence_deg is for frame: geographic"),
+        ({"frame": "projected"}, "projected needs crs"),
         ({"date": "14.5.2026"}, "no date like"),
         ({"date": None}, "needs a time for the air"),
         ({"columns": {"time_utc": "t"}}, "either date, or the columns of time"),

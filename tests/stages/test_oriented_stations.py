@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
+import pyproj
 import pytest
 import yaml
 
@@ -237,6 +238,69 @@ def test_a_grid_whose_north_is_not_the_meridian(block, by_log):
     block.config["stations"]["orientation"]["convergence_deg"] = 1.8
     ran(block)
     assert_same(block, by_log)
+
+
+def in_lambert(block) -> tuple[pd.DataFrame, np.ndarray]:
+    """The table in Lambert-93, and (n,) the azimuth of its north [rad], by PROJ's own geodesic."""
+    table = columns_of(block.table, digits=12)
+    to_grid = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:2154", always_xy=True)
+    x, y = to_grid.transform(table["longitude"].to_numpy(), table["latitude"].to_numpy())
+    south, north = (to_grid.transform(x, y + d, direction="INVERSE") for d in (-1.0, 1.0))
+    turn = np.radians(pyproj.Geod(ellps="GRS80").inv(*south, *north)[0])
+    assert np.degrees(turn).min() > 3.5
+    table = table.assign(x=x, y=y, z=table["height"])
+    return table.drop(columns=["latitude", "longitude", "height"]), turn
+
+
+def test_a_projection_turns_each_image_by_its_convergence(block, by_log):
+    table, turn = in_lambert(block)
+    c, s, zero = np.cos(turn), np.sin(turn), 0.0 * turn
+    # East and north of the earth, by columns of the grid's x and y.
+    enu_from_grid = np.stack([np.stack([c, s, zero], -1), np.stack([-s, c, zero], -1),
+                              np.stack([zero, zero, zero + 1.0], -1)], -2)  # fmt: skip
+    matrix = textbook_matrix(block.table[["q_w", "q_x", "q_y", "q_z"]]) @ enu_from_grid
+    table[["omega", "phi", "kappa"]] = textbook_opk(matrix)
+    write(block, table)
+    section = block.config["stations"]["orientation"]
+    section |= {"frame": "projected", "crs": "EPSG:2154"}
+    ran(block)
+    assert_same(block, by_log, atol=1e-5)
+    place = ["lat_deg", "lon_deg", "h_msl_m"]
+    mine, theirs = (m.stations().to_pandas()[place].to_numpy() for m in (block, by_log))
+    np.testing.assert_allclose(mine, theirs, atol=1e-4)
+    # The same as heights above the ellipsoid, in a datum whose heights are stated by the system.
+    write(block, table.assign(z=table["z"] + UNDULATION_M))
+    section["heights"] = "ellipsoid"
+    ran(block)
+    assert_same(block, by_log, atol=1e-5)
+    write(block, table)
+    section |= {"heights": "msl", "crs": "EPSG:2154+5720"}  # NGF-IGN69, whose grid nobody gave
+    assert "mission.geoid" in refused(block, "CRS-VERTICAL")
+    section["crs"] = "EPSG:2154+5773"
+    ran(block)
+    assert_same(block, by_log, atol=1e-5)
+    section["crs"] = "EPSG:29999999"
+    assert "stations.orientation.crs" in refused(block, "CRS-UNKNOWN")
+    section["crs"] = "EPSG:32755"
+    refused(block, "CRS-AREA")
+    del section["crs"]
+    assert "projected needs crs" in refused(block, "CONFIG-INVALID")
+
+
+def test_latitudes_of_a_past_survey_are_brought_to_the_present(block, by_log):
+    """CH1903 lies some 100 m from WGS 84, by its Helmert transformation."""
+    table = columns_of(block.table, digits=12)
+    old = pyproj.transformer.TransformerGroup("EPSG:4326", "EPSG:4149", always_xy=True)
+    lon, lat = old.transformers[0].transform(table["longitude"], table["latitude"])
+    table["longitude"], table["latitude"] = lon, lat
+    write(block, table)
+    block.config["stations"]["orientation"]["crs"] = "EPSG:4149"
+    manifest = ran(block)
+    mine, theirs = (m.stations().to_pandas()[["lat_deg", "lon_deg"]].to_numpy()
+                    for m in (block, by_log))  # fmt: skip
+    np.testing.assert_allclose(mine, theirs, atol=2e-8)
+    assert np.abs(mine - table[["latitude", "longitude"]].to_numpy()).max() > 5e-4
+    assert "CRS-DATUM" in {entry["code"] for entry in manifest["ledger"]}
 
 
 def test_roll_pitch_and_yaw_of_the_aircraft_with_the_mounts_of_its_cameras(block, by_log):

@@ -34,9 +34,10 @@ from pipeline.flight.rotations import (
     quaternion_of_rpy,
 )
 from pipeline.flight.stations import NO_TIME, Stations, join_stations
-from pipeline.ledger import Ledger
+from pipeline.ledger import Ledger, Notes
 from pipeline.stages.exposure_setup import camera_of_rows, cameras_of_mission
-from pipeline.stages.inputs import FlightLog
+from pipeline.stages.inputs import FlightLog, user_geoid
+from pipeline.tables.geodata.coordinate_systems import places_of
 from pipeline.tables.imports.orientation import (
     OrientationTable,
     read_known_positions,
@@ -83,6 +84,7 @@ def oriented_stations(
     source = plan.input("orientation").path
     names, angle_names = section.column_names, section.angle_names
     table = ledger.take(read_orientation(source, names, angle_names, unit=section.unit))
+    table = ledger.take(in_wgs84(plan, section, table))
     stations = stations_of_table(plan, flight, section, table, exposed=exposed, ledger=ledger)
     stations = ledger.take(flag_far_images(stations, use=plan.mission.stations.use_suspect))
     stations = check_height_above_ground(plan, flight, stations, observations, ledger)
@@ -115,6 +117,25 @@ def oriented_stations(
     if np.isfinite(given).any() and not plan.mission.ground.from_distance:
         compare_with_ground(plan, flight, stations, stated, given=given, ledger=ledger)
     return stations
+
+
+def in_wgs84(
+    plan: Plan, section: OrientationSection, table: OrientationTable
+) -> tuple[OrientationTable, Notes]:
+    """The table with its positions in WGS 84, and the convergence of its grid."""
+    if section.crs is None or section.heights is None:
+        return table, ()
+    x, y, h = table.position.T
+    if section.frame == "geographic":
+        x, y = np.degrees(y), np.degrees(x)
+    places, notes = places_of(
+        section.crs, (x, y, h), heights=section.heights, geoid=user_geoid(plan),
+        where=section.path, key="stations.orientation.crs",
+    )  # fmt: skip
+    position = np.stack([places.lat_rad, places.lon_rad, places.h_m], axis=1)
+    convergence = np.nan_to_num(places.convergence_rad)
+    table = replace(table, position=position, convergence_rad=convergence, heights=places.heights)
+    return table, notes
 
 
 def judge_tie_points(
@@ -244,8 +265,9 @@ def stations_of_table(
         quaternion = quaternion_of_opk(table.angles, section.angles)
     lat, lon, h = table.position.T
     tilt_rad = 0.0
-    if section.frame == "geographic":
-        quaternion = in_turned_frame(quaternion, enu_from_grid(section.convergence_deg * DEGREE).T)
+    if section.frame in ("geographic", "projected"):
+        turn = enu_from_grid(section.convergence_deg * DEGREE + table.convergence_rad)
+        quaternion = in_turned_frame(quaternion, turn.swapaxes(-1, -2))
     else:
         frame = frame_of_block(plan, flight, section, table, exposed=exposed, ledger=ledger)
         tilt_rad = frame.tilt_rad
@@ -257,7 +279,7 @@ def stations_of_table(
     if exposed and not section.has_clock:
         known = {n: t for part in exposed for n, t in zip(part.image, part.time_ns, strict=True)}
         time_ns = np.array([known.get(name, NO_TIME) for name in table.image], np.int64)
-    is_msl = section.is_geodetic and section.heights == "msl"
+    is_msl = section.is_geodetic and (table.heights or section.heights) == "msl"
     images = OrientedImages(
         table.image, camera, time_ns, lat, lon, h, is_msl, quaternion, of_body,
         sigmas_of_block(section, table, tilt_rad),

@@ -70,7 +70,7 @@ def places_of(
     contradicts ``heights`` or needs a grid (CRS-VERTICAL). A transformation worse than 1 m is a
     warning (CRS-DATUM), which names the grid that would make it better.
     """
-    from pyproj import Proj, Transformer
+    from pyproj import Transformer
     from pyproj.aoi import AreaOfInterest
     from pyproj.transformer import TransformerGroup
 
@@ -108,8 +108,7 @@ def places_of(
     lat[~known] = lon[~known] = np.nan
     convergence = np.zeros(lat.size)
     if horizontal.is_projected:
-        factors = Proj(horizontal).get_factors(*lon_lat[:, known])
-        convergence[known] = np.radians(factors.meridian_convergence)
+        convergence[known] = grid_coordinates(horizontal.to_string(), *lon_lat[:, known])[2]
     if vertical is not None:
         axis = vertical.axis_info[0]
         h = h * axis.unit_conversion_factor * (-1.0 if axis.direction == "down" else 1.0)
@@ -126,6 +125,23 @@ def places_of(
             notes.append(note("CRS-VERTICAL", what, where=where, count=count))
             h, heights = h + geoid.undulation(lat, lon), "ellipsoid"
     return Places(lat, lon, h, heights, convergence), tuple(notes)
+
+
+def grid_coordinates(crs: str, lon_deg: Array, lat_deg: Array) -> tuple[Array, Array, Array]:
+    """x, y [m] and the azimuth of grid north [rad] of (n,) places, without a shift of datum.
+
+    ValueError where PROJ knows no such projection.
+    """
+    from pyproj import Proj
+    from pyproj.exceptions import ProjError
+
+    try:
+        projection = Proj(crs)
+    except ProjError as error:
+        raise ValueError(str(error)) from None
+    x, y = projection(lon_deg, lat_deg)
+    factors = projection.get_factors(lon_deg, lat_deg)
+    return np.asarray(x), np.asarray(y), np.radians(factors.meridian_convergence)
 
 
 def _system(crs: str, heights: str, where: str, key: str) -> tuple[Any, Any]:

@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-import pyproj
 
 from pipeline.errors import InputError
 from pipeline.flight.channels import Array, Channel
@@ -26,6 +25,7 @@ from pipeline.flight.rotations import (
     quaternions_of,
 )
 from pipeline.ledger import Ledger
+from pipeline.tables.geodata.coordinate_systems import grid_coordinates
 from pipeline.tables.imports.stated import Stated, channel_of_rows, not_of_format, read_text
 from pipeline.tables.text_columns import numbers, split_lines
 from pipeline.units import RADIANS
@@ -111,14 +111,14 @@ def attitudes_of_eo(
     if "OMEGA" not in value:
         q = quaternions_of(ned_from_body(angles))
     else:
-        try:
-            projection = pyproj.Proj(grid)
-        except pyproj.exceptions.ProjError as error:
-            raise eo_grid(path, f"{grid} is no grid that PROJ knows: {error}") from None
         place = np.nan_to_num([value["LONG"], value["LAT"]])
+        try:
+            *of_place, convergence = grid_coordinates(str(grid), *place)
+        except ValueError as error:
+            raise eo_grid(path, f"{grid} is no grid that PROJ knows: {error}") from None
         unknown = np.full(place[0].shape, np.nan)
         grid_m = np.stack([value.get(name, unknown) for name in ("EASTING", "NORTHING")])
-        off_m = np.hypot(*(np.stack(projection(*place)) - grid_m))
+        off_m = np.hypot(*(np.stack(of_place) - grid_m))
         off_m = off_m[np.isfinite(off_m)]
         if off_m.size and not np.median(off_m) < FARTHEST_FROM_GRID_M:
             raise eo_grid(
@@ -126,7 +126,7 @@ def attitudes_of_eo(
                 f"its eastings and northings lie {np.median(off_m):.3g} m from its latitudes and "
                 f"longitudes in {grid}: its angles count in another grid",
             )
-        turn = enu_from_grid(np.radians(projection.get_factors(*place).meridian_convergence))
+        turn = enu_from_grid(convergence)
         camera = matrices_of(quaternion_of_opk(angles)) @ turn.transpose(0, 2, 1)
         q = quaternions_of(NED_FROM_ENU @ camera.transpose(0, 2, 1) @ CAMERA_AT_REST)
     return dict(zip(("q_w", "q_x", "q_y", "q_z"), q.T, strict=True))

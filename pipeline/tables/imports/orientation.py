@@ -33,7 +33,8 @@ class OrientationTable:
 
     ``position`` (n, 3) is latitude, longitude [rad] and height [m], or x, y, z [m]. ``camera`` is
     None without that column; ``time_ns`` is `NO_TIME` where unknown; ``sigmas`` holds columns in SI
-    and radians by quantity, for those that are there.
+    and radians by quantity, for those that are there. ``convergence_rad`` (n,) is the azimuth of
+    the grid's north, ``heights`` what a coordinate system says of them.
     """
 
     image: NDArray[np.object_]
@@ -42,6 +43,8 @@ class OrientationTable:
     position: Array
     angles: Array
     sigmas: Mapping[str, Array]
+    convergence_rad: Array | float = 0.0
+    heights: str | None = None
 
 
 def read_orientation(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pipeline.errors import InputError
 from pipeline.flight.channels import Array, Channel, Source, TimeArray
 from pipeline.flight.clock import SECONDS_PER_WEEK
+from pipeline.geodesy import GeoidGrid
 from pipeline.ledger import Ledger
 from pipeline.tables.text_columns import utc_of_weeks
 from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, AngleUnit
@@ -36,6 +37,7 @@ class Stated:
     columns : quantity -> name of the column, of a CSV.
     position_unit, angle_unit : of latitude and longitude, and of the attitude, in a CSV.
     angle_order : intrinsic rotations about z, y and x, as ``ZYX``.
+    crs, geoid : coordinate system of a CSV, and the user's grid for its heights.
     grid : the projected coordinate system in whose axes omega, phi and kappa count.
     """
 
@@ -48,6 +50,8 @@ class Stated:
     position_unit: AngleUnit = "deg"
     angle_unit: AngleUnit = "deg"
     angle_order: str = "ZYX"
+    crs: str | None = None
+    geoid: GeoidGrid | None = None
     grid: str | None = None
 
     def system_of(self, path: Path, ledger: Ledger, found: str | None = None) -> str:

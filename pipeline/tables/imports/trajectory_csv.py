@@ -14,6 +14,7 @@ from pipeline.flight.channels import Array, Channel, TimeArray
 from pipeline.flight.clock import SECONDS_PER_WEEK
 from pipeline.geodesy import geodetic_of_ecef
 from pipeline.ledger import Ledger
+from pipeline.tables.geodata.coordinate_systems import places_of
 from pipeline.tables.imports.stated import Stated, channel_of_rows, not_of_format
 from pipeline.tables.text_columns import (
     angles_in_radians,
@@ -37,8 +38,9 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
 
     Times are dates with a time of day, seconds of the week, with the week in a column or not, or
     seconds since 1970 (UTC) or 1980 (GPST). Positions are latitude, longitude and height, or
-    earth-centred x, y and z. The attitude is a quaternion (v_ned = R(q) v_body), or roll, pitch and
-    yaw: rotations about the body's x, y and z in the stated order.
+    earth-centred x, y and z; in a stated coordinate system x and y are its, z is the height, and
+    yaw and velocities count from grid north. The attitude is a quaternion (v_ned = R(q) v_body), or
+    roll, pitch and yaw: rotations about the body's x, y and z in the stated order.
     """
     if not stated.columns:
         raise not_of_format(path, "nothing says what its columns are",
@@ -47,7 +49,21 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
                        key="stations.trajectory.columns")  # fmt: skip
     value = {quantity: numbers(table[name]) for quantity, name in stated.columns.items()}
     columns = {name: value[name] for name in _AS_THEY_ARE if name in value}
-    if "x" in value:
+    grid_north: Array | None = None
+    if stated.crs is not None:
+        heights = "msl" if stated.height_column(path, ledger) == "h_msl_m" else "ellipsoid"
+        if "x" in value:
+            given = value["x"], value["y"], value["z"]
+        else:
+            unit = RADIANS[stated.position_unit] / RADIANS["deg"]
+            given = value["longitude"] * unit, value["latitude"] * unit, value["height"]
+        places, notes = places_of(stated.crs, given, heights=heights, geoid=stated.geoid,
+                                  where=str(path), key="stations.trajectory.crs")  # fmt: skip
+        ledger.extend(notes)
+        lat, lon, height = places.lat_rad, places.lon_rad, places.h_m
+        surface = "h_msl_m" if places.heights == "msl" else "h_ellipsoid_m"
+        grid_north = np.nan_to_num(places.convergence_rad)
+    elif "x" in value:
         lat, lon, height = geodetic_of_ecef(value["x"], value["y"], value["z"])
         surface = stated.height_column(path, ledger, "ellipsoid")
         radius = float(np.nanmedian(np.linalg.norm([value[axis] for axis in "xyz"], axis=0)))
@@ -70,9 +86,27 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         q = np.full((known.size, 4), np.nan)
         q[known] = Rotation.from_euler(stated.angle_order, in_order).as_quat(canonical=True)
         columns |= {f"q_{axis}": q[:, k] for k, axis in enumerate("xyzw")}
+    if grid_north is not None:
+        columns = from_grid_north(columns, grid_north)
     time_ns, readable = _utc(path, table[stated.columns["time"]].str.strip(), value, stated, ledger)
     readable = readable & np.isfinite([lat, lon, height]).all(axis=0)
     return channel_of_rows(path, "CSV", time_ns, columns, ledger, readable=readable)
+
+
+def from_grid_north(columns: dict[str, Array], convergence_rad: Array) -> dict[str, Array]:
+    """Columns with attitudes and velocities against true north instead of grid north."""
+    columns, names = dict(columns), ("q_x", "q_y", "q_z", "q_w")
+    if "q_w" in columns:
+        q = np.stack([columns[name] for name in names], axis=1)
+        known = np.isfinite(q).all(axis=1)
+        turn = Rotation.from_euler("z", convergence_rad[known, None])
+        q[known] = (turn * Rotation.from_quat(q[known])).as_quat(canonical=True)
+        columns |= dict(zip(names, q.T, strict=True))
+    if "v_north_m_s" in columns and "v_east_m_s" in columns:
+        velocity = columns["v_north_m_s"] + 1j * columns["v_east_m_s"]
+        velocity = velocity * np.exp(1j * convergence_rad)
+        columns |= {"v_north_m_s": velocity.real, "v_east_m_s": velocity.imag}
+    return columns
 
 
 def _utc(

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pyproj
 import pytest
 
+import pipeline
 from pipeline.errors import InputError
 from pipeline.geodesy import GeoidGrid
 from pipeline.tables.geodata.coordinate_systems import places_of
@@ -114,3 +118,10 @@ def test_positions_outside_the_area_of_the_system():
     assert refusal("EPSG:25832", np.nan, np.nan).code == "CRS-AREA"
     # An area across the date line: the Chatham Islands, on its other side.
     assert placed("EPSG:3793", 3_500_000.0, 5_100_000.0)[0].lon_rad[0] < 0.0
+
+
+def test_one_module_uses_pyproj():
+    package = Path(pipeline.__file__).parent
+    at_start = re.compile(r"^\s*(import|from) pyproj", re.M)
+    users = [path.name for path in package.rglob("*.py") if at_start.search(path.read_text())]
+    assert users == ["coordinate_systems.py"]

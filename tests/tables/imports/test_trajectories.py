@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -367,6 +368,39 @@ def test_angles_are_read_in_their_unit_and_order(flight, unit, order):
         "gpst", heights="ellipsoid", columns=columns, angle_unit=unit, angle_order=order
     )
     assert degrees(read_trajectory_csv(path, stated, Ledger()), flight) < 1e-6
+
+
+def test_a_projection_and_its_north(flight):
+    """Lambert-93 far from its meridian: grid north is 4 degrees off, by PROJ's own geodesic."""
+    to_grid = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:2154", always_xy=True)
+    x, y = to_grid.transform(flight.lon, flight.lat)
+    south, north = (to_grid.transform(x, y + d, direction="INVERSE") for d in (-5.0, 5.0))
+    turn = np.radians(pyproj.Geod(ellps="GRS80").inv(*south, *north)[0])
+    assert np.degrees(turn).min() > 3.5
+    yaw = np.degrees(flight.yaw - turn) % 360.0
+    v_north, v_east = (
+        np.cos(turn) * flight.velocity[:, 0] + np.sin(turn) * flight.velocity[:, 1],
+        np.cos(turn) * flight.velocity[:, 1] - np.sin(turn) * flight.velocity[:, 0],
+    )
+    rows = "\n".join(
+        f"{flight.gpst(k)},{x[k]:.5f},{y[k]:.5f},{flight.height[k]:.4f},"
+        f"{np.degrees(flight.roll[k]):.9f},{np.degrees(flight.pitch[k]):.9f},{yaw[k]:.9f},"
+        f"{v_north[k]:.9f},{v_east[k]:.9f}"
+        for k in range(flight.t.size)
+    )
+    path = flight.put("grid.csv", "t,x,y,z,roll,pitch,yaw,vn,ve\n" + rows)
+    names = {name: name for name in ("x", "y", "z", "roll", "pitch", "yaw")}
+    columns = {"time": "t", "v_north_m_s": "vn", "v_east_m_s": "ve"} | names
+    ledger = Ledger()
+    stated = Stated("gpst", heights="ellipsoid", columns=columns, crs="EPSG:2154")
+    channel = read_trajectory_csv(path, stated, ledger)
+    assert metres(channel, flight) < 2e-4
+    assert degrees(channel, flight) < 1e-4
+    found = np.stack([channel["v_north_m_s"], channel["v_east_m_s"]], axis=1)
+    np.testing.assert_allclose(found, flight.velocity[:, :2], atol=1e-4)
+    assert "CRS-DATUM" in {entry.code for entry in ledger}
+    unstated = Stated("gpst", columns=columns, crs="EPSG:2154")
+    assert refused(read_trajectory_csv, path, unstated).code == "IMPORT-UNSTATED"
 
 
 def test_grads_are_more_than_a_circle_of_degrees(flight):
