@@ -19,7 +19,7 @@ from pipeline.flight.channels import Channel
 from pipeline.flight.station_builder import mark_suspect
 from pipeline.flight.stations import Stations
 from pipeline.flight.trajectory import interpolate
-from pipeline.ledger import Ledger, Notes, fallback, loss, note, warning
+from pipeline.ledger import Ledger, Notes, fallback, finding, loss, note, warning
 from pipeline.refraction.camera.camera import LensInAir
 from pipeline.refraction.window import (
     SCHEDULE_CEILING_M,
@@ -144,7 +144,7 @@ def _pressurised_after_all(
                 "the exposures: if it is in the cabin, give pressure: log"
             )
             where = f"cameras.{camera}.window.cabin.pressure"
-            return (warning("CABIN-DOUBTFUL", what, where=where, count=excess.size),)
+            return (finding("CABIN-DOUBTFUL", what, where=where, count=excess.size),)
     return ()
 
 

@@ -6,6 +6,7 @@ None of them proves a mistake: a mission file can accept one by its code.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -33,6 +34,12 @@ _FAR_KM = 30.0
 _LARGEST_SHARE = 0.2
 _LARGEST_FACTOR = 1.5
 _FEWEST_ROWS = 100
+
+_KEYS = {
+    "unmatched": "events.log.<camera>.image, observations.columns.image",
+    "outside_log": "log.path; time_utc, gps_week or gps_seconds of events.csv.columns; delay_s",
+}
+"""Keys to look at by the status of stations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,9 +157,13 @@ def cause_of_misses(facts: Facts) -> str:
 
 def causes_of_statuses(facts: Facts) -> dict[str, str]:
     """A likely cause of each status that flags rows, with the keys to look at."""
+    lost = Counter(facts.stations.status[~facts.stations.ok].tolist())
+    lacks = {name: f"{count} are {name} ({_KEYS.get(name, 'log')})" for name, count in lost.items()}
+    column = facts.mission.ground.column
+    height = "ground.height" + (f", column {column}" if column else "")
     causes = {
-        "no_station": "their images have no usable station (events, log)",
-        "no_ground": "their points have no height (ground.height)",
+        "no_station": f"of their images {', '.join(lacks.values())}",
+        "no_ground": f"no height is known of their points ({height})",
         "bad_measurement": "x_px or y_px is no number (observations.columns)",
         "outside_profile": "their rays leave the profile of the air (ground.height)",
         "beyond_grazing": "their rays graze the ground (angles of mount)",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import struct
 from functools import cache
 from pathlib import Path
@@ -246,6 +247,11 @@ def write_mistake(folder: Path, mistake: dict[str, Any]) -> Path:
     for name, recipe in mistake.get("files", {}).items():
         file, write = WRITERS[name]
         write(folder / file, recipe)
+    if sections["output"]["path"] != "results":
+        sections["output"]["path"] = "results"
+        (folder / "results").mkdir()
+        other = {"mission": "sample_bin", "fingerprint": "0", "outputs": [], "exit_code": 0}
+        (folder / "results" / "manifest.json").write_text(json.dumps(other), encoding="utf-8")
     path = folder / "mission.yaml"
     path.write_text(yaml.safe_dump(sections, sort_keys=False), encoding="utf-8")
     return path

@@ -167,7 +167,7 @@ def usable_sensors(
         ledger.loss(
             "AIR-THERMOMETER",
             f"{temperature.name} {disagreement} against what {pressure.name} and GNSS height "
-            "imply: it does not measure the air outside and is not used",
+            "imply: it does not measure the air outside and is not used (log.channels.temperature)",
             where=temperature.name,
         )
         return replace(samples, temperature=None)

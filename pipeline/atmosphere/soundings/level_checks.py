@@ -146,8 +146,8 @@ def refuse_wrong_heights(raw: RawLevels, h: Array, rise: Array) -> None:
             "SOUNDING-INCONSISTENT",
             f"the layers are {ratio:.3f} times as thick as their pressures and temperatures imply",
             where=raw.where,
-            remedy="look for heights in feet (3.28 times), temperatures in Fahrenheit, or columns "
-            "mixed up",
+            remedy="look for heights in feet (3.28 times), temperatures in Fahrenheit, columns "
+            "mixed up, or another file in atmosphere.soundings.path",
         )
 
 

@@ -41,10 +41,10 @@ _BLOCK = 1 << 16  # steps that are compared together: a long channel is not copi
 _MOST_STRETCHES = 20_000  # a series that jumps more often than this has no glitches, it is noise
 
 # Medians that show a wrong unit: column -> (low, high, the unit it looks like).
-_WRONG_UNITS: Mapping[str, tuple[float, float, str]] = {
-    "pressure_pa": (100.0, 1_200.0, "hPa"),
-    "temperature_k": (-90.0, 60.0, "degC"),
-    "relative_humidity": (1.2, 100.0, "percent"),
+_WRONG_UNITS: Mapping[str, tuple[tuple[float, float, str], ...]] = {
+    "pressure_pa": ((100.0, 1_200.0, "hPa"), (1.2e6, 1.2e7, "Pa")),
+    "temperature_k": ((-90.0, 60.0, "degC"),),
+    "relative_humidity": ((1.2, 100.0, "percent"),),
 }
 
 # Roles for which jumps are searched before a role is given to a channel.
@@ -78,9 +78,8 @@ def plausible_samples(channel: Channel, role: str) -> tuple[Channel, Notes]:
     for column in ROLE_COLUMNS[role]:
         values = channel[column]
         finite = np.isfinite(values)
-        if column in _WRONG_UNITS and finite.any():
-            low, high, unit = _WRONG_UNITS[column]
-            median = float(np.median(values[finite]))
+        median = float(np.median(values[finite])) if finite.any() else np.nan
+        for low, high, unit in _WRONG_UNITS.get(column, ()):
             if low <= median <= high:
                 raise MissionError(
                     "CHANNEL-UNIT",
