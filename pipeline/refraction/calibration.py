@@ -80,6 +80,11 @@ def model_of_camera(camera: Camera) -> tuple[str, list[float]]:
     return name, [float(value) for value in (*frame, *camera.distortion)]
 
 
+def is_fisheye(camera: Camera) -> bool:
+    """Whether the lens is equidistant, and no frame camera's."""
+    return isinstance(camera.distortion, OpenCVFisheye)
+
+
 def field_of_view(camera: Camera) -> tuple[float, float]:
     """Angles [rad] seen across and down through the principal point, but for the distortion.
 
@@ -90,8 +95,7 @@ def field_of_view(camera: Camera) -> tuple[float, float]:
     size = np.array([camera.width_px, camera.height_px])
     centre = np.array([camera.cx_px, camera.cy_px])
     ends = np.array([centre, size - centre]) / [camera.fx_px, camera.fy_px]
-    fisheye = isinstance(camera.distortion, OpenCVFisheye)
-    across, down = (ends if fisheye else np.arctan(ends)).sum(axis=0)
+    across, down = (ends if is_fisheye(camera) else np.arctan(ends)).sum(axis=0)
     return float(across), float(down)
 
 
@@ -103,9 +107,8 @@ def refuse_impossible(camera: Camera) -> None:
     pixel. Beyond the calibrated radius, and 89.5 degrees off the axis of a fisheye, observations
     have the status outside_camera instead.
     """
-    fisheye = isinstance(camera.distortion, OpenCVFisheye)
     seen = np.degrees(max(field_of_view(camera)))
-    if seen > (360.0 if fisheye else 150.0):
+    if seen > (360.0 if is_fisheye(camera) else 150.0):
         raise PhysicsError(
             "CAMERA-FIELD",
             f"with a principal distance of {camera.fx_px:g} px an image of {camera.width_px} x "

@@ -19,6 +19,7 @@ from pipeline.config import Mission
 from pipeline.errors import MissionError
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Entry, Kind, Ledger, finding
+from pipeline.refraction.calibration import is_fisheye
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.effect import Effect, effects_on_r
 from pipeline.refraction.image import Exposures
@@ -114,7 +115,8 @@ class Facts:
         """The field of view over the diagonal [deg], as if without distortion."""
         camera = self.cameras[name]
         half = math.hypot(camera.width_px / camera.fx_px, camera.height_px / camera.fy_px) / 2.0
-        return 2.0 * math.degrees(math.atan(half))
+        # Equidistant behind a fisheye, whose corners often lie beyond its circle.
+        return 2.0 * math.degrees(half if is_fisheye(camera) else math.atan(half))
 
 
 def takeoff_of(
@@ -215,14 +217,16 @@ def ground_near_takeoff(facts: Facts) -> Findings:
 
 
 def field_of_view(facts: Facts) -> Findings:
-    """A diagonal field of view between 3 and 130 deg, and pixels that are nearly square."""
+    """A diagonal field of view between 3 and 130 deg (fisheyes 60 and 300), and square pixels."""
     for name, camera in facts.cameras.items():
         view, key = facts.view_deg(name), f"cameras.{name}.fx_px"
-        if not 3.0 <= view <= 130.0:
+        least, most = (60.0, 300.0) if is_fisheye(camera) else (3.0, 130.0)
+        if not least <= view <= most:
             what = (
                 f"camera {name} sees {view:.3g} deg over the diagonal of {camera.width_px} x "
-                f"{camera.height_px} px with f of {camera.fx_px:g} px, expected 3 to 130 deg: "
-                "likely f in millimetres, or that of other pixels (f_px, fx_px, pixel_pitch_um)"
+                f"{camera.height_px} px with f of {camera.fx_px:g} px, expected {least:g} to "
+                f"{most:g} deg: likely f in millimetres, or that of other pixels "
+                "(f_px, fx_px, pixel_pitch_um)"
             )
             yield "PLAUSIBLE-VIEW", key, what
         if abs(camera.fx_px / camera.fy_px - 1.0) > 0.02:
@@ -252,13 +256,13 @@ def distortion(facts: Facts) -> Findings:
     for name, camera in facts.cameras.items():
         values = {k: v for k, v in camera.distortion._asdict().items() if v}
         view, where = facts.view_deg(name), f"cameras.{name}.distortion"
-        if not values or view > 130.0:
+        if not values or view > 130.0 or is_fisheye(camera):
             continue
         u = np.array([0.5, 0.5, -0.5, -0.5]) * camera.width_px / camera.fx_px
         v = np.array([0.5, -0.5, 0.5, -0.5]) * camera.height_px / camera.fy_px
         u_d, v_d = camera.distort(u, v)
         share = float(np.max(np.hypot(u_d - u, v_d - v) / np.hypot(u, v)))
-        if not 1e-6 <= share <= (0.3 if view < 90.0 else 1.0):
+        if share != 0.0 and not 1e-6 <= share <= (0.3 if view < 90.0 else 1.0):
             what = (
                 f"the distortion of {name} moves the corners of the image by {share:.2g} of their "
                 "radius, expected 1e-6 to 0.3: likely coefficients of pixels or millimetres, not "

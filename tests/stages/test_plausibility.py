@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import re
+from dataclasses import fields, replace
 
 import numpy as np
 import pyarrow as pa
 import pytest
 
-from pipeline.stages.plausibility import RULES
+from pipeline.refraction import Camera
+from pipeline.refraction.camera.general_frame import GeneralFrame
+from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
+from pipeline.stages.plausibility import RULES, Facts, distortion, field_of_view
 from pipeline.stages.story import check_mission
 
 from .test_rehearsal import config, rows
@@ -142,6 +146,25 @@ def test_air_of_another_pressure(mission, monkeypatch):
 def test_a_sound_mission_has_no_findings(mission_factory, tmp_path, kind):
     manifest = check_mission(mission_factory(tmp_path / "m", kind).save()).manifest
     assert [e for e in manifest["ledger"] if e["kind"] in ("finding", "loss")] == []
+
+
+@pytest.mark.parametrize(
+    ("camera", "codes"),
+    [
+        (Camera(3000, 3000, 950.0, 950.0, 1500.0, 1500.0, OpenCVFisheye(-0.01)), []),
+        (Camera(4000, 3000, 1700.0, 1700.0, 2000.0, 1500.0, OpenCVFisheye()), []),
+        (Camera(4000, 3000, 9e3, 9e3, 2000.0, 1500.0, OpenCVFisheye()), ["PLAUSIBLE-VIEW"]),
+        (Camera(3000, 3000, 700.0, 700.0, 1500.0, 1500.0), ["PLAUSIBLE-VIEW"]),
+        (Camera(9000, 9000, 7500.0, 7500.0, 4500.0, 4500.0, GeneralFrame(limit=0.9)), []),
+        (Camera(9000, 9000, 7500.0, 7500.0, 4500.0, 4500.0, GeneralFrame(k1=1e-8)),
+         ["PLAUSIBLE-DISTORTION"]),
+    ],
+)  # fmt: skip
+def test_a_camera_is_judged_by_its_type(camera, codes):
+    facts = Facts(*[None] * len(fields(Facts)))
+    facts = replace(facts, cameras={"nadir": camera})
+    found = [entry[0] for rule in (field_of_view, distortion) for entry in rule(facts)]
+    assert found == codes
 
 
 def test_every_rule_is_a_function_with_one_sentence():
