@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from pipeline.flight.clock import UNIX_NS_FROM
 from pipeline.ingest.boot_clock import Stamps, UtcReadings
 from pipeline.ingest.buffers import open_view
-from pipeline.ingest.fields import MessageMap
 from pipeline.ingest.mcap.cdr_schema import SchemaError
 from pipeline.ingest.mcap.fields import PLAIN_JSON, SCHEMAS, known_name
 from pipeline.ingest.mcap.file_format import (
@@ -223,7 +222,7 @@ class McapReader:
             self.contradictions.add(f"{kind.__name__.lower()} {record.id}")
 
     def _subscribe(self, channel: Any) -> None:
-        schema = self.schemas.get(channel.schema_id)
+        schema: Any = self.schemas.get(channel.schema_id)
         name = known_name(schema.name) if schema is not None else ""
         plain = channel.message_encoding == "json" and name not in SCHEMAS
         if self.only is None and name not in SCHEMAS and not plain:
@@ -234,8 +233,26 @@ class McapReader:
         key = (channel.schema_id, channel.message_encoding)
         decoder = self.decoders.get(key)  # thousands of channels may share a schema
         if decoder is None:
+            encoding, wanted = channel.message_encoding, None if self.only else paths_of(spec)
+            kind = (encoding, schema.encoding if schema is not None else "")
             try:
-                decoder = self._decoder(channel, schema, name, spec)
+                if encoding == "json":
+                    decoder = json_decoder(spec, wanted)
+                elif kind == ("cdr", "ros2msg"):
+                    decoder = cdr_decoder(schema.name, schema.data.decode(), wanted)
+                elif kind == ("protobuf", "protobuf"):
+                    decoder = protobuf_decoder(schema, spec, wanted)
+                elif schema is not None:
+                    self.ledger.note(
+                        "LOG-NOT-ROS2",
+                        f"{name} is encoded as {encoding} with a {schema.encoding} schema, not as "
+                        "ROS 2 CDR, protobuf or JSON: counted, not read",
+                        where=channel.topic,
+                    )
+            except ImportError:
+                what = "which needs the package mcap-protobuf-support: counted, not read"
+                where = channel.topic
+                self.ledger.loss("LOG-NO-PROTOBUF", f"{name} is protobuf, {what}", where=where)
             except _SCHEMA_ERRORS as error:
                 decoder = error
             if decoder is not None:
@@ -247,33 +264,6 @@ class McapReader:
             topic = Topic(channel.topic, name, spec, None if self.only else {})
             topic = self.topics.setdefault((channel.topic, name), topic)
             self.topic_of[channel.id] = (topic, decoder)
-
-    def _decoder(self, channel: Any, schema: Any, name: str, spec: MessageMap) -> Decoder | None:
-        encoding, wanted = channel.message_encoding, None if self.only else paths_of(spec)
-        if encoding == "json":
-            return json_decoder(spec, wanted)
-        if schema is None:
-            return None
-        if encoding == "cdr" and schema.encoding == "ros2msg":
-            return cdr_decoder(schema.name, schema.data.decode(), wanted)
-        if encoding == "protobuf" and schema.encoding == "protobuf":
-            try:
-                return protobuf_decoder(schema, spec, wanted)
-            except ImportError:
-                self.ledger.loss(
-                    "LOG-NO-PROTOBUF",
-                    f"{name} is protobuf, which needs the package mcap-protobuf-support: counted, "
-                    "not read",
-                    where=channel.topic,
-                )
-                return None
-        self.ledger.note(
-            "LOG-NOT-ROS2",
-            f"{name} is encoded as {encoding} with a {schema.encoding} schema, not as ROS 2 CDR, "
-            "protobuf or JSON: counted, not read",
-            where=channel.topic,
-        )
-        return None
 
     def report(self) -> int:
         """Enter the damage; returns how many messages are missing."""

@@ -102,44 +102,36 @@ def _with_checked_clock(
     late = np.concatenate(delay)
     if source in clocks.senders or not late.size:
         return clocks
-    if _may_borrow(clocks, source, late, ledger):
-        return clocks
-    joined = np.concatenate([part[part["boot_ns"] > 0] for part, _ in parts])
-    joined = joined[np.argsort(joined["at"], kind="stable")]
-    return clocks.with_own(source, joined, ledger)
-
-
-def _may_borrow(clocks: Clocks, source: Key, late: TimeArray, ledger: Ledger) -> bool:
-    """Whether a sender's times are those of the clock that it would borrow, or there is none."""
-    where = f"system {source[0]}, component {source[1]}"
-    lender = clocks.lender(source)
+    count, lender = int(late.size), clocks.lender(source)
     if lender is None:
         ledger.fallback(
             "TIME-HOST-CLOCK",
-            f"no clock of this system is known: {late.size} messages have the time at which they "
-            "were received, by a ground station's clock that may be seconds off UTC",
+            f"no clock of this system is known: {count} messages have the time at which they were "
+            "received, by a ground station's clock that may be seconds off UTC",
             where=where,
-            count=int(late.size),
+            count=count,
         )
-        return True
+        return clocks
     if EARLIEST_NS <= np.median(late) <= LATEST_NS:
         ledger.note(
             "TIME-BORROWED",
-            f"it has no clock of its own: the times of {late.size} messages are taken as those of "
+            f"it has no clock of its own: the times of {count} messages are taken as those of "
             f"component {lender[1]}, which fits as they were received {_seconds(late)} later",
             where=where,
-            count=int(late.size),
+            count=count,
         )
-        return True
+        return clocks
     ledger.loss(
         "TIME-BORROWED",
-        f"the times since boot of {late.size} messages are not those of component {lender[1]}, by "
+        f"the times since boot of {count} messages are not those of component {lender[1]}, by "
         f"which they would be {_seconds(late)} old when they were received: their clock is set by "
         "that, and exposures may be late by the delay of the link",
         where=where,
-        count=int(late.size),
+        count=count,
     )
-    return False
+    joined = np.concatenate([part[part["boot_ns"] > 0] for part, _ in parts])
+    joined = joined[np.argsort(joined["at"], kind="stable")]
+    return clocks.with_own(source, joined, ledger)
 
 
 def _seconds(late: TimeArray) -> str:
