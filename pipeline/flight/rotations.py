@@ -172,7 +172,7 @@ def _euler_angles(axes: _Axes, matrix: Array) -> Array:
 def _where_known(turned: Callable[[Array], Array], values: Array, shape: tuple[int, ...]) -> Array:
     """(n, *shape) results of a function of the rows that are known; NaN for the others."""
     result = np.full((values.shape[0], *shape), np.nan)
-    known = np.isfinite(values.reshape(values.shape[0], -1)).all(axis=1)
+    known = np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
     if bool(known.any()):
         result[known] = turned(values[known])
     return result
