@@ -122,9 +122,12 @@ def make_plan(mission: Mission, folder: Path) -> Plan:
     output = Path(os.path.normpath(folder / mission.output.path))
     _refuse_among_results("mission", folder, output)
     inputs = []
+    orientation = mission.stations.orientation
+    of_images = orientation is not None and orientation.format == "dji"
+    of_folders = ("images", "orientation") if of_images else ("images",)
     for role, (name, path) in input_paths(mission, folder).items():
         try:
-            if not path.is_file() and not (role == "images" and path.is_dir()):
+            if not path.is_file() and not (role in of_folders and path.is_dir()):
                 other = {"events": "events.positions", "camera": "cameras.<name>.file"}
                 key = _MISSION_FILE_KEYS.get(
                     role, other.get(role.split()[0], "atmosphere.soundings")

@@ -14,6 +14,7 @@ from pipeline.config.event_sources import EventsSection, PositionEvents
 from pipeline.config.interior_orientation import CameraSection
 from pipeline.config.station_sources import LocalOrigin, StationsSection
 from pipeline.config.trajectories import NamedColumns
+from pipeline.flight.image_names import Difference
 from pipeline.ingest.registry import KNOWN
 from pipeline.refraction import METHODS
 from pipeline.tables.pixels import PixelOrigin, PixelSystem
@@ -116,6 +117,11 @@ class ObservationsSection(Section):
         "corner",
         description="corner: the centre of the upper left pixel is (0.5, 0.5), as in COLMAP; "
         "centre: it is (0, 0), as in OpenCV",
+    )
+    match_names: list[Difference] = Field(
+        [],
+        description="in what the images may be called otherwise than their exposures: case, "
+        "extension, folder, digits (DSC1 for DSC_0001)",
     )
 
     @property

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from datetime import UTC, date, datetime
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from pipeline.config.atmosphere import PathText
 from pipeline.config.cameras import Section
-from pipeline.config.trajectories import ClockColumns, PoseColumns, TrajectorySection
+from pipeline.config.trajectories import (
+    ClockColumns,
+    PoseColumns,
+    TrajectorySection,
+    known_format,
+)
 from pipeline.flight.heights import GeodeticOrigin
+from pipeline.tables.imports import ORIENTATIONS
 from pipeline.units import DEGREE, AngleUnit
 
 _OF_ANGLES = {
@@ -67,9 +73,14 @@ class EnuFrame(Section):
 
 
 class OrientationSection(Section):
-    """Position and attitude of every image from a CSV."""
+    """Position and attitude of every image from a CSV, or from DJI's images themselves."""
 
     path: PathText
+    format: Annotated[str, known_format(ORIENTATIONS)] = Field(
+        "csv",
+        description="csv; or dji: positions and gimbal angles in the images of a folder, or of a "
+        "table that exiftool -csv -r FOLDER wrote",
+    )
     angles: Literal[
         "omega_phi_kappa", "phi_omega_kappa", "roll_pitch_yaw", "quaternion", "quaternion_to_frame"
     ] = Field(
@@ -140,7 +151,7 @@ class OrientationSection(Section):
     @property
     def has_clock(self) -> bool:
         """Whether columns give the time of each image."""
-        return not self.columns.named.keys().isdisjoint(_CLOCK)
+        return self.format == "dji" or not self.columns.named.keys().isdisjoint(_CLOCK)
 
     @property
     def date_ns(self) -> int | None:
@@ -164,6 +175,8 @@ class OrientationSection(Section):
     @model_validator(mode="after")
     def _check_combinations(self) -> OrientationSection:
         unknown = self.frame == "unknown"
+        if self.format == "dji" and self.angles != "roll_pitch_yaw":
+            raise ValueError("format: dji has angles: roll_pitch_yaw, of the gimbal")
         level = self.frame in ("geographic", "projected")
         if self.angles == "roll_pitch_yaw" and not level:
             raise ValueError("roll, pitch and yaw are those of north, east and down at the "

@@ -42,7 +42,7 @@ def air_samples(
     if height is None:
         return AirSamples(), ()
     contradicted = [s for s in suspect if s.quantity == HEIGHT and not s.replaced_by]
-    on_ground_ns = _times_on_the_ground(height)
+    on_ground_ns = times_on_the_ground(height)
     samples: dict[str, SensorSamples] = {}
     notes = []
     for role, column in (
@@ -78,7 +78,7 @@ def air_samples(
     return AirSamples(**samples, takeoff_ns=takeoffs_ns), tuple(notes)
 
 
-def _times_on_the_ground(height: Channel) -> NDArray[np.int64]:
+def times_on_the_ground(height: Channel) -> NDArray[np.int64]:
     """Times [Unix ns] at which the aircraft stood on the ground, increasing.
 
     It stands where it moves neither along nor up over ten seconds, near the lowest height of the

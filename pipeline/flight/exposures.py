@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -9,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import MissionError
+from pipeline.flight.air_samples import times_on_the_ground
 from pipeline.flight.channels import Array, Channel
-from pipeline.ledger import Notes, loss, note
+from pipeline.flight.stations import Stations
+from pipeline.ledger import Notes, loss, note, warning
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,6 +167,74 @@ def _skipped_numbers(channel: Channel, index: NDArray[np.int64]) -> Notes:
 def _sent(counted: int) -> int:
     """A counted number as the log has it."""
     return counted % _COUNT_ROUND if counted >= _COUNT_ROUND else counted
+
+
+_USUAL_SHIFTS_S = [
+    sign * size
+    for size in (18, *range(3600, 50_401, 3600), 86_400, 604_800, *range(900, 50_401, 900))
+    for sign in (1, -1)
+]
+"""Leap seconds, whole hours of time zones, a day, a week, quarters of an hour: in this order."""
+
+
+def span_notes(events: list[Events], position: Channel) -> Notes:
+    """Events beyond the time of the flight: a warning, with the shift by which they would fit.
+
+    That is the first of leap seconds, time zones, a day and a week which brings all of them into
+    the span of ``position``, else that of both beginnings. Refuses (MissionError EVENTS-SPAN) where
+    more than half lie beyond it.
+    """
+    time_ns = np.sort(np.concatenate([np.empty(0, np.int64), *(e.time_ns for e in events)]))
+    if time_ns.size == 0 or len(position) == 0:
+        return ()
+    first, last = int(position.time_ns[0]), int(position.time_ns[-1])
+    beyond = int(np.count_nonzero((time_ns < first) | (time_ns > last)))
+    if beyond == 0:
+        return ()
+    shifts = [shift * 1_000_000_000 for shift in _USUAL_SHIFTS_S]
+    able = [s for s in shifts if time_ns[0] + s >= first and time_ns[-1] + s <= last]
+    shift = [*able, first - int(time_ns[0])][0]
+    spans = [
+        " to ".join(str(np.datetime64(t, "ns").astype("datetime64[ms]")) for t in span)
+        for span in ((int(time_ns[0]), int(time_ns[-1])), (first, last))
+    ]
+    what = (
+        f"{beyond} of {time_ns.size} events lie beyond the flight: events {spans[0]}, "
+        f"{position.name} {spans[1]}; {shift * 1e-9:+.0f} s "
+        + ("would bring all of them into it" if able else "would begin them with it")
+    )
+    if 2 * beyond > time_ns.size:
+        raise MissionError(
+            "EVENTS-SPAN", what, where="events",
+            remedy="name the events of this flight, or state delay_s: GPS time is 18 s ahead of "
+            "UTC, local time by its zone",
+        )  # fmt: skip
+    return (warning("EVENTS-SPAN", what, where="events", count=beyond),)
+
+
+def ground_shot_notes(
+    stations: Stations, roles: Mapping[str, Channel], images: Collection[str]
+) -> Notes:
+    """Exposures made while the aircraft stood on the ground, by name: test shots.
+
+    A note; a warning where some of them are images of the observations, a loss where more than
+    half of all exposures are: then the events are of another time.
+    """
+    height = roles.get("height")
+    on_ground_ns = times_on_the_ground(height) if height is not None else np.empty(0, np.int64)
+    if on_ground_ns.size == 0 or len(stations) == 0:
+        return ()
+    near = np.clip(np.searchsorted(on_ground_ns, stations.time_ns), 1, on_ground_ns.size - 1)
+    away = [np.abs(stations.time_ns - on_ground_ns[row]) for row in (near - 1, near)]
+    names = stations.image[stations.ok & (np.minimum(*away) < 1_000_000_000)].tolist()
+    if not names:
+        return ()
+    measured = [name for name in names if name in set(images)]
+    what = f"{len(names)} exposures were made while the aircraft stood on the ground: "
+    what += ", ".join(names[:5]) + (" ..." if len(names) > 5 else "")
+    what += f"; {len(measured)} of them are in the observations" if measured else ""
+    entry = loss if 2 * len(names) > int(stations.ok.sum()) else warning if measured else note
+    return (entry("EVENTS-ON-GROUND", what, where="events", count=len(names)),)
 
 
 def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Channel:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.series.profile_series import ProfileSeries
+from pipeline.flight.image_names import proposal
 from pipeline.geodesy import offset_geodetic
 from pipeline.ledger import Notes, loss, note
 from pipeline.units import DEGREE, HECTOPASCAL
@@ -199,9 +200,11 @@ def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tupl
         )
     if unknown.size == 0:
         return stations, tuple(notes)
+    near = proposal(unknown.tolist(), stations.image.tolist())
     what = (
         f"{unknown.size} images of the observations have no exposure: {_first_three(unknown)}"
         + (f"; exposures are called like '{stations.image[0]}'" if len(stations) else "")
+        + (f"; {near}" if near else "")
     )
     notes.append(loss("IMAGES-UNMATCHED", what, where="events", count=int(unknown.size)))
     camera = np.full(unknown.shape, "", dtype=object)

@@ -18,11 +18,14 @@ from pipeline.flight.exposures import (
     choose_event_channel,
     events_of_channel,
     events_of_table,
+    ground_shot_notes,
     lag_from_feedback,
     refuse_repeated_images,
+    span_notes,
     trigger_notes,
     unwrapped_numbers,
 )
+from pipeline.flight.image_names import refuse_other_names, renamed
 from pipeline.flight.mount import Mount
 from pipeline.flight.station_builder import (
     build_stations,
@@ -147,7 +150,13 @@ def stations_of_mission(
     utc_sigma_s = 0.0 if flight.log is None else float(np.nan_to_num(flight.log.utc_sigma_s))
     positions = read_camera_events(plan, flight, ledger)
     events = exposure_events(plan, flight.channels, positions, utc_sigma_s, ledger)
+    observed, differences = observations.images, mission.observations.match_names
+    for k, exposures in enumerate(events):
+        image = renamed(exposures.image, observed, differences, f"events, {exposures.camera}")
+        events[k] = replace(exposures, image=ledger.take(image))
     refuse_repeated_images(events)
+    if "position" in flight.roles:
+        ledger.extend(span_notes(events, flight.roles["position"]))
     exposed = []
     for events_of_camera in events:
         name, suspect = events_of_camera.camera, flight.suspect
@@ -189,7 +198,11 @@ def stations_of_mission(
             )
         if camera.window is not None and camera.window.frame == "body":
             stations = ledger.take(flag_missing_aircraft_attitude(stations, name))
-    stations = ledger.take(append_unmatched_images(stations, observations.images))
+    cameras = set(stations.camera.tolist()).union(exposed.camera for exposed in events)
+    names = {camera: stations.image[stations.camera == camera].tolist() for camera in cameras}
+    refuse_other_names(dict(sorted(names.items())), observed)
+    ledger.extend(ground_shot_notes(stations, flight.roles, observed))
+    stations = ledger.take(append_unmatched_images(stations, observed))
     ledger.extend(unusable_station_notes(stations))
     limits = mission.stations
     tilt = limits.max_sigma_tilt_deg

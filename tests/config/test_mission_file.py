@@ -39,7 +39,7 @@ FULL: dict[str, Any] = {
     "observations": {
         "path": "o.parquet",
         "columns": {"image": "i", "point": "p", "x_px": "x", "y_px": "y", "distance_m": "d"},
-        "pixel_origin": "corner",
+        "pixel_origin": "corner", "match_names": ["case", "digits"],
     },
     "cameras": {
         "nadir": {
@@ -165,6 +165,7 @@ ORIENTED: dict[str, Any] = {
     "stations": {
         "use_suspect": True,
         "orientation": {
+            "format": "csv",
             "path": "block.csv", "angles": "omega_phi_kappa", "unit": "grad", "frame": "unknown",
             "heights": "ellipsoid", "columns": ORIENTED_COLUMNS, "camera": "nadir",
             "known_positions": {

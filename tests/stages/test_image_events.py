@@ -261,13 +261,12 @@ def test_images_and_files_that_do_not_go_together(survey, tmp_path):
 
 
 @needs_shared
-def test_a_pattern_of_no_image_leaves_all_unmatched(survey, tmp_path):
+def test_a_pattern_of_no_image_is_refused(survey, tmp_path):
     _, names = survey
     events = {"log": {"cam": {"channel": "CAM[0]", "image": "DSC_*"}}}
     path = mission_of(tmp_path, "sitl_survey.BIN", scattered(names), events, 590.0)
-    prepared = read_mission(path)
-    assert set(prepared.stations.status) == {"unmatched"}
-    assert entries(prepared, "IMAGES-UNMATCHED")[0].count == 251
+    with pytest.raises(MissionError, match="IMAGES-OTHER"):
+        read_mission(path)
 
 
 def test_names_and_numbers_of_a_pattern():
@@ -281,8 +280,8 @@ def test_names_and_numbers_of_a_pattern():
     assert sequence.numbering == "sequence"
     assert images_of_camera("*", ("a9", "a10", "a1"), None).name.tolist() == ["a1", "a9", "a10"]
     assert images_of_camera("*", ("a", "b"), None).number.tolist() == [0, 1]
-    index = images_of_camera("{n}_{index:05d}.tif", ("7_00012.TIF", "8_x.tif"), None)
-    assert (index.name.tolist(), index.number.tolist()) == (["7_00012.TIF"], [12])
+    index = images_of_camera("{n}_{index:05d}.tif", ("7_00012.tif", "8_00013.TIF"), None)
+    assert (index.name.tolist(), index.number.tolist()) == (["7_00012.tif"], [12])
 
 
 @lru_cache

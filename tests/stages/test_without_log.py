@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
 import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
@@ -16,7 +17,7 @@ import pipeline.stages.inputs as inputs
 from pipeline.errors import ConfigError, InputError, MissionError
 from pipeline.flight.channels import Channel, Source
 from pipeline.simulate.flight import UNDULATION_M
-from pipeline.stages.story import check_mission
+from pipeline.stages.story import read_mission
 from tests.stages.test_imports import (
     GPS_EPOCH,
     NEAR_M,
@@ -66,7 +67,7 @@ def test_a_trajectory_gives_position_height_and_attitude_without_a_log(
     mission.config["stations"] = {"trajectory": section}
     ended = mission.run()
     assert ended.code == 0, ended.text
-    prepared = check_mission(mission.save())
+    prepared = read_mission(mission.save())
     place, height, attitude = errors(prepared, truth)
     assert prepared.stations.ok.all()
     assert place < NEAR_M
@@ -80,7 +81,7 @@ def test_a_week_that_no_log_gives_is_asked_for(mission, files):
     without_log(mission, files)
     mission.config["stations"] = {"trajectory": files.sbet()}
     with pytest.raises(InputError) as caught:
-        check_mission(mission.save())
+        read_mission(mission.save())
     assert caught.value.code == "IMPORT-WEEK"
 
 
@@ -88,7 +89,7 @@ def test_positions_alone_do_not_say_where_a_camera_looks(mission, files):
     without_log(mission, files)
     mission.config["stations"] = {"trajectory": files.pos()}
     with pytest.raises(MissionError) as caught:
-        check_mission(mission.save())
+        read_mission(mission.save())
     assert caught.value.code == "STATIONS-ATTITUDE"
 
 
@@ -99,7 +100,7 @@ def test_heights_above_the_ellipsoid_become_those_above_the_sea_by_the_geoid(mis
     section = files.sbet()
     section["time"]["week"] = week_of(files)
     mission.config["stations"] = {"trajectory": section}
-    stations = check_mission(mission.save()).stations
+    stations = read_mission(mission.save()).stations
     assert stations.ok.all()
     assert stations.h_ellipsoid_m - stations.h_msl_m == pytest.approx(UNDULATION_M, abs=2.0)
 
@@ -119,7 +120,7 @@ def test_what_a_mission_without_log_cannot_have(mission, files, change, words):
     mission.config["stations"] = {"trajectory": files.sbet()}
     change(mission.config)
     with pytest.raises(ConfigError, match=words):
-        check_mission(mission.save())
+        read_mission(mission.save())
 
 
 def convergence(lat: np.ndarray, lon: np.ndarray, grid: str) -> np.ndarray:
@@ -171,7 +172,7 @@ def test_an_eo_text_needs_neither_log_nor_trajectory(mission, files, truth):
         camera: write_eo(files, camera, f"EPSG:{32600 + zone}", f"UTM North {zone}")
         for camera in ("nadir", "oblique")
     }}  # fmt: skip
-    prepared = check_mission(mission.save())
+    prepared = read_mission(mission.save())
     place, height, attitude = errors(prepared, truth)
     assert prepared.stations.ok.all()
     assert place < 0.01
@@ -186,11 +187,11 @@ def test_the_attitude_of_an_eo_text_is_compared_with_the_log(mission, files, tru
         camera: write_eo(files, camera, f"EPSG:{32600 + zone}", f"UTM North {zone}")
         for camera in ("nadir", "oblique")
     }}  # fmt: skip
-    prepared = check_mission(mission.save())
+    prepared = read_mission(mission.save())
     assert errors(prepared, truth)[2] < 1e-4
     assert [e.kind for e in entries(prepared, "TRAJECTORY-ANGLES-AGREE")] == ["note", "note"]
     mission.config["mount"]["oblique"]["roll_deg"] = 45.0
-    prepared = check_mission(mission.save())
+    prepared = read_mission(mission.save())
     assert "loss" in [e.kind for e in entries(prepared, "TRAJECTORY-ANGLES-AGREE")]
 
 
@@ -201,10 +202,10 @@ def test_angles_of_another_grid_are_refused(mission, files):
     other = write_eo(files, "oblique", f"EPSG:{32600 + zone}", f"UTM North {zone}")
     mission.config["events"] = {"positions": {"nadir": section, "oblique": other}}
     with pytest.raises(InputError) as caught:
-        check_mission(mission.save())
+        read_mission(mission.save())
     assert caught.value.code == "IMPORT-EO-GRID"
     section["grid"] = f"EPSG:{32600 + zone}"
-    assert check_mission(mission.save()).stations.ok.all()
+    assert read_mission(mission.save()).stations.ok.all()
 
 
 SWAY = {"nadir": (0.05, 3.0), "oblique": (0.03, 5.0)}
@@ -241,7 +242,7 @@ def test_each_camera_follows_the_gimbal_of_its_own(mission, files, truth, monkey
         inputs, "open_log",
         lambda *file: replace(log := whole(*file), channels=(*log.channels, *heads)),
     )  # fmt: skip
-    prepared = check_mission(mission.save())
+    prepared = read_mission(mission.save())
     stations = prepared.stations
     assert stations.ok.all()
     for camera in SWAY:
@@ -254,6 +255,39 @@ def test_each_camera_follows_the_gimbal_of_its_own(mission, files, truth, monkey
     assert {e.where for e in entries(prepared, "GIMBAL-FRAME")} == {"mount.nadir", "mount.oblique"}
     mission.config["mount"]["nadir"]["attitude"] = "MNT[7]"
     with pytest.raises(MissionError) as caught:
-        check_mission(mission.save())
+        read_mission(mission.save())
     assert caught.value.code == "CHANNEL-MISSING"
     assert "MNT[1]" in caught.value.what
+
+
+def test_dji_images_orient_themselves(mission, files, truth):
+    """Gimbal angles and positions of exiftool's table: axes forward, right, down of the payload."""
+    without_log(mission, files, "dji")
+    for section in ("events", "mount"):
+        del mission.config[section]
+    del mission.config["cameras"]["oblique"]
+    table = mission.measurements().to_pandas()
+    mission.observe(pa.Table.from_pandas(table[table["image"].str.startswith("nadir")]))
+    rows = files.stations[files.stations["camera"] == "nadir"]
+    camera = Rotation.from_quat(rows[["q_x", "q_y", "q_z", "q_w"]].to_numpy()).inv()
+    payload = NED @ camera.as_matrix() @ PAYLOAD_FROM_CAMERA.T
+    yaw, pitch, roll = Rotation.from_matrix(payload).as_euler("ZYX", degrees=True).T
+    lines = ["FileName,DateTimeOriginal,GPSLatitude,GPSLongitude,AbsoluteAltitude,GimbalRollDegree,"
+             "GimbalPitchDegree,GimbalYawDegree"]  # fmt: skip
+    for k, (image, row) in enumerate(rows.iterrows()):
+        lines.append(f"{image}.JPG,{row['time_utc']:%Y:%m:%d %H:%M:%S.%f}Z,{row['lat_deg']:.10f},"
+                     f"{row['lon_deg']:.10f},{row['h_ellipsoid_m']:.4f},{roll[k]:.9f},"
+                     f"{pitch[k]:.9f},{yaw[k]:.9f}")  # fmt: skip
+    (mission.folder / "exif.csv").write_text("\n".join(lines) + "\n")
+    orientation = {"path": "exif.csv", "format": "dji", "angles": "roll_pitch_yaw",
+                   "frame": "geographic", "heights": "ellipsoid"}  # fmt: skip
+    mission.config["stations"] = {"orientation": orientation}
+    mission.config["observations"]["match_names"] = ["extension"]
+    prepared = read_mission(mission.save())
+    place, height, attitude = errors(prepared, truth)
+    assert prepared.stations.ok.all()
+    assert (place, height) < (0.01, 0.01)
+    assert attitude < 1e-4
+    orientation["angles"] = "omega_phi_kappa"
+    with pytest.raises(ConfigError, match="format: dji"):
+        read_mission(mission.save())

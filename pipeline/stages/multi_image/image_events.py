@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import string
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from pipeline.config.event_sources import EventsSection, FirstImage
 from pipeline.errors import InputError, MissionError
 from pipeline.flight.exposures import Events, refuse_repeated_images
 from pipeline.flight.stations import Stations
+from pipeline.geodesy import principal_radii
 from pipeline.ledger import Ledger, Notes, loss, note, warning
 from pipeline.refraction.camera.camera import Camera
 from pipeline.stages.exposure_setup import cameras_of_mission
@@ -34,6 +35,7 @@ _FEW_CONTRADICTED = 0.02
 _FEWEST_POINTS, _TIE_POINTS = 10, 200  # 800 rays tell a shift by a factor of e^3000
 _REFRACTION_RAD = 1e-4
 _USABLE_STATIONS = 0.9
+_POSITION_M, _COMMON_M, _DELAY_S, _OUTLIER = 10.0, 5.0, 1.0, 25.0  # of positions in EXIF
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,9 +92,12 @@ def assigned_stations(
             continue
         images = images_of_camera(pattern, observations.images, files)
         camera = cameras_of_mission(plan.mission)[exposed.camera]
-        likelihood = tie_likelihood(ties, images, camera, of_events)
+        spoken = {
+            "tie points": tie_likelihood(ties, images, camera, of_events),
+            "positions": position_likelihood(images, files, of_events),
+        }
         named, rows, notes = assigned_events(
-            exposed, images, files, section.anchor(exposed.camera), likelihood
+            exposed, images, files, section.anchor(exposed.camera), spoken
         )
         ledger.extend(notes)
         chosen.append(named)
@@ -120,6 +125,50 @@ def tie_likelihood(
     return lambda event: intersect(of_events.assigned(event), rays).log_likelihood
 
 
+def position_likelihood(
+    images: CameraImages, files: ImageTimes | None, stations: Stations
+) -> Likelihood | None:
+    """Log likelihood of assignments by the positions in the images; None where few have one.
+
+    ``stations`` are those of all events. The positions err by 10 m each, at most five times that,
+    and together by 5 m and by a delay of 1 s: a receiver's last fix. So positions along one line
+    decide nothing that a delay explains; those of lines to and fro do.
+    """
+    if files is None or len(stations) < 3:
+        return None
+    position = np.append(files.position, [[np.nan] * 3], axis=0)[images.file]
+    has = np.isfinite(position[:, 0])
+    if has.sum() < max(3.0, 0.5 * has.size) or stations.ok.sum() < _USABLE_STATIONS * len(stations):
+        return None
+    lat, lon = np.median(stations.lat_rad[stations.ok]), np.median(stations.lon_rad[stations.ok])
+    meridian, vertical = principal_radii(np.array([lat]))
+    metres = np.array([meridian[0], vertical[0] * np.cos(lat)])
+    flown = (np.stack([stations.lat_rad, stations.lon_rad], axis=1) - [lat, lon]) * metres
+    seconds = np.maximum.accumulate((stations.time_ns - stations.time_ns[0]) * 1e-9)
+    with np.errstate(invalid="ignore", divide="ignore"):  # pulses that repeat
+        velocity = np.nan_to_num(np.gradient(flown, seconds, axis=0), posinf=0.0, neginf=0.0)
+    written = (position[:, :2] - [lat, lon]) * metres
+
+    def log_likelihood(event: Indices) -> float:
+        rows = np.flatnonzero(has & (event >= 0))
+        rows = rows[np.isfinite(flown[event[rows], 0])]
+        off = (written[rows] - flown[event[rows]]).ravel() / _POSITION_M
+        common = np.tile(np.eye(3)[1:], (rows.size, 1)) * _COMMON_M / _POSITION_M
+        common[:, 0] = velocity[event[rows]].ravel() * _DELAY_S / _POSITION_M
+        shared, limit = np.zeros(3), 4.0 * _OUTLIER
+        for _ in range(4):
+            left = np.square(off - common @ shared).reshape(-1, 2).sum(axis=1)
+            near, limit = np.repeat(left < limit, 2), _OUTLIER
+            design = common[near]
+            shared = np.linalg.solve(design.T @ design + np.eye(3), design.T @ off[near])
+        left = np.square(off - common @ shared).reshape(-1, 2).sum(axis=1)
+        without = int(has.sum()) - rows.size
+        cost = np.minimum(left, _OUTLIER).sum() + np.square(shared).sum() + without * _OUTLIER
+        return -0.5 * float(cost)
+
+    return log_likelihood
+
+
 def images_of_camera(
     pattern: str, observed: tuple[str, ...], files: ImageTimes | None
 ) -> CameraImages:
@@ -134,7 +183,7 @@ def images_of_camera(
         if field is not None:
             text += r"\d+" if field in fields else rf"(?P<{field}>\d+)"
             fields.append(field)
-    whole = re.compile(text, re.IGNORECASE)
+    whole = re.compile(text)
     stem = re.compile(re.sub(r"\\\.\w+$", "", text) + r"(\.\w+)?", re.IGNORECASE)
     paths: list[str] = [] if files is None else files.file.tolist()
     row_of = {} if files is None else files.rows_of(observed)
@@ -172,7 +221,7 @@ def assigned_events(
     images: CameraImages,
     files: ImageTimes | None,
     anchor: FirstImage | None,
-    tie_points: Likelihood | None,
+    spoken: Mapping[str, Likelihood | None],
 ) -> tuple[Events, Indices, Notes]:
     """The events that have an image, under its name, and their rows among all events.
 
@@ -182,6 +231,12 @@ def assigned_events(
     likely.
     """
     where = f"events.log.{exposed.camera}"
+    likelihoods = {name: function for name, function in spoken.items() if function is not None}
+
+    def tie_points_and_positions(event: Indices) -> float:
+        return sum(function(event) for function in likelihoods.values())
+
+    tie_points = tie_points_and_positions if likelihoods else None
     every = np.arange(exposed.time_ns.size, dtype=np.int64)
     has_names = bool((exposed.image != "").all())
     if images.name.size == 0 or every.size == 0:
@@ -209,6 +264,9 @@ def assigned_events(
         first_image=anchor_rows(anchor, images, exposed),
         tie_points=tie_points,
     )
+    names = " and ".join(likelihoods)
+    evidence_of_all = tuple(n.replace("tie points", names) for n in assignment.evidence)
+    assignment = replace(assignment, evidence=evidence_of_all)
     description, event = describe_assignment(assignment, images, exposed), assignment.event
     undecided = assignment.ambiguous
     if by_index:
@@ -282,7 +340,7 @@ def hole_between(
                 parted, moved = event.copy(), whole[rows] + shift
                 parted[rows] = np.where((moved >= 0) & (moved < m), moved, -1)
                 if tie_points(parted) > likely + LOG_RATIO_NEEDED:
-                    return f"by tie points one is missing near {images.name[order[k]]}"
+                    return f"one is missing near {images.name[order[k]]}"
     return ""
 
 

@@ -26,6 +26,7 @@ from pipeline.config.station_sources import EnuFrame, KnownPositions, Orientatio
 from pipeline.errors import InputError, MissionError
 from pipeline.flight.channels import Array
 from pipeline.flight.heights import ground_offsets
+from pipeline.flight.image_names import renamed
 from pipeline.flight.rotations import (
     enu_from_grid,
     in_turned_frame,
@@ -38,11 +39,8 @@ from pipeline.ledger import Ledger, Notes
 from pipeline.stages.exposure_setup import camera_of_rows, cameras_of_mission
 from pipeline.stages.inputs import FlightLog, user_geoid
 from pipeline.tables.geodata.coordinate_systems import places_of
-from pipeline.tables.imports.orientation import (
-    OrientationTable,
-    read_known_positions,
-    read_orientation,
-)
+from pipeline.tables.imports import ORIENTATIONS, Stated, reader_of
+from pipeline.tables.imports.orientation import OrientationTable, read_known_positions
 from pipeline.tables.observations import Observations
 from pipeline.tables.tie_points import draw_tie_points, tie_rays
 from pipeline.units import DEGREE, RADIANS
@@ -82,9 +80,12 @@ def oriented_stations(
     if section is None:
         raise MissionError("EVENTS-NONE", "the mission names no orientation", where="stations")
     source = plan.input("orientation").path
-    names, angle_names = section.column_names, section.angle_names
-    table = ledger.take(read_orientation(source, names, angle_names, unit=section.unit))
+    _, reader = reader_of(ORIENTATIONS, source, section.format)
+    table = reader(source, Stated(columns=section.column_names, angle_unit=section.unit), ledger)
     table = ledger.take(in_wgs84(plan, section, table))
+    differences = plan.mission.observations.match_names
+    image = renamed(table.image, observations.images, differences, "stations.orientation")
+    table = replace(table, image=ledger.take(image))
     stations = stations_of_table(plan, flight, section, table, exposed=exposed, ledger=ledger)
     stations = ledger.take(flag_far_images(stations, use=plan.mission.stations.use_suspect))
     stations = check_height_above_ground(plan, flight, stations, observations, ledger)

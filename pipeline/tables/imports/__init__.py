@@ -1,7 +1,8 @@
-"""Files of other programs that are read: trajectories and camera events, by format.
+"""Files of other programs that are read: trajectories, camera events, orientations, by format.
 
-A new format is a module beside this one, and its reader in `TRAJECTORIES` or `CAMERA_EVENTS`: a
-function of the path, what the mission file states, and the ledger, that returns a channel.
+A new format is a module beside this one, and its reader in `TRAJECTORIES`, `CAMERA_EVENTS` or
+`ORIENTATIONS`: a function of the path, what the mission file states, and the ledger, that returns a
+channel, or an `OrientationTable`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from pipeline.errors import InputError
 from pipeline.flight.channels import Channel
 from pipeline.ledger import Ledger
 from pipeline.tables.imports.eo_text import read_eo_text
+from pipeline.tables.imports.exif import read_gimbal_orientations
 from pipeline.tables.imports.mrk import read_mrk
+from pipeline.tables.imports.orientation import OrientationTable, read_orientation
 from pipeline.tables.imports.rtklib import read_pos
 from pipeline.tables.imports.sbet import read_sbet
 from pipeline.tables.imports.stated import Stated
@@ -36,6 +39,15 @@ CAMERA_EVENTS: Mapping[str, tuple[Reader, tuple[str, ...]]] = {
     "eo": (read_eo_text, (".txt", ".eo", ".dat")),
 }
 """Readers of exposures with their positions: columns of positions, and ``event_index``."""
+
+
+ORIENTATIONS: Mapping[
+    str, tuple[Callable[[Path, Stated, Ledger], OrientationTable], tuple[str, ...]]
+] = {
+    "csv": (read_orientation, (".csv", ".txt")),
+    "dji": (read_gimbal_orientations, ()),
+}
+"""Readers of positions and attitudes of images: a table, or the images of a folder themselves."""
 
 
 def reader_of(
@@ -60,6 +72,7 @@ def reader_of(
 
 __all__ = [
     "CAMERA_EVENTS",
+    "ORIENTATIONS",
     "TRAJECTORIES",
     "Reader",
     "Stated",

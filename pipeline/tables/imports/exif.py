@@ -1,4 +1,4 @@
-"""The images of a flight and the times of their camera's clock: EXIF, DJI's XMP, exiftool's CSV."""
+"""Times, positions and gimbal angles of the images of a flight: EXIF, DJI's XMP, exiftool's CSV."""
 
 from __future__ import annotations
 
@@ -15,10 +15,21 @@ import exifread
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from pipeline.errors import InputError
 from pipeline.flight.clock import utc_of_gps
+from pipeline.flight.rotations import (
+    CAMERA_AT_REST,
+    NED_FROM_ENU,
+    in_turned_frame,
+    ned_from_body,
+    quaternions_of,
+    rpy_of_quaternion,
+)
 from pipeline.ledger import Ledger
+from pipeline.tables.imports.orientation import OrientationTable
+from pipeline.tables.imports.stated import Stated
 
 ENDINGS = ".3fr .arw .cr2 .cr3 .dng .heic .iiq .jpeg .jpg .nef .orf .raf .rw2 .tif .tiff"
 NO_TIME = np.iinfo(np.int64).min
@@ -27,7 +38,7 @@ _STAMP = re.compile(
     r"(\d{4})[:/-](\d\d)[:/-](\d\d)[ T](\d\d):(\d\d):(\d\d)(?:[.,](\d+))?\s*(Z|[+-]\d\d:?\d\d)?"
 )
 _UNIX = re.compile(r"(\d{9,10})(?:\.(\d+))?")
-_DJI = re.compile(rb"drone-dji:UTCAtExposure\s*(?:=\s*[\"']|>)([^\"'<]+)")
+_DJI = re.compile(rb"drone-dji:(\w+)\s*(?:=\s*[\"']|>)([^\"'<]+)")
 _XMP_BYTES = 1 << 18  # DJI writes its XMP behind the EXIF, which has a preview of 64 KiB at most
 # A receiver's stamp may be some seconds old; the zones of the world are quarters of an hour apart.
 _RECEIVER_SIGMA_S, _QUARTER_S, _ZONE_PROOF_S, _FARTHEST_ZONE_S = 2.0, 900, 120.0, 14 * 3600
@@ -80,13 +91,15 @@ class ImageTimes:
 
     ``time_ns`` counts local time as though it were UTC where ``is_utc`` is False; `NO_TIME` where
     an image has none. ``sigma_s`` is half of the step in which the clock counts; ``clock_sigma_s``
-    that of the clock itself, infinite but for times of a GPS receiver.
+    that of the clock itself, infinite but for times of a GPS receiver. ``position`` (m, 3) is
+    latitude, longitude [rad] and the height as written [m], NaN where an image has none.
     """
 
     file: NDArray[np.object_]
     time_ns: NDArray[np.int64]
     sigma_s: NDArray[np.float64]
     is_utc: bool
+    position: NDArray[np.float64]
     clock_sigma_s: float = np.inf
 
     def rows_of(self, images: Iterable[str]) -> dict[str, int]:
@@ -136,15 +149,7 @@ def read_image_times(path: Path, zone: str, ledger: Ledger) -> ImageTimes:
     GPS stamp. The date of a file's last change is no time of an exposure. A time zone is inferred
     only where the GPS stamps of the same images prove it. Images without a time are losses.
     """
-    tags = _tags_of_folder(path, ledger) if path.is_dir() else _tags_of_csv(path)
-    if not tags:
-        raise InputError(
-            "IMAGES-NONE",
-            "there are no images",
-            where=str(path),
-            remedy=f"events.images.path is a folder of images ({ENDINGS}) or a table as exiftool "
-            "-csv writes it, with a column SourceFile or FileName",
-        )
+    tags = read_tags(path, ledger)
     stamps = {file: stamp for file, of in tags.items() if (stamp := _time_of(of, zone)) is not None}
     local = [file for file, stamp in stamps.items() if not stamp.is_utc]
     fixes = {file: fix for file in local if (fix := _gps_stamp(tags[file])) is not None}
@@ -179,7 +184,84 @@ def read_image_times(path: Path, zone: str, ledger: Ledger) -> ImageTimes:
     by_gps = all(stamp.by_gps for stamp in rows if stamp is not None)
     clock_sigma_s = _RECEIVER_SIGMA_S if by_gps else np.inf
     sigma_s = np.maximum(step / 2.0, 1e-3)
-    return ImageTimes(np.array(files, object), time_ns, sigma_s, is_utc, clock_sigma_s)
+    position = positions_of_tags([tags[file] for file in files])
+    return ImageTimes(np.array(files, object), time_ns, sigma_s, is_utc, position, clock_sigma_s)
+
+
+def read_tags(path: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
+    """By image, its tags without their groups; refuses (InputError IMAGES-NONE) no images."""
+    tags = _tags_of_folder(path, ledger) if path.is_dir() else _tags_of_csv(path)
+    if not tags:
+        raise InputError(
+            "IMAGES-NONE",
+            "there are no images",
+            where=str(path),
+            remedy=f"path is a folder of images ({ENDINGS}) or a table as exiftool -csv writes it, "
+            "with a column SourceFile or FileName",
+        )
+    return tags
+
+
+def positions_of_tags(tags: Iterable[Mapping[str, str]]) -> NDArray[np.float64]:
+    """(m, 3) latitude, longitude [rad] and height as written [m]; a place of 0, 0 is none."""
+    rows = []
+    for of in tags:
+        lat, lon = (
+            _degrees(of.get(f"gps{axis}", ""), of.get(f"gps{axis}ref", ""))
+            for axis in ("latitude", "longitude")
+        )
+        lon = _degrees(of.get("gpslongtitude", "")) if np.isnan(lon) else lon  # as DJI spelt it
+        height = _degrees(of.get("absolutealtitude", "") or of.get("gpsaltitude", ""))
+        below = of.get("gpsaltituderef", "0").lower().startswith(("1", "below"))
+        height = -abs(height) if below or "below" in of.get("gpsaltitude", "").lower() else height
+        on_earth = abs(lat) <= 90.0 and abs(lon) <= 360.0 and (lat, lon) != (0.0, 0.0)
+        rows.append((*np.radians([lat, lon]), height) if on_earth else (np.nan,) * 3)
+    return np.array(rows).reshape(-1, 3)
+
+
+def _degrees(text: str, hemisphere: str = "") -> float:
+    """A number, or degrees, minutes and seconds with the letter of their hemisphere; NaN for none.
+
+    >>> _degrees("47 deg 18' 36.00\" S"), _degrees("[8, 30, 0]", "W"), _degrees("+8.5")
+    (-47.31, -8.5, 8.5)
+    """
+    parts = [
+        float(part) / float(by or 1.0) if float(by or 1.0) else np.nan
+        for part, by in re.findall(r"(\d+(?:\.\d*)?)(?:/(\d+))?", text)[:3]
+    ]
+    if not parts:
+        return np.nan
+    minus = "-" in text or re.search(r"[SW]$", text.strip() + hemisphere[:1].upper())
+    return sum(part / 60.0**k for k, part in enumerate(parts)) * (-1.0 if minus else 1.0)
+
+
+def read_gimbal_orientations(path: Path, stated: Stated, ledger: Ledger) -> OrientationTable:
+    """Positions and attitudes that DJI writes into its images: the gimbal's roll, pitch and yaw.
+
+    They are those of the payload against north, east and down, its forward axis the optical one.
+    In the table they become those of a body on which the camera looks down, its top forward, so
+    that a mount has nothing but the boresight. What an image lacks is unknown. Refuses (InputError
+    IMAGES-NO-GIMBAL) images none of which has angles.
+    """
+    tags = read_tags(path, ledger)
+    files = sorted(tags)
+    keys = [f"gimbal{name}degree" for name in ("roll", "pitch", "yaw")]
+    given = np.radians([[_degrees(tags[file].get(key, "")) for key in keys] for file in files])
+    if not np.isfinite(given).all(axis=1).any():
+        raise InputError(
+            "IMAGES-NO-GIMBAL",
+            f"none of {len(files)} images has GimbalRollDegree, GimbalPitchDegree, GimbalYawDegree",
+            where=str(path),
+            remedy="give a CSV under stations.orientation.path, without format",
+        )
+    quarter = Rotation.from_euler("y", 90.0, degrees=True).as_matrix()
+    body = quaternions_of(CAMERA_AT_REST @ (ned_from_body(given) @ quarter).transpose(0, 2, 1))
+    angles = rpy_of_quaternion(in_turned_frame(body, NED_FROM_ENU))
+    stamps = [_time_of(tags[file], "") for file in files]
+    utc = [s.time_ns if s is not None and s.is_utc else NO_TIME for s in stamps]
+    position = positions_of_tags(tags[file] for file in files)
+    names = np.array(files, object)
+    return OrientationTable(names, None, np.array(utc, np.int64), position, angles, {})
 
 
 def image_files(folder: Path) -> list[Path]:
@@ -190,7 +272,7 @@ def image_files(folder: Path) -> list[Path]:
 
 def _tags_of_folder(folder: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
     """Tags of each image by its path in the folder; of a raw image and its JPEG only one."""
-    logging.getLogger("exifread").setLevel(logging.CRITICAL)  # what it finds is told below
+    logging.getLogger("exifread").setLevel(logging.CRITICAL)  # what it finds is a loss below
     tags: dict[str, dict[str, str]] = {}
     unreadable, seen = [], set()
     for path in image_files(folder):
@@ -203,17 +285,16 @@ def _tags_of_folder(folder: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
             with path.open("rb") as file:
                 read = exifread.process_file(file, details=False, extract_thumbnail=False)
                 file.seek(0)
-                xmp = _DJI.search(file.read(_XMP_BYTES))
-        except Exception:  # of a damaged file the library raises whatever it meets
-            unreadable.append(name)
+                xmp = _DJI.findall(file.read(_XMP_BYTES))
+        except Exception as error:  # of a damaged file the library raises whatever it meets
+            unreadable.append(f"{name} ({type(error).__name__}: {error})")
             continue
         tags[name] = {_key(key): str(value) for key, value in read.items()}
         if "GPS GPSTimeStamp" in read:
             hour, minute, second = (float(value) for value in read["GPS GPSTimeStamp"].values)
             text = f"{int(hour):02d}:{int(minute):02d}:{second:09.6f}"
             tags[name]["gpstimestamp"] = text.rstrip("0").rstrip(".") if second % 1 else text[:8]
-        if xmp is not None:
-            tags[name]["utcatexposure"] = xmp[1].decode("ascii", "replace")
+        tags[name] |= {_key(key.decode()): text.decode("ascii", "replace") for key, text in xmp}
     if unreadable:
         what = f"the EXIF of {len(unreadable)} files cannot be read: {', '.join(unreadable[:3])}"
         ledger.loss("EXIF-UNREADABLE", what, where=folder.name, count=len(unreadable))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,17 +12,21 @@ from numpy.typing import NDArray
 
 from pipeline.errors import InputError
 from pipeline.flight.stations import NO_TIME
-from pipeline.ledger import Notes, loss
+from pipeline.ledger import Ledger
+from pipeline.tables.imports.stated import Stated
 from pipeline.tables.text_columns import (
     angles_in_radians,
     numbers_of,
     text_table,
     utc_of_columns,
 )
-from pipeline.units import RADIANS, AngleUnit
+from pipeline.units import RADIANS
 
 Array = NDArray[np.float64]
 
+_ANGLES = {
+    "omega", "phi", "kappa", "roll", "pitch", "yaw", "q_w", "q_x", "q_y", "q_z",
+}  # fmt: skip
 _LIMITS_DEG = {"latitude": 90.0, "longitude": 360.0}
 _LONGEST_NORM_ERROR = 1e-3
 
@@ -47,20 +51,17 @@ class OrientationTable:
     heights: str | None = None
 
 
-def read_orientation(
-    path: Path, names: Mapping[str, str], angle_names: Sequence[str], *, unit: AngleUnit
-) -> tuple[OrientationTable, Notes]:
+def read_orientation(path: Path, stated: Stated, ledger: Ledger) -> OrientationTable:
     """Read a table of orientations by the user's names of its columns.
 
-    Parameters
-    ----------
-    names : quantity -> column. Latitude and longitude are in degrees, heights, x, y, z in metres.
-    angle_names : the quantities of the attitude: three angles in ``unit``, or q_w to q_z.
-    unit : of the angles, ``deg``, ``rad`` or ``grad``.
+    The columns that are stated have latitude and longitude in degrees, heights, x, y, z in metres;
+    the attitude is three angles in the stated unit, in the order of their columns, or q_w to q_z.
 
     Refuses (InputError) columns that are not there, text for numbers, images that stand there
     twice, latitudes and angles that none can be, and quaternions that are no rotations.
     """
+    names, unit = stated.columns, stated.angle_unit
+    angle_names = [name for name in names if name in _ANGLES]
     table = _table_with(path, names, "stations.orientation.columns")
     value = _numbers(table, names, path)
     position = _positions(value, path, "stations.orientation.columns")
@@ -73,7 +74,7 @@ def read_orientation(
     sigmas = {name: values for name, values in value.items() if name.startswith("sigma_")}
     for tilt in {"sigma_tilt", "sigma_yaw"} & sigmas.keys():
         sigmas[f"{tilt}_rad"] = sigmas.pop(tilt) * RADIANS[unit]
-    time_ns, notes = np.full(len(table), NO_TIME, np.int64), []
+    time_ns = np.full(len(table), NO_TIME, np.int64)
     if "time_utc" in names or "gps_week" in names:
         clock = [names.get(name) for name in ("time_utc", "gps_week", "gps_seconds")]
         read_ns, good = utc_of_columns(table, *clock)
@@ -81,10 +82,10 @@ def read_orientation(
         if bad := int((~good).sum()):
             what = (f"{bad} rows have no readable time, the first in line {np.argmin(good) + 2}: "
                     "the air of the middle exposure is taken for them")  # fmt: skip
-            notes.append(loss("ORIENTATION-TIME", what, where=path.name, count=bad))
+            ledger.loss("ORIENTATION-TIME", what, where=path.name, count=bad)
     camera = table[names["camera"]].to_numpy(object) if "camera" in names else None
     image = table[names["image"]].to_numpy(object)
-    return OrientationTable(image, camera, time_ns, position, attitude, sigmas), tuple(notes)
+    return OrientationTable(image, camera, time_ns, position, attitude, sigmas)
 
 
 def read_known_positions(path: Path, names: Mapping[str, str]) -> tuple[NDArray[np.object_], Array]:

@@ -5,12 +5,21 @@ from __future__ import annotations
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import exifread
+import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
-from pipeline.tables.imports.exif import NO_TIME, parse_time, read_image_times
+from pipeline.tables.imports.exif import (
+    NO_TIME,
+    parse_time,
+    read_gimbal_orientations,
+    read_image_times,
+)
+from pipeline.tables.imports.stated import Stated
 
 EXIF, GPS = 0x8769, 0x8825
 ORIGINAL, OFFSET, SUBSEC = 0x9003, 0x9011, 0x9291
@@ -201,3 +210,79 @@ def test_no_images(tmp_path):
 )
 def test_what_is_no_time(text):
     assert parse_time(text) is None
+
+
+DJI = (
+    '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:Description drone-dji:GpsLatitude="-33.5" '
+    'drone-dji:GpsLongtitude="+151.25" drone-dji:AbsoluteAltitude="+85.40" '
+    'drone-dji:GimbalRollDegree="{}" drone-dji:GimbalPitchDegree="{}" '
+    'drone-dji:GimbalYawDegree="{}"/></x:xmpmeta>'
+)
+
+
+def test_positions_of_exif_of_dji_and_of_exiftool(tmp_path):
+    write_jpeg(tmp_path / "a.jpg", "2026:05:01 10:20:30", xmp=DJI.format(0, -90, 30))
+    exif = Image.Exif()
+    gps = exif.get_ifd(GPS)
+    gps[1], gps[2], gps[3], gps[4] = "N", (47.0, 18.0, 36.0), "W", (8.0, 30.0, 0.0)
+    gps[5], gps[6] = b"\x01", 12.5
+    Image.new("RGB", (8, 8)).save(tmp_path / "b.jpg", exif=exif.tobytes())
+    write_jpeg(tmp_path / "c.jpg", "2026:05:01 10:20:30")
+    position = read(tmp_path)[0].position
+    assert np.degrees(position[0, :2]) == pytest.approx([-33.5, 151.25])
+    assert position[0, 2] == 85.4
+    assert np.degrees(position[1, :2]) == pytest.approx([47.31, -8.5])
+    assert position[1, 2] == -12.5
+    assert np.isnan(position[2]).all()
+    table = tmp_path / "t.csv"
+    table.write_text(
+        "SourceFile,DateTimeOriginal,GPSLatitude,GPSLongitude,GPSAltitude\n"
+        'x.jpg,2026:05:01 10:20:30,"47 deg 18\' 36.00"" N","8 deg 30\' 0.00"" W",'
+        "12.5 m Above Sea Level\ny.jpg,2026:05:01 10:20:31,0,0,0\n"
+    )
+    position = read(table)[0].position
+    assert np.degrees(position[0, :2]) == pytest.approx([47.31, -8.5])
+    assert position[0, 2] == 12.5
+    assert np.isnan(position[1]).all()
+
+
+@pytest.mark.parametrize(
+    ("angles", "axis", "top"),
+    [
+        ((0, -90, 30), (0.0, 0.0, 1.0), (np.sqrt(0.75), 0.5, 0.0)),
+        ((0, -45, 90), (0.0, np.sqrt(0.5), np.sqrt(0.5)), (0.0, np.sqrt(0.5), -np.sqrt(0.5))),
+        ((180, -90, -150), (0.0, 0.0, 1.0), (np.sqrt(0.75), 0.5, 0.0)),
+    ],
+)
+def test_where_a_gimbal_looks(tmp_path, angles, axis, top):
+    """North, east, down of the optical axis and of the top of the image, by hand."""
+    write_jpeg(tmp_path / "a.jpg", "2026:05:01 10:20:30", xmp=DJI.format(*angles))
+    write_jpeg(tmp_path / "b.jpg", "2026:05:01 10:20:31")
+    table = read_gimbal_orientations(tmp_path, Stated(), Ledger())
+    roll, pitch, yaw = table.angles[0]
+    body = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
+    assert body[:, 2] == pytest.approx(axis, abs=1e-9)
+    assert body[:, 0] == pytest.approx(top, abs=1e-9)
+    assert np.isnan(table.angles[1]).all()
+    assert table.time_ns.tolist() == [NO_TIME] * 2
+
+
+def test_images_without_gimbal_are_refused(tmp_path):
+    write_jpeg(tmp_path / "b.jpg", "2026:05:01 10:20:31")
+    with pytest.raises(InputError, match="IMAGES-NO-GIMBAL"):
+        read_gimbal_orientations(tmp_path, Stated(), Ledger())
+
+
+def test_a_damaged_file_is_a_loss_with_what_the_library_said(tmp_path, monkeypatch):
+    write_jpeg(tmp_path / "a.jpg", "2026:05:01 10:20:30")
+    write_jpeg(tmp_path / "b.jpg", "2026:05:01 10:20:31")
+    whole = exifread.process_file
+
+    def process(file, **options):
+        if file.name.endswith("b.jpg"):
+            raise ValueError("unknown type in tag 0x9003")
+        return whole(file, **options)
+
+    monkeypatch.setattr(exifread, "process_file", process)
+    _, entries = read(tmp_path)
+    assert "b.jpg (ValueError: unknown type in tag 0x9003)" in entries["EXIF-UNREADABLE"].what

@@ -7,7 +7,9 @@ import pytest
 
 from pipeline.errors import InputError
 from pipeline.flight.stations import NO_TIME
+from pipeline.ledger import Ledger
 from pipeline.tables.imports.orientation import read_known_positions, read_orientation
+from pipeline.tables.imports.stated import Stated
 
 NAMES = {
     "image": "image", "latitude": "lat", "longitude": "lon", "height": "h",
@@ -21,7 +23,10 @@ ROW = "a,47.5,8.5,3000.5,1.0,-2.0,90.0\n"
 def read(tmp_path, text: str, names=NAMES, angles=OPK, unit: str = "deg"):
     path = tmp_path / "block.csv"
     path.write_text(text, encoding="utf-8")
-    return read_orientation(path, names, angles, unit=unit)
+    columns = {n: c for n, c in names.items() if n not in OPK} | {n: names[n] for n in angles}
+    ledger = Ledger()
+    table = read_orientation(path, Stated(columns=columns, angle_unit=unit), ledger)
+    return table, tuple(ledger)
 
 
 def refused(tmp_path, text: str, code: str, **options) -> InputError:

@@ -1,0 +1,77 @@
+"""Positions in the images as evidence of their assignment to events."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.block.alignment import LOG_RATIO_NEEDED
+from pipeline.flight.stations import STATION_OK, empty_stations
+from pipeline.stages.multi_image.image_events import CameraImages, position_likelihood
+from pipeline.tables.imports.exif import NO_TIME, ImageTimes
+
+A, SPEED, INTERVAL = 6.37e6, 20.0, 1.5
+
+
+def flown(lines: int, per_line: int = 30):
+    """North of exposures on lines to and fro, 60 m apart, 30 m from one to the next."""
+    along = np.arange(per_line) * SPEED * INTERVAL
+    north = np.concatenate([along if k % 2 == 0 else along[::-1] for k in range(lines)])
+    east = np.repeat(np.arange(lines) * 60.0, per_line)
+    n = north.size
+    stations = empty_stations(np.full(n, "", object), np.full(n, "cam", object), STATION_OK)
+    return (
+        replace(
+            stations,
+            time_ns=(np.arange(n) * INTERVAL * 1e9).astype(np.int64),
+            lat_rad=0.8 + north / A,
+            lon_rad=0.1 + east / A / np.cos(0.8),
+        ),
+        north,
+        east,
+    )
+
+
+def likelihood(lines: int, *, first: int = 5, stale_s: float = 0.7, known: float = 1.0):
+    """Of images of the events from ``first`` on, their positions by a receiver's last fix."""
+    stations, north, east = flown(lines)
+    rng = np.random.default_rng(3)
+    images = north.size - first
+    heading = np.sign(np.gradient(north))[first:]
+    written = np.stack([
+        0.8 + (north[first:] - heading * SPEED * stale_s + rng.normal(0, 4, images)) / A,
+        0.1 + (east[first:] + 3.0 + rng.normal(0, 4, images)) / A / np.cos(0.8),
+        np.zeros(images),
+    ], axis=1)  # fmt: skip
+    written[rng.random(images) >= known] = np.nan
+    written[2] += 1.0  # one image of another continent
+    names = np.array([f"i{k}" for k in range(images)], object)
+    row = np.arange(images)
+    files = ImageTimes(names, np.full(images, NO_TIME), np.full(images, np.nan), False, written)
+    return position_likelihood(CameraImages(names, row, "sequence", row), files, stations), row
+
+
+@pytest.mark.parametrize("shift", [-2, -1, 1, 2])
+def test_lines_to_and_fro_decide_though_the_fixes_are_stale(shift):
+    function, row = likelihood(4)
+    assert function(row + 5) > function(np.minimum(row + 5 + shift, 119)) + LOG_RATIO_NEEDED
+
+
+def test_one_line_decides_nothing_that_a_delay_explains():
+    function, row = likelihood(1)
+    assert function(row + 5) < function(row + 4) + LOG_RATIO_NEEDED
+
+
+def test_images_without_an_event_are_no_gain():
+    function, row = likelihood(4)
+    event = row + 5
+    assert function(np.where(row < 10, -1, event)) < function(event) - LOG_RATIO_NEEDED
+
+
+def test_few_positions_say_nothing():
+    assert likelihood(4, known=0.3)[0] is None
+    stations, _, _ = flown(2)
+    row = np.arange(3)
+    assert position_likelihood(CameraImages(row, row, "sequence", row), None, stations) is None
