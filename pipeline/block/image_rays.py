@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from pipeline.atmosphere import standard_atmosphere
 from pipeline.flight.stations import Stations
-from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef
+from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef
+from pipeline.refraction import refraction_angle
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -22,6 +24,8 @@ Mask = NDArray[np.bool_]
 
 MINIMUM_ANGLE_RAD = float(np.radians(3.0))
 """Least angle between two rays of a point that is used."""
+
+_LOWEST_GROUND_M = -600.0
 
 UNKNOWN_SIGMAS = (3.0, 3.0, 6.0, np.radians(1.0), np.radians(1.0), np.radians(3.0))
 """East, north, up [m], tilts and yaw [rad] of a station that does not say: judgement."""
@@ -69,7 +73,7 @@ def orientations_of(
     """
     lat, lon, h = stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m
     centre = ecef_of_geodetic(lat, lon, np.where(np.isfinite(h), h, stations.h_msl_m))
-    axes = enu_from_ecef(lat, lon)
+    axes = enu_from_ecef(np.nan_to_num(lat), np.nan_to_num(lon))
     usable = stations.ok & np.all(np.isfinite(stations.quaternion), axis=1)
     q = np.where(usable[:, None], stations.quaternion, [1.0, 0.0, 0.0, 0.0])
     tilt, horizontal = stations.sigma_tilt_rad, stations.sigma_horizontal_m
@@ -213,3 +217,31 @@ def sorted_rays(o: Orientations, rays: ImageRays) -> SortedRays:
         height=height,
         sigma_height=rays.sigma_height_m,
     )
+
+
+def straightened(o: Orientations, rays: ImageRays) -> ImageRays:
+    """Apparent rays as the straight chords that they bend about, under some orientations.
+
+    Refraction of the standard atmosphere us1976 (spherical, radius 6,371 km) between the heights of
+    camera and point is removed: given heights, else those at which the apparent rays meet. That of
+    a day differs by some 1e-5 rad at 45 degrees. What has no orientation, or no ground below it,
+    stays.
+    """
+    r = sorted_rays(o, rays)
+    h_c = geodetic_of_ecef(*(r.centre + r.origin).T)[2]
+    height = geodetic_of_ecef(*(r.positions(r.oriented) + r.origin).T)[2]
+    h_g = np.where(np.isfinite(r.height), r.height, height)[r.index]
+    down = -o.enu_from_ecef[r.image, 2]
+    cosine = np.sum(down * r.direction, axis=1)
+    able = r.oriented & (h_g > _LOWEST_GROUND_M) & (h_g < h_c) & (cosine > 0.05)
+    bend, size = np.zeros(cosine.shape), np.sqrt(np.maximum(1.0 - cosine**2, 1e-30))
+    air = standard_atmosphere("us1976")
+    angle = np.arccos(np.clip(cosine[able], -1.0, 1.0))
+    bend[able] = np.nan_to_num(refraction_angle(air, h_c[able], h_g[able], angle))
+    toward = (down - cosine[:, None] * r.direction) / size[:, None]
+    straight = r.direction * np.cos(bend)[:, None] + toward * np.sin(bend)[:, None]
+    direction = np.empty(rays.direction.shape)
+    direction[r.order] = np.einsum("rij,rj->ri", o.camera_from_ecef[r.image], straight)
+    kept = np.zeros(able.shape, np.bool_)
+    kept[r.order] = able
+    return replace(rays, direction=np.where(kept[:, None], direction, rays.direction))

@@ -5,7 +5,7 @@ How to use it::
     stations = orientations_of(stations_of_the_flight)         # or Orientations(...) directly
     rays = ImageRays(image, point, direction, sigma_rad)            # straight, corrected rays
     found = intersect(stations, rays)
-    found.log_likelihood, found.by_image.chi_square, found.by_camera.rotation_rad
+    found.log_likelihood, found.of_images, found.camera_rotation("nadir")
     other = intersect(stations.assigned(event_of_image), rays)   # a hypothesis
     found.log_likelihood - other.log_likelihood                # its likelihood ratio
 
@@ -20,8 +20,8 @@ of I + J'Q J (the reduced normal equations, by which a bundle adjustment would s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -45,28 +45,8 @@ Mask = NDArray[np.bool_]
 
 # A bad tie point is anywhere within half a radian, and one in fifty is bad.
 _LOG_BAD, _WIDTH_OF_BAD_RAD = np.log(0.02), 0.5
+_NEAREST_SIGMAS = 3.0
 _ROUNDS = 4  # of finding bad ones
-
-
-@dataclass(frozen=True, eq=False)
-class ResidualGroups:
-    """Residuals of images, or of cameras: (g,) arrays.
-
-    ``mean_rad`` (g, 2) and ``rms_rad`` of the rays along the image's x and y, measured minus
-    intersected; ``chi_square`` and ``redundancy`` (its expectation, where the sigmas are right).
-    For cameras they are of ``rotation_rad`` (g, 3): by what each camera would have to be turned
-    (`Orientations.turned`) for the residuals, with ``sigma_rad`` (g, 3); NaN for images.
-    """
-
-    name: NDArray[np.object_]
-    rays: Indices
-    bad: Indices
-    mean_rad: Array
-    rms_rad: Array
-    chi_square: Array
-    redundancy: Indices
-    rotation_rad: Array
-    sigma_rad: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,13 +97,12 @@ class Intersection:
         return np.where(self.used, np.sqrt(variance), np.nan)
 
     @cached_property
-    def by_image(self) -> ResidualGroups:
-        """Residuals of each image: its chi-square is of what they say of its station.
+    def of_images(self) -> tuple[Array, Indices]:
+        """(s,) chi-square of what residuals say of each station, and its degrees of freedom.
 
         The gradient J'Q y of the station's six errors has the covariance M M + M, M = J'Q J.
         """
-        system = self.system
-        images = self.orientations.camera.size
+        system, images = self.system, self.orientations.camera.size
         M = system.M.tobsr((6, 6))
         row = np.repeat(np.arange(M.indptr.size - 1), np.diff(M.indptr))
         squared, own = np.zeros((2, images, 6, 6))
@@ -135,42 +114,29 @@ class Intersection:
         seen = np.einsum("sji,sj->si", half, (system.J.T @ system.residual).reshape(images, 6))
         spread = np.swapaxes(half, 1, 2) @ squared @ half + np.eye(6)
         square = np.sum(seen * np.linalg.solve(spread, seen[..., None])[..., 0], axis=1)
-        name = np.arange(images).astype(object)
-        return self._grouped(name, system.image, square, np.sum(able, axis=1))
+        return square, np.sum(able, axis=1)
 
-    @cached_property
-    def by_camera(self) -> ResidualGroups:
-        """Residuals of each camera, and by what it would have to be turned in its mount."""
-        system, o = self.system, self.orientations
-        name, group = np.unique(o.camera.astype(str), return_inverse=True)
-        camera_from_enu = o.camera_from_ecef @ np.swapaxes(o.enu_from_ecef, 1, 2)
-        rotation, sigma = np.full((2, name.size, 3), np.nan)
-        square = np.zeros(name.size)
-        for g in range(name.size):
-            turn = np.zeros((o.camera.size, 6, 3))
-            turn[:, 3:] = np.swapaxes(camera_from_enu, 1, 2) / o.sigma[:, 3:, None]
-            turn = (turn * (group == g)[:, None, None]).reshape(-1, 3)
-            normal = turn.T @ (turn - system.factor.solve(turn))
-            inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
-            right = turn.T @ system.errors
-            rotation[g], sigma[g] = inverse @ right, np.sqrt(np.maximum(np.diag(inverse), 0.0))
-            square[g] = right @ inverse @ right
-        redundancy = np.full(name.size, 3)
-        groups = self._grouped(name.astype(object), group[system.image], square, redundancy)
-        return replace(groups, rotation_rad=rotation, sigma_rad=sigma)
+    def shared_errors(self, change: Array) -> tuple[Array, Array]:
+        """Least-squares errors (k,) that many stations share, and their covariance (k, k).
 
-    def _grouped(
-        self, name: NDArray[np.object_], group: Indices, square: Array, redundancy: Indices
-    ) -> ResidualGroups:
-        residual, bad = self.residual_rad[self.system.order], self.bad[self.system.order]
-        good = np.isfinite(residual[:, 0]) & ~bad
-        each = partial(np.bincount, group[good], minlength=name.size)
-        rays, unknown = each(), np.full((name.size, 3), np.nan)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            mean = np.stack([each(residual[good, i]) / rays for i in (0, 1)], axis=1)
-            rms = np.sqrt(each(np.sum(residual[good] ** 2, axis=1)) / (2 * rays))
-        wrong = np.bincount(group[bad], minlength=name.size)
-        return ResidualGroups(name, rays, wrong, mean, rms, square, redundancy, unknown, unknown)
+        ``change`` (s, 6, k) is what a unit of each does to a station, by the axes of
+        `Orientations.sigma`; the single errors of the stations are beside them. The covariance is
+        that of the sigmas stated; of what nothing shows both are zero.
+        """
+        scaled = (change / self.orientations.sigma[:, :, None]).reshape(-1, change.shape[2])
+        normal = scaled.T @ (scaled - self.system.factor.solve(scaled))
+        inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
+        return inverse @ (scaled.T @ self.system.errors), inverse
+
+    def camera_rotation(self, camera: str) -> tuple[Array, Array]:
+        """By what rotation vector [rad] a camera would have to be turned (`Orientations.turned`).
+
+        In its own frame (3,), for the residuals to be least, with the covariance (3, 3).
+        """
+        o = self.orientations
+        change = np.zeros((o.camera.size, 6, 3))
+        change[:, 3:] = np.swapaxes(o.camera_from_ecef @ np.swapaxes(o.enu_from_ecef, 1, 2), 1, 2)
+        return self.shared_errors(change * (o.camera == camera)[:, None, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,9 +218,9 @@ def intersect(
         position = r.positions(good)
         line = position[r.index] - r.centre
         angle = r.angles(good)
-        meet = (angle >= minimum_angle_rad) & (
-            r.sums(good & (np.sum(line * r.direction, axis=1) <= 0.0)) == 0
-        )
+        # Behind a camera, or nearer than its place is known, there is no point.
+        near = np.sum(line * r.direction, axis=1) <= _NEAREST_SIGMAS * o.sigma[r.image, 0]
+        meet = (angle >= minimum_angle_rad) & (r.sums(good & near) == 0)
         good &= meet[r.index] & (r.sums(good * 1) >= 2)[r.index]
         system = _linearised(r, o, position, good)
         count = r.sums(good * 1)

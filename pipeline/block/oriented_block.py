@@ -100,8 +100,8 @@ def fitted_frame(
     Least squares with equal weights (Umeyama 1991; the rotation by scipy's align_vectors). Refuses
     (MissionError) fewer than three images that are in both, positions on a line, and residuals of
     more than 2 % of the extent: then it is another model, a mirrored one, or the names are others.
-    Warns of three positions, which nothing checks, of a residual above 5 sigmas and 0.3 % of the
-    extent, and of a position that contradicts the others.
+    Warns of three positions, which nothing checks; a residual above 5 sigmas and 0.3 % of the
+    extent, and a position that contradicts the others, are losses.
     """
     where = "stations.orientation.known_positions"
     names, model, earth = _positions_of_both(image, xyz, known_image, known)
@@ -138,12 +138,17 @@ def fitted_frame(
         f"the model was fitted to {names.size} known positions: scale {frame.scale:.6g}, {fit}; "
         f"its vertical is good to {np.degrees(tilt):.2g} deg, with {sigma:.2g} m of sigma"
     )
-    doubts = _doubts_of_fit(names, model, earth, residual, sigma_m)
+    contradictions = _contradictions_of_fit(names, model, earth, residual, sigma_m)
     frame = replace(frame, tilt_rad=tilt)
-    if doubts:
-        what = "; ".join([what, *doubts])
-        return frame, (warning("ORIENTATION-FIT", what, where=where, count=names.size),)
-    return frame, (note("ORIENTATION-FIT", what, where=where, count=names.size),)
+    entry = loss if contradictions else note
+    if names.size == 3:
+        entry = loss if contradictions else warning
+        contradictions.append(
+            "nothing checks three positions: an error of one height leaves no residual, and the "
+            "vertical is only as good as they are; give more"
+        )
+    what = "; ".join([what, *contradictions])
+    return frame, (entry("ORIENTATION-FIT", what, where=where, count=names.size),)
 
 
 def _positions_of_both(
@@ -167,19 +172,17 @@ def _positions_of_both(
     return image[of_model], xyz[of_model], ecef_of_geodetic(*known[of_earth].T)
 
 
-def _doubts_of_fit(
+def _contradictions_of_fit(
     names: NDArray[np.object_], model: Array, earth: Array, residual: Array, sigma_m: float
 ) -> list[str]:
     """What speaks against a fit that its residuals allow."""
-    doubts, count = [], names.size
-    if count == 3:
-        doubts.append(
-            "nothing checks three positions: an error of one height leaves no residual, and the "
-            "vertical is only as good as they are; give more"
-        )
+    contradictions, count = [], names.size
     usual, extent = USUAL_FIT_SIGMAS * sigma_m, float(np.linalg.norm(np.ptp(earth, axis=0)))
     if residual.max() > max(usual, USUAL_FIT_RESIDUAL * extent):
-        doubts.append(f"{names[np.argmax(residual)]} misses by more than known positions should")
+        contradictions.append(
+            f"{names[np.argmax(residual)]} misses by more than known positions should: a wrong "
+            "position, or the name of another image"
+        )
     alone = []
     # Of the five that fit worst: one error moves the others. Four without one leave three.
     for k in np.argsort(-residual)[:5] if count > 4 else ():
@@ -188,11 +191,11 @@ def _doubts_of_fit(
         alone.append((float(np.sqrt(np.mean(miss[others] ** 2))), float(miss[k]), int(k)))
     for rest, off, k in sorted(alone)[:1]:
         if off > max(usual, FIT_OUTLIER * rest):
-            doubts.append(
+            contradictions.append(
                 f"without {names[k]} the others fit to {rest:.2f} m (rms), and it is "
                 f"{off:.1f} m off: another image, or a wrong position"
             )
-    return doubts
+    return contradictions
 
 
 def _similarity(model: Array, earth: Array, use: NDArray[np.bool_]) -> tuple[CartesianFrame, Array]:

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pipeline.flight.channels import Array, Channel
+from pipeline.units import DEGREE
 
 # From the body (forward, right, down) to a camera that looks down, its top towards the nose.
 CAMERA_AT_REST = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -29,6 +30,25 @@ _Axes = Literal["XYZ", "YXZ", "ZYX"]
 
 # Axes of the frame and of the camera once turned (intrinsic rotations), as scipy names them.
 _ORDERS: dict[str, _Axes] = {"omega_phi_kappa": "XYZ", "phi_omega_kappa": "YXZ"}
+
+
+_TURN = 2.0 * np.pi
+UNIT_MISTAKES: dict[str, Callable[..., tuple[Array, Array, Array]]] = {
+    "taken for grads": lambda a, b, c: (a * 0.9, b * 0.9, c % _TURN * 0.9),
+    "taken for radians": lambda a, b, c: (a / DEGREE, b / DEGREE, c % _TURN / DEGREE),
+    "taken for degrees": lambda a, b, c: (a * DEGREE, b * DEGREE, c * DEGREE),
+}
+"""Angles that were taken for degrees (or radians) and are in another unit."""
+
+ANGLE_MISTAKES: dict[str, Callable[..., tuple[Array, Array, Array]]] = {
+    "with the other sign of {2}": lambda a, b, c: (a, b, -c),
+    "with the other sign of {1}": lambda a, b, c: (a, -b, c),
+    "with the other sign of {0}": lambda a, b, c: (-a, b, c),
+    "with the other sign of {0} and {1}": lambda a, b, c: (-a, -b, c),
+    "with {0} and {1} exchanged": lambda a, b, c: (b, a, c),
+    "with {2} counted from east to north": lambda a, b, c: (a, b, np.pi / 2.0 - c),
+}
+"""Mistakes about three angles, two about level axes and the heading, and what undoes them."""
 
 
 def matrices_of(quaternion: Array) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -45,8 +45,10 @@ from pipeline.stages.exposure_setup import camera_of_rows
 from pipeline.stages.inputs import FlightLog, read_camera_events
 from pipeline.stages.multi_image.image_events import assigned_stations
 from pipeline.stages.multi_image.oriented_stations import oriented_stations
+from pipeline.stages.multi_image.tie_point_checks import check_tie_points
 from pipeline.tables.events import read_events
 from pipeline.tables.observations import Observations
+from pipeline.tables.tie_points import MOST_TIE_POINTS, draw_tie_points
 from pipeline.units import DEGREE
 
 
@@ -157,7 +159,8 @@ def stations_of_mission(
     refuse_repeated_images(events)
     if "position" in flight.roles:
         ledger.extend(span_notes(events, flight.roles["position"]))
-    exposed = []
+    exposed: list[Stations] = []
+    builders: dict[str, Callable[[Events], Stations]] = {}
     for events_of_camera in events:
         name, suspect = events_of_camera.camera, flight.suspect
         roles = flight.roles_of(name)
@@ -171,25 +174,43 @@ def stations_of_mission(
                 *(stretch for stretch in suspect if stretch.quantity == "attitude"),
                 *contradictions_of_import(positions[name], places, flight.own, flight.own_suspect),
             )
-        part = build_stations(
-            events_of_camera,
-            roles,
-            mount,
-            flight.heights,
-            mission.max_gap_s,
-            accuracy=flight.accuracy,
-        )
+
+        def build(
+            events: Events, roles: Mapping[str, Channel] = roles, mount: Mount = mount
+        ) -> Stations:
+            system, gap_s = flight.heights, mission.max_gap_s
+            return build_stations(events, roles, mount, system, gap_s, accuracy=flight.accuracy)
+
+        builders[name] = build
+        part = build(events_of_camera)
         part = ledger.take(flag_suspect(part, suspect, use_suspect=mission.stations.use_suspect))
         exposed.append(moved_by_offsets(part, positions.get(name)) if from_events else part)
+    ties = draw_tie_points(observations, MOST_TIE_POINTS)
     if mission.events is not None:
         exposed = assigned_stations(
-            plan, mission.events, events, exposed, observations=observations, ledger=ledger
-        )
+            plan, mission.events, events, exposed, observations=observations, ties=ties,
+            ledger=ledger,
+        )  # fmt: skip
+
+    def shifted(seconds: float) -> Stations:
+        """The stations of the events that many seconds later."""
+        step = round(seconds * 1e9)
+        return join_stations([
+            builders[name](Events(name, part.image, part.time_ns + step))
+            for name, part in zip(builders, exposed, strict=True)
+        ])  # fmt: skip
+
     if mission.stations.orientation is None:
         stations = join_stations(exposed)
     else:
-        oriented = oriented_stations(plan, flight, exposed, observations, ledger)
+        oriented = oriented_stations(
+            plan, flight, exposed, observations=observations, ties=ties, ledger=ledger
+        )
         stations = with_air(oriented, flight.roles, mission.max_gap_s)
+    moves = mission.stations.orientation is None
+    check_tie_points(
+        plan, flight, stations, ties, shifted=shifted if moves else None, ledger=ledger
+    )
     for name, camera in mission.cameras.items():
         cabin = None if camera.window is None else camera.window.build().cabin
         if cabin is not None and camera.needs_cabin:

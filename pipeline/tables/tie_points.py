@@ -15,6 +15,9 @@ from pipeline.tables.observations import Observations
 
 Array = NDArray[np.float64]
 
+MOST_TIE_POINTS = 2000
+"""Points that serve all that is decided by intersection."""
+
 _MOST_ROWS = 20_000_000  # read in some seconds; the rest of a larger table is not looked at
 _ROWS_KEPT = 500_000
 _MOST_RAYS = 4  # of one point: a survey from high up shows a point in a hundred images
@@ -80,20 +83,24 @@ def tie_rays(
     image: NDArray[np.object_],
     camera_of: NDArray[np.object_],
     cameras: Mapping[str, Camera],
+    axes: Mapping[str, str] | None = None,
 ) -> ImageRays:
     """The rays of tie points that two or more of some images show, and their given heights.
 
     ``image`` and ``camera_of`` (k,) name the images, to whose rows the rays refer, and their
-    cameras. Refraction is not removed: it is small beside what another image or reading does.
+    cameras; ``axes`` are those of a camera's pixels, x and y ``exchanged`` or y ``upward``, where
+    they are not as stated. The rays are apparent ones (see `straightened`).
     """
     row_of = {name: row for row, name in enumerate(image.tolist())}
     row = np.array([row_of.get(name, -1) for name in ties.images], np.int64)[ties.image]
     direction, sigma = np.full((row.size, 3), np.nan), np.full(row.size, np.nan)
     for name, camera in cameras.items():
         rows = np.flatnonzero(np.append(camera_of == name, False)[row])
-        u, v, _ = camera.rays(ties.x_px[rows], ties.y_px[rows])
+        x, y, read = ties.x_px[rows], ties.y_px[rows], (axes or {}).get(name)
+        y = camera.height_px - y if read == "upward" else y
+        u, v, _ = camera.rays(*((y, x) if read == "exchanged" else (x, y)))
         direction[rows], sigma[rows] = np.stack([u, v, np.ones(u.size)], 1), 1.0 / camera.fx_px
-    seen = np.flatnonzero(np.isfinite(direction[:, 0]))
+    seen = np.flatnonzero(np.isfinite(sigma))
     seen = seen[np.bincount(ties.point[seen], minlength=1)[ties.point[seen]] > 1]
     direction = direction[seen] / np.linalg.norm(direction[seen], axis=1)[:, None]
     return ImageRays(row[seen], ties.point[seen], direction, sigma[seen], ties.ground[seen])

@@ -253,7 +253,7 @@ def test_a_known_position_that_contradicts_the_others_is_named():
         wrong = known[::2].copy()
         wrong[row, 2] += off
         _, (entry,) = fitted_frame(images.image, xyz, images.image[::2], wrong)
-        assert entry.kind == "warning"
+        assert entry.kind == "loss"
         assert f"without {images.image[2 * row]} the others fit" in entry.what
         told = float(re.search(r"it is ([0-9.]+) m off", entry.what)[1])
         assert told == pytest.approx(30.0, abs=3.0)
@@ -264,8 +264,27 @@ def test_residuals_that_no_sigma_explains_are_doubtful():
     images, xyz, known, _ = model()
     known[::2, 2] -= 140.0
     _, (entry,) = fitted_frame(images.image, xyz, images.image, known)
-    assert entry.kind == "warning"
+    assert entry.kind == "loss"
     assert "more than known positions should" in entry.what
+
+
+@pytest.mark.parametrize("mistake", ["moved", "names"])
+def test_one_wrong_position_of_three_is_a_loss(mistake):
+    images, xyz, known, _ = model()
+    rows = np.array([0, 5, 9])
+    _, (entry,) = fitted_frame(images.image, xyz, images.image[rows], known[rows])
+    assert (entry.kind, "nothing checks three" in entry.what) == ("warning", True)
+    wrong, names = known[rows].copy(), images.image[rows]
+    if mistake == "moved":
+        wrong[1, 0] += 60.0 / 6.37e6
+    else:
+        names = names[[1, 0, 2]]
+    try:
+        _, (entry,) = fitted_frame(images.image, xyz, names, wrong)
+        outcome = str(entry.kind)
+    except MissionError as refusal:
+        outcome = refusal.code
+    assert outcome in ("loss", "ORIENTATION-FIT", "ORIENTATION-LINE")
 
 
 def test_a_line_with_metres_of_wobble_is_refused():

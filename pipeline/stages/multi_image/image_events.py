@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import string
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from pipeline.batch.plan import Plan
 from pipeline.block.alignment import LOG_RATIO_NEEDED
 from pipeline.block.assignment import Assignment, CameraEvents, ImageEvidence, assign
-from pipeline.block.image_rays import orientations_of
-from pipeline.block.intersection import intersect
+from pipeline.block.image_rays import ImageRays, Orientations, orientations_of, straightened
+from pipeline.block.intersection import Intersection, intersect
 from pipeline.config.event_sources import EventsSection, FirstImage
 from pipeline.errors import InputError, MissionError
 from pipeline.flight.exposures import Events, refuse_repeated_images
@@ -25,7 +25,7 @@ from pipeline.refraction.camera.camera import Camera
 from pipeline.stages.exposure_setup import cameras_of_mission
 from pipeline.tables.imports.exif import NO_TIME, ImageTimes, read_image_times
 from pipeline.tables.observations import Observations
-from pipeline.tables.tie_points import TiePoints, draw_tie_points, tie_rays
+from pipeline.tables.tie_points import TiePoints, tie_rays
 
 Indices = NDArray[np.int64]
 Likelihood = Callable[[Indices], float]
@@ -33,7 +33,7 @@ Likelihood = Callable[[Indices], float]
 _DAY_S = 86_400.0
 _FEW_CONTRADICTED = 0.02
 _FEWEST_POINTS, _TIE_POINTS = 10, 200  # 800 rays tell a shift by a factor of e^3000
-_REFRACTION_RAD = 1e-4
+_FEWEST_MEET, _POOREST_FIT = 0.5, 5.0
 _USABLE_STATIONS = 0.9
 _POSITION_M, _COMMON_M, _DELAY_S, _OUTLIER = 10.0, 5.0, 1.0, 25.0  # of positions in EXIF
 
@@ -58,6 +58,7 @@ def assigned_stations(
     stations: list[Stations],
     *,
     observations: Observations,
+    ties: TiePoints,
     ledger: Ledger,
 ) -> list[Stations]:
     """The stations of the events of each camera that have an image, under its name.
@@ -82,7 +83,6 @@ def assigned_stations(
         if absent:
             what = f"{len(absent)} images of the observations are not there: {absent[0]} ..."
             ledger.loss("IMAGES-ABSENT", what, where=section.images.path, count=len(absent))
-    ties = draw_tie_points(observations, _TIE_POINTS)
     result, chosen = [], []
     for exposed, of_events in zip(events, stations, strict=True):
         pattern = section.patterns[exposed.camera]
@@ -106,23 +106,45 @@ def assigned_stations(
     return result
 
 
+@dataclass(frozen=True, eq=False)
+class TieLikelihood:
+    """Log likelihood of assignments (k,) of events to the images of one camera, by tie points.
+
+    Rays of images without a usable event count as bad ones under any assignment.
+    """
+
+    of_events: Orientations
+    rays: ImageRays
+
+    def intersected(self, event: Indices) -> Intersection:
+        """The intersection of the rays under an assignment."""
+        orientations = self.of_events.assigned(event)
+        return intersect(orientations, straightened(orientations, self.rays))
+
+    def __call__(self, event: Indices) -> float:
+        return self.intersected(event).log_likelihood
+
+    def fits(self, event: Indices) -> bool:
+        """Whether rays meet at all under the best assignment: else something else is wrong."""
+        found = self.intersected(event)
+        return bool(found.used.mean() >= _FEWEST_MEET and found.sigma_factor < _POOREST_FIT)
+
+
 def tie_likelihood(
     ties: TiePoints, images: CameraImages, camera: Camera, stations: Stations
-) -> Likelihood | None:
-    """Log likelihood of assignments by the tie points of one camera; None where they are too few.
+) -> TieLikelihood | None:
+    """Likelihood by the tie points of one camera; None where they are too few.
 
-    ``stations`` are those of all its events. Refraction stays in the rays: its 0.1 mrad is added
-    to their sigma, a tenth of what is known of the attitude of the best stations.
+    ``stations`` are those of all its events. Points whose rays an unusable station may have are as
+    good as others: an unusable one contradicts nothing.
     """
     of_camera = np.full(images.name.shape, "camera", object)
     rays = tie_rays(ties, images.name, of_camera, {"camera": camera})
-    # Rays without a station count as bad: where many have none, the others' events seem better.
-    few = np.unique(rays.point).size < _FEWEST_POINTS
-    if few or stations.ok.sum() < max(2.0, _USABLE_STATIONS * len(stations)):
+    points = np.unique(rays.point)
+    if points.size < _FEWEST_POINTS or stations.ok.sum() < 2:
         return None
-    rays = replace(rays, sigma_rad=rays.sigma_rad + _REFRACTION_RAD, height_m=None)
-    of_events = orientations_of(stations)
-    return lambda event: intersect(of_events.assigned(event), rays).log_likelihood
+    some = points[np.unique(np.linspace(0, points.size - 1, _TIE_POINTS).astype(int))]
+    return TieLikelihood(orientations_of(stations), replace(rays.of_points(some), height_m=None))
 
 
 def position_likelihood(
@@ -264,6 +286,11 @@ def assigned_events(
         first_image=anchor_rows(anchor, images, exposed),
         tie_points=tie_points,
     )
+    ties = spoken.get("tie points")
+    if isinstance(ties, TieLikelihood) and not ties.fits(assignment.event):
+        # No assignment lets the rays meet: mounts, cameras or times are wrong, not the events.
+        rest = {name: likelihood for name, likelihood in spoken.items() if likelihood is not ties}
+        return assigned_events(exposed, images, files, anchor, rest)
     names = " and ".join(likelihoods)
     evidence_of_all = tuple(n.replace("tie points", names) for n in assignment.evidence)
     assignment = replace(assignment, evidence=evidence_of_all)

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.batch.plan import Plan
-from pipeline.block.image_rays import MINIMUM_ANGLE_RAD, ImageRays, orientations_of
-from pipeline.block.intersection import Intersection, intersect
+from pipeline.block.alignment import LOG_RATIO_NEEDED
+from pipeline.block.image_rays import orientations_of, straightened
+from pipeline.block.intersection import intersect
 from pipeline.block.oriented_block import (
     ECEF,
     SIGMAS_OF_BLOCK,
@@ -28,6 +29,7 @@ from pipeline.flight.channels import Array
 from pipeline.flight.heights import ground_offsets
 from pipeline.flight.image_names import renamed
 from pipeline.flight.rotations import (
+    ANGLE_MISTAKES,
     enu_from_grid,
     in_turned_frame,
     opk_of_quaternion,
@@ -38,24 +40,17 @@ from pipeline.flight.stations import NO_TIME, Stations, join_stations
 from pipeline.ledger import Ledger, Notes
 from pipeline.stages.exposure_setup import camera_of_rows, cameras_of_mission
 from pipeline.stages.inputs import FlightLog, user_geoid
+from pipeline.stages.multi_image.tie_point_checks import FEWEST_TIE_POINTS
 from pipeline.tables.geodata.coordinate_systems import places_of
 from pipeline.tables.imports import ORIENTATIONS, Stated, reader_of
 from pipeline.tables.imports.orientation import OrientationTable, read_known_positions
 from pipeline.tables.observations import Observations
-from pipeline.tables.tie_points import draw_tie_points, tie_rays
+from pipeline.tables.tie_points import TiePoints, tie_rays
 from pipeline.units import DEGREE, RADIANS
 
 _FEW_BELOW_GROUND = 0.1
-_MOST_TIE_POINTS, _FEWEST_TIE_POINTS = 300, 10
-
-_FAR_MORE_LIKELY = np.log(1000.0)
-"""Of two readings, the log likelihood by which one is believed against what is stated."""
-
-_GOOD_FACTOR, _POOR_FACTOR = 2.0, 5.0
-"""Residuals over those of an adjusted block: what another reading may have, and what is told."""
-
-_GROUND_SIGMAS, _GROUND_SHARE = 5.0, 0.01
-"""How far intersected heights may be from given ones: sigmas, and part of the flying height."""
+_GOOD_FACTOR = 2.0
+"""Residuals over those of an adjusted block, that another reading may have."""
 
 _SIGMA_OF_LOG_M = 1.5
 """Positions of an autopilot that fuses a receiver without corrections."""
@@ -68,7 +63,9 @@ def oriented_stations(
     plan: Plan,
     flight: FlightLog,
     exposed: list[Stations],
+    *,
     observations: Observations,
+    ties: TiePoints,
     ledger: Ledger,
 ) -> Stations:
     """The stations of `stations.orientation`; ``exposed`` are those of the events, if any.
@@ -89,34 +86,28 @@ def oriented_stations(
     stations = stations_of_table(plan, flight, section, table, exposed=exposed, ledger=ledger)
     stations = ledger.take(flag_far_images(stations, use=plan.mission.stations.use_suspect))
     stations = check_height_above_ground(plan, flight, stations, observations, ledger)
-    ties = draw_tie_points(observations, _MOST_TIE_POINTS)
     rays = tie_rays(ties, stations.image, stations.camera, cameras_of_mission(plan.mission))
-    if np.unique(rays.point).size < _FEWEST_TIE_POINTS:
+    if np.unique(rays.point).size < FEWEST_TIE_POINTS:
         return stations
-    first = np.unique(rays.point, return_index=True)[1]
-    given = np.full(first.size, np.nan) if rays.height_m is None else rays.height_m[first]
-    rays = replace(rays, height_m=None)
-    stated = intersect(orientations_of(stations, SIGMAS_OF_BLOCK), rays)
-    found = {"as stated": stated}
-    for what, changed in other_readings(section, table).items():
+    found = {}
+    for what, reading in {"as stated": table, **other_readings(section, table)}.items():
         with suppress(MissionError):
-            other = stations_of_table(
-                plan, flight, section, changed, exposed=exposed, ledger=Ledger()
-            )
-            found[what] = intersect(orientations_of(other, SIGMAS_OF_BLOCK), rays)
+            other = stations if reading is table else stations_of_table(
+                plan, flight, section, reading, exposed=exposed, ledger=Ledger()
+            )  # fmt: skip
+            orientations = orientations_of(other, SIGMAS_OF_BLOCK)
+            straight = straightened(orientations, replace(rays, height_m=None))
+            found[what] = intersect(orientations, straight)
     likely = max(found, key=lambda what: found[what].log_likelihood)
-    better = found[likely].log_likelihood - stated.log_likelihood
-    if better > _FAR_MORE_LIKELY and found[likely].sigma_factor < _GOOD_FACTOR:
+    better = found[likely].log_likelihood - found["as stated"].log_likelihood
+    if better > LOG_RATIO_NEEDED and found[likely].sigma_factor < _GOOD_FACTOR:
         raise InputError(
             "ORIENTATION-READING",
-            f"the rays of {stated.point.size} tie points meet far better {likely}: the log "
-            f"likelihood is {better:.0f} higher",
+            f"the rays of {np.unique(rays.point).size} tie points meet far better {likely}: the "
+            f"log likelihood is {better:.0f} higher",
             where=section.path,
             remedy="state under stations.orientation what the table holds, or mend it",
         )
-    judge_tie_points(stations, stated, rays, ledger)
-    if np.isfinite(given).any() and not plan.mission.ground.from_distance:
-        compare_with_ground(plan, flight, stations, stated, given=given, ledger=ledger)
     return stations
 
 
@@ -139,82 +130,6 @@ def in_wgs84(
     return table, notes
 
 
-def judge_tie_points(
-    stations: Stations, stated: Intersection, rays: ImageRays, ledger: Ledger
-) -> None:
-    """Tell how far the rays of tie points miss each other; a loss where no station explains it."""
-    at = np.searchsorted(stated.point, rays.point)
-    line = stated.position_m[at] - stated.orientations.centre_m[rays.image]
-    miss = np.sqrt(np.mean(stated.residual_rad**2, axis=1))
-    # A point whose rays are all but parallel tells nothing.
-    judged = stated.used | (stated.angle_rad >= MINIMUM_ANGLE_RAD)
-    judged[at[stated.bad]] = True
-    lost = (stated.bad | np.isnan(miss)) & judged[at]
-    points = int(stated.used.sum())
-    size, where = stated.point.size, "stations.orientation"
-    what = f"no rays of {size} tie points meet at an angle that checks anything"
-    if points:
-        pixels = np.sqrt(np.nanmean(miss**2)) / float(np.median(rays.sigma_rad))
-        what = f"the rays of {points} of {size} tie points miss each other by {pixels:.1f} px "
-        what += "(rms), refraction included"
-    if points >= 0.5 * judged.sum() and not stated.sigma_factor > _POOR_FACTOR:
-        ledger.note("ORIENTATION-TIES", what, where=where, count=size)
-        return
-    for camera in sorted(set(stations.camera[rays.image].tolist())):
-        of = stations.camera[rays.image] == camera
-        met = of & ~lost & judged[at]
-        what += f"; {camera}: {lost[of].sum()} of {of.sum()} rays meet no other"
-        if met.any():
-            metres = np.median(miss[met] * np.linalg.norm(line[met], axis=1))
-            what += f", the others miss by {np.degrees(np.median(miss[met])):.2g} deg, "
-            what += f"{metres:.2g} m, in the median"
-    seen = np.bincount(rays.image, minlength=stations.image.size)
-    share = np.bincount(rays.image[lost], minlength=seen.size) / np.maximum(seen, 1)
-    worst = [str(stations.image[k]) for k in np.argsort(-share, kind="stable")[:3] if share[k] > 0]
-    what += f"; most of {', '.join(worst)}" if worst else ""
-    what += (
-        ": the orientation is not what it should be (rows of other images or cameras, another "
-        "convention), or the name of a point is not that of one point in all images"
-    )
-    ledger.loss("ORIENTATION-TIES", what, where=where, count=size)
-
-
-def compare_with_ground(
-    plan: Plan,
-    flight: FlightLog,
-    stations: Stations,
-    stated: Intersection,
-    *,
-    given: Array,
-    ledger: Ledger,
-) -> None:
-    """Tell where intersected points lie at other heights than those given, (p,) each."""
-    to_msl = np.nanmedian(
-        ground_offsets(plan.mission.ground.reference_of_values, stations, flight.heights)
-    )
-    undulation = stations.h_ellipsoid_m - stations.h_msl_m
-    known = undulation[np.isfinite(undulation)]
-    h = stated.geodetic[2] - (np.median(known) if known.size else 0.0)
-    off = h - (given + to_msl)
-    usable = stated.used & np.isfinite(off)
-    if usable.sum() < _FEWEST_TIE_POINTS:
-        return
-    count, median = int(usable.sum()), float(np.median(off[usable]))
-    sigma = float(np.median(stated.sigma_height_m[usable])) * max(1.0, stated.sigma_factor)
-    above = float(np.median(stations.h_msl_m[stations.ok]) - np.median(h[usable]))
-    if abs(median) <= max(_GROUND_SIGMAS * sigma, _GROUND_SHARE * abs(above)):
-        return
-    ledger.loss(
-        "ORIENTATION-GROUND",
-        f"{count} intersected tie points lie {median:+.0f} m from their given heights "
-        f"in the median, where {sigma:.1f} m of one point are expected: the height column, its "
-        "unit or stations.orientation.heights (msl, ellipsoid), mission.undulation_m or "
-        "ground.reference is another one",
-        where="stations.orientation",
-        count=count,
-    )
-
-
 def other_readings(
     section: OrientationSection, table: OrientationTable
 ) -> dict[str, OrientationTable]:
@@ -230,13 +145,12 @@ def other_readings(
             if unit != section.unit:
                 as_unit = angles * (size / RADIANS[section.unit])
                 other[f"if the angles are in {unit}"] = replace(table, angles=as_unit)
-        for names, signs in {last: [1, 1, -1], f"{first} and {second}": [-1, -1, 1]}.items():
-            other[f"with the other sign of {names}"] = replace(table, angles=angles * signs)
-        swapped = angles[:, [1, 0, 2]]
-        other[f"with {first} and {second} exchanged"] = replace(table, angles=swapped)
+        for what, undone in ANGLE_MISTAKES.items():
+            changed = np.stack(undone(*angles.T), axis=1)
+            other[what.format(first, second, last)] = replace(table, angles=changed)
         if last == "kappa":
             order = f"{second}_{first}_kappa"
-            same = opk_of_quaternion(quaternion_of_opk(swapped, order), section.angles)
+            same = opk_of_quaternion(quaternion_of_opk(angles[:, [1, 0, 2]], order), section.angles)
             other[f"if the angles are {order}"] = replace(table, angles=same)
     if section.is_geodetic:
         swapped = position[:, [1, 0, 2]]

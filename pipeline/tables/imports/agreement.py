@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Array, Channel
 from pipeline.flight.heights import HeightSystem, heights_at
+from pipeline.flight.rotations import ANGLE_MISTAKES, UNIT_MISTAKES
 from pipeline.flight.trajectory import attitude_at
 from pipeline.geodesy import principal_radii
 from pipeline.ledger import Entry, Kind, Ledger
@@ -38,7 +39,6 @@ _LIMITS = {
 }  # fmt: skip
 _OTHER_FLIGHT_M, _LARGE_TURN_DEG, _SMALL_TURN_DEG = 100.0, 5.0, 2.0
 _ORDERS = ("ZYX", "ZXY", "YXZ", "YZX", "XYZ", "XZY")
-_TURN = 2.0 * np.pi
 
 _Change = Callable[[Array, Array], tuple[Array, Array]]
 _OF_PLACE: Mapping[str, _Change] = {
@@ -49,19 +49,6 @@ _OF_PLACE: Mapping[str, _Change] = {
     "taken for grads": lambda lat, lon: (lat * 0.9, lon * 0.9),
 }
 """Mistakes about the columns of positions, and what undoes them."""
-
-_OF_ANGLES: Mapping[str, Callable[..., tuple[Array, Array, Array]]] = {
-    "taken for grads": lambda yaw, pitch, roll: (yaw % _TURN * 0.9, pitch * 0.9, roll * 0.9),
-    "taken for radians": lambda yaw, pitch, roll: (
-        yaw % _TURN / RADIANS["deg"], pitch / RADIANS["deg"], roll / RADIANS["deg"]
-    ),
-    "with the other sign of the yaw": lambda yaw, pitch, roll: (-yaw, pitch, roll),
-    "with the other sign of the pitch": lambda yaw, pitch, roll: (yaw, -pitch, roll),
-    "with the other sign of the roll": lambda yaw, pitch, roll: (yaw, pitch, -roll),
-    "with roll and pitch exchanged": lambda yaw, pitch, roll: (yaw, roll, pitch),
-    "with yaw counted from east to north": lambda yaw, pitch, roll: (np.pi / 2 - yaw, pitch, roll),
-}  # fmt: skip
-"""Mistakes about the columns of angles."""
 
 
 def compare_with_log(
@@ -237,13 +224,13 @@ def _compare_attitudes(
 
     # Few attitudes, as of some events, do not tell one mistake from another.
     size = apart(imported) if np.count_nonzero(known) >= _FEWEST else 0.0
-    for what, undone in _OF_ANGLES.items() if size > _LARGE_TURN_DEG else ():
-        left = apart(Rotation.from_euler("ZYX", np.stack(undone(*angles.T), axis=1)))
+    for what, undone in (UNIT_MISTAKES | ANGLE_MISTAKES).items() if size > _LARGE_TURN_DEG else ():
+        left = apart(Rotation.from_euler("ZYX", np.stack(undone(*angles.T[::-1])[::-1], axis=1)))
         if left < min(_LARGE_TURN_DEG, size / 3.0):
             raise MissionError(
                 "TRAJECTORY-ANGLES",
-                f"its attitude is up to {size:.1f} deg from that of the log (90 %), {what} up to "
-                f"{left:.1f} deg",
+                f"its attitude is up to {size:.1f} deg from that of the log (90 %), "
+                f"{what.format('roll', 'pitch', 'yaw')} up to {left:.1f} deg",
                 where=name,
                 remedy="state angle_unit and angle_order, and which column is which; roll is right "
                 "wing down, pitch nose up, yaw clockwise from north",

@@ -1,0 +1,370 @@
+"""What tie points say of a mission file: each likely mistake tried, with its estimate.
+
+The stations are held, and the rays of tie points are intersected under each hypothesis: cameras
+exchanged, another mount, another principal distance, exposures earlier or later, heights from
+another zero, other axes of the pixels. A hypothesis that is 1000 times as likely as what is
+stated, and larger than the stated sigmas explain, is a finding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pipeline.block.alignment import LOG_RATIO_NEEDED
+from pipeline.block.image_rays import Array, ImageRays, Indices, Orientations, straightened
+from pipeline.block.intersection import Intersection, intersect
+from pipeline.flight.mount import Mount
+from pipeline.flight.rotations import ANGLE_MISTAKES, CAMERA_AT_REST, UNIT_MISTAKES
+from pipeline.refraction.camera.camera import Camera
+
+_RANKING_POINTS, _DECIDED_BY_ALL, _MOST_FINDINGS, _FEWEST_HEIGHTS = 200, 4, 3, 10
+_SIGMAS = 4.0  # beyond which a stated sigma does not explain an error that all stations share
+
+# Misses over sigmas, and the share of points whose rays meet, beyond which anything may be wrong.
+_POOR_FIT, _FEW_MEET = 2.0, 0.7
+
+# What matters to nobody: turns [rad], principal distance and height as shares, time [s].
+_SMALL = {"TIES-MOUNT": np.radians(0.3), "TIES-FOCAL": 0.01, "TIES-HEIGHT": 0.01, "TIES-TIME": 0.1}
+
+_LARGEST_REFINEMENT_RAD = np.radians(5.0)  # of a mistake that is still that one
+
+_SCALES = (0.25, 0.5, 2.0 / 3.0, 0.8, 1.25, 1.5, 2.0, 4.0)
+_SENSOR_WIDTHS_MM = (6.2, 13.2, 17.3, 23.5, 36.0, 43.8, 53.4)
+_TIMES_S = (0.5, 1.0, 2.0, 5.0, 10.0, 18.0, 60.0, 1800.0, 3600.0, 7200.0)  # 18 leap seconds
+_TURNS_DEG = ((0, 0, 90), (0, 0, -90), (0, 0, 180), (0, 90, 0), (0, -90, 0), (90, 0, 0),
+              (-90, 0, 0), (0, 180, 0))  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class StatedMission:
+    """What a mission file states, as far as tie points can contradict it.
+
+    ``rays`` gives the apparent rays by the cameras that took the images and the axes of their
+    pixels (x and y ``exchanged``, y ``upward``), by name of the camera. ``mounts`` are empty where
+    orientations are the cameras' own. ``shifted`` gives the orientations that many seconds later,
+    in the same rows, where there is a trajectory. ``sigma_heights_m`` is what the heights of the
+    ground may be off together, ``sigma_height_m`` a single one, ``heights_of`` the points whose
+    given heights count, ``other_heights_m`` names for what may have to be added to stations.
+    """
+
+    orientations: Orientations
+    cameras: Mapping[str, Camera]
+    rays: Callable[[Mapping[str, Camera], Mapping[str, str]], ImageRays]
+    mounts: Mapping[str, Mount] = field(default_factory=dict)
+    shifted: Callable[[float], Orientations] | None = None
+    sigma_heights_m: float = 0.0
+    sigma_height_m: float = 1.0
+    heights_of: tuple[int, ...] = ()
+    other_heights_m: Mapping[str, float] = field(default_factory=dict)
+
+    def camera_from_body(self, camera: str) -> Array:
+        """(3, 3) the stated mount, or that of a camera which looks down."""
+        return self.mounts.get(camera, Mount()).camera_from_body
+
+
+@dataclass(frozen=True, eq=False)
+class _Reading:
+    """One way to read a mission file: what is changed against what is stated."""
+
+    cameras: Mapping[str, Camera]
+    axes: Mapping[str, str] = field(default_factory=dict)
+    turns: Mapping[str, Array] = field(default_factory=dict)  # (3, 3) by camera
+    time_s: float = 0.0
+    up_m: float = 0.0
+
+    def intersected(self, mission: StatedMission, points: Indices | None = None) -> Intersection:
+        """The intersection of all points by straight rays, or of some by the apparent ones."""
+        shifted = mission.shifted if self.time_s else None
+        o = mission.orientations if shifted is None else shifted(self.time_s)
+        o = replace(o, centre_m=o.centre_m + self.up_m * o.enu_from_ecef[:, 2])
+        for camera, turn in self.turns.items():
+            o = o.turned(Rotation.from_matrix(turn).as_rotvec(), camera)
+        rays = mission.rays(self.cameras, self.axes)
+        rays = rays if points is None else rays.of_points(points)
+        if rays.height_m is not None:
+            given = np.where(np.isin(rays.point, mission.heights_of), rays.height_m, np.nan)
+            rays = replace(rays, height_m=given, sigma_height_m=mission.sigma_height_m)
+        return intersect(o, straightened(o, rays) if points is None else rays)
+
+    def turned(self, camera: str, turn: Array) -> _Reading:
+        """The same with one camera turned further."""
+        return replace(self, turns={**self.turns, camera: turn @ self.turns.get(camera, np.eye(3))})
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A contradiction: code, key of the mission file, and one sentence with number and sigma.
+
+    ``log_ratio`` is the natural logarithm of its likelihood over that of what is stated,
+    ``sigma_factor`` what residuals are then over what their sigmas say; ``also`` are the codes of
+    others that are as likely.
+    """
+
+    code: str
+    key: str
+    what: str
+    log_ratio: float
+    sigma_factor: float
+    also: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Hypothesis:
+    """A change by an amount: ``reading(x)``; without an amount ``step`` is 0."""
+
+    code: str
+    label: str
+    camera: str
+    reading: Callable[[float], _Reading]
+    x: float = 0.0
+    step: float = 0.0
+
+
+def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]]:
+    """The intersection as stated, by the rays alone, and what contradicts the mission file.
+
+    Hypotheses are ranked with 200 points and decided with all. Common errors of mounts, principal
+    distances, heights and times are estimated in any case; the large mistakes are tried where rays
+    do not meet as their sigmas say: some seconds with 2,000 points. Refraction of the standard
+    atmosphere is removed under each hypothesis (`straightened`).
+    """
+    current = _Reading(mission.cameras)
+    stated = current.intersected(replace(mission, heights_of=()))
+    mission = _with_usable_heights(mission, stated)
+    now = current.intersected(mission)
+    size = stated.point.size
+    some = stated.point[np.unique(np.linspace(0, size - 1, _RANKING_POINTS).astype(int))[:size]]
+    findings: list[Finding] = []
+
+    def likely(reading: _Reading) -> float:
+        found = reading.intersected(mission, some)
+        return found.log_likelihood if _above_points(found) > 0.0 else -np.inf
+
+    while len(findings) < _MOST_FINDINGS and size:
+        poor = not now.sigma_factor < _POOR_FIT or now.used.mean() < _FEW_MEET
+        large = list(_mistakes(mission, current)) if poor else []
+        large.sort(key=lambda h: likely(h.reading(h.x)), reverse=True)
+        best, before = [], likely(current)
+        for hypothesis in [*_small_errors(mission, current, now), *large[:_DECIDED_BY_ALL]]:
+            h, _ = _refined(mission, hypothesis, some)
+            if likely(h.reading(h.x)) < before + 0.3 * LOG_RATIO_NEEDED:
+                continue
+            h, sigma = _refined(mission, h, None)
+            reading = h.reading(h.x)
+            found = reading.intersected(mission)
+            gain = found.log_likelihood - now.log_likelihood
+            text = _described(mission, h, reading, found, sigma)
+            if gain > LOG_RATIO_NEEDED and text:
+                best.append((gain, h, reading, found, text))
+        if not best:
+            break
+        # Of equals, that which has a name.
+        best.sort(key=lambda item: -item[0] - LOG_RATIO_NEEDED * bool(item[1].label))
+        gain, chosen, current, now, text = best[0]
+        also = {h.code for g, h, *_ in best if g > gain - LOG_RATIO_NEEDED} - {chosen.code}
+        key = _key(mission, chosen)
+        of_fit = gain, now.sigma_factor
+        findings.append(Finding(chosen.code, key, text, *of_fit, tuple(sorted(also))))
+    return stated, tuple(findings)
+
+
+def _with_usable_heights(mission: StatedMission, found: Intersection) -> StatedMission:
+    """Given heights that are not wild beside the others, and the scatter of all about the rays."""
+    rays = mission.rays(mission.cameras, {})
+    if rays.height_m is None:
+        return mission
+    first = np.unique(rays.point, return_index=True)[1]
+    off = rays.height_m[first] - found.geodetic[2]
+    if np.isfinite(off).sum() < _FEWEST_HEIGHTS:
+        return mission
+    middle = np.nanmedian(off)
+    spread = max(mission.sigma_height_m, 1.4826 * float(np.nanmedian(np.abs(off - middle))))
+    usable = np.abs(off - middle) <= 6.0 * np.hypot(spread, found.sigma_height_m)
+    return replace(mission, sigma_height_m=spread, heights_of=tuple(found.point[usable].tolist()))
+
+
+def _above_points(found: Intersection) -> float:
+    """Median height of the stations above the points [m]; mirrored rays meet above them."""
+    o = found.orientations
+    if not found.used.any():
+        return np.inf
+    line = o.centre_m - found.position_m[found.used].mean(axis=0)
+    return float(np.nanmedian(np.sum(line * o.enu_from_ecef[:, 2], axis=1)))
+
+
+def _small_errors(
+    mission: StatedMission, now: _Reading, found: Intersection
+) -> Iterator[_Hypothesis]:
+    """Errors that all stations share, from the residuals alone."""
+    o = found.orientations
+    for name in now.cameras:
+        if not np.any(o.camera == name):
+            continue
+        turn = Rotation.from_rotvec(found.camera_rotation(name)[0]).as_matrix()
+        yield _Hypothesis("TIES-MOUNT", "", name, _at_once(now.turned(name, turn)))
+        yield _scaled(now, (name,), 1.0, "")
+    up = np.zeros((o.camera.size, 6, 1))
+    up[:, 2] = 1.0
+    x = float(found.shared_errors(up)[0][0])
+    yield _Hypothesis("TIES-HEIGHT", "", "", lambda x: replace(now, up_m=now.up_m + x), x, 1.0)
+    if mission.shifted is not None:
+        yield _later(now, 0.0)
+
+
+def _at_once(reading: _Reading) -> Callable[[float], _Reading]:
+    return lambda _: reading
+
+
+def _scaled(now: _Reading, names: tuple[str, ...], factor: float, label: str) -> _Hypothesis:
+    def reading(x: float) -> _Reading:
+        of = {name: now.cameras[name] for name in names}
+        scaled = {
+            name: replace(c, fx_px=c.fx_px * np.exp(x), fy_px=c.fy_px * np.exp(x))
+            for name, c in of.items()
+        }
+        return replace(now, cameras={**now.cameras, **scaled})
+
+    return _Hypothesis("TIES-FOCAL", label, names[0], reading, float(np.log(factor)), 0.005)
+
+
+def _later(now: _Reading, seconds: float) -> _Hypothesis:
+    return _Hypothesis(
+        "TIES-TIME", "", "", lambda x: replace(now, time_s=now.time_s + x), seconds, 0.25
+    )
+
+
+def _mistakes(mission: StatedMission, now: _Reading) -> Iterator[_Hypothesis]:
+    """Large mistakes that users make, each as far as it changes anything."""
+    for name, camera in now.cameras.items():
+        mount, own = mission.mounts.get(name, Mount()), mission.camera_from_body(name)
+        angles = np.array([mount.roll_rad, mount.pitch_rad, mount.yaw_rad])
+        changes = UNIT_MISTAKES | ANGLE_MISTAKES
+        others = {label: np.array(change(*angles)) for label, change in changes.items()}
+        for more in _TURNS_DEG:
+            others[f"with {more} deg more of roll, pitch and yaw"] = angles + np.radians(more)
+        for label, other in others.items():
+            if not np.allclose(other, angles):
+                turned = Mount(*other.tolist()).camera_from_body @ own.T
+                yield _Hypothesis("TIES-MOUNT", label, name, _at_once(now.turned(name, turned)))
+        groups = [(name,), tuple(now.cameras)] if len(now.cameras) > 1 else [(name,)]
+        for group in groups:
+            for factor in _SCALES:
+                yield _scaled(now, group, factor, "")
+            for width in _SENSOR_WIDTHS_MM if camera.fx_px < 0.2 * camera.width_px else ():
+                yield _scaled(now, group, camera.width_px / width, "in millimetres, not pixels")
+        for axes in ("exchanged", "upward"):
+            reading = replace(now, axes={**now.axes, name: axes})
+            yield _Hypothesis("TIES-PIXELS", axes, name, _at_once(reading))
+    for a, b in combinations(now.cameras, 2):
+        swapped = {**now.cameras, a: now.cameras[b], b: now.cameras[a]}
+        turn = mission.camera_from_body(b) @ mission.camera_from_body(a).T
+        reading = replace(now, cameras=swapped).turned(a, turn).turned(b, turn.T)
+        yield _Hypothesis("TIES-CAMERAS", f"{a} and {b}", a, _at_once(reading))
+    for seconds in _TIMES_S if mission.shifted is not None else ():
+        yield _later(now, seconds)
+        yield _later(now, -seconds)
+
+
+def _refined(
+    mission: StatedMission, h: _Hypothesis, points: Indices | None
+) -> tuple[_Hypothesis, float]:
+    """A hypothesis at its most likely amount by some points or all, with the sigma of that."""
+    if h.code == "TIES-MOUNT":
+        reading = h.reading(0.0)
+        for _ in range(3):
+            turn, _ = reading.intersected(mission, points).camera_rotation(h.camera)
+            reading = reading.turned(h.camera, Rotation.from_rotvec(turn).as_matrix())
+        moved = Rotation.from_matrix(
+            reading.turns[h.camera] @ h.reading(0.0).turns[h.camera].T
+        ).magnitude()
+        label = h.label if moved < _LARGEST_REFINEMENT_RAD else ""
+        return replace(h, reading=_at_once(reading), label=label), 0.0
+    x, step, sigma = h.x, h.step, float("inf")
+    for _ in range((4 if points is not None else 1) if step else 0):
+        low, middle, high = (
+            h.reading(at).intersected(mission, points).log_likelihood
+            for at in (x - step, x, x + step)
+        )
+        curve = low - 2.0 * middle + high
+        if curve < 0.0:
+            sigma = step / float(np.sqrt(-curve))
+            x += float(np.clip(0.5 * step * (low - high) / curve, -3.0 * step, 3.0 * step))
+            step = min(max(sigma, 0.1 * step), step)
+        else:
+            x += 3.0 * step * float(np.sign(high - low))
+    return replace(h, x=x, step=step), sigma
+
+
+def _described(
+    mission: StatedMission, h: _Hypothesis, reading: _Reading, found: Intersection, sigma: float
+) -> str:
+    """What a hypothesis estimates, in one sentence; empty where stated sigmas explain it."""
+    o = found.orientations
+    above = _above_points(found)
+    heights_m = float(np.hypot(mission.sigma_heights_m, np.nanmedian(o.sigma[:, 2])))
+    least = _SMALL.get(h.code, 0.0)
+    if h.code == "TIES-MOUNT":
+        return _turn_of(mission, h, reading, found)
+    if h.code == "TIES-FOCAL":
+        stated, size = mission.cameras[h.camera].fx_px, reading.cameras[h.camera].fx_px
+        explained = max(least, _SIGMAS * float(np.hypot(sigma, heights_m / above)))
+        text = f"the principal distance of {h.camera} is {size:.0f} px +- {size * sigma:.2g}, not "
+        text += f"{stated:g}" + (f": it is {h.label}" if h.label else "")
+        return text if abs(np.log(size / stated)) > explained else ""
+    if h.code == "TIES-HEIGHT":
+        x, spread = reading.up_m, _SIGMAS * float(np.hypot(sigma, heights_m))
+        text = f"the stations lie {abs(x):.1f} m +- {sigma:.2g} too {'low' if x > 0 else 'high'} "
+        text += "above the given heights of the ground"
+        near = {name: abs(y - x) for name, y in mission.other_heights_m.items()}
+        likely = min(near, key=lambda name: near[name], default="")
+        if likely and near[likely] < max(0.05 * abs(x), spread):
+            text += f", as if {likely}"
+        return text if abs(x) > max(least * above, spread) else ""
+    if h.code == "TIES-TIME" and mission.shifted is not None:
+        moved = mission.shifted(0.5).centre_m - mission.shifted(-0.5).centre_m
+        speed = max(float(np.nanmedian(np.linalg.norm(moved, axis=1))), 0.1)
+        x, explained = reading.time_s, float(np.nanmedian(o.sigma[:, 0])) / speed
+        text = f"the exposures are {abs(x):.2f} s +- {sigma:.2g} {'later' if x > 0 else 'earlier'}"
+        text += " than stated" + (", as GPS time and UTC are apart" if 17 < abs(x) < 19 else "")
+        return text if abs(x) > max(least, _SIGMAS * float(np.hypot(sigma, explained))) else ""
+    if h.code == "TIES-PIXELS":
+        axes = "x and y are exchanged" if h.label == "exchanged" else "y counts upward"
+        return f"in the pixels of {h.camera} {axes}"
+    return f"the images of {h.label} are each other's"
+
+
+def _turn_of(mission: StatedMission, h: _Hypothesis, reading: _Reading, found: Intersection) -> str:
+    """As `_described`, of a mount."""
+    o, turn = found.orientations, reading.turns[h.camera]
+    own = (o.camera == h.camera) & np.isfinite(o.centre_m[:, 0])
+    axes = o.camera_from_ecef[own] @ np.swapaxes(o.enu_from_ecef[own], 1, 2)
+    spread = axes * o.sigma[own, None, 3:]
+    estimated = max(1.0, found.sigma_factor) ** 2 * found.camera_rotation(h.camera)[1]
+    explained = np.mean(spread @ np.swapaxes(spread, 1, 2), axis=0) + estimated
+    vector = Rotation.from_matrix(turn).as_rotvec()
+    size = float(np.linalg.norm(vector))
+    if size < _SMALL[h.code] or vector @ np.linalg.solve(explained, vector) < _SIGMAS**2:
+        return ""
+    body = (CAMERA_AT_REST.T @ turn @ mission.camera_from_body(h.camera)).T
+    yaw, pitch, roll = Rotation.from_matrix(body).as_euler("ZYX", degrees=True)
+    sigma = float(np.degrees(np.sqrt(np.diag(estimated).max())))
+    text = f"{h.camera} is turned by {np.degrees(size):.2f} deg +- {sigma:.2g} against that stated"
+    if mission.mounts:
+        text += f": its mount is roll {roll:.2f}, pitch {pitch:.2f}, yaw {yaw:.2f} deg"
+    return text + (f", as {h.label.format('roll', 'pitch', 'yaw')}" if h.label else "")
+
+
+def _key(mission: StatedMission, h: _Hypothesis) -> str:
+    """The key of the mission file to change."""
+    return {
+        "TIES-MOUNT": f"mount.{h.camera}" if mission.mounts else "stations.orientation",
+        "TIES-FOCAL": f"cameras.{h.camera}",
+        "TIES-TIME": "events",
+        "TIES-HEIGHT": "ground",
+        "TIES-PIXELS": "observations.columns",
+    }.get(h.code, "cameras")

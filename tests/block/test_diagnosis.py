@@ -1,0 +1,177 @@
+"""What tie points find in a mission file, on blocks simulated with numpy alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.block.diagnosis import StatedMission, diagnosis
+from pipeline.block.image_rays import ImageRays, Orientations, straightened
+from pipeline.flight.mount import Mount
+from pipeline.refraction.camera.camera import Camera
+
+FORMAT = {"width_px": 9000, "height_px": 9000, "cx_px": 4500.0, "cy_px": 4500.0}
+
+
+@pytest.fixture(scope="module")
+def make(simulated_block):
+    """A block of two cameras as a mission file states it, from its seed."""
+
+    def made(seed: int, *, speed: float = 50.0, **options) -> StatedMission:
+        options = {"cameras": (0.0, 0.35), "points": 500, "each": 8} | options
+        block = simulated_block.simulate_block(np.random.default_rng(seed), **options)
+        frames = simulated_block.axes(block.lat, block.lon)
+        centre = simulated_block.ecef(block.lat, block.lon, block.h)
+        orientations = Orientations(
+            block.camera, centre, block.camera_from_enu @ frames, frames, block.sigma
+        )
+        d = block.direction
+        x, y = (4500.0 + 10_000.0 * d[:, k] / d[:, 2] for k in (0, 1))
+        own = {name: block.camera[block.image] == name for name in ("camera0", "camera1")}
+
+        def rays(cameras, axes) -> ImageRays:
+            direction = np.empty(d.shape)
+            for name, rows in own.items():
+                u, v = (y, x) if axes.get(name) == "exchanged" else (x, y)
+                v = 9000.0 - v if axes.get(name) == "upward" else v
+                u, v, _ = cameras[name].rays(u[rows], v[rows])
+                direction[rows] = np.stack([u, v, np.ones(u.size)], axis=1)
+            direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+            return ImageRays(block.image, block.point, direction, 1e-4, block.point_h[block.point])
+
+        heading = 1.0 - 2.0 * (np.arange(block.lon.size) // 8 % 2)  # one line to, one fro
+
+        def shifted(seconds: float) -> Orientations:
+            step = (speed * seconds * heading)[:, None] * frames[:, 0]
+            return replace(orientations, centre_m=centre + step)
+
+        cameras = {name: Camera(fx_px=10_000.0, fy_px=10_000.0, **FORMAT) for name in own}
+        mounts = {"camera0": Mount(), "camera1": Mount(roll_rad=-0.35)}
+        return StatedMission(orientations, cameras, rays, mounts, shifted)
+
+    return made
+
+
+def found(mission: StatedMission) -> list[str]:
+    return [finding.code for finding in diagnosis(mission)[1]]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_true_mission_file_raises_nothing(make, seed):
+    stated, findings = diagnosis(make(seed))
+    assert findings == ()
+    assert 0.7 < stated.sigma_factor < 1.3
+
+
+def test_sigmas_explain_a_common_error_as_large_as_they_are(make):
+    mission = make(20)
+    turned = mission.orientations.turned(np.array([0.004, 0.0, 0.0]), "camera0")
+    assert found(replace(mission, orientations=turned)) == []  # 0.23 deg, where 0.17 are stated
+    turned = mission.orientations.turned(np.array([0.03, 0.0, 0.0]), "camera0")
+    (finding,) = diagnosis(replace(mission, orientations=turned))[1]
+    assert (finding.code, finding.key) == ("TIES-MOUNT", "mount.camera0")
+    assert "turned by 1.7" in finding.what
+
+
+def test_a_mount_with_the_other_sign_is_named_with_its_angle(make):
+    mission = make(21)
+    wrong = Mount(roll_rad=0.35).camera_from_body @ mission.camera_from_body("camera1").T
+    o, own = mission.orientations, mission.orientations.camera == "camera1"
+    turned = np.where(own[:, None, None], wrong @ o.camera_from_ecef, o.camera_from_ecef)
+    mounts = {**mission.mounts, "camera1": Mount(roll_rad=0.35)}
+    mission = replace(mission, orientations=replace(o, camera_from_ecef=turned), mounts=mounts)
+    (finding,) = diagnosis(mission)[1]
+    assert (finding.code, finding.key) == ("TIES-MOUNT", "mount.camera1")
+    assert "other sign of roll" in finding.what
+    assert "mount is roll -20.0" in finding.what or "mount is roll -20.1" in finding.what
+
+
+@pytest.mark.parametrize("factor", [0.004, 0.97, 2.0])
+def test_a_wrong_principal_distance_is_estimated(make, factor):
+    mission = make(22)
+    camera = mission.cameras["camera0"]
+    wrong = replace(camera, fx_px=factor * 1e4, fy_px=factor * 1e4)
+    finding = diagnosis(replace(mission, cameras={**mission.cameras, "camera0": wrong}))[1][0]
+    assert (finding.code, finding.key) == ("TIES-FOCAL", "cameras.camera0")
+    size = float(finding.what.split(" is ")[1].split(" px")[0])
+    assert size == pytest.approx(1e4, rel=0.005)
+    assert ("millimetres" in finding.what) == (factor < 0.1)
+
+
+@pytest.mark.parametrize("offset_s", [-1.5, 18.0])
+def test_exposures_at_other_times_are_found_by_how_much(make, offset_s):
+    mission = make(23)
+    shifted = mission.shifted
+    wrong = replace(
+        mission, orientations=shifted(-offset_s), shifted=lambda s: shifted(s - offset_s)
+    )
+    finding = diagnosis(wrong)[1][0]
+    assert finding.code == "TIES-TIME"
+    assert f"{abs(offset_s):.0f}" in finding.what or "1.5" in finding.what
+    assert ("later" if offset_s > 0 else "earlier") in finding.what
+    assert ("GPS time" in finding.what) == (offset_s == 18.0)
+
+
+def test_heights_from_another_zero_are_found_and_named(make):
+    mission = make(24)
+    o = mission.orientations
+    low = replace(o, centre_m=o.centre_m - 47.0 * o.enu_from_ecef[:, 2])
+    others = {"this": 46.8, "that": 120.0}
+    mission = replace(mission, orientations=low, shifted=None, other_heights_m=others)
+    finding = diagnosis(mission)[1][0]
+    assert (finding.code, finding.key) == ("TIES-HEIGHT", "ground")
+    assert "47." in finding.what or "46." in finding.what
+    assert "too low" in finding.what
+    assert "as if this" in finding.what
+
+
+@pytest.mark.parametrize("axes", ["exchanged", "upward"])
+def test_other_axes_of_pixels(make, axes):
+    mission = make(25)
+    rays, inverse = mission.rays, {"camera1": axes}
+
+    def wrong(cameras, read) -> ImageRays:
+        """The table has them the other way: reading them so gives the true ones."""
+        if read.get("camera1") == axes:
+            return rays(cameras, {k: v for k, v in read.items() if k != "camera1"})
+        return rays(cameras, {**read, **inverse})
+
+    finding = diagnosis(replace(mission, rays=wrong))[1][0]
+    assert finding.code == "TIES-PIXELS"
+    assert "camera1" in finding.what
+
+
+def test_exchanged_cameras(make):
+    mission = make(26)
+    o = mission.orientations
+    ab = mission.camera_from_body("camera1") @ mission.camera_from_body("camera0").T
+    own = (o.camera == "camera0")[:, None, None]
+    turned = np.where(own, ab @ o.camera_from_ecef, ab.T @ o.camera_from_ecef)
+    a, b = mission.mounts.values()
+    exchanged = replace(
+        mission,
+        orientations=replace(o, camera_from_ecef=turned),
+        mounts={"camera0": b, "camera1": a},
+    )
+    finding = diagnosis(exchanged)[1][0]
+    assert finding.code == "TIES-CAMERAS"
+    assert finding.log_ratio > 100.0
+
+
+def test_refraction_is_removed_from_apparent_rays(make):
+    """By the angle that `unbend angle` prints, within the relief and the heights of the cameras."""
+    from pipeline.refraction.angle import one_angle
+
+    mission = make(27, errors=False, pixel_rad=1e-9)
+    o = mission.orientations
+    rays = replace(mission.rays(mission.cameras, {}), height_m=None)
+    straight = straightened(o, rays)
+    down = np.einsum("rij,rj->ri", o.camera_from_ecef[rays.image], -o.enu_from_ecef[rays.image, 2])
+    before, after = (np.arccos(np.sum(down * r.direction, axis=1)) for r in (rays, straight))
+    several = np.bincount(rays.point)[rays.point] > 2
+    assert (before > after)[several].all()
+    row = int(np.argmax(before * several))
+    expected = one_angle("us1976", 1000.0, 30.0, float(np.degrees(before[row])))["r_c_rad"]
+    assert before[row] - after[row] == pytest.approx(expected, rel=0.1)
