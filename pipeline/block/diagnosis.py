@@ -31,6 +31,11 @@ _POOR_FIT, _FEW_MEET = 2.0, 0.7
 # What matters to nobody: turns [rad], principal distance and height as shares, time [s].
 _SMALL = {"TIES-MOUNT": np.radians(0.3), "TIES-FOCAL": 0.01, "TIES-HEIGHT": 0.01, "TIES-TIME": 0.1}
 
+_KEYS = {
+    "TIES-MOUNT": "mount.{}", "TIES-FOCAL": "cameras.{}", "TIES-TIME": "events",
+    "TIES-HEIGHT": "ground", "TIES-PIXELS": "observations.columns", "TIES-CAMERAS": "cameras",
+}  # fmt: skip
+
 _LARGEST_REFINEMENT_RAD = np.radians(5.0)  # of a mistake that is still that one
 
 _SCALES = (0.25, 0.5, 2.0 / 3.0, 0.8, 1.25, 1.5, 2.0, 4.0)
@@ -135,7 +140,7 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
     """
     current = _Reading(mission.cameras)
     stated = current.intersected(replace(mission, heights_of=()))
-    mission = _with_usable_heights(mission, stated)
+    mission = with_usable_heights(mission, stated)
     now = current.intersected(mission)
     size = stated.point.size
     some = stated.point[np.unique(np.linspace(0, size - 1, _RANKING_POINTS).astype(int))[:size]]
@@ -147,10 +152,10 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
 
     while len(findings) < _MOST_FINDINGS and size:
         poor = not now.sigma_factor < _POOR_FIT or now.used.mean() < _FEW_MEET
-        large = list(_mistakes(mission, current)) if poor else []
+        large = list(large_mistakes(mission, current)) if poor else []
         large.sort(key=lambda h: likely(h.reading(h.x)), reverse=True)
         best, before = [], likely(current)
-        for hypothesis in [*_small_errors(mission, current, now), *large[:_DECIDED_BY_ALL]]:
+        for hypothesis in [*small_errors(mission, current, now), *large[:_DECIDED_BY_ALL]]:
             h, _ = _refined(mission, hypothesis, some)
             if likely(h.reading(h.x)) < before + 0.3 * LOG_RATIO_NEEDED:
                 continue
@@ -167,13 +172,14 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
         best.sort(key=lambda item: -item[0] - LOG_RATIO_NEEDED * bool(item[1].label))
         gain, chosen, current, now, text = best[0]
         also = {h.code for g, h, *_ in best if g > gain - LOG_RATIO_NEEDED} - {chosen.code}
-        key = _key(mission, chosen)
+        key = _KEYS[chosen.code].format(chosen.camera)
+        key = "stations.orientation" if "mount" in key and not mission.mounts else key
         of_fit = gain, now.sigma_factor
         findings.append(Finding(chosen.code, key, text, *of_fit, tuple(sorted(also))))
     return stated, tuple(findings)
 
 
-def _with_usable_heights(mission: StatedMission, found: Intersection) -> StatedMission:
+def with_usable_heights(mission: StatedMission, found: Intersection) -> StatedMission:
     """Given heights that are not wild beside the others, and the scatter of all about the rays."""
     rays = mission.rays(mission.cameras, {})
     if rays.height_m is None:
@@ -197,7 +203,7 @@ def _above_points(found: Intersection) -> float:
     return float(np.nanmedian(np.sum(line * o.enu_from_ecef[:, 2], axis=1)))
 
 
-def _small_errors(
+def small_errors(
     mission: StatedMission, now: _Reading, found: Intersection
 ) -> Iterator[_Hypothesis]:
     """Errors that all stations share, from the residuals alone."""
@@ -238,7 +244,7 @@ def _later(now: _Reading, seconds: float) -> _Hypothesis:
     )
 
 
-def _mistakes(mission: StatedMission, now: _Reading) -> Iterator[_Hypothesis]:
+def large_mistakes(mission: StatedMission, now: _Reading) -> Iterator[_Hypothesis]:
     """Large mistakes that users make, each as far as it changes anything."""
     for name, camera in now.cameras.items():
         mount, own = mission.mounts.get(name, Mount()), mission.camera_from_body(name)
@@ -357,14 +363,3 @@ def _turn_of(mission: StatedMission, h: _Hypothesis, reading: _Reading, found: I
     if mission.mounts:
         text += f": its mount is roll {roll:.2f}, pitch {pitch:.2f}, yaw {yaw:.2f} deg"
     return text + (f", as {h.label.format('roll', 'pitch', 'yaw')}" if h.label else "")
-
-
-def _key(mission: StatedMission, h: _Hypothesis) -> str:
-    """The key of the mission file to change."""
-    return {
-        "TIES-MOUNT": f"mount.{h.camera}" if mission.mounts else "stations.orientation",
-        "TIES-FOCAL": f"cameras.{h.camera}",
-        "TIES-TIME": "events",
-        "TIES-HEIGHT": "ground",
-        "TIES-PIXELS": "observations.columns",
-    }.get(h.code, "cameras")

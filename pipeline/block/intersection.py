@@ -169,7 +169,7 @@ def _blocks(values: Array, column: Indices, columns: int) -> sparse.csr_matrix:
     )
 
 
-def _linearised(r: SortedRays, o: Orientations, position: Array, good: Mask) -> _System:
+def linearised(r: SortedRays, o: Orientations, position: Array, good: Mask) -> _System:
     """The system at some positions, of the good rays."""
     points = r.start.size
     sigma, A, J, y = r.derivatives(o, position, good)
@@ -222,7 +222,7 @@ def intersect(
         near = np.sum(line * r.direction, axis=1) <= _NEAREST_SIGMAS * o.sigma[r.image, 0]
         meet = (angle >= minimum_angle_rad) & (r.sums(good & near) == 0)
         good &= meet[r.index] & (r.sums(good * 1) >= 2)[r.index]
-        system = _linearised(r, o, position, good)
+        system = linearised(r, o, position, good)
         count = r.sums(good * 1)
         e = system.residual - system.J @ system.errors + system.Y @ (system.Z @ system.errors)
         e_rays = e[: 2 * r.sigma.size].reshape(-1, 2)
