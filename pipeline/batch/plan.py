@@ -86,6 +86,9 @@ def input_paths(mission: Mission, folder: Path) -> dict[str, tuple[str, Path]]:
         named["geoid"] = mission.mission.geoid
     if mission.ground.points is not None:
         named["object points"] = mission.ground.points.points
+    if mission.ground.model is not None:
+        paths = mission.ground.model.paths
+        named |= {f"elevation model {i}": path for i, path in enumerate(paths, 1)}
     orientation = mission.stations.orientation
     if orientation is not None:
         named["orientation"] = orientation.path
@@ -128,7 +131,8 @@ def make_plan(mission: Mission, folder: Path) -> Plan:
     for role, (name, path) in input_paths(mission, folder).items():
         try:
             if not path.is_file() and not (role in of_folders and path.is_dir()):
-                other = {"events": "events.positions", "camera": "cameras.<name>.file"}
+                other = {"events": "events.positions", "camera": "cameras.<name>.file",
+                         "elevation": "ground.height.dem"}  # fmt: skip
                 key = _MISSION_FILE_KEYS.get(
                     role, other.get(role.split()[0], "atmosphere.soundings")
                 )

@@ -165,12 +165,30 @@ class PointTable(Section):
     )
 
 
+class GroundModel(Section):
+    """A digital elevation model that the rays are followed to."""
+
+    dem: PathText | list[PathText] = Field(
+        description="raster of heights, or tiles of one: what GDAL reads, as GeoTIFF; a path or "
+        "several"
+    )
+    crs: str | None = Field(
+        None, description="coordinate system, as EPSG:25832, where the file has none"
+    )
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """The rasters."""
+        return (self.dem,) if isinstance(self.dem, str) else tuple(self.dem)
+
+
 def _kind_of_height(value: Any) -> str:
     """Which of the sources of heights a value is meant for, so that one has its messages alone."""
     if isinstance(value, str | Section):
         return "name" if isinstance(value, str) else type(value).__name__
     if isinstance(value, dict):
-        return "PointTable" if "points" in value else "GroundColumn"
+        kinds = {"points": "PointTable", "dem": "GroundModel"}
+        return next((kind for key, kind in kinds.items() if key in value), "GroundColumn")
     return "number"
 
 
@@ -178,6 +196,7 @@ GroundHeight = Annotated[
     Annotated[float, Tag("number")]
     | Annotated[GroundColumn, Tag("GroundColumn")]
     | Annotated[PointTable, Tag("PointTable")]
+    | Annotated[GroundModel, Tag("GroundModel")]
     | Annotated[Literal["from_distance", "intersected"], Tag("name")],
     Discriminator(_kind_of_height),
 ]
@@ -188,7 +207,8 @@ class GroundSection(Section):
 
     height: GroundHeight = Field(
         description="metres, or {column: NAME}, or {points: PATH, columns, crs}: a table of "
-        "object points, or from_distance: where the slant range ends, or "
+        "object points, or {dem: PATH}: where the rays meet an elevation model, or "
+        "from_distance: where the slant range ends, or "
         "intersected: where the rays of the point meet, with the stations as they are"
     )
     reference: Literal["msl", "ellipsoid", "relative"] = Field(
@@ -223,9 +243,14 @@ class GroundSection(Section):
         return self.height if isinstance(self.height, PointTable) else None
 
     @property
+    def model(self) -> GroundModel | None:
+        """The elevation model, where there is one."""
+        return self.height if isinstance(self.height, GroundModel) else None
+
+    @property
     def reference_of_values(self) -> Literal["msl", "ellipsoid", "relative"]:
-        """What the heights of the observations count from: those of a table are reduced to msl."""
-        return "msl" if self.points is not None else self.reference
+        """What the heights of the observations count from: others are reduced to msl."""
+        return "msl" if self.points is not None or self.model is not None else self.reference
 
     @property
     def from_distance(self) -> bool:
@@ -257,6 +282,11 @@ class GroundSection(Section):
                 f"height: {self.height} gives heights above mean sea level; leave reference and "
                 "home_h_msl_m out"
             )
+        if self.model is not None and (
+            self.reference == "relative" or self.home_h_msl_m is not None
+        ):
+            raise ValueError("the heights of a dem are above mean sea level (reference: msl) or "
+                             "the ellipsoid; leave home_h_msl_m out")  # fmt: skip
         if self.height == "intersected" and (self.sigma_m is not None or self.sigma_column):
             raise ValueError("height: intersected has sigmas of its own; leave sigma_m and "
                              "sigma_column out")  # fmt: skip

@@ -114,6 +114,27 @@ def target_heights(
     Returns the heights above sea level [m], (n,), NaN where the observation lacks something that
     `correct_observations` will name, or its chord ends outside the profile.
     """
+    rays = target_rays(x_px, y_px, exposure, exposures, camera=camera, ideal=ideal)
+    h_c, radius = rays[H_C], rays[RADIUS]
+    if ideal:
+        with np.errstate(invalid="ignore"):
+            return chord_height(h_c, rays[COS], distance_m, radius)
+    return height_at_distance(table, h_c, rays[SIN], rays[COS], distance_m, radius=radius)[0]
+
+
+def target_rays(
+    x_px: Array,
+    y_px: Array,
+    exposure: NDArray[np.int64],
+    exposures: Exposures,
+    *,
+    camera: Camera,
+    ideal: bool,
+) -> Array:
+    """The matrix of rays (RAY_ROWS, n) of pixels as in `target_heights`; NaN where there is none.
+
+    Where ``ideal`` they are the straight chords themselves.
+    """
     if ideal:  # a straight line has no window and no lens, and may lie beside the format
         exposures = replace(
             exposures,
@@ -128,13 +149,10 @@ def target_heights(
             cy_px=camera.cy_px + _MARGIN_PX,
         )
         x_px, y_px = x_px + _MARGIN_PX, y_px + _MARGIN_PX
-    observed = ObservationColumns(x_px, y_px, distance_m, distance_m, exposure)
+    anywhere = np.zeros(x_px.size)
+    observed = ObservationColumns(x_px, y_px, anywhere, anywhere, exposure)
     rays, _, _ = outgoing_rays(observed, camera.constants, exposures.columns)
-    h_c, radius = rays[H_C], rays[RADIUS]
-    if ideal:
-        with np.errstate(invalid="ignore"):
-            return chord_height(h_c, rays[COS], distance_m, radius)
-    return height_at_distance(table, h_c, rays[SIN], rays[COS], distance_m, radius=radius)[0]
+    return rays
 
 
 def chord_height(h_c: Array, cos_zeta: Array, distance: Array, radius: Array) -> Array:

@@ -11,6 +11,7 @@ MISSES_GROUND = 5
 BEYOND_GRAZING = 6
 OUTSIDE_PROFILE = 7
 FAR_BRANCH = 8
+SEVERAL_CROSSINGS = 9
 
 STATUS_NAMES = (
     "ok",
@@ -22,7 +23,9 @@ STATUS_NAMES = (
     "beyond_grazing",
     "outside_profile",
     "far_branch",
+    "several_crossings",
 )
 """Names by code. Observations that are ``ok``, ``beyond_grazing`` (a far crossing is
 possible, the near one was taken) or ``far_branch`` (the slant range said so) carry
-corrected values."""
+corrected values, and so do ``several_crossings`` (a terrain is met again farther on, behind a ridge
+or a cliff; the first crossing was taken)."""

@@ -244,6 +244,7 @@ def correct_batch(
     """
     method = correct_observations if setup.direction == "remove" else apply_refraction
     parts: list[tuple[NDArray[np.intp], Corrections]] = []
+    distance = ground.distance_m if batch.distance_m is None else batch.distance_m
     for group, camera, profile in setup.groups(station):
         whole = group.size == len(batch)
         rows = slice(None) if whole else group
@@ -256,7 +257,7 @@ def correct_batch(
             setup.exposures,
             camera=camera,
             table=setup.rays[profile],
-            distance_m=None if batch.distance_m is None else batch.distance_m[rows],
+            distance_m=None if distance is None else distance[rows],
             uncertainty=uncertainty,
             sigma_h_g=None if uncertainty is None else ground.sigma_m[rows],
         )

@@ -204,6 +204,10 @@ class Statistics:
             what += f": {causes[name]}" if causes.get(name) else ""
             if name == "beyond_grazing":
                 ledger.loss("OBS-BEYOND-GRAZING", what + "; near branch used", count=count)
+            elif name == "several_crossings":
+                what += ": behind a ridge they would leave the ground again; the first place where "
+                what += "they meet it was used, which an error of the model's heights may change"
+                ledger.warning("OBS-SEVERAL-CROSSINGS", what, where="ground.height", count=count)
             elif name == "far_branch":
                 ledger.note("OBS-FAR-BRANCH", what + ", by their slant range", count=count)
             else:

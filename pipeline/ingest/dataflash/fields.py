@@ -114,6 +114,17 @@ MESSAGES: Mapping[str, MessageMap] = {
     "EKF1": MessageMap(_FILTER, ATTITUDE, 60, attitude=True),
     # Type 0 is the origin of the filter's local places, 1 is home.
     "ORGN": MessageMap((*_PLACE, column("h_msl_m", "Alt")), id_field="Type"),
+    # What the autopilot's own terrain grid has below it: no role, a check of ground heights.
+    "TERR": MessageMap(
+        (
+            *_PLACE,
+            column("h_terrain_m", "TerrH"),
+            column("h_above_terrain_m", "CHeight"),
+            column("terrain_status", "Status"),
+            column("tiles_pending", "Pending"),
+            column("tiles_loaded", "Loaded"),
+        )
+    ),
     "XKF4": _HEALTH,
     "NKF4": _HEALTH,
     "EKF4": _HEALTH,

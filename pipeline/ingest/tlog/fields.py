@@ -86,6 +86,17 @@ MESSAGES: Mapping[str, MessageMap] = {
         ),
         ATTITUDE, 40, attitude=True,
     ),
+    # As TERR of DataFlash: no role. A spacing of 0 means that it had no terrain.
+    "TERRAIN_REPORT": MessageMap(
+        (
+            *_PLACE,
+            column("h_terrain_m", "terrain_height"),
+            column("h_above_terrain_m", "current_height"),
+            column("terrain_spacing_m", "spacing"),
+            column("tiles_pending", "pending"),
+            column("tiles_loaded", "loaded"),
+        )
+    ),
     "SCALED_PRESSURE": _baro(10),
     "SCALED_PRESSURE2": _baro(20),
     "SCALED_PRESSURE3": _baro(30),

@@ -156,3 +156,75 @@ class AirTables(NamedTuple):
     ground_m: float
     spacing_m: float
     refractivity: Array
+
+
+TILE, BLOCK = 512, 16
+"""Cells of a terrain's tile, and of a block of it, in either direction."""
+
+CHART_DEGREE = 4
+
+LANDED, EMERGES, PASSES, HIDDEN, NO_TERRAIN, WAITS = range(6)
+"""What becomes of a ray over a terrain: it lands; it would come out of the ground again; it never
+lands; it starts under the ground; it ends where no terrain is known; it waits for a tile."""
+
+
+class TerrainGrid(NamedTuple):
+    """Tiles of a terrain, (p, q) of `TILE` cells, of which some are in memory.
+
+    ``low``, ``high`` (p, q) are the lowest and highest node of a tile [m], NaN where it was not
+    read yet, infinite where it has none; ``slot`` (p, q) its place among the next three, or -1.
+    ``tiles`` (s, TILE + 1, TILE + 1) nodes [m], NaN in holes; ``block_low``, ``block_high``
+    (s, TILE / BLOCK, TILE / BLOCK) likewise. ``around`` columns go round the earth, 0 where
+    they do not.
+    """
+
+    low: NDArray[np.float32]
+    high: NDArray[np.float32]
+    slot: NDArray[np.int32]
+    tiles: NDArray[np.float32]
+    block_low: NDArray[np.float32]
+    block_high: NDArray[np.float32]
+    around: int
+
+
+class TerrainRays(NamedTuple):
+    """Rays (n,) and the way they take over a grid.
+
+    ``east``, ``north`` of the unit vector of the azimuth; ``knot``, ``bend`` (n, k) distances [m]
+    and the divided differences of R_c / distance there; ``chart`` (n,) numbers ``charts``
+    (m, 2, 15): row and column of the grid as polynomials of degree 4 in east and north of a
+    station, in units of its ``reach`` (m,) [m].
+    """
+
+    sin_c: Array
+    cos_c: Array
+    h_c: Array
+    r_e: Array
+    east: Array
+    north: Array
+    knot: Array
+    bend: Array
+    chart: NDArray[np.int64]
+    charts: Array
+    reach: Array
+
+
+class TerrainState(NamedTuple):
+    """How far rays (n,) were followed, and what was found.
+
+    ``end`` and ``t`` are distances from the camera [m], ``side`` 1 above and -1 under the terrain
+    and 0 where unknown, ``gap`` whether it is unknown at ``t``; ``distance`` and ``height`` [m]
+    of the first crossing, NaN without one, and ``factor`` what it changes by with the height
+    of the terrain;
+    ``wanted`` is the tile a ray waits for, or -1; ``result`` what becomes of it.
+    """
+
+    end: Array
+    t: Array
+    side: NDArray[np.int8]
+    gap: NDArray[np.bool_]
+    distance: Array
+    height: Array
+    factor: Array
+    wanted: NDArray[np.int64]
+    result: NDArray[np.uint8]

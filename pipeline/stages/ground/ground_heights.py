@@ -26,13 +26,15 @@ class GroundHeights(NamedTuple):
 
     ``sigma_m`` (n,) are their standard deviations, NaN where unknown. ``status`` (n,) are codes of
     `pipeline.refraction.status_codes` for observations that are not simply ok, where a source has
-    such. ``implausible`` counts heights that are numbers, but of no ground on earth.
+    such. ``implausible`` counts heights that are numbers, but of no ground on earth. ``distance_m``
+    (n,) are slant ranges, where the source has them.
     """
 
     h_m: Array
     sigma_m: Array
     status: NDArray[np.uint8] | None = None
     implausible: int = 0
+    distance_m: Array | None = None
 
     def flagged(self, corrections: Corrections) -> Corrections:
         """The corrections with this status where theirs is ok or no_ground."""

@@ -7,7 +7,9 @@ their datum: PROJ returns them unchanged, and says nothing, where it lacks a gri
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -142,6 +144,55 @@ def grid_coordinates(crs: str, lon_deg: Array, lat_deg: Array) -> tuple[Array, A
     x, y = projection(lon_deg, lat_deg)
     factors = projection.get_factors(lon_deg, lat_deg)
     return np.asarray(x), np.asarray(y), np.radians(factors.meridian_convergence)
+
+
+@dataclass(frozen=True)
+class GridSystem:
+    """The coordinate system of a grid.
+
+    ``to_grid`` makes x, y (longitude, latitude [deg]) of longitude and latitude on WGS 84 [deg],
+    ``to_places`` the reverse. ``vertical`` names its vertical datum, "" without one, whose unit is
+    ``unit_m``.
+    """
+
+    name: str
+    geographic: bool
+    to_grid: Callable[[Array, Array], tuple[Array, Array]]
+    to_places: Callable[[Array, Array], tuple[Array, Array]]
+    vertical: str = ""
+    is_sea_level: bool = True
+    unit_m: float = 1.0
+
+
+def grid_system(own: str, stated: str | None, *, heights: str, where: str, key: str) -> GridSystem:
+    """The system of a grid by its own words, WKT or EPSG, which must be the stated one.
+
+    Refuses (InputError) as `places_of` does, and two systems that differ (DEM-CRS).
+    """
+    from pyproj import Transformer
+    from pyproj.exceptions import ProjError
+
+    horizontal, vertical = _system(own, heights, where, key)
+    other, of_other = _system(stated or own, heights, where, key)
+    vertical = vertical or of_other
+    if not horizontal.equals(other, ignore_axis_order=True):
+        raise InputError(
+            "DEM-CRS", f"the file is in {horizontal.name}, and {other.name} is stated",
+            where=where, remedy=f"leave {key} out, or give the file its right system",
+        )  # fmt: skip
+    try:
+        there = Transformer.from_crs("EPSG:4326", horizontal, always_xy=True, allow_ballpark=False)
+    except ProjError:
+        raise InputError(
+            "CRS-BALLPARK", f"{horizontal.name} has no transformation to WGS 84 with a known "
+            "accuracy", where=where, remedy="warp the grid to a system on WGS 84 or ETRS89",
+        ) from None  # fmt: skip
+    back = partial(there.transform, direction="INVERSE")
+    system = GridSystem(horizontal.name, horizontal.is_geographic, there.transform, back)
+    if vertical is None:
+        return system
+    name, unit_m = vertical.name, vertical.axis_info[0].unit_conversion_factor
+    return replace(system, vertical=name, is_sea_level=name in _SEA_LEVELS, unit_m=unit_m)
 
 
 def _system(crs: str, heights: str, where: str, key: str) -> tuple[Any, Any]:

@@ -1,0 +1,89 @@
+"""A million rays to an elevation model of a hundred million cells, beside given heights."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from survey import CAMERA, air, exposures, image_names, uncertainty, write_observations
+
+from pipeline.batch.store import open_folder
+from pipeline.ledger import Ledger
+from pipeline.refraction.ray import rays_by
+from pipeline.stages.correction import CorrectionSetup, correct_stream
+from pipeline.stages.ground.ground_heights import GivenGround
+from pipeline.stages.ground.terrain_ground import TerrainGround
+from pipeline.tables.geodata.elevation import open_elevation
+from pipeline.tables.observations import open_observations
+
+IMAGES, ROWS, CELLS = 200, 1_000_000, 10_000
+STEP_DEG = 1.0 / 10_800.0  # 10 m
+COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
+
+
+def write_model(path: Path) -> None:
+    """Hills of 300 m, and of 30 m on them, as a tiled and compressed GeoTIFF."""
+    import rasterio
+
+    north, west = np.degrees(0.805) + CELLS / 2 * STEP_DEG, -CELLS / 2 * STEP_DEG
+    row, column = np.arange(CELLS, dtype=np.float32)[:, None], np.arange(CELLS, dtype=np.float32)
+    z = 500.0 + 300.0 * np.sin(column / 700.0) * np.cos(row / 500.0)
+    z += 30.0 * np.sin(column / 40.0) * np.sin(row / 55.0)
+    with rasterio.open(
+        path, "w", driver="GTiff", width=CELLS, height=CELLS, count=1, dtype="float32",
+        crs="EPSG:4326", transform=rasterio.Affine(STEP_DEG, 0, west, 0, -STEP_DEG, north),
+        tiled=True, blockxsize=512, blockysize=512, compress="deflate", predictor=3,
+    ) as out:  # fmt: skip
+        out.write(z.astype(np.float32), 1)
+
+
+def correct(source: Path, out: Path, model: Path | None) -> None:
+    """Correct a million observations, from a file to a file, with sigmas."""
+    rng = np.random.default_rng(5)
+    seen_from = replace(exposures(IMAGES), latitude_rad=0.805 + rng.uniform(-0.006, 0.006, IMAGES))
+    ground: GivenGround | TerrainGround = GivenGround(None, np.zeros(IMAGES), sigma_m=2.0)
+    if model is not None:
+        elevation, _ = open_elevation([model], None, reference="msl", undulation=np.zeros_like)
+        places = seen_from.latitude_rad, rng.uniform(-0.007, 0.007, IMAGES)
+        ground = TerrainGround(elevation, places, 2.0)
+    setup = CorrectionSetup(
+        image_names(IMAGES), np.full(IMAGES, "nadir", object), seen_from, ground,
+        {"nadir": CAMERA}, (rays_by(air(), "spherical"),), np.zeros(IMAGES, np.int64),
+        uncertainties=(uncertainty(seen_from),),
+    )  # fmt: skip
+    column = "h_g_m" if model is None else None
+    observations = open_observations(source, COLUMNS, column, Ledger())
+    with open_folder(out) as folder:
+        statistics = correct_stream(
+            observations, setup, folder,
+            batch_rows=250_000, metadata={}, progress=lambda _: None,
+        )  # fmt: skip
+        folder.commit({"outputs": folder.outputs()})
+    assert statistics.status["ok"] == ROWS, statistics.status
+
+
+def test_a_million_rays_to_a_model_beside_given_heights(ratios, tmp_path):
+    source, model = tmp_path / "observations.parquet", tmp_path / "dem.tif"
+    write_observations(source, ROWS, IMAGES)
+    write_model(model)
+    ratio = ratios.of_times(
+        lambda: correct(source, tmp_path / "given", None),
+        lambda: correct(source, tmp_path / "terrain", model),
+        rounds=3,
+    )
+    ratios.check("a million rays to a model, times given heights", ratio, at_most=5.0)
+    peak = subprocess.run(
+        [sys.executable, __file__, str(source), str(tmp_path / "peak"), str(model)],
+        capture_output=True, text=True, check=True, cwd=Path(__file__).parent,
+    )  # fmt: skip
+    ratios.check("memory with a model of 400 MB [GB]", float(peak.stdout) / 1e6, at_most=1.0)
+
+
+if __name__ == "__main__":
+    import resource
+
+    correct(Path(sys.argv[1]), Path(sys.argv[2]), Path(sys.argv[3]))
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)

@@ -1,0 +1,68 @@
+"""Terrain heights that the autopilot logged, beside those of the mission: a check, never truth.
+
+ArduPilot's grid is SRTM at 100 m, read from its own card: some 10 m (90 %) in open country.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.flight.channels import Channel
+from pipeline.flight.trajectory import interpolate
+
+Array = NDArray[np.float64]
+
+_LONGEST_GAP_S = 5.0
+_HEALTHY = 2.0  # status of TERR
+
+
+class TerrainAgreement(NamedTuple):
+    """Given ground heights minus logged ones.
+
+    Median, half the width of the middle 68 % [m], and how many were compared; NaN and 0 without a
+    logged height.
+    """
+
+    median_m: float
+    scatter_m: float
+    rows: int
+
+
+def logged_terrain(channels: Iterable[Channel], time_ns: NDArray[np.int64]) -> Array:
+    """(n,) terrain height above sea level [m] below the vehicle at times, NaN where none is logged.
+
+    Rows count where the autopilot had its grid: TERR of status 2, TERRAIN_REPORT with a spacing and
+    place.
+    """
+    height = np.full(time_ns.size, np.nan)
+    for channel in channels:
+        if "h_terrain_m" not in channel.columns:
+            continue
+        nothing = np.zeros(len(channel))
+        healthy = channel.columns.get("terrain_status", nothing) == _HEALTHY
+        placed = channel.columns.get("lat_rad", nothing + 1.0) != 0.0
+        healthy |= (channel.columns.get("terrain_spacing_m", nothing) > 0.0) & placed
+        of_grid = np.where(healthy, channel["h_terrain_m"], np.nan)
+        channel = replace(channel, columns=dict(channel.columns) | {"h_terrain_m": of_grid})
+        known = interpolate(channel, "h_terrain_m", time_ns, _LONGEST_GAP_S)
+        height = np.where(np.isnan(height), known, height)
+    return height
+
+
+def compare_with_logged_terrain(ground_m: Array, logged_m: Array) -> TerrainAgreement:
+    """Ground heights (n,) below stations against those of `logged_terrain`.
+
+    >>> logged = np.array([100.0, 100.0, np.nan])
+    >>> compare_with_logged_terrain(np.array([105.0, 104.0, 1.0]), logged)
+    TerrainAgreement(median_m=4.5, scatter_m=0.34, rows=2)
+    """
+    apart = (ground_m - logged_m)[np.isfinite(ground_m - logged_m)]
+    if apart.size == 0:
+        return TerrainAgreement(float("nan"), float("nan"), 0)
+    low, middle, high = np.percentile(apart, [16.0, 50.0, 84.0])
+    return TerrainAgreement(float(middle), round(float(high - low) / 2.0, 9), int(apart.size))

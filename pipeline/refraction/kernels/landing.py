@@ -1,0 +1,300 @@
+"""Heights of the ground where curved rays first meet a terrain."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef, euler_radius, geodetic_of_ecef
+from pipeline.refraction.camera.camera import Camera
+from pipeline.refraction.chord import height_at_distance, target_rays
+from pipeline.refraction.image import Exposures, straight_reach
+from pipeline.refraction.kernels.columns import (
+    APPARENT,
+    CHART_DEGREE,
+    COS,
+    EMERGES,
+    H_C,
+    HIDDEN,
+    LANDED,
+    NO_TERRAIN,
+    PASSES,
+    RADIUS,
+    SIN,
+    WAITS,
+    TerrainGrid,
+    TerrainRays,
+    TerrainState,
+)
+from pipeline.refraction.kernels.threads import in_blocks
+from pipeline.refraction.ray import PublishedRays, bend
+from pipeline.refraction.ray_table import RayTable, ray_table
+from pipeline.refraction.status_codes import (
+    MISSES_GROUND,
+    NO_GROUND,
+    OK,
+    OUTSIDE_PROFILE,
+    SEVERAL_CROSSINGS,
+)
+
+Array = NDArray[np.float64]
+
+# From here on down [m] a ray is under all land.
+_LOWEST_M, _HIGHEST_M = -500.0, 9_000.0
+
+# Rays steeper than this reach the lowest land from any height below 50 km.
+_STEEP = 0.17
+_FARTHEST_M = 200_000.0
+
+# Knots of R_c / distance along a ray, as shares of the drop or of the distance.
+_STEEP_SHARES = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, 5) / 4)
+_LEVEL_SHARES = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, 9) / 8)
+
+# Polynomials from east and north of a station to rows and columns: powers, nodes, and between.
+_POWERS = [(d - p, p) for d in range(CHART_DEGREE + 1) for p in range(d + 1)]
+_NODES, _CHECKS = (
+    np.stack(np.meshgrid(a, a), axis=-1).reshape(-1, 2)
+    for a in (np.cos(np.pi * (np.arange(6) + 0.5) / 6), np.linspace(-0.95, 0.95, 5))
+)
+_LARGEST_ERROR = 0.01
+"""Of row and column [cells]; where a polynomial is worse, it is for half the distance."""
+
+
+class Terrain(Protocol):
+    """A terrain of heights above sea level in tiles, whatever they are read from."""
+
+    @property
+    def grid(self) -> TerrainGrid:
+        """The tiles, and which are in memory."""
+
+    @property
+    def lock(self) -> AbstractContextManager[object]:
+        """Held while tiles are read and rays go over them."""
+
+    def nodes(self, lat_rad: Array, lon_rad: Array) -> tuple[Array, Array]:
+        """Row and column, in nodes of the grid, of places on WGS 84."""
+
+    def load(self, tiles: NDArray[np.int64]) -> None:
+        """Read tiles into memory, as many as fit there, the first ones first."""
+
+
+class TerrainHeights(NamedTuple):
+    """Where rays land (n,).
+
+    Height above sea level [m], what it changes by with the height of the terrain there, slant range
+    [m], and status: `OK`, or `SEVERAL_CROSSINGS` where a ray would come out of the ground again;
+    others have no height.
+    """
+
+    h_m: Array
+    factor: Array
+    distance_m: Array
+    status: NDArray[np.uint8]
+
+
+def terrain_heights(
+    x_px: Array,
+    y_px: Array,
+    exposure: NDArray[np.int64],
+    exposures: Exposures,
+    places: tuple[Array, Array],
+    *,
+    camera: Camera,
+    table: RayTable | PublishedRays,
+    terrain: Terrain,
+    ideal: bool = False,
+) -> TerrainHeights:
+    """Heights where the rays of image observations first meet the terrain.
+
+    Parameters
+    ----------
+    x_px, y_px : (n,) pixels: measured, or those of the straight chord where ``ideal``.
+    exposure, exposures, camera, table : as for `correct_observations`.
+    places : (s,) latitude and longitude [rad] of the exposures.
+    terrain : from `pipeline.tables.elevation`.
+
+    The status is ``no_ground`` where a ray leaves the terrain, lands in a hole of it, or was
+    followed for 200 km, ``misses_ground`` where it passes over all of it or starts below it,
+    ``outside_profile`` where it leaves the air under it. Rays that see no exposure have ``ok`` and
+    no height: `correct_observations` says why.
+
+    A ray is its straight chord at each distance, turned by the R_c there; R_c by distance is
+    interpolated. Against steps of an integrated ray: 1 mm below 60 degrees, 1 cm below 75.
+    """
+    n = x_px.size
+    numbers, status = np.full((3, n), np.nan), np.full(n, OK, np.uint8)
+    rays = np.empty((H_C + 1, n))
+
+    def leave(rows: slice) -> None:
+        rays[:, rows] = target_rays(
+            x_px[rows], y_px[rows], exposure[rows], exposures, camera=camera, ideal=ideal
+        )
+
+    in_blocks(leave, n)
+    of_table = ray_table(table.profile) if isinstance(table, PublishedRays) else table
+    air = None if ideal else of_table
+    for which, steep in ((rays[COS] > _STEEP, True), (rays[COS] <= _STEEP, False)):
+        rows = np.flatnonzero(which)
+        if rows.size == 0:
+            continue
+        of_rows = rays[:, rows]
+        knot, r_c, at_end = _bent_paths(of_rows, air, steep=steep)
+        end = knot[:, -1].copy()
+        arc = of_rows[RADIUS] * np.arctan2(
+            end * of_rows[SIN], of_rows[RADIUS] + of_rows[H_C] - end * of_rows[COS]
+        )
+        station, chart = np.unique(exposure[rows], return_inverse=True)
+        needed = np.zeros(station.size)
+        np.fmax.at(needed, chart, 1.01 * arc)
+        charts, reach = _charts(places[0][station], places[1][station], needed + 1.0, terrain)
+        short = 0.98 * reach[chart] < arc
+        end[short] *= 0.98 * reach[chart][short] / arc[short]
+        at_end[short] = NO_GROUND
+        with np.errstate(invalid="ignore"):
+            azimuth = of_rows[APPARENT : APPARENT + 2] / np.where(of_rows[SIN] > 0, of_rows[SIN], 1)
+        sine, cosine, h_c, radius = of_rows[[SIN, COS, H_C, RADIUS]]
+        paths = TerrainRays(
+            sine,
+            cosine,
+            h_c,
+            radius,
+            azimuth[0],
+            azimuth[1],
+            knot,
+            r_c / knot,
+            chart,
+            charts,
+            reach,
+        )
+        of_paths = _follow(paths, end, at_end, terrain)
+        numbers[:, rows], status[rows] = of_paths[:3], of_paths.status
+    return TerrainHeights(numbers[0], numbers[1], numbers[2], status)
+
+
+def _bent_paths(
+    rays: Array, air: RayTable | None, *, steep: bool
+) -> tuple[Array, Array, NDArray[np.uint8]]:
+    """Straight distances (n, k) along rays, R_c there, and the status of a ray beyond the last.
+
+    Steep rays as far as the lowest land, others where they leave all land or for 200 km. Without
+    ``air`` they are straight. NaN where the air does not reach as far.
+    """
+    n, shares = rays.shape[1], _STEEP_SHARES if steep else _LEVEL_SHARES
+    knot, r_c = np.empty((n, shares.size)), np.zeros((n, shares.size))
+    at_end = np.full(n, OUTSIDE_PROFILE, np.uint8)
+    bottom = _LOWEST_M if air is None else max(_LOWEST_M, float(air.edge_m[0]))
+
+    def fill(rows: slice) -> None:
+        sine, cosine, radius, h_c = rays[[SIN, COS, RADIUS, H_C], rows]
+        if steep:
+            for k, share in enumerate(shares):
+                h_k = h_c - share * (h_c - bottom)
+                if air is not None:
+                    r_c[rows, k] = bend(air, h_c, h_k, sine, cosine, radius=radius)[0]
+                cos_k = cosine * np.cos(r_c[rows, k]) + sine * np.sin(r_c[rows, k])
+                knot[rows, k] = straight_reach(h_c, h_k, cos_k, radius=radius, far=False)
+            return
+        with np.errstate(invalid="ignore"):
+            # Beyond the horizon up to where all land is below, unless it meets the lowest before.
+            down = straight_reach(h_c, bottom, cosine, radius=radius, far=False)
+            up = np.nan_to_num(straight_reach(h_c, _HIGHEST_M, cosine, radius=radius, far=True))
+            end = np.fmin(np.where(cosine > 0.0, down, np.nan), up)
+            at_end[rows] = np.where(end == up, MISSES_GROUND, OUTSIDE_PROFILE)
+            at_end[rows][end > _FARTHEST_M] = NO_GROUND
+            end = np.clip(end, 1.0, _FARTHEST_M)
+            for k, share in enumerate(shares):
+                t = knot[rows, k] = share * end
+                if air is not None:
+                    h_k = height_at_distance(air, h_c, sine, cosine, t, radius=radius)[0]
+                    rise = (h_c - h_k) * (2.0 * radius + h_c + h_k)
+                    turned = np.arccos((t * t + rise) / (2.0 * (radius + h_c) * t))
+                    r_c[rows, k] = np.arctan2(sine, cosine) - turned
+
+    in_blocks(fill, n)
+    return knot, r_c, at_end
+
+
+def _charts(lat_rad: Array, lon_rad: Array, needed: Array, terrain: Terrain) -> tuple[Array, Array]:
+    """Charts (m, 2, 15) of `TerrainRays` about (m,) places, and how far each is good [m].
+
+    Least squares over nodes that are exact; checked between them. ``needed`` (m,) is how far they
+    should reach; a chart that errs by more than 0.01 cell is made for half the distance.
+    """
+    reach = needed.copy()
+    charts = np.empty((needed.size, 2, len(_POWERS)))
+    solve = np.linalg.pinv(_terms(_NODES))
+    left = np.arange(needed.size)
+    for _ in range(12):
+        at = np.concatenate([_NODES, _CHECKS]) * reach[left, None, None]
+        place = np.repeat(lat_rad[left], at.shape[1]), np.repeat(lon_rad[left], at.shape[1])
+        east, north = at.reshape(-1, 2).T
+        nodes = np.stack(terrain.nodes(*_places_about(*place, east, north)), axis=-1)
+        nodes = nodes.reshape(left.size, -1, 2)
+        if terrain.grid.around:
+            turns = (nodes[..., 1] - nodes[:, :1, 1]) / terrain.grid.around
+            nodes[..., 1] -= terrain.grid.around * np.round(turns)
+        charts[left] = np.einsum("tk,mkc->mct", solve, nodes[:, : len(_NODES)])
+        there = np.einsum("kt,mct->mkc", _terms(_CHECKS), charts[left])
+        error = np.abs(there - nodes[:, len(_NODES) :]).max(axis=(1, 2))
+        left = left[~(error < _LARGEST_ERROR)]
+        if left.size == 0:
+            break
+        reach[left] *= 0.5
+    reach[left] = 0.0
+    charts[left] = np.nan
+    return charts, reach
+
+
+def _terms(at: Array) -> Array:
+    """(k, 15) terms of the polynomials at (k, 2) east and north in units of the reach."""
+    return np.stack([at[:, 0] ** i * at[:, 1] ** j for i, j in _POWERS], axis=1)
+
+
+def _places_about(lat_rad: Array, lon_rad: Array, east: Array, north: Array) -> tuple[Array, Array]:
+    """Latitude and longitude [rad] of ends of arcs in the vertical planes of places; (n,) each."""
+    arc, azimuth = np.hypot(east, north), np.arctan2(east, north)
+    radius = euler_radius(lat_rad, azimuth)
+    angle = arc / radius
+    across, up = radius * np.sin(angle), -2.0 * radius * np.sin(0.5 * angle) ** 2
+    enu = np.stack([across * np.sin(azimuth), across * np.cos(azimuth), up], axis=-1)
+    axes = enu_from_ecef(lat_rad, lon_rad)
+    start = ecef_of_geodetic(lat_rad, lon_rad, np.zeros(lat_rad.size))
+    end = start + np.einsum("nij,ni->nj", axes, enu)
+    lat, lon, _ = geodetic_of_ecef(*end.T)
+    return lat, lon
+
+
+def _follow(
+    paths: TerrainRays, end: Array, at_end: NDArray[np.uint8], terrain: Terrain
+) -> TerrainHeights:
+    """Where rays land, with the tiles read that they come to."""
+    # The compiled functions are imported with the first ray, not with the package.
+    from pipeline.refraction.kernels.terrain import divide_differences, follow_rays
+
+    n = end.size
+    divide_differences(paths.knot, paths.bend)
+    side, gap, wanted = np.zeros(n, np.int8), np.zeros(n, bool), np.full(n, -1)
+    height, distance, factor = np.full((3, n), np.nan)
+    result = np.full(n, NO_TERRAIN, np.uint8)
+    state = TerrainState(end, np.zeros(n), side, gap, distance, height, factor, wanted, result)
+    usable = np.isfinite(paths.bend).all(axis=1) & np.isfinite(end)
+    going = np.flatnonzero(usable & (paths.reach[paths.chart] > 0.0))
+    with terrain.lock:
+        while going.size:
+            in_blocks(lambda rows: follow_rays(paths, going[rows], terrain.grid, state), going.size)  # noqa: B023
+            going = going[state.result[going] == WAITS]
+            tiles, count = np.unique(state.wanted[going], return_counts=True)
+            if tiles.size:
+                terrain.load(tiles[np.argsort(-count, kind="stable")])
+    status_of = np.empty(WAITS + 1, np.uint8)
+    status_of[[LANDED, EMERGES, HIDDEN, NO_TERRAIN]] = (
+        OK, SEVERAL_CROSSINGS, MISSES_GROUND, NO_GROUND,
+    )  # fmt: skip
+    status = np.where(state.result == PASSES, at_end, status_of[state.result]).astype(np.uint8)
+    status[~usable] = OUTSIDE_PROFILE
+    landed = (status == OK) | (status == SEVERAL_CROSSINGS)
+    height[~landed] = distance[~landed] = np.nan
+    return TerrainHeights(height, factor, distance, status)

@@ -1,0 +1,62 @@
+"""Terrain heights of the autopilot: from both kinds of logs, and beside given heights."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pymavlink import mavutil
+
+from pipeline.flight.channels import Channel, Source
+from pipeline.flight.evidence.logged_terrain import compare_with_logged_terrain, logged_terrain
+from pipeline.ingest import open_log
+
+LOGS = Path(__file__).resolve().parents[2].parent / "shared" / "logs"
+SECOND = 1_000_000_000
+
+
+def channel(**columns):
+    n = len(next(iter(columns.values())))
+    values = {name: np.asarray(column, float) for name, column in columns.items()}
+    return Channel("TERR", np.arange(n) * SECOND, values, Source("TERR"))
+
+
+def test_only_heights_of_a_healthy_grid_count():
+    times = np.array([500_000_000, 1_500_000_000, 2_500_000_000])
+    of_log = channel(h_terrain_m=[100.0, 110.0, 0.0, 0.0], terrain_status=[2, 2, 1, 1])
+    assert logged_terrain([of_log], times)[0] == 105.0
+    assert np.isnan(logged_terrain([of_log], times)[1:]).all()
+    of_telemetry = channel(
+        h_terrain_m=[100.0, 110.0, 120.0, 0.0], terrain_spacing_m=[100, 100, 100, 0]
+    )
+    assert logged_terrain([of_telemetry], times)[:2].tolist() == [105.0, 115.0]
+    of_nowhere = channel(h_terrain_m=[0.0, 0.0], terrain_spacing_m=[100, 100], lat_rad=[0.0, 0.0])
+    assert np.isnan(logged_terrain([of_nowhere], times)).all()
+    assert np.isnan(logged_terrain([channel(h_msl_m=[1.0, 2.0])], times)).all()
+
+
+def test_the_difference_is_that_of_the_given_heights():
+    found = compare_with_logged_terrain(np.array([145.0, 145.0, 147.0]), np.full(3, 100.0))
+    assert (found.median_m, found.rows) == (45.0, 3)
+    assert compare_with_logged_terrain(np.full(2, np.nan), np.zeros(2)).rows == 0
+
+
+@pytest.mark.parametrize("name", ["beastayyg_sample.bin", "sitl_survey.BIN", "sitl_survey.tlog"])
+def test_a_log_has_its_terrain_as_pymavlink_reads_it(name):
+    path = LOGS / name
+    if not path.is_file():
+        pytest.skip("the log is not here")
+    kind, height = ["TERR"], "TerrH"
+    if name.endswith("tlog"):
+        kind, height = ["TERRAIN_REPORT"], "terrain_height"
+    reader = mavutil.mavlink_connection(str(path))
+    truth = []
+    while (message := reader.recv_match(type=kind)) is not None:
+        truth.append(getattr(message, height))
+    reader.close()
+    found = [c for c in open_log(path).channels if c.name in kind]
+    assert len(found) == (1 if truth else 0)
+    for terrain in found:
+        assert not terrain.roles
+        np.testing.assert_array_equal(terrain["h_terrain_m"], np.array(truth))
