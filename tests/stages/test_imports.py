@@ -354,7 +354,7 @@ def with_events(mission, files, **changed):
     for camera in ("nadir", "oblique"):
         files.mrk(camera)
     mission.config["events"] = {"positions": {
-        camera: {"path": f"{camera}.MRK", "image": f"{camera}_{{index:04d}}.tif"} | changed
+        camera: {"path": f"{camera}.MRK", "image": f"{camera}_{{index:05d}}"} | changed
         for camera in ("nadir", "oblique")
     }}  # fmt: skip
 
@@ -383,7 +383,7 @@ def test_positions_of_an_mrk_are_those_of_the_camera(mission, files, truth):
     assert np.abs(offsets(prepared, truth)).max() < 0.002
     told = [entry.what for entry in entries(prepared, "EVENTS-POSITIONS")]
     assert "nadir.MRK says when nadir was exposed, and where the camera was then" in told
-    assert prepared.stations.image[prepared.stations.ok][0] == "nadir_0001.tif"
+    assert prepared.stations.image[prepared.stations.ok][0] == "nadir_00001"
 
 
 def test_events_of_rtklib_are_of_the_antenna_from_which_the_mount_counts(mission, files, truth):
