@@ -175,6 +175,12 @@ def test_profile_is_the_air_and_not_the_board(
     assert role in ("ARSP[0]", "SCALED_PRESSURE.temperature_press_diff")
 
 
+def test_sound_flights_raise_no_finding(survey: Flown, two_cameras: Flown) -> None:
+    for flown in (survey, two_cameras):
+        entries = flown.outcome.manifest["ledger"]
+        assert [e for e in entries if e["kind"] == "finding"] == []
+
+
 def test_two_cameras_stay_apart_and_lost_pulses_are_counted(two_cameras: Flown) -> None:
     count = two_cameras.stations["camera"].value_counts()
     assert (count["left"], count["right"]) == (127, 128)

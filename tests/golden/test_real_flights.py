@@ -124,3 +124,6 @@ def test_motion_capture_has_attitude_and_time(tmp_path: Path) -> None:
     stations, observations = checked(whole)
     assert (stations["status"] == "ok").all()
     assert (observations["status"] == "ok").sum() > 50
+    # A tenth of the rays of a hand-held model pass over the horizon; nothing else is doubtful.
+    found = {e["code"] for e in whole.manifest["ledger"] if e["kind"] == "finding"}
+    assert found <= {"PLAUSIBLE-FLAGGED"}
