@@ -18,7 +18,7 @@ from pipeline.tables.geodata.coordinate_systems import GridSystem, grid_system
 
 Array = NDArray[np.float64]
 
-_TILES_IN_MEMORY = 150
+_TILES_IN_MEMORY = 100
 """Each takes 1 MB."""
 
 _CACHE_MB = 48
