@@ -126,7 +126,9 @@ class CameraSection(Section):
     format: Literal[tuple(CAMERA_FILES)] | None = Field(  # type: ignore[valid-type]
         None, description="of file, where its ending does not say it"
     )
-    camera: str | None = Field(None, description="its name in file, where that has several")
+    camera: str | int | None = Field(
+        None, description="its name or number in file, where that has several"
+    )
     model: Literal[tuple(MODELS)] | None = Field(  # type: ignore[valid-type]
         None, description="COLMAP's name of the camera model"
     )
@@ -177,7 +179,7 @@ class CameraSection(Section):
             raise ValueError("give model and params together, as they stand in cameras.txt")
         if len(given) > 1 + (self.model is not None):
             raise ValueError(f"{', '.join(given)}: each gives the interior orientation; keep one")
-        of_file = (self.format, self.camera, self.file and self.pixel_origin)
+        of_file = (self.format, self.camera is not None, self.file and self.pixel_origin)
         if any(of_file) and (self.file is None or self.pixel_origin is not None):
             raise ValueError("format and camera go with file, and pixel_origin does not")
         if self.file is not None:
@@ -255,7 +257,7 @@ class CameraSection(Section):
 
         Refuses as `read_camera`, and a file whose images have another size (CAMERA-SIZE).
         """
-        camera = read_camera(path, self.format, self.camera)
+        camera = read_camera(path, self.format, None if self.camera is None else str(self.camera))
         size = camera.width_px, camera.height_px
         stated = self.width_px or size[0], self.height_px or size[1]
         if stated != size:

@@ -139,7 +139,8 @@ def undulation_notes(heights: HeightSystem, stations: Stations, egm96: GeoidGrid
         where = "mission.undulation_m"
     if not bool(known.all()):
         count = int((~known).sum())
-        what = f"{count} of {known.size} stations lie outside {heights.source}, or in its holes"
+        grid = heights.source if heights.geoid is None else heights.geoid.name
+        what = f"{count} of {known.size} stations lie outside {grid}, or in its holes"
         notes.append(loss("GEOID-OUTSIDE", what, where=where, count=count))
     if not bool(known.any()):
         return tuple(notes)

@@ -111,6 +111,13 @@ class Facts:
         values = values[self.camera == name]
         return np.asarray(values[np.isfinite(values)])
 
+    def key_of(self, name: str, number: str, report: str) -> str:
+        """The key of a part of a camera, by how the mission file gives its orientation."""
+        section = self.mission.cameras[name]
+        if section.model is not None:
+            return f"cameras.{name}, params or file"
+        return f"cameras.{name}." + (number if section.metric is None else f"metric.{report}")
+
     def view_deg(self, name: str) -> float:
         """The field of view over the diagonal [deg], as if without distortion."""
         camera = self.cameras[name]
@@ -219,14 +226,14 @@ def ground_near_takeoff(facts: Facts) -> Findings:
 def field_of_view(facts: Facts) -> Findings:
     """A diagonal field of view between 3 and 130 deg (fisheyes 60 and 300), and square pixels."""
     for name, camera in facts.cameras.items():
-        view, key = facts.view_deg(name), f"cameras.{name}.fx_px"
+        view, key = facts.view_deg(name), facts.key_of(name, "fx_px", "focal_mm")
         least, most = (60.0, 300.0) if is_fisheye(camera) else (3.0, 130.0)
         if not least <= view <= most:
             what = (
                 f"camera {name} sees {view:.3g} deg over the diagonal of {camera.width_px} x "
                 f"{camera.height_px} px with f of {camera.fx_px:g} px, expected {least:g} to "
                 f"{most:g} deg: likely f in millimetres, or that of other pixels "
-                "(f_px, fx_px, pixel_pitch_um)"
+                "(f_px, fx_px, params, metric.pixel_um)"
             )
             yield "PLAUSIBLE-VIEW", key, what
         if abs(camera.fx_px / camera.fy_px - 1.0) > 0.02:
@@ -248,14 +255,15 @@ def principal_point(facts: Facts) -> Findings:
                 f"{100.0 * off:.0f} % of the image from its centre, expected up to 10 %: likely an "
                 "offset from the centre, millimetres, or width_px and height_px exchanged"
             )
-            yield "PLAUSIBLE-PRINCIPAL-POINT", f"cameras.{name}.cx_px", what
+            yield "PLAUSIBLE-PRINCIPAL-POINT", facts.key_of(name, "cx_px", "origin"), what
 
 
 def distortion(facts: Facts) -> Findings:
     """At the corners between 1e-6 and a third of the radius, and tangential less than radial."""
     for name, camera in facts.cameras.items():
         values = {k: v for k, v in camera.distortion._asdict().items() if v}
-        view, where = facts.view_deg(name), f"cameras.{name}.distortion"
+        view = facts.view_deg(name)
+        where = facts.key_of(name, "distortion", "distortion")
         if not values or view > 130.0 or is_fisheye(camera):
             continue
         u = np.array([0.5, 0.5, -0.5, -0.5]) * camera.width_px / camera.fx_px
@@ -275,7 +283,7 @@ def distortion(facts: Facts) -> Findings:
                 f"p1 or p2 of {name} is {tangential:g}, expected below 0.001: likely coefficients "
                 "in another order (k1, k2, p1, p2, k3; params)"
             )
-            yield "PLAUSIBLE-DISTORTION", f"{where}.k3", what
+            yield "PLAUSIBLE-DISTORTION", facts.key_of(name, "distortion.k3", "distortion"), what
 
 
 def extent_of_observations(facts: Facts) -> Findings:

@@ -70,3 +70,14 @@ def test_pixels_of_another_rule_are_turned_into_colmaps():
 def test_what_does_not_fit_is_refused(given, why):
     with pytest.raises(ValidationError, match=why):
         CameraSection(**FORMAT, **given)
+
+
+def test_a_camera_of_colmap_may_be_named_by_its_number(tmp_path):
+    file = tmp_path / "cameras.txt"
+    file.write_text(
+        "1 PINHOLE 40 30 100 100 20 15\n7 PINHOLE 4000 3000 3200 3210 2001 1502\n",
+        encoding="utf-8",
+    )
+    for name in (7, "7"):
+        section = CameraSection(file="cameras.txt", camera=name, calibration="laboratory")
+        assert section.with_file(file).build().fy_px == 3210.0

@@ -98,7 +98,7 @@ def test_a_normal_becomes_a_unit_vector(load):
         ({"cabin": SCHEDULE, "normal": [0.0, 1.0, 0.0]}, "third component is positive"),
         ({"cabin": SCHEDULE, "normal": [0.0, 0.0, -1.0]}, "third component is positive"),
         ({"cabin": SCHEDULE, "normal": [0.0, 0.0, -1.0], "frame": "body"}, "looks away"),
-        ({"shape": "spherical", "normal": [0.0, 0.0, 1.0]}, "has no normal"),
+        ({"shape": "spherical", "normal": [0.0, 0.1, 1.0]}, "has no normal"),
         ({"shape": "spherical", "frame": "body"}, "has no frame"),
     ],
 )

@@ -226,6 +226,13 @@ def test_a_run_without_ground_heights_says_so(mission, export):
     assert given.code == 0
 
 
+def test_a_dome_comes_back_from_the_manifest(mission, export):
+    """The manifest states the defaults of a window, which nobody gave."""
+    mission.config["cameras"]["nadir"]["window"] = {"shape": "spherical"}
+    assert mission.run().code == 0
+    assert export(mission.output, "lattice", "--columns", 2, "--rows", 2)[1].code == 0
+
+
 # -- radial tables ------------------------------------------------------------------------------
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import fields, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -45,6 +46,18 @@ def exchanged(table):
 
 
 NADIR = "cameras__nadir__"
+SIZE = {"width_px": 14000, "height_px": 10600, "calibration": "laboratory"}
+METRIC = SIZE | {
+    "metric": {
+        "focal_mm": 13.8,
+        "pixel_um": [4.6, 4.6],
+        "format_mm": [64.4, 48.76],
+        "origin": "image_centre",
+        "axes": "right up",
+        "ppa_mm": [0.0, 0.0],
+    }
+}
+PINHOLE = SIZE | {"model": "SIMPLE_PINHOLE", "params": [20000.0, 4200.0, 5300.0]}
 # What is changed -> the code, the key it must name, and words of what was found.
 FOUND = {
     "feet": (scaled(h_g_m=3.28084), "PLAUSIBLE-GROUND", "ground.height", "likely feet"),
@@ -53,6 +66,10 @@ FOUND = {
                 r"sees 142 deg .* likely f in millimetres"),
     "f in um": (config(**{NADIR + "fx_px": 920000.0, NADIR + "fy_px": 920000.0}), "PLAUSIBLE-VIEW",
                 "cameras.nadir.fx_px", r"sees 1.09 deg"),
+    "report of another camera": (config(cameras__nadir=METRIC), "PLAUSIBLE-VIEW",
+                                 "cameras.nadir.metric.focal_mm", "sees 142 deg .* metric.pixel"),
+    "params of another image": (config(cameras__nadir=PINHOLE), "PLAUSIBLE-PRINCIPAL-POINT",
+                                "cameras.nadir, params or file", "is 20 % of the image"),
     "fy of another": (config(**{NADIR + "fy_px": 26000.0}), "PLAUSIBLE-VIEW",
                       "cameras.nadir.fx_px", "fx of camera nadir is 20000 px and fy 26000 px"),
     "offset of c": (config(**{NADIR + "cx_px": 12.4}), "PLAUSIBLE-PRINCIPAL-POINT",
@@ -162,7 +179,8 @@ def test_a_sound_mission_has_no_findings(mission_factory, tmp_path, kind):
 )  # fmt: skip
 def test_a_camera_is_judged_by_its_type(camera, codes):
     facts = Facts(*[None] * len(fields(Facts)))
-    facts = replace(facts, cameras={"nadir": camera})
+    mission = SimpleNamespace(cameras={"nadir": SimpleNamespace(model=None, metric=None)})
+    facts = replace(facts, mission=mission, cameras={"nadir": camera})
     found = [entry[0] for rule in (field_of_view, distortion) for entry in rule(facts)]
     assert found == codes
 
