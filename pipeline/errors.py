@@ -6,6 +6,10 @@ line that it leads to. A refusal is for the user; anything else that escapes is 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+
 EXIT_DONE = 0
 EXIT_BUG = 1
 EXIT_CONFIG = 2
@@ -42,7 +46,8 @@ class UnbendError(Exception):
         self.remedy = remedy
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _rebuild, (type(self), self.code, self.what, self.where, self.remedy)
+        again = partial(type(self), where=self.where, remedy=self.remedy)
+        return again, (self.code, self.what)
 
     def __str__(self) -> str:
         lines = [f"{self.code}: {self.what}"]
@@ -51,11 +56,6 @@ class UnbendError(Exception):
         if self.remedy:
             lines.append(f"  to do: {self.remedy}")
         return "\n".join(lines)
-
-
-def _rebuild(kind: type[UnbendError], code: str, what: str, where: str, remedy: str) -> UnbendError:
-    """The refusal again, after it was pickled on its way from one process to another."""
-    return kind(code, what, where=where, remedy=remedy)
 
 
 class ConfigError(UnbendError):
@@ -92,3 +92,17 @@ class StorageError(UnbendError):
     """The disk refused, or results on it are damaged."""
 
     exit_code = EXIT_STORAGE
+
+
+@contextmanager
+def storage_errors(path: object) -> Iterator[None]:
+    """Raise an error of the operating system as StorageError (STORAGE-WRITE)."""
+    try:
+        yield
+    except OSError as error:
+        raise StorageError(
+            "STORAGE-WRITE",
+            f"{error.strerror or error}",
+            where=str(error.filename or path),
+            remedy="free space or mend permissions, then run again: finished missions are kept",
+        ) from None

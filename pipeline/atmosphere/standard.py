@@ -87,8 +87,13 @@ def gravity_at(latitude_rad: float) -> Gravity:
     return normal_gravity(latitude_rad)
 
 
-def _standard_profile(name: str, place: SeasonAndPlace, index: IndexModel) -> Profile:
-    """A standard from its breakpoints, dry; by default under the gravity of its definition."""
+def _tabulated_profile(name: str, place: SeasonAndPlace, index: IndexModel) -> Profile:
+    """A climate table, or a standard from its breakpoints, dry.
+
+    Without a latitude under the gravity of the table's own, or of the standard's definition.
+    """
+    if name in climate_names():
+        return climate_profile(name, index, place.gravity)
     rows = read_models("standard_atmospheres.csv")[name]
     first = rows[0]
     gravity = place.gravity or Gravity(first["g0_m_s2"], first["r0_m"])
@@ -110,10 +115,6 @@ def _standard_profile(name: str, place: SeasonAndPlace, index: IndexModel) -> Pr
         constant=constant,
     )
     return Profile(layers, gravity, index, name, constant)
-
-
-def _climate_table(name: str, place: SeasonAndPlace, index: IndexModel) -> Profile:
-    return climate_profile(name, index, place.gravity)
 
 
 def _supplements(place: SeasonAndPlace, index: IndexModel) -> Profile:
@@ -160,7 +161,7 @@ ATMOSPHERES: dict[str, AtmosphereModel] = {
     SUPPLEMENTS: _OF_SEASON,
     **{
         name: AtmosphereModel(
-            partial(_climate_table, name),
+            partial(_tabulated_profile, name),
             SUPPLEMENTS_ORIGIN if name.startswith(SUPPLEMENTS) else AFGL_ORIGIN,
             has_humidity=True,
         )
@@ -174,7 +175,7 @@ ATMOSPHERES: dict[str, AtmosphereModel] = {
     ),
     **{
         name: AtmosphereModel(
-            partial(_standard_profile, name), f"standard atmosphere {name}", has_humidity=False
+            partial(_tabulated_profile, name), f"standard atmosphere {name}", has_humidity=False
         )
         for name in read_models("standard_atmospheres.csv")
     },

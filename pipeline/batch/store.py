@@ -20,7 +20,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from pipeline.errors import OutputInUseError, StorageError
+from pipeline.errors import OutputInUseError, StorageError, storage_errors
 from pipeline.ingest import hash_file
 
 MANIFEST = "manifest.json"
@@ -34,24 +34,6 @@ _RESULTS = (_PARTS, "stations.parquet", "profile.parquet", "report.html")
 # Windows refuses to replace a file that a virus scanner or a viewer has open; most let go soon.
 _REPLACE_ATTEMPTS = 20 if os.name == "nt" else 1
 _REPLACE_PAUSE_S = 0.1
-
-
-@contextmanager
-def storage_errors(path: Path) -> Iterator[None]:
-    """Raise an error of the operating system as StorageError (STORAGE-WRITE)."""
-    try:
-        yield
-    except OSError as error:
-        raise _storage_error(error, path) from None
-
-
-def _storage_error(error: OSError, path: Path) -> StorageError:
-    return StorageError(
-        "STORAGE-WRITE",
-        f"{error.strerror or error}",
-        where=str(error.filename or path),
-        remedy="free space or mend permissions, then run again: finished missions are kept",
-    )
 
 
 @contextmanager
@@ -253,7 +235,8 @@ def _locked(path: Path) -> FileLock:
             remedy="wait for it, or choose another output.path",
         ) from None
     except PermissionError as error:
-        raise _storage_error(error, path) from None
+        with storage_errors(path):
+            raise error
     except (OSError, NotImplementedError) as error:
         raise StorageError(
             "STORAGE-LOCK",

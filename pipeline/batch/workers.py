@@ -6,7 +6,7 @@ import multiprocessing
 import signal
 import time
 import traceback
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
@@ -56,11 +56,11 @@ class _Worker:
 
     process: SpawnProcess
     connection: Connection
-    config: Path | None = None
+    config: Path
 
     @classmethod
-    def start(cls, run_mission: RunMission) -> _Worker:
-        """Start a process and send it the function that runs a mission file."""
+    def start(cls, run_mission: RunMission, config: Path) -> _Worker:
+        """Start a process and send it the function that runs a mission file, and the first one."""
         ours, theirs = multiprocessing.Pipe()
         process = multiprocessing.get_context("spawn").Process(
             target=_run_missions, args=(theirs,), daemon=True
@@ -69,7 +69,9 @@ class _Worker:
         theirs.close()  # otherwise the connection would not end when the worker dies
         with suppress(OSError):
             ours.send(run_mission)
-        return cls(process, ours)
+        worker = cls(process, ours, config)
+        worker.assign(config)
+        return worker
 
     def assign(self, config: Path) -> None:
         """Send a mission file to the worker."""
@@ -100,9 +102,8 @@ def side_by_side(
 
     def start(config: Path) -> None:
         with _interrupts_blocked():
-            worker = _Worker.start(run_mission)
+            worker = _Worker.start(run_mission, config)
             workers[worker.connection] = worker
-        worker.assign(config)
 
     try:
         for config in islice(waiting, jobs):
@@ -120,14 +121,20 @@ def side_by_side(
                     finished.append(worker)
                     if following is not None:
                         start(following)
-                if done is not None and end is None:
+                if end is None:
                     lost.append(done)
-                elif done is not None and end is not None:
+                else:
                     yield done, end
     finally:
         for worker in workers.values():
             worker.process.terminate()
-        _join([*workers.values(), *finished])
+        deadline = time.monotonic() + _GRACE_S
+        for worker in (*workers.values(), *finished):
+            worker.process.join(max(0.0, deadline - time.monotonic()))
+            if worker.process.is_alive():
+                worker.process.kill()
+                worker.process.join()
+            worker.connection.close()
 
 
 @contextmanager
@@ -148,17 +155,6 @@ def _interrupts_blocked() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _join(workers: Iterable[_Worker]) -> None:
-    """Wait for processes that were asked to end, and kill those that do not within 3 s."""
-    deadline = time.monotonic() + _GRACE_S
-    for worker in workers:
-        worker.process.join(max(0.0, deadline - time.monotonic()))
-        if worker.process.is_alive():
-            worker.process.kill()
-            worker.process.join()
-        worker.connection.close()
 
 
 def _run_missions(connection: Connection) -> None:

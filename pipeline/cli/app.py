@@ -10,14 +10,18 @@ from __future__ import annotations
 import csv as csv_module
 import sys
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from typer.core import TyperGroup
 
 import pipeline
-from pipeline.errors import UnbendError
+from pipeline.errors import EXIT_DONE, EXIT_LOSSES, UnbendError, storage_errors
+
+if TYPE_CHECKING:
+    from pipeline.ledger import Ledger
 
 _ORDER = (
     "run", "check", "stations", "inspect", "angle", "radial", "tables", "profile", "compare",
@@ -70,12 +74,20 @@ def print_bug(text: str, subject: str = "") -> None:
 
 def write_rows_csv(path: Path, rows: list[dict[str, Any]]) -> None:
     """Write rows of the same keys as CSV; StorageError if the file cannot be written."""
-    from pipeline.batch.store import storage_errors
-
     with storage_errors(path), path.open("w", newline="", encoding="utf-8") as file:
         writer = csv_module.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
+
+
+def end_command(console: Console, ledger: Ledger, *written: Path | None) -> NoReturn:
+    """Print a ledger and the files that were written, and exit with the code of the ledger."""
+    from pipeline.report.terminal import print_ledger
+
+    print_ledger(console, ledger.rows())
+    for path in filter(None, written):
+        console.print(escape(str(path)), soft_wrap=True)
+    raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)
 
 
 @app.callback(invoke_without_command=True)

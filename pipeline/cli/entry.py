@@ -7,7 +7,7 @@ import signal
 import sys
 import traceback
 from io import TextIOWrapper
-from types import FrameType, TracebackType
+from types import FrameType
 
 import typer
 
@@ -60,12 +60,6 @@ def _install_signal_handlers() -> None:
     signal.signal(signal.SIGTERM, lambda *_: exit_with(EXIT_TERMINATED))
 
 
-def _print_uncaught(
-    kind: type[BaseException], error: BaseException, at: TracebackType | None
-) -> None:
-    print_bug("".join(traceback.format_exception(kind, error, at)))
-
-
 def run_command(arguments: list[str]) -> int:
     """Run one command and return its exit code.
 
@@ -88,7 +82,8 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # redirected on Windows: code page 1252, strict
             stream.reconfigure(errors="backslashreplace")
-    sys.excepthook = _print_uncaught  # Python then exits with 1, EXIT_BUG
+    # Python then exits with 1, EXIT_BUG.
+    sys.excepthook = lambda *error: print_bug("".join(traceback.format_exception(*error)))
     _install_signal_handlers()
     code = EXIT_DONE
     try:

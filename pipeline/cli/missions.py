@@ -15,7 +15,7 @@ import typer
 from rich.markup import escape
 from typer.core import TyperCommand
 
-from pipeline.cli.app import app, new_console, print_bug, print_error, write_rows_csv
+from pipeline.cli.app import app, end_command, new_console, print_bug, print_error, write_rows_csv
 from pipeline.errors import EXIT_BUG, EXIT_DONE, EXIT_LOSSES, ConfigError, UnbendError
 
 
@@ -223,7 +223,6 @@ def export(
 ) -> None:
     """Write the results of a run for other programs."""
     from pipeline.report.progress import DelayedProgressBar
-    from pipeline.report.terminal import print_ledger
     from pipeline.stages.story import export_run
 
     console = new_console()
@@ -234,8 +233,7 @@ def export(
             run, name, out, options, ground_height_m=ground_height, force=force
         )
     console.print(f"{escape(str(out))}: {written:,} rows")
-    print_ledger(console, ledger.rows())
-    raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)
+    end_command(console, ledger)
 
 
 @app.command(epilog="Example: unbend simulate flown --height 3000")

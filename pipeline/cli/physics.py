@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.markup import escape
 from typer.core import TyperCommand
 
-from pipeline.cli.app import app, new_console, write_rows_csv
-from pipeline.errors import EXIT_DONE, EXIT_LOSSES, ConfigError
+from pipeline.cli.app import app, end_command, new_console, write_rows_csv
+from pipeline.errors import ConfigError
 
 
 class _AngleCommand(TyperCommand):
@@ -92,7 +91,7 @@ def radial(
     """
     from pipeline.refraction.angle import angles_to, radial_table
     from pipeline.report.progress import DelayedProgressBar
-    from pipeline.report.terminal import print_ledger, print_radial, radial_rows
+    from pipeline.report.terminal import print_radial, radial_rows
     from pipeline.stages.story import air_of_mission_or_standard
 
     _require_one_atmosphere(config, atmosphere)
@@ -110,10 +109,7 @@ def radial(
         write_rows_csv(csv, radial_rows(tables))
     else:
         print_radial(console, tables)
-    print_ledger(console, ledger.rows())
-    if csv is not None:
-        console.print(escape(str(csv)), soft_wrap=True)
-    raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)
+    end_command(console, ledger, csv)
 
 
 @app.command(epilog="Example: unbend tables gyer1996 --csv gyer.csv")
@@ -153,7 +149,7 @@ def profile(
     """The air of a mission or of a standard: a table, CSV or plot."""
     from pipeline.atmosphere.profile import heights_every
     from pipeline.report.progress import DelayedProgressBar
-    from pipeline.report.terminal import print_air, print_ledger, print_profile
+    from pipeline.report.terminal import print_air, print_profile
     from pipeline.stages.story import air_of_mission_or_standard
     from pipeline.tables.writing import table_of_profile, table_of_profiles
 
@@ -172,14 +168,10 @@ def profile(
         from pipeline.report.figures import profile_figure, save_figure
 
         save_figure(profile_figure(air, samples), plot)
-    written = [path for path in (csv, plot) if path is not None]
-    if not written:
+    if csv is None and plot is None:
         print_profile(console, rows.to_pylist(), adjustment.standard.name)
     print_air(console, air)
-    print_ledger(console, ledger.rows())
-    for path in written:
-        console.print(escape(str(path)), soft_wrap=True)
-    raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)
+    end_command(console, ledger, csv, plot)
 
 
 @app.command(epilog="Example: unbend compare --out docs/accuracy.md")

@@ -115,7 +115,7 @@ class Channel:
 
     @property
     def is_evidence(self) -> bool:
-        """Whether it only tells how well others can be believed: health of a filter, texts."""
+        """Whether it only says how good others are: health of a filter, texts."""
         return not self.roles and self.columns.keys() <= _OF_HEALTH
 
     def get(self, column: str) -> Array:

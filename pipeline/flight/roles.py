@@ -83,7 +83,7 @@ def assign_roles(
         notes += _fill(filled, role, everything, named)
         if needs_cabin:
             notes += _fill(filled, inside_role, everything, named)
-    for role in ("position", "attitude"):  # what the cabin lacks is told camera by camera
+    for role in ("position", "attitude"):  # what the cabin lacks is reported camera by camera
         if role not in {*filled, *named, *elsewhere}:
             what = (
                 f"no channel of the log can be taken for the {role.replace('_', ' ')}; it has "

@@ -101,7 +101,20 @@ def apply_refraction(
     targets = _Targets(h_g, distance, exposure)
     start = _starting_points(ideal, targets, exposures, camera, table)
     columns = _removals_to(ideal, start, targets, exposures, camera=camera, table=table)
-    displaced = _reversed(columns, ideal, camera)
+    # The removal that ends in the ideal pixels, as a displacement.
+    for along, name in enumerate(("x_px", "y_px")):
+        columns[f"d{name}"] = -columns[f"d{name}"]
+        columns[name] = ideal[:, along] + columns[f"d{name}"]
+    status = columns.pop("status").astype(np.uint8)
+    with np.errstate(invalid="ignore"):
+        pixels = np.stack([columns["x_px"], columns["y_px"]], axis=1)
+        upper = np.array([camera.width_px, camera.height_px], np.float64)
+        outside = ((pixels < -_EDGE_PX) | (pixels > upper + _EDGE_PX)).any(axis=1)
+    status[outside] = OUTSIDE_CAMERA
+    lost = ~np.isin(status, (OK, BEYOND_GRAZING, FAR_BRANCH))
+    for column in columns.values():
+        column[lost] = np.nan
+    displaced = Corrections(status=status, **columns)
     if uncertainty is None:
         return displaced
     sigmas = sigmas_at(
@@ -236,20 +249,3 @@ def _removals_to(
             break
     columns["status"][rows[nearest[rows] > _NOISE_PX]] = MISSES_GROUND
     return columns
-
-
-def _reversed(columns: dict[str, Any], ideal: Array, camera: Camera) -> Corrections:
-    """A removal that ends in the ideal pixels, as a displacement."""
-    upper = np.array([camera.width_px, camera.height_px], np.float64)
-    columns["dx_px"], columns["dy_px"] = -columns["dx_px"], -columns["dy_px"]
-    columns["x_px"] = ideal[:, 0] + columns["dx_px"]
-    columns["y_px"] = ideal[:, 1] + columns["dy_px"]
-    status = columns.pop("status").astype(np.uint8)
-    with np.errstate(invalid="ignore"):
-        displaced = np.stack([columns["x_px"], columns["y_px"]], axis=1)
-        outside = ((displaced < -_EDGE_PX) | (displaced > upper + _EDGE_PX)).any(axis=1)
-    status[outside] = OUTSIDE_CAMERA
-    lost = ~np.isin(status, (OK, BEYOND_GRAZING, FAR_BRANCH))
-    for column in columns.values():
-        column[lost] = np.nan
-    return Corrections(status=status, **columns)

@@ -161,6 +161,9 @@ def correct_observations(
     1e-10 px, whatever the size of the pixel coordinates. Rows of one exposure that follow each
     other are fastest.
     """
+    # The compiled functions are imported with the first ray, not with the package.
+    from pipeline.refraction.kernels.image import shift_back
+
     n = x_px.size
     distance = np.full(n, np.nan) if distance_m is None else distance_m
     sigma_h_g = np.full(n, np.nan) if sigma_h_g is None else sigma_h_g
@@ -182,40 +185,24 @@ def correct_observations(
 
     def correct_block(rows: slice) -> None:
         observed = observations.part(rows)
-        part = {name: values[rows] for name, values in columns.items()} | {"status": status[rows]}
-        traced = _correct_block(observed, distance[rows], setup, table, part)
+        part = {name: values[rows] for name, values in columns.items()}
+        rays, part["r_cc_rad"][:], seen = outgoing_rays(observed, *setup)
+        r_c, bent = bend(
+            table, rays[H_C], observed.h_g, rays[SIN], rays[COS],
+            radius=rays[RADIUS], distance=distance[rows],
+        )  # fmt: skip
+        traced = TracedColumns(rays, r_c, np.where(seen == OK, bent, seen))
+        part["r_c_rad"][:], status[rows] = r_c, traced.status
+        part["zeta_c_rad"][:] = np.arctan2(rays[SIN], rays[COS])
+        shifts = ShiftColumns(part["dx_px"], part["dy_px"], part["shift_ground_m"])
+        shift_back(observed, *setup, traced, shifts)
+        part["x_px"][:] = observed.x + part["dx_px"]
+        part["y_px"][:] = observed.y + part["dy_px"]
         if sigmas is not None and uncertainty is not None:
             sigmas.rows(rows).fill(uncertainty, observed, setup, traced)
 
     in_blocks(correct_block, n)
     return Corrections(status=status, sigmas=sigmas, **columns)
-
-
-def _correct_block(
-    observed: ObservationColumns,
-    distance: Array,
-    setup: tuple[CameraConstants, ExposureColumns],
-    table: RayTable | PublishedRays,
-    columns: dict[str, Any],
-) -> TracedColumns:
-    """Pixels to rays, rays through the air, and back; fills the ``columns`` of `Corrections`."""
-    # The compiled functions are imported with the first ray, not with the package.
-    from pipeline.refraction.kernels.image import shift_back
-
-    rays, columns["r_cc_rad"][:], status = outgoing_rays(observed, *setup)
-    r_c, ray_status = bend(
-        table, rays[H_C], observed.h_g, rays[SIN], rays[COS], radius=rays[RADIUS], distance=distance
-    )
-    status = np.where(status == OK, ray_status, status)
-    traced = TracedColumns(rays, r_c, status)
-    columns["r_c_rad"][:] = r_c
-    columns["zeta_c_rad"][:] = np.arctan2(rays[SIN], rays[COS])
-    columns["status"][:] = status
-    shifts = ShiftColumns(columns["dx_px"], columns["dy_px"], columns["shift_ground_m"])
-    shift_back(observed, *setup, traced, shifts)
-    columns["x_px"][:] = observed.x + columns["dx_px"]
-    columns["y_px"][:] = observed.y + columns["dy_px"]
-    return traced
 
 
 def outgoing_rays(

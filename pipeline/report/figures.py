@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import vapour_pressure
-from pipeline.errors import ConfigError, StorageError
+from pipeline.errors import ConfigError, storage_errors
 from pipeline.flight.stations import NO_TIME, SUSPECT, Stations
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.statistics import ShiftGrid
@@ -112,10 +112,10 @@ def as_svg(figure: Figure) -> str:
 
 
 @styled
-def as_png(figure: Figure, dpi: int = 130) -> bytes:
+def as_png(figure: Figure) -> bytes:
     """The figure as a PNG file."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
+    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
     return buffer.getvalue()
 
 
@@ -127,12 +127,8 @@ def save_figure(figure: Figure, path: Path) -> None:
             remedy="choose one of these endings",
         )  # fmt: skip
     content = as_png(figure) if path.suffix.lower() == ".png" else as_svg(figure).encode()
-    try:
+    with storage_errors(path):
         path.write_bytes(content)
-    except OSError as error:
-        raise StorageError(
-            "STORAGE-WRITE", str(error.strerror), where=str(path), remedy="choose another place"
-        ) from None
 
 
 @styled
@@ -243,7 +239,19 @@ def profile_figure(air: FlightAir, samples: AirSamples) -> Figure:
     profile, standard = air.adjustment.profile, air.adjustment.standard
     low, high = height_range(samples)
     h = np.linspace(max(low, profile.bottom_m), min(high, profile.top_m), 300)
-    _draw_samples(axes, air, samples)
+    rejected = air.adjustment.rejected
+    if samples.temperature is not None:
+        t_celsius = samples.temperature.value - ZERO_CELSIUS_K
+        scatter(axes[0], samples.temperature, t_celsius, rejected.get("temperature"))
+    if samples.pressure is not None:
+        p_hpa = samples.pressure.value / HECTOPASCAL
+        scatter(axes[1], samples.pressure, p_hpa, rejected.get("pressure"))
+    if samples.humidity is not None:
+        at = samples.humidity.h_m
+        humidity = np.clip(samples.humidity.value, 0.0, 1.0)
+        e_pa = vapour_pressure(humidity, profile.temperature(at), profile.pressure(at))
+        e_hpa = np.asarray(e_pa) / HECTOPASCAL
+        scatter(axes[2], samples.humidity, e_hpa, rejected.get("humidity"))
     _draw_quantities(axes, air, h)
     for axis in axes[:5]:
         axis.set_ylim(low, high)
@@ -265,22 +273,6 @@ def profile_figure(air: FlightAir, samples: AirSamples) -> Figure:
     text = "\n\n".join(line.replace(": ", ":\n") for line in lines)
     axes[5].text(0.0, 0.0, text, va="bottom", transform=axes[5].transAxes)
     return figure
-
-
-def _draw_samples(axes: Sequence[Axes], air: FlightAir, samples: AirSamples) -> None:
-    """The readings of T, p and e in the first three axes; e from the humidity, by the profile."""
-    rejected, profile = air.adjustment.rejected, air.adjustment.profile
-    if samples.temperature is not None:
-        t_celsius = samples.temperature.value - ZERO_CELSIUS_K
-        scatter(axes[0], samples.temperature, t_celsius, rejected.get("temperature"))
-    if samples.pressure is not None:
-        p_hpa = samples.pressure.value / HECTOPASCAL
-        scatter(axes[1], samples.pressure, p_hpa, rejected.get("pressure"))
-    if samples.humidity is not None:
-        h = samples.humidity.h_m
-        humidity = np.clip(samples.humidity.value, 0.0, 1.0)
-        e = vapour_pressure(humidity, profile.temperature(h), profile.pressure(h))
-        scatter(axes[2], samples.humidity, np.asarray(e) / HECTOPASCAL, rejected.get("humidity"))
 
 
 def _draw_quantities(axes: Sequence[Axes], air: FlightAir, h: Array) -> None:

@@ -59,6 +59,11 @@ def write_report(
     channels = ", ".join(
         f"{role.replace('_', ' ')} from {name}" for role, name in manifest["channels"].items()
     )
+    ledger = "".join(
+        f'<tr class="{kind}"><td>{kind}</td><td><code>{escape(code)}</code></td>'
+        f"<td>{escape(what)}</td></tr>"
+        for kind, code, what in ledger_rows(manifest["ledger"])
+    )
     sections = [
         f"<h1>{title}</h1>",
         f'<p class="lead finding">{escape(findings)}</p>' if findings else "",
@@ -76,7 +81,7 @@ def write_report(
         _table(("observations", ""), _counts(manifest["observations"]["status"]), numeric=True),
         _table(("stations", ""), _counts(manifest["stations"]), numeric=True),
         "<h2>Ledger</h2>",
-        _ledger(manifest) or "<p>Nothing.</p>",
+        f"<table>{ledger}</table>" if ledger else "<p>Nothing.</p>",
         _list(f"<h2>{left}</h2>", not_included(manifest)),
         "<h2>Inputs</h2>",
         _table(
@@ -116,12 +121,3 @@ def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]], *, numeric: b
 
     body = "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows)
     return f"<table><tr>{cells(head, 'th')}</tr>{body}</table>" if body else ""
-
-
-def _ledger(manifest: Mapping[str, Any]) -> str:
-    rows = "".join(
-        f'<tr class="{kind}"><td>{kind}</td><td><code>{escape(code)}</code></td>'
-        f"<td>{escape(what)}</td></tr>"
-        for kind, code, what in ledger_rows(manifest["ledger"])
-    )
-    return f"<table>{rows}</table>" if rows else ""

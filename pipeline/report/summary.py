@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 _GRAVEST_FIRST = ("finding", "loss", "warning", "fallback", "note")
-
-
 _NEARLY_ALL = 0.9
+
+LARGEST_CABIN_SHARE = 0.02
+"""From this standard deviation on, as a share of R, the air in the cabin is in the headline."""
 
 
 def findings_first(manifest: Mapping[str, Any]) -> str:
@@ -33,9 +34,8 @@ def headline(manifest: Mapping[str, Any]) -> str:
     for key, unit in (("shift_px", "px"), ("shift_ground_m", "m")):
         medians = [f"{three_digits(c[key]['median'])} {unit} ({k})" for k, c in of_camera.items()]
         texts[key] = " and ".join(medians)
-    if len(of_camera) < 2:
-        median_px, median_m = three_digits(shift["median"]), three_digits(ground["median"])
-        texts = {"shift_px": f"{median_px} px", "shift_ground_m": f"{median_m} m"}
+        if len(of_camera) < 2:
+            texts[key] = f"{three_digits(manifest['correction'][key]['median'])} {unit}"
     sentence = (
         f"{shift['count']:,} of {rows:,} observations were {verb}, by {texts['shift_px']} in the "
         f"median and {three_digits(shift['maximum'])} px at most: {texts['shift_ground_m']} and "
@@ -43,7 +43,17 @@ def headline(manifest: Mapping[str, Any]) -> str:
     )
     if shift["maximum"] < 0.05 and shift["count"] > _NEARLY_ALL * rows:
         sentence += " That is far below what can be measured in an image."
-    return sentence + _cabin_limit(manifest) + _suspects(manifest)
+    cabin, air = manifest["cabin_sigma_share"]["median"], manifest["uncertainty"]
+    if cabin is not None and cabin > LARGEST_CABIN_SHARE:
+        sentence += (
+            f" The air in the cabin is uncertain by {100.0 * cabin:.2g} % of R in the median"
+        )
+        if air is not None:
+            sentence += f", the air outside by {100.0 * air['scale_sigma']:.2g} %"
+            if cabin > air["scale_sigma"]:
+                sentence += ": the cabin, not the air, limits the result"
+        sentence += "."
+    return sentence + _suspects(manifest)
 
 
 def _suspects(manifest: Mapping[str, Any]) -> str:
@@ -54,24 +64,6 @@ def _suspects(manifest: Mapping[str, Any]) -> str:
         return ""
     more = f" (and {len(reasons) - 1} more entries in the ledger)" if len(reasons) > 1 else ""
     return f" {count} stations are suspect: {reasons[0]}{more}."
-
-
-LARGEST_CABIN_SHARE = 0.02
-"""From this standard deviation on, as a share of R, the air in the cabin is in the headline."""
-
-
-def _cabin_limit(manifest: Mapping[str, Any]) -> str:
-    """How uncertain the air in the cabin is, and whether that limits the result."""
-    cabin = manifest["cabin_sigma_share"]["median"]
-    if cabin is None or cabin <= LARGEST_CABIN_SHARE:
-        return ""
-    air = manifest["uncertainty"]
-    sentence = f" The air in the cabin is uncertain by {100.0 * cabin:.2g} % of R in the median"
-    if air is None:
-        return sentence + "."
-    sentence += f", the air outside by {100.0 * air['scale_sigma']:.2g} %"
-    limits = cabin > air["scale_sigma"]
-    return sentence + (": the cabin, not the air, limits the result." if limits else ".")
 
 
 def three_digits(value: float | None) -> str:

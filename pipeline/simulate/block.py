@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from pipeline.errors import MissionError, StorageError
+from pipeline.errors import MissionError
 from pipeline.simulate.flight import (
     UNDULATION_M,
     AirState,
@@ -240,15 +240,11 @@ def observe(
     )
 
 
-def write_table(path: Path, columns: dict[str, object]) -> int:
-    """Write one Parquet file with the conventions in its metadata; returns the number of rows."""
+def write_table(path: Path, columns: dict[str, object]) -> None:
+    """Write one Parquet file with the conventions in its metadata."""
     table = pa.table(columns)
     table = table.replace_schema_metadata({"unbend.conventions": json.dumps(CONVENTIONS)})
-    try:
-        pq.write_table(table, path, compression="zstd")
-    except OSError as error:
-        raise StorageError("DISK-WRITE", str(error), where=str(path)) from error
-    return int(table.num_rows)
+    pq.write_table(table, path, compression="zstd")
 
 
 def write_tables(
@@ -264,15 +260,7 @@ def write_tables(
 ) -> None:
     """Write the observations with noise [px], and the truth in a folder of its own."""
     truth = out / "truth"
-    try:
-        truth.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(
-            "DISK-WRITE",
-            f"the folder cannot be made: {error}",
-            where=str(out),
-            remedy="choose another folder, or free its name",
-        ) from error
+    truth.mkdir(parents=True, exist_ok=True)
     measured, true = observation_columns(block, points, seen, noise_px, rng)
     write_table(out / "observations.parquet", measured)
     write_table(truth / "observations.parquet", true)

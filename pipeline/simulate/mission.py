@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, storage_errors
 from pipeline.simulate import sensors
 from pipeline.simulate.block import CONVENTIONS, choose_points, observe, stations, write_tables
 from pipeline.simulate.flight import FIELD_LAT_RAD, UNDULATION_M, fly
@@ -105,23 +105,23 @@ def simulate(
 
     begin("tables")
     truth = out / "truth"
-    write_tables(
-        out, air, block, points, seen,
-        cameras=pair, noise_px=chosen.image_noise_px, rng=draw_image,
-    )  # fmt: skip
-
-    samples = sensors.sample(flight, air, chosen.seed, tuple(c.name for c in pair))
     logs = {kind: out / f"flight.{kind}" for kind in KINDS}
-    messages: dict[str, int] = {}
-    for kind, path in logs.items():
-        begin(path.name)
-        messages[kind] = _WRITERS[kind](path, samples, chosen.seed)
-
-    begin("mission files")
     missions = {kind: out / f"mission_{kind}.yaml" for kind in KINDS}
-    for kind, path in missions.items():
-        sensors.write_file(path, mission_yaml(kind, pair).encode())
-    sensors.write_file(truth / "truth.json", _truth_json(chosen, pair, flight.duration_s).encode())
+    messages: dict[str, int] = {}
+    with storage_errors(out):
+        write_tables(
+            out, air, block, points, seen,
+            cameras=pair, noise_px=chosen.image_noise_px, rng=draw_image,
+        )  # fmt: skip
+        samples = sensors.sample(flight, air, chosen.seed, tuple(c.name for c in pair))
+        for kind, path in logs.items():
+            begin(path.name)
+            messages[kind] = _WRITERS[kind](path, samples, chosen.seed)
+        begin("mission files")
+        for kind, path in missions.items():
+            path.write_bytes(mission_yaml(kind, pair).encode())
+        text = _truth_json(chosen, pair, flight.duration_s)
+        (truth / "truth.json").write_bytes(text.encode())
     begin("done")
     return Simulated(
         out,

@@ -6,13 +6,11 @@ All three logs carry (a subset of) these samples, so they differ in nothing but 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from pipeline.errors import StorageError
 from pipeline.simulate.flight import UNDULATION_M, Flight, State, cabin_air
 from pipeline.simulate.true_air import TrueAir, relative_humidity, temperature_k
 from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, WGS84_A, ZERO_CELSIUS_K
@@ -117,14 +115,6 @@ class LoggedSamples:
     cabin: BoxSamples
     exposure_s: Array
     camera_names: tuple[str, ...]
-
-
-def write_file(path: Path, content: bytes | bytearray) -> None:
-    """Write a file; raises StorageError."""
-    try:
-        path.write_bytes(content)
-    except OSError as error:
-        raise StorageError("DISK-WRITE", str(error), where=str(path)) from error
 
 
 def boot_us(time_s: Array) -> IntArray:

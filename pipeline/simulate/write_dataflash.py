@@ -21,7 +21,6 @@ from pipeline.simulate.sensors import (
     LoggedSamples,
     boot_us,
     gps_week_ms,
-    write_file,
 )
 from pipeline.simulate.true_air import FIELD_HEIGHT_M
 from pipeline.units import ZERO_CELSIUS_K
@@ -139,7 +138,7 @@ def write_dataflash(path: Path, samples: LoggedSamples) -> int:
         *_camera_rows(samples),
     ]
     rows.sort(key=lambda row: row[0])
-    write_file(path, b"".join([*head, *(record for _, record in rows)]))
+    path.write_bytes(b"".join([*head, *(record for _, record in rows)]))
     return len(head) + len(rows)
 
 

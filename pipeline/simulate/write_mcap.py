@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from mcap_ros2.writer import Writer
 
-from pipeline.errors import StorageError
 from pipeline.simulate.optics import NED_FROM_ENU, body_rotation, quaternion
 from pipeline.simulate.sensors import (
     BAROMETER_PA,
@@ -124,26 +123,23 @@ def write_mcap(path: Path, samples: LoggedSamples, seed: int) -> int:
     arrival = np.array([row[0] for row in rows]) + late
     order = np.argsort(arrival, kind="stable")
     sequence = dict.fromkeys((row[1] for row in rows), 0)
-    try:
-        with path.open("wb") as stream:
-            writer = Writer(stream, chunk_size=_CHUNK_BYTES)
-            schemas = {name: writer.register_msgdef(name, text) for name, text in _SCHEMAS.items()}
-            for i in order.tolist():
-                stamp, topic, schema, fields = rows[i]
-                sec, nanosec = divmod(stamp, NANOSECONDS_PER_SECOND)
-                header = {
-                    "stamp": {"sec": sec, "nanosec": nanosec},
-                    "frame_id": topic.split("/")[1],
-                }
-                writer.write_message(
-                    topic, schemas[schema], {"header": header, **fields},
-                    log_time=int(arrival[i]), publish_time=int(arrival[i]),
-                    sequence=sequence[topic],
-                )  # fmt: skip
-                sequence[topic] += 1
-            writer.finish()
-    except OSError as error:
-        raise StorageError("DISK-WRITE", str(error), where=str(path)) from error
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=_CHUNK_BYTES)
+        schemas = {name: writer.register_msgdef(name, text) for name, text in _SCHEMAS.items()}
+        for i in order.tolist():
+            stamp, topic, schema, fields = rows[i]
+            sec, nanosec = divmod(stamp, NANOSECONDS_PER_SECOND)
+            header = {
+                "stamp": {"sec": sec, "nanosec": nanosec},
+                "frame_id": topic.split("/")[1],
+            }
+            writer.write_message(
+                topic, schemas[schema], {"header": header, **fields},
+                log_time=int(arrival[i]), publish_time=int(arrival[i]),
+                sequence=sequence[topic],
+            )  # fmt: skip
+            sequence[topic] += 1
+        writer.finish()
     return len(rows)
 
 

@@ -18,7 +18,6 @@ from pipeline.simulate.sensors import (
     LoggedSamples,
     boot_us,
     unix_ns,
-    write_file,
 )
 from pipeline.simulate.true_air import FIELD_HEIGHT_M
 from pipeline.units import ZERO_CELSIUS_K
@@ -47,8 +46,7 @@ def write_tlog(path: Path, samples: LoggedSamples, seed: int) -> int:
         )))  # fmt: skip
         rows.append((sent, mavlink.MAVLink_system_time_message(int(unix_us[i]), sent // 1000)))
     rows += [
-        *_gnss_rows(samples),
-        *_navigation_rows(samples),
+        *_position_rows(samples),
         *_air_rows(samples),
         *_camera_rows(samples),
     ]
@@ -63,7 +61,7 @@ def write_tlog(path: Path, samples: LoggedSamples, seed: int) -> int:
         # The two lowest bits of a stamp carry MAVProxy's link number; this is link 0.
         out += struct.pack(">Q", microseconds & ~3) + message.pack(sender)
         sender.seq = (sender.seq + 1) % 256
-    write_file(path, out)
+    path.write_bytes(out)
     return len(rows)
 
 
@@ -71,14 +69,15 @@ def _degrees_e7(radians: NDArray[np.float64]) -> list[int]:
     return [round(v) for v in (np.degrees(radians) * 1e7).tolist()]
 
 
-def _gnss_rows(samples: LoggedSamples) -> list[Row]:
-    """GPS_RAW_INT at 5 Hz; time_usec since boot, as ArduPilot fills it."""
+def _position_rows(samples: LoggedSamples) -> list[Row]:
+    """GPS_RAW_INT at 5 Hz, its time_usec since boot, as ArduPilot fills it; ATTITUDE at 10 Hz,
+    GLOBAL_POSITION_INT at 5 Hz, VFR_HUD at 1 Hz."""
     g = samples.gnss
     taken = boot_us(g.time_s)
     sent = boot_us(g.time_s + g.log_delay_s)
     lat, lon = _degrees_e7(g.lat_rad), _degrees_e7(g.lon_rad)
     course = np.degrees(g.course_rad) % 360.0
-    return [
+    rows: list[Row] = [
         (int(sent[i]), mavlink.MAVLink_gps_raw_int_message(
             int(taken[i]), 6, lat[i], lon[i], round(g.h_msl_m[i] * 1e3), 71, 110,
             round(g.speed_m_s[i] * 100.0), round(course[i] * 100.0) % 36_000, 18,
@@ -87,10 +86,6 @@ def _gnss_rows(samples: LoggedSamples) -> list[Row]:
         ))
         for i in range(len(sent))
     ]  # fmt: skip
-
-
-def _navigation_rows(samples: LoggedSamples) -> list[Row]:
-    """ATTITUDE at 10 Hz, GLOBAL_POSITION_INT at 5 Hz, VFR_HUD at 1 Hz."""
     nav = samples.navigation
     times = boot_us(nav.time_s)
     lat, lon = _degrees_e7(nav.lat_rad), _degrees_e7(nav.lon_rad)
@@ -99,23 +94,22 @@ def _navigation_rows(samples: LoggedSamples) -> list[Row]:
     rates = [np.gradient(a, nav.time_s) for a in (nav.roll_rad, nav.pitch_rad, nav.yaw_rad)]
     north = np.rint(100.0 * nav.speed_m_s * np.cos(nav.yaw_rad)).astype(int).tolist()
     east = np.rint(100.0 * nav.speed_m_s * np.sin(nav.yaw_rad)).astype(int).tolist()
-    rows: list[Row] = []
     for i in range(0, len(times), 2):
-        sent = int(times[i])
-        rows.append((sent, mavlink.MAVLink_attitude_message(
-            sent // 1000, nav.roll_rad[i], nav.pitch_rad[i], yaw[i],
+        time = int(times[i])
+        rows.append((time, mavlink.MAVLink_attitude_message(
+            time // 1000, nav.roll_rad[i], nav.pitch_rad[i], yaw[i],
             rates[0][i], rates[1][i], rates[2][i],
         )))  # fmt: skip
         if i % 4:
             continue
         height = nav.h_msl_m[i]
-        rows.append((sent, mavlink.MAVLink_global_position_int_message(
-            sent // 1000, lat[i], lon[i], round(height * 1e3),
+        rows.append((time, mavlink.MAVLink_global_position_int_message(
+            time // 1000, lat[i], lon[i], round(height * 1e3),
             round((height - FIELD_HEIGHT_M) * 1e3), north[i], east[i],
             round(-nav.climb_m_s[i] * 100.0), round(heading[i] * 100.0) % 36_000,
         )))  # fmt: skip
         if i % 20 == 0:
-            rows.append((sent, mavlink.MAVLink_vfr_hud_message(
+            rows.append((time, mavlink.MAVLink_vfr_hud_message(
                 nav.speed_m_s[i], nav.speed_m_s[i], round(heading[i]) % 360, 60, height,
                 nav.climb_m_s[i],
             )))  # fmt: skip

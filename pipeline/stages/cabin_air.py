@@ -19,7 +19,7 @@ from pipeline.flight.channels import Channel
 from pipeline.flight.station_builder import mark_suspect
 from pipeline.flight.stations import Stations
 from pipeline.flight.trajectory import interpolate
-from pipeline.ledger import Ledger, Notes, fallback, finding, loss, note, warning
+from pipeline.ledger import Ledger, Notes, fallback, finding, loss, warning
 from pipeline.refraction.camera.camera import LensInAir
 from pipeline.refraction.window import (
     SCHEDULE_CEILING_M,
@@ -144,7 +144,7 @@ def _pressurised_after_all(
                 "the exposures: if it is in the cabin, give pressure: log"
             )
             where = f"cameras.{camera}.window.cabin.pressure"
-            return (finding("CABIN-DOUBTFUL", what, where=where, count=excess.size),)
+            return (finding("CABIN-IMPLAUSIBLE", what, where=where, count=excess.size),)
     return ()
 
 
@@ -181,29 +181,25 @@ def with_cabin_air(
         with np.errstate(invalid="ignore"):
             above = int((ok & (h[rows] > SCHEDULE_CEILING_M)).sum())
         if cabin.source == "standard_schedule":
-            ledger.extend(_notes_of_schedule(name, above))
-        ledger.extend(_doubts(name, ok, values, ambient[0]))
+            where = f"cameras.{name}.window.cabin"
+            what = (
+                "the cabin's air is Gyer's schedule, dry and not measured: as outside to 3 km "
+                "pressure altitude, then 701.2 hPa; 21.1 degC"
+            )
+            ledger.note("CABIN-SCHEDULE", what, where=where)
+            if above:
+                what = (
+                    f"{above} exposures lie above 10 km, where the schedule of the cabin's "
+                    "pressure ends; 701.2 hPa are taken there too"
+                )
+                ledger.warning("CABIN-SCHEDULE-HIGH", what, where=where, count=above)
+        ledger.extend(_implausible_air(name, ok, values, ambient[0]))
     return replace(stations, **columns)
 
 
-def _notes_of_schedule(name: str, above: int) -> Notes:
-    """That a cabin's air is not measured; ``above`` exposures lie beyond the schedule's end."""
-    where = f"cameras.{name}.window.cabin"
-    what = (
-        "the cabin's air is Gyer's schedule, dry and not measured: as outside to 3 km pressure "
-        "altitude, then 701.2 hPa; 21.1 degC"
-    )
-    too_high = (
-        f"{above} exposures lie above 10 km, where the schedule of the cabin's pressure ends; "
-        "701.2 hPa are taken there too"
-    )
-    notes = (note("CABIN-SCHEDULE", what, where=where),)
-    if not above:
-        return notes
-    return (*notes, warning("CABIN-SCHEDULE-HIGH", too_high, where=where, count=above))
-
-
-def _doubts(name: str, ok: NDArray[np.bool_], values: tuple[Array, ...], p_outside: Array) -> Notes:
+def _implausible_air(
+    name: str, ok: NDArray[np.bool_], values: tuple[Array, ...], p_outside: Array
+) -> Notes:
     """Warnings where pressure or temperature are those of no cabin."""
     p, t = values[:2]
     notes = []
@@ -222,7 +218,7 @@ def _doubts(name: str, ok: NDArray[np.bool_], values: tuple[Array, ...], p_outsi
                 "another sensor, or another unit?"
             )
             where = f"cameras.{name}.window.cabin"
-            notes.append(warning("CABIN-DOUBTFUL", what, where=where, count=count))
+            notes.append(warning("CABIN-IMPLAUSIBLE", what, where=where, count=count))
     return tuple(notes)
 
 

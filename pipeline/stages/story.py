@@ -26,12 +26,11 @@ from pipeline.batch.store import (
     open_folder,
     read_manifest,
     rehearse_folder,
-    storage_errors,
 )
 from pipeline.block.image_rays import UNKNOWN_SIGMAS
-from pipeline.block.oriented_block import SIGMAS_OF_BLOCK
+from pipeline.block.oriented_images import SIGMAS_OF_BLOCK
 from pipeline.config import load_mission
-from pipeline.errors import ConfigError, StorageError
+from pipeline.errors import ConfigError, StorageError, storage_errors
 from pipeline.flight.air_samples import air_samples
 from pipeline.flight.heights import heights_at, undulation_notes
 from pipeline.flight.stations import Stations, flag_height_misfits

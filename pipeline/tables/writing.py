@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 from pipeline.atmosphere.profile import profile_table
 from pipeline.atmosphere.series.profile_series import ProfileSeries, TimedProfile
-from pipeline.errors import StorageError
+from pipeline.errors import storage_errors
 from pipeline.flight.stations import Stations, station_columns
 from pipeline.refraction.image import Corrections
 from pipeline.refraction.status_codes import STATUS_NAMES
@@ -160,12 +160,5 @@ def table_of_profile(
 
 def write_parquet(table: pa.Table, path: Path) -> None:
     """Write one complete Parquet file with page checksums."""
-    try:
+    with storage_errors(path):
         pq.write_table(table, path, compression="zstd", write_page_checksum=True)
-    except OSError as error:
-        raise StorageError(
-            "STORAGE-WRITE",
-            f"cannot write: {error}",
-            where=str(path),
-            remedy="free or mend the disk and run again",
-        ) from None

@@ -63,7 +63,7 @@ def toy(profile, h_c, h_g, zeta_c, radius):
 
 ATMOSPHERE = '''def _toy(place: SeasonAndPlace, index: IndexModel) -> Profile:
     """As ARDC 1959."""
-    return _standard_profile("ardc1959", place, index)
+    return _tabulated_profile("ardc1959", place, index)
 
 
 ATMOSPHERES: dict'''

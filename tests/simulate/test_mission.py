@@ -293,5 +293,5 @@ def test_mission_files_are_yaml_that_names_the_log(small, kind):
 
 def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
     (tmp_path / "taken").write_text("a file")
-    with pytest.raises(StorageError, match="DISK-WRITE"):
+    with pytest.raises(StorageError, match="STORAGE-WRITE"):
         simulate(tmp_path / "taken", SMALL)

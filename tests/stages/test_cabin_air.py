@@ -164,11 +164,11 @@ def test_a_board_is_warmer_than_the_air():
 def test_a_cabin_thinner_than_the_air_outside_is_told():
     thin = stations(1000.0, cabin_pressure_pa=80_000.0, cabin_temperature_k=290.0)
     _, ledger = filled(thin, Cabin("log"))
-    (entry,) = (e for e in ledger if e.code == "CABIN-DOUBTFUL")
+    (entry,) = (e for e in ledger if e.code == "CABIN-IMPLAUSIBLE")
     assert entry.kind == "warning"  # 898.76 hPa at 1000 m
     assert "less pressure than the air outside: 800 hPa and 17 degC" in entry.what
     _, ledger = filled(replace(thin, h_msl_m=np.array([1900.0])), Cabin("log"))  # 805 hPa
-    assert "CABIN-DOUBTFUL" not in [e.code for e in ledger]
+    assert "CABIN-IMPLAUSIBLE" not in [e.code for e in ledger]
 
 
 @pytest.mark.parametrize(("inside_pa", "doubtful"), [(61_917.0, True), (47_300.0, False)])
@@ -177,7 +177,7 @@ def test_a_cabin_that_is_said_to_be_ambient_and_is_not(inside_pa, doubtful):
     at = replace(at, time_ns=np.array([0, 1]))
     other = channel("BARO[1]", pressure_pa=inside_pa)
     _, notes = cabin_from_log(at, "cam", Cabin("ambient"), (HULL, other), {"pressure": HULL})
-    warnings = [entry for entry in notes if entry.code == "CABIN-DOUBTFUL"]
+    warnings = [entry for entry in notes if entry.code == "CABIN-IMPLAUSIBLE"]
     assert len(warnings) == doubtful
     if doubtful:
         assert "BARO[1] has 147 hPa more" in warnings[0].what
@@ -191,7 +191,7 @@ def test_a_temperature_that_is_no_cabins_is_told(celsius, height, doubtful):
     """Four sigmas of 21 +- 5 degC in a pressurised cabin, +- 10 in another; a number stands."""
     at = stations(height, cabin_pressure_pa=80_000.0, cabin_temperature_k=celsius + 273.15)
     found, ledger = filled(at, Cabin("log"))
-    told = [e.what for e in ledger if e.code == "CABIN-DOUBTFUL"]
+    told = [e.what for e in ledger if e.code == "CABIN-IMPLAUSIBLE"]
     assert bool(told) == doubtful
     assert all(f"800 hPa and {celsius:.0f} degC" in what for what in told)
     assert found.cabin_temperature_k[0] == celsius + 273.15

@@ -323,7 +323,17 @@ def _rising_levels(raw: RawLevels, ledger: Ledger) -> RawLevels:
             where=raw.where,
             count=merged,
         )
-    keep = _longest_rise(raw.h_m)
+    # The longest strictly increasing subsequence of heights, by patience sorting.
+    tails: list[int] = []
+    before_it = np.full(raw.h_m.size, -1, dtype=np.intp)
+    for i, value in enumerate(raw.h_m):
+        place = int(np.searchsorted(raw.h_m[tails], value)) if tails else 0
+        before_it[i] = tails[place - 1] if place else -1
+        tails[place : place + 1] = [i]
+    chain = tails[-1:]
+    while chain and before_it[chain[-1]] >= 0:
+        chain.append(int(before_it[chain[-1]]))
+    keep = np.array(chain[::-1], dtype=np.intp)
     dropped = raw.h_m.size - keep.size
     if dropped:
         out = np.setdiff1d(np.arange(raw.h_m.size), keep)[0]
@@ -363,22 +373,6 @@ def _mean_of_runs(raw: RawLevels, key: Array) -> RawLevels:
 def _vapour(raw: RawLevels) -> Array:
     e = raw.vapour_pressure_pa
     return np.full(raw.pressure_pa.shape, np.nan) if e is None else e
-
-
-def _longest_rise(h: Array) -> NDArray[np.intp]:
-    """Indices of the longest strictly increasing subsequence (patience sorting)."""
-    tails: list[int] = []
-    before = np.full(h.size, -1, dtype=np.intp)
-    for i, value in enumerate(h):
-        place = int(np.searchsorted(h[tails], value)) if tails else 0
-        before[i] = tails[place - 1] if place else -1
-        tails[place : place + 1] = [i]
-    chain = []
-    i = tails[-1] if tails else -1
-    while i >= 0:
-        chain.append(i)
-        i = int(before[i])
-    return np.array(chain[::-1], dtype=np.intp)
 
 
 def _note_unusual_air(sounding: Sounding, where: str, ledger: Ledger) -> None:

@@ -161,23 +161,6 @@ def bend_by_subtended(table, ray, h_g):  # type: ignore[no-untyped-def]
     return angle_to(ray, theta, h_g)
 
 
-@jit
-def _bend_one(table, ray, h_g, distance):  # type: ignore[no-untyped-def]
-    """R_c and status of one ray, by itself."""
-    h_c, r_e = ray.h_c, ray.r_e
-    b2_c = ((r_e + h_c) * ray.cos_c) ** 2
-    b2_g = b2_c - (h_c - h_g) * (2.0 * r_e + h_c + h_g)
-    angle = 0.0 if h_g == h_c else math.nan
-    through_turn = h_g > h_c and ray.cos_c > 0.0
-    if h_g != h_c and not through_turn and min(b2_c, b2_g) >= _GRAZING_GUARD * max(b2_c, b2_g):
-        angle = bend_by_difference(table, ray, h_g)
-    if math.isnan(angle):
-        angle = bend_by_subtended(table, ray, h_g)
-    if math.isnan(angle):
-        return math.nan, MISSES_GROUND
-    return crossing_meant(table, ray, angle, h_g, distance)
-
-
 @entry
 def bend_rays(table, rays, which, angle, status):  # type: ignore[no-untyped-def]
     """Fill ``angle`` [rad] and ``status`` for the rays of `RayColumns` that ``which`` numbers."""
@@ -196,7 +179,17 @@ def bend_rays(table, rays, which, angle, status):  # type: ignore[no-untyped-def
             status[i] = MISSES_GROUND
         else:
             ray = ray_at(table, h_c, sin_c, cos_c, r_e)
-            angle[i], status[i] = _bend_one(table, ray, h_g, rays.distance[i])
+            b2_c = ((r_e + h_c) * ray.cos_c) ** 2
+            b2_g = b2_c - (h_c - h_g) * (2.0 * r_e + h_c + h_g)
+            bent = 0.0 if h_g == h_c else math.nan
+            turns = h_g > h_c and ray.cos_c > 0.0
+            if h_g != h_c and not turns and min(b2_c, b2_g) >= _GRAZING_GUARD * max(b2_c, b2_g):
+                bent = bend_by_difference(table, ray, h_g)
+            if math.isnan(bent):
+                bent = bend_by_subtended(table, ray, h_g)
+            status[i] = MISSES_GROUND
+            if not math.isnan(bent):
+                angle[i], status[i] = crossing_meant(table, ray, bent, h_g, rays.distance[i])
 
 
 @jit

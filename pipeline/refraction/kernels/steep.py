@@ -179,33 +179,27 @@ def _interval(edge, hint, h):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _mark_steep(bottom, group):  # type: ignore[no-untyped-def]
-    """Give rays that the series may serve the status OK, and LEFT to others and what is no ray."""
+def _by_interval(air, group, top, at, order):  # type: ignore[no-untyped-def]
+    """Fill ``order`` with the rays that the series may serve, by the interval of their targets.
+
+    They get the status OK, others and what is no ray LEFT. Gives where in ``order`` those of each
+    interval begin, counted from ``top`` downwards.
+    """
     h_c, h_g, sin_c, cos_c, r_e, _, status = group
+    edge, _, hint = air
+    deepest = -1
     r_table = r_e[0] + h_c
     for i in range(h_g.size):
         r_c = r_e[i] + h_c
         level = r_c * cos_c[i] * cos_c[i]
         ray = (cos_c[i] > 0.0) & (cos_c[i] <= 1.0) & (sin_c[i] >= 0.0) & (sin_c[i] <= 1.0)
-        downwards = (bottom <= h_g[i]) & (h_g[i] < h_c)
+        downwards = (edge[0] <= h_g[i]) & (h_g[i] < h_c)
         served = (abs(r_c - r_table) < _SAME_RADIUS * r_table) & (
             2.0 * (h_c - h_g[i]) <= _LARGEST_DROP * level
         )
         # Only then can the ray turn above land; the other kernel decides about those.
         deep = level > 2.0 * (1.0 + sin_c[i]) * (h_c + _DEEP_M)
         status[i] = OK if ray & downwards & served & deep else LEFT
-
-
-@jit
-def _by_interval(air, group, top, at, order):  # type: ignore[no-untyped-def]
-    """Fill ``order`` with the rays of status OK by the interval of their targets.
-
-    Gives where in it those of each interval begin, counted from ``top`` downwards.
-    """
-    h_g, status = group.h_g, group.status
-    edge, _, hint = air
-    deepest = -1
-    for i in range(h_g.size):
         if status[i] == OK:
             at[i] = top - _interval(edge, hint, h_g[i])
             if at[i] > deepest:
@@ -304,7 +298,6 @@ def _bend_group(air, group, table, numbers, rays):  # type: ignore[no-untyped-de
     edge, coefficient, hint = air
     h_c, h_g, sin_c, cos_c, r_e, angle, status = group
     order = numbers[1]
-    _mark_steep(edge[0], group)
     top = _interval(edge, hint, h_c)
     start = _by_interval(air, group, top, numbers[0], order)
     n_c = _refractivity_in(coefficient, top, (h_c - edge[top]) / (edge[top + 1] - edge[top]))

@@ -153,12 +153,21 @@ def uncertainty_of(
     radius = exposures.radius_m or DEFAULT_RADIUS_M
     kinds = np.full(usable.shape, OPEN) if window_kinds is None else window_kinds
     kinds = np.where(usable, kinds, OPEN)
+    # The largest nadir angle that a border of an image shows, half a degree to spare.
+    zeta, side, ends = [0.0], np.linspace(0.0, 1.0, _BORDER), np.repeat([0.0, 1.0], _BORDER)
+    x, y = np.concatenate([side, side, ends]), np.concatenate([ends, side, side])
+    for camera, exposed in cameras:
+        down = -exposures.rotation[usable & exposed, :, 2]
+        u, v, covered = camera.rays(x * camera.width_px, y * camera.height_px)
+        rays = np.stack([u, v, np.ones(u.size)]) / np.sqrt(u * u + v * v + 1.0)
+        least = float((down @ rays).min(initial=1.0)) if bool(covered.all()) else 0.0
+        zeta.append(float(np.arccos(least) + np.radians(0.5)) if down.size else 0.0)
     air = air_sigma(
         profile,
         covariance,
         (float(heights.min()), float(heights.max())),
         ground_heights_m,
-        largest_zeta_rad=_largest_zeta(exposures, usable, cameras),
+        largest_zeta_rad=max(zeta),
         radius=radius,
         window_kinds=sorted({int(kind) for kind in kinds} - {OPEN}),
     )
@@ -249,28 +258,6 @@ def window_turn(direction: Array, down: Array, normal: Array) -> tuple[Array, Ar
     towards = np.einsum("ij,ij->i", normal, to_nadir) / out
     across = np.einsum("ij,ij->i", normal, np.cross(direction, to_nadir)) / out
     return towards, across
-
-
-def _largest_zeta(
-    exposures: Exposures,
-    usable: NDArray[np.bool_],
-    cameras: Sequence[tuple[Camera, NDArray[np.bool_]]],
-) -> float:
-    """The largest nadir angle [rad] that a border of an image shows, half a degree to spare."""
-    least = 1.0
-    side = np.linspace(0.0, 1.0, _BORDER)
-    x = np.concatenate([side, side, np.zeros(_BORDER), np.ones(_BORDER)])
-    y = np.concatenate([np.zeros(_BORDER), np.ones(_BORDER), side, side])
-    for camera, exposed in cameras:
-        down = -exposures.rotation[usable & exposed, :, 2]
-        if down.shape[0] == 0:
-            continue
-        u, v, covered = camera.rays(x * camera.width_px, y * camera.height_px)
-        if not bool(covered.all()):
-            return 0.5 * np.pi
-        rays = np.stack([u, v, np.ones(u.size)]) / np.sqrt(u * u + v * v + 1.0)
-        least = min(least, float((down @ rays).min()))
-    return float(np.arccos(least) + np.radians(0.5))
 
 
 def _station_columns(

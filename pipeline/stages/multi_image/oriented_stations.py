@@ -11,7 +11,7 @@ from pipeline.batch.plan import Plan
 from pipeline.block.alignment import LOG_RATIO_NEEDED
 from pipeline.block.image_rays import orientations_of, straightened
 from pipeline.block.intersection import intersect
-from pipeline.block.oriented_block import (
+from pipeline.block.oriented_images import (
     ECEF,
     SIGMAS_OF_BLOCK,
     CartesianFrame,

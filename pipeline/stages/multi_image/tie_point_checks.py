@@ -17,7 +17,7 @@ from pipeline.block.image_rays import (
     orientations_of,
 )
 from pipeline.block.intersection import Intersection
-from pipeline.block.oriented_block import SIGMAS_OF_BLOCK
+from pipeline.block.oriented_images import SIGMAS_OF_BLOCK
 from pipeline.flight.heights import ground_offsets
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Ledger

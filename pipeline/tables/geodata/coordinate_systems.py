@@ -85,7 +85,7 @@ def places_of(
     known = np.isfinite(lon_lat).all(axis=0)
     corners = (*lon_lat[:, known].min(axis=1).tolist(), *lon_lat[:, known].max(axis=1).tolist())
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # told below
+        warnings.simplefilter("ignore", UserWarning)  # the fallback below says it
         group = TransformerGroup(
             horizontal, "EPSG:4326", always_xy=True, allow_ballpark=False,
             area_of_interest=AreaOfInterest(*corners),

@@ -87,7 +87,7 @@ class Stated:
 
 
 def _settled(path: Path, key: str, found: str | None, stated: str | None, ledger: Ledger) -> str:
-    """What the mission file says of a file, or the file of itself; a contradiction is told."""
+    """What the mission file says of a file, or the file of itself; contradictions are reported."""
     if found is not None and stated not in (None, found):
         what = f"by its header {key} is {found}, by the mission file {stated}, which holds"
         ledger.warning("IMPORT-CONTRADICTED", what, where=path.name)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.block.oriented_block import (
+from pipeline.block.oriented_images import (
     OrientedImages,
     fitted_frame,
     flag_above_horizon,

@@ -34,7 +34,7 @@ LARGEST_FIT_RESIDUAL = 0.02
 """Residuals of a fit, in parts of the extent of the known positions, above which it is no fit."""
 
 USUAL_FIT_RESIDUAL, USUAL_FIT_SIGMAS = 0.003, 5.0
-"""Largest residual, in parts of the extent and in sigmas, above which a fit is told as doubtful."""
+"""Largest residual, in parts of the extent and in sigmas, above which a fit is reported."""
 
 FIT_OUTLIER = 4.0
 """A known position that the others predict worse than by this many times their residuals."""
@@ -95,7 +95,7 @@ def fitted_frame(
     ----------
     image, xyz : (n,) names and (n, 3) positions in the frame of the model.
     known_image, known : (m,) names and (m, 3) latitude, longitude [rad] and ellipsoidal height [m].
-    sigma_m : standard deviation of the known coordinates, at least: few residuals tell little.
+    sigma_m : standard deviation of the known coordinates, at least: few residuals say little.
 
     Least squares with equal weights (Umeyama 1991; the rotation by scipy's align_vectors). Refuses
     (MissionError) fewer than three images that are in both, positions on a line, and residuals of
