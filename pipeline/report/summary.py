@@ -43,8 +43,9 @@ def headline(manifest: Mapping[str, Any]) -> str:
     )
     if shift["maximum"] < 0.05 and shift["count"] > _NEARLY_ALL * rows:
         sentence += " That is far below what can be measured in an image."
-    cabin, air = manifest["cabin_sigma_share"]["median"], manifest["uncertainty"]
+    cabin = manifest["cabin_sigma_share"]["median"]
     if cabin is not None and cabin > LARGEST_CABIN_SHARE:
+        air = manifest["uncertainty"]
         sentence += (
             f" The air in the cabin is uncertain by {100.0 * cabin:.2g} % of R in the median"
         )
