@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere.profile import Profile, stack_layers
 from pipeline.flight.stations import NO_TIME
+from pipeline.refraction.calibration import field_of_view
 from pipeline.refraction.ray import rays_by
 from pipeline.report.summary import effect_lines
 from pipeline.stages.correction import correct_batch
@@ -58,7 +59,8 @@ def rehearsal_lines(checked: CorrectedMission) -> list[tuple[str, str]]:
     ok, home = facts.stations.ok, facts.takeoff
     undulation = (facts.stations.h_ellipsoid_m - facts.stations.h_msl_m)[ok]
     height_role = prepared.flight.roles.get("height")
-    source = "orientation" if height_role is None else height_role.name
+    source = "orientation" if mission.stations.orientation is not None else "no channel"
+    source = source if height_role is None else height_role.name
     pixels = {name: _span(facts.of_camera(name, facts.rows.shift_px), 3) for name in facts.cameras}
     metres = {
         name: _span(facts.of_camera(name, facts.rows.shift_ground_m), 3) for name in facts.cameras
@@ -111,11 +113,12 @@ def camera_text(facts: Facts, name: str) -> str:
     above = facts.of_camera(name, facts.camera_height_m - facts.rows.h_g_m)
     height = float(np.median(above)) if above.size else math.nan
     far = height / max(math.cos(math.radians(facts.axis_deg(name))), 0.02)
-    wide, high = camera.width_px / camera.fx_px, camera.height_px / camera.fy_px
-    views = (2.0 * math.degrees(math.atan(0.5 * side)) for side in (wide, high))
+    views = field_of_view(camera)
+    # Of a fisheye that sees the horizon, the ground up to 85 degrees off the axis.
+    wide, high = (2.0 * math.tan(min(view / 2.0, math.radians(85.0))) for view in views)
     return (
-        f"{name} {' x '.join(f'{view:.0f}' for view in views)} deg, {far / camera.fx_px:.2g} m a "
-        f"pixel, {far * wide:.0f} x {far * high:.0f} m across the axis"
+        f"{name} {' x '.join(f'{math.degrees(view):.0f}' for view in views)} deg, "
+        f"{far / camera.fx_px:.2g} m a pixel, {far * wide:.0f} x {far * high:.0f} m across the axis"
     )
 
 

@@ -14,6 +14,7 @@ from pipeline.refraction import Camera
 from pipeline.refraction.camera.general_frame import GeneralFrame
 from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
 from pipeline.stages.plausibility import RULES, Facts, distortion, field_of_view
+from pipeline.stages.rehearsal import camera_text
 from pipeline.stages.story import check_mission
 
 from .test_rehearsal import config, rows
@@ -183,6 +184,18 @@ def test_a_camera_is_judged_by_its_type(camera, codes):
     facts = replace(facts, mission=mission, cameras={"nadir": camera})
     found = [entry[0] for rule in (field_of_view, distortion) for entry in rule(facts)]
     assert found == codes
+
+
+def test_what_a_fisheye_sees_follows_its_angles():
+    """3000 px of 1/950 rad are 180.9 deg; the ground to 85 deg: 2 * 1000 m * 11.43."""
+    facts = SimpleNamespace(
+        cameras={"nadir": Camera(3000, 3000, 950.0, 950.0, 1500.0, 1500.0, OpenCVFisheye())},
+        of_camera=lambda name, values: values,
+        camera_height_m=np.array([1000.0]),
+        rows=SimpleNamespace(h_g_m=np.array([0.0])),
+        axis_deg=lambda name: 0.0,
+    )
+    assert camera_text(facts, "nadir").startswith("nadir 181 x 181 deg, 1.1 m a pixel, 22860 x")
 
 
 def test_every_rule_is_a_function_with_one_sentence():
