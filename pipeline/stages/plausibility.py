@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 from pipeline.config import Mission
 from pipeline.errors import MissionError
+from pipeline.flight.evidence.logged_terrain import compare_with_logged_terrain
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Entry, Kind, Ledger, finding
 from pipeline.refraction.calibration import is_fisheye
@@ -35,6 +36,8 @@ _FAR_KM = 30.0
 _LARGEST_SHARE = 0.2
 _LARGEST_FACTOR = 1.5
 _FEWEST_ROWS = 100
+_TERRAIN_M = 50.0
+_BELOW_RAD = 0.5
 
 _KEYS = {
     "unmatched": "events.log.<camera>.image, observations.columns.image",
@@ -45,18 +48,24 @@ _KEYS = {
 
 @dataclass(frozen=True, eq=False)
 class Takeoff:
-    """Where the log stands still at its begin: latitude, longitude [rad], above sea level [m]."""
+    """Where the log begins: latitude, longitude [rad], above sea level [m].
+
+    ``stands`` where it stands still there, at this height.
+    """
 
     lat_rad: float
     lon_rad: float
     h_msl_m: float
+    stands: bool = True
 
 
 @dataclass(frozen=True, eq=False)
 class Facts:
     """What the rules look at: a mission, its stations, cameras, and rows that stand for all.
 
-    ``camera`` (n,) names the camera of each row, empty without a station.
+    ``camera`` (n,) names the camera of each row, empty without a station. ``logged_terrain_m`` (s,)
+    is the terrain below stations as `logged_terrain` has it, ``model_at_takeoff_m`` the elevation
+    model's height there; NaN where unknown.
     """
 
     mission: Mission
@@ -65,7 +74,9 @@ class Facts:
     cameras: Mapping[str, Camera]
     rows: SampledRows
     adjustment: Adjustment
-    takeoff: Takeoff | None = None
+    takeoff: Takeoff | None
+    logged_terrain_m: Array
+    model_at_takeoff_m: float
 
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
@@ -139,10 +150,12 @@ def takeoff_of(
         return None
     first = time <= time[0] + 10 * 10**9
     north, east = np.ptp(lat[first]) * _RADIUS_M, np.ptp(lon[first]) * _RADIUS_M * math.cos(lat[0])
-    if home_m is None and max(math.hypot(north, east), float(np.ptp(h[first]))) > 20.0:
+    stands = max(math.hypot(north, east), float(np.ptp(h[first]))) <= 20.0
+    if home_m is None and not stands:
         return None
-    height = float(np.median(h[first])) if home_m is None else home_m
-    return Takeoff(float(lat[0]), float(lon[0]), height)
+    logged = float(np.median(h[first]))
+    height = logged if home_m is None else home_m
+    return Takeoff(float(lat[0]), float(lon[0]), height, stands and abs(logged - height) <= 20.0)
 
 
 def cause_of_misses(facts: Facts) -> str:
@@ -194,6 +207,20 @@ def causes_of_statuses(facts: Facts) -> dict[str, str]:
     return causes
 
 
+def likely_reading(ground_m: float, expected_m: float, takeoff_m: float) -> str:
+    """What ground heights likely are, that they are not as expected."""
+    readings = {
+        "feet": ground_m * 0.3048,
+        "km": ground_m * 1000.0,
+        "heights above the take-off (ground.reference: relative)": ground_m + takeoff_m,
+        "heights above sea level, not relative ones (ground.reference)": ground_m - takeoff_m,
+    }
+    best = min(readings, key=lambda reading: abs(readings[reading] - expected_m))
+    if ground_m == 0.0 or abs(readings[best] - expected_m) > 0.5 * abs(ground_m - expected_m):
+        return "another height, datum or unit than that of ground.height"
+    return best
+
+
 def ground_near_takeoff(facts: Facts) -> Findings:
     """The ground within 300 m of the take-off, and 20 m for each km from it; to 30 km."""
     ok, off, known = facts.stations.ok, facts.takeoff, np.isfinite(facts.rows.h_g_m)
@@ -205,15 +232,7 @@ def ground_near_takeoff(facts: Facts) -> Findings:
     ground, allowed = float(np.median(facts.rows.h_g_m[known])), 300.0 + 20.0 * km
     if km > _FAR_KM or abs(ground - off.h_msl_m) <= allowed:
         return
-    readings = {
-        "feet": ground * 0.3048,
-        "km": ground * 1000.0,
-        "heights above the take-off (ground.reference: relative)": ground + off.h_msl_m,
-        "heights above sea level, not relative ones (ground.reference)": ground - off.h_msl_m,
-    }
-    best = min(readings, key=lambda reading: abs(readings[reading] - off.h_msl_m))
-    if ground == 0.0 or abs(readings[best] - off.h_msl_m) > 0.5 * abs(ground - off.h_msl_m):
-        best = "another height, datum or unit than that of ground.height"
+    best = likely_reading(ground, off.h_msl_m, off.h_msl_m)
     column = facts.mission.ground.column
     what = (
         f"the ground lies {ground:.0f} m above sea level in the median, the take-off "
@@ -221,6 +240,36 @@ def ground_near_takeoff(facts: Facts) -> Findings:
         f"{best}"
     )
     yield "PLAUSIBLE-GROUND", "ground.height" + (f", column {column}" if column else ""), what
+
+
+def ground_and_terrain(facts: Facts) -> Findings:
+    """The ground within 50 m, and its scatter, of the autopilot's terrain; a model at the take-off.
+
+    Of rows within 29 deg of the nadir, which see the ground near their station.
+    """
+    off, model_m = facts.takeoff, facts.model_at_takeoff_m
+    column = facts.mission.ground.column
+    key = "ground.height" + (f", column {column}" if column else "") + "; ground.reference"
+    terrain = np.append(facts.logged_terrain_m, np.nan)[facts.rows.station]
+    ground = np.where(facts.nadir_angle_rad < _BELOW_RAD, facts.rows.h_g_m, np.nan)
+    found = compare_with_logged_terrain(ground, terrain)
+    if found.rows and abs(found.median_m) > (allowed := _TERRAIN_M + found.scatter_m):
+        logged = float(np.median(terrain[np.isfinite(ground + terrain)]))
+        takeoff = 0.0 if off is None else off.h_msl_m
+        what = (
+            f"the ground of {found.rows} rows lies {found.median_m:+.0f} m from the terrain that "
+            f"the autopilot logged below their stations, {logged:.0f} m above sea level, in the "
+            f"median: expected within {allowed:.0f} m; likely "
+            f"{likely_reading(logged + found.median_m, logged, takeoff)}"
+        )
+        yield "PLAUSIBLE-TERRAIN", key, what
+    if off is not None and off.stands and abs(model_m - off.h_msl_m) > _TERRAIN_M:
+        what = (
+            f"the elevation model is {model_m:.0f} m high where the log begins, and the take-off "
+            f"{off.h_msl_m:.0f} m: expected within {_TERRAIN_M:.0f} m; likely "
+            f"{likely_reading(model_m, off.h_msl_m, off.h_msl_m)}"
+        )
+        yield "PLAUSIBLE-TERRAIN", key, what
 
 
 def field_of_view(facts: Facts) -> Findings:
@@ -437,6 +486,7 @@ def measured_observations(facts: Facts) -> Findings:
 
 RULES: tuple[Callable[[Facts], Findings], ...] = (
     ground_near_takeoff,
+    ground_and_terrain,
     field_of_view,
     principal_point,
     distortion,

@@ -32,6 +32,7 @@ from pipeline.block.oriented_images import SIGMAS_OF_BLOCK
 from pipeline.config import load_mission
 from pipeline.errors import ConfigError, StorageError, storage_errors
 from pipeline.flight.air_samples import air_samples
+from pipeline.flight.evidence.logged_terrain import logged_terrain
 from pipeline.flight.heights import heights_at, undulation_notes
 from pipeline.flight.stations import Stations, flag_height_misfits
 from pipeline.ledger import Ledger
@@ -54,7 +55,7 @@ from pipeline.stages.exposure_setup import (
 )
 from pipeline.stages.finished_run import rebuild_run, refuse_output
 from pipeline.stages.ground.point_table import check_object_points, with_object_points
-from pipeline.stages.ground.terrain_ground import with_terrain
+from pipeline.stages.ground.terrain_ground import TerrainGround, with_terrain
 from pipeline.stages.inputs import FlightLog, read_log, read_observations
 from pipeline.stages.multi_image.intersected_heights import with_intersected_heights
 from pipeline.stages.outputs import manifest_of, observation_metadata, write_tables
@@ -231,6 +232,7 @@ def correct_mission(
             unknown_sigmas=SIGMAS_OF_BLOCK if oriented else UNKNOWN_SIGMAS,
         )  # fmt: skip
     statistics = correct(setup)
+    takeoff = takeoff_of(prepared.track(), prepared.flight.heights.home_h_msl_m)
     facts = Facts(
         mission,
         stations,
@@ -238,7 +240,11 @@ def correct_mission(
         setup.cameras,
         statistics.sampled_rows(),
         air.adjustment,
-        takeoff_of(prepared.track(), prepared.flight.heights.home_h_msl_m),
+        takeoff,
+        logged_terrain(prepared.flight.channels, stations.time_ns),
+        setup.ground.model.height(takeoff.lat_rad, takeoff.lon_rad)
+        if takeoff is not None and isinstance(setup.ground, TerrainGround)
+        else np.nan,
     )
     statistics.report_flagged(ledger, causes_of_statuses(facts))
     ledger.extend(findings_of(facts))

@@ -12,6 +12,7 @@ import rasterio
 from rasterio import Affine
 
 from pipeline.simulate.flight import FIELD_LAT_RAD, FIELD_LON_RAD, geographic, terrain_m
+from pipeline.stages.story import check_mission
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
@@ -206,3 +207,17 @@ def test_heights_relative_to_home_are_refused(mission, modelled):
     modelled(reference="relative")
     ended = mission.run()
     assert (ended.code, "heights of a dem" in ended.err) == (2, True), ended.text
+
+
+@pytest.mark.parametrize("add_m", [0.0, 60.0])
+def test_a_model_of_another_datum_is_found_at_the_take_off(mission, modelled, monkeypatch, add_m):
+    """The field lies in a wider model; 60 m are more than a model and a receiver leave."""
+    monkeypatch.setitem(globals(), "STEP_M", 40.0)
+    modelled(change=lambda z: z + add_m)
+    manifest = check_mission(mission.save()).manifest
+    found = [e for e in manifest["ledger"] if e["code"] == "PLAUSIBLE-TERRAIN"]
+    assert len(found) == (add_m > 0.0)
+    for each in found:
+        assert each["kind"] == "finding"
+        assert "is 510 m high where the log begins" in each["what"]
+        assert "ground.height" in each["where"]

@@ -13,6 +13,8 @@ import pytest
 from pipeline.refraction import Camera
 from pipeline.refraction.camera.general_frame import GeneralFrame
 from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
+from pipeline.simulate.flight import FIELD_LAT_RAD, FIELD_LON_RAD, geographic, terrain_m
+from pipeline.simulate.write_dataflash import FORMATS
 from pipeline.stages.plausibility import RULES, Facts, distortion, field_of_view
 from pipeline.stages.rehearsal import camera_text
 from pipeline.stages.story import check_mission
@@ -137,6 +139,52 @@ def test_slant_ranges_in_feet(mission):
         assert bool(text) is finds
         assert not finds or "3.28 times" in text[0]
         mission.config["observations"] = {"path": "observations.parquet"}
+
+
+TERR = type(FORMATS["POS"])(
+    210, "TERR", "QBLLHffHHf",
+    "TimeUS,Status,Lat,Lng,Spacing,TerrH,CHeight,Pending,Loaded,ROfs", "s-DU-mm--m", "F-GG-00--0",
+)  # fmt: skip
+
+
+def log_terrain(mission, *, status=2, add_m=0.0):
+    """A TERR row after each POS row of the log: the simulator's terrain below it."""
+    lengths = {f.type_id: 3 + f.struct.size for f in FORMATS.values()}
+    data, at, parts = mission.log.read_bytes(), 0, []
+    columns = (text.encode() for text in (TERR.name, TERR.format, TERR.columns))
+    parts.append(FORMATS["FMT"].pack(TERR.type_id, 3 + TERR.struct.size, *columns))
+    lat_1, lon_1 = (float(a) for a in geographic(np.array(1.0), np.array(1.0)))
+    while at < len(data):
+        row = data[at : at + lengths[data[at + 2]]]
+        parts.append(row)
+        at += len(row)
+        if row[2] == FORMATS["POS"].type_id:
+            time, lat, lon = FORMATS["POS"].struct.unpack(row[3:])[:3]
+            north = (np.radians(lat * 1e-7) - FIELD_LAT_RAD) / (lat_1 - FIELD_LAT_RAD)
+            east = (np.radians(lon * 1e-7) - FIELD_LON_RAD) / (lon_1 - FIELD_LON_RAD)
+            height = float(terrain_m(east, north)) + add_m
+            parts.append(TERR.pack(time, status, lat * 1e-7, lon * 1e-7, 100, height, 0, 0, 9, 0))
+    mission.log.write_bytes(b"".join(parts))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "status", "words"),
+    [
+        (lambda mission: None, 2, None),
+        (scaled(h_g_m=0.8), 2, r"lies -\d\d m from the terrain|lies -1\d\d m from the terrain"),
+        (scaled(h_g_m=1.25), 2, r"lies \+1\d\d m from the terrain"),
+        (scaled(h_g_m=1.25), 1, None),
+    ],
+)
+def test_ground_beside_the_terrain_of_the_autopilot(mission, spoil, status, words):
+    """Heights 100 m off pass as near the take-off, but not beside the logged terrain."""
+    log_terrain(mission, status=status)
+    spoil(mission)
+    manifest = check_mission(mission.save()).manifest
+    found = [e for e in manifest["ledger"] if e["code"] == "PLAUSIBLE-TERRAIN"]
+    assert len(found) == (words is not None), manifest["ledger"]
+    assert all(re.search(words, e["what"]) and "ground.reference" in e["where"] for e in found)
+    assert [e for e in manifest["ledger"] if e["kind"] == "finding"] == found
 
 
 def test_air_of_another_pressure(mission, monkeypatch):

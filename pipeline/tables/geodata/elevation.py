@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Sequence
 from functools import lru_cache
@@ -100,6 +101,15 @@ class ElevationModel:
         row, column = self.nodes(lat_rad, lon_rad)
         inside = (row >= 0.0) & (row <= self.size[0] - 1) & (column <= self.size[1] - 1)
         return np.asarray(inside & ((column >= 0.0) | (self.grid.around > 0)))
+
+    def height(self, lat_rad: float, lon_rad: float) -> float:
+        """Height above sea level [m] at one place, bilinear; NaN in holes and outside."""
+        row, column = (float(a[0]) for a in self.nodes(np.array([lat_rad]), np.array([lon_rad])))
+        first_row, first_column = math.floor(row), math.floor(column)
+        with self.lock:
+            corner = self._read(first_row, first_column)[:2, :2]
+        down, right = row - first_row, column - first_column
+        return float(np.array([1.0 - down, down]) @ corner @ np.array([1.0 - right, right]))
 
     def load(self, tiles: NDArray[np.int64]) -> None:
         """Read tiles that are not in memory, as many as fit there, in the place of others."""
