@@ -1,7 +1,11 @@
-"""What tie points find in a mission file, on blocks simulated with numpy alone."""
+"""What tie points find in a mission file, on blocks simulated with numpy alone.
+
+Sound blocks are drawn from the seeds below UNBEND_BLOCKS (2; `make faults`: 8).
+"""
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -58,7 +62,7 @@ def found(mission: StatedMission) -> list[str]:
     return [finding.code for finding in diagnosis(mission)[1]]
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(int(os.environ.get("UNBEND_BLOCKS", "2"))))
 def test_a_true_mission_file_raises_nothing(make, seed):
     stated, findings = diagnosis(make(seed))
     assert findings == ()

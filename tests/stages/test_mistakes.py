@@ -1,12 +1,15 @@
 """Mistakes that survey engineers make: caught by `check` with the key to change.
 
 The list was written by a reader of the README alone. Those that are not caught are named here, with
-the reason; a sound mission beside each kind raises nothing.
+the reason; a sound mission beside each kind raises nothing. Of the list, UNBEND_MISTAKES (12; `make
+faults`: all) are drawn from UNBEND_MISTAKE_SEED (0).
 """
 
 from __future__ import annotations
 
+import os
 import pickle
+import random
 import re
 from collections.abc import Iterator
 from functools import lru_cache
@@ -26,12 +29,15 @@ from .mistaken import MISTAKES, write_mistake
 
 LIST = yaml.safe_load(MISTAKES.read_text(encoding="utf-8"))
 
+SEED = int(os.environ.get("UNBEND_MISTAKE_SEED", "0"))
+COUNT = min(int(os.environ.get("UNBEND_MISTAKES", "12")), len(LIST["mistakes"]))
+DRAWN = random.Random(SEED).sample(LIST["mistakes"], COUNT)
+
 MISSED = {
     "lever-arm-up-positive": "1.2 m of height are within the sigmas of 3000 m above ground",
     "distortion-sign": "40 px at the corners are within the 0.3 deg of the attitudes",
     "calibrations-exchanged": "cameras that are alike, as above",
     "thermometer-bias-sign": "a stated calibration is taken for known",
-    "first-image-one-off": "a stated first image is taken for known",
     "orientation-date-of-processing": "without a log nothing else has the date",
     "cameras-exchanged-in-events": "both fire at the same moments: nothing changes",
     "pixel-origin-centre": "half a pixel",
@@ -87,8 +93,9 @@ def names(text: str, keys: str) -> bool:
     return False
 
 
-@pytest.mark.parametrize("mistake", LIST["mistakes"], ids=lambda mistake: str(mistake["id"]))
+@pytest.mark.parametrize("mistake", DRAWN, ids=lambda mistake: str(mistake["id"]))
 def test_a_mistake_is_caught_with_its_key(tmp_path: Path, mistake: dict[str, Any]) -> None:
+    print(f"seed {SEED}: {COUNT} of {len(LIST['mistakes'])} mistakes")
     code, text = checked(tmp_path, mistake)
     if mistake["id"] in MISSED:
         assert code == 0, "caught by now: to be taken from the list of the missed"
@@ -104,5 +111,5 @@ def test_what_is_right_raises_nothing(tmp_path: Path, control: dict[str, Any]) -
 
 def test_hardly_any_is_missed() -> None:
     assert len(LIST["mistakes"]) >= 60
-    assert len(MISSED) <= 8
+    assert len(MISSED) <= 7
     assert set(MISSED) <= {mistake["id"] for mistake in LIST["mistakes"]}
