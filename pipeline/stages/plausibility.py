@@ -38,6 +38,7 @@ _LARGEST_FACTOR = 1.5
 _FEWEST_ROWS = 100
 _TERRAIN_M = 50.0
 _BELOW_RAD = 0.5
+_HIGHEST_CAMERA_M = 0.25  # above an antenna, which has the sky above it, or an inertial sensor
 
 _KEYS = {
     "unmatched": "events.log.<camera>.image, observations.columns.image",
@@ -379,7 +380,7 @@ def direction_of_cameras(facts: Facts) -> Findings:
 
 
 def stated_numbers(facts: Facts) -> Findings:
-    """Angles that are no round ones in radians, short lever arms and delays, sigmas of a ground."""
+    """Angles, lever arms, delays and sigmas of the ground of a usual size and sign."""
     mission = facts.mission
     for name, mount in mission.mount.items():
         for key in ("roll_deg", "pitch_deg", "yaw_deg"):
@@ -396,6 +397,14 @@ def stated_numbers(facts: Facts) -> Findings:
             what = (
                 f"the lever arm of {name} is {length:.0f} m long, expected less than 10 m: likely "
                 "centimetres or millimetres"
+            )
+            yield "PLAUSIBLE-LEVER-ARM", f"mount.{name}.lever_arm_m", what
+        up = -mount.lever_arm_m[2]
+        if up > _HIGHEST_CAMERA_M and mount.build().camera_from_body[2, 2] > 0.5:
+            what = (
+                f"{name} looks down and lies {up:.2g} m above the point whose position is known, "
+                f"expected below it or up to {_HIGHEST_CAMERA_M:g} m above: likely a third number "
+                "that counts upward, here down is positive"
             )
             yield "PLAUSIBLE-LEVER-ARM", f"mount.{name}.lever_arm_m", what
     if (sigma := mission.ground.sigma_m or 0.0) > 50.0:

@@ -34,7 +34,6 @@ COUNT = min(int(os.environ.get("UNBEND_MISTAKES", "12")), len(LIST["mistakes"]))
 DRAWN = random.Random(SEED).sample(LIST["mistakes"], COUNT)
 
 MISSED = {
-    "lever-arm-up-positive": "1.2 m of height are within the sigmas of 3000 m above ground",
     "distortion-sign": "40 px at the corners are within the 0.3 deg of the attitudes",
     "calibrations-exchanged": "cameras that are alike, as above",
     "thermometer-bias-sign": "a stated calibration is taken for known",
@@ -111,5 +110,5 @@ def test_what_is_right_raises_nothing(tmp_path: Path, control: dict[str, Any]) -
 
 def test_hardly_any_is_missed() -> None:
     assert len(LIST["mistakes"]) >= 60
-    assert len(MISSED) <= 7
+    assert len(MISSED) <= 6
     assert set(MISSED) <= {mistake["id"] for mistake in LIST["mistakes"]}
