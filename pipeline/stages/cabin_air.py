@@ -210,8 +210,9 @@ def _implausible_air(
         (thin, "less pressure than the air outside"),
         (odd, "a temperature far from 21 degC"),
     ):
-        count, first = int(wrong.sum()), int(np.argmax(wrong))
+        count = int(wrong.sum())
         if count:
+            first = int(np.argmax(wrong))
             what = (
                 f"the cabin of {name} has {what}: {p[first] / HECTOPASCAL:.0f} hPa and "
                 f"{t[first] - ZERO_CELSIUS_K:.0f} degC at the first of {count} exposures; is it "

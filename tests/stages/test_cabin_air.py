@@ -171,6 +171,13 @@ def test_a_cabin_thinner_than_the_air_outside_is_told():
     assert "CABIN-IMPLAUSIBLE" not in [e.code for e in ledger]
 
 
+def test_a_camera_that_took_no_image_is_no_error():
+    stated = {"cam": Window(Cabin("constant", 80_000.0, 294.0)), "other": Window(Cabin("ambient"))}
+    at = stations(1000.0)
+    found = with_cabin_air(at, stated | {"none": stated["cam"]}, (), US1976, Ledger())
+    assert found.cabin_pressure_pa.tolist() == [80_000.0]
+
+
 @pytest.mark.parametrize(("inside_pa", "doubtful"), [(61_917.0, True), (47_300.0, False)])
 def test_a_cabin_that_is_said_to_be_ambient_and_is_not(inside_pa, doubtful):
     at = stations(6000.0, 6000.0, pressure_pa=KM6_PA)
