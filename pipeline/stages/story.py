@@ -55,7 +55,7 @@ from pipeline.stages.exposure_setup import (
 )
 from pipeline.stages.finished_run import rebuild_run, refuse_output
 from pipeline.stages.ground.point_table import check_object_points, with_object_points
-from pipeline.stages.ground.terrain_ground import TerrainGround, with_terrain
+from pipeline.stages.ground.terrain_ground import TerrainGround, compare_terrain, with_terrain
 from pipeline.stages.inputs import FlightLog, read_log, read_observations
 from pipeline.stages.multi_image.intersected_heights import with_intersected_heights
 from pipeline.stages.outputs import manifest_of, observation_metadata, write_tables
@@ -225,6 +225,7 @@ def correct_mission(
     report_unknown_sigmas(mission, stations, air.series, ledger)
     setup = correction_setup(mission, stations, air.series, exposures, prepared.flight.heights)
     setup = with_terrain(prepared.plan, setup, stations, prepared.flight.heights, ledger)
+    compare_terrain(prepared.observations, setup, stations, ledger)
     if mission.ground.height == "intersected":
         oriented = mission.stations.orientation is not None
         setup = with_intersected_heights(

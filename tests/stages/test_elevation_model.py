@@ -107,8 +107,9 @@ def test_tiles_in_any_order_are_one_model(mission, modelled, given):
     for number, columns in enumerate((slice(797, None), slice(0, 801))):
         modelled(columns=columns, name=f"tile{number}.tif")
     mission.config["ground"]["height"]["dem"] = ["tile0.tif", "tile1.tif"]
-    _, results = ran(mission)
+    manifest, results = ran(mission)
     np.testing.assert_allclose(results["h_g_m"], given["h_g_m"], atol=0.4)
+    assert not [e for e in manifest["ledger"] if e["code"] == "DEM-TIES"]
 
 
 def test_ellipsoidal_heights_are_reduced_by_the_undulation(mission, modelled, given):
@@ -125,6 +126,23 @@ def test_feet_and_undeclared_holes(mission, modelled, given):
     manifest, results = ran(mission)
     np.testing.assert_allclose(results["h_g_m"], given["h_g_m"], atol=0.4)
     assert "0.3048 m" in entry(manifest, "DEM-READ")["what"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        pytest.param(lambda z: z / 0.3048, id="feet that are not declared"),
+        pytest.param(lambda z: np.clip(z, 0, 255), id="a hillshade"),
+        pytest.param(lambda z: z + 60.0, id="another zero"),
+        pytest.param(
+            lambda z: np.where(np.arange(CELLS) >= CELLS // 2, 0.0, z), id="zero in holes"
+        ),
+    ],
+)
+def test_tie_points_contradict_a_model_of_other_heights(mission, modelled, change):
+    modelled(change=change)
+    manifest, _ = ran(mission, 3)
+    assert entry(manifest, "DEM-TIES")["kind"] == "finding"
 
 
 def test_a_hole_under_half_of_the_block_is_flagged_with_its_number(mission, modelled, given):
