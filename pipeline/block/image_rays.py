@@ -29,6 +29,7 @@ _LOWEST_GROUND_M = -600.0
 
 UNKNOWN_SIGMAS = (3.0, 3.0, 6.0, np.radians(1.0), np.radians(1.0), np.radians(3.0))
 """East, north, up [m], tilts and yaw [rad] of a station that does not say: judgement."""
+_LEAST_SIGMAS = (1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +69,7 @@ def orientations_of(
 ) -> Orientations:
     """Orientations of stations; a sigma that is not stated is ``unknown_sigmas``'.
 
+    One that is stated as 0 is 1 mm or 1 microradian: residuals are counted in units of it.
     What is not ok is NaN. Heights of which only that above mean sea level is known count from
     there: rays meet as well.
     """
@@ -86,7 +88,7 @@ def orientations_of(
         centre_m=np.where(usable[:, None], centre, np.nan),
         camera_from_ecef=Rotation.from_quat(q[:, [1, 2, 3, 0]]).as_matrix() @ axes,
         enu_from_ecef=axes,
-        sigma=np.where(np.isfinite(sigma), sigma, unknown_sigmas),
+        sigma=np.maximum(np.where(np.isfinite(sigma), sigma, unknown_sigmas), _LEAST_SIGMAS),
     )
 
 

@@ -115,7 +115,7 @@ class Facts:
         """The median nadir angle of a camera's axis [deg]; NaN without stations."""
         rows = (self.stations.camera == name) & self.stations.ok
         cosine = -self.exposures.rotation[rows, 2, 2]
-        cosine = cosine[np.isfinite(cosine)]
+        cosine = np.clip(cosine[np.isfinite(cosine)], -1.0, 1.0)
         return float(np.degrees(np.median(np.arccos(cosine)))) if cosine.size else math.nan
 
     def of_camera(self, name: str, values: Array) -> Array:

@@ -87,7 +87,7 @@ class RowSample:
     >>> sample = RowSample(4)
     >>> sample.add(pa.array(["a"] * 7 + ["b", None]))
     >>> sample.number.tolist(), sample.weights.tolist()
-    ([1, 4, 7, 8], [3.5, 3.5, 1.0, 1.0])
+    ([0, 5, 7, 8], [3.5, 3.5, 1.0, 1.0])
     """
 
     most: int

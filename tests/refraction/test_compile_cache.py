@@ -94,7 +94,8 @@ def test_nothing_is_written_where_nothing_can_be(tree, tmp_path):
 def test_every_source_that_may_be_compiled_in_is_hashed(tmp_path):
     """What the kernels import from the package lies in the folders that are hashed."""
     seen, left = set(), [*ROOM.glob("kernels/*.py"), *ROOM.glob("camera/*.py")]
-    left = [path for path in left if path.name not in ("jit.py", "threads.py")]
+    # Nothing in these is compiled: they hand arrays to what is.
+    left = [path for path in left if path.name not in ("jit.py", "threads.py", "landing.py")]
     for path in left:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("pipeline"):

@@ -370,9 +370,13 @@ def test_the_sigmas_of_each_mount_in_radians(mission):
     prepared = read_mission(mission.save())
     sigmas = station_sigmas(prepared.plan.mission, prepared.stations)
     ok = prepared.stations.ok & (camera == first)
-    # without innovations of a filter 0.3 deg, and 0.5 deg of yaw
-    assert sigmas.tilt_rad[ok] == pytest.approx(0.005235987755982988)
-    assert sigmas.yaw_rad[ok] == pytest.approx(0.008726646259971648)
+    # Without innovations of a filter 0.1 and 0.22 deg, and of yaw 0.36 deg and what a compass shows
+    # of the tilt: times 2 tan(latitude), the dip of a dipole along the earth's axis.
+    dip = 2.0 * np.tan(prepared.stations.lat_rad[ok])
+    assert np.degrees(sigmas.tilt_rad[ok]) == pytest.approx(0.24166, abs=1e-5)
+    np.testing.assert_allclose(
+        np.degrees(sigmas.yaw_rad[ok]), np.hypot(0.36, 0.24166 * dip), atol=1e-4
+    )
     # stations that know nothing of their attitude have the mount's sigmas
     unknown_tilt = replace(at, sigma_tilt_rad=np.full(len(at), np.nan))
     sigmas = station_sigmas(prepared.plan.mission, unknown_tilt)

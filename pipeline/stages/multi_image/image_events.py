@@ -135,13 +135,14 @@ def tie_likelihood(
 ) -> TieLikelihood | None:
     """Likelihood by the tie points of one camera; None where they are too few.
 
-    ``stations`` are those of all its events. Points whose rays an unusable station may have are as
-    good as others: an unusable one contradicts nothing.
+    ``stations`` are those of all its events. Rays of an unusable station count as bad ones: where
+    many are unusable the events of others seem better, so fewer than nine in ten decide nothing.
     """
     of_camera = np.full(images.name.shape, "camera", object)
     rays = tie_rays(ties, images.name, of_camera, {"camera": camera})
     points = np.unique(rays.point)
-    if points.size < _FEWEST_POINTS or stations.ok.sum() < 2:
+    usable = stations.ok.sum() >= max(2.0, _USABLE_STATIONS * len(stations))
+    if points.size < _FEWEST_POINTS or not usable:
         return None
     some = points[np.unique(np.linspace(0, points.size - 1, _TIE_POINTS).astype(int))]
     return TieLikelihood(orientations_of(stations), replace(rays.of_points(some), height_m=None))

@@ -220,9 +220,9 @@ def positions_of_tags(tags: Iterable[Mapping[str, str]]) -> NDArray[np.float64]:
 
 
 def _degrees(text: str, hemisphere: str = "") -> float:
-    """A number, or degrees, minutes and seconds with the letter of their hemisphere; NaN for none.
+    r"""A number, or degrees, minutes and seconds with the letter of their hemisphere; NaN for none.
 
-    >>> _degrees("47 deg 18' 36.00\" S"), _degrees("[8, 30, 0]", "W"), _degrees("+8.5")
+    >>> round(_degrees("47 deg 18' 36.00\" S"), 9), _degrees("[8, 30, 0]", "W"), _degrees("+8.5")
     (-47.31, -8.5, 8.5)
     """
     parts = [
