@@ -123,6 +123,21 @@ class ObservationsSection(Section):
         description="in what the images may be called otherwise than their exposures: case, "
         "extension, folder, digits (DSC1 for DSC_0001)",
     )
+    refraction: Literal["none", "removed_by_other"] = Field(
+        "none",
+        description="what was done to them before: none, as measured; removed_by_other: another "
+        "program has removed refraction, and they are refused",
+    )
+
+    @field_validator("refraction")
+    @classmethod
+    def _check_not_twice(cls, value: str) -> str:
+        if value != "none":
+            raise ValueError(
+                "another program has removed refraction from these observations, and removing it "
+                "again would count it twice: give them as measured, or adjust them as they are"
+            )
+        return value
 
     @property
     def pixels(self) -> PixelSystem:

@@ -19,7 +19,11 @@ from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.uncertainty.budget import BlockScale
 from pipeline.stages.inputs import FlightLog
 from pipeline.stages.statistics import Statistics
-from pipeline.tables.schemas import REFRACTION_APPLIED, REFRACTION_KEY, REFRACTION_REMOVED
+from pipeline.tables.refraction_mark import (
+    REFRACTION_APPLIED,
+    REFRACTION_KEY,
+    REFRACTION_REMOVED,
+)
 from pipeline.tables.writing import table_of_profiles, table_of_stations, write_parquet
 from pipeline.units import ARCSEC
 

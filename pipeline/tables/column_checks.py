@@ -1,18 +1,16 @@
-"""Columns by the user's names: refusals of tables that lack one, or went through this before."""
+"""Columns by the user's names: refusals of tables that lack one, or hold other pixels."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import pyarrow as pa
 
 from pipeline.errors import InputError
-from pipeline.tables.schemas import REFRACTION_APPLIED, REFRACTION_KEY, REFRACTION_REMOVED
-
-Direction = Literal["remove", "apply"]
+from pipeline.tables.refraction_mark import Direction
 
 
 class WantedColumn(NamedTuple):
@@ -96,37 +94,6 @@ def is_number(kind: Any) -> bool:
         or pa.types.is_integer(kind)
         or pa.types.is_decimal(kind)
         or pa.types.is_null(kind)
-    )
-
-
-def refuse_done(path: Path, schema: pa.Schema, direction: Direction) -> None:
-    """Refuse to do to a table what was done to it already.
-
-    ``schema`` is the table's, ``direction`` what is to be done. The mark in the metadata is
-    enough, and so is the column of our results without it: a CSV has no metadata.
-    """
-    removing = direction == "remove"
-    mark = REFRACTION_REMOVED if removing else REFRACTION_APPLIED
-    column = "x_corrected_px" if removing else "x_displaced_px"
-    words = f'"refraction {mark.decode()}"'
-    if (schema.metadata or {}).get(REFRACTION_KEY) == mark:
-        why = f"the table carries the mark {words}"
-    elif column in schema.names:
-        why = f"the table has a column {column}: {words}"
-    else:
-        return
-    if removing:
-        raise InputError(
-            "OBS-ALREADY-CORRECTED",
-            f"{why}; correcting it again would count it twice",
-            where=str(path),
-            remedy="give the measurements as they came from the images",
-        )
-    raise InputError(
-        "OBS-ALREADY-DISPLACED",
-        f"{why}; displacing it again would count it twice",
-        where=str(path),
-        remedy="give ideal observations, free of refraction",
     )
 
 

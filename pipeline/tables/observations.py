@@ -16,17 +16,16 @@ from numpy.typing import NDArray
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
 from pipeline.tables.column_checks import (
-    Direction,
     WantedColumn,
     is_text,
     refuse_ambiguous_names,
-    refuse_done,
     refuse_other_pixels,
     require_columns,
 )
 from pipeline.tables.delimited import csv_names, open_csv, scan_csv
 from pipeline.tables.geodata.object_points import ObjectPoints
 from pipeline.tables.pixels import COLMAP, PixelSystem
+from pipeline.tables.refraction_mark import Direction, refuse_done
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
 
 Array = NDArray[np.float64]

@@ -9,10 +9,6 @@ import pyarrow as pa
 
 SCHEMA_VERSION = "1"
 
-REFRACTION_KEY = b"unbend.refraction"
-REFRACTION_REMOVED = b"removed"
-REFRACTION_APPLIED = b"applied"
-
 _F = pa.float64()
 _F4 = pa.float32()
 _S = pa.string()

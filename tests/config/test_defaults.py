@@ -74,6 +74,7 @@ def test_inputs_and_outputs():
     assert defaults(CsvEvents)["columns"].time_utc == "time_utc"
     table = ObservationsSection(path="a.csv")
     assert table.pixel_origin == "corner"  # COLMAP's
+    assert table.refraction == "none"
     assert (table.columns.image, table.columns.point) == ("image", "point")
     assert (table.columns.x_px, table.columns.y_px) == ("x_px", "y_px")
     assert table.columns.distance_m is None

@@ -39,7 +39,7 @@ FULL: dict[str, Any] = {
     "observations": {
         "path": "o.parquet",
         "columns": {"image": "i", "point": "p", "x_px": "x", "y_px": "y", "distance_m": "d"},
-        "pixel_origin": "corner", "match_names": ["case", "digits"],
+        "pixel_origin": "corner", "match_names": ["case", "digits"], "refraction": "none",
     },
     "cameras": {
         "nadir": {

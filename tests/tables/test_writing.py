@@ -21,10 +21,11 @@ from pipeline.flight.stations import empty_stations
 from pipeline.geodesy import lambert_gravity
 from pipeline.ledger import Ledger
 from pipeline.tables import delimited
-from pipeline.tables.column_checks import refuse_done, refuse_other_pixels
+from pipeline.tables.column_checks import refuse_other_pixels
 from pipeline.tables.events import read_events
 from pipeline.tables.exports.format import write_csv_stream
 from pipeline.tables.observations import open_observations
+from pipeline.tables.refraction_mark import refuse_done
 from pipeline.tables.schemas import (
     OBSERVATION_COLUMNS,
     PROFILE_COLUMNS,

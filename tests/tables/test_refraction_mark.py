@@ -1,0 +1,120 @@
+"""What has lost its refraction is not corrected again: sidecars, marks in databases, columns."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+import yaml
+
+from pipeline.errors import InputError
+from pipeline.tables.refraction_mark import refuse_marked, sidecar_text
+
+TEXT = "image,point,x_px,y_px\na,p,1,2\n"
+
+
+@pytest.fixture
+def exported(tmp_path: Path) -> Path:
+    """A folder with tracks.csv, its sidecar, and cameras.json that the sidecar does not name."""
+    (tmp_path / "tracks.csv").write_text(TEXT)
+    (tmp_path / "cameras.json").write_text("{}")
+    text = sidecar_text([tmp_path / "tracks.csv"], {"frame": "east, north, up"})
+    (tmp_path / "tracks.csv.unbend.json").write_text(text)
+    return tmp_path
+
+
+def code_of(path: Path, **more: str) -> str:
+    with pytest.raises(InputError) as caught:
+        refuse_marked(path, **more)
+    return caught.value.code
+
+
+def test_the_sidecar_says_what_it_is_about(exported):
+    content = json.loads((exported / "tracks.csv.unbend.json").read_text())
+    assert content == {
+        "unbend.refraction": "removed",
+        "files": [{"name": "tracks.csv", "sha256": hashlib.sha256(TEXT.encode()).hexdigest()}],
+        "frame": "east, north, up",
+    }
+
+
+def test_a_file_that_a_sidecar_names_is_refused_under_any_name(exported):
+    assert code_of(exported / "tracks.csv") == "OBS-ALREADY-CORRECTED"
+    renamed = (exported / "tracks.csv").rename(exported / "measured.csv")
+    assert code_of(renamed) == "OBS-ALREADY-CORRECTED"
+    assert code_of(exported) == "OBS-ALREADY-CORRECTED"  # the folder, by the file in it
+    refuse_marked(renamed, "apply")  # ideal observations may be displaced
+
+
+def test_other_files_beside_it_are_read(exported):
+    refuse_marked(exported / "cameras.json")
+    (exported / "other.csv").write_text(TEXT + "a,q,3,4\n")
+    refuse_marked(exported / "other.csv")
+    (exported / "tracks.csv").rename(exported.parent / "tracks.csv")
+    refuse_marked(exported)
+    refuse_marked(exported.parent / "tracks.csv")  # away from its sidecar nothing is known
+
+
+def test_a_file_that_was_written_to_since(exported):
+    """A line added by an editor does not wash it clean."""
+    (exported / "tracks.csv").write_text(TEXT + "\n")
+    assert code_of(exported / "tracks.csv") == "OBS-MARK-CHANGED"
+    assert code_of(exported) == "OBS-MARK-CHANGED"
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"files": [{"name": "a"}]}', '{"files": 3}'])
+def test_a_damaged_sidecar_says_nothing_and_nothing_passes(exported, text):
+    (exported / "tracks.csv.unbend.json").write_text(text)
+    assert code_of(exported / "cameras.json") == "OBS-MARK-UNREADABLE"
+
+
+def test_a_database_carries_its_mark(tmp_path):
+    for value in ("removed", "applied", None):
+        path = tmp_path / f"{value}.db"
+        with closing(sqlite3.connect(path)) as database:
+            database.execute("CREATE TABLE keypoints (image_id INTEGER)")
+            if value is not None:
+                database.execute("CREATE TABLE unbend (key TEXT, value TEXT)")
+                database.execute("INSERT INTO unbend VALUES ('unbend.refraction', ?)", (value,))
+            database.commit()
+    assert code_of(tmp_path / "removed.db") == "OBS-ALREADY-CORRECTED"
+    refuse_marked(tmp_path / "applied.db")
+    refuse_marked(tmp_path / "None.db")
+    (tmp_path / "torn.db").write_bytes((tmp_path / "removed.db").read_bytes()[:3000])
+    refuse_marked(tmp_path / "torn.db")  # no mark can be read; its reader refuses it
+
+
+def test_run_refuses_a_table_that_a_sidecar_names(unbend, mission):
+    path = mission.folder / mission.config["observations"]["path"]
+    (mission.folder / "else.unbend.json").write_text(sidecar_text([path], {}))
+    for command in ("run", "check"):
+        ended = unbend(command, mission.save())
+        assert ended.code in (2, 6)
+        assert "OBS-ALREADY-CORRECTED" in ended.err
+        assert "else.unbend.json" in ended.err
+
+
+@pytest.mark.parametrize("column", ["x_corrected_px", "y_corrected_px"])
+def test_run_refuses_a_csv_with_a_column_of_ours(mission, column):
+    mission.observe_text(f"image,point,x_px,y_px,{column}\na,p,1,2,3\n")
+    assert "OBS-ALREADY-CORRECTED" in mission.run().err
+
+
+def test_what_another_program_removed_is_refused(mission):
+    mission.config["observations"]["refraction"] = "removed_by_other"
+    ended = mission.run()
+    assert ended.code == 2
+    line = next(
+        n for n, text in enumerate(mission.file.read_text().splitlines(), 1)
+        if "removed_by_other" in text
+    )  # fmt: skip
+    assert f"line {line}: observations.refraction: another program has removed refraction" in (
+        " ".join(ended.err.split())
+    )
+    assert yaml.safe_load(mission.file.read_text())["observations"]["refraction"]
+    mission.config["observations"]["refraction"] = "none"
+    assert mission.run().code == 0
