@@ -43,9 +43,9 @@ from pipeline.stages.ground.ground_heights import (
 )
 from pipeline.stages.statistics import SAMPLED_ROWS, SampledRows, Statistics, evenly_spaced
 from pipeline.stages.uncertainty import uncertainties_of_mission, views_of_mission
-from pipeline.tables.column_checks import Direction
 from pipeline.tables.geodata.object_points import matching_rows
 from pipeline.tables.observations import Batch, Observations
+from pipeline.tables.refraction_mark import Direction
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
 from pipeline.tables.writing import table_of_observations, write_parquet
 

@@ -141,7 +141,7 @@ def _database_is_marked(path: Path) -> bool:
             found = database.execute(query, (REFRACTION_KEY.decode(),)).fetchone()
     except sqlite3.DatabaseError:  # no such table, or damaged: for its reader to say
         return False
-    return found == (REFRACTION_REMOVED.decode(),)
+    return bool(found == (REFRACTION_REMOVED.decode(),))
 
 
 def _sha256(path: Path) -> str:
