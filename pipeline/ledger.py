@@ -139,6 +139,9 @@ class Ledger:
     def loss(self, code: str, what: str, *, where: str = "", count: int = 0) -> None:
         self.add(loss(code, what, where=where, count=count))
 
+    def finding(self, code: str, what: str, *, where: str = "", count: int = 0) -> None:
+        self.add(finding(code, what, where=where, count=count))
+
     def rows(self) -> list[dict[str, str | int]]:
         """The entries as plain dictionaries, sorted, for the manifest."""
         return [asdict(entry) | {"kind": entry.kind.value} for entry in sorted(self._entries)]

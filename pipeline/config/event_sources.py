@@ -183,7 +183,15 @@ class EventsSection(Section):
         """By camera, the names of images whose events are pulses of a log or file."""
         sources = self.log or self.positions or {}
         return {camera: source.image for camera, source in sources.items()}
-        return self
+
+    @property
+    def time_key(self) -> str:
+        """Where the mission file says of which clock the times of the exposures are."""
+        if self.csv is None:
+            return "events.log" if self.log is not None else "events.positions"
+        return (
+            f"events.csv.columns.{'gps_week' if self.csv.columns.time_utc is None else 'time_utc'}"
+        )
 
     def anchor(self, camera: str) -> FirstImage | None:
         """The image and event that are stated for a camera."""

@@ -276,7 +276,12 @@ class GroundSection(Section):
     @classmethod
     def _default_reference(cls, values: Any) -> Any:
         """Heights that follow from the camera's own are above mean sea level."""
-        if isinstance(values, dict) and values.get("height") in ("from_distance", "intersected"):
+        if not isinstance(values, dict):
+            return values
+        if values.get("height") == "intersected" and "reference" in values:
+            raise ValueError("height: intersected gives heights above mean sea level; leave "
+                             "reference out")  # fmt: skip
+        if values.get("height") in ("from_distance", "intersected"):
             return {"reference": "msl"} | values
         return values
 
@@ -433,6 +438,12 @@ class Mission(Section):
     def position_events(self) -> dict[str, PositionEvents]:
         """Files of exposures with their positions, by camera."""
         return (self.events.positions if self.events is not None else None) or {}
+
+    def attitude_key(self, camera: str) -> str:
+        """Where the angles of a camera are stated: its mount, or orientations that are its own."""
+        oriented = self.stations.orientation
+        own = oriented is not None and oriented.angles != "roll_pitch_yaw"
+        return "stations.orientation" if own else f"mount.{camera}"
 
     @property
     def max_gap_s(self) -> float:

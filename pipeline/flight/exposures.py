@@ -177,12 +177,13 @@ _USUAL_SHIFTS_S = [
 """Leap seconds, whole hours of time zones, a day, a week, quarters of an hour: in this order."""
 
 
-def span_notes(events: list[Events], position: Channel) -> Notes:
+def span_notes(events: list[Events], position: Channel, key: str) -> Notes:
     """Events beyond the time of the flight: a warning, with the shift by which they would fit.
 
     That is the first of leap seconds, time zones, a day and a week which brings all of them into
-    the span of ``position``, else that of both beginnings. Refuses (MissionError EVENTS-SPAN) where
-    more than half lie beyond it.
+    the span of ``position``, else the one that makes both begin together, if it brings more of them
+    into it. ``key`` says where the times are stated. Refuses (MissionError EVENTS-SPAN) where more
+    than half lie beyond it.
     """
     time_ns = np.sort(np.concatenate([np.empty(0, np.int64), *(e.time_ns for e in events)]))
     if time_ns.size == 0 or len(position) == 0:
@@ -194,22 +195,24 @@ def span_notes(events: list[Events], position: Channel) -> Notes:
     shifts = [shift * 1_000_000_000 for shift in _USUAL_SHIFTS_S]
     able = [s for s in shifts if time_ns[0] + s >= first and time_ns[-1] + s <= last]
     shift = [*able, first - int(time_ns[0])][0]
+    left = int(np.count_nonzero((time_ns + shift < first) | (time_ns + shift > last)))
     spans = [
         " to ".join(str(np.datetime64(t, "ns").astype("datetime64[ms]")) for t in span)
         for span in ((int(time_ns[0]), int(time_ns[-1])), (first, last))
     ]
+    fitting = f"{shift * 1e-9:+.6g} s would bring {time_ns.size - left if left else 'all'} of them"
     what = (
         f"{beyond} of {time_ns.size} events lie beyond the flight: events {spans[0]}, "
-        f"{position.name} {spans[1]}; {shift * 1e-9:+.0f} s "
-        + ("would bring all of them into it" if able else "would begin them with it")
+        f"{position.name} {spans[1]}; "
+        f"{fitting if left < beyond else 'no offset would bring more of them'} into it"
     )
     if 2 * beyond > time_ns.size:
         raise MissionError(
-            "EVENTS-SPAN", what, where="events",
-            remedy="name the events of this flight, or state delay_s: GPS time is 18 s ahead of "
-            "UTC, local time by its zone",
+            "EVENTS-SPAN", what, where=key,
+            remedy=f"check {key} (GPS time is 18 s ahead of UTC, local time by its zone), or add "
+            "the offset to delay_s; or name the events and the log of one flight",
         )  # fmt: skip
-    return (warning("EVENTS-SPAN", what, where="events", count=beyond),)
+    return (warning("EVENTS-SPAN", what, where=key, count=beyond),)
 
 
 def ground_shot_notes(

@@ -16,7 +16,7 @@ from pipeline.flight.channels import Channel
 from pipeline.flight.stations import Stations
 from pipeline.flight.trajectory import interpolate
 from pipeline.geodesy import GeoidGrid, offset_geodetic
-from pipeline.ledger import Entry, Notes, loss, note, warning
+from pipeline.ledger import Entry, Notes, finding, loss, note, warning
 
 Array = NDArray[np.float64]
 
@@ -80,11 +80,16 @@ def height_system(
         count, own = int(both.size), float(np.median(both))
         one_height = not both.any()  # as some receivers on a CAN bus do
         if one_height:
+            here = undulation
+            if here is None and geoid is not None:
+                of_grid = geoid.undulation(height["lat_rad"], height["lon_rad"])
+                here = float(np.nanmedian(of_grid)) if np.isfinite(of_grid).any() else None
+            size = "" if here is None else f" of {here:.1f} m"
             what = (
                 f"both heights of {height.name} are equal to the last digit in {count} rows: one "
                 "is a copy of the other, and which of them is meant is unknown; they are taken as "
                 f"above mean sea level, and the others follow by {source}: if they are above the "
-                "ellipsoid, the stations are too high by the undulation (-107 to 86 m), and "
+                f"ellipsoid, the stations are off by the undulation{size}, and "
                 "log.channels.height must name another channel"
             )
             notes.append(warning("HEIGHT-SAME", what, where=height.name, count=count))
@@ -120,15 +125,15 @@ def height_system(
 
 
 def _by_size(off_m: float, what: str, where: str, count: int) -> Entry:
-    """An undulation that is off: a warning, beyond 10 m a loss."""
-    tell = loss if abs(off_m) > LARGEST_GEOID_M else warning
+    """An undulation that is off: a warning, beyond 10 m a finding."""
+    tell = finding if abs(off_m) > LARGEST_GEOID_M else warning
     return tell("HEIGHT-GEOID", what, where=where, count=count)
 
 
 def undulation_notes(heights: HeightSystem, stations: Stations, egm96: GeoidGrid) -> Notes:
     """Which undulation is used at the stations; what speaks against it, by EGM96.
 
-    A difference of more than 3 m is a warning and of more than 10 m a loss (HEIGHT-GEOID), with
+    A difference of more than 3 m is a warning and of more than 10 m a finding (HEIGHT-GEOID), with
     what the other sign would give.
     """
     placed = np.isfinite(stations.lat_rad)

@@ -127,7 +127,7 @@ class Facts:
         """The key of a part of a camera, by how the mission file gives its orientation."""
         section = self.mission.cameras[name]
         if section.model is not None:
-            return f"cameras.{name}, params or file"
+            return f"cameras.{name}, {'' if number != 'width_px' else 'width_px, '}params or file"
         return f"cameras.{name}." + (number if section.metric is None else f"metric.{report}")
 
     def view_deg(self, name: str) -> float:
@@ -200,10 +200,12 @@ def causes_of_statuses(facts: Facts) -> dict[str, str]:
             camera, rows = facts.cameras[name], outside & (facts.camera == name)
             x, y = facts.rows.x_px[rows], facts.rows.y_px[rows]
             off = (x < 0) | (y < 0) | (x > camera.width_px) | (y > camera.height_px)
-            parts += [f"outside {camera.width_px} x {camera.height_px} px (cameras.{name}.width_px,"
-                      f" height_px; observations.columns)"] if off.any() else []  # fmt: skip
-            parts += [f"beyond where the distortion of {name} can be inverted (cameras.{name}."
-                      "distortion, f_px, fx_px)"] if not off.all() else []  # fmt: skip
+            size = facts.key_of(name, "width_px", "format_mm")
+            parts += [f"outside {camera.width_px} x {camera.height_px} px ({size}; "
+                      "observations.columns)"] if off.any() else []  # fmt: skip
+            bent = facts.key_of(name, "distortion", "distortion")
+            parts += [f"beyond where the distortion of {name} can be inverted ({bent})"
+                      ] if not off.all() else []  # fmt: skip
         causes["outside_camera"] = "; ".join(parts)
     return causes
 
@@ -374,9 +376,9 @@ def direction_of_cameras(facts: Facts) -> Findings:
         if expected:
             what = (
                 f"the axis of {name} is {axis:.1f} deg from the nadir in the median, expected "
-                f"{expected} (mount.{name}.roll_deg, pitch_deg)"
+                f"{expected} ({facts.mission.attitude_key(name)})"
             )
-            yield "PLAUSIBLE-DIRECTION", f"mount.{name}", what
+            yield "PLAUSIBLE-DIRECTION", facts.mission.attitude_key(name), what
 
 
 def stated_numbers(facts: Facts) -> Findings:

@@ -61,6 +61,9 @@ def rehearsal_lines(checked: CorrectedMission) -> list[tuple[str, str]]:
     height_role = prepared.flight.roles.get("height")
     source = "orientation" if mission.stations.orientation is not None else "no channel"
     source = source if height_role is None else height_role.name
+    stated, of_undulation = heights.undulation_m, heights.source
+    if stated is not None and abs(np.nanmedian(undulation) - stated) > 0.1:
+        of_undulation = f"the log's own, not the {stated:g} m of {heights.source}"
     pixels = {name: _span(facts.of_camera(name, facts.rows.shift_px), 3) for name in facts.cameras}
     metres = {
         name: _span(facts.of_camera(name, facts.rows.shift_ground_m), 3) for name in facts.cameras
@@ -76,7 +79,7 @@ def rehearsal_lines(checked: CorrectedMission) -> list[tuple[str, str]]:
     above = facts.camera_height_m - facts.rows.h_g_m
     return [
         ("datum", f"cameras by {source}, ground {mission.ground.reference}, all above mean sea "
-         f"level; undulation {_span(undulation, 4)} m ({heights.source})"),
+         f"level; undulation {_span(undulation, 4)} m ({of_undulation})"),
         ("heights", f"ground {_span(facts.rows.h_g_m, 4)} m, take-off {taken}, cameras "
          f"{_span(facts.stations.h_msl_m[ok], 5)} m; above ground {_span(above, 4)} m"),
         ("cameras", "; ".join(camera_text(facts, name) for name in facts.cameras)),

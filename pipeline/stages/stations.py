@@ -157,8 +157,10 @@ def stations_of_mission(
         image = renamed(exposures.image, observed, differences, f"events, {exposures.camera}")
         events[k] = replace(exposures, image=ledger.take(image))
     refuse_repeated_images(events)
-    if "position" in flight.roles:
-        ledger.extend(span_notes(events, flight.roles["position"]))
+    if "position" in flight.roles and mission.events is not None:
+        of_other = ", stations.trajectory.time" if mission.stations.trajectory is not None else ""
+        key = mission.events.time_key + of_other
+        ledger.extend(span_notes(events, flight.roles["position"], key))
     exposed: list[Stations] = []
     builders: dict[str, Callable[[Events], Stations]] = {}
     for events_of_camera in events:

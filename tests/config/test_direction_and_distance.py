@@ -60,6 +60,13 @@ def test_what_would_have_no_effect_is_refused(load, more):
     assert "above mean sea level" in refused(load, ground={"height": "from_distance"} | more)
 
 
+@pytest.mark.parametrize("reference", ["msl", "ellipsoid"])
+def test_intersected_heights_have_no_reference(load, reference):
+    assert load(ground={"height": "intersected"}).ground.reference == "msl"
+    words = refused(load, ground={"height": "intersected", "reference": reference})
+    assert "leave reference out" in words
+
+
 def test_heights_from_distances_need_the_column(load):
     words = refused(load, observations={"path": "o.parquet"})
     assert "observations.columns.distance_m" in words

@@ -19,7 +19,7 @@ REFUSALS = {
     name for name, kind in vars(errors).items()
     if isinstance(kind, type) and issubclass(kind, errors.UnbendError)
 }  # fmt: skip
-LEDGER = {"note", "fallback", "warning", "loss"}
+LEDGER = {"note", "fallback", "warning", "loss", "finding"}
 
 # What no test raises, and why.
 EXPLAINED = {

@@ -88,17 +88,28 @@ def events(first_s: float, shift_s: float) -> list[Events]:
 def test_events_of_another_time_are_refused_with_what_would_fit(late_s, words):
     """The log has an hour, the events 33 minutes from its eleventh: one zone alone fits."""
     with pytest.raises(MissionError) as caught:
-        span_notes(events(1500.0, late_s), flown())
+        span_notes(events(1500.0, late_s), flown(), "events.csv.columns.time_utc")
     assert caught.value.code == "EVENTS-SPAN"
     assert words in caught.value.what
     assert "2026-04-24T0" in caught.value.what
+    assert caught.value.where == "events.csv.columns.time_utc"
+
+
+def test_no_offset_is_named_that_brings_nothing():
+    """Events for two hours beside a log of one: some lie beyond it wherever they begin."""
+    time = np.linspace(0.2, 7200.0, 100)
+    names = np.array([f"i{k}" for k in range(100)], object)
+    long = [Events("cam", names, T0 + np.rint(time * 1e9).astype(np.int64))]
+    (entry,) = span_notes(long, flown(), "events")
+    assert "no offset would bring more of them into it" in entry.what
+    assert " +0 s" not in entry.what
 
 
 def test_events_that_begin_before_the_log_are_told_with_eighteen_seconds():
-    (entry,) = span_notes(events(0.0, -18.0), flown())
+    (entry,) = span_notes(events(0.0, -18.0), flown(), "events")
     assert (entry.kind, entry.count) == ("warning", 1)
     assert "+18 s would bring all of them into it" in entry.what
-    assert span_notes(events(0.0, 0.0), flown()) == ()
+    assert span_notes(events(0.0, 0.0), flown(), "events") == ()
 
 
 @pytest.mark.parametrize(("first_s", "measured", "kind", "count"), [

@@ -160,7 +160,7 @@ def test_ellipsoidal_height_alone_is_no_height_above_the_sea() -> None:
 def test_an_undulation_that_the_log_contradicts_is_told() -> None:
     place = {"lat_rad": LATITUDE, "lon_rad": LONGITUDE, "h_msl_m": 1000.0}
     both = channel("GPS", np.arange(5.0), **place, h_ellipsoid_m=1048.0)
-    for stated, kinds in ((47.0, []), (44.0, ["warning"]), (-48.0, ["loss"])):
+    for stated, kinds in ((47.0, []), (44.0, ["warning"]), (-48.0, ["finding"])):
         _, notes = height_system({"height": both}, stated)
         assert [note.kind for note in notes if note.code == "HEIGHT-GEOID"] == kinds
 
@@ -412,8 +412,9 @@ def test_two_heights_that_are_one_are_told() -> None:
     for apart, told in ((0.0, True), (0.001, False)):
         ledger = Ledger()
         gnss = channel("GPS", np.arange(5.0), **place, h_ellipsoid_m=heights + apart)
-        ledger.take(height_system({"height": gnss}, None))
+        ledger.take(height_system({"height": gnss}, None if apart else 48.0))
         assert ("HEIGHT-SAME" in {entry.code for entry in ledger}) is told
+        assert not told or "the undulation of 48.0 m" in next(iter(ledger)).what
 
 
 def test_each_sigma_is_its_own_channels() -> None:

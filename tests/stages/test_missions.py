@@ -94,12 +94,19 @@ def test_the_geoid_gives_the_undulation_that_the_log_lacks(mission_factory, tmp_
 
 
 @pytest.mark.parametrize("kind", ["bin", "tlog", "mcap"])
-def test_an_undulation_of_the_wrong_sign_is_a_loss(mission_factory, tmp_path, kind):
+def test_an_undulation_of_the_wrong_sign_is_a_finding(mission_factory, tmp_path, kind):
     mission = mission_factory(tmp_path, kind)
     mission.config["mission"]["undulation_m"] = -UNDULATION_M
     entries = [e for e in ran(mission, 3)["ledger"] if e["code"] == "HEIGHT-GEOID"]
-    assert {entry["kind"] for entry in entries} == {"loss"}
+    assert {entry["kind"] for entry in entries} == {"finding"}
     assert any("-94.8 m from EGM96" in e["what"] and "other sign" in e["what"] for e in entries)
+    # What is found may be accepted, with its reason; it stays in the ledger.
+    codes = {e["code"] for e in ran(mission, 3)["ledger"] if e["kind"] in ("finding", "loss")}
+    assert codes <= {"HEIGHT-GEOID", "TIES-HEIGHT"}
+    mission.config["accept"] = [{"code": code, "reason": "as flown"} for code in sorted(codes)]
+    accepted = [e for e in ran(mission, 0)["ledger"] if e["code"] in codes]
+    assert all(e["kind"] == "warning" and "as flown" in e["what"] for e in accepted)
+    del mission.config["accept"]
     mission.config["mission"]["undulation_m"] = UNDULATION_M - 5.0
     assert {e["kind"] for e in ran(mission, 0)["ledger"] if e["code"] == "HEIGHT-GEOID"} == {
         "warning"

@@ -45,7 +45,7 @@ MISSED = {
 
 OTHER_KEY = {
     "trajectory-gpst-called-utc", "observations-of-another-mission", "log-of-another-day",
-    "image-patterns-exchanged", "camera-axes-y-up", "geotags-of-two-lines-exchanged",
+    "image-patterns-exchanged", "camera-axes-y-up",
 }  # fmt: skip
 """Mistakes that are caught, but by the key of another section, or of none."""
 

@@ -155,7 +155,7 @@ def test_without_a_log_the_corrections_are_those_of_the_log(block, by_log):
 def test_a_coarse_table_is_as_good_as_its_digits(block, by_log):
     write(block, columns_of(block.table, digits=3))  # 0.001 deg of tilt: 2 parts in 10,000
     # Places to 0.001 deg are known to 40 m: unsaid, intersected heights are not those given.
-    assert any(e["code"] in ("ORIENTATION-TIES", "TIES-HEIGHT") and e["kind"] == "loss"
+    assert any(e["code"] in ("ORIENTATION-TIES", "TIES-HEIGHT") and e["kind"] == "finding"
                for e in ran(block, 3)["ledger"]), ran(block, 3)["ledger"]  # fmt: skip
     block.config["stations"]["orientation"]["sigma_horizontal_m"] = 40.0
     ran(block)

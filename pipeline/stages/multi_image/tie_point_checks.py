@@ -46,7 +46,7 @@ def check_tie_points(
     shifted: Callable[[float], Stations] | None,
     ledger: Ledger,
 ) -> None:
-    """A loss for each part of the mission file that tie points contradict, with its estimate.
+    """A finding for each part of the mission file that tie points contradict, with its estimate.
 
     ``shifted`` gives the stations that many seconds later, in their order.
     """
@@ -105,7 +105,7 @@ def check_tie_points(
         also = f"; {', '.join(finding.also)} would be as likely" if finding.also else ""
         if finding.sigma_factor > _GOOD_FACTOR:
             also += f"; rays still miss by {finding.sigma_factor:.2g} sigmas: more is wrong"
-        ledger.loss(
+        ledger.finding(
             finding.code,
             f"{finding.what}: by {stated.point.size} tie points this is "
             f"10^{finding.log_ratio / np.log(10.0):.0f} times as likely as what is stated{also}; "
@@ -127,7 +127,7 @@ def report_misses(
     code: str,
     explained: bool,
 ) -> None:
-    """How far the rays of tie points miss each other; a loss where no station explains it."""
+    """How far the rays of tie points miss each other; a finding where no station explains it."""
     at = np.searchsorted(stated.point, rays.point)
     line = stated.position_m[at] - stated.orientations.centre_m[rays.image]
     miss = np.sqrt(np.mean(stated.residual_rad**2, axis=1))
@@ -162,4 +162,4 @@ def report_misses(
         ": the orientations are not what they should be (rows of other images or cameras, another "
         "convention), or the name of a point is not that of one point in all images"
     )
-    ledger.loss(code, what, where=where, count=size)
+    ledger.finding(code, what, where=where, count=size)
