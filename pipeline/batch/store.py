@@ -38,14 +38,19 @@ _REPLACE_PAUSE_S = 0.1
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """A path to write to, beside ``path``; renamed to it when all is written and on the disk."""
+    """A path to write to, beside ``path``; renamed to it when all is written and on the disk.
+
+    The caller writes a file there, or makes a folder of files, for a ``path`` that is not there.
+    """
     draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
     try:
         with storage_errors(path):
             yield draft
-            sync_file(draft)
+            for file in sorted(draft.rglob("*")) if draft.is_dir() else [draft]:
+                sync_folder(file) if file.is_dir() else sync_file(file)
             replace_file(draft, path)
     finally:
+        shutil.rmtree(draft, ignore_errors=True)
         with suppress(OSError):
             draft.unlink(missing_ok=True)
 

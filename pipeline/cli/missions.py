@@ -212,7 +212,7 @@ class _ExportCommand(TyperCommand):
 def export(
     ctx: typer.Context,
     run: Annotated[Path, typer.Argument(help="a folder of results", metavar="RUN")],
-    out: Annotated[Path, typer.Option(help="the file to write")],
+    out: Annotated[Path, typer.Option(help="the file to write, or the folder that several go to")],
     ground_height: Annotated[
         float | None,
         typer.Option(

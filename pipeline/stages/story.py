@@ -332,10 +332,12 @@ def export_run(
     """
     form = find_format(name, out)
     values = form.values(options)
-    refuse_output(path, out, force=force)
+    refuse_output(path, out, force=force and bool(form.ending))
     ledger = Ledger()
     run = rebuild_run(path, verify_run(path), ground_height_m, ledger)
     with atomic_write(out) as draft:
+        if not form.ending:
+            draft.mkdir(parents=True)
         rows = form.write(run, values, draft, ledger)
     return rows, ledger
 

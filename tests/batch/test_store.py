@@ -299,3 +299,20 @@ def test_files_among_the_results_by_any_path(tmp_path: Path) -> None:
         assert store.would_replace(results, tmp_path / name), name
     for name in ("results/flight.bin", "elsewhere.parquet", "observations/own.parquet"):
         assert not store.would_replace(results, tmp_path / name), name
+
+
+def test_a_folder_is_there_whole_or_not_at_all(tmp_path):
+    def half(folder):
+        folder.mkdir()
+        (folder / "first.txt").write_text("1", encoding="utf-8")
+        raise OSError(28, "no space")
+
+    with pytest.raises(StorageError), store.atomic_write(tmp_path / "made") as draft:
+        half(draft)
+    assert list(tmp_path.iterdir()) == []
+    with store.atomic_write(tmp_path / "made") as draft:
+        (draft / "inner").mkdir(parents=True)
+        (draft / "inner" / "first.txt").write_text("1", encoding="utf-8")
+    assert [p.relative_to(tmp_path).as_posix() for p in sorted(tmp_path.rglob("*"))] == [
+        "made", "made/inner", "made/inner/first.txt"
+    ]  # fmt: skip

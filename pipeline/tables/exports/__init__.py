@@ -42,7 +42,8 @@ def find_format(name: str, out: Path) -> ExportFormat:
         fitting = [other for other, f in FORMATS.items() if f.ending == out.suffix.lower()]
         raise ConfigError(
             "EXPORT-ENDING",
-            f"{name} is written to a file that ends in {form.ending}",
+            f"{name} is written to a "
+            + (f"file that ends in {form.ending}" if form.ending else "folder, without an ending"),
             where=str(out),
             remedy=f"rename it to {out.with_suffix(form.ending).name or form.ending}"
             + (f", or choose from {', '.join(fitting)}" if fitting else ""),

@@ -92,8 +92,9 @@ Values = Mapping[str, Any]
 class ExportFormat:
     """A format: its name, what it holds in words, the ending of its file, its writer, its options.
 
-    ``write(run, values, path, ledger)`` writes one file at a path and returns its number of rows;
-    what is left out is entered in the ledger.
+    ``write(run, values, path, ledger)`` writes one file at a path, or several into the folder that
+    is there where the ending is "", and returns the number of rows; what is left out is entered in
+    the ledger.
     """
 
     name: str

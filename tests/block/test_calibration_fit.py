@@ -1,0 +1,150 @@
+"""The change of an interior orientation that stands for a correction.
+
+Truth: closed forms of R = K tan(zeta), cameras changed by hand, and arithmetic written out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.block.calibration_fit import (
+    CORRECTIONS,
+    FEW,
+    FULL,
+    CorrectionChange,
+    SeenRays,
+    changed_camera,
+    correction_change,
+)
+from pipeline.refraction.calibration import camera_of_model
+from pipeline.refraction.camera.camera import Camera
+
+K = 59e-6
+F, CX, CY = 20_000.0, 7012.0, 5291.0
+PLAIN = Camera(14_000, 10_600, F, F, CX, CY)
+BROWN = camera_of_model(
+    "BROWN", 14_000, 10_600, [F, F * 1.0002, CX, CY, -0.02, 0.009, -0.002, 1.5e-4, -1e-4]
+)
+GENERAL = camera_of_model(
+    "GENERAL_FRAME", 14_000, 10_600,
+    [F, F, CX, CY, 1e-4, -0.02, 0.01, 0, 1e-3, 0, 0, 0, 1e-4, -2e-4, 1e-4, 0, 1e-4, 0, -1, 1e9, 30],
+)  # fmt: skip
+FISHEYE = camera_of_model(
+    "OPENCV_FISHEYE", 6000, 6000, [3000, 3000, 3000, 3010, 0.01, -0.002, 0, 0]
+)
+
+
+def seen(camera: Camera, bend) -> SeenRays:
+    """Pixels of a grid, and the straight rays that a bend (of tangents) makes of what is seen."""
+    x, y = np.meshgrid(np.linspace(60, camera.width_px - 60, 21),
+                       np.linspace(60, camera.height_px - 60, 17))  # fmt: skip
+    measured = np.stack([x.ravel(), y.ravel()], axis=1)
+    u, v, ok = camera.rays(*measured.T)
+    straight = bend(np.stack([u, v], axis=1)[ok])
+    return SeenRays(straight, measured[ok], np.ones(len(straight)))
+
+
+def nadir(tangents: np.ndarray) -> np.ndarray:
+    """R = K tan(zeta), the apparent ray farther from the nadir, about the optical axis."""
+    t = np.hypot(*tangents.T)[:, None]
+    return tangents / t * np.tan(np.arctan(t) - K * t)
+
+
+def oblique(tangents: np.ndarray) -> np.ndarray:
+    """The same of a head that looks 45 degrees up in the image, rows of which are level."""
+    s = np.sqrt(0.5)
+    to_level = np.array([[1.0, 0.0, 0.0], [0.0, s, -s], [0.0, s, s]])
+    rays = np.column_stack([tangents, np.ones(len(tangents))]) @ to_level.T
+    down = np.column_stack([nadir(rays[:, :2] / rays[:, 2:]), np.ones(len(rays))]) @ to_level
+    return down[:, :2] / down[:, 2:]
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.sum(values**2, axis=1))))
+
+
+def test_straight_down_f_and_k1_grow_by_k():
+    """Forward: r (1 + K (1 + r^2)); as a correction: c (1 + K) and -K r^3."""
+    rays = seen(PLAIN, nadir)
+    camera = changed_camera(PLAIN, rays, FEW)
+    assert camera.fx_px == camera.fy_px == pytest.approx(F * (1.0 + K), abs=1e-4 * F * K)
+    assert camera.distortion.k1 == pytest.approx(K, rel=1e-3)
+    assert (camera.cx_px, camera.cy_px) == (CX, CY)
+    assert rms(rays.left_px(camera)) < 1e-6 < 0.1 < rms(rays.left_px(PLAIN))
+    change, left = correction_change(PLAIN, rays, ("c", "k1"))
+    assert (change.c, change.k1) == pytest.approx((K, -K), rel=1e-3)
+    assert rms(left) < 1e-6
+    r = np.array([0.1, 0.4])
+    np.testing.assert_allclose(change.radial(r), -K * r**3, rtol=1e-3)
+
+
+@pytest.mark.parametrize("camera", [BROWN, GENERAL, FISHEYE], ids=["brown", "general", "fisheye"])
+def test_a_camera_that_was_changed_by_hand_is_found(camera):
+    """Whatever its model: rays that the changed camera sees are those of the changed camera."""
+    lens = camera.distortion
+    moved = replace(
+        camera, fx_px=camera.fx_px * 1.0001, fy_px=camera.fy_px * 1.00008, cx_px=camera.cx_px - 1.0,
+        cy_px=camera.cy_px + 0.5, distortion=lens._replace(k1=lens.k1 + 5e-5, k2=lens.k2 - 2e-5),
+    )  # fmt: skip
+    rays = seen(moved, lambda tangents: tangents)
+    found = changed_camera(camera, rays, FULL)
+    assert rms(rays.left_px(found)) < 1e-7
+    assert found.cx_px == pytest.approx(moved.cx_px, abs=1e-4)
+    assert found.fy_px == pytest.approx(moved.fy_px, rel=1e-8)
+
+
+@pytest.mark.parametrize("camera", [PLAIN, BROWN, GENERAL], ids=["plain", "brown", "general"])
+def test_a_head_that_looks_aside_takes_the_full_set(camera):
+    rays = seen(camera, oblique)
+    before = rms(rays.left_px(camera))
+    assert before > 1.0  # f K at 45 degrees
+    assert rms(rays.left_px(changed_camera(camera, rays, FULL))) < 0.03 * before
+    assert rms(correction_change(camera, rays)[1]) < 0.03 * before
+    assert rms(rays.left_px(changed_camera(camera, rays, FEW))) > 0.3 * before
+    # What is seen too high is seen by a principal point that lies higher: y grows downwards.
+    assert changed_camera(camera, rays, FULL).cy_px < camera.cy_px - 1.0
+
+
+def test_what_a_correction_adds_is_what_its_formula_says():
+    """Measured points, corrected by the sum written out in millimetres, are the straight rays."""
+    rays = seen(BROWN, oblique)
+    change, left = correction_change(BROWN, rays, CORRECTIONS)
+    assert all(getattr(change, name) != 0.0 for name in CORRECTIONS)
+    c, pitch = 92.0, 92.0 / F
+    x, y = ((rays.measured_px - [CX, CY]) * pitch * [1.0, -F / BROWN.fy_px]).T
+    u, v, _ = BROWN.rays(*rays.measured_px.T)
+    k1, k2, k3 = change.k1 / c**2, change.k2 / c**4, change.k3 / c**6
+    p1, p2, r2 = change.p1 / c, change.p2 / c, x * x + y * y
+    radial = k1 * r2 + k2 * r2**2 + k3 * r2**3
+    dx = -change.x0 * c + x * radial + p1 * (r2 + 2 * x * x) + 2 * p2 * x * y
+    dy = -change.y0 * c + y * radial + p2 * (r2 + 2 * y * y) + 2 * p1 * x * y
+    corrected = np.stack([u * c + dx + change.b1 * x + change.b2 * y, v * -c + dy], axis=1)
+    found = corrected / (c * (1.0 + change.c)) * [1.0, -1.0]
+    # (1 + c) on the straight ray, of which the residual is reckoned: a ten-thousandth of it.
+    np.testing.assert_allclose((found - rays.straight) * F, left, rtol=1e-3, atol=1e-6)
+    assert rms(left) < 0.04
+
+
+def test_rows_count_by_their_weights():
+    rays = seen(PLAIN, nadir)
+    spoilt = rays.measured_px.copy()
+    spoilt[::3] += 5.0
+    weight = np.ones(len(spoilt))
+    weight[::3] = 0.0
+    found = changed_camera(PLAIN, SeenRays(rays.straight, spoilt, weight), FEW)
+    assert found.fx_px == pytest.approx(F * (1.0 + K), abs=1e-4 * F * K)
+    change, _ = correction_change(PLAIN, SeenRays(rays.straight, spoilt, weight), ("c", "k1"))
+    assert change.c == pytest.approx(K, rel=1e-3)
+
+
+def test_no_change_is_none():
+    rays = seen(BROWN, lambda tangents: tangents)
+    same = changed_camera(BROWN, rays, FULL)
+    assert rms(rays.left_px(same)) < 1e-9
+    change, left = correction_change(BROWN, rays)
+    assert max(abs(getattr(change, name)) for name in CORRECTIONS) < 1e-10
+    assert rms(left) < 1e-9
+    assert CorrectionChange().radial(np.ones(1))[0] == 0.0
