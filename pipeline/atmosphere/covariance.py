@@ -190,22 +190,8 @@ class ProfileCovariance:
         return self.sigma_of(self.refractivity_gradient(np.atleast_1d(np.asarray(h, np.float64))))
 
     def refractivity_gradient(self, h: Array) -> Array:
-        """(n, 2k + 1) derivatives of n - 1 at heights (n,) [m] by the quantities of ``matrix``.
-
-        The index formula is differenced centrally (1e-7 of the derivative); hydrostatics carry
-        pressure with temperature in closed form.
-        """
-        t_m, p, vapour = self.profile.state(h)
-        weights = self._weights(h)
-        by_virtual = (self._index(t_m + 0.1, p, vapour) - self._index(t_m - 0.1, p, vapour)) / 0.2
-        up, down = p * (1.0 + 1e-3), p * (1.0 - 1e-3)
-        by_level = (self._index(t_m, up, vapour) - self._index(t_m, down, vapour)) / 2e-3
-        step = 1e-4
-        by_vapour = self._index(t_m, p, vapour + step) - self._index(t_m, p, vapour - step)
-        by_vapour = by_vapour / (2.0 * step)
-        carried = by_level[:, None] * self.log_pressure_by_virtual(h)
-        by_virtual = by_virtual[:, None] * weights + carried
-        return np.column_stack((by_virtual, by_level, by_vapour[:, None] * weights))
+        """(n, 2k + 1) derivatives of n - 1 at heights (n,) [m] by the quantities of ``matrix``."""
+        return air_jacobian(self.profile, h, self.anchor_height_m)
 
     def relative_sigma(self, h_c: float, h_g: float) -> float:
         """sigma_R/R of rays from a camera at ``h_c`` to the ground at ``h_g`` [m], to first order.
@@ -222,9 +208,6 @@ class ProfileCovariance:
     def _weights(self, h: Array) -> Array:
         edge = self.profile.layers.edge
         return hats(edge, self.profile.gravity.geopotential_height(h))
-
-    def _index(self, t_m: Array, p: Array, vapour: Array) -> Array:
-        return self.profile.index.refractivity(t_m * (1.0 - VAPOUR_DEFICIT * vapour), p, vapour * p)
 
     def log_pressure_by_virtual(self, h: Array) -> Array:
         """(n, k) derivatives of ln p at heights (n,) [m] by T_M at the edges [1/K]."""

@@ -8,12 +8,9 @@ from pipeline.refraction.image import Corrections, Exposures, correct_observatio
 from pipeline.refraction.ray import METHODS, bend, refraction_angle
 from pipeline.refraction.ray_table import RayTable, ray_table
 from pipeline.refraction.status_codes import STATUS_NAMES
-from pipeline.refraction.uncertainty.budget import (
-    BlockScale,
-    StationSigmas,
-    block_scale,
-    uncertainty_of,
-)
+from pipeline.refraction.uncertainty.air_sigma import AirMode
+from pipeline.refraction.uncertainty.budget import StationSigmas, uncertainty_of
+from pipeline.refraction.uncertainty.leading_mode import WindowRays, leading_mode
 from pipeline.refraction.uncertainty.sensitivity import (
     RayWeights,
     Sensitivity,
@@ -26,7 +23,7 @@ from pipeline.refraction.window import Cabin, Window
 __all__ = [
     "METHODS",
     "STATUS_NAMES",
-    "BlockScale",
+    "AirMode",
     "BrownConrady",
     "Cabin",
     "Camera",
@@ -40,11 +37,12 @@ __all__ = [
     "StationSigmas",
     "Uncertainty",
     "Window",
+    "WindowRays",
     "apply_refraction",
     "bend",
-    "block_scale",
     "correct_observations",
     "height_at_distance",
+    "leading_mode",
     "ray_table",
     "ray_weights",
     "refraction_angle",

@@ -31,7 +31,7 @@ from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.ray import PublishedRays, as_columns, bend
 from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.status_codes import OK, STATUS_NAMES
-from pipeline.refraction.uncertainty.sigmas import Sigmas, Uncertainty
+from pipeline.refraction.uncertainty.sigmas import PARTIALS, Sigmas, Uncertainty
 from pipeline.refraction.window import OPTICAL_AXIS
 
 Array = NDArray[np.float64]
@@ -124,7 +124,7 @@ class Corrections:
 
         columns = {name: getattr(self, name) for name in COLUMNS}
         if self.sigmas is not None:
-            columns |= {f"sigma_{name}": v for name, v in self.sigmas.columns().items()}
+            columns |= self.sigmas.named()
         return pd.DataFrame(columns | {"status": np.array(STATUS_NAMES)[self.status]})
 
 
@@ -228,7 +228,7 @@ def sigmas_at(
     uncertainty: Uncertainty,
     sigma_h_g: Array | None = None,
 ) -> Sigmas:
-    """Standard deviations of displacements, at the pixels ``x_px``, ``y_px`` that they lead to.
+    """Sigmas and derivatives of displacements, at the pixels ``x_px``, ``y_px`` they lead to.
 
     ``corrections`` (n,) from `apply_refraction`; the rest as for `correct_observations`.
     """
@@ -244,6 +244,8 @@ def sigmas_at(
         sigmas.rows(rows).fill(uncertainty, observed, setup, traced)
 
     in_blocks(propagate_block, n)
+    for name in PARTIALS:  # what removes less displaces more
+        np.negative(getattr(sigmas, name), out=getattr(sigmas, name))
     return sigmas
 
 

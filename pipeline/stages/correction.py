@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -32,7 +32,6 @@ from pipeline.refraction.kernels.threads import usable_cpus
 from pipeline.refraction.ray import PublishedRays, rays_by
 from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.status_codes import NO_STATION
-from pipeline.refraction.uncertainty.budget import window_turn
 from pipeline.refraction.uncertainty.sigmas import Sigmas, Uncertainty
 from pipeline.stages.exposure_setup import cameras_of_mission
 from pipeline.stages.ground.ground_heights import (
@@ -41,8 +40,8 @@ from pipeline.stages.ground.ground_heights import (
     GroundHeights,
     SlantRangeGround,
 )
-from pipeline.stages.statistics import SAMPLED_ROWS, SampledRows, Statistics, evenly_spaced
-from pipeline.stages.uncertainty import uncertainties_of_mission, views_of_mission
+from pipeline.stages.statistics import SAMPLED_ROWS, SampledRows, Statistics
+from pipeline.stages.uncertainty import uncertainties_of_mission
 from pipeline.tables.geodata.object_points import matching_rows
 from pipeline.tables.observations import Batch, Observations
 from pipeline.tables.refraction_mark import Direction
@@ -56,17 +55,17 @@ _MOST_WORKERS = 4
 """Batches corrected at the same time: each holds 250,000 rows, and reading and writing take the
 rest of the time."""
 
-_RAYS_OF_A_PART = 128
+TYPICAL_ROWS = 2000
+"""The first rows of a table, whose ground is that of the leading mode of the air."""
 
 
 @dataclass(frozen=True, eq=False)
 class CorrectionSetup:
     """Everything that a batch of observations is corrected with.
 
-    ``images``, ``camera_names``, ``profile_number`` and ``views`` (s,) belong to the rows of
-    ``exposures``. ``profile_number`` indexes ``rays`` and ``uncertainties``; where all of the
-    latter are None no standard deviations are computed. ``views`` are `OPEN`, `SEALED` or
-    `SCHEDULED`.
+    ``images``, ``camera_names`` and ``profile_number`` (s,) belong to the rows of ``exposures``.
+    ``profile_number`` indexes ``rays`` and ``uncertainties``; where all of the latter are None no
+    standard deviations are computed.
     """
 
     images: NDArray[np.object_]
@@ -78,7 +77,6 @@ class CorrectionSetup:
     profile_number: Rows
     direction: Direction = "remove"
     uncertainties: tuple[Uncertainty | None, ...] = (None,)
-    views: Rows | None = None
 
     @property
     def computes_sigmas(self) -> bool:
@@ -116,30 +114,44 @@ def correction_setup(
     exposures: Exposures,
     heights: HeightSystem,
 ) -> CorrectionSetup:
-    """Cameras, rays, ground and uncertainties of a mission. ``heights`` are those of its log."""
-    ground = ground_of_mission(mission, stations, heights)
-    cameras = cameras_of_mission(mission)
-    views = views_of_mission(mission, stations, air)
+    """Cameras, rays and ground of a mission. ``heights`` are those of its log."""
     return CorrectionSetup(
         stations.image,
         stations.camera,
         exposures,
-        ground,
-        cameras,
+        ground_of_mission(mission, stations, heights),
+        cameras_of_mission(mission),
         tuple(rays_by(profile, mission.refraction.method) for profile in air.profiles),
         air.profile_number,
         mission.refraction.direction,
-        uncertainties_of_mission(
-            mission,
-            stations,
-            air,
-            exposures,
-            cameras=cameras,
-            views=views,
-            ground_limits_m=ground.limits,
-        ),
-        views,
+        (None,) * len(air.profiles),
     )
+
+
+def with_uncertainties(
+    setup: CorrectionSetup,
+    mission: Mission,
+    stations: Stations,
+    air: ProfileSeries,
+    batch: Batch,
+) -> CorrectionSetup:
+    """The setup with what standard deviations and derivatives are computed from.
+
+    The leading mode of the air is that of rays to the median height of the points of a ``batch``.
+    """
+    station = matching_rows(batch.image, pa.array(setup.images, pa.string()))
+    heights = setup.ground.heights(batch, station, setup).h_m
+    heights = heights[np.isfinite(heights)]
+    uncertainties = uncertainties_of_mission(
+        mission,
+        stations,
+        air,
+        setup.exposures,
+        cameras=setup.cameras,
+        ground_limits_m=setup.ground.limits,
+        typical_ground_m=float(np.median(heights)) if heights.size else None,
+    )
+    return replace(setup, uncertainties=uncertainties)
 
 
 def ground_of_mission(mission: Mission, stations: Stations, heights: HeightSystem) -> Ground:
@@ -200,8 +212,6 @@ def correct_counted(
     statistics.add(batch, corrections, setup.camera_number[station])
     statistics.implausible_heights += ground.implausible
     statistics.sampled.append(SampledRows.of(batch, corrections, ground.h_m, station, sampled))
-    if setup.computes_sigmas:
-        statistics.rays.append(_sample_of_rays(batch, corrections, station, ground.h_m, setup))
     return corrections, ground.h_m, statistics
 
 
@@ -273,27 +283,3 @@ def correct_batch(
         if sigmas is not None and part.sigmas is not None:
             sigmas.put(group, part.sigmas)
     return Corrections(**columns, sigmas=sigmas)
-
-
-def _sample_of_rays(
-    batch: Batch, corrections: Corrections, station: Rows, h_g: Array, setup: CorrectionSetup
-) -> Array:
-    """(6, m) rays as `Statistics.sampled_rays` returns them, evenly spread over a batch."""
-    exposures = setup.exposures
-    h_c = np.append(exposures.height_m, np.nan)[station]
-    corrected = np.flatnonzero(np.isfinite(corrections.r_c_rad) & (h_c > h_g))
-    rows = corrected[evenly_spaced(corrected.size, _RAYS_OF_A_PART)]
-    of_row = station[rows]
-    direction = np.full((rows.size, 3), np.nan)
-    # Measured pixels: there the rays pass through the window.
-    measured = batch if setup.direction == "remove" else corrections
-    x, y = measured.x_px[rows], measured.y_px[rows]
-    for number, camera in enumerate(setup.cameras.values()):
-        of_camera = setup.camera_number[of_row] == number
-        u, v, _ = camera.rays(x[of_camera], y[of_camera])
-        direction[of_camera] = np.stack([u, v, np.ones(u.size)], axis=1)
-    direction /= np.linalg.norm(direction, axis=1)[:, None]
-    turns = window_turn(direction, -exposures.rotation[of_row, :, 2], exposures.normals[of_row])
-    view = np.zeros(rows.size) if setup.views is None else setup.views[of_row]
-    rays = np.stack([h_c[rows], h_g[rows], corrections.zeta_c_rad[rows], view, *turns])
-    return np.asarray(rays[:, np.isfinite(rays).all(axis=0)])

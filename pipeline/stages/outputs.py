@@ -16,7 +16,8 @@ from pipeline.errors import EXIT_DONE, EXIT_LOSSES
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir
-from pipeline.refraction.uncertainty.budget import BlockScale
+from pipeline.refraction.kernels.columns import CABIN, WINDOW
+from pipeline.stages.correction import CorrectionSetup
 from pipeline.stages.inputs import FlightLog
 from pipeline.stages.statistics import Statistics
 from pipeline.tables.refraction_mark import (
@@ -56,7 +57,7 @@ def manifest_of(
     air: FlightAir,
     *,
     statistics: Statistics,
-    scale: BlockScale | None,
+    setup: CorrectionSetup,
     ledger: Ledger,
 ) -> dict[str, Any]:
     """The manifest of a run, without its outputs.
@@ -97,7 +98,8 @@ def manifest_of(
             "status": statistics.status,
         },
         "correction": statistics.correction(),
-        "uncertainty": None if scale is None else _scale(scale),
+        "uncertainty": _air_parameter(setup, statistics),
+        "cabin_air": _cabin_parameters(setup),
         "cabin_sigma_share": statistics.cabin_share.summary(),
         "ledger": entries,
         "exit_code": EXIT_LOSSES if ledger.has_losses else EXIT_DONE,
@@ -142,17 +144,41 @@ def _heights(mission: Mission, flight: FlightLog, stations: Stations) -> dict[st
     }
 
 
-def _scale(scale: BlockScale) -> dict[str, Any]:
-    """The part of the error of the air that all corrections share."""
+def _air_parameter(setup: CorrectionSetup, statistics: Statistics) -> dict[str, Any] | None:
+    """The parameter of the leading mode of the air; None where no air has a covariance."""
+    modes = [u.mode for u in setup.uncertainties if u is not None and u.mode is not None]
+    if not modes:
+        return None
+    sigma, variance = modes[0].sigma, statistics.air_variance
+    share = statistics.by_mode * sigma**2 / variance if variance > 0.0 else modes[0].variance_share
     return {
-        "scale_sigma": float(f"{scale.sigma:.4g}"),
-        "correlation": float(f"{scale.correlation:.4g}"),
-        "rays": scale.rays,
-        "meaning": "standard deviation of one factor s: s r_c_rad, towards the nadir, is what the "
-        "error of the air does to all corrections, behind a plane window through r_cc_rad too; for "
-        "the prior of one parameter in an adjustment; correlation of what it explains of these "
-        "errors between observations: what is less than one it does not remove",
+        "scale_sigma": sigma,
+        "variance_share": float(f"{share:.4g}"),
+        "profiles": len(modes),
+        "meaning": "scale_sigma: standard deviation, for the prior, of the one parameter s of the "
+        "leading mode of the air's covariance; the coordinates in the air of s are the corrected "
+        "ones plus s dx_ds_px, s dy_ds_px, behind a plane window too. variance_share: of what the "
+        "air does to these coordinates (sigma_air) it holds so much. Where there are several "
+        "profiles, s moves each along its own leading mode",
     }
+
+
+def _cabin_parameters(setup: CorrectionSetup) -> dict[str, Any]:
+    """Of each camera behind a plane window the refractivity there, and its standard deviation."""
+    made = next((u for u in setup.uncertainties if u is not None), None)
+    cameras: dict[str, Any] = {}
+    if made is None:
+        return cameras
+    behind, inside = made.stations[:, WINDOW] >= 0.0, setup.exposures.refractivity_cabin
+    for name in setup.cameras:
+        rows = (setup.camera_names == name) & setup.exposures.usable & behind
+        if bool(rows.any()):
+            sigma = np.sqrt(np.mean(np.sum(made.stations[rows, CABIN : CABIN + 2] ** 2, axis=1)))
+            cameras[name] = {
+                "n_cc": float(f"{inside[rows].mean():.6g}"),
+                "sigma_n_cc": float(f"{sigma:.4g}") if np.isfinite(sigma) else None,
+            }
+    return cameras
 
 
 def _profile(air: FlightAir, stations: Stations) -> dict[str, Any]:

@@ -19,8 +19,6 @@ from pipeline.tables.observations import Batch
 
 Array = NDArray[np.float64]
 
-_MOST_RAYS = 400
-
 SAMPLED_ROWS = 20_000
 """Rows that stand for all others, where what is plausible is looked at."""
 
@@ -76,7 +74,8 @@ class SampledRows(NamedTuple):
 class Statistics:
     """Counts of observations, and how large the corrections were in each camera.
 
-    ``rays`` : (6, m) arrays of rays that stand for the others, as `sampled_rays` returns them.
+    ``air_variance`` : of all corrections by the air, and ``by_mode`` the squares of their
+    derivatives by the parameter of the leading mode [px2].
     ``sampled`` : rows of each part, of which `SAMPLED_ROWS` stand for all.
     ``cabin_share`` : sigma of R_cc by the air in the cabin as a share of R_c.
     """
@@ -89,7 +88,8 @@ class Statistics:
     no_sigma: int = 0
     no_point: int = 0
     implausible_heights: int = 0
-    rays: list[Array] = field(default_factory=list)
+    air_variance: float = 0.0
+    by_mode: float = 0.0
     sampled: list[SampledRows] = field(default_factory=list)
     cabin_share: Distribution = field(default_factory=Distribution)
 
@@ -110,6 +110,9 @@ class Statistics:
         if corrections.sigmas is not None:
             with np.errstate(divide="ignore", invalid="ignore"):
                 self.cabin_share.add(corrections.sigmas.r_cc_rad / np.abs(corrections.r_c_rad))
+            columns = corrections.sigmas.columns()
+            self.air_variance += _squares(columns["air_dx_px"], columns["air_dy_px"])
+            self.by_mode += _squares(columns["dx_ds_px"], columns["dy_ds_px"])
         counts = np.bincount(corrections.status, batch.weight, minlength=len(STATUS_NAMES))
         for name, count in zip(STATUS_NAMES, counts.tolist(), strict=True):
             self.status[name] = self.status.get(name, 0) + round(count)
@@ -119,15 +122,6 @@ class Statistics:
                 shift_statistics.add(batch.x_px, batch.y_px, corrections)
             elif bool(rows.any()):
                 shift_statistics.add(batch.x_px[rows], batch.y_px[rows], corrections.rows(rows))
-
-    def sampled_rays(self) -> Array:
-        """(6, n) at most 400 of the sampled rays.
-
-        Rows: height of camera and of target [m], nadir angle [rad], and the three arrays of
-        `RayWindows`.
-        """
-        rays = np.concatenate([np.empty((6, 0)), *self.rays], axis=1)
-        return np.asarray(rays[:, evenly_spaced(rays.shape[1], _MOST_RAYS)])
 
     def sampled_rows(self) -> SampledRows:
         """The rows that stand for all."""
@@ -140,7 +134,8 @@ class Statistics:
         self.no_sigma += other.no_sigma
         self.no_point += other.no_point
         self.implausible_heights += other.implausible_heights
-        self.rays += other.rays
+        self.air_variance += other.air_variance
+        self.by_mode += other.by_mode
         self.sampled += other.sampled
         self.cabin_share += other.cabin_share
         self.parts += other.parts
@@ -212,6 +207,11 @@ class Statistics:
                 ledger.note("OBS-FAR-BRANCH", what + ", by their slant range", count=count)
             else:
                 ledger.loss("OBS-FLAGGED", what, count=count)
+
+
+def _squares(*columns: NDArray[np.float32]) -> float:
+    """The sum of the squares of numbers, those that are none left out."""
+    return sum(float(np.nansum(np.square(column, dtype=np.float64))) for column in columns)
 
 
 def evenly_spaced(count: int, most: int) -> NDArray[np.intp]:

@@ -43,10 +43,12 @@ from pipeline.report.progress import NoProgress, Progress
 from pipeline.stages.air.adjusted_profile import AirSources, adjusted_profiles, read_air_sources
 from pipeline.stages.cabin_air import with_cabin_air
 from pipeline.stages.correction import (
+    TYPICAL_ROWS,
     CorrectionSetup,
     correct_counted,
     correct_stream,
     correction_setup,
+    with_uncertainties,
 )
 from pipeline.stages.exposure_setup import (
     exposures_of_mission,
@@ -68,7 +70,7 @@ from pipeline.stages.plausibility import (
 )
 from pipeline.stages.stations import stations_of_mission
 from pipeline.stages.statistics import SAMPLED_ROWS, Statistics
-from pipeline.stages.uncertainty import report_unknown_sigmas, scale_of_block
+from pipeline.stages.uncertainty import report_unknown_sigmas
 from pipeline.tables.exports import find_format
 from pipeline.tables.geodata.geoid import package_geoid
 from pipeline.tables.observations import Observations
@@ -232,6 +234,8 @@ def correct_mission(
             prepared.observations, setup, stations, ledger,
             unknown_sigmas=SIGMAS_OF_BLOCK if oriented else UNKNOWN_SIGMAS,
         )  # fmt: skip
+    batch = next(prepared.observations.batches(TYPICAL_ROWS))
+    setup = with_uncertainties(setup, mission, stations, air.series, batch)
     statistics = correct(setup)
     takeoff = takeoff_of(prepared.track(), prepared.flight.heights.home_h_msl_m)
     facts = Facts(
@@ -251,14 +255,13 @@ def correct_mission(
     ledger.extend(findings_of(facts))
     accept_findings(mission, ledger)
     air = replace(air, effects=facts.effects)
-    estimate, radius_m = air.adjustment, mission.refraction.radius_m
     manifest = manifest_of(
         prepared.plan,
         prepared.flight,
         stations,
         air,
         statistics=statistics,
-        scale=scale_of_block(estimate.profile, estimate.covariance, radius_m, statistics),
+        setup=setup,
         ledger=ledger,
     )
     return CorrectedMission(prepared, stations, air, setup, statistics, facts, manifest)

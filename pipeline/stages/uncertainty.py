@@ -8,27 +8,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.config import Mission
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Exposures
-from pipeline.refraction.ray import DEFAULT_RADIUS_M
 from pipeline.refraction.uncertainty.air_sigma import OPEN, SCHEDULED, window_kind_of
-from pipeline.refraction.uncertainty.budget import (
-    BlockScale,
-    RayWindows,
-    StationSigmas,
-    block_scale,
-    uncertainty_of,
-)
+from pipeline.refraction.uncertainty.budget import StationSigmas, uncertainty_of
 from pipeline.refraction.uncertainty.sigmas import Uncertainty
 from pipeline.stages.cabin_air import cabin_changes
 from pipeline.stages.exposure_setup import lenses_of_mission, windows_of_mission
-from pipeline.stages.statistics import Statistics
 
 
 def uncertainties_of_mission(
@@ -38,22 +28,25 @@ def uncertainties_of_mission(
     exposures: Exposures,
     *,
     cameras: Mapping[str, Camera],
-    views: NDArray[np.int64],
     ground_limits_m: tuple[float, float],
+    typical_ground_m: float | None,
 ) -> tuple[Uncertainty | None, ...]:
     """What the standard deviations of the corrections are computed from, for each profile.
 
-    ``views`` (s,) of `views_of_mission`; ``ground_limits_m`` the lowest and highest point [m above
-    sea level]. None for a profile without covariance where the mission file has no sigma either.
+    ``ground_limits_m`` are the lowest and highest point, ``typical_ground_m`` is one of them, where
+    it is known [m above sea level]. None for a profile without covariance where neither the mission
+    file nor a window has anything to compute. Of several profiles each has its own leading mode and
+    all have one parameter: their errors are taken as one, which moves R of all to the same side.
     """
     ground = mission.ground
+    views = views_of_mission(mission, stations, air)
     cabin = cabin_changes(stations, lenses_of_mission(mission), air.profiles[0].index)
     attitude = station_sigmas(mission, stations)
     any_sigma = (
         bool(np.isfinite(attitude.tilt_rad[stations.ok]).any())
         or ground.sigma_m is not None
         or ground.sigma_column is not None
-        or bool(np.isfinite(cabin).any())
+        or bool((views != OPEN).any())
     )
     sigmas = replace(attitude, cabin=cabin)
     masks = [(camera, stations.camera == name) for name, camera in cameras.items()]
@@ -72,9 +65,12 @@ def uncertainties_of_mission(
                 masks,
                 ground_heights_m=ground_limits_m,
                 window_kinds=views,
+                typical_ground_m=typical_ground_m,
             )
         )
-    return tuple(uncertainties)
+    scales = [u.mode.sigma for u in uncertainties if u is not None and u.mode is not None]
+    common = float(f"{np.sqrt(np.mean(np.square(scales))):.6g}") if scales else np.nan
+    return tuple(u and u.with_scale(common) for u in uncertainties)
 
 
 def views_of_mission(mission: Mission, stations: Stations, air: ProfileSeries) -> NDArray[np.int64]:
@@ -138,19 +134,3 @@ def report_unknown_sigmas(
             where="observations",
             count=len(missing),
         )
-
-
-def scale_of_block(
-    profile: Profile,
-    covariance: ProfileCovariance | None,
-    radius_m: float | None,
-    statistics: Statistics,
-) -> BlockScale | None:
-    """The scale factor of R that all observations share; None where the air has no covariance."""
-    if covariance is None:
-        return None
-    h_c, h_g, zeta_c, view, towards, across = statistics.sampled_rays()
-    views = RayWindows(view.astype(np.int64), towards, across)
-    return block_scale(
-        profile, covariance, h_c, h_g, zeta_c, radius=radius_m or DEFAULT_RADIUS_M, windows=views
-    )

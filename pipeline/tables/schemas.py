@@ -24,6 +24,15 @@ _CABIN = (
     "and where the cabin has no sigma"
 )
 
+_MODE = (
+    "s is the parameter of the leading mode of the air's covariance, one for the block, with the "
+    "prior uncertainty.scale_sigma of the manifest; null where the air has no covariance"
+)
+_NCC = (
+    "n_cc is the refractivity behind the window, one parameter a camera, with the prior cabin_air "
+    "of the manifest; null without a plane window"
+)
+
 OBSERVATION_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
     "image": (_S, "", "name of the image"),
     "point": (_S, "", "name of the point"),
@@ -44,6 +53,10 @@ OBSERVATION_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
     "sigma_r_cc_rad": (_F4, "rad", f"standard deviation of r_cc_rad by the cabin's air; {_CABIN}"),
     "sigma_cabin_dx_px": (_F4, "px", f"of the shift in x, by the cabin's air; {_CABIN}"),
     "sigma_cabin_dy_px": (_F4, "px", f"of the shift in y, by the cabin's air; {_CABIN}"),
+    "dx_ds_px": (_F4, "px", f"derivative of the corrected (displaced) x by s; {_MODE}"),
+    "dy_ds_px": (_F4, "px", f"derivative of the corrected (displaced) y by s; {_MODE}"),
+    "dx_dncc_px": (_F4, "px", f"derivative of the corrected (displaced) x by n_cc; {_NCC}"),
+    "dy_dncc_px": (_F4, "px", f"derivative of the corrected (displaced) y by n_cc; {_NCC}"),
     "h_g_m": (_F, "m", "height of the point above mean sea level that was used"),
     "status": (_S, "", "ok, or why there is no correction"),
 }

@@ -46,7 +46,7 @@ def table_of_observations(
     """The output rows of a batch, in the pixel system of the table that it was read from."""
     x, y = pixels.from_colmap(corrections.x_px), pixels.from_colmap(corrections.y_px)
     names, sigmas = pa.array(STATUS_NAMES), corrections.sigmas
-    spread = {} if sigmas is None else {f"sigma_{n}": c for n, c in sigmas.columns().items()}
+    spread = {} if sigmas is None else sigmas.named()
     return table_of(
         {
             "image": batch.image,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,12 +11,14 @@ from pipeline.refraction import (
     Camera,
     Exposures,
     StationSigmas,
+    WindowRays,
     bend,
-    block_scale,
     correct_observations,
+    leading_mode,
     ray_table,
     uncertainty_of,
 )
+from pipeline.refraction.uncertainty.air_sigma import OPEN
 from pipeline.refraction.uncertainty.sensitivity import sensitivity
 
 RADIUS = 6_371_000.0
@@ -104,13 +108,16 @@ def test_sigma_is_the_spread_of_drawn_airs(airs):
     # A standard deviation of 600 draws is good to 2.9 %.
     np.testing.assert_allclose(drawn.std(axis=0), sigma, rtol=0.09)
 
-    weight = drawn.mean(axis=0) ** 2
-    weight /= weight.sum()
-    scale = block_scale(profile, covariance, h_c, h_g, zeta, radius=RADIUS)
-    fitted = (drawn / drawn.mean(axis=0)) @ weight
-    np.testing.assert_allclose(fitted.std(), scale.sigma, rtol=0.09)
-    correlation = np.corrcoef(drawn.T)
-    np.testing.assert_allclose(scale.correlation, weight @ correlation @ weight, atol=0.02)
+    mode = leading_mode(profile, covariance, open_rays(h_c, zeta), h_g, radius=RADIUS)
+    size = np.linalg.svd(drawn - drawn.mean(axis=0), compute_uv=False)
+    relative = size[0] / np.sqrt(600.0) / np.linalg.norm(drawn.mean(axis=0))
+    np.testing.assert_allclose(mode.sigma, relative, rtol=0.09)
+    np.testing.assert_allclose(mode.variance_share, size[0] ** 2 / (size @ size), atol=0.02)
+
+
+def open_rays(h_c, zeta) -> WindowRays:
+    nothing = np.zeros(zeta.size)
+    return WindowRays(h_c, zeta, np.full(zeta.size, OPEN), nothing, nothing)
 
 
 def test_errors_of_one_flight_are_one_scale_factor(airs):
@@ -118,35 +125,41 @@ def test_errors_of_one_flight_are_one_scale_factor(airs):
     n = 50
     h_c, h_g = np.full(n, 2700.0), np.full(n, 200.0)
     zeta = np.radians(np.linspace(5.0, 60.0, n))
-    scale = block_scale(profile, covariance, h_c, h_g, zeta)
-    assert scale.rays == n
-    assert 0.999 < scale.correlation <= 1.0 + 1e-12
+    mode = leading_mode(profile, covariance, open_rays(h_c, zeta), h_g)
+    assert 0.9999 < mode.variance_share <= 1.0 + 1e-12
     sigma, _ = traced(profile, covariance, h_c[:1], h_g[:1], zeta[:1])
     r = sensitivity(profile, h_c[:1], h_g[:1], zeta[:1]).r_c
-    np.testing.assert_allclose(scale.sigma, sigma / r, rtol=2e-3)
+    np.testing.assert_allclose(mode.sigma, sigma / r, rtol=2e-3)
 
 
-def test_the_scale_of_rays_that_disagree(airs):
-    """Half a way down, and up at the inversion: the variance of the fit, multiplied out."""
+def test_the_mode_of_rays_that_disagree(airs):
+    """Half a way down, and up at the inversion: eigenvectors of the covariance of R."""
     profile, covariance = airs.air()
     h_c, h_g = np.array([2700.0, 2700.0, 2900.0, 1700.0]), np.array([200.0, 2500.0, 0.0, 1400.0])
     zeta = np.radians([45.0, 70.0, 20.0, 75.0])
     found = sensitivity(profile, h_c, h_g, zeta, RADIUS, anchor_height_m=covariance.anchor_height_m)
     g, r = found.gradient, found.r_c
     errors = g @ covariance.matrix @ g.T
-    scale = block_scale(profile, covariance, h_c, h_g, zeta, radius=RADIUS)
-    np.testing.assert_allclose(scale.sigma**2, r @ errors @ r / (r @ r) ** 2, rtol=1e-6)
-    alike = errors / np.sqrt(np.outer(np.diag(errors), np.diag(errors)))
-    weight = r * np.abs(r) / (r @ r)
-    np.testing.assert_allclose(scale.correlation, weight @ alike @ weight, rtol=1e-6)
-    assert alike.min() < 0.8
+    value, vector = np.linalg.eigh(errors)
+    mode = leading_mode(profile, covariance, open_rays(h_c, zeta), h_g, radius=RADIUS)
+    np.testing.assert_allclose(mode.sigma**2, value[-1] / (r @ r), rtol=1e-5)
+    np.testing.assert_allclose(mode.variance_share, value[-1] / value.sum(), rtol=1e-9)
+    # C g^T v / sqrt(lambda) is the change of the air, with R growing in it.
+    state = covariance.matrix @ g.T @ vector[:, -1] / np.sqrt(value[-1])
+    state *= np.sign(vector[:, -1] @ r)
+    np.testing.assert_allclose(mode.state, state, atol=1e-6 * np.abs(state).max())
+    assert r @ g @ mode.state > 0.0
+    assert mode.variance_share < 0.98
 
 
-def test_no_ray_no_scale(airs):
+def test_no_ray_no_mode(airs):
     profile, covariance = airs.air()
-    assert block_scale(profile, covariance, *np.empty((3, 0))) is None
-    upwards = np.array([2000.0]), np.array([1e9]), np.array([0.3])
-    assert block_scale(profile, covariance, *upwards) is None
+    nothing = np.empty(0)
+    assert leading_mode(profile, covariance, open_rays(nothing, nothing), nothing) is None
+    upwards = open_rays(np.array([2000.0]), np.array([0.3]))
+    assert leading_mode(profile, covariance, upwards, 1e9) is None
+    certain = replace(covariance, matrix=0.0 * covariance.matrix)
+    assert leading_mode(profile, certain, open_rays(np.full(3, 2e3), np.full(3, 0.5)), 0.0) is None
 
 
 def test_where_there_is_no_sigma(airs):

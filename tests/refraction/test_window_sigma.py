@@ -12,14 +12,15 @@ from pipeline.refraction import (
     Camera,
     Exposures,
     StationSigmas,
-    block_scale,
+    WindowRays,
     correct_observations,
+    leading_mode,
     ray_table,
     refraction_angle,
     uncertainty_of,
 )
 from pipeline.refraction.uncertainty.air_sigma import OPEN, SCHEDULED, SEALED, window_kind_of
-from pipeline.refraction.uncertainty.budget import RayWindows, window_turn
+from pipeline.refraction.uncertainty.leading_mode import window_turn
 from pipeline.refraction.window import refract_at_window
 
 RADIUS = 6_371_000.0
@@ -206,18 +207,18 @@ def net_directions(profile, look, rays) -> tuple[np.ndarray, np.ndarray]:
     return np.column_stack([level * np.sin(chord)[:, None], -np.cos(chord)]), r_c
 
 
-def views_of(look, rays) -> RayWindows:
-    rotation, _, normal, view = look
-    shape = rays.shape
-    down = np.broadcast_to(-rotation[:, 2], shape)
-    turns = window_turn(rays, down, np.broadcast_to(normal, shape))
-    return RayWindows(np.full(shape[0], view), *turns)
+def rays_of(look, rays, zeta) -> WindowRays:
+    rotation, height, normal, view = look
+    down = np.broadcast_to(-rotation[:, 2], rays.shape)
+    turns = window_turn(rays, down, np.broadcast_to(normal, rays.shape))
+    count = len(rays)
+    return WindowRays(np.full(count, height), zeta, np.full(count, view), *turns)
 
 
 @pytest.mark.parametrize("name", ["no window", "nadir camera", "banked camera, leaning window"])
-def test_one_scale_factor_for_the_block(by_all, name):
-    """A fit of s R to what changed air does to corrected rays, and how much of it that leaves."""
-    profile, covariance, airs = by_all
+def test_the_leading_mode_is_that_of_changed_airs(airs, by_all, name):
+    """The singular vector of what changed air does to corrected rays, without a derivative."""
+    profile, covariance, changed_airs = by_all
     look = LOOKS[name]
     u, v = np.random.default_rng(3).uniform(-0.5, 0.5, (2, 30))
     rays = np.stack([u, v, np.ones(30)], axis=1)
@@ -225,33 +226,24 @@ def test_one_scale_factor_for_the_block(by_all, name):
     straight, r_c = net_directions(profile, look, rays)
     moved = np.array([
         0.5 * (net_directions(one[0], look, rays)[0] - net_directions(two[0], look, rays)[0])
-        for one, two in airs
+        for one, two in changed_airs
     ])  # fmt: skip
-    # Towards the nadir and across, (columns, n).
+    # Towards the nadir, (columns, n), and all of it.
     to_nadir = np.array([0.0, 0.0, -1.0]) + straight[:, 2:] * straight
     to_nadir /= np.linalg.norm(to_nadir, axis=1)[:, None]
     errors = np.einsum("kni,ni->kn", moved, to_nadir)
-    weight = r_c**2 / np.sum(r_c**2)
-    whole = np.sqrt(np.einsum("kni,kni->n", moved, moved))
-    shared = (errors / whole) @ weight
+    left, size, _ = np.linalg.svd(moved.reshape(len(moved), -1), full_matrices=False)
+    of_columns = left[:, 0] * np.sign(left[:, 0] @ errors @ r_c)
 
     zeta = np.arctan2(np.hypot(*straight[:, :2].T), -straight[:, 2]) + r_c
-    height = np.full(30, look[1])
-    scale = block_scale(
-        profile,
-        covariance,
-        height,
-        np.full(30, 100.0),
-        zeta,
-        radius=RADIUS,
-        windows=views_of(look, rays),
-    )
-    np.testing.assert_allclose(scale.sigma, np.linalg.norm((errors / r_c) @ weight), rtol=2e-3)
-    np.testing.assert_allclose(scale.correlation, shared @ shared, rtol=2e-3)
+    mode = leading_mode(profile, covariance, rays_of(look, rays, zeta), 100.0, radius=RADIUS)
+    np.testing.assert_allclose(mode.sigma, size[0] / np.linalg.norm(r_c), rtol=2e-3)
+    np.testing.assert_allclose(mode.variance_share, size[0] ** 2 / np.sum(size**2), rtol=2e-3)
+    # The same change of the air, wherever it matters: a hundredth of its largest.
+    state = airs.root() @ of_columns
+    np.testing.assert_allclose(mode.state, state, atol=0.01 * np.abs(state).max())
     if name == "banked camera, leaning window":
-        assert scale.correlation < 0.95
-    plain = block_scale(profile, covariance, height, np.full(30, 100.0), zeta, radius=RADIUS)
-    assert (scale == plain) == (name == "no window")
+        assert mode.variance_share < 0.99
 
 
 def test_the_schedule_ends_where_the_cabin_stops_to_follow():

@@ -11,6 +11,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from scipy.spatial.transform import Rotation
@@ -111,8 +112,8 @@ def test_all_three(mission):
         assert (table[names].to_numpy() > 0.0).all()
     np.testing.assert_allclose(table["sigma_r_c_rad"], LN_P * table["r_c_rad"], rtol=2e-3)
     scale = manifest["uncertainty"]
-    assert 0 < scale["rays"] <= len(table)
-    assert "behind a plane window through r_cc_rad too" in scale["meaning"]
+    assert scale["profiles"] == 1
+    assert "behind a plane window too" in scale["meaning"]
     assert not unknown(manifest)
     meaning = mission.results().schema.field("sigma_air_dx_px").metadata[b"meaning"]
     assert b"never to be added" in meaning
@@ -124,11 +125,14 @@ def test_the_shift_is_scaled_by_the_air(mission):
     without_windows(mission)
     scale = ran(mission)["uncertainty"]
     np.testing.assert_allclose(scale["scale_sigma"], LN_P, rtol=1e-3)
-    np.testing.assert_allclose(scale["correlation"], 1.0, rtol=1e-6)
+    np.testing.assert_allclose(scale["variance_share"], 1.0, rtol=1e-3)
     table = good(mission)
     for axis in "xy":
         shift = (table[f"{axis}_corrected_px"] - table[f"{axis}_px"]).abs()
         np.testing.assert_allclose(table[f"sigma_air_d{axis}_px"], LN_P * shift, rtol=5e-3)
+        signed = table[f"{axis}_corrected_px"] - table[f"{axis}_px"]
+        np.testing.assert_allclose(table[f"d{axis}_ds_px"], signed, rtol=5e-3)
+        assert table[f"d{axis}_dncc_px"].isna().all()
 
 
 CABIN = {"pressure_hpa": 820.0, "temperature_c": 22.0, "relative_humidity": 0.2}
@@ -170,15 +174,75 @@ def test_behind_a_window_against_runs_in_other_air(mission, monkeypatch, windows
         table = good(mission)
         return np.stack([table[f"{a}_corrected_px"] - table[f"{a}_px"] for a in "xy"])
 
-    expected = np.abs(shifts(LN_P) - shifts(-LN_P)) / 2.0
+    signed = (shifts(LN_P) - shifts(-LN_P)) / 2.0
+    expected = np.abs(signed)
     with_covariance(monkeypatch, pressure_alone)
     manifest = ran(mission)
     table = good(mission)
-    for axis, of_axis in zip("xy", expected, strict=True):
-        np.testing.assert_allclose(
-            table[f"sigma_air_d{axis}_px"], of_axis, rtol=0.01, atol=0.003 * np.median(of_axis)
-        )
-    assert manifest["uncertainty"]["correlation"] < 0.999
+    scale = manifest["uncertainty"]
+    for axis, of_axis, with_sign in zip("xy", expected, signed, strict=True):
+        close = {"rtol": 0.01, "atol": 0.003 * np.median(of_axis)}
+        np.testing.assert_allclose(table[f"sigma_air_d{axis}_px"], of_axis, **close)
+        # Of one uncertain quantity the leading mode is all.
+        of_mode = table[f"d{axis}_ds_px"] * scale["scale_sigma"]
+        np.testing.assert_allclose(of_mode, with_sign, **close)
+    np.testing.assert_allclose(scale["variance_share"], 1.0, atol=0.005)
+
+
+@pytest.mark.usefixtures("nothing_in_doubt")
+def test_the_air_in_the_cabin_has_its_own_prior(mission):
+    """N goes with p / T: 3 hPa and 1 K of the log's sensors, and no mode without a covariance."""
+    first, second = mission.config["cameras"]
+    del mission.config["cameras"][first]["window"]
+    mission.config["accept"] = [{"code": "PLAUSIBLE-WINDOW", "reason": "its hatch was open"}]
+    manifest = ran(mission)
+    assert manifest["uncertainty"] is None
+    (of_camera,) = manifest["cabin_air"].items()
+    assert of_camera[0] == second
+    stations = mission.stations().to_pandas().query("camera == @second and status == 'ok'")
+    p, t = stations["cabin_pressure_pa"], stations["cabin_temperature_k"]
+    relative = np.sqrt(np.mean((300.0 / p) ** 2 + (1.0 / t) ** 2))
+    prior = of_camera[1]
+    np.testing.assert_allclose(prior["n_cc"], (p / t).mean() * 7.88e-7, rtol=0.01)
+    np.testing.assert_allclose(prior["sigma_n_cc"], relative * prior["n_cc"], rtol=0.01)
+    table = good(mission).merge(mission.stations().to_pandas()[["image", "camera"]], on="image")
+    behind = (table["camera"] == second).to_numpy()
+    for axis in "xy":
+        assert (table[f"d{axis}_dncc_px"].notna().to_numpy() == behind).all()
+        assert table[f"d{axis}_ds_px"].isna().all()
+        cabin = (table[f"d{axis}_dncc_px"] * prior["sigma_n_cc"]).abs()[behind]
+        np.testing.assert_allclose(cabin, table[f"sigma_cabin_d{axis}_px"][behind], rtol=0.01)
+
+
+def test_several_profiles_have_one_parameter(mission, monkeypatch):
+    """Each moves along its own mode to the same side: here by its own uncertainty of pressure."""
+    original = stages.adjusted_profiles
+    second = np.arange(6) % 2
+
+    def adjusted_profiles(*given):
+        air = original(*given)
+        (timed,) = air.series.timed_profiles
+        loose = pressure_alone(timed.profile)
+        tight = replace(loose, matrix=loose.matrix / 9.0)
+        airs = tuple(replace(timed, own_covariance=one, neighbours=None) for one in (loose, tight))
+        return replace(air, series=replace(air.series, timed_profiles=airs, profile_number=second))
+
+    without_windows(mission)
+    monkeypatch.setattr(stages, "adjusted_profiles", adjusted_profiles)
+    scale = ran(mission)["uncertainty"]
+    assert scale["profiles"] == 2
+    rms = LN_P * np.sqrt((1.0 + 1.0 / 9.0) / 2.0)
+    np.testing.assert_allclose(scale["scale_sigma"], rms, rtol=1e-3)
+    np.testing.assert_allclose(scale["variance_share"], 1.0, atol=0.005)
+    table = good(mission)
+    names = mission.stations()["image"].to_pylist()
+    own = pd.Series(np.where(second, LN_P / 3.0, LN_P), index=names)
+    sigma = table["image"].map(own)
+    assert sigma.nunique() == 2
+    for axis in "xy":
+        shift = table[f"{axis}_corrected_px"] - table[f"{axis}_px"]
+        of_mode = table[f"d{axis}_ds_px"] * scale["scale_sigma"]
+        np.testing.assert_allclose(of_mode, sigma * shift, rtol=5e-3)
 
 
 def by_ray(mission):
@@ -350,6 +414,19 @@ def test_displaced_observations_have_them_too(mission):
     np.testing.assert_allclose(table["sigma_r_c_rad"], LN_P * table["r_c_rad"], rtol=2e-3)
     assert (table["sigma_station_dx_px"] > 0.0).all()
     assert LN_P < manifest["uncertainty"]["scale_sigma"] < 3.0 * LN_P
+
+
+@pytest.mark.usefixtures("pressure_in_doubt")
+def test_displaced_observations_move_with_the_air(mission):
+    """More air displaces more, to the other side than it corrects."""
+    without_windows(mission)
+    mission.config["refraction"] = {"direction": "apply"}
+    mission.config["accept"].append({"code": "PLAUSIBLE-APPLY", "reason": "there and back"})
+    ran(mission)
+    table = good(mission)
+    for axis in "xy":
+        shift = table[f"{axis}_displaced_px"] - table[f"{axis}_px"]
+        np.testing.assert_allclose(table[f"d{axis}_ds_px"], shift, rtol=5e-3, atol=1e-4)
 
 
 @pytest.mark.usefixtures("steady_between_samples")

@@ -127,7 +127,7 @@ class ShiftColumns(NamedTuple):
 
 
 class AirTables(NamedTuple):
-    """Tables of sigma_R and dR/dzeta, of c cameras, w ways and v kinds of windows.
+    """Tables of sigma_R, dR/dzeta and the leading mode, of c cameras, w ways, v kinds of windows.
 
     Parameters
     ----------
@@ -135,13 +135,16 @@ class AirTables(NamedTuple):
     coarse_step, incidence_step : spacing of the factors in the root of the way and in
         1 / sqrt(cos z) at the ground, from 1.
     sigma, angle : (c, w) sigma_R / (tan(zeta) way) and R / (tan(zeta) way) in the plane [rad/m].
-    factors : (f, j, k, 2) what the sphere multiplies sigma_R and dR/dzeta by, at even heights
-        from the lowest camera to the highest.
+    factors : (f, j, k, 3) what the sphere multiplies sigma_R and dR/dzeta by, and what it adds to
+        ``mode``, at even heights from the lowest camera to the highest.
     behind : (v, 2, c, w) sigma of x, and its covariance with y over sigma of y, in the plane.
     lean : (v, c) sigma of y.
     ground_m, spacing_m : lowest height [m] and spacing of ``refractivity`` (n,).
+    mode : (c, w) what one sigma of the leading mode changes in R / (tan(zeta) way) in the plane.
+    mode_lean : (v, c) and in N at the camera, less its part in the cabin.
+    mode_sigma : that sigma, in the units of the parameter s.
 
-    The sigmas are NaN throughout without a covariance.
+    The sigmas and the mode are NaN throughout without a covariance.
     """
 
     way_first: float
@@ -156,6 +159,9 @@ class AirTables(NamedTuple):
     ground_m: float
     spacing_m: float
     refractivity: Array
+    mode: Array
+    mode_lean: Array
+    mode_sigma: float
 
 
 TILE, BLOCK = 512, 16

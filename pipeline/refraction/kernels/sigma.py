@@ -86,10 +86,11 @@ def _of_the_air(ray, s, air):  # type: ignore[no-untyped-def]
     """Of a ray [rad], NaN where it is nearly level.
 
     sigma_R / tan(zeta); dR/dzeta cos^2(zeta); sigma of x, its covariance with y over sigma of y,
-    and sigma of y, all zero without a plane window. ``s`` is the row of the station.
+    and sigma of y, all zero without a plane window; by the unit of the leading mode's parameter
+    R / tan(zeta) and dN_c - dN_cc. ``s`` is the row of the station.
     """
     sigma, angle, factors, behind, lean = air.sigma, air.angle, air.factors, air.behind, air.lean
-    nothing = math.nan, math.nan, 0.0, 0.0, 0.0
+    nothing = math.nan, math.nan, 0.0, 0.0, 0.0, math.nan, math.nan
     drop, r_c = ray.drop, ray.radius + ray.h_c
     r_g = ray.radius + ray.h_c - drop
     level2 = (r_c * r_c * ray.cos_z * ray.cos_z - drop * (r_c + r_g)) / (r_g * r_g)
@@ -102,11 +103,14 @@ def _of_the_air(ray, s, air):  # type: ignore[no-untyped-def]
     i, a, window = int(s[NODE]), s[SHARE], int(s[WINDOW])
     j, b = _cell(root / air.way_step, sigma.shape[1])
     spread, turn = _bilinear(sigma, i, a, j, b), _bilinear(angle, i, a, j, b)
-    x = shared = y = 0.0
+    mode = _bilinear(air.mode, i, a, j, b)
+    x = shared = y = mode_y = 0.0
     if window >= 0:
         x = _bilinear(behind[window, 0], i, a, j, b)
         shared = _bilinear(behind[window, 1], i, a, j, b)
         y = lean[window, i] + a * (lean[window, i + 1] - lean[window, i])
+        mode_lean = air.mode_lean[window]
+        mode_y = mode_lean[i] + a * (mode_lean[i + 1] - mode_lean[i])
     j, b = _cell(root / air.coarse_step, factors.shape[1])
     k, c = _cell(incidence, factors.shape[2])
     e, share = _cell(s[SPAN] * (factors.shape[0] - 1), factors.shape[0])
@@ -116,7 +120,9 @@ def _of_the_air(ray, s, air):  # type: ignore[no-untyped-def]
         weight = (share if f else 1.0 - share) * (b if g else 1.0 - b) * (c if h else 1.0 - c)
         spread_factor += weight * factors[e + f, j + g, k + h, 0]
         turn_factor += weight * factors[e + f, j + g, k + h, 1]
-    return spread * spread_factor * drop, turn * turn_factor * drop, x, shared, y
+        mode += weight * factors[e + f, j + g, k + h, 2]
+    mode, mode_y = mode * drop / air.mode_sigma, mode_y / air.mode_sigma
+    return spread * spread_factor * drop, turn * turn_factor * drop, x, shared, y, mode, mode_y
 
 
 @jit
@@ -202,25 +208,29 @@ def _axes(turn, ray, east, north):  # type: ignore[no-untyped-def]
 def propagate(observed, camera_and_rotation, traced, stations_and_air, sigmas):  # type: ignore[no-untyped-def]
     """Fill sigma of R_c [rad], of x and y [px] by air, station and ground, and by the cabin.
 
-    ``sigmas`` are the columns of `Sigmas`. NaN where not known.
+    And the derivatives of x and y, with their signs, by the parameter of the leading mode, and by
+    the refractivity behind a plane window. ``sigmas`` are the columns of `Sigmas`. NaN where not
+    known.
     """
     h_g, sigma_h_g, exposure = observed.h_g, observed.sigma_h_g, observed.exposure
     camera, rotation = camera_and_rotation
     rays, r_c, status = traced
     stations, air = stations_and_air
-    sigma_r, air_x, air_y, station_x, station_y, ground_x, ground_y, r_cc, cabin_x, cabin_y = sigmas
+    sigma_r, air_x, air_y, station_x, station_y, ground_x, ground_y = sigmas[:7]
+    r_cc, cabin_x, cabin_y, mode_x, mode_y, ncc_x, ncc_y = sigmas[7:]
     refractivity = air.refractivity
     for i in range(h_g.size):
         sigma_r[i] = math.nan
         air_x[i] = air_y[i] = station_x[i] = station_y[i] = ground_x[i] = ground_y[i] = math.nan
         r_cc[i] = cabin_x[i] = cabin_y[i] = math.nan
+        mode_x[i] = mode_y[i] = ncc_x[i] = ncc_y[i] = math.nan
         r = r_c[i]
         if math.isnan(r) or status[i] == FAR_BRANCH:
             continue
         s, turn = stations[exposure[i]], rotation[exposure[i]]
         sin_z, cos_z, h_c = rays[SIN, i], rays[COS, i], rays[H_C, i]
         ray = _Ray(sin_z, cos_z, rays[RADIUS, i], h_c, h_c - h_g[i], r)
-        spread, steep, sigma_x, shared, sigma_y = _of_the_air(ray, s, air)
+        spread, steep, sigma_x, shared, sigma_y, by_mode, lean = _of_the_air(ray, s, air)
         if math.isnan(steep):
             continue
         secant = 1.0 / cos_z
@@ -263,9 +273,16 @@ def propagate(observed, camera_and_rotation, traced, stations_and_air, sigmas): 
         # N in the cabin turns the ray at the window (Gyer 1996, Eq. 36), and its air the lens.
         n_p, n_t, lens_p, lens_t = s[CABIN], s[CABIN + 1], s[CABIN + 2], s[CABIN + 3]
         r_cc[i] = steepness * math.hypot(n_p, n_t)
+        by_mode *= sin_z * secant
         turned = along_x * out_t + across_x * out_q
+        mode_x[i] = along_x * by_mode + turned * lean
         lever = (observed.x[i] - camera.cx) / camera.fx
         cabin_x[i] = math.hypot(turned * n_p + lever * lens_p, turned * n_t + lever * lens_t)
+        if s[WINDOW] >= 0.0:
+            ncc_x[i] = -turned
         turned = along_y * out_t + across_y * out_q
+        mode_y[i] = along_y * by_mode + turned * lean
+        if s[WINDOW] >= 0.0:
+            ncc_y[i] = -turned
         lever = (observed.y[i] - camera.cy) / camera.fy
         cabin_y[i] = math.hypot(turned * n_p + lever * lens_p, turned * n_t + lever * lens_t)

@@ -17,12 +17,16 @@ cancels, and what is left is tan(zeta) times
 a_cc = dN_cc/dx the response of the air in the cabin. Elsewhere y = a_c - a_cc remains by as much as
 the normal leans; the tables hold sigma of x, how x and y go together, and sigma of y. The sphere
 changes x by less than 1 % up to 80 degrees and by 4 % at 85, and is left out there.
+
+Of the leading mode of C (`leading_mode`) they hold v and y themselves, with their signs; the sphere
+adds to v, and a ray turns by R's part and that of y at the window.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,8 +93,9 @@ def air_sigma(
     largest_zeta_rad: float,
     radius: float,
     window_kinds: Sequence[int] = (),
+    mode: AirMode | None = None,
 ) -> AirSigma:
-    """Tabulate sigma of R for the cameras and the ground of a block.
+    """Tabulate sigma of R, and what the leading mode does, for the cameras and ground of a block.
 
     Parameters
     ----------
@@ -100,12 +105,17 @@ def air_sigma(
         the ground the tables end anyway.
     radius : of the sphere [m].
     window_kinds : of `SEALED` and `SCHEDULED` those of the cameras.
+    mode : the leading mode of the covariance.
 
     Against `sensitivity` with the same covariance, cameras within 150 m: 1 % of sigma_R up to 75
     degrees, 2 % at 80, 3 % at 85, on ways of 100 m and more; 8 % at 85 degrees and 6 km where the
     ground may lie anywhere. dR/dzeta to 1 %.
     """
     root = None if covariance is None else CovarianceRoot.of(covariance)
+    if root is not None and mode is not None:
+        root = replace(root, matrix=np.column_stack([mode.state, root.matrix]))
+    elif root is not None:
+        root = replace(root, matrix=np.pad(root.matrix, ((0, 0), (1, 0))))
     low, high = camera_heights_m
     top = min(ground_heights_m[1], high)
     bottom = min(max(ground_heights_m[0], profile.bottom_m), low - _SHORTEST_M)
@@ -118,7 +128,7 @@ def air_sigma(
     camera = cut(edges, np.clip(layer / _PARTS_OF_A_LAYER, finest, max(_WIDEST_M, finest)))
     first, last = np.sqrt(max(low - top, _SHORTEST_M)), np.sqrt(high - bottom)
     ways = first + _WAY_STEP * np.arange(2 + max(0, int(np.ceil((last - first) / _WAY_STEP - 1))))
-    sigma, angle, behind, lean = _in_the_plane(profile, root, camera, ways**2, window_kinds)
+    plane = _in_the_plane(profile, root, camera, ways**2, window_kinds)
     coarse = first + _COARSE_STEP * np.arange(2 + int((ways[-1] - first) / _COARSE_STEP))
     # Cosine of the largest nadir angle at the lowest ground in sight.
     sine = np.sin(min(largest_zeta_rad, 0.5 * np.pi)) * (radius + high) / (radius + bottom)
@@ -129,8 +139,9 @@ def air_sigma(
     heights = np.arange(bottom, high + _REFRACTIVITY_STEP_M, _REFRACTIVITY_STEP_M)
     heights = np.minimum(heights, profile.top_m)
     tables = AirTables(
-        float(first), _WAY_STEP, _COARSE_STEP, _INCIDENCE_STEP, sigma, angle, factors, behind, lean,
-        bottom, _REFRACTIVITY_STEP_M, profile.refractivity(heights),
+        float(first), _WAY_STEP, _COARSE_STEP, _INCIDENCE_STEP, plane.sigma, plane.angle, factors,
+        plane.behind, plane.lean, bottom, _REFRACTIVITY_STEP_M, profile.refractivity(heights),
+        plane.mode, plane.mode_lean, np.nan if mode is None else mode.sigma,
     )  # fmt: skip
     return AirSigma(camera, tuple(window_kinds), tables)
 
@@ -156,6 +167,22 @@ def window_kind_of(pressure_pa: Array, *, scheduled: bool) -> NDArray[np.int64]:
     with np.errstate(invalid="ignore"):
         thin = scheduled & (pressure_pa > SCHEDULE_PRESSURE_PA)
     return np.where(thin, SCHEDULED, SEALED)
+
+
+@dataclass(frozen=True, eq=False)
+class AirMode:
+    """The leading mode of the air's covariance: one parameter s of an adjustment.
+
+    Parameters
+    ----------
+    state : (2k + 1,) what one sigma of s adds to the quantities of `ProfileCovariance.matrix`.
+    sigma : of s, whose unit is the refraction: s = 0.01 turns rays by 1 % of it, on the average.
+    variance_share : of the variance that the air gives the rays the mode was found from.
+    """
+
+    state: Array
+    sigma: float
+    variance_share: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,19 +218,30 @@ def _cabin_errors(profile: Profile, root: CovarianceRoot, h: Array, kind: int) -
     return np.asarray(response * (by_t @ root.matrix[:edges] + root.matrix[edges]))
 
 
+class _InThePlane(NamedTuple):
+    """Tables of `AirTables` by its names."""
+
+    sigma: Array
+    angle: Array
+    behind: Array
+    lean: Array
+    mode: Array
+    mode_lean: Array
+
+
 def _in_the_plane(
     profile: Profile,
     root: CovarianceRoot | None,
     camera: Array,
     way: Array,
     window_kinds: Sequence[int],
-) -> tuple[Array, Array, Array, Array]:
-    """``sigma``, ``angle``, ``behind`` and ``lean`` of `AirTables` for ways (w,) [m]."""
+) -> _InThePlane:
+    """The tables for ways (w,) [m]; the first column of ``root`` is the leading mode."""
     columns = _Columns.of(profile, root, camera[0] - way[-1], camera[-1])
     shape = (camera.size, way.size)
-    sigma, angle = np.full(shape, np.nan), np.empty(shape)
+    sigma, angle, mode = np.full(shape, np.nan), np.empty(shape), np.full(shape, np.nan)
     behind = np.full((len(window_kinds), 2, *shape), np.nan)
-    lean = np.full((len(window_kinds), camera.size), np.nan)
+    lean, mode_lean = np.full((2, len(window_kinds), camera.size), np.nan)
     at_camera, above = columns.at(camera)
     cabins = [_cabin_errors(profile, root, camera, v) for v in window_kinds] if root else []
     for row, height in enumerate(camera):
@@ -213,13 +251,15 @@ def _in_the_plane(
         if root is None:
             continue
         own = at_camera[row, 1:]
-        sigma[row] = _lengths(mean[:, 1:] - own) / reach[:, 0]
+        by_air = (mean[:, 1:] - own) / reach
+        mode[row], sigma[row] = by_air[:, 0], _lengths(by_air[:, 1:])
         for k, cabin in enumerate(cabins):
-            x, y = mean[:, 1:] - cabin[row], own - cabin[row]
+            x, y = mean[:, 2:] - cabin[row, 1:], (own - cabin[row])[1:]
+            mode_lean[k, row] = own[0] - cabin[row, 0]
             lean[k, row] = np.linalg.norm(y)
             behind[k, 0, row] = _lengths(x)
             behind[k, 1, row] = x @ y / max(lean[k, row], _NOTHING)
-    return sigma, angle, behind, lean
+    return _InThePlane(sigma, angle, behind, lean, mode, mode_lean)
 
 
 def _lengths(rows: Array) -> Array:
@@ -269,7 +309,8 @@ def _on_the_sphere(
     least_cosine: float,
     radius: float,
 ) -> Array:
-    """(f, j, k, 2) factors that take sigma_R / tan(zeta) and dR/dzeta cos^2(zeta) to the sphere.
+    """(f, j, k, 3) factors that take sigma_R / tan(zeta) and dR/dzeta cos^2(zeta) to the sphere,
+    and what it adds to the mode's R / (tan(zeta) way).
 
     That of dR/dzeta is geometry: it is taken from US 1976, whose R is nowhere zero; at 80 degrees
     it is 1.02 and at 85 degrees 1.09 in any air, within 0.01 (3 km).
@@ -289,7 +330,9 @@ def _on_the_sphere(
     slope = usual.d_zeta_c * np.cos(zeta) ** 2
     slope /= slope[..., :1]
     if root is None:
-        return np.stack([np.full(slope.shape, np.nan), slope], axis=-1)
+        unknown = np.full(slope.shape, np.nan)
+        return np.stack([unknown, slope, unknown], axis=-1)
     traced = sensitivity(profile, h_c, h_g, zeta, radius, anchor_height_m=root.anchor_m)
-    sigma = np.linalg.norm(traced.gradient @ root.matrix, axis=-1) / np.tan(zeta)
-    return np.stack([sigma / sigma[..., :1], slope], axis=-1)
+    by_air = (traced.gradient @ root.matrix) / np.tan(zeta)[..., None]
+    sigma, mode = np.linalg.norm(by_air[..., 1:], axis=-1), by_air[..., 0] / (h_c - h_g)
+    return np.stack([sigma / sigma[..., :1], slope, mode - mode[..., :1]], axis=-1)

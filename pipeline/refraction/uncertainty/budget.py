@@ -1,14 +1,14 @@
 """The standard deviations of a correction: by the air, by the station, by the ground.
 
 They are of three kinds and are kept apart. The error of the air is common to the block: it is no
-noise of an observation, and the adjustment gets it as one scale parameter (`block_scale`). That of
-the station is common to an image, that of the ground to a point.
+noise of an observation, and the adjustment gets it as one parameter (`leading_mode`). That of the
+station is common to an image, that of the ground to a point.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,12 +38,10 @@ from pipeline.refraction.ray import DEFAULT_RADIUS_M
 from pipeline.refraction.uncertainty.air_sigma import (
     OPEN,
     AirSigma,
-    CovarianceRoot,
     air_sigma,
     cabin_response,
-    window_errors,
 )
-from pipeline.refraction.uncertainty.sensitivity import sensitivity
+from pipeline.refraction.uncertainty.leading_mode import leading_mode, rays_of_exposures
 from pipeline.refraction.uncertainty.sigmas import Uncertainty
 
 Array = NDArray[np.float64]
@@ -76,33 +74,6 @@ class StationSigmas:
     cabin: Array | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class RayWindows:
-    """Windows that n rays cross: (n,) ``kind`` `OPEN`, `SEALED` or `SCHEDULED`.
-
-    ``towards``, ``across`` : (n,) how far a ray turns to the nadir and square to that per unit of
-    dN_c - dN_cc; see `window_turn`.
-    """
-
-    kind: NDArray[np.int64]
-    towards: Array | float = 0.0
-    across: Array | float = 0.0
-
-
-@dataclass(frozen=True)
-class BlockScale:
-    """The error that the air gives all corrections of a block, as one factor 1 + s of all R.
-
-    ``sigma`` of s, the standard deviation of a prior for it; ``correlation`` of what s R explains
-    of the errors between two observations, on the average: what is less than one no scale factor
-    removes.
-    """
-
-    sigma: float
-    correlation: float
-    rays: int
-
-
 def uncertainty_of(
     profile: Profile,
     covariance: ProfileCovariance | None,
@@ -112,6 +83,7 @@ def uncertainty_of(
     *,
     ground_heights_m: tuple[float, float],
     window_kinds: NDArray[np.int64] | None = None,
+    typical_ground_m: float | None = None,
 ) -> Uncertainty | None:
     """Tables for the standard deviations of a block's corrections.
 
@@ -123,6 +95,8 @@ def uncertainty_of(
     cameras : each with the mask (s,) of its exposures.
     ground_heights_m : lowest and highest ground, above sea level [m].
     window_kinds : (s,) `OPEN`, `SEALED` or `SCHEDULED`; by default no window is in the way.
+    typical_ground_m : height of the ground of the rays that the leading mode is that of; by default
+        the middle of the heights of the ground that are below the cameras.
 
     None where no exposure can be used. The sigmas are of first order. Against changed inputs and
     drawn airs (tests/refraction/test_uncertainty.py): station and ground 1 %, air as `air_sigma`.
@@ -153,6 +127,12 @@ def uncertainty_of(
     radius = exposures.radius_m or DEFAULT_RADIUS_M
     kinds = np.full(usable.shape, OPEN) if window_kinds is None else window_kinds
     kinds = np.where(usable, kinds, OPEN)
+    low, high = max(ground_heights_m[0], profile.bottom_m), min(ground_heights_m[1], heights.min())
+    ground_m = 0.5 * (low + high) if typical_ground_m is None else typical_ground_m
+    mode = None
+    if covariance is not None:
+        seen = rays_of_exposures(replace(exposures, usable=usable), cameras, kinds)
+        mode = leading_mode(profile, covariance, seen, ground_m, radius=radius)
     # The largest nadir angle that a border of an image shows, half a degree to spare.
     zeta, side, ends = [0.0], np.linspace(0.0, 1.0, _BORDER), np.repeat([0.0, 1.0], _BORDER)
     x, y = np.concatenate([side, side, ends]), np.concatenate([ends, side, side])
@@ -170,94 +150,9 @@ def uncertainty_of(
         largest_zeta_rad=max(zeta),
         radius=radius,
         window_kinds=sorted({int(kind) for kind in kinds} - {OPEN}),
+        mode=mode,
     )
-    return Uncertainty(air, _station_columns(profile, exposures, stations, kinds, air))
-
-
-def block_scale(
-    profile: Profile,
-    covariance: ProfileCovariance,
-    h_c: Array,
-    h_g: Array,
-    zeta_c: Array,
-    *,
-    radius: float = DEFAULT_RADIUS_M,
-    windows: RayWindows | None = None,
-) -> BlockScale | None:
-    """The scale factor of R that some rays of a block share, with its sigma.
-
-    Parameters
-    ----------
-    h_c, h_g, zeta_c : (n,) heights [m above sea level] and nadir angles [rad] of rays that stand
-        for all.
-    radius : of the sphere [m].
-    windows : of the rays; by default no window is in the way.
-
-    The error of a ray is that of R, and behind a plane window that of R - R_cc, in the ray's
-    vertical plane and across it. With K its covariance in the plane, a fit of s R to it by least
-    squares has the variance R^T K R / (R^T R)^2. The correlation is the mean over pairs of rays of
-    K_ij / (e_i e_j), e the whole error, weighted by R^2 as the fit weighs them. None where no ray
-    has an angle.
-
-    >>> from pipeline.atmosphere import standard_atmosphere
-    >>> air = standard_atmosphere("us1976")
-    >>> variance = np.zeros(2 * air.layers.edge.size + 1)
-    >>> variance[air.layers.edge.size] = 0.001**2  # of ln p
-    >>> covariance = ProfileCovariance(air, 0.0, np.diag(variance))
-    >>> zeta = np.array([0.2, 0.6, 1.0])
-    >>> scale = block_scale(air, covariance, 3000.0 + 0.0 * zeta, 0.0 * zeta, zeta)
-    >>> round(scale.sigma, 5), round(scale.correlation, 6)
-    (0.001, 1.0)
-    """
-    traced = sensitivity(
-        profile, h_c, h_g, zeta_c, radius, anchor_height_m=covariance.anchor_height_m
-    )
-    good = traced.valid & (np.abs(traced.r_c) > 0.0)
-    if not bool(good.any()):
-        return None
-    r = traced.r_c[good]
-    root = CovarianceRoot.of(covariance)
-    errors = traced.gradient[good] @ root.matrix
-    length = np.linalg.norm(errors, axis=1)
-    if windows is not None:
-        heights = np.broadcast_to(h_c, good.shape)
-        turns = np.zeros((heights.size, root.matrix.shape[1]))
-        for kind in np.unique(windows.kind):
-            if kind != OPEN:
-                rows = windows.kind == kind
-                turns[rows] = window_errors(profile, root, heights[rows], int(kind))
-        towards, across = (
-            (np.broadcast_to(side, heights.shape)[:, None] * turns)[good]
-            for side in (windows.towards, windows.across)
-        )
-        errors = errors + (1.0 - traced.d_zeta_c)[good][:, None] * towards
-        length = np.hypot(np.linalg.norm(errors, axis=1), np.linalg.norm(across, axis=1))
-    weight = r * r / np.sum(r * r)
-    shared = weight @ (errors / r[:, None])
-    known = length > 0.0
-    correlated = np.sign(r[known])[:, None] * errors[known] / length[known][:, None]
-    mean = weight[known] @ correlated / max(float(weight[known].sum()), 1e-300)
-    return BlockScale(float(np.linalg.norm(shared)), float(mean @ mean), int(good.sum()))
-
-
-def window_turn(direction: Array, down: Array, normal: Array) -> tuple[Array, Array]:
-    """How far rays turn towards the nadir, and across, per unit of dN_c - dN_cc at a plane window.
-
-    (n, 3) unit vectors of the rays, the nadir and the window's normal in one frame. With n sin of
-    the angle to the normal kept (Gyer 1996, Eq. 36) a ray d turns by normal / (normal . d) - d.
-
-    >>> ray, down = np.array([[0.6, 0.0, 0.8]]), np.array([[0.0, 0.0, 1.0]])
-    >>> [float(side[0].round(12)) for side in window_turn(ray, down, down)]  # tan(zeta)
-    [0.75, 0.0]
-    """
-    cosine = np.einsum("ij,ij->i", down, direction)
-    sine = np.sqrt(np.maximum(1.0 - cosine * cosine, 0.0))
-    safe = np.where(sine > 0.0, sine, 1.0)[:, None]
-    to_nadir = (down - cosine[:, None] * direction) / safe
-    out = np.einsum("ij,ij->i", normal, direction)
-    towards = np.einsum("ij,ij->i", normal, to_nadir) / out
-    across = np.einsum("ij,ij->i", normal, np.cross(direction, to_nadir)) / out
-    return towards, across
+    return Uncertainty(air, _station_columns(profile, exposures, stations, kinds, air), mode)
 
 
 def _station_columns(

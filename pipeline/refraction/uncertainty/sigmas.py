@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -14,10 +14,14 @@ from pipeline.refraction.kernels.columns import (
     ObservationColumns,
     TracedColumns,
 )
-from pipeline.refraction.uncertainty.air_sigma import AirSigma
+from pipeline.refraction.uncertainty.air_sigma import AirMode, AirSigma
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
+
+
+PARTIALS = ("dx_ds_px", "dy_ds_px", "dx_dncc_px", "dy_dncc_px")
+"""The columns of `Sigmas` that are derivatives."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,21 +29,35 @@ class Uncertainty:
     """All that turns corrections into standard deviations; made by `uncertainty_of`.
 
     ``air`` : tables of sigma_R; ``stations`` (s, 19) columns `N` to `CABIN` of
-    `pipeline.refraction.kernels.columns`.
+    `pipeline.refraction.kernels.columns`; ``mode`` the leading mode of the air's covariance, None
+    where that is not known.
     """
 
     air: AirSigma
     stations: Array
+    mode: AirMode | None = None
+
+    def with_scale(self, sigma: float) -> Uncertainty:
+        """The same with another unit of the mode's parameter, in which its sigma is this."""
+        if self.mode is None:
+            return self
+        tables = self.air.tables._replace(mode_sigma=sigma)
+        air = replace(self.air, tables=tables)
+        return replace(self, air=air, mode=replace(self.mode, sigma=sigma))
 
 
 @dataclass(frozen=True, eq=False)
 class Sigmas:
-    """Standard deviations of corrections; (n,) arrays, NaN where unknown.
+    """Standard deviations of corrections, and derivatives; (n,) arrays, NaN where unknown.
 
     ``r_c_rad`` and ``air_*`` are common to the block: they must not be added to the weights of
     observations. ``station_*`` are common to an image, ``ground_*`` to a point, ``r_cc_rad`` and
     ``cabin_*`` (by the air behind the window) to a camera. dx and dy of one kind are fully
     correlated but for ``station_*`` and ``cabin_*``.
+
+    ``dx_ds_px``, ``dy_ds_px`` are the derivatives of the corrected (or displaced) pixels by the
+    parameter s of the air's leading mode; ``dx_dncc_px``, ``dy_dncc_px`` by the refractivity of the
+    air behind a plane window, NaN without one.
     """
 
     r_c_rad: Array
@@ -52,6 +70,10 @@ class Sigmas:
     r_cc_rad: Single
     cabin_dx_px: Single
     cabin_dy_px: Single
+    dx_ds_px: Single
+    dy_ds_px: Single
+    dx_dncc_px: Single
+    dy_dncc_px: Single
 
     @classmethod
     def room(cls, n: int) -> Sigmas:
@@ -69,6 +91,10 @@ class Sigmas:
     def columns(self) -> dict[str, Any]:
         """The arrays by their names."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def named(self) -> dict[str, Any]:
+        """The arrays by the names of columns of tables."""
+        return {n if n in PARTIALS else f"sigma_{n}": v for n, v in self.columns().items()}
 
     def rows(self, which: NDArray[np.intp] | slice) -> Sigmas:
         """Some of the rows; those of a slice can be filled."""
