@@ -79,7 +79,7 @@ def test_a_million_rays_to_a_model_beside_given_heights(ratios, tmp_path):
         [sys.executable, __file__, str(source), str(tmp_path / "peak"), str(model)],
         capture_output=True, text=True, check=True, cwd=Path(__file__).parent,
     )  # fmt: skip
-    ratios.check("memory with a model of 400 MB [GB]", float(peak.stdout) / 1e6, at_most=1.0)
+    ratios.check("memory with a model of 400 MB [GB]", float(peak.stdout) * 1024 / 1e9, at_most=1.0)
 
 
 if __name__ == "__main__":

@@ -15,11 +15,12 @@ from pipeline.errors import InputError, PhysicsError
 from pipeline.refraction import BrownConrady, Camera, LensInAir
 from pipeline.refraction.calibration import (
     MODELS,
+    MetricReport,
     camera_of_model,
+    camera_of_report,
     model_of_camera,
     refuse_impossible,
 )  # fmt: skip
-from pipeline.refraction.metric_frame import metric_camera
 from pipeline.tables.imports.camera_files import CAMERA_FILES, read_camera
 from pipeline.tables.pixels import PixelOrigin, PixelSystem
 
@@ -96,7 +97,7 @@ class MetricSection(Section):
     table: MetricTable | None = None
 
     def build(self, size_px: tuple[int, int], pixels: PixelSystem) -> Camera:
-        """The camera; refuses as `metric_camera`."""
+        """The camera; refuses as `camera_of_report`."""
         centre, table = np.array(size_px) / 2.0, None
         known = {} if self.distortion is None else self.distortion.model_dump()
         if self.table is not None:
@@ -104,14 +105,15 @@ class MetricSection(Section):
             if self.table.by == "field_angle_deg":
                 rows[:, 0] = self.focal_mm * np.tan(np.radians(rows[:, 0]))
             table = rows, self.table.sense
-        return metric_camera(
-            size_px, self.focal_mm, pixel_mm=np.array(self.pixel_um) * 1e-3,
+        report = MetricReport(
+            self.focal_mm, pixel_mm=np.array(self.pixel_um) * 1e-3,
             format_mm=self.format_mm, axes=self.axes, ppa_mm=self.ppa_mm,
             origin_px=centre if isinstance(self.origin, str)
             else pixels.to_colmap(np.array(self.origin)),
             ppbs_mm=self.ppbs_mm or self.ppa_mm, sense=known.pop("sense", "distortion"),
             coefficients=known, table=table, radius_mm=self.radius_mm or np.inf,
         )  # fmt: skip
+        return camera_of_report(report, size_px)
 
 
 _OTHER_WAYS = ["file", "model", "params", "metric"]

@@ -1,11 +1,14 @@
-"""Cameras by the name of a model and its parameters, and whether a camera can be one."""
+"""Cameras by the name of a model and its parameters or from the calibration report of a metric
+camera in millimetres, and whether a camera can be one."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from pipeline.errors import PhysicsError
 from pipeline.refraction.camera import model_of
@@ -13,6 +16,8 @@ from pipeline.refraction.camera.brown_conrady import BrownConrady
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.camera.general_frame import GeneralFrame
 from pipeline.refraction.camera.opencv_fisheye import LARGEST_ANGLE_RAD, OpenCVFisheye
+
+Array = NDArray[np.float64]
 
 _Distortion = type[BrownConrady] | type[GeneralFrame] | type[OpenCVFisheye]
 _FULL_OPENCV = ("fx", "fy", "cx", "cy", "k1", "k2", "py", "px", "k3", "q1", "q2", "q3")
@@ -138,3 +143,112 @@ def refuse_impossible(camera: Camera) -> None:
             "px",
             remedy="check signs, order and units of the coefficients",
         )
+
+
+DIRECTIONS = {"right": (1.0, 0.0), "left": (-1.0, 0.0), "down": (0.0, 1.0), "up": (0.0, -1.0)}
+"""In the image, x to the right and y down."""
+
+SENSES = {"distortion": 1.0, "correction": -1.0}
+"""What the lens does to ideal coordinates, or what is added to measured ones."""
+
+LARGEST_DISAGREEMENT_MM = 0.002
+"""Farther than this the coefficients and the table of one report do not mean the same lens."""
+
+LARGEST_OFFSET = 0.25
+"""Part of the format by which no principal point of a metric camera is off its centre."""
+
+
+@dataclass(frozen=True, eq=False)
+class MetricReport:
+    """What the calibration report of a metric frame camera states, in millimetres.
+
+    Pairs are (across, down) or (x, y); ``origin_px`` is where millimetres count from, in COLMAP's
+    pixels, ``axes`` the directions of x and y, as ``right up``. ``coefficients`` [powers of mm]:
+    dr = r (k0 + k1 r^2 + ... k4 r^8), dx = p1 (r^2 + 2 x^2) + 2 p2 x y, dx = b1 x + b2 y;
+    ``table`` (n, 2) radius and dr [mm] with its sense. Calibrated to ``radius_mm`` about the PPBS,
+    or the end of the table.
+    """
+
+    focal_mm: float
+    pixel_mm: ArrayLike
+    format_mm: ArrayLike
+    origin_px: ArrayLike
+    axes: str
+    ppa_mm: ArrayLike
+    ppbs_mm: ArrayLike
+    coefficients: Mapping[str, float]
+    sense: str = "distortion"
+    table: tuple[ArrayLike, str] | None = None
+    radius_mm: float = np.inf
+
+
+def camera_of_report(report: MetricReport, size_px: tuple[int, int]) -> Camera:
+    """The camera in pixels: projection from the PPA, distortion about the PPBS.
+
+    Refuses (PhysicsError) pixels that do not fill the format (CAMERA-FORMAT), a principal point far
+    from the centre (CAMERA-PRINCIPAL-POINT), a table that contradicts the coefficients, or without
+    these a polynomial (CAMERA-REPORT).
+    """
+    size, pixel, c = np.array(size_px), np.asarray(report.pixel_mm), report.focal_mm
+    ppa_mm, table, radius_mm = report.ppa_mm, report.table, report.radius_mm
+    part = size * pixel / report.format_mm
+    if not (part.min() > 0.95 and part.max() < 1.15):
+        raise PhysicsError(
+            "CAMERA-FORMAT",
+            f"{size[0]} x {size[1]} pixels of {pixel[0] * 1e3:g} x {pixel[1] * 1e3:g} um fill "
+            f"{part[0]:.3f} of the width and {part[1]:.3f} of the height of the format",
+            remedy="check pixel_um, format_mm, and that width and height are not exchanged",
+        )
+    to_image = np.array([DIRECTIONS[axis] for axis in report.axes.split()]).T
+    point = np.asarray(report.origin_px) + to_image @ ppa_mm / pixel
+    off = np.abs(point / size - 0.5).max()
+    if off > LARGEST_OFFSET:
+        raise PhysicsError(
+            "CAMERA-PRINCIPAL-POINT",
+            f"the principal point lies {100.0 * off:.0f} % of the format from its centre",
+            remedy="ppa_mm counts from origin along axes, in millimetres; give the pixel of the "
+            "corner as origin where it counts from there",
+        )
+    sign, given = SENSES[report.sense], report.coefficients.get
+    known = np.array([given(f"k{i}", 0.0) for i in range(5)])
+    if table is not None:
+        r, dr = np.asarray(table[0], np.float64).T
+        # To first order a correction is the distortion with the other sign.
+        known = _agreed(known, r, dr * SENSES[table[1]] * sign)
+        radius_mm = min(radius_mm, r[-1])
+    offset = to_image @ np.subtract(ppa_mm, report.ppbs_mm) / c
+    px, py = to_image @ (given("p1", 0.0), given("p2", 0.0)) * c
+    stretch = [[1.0 + given("b1", 0.0), given("b2", 0.0)], [0.0, 1.0]]
+    affine = to_image @ (stretch if sign > 0.0 else np.linalg.inv(stretch)) @ to_image.T
+    # Slope of a correction in the corners, and so many steps that it is inverted to 1e-17.
+    corner = 0.6 * np.hypot(*size * pixel) * np.linspace(0.0, 1.0, 50)[:, None]
+    slope = np.abs((known * np.arange(1, 10, 2) * corner ** np.arange(0, 10, 2)).sum(axis=1)).max()
+    slope += 6.0 * (abs(given("p1", 0.0)) + abs(given("p2", 0.0))) * corner[-1, 0]
+    steps = np.ceil(np.log(1e-17) / np.log(np.clip(slope, 1e-9, 0.27)))
+    numbers = (
+        *known * c ** np.arange(0, 10, 2), 0.0, 0.0, 0.0, px, py, *offset,
+        affine[0, 1] / affine[0, 0], affine[1, 0] / affine[1, 1], sign,
+        min(radius_mm / c - np.hypot(*offset), 1e9), steps,
+    )  # fmt: skip
+    fx, fy, cx, cy = map(float, (*c / pixel * affine.diagonal(), *point))
+    return Camera(*size_px, fx, fy, cx, cy, GeneralFrame(*map(float, numbers)))
+
+
+def _agreed(known: Array, r: Array, wanted: Array) -> Array:
+    """(5,) k0 to k4, fitted where all are zero, once they agree with the table."""
+    powers, fitted = r[:, None] ** np.arange(1, 10, 2), not known.any()
+    if fitted:
+        terms, scale = min(5, max(1, np.count_nonzero(r) - 1)), r[-1] ** np.arange(1, 10, 2)
+        known[:terms] = np.linalg.lstsq((powers / scale)[:, :terms], wanted, rcond=None)[0]
+        known = known / scale
+    apart = np.abs(powers @ known - wanted)
+    if not apart.max() <= LARGEST_DISAGREEMENT_MM:
+        raise PhysicsError(
+            "CAMERA-REPORT",
+            f"the table and {'a polynomial' if fitted else 'the coefficients'} differ by "
+            f"{apart.max() * 1e3:.1f} um at a radius of {r[apart.argmax()]:.1f} mm",
+            remedy="check distortion.sense and table.sense (reports of the USGS have coefficients "
+            "that correct and a table of the distortion), powers of ten, units, and that both are "
+            "for one principal distance",
+        )
+    return known

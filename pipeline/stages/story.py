@@ -247,7 +247,7 @@ def correct_mission(
         air.adjustment,
         takeoff,
         logged_terrain(prepared.flight.channels, stations.time_ns),
-        setup.ground.model.height(takeoff.lat_rad, takeoff.lon_rad)
+        setup.ground.height(takeoff.lat_rad, takeoff.lon_rad)
         if takeoff is not None and isinstance(setup.ground, TerrainGround)
         else np.nan,
     )

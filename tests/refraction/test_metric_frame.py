@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import PhysicsError
-from pipeline.refraction.metric_frame import metric_camera
+from pipeline.refraction.calibration import MetricReport, camera_of_report
 
 # USGS reports OSL/2985 (Wild RC30, 15/4 UAG-S 13413) and OSL/3030 (RC30, 13365): calibrated focal
 # length [mm], coefficients that correct, symmetric radial distortion [um] by field angle.
@@ -26,6 +26,10 @@ SCAN = {
     "axes": "right up", "ppa_mm": (0.004, -0.012), "ppbs_mm": (-0.009, 0.002),
 }  # fmt: skip
 SIZE = (11500, 11500)
+
+
+def metric_camera(size, focal_mm, **given):
+    return camera_of_report(MetricReport(focal_mm, **given), size)
 
 
 def table_of(report):

@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.refraction import Camera, Exposures, correct_observations
-from pipeline.refraction.kernels.landing import terrain_heights
+from pipeline.refraction.landing import terrain_heights
 from pipeline.refraction.ray import rays_by
 from pipeline.refraction.status_codes import (
     OK,
@@ -195,3 +195,33 @@ def test_rays_land_where_an_integrated_ray_does(lat, lon, around):
     # Straight rays would land elsewhere.
     straight = landing(terrain, *rays, ideal=True)[0]
     assert np.nanmax(np.abs(straight.h_m - truth[:, 2])) > 0.5
+
+
+def test_the_error_of_a_landing_is_that_of_the_terrain_by_its_slope():
+    """On a plane that falls to the east 1 / (1 + tan slope tan zeta); on relief by raising it."""
+    fall = 0.15
+    metres = np.radians(STEP) * 6_378_137.0 * np.cos(np.radians(1e-3))  # of a cell at the equator
+    j = np.mgrid[0:400, 0:400][1]
+    heights = (2_000.0 - fall * metres * (j - 192)).astype(np.float32)
+    plane = ArrayTerrain(heights, 0.16, -0.16, STEP, STEP)
+    n = 60
+    zeta = np.radians(np.linspace(1.0, 70.0, n))
+    for sign in (1.0, -1.0):  # away from the camera, and towards it
+        direction = np.stack([sign * np.sin(zeta), np.zeros(n), -np.cos(zeta)], axis=1)
+        found, _ = landing(plane, np.zeros(n), np.zeros(n), np.full(n, 3_500.0), direction)
+        assert (found.status == OK).all()
+        wanted = 1.0 / (1.0 - sign * fall * np.tan(zeta))
+        np.testing.assert_allclose(found.factor, wanted, rtol=0.01)
+    rays = rays_from(300, 46.5, 8.0, 0.1, (3_000.0, 10_000.0), 2)
+    corner, heights = (46.5 + 750 * STEP, 8.0 - 750 * STEP), relief(1500, 1500, cliffs=False)
+    low, high = (
+        landing(ArrayTerrain(heights + np.float32(add), *corner, STEP, STEP), *rays)[0]
+        for add in (-0.25, 0.25)
+    )
+    at = landing(ArrayTerrain(heights, *corner, STEP, STEP), *rays)[0].factor
+    # Not those that land elsewhere when it is raised, or on the next cell's slope.
+    near = np.abs(high.distance_m - low.distance_m) < 4.0
+    assert near.sum() > 200
+    change = (high.h_m - low.h_m)[near] / 0.5
+    assert np.quantile(np.abs(change / at[near] - 1.0), 0.9) < 0.05
+    assert change.max() > 1.2

@@ -137,6 +137,10 @@ def test_feet_and_undeclared_holes(mission, modelled, given):
         pytest.param(
             lambda z: np.where(np.arange(CELLS) >= CELLS // 2, 0.0, z), id="zero in holes"
         ),
+        pytest.param(lambda z: z[::-1], id="upside down"),
+        pytest.param(lambda z: z[:, ::-1], id="east for west"),
+        pytest.param(lambda z: z.T, id="axes exchanged"),
+        pytest.param(lambda z: np.roll(z, CELLS // 4, axis=1), id="four kilometres beside"),
     ],
 )
 def test_tie_points_contradict_a_model_of_other_heights(mission, modelled, change):
@@ -164,6 +168,24 @@ def test_a_hole_under_half_of_the_block_is_flagged_with_its_number(mission, mode
 def test_a_model_that_lies_elsewhere_or_under_some(mission, modelled):
     modelled(columns=slice(0, 40))
     assert "6 of 6 stations" in refused(mission, "DEM-OUTSIDE")
+    # East of the middle of the block there is none.
+    modelled(columns=slice(0, CELLS // 2))
+    manifest, results = ran(mission, 3)
+    lost = entry(manifest, "DEM-OUTSIDE")
+    stations = pd.read_parquet(mission.output / "stations.parquet")
+    with rasterio.open(mission.folder / "dem.tif") as raster:
+        beside = (stations["lon_deg"] > raster.bounds.right).to_numpy()
+    assert 0 < beside.sum() < beside.size
+    assert (lost["kind"], lost["count"]) == ("loss", beside.sum())
+    assert (results["status"] == "no_ground").any()
+
+
+def test_scale_and_offset_of_the_band_are_applied(mission, modelled, given):
+    modelled(change=lambda z: np.round((z - 300.0) / 0.05), options={"dtype": "int16"})
+    with rasterio.open(mission.folder / "dem.tif", "r+") as raster:
+        raster.scales, raster.offsets = (0.05,), (300.0,)
+    _, results = ran(mission)
+    np.testing.assert_allclose(results["h_g_m"], given["h_g_m"], atol=0.45)
 
 
 def test_what_contradicts_the_file_is_refused(mission, modelled):

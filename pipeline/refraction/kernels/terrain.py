@@ -96,11 +96,17 @@ def _exit(low, high, place, speed):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _surface(corner, row, column):  # type: ignore[no-untyped-def]
-    """Height of the bilinear patch at a place in it, counted from its first node."""
-    upper = corner[0, 0] + column * (corner[0, 1] - corner[0, 0])
-    lower = corner[1, 0] + column * (corner[1, 1] - corner[1, 0])
-    return upper + row * (lower - upper)
+def _above(path, patch, t):  # type: ignore[no-untyped-def]
+    """Height above a bilinear patch at a distance; row, column and height of the ray there.
+
+    A patch is the cell of a tile, and the row and column of its first node in the grid.
+    """
+    tiles, slot, i, j, first_row, first_column = patch
+    row, column, height, _, _, _ = _place(path, t)
+    right = column - first_column
+    upper = tiles[slot, i, j] + right * (tiles[slot, i, j + 1] - tiles[slot, i, j])
+    lower = tiles[slot, i + 1, j] + right * (tiles[slot, i + 1, j + 1] - tiles[slot, i + 1, j])
+    return height - (upper + (row - first_row) * (lower - upper)), row, column, height
 
 
 @jit
@@ -109,15 +115,13 @@ def _crossing(path, patch, ends, sides):  # type: ignore[no-untyped-def]
 
     ``sides`` are the heights above it there. Secant and bisection in turn.
     """
-    corner, first_row, first_column = patch
     (t_0, t_1), (f_0, f_1) = ends, sides
     t, height = t_0, math.nan
     for turn in range(100):
         t = 0.5 * (t_0 + t_1)
         if turn % 2 == 0:
             t = t_0 - f_0 * (t_1 - t_0) / (f_1 - f_0)
-        row, column, height, _, _, _ = _place(path, t)
-        f = height - _surface(corner, row - first_row, column - first_column)
+        f, _, _, height = _above(path, patch, t)
         if abs(f) < _FLAT_M or t_1 - t_0 < _CLOSE_M:
             break
         if (f > 0.0) == (f_0 > 0.0):
@@ -131,21 +135,62 @@ def _crossing(path, patch, ends, sides):  # type: ignore[no-untyped-def]
 def _in_patch(path, patch, t, t_1):  # type: ignore[no-untyped-def]
     """Heights above a patch at two distances, the nearest turn of that height between them (or the
     second distance) with what it is there, and the change of the ray's height."""
-    corner, first_row, first_column = patch
-    row, column, height, _, _, _ = _place(path, t)
-    row_1, column_1, height_1, _, _, _ = _place(path, t_1)
-    f = height - _surface(corner, row - first_row, column - first_column)
-    f_1 = height_1 - _surface(corner, row_1 - first_row, column_1 - first_column)
-    twist = corner[0, 0] - corner[0, 1] - corner[1, 0] + corner[1, 1]
+    tiles, slot, i, j, _, _ = patch
+    f, row, column, height = _above(path, patch, t)
+    f_1, row_1, column_1, height_1 = _above(path, patch, t_1)
+    twist = tiles[slot, i, j] - tiles[slot, i, j + 1] - tiles[slot, i + 1, j]
+    twist += tiles[slot, i + 1, j + 1]
     square = -twist * (row_1 - row) * (column_1 - column)
     linear = f_1 - f - square
     t_turn, f_turn = t_1, f_1
     if f * f_1 > 0.0 and square * f > 0.0 and 0.0 < -linear / (2.0 * square) < 1.0:
         share = -linear / (2.0 * square)
         t_turn = t + share * (t_1 - t)
-        row, column, height_t, _, _, _ = _place(path, t_turn)
-        f_turn = height_t - _surface(corner, row - first_row, column - first_column)
+        f_turn = _above(path, patch, t_turn)[0]
     return f, f_1, t_turn, f_turn, height_1 - height
+
+
+@jit
+def _box_at(grid, row, column, height):  # type: ignore[no-untyped-def]
+    """The tile about a place and its slot in memory, -1 where its nodes are not needed and -2 where
+    it has to be read first; the cell in the tile; and lowest node, highest node and edges of the
+    tile, or of its block where the height is between those of the tile."""
+    turn = 0
+    if grid.around > 0:  # columns go round the earth
+        turn = math.floor(column / grid.around) * grid.around
+    i, j = math.floor(row), math.floor(column) - turn
+    p, q = i // TILE, j // TILE
+    top, left = p * TILE, q * TILE
+    cell = i - top, j - left
+    bottom, right = top + TILE, left + TILE
+    if grid.around > 0 and right > grid.around:
+        right = grid.around
+    low, high, slot, tile = np.inf, -np.inf, -1, -1
+    if 0 <= p < grid.low.shape[0] and 0 <= q < grid.low.shape[1]:
+        tile = p * grid.low.shape[1] + q
+        low, high = grid.low[p, q], grid.high[p, q]
+        if math.isnan(low) or low <= height <= high:
+            slot = grid.slot[p, q]
+            if slot < 0:
+                slot = -2
+            else:
+                k, m = cell[0] // BLOCK, cell[1] // BLOCK
+                low, high = grid.block_low[slot, k, m], grid.block_high[slot, k, m]
+                top, left = top + k * BLOCK, left + m * BLOCK
+                bottom, right = top + BLOCK, min(left + BLOCK, right)
+    edges = float(top), float(bottom), float(left + turn), float(right + turn)
+    return tile, slot, cell, low, high, edges
+
+
+@jit
+def _change(side, now, gap, t):  # type: ignore[no-untyped-def]
+    """What becomes of a ray that is on a side of the terrain (1 above, -1 under) after another (0
+    where that is unknown), perhaps behind a gap; LANDED where the terrain has a step."""
+    if side == 0 and now < 0:
+        return NO_TERRAIN if gap or t > 0.0 else HIDDEN
+    if side > 0 and now < 0:
+        return NO_TERRAIN if gap else LANDED
+    return EMERGES if side < 0 and now > 0 else WAITS
 
 
 @jit
@@ -153,135 +198,65 @@ def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
     """Follow one ray until it is known what becomes of it, or a tile is missing.
 
     ``ray`` is its number; the columns of ``state`` are changed. ``side`` is 1 above the terrain,
-    -1 below, 0 where that is not known yet.
+    -1 below, 0 where that is not known yet. A ray that landed is followed on under the terrain, to
+    see whether it comes out again.
     """
     end, t, side, gap = state.end[ray], state.t[ray], state.side[ray], state.gap[ray]
     landed = not math.isnan(state.height[ray])
-    result = NO_TERRAIN
+    result = WAITS
     state.wanted[ray] = -1
-    while True:
-        if t >= end:
-            known = side != 0 and not gap
-            result = LANDED if landed else (PASSES if known else NO_TERRAIN)
-            break
+    while result == WAITS and t < end:
         row, column, height, arc, sine, cosine = _place(path, t)
         v_row, v_column, rise = _velocity(path, height, arc, sine, cosine)
         if height > _SKY_M:
-            if rise >= 0.0:
-                t = end
-            else:
-                t += max((height - _SKY_M) / -rise, 1e-3)
+            t = end if rise >= 0.0 else t + max((height - _SKY_M) / -rise, 1e-3)
             continue
-        # The node before it, and the tile; columns go round the earth.
-        first_row, first_column = math.floor(row), math.floor(column)
-        turn = 0
-        if grid.around > 0:
-            turn = math.floor(first_column / grid.around) * grid.around
-        i, j = int(first_row), int(first_column - turn)
-        tile_row, tile_column = i // TILE, j // TILE
-        top, left = tile_row * TILE, tile_column * TILE
-        low, high = np.inf, -np.inf
-        if 0 <= tile_row < grid.low.shape[0] and 0 <= tile_column < grid.low.shape[1]:
-            low, high = grid.low[tile_row, tile_column], grid.high[tile_row, tile_column]
-            if math.isnan(low):
-                state.wanted[ray] = tile_row * grid.low.shape[1] + tile_column
-                result = WAITS
-                break
-        right = left + TILE
-        if grid.around > 0 and right > grid.around:
-            right = grid.around
-        bottom = top + TILE
-        slot = -1
-        if low <= height and height <= high:
-            slot = grid.slot[tile_row, tile_column]
-            if slot < 0:
-                state.wanted[ray] = tile_row * grid.low.shape[1] + tile_column
-                result = WAITS
-                break
-            k, m = (i - top) // BLOCK, (j - left) // BLOCK
-            low, high = grid.block_low[slot, k, m], grid.block_high[slot, k, m]
-            top, left = top + k * BLOCK, left + m * BLOCK
-            bottom, right = top + BLOCK, min(left + BLOCK, right)
-        step = min(
-            _exit(top, bottom, row, v_row), _exit(left + turn, right + turn, column, v_column)
+        tile, slot, (a, b), low, high, (top, bottom, left, right) = _box_at(
+            grid, row, column, height
         )
-        if not (low <= height and height <= high):  # over or under all of it, as far as the edge
-            if low > high:
-                gap = True
-                t += step
-                continue
-            now = 1 if height > high else -1
-            if now == 1 and rise < 0.0:
-                step = min(step, (height - high) / -rise + _CLOSE_M)
-            elif now == -1 and rise > 0.0:
-                step = min(step, (low - height) / rise + _CLOSE_M)
-            if now != side:
-                if side == 0 and now == -1:
-                    result = NO_TERRAIN if gap or t > 0.0 else HIDDEN
-                    break
-                if side == 1 and gap:
-                    result = NO_TERRAIN
-                    break
-                if side == 1:
-                    state.distance[ray], state.height[ray] = t, height
-                    state.factor[ray], landed = 1.0, True
-                elif side == -1:
-                    result = EMERGES
-                    break
-                side = now
-            gap = False
-            if landed and low - height > _DEEP_M:
-                result = LANDED
-                break
+        if slot == -2:
+            state.wanted[ray] = tile
+            break
+        over, under = height > high, height < low
+        near = not (over or under)
+        if near:  # one cell, of which the corners are looked at
+            top, left = math.floor(row), math.floor(column)
+            bottom, right = top + 1.0, left + 1.0
+        step = min(_exit(top, bottom, row, v_row), _exit(left, right, column, v_column))
+        f = f_1 = f_turn = height - high if over else height - low
+        patch = grid.tiles, slot, a, b, top, left
+        t_turn, fall = t, 0.0
+        if near:
+            step = min(step, end - t)
+            f, f_1, t_turn, f_turn, fall = _in_patch(path, patch, t, t + step)
+        elif over and rise < 0.0:
+            step = min(step, f / -rise + _CLOSE_M)
+        elif under and rise > 0.0:
+            step = min(step, -f / rise + _CLOSE_M)
+        if math.isnan(f) or (over and under):
+            gap = True
             t += step
             continue
-        step = min(
-            _exit(first_row, first_row + 1.0, row, v_row),
-            _exit(first_column, first_column + 1.0, column, v_column),
-        )
-        t_1 = min(t + step, end)
-        top, left = tile_row * TILE, tile_column * TILE
-        corner = grid.tiles[slot, i - top : i - top + 2, j - left : j - left + 2]
-        patch = (corner, first_row, first_column)
-        f, f_1, t_turn, f_turn, fall = _in_patch(path, patch, t, t_1)
-        if math.isnan(f):
-            gap = True
-            t = t_1
-            continue
-        now = 1 if f > 0.0 else -1
-        if side == 0:
-            side = now
-            if now == -1:
-                result = NO_TERRAIN if gap or t > 0.0 else HIDDEN
-                break
-        if side == 1 and now == -1:
-            if gap:
-                result = NO_TERRAIN
-                break
-            state.distance[ray], state.height[ray] = t, height
-            state.factor[ray], landed = 1.0, True
-        elif side == -1 and now == 1 and f > _CLOSE_M:
-            result = EMERGES
-            break
+        now = 1 if f > (_CLOSE_M if side < 0 else 0.0) else -1
+        result = _change(side, now, gap, t)
         side, gap = now, False
-        if landed:
-            if f_1 > _CLOSE_M or f_turn > _CLOSE_M:
-                result = EMERGES
-                break
-            if f_1 < -_DEEP_M:
-                result = LANDED
-                break
-        elif f_1 <= 0.0 or f_turn <= 0.0:
+        if result == LANDED:  # at a step of the terrain
+            state.distance[ray], state.height[ray], state.factor[ray] = t, height, 1.0
+            landed, result = True, WAITS
+        elif near and not landed and (f_1 <= 0.0 or f_turn <= 0.0) and result == WAITS:
             found = _crossing(path, patch, (t, t_turn), (f, f_turn))
             state.distance[ray], state.height[ray] = found
-            share = (t_turn - t) / (t_1 - t)
-            state.factor[ray] = abs(fall * share / (f_turn - f))
-            landed = True
-            if f_1 > _CLOSE_M:
+            state.factor[ray] = abs(fall * ((t_turn - t) / step) / (f_turn - f))
+            landed, f_turn = True, f_1
+        if landed and result == WAITS:
+            side = -1
+            if max(f_1, f_turn) > _CLOSE_M:
                 result = EMERGES
-                break
-        side = 1 if f_1 > 0.0 and not landed else (-1 if landed else side)
-        t = t_1
+            elif f_1 < -_DEEP_M:
+                result = LANDED
+        t += step
+    if t >= end and result == WAITS:
+        result = LANDED if landed else (PASSES if side != 0 and not gap else NO_TERRAIN)
     state.t[ray], state.side[ray], state.gap[ray], state.result[ray] = t, side, gap, result
 
 

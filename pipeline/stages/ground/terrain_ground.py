@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -15,8 +17,9 @@ from pipeline.config.sections import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.errors import MissionError
 from pipeline.flight.heights import HeightSystem
 from pipeline.flight.stations import Stations
+from pipeline.geodesy import geodetic_of_ecef
 from pipeline.ledger import Ledger, finding
-from pipeline.refraction.kernels.landing import terrain_heights
+from pipeline.refraction.landing import terrain_heights
 from pipeline.refraction.status_codes import OK
 from pipeline.stages.correction import CorrectionSetup
 from pipeline.stages.ground.ground_heights import GroundHeights, sigmas_given
@@ -28,6 +31,9 @@ from pipeline.tables.tie_points import MOST_TIE_POINTS, draw_tie_points, tie_ray
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
+# A model of this ground leaves less of the points' relief than one height does, whatever their
+# sigma; a model that is turned or of another place leaves its own relief in addition.
+_WORSE_THAN_FLAT = 1.1
 _LARGEST_FACTOR = 20.0  # of an error of the model's height, where a ray grazes a slope
 
 
@@ -43,6 +49,11 @@ class TerrainGround:
     places: tuple[Array, Array]
     sigma_m: float | None = None
     limits: tuple[float, float] = (LOWEST_GROUND_M, HIGHEST_GROUND_M)
+
+    def height(self, lat_rad: float, lon_rad: float) -> float:
+        """Height of the model above sea level [m] at one place."""
+        row, column = self.model.nodes(np.array([lat_rad]), np.array([lon_rad]))
+        return float(self.model.heights(row, column)[0])
 
     def heights(self, batch: Batch, station: Rows, setup: CorrectionSetup) -> GroundHeights:
         """(n,) heights above sea level [m], with the reason where there is none."""
@@ -74,10 +85,12 @@ def compare_terrain(
 ) -> None:
     """A finding where rays of tie points meet far from the elevation model.
 
-    That is what a hillshade, feet, another vertical datum or holes filled with a number look like.
+    That is what a hillshade, feet, another vertical datum, holes filled with a number, and rows or
+    axes in another order look like.
     """
     if not isinstance(setup.ground, TerrainGround):
         return
+    model = setup.ground.model
     ties = draw_tie_points(observations, MOST_TIE_POINTS)
     rays = tie_rays(ties, stations.image, stations.camera, setup.cameras)
     orientations = orientations_of(stations, UNKNOWN_SIGMAS)
@@ -90,31 +103,64 @@ def compare_terrain(
     at = pd.Series(landed, pd.MultiIndex.from_arrays([ties.point, image]))
     model_m = at.reindex(pd.MultiIndex.from_arrays([rays.point, rays.image])).to_numpy()
     undulation = (stations.h_ellipsoid_m - stations.h_msl_m)[rays.image]
-    off = model_m + undulation - points.h_m[points.index]
-    known = np.isfinite(off)
-    if np.unique(points.index[known]).size < FEWEST_TIE_POINTS:
+    met_m = points.h_m[points.index] - undulation
+    known = np.isfinite(model_m - met_m)
+    count = np.unique(points.index[known]).size
+    if count < FEWEST_TIE_POINTS:
         return
+    off, met_m = (model_m - met_m)[known], met_m[known]
     above = float(np.median(stations.h_msl_m[rays.image][known] - model_m[known]))
     sigma = orientations.sigma[rays.image, 2][known]
     shared = np.hypot(np.median(sigma), setup.ground.sigma_m or 0.0)
     single = float(np.median(points.sigma_m[points.index][known]))
-    middle, far = float(np.median(off[known])), float(np.quantile(np.abs(off[known]), 0.9))
+    middle, far = float(np.median(off)), float(np.quantile(np.abs(off), 0.9))
     limits = max(0.01 * above, 4.0 * shared), max(0.03 * above, 4.0 * float(shared + single))
-    if abs(middle) <= limits[0] and far <= limits[1]:
-        return
-    ledger.add(
-        finding(
-            "DEM-TIES",
-            f"where rays of {np.unique(points.index[known]).size} tie points meet, the elevation "
-            f"model is {abs(middle):.0f} m too {'high' if middle > 0 else 'low'} in the median, "
-            f"and {far:.0f} m or more off in a tenth: expected within {limits[0]:.0f} and "
-            f"{limits[1]:.0f} m; likely no model of heights, heights in feet (the unit of the "
-            f"band) or from another zero (ground.reference; the undulation is "
-            f"{np.nanmedian(undulation):.0f} m), holes that hold a number, or another place",
-            where="ground.height.dem",
-            count=int(known.sum()),
+    left, relief, what = _spread(off), _spread(met_m), ""
+    if abs(middle) > limits[0] or far > limits[1]:
+        what = f"{abs(middle):.0f} m too {'high' if middle > 0 else 'low'} in the median, and "
+        what += f"{far:.0f} m or more off in a tenth: expected within {limits[0]:.0f} and "
+        what += f"{limits[1]:.0f} m"
+    elif left > max(_WORSE_THAN_FLAT * relief, 0.002 * above):
+        what = f"off by {left:.0f} m or more in a tenth, where one height for all would be by "
+        what += f"{relief:.0f} m"
+    elif left > max(0.2 * relief, 0.002 * above):
+        lat, lon, _ = geodetic_of_ecef(*points.position_m[np.isfinite(points.h_m)].T)
+        h_m = points.h_m[np.isfinite(points.h_m)]
+        row, column = model.nodes(lat, lon)
+        turned = min(
+            _spread(model.heights(*other) - h_m) for other in _other_ways(row, column, model)
         )
-    )
+        if turned < 0.5 * left:
+            what = f"off by {left:.0f} m or more in a tenth, and by {turned:.0f} m with its rows "
+            what += "or columns in another order"
+    if what:
+        ledger.add(
+            finding(
+                "DEM-TIES",
+                f"where rays of {count} tie points meet, the elevation model is {what}; likely "
+                "upside down, mirrored or of another place, no model of heights, heights in feet "
+                "(the unit of the band) or from another zero (ground.reference; the undulation is "
+                f"{np.nanmedian(undulation):.0f} m), or holes that hold a number",
+                where="ground.height.dem",
+                count=int(known.sum()),
+            )
+        )
+
+
+def _spread(values: Array) -> float:
+    """What a tenth of the values is away from their median at least; infinite without any."""
+    values = values[np.isfinite(values)]
+    if values.size < FEWEST_TIE_POINTS:
+        return np.inf
+    return float(np.quantile(np.abs(values - np.median(values)), 0.9))
+
+
+def _other_ways(row: Array, column: Array, model: ElevationModel) -> Iterator[tuple[Array, Array]]:
+    """Where nodes would be in a model whose rows or columns are reversed or exchanged."""
+    size = np.array(model.size)[:, None]
+    for exchanged, *reversed_axes in list(product((False, True), repeat=3))[1:]:
+        at = np.array([column, row] if exchanged else [row, column])
+        yield tuple(np.where(np.array(reversed_axes)[:, None], size - 1 - at, at))
 
 
 def with_terrain(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from collections.abc import Callable, Sequence
 from functools import lru_cache
@@ -102,14 +101,23 @@ class ElevationModel:
         inside = (row >= 0.0) & (row <= self.size[0] - 1) & (column <= self.size[1] - 1)
         return np.asarray(inside & ((column >= 0.0) | (self.grid.around > 0)))
 
-    def height(self, lat_rad: float, lon_rad: float) -> float:
-        """Height above sea level [m] at one place, bilinear; NaN in holes and outside."""
-        row, column = (float(a[0]) for a in self.nodes(np.array([lat_rad]), np.array([lon_rad])))
-        first_row, first_column = math.floor(row), math.floor(column)
-        with self.lock:
-            corner = self._read(first_row, first_column)[:2, :2]
-        down, right = row - first_row, column - first_column
-        return float(np.array([1.0 - down, down]) @ corner @ np.array([1.0 - right, right]))
+    def heights(self, row: Array, column: Array) -> Array:
+        """(n,) heights above sea level [m] at places in nodes, bilinear; NaN in holes and outside.
+
+        A tile is read for each that they lie in.
+        """
+        height, i, j = np.full(row.size, np.nan), np.floor(row), np.floor(column)
+        tiles, of = np.unique(np.stack([i // TILE, j // TILE]), axis=1, return_inverse=True)
+        for number, (p, q) in enumerate(np.int64(TILE) * tiles.T.astype(np.int64)):
+            at = np.flatnonzero(of == number)
+            with self.lock:
+                tile = self._read(int(p), int(q)).astype(np.float64)
+            k, m = (i[at] - p).astype(int), (j[at] - q).astype(int)
+            down, right = row[at] - i[at], column[at] - j[at]
+            upper = tile[k, m] * (1.0 - right) + tile[k, m + 1] * right
+            lower = tile[k + 1, m] * (1.0 - right) + tile[k + 1, m + 1] * right
+            height[at] = upper * (1.0 - down) + lower * down
+        return height
 
     def load(self, tiles: NDArray[np.int64]) -> None:
         """Read tiles that are not in memory, as many as fit there, in the place of others."""

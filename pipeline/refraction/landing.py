@@ -42,6 +42,9 @@ from pipeline.refraction.status_codes import (
 
 Array = NDArray[np.float64]
 
+# Some hundred bytes are needed for each.
+_ROWS_AT_ONCE = 65_536
+
 # From here on down [m] a ray is under all land.
 _LOWEST_M, _HIGHEST_M = -500.0, 9_000.0
 
@@ -126,52 +129,59 @@ def terrain_heights(
     """
     n = x_px.size
     numbers, status = np.full((3, n), np.nan), np.full(n, OK, np.uint8)
-    rays = np.empty((H_C + 1, n))
-
-    def leave(rows: slice) -> None:
-        rays[:, rows] = target_rays(
-            x_px[rows], y_px[rows], exposure[rows], exposures, camera=camera, ideal=ideal
-        )
-
-    in_blocks(leave, n)
     of_table = ray_table(table.profile) if isinstance(table, PublishedRays) else table
     air = None if ideal else of_table
-    for which, steep in ((rays[COS] > _STEEP, True), (rays[COS] <= _STEEP, False)):
-        rows = np.flatnonzero(which)
-        if rows.size == 0:
-            continue
-        of_rows = rays[:, rows]
-        knot, r_c, at_end = _bent_paths(of_rows, air, steep=steep)
-        end = knot[:, -1].copy()
-        arc = of_rows[RADIUS] * np.arctan2(
-            end * of_rows[SIN], of_rows[RADIUS] + of_rows[H_C] - end * of_rows[COS]
-        )
-        station, chart = np.unique(exposure[rows], return_inverse=True)
-        needed = np.zeros(station.size)
-        np.fmax.at(needed, chart, 1.01 * arc)
-        charts, reach = _charts(places[0][station], places[1][station], needed + 1.0, terrain)
-        short = 0.98 * reach[chart] < arc
-        end[short] *= 0.98 * reach[chart][short] / arc[short]
-        at_end[short] = NO_GROUND
-        with np.errstate(invalid="ignore"):
-            azimuth = of_rows[APPARENT : APPARENT + 2] / np.where(of_rows[SIN] > 0, of_rows[SIN], 1)
-        sine, cosine, h_c, radius = of_rows[[SIN, COS, H_C, RADIUS]]
-        paths = TerrainRays(
-            sine,
-            cosine,
-            h_c,
-            radius,
-            azimuth[0],
-            azimuth[1],
-            knot,
-            r_c / knot,
-            chart,
-            charts,
-            reach,
-        )
-        of_paths = _follow(paths, end, at_end, terrain)
-        numbers[:, rows], status[rows] = of_paths[:3], of_paths.status
+    for first in range(0, n, _ROWS_AT_ONCE):
+        some = slice(first, min(first + _ROWS_AT_ONCE, n))
+        rays = np.empty((H_C + 1, some.stop - first))
+
+        def leave(rows: slice, first: int = first, rays: Array = rays) -> None:
+            at = slice(first + rows.start, first + rows.stop)
+            rays[:, rows] = target_rays(
+                x_px[at], y_px[at], exposure[at], exposures, camera=camera, ideal=ideal
+            )
+
+        in_blocks(leave, rays.shape[1])
+        for which, steep in ((rays[COS] > _STEEP, True), (rays[COS] <= _STEEP, False)):
+            rows = np.flatnonzero(which)
+            if rows.size:
+                way, end, at_end = _ways(
+                    rays[:, rows], exposure[first + rows], places, air, terrain, steep=steep
+                )
+                of_ways = _follow(way, end, at_end, terrain)
+                numbers[:, first + rows] = of_ways[:3]
+                status[first + rows] = of_ways.status
     return TerrainHeights(numbers[0], numbers[1], numbers[2], status)
+
+
+def _ways(
+    rays: Array,
+    exposure: NDArray[np.int64],
+    places: tuple[Array, Array],
+    air: RayTable | None,
+    terrain: Terrain,
+    *,
+    steep: bool,
+) -> tuple[TerrainRays, Array, NDArray[np.uint8]]:
+    """Rays over the terrain's grid, their ends [m] and the status of a ray that reaches its end."""
+    knot, r_c, at_end = _bent_paths(rays, air, steep=steep)
+    sine, cosine, radius, h_c = rays[[SIN, COS, RADIUS, H_C]]
+    end = knot[:, -1].copy()
+    arc = radius * np.arctan2(end * sine, radius + h_c - end * cosine)
+    station, chart = np.unique(exposure, return_inverse=True)
+    needed = np.zeros(station.size)
+    np.fmax.at(needed, chart, 1.01 * arc)
+    charts, reach = _charts(places[0][station], places[1][station], needed + 1.0, terrain)
+    short = 0.98 * reach[chart] < arc
+    end[short] *= 0.98 * reach[chart][short] / arc[short]
+    at_end[short] = NO_GROUND
+    with np.errstate(invalid="ignore"):
+        east, north = rays[APPARENT : APPARENT + 2] / np.where(sine > 0, sine, 1)
+    r_c /= knot
+    way = TerrainRays(
+        sine, cosine, h_c, radius, east, north, knot, r_c, chart, charts, reach
+    )  # fmt: skip
+    return way, end, at_end
 
 
 def _bent_paths(
