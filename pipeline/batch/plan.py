@@ -6,7 +6,8 @@ import hashlib
 import json
 import os
 import platform
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import metadata, resources
 from pathlib import Path
@@ -18,6 +19,7 @@ from pipeline.config import Mission
 from pipeline.config.station_sources import KnownPositions
 from pipeline.errors import ConfigError, InputError
 from pipeline.ingest import hash_file
+from pipeline.tables.imports.blocks import BLOCKS, damage_refused
 from pipeline.tables.imports.exif import image_files
 
 _MISSION_FILE_KEYS = {
@@ -44,22 +46,30 @@ _LIBRARIES = (
 
 @dataclass(frozen=True)
 class Input:
-    """A file the mission reads: as the mission file names it, where it is, and what it holds."""
+    """A file the mission reads: as the mission file names it, where it is, and what it holds.
+
+    ``program`` is that of a block, whose path may be a folder, or name other files.
+    """
 
     role: str
     name: str
     path: Path
     sha256: str
     stamp: tuple[int, int]
+    program: str | None = None
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A mission with its inputs hashed."""
+    """A mission with its inputs hashed.
+
+    ``camera_names`` are the names of its cameras by what the block of another program calls them.
+    """
 
     mission: Mission
     inputs: tuple[Input, ...]
     output: Path
+    camera_names: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def fingerprint(self) -> str:
@@ -128,9 +138,15 @@ def make_plan(mission: Mission, folder: Path) -> Plan:
     orientation = mission.stations.orientation
     of_images = orientation is not None and orientation.format == "dji"
     of_folders = ("images", "orientation") if of_images else ("images",)
+    programs = {f"camera {name}": camera.format for name, camera in mission.cameras.items()}
+    programs |= {"observations": mission.observations.format,
+                 "orientation": None if orientation is None else orientation.format}  # fmt: skip
     for role, (name, path) in input_paths(mission, folder).items():
+        program = programs.get(role) if programs.get(role) in BLOCKS else None
         try:
-            if not path.is_file() and not (role in of_folders and path.is_dir()):
+            if not path.is_file() and not (
+                path.is_dir() and (role in of_folders or program is not None)
+            ):
                 other = {"events": "events.positions", "camera": "cameras.<name>.file",
                          "elevation": "ground.height.dem"}  # fmt: skip
                 key = _MISSION_FILE_KEYS.get(
@@ -143,8 +159,8 @@ def make_plan(mission: Mission, folder: Path) -> Plan:
                     remedy=f"check {key} in the mission file; paths are relative to it",
                 )
             _refuse_among_results(role, path, output)
-            stamp = _stamp(path)
-            inputs.append(Input(role, name, path, _hash_input(path), stamp))
+            stamp = _stamp(path, program)
+            inputs.append(Input(role, name, path, _hash_input(path, program), stamp, program))
         except OSError as error:
             raise InputError(
                 "INPUT-UNREADABLE", str(error.strerror), where=str(path), remedy="mend permissions"
@@ -154,7 +170,10 @@ def make_plan(mission: Mission, folder: Path) -> Plan:
         name: camera.with_file(files[f"camera {name}"]) if camera.file is not None else camera
         for name, camera in mission.cameras.items()
     }
-    return Plan(mission.model_copy(update={"cameras": cameras}), tuple(inputs), output)
+    names = {str(c.camera or name): name for name, c in mission.cameras.items()}
+    only = next(iter(mission.cameras.values()))
+    names |= {"": next(iter(names.values()))} if len(names) == 1 and only.camera is None else {}
+    return Plan(mission.model_copy(update={"cameras": cameras}), tuple(inputs), output, names)
 
 
 def refuse_other_mission(plan: Plan, manifest: dict[str, Any] | None) -> None:
@@ -183,7 +202,8 @@ def _refuse_among_results(role: str, path: Path, output: Path) -> None:
 def check_unchanged(plan: Plan) -> None:
     """Refuse results whose inputs changed while they were made."""
     for item in plan.inputs:
-        if _stamp(item.path) != item.stamp and _hash_input(item.path) != item.sha256:
+        changed = _stamp(item.path, item.program) != item.stamp
+        if changed and _hash_input(item.path, item.program) != item.sha256:
             raise InputError(
                 "INPUT-CHANGED",
                 f"the {item.role} file changed during the run",
@@ -192,21 +212,35 @@ def check_unchanged(plan: Plan) -> None:
             )
 
 
-def _hash_input(path: Path) -> str:
-    """SHA-256 of a file; of a folder of images over their names, sizes and first 256 KiB."""
-    if path.is_file():
+def _hash_input(path: Path, program: str | None) -> str:
+    """SHA-256 of a file; of a folder of images over their names, sizes and first 256 KiB.
+
+    Of a block over the names and hashes of its files.
+    """
+    files = _files_of(path, program)
+    if files == (path,):
         return hash_file(path)
     digest = hashlib.sha256()
-    for image in image_files(path):
-        with image.open("rb") as stream:
-            digest.update(f"{image.relative_to(path)}\0{image.stat().st_size}\0".encode())
+    for file in files:
+        if program is not None:
+            digest.update(f"{file.name}\0{hash_file(file)}\0".encode())
+            continue
+        with file.open("rb") as stream:
+            digest.update(f"{file.relative_to(path)}\0{file.stat().st_size}\0".encode())
             digest.update(stream.read(_EXIF_BYTES))
     return digest.hexdigest()
 
 
-def _stamp(path: Path) -> tuple[int, int]:
-    stats = [file.stat() for file in ([path] if path.is_file() else image_files(path))]
+def _stamp(path: Path, program: str | None) -> tuple[int, int]:
+    stats = [file.stat() for file in _files_of(path, program)]
     return max((s.st_mtime_ns for s in stats), default=0), sum(s.st_size for s in stats)
+
+
+def _files_of(path: Path, program: str | None) -> tuple[Path, ...]:
+    if program is not None:
+        with damage_refused(path, program):
+            return BLOCKS[program][0].block_files(path)
+    return (path,) if path.is_file() else tuple(image_files(path))
 
 
 @lru_cache(maxsize=1)

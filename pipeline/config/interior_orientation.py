@@ -21,7 +21,7 @@ from pipeline.refraction.calibration import (
     model_of_camera,
     refuse_impossible,
 )  # fmt: skip
-from pipeline.tables.imports.camera_files import CAMERA_FILES, read_camera
+from pipeline.tables.imports.blocks import BLOCKS, read_camera
 from pipeline.tables.pixels import PixelOrigin, PixelSystem
 
 PrincipalDistance = Annotated[float, Field(ge=10, le=1e6)]
@@ -117,15 +117,19 @@ class MetricSection(Section):
 
 
 _OTHER_WAYS = ["file", "model", "params", "metric"]
+OWN_ORIENTATION = {*_OTHER_WAYS, "f_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion"}
+"""Keys of which a camera has one, unless its orientation is that of the observations' block."""
 
 
 class CameraSection(Section):
     """Interior orientation of one camera, in one of four ways."""
 
     file: PathText | None = Field(
-        None, description="of a program: COLMAP, OpenSfM or ODM, Metashape; then no numbers here"
+        None,
+        description="of a program: COLMAP, OpenSfM or ODM, Metashape, DBAT; then no numbers here. "
+        "By default the block of the observations, where that is one",
     )
-    format: Literal[tuple(CAMERA_FILES)] | None = Field(  # type: ignore[valid-type]
+    format: Literal[tuple(BLOCKS)] | None = Field(  # type: ignore[valid-type]
         None, description="of file, where its ending does not say it"
     )
     camera: str | int | None = Field(

@@ -11,12 +11,13 @@ from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 from pipeline.config.atmosphere import AtmosphereSection, PathText
 from pipeline.config.cameras import MountSection, Section
 from pipeline.config.event_sources import EventsSection, PositionEvents
-from pipeline.config.interior_orientation import CameraSection
+from pipeline.config.interior_orientation import OWN_ORIENTATION, CameraSection
 from pipeline.config.station_sources import LocalOrigin, StationsSection
 from pipeline.config.trajectories import NamedColumns
 from pipeline.flight.image_names import Difference
 from pipeline.ingest.registry import KNOWN
 from pipeline.refraction import METHODS
+from pipeline.tables.imports.blocks import BLOCKS
 from pipeline.tables.pixels import PixelOrigin, PixelSystem
 
 LOWEST_GROUND_M, HIGHEST_GROUND_M = -600.0, 10_000.0
@@ -111,7 +112,13 @@ class ObservationColumnNames(Section):
 class ObservationsSection(Section):
     """The table of image measurements."""
 
-    path: PathText = Field(description="CSV or Parquet")
+    path: PathText = Field(description="CSV or Parquet, or what format says")
+    format: Literal["csv", "parquet", *BLOCKS] | None = Field(  # type: ignore[valid-type]
+        None,
+        description="csv or parquet, where the ending does not say it; or the block of another "
+        "program, with its cameras and orientations: colmap, a model's folder or a database; "
+        "opensfm, a project's folder; metashape, a .psz or .xml; dbat, a script",
+    )
     columns: ObservationColumnNames = ObservationColumnNames()
     pixel_origin: PixelOrigin = Field(
         "corner",
@@ -138,6 +145,15 @@ class ObservationsSection(Section):
                 "again would count it twice: give them as measured, or adjust them as they are"
             )
         return value
+
+    @model_validator(mode="after")
+    def _check_block(self) -> ObservationsSection:
+        if self.format in BLOCKS and self.columns != ObservationColumnNames():
+            raise ValueError(f"format: {self.format} names its columns itself; leave columns out")
+        if self.format in BLOCKS and self.pixel_origin != "corner":
+            raise ValueError(f"format: {self.format} says itself where pixels count from, and they "
+                             "are written with pixel_origin: corner; leave it out")  # fmt: skip
+        return self
 
     @property
     def pixels(self) -> PixelSystem:
@@ -207,12 +223,14 @@ def _kind_of_height(value: Any) -> str:
     return "number"
 
 
+_ABOVE_THE_SEA = ("from_distance", "intersected", "block")
+
 GroundHeight = Annotated[
     Annotated[float, Tag("number")]
     | Annotated[GroundColumn, Tag("GroundColumn")]
     | Annotated[PointTable, Tag("PointTable")]
     | Annotated[GroundModel, Tag("GroundModel")]
-    | Annotated[Literal["from_distance", "intersected"], Tag("name")],
+    | Annotated[Literal["from_distance", "intersected", "block"], Tag("name")],
     Discriminator(_kind_of_height),
 ]
 
@@ -224,7 +242,8 @@ class GroundSection(Section):
         description="metres, or {column: NAME}, or {points: PATH, columns, crs}: a table of "
         "object points, or {dem: PATH}: where the rays meet an elevation model, or "
         "from_distance: where the slant range ends, or "
-        "intersected: where the rays of the point meet, with the stations as they are"
+        "intersected: where the rays of the point meet, with the stations as they are, or "
+        "block: of the points of stations.orientation, and their median in the image for others"
     )
     reference: Literal["msl", "ellipsoid", "relative"] = Field(
         description="above mean sea level, above the ellipsoid, or above the take-off point"
@@ -265,7 +284,8 @@ class GroundSection(Section):
     @property
     def reference_of_values(self) -> Literal["msl", "ellipsoid", "relative"]:
         """What the heights of the observations count from: others are reduced to msl."""
-        return "msl" if self.points is not None or self.model is not None else self.reference
+        reduced = self.points is not None or self.model is not None
+        return "msl" if reduced else self.reference
 
     @property
     def from_distance(self) -> bool:
@@ -281,7 +301,7 @@ class GroundSection(Section):
         if values.get("height") == "intersected" and "reference" in values:
             raise ValueError("height: intersected gives heights above mean sea level; leave "
                              "reference out")  # fmt: skip
-        if values.get("height") in ("from_distance", "intersected"):
+        if values.get("height") in _ABOVE_THE_SEA:
             return {"reference": "msl"} | values
         return values
 
@@ -296,7 +316,7 @@ class GroundSection(Section):
     def _check_combinations(self) -> GroundSection:
         if self.sigma_m is not None and self.sigma_column is not None:
             raise ValueError("give either sigma_m or sigma_column")
-        of_camera = self.height in ("from_distance", "intersected")
+        of_camera = isinstance(self.height, str)
         if of_camera and (self.reference != "msl" or self.home_h_msl_m is not None):
             raise ValueError(
                 f"height: {self.height} gives heights above mean sea level; leave reference and "
@@ -389,6 +409,31 @@ class Mission(Section):
             return values | {"mount": {name: {} for name in cameras} | mount}
         return values
 
+    @model_validator(mode="before")
+    @classmethod
+    def _from_block(cls, values: Any) -> Any:
+        """Cameras and orientations that are not given are those of the block of observations.
+
+        The last of these validators runs first."""
+        observations = values.get("observations") if isinstance(values, dict) else None
+        if not isinstance(observations, dict) or observations.get("format") not in BLOCKS:
+            return values
+        path, program = observations.get("path"), observations["format"]
+        cameras, stations = values.get("cameras"), values.get("stations") or {}
+        if isinstance(cameras, dict):
+            block = {"file": path, "format": program}
+            own = {n: c for n, c in cameras.items()
+                   if not isinstance(c, dict) or c.keys() & OWN_ORIENTATION}  # fmt: skip
+            values = values | {"cameras": {n: own.get(n) or block | c for n, c in cameras.items()}}
+        elsewhere = any(values.get(key) for key in ("log", "events"))
+        if isinstance(stations, dict):
+            elsewhere = elsewhere or bool(stations.get("trajectory"))
+            given = stations.get("orientation", None if elsewhere else {})
+            if isinstance(given, dict) and "path" not in given:
+                given = {"path": path, "format": program} | given
+                values = values | {"stations": stations | {"orientation": given}}
+        return values
+
     @model_validator(mode="after")
     def _check_station_source(self) -> Mission:
         orientation, trajectory = self.stations.orientation, self.stations.trajectory
@@ -423,7 +468,8 @@ class Mission(Section):
         if orientation.known_positions == "log" and (self.log is None or self.events is None):
             raise ValueError("known_positions: log needs log and events")
         named = orientation.camera
-        if named is None and orientation.columns.camera is None and len(self.cameras) > 1:
+        says = orientation.columns.camera is not None or orientation.of_block
+        if named is None and not says and len(self.cameras) > 1:
             raise ValueError("stations.orientation must state which camera: camera or "
                              "columns.camera")  # fmt: skip
         if named is not None and named not in self.cameras:
@@ -476,6 +522,14 @@ class Mission(Section):
             raise ValueError(
                 "atmosphere.board_temperature needs log.channels.temperature, the channel whose "
                 "board is meant, as BARO[0]"
+            )
+        orientation = self.stations.orientation
+        if self.ground.height == "block" and (
+            orientation is None or not orientation.of_block or orientation.known_positions == "log"
+        ):
+            raise ValueError(
+                "ground.height: block takes the points of stations.orientation: give it a format "
+                f"of {', '.join(BLOCKS)}, and a frame that does not need the log"
             )
         if self.ground.from_distance and self.observations.columns.distance_m is None:
             raise ValueError(

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from datetime import UTC, date, datetime
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from pipeline.config.atmosphere import PathText
 from pipeline.config.cameras import Section
@@ -17,6 +17,7 @@ from pipeline.config.trajectories import (
 )
 from pipeline.flight.heights import GeodeticOrigin
 from pipeline.tables.imports import ORIENTATIONS
+from pipeline.tables.imports.blocks import BLOCKS
 from pipeline.units import DEGREE, AngleUnit
 
 _OF_ANGLES = {
@@ -76,10 +77,11 @@ class OrientationSection(Section):
     """Position and attitude of every image from a CSV, or from DJI's images themselves."""
 
     path: PathText
-    format: Annotated[str, known_format(ORIENTATIONS)] = Field(
+    format: Annotated[str, known_format([*ORIENTATIONS, *BLOCKS])] = Field(
         "csv",
-        description="csv; or dji: positions and gimbal angles in the images of a folder, or of a "
-        "table that exiftool -csv -r FOLDER wrote",
+        description="csv; dji: positions and gimbal angles in the images of a folder, or of a "
+        "table that exiftool -csv -r FOLDER wrote; or the block of another program as under "
+        "observations.format, which has angles, columns and cameras itself",
     )
     angles: Literal[
         "omega_phi_kappa", "phi_omega_kappa", "roll_pitch_yaw", "quaternion", "quaternion_to_frame"
@@ -89,16 +91,20 @@ class OrientationSection(Section):
         "which turns from the frame to the camera (x right, y down, z forward), or back"
     )
     unit: AngleUnit = Field("deg", description="of the angles; latitude, longitude: degrees")
-    frame: Literal["geographic", "projected", "ecef", "unknown"] | EnuFrame = Field(
+    frame: Literal["geographic", "projected", "ecef", "unknown"] | EnuFrame | None = Field(
+        None,
+        validate_default=True,
         description="of the angles, and of x, y, z. geographic: east, north, up (roll_pitch_yaw: "
         "north, east, down) at each station; projected: x, y of crs, whose grid north the angles "
         "count from, and z, the height; ecef: earth-centred; {enu: {lat_deg, lon_deg, "
-        "h_ellipsoid_m}}: east, north, up at this one place; unknown: fitted to known_positions"
+        "h_ellipsoid_m}}: east, north, up at this one place; unknown: fitted to known_positions. "
+        "By default what the block says: OpenSfM's reference_lla, Metashape's coordinate system",
     )
     heights: Literal["msl", "ellipsoid"] | None = Field(
         None,
         description="what the height column counts from: mean sea level or the ellipsoid (in a "
-        "frame that is unknown, that of known_positions)",
+        "frame that is unknown, that of known_positions; of a block that says its frame, the "
+        "altitudes that its program was given)",
     )
     crs: str | None = Field(
         None,
@@ -127,11 +133,35 @@ class OrientationSection(Section):
     sigma_tilt_deg: float | None = Field(None, ge=0, le=45)
     sigma_yaw_deg: float | None = Field(None, ge=0, le=180)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _angles_of_block(cls, values: Any) -> Any:
+        if isinstance(values, dict) and values.get("format") in BLOCKS:
+            return {"angles": "quaternion"} | values
+        return values
+
+    @field_validator("frame")
+    @classmethod
+    def _require_frame(cls, value: object, info: ValidationInfo) -> object:
+        if value is None and info.data.get("format") not in BLOCKS:
+            raise ValueError("is missing (geographic | projected | ecef | enu | unknown)")
+        return value
+
+    @property
+    def of_block(self) -> bool:
+        """Whether the file is the block of another program."""
+        return self.format in BLOCKS
+
     @property
     def is_geodetic(self) -> bool:
         """Whether the positions are latitude, longitude and height, or become them by the crs."""
         level = self.frame in ("geographic", "projected")
         return level or self.columns.latitude is not None
+
+    def is_msl(self, found: str | None) -> bool:
+        """Whether heights are above the sea; ``found`` is what a coordinate system says of them."""
+        has_heights = self.is_geodetic or self.frame is None
+        return has_heights and (found or self.heights) == "msl"
 
     @property
     def column_names(self) -> dict[str, str]:
@@ -193,12 +223,20 @@ class OrientationSection(Section):
             )
         if not unknown and self.known_positions is not None:
             raise ValueError("known_positions are for frame: unknown")
-        if (self.is_geodetic or isinstance(self.known_positions, KnownPositions)) != (
+        has_heights = self.is_geodetic or self.frame is None
+        if (has_heights or isinstance(self.known_positions, KnownPositions)) != (
             self.heights is not None
         ):
             raise ValueError(
                 "give heights, msl or ellipsoid, where there is a column of heights, and only there"
+                + " (a block without frame has those that its program was given)" * self.of_block
             )
+        if self.of_block and (
+            self.angles != "quaternion" or self.frame == "geographic" or self.camera is not None
+            or self.columns != OrientationColumns()
+        ):  # fmt: skip
+            raise ValueError(f"format: {self.format} has angles, columns and cameras itself, and a "
+                             "frame of x, y, z: projected, ecef, enu or unknown")  # fmt: skip
         if self.convergence_deg and self.frame != "geographic":
             raise ValueError("convergence_deg is for frame: geographic")
         if self.has_clock and self.date is not None:

@@ -87,6 +87,7 @@ def read_observations(plan: Plan, ledger: Ledger, most_rows: int | None = None) 
         direction=plan.mission.refraction.direction,
         pixels=section.pixels,
         most_rows=most_rows,
+        file_format=section.format,
     )
 
 

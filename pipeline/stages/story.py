@@ -200,7 +200,7 @@ def prepare_mission(
     observations = read_observations(plan, ledger, most_rows)
     progress.start("reading the log")
     flight = read_log(plan, ledger)
-    observations = with_object_points(plan, observations, flight.heights, ledger)
+    observations = with_object_points(plan, observations, flight, ledger)
     stations = stations_of_mission(plan, flight, observations, ledger)
     check_object_points(observations, stations, ledger)
     ledger.extend(undulation_notes(flight.heights, stations, package_geoid()))

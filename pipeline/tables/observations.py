@@ -1,9 +1,11 @@
-"""Image measurements from CSV or Parquet, in batches, with the user's other columns intact."""
+"""Image measurements from a table or a block, in batches, with the user's other columns intact."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,11 +26,16 @@ from pipeline.tables.column_checks import (
 )
 from pipeline.tables.delimited import csv_names, open_csv, scan_csv
 from pipeline.tables.geodata.object_points import ObjectPoints
+from pipeline.tables.imports.blocks import BLOCKS, block_rows
+from pipeline.tables.imports.blocks.image_points import ROWS
 from pipeline.tables.pixels import COLMAP, PixelSystem
 from pipeline.tables.refraction_mark import Direction, refuse_done
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
 
 Array = NDArray[np.float64]
+
+Records = Callable[[int, list[str] | None], Iterator[pa.RecordBatch]]
+"""Reads a table: rows of a batch at most, where the file lets choose, and which columns."""
 
 # A user's column with one of these names would be taken for a result, in either direction.
 _OURS = OBSERVATION_COLUMNS.keys() | DISPLACED_COLUMNS.keys()
@@ -151,14 +158,14 @@ class Observations:
     points: ObjectPoints | None = None
     sample: RowSample | None = field(repr=False, default=None)
     _sources: Mapping[str, str] = field(repr=False, default_factory=dict)
-    _csv_types: Mapping[str, pa.DataType] = field(repr=False, default_factory=dict)
+    _records: Records = field(repr=False, default=lambda rows, only: iter(()))
 
     def sampled(self) -> Batch:
         """The rows that were drawn when the table was opened, without the user's columns."""
         drawn = self.sample or RowSample(0)
         wanted = {*self.columns.values(), self.ground_column or "", self.sigma_column or ""} - {""}
         first, parts = 0, []
-        for records in _record_batches(self.path, self._csv_types, 1 << 18, sorted(wanted)):
+        for records in self._records(1 << 18, sorted(wanted)):
             begin, end = np.searchsorted(drawn.number, (first, first + len(records)))
             parts.append(records.take(pa.array(drawn.number[begin:end] - first)))
             first += len(records)
@@ -167,7 +174,7 @@ class Observations:
 
     def batches(self, batch_rows: int) -> Iterator[Batch]:
         """The observations in slices of ``batch_rows``, each row once and in its place."""
-        records, first_row = _record_batches(self.path, self._csv_types, batch_rows), 0
+        records, first_row = self._records(batch_rows, None), 0
         for table in _slices(records, batch_rows):
             users = {f.name: self._sources[f.name] for f in self.user_fields}
             yield replace(self._batch(table, users), first_row=first_row)
@@ -178,18 +185,19 @@ class Observations:
         arrays = {name: _one_array(table[name]) for name in table.column_names}
         x, y = _as_float(arrays[self.columns["x_px"]]), _as_float(arrays[self.columns["y_px"]])
         distance, no_distance, sigma, no_sigma = None, 0, None, 0
-        point, ground, no_point = arrays[self.columns["point"]].cast(pa.string()), None, 0
+        image, point = (arrays[self.columns[n]].cast(pa.string()) for n in ("image", "point"))
+        ground, no_point = None, 0
         if self.ground_column is not None:
             ground = _as_float(arrays[self.ground_column])
         if self.points is not None:
-            ground, row = self.points.heights(point)
-            no_point = int((row < 0).sum())
+            ground, row = self.points.heights(point, image)
+            no_point = int(((row < 0) & np.isnan(ground)).sum())
         if self.distance_column is not None:
             distance, no_distance = _at_least(0.0, arrays[self.distance_column], above=True)
         if self.sigma_column is not None:
             sigma, no_sigma = _at_least(0.0, arrays[self.sigma_column])
         return Batch(
-            image=arrays[self.columns["image"]].cast(pa.string()),
+            image=image,
             point=point,
             x_px=self.pixels.to_colmap(x),
             y_px=self.pixels.to_colmap(y),
@@ -216,12 +224,13 @@ def open_observations(
     direction: Direction = "remove",
     pixels: PixelSystem = COLMAP,
     most_rows: int | None = None,
+    file_format: str | None = None,
 ) -> Observations:
     """Check a table of observations: its columns, its marks, its images.
 
     Parameters
     ----------
-    path : ``.csv`` or ``.parquet``.
+    path : ``.csv`` or ``.parquet``, or what ``file_format`` says.
     columns : image, point, x_px, y_px -> the user's name of the column; distance_m too, where
         there is one: it passes through as the user's own.
     ground_column : the column of ground heights, or None where none has them.
@@ -231,10 +240,14 @@ def open_observations(
     direction : whether refraction will be removed from these observations or applied to them.
     pixels : where the table counts its pixels from.
     most_rows : draw that many rows, spread over the images, for `Observations.sampled`.
+    file_format : csv, parquet, or one of `BLOCKS`; by default the ending says it.
 
-    Refuses a table to which that was done already, one that lacks a column, or repeats a name.
+    Refuses a table to which that was done already, one that lacks a column, or repeats a name. A
+    point that stands twice in one image of a block is a loss.
     """
-    schema = _schema(path)
+    ending = path.suffix.lower().removeprefix(".")
+    kind = file_format or {"txt": "csv", "pq": "parquet"}.get(ending, ending)
+    schema, records = _opened(path, kind)
     named = {role: name for role, name in columns.items() if name is not None}
     wanted = [WantedColumn(r, name, f"observations.columns.{r}") for r, name in named.items()]
     if ground_column:
@@ -245,9 +258,8 @@ def open_observations(
     refuse_done(path, schema, direction)
     refuse_other_pixels(path, schema, direction, named)
     require_columns(path, schema, wanted)
-    csv_types: Mapping[str, pa.DataType] = {}
     sample = None if most_rows is None else RowSample(most_rows)
-    if _is_csv(path):
+    if kind == "csv":
         numbers = {named["x_px"], named["y_px"], ground_column or ""} & set(schema.names)
         scan = scan_csv(
             path,
@@ -257,8 +269,8 @@ def open_observations(
             numbers,
             add_names=None if sample is None else sample.add,
         )
-        rows, images, csv_types = scan.rows, scan.images, scan.types
-        schema = pa.schema(list(csv_types.items()))
+        rows, images, records = scan.rows, scan.images, partial(_csv_records, path, scan.types)
+        schema = pa.schema(list(scan.types.items()))
         require_columns(path, schema, wanted)  # now with the types that the values have
         for name in scan.codes:
             ledger.note(
@@ -266,13 +278,20 @@ def open_observations(
                 f"column {name} is written as text: some of its digits are no plain number",
             )
     else:
-        rows, images = 0, set()
-        for batch in _record_batches(path, {}, 1 << 20, [named["image"]]):
+        rows, images, repeated = 0, set(), list[str]()
+        for batch in records(1 << 20, [named["image"], named["point"]][: 1 + (kind in BLOCKS)]):
             rows += batch.num_rows
+            if kind in BLOCKS and pc.count_distinct(batch.column(1)).as_py() < batch.num_rows:
+                point = batch.column(1).to_pandas()
+                repeated += [f"{p} in {batch.column(0)[0]}" for p in point[point.duplicated()]]
             names = batch.column(0).cast(pa.string())
             images.update(pc.unique(names).to_pylist())
             if sample is not None:
                 sample.add(names)
+        if repeated:
+            what = f"{len(repeated)} points stand twice in an image, the first is {repeated[0]}: "
+            what += "at most one of both is its measurement"
+            ledger.loss("OBS-REPEATED-POINT", what, where=path.name, count=len(repeated))
     if rows == 0:
         raise InputError(
             "OBS-EMPTY", "the table has no rows", where=str(path), remedy="write observations to it"
@@ -293,7 +312,7 @@ def open_observations(
         pixels=pixels,
         sample=sample,
         _sources=sources,
-        _csv_types=csv_types,
+        _records=records,
     )
 
 
@@ -313,25 +332,26 @@ def _written_names(users: list[str], ledger: Ledger) -> dict[str, str]:
     return sources
 
 
-def _is_csv(path: Path) -> bool:
-    return path.suffix.lower() in (".csv", ".txt")
-
-
-def _schema(path: Path) -> pa.Schema:
-    """The Arrow schema of the file; that of a CSV is all text until it is scanned."""
-    if not path.is_file():
+def _opened(path: Path, kind: str) -> tuple[pa.Schema, Records]:
+    """The Arrow schema of a table, that of a CSV all text until it is scanned, and its rows."""
+    if not path.exists() or (kind not in BLOCKS and not path.is_file()):
         raise InputError(
             "OBS-MISSING",
             "there is no such file",
             where=str(path),
             remedy="check observations.path",
         )
-    if _is_csv(path):
-        return pa.schema([(name, pa.string()) for name in csv_names(path)])
-    suffix = path.suffix.lower()
-    if suffix in (".parquet", ".pq"):
+    if kind in BLOCKS:
+        rows = partial(_block_records, path, kind)
+        first = next(rows(0, None), None)
+        return ROWS if first is None else first.schema, rows
+    if kind == "csv":
+        return pa.schema([(name, pa.string()) for name in csv_names(path)]), partial(
+            _csv_records, path, {}
+        )
+    if kind == "parquet":
         try:
-            return pq.read_schema(path)
+            return pq.read_schema(path), partial(_parquet_records, path)
         except (pa.ArrowInvalid, OSError) as error:
             raise InputError(
                 "OBS-PARQUET", f"is no readable Parquet file: {error}", where=str(path),
@@ -339,25 +359,37 @@ def _schema(path: Path) -> pa.Schema:
             ) from None  # fmt: skip
     raise InputError(
         "OBS-FORMAT",
-        f"a table of observations is .csv or .parquet, not {suffix or 'a file without extension'}",
+        "a table of observations is .csv or .parquet, not "
+        + (path.suffix.lower() or "a file without extension"),
         where=str(path),
-        remedy="convert or rename it",
+        remedy=f"convert or rename it, or give observations.format: {', '.join(BLOCKS)}",
     )
 
 
-def _record_batches(
-    path: Path,
-    csv_types: Mapping[str, pa.DataType],
-    batch_rows: int,
-    only: list[str] | None = None,
+def _block_records(
+    path: Path, kind: str, rows: int, only: list[str] | None
 ) -> Iterator[pa.RecordBatch]:
+    for batch in block_rows(path, kind):
+        yield batch if only is None else batch.select(only)
+
+
+def _csv_records(
+    path: Path, types: Mapping[str, pa.DataType], rows: int, only: list[str] | None
+) -> Iterator[pa.RecordBatch]:
+    with damage_in_table(path), open_csv(path, types, only) as reader:
+        yield from reader
+
+
+def _parquet_records(path: Path, rows: int, only: list[str] | None) -> Iterator[pa.RecordBatch]:
+    with damage_in_table(path), pq.ParquetFile(path, memory_map=True) as file:
+        yield from file.iter_batches(batch_size=rows, columns=only)
+
+
+@contextmanager
+def damage_in_table(path: Path) -> Iterator[None]:
+    """Raise what Arrow says of a damaged table as InputError (OBS-DAMAGED)."""
     try:
-        if csv_types:
-            with open_csv(path, csv_types, only) as reader:
-                yield from reader
-        else:
-            with pq.ParquetFile(path, memory_map=True) as file:
-                yield from file.iter_batches(batch_size=batch_rows, columns=only)
+        yield
     except (pa.ArrowException, OSError) as error:
         raise InputError(
             "OBS-DAMAGED", f"reading failed: {error}", where=str(path), remedy="write it again"

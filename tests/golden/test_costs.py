@@ -155,7 +155,7 @@ def read_toy(path, stated, ledger):
     return Channel("toy", rows[:, 0].astype(np.int64), columns, Source("toy"))
 '''
 
-CAMERA_FILE = '''
+BLOCK = '''
 """A toy: a line of text a camera, with its name, width, height and principal distance."""
 
 from pipeline.refraction.camera.camera import Camera
@@ -166,7 +166,11 @@ def _camera(width, height, f):
                           int(height) / 2)
 
 
-def read_toy_cameras(path):
+def block_files(path):
+    return (path,)
+
+
+def read_cameras(path):
     rows = [line.split() for line in path.read_text().splitlines()]
     return {name: _camera(*numbers) for name, *numbers in rows}
 '''
@@ -223,20 +227,12 @@ THINGS = {
             )
         },
     ),
-    "camera file": Thing(
-        {"pipeline/tables/imports/camera_files/toy_cameras.py": CAMERA_FILE},
+    "block": Thing(
+        {"pipeline/tables/imports/blocks/toy.py": BLOCK},
         {
-            "pipeline/tables/imports/camera_files/__init__.py": (
-                (
-                    "import read_opensfm_cameras\n",
-                    "import read_opensfm_cameras\n"
-                    "from pipeline.tables.imports.camera_files.toy_cameras import "
-                    "read_toy_cameras\n",
-                ),
-                (
-                    '    "opensfm": (read',
-                    '    "toy": (read_toy_cameras, (".toycam",)),\n    "opensfm": (read',
-                ),
+            "pipeline/tables/imports/blocks/__init__.py": (
+                ("metashape, opensfm\n", "metashape, opensfm, toy\n"),
+                ('    "opensfm": (open', '    "toy": (toy, (".toycam",)),\n    "opensfm": (open'),
             )
         },
     ),

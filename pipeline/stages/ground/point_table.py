@@ -9,11 +9,12 @@ import pyarrow as pa
 
 from pipeline.batch.plan import Plan
 from pipeline.errors import InputError
-from pipeline.flight.heights import HeightSystem, known_home_m
+from pipeline.flight.heights import known_home_m
 from pipeline.flight.stations import Stations
 from pipeline.geodesy import ecef_of_geodetic
 from pipeline.ledger import Ledger
-from pipeline.stages.inputs import user_geoid
+from pipeline.stages.inputs import FlightLog, user_geoid
+from pipeline.stages.multi_image.oriented_stations import block_points
 from pipeline.tables.geodata.coordinate_systems import places_of
 from pipeline.tables.geodata.object_points import ObjectPoints, matching_rows, read_object_points
 from pipeline.tables.observations import Observations
@@ -24,10 +25,16 @@ _STEEPEST = 20.0
 
 
 def with_object_points(
-    plan: Plan, observations: Observations, heights: HeightSystem, ledger: Ledger
+    plan: Plan, observations: Observations, flight: FlightLog, ledger: Ledger
 ) -> Observations:
-    """The observations with heights above sea level from the table of object points, if any."""
+    """The observations with heights above sea level from the table of object points, if any.
+
+    Or from the block that orients the images.
+    """
     section, reference = plan.mission.ground.points, plan.mission.ground.reference
+    heights = flight.heights
+    if plan.mission.ground.height == "block":
+        return replace(observations, points=block_points(plan, flight, ledger))
     if section is None:
         return observations
     path = plan.input("object points").path
@@ -59,9 +66,9 @@ def check_object_points(observations: Observations, stations: Stations, ledger: 
     if points is None:
         return
     batch = next(observations.batches(100_000))
-    _, row = points.heights(batch.point)
+    _, row = points.heights(batch.point, batch.image)
     station = matching_rows(batch.image, pa.array(stations.image, pa.string()))
-    if not bool((row >= 0).any()):
+    if points.of_image is None and not bool((row >= 0).any()):
         raise InputError(
             "POINTS-MISSING",
             f"none of the points of {len(batch)} observations is in the table: these are "

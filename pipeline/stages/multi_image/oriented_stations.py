@@ -6,6 +6,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
 
 from pipeline.batch.plan import Plan
 from pipeline.block.alignment import LOG_RATIO_NEEDED
@@ -26,7 +27,7 @@ from pipeline.block.oriented_images import (
 from pipeline.config.station_sources import EnuFrame, KnownPositions, OrientationSection
 from pipeline.errors import InputError, MissionError
 from pipeline.flight.channels import Array
-from pipeline.flight.heights import ground_offsets
+from pipeline.flight.heights import GeodeticOrigin, ground_offsets
 from pipeline.flight.image_names import renamed
 from pipeline.flight.rotations import (
     ANGLE_MISTAKES,
@@ -42,7 +43,9 @@ from pipeline.stages.exposure_setup import camera_of_rows, cameras_of_mission
 from pipeline.stages.inputs import FlightLog, user_geoid
 from pipeline.stages.multi_image.tie_point_checks import FEWEST_TIE_POINTS
 from pipeline.tables.geodata.coordinate_systems import places_of
+from pipeline.tables.geodata.object_points import ObjectPoints
 from pipeline.tables.imports import ORIENTATIONS, Stated, reader_of
+from pipeline.tables.imports.blocks import BLOCKS, block_rows, damage_refused, read_block_images
 from pipeline.tables.imports.orientation import OrientationTable, read_known_positions
 from pipeline.tables.observations import Observations
 from pipeline.tables.tie_points import TiePoints, tie_rays
@@ -76,10 +79,7 @@ def oriented_stations(
     section = plan.mission.stations.orientation
     if section is None:
         raise MissionError("EVENTS-NONE", "the mission names no orientation", where="stations")
-    source = plan.input("orientation").path
-    _, reader = reader_of(ORIENTATIONS, source, section.format)
-    table = reader(source, Stated(columns=section.column_names, angle_unit=section.unit), ledger)
-    table = ledger.take(in_wgs84(plan, section, table))
+    table = ledger.take(in_wgs84(plan, section, orientation_table(plan, section, ledger)))
     differences = plan.mission.observations.match_names
     image = renamed(table.image, observations.images, differences, "stations.orientation")
     table = replace(table, image=ledger.take(image))
@@ -109,6 +109,77 @@ def oriented_stations(
             remedy="state under stations.orientation what the table holds, or mend it",
         )
     return stations
+
+
+def orientation_table(plan: Plan, section: OrientationSection, ledger: Ledger) -> OrientationTable:
+    """The table or the block of orientations, with the mission's names of its cameras.
+
+    Refuses (MissionError BLOCK-CAMERA) images of a camera that the mission file does not have.
+    """
+    source = plan.input("orientation").path
+    if not section.of_block:
+        _, reader = reader_of(ORIENTATIONS, source, section.format)
+        return reader(source, Stated(columns=section.column_names, angle_unit=section.unit), ledger)
+    table = read_block_images(source, section.format)
+    given, names = np.array(table.camera), dict(plan.camera_names)
+    own = sorted(set(given.tolist()))
+    names |= {own[0]: names[""]} if len(own) == 1 and "" in names else {}
+    for name in sorted({*own} - {*names}):
+        image = table.image[given == name]
+        raise MissionError(
+            "BLOCK-CAMERA",
+            f"{image.size} images, the first {image[0]}, are of camera {name!r}, which the mission "
+            "file does not define",
+            where=section.path,
+            remedy="give cameras.<name>.camera, the name or number that it has there",
+        )
+    return replace(table, camera=np.array([names[name] for name in given], object))
+
+
+def block_points(plan: Plan, flight: FlightLog, ledger: Ledger) -> ObjectPoints:
+    """The object points of the block that orients the images, with heights above sea level.
+
+    Other points take the median of those that their image shows, or else of all.
+    """
+    section = plan.mission.stations.orientation
+    if section is None:
+        raise MissionError("EVENTS-NONE", "the mission names no orientation", where="stations")
+    source = plan.input("orientation").path
+    with damage_refused(source, section.format):
+        name, xyz = BLOCKS[section.format][0].read_points(source)
+    if len(name) == 0:
+        raise InputError(
+            "POINTS-EMPTY", "the block has no object points", where=section.path,
+            remedy="give ground.height in another way",
+        )  # fmt: skip
+    table = orientation_table(plan, section, ledger)
+    if section.is_geodetic:
+        table, _ = in_wgs84(plan, section, replace(table, position=xyz))
+        lat, lon, h = table.position.T
+    else:
+        frame = frame_of_block(plan, flight, section, table, exposed=[], ledger=ledger)
+        lat, lon, h = frame.geodetic(xyz)
+    if not section.is_msl(table.heights):
+        h = h - flight.heights.undulation(lat, lon)
+    points = ObjectPoints(name, lat, lon, h)
+    image, usual, apart = [], [], [np.zeros(1)]
+    for batch in block_rows(source, section.format):
+        seen = points.heights(batch["point"], batch["image"])[0]
+        seen = seen[np.isfinite(seen)]
+        if seen.size:
+            image.append(batch["image"][0].as_py())
+            usual.append(float(np.median(seen)))
+            apart.append(np.abs(seen - usual[-1]))
+    ledger.note(
+        "GROUND-BLOCK",
+        f"{len(name)} points of the block lie {np.nanmin(h):.0f} to {np.nanmax(h):.0f} m above sea "
+        f"level; image points of none take the median of their image, from which its points are "
+        f"{np.median(np.concatenate(apart)):.0f} m away in the median",
+        where="ground.height",
+        count=len(name),
+    )
+    of_image = pa.array(image, pa.string()), np.array([*usual, np.nanmedian(h)])
+    return replace(points, of_image=of_image)
 
 
 def in_wgs84(
@@ -194,10 +265,9 @@ def stations_of_table(
     if exposed and not section.has_clock:
         known = {n: t for part in exposed for n, t in zip(part.image, part.time_ns, strict=True)}
         time_ns = np.array([known.get(name, NO_TIME) for name in table.image], np.int64)
-    is_msl = section.is_geodetic and (table.heights or section.heights) == "msl"
     images = OrientedImages(
-        table.image, camera, time_ns, lat, lon, h, is_msl, quaternion, of_body,
-        sigmas_of_block(section, table, tilt_rad),
+        table.image, camera, time_ns, lat, lon, h, section.is_msl(table.heights), quaternion,
+        of_body, sigmas_of_block(section, table, tilt_rad),
     )  # fmt: skip
     mounts = {name: mount.build() for name, mount in mission.mount.items()}
     stations = stations_of_images(images, mounts, flight.heights)
@@ -264,9 +334,22 @@ def frame_of_block(
     ledger: Ledger,
 ) -> CartesianFrame:
     """The frame of the angles, where it is not each station's own."""
-    if isinstance(section.frame, EnuFrame):
-        return topocentric(section.frame.enu.build())
-    if section.frame == "ecef":
+    stated = section.frame.enu.build() if isinstance(section.frame, EnuFrame) else section.frame
+    frame = stated or table.frame
+    if frame is None:
+        raise MissionError(
+            "ORIENTATION-FRAME",
+            "the file does not say what its x, y and z are",
+            where=section.path,
+            remedy="give stations.orientation.frame: ecef; {enu: {lat_deg, lon_deg, "
+            "h_ellipsoid_m}}; projected, with crs; or unknown, with known_positions",
+        )
+    if table.frame not in (None, frame):
+        what = f"by the file its frame is {table.frame}, by the mission file {frame}, which holds"
+        ledger.warning("IMPORT-CONTRADICTED", what, where=section.path)
+    if isinstance(frame, GeodeticOrigin):
+        return topocentric(frame)
+    if frame == "ecef":
         return ECEF
     known = section.known_positions
     if isinstance(known, KnownPositions):

@@ -81,6 +81,8 @@ def places_of(
     own = horizontal.geodetic_crs
     to_own = Transformer.from_crs(horizontal, own, always_xy=True)
     lon_lat = np.array(to_own.transform(x, y, errcheck=False))
+    lon_lat *= np.degrees(own.axis_info[0].unit_conversion_factor)  # grads of Paris, for example
+    lon_lat[0] += _meridian_deg(own)
     lon_lat, notes = _inside(lon_lat, horizontal, where, key, (x, y))
     known = np.isfinite(lon_lat).all(axis=0)
     corners = (*lon_lat[:, known].min(axis=1).tolist(), *lon_lat[:, known].max(axis=1).tolist())
@@ -134,16 +136,23 @@ def grid_coordinates(crs: str, lon_deg: Array, lat_deg: Array) -> tuple[Array, A
 
     ValueError where PROJ knows no such projection.
     """
-    from pyproj import Proj
+    from pyproj import CRS, Proj
     from pyproj.exceptions import ProjError
 
     try:
-        projection = Proj(crs)
+        projection, meridian_deg = Proj(crs), _meridian_deg(CRS.from_user_input(crs))
     except ProjError as error:
         raise ValueError(str(error)) from None
     x, y = projection(lon_deg, lat_deg)
-    factors = projection.get_factors(lon_deg, lat_deg)
+    # Places count from Greenwich in the projection, and from its own meridian in the factors.
+    factors = projection.get_factors(lon_deg - meridian_deg, lat_deg)
     return np.asarray(x), np.asarray(y), np.radians(factors.meridian_convergence)
+
+
+def _meridian_deg(system: Any) -> float:
+    """Longitude of a system's prime meridian from Greenwich [deg]."""
+    meridian = system.prime_meridian
+    return float(np.degrees(meridian.longitude * meridian.unit_conversion_factor))
 
 
 @dataclass(frozen=True)
@@ -193,6 +202,22 @@ def grid_system(own: str, stated: str | None, *, heights: str, where: str, key: 
         return system
     name, unit_m = vertical.name, vertical.axis_info[0].unit_conversion_factor
     return replace(system, vertical=name, is_sea_level=name in _SEA_LEVELS, unit_m=unit_m)
+
+
+def is_on_wgs84(crs: str) -> bool:
+    """Whether PROJ knows the system, as WKT or EPSG, on the ellipsoid of WGS 84 or GRS 80.
+
+    >>> is_on_wgs84("EPSG:25832"), is_on_wgs84("EPSG:27561"), is_on_wgs84("LOCAL_CS[...]")
+    (True, False, False)
+    """
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        ellipsoid = CRS.from_user_input(crs).ellipsoid
+    except CRSError:
+        return False
+    return ellipsoid is not None and abs(ellipsoid.semi_major_metre - WGS84_A) < 1.0
 
 
 def _system(crs: str, heights: str, where: str, key: str) -> tuple[Any, Any]:

@@ -25,17 +25,26 @@ _CODES = ("POINTS-TABLE", "POINTS-COLUMN")
 
 @dataclass(frozen=True, eq=False)
 class ObjectPoints:
-    """Points by name, (p,); places [rad] on WGS 84, heights [m] as observations have them."""
+    """Points by name, (p,); places [rad] on WGS 84, heights [m] as observations have them.
+
+    ``of_image`` are names of images, (i,), and (i + 1,) heights that points without one take there,
+    and in other images.
+    """
 
     name: pa.StringArray
     lat_rad: Array
     lon_rad: Array
     h_m: Array
+    of_image: tuple[pa.StringArray, Array] | None = None
 
-    def heights(self, point: pa.StringArray) -> tuple[Array, Rows]:
+    def heights(self, point: pa.StringArray, image: pa.StringArray) -> tuple[Array, Rows]:
         """(n,) heights [m] of named points, NaN where unknown; and their rows, -1 without one."""
         row = matching_rows(point, self.name)
-        return np.append(self.h_m, np.nan)[row], row
+        h_m = np.append(self.h_m, np.nan)[row]
+        if self.of_image is not None:
+            names, usual = self.of_image
+            h_m = np.where(np.isnan(h_m), usual[matching_rows(image, names)], h_m)
+        return h_m, row
 
 
 def matching_rows(name: pa.StringArray, known: pa.StringArray) -> Rows:

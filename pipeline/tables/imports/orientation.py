@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from pipeline.errors import InputError
+from pipeline.flight.heights import GeodeticOrigin
 from pipeline.flight.stations import NO_TIME
 from pipeline.ledger import Ledger
 from pipeline.tables.imports.stated import Stated
@@ -38,7 +40,8 @@ class OrientationTable:
     ``position`` (n, 3) is latitude, longitude [rad] and height [m], or x, y, z [m]. ``camera`` is
     None without that column; ``time_ns`` is `NO_TIME` where unknown; ``sigmas`` holds columns in SI
     and radians by quantity, for those that are there. ``convergence_rad`` (n,) is the azimuth of
-    the grid's north, ``heights`` what a coordinate system says of them.
+    the grid's north, ``heights`` what a coordinate system says of them. ``frame`` is what a file
+    says of the frame of its x, y, z: earth-centred, or the origin of east, north and up.
     """
 
     image: NDArray[np.object_]
@@ -49,6 +52,7 @@ class OrientationTable:
     sigmas: Mapping[str, Array]
     convergence_rad: Array | float = 0.0
     heights: str | None = None
+    frame: Literal["ecef"] | GeodeticOrigin | None = None
 
 
 def read_orientation(path: Path, stated: Stated, ledger: Ledger) -> OrientationTable:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import InputError
-from pipeline.tables.imports.camera_files import CAMERA_FILES, read_camera
+from pipeline.tables.imports.blocks import read_camera
 from pipeline.tables.pixels import PixelSystem
 
 BLOCKS = Path(__file__).resolve().parents[5] / "shared" / "ba"
@@ -278,7 +278,3 @@ def test_what_cannot_be_read_is_refused(tmp_path, name, content, code):
         read_camera(path, None, None)
     assert refused.value.code == code
     assert refused.value.where == str(path)
-
-
-def test_every_format_is_tried_here():
-    assert set(CAMERA_FILES) == {"colmap", "opensfm", "metashape"}

@@ -1,0 +1,131 @@
+"""Blocks of images in files of other programs, by format: cameras, orientations, image points.
+
+A new format is a module beside this one that has the functions of `BlockFormat`, and its line in
+`BLOCKS`. Half a pixel, axes and units of each program are applied there: cameras and image points
+come in COLMAP's pixels, orientations turn to a camera with x right, y down, z forward.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Protocol
+from xml.etree import ElementTree
+
+import pandas as pd
+import pyarrow as pa
+
+from pipeline.errors import InputError, PhysicsError, UnbendError
+from pipeline.refraction.camera.camera import Camera
+from pipeline.tables.imports import reader_of
+from pipeline.tables.imports.blocks import colmap, dbat, metashape, opensfm
+from pipeline.tables.imports.blocks.image_points import Array, CameraMakers
+from pipeline.tables.imports.orientation import OrientationTable
+from pipeline.tables.imports.stated import not_of_format
+
+
+class BlockFormat(Protocol):
+    """What the module of a format does with the path of a mission file, a file or a folder."""
+
+    def block_files(self, path: Path) -> tuple[Path, ...]:
+        """The files that are read; refuses where one that is needed is missing."""
+
+    def read_cameras(self, path: Path) -> CameraMakers:
+        """The cameras by name: a function that makes each."""
+
+    def read_images(self, path: Path) -> OrientationTable:
+        """Images, their cameras, x, y, z and quaternions; NaN where an image has none."""
+
+    def read_rows(self, path: Path) -> Iterator[pa.RecordBatch]:
+        """Image points, image by image (see `image_points`)."""
+
+    def read_points(self, path: Path) -> tuple[pa.StringArray, Array]:
+        """Names and (p, 3) positions of object points, in the frame of the images."""
+
+
+BLOCKS: Mapping[str, tuple[BlockFormat, tuple[str, ...]]] = {
+    "colmap": (colmap, (".txt", ".bin", ".db")),
+    "opensfm": (opensfm, (".json",)),
+    "metashape": (metashape, (".xml", ".psz")),
+    "dbat": (dbat, ()),
+}
+"""Formats, and the endings by which the file of a camera is known."""
+
+
+_OF_LIBRARIES = (
+    LookupError, ValueError, TypeError, AttributeError, EOFError, OSError, SyntaxError,
+    sqlite3.Error, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+
+
+@contextmanager
+def damage_refused(path: Path, program: str) -> Iterator[None]:
+    """Raise what a library says of a damaged file as InputError (IMPORT-FORMAT)."""
+    try:
+        yield
+    except PhysicsError as error:
+        raise InputError(error.code, error.what, where=str(path), remedy=error.remedy) from None
+    except UnbendError:
+        raise
+    except _OF_LIBRARIES as error:
+        what = "something in it is not as that program writes it"
+        if isinstance(error, KeyError):
+            what = f"it has no {error.args[0]!r}"
+        elif isinstance(error, json.JSONDecodeError):
+            what = f"line {error.lineno} is no JSON"
+        elif isinstance(error, ElementTree.ParseError):
+            what = f"line {error.position[0]} is no XML"
+        elif isinstance(error, sqlite3.Error):
+            what = "it is no such database, or a damaged one"
+        elif isinstance(error, OSError) and error.strerror:
+            what = f"it cannot be read: {error.strerror}"
+        raise not_of_format(path, f"as a file of {program}: {what}") from None
+
+
+def read_camera(path: Path, file_format: str | None, name: str | None) -> Camera:
+    """The camera of a file: the named one, or the only one.
+
+    Refuses (InputError) a format that is not known or not met (IMPORT-FORMAT), a name that is not
+    there, and several cameras without a name (CAMERA-NAME).
+    """
+    program, reader = reader_of(BLOCKS, path, file_format)
+    with damage_refused(path, program):
+        cameras = reader.read_cameras(path)
+        chosen = next(iter(cameras)) if name is None and len(cameras) == 1 else name or ""
+        if chosen in cameras:
+            return cameras[chosen]()
+    raise InputError(
+        "CAMERA-NAME",
+        f"it holds {', '.join(map(repr, cameras)) or 'no camera'}, "
+        + ("and no camera is named" if name is None else f"and no {name!r}"),
+        where=str(path),
+        remedy="name one of them under camera",
+    )
+
+
+def read_block_images(path: Path, program: str) -> OrientationTable:
+    """The images of a block with their orientations.
+
+    Refuses (InputError) an image that stands there twice, and a block without orientations.
+    """
+    with damage_refused(path, program):
+        table = BLOCKS[program][0].read_images(path)
+    twice = pd.Series(table.image)[pd.Index(table.image).duplicated()]
+    if len(twice) or len(table.image) == 0:
+        what = f"{twice.iloc[0]!r} stands there twice" if len(twice) else "no image is oriented"
+        raise InputError(
+            "ORIENTATION-REPEATED" if len(twice) else "ORIENTATION-EMPTY", what, where=str(path),
+            remedy="write it again, one orientation an image",
+        )  # fmt: skip
+    return table
+
+
+def block_rows(path: Path, program: str) -> Iterator[pa.RecordBatch]:
+    """The image points of a block, image by image; refuses a damaged file where it is damaged."""
+    with damage_refused(path, program):
+        yield from BLOCKS[program][0].read_rows(path)

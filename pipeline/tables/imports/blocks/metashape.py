@@ -1,0 +1,227 @@
+"""Metashape (PhotoScan): archives (.psz), exported cameras and markers (.xml), calibrations.
+
+Pixels count from the corner of the image, as COLMAP's: the centre of the upper left pixel is (0.5,
+0.5). u = w/2 + cx + x' (f + b1) + y' b2, v = h/2 + cy + y' f (manual, appendix on camera models);
+before version 1.3: u = cx + x' fx + y' skew. P1 belongs to x and P2 to y, the other way round than
+in OpenCV. A camera's transform leads from it (x right, y down, z forward) to its chunk, the chunk's
+to the earth's centre where it has a coordinate system, else to local coordinates. A marker has its
+label as name; a tie point is called ``tie:`` and its number.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pyarrow as pa
+from scipy.spatial.transform import Rotation
+
+from pipeline.flight.stations import NO_TIME
+from pipeline.refraction.calibration import camera_of_model
+from pipeline.refraction.camera.camera import Camera
+from pipeline.refraction.camera.general_frame import GeneralFrame
+from pipeline.tables.geodata.coordinate_systems import is_on_wgs84
+from pipeline.tables.imports.blocks.image_points import Array, CameraMakers, rows_of_image
+from pipeline.tables.imports.orientation import OrientationTable
+from pipeline.tables.imports.stated import not_of_format
+
+_NOT_MODELLED = {"frame": ("p3", "p4"), "fisheye": ("p1", "p2", "p3", "p4", "b2", "skew")}
+_TYPES = {"float": "<f4", "double": "<f8", "int": "<i4", "uint": "<u4", "uchar": "u1",
+          "short": "<i2", "ushort": "<u2", "char": "i1"}  # fmt: skip
+
+
+def block_files(path: Path) -> tuple[Path, ...]:
+    """The file itself."""
+    return (path,)
+
+
+def read_cameras(path: Path) -> CameraMakers:
+    """The calibration of each sensor by its label, with its number where labels repeat."""
+    root = _root(path)
+    if root.tag == "calibration":
+        return {"calibration": partial(_camera, root, path)}
+    return {name: partial(_camera, found, path) for name, found in _sensors(root).values()}
+
+
+def read_images(path: Path) -> OrientationTable:
+    """The cameras of the chunk with their transforms; unknown where one is not aligned."""
+    chunk = _chunk(path)
+    sensors = _sensors(chunk)
+    cameras = [*chunk.iterfind("cameras//camera")]
+    pose = np.full((len(cameras), 4, 4), np.nan)
+    for row, camera in enumerate(cameras):
+        given = camera.findtext("transform")
+        scale, turn, step = _to_earth(chunk, camera.get("component_id"))
+        if given is not None:
+            pose[row] = np.array(given.split(), np.float64).reshape(4, 4)
+            pose[row, :3] = turn @ pose[row, :3]
+            pose[row, :3, 3] = scale * pose[row, :3, 3] + step
+    quaternion = np.full((len(cameras), 4), np.nan)
+    aligned = np.isfinite(pose).all(axis=(1, 2))
+    if aligned.any():
+        turns = Rotation.from_matrix(pose[aligned, :3, :3].transpose(0, 2, 1))
+        quaternion[aligned] = turns.as_quat()[:, [3, 0, 1, 2]]
+    of = [sensors.get(camera.get("sensor_id", ""), ("", None))[0] for camera in cameras]
+    return OrientationTable(
+        np.array([camera.get("label", "") for camera in cameras], object),
+        np.array(of, object),
+        np.full(len(cameras), NO_TIME, np.int64),
+        pose[:, :3, 3],
+        quaternion,
+        {},
+        frame="ecef" if _is_geocentric(chunk) else None,
+    )
+
+
+def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
+    """Markers, then tie points, image by image."""
+    chunk = _chunk(path)
+    frames = [*chunk.iterfind("frames/frame")] or [chunk]
+    if len(frames) > 1:
+        raise not_of_format(path, f"the chunk has {len(frames)} frames, and one is read")
+    label = {m.get("id"): m.get("label", "") for m in chunk.iterfind("markers//marker")}
+    marks: dict[str, list[tuple[str, float, float]]] = {}
+    for marker in frames[0].iterfind("markers/marker"):
+        name = label.get(marker.get("marker_id"), "")
+        for place in marker.iterfind("location"):
+            x, y = float(place.attrib["x"]), float(place.attrib["y"])
+            marks.setdefault(place.attrib["camera_id"], []).append((name, x, y))
+    ties = {p.get("camera_id"): p.attrib["path"]
+            for p in frames[0].iterfind("point_cloud/projections")}  # fmt: skip
+    for camera in chunk.iterfind("cameras//camera"):
+        of_image = marks.get(camera.get("id", ""), [])
+        names, xy = [mark[0] for mark in of_image], [mark[1:] for mark in of_image]
+        if camera.get("id") in ties:
+            found = _ply(path, ties[camera.get("id")])
+            names += [f"tie:{number}" for number in found["id"].tolist()]
+            xy += zip(found["x"].tolist(), found["y"].tolist(), strict=True)
+        if names:
+            yield rows_of_image(camera.get("label", ""), xy, names)
+
+
+def read_points(path: Path) -> tuple[pa.StringArray, Array]:
+    """The tie points of an archive."""
+    chunk = _chunk(path)
+    cloud = chunk.find("frames/frame/point_cloud/points")
+    if cloud is None:
+        return pa.array([], pa.string()), np.empty((0, 3))
+    points = _ply(path, cloud.attrib["path"])
+    scale, turn, step = _to_earth(chunk, None)
+    places = np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    return pa.array([f"tie:{number}" for number in points["id"].tolist()], pa.string()), np.asarray(
+        scale * places @ turn.T + step
+    )
+
+
+def _root(path: Path) -> ElementTree.Element:
+    """The document; refuses one of a version after 2."""
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            root = ElementTree.fromstring(archive.read("doc.xml"))
+    else:
+        root = ElementTree.fromstring(path.read_bytes())
+    version = root.get("version", "1" if root.tag == "calibration" else "")
+    if version.partition(".")[0] not in ("1", "2"):
+        raise not_of_format(path, f"it is a {root.tag} of version {version or 'unknown'}; "
+                            "Metashape's of version 1 and 2 are read")  # fmt: skip
+    return root
+
+
+def _chunk(path: Path) -> ElementTree.Element:
+    chunks = [*_root(path).iter("chunk")]
+    if len(chunks) != 1:
+        raise not_of_format(path, f"it has {len(chunks)} chunks, and one is read",
+                            "keep the chunk that is meant, or export it alone")  # fmt: skip
+    return chunks[0]
+
+
+def _to_earth(chunk: ElementTree.Element, component: str | None) -> tuple[float, Array, Array]:
+    """Scale, rotation (3, 3) and step (3,) from the chunk to its coordinate system."""
+    given = chunk.find("transform")
+    if component is not None and given is None:
+        given = chunk.find(f"components/component[@id='{component}']/transform")
+    if given is None:
+        return 1.0, np.eye(3), np.zeros(3)
+    turn = np.array(given.findtext("rotation", "1 0 0 0 1 0 0 0 1").split(), np.float64)
+    step = np.array(given.findtext("translation", "0 0 0").split(), np.float64)
+    return float(given.findtext("scale", "1")), turn.reshape(3, 3), step
+
+
+def _is_geocentric(chunk: ElementTree.Element) -> bool:
+    """Whether the chunk lies on the earth, on the ellipsoid of WGS 84 or GRS 80."""
+    given = chunk.findtext("reference")
+    return given is not None and chunk.find(".//transform/scale") is not None and is_on_wgs84(given)
+
+
+def _ply(path: Path, name: str) -> Any:
+    """The vertices of a binary PLY in an archive, a structured array."""
+    with zipfile.ZipFile(path) as archive:
+        if name not in archive.namelist():
+            raise not_of_format(path, f"it has no {name}, which its document names")
+        head, _, content = archive.read(name).partition(b"end_header\n")
+    count, kinds = 0, []
+    for words in (line.split() for line in head.decode("ascii").splitlines()):
+        if words[:2] == ["element", "vertex"]:
+            count = int(words[2])
+        elif words[:1] == ["property"]:
+            kinds.append((words[2], _TYPES[words[1]]))
+    kind = np.dtype(kinds)
+    if b"binary_little_endian" not in head or len(content) != count * kind.itemsize:
+        raise not_of_format(path, f"{name} is cut short, or of another form: {len(content)} bytes "
+                            f"for {count} records of {kind.itemsize}")  # fmt: skip
+    return np.frombuffer(content, kind)
+
+
+def _sensors(root: ElementTree.Element) -> dict[str, tuple[str, ElementTree.Element | None]]:
+    """By the id of each sensor: its name, and its calibration."""
+    sensors: dict[str, tuple[str, ElementTree.Element | None]] = {}
+    names: set[str] = set()
+    for sensor in root.iter("sensor"):
+        label = sensor.get("label", "")
+        name = f"{label} {sensor.get('id')}" if label in names else label
+        names.add(name)
+        fixed = sensor.find("property[@name='fixed'][@value='true']") is not None
+        found = sensor.find("calibration[@class='adjusted']")
+        if found is None and (fixed or sensor.find("calibration[@class='initial']") is None):
+            found = sensor.find("calibration")
+        sensors[sensor.get("id", name)] = name, found
+    return sensors
+
+
+def _camera(calibration: ElementTree.Element | None, path: Path) -> Camera:
+    if calibration is None:
+        raise not_of_format(path, "the camera has no adjusted calibration")
+    size = calibration.find("resolution")
+    width, height = (
+        int(calibration.findtext(side, "0") if size is None else size.get(side, "0"))
+        for side in ("width", "height")
+    )
+    kind = calibration.get("type") or calibration.findtext("projection") or "frame"
+
+    def number(name: str) -> float:
+        return float(calibration.findtext(name, "0"))
+
+    unused = [name for name in _NOT_MODELLED.get(kind, ()) if number(name) != 0.0]
+    if unused:
+        what = f"{', '.join(unused)} of a {kind} calibration cannot be used"
+        raise not_of_format(path, what, "adjust the camera without, and export it again")
+    if calibration.find("fx") is not None:
+        frame = [number("fx"), number("fy"), number("cx"), number("cy")]
+    else:
+        f, cx, cy = number("f"), number("cx"), number("cy")
+        frame = [f + number("b1"), f, 0.5 * width + cx, 0.5 * height + cy]
+    k1, k2, k3, k4, p1, p2 = (number(name) for name in ("k1", "k2", "k3", "k4", "p1", "p2"))
+    skew = number("b2") + number("skew")
+    if kind == "fisheye":
+        return camera_of_model("OPENCV_FISHEYE", width, height, [*frame, k1, k2, k3, k4])
+    if kind != "frame":
+        return camera_of_model(kind, width, height, frame)
+    if k4 == 0.0 and skew == 0.0:
+        return camera_of_model("BROWN", width, height, [*frame, k1, k2, k3, p2, p1])
+    general = GeneralFrame(k1=k1, k2=k2, k3=k3, k4=k4, px=p1, py=p2, skew_x=skew / frame[0])
+    return camera_of_model("GENERAL_FRAME", width, height, [*frame, *general])

@@ -1,0 +1,170 @@
+"""OpenSfM and ODM: the folder of a project, or a file of cameras.
+
+Lengths are in units of the longer side of the image, counted from its centre, which is the corner
+of pixels (w/2, h/2): a pixel (0, 0) of OpenSfM's is the centre of the upper left one, half a pixel
+from COLMAP's. Rotation vectors and translations lead from the frame of the reconstruction, east,
+north, up at reference_lla, to the camera, which has x right, y down, z forward. A point is the
+number of its track.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from scipy.spatial.transform import Rotation
+
+from pipeline.errors import InputError
+from pipeline.flight.heights import GeodeticOrigin
+from pipeline.flight.stations import NO_TIME
+from pipeline.refraction.calibration import camera_of_model
+from pipeline.refraction.camera.camera import Camera
+from pipeline.tables.imports.blocks.image_points import Array, CameraMakers, rows_of_image
+from pipeline.tables.imports.orientation import OrientationTable
+from pipeline.tables.imports.stated import not_of_format
+
+_COEFFICIENTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "perspective": ("BROWN", ("k1", "k2", "-", "-", "-")),
+    "simple_radial": ("BROWN", ("k1", "-", "-", "-", "-")),
+    "radial": ("BROWN", ("k1", "k2", "-", "-", "-")),
+    "brown": ("BROWN", ("k1", "k2", "k3", "p1", "p2")),
+    "fisheye": ("OPENCV_FISHEYE", ("k1", "k2", "-", "-")),
+    "fisheye_opencv": ("OPENCV_FISHEYE", ("k1", "k2", "k3", "k4")),
+}
+_VERSION = "OPENSFM_TRACKS_VERSION_v2"
+_COLUMNS = ("image", "track", "keypoint", "x", "y", "scale", "red", "green", "blue",
+            "segmentation", "instance")  # fmt: skip
+
+
+def block_files(path: Path) -> tuple[Path, ...]:
+    """A file of cameras, or reconstruction.json and tracks.csv, and reference_lla.json if any."""
+    if not path.is_dir():
+        return (path,)
+    needed = (path / "reconstruction.json", path / "tracks.csv")
+    for file in needed:
+        if not file.is_file():
+            raise InputError(
+                "INPUT-MISSING", f"a project of OpenSfM has a {file.name}", where=str(file),
+                remedy="name the folder of the project; of ODM that is opensfm",
+            )  # fmt: skip
+    reference = path / "reference_lla.json"
+    return (*needed, reference) if reference.is_file() else needed
+
+
+def read_cameras(path: Path) -> CameraMakers:
+    """The cameras of camera_models.json, cameras.json or a reconstruction.json by their names."""
+    file = block_files(path)[0]
+    content = json.loads(file.read_text(encoding="utf-8"))
+    if isinstance(content, list):
+        content = _reconstruction(path)["cameras"]
+    return {name: partial(_camera, camera) for name, camera in content.items()}
+
+
+def read_images(path: Path) -> OrientationTable:
+    """The shots of the reconstruction; its frame is east, north, up at reference_lla."""
+    content = _reconstruction(path)
+    shots = content["shots"]
+    turn = Rotation.from_rotvec(_vectors(shots, "rotation", path))
+    reference, files = content.get("reference_lla"), block_files(path)
+    if reference is None and len(files) == 3:
+        reference = json.loads(files[2].read_text(encoding="utf-8"))
+    frame = None
+    if reference is not None:
+        lat, lon, h = (float(reference[key]) for key in ("latitude", "longitude", "altitude"))
+        frame = GeodeticOrigin(np.radians(lat), np.radians(lon), h)
+    return OrientationTable(
+        np.array(list(shots), object),
+        np.array([shot["camera"] for shot in shots.values()], object),
+        np.full(len(shots), NO_TIME, np.int64),
+        turn.inv().apply(-_vectors(shots, "translation", path)),
+        turn.as_quat()[:, [3, 0, 1, 2]],
+        {},
+        frame=frame,
+    )
+
+
+def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
+    """The rows of tracks.csv, image by image, with all their columns.
+
+    Pixels of an image that was not reconstructed are those of the only camera, or unknown.
+    """
+    content, file = _reconstruction(path), block_files(path)[1]
+    sizes = {n: (int(c["width"]), int(c["height"])) for n, c in content["cameras"].items()}
+    only = next(iter(sizes.values())) if len(sizes) == 1 else (np.nan, np.nan)
+    with file.open(encoding="utf-8") as stream:
+        version = stream.readline().strip()
+    if version != _VERSION:
+        raise not_of_format(file, f"its first line is {version[:40]!r}, not {_VERSION}",
+                            "write it again with OpenSfM 0.5 or newer")  # fmt: skip
+    kinds = dict.fromkeys(_COLUMNS, "float64") | {"image": "str", "track": "int64",
+                                                  "keypoint": "int64"}  # fmt: skip
+    try:
+        table = pd.read_csv(
+            file, sep="\t", skiprows=1, header=None, names=_COLUMNS, dtype=kinds, quoting=3,
+            keep_default_na=False, na_values=[""], index_col=False,
+        )  # fmt: skip
+    except (ValueError, OverflowError):
+        raise not_of_format(file, _first_wrong_line(file)) from None
+    for image, rows in table.groupby("image", sort=False):
+        shot = content["shots"].get(image)
+        size = np.array(only if shot is None else sizes[shot["camera"]], np.float64)
+        xy = rows[["x", "y"]].to_numpy() * size.max() + 0.5 * size
+        more = {n: pa.array(rows[n].to_numpy()) for n in _COLUMNS[5:] if rows[n].notna().all()}
+        yield rows_of_image(str(image), xy, rows["track"].to_numpy(), keypoint=rows["keypoint"],
+                            more=more)  # fmt: skip
+
+
+def read_points(path: Path) -> tuple[pa.StringArray, Array]:
+    """The points of the reconstruction, by their tracks."""
+    points = _reconstruction(path)["points"]
+    return pa.array(list(points), pa.string()), _vectors(points, "coordinates", path)
+
+
+def _reconstruction(path: Path) -> dict[str, Any]:
+    file = block_files(path)[0]
+    content = json.loads(file.read_text(encoding="utf-8"))
+    if not isinstance(content, list) or len(content) != 1:
+        raise not_of_format(file, f"{len(content)} reconstructions, each with cameras of its own",
+                            "keep one of them")  # fmt: skip
+    return dict(content[0])
+
+
+def _vectors(items: Mapping[str, Any], key: str, path: Path) -> Array:
+    """(n, 3) a vector of each item; refuses one that has none."""
+    for name, item in items.items():
+        if len(item.get(key, ())) != 3 or not all(isinstance(v, int | float) for v in item[key]):
+            raise not_of_format(path, f"{name!r} has no {key} of three numbers")
+    return np.array([item[key] for item in items.values()], np.float64).reshape(-1, 3)
+
+
+def _first_wrong_line(file: Path) -> str:
+    with file.open(encoding="utf-8") as stream:
+        for number, line in enumerate(stream, 1):
+            fields = line.rstrip("\n").split("\t")
+            try:
+                _ = [int(v) for v in fields[1:3]], [float(v) for v in fields[3:]]
+                wrong = len(fields) < 5
+            except ValueError:
+                wrong = True
+            if wrong and number > 1:
+                return f"line {number} is no observation of a track: {line.strip()[:60]!r}"
+    return "its rows are no observations of tracks"
+
+
+def _camera(given: Mapping[str, Any]) -> Camera:
+    kind, width, height = given["projection_type"], int(given["width"]), int(given["height"])
+    # Of another kind nothing is known but its name, which is refused with those that are.
+    model, names = _COEFFICIENTS.get(kind, (kind, ()))
+    longer = float(max(width, height))
+    focal = float(given["focal"] if "focal" in given else given["focal_x"]) * longer
+    focal_y = float(given.get("focal_y", focal / longer)) * longer
+    cx = 0.5 * width + float(given.get("c_x", 0.0)) * longer
+    cy = 0.5 * height + float(given.get("c_y", 0.0)) * longer
+    coefficients = [float(given.get(name, 0.0)) for name in names]
+    return camera_of_model(model, width, height, [focal, focal_y, cx, cy, *coefficients])
