@@ -133,6 +133,37 @@ def test_keypoints_without_a_point_keep_their_rows(block, by_log, points):
     assert (off.to_numpy() < 0.04 * size).all()
 
 
+def refused(mission, code: str, *words: str) -> None:
+    ended = mission.run()
+    assert ended.code in (2, 6), ended.text
+    assert "Traceback" not in ended.text
+    text = " ".join(ended.err.split())
+    for word in (code, *words):
+        assert word in text, ended.err
+
+
+def test_what_a_block_does_not_say_is_asked_for(block, by_log, points):
+    colmap(block, by_log, points)
+    block.config["stations"]["orientation"] = {"heights": "msl"}
+    refused(block, "ORIENTATION-FRAME", "stations.orientation.frame: ecef")
+    block.config["stations"]["orientation"] = {"frame": enu(ORIGIN)}
+    del block.config["cameras"]["oblique"]
+    refused(block, "BLOCK-CAMERA", "3 images, the first oblique_00001, are of camera '2'")
+
+
+def test_a_point_twice_in_an_image_is_a_loss(block, by_log, points):
+    colmap(block, by_log, points, text=True)
+    file = block.folder / "sparse" / "images.txt"
+    lines = file.read_text().splitlines()
+    row = next(k for k, line in enumerate(lines) if line.endswith("nadir_00001")) + 1
+    fields = lines[row].split()
+    first, fields[5] = fields[2], fields[2]
+    lines[row] = " ".join(fields)
+    file.write_text("\n".join(lines) + "\n")
+    entries = {e["code"]: e for e in ran(block, 3)["ledger"] if e["kind"] == "loss"}
+    assert f"the first is {first} in nadir_00001" in entries["OBS-REPEATED-POINT"]["what"]
+
+
 @pytest.mark.parametrize("program", ["dbat", "metashape"])
 def test_a_real_block_as_a_mission_without_a_log(tmp_path, program):
     """Five images over Strasbourg: DBAT's script and the archive of PhotoScan."""
