@@ -21,9 +21,8 @@ import pyarrow as pa
 from pipeline.errors import InputError
 from pipeline.flight.rotations import quaternion_of_opk
 from pipeline.flight.stations import NO_TIME
-from pipeline.refraction.calibration import camera_of_model
+from pipeline.refraction.calibration import MetricReport, camera_of_model, camera_of_report
 from pipeline.refraction.camera.camera import Camera
-from pipeline.refraction.metric_frame import metric_camera
 from pipeline.tables.imports.blocks.image_points import Array, CameraMakers, rows_of_image
 from pipeline.tables.imports.orientation import OrientationTable
 from pipeline.tables.imports.stated import not_of_format, read_text
@@ -142,11 +141,11 @@ def _camera(given: ElementTree.Element, path: Path) -> Camera:
         return camera_of_model("PINHOLE", width, height, [*c / pixel, *pp / pixel])
     known = {f"k{i}": value for i, value in enumerate(k, 1)}
     known |= {f"p{i}": value for i, value in enumerate(p, 1)}
-    return metric_camera(
-        (width, height), c, pixel_mm=pixel, format_mm=size, origin_px=(0.0, 0.0),
-        axes="right up", ppa_mm=pp * [1.0, -1.0], ppbs_mm=pp * [1.0, -1.0], coefficients=known,
-        sense="correction",
+    report = MetricReport(
+        c, pixel_mm=pixel, format_mm=size, origin_px=(0.0, 0.0), axes="right up",
+        ppa_mm=pp * [1.0, -1.0], ppbs_mm=pp * [1.0, -1.0], coefficients=known, sense="correction",
     )  # fmt: skip
+    return camera_of_report(report, (width, height))
 
 
 def _root(path: Path) -> ElementTree.Element:
