@@ -1,0 +1,317 @@
+"""Blocks of images with known truth, and pycolmap as the adjustment that takes them.
+
+The truth is the simulator's ray, an ODE, through real soundings; only `correct` and
+`adjusted_profile` are the package's.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pycolmap
+from scipy.interpolate import make_interp_spline
+from scipy.ndimage import gaussian_filter1d
+
+from pipeline.atmosphere import Profile, profile_from_table, standard_atmosphere
+from pipeline.atmosphere.climatology import climatology, month_of
+from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
+from pipeline.geodesy import lambert_gravity
+from pipeline.ledger import Ledger
+from pipeline.refraction import Camera, Exposures, correct_observations, ray_table
+from pipeline.simulate.block import GroundPoints, TrueObservations, TrueStations, observe
+from pipeline.simulate.flight import UNDULATION_M, AirState
+from pipeline.simulate.optics import (
+    NED_FROM_ENU,
+    SimulatedCamera,
+    body_rotation,
+    enu_axes,
+    height_and_up,
+    quaternion,
+    to_ecef,
+    unit,
+)
+from tests.atmosphere import flights
+
+FOCAL_PX = 20_000.0  # 100 mm, pixels of 5 um
+POINTS = 300
+FEWEST = 12  # observations an image
+GNSS_M = (0.03, 0.03, 0.05)
+SIGMA_PX = 0.3  # of tie points; pycolmap counts in whole pixels
+US1976 = standard_atmosphere("us1976")
+
+
+class RealAir(flights.Truth):
+    """The air of a balloon, smoothed over 100 m, so that rays through it have a smooth index."""
+
+    def __init__(self, balloon: flights.Balloon) -> None:
+        step = 20.0
+        h = np.arange(balloon.H[0], balloon.H[0] + 10_800.0, step)
+
+        def smooth(values: np.ndarray) -> np.ndarray:
+            return gaussian_filter1d(np.interp(h, balloon.H, values), 100.0 / step, mode="nearest")
+
+        super().__init__(
+            replace(balloon, H=h, t=smooth(balloon.t), e=np.exp(smooth(np.log(balloon.e))))
+        )
+        every = slice(None, None, round(step))
+        self._index = make_interp_spline(self.h[every], self.refractivity[every], k=7)
+
+    @property
+    def ground(self) -> float:
+        """Height of the ground above sea level [m]: its first level, and a camera may hang low."""
+        return float(self.h[0]) + 5.0
+
+    def n(self, h_m: np.ndarray) -> np.ndarray:
+        return 1.0 + self._index(h_m)
+
+    def dn_dh(self, h_m: np.ndarray) -> np.ndarray:
+        return self._index(h_m, 1)
+
+    def profile(self) -> Profile:
+        """The table of the truth, every 5 m, as a profile of the package."""
+        columns = (column[::5] for column in (self.h, self.t, self.p, self.e))
+        return profile_from_table(*columns, gravity=lambert_gravity(self.latitude))
+
+    def adjusted_profile(self, climb: float, rng: np.random.Generator) -> Profile:
+        """What the package makes of a flight's sensors, drawn with bias, lag, drift and noise."""
+        samples = flights.fly(self, climb, flights.drawn(rng), rng, descent=True)
+        month = month_of(self.start_ns)
+        background = climatology(latitude_rad=self.latitude, month=month, ground_h_m=self.ground)
+        return build_adjusted_profile(
+            samples, US1976, self.latitude, Ledger(), background=background
+        ).profile
+
+
+def real_airs() -> list[RealAir]:
+    return [RealAir(balloon) for balloon in flights.balloons()]
+
+
+def heads(tilt_deg: float = 45.0) -> tuple[SimulatedCamera, ...]:
+    """A nadir camera and four that look out to all sides."""
+    sides = {"nadir": (0, 0), "left": (1, 0), "right": (-1, 0), "fore": (0, 1), "aft": (0, -1)}
+    return tuple(
+        SimulatedCamera(name, 0, FOCAL_PX, 7000.0, 5300.0, (0.0,) * 5, roll * tilt_deg,
+                        (0.0,) * 3, pitch_deg=pitch * tilt_deg)
+        for name, (roll, pitch) in sides.items()
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Stations, points and what the cameras measure, in the simulator's own tables."""
+
+    cameras: tuple[SimulatedCamera, ...]
+    stations: TrueStations
+    points: GroundPoints
+    seen: TrueObservations
+
+    @property
+    def measured(self) -> np.ndarray:
+        """(n, 2) pixels, bent."""
+        return np.stack([self.seen.x_px, self.seen.y_px], axis=1)
+
+    @property
+    def straight(self) -> np.ndarray:
+        """(n, 2) pixels of the straight chords."""
+        return np.stack([self.seen.x_true_px, self.seen.y_true_px], axis=1)
+
+    def local(self, ecef: np.ndarray) -> np.ndarray:
+        """(n, 3) east, north, up at the foot of the first station."""
+        return (ecef - self._foot[0]) @ self._foot[1].T
+
+    @property
+    def local_rotation(self) -> np.ndarray:
+        """(s, 3, 3) from these axes to the cameras."""
+        s = self.stations
+        return s.camera_from_enu @ enu_axes(s.lat_rad, s.lon_rad) @ self._foot[1].T
+
+    @property
+    def _foot(self) -> tuple[np.ndarray, np.ndarray]:
+        lat, lon = self.stations.lat_rad[0], self.stations.lon_rad[0]
+        return to_ecef(lat, lon, np.array(0.0)), enu_axes(lat, lon)
+
+
+def fly_block(
+    air: RealAir,
+    height: float,
+    seed: int,
+    cameras: tuple[SimulatedCamera, ...],
+    *,
+    lines: int = 4,
+    shots: int = 5,
+    most: int = 24,
+) -> Block:
+    """Lines with all cameras at each exposure, over 300 points 0-300 m high.
+
+    ``height`` above ground [m]; ``most`` observations an image, 12 at least: images that see fewer
+    points are left out. Four lines of five span the points; with seven of eleven, heads at 45 deg
+    see them from all sides.
+    """
+    rng, count = np.random.default_rng(seed), lines * shots
+    # 60 % forward and 30 % side overlap of 0.53 by 0.70 of the height; lines fly east and west.
+    line, shot = (grid.ravel() for grid in np.mgrid[:lines, :shots])
+    x, y = (
+        height * (a + rng.normal(0.0, 0.01, count))
+        for a in (0.212 * (shot - 0.5 * (shots - 1)), 0.49 * (line - 0.5 * (lines - 1)))
+    )
+    h = air.ground + height * (1.0 + rng.normal(0.0, 0.003, count))
+    angles = rng.normal(0.0, 0.02, (count, 3)) + np.outer(
+        np.where(line % 2, 1.5, 0.5), [0, 0, np.pi]
+    )
+    body = np.stack([body_rotation(*a).T @ NED_FROM_ENU for a in angles])
+    centre, lat, lon = _places(air.latitude, x, y, h)
+    many = len(cameras)
+    camera, place = np.repeat(np.arange(many), count), np.tile(np.arange(count), many)
+    rotation = np.concatenate([c.from_body() @ body for c in cameras])
+
+    px, py = (rng.uniform(-reach, reach, POINTS) * height for reach in (0.5, 0.85))
+    ph = air.ground + rng.uniform(0.0, 300.0, POINTS)
+    ground, *angle = _places(air.latitude, px, py, ph)
+    points = GroundPoints(tuple(f"p{i}" for i in range(POINTS)), *angle, ph, ground)
+    chord = unit(ground[None] - centre[:, None])[place]
+    rays = np.einsum("sij,sjk,spk->spi", rotation, enu_axes(lat, lon)[place], chord)
+    seen = np.stack([cameras[c].sees(r) for c, r in zip(camera, rays, strict=True)])
+    # So many points drawn in each image, and of these the ones that another image has too.
+    chance = np.where(seen, rng.random(seen.shape), 2.0)
+    seen &= chance <= np.sort(chance, axis=1)[:, most - 1, None]
+    kept = seen.sum(axis=1) >= FEWEST
+    seen = seen[kept] & (seen[kept].sum(axis=0) > 1)
+    camera, place, rotation = camera[kept], place[kept], rotation[kept]
+    unused = np.zeros(place.size)
+    state = AirState(unused, unused, unused, unused, air.n(h[place]))  # the same in the cabin
+    stations = TrueStations(
+        tuple(f"{cameras[c].name}_{p:02d}" for c, p in zip(camera, place, strict=True)), camera,
+        unused.astype(np.int64), centre[place], lat[place], lon[place], h[place] + UNDULATION_M,
+        rotation, np.stack([quaternion(r) for r in rotation]), state, state,
+    )  # fmt: skip
+    station, point = np.nonzero(seen)
+    rays_ = observe(air, stations, points, cameras, station=station, point=point)
+    assert rays_.miss_m.max() < 1e-6
+    return Block(cameras, stations, points, rays_)
+
+
+def _places(
+    latitude: float, x: np.ndarray, y: np.ndarray, h_msl: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """ECEF, latitude and longitude of places about x east, y north [m] of a latitude [rad]."""
+    lat, lon = latitude + y / 6.37e6, 0.15 + x / (6.38e6 * np.cos(latitude))
+    ecef = to_ecef(lat, lon, h_msl + UNDULATION_M)
+    assert np.allclose(height_and_up(ecef)[0], h_msl + UNDULATION_M, atol=1e-6)
+    return ecef, lat, lon
+
+
+def correct(block: Block, profile: Profile, pixels: np.ndarray | None = None) -> np.ndarray:
+    """(n, 2) pixels that the package makes of the measured ones, or of others beside them."""
+    pixels = block.measured if pixels is None else pixels
+    s, seen = block.stations, block.seen
+    n = profile.refractivity(s.h_msl_m)
+    usable = np.ones(n.size, bool)
+    exposures = Exposures(usable, s.camera_from_enu, s.lat_rad, s.h_msl_m, n, n)
+    table, found = ray_table(profile), np.empty_like(pixels)
+    for number, c in enumerate(block.cameras):
+        rows = s.camera[seen.station] == number
+        camera = Camera(c.width_px, c.height_px, c.focal_px, c.focal_px, c.cx_px, c.cy_px)
+        done = correct_observations(
+            *pixels[rows].T.copy(), block.points.h_msl_m[seen.point[rows]],
+            seen.station[rows], exposures, camera=camera, table=table,
+        )  # fmt: skip
+        assert not done.status.any()
+        found[rows] = np.stack([done.x_px, done.y_px], axis=1)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """Errors (n, 3) east, north, up [m] of points that are no control, and of the cameras."""
+
+    error: np.ndarray
+    centre_error: np.ndarray
+    interior: dict[int, list[float]]
+
+    @property
+    def z(self) -> float:
+        """Root mean square error in height [m]."""
+        return float(np.sqrt(np.mean(self.error[:, 2] ** 2)))
+
+
+def adjust(
+    block: Block,
+    pixels: np.ndarray,
+    *,
+    control: int = 0,
+    gnss: bool = False,
+    calibrate: bool = False,
+    interior: dict[int, list[float]] | None = None,
+) -> Adjusted:
+    """The points with orientations held; with ``control`` or ``gnss`` these are adjusted too.
+
+    ``control``: so many points held at their true places; ``gnss``: places of the cameras as
+    priors of 3 and 5 cm, at their true values, against 0.3 px; ``calibrate``: f, k1 and k2 of each
+    camera adjusted, instead of held at the true ones or at ``interior`` of another adjustment.
+    """
+    s, seen, model = block.stations, block.seen, pycolmap.Reconstruction()
+    for number, c in enumerate(block.cameras, start=1):
+        params = [c.focal_px, c.cx_px, c.cy_px, 0.0, 0.0] if interior is None else interior[number]
+        model.add_camera_with_trivial_rig(pycolmap.Camera(
+            model="RADIAL", width=c.width_px, height=c.height_px, params=params, camera_id=number
+        ))  # fmt: skip
+    config, priors = pycolmap.BundleAdjustmentConfig(), []
+    centre, true = block.local(s.ecef_m), block.local(block.points.ecef_m)
+    tracks: list[list[pycolmap.TrackElement]] = [[] for _ in true]
+    for k, rotation in enumerate(block.local_rotation):
+        rows = np.flatnonzero(seen.station == k)
+        image = pycolmap.Image(
+            name=s.image[k], keypoints=pixels[rows], camera_id=int(s.camera[k]) + 1, image_id=k + 1
+        )
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(rotation), -rotation @ centre[k])
+        model.add_image_with_trivial_frame(image, pose)
+        config.add_image(k + 1)
+        priors.append(pycolmap.PosePrior(
+            corr_data_id=image.data_id, position=centre[k],
+            position_covariance=(np.diag(GNSS_M) / SIGMA_PX) ** 2,
+            coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
+        ))  # fmt: skip
+        for i, row in enumerate(rows):
+            tracks[seen.point[row]].append(pycolmap.TrackElement(k + 1, i))
+    ids = {
+        p: model.add_point3D(true[p], pycolmap.Track(track))
+        for p, track in enumerate(tracks)
+        if track
+    }
+    held = _control(true, sorted(ids, key=lambda p: -len(tracks[p]))[: len(ids) // 2])[:control]
+    for p in held:
+        config.add_constant_point(ids[p])
+    options = pycolmap.BundleAdjustmentOptions()
+    options.print_summary = False
+    options.refine_rig_from_world = bool(control or gnss)
+    options.ceres.solver_options.num_threads = 1
+    options.ceres.solver_options.gradient_tolerance = 1e-10
+    options.ceres.solver_options.function_tolerance = 1e-12
+    if not calibrate:
+        for number in model.cameras:
+            config.set_constant_cam_intrinsics(number)
+    if gnss:
+        prior_options = pycolmap.PosePriorBundleAdjustmentOptions()
+        prior_options.alignment_ransac.max_error = 1.0
+        prior_options.alignment_ransac.random_seed = 0
+        solver = pycolmap.create_pose_prior_bundle_adjuster(
+            options, prior_options, config, priors, model
+        )
+    else:
+        solver = pycolmap.create_default_bundle_adjuster(options, config, model)
+    solver.solve()
+    check = [p for p in ids if p not in held]
+    found = np.array([model.points3D[ids[p]].xyz for p in check])
+    at = np.array([model.images[k + 1].projection_center() for k in range(len(s.image))])
+    cameras = {number: list(camera.params) for number, camera in model.cameras.items()}
+    return Adjusted(found - true[check], at - centre, cameras)
+
+
+def _control(true: np.ndarray, usable: list[int]) -> list[int]:
+    """Of some points, those nearest to the nodes of a 3 x 3 grid over the block: corners first."""
+    low, high = true[:, :2].min(axis=0), true[:, :2].max(axis=0)
+    nodes = sorted(itertools.product((0.1, 0.5, 0.9), repeat=2), key=lambda n: n.count(0.5))
+    gaps = (np.linalg.norm(true[usable, :2] - low - n * (high - low), axis=1) for n in nodes)
+    return list(dict.fromkeys(usable[int(np.argmin(gap))] for gap in gaps))
