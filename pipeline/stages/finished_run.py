@@ -282,8 +282,14 @@ def rebuild_run(
         tuple(rays_by(profile, mission.refraction.method) for profile in air.profiles),
         mission.refraction.method,
         {
-            name: ExportCamera(camera, name in windows and windows[name].shape == "plane")
+            name: ExportCamera(
+                camera,
+                name in windows and windows[name].shape == "plane",
+                np.nan if metric is None else metric.pixel_um[0] * 1e-3,
+                mission.cameras[name].calibration == "in_flight_uncorrected",
+            )
             for name, camera in cameras_of_mission(mission).items()
+            for metric in (mission.cameras[name].metric,)
         },
         ground_of(parts, stations, ledger) if constant is None else constant,
         mission.observations.pixels,

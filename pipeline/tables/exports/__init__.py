@@ -12,10 +12,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from pipeline.errors import ConfigError
-from pipeline.tables.exports import geojson, kml, lattice, opk, radial
+from pipeline.tables.exports import calibrations, geojson, kml, lattice, opk, radial
 from pipeline.tables.exports.format import ExportCamera, ExportFormat, FinishedRun, Option
 
-MODULES = (lattice, radial, geojson, kml, opk)
+MODULES = (lattice, radial, calibrations, geojson, kml, opk)
 
 FORMATS: Mapping[str, ExportFormat] = {
     form.name: form for module in MODULES for form in module.FORMATS

@@ -29,10 +29,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ExportCamera:
-    """A camera in COLMAP's pixels, and whether a window bends its rays."""
+    """A camera in COLMAP's pixels, and whether a window bends its rays.
+
+    ``pixel_mm`` is the width of its pixels, where it is known; ``has_refraction`` says that its
+    calibration was estimated in flight, on images with refraction in.
+    """
 
     camera: Camera
     has_window: bool
+    pixel_mm: float = np.nan
+    has_refraction: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,13 +6,17 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from pipeline.ledger import Ledger
-from pipeline.refraction.image import lattice_corrections, lattice_nodes
+from pipeline.refraction.image import Corrections, lattice_corrections, lattice_nodes
 from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.tables.exports.format import FinishedRun, Option, Values, parquet_and_csv
 from pipeline.tables.schemas import schema_of
 from pipeline.tables.writing import table_of
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
 
 _F = pa.float64()
 
@@ -64,29 +68,38 @@ def _tables(run: FinishedRun, schema: pa.Schema, columns: int, rows: int) -> Ite
 
     A table holds as many images as `_MOST_ROWS` allows.
     """
-    images_of_table = max(1, _MOST_ROWS // (columns * rows))
     for name, camera in run.cameras.items():
         x, y = lattice_nodes(camera.camera, columns, rows)
-        stations = run.rows_of(name)
-        changes = np.flatnonzero(np.diff(run.air.profile_number[stations])) + 1
-        for in_one_air in np.split(stations, changes):
-            for first in range(0, in_one_air.size, images_of_table):
-                part = in_one_air[first : first + images_of_table]
-                ground = run.ground_m[part]
-                rays = run.rays[run.air.profile_number[part[0]]]
-                corrections = lattice_corrections(
-                    x, y, ground, part, run.exposures, camera=camera.camera, table=rays
-                )
-                columns_of_table = {
-                    "image": np.repeat(run.stations.image[part], x.size),
-                    "x_px": np.tile(run.pixels.from_colmap(x), part.size),
-                    "y_px": np.tile(run.pixels.from_colmap(y), part.size),
-                    "dx_px": corrections.dx_px,
-                    "dy_px": corrections.dy_px,
-                    "h_g_m": np.repeat(ground, x.size),
-                    "status": pa.array(STATUS_NAMES).take(pa.array(corrections.status)),
-                }
-                yield table_of(columns_of_table, schema)
+        for part, corrections in lattice_parts(run, name, run.rows_of(name), (x, y)):
+            columns_of_table = {
+                "image": np.repeat(run.stations.image[part], x.size),
+                "x_px": np.tile(run.pixels.from_colmap(x), part.size),
+                "y_px": np.tile(run.pixels.from_colmap(y), part.size),
+                "dx_px": corrections.dx_px,
+                "dy_px": corrections.dy_px,
+                "h_g_m": np.repeat(run.ground_m[part], x.size),
+                "status": pa.array(STATUS_NAMES).take(pa.array(corrections.status)),
+            }
+            yield table_of(columns_of_table, schema)
+
+
+def lattice_parts(
+    run: FinishedRun, camera: str, stations: Rows, nodes: tuple[Array, Array]
+) -> Iterator[tuple[Rows, Corrections]]:
+    """Corrections of a camera at the same nodes (k,) [px] of some stations, image by image.
+
+    In parts of some stations in one air, (s,) rows and (s * k,) corrections, in their order.
+    """
+    images_of_part = max(1, _MOST_ROWS // nodes[0].size)
+    changes = np.flatnonzero(np.diff(run.air.profile_number[stations])) + 1
+    for in_one_air in np.split(stations, changes):
+        for first in range(0, in_one_air.size, images_of_part):
+            part = in_one_air[first : first + images_of_part]
+            rays = run.rays[run.air.profile_number[part[0]]]
+            yield part, lattice_corrections(
+                *nodes, run.ground_m[part], part, run.exposures,
+                camera=run.cameras[camera].camera, table=rays,
+            )  # fmt: skip
 
 
 FORMATS = parquet_and_csv(

@@ -80,7 +80,6 @@ def _radial(run: FinishedRun, _: Values, ledger: Ledger) -> tuple[pa.Schema, Ite
             where="profile.parquet",
             count=len(run.rays),
         )
-    groups: list[tuple[str, NDArray[np.int64]]] = []
     for name, camera in run.cameras.items():
         if camera.has_window:
             ledger.warning(
@@ -89,6 +88,21 @@ def _radial(run: FinishedRun, _: Values, ledger: Ledger) -> tuple[pa.Schema, Ite
                 "the air outside alone; the lattice holds both",
                 where=f"cameras.{name}.window",
             )
+    schema = schema_of(RADIAL_COLUMNS, run.metadata)
+    groups = flying_heights(run, _SAME_HEIGHT, ledger)
+    return schema, (_table(run, name, rows, schema) for name, rows in groups)
+
+
+def flying_heights(
+    run: FinishedRun, same_height: float, ledger: Ledger
+) -> list[tuple[str, NDArray[np.int64]]]:
+    """The stations of each camera at about one height above the ground, lowest first.
+
+    None is higher than the lowest of its group by more than the part ``same_height``. Images
+    without a known ground are a loss.
+    """
+    groups: list[tuple[str, NDArray[np.int64]]] = []
+    for name in run.cameras:
         rows = run.rows_of(name)
         above_ground = run.exposures.height_m[rows] - run.ground_m[rows]
         known = above_ground > 0.0
@@ -96,14 +110,16 @@ def _radial(run: FinishedRun, _: Values, ledger: Ledger) -> tuple[pa.Schema, Ite
             ledger.loss(
                 "EXPORT-LEFT-OUT",
                 f"{int((~known).sum())} images of camera {name} have no known ground below them "
-                "and are in no radial table",
+                "and are left out",
                 where=f"camera {name}",
                 count=int((~known).sum()),
             )
-        step = np.round(np.log(above_ground[known]) / _SAME_HEIGHT)
-        groups += [(name, rows[known][step == number]) for number in np.unique(step)]
-    schema = schema_of(RADIAL_COLUMNS, run.metadata)
-    return schema, (_table(run, name, rows, schema) for name, rows in groups)
+        rows, above_ground = rows[known], above_ground[known]
+        while rows.size:
+            near = above_ground <= (1.0 + same_height) * above_ground.min()
+            groups.append((name, rows[near]))
+            rows, above_ground = rows[~near], above_ground[~near]
+    return groups
 
 
 def _table(run: FinishedRun, name: str, rows: NDArray[np.int64], schema: pa.Schema) -> pa.Table:

@@ -1,0 +1,376 @@
+"""Calibrations that stand for the refraction of a block, for programs that keep their tie points.
+
+A folder: a report, which images each calibration is for, cameras in the files of programs that
+project rays into the image, and the change and its radial table for those that correct measured
+points. The fit is in `pipeline.block.calibration_fit`.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from pipeline.block.calibration_fit import (
+    CORRECTIONS,
+    FEW,
+    FULL,
+    CorrectionChange,
+    SeenRays,
+    changed_camera,
+    correction_change,
+)
+from pipeline.errors import MissionError
+from pipeline.ledger import Ledger
+from pipeline.refraction.camera.brown_conrady import BrownConrady
+from pipeline.refraction.camera.camera import Camera
+from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
+from pipeline.refraction.image import lattice_nodes
+from pipeline.tables.exports.format import ExportFormat, FinishedRun, Option, Values
+from pipeline.tables.exports.lattice import lattice_parts
+from pipeline.tables.exports.radial import flying_heights
+from pipeline.tables.geodata.object_points import matching_rows
+
+Array = NDArray[np.float64]
+
+_FLAGGED, _REFUSED, _NOTHING_PX = 0.1, 0.5, 0.02
+"""Parts of the refraction that a calibration may leave, and what no adjustment sees."""
+
+_GOOD, _AS_GOOD = 0.05, 1.2
+"""f and k1 do where they leave this part of it, or so many times what all parameters leave."""
+
+_MOST_IMAGES, _COLUMNS, _ROWS, _NODE_WEIGHT = 60, 15, 11, 0.1
+"""A lattice over some images holds the calibration where nothing was measured."""
+
+_MOST_ROWS = 200_000
+_LARGEST_ZETA_RAD = np.radians(80.0)
+_LARGEST_MISFIT_PX = 0.02
+
+_ADVICE = """\
+Calibrations that stand for the refraction of this block, fitted to the corrections of the run.
+
+* The program gets its image points as measured; its own correction of refraction is off.
+* The program holds the calibration fixed, all of it. One that estimates it again takes the change
+  for an error of the camera, and leaves 0.16 m a head at 6 km.
+    COLMAP            --Mapper.ba_refine_focal_length 0 --Mapper.ba_refine_principal_point 0
+                      --Mapper.ba_refine_extra_params 0
+    OpenSfM, ODM      optimize_camera_parameters: no; --use-fixed-camera-params
+    Metashape         Camera Calibration, tab Initial: load the XML, then fix all parameters; no
+                      Fit in Optimize Cameras, no adaptive fitting
+    BINGO, Inpho      no self-calibration; correction of refraction off
+* It holds for the flying height and the images (images.csv) that it stands with, no others.
+* A program that takes corrected points, or a lattice of corrections, does better with these.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class FittedCalibration:
+    """The calibration of a camera for one flying height.
+
+    ``stations`` are the rows of its images; ``base`` is the calibrated camera in the model that is
+    written, ``camera`` that which stands for refraction, ``change`` the same for measured points.
+    ``effect`` and what both leave are root mean squares in the image [px] and across the rays at
+    the ground [m]; ``pixel_mm`` is NaN where it is not known.
+    """
+
+    name: str
+    camera_name: str
+    stations: NDArray[np.int64]
+    base: Camera
+    camera: Camera
+    change: CorrectionChange
+    pixel_mm: float
+    heights: str
+    effect: tuple[float, float]
+    left_by_camera: tuple[float, float]
+    left_by_change: tuple[float, float]
+
+    @property
+    def part(self) -> float:
+        """The largest part of the effect that is left."""
+        return max(self.left_by_camera[0], self.left_by_change[0]) / max(self.effect[0], 1e-12)
+
+
+def _write(run: FinishedRun, values: Values, path: Path, ledger: Ledger) -> int:
+    """The files of all calibrations; the number of images they are for."""
+    observed = observed_corrections(run)
+    found = [
+        fit_calibration(run, name, stations, observed, values=values, ledger=ledger)
+        for name, stations in flying_heights(run, values["same_height"] / 100.0, ledger)
+    ]
+    if not found:
+        raise MissionError(
+            "EXPORT-NO-GROUND", "no usable image has a known ground below it", where="observations",
+            remedy="give a height of the ground: --ground-height",
+        )  # fmt: skip
+    for fitted in found:
+        where = f"cameras.{fitted.camera_name}"
+        left, effect = max(fitted.left_by_camera, fitted.left_by_change), fitted.effect
+        what = f"calibration {fitted.name} leaves {100.0 * fitted.part:.0f} % of the refraction, "
+        what += f"{left[0]:.3f} of {effect[0]:.3f} px, {left[1]:.3f} of {effect[1]:.3f} m"
+        if fitted.part > _REFUSED and left[0] > _NOTHING_PX:
+            raise MissionError(
+                "EXPORT-RESIDUAL", f"{what}: none stands for these images",
+                where=where, remedy="export the lattice or corrected points; a camera that is "
+                "tilted otherwise from image to image has no calibration that does it",
+            )  # fmt: skip
+        if fitted.part > _FLAGGED:
+            ledger.loss("EXPORT-RESIDUAL", what, where=where, count=fitted.stations.size)
+    (path / "calibration.txt").write_text(
+        "\n".join([_ADVICE, *map(report_of, found)]), encoding="utf-8"
+    )
+    for_images = [(run.stations.image[i], f.camera_name, f.name) for f in found for i in f.stations]
+    pd.DataFrame(for_images, columns=["image", "camera", "calibration"]).to_csv(
+        path / "images.csv", index=False
+    )
+    pd.concat(map(radial_corrections, found)).to_csv(path / "corrections.csv", index=False)
+    write_cameras(found, path)
+    return len(for_images)
+
+
+def observed_corrections(run: FinishedRun) -> Array:
+    """(7, n) corrected observations spread over the run's, in COLMAP's pixels.
+
+    Rows: station, measured x and y, corrected x and y, nadir angle [rad], height of the point [m].
+    """
+    names = pa.array(run.stations.image, pa.string())
+    every = 1 + sum(pq.read_metadata(part).num_rows for part in run.parts) // _MOST_ROWS
+    pixels = ["x_px", "y_px", "x_corrected_px", "y_corrected_px"]
+    parts = [np.empty((7, 0))]
+    for part in run.parts:
+        table = pq.read_table(part, columns=["image", *pixels, "zeta_c_rad", "h_g_m", "status"])
+        table = table.take(np.arange(0, table.num_rows, every))
+        table = table.filter(pc.equal(table["status"], "ok"))
+        station = matching_rows(table["image"].combine_chunks(), names)
+        points = [run.pixels.to_colmap(table[name].to_numpy()) for name in pixels]
+        parts.append(np.stack([station, *points, table["zeta_c_rad"], table["h_g_m"]]))
+    return np.concatenate(parts, axis=1)
+
+
+def seen_rays(
+    run: FinishedRun, camera: str, stations: NDArray[np.int64], observed: Array
+) -> tuple[SeenRays, Array, Array, NDArray[np.bool_]]:
+    """What some stations of a camera saw, at their observations and at the nodes of a lattice.
+
+    Beside it (n, 2) the correction [px], (n,) the metres of a pixel across the ray at the ground,
+    and which rows are to judge by: observations, or nodes where there is none. Observations
+    together have the weight 1 a row in the mean, nodes a tenth of theirs.
+    """
+    given = run.cameras[camera].camera
+    some = np.linspace(0, stations.size - 1, min(stations.size, _MOST_IMAGES)).round()
+    x, y = lattice_nodes(given, _COLUMNS, _ROWS)
+    parts = [
+        np.stack([
+            np.repeat(part, x.size), np.tile(x, part.size), np.tile(y, part.size), c.x_px, c.y_px,
+            c.zeta_c_rad, np.repeat(run.ground_m[part], x.size),
+        ])
+        for part, c in lattice_parts(run, camera, stations[some.astype(int)], (x, y))
+    ]  # fmt: skip
+    nodes = np.concatenate(parts, axis=1)
+    nodes = nodes[:, nodes[5] < _LARGEST_ZETA_RAD]
+    rows = np.concatenate([observed[:, np.isin(observed[0], stations)], nodes], axis=1)
+    is_node = np.arange(rows.shape[1]) >= rows.shape[1] - nodes.shape[1]
+    u, v, covered = given.rays(rows[3], rows[4])
+    rows, is_node = rows[:, covered], is_node[covered]
+    weight = np.where(is_node, _NODE_WEIGHT / is_node.sum(), 1.0 / max(1, (~is_node).sum()))
+    rays = SeenRays(np.stack([u, v], axis=1)[covered], rows[1:3].T, weight * is_node.size)
+    height = run.exposures.height_m[rows[0].astype(int)]
+    metres = (height - rows[6]) / np.cos(rows[5]) / given.fx_px
+    return rays, (rows[3:5] - rows[1:3]).T, metres, ~is_node if not is_node.all() else is_node
+
+
+def fit_calibration(
+    run: FinishedRun,
+    name: str,
+    stations: NDArray[np.int64],
+    observed: Array,
+    *,
+    values: Values,
+    ledger: Ledger,
+) -> FittedCalibration:
+    """The calibration of some images of a camera, by as few parameters as do."""
+    given = run.cameras[name]
+    if given.has_refraction:
+        ledger.loss(
+            "EXPORT-CALIBRATION", f"the calibration of camera {name} was estimated on images with "
+            "refraction in, and holds that of its height: with the change it counts twice",
+            where=f"cameras.{name}.calibration",
+        )  # fmt: skip
+    rays, moved, metres, judged = seen_rays(run, name, stations, observed)
+
+    def rms(left: Array) -> tuple[float, float]:
+        square = np.sum(left**2, axis=1)[judged]
+        in_metres = float(np.sqrt(np.mean(square * metres[judged] ** 2)))
+        return float(np.sqrt(np.mean(square))), in_metres
+
+    base, effect = as_written(given.camera, name, ledger), rms(moved)
+    few, full = (changed_camera(base, rays, names) for names in (FEW, FULL))
+    of_few, of_full = (rms(rays.left_px(camera)) for camera in (few, full))
+    few_do = of_few[0] <= max(_GOOD * effect[0], _AS_GOOD * of_full[0])
+    change, left = correction_change(given.camera, rays, ("c", "k1") if few_do else CORRECTIONS)
+    height, ground = run.exposures.height_m[stations], run.ground_m[stations]
+    above = height - ground
+    return FittedCalibration(
+        f"{re.sub(r'[^0-9A-Za-z._-]', '_', name)}_{np.median(above):.4g}m",
+        name, stations, base, few if few_do else full, change,
+        values["pixel_um"] * 1e-3 or given.pixel_mm,
+        f"{above.min():.0f} to {above.max():.0f} m above the ground (cameras "
+        f"{np.median(height):.0f}, ground {np.median(ground):.0f} m above sea level)",
+        effect, of_few if few_do else of_full, rms(left),
+    )  # fmt: skip
+
+
+def as_written(camera: Camera, name: str, ledger: Ledger) -> Camera:
+    """A camera as Brown-Conrady or fisheye, which all programs have (ledger: EXPORT-MODEL)."""
+    if isinstance(camera.distortion, BrownConrady | OpenCVFisheye):
+        return camera
+    x, y = lattice_nodes(camera, 2 * _COLUMNS, 2 * _ROWS)
+    u, v, covered = camera.rays(x, y)
+    pixels = SeenRays(
+        np.stack([u, v], axis=1)[covered], np.stack([x, y], axis=1)[covered], np.ones(covered.sum())
+    )
+    lens = camera.distortion
+    plain = replace(camera, distortion=BrownConrady(lens.k1, lens.k2, lens.k3))
+    written = changed_camera(plain, pixels, FULL)
+    misfit = float(np.hypot(*pixels.left_px(written).T).max())
+    if misfit > _LARGEST_MISFIT_PX:
+        ledger.loss(
+            "EXPORT-MODEL",
+            f"the lens of camera {name} is written with k1, k2, k3, p1, p2, which differ from its "
+            f"calibration by up to {misfit:.3f} px; the change for measured points does not",
+            where=f"cameras.{name}",
+        )
+    return written
+
+
+def report_of(fitted: FittedCalibration) -> str:
+    """What the report says of a calibration."""
+    change, base, camera = fitted.change, fitted.base, fitted.camera
+    lines = [
+        f"{fitted.name}: {fitted.stations.size} images of camera {fitted.camera_name}, "
+        f"{fitted.heights}",
+        "  root mean squares, in the image and across the rays at the ground:",
+    ]
+    for label, (px, m) in (
+        ("refraction", fitted.effect),
+        ("left by the cameras in the files", fitted.left_by_camera),
+        ("left by the change for measured points", fitted.left_by_change),
+    ):
+        part = f", {100.0 * px / fitted.effect[0]:.1f} %" if px != fitted.effect[0] > 0.0 else ""
+        lines.append(f"    {label:40}{px:9.4f} px {m:9.4f} m{part}")
+    lines.append("  cameras in the files (COLMAP's pixels and parameters), straight rays to points "
+                 "as measured:")  # fmt: skip
+    for name, before, after in zip(
+        ("fx", "fy", "cx", "cy", *base.distortion._fields), _numbers(base), _numbers(camera),
+        strict=True,
+    ):  # fmt: skip
+        ppm = f" ({1e6 * (after / before - 1.0):+.3f} ppm)" if name in ("fx", "fy") else ""
+        lines.append(f"    {name:4}{before:18.9g} {after - before:+14.6e} -> {after:.12g}{ppm}")
+    lines += [
+        f"  change for measured points, to be corrected: dc/c {1e6 * change.c:+.3f} ppm",
+        "    x right and y up from the principal point, r^2 = x^2 + y^2; added to x and y, beside",
+        "    what the calibration adds: x (K1 r^2 + K2 r^4 + K3 r^6) + P1 (r^2 + 2 x^2) + 2 P2 x y",
+        "    + B1 x + B2 y, and y (K1 r^2 + ...) + P2 (r^2 + 2 y^2) + 2 P1 x y. A program that",
+        "    wants the distortion takes opposite signs. corrections.csv has the radial part.",
+    ]
+    for unit, size in (("px", 1.0), ("mm", fitted.pixel_mm)):
+        c = base.fx_px * size
+        if not np.isfinite(c):
+            lines.append("    in mm and um: with the size of a pixel, --pixel-um")
+            continue
+        lines += [
+            f"    in {unit}: c {c:.6f} {change.c * c:+.6f} -> {c * (1.0 + change.c):.6f}; "
+            f"principal point {change.x0 * c:+.6f}, {change.y0 * c:+.6f}",
+            f"      K1 {change.k1 / c**2:+.6e}  K2 {change.k2 / c**4:+.6e}  "
+            f"K3 {change.k3 / c**6:+.6e}",
+            f"      P1 {change.p1 / c:+.6e}  P2 {change.p2 / c:+.6e}  B1 {change.b1:+.6e}  "
+            f"B2 {change.b2:+.6e}",
+        ]
+    return "\n".join([*lines, ""])
+
+
+def _numbers(camera: Camera) -> list[float]:
+    frame = camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px
+    return [float(number) for number in (*frame, *camera.distortion)]
+
+
+def radial_corrections(fitted: FittedCalibration) -> pd.DataFrame:
+    """What is added to radii, with the new principal distance and with the calibrated one."""
+    camera, c = fitted.base, fitted.base.fx_px
+    x, y = lattice_nodes(camera, 2, 2)
+    corner = np.hypot(x - camera.cx_px, y - camera.cy_px).max()
+    r = np.linspace(0.0, np.ceil(corner), 25) / c
+    dr = fitted.change.radial(r)
+    same_c = (r + dr) / (1.0 + fitted.change.c) - r
+    mm = c * fitted.pixel_mm
+    return pd.DataFrame({
+        "calibration": fitted.name, "radius_px": r * c, "dr_px": dr * c, "dr_same_c_px": same_c * c,
+        "radius_mm": r * mm, "dr_um": dr * mm * 1e3, "dr_same_c_um": same_c * mm * 1e3,
+    })  # fmt: skip
+
+
+def write_cameras(found: Sequence[FittedCalibration], path: Path) -> None:
+    """cameras.txt of COLMAP, camera_models.json of OpenSfM; for each an XML and OpenCV's YAML."""
+    colmap = ["#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"]
+    opensfm = {}
+    for number, fitted in enumerate(found, 1):
+        camera, lens = fitted.camera, fitted.camera.distortion._asdict()
+        w, h, (fx, fy, cx, cy) = camera.width_px, camera.height_px, _numbers(camera)[:4]
+        fisheye = isinstance(camera.distortion, OpenCVFisheye)
+        names = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
+        ordered = [float(lens[name]) for name in names]
+        params = [fx, fy, cx, cy, *ordered, *[0.0] * (0 if fisheye else 3)]
+        model = "OPENCV_FISHEYE" if fisheye else "FULL_OPENCV"
+        colmap += [f"# {number}: {fitted.name}",
+                   f"{number} {model} {w} {h} {' '.join(map(repr, params))}"]  # fmt: skip
+        longer = float(max(w, h))
+        opensfm[fitted.name] = {
+            "projection_type": "fisheye_opencv" if fisheye else "brown", "width": w, "height": h,
+            "focal_x": fx / longer, "focal_y": fy / longer, "c_x": (cx - 0.5 * w) / longer,
+            "c_y": (cy - 0.5 * h) / longer, **dict(zip(names, ordered, strict=True)),
+        }  # fmt: skip
+        # Metashape: x is projected with f + b1, and P1 belongs to x.
+        p1, p2 = lens.pop("p1", 0.0), lens.pop("p2", 0.0)
+        root = ElementTree.Element("calibration")
+        for tag, value in {
+            "projection": "fisheye" if fisheye else "frame", "width": w, "height": h, "f": fy,
+            "cx": cx - 0.5 * w, "cy": cy - 0.5 * h, "b1": fx - fy, **lens, "p1": p2, "p2": p1,
+        }.items():  # fmt: skip
+            ElementTree.SubElement(root, tag).text = str(value)
+        ElementTree.indent(root)
+        ElementTree.ElementTree(root).write(
+            path / f"{fitted.name}.xml", encoding="UTF-8", xml_declaration=True
+        )
+        # OpenCV: the centre of the first pixel is (0, 0).
+        matrix = [fx, 0.0, cx - 0.5, 0.0, fy, cy - 0.5, 0.0, 0.0, 1.0]
+        yaml = f"%YAML:1.0\n---\nimage_width: {w}\nimage_height: {h}\n"
+        for key, rows, values in (("camera_matrix", 3, matrix),
+                                  ("distortion_coefficients", 1, ordered)):  # fmt: skip
+            yaml += f"{key}: !!opencv-matrix\n   rows: {rows}\n   cols: {len(values) // rows}\n"
+            yaml += f"   dt: d\n   data: [ {', '.join(map(repr, values))} ]\n"
+        (path / f"{fitted.name}.yaml").write_text(yaml, encoding="utf-8")
+    (path / "cameras.txt").write_text("\n".join([*colmap, ""]), encoding="utf-8")
+    (path / "camera_models.json").write_text(json.dumps(opensfm, indent=4), encoding="utf-8")
+
+
+FORMATS = (
+    ExportFormat(
+        "calibration", "cameras that stand for refraction, a folder", "", _write,
+        (
+            Option("same_height", float, 10.0, "largest difference of heights above ground that "
+                   "share a calibration", "%", 0.1, 50.0),
+            Option("pixel_um", float, 0.0, "size of a pixel for the tables in mm; 0: as in "
+                   "cameras.<name>.metric", "um", 0.0, 200.0),
+        ),
+    ),
+)  # fmt: skip
