@@ -13,13 +13,7 @@ import typer
 
 from pipeline.cli import missions, physics
 from pipeline.cli.app import app, print_bug, print_error
-from pipeline.errors import (
-    EXIT_CONFIG,
-    EXIT_DONE,
-    EXIT_INTERRUPTED,
-    EXIT_TERMINATED,
-    UnbendError,
-)
+from pipeline.errors import EXIT_CONFIG, EXIT_DONE, EXIT_INTERRUPTED, EXIT_TERMINATED, UnbendError
 from pipeline.interrupts import SIGNALS
 
 # The import of these modules registers their commands.

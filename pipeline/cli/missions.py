@@ -264,9 +264,7 @@ def simulate(
 
 
 @app.command(epilog="Example: unbend verify results/survey")
-def verify(
-    run: Annotated[Path, typer.Argument(help="a folder of results", metavar="RUN")],
-) -> None:
+def verify(run: Annotated[Path, typer.Argument(help="a folder of results", metavar="RUN")]) -> None:
     """Whether the results of a run are whole and unchanged."""
     from pipeline.stages.story import verify_run
 

@@ -137,9 +137,7 @@ def target_rays(
     """
     if ideal:  # a straight line has no window and no lens, and may lie beside the format
         exposures = replace(
-            exposures,
-            refractivity_cabin=exposures.refractivity_outside,
-            principal_change_px=None,
+            exposures, refractivity_cabin=exposures.refractivity_outside, principal_change_px=None
         )
         camera = replace(
             camera,

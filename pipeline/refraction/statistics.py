@@ -67,9 +67,7 @@ class Distribution:
 
     def __add__(self, other: Distribution) -> Distribution:
         return Distribution(
-            self.counts + other.counts,
-            max(self.maximum, other.maximum),
-            self.total + other.total,
+            self.counts + other.counts, max(self.maximum, other.maximum), self.total + other.total
         )
 
     def summary(self) -> dict[str, float | int | None]:

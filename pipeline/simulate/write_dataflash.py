@@ -132,11 +132,7 @@ def write_dataflash(path: Path, samples: LoggedSamples) -> int:
     firmware = b"ArduPlane V4.7.0-dev (simulated by unbend)"
     head.append(FORMATS["VER"].pack(begin, 3, 65535, 4, 7, 0, 0, 0, firmware, 0, 3, 2))
     head.append(FORMATS["MSG"].pack(begin, firmware))
-    rows = [
-        *_position_rows(samples),
-        *_air_rows(samples),
-        *_camera_rows(samples),
-    ]
+    rows = [*_position_rows(samples), *_air_rows(samples), *_camera_rows(samples)]
     rows.sort(key=lambda row: row[0])
     path.write_bytes(b"".join([*head, *(record for _, record in rows)]))
     return len(head) + len(rows)

@@ -129,10 +129,7 @@ def write_mcap(path: Path, samples: LoggedSamples, seed: int) -> int:
         for i in order.tolist():
             stamp, topic, schema, fields = rows[i]
             sec, nanosec = divmod(stamp, NANOSECONDS_PER_SECOND)
-            header = {
-                "stamp": {"sec": sec, "nanosec": nanosec},
-                "frame_id": topic.split("/")[1],
-            }
+            header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": topic.split("/")[1]}
             writer.write_message(
                 topic, schemas[schema], {"header": header, **fields},
                 log_time=int(arrival[i]), publish_time=int(arrival[i]),

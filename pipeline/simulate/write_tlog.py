@@ -45,11 +45,7 @@ def write_tlog(path: Path, samples: LoggedSamples, seed: int) -> int:
             mavlink.MAV_MODE_FLAG_SAFETY_ARMED, 10, mavlink.MAV_STATE_ACTIVE, 3,
         )))  # fmt: skip
         rows.append((sent, mavlink.MAVLink_system_time_message(int(unix_us[i]), sent // 1000)))
-    rows += [
-        *_position_rows(samples),
-        *_air_rows(samples),
-        *_camera_rows(samples),
-    ]
+    rows += [*_position_rows(samples), *_air_rows(samples), *_camera_rows(samples)]
     rows.sort(key=lambda row: row[0])
     sender = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     late = np.random.default_rng([seed, 2]).uniform(0.0, HOST_JITTER_S, len(rows))

@@ -148,11 +148,7 @@ def collect_readings(
     at_sea, level = np.zeros(1), np.array([background.spread.pressure_ratio])
     log_pressure = np.log(background.profile.pressure(at_sea))
     return FlightReadings(
-        (
-            Pressures("climatology", at_sea, log_pressure, level, robust=False),
-            *external,
-            *sets,
-        ),
+        (Pressures("climatology", at_sea, log_pressure, level, robust=False), *external, *sets),
         tuple(faults),
         (*drifts, *sounding_departures(soundings, background, flight)),
         float(heights.min()),
@@ -308,8 +304,7 @@ def _thermometer(
     speed = binning.airspeed_at(bins.seconds, samples.airspeed)
     known = np.isfinite(sensor.h_m)
     heights = FlownHeights(
-        _seconds(sensor, start_ns)[known],
-        profile.gravity.geopotential_height(sensor.h_m[known]),
+        _seconds(sensor, start_ns)[known], profile.gravity.geopotential_height(sensor.h_m[known])
     )
     last = np.maximum(np.searchsorted(takeoffs, bins.seconds, side="right") - 1, 0)
     return bins.rejected, Thermometer(

@@ -47,11 +47,7 @@ WILD = 0.05
 
 
 def check_levels(
-    raw: RawLevels,
-    ledger: Ledger,
-    *,
-    latitude_rad: float = math.nan,
-    station_h_m: float = math.nan,
+    raw: RawLevels, ledger: Ledger, *, latitude_rad: float = math.nan, station_h_m: float = math.nan
 ) -> Sounding:
     """Levels from the ground up, one at a height, from those of a file.
 

@@ -12,13 +12,7 @@ import numpy as np
 
 from pipeline.errors import LogError
 from pipeline.flight.clock import BOOT_STEP_NS
-from pipeline.ingest.boot_clock import (
-    BootClock,
-    Timeline,
-    UtcReadings,
-    fit_boot_clock,
-    timeline,
-)
+from pipeline.ingest.boot_clock import BootClock, Timeline, UtcReadings, fit_boot_clock, timeline
 from pipeline.ingest.channel_builder import channel_of
 from pipeline.ingest.log import Contents, LogFormat, Table
 from pipeline.ingest.mcap.file_format import MAGIC

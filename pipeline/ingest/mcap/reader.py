@@ -16,13 +16,7 @@ from pipeline.ingest.boot_clock import Stamps, UtcReadings
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.mcap.cdr_schema import SchemaError
 from pipeline.ingest.mcap.fields import PLAIN_JSON, SCHEMAS, known_name
-from pipeline.ingest.mcap.file_format import (
-    CHANNEL,
-    SCHEMA,
-    Damage,
-    Definition,
-    Messages,
-)
+from pipeline.ingest.mcap.file_format import CHANNEL, SCHEMA, Damage, Definition, Messages
 from pipeline.ingest.mcap.records import walk
 from pipeline.ingest.mcap.topics import (
     MAX_NAMES,

@@ -23,12 +23,7 @@ from pipeline.refraction.kernels.subtended import (
     subtended_through_turn,
     turning_height,
 )
-from pipeline.refraction.status_codes import (
-    BAD_MEASUREMENT,
-    MISSES_GROUND,
-    OK,
-    OUTSIDE_PROFILE,
-)
+from pipeline.refraction.status_codes import BAD_MEASUREMENT, MISSES_GROUND, OK, OUTSIDE_PROFILE
 
 # The difference form is left where the ray comes this near to grazing the lower of its two ends:
 # (r cos zeta)^2 there is less than half of that at the upper end. Over a single piece of the table

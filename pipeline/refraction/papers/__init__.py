@@ -61,9 +61,7 @@ def paper_tables(paper: str) -> PaperTable:
         rows, notes = _PAPERS[paper]
     except KeyError:
         raise PhysicsError(
-            "PAPER-NAME",
-            f"no paper is called {paper!r}",
-            remedy=f"one of {', '.join(_PAPERS)}",
+            "PAPER-NAME", f"no paper is called {paper!r}", remedy=f"one of {', '.join(_PAPERS)}"
         ) from None
     blocks = rows()
     columns: dict[str, NDArray[np.generic]] = {

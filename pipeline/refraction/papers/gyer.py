@@ -13,11 +13,7 @@ from pipeline.atmosphere.refractive_index import IndexModel, refractivity_gyer
 from pipeline.refraction.papers.rows import Array, Block, block, printed_table
 from pipeline.refraction.published.gyer import STEP_M, gyer1996, plane_first_term, subtended_angle
 from pipeline.refraction.ray import refraction_angle
-from pipeline.refraction.window import (
-    SCHEDULE_TEMPERATURE_K,
-    refract_at_window,
-    scheduled_pressure,
-)
+from pipeline.refraction.window import SCHEDULE_TEMPERATURE_K, refract_at_window, scheduled_pressure
 from pipeline.units import ARCSEC, DEGREE, HECTOPASCAL
 
 GYER_RADIUS_M = 6_378_000.0
@@ -54,11 +50,7 @@ def gyer_air() -> Profile:
     edge = ardc.layers.edge
     temperature = ardc.virtual_temperature(ardc.break_heights_m)
     layers = stack_layers(
-        edge,
-        temperature,
-        np.zeros(edge.size),
-        ardc.layers.source,
-        anchor=(0.0, 101325.0),
+        edge, temperature, np.zeros(edge.size), ardc.layers.source, anchor=(0.0, 101325.0)
     )
     return Profile(layers, ardc.gravity, IndexModel("gyer"), "gyer1996")
 
