@@ -19,6 +19,7 @@ from pipeline.ingest import open_log
 from pipeline.ingest.buffers import view_of_bytes
 from pipeline.ingest.dataflash.log import read_tables
 from pipeline.ingest.dataflash.records import HEADER, find_records
+from pipeline.ingest.stacking import PLACE
 
 NEEDED = ("GPS", "GPA", "ATT", "BARO", "POS", "CAM", "TRIG", "ARSP", "HYGR")
 WEEK_MS = 604_800_000
@@ -88,12 +89,12 @@ def library_all(log: Path) -> int:
 
 def ours_needed(log: Path) -> int:
     """The same types as columns."""
-    return sum(table.places.size for table in read_tables(log, NEEDED).values())
+    return sum(table[PLACE].size for table in read_tables(log, NEEDED).values())
 
 
 def ours_all(log: Path) -> int:
     """Every type as columns."""
-    return sum(table.places.size for table in read_tables(log).values())
+    return sum(table[PLACE].size for table in read_tables(log).values())
 
 
 def seconds(action: Callable[[Path], object], log: Path) -> float:

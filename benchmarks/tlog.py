@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.ingest import open_log
 from pipeline.ingest.buffers import open_view
-from pipeline.ingest.tlog.fields import dialect, wanted_fields
+from pipeline.ingest.tlog.fields import crc_extras, dialect, name_of, wanted_layouts
 from pipeline.ingest.tlog.frames import (
     HEAD,
     STAMP,
@@ -30,7 +30,7 @@ from pipeline.ingest.tlog.frames import (
 )
 from pipeline.ingest.tlog.scan import scan
 
-NEEDED = tuple(sorted(wanted_fields()))
+NEEDED = tuple(sorted(map(name_of, wanted_layouts())))
 LIBRARY_BYTES = 10_000_000
 CLOCKS = {"time_boot_ms": 1000, "time_usec": 1, "time_unix_usec": 1}  # [us] a unit
 
@@ -61,14 +61,14 @@ def grow(log: Path, out: Path, size_bytes: int) -> int:
 def _frames(source: np.ndarray) -> Frames:
     room = source.shape[0] - HEAD
     frames = headers(source, candidates(source, room), room)
-    return frames.take(checksums_hold(source, frames, dialect().extras))
+    return frames.take(checksums_hold(source, frames, crc_extras()))
 
 
 def _with_whole_clocks(source: np.ndarray) -> np.ndarray:
     """The log with room for later times: MAVLink 2 has trimmed the zeros of small ones."""
     frames, parts = _frames(source), []
     for number in np.unique(frames.message_id).tolist():
-        dtype = dialect().messages[number].dtype
+        dtype = dialect()[number].dtype
         if set(dtype.names or ()) & set(CLOCKS):
             rows = (frames.message_id == number) & (frames.length < dtype.itemsize)
             rows &= frames.version == 2
@@ -91,7 +91,7 @@ def _with_whole_clocks(source: np.ndarray) -> np.ndarray:
 
 def _set_clocks_on(source: np.ndarray, frames: Frames, by_us: int) -> None:
     for number in np.unique(frames.message_id).tolist():
-        dtype = dialect().messages[number].dtype
+        dtype = dialect()[number].dtype
         for name, unit in CLOCKS.items():
             if name not in (dtype.names or ()):
                 continue
@@ -107,12 +107,12 @@ def _set_clocks_on(source: np.ndarray, frames: Frames, by_us: int) -> None:
 
 def _sign(source: np.ndarray, frames: Frames) -> None:
     extras = np.zeros(1 << 16, np.uint16)
-    for number, extra in dialect().extras.items():
+    for number, extra in crc_extras().items():
         extras[number] = extra
     for length in np.unique(frames.length).tolist():
         for version, before in ((1, 5), (2, 9)):
             rows = (frames.length == length) & (frames.version == version)
-            rows &= np.isin(frames.message_id, list(dialect().messages))
+            rows &= np.isin(frames.message_id, list(dialect()))
             first = frames.at[rows] + STAMP + 1
             if first.shape[0]:
                 crc, _ = checksums(source, first, before + length, extras[frames.message_id[rows]])
@@ -136,9 +136,8 @@ def library(log: Path, size: int) -> int:
 
 def ours(log: Path) -> int:
     """The same types as records of numbers, the checksum of every frame tested."""
-    known = dialect()
     with open_view(log) as data:
-        return sum(scan(data, known.extras, known.layouts(wanted_fields())).counts.values())
+        return sum(scan(data, crc_extras(), wanted_layouts()).counts.values())
 
 
 def main(source: Path, megabytes: int = 110, pairs: int = 7) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from pipeline.flight.channels import Array
-from pipeline.ingest.fields import FieldColumn, column
+from pipeline.ingest.fields import FieldColumn, column, columns
 
 BLOCK = 65_536  # rows
 
@@ -91,8 +91,8 @@ def ned_frd_of_enu_flu(q: Array) -> Array:
 def gimbal_columns() -> tuple[FieldColumn, ...]:
     """The columns of MAVLink's GIMBAL_DEVICE_ATTITUDE_STATUS, where ``q`` is w, x, y, z."""
     return (
-        *(column(f"q_{axis}", f"q.{k}") for k, axis in enumerate("wxyz")),
-        *(column(f"gimbal_q_{axis}", f"q.{k}") for k, axis in enumerate("wxyz")),
+        *columns("q_w q_x q_y q_z", "q.0 q.1 q.2 q.3"),
+        *columns("gimbal_q_w gimbal_q_x gimbal_q_y gimbal_q_z", "q.0 q.1 q.2 q.3"),
         column("flags", "flags device_flags"),
     )
 

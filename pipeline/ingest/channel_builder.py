@@ -13,7 +13,7 @@ from pipeline.flight.channels import Array, Channel, Source, TimeArray
 from pipeline.flight.clock import new_readings, rows_in_time_order
 from pipeline.ingest.attitude import quaternion_of_euler, replace_in_blocks, unit_quaternions
 from pipeline.ingest.boot_clock import LOWEST_FIX
-from pipeline.ingest.buffers import allocate, copy_rows
+from pipeline.ingest.buffers import ColumnStore, allocate, copy_rows
 from pipeline.ingest.fields import MessageMap
 from pipeline.ingest.log import utc_text
 from pipeline.ledger import Entry, Kind, Ledger
@@ -47,6 +47,29 @@ class DecodedRows:
                 for name, label in self.labels.items()
             },
         )
+
+
+class GrowingColumns:
+    """Columns made piece by piece; one takes memory when it has its first value, NaN before."""
+
+    def __init__(self, spec: MessageMap) -> None:
+        self.stores: dict[str, ColumnStore] = {}
+        self._needed = spec.position or spec.attitude  # also without a value
+        self._length = 0
+
+    def add(self, values: Mapping[str, Array], count: int) -> None:
+        """The next ``count`` rows of each column; NaN where ``values`` lacks one."""
+        for name, column in values.items():
+            if name not in self.stores and (self._needed or bool(np.isfinite(column).any())):
+                self.stores[name] = ColumnStore("f8")
+                self.stores[name].add(np.broadcast_to(np.nan, self._length))
+        for name, store in self.stores.items():
+            store.add(values.get(name, np.broadcast_to(np.nan, count)))
+        self._length += count
+
+    def whole(self) -> dict[str, Array]:
+        """All rows; the stores are empty then."""
+        return {name: store.whole() for name, store in self.stores.items()}
 
 
 def channel_of(rows: DecodedRows, spec: MessageMap, ledger: Ledger) -> Channel | None:

@@ -90,6 +90,25 @@ def column(
     return FieldColumn(name, tuple(fields.split()), unit, missing, floor)
 
 
+def columns(
+    names: str, fields: str, unit: str = "", missing: float | None = None
+) -> tuple[FieldColumn, ...]:
+    """Columns of one unit, each from a field of its own: both separated by spaces.
+
+    >>> columns("q_w q_x", "q.0 q.1") == (column("q_w", "q.0"), column("q_x", "q.1"))
+    True
+    """
+    pairs = zip(names.split(), fields.split(), strict=True)
+    return tuple(FieldColumn(name, (field,), unit, missing) for name, field in pairs)
+
+
+def members(path: str, names: str) -> str:
+    """The paths of members, or elements, of a field: each has a name of one letter."""
+    return " ".join(f"{path}.{name}" for name in names)
+
+
+INNOVATIONS = "innovation_velocity innovation_position innovation_height innovation_compass"
+
 # A fix in MAVLink's units, also as mavros passes it on. Trimmed zeros of MAVLink 2 and the short
 # MAVLink 1 message look like 0: 0 is missing.
 MAVLINK_FIX = (
@@ -111,7 +130,8 @@ MAVLINK_FIX = (
 class MessageMap:
     """One message and the channel it becomes.
 
-    ``id_field`` names the field that tells instances apart, ``time_field`` the message's own time;
+    ``id_field`` names the field that tells instances apart, ``time_field`` the message's own time,
+    both where the format itself does not;
     ``spare_rank`` is the rank of all instances but the first, where those are spares. Where it is
     not given all have the same rank: instance numbers do not tell which thermometer is outside.
     ``position`` drops rows without a fix, ``attitude`` turns Euler angles into a quaternion.
@@ -122,7 +142,7 @@ class MessageMap:
     roles: tuple[str, ...] = ()
     rank: int = 50
     id_field: str = ""
-    time_field: str = ""
+    time_field: str = "timestamp"
     position: bool = False
     attitude: bool = False
     text_field: str = ""

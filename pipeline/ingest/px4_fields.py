@@ -7,7 +7,7 @@ the message; a number is an index into an array. ``timestamp`` counts microsecon
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -19,15 +19,15 @@ from pipeline.ingest.fields import (
     ATTITUDE,
     GNSS,
     HUMIDITY,
+    INNOVATIONS,
     PRESSURE,
     TEMPERATURE,
-    FieldColumn,
     MessageMap,
     column,
+    columns,
 )
 from pipeline.ledger import Ledger
 
-TIMESTAMP = "timestamp"
 UTC_FIELD = "time_utc_usec"
 """Unix time [us] in the messages of receivers, beside their time since boot."""
 
@@ -37,18 +37,7 @@ CAPTURE_UTC_FIELD = "timestamp_utc"
 _FAILED = 0.0  # of ``result``: 1 is success, -1 a camera that does not answer (CameraCapture.msg)
 
 
-def camera_quaternion(path: str, axes: str = "0123") -> tuple[FieldColumn, ...]:
-    """The attitude of a camera, w, x, y, z in this order under a path."""
-    pairs = zip("wxyz", axes, strict=True)
-    return tuple(column(f"camera_q_{axis}", f"{path}.{name}") for axis, name in pairs)
-
-
-def _axes(names: Iterable[str], fields: Iterable[str]) -> tuple[FieldColumn, ...]:
-    return tuple(map(column, names, fields))
-
-
-_VELOCITY = ("v_north_m_s", "v_east_m_s", "v_down_m_s")
-_RATES = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
+CAMERA_QUATERNION = "camera_q_w camera_q_x camera_q_y camera_q_z"
 
 # SensorGps has had its degrees as 1e-7 integers and its heights as mm before PX4 1.14.
 _RECEIVER = MessageMap(
@@ -67,20 +56,18 @@ _RECEIVER = MessageMap(
         column("sigma_speed_m_s", "s_variance_m_s"),
         column("satellites", "satellites_used"),
         column("hdop", "hdop"),
-        *_axes(_VELOCITY, ("vel_n_m_s", "vel_e_m_s", "vel_d_m_s")),
+        *columns("v_north_m_s v_east_m_s v_down_m_s", "vel_n_m_s vel_e_m_s vel_d_m_s"),
     ),
-    GNSS, 20, time_field=TIMESTAMP, position=True,
+    GNSS, 20, position=True,
 )  # fmt: skip
 _SHOT = MessageMap(
     (
-        column("lat_rad", "lat", "deg"),
-        column("lon_rad", "lon", "deg"),
+        *columns("lat_rad lon_rad", "lat lon", "deg"),
         column("h_msl_m", "alt"),
-        column("event_index", "seq"),
-        column("result", "result"),
-        *camera_quaternion("q"),
+        *columns("event_index result", "seq result"),
+        *columns(CAMERA_QUATERNION, "q.0 q.1 q.2 q.3"),
     ),
-    ("events",), 10, time_field=TIMESTAMP,
+    ("events",), 10,
 )  # fmt: skip
 
 MESSAGES: Mapping[str, MessageMap] = {
@@ -88,66 +75,60 @@ MESSAGES: Mapping[str, MessageMap] = {
     "VehicleGpsPosition": replace(_RECEIVER, rank=21),
     "VehicleGlobalPosition": MessageMap(
         (
-            column("lat_rad", "lat", "deg"),
-            column("lon_rad", "lon", "deg"),
+            *columns("lat_rad lon_rad", "lat lon", "deg"),
             column("h_msl_m", "alt"),
             column("h_ellipsoid_m", "alt_ellipsoid", missing=0.0),
             column("sigma_h_m", "eph", "m plane"),
             column("sigma_v_m", "epv"),
-            *_axes(_VELOCITY, ("vel_n", "vel_e", "vel_d")),
+            *columns("v_north_m_s v_east_m_s v_down_m_s", "vel_n vel_e vel_d"),
         ),
-        ("position",), 10, time_field=TIMESTAMP, position=True,
+        ("position",), 10, position=True,
     ),
     "VehicleLocalPosition": MessageMap(
         (
-            *_axes(("north_m", "east_m"), "xy"),
+            *columns("north_m east_m", "x y"),
             column("up_m", "z", "-"),
-            *_axes(_VELOCITY, ("vx", "vy", "vz")),
+            *columns("v_north_m_s v_east_m_s v_down_m_s", "vx vy vz"),
             column("sigma_h_m", "eph", "m plane"),
             column("sigma_v_m", "epv"),
             column("sigma_speed_m_s", "evh"),
-        ),
-        time_field=TIMESTAMP,
+        )
     ),
     "VehicleAttitude": MessageMap(
         (
-            *(column(f"q_{axis}", f"q.{k}") for k, axis in enumerate("wxyz")),
-            *_axes(_RATES, ("rollspeed", "pitchspeed", "yawspeed")),  # until PX4 1.10
+            *columns("q_w q_x q_y q_z", "q.0 q.1 q.2 q.3"),
+            # until PX4 1.10
+            *columns("rate_x_rad_s rate_y_rad_s rate_z_rad_s", "rollspeed pitchspeed yawspeed"),
         ),
-        ATTITUDE, 10, time_field=TIMESTAMP, attitude=True,
+        ATTITUDE, 10, attitude=True,
     ),
     "VehicleAngularVelocity": MessageMap(
-        _axes(_RATES, ("xyz.0", "xyz.1", "xyz.2")), time_field=TIMESTAMP
+        columns("rate_x_rad_s rate_y_rad_s rate_z_rad_s", "xyz.0 xyz.1 xyz.2")
     ),
     "EstimatorStatus": MessageMap(
         (
-            column("innovation_velocity", "vel_test_ratio"),
-            column("innovation_position", "pos_test_ratio"),
-            column("innovation_height", "hgt_test_ratio"),
-            column("innovation_compass", "mag_test_ratio"),
+            *columns(INNOVATIONS, "vel_test_ratio pos_test_ratio hgt_test_ratio mag_test_ratio"),
             column("filter_flags", "solution_status_flags", "ESTIMATOR_STATUS_FLAGS"),
             column("sigma_h_m", "pos_horiz_accuracy", "m plane"),
             column("sigma_v_m", "pos_vert_accuracy"),
-        ),
-        time_field=TIMESTAMP,
+        )
     ),
     "VehicleImuStatus": MessageMap(
         (
             column("vibration_m_s2", "accel_vibration_metric"),
             *(column(f"clipping_{k}", f"accel_clipping.{k}") for k in range(3)),
-        ),
-        time_field=TIMESTAMP,
+        )
     ),
     "VehicleAirData": MessageMap(
         (
             column("pressure_pa", "baro_pressure_pa"),
             column("board_temperature_k", "baro_temp_celcius ambient_temperature", "degC"),
         ),
-        PRESSURE, 10, time_field=TIMESTAMP,
+        PRESSURE, 10,
     ),
     "SensorBaro": MessageMap(
         (column("pressure_pa", "pressure"), column("board_temperature_k", "temperature", "degC")),
-        PRESSURE, 20, time_field=TIMESTAMP,
+        PRESSURE, 20,
     ),
     "Airspeed": MessageMap(
         (
@@ -155,20 +136,18 @@ MESSAGES: Mapping[str, MessageMap] = {
             # the indicated one, as ArduPilot and MAVLink log it: the atmosphere applies the density
             column("airspeed_m_s", "indicated_airspeed_m_s"),
         ),
-        ("temperature", "airspeed"), 30, time_field=TIMESTAMP,
+        ("temperature", "airspeed"), 30,
     ),
     "SensorHygrometer": MessageMap(
         (
             column("temperature_k", "temperature", "degC"),
             column("relative_humidity", "humidity", "%"),
         ),
-        (*TEMPERATURE, *HUMIDITY), 20, time_field=TIMESTAMP,
+        (*TEMPERATURE, *HUMIDITY), 20,
     ),
     "CameraCapture": _SHOT,
     "CameraTrigger": replace(_SHOT, rank=30),
-    "GimbalDeviceAttitudeStatus": MessageMap(
-        gimbal_columns(), time_field=TIMESTAMP, attitude=True
-    ),
+    "GimbalDeviceAttitudeStatus": MessageMap(gimbal_columns(), attitude=True),
 }  # fmt: skip
 """By the name of the message in px4_msgs."""
 

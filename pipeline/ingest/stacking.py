@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from pipeline.ingest.log import Table
 
+PLACE = "\0place"
+"""The column of the places of messages in the log, beside their fields."""
+
 EXACT = 1 << 53  # every integer up to here is a float64
 _WORD = 1 << 64
 
@@ -59,6 +62,15 @@ def stack_tables(tables: Sequence[Table], counts: Sequence[int]) -> Table:
     names = dict.fromkeys(name for table in tables for name in table)
     pairs = list(zip(tables, counts, strict=True))
     return {name: join_pieces([table.pop(name, count) for table, count in pairs]) for name in names}
+
+
+def in_order(tables: Sequence[Table]) -> Table:
+    """Tables with `PLACE` as one, in the order of the log; they are used up."""
+    whole = stack_tables(tables, [table[PLACE].shape[0] for table in tables])
+    if bool(np.all(whole[PLACE][1:] > whole[PLACE][:-1])):
+        return whole
+    order = np.argsort(whole[PLACE], kind="stable")
+    return {name: column[order] for name, column in whole.items()}
 
 
 def join_pieces(pieces: Sequence[NDArray[Any] | int]) -> NDArray[Any]:

@@ -36,7 +36,7 @@ def status(key):
 open_log(sys.argv[2])  # imports are not the log's memory
 before = status("VmRSS")
 if sys.argv[3] == "all":
-    tables = {n: table.columns for n, table in read_tables(Path(sys.argv[1])).items()}
+    tables = read_tables(Path(sys.argv[1]))
     columns = sum(column.nbytes for table in tables.values() for column in table.values())
 else:
     log = open_log(sys.argv[1])

@@ -33,9 +33,9 @@ from pipeline.ingest.dataflash.fields import (
     texts_of,
 )
 from pipeline.ingest.dataflash.records import HEADER, RecordWalker
-from pipeline.ingest.dataflash.tables import Decoded
 from pipeline.ingest.fields import MessageMap, extract, is_number
 from pipeline.ingest.log import Table
+from pipeline.ingest.stacking import PLACE
 from pipeline.ledger import Ledger
 
 RECEIVERS = ("GPS", "GPS2")
@@ -62,9 +62,7 @@ def stamps(data: FileView, walker: RecordWalker) -> Iterator[Stamps]:
             yield at + block.base, time_us * 1000
 
 
-def clock_of(
-    line: Timeline, tables: Mapping[str, Decoded], ledger: Ledger
-) -> tuple[BootClock, str]:
+def clock_of(line: Timeline, tables: Mapping[str, Table], ledger: Ledger) -> tuple[BootClock, str]:
     """The clock of a log from the rows of its GNSS receivers, and where its UTC comes from."""
     report_timeline(line, ledger)
     sources: list[UtcReadings] = []
@@ -78,11 +76,9 @@ def clock_of(
     return clock, f"vehicle clock, set to UTC by the median of {rows} GPS rows"
 
 
-def _receiver_utc(
-    line: Timeline, decoded: Decoded, name: str, ledger: Ledger
-) -> Iterator[UtcReadings]:
+def _receiver_utc(line: Timeline, table: Table, name: str, ledger: Ledger) -> Iterator[UtcReadings]:
     """The UTC of each receiver of a message."""
-    count, table = decoded.places.size, decoded.columns
+    count = table[PLACE].size
     if absent := sorted({"GMS", "GWk", "Status"} - set(table)):
         what = f"{count} rows give no UTC: the log defines no field {', '.join(absent)}"
         ledger.loss("LOG-FIELDS", what, where=name, count=count)
@@ -94,7 +90,7 @@ def _receiver_utc(
         of_instance = usable & (instance == which)
         rows = slice(None) if bool(of_instance.all()) else of_instance  # a long log is not copied
         label = f"{name}[{which}]" if which >= 0 else name
-        places, fix, week = decoded.places[rows], table["Status"][rows], table["GWk"][rows]
+        places, fix, week = table[PLACE][rows], table["Status"][rows], table["GWk"][rows]
         boot_ns = nanoseconds(table["TimeUS"][rows])
         boot = line.boot_of(places)
         for number in np.unique(boot):  # a receiver rolls over in all rows of a boot or in none
@@ -132,16 +128,16 @@ def wanted_fields() -> dict[str, Callable[[str], bool]]:
     return {name: names.__contains__ for name, names in fields.items()}
 
 
-def parameters_of(tables: Mapping[str, Decoded]) -> dict[str, float]:
+def parameters_of(tables: Mapping[str, Table]) -> dict[str, float]:
     """The last value of each parameter of the autopilot, by name."""
-    table = tables["PARM"].columns if "PARM" in tables else {}
+    table = tables.get("PARM", {})
     if not {"Name", "Value"} <= table.keys():
         return {}
     return dict(zip(table["Name"].tolist(), table["Value"].tolist(), strict=True))
 
 
 def channels_of(
-    tables: dict[str, Decoded], parameters: Mapping[str, float], clock: BootClock, ledger: Ledger
+    tables: dict[str, Table], parameters: Mapping[str, float], clock: BootClock, ledger: Ledger
 ) -> tuple[Channel, ...]:
     """The channels of the messages that the field map knows; their tables are used up."""
     channels = []
@@ -154,19 +150,18 @@ def channels_of(
 
 
 def _instances(
-    message: str, spec: MessageMap, tables: dict[str, Decoded], clock: BootClock, ledger: Ledger
+    message: str, spec: MessageMap, tables: dict[str, Table], clock: BootClock, ledger: Ledger
 ) -> Iterator[DecodedRows]:
     """The rows of each instance of a message, whose table is used up: memory has its peak here."""
     if message not in tables:
         return
-    decoded = tables.pop(message)
-    table = decoded.columns
-    time_ns = copy_rows(clock.utc(decoded.places, nanoseconds(table["TimeUS"])))
-    boot = copy_rows(clock.line.boot_of(decoded.places))
-    good = clock.line.good(decoded.places)
+    table = tables.pop(message)
+    time_ns = copy_rows(clock.utc(table[PLACE], nanoseconds(table["TimeUS"])))
+    boot = copy_rows(clock.line.boot_of(table[PLACE]))
+    good = clock.line.good(table[PLACE])
     accuracy = tables.pop(ACCURACY_MESSAGES.get(message, ""), None)
     if accuracy is not None:
-        table = _join_accuracy(decoded, accuracy)
+        table = _join_accuracy(table, accuracy)
         spec = replace(spec, columns=spec.columns + ACCURACY)
     if spec.text_field:
         texts = texts_of(message, spec.text_field, table)
@@ -182,7 +177,7 @@ def _instances(
     instance = instance_of(table) if named is None else named
     _report_fields(message, spec, table, ledger)
     table = dict(table)
-    del decoded, accuracy, named
+    del accuracy, named, table[PLACE]
     values = extract(table, spec.columns, copy_rows, used_up=table)
     del table
     numbers, counts = np.unique(instance, return_counts=True)
@@ -237,20 +232,19 @@ def _report_fields(message: str, spec: MessageMap, table: Table, ledger: Ledger)
         ledger.loss("LOG-FIELDS", what, where=message, count=count)
 
 
-def _join_accuracy(decoded: Decoded, accuracy: Decoded) -> Table:
+def _join_accuracy(table: Table, other: Table) -> Table:
     """The table of fixes with the fields of the accuracy of equal instance and time.
 
     Times repeat where the vehicle was restarted: then rows belong together that are near each
     other in the file. An autopilot writes the accuracy behind the fix.
     """
-    table, other = decoded.columns, accuracy.columns
     fields = [field for spec in ACCURACY for field in spec.fields if field in other]
-    if not fields or "TimeUS" not in other or not accuracy.places.size:
+    if not fields or "TimeUS" not in other or not other[PLACE].size:
         return table
     key, other_key = _key(table), _key(other)
     if np.array_equal(key, other_key):  # one for one, as in all logs without damage
         return table | {field: other[field] for field in fields}
-    places, other_places, n = decoded.places, accuracy.places, key.shape[0]
+    places, other_places, n = table[PLACE], other[PLACE], key.shape[0]
     order = np.lexsort((np.concatenate([places, other_places]), np.concatenate([key, other_key])))
     is_other = order >= n
     at, count = np.flatnonzero(~is_other), np.cumsum(is_other)

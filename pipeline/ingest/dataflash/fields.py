@@ -12,7 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.fields import ATTITUDE, GNSS, PRESSURE, MessageMap, column
+from pipeline.ingest.fields import (
+    ATTITUDE,
+    GNSS,
+    INNOVATIONS,
+    PRESSURE,
+    MessageMap,
+    column,
+    columns,
+)
 from pipeline.ingest.log import Table
 
 INSTANCE_FIELDS = ("I", "Instance", "Id", "C")
@@ -30,17 +38,13 @@ def instance_of(table: Table) -> NDArray[Any]:
     return np.full(rows, -1, np.int8)
 
 
-_PLACE = (column("lat_rad", "Lat", "deg"), column("lon_rad", "Lng", "deg"))
+_PLACE = columns("lat_rad lon_rad", "Lat Lng", "deg")
 _EULER = (
     column("roll_rad", "R Roll", "deg"),
     column("pitch_rad", "P Pitch", "deg"),
     column("yaw_rad", "Y Yaw", "deg"),
 )
-_QUATERNION = (column("q_w", "Q1"), column("q_x", "Q2"), column("q_y", "Q3"), column("q_z", "Q4"))
-
-_VELOCITY = tuple(
-    column(f"v_{axis}_m_s", f"V{axis[0].upper()}") for axis in ("north", "east", "down")
-)
+_QUATERNION = columns("q_w q_x q_y q_z", "Q1 Q2 Q3 Q4")
 _EPOCH = (column("gps_week", "GWk GPSWeek", missing=0.0), column("gps_week_s", "GMS GPSTime", "ms"))
 _GPS = (
     *_PLACE,
@@ -57,20 +61,14 @@ _GPS = (
 # Of a filter: attitude, velocity, and the place from the origin (ORGN[0]).
 _FILTER = (
     *_EULER,
-    *_VELOCITY,
-    column("north_m", "PN"),
-    column("east_m", "PE"),
+    *columns("v_north_m_s v_east_m_s v_down_m_s north_m east_m", "VN VE VD PN PE"),
     column("up_m", "PD", "-"),
 )
 _HEALTH = MessageMap(
     (
-        column("innovation_velocity", "SV"),
-        column("innovation_position", "SP"),
-        column("innovation_height", "SH"),
-        column("innovation_compass", "SM"),
+        *columns(INNOVATIONS, "SV SP SH SM"),
         column("filter_flags", "SS", "nav_filter_status"),
-        column("filter_timeouts", "TS"),
-        column("filter_faults", "FS"),
+        *columns("filter_timeouts filter_faults", "TS FS"),
     )
 )
 
@@ -79,10 +77,7 @@ _BARO = (column("pressure_pa", "Press"), column("board_temperature_k", "Temp", "
 
 _SHOT = (
     *_PLACE,
-    column("h_msl_m", "Alt"),
-    column("h_home_m", "RelAlt"),
-    column("h_gnss_m", "GPSAlt"),
-    column("event_index", "Img"),
+    *columns("h_msl_m h_home_m h_gnss_m event_index", "Alt RelAlt GPSAlt Img"),
     *_EULER,
     *_EPOCH,
     column("sigma_time_s", "sigma_time_s"),  # made of what old logs have
@@ -100,8 +95,7 @@ MESSAGES: Mapping[str, MessageMap] = {
     "AHR2": MessageMap(
         (
             *_EULER,
-            column("lat_rad", "Lat", "deg", missing=0.0),
-            column("lon_rad", "Lng", "deg", missing=0.0),
+            *columns("lat_rad lon_rad", "Lat Lng", "deg", missing=0.0),
             column("h_msl_m", "Alt"),
         ),
         ATTITUDE, 40, attitude=True,
@@ -118,11 +112,8 @@ MESSAGES: Mapping[str, MessageMap] = {
     "TERR": MessageMap(
         (
             *_PLACE,
-            column("h_terrain_m", "TerrH"),
-            column("h_above_terrain_m", "CHeight"),
-            column("terrain_status", "Status"),
-            column("tiles_pending", "Pending"),
-            column("tiles_loaded", "Loaded"),
+            *columns("h_terrain_m h_above_terrain_m terrain_status", "TerrH CHeight Status"),
+            *columns("tiles_pending tiles_loaded", "Pending Loaded"),
         )
     ),
     "XKF4": _HEALTH,
@@ -132,19 +123,16 @@ MESSAGES: Mapping[str, MessageMap] = {
         (
             *(column(f"vibration_m_s2_{axis}", f"Vibe{axis}") for axis in "XYZ"),
             column("clipping_0", "Clip Clip0"),
-            column("clipping_1", "Clip1"),
-            column("clipping_2", "Clip2"),
+            *columns("clipping_1 clipping_2", "Clip1 Clip2"),
         ),
         id_field="IMU",
     ),
-    "IMU": MessageMap(tuple(column(f"rate_{axis.lower()}_rad_s", f"Gyr{axis}") for axis in "XYZ")),
+    "IMU": MessageMap(columns("rate_x_rad_s rate_y_rad_s rate_z_rad_s", "GyrX GyrY GyrZ")),
     # The gimbal: its roll and pitch are to the horizon, YawE is to north. It is the attitude of a
     # camera, not of the aircraft: it plays a role only when the user names it.
     "MNT": MessageMap(
         (
-            column("roll_rad", "Roll", "deg"),
-            column("pitch_rad", "Pitch", "deg"),
-            column("yaw_rad", "YawE", "deg"),
+            *columns("roll_rad pitch_rad yaw_rad", "Roll Pitch YawE", "deg"),
             column("yaw_in_body_rad", "YawB", "deg"),
         ),
         rank=70, attitude=True,
@@ -207,8 +195,7 @@ ACCURACY_MESSAGES = {"GPS": "GPA", "GPS2": "GPA2"}
 ACCURACY = (
     column("h_ellipsoid_m", "AEl", floor=-1e5),
     column("sigma_h_m", "HAcc", "m plane", missing=0.0),
-    column("sigma_v_m", "VAcc", missing=0.0),
-    column("sigma_speed_m_s", "SAcc", missing=0.0),
+    *columns("sigma_v_m sigma_speed_m_s", "VAcc SAcc", missing=0.0),
     column("has_vertical_speed", "VV"),
     # Until 4.6 ArduPilot logged sea level minus ellipsoid, and 0 where it did not know.
     column("undulation_m", "Und", "-", missing=0.0),

@@ -30,9 +30,10 @@ from pipeline.ingest.dataflash.channels import (
 )
 from pipeline.ingest.dataflash.fields import ACCURACY, INSTANCE_FIELDS, instance_of
 from pipeline.ingest.dataflash.records import FMT_START, RecordWalker, find_records
-from pipeline.ingest.dataflash.tables import Decoded, decode, without_objects
+from pipeline.ingest.dataflash.tables import decode, without_objects
 from pipeline.ingest.fields import is_number
 from pipeline.ingest.log import Contents, DamagedBytes, LogFormat, Table
+from pipeline.ingest.stacking import PLACE
 from pipeline.ledger import Ledger
 
 # Fields that are used as they are logged, without a field map that checks that they are numbers.
@@ -65,8 +66,8 @@ DATAFLASH = LogFormat(
 )
 
 
-def read_tables(path: Path, names: Collection[str] | None = None) -> dict[str, Decoded]:
-    """All messages of some types, or of every type, with all their fields."""
+def read_tables(path: Path, names: Collection[str] | None = None) -> dict[str, Table]:
+    """All messages of some types, or of every type, with all their fields and `PLACE`."""
     with open_view(path) as data:
         found = find_records(data, names)
         chosen = found.message_counts() if names is None else names
@@ -77,10 +78,10 @@ def contents_of(
     damage: DamagedBytes,
     counts: Mapping[str, int],
     line: Timeline,
-    tables: dict[str, Decoded],
+    tables: dict[str, Table],
     ledger: Ledger,
     *,
-    reread: Callable[[set[str]], dict[str, Decoded]],
+    reread: Callable[[set[str]], dict[str, Table]],
 ) -> Contents:
     """The contents of a log, binary or text.
 
@@ -107,32 +108,32 @@ def contents_of(
     )  # fmt: skip
 
 
-def timed_tables(tables: dict[str, Decoded], ledger: Ledger) -> dict[str, Decoded]:
+def timed_tables(tables: dict[str, Table], ledger: Ledger) -> dict[str, Table]:
     """The tables with a time since boot, without the rows that lack it.
 
     Columns are dropped which a damaged definition makes no numbers, or no text, where these are
     needed.
     """
     result, timeless = {}, {}
-    old = not any("TimeUS" in table.columns for table in tables.values())
+    old = not any("TimeUS" in table for table in tables.values())
     for name in list(tables):
         table = without_objects(tables.pop(name), name, ledger)
-        count = table.places.size
+        count = table[PLACE].size
         odd = [
             field
-            for field, column in table.columns.items()
+            for field, column in table.items()
             if (field in _NUMBERS and not is_number(column))
             or (field == "Name" and column.ndim != 1)
         ]
         if odd:
             what = f"{', '.join(odd)} of {count} rows hold no numbers, by their definition"
             ledger.loss("LOG-FIELDS", what, where=name, count=count)
-            columns = {f: column for f, column in table.columns.items() if f not in odd}
-            table = Decoded(columns, table.places)
+            table = {field: column for field, column in table.items() if field not in odd}
         table = with_time(name, table)
-        time = table.columns.get("TimeUS")
+        time = table.get("TimeUS")
         if time is not None and is_number(time):
-            result[name] = table.take(np.isfinite(time)) if time.dtype.kind == "f" else table
+            rows = np.isfinite(time) if time.dtype.kind == "f" else slice(None)
+            result[name] = {field: column[rows] for field, column in table.items()}
         elif old and name in _TIMELESS:
             timeless[name] = table
         else:
@@ -140,51 +141,49 @@ def timed_tables(tables: dict[str, Decoded], ledger: Ledger) -> dict[str, Decode
             ledger.loss("LOG-FIELDS", what, where=name, count=count)
     if not timeless or not result:
         return result
-    places = np.concatenate([table.places for table in result.values()])
+    places = np.concatenate([table[PLACE] for table in result.values()])
     order = np.argsort(places, kind="stable")
-    times = np.concatenate([microseconds(table.columns["TimeUS"]) for table in result.values()])
+    times = np.concatenate([microseconds(table["TimeUS"]) for table in result.values()])
     for name, table in timeless.items():
-        row = np.searchsorted(places[order], table.places) - 1
-        time_us = times[order][np.maximum(row, 0)]
-        table = Decoded(table.columns | {"TimeUS": time_us}, table.places)
-        result[name] = (
-            exposures_by_last_fix(table, result.get("GPS"), ledger) if name == "CAM" else table
-        )
+        row = np.searchsorted(places[order], table[PLACE]) - 1
+        result[name] = table | {"TimeUS": times[order][np.maximum(row, 0)]}
+        if name == "CAM":
+            result[name] = exposures_by_last_fix(result[name], result.get("GPS", {}), ledger)
     return result
 
 
-def with_time(name: str, decoded: Decoded) -> Decoded:
+def with_time(name: str, columns: Table) -> Table:
     """A table with the field TimeUS; before 2015 the time since boot was in milliseconds.
 
     It was TimeMS, except in rows of receivers: there TimeMS is the time of the week, and T the time
     since boot.
     """
-    columns = decoded.columns
     time_ms = columns.get("T" if name in RECEIVERS else "TimeMS")
     if "TimeUS" in columns or time_ms is None or not is_number(time_ms):
-        return decoded
+        return columns
     columns = columns | {"TimeUS": np.minimum(microseconds(time_ms), LAST_US // 1000) * 1000}
     if name in RECEIVERS:
         renamed = {"GMS": "TimeMS", "GWk": "Week"}
         columns |= {new: columns[old] for new, old in renamed.items() if old in columns}
-    return Decoded(columns, decoded.places)
+    return columns
 
 
-def exposures_by_last_fix(exposures: Decoded, receiver: Decoded | None, ledger: Ledger) -> Decoded:
+def exposures_by_last_fix(exposures: Table, receiver: Table, ledger: Ledger) -> Table:
     """Exposures with only the GPS time of the last fix: they are half an interval behind it.
 
     A row whose fix is not in the log stays at the time of the record before it.
     """
-    time_us = exposures.columns["TimeUS"].copy()
+    time_us = exposures["TimeUS"].copy()
     fix_us, fix_ms = (np.empty(0, np.int64),) * 2
-    if receiver is not None and {"GMS", "GWk", "Status"} <= receiver.columns.keys():
-        fixes = receiver.take(receiver.columns["Status"] >= LOWEST_FIX).columns
-        fix_ms, first = np.unique(_gps_ms(fixes["GWk"], fixes["GMS"]), return_index=True)
-        fix_us = microseconds(fixes["TimeUS"])[first]
+    if {"GMS", "GWk", "Status"} <= receiver.keys():
+        fixes = receiver["Status"] >= LOWEST_FIX
+        own_ms = _gps_ms(receiver["GWk"][fixes], receiver["GMS"][fixes])
+        fix_ms, first = np.unique(own_ms, return_index=True)
+        fix_us = microseconds(receiver["TimeUS"][fixes])[first]
     interval_s = float(np.median(np.diff(fix_ms))) / 1000.0 if fix_ms.size > 1 else np.nan
-    columns, known = exposures.columns, np.zeros(time_us.shape, np.bool_)
-    if {"GPSTime", "GPSWeek"} <= columns.keys() and np.isfinite(interval_s):
-        own_ms = _gps_ms(columns["GPSWeek"], columns["GPSTime"])
+    known = np.zeros(time_us.shape, np.bool_)
+    if {"GPSTime", "GPSWeek"} <= exposures.keys() and np.isfinite(interval_s):
+        own_ms = _gps_ms(exposures["GPSWeek"], exposures["GPSTime"])
         row = np.minimum(np.searchsorted(fix_ms, own_ms), fix_ms.size - 1)
         known = fix_ms[row] == own_ms
         time_us[known] = fix_us[row[known]] + round(interval_s * 5e5)
@@ -196,7 +195,7 @@ def exposures_by_last_fix(exposures: Decoded, receiver: Decoded | None, ledger: 
     )
     ledger.fallback("EVENTS-FIX-TIME", what, where="CAM", count=time_us.size)
     sigma_s = np.full(time_us.shape, interval_s / np.sqrt(12.0))
-    return Decoded(columns | {"TimeUS": time_us, "sigma_time_s": sigma_s}, exposures.places)
+    return exposures | {"TimeUS": time_us, "sigma_time_s": sigma_s}
 
 
 def _gps_ms(week: NDArray[Any], time_ms: NDArray[Any]) -> NDArray[np.int64]:
@@ -204,10 +203,9 @@ def _gps_ms(week: NDArray[Any], time_ms: NDArray[Any]) -> NDArray[np.int64]:
     return np.asarray(week_ms + np.asarray(time_ms, np.int64), np.int64)
 
 
-def stamped(name: str, decoded: Decoded, clock: BootClock, instance: str | None) -> Table:
+def stamped(name: str, table: Table, clock: BootClock, instance: str | None) -> Table:
     """A table with UTC and boot before its own columns; only an instance, where one is given."""
-    table, places = decoded.columns, decoded.places
-    timed = with_time(name, decoded).columns
+    timed, places = with_time(name, table), table.pop(PLACE)
     if "TimeUS" in timed and is_number(timed["TimeUS"]):
         time_ns = clock.utc(places, nanoseconds(timed["TimeUS"]))
         added: Table = {"time_ns": time_ns, "boot": clock.line.boot_of(places)}

@@ -3,93 +3,56 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.ingest.buffers import allocate
 from pipeline.ingest.dataflash.fields import INSTANCE_FIELDS
-from pipeline.ingest.dataflash.records import RecordDefinition, RecordWalker, read_records
+from pipeline.ingest.dataflash.records import RecordWalker, read_records
 from pipeline.ingest.log import Table
-from pipeline.ingest.stacking import stack_tables
+from pipeline.ingest.stacking import PLACE, in_order
 from pipeline.ledger import Ledger
 
 
-@dataclass(frozen=True)
-class Decoded:
-    """All messages of one type: columns (n,), and the places (n,) of the rows in the file.
-
-    Numbers have the type they are logged in; scaled ones (letters c, C, e, E, L) are float64 and
-    divided, as pymavlink does; characters are text.
-    """
-
-    columns: Table
-    places: NDArray[np.int64]
-
-    def take(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Decoded:
-        """The rows of a mask or an index."""
-        columns = {name: column[rows] for name, column in self.columns.items()}
-        return Decoded(columns, self.places[rows])
-
-
-def decode(found: RecordWalker, wanted: Mapping[str, Callable[[str], bool]]) -> dict[str, Decoded]:
+def decode(found: RecordWalker, wanted: Mapping[str, Callable[[str], bool]]) -> dict[str, Table]:
     """The columns of some message types, in one pass over the file.
 
     Parameters
     ----------
     wanted : for each message type, which of its fields are wanted.
 
-    Returns those that the log has. Memory: the columns, and a block of the file. Types of
-    one name that differ in their fields are one table; what a row does not have is NaN or empty.
-    A field that was text and number is a column of objects (`without_objects`).
+    Returns those that the log has, with `PLACE`, the byte where each row begins. Numbers have the
+    type they are logged in; scaled ones (letters c, C, e, E, L) are float64 and divided, as
+    pymavlink does; characters are text. Memory: the columns, and a block of the file. Types of one
+    name that differ in their fields are one table; what a row does not have is NaN or empty. A
+    field that was text and number is a column of objects (`without_objects`).
     """
-    counts, forms = found.counts.tolist(), found.definitions
-    tables = {
-        number: _TableBuilder(form, count, wanted[form.name])
-        for number, (form, count) in enumerate(zip(forms, counts, strict=True))
-        if form.name in wanted and count
-    }
-    mask = np.array([number in tables for number in range(len(forms))], np.bool_)
-    for number, rows, places in read_records(found, mask):
-        tables[number].add(rows, places)
-    by_name: dict[str, list[Decoded]] = {}
-    for number in sorted(tables):
-        by_name.setdefault(forms[number].name, []).append(tables.pop(number).table())
-    return {name: merge_tables(several) for name, several in by_name.items()}
-
-
-class _TableBuilder:
-    """Columns of a known length that are filled a block at a time."""
-
-    def __init__(self, form: RecordDefinition, count: int, wanted: Callable[[str], bool]) -> None:
-        self.form = form
-        self.filled = 0
-        self.places = allocate(count, np.int64)
-        self.columns: Table = {}
-        for name in form.fields:
-            if wanted(name):
+    tables: dict[int, Table] = {}
+    for number, count in enumerate(found.counts.tolist()):
+        form = found.definitions[number]
+        if form.name in wanted and count:
+            table = tables[number] = {PLACE: allocate(count, np.int64)}
+            for name in filter(wanted[form.name], form.fields):
                 kind = np.dtype(np.float64) if name in form.divisors else form.dtype[name]
-                self.columns[name] = allocate(count, (kind.base, kind.shape))
-
-    def add(self, rows: NDArray[Any], places: NDArray[np.int64]) -> None:
-        begin, end = self.filled, self.filled + rows.shape[0]
-        for name, column in self.columns.items():
-            divisor = self.form.divisors.get(name)
+                table[name] = allocate(count, (kind.base, kind.shape))
+    filled = dict.fromkeys(tables, 0)
+    mask = np.array([number in tables for number in range(len(found.definitions))], np.bool_)
+    for number, rows, places in read_records(found, mask):
+        part = slice(filled[number], filled[number] + places.shape[0])
+        filled[number] = part.stop
+        for name, column in tables[number].items():
+            divisor = found.definitions[number].divisors.get(name)
             if divisor is None:
-                column[begin:end] = rows[name]
+                column[part] = places if name == PLACE else rows[name]
             else:
-                np.divide(rows[name], divisor, out=column[begin:end])
-        self.places[begin:end] = places
-        self.filled = end
-
-    def table(self) -> Decoded:
-        columns = {
-            name: texts(column) if column.dtype.kind == "S" else column
-            for name, column in self.columns.items()
-        }
-        return Decoded(columns, self.places)
+                np.divide(rows[name], divisor, out=column[part])
+    by_name: dict[str, list[Table]] = {}
+    for number in sorted(tables):
+        columns = tables.pop(number).items()
+        table = {name: texts(part) if part.dtype.kind == "S" else part for name, part in columns}
+        by_name.setdefault(found.definitions[number].name, []).append(table)
+    return {name: merge_tables(several) for name, several in by_name.items()}
 
 
 def texts(raw: NDArray[np.bytes_]) -> NDArray[np.str_]:
@@ -111,7 +74,7 @@ def texts(raw: NDArray[np.bytes_]) -> NDArray[np.str_]:
     return np.array(words, np.str_)[places] if words else np.empty(0, "U1")
 
 
-def merge_tables(several: list[Decoded]) -> Decoded:
+def merge_tables(several: list[Table]) -> Table:
     """Tables of one message whose definition changed in the file, in the order of the file.
 
     Every value is as it is logged, see `stack_tables`; missing numbers of instances, which tell
@@ -119,21 +82,18 @@ def merge_tables(several: list[Decoded]) -> Decoded:
     """
     if len(several) == 1:
         return several[0]
-    counts = [table.places.size for table in several]
     for name in INSTANCE_FIELDS:
-        present = [table.columns[name] for table in several if name in table.columns]
+        present = [table[name] for table in several if name in table]
         if present and all(column.dtype.kind in "iu" for column in present):
             for table in several:
-                table.columns.setdefault(name, np.full(table.places.size, -1))
-    merged = stack_tables([table.columns for table in several], counts)
-    places = np.concatenate([table.places for table in several])
-    return Decoded(merged, places).take(np.argsort(places, kind="stable"))
+                table.setdefault(name, np.full(table[PLACE].size, -1))
+    return in_order(several)
 
 
-def without_objects(decoded: Decoded, name: str, ledger: Ledger) -> Decoded:
+def without_objects(table: Table, name: str, ledger: Ledger) -> Table:
     """A table without objects: the last value of a column decides between text and numbers."""
-    columns = dict(decoded.columns)
-    for field, column in decoded.columns.items():
+    columns = dict(table)
+    for field, column in table.items():
         if column.dtype.kind != "O":
             continue
         known = [value for value in column.tolist() if value is not None]
@@ -153,4 +113,4 @@ def without_objects(decoded: Decoded, name: str, ledger: Ledger) -> Decoded:
                 where=name,
                 count=lost,
             )
-    return Decoded(columns, decoded.places)
+    return columns

@@ -11,16 +11,15 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.ingest.boot_clock import Stamps, nanoseconds, timeline
 from pipeline.ingest.dataflash.channels import wanted_fields
 from pipeline.ingest.dataflash.log import contents_of
-from pipeline.ingest.dataflash.tables import Decoded, merge_tables
-from pipeline.ingest.log import Contents, DamagedBytes, LogFormat
+from pipeline.ingest.dataflash.tables import merge_tables
+from pipeline.ingest.log import Contents, DamagedBytes, LogFormat, Table
+from pipeline.ingest.stacking import PLACE
 from pipeline.ledger import Ledger
 
 LONGEST = 4096  # bytes of a line; real ones have up to 250
@@ -36,7 +35,7 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
     tables = reader.read(path, set(wanted_fields()))
     reader.report_bytes(ledger, path.name, "line")
 
-    def reread(names: set[str]) -> dict[str, Decoded]:
+    def reread(names: set[str]) -> dict[str, Table]:
         return _LineReader().read(path, names)
 
     line = timeline(reader.stamps())
@@ -73,9 +72,9 @@ class _LineFormat:
             return False
         return True
 
-    def table(self, rows: list[tuple[int, list[str]]]) -> Decoded:
+    def table(self, rows: list[tuple[int, list[str]]]) -> Table:
         """Places and values of lines as columns."""
-        columns: dict[str, NDArray[Any]] = {}
+        columns: Table = {PLACE: np.array([place for place, _ in rows], np.int64)}
         by_field = zip(*(values for _, values in rows), strict=True)
         for name, letter, values in zip(self.fields, self.letters, by_field, strict=True):
             if letter in _TEXT:
@@ -85,7 +84,7 @@ class _LineFormat:
             else:
                 whole = [int(value) for value in values]
                 columns[name] = np.array(whole, np.uint64 if min(whole) >= 0 else np.int64)
-        return Decoded(columns, np.array([place for place, _ in rows], np.int64))
+        return columns
 
 
 @dataclass
@@ -100,10 +99,10 @@ class _LineReader(DamagedBytes):
     counts: Counter[str] = field(default_factory=Counter)
     times: list[tuple[int, int]] = field(default_factory=list)
 
-    def read(self, path: Path, wanted: set[str]) -> dict[str, Decoded]:
+    def read(self, path: Path, wanted: set[str]) -> dict[str, Table]:
         """The wanted messages as tables; everything is counted."""
         rows: dict[tuple[str, _LineFormat], list[tuple[int, list[str]]]] = {}
-        tables: dict[str, list[Decoded]] = {}
+        tables: dict[str, list[Table]] = {}
         begin = 0
         with path.open("rb") as stream:
             while raw := stream.readline(LONGEST):  # a longer line comes in pieces

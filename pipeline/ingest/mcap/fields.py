@@ -25,66 +25,56 @@ from pipeline.ingest.fields import (
     FieldColumn,
     MessageMap,
     column,
+    columns,
+    members,
 )
 from pipeline.ingest.mcap.cdr_schema import short
-from pipeline.ingest.px4_fields import TIMESTAMP, camera_quaternion
-
-HEADER = "header.stamp"
+from pipeline.ingest.px4_fields import CAMERA_QUATERNION
 
 
-def _orientation(path: str) -> tuple[FieldColumn, ...]:
-    return tuple(column(f"ros_{axis}", f"{path}.{axis}") for axis in "wxyz")
+def _pose(place: str, turn: str) -> tuple[FieldColumn, ...]:
+    """Columns of a place (REP 103: x east, y north, z up of a local frame) and an orientation."""
+    local = columns("east_m north_m up_m", members(place, "xyz"))
+    return (*local, *columns("ros_w ros_x ros_y ros_z", members(turn, "wxyz")))
 
 
-def _local(path: str) -> tuple[FieldColumn, ...]:
-    # REP 103: x east, y north, z up of a local frame
-    axes = zip(("east_m", "north_m", "up_m"), "xyz", strict=True)
-    return tuple(column(name, f"{path}.{axis}") for name, axis in axes)
-
-
-_PLACE_DEG = (column("lat_rad", "latitude", "deg"), column("lon_rad", "longitude", "deg"))
-_COVARIANCE = (
-    column("covariance_type", "position_covariance_type"),
-    *(column(f"variance_{k}", f"position_covariance.{4 * k}") for k in range(3)),
-)
 _EVENTS = ("events",)
 
 _FIX = MessageMap(
-    (*_PLACE_DEG, column("h_ellipsoid_m", "altitude"), column("status", "status.status"),
-     *_COVARIANCE),
-    GNSS, 20, time_field=HEADER, position=True,
+    (
+        *columns("lat_rad lon_rad", "latitude longitude", "deg"),
+        *columns("h_ellipsoid_m status", "altitude status.status"),
+        column("covariance_type", "position_covariance_type"),
+        *columns("variance_0 variance_1 variance_2", members("position_covariance", "048")),
+    ),
+    GNSS, 20, position=True,
 )  # fmt: skip
-_POSE = MessageMap(
-    (*_local("pose.position"), *_orientation("pose.orientation")),
-    ATTITUDE, 40, time_field=HEADER, attitude=True,
-)  # fmt: skip
-_IMAGE = MessageMap((), _EVENTS, 20, time_field=HEADER)
+_POSE = MessageMap(_pose("pose.position", "pose.orientation"), ATTITUDE, 40, attitude=True)
+_IMAGE = MessageMap((), _EVENTS, 20)
 
 _ROS = {
     "sensor_msgs/NavSatFix": _FIX,
     "sensor_msgs/Imu": MessageMap(
         (
-            *_orientation("orientation"),
+            *columns("ros_w ros_x ros_y ros_z", members("orientation", "wxyz")),
             column("covariance_0", "orientation_covariance.0"),
             column("rate_x_rad_s", "angular_velocity.x"),  # of a body forward, left, up
-            column("rate_y_rad_s", "angular_velocity.y", "-"),
-            column("rate_z_rad_s", "angular_velocity.z", "-"),
+            *columns("rate_y_rad_s rate_z_rad_s", members("angular_velocity", "yz"), "-"),
         ),
-        ATTITUDE, 20, time_field=HEADER, attitude=True,
+        ATTITUDE, 20, attitude=True,
     ),
     "nav_msgs/Odometry": MessageMap(
-        (*_local("pose.pose.position"), *_orientation("pose.pose.orientation")),
-        ATTITUDE, 30, time_field=HEADER, attitude=True,
+        _pose("pose.pose.position", "pose.pose.orientation"), ATTITUDE, 30, attitude=True
     ),
     "geometry_msgs/PoseStamped": _POSE,
     "sensor_msgs/FluidPressure": MessageMap(
-        (column("pressure_pa", "fluid_pressure"),), PRESSURE, 10, time_field=HEADER
+        (column("pressure_pa", "fluid_pressure"),), PRESSURE, 10
     ),
     "sensor_msgs/Temperature": MessageMap(
-        (column("temperature_k", "temperature", "degC"),), TEMPERATURE, 20, time_field=HEADER
+        (column("temperature_k", "temperature", "degC"),), TEMPERATURE, 20
     ),
     "sensor_msgs/RelativeHumidity": MessageMap(
-        (column("relative_humidity", "relative_humidity"),), HUMIDITY, 20, time_field=HEADER
+        (column("relative_humidity", "relative_humidity"),), HUMIDITY, 20
     ),
     "sensor_msgs/Image": _IMAGE,
     "sensor_msgs/CompressedImage": _IMAGE,
@@ -92,50 +82,50 @@ _ROS = {
 
 _CAPTURED = MessageMap(
     (
-        column("lat_rad", "geo.latitude", "deg"),
-        column("lon_rad", "geo.longitude", "deg"),
+        *columns("lat_rad lon_rad", "geo.latitude geo.longitude", "deg"),
         # GeoPoint is above the ellipsoid: the plugin adds the undulation to MAVLink's altitude
         column("h_ellipsoid_m", "geo.altitude"),
-        column("h_home_m", "relative_alt"),
-        column("event_index", "image_index"),
-        *camera_quaternion("orientation", "wxyz"),
+        *columns("h_home_m event_index", "relative_alt image_index"),
+        *columns(CAMERA_QUATERNION, members("orientation", "wxyz")),
     ),
-    _EVENTS, 15, time_field=HEADER,
+    _EVENTS, 15,
 )  # fmt: skip
 
 _NAMED_VALUE_INT = 4.0  # DebugValue.TYPE_NAMED_VALUE_INT: the value is in another field
 
 _MAVROS = {
-    "mavros_msgs/GPSRAW": MessageMap(MAVLINK_FIX, GNSS, 25, time_field=HEADER, position=True),
+    "mavros_msgs/GPSRAW": MessageMap(MAVLINK_FIX, GNSS, 25, position=True),
     "mavros_msgs/CameraImageCaptured": _CAPTURED,
     "mavros_msgs/CamIMUStamp": MessageMap(
-        (column("event_index", "frame_seq_id"),), _EVENTS, 25, time_field="frame_stamp"
+        (column("event_index", "frame_seq_id"),), _EVENTS, 25
     ),
     "mavros_msgs/DebugValue": MessageMap(
-        (column("value", "value_float"), column("integer", "value_int"), column("kind", "type")),
-        id_field="name", time_field=HEADER,
+        columns("value integer kind", "value_float value_int type"), id_field="name"
     ),
     "mavros_msgs/GimbalDeviceAttitudeStatus": MessageMap(
-        tuple(column(f"gimbal_q_{axis}", f"q.{axis}") for axis in "wxyz"), time_field=HEADER
+        columns("gimbal_q_w gimbal_q_x gimbal_q_y gimbal_q_z", members("q", "wxyz"))
     ),
 }  # fmt: skip
 
 _PX4 = {f"px4_msgs/{name}": spec for name, spec in px4_fields.MESSAGES.items()}
 
-_FOXGLOVE_IMAGE = replace(_IMAGE, time_field=TIMESTAMP)
 _FOXGLOVE = {
-    "foxglove.LocationFix": replace(_FIX, time_field=TIMESTAMP),
-    "foxglove.PoseInFrame": replace(_POSE, time_field=TIMESTAMP),
-    "foxglove.CompressedImage": _FOXGLOVE_IMAGE,
-    "foxglove.RawImage": _FOXGLOVE_IMAGE,
-    "foxglove.FrameTransform": MessageMap(  # a gimbal or a mount: no role unless it is named
-        (*_local("translation"), *_orientation("rotation")), time_field=TIMESTAMP, attitude=True
-    ),
+    "foxglove.LocationFix": _FIX,
+    "foxglove.PoseInFrame": _POSE,
+    "foxglove.CompressedImage": _IMAGE,
+    "foxglove.RawImage": _IMAGE,
+    # a gimbal or a mount: no role unless it is named
+    "foxglove.FrameTransform": MessageMap(_pose("translation", "rotation"), attitude=True),
 }
 
-SCHEMAS: Mapping[str, MessageMap] = _ROS | _MAVROS | _PX4 | _FOXGLOVE
+_STAMPS = {"mavros_msgs/CamIMUStamp": "frame_stamp"}
+_WITH_HEADER = {
+    name: replace(spec, time_field=_STAMPS.get(name, "header.stamp"))
+    for name, spec in (_ROS | _MAVROS).items()
+}
+SCHEMAS: Mapping[str, MessageMap] = _WITH_HEADER | _PX4 | _FOXGLOVE
 
-PLAIN_JSON = MessageMap((column("value", "value"),), time_field=TIMESTAMP)
+PLAIN_JSON = MessageMap((column("value", "value"),))
 """JSON of a schema of the user's own: a time and a value, of a role only when it is named."""
 
 LABELS: Mapping[str, str] = {"file_url": "file_url", "frame_id": "header.frame_id frame_id"}

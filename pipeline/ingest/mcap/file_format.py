@@ -26,10 +26,14 @@ RECORD = struct.Struct("<BQ")
 MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 FOOT = struct.Struct("<QQI")  # start of the summary, of its offsets, checksum
 
-HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE_RECORD, CHUNK = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06
-STATISTICS, DATA_END = 0x0B, 0x0F
-LAST_OPCODE = 0x0F
-PRIVATE = 0x80  # opcodes from here on belong to applications; those between are not given out
+
+class Opcode:
+    """The kinds of records."""
+
+    HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06
+    STATISTICS, DATA_END, LAST = 0x0B, 0x0F, 0x0F
+    PRIVATE = 0x80  # from here on they belong to applications; those between are not given out
+
 
 LARGE_MESSAGE = 1 << 16  # [bytes] of what is wanted only images are larger ...
 NEAR = 1 << 16  # [bytes] searched first: damage is seldom large
@@ -161,7 +165,7 @@ def next_message_place(view: Bytes, begin: int, channels: Set[int]) -> int:
     raw = raw_of(view)
     for at in range(begin + 1, view.shape[0], NEAR):
         near = view[at : at + NEAR + RECORD.size - 1]
-        for place in candidate_places(near, (MESSAGE_RECORD,)).tolist():
+        for place in candidate_places(near, (Opcode.MESSAGE,)).tolist():
             if messages_follow(raw, at + place, channels):
                 return int(at + place)
     return int(view.shape[0])
@@ -176,7 +180,7 @@ def messages_follow(raw: memoryview, place: int, channels: Set[int]) -> bool:
             return False
         opcode, length = record_at(raw, place)
         channel = int.from_bytes(raw[place + 9 : place + 11], "little")
-        if opcode != MESSAGE_RECORD or not MESSAGE.size <= length <= LARGE_MESSAGE:
+        if opcode != Opcode.MESSAGE or not MESSAGE.size <= length <= LARGE_MESSAGE:
             return False
         if channel not in channels:
             return False
@@ -202,7 +206,7 @@ class MessageRuns:
         if count <= 0:
             none = np.empty(0, np.int64)
             return cls(none, none, np.empty(0, np.intp))
-        at = np.flatnonzero(view[:count] == MESSAGE_RECORD).astype(np.int64)
+        at = np.flatnonzero(view[:count] == Opcode.MESSAGE).astype(np.int64)
         length = gather(view, at + 1, 8).view("<u8")
         inside = length <= (view.shape[0] - RECORD.size - at).astype(np.uint64)
         at = at[inside]

@@ -17,8 +17,9 @@ from pipeline.ingest.channel_builder import channel_of
 from pipeline.ingest.log import Contents, LogFormat, Table
 from pipeline.ingest.mcap.file_format import MAGIC
 from pipeline.ingest.mcap.reader import McapReader
-from pipeline.ingest.mcap.samples import LOG_TIME, PLACE, SEQUENCE, STAMP, TopicSamples, times_of
-from pipeline.ingest.mcap.topics import in_order, rows_by_name
+from pipeline.ingest.mcap.samples import LOG_TIME, SEQUENCE, STAMP, TopicSamples, times_of
+from pipeline.ingest.mcap.topics import rows_by_name
+from pipeline.ingest.stacking import PLACE, in_order
 from pipeline.ledger import Ledger
 
 REASONS = ("LOG-SCHEMA", "LOG-NOT-ROS2", "LOG-NO-PROTOBUF")  # for no table

@@ -16,7 +16,7 @@ from pipeline.ingest.boot_clock import Stamps, UtcReadings
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.mcap.cdr_schema import SchemaError
 from pipeline.ingest.mcap.fields import PLAIN_JSON, SCHEMAS, known_name
-from pipeline.ingest.mcap.file_format import CHANNEL, SCHEMA, Damage, Definition, Messages
+from pipeline.ingest.mcap.file_format import Damage, Definition, Messages, Opcode
 from pipeline.ingest.mcap.records import walk
 from pipeline.ingest.mcap.topics import (
     MAX_NAMES,
@@ -194,7 +194,7 @@ class McapReader:
             self.raw[key] == definition.content or len(self.contradictions) > MAX_CONTRADICTIONS
         ):
             return  # repeated in every chunk and in the summary
-        kinds = {SCHEMA: library.Schema, CHANNEL: library.Channel}
+        kinds = {Opcode.SCHEMA: library.Schema, Opcode.CHANNEL: library.Channel}
         kind = kinds.get(definition.opcode, library.Statistics)
         try:
             record = kind.read(ReadDataStream(BytesIO(definition.content)))

@@ -18,29 +18,20 @@ from numpy.typing import NDArray
 from pipeline.ingest.buffers import Bytes, FileView
 from pipeline.ingest.mcap.file_format import (
     BLOCK,
-    CHANNEL,
-    CHUNK,
     COMPRESSIONS,
-    DATA_END,
     FOOT,
-    FOOTER,
-    HEADER,
     LARGE_MESSAGE,
-    LAST_OPCODE,
     LINKS,
     MAGIC,
-    MESSAGE_RECORD,
     NEAR,
-    PRIVATE,
     RECORD,
-    SCHEMA,
-    STATISTICS,
     Chunk,
     Damage,
     Definition,
     InflationBudget,
     MessageRuns,
     Messages,
+    Opcode,
     candidate_places,
     chunk_head,
     chunk_stream,
@@ -53,7 +44,7 @@ from pipeline.ingest.mcap.file_format import (
     record_at,
 )
 
-DEFINITIONS = (SCHEMA, CHANNEL, STATISTICS)
+DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
 
 NO_FOOTER = (
     "without the footer that a closed MCAP has: the recorder died or the copy is incomplete, and "
@@ -104,14 +95,14 @@ class _RecordWalk:
             return
         foot = self.data[at - RECORD.size : at + FOOT.size]
         start, _, crc = FOOT.unpack_from(foot, RECORD.size)
-        if RECORD.unpack_from(foot) != (FOOTER, FOOT.size) or not crc or not start:
+        if RECORD.unpack_from(foot) != (Opcode.FOOTER, FOOT.size) or not crc or not start:
             return
         end = at + FOOT.size - 4
         if not 0 < start <= at or self._checksum(start, end) != crc:
             self.damage.add(
                 "LOG-CRC", "the summary is not where the footer says, or fails its checksum", at, 0
             )
-            mark, start = RECORD.pack(DATA_END, 4), -1
+            mark, start = RECORD.pack(Opcode.DATA_END, 4), -1
             for _ in range(LINKS):
                 start = self.data.find(mark, start + 1, at)
                 if start < 0 or self._checksum(start + len(mark) + 4, end) == crc:
@@ -123,7 +114,7 @@ class _RecordWalk:
             start += len(mark) + 4
         while start + RECORD.size < at:
             opcode, length = RECORD.unpack(self.data[start : start + RECORD.size])
-            if opcode in (SCHEMA, CHANNEL) and length <= MAX_DEFINITION:
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and length <= MAX_DEFINITION:
                 begin = start + RECORD.size
                 yield self._definition(opcode, self.data[begin : begin + length], begin)
             start += RECORD.size + length
@@ -135,7 +126,7 @@ class _RecordWalk:
         return crc
 
     def _definition(self, opcode: int, content: bytes, at: int) -> Definition:
-        if opcode == CHANNEL:
+        if opcode == Opcode.CHANNEL:
             self.channels.add(int.from_bytes(content[:2], "little"))
         return Definition(opcode, content, at)
 
@@ -151,7 +142,7 @@ class _RecordWalk:
                 opcode, length = record_at(header, 0)
                 end = place + RECORD.size + length
                 behind = (self.data[end : end + 1] if length < NEAR else b"") or b"\0"
-                at = place if opcode == HEADER and 0 < behind[0] <= LAST_OPCODE else at
+                at = place if opcode == Opcode.HEADER and 0 < behind[0] <= Opcode.LAST else at
             what = "the file begins as no MCAP does: its first bytes are damaged or lost"
             self.damage.add("LOG-BAD-BYTES", what, 0, at)
         self.before = at - 1
@@ -188,29 +179,29 @@ class _RecordWalk:
                 return -1
             opcode, length = unpack(raw, place)
             end = place + RECORD.size + length
-            if end > size or not (0 < opcode <= LAST_OPCODE or opcode >= PRIVATE):
+            if end > size or not (0 < opcode <= Opcode.LAST or opcode >= Opcode.PRIVATE):
                 next_place = self._resume(at, opcode, length)
                 if 0 <= next_place < at and starts and begin + starts[-1] == self.disproved:
                     starts.pop()
                 return next_place
-            if opcode == FOOTER:
+            if opcode == Opcode.FOOTER:
                 return self._foot(at, length)
-            if opcode == MESSAGE_RECORD:
+            if opcode == Opcode.MESSAGE:
                 if length > LARGE_MESSAGE:
                     others.append((opcode, at, length))
                 elif end <= len(raw):
                     starts.append(place)
                 else:
                     return at
-            elif opcode == DATA_END:
+            elif opcode == Opcode.DATA_END:
                 self.ends += 1
                 if self.ends <= 2:  # a million of them must cost no more than two
                     others.append((opcode, at, length))
-            elif opcode in DEFINITIONS or opcode == CHUNK:
+            elif opcode in DEFINITIONS or opcode == Opcode.CHUNK:
                 others.append((opcode, at, length))
-            sure = opcode == CHUNK and self._proves(at)
+            sure = opcode == Opcode.CHUNK and self._proves(at)
             self.before = begin + end - 1 if sure else at
-            self.data_end = begin + end if opcode == DATA_END else self.data_end
+            self.data_end = begin + end if opcode == Opcode.DATA_END else self.data_end
             place = end
             if place > len(raw):
                 return begin + place
@@ -219,7 +210,7 @@ class _RecordWalk:
         """The end of the walk, if a footer is where a footer must be."""
         end = at + RECORD.size + FOOT.size + len(MAGIC)
         if length != FOOT.size or end > self.data.size:
-            return self._resume(at, FOOTER, length)
+            return self._resume(at, Opcode.FOOTER, length)
         if end < self.data.size or self.data[end - len(MAGIC) : end] != MAGIC:
             what = f"{self.data.size - end} bytes follow the end of the log, or its mark is damaged"
             self.damage.add("LOG-BAD-BYTES", what, at, self.data.size - end)
@@ -234,7 +225,7 @@ class _RecordWalk:
 
     def _other(self, opcode: int, at: int, length: int) -> Iterator[Definition | Messages]:
         content = at + RECORD.size
-        if opcode == CHUNK:
+        if opcode == Opcode.CHUNK:
             chunk = chunk_head(self.data, content, length)
             if chunk is None or chunk.compression not in COMPRESSIONS:
                 what = "a chunk has no valid head"
@@ -249,14 +240,14 @@ class _RecordWalk:
                 yield from self._inside(np.frombuffer(records, np.uint8), at)
             else:
                 self.damage.add(*records, at, length)
-        elif opcode == MESSAGE_RECORD:
-            head = RECORD.pack(MESSAGE_RECORD, MESSAGE_START)
+        elif opcode == Opcode.MESSAGE:
+            head = RECORD.pack(Opcode.MESSAGE, MESSAGE_START)
             start = head + self.data[content : content + MESSAGE_START]
             yield from self._collect(np.frombuffer(start, np.uint8), np.zeros(1, np.int64))
-        elif opcode == DATA_END and self.ended:
+        elif opcode == Opcode.DATA_END and self.ended:
             what = "the data end a second time: their checksum here is not checked"
             self.damage.add("LOG-INCONSISTENT", what, at, 0)
-        elif opcode == DATA_END:  # the checksum is that of all bytes before
+        elif opcode == Opcode.DATA_END:  # the checksum is that of all bytes before
             self.ended = True
             crc = int.from_bytes(self.data[content : content + min(length, 4)], "little")
             if crc and self._checksum(0, at) != crc:
@@ -285,9 +276,9 @@ class _RecordWalk:
                     break
                 place += RECORD.size + length
                 keep = length if length <= LARGE_MESSAGE else MESSAGE_START
-                if opcode in (SCHEMA, CHANNEL):
+                if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     keep = min(length, MAX_DEFINITION)
-                if opcode in (SCHEMA, CHANNEL, MESSAGE_RECORD):
+                if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
                     kept += RECORD.pack(opcode, keep) + stream.read(keep)
                     length -= keep
                 while length > 0:
@@ -309,7 +300,7 @@ class _RecordWalk:
                 continue
             opcode, length = record_at(raw, place) if place + RECORD.size <= size else (0, 0)
             end = place + RECORD.size + length
-            if opcode not in (SCHEMA, CHANNEL) or end > size:
+            if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL) or end > size:
                 last = int(starts[-1][-1]) if starts[-1].size else place
                 next_place = next_message_place(view, last, self.channels)
                 lost = next_place - place
@@ -348,7 +339,9 @@ class _RecordWalk:
         place, begin, reach = -1, self.before + 1, NEAR
         while place < 0 and begin < self.data.size:
             view = self.data.array(begin, begin + reach)
-            candidates = candidate_places(view, (FOOTER, MESSAGE_RECORD, CHUNK, DATA_END)).tolist()
+            candidates = candidate_places(
+                view, (Opcode.FOOTER, Opcode.MESSAGE, Opcode.CHUNK, Opcode.DATA_END)
+            ).tolist()
             place = next((begin + k for k in candidates if self._proves(begin + k)), -1)
             if begin + view.shape[0] >= self.data.size:
                 break
@@ -370,13 +363,13 @@ class _RecordWalk:
         end = at + RECORD.size + length
         if end > self.data.size:
             return False
-        if opcode == FOOTER:
+        if opcode == Opcode.FOOTER:
             return length == FOOT.size and end == self.data.size - len(MAGIC)
-        if opcode == CHUNK:
+        if opcode == Opcode.CHUNK:
             chunk = chunk_head(self.data, at + RECORD.size, length)
             return chunk is not None and chunk.plausible
-        if opcode == DATA_END:
+        if opcode == Opcode.DATA_END:
             follows = self.data[end : end + 1]
-            return length == 4 and bool(follows) and 0 < follows[0] <= LAST_OPCODE
+            return length == 4 and bool(follows) and 0 < follows[0] <= Opcode.LAST
         near = self.data.array(at, at + (LINKS + 1) * LARGE_MESSAGE)
         return messages_follow(raw_of(near), 0, self.channels)

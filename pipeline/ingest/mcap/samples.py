@@ -15,17 +15,17 @@ from pipeline.flight.channels import Source, TimeArray
 from pipeline.flight.clock import BOOT_STEP_NS, UNIX_NS_FROM, UNIX_US_FROM
 from pipeline.ingest.boot_clock import BootClock, Timeline, UtcReadings, microseconds, nanoseconds
 from pipeline.ingest.buffers import ColumnStore
-from pipeline.ingest.channel_builder import DecodedRows, without_stray
+from pipeline.ingest.channel_builder import DecodedRows, GrowingColumns, without_stray
 from pipeline.ingest.fields import MessageMap, extract
 from pipeline.ingest.mcap.fields import LABELS, finished
 from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, UTC_FIELD, captured_rows
+from pipeline.ingest.stacking import PLACE
 from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND
 
 Columns = Mapping[str, NDArray[Any]]
-STAMP, LOG_TIME, PLACE, SEQUENCE = "\0stamp_ns", "\0log_ns", "\0place", "\0sequence"
-"""Columns beside the fields: a message's own time and log_time [ns], its place among all messages
-of the log, and its number."""
+STAMP, LOG_TIME, SEQUENCE = "\0stamp_ns", "\0log_ns", "\0sequence"
+"""Columns beside the fields: a message's own time and log_time [ns], and its number."""
 
 _LAST_NS = 2**63 - 1
 _ISO = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d+))?(Z|[+-]\d\d:\d\d)?")
@@ -92,8 +92,10 @@ class TopicSamples:
     sequence: ColumnStore = field(default_factory=lambda: ColumnStore("u4"))
     log_ns: list[tuple[int, TimeArray]] = field(default_factory=list)
     utc_us: ColumnStore = field(default_factory=lambda: ColumnStore("i8"))
-    columns: dict[str, ColumnStore] = field(default_factory=dict)
     labels: dict[str, list[str]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.columns = GrowingColumns(self.spec)
 
     def add(self, columns: Columns) -> None:
         """The next messages, as decoded."""
@@ -110,14 +112,7 @@ class TopicSamples:
             self.utc_us.add(microseconds(utc))
         numbers = {name: part for name, part in columns.items() if part.dtype.kind in "biuf"}
         values = finished(self.source.message, extract(numbers, self.spec.columns))
-        # A column takes memory when it has its first value; where it lacks one, it is NaN.
-        needed = self.spec.position or self.spec.attitude
-        for name, column in values.items():
-            if name not in self.columns and (needed or bool(np.isfinite(column).any())):
-                self.columns[name] = ColumnStore("f8")
-                self.columns[name].add(np.broadcast_to(np.nan, before))
-        for name, store in self.columns.items():
-            store.add(values.get(name, np.broadcast_to(np.nan, count)))
+        self.columns.add(values, count)
         if self.spec.event:
             for name, paths in LABELS.items():
                 path = next((path for path in paths.split() if path in columns), None)
@@ -138,8 +133,9 @@ class TopicSamples:
             return None
         utc_us, stamp_ns, places = map(_copied, (self.utc_us, self.stamp_ns, self.places))
         usable = (utc_us > UNIX_US_FROM) & since_boot(stamp_ns)
-        fix = _copied(self.columns["fix"]) if "fix" in self.columns else np.empty(0)
-        return UtcReadings(f"rows of {self.name}", places, stamp_ns, utc_us * 1000, usable, fix)
+        fix = self.columns.stores.get("fix", ColumnStore("f8"))
+        words = f"rows of {self.name}"
+        return UtcReadings(words, places, stamp_ns, utc_us * 1000, usable, _copied(fix))
 
     def rows(self, clock: BootClock, ledger: Ledger) -> tuple[DecodedRows, int]:
         """All of it, which is handed over, and how many messages had no time of their own.
@@ -157,9 +153,8 @@ class TopicSamples:
         time_ns, boot, count = times_of(
             stamp_ns, log_ns, places, clock, ledger=ledger, where=self.name
         )
-        columns = {name: store.whole() for name, store in self.columns.items()}
         labels = {name: tuple(texts) for name, texts in self.labels.items()}
-        rows = DecodedRows(self.name, self.source, time_ns, boot, columns, labels)
+        rows = DecodedRows(self.name, self.source, time_ns, boot, self.columns.whole(), labels)
         order = None if self.counted else in_sequence(self.sequence.whole(), time_ns)
         if order is not None:
             moved = int(np.count_nonzero(order != np.arange(len(rows))))

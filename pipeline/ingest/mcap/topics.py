@@ -20,7 +20,6 @@ from pipeline.ingest.mcap.fields import LABELS, PLAIN_JSON
 from pipeline.ingest.mcap.file_format import Messages
 from pipeline.ingest.mcap.samples import (
     LOG_TIME,
-    PLACE,
     SEQUENCE,
     STAMP,
     TopicSamples,
@@ -29,7 +28,7 @@ from pipeline.ingest.mcap.samples import (
     stamp_of,
 )
 from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, UTC_FIELD
-from pipeline.ingest.stacking import column_of, stack_tables
+from pipeline.ingest.stacking import PLACE, column_of, in_order
 
 Columns = dict[str, NDArray[Any]]
 MAX_ARRAY = 64  # elements of an array that a table spreads over columns
@@ -114,17 +113,8 @@ class Topic:
     def lost_values(self) -> int:
         """Values that are no numbers; of a schema of the user's own, only beside numbers."""
         series = (self.series or {}).values()
-        wanted = self.spec is not PLAIN_JSON or any(samples.columns for samples in series)
+        wanted = self.spec is not PLAIN_JSON or any(samples.columns.stores for samples in series)
         return self.odd if wanted else 0
-
-
-def in_order(tables: list[Columns]) -> Columns:
-    """Messages as one table, in the order of the log; the tables are used up."""
-    whole = stack_tables(tables, [table[PLACE].shape[0] for table in tables])
-    if bool(np.all(whole[PLACE][1:] > whole[PLACE][:-1])):
-        return whole
-    order = np.argsort(whole[PLACE])
-    return {name: column[order] for name, column in whole.items()}
 
 
 def rows_by_name(

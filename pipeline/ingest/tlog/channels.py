@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.flight.channels import Array, Channel, Source, TimeArray
+from pipeline.flight.channels import Channel, Source, TimeArray
 from pipeline.flight.clock import UNIX_US_FROM
 from pipeline.ingest.ardupilot_heights import with_both_heights
 from pipeline.ingest.attitude import earth_frame_attitude
 from pipeline.ingest.boot_clock import microseconds
-from pipeline.ingest.buffers import ColumnStore, allocate
-from pipeline.ingest.channel_builder import DecodedRows, channel_of
-from pipeline.ingest.fields import MessageMap, extract
+from pipeline.ingest.buffers import ColumnStore
+from pipeline.ingest.channel_builder import DecodedRows, GrowingColumns, channel_of
+from pipeline.ingest.fields import extract
 from pipeline.ingest.tlog.borrowed_clock import unix_us
-from pipeline.ingest.tlog.clock import CLOCK_FIELDS, LATEST_NS, MICROSECOND, Clocks, Key, by_source
-from pipeline.ingest.tlog.fields import LABELS, MESSAGES, PARAM_VALUE
+from pipeline.ingest.tlog.clock import (
+    CLOCK_FIELDS,
+    LATEST_NS,
+    MICROSECOND,
+    Clocks,
+    Key,
+    by_source,
+    clock_field,
+)
+from pipeline.ingest.tlog.fields import LABELS, MESSAGES, PARAM_VALUE, message_of_name
 from pipeline.ledger import Ledger
 
 Group = tuple[int, Any]
@@ -62,48 +69,36 @@ def channels_of(
     return with_both_heights(channels, parameters, ledger, PARAM_VALUE), parameters
 
 
-@dataclass
 class _Series:
-    """A channel during reading: ``count`` rows of one sender and instance, ``done`` so far."""
+    """A channel during reading: the messages of one sender and instance."""
 
-    key: str
-    spec: MessageMap
-    name: str
-    source: Source
-    count: int
-    done: int = 0
-    columns: dict[str, Array] = field(default_factory=dict)
-    sent: list[NDArray[Any]] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.time_ns = allocate(self.count, np.int64)
-        self.boot = allocate(self.count, np.int16)
+    def __init__(self, key: str, sender: Key, label: str | None) -> None:
+        self.key, self.spec = key, MESSAGES[key]
+        self.source = Source(key.partition(".")[0], label, *sender)
+        self.name = key if label is None else f"{key}[{label}]"
+        self.time_ns, self.boot = ColumnStore("i8"), ColumnStore("i2")
+        self.columns = GrowingColumns(self.spec)
+        self.sent: list[NDArray[Any]] = []
 
     def add(self, rows: NDArray[Any], clocks: Clocks) -> None:
-        """Add the next messages; a column is allocated when it has its first value."""
-        part = slice(self.done, self.done + rows.shape[0])
-        source = (self.source.system or 0, self.source.component or 0)
-        time_ns, boot = times_of(rows, self.spec.time_field, clocks, source)
-        self.time_ns[part], self.boot[part] = time_ns, boot
+        """Add the next messages."""
         records, fields = rows["records"], {}
-        for name in records.dtype.names or ():
+        names = records.dtype.names or ()
+        sender = (self.source.system or 0, self.source.component or 0)
+        time_ns, boot = times_of(rows, clock_field(names), clocks, sender)
+        self.time_ns.add(time_ns)
+        self.boot.add(boot)
+        for name in names:
             fields[name] = records[name]
             if records[name].ndim == 2:  # the elements of an array also one by one, as "q.0"
                 elements = range(records[name].shape[1])
                 fields |= {f"{name}.{k}": records[name][:, k] for k in elements}
         values = extract(fields, self.spec.columns)
-        needed = self.spec.position or self.spec.attitude
         if self.key == "GIMBAL_DEVICE_ATTITUDE_STATUS":
             values = earth_frame_attitude(values)
-        for name, column in values.items():
-            if name not in self.columns and (needed or bool(np.isfinite(column).any())):
-                self.columns[name] = allocate(self.count, np.float64)
-                self.columns[name][:] = np.nan
-            if name in self.columns:
-                self.columns[name][part] = column
+        self.columns.add(values, rows.shape[0])
         if self.spec.event or self.spec.text_field:
-            self.sent.append(rows["records"])
-        self.done += rows.shape[0]
+            self.sent.append(records)
 
     def records(self) -> NDArray[Any]:
         """The messages of a camera as they were sent."""
@@ -113,30 +108,25 @@ class _Series:
         """All rows, with the texts that belong to them."""
         label = LABELS.get(self.key)
         texts = {label: tuple(map(text_of, self.records()[label].tolist()))} if label else {}
-        return DecodedRows(self.name, self.source, self.time_ns, self.boot, self.columns, texts)
+        times = self.time_ns.whole(), self.boot.whole()
+        return DecodedRows(self.name, self.source, *times, self.columns.whole(), texts)
 
 
 def _series(keys: list[str], store: ColumnStore, clocks: Clocks) -> list[_Series]:
     """The series of one message, for each key, sender and instance."""
-    field = MESSAGES[keys[0]].id_field
-    counts: Counter[Group] = Counter()
-    for block in store.blocks():
-        counts.update({group: rows.shape[0] for group, rows in _split(block, field)})
-    several = len({source for source, _ in counts}) > 1
     by_group: dict[Group, list[_Series]] = {}
-    for group in sorted(counts):
-        sender, label = divmod(group[0], 256), None if group[1] is None else label_of(group[1])
-        for key in keys:
-            name = key if label is None else f"{key}[{label}]"
-            name += f"@{sender[0]}/{sender[1]}" if several else ""
-            origin = Source(key.partition(".")[0], label, *sender)
-            series = _Series(key, MESSAGES[key], name, origin, counts[group])
-            by_group.setdefault(group, []).append(series)
     for block in store.drained():
-        for group, rows in _split(block, field):
+        for group, rows in _split(block, message_of_name()[keys[0]].instance_field):
+            if group not in by_group:
+                label = None if group[1] is None else label_of(group[1])
+                by_group[group] = [_Series(key, divmod(group[0], 256), label) for key in keys]
             for series in by_group[group]:
                 series.add(rows, clocks)
-    return [series for several in by_group.values() for series in several]
+    result = [series for group in sorted(by_group) for series in by_group[group]]
+    if len({source for source, _ in by_group}) > 1:
+        for series in result:
+            series.name += f"@{series.source.system}/{series.source.component}"
+    return result
 
 
 def _split(rows: NDArray[Any], field: str) -> Iterator[tuple[Group, NDArray[Any]]]:

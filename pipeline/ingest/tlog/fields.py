@@ -6,7 +6,7 @@ A key with a dot is a second channel out of the same message.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -14,74 +14,63 @@ from typing import Any
 import numpy as np
 
 from pipeline.ingest.attitude import gimbal_columns
-from pipeline.ingest.fields import ATTITUDE, GNSS, MAVLINK_FIX, PRESSURE, MessageMap, column
+from pipeline.ingest.fields import (
+    ATTITUDE,
+    GNSS,
+    INNOVATIONS,
+    MAVLINK_FIX,
+    PRESSURE,
+    MessageMap,
+    column,
+    columns,
+)
+from pipeline.ingest.tlog.clock import CLOCK_FIELDS
 
 INT16_MAX, UINT16_MAX = 32767.0, 65535.0
 
 _PLACE = MAVLINK_FIX[:2]
 _ABOVE_HOME = (*_PLACE, column("h_msl_m", "alt", "mm"), column("h_home_m", "relative_alt", "mm"))
-_AXES = (("v_north_m_s", "vx"), ("v_east_m_s", "vy"), ("v_down_m_s", "vz"))
-_RATES = (
-    column("rate_x_rad_s", "rollspeed"),
-    column("rate_y_rad_s", "pitchspeed"),
-    column("rate_z_rad_s", "yawspeed"),
-)
-_EULER = tuple(column(f"{angle}_rad", angle) for angle in ("roll", "pitch", "yaw"))
-_EULER_DEG = tuple(column(f"{angle}_rad", angle, "deg") for angle in ("roll", "pitch", "yaw"))
+_VELOCITY = columns("v_north_m_s v_east_m_s v_down_m_s", "vx vy vz")
+_RATES = columns("rate_x_rad_s rate_y_rad_s rate_z_rad_s", "rollspeed pitchspeed yawspeed")
+_EULER = columns("roll_rad pitch_rad yaw_rad", "roll pitch yaw")
+_EULER_DEG = columns("roll_rad pitch_rad yaw_rad", "roll pitch yaw", "deg")
 
 _GPS = (*MAVLINK_FIX, column("sigma_speed_m_s", "vel_acc", "mm", missing=0.0))
 _BARO = (
     column("pressure_pa", "press_abs", "hPa"),
     column("board_temperature_k", "temperature", "cdegC"),
 )
-_DIFFERENTIAL = (column("temperature_k", "temperature_press_diff", "cdegC", missing=0.0),)
-
-_BOOT_MS, _USEC = "time_boot_ms", "time_usec"
-
-_NAMED = MessageMap((column("value", "value"),), id_field="name", time_field=_BOOT_MS)
-_PITOT = MessageMap(_DIFFERENTIAL, ("temperature",), 40, time_field=_BOOT_MS)
-
-
-def _baro(rank: int) -> MessageMap:
-    return MessageMap(_BARO, PRESSURE, rank, time_field=_BOOT_MS)
-
+_NAMED = MessageMap((column("value", "value"),))
+_PITOT = MessageMap(
+    (column("temperature_k", "temperature_press_diff", "cdegC", missing=0.0),), ("temperature",), 40
+)
 
 MESSAGES: Mapping[str, MessageMap] = {
     "GLOBAL_POSITION_INT": MessageMap(
-        (*_ABOVE_HOME, *(column(name, axis, "cm") for name, axis in _AXES)),
-        ("position",), 10, time_field=_BOOT_MS, position=True,
+        (*_ABOVE_HOME, *columns("v_north_m_s v_east_m_s v_down_m_s", "vx vy vz", "cm")),
+        ("position",), 10, position=True,
     ),
-    "GPS_RAW_INT": MessageMap(_GPS, GNSS, 20, time_field=_USEC, position=True),
-    "GPS2_RAW": MessageMap(_GPS, GNSS, 30, time_field=_USEC, position=True),
+    "GPS_RAW_INT": MessageMap(_GPS, GNSS, 20, position=True),
+    "GPS2_RAW": MessageMap(_GPS, GNSS, 30, position=True),
     "GLOBAL_POSITION_INT_COV": MessageMap(
-        (*_ABOVE_HOME, *(column(name, axis) for name, axis in _AXES)),
-        ("position",), 15, time_field=_USEC, position=True,
+        (*_ABOVE_HOME, *_VELOCITY), ("position",), 15, position=True
     ),
     "LOCAL_POSITION_NED": MessageMap(
-        (
-            column("north_m", "x"),
-            column("east_m", "y"),
-            column("up_m", "z", "-"),
-            *(column(name, axis) for name, axis in _AXES),
-        ),
-        time_field=_BOOT_MS,
+        (*columns("north_m east_m", "x y"), column("up_m", "z", "-"), *_VELOCITY)
     ),
     # Heights without a place: no role asks for them, a user may.
     "ALTITUDE": MessageMap(
-        (column("h_msl_m", "altitude_amsl"), column("h_home_m", "altitude_relative")),
-        time_field=_USEC,
+        columns("h_msl_m h_home_m", "altitude_amsl altitude_relative")
     ),
-    "ATTITUDE": MessageMap((*_EULER, *_RATES), ATTITUDE, 10, time_field=_BOOT_MS, attitude=True),
+    "ATTITUDE": MessageMap((*_EULER, *_RATES), ATTITUDE, 10, attitude=True),
     "ATTITUDE_QUATERNION": MessageMap(
-        (*(column(f"q_{axis}", f"q{k}") for k, axis in enumerate("wxyz", 1)), *_RATES),
-        ATTITUDE, 20, time_field=_BOOT_MS, attitude=True,
+        (*columns("q_w q_x q_y q_z", "q1 q2 q3 q4"), *_RATES), ATTITUDE, 20, attitude=True
     ),
     # A second estimate: its place is 0, 0 until it has one.
     "AHRS2": MessageMap(
         (
             *_EULER,
-            column("lat_rad", "lat", "degE7", missing=0.0),
-            column("lon_rad", "lng", "degE7", missing=0.0),
+            *columns("lat_rad lon_rad", "lat lng", "degE7", missing=0.0),
             column("h_msl_m", "altitude"),
         ),
         ATTITUDE, 40, attitude=True,
@@ -90,16 +79,13 @@ MESSAGES: Mapping[str, MessageMap] = {
     "TERRAIN_REPORT": MessageMap(
         (
             *_PLACE,
-            column("h_terrain_m", "terrain_height"),
-            column("h_above_terrain_m", "current_height"),
-            column("terrain_spacing_m", "spacing"),
-            column("tiles_pending", "pending"),
-            column("tiles_loaded", "loaded"),
+            *columns("h_terrain_m h_above_terrain_m", "terrain_height current_height"),
+            *columns("terrain_spacing_m tiles_pending tiles_loaded", "spacing pending loaded"),
         )
     ),
-    "SCALED_PRESSURE": _baro(10),
-    "SCALED_PRESSURE2": _baro(20),
-    "SCALED_PRESSURE3": _baro(30),
+    "SCALED_PRESSURE": MessageMap(_BARO, PRESSURE, 10),
+    "SCALED_PRESSURE2": MessageMap(_BARO, PRESSURE, 20),
+    "SCALED_PRESSURE3": MessageMap(_BARO, PRESSURE, 30),
     "SCALED_PRESSURE.temperature_press_diff": _PITOT,
     "SCALED_PRESSURE2.temperature_press_diff": _PITOT,
     "SCALED_PRESSURE3.temperature_press_diff": _PITOT,
@@ -108,95 +94,76 @@ MESSAGES: Mapping[str, MessageMap] = {
             column("pressure_pa", "abs_pressure", "hPa", missing=0.0),
             column("board_temperature_k", "temperature", "degC"),
         ),
-        PRESSURE, 15, id_field="id", time_field=_USEC, spare_rank=16,
+        PRESSURE, 15, spare_rank=16,
     ),
     "HYGROMETER_SENSOR": MessageMap(
         (
             column("temperature_k", "temperature", "cdegC", missing=INT16_MAX),
             column("relative_humidity", "humidity", "c%", missing=UINT16_MAX),
         ),
-        ("temperature", "humidity", "cabin_temperature", "cabin_humidity"), 20, id_field="id",
+        ("temperature", "humidity", "cabin_temperature", "cabin_humidity"), 20,
     ),
     "AIRSPEED": MessageMap(
         (
             column("temperature_k", "temperature", "cdegC", missing=INT16_MAX),
             column("airspeed_m_s", "airspeed"),
         ),
-        ("temperature", "airspeed"), 30, id_field="id",
+        ("temperature", "airspeed"), 30,
     ),
-    "VFR_HUD": MessageMap(
-        (column("airspeed_m_s", "airspeed"), column("h_msl_m", "alt")), ("airspeed",), 60
-    ),
+    "VFR_HUD": MessageMap(columns("airspeed_m_s h_msl_m", "airspeed alt"), ("airspeed",), 60),
     # The sensor's own temperature, an extension of MAVLink 2: trimmed or absent it looks like 0.
     "RAW_IMU": MessageMap(
-        (column("board_temperature_k", "temperature", "cdegC", missing=0.0),), id_field="id",
-        time_field=_USEC,
+        (column("board_temperature_k", "temperature", "cdegC", missing=0.0),)
     ),
-    "MCU_STATUS": MessageMap(
-        (column("board_temperature_k", "MCU_temperature", "cdegC"),), id_field="id"
-    ),
+    "MCU_STATUS": MessageMap((column("board_temperature_k", "MCU_temperature", "cdegC"),)),
     "HIGH_LATENCY2": MessageMap((column("temperature_k", "temperature_air", "degC"),), rank=60),
     "NAMED_VALUE_FLOAT": _NAMED,
     "NAMED_VALUE_INT": _NAMED,
-    "DEBUG_VECT": MessageMap(
-        tuple(column(axis, axis) for axis in "xyz"), id_field="name", time_field=_USEC
-    ),
+    "DEBUG_VECT": MessageMap(columns("x y z", "x y z")),
     # Elements that are never set are 0 and no column; the first is what a role can take.
     "DEBUG_FLOAT_ARRAY": MessageMap(
         (
             column("value", "data.0"),
             *(column(f"value_{k}", f"data.{k}", missing=0.0) for k in range(1, 58)),
-        ),
-        id_field="name", time_field=_USEC,
+        )
     ),
     "CAMERA_FEEDBACK": MessageMap(
         (
             *_PLACE,
-            column("h_msl_m", "alt_msl"),
-            column("h_home_m", "alt_rel"),
-            column("event_index", "img_idx"),
+            *columns("h_msl_m h_home_m event_index", "alt_msl alt_rel img_idx"),
             *_EULER_DEG,
         ),
-        ("events",), 10, id_field="cam_idx", time_field=_USEC,
+        ("events",), 10,
     ),
     "CAMERA_IMAGE_CAPTURED": MessageMap(
         (
             *_ABOVE_HOME,
             column("event_index", "image_index"),
-            *(column(f"camera_q_{axis}", f"q.{k}") for k, axis in enumerate("wxyz")),
+            *columns("camera_q_w camera_q_x camera_q_y camera_q_z", "q.0 q.1 q.2 q.3"),
         ),
-        ("events",), 20, id_field="camera_id", time_field=_BOOT_MS,
+        ("events",), 20,
     ),
-    "CAMERA_TRIGGER": MessageMap(
-        (column("event_index", "seq"),), ("events",), 30, time_field=_USEC
-    ),
+    "CAMERA_TRIGGER": MessageMap((column("event_index", "seq"),), ("events",), 30),
     "EKF_STATUS_REPORT": MessageMap(
         (
-            column("innovation_velocity", "velocity_variance"),
-            column("innovation_position", "pos_horiz_variance"),
-            column("innovation_height", "pos_vert_variance"),
-            column("innovation_compass", "compass_variance"),
+            *columns(INNOVATIONS, "velocity_variance pos_horiz_variance pos_vert_variance "
+                     "compass_variance"),
             column("filter_flags", "flags", "EKF_STATUS_FLAGS"),
         )
     ),
     "ESTIMATOR_STATUS": MessageMap(
         (
-            column("innovation_velocity", "vel_ratio"),
-            column("innovation_position", "pos_horiz_ratio"),
-            column("innovation_height", "pos_vert_ratio"),
-            column("innovation_compass", "mag_ratio"),
+            *columns(INNOVATIONS, "vel_ratio pos_horiz_ratio pos_vert_ratio mag_ratio"),
             column("filter_flags", "flags", "ESTIMATOR_STATUS_FLAGS"),
             column("sigma_h_m", "pos_horiz_accuracy", "m plane", missing=0.0),
             column("sigma_v_m", "pos_vert_accuracy", missing=0.0),
-        ),
-        time_field=_USEC,
+        )
     ),
     "VIBRATION": MessageMap(
         (
             *(column(f"vibration_m_s2_{axis}", f"vibration_{axis}") for axis in "xyz"),
             *(column(f"clipping_{k}", f"clipping_{k}") for k in range(3)),
-        ),
-        time_field=_USEC,
+        )
     ),
     "STATUSTEXT": MessageMap((), text_field="text"),
     # A gimbal plays no role unless it is named: whether a camera hangs on it, no log says.
@@ -209,37 +176,26 @@ MESSAGES: Mapping[str, MessageMap] = {
     ),
     "MOUNT_ORIENTATION": MessageMap(
         (
-            *(column(f"gimbal_{angle}_rad", angle, "deg") for angle in ("roll", "pitch", "yaw")),
+            *columns("gimbal_roll_rad gimbal_pitch_rad gimbal_yaw_rad", "roll pitch yaw", "deg"),
             *_EULER_DEG[:2],
             # an extension of MAVLink 2: trimmed or absent it looks like 0
             column("yaw_rad", "yaw_absolute", "deg", missing=0.0),
         ),
-        time_field=_BOOT_MS, attitude=True,
+        attitude=True,
     ),
-    "GIMBAL_DEVICE_ATTITUDE_STATUS": MessageMap(
-        gimbal_columns(), id_field="gimbal_device_id", time_field=_BOOT_MS, attitude=True
-    ),
+    "GIMBAL_DEVICE_ATTITUDE_STATUS": MessageMap(gimbal_columns(), attitude=True),
 }  # fmt: skip
 
 LABELS: Mapping[str, str] = {"CAMERA_IMAGE_CAPTURED": "file_url", "STATUSTEXT": "text"}
 """Messages with a text that belongs to each row."""
 
+# Fields that tell instances apart, where the dialect names none, or a number beside the name.
+_INSTANCES = {
+    "DEBUG_FLOAT_ARRAY": "name", "CAMERA_FEEDBACK": "cam_idx", "CAMERA_IMAGE_CAPTURED": "camera_id",
+    "GIMBAL_DEVICE_ATTITUDE_STATUS": "gimbal_device_id",
+}  # fmt: skip
+
 SYSTEM_TIME, PARAM_VALUE = "SYSTEM_TIME", "PARAM_VALUE"
-
-
-def wanted_fields() -> dict[str, set[str]]:
-    """The fields that the channels and their clocks are made of, by message."""
-    wanted = {
-        SYSTEM_TIME: {"time_boot_ms", "time_unix_usec"},
-        PARAM_VALUE: {"param_id", "param_value"},
-        "CAMERA_IMAGE_CAPTURED": {"capture_result", "time_utc"},
-        "STATUSTEXT": {"id", "chunk_seq"},
-    }
-    for key, spec in MESSAGES.items():
-        fields = {name.partition(".")[0] for column in spec.columns for name in column.fields}
-        fields |= {spec.id_field, spec.time_field, LABELS.get(key, "")}
-        wanted.setdefault(key.partition(".")[0], set()).update(fields)
-    return wanted
 
 
 @dataclass(frozen=True)
@@ -259,36 +215,9 @@ class Message:
     instance_field: str
 
 
-@dataclass(frozen=True)
-class Dialect:
-    """Messages by number, and numbers by name."""
-
-    messages: Mapping[int, Message]
-    numbers: Mapping[str, int]
-
-    @property
-    def extras(self) -> dict[int, int]:
-        return {number: message.crc_extra for number, message in self.messages.items()}
-
-    def name(self, number: int) -> str:
-        """The name of a message, made up where the dialect does not know it."""
-        known = self.messages.get(number)
-        return f"UNKNOWN_{number}" if known is None else known.name
-
-    def layouts(self, wanted: Mapping[str, Iterable[str]]) -> dict[int, np.dtype[Any]]:
-        """The layouts of messages with only the wanted fields at their places, by number."""
-        result = {}
-        for name, fields in wanted.items():
-            number = self.numbers.get(name)
-            if number is not None:
-                dtype, kept = self.messages[number].dtype, set(fields)
-                result[number] = dtype[[name for name in dtype.names or () if name in kept]]
-        return result
-
-
 @cache
-def dialect() -> Dialect:
-    """The library's union of all dialects."""
+def dialect() -> Mapping[int, Message]:
+    """The library's union of all dialects, by number."""
     from pymavlink.dialects.v20 import all as library
 
     messages = {}
@@ -301,9 +230,48 @@ def dialect() -> Dialect:
             layout_of(definition.unpacker.format, definition.ordered_fieldnames),
             tuple(definition.fieldnames),
             frozenset(field for field, kind in kinds if kind == "char"),
-            definition.instance_field or "",
+            _INSTANCES.get(str(definition.msgname), definition.instance_field or ""),
         )
-    return Dialect(messages, {message.name: number for number, message in messages.items()})
+    return messages
+
+
+def crc_extras() -> dict[int, int]:
+    """CRC_EXTRA by message id."""
+    return {number: message.crc_extra for number, message in dialect().items()}
+
+
+@cache
+def message_of_name() -> Mapping[str, Message]:
+    """The same by name."""
+    return {message.name: message for message in dialect().values()}
+
+
+def name_of(number: int) -> str:
+    """The name of a message, made up where the dialect does not know it."""
+    known = dialect().get(number)
+    return f"UNKNOWN_{number}" if known is None else known.name
+
+
+def wanted_layouts() -> dict[int, np.dtype[Any]]:
+    """The layouts of the messages that channels and clocks are made of, by number.
+
+    Only the fields that are needed for it, each at its place.
+    """
+    wanted = {
+        SYSTEM_TIME: {"time_unix_usec"},
+        PARAM_VALUE: {"param_id", "param_value"},
+        "CAMERA_IMAGE_CAPTURED": {"capture_result", "time_utc"},
+        "STATUSTEXT": {"id", "chunk_seq"},
+    }
+    for key, spec in MESSAGES.items():
+        fields = {name.partition(".")[0] for column in spec.columns for name in column.fields}
+        wanted.setdefault(key.partition(".")[0], set()).update(fields, {LABELS.get(key, "")})
+    result = {}
+    for message in (m for m in dialect().values() if m.name in wanted):
+        kept = wanted[message.name] | {message.instance_field, *CLOCK_FIELDS}
+        names = message.dtype.names or ()
+        result[message.number] = message.dtype[[name for name in names if name in kept]]
+    return result
 
 
 def layout_of(layout: str, fields: list[str]) -> np.dtype[Any]:

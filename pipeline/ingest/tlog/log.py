@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Container
 from functools import partial
 from pathlib import Path
 
@@ -15,7 +16,13 @@ from pipeline.ingest.log import Contents, LogFormat, Table
 from pipeline.ingest.tlog.borrowed_clock import with_borrowed_clocks
 from pipeline.ingest.tlog.channels import channels_of, label_of, times_of
 from pipeline.ingest.tlog.clock import MICROSECOND, Clocks, Key, by_source, clock_field, clocks_of
-from pipeline.ingest.tlog.fields import MESSAGES, Dialect, dialect, wanted_fields
+from pipeline.ingest.tlog.fields import (
+    MESSAGES,
+    crc_extras,
+    message_of_name,
+    name_of,
+    wanted_layouts,
+)
 from pipeline.ingest.tlog.frames import frame_length
 from pipeline.ingest.tlog.scan import SILENT_US, Scan, Silence, scan
 from pipeline.ledger import Ledger
@@ -28,22 +35,21 @@ _LATE = {key for key, spec in MESSAGES.items() if spec.event}
 
 def read_log(path: Path, ledger: Ledger) -> Contents:
     """The contents of a telemetry log."""
-    known = dialect()
-    wanted = wanted_fields()
+    wanted = wanted_layouts()
     with open_view(path) as data:
-        late = {known.numbers[name] for name in _LATE if name in known.numbers}
-        result = scan(data, known.extras, known.layouts(wanted), late)
-    damaged = _report_damage(result, known, set(wanted), path, ledger)
+        late = {number for number in wanted if name_of(number) in _LATE}
+        result = scan(data, crc_extras(), wanted, late)
+    damaged = _report_damage(result, wanted, path, ledger)
     if not result.steady:
         _replace_stray_stamps(result, ledger, path.name)
-    sent = {known.messages[number].name: result.sent.pop(number) for number in [*result.sent]}
+    sent = {name_of(number): result.sent.pop(number) for number in [*result.sent]}
     parts = [part for name, part in sent.items() if name in _CARRIED]
     sources = {int(n) for p in parts for b in p.blocks() for n in np.unique(b["source"])}
     clocks = clocks_of(result.clock.readings({source >> 8 for source in sources}), ledger)
     clocks = with_borrowed_clocks(clocks, parts, ledger)
     channels, parameters = channels_of(sent, clocks, ledger)
     lost = _report_link(result, clocks, channels, path, ledger)
-    counts = {known.name(key): count for key, count in result.counts.items() if count}
+    counts = {name_of(key): count for key, count in result.counts.items() if count}
     return Contents(
         counts, tuple(channels), result.bad_bytes + damaged, lost, clocks.boots,
         clocks.description, partial(_table, path, clocks), parameters,
@@ -59,9 +65,7 @@ def is_tlog(head: bytes) -> bool:
 TLOG = LogFormat("tlog", "MAVLink telemetry", (".tlog", ".rlog"), is_tlog, read_log)
 
 
-def _report_damage(
-    result: Scan, known: Dialect, needed: set[str], path: Path, ledger: Ledger
-) -> int:
+def _report_damage(result: Scan, needed: Container[int], path: Path, ledger: Ledger) -> int:
     """Enter the damage; returns the number of bytes of damaged frames."""
     result.report_bytes(ledger, path.name, "message")
     if result.unknown:
@@ -77,8 +81,8 @@ def _report_damage(
     damaged = 0
     for number, rejected in sorted(result.failed.items()):
         where = f"{path.name}, first at byte {rejected.first}"
-        name = f"{known.name(number)} (id {number})"
-        if result.counts[number] or known.name(number) in needed:
+        name = f"{name_of(number)} (id {number})"
+        if result.counts[number] or number in needed:
             damaged += rejected.size
             what = f"{rejected.count} messages {name} fail their checksum"
             ledger.loss("LOG-CRC", what, where=where, count=rejected.count)
@@ -160,12 +164,11 @@ def _replace_stray_stamps(result: Scan, ledger: Ledger, where: str) -> None:
 
 def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table:
     """All messages of one type with their time, their sender and their fields as sent."""
-    known = dialect()
-    if name not in known.numbers:
+    message = message_of_name().get(name)
+    if message is None:
         return {}
-    message = known.messages[known.numbers[name]]
     with open_view(path) as data:
-        sent = scan(data, known.extras, {message.number: message.dtype}).sent.get(message.number)
+        sent = scan(data, crc_extras(), {message.number: message.dtype}).sent.get(message.number)
     if sent is None:
         return {}
     rows = sent.whole()

@@ -19,7 +19,7 @@ SAMPLE = Path(__file__).resolve().parents[3] / "sample_logs" / "flight.bin"
 def as_32(path: Path, writer: Any) -> bytes:
     """A log as ArduPilot 3.2 would have written it, from one of today with the same content."""
     kinds = ["GPS", "ATT", "BARO", "CAM"]
-    tables = {name: table.columns for name, table in read_tables(path, kinds).items()}
+    tables = read_tables(path, kinds)
     writer.define(20, "GPS", "BIHBcLLeeECfI",
                   "Status,TimeMS,Week,NSats,HDop,Lat,Lng,RelAlt,Alt,Spd,GCrs,VZ,T")  # fmt: skip
     writer.define(21, "ATT", "IccccCC", "TimeMS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
@@ -60,7 +60,7 @@ def as_32(path: Path, writer: Any) -> bytes:
 def last_fixes(path: Path) -> bytes:
     """The log with the time of the last fix in each CAM row, as autopilots write it."""
     tables, data = read_tables(path, ["GPS", "CAM"]), bytearray(path.read_bytes())
-    fixes, shots = tables["GPS"].columns, tables["CAM"].columns
+    fixes, shots = tables["GPS"], tables["CAM"]
     row = np.searchsorted(fixes["TimeUS"], shots["TimeUS"], side="right") - 1
     for k, time_us in enumerate(shots["TimeUS"].tolist()):
         at = data.index(struct.pack("<Q", time_us) + struct.pack("<BH", 0, shots["Img"][k]))
