@@ -130,11 +130,8 @@ def climatology(
     """
     model = ATMOSPHERES.get(name)
     if model is None:
-        raise PhysicsError(
-            "ATMOSPHERE-NAME",
-            f"no climatology is called {name!r}",
-            remedy=f"one of {', '.join(known_names())}",
-        )
+        what = f"no climatology is called {name!r}"
+        raise PhysicsError("ATMOSPHERE-NAME", what, remedy=f"one of {', '.join(known_names())}")
     index = index or IndexModel()
     place = SeasonAndPlace(latitude_rad, month, longitude_rad)
     profile = model.profile(place, index)

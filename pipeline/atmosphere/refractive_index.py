@@ -122,11 +122,9 @@ def refractivity_ciddor(
     271800.0
     """
     if not 0.23e-6 <= wavelength_m <= 2.0e-6:
-        raise PhysicsError(
-            "AIR-WAVELENGTH",
-            f"a wavelength of {wavelength_m:g} m lies outside 0.23e-6 to 2.0e-6 m",
-            remedy="give the wavelength of vacuum in metres, for example 0.55e-6",
-        )
+        what = f"a wavelength of {wavelength_m:g} m lies outside 0.23e-6 to 2.0e-6 m"
+        remedy = "give the wavelength of vacuum in metres, for example 0.55e-6"
+        raise PhysicsError("AIR-WAVELENGTH", what, remedy=remedy)
     t = np.asarray(temperature_k, dtype=np.float64)
     p = np.asarray(pressure_pa, dtype=np.float64)
     with np.errstate(invalid="ignore"):
@@ -171,11 +169,8 @@ class IndexModel:
 
     def __post_init__(self) -> None:
         if self.name not in INDEX_MODELS:
-            raise PhysicsError(
-                "AIR-INDEX",
-                f"no refractive index is called {self.name!r}",
-                remedy=f"one of {', '.join(INDEX_MODELS)}",
-            )
+            what = f"no refractive index is called {self.name!r}"
+            raise PhysicsError("AIR-INDEX", what, remedy=f"one of {', '.join(INDEX_MODELS)}")
 
     def refractivity(
         self, temperature_k: ArrayLike, pressure_pa: ArrayLike, vapour_pressure_pa: ArrayLike

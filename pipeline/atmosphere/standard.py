@@ -79,11 +79,8 @@ class AtmosphereModel:
 def gravity_at(latitude_rad: float) -> Gravity:
     """Normal gravity at a latitude [rad]; raises `PhysicsError` for one beyond the pole."""
     if not abs(latitude_rad) <= math.pi / 2.0 + 1e-12:
-        raise PhysicsError(
-            "ATMOSPHERE-LATITUDE",
-            f"a latitude of {latitude_rad:g} rad lies beyond the pole",
-            remedy="give it in radians",
-        )
+        what = f"a latitude of {latitude_rad:g} rad lies beyond the pole"
+        raise PhysicsError("ATMOSPHERE-LATITUDE", what, remedy="give it in radians")
     return normal_gravity(latitude_rad)
 
 
@@ -130,11 +127,9 @@ def _msis(place: SeasonAndPlace, index: IndexModel) -> Profile:
     try:
         import pymsis
     except ImportError:
-        raise PhysicsError(
-            "ATMOSPHERE-MSIS",
-            "NRLMSIS 2.1 needs the package pymsis, which is not installed",
-            remedy='pip install "unbend[msis]", or take another climatology',
-        ) from None
+        what = "NRLMSIS 2.1 needs the package pymsis, which is not installed"
+        remedy = 'pip install "unbend[msis]", or take another climatology'
+        raise PhysicsError("ATMOSPHERE-MSIS", what, remedy=remedy) from None
     latitude = place.latitude_rad or 0.0
     day = math.floor(((place.month - 1.0) % 12.0) / 12.0 * 365.25) + 14
     h = np.arange(0.0, _MSIS_TOP_M + 1.0, _MSIS_STEP_M)
@@ -226,9 +221,6 @@ def standard_atmosphere(
     """
     model = ATMOSPHERES.get(name)
     if model is None or model.needs_place:
-        raise PhysicsError(
-            "ATMOSPHERE-NAME",
-            f"no standard atmosphere is called {name!r}",
-            remedy=f"one of {', '.join(standard_names())}",
-        )
+        what = f"no standard atmosphere is called {name!r}"
+        raise PhysicsError("ATMOSPHERE-NAME", what, remedy=f"one of {', '.join(standard_names())}")
     return model.profile(SeasonAndPlace(latitude), IndexModel(index, wavelength_m))

@@ -190,11 +190,8 @@ def _nearest_day(flat: str, flight_ns: int | None, ledger: Ledger, where: str) -
     nearest = min(times, key=lambda time: abs(time - flight_ns))
     hours = abs(nearest - flight_ns) / (_DAY_NS / 24)
     if hours > _FAR_HOURS:
-        ledger.warning(
-            "METAR-FAR-IN-TIME",
-            f"the report is {hours:.1f} hours away from the flight",
-            where=where,
-        )
+        what = f"the report is {hours:.1f} hours away from the flight"
+        ledger.warning("METAR-FAR-IN-TIME", what, where=where)
     return nearest
 
 
@@ -240,20 +237,16 @@ def surface_report(
         )
     usual = station_pressure(_SEA_LEVEL_PA, h_m)
     if math.isfinite(pressure_pa) and abs(pressure_pa / usual - 1.0) > 0.08:
-        raise InputError(
-            "SURFACE-PRESSURE",
+        what = (
             f"{pressure_pa / 100.0:.2f} hPa at {h_m:.0f} m is {pressure_pa / usual:.3f} times the "
-            f"usual {usual / 100.0:.0f} hPa",
-            where=where,
-            remedy="pressure_hpa is what the barometer shows there, in hPa, not reduced to sea "
-            "level",
+            f"usual {usual / 100.0:.0f} hPa"
         )
+        remedy = "pressure_hpa is what the barometer shows there, in hPa, not reduced to sea level"
+        raise InputError("SURFACE-PRESSURE", what, where=where, remedy=remedy)
     if math.isfinite(relative_humidity) and not 0.0 <= relative_humidity <= 1.0:
+        what = f"a relative humidity of {relative_humidity:g} is not between 0 and 1"
         raise InputError(
-            "SURFACE-HUMIDITY",
-            f"a relative humidity of {relative_humidity:g} is not between 0 and 1",
-            where=where,
-            remedy="give a fraction: 55 % is 0.55",
+            "SURFACE-HUMIDITY", what, where=where, remedy="give a fraction: 55 % is 0.55"
         )
     p = pressure_pa if math.isfinite(pressure_pa) else usual
     e = float(vapour_pressure(relative_humidity, temperature_k, p))
@@ -262,18 +255,12 @@ def surface_report(
 
 def _refuse_height(h_m: float, where: str) -> None:
     if not _STATION_M[0] <= h_m <= _STATION_M[1]:
+        what = f"a station {h_m:g} m above the sea is not on the ground"
         raise InputError(
-            "SURFACE-HEIGHT",
-            f"a station {h_m:g} m above the sea is not on the ground",
-            where=where,
-            remedy="give its elevation in metres, -500 to 6000",
+            "SURFACE-HEIGHT", what, where=where, remedy="give its elevation in metres, -500 to 6000"
         )
 
 
 def _no_metar(what: str, flat: str, where: str) -> InputError:
-    return InputError(
-        "METAR-PARSE",
-        what,
-        where=f"{where}: {flat[:80]!r}",
-        remedy="give it as the station sent it: METAR EDDF 221150Z 24011KT 9999 SCT040 12/08 Q1013",
-    )
+    remedy = "give it as the station sent it: METAR EDDF 221150Z 24011KT 9999 SCT040 12/08 Q1013"
+    return InputError("METAR-PARSE", what, where=f"{where}: {flat[:80]!r}", remedy=remedy)

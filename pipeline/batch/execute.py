@@ -52,16 +52,12 @@ def run_many(
         lost_again: list[Path] = []
         yield from side_by_side(run_mission, [config], 1, lost_again)
         if lost_again:
-            yield (
-                config,
-                MissionError(
-                    "WORKER-LOST",
-                    "the process that ran this mission died, and so did a second one",
-                    where=str(config),
-                    remedy="the machine may be short of memory: lower output.batch_rows, or run it "
-                    "on a larger one",
-                ),
+            what = "the process that ran this mission died, and so did a second one"
+            remedy = (
+                "the machine may be short of memory: lower output.batch_rows, or run it "
+                "on a larger one"
             )
+            yield (config, MissionError("WORKER-LOST", what, where=str(config), remedy=remedy))
 
 
 def shared_outputs(configs: Sequence[Path]) -> dict[Path, UnbendError]:

@@ -152,12 +152,9 @@ def make_plan(mission: Mission, folder: Path) -> Plan:
                 key = _MISSION_FILE_KEYS.get(
                     role, other.get(role.split()[0], "atmosphere.soundings")
                 )
-                raise InputError(
-                    "INPUT-MISSING",
-                    f"the {role} file is not there",
-                    where=str(path),
-                    remedy=f"check {key} in the mission file; paths are relative to it",
-                )
+                what = f"the {role} file is not there"
+                remedy = f"check {key} in the mission file; paths are relative to it"
+                raise InputError("INPUT-MISSING", what, where=str(path), remedy=remedy)
             _refuse_among_results(role, path, output)
             stamp = _stamp(path, program)
             inputs.append(Input(role, name, path, _hash_input(path, program), stamp, program))
@@ -191,12 +188,9 @@ def refuse_other_mission(plan: Plan, manifest: dict[str, Any] | None) -> None:
 
 def _refuse_among_results(role: str, path: Path, output: Path) -> None:
     if would_replace(output, path):
-        raise ConfigError(
-            "OUTPUT-OVER-INPUT",
-            f"the {role} file is among the results that a run replaces in {output}",
-            where=str(path),
-            remedy="move it elsewhere, or choose another output.path",
-        )
+        what = f"the {role} file is among the results that a run replaces in {output}"
+        remedy = "move it elsewhere, or choose another output.path"
+        raise ConfigError("OUTPUT-OVER-INPUT", what, where=str(path), remedy=remedy)
 
 
 def check_unchanged(plan: Plan) -> None:
@@ -204,12 +198,9 @@ def check_unchanged(plan: Plan) -> None:
     for item in plan.inputs:
         changed = _stamp(item.path, item.program) != item.stamp
         if changed and _hash_input(item.path, item.program) != item.sha256:
-            raise InputError(
-                "INPUT-CHANGED",
-                f"the {item.role} file changed during the run",
-                where=str(item.path),
-                remedy="run again when nothing writes to it",
-            )
+            what = f"the {item.role} file changed during the run"
+            remedy = "run again when nothing writes to it"
+            raise InputError("INPUT-CHANGED", what, where=str(item.path), remedy=remedy)
 
 
 def _hash_input(path: Path, program: str | None) -> str:

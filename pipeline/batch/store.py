@@ -219,12 +219,9 @@ def open_folder(path: Path) -> Iterator[RunFolder]:
 def _refuse_links(path: Path) -> None:
     for name in (_LOCK, _STAGING, *_RESULTS, MANIFEST):
         if (path / name).is_symlink():
-            raise StorageError(
-                "STORAGE-SYMLINK",
-                f"{name} is a symbolic link",
-                where=str(path),
-                remedy="remove it: results are never written through a link",
-            )
+            what = f"{name} is a symbolic link"
+            remedy = "remove it: results are never written through a link"
+            raise StorageError("STORAGE-SYMLINK", what, where=str(path), remedy=remedy)
 
 
 def _locked(path: Path) -> FileLock:
@@ -233,22 +230,16 @@ def _locked(path: Path) -> FileLock:
     try:
         lock.acquire()
     except Timeout:
-        raise OutputInUseError(
-            "OUTPUT-IN-USE",
-            "another process is writing to this folder",
-            where=str(path),
-            remedy="wait for it, or choose another output.path",
-        ) from None
+        what = "another process is writing to this folder"
+        remedy = "wait for it, or choose another output.path"
+        raise OutputInUseError("OUTPUT-IN-USE", what, where=str(path), remedy=remedy) from None
     except PermissionError as error:
         with storage_errors(path):
             raise error
     except (OSError, NotImplementedError) as error:
-        raise StorageError(
-            "STORAGE-LOCK",
-            f"the folder cannot be locked: {error}",
-            where=str(path),
-            remedy="choose an output.path on a disk that can lock files",
-        ) from None
+        what = f"the folder cannot be locked: {error}"
+        remedy = "choose an output.path on a disk that can lock files"
+        raise StorageError("STORAGE-LOCK", what, where=str(path), remedy=remedy) from None
     return lock
 
 
@@ -307,12 +298,9 @@ def read_manifest(path: Path, *, damaged: bool = False) -> dict[str, Any] | None
     ):
         if damaged:
             return None
-        raise StorageError(
-            "MANIFEST-UNREADABLE",
-            "manifest.json is not one that unbend wrote",
-            where=str(path / MANIFEST),
-            remedy="choose another folder, or remove that file and the results beside it",
-        )
+        what = "manifest.json is not one that unbend wrote"
+        remedy = "choose another folder, or remove that file and the results beside it"
+        raise StorageError("MANIFEST-UNREADABLE", what, where=str(path / MANIFEST), remedy=remedy)
     return dict(manifest)
 
 

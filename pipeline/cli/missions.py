@@ -136,11 +136,9 @@ def inspect(
     from pipeline.report.terminal import print_fields, print_log
 
     if (kind is None and (as_csv or instance is not None)) or (kind is not None and as_json):
-        raise ConfigError(
-            "INSPECT-ARGUMENTS",
-            "--csv and --instance go with --type, --json goes without it",
-            remedy="for example: unbend inspect flight.bin --type BARO --csv",
-        )
+        what = "--csv and --instance go with --type, --json goes without it"
+        remedy = "for example: unbend inspect flight.bin --type BARO --csv"
+        raise ConfigError("INSPECT-ARGUMENTS", what, remedy=remedy)
     console = new_console()
     with DelayedProgressBar(console, f"reading {log.name}"):
         opened = open_log(log, needs_channels=kind is None)

@@ -197,8 +197,5 @@ def compare(
 
 def _require_one_atmosphere(config: Path | None, atmosphere: str | None) -> None:
     if (config is None) == (atmosphere is None):
-        raise ConfigError(
-            "PROFILE-ARGUMENTS",
-            "give either a mission file or --atmosphere",
-            remedy="for example: --atmosphere us1976",
-        )
+        what = "give either a mission file or --atmosphere"
+        raise ConfigError("PROFILE-ARGUMENTS", what, remedy="for example: --atmosphere us1976")

@@ -106,12 +106,8 @@ def _named_but_absent(channels: tuple[Channel, ...], role: str, name: str) -> En
     if role == "temperature" and channel is not None and "board_temperature_k" in channel.columns:
         what += "; atmosphere.board_temperature: true takes its board's, less some 10 K"
     if role in _REQUIRED:
-        raise MissionError(
-            "CHANNEL-MISSING",
-            what,
-            where=f"log.channels.{role}",
-            remedy="name a channel as `unbend inspect` prints it",
-        )
+        remedy = "name a channel as `unbend inspect` prints it"
+        raise MissionError("CHANNEL-MISSING", what, where=f"log.channels.{role}", remedy=remedy)
     return loss("CHANNEL-MISSING", what, where=f"log.channels.{role}")
 
 

@@ -237,12 +237,11 @@ def flag_height_misfits(
     if not bool(wrong.any()):
         return stations, ()
     worst = float(np.nanmax(np.abs(misfit[wrong]))) / HECTOPASCAL
-    entry = loss(
-        "STATIONS-HEIGHT",
+    what = (
         f"{int(wrong.sum())} stations are suspect: barometer and GNSS height are up to "
-        f"{worst:.0f} hPa apart there, the first {stations.image[np.argmax(wrong)]}",
-        count=int(wrong.sum()),
+        f"{worst:.0f} hPa apart there, the first {stations.image[np.argmax(wrong)]}"
     )
+    entry = loss("STATIONS-HEIGHT", what, count=int(wrong.sum()))
     off_m = np.abs(misfit) * _SCALE_M_PER_K * profile.temperature(stations.h_msl_m)
     off_m = off_m / stations.pressure_pa
     reason = "barometer and GNSS height contradict each other"

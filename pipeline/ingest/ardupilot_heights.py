@@ -33,12 +33,11 @@ def with_both_heights(
     """
     ellipsoidal = selects_ellipsoid(parameters.get(HEIGHT_OPTION, 0.0))
     if ellipsoidal:
-        ledger.note(
-            "HEIGHT-ELLIPSOID",
+        what = (
             f"the parameter {HEIGHT_OPTION} selects GNSS heights above the ellipsoid: all heights "
-            "of this log are, except those that are computed with the undulation",
-            where=where,
+            "of this log are, except those that are computed with the undulation"
         )
+        ledger.note("HEIGHT-ELLIPSOID", what, where=where)
     result = []
     for channel in channels:
         columns = dict(channel.columns)

@@ -139,11 +139,9 @@ def report_timeline(line: Timeline, ledger: Ledger) -> None:
     """Enter stray stamps and silences of a log whose places are bytes."""
     if line.stray.any():
         count = int(line.length[line.stray].sum())
+        what = f"{count} records carry a time that fits none of their neighbours"
         ledger.loss(
-            "TIME-STRAY",
-            f"{count} records carry a time that fits none of their neighbours",
-            where=f"first at byte {int(line.first[line.stray][0])}",
-            count=count,
+            "TIME-STRAY", what, where=f"first at byte {int(line.first[line.stray][0])}", count=count
         )
     after, silence = line.silences()
     if after.size:
@@ -252,13 +250,11 @@ def fit_boot_clock(
         row = np.searchsorted(source.places, at_silence)
         decided |= boots[row] == boots[row + 1]
     if line.boots > known:
-        ledger.warning(
-            "TIME-REBOOT",
+        what = (
             f"{line.boots - known} times UTC and the time since boot disagree before and after "
-            "a silence: the vehicle was restarted, though its time is later",
-            where=where,
-            count=line.boots - known,
+            "a silence: the vehicle was restarted, though its time is later"
         )
+        ledger.warning("TIME-REBOOT", what, where=where, count=line.boots - known)
     fits, known_utc = [], []
     for number in range(line.boots):
         place = f"{where}, boot {number}".removeprefix(", ")
@@ -268,12 +264,11 @@ def fit_boot_clock(
         if fit is None and spare:
             fit = _fit_boot(line, number, spare[0])
         if fit is None:
-            ledger.fallback(
-                "TIME-NO-UTC",
+            what = (
                 f"no {utc_of}: time counts from boot, as if in 1970; events in this log can be "
-                "used, matching by UTC is impossible",
-                where=place,
+                "used, matching by UTC is impossible"
             )
+            ledger.fallback("TIME-NO-UTC", what, where=place)
         fits.append(fit)
     return BootClock(line, tuple(fits), tuple(known_utc))
 
@@ -330,11 +325,9 @@ def _best_fit(
     for source, fit in fits:
         apart = fit.offset_ns - best.offset_ns
         if abs(apart) > BOOT_STEP_NS:
-            ledger.loss(
-                "TIME-SOURCES",
+            what = (
                 f"{fit.rows} {source.source} give a UTC {apart / 1e9:+.3f} s from that of "
-                f"{best.rows} {chosen.source}, which are used",
-                where=place,
-                count=fit.rows,
+                f"{best.rows} {chosen.source}, which are used"
             )
+            ledger.loss("TIME-SOURCES", what, where=place, count=fit.rows)
     return best

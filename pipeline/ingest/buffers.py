@@ -63,12 +63,9 @@ class FileView:
             while count < length and (more := self._stream.readinto(fetched[count:].data)):
                 count += more
             if count < length:
-                raise LogError(
-                    "LOG-CHANGED",
-                    f"it had {self.size} bytes and now ends at byte {first + count}",
-                    where=self.name,
-                    remedy="wait until the log is complete, and read it again",
-                )
+                what = f"it had {self.size} bytes and now ends at byte {first + count}"
+                remedy = "wait until the log is complete, and read it again"
+                raise LogError("LOG-CHANGED", what, where=self.name, remedy=remedy)
             self._begin, self._bytes = first, fetched
         return self._bytes[begin - self._begin : end - self._begin]
 

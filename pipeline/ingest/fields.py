@@ -201,12 +201,9 @@ def in_stated_unit(channel: Channel, role: str, unit: str) -> Channel:
     """
     column, factor, offset = STATED_UNITS[unit]
     if column not in ROLE_COLUMNS[role]:
-        raise MissionError(
-            "CHANNEL-UNIT",
-            f"{unit} is no unit of {role.replace('_', ' ')}",
-            where=f"log.channels.{role}",
-            remedy=f"its column is {', '.join(ROLE_COLUMNS[role])}",
-        )
+        what = f"{unit} is no unit of {role.replace('_', ' ')}"
+        remedy = f"its column is {', '.join(ROLE_COLUMNS[role])}"
+        raise MissionError("CHANNEL-UNIT", what, where=f"log.channels.{role}", remedy=remedy)
     raw = channel.columns.get("value")
     if raw is None and column in channel.columns:
         logged = channel.logged_units.get(column, "")

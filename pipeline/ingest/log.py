@@ -99,12 +99,8 @@ class Log(Contents):
         for channel in self.channels:
             if channel.name == name:
                 return channel
-        raise LogError(
-            "LOG-NO-CHANNEL",
-            f"no channel {name}",
-            where=str(self.path),
-            remedy=_available(name, [channel.name for channel in self.channels]),
-        )
+        remedy = _available(name, [channel.name for channel in self.channels])
+        raise LogError("LOG-NO-CHANNEL", f"no channel {name}", where=str(self.path), remedy=remedy)
 
     def to_pandas(self, name: str) -> Any:
         """One channel as a pandas DataFrame indexed by UTC time."""
@@ -126,21 +122,15 @@ class Log(Contents):
         in them. Raises LogError (LOG-NO-TYPE, LOG-NO-TABLE).
         """
         if name not in self.messages:
-            raise LogError(
-                "LOG-NO-TYPE",
-                f"no message of type {name}",
-                where=str(self.path),
-                remedy=_available(name, sorted(self.messages)),
-            )
+            what = f"no message of type {name}"
+            remedy = _available(name, sorted(self.messages))
+            raise LogError("LOG-NO-TYPE", what, where=str(self.path), remedy=remedy)
         columns = self.table(name, instance) if self.table else {}
         if not columns:
             which = "" if instance is None else f", instance {instance},"
-            raise LogError(
-                "LOG-NO-TABLE",
-                f"{name}{which} has no rows that can be laid out in columns",
-                where=str(self.path),
-                remedy="choose another type or instance of `unbend inspect`",
-            )
+            what = f"{name}{which} has no rows that can be laid out in columns"
+            remedy = "choose another type or instance of `unbend inspect`"
+            raise LogError("LOG-NO-TABLE", what, where=str(self.path), remedy=remedy)
         return columns
 
     def message_to_pandas(self, name: str, instance: str | None = None) -> Any:
@@ -201,13 +191,11 @@ class DamagedBytes:
             where = f"{name}, first at byte {self.first_bad}"
             ledger.loss("LOG-BAD-BYTES", what, where=where, count=self.bad_bytes)
         if self.cut_bytes:
-            ledger.loss(
-                "LOG-TRUNCATED",
+            what = (
                 f"the last {unit} is cut off after {self.cut_bytes} bytes, as when the power is "
-                "lost: this format has no end mark; every whole one before it was read",
-                where=name,
-                count=self.cut_bytes,
+                "lost: this format has no end mark; every whole one before it was read"
             )
+            ledger.loss("LOG-TRUNCATED", what, where=name, count=self.cut_bytes)
 
 
 def utc_text(time_ns: int) -> str:

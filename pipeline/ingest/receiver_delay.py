@@ -68,19 +68,15 @@ def with_receiver_delay(contents: Contents, ledger: Ledger) -> Contents:
     for channel in fixes:
         same_system = [c for c in fused if c.source.system == channel.source.system]
         estimates = (estimated_delay(channel, c) for c in same_system)
-        known = [estimate for estimate in estimates if estimate is not None]
-        delays[channel.name] = (
-            known[0] if known else stated_delay(channel, contents.parameters, texts)
-        )
+        known = next((estimate for estimate in estimates if estimate is not None), None)
+        delays[channel.name] = known or stated_delay(channel, contents.parameters, texts)
     first = max(fixes, key=len)  # UTC is from the receiver with the most rows
     utc = delays[first.name]
-    ledger.note(
-        "TIME-FIT",
+    what = (
         f"UTC is accurate to {utc.sigma_s * 1e3:.0f} ms (1 sigma): fixes are stamped "
-        f"{utc.delay_s * 1e3:.0f} ms after their epoch, {utc.origin}",
-        where=first.name,
-        count=len(first),
+        f"{utc.delay_s * 1e3:.0f} ms after their epoch, {utc.origin}"
     )
+    ledger.note("TIME-FIT", what, where=first.name, count=len(first))
     later_ns = round(utc.delay_s * 1e9)
 
     def moved(channel: Channel) -> Channel:
@@ -93,9 +89,9 @@ def with_receiver_delay(contents: Contents, ledger: Ledger) -> Contents:
 
     def table(name: str, instance: str | None) -> Table:
         columns = inner(name, instance) if inner else {}
-        return columns | (
-            {"time_ns": columns["time_ns"] + later_ns} if "time_ns" in columns else {}
-        )
+        if "time_ns" in columns:
+            columns["time_ns"] = columns["time_ns"] + later_ns
+        return columns
 
     channels = tuple(moved(channel) for channel in contents.channels)
     return replace(contents, channels=channels, table=inner and table, utc_sigma_s=utc.sigma_s)

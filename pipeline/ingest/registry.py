@@ -57,12 +57,8 @@ def open_log(path: Path | str, sha256: str | None = None, *, needs_channels: boo
             raise LogError("LOG-MISSING", what, where=str(path), remedy="check the path of the log")
         size = path.stat().st_size
         if size == 0:
-            raise LogError(
-                "LOG-EMPTY",
-                "the file has 0 bytes",
-                where=str(path),
-                remedy="copy it again from the vehicle or the ground station",
-            )
+            remedy = "copy it again from the vehicle or the ground station"
+            raise LogError("LOG-EMPTY", "the file has 0 bytes", where=str(path), remedy=remedy)
         with path.open("rb") as stream:
             head = stream.read(HEAD_BYTES)
         form = _format_of(path, head)
@@ -72,12 +68,9 @@ def open_log(path: Path | str, sha256: str | None = None, *, needs_channels: boo
         contents = _read(form, path, ledger, needs_channels)
         sha256 = sha256 or hash_file(path)
     except OSError as error:
-        raise LogError(
-            "LOG-UNREADABLE",
-            f"the system cannot read it: {error.strerror or error}",
-            where=str(path),
-            remedy="check its permissions and the disk, or copy it again",
-        ) from error
+        what = f"the system cannot read it: {error.strerror or error}"
+        remedy = "check its permissions and the disk, or copy it again"
+        raise LogError("LOG-UNREADABLE", what, where=str(path), remedy=remedy) from error
     channels = contents.channels
     return Log(
         **vars(contents),
@@ -96,22 +89,15 @@ def _format_of(path: Path, head: bytes) -> LogFormat:
     named = next((form for form in FORMATS if extension in form.extensions), None)
     actual = next((form for form in FORMATS if form.matches(head)), None)
     if actual is not None and actual is not named:
-        raise LogError(
-            "LOG-FORMAT",
-            f"its content is {actual.title}, its extension is {extension or 'missing'}",
-            where=str(path),
-            remedy=f"rename it to end in {actual.extensions[0]} if this is the intended log",
-        )
+        what = f"its content is {actual.title}, its extension is {extension or 'missing'}"
+        remedy = f"rename it to end in {actual.extensions[0]} if this is the intended log"
+        raise LogError("LOG-FORMAT", what, where=str(path), remedy=remedy)
     for mark, what, remedy in _UNREADABLE:
         if actual is None and head.startswith(mark):
             raise LogError("LOG-FORMAT", f"the file is {what}", where=str(path), remedy=remedy)
     if named is None:
-        raise LogError(
-            "LOG-FORMAT",
-            f"neither content nor extension ({extension or 'none'}) is one of a known format",
-            where=str(path),
-            remedy=f"give one of {KNOWN}",
-        )
+        what = f"neither content nor extension ({extension or 'none'}) is one of a known format"
+        raise LogError("LOG-FORMAT", what, where=str(path), remedy=f"give one of {KNOWN}")
     return named  # a log with a damaged beginning: its reader decides
 
 
@@ -125,12 +111,9 @@ def _read(form: LogFormat, path: Path, ledger: Ledger, needs_channels: bool) -> 
     channels = sorted((c for c in channels if len(c)), key=lambda channel: channel.name)
     if not contents.messages:
         damage = "".join(f"; {entry.what} ({entry.where})" for entry in list(ledger)[:2])
-        raise LogError(
-            "LOG-FORMAT",
-            f"no whole message of {form.title} in {path.stat().st_size} bytes{damage}",
-            where=str(path),
-            remedy=f"check that it is the whole log; known are {KNOWN}",
-        )
+        what = f"no whole message of {form.title} in {path.stat().st_size} bytes{damage}"
+        remedy = f"check that it is the whole log; known are {KNOWN}"
+        raise LogError("LOG-FORMAT", what, where=str(path), remedy=remedy)
     if needs_channels and all(channel.is_evidence for channel in channels):
         kinds = ", ".join(sorted(contents.messages)[:12])
         raise LogError(

@@ -53,11 +53,9 @@ def one_angle(
     61.778543
     """
     if distance is not None and not 0.0 < distance < math.inf:
-        raise PhysicsError(
-            "ANGLE-DISTANCE",
-            f"a slant range of {distance:g} m is none",
-            remedy="give the straight distance from camera to target in metres, or leave it out",
-        )
+        what = f"a slant range of {distance:g} m is none"
+        remedy = "give the straight distance from camera to target in metres, or leave it out"
+        raise PhysicsError("ANGLE-DISTANCE", what, remedy=remedy)
     air = standard_atmosphere(atmosphere, index=index)
     zeta = nadir_angle * DEGREE
     r_c, status = angle_and_status(
@@ -150,17 +148,12 @@ def radial_table(
             remedy="choose a largest nadir angle of more than 0 and less than 90 degrees",
         )
     if not h_c > h_g:
-        raise PhysicsError(
-            "RADIAL-HEIGHTS",
-            f"a camera at {h_c:g} m is not above a ground at {h_g:g} m",
-            remedy="give both in metres above sea level, the camera's the greater",
-        )
+        what = f"a camera at {h_c:g} m is not above a ground at {h_g:g} m"
+        remedy = "give both in metres above sea level, the camera's the greater"
+        raise PhysicsError("RADIAL-HEIGHTS", what, remedy=remedy)
     if focal_px is not None and not 0.0 < focal_px < math.inf:
-        raise PhysicsError(
-            "RADIAL-FOCAL",
-            f"a principal distance of {focal_px:g} px is none",
-            remedy="give it in pixels",
-        )
+        what = f"a principal distance of {focal_px:g} px is none"
+        raise PhysicsError("RADIAL-FOCAL", what, remedy="give it in pixels")
     k = refraction_angle(profile, h_c, h_g, 45.0 * DEGREE, radius, method=method)
     air = rays_by(profile, method)
     r_c, status = bend(air, h_c, h_g, np.sin(zeta), np.cos(zeta), radius=radius)
@@ -180,11 +173,9 @@ def angles_to(largest_deg: float, step_deg: float = 5.0) -> Array:
     [0.0, 5.0, 10.0, 12.0]
     """
     if not (0.0 < largest_deg < 90.0 and step_deg > 0.0):
-        raise PhysicsError(
-            "RADIAL-ANGLE",
-            f"nadir angles to {largest_deg:g} degrees in steps of {step_deg:g} make no table",
-            remedy="choose a largest nadir angle of more than 0 and less than 90 degrees",
-        )
+        what = f"nadir angles to {largest_deg:g} degrees in steps of {step_deg:g} make no table"
+        remedy = "choose a largest nadir angle of more than 0 and less than 90 degrees"
+        raise PhysicsError("RADIAL-ANGLE", what, remedy=remedy)
     steps = np.arange(0.0, largest_deg - 1e-9 * step_deg, step_deg)
     return np.append(steps, largest_deg) * DEGREE
 

@@ -94,11 +94,8 @@ def rays_by(profile: Profile, method: str) -> RayTable | PublishedRays:
     if method == "spherical":
         return ray_table(profile)
     if method not in PUBLISHED:
-        raise PhysicsError(
-            "METHOD-NAME",
-            f"no refraction method is called {method!r}",
-            remedy=f"one of {', '.join(METHODS)}",
-        )
+        what = f"no refraction method is called {method!r}"
+        raise PhysicsError("METHOD-NAME", what, remedy=f"one of {', '.join(METHODS)}")
     return PublishedRays(profile, PUBLISHED[method])
 
 

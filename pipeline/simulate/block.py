@@ -190,10 +190,9 @@ def choose_points(
             kept.append(candidate)
             room[images] -= 1
     if not pairs:
+        what = f"no ground point is seen by {FEWEST_IMAGES} of the {count} images"
         raise MissionError(
-            "SIM-POINTS",
-            f"no ground point is seen by {FEWEST_IMAGES} of the {count} images",
-            remedy="fly more exposures a line, or lower the focal length",
+            "SIM-POINTS", what, remedy="fly more exposures a line, or lower the focal length"
         )
     pairs.sort()
     station, point = np.array(pairs, np.int64).T

@@ -50,11 +50,9 @@ class SimulationOptions:
         for name, (low, high) in _LIMITS.items():
             value = getattr(self, name)
             if not low <= value <= high:
+                what = f"{name} is {value}, outside {low} to {high}"
                 raise ConfigError(
-                    "SIM-OPTION",
-                    f"{name} is {value}, outside {low} to {high}",
-                    where=name,
-                    remedy=f"choose {name} between {low} and {high}",
+                    "SIM-OPTION", what, where=name, remedy=f"choose {name} between {low} and {high}"
                 )
 
 

@@ -18,7 +18,10 @@ def words_of_remedies() -> dict[str, set[str]]:
     found: dict[str, set[str]] = {}
     for path in PACKAGE.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if not (isinstance(node, ast.keyword) and node.arg == "remedy"):
+            stated = isinstance(node, ast.keyword) and node.arg == "remedy"
+            if isinstance(node, ast.Assign):  # ... or stated on a line of its own
+                stated = any(isinstance(t, ast.Name) and t.id == "remedy" for t in node.targets)
+            if not (stated and isinstance(node, ast.keyword | ast.Assign)):
                 continue
             for part in ast.walk(node.value):
                 if isinstance(part, ast.Constant) and isinstance(part.value, str):

@@ -315,20 +315,16 @@ def _note_estimate(candidate: Candidate, made: Estimate, ledger: Ledger) -> None
             remark = "robust weights let the other readings prevail"
             if fit.sigma_inflation > MISFIT:
                 remark = f"sigma inflation factor {fit.sigma_inflation:.0f}"
-            ledger.warning(
-                "AIR-MISFIT",
+            what = (
                 f"residuals of {fit.name} ({fit.quantity}) are {fit.rms:.1f} times what its errors "
-                f"explain: {remark}",
-                where=fit.name,
-                count=fit.count,
+                f"explain: {remark}"
             )
+            ledger.warning("AIR-MISFIT", what, where=fit.name, count=fit.count)
     for name, rejected in made.readings.rejected.items():
         if bool(rejected.any()):
             sensor = getattr(candidate.samples, name)
-            ledger.note(
-                "AIR-OUTLIERS",
+            what = (
                 f"{int(rejected.sum())} of {int(sensor.accepted.sum())} readings are far from "
-                "their neighbours in height and time and are not used",
-                where=sensor.name,
-                count=int(rejected.sum()),
+                "their neighbours in height and time and are not used"
             )
+            ledger.note("AIR-OUTLIERS", what, where=sensor.name, count=int(rejected.sum()))

@@ -169,37 +169,32 @@ def note_source_distances(
     for sounding in soundings:
         name = sounding.name
         if sounding.time_ns is None:
-            ledger.fallback(
-                "SOUNDING-UNDATED",
+            what = (
                 f"the sounding has no time: it is taken as {UNDATED_SOUNDING_H:.0f} hours from the "
-                "flight",
-                where=name,
+                "flight"
             )
+            ledger.fallback("SOUNDING-UNDATED", what, where=name)
         metres = flight.metres_from(sounding.latitude_rad, sounding.longitude_rad)
         if not math.isfinite(metres) and math.isfinite(flight.latitude_rad):
-            ledger.fallback(
-                "SOUNDING-UNPLACED",
+            what = (
                 f"the sounding has no position: it is taken as {UNPLACED_M / 1e3:.0f} km from the "
-                "flight",
-                where=name,
+                "flight"
             )
+            ledger.fallback("SOUNDING-UNPLACED", what, where=name)
         if metres > FAR_M:
             growth = variance_growth(0.0, metres)
             worth = f"temperatures are {SPREAD_K * math.sqrt(growth):.1f} K less certain for that"
-            ledger.warning(
-                "SOUNDING-FAR-AWAY",
-                f"the sounding is {metres / 1e3:.0f} km from the flight: "
-                + (worth if growth <= MOST_GROWTH else "it has no information on its air"),
-                where=name,
+            what = f"the sounding is {metres / 1e3:.0f} km from the flight: " + (
+                worth if growth <= MOST_GROWTH else "it has no information on its air"
             )
+            ledger.warning("SOUNDING-FAR-AWAY", what, where=name)
     for report in surface:
         if report.time_ns is None and flight.time_ns is not None:
-            ledger.fallback(
-                "SURFACE-UNDATED",
+            what = (
                 f"the report has no time: it is taken as {UNDATED_REPORT_H:.0f} hours from the "
-                "flight",
-                where=report.name,
+                "flight"
             )
+            ledger.fallback("SURFACE-UNDATED", what, where=report.name)
 
 
 def sounding_departures(

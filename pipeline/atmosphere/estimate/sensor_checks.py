@@ -81,12 +81,8 @@ def subtract_known_biases(
         rest[fault] = SensorCalibration(0.0, known.sigma, known.mean)
         texts.append(f"{FAULT_TEXTS[fault]} of {readings.name} {known.mean:g}")
     if texts:
-        ledger.note(
-            "AIR-CALIBRATED",
-            f"subtracted from the readings by the mission file: {'; '.join(texts)}",
-            where="atmosphere.sensors",
-            count=len(texts),
-        )
+        what = f"subtracted from the readings by the mission file: {'; '.join(texts)}"
+        ledger.note("AIR-CALIBRATED", what, where="atmosphere.sensors", count=len(texts))
     return replace(samples, **corrected), replace(settings, calibration=rest)
 
 
@@ -125,12 +121,8 @@ def note_unused_calibration(faults: set[SensorFault], ledger: Ledger) -> None:
     """Report stated calibrations of faults that no sensor in use has."""
     if faults:
         texts = sorted(FAULT_TEXTS[fault] for fault in faults)
-        ledger.note(
-            "AIR-CALIBRATION-UNUSED",
-            f"no sensor in use has a {', '.join(texts)}",
-            where="atmosphere.sensors",
-            count=len(faults),
-        )
+        what = f"no sensor in use has a {', '.join(texts)}"
+        ledger.note("AIR-CALIBRATION-UNUSED", what, where="atmosphere.sensors", count=len(faults))
 
 
 def usable_sensors(
@@ -164,25 +156,23 @@ def usable_sensors(
         return samples
     disagreement = _disagreement(temperature, pressure, standard)
     if disagreement is not None:
-        ledger.loss(
-            "AIR-THERMOMETER",
+        what = (
             f"{temperature.name} {disagreement} against what {pressure.name} and GNSS height "
-            "imply: it does not measure the air outside and is not used (log.channels.temperature)",
-            where=temperature.name,
+            "imply: it does not measure the air outside and is not used (log.channels.temperature)"
         )
+        ledger.loss("AIR-THERMOMETER", what, where=temperature.name)
         return replace(samples, temperature=None)
     extent = temperature.extent_m
     if STUCK_M <= extent < 2.0 * HALF_TO_COMPARE_M:
         height = standard.gravity.geopotential_height(temperature.h_m)
         _, binned = bin_by_height(height, temperature, BIN_M)
         if binned.size and np.ptp(binned) < ISOTHERMAL_K:
-            ledger.warning(
-                "AIR-ISOTHERMAL",
+            what = (
                 f"{temperature.name} reads the same within {np.ptp(binned):.1f} K over "
                 f"{extent:.0f} m: if it is indoors its temperatures are not those of the air "
-                "outside, and over so little height the barometer cannot show it",
-                where=temperature.name,
+                "outside, and over so little height the barometer cannot show it"
             )
+            ledger.warning("AIR-ISOTHERMAL", what, where=temperature.name)
     return samples
 
 
@@ -193,25 +183,22 @@ def _without_stuck(sensor: SensorSamples | None, name: str, ledger: Ledger) -> S
     stuck = _stuck(sensor, name)
     if not bool(stuck.any()):
         return sensor
-    ledger.loss(
-        "AIR-STUCK",
+    what = (
         f"{int(stuck.sum())} of {int(sensor.accepted.sum())} readings of {sensor.name} are exactly "
         f"{sensor.value[stuck][0]:.6g} over {np.ptp(sensor.h_m[stuck]):.0f} m of height: the "
-        "sensor is stuck, and they are not used",
-        where=sensor.name,
-        count=int(stuck.sum()),
+        "sensor is stuck, and they are not used"
     )
+    ledger.loss("AIR-STUCK", what, where=sensor.name, count=int(stuck.sum()))
     kept = replace(sensor, accepted=sensor.accepted & ~stuck)
     return kept if bool(kept.accepted.any()) else None
 
 
 def _reject_pressure(pressure: SensorSamples, what: str, ledger: Ledger) -> None:
-    ledger.loss(
-        "AIR-NOT-OUTSIDE",
+    text = (
         f"the pressure of {pressure.name} {what} over {pressure.extent_m:.0f} m of GNSS height: "
-        "it is not that of the air outside and is not used",
-        where=pressure.name,
+        "it is not that of the air outside and is not used"
     )
+    ledger.loss("AIR-NOT-OUTSIDE", text, where=pressure.name)
 
 
 def _stuck(sensor: SensorSamples, name: str) -> NDArray[np.bool_]:

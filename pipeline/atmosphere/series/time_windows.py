@@ -184,12 +184,11 @@ def estimate_windows(
             f"{largest:.2f} % at most, {departure:.1f} sigma",
         )
         return ()
-    ledger.note(
-        "AIR-WINDOWS",
+    what = (
         f"the air changes: {len(parts)} windows in {hours:.1f} h, R departs from that of the whole "
-        f"flight by up to {largest:.2f} %, {departure:.1f} sigma",
-        count=len(parts),
+        f"flight by up to {largest:.2f} %, {departure:.1f} sigma"
     )
+    ledger.note("AIR-WINDOWS", what, count=len(parts))
     for w in windows:
         if w.why_not:
             when = np.datetime64(w.air.time_ns, "ns").astype("datetime64[s]")

@@ -81,12 +81,9 @@ def _blocks(text: str, where: str) -> Iterator[tuple[str, list[str], int]]:
     lines = text.splitlines()
     heads = [i for i, line in enumerate(lines) if line.startswith("#")]
     if not heads:
-        raise InputError(
-            "SOUNDING-FORMAT",
-            "is no IGRA file: none of its lines begins with # as the header of a sounding does",
-            where=where,
-            remedy="leave out format, or name the one that the file has",
-        )
+        what = "is no IGRA file: none of its lines begins with # as the header of a sounding does"
+        remedy = "leave out format, or name the one that the file has"
+        raise InputError("SOUNDING-FORMAT", what, where=where, remedy=remedy)
     for head, after in zip(heads, [*heads[1:], len(lines)], strict=True):
         if not _HEADER.match(lines[head]):
             raise InputError(

@@ -64,12 +64,11 @@ def check_levels(
     refuse_wrong_units(raw)
     latitude = raw.latitude_rad if math.isfinite(raw.latitude_rad) else latitude_rad
     if not math.isfinite(latitude):
-        ledger.fallback(
-            "SOUNDING-LATITUDE",
+        what = (
             "the sounding's latitude is not known: its heights are those of 45 degrees, at most "
-            "27 m wrong at 10 km",
-            where=raw.where,
+            "27 m wrong at 10 km"
         )
+        ledger.fallback("SOUNDING-LATITUDE", what, where=raw.where)
         latitude = _UNKNOWN_LATITUDE_RAD
     gravity = normal_gravity(latitude)
     if not raw.geopotential:
@@ -186,41 +185,27 @@ def _refuse_few(raw: RawLevels) -> RawLevels:
 def _complete_levels(raw: RawLevels, ledger: Ledger) -> RawLevels:
     """The levels with possible pressure and temperature, by falling pressure."""
     if raw.lines_missing > 0:
-        ledger.loss(
-            "SOUNDING-TRUNCATED",
-            f"the header announces {raw.lines_missing} levels more than there are",
-            where=raw.where,
-            count=raw.lines_missing,
-        )
+        what = f"the header announces {raw.lines_missing} levels more than there are"
+        ledger.loss("SOUNDING-TRUNCATED", what, where=raw.where, count=raw.lines_missing)
     p, t = raw.pressure_pa, raw.temperature_k
     has = np.isfinite(p) & np.isfinite(t)
     possible = (p > 0.0) & (p <= _HIGHEST_PA) & (t >= _COLDEST_K) & (t <= _WARMEST_K)
     missing, impossible = int((~has).sum()), int((has & ~possible).sum())
     if missing:
-        ledger.note(
-            "SOUNDING-MISSING",
-            f"{missing} of {p.size} levels have no pressure or no temperature, and are not used",
-            where=raw.where,
-            count=missing,
-        )
+        what = f"{missing} of {p.size} levels have no pressure or no temperature, and are not used"
+        ledger.note("SOUNDING-MISSING", what, where=raw.where, count=missing)
     if impossible:
         worst = int(np.flatnonzero(has & ~possible)[0])
-        ledger.loss(
-            "SOUNDING-RANGE",
+        what = (
             f"{impossible} levels have values that no air has, the first {p[worst] / 100.0:.1f} hPa"
-            f" and {t[worst]:.1f} K",
-            where=raw.where,
-            count=impossible,
+            f" and {t[worst]:.1f} K"
         )
+        ledger.loss("SOUNDING-RANGE", what, where=raw.where, count=impossible)
     raw = _refuse_few(_take(raw, has & possible))
     up = int((np.diff(raw.pressure_pa) > 0.0).sum())
     if up:
-        ledger.warning(
-            "SOUNDING-UNSORTED",
-            f"pressure rises {up} times from one level to the next: the levels are put in order",
-            where=raw.where,
-            count=up,
-        )
+        what = f"pressure rises {up} times from one level to the next: the levels are put in order"
+        ledger.warning("SOUNDING-UNSORTED", what, where=raw.where, count=up)
         raw = _take(raw, np.argsort(-raw.pressure_pa, kind="stable"))
     return raw
 
@@ -248,25 +233,21 @@ def _vapour_pressure(raw: RawLevels, ledger: Ledger) -> Array:
         e = np.where(np.isfinite(e), e, vapour_pressure(raw.relative_humidity, t, p))
     negative = np.isfinite(e) & (e < 0.0)
     if bool(negative.any()):
+        what = f"{int(negative.sum())} levels have a humidity below zero: taken as unknown"
         ledger.warning(
-            "SOUNDING-HUMIDITY-NEGATIVE",
-            f"{int(negative.sum())} levels have a humidity below zero: taken as unknown",
-            where=raw.where,
-            count=int(negative.sum()),
+            "SOUNDING-HUMIDITY-NEGATIVE", what, where=raw.where, count=int(negative.sum())
         )
         e[negative] = np.nan
     saturated = vapour_pressure(1.0, t, p)
     # A rounded dew point, 0.05 K of it, may pass saturation by 0.4 %: not reported.
     over = np.isfinite(e) & (e > saturated * 1.005)
     if bool(over.any()):
-        ledger.warning(
-            "SOUNDING-HUMIDITY-OVER",
+        what = (
             f"{int(over.sum())} levels have a dew point above the temperature or more than "
             f"100 % humidity, at most {100.0 * np.max(e[over] / saturated[over]):.0f} %: taken as "
-            "saturated",
-            where=raw.where,
-            count=int(over.sum()),
+            "saturated"
         )
+        ledger.warning("SOUNDING-HUMIDITY-OVER", what, where=raw.where, count=int(over.sum()))
     return np.asarray(np.minimum(e, saturated))
 
 
@@ -280,23 +261,16 @@ def _heights(raw: RawLevels, start: float, ledger: Ledger) -> Array:
     rise = np.concatenate([[0.0], np.cumsum(steps)])
     if not bool(np.isfinite(h).any()):
         if not math.isfinite(start):
-            raise InputError(
-                "SOUNDING-HEIGHT",
-                f"none of the {h.size} levels has a height",
-                where=raw.where,
-                remedy="give the height of the station above the sea as station_h_msl_m",
-            )
+            what = f"none of the {h.size} levels has a height"
+            remedy = "give the height of the station above the sea as station_h_msl_m"
+            raise InputError("SOUNDING-HEIGHT", what, where=raw.where, remedy=remedy)
         h[0] = start
     known = np.isfinite(h)
     refuse_wrong_heights(raw, h[known], rise[known])
     if not bool(known.all()):
         count = int((~known).sum())
-        ledger.fallback(
-            "SOUNDING-HEIGHTS",
-            f"{count} levels have no height: it is computed from pressure and temperature",
-            where=raw.where,
-            count=count,
-        )
+        what = f"{count} levels have no height: it is computed from pressure and temperature"
+        ledger.fallback("SOUNDING-HEIGHTS", what, where=raw.where, count=count)
         # The departure of the reported heights from the hypsometric ones, carried to the gaps.
         h = np.where(known, h, rise + np.interp(rise, rise[known], (h - rise)[known]))
     return h
@@ -313,12 +287,8 @@ def _rising_levels(raw: RawLevels, ledger: Ledger) -> RawLevels:
     raw = _mean_of_runs(raw, np.round(raw.h_m, 2))
     merged = before - raw.pressure_pa.size
     if merged:
-        ledger.note(
-            "SOUNDING-DUPLICATE",
-            f"{merged} levels repeat the pressure or the height of another: averaged",
-            where=raw.where,
-            count=merged,
-        )
+        what = f"{merged} levels repeat the pressure or the height of another: averaged"
+        ledger.note("SOUNDING-DUPLICATE", what, where=raw.where, count=merged)
     # The longest strictly increasing subsequence of heights, by patience sorting.
     tails: list[int] = []
     before_it = np.full(raw.h_m.size, -1, dtype=np.intp)
@@ -333,13 +303,11 @@ def _rising_levels(raw: RawLevels, ledger: Ledger) -> RawLevels:
     dropped = raw.h_m.size - keep.size
     if dropped:
         out = np.setdiff1d(np.arange(raw.h_m.size), keep)[0]
-        ledger.warning(
-            "SOUNDING-ORDER",
+        what = (
             f"{dropped} levels stand lower than one of higher pressure, the first at "
-            f"{raw.h_m[out]:.0f} m and {raw.pressure_pa[out] / 100.0:.1f} hPa: not used",
-            where=raw.where,
-            count=dropped,
+            f"{raw.h_m[out]:.0f} m and {raw.pressure_pa[out] / 100.0:.1f} hPa: not used"
         )
+        ledger.warning("SOUNDING-ORDER", what, where=raw.where, count=dropped)
     return _refuse_few(_take(raw, keep))
 
 

@@ -139,12 +139,8 @@ def table(lines: Iterable[str], where: str) -> dict[str, list[str]]:
     names = [name.strip().lstrip("\ufeff") for name in rows[0]]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise InputError(
-            "SOUNDING-COLUMN",
-            f"the column {twice[0]!r} stands there twice",
-            where=where,
-            remedy="keep one of them",
-        )
+        what = f"the column {twice[0]!r} stands there twice"
+        raise InputError("SOUNDING-COLUMN", what, where=where, remedy="keep one of them")
     # A row that was cut off has empty fields where it ends.
     return {
         name: [row[i] if i < len(row) else "" for row in rows[1:]] for i, name in enumerate(names)

@@ -52,40 +52,26 @@ def parse_plain(text: str, where: str, ledger: Ledger) -> list[RawLevels]:
     for name in (name for name in COLUMNS if name in columns):
         quantity, unit = COLUMNS[name]
         if quantity in column_of:
-            raise InputError(
-                "SOUNDING-COLUMN",
-                f"{column_of[quantity]} and {name} both give the {quantity}",
-                where=where,
-                remedy="keep one of them",
-            )
+            what = f"{column_of[quantity]} and {name} both give the {quantity}"
+            raise InputError("SOUNDING-COLUMN", what, where=where, remedy="keep one of them")
         values[quantity], column_of[quantity] = to_si(numbers(columns[name]), unit), name
     for needed in ("pressure", "temperature"):
         if needed not in values:
             names = [name for name, (quantity, _) in COLUMNS.items() if quantity == needed]
+            what = f"no column gives the {needed} with its unit; there are {', '.join(columns)}"
             raise InputError(
-                "SOUNDING-COLUMN",
-                f"no column gives the {needed} with its unit; there are {', '.join(columns)}",
-                where=where,
-                remedy=f"name the column {' or '.join(names)}",
+                "SOUNDING-COLUMN", what, where=where, remedy=f"name the column {' or '.join(names)}"
             )
     other = sorted(set(columns) - set(COLUMNS) - set(_PLACE))
     if other:
-        ledger.note(
-            "SOUNDING-COLUMNS-UNUSED",
-            f"columns that are not read: {', '.join(other)}",
-            where=where,
-            count=len(other),
-        )
+        what = f"columns that are not read: {', '.join(other)}"
+        ledger.note("SOUNDING-COLUMNS-UNUSED", what, where=where, count=len(other))
     geopotential = "height" not in values
     time = next((text.strip() for text in columns.get("time_utc", []) if text.strip()), "")
     time_ns = utc_ns(time)
     if time and time_ns is None:
-        ledger.warning(
-            "SOUNDING-TIME",
-            f"time_utc {time[:40]!r} is no time like 2026-05-14T10:20:00Z: the sounding has none",
-            where=where,
-            count=1,
-        )
+        what = f"time_utc {time[:40]!r} is no time like 2026-05-14T10:20:00Z: the sounding has none"
+        ledger.warning("SOUNDING-TIME", what, where=where, count=1)
     unknown = np.full(values["pressure"].shape, np.nan)
     first = {name: next(iter(columns.get(name, [])), "") for name in _PLACE}
     return [

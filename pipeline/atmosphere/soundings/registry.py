@@ -70,11 +70,9 @@ def parse_sounding(
                 "are named like h_m, pressure_hpa, temperature_c, dew_point_c",
             )
     if name not in FORMATS:
+        what = f"no format of soundings is called {name!r}"
         raise InputError(
-            "SOUNDING-FORMAT",
-            f"no format of soundings is called {name!r}",
-            where=where,
-            remedy=f"one of auto, {', '.join(FORMATS)}",
+            "SOUNDING-FORMAT", what, where=where, remedy=f"one of auto, {', '.join(FORMATS)}"
         )
     ascents = FORMATS[name][1](text, where, ledger)
     raw = nearest_in_time(ascents, time_ns, where, ledger)
@@ -92,43 +90,27 @@ def nearest_in_time(
         )
     if len(full) < len(ascents):  # a file that was cut off may end with a header
         count = len(ascents) - len(full)
-        ledger.loss(
-            "SOUNDING-CUT-OFF",
+        what = (
             f"{count} soundings have a header and no level: one of them may have been nearer to "
-            "the flight",
-            where=where,
-            count=count,
+            "the flight"
         )
+        ledger.loss("SOUNDING-CUT-OFF", what, where=where, count=count)
     if len(full) == 1 and (time_ns is None or full[0].time_ns is None):
         return full[0]
     if time_ns is None:
-        raise InputError(
-            "SOUNDING-CHOICE",
-            f"the file holds {len(full)} soundings and no time is given to choose by",
-            where=where,
-            remedy="keep the one sounding of the flight in the file",
-        )
+        what = f"the file holds {len(full)} soundings and no time is given to choose by"
+        remedy = "keep the one sounding of the flight in the file"
+        raise InputError("SOUNDING-CHOICE", what, where=where, remedy=remedy)
     dated = [(abs(raw.time_ns - time_ns), raw) for raw in full if raw.time_ns is not None]
     if not dated:
-        raise InputError(
-            "SOUNDING-CHOICE",
-            f"none of the {len(full)} soundings has a date to choose by",
-            where=where,
-            remedy="keep one sounding",
-        )
+        what = f"none of the {len(full)} soundings has a date to choose by"
+        raise InputError("SOUNDING-CHOICE", what, where=where, remedy="keep one sounding")
     apart, raw = min(dated, key=lambda pair: pair[0])
     hours = apart / NANOSECONDS_PER_SECOND / 3600.0
     if hours > FAR_HOURS:
-        ledger.warning(
-            "SOUNDING-FAR-IN-TIME",
-            f"the nearest sounding is {hours:.0f} hours away from the flight",
-            where=raw.where,
-        )
+        what = f"the nearest sounding is {hours:.0f} hours away from the flight"
+        ledger.warning("SOUNDING-FAR-IN-TIME", what, where=raw.where)
     if len(full) > 1:
-        ledger.note(
-            "SOUNDING-CHOSEN",
-            f"of {len(full)} soundings the one {hours:.1f} hours away is taken",
-            where=raw.where,
-            count=len(full),
-        )
+        what = f"of {len(full)} soundings the one {hours:.1f} hours away is taken"
+        ledger.note("SOUNDING-CHOSEN", what, where=raw.where, count=len(full))
     return raw

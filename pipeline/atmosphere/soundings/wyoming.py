@@ -107,11 +107,9 @@ def parse_csv(text: str, where: str, _: Ledger) -> list[RawLevels]:
     columns = table(text.splitlines(), where)
     missing = [name for name in _CSV_COLUMNS.values() if name not in columns]
     if missing:
+        what = f"the Wyoming CSV has no column {missing[0]!r}"
         raise InputError(
-            "SOUNDING-COLUMN",
-            f"the Wyoming CSV has no column {missing[0]!r}",
-            where=where,
-            remedy="fetch the file again, with all columns",
+            "SOUNDING-COLUMN", what, where=where, remedy="fetch the file again, with all columns"
         )
     values = {key: numbers(columns[name]) for key, name in _CSV_COLUMNS.items()}
     first = {name: next(iter(columns.get(name, [])), "") for name in ("time", "latitude",

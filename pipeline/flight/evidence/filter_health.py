@@ -18,7 +18,8 @@ NOISE_TILT_DEG = 1.5
 # A filter has recovered when its innovation ratios have been below this for so long.
 SETTLED_RATIO, SETTLED_S = 0.7, 3.0
 
-_GLITCH, _DEAD_RECKONING = 1 << 15, 1 << 18  # bits of filter_flags
+# What bits of filter_flags say.
+_FLAGS = {"the filter sees a GPS glitch": 1 << 15, "the filter is dead reckoning": 1 << 18}
 
 # What an autopilot says when its position or attitude is suspect, and when no longer.
 _TROUBLE = re.compile(
@@ -69,12 +70,8 @@ def filter_evidence(channels: Sequence[Channel]) -> list[Stretch]:
         time_ns = channel.time_ns
         if "filter_flags" in channel.columns:
             flags = np.nan_to_num(channel["filter_flags"]).astype(np.int64)
-            signs = {
-                "the filter sees a GPS glitch": flags & _GLITCH > 0,
-                "the filter is dead reckoning": flags & _DEAD_RECKONING > 0,
-            }
-            for why, bad in signs.items():
-                pairs = runs(time_ns, bad, bad, SETTLED_S)
+            for why, bit in _FLAGS.items():
+                pairs = runs(time_ns, flags & bit > 0, flags & bit > 0, SETTLED_S)
                 found += [Stretch(*beside(time_ns, a, b), POSITION, why) for a, b in pairs]
         if "clipping" in channel.columns and len(channel) > 1:
             rate = np.append(0.0, np.diff(channel["clipping"]) / np.diff(time_ns) * SECOND)

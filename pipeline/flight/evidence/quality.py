@@ -176,12 +176,8 @@ def _limits(column: str) -> str:
 
 
 def _range_loss(channel: Channel, column: str, count: int, what: str) -> Entry:
-    return loss(
-        "SENSOR-RANGE",
-        f"{count} of {len(channel)} samples of {column} are {what} and are not used",
-        where=channel.name,
-        count=count,
-    )
+    text = f"{count} of {len(channel)} samples of {column} are {what} and are not used"
+    return loss("SENSOR-RANGE", text, where=channel.name, count=count)
 
 
 def _mask_heights(channel: Channel) -> tuple[Channel, Notes]:
@@ -298,13 +294,11 @@ def _stray_rows(
     if rows.size < 3 or first.size == 1:
         return rows[:0], ()
     if first.size > _MOST_STRETCHES:
-        noisy = warning(
-            "SENSOR-NOISE",
+        what = (
             f"{first.size - 1} of {rows.size} samples are farther from the one before than a "
-            "vehicle or the air can change: which of them are wrong cannot be decided",
-            where=where,
-            count=int(first.size - 1),
+            "vehicle or the air can change: which of them are wrong cannot be decided"
         )
+        noisy = warning("SENSOR-NOISE", what, where=where, count=int(first.size - 1))
         return rows[:0], (noisy,)
     length = np.diff(np.append(first, rows.size))
     begin_row, end_row = rows[first], rows[first + length - 1]

@@ -187,14 +187,12 @@ def _instances(
         if stray.any():
             count = int(counts[stray].sum())
             names = ", ".join(str(number) for number in numbers[stray].tolist()[:8])
-            ledger.loss(
-                "LOG-INSTANCE",
+            what = (
                 f"{count} rows are of instances ({names}) that no other row has, beside "
                 f"{counts.max()} of instance {numbers[np.argmax(counts)]}: damage, they are not "
-                "used",
-                where=message,
-                count=count,
+                "used"
             )
+            ledger.loss("LOG-INSTANCE", what, where=message, count=count)
         numbers = numbers[~stray]
     for which in numbers.tolist():
         label = str(which) if is_named or which >= 0 else None

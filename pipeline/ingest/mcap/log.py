@@ -121,13 +121,11 @@ def boot_clock_of(
     clock = fit_boot_clock(line, receivers, ledger, recorder, cameras=cameras, utc_of=utc_of)
     for number, (fit, known) in enumerate(zip(clock.fits, clock.utc_known, strict=True)):
         if fit is not None and not known:
-            ledger.fallback(
-                "TIME-LOG-TIME",
+            what = (
                 "time counts from boot, and no GNSS message with a fix ties that to UTC: the clock "
-                "is set by the recorder's time",
-                where=f"boot {number}",
-                count=fit.rows,
+                "is set by the recorder's time"
             )
+            ledger.fallback("TIME-LOG-TIME", what, where=f"boot {number}", count=fit.rows)
     return clock
 
 
@@ -160,12 +158,9 @@ def _table(path: Path, clock: BootClock, name: str, instance: str | None) -> Tab
     reasons = [entry.what for entry in reader.ledger if entry.code in REASONS]
     reasons += [topic.misfit for topic in reader.topics.values() if topic.failed]
     if not tables and reasons:
-        raise LogError(
-            "LOG-NO-TABLE",
-            f"{name} has no rows that can be laid out in columns: {reasons[0]}",
-            where=reader.where,
-            remedy="choose another topic of `unbend inspect`",
-        )
+        what = f"{name} has no rows that can be laid out in columns: {reasons[0]}"
+        remedy = "choose another topic of `unbend inspect`"
+        raise LogError("LOG-NO-TABLE", what, where=reader.where, remedy=remedy)
     if not tables:
         return {}
     whole = in_order(tables)

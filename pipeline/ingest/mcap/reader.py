@@ -101,13 +101,11 @@ class MessageCounts:
                 continue  # its numbers do not count its messages
             count = int(self._gaps[number])
             skipped += count
-            ledger.loss(
-                "LOG-LINK-LOSS",
+            what = (
                 f"{count} messages are missing by their sequence numbers: the recorder did not "
-                "get them, or they are damaged",
-                where=names[number],
-                count=count,
+                "get them, or they are damaged"
             )
+            ledger.loss("LOG-LINK-LOSS", what, where=names[number], count=count)
         if self.stated_total is None:
             if not damaged:
                 what = "the log has no statistics: whether it is whole cannot be checked"
@@ -121,12 +119,11 @@ class MessageCounts:
         ]
         if total != self.stated_total or wrong:
             topics = ", ".join(names.get(number, f"channel {number}") for number in wrong[:8])
+            what = f"{total} messages were read, the log's statistics state {self.stated_total}" + (
+                f"; they differ for {topics}" if topics else ""
+            )
             ledger.loss(
-                "LOG-INCONSISTENT",
-                f"{total} messages were read, the log's statistics state {self.stated_total}"
-                + (f"; they differ for {topics}" if topics else ""),
-                where=where,
-                count=max(abs(self.stated_total - total), 1),
+                "LOG-INCONSISTENT", what, where=where, count=max(abs(self.stated_total - total), 1)
             )
         return max(self.stated_total - total, skipped, 0)
 
@@ -237,12 +234,11 @@ class McapReader:
                 elif kind == ("protobuf", "protobuf"):
                     decoder = protobuf_decoder(schema, spec, wanted)
                 elif schema is not None:
-                    self.ledger.note(
-                        "LOG-NOT-ROS2",
+                    what = (
                         f"{name} is encoded as {encoding} with a {schema.encoding} schema, not as "
-                        "ROS 2 CDR, protobuf or JSON: counted, not read",
-                        where=channel.topic,
+                        "ROS 2 CDR, protobuf or JSON: counted, not read"
                     )
+                    self.ledger.note("LOG-NOT-ROS2", what, where=channel.topic)
             except ImportError:
                 what = "which needs the package mcap-protobuf-support: counted, not read"
                 where = channel.topic
@@ -276,20 +272,16 @@ class McapReader:
             if topic.failed:
                 self.ledger.loss("LOG-DECODE", topic.misfit, where=topic.name, count=topic.failed)
             if topic.lost_values:
-                self.ledger.loss(
-                    "LOG-DECODE",
+                what = (
                     f"{topic.lost_values} values are no numbers where numbers are wanted: they are "
-                    "missing",
-                    where=topic.name,
-                    count=topic.lost_values,
+                    "missing"
                 )
+                self.ledger.loss("LOG-DECODE", what, where=topic.name, count=topic.lost_values)
             if topic.nameless:
-                self.ledger.loss(
-                    "LOG-TOO-LARGE",
+                what = (
                     f"{topic.nameless} messages come after {MAX_NAMES} different names: their "
-                    "values are not read",
-                    where=topic.name,
-                    count=topic.nameless,
+                    "values are not read"
                 )
+                self.ledger.loss("LOG-TOO-LARGE", what, where=topic.name, count=topic.nameless)
         damaged = bool(self.damage.losses)
         return self.counts.report(self.names, self.ledger, self.where, damaged=damaged)

@@ -272,10 +272,9 @@ def times_of(
         stamp_ns[none] = log_ns[none]
         early[none] = log_ns[none] < UNIX_NS_FROM
     if bool(early.any()):
-        ledger.fallback(
-            "TIME-NO-UTC",
+        what = (
             "time stamps before 2001 are no UTC (simulated time?): events in this log can be "
-            "used, matching by UTC is impossible",
-            where=where,
+            "used, matching by UTC is impossible"
         )
+        ledger.fallback("TIME-NO-UTC", what, where=where)
     return stamp_ns, boot, count

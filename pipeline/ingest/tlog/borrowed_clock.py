@@ -88,13 +88,11 @@ def _with_checked_clock(
         delay.append(received[rest] - stamped)
     late = np.concatenate(by_utc)
     if late.size and not EARLIEST_NS <= np.median(late) <= LATEST_NS:
-        ledger.loss(
-            "TIME-OWN-UTC",
+        what = (
             f"the UTC of {late.size} images is {_seconds(late)} before they were received: that "
-            "camera's clock is wrong, its time since boot is used",
-            where=where,
-            count=int(late.size),
+            "camera's clock is wrong, its time since boot is used"
         )
+        ledger.loss("TIME-OWN-UTC", what, where=where, count=int(late.size))
         clocks = replace(clocks, wrong_utc=clocks.wrong_utc | {source})
         for part, _ in parts:
             part["utc_ns"] = 0
@@ -104,31 +102,25 @@ def _with_checked_clock(
         return clocks
     count, lender = int(late.size), clocks.lender(source)
     if lender is None:
-        ledger.fallback(
-            "TIME-HOST-CLOCK",
+        what = (
             f"no clock of this system is known: {count} messages have the time at which they were "
-            "received, by a ground station's clock that may be seconds off UTC",
-            where=where,
-            count=count,
+            "received, by a ground station's clock that may be seconds off UTC"
         )
+        ledger.fallback("TIME-HOST-CLOCK", what, where=where, count=count)
         return clocks
     if EARLIEST_NS <= np.median(late) <= LATEST_NS:
-        ledger.note(
-            "TIME-BORROWED",
+        what = (
             f"it has no clock of its own: the times of {count} messages are taken as those of "
-            f"component {lender[1]}, which fits as they were received {_seconds(late)} later",
-            where=where,
-            count=count,
+            f"component {lender[1]}, which fits as they were received {_seconds(late)} later"
         )
+        ledger.note("TIME-BORROWED", what, where=where, count=count)
         return clocks
-    ledger.loss(
-        "TIME-BORROWED",
+    what = (
         f"the times since boot of {count} messages are not those of component {lender[1]}, by "
         f"which they would be {_seconds(late)} old when they were received: their clock is set by "
-        "that, and exposures may be late by the delay of the link",
-        where=where,
-        count=count,
+        "that, and exposures may be late by the delay of the link"
     )
+    ledger.loss("TIME-BORROWED", what, where=where, count=count)
     joined = np.concatenate([part[part["boot_ns"] > 0] for part, _ in parts])
     joined = joined[np.argsort(joined["at"], kind="stable")]
     return clocks.with_own(source, joined, ledger)

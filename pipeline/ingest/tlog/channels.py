@@ -226,23 +226,19 @@ def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> NDArra
         ledger.note("EVENT-REPEAT", what, where=name, count=repeats)
     by_unix = int(np.count_nonzero(times[first] > UNIX_US_FROM))
     if by_unix:
-        ledger.note(
-            "EVENTS-TRIGGER-TIME",
+        what = (
             f"{by_unix} exposures have Unix time, as autopilots send it without a feedback pin: "
             "it is that of the trigger command, and the shutter opens later (70 to 160 ms were "
-            "measured), which events.log.<camera>.delay_s takes into account",
-            where=name,
-            count=by_unix,
+            "measured), which events.log.<camera>.delay_s takes into account"
         )
+        ledger.note("EVENTS-TRIGGER-TIME", what, where=name, count=by_unix)
     unseen = np.setdiff1d(indices, indices[first])
     if unseen.shape[0]:
-        ledger.warning(
-            "EVENT-NO-PULSE",
+        what = (
             f"{unseen.shape[0]} image indices never got a time of their own (the first is "
-            f"{int(unseen[0])}): the camera was triggered and its feedback was lost",
-            where=name,
-            count=int(unseen.shape[0]),
+            f"{int(unseen[0])}): the camera was triggered and its feedback was lost"
         )
+        ledger.warning("EVENT-NO-PULSE", what, where=name, count=int(unseen.shape[0]))
     return rows[first]
 
 

@@ -326,13 +326,11 @@ def _fit_sender(
     if turn.any():
         turns = np.concatenate([[0], np.cumsum(turn)])
         boot_ns = np.asarray(boot_ns + turns * ROUND_MS, np.int64)
-        ledger.note(
-            "TIME-WRAP",
+        what = (
             f"the 32-bit count of milliseconds since boot wrapped after 49.7 days, "
-            f"{int(turns.max())} times: it is continued",
-            where=where,
-            count=int(turns.max()),
+            f"{int(turns.max())} times: it is continued"
         )
+        ledger.note("TIME-WRAP", what, where=where, count=int(turns.max()))
     host_ns = leader.utc_of_host(at, stamped_ns)
     system_time = UtcReadings("SYSTEM_TIME messages", at, boot_ns, sent_utc, sent_utc > 0)
     received = UtcReadings("stamps", at, boot_ns, host_ns, np.ones(at.shape, np.bool_))
@@ -344,14 +342,12 @@ def _fit_sender(
         rows = slice(sum(counts[:number]), sum(counts[:number]) + count)
         maps.append(clock_map(stamped_ns[rows], clock.utc(at[rows], boot_ns[rows])))
         if fit is not None and not clock.utc_known[number]:
-            ledger.fallback(
-                "TIME-HOST-CLOCK",
+            what = (
                 f"no SYSTEM_TIME with UTC: the clock is set by the stamps of {count} messages, "
                 "which are the ground station's and may be seconds off UTC; they agree within "
-                f"{fit.spread_ns / 1e6:.0f} ms (p5 to p95)",
-                where=f"{where}, boot {number}",
-                count=count,
+                f"{fit.spread_ns / 1e6:.0f} ms (p5 to p95)"
             )
+            ledger.fallback("TIME-HOST-CLOCK", what, where=f"{where}, boot {number}", count=count)
     mark = np.ones(boot.shape, np.bool_)
     mark[1:] = (np.diff(boot_ns // NANOSECONDS_PER_SECOND) != 0) | (np.diff(boot) != 0)
     return SenderClock(at[mark], boot_ns[mark], clock, tuple(counts), tuple(maps))

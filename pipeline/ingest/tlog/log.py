@@ -87,13 +87,11 @@ def _report_damage(result: Scan, needed: Container[int], path: Path, ledger: Led
             what = f"{rejected.count} messages {name} fail their checksum"
             ledger.loss("LOG-CRC", what, where=where, count=rejected.count)
         else:
-            ledger.warning(
-                "LOG-DIALECT",
+            what = (
                 f"{rejected.count} messages {name} fail their checksum, all there are: another "
-                "version of the dialect; nothing here needs them",
-                where=where,
-                count=rejected.count,
+                "version of the dialect; nothing here needs them"
             )
+            ledger.warning("LOG-DIALECT", what, where=where, count=rejected.count)
     return damaged
 
 
@@ -110,13 +108,11 @@ def _report_link(
             # after seconds of silence no message overtakes another: the step is a loss
             lost[silence.source] += silence.backward
     for (system, component), count in sorted((+lost).items()):
-        ledger.loss(
-            "LOG-LINK-LOSS",
+        what = (
             f"at least {count} messages of system {system}, component {component} are missing by "
-            "their sequence numbers, which begin again after 256: the radio link lost them",
-            where=path.name,
-            count=count,
+            "their sequence numbers, which begin again after 256: the radio link lost them"
         )
+        ledger.loss("LOG-LINK-LOSS", what, where=path.name, count=count)
     for (system, component), silences in sorted(silent.items()):
         ledger.loss(
             "LOG-GAP",
