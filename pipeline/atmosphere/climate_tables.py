@@ -104,10 +104,8 @@ def supplements_profile(
     60 and 75 degrees and constant beyond; between mid-January and mid-July they follow a cosine of
     the year. South of the equator the year is shifted by half.
 
-    Parameters
-    ----------
-    latitude_rad : [rad], north positive.
-    month : 1.0 is mid-January, 7.0 mid-July; any real number, modulo 12.
+    ``latitude_rad``: [rad], north positive. ``month``: 1.0 is mid-January, 7.0 mid-July; any real
+    number, modulo 12.
 
     >>> supplements_profile(0.25 * 3.141592653589793, 7.0).temperature(0.0).round(2).item()
     294.15

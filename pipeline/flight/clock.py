@@ -45,13 +45,10 @@ SET_BACKS = 16  # a clock that was set back more often than this is no clock
 def utc_of_gps(week: ArrayLike, seconds: ArrayLike) -> TimeArray:
     """UTC of a GPS week and the seconds of that week.
 
-    Parameters
-    ----------
-    week : (...) GPS week since 1980-01-06, full (not modulo 1024).
-    seconds : (...) [s] seconds of the week; may exceed a week.
-
-    Returns Unix time [ns], int64, exact to 1 ns for milliseconds of the week. During a leap second
-    the result repeats the second before, as Unix time does. Leap seconds by date: IERS Bulletin C.
+    ``week``: (...) GPS week since 1980-01-06, full (not modulo 1024). ``seconds``: (...) [s]
+    seconds of the week; may exceed a week. Returns Unix time [ns], int64, exact to 1 ns for
+    milliseconds of the week. During a leap second the result repeats the second before, as Unix
+    time does. Leap seconds by date: IERS Bulletin C.
 
     >>> utc_of_gps(1928, 432017.0)  # 2016-12-23 00:00:00 UTC: 17 leap seconds, not 18
     array(1482451200000000000)
@@ -69,13 +66,9 @@ def utc_of_gps(week: ArrayLike, seconds: ArrayLike) -> TimeArray:
 def full_weeks(week: ArrayLike, first: int) -> tuple[NDArray[np.int64], int]:
     """GPS weeks that a receiver counts modulo 1024 -> full weeks.
 
-    Parameters
-    ----------
-    week : (n,) as reported.
-    first : the first week that is possible. The receiver is one that rolls over where the median
-        is before it, which is unambiguous for 1024 weeks (19.6 years) from then on.
-
-    Returns (n,) full weeks, and how many were changed: none, or all before ``first``.
+    ``week``: (n,) as reported. ``first``: the first week that is possible. The receiver is one that
+    rolls over where the median is before it, which is unambiguous for 1024 weeks (19.6 years) from
+    then on. Returns (n,) full weeks, and how many were changed: none, or all before ``first``.
 
     >>> full_weeks([276, 276, 277], first=1773)
     (array([2324, 2324, 2325]), 3)
@@ -91,14 +84,10 @@ def full_weeks(week: ArrayLike, first: int) -> tuple[NDArray[np.int64], int]:
 def stray_times(time_ns: TimeArray, limit_ns: int = BOOT_STEP_NS) -> NDArray[np.bool_]:
     """Mark time stamps far from those on both sides, which agree with each other.
 
-    Parameters
-    ----------
-    time_ns : (n,) [ns] in the order of the file.
-    limit_ns : [ns] how far is far.
-
-    Returns (n,) True where a stamp is stray, as after a flipped bit; up to `STRAY_ROWS` in a row.
-    Gaps and new boots are not: there both sides disagree. At the ends of the file as few rows
-    are stray where time steps back from or to them, since a boot of so few rows is none.
+    ``time_ns``: (n,) [ns] in the order of the file. ``limit_ns``: [ns] how far is far. Returns (n,)
+    True where a stamp is stray, as after a flipped bit; up to `STRAY_ROWS` in a row. Gaps and new
+    boots are not: there both sides disagree. At the ends of the file as few rows are stray where
+    time steps back from or to them, since a boot of so few rows is none.
 
     >>> stray_times(np.array([0.0, 0.1, 70.0, 0.3, 0.4]) * 1e9)
     array([False, False,  True, False, False])
@@ -118,13 +107,9 @@ def stray_stretches(
 ) -> NDArray[np.bool_]:
     """Mark the stray ones of stretches of time stamps, as `stray_times` does for the stamps.
 
-    Parameters
-    ----------
-    begin, end : (n,) [ns] the first and the last stamp of each stretch, in the order of the file.
-        Within a stretch stamps are near each other, from one to the next they are not.
-    length : (n,) how many stamps each has.
-
-    Returns (n,) True where a stretch is stray.
+    ``begin``, ``end``: (n,) [ns] the first and the last stamp of each stretch, in the order of the
+    file. Within a stretch stamps are near each other, from one to the next they are not.
+    ``length``: (n,) how many stamps each has. Returns (n,) True where a stretch is stray.
 
     >>> begin, end = np.array([0, 70, 2]) * 10**9, np.array([1, 70, 9]) * 10**9
     >>> stray_stretches(begin, end, np.array([9, 1, 9]))
@@ -176,14 +161,11 @@ def longest_increasing(time_ns: TimeArray) -> NDArray[np.bool_]:
 def rows_in_time_order(time_ns: TimeArray) -> tuple[NDArray[np.intp], NDArray[np.int16]]:
     """Rows in the order of their time, without strays, also where the clock was set back.
 
-    Parameters
-    ----------
-    time_ns : (n,) [ns] in the order of the file.
-
-    Returns (m,) rows whose times increase strictly, and (m,) the number of the stretch between
-    two settings of the clock, from 0. Few rows out of order are left out (`longest_increasing`);
-    more than `STRAY_ROWS` in a row are a clock that was set. Rows of before that the clock then
-    passed again are left out: which of the two was meant is unknowable, and stretches must not mix.
+    ``time_ns``: (n,) [ns] in the order of the file. Returns (m,) rows whose times increase
+    strictly, and (m,) the number of the stretch between two settings of the clock, from 0. Few rows
+    out of order are left out (`longest_increasing`); more than `STRAY_ROWS` in a row are a clock
+    that was set. Rows of before that the clock then passed again are left out: which of the two was
+    meant is unknowable, and stretches must not mix.
 
     >>> rows_in_time_order(np.array([0, 1, 90, 91, 92, 93, 94, 40, 41, 42, 43, 44, 45, 46]))[0]
     array([ 0,  1,  7,  8,  9, 10, 11, 12, 13,  2,  3,  4,  5,  6])
@@ -232,14 +214,10 @@ class ClockOffset:
 def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> ClockOffset | None:
     """The offset of a boot clock from UTC, robust against late and wrong rows.
 
-    Parameters
-    ----------
-    utc_ns : (n,) [ns] UTC as a receiver or the vehicle reports it.
-    boot_ns : (n,) [ns] time since boot of the same rows.
-
-    Returns the median offset, or None without rows. Measured on real logs: rows scatter by
-    20-39 ms (p5-p95), the first row alone errs by up to 17 ms, and slopes fitted over less than
-    ten minutes are noise; hence a constant per boot.
+    ``utc_ns``: (n,) [ns] UTC as a receiver or the vehicle reports it. ``boot_ns``: (n,) [ns] time
+    since boot of the same rows. Returns the median offset, or None without rows. Measured on real
+    logs: rows scatter by 20-39 ms (p5-p95), the first row alone errs by up to 17 ms, and slopes
+    fitted over less than ten minutes are noise; hence a constant per boot.
 
     >>> fit_offset(np.array([1_000, 2_000, 99_000]), np.array([0, 1_000, 2_000])).offset_ns
     1000
@@ -275,11 +253,8 @@ def new_readings(time_ns: TimeArray) -> NDArray[np.bool_]:
 def clock_map(from_ns: TimeArray, to_ns: TimeArray) -> Callable[[TimeArray], TimeArray]:
     """A map from one clock to another through pairs of readings, linear between them.
 
-    Parameters
-    ----------
-    from_ns, to_ns : (n,) [ns] simultaneous readings, n >= 1, in any order; a reading of the second
-        clock that falls back behind an earlier one (senders do overtake) is raised to it.
-
+    ``from_ns``, ``to_ns``: (n,) [ns] simultaneous readings, n >= 1, in any order; a reading of the
+    second clock that falls back behind an earlier one (senders do overtake) is raised to it.
     Returns a function of (m,) times [ns]; outside the readings the nearest difference is kept, so
     nothing is extrapolated but the running of the clock itself.
 

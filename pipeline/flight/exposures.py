@@ -78,11 +78,9 @@ def events_of_channel(
 ) -> tuple[Events, Notes]:
     """Exposures of an event channel, named by a pattern of ``{index}`` and ``{n}``.
 
-    Parameters
-    ----------
-    pattern : with ``*`` in it, the names are those of images that exist, and left empty here.
-    delay_s : what is added to the times of the log [s], positive where the shutter opens later.
-    sigma_s : of that [s].
+    ``pattern``: with ``*`` in it, the names are those of images that exist, and left empty here.
+    ``delay_s``: what is added to the times of the log [s], positive where the shutter opens later.
+    ``sigma_s``: of that [s].
 
     Numbers that the log skips are pulses that were lost: a loss for each power-up. ``{index}`` is
     the number as the log has it, which may count modulo 65536.
@@ -126,9 +124,7 @@ _COUNT_ROUND, _COUNT_NEAR = 1 << 16, 1 << 12
 def unwrapped_numbers(index: NDArray[np.int64]) -> NDArray[np.int64]:
     """Image numbers that count on where a number of 16 bits ran over.
 
-    Parameters
-    ----------
-    index : (n,) in the order of their time, of one power-up.
+    ``index``: (n,) in the order of their time, of one power-up.
 
     >>> unwrapped_numbers(np.array([65534, 65535, 1, 2]))
     array([65534, 65535, 65537, 65538])

@@ -72,11 +72,9 @@ def quaternions_of(matrix: Array) -> Array:
 def quaternion_of_opk(angles: Array, order: str = "omega_phi_kappa") -> Array:
     """(n, 4) attitudes of cameras from the angles of photogrammetry.
 
-    Parameters
-    ----------
-    angles : (n, 3) in the order of their names [rad], any range: omega about x, phi about y, kappa
-        about z, counter-clockwise seen from the axis' tip.
-    order : ``omega_phi_kappa``, or ``phi_omega_kappa`` where phi is the primary rotation (BLUH).
+    ``angles``: (n, 3) in the order of their names [rad], any range: omega about x, phi about y,
+    kappa about z, counter-clockwise seen from the axis' tip. ``order``: ``omega_phi_kappa``, or
+    ``phi_omega_kappa`` where phi is the primary rotation (BLUH).
 
     With all angles zero the camera looks along -z of the frame, the image's x along x. Reproduces
     the rotation matrices that Pix4D prints beside its angles to the angles' rounding.
@@ -101,11 +99,9 @@ def opk_of_quaternion(quaternion: Array, order: str = "omega_phi_kappa") -> Arra
 def quaternion_of_rpy(angles: Array, camera_from_body: Array = CAMERA_AT_REST) -> Array:
     """(n, 4) attitudes of cameras against east, north, up from those of the body.
 
-    Parameters
-    ----------
-    angles : (n, 3) roll, pitch, yaw [rad] of the body (forward, right, down) against north, east,
-        down: right wing down, nose up, clockwise from north; yaw is applied first, roll last.
-    camera_from_body : (3, 3), by default of a camera that looks down, its top towards the nose.
+    ``angles``: (n, 3) roll, pitch, yaw [rad] of the body (forward, right, down) against north,
+    east, down: right wing down, nose up, clockwise from north; yaw is applied first, roll last.
+    ``camera_from_body``: (3, 3), by default of a camera that looks down, its top towards the nose.
 
     >>> quaternion_of_rpy(np.zeros((1, 3))).round(6).tolist()
     [[0.0, 1.0, 0.0, 0.0]]

@@ -46,11 +46,8 @@ def replace_in_blocks(rotation: Callable[[Array], Array], parts: Sequence[Array]
 def quaternion_of_euler(roll_rad: Array, pitch_rad: Array, yaw_rad: Array) -> Array:
     """The quaternion of yaw about down, then pitch about right, then roll about forward.
 
-    Parameters
-    ----------
-    roll_rad, pitch_rad, yaw_rad : (n,) [rad], any range.
-
-    Returns (n, 4) w, x, y, z. Source: MAVLink ATTITUDE and DataFlash ATT use this order (Z-Y-X).
+    ``roll_rad``, ``pitch_rad``, ``yaw_rad``: (n,) [rad], any range. Returns (n, 4) w, x, y, z.
+    Source: MAVLink ATTITUDE and DataFlash ATT use this order (Z-Y-X).
 
     >>> quaternion_of_euler(np.zeros(1), np.zeros(1), np.array([np.pi / 2])).round(4)
     array([[0.7071, 0.    , 0.    , 0.7071]])
@@ -73,12 +70,9 @@ def quaternion_of_euler(roll_rad: Array, pitch_rad: Array, yaw_rad: Array) -> Ar
 def ned_frd_of_enu_flu(q: Array) -> Array:
     """ROS attitude (REP 103: east-north-up, body forward-left-up) -> north-east-down, FRD.
 
-    Parameters
-    ----------
-    q : (n, 4) w, x, y, z with v_enu = R(q) v_flu.
-
-    Returns (n, 4) w, x, y, z: the product of (0, s, s, 0), q and (0, 1, 0, 0), s = 1/sqrt(2), which
-    exchange the axes of the world and of the body.
+    ``q``: (n, 4) w, x, y, z with v_enu = R(q) v_flu. Returns (n, 4) w, x, y, z: the product of (0,
+    s, s, 0), q and (0, 1, 0, 0), s = 1/sqrt(2), which exchange the axes of the world and of the
+    body.
 
     >>> ned_frd_of_enu_flu(np.array([[1.0, 0.0, 0.0, 0.0]])).round(4)  # x forward, facing east
     array([[0.7071, 0.    , 0.    , 0.7071]])

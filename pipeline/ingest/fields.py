@@ -189,10 +189,8 @@ def to_si(raw: NDArray[Any], spec: FieldColumn) -> Array:
 def in_stated_unit(channel: Channel, role: str, unit: str) -> Channel:
     """The channel with the column of a role in SI, where its numbers are really in another unit.
 
-    Parameters
-    ----------
-    role : a role that the mission file names the channel for.
-    unit : the unit that it states, one of `STATED_UNITS`.
+    ``role``: a role that the mission file names the channel for. ``unit``: the unit that it states,
+    one of `STATED_UNITS`.
 
     A bare ``value`` becomes the column; numbers that were converted from the unit in which the
     format defines them are converted back first. For example: SCALED_PRESSURE is defined in hPa; a

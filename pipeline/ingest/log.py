@@ -113,13 +113,9 @@ class Log(Contents):
     def message(self, name: str, instance: str | None = None) -> Table:
         """All messages of one type as columns, in the order of the file.
 
-        Parameters
-        ----------
-        name : a type or topic of `message_types`.
-        instance : only those, where the type has instances.
-
-        Returns columns of one length with the names and units that the log has; damaged rows are
-        in them. Raises LogError (LOG-NO-TYPE, LOG-NO-TABLE).
+        ``name``: a type or topic of `message_types`. ``instance``: only those, where the type has
+        instances. Returns columns of one length with the names and units that the log has; damaged
+        rows are in them. Raises LogError (LOG-NO-TYPE, LOG-NO-TABLE).
         """
         if name not in self.messages:
             what = f"no message of type {name}"

@@ -117,9 +117,7 @@ def stated_delay(
 def estimated_delay(receiver: Channel, fused: Channel) -> ReceiverDelay | None:
     """The delay of fixes behind the positions of the filter that follows them.
 
-    Parameters
-    ----------
-    receiver, fused : positions on one clock, as stamped.
+    ``receiver``, ``fused``: positions on one clock, as stamped.
 
     Slow errors of the receiver are in both, so that fixes lie behind by the speed times the delay.
     The median of all rows in fast flight; None where they are few or do not agree. Accuracy

@@ -20,12 +20,9 @@ _WORD = 1 << 64
 def column_of(values: list[Any]) -> NDArray[Any]:
     """Values of any kind as one column; None is a message that has none.
 
-    Parameters
-    ----------
-    values : of one field, a message each.
-
-    Returns bool, int64, uint64 or float64 where that alters no number (NaN where one is missing),
-    str where all are texts ("" where one is missing), else the values as objects.
+    ``values``: of one field, a message each. Returns bool, int64, uint64 or float64 where that
+    alters no number (NaN where one is missing), str where all are texts ("" where one is missing),
+    else the values as objects.
 
     >>> column_of([2**60 + 1, -5]).tolist(), column_of([1, None]), column_of([1, "n/a"])
     ([1152921504606846977, -5], array([ 1., nan]), array([1, 'n/a'], dtype=object))

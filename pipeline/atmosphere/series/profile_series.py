@@ -146,11 +146,8 @@ def interpolate_series(
 ) -> ProfileSeries:
     """The air at the times of exposures, linear in time between ``nodes`` and constant beyond.
 
-    Parameters
-    ----------
-    nodes : two or more, in the order of time.
-    time_ns : (s,) of the exposures [Unix ns].
-    h_c, h_g : heights of cameras and ground [m above sea level].
+    ``nodes``: two or more, in the order of time. ``time_ns``: (s,) of the exposures [Unix ns].
+    ``h_c``, ``h_g``: heights of cameras and ground [m above sea level].
 
     Between nodes stand just so many profiles that R of the cameras changes by less than 0.05 %
     from one to the next; an exposure takes the nearest in time, and what none takes is left out.
@@ -184,11 +181,8 @@ def add_ageing(
 ) -> ProfileSeries:
     """The same air, with the sigmas that it has for exposures long after, or before, its samples.
 
-    Parameters
-    ----------
-    time_ns : (s,) of the exposures [Unix ns].
-    samples : what the air was estimated from.
-    h_c, h_g : heights of the highest camera and of the ground [m above sea level].
+    ``time_ns``: (s,) of the exposures [Unix ns]. ``samples``: what the air was estimated from.
+    ``h_c``, ``h_g``: heights of the highest camera and of the ground [m above sea level].
 
     Exposures are taken together in quarters of an hour; air that was sampled within half an hour
     stays as it is.

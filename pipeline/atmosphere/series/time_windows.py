@@ -136,10 +136,8 @@ def estimate_windows(
 ) -> tuple[TimeWindow, ...]:
     """The air of each window of a flight, in the order of time; none where one profile is enough.
 
-    Parameters
-    ----------
-    whole : the air of the whole flight, from `build_adjusted_profile`.
-    h_c, h_g : heights of cameras and of the ground [m above sea level], for the change of R.
+    ``whole``: the air of the whole flight, from `build_adjusted_profile`. ``h_c``, ``h_g``: heights
+    of cameras and of the ground [m above sea level], for the change of R.
 
     A window whose estimate fails its checks, or predicts its own held-out readings worse than the
     whole flight does, keeps the air of the whole. One profile is enough where R departs from that

@@ -51,15 +51,12 @@ def check_levels(
 ) -> Sounding:
     """Levels from the ground up, one at a height, from those of a file.
 
-    Parameters
-    ----------
-    raw : the levels in the order of the file.
-    latitude_rad : of the mission [rad], used where the file has none.
-    station_h_m : height of the lowest level [m above sea level], where the file has no heights.
-
-    Raises ``InputError`` where units are wrong, heights are missing or contradict pressure and
-    temperature, or fewer than five levels are left. Geopotential metres become metres with
-    Lambert's gravity at the latitude; ignoring it would cost up to 30 m at 10 km.
+    ``raw``: the levels in the order of the file. ``latitude_rad``: of the mission [rad], used where
+    the file has none. ``station_h_m``: height of the lowest level [m above sea level], where the
+    file has no heights. Raises ``InputError`` where units are wrong, heights are missing or
+    contradict pressure and temperature, or fewer than five levels are left. Geopotential metres
+    become metres with Lambert's gravity at the latitude; ignoring it would cost up to 30 m at 10
+    km.
     """
     refuse_wrong_units(raw)
     latitude = raw.latitude_rad if math.isfinite(raw.latitude_rad) else latitude_rad

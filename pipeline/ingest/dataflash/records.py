@@ -330,11 +330,7 @@ class RecordWalker(DamagedBytes):
 def find_records(data: FileView, names: Collection[str] | None = None) -> RecordWalker:
     """Find every whole record of a DataFlash log.
 
-    Parameters
-    ----------
-    data : the file.
-    names : the message types whose places are wanted; all where it is None.
-
+    ``data``: the file. ``names``: the message types whose places are wanted; all where it is None.
     Returns where the records are, and the damage between them. A flipped type byte costs that one
     record; after any damage reading continues where a chain of three records begins.
     """
@@ -348,12 +344,9 @@ def read_records(
 ) -> Iterator[tuple[int, NDArray[Any], NDArray[np.int64]]]:
     """The records of some definitions, a block of the file at a time.
 
-    Parameters
-    ----------
-    wanted : for each definition, whether its records are wanted.
-
-    Yields the number of a definition, its records in a block as a structured array, and their
-    places in the file; those of one definition come in the order of the file.
+    ``wanted``: for each definition, whether its records are wanted. Yields the number of a
+    definition, its records in a block as a structured array, and their places in the file; those of
+    one definition come in the order of the file.
     """
     for block in found.wanted:
         rows = np.flatnonzero(wanted[block.numbers])

@@ -18,15 +18,12 @@ from pipeline.ledger import Ledger
 def decode(found: RecordWalker, wanted: Mapping[str, Callable[[str], bool]]) -> dict[str, Table]:
     """The columns of some message types, in one pass over the file.
 
-    Parameters
-    ----------
-    wanted : for each message type, which of its fields are wanted.
-
-    Returns those that the log has, with `PLACE`, the byte where each row begins. Numbers have the
-    type they are logged in; scaled ones (letters c, C, e, E, L) are float64 and divided, as
-    pymavlink does; characters are text. Memory: the columns, and a block of the file. Types of one
-    name that differ in their fields are one table; what a row does not have is NaN or empty. A
-    field that was text and number is a column of objects (`without_objects`).
+    ``wanted``: for each message type, which of its fields are wanted. Returns those that the log
+    has, with `PLACE`, the byte where each row begins. Numbers have the type they are logged in;
+    scaled ones (letters c, C, e, E, L) are float64 and divided, as pymavlink does; characters are
+    text. Memory: the columns, and a block of the file. Types of one name that differ in their
+    fields are one table; what a row does not have is NaN or empty. A field that was text and number
+    is a column of objects (`without_objects`).
     """
     tables: dict[int, Table] = {}
     for number, count in enumerate(found.counts.tolist()):

@@ -136,16 +136,11 @@ def decode(
 ) -> tuple[NDArray[np.intp], dict[str, NDArray[Any]]]:
     """Decode messages of one definition.
 
-    Parameters
-    ----------
-    data : the bytes they lie in.
-    begin, length : (n,) of each, with the encapsulation.
-    plan : from `decode_plan`.
-
-    Returns the rows that could be read, and their columns: numbers of their own kind, arrays as
-    (m, count), texts as str. A message that ends too early, gives a length beyond its end or is
-    encapsulated as anything but plain CDR (DDS-RTPS 2.2, section 10; not parameter lists, not
-    XCDR2) is left out. Both byte orders.
+    ``data``: the bytes they lie in. ``begin``, ``length``: (n,) of each, with the encapsulation.
+    ``plan``: from `decode_plan`. Returns the rows that could be read, and their columns: numbers of
+    their own kind, arrays as (m, count), texts as str. A message that ends too early, gives a
+    length beyond its end or is encapsulated as anything but plain CDR (DDS-RTPS 2.2, section 10;
+    not parameter lists, not XCDR2) is left out. Both byte orders.
 
     >>> data = np.frombuffer(b"\\0\\1\\0\\0" + b"\\2\\0\\0\\0a\\0\\7\\0", np.uint8)
     >>> plan = decode_plan([TextField("s"), NumberField("x", "u2")])

@@ -59,10 +59,8 @@ MAX_DEFINITION = 16 << 20  # [bytes] of a schema, channel or statistics record
 def walk(data: FileView, damage: Damage) -> Iterator[Definition | Messages]:
     """The definitions and messages of a file.
 
-    Parameters
-    ----------
-    data : the file; where it does not begin with `MAGIC`, its head is damaged or lost.
-    damage : filled on the way with what is cut off, corrupt or too large.
+    ``data``: the file; where it does not begin with `MAGIC`, its head is damaged or lost.
+    ``damage``: filled on the way with what is cut off, corrupt or too large.
 
     A summary that its checksum proves comes first: its definitions serve where those among the
     messages are damaged. A definition may come several times.

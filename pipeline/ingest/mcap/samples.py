@@ -178,12 +178,9 @@ def _copied(store: ColumnStore) -> NDArray[Any]:
 def in_sequence(sequence: NDArray[np.uint32], time_ns: TimeArray) -> NDArray[np.intp] | None:
     """The order of messages by their numbers, where that puts times right that step back.
 
-    Parameters
-    ----------
-    sequence, time_ns : (n,) in the order of the file; a chunk of it may be elsewhere.
-
-    None where times rise as they stand, or where numbers repeat or disagree with the times: of a
-    clock that was set back, and of a recorder that counts anew.
+    ``sequence``, ``time_ns``: (n,) in the order of the file; a chunk of it may be elsewhere. None
+    where times rise as they stand, or where numbers repeat or disagree with the times: of a clock
+    that was set back, and of a recorder that counts anew.
 
     >>> in_sequence(np.array([0, 1, 4, 2], np.uint32), np.array([10, 11, 14, 12]))
     array([0, 1, 3, 2])
@@ -225,9 +222,7 @@ def since_boot(stamp_ns: TimeArray) -> NDArray[np.bool_]:
 def good_rows(places: TimeArray, stamp_ns: TimeArray, clock: BootClock) -> NDArray[np.bool_]:
     """Which messages have a time that fits the log.
 
-    Parameters
-    ----------
-    places, stamp_ns : (n,) of a topic, [ns] counted.
+    ``places``, ``stamp_ns``: (n,) of a topic, [ns] counted.
 
     One that fits none of its neighbours in the log may have come late: it is used where it lies
     between its neighbours of the same topic, and within the times of the log.

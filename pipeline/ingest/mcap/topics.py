@@ -63,11 +63,8 @@ class Topic:
     ) -> list[tuple[TimeArray, TimeArray, TimeArray]]:
         """Decode some of these messages, which ``before`` others precede in the log.
 
-        Parameters
-        ----------
-        shares : rows, and what decodes them: a topic may have several definitions.
-
-        Returns places, times since boot and log_time [ns] of those that count from a boot.
+        ``shares``: rows, and what decodes them: a topic may have several definitions. Returns
+        places, times since boot and log_time [ns] of those that count from a boot.
         """
         blocks: dict[bool, list[Columns]] = {False: [], True: []}
         for decoder, rows in shares:

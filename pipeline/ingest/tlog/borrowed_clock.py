@@ -37,9 +37,7 @@ OWN_UTC = "time_utc"
 def with_borrowed_clocks(clocks: Clocks, sent: Sequence[ColumnStore], ledger: Ledger) -> Clocks:
     """The clocks, with one for each sender whose times do not fit the clock that it would borrow.
 
-    Parameters
-    ----------
-    sent : the messages of each type that become channels.
+    ``sent``: the messages of each type that become channels.
 
     The UTC that images carry is not used where it does not fit the time of their reception.
     """

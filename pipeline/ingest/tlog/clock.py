@@ -244,11 +244,8 @@ def clock_field(names: Container[str]) -> str:
 def unrolled(stamp_ns: TimeArray, near_ns: TimeArray, turn: int) -> TimeArray:
     """Stamps of a counter that wrapped, completed where they then fit the sender's clock.
 
-    Parameters
-    ----------
-    stamp_ns : (n,) [ns] as sent.
-    near_ns : (n,) [ns] the sender's clock about then, which does not wrap.
-    turn : [ns] after which the counter wraps.
+    ``stamp_ns``: (n,) [ns] as sent. ``near_ns``: (n,) [ns] the sender's clock about then, which
+    does not wrap. ``turn``: [ns] after which the counter wraps.
 
     >>> unrolled(np.array([5 * 10**9]), np.array([ROUND_US + 4 * 10**9]), ROUND_US) - ROUND_US
     array([5000000000])
