@@ -1,4 +1,7 @@
-"""What a result depends on: inputs, mission file, code and libraries; unchanged, it is kept."""
+"""What a result depends on: inputs, mission file, code and libraries; unchanged, it is kept.
+
+And how a mission ended.
+"""
 
 from __future__ import annotations
 
@@ -22,6 +25,7 @@ from pipeline.ingest import hash_file
 from pipeline.tables.imports.blocks import BLOCKS, damage_refused
 from pipeline.tables.imports.exif import image_files
 
+MANIFEST_VERSION = 1
 _MISSION_FILE_KEYS = {
     "log": "log.path",
     "observations": "observations.path",
@@ -85,6 +89,24 @@ class Plan:
     def input(self, role: str) -> Input:
         """The input of a role: log, observations, events, orientation, or ``sounding 1``."""
         return next(item for item in self.inputs if item.role == role)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a mission ended: where its results are, its manifest, and its exit code."""
+
+    name: str
+    output: Path
+    manifest: dict[str, Any]
+    exit_code: int
+    repeated: bool
+
+
+def outcome_of(plan: Plan, manifest: dict[str, Any], *, repeated: bool) -> Outcome:
+    """The outcome that a manifest describes."""
+    return Outcome(
+        plan.mission.mission.name, plan.output, manifest, int(manifest["exit_code"]), repeated
+    )
 
 
 def input_paths(mission: Mission, folder: Path) -> dict[str, tuple[str, Path]]:

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Protocol
 
-from pipeline.batch.manifest import Outcome
+from pipeline.batch.plan import Outcome
 from pipeline.errors import EXIT_INTERRUPTED, UnbendError
 
 # How long a worker that was asked to stop may clean up before it is killed.

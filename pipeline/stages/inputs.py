@@ -10,8 +10,7 @@ import numpy as np
 from pipeline.batch.plan import Plan
 from pipeline.errors import MissionError
 from pipeline.flight.channels import ROLE_COLUMNS, Channel
-from pipeline.flight.evidence.contradictions import examine
-from pipeline.flight.evidence.imported import contradictions_of_import
+from pipeline.flight.evidence.contradictions import contradictions_of_import, examine
 from pipeline.flight.evidence.log_accuracy import LogAccuracy, with_accuracy
 from pipeline.flight.evidence.quality import plausible_samples
 from pipeline.flight.evidence.stretches import Stretch

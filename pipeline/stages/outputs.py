@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS
-from pipeline.batch.manifest import MANIFEST_VERSION
-from pipeline.batch.plan import Plan, versions
+from pipeline.batch.plan import MANIFEST_VERSION, Plan, versions
 from pipeline.batch.store import RunFolder
 from pipeline.config import Mission
 from pipeline.errors import EXIT_DONE, EXIT_LOSSES

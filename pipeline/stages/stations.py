@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.batch.plan import Plan
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel
-from pipeline.flight.evidence.imported import contradictions_of_import
+from pipeline.flight.evidence.contradictions import contradictions_of_import
 from pipeline.flight.evidence.stretches import flag_suspect
 from pipeline.flight.exposures import (
     Events,

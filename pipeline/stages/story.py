@@ -17,8 +17,14 @@ from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.estimate.adjusted_profile import unadjusted
 from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
-from pipeline.batch.manifest import Outcome, outcome_of
-from pipeline.batch.plan import Plan, check_unchanged, make_plan, refuse_other_mission
+from pipeline.batch.plan import (
+    Outcome,
+    Plan,
+    check_unchanged,
+    make_plan,
+    outcome_of,
+    refuse_other_mission,
+)
 from pipeline.batch.store import (
     RunFolder,
     atomic_write,

@@ -14,8 +14,12 @@ from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.estimate.readings import bin_readings
 from pipeline.atmosphere.profile import Profile, stack_layers
 from pipeline.atmosphere.refractive_index import IndexModel
-from pipeline.atmosphere.series.ageing import SampleAges, covariance_with_ageing
-from pipeline.atmosphere.series.profile_series import TimedProfile, interpolate_series
+from pipeline.atmosphere.series.profile_series import (
+    SampleAges,
+    TimedProfile,
+    covariance_with_ageing,
+    interpolate_series,
+)
 from pipeline.geodesy import normal_gravity
 
 GAMMA = 9.80665 * 28.9644 / 8314.32  # [K/m']

@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.batch import workers
 from pipeline.batch.execute import Bug, exit_code_of, run_many, shared_outputs
-from pipeline.batch.manifest import Outcome
+from pipeline.batch.plan import Outcome
 from pipeline.errors import InputError
 
 

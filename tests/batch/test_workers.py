@@ -16,7 +16,7 @@ MISSIONS = """
 import contextlib, json, os, signal, sys, time
 from pathlib import Path
 from pipeline.batch.execute import Bug, run_many
-from pipeline.batch.manifest import Outcome
+from pipeline.batch.plan import Outcome
 from pipeline.errors import InputError
 
 def one(path, *, progress=None):

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 import yaml
 
-from pipeline.batch.manifest import Outcome
+from pipeline.batch.plan import Outcome
 from pipeline.stages.story import run_mission
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pipeline.batch.manifest import Outcome
+from pipeline.batch.plan import Outcome
 
 from .conftest import REPOSITORY
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pipeline.batch.manifest import Outcome
+from pipeline.batch.plan import Outcome
 from pipeline.errors import MissionError
 from pipeline.ingest import open_log
 from pipeline.stages.story import run_mission

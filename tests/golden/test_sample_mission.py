@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere import Profile, profile_from_table
 from pipeline.atmosphere.refractive_index import IndexModel
-from pipeline.batch.manifest import Outcome
+from pipeline.batch.plan import Outcome
 from pipeline.config import load_mission
 from pipeline.geodesy import lambert_gravity
 from pipeline.refraction import Exposures, bend, correct_observations, ray_table

@@ -73,7 +73,7 @@ STATION_K, STATION_RH, STATION_LOG_P = 1.5, 0.06, 5e-4
 """Two metres above the grass is not yet the free air; a station's pressure is good to 0.5 hPa."""
 
 STATION_K2_PER_H = 2.0
-"""Near the ground the day warms the air by some 5 K from dawn to noon, as in `series.ageing`."""
+"""Near the ground the day warms the air by some 5 K from dawn to noon, as in `series`."""
 
 THIN_M = 100.0
 """Levels of a sounding are averaged over this [m']."""

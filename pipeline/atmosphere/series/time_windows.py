@@ -21,15 +21,15 @@ from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 from pipeline.atmosphere.estimate.candidates import SMALLEST_BAROMETRIC_CLIMB_M, SMALLEST_CLIMB_M
 from pipeline.atmosphere.estimate.estimate_checks import is_better_than_background, is_plausible
 from pipeline.atmosphere.estimate.solver import estimate
-from pipeline.atmosphere.series.ageing import (
+from pipeline.atmosphere.series.profile_series import (
     CHANGE_LOG_P_PER_H,
     CHANGE_RH,
     FRESH_S,
     SampleAges,
+    TimedProfile,
     change_sigma,
     covariance_with_ageing,
 )
-from pipeline.atmosphere.series.profile_series import TimedProfile
 from pipeline.ledger import Ledger
 
 Array = NDArray[np.float64]

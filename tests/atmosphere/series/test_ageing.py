@@ -10,7 +10,7 @@ import pytest
 from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.profile import Profile, stack_layers
-from pipeline.atmosphere.series.ageing import (
+from pipeline.atmosphere.series.profile_series import (
     SampleAges,
     change_sigma,
     covariance_with_ageing,

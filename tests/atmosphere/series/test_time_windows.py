@@ -16,13 +16,13 @@ from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from pipeline.atmosphere.estimate.sensors import SensorCalibration, SensorSettings
 from pipeline.atmosphere.estimate.solver import estimate
 from pipeline.atmosphere.estimate.state import SensorFault
-from pipeline.atmosphere.series.ageing import sample_ages
 from pipeline.atmosphere.series.profile_series import (
     TimedProfile,
     add_ageing,
     constant_series,
     interpolate_profiles,
     interpolate_series,
+    sample_ages,
 )
 from pipeline.atmosphere.series.time_windows import (
     _whole_flight_as_background,

@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel, Source
-from pipeline.flight.evidence.imported import contradictions_of_import
+from pipeline.flight.evidence.contradictions import contradictions_of_import
 from pipeline.flight.evidence.stretches import Stretch
 from pipeline.flight.heights import HeightSystem
 from pipeline.ledger import Ledger
