@@ -148,13 +148,9 @@ def _supplements() -> dict[str, _SupplementsColumn]:
             np.array([float(row[key]) for row in levels])
             for key in ("geopotential_m", "temperature_k", "vapour_pressure_pa", "pressure_pa")
         )
+        latitude, humidity = float(levels[0]["latitude_deg"]), e / saturation_vapour_pressure(t)
         columns[name] = _SupplementsColumn(
-            float(levels[0]["latitude_deg"]),
-            levels[0]["season"],
-            edge,
-            t,
-            e / saturation_vapour_pressure(t),
-            float(p[0]),
+            latitude, levels[0]["season"], edge, t, humidity, float(p[0])
         )
     return columns
 

@@ -34,7 +34,7 @@ from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity, normal_gravity
 from pipeline.units import DEGREE, STANDARD_GRAVITY
 
-SEA_LEVEL_PRESSURE_PA = 101325.0
+SEA_LEVEL_PA = 101325.0
 
 MSIS = "nrlmsis2.1"
 _MSIS_TOP_M, _MSIS_STEP_M = 80_000.0, 500.0
@@ -103,14 +103,8 @@ def _tabulated_profile(name: str, place: SeasonAndPlace, index: IndexModel) -> P
         edge = np.concatenate([[LOWEST_GEOPOTENTIAL_M], edge])
         temperature = np.concatenate([[temperature[0] + lapse * down], temperature])
     constant = STANDARD_GRAVITY * first["m0_kg_per_kmol"] / first["r_star_j_per_kmol_k"]
-    layers = stack_layers(
-        edge,
-        temperature,
-        np.zeros(edge.size),
-        (STANDARD,) * (edge.size - 1),
-        anchor=(0.0, SEA_LEVEL_PRESSURE_PA),
-        constant=constant,
-    )
+    dry, source, anchor = np.zeros(edge.size), (STANDARD,) * (edge.size - 1), (0.0, SEA_LEVEL_PA)
+    layers = stack_layers(edge, temperature, dry, source, anchor=anchor, constant=constant)
     return Profile(layers, gravity, index, name, constant)
 
 
@@ -163,10 +157,7 @@ ATMOSPHERES: dict[str, AtmosphereModel] = {
         for name in climate_names()
     },
     MSIS: AtmosphereModel(
-        _msis,
-        "NRLMSIS 2.1 (Emmert et al. 2022), temperature only",
-        has_humidity=False,
-        needs_place=True,
+        _msis, "NRLMSIS 2.1 (Emmert et al. 2022), temperature only", False, needs_place=True
     ),
     **{
         name: AtmosphereModel(

@@ -247,13 +247,9 @@ def to_geodetic(channel: Channel, origin: GeodeticOrigin) -> Channel:
     if "east_m" not in channel.columns or "lat_rad" in channel.columns:
         return channel
     enu = np.stack([channel["east_m"], channel["north_m"], channel["up_m"]], axis=1)
-    n = len(channel)
-    lat, lon, height = offset_geodetic(
-        np.full(n, origin.lat_rad),
-        np.full(n, origin.lon_rad),
-        np.full(n, origin.h_ellipsoid_m),
-        enu,
-    )
+    place = (origin.lat_rad, origin.lon_rad, origin.h_ellipsoid_m)
+    lat, lon, height = (np.full(len(channel), value) for value in place)
+    lat, lon, height = offset_geodetic(lat, lon, height, enu)
     return replace(
         channel,
         columns=dict(channel.columns) | {"lat_rad": lat, "lon_rad": lon, "h_ellipsoid_m": height},

@@ -149,13 +149,8 @@ def track_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Track:
         longitude = np.arctan2(y, x) + np.where(parallel > 1e4, bend[:, 1] / parallel, 0.0)
     inside = place.coverage == INSIDE
     longitude = (longitude + np.pi) % (2.0 * np.pi) - np.pi
-    return Track(
-        np.where(inside, latitude, np.nan),
-        np.where(inside, longitude, np.nan),
-        curve.rate(place),
-        curve.sigma(place),
-        place.coverage,
-    )
+    latitude, longitude = (np.where(inside, x, np.nan) for x in (latitude, longitude))
+    return Track(latitude, longitude, curve.rate(place), curve.sigma(place), place.coverage)
 
 
 def bend_of_heights(

@@ -39,14 +39,9 @@ class DelayedProgressBar:
 
     def __init__(self, console: Console, title: str) -> None:
         self._title = title
-        self._bar = Bar(
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=24),
-            TaskProgressColumn(),
-            TimeRemainingColumn(compact=True),
-            console=console,
-            transient=True,
-        )
+        ends = TaskProgressColumn(), TimeRemainingColumn(compact=True)
+        columns = TextColumn("{task.description}"), BarColumn(bar_width=24), *ends
+        self._bar = Bar(*columns, console=console, transient=True)
         self._task = self._bar.add_task(title, total=None)
         self._timer = threading.Timer(DELAY_S, self._show)
         self._timer.daemon = True
@@ -84,9 +79,5 @@ class DelayedProgressBar:
 
     def update(self, step: str, completed: int, total: int) -> None:
         """Set step, finished units and their total (0 if that is not known)."""
-        self._bar.update(
-            self._task,
-            description=f"{self._title}: {step}",
-            completed=completed,
-            total=total or None,
-        )
+        text = f"{self._title}: {step}"
+        self._bar.update(self._task, description=text, completed=completed, total=total or None)

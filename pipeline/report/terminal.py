@@ -185,13 +185,9 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
     table.columns[4].justify = "left"
     table.columns[4].min_width = len("cabin_temperature")
     for channel in log["channels"]:
-        table.add_row(
-            escape(channel["name"]),
-            f"{channel['samples']:,}",
-            f"{channel['rate_hz']:.3g}",
-            str(len(channel["gaps"])),
-            ", ".join(channel["roles"]) or "only if named",
-        )
+        numbers = f"{channel['samples']:,}", f"{channel['rate_hz']:.3g}", str(len(channel["gaps"]))
+        roles = ", ".join(channel["roles"]) or "only if named"
+        table.add_row(escape(channel["name"]), *numbers, roles)
     console.print(Padding(table, (1, 0, 1, 2)))
     print_ledger(console, log["ledger"])
 

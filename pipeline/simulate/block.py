@@ -116,13 +116,8 @@ def stations(flight: Flight, air: TrueAir, cameras: tuple[SimulatedCamera, ...])
     msl = height - UNDULATION_M
     time_s = np.tile(flight.exposure_s, len(cameras))
     count = len(flight.exposure_s)
-    outside = AirState(
-        air.pressure_pa(msl),
-        temperature_k(msl),
-        vapour_pressure_pa(msl),
-        relative_humidity(msl),
-        air.n(msl),
-    )
+    vapour, humidity = vapour_pressure_pa(msl), relative_humidity(msl)
+    outside = AirState(air.pressure_pa(msl), temperature_k(msl), vapour, humidity, air.n(msl))
     return TrueStations(
         tuple(f"{c.name}_{i:05d}" for c in cameras for i in range(1, count + 1)),
         np.repeat(np.arange(len(cameras)), count),
@@ -224,18 +219,10 @@ def observe(
         true[:, rows] = camera.project(straight[rows])
     up = height_and_up(block.ecef_m)[1][station]
     down = -np.sum(rays.apparent * up, axis=-1)
-    across = np.linalg.norm(np.cross(rays.apparent, up), axis=-1)
+    zeta = np.arctan2(np.linalg.norm(np.cross(rays.apparent, up), axis=-1), down)
+    (x, y), (x_true, y_true) = measured, true
     return TrueObservations(
-        station,
-        point,
-        measured[0],
-        measured[1],
-        true[0],
-        true[1],
-        np.arctan2(across, down),
-        rays.r_c_rad,
-        r_cc,
-        rays.miss_m,
+        station, point, x, y, x_true, y_true, zeta, rays.r_c_rad, r_cc, rays.miss_m
     )
 
 

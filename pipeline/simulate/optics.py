@@ -107,14 +107,9 @@ def ray_ends(
         return np.concatenate([dr.ravel(), dv.ravel()])
 
     first = np.concatenate([np.zeros(3 * count), (direction * n_start[:, None]).ravel()])
+    floor = np.repeat([1e-9, 1e-15], 3 * count)
     solution = solve_ivp(
-        slope,
-        (0.0, 1.0),
-        first,
-        method="DOP853",
-        rtol=1e-12,
-        atol=np.repeat([1e-9, 1e-15], 3 * count),
-        t_eval=[1.0],
+        slope, (0.0, 1.0), first, method="DOP853", rtol=1e-12, atol=floor, t_eval=[1.0]
     )
     if not solution.success:
         raise PhysicsError("SIM-ODE", f"the rays did not integrate: {solution.message}")
@@ -293,27 +288,10 @@ class SimulatedCamera:
 
 def cameras(focal_px: float) -> tuple[SimulatedCamera, SimulatedCamera]:
     """The nadir camera and the one turned 45 deg to the right."""
-    nadir = SimulatedCamera(
-        "nadir",
-        0,
-        focal_px,
-        7012.4,
-        5291.7,
-        (-0.018, 0.009, 1.5e-4, -1.0e-4, -0.002),
-        0.0,
-        (0.35, 0.10, 0.60),
-    )
-    oblique = SimulatedCamera(
-        "oblique",
-        1,
-        focal_px,
-        6989.2,
-        5308.1,
-        (-0.015, 0.007, -1.2e-4, 0.8e-4, -0.001),
-        -45.0,
-        (0.20, 0.28, 0.55),
-    )
-    return nadir, oblique
+    lens, arm = (-0.018, 0.009, 1.5e-4, -1.0e-4, -0.002), (0.35, 0.10, 0.60)
+    nadir = SimulatedCamera("nadir", 0, focal_px, 7012.4, 5291.7, lens, 0.0, arm)
+    lens, arm = (-0.015, 0.007, -1.2e-4, 0.8e-4, -0.001), (0.20, 0.28, 0.55)
+    return nadir, SimulatedCamera("oblique", 1, focal_px, 6989.2, 5308.1, lens, -45.0, arm)
 
 
 def body_rotation(roll: float, pitch: float, yaw: float) -> Array:

@@ -165,15 +165,9 @@ def true_air(lat_rad: float) -> TrueAir:
     for side, end in ((knots <= FIELD_HEIGHT_M, LOWEST_M), (knots >= FIELD_HEIGHT_M, HIGHEST_M)):
         heights = knots[side] if end > FIELD_HEIGHT_M else knots[side][::-1]
         # Steps of 100 m keep the interpolant between them as good as the steps: 1e-13 in ln p.
+        span, first = (FIELD_HEIGHT_M, end), [np.log(FIELD_PRESSURE_PA)]
         solution = solve_ivp(
-            slope,
-            (FIELD_HEIGHT_M, end),
-            [np.log(FIELD_PRESSURE_PA)],
-            method="DOP853",
-            t_eval=heights,
-            rtol=1e-12,
-            atol=1e-14,
-            max_step=100.0,
+            slope, span, first, "DOP853", heights, rtol=1e-12, atol=1e-14, max_step=100.0
         )
         if not solution.success:
             raise PhysicsError("SIM-ODE", f"the air did not integrate: {solution.message}")

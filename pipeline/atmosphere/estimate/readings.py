@@ -389,14 +389,8 @@ def bin_readings(
     middle = mean(seconds[use])
     lasted = np.sqrt(12.0 * mean((seconds[use] - middle[bin_of]) ** 2))
     independent = np.minimum(count, 1.0 + lasted / CORRELATED_S)
-    return Bins(
-        middle,
-        mean(height[use]),
-        mean(reading),
-        scatter / np.sqrt(independent),
-        count.astype(np.int64),
-        rejected,
-    )
+    sigma, number = scatter / np.sqrt(independent), count.astype(np.int64)
+    return Bins(middle, mean(height[use]), mean(reading), sigma, number, rejected)
 
 
 def _medians(bin_of: NDArray[np.intp], value: Array, size: NDArray[np.int64]) -> Array:

@@ -112,17 +112,12 @@ class Solution:
         """The layers of the state, and the covariance of what defines them: T_M, ln p, e/p."""
         air, layout = self.air, self.air.layout
         k = layout.knot.size
+        source, constant = (RELAXED,) * (k - 1), background.constant
+        anchor = (layout.reference, float(np.exp(self.x[layout.level])))
         layers = stack_layers(
-            layout.knot,
-            air.virtual,
-            air.vapour,
-            (RELAXED,) * (k - 1),
-            anchor=(layout.reference, float(np.exp(self.x[layout.level]))),
-            constant=background.constant,
+            layout.knot, air.virtual, air.vapour, source, anchor=anchor, constant=constant
         )
-        profile = Profile(
-            layers, background.gravity, background.index, "adjusted", background.constant
-        )
+        profile = Profile(layers, background.gravity, background.index, "adjusted", constant)
         by_state = np.zeros((2 * k + 1, layout.size))
         by_state[:k, layout.temperature] = np.diag(air.virtual_by_t)
         by_state[:k, layout.humidity] = air.virtual_by_rh[:, None] * air.spreading
@@ -165,13 +160,9 @@ def estimate(
     >>> made.covariance.sigma_temperature([0.0, 5000.0]).round(1).tolist()
     [7.3, 4.9]
     """
+    settings = settings or SensorSettings()
     readings = collect_readings(
-        samples,
-        background,
-        settings or SensorSettings(),
-        soundings=soundings,
-        surface=surface,
-        flight=flight,
+        samples, background, settings, soundings=soundings, surface=surface, flight=flight
     )
     before = {estimated.fault: estimated for estimated in known}
     faults = [
@@ -190,16 +181,8 @@ def estimate(
         FaultEstimate(fault.name, float(solution.x[i]), float(sigma[i]), fault.sigma)
         for i, fault in enumerate(layout.faults, layout.level + 1)
     )
-    return Estimate(
-        profile,
-        covariance,
-        prior.sigma_temperature,
-        estimated,
-        solution.fits,
-        readings,
-        solution.x,
-        solution.converged,
-    )
+    of_solution = estimated, solution.fits, readings, solution.x, solution.converged
+    return Estimate(profile, covariance, prior.sigma_temperature, *of_solution)
 
 
 def layout_of(readings: FlightReadings, background: Climatology) -> Layout:

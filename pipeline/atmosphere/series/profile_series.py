@@ -335,15 +335,9 @@ def interpolate_profiles(a: TimedProfile, b: TimedProfile, share: float) -> Time
     t_m, vapour = ((1.0 - share) * parts[0][i] + share * parts[1][i] for i in (0, 2))
     levels = [float(np.log(air.profile.pressure(here))) for air in (a, b)]
     log_p = (1.0 - share) * levels[0] + share * levels[1]
-    nearer = a if share < 0.5 else b
-    layers = stack_layers(
-        edge,
-        t_m,
-        vapour,
-        nearer.profile.layers.sources_between(edge),
-        anchor=(anchor, float(np.exp(log_p))),
-        constant=a.profile.constant,
-    )
+    source = (a if share < 0.5 else b).profile.layers.sources_between(edge)
+    level, constant = (anchor, float(np.exp(log_p))), a.profile.constant
+    layers = stack_layers(edge, t_m, vapour, source, anchor=level, constant=constant)
     profile = replace(a.profile, layers=layers)
     time_ns = a.time_ns + round(share * (b.time_ns - a.time_ns))
     return TimedProfile(time_ns, profile, neighbours=(a, b, share))

@@ -42,12 +42,13 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
     return contents_of(reader, dict(reader.counts), line, tables, ledger, reread=reread)
 
 
+def is_text(head: bytes) -> bool:
+    """Whether a file defines a message in its first bytes."""
+    return _FIRST.search(head[:LONGEST]) is not None
+
+
 DATAFLASH_TEXT = LogFormat(
-    "dataflash-text",
-    "ArduPilot DataFlash as text",
-    (".log",),
-    lambda head: _FIRST.search(head[:LONGEST]) is not None,
-    read_log,
+    "dataflash-text", "ArduPilot DataFlash as text", (".log",), is_text, read_log
 )
 
 

@@ -96,19 +96,9 @@ def tables_3_to_5(air: Profile) -> list[Block]:
             published = published - plane_first_term(*ray, step=STEP_M)
             exact = exact - plane_first_term(*ray)
             quantity = "R_c spherical - plane"
-        blocks.append(
-            block(
-                label,
-                quantity,
-                "arcsec",
-                h_c=h_c,
-                h_g=h_g,
-                zeta_deg=degrees,
-                printed=table[key],
-                published=_arcsec(published),
-                exact=_arcsec(exact),
-            )
-        )
+        values = {"published": _arcsec(published), "exact": _arcsec(exact)}
+        values |= {"h_c": h_c, "h_g": h_g, "zeta_deg": degrees, "printed": table[key]}
+        blocks.append(block(label, quantity, "arcsec", **values))
     return blocks
 
 

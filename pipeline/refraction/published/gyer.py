@@ -73,13 +73,11 @@ def plane_first_term(
         column = mean(profile, _squared, h_g, h_c) - w_c
     else:
         count, width = _intervals(profile, h_c, h_g, step)
-        total = _eq_31(
-            lambda h, used: _squared(profile, h) - w_c.ravel()[used],
-            h_g,
-            width,
-            np.zeros(h_g.shape),
-            count,
-        )
+
+        def above_w_c(h: Array, used: NDArray[np.intp]) -> Array:
+            return _squared(profile, h) - w_c.ravel()[used]
+
+        total = _eq_31(above_w_c, h_g, width, np.zeros(h_g.shape), count)
         column = np.where(h_c > h_g, total / np.where(h_c > h_g, h_c - h_g, 1.0), 0.0)
     return times_tangent(0.5 * column / (1.0 + w_c), h_c, h_g, zeta_c)
 
