@@ -37,6 +37,7 @@ _MISSION_FILE_KEYS = {
     "images": "events.images.path",
     "geoid": "mission.geoid",
     "object points": "ground.height.points",
+    "control": "control.path",
 }
 _EXIF_BYTES = 1 << 18
 
@@ -118,6 +119,8 @@ def input_paths(mission: Mission, folder: Path) -> dict[str, tuple[str, Path]]:
         named["geoid"] = mission.mission.geoid
     if mission.ground.points is not None:
         named["object points"] = mission.ground.points.points
+    if mission.control is not None:
+        named["control"] = mission.control.path
     if mission.ground.model is not None:
         paths = mission.ground.model.paths
         named |= {f"elevation model {i}": path for i, path in enumerate(paths, 1)}

@@ -196,6 +196,31 @@ class PointTable(Section):
     )
 
 
+class ControlSection(Section):
+    """Control points that are measured in the images, to compare them before and after.
+
+    Columns, crs and reference go together; without them the table has point, lat_deg, lon_deg
+    (WGS 84) and h_ellipsoid_m."""
+
+    path: PathText = Field(
+        description="CSV or Parquet, one row a point, named as in the observations"
+    )
+    columns: PointColumns = PointColumns(
+        latitude="lat_deg", longitude="lon_deg", height="h_ellipsoid_m"
+    )
+    crs: str = Field("EPSG:4326", description="of the places; with a vertical part of heights too")
+    reference: Literal["msl", "ellipsoid", "relative"] = Field(
+        "ellipsoid", description="what the heights count from, as under ground"
+    )
+
+    @model_validator(mode="after")
+    def _check_stated(self) -> ControlSection:
+        stated = {"columns", "crs", "reference"}
+        if 0 < len(stated & self.model_fields_set) < len(stated):
+            raise ValueError("give columns, crs and reference together")
+        return self
+
+
 class GroundModel(Section):
     """A digital elevation model that the rays are followed to."""
 
@@ -394,6 +419,11 @@ class Mission(Section):
     ground: GroundSection
     atmosphere: AtmosphereSection = AtmosphereSection()
     refraction: RefractionSection = RefractionSection()
+    control: ControlSection | None = Field(
+        None,
+        description="a path, or {path, columns, crs, reference}: control points, which stand "
+        "in the report before and after; they change no result",
+    )
     output: OutputSection
     accept: list[AcceptedFinding] = Field([], description="findings that are right all the same")
 
@@ -433,6 +463,11 @@ class Mission(Section):
                 given = {"path": path, "format": program} | given
                 values = values | {"stations": stations | {"orientation": given}}
         return values
+
+    @field_validator("control", mode="before")
+    @classmethod
+    def _path_of_control(cls, value: Any) -> Any:
+        return {"path": value} if isinstance(value, str) else value
 
     @model_validator(mode="after")
     def _check_station_source(self) -> Mission:
@@ -531,6 +566,9 @@ class Mission(Section):
                 "ground.height: block takes the points of stations.orientation: give it a format "
                 f"of {', '.join(BLOCKS)}, and a frame that does not need the log"
             )
+        if self.control is not None and self.refraction.direction == "apply":
+            raise ValueError("control shows what removing refraction does: leave it out with "
+                             "refraction.direction: apply")  # fmt: skip
         if self.ground.from_distance and self.observations.columns.distance_m is None:
             raise ValueError(
                 "ground.height: from_distance needs observations.columns.distance_m, the name of "

@@ -12,10 +12,13 @@ from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.statistics import ShiftGrid
 from pipeline.report.figures import as_svg, correction_figure, profile_figure
 from pipeline.report.summary import (
+    CONTROL_HEAD,
     CORRECTION_HEAD,
     SENSOR_HEAD,
     SOURCE_HEAD,
     air_sentences,
+    control_rows,
+    control_sentence,
     correction_rows,
     effect_lines,
     findings_first,
@@ -40,6 +43,8 @@ svg { max-width: 100%; height: auto; } .lead { font-size: 1.05rem; }
 .note { color: #475569; } code { font-size: .9em; }
 """
 
+_MOST_CONTROL = 200
+
 
 def write_report(
     path: Path,
@@ -55,6 +60,7 @@ def write_report(
         if is_applied(manifest)
         else ("correction", "What is not removed")
     )
+    control = control_sentence(manifest)
     lines = effect_lines(manifest["profile"]["effect"], manifest["profile"]["standard"])
     channels = ", ".join(
         f"{role.replace('_', ' ')} from {name}" for role, name in manifest["channels"].items()
@@ -71,6 +77,8 @@ def write_report(
         f"<h2>How large the {change} is</h2>",
         _table(CORRECTION_HEAD, correction_rows(manifest), numeric=True),
         as_svg(correction_figure(grids)),
+        f"<h2>Control points</h2><p>{escape(control)}</p>" if control else "",
+        _table(CONTROL_HEAD, control_rows(manifest, _MOST_CONTROL), numeric=True),
         "<h2>The air</h2>",
         *(f"<p>{escape(line)}</p>" for line in (air_sentences(manifest), *lines)),
         as_svg(profile_figure(air, samples)),

@@ -84,6 +84,50 @@ def three_digits(value: float | None) -> str:
     return f"{value:.3g}"
 
 
+def control_sentence(manifest: Mapping[str, Any]) -> str:
+    """How far control points are missed before and after; empty without control."""
+    control = manifest.get("control")
+    if control is None:
+        return ""
+    before, after, moved = (
+        "/".join(f"{v:.3f}" for v in control[f"rms_{name}_m"])
+        for name in ("before", "after", "refraction")
+    )
+    share = control["part_explained"]
+    sigma = control["sigma_u_m"]
+    return (
+        f"{control['used']} control points, intersected with the stations held: RMS of east/north/"
+        f"up {before} m as measured, {after} m corrected; refraction moves them by {moved} m"
+        + (f", {100.0 * share:.1f} % of what they missed (mean square)" if share > 0.0 else "")
+        + (f". Stations and pixels let a height miss by {three_digits(sigma)} m." if sigma else ".")
+    )
+
+
+CONTROL_HEAD = (
+    "control point [m]", "rays", "dE", "dN", "dU", "dE corr.", "dN corr.", "dU corr.", "± dU"
+)  # fmt: skip
+
+
+def control_rows(manifest: Mapping[str, Any], most: int) -> list[tuple[str, ...]]:
+    """Intersected minus given, as measured and corrected, of some points; their mean and RMS."""
+    control = manifest.get("control")
+    if control is None:
+        return []
+    rows = [
+        (p["point"], str(p["rays"]), *p["before_m"], *p["after_m"], p["sigma_u_m"])
+        for p in control["points"][:most]
+    ]
+    if len(control["points"]) > most:
+        rows.append((f"({len(control['points']) - most} more: manifest.json)", "", *[None] * 7))
+    for name in ("mean", "rms"):
+        both = (*control[f"{name}_before_m"], *control[f"{name}_after_m"])
+        rows.append((f"{name} of {control['used']}", "", *both, None))
+    return [
+        (name, rays, *("" if v is None else f"{v:+.3f}" for v in values))
+        for name, rays, *values in rows
+    ]
+
+
 CORRECTION_HEAD = ("", "median", "95 %", "maximum")
 
 

@@ -17,8 +17,11 @@ from pipeline.refraction.angle import RadialTable
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.report.summary import (
+    CONTROL_HEAD,
     CORRECTION_HEAD,
     air_sentences,
+    control_rows,
+    control_sentence,
     correction_rows,
     effect_lines,
     findings_first,
@@ -39,6 +42,8 @@ _OVER_THE_HORIZON = (
 )
 
 _COLOURS = {"finding": "red", "loss": "red", "warning": "yellow", "fallback": "cyan", "note": "dim"}
+
+_MOST_CONTROL = 12
 
 _PAPER_COLUMNS = (
     ("h_c [km]", "h_c_m", 1e3, 3),
@@ -90,6 +95,12 @@ def print_run(
     effects = effect_lines(profile["effect"], profile["standard"])
     for line in (air_sentences(manifest), *effects):
         _print_indented(console, escape(line))
+    if sentence := control_sentence(manifest):
+        _print_indented(console, escape(sentence))
+        table = _table(CONTROL_HEAD, gap=1)
+        for row in control_rows(manifest, _MOST_CONTROL):
+            table.add_row(*(escape(cell) for cell in row))
+        _print_indented(console, table)
     flagged = {k: n for k, n in manifest["observations"]["status"].items() if k != "ok" and n}
     if flagged:
         counts = ", ".join(f"{n:,} {status}" for status, n in flagged.items())

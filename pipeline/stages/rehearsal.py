@@ -16,7 +16,7 @@ from pipeline.atmosphere.profile import Profile, stack_layers
 from pipeline.flight.stations import NO_TIME
 from pipeline.refraction.calibration import field_of_view
 from pipeline.refraction.ray import rays_by
-from pipeline.report.summary import effect_lines
+from pipeline.report.summary import control_sentence, effect_lines
 from pipeline.stages.correction import correct_batch
 from pipeline.stages.ground.ground_heights import GroundHeights
 from pipeline.stages.plausibility import Facts, causes_of_statuses
@@ -76,7 +76,7 @@ def rehearsal_lines(checked: CorrectedMission) -> list[tuple[str, str]]:
     causes = causes_of_statuses(facts)
     rows = (f"{n:,} {k}" + (f" ({causes[k]})" if k in causes else "") for k, n in status.items())
     taken = "unknown" if home is None else f"{home.h_msl_m:.0f} m"
-    above = facts.camera_height_m - facts.rows.h_g_m
+    above, control = facts.camera_height_m - facts.rows.h_g_m, control_sentence(checked.manifest)
     return [
         ("datum", f"cameras by {source}, ground {mission.ground.reference}, all above mean sea "
          f"level; undulation {_span(undulation, 4)} m ({of_undulation})"),
@@ -92,6 +92,7 @@ def rehearsal_lines(checked: CorrectedMission) -> list[tuple[str, str]]:
         ("air", "; ".join(effect_lines(
             [effect.row() for effect in facts.effects[:1]], facts.adjustment.standard.name))
          or "no ray looks down"),
+        *([("control", control)] if control else []),
     ]  # fmt: skip
 
 

@@ -65,6 +65,7 @@ from pipeline.stages.finished_run import rebuild_run, refuse_output
 from pipeline.stages.ground.point_table import check_object_points, with_object_points
 from pipeline.stages.ground.terrain_ground import TerrainGround, compare_terrain, with_terrain
 from pipeline.stages.inputs import FlightLog, read_log, read_observations
+from pipeline.stages.multi_image.control import compare_control
 from pipeline.stages.multi_image.intersected_heights import with_intersected_heights
 from pipeline.stages.outputs import manifest_of, observation_metadata, write_tables
 from pipeline.stages.plausibility import (
@@ -242,6 +243,10 @@ def correct_mission(
         )  # fmt: skip
     batch = next(prepared.observations.batches(TYPICAL_ROWS))
     setup = with_uncertainties(setup, mission, stations, air.series, batch)
+    control = compare_control(
+        prepared.plan, prepared.observations, setup, stations, prepared.flight.heights,
+        ledger=ledger,
+    )  # fmt: skip
     statistics = correct(setup)
     takeoff = takeoff_of(prepared.track(), prepared.flight.heights.home_h_msl_m)
     facts = Facts(
@@ -269,7 +274,7 @@ def correct_mission(
         statistics=statistics,
         setup=setup,
         ledger=ledger,
-    )
+    ) | {"control": None if control is None else control.manifest()}
     return CorrectedMission(prepared, stations, air, setup, statistics, facts, manifest)
 
 

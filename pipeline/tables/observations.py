@@ -81,6 +81,19 @@ class Batch:
     def __len__(self) -> int:
         return len(self.image)
 
+    def taken(self, rows: NDArray[np.int64]) -> Batch:
+        """Some of its rows, without the user's columns."""
+        numbers = self.numbers
+        if numbers is None:
+            numbers = self.first_row + np.arange(len(self))
+        of_rows = {
+            name: None if values is None else values[rows]
+            for name, values in vars(self).items()
+            if values is None or isinstance(values, np.ndarray)
+        }
+        names = {"image": self.image.take(rows), "point": self.point.take(rows)}
+        return replace(self, **(of_rows | names | {"users": {}, "numbers": numbers[rows]}))
+
 
 @dataclass
 class RowSample:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import pyarrow as pa
 
 from pipeline.batch.plan import Plan
 from pipeline.errors import InputError
-from pipeline.flight.heights import known_home_m
+from pipeline.flight.heights import HeightSystem, known_home_m
 from pipeline.flight.stations import Stations
 from pipeline.geodesy import ecef_of_geodetic
 from pipeline.ledger import Ledger
@@ -32,18 +33,40 @@ def with_object_points(
     Or from the block that orients the images.
     """
     section, reference = plan.mission.ground.points, plan.mission.ground.reference
-    heights = flight.heights
     if plan.mission.ground.height == "block":
         return replace(observations, points=block_points(plan, flight, ledger))
     if section is None:
         return observations
-    path = plan.input("object points").path
-    name, value = read_object_points(path, section.columns.named)
+    points = read_points(
+        plan, "object points", section.crs, section.columns.named, reference=reference,
+        key="ground.height", heights=flight.heights, ledger=ledger,
+    )  # fmt: skip
+    return replace(observations, points=points)
+
+
+def read_points(
+    plan: Plan,
+    role: str,
+    crs: str,
+    columns: Mapping[str, str],
+    *,
+    reference: str,
+    key: str,
+    heights: HeightSystem,
+    ledger: Ledger,
+) -> ObjectPoints:
+    """The points of a table of the user's with heights above sea level.
+
+    ``role`` is that of the input, ``columns``, ``crs`` and ``reference`` what the mission file
+    states of it under ``key``. Refuses as `read_object_points` and `places_of`.
+    """
+    path = plan.input(role).path
+    name, value = read_object_points(path, columns, key=f"{key}.columns")
     axes = ("x", "y") if "x" in value else ("longitude", "latitude")
     places = ledger.take(
         places_of(
-            section.crs, (value[axes[0]], value[axes[1]], value["height"]), heights=reference,
-            geoid=user_geoid(plan), where=str(path), key="ground.height.crs",
+            crs, (value[axes[0]], value[axes[1]], value["height"]), heights=reference,
+            geoid=user_geoid(plan), where=str(path), key=f"{key}.crs",
         )
     )  # fmt: skip
     h = places.h_m
@@ -51,8 +74,7 @@ def with_object_points(
         h = h - heights.undulation(places.lat_rad, places.lon_rad)
     elif places.heights == "relative":
         h = h + known_home_m(heights)
-    points = ObjectPoints(name, places.lat_rad, places.lon_rad, h)
-    return replace(observations, points=points)
+    return ObjectPoints(name, places.lat_rad, places.lon_rad, h)
 
 
 def check_object_points(observations: Observations, stations: Stations, ledger: Ledger) -> None:

@@ -61,14 +61,14 @@ def matching_rows(name: pa.StringArray, known: pa.StringArray) -> Rows:
 
 
 def read_object_points(
-    path: Path, columns: Mapping[str, str]
+    path: Path, columns: Mapping[str, str], *, key: str
 ) -> tuple[pa.StringArray, dict[str, Array]]:
     """Names (p,), and the other columns as numbers by quantity, of a CSV or Parquet table.
 
-    ``columns`` : point, height, and x, y or longitude, latitude -> the user's names. Refuses
+    ``columns`` : point, height, and x, y or longitude, latitude -> the user's names; ``key`` that
+    of the mission file which names them. Refuses
     (InputError) a column that is not there or holds no numbers, and names that stand there twice.
     """
-    key = "ground.height.columns"
     if path.suffix.lower() in (".parquet", ".pq"):
         try:
             there = pq.read_schema(path).names

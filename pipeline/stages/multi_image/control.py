@@ -1,0 +1,263 @@
+"""Before and after on the user's own control: points intersected with and without refraction."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from pipeline.batch.plan import Plan
+from pipeline.block.image_rays import UNKNOWN_SIGMAS, ImageRays, orientations_of, sorted_rays
+from pipeline.block.oriented_images import SIGMAS_OF_BLOCK
+from pipeline.block.point_heights import point_heights
+from pipeline.errors import InputError
+from pipeline.flight.heights import HeightSystem
+from pipeline.flight.stations import Stations
+from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef
+from pipeline.ledger import Ledger, finding
+from pipeline.stages.correction import CorrectionSetup, correct_batch
+from pipeline.stages.ground.point_table import read_points
+from pipeline.tables.geodata.object_points import ObjectPoints, matching_rows
+from pipeline.tables.observations import Batch, Observations
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_BATCH_ROWS = 250_000
+_FEET = 0.3048
+_FAR_M, _FAR_SIGMAS, _FAR_EFFECTS = 1.0, 5.0, 3.0
+"""Control farther than each of these from where its rays meet is not what it is said to be."""
+
+_BETTER = 0.2  # of the distance, by another reading
+_FEWEST = 5  # points, among which one may be an outlier
+_WORSE = 0.25
+"""Part of the square of what refraction moves, by which the square of misses may grow."""
+
+
+@dataclass(frozen=True, eq=False)
+class ControlComparison:
+    """Intersected minus given places of control points (p, 3), east, north, up [m].
+
+    ``before`` by the rays as measured, ``after`` by the corrected ones; poses are held. NaN where
+    rays do not meet; ``rays`` (p,) of each; ``sigma_m`` (p,) what the sigmas of stations and pixels
+    let a height miss, ``sigma_stated`` whether those of the stations are known. ``unmeasured``
+    control points are in no image.
+    """
+
+    name: tuple[str, ...]
+    rays: NDArray[np.int64]
+    before: Array
+    after: Array
+    sigma_m: Array
+    sigma_stated: bool
+    unmeasured: int
+
+    @property
+    def used(self) -> Mask:
+        """(p,) points whose rays meet."""
+        return np.asarray(np.isfinite(self.before + self.after).all(axis=1))
+
+    def rms(self, values: Array) -> Array:
+        """(3,) root mean squares of some (p, 3) of used points."""
+        return np.asarray(np.sqrt(np.mean(values[self.used] ** 2, axis=0)))
+
+    def part_explained(self) -> float:
+        """The part of the mean square of what points missed that the correction takes away."""
+        before, after = (float(np.sum(self.rms(v) ** 2)) for v in (self.before, self.after))
+        return 1.0 - after / before
+
+    def manifest(self) -> dict[str, Any]:
+        """For the manifest: millimetres are enough, and null is what is not known."""
+
+        def metres(values: Array) -> list[float | None]:
+            return [None if np.isnan(v) else round(v, 4) for v in values.tolist()]
+
+        return {
+            "points": [
+                {"point": name, "rays": rays, "before_m": metres(before), "after_m": metres(after),
+                 "sigma_u_m": metres(sigma)[0] if self.sigma_stated else None}
+                for name, rays, before, after, sigma in zip(
+                    self.name, self.rays.tolist(), self.before, self.after, self.sigma_m[:, None],
+                    strict=True)
+            ],
+            "used": int(self.used.sum()),
+            "unmeasured": self.unmeasured,
+            "rms_before_m": metres(self.rms(self.before)),
+            "rms_after_m": metres(self.rms(self.after)),
+            "rms_refraction_m": metres(self.rms(self.before - self.after)),
+            "mean_before_m": metres(self.before[self.used].mean(axis=0)),
+            "mean_after_m": metres(self.after[self.used].mean(axis=0)),
+            "part_explained": round(self.part_explained(), 4),
+            "sigma_u_m": metres(np.nanmedian(self.sigma_m[self.used], keepdims=True))[0]
+            if self.sigma_stated
+            else None,
+        }  # fmt: skip
+
+
+def compare_control(
+    plan: Plan,
+    observations: Observations,
+    setup: CorrectionSetup,
+    stations: Stations,
+    heights: HeightSystem,
+    *,
+    ledger: Ledger,
+) -> ControlComparison | None:
+    """Control points where their rays meet, before and after; None without control, or rays.
+
+    Refuses (InputError CONTROL-MISSING) a table of which no point is in the observations; a loss
+    (CONTROL-RAYS) where no rays meet. Findings say what contradicts it, see `judge_control`.
+    """
+    section = plan.mission.control
+    if section is None:
+        return None
+    points = read_points(
+        plan, "control", section.crs, section.columns.named, reference=section.reference,
+        key="control", heights=heights, ledger=ledger,
+    )  # fmt: skip
+    setup = replace(setup, uncertainties=(None,) * len(setup.rays))
+    images, parts = pa.array(setup.images, pa.string()), [np.empty((9, 0))]
+    for batch in observations.batches(_BATCH_ROWS):
+        rows = np.flatnonzero(matching_rows(batch.point, points.name) >= 0)
+        if rows.size:
+            parts.append(_rays_of(batch.taken(rows), points, images, setup))
+    measured = np.concatenate(parts, axis=1)
+    point = np.unique(measured[0].astype(np.int64))
+    if not point.size:
+        first = next(observations.batches(1)).point[0]
+        raise InputError(
+            "CONTROL-MISSING",
+            f"none of {len(points.name)} control points is measured in an image: these are "
+            f"{points.name[0]} ..., the points of the observations {first} ...",
+            where="control",
+            remedy="write the names as in the observations, or name the column: "
+            "control.columns.point",
+        )
+    measured = measured[:, np.isfinite(measured).all(axis=0) & (measured[1] >= 0)]
+    at = np.searchsorted(point, measured[0].astype(np.int64))
+    oriented = plan.mission.stations.orientation is not None
+    orientations = orientations_of(stations, SIGMAS_OF_BLOCK if oriented else UNKNOWN_SIGMAS)
+    station = measured[1].astype(np.int64)
+    of_stations = stations.sigma_height_m + stations.sigma_tilt_rad
+    places = np.full((2, point.size, 3), np.nan)
+    sigma = np.full(point.size, np.nan)
+    for place, direction in zip(places, (measured[3:6], measured[6:]), strict=True):
+        rays = ImageRays(station, at, direction.T, measured[2])
+        r, found = sorted_rays(orientations, rays), point_heights(orientations, rays)
+        meets, row = ~(found.few | found.narrow), np.unique(at)
+        place[row[meets]] = (r.positions(r.oriented) + r.origin)[meets]
+        sigma[row] = found.sigma_m
+    lat, lon, h = points.lat_rad[point], points.lon_rad[point], points.h_m[point]
+    undulation = heights.undulation(lat, lon)
+    # Stations of which only the height above sea level is known count from there.
+    h = h + (undulation if bool(np.isfinite(stations.h_ellipsoid_m).any()) else 0.0)
+    axes, given = enu_from_ecef(lat, lon), ecef_of_geodetic(lat, lon, h)
+    before, after = np.einsum("pij,kpj->kpi", axes, places - given)
+    comparison = ControlComparison(
+        tuple(points.name.take(pa.array(point)).to_pylist()),
+        np.bincount(at, minlength=point.size),
+        before, after, sigma, bool(np.isfinite(of_stations[station]).any()),
+        len(points.name) - point.size,
+    )  # fmt: skip
+    if not comparison.used.any():
+        ledger.loss(
+            "CONTROL-RAYS", f"of {point.size} control points none has a height and rays that meet "
+            "at 3 deg or more: there is nothing to compare", where="control", count=point.size,
+        )  # fmt: skip
+        return None
+    stated = h if section.reference == "ellipsoid" else h - undulation
+    readings = {
+        "heights above the ellipsoid taken for those above sea level": (lat, lon, h - undulation),
+        "heights above sea level taken for those above the ellipsoid": (lat, lon, h + undulation),
+        "heights above the take-off taken for those above sea level": (
+            lat, lon, h + (heights.home_h_msl_m or np.nan)),
+        "heights in feet taken for metres": (lat, lon, h - (1.0 - _FEET) * stated),
+        "latitude and longitude exchanged": (lon, lat, h),
+    }  # fmt: skip
+    off_m = {
+        what: float(np.median(np.linalg.norm(places[1] - ecef_of_geodetic(*at_), axis=1)[used]))
+        for used in (comparison.used,)
+        for what, at_ in readings.items()
+    }
+    judge_control(comparison, off_m, ledger)
+    return comparison
+
+
+def _rays_of(
+    batch: Batch, points: ObjectPoints, images: pa.StringArray, setup: CorrectionSetup
+) -> Array:
+    """(9, n) control point, station, sigma [rad] and the directions measured and corrected."""
+    station = matching_rows(batch.image, images)
+    corrected = correct_batch(batch, station, setup.ground.heights(batch, station, setup), setup)
+    rays = np.full((9, len(batch)), np.nan)
+    rays[0], rays[1] = matching_rows(batch.point, points.name), station
+    for rows, camera, _ in setup.groups(station):
+        rays[2, rows] = 1.0 / camera.fx_px
+        for first, x, y in ((3, batch.x_px, batch.y_px), (6, corrected.x_px, corrected.y_px)):
+            u, v, _ = camera.rays(x[rows], y[rows])
+            direction = np.stack([u, v, np.ones(u.size)])
+            rays[first : first + 3, rows] = direction / np.linalg.norm(direction, axis=0)
+    return rays
+
+
+def judge_control(
+    comparison: ControlComparison, off_m: Mapping[str, float], ledger: Ledger
+) -> None:
+    """What control points say against themselves, the stations or the correction.
+
+    ``off_m`` : median distance of the corrected points from the control in other readings [m].
+    Findings: CONTROL-READING (another reading fits far better), CONTROL-FAR (none does),
+    CONTROL-OUTLIER (single points), CONTROL-WORSE (the correction moves points away from control);
+    a warning CONTROL-NOISE where sigmas of the stations exceed what is to be shown.
+    """
+    used, where = comparison.used, "control"
+    after, count = comparison.after[used], int(comparison.used.sum())
+    misses = np.linalg.norm(after, axis=1)
+    effect = float(np.linalg.norm(comparison.rms(comparison.before - comparison.after)))
+    stated, known = float(np.median(misses)), comparison.sigma_m[used]
+    sigma = float(np.median(known[np.isfinite(known)])) if np.isfinite(known).any() else 0.0
+    if stated > max(_FAR_M, _FAR_SIGMAS * sigma, _FAR_EFFECTS * effect):
+        what = f"the rays of {count} control points meet {stated:.4g} m from them, in the median"
+        likely = min(off_m, key=lambda reading: np.nan_to_num(off_m[reading], nan=np.inf))
+        if off_m[likely] < _BETTER * stated:
+            what += f", {off_m[likely]:.2g} m with {likely}: change control.crs, control.reference "
+            what += "or control.columns"
+            ledger.add(finding("CONTROL-READING", what, where=where, count=count))
+        else:
+            what += f" (sigmas of the stations explain {sigma:.2g} m): points of other names, "
+            what += "another system (control.crs, control.reference), or stations that are off"
+            ledger.add(finding("CONTROL-FAR", what, where=where, count=count))
+        return
+    apart = np.linalg.norm(after - np.median(after, axis=0), axis=1)
+    usual = 1.4826 * float(np.median(apart))
+    limit = _FAR_SIGMAS * max(usual, sigma if comparison.sigma_stated else 0.0)
+    if count >= _FEWEST and bool((apart > limit).any()):
+        names = np.array(comparison.name)[used][apart > limit]
+        what = (
+            f"{names.size} of {count} control points lie up to {apart.max():.2g} m off where the "
+        )
+        what += f"others are {np.median(apart):.2g} m off: {', '.join(names[:5])}; a point of "
+        what += "another name, measured wrongly, or surveyed wrongly"
+        ledger.add(finding("CONTROL-OUTLIER", what, where=where, count=names.size))
+    was, now = (float(np.linalg.norm(comparison.rms(v)))
+                for v in (comparison.before, comparison.after))  # fmt: skip
+    noise, of = (sigma, "sigmas of stations and pixels let control points miss") if (
+        comparison.sigma_stated) else (usual, "the control points scatter")  # fmt: skip
+    if noise > effect:
+        ledger.warning(
+            "CONTROL-NOISE",
+            f"{of} by {noise:.3g} m, and refraction moves them by {effect:.3g} m: no single one "
+            "shows what the correction does",
+            where=where,
+            count=count,
+        )
+    elif now**2 - was**2 > _WORSE * effect**2:
+        what = f"{count} control points are missed by {was:.3g} m before and {now:.3g} m after the "
+        what += "correction (RMS): their heights, the stations or the calibration were adjusted to "
+        what += "images with refraction in, or it was removed before (observations.refraction, "
+        what += "cameras.<name>.calibration)"
+        ledger.add(finding("CONTROL-WORSE", what, where=where, count=count))
