@@ -238,6 +238,37 @@ def test_counted_names_after_lost_pulses_are_not_believed(tmp_path):
 
 
 @needs_shared
+@pytest.mark.parametrize(("first", "lost"), [(120, 5), (243, 5), (6, 4), (236, 12)])
+def test_a_hole_between_counted_images_is_refused_by_tie_points_alone(first, lost, tmp_path):
+    """Exposures without an image in the midst: the count goes on, and a part of it is shifted."""
+    truth = truth_of("sitl_survey", 0).drop(index=range(first, first + lost)).reset_index(drop=True)
+    names = [f"IMG_{n:04d}.tif" for n in range(1, len(truth) + 1)]
+    events = {"log": {"cam": {"channel": "CAM[0]", "image": "IMG_{n:04d}.tif"}}}
+    observations = tie_points(truth, names, 590.0)
+    path = mission_of(tmp_path, "sitl_survey.BIN", observations, events, 590.0)
+    with pytest.raises(MissionError, match="EVENTS-AMBIGUOUS"):
+        read_mission(path)
+
+
+@needs_shared
+@pytest.mark.parametrize("off_s", [0.0, 7237.4])
+def test_two_cameras_in_one_channel_are_never_exchanged_by_whole_seconds(off_s, tmp_path):
+    """Pulses that two cameras take in turn, and clocks of whole seconds."""
+    truth = truth_of("sitl_survey", 0)
+    time_s = np.floor(log_times("sitl_survey.BIN", truth) + off_s)
+    names = [f"{'LR'[k % 2]}/IMG_{k // 2 + 1:04d}.tif" for k in range(len(truth))]
+    exif_table(tmp_path / "exif.csv", names, time_s, decimals=0)
+    events = {
+        "log": {
+            camera: {"channel": "CAM[0]", "image": f"{camera}/IMG_{{n:04d}}.tif"} for camera in "LR"
+        },
+        "images": {"path": "exif.csv"},
+    }
+    path = mission_of(tmp_path, "sitl_survey.BIN", scattered(names), events, 590.0)
+    assert misplaced(read_mission(path), truth, names) == 0
+
+
+@needs_shared
 def test_images_and_files_that_do_not_go_together(survey, tmp_path):
     truth, names = survey
     time_s = log_times("sitl_survey.BIN", truth)

@@ -35,6 +35,7 @@ _FEW_CONTRADICTED = 0.02
 _FEWEST_POINTS, _TIE_POINTS = 10, 200  # 800 rays tell a shift by a factor of e^3000
 _FEWEST_MEET, _POOREST_FIT = 0.5, 5.0
 _USABLE_STATIONS = 0.9
+_LARGEST_HOLE = 12
 _POSITION_M, _COMMON_M, _DELAY_S, _OUTLIER = 10.0, 5.0, 1.0, 25.0  # of positions in EXIF
 
 
@@ -110,11 +111,13 @@ def assigned_stations(
 class TieLikelihood:
     """Log likelihood of assignments (k,) of events to the images of one camera, by tie points.
 
-    Rays of images without a usable event count as bad ones under any assignment.
+    Rays of images without a usable event count as bad ones under any assignment. ``rays`` are some
+    of ``every`` ray.
     """
 
     of_events: Orientations
     rays: ImageRays
+    every: ImageRays
 
     def intersected(self, event: Indices) -> Intersection:
         """The intersection of the rays under an assignment."""
@@ -122,7 +125,21 @@ class TieLikelihood:
         return intersect(orientations, straightened(orientations, self.rays))
 
     def __call__(self, event: Indices) -> float:
-        return self.intersected(event).log_likelihood
+        return self.intersected(event).log_likelihood if self.rays.point.size else 0.0
+
+    def across(self, images: Indices) -> TieLikelihood:
+        """That by the points which some of the images show, and others too."""
+        inside = np.isin(self.every.image, images)
+        both = np.intersect1d(self.every.point[inside], self.every.point[~inside])
+        return replace(self, rays=self.every.of_points(both))
+
+    def contradicted(self, event: Indices) -> Indices:
+        """The images, by their rows, half of whose rays meet those of no others."""
+        of, every = self.of_events.assigned(event), self.every
+        found = intersect(of, straightened(of, every))
+        lost = found.bad | ~found.used[np.searchsorted(found.point, every.point)]
+        seen, off = (np.bincount(every.image[k], minlength=event.size) for k in (slice(None), lost))
+        return np.flatnonzero((off >= 0.5 * np.maximum(seen, 4)) & np.isfinite(of.centre_m[:, 0]))
 
     def fits(self, event: Indices) -> bool:
         """Whether rays meet at all under the best assignment: else something else is wrong."""
@@ -145,7 +162,8 @@ def tie_likelihood(
     if points.size < _FEWEST_POINTS or not usable:
         return None
     some = points[np.unique(np.linspace(0, points.size - 1, _TIE_POINTS).astype(int))]
-    return TieLikelihood(orientations_of(stations), replace(rays.of_points(some), height_m=None))
+    rays = replace(rays, height_m=None)
+    return TieLikelihood(orientations_of(stations), rays.of_points(some), rays)
 
 
 def position_likelihood(
@@ -311,7 +329,7 @@ def assigned_events(
     reason = ""
     if exposed.counts == "maybe" or not by_index:
         reason = "" if by_index else assignment.reason
-        reason = reason or hole_between(assignment, images, exposed, tie_points)
+        reason = reason or hole_between(assignment, images, exposed, likelihoods)
     if reason:
         raise MissionError(
             "EVENTS-AMBIGUOUS",
@@ -344,30 +362,48 @@ def assigned_events(
 
 
 def hole_between(
-    assignment: Assignment, images: CameraImages, exposed: Events, tie_points: Likelihood | None
+    assignment: Assignment,
+    images: CameraImages,
+    exposed: Events,
+    likelihoods: Mapping[str, Likelihood],
 ) -> str:
     """Why images in their order are not those of the events in theirs; empty where they are.
 
-    An exposure without event, or an event without image, may lie between them: then a part is
-    shifted. Tie points tell, and where there are none, nothing does.
+    Exposures without event, or events without image, may lie between them: then a part is shifted,
+    by two or by as many as there are too few, or too many. Tie points that are seen from both parts
+    tell, or positions; and where there are none, nothing does.
     """
     count, m, event = images.name.size, exposed.time_ns.size, assignment.event
     last = int(images.number.max()) if images.numbering == "counted" else count
     if "times" in assignment.evidence:
         return ""
-    lost = last > m or (exposed.lost > 0 and tie_points is None)
+    lost = last > m or (exposed.lost > 0 and not likelihoods)
     if lost and "first_image" not in assignment.evidence:
         return f"{m} events for images counted up to {last}: some were lost"
-    if tie_points is None:
+    if not likelihoods:
         return ""
     whole = images.number + int(np.median((event - images.number)[event >= 0]))
-    order, likely = np.argsort(images.number, kind="stable"), tie_points(event)
-    for k in np.unique(np.linspace(1, count - 1, 20).astype(int)).tolist() if count > 1 else []:
+    order, apart = np.argsort(images.number, kind="stable"), max(2, abs(m - count))
+    sizes = {*range(1, min(apart, _LARGEST_HOLE) + 1), apart}
+    ties, cuts = likelihoods.get("tie points"), np.linspace(1, count - 1, 20).astype(int)
+    if isinstance(ties, TieLikelihood):  # beside images that do not fit the others
+        rank = np.flatnonzero(np.isin(order, ties.contradicted(event)))
+        cuts = np.concatenate([rank, rank + 1])
+        cuts = cuts[np.unique(np.linspace(0, cuts.size - 1, 20).astype(int))] if cuts.size else cuts
+    for k in np.unique(cuts[(cuts > 0) & (cuts < count)]).tolist():
+        near = [
+            f.across(order[:k]) if isinstance(f, TieLikelihood) else f for f in likelihoods.values()
+        ]
+        likely = sum(f(event) for f in near)
         for rows in (order[:k], order[k:]):
-            for shift in (-2, -1, 1, 2):
+            for shift in (sign * size for size in sizes for sign in (-1, 1)):
                 parted, moved = event.copy(), whole[rows] + shift
-                parted[rows] = np.where((moved >= 0) & (moved < m), moved, -1)
-                if tie_points(parted) > likely + LOG_RATIO_NEEDED:
+                inside = (moved >= 0) & (moved < m)
+                parted[rows] = np.where(inside, moved, -1)
+                if (
+                    2 * inside.sum() >= rows.size
+                    and sum(f(parted) for f in near) > likely + LOG_RATIO_NEEDED
+                ):
                     return f"one is missing near {images.name[order[k]]}"
     return ""
 

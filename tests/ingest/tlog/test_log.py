@@ -538,6 +538,23 @@ def test_gimbals(tmp_path: Path) -> None:
     assert {device.roles, mount.roles, log.channel("MOUNT_STATUS").roles} == {()}
 
 
+def test_mount_status_of_two_heads(tmp_path: Path) -> None:
+    """Two gimbals of one aircraft by their components: each has its own angles, none is mixed."""
+    writer = flight()
+    for k in range(10):
+        for component, pitch, roll in ((154, -9000, 150), (171, -4500, -300)):
+            writer.send("mount_status", 62_000 + 500 * k, source=(1, component), target_system=0,
+                        target_component=0, pointing_a=pitch, pointing_b=roll,
+                        pointing_c=1000)  # fmt: skip
+    log = opened(tmp_path, writer.data)
+    heads = [channel for channel in log.channels if channel.name.startswith("MOUNT_STATUS")]
+    assert [head.source.component for head in heads] == [154, 171]
+    for head, pitch, roll in zip(heads, (-90.0, -45.0), (1.5, -3.0), strict=True):
+        assert len(head) == 10
+        np.testing.assert_allclose(head["gimbal_pitch_rad"], pitch * DEGREE)
+        np.testing.assert_allclose(head["gimbal_roll_rad"], roll * DEGREE)
+
+
 def test_a_stabilised_gimbal_of_a_real_flight(real_log: Callable) -> None:
     """Its servos counter the copter's roll: composed, the roll is steady."""
     log = open_log(real_log("pymavlink_swift_flight.tlog"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
@@ -144,6 +145,38 @@ def test_an_eo_text_in_other_units_is_refused(exposures, spoil, words):
     error = refused(read_eo_text, path, Stated("gpst", WEEK))
     assert error.code == "IMPORT-FORMAT"
     assert words in error.what
+
+
+@pytest.mark.parametrize(
+    ("unit", "per_rad"),
+    [("Degrees", 180.0 / np.pi), ("Radians", 1.0), ("Grads", 200.0 / np.pi)],
+)
+def test_an_eo_text_with_roll_pitch_and_heading_in_each_unit(exposures, unit, per_rad):
+    """They turn a body against north, east and down, whatever the grid."""
+    head = exposures.eo().read_text().split("img_000")[0]
+    head = head.replace("orientation in Degrees", f"orientation in {unit}")
+    head = head.replace("OMEGA\tPHI\tKAPPA", "ROLL\tPITCH\tHEADING")
+    angles = np.stack([exposures.roll, exposures.pitch, exposures.yaw], axis=1) * per_rad
+    path = exposures.put("rph.txt", head + "".join(
+        f"img_{k:03d}\t{k + 1}\t{302_400.0 + exposures.t[k]:.6f}\t465000.1\t5238000.2\t"
+        f"{exposures.height[k]:.3f}\t{roll:.9f}\t{pitch:.9f}\t{heading:.9f}\t"
+        f"{exposures.lat[k]:.9f}\t{exposures.lon[k]:.9f}\n"
+        for k, (roll, pitch, heading) in enumerate(angles)
+    ))  # fmt: skip
+    ledger = Ledger()
+    channel = read_eo_text(path, Stated("gpst", WEEK), ledger)
+    q = np.stack([channel[f"q_{axis}"] for axis in "xyzw"], axis=1)
+    apart = (Rotation.from_quat(q) * exposures.attitude.inv()).magnitude()
+    assert apart.max() < 1e-8
+    assert not entries(ledger, "IMPORT-EO-ANGLES")
+
+
+def test_an_eo_text_that_does_not_say_the_unit_of_its_angles_gives_none(exposures):
+    text = exposures.eo().read_text().replace("orientation in Degrees", "orientation")
+    ledger = Ledger()
+    channel = read_eo_text(exposures.put("no.txt", text), Stated("gpst", WEEK), ledger)
+    assert not channel.fits_role("attitude")
+    assert entries(ledger, "IMPORT-EO-ANGLES")[0].kind == "fallback"
 
 
 def test_an_eo_text_does_not_say_its_time_system(exposures):
