@@ -1,10 +1,15 @@
-"""Constants, each with its source. Everything inside the package is SI and radians."""
+"""Constants, each with its source, and the usual array. All in the package is SI and radians."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 ARCSEC = math.pi / 648_000.0  # [rad]
 DEGREE = math.pi / 180.0  # [rad]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 BIN_M = 50.0
 """Thickness of the layers where temperature was measured [m']."""

@@ -16,14 +16,11 @@ from functools import lru_cache
 from importlib import resources
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.atmosphere.profile import STANDARD, Profile, stack_layers
 from pipeline.atmosphere.refractive_index import IndexModel, saturation_vapour_pressure
 from pipeline.geodesy import Gravity, lambert_gravity
-from pipeline.units import DEGREE, VAPOUR_DEFICIT
-
-Array = NDArray[np.float64]
+from pipeline.units import DEGREE, VAPOUR_DEFICIT, Array
 
 SUPPLEMENTS = "supplements1966"
 SUPPLEMENTS_ORIGIN = (

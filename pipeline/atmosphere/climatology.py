@@ -10,16 +10,14 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pipeline.atmosphere.climate_tables import SUPPLEMENTS, season
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import IndexModel, saturation_vapour_pressure
 from pipeline.atmosphere.standard import ATMOSPHERES, AUTO, SeasonAndPlace, known_names
 from pipeline.errors import PhysicsError
-from pipeline.units import DEGREE
-
-Array = NDArray[np.float64]
+from pipeline.units import DEGREE, Array
 
 TEMPERATURE_CORRELATION_M = 4000.0
 HUMIDITY_CORRELATION_M = 1000.0

@@ -14,15 +14,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pipeline.atmosphere.hypsometry import column, hats
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.errors import PhysicsError
-from pipeline.units import VAPOUR_DEFICIT
-
-Array = NDArray[np.float64]
+from pipeline.units import VAPOUR_DEFICIT, Array
 
 _RAY_STEPS = 200  # trapezia of the plane integral: 1e-5 of R over 10 km
 

@@ -5,11 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.units import HYDROSTATIC_CONSTANT
-
-Array = NDArray[np.float64]
+from pipeline.units import HYDROSTATIC_CONSTANT, Array
 
 COLDEST_K, WARMEST_K = 180.0, 335.0
 """Temperatures that air has; what pressure implies outside them is not the air outside [K]."""

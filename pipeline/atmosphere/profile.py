@@ -16,9 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity
-from pipeline.units import HYDROSTATIC_CONSTANT, VAPOUR_DEFICIT
-
-Array = NDArray[np.float64]
+from pipeline.units import HYDROSTATIC_CONSTANT, VAPOUR_DEFICIT, Array
 
 MEASURED = "measured"
 BAROMETRIC = "barometric"

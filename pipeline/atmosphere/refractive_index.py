@@ -10,12 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pipeline.errors import PhysicsError
-from pipeline.units import HECTOPASCAL, VAPOUR_DEFICIT, ZERO_CELSIUS_K
-
-Array = NDArray[np.float64]
+from pipeline.units import HECTOPASCAL, VAPOUR_DEFICIT, ZERO_CELSIUS_K, Array
 
 DEFAULT_WAVELENGTH_M = 0.55e-6
 DEFAULT_CO2_PPM = 450.0

@@ -13,8 +13,6 @@ from pipeline.flight.evidence.stretches import HEIGHT, Stretch, covered
 from pipeline.flight.heights import HeightSystem, heights_at
 from pipeline.ledger import Notes, note, warning
 
-Array = NDArray[np.float64]
-
 SOAK_SECONDS = 120.0
 """A thermometer still carries the heat of the ground for so long after take-off [s]. Over a climb
 of 1 km, with realistic sensors and no descent, R scatters by 2.0 %; with 60 s by 2.2 %."""

@@ -276,9 +276,8 @@ def trigger_notes(channels: tuple[Channel, ...], chosen: Channel) -> Notes:
         names, events = ", ".join(c.name for c in fired), sum(map(len, fired))
         if len(trigger) > events:
             what = (
-                f"{len(trigger)} triggers of {trigger.name}, {events} shutter events of "
-                f"{names}: {len(trigger) - events} pulses were lost, their images "
-                "have no station"
+                f"{len(trigger)} triggers of {trigger.name}, {events} shutter events of {names}: "
+                f"{len(trigger) - events} pulses were lost, their images have no station"
             )
             notes.append(loss("EVENTS-LOST", what, where=names, count=len(trigger) - events))
     return tuple(notes)

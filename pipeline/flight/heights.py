@@ -17,8 +17,7 @@ from pipeline.flight.stations import Stations
 from pipeline.flight.trajectory import interpolate
 from pipeline.geodesy import GeoidGrid, offset_geodetic
 from pipeline.ledger import Entry, Notes, finding, loss, note, warning
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 STEADY_HOME_M = 2.0  # the take-off height of a flight does not change by more than this [m]
 

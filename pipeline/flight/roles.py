@@ -6,15 +6,12 @@ import difflib
 from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.atmosphere.hypsometry import fall_of_pressure
 from pipeline.errors import MissionError
 from pipeline.flight.channels import ROLE_COLUMNS, Channel
 from pipeline.flight.trajectory import interpolate
 from pipeline.ledger import Entry, Notes, loss, note, warning
-
-Array = NDArray[np.float64]
 
 # Roles of which a second sensor is a spare: the first of several equals is taken.
 _SPARES = {"position", "height", "attitude"}

@@ -13,9 +13,7 @@ from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.flight.image_names import proposal
 from pipeline.geodesy import offset_geodetic
 from pipeline.ledger import Notes, loss, note
-from pipeline.units import DEGREE, HECTOPASCAL
-
-Array = NDArray[np.float64]
+from pipeline.units import DEGREE, HECTOPASCAL, Array
 
 STATION_OK = "ok"
 OUTSIDE_LOG = "outside_log"

@@ -24,9 +24,7 @@ from pipeline.refraction.ray import (
     refraction_angle,
 )
 from pipeline.refraction.status_codes import FAR_BRANCH, STATUS_NAMES
-from pipeline.units import ARCSEC, DEGREE, MICRORADIAN
-
-Array = NDArray[np.float64]
+from pipeline.units import ARCSEC, DEGREE, MICRORADIAN, Array
 
 
 def one_angle(

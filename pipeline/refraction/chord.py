@@ -22,8 +22,7 @@ from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.ray import DEFAULT_RADIUS_M, PublishedRays, as_columns, bend
 from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.status_codes import BAD_MEASUREMENT, MISSES_GROUND, OK
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 # Rounds for a published method: each gains three digits, and they go no nearer to grazing.
 _ROUNDS = 12

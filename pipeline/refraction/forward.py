@@ -30,8 +30,7 @@ from pipeline.refraction.status_codes import (
 )
 from pipeline.refraction.uncertainty.sigmas import Uncertainty
 from pipeline.refraction.window import refract_at_window
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 # Four rounds do for steep rays, which gain three digits in each.
 _ROUNDS = 12

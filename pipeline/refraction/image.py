@@ -33,8 +33,7 @@ from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.status_codes import OK, STATUS_NAMES
 from pipeline.refraction.uncertainty.sigmas import PARTIALS, Sigmas, Uncertainty
 from pipeline.refraction.window import OPTICAL_AXIS
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 # Rows of an image that follow each other on the average, below which it pays to sort them.
 _ROWS_OF_AN_IMAGE = 50

@@ -33,8 +33,7 @@ from pipeline.refraction.status_codes import (
     OUTSIDE_PROFILE,
     STATUS_NAMES,
 )
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 DEFAULT_RADIUS_M = 6_371_000.0
 

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.refraction.kernels.columns import HINT_M, FineTable, IndexTable
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 # Pieces of the profile on which n - 1 is a polynomial of degree 7 in height: at 500 m a
 # troposphere is reproduced to 1e-13 of n - 1.

@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.refraction.image import Corrections
-from pipeline.units import ARCSEC
-
-Array = NDArray[np.float64]
+from pipeline.units import ARCSEC, Array
 
 _LOWEST_EXPONENT = -12
 _HIGHEST_EXPONENT = 8

@@ -11,12 +11,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pipeline.errors import PhysicsError
-from pipeline.units import HECTOPASCAL
-
-Array = NDArray[np.float64]
+from pipeline.units import HECTOPASCAL, Array
 
 OPTICAL_AXIS = np.array([0.0, 0.0, 1.0])
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 from rich.padding import Padding
@@ -21,13 +20,11 @@ from rich.table import Table
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.refraction.angle import Comparison, compare_methods
 from pipeline.refraction.ray import refraction_angle
-from pipeline.units import ARCSEC, DEGREE
+from pipeline.units import ARCSEC, DEGREE, Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 HEIGHTS_M = (500.0, 1000.0, 2000.0, 3000.0, 6000.0, 10_000.0, 15_000.0, 20_000.0)
 """Of the camera above sea level."""

@@ -19,13 +19,12 @@ from pipeline.flight.stations import NO_TIME, SUSPECT, Stations
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.statistics import ShiftGrid
 from pipeline.report.summary import effect_lines
-from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K
+from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K, Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 P = ParamSpec("P")
 R = TypeVar("R")
 

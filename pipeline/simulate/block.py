@@ -34,8 +34,8 @@ from pipeline.simulate.optics import (
 )
 from pipeline.simulate.sensors import unix_ns
 from pipeline.simulate.true_air import TrueAir, relative_humidity, temperature_k, vapour_pressure_pa
+from pipeline.units import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 FEWEST_IMAGES = 2  # a point seen once measures nothing

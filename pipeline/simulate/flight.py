@@ -9,15 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
 from pipeline.errors import PhysicsError
 from pipeline.simulate.true_air import FIELD_HEIGHT_M, TrueAir, edlen_index, saturation_pressure_pa
-from pipeline.units import STANDARD_GRAVITY, WGS84_A, WGS84_F
-
-Array = NDArray[np.float64]
+from pipeline.units import STANDARD_GRAVITY, WGS84_A, WGS84_F, Array
 
 FIELD_LAT_RAD = float(np.radians(47.4))
 FIELD_LON_RAD = float(np.radians(8.5))

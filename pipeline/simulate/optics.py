@@ -20,9 +20,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from pipeline.errors import PhysicsError
-from pipeline.units import WGS84_A, WGS84_F
-
-Array = NDArray[np.float64]
+from pipeline.units import WGS84_A, WGS84_F, Array
 
 _E2 = WGS84_F * (2.0 - WGS84_F)
 _B = WGS84_A * (1.0 - WGS84_F)

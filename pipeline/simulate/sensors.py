@@ -13,9 +13,14 @@ from scipy.ndimage import gaussian_filter1d
 
 from pipeline.simulate.flight import UNDULATION_M, Flight, State, cabin_air
 from pipeline.simulate.true_air import TrueAir, relative_humidity, temperature_k
-from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, WGS84_A, ZERO_CELSIUS_K
+from pipeline.units import (
+    NANOSECONDS_PER_SECOND,
+    UNIX_NS_OF_GPS_EPOCH,
+    WGS84_A,
+    ZERO_CELSIUS_K,
+    Array,
+)
 
-Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 LOG_BEGINS_UNIX_NS = 1_749_720_600 * NANOSECONDS_PER_SECOND  # 2025-06-12T09:30:00Z

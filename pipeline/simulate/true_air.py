@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import BSpline, make_interp_spline
 
@@ -21,9 +20,8 @@ from pipeline.units import (
     WGS84_A,
     WGS84_F,
     ZERO_CELSIUS_K,
+    Array,
 )
-
-Array = NDArray[np.float64]
 
 WAVELENGTH_UM = 0.55
 LOWEST_M = -300.0

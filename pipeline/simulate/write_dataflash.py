@@ -12,7 +12,6 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.simulate.sensors import (
     GNSS_HORIZONTAL_M,
@@ -23,9 +22,8 @@ from pipeline.simulate.sensors import (
     gps_week_ms,
 )
 from pipeline.simulate.true_air import FIELD_HEIGHT_M
-from pipeline.units import ZERO_CELSIUS_K
+from pipeline.units import ZERO_CELSIUS_K, Array
 
-Array = NDArray[np.float64]
 Row = tuple[int, bytes]
 
 _MAGIC = b"\xa3\x95"

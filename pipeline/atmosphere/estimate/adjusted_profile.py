@@ -61,8 +61,7 @@ from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
 from pipeline.geodesy import normal_gravity
 from pipeline.ledger import Ledger
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 WIDEST_GAP_M = 400.0
 """Between two measured heights farther apart than this the layers are called relaxed [m']."""

@@ -204,9 +204,8 @@ class SourceUse:
         inflated = fit.sigma_inflation > 1.05
         inflation = f", sigma inflation factor {fit.sigma_inflation:.1f}" if inflated else ""
         return (
-            f"{self.source}: {fit.quantity}, {fit.count} bins or levels that fit to "
-            f"{fit.rms:.1f} sigma{inflation}, {fit.signal_freedom:.1f} degrees of freedom for "
-            "signal"
+            f"{self.source}: {fit.quantity}, {fit.count} bins or levels that fit to {fit.rms:.1f} "
+            f"sigma{inflation}, {fit.signal_freedom:.1f} degrees of freedom for signal"
         )
 
 

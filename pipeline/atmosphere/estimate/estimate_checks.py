@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.climatology import Climatology
@@ -14,8 +13,6 @@ from pipeline.atmosphere.estimate.sensors import Barometer, SensorSettings, Ther
 from pipeline.atmosphere.estimate.solver import Estimate, estimate, layout_of, solve
 from pipeline.atmosphere.estimate.state import air_of, prior_of
 from pipeline.atmosphere.hypsometry import COLDEST_K, WARMEST_K, hats
-
-Array = NDArray[np.float64]
 
 ADIABATIC_K_PER_M = 9.8e-3
 """Unsaturated air whose temperature falls faster overturns within minutes [K/m']."""

@@ -28,8 +28,7 @@ from pipeline.atmosphere.refractive_index import enhancement_factor, saturation_
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
 from pipeline.ledger import Ledger
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 SPREAD_K, SPREAD_RH = 5.0, 0.3
 """Of the climatology in the free troposphere."""

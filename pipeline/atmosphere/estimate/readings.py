@@ -40,8 +40,7 @@ from pipeline.atmosphere.estimate.state import TOP_M, Drift, Fault, SensorFault
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 CLIMBING_M_S = 0.5
 """Slower than this an aircraft flies level; lag has a sign only above it [m/s]."""

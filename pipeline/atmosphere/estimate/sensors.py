@@ -8,12 +8,10 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.atmosphere.estimate.state import AirAtKnots, Fault, Layout, SensorFault
 from pipeline.atmosphere.hypsometry import hats
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 HEAT_CAPACITY = 1005.0
 """c_p of dry air [J kg-1 K-1]."""

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
 from pipeline.atmosphere.air_samples import AirSamples
@@ -34,8 +33,7 @@ from pipeline.atmosphere.estimate.state import (
 from pipeline.atmosphere.profile import RELAXED, Profile, stack_layers
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 FREEDOM = 4.0
 """Degrees of freedom of Student's loss: a bin 5 sigma off weighs a sixth."""

@@ -11,14 +11,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.hypsometry import column, hats
 from pipeline.atmosphere.refractive_index import enhancement_factor, saturation_vapour_pressure
-from pipeline.units import VAPOUR_DEFICIT
-
-Array = NDArray[np.float64]
+from pipeline.units import VAPOUR_DEFICIT, Array
 
 FINEST_M, MOST_FINE = 50.0, 200
 """Knots where something was sampled: 50 m' apart, or so far that there are no more than these."""

@@ -19,8 +19,7 @@ from pipeline.atmosphere.hypsometry import hats
 from pipeline.atmosphere.profile import Profile, stack_layers
 from pipeline.atmosphere.refractive_index import IndexModel, saturation_vapour_pressure
 from pipeline.ledger import Ledger
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 FINEST_CHANGE = 5e-4
 """Profiles follow each other so closely that R changes by less than this from one to the next."""

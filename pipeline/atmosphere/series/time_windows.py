@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.climatology import Climatology, Spread
@@ -31,8 +30,6 @@ from pipeline.atmosphere.series.profile_series import (
     covariance_with_ageing,
 )
 from pipeline.ledger import Ledger
-
-Array = NDArray[np.float64]
 
 MOST_WINDOWS = 12  # each as long as the air stays fresh, or longer
 

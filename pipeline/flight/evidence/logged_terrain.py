@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import Channel
 from pipeline.flight.trajectory import interpolate
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 _LONGEST_GAP_S = 5.0
 _HEALTHY = 2.0  # status of TERR

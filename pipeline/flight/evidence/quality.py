@@ -198,9 +198,8 @@ def _mask_heights(channel: Channel) -> tuple[Channel, Notes]:
         if bool(wild.any()):
             first = int(np.flatnonzero(wild)[0])
             what = (
-                f"{int(wild.sum())} of {len(channel)} values of {column} are impossible or "
-                f"jump there and back, the first {height[first]:.0f} m in row {first}; not "
-                "used"
+                f"{int(wild.sum())} of {len(channel)} values of {column} are impossible or jump "
+                f"there and back, the first {height[first]:.0f} m in row {first}; not used"
             )
             notes.append(loss("SENSOR-RANGE", what, where=channel.name, count=int(wild.sum())))
             columns[column] = np.where(wild, np.nan, height)
