@@ -86,12 +86,9 @@ def log_pressure_jacobian(profile: Profile, h: ArrayLike, anchor_height_m: float
     """
     h = np.asarray(h, dtype=np.float64)
     if not profile.bottom_m <= anchor_height_m <= profile.top_m:
-        raise PhysicsError(
-            "PROFILE-RANGE",
-            f"a reference height of {anchor_height_m:g} m leaves the profile",
-            where=f"profile {profile.name}, {profile.bottom_m:.0f} to {profile.top_m:.0f} m",
-            remedy="refer pressure to a height inside it",
-        )
+        what = f"a reference height of {anchor_height_m:g} m leaves the profile"
+        remedy = "refer pressure to a height inside it"
+        raise PhysicsError("PROFILE-RANGE", what, where=profile.extent, remedy=remedy)
     height = profile.gravity.geopotential_height(h)
     height = np.where(profile.layer_of(h) < 0, np.nan, height)
     at = np.append(height, profile.gravity.geopotential_height(anchor_height_m))

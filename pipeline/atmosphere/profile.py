@@ -190,6 +190,11 @@ class Profile:
     constant: float = HYDROSTATIC_CONSTANT
 
     @property
+    def extent(self) -> str:
+        """Its name and heights, for refusals."""
+        return f"profile {self.name}, {self.bottom_m:.0f} to {self.top_m:.0f} m"
+
+    @property
     def bottom_m(self) -> float:
         return float(self.gravity.height(self.layers.edge[0]))
 
@@ -294,12 +299,9 @@ def profile_table(profile: Profile, h: ArrayLike | None = None) -> dict[str, Any
         heights = np.asarray(h, dtype=np.float64)
         i = profile.layer_of(heights)
     if bool(np.any(i < 0)):
-        raise PhysicsError(
-            "PROFILE-RANGE",
-            f"heights of {heights.min():.0f} to {heights.max():.0f} m leave the profile",
-            where=f"profile {profile.name}, {profile.bottom_m:.0f} to {profile.top_m:.0f} m",
-            remedy="ask for heights inside it",
-        )
+        what = f"heights of {heights.min():.0f} to {heights.max():.0f} m leave the profile"
+        remedy = "ask for heights inside it"
+        raise PhysicsError("PROFILE-RANGE", what, where=profile.extent, remedy=remedy)
     layers = profile.layers
     return {
         "h_m": heights,

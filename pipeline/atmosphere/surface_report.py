@@ -121,12 +121,9 @@ def parse_metar(
         (qnh, _QNH_PA, "altimeter setting", "Pa"),
     ):
         if number < low or number > high:
-            raise InputError(
-                "METAR-RANGE",
-                f"the {quantity} is {number:.6g} {unit}, which does not occur at the ground",
-                where=f"{where}: {flat[:80]!r}",
-                remedy="check whether a digit is missing",
-            )
+            what = f"the {quantity} is {number:.6g} {unit}, which does not occur at the ground"
+            place, remedy = f"{where}: {flat[:80]!r}", "check whether a digit is missing"
+            raise InputError("METAR-RANGE", what, where=place, remedy=remedy)
     time_ns = _nearest_day(flat, flight_ns, ledger, where)
     if dew > t:
         ledger.warning(

@@ -75,12 +75,9 @@ def shared_outputs(configs: Sequence[Path]) -> dict[Path, UnbendError]:
         output = os.path.normcase(os.path.realpath(config.parent / mission.output.path))
         first = first_of.setdefault(output, config)
         if first is not config:
-            refused[config] = ConfigError(
-                "OUTPUT-SHARED",
-                f"writes to the same folder as {first}",
-                where="output.path",
-                remedy="give each mission a folder of its own",
-            )
+            what = f"writes to the same folder as {first}"
+            remedy = "give each mission a folder of its own"
+            refused[config] = ConfigError("OUTPUT-SHARED", what, where="output.path", remedy=remedy)
     return refused
 
 

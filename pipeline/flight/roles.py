@@ -53,12 +53,10 @@ def assign_roles(
     for role in ("pressure", "temperature", "humidity"):
         outside, inside = filled.get(role), filled.get(f"cabin_{role}")
         if outside is not None and inside is not None and outside.name == inside.name:
-            raise MissionError(
-                "CHANNEL-TWICE",
-                f"{outside.name} is named for the {role} outside and in the cabin",
-                where=f"log.channels.{role}, log.channels.cabin_{role}",
-                remedy="name two sensors, or leave the window away where there is no cabin",
-            )
+            what = f"{outside.name} is named for the {role} outside and in the cabin"
+            where = f"log.channels.{role}, log.channels.cabin_{role}"
+            remedy = "name two sensors, or leave the window away where there is no cabin"
+            raise MissionError("CHANNEL-TWICE", what, where=where, remedy=remedy)
     free = tuple(c for c in everything if c.name not in {c.name for c in filled.values()})
     for role in ("height", "position", "attitude", "airspeed"):
         notes += _fill(filled, role, everything, named)

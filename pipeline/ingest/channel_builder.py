@@ -184,12 +184,9 @@ def _in_rising_time(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
     lost = np.setdiff1d(np.arange(len(rows)), kept)
     if lost.shape[0]:
         first = utc_text(int(rows.time_ns[lost[0]]))
-        ledger.loss(
-            "TIME-BACKWARD",
-            f"{lost.shape[0]} of {len(rows)} rows are out of order in time and are not used",
-            where=f"{rows.name}, first at row {lost[0]}, stamped {first}",
-            count=int(lost.shape[0]),
-        )
+        what = f"{lost.shape[0]} of {len(rows)} rows are out of order in time and are not used"
+        where = f"{rows.name}, first at row {lost[0]}, stamped {first}"
+        ledger.loss("TIME-BACKWARD", what, where=where, count=int(lost.shape[0]))
     result = rows.take(kept)
     if not stretch.any():
         return result

@@ -330,12 +330,6 @@ def lattice_corrections(
     bilinear interpolation errs by an eighth of the curvature of the shift across a cell.
     """
     images, nodes = exposure.size, x_px.size
-    return correct_observations(
-        np.tile(x_px, images),
-        np.tile(y_px, images),
-        np.repeat(ground_m, nodes),
-        np.repeat(exposure, nodes),
-        exposures,
-        camera=camera,
-        table=table,
-    )
+    x_px, y_px = np.tile(x_px, images), np.tile(y_px, images)
+    h_g, exposure = np.repeat(ground_m, nodes), np.repeat(exposure, nodes)
+    return correct_observations(x_px, y_px, h_g, exposure, exposures, camera=camera, table=table)

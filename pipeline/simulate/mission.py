@@ -121,18 +121,9 @@ def simulate(
         text = _truth_json(chosen, pair, flight.duration_s)
         (truth / "truth.json").write_bytes(text.encode())
     begin("done")
-    return Simulated(
-        out,
-        logs,
-        missions,
-        out / "observations.parquet",
-        truth,
-        len(block.image),
-        len(points.name),
-        len(seen.station),
-        messages,
-        flight.duration_s,
-    )
+    files = out, logs, missions, out / "observations.parquet", truth
+    counts = len(block.image), len(points.name), len(seen.station), messages
+    return Simulated(*files, *counts, flight.duration_s)
 
 
 _WRITERS: dict[str, Callable[[Path, sensors.LoggedSamples, int], int]] = {

@@ -144,14 +144,9 @@ def sample(flight: Flight, air: TrueAir, seed: int, camera_names: tuple[str, ...
     gnss, navigation, outside, cabin = (
         np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(4)
     )
-    return LoggedSamples(
-        GnssSamples.draw(flight, gnss),
-        navigation_samples(flight, navigation),
-        BoxSamples.outside(flight, air, outside),
-        BoxSamples.cabin(flight, air, cabin),
-        flight.exposure_s,
-        camera_names,
-    )
+    places = GnssSamples.draw(flight, gnss), navigation_samples(flight, navigation)
+    boxes = BoxSamples.outside(flight, air, outside), BoxSamples.cabin(flight, air, cabin)
+    return LoggedSamples(*places, *boxes, flight.exposure_s, camera_names)
 
 
 def _grid(flight: Flight, period_s: float, first_s: float) -> Array:

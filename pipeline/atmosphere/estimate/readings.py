@@ -146,14 +146,11 @@ def collect_readings(
         faults.append(replace(fault, mean=mean, sigma=known.sigma_or(fault.sigma)))
     at_sea, level = np.zeros(1), np.array([background.spread.pressure_ratio])
     log_pressure = np.log(background.profile.pressure(at_sea))
-    return FlightReadings(
-        (Pressures("climatology", at_sea, log_pressure, level, robust=False), *external, *sets),
-        tuple(faults),
-        (*drifts, *sounding_departures(soundings, background, flight)),
-        float(heights.min()),
-        float(heights.max()),
-        rejected,
-    )
+    at_sea_level = Pressures("climatology", at_sea, log_pressure, level, robust=False)
+    drifts += sounding_departures(soundings, background, flight)
+    span = float(heights.min()), float(heights.max())
+    every = at_sea_level, *external, *sets
+    return FlightReadings(every, tuple(faults), tuple(drifts), *span, rejected)
 
 
 def _sensor_readings(
@@ -262,15 +259,10 @@ class _Binning:
 
     def bins(self, sensor: SensorSamples, departure: Array, floor: float) -> Bins:
         """Means of a departure from the profile that is averaged about."""
-        return bin_readings(
-            _seconds(sensor, self.start_ns),
-            self.profile.gravity.geopotential_height(sensor.h_m),
-            departure,
-            _usable(sensor, self.profile),
-            width=self.width_m,
-            slice_s=self.slice_s,
-            floor=floor,
-        )
+        height = self.profile.gravity.geopotential_height(sensor.h_m)
+        seconds, usable = _seconds(sensor, self.start_ns), _usable(sensor, self.profile)
+        size = {"width": self.width_m, "slice_s": self.slice_s, "floor": floor}
+        return bin_readings(seconds, height, departure, usable, **size)
 
     def airspeed_at(self, seconds: Array, sensor: SensorSamples | None) -> Array | None:
         """Indicated airspeed [m/s] at times, or None."""

@@ -33,26 +33,23 @@ def is_derived(text: str) -> bool:
 
 def parse_igra(text: str, where: str, _: Ledger) -> list[RawLevels]:
     """The ascents of an IGRA v2 file."""
-    ascents = []
-    for header, lines, at in _blocks(text, where):
-        t = _column(lines, 23, 27, 0.1) + ZERO_CELSIUS_K
-        ascents.append(
-            RawLevels(
-                h_m=_column(lines, 17, 21, 1.0),
-                pressure_pa=_column(lines, 10, 15, 1.0),
-                temperature_k=t,
-                dew_point_k=t - _column(lines, 35, 39, 0.1),
-                relative_humidity=_column(lines, 29, 33, 0.001),
-                time_ns=_time_ns(header),
-                station=header[1:12],
-                latitude_rad=radians(number(header[55:62]) * 1e-4, 90.0),
-                longitude_rad=radians(number(header[63:71]) * 1e-4, 180.0),
-                origin="IGRA v2",
-                where=f"{where}, line {at}",
-                lines_missing=_announced(header) - len(lines),
-            )
+    return [
+        RawLevels(
+            h_m=_column(lines, 17, 21, 1.0),
+            pressure_pa=_column(lines, 10, 15, 1.0),
+            temperature_k=(t := _column(lines, 23, 27, 0.1) + ZERO_CELSIUS_K),
+            dew_point_k=t - _column(lines, 35, 39, 0.1),
+            relative_humidity=_column(lines, 29, 33, 0.001),
+            time_ns=_time_ns(header),
+            station=header[1:12],
+            latitude_rad=radians(number(header[55:62]) * 1e-4, 90.0),
+            longitude_rad=radians(number(header[63:71]) * 1e-4, 180.0),
+            origin="IGRA v2",
+            where=f"{where}, line {at}",
+            lines_missing=_announced(header) - len(lines),
         )
-    return ascents
+        for header, lines, at in _blocks(text, where)
+    ]
 
 
 def parse_derived(text: str, where: str, _: Ledger) -> list[RawLevels]:

@@ -151,12 +151,9 @@ def _largest(column: Array) -> float | None:
 
 def _refusal(raw: RawLevels, quantity: str, what: str, remedy: str) -> InputError:
     column = raw.column_of.get(quantity, "")
-    return InputError(
-        "SOUNDING-UNITS",
-        f"{quantity}: {what}" + (f" (column {column})" if column else ""),
-        where=raw.where,
-        remedy=f"state the unit in the column's name: {remedy}",
-    )
+    text = f"{quantity}: {what}" + (f" (column {column})" if column else "")
+    remedy = f"state the unit in the column's name: {remedy}"
+    return InputError("SOUNDING-UNITS", text, where=raw.where, remedy=remedy)
 
 
 def _take(raw: RawLevels, keep: NDArray[np.bool_] | NDArray[np.intp]) -> RawLevels:
