@@ -28,7 +28,7 @@ from pipeline.ingest.tlog.frames import (
     frame_length,
     headers,
 )
-from pipeline.ingest.tlog.scan import scan
+from pipeline.ingest.tlog.scan import Scan
 
 NEEDED = tuple(sorted(map(name_of, wanted_layouts())))
 LIBRARY_BYTES = 10_000_000
@@ -137,7 +137,7 @@ def library(log: Path, size: int) -> int:
 def ours(log: Path) -> int:
     """The same types as records of numbers, the checksum of every frame tested."""
     with open_view(log) as data:
-        return sum(scan(data, crc_extras(), wanted_layouts()).counts.values())
+        return sum(Scan(data, crc_extras(), wanted_layouts()).counts.values())
 
 
 def main(source: Path, megabytes: int = 110, pairs: int = 7) -> None:

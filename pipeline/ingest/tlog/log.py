@@ -24,7 +24,7 @@ from pipeline.ingest.tlog.fields import (
     wanted_layouts,
 )
 from pipeline.ingest.tlog.frames import frame_length
-from pipeline.ingest.tlog.scan import SILENT_US, Scan, Silence, scan
+from pipeline.ingest.tlog.scan import SILENT_US, Scan, Silence
 from pipeline.ledger import Ledger
 
 SILENT_NS = SILENT_US * MICROSECOND
@@ -38,7 +38,7 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
     wanted = wanted_layouts()
     with open_view(path) as data:
         late = {number for number in wanted if name_of(number) in _LATE}
-        result = scan(data, crc_extras(), wanted, late)
+        result = Scan(data, crc_extras(), wanted, late)
     damaged = _report_damage(result, wanted, path, ledger)
     if not result.steady:
         _replace_stray_stamps(result, ledger, path.name)
@@ -164,7 +164,7 @@ def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table
     if message is None:
         return {}
     with open_view(path) as data:
-        sent = scan(data, crc_extras(), {message.number: message.dtype}).sent.get(message.number)
+        sent = Scan(data, crc_extras(), {message.number: message.dtype}).sent.get(message.number)
     if sent is None:
         return {}
     rows = sent.whole()

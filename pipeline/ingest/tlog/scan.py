@@ -60,34 +60,13 @@ class RejectedFrames:
     size: int = 0
 
 
-def scan(
-    data: FileView,
-    extras: Mapping[int, int],
-    wanted: Mapping[int, np.dtype[Any]],
-    late: Set[int] = frozenset(),
-    *,
-    stretch: int = STRETCH,
-) -> Scan:
-    """Find every frame of a telemetry log and keep the payloads of some.
-
-    Parameters
-    ----------
-    data : the file.
-    extras : CRC_EXTRA by message id, from the dialect.
-    wanted : the layout of the payloads to keep, by message id.
-    late : those of them whose time is not when they were sent, as of exposures.
-    stretch : [bytes] scanned at once.
-
-    An id outside the dialect counts as a message where frames follow each other without a gap from
-    one accepted frame to the next; CRC-16/MCRF4XX as the MAVLink library computes it.
-    """
-    result = Scan(data, extras, wanted, late)
-    result.read(stretch)
-    return result
-
-
 class Scan(DamagedBytes):
-    """The messages of a log, and what is damaged or missing.
+    """The messages of a telemetry log, and what is damaged or missing.
+
+    ``extras`` CRC_EXTRA by message id, from the dialect; ``wanted`` the layout of the payloads to
+    keep, by message id; ``late`` those of them whose time is not when they were sent, as of
+    exposures. An id outside the dialect counts as a message where frames follow each other without
+    a gap from one accepted frame to the next; CRC-16/MCRF4XX as the MAVLink library computes it.
 
     ``counts`` of messages by id; ``sent`` the wanted ones in the order of the file, with ``at``
     (byte offset), ``host_us`` (the ground station's clock), ``source`` (system times 256 plus
@@ -103,7 +82,7 @@ class Scan(DamagedBytes):
         data: FileView,
         extras: Mapping[int, int],
         wanted: Mapping[int, np.dtype[Any]],
-        late: Set[int],
+        late: Set[int] = frozenset(),
     ) -> None:
         super().__init__()
         self.counts: Counter[int] = Counter()
@@ -128,17 +107,14 @@ class Scan(DamagedBytes):
         self._sequences: dict[int, int] = {}
         self._highest: dict[int, int] = {}  # how far the highest number is ahead of the last
         self._heard_us: dict[int, int] = {}
-
-    def read(self, stretch: int) -> None:
-        """Walk over the file."""
-        for begin in range(0, self._data.size, stretch):
-            self.scan_stretch(begin, min(begin + stretch, self._data.size))
-        if self._end < self._data.size:
-            rest = self._fill(self._end, self._data.size)
+        for begin in range(0, data.size, STRETCH):
+            self._scan(begin, min(begin + STRETCH, data.size))
+        if self._end < data.size:
+            rest = self._fill(self._end, data.size)
             if len(rest):
                 self._count_lost(rest)
 
-    def scan_stretch(self, begin: int, stop: int) -> None:
+    def _scan(self, begin: int, stop: int) -> None:
         """Scan the frames that begin in a stretch."""
         window = self._data.array(begin, stop + LONGEST)
         room = window.shape[0]

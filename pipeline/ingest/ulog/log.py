@@ -33,7 +33,6 @@ from pipeline.ingest.ulog.records import (
     MAGIC,
     ULogMessages,
     flags_of,
-    read_messages,
 )
 from pipeline.ledger import Ledger
 
@@ -107,7 +106,7 @@ def _messages(path: Path, topics: list[str]) -> ULogMessages:
                 f"it sets incompatible flags ({flags.hex()}) that this version does not know",
                 remedy="copy it again from the vehicle, or convert it with a newer tool of PX4",
             )
-        return read_messages(data, topics)
+        return ULogMessages(data, topics)
 
 
 def _names(rows: NDArray[Any]) -> tuple[str, ...]:

@@ -129,15 +129,8 @@ class ULogDefinitions:
         return True
 
 
-def read_messages(data: FileView, wanted: Collection[str]) -> ULogMessages:
-    """The messages of a file with a whole header, those of the wanted topics as rows."""
-    messages = ULogMessages(data, wanted)
-    messages.read()
-    return messages
-
-
 class ULogMessages(DamagedBytes):
-    """What a file holds, filled by one walk over it.
+    """The messages of a file with a whole header, those of the ``wanted`` topics as rows.
 
     ``counts`` the data messages by topic; ``rows`` of the wanted topics by name and instance, each
     a structured array; ``timeless`` topics, whose format has no timestamp: they have no rows.
@@ -163,6 +156,7 @@ class ULogMessages(DamagedBytes):
         self._appended = flags_of(data)[1]
         self._places: defaultdict[int, list[int]] = defaultdict(list)  # of data, in one block
         self._stores: dict[tuple[str, int], ColumnStore] = {}
+        self._read()
 
     def report_damage(self, ledger: Ledger, file_name: str) -> None:
         """Enter what is damaged. The format does not number messages: lost ones are not counted."""
@@ -182,7 +176,7 @@ class ULogMessages(DamagedBytes):
             what = f"the logger could not keep up {count} times, {lost_s:.3f} s together"
             ledger.loss("LOG-DROPOUT", what, where=file_name, count=count)
 
-    def read(self) -> None:
+    def _read(self) -> None:
         """Walk over the file."""
         at, end = FILE_HEADER, self._data.size
         sizes, unpack, places_of = self._definitions.sizes, DATA.unpack_from, self._places

@@ -15,7 +15,7 @@ from pipeline.errors import LogError
 from pipeline.flight.mount import payload_attitude
 from pipeline.ingest import Log, open_log
 from pipeline.ingest.buffers import view_of_bytes
-from pipeline.ingest.tlog.scan import scan
+from pipeline.ingest.tlog.scan import Scan
 
 DEGREE = np.pi / 180.0
 SECOND = 10**9
@@ -352,7 +352,7 @@ def test_messages_lost_by_the_link_are_counted_by_sequence(tmp_path: Path) -> No
     assert log.lost_messages == 8
     assert entries(log, "LOG-LINK-LOSS")[0].kind == "loss"
     extras = {key: found.crc_extra for key, found in writer.dialect.mavlink_map.items()}
-    assert scan(view_of_bytes(writer.data), extras, {}).lost[(255, 190)] == 0
+    assert Scan(view_of_bytes(writer.data), extras, {}).lost[(255, 190)] == 0
 
 
 @pytest.mark.parametrize(("missing", "told"), [(200, 200), (512, 0), (700, 188), (40, 40)])

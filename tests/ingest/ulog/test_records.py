@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.ingest.buffers import view_of_bytes
-from pipeline.ingest.ulog.records import ULogMessages, flags_of, read_messages
+from pipeline.ingest.ulog.records import ULogMessages, flags_of
 
 SIZES = {
     "int8_t": 1, "uint8_t": 1, "bool": 1, "char": 1, "int16_t": 2, "uint16_t": 2, "int32_t": 4,
@@ -34,7 +34,7 @@ def datum(number: int, content: bytes) -> bytes:
 
 
 def read(data: bytes, *topics: str) -> ULogMessages:
-    return read_messages(view_of_bytes(data), topics)
+    return ULogMessages(view_of_bytes(data), topics)
 
 
 FIELDS = st.lists(
