@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere.refractive_index import vapour_pressure
+from pipeline.flight import trajectory
 from pipeline.flight.channels import Array, Channel
 from pipeline.flight.evidence.log_accuracy import LogAccuracy
 from pipeline.flight.exposures import Events
@@ -26,14 +27,6 @@ from pipeline.flight.stations import (
     STATION_OK,
     Stations,
     empty_stations,
-)
-from pipeline.flight.trajectory import (
-    GAP_IN_CHANNEL,
-    INSIDE,
-    attitude_at,
-    bend_of_heights,
-    interpolate,
-    track_at,
 )
 from pipeline.ledger import Notes, loss
 
@@ -61,12 +54,12 @@ def build_stations(
     if "position" not in roles:
         return stations.with_status(np.ones(n, bool), NO_POSITION)
     position, height = roles["position"], roles["height"]
-    track = track_at(position, time_ns, max_gap_s)
+    track = trajectory.track_at(position, time_ns, max_gap_s)
     h_msl, h_ellipsoid = heights_at(height, time_ns, heights, max_gap_s)
     missing = [*_not_covered(track.coverage), (np.isnan(track.lat_rad), NO_POSITION)]
     if "attitude" not in roles:
         return _with_first(stations, [*missing, (np.ones(n, np.bool_), NO_ATTITUDE)])
-    turning = attitude_at(roles["attitude"], time_ns, max_gap_s)
+    turning = trajectory.attitude_at(roles["attitude"], time_ns, max_gap_s)
     attitude = turning.quaternion
     missing += [
         *_not_covered(turning.coverage),
@@ -77,7 +70,7 @@ def build_stations(
     stations = _with_first(stations, missing)
     bend, speed_down, sigma_bend = np.zeros((3, n))
     if height.height_column is not None:
-        bend, speed_down, sigma_bend = bend_of_heights(
+        bend, speed_down, sigma_bend = trajectory.bend_of_heights(
             height, height.height_column, time_ns, max_gap_s
         )
     # Time, and with it the sampled rates, acts along one direction: half of it on each axis.
@@ -118,7 +111,7 @@ def build_stations(
         step[known] = ned_from_body.apply(np.array(mount.lever_arm_m)) @ NED_FROM_ENU
         stations = stations.moved(step)
     if "aircraft_attitude" in roles:
-        attitude = attitude_at(roles["aircraft_attitude"], time_ns, max_gap_s).quaternion
+        attitude = trajectory.attitude_at(roles["aircraft_attitude"], time_ns, max_gap_s).quaternion
     elif gimbal:
         attitude = np.full_like(attitude, np.nan)
     stations = replace(stations, aircraft_quaternion=_from_enu(attitude, np.eye(3)))
@@ -133,8 +126,8 @@ def _with_first(stations: Stations, missing: Sequence[tuple[NDArray[np.bool_], s
 
 def _not_covered(coverage: NDArray[np.uint8]) -> list[tuple[NDArray[np.bool_], str]]:
     """Where a channel has a gap, or has ended."""
-    outside = (coverage != INSIDE) & (coverage != GAP_IN_CHANNEL)
-    return [(coverage == GAP_IN_CHANNEL, IN_GAP), (outside, OUTSIDE_LOG)]
+    outside = (coverage != trajectory.INSIDE) & (coverage != trajectory.GAP_IN_CHANNEL)
+    return [(coverage == trajectory.GAP_IN_CHANNEL, IN_GAP), (outside, OUTSIDE_LOG)]
 
 
 def _from_enu(attitude: Array, frame_from_body: Array) -> Array:
@@ -155,7 +148,9 @@ def with_air(stations: Stations, roles: Mapping[str, Channel], max_gap_s: float)
         channel = roles.get(role)
         if channel is None:
             return np.full(len(stations), np.nan)
-        return interpolate(channel, column, stations.time_ns, channel.gap_limit_s(max_gap_s))
+        return trajectory.interpolate(
+            channel, column, stations.time_ns, channel.gap_limit_s(max_gap_s)
+        )
 
     columns: dict[str, Any] = {}
     for prefix in ("", "cabin_"):

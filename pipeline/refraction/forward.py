@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.geodesy import euler_radius
+from pipeline.refraction import status_codes
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.chord import height_at_distance
 from pipeline.refraction.image import (
@@ -21,13 +22,6 @@ from pipeline.refraction.image import (
 )
 from pipeline.refraction.ray import PublishedRays, bend
 from pipeline.refraction.ray_table import RayTable
-from pipeline.refraction.status_codes import (
-    BEYOND_GRAZING,
-    FAR_BRANCH,
-    MISSES_GROUND,
-    OK,
-    OUTSIDE_CAMERA,
-)
 from pipeline.refraction.uncertainty.sigmas import Uncertainty
 from pipeline.refraction.window import refract_at_window
 from pipeline.units import Array
@@ -109,8 +103,8 @@ def apply_refraction(
         pixels = np.stack([columns["x_px"], columns["y_px"]], axis=1)
         upper = np.array([camera.width_px, camera.height_px], np.float64)
         outside = ((pixels < -_EDGE_PX) | (pixels > upper + _EDGE_PX)).any(axis=1)
-    status[outside] = OUTSIDE_CAMERA
-    lost = ~np.isin(status, (OK, BEYOND_GRAZING, FAR_BRANCH))
+    status[outside] = status_codes.OUTSIDE_CAMERA
+    lost = ~np.isin(status, (status_codes.OK, status_codes.BEYOND_GRAZING, status_codes.FAR_BRANCH))
     for column in columns.values():
         column[lost] = np.nan
     displaced = Corrections(status=status, **columns)
@@ -246,5 +240,5 @@ def _removals_to(
         rows = rows[moving]
         if rows.size == 0:
             break
-    columns["status"][rows[nearest[rows] > _NOISE_PX]] = MISSES_GROUND
+    columns["status"][rows[nearest[rows] > _NOISE_PX]] = status_codes.MISSES_GROUND
     return columns

@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from pipeline.errors import MissionError
+from pipeline.simulate import optics
 from pipeline.simulate.flight import (
     UNDULATION_M,
     AirState,
@@ -19,18 +20,6 @@ from pipeline.simulate.flight import (
     cabin_air,
     geographic,
     terrain_m,
-)
-from pipeline.simulate.optics import (
-    NED_FROM_ENU,
-    SimulatedCamera,
-    body_rotation,
-    enu_axes,
-    height_and_up,
-    quaternion,
-    shoot,
-    through_window,
-    to_ecef,
-    unit,
 )
 from pipeline.simulate.sensors import unix_ns
 from pipeline.simulate.true_air import TrueAir, relative_humidity, temperature_k, vapour_pressure_pa
@@ -98,13 +87,17 @@ class TrueObservations:
     miss_m: Array
 
 
-def stations(flight: Flight, air: TrueAir, cameras: tuple[SimulatedCamera, ...]) -> TrueStations:
+def stations(
+    flight: Flight, air: TrueAir, cameras: tuple[optics.SimulatedCamera, ...]
+) -> TrueStations:
     """Where each camera was at each exposure: the reference point plus the lever arm."""
     truth = flight.at(flight.exposure_s)
-    reference = to_ecef(truth.lat_rad, truth.lon_rad, truth.h_msl_m + UNDULATION_M)
-    axes = enu_axes(truth.lat_rad, truth.lon_rad)
+    reference = optics.to_ecef(truth.lat_rad, truth.lon_rad, truth.h_msl_m + UNDULATION_M)
+    axes = optics.enu_axes(truth.lat_rad, truth.lon_rad)
     angles = zip(truth.roll_rad, truth.pitch_rad, truth.yaw_rad, strict=True)
-    enu_from_body = np.stack([NED_FROM_ENU.T @ body_rotation(*rotation) for rotation in angles])
+    enu_from_body = np.stack(
+        [optics.NED_FROM_ENU.T @ optics.body_rotation(*rotation) for rotation in angles]
+    )
     ecef, rotations = [], []
     for camera in cameras:
         offset = enu_from_body @ np.array(camera.lever_arm_m)
@@ -112,7 +105,7 @@ def stations(flight: Flight, air: TrueAir, cameras: tuple[SimulatedCamera, ...])
         # The axes of the horizon turn by 1e-7 rad over a lever arm: attitude is the camera's own.
         rotations.append(camera.from_body() @ np.swapaxes(enu_from_body, 1, 2))
     positions, rotation = np.concatenate(ecef), np.concatenate(rotations)
-    height, up = height_and_up(positions)
+    height, up = optics.height_and_up(positions)
     msl = height - UNDULATION_M
     time_s = np.tile(flight.exposure_s, len(cameras))
     count = len(flight.exposure_s)
@@ -127,7 +120,7 @@ def stations(flight: Flight, air: TrueAir, cameras: tuple[SimulatedCamera, ...])
         np.arctan2(up[:, 1], up[:, 0]),
         height,
         rotation,
-        np.stack([quaternion(r) for r in rotation]),
+        np.stack([optics.quaternion(r) for r in rotation]),
         outside,
         cabin_air(air, msl, time_s),
     )
@@ -144,12 +137,12 @@ def _candidates(spacing_m: float, flight: Flight, rng: np.random.Generator) -> G
     place = place[rng.permutation(len(place))]
     lat, lon = geographic(place[:, 0], place[:, 1])
     h_msl = np.round(terrain_m(place[:, 0], place[:, 1]), 3)
-    return GroundPoints((), lat, lon, h_msl, to_ecef(lat, lon, h_msl + UNDULATION_M))
+    return GroundPoints((), lat, lon, h_msl, optics.to_ecef(lat, lon, h_msl + UNDULATION_M))
 
 
 def _in_camera(stations_: TrueStations, station: Indices, direction: Array) -> Array:
     """Unit vectors (n, 3) along ECEF axes, in the axes of the cameras of those stations."""
-    axes = enu_axes(stations_.lat_rad[station], stations_.lon_rad[station])
+    axes = optics.enu_axes(stations_.lat_rad[station], stations_.lon_rad[station])
     rotation = stations_.camera_from_enu[station] @ axes
     return np.asarray(np.einsum("nij,nj->ni", rotation, direction))
 
@@ -157,7 +150,7 @@ def _in_camera(stations_: TrueStations, station: Indices, direction: Array) -> A
 def choose_points(
     flight: Flight,
     block: TrueStations,
-    cameras: tuple[SimulatedCamera, ...],
+    cameras: tuple[optics.SimulatedCamera, ...],
     points_per_image: int,
     rng: np.random.Generator,
 ) -> tuple[GroundPoints, Indices, Indices]:
@@ -172,7 +165,7 @@ def choose_points(
     count = len(block.image)
     seen = np.zeros((len(pool.lat_rad), count), bool)
     for k in range(count):
-        chord = unit(pool.ecef_m - block.ecef_m[k])
+        chord = optics.unit(pool.ecef_m - block.ecef_m[k])
         rays = _in_camera(block, np.full(len(chord), k), chord)
         seen[:, k] = cameras[block.camera[k]].sees(rays)
     room = np.full(count, points_per_image)
@@ -202,22 +195,22 @@ def observe(
     air: TrueAir,
     block: TrueStations,
     points: GroundPoints,
-    cameras: tuple[SimulatedCamera, ...],
+    cameras: tuple[optics.SimulatedCamera, ...],
     *,
     station: Indices,
     point: Indices,
 ) -> TrueObservations:
     """Bend every ray, send it through the window and the lens; beside it the straight chord."""
-    rays = shoot(air, block.ecef_m[station], points.ecef_m[point], UNDULATION_M)
+    rays = optics.shoot(air, block.ecef_m[station], points.ecef_m[point], UNDULATION_M)
     apparent = _in_camera(block, station, rays.apparent)
     straight = _in_camera(block, station, rays.straight)
-    inside, r_cc = through_window(apparent, block.outside.n[station], block.cabin.n[station])
+    inside, r_cc = optics.through_window(apparent, block.outside.n[station], block.cabin.n[station])
     measured, true = np.empty((2, len(station))), np.empty((2, len(station)))
     for index, camera in enumerate(cameras):
         rows = block.camera[station] == index
         measured[:, rows] = camera.project(inside[rows])
         true[:, rows] = camera.project(straight[rows])
-    up = height_and_up(block.ecef_m)[1][station]
+    up = optics.height_and_up(block.ecef_m)[1][station]
     down = -np.sum(rays.apparent * up, axis=-1)
     zeta = np.arctan2(np.linalg.norm(np.cross(rays.apparent, up), axis=-1), down)
     (x, y), (x_true, y_true) = measured, true
@@ -240,7 +233,7 @@ def write_tables(
     points: GroundPoints,
     seen: TrueObservations,
     *,
-    cameras: tuple[SimulatedCamera, ...],
+    cameras: tuple[optics.SimulatedCamera, ...],
     noise_px: float,
     rng: np.random.Generator,
 ) -> None:
@@ -256,7 +249,7 @@ def write_tables(
 
 
 def station_columns(
-    stations: TrueStations, cameras: tuple[SimulatedCamera, ...]
+    stations: TrueStations, cameras: tuple[optics.SimulatedCamera, ...]
 ) -> dict[str, object]:
     """truth/stations.parquet: one row an image."""
     outside, cabin = stations.outside, stations.cabin

@@ -10,15 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from pipeline.simulate.sensors import (
-    GNSS_HORIZONTAL_M,
-    GNSS_VERTICAL_M,
-    LOG_BEGINS_BOOT_US,
-    LOG_BEGINS_UNIX_NS,
-    LoggedSamples,
-    boot_us,
-    unix_ns,
-)
+from pipeline.simulate import sensors
 from pipeline.simulate.true_air import FIELD_HEIGHT_M
 from pipeline.units import ZERO_CELSIUS_K
 
@@ -29,7 +21,7 @@ HOST_JITTER_S = 0.05
 Row = tuple[int, Any]
 
 
-def write_tlog(path: Path, samples: LoggedSamples, seed: int) -> int:
+def write_tlog(path: Path, samples: sensors.LoggedSamples, seed: int) -> int:
     """Write the log; returns the number of frames.
 
     The host's clock is 1.26 s ahead and stamps a frame up to 50 ms late, in the order in which
@@ -38,8 +30,8 @@ def write_tlog(path: Path, samples: LoggedSamples, seed: int) -> int:
     rows: list[Row] = []
     # HEARTBEAT and SYSTEM_TIME at 1 Hz.
     times = np.arange(0.25, samples.navigation.time_s[-1], 1.0)
-    unix_us = unix_ns(times) // 1000
-    for i, sent in enumerate(boot_us(times).tolist()):
+    unix_us = sensors.unix_ns(times) // 1000
+    for i, sent in enumerate(sensors.boot_us(times).tolist()):
         rows.append((sent, mavlink.MAVLink_heartbeat_message(
             mavlink.MAV_TYPE_FIXED_WING, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
             mavlink.MAV_MODE_FLAG_SAFETY_ARMED, 10, mavlink.MAV_STATE_ACTIVE, 3,
@@ -49,9 +41,9 @@ def write_tlog(path: Path, samples: LoggedSamples, seed: int) -> int:
     rows.sort(key=lambda row: row[0])
     sender = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     late = np.random.default_rng([seed, 2]).uniform(0.0, HOST_JITTER_S, len(rows))
-    sent = np.array([row[0] for row in rows]) - LOG_BEGINS_BOOT_US
+    sent = np.array([row[0] for row in rows]) - sensors.LOG_BEGINS_BOOT_US
     stamp = sent + np.rint((HOST_AHEAD_S + late) * 1e6).astype(np.int64)
-    stamp = np.maximum.accumulate(stamp) + LOG_BEGINS_UNIX_NS // 1000
+    stamp = np.maximum.accumulate(stamp) + sensors.LOG_BEGINS_UNIX_NS // 1000
     out = bytearray()
     for (_, message), microseconds in zip(rows, stamp.tolist(), strict=True):
         # The two lowest bits of a stamp carry MAVProxy's link number; this is link 0.
@@ -65,25 +57,25 @@ def _degrees_e7(radians: NDArray[np.float64]) -> list[int]:
     return [round(v) for v in (np.degrees(radians) * 1e7).tolist()]
 
 
-def _position_rows(samples: LoggedSamples) -> list[Row]:
+def _position_rows(samples: sensors.LoggedSamples) -> list[Row]:
     """GPS_RAW_INT at 5 Hz, its time_usec since boot, as ArduPilot fills it; ATTITUDE at 10 Hz,
     GLOBAL_POSITION_INT at 5 Hz, VFR_HUD at 1 Hz."""
     g = samples.gnss
-    taken = boot_us(g.time_s)
-    sent = boot_us(g.time_s + g.log_delay_s)
+    taken = sensors.boot_us(g.time_s)
+    sent = sensors.boot_us(g.time_s + g.log_delay_s)
     lat, lon = _degrees_e7(g.lat_rad), _degrees_e7(g.lon_rad)
     course = np.degrees(g.course_rad) % 360.0
     rows: list[Row] = [
         (int(sent[i]), mavlink.MAVLink_gps_raw_int_message(
             int(taken[i]), 6, lat[i], lon[i], round(g.h_msl_m[i] * 1e3), 71, 110,
             round(g.speed_m_s[i] * 100.0), round(course[i] * 100.0) % 36_000, 18,
-            round(g.h_ellipsoid_m[i] * 1e3), round(GNSS_HORIZONTAL_M * 1e3),
-            round(GNSS_VERTICAL_M * 1e3), 50,
+            round(g.h_ellipsoid_m[i] * 1e3), round(sensors.GNSS_HORIZONTAL_M * 1e3),
+            round(sensors.GNSS_VERTICAL_M * 1e3), 50,
         ))
         for i in range(len(sent))
     ]  # fmt: skip
     nav = samples.navigation
-    times = boot_us(nav.time_s)
+    times = sensors.boot_us(nav.time_s)
     lat, lon = _degrees_e7(nav.lat_rad), _degrees_e7(nav.lon_rad)
     yaw = np.remainder(nav.yaw_rad + np.pi, 2.0 * np.pi) - np.pi
     heading = np.degrees(nav.yaw_rad) % 360.0
@@ -112,12 +104,12 @@ def _position_rows(samples: LoggedSamples) -> list[Row]:
     return rows
 
 
-def _air_rows(samples: LoggedSamples) -> list[Row]:
+def _air_rows(samples: sensors.LoggedSamples) -> list[Row]:
     """SCALED_PRESSURE (outside), SCALED_PRESSURE2 (cabin) at 5 Hz; HYGROMETER_SENSOR at 2.5 Hz."""
     rows: list[Row] = []
     messages = (mavlink.MAVLink_scaled_pressure_message, mavlink.MAVLink_scaled_pressure2_message)
     for instance, box in enumerate((samples.outside, samples.cabin)):
-        times = boot_us(box.pressure_time_s)
+        times = sensors.boot_us(box.pressure_time_s)
         board = np.rint(100.0 * (box.board_k - ZERO_CELSIUS_K)).astype(int).tolist()
         for i in range(0, len(times), 2):
             sent = int(times[i])
@@ -127,19 +119,19 @@ def _air_rows(samples: LoggedSamples) -> list[Row]:
         percent = np.rint(1e4 * box.humidity).astype(int).tolist()
         rows += [
             (sent, mavlink.MAVLink_hygrometer_sensor_message(instance, celsius[i], percent[i]))
-            for i, sent in enumerate(boot_us(box.time_s).tolist())
+            for i, sent in enumerate(sensors.boot_us(box.time_s).tolist())
         ]
     return rows
 
 
-def _camera_rows(samples: LoggedSamples) -> list[Row]:
+def _camera_rows(samples: sensors.LoggedSamples) -> list[Row]:
     """CAMERA_FEEDBACK of every exposure and camera; time_usec since boot (feedback pin)."""
     shot, at = samples.navigation.between(samples.exposure_s), samples.exposure_s
     lat, lon, height = _degrees_e7(shot.lat_rad), _degrees_e7(shot.lon_rad), shot.h_msl_m
     roll, pitch = np.degrees(shot.roll_rad), np.degrees(shot.pitch_rad)
     yaw = np.degrees(shot.yaw_rad) % 360.0
     rows: list[Row] = []
-    for i, shutter in enumerate(boot_us(at).tolist()):
+    for i, shutter in enumerate(sensors.boot_us(at).tolist()):
         for instance in range(len(samples.camera_names)):
             sent = shutter + 20_000 + 1000 * instance
             rows.append((sent, mavlink.MAVLink_camera_feedback_message(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.climatology import Climatology, climatology, month_of
 from pipeline.atmosphere.covariance import ProfileCovariance
+from pipeline.atmosphere.estimate import sensor_checks
 from pipeline.atmosphere.estimate.candidates import (
     Candidate,
     ExternalSources,
@@ -33,13 +34,6 @@ from pipeline.atmosphere.estimate.estimate_checks import (
     thermometer_is_outside,
 )
 from pipeline.atmosphere.estimate.external_readings import TimeAndPlace, reason_uninformative
-from pipeline.atmosphere.estimate.sensor_checks import (
-    check_calibration,
-    note_pressure_level,
-    note_unused_calibration,
-    subtract_known_biases,
-    usable_sensors,
-)
 from pipeline.atmosphere.estimate.sensors import (
     FAULT_TEXTS,
     Barometer,
@@ -157,8 +151,10 @@ def build_adjusted_profile(
         named = climatology(standard.name, latitude_rad=latitude_rad, month=month)
         background = replace(named, profile=standard)
     moisture = background if background.has_humidity else moisture
-    samples, settings = subtract_known_biases(samples, settings or SensorSettings(), ledger)
-    usable = usable_sensors(samples, standard, settings, ledger)
+    samples, settings = sensor_checks.subtract_known_biases(
+        samples, settings or SensorSettings(), ledger
+    )
+    usable = sensor_checks.usable_sensors(samples, standard, settings, ledger)
     unused: dict[str, str] = {}
     external = ExternalSources(tuple(soundings), tuple(surface))
     for source in external.sources:
@@ -181,7 +177,7 @@ def build_adjusted_profile(
         kept = f"the {'standard atmosphere' if is_standard else 'climatology'} {profile.name}"
         reason = reason_unadjusted(usable, faults, kept)
         ledger.fallback("AIR-STANDARD", reason)
-        note_unused_calibration(set(settings.calibration), ledger)
+        sensor_checks.note_unused_calibration(set(settings.calibration), ledger)
         made = estimate(AirSamples(), background)
         edge = made.profile.layers.edge
         t_m, _, vapour = profile.state(profile.gravity.height(edge))
@@ -199,9 +195,9 @@ def build_adjusted_profile(
         unused[name] = LEFT_OUT
         ledger.loss("AIR-SOURCE-REFUSED", f"{name} is not used: {LEFT_OUT}", where=name)
     profile = replace(made.profile, layers=replace(made.profile.layers, source=_sources(made)))
-    note_pressure_level(profile, background, candidate.samples.pressure, ledger)
+    sensor_checks.note_pressure_level(profile, background, candidate.samples.pressure, ledger)
     _note_estimate(candidate, made, ledger)
-    check_calibration(made, settings, ledger)
+    sensor_checks.check_calibration(made, settings, ledger)
     flown = UsedSamples(samples, usable, tried, candidate.samples)
     return Adjustment(
         profile,

@@ -11,14 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.flight.clock import LAST_US, SECONDS_PER_WEEK
-from pipeline.ingest.boot_clock import (
-    LOWEST_FIX,
-    BootClock,
-    Timeline,
-    microseconds,
-    nanoseconds,
-    timeline,
-)
+from pipeline.ingest import boot_clock
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.dataflash.channels import (
     RECEIVERS,
@@ -48,7 +41,7 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
     wanted = wanted_fields()
     with open_view(path) as data:
         walker = RecordWalker(data, wanted)
-        line = timeline(stamps(data, walker))
+        line = boot_clock.timeline(stamps(data, walker))
         tables = decode(walker, wanted)
     walker.report_bytes(ledger, path.name, "record")
     for refused in walker.refused:
@@ -77,7 +70,7 @@ def read_tables(path: Path, names: Collection[str] | None = None) -> dict[str, T
 def contents_of(
     damage: DamagedBytes,
     counts: Mapping[str, int],
-    line: Timeline,
+    line: boot_clock.Timeline,
     tables: dict[str, Table],
     ledger: Ledger,
     *,
@@ -143,7 +136,7 @@ def timed_tables(tables: dict[str, Table], ledger: Ledger) -> dict[str, Table]:
         return result
     places = np.concatenate([table[PLACE] for table in result.values()])
     order = np.argsort(places, kind="stable")
-    times = np.concatenate([microseconds(table["TimeUS"]) for table in result.values()])
+    times = np.concatenate([boot_clock.microseconds(table["TimeUS"]) for table in result.values()])
     for name, table in timeless.items():
         row = np.searchsorted(places[order], table[PLACE]) - 1
         result[name] = table | {"TimeUS": times[order][np.maximum(row, 0)]}
@@ -161,7 +154,9 @@ def with_time(name: str, columns: Table) -> Table:
     time_ms = columns.get("T" if name in RECEIVERS else "TimeMS")
     if "TimeUS" in columns or time_ms is None or not is_number(time_ms):
         return columns
-    columns = columns | {"TimeUS": np.minimum(microseconds(time_ms), LAST_US // 1000) * 1000}
+    columns = columns | {
+        "TimeUS": np.minimum(boot_clock.microseconds(time_ms), LAST_US // 1000) * 1000
+    }
     if name in RECEIVERS:
         renamed = {"GMS": "TimeMS", "GWk": "Week"}
         columns |= {new: columns[old] for new, old in renamed.items() if old in columns}
@@ -176,10 +171,10 @@ def exposures_by_last_fix(exposures: Table, receiver: Table, ledger: Ledger) -> 
     time_us = exposures["TimeUS"].copy()
     fix_us, fix_ms = (np.empty(0, np.int64),) * 2
     if {"GMS", "GWk", "Status"} <= receiver.keys():
-        fixes = receiver["Status"] >= LOWEST_FIX
+        fixes = receiver["Status"] >= boot_clock.LOWEST_FIX
         own_ms = _gps_ms(receiver["GWk"][fixes], receiver["GMS"][fixes])
         fix_ms, first = np.unique(own_ms, return_index=True)
-        fix_us = microseconds(receiver["TimeUS"][fixes])[first]
+        fix_us = boot_clock.microseconds(receiver["TimeUS"][fixes])[first]
     interval_s = float(np.median(np.diff(fix_ms))) / 1000.0 if fix_ms.size > 1 else np.nan
     known = np.zeros(time_us.shape, np.bool_)
     if {"GPSTime", "GPSWeek"} <= exposures.keys() and np.isfinite(interval_s):
@@ -203,11 +198,11 @@ def _gps_ms(week: NDArray[Any], time_ms: NDArray[Any]) -> NDArray[np.int64]:
     return np.asarray(week_ms + np.asarray(time_ms, np.int64), np.int64)
 
 
-def stamped(name: str, table: Table, clock: BootClock, instance: str | None) -> Table:
+def stamped(name: str, table: Table, clock: boot_clock.BootClock, instance: str | None) -> Table:
     """A table with UTC and boot before its own columns; only an instance, where one is given."""
     timed, places = with_time(name, table), table.pop(PLACE)
     if "TimeUS" in timed and is_number(timed["TimeUS"]):
-        time_ns = clock.utc(places, nanoseconds(timed["TimeUS"]))
+        time_ns = clock.utc(places, boot_clock.nanoseconds(timed["TimeUS"]))
         added: Table = {"time_ns": time_ns, "boot": clock.line.boot_of(places)}
         table = added | table
     if instance is None:

@@ -27,13 +27,7 @@ from pipeline.ingest.channel_builder import DecodedRows, channel_of, without_str
 from pipeline.ingest.fields import MessageMap, extract
 from pipeline.ingest.log import Contents, LogFormat, Table
 from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, TOPICS, UTC_FIELD, captured_rows
-from pipeline.ingest.ulog.records import (
-    APPENDED,
-    FILE_HEADER,
-    MAGIC,
-    ULogMessages,
-    flags_of,
-)
+from pipeline.ingest.ulog import records
 from pipeline.ledger import Ledger
 
 SILENCE_NS = 100_000_000  # PX4 logs tens to hundreds of messages in this time
@@ -87,33 +81,33 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
 
 
 ULOG = LogFormat(
-    "ulog", "PX4 ULog", (".ulg", ".ulog"), lambda head: head.startswith(MAGIC), read_log
+    "ulog", "PX4 ULog", (".ulg", ".ulog"), lambda head: head.startswith(records.MAGIC), read_log
 )
 
 
-def _messages(path: Path, topics: list[str]) -> ULogMessages:
+def _messages(path: Path, topics: list[str]) -> records.ULogMessages:
     """The messages of a file, those of some topics as rows."""
     refusal = partial(LogError, "LOG-ULOG", where=str(path))
     with open_view(path) as data:
-        if data.size < FILE_HEADER:
+        if data.size < records.FILE_HEADER:
             raise refusal(
-                f"it ends after {data.size} of {FILE_HEADER} bytes of its header",
+                f"it ends after {data.size} of {records.FILE_HEADER} bytes of its header",
                 remedy="copy it again from the vehicle",
             )
-        flags = flags_of(data)[0]
-        if flags[0] & ~APPENDED or any(flags[1:]):
+        flags = records.flags_of(data)[0]
+        if flags[0] & ~records.APPENDED or any(flags[1:]):
             raise refusal(
                 f"it sets incompatible flags ({flags.hex()}) that this version does not know",
                 remedy="copy it again from the vehicle, or convert it with a newer tool of PX4",
             )
-        return ULogMessages(data, topics)
+        return records.ULogMessages(data, topics)
 
 
 def _names(rows: NDArray[Any]) -> tuple[str, ...]:
     return rows.dtype.names or ()
 
 
-def report_silences(messages: ULogMessages, name: str, ledger: Ledger) -> None:
+def report_silences(messages: records.ULogMessages, name: str, ledger: Ledger) -> None:
     """Enter the times in which no topic has a message, though some come at regular intervals.
 
     The format does not number messages: nothing else shows that whole ones were cut out. Stamps of

@@ -7,11 +7,7 @@ import numpy as np
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.refractive_index import refractivity_gyer
 from pipeline.refraction.papers.rows import Block, block
-from pipeline.refraction.published.saastamoinen import (
-    saastamoinen1974,
-    saastamoinen1974_ican,
-    saastamoinen1974_quadratic,
-)
+from pipeline.refraction.published import saastamoinen
 from pipeline.refraction.ray import refraction_angle
 from pipeline.units import DEGREE, MICRORADIAN
 
@@ -34,7 +30,7 @@ def worked_example() -> list[Block]:
     h_c, diagonal = 6000.0, 45.0 * DEGREE
     # He works in whole microradians.
     n_h, n_a = round(79.0 * 472.0 / 249.0), round(79.0 * 747.0 / 278.0)
-    r = round(float(saastamoinen1974_ican(air, h_c, 0.0, diagonal, 0.0)) / MICRORADIAN)
+    r = round(float(saastamoinen.saastamoinen1974_ican(air, h_c, 0.0, diagonal, 0.0)) / MICRORADIAN)
     exact_h = float(air.refractivity(h_c))
     exact_a = float(refractivity_gyer(278.0, air.pressure(2500.0)))
     exact_r = float(refraction_angle(air, h_c, 0.0, diagonal))
@@ -60,12 +56,12 @@ def stated_errors() -> list[Block]:
     diagonal = 45.0 * DEGREE
     blocks = []
     for quantity, method, top, bound in (
-        ("Eq. 3a, 3b: largest error", saastamoinen1974_ican, 20_000.0, 0.2),
-        ("Eq. 6: largest error", saastamoinen1974_quadratic, 9_000.0, 0.5),
+        ("Eq. 3a, 3b: largest error", saastamoinen.saastamoinen1974_ican, 20_000.0, 0.2),
+        ("Eq. 6: largest error", saastamoinen.saastamoinen1974_quadratic, 9_000.0, 0.5),
     ):
         h_c = np.arange(1000.0, top + 1.0, 500.0)
         r = method(air, h_c, 0.0, diagonal, 0.0)
-        summed = saastamoinen1974(air, h_c, 0.0, diagonal, 0.0)
+        summed = saastamoinen.saastamoinen1974(air, h_c, 0.0, diagonal, 0.0)
         exact = np.asarray(refraction_angle(air, h_c, 0.0, diagonal))
         blocks.append(
             block(
