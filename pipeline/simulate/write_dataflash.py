@@ -13,14 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.simulate.sensors import (
-    GNSS_HORIZONTAL_M,
-    GNSS_VERTICAL_M,
-    LOG_BEGINS_BOOT_US,
-    LoggedSamples,
-    boot_us,
-    gps_week_ms,
-)
+from pipeline.simulate import sensors
 from pipeline.simulate.true_air import FIELD_HEIGHT_M
 from pipeline.units import ZERO_CELSIUS_K, Array
 
@@ -110,10 +103,10 @@ _PARAMETERS = {
 _SHUTTER_LAG_US = 85_000
 
 
-def write_dataflash(path: Path, samples: LoggedSamples) -> int:
+def write_dataflash(path: Path, samples: sensors.LoggedSamples) -> int:
     """Write the log; returns the number of messages, announcements included."""
     # FMT, UNIT, MULT, FMTU, PARM, VER and MSG stand at the start of every log.
-    begin = LOG_BEGINS_BOOT_US - 500_000
+    begin = sensors.LOG_BEGINS_BOOT_US - 500_000
     fmt, fmtu = FORMATS["FMT"], FORMATS["FMTU"]
     head = [
         fmt.pack(f.type_id, f.struct.size + 3, f.name.encode(), f.format.encode(),
@@ -136,12 +129,12 @@ def write_dataflash(path: Path, samples: LoggedSamples) -> int:
     return len(head) + len(rows)
 
 
-def _position_rows(samples: LoggedSamples) -> list[Row]:
+def _position_rows(samples: sensors.LoggedSamples) -> list[Row]:
     """GPS and GPA of the receiver; ATT and POS at 10 Hz, half the rate of the autopilot."""
     g, nav = samples.gnss, samples.navigation
-    week, ms = gps_week_ms(g.time_s)
-    written = boot_us(g.time_s + g.log_delay_s)
-    taken_ms = boot_us(g.time_s) // 1000
+    week, ms = sensors.gps_week_ms(g.time_s)
+    written = sensors.boot_us(g.time_s + g.log_delay_s)
+    taken_ms = sensors.boot_us(g.time_s) // 1000
     lat, lon = np.degrees(g.lat_rad), np.degrees(g.lon_rad)
     course = np.degrees(g.course_rad) % 360.0
     rows: list[Row] = []
@@ -151,10 +144,10 @@ def _position_rows(samples: LoggedSamples) -> list[Row]:
             g.speed_m_s[i], course[i], -g.climb_m_s[i], 0.0, 1,
         )))  # fmt: skip
         rows.append((time, FORMATS["GPA"].pack(
-            time, 0, 1.1, GNSS_HORIZONTAL_M, GNSS_VERTICAL_M, 0.05, 0.0, 1, int(taken_ms[i]),
-            200, g.h_ellipsoid_m[i], 0, 0,
+            time, 0, 1.1, sensors.GNSS_HORIZONTAL_M, sensors.GNSS_VERTICAL_M, 0.05, 0.0, 1,
+            int(taken_ms[i]), 200, g.h_ellipsoid_m[i], 0, 0,
         )))  # fmt: skip
-    times = boot_us(nav.time_s)
+    times = sensors.boot_us(nav.time_s)
     lat, lon = np.degrees(nav.lat_rad), np.degrees(nav.lon_rad)
     roll, pitch = np.degrees(nav.roll_rad), np.degrees(nav.pitch_rad)
     yaw = _centidegrees(np.degrees(nav.yaw_rad))
@@ -175,7 +168,7 @@ def _centidegrees(degrees: Array) -> Array:
     return np.asarray(np.round(degrees % 360.0, 2) % 360.0)
 
 
-def _air_rows(samples: LoggedSamples) -> list[Row]:
+def _air_rows(samples: sensors.LoggedSamples) -> list[Row]:
     """BARO and HYGR of both boxes, ARSP of a pitot with the outside thermometer in it."""
     rows: list[Row] = []
     for instance, box in enumerate((samples.outside, samples.cabin)):
@@ -183,13 +176,13 @@ def _air_rows(samples: LoggedSamples) -> list[Row]:
         # ArduPilot's Alt is a height in the standard atmosphere against the pressure at boot.
         height = 44_330.8 * (1.0 - (box.pressure_pa / 101_325.0) ** 0.190263)
         above = height - height[0]
-        for i, time in enumerate(boot_us(box.pressure_time_s).tolist()):
+        for i, time in enumerate(sensors.boot_us(box.pressure_time_s).tolist()):
             rows.append((time, FORMATS["BARO"].pack(
                 time, instance, above[i], above[i] + FIELD_HEIGHT_M, box.pressure_pa[i], board[i],
                 0.0, time // 1000, 0.0, board[0], 1,
             )))  # fmt: skip
         celsius = box.temperature_k - ZERO_CELSIUS_K
-        for i, time in enumerate(boot_us(box.time_s).tolist()):
+        for i, time in enumerate(sensors.boot_us(box.time_s).tolist()):
             rows.append((time, FORMATS["HYGR"].pack(
                 time, instance, 100.0 * box.humidity[i], celsius[i]
             )))  # fmt: skip
@@ -199,26 +192,26 @@ def _air_rows(samples: LoggedSamples) -> list[Row]:
     dynamic = 0.5 * pressure / (287.05 * box.temperature_k) * speed**2
     indicated = np.sqrt(2.0 * dynamic / 1.225)
     celsius = box.temperature_k - ZERO_CELSIUS_K
-    for i, time in enumerate(boot_us(box.time_s).tolist()):
+    for i, time in enumerate(sensors.boot_us(box.time_s).tolist()):
         rows.append((time, FORMATS["ARSP"].pack(
             time, 0, indicated[i], dynamic[i], celsius[i], dynamic[i], 0.0, 1, 1, 1.0, 0.0, 0
         )))  # fmt: skip
     return rows
 
 
-def _camera_rows(samples: LoggedSamples) -> list[Row]:
+def _camera_rows(samples: sensors.LoggedSamples) -> list[Row]:
     """TRIG at the command and CAM at the shutter, one of each for every camera."""
     nav, gnss = samples.navigation, samples.gnss
-    shutter = boot_us(samples.exposure_s)
+    shutter = sensors.boot_us(samples.exposure_s)
     rows: list[Row] = []
     for message, times_us in (("TRIG", shutter - _SHUTTER_LAG_US), ("CAM", shutter)):
-        at = (times_us - LOG_BEGINS_BOOT_US) * 1e-6
+        at = (times_us - sensors.LOG_BEGINS_BOOT_US) * 1e-6
         shot = nav.between(np.asarray(at, np.float64))
         lat, lon, alt = np.degrees(shot.lat_rad), np.degrees(shot.lon_rad), shot.h_msl_m
         roll, pitch = np.degrees(shot.roll_rad), np.degrees(shot.pitch_rad)
         yaw = _centidegrees(np.degrees(shot.yaw_rad))
         last_fix = np.searchsorted(gnss.time_s + gnss.log_delay_s, at, side="right") - 1
-        week, ms = gps_week_ms(gnss.time_s[last_fix])
+        week, ms = sensors.gps_week_ms(gnss.time_s[last_fix])
         for instance in range(len(samples.camera_names)):
             for i, time in enumerate(times_us.tolist()):
                 rows.append((time, FORMATS[message].pack(

@@ -9,19 +9,8 @@ from typing import Any
 import numpy as np
 from mcap_ros2.writer import Writer
 
+from pipeline.simulate import sensors
 from pipeline.simulate.optics import NED_FROM_ENU, body_rotation, quaternion
-from pipeline.simulate.sensors import (
-    BAROMETER_PA,
-    GNSS_HORIZONTAL_M,
-    GNSS_VERTICAL_M,
-    HEADING_DEG,
-    HUMIDITY,
-    THERMOMETER_K,
-    TILT_DEG,
-    BoxSamples,
-    LoggedSamples,
-    unix_ns,
-)
 from pipeline.units import NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
 
 _BAR = "=" * 80
@@ -102,7 +91,7 @@ _CHUNK_BYTES = 1024 * 1024
 Row = tuple[int, str, str, Mapping[str, Any]]
 
 
-def write_mcap(path: Path, samples: LoggedSamples, seed: int) -> int:
+def write_mcap(path: Path, samples: sensors.LoggedSamples, seed: int) -> int:
     """Write the recording; returns the number of messages.
 
     header.stamp is when a sensor measured; log_time, when the recorder got it, is 2-15 ms later.
@@ -116,7 +105,7 @@ def write_mcap(path: Path, samples: LoggedSamples, seed: int) -> int:
             (stamp, f"/camera/{name}/image/compressed", "sensor_msgs/msg/CompressedImage",
              {"format": "jpeg", "data": b""})
             for name in samples.camera_names
-            for stamp in unix_ns(samples.exposure_s).tolist()
+            for stamp in sensors.unix_ns(samples.exposure_s).tolist()
         ],
     ]  # fmt: skip
     late = np.random.default_rng([seed, 3]).uniform(2e6, 15e6, len(rows)).astype(np.int64)
@@ -140,26 +129,27 @@ def write_mcap(path: Path, samples: LoggedSamples, seed: int) -> int:
     return len(rows)
 
 
-def _position_rows(samples: LoggedSamples) -> list[Row]:
+def _position_rows(samples: sensors.LoggedSamples) -> list[Row]:
     """/fix at 5 Hz: NavSatFix.altitude is the height above the ellipsoid; /imu/data at 20 Hz:
     orientation of forward-left-up axes in east-north-up (REP 103)."""
     g, nav = samples.gnss, samples.navigation
     lat, lon = np.degrees(g.lat_rad).tolist(), np.degrees(g.lon_rad).tolist()
     height = g.h_ellipsoid_m.tolist()
-    covariance = np.diag([GNSS_HORIZONTAL_M**2] * 2 + [GNSS_VERTICAL_M**2]).ravel().tolist()
+    variances = [sensors.GNSS_HORIZONTAL_M**2] * 2 + [sensors.GNSS_VERTICAL_M**2]
+    covariance = np.diag(variances).ravel().tolist()
     rows: list[Row] = [
         (stamp, "/fix", "sensor_msgs/msg/NavSatFix", {
             "status": {"status": 2, "service": 9}, "latitude": lat[i], "longitude": lon[i],
             "altitude": height[i], "position_covariance": covariance,
             "position_covariance_type": 2,
         })
-        for i, stamp in enumerate(unix_ns(g.time_s).tolist())
+        for i, stamp in enumerate(sensors.unix_ns(g.time_s).tolist())
     ]  # fmt: skip
-    tilt, heading = np.radians(TILT_DEG), np.radians(HEADING_DEG)
+    tilt, heading = np.radians(sensors.TILT_DEG), np.radians(sensors.HEADING_DEG)
     covariance = np.diag([tilt**2, tilt**2, heading**2]).ravel().tolist()
     unknown = [-1.0] + [0.0] * 8  # sensor_msgs/Imu: no estimate of this element
     zero = {"x": 0.0, "y": 0.0, "z": 0.0}
-    for i, stamp in enumerate(unix_ns(nav.time_s).tolist()):
+    for i, stamp in enumerate(sensors.unix_ns(nav.time_s).tolist()):
         ned = body_rotation(nav.roll_rad[i], nav.pitch_rad[i], nav.yaw_rad[i])
         w, x, y, z = quaternion(NED_FROM_ENU.T @ ned @ _FLU_FROM_FRD).tolist()
         rows.append((stamp, "/imu/data", "sensor_msgs/msg/Imu", {
@@ -171,21 +161,23 @@ def _position_rows(samples: LoggedSamples) -> list[Row]:
     return rows
 
 
-def _air_rows(place: str, box: BoxSamples) -> list[Row]:
+def _air_rows(place: str, box: sensors.BoxSamples) -> list[Row]:
     """Pressure of one place at 5 Hz, temperature and humidity at 2.5 Hz."""
     rows: list[Row] = [
         (stamp, f"/{place}/pressure", "sensor_msgs/msg/FluidPressure",
-         {"fluid_pressure": value, "variance": BAROMETER_PA**2})
+         {"fluid_pressure": value, "variance": sensors.BAROMETER_PA**2})
         for stamp, value in zip(
-            unix_ns(box.pressure_time_s[::2]).tolist(), box.pressure_pa[::2].tolist(), strict=True
+            sensors.unix_ns(box.pressure_time_s)[::2].tolist(), box.pressure_pa[::2].tolist(),
+            strict=True,
         )
     ]  # fmt: skip
     # Rounded to what the sensors read: the digits of a subtraction in binary are not theirs.
     celsius = np.round(box.temperature_k - ZERO_CELSIUS_K, 2).tolist()
     humidity = np.round(box.humidity, 4).tolist()
-    for i, stamp in enumerate(unix_ns(box.time_s).tolist()):
+    thermal, moist = sensors.THERMOMETER_K**2, sensors.HUMIDITY**2
+    for i, stamp in enumerate(sensors.unix_ns(box.time_s).tolist()):
         rows.append((stamp, f"/{place}/temperature", "sensor_msgs/msg/Temperature",
-                     {"temperature": celsius[i], "variance": THERMOMETER_K**2}))  # fmt: skip
+                     {"temperature": celsius[i], "variance": thermal}))  # fmt: skip
         rows.append((stamp, f"/{place}/humidity", "sensor_msgs/msg/RelativeHumidity",
-                     {"relative_humidity": humidity[i], "variance": HUMIDITY**2}))  # fmt: skip
+                     {"relative_humidity": humidity[i], "variance": moist}))  # fmt: skip
     return rows
