@@ -29,12 +29,9 @@ def assign_roles(
 ) -> tuple[dict[str, Channel], Notes]:
     """The channel of each role that can be filled, by role.
 
-    Parameters
-    ----------
-    channels : all channels of the log.
-    named : role -> channel named in the mission file.
-    needs_cabin : whether the window asks for cabin air from the log.
-    elsewhere : roles that a file other than the log fills: there they are not missed.
+    ``channels``: all channels of the log. ``named``: role -> channel named in the mission file.
+    ``needs_cabin``: whether the window asks for cabin air from the log. ``elsewhere``: roles that a
+    file other than the log fills: there they are not missed.
 
     The notes hold each choice, and each role left empty. Named channels that are absent refuse the
     mission where the role is needed, and are a loss where it is not. ``aircraft_attitude`` is only

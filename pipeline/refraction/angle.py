@@ -13,16 +13,9 @@ from numpy.typing import NDArray
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
+from pipeline.refraction import ray
 from pipeline.refraction.image import ground_displacement
 from pipeline.refraction.published import manual
-from pipeline.refraction.ray import (
-    DEFAULT_RADIUS_M,
-    METHODS,
-    angle_and_status,
-    bend,
-    rays_by,
-    refraction_angle,
-)
 from pipeline.refraction.status_codes import FAR_BRANCH, STATUS_NAMES
 from pipeline.units import ARCSEC, DEGREE, MICRORADIAN, Array
 
@@ -34,7 +27,7 @@ def one_angle(
     nadir_angle: float,
     *,
     index: str = "ciddor",
-    radius: float = DEFAULT_RADIUS_M,
+    radius: float = ray.DEFAULT_RADIUS_M,
     method: str = "spherical",
     distance: float | None = None,
 ) -> dict[str, Any]:
@@ -56,7 +49,7 @@ def one_angle(
         raise PhysicsError("ANGLE-DISTANCE", what, remedy=remedy)
     air = standard_atmosphere(atmosphere, index=index)
     zeta = nadir_angle * DEGREE
-    r_c, status = angle_and_status(
+    r_c, status = ray.angle_and_status(
         air, camera_height, ground_height, zeta, radius, method=method,
         distance=math.nan if distance is None else distance,
     )  # fmt: skip
@@ -114,7 +107,7 @@ def radial_table(
     nadir_angle: Array,
     *,
     focal_px: float | None = None,
-    radius: float = DEFAULT_RADIUS_M,
+    radius: float = ray.DEFAULT_RADIUS_M,
     method: str = "spherical",
 ) -> RadialTable:
     """Refraction over the nadir angle, for one flying height.
@@ -152,9 +145,9 @@ def radial_table(
     if focal_px is not None and not 0.0 < focal_px < math.inf:
         what = f"a principal distance of {focal_px:g} px is none"
         raise PhysicsError("RADIAL-FOCAL", what, remedy="give it in pixels")
-    k = refraction_angle(profile, h_c, h_g, 45.0 * DEGREE, radius, method=method)
-    air = rays_by(profile, method)
-    r_c, status = bend(air, h_c, h_g, np.sin(zeta), np.cos(zeta), radius=radius)
+    k = ray.refraction_angle(profile, h_c, h_g, 45.0 * DEGREE, radius, method=method)
+    air = ray.rays_by(profile, method)
+    r_c, status = ray.bend(air, h_c, h_g, np.sin(zeta), np.cos(zeta), radius=radius)
     ground = ground_displacement(h_c, h_g, zeta, r_c, radius)
     f = math.nan if focal_px is None else focal_px
     return RadialTable(
@@ -211,8 +204,8 @@ def compare_methods(
     h_g: float,
     nadir_angle: Array,
     *,
-    methods: tuple[str, ...] = METHODS[1:],
-    radius: float = DEFAULT_RADIUS_M,
+    methods: tuple[str, ...] = ray.METHODS[1:],
+    radius: float = ray.DEFAULT_RADIUS_M,
 ) -> Comparison:
     """Errors of refraction methods against ``spherical``.
 
@@ -237,6 +230,6 @@ def compare_methods(
     angles = np.asarray(nadir_angle, dtype=np.float64)
     heights = np.asarray(h_c, dtype=np.float64)
     at = (profile, heights[:, None], h_g, angles[None, :], radius)
-    exact = refraction_angle(*at)
-    error = np.stack([refraction_angle(*at, method=method) - exact for method in methods])
+    exact = ray.refraction_angle(*at)
+    error = np.stack([ray.refraction_angle(*at, method=method) - exact for method in methods])
     return Comparison(methods, heights, h_g, angles, exact, error)

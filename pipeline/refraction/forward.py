@@ -9,17 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.geodesy import euler_radius
-from pipeline.refraction import status_codes
+from pipeline.refraction import image, status_codes
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.chord import height_at_distance
-from pipeline.refraction.image import (
-    COLUMNS,
-    Corrections,
-    Exposures,
-    correct_observations,
-    sigmas_at,
-    straight_reach,
-)
 from pipeline.refraction.ray import PublishedRays, bend
 from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.uncertainty.sigmas import Uncertainty
@@ -46,14 +38,14 @@ def apply_refraction(
     y_px: Array,
     h_g: Array,
     exposure: NDArray[np.int64],
-    exposures: Exposures,
+    exposures: image.Exposures,
     *,
     camera: Camera,
     table: RayTable | PublishedRays,
     distance_m: Array | None = None,
     uncertainty: Uncertainty | None = None,
     sigma_h_g: Array | None = None,
-) -> Corrections:
+) -> image.Corrections:
     """Displace ideal image observations to what a camera in this air measures.
 
     Parameters
@@ -107,10 +99,10 @@ def apply_refraction(
     lost = ~np.isin(status, (status_codes.OK, status_codes.BEYOND_GRAZING, status_codes.FAR_BRANCH))
     for column in columns.values():
         column[lost] = np.nan
-    displaced = Corrections(status=status, **columns)
+    displaced = image.Corrections(status=status, **columns)
     if uncertainty is None:
         return displaced
-    sigmas = sigmas_at(
+    sigmas = image.sigmas_at(
         displaced, h_g, exposure, exposures, camera=camera, uncertainty=uncertainty,
         sigma_h_g=sigma_h_g,
     )  # fmt: skip
@@ -128,7 +120,7 @@ class _Targets(NamedTuple):
 def _starting_points(
     ideal: Array,
     targets: _Targets,
-    exposures: Exposures,
+    exposures: image.Exposures,
     camera: Camera,
     table: RayTable | PublishedRays,
 ) -> Array:
@@ -170,7 +162,7 @@ def _starting_points(
 
 
 def _apparent(
-    chord: Array, targets: _Targets, exposures: Exposures, table: RayTable | PublishedRays
+    chord: Array, targets: _Targets, exposures: image.Exposures, table: RayTable | PublishedRays
 ) -> Array:
     """Directions (n, 3), east-north-up, of the rays that show the ends of straight chords.
 
@@ -186,7 +178,7 @@ def _apparent(
         radius = np.full(row.shape, exposures.radius_m)
     h_c = exposures.height_m[row]
     near, far = (
-        straight_reach(h_c, h_g, cos_z, radius=radius, far=second) for second in (False, True)
+        image.straight_reach(h_c, h_g, cos_z, radius=radius, far=second) for second in (False, True)
     )
     with np.errstate(invalid="ignore"):
         length = np.where(np.abs(far - distance) < np.abs(near - distance), far, near)
@@ -205,7 +197,7 @@ def _removals_to(
     ideal: Array,
     point: Array,
     targets: _Targets,
-    exposures: Exposures,
+    exposures: image.Exposures,
     *,
     camera: Camera,
     table: RayTable | PublishedRays,
@@ -219,11 +211,11 @@ def _removals_to(
     upper = np.array([camera.width_px, camera.height_px], np.float64)
     close = np.maximum(_CLOSE_PX, _CLOSE_ULP * np.spacing(np.abs(np.nan_to_num(ideal))))
     nearest = np.full(h_g.shape, np.inf)
-    columns = {name: np.full(h_g.shape, np.nan) for name in (*COLUMNS, "status")}
+    columns = {name: np.full(h_g.shape, np.nan) for name in (*image.COLUMNS, "status")}
     rows = np.arange(h_g.size)
     for _ in range(_ROUNDS):
         at = np.clip(point[rows], 0.0, upper)  # there is no shift outside the format
-        removed = correct_observations(
+        removed = image.correct_observations(
             at[:, 0], at[:, 1], h_g[rows], exposure[rows], exposures, camera=camera, table=table,
             distance_m=distance[rows],
         )  # fmt: skip

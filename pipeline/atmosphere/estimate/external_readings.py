@@ -15,14 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.atmosphere.climatology import Climatology
-from pipeline.atmosphere.estimate.sensors import (
-    SOUNDING_DEPARTURE,
-    SOUNDING_HUMIDITY,
-    Humidities,
-    Pressures,
-    Readings,
-    Temperatures,
-)
+from pipeline.atmosphere.estimate import sensors
 from pipeline.atmosphere.estimate.state import TOP_M, Drift
 from pipeline.atmosphere.refractive_index import enhancement_factor, saturation_vapour_pressure
 from pipeline.atmosphere.soundings import Sounding
@@ -214,8 +207,8 @@ def sounding_departures(
         length = (AT_ONCE_K**2 * AT_ONCE_LENGTH_M + later * LATER_LENGTH_M) / variance
         humid = float(np.hypot(DEPARTURE_RH, SPREAD_RH * np.sqrt(growth)))
         departures += [
-            Drift(f"{SOUNDING_DEPARTURE} {i}", knots, float(np.sqrt(variance)), length),
-            Drift(f"{SOUNDING_HUMIDITY} {i}", knots, humid, DEPARTURE_RH_LENGTH_M),
+            Drift(f"{sensors.SOUNDING_DEPARTURE} {i}", knots, float(np.sqrt(variance)), length),
+            Drift(f"{sensors.SOUNDING_HUMIDITY} {i}", knots, humid, DEPARTURE_RH_LENGTH_M),
         ]
     return tuple(departures)
 
@@ -229,7 +222,7 @@ def _inside(sounding: Sounding, background: Climatology) -> NDArray[np.bool_]:
 
 def sounding_readings(
     sounding: Sounding, number: int, background: Climatology, flight: TimeAndPlace
-) -> list[Readings]:
+) -> list[sensors.Readings]:
     """Temperatures and humidities of a balloon, and its pressure at the lowest level.
 
     ``number`` is its place among the soundings, by which `sounding_departures` names its departure.
@@ -242,47 +235,47 @@ def sounding_readings(
         sounding.vapour_pressure_pa, sounding.temperature_k, sounding.pressure_pa
     )
     name = sounding.name
-    readings: list[Readings] = []
+    readings: list[sensors.Readings] = []
     h, t = _thinned(height[inside], sounding.temperature_k[inside])
-    departure = f"{SOUNDING_DEPARTURE} {number}"
-    readings.append(Temperatures(name, h, t, np.full(h.size, LEVEL_K), departure))
+    departure = f"{sensors.SOUNDING_DEPARTURE} {number}"
+    readings.append(sensors.Temperatures(name, h, t, np.full(h.size, LEVEL_K), departure))
     moist = inside & np.isfinite(rh) & (height < HUMIDITY_BELOW_M)
     if bool(moist.any()):
         h, u = _thinned(height[moist], rh[moist])
-        departure = f"{SOUNDING_HUMIDITY} {number}"
-        readings.append(Humidities(name, h, u, np.full(h.size, LEVEL_RH), drift=departure))
+        departure = f"{sensors.SOUNDING_HUMIDITY} {number}"
+        readings.append(sensors.Humidities(name, h, u, np.full(h.size, LEVEL_RH), drift=departure))
     lowest = int(np.flatnonzero(inside)[0])
     level = np.log(sounding.pressure_pa[lowest : lowest + 1])
     hours, metres = hours_and_metres(sounding, flight)
     weather = np.hypot(WEATHER_LOG_P_PER_H * hours, WEATHER_LOG_P_PER_M * metres)
     sigma = np.array([float(np.hypot(LEVEL_LOG_P, weather))])
-    readings.append(Pressures(name, height[lowest : lowest + 1], level, sigma))
+    readings.append(sensors.Pressures(name, height[lowest : lowest + 1], level, sigma))
     return readings
 
 
 def surface_readings(
     report: SurfaceReport, background: Climatology, flight: TimeAndPlace
-) -> list[Readings]:
+) -> list[sensors.Readings]:
     """Temperature, pressure and humidity of a weather station, less certain by its age."""
     height = background.profile.gravity.geopotential_height(np.array([report.h_m]))
     hours, _ = hours_and_metres(report, flight)
     name, pressure = report.name, report.pressure_pa
-    readings: list[Readings] = []
+    readings: list[sensors.Readings] = []
     if np.isfinite(report.temperature_k):
         of_air = STATION_K**2 + report.sigma_temperature_k**2 + STATION_K2_PER_H * hours
         sigma = np.array([np.sqrt(of_air)])
-        readings.append(Temperatures(name, height, np.array([report.temperature_k]), sigma))
+        readings.append(sensors.Temperatures(name, height, np.array([report.temperature_k]), sigma))
     if np.isfinite(pressure):
         instrument = np.hypot(STATION_LOG_P, report.sigma_pressure_pa / pressure)
         sigma = np.array([np.hypot(instrument, WEATHER_LOG_P_PER_H * hours)])
-        readings.append(Pressures(name, height, np.log([pressure]), sigma))
+        readings.append(sensors.Pressures(name, height, np.log([pressure]), sigma))
     else:
         pressure = float(background.profile.pressure(report.h_m))
     rh = _relative_humidity(report.vapour_pressure_pa, report.temperature_k, pressure)
     if bool(np.isfinite(rh)):
         growth = variance_growth(hours)
         sigma = np.array([np.hypot(STATION_RH, SPREAD_RH * np.sqrt(growth))])
-        readings.append(Humidities(name, height, np.atleast_1d(rh), sigma))
+        readings.append(sensors.Humidities(name, height, np.atleast_1d(rh), sigma))
     return readings
 
 

@@ -13,12 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.atmosphere.air_samples import AirSamples, SensorSamples, climb_of
 from pipeline.atmosphere.climatology import Climatology
-from pipeline.atmosphere.estimate.external_readings import (
-    TimeAndPlace,
-    sounding_departures,
-    sounding_readings,
-    surface_readings,
-)
+from pipeline.atmosphere.estimate import external_readings
 from pipeline.atmosphere.estimate.sensors import (
     BAROMETER_FAULTS,
     DYNAMIC_PRESSURE_ERROR,
@@ -107,7 +102,7 @@ def collect_readings(
     *,
     soundings: Sequence[Sounding] = (),
     surface: Sequence[SurfaceReport] = (),
-    flight: TimeAndPlace | None = None,
+    flight: external_readings.TimeAndPlace | None = None,
 ) -> FlightReadings:
     """The readings of a flight in bins, and of soundings and stations, with their faults.
 
@@ -122,12 +117,12 @@ def collect_readings(
         and bool(_usable(sensor, background.profile).any())
     }
     start_ns = min((int(sensor.time_ns[0]) for sensor in sensors.values()), default=None)
-    flight = flight or TimeAndPlace(start_ns)
+    flight = flight or external_readings.TimeAndPlace(start_ns)
     external: list[Readings] = []
     for number, sounding in enumerate(soundings):
-        external += sounding_readings(sounding, number, background, flight)
+        external += external_readings.sounding_readings(sounding, number, background, flight)
     for report in surface:
-        external += surface_readings(report, background, flight)
+        external += external_readings.surface_readings(report, background, flight)
     sets: list[Readings] = []
     expected: list[Fault] = []
     drifts: list[Drift] = []
@@ -147,7 +142,7 @@ def collect_readings(
     at_sea, level = np.zeros(1), np.array([background.spread.pressure_ratio])
     log_pressure = np.log(background.profile.pressure(at_sea))
     at_sea_level = Pressures("climatology", at_sea, log_pressure, level, robust=False)
-    drifts += sounding_departures(soundings, background, flight)
+    drifts += external_readings.sounding_departures(soundings, background, flight)
     span = float(heights.min()), float(heights.max())
     every = at_sea_level, *external, *sets
     return FlightReadings(every, tuple(faults), tuple(drifts), *span, rejected)
@@ -339,13 +334,10 @@ def bin_readings(
 ) -> Bins:
     """Means without outliers, of readings alike in height, direction and time.
 
-    Parameters
-    ----------
-    seconds, height, value : (n,) time [s], geopotential height [m'], reading in any unit, best as
-        a departure from something that follows the height (the bin's median must mean something).
-    accepted : (n,) readings to use.
-    width, slice_s : of a bin, in height [m'] and in time [s].
-    floor : smallest scatter that is assumed, unit of ``value``.
+    ``seconds``, ``height``, ``value``: (n,) time [s], geopotential height [m'], reading in any
+    unit, best as a departure from something that follows the height (the bin's median must mean
+    something). ``accepted``: (n,) readings to use. ``width``, ``slice_s``: of a bin, in height [m']
+    and in time [s]. ``floor``: smallest scatter that is assumed, unit of ``value``.
 
     Scatter is 1.4826 times the median absolute deviation, that of the sensor or of the bin,
     whichever is larger. Cost grows as n log n.
