@@ -108,13 +108,13 @@ class Scan(DamagedBytes):
         self._highest: dict[int, int] = {}  # how far the highest number is ahead of the last
         self._heard_us: dict[int, int] = {}
         for begin in range(0, data.size, STRETCH):
-            self._scan(begin, min(begin + STRETCH, data.size))
+            self.scan_stretch(begin, min(begin + STRETCH, data.size))
         if self._end < data.size:
             rest = self._fill(self._end, data.size)
             if len(rest):
                 self._count_lost(rest)
 
-    def _scan(self, begin: int, stop: int) -> None:
+    def scan_stretch(self, begin: int, stop: int) -> None:
         """Scan the frames that begin in a stretch."""
         window = self._data.array(begin, stop + LONGEST)
         room = window.shape[0]

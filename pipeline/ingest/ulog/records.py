@@ -156,7 +156,7 @@ class ULogMessages(DamagedBytes):
         self._appended = flags_of(data)[1]
         self._places: defaultdict[int, list[int]] = defaultdict(list)  # of data, in one block
         self._stores: dict[tuple[str, int], ColumnStore] = {}
-        self._read()
+        self.walk()
 
     def report_damage(self, ledger: Ledger, file_name: str) -> None:
         """Enter what is damaged. The format does not number messages: lost ones are not counted."""
@@ -176,7 +176,7 @@ class ULogMessages(DamagedBytes):
             what = f"the logger could not keep up {count} times, {lost_s:.3f} s together"
             ledger.loss("LOG-DROPOUT", what, where=file_name, count=count)
 
-    def _read(self) -> None:
+    def walk(self) -> None:
         """Walk over the file."""
         at, end = FILE_HEADER, self._data.size
         sizes, unpack, places_of = self._definitions.sizes, DATA.unpack_from, self._places
