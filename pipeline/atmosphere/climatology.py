@@ -19,11 +19,9 @@ from pipeline.atmosphere.standard import ATMOSPHERES, AUTO, SeasonAndPlace, know
 from pipeline.errors import PhysicsError
 from pipeline.units import DEGREE, Array
 
-TEMPERATURE_CORRELATION_M = 4000.0
 HUMIDITY_CORRELATION_M = 1000.0
-"""Departures of eight real ascents from the Supplements correlate by 0.38 over 4 km in temperature.
-With this length, the sigmas below and a measured surface pressure, sigma of R is 19 / 9 / 5 / 3 %
-over 1 / 3 / 6 / 10 km; the ascents themselves departed by 11 / 8 / 2 / 4 % RMS."""
+"""With it, the sigmas below and a measured surface pressure, sigma of R is 19 / 9 / 5 / 3 % over
+1 / 3 / 6 / 10 km; eight real ascents departed by 11 / 8 / 2 / 4 % RMS."""
 
 _NO_SEASON = 4.0
 _SPREAD_TOP_M, _SPREAD_STEP_M = 30_000.0, 250.0
@@ -41,15 +39,13 @@ class Spread:
     h_m : (k,) heights above sea level [m], increasing.
     temperature_k : (k,) sigma of temperature there [K]; linear between, constant beyond.
     relative_humidity : (k,) sigma of relative humidity over water [1].
-    correlation_m : departures of temperature at heights dh apart correlate as exp(-dh / this).
-    humidity_correlation_m : the same of relative humidity.
+    humidity_correlation_m : departures of humidity correlate as exp(-dh / this) over heights dh.
     pressure_ratio : sigma of ln p at sea level.
     """
 
     h_m: Array
     temperature_k: Array
     relative_humidity: Array
-    correlation_m: float
     humidity_correlation_m: float
     pressure_ratio: float
 
@@ -180,7 +176,6 @@ def expected_spread(latitude_rad: float, month: float, ground_h_m: float = 0.0) 
         h,
         free + near * np.exp(-above_ground / _BOUNDARY_LAYER_M),
         np.interp(above_ground, [0.0, 1000.0, 10_000.0, 13_000.0], [0.15, 0.3, 0.3, 0.15]),
-        TEMPERATURE_CORRELATION_M,
         HUMIDITY_CORRELATION_M,
         0.006 + away * (0.004 + 0.003 * winter),
     )

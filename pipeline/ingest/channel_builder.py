@@ -119,7 +119,8 @@ def channel_of(rows: DecodedRows, spec: MessageMap, ledger: Ledger) -> Channel |
     columns = {name: values for name, values in columns.items() if np.isfinite(values).any()}
     if len(rows) == 0 or not columns:
         return None
-    rank = spec.rank_of(rows.source.instance)
+    spare = spec.spare_rank
+    rank = spec.rank if spare is None or rows.source.instance in (None, "0") else spare
     channel = Channel(
         rows.name, rows.time_ns, columns, rows.source, rows.boot, (), rank, rows.labels,
         {column.name: column.unit for column in spec.columns if column.unit},

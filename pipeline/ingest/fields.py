@@ -148,12 +148,6 @@ class MessageMap:
     text_field: str = ""
     spare_rank: int | None = None
 
-    def rank_of(self, instance: str | None) -> int:
-        """The rank of an instance; None where the message has no instances."""
-        if self.spare_rank is None or instance in (None, "0"):
-            return self.rank
-        return self.spare_rank
-
     @property
     def event(self) -> bool:
         return "events" in self.roles

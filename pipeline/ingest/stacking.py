@@ -52,18 +52,13 @@ def column_of(values: list[Any]) -> NDArray[Any]:
     return result
 
 
-def stack_tables(tables: Sequence[Table], counts: Sequence[int]) -> Table:
-    """Tables of so many rows end to end, each column as `join_pieces`; they are used up."""
-    if len(tables) == 1:
-        return tables[0]
-    names = dict.fromkeys(name for table in tables for name in table)
-    pairs = list(zip(tables, counts, strict=True))
-    return {name: join_pieces([table.pop(name, count) for table, count in pairs]) for name in names}
-
-
 def in_order(tables: Sequence[Table]) -> Table:
-    """Tables with `PLACE` as one, in the order of the log; they are used up."""
-    whole = stack_tables(tables, [table[PLACE].shape[0] for table in tables])
+    """Tables with `PLACE` as one in the order of the log, columns as `join_pieces`; used up."""
+    whole = tables[0]
+    if len(tables) > 1:
+        names = dict.fromkeys(name for table in tables for name in table)
+        pairs = [(table, table[PLACE].shape[0]) for table in tables]
+        whole = {name: join_pieces([t.pop(name, count) for t, count in pairs]) for name in names}
     if bool(np.all(whole[PLACE][1:] > whole[PLACE][:-1])):
         return whole
     order = np.argsort(whole[PLACE], kind="stable")

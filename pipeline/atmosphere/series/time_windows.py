@@ -206,7 +206,6 @@ def _whole_flight_as_background(
             h,
             np.hypot(covariance.sigma_temperature(h), change),
             np.minimum(spread.sigma_relative_humidity(h), CHANGE_RH),
-            spread.correlation_m,
             spread.humidity_correlation_m,
             float(np.hypot(level, CHANGE_LOG_P_PER_H * hours)),
         ),

@@ -128,14 +128,6 @@ def wanted_fields() -> dict[str, Callable[[str], bool]]:
     return {name: names.__contains__ for name, names in fields.items()}
 
 
-def parameters_of(tables: Mapping[str, Table]) -> dict[str, float]:
-    """The last value of each parameter of the autopilot, by name."""
-    table = tables.get("PARM", {})
-    if not {"Name", "Value"} <= table.keys():
-        return {}
-    return dict(zip(table["Name"].tolist(), table["Value"].tolist(), strict=True))
-
-
 def channels_of(
     tables: dict[str, Table], parameters: Mapping[str, float], clock: BootClock, ledger: Ledger
 ) -> tuple[Channel, ...]:

@@ -17,7 +17,6 @@ from pipeline.ingest.dataflash.channels import (
     RECEIVERS,
     channels_of,
     clock_of,
-    parameters_of,
     stamps,
     wanted_fields,
 )
@@ -93,7 +92,9 @@ def contents_of(
         return stamped(name, decoded[name], clock, instance) if name in decoded else {}
 
     lost = 0  # neither records nor lines carry a sequence number
-    parameters = parameters_of(timed)
+    named, parameters = timed.get("PARM", {}), {}
+    if {"Name", "Value"} <= named.keys():  # the last value of each
+        parameters = dict(zip(named["Name"].tolist(), named["Value"].tolist(), strict=True))
     channels = channels_of(timed, parameters, clock, ledger)
     return Contents(
         counts, channels, damage.bad_bytes, lost, clock.line.boots, time_base, table,

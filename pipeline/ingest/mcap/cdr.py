@@ -118,13 +118,9 @@ class _Cursors:
             setattr(self, name, getattr(self, name)[good])
         self.columns = {name: column[good] for name, column in self.columns.items()}
 
-    def align(self, size: int) -> None:
-        if size > 1:
-            self.at = -(-self.at // size) * size
-
     def count(self) -> NDArray[np.int64]:
         """The 32-bit length that stands here; the cursors move behind it."""
-        self.align(4)
+        self.at = -(-self.at // 4) * 4
         self.only(self.at + 4 <= self.length)
         raw = gather(self.data, self.begin + self.at, 4).view("<u4")
         self.at = self.at + 4
