@@ -10,26 +10,8 @@ from typing import Any
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.statistics import ShiftGrid
+from pipeline.report import summary
 from pipeline.report.figures import as_svg, correction_figure, profile_figure
-from pipeline.report.summary import (
-    CONTROL_HEAD,
-    CORRECTION_HEAD,
-    SENSOR_HEAD,
-    SOURCE_HEAD,
-    air_sentences,
-    control_rows,
-    control_sentence,
-    correction_rows,
-    effect_lines,
-    findings_first,
-    headline,
-    is_applied,
-    ledger_rows,
-    not_included,
-    sensor_rows,
-    source_rows,
-    unused_sources,
-)
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #0f172a; max-width: 52rem;
@@ -54,43 +36,43 @@ def write_report(
     grids: Mapping[str, ShiftGrid],
 ) -> None:
     """Write the report of a run, a page without scripts or external files."""
-    title, findings = escape(str(manifest["mission"])), findings_first(manifest)
+    title, findings = escape(str(manifest["mission"])), summary.findings_first(manifest)
     change, left = (
         ("displacement", "What is not applied")
-        if is_applied(manifest)
+        if summary.is_applied(manifest)
         else ("correction", "What is not removed")
     )
-    control = control_sentence(manifest)
-    lines = effect_lines(manifest["profile"]["effect"], manifest["profile"]["standard"])
+    control = summary.control_sentence(manifest)
+    lines = summary.effect_lines(manifest["profile"]["effect"], manifest["profile"]["standard"])
     channels = ", ".join(
         f"{role.replace('_', ' ')} from {name}" for role, name in manifest["channels"].items()
     )
     ledger = "".join(
         f'<tr class="{kind}"><td>{kind}</td><td><code>{escape(code)}</code></td>'
         f"<td>{escape(what)}</td></tr>"
-        for kind, code, what in ledger_rows(manifest["ledger"])
+        for kind, code, what in summary.ledger_rows(manifest["ledger"])
     )
     sections = [
         f"<h1>{title}</h1>",
         f'<p class="lead finding">{escape(findings)}</p>' if findings else "",
-        f'<p class="lead">{escape(headline(manifest))}</p>',
+        f'<p class="lead">{escape(summary.headline(manifest))}</p>',
         f"<h2>How large the {change} is</h2>",
-        _table(CORRECTION_HEAD, correction_rows(manifest), numeric=True),
+        _table(summary.CORRECTION_HEAD, summary.correction_rows(manifest), numeric=True),
         as_svg(correction_figure(grids)),
         f"<h2>Control points</h2><p>{escape(control)}</p>" if control else "",
-        _table(CONTROL_HEAD, control_rows(manifest, _MOST_CONTROL), numeric=True),
+        _table(summary.CONTROL_HEAD, summary.control_rows(manifest, _MOST_CONTROL), numeric=True),
         "<h2>The air</h2>",
-        *(f"<p>{escape(line)}</p>" for line in (air_sentences(manifest), *lines)),
+        *(f"<p>{escape(line)}</p>" for line in (summary.air_sentences(manifest), *lines)),
         as_svg(profile_figure(air, samples)),
-        _table(SOURCE_HEAD, source_rows(manifest), numeric=True),
-        _list("<p>Not used:</p>", unused_sources(manifest)),
-        _table(SENSOR_HEAD, sensor_rows(manifest), numeric=True),
+        _table(summary.SOURCE_HEAD, summary.source_rows(manifest), numeric=True),
+        _list("<p>Not used:</p>", summary.unused_sources(manifest)),
+        _table(summary.SENSOR_HEAD, summary.sensor_rows(manifest), numeric=True),
         "<h2>What became of the rows</h2>",
         _table(("observations", ""), _counts(manifest["observations"]["status"]), numeric=True),
         _table(("stations", ""), _counts(manifest["stations"]), numeric=True),
         "<h2>Ledger</h2>",
         f"<table>{ledger}</table>" if ledger else "<p>Nothing.</p>",
-        _list(f"<h2>{left}</h2>", not_included(manifest)),
+        _list(f"<h2>{left}</h2>", summary.not_included(manifest)),
         "<h2>Inputs</h2>",
         _table(
             ("", "file", "SHA-256"),

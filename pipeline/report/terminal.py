@@ -16,18 +16,7 @@ from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS
 from pipeline.refraction.angle import RadialTable
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.status_codes import STATUS_NAMES
-from pipeline.report.summary import (
-    CONTROL_HEAD,
-    CORRECTION_HEAD,
-    air_sentences,
-    control_rows,
-    control_sentence,
-    correction_rows,
-    effect_lines,
-    findings_first,
-    headline,
-    ledger_rows,
-)
+from pipeline.report import summary
 from pipeline.tables.exports.radial import radial_columns
 from pipeline.units import HECTOPASCAL, MICRORADIAN
 
@@ -84,21 +73,21 @@ def print_run(
     console.print(f"[bold]{escape(name)}[/bold]")
     if repeated:
         console.print("  nothing to do: mission file, inputs and code are those of the last run")
-    if findings := findings_first(manifest):
+    if findings := summary.findings_first(manifest):
         _print_indented(console, f"[red]{escape(findings)}[/]")
-    _print_indented(console, escape(headline(manifest)))
-    table = _table(CORRECTION_HEAD, gap=2)
-    for row in correction_rows(manifest):
+    _print_indented(console, escape(summary.headline(manifest)))
+    table = _table(summary.CORRECTION_HEAD, gap=2)
+    for row in summary.correction_rows(manifest):
         table.add_row(*(escape(cell) for cell in row))
     _print_indented(console, table)
     profile = manifest["profile"]
-    effects = effect_lines(profile["effect"], profile["standard"])
-    for line in (air_sentences(manifest), *effects):
+    effects = summary.effect_lines(profile["effect"], profile["standard"])
+    for line in (summary.air_sentences(manifest), *effects):
         _print_indented(console, escape(line))
-    if sentence := control_sentence(manifest):
+    if sentence := summary.control_sentence(manifest):
         _print_indented(console, escape(sentence))
-        table = _table(CONTROL_HEAD, gap=1)
-        for row in control_rows(manifest, _MOST_CONTROL):
+        table = _table(summary.CONTROL_HEAD, gap=1)
+        for row in summary.control_rows(manifest, _MOST_CONTROL):
             table.add_row(*(escape(cell) for cell in row))
         _print_indented(console, table)
     flagged = {k: n for k, n in manifest["observations"]["status"].items() if k != "ok" and n}
@@ -112,7 +101,7 @@ def print_run(
 
 def print_ledger(console: Console, entries: Sequence[Mapping[str, Any]]) -> None:
     """Entries of a ledger, the gravest first."""
-    for kind, code, what in ledger_rows(entries):
+    for kind, code, what in summary.ledger_rows(entries):
         _print_indented(console, f"[{_COLOURS[kind]}]{kind}[/] {escape(code)}: {escape(what)}")
 
 
@@ -279,7 +268,7 @@ def print_air(console: Console, air: FlightAir) -> None:
     rows = [effect.row() for effect in air.effects]
     profiles = [f"{len(air.series.timed_profiles)} profiles follow the air"] if air.windows else []
     for line in (
-        *effect_lines(rows, adjustment.standard.name),
+        *summary.effect_lines(rows, adjustment.standard.name),
         *(use.sentence() for use in adjustment.sources),
         *(f"{FAULT_TEXTS[f.fault]}: {f.value:.3g} ± {f.sigma:.2g}" for f in adjustment.faults),
         *profiles,
