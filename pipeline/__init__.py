@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from pipeline.atmosphere import standard_atmosphere
     from pipeline.config import load_mission
     from pipeline.ingest import open_log
+    from pipeline.library import correct
     from pipeline.refraction import correct_observations, refraction_angle
     from pipeline.stages.story import run_mission
 
@@ -23,6 +24,7 @@ __version__ = "0.2.0"
 
 __all__ = [
     "__version__",
+    "correct",
     "correct_observations",
     "load_mission",
     "open_log",
@@ -32,6 +34,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    "correct": "pipeline.library",
     "correct_observations": "pipeline.refraction",
     "load_mission": "pipeline.config",
     "open_log": "pipeline.ingest",

@@ -166,16 +166,16 @@ def ground_of_mission(mission: Mission, stations: Stations, heights: HeightSyste
 def correct_stream(
     observations: Observations,
     setup: CorrectionSetup,
-    folder: RunFolder,
+    write: Callable[[int, pa.Table], None],
     *,
     batch_rows: int,
     metadata: Mapping[str, str],
     progress: Callable[[int], None],
 ) -> Statistics:
-    """Correct all observations and write them as ``observations/part-*.parquet``.
+    """Correct all observations and write them, table by numbered table.
 
-    Memory holds at most five batches, whatever the number of rows. ``progress`` is called with the
-    number of rows of every batch that is written.
+    Memory holds at most five batches, whatever the number of rows. ``write`` is called on threads,
+    ``progress`` with the number of rows of every batch that is written.
     """
     columns = OBSERVATION_COLUMNS if setup.direction == "remove" else DISPLACED_COLUMNS
     schema = schema_of(columns, metadata, list(observations.user_fields))
@@ -183,10 +183,8 @@ def correct_stream(
     def correct_part(number: int, batch: Batch) -> Statistics:
         sampled = math.ceil(SAMPLED_ROWS * len(batch) / observations.rows)
         corrections, h_g, statistics = correct_counted(batch, setup, sampled)
-        name = f"observations/part-{number:05d}.parquet"
         table = table_of_observations(batch, corrections, h_g, observations.pixels, schema)
-        write_parquet(table, folder.place(name))
-        folder.seal(name)
+        write(number, table)
         return statistics
 
     total = Statistics.of(setup.cameras)
@@ -196,6 +194,17 @@ def correct_stream(
             total.merge(part)
             progress(part.rows)
     return total
+
+
+def into_folder(folder: RunFolder) -> Callable[[int, pa.Table], None]:
+    """Writes numbered tables as ``observations/part-*.parquet`` of a run."""
+
+    def write(number: int, table: pa.Table) -> None:
+        name = f"observations/part-{number:05d}.parquet"
+        write_parquet(table, folder.place(name))
+        folder.seal(name)
+
+    return write
 
 
 def correct_counted(

@@ -40,7 +40,7 @@ from pipeline.errors import ConfigError, StorageError, storage_errors
 from pipeline.flight.air_samples import air_samples
 from pipeline.flight.evidence.logged_terrain import logged_terrain
 from pipeline.flight.heights import heights_at, undulation_notes
-from pipeline.flight.stations import Stations, flag_height_misfits
+from pipeline.flight.stations import Stations, append_unmatched_images, flag_height_misfits
 from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir
 from pipeline.report.accuracy import Accuracy, accuracy_page, accuracy_png, text_hash
@@ -54,6 +54,7 @@ from pipeline.stages.correction import (
     correct_counted,
     correct_stream,
     correction_setup,
+    into_folder,
     with_uncertainties,
 )
 from pipeline.stages.exposure_setup import (
@@ -148,7 +149,7 @@ def run_mission(
             return correct_stream(
                 observations,
                 setup,
-                folder,
+                into_folder(folder),
                 batch_rows=mission.output.batch_rows,
                 metadata=observation_metadata(mission),
                 progress=progress.advance,
@@ -196,11 +197,15 @@ def finished_before(plan: Plan, *, force: bool = False) -> dict[str, Any] | None
 
 
 def prepare_mission(
-    plan: Plan, progress: Progress, most_rows: int | None = None
+    plan: Plan,
+    progress: Progress,
+    most_rows: int | None = None,
+    stations: Stations | None = None,
 ) -> PreparedMission:
     """Read the observations and the log, build the stations, and estimate the air.
 
-    ``most_rows`` of the observations are drawn for a rehearsal.
+    ``most_rows`` of the observations are drawn for a rehearsal; ``stations`` are those of a run,
+    where they are known.
     """
     ledger = Ledger()
     progress.start("reading the observations")
@@ -208,7 +213,10 @@ def prepare_mission(
     progress.start("reading the log")
     flight = read_log(plan, ledger)
     observations = with_object_points(plan, observations, flight, ledger)
-    stations = stations_of_mission(plan, flight, observations, ledger)
+    if stations is None:
+        stations = stations_of_mission(plan, flight, observations, ledger)
+    else:
+        stations = ledger.take(append_unmatched_images(stations, observations.images))
     check_object_points(observations, stations, ledger)
     ledger.extend(undulation_notes(flight.heights, stations, package_geoid()))
     samples = ledger.take(

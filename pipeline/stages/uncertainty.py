@@ -46,28 +46,21 @@ def uncertainties_of_mission(
         bool(np.isfinite(attitude.tilt_rad[stations.ok]).any())
         or ground.sigma_m is not None
         or ground.sigma_column is not None
-        or bool((views != OPEN).any())
+        or bool(((views != OPEN) | np.isfinite(cabin).any(axis=1)).any())
     )
     sigmas = replace(attitude, cabin=cabin)
     masks = [(camera, stations.camera == name) for name, camera in cameras.items()]
     uncertainties: list[Uncertainty | None] = []
     for number, timed in enumerate(air.timed_profiles):
-        if timed.covariance is None and not any_sigma:
+        covariance = timed.covariance
+        if covariance is None and not any_sigma:
             uncertainties.append(None)
             continue
         in_profile = replace(exposures, usable=exposures.usable & (air.profile_number == number))
-        uncertainties.append(
-            uncertainty_of(
-                timed.profile,
-                timed.covariance,
-                in_profile,
-                sigmas,
-                masks,
-                ground_heights_m=ground_limits_m,
-                window_kinds=views,
-                typical_ground_m=typical_ground_m,
-            )
-        )
+        uncertainties.append(uncertainty_of(
+            timed.profile, covariance, in_profile, sigmas, masks, window_kinds=views,
+            ground_heights_m=ground_limits_m, typical_ground_m=typical_ground_m,
+        ))  # fmt: skip
     scales = [u.mode.sigma for u in uncertainties if u is not None and u.mode is not None]
     common = float(f"{np.sqrt(np.mean(np.square(scales))):.6g}") if scales else np.nan
     return tuple(u and u.with_scale(common) for u in uncertainties)

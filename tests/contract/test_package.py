@@ -14,6 +14,7 @@ import pipeline
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.config import load_mission
 from pipeline.ingest import open_log
+from pipeline.library import correct
 from pipeline.refraction import correct_observations, refraction_angle
 from pipeline.stages.story import run_mission
 
@@ -21,6 +22,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 MAIN_NAMES = {
+    "correct": correct,
     "correct_observations": correct_observations,
     "load_mission": load_mission,
     "open_log": open_log,

@@ -73,7 +73,7 @@ def test_the_angle_is_what_it_says(unbend):
     assert f"{found[2]} arcsec" in unbend(*found[1].split()).out
 
 
-@pytest.mark.parametrize("number", range(3))
+@pytest.mark.parametrize("number", range(4))
 def test_the_examples_in_python_run(baseline, tmp_path, number):
     found = blocks("python")
     if number >= len(found):
@@ -82,6 +82,15 @@ def test_the_examples_in_python_run(baseline, tmp_path, number):
         if f"import {name}" in found[number]:
             pytest.importorskip(name)
     shutil.copytree(baseline.output, tmp_path / "results" / "sample_bin")
+    (tmp_path / "sample_logs").mkdir()
+    shutil.copy(baseline.folder / "observations.parquet", tmp_path / "sample_logs")
+    # A nadir block with its angles: level and to the north, which is enough to compute.
+    placed = baseline.stations().to_pandas().query("camera == 'nadir'")
+    placed[["image", "lat_deg", "lon_deg", "h_ellipsoid_m"]].rename(
+        columns={"lat_deg": "latitude", "lon_deg": "longitude"}
+    ).assign(omega=0.0, phi=0.0, kappa=0.0).to_csv(tmp_path / "opk.csv", index=False)
+    seen = baseline.measurements().to_pandas()
+    seen[seen["image"].isin(placed["image"])].to_csv(tmp_path / "observations.csv", index=False)
     done = subprocess.run(
         [sys.executable, "-c", found[number]], capture_output=True, text=True, cwd=tmp_path
     )

@@ -28,6 +28,8 @@ def beside_results(
 ) -> Path:
     """A folder as it looks after `make sample`."""
     shutil.copytree(runs["bin"].output, tmp_path / "results" / "sample_bin")
+    (tmp_path / "sample_logs").mkdir()
+    shutil.copy(REPOSITORY / "sample_logs" / "observations.parquet", tmp_path / "sample_logs")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -63,7 +65,7 @@ def test_the_readme_shows_what_the_correction_is_worth(
     turn = "".join(
         f"\nobservations[{a}] = 2 * observations.{a}_px - observations[{a}]" for a in "xy"
     )
-    turned = code.replace("\nbrown", f"{turn}\nbrown")
+    turned = code.replace("\n\n\ndef enu", f"{turn}\n\n\ndef enu")
     assert turned != code
     errors = {
         name: height_error(text, truth)

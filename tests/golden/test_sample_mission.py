@@ -6,15 +6,19 @@ on the ellipsoid, hydrostatics by an ODE, another camera model: nothing of the c
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import yaml
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from pipeline import correct
 from pipeline.atmosphere import Profile, profile_from_table
 from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.batch.plan import Outcome
@@ -22,6 +26,7 @@ from pipeline.config import load_mission
 from pipeline.geodesy import lambert_gravity
 from pipeline.refraction import Exposures, bend, correct_observations, ray_table
 from pipeline.simulate import ray_angle_sphere
+from pipeline.stages.story import read_mission
 from pipeline.units import ARCSEC, DEGREE
 
 from .conftest import REPOSITORY, read_observations, run_sample
@@ -224,3 +229,24 @@ def test_sample_logs_are_small() -> None:
     for kind in ("bin", "tlog", "mcap"):
         sections = yaml.safe_load((REPOSITORY / "configs" / f"sample_{kind}.yaml").read_text())
         assert (REPOSITORY / "configs" / sections["log"]["path"]).is_file()
+
+
+def test_tables_in_memory_give_the_rows_of_the_run(runs: dict[str, Outcome]) -> None:
+    """To the last bit, columns of uncertainty included: `correct` with the flight's air."""
+    run, mission = runs["bin"].output, runs["bin"].output.parent / "bin.yaml"
+    sections = yaml.safe_load(mission.read_text(encoding="utf-8"))
+    expected = pa.concat_tables(
+        pq.read_table(part) for part in sorted((run / "observations").glob("part-*.parquet"))
+    )
+    found = correct(
+        pq.read_table(sections["observations"]["path"]),
+        pq.read_table(run / "stations.parquet"),
+        read_mission(mission).air.series,
+        sections["cameras"],
+        mount=sections["mount"],
+    )
+    assert found.num_rows == 2188
+    assert found.cast(expected.schema).equals(expected)
+    told = json.loads((run / "manifest.json").read_text(encoding="utf-8"))
+    for name in ("uncertainty", "cabin_air"):
+        assert json.loads(found.schema.metadata[f"unbend.{name}".encode()]) == told[name]

@@ -1,0 +1,219 @@
+"""The correction as a library: tables in memory in, the table of a run out.
+
+It is a run: a mission of the tables is prepared, checked and corrected by the story's steps. The
+tables are handed over as files in a folder that is removed, because that is what a run reads.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, TypeAlias, TypeVar
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from pipeline.atmosphere import Profile
+from pipeline.atmosphere.estimate.adjusted_profile import unadjusted
+from pipeline.atmosphere.series.profile_series import ProfileSeries, TimedProfile, constant_series
+from pipeline.batch.plan import make_plan
+from pipeline.config import Mission, load_mission
+from pipeline.errors import UnbendError
+from pipeline.flight.stations import Stations
+from pipeline.ledger import Kind
+from pipeline.refraction.effect import FlightAir
+from pipeline.report.progress import NoProgress
+from pipeline.stages.correction import CorrectionSetup, correct_stream
+from pipeline.stages.finished_run import air_of, stations_of
+from pipeline.stages.outputs import observation_metadata
+from pipeline.stages.statistics import Statistics
+from pipeline.stages.story import correct_mission, prepare_mission
+
+Table = TypeVar("Table", pd.DataFrame, pa.Table)
+Air: TypeAlias = Profile | TimedProfile | ProfileSeries | pa.Table | str | Mapping[str, Any]
+
+_DEGREES = ("latitude", "longitude", "omega", "phi", "kappa", "roll", "pitch", "yaw")
+_NAMES = {"lat_deg": "latitude", "lon_deg": "longitude", "sigma_tilt_deg": "sigma_tilt",
+          "sigma_yaw_deg": "sigma_yaw"} | {f"{name}_deg": name for name in _DEGREES}  # fmt: skip
+_HEIGHTS = {"h_msl_m": "msl", "h_ellipsoid_m": "ellipsoid"}
+_ANGLES = {"omega": "omega_phi_kappa", "roll": "roll_pitch_yaw", "q_w": "quaternion"}
+_FURTHER = ("camera", "time_utc", "sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
+
+
+def correct(
+    observations: Table,
+    stations: pd.DataFrame | pa.Table,
+    profile: Air,
+    cameras: Mapping[str, Mapping[str, Any]],
+    *,
+    orientation: Mapping[str, Any] | None = None,
+    **sections: Any,
+) -> Table:
+    """Remove the refraction of the air and of windows from observations in tables in memory.
+
+    Parameters
+    ----------
+    observations : image, point, x_px, y_px [px], h_g_m [m above sea level]; others pass through.
+    stations : image, camera (where there are several), position and attitude of each image:
+        latitude, longitude [deg] (or lat_deg, lon_deg) and a height, named h_msl_m or
+        h_ellipsoid_m [m]; omega, phi, kappa, or roll, pitch, yaw, or q_w to q_z, the angles in
+        degrees (omega_deg too) against east, north and up at the station. Or the whole
+        ``stations.parquet`` of a run, of which then everything is taken as it is.
+    profile : a `Profile`; with a covariance a `TimedProfile`; the `ProfileSeries` or the
+        ``profile.parquet`` of a run with its stations; the name of a standard atmosphere; or the
+        section ``atmosphere`` of a mission file, from which the air is estimated.
+    cameras : the section of that name of a mission file.
+    orientation : further keys of ``stations.orientation``, where names do not say everything:
+        frame, heights, unit, columns, date, sigmas.
+    sections : other sections of a mission file, as ``ground={"height": 120.0}``.
+
+    Returns a table of the kind of ``observations``, with the columns of a run, row by row. What the
+    manifest of a run says of ``uncertainty`` and ``cabin_air``, and its ``ledger``, are in
+    ``attrs`` of a DataFrame, and as JSON in the metadata of an Arrow table.
+
+    Refuses what a run refuses, with its codes (`UnbendError`); what ends a run with code 3 is a
+    UserWarning each. Raises TypeError for what is no table and ValueError for a series of profiles
+    that belongs to other stations. The same numbers as a run, to the last bit.
+    """
+    taken = sorted({"log", "stations", "events", "atmosphere", "output"} & sections.keys())
+    if taken:
+        raise TypeError(f"{', '.join(taken)}: tables in memory take the place of these sections")
+    measured = _arrow(observations, "observations")
+    placed: pa.Table = _arrow(stations, "stations")
+    own = stations_of(placed) if {"profile_id", "status", "q_w"} <= {*placed.column_names} else None
+    tables: dict[int, pa.Table] = {}
+    # The section does not count where the profile itself is given.
+    atmosphere: Mapping[str, Any] = {"adjust": False, "standard": profile}
+    if not isinstance(profile, str):
+        atmosphere = profile if isinstance(profile, Mapping) else {"adjust": False}
+    with TemporaryDirectory(prefix="unbend-") as name:
+        folder = Path(name)
+        try:
+            mission = mission_of_tables(folder, measured, placed, orientation or {}, {
+                "cameras": cameras, "atmosphere": atmosphere, **sections,
+            })  # fmt: skip
+            if own is not None:
+                from_run = mission.stations.model_copy(update={"orientation": None})
+                mission = mission.model_copy(update={"log": None, "stations": from_run})
+            prepared = prepare_mission(make_plan(mission, Path.cwd()), NoProgress(), stations=own)
+            if not isinstance(profile, str | Mapping):
+                air = air_of_stations(profile, placed, prepared.stations)
+                prepared = replace(prepared, air=air)
+
+            def correct_all(setup: CorrectionSetup) -> Statistics:
+                return correct_stream(
+                    prepared.observations, setup, tables.__setitem__,
+                    batch_rows=mission.output.batch_rows, metadata=observation_metadata(mission),
+                    progress=NoProgress().advance,
+                )  # fmt: skip
+
+            manifest = correct_mission(prepared, correct_all).manifest
+        except UnbendError as error:
+            where = error.where.replace(f"{folder}{os.sep}", "")
+            what = error.what.replace("line 1: ", "")
+            raise type(error)(error.code, what, where=where, remedy=error.remedy) from None
+    facts = {name: manifest[name] for name in ("uncertainty", "cabin_air", "ledger")}
+    for entry in facts["ledger"]:
+        if entry["kind"] in (Kind.LOSS, Kind.FINDING):
+            warnings.warn(f"{entry['code']}: {entry['what']}", UserWarning, stacklevel=2)
+    table = pa.concat_tables(tables[number] for number in sorted(tables))
+    if isinstance(observations, pd.DataFrame):
+        frame: pd.DataFrame = table.to_pandas()
+        frame.attrs |= facts
+        return frame
+    texts = {f"unbend.{name}": json.dumps(value) for name, value in facts.items()}
+    return table.replace_schema_metadata(table.schema.metadata | texts)
+
+
+def _arrow(table: pd.DataFrame | pa.Table, name: str) -> pa.Table:
+    if isinstance(table, pd.DataFrame):
+        return pa.Table.from_pandas(table, preserve_index=False)
+    if not isinstance(table, pa.Table):
+        raise TypeError(
+            f"{name} is a pandas DataFrame or a pyarrow Table, no {type(table).__name__}"
+        )
+    return table
+
+
+def mission_of_tables(
+    folder: Path,
+    measured: pa.Table,
+    placed: pa.Table,
+    orientation: Mapping[str, Any],
+    sections: Mapping[str, Any],
+) -> Mission:
+    """The mission of tables, which are written to a folder under the names of quantities."""
+    pq.write_table(measured, folder / "observations.parquet")
+    frame = placed.to_pandas().rename(columns=_NAMES)
+    known = [name for name in frame if frame[name].notna().any()]
+    columns = {name: name for name in _FURTHER if name in known}
+    if "date" in orientation:
+        columns.pop("time_utc", None)
+    stated: dict[str, Any] = {"frame": "geographic"}
+    for name, angles in _ANGLES.items():
+        if name in known:
+            stated["angles"] = angles
+    for name, heights in _HEIGHTS.items():
+        if name in known and "latitude" in known and "height" not in columns:
+            columns["height"], stated["heights"] = name, heights
+    stated |= orientation
+    stated["columns"] = columns | dict(orientation.get("columns", {}))
+    stated["path"] = str(folder / "stations.csv")
+    frame.to_csv(stated["path"], index=False)
+    given = {
+        "log": {"path": "-"},  # the cabin's air of a run's stations may be that of a log
+        "ground": {"height": {"column": "h_g_m"}, "reference": "msl"},
+        **sections,
+        "mission": {"name": "tables", **sections.get("mission", {})},
+        "stations": {"orientation": stated},
+        "output": {"path": str(folder / "results")},
+    }
+    given["observations"] = {
+        **given.get("observations", {}), "path": str(folder / "observations.parquet")
+    }  # fmt: skip
+    if "profile_id" not in known:
+        del given["log"]
+    # JSON is YAML; numbers keep all their digits.
+    text = json.dumps(given, default=lambda v: v.item() if hasattr(v, "item") else str(v))
+    (folder / "mission.yaml").write_text(text, encoding="utf-8")
+    return load_mission(folder / "mission.yaml")
+
+
+def air_of_stations(profile: Air, placed: pa.Table, stations: Stations) -> FlightAir:
+    """The air that is given, for all stations; those that have none get the first profile."""
+    series: ProfileSeries | None = None
+    if isinstance(profile, Profile):
+        profile = TimedProfile(None, profile)
+    if isinstance(profile, TimedProfile):
+        series = constant_series(profile, len(stations))
+    elif isinstance(profile, pa.Table) and b"g_phi" in (profile.schema.metadata or {}):
+        ids = placed["profile_id"] if "profile_id" in placed.column_names else pa.nulls(0)
+        several = pc.count_distinct(profile["profile_id"]).as_py() > 1
+        if several and not len(ids):
+            raise ValueError("several profiles need the stations of their run, with profile_id")
+        series = air_of(profile, ids.cast(pa.string()))
+    elif isinstance(profile, ProfileSeries):
+        series = profile
+        if series.profile_number.size != placed.num_rows:
+            raise ValueError(
+                f"the profiles are those of {series.profile_number.size} stations, not of the "
+                f"{placed.num_rows} that are given"
+            )
+    if series is None:
+        raise TypeError(
+            f"a profile is none of {type(profile).__name__}: a Profile, TimedProfile, "
+            "ProfileSeries, the Arrow table of profile.parquet, a name, or a section"
+        )
+    number = np.zeros(len(stations), np.int64)
+    number[: series.profile_number.size] = series.profile_number
+    first = series.timed_profiles[0]
+    adjustment = replace(unadjusted(first.profile, "it is given"), covariance=first.covariance)
+    return FlightAir(adjustment, ProfileSeries(series.timed_profiles, number))
