@@ -231,6 +231,12 @@ def with_object_points() -> dict[str, Any]:
     return FULL | {"ground": {"height": points, "reference": "msl"}}
 
 
+def with_control() -> dict[str, Any]:
+    columns = {"point": "name", "latitude": "lat", "longitude": "lon", "height": "h"}
+    stated = {"columns": columns, "crs": "EPSG:4258", "reference": "ellipsoid"}
+    return FULL | {"control": {"path": "control.csv"} | stated}
+
+
 Keys = tuple[str, ...]
 NAMES = set(FULL["cameras"])
 
@@ -344,6 +350,7 @@ def test_the_examples_here_use_every_key_there_is(accepted):
         with_object_points(),
         oriented(PROJECTED),
         FULL | {"ground": {"height": {"dem": "terrain.tif"}, "reference": "msl"}},
+        with_control(),
         FULL | {"accept": [{"code": "PLAUSIBLE-GROUND", "reason": "a mine"}]},
     ]
     used = {keys[-1] for tree in (FULL, *others) for keys in keys_of(tree)}
