@@ -36,6 +36,8 @@ _KEYS = {
     "TIES-HEIGHT": "ground", "TIES-PIXELS": "observations.columns", "TIES-CAMERAS": "cameras",
 }  # fmt: skip
 
+_WORSE_THAN_FLAT, _FLAT = 1.1, 0.002  # of the relief, and at least of the flying height
+_MARGIN = 0.1  # of a log likelihood ratio, within which two mistakes are not told apart
 _LARGEST_REFINEMENT_RAD = np.radians(5.0)  # of a mistake that is still that one
 
 _SCALES = (0.25, 0.5, 2.0 / 3.0, 0.8, 1.25, 1.5, 2.0, 4.0)
@@ -54,7 +56,8 @@ class StatedMission:
     orientations are the cameras' own. ``shifted`` gives the orientations that many seconds later,
     in the same rows, where there is a trajectory. ``sigma_heights_m`` is what the heights of the
     ground may be off together, ``sigma_height_m`` a single one, ``heights_of`` the points whose
-    given heights count, ``other_heights_m`` names for what may have to be added to stations.
+    given heights count, ``other_heights_m`` names for what may have to be added to stations;
+    ``one_height`` is given for all points.
     """
 
     orientations: Orientations
@@ -66,6 +69,7 @@ class StatedMission:
     sigma_height_m: float = 1.0
     heights_of: tuple[int, ...] = ()
     other_heights_m: Mapping[str, float] = field(default_factory=dict)
+    one_height: bool = False
 
     def camera_from_body(self, camera: str) -> Array:
         """(3, 3) the stated mount, or that of a camera which looks down."""
@@ -106,8 +110,8 @@ class Finding:
     """A contradiction: code, key of the mission file, and one sentence with number and sigma.
 
     ``log_ratio`` is the natural logarithm of its likelihood over that of what is stated,
-    ``sigma_factor`` what residuals are then over what their sigmas say; ``also`` are the codes of
-    others that are as likely.
+    ``sigma_factor`` what residuals of the rays alone are then over what their sigmas say; ``also``
+    says the same of others that are nearly as likely.
     """
 
     code: str
@@ -171,12 +175,60 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
         # Of equals, that which has a name.
         best.sort(key=lambda item: -item[0] - LOG_RATIO_NEEDED * bool(item[1].label))
         gain, chosen, current, now, text = best[0]
-        also = {h.code for g, h, *_ in best if g > gain - LOG_RATIO_NEEDED} - {chosen.code}
+        other = {(h.code, h.camera): t for g, h, _, _, t in best if g > (1.0 - _MARGIN) * gain}
+        other.pop((chosen.code, chosen.camera), None)
         key = _KEYS[chosen.code].format(chosen.camera)
         key = "stations.orientation" if "mount" in key and not mission.mounts else key
-        of_fit = gain, now.sigma_factor
-        findings.append(Finding(chosen.code, key, text, *of_fit, tuple(sorted(also))))
+        # What is estimated once more is said once.
+        findings = [f for f in findings if (f.code, f.key) != (chosen.code, key)]
+        also = tuple(other.values())
+        factor = current.intersected(replace(mission, heights_of=())).sigma_factor
+        findings.append(Finding(chosen.code, key, text, gain, factor, also))
+    factor = findings[-1].sigma_factor if findings else stated.sigma_factor
+    if text := scattered_heights(mission, now, factor):
+        findings.append(Finding("TIES-HEIGHT", "ground", text, np.inf, factor))
     return stated, tuple(findings)
+
+
+def scattered_heights(mission: StatedMission, found: Intersection, factor: float) -> str:
+    """Why given heights of single points are none of theirs; empty where stated sigmas explain it.
+
+    A tenth of them is then farther from where the rays meet than 3 % of the flying height, and than
+    sigmas explain, times the ``factor`` of the rays' own residuals. Or they leave more of the
+    points' relief than one height for all does, whatever the sigmas: heights of this ground leave
+    less, those of another place, or turned, add their own.
+    """
+    given = mission.rays(mission.cameras, {})
+    if given.height_m is None or mission.one_height or not found.used.any():
+        return ""
+    height_m = given.height_m[np.unique(given.point, return_index=True)[1]]
+    known = np.isfinite(off := height_m - found.geodetic[2])
+    off, met_m, above = off[known], found.geodetic[2][known], _above_points(found)
+    if off.size < _FEWEST_HEIGHTS:
+        return ""
+    shared = np.hypot(mission.sigma_heights_m, np.nanmedian(found.orientations.sigma[:, 2]))
+    allowed = _SIGMAS * float(shared + np.nanmedian(found.sigma_height_m))
+    allowed = max(0.03 * above, max(1.0, factor) * allowed)
+    far = float(np.quantile(np.abs(off), 0.9))
+    left, relief = scatter_of(off), scatter_of(met_m)
+    text = (
+        f"given heights of a tenth of {off.size} points are {far:.0f} m or more from where their "
+    )
+    text += "rays meet, expected "
+    likely = ": no heights, holes that hold a number, or heights of other points or another place"
+    if far > allowed:
+        return f"{text}within {allowed:.0f} m{likely}"
+    if left > max(_WORSE_THAN_FLAT * relief, _FLAT * above):
+        return f"{text}nearer than one height for all, which is within {relief:.0f} m{likely}"
+    return ""
+
+
+def scatter_of(values: Array) -> float:
+    """What a tenth of the known values is away from their median at least; infinite of few."""
+    values = values[np.isfinite(values)]
+    if values.size < _FEWEST_HEIGHTS:
+        return np.inf
+    return float(np.quantile(np.abs(values - np.median(values)), 0.9))
 
 
 def with_usable_heights(mission: StatedMission, found: Intersection) -> StatedMission:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 from pipeline.config import Mission
 from pipeline.errors import MissionError
-from pipeline.flight.evidence.logged_terrain import compare_with_logged_terrain
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Entry, Kind, Ledger, finding
 from pipeline.refraction.calibration import is_fisheye
@@ -210,69 +209,59 @@ def causes_of_statuses(facts: Facts) -> dict[str, str]:
     return causes
 
 
-def likely_reading(ground_m: float, expected_m: float, takeoff_m: float) -> str:
-    """What ground heights likely are, that they are not as expected."""
-    readings = {
-        "feet": ground_m * 0.3048,
-        "km": ground_m * 1000.0,
-        "heights above the take-off (ground.reference: relative)": ground_m + takeoff_m,
-        "heights above sea level, not relative ones (ground.reference)": ground_m - takeoff_m,
+def likely_reading(off_m: float, ground_m: float, takeoff_m: float) -> str:
+    """What ground heights [m] likely are, that lie ``off_m`` above where they are expected."""
+    above = {
+        "feet": ground_m - ground_m * 0.3048,
+        "km": ground_m - ground_m * 1000.0,
+        "heights above the take-off (ground.reference: relative)": -takeoff_m,
+        "heights above sea level, not relative ones (ground.reference)": takeoff_m,
     }
-    best = min(readings, key=lambda reading: abs(readings[reading] - expected_m))
-    if ground_m == 0.0 or abs(readings[best] - expected_m) > 0.5 * abs(ground_m - expected_m):
+    best = min(above, key=lambda reading: abs(above[reading] - off_m))
+    if ground_m == 0.0 or abs(above[best] - off_m) > 0.5 * abs(off_m):
         return "another height, datum or unit than that of ground.height"
     return best
 
 
-def ground_near_takeoff(facts: Facts) -> Findings:
-    """The ground within 300 m of the take-off, and 20 m for each km from it; to 30 km."""
-    ok, off, known = facts.stations.ok, facts.takeoff, np.isfinite(facts.rows.h_g_m)
-    if off is None or not known.any() or not ok.any():
-        return
-    north = (facts.stations.lat_rad[ok] - off.lat_rad) * _RADIUS_M
-    turn = (facts.stations.lon_rad[ok] - off.lon_rad + np.pi) % (2.0 * np.pi) - np.pi
-    km = float(np.median(np.hypot(north, turn * math.cos(off.lat_rad) * _RADIUS_M))) / 1000.0
-    ground, allowed = float(np.median(facts.rows.h_g_m[known])), 300.0 + 20.0 * km
-    if km > _FAR_KM or abs(ground - off.h_msl_m) <= allowed:
-        return
-    best = likely_reading(ground, off.h_msl_m, off.h_msl_m)
-    column = facts.mission.ground.column
-    what = (
-        f"the ground lies {ground:.0f} m above sea level in the median, the take-off "
-        f"{off.h_msl_m:.0f} m and {km:.0f} km away: expected within {allowed:.0f} m of it; likely "
-        f"{best}"
-    )
-    yield "PLAUSIBLE-GROUND", "ground.height" + (f", column {column}" if column else ""), what
+def ground_beside_others(facts: Facts) -> Findings:
+    """The ground beside the take-off, the terrain that the autopilot logged, and a model's there.
 
-
-def ground_and_terrain(facts: Facts) -> Findings:
-    """The ground within 50 m, and its scatter, of the autopilot's terrain; a model at the take-off.
-
-    Of rows within 29 deg of the nadir, which see the ground near their station.
+    Within 300 m of the take-off and 20 m for each km from it, to 30 km; rows within 29 deg of the
+    nadir, which see the ground near their station, within 50 m of logged terrain and its scatter.
     """
-    off, model_m = facts.takeoff, facts.model_at_takeoff_m
-    column = facts.mission.ground.column
-    key = "ground.height" + (f", column {column}" if column else "") + "; ground.reference"
+    off, column, ground = facts.takeoff, facts.mission.ground.column, facts.rows.h_g_m
+    takeoff_m, ok = 0.0 if off is None else off.h_msl_m, facts.stations.ok
+    key = "ground.height" + (f", column {column}" if column else "")
+    found = []  # code, key, height, how much above what is expected, allowed, and where
+    if off is not None and np.isfinite(ground).any() and ok.any():
+        north = (facts.stations.lat_rad[ok] - off.lat_rad) * _RADIUS_M
+        turn = (facts.stations.lon_rad[ok] - off.lon_rad + np.pi) % (2.0 * np.pi) - np.pi
+        east = turn * math.cos(off.lat_rad) * _RADIUS_M
+        km = float(np.median(np.hypot(north, east))) / 1000.0
+        height = float(np.nanmedian(ground))
+        where = f"the take-off, {km:.0f} km away"
+        if km <= _FAR_KM:
+            allowed = 300.0 + 20.0 * km
+            found.append(("PLAUSIBLE-GROUND", key, height, height - takeoff_m, allowed, where))
+    key += "; ground.reference"
     terrain = np.append(facts.logged_terrain_m, np.nan)[facts.rows.station]
-    ground = np.where(facts.nadir_angle_rad < _BELOW_RAD, facts.rows.h_g_m, np.nan)
-    found = compare_with_logged_terrain(ground, terrain)
-    if found.rows and abs(found.median_m) > (allowed := _TERRAIN_M + found.scatter_m):
-        logged = float(np.median(terrain[np.isfinite(ground + terrain)]))
-        takeoff = 0.0 if off is None else off.h_msl_m
-        what = (
-            f"the ground of {found.rows} rows lies {found.median_m:+.0f} m from the terrain that "
-            f"the autopilot logged below their stations, {logged:.0f} m above sea level, in the "
-            f"median: expected within {allowed:.0f} m; likely "
-            f"{likely_reading(logged + found.median_m, logged, takeoff)}"
-        )
-        yield "PLAUSIBLE-TERRAIN", key, what
-    if off is not None and off.stands and abs(model_m - off.h_msl_m) > _TERRAIN_M:
-        what = (
-            f"the elevation model is {model_m:.0f} m high where the log begins, and the take-off "
-            f"{off.h_msl_m:.0f} m: expected within {_TERRAIN_M:.0f} m; likely "
-            f"{likely_reading(model_m, off.h_msl_m, off.h_msl_m)}"
-        )
-        yield "PLAUSIBLE-TERRAIN", key, what
+    apart = np.where(facts.nadir_angle_rad < _BELOW_RAD, ground, np.nan) - terrain
+    if (known := np.isfinite(apart)).any():
+        low, middle, high = np.percentile(apart[known], [16.0, 50.0, 84.0]).tolist()
+        height = float(np.median(terrain[known])) + middle
+        where = f"the terrain that the autopilot logged, in {known.sum()} rows"
+        allowed = _TERRAIN_M + (high - low) / 2.0
+        found.append(("PLAUSIBLE-TERRAIN", key, height, middle, allowed, where))
+    if off is not None and off.stands and np.isfinite(model_m := facts.model_at_takeoff_m):
+        where = "the take-off, by the elevation model where the log begins"
+        apart_m = model_m - takeoff_m
+        found.append(("PLAUSIBLE-TERRAIN", key, model_m, apart_m, _TERRAIN_M, where))
+    for code, named, height, off_m, allowed, where in found:
+        if abs(off_m) > allowed:
+            yield (code, named,
+                   f"the ground lies {height:.0f} m above sea level in the median, {off_m:+.0f} m "
+                   f"from {where}: expected within {allowed:.0f} m; likely "
+                   f"{likely_reading(off_m, height, takeoff_m)}")  # fmt: skip
 
 
 def field_of_view(facts: Facts) -> Findings:
@@ -281,19 +270,15 @@ def field_of_view(facts: Facts) -> Findings:
         view, key = facts.view_deg(name), facts.key_of(name, "fx_px", "focal_mm")
         least, most = (60.0, 300.0) if is_fisheye(camera) else (3.0, 130.0)
         if not least <= view <= most:
-            what = (
-                f"camera {name} sees {view:.3g} deg over the diagonal of {camera.width_px} x "
-                f"{camera.height_px} px with f of {camera.fx_px:g} px, expected {least:g} to "
-                f"{most:g} deg: likely f in millimetres, or that of other pixels "
-                "(f_px, fx_px, params, metric.pixel_um)"
-            )
-            yield "PLAUSIBLE-VIEW", key, what
+            yield ("PLAUSIBLE-VIEW", key,
+                   f"camera {name} sees {view:.3g} deg over the diagonal of {camera.width_px} x "
+                   f"{camera.height_px} px with f of {camera.fx_px:g} px, expected {least:g} to "
+                   f"{most:g} deg: likely f in millimetres, or that of other pixels "
+                   "(f_px, fx_px, params, metric.pixel_um)")  # fmt: skip
         if abs(camera.fx_px / camera.fy_px - 1.0) > 0.02:
-            what = (
-                f"fx of camera {name} is {camera.fx_px:g} px and fy {camera.fy_px:g} px, expected "
-                "within 2 %: likely the value of another camera or unit"
-            )
-            yield "PLAUSIBLE-VIEW", key, what
+            yield ("PLAUSIBLE-VIEW", key,
+                   f"fx of camera {name} is {camera.fx_px:g} px and fy {camera.fy_px:g} px, "
+                   "expected within 2 %: likely the value of another camera or unit")  # fmt: skip
 
 
 def principal_point(facts: Facts) -> Findings:
@@ -302,12 +287,11 @@ def principal_point(facts: Facts) -> Findings:
         off_x = abs(camera.cx_px / camera.width_px - 0.5)
         off = max(off_x, abs(camera.cy_px / camera.height_px - 0.5))
         if off > 0.1:
-            what = (
-                f"the principal point of {name} at {camera.cx_px:g}, {camera.cy_px:g} px is "
-                f"{100.0 * off:.0f} % of the image from its centre, expected up to 10 %: likely an "
-                "offset from the centre, millimetres, or width_px and height_px exchanged"
-            )
-            yield "PLAUSIBLE-PRINCIPAL-POINT", facts.key_of(name, "cx_px", "origin"), what
+            yield ("PLAUSIBLE-PRINCIPAL-POINT", facts.key_of(name, "cx_px", "origin"),
+                   f"the principal point of {name} at {camera.cx_px:g}, {camera.cy_px:g} px is "
+                   f"{100.0 * off:.0f} % of the image from its centre, expected up to 10 %: "
+                   "likely an offset from the centre, millimetres, or width_px and height_px "
+                   "exchanged")  # fmt: skip
 
 
 def distortion(facts: Facts) -> Findings:
@@ -323,19 +307,15 @@ def distortion(facts: Facts) -> Findings:
         u_d, v_d = camera.distort(u, v)
         share = float(np.max(np.hypot(u_d - u, v_d - v) / np.hypot(u, v)))
         if share != 0.0 and not 1e-6 <= share <= (0.3 if view < 90.0 else 1.0):
-            what = (
-                f"the distortion of {name} moves the corners of the image by {share:.2g} of their "
-                "radius, expected 1e-6 to 0.3: likely coefficients of pixels or millimetres, not "
-                "of tangents"
-            )
-            yield "PLAUSIBLE-DISTORTION", where, what
+            yield ("PLAUSIBLE-DISTORTION", where,
+                   f"the distortion of {name} moves the corners of the image by {share:.2g} of "
+                   "their radius, expected 1e-6 to 0.3: likely coefficients of pixels or "
+                   "millimetres, not of tangents")  # fmt: skip
         tangential = max(abs(values.get(k, 0.0)) for k in ("p1", "p2"))
         if tangential > 1e-3 and tangential > 3.0 * abs(values.get("k3", 0.0)):
-            what = (
-                f"p1 or p2 of {name} is {tangential:g}, expected below 0.001: likely coefficients "
-                "in another order (k1, k2, p1, p2, k3; params)"
-            )
-            yield "PLAUSIBLE-DISTORTION", facts.key_of(name, "distortion.k3", "distortion"), what
+            yield ("PLAUSIBLE-DISTORTION", facts.key_of(name, "distortion.k3", "distortion"),
+                   f"p1 or p2 of {name} is {tangential:g}, expected below 0.001: likely "
+                   "coefficients in another order (k1, k2, p1, p2, k3; params)")  # fmt: skip
 
 
 def extent_of_observations(facts: Facts) -> Findings:
@@ -354,13 +334,11 @@ def extent_of_observations(facts: Facts) -> Findings:
             expected, mistake = "to fill it", "measured in reduced images"
             if x.size < _FEWEST_ROWS or max(x.max() / width, y.max() / height) >= 0.7:
                 continue
-        what = (
-            f"observations of {name} span x {x.min():.6g} to {x.max():.6g} and y {y.min():.6g} to "
-            f"{y.max():.6g} in an image of {width} x {height} px, {100.0 * outside:.0f} % outside "
-            f"it, expected {expected}: likely {mistake} (width_px, height_px; "
-            "observations.columns.x_px, y_px)"
-        )
-        yield "PLAUSIBLE-EXTENT", f"cameras.{name}.width_px", what
+        yield ("PLAUSIBLE-EXTENT", f"cameras.{name}.width_px",
+               f"observations of {name} span x {x.min():.6g} to {x.max():.6g} and y {y.min():.6g} "
+               f"to {y.max():.6g} in an image of {width} x {height} px, {100.0 * outside:.0f} % "
+               f"outside it, expected {expected}: likely {mistake} (width_px, height_px; "
+               "observations.columns.x_px, y_px)")  # fmt: skip
 
 
 def direction_of_cameras(facts: Facts) -> Findings:
@@ -374,11 +352,9 @@ def direction_of_cameras(facts: Facts) -> Findings:
         elif axis < 10.0 and "oblique" in name.lower():
             expected = f"more than 10 deg off by the name of {name}: likely radians, or exchanged"
         if expected:
-            what = (
-                f"the axis of {name} is {axis:.1f} deg from the nadir in the median, expected "
-                f"{expected} ({facts.mission.attitude_key(name)})"
-            )
-            yield "PLAUSIBLE-DIRECTION", facts.mission.attitude_key(name), what
+            yield ("PLAUSIBLE-DIRECTION", facts.mission.attitude_key(name),
+                   f"the axis of {name} is {axis:.1f} deg from the nadir in the median, expected "
+                   f"{expected} ({facts.mission.attitude_key(name)})")  # fmt: skip
 
 
 def stated_numbers(facts: Facts) -> Findings:
@@ -389,39 +365,29 @@ def stated_numbers(facts: Facts) -> Findings:
             value = getattr(mount, key)
             steps = math.degrees(value) / 15.0
             if value and abs(value) <= math.tau and abs(steps - round(steps)) < 2e-3:
-                what = (
-                    f"{key} of {name} is {value:g}, which is {math.degrees(value):.0f} deg in "
-                    "radians: likely radians, expected degrees"
-                )
-                yield "PLAUSIBLE-ANGLE", f"mount.{name}.{key}", what
+                yield ("PLAUSIBLE-ANGLE", f"mount.{name}.{key}",
+                       f"{key} of {name} is {value:g}, which is {math.degrees(value):.0f} deg in "
+                       "radians: likely radians, expected degrees")  # fmt: skip
         length = math.hypot(*mount.lever_arm_m)
         if length > 10.0:
-            what = (
-                f"the lever arm of {name} is {length:.0f} m long, expected less than 10 m: likely "
-                "centimetres or millimetres"
-            )
-            yield "PLAUSIBLE-LEVER-ARM", f"mount.{name}.lever_arm_m", what
+            yield ("PLAUSIBLE-LEVER-ARM", f"mount.{name}.lever_arm_m",
+                   f"the lever arm of {name} is {length:.0f} m long, expected less than 10 m: "
+                   "likely centimetres or millimetres")  # fmt: skip
         up = -mount.lever_arm_m[2]
         if up > _HIGHEST_CAMERA_M and mount.build().camera_from_body[2, 2] > 0.5:
-            what = (
-                f"{name} looks down and lies {up:.2g} m above the point whose position is known, "
-                f"expected below it or up to {_HIGHEST_CAMERA_M:g} m above: likely a third number "
-                "that counts upward, here down is positive"
-            )
-            yield "PLAUSIBLE-LEVER-ARM", f"mount.{name}.lever_arm_m", what
+            yield ("PLAUSIBLE-LEVER-ARM", f"mount.{name}.lever_arm_m",
+                   f"{name} looks down and lies {up:.2g} m above the point whose position is "
+                   f"known, expected below it or up to {_HIGHEST_CAMERA_M:g} m above: likely a "
+                   "third number that counts upward, here down is positive")  # fmt: skip
     if (sigma := mission.ground.sigma_m or 0.0) > 50.0:
-        what = (
-            f"sigma_m of the ground is {sigma:g} m, expected below 50 m: likely millimetres or "
-            "centimetres, or the height itself"
-        )
-        yield "PLAUSIBLE-SIGMA", "ground.sigma_m", what
+        yield ("PLAUSIBLE-SIGMA", "ground.sigma_m",
+               f"sigma_m of the ground is {sigma:g} m, expected below 50 m: likely millimetres or "
+               "centimetres, or the height itself")  # fmt: skip
     for name, source in ((mission.events and mission.events.log) or {}).items():
         if isinstance(source.delay_s, float) and abs(source.delay_s) > 1.0:
-            what = (
-                f"delay_s of {name} is {source.delay_s:g} s, expected below 1 s: likely "
-                "milliseconds, or the offset of a clock"
-            )
-            yield "PLAUSIBLE-DELAY", f"events.log.{name}.delay_s", what
+            yield ("PLAUSIBLE-DELAY", f"events.log.{name}.delay_s",
+                   f"delay_s of {name} is {source.delay_s:g} s, expected below 1 s: likely "
+                   "milliseconds, or the offset of a clock")  # fmt: skip
 
 
 def windows(facts: Facts) -> Findings:
@@ -430,19 +396,16 @@ def windows(facts: Facts) -> Findings:
     named = None if mission.log is None else mission.log.channels.cabin_pressure
     if named is not None and not any(windows.values()):
         first = next(iter(windows))
-        what = (
-            "log.channels.cabin_pressure is named, and no camera has a window: expected a window, "
-            "or no channel of a cabin"
-        )
-        yield "PLAUSIBLE-WINDOW", f"cameras.{first}.window", what
+        yield ("PLAUSIBLE-WINDOW", f"cameras.{first}.window",
+               "log.channels.cabin_pressure is named, and no camera has a window: expected a "
+               "window, or no channel of a cabin")  # fmt: skip
     for name, window in windows.items():
         tilt = 0.0 if window is None else math.degrees(math.acos(window.build().normal[2]))
         if window is not None and window.frame == "camera" and tilt > 35.0:
-            what = (
-                f"the window of {name} leans {tilt:.0f} deg from the optical axis, expected less "
-                "than 35 deg: likely a normal in the frame of the body (normal, frame)"
-            )
-            yield "PLAUSIBLE-WINDOW", f"cameras.{name}.window.frame", what
+            yield ("PLAUSIBLE-WINDOW", f"cameras.{name}.window.frame",
+                   f"the window of {name} leans {tilt:.0f} deg from the optical axis, expected "
+                   "less than 35 deg: likely a normal in the frame of the body "
+                   "(normal, frame)")  # fmt: skip
 
 
 def slant_ranges(facts: Facts) -> Findings:
@@ -451,11 +414,10 @@ def slant_ranges(facts: Facts) -> Findings:
     ratio = facts.rows.distance_m / straight
     ratio = ratio[np.isfinite(ratio) & (facts.nadir_angle_rad < 1.4)]
     if ratio.size and not 0.7 < np.median(ratio) < 1.4:
-        what = (
-            f"slant ranges are {np.median(ratio):.3g} times what the heights of camera and ground "
-            "give in the median, expected 1: likely feet or km, or another ground.height"
-        )
-        yield "PLAUSIBLE-DISTANCE", "observations.columns.distance_m", what
+        yield ("PLAUSIBLE-DISTANCE", "observations.columns.distance_m",
+               f"slant ranges are {np.median(ratio):.3g} times what the heights of camera and "
+               "ground give in the median, expected 1: likely feet or km, or another "
+               "ground.height")  # fmt: skip
 
 
 def flagged_rows(facts: Facts) -> Findings:
@@ -464,40 +426,34 @@ def flagged_rows(facts: Facts) -> Findings:
         flagged = facts.rows.status == STATUS_NAMES.index(name)
         share = float(np.sum(facts.rows.weight[flagged]) / np.sum(facts.rows.weight))
         if share > _LARGEST_SHARE:
-            what = (
-                f"{100.0 * share:.0f} % of the observations are {name}, expected at most "
-                f"{100.0 * _LARGEST_SHARE:.0f} %: {cause}"
-            )
-            yield "PLAUSIBLE-FLAGGED", "observations", what
+            yield ("PLAUSIBLE-FLAGGED", "observations",
+                   f"{100.0 * share:.0f} % of the observations are {name}, expected at most "
+                   f"{100.0 * _LARGEST_SHARE:.0f} %: {cause}")  # fmt: skip
 
 
 def air_of_flight(facts: Facts) -> Findings:
     """R within a factor of 1.5 of that in US 1976 between the same heights."""
     for effect in facts.effects[:1]:
         if not 1.0 / _LARGEST_FACTOR < effect.factor < _LARGEST_FACTOR:
-            what = (
-                f"R at {effect.nadir_deg:.0f} deg from {effect.h_c_m:.0f} to {effect.h_g_m:.0f} m "
-                f"is {effect.factor:.2f} times that in the standard atmosphere, expected 0.67 to "
-                "1.5: likely a barometer or thermometer of another place or unit "
-                "(log.channels.pressure, log.channels.temperature)"
-            )
-            yield "PLAUSIBLE-AIR", "atmosphere", what
+            yield ("PLAUSIBLE-AIR", "atmosphere",
+                   f"R at {effect.nadir_deg:.0f} deg from {effect.h_c_m:.0f} to "
+                   f"{effect.h_g_m:.0f} m is {effect.factor:.2f} times that in the standard "
+                   "atmosphere, expected 0.67 to 1.5: likely a barometer or thermometer of "
+                   "another place or unit (log.channels.pressure, "
+                   "log.channels.temperature)")  # fmt: skip
 
 
 def measured_observations(facts: Facts) -> Findings:
     """Refraction is applied to observations for plans, not to those of a flight with a log."""
     mission = facts.mission
     if mission.refraction.direction == "apply" and mission.stations.orientation is None:
-        what = (
-            "direction is apply, and the stations are those of a log: refraction would be put "
-            "twice into observations that were measured; expected remove"
-        )
-        yield "PLAUSIBLE-APPLY", "refraction.direction", what
+        yield ("PLAUSIBLE-APPLY", "refraction.direction",
+               "direction is apply, and the stations are those of a log: refraction would be put "
+               "twice into observations that were measured; expected remove")  # fmt: skip
 
 
 RULES: tuple[Callable[[Facts], Findings], ...] = (
-    ground_near_takeoff,
-    ground_and_terrain,
+    ground_beside_others,
     field_of_view,
     principal_point,
     distortion,

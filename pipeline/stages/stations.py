@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pipeline.batch.plan import Plan
+from pipeline.config import Mission
+from pipeline.config.event_sources import EventsSection
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel
 from pipeline.flight.evidence.contradictions import contradictions_of_import
-from pipeline.flight.evidence.stretches import flag_suspect
+from pipeline.flight.evidence.log_accuracy import LogAccuracy
+from pipeline.flight.evidence.stretches import Stretch, flag_suspect
 from pipeline.flight.exposures import (
     Events,
     choose_event_channel,
@@ -25,6 +28,7 @@ from pipeline.flight.exposures import (
     trigger_notes,
     unwrapped_numbers,
 )
+from pipeline.flight.heights import HeightSystem
 from pipeline.flight.image_names import refuse_other_names, renamed
 from pipeline.flight.mount import Mount
 from pipeline.flight.station_builder import (
@@ -45,8 +49,9 @@ from pipeline.stages.exposure_setup import camera_of_rows
 from pipeline.stages.inputs import FlightLog, read_camera_events
 from pipeline.stages.multi_image.image_events import assigned_stations
 from pipeline.stages.multi_image.oriented_stations import oriented_stations
-from pipeline.stages.multi_image.tie_point_checks import check_tie_points
+from pipeline.stages.multi_image.tie_point_checks import TieEvidence, check_tie_points
 from pipeline.tables.events import read_events
+from pipeline.tables.geodata.elevation import ElevationModel
 from pipeline.tables.observations import Observations
 from pipeline.tables.tie_points import MOST_TIE_POINTS, draw_tie_points
 from pipeline.units import DEGREE
@@ -54,19 +59,42 @@ from pipeline.units import DEGREE
 
 def exposure_events(
     plan: Plan,
-    channels: tuple[Channel, ...],
+    flight: FlightLog,
     positions: Mapping[str, Channel],
-    utc_sigma_s: float,
+    observed: tuple[str, ...],
+    ledger: Ledger,
+) -> list[Events]:
+    """When each camera was exposed, by images as they are ``observed``, and compared with the log.
+
+    Refuses exposures of other times (MissionError EVENTS-SPAN) and images that have two.
+    """
+    section, differences = plan.mission.events, plan.mission.observations.match_names
+    if section is None:
+        return []
+    events = read_events_of_cameras(plan, section, flight, positions, ledger)
+    for k, exposures in enumerate(events):
+        image = renamed(exposures.image, observed, differences, f"events, {exposures.camera}")
+        events[k] = replace(exposures, image=ledger.take(image))
+    refuse_repeated_images(events)
+    if "position" in flight.roles:
+        of_other = plan.mission.stations.trajectory is not None
+        key = section.time_key + (", stations.trajectory.time" if of_other else "")
+        ledger.extend(span_notes(events, flight.roles["position"], key))
+    return events
+
+
+def read_events_of_cameras(
+    plan: Plan,
+    section: EventsSection,
+    flight: FlightLog,
+    positions: Mapping[str, Channel],
     ledger: Ledger,
 ) -> list[Events]:
     """When each camera was exposed, from the log, a table, or files with positions, by camera.
 
-    ``utc_sigma_s`` is that of the log's UTC, which places the times of a table. Refuses
-    (MissionError EVENTS-CAMERA) a table that names a camera which the mission lacks.
+    Refuses (MissionError EVENTS-CAMERA) a table that names a camera which the mission lacks.
     """
-    section = plan.mission.events
-    if section is None:
-        return []
+    channels = flight.channels
     if section.log is not None:
         events = []
         for camera, source in section.log.items():
@@ -91,6 +119,8 @@ def exposure_events(
     camera_of = camera_of_rows(
         plan.mission, table.camera, csv.camera, table.time_ns.size, str(csv.path)
     )
+    # The log's UTC places the times of a table.
+    utc_sigma_s = 0.0 if flight.log is None else float(np.nan_to_num(flight.log.utc_sigma_s))
     return [
         events_of_table(
             table.image, camera_of, table.time_ns, camera, csv.delay_s, sigma_s=utc_sigma_s
@@ -144,75 +174,137 @@ def _tell_order(fallen: int, channel: Channel, ledger: Ledger) -> None:
         ledger.warning("EVENTS-ORDER", what, where=channel.name, count=fallen)
 
 
-def stations_of_mission(
-    plan: Plan, flight: FlightLog, observations: Observations, ledger: Ledger
-) -> Stations:
-    """Position, attitude and air of each exposure, or the status that says what is missing."""
-    mission = plan.mission
-    utc_sigma_s = 0.0 if flight.log is None else float(np.nan_to_num(flight.log.utc_sigma_s))
-    positions = read_camera_events(plan, flight, ledger)
-    events = exposure_events(plan, flight.channels, positions, utc_sigma_s, ledger)
-    observed, differences = observations.images, mission.observations.match_names
-    for k, exposures in enumerate(events):
-        image = renamed(exposures.image, observed, differences, f"events, {exposures.camera}")
-        events[k] = replace(exposures, image=ledger.take(image))
-    refuse_repeated_images(events)
-    if "position" in flight.roles and mission.events is not None:
-        of_other = ", stations.trajectory.time" if mission.stations.trajectory is not None else ""
-        key = mission.events.time_key + of_other
-        ledger.extend(span_notes(events, flight.roles["position"], key))
-    exposed: list[Stations] = []
-    builders: dict[str, Callable[[Events], Stations]] = {}
-    for events_of_camera in events:
-        name, suspect = events_of_camera.camera, flight.suspect
-        roles = flight.roles_of(name)
-        mount, from_events = mount_of(plan, name)
-        if name in positions and not mission.position_events[name].times_only:
-            roles = roles | {"position": positions[name], "height": positions[name]}
-            places = ("position", "height")
-            if positions[name].fits_role("attitude"):
-                roles, suspect = roles | {"attitude": positions[name]}, ()
+@dataclass(frozen=True, eq=False)
+class StationBuilder:
+    """Makes the stations of one camera at any times: of its channels, on its mount.
+
+    ``suspect`` are stretches in which these channels are contradicted, ``offsets`` the file that
+    has the ways from the antenna to the camera, where the mount has not.
+    """
+
+    camera: str
+    roles: Mapping[str, Channel]
+    mount: Mount
+    suspect: tuple[Stretch, ...]
+    offsets: Channel | None
+    heights: HeightSystem
+    accuracy: LogAccuracy
+    max_gap_s: float
+
+    @classmethod
+    def of(
+        cls, plan: Plan, flight: FlightLog, camera: str, positions: Channel | None
+    ) -> StationBuilder:
+        """That of a camera; a file of ``positions`` at its exposures replaces channels."""
+        roles, suspect = flight.roles_of(camera), flight.suspect
+        mount, from_events = mount_of(plan, camera)
+        if positions is not None and not plan.mission.position_events[camera].times_only:
+            roles = roles | {"position": positions, "height": positions}
+            if positions.fits_role("attitude"):
+                roles, suspect = roles | {"attitude": positions}, ()
             suspect = (
                 *(stretch for stretch in suspect if stretch.quantity == "attitude"),
-                *contradictions_of_import(positions[name], places, flight.own, flight.own_suspect),
+                *contradictions_of_import(
+                    positions, ("position", "height"), flight.own, flight.own_suspect
+                ),
             )
+        if from_events and (positions is None or "offset_down_m" not in positions.columns):
+            raise MissionError(
+                "EVENTS-OFFSETS",
+                "it has no offsets from the antenna to the camera: only .MRK files have",
+                where="" if positions is None else positions.name,
+                remedy="give stations.trajectory.lever_arm_m in metres",
+            )
+        return cls(
+            camera, roles, mount, suspect, positions if from_events else None, flight.heights,
+            flight.accuracy, plan.mission.max_gap_s,
+        )  # fmt: skip
 
-        def build(
-            events: Events, roles: Mapping[str, Channel] = roles, mount: Mount = mount
-        ) -> Stations:
-            system, gap_s = flight.heights, mission.max_gap_s
-            return build_stations(events, roles, mount, system, gap_s, accuracy=flight.accuracy)
+    def stations(self, events: Events) -> Stations:
+        """The stations of some exposures, suspect or not."""
+        stations = build_stations(
+            events, self.roles, self.mount, self.heights, self.max_gap_s, accuracy=self.accuracy
+        )
+        file = self.offsets
+        if file is None:
+            return stations
+        # The row of the nearest event: a delay moves all alike, by less than half an interval.
+        between = (file.time_ns[:-1] + file.time_ns[1:]) // 2
+        row = np.searchsorted(between, stations.time_ns)
+        north, east, down = (file[f"offset_{axis}_m"][row] for axis in ("north", "east", "down"))
+        return stations.moved(np.stack([east, north, -down], axis=1))
 
-        builders[name] = build
-        part = build(events_of_camera)
-        part = ledger.take(flag_suspect(part, suspect, use_suspect=mission.stations.use_suspect))
-        exposed.append(moved_by_offsets(part, positions.get(name)) if from_events else part)
+    def later(self, stations: Stations, seconds: float) -> Stations:
+        """What its stations would be that many seconds later."""
+        time_ns = stations.time_ns + round(seconds * 1e9)
+        return self.stations(Events(self.camera, stations.image, time_ns))
+
+
+def stations_of_mission(
+    plan: Plan,
+    flight: FlightLog,
+    observations: Observations,
+    terrain: ElevationModel | None,
+    ledger: Ledger,
+) -> Stations:
+    """Position, attitude and air of each exposure, or the status that says what is missing.
+
+    Tie points assign events to images, and are compared with the stations and with ``terrain``.
+    """
+    mission, observed = plan.mission, observations.images
+    positions = read_camera_events(plan, flight, ledger)
+    events = exposure_events(plan, flight, positions, observed, ledger)
+    builders = [
+        StationBuilder.of(plan, flight, exposed.camera, positions.get(exposed.camera))
+        for exposed in events
+    ]
+    use_suspect = mission.stations.use_suspect
+    parts = [
+        ledger.take(flag_suspect(b.stations(e), b.suspect, use_suspect=use_suspect))
+        for b, e in zip(builders, events, strict=True)
+    ]
     ties = draw_tie_points(observations, MOST_TIE_POINTS)
     if mission.events is not None:
-        exposed = assigned_stations(
-            plan, mission.events, events, exposed, observations=observations, ties=ties,
+        parts = assigned_stations(
+            plan, mission.events, events, parts, observations=observations, ties=ties,
             ledger=ledger,
         )  # fmt: skip
 
-    def shifted(seconds: float) -> Stations:
-        """The stations of the events that many seconds later."""
-        step = round(seconds * 1e9)
-        return join_stations([
-            builders[name](Events(name, part.image, part.time_ns + step))
-            for name, part in zip(builders, exposed, strict=True)
-        ])  # fmt: skip
+    def later(seconds: float) -> Stations:
+        of_cameras = zip(builders, parts, strict=True)
+        return join_stations([builder.later(part, seconds) for builder, part in of_cameras])
 
-    if mission.stations.orientation is None:
-        stations = join_stations(exposed)
+    moves = mission.stations.orientation is None
+    if moves:
+        stations = join_stations(parts)
     else:
         oriented = oriented_stations(
-            plan, flight, exposed, observations=observations, ties=ties, ledger=ledger
+            plan, flight, parts, observations=observations, ties=ties, ledger=ledger
         )
         stations = with_air(oriented, flight.roles, mission.max_gap_s)
-    moves = mission.stations.orientation is None
-    check_tie_points(
-        plan, flight, stations, ties, shifted=shifted if moves else None, ledger=ledger
+    evidence = TieEvidence(
+        mission, flight.heights, stations, ties, terrain, later if moves else None
     )
+    check_tie_points(evidence, ledger)
+    stations = with_cabins(mission, flight, stations, ledger)
+    cameras = sorted(set(stations.camera.tolist()).union(exposed.camera for exposed in events))
+    refuse_other_names(
+        {c: stations.image[stations.camera == c].tolist() for c in cameras}, observed
+    )
+    ledger.extend(ground_shot_notes(stations, flight.roles, observed))
+    stations = ledger.take(append_unmatched_images(stations, observed))
+    ledger.extend(unusable_station_notes(stations))
+    limits = mission.stations
+    tilt = None if limits.max_sigma_tilt_deg is None else limits.max_sigma_tilt_deg * DEGREE
+    most = limits.max_sigma_horizontal_m, limits.max_sigma_height_m, tilt
+    ledger.extend(sigma_notes(stations, *most))
+    return stations
+
+
+def with_cabins(
+    mission: Mission, flight: FlightLog, stations: Stations, ledger: Ledger
+) -> Stations:
+    """The stations with the air in the cabin, and flagged where a window's direction is unknown."""
     for name, camera in mission.cameras.items():
         cabin = None if camera.window is None else camera.window.build().cabin
         if cabin is not None and camera.needs_cabin:
@@ -221,22 +313,6 @@ def stations_of_mission(
             )
         if camera.window is not None and camera.window.frame == "body":
             stations = ledger.take(flag_missing_aircraft_attitude(stations, name))
-    cameras = set(stations.camera.tolist()).union(exposed.camera for exposed in events)
-    names = {camera: stations.image[stations.camera == camera].tolist() for camera in cameras}
-    refuse_other_names(dict(sorted(names.items())), observed)
-    ledger.extend(ground_shot_notes(stations, flight.roles, observed))
-    stations = ledger.take(append_unmatched_images(stations, observed))
-    ledger.extend(unusable_station_notes(stations))
-    limits = mission.stations
-    tilt = limits.max_sigma_tilt_deg
-    ledger.extend(
-        sigma_notes(
-            stations,
-            limits.max_sigma_horizontal_m,
-            limits.max_sigma_height_m,
-            None if tilt is None else tilt * DEGREE,
-        )
-    )
     return stations
 
 
@@ -260,18 +336,3 @@ def mount_of(plan: Plan, camera: str) -> tuple[Mount, bool]:
         return at_camera, trajectory.point != "camera"
     forward, right, down = np.add(mount.lever_arm_m, trajectory.lever_arm_m).tolist()
     return replace(mount, lever_arm_m=(forward, right, down)), False
-
-
-def moved_by_offsets(stations: Stations, channel: Channel | None) -> Stations:
-    """Stations moved from the antenna to the camera by the offsets of an MRK file."""
-    if channel is None or "offset_down_m" not in channel.columns:
-        raise MissionError(
-            "EVENTS-OFFSETS",
-            "it has no offsets from the antenna to the camera: only .MRK files have",
-            where="" if channel is None else channel.name,
-            remedy="give stations.trajectory.lever_arm_m in metres",
-        )
-    # The row of the nearest event: a delay moves all alike, by less than half an interval.
-    row = np.searchsorted((channel.time_ns[:-1] + channel.time_ns[1:]) // 2, stations.time_ns)
-    north, east, down = (channel[f"offset_{axis}_m"][row] for axis in ("north", "east", "down"))
-    return stations.moved(np.stack([east, north, -down], axis=1))

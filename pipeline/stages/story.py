@@ -64,7 +64,7 @@ from pipeline.stages.exposure_setup import (
 )
 from pipeline.stages.finished_run import rebuild_run, refuse_output
 from pipeline.stages.ground.point_table import check_object_points, with_object_points
-from pipeline.stages.ground.terrain_ground import TerrainGround, compare_terrain, with_terrain
+from pipeline.stages.ground.terrain_ground import elevation_of_mission, with_terrain
 from pipeline.stages.inputs import FlightLog, read_log, read_observations
 from pipeline.stages.multi_image.control import compare_control
 from pipeline.stages.multi_image.intersected_heights import with_intersected_heights
@@ -80,6 +80,7 @@ from pipeline.stages.stations import stations_of_mission
 from pipeline.stages.statistics import SAMPLED_ROWS, Statistics
 from pipeline.stages.uncertainty import report_unknown_sigmas
 from pipeline.tables.exports import find_format
+from pipeline.tables.geodata.elevation import ElevationModel
 from pipeline.tables.geodata.geoid import package_geoid
 from pipeline.tables.observations import Observations
 
@@ -94,6 +95,7 @@ class PreparedMission:
     flight: FlightLog
     observations: Observations
     stations: Stations
+    terrain: ElevationModel | None
     samples: AirSamples
     sources: AirSources
     air: FlightAir
@@ -213,8 +215,9 @@ def prepare_mission(
     progress.start("reading the log")
     flight = read_log(plan, ledger)
     observations = with_object_points(plan, observations, flight, ledger)
+    terrain = elevation_of_mission(plan, flight.heights, ledger)
     if stations is None:
-        stations = stations_of_mission(plan, flight, observations, ledger)
+        stations = stations_of_mission(plan, flight, observations, terrain, ledger)
     else:
         stations = ledger.take(append_unmatched_images(stations, observations.images))
     check_object_points(observations, stations, ledger)
@@ -228,7 +231,9 @@ def prepare_mission(
         use_suspect = plan.mission.stations.use_suspect
         stations = ledger.take(flag_height_misfits(stations, air.series, use_suspect=use_suspect))
     ledger.extend(flight.log.ledger if flight.log is not None else ())
-    return PreparedMission(plan, flight, observations, stations, samples, sources, air, ledger)
+    return PreparedMission(
+        plan, flight, observations, stations, terrain, samples, sources, air, ledger
+    )
 
 
 def correct_mission(
@@ -241,8 +246,7 @@ def correct_mission(
     exposures = exposures_of_mission(mission, stations, air.series, ledger)
     report_unknown_sigmas(mission, stations, air.series, ledger)
     setup = correction_setup(mission, stations, air.series, exposures, prepared.flight.heights)
-    setup = with_terrain(prepared.plan, setup, stations, prepared.flight.heights, ledger)
-    compare_terrain(prepared.observations, setup, stations, ledger)
+    setup = with_terrain(setup, prepared.terrain, stations, mission.ground.sigma_m, ledger)
     if mission.ground.height == "intersected":
         oriented = mission.stations.orientation is not None
         setup = with_intersected_heights(
@@ -257,6 +261,10 @@ def correct_mission(
     )  # fmt: skip
     statistics = correct(setup)
     takeoff = takeoff_of(prepared.track(), prepared.flight.heights.home_h_msl_m)
+    model_at_takeoff = np.full(1, np.nan)
+    if takeoff is not None and prepared.terrain is not None:
+        place = np.array([takeoff.lat_rad]), np.array([takeoff.lon_rad])
+        model_at_takeoff = prepared.terrain.heights(*prepared.terrain.nodes(*place))
     facts = Facts(
         mission,
         stations,
@@ -266,9 +274,7 @@ def correct_mission(
         air.adjustment,
         takeoff,
         logged_terrain(prepared.flight.channels, stations.time_ns),
-        setup.ground.height(takeoff.lat_rad, takeoff.lon_rad)
-        if takeoff is not None and isinstance(setup.ground, TerrainGround)
-        else np.nan,
+        float(model_at_takeoff[0]),
     )
     statistics.report_flagged(ledger, causes_of_statuses(facts))
     ledger.extend(findings_of(facts))

@@ -9,7 +9,7 @@ import pytest
 from pymavlink import mavutil
 
 from pipeline.flight.channels import Channel, Source
-from pipeline.flight.evidence.logged_terrain import compare_with_logged_terrain, logged_terrain
+from pipeline.flight.evidence.logged_terrain import logged_terrain
 from pipeline.ingest import open_log
 
 LOGS = Path(__file__).resolve().parents[2].parent / "shared" / "logs"
@@ -34,12 +34,6 @@ def test_only_heights_of_a_healthy_grid_count():
     of_nowhere = channel(h_terrain_m=[0.0, 0.0], terrain_spacing_m=[100, 100], lat_rad=[0.0, 0.0])
     assert np.isnan(logged_terrain([of_nowhere], times)).all()
     assert np.isnan(logged_terrain([channel(h_msl_m=[1.0, 2.0])], times)).all()
-
-
-def test_the_difference_is_that_of_the_given_heights():
-    found = compare_with_logged_terrain(np.array([145.0, 145.0, 147.0]), np.full(3, 100.0))
-    assert (found.median_m, found.rows) == (45.0, 3)
-    assert compare_with_logged_terrain(np.full(2, np.nan), np.zeros(2)).rows == 0
 
 
 @pytest.mark.parametrize("name", ["beastayyg_sample.bin", "sitl_survey.BIN", "sitl_survey.tlog"])

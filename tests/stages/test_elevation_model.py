@@ -109,7 +109,7 @@ def test_tiles_in_any_order_are_one_model(mission, modelled, given):
     mission.config["ground"]["height"]["dem"] = ["tile0.tif", "tile1.tif"]
     manifest, results = ran(mission)
     np.testing.assert_allclose(results["h_g_m"], given["h_g_m"], atol=0.4)
-    assert not [e for e in manifest["ledger"] if e["code"] == "DEM-TIES"]
+    assert not [e for e in manifest["ledger"] if e["code"] == "TIES-HEIGHT"]
 
 
 def test_ellipsoidal_heights_are_reduced_by_the_undulation(mission, modelled, given):
@@ -146,7 +146,7 @@ def test_feet_and_undeclared_holes(mission, modelled, given):
 def test_tie_points_contradict_a_model_of_other_heights(mission, modelled, change):
     modelled(change=change)
     manifest, _ = ran(mission, 3)
-    assert entry(manifest, "DEM-TIES")["kind"] == "finding"
+    assert entry(manifest, "TIES-HEIGHT")["kind"] == "finding"
 
 
 def test_a_hole_under_half_of_the_block_is_flagged_with_its_number(mission, modelled, given):
@@ -259,5 +259,6 @@ def test_a_model_of_another_datum_is_found_at_the_take_off(mission, modelled, mo
     assert len(found) == (add_m > 0.0)
     for each in found:
         assert each["kind"] == "finding"
-        assert "is 510 m high where the log begins" in each["what"]
+        assert "lies 510 m above sea level" in each["what"]
+        assert "by the elevation model where the log begins" in each["what"]
         assert "ground.height" in each["where"]

@@ -639,13 +639,13 @@ def test_an_orientation_that_fits_in_no_reading_is_told(crossing):
     draw = np.random.default_rng(1)
     table["omega"] += draw.normal(0.0, 1.0, len(table))
     ties = told_of(crossing, table)
-    assert ties.kind == "loss"
+    assert ties.kind == "finding"
     assert "not what they should be" in ties.what
     rays = {name: int(n) for name, n in re.findall(r"(\w+): (\d+) of \d+ rays", ties.what)}
     assert set(rays) == {"nadir", "oblique"}
 
 
-def test_rows_that_belong_to_the_next_image_are_a_loss(crossing):
+def test_rows_that_belong_to_the_next_image_are_found(crossing):
     """Each row is a possible station: only the rays of the tie points contradict."""
     table = columns_of(crossing[2])
     assert told_of(crossing, table).kind == "note"
@@ -653,7 +653,7 @@ def test_rows_that_belong_to_the_next_image_are_a_loss(crossing):
     moved = table.copy()
     moved[numbers] = table.groupby("camera")[numbers].shift(1).bfill()
     ties = told_of(crossing, moved)
-    assert ties.kind == "loss"
+    assert ties.kind == "finding"
     assert "rows of other images" in ties.what
 
 
@@ -670,7 +670,7 @@ def test_intersected_heights_are_compared_with_those_given(crossing):
     told = ledger_of(crossing, table.assign(height=table["height"] + 60.0))
     assert told["ORIENTATION-TIES"].kind == "note"
     ground = told["TIES-HEIGHT"]
-    assert ground.kind == "loss"
+    assert ground.kind == "finding"
     assert float(re.search(r"lie ([0-9.]+) m", ground.what)[1]) == pytest.approx(60, abs=6)
     assert "too high" in ground.what
 

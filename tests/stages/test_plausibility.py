@@ -174,8 +174,8 @@ def log_terrain(mission, *, status=2, add_m=0.0):
     ("spoil", "status", "words"),
     [
         (lambda mission: None, 2, None),
-        (scaled(h_g_m=0.8), 2, r"lies -\d\d m from the terrain|lies -1\d\d m from the terrain"),
-        (scaled(h_g_m=1.25), 2, r"lies \+1\d\d m from the terrain"),
+        (scaled(h_g_m=0.8), 2, r"-\d\d m from the terrain|-1\d\d m from the terrain"),
+        (scaled(h_g_m=1.25), 2, r"\+1\d\d m from the terrain"),
         (scaled(h_g_m=1.25), 1, None),
     ],
 )

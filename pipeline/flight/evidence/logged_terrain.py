@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,18 +17,6 @@ from pipeline.units import Array
 
 _LONGEST_GAP_S = 5.0
 _HEALTHY = 2.0  # status of TERR
-
-
-class TerrainAgreement(NamedTuple):
-    """Given ground heights minus logged ones.
-
-    Median, half the width of the middle 68 % [m], and how many were compared; NaN and 0 without a
-    logged height.
-    """
-
-    median_m: float
-    scatter_m: float
-    rows: int
 
 
 def logged_terrain(channels: Iterable[Channel], time_ns: NDArray[np.int64]) -> Array:
@@ -51,17 +38,3 @@ def logged_terrain(channels: Iterable[Channel], time_ns: NDArray[np.int64]) -> A
         known = interpolate(channel, "h_terrain_m", time_ns, _LONGEST_GAP_S)
         height = np.where(np.isnan(height), known, height)
     return height
-
-
-def compare_with_logged_terrain(ground_m: Array, logged_m: Array) -> TerrainAgreement:
-    """Ground heights (n,) below stations against those of `logged_terrain`.
-
-    >>> logged = np.array([100.0, 100.0, np.nan])
-    >>> compare_with_logged_terrain(np.array([105.0, 104.0, 1.0]), logged)
-    TerrainAgreement(median_m=4.5, scatter_m=0.34, rows=2)
-    """
-    apart = (ground_m - logged_m)[np.isfinite(ground_m - logged_m)]
-    if apart.size == 0:
-        return TerrainAgreement(float("nan"), float("nan"), 0)
-    low, middle, high = np.percentile(apart, [16.0, 50.0, 84.0])
-    return TerrainAgreement(float(middle), round(float(high - low) / 2.0, 9), int(apart.size))

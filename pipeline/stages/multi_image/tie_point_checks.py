@@ -3,119 +3,190 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
 
 import numpy as np
 
-from pipeline.batch.plan import Plan
-from pipeline.block.diagnosis import StatedMission, diagnosis
+from pipeline.block.diagnosis import Finding, StatedMission, diagnosis, scatter_of
 from pipeline.block.image_rays import (
     MINIMUM_ANGLE_RAD,
     UNKNOWN_SIGMAS,
+    Array,
     ImageRays,
     Orientations,
     orientations_of,
+    straightened,
 )
 from pipeline.block.intersection import Intersection
 from pipeline.block.oriented_images import SIGMAS_OF_BLOCK
-from pipeline.flight.heights import ground_offsets
+from pipeline.block.point_heights import point_heights
+from pipeline.config import Mission
+from pipeline.flight.heights import HeightSystem, ground_offsets
 from pipeline.flight.stations import Stations
+from pipeline.geodesy import geodetic_of_ecef
 from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera
 from pipeline.stages.exposure_setup import cameras_of_mission
-from pipeline.stages.inputs import FlightLog
+from pipeline.tables.geodata.elevation import ElevationModel
 from pipeline.tables.tie_points import TiePoints, tie_rays
 
 FEWEST_TIE_POINTS = 10
 _FEET = 1.0 - 0.3048
-_GOOD_FACTOR, _POOR_FACTOR = 2.0, 5.0  # residuals over what the stations' sigmas say
+_POOR_FACTOR = 5.0  # residuals over what the stations' sigmas say, where no station explains them
 _TO_CHANGE = {
     "TIES-HEIGHT": "ground.height or its unit, ground.reference, mission.undulation_m, or what the "
     "heights of the stations count from",
     "TIES-TIME": "delay_s under events, or the clock that the times are of",
 }
+_OF_RELIEF, _FLAT = 0.2, 0.002  # what a model leaves of it, and at least of the flying height
 _PANE_RAD = 1e-4  # what a window bends, which stays in the rays
 
 
-def check_tie_points(
-    plan: Plan,
-    flight: FlightLog,
-    stations: Stations,
-    ties: TiePoints,
-    *,
-    shifted: Callable[[float], Stations] | None,
-    ledger: Ledger,
-) -> None:
+@dataclass(frozen=True, eq=False)
+class TieEvidence:
+    """Tie points beside the stations of a mission, and the heights that it gives them.
+
+    ``terrain`` is its elevation model, where it has one. ``later`` gives the stations that many
+    seconds later, in their order, where they are those of events.
+    """
+
+    mission: Mission
+    heights: HeightSystem
+    stations: Stations
+    ties: TiePoints
+    terrain: ElevationModel | None = None
+    later: Callable[[float], Stations] | None = None
+
+    @cached_property
+    def offset(self) -> Array:
+        """(s,) what has to be added to ground heights for those above sea level [m]."""
+        reference = self.mission.ground.reference_of_values
+        return ground_offsets(reference, self.stations, self.heights)
+
+    @cached_property
+    def undulation(self) -> Array:
+        """(s,) of the stations [m], 0 where only one of their heights is known."""
+        return np.nan_to_num(self.stations.h_ellipsoid_m - self.stations.h_msl_m)
+
+    def orientations(self, seconds: float = 0.0) -> Orientations:
+        """Of the stations, or of those that many seconds later."""
+        oriented = self.mission.stations.orientation is not None
+        at = self.stations if self.later is None else self.later(seconds)
+        at = at.with_status(~self.stations.ok, "suspect")
+        return orientations_of(at, SIGMAS_OF_BLOCK if oriented else UNKNOWN_SIGMAS)
+
+    def rays(self, cameras: Mapping[str, Camera], axes: Mapping[str, str]) -> ImageRays:
+        """The apparent rays, with given heights of their points above the ellipsoid."""
+        stations, sections = self.stations, self.mission.cameras
+        rays = tie_rays(self.ties, stations.image, stations.camera, cameras, axes)
+        given, constant = rays.height_m, self.mission.ground.constant_m
+        if given is None or np.isnan(given).all():
+            given = np.full(rays.image.size, constant, np.float64)
+        pane = np.array([bool(n and sections[n].window) for n in stations.camera], np.bool_)
+        sigma = np.hypot(rays.sigma_rad, _PANE_RAD * pane[rays.image])
+        given = given + (self.offset + self.undulation)[rays.image]
+        return replace(rays, sigma_rad=sigma, height_m=given)
+
+    def on_terrain(self) -> tuple[TieEvidence, str]:
+        """With heights of the elevation model, at the places where the rays meet.
+
+        The text says whether they would meet it better with its rows or columns in another order.
+        """
+        if self.terrain is None:
+            return self, ""
+        o, model = self.orientations(), self.terrain
+        rays = self.rays(cameras_of_mission(self.mission), {})
+        found = point_heights(o, straightened(o, replace(rays, height_m=None)))
+        met = np.isfinite(found.h_m)
+        lat, lon, h_m = geodetic_of_ecef(*found.position_m[met].T)
+        row, column = model.nodes(lat, lon)
+        ground = np.full(self.ties.point.max() + 1, np.nan)
+        ground[np.unique(rays.point)[met]] = height = model.heights(row, column)
+        evidence = replace(self, ties=replace(self.ties, ground=ground[self.ties.point]))
+        left, high = scatter_of(height - h_m), self.stations.h_msl_m[self.stations.ok]
+        if not np.isfinite(left) or left <= _OF_RELIEF * scatter_of(h_m):
+            return evidence, ""
+        if left <= _FLAT * np.nanmedian(high - np.nanmedian(height)):
+            return evidence, ""
+        others, size = [], np.array(model.size)[:, None]
+        for exchanged, *reverse in list(product((False, True), repeat=3))[1:]:
+            at = np.array([column, row] if exchanged else [row, column])
+            at = np.where(np.array(reverse)[:, None], size - 1 - at, at)
+            others.append(scatter_of(model.heights(*at) - h_m))
+        if min(others) >= 0.5 * left:
+            return evidence, ""
+        return evidence, (
+            f"the elevation model is off by {left:.0f} m or more at a tenth of the points, and by "
+            f"{min(others):.0f} m with its rows or columns reversed or exchanged"
+        )
+
+    def other_heights_m(self, rays: ImageRays) -> dict[str, float]:
+        """What stations lie too low by, if heights are not what the mission file says."""
+        undulation, offset = float(np.nanmedian(self.undulation)), float(np.nanmedian(self.offset))
+        known = np.zeros(0) if rays.height_m is None else rays.height_m
+        known = known[np.isfinite(known)]
+        ground = float(np.median(known)) - undulation - offset if known.size else np.nan
+        high = float(np.nanmedian(self.stations.h_msl_m[self.stations.ok]))
+        home = self.heights.home_h_msl_m or 0.0
+        return {
+            "heights above the ellipsoid were taken for those above sea level": -undulation,
+            "heights above sea level were taken for those above the ellipsoid": undulation,
+            "heights above sea level were taken for those above the take-off": offset,
+            "heights of the ground in feet were taken for metres": _FEET * ground,
+            "heights of the stations in feet were taken for metres": -_FEET * high,
+            "heights above the take-off were taken for those above sea level": -home,
+        }
+
+
+def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
     """A finding for each part of the mission file that tie points contradict, with its estimate.
 
-    ``shifted`` gives the stations that many seconds later, in their order.
+    Where no such part explains what the rays miss each other by, one finding lists what comes
+    nearest.
     """
-    mission, cameras = plan.mission, cameras_of_mission(plan.mission)
-    oriented = mission.stations.orientation
-    unknown = UNKNOWN_SIGMAS if oriented is None else SIGMAS_OF_BLOCK
-    offset = ground_offsets(mission.ground.reference_of_values, stations, flight.heights)
-    undulation = np.nan_to_num(stations.h_ellipsoid_m - stations.h_msl_m)
-    pane = np.array([bool(n and mission.cameras[n].window) for n in stations.camera], np.bool_)
-
-    def rays_of(by: Mapping[str, Camera], axes: Mapping[str, str]) -> ImageRays:
-        rays = tie_rays(ties, stations.image, stations.camera, by, axes)
-        given = np.full(rays.image.size, mission.ground.constant_m, np.float64)
-        given = rays.height_m if rays.height_m is not None and np.isnan(given).all() else given
-        return replace(
-            rays,
-            sigma_rad=np.hypot(rays.sigma_rad, _PANE_RAD * pane[rays.image]),
-            height_m=given + (offset + undulation)[rays.image],
-        )
-
-    rays = rays_of(cameras, {})
-    usable = stations.ok[rays.image]
-    if np.unique(rays.point[usable]).size < FEWEST_TIE_POINTS:
+    mission, stations = evidence.mission, evidence.stations
+    cameras, oriented = cameras_of_mission(mission), mission.stations.orientation
+    rays = evidence.rays(cameras, {})
+    if np.unique(rays.point[stations.ok[rays.image]]).size < FEWEST_TIE_POINTS:
         return
-    mounts = {} if oriented is not None and oriented.angles != "roll_pitch_yaw" else mission.mount
-
-    def later(seconds: float) -> Orientations:
-        at = stations if shifted is None else shifted(seconds)
-        return orientations_of(at.with_status(~stations.ok, "suspect"), unknown)
-
-    zero = float(np.nanmedian(undulation)), float(np.nanmedian(offset))
-    known = rays.height_m[np.isfinite(rays.height_m)] if rays.height_m is not None else np.zeros(0)
-    ground = float(np.median(known)) - sum(zero) if known.size else np.nan
-    high = float(np.nanmedian(stations.h_msl_m[stations.ok]))
+    evidence, reordered = evidence.on_terrain()
+    rays = evidence.rays(cameras, {})
+    of_body = oriented is None or oriented.angles == "roll_pitch_yaw"
     stated, findings = diagnosis(
         StatedMission(
-            orientations_of(stations, unknown),
+            evidence.orientations(),
             cameras,
-            rays_of,
-            {name: mount.build() for name, mount in mounts.items()},
-            None if shifted is None else later,
+            evidence.rays,
+            {name: mount.build() for name, mount in mission.mount.items() if of_body},
+            None if evidence.later is None else evidence.orientations,
             sigma_heights_m=mission.ground.sigma_m or 0.0,
-            other_heights_m={
-                "heights above the ellipsoid were taken for those above sea level": -zero[0],
-                "heights above sea level were taken for those above the ellipsoid": zero[0],
-                "heights above sea level were taken for those above the take-off": zero[1],
-                "heights of the ground in feet were taken for metres": _FEET * ground,
-                "heights of the stations in feet were taken for metres": -_FEET * high,
-                "heights above the take-off were taken for those above sea level": -(
-                    flight.heights.home_h_msl_m or 0.0
-                ),
-            },
+            other_heights_m=evidence.other_heights_m(rays),
+            one_height=mission.ground.constant_m is not None,
         )
     )
-    for finding in findings:
-        also = f"; {', '.join(finding.also)} would be as likely" if finding.also else ""
-        if finding.sigma_factor > _GOOD_FACTOR:
-            also += f"; rays still miss by {finding.sigma_factor:.2g} sigmas: more is wrong"
-        ledger.finding(
-            finding.code,
-            f"{finding.what}: by {stated.point.size} tie points this is "
-            f"10^{finding.log_ratio / np.log(10.0):.0f} times as likely as what is stated{also}; "
-            f"change {_TO_CHANGE.get(finding.code, finding.key)}",
-            where=finding.key,
-            count=stated.point.size,
-        )
-    explained = bool(findings) and findings[-1].sigma_factor < _GOOD_FACTOR
+    if reordered and not any(finding.code == "TIES-HEIGHT" for finding in findings):
+        factor = stated.sigma_factor
+        findings += (Finding("TIES-HEIGHT", "ground.height.dem", reordered, np.inf, factor),)
+    explained = bool(findings) and findings[-1].sigma_factor < _POOR_FACTOR
+    for finding in findings if explained else ():
+        what = f"{described(finding)}: by {stated.point.size} tie points"
+        if np.isfinite(finding.log_ratio):
+            decades = finding.log_ratio / np.log(10.0)
+            what += f" this is 10^{decades:.0f} times as likely as what is stated"
+        what += f"; change {_TO_CHANGE.get(finding.code, finding.key)}"
+        ledger.finding(finding.code, what, where=finding.key, count=stated.point.size)
+    nearest = "; ".join(described(finding) + f" ({finding.key})" for finding in findings)
     code = "TIES-RESIDUALS" if oriented is None else "ORIENTATION-TIES"
-    report_misses(stations, stated, rays, ledger, code=code, explained=explained)
+    report_misses(stations, stated, rays, ledger, code=code, explained=explained, nearest=nearest)
+
+
+def described(finding: Finding) -> str:
+    """What is found, with what tie points do not tell from it."""
+    if not finding.also:
+        return finding.what
+    return f"tie points do not tell these apart: {'; or '.join((finding.what, *finding.also))}"
 
 
 def report_misses(
@@ -126,8 +197,12 @@ def report_misses(
     *,
     code: str,
     explained: bool,
+    nearest: str,
 ) -> None:
-    """How far the rays of tie points miss each other; a finding where no station explains it."""
+    """How far the rays of tie points miss each other; a finding where no station explains it.
+
+    ``nearest`` is what would explain a part of it.
+    """
     at = np.searchsorted(stated.point, rays.point)
     line = stated.position_m[at] - stated.orientations.centre_m[rays.image]
     miss = np.sqrt(np.mean(stated.residual_rad**2, axis=1))
@@ -143,7 +218,7 @@ def report_misses(
         what = f"the rays of {points} of {size} tie points miss each other by {pixels:.1f} px "
         what += "(rms), without refraction"
     meets = points >= 0.5 * judged.sum() and not stated.sigma_factor > _POOR_FACTOR
-    if explained or meets:
+    if explained or (meets and not nearest):
         ledger.note(code, what, where=where, count=size)
         return
     for camera in sorted(set(stations.camera[rays.image].tolist())):
@@ -162,4 +237,5 @@ def report_misses(
         ": the orientations are not what they should be (rows of other images or cameras, another "
         "convention), or the name of a point is not that of one point in all images"
     )
+    what += f"; nearest comes, though rays still miss then: {nearest}" if nearest else ""
     ledger.finding(code, what, where=where, count=size)

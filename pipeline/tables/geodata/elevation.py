@@ -101,6 +101,11 @@ class ElevationModel:
         inside = (row >= 0.0) & (row <= self.size[0] - 1) & (column <= self.size[1] - 1)
         return np.asarray(inside & ((column >= 0.0) | (self.grid.around > 0)))
 
+    @property
+    def name(self) -> str:
+        """The path of the first raster."""
+        return str(self._rasters[0].path)
+
     def heights(self, row: Array, column: Array) -> Array:
         """(n,) heights above sea level [m] at places in nodes, bilinear; NaN in holes and outside.
 
