@@ -28,6 +28,7 @@ from pipeline.tables.delimited import csv_names, open_csv, scan_csv
 from pipeline.tables.geodata.object_points import ObjectPoints
 from pipeline.tables.imports.blocks import BLOCKS, block_rows
 from pipeline.tables.imports.blocks.image_points import ROWS
+from pipeline.tables.name_hash import Hashes, hashes_of
 from pipeline.tables.pixels import COLMAP, PixelSystem
 from pipeline.tables.refraction_mark import Direction, refuse_done
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
@@ -116,17 +117,22 @@ class RowSample:
     image: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     _codes: dict[str | None, int] = field(default_factory=dict)
 
-    def add(self, names: pa.StringArray) -> None:
+    def add(self, names: pa.StringArray | pa.DictionaryArray) -> None:
         """The images of the next rows of the table."""
-        encoded = names.dictionary_encode("encode")
-        coded = [
-            self._codes.setdefault(n, len(self._codes)) for n in encoded.dictionary.to_pylist()
-        ]
-        image = np.array(coded, np.int64)[encoded.indices.to_numpy()]
+        encoded = names.dictionary_encode()
+        known = [*encoded.dictionary.to_pylist(), *[None] * (encoded.null_count > 0)]
+        coded = np.array([self._codes.setdefault(n, len(self._codes)) for n in known], np.int64)
+        image = coded[encoded.indices.fill_null(len(known) - 1).to_numpy(zero_copy_only=False)]
         number = np.arange(image.size) + self.counts.sum()
         self.counts = np.pad(self.counts, (0, len(self._codes) - self.counts.size))
-        self.counts += np.bincount(image, minlength=self.counts.size)
-        image, number = np.append(self.image, image), np.append(self.number, number)
+        rows = np.bincount(image, minlength=self.counts.size)
+        self.counts += rows
+        # Of an image eight times the rows that can be drawn are sorted, where these have them all.
+        drawn = np.minimum(rows, min(self.of_each, self.most))
+        share = np.minimum(8.0 * drawn / np.maximum(rows, 1), 1.0)
+        low = _scattered(number) <= (share * (1 << 40)).astype(np.uint64)[image]
+        low |= (np.bincount(image[low], minlength=rows.size) < drawn)[image]
+        image, number = np.append(self.image, image[low]), np.append(self.number, number[low])
         order = np.argsort(image.astype(np.uint64) << np.uint64(40) | _scattered(number))
         begin = np.searchsorted(image[order], np.arange(self.counts.size))
         rank = np.arange(order.size) - begin[image[order]]
@@ -173,17 +179,54 @@ class Observations:
     _sources: Mapping[str, str] = field(repr=False, default_factory=dict)
     _records: Records = field(repr=False, default=lambda rows, only: iter(()))
 
-    def sampled(self) -> Batch:
-        """The rows that were drawn when the table was opened, without the user's columns."""
+    def sampled(self, *, points: bool = False) -> Batch:
+        """The rows that were drawn when the table was opened, without the user's columns.
+
+        Their ``points`` are read where they are asked for, or have the heights.
+        """
         drawn = self.sample or RowSample(0)
-        wanted = {*self.columns.values(), self.ground_column or "", self.sigma_column or ""} - {""}
-        first, parts = 0, []
-        for records in self._records(1 << 18, sorted(wanted)):
+        unread = () if points or self.points is not None else (self.columns["point"],)
+
+        def of_sample(records: pa.RecordBatch, first: int) -> NDArray[np.int64]:
             begin, end = np.searchsorted(drawn.number, (first, first + len(records)))
-            parts.append(records.take(pa.array(drawn.number[begin:end] - first)))
+            return drawn.number[begin:end] - first
+
+        return replace(self.selected(of_sample, unread=unread), weight=drawn.weights)
+
+    def of_points(
+        self, chosen: Callable[[Hashes], NDArray[np.int64]], most_rows: int = 1 << 62
+    ) -> Batch:
+        """The rows whose points' hashes are chosen, of the first ``most_rows``; else as `sampled`.
+
+        ``chosen`` gives the rows (k,) to take of the hashes (n,) of a part of the table.
+        """
+
+        def of_hashes(records: pa.RecordBatch, first: int) -> NDArray[np.int64]:
+            names = _one_array(pa.chunked_array([records[self.columns["point"]]]))
+            return chosen(hashes_of(names.cast(pa.string())))
+
+        return self.selected(of_hashes, most_rows=most_rows)
+
+    def selected(
+        self,
+        chosen: Callable[[pa.RecordBatch, int], NDArray[np.int64]],
+        *,
+        unread: tuple[str, ...] = (),
+        most_rows: int = 1 << 62,
+    ) -> Batch:
+        """Rows (k,) that are chosen of each part of the table, which begins at a row."""
+        image, first, parts, numbers = self.columns["image"], 0, [], []
+        wanted = {*self.columns.values(), self.ground_column, self.sigma_column}
+        wanted -= {None, image, *unread}
+        for records in self._records(1 << 18, [image, *sorted(filter(None, wanted))]):
+            rows = chosen(records, first)
+            parts.append(records.take(pa.array(rows)))
+            numbers.append(rows + first)
             first += len(records)
+            if first >= most_rows:
+                break
         batch = self._batch(pa.Table.from_batches(parts), {})
-        return replace(batch, numbers=drawn.number, weight=drawn.weights)
+        return replace(batch, numbers=np.concatenate(numbers))
 
     def batches(self, batch_rows: int) -> Iterator[Batch]:
         """The observations in slices of ``batch_rows``, each row once and in its place."""
@@ -198,7 +241,10 @@ class Observations:
         arrays = {name: _one_array(table[name]) for name in table.column_names}
         x, y = _as_float(arrays[self.columns["x_px"]]), _as_float(arrays[self.columns["y_px"]])
         distance, no_distance, sigma, no_sigma = None, 0, None, 0
-        image, point = (arrays[self.columns[n]].cast(pa.string()) for n in ("image", "point"))
+        unread = pa.nulls(table.num_rows)
+        image, point = (
+            arrays.get(self.columns[n], unread).cast(pa.string()) for n in ("image", "point")
+        )
         ground, no_point = None, 0
         if self.ground_column is not None:
             ground = _as_float(arrays[self.ground_column])
@@ -297,7 +343,9 @@ def open_observations(
             if kind in BLOCKS and pc.count_distinct(batch.column(1)).as_py() < batch.num_rows:
                 point = batch.column(1).to_pandas()
                 repeated += [f"{p} in {batch.column(0)[0]}" for p in point[point.duplicated()]]
-            names = batch.column(0).cast(pa.string())
+            names = batch.column(0)
+            if not pa.types.is_dictionary(names.type):
+                names = names.cast(pa.string())
             images.update(pc.unique(names).to_pylist())
             if sample is not None:
                 sample.add(names)
@@ -394,7 +442,12 @@ def _csv_records(
 
 
 def _parquet_records(path: Path, rows: int, only: list[str] | None) -> Iterator[pa.RecordBatch]:
-    with damage_in_table(path), pq.ParquetFile(path, memory_map=True) as file:
+    # Images have few names: the first of some columns is left as it is encoded.
+    encoded = None if only is None else only[:1]
+    with (
+        damage_in_table(path),
+        pq.ParquetFile(path, memory_map=True, read_dictionary=encoded) as file,
+    ):
         yield from file.iter_batches(batch_size=rows, columns=only)
 
 

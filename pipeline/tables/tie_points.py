@@ -19,7 +19,7 @@ MOST_TIE_POINTS = 2000
 """Points that serve all that is decided by intersection."""
 
 _MOST_ROWS = 20_000_000  # read in some seconds; the rest of a larger table is not looked at
-_ROWS_KEPT = 500_000
+_ROWS_KEPT = 200_000
 _MOST_RAYS = 4  # of one point: a survey from high up shows a point in a hundred images
 
 
@@ -42,24 +42,19 @@ class TiePoints:
 def draw_tie_points(observations: Observations, most: int) -> TiePoints:
     """Up to ``most`` points with two to four rays, spread over the images: each has its first few.
 
-    The same table gives the same points, whatever the order of its rows. Of more than 500,000 rows
+    The same table gives the same points, whatever the order of its rows. Of more than 200,000 rows
     those of every k-th point are kept, by the hash of its name; rows behind the first 20 million
     are not read.
     """
     every = np.uint64(max(1, min(observations.rows, _MOST_ROWS) // _ROWS_KEPT))
-    parts, rows = [], 0
-    for batch in observations.batches(250_000):
-        columns = {"image": batch.image, "point": batch.point}
-        part = pd.DataFrame({name: column.to_pandas() for name, column in columns.items()})
-        given = np.nan if batch.ground is None else batch.ground
-        part = part.assign(x=batch.x_px, y=batch.y_px, ground=given)
-        part = part.dropna(subset=["image", "point", "x", "y"])
-        part["point"] = pd.util.hash_pandas_object(part["point"], index=False)
-        parts.append(part[part["point"].to_numpy() % every == 0])
-        rows += len(batch)
-        if rows >= _MOST_ROWS:
-            break
-    table = pd.concat(parts, ignore_index=True).drop_duplicates(["image", "point"])
+    batch = observations.of_points(lambda hashes: np.flatnonzero(hashes % every == 0), _MOST_ROWS)
+    columns = {"image": batch.image, "point": batch.point}
+    table = pd.DataFrame({name: column.to_pandas() for name, column in columns.items()})
+    given = np.nan if batch.ground is None else batch.ground
+    table = table.assign(x=batch.x_px, y=batch.y_px, ground=given)
+    table = table.dropna(subset=["image", "point", "x", "y"])
+    table["point"] = pd.util.hash_pandas_object(table["point"], index=False)
+    table = table.drop_duplicates(["image", "point"])
     table = table[table.groupby("point")["image"].transform("size") > 1]
     # In the order of hashes, the first point of an image comes before the second of any.
     table = table.sort_values(["point", "image"])

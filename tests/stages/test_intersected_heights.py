@@ -11,7 +11,9 @@ import pytest
 import yaml
 
 from pipeline.simulate import SimulationOptions, simulate
+from pipeline.stages import story
 from pipeline.stages.multi_image import intersected_heights
+from pipeline.stages.story import check_mission
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
@@ -86,6 +88,18 @@ def test_rows_in_any_order_and_in_many_files_give_the_same(own, monkeypatch):
     again = shuffled.set_index(key)["h_g_m"].reindex(first.index)
     np.testing.assert_allclose(again, first, atol=1e-6)
     assert (shuffled[key].to_numpy() != results[key].to_numpy()).any()
+
+
+def test_a_rehearsal_has_the_heights_of_a_run_for_the_rows_it_draws(own, tmp_path, monkeypatch):
+    """It reads the rays of the points of those rows, wherever these are in the table."""
+    monkeypatch.setattr(story, "SAMPLED_ROWS", 100)
+    _, _, results, _ = own(lambda table: table.sample(frac=1.0, random_state=5))
+    checked = check_mission(tmp_path / "mission" / "mission.yaml")
+    sample = checked.prepared.observations.sample
+    assert 60 <= sample.number.size <= 100 < len(results)
+    drawn = results.iloc[sample.number]
+    np.testing.assert_allclose(checked.facts.rows.h_g_m, drawn["h_g_m"], rtol=1e-12)
+    assert drawn["point"].nunique() > 20
 
 
 def test_points_of_one_image_have_no_height(own):

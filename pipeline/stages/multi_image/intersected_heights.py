@@ -21,6 +21,7 @@ from pipeline.refraction.image import correct_observations
 from pipeline.stages.correction import CorrectionSetup
 from pipeline.stages.ground.ground_heights import ComputedGround
 from pipeline.tables.geodata.object_points import matching_rows
+from pipeline.tables.name_hash import hashes_of, rows_among
 from pipeline.tables.observations import Observations
 
 Array = NDArray[np.float64]
@@ -45,23 +46,26 @@ def with_intersected_heights(
     The rays of a point may lie anywhere in a table of any length: its rows are divided by the hash
     of their points into temporary files of some 300,000 rows, which are intersected one after the
     other, by rays without refraction of air and window. Heights lie in a temporary file too (16
-    bytes a row, the rays 40). Refuses (MissionError GROUND-INTERSECTED) where no point has a
-    height; those without one are NaN.
+    bytes a row, the rays 40). A rehearsal takes the points of its rows alone. Refuses (MissionError
+    GROUND-INTERSECTED) where no point has a height; those without one are NaN.
     """
     with TemporaryFile() as file:  # the map keeps it
         heights = np.memmap(file, np.float64, "w+", shape=(2, observations.rows))
     heights[:] = np.nan
-    count = min(_MOST_FILES, 1 + observations.rows // _ROWS_OF_A_FILE)
+    count, parts = min(_MOST_FILES, 1 + observations.rows // _ROWS_OF_A_FILE), None
+    if observations.sample is not None:
+        wanted = np.unique(hashes_of(observations.sampled(points=True).point))
+        parts = [observations.of_points(lambda hashes: rows_among(hashes, wanted))]
     images = pa.array(setup.images, pa.string())
     orientations = orientations_of(stations, unknown_sigmas)
     counts: Counter[str] = Counter()
     shares = []
     with ExitStack() as stack:
         files = [stack.enter_context(TemporaryFile()) for _ in range(count)]
-        for batch in observations.batches(_BATCH_ROWS):
+        for batch in parts or observations.batches(_BATCH_ROWS):
             part = np.empty(len(batch), _RAY)
             part["point"] = pd.util.hash_pandas_object(batch.point.to_pandas(), index=False)
-            part["row"] = batch.first_row + np.arange(len(batch))
+            part["row"] = np.arange(observations.rows)[batch.rows]
             part["station"] = matching_rows(batch.image, images)
             part["x"], part["y"] = batch.x_px, batch.y_px
             named = batch.point.is_valid().to_numpy(zero_copy_only=False)
