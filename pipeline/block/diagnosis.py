@@ -154,7 +154,7 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
         found = reading.intersected(mission, some)
         return found.log_likelihood if _above_points(found) > 0.0 else -np.inf
 
-    while len(findings) < _MOST_FINDINGS and size:
+    for _ in range(_MOST_FINDINGS if size else 0):
         poor = not now.sigma_factor < _POOR_FIT or now.used.mean() < _FEW_MEET
         large = list(large_mistakes(mission, current)) if poor else []
         large.sort(key=lambda h: likely(h.reading(h.x)), reverse=True)
