@@ -275,14 +275,12 @@ def flag_above_horizon(stations: Stations) -> tuple[Stations, Notes]:
     first = f"the first is {stations.image[np.argmax(up)]}"
     where = "stations.orientation"
     if count > FEW_LOOK_UP * of:
-        raise MissionError(
-            "ORIENTATION-UP",
-            f"{what}; {first}",
-            where=where,
-            remedy="check the unit (grad?), angles and the names of their columns, the frame, and "
+        remedy = (
+            "check the unit (grad?), angles and the names of their columns, the frame, and "
             "the axes of the camera: x right, y down, z forward for a quaternion; roll, pitch and "
-            "yaw of 0 look straight down unless mount says otherwise",
+            "yaw of 0 look straight down unless mount says otherwise"
         )
+        raise MissionError("ORIENTATION-UP", f"{what}; {first}", where=where, remedy=remedy)
     reason = np.where(up, "looks above the horizon", stations.suspect_reason)
     stations = replace(stations, suspect_reason=reason).with_status(up, SUSPECT)
     return stations, (
@@ -302,14 +300,12 @@ def flag_far_images(stations: Stations, *, use: bool) -> tuple[Stations, Notes]:
     if not bool(far.any()):
         return stations, ()
     first = int(np.argmax(far))
-    entry = loss(
-        "ORIENTATION-FAR",
+    what = (
         f"{int(far.sum())} of {int(stations.ok.sum())} images are more than "
         f"{limit / 1000.0:.0f} km from the middle of all: suspect; the first is "
-        f"{stations.image[first]}, {distance[first] / 1000.0:.0f} km away",
-        where="stations.orientation",
-        count=int(far.sum()),
+        f"{stations.image[first]}, {distance[first] / 1000.0:.0f} km away"
     )
+    entry = loss("ORIENTATION-FAR", what, where="stations.orientation", count=int(far.sum()))
     return stations.as_suspect(far, "far from all others", distance, use=use), (entry,)
 
 

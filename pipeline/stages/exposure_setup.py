@@ -56,11 +56,9 @@ def camera_of_rows(
     named = np.full(count, only or next(iter(mission.cameras)), dtype=object)
     named = named if given is None else given
     for name in sorted(set(named.tolist()) - set(mission.cameras)):
+        what = f"the table names camera {name!r}, which the mission file does not define"
         raise MissionError(
-            "EVENTS-CAMERA",
-            f"the table names camera {name!r}, which the mission file does not define",
-            where=path,
-            remedy=f"cameras are {', '.join(mission.cameras)}",
+            "EVENTS-CAMERA", what, where=path, remedy=f"cameras are {', '.join(mission.cameras)}"
         )
     return named
 
@@ -81,13 +79,12 @@ def exposures_of_mission(
     """The exposures of a mission; the ledger names the effects that are not removed."""
     for name, camera in mission.cameras.items():
         if camera.calibration == "in_flight_uncorrected":
-            ledger.warning(
-                "CALIBRATION-IN-FLIGHT",
+            what = (
                 f"camera {name} was calibrated in flight on uncorrected images: its principal "
                 "distance and k1 already contain the nadir refraction of that height, and this "
-                "correction counts it twice",
-                where=f"cameras.{name}.calibration",
+                "correction counts it twice"
             )
+            ledger.warning("CALIBRATION-IN-FLIGHT", what, where=f"cameras.{name}.calibration")
     windows = windows_of_mission(mission)
     lenses = lenses_of_mission(mission)
     report_windows(windows, ledger)
@@ -194,13 +191,11 @@ def _principal_change(
         )
     used = change[ok & np.isfinite(change)]
     if used.size:
-        ledger.note(
-            "LENS-IN-AIR",
+        what = (
             f"the air in the lens changes the principal distance of {name} by {used.min():.3f} to "
-            f"{used.max():.3f} px of {lens.principal_distance_px:.1f}",
-            where=where,
-            count=int(used.size),
+            f"{used.max():.3f} px of {lens.principal_distance_px:.1f}"
         )
+        ledger.note("LENS-IN-AIR", what, where=where, count=int(used.size))
     return change
 
 
@@ -209,24 +204,19 @@ def report_windows(windows: Mapping[str, Window], ledger: Ledger) -> None:
     for name, window in windows.items():
         where = f"cameras.{name}.window"
         if window.shape == "spherical":
-            ledger.note(
-                "WINDOW-SPHERICAL",
-                f"the window of {name} is a sphere about the projection centre: it bends nothing",
-                where=where,
-            )
+            what = f"the window of {name} is a sphere about the projection centre: it bends nothing"
+            ledger.note("WINDOW-SPHERICAL", what, where=where)
         elif window.in_calibration == "glass":
-            ledger.note(
-                "WINDOW-GLASS",
-                f"the calibration of {name} contains the displacement of rays by the window glass",
-                where=where,
+            what = (
+                f"the calibration of {name} contains the displacement of rays by the window glass"
             )
+            ledger.note("WINDOW-GLASS", what, where=where)
         else:
-            ledger.note(
-                "WINDOW-GLASS",
+            what = (
                 f"the displacement of rays by the window glass of {name} is not removed: 7 mm for "
-                "20 mm of glass at 45 degrees",
-                where=where,
+                "20 mm of glass at 45 degrees"
             )
+            ledger.note("WINDOW-GLASS", what, where=where)
 
 
 def report_lenses(cameras: Iterable[str], lenses: Mapping[str, LensInAir], ledger: Ledger) -> None:

@@ -153,12 +153,9 @@ def events_of_file(
         return replace(events, counts="maybe" if whole else "no")
     names = channel.labels.get("name")
     if names is None:
-        raise MissionError(
-            "EVENTS-NAMELESS",
-            "the file has no names of images (the column ID of an EO text)",
-            where=channel.name,
-            remedy="name the images by {index} or {n}, as in image: DJI_{index:04d}.JPG",
-        )
+        what = "the file has no names of images (the column ID of an EO text)"
+        remedy = "name the images by {index} or {n}, as in image: DJI_{index:04d}.JPG"
+        raise MissionError("EVENTS-NAMELESS", what, where=channel.name, remedy=remedy)
     digits = [re.findall(r"\d{1,15}", name) for name in names]
     numbers = np.array([int(found[-1]) if found else 0 for found in digits], np.int64)
     _tell_order(int(np.count_nonzero(np.diff(numbers) < 0)), channel, ledger)

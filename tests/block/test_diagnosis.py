@@ -114,7 +114,7 @@ def test_a_wrong_principal_distance_is_estimated(make, factor):
     assert ("millimetres" in finding.what) == (factor < 0.1)
 
 
-@pytest.mark.parametrize("offset_s", drawn(-1.5, 18.0))
+@pytest.mark.parametrize("offset_s", drawn(-1.5, 18.0, 3600.0))
 def test_exposures_at_other_times_are_found_by_how_much(make, offset_s):
     mission = make(23)
     shifted = mission.shifted
@@ -189,3 +189,15 @@ def test_refraction_is_removed_from_apparent_rays(make):
     row = int(np.argmax(before * several))
     expected = one_angle("us1976", 1000.0, 30.0, float(np.degrees(before[row])))["r_c_rad"]
     assert before[row] - after[row] == pytest.approx(expected, rel=0.1)
+
+
+def test_what_tie_points_hardly_tell_apart_is_named_together(make):
+    """Along one line, straight down, f that is 3 % too long is all but stations 30 m too low."""
+    mission = make(28, cameras=(0.0,), lines=1)
+    camera = mission.cameras["camera0"]
+    wrong = replace(camera, fx_px=1.03e4, fy_px=1.03e4)
+    (finding,) = diagnosis(replace(mission, cameras={**mission.cameras, "camera0": wrong}))[1]
+    both = sorted((finding.what, *finding.also))
+    assert len(both) == 2
+    assert both[0].startswith("the principal distance of camera0 is 100")
+    assert "too low above the given heights of the ground" in both[1]

@@ -56,11 +56,8 @@ def read_report(
         )
         hours = TimeAndPlace(flight_ns).hours_from(report.time_ns)
         if hours > _FAR_HOURS:  # as `parse_metar` warns of a METAR
-            ledger.warning(
-                "SURFACE-FAR-IN-TIME",
-                f"the report is {hours:.1f} hours away from the flight",
-                where=where,
-            )
+            what = f"the report is {hours:.1f} hours away from the flight"
+            ledger.warning("SURFACE-FAR-IN-TIME", what, where=where)
     _refuse_temperature(report, background, where, is_celsius=section.metar is not None)
     _refuse_level(report, background, where, is_station=section.metar is not None)
     return report
@@ -84,13 +81,11 @@ def _refuse_temperature(
     )
     if mistaken:
         what += f"; {celsius:.1f} F would be {(celsius - 32.0) / 1.8:.1f} C"
-    raise InputError(
-        "SURFACE-CLIMATE",
-        what,
-        where=where,
-        remedy="temperature_c is in Celsius: convert Fahrenheit by (F - 32) / 1.8, Kelvin by "
-        "K - 273.15; or the station or the date is another; a METAR is taken as it is",
+    remedy = (
+        "temperature_c is in Celsius: convert Fahrenheit by (F - 32) / 1.8, Kelvin by "
+        "K - 273.15; or the station or the date is another; a METAR is taken as it is"
     )
+    raise InputError("SURFACE-CLIMATE", what, where=where, remedy=remedy)
 
 
 def _refuse_level(
@@ -117,10 +112,8 @@ def _refuse_level(
     )
     if mistaken:
         what += f"; as QNH it would be {reduced / HECTOPASCAL:.1f} hPa there"
-    raise InputError(
-        "SURFACE-LEVEL",
-        what,
-        where=where,
-        remedy="pressure_hpa is what the barometer shows at h_msl_m, not reduced to sea level; "
-        "give QNH as a metar, or correct h_msl_m",
+    remedy = (
+        "pressure_hpa is what the barometer shows at h_msl_m, not reduced to sea level; "
+        "give QNH as a metar, or correct h_msl_m"
     )
+    raise InputError("SURFACE-LEVEL", what, where=where, remedy=remedy)

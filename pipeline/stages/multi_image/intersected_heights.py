@@ -95,13 +95,11 @@ def with_intersected_heights(
         f"each other, and of {counts['apart']} the rays do not meet"
     )
     if known == 0:
-        raise MissionError(
-            "GROUND-INTERSECTED",
-            what,
-            where="ground.height",
-            remedy="give ground.height as a number or a column; the same point must have the same "
-            "name in all images",
+        remedy = (
+            "give ground.height as a number or a column; the same point must have the same "
+            "name in all images"
         )
+        raise MissionError("GROUND-INTERSECTED", what, where="ground.height", remedy=remedy)
     what += f"; sigma of a height is {100.0 * share:.2g} % of the height above it, in the median"
     kind = Kind.LOSS if share > _POOR else Kind.NOTE
     ledger.add(Entry(kind, "GROUND-INTERSECTED", what, "ground.height", known))

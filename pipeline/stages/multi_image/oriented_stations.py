@@ -170,14 +170,12 @@ def block_points(plan: Plan, flight: FlightLog, ledger: Ledger) -> ObjectPoints:
             image.append(batch["image"][0].as_py())
             usual.append(float(np.median(seen)))
             apart.append(np.abs(seen - usual[-1]))
-    ledger.note(
-        "GROUND-BLOCK",
+    what = (
         f"{len(name)} points of the block lie {np.nanmin(h):.0f} to {np.nanmax(h):.0f} m above sea "
         f"level; image points of none take the median of their image, from which its points are "
-        f"{np.median(np.concatenate(apart)):.0f} m away in the median",
-        where="ground.height",
-        count=len(name),
+        f"{np.median(np.concatenate(apart)):.0f} m away in the median"
     )
+    ledger.note("GROUND-BLOCK", what, where="ground.height", count=len(name))
     of_image = pa.array(image, pa.string()), np.array([*usual, np.nanmedian(h)])
     return replace(points, of_image=of_image)
 
@@ -311,12 +309,10 @@ def check_height_above_ground(
     with np.errstate(invalid="ignore"):
         high = stations.ok & (stations.h_msl_m - ground > _HIGHEST_ABOVE_GROUND_M)
     if 0 < high.sum() <= _FEW_BELOW_GROUND * above.size:
-        ledger.loss(
-            "ORIENTATION-HEIGHT",
-            f"{int(high.sum())} stations are suspect, the first {stations.image[high][0]}: {what}",
-            where=where,
-            count=int(high.sum()),
+        text = (
+            f"{int(high.sum())} stations are suspect, the first {stations.image[high][0]}: {what}"
         )
+        ledger.loss("ORIENTATION-HEIGHT", text, where=where, count=int(high.sum()))
         use = plan.mission.stations.use_suspect
         return stations.as_suspect(high, "far above the others", np.nan, use=use)
     tell = ledger.warning if low > 0 or high.any() else ledger.note

@@ -93,12 +93,9 @@ def places_of(
             area_of_interest=AreaOfInterest(*corners),
         )  # fmt: skip
     if not group.transformers:
-        raise InputError(
-            "CRS-BALLPARK",
-            f"{horizontal.name} has no transformation to WGS 84 with a known accuracy",
-            where=where,
-            remedy=f"transform the positions to a system on WGS 84 or ETRS89, and state it: {key}",
-        )
+        text = f"{horizontal.name} has no transformation to WGS 84 with a known accuracy"
+        remedy = f"transform the positions to a system on WGS 84 or ETRS89, and state it: {key}"
+        raise InputError("CRS-BALLPARK", text, where=where, remedy=remedy)
     best, count = group.transformers[0], int(known.sum())
     what = f"{count} positions in {horizontal.name} ({crs}) brought to WGS 84 by "
     what += f"{best.description or 'an unnamed operation'}"
