@@ -28,10 +28,10 @@ from pipeline.tables.delimited import csv_names, open_csv, scan_csv
 from pipeline.tables.geodata.object_points import ObjectPoints
 from pipeline.tables.imports.blocks import BLOCKS, block_rows
 from pipeline.tables.imports.blocks.image_points import ROWS
-from pipeline.tables.name_hash import Hashes, hashes_of
 from pipeline.tables.pixels import COLMAP, PixelSystem
 from pipeline.tables.refraction_mark import Direction, refuse_done
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
+from pipeline.tables.text_columns import Hashes, hashes_of
 
 Array = NDArray[np.float64]
 

@@ -21,8 +21,8 @@ from pipeline.refraction.image import correct_observations
 from pipeline.stages.correction import CorrectionSetup
 from pipeline.stages.ground.ground_heights import ComputedGround
 from pipeline.tables.geodata.object_points import matching_rows
-from pipeline.tables.name_hash import hashes_of, rows_among
 from pipeline.tables.observations import Observations
+from pipeline.tables.text_columns import hashes_of, rows_among
 
 Array = NDArray[np.float64]
 
