@@ -285,7 +285,9 @@ def rebuild_run(
             name: ExportCamera(
                 camera,
                 name in windows and windows[name].shape == "plane",
-                np.nan if metric is None else metric.pixel_um[0] * 1e-3,
+                np.nan
+                if metric is None or metric.pixel_um[0] != metric.pixel_um[1]
+                else metric.pixel_um[0] * 1e-3,
                 mission.cameras[name].calibration == "in_flight_uncorrected",
             )
             for name, camera in cameras_of_mission(mission).items()

@@ -83,6 +83,7 @@ from pipeline.tables.exports import find_format
 from pipeline.tables.geodata.elevation import ElevationModel
 from pipeline.tables.geodata.geoid import package_geoid
 from pipeline.tables.observations import Observations
+from pipeline.tables.refraction_mark import SIDECAR, sidecar_text
 
 Array = NDArray[np.float64]
 
@@ -367,6 +368,14 @@ def export_run(
         if not form.ending:
             draft.mkdir(parents=True)
         rows = form.write(run, values, draft, ledger)
+        if form.use:
+            ledger.note("EXPORT-USE", form.use, where=f"--format {name}")
+        if form.marked:
+            about = {"mission": run.mission, "notes": [entry.what for entry in ledger]}
+            files = {file or out.name: draft / file for file in form.marked}
+            beside = out if form.ending else draft / form.marked[0]
+            with atomic_write(beside.with_name(beside.name + SIDECAR)) as sidecar:
+                sidecar.write_text(sidecar_text(files, about), encoding="utf-8")
     return rows, ledger
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sqlite3
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any, Literal
@@ -32,9 +32,9 @@ MARK_TABLE = "unbend"
 _SQLITE = b"SQLite format 3\0"
 
 
-def sidecar_text(files: Iterable[Path], about: Mapping[str, Any]) -> str:
-    """The sidecar of files that lie in one folder; ``about`` is for whoever reads it."""
-    hashes = [{"name": path.name, "sha256": _sha256(path)} for path in files]
+def sidecar_text(files: Mapping[str, Path], about: Mapping[str, Any]) -> str:
+    """The sidecar of files by the names they get; ``about`` is for whoever reads it."""
+    hashes = [{"name": name, "sha256": _sha256(path)} for name, path in files.items()]
     content = {REFRACTION_KEY.decode(): REFRACTION_REMOVED.decode(), "files": hashes} | dict(about)
     return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
@@ -64,6 +64,8 @@ def refuse_marked(path: Path, direction: Direction = "remove") -> None:
         digest = _sha256(file) if named else ""
         if digest in by_content:
             raise _corrected(f"{by_content[digest].name} names its content", file)
+        if _database_is_marked(file):
+            raise _corrected(f"its table {MARK_TABLE} says so", file)
         if file.name in by_name:
             raise InputError(
                 "OBS-MARK-CHANGED",
@@ -73,8 +75,6 @@ def refuse_marked(path: Path, direction: Direction = "remove") -> None:
                 remedy="if it holds measurements as they came from the images, give it another "
                 "name or delete the sidecar; otherwise give such measurements",
             )
-        if _database_is_marked(file):
-            raise _corrected(f"its table {MARK_TABLE} says so", file)
 
 
 def refuse_done(path: Path, schema: pa.Schema, direction: Direction) -> None:

@@ -257,7 +257,7 @@ THINGS = {
         {
             "pipeline/tables/exports/__init__.py": (
                 ("lattice, opk, radial\n", "lattice, opk, radial, toy\n"),
-                ("geojson, kml, opk)", "geojson, kml, opk, toy)"),
+                ("geojson, kml, opk, ", "geojson, kml, opk, toy, "),
             )
         },
     ),

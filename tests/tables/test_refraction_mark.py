@@ -22,7 +22,7 @@ def exported(tmp_path: Path) -> Path:
     """A folder with tracks.csv, its sidecar, and cameras.json that the sidecar does not name."""
     (tmp_path / "tracks.csv").write_text(TEXT)
     (tmp_path / "cameras.json").write_text("{}")
-    text = sidecar_text([tmp_path / "tracks.csv"], {"frame": "east, north, up"})
+    text = sidecar_text({"tracks.csv": tmp_path / "tracks.csv"}, {"frame": "east, north, up"})
     (tmp_path / "tracks.csv.unbend.json").write_text(text)
     return tmp_path
 
@@ -90,7 +90,7 @@ def test_a_database_carries_its_mark(tmp_path):
 
 def test_run_refuses_a_table_that_a_sidecar_names(unbend, mission):
     path = mission.folder / mission.config["observations"]["path"]
-    (mission.folder / "else.unbend.json").write_text(sidecar_text([path], {}))
+    (mission.folder / "else.unbend.json").write_text(sidecar_text({path.name: path}, {}))
     for command in ("run", "check"):
         ended = unbend(command, mission.save())
         assert ended.code in (2, 6)

@@ -13,9 +13,10 @@ from pathlib import Path
 
 from pipeline.errors import ConfigError
 from pipeline.tables.exports import calibrations, geojson, kml, lattice, opk, radial
+from pipeline.tables.exports.blocks import BLOCKS
 from pipeline.tables.exports.format import ExportCamera, ExportFormat, FinishedRun, Option
 
-MODULES = (lattice, radial, calibrations, geojson, kml, opk)
+MODULES = (lattice, radial, calibrations, geojson, kml, opk, *BLOCKS)
 
 FORMATS: Mapping[str, ExportFormat] = {
     form.name: form for module in MODULES for form in module.FORMATS
@@ -24,7 +25,7 @@ FORMATS: Mapping[str, ExportFormat] = {
 
 
 def find_format(name: str, out: Path) -> ExportFormat:
-    """The format of a name, for a file whose ending it has.
+    """The format of a name, for a file whose ending it has, or a folder.
 
     >>> find_format("lattice", Path("grid.parquet")).contents
     'dx, dy on a grid over each image'
@@ -38,12 +39,12 @@ def find_format(name: str, out: Path) -> ExportFormat:
             where="--format",
             remedy=f"perhaps {' or '.join(near)}?" if near else f"one of {', '.join(FORMATS)}",
         )
-    if out.suffix.lower() != form.ending:
-        fitting = [other for other, f in FORMATS.items() if f.ending == out.suffix.lower()]
+    fitting = [other for other, f in FORMATS.items() if f.ending == out.suffix.lower()]
+    if out.suffix.lower() != form.ending and (form.ending or fitting):
+        kind = f"a file that ends in {form.ending}" if form.ending else "a folder"
         raise ConfigError(
             "EXPORT-ENDING",
-            f"{name} is written to a "
-            + (f"file that ends in {form.ending}" if form.ending else "folder, without an ending"),
+            f"{name} is written to {kind}",
             where=str(out),
             remedy=f"rename it to {out.with_suffix(form.ending).name or form.ending}"
             + (f", or choose from {', '.join(fitting)}" if fitting else ""),

@@ -1,12 +1,14 @@
-"""What the exports of stations have in common: which have a place, and what each image shows."""
+"""What the exports of stations have in common: which have a place, in one frame, what they show."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.flight.rotations import matrices_of
-from pipeline.geodesy import euler_radius, offset_geodetic
+from pipeline.flight.rotations import in_turned_frame, matrices_of
+from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef, euler_radius, offset_geodetic
 from pipeline.ledger import Ledger
 from pipeline.refraction.image import straight_reach
 from pipeline.tables.exports.format import FinishedRun
@@ -27,6 +29,49 @@ def placed_stations(
             count=int(missing.size),
         )
     return np.flatnonzero(known).astype(np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class OneFrame:
+    """Stations (n,) in the frame east, north, up at ``origin_deg``, up along the ellipsoid normal.
+
+    ``origin_deg`` (3,) latitude, longitude [deg] and height above the ellipsoid [m] (WGS84);
+    ``enu_from_ecef`` (3, 3). ``position_m`` (n, 3); ``quaternion`` (n, 4) as of stations, but
+    turned from the horizon of each to that of the origin: 324 arcsec in 10 km.
+    ``covariance_m2`` (n, 3, 3) of the positions, NaN where a sigma is unknown.
+    """
+
+    origin_deg: Array
+    enu_from_ecef: Array
+    position_m: Array
+    quaternion: Array
+    covariance_m2: Array
+
+
+def stations_in_one_frame(run: FinishedRun, rows: NDArray[np.int64]) -> OneFrame:
+    """The stations of some rows, at least one, all with latitude, longitude and h_ellipsoid_m.
+
+    The origin is the middle of their extent, to 1e-5 degrees and one metre.
+    """
+    stations = run.stations
+    lat, lon, h = stations.lat_rad[rows], stations.lon_rad[rows], stations.h_ellipsoid_m[rows]
+    near = np.unwrap([np.full(lon.shape, lon[0]), lon], axis=0)[1]
+    origin_deg = [
+        round(0.5 * (float(values.min()) + float(values.max())), digits)
+        for values, digits in ((np.degrees(lat), 5), (np.degrees(near), 5), (h, 0))
+    ]
+    origin = [np.radians(origin_deg[:1]), np.radians(origin_deg[1:2]), np.array(origin_deg[2:])]
+    to_origin = enu_from_ecef(*origin[:2])[0]
+    axes = enu_from_ecef(lat, lon) @ to_origin.T  # from the frame to the station's own
+    horizontal = stations.sigma_horizontal_m[rows]
+    sigma = np.stack([horizontal, horizontal, stations.sigma_height_m[rows]], axis=1)
+    return OneFrame(
+        np.array(origin_deg),
+        to_origin,
+        (ecef_of_geodetic(lat, lon, h) - ecef_of_geodetic(*origin)) @ to_origin.T,
+        in_turned_frame(stations.quaternion[rows], axes),
+        np.swapaxes(axes, 1, 2) @ (sigma[:, :, None] ** 2 * axes),
+    )
 
 
 def footprints(run: FinishedRun, ledger: Ledger) -> Array:

@@ -100,7 +100,9 @@ class ExportFormat:
 
     ``write(run, values, path, ledger)`` writes one file at a path, or several into the folder that
     is there where the ending is "", and returns the number of rows; what is left out is entered in
-    the ledger.
+    the ledger. ``use`` says in which frame it is, and what is to be switched off in the program
+    that reads it. ``marked`` are the names of the files that hold observations without refraction
+    and cannot say so, of a format of one file "".
     """
 
     name: str
@@ -108,6 +110,8 @@ class ExportFormat:
     ending: str
     write: Callable[[FinishedRun, Values, Path, Ledger], int]
     options: tuple[Option, ...] = ()
+    use: str = ""
+    marked: tuple[str, ...] = ()
 
     def values(self, given: Values) -> dict[str, Any]:
         """The value of every option, given or by default.
@@ -131,24 +135,34 @@ class ExportFormat:
         return {option.name: option.default for option in self.options} | dict(given)
 
 
+CORRECTIONS_USE = (
+    "it holds refraction, and neither earth curvature nor a map projection: where it is applied, "
+    "switch the program's own correction of refraction off (BINGO and Inpho have one; COLMAP, "
+    "Metashape, Pix4D and ODM have none)"
+)
+
 TablesOfRun = Callable[[FinishedRun, Values, Ledger], tuple[pa.Schema, Iterator[pa.Table]]]
 
 
 def parquet_and_csv(
     name: str, contents: str, tables: TablesOfRun, options: tuple[Option, ...] = ()
-) -> tuple[ExportFormat, ExportFormat]:
+) -> tuple[ExportFormat, ...]:
     """One table in two formats: ``name`` is written as Parquet, ``name``-csv as CSV.
 
-    ``tables`` returns the schema and the tables that are written one after the other.
+    ``tables`` returns the schema and the tables that are written one after the other. They hold
+    corrections, which `CORRECTIONS_USE` is about.
     """
 
     def write(writer: Callable[..., int], run: FinishedRun, values: Values, path: Path,
               ledger: Ledger) -> int:  # fmt: skip
         return writer(path, *tables(run, values, ledger))
 
-    return (
-        ExportFormat(name, contents, ".parquet", partial(write, write_parquet_stream), options),
-        ExportFormat(f"{name}-csv", contents, ".csv", partial(write, write_csv_stream), options),
+    return tuple(
+        ExportFormat(form, contents, ending, partial(write, writer), options, use=CORRECTIONS_USE)
+        for form, ending, writer in (
+            (name, ".parquet", write_parquet_stream),
+            (f"{name}-csv", ".csv", write_csv_stream),
+        )
     )
 
 

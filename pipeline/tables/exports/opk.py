@@ -12,13 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
-from pipeline.flight.rotations import in_turned_frame, opk_of_quaternion
+from pipeline.flight.rotations import opk_of_quaternion
 from pipeline.flight.stations import station_columns
-from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef
 from pipeline.ledger import Ledger
-from pipeline.tables.exports.footprints import placed_stations
+from pipeline.tables.exports.footprints import placed_stations, stations_in_one_frame
 from pipeline.tables.exports.format import ExportFormat, FinishedRun, Values, write_csv_stream
 from pipeline.tables.schemas import schema_of
 from pipeline.tables.writing import table_of
@@ -35,18 +33,15 @@ def _write(topocentric: bool, run: FinishedRun, _: Values, path: Path, ledger: L
     stations, columns = run.stations, station_columns(run.stations)
     known = stations.ok & np.isfinite([*stations.quaternion.T, *map(columns.get, _PLACES)]).all(0)
     rows = placed_stations(run, known, "usable position, attitude and ellipsoidal height", ledger)
-    lat, lon, h = stations.lat_rad[rows], stations.lon_rad[rows], stations.h_ellipsoid_m[rows]
     attitude = stations.quaternion[rows]
     found: dict[str, object] = {n: columns[n][rows] for n in (*_WORDS, *_PLACES, *_SIGMAS)}
     if topocentric and rows.size:
-        origin = _middle(lat, lon, h)
-        to_origin = enu_from_ecef(*origin[:2])[0]
-        xyz = ecef_of_geodetic(lat, lon, h) - ecef_of_geodetic(*origin)
-        found |= dict(zip(_AXES, (xyz @ to_origin.T).T, strict=True))
-        attitude = in_turned_frame(attitude, enu_from_ecef(lat, lon) @ to_origin.T)
-        stated = np.degrees(origin[0]), np.degrees(origin[1]), origin[2]
+        frame = stations_in_one_frame(run, rows)
+        attitude = frame.quaternion
+        found |= dict(zip(_AXES, frame.position_m.T, strict=True))
         found |= {
-            f"origin_{n}": np.repeat(v, rows.size) for n, v in zip(_PLACES, stated, strict=True)
+            f"origin_{n}": np.full(rows.size, v)
+            for n, v in zip(_PLACES, frame.origin_deg, strict=True)
         }
     angles = np.degrees(opk_of_quaternion(attitude))
     found |= dict(zip(_ANGLES, angles.T, strict=True))
@@ -59,19 +54,14 @@ def _write(topocentric: bool, run: FinishedRun, _: Values, path: Path, ledger: L
     return write_csv_stream(path, schema, [table_of(found, schema)])
 
 
-def _middle(*places: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """The origin: the place in the middle of the extent, to 1e-6 rad (6 m) and one metre."""
-    lat, lon, h = places
-    lon = np.unwrap([np.full(lon.shape, lon[0]), lon], axis=0)[1]
-    return [
-        np.round([0.5 * (float(values.min()) + float(values.max()))], digits)
-        for values, digits in ((lat, 6), (lon, 6), (h, 0))
-    ]
-
+_USE = (
+    "neither earth curvature nor a map projection is in these positions and angles: adjust in a "
+    "Cartesian frame, with the program's own corrections of refraction and earth curvature off"
+)
 
 FORMATS = (
     ExportFormat("opk", "omega, phi, kappa against each station's east, north, up", ".csv",
-                 partial(_write, False)),
-    ExportFormat("opk-enu", "omega, phi, kappa and x, y, z in one east-north-up frame", ".csv",
-                 partial(_write, True)),
+                 partial(_write, False), use=_USE),
+    ExportFormat("opk-enu", "omega, phi, kappa and x, y, z in one frame: east, north, up", ".csv",
+                 partial(_write, True), use=_USE),
 )  # fmt: skip

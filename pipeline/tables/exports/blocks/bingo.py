@@ -1,0 +1,105 @@
+"""BINGO's image.dat: image points in millimetres from the image's centre, y up.
+
+A line with the names of image and camera, a line with name, x and y for each point, and -99 at the
+end of each image. The centre is the corner of pixels (w/2, h/2) of COLMAP's. Names have at most 15
+characters: of longer ones the last 15, blanks as underscores, and ``names.csv`` has all that were
+changed. Written as documented; BINGO itself was not there to read it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from pipeline.errors import ConfigError, MissionError
+from pipeline.ledger import Ledger
+from pipeline.tables.exports.blocks.exported_block import block_of
+from pipeline.tables.exports.format import (
+    ExportFormat,
+    FinishedRun,
+    Option,
+    Values,
+    write_csv_stream,
+)
+
+_USE = (
+    "in BINGO, and in Inpho where it reads these files, switch the corrections of refraction and "
+    "earth curvature off, and adjust in a Cartesian frame; positions and angles in one: "
+    "--format opk-enu"
+)
+_LONGEST = 15
+
+
+def short_names(names: Sequence[str], kind: str) -> list[str]:
+    """Names as BINGO takes them; refuses (MissionError EXPORT-NAMES) those that become the same.
+
+    >>> short_names(["strip 7/DSC_00012345.tif", "a 1"], "image")
+    ['SC_00012345.tif', 'a_1']
+    """
+    first: dict[str, str] = {}
+    for name in names:
+        short = re.sub(r"\s", "_", name)[-_LONGEST:] or "_"
+        if short in first:
+            raise MissionError(
+                "EXPORT-NAMES",
+                f"{kind}s {first[short]!r} and {name!r} would both be called {short!r}: names have "
+                f"at most {_LONGEST} characters there",
+                where="observations",
+                remedy=f"rename them so that the last {_LONGEST} characters differ",
+            )
+        first[short] = name
+    return [*first]
+
+
+def write_bingo(run: FinishedRun, values: Values, folder: Path, ledger: Ledger) -> int:
+    """image.dat, and names.csv where names were changed."""
+    block = block_of(run, ledger)
+    given = {"image": [*block.image], "camera": [*block.cameras], "point": block.name}
+    short = {kind: short_names(names, kind) for kind, names in given.items()}
+    pixel_mm = {n: values["pixel_um"] * 1e-3 or run.cameras[n].pixel_mm for n in block.cameras}
+    for name in [name for name, size in pixel_mm.items() if np.isnan(size)]:
+        raise ConfigError(
+            "EXPORT-OPTION",
+            f"nothing says how large the pixels of camera {name} are, or they are not square",
+            where="--pixel-um",
+            remedy="give their size in micrometres: --pixel-um 4",
+        )
+    turn = np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), values["quarter_turns"])
+    cameras = list(block.cameras.values())
+    with (folder / "image.dat").open("w", encoding="utf-8") as file:
+        for i, image in enumerate(short["image"]):
+            here, number = block.of_image(i), block.camera[i]
+            x = block.x_px[here] - 0.5 * cameras[number].width_px
+            y = 0.5 * cameras[number].height_px - block.y_px[here]
+            xy = turn @ np.stack([x, y]) * [*pixel_mm.values()][number]
+            file.write(f"{image} {short['camera'][number]}\n")
+            for p, x, y in zip(block.point[here], *xy, strict=True):
+                file.write(f"{short['point'][p]} {x:.7f} {y:.7f}\n")
+            file.write("-99\n")
+    rows = [
+        {"kind": kind, "written": written, "name": name}
+        for kind, names in given.items()
+        for written, name in zip(short[kind], names, strict=True) if written != name
+    ]  # fmt: skip
+    if rows:
+        table = pa.Table.from_pylist(rows)
+        write_csv_stream(folder / "names.csv", table.schema, [table])
+    return int(block.point.size)
+
+
+FORMATS = (
+    ExportFormat(
+        "bingo", "a block for BINGO: a folder with image.dat", "", write_bingo,
+        (
+            Option("pixel_um", float, 0.0, "size of a pixel for the tables in mm; 0: as in "
+                   "cameras.<name>.metric", "um", 0.0, 200.0),
+            Option("quarter_turns", int, 0, "quarter turns, counter-clockwise, of the axes of "
+                   "BINGO's image against x to the right, y up", "", 0, 3),
+        ),
+        use=_USE, marked=("image.dat",),
+    ),
+)  # fmt: skip

@@ -1,0 +1,141 @@
+"""COLMAP's database, ready to adjust: cameras, images, keypoints, matches, and pose priors.
+
+Tables are those of COLMAP 4.2 (``colmap_4_2.sql``), ids and pixels those of `colmap_model`, and
+image points keep their places as keypoints. Keypoints are 32-bit numbers there: up to 16,384 px
+they lose at most 0.0005 px, which the model does not. Points tie each pair of their images (matches
+and verified geometries). Pose priors are the stations' positions with the covariance of their
+sigmas. That refraction was removed stands in a table of its own, which COLMAP leaves alone.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from importlib import resources
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.ledger import Ledger
+from pipeline.tables.exports.blocks.colmap_model import MODEL_IDS, USE, colmap_camera
+from pipeline.tables.exports.blocks.exported_block import ExportedBlock, block_of
+from pipeline.tables.exports.format import ExportFormat, FinishedRun, Values
+from pipeline.tables.refraction_mark import MARK_TABLE, REFRACTION_KEY, REFRACTION_REMOVED
+
+_VERSION = 4_020_100
+_MOST_IMAGES = 2_147_483_647  # of pair_id = first * this + second
+_CALIBRATED, _CARTESIAN, _CAMERA_SENSOR, _WITH_PRIOR = 2, 1, 0, 1
+_LARGEST_ROUNDING_PX = 0.0005
+
+
+def write_database(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
+    """The database of a block; the number of keypoints."""
+    block = block_of(run, ledger)
+    tables = rows_of_tables(block)
+    if len(block.point_m) == 0:
+        ledger.loss(
+            "EXPORT-NO-TIES",
+            "no point was measured in two images: nothing ties the images of the database",
+            where="observations",
+        )
+    unknown = int(np.isnan(block.frame.covariance_m2).any(axis=(1, 2)).sum())
+    if unknown:
+        ledger.fallback(
+            "EXPORT-NO-SIGMA",
+            f"{unknown} stations have no sigma of their position: their pose priors have no "
+            "covariance, and COLMAP takes the one it is called with",
+            where="stations.parquet",
+            count=unknown,
+        )
+    rounding = max(np.abs(c - c.astype("<f4")).max(initial=0.0) for c in (block.x_px, block.y_px))
+    if rounding > _LARGEST_ROUNDING_PX:
+        ledger.warning(
+            "EXPORT-ROUNDED",
+            f"keypoints of a database are 32-bit numbers: up to {rounding:.4f} px are lost; the "
+            "model (--format colmap) loses nothing",
+            where="keypoints",
+        )
+    schema = resources.files("pipeline.tables.exports.blocks").joinpath("colmap_4_2.sql")
+    with closing(sqlite3.connect(path)) as database:
+        # A draft that is interrupted is thrown away: no journal.
+        database.executescript("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF;")
+        database.execute(f"PRAGMA user_version = {_VERSION}")
+        database.executescript(schema.read_text(encoding="utf-8"))
+        database.execute(f"CREATE TABLE {MARK_TABLE} (key TEXT PRIMARY KEY, value TEXT)")
+        for table, rows in tables.items():
+            marks = ", ".join("?" * len(rows[0]))
+            database.executemany(f"INSERT INTO {table} VALUES ({marks})", rows)
+        database.executemany("INSERT INTO keypoints VALUES (?, ?, 2, ?)", keypoint_rows(block))
+        for row in match_rows(block):
+            database.execute("INSERT INTO matches VALUES (?, ?, 2, ?)", row)
+            columns = f"VALUES (?, ?, 2, ?, {_CALIBRATED}{', NULL' * 7})"
+            database.execute(f"INSERT INTO two_view_geometries {columns}", row)
+        database.commit()
+    return int(block.point.size)
+
+
+def rows_of_tables(block: ExportedBlock) -> dict[str, list[tuple[Any, ...]]]:
+    """Rows of the tables that have one for each camera or image, and the mark.
+
+    Every camera is a rig and every image a frame of its own.
+    """
+    cameras, frame = list(block.cameras.items()), block.frame
+    sensors = [(n, c + 1, _CAMERA_SENSOR) for n, c in enumerate(block.camera.tolist(), 1)]
+    unknown = np.full(3, np.nan).tobytes()
+    models = [(camera, *colmap_camera(camera, name)) for name, camera in cameras]
+    return {
+        MARK_TABLE: [(REFRACTION_KEY.decode(), REFRACTION_REMOVED.decode())],
+        "cameras": [
+            (n, MODEL_IDS[model], camera.width_px, camera.height_px,
+             np.array(params, "<f8").tobytes(), _WITH_PRIOR)
+            for n, (camera, model, params) in enumerate(models, 1)
+        ],
+        "rigs": [(n, n, _CAMERA_SENSOR) for n in range(1, len(cameras) + 1)],
+        "images": [(n, block.image[n - 1], camera) for n, camera, _ in sensors],
+        "frames": [(n, camera) for n, camera, _ in sensors],
+        "frame_data": [(n, n, camera, sensor) for n, camera, sensor in sensors],
+        "pose_priors": [
+            (n, n, camera, sensor, frame.position_m[n - 1].tobytes(),
+             frame.covariance_m2[n - 1].tobytes(), unknown, _CARTESIAN)
+            for n, camera, sensor in sensors
+        ],
+    }  # fmt: skip
+
+
+def keypoint_rows(block: ExportedBlock) -> Iterator[tuple[int, int, bytes]]:
+    """Image, number of keypoints, and these as x, y."""
+    for i in range(block.image.size):
+        here = block.of_image(i)
+        xy = np.stack([block.x_px[here], block.y_px[here]], axis=1).astype("<f4")
+        yield i + 1, len(xy), xy.tobytes()
+
+
+def match_rows(block: ExportedBlock) -> Iterator[tuple[int, int, bytes]]:
+    """Pair of images, number of points in both, and the places of their keypoints."""
+    order, begin, images = block.of_points()
+    place = order - block.first[images]
+    for i in range(block.image.size):
+        point = block.point[block.of_image(i)]
+        count = block.count[point]
+        # All image points of the points of this image, and of these those in later images.
+        own = np.repeat(np.arange(point.size), count)
+        other = np.repeat(begin[point] - np.cumsum(count) + count, count) + np.arange(own.size)
+        later = np.flatnonzero(images[other] > i)
+        later = later[np.argsort(images[other[later]], kind="stable")]
+        own, other = own[later], other[later]
+        edges = np.append(np.flatnonzero(np.diff(images[other], prepend=-1)), other.size)
+        for low, high in pairwise(edges.tolist()):
+            both = np.stack([own[low:high], place[other[low:high]]], axis=1).astype("<u4")
+            pair = (i + 1) * _MOST_IMAGES + int(images[other[low]]) + 1
+            yield pair, high - low, both.tobytes()
+
+
+FORMATS = (
+    ExportFormat(
+        "colmap-database", "a block for COLMAP: database with matches and pose priors", ".db",
+        write_database, use=USE, marked=("",),
+    ),
+)  # fmt: skip

@@ -1,0 +1,238 @@
+"""The block of a run as a bundle adjustment starts from it: stations, image and object points.
+
+All in one local frame. Nothing is projected to a map and no earth curvature is applied: the frame
+is Cartesian, x east, y north, z up at its origin.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from pipeline.block.image_rays import MINIMUM_ANGLE_RAD
+from pipeline.errors import MissionError
+from pipeline.flight.rotations import matrices_of
+from pipeline.geodesy import enu_from_ecef
+from pipeline.ledger import Ledger
+from pipeline.refraction.camera.camera import Camera
+from pipeline.refraction.image import straight_reach
+from pipeline.tables.exports.footprints import OneFrame, placed_stations, stations_in_one_frame
+from pipeline.tables.exports.format import FinishedRun
+from pipeline.tables.geodata.object_points import matching_rows
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_COLUMNS = ["image", "point", "x_corrected_px", "y_corrected_px", "h_g_m", "status"]
+
+
+@dataclass(frozen=True, eq=False)
+class ExportedBlock:
+    """Images (n,), their image points (r,) image by image, and points (p,).
+
+    ``frame`` has the projection centres of the images, ``rotation`` (n, 3, 3) turns from it to the
+    camera; ``camera`` (n,) numbers ``cameras``. ``first`` (n + 1,) is the first image point of each
+    image; those of an image stand in the order of the run. ``x_px``, ``y_px`` (r,) are free of
+    refraction, in COLMAP's pixels; ``point`` (r,) numbers the points, of which those that were
+    measured in ``count`` > 1 images come first: of these ``point_m`` (t, 3) is where their rays
+    meet, or end on the ground.
+    """
+
+    cameras: dict[str, Camera]
+    image: NDArray[np.object_]
+    camera: Indices
+    frame: OneFrame
+    rotation: Array
+    first: Indices
+    point: Indices
+    x_px: Array
+    y_px: Array
+    name: list[str]
+    count: Indices
+    point_m: Array
+
+    def of_image(self, image: int) -> slice:
+        """The image points of an image."""
+        return slice(self.first[image], self.first[image + 1])
+
+    def of_points(self) -> tuple[Indices, Indices, Indices]:
+        """Image points by their points (r,), where each begins (p + 1,), and their images (r,)."""
+        order = np.argsort(self.point, kind="stable")
+        image = np.repeat(np.arange(self.image.size), np.diff(self.first))
+        return order, np.append(0, np.cumsum(self.count)), image[order]
+
+    @property
+    def moved_m(self) -> Array:
+        """(n, 3) translations from the frame to the cameras."""
+        return np.asarray(-np.einsum("nij,nj->ni", self.rotation, self.frame.position_m))
+
+
+def ideal_coordinates(camera: Camera, x_px: Array, y_px: Array) -> tuple[Array, Array]:
+    """Image coordinates (n,) without distortion [principal distances]; NaN beyond the camera's.
+
+    Corrected points may lie a little outside the image.
+    """
+    w, h = camera.width_px, camera.height_px
+    wider = replace(
+        camera, width_px=3 * w, height_px=3 * h, cx_px=camera.cx_px + w, cy_px=camera.cy_px + h
+    )
+    u, v, _ = wider.rays(x_px + w, y_px + h)
+    return u, v
+
+
+def refuse_names(names: Iterable[str], pattern: str, program: str) -> None:
+    """Refuse (MissionError EXPORT-NAMES) names in which a regular expression is found."""
+    for name in filter(re.compile(pattern).search, names):
+        raise MissionError(
+            "EXPORT-NAMES",
+            f"{name!r} has a character that separates columns in files of {program}",
+            where="observations",
+            remedy="rename it, or choose another format",
+        )
+
+
+def block_of(run: FinishedRun, ledger: Ledger) -> ExportedBlock:
+    """The block of a run, in one pass over its parts; memory holds some 70 bytes an observation.
+
+    Left out as losses (EXPORT-LEFT-OUT) are images without a usable station, and observations of
+    them, of another status than ok, and of a point a second time in its image. Refuses
+    (MissionError) a run of which no station is placed (EXPORT-NO-STATIONS), and a camera that it
+    does not define (EXPORT-CAMERA).
+    """
+    stations, what = run.stations, "usable position, attitude and ellipsoidal height"
+    place = stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m
+    known = stations.ok & np.isfinite([*stations.quaternion.T, *place]).all(axis=0)
+    rows = placed_stations(run, known, what, ledger)
+    if rows.size == 0:
+        raise MissionError(
+            "EXPORT-NO-STATIONS", f"no station has a {what}", where="stations.parquet",
+            remedy="give the stations of the mission: log, stations.orientation or "
+            "stations.trajectory",
+        )  # fmt: skip
+    for camera in sorted(set(stations.camera[rows]) - run.cameras.keys()):
+        raise MissionError(
+            "EXPORT-CAMERA", f"camera {camera!r} has no calibration", where="stations.parquet",
+            remedy=f"give it under cameras.{camera} and run again",
+        )  # fmt: skip
+    frame = stations_in_one_frame(run, rows)
+    table, names = read_image_points(run, stations.image[rows], ledger)
+    image, point, x, y, h_g = (column.to_numpy() for column in table.columns)
+    count = np.bincount(point, minlength=len(names))
+    order = np.argsort(count < 2, kind="stable")
+    cameras = {name: run.cameras[name].camera for name in dict.fromkeys(stations.camera[rows])}
+    block = ExportedBlock(
+        cameras=cameras,
+        image=stations.image[rows],
+        camera=np.array([[*cameras].index(name) for name in stations.camera[rows]]),
+        frame=frame,
+        rotation=matrices_of(frame.quaternion),
+        first=np.searchsorted(image, np.arange(rows.size + 1)),
+        point=np.argsort(order)[point],
+        x_px=run.pixels.to_colmap(x),
+        y_px=run.pixels.to_colmap(y),
+        name=names.take(pa.array(order)).to_pylist(),
+        count=count[order],
+        point_m=np.empty((int(np.sum(count > 1)), 3)),
+    )
+    up = enu_from_ecef(stations.lat_rad[rows], stations.lon_rad[rows])[:, 2]
+    up = up @ frame.enu_from_ecef.T
+    block.point_m[:], met = intersected_points(block, up, stations.h_msl_m[rows], h_g)
+    if not met.all():
+        ledger.fallback(
+            "EXPORT-POINT-HEIGHT",
+            f"the rays of {np.sum(~met)} points do not meet at 3 degrees or more: these points are "
+            "where the rays reach the height of the ground that the run took for them",
+            where="observations",
+            count=int(np.sum(~met)),
+        )
+    lat, lon, h = frame.origin_deg.tolist()
+    ledger.note(
+        "EXPORT-FRAME",
+        f"x, y, z count to the east, north and up from {lat:.5f} N, {lon:.5f} E, {h:.0f} m above "
+        "the ellipsoid (WGS84), one frame for the block; neither earth curvature nor a map "
+        "projection is applied",
+        where="stations.parquet",
+    )
+    return block
+
+
+def read_image_points(
+    run: FinishedRun, images: NDArray[np.object_], ledger: Ledger
+) -> tuple[pa.Table, pa.StringArray]:
+    """Number of the image and of the point, x, y and height of the ground, sorted by image.
+
+    And the names of the points. Of a point that is twice in an image the first row is kept.
+    """
+    known, total = pa.array(images, pa.string()), 0
+    kinds = [pa.int32(), pa.dictionary(pa.int32(), pa.string()), *[pa.float64()] * 3]
+    schema = pa.schema(list(zip(_COLUMNS[:5], kinds, strict=True)))
+    tables = [schema.empty_table()]
+    for path in run.parts:
+        table = pq.read_table(path, columns=_COLUMNS)
+        total += table.num_rows
+        image = pa.array(matching_rows(table["image"].combine_chunks(), known), pa.int32())
+        good = pc.and_(pc.equal(table["status"], "ok"), table["point"].is_valid())
+        table = table.set_column(0, "image", image).filter(pc.and_(good, pc.greater(image, -1)))
+        columns = [table[0], table[1].dictionary_encode(), *table.columns[2:5]]
+        tables.append(pa.table(columns, schema=schema))
+    table = pa.concat_tables(tables).unify_dictionaries()
+    tables.clear()
+    table = table.combine_chunks()
+    coded = table["point"].chunk(0)
+    table = table.set_column(1, "point", coded.indices)
+    image, point = table["image"].to_numpy(), table["point"].to_numpy()
+    _, kept = np.unique(image * np.int64(len(coded.dictionary)) + point, return_index=True)
+    if kept.size < total:
+        ledger.loss(
+            "EXPORT-LEFT-OUT",
+            f"{total - kept.size} of {total} observations are left out: {total - image.size} are "
+            "not ok, or have no point or no usable station, and "
+            f"{image.size - kept.size} are of a point that was measured before in the image",
+            where="observations",
+            count=total - kept.size,
+        )
+    kept.sort()
+    return table.take(kept[np.argsort(image[kept], kind="stable")]), coded.dictionary
+
+
+def intersected_points(
+    block: ExportedBlock, up: Array, h_c: Array, h_g: Array
+) -> tuple[Array, NDArray[np.bool_]]:
+    """(t, 3) points by least squares of the angles across their rays, and whether these meet (t,).
+
+    Where they do not meet at 3 degrees or more it is the mean of where they reach the ground.
+    ``up`` (n, 3) in the frame and ``h_c`` (n,) are those of the images, ``h_g`` (r,) heights of the
+    ground, both above sea level [m].
+    """
+    tied = len(block.point_m)
+    normal, right, ground = np.zeros((tied, 3, 3)), np.zeros((tied, 3)), np.zeros((tied, 4))
+    cameras = list(block.cameras.values())
+    for i in range(block.image.size):
+        here = block.of_image(i)
+        u, v = ideal_coordinates(cameras[block.camera[i]], block.x_px[here], block.y_px[here])
+        ray = np.stack([u, v, np.ones(u.size)], axis=1) @ block.rotation[i]
+        ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+        reach = straight_reach(h_c[i], h_g[here], -ray @ up[i], radius=6.371e6, far=False)
+        own = np.flatnonzero((block.point[here] < tied) & np.isfinite(reach))
+        point, ray, reach = block.point[here][own], ray[own], reach[own, None]
+        # A point is in an image once: no index repeats.
+        across = (np.eye(3) - ray[:, :, None] * ray[:, None, :]) / reach[:, :, None] ** 2
+        normal[point] += across
+        right[point] += across @ block.frame.position_m[i]
+        ground[point] += np.append(block.frame.position_m[i] + reach * ray, reach, axis=1)
+    ground /= np.maximum(block.count[:tied, None], 1)
+    # Two rays at an angle a have (1 - cos a) / 4 of the trace as the least eigenvalue.
+    least = 0.25 * (1.0 - np.cos(MINIMUM_ANGLE_RAD)) * np.trace(normal, axis1=1, axis2=2)
+    met = np.linalg.eigvalsh(normal)[:, 0] > least
+    normal[~met] = np.eye(3)
+    position = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+    # Behind a camera it is farther from the ground than that is.
+    met &= np.linalg.norm(position - ground[:, :3], axis=1) < ground[:, 3]
+    return np.where(met[:, None], position, ground[:, :3]), met

@@ -1,0 +1,26 @@
+"""Ten times as many image points take at most 100 MB more, whatever the format."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).with_name("block_memory.py")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss in KiB")
+@pytest.mark.parametrize("name", ["colmap", "colmap-database", "bundler", "opensfm", "bingo"])
+def test_memory_grows_little_with_the_image_points(tmp_path, name):
+    peaks = []
+    for rows in (44_800, 448_000):
+        folder = tmp_path / str(rows)
+        folder.mkdir()
+        words = [sys.executable, SCRIPT, name, str(rows), folder]
+        ended = subprocess.run(words, capture_output=True, text=True, check=True)
+        before, peak = map(float, ended.stdout.split())
+        assert before < peak
+        peaks.append(peak)
+    assert peaks[1] - peaks[0] < 100.0, peaks
