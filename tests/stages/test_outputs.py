@@ -21,6 +21,7 @@ OBSERVATIONS = {
     "sigma_air_dx_px": "float", "sigma_air_dy_px": "float", "sigma_station_dx_px": "float",
     "sigma_station_dy_px": "float", "sigma_ground_dx_px": "float", "sigma_ground_dy_px": "float",
     "sigma_r_cc_rad": "float", "sigma_cabin_dx_px": "float", "sigma_cabin_dy_px": "float",
+    "dx_ds_px": "float", "dy_ds_px": "float", "dx_dncc_px": "float", "dy_dncc_px": "float",
     "h_g_m": "double", "status": "string",
 }  # fmt: skip
 STATIONS = {
