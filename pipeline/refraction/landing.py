@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef, euler_radius, geodetic_of_ecef
+from pipeline.geodesy import euler_radius, offset_geodetic
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.chord import height_at_distance, target_rays
 from pipeline.refraction.image import Exposures, straight_reach
@@ -265,16 +265,12 @@ def _terms(at: Array) -> Array:
 
 def _places_about(lat_rad: Array, lon_rad: Array, east: Array, north: Array) -> tuple[Array, Array]:
     """Latitude and longitude [rad] of ends of arcs in the vertical planes of places; (n,) each."""
-    arc, azimuth = np.hypot(east, north), np.arctan2(east, north)
+    azimuth = np.arctan2(east, north)
     radius = euler_radius(lat_rad, azimuth)
-    angle = arc / radius
+    angle = np.hypot(east, north) / radius
     across, up = radius * np.sin(angle), -2.0 * radius * np.sin(0.5 * angle) ** 2
     enu = np.stack([across * np.sin(azimuth), across * np.cos(azimuth), up], axis=-1)
-    axes = enu_from_ecef(lat_rad, lon_rad)
-    start = ecef_of_geodetic(lat_rad, lon_rad, np.zeros(lat_rad.size))
-    end = start + np.einsum("nij,ni->nj", axes, enu)
-    lat, lon, _ = geodetic_of_ecef(*end.T)
-    return lat, lon
+    return offset_geodetic(lat_rad, lon_rad, np.zeros(lat_rad.size), enu)[:2]
 
 
 def _follow(

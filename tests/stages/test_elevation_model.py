@@ -203,6 +203,14 @@ def test_what_contradicts_the_file_is_refused(mission, modelled):
     assert "DHHN2016" in entry(manifest, "DEM-READ")["what"]
 
 
+def test_a_datum_that_needs_a_missing_grid_is_a_warning_with_its_name(mission, modelled):
+    modelled(crs="EPSG:31467")  # DHDN: BETA2007, or Helmert to some metres
+    manifest, _ = ran(mission)
+    read = entry(manifest, "DEM-READ")
+    assert read["kind"] == "warning"
+    assert "needs de_adv_BETA2007.tif" in read["what"]
+
+
 def test_a_raster_of_no_heights_is_refused(mission, modelled):
     modelled()
     with rasterio.open(mission.folder / "dem.tif", "r+") as raster:

@@ -16,8 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import InputError
+from pipeline.flight.heights import LARGEST_GEOID_M, USUAL_GEOID_M
 from pipeline.geodesy import GeoidGrid
 from pipeline.ledger import Entry, Notes, loss, note, warning
+from pipeline.tables.geodata.geoid import package_geoid
 from pipeline.units import WGS84_A
 
 Array = NDArray[np.float64]
@@ -72,41 +74,20 @@ def places_of(
     contradicts ``heights`` or needs a grid (CRS-VERTICAL). A transformation worse than 1 m is a
     warning (CRS-DATUM), which names the grid that would make it better.
     """
-    from pyproj import Transformer
-    from pyproj.aoi import AreaOfInterest
-    from pyproj.transformer import TransformerGroup
-
     horizontal, vertical = _system(crs, heights, where, key)
     x, y, h = xyh
-    own = horizontal.geodetic_crs
-    to_own = Transformer.from_crs(horizontal, own, always_xy=True)
-    lon_lat = np.array(to_own.transform(x, y, errcheck=False))
-    lon_lat *= np.degrees(own.axis_info[0].unit_conversion_factor)  # grads of Paris, for example
-    lon_lat[0] += _meridian_deg(own)
-    lon_lat, notes = _inside(lon_lat, horizontal, where, key, (x, y))
+    lon_lat, notes = _inside(_own_places(horizontal, x, y), horizontal, where, key, (x, y))
     known = np.isfinite(lon_lat).all(axis=0)
-    corners = (*lon_lat[:, known].min(axis=1).tolist(), *lon_lat[:, known].max(axis=1).tolist())
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # the fallback below says it
-        group = TransformerGroup(
-            horizontal, "EPSG:4326", always_xy=True, allow_ballpark=False,
-            area_of_interest=AreaOfInterest(*corners),
-        )  # fmt: skip
-    if not group.transformers:
-        text = f"{horizontal.name} has no transformation to WGS 84 with a known accuracy"
-        remedy = f"transform the positions to a system on WGS 84 or ETRS89, and state it: {key}"
-        raise InputError("CRS-BALLPARK", text, where=where, remedy=remedy)
-    best, count = group.transformers[0], int(known.sum())
-    what = f"{count} positions in {horizontal.name} ({crs}) brought to WGS 84 by "
-    what += f"{best.description or 'an unnamed operation'}"
-    what += f", to {best.accuracy:g} m" if best.accuracy >= 0.0 else ", of unknown accuracy"
-    if not group.best_available and (missing := group.unavailable_operations[:1]):
-        grids = ", ".join(grid.short_name for grid in missing[0].grids)
-        what += f"; {missing[0].name} to {missing[0].accuracy:g} m needs {grids} in PROJ's folder"
-    tell = note if 0.0 <= best.accuracy <= _GOOD_M else warning
-    notes.append(tell("CRS-DATUM", what, where=where, count=count))
+    best, by, good = _to_wgs84(horizontal, lon_lat[:, known], where, key)
+    count = int(known.sum())
+    what = f"{count} positions in {horizontal.name} ({crs}) brought to WGS 84 by {by}"
+    notes.append((note if good else warning)("CRS-DATUM", what, where=where, count=count))
     lon, lat = np.radians(np.array(best.transform(np.where(known, x, np.nan), y, errcheck=False)))
+    known &= np.isfinite(lat)  # not beyond the grid of the transformation
     lat[~known] = lon[~known] = np.nan
+    if known.sum() < count:
+        what = f"{count - known.sum()} positions lie outside the grid of {by}"
+        notes.append(loss("CRS-AREA", what, where=where, count=count - int(known.sum())))
     convergence = np.zeros(lat.size)
     if horizontal.is_projected:
         convergence[known] = grid_coordinates(horizontal.to_string(), *lon_lat[:, known])[2]
@@ -122,10 +103,64 @@ def places_of(
                     f"GeoTIFF); or state {horizontal.to_string()} alone, where some decimetres to "
                     "a metre of difference between sea levels do not matter",
                 )  # fmt: skip
-            what = f"{vertical.name} taken as {geoid.name} relates it to the ellipsoid"
-            notes.append(note("CRS-VERTICAL", what, where=where, count=count))
-            h, heights = h + geoid.undulation(lat, lon), "ellipsoid"
+            undulation = geoid.undulation(lat, lon)
+            off = undulation - package_geoid().undulation(lat, lon)
+            off_m = float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else 0.0
+            if abs(off_m) > LARGEST_GEOID_M:
+                raise _vertical(
+                    f"{geoid.name} is {off_m:+.1f} m from EGM96 at the positions, as no sea level "
+                    f"is: it is not the grid of {vertical.name}, or of the other sign", where, key,
+                    "give this datum's grid of undulations under mission.geoid: the ellipsoidal "
+                    "height minus the height above the datum",
+                )  # fmt: skip
+            what = f"{vertical.name} taken as {geoid.name} relates it to the ellipsoid, "
+            what += f"{off_m:+.1f} m from EGM96 in the median"
+            tell = note if abs(off_m) <= USUAL_GEOID_M else warning
+            notes.append(tell("CRS-VERTICAL", what, where=where, count=count))
+            h, heights = h + undulation, "ellipsoid"
     return Places(lat, lon, h, heights, convergence), tuple(notes)
+
+
+def _own_places(horizontal: Any, x: Array, y: Array) -> Array:
+    """(2, n) longitude and latitude [deg, from Greenwich] in a system's own datum."""
+    from pyproj import Transformer
+
+    own = horizontal.geodetic_crs
+    to_own = Transformer.from_crs(horizontal, own, always_xy=True)
+    lon_lat = np.array(to_own.transform(x, y, errcheck=False))
+    lon_lat *= np.degrees(own.axis_info[0].unit_conversion_factor)  # grads of Paris, for example
+    lon_lat[0] += _meridian_deg(own)
+    return lon_lat
+
+
+def _to_wgs84(horizontal: Any, lon_lat: Array, where: str, key: str) -> tuple[Any, str, bool]:
+    """The one transformation that is best about (2, n) places with the grids that PROJ has, what it
+    is, and whether it is good to 1 m. No other takes its place where its grid ends.
+    """
+    from pyproj.aoi import AreaOfInterest
+    from pyproj.transformer import TransformerGroup
+
+    corners = (*lon_lat.min(axis=1).tolist(), *lon_lat.max(axis=1).tolist())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # the words say it
+        group = TransformerGroup(
+            horizontal, "EPSG:4326", always_xy=True, allow_ballpark=False,
+            area_of_interest=AreaOfInterest(*corners),
+        )  # fmt: skip
+    if not group.transformers:
+        raise InputError(
+            "CRS-BALLPARK",
+            f"{horizontal.name} has no transformation to WGS 84 with a known accuracy",
+            where=where,
+            remedy=f"transform it to a system on WGS 84 or ETRS89, and state that: {key}",
+        )
+    best = group.transformers[0]
+    by = f"{best.description or 'an unnamed operation'}"
+    by += f", to {best.accuracy:g} m" if best.accuracy >= 0.0 else ", of unknown accuracy"
+    if not group.best_available and (missing := group.unavailable_operations[:1]):
+        grids = ", ".join(grid.short_name for grid in missing[0].grids)
+        by += f"; {missing[0].name} to {missing[0].accuracy:g} m needs {grids} in PROJ's folder"
+    return best, by, 0.0 <= best.accuracy <= _GOOD_M
 
 
 def grid_coordinates(crs: str, lon_deg: Array, lat_deg: Array) -> tuple[Array, Array, Array]:
@@ -157,27 +192,29 @@ class GridSystem:
     """The coordinate system of a grid.
 
     ``to_grid`` makes x, y (longitude, latitude [deg]) of longitude and latitude on WGS 84 [deg],
-    ``to_places`` the reverse. ``vertical`` names its vertical datum, "" without one, whose unit is
-    ``unit_m``.
+    ``to_places`` the reverse; ``by`` says how, ``is_good`` whether to 1 m. ``vertical`` names its
+    vertical datum, "" without one, whose unit is ``unit_m``.
     """
 
     name: str
     geographic: bool
     to_grid: Callable[[Array, Array], tuple[Array, Array]]
     to_places: Callable[[Array, Array], tuple[Array, Array]]
+    by: str
+    is_good: bool
     vertical: str = ""
     is_sea_level: bool = True
     unit_m: float = 1.0
 
 
-def grid_system(own: str, stated: str | None, *, heights: str, where: str, key: str) -> GridSystem:
+def grid_system(
+    own: str, stated: str | None, *, corners: Array, heights: str, where: str, key: str
+) -> GridSystem:
     """The system of a grid by its own words, WKT or EPSG, which must be the stated one.
 
-    Refuses (InputError) as `places_of` does, and two systems that differ (DEM-CRS).
+    ``corners`` (2, n) are x and y of its corners. Refuses (InputError) as `places_of` does, and two
+    systems that differ (DEM-CRS).
     """
-    from pyproj import Transformer
-    from pyproj.exceptions import ProjError
-
     horizontal, vertical = _system(own, heights, where, key)
     other, of_other = _system(stated or own, heights, where, key)
     vertical = vertical or of_other
@@ -186,15 +223,10 @@ def grid_system(own: str, stated: str | None, *, heights: str, where: str, key: 
             "DEM-CRS", f"the file is in {horizontal.name}, and {other.name} is stated",
             where=where, remedy=f"leave {key} out, or give the file its right system",
         )  # fmt: skip
-    try:
-        there = Transformer.from_crs("EPSG:4326", horizontal, always_xy=True, allow_ballpark=False)
-    except ProjError:
-        raise InputError(
-            "CRS-BALLPARK", f"{horizontal.name} has no transformation to WGS 84 with a known "
-            "accuracy", where=where, remedy="warp the grid to a system on WGS 84 or ETRS89",
-        ) from None  # fmt: skip
-    back = partial(there.transform, direction="INVERSE")
-    system = GridSystem(horizontal.name, horizontal.is_geographic, there.transform, back)
+    places = _own_places(horizontal, *corners)
+    best, by, good = _to_wgs84(horizontal, places[:, np.isfinite(places).all(axis=0)], where, key)
+    there = partial(best.transform, direction="INVERSE")
+    system = GridSystem(horizontal.name, horizontal.is_geographic, there, best.transform, by, good)
     if vertical is None:
         return system
     name, unit_m = vertical.name, vertical.axis_info[0].unit_conversion_factor

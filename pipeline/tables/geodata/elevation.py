@@ -264,15 +264,20 @@ def open_elevation(
         raise InputError("DEM-CRS", f"the rasters {what}", where=where,
                          remedy=f"state {key}, as EPSG:25832, for rasters that have none; warp "
                          "others to one system (gdalwarp)")  # fmt: skip
-    system = grid_system(own[0] or str(crs), crs, heights=reference, where=where, key=key)
+    corners = [[r.west + i * r.columns * r.step_x, r.north - k * r.rows * r.step_y]
+               for r in rasters for i in (0, 1) for k in (0, 1)]  # fmt: skip
+    system = grid_system(
+        own[0] or str(crs), crs, corners=np.transpose(corners), heights=reference, where=where,
+        key=key,
+    )  # fmt: skip
     model = ElevationModel(rasters, system, undulation if reference == "ellipsoid" else None)
     what = f"{len(rasters)} rasters, {model.size[1]} by {model.size[0]} cells of "
     what += f"{rasters[0].step_x:g} by {rasters[0].step_y:g} in {system.name}; heights are "
     what += f"{system.vertical or reference}, in units of {rasters[0].unit_m or system.unit_m:g} m"
-    tell = note
+    what += f"; to WGS 84 by {system.by}"
     if system.vertical and not system.is_sea_level:
-        what += ": taken as above mean sea level, from which it may be a metre away"
-        tell = warning
+        what += f"; {system.vertical} is taken as mean sea level, from which it may be a metre away"
+    tell = note if system.is_good and (system.is_sea_level or not system.vertical) else warning
     return model, (tell("DEM-READ", what, where=where, count=len(rasters)),)
 
 

@@ -41,6 +41,25 @@ def test_utm_has_the_published_place_and_convergence():
     assert "needs uk_os_OSTN15" in entry.what
 
 
+@pytest.mark.parametrize(("off_m", "kind"), [(1.5, "note"), (5.0, "warning"), (-34.32, "")])
+def test_a_grid_that_is_not_of_the_vertical_datum_is_named_with_its_distance_from_egm96(
+    off_m, kind
+):
+    """EGM96 is 17.16 m at 0 E, 0 N (published); -34.3 m is that with the other sign."""
+    grid = GeoidGrid(
+        "other.gtx", np.full((181, 360), 17.16 + off_m, np.float32), -90.0, -180.0, 1.0, 1.0
+    )
+    if not kind:
+        error = refusal("EPSG:32631+7837", 166_021.44, 0.0, 500.0, geoid=grid)
+        assert (error.code, "-34.3 m" in error.what) == ("CRS-VERTICAL", True), error
+        return
+    entry = placed("EPSG:32631+7837", 166_021.44, 0.0, 500.0, geoid=grid)[1][-1]
+    assert (entry.code, entry.kind) == ("CRS-VERTICAL", kind)
+    assert float(re.search(r"([+-][\d.]+) m from EGM96", entry.what)[1]) == pytest.approx(
+        off_m, abs=0.06
+    )
+
+
 @pytest.mark.parametrize("code", [25832, 32733, 2056, 2154, 31467])
 def test_convergence_is_the_azimuth_of_grid_north(code):
     """One metre to the grid's north, its azimuth on the ellipsoid by PROJ's geodesic."""
@@ -91,8 +110,9 @@ def test_feet_of_a_compound_system_are_metres():
     x, y = pyproj.Transformer.from_crs("EPSG:4269", "EPSG:2263", always_xy=True).transform(
         -73.5, 40.7
     )
-    places, _ = placed("EPSG:2263+6360", x, y, 1000.0, geoid=GEOID)
-    assert places.h_m[0] == pytest.approx(1000.0 * 1200.0 / 3937.0 + 46.0, abs=1e-6)
+    geoid = GeoidGrid("g.gtx", np.full((181, 360), -32.0, np.float32), -90.0, -180.0, 1.0, 1.0)
+    places, _ = placed("EPSG:2263+6360", x, y, 1000.0, geoid=geoid)
+    assert places.h_m[0] == pytest.approx(1000.0 * 1200.0 / 3937.0 - 32.0, abs=1e-6)
     assert np.degrees(places.lat_rad[0]) == pytest.approx(40.7, abs=3e-5)
 
 
