@@ -9,13 +9,23 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.tables.imports.blocks import dbat
+from pipeline.atmosphere import standard_atmosphere
+from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
+from pipeline.flight.stations import empty_stations
+from pipeline.ledger import Ledger
+from pipeline.refraction import Camera, Exposures
+from pipeline.refraction.ray import rays_by
+from pipeline.simulate.optics import enu_axes, height_and_up, to_ecef
+from pipeline.tables.exports import FORMATS, ExportCamera, FinishedRun
+from pipeline.tables.imports.blocks import BLOCKS, dbat
+from pipeline.tables.pixels import COLMAP
 
 from .conftest import SHARED
 
@@ -25,6 +35,7 @@ FOLDER = SHARED / "ba" / "dbat_sxb"
 pytestmark = pytest.mark.skipif(
     not FOLDER.is_dir(), reason="../shared/ba is not beside this checkout"
 )
+PLACE = np.radians(48.58), np.radians(7.75)
 ORIGIN = np.array([1_000_000.0, 112_400.0, 0.0])
 ADJUSTED_BY_DBAT = {
     "351": (1_000_551.437, 112_275.288, 139.401),
@@ -186,3 +197,76 @@ def test_it_notices_other_axes(raw: Project) -> None:
     mirrored = raw.rows.assign(y_px=12996.0 - raw.rows["y_px"])
     with pytest.raises(AssertionError):
         assert_is_dbats(replace(raw, rows=mirrored))
+
+
+def exported(project: Project, name: str, folder: Path) -> Path:
+    """The block in a format of other programs, as if it stood at Strasbourg, free of refraction."""
+    images = np.array(list(project.poses), object)
+    rotation, centre = (np.stack(each) for each in zip(*project.poses.values(), strict=True))
+    axes = enu_axes(*PLACE)
+    ecef = to_ecef(*PLACE, np.array(0.0)) + (centre - ORIGIN) @ axes
+    height, up = height_and_up(ecef)
+    lat, lon = np.arcsin(up[:, 2]), np.arctan2(up[:, 1], up[:, 0])
+    turn = rotation @ axes @ np.swapaxes(enu_axes(lat, lon), 1, 2)
+    n, air = len(images), standard_atmosphere("us1976")
+    stations = replace(
+        empty_stations(images, np.full(n, "aerial", object), "ok"),
+        lat_rad=lat, lon_rad=lon, h_ellipsoid_m=height, h_msl_m=height,
+        sigma_horizontal_m=np.full(n, 0.05), sigma_height_m=np.full(n, 0.05),
+        quaternion=Rotation.from_matrix(turn).as_quat(canonical=True, scalar_first=True),
+    )  # fmt: skip
+    outside = air.refractivity(height)
+    part = folder / "part.parquet"
+    project.rows.rename(columns={"x_px": "x_corrected_px", "y_px": "y_corrected_px"}).assign(
+        h_g_m=140.0, status="ok"
+    ).to_parquet(part)
+    f, cx, cy = project.camera
+    camera = ExportCamera(Camera(8858, 12996, f, f, cx, cy), False, 0.006)
+    run = FinishedRun(
+        "strasbourg", stations, Exposures(np.full(n, True), turn, lat, height, outside, outside),
+        constant_series(TimedProfile(None, air), n), (rays_by(air, "spherical"),), "spherical",
+        {"aerial": camera}, np.full(n, 140.0), COLMAP, (part,), {},
+    )  # fmt: skip
+    form = FORMATS[name]
+    out = folder / f"block{form.ending}"
+    if not form.ending:
+        out.mkdir()
+    assert form.write(run, form.values({}), out, Ledger()) == len(project.rows)
+    return out
+
+
+@pytest.mark.parametrize(
+    ("name", "within_px"), [("colmap", 0.0), ("colmap-database", 0.0005), ("opensfm", 1e-5)]
+)
+def test_a_round_trip_gives_dbats_solution(
+    read: Project, tmp_path: Path, name: str, within_px: float
+) -> None:
+    """Written, read again, and turned back into DBAT's frame by the places of the cameras."""
+    path, form = exported(read, name, tmp_path), BLOCKS[name.partition("-")[0]][0]
+    (make,) = form.read_cameras(path).values()
+    camera, poses = make(), read.poses
+    if name != "colmap-database":  # which has no orientations
+        images = form.read_images(path)
+        order = [list(images.image).index(image) for image in poses]
+        centre, place = np.stack([c for _, c in poses.values()]), images.position[order]
+        back, _ = Rotation.align_vectors(place - place.mean(axis=0), centre - centre.mean(axis=0))
+        moved = back.inv().apply(place - place.mean(axis=0)) + centre.mean(axis=0)
+        np.testing.assert_allclose(moved, centre, atol=1e-3)
+        turns = Rotation.from_quat(images.angles[order][:, [1, 2, 3, 0]]).as_matrix()
+        turns = turns @ back.as_matrix()
+        np.testing.assert_allclose(turns, [turn for turn, _ in poses.values()], atol=1e-6)
+        poses = dict(zip(poses, zip(turns, moved, strict=True), strict=True))
+    rows = pd.concat([b.to_pandas() for b in form.read_rows(path)], ignore_index=True)
+    # COLMAP has no name of a point of one image, and a database of none, but keypoints keep places.
+    nameless = rows["point"].str.contains(":")
+    assert nameless.sum() == {"colmap": 1, "colmap-database": len(rows), "opensfm": 0}[name]
+    place_of = read.rows.set_index(["image", "keypoint"])["point"]
+    index = pd.MultiIndex.from_frame(rows.loc[nameless, ["image", "keypoint"]])
+    rows.loc[nameless, "point"] = place_of.reindex(index).to_numpy()
+    gap = rows.merge(read.rows, on=["image", "point"], suffixes=("", "_before"))
+    assert len(gap) == len(rows) == len(read.rows)
+    for axis in ("x_px", "y_px"):
+        assert np.abs(gap[axis] - gap[f"{axis}_before"]).max() <= within_px
+    project = Project((camera.fx_px, camera.cx_px, camera.cy_px), poses, rows, read.control)
+    assert project.camera == pytest.approx(read.camera, abs=1e-4)
+    assert_is_dbats(project)
