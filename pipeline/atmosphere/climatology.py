@@ -172,10 +172,7 @@ def expected_spread(latitude_rad: float, month: float, ground_h_m: float = 0.0) 
     free = (1.0 - away) * tropics + away * middle
     near = 2.0 + away * (1.0 + 3.0 * winter)
     above_ground = np.maximum(h - ground_h_m, 0.0)
-    return Spread(
-        h,
-        free + near * np.exp(-above_ground / _BOUNDARY_LAYER_M),
-        np.interp(above_ground, [0.0, 1000.0, 10_000.0, 13_000.0], [0.15, 0.3, 0.3, 0.15]),
-        HUMIDITY_CORRELATION_M,
-        0.006 + away * (0.004 + 0.003 * winter),
-    )
+    temperature = free + near * np.exp(-above_ground / _BOUNDARY_LAYER_M)
+    humidity = np.interp(above_ground, [0.0, 1000.0, 10_000.0, 13_000.0], [0.15, 0.3, 0.3, 0.15])
+    level = 0.006 + away * (0.004 + 0.003 * winter)
+    return Spread(h, temperature, humidity, HUMIDITY_CORRELATION_M, level)

@@ -293,15 +293,11 @@ def _thermometer(
         _seconds(sensor, start_ns)[known], profile.gravity.geopotential_height(sensor.h_m[known])
     )
     last = np.maximum(np.searchsorted(takeoffs, bins.seconds, side="right") - 1, 0)
+    since_s = np.maximum(bins.seconds - takeoffs[last], 0.0)
+    heating = None if speed is None else heating_of(speed, profile.pressure(h), value)
+    sigma = np.hypot(bins.sigma, AIR_NOISE_K)
     return bins.rejected, Thermometer(
-        sensor.name,
-        bins.height,
-        value,
-        np.hypot(bins.sigma, AIR_NOISE_K),
-        bins.seconds,
-        since_s=np.maximum(bins.seconds - takeoffs[last], 0.0),
-        flown=heights,
-        heating=None if speed is None else heating_of(speed, profile.pressure(h), value),
+        sensor.name, bins.height, value, sigma, bins.seconds, since_s, heights, heating
     )
 
 

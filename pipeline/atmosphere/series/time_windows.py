@@ -199,19 +199,11 @@ def _whole_flight_as_background(
     h = spread.h_m[(spread.h_m > profile.bottom_m) & (spread.h_m < profile.top_m)]
     lowest = float(covariance.anchor_height_m)
     change = change_sigma(h - lowest, hours)
-    level = float(covariance.sigma_log_pressure(0.0)[0])
-    return Climatology(
-        profile,
-        Spread(
-            h,
-            np.hypot(covariance.sigma_temperature(h), change),
-            np.minimum(spread.sigma_relative_humidity(h), CHANGE_RH),
-            spread.humidity_correlation_m,
-            float(np.hypot(level, CHANGE_LOG_P_PER_H * hours)),
-        ),
-        "the whole flight",
-        True,
-    )
+    level = float(np.hypot(covariance.sigma_log_pressure(0.0)[0], CHANGE_LOG_P_PER_H * hours))
+    temperature = np.hypot(covariance.sigma_temperature(h), change)
+    humidity = np.minimum(spread.sigma_relative_humidity(h), CHANGE_RH)
+    of_flight = Spread(h, temperature, humidity, spread.humidity_correlation_m, level)
+    return Climatology(profile, of_flight, "the whole flight", True)
 
 
 def _own_air(

@@ -128,15 +128,10 @@ def messages_at(data: Bytes, starts: NDArray[np.int64]) -> Messages:
     head = gather(data, inside, size).view(_HEADER)
     good = head["length"].astype(np.int64) >= MESSAGE.size
     head, begin = head[good], inside[good] + size
-    return Messages(
-        data,
-        head["channel"].copy(),
-        head["sequence"].copy(),
-        np.minimum(head["log_time"], _LAST_NS).astype(np.int64),
-        begin,
-        head["length"].astype(np.int64) - MESSAGE.size,
-        int(starts.shape[0] - head.shape[0]),
-    )
+    channel, sequence = head["channel"].copy(), head["sequence"].copy()
+    log_time = np.minimum(head["log_time"], _LAST_NS).astype(np.int64)
+    length, short = head["length"].astype(np.int64) - MESSAGE.size, starts.shape[0] - head.shape[0]
+    return Messages(data, channel, sequence, log_time, begin, length, int(short))
 
 
 def raw_of(view: Bytes) -> memoryview:

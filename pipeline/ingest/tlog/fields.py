@@ -223,14 +223,12 @@ def dialect() -> Mapping[int, Message]:
     messages = {}
     for number, definition in library.mavlink_map.items():
         kinds = zip(definition.fieldnames, definition.fieldtypes, strict=True)
+        name, names = str(definition.msgname), tuple(definition.fieldnames)
+        layout = layout_of(definition.unpacker.format, definition.ordered_fieldnames)
+        texts = frozenset(field for field, kind in kinds if kind == "char")
+        instance = _INSTANCES.get(name, definition.instance_field or "")
         messages[int(number)] = Message(
-            int(number),
-            str(definition.msgname),
-            int(definition.crc_extra),
-            layout_of(definition.unpacker.format, definition.ordered_fieldnames),
-            tuple(definition.fieldnames),
-            frozenset(field for field, kind in kinds if kind == "char"),
-            _INSTANCES.get(str(definition.msgname), definition.instance_field or ""),
+            int(number), name, int(definition.crc_extra), layout, names, texts, instance
         )
     return messages
 
