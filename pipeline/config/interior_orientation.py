@@ -133,7 +133,7 @@ class CameraSection(Section):
         None, description="of file, where its ending does not say it"
     )
     camera: str | int | None = Field(
-        None, description="its name or number in file, where that has several"
+        None, description="its name or number in file or in the block, where that has several"
     )
     model: Literal[tuple(MODELS)] | None = Field(  # type: ignore[valid-type]
         None, description="COLMAP's name of the camera model"
@@ -185,9 +185,9 @@ class CameraSection(Section):
             raise ValueError("give model and params together, as they stand in cameras.txt")
         if len(given) > 1 + (self.model is not None):
             raise ValueError(f"{', '.join(given)}: each gives the interior orientation; keep one")
-        of_file = (self.format, self.camera is not None, self.file and self.pixel_origin)
+        of_file = (self.format, self.file and self.pixel_origin)
         if any(of_file) and (self.file is None or self.pixel_origin is not None):
-            raise ValueError("format and camera go with file, and pixel_origin does not")
+            raise ValueError("format goes with file, and pixel_origin does not")
         if self.file is not None:
             return self
         if numbers and single not in ((True, False, False), (False, True, True)):

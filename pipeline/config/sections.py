@@ -451,10 +451,12 @@ class Mission(Section):
         path, program = observations.get("path"), observations["format"]
         cameras, stations = values.get("cameras"), values.get("stations") or {}
         if isinstance(cameras, dict):
-            block = {"file": path, "format": program}
             own = {n: c for n, c in cameras.items()
                    if not isinstance(c, dict) or c.keys() & OWN_ORIENTATION}  # fmt: skip
-            values = values | {"cameras": {n: own.get(n) or block | c for n, c in cameras.items()}}
+            block = {n: {"file": path, "format": program} | ({"camera": n} if cameras.keys() - {n}
+                     else {}) for n in cameras.keys() - own.keys()}  # fmt: skip
+            cameras = {n: block[n] | c if n in block else c for n, c in cameras.items()}
+            values = values | {"cameras": cameras}
         elsewhere = any(values.get(key) for key in ("log", "events"))
         if isinstance(stations, dict):
             elsewhere = elsewhere or bool(stations.get("trajectory"))
@@ -498,6 +500,9 @@ class Mission(Section):
             if camera.needs_cabin_from_log:
                 raise ValueError(f"cameras.{name}.window.cabin takes the cabin's air from a log, "
                                  "and there is no log")  # fmt: skip
+        blocks = {self.observations.format, orientation and orientation.format} & {*BLOCKS}
+        if not blocks and any(c.camera is not None and not c.file for c in self.cameras.values()):
+            raise ValueError("cameras.<name>.camera goes with file, or with a block")
         if orientation is None:
             return self
         if orientation.known_positions == "log" and (self.log is None or self.events is None):

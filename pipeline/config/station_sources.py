@@ -27,6 +27,7 @@ _OF_ANGLES = {
     "quaternion": ("q_w", "q_x", "q_y", "q_z"),
     "quaternion_to_frame": ("q_w", "q_x", "q_y", "q_z"),
 }
+_SAY_FRAME = ("opensfm", "metashape")
 _GEODETIC, _CARTESIAN = ("latitude", "longitude", "height"), ("x", "y", "z")
 _SIGMAS = ("sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
 _CLOCK = ("time_utc", "gps_week", "gps_seconds")
@@ -143,8 +144,8 @@ class OrientationSection(Section):
     @field_validator("frame")
     @classmethod
     def _require_frame(cls, value: object, info: ValidationInfo) -> object:
-        if value is None and info.data.get("format") not in BLOCKS:
-            raise ValueError("is missing (geographic | projected | ecef | enu | unknown)")
+        if value is None and info.data.get("format") not in _SAY_FRAME:
+            raise ValueError("is missing (geographic | projected | ecef | {enu: ...} | unknown)")
         return value
 
     @property

@@ -27,7 +27,7 @@ from pipeline.tables.column_checks import (
 from pipeline.tables.delimited import csv_names, open_csv, scan_csv
 from pipeline.tables.geodata.object_points import ObjectPoints
 from pipeline.tables.imports.blocks import BLOCKS, block_rows
-from pipeline.tables.imports.blocks.image_points import ROWS
+from pipeline.tables.imports.blocks.image_points import rows_of_image
 from pipeline.tables.pixels import COLMAP, PixelSystem
 from pipeline.tables.refraction_mark import Direction, refuse_done
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
@@ -175,6 +175,7 @@ class Observations:
     sigma_column: str | None = None
     pixels: PixelSystem = COLMAP
     points: ObjectPoints | None = None
+    is_block: bool = False
     sample: RowSample | None = field(repr=False, default=None)
     _sources: Mapping[str, str] = field(repr=False, default_factory=dict)
     _records: Records = field(repr=False, default=lambda rows, only: iter(()))
@@ -198,12 +199,18 @@ class Observations:
     ) -> Batch:
         """The rows whose points' hashes are chosen, of the first ``most_rows``; else as `sampled`.
 
-        ``chosen`` gives the rows (k,) to take of the hashes (n,) of a part of the table.
+        ``chosen`` gives the rows (k,) to take of the hashes (n,) of a part of the table. Image
+        points of a block that belong to no point are left out: they tie nothing.
         """
 
         def of_hashes(records: pa.RecordBatch, first: int) -> NDArray[np.int64]:
             names = _one_array(pa.chunked_array([records[self.columns["point"]]]))
-            return chosen(hashes_of(names.cast(pa.string())))
+            rows = chosen(hashes_of(names.cast(pa.string())))
+            if not self.is_block or len(rows) == 0:
+                return rows
+            own = pc.starts_with(names, f"{records[self.columns['image']][0]}:")  # of no track
+            tied: NDArray[np.int64] = rows[~own.to_numpy(zero_copy_only=False)[rows]]
+            return tied
 
         return self.selected(of_hashes, most_rows=most_rows)
 
@@ -230,6 +237,8 @@ class Observations:
 
     def batches(self, batch_rows: int) -> Iterator[Batch]:
         """The observations in slices of ``batch_rows``, each row once and in its place."""
+        # Keypoints are many more than tie points: their memory stays under 100 MB.
+        batch_rows = min(batch_rows, 1 << 16) if self.is_block else batch_rows
         records, first_row = self._records(batch_rows, None), 0
         for table in _slices(records, batch_rows):
             users = {f.name: self._sources[f.name] for f in self.user_fields}
@@ -371,6 +380,7 @@ def open_observations(
         user_fields=tuple(pa.field(n, schema.field(source).type) for n, source in sources.items()),
         sigma_column=sigma_column,
         pixels=pixels,
+        is_block=kind in BLOCKS,
         sample=sample,
         _sources=sources,
         _records=records,
@@ -404,8 +414,7 @@ def _opened(path: Path, kind: str) -> tuple[pa.Schema, Records]:
         )
     if kind in BLOCKS:
         rows = partial(_block_records, path, kind)
-        first = next(rows(0, None), None)
-        return ROWS if first is None else first.schema, rows
+        return next(rows(0, None), rows_of_image("", [])).schema, rows
     if kind == "csv":
         return pa.schema([(name, pa.string()) for name in csv_names(path)]), partial(
             _csv_records, path, {}

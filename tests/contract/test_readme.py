@@ -31,7 +31,8 @@ def test_the_mission_file_loads(tmp_path):
     shown = blocks("yaml")
     whole = [block for block in shown if block.startswith("mission:")]
     sections = [block for block in shown if not block.startswith("mission:")]
-    assert len(whole) == 2  # the second is run in tests/stages/test_oriented_stations.py
+    # The second is run in tests/stages/test_oriented_stations.py, the third in test_blocks.py.
+    assert len(whole) == 3
     assert len(sections) == 2
     for block in [*whole, *(whole[0] + section for section in sections)]:
         (tmp_path / "mission.yaml").write_text(block, encoding="utf-8")

@@ -7,6 +7,7 @@ program, or by its published formulas.
 from __future__ import annotations
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -15,9 +16,10 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 import yaml
+from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parent))
-from block_files import write_colmap
+from block_files import in_enu, write_colmap
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
@@ -113,6 +115,33 @@ def test_a_model_of_colmap(block, by_log, points, text):
     assert "GROUND-BLOCK" in {entry["code"] for entry in manifest["ledger"]}
 
 
+def test_the_mission_of_the_readme(block, by_log, points):
+    readme = (Path(__file__).resolve().parents[2] / "README.md").read_text(encoding="utf-8")
+    text = next(t for t in re.findall(r"```yaml\n(.*?)```", readme, re.S) if "sparse/0" in t)
+    assert text.count("\n") < 20
+    colmap(block, by_log, points)
+    (block.folder / "sparse").rename(block.folder / "0")
+    (block.folder / "sparse").mkdir()
+    (block.folder / "0").rename(block.folder / "sparse" / "0")
+    block.config["observations"]["path"] = "sparse/0"
+    for camera in block.config["cameras"].values():
+        del camera["window"]
+    ran(block)
+    wanted = shift(block)
+    block.config = yaml.load(text, yaml.BaseLoader)
+    (block.folder / "mission.yaml").write_text(text)
+    from pipeline.stages.story import run_mission
+
+    outcome = run_mission(block.folder / "mission.yaml")
+    assert outcome.exit_code == 0, outcome.manifest["ledger"]
+    found = shift(block)
+    assert (found["status"] == "ok").all()
+    # The climatology of the day in place of the US 1976 atmosphere.
+    ratio = np.hypot(found["dx"], found["dy"]) / np.hypot(wanted["dx"], wanted["dy"])
+    assert ratio.between(0.93, 1.07).all()
+    assert np.ptp(ratio) > 0.0
+
+
 def test_keypoints_without_a_point_keep_their_rows(block, by_log, points):
     without = frozenset(range(0, 59, 7))
     colmap(block, by_log, points, without_point=without)
@@ -142,13 +171,134 @@ def refused(mission, code: str, *words: str) -> None:
         assert word in text, ended.err
 
 
+def opensfm(block, by_log, points, *, altitude_m: float) -> None:
+    """A project by the published conventions of OpenSfM, written out here."""
+    stations, table = by_log.stations().to_pandas(), by_log.measurements().to_pandas()
+    origin = (47.0, 8.5, altitude_m)
+    centre, turn, xyz = in_enu(stations, points, origin)
+    cameras = {}
+    for name, (_, width, height, (f, _, cx, cy, k1, k2, p1, p2, k3, *_)) in CAMERAS.items():
+        cameras[name] = {
+            "projection_type": "brown", "width": width, "height": height, "focal_x": f / width,
+            "focal_y": f / width, "c_x": (cx - width / 2) / width,
+            "c_y": (cy - height / 2) / width, "k1": k1, "k2": k2, "k3": k3, "p1": p1, "p2": p2,
+        }  # fmt: skip
+    shots = {
+        s.image: {"rotation": Rotation.from_matrix(turn[k]).as_rotvec().tolist(),
+                  "translation": (-turn[k] @ centre[k]).tolist(), "camera": s.camera}
+        for k, s in enumerate(stations.itertuples())
+    }  # fmt: skip
+    track = {name: k for k, name in enumerate(points["point"])}
+    placed = {str(track[name]): {"coordinates": place.tolist()}
+              for name, place in zip(points["point"], xyz, strict=True)}  # fmt: skip
+    lla = dict(zip(("latitude", "longitude", "altitude"), origin, strict=True))
+    (block.folder / "opensfm").mkdir()
+    (block.folder / "opensfm" / "reconstruction.json").write_text(
+        json.dumps([{"cameras": cameras, "shots": shots, "points": placed}])
+    )
+    (block.folder / "opensfm" / "reference_lla.json").write_text(json.dumps(lla))
+    lines = ["OPENSFM_TRACKS_VERSION_v2"]
+    for k, row in enumerate(table.itertuples()):
+        # OpenSfM's pixels count from the centre of the upper left one.
+        x, y = ((row.x_px - 0.5) + 0.5 - 7000) / 14000, ((row.y_px - 0.5) + 0.5 - 5300) / 14000
+        lines.append(f"{row.image}\t{track[row.point]}\t{k}\t{x!r}\t{y!r}\t0.001\t1\t2\t3\t-1\t-1")
+    (block.folder / "opensfm" / "tracks.csv").write_text("\n".join(lines) + "\n")
+    block.config["observations"] = {"path": "opensfm", "format": "opensfm"}
+    for name in CAMERAS:
+        block.config["cameras"][name]["camera"] = name
+    del block.config["stations"]["orientation"]
+
+
+@pytest.mark.parametrize("heights", ["ellipsoid", "msl"])
+def test_a_project_of_opensfm(block, by_log, points, heights):
+    """Its frame is reference_lla's; whether its altitudes are above the sea has to be said."""
+    opensfm(block, by_log, points, altitude_m=500.0)
+    refused(block, "CONFIG-INVALID", "give heights, msl or ellipsoid")
+    if heights == "msl":  # altitudes above the sea: the same block, as OpenSfM would have it
+        lla = block.folder / "opensfm" / "reference_lla.json"
+        lla.write_text(lla.read_text().replace("500.0", "452.4"))
+    block.config["stations"] = {"orientation": {"heights": heights}}
+    ran(block)
+    names = {str(k): name for k, name in enumerate(points["point"])}
+    assert_same(block, by_log, names, 2e-6)
+
+
+def test_a_project_without_a_reference_has_no_frame(block, by_log, points):
+    opensfm(block, by_log, points, altitude_m=500.0)
+    (block.folder / "opensfm" / "reference_lla.json").unlink()
+    block.config["stations"] = {"orientation": {"heights": "msl"}}
+    refused(block, "ORIENTATION-FRAME", "stations.orientation.frame: ecef")
+
+
+def test_cameras_of_the_mission_file_and_by_their_names(block, by_log, points):
+    """Numbers in the mission file, found by the camera's number; and entries called by theirs."""
+    numbers = colmap(block, by_log, points)
+    names = {str(k): name for name, k in numbers.items()}
+    own = by_log.config["cameras"]["nadir"] | {"camera": 1}
+    block.config["cameras"]["nadir"] = own
+    ran(block)
+    assert_same(block, by_log, names, 2e-6)
+    both = block.config["cameras"]
+    block.config["cameras"] = {"1": own, "2": both["oblique"]}
+    del block.config["cameras"]["1"]["camera"], block.config["cameras"]["2"]["camera"]
+    ran(block)
+    assert_same(block, by_log, names, 2e-6)
+
+
+def test_a_stated_frame_holds_and_a_contradiction_is_told(block, by_log, points):
+    opensfm(block, by_log, points, altitude_m=500.0)
+    for h, count in ((500.0, 0), (501.0, 1)):
+        block.config["stations"] = {"orientation": {"frame": enu((47.0, 8.5, h))}}
+        told = [e for e in ran(block)["ledger"] if e["code"] == "IMPORT-CONTRADICTED"]
+        assert len(told) == count
+
+
 def test_what_a_block_does_not_say_is_asked_for(block, by_log, points):
     colmap(block, by_log, points)
     block.config["stations"]["orientation"] = {"heights": "msl"}
-    refused(block, "ORIENTATION-FRAME", "stations.orientation.frame: ecef")
+    refused(block, "CONFIG-INVALID", "stations.orientation.frame: is missing")
+    block.config["stations"]["orientation"] = {"frame": "ecef"}
+    refused(block, "ORIENTATION-FRAME", "m above sea level", "a local frame is no ecef")
     block.config["stations"]["orientation"] = {"frame": enu(ORIGIN)}
     del block.config["cameras"]["oblique"]
     refused(block, "BLOCK-CAMERA", "3 images, the first oblique_00001, are of camera '2'")
+
+
+def test_a_model_without_points_has_no_ground(block, by_log, points):
+    colmap(block, by_log, points, without_point=frozenset(range(59)))
+    refused(block, "POINTS-EMPTY", "ground.height")
+
+
+def test_a_database_beside_a_model(block, by_log, points):
+    """Keypoints of the database, float32; orientations, heights and cameras of the model."""
+    pycolmap = pytest.importorskip("pycolmap")
+    numbers = colmap(block, by_log, points)
+    content = pycolmap.Database.open(str(block.folder / "database.db"))
+    table = by_log.measurements().to_pandas()
+    for model, width, height, params in CAMERAS.values():
+        content.write_camera(pycolmap.Camera(model=model, width=width, height=height,
+                                             params=params))  # fmt: skip
+    for name, rows in table.groupby("image"):
+        image = pycolmap.Image(name=name, camera_id=1 + name.startswith("oblique"))
+        xy = rows[["x_px", "y_px"]].to_numpy(np.float32)
+        content.write_keypoints(content.write_image(image), xy)
+    content.close()
+    block.config["observations"]["path"] = "database.db"
+    block.config["stations"]["orientation"] |= {"path": "sparse", "format": "colmap"}
+    ran(block)
+    found, wanted = shift(block), shift(by_log)
+    assert found["point"].str.fullmatch(r"(nadir|oblique)_\d+:\d+").all()
+    wanted = wanted.assign(keypoint=wanted.groupby("image").cumcount())
+    wanted = wanted.set_index(["image", "keypoint"]).loc[
+        list(zip(found["image"], found["keypoint"], strict=True))
+    ]
+    assert np.abs(found["x_px"].to_numpy() - wanted["x_px"]).max() <= 0.0005
+    # Heights are medians of the images here, tens of metres from those of 2500 m below.
+    size = np.hypot(wanted["dx"], wanted["dy"]).to_numpy()
+    assert (np.abs(found["dx"].to_numpy() - wanted["dx"]) < 0.05 * size).all()
+    assert len(numbers) == len(points)
+    del block.config["stations"]["orientation"]["path"]
+    refused(block, "neither orientations nor object points", "a model, as sparse/0")
 
 
 def test_a_point_twice_in_an_image_is_a_loss(block, by_log, points):

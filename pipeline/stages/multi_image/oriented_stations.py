@@ -24,6 +24,7 @@ from pipeline.block.oriented_images import (
     stations_of_images,
     topocentric,
 )
+from pipeline.config.sections import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.config.station_sources import EnuFrame, KnownPositions, OrientationSection
 from pipeline.errors import InputError, MissionError
 from pipeline.flight.channels import Array
@@ -161,6 +162,14 @@ def block_points(plan: Plan, flight: FlightLog, ledger: Ledger) -> ObjectPoints:
         lat, lon, h = frame.geodetic(xyz)
     if not section.is_msl(table.heights):
         h = h - flight.heights.undulation(lat, lon)
+    if not LOWEST_GROUND_M < np.nanmedian(h) < HIGHEST_GROUND_M:
+        raise InputError(
+            "ORIENTATION-FRAME",
+            f"in that frame the points of the block lie {np.nanmedian(h):.0f} m above sea level",
+            where=section.path,
+            remedy="give stations.orientation.frame as the program has it: a local frame is no "
+            "ecef; {enu: ...} needs its origin, a model of images alone is unknown",
+        )
     points = ObjectPoints(name, lat, lon, h)
     image, usual, apart = [], [], [np.zeros(1)]
     for batch in block_rows(source, section.format):

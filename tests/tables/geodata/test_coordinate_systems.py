@@ -60,14 +60,16 @@ def test_a_grid_that_is_not_of_the_vertical_datum_is_named_with_its_distance_fro
     )
 
 
-@pytest.mark.parametrize("code", [25832, 32733, 2056, 2154, 31467])
+@pytest.mark.parametrize("code", [25832, 32733, 2056, 2154, 31467, 27561])
 def test_convergence_is_the_azimuth_of_grid_north(code):
     """One metre to the grid's north, its azimuth on the ellipsoid by PROJ's geodesic."""
     system = pyproj.CRS(code)
     west, south, east, north = system.area_of_use.bounds
     rng = np.random.default_rng(5)
     lon, lat = rng.uniform(west, east, 50), rng.uniform(south, min(north, 70.0), 50)
-    to_grid = pyproj.Transformer.from_crs(system.geodetic_crs, system, always_xy=True)
+    # Lambert Nord counts grads from Paris; its datum in degrees from Greenwich is EPSG:4275.
+    own = "EPSG:4275" if code == 27561 else system.geodetic_crs
+    to_grid = pyproj.Transformer.from_crs(own, system, always_xy=True)
     x, y = to_grid.transform(lon, lat)
     below, above = (to_grid.transform(x, y + d, direction="INVERSE") for d in (-1.0, 1.0))
     azimuth = system.get_geod().inv(*below, *above)[0]

@@ -13,10 +13,12 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 from xml.etree import ElementTree
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 
@@ -122,7 +124,11 @@ def read_block_images(path: Path, program: str) -> OrientationTable:
             "ORIENTATION-REPEATED" if len(twice) else "ORIENTATION-EMPTY", what, where=str(path),
             remedy="write it again, one orientation an image",
         )  # fmt: skip
-    return table
+    length = np.linalg.norm(table.angles, axis=1)
+    if (wrong := np.abs(length - 1.0) > 1e-3).any():
+        what = f"the orientation of {table.image[np.argmax(wrong)]!r} is no rotation"
+        raise not_of_format(path, what)
+    return replace(table, angles=table.angles / length[:, None])
 
 
 def block_rows(path: Path, program: str) -> Iterator[pa.RecordBatch]:

@@ -1,35 +1,32 @@
-"""Image points of a block as rows of a table, whatever the program calls them.
+"""Images and image points of a block, whatever the program calls them, and records of its files.
 
-Columns are ``image``, ``point``, ``x_px``, ``y_px`` in COLMAP's pixels, and ``keypoint``, the
-place of the row among those of its image, from 0. ``point`` is what the program calls the point;
-an image point that belongs to none is called ``image:keypoint``, so that every row has a name by
-which it goes back.
+Image points have the columns ``image``, ``point``, ``x_px``, ``y_px`` in COLMAP's pixels, and
+``keypoint``, the place of the row among those of its image, from 0. ``point`` is what the program
+calls the point; an image point that belongs to none is called ``image:keypoint``, so that every row
+has a name by which it goes back.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import mmap
+import struct
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import ArrayLike, NDArray
 
+from pipeline.flight.heights import GeodeticOrigin
+from pipeline.flight.stations import NO_TIME
 from pipeline.refraction.camera.camera import Camera
+from pipeline.tables.imports.orientation import OrientationTable
+from pipeline.tables.imports.stated import not_of_format
 
 Array = NDArray[np.float64]
 CameraMakers = dict[str, Callable[[], Camera]]
-
-ROWS = pa.schema(
-    [
-        ("image", pa.string()),
-        ("point", pa.string()),
-        ("x_px", pa.float64()),
-        ("y_px", pa.float64()),
-        ("keypoint", pa.int64()),
-    ]
-)
-"""Columns of every format; some have more behind these."""
 
 
 def rows_of_image(
@@ -48,11 +45,90 @@ def rows_of_image(
     x, y = np.asarray(xy, np.float64).reshape(-1, 2).T
     index = pa.array(np.arange(x.size) if keypoint is None else np.asarray(keypoint, np.int64))
     names = pa.repeat(pa.scalar(image, pa.string()), x.size)
-    own = pc.binary_join_element_wise(names, index.cast(pa.string()), ":")
-    if point is None:
-        point = own
-    elif isinstance(point, np.ndarray):
-        point = pc.if_else(pa.array(point >= 0), pa.array(point).cast(pa.string()), own)
-    columns = [names, pa.array(point, pa.string()), pa.array(x), pa.array(y), index]
-    more = more or {}
-    return pa.RecordBatch.from_arrays([*columns, *more.values()], names=[*ROWS.names, *more])
+    if point is None or isinstance(point, np.ndarray):
+        own = pc.binary_join_element_wise(names, index.cast(pa.string()), ":")
+        number = pa.array([] if point is None else point, pa.int64())
+        placed = pc.greater_equal(number, 0)
+        point = own if point is None else pc.if_else(placed, number.cast(pa.string()), own)
+    columns = {"image": names, "point": pa.array(point, pa.string()), "x_px": x, "y_px": y}
+    return pa.RecordBatch.from_pydict(columns | {"keypoint": index} | dict(more or {}))
+
+
+def oriented_images(
+    image: Sequence[str],
+    camera: Sequence[str],
+    position: ArrayLike,
+    quaternion: ArrayLike,
+    frame: Literal["ecef"] | GeodeticOrigin | None = None,
+) -> OrientationTable:
+    """Images with (n, 3) positions, and (n, 4) quaternions from the frame to the camera."""
+    return OrientationTable(
+        np.array([*image], object),
+        np.array([*camera], object),
+        np.full(len(image), NO_TIME, np.int64),
+        np.asarray(position, np.float64).reshape(-1, 3),
+        np.asarray(quaternion, np.float64).reshape(-1, 4),
+        {},
+        frame=frame,
+    )
+
+
+class TextFile:
+    """The lines of a text, stripped, in a ``with``: a ValueError in it names its last line."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.number = path, 0
+
+    def __iter__(self) -> Iterator[str]:
+        with self.path.open(encoding="utf-8-sig") as stream:
+            for self.number, line in enumerate(stream, 1):
+                yield line.strip()
+
+    def __enter__(self) -> TextFile:
+        return self
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        if isinstance(error, ValueError):
+            what = f"line {self.number} is not as that program writes it"
+            raise not_of_format(self.path, what) from None
+
+
+class BinaryFile:
+    """Little-endian records one behind the other, in a ``with``; refuses where they end early."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.at = path, 0
+        self.content: Any = b""
+        with path.open("rb") as stream:
+            if path.stat().st_size:
+                self.content = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+
+    def __enter__(self) -> BinaryFile:
+        return self
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        if (rest := len(self.content) - self.at) and error is None:
+            raise not_of_format(self.path, f"{rest} bytes stand behind its last record: it is "
+                                "damaged, or of another version")  # fmt: skip
+
+    def skip(self, size: int) -> int:
+        """Pass ``size`` bytes; returns where they begin."""
+        if self.at + size > len(self.content):
+            raise not_of_format(self.path, f"it is cut short: it has {len(self.content)} bytes, "
+                                f"and the record from byte {self.at} on {size}")  # fmt: skip
+        self.at += size
+        return self.at - size
+
+    def take(self, form: str) -> tuple[Any, ...]:
+        """The next numbers, as `struct` writes them."""
+        return struct.unpack_from(f"<{form}", self.content, self.skip(struct.calcsize(f"<{form}")))
+
+    def array(self, kind: np.dtype[Any], count: int) -> Any:
+        """(count,) the next records of one kind."""
+        return np.frombuffer(self.content, kind, count, self.skip(kind.itemsize * count))
+
+    def word(self) -> str:
+        """The next text, which ends with a zero."""
+        end = self.content.find(b"\0", self.at)
+        at = self.skip(end + 1 - self.at if end >= 0 else len(self.content) + 1)
+        return bytes(self.content[at:end]).decode("utf-8")

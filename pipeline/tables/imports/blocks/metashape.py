@@ -21,12 +21,16 @@ import numpy as np
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
-from pipeline.flight.stations import NO_TIME
 from pipeline.refraction.calibration import camera_of_model
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.camera.general_frame import GeneralFrame
 from pipeline.tables.geodata.coordinate_systems import is_on_wgs84
-from pipeline.tables.imports.blocks.image_points import Array, CameraMakers, rows_of_image
+from pipeline.tables.imports.blocks.image_points import (
+    Array,
+    CameraMakers,
+    oriented_images,
+    rows_of_image,
+)
 from pipeline.tables.imports.orientation import OrientationTable
 from pipeline.tables.imports.stated import not_of_format
 
@@ -37,6 +41,8 @@ _TYPES = {"float": "<f4", "double": "<f8", "int": "<i4", "uint": "<u4", "uchar":
 
 def block_files(path: Path) -> tuple[Path, ...]:
     """The file itself."""
+    if path.is_dir():
+        raise not_of_format(path, "it is a folder", "name a .psz, or a .xml that was exported")
     return (path,)
 
 
@@ -51,31 +57,20 @@ def read_cameras(path: Path) -> CameraMakers:
 def read_images(path: Path) -> OrientationTable:
     """The cameras of the chunk with their transforms; unknown where one is not aligned."""
     chunk = _chunk(path)
-    sensors = _sensors(chunk)
-    cameras = [*chunk.iterfind("cameras//camera")]
-    pose = np.full((len(cameras), 4, 4), np.nan)
+    sensors, cameras = _sensors(chunk), [*chunk.iterfind("cameras//camera")]
+    pose, quaternion = np.full((len(cameras), 4, 4), np.nan), np.full((len(cameras), 4), np.nan)
     for row, camera in enumerate(cameras):
-        given = camera.findtext("transform")
-        scale, turn, step = _to_earth(chunk, camera.get("component_id"))
-        if given is not None:
+        if given := camera.findtext("transform"):
+            scale, turn, step = _to_earth(chunk, camera.get("component_id"))
             pose[row] = np.array(given.split(), np.float64).reshape(4, 4)
-            pose[row, :3] = turn @ pose[row, :3]
-            pose[row, :3, 3] = scale * pose[row, :3, 3] + step
-    quaternion = np.full((len(cameras), 4), np.nan)
-    aligned = np.isfinite(pose).all(axis=(1, 2))
-    if aligned.any():
-        turns = Rotation.from_matrix(pose[aligned, :3, :3].transpose(0, 2, 1))
-        quaternion[aligned] = turns.as_quat()[:, [3, 0, 1, 2]]
+            turned = Rotation.from_matrix((turn @ pose[row, :3, :3]).T)
+            quaternion[row] = turned.as_quat()[[3, 0, 1, 2]]
+            pose[row, :3, 3] = scale * turn @ pose[row, :3, 3] + step
     of = [sensors.get(camera.get("sensor_id", ""), ("", None))[0] for camera in cameras]
-    return OrientationTable(
-        np.array([camera.get("label", "") for camera in cameras], object),
-        np.array(of, object),
-        np.full(len(cameras), NO_TIME, np.int64),
-        pose[:, :3, 3],
-        quaternion,
-        {},
-        frame="ecef" if _is_geocentric(chunk) else None,
-    )
+    reference = chunk.findtext("reference", "")
+    on_earth = chunk.find(".//transform/scale") is not None and is_on_wgs84(reference)
+    labels = [camera.get("label", "") for camera in cameras]
+    return oriented_images(labels, of, pose[:, :3, 3], quaternion, "ecef" if on_earth else None)
 
 
 def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
@@ -87,21 +82,23 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     label = {m.get("id"): m.get("label", "") for m in chunk.iterfind("markers//marker")}
     marks: dict[str, list[tuple[str, float, float]]] = {}
     for marker in frames[0].iterfind("markers/marker"):
-        name = label.get(marker.get("marker_id"), "")
         for place in marker.iterfind("location"):
-            x, y = float(place.attrib["x"]), float(place.attrib["y"])
-            marks.setdefault(place.attrib["camera_id"], []).append((name, x, y))
+            mark = (
+                label[marker.get("marker_id")],
+                float(place.attrib["x"]),
+                float(place.attrib["y"]),
+            )
+            marks.setdefault(place.attrib["camera_id"], []).append(mark)
     ties = {p.get("camera_id"): p.attrib["path"]
             for p in frames[0].iterfind("point_cloud/projections")}  # fmt: skip
     for camera in chunk.iterfind("cameras//camera"):
-        of_image = marks.get(camera.get("id", ""), [])
-        names, xy = [mark[0] for mark in of_image], [mark[1:] for mark in of_image]
+        rows = marks.get(camera.get("id", ""), [])
         if camera.get("id") in ties:
             found = _ply(path, ties[camera.get("id")])
-            names += [f"tie:{number}" for number in found["id"].tolist()]
-            xy += zip(found["x"].tolist(), found["y"].tolist(), strict=True)
-        if names:
-            yield rows_of_image(camera.get("label", ""), xy, names)
+            rows += [(f"tie:{k}", x, y) for k, x, y in found[["id", "x", "y"]].tolist()]
+        if rows:
+            xy = [row[1:] for row in rows]
+            yield rows_of_image(camera.get("label", ""), xy, [row[0] for row in rows])
 
 
 def read_points(path: Path) -> tuple[pa.StringArray, Array]:
@@ -113,9 +110,8 @@ def read_points(path: Path) -> tuple[pa.StringArray, Array]:
     points = _ply(path, cloud.attrib["path"])
     scale, turn, step = _to_earth(chunk, None)
     places = np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=1)
-    return pa.array([f"tie:{number}" for number in points["id"].tolist()], pa.string()), np.asarray(
-        scale * places @ turn.T + step
-    )
+    names = pa.array([f"tie:{number}" for number in points["id"].tolist()], pa.string())
+    return names, np.asarray(scale * places @ turn.T + step)
 
 
 def _root(path: Path) -> ElementTree.Element:
@@ -142,20 +138,16 @@ def _chunk(path: Path) -> ElementTree.Element:
 
 def _to_earth(chunk: ElementTree.Element, component: str | None) -> tuple[float, Array, Array]:
     """Scale, rotation (3, 3) and step (3,) from the chunk to its coordinate system."""
+    parts = chunk.findall("components/component")
     given = chunk.find("transform")
-    if component is not None and given is None:
-        given = chunk.find(f"components/component[@id='{component}']/transform")
+    for part in parts:
+        if component == part.get("id") or len(parts) == 1:
+            given = part.find("transform")
     if given is None:
-        return 1.0, np.eye(3), np.zeros(3)
+        return 1.0, np.eye(3), np.full(3, np.nan if len(parts) > 1 else 0.0)
     turn = np.array(given.findtext("rotation", "1 0 0 0 1 0 0 0 1").split(), np.float64)
     step = np.array(given.findtext("translation", "0 0 0").split(), np.float64)
     return float(given.findtext("scale", "1")), turn.reshape(3, 3), step
-
-
-def _is_geocentric(chunk: ElementTree.Element) -> bool:
-    """Whether the chunk lies on the earth, on the ellipsoid of WGS 84 or GRS 80."""
-    given = chunk.findtext("reference")
-    return given is not None and chunk.find(".//transform/scale") is not None and is_on_wgs84(given)
 
 
 def _ply(path: Path, name: str) -> Any:

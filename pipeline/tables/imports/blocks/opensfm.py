@@ -10,7 +10,7 @@ number of its track.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,12 +22,17 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.errors import InputError
 from pipeline.flight.heights import GeodeticOrigin
-from pipeline.flight.stations import NO_TIME
 from pipeline.refraction.calibration import camera_of_model
 from pipeline.refraction.camera.camera import Camera
-from pipeline.tables.imports.blocks.image_points import Array, CameraMakers, rows_of_image
+from pipeline.tables.imports.blocks.image_points import (
+    Array,
+    CameraMakers,
+    oriented_images,
+    rows_of_image,
+)
 from pipeline.tables.imports.orientation import OrientationTable
 from pipeline.tables.imports.stated import not_of_format
+from pipeline.tables.text_columns import numbers_of
 
 _COEFFICIENTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "perspective": ("BROWN", ("k1", "k2", "-", "-", "-")),
@@ -78,14 +83,12 @@ def read_images(path: Path) -> OrientationTable:
     if reference is not None:
         lat, lon, h = (float(reference[key]) for key in ("latitude", "longitude", "altitude"))
         frame = GeodeticOrigin(np.radians(lat), np.radians(lon), h)
-    return OrientationTable(
-        np.array(list(shots), object),
-        np.array([shot["camera"] for shot in shots.values()], object),
-        np.full(len(shots), NO_TIME, np.int64),
+    return oriented_images(
+        [*shots],
+        [shot["camera"] for shot in shots.values()],
         turn.inv().apply(-_vectors(shots, "translation", path)),
         turn.as_quat()[:, [3, 0, 1, 2]],
-        {},
-        frame=frame,
+        frame,
     )
 
 
@@ -104,18 +107,23 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
                             "write it again with OpenSfM 0.5 or newer")  # fmt: skip
     kinds = dict.fromkeys(_COLUMNS, "float64") | {"image": "str", "track": "int64",
                                                   "keypoint": "int64"}  # fmt: skip
+    read: Callable[..., Any] = partial(
+        pd.read_csv, file, sep="\t", skiprows=1, header=None, names=_COLUMNS, quoting=3,
+        keep_default_na=False, na_values=[""], index_col=False,
+    )  # fmt: skip
     try:
-        table = pd.read_csv(
-            file, sep="\t", skiprows=1, header=None, names=_COLUMNS, dtype=kinds, quoting=3,
-            keep_default_na=False, na_values=[""], index_col=False,
-        )  # fmt: skip
+        table = read(dtype=kinds)
     except (ValueError, OverflowError):
-        raise not_of_format(file, _first_wrong_line(file)) from None
+        text = read(dtype="str")
+        for column in _COLUMNS[1:]:
+            numbers_of(text.fillna(""), column, file, "IMPORT-FORMAT")
+        raise
+    others = [name for name in _COLUMNS[5:] if table[name].notna().all()]
     for image, rows in table.groupby("image", sort=False):
         shot = content["shots"].get(image)
         size = np.array(only if shot is None else sizes[shot["camera"]], np.float64)
         xy = rows[["x", "y"]].to_numpy() * size.max() + 0.5 * size
-        more = {n: pa.array(rows[n].to_numpy()) for n in _COLUMNS[5:] if rows[n].notna().all()}
+        more = {name: pa.array(rows[name].to_numpy()) for name in others}
         yield rows_of_image(str(image), xy, rows["track"].to_numpy(), keypoint=rows["keypoint"],
                             more=more)  # fmt: skip
 
@@ -141,20 +149,6 @@ def _vectors(items: Mapping[str, Any], key: str, path: Path) -> Array:
         if len(item.get(key, ())) != 3 or not all(isinstance(v, int | float) for v in item[key]):
             raise not_of_format(path, f"{name!r} has no {key} of three numbers")
     return np.array([item[key] for item in items.values()], np.float64).reshape(-1, 3)
-
-
-def _first_wrong_line(file: Path) -> str:
-    with file.open(encoding="utf-8") as stream:
-        for number, line in enumerate(stream, 1):
-            fields = line.rstrip("\n").split("\t")
-            try:
-                _ = [int(v) for v in fields[1:3]], [float(v) for v in fields[3:]]
-                wrong = len(fields) < 5
-            except ValueError:
-                wrong = True
-            if wrong and number > 1:
-                return f"line {number} is no observation of a track: {line.strip()[:60]!r}"
-    return "its rows are no observations of tracks"
 
 
 def _camera(given: Mapping[str, Any]) -> Camera:
