@@ -8,7 +8,6 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.atmosphere.series import ageing
 from pipeline.atmosphere.series import profile_series as course
 
 pytestmark = pytest.mark.usefixtures("plain_report")
@@ -19,8 +18,8 @@ SLOT_S = 5
 @pytest.fixture
 def restless(mission, baseline, monkeypatch):
     """The sample mission in air that changes in minutes as much as elsewhere in hours."""
-    monkeypatch.setattr(ageing, "FRESH_S", 90.0)
-    monkeypatch.setattr(ageing, "CHANGE_K2_PER_H", 100.0)
+    monkeypatch.setattr(course, "FRESH_S", 90.0)
+    monkeypatch.setattr(course, "CHANGE_K2_PER_H", 100.0)
     monkeypatch.setattr(course, "SLOT_NS", SLOT_S * 10**9)
     ended = mission.run("--force")
     assert ended.code == 0, ended.text
