@@ -171,23 +171,26 @@ def log_terrain(mission, *, status=2, add_m=0.0):
 
 
 @pytest.mark.parametrize(
-    ("spoil", "status", "words"),
+    ("factor", "status", "words"),
     [
-        (lambda mission: None, 2, None),
-        (scaled(h_g_m=0.8), 2, r"-\d\d m from the terrain|-1\d\d m from the terrain"),
-        (scaled(h_g_m=1.25), 2, r"\+1\d\d m from the terrain"),
-        (scaled(h_g_m=1.25), 1, None),
+        (1.0, 2, None),
+        (0.8, 2, r"-\d\d m from the terrain|-1\d\d m from the terrain"),
+        (1.25, 2, r"\+1\d\d m from the terrain"),
+        (1.25, 1, None),
     ],
 )
-def test_ground_beside_the_terrain_of_the_autopilot(mission, spoil, status, words):
+def test_ground_beside_the_terrain_of_the_autopilot(mission, factor, status, words):
     """Heights 100 m off pass as near the take-off, but not beside the logged terrain."""
     log_terrain(mission, status=status)
-    spoil(mission)
+    scaled(h_g_m=factor)(mission)
     manifest = check_mission(mission.save()).manifest
     found = [e for e in manifest["ledger"] if e["code"] == "PLAUSIBLE-TERRAIN"]
     assert len(found) == (words is not None), manifest["ledger"]
     assert all(re.search(words, e["what"]) and "ground.reference" in e["where"] for e in found)
-    assert [e for e in manifest["ledger"] if e["kind"] == "finding"] == found
+    # Tie points find the same where heights are spoiled, with logged terrain or without.
+    other = {e["code"] for e in manifest["ledger"] if e["kind"] == "finding" and e not in found}
+    assert other <= {"TIES-HEIGHT"}
+    assert bool(other) is (factor != 1.0)
 
 
 def test_air_of_another_pressure(mission, monkeypatch):
