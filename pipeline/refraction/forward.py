@@ -69,7 +69,7 @@ def apply_refraction(
     without a distance it is the point that the line reaches first.
 
     >>> from pipeline.atmosphere import standard_atmosphere
-    >>> from pipeline.refraction import ray_table
+    >>> from pipeline.refraction import Exposures, ray_table
     >>> one, none = np.ones(1), np.zeros(1)
     >>> down = Exposures(
     ...     one > 0.0, np.diag([1.0, -1.0, -1.0])[None], none, 3000.0 * one, 2e-4 * one, 2e-4 * one)

@@ -58,11 +58,12 @@ def rehearsal_lines(checked: CorrectedMission) -> list[tuple[str, str]]:
     mission, heights = facts.mission, prepared.flight.heights
     ok, home = facts.stations.ok, facts.takeoff
     undulation = (facts.stations.h_ellipsoid_m - facts.stations.h_msl_m)[ok]
+    known = undulation[np.isfinite(undulation)]
     height_role = prepared.flight.roles.get("height")
     source = "orientation" if mission.stations.orientation is not None else "no channel"
     source = source if height_role is None else height_role.name
     stated, of_undulation = heights.undulation_m, heights.source
-    if stated is not None and abs(np.nanmedian(undulation) - stated) > 0.1:
+    if stated is not None and known.size and abs(np.median(known) - stated) > 0.1:
         of_undulation = f"the log's own, not the {stated:g} m of {heights.source}"
     pixels = {name: _span(facts.of_camera(name, facts.rows.shift_px), 3) for name in facts.cameras}
     metres = {

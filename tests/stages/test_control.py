@@ -171,8 +171,7 @@ def test_the_terminal_and_a_rehearsal_show_it(surveyed):
 
 
 def test_the_report_has_each_point(block, tmp_path, unbend, monkeypatch):
-    from pipeline.report.html import CONTROL_HEAD
-    from pipeline.report.summary import control_rows, control_sentence
+    from pipeline.report.summary import CONTROL_HEAD, control_rows, control_sentence
 
     monkeypatch.undo()  # of the plain report
     surveyed = Surveyed(block, tmp_path, unbend)

@@ -333,7 +333,11 @@ def test_stations_come_back():
 
 @pytest.mark.parametrize(
     ("name", "remedy"),
-    [("latice", "perhaps lattice"), ("colmap-text", "one of lattice, lattice-csv, radial")],
+    [
+        ("latice", "perhaps lattice"),
+        ("photomod", "one of lattice, lattice-csv, radial"),
+        ("colmap-text", "perhaps colmap or colmap-database"),
+    ],
 )
 def test_an_unknown_format(baseline, export, name, remedy):
     _, ended = export(baseline.output, name)

@@ -213,7 +213,9 @@ def report_misses(
     points = int(stated.used.sum())
     size, where = stated.point.size, "stations"
     what = f"no rays of {size} tie points meet at an angle that checks anything"
-    if points:
+    if points and np.isnan(miss).all():
+        what = f"the rays of {points} of {size} tie points meet nowhere"
+    elif points:
         pixels = np.sqrt(np.nanmean(miss**2)) / float(np.median(rays.sigma_rad))
         what = f"the rays of {points} of {size} tie points miss each other by {pixels:.1f} px "
         what += "(rms), without refraction"

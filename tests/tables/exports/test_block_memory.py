@@ -11,7 +11,7 @@ import pytest
 SCRIPT = Path(__file__).with_name("block_memory.py")
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss in KiB")
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc/self/status")
 @pytest.mark.parametrize("name", ["colmap", "colmap-database", "bundler", "opensfm", "bingo"])
 def test_memory_grows_little_with_the_image_points(tmp_path, name):
     peaks = []
