@@ -11,9 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pipeline.units import STANDARD_GRAVITY, WGS84_A, WGS84_F
-
-Array = NDArray[np.float64]
+from pipeline.units import STANDARD_GRAVITY, WGS84_A, WGS84_F, Array
 
 _E2 = WGS84_F * (2.0 - WGS84_F)
 

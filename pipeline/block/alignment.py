@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-Array = NDArray[np.float64]
+from pipeline.units import Array
+
 Indices = NDArray[np.int64]
 
 LOG_RATIO_NEEDED = float(np.log(1000.0))

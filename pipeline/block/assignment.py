@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from pipeline.block.alignment import LOG_RATIO_NEEDED, Axis
 from pipeline.flight.exposures import unwrapped_numbers
+from pipeline.units import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 WHOLE_SECOND_SIGMA_S = 12.0**-0.5

@@ -12,11 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.refraction.camera.camera import Camera
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 FEW = ("f", "k1")
 """What refraction changes in a camera that looks straight down."""

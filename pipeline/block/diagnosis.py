@@ -16,11 +16,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pipeline.block.alignment import LOG_RATIO_NEEDED
-from pipeline.block.image_rays import Array, ImageRays, Indices, Orientations, straightened
+from pipeline.block.image_rays import ImageRays, Indices, Orientations, straightened
 from pipeline.block.intersection import Intersection, intersect
 from pipeline.flight.mount import Mount
 from pipeline.flight.rotations import ANGLE_MISTAKES, CAMERA_AT_REST, UNIT_MISTAKES
 from pipeline.refraction.camera.camera import Camera
+from pipeline.units import Array
 
 _RANKING_POINTS, _DECIDED_BY_ALL, _MOST_FINDINGS, _FEWEST_HEIGHTS = 200, 4, 3, 10
 _SIGMAS = 4.0  # beyond which a stated sigma does not explain an error that all stations share

@@ -17,8 +17,8 @@ from pipeline.atmosphere import standard_atmosphere
 from pipeline.flight.stations import Stations
 from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef
 from pipeline.refraction import refraction_angle
+from pipeline.units import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 

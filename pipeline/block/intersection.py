@@ -38,8 +38,8 @@ from pipeline.block.image_rays import (
     sorted_rays,
 )
 from pipeline.geodesy import enu_from_ecef, geodetic_of_ecef
+from pipeline.units import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 

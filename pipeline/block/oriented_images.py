@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pipeline.errors import MissionError
-from pipeline.flight.channels import Array
 from pipeline.flight.heights import GeodeticOrigin, HeightSystem
 from pipeline.flight.mount import Mount
 from pipeline.flight.rotations import in_turned_frame, matrices_of, quaternions_of
@@ -26,6 +25,7 @@ from pipeline.flight.stations import (
 )
 from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef, offset_geodetic
 from pipeline.ledger import Notes, loss, note, warning
+from pipeline.units import Array
 
 LARGEST_FIT_TILT_RAD = np.radians(1.0)
 """A vertical that known positions determine no better than this is none (1 deg is 5 % of R)."""

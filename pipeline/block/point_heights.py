@@ -8,7 +8,6 @@ import numpy as np
 
 from pipeline.block.image_rays import (
     MINIMUM_ANGLE_RAD,
-    Array,
     ImageRays,
     Indices,
     Mask,
@@ -16,6 +15,7 @@ from pipeline.block.image_rays import (
     sorted_rays,
 )
 from pipeline.geodesy import enu_from_ecef, geodetic_of_ecef
+from pipeline.units import Array
 
 LARGEST_MISS = 6.0
 """A point has no height whose rays miss it by more than this many times what their sigmas say."""

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from pipeline.units import Array
+
 TimeArray = NDArray[np.int64]
 
 ROLE_COLUMNS: Mapping[str, tuple[str, ...]] = {

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pipeline.flight.channels import Array, TimeArray
+from pipeline.flight.channels import TimeArray
 from pipeline.ledger import Entry, loss, note
-from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH
+from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, Array
 
 SECONDS_PER_WEEK = 604_800
 WEEKS_PER_ROLLOVER = 1024  # the week has 10 bits in the signal

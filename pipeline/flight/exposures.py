@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from pipeline.errors import MissionError
 from pipeline.flight.air_samples import times_on_the_ground
-from pipeline.flight.channels import Array, Channel
+from pipeline.flight.channels import Channel
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Notes, loss, note, warning
+from pipeline.units import Array
 
 
 @dataclass(frozen=True, eq=False)

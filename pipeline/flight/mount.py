@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pipeline.flight.channels import Array, Channel
+from pipeline.flight.channels import Channel
 from pipeline.flight.rotations import (
     CAMERA_AT_REST,
     down_in_body,
@@ -18,6 +18,7 @@ from pipeline.flight.rotations import (
 )
 from pipeline.flight.trajectory import attitude_at
 from pipeline.ledger import Entry, Kind, Notes, note, warning
+from pipeline.units import Array
 
 _Q = ("q_w", "q_x", "q_y", "q_z")
 _GIMBALS = ("MNT", "MOUNTSTATUS", "MOUNTORIENTATION", "GIMBALDEVICEATTITUDESTATUS")

@@ -16,8 +16,8 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pipeline.flight.channels import Array, Channel
-from pipeline.units import DEGREE
+from pipeline.flight.channels import Channel
+from pipeline.units import DEGREE, Array
 
 # From the body (forward, right, down) to a camera that looks down, its top towards the nose.
 CAMERA_AT_REST = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere.refractive_index import vapour_pressure
 from pipeline.flight import trajectory
-from pipeline.flight.channels import Array, Channel
+from pipeline.flight.channels import Channel
 from pipeline.flight.evidence.log_accuracy import LogAccuracy
 from pipeline.flight.exposures import Events
 from pipeline.flight.heights import HeightSystem, heights_at
@@ -29,6 +29,7 @@ from pipeline.flight.stations import (
     empty_stations,
 )
 from pipeline.ledger import Notes, loss
+from pipeline.units import Array
 
 
 def build_stations(

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.flight.channels import Array, Channel, TimeArray
+from pipeline.flight.channels import Channel, TimeArray
 from pipeline.flight.rotations import lengths, quaternion_products, rotation_vectors
 from pipeline.geodesy import principal_radii
+from pipeline.units import Array
 
 Rows = NDArray[np.intp]
 

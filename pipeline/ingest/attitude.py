@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from pipeline.flight.channels import Array
 from pipeline.ingest.fields import FieldColumn, column, columns
+from pipeline.units import Array
 
 BLOCK = 65_536  # rows
 

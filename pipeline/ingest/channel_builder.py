@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.flight.channels import Array, Channel, Source, TimeArray
+from pipeline.flight.channels import Channel, Source, TimeArray
 from pipeline.flight.clock import new_readings, rows_in_time_order
 from pipeline.ingest.attitude import quaternion_of_euler, replace_in_blocks, unit_quaternions
 from pipeline.ingest.boot_clock import LOWEST_FIX
@@ -17,6 +17,7 @@ from pipeline.ingest.buffers import ColumnStore, allocate, copy_rows
 from pipeline.ingest.fields import MessageMap
 from pipeline.ingest.log import utc_text
 from pipeline.ledger import Entry, Kind, Ledger
+from pipeline.units import Array
 
 
 @dataclass(frozen=True)

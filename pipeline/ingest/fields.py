@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import MissionError
-from pipeline.flight.channels import ROLE_COLUMNS, Array, Channel
-from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K
+from pipeline.flight.channels import ROLE_COLUMNS, Channel
+from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K, Array
 
 # unit in the log -> (divisor, factor, offset): SI = value / divisor * factor + offset. Division
 # where the log holds scaled integers: x / 1e7 is the nearest double, x * 1e-7 is not.

@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.flight.channels import Array
 from pipeline.ingest.attitude import gimbal_columns
 from pipeline.ingest.channel_builder import DecodedRows
 from pipeline.ingest.fields import (
@@ -27,6 +26,7 @@ from pipeline.ingest.fields import (
     columns,
 )
 from pipeline.ledger import Ledger
+from pipeline.units import Array
 
 UTC_FIELD = "time_utc_usec"
 """Unix time [us] in the messages of receivers, beside their time since boot."""

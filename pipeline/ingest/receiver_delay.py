@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.flight.channels import Array, Channel, TimeArray
+from pipeline.flight.channels import Channel, TimeArray
 from pipeline.flight.trajectory import interpolate
 from pipeline.geodesy import principal_radii
 from pipeline.ingest.log import Contents, Table
 from pipeline.ledger import Ledger
+from pipeline.units import Array
 
 _RECEIVERS = ("GPS", "GPS2", "GPS_RAW_INT", "GPS2_RAW", "sensor_gps", "vehicle_gps_position")
 _FUSED = ("POS", "GLOBAL_POSITION_INT", "vehicle_global_position")

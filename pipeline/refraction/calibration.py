@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pipeline.errors import PhysicsError
 from pipeline.refraction.camera import model_of
@@ -16,8 +16,7 @@ from pipeline.refraction.camera.brown_conrady import BrownConrady
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.camera.general_frame import GeneralFrame
 from pipeline.refraction.camera.opencv_fisheye import LARGEST_ANGLE_RAD, OpenCVFisheye
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 _Distortion = type[BrownConrady] | type[GeneralFrame] | type[OpenCVFisheye]
 _FULL_OPENCV = ("fx", "fy", "cx", "cy", "k1", "k2", "py", "px", "k3", "q1", "q2", "q3")

@@ -39,8 +39,7 @@ from pipeline.refraction.status_codes import (
     OUTSIDE_PROFILE,
     SEVERAL_CROSSINGS,
 )
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 # Some hundred bytes are needed for each.
 _ROWS_AT_ONCE = 65_536

@@ -28,9 +28,7 @@ from pipeline.refraction.window import (
     Window,
     scheduled_pressure,
 )
-from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K
-
-Array = NDArray[np.float64]
+from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K, Array
 
 USUAL_TEMPERATURE_K = 294.15
 SIGMA_PRESSURISED_K, SIGMA_AMBIENT_K = 5.0, 10.0

@@ -47,8 +47,8 @@ from pipeline.tables.observations import Batch, Observations
 from pipeline.tables.refraction_mark import Direction
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
 from pipeline.tables.writing import table_of_observations, write_parquet
+from pipeline.units import Array
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 _MOST_WORKERS = 4

@@ -21,9 +21,8 @@ from pipeline.refraction.window import (
     OPTICAL_AXIS,
     Window,
 )
-from pipeline.units import HECTOPASCAL
+from pipeline.units import HECTOPASCAL, Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 

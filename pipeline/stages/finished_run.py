@@ -34,8 +34,7 @@ from pipeline.stages.exposure_setup import (
 )
 from pipeline.tables.exports import ExportCamera, FinishedRun
 from pipeline.tables.geodata.object_points import matching_rows
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 _MOST_CHECKED = 50_000
 """Observations of each part that are computed again."""

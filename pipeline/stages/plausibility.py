@@ -25,8 +25,8 @@ from pipeline.refraction.effect import Effect, effects_on_r
 from pipeline.refraction.image import Exposures
 from pipeline.refraction.status_codes import MISSES_GROUND, OUTSIDE_CAMERA, STATUS_NAMES
 from pipeline.stages.statistics import SampledRows
+from pipeline.units import Array
 
-Array = NDArray[np.float64]
 Findings = Iterator[tuple[str, str, str]]
 """Code, key to change, and what was found, was expected, and is the likely mistake."""
 

@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere.profile import Profile, stack_layers
@@ -24,9 +23,7 @@ from pipeline.stages.statistics import evenly_spaced
 from pipeline.stages.story import CorrectedMission
 from pipeline.tables.geodata.geoid import package_geoid
 from pipeline.tables.observations import Batch
-from pipeline.units import ARCSEC
-
-Array = NDArray[np.float64]
+from pipeline.units import ARCSEC, Array
 
 _ROWS = 1000
 

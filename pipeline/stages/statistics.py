@@ -16,8 +16,7 @@ from pipeline.refraction.image import Corrections
 from pipeline.refraction.statistics import DISTRIBUTIONS, Distribution, ShiftGrid, ShiftStatistics
 from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.tables.observations import Batch
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 SAMPLED_ROWS = 20_000
 """Rows that stand for all others, where what is plausible is looked at."""

@@ -84,8 +84,7 @@ from pipeline.tables.geodata.elevation import ElevationModel
 from pipeline.tables.geodata.geoid import package_geoid
 from pipeline.tables.observations import Observations
 from pipeline.tables.refraction_mark import SIDECAR, sidecar_text
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,12 +9,7 @@ from __future__ import annotations
 import json
 import struct
 
-import numpy as np
-from numpy.typing import NDArray
-
-from pipeline.units import WGS84_A, WGS84_F
-
-Array = NDArray[np.float64]
+from pipeline.units import WGS84_A, WGS84_F, Array
 
 _AXES = {"subtype": "ellipsoidal", "axis": [
     {"name": "Geodetic latitude", "abbreviation": "Lat", "direction": "north", "unit": "degree"},

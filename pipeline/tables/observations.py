@@ -32,8 +32,7 @@ from pipeline.tables.pixels import COLMAP, PixelSystem
 from pipeline.tables.refraction_mark import Direction, refuse_done
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
 from pipeline.tables.text_columns import Hashes, hashes_of
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 Records = Callable[[int, list[str] | None], Iterator[pa.RecordBatch]]
 """Reads a table: rows of a batch at most, where the file lets choose, and which columns."""

@@ -16,10 +16,10 @@ from pipeline.atmosphere.soundings import (
     nearest_in_time,
     parse_sounding,
 )
-from pipeline.atmosphere.soundings.levels import FILLS, LARGEST, Array, radians, to_si
+from pipeline.atmosphere.soundings.levels import FILLS, LARGEST, radians, to_si
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
-from pipeline.units import NANOSECONDS_PER_SECOND
+from pipeline.units import NANOSECONDS_PER_SECOND, Array
 
 LARGEST_BYTES = 200_000_000
 """Room for decades of one station; a larger file is of another kind, and would fill memory."""

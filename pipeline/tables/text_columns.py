@@ -14,10 +14,10 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.errors import InputError
-from pipeline.flight.channels import Array, TimeArray
+from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import SECONDS_PER_WEEK, utc_of_gps
 from pipeline.tables.column_checks import no_such_column
-from pipeline.units import NANOSECONDS_PER_SECOND, RADIANS, UNIX_NS_OF_GPS_EPOCH, AngleUnit
+from pipeline.units import NANOSECONDS_PER_SECOND, RADIANS, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array
 
 Hashes = NDArray[np.uint64]
 

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from pipeline.block.image_rays import ImageRays
 from pipeline.refraction.camera.camera import Camera
 from pipeline.tables.observations import Observations
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 MOST_TIE_POINTS = 2000
 """Points that serve all that is decided by intersection."""

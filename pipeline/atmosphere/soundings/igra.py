@@ -11,10 +11,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pipeline.atmosphere.soundings.levels import Array, RawLevels, number, numbers, radians, utc_ns
+from pipeline.atmosphere.soundings.levels import RawLevels, number, numbers, radians, utc_ns
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
-from pipeline.units import NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
+from pipeline.units import NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K, Array
 
 _HEADER = re.compile(r"#[A-Z0-9]{11} \d{4} \d\d \d\d \d\d ")
 _NO_HOUR = 99

@@ -18,11 +18,11 @@ from pipeline.atmosphere.refractive_index import (
     vapour_pressure,
     virtual_temperature,
 )
-from pipeline.atmosphere.soundings.levels import Array, RawLevels, Sounding
+from pipeline.atmosphere.soundings.levels import RawLevels, Sounding
 from pipeline.errors import InputError
 from pipeline.geodesy import normal_gravity
 from pipeline.ledger import Ledger
-from pipeline.units import DEGREE, HECTOPASCAL, HYDROSTATIC_CONSTANT, ZERO_CELSIUS_K
+from pipeline.units import DEGREE, HECTOPASCAL, HYDROSTATIC_CONSTANT, ZERO_CELSIUS_K, Array
 
 FEWEST_LEVELS = 5
 """With fewer a sounding has less information than the climatology and a surface report."""

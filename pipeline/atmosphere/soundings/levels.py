@@ -9,12 +9,9 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.errors import InputError
-from pipeline.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
-
-Array = NDArray[np.float64]
+from pipeline.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K, Array
 
 FILLS = (-9999.0, -9999.9, -8888.0, -99999.0, 99999.0, 999999.0, -999.0)
 """Numbers that mean a missing value. 9999 is not among them: it may be a height."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.atmosphere.soundings.levels import (
-    Array,
     RawLevels,
     number,
     numbers,
@@ -16,6 +15,7 @@ from pipeline.atmosphere.soundings.levels import (
 )
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
+from pipeline.units import Array
 
 # Name of a column -> quantity, unit.
 COLUMNS = {

@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.flight.channels import Array, Channel, TimeArray
+from pipeline.flight.channels import Channel, TimeArray
 from pipeline.flight.evidence.stretches import ATTITUDE, POSITION, SECOND, Stretch, beside, runs
 from pipeline.flight.rotations import down_in_body
 from pipeline.flight.trajectory import interpolate
+from pipeline.units import Array
 
 # A difference of the verticals of two attitudes that is noise, whatever is usual [deg].
 NOISE_TILT_DEG = 1.5

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.flight.channels import Array, Channel, TimeArray
+from pipeline.flight.channels import Channel, TimeArray
 from pipeline.flight.mount import is_of_gimbal
 from pipeline.flight.trajectory import RATES, VELOCITY, interpolate, with_slopes
-from pipeline.units import NANOSECONDS_PER_SECOND
+from pipeline.units import NANOSECONDS_PER_SECOND, Array
 
 # An innovation whose ratio to its gate is 1 is five sigmas (EK3_POS_I_GATE 500 and its like) of
 # what ArduPilot's filter takes for the noise of a measurement by default: EK3_POSNE_M_NSE,

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import MissionError
-from pipeline.flight.channels import ROLE_COLUMNS, Array, Channel
+from pipeline.flight.channels import ROLE_COLUMNS, Channel
 from pipeline.flight.clock import STRAY_ROWS
 from pipeline.ledger import Entry, Notes, loss, note, warning
+from pipeline.units import Array
 
 Mask = NDArray[np.bool_]
 Rows = NDArray[np.intp]

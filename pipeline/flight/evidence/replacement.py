@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.flight.channels import Array, Channel
+from pipeline.flight.channels import Channel
 from pipeline.flight.evidence.sources import Difference, SourcePath, is_receiver, moved
 from pipeline.flight.evidence.stretches import ATTITUDE, HEIGHT, SECOND, Stretch
+from pipeline.units import Array
 
 LONGEST_COAST_S = 2.0  # a filter without a receiver for longer is no longer known to be right [s]
 BESIDE_S = 10.0  # a source that replaces another agrees with it for so long before and after [s]

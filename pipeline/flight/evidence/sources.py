@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from pipeline.flight.channels import Array, Channel, TimeArray
+from pipeline.flight.channels import Channel, TimeArray
 from pipeline.flight.evidence.quality import subset
 from pipeline.flight.evidence.stretches import HEIGHT, POSITION, SECOND, Mask, runs
 from pipeline.flight.trajectory import interpolate
+from pipeline.units import Array
 
 # A step from sample to sample that is noise, beyond what velocity and neighbours explain [m].
 NOISE_STEP_M = {POSITION: 3.0, HEIGHT: 5.0}

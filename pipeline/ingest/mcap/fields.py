@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.flight.channels import Array
 from pipeline.ingest import px4_fields
 from pipeline.ingest.attitude import earth_frame_attitude, ned_frd_of_enu_flu, replace_in_blocks
 from pipeline.ingest.boot_clock import LOWEST_FIX
@@ -30,6 +29,7 @@ from pipeline.ingest.fields import (
 )
 from pipeline.ingest.mcap.cdr_schema import short
 from pipeline.ingest.px4_fields import CAMERA_QUATERNION
+from pipeline.units import Array
 
 
 def _pose(place: str, turn: str) -> tuple[FieldColumn, ...]:

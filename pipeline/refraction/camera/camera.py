@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pipeline.refraction.camera import model_of
 from pipeline.refraction.camera.brown_conrady import BrownConrady
 from pipeline.refraction.kernels.columns import RAY_ROWS, CameraConstants, U, V
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 NO_DISTORTION = BrownConrady()
 

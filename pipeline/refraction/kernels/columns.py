@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 # Rows of a matrix of rays (RAY_ROWS, n): ideal image coordinates; change of direction in the window
 # (camera frame); direction outside (east, north, up); sine and cosine of the nadir angle, radius of

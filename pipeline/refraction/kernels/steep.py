@@ -23,8 +23,7 @@ from pipeline.refraction.kernels.columns import HINT_M
 from pipeline.refraction.kernels.jit import entry, jit, within
 from pipeline.refraction.kernels.ray import Triangle, sides_of, small_angle
 from pipeline.refraction.status_codes import OK
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 LEFT = 255
 """Mark of a ray that must be integrated by itself."""

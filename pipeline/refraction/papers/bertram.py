@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.refraction.papers.rows import Array, Block, block, printed_table
+from pipeline.refraction.papers.rows import Block, block, printed_table
 from pipeline.refraction.ray import bend, refraction_angle
 from pipeline.refraction.ray_table import RayTable
-from pipeline.units import DEGREE, MICRORADIAN
+from pipeline.units import DEGREE, MICRORADIAN, Array
 
 RADIUS_M = 6_378_000.0
 

@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.profile import Profile, stack_layers
 from pipeline.atmosphere.refractive_index import IndexModel, refractivity_gyer
-from pipeline.refraction.papers.rows import Array, Block, block, printed_table
+from pipeline.refraction.papers.rows import Block, block, printed_table
 from pipeline.refraction.published.gyer import STEP_M, gyer1996, plane_first_term, subtended_angle
 from pipeline.refraction.ray import refraction_angle
 from pipeline.refraction.window import SCHEDULE_TEMPERATURE_K, refract_at_window, scheduled_pressure
-from pipeline.units import ARCSEC, DEGREE, HECTOPASCAL
+from pipeline.units import ARCSEC, DEGREE, HECTOPASCAL, Array
 
 GYER_RADIUS_M = 6_378_000.0
 

@@ -8,7 +8,8 @@ from importlib import resources
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from pipeline.units import Array
+
 Block = dict[str, NDArray[np.generic]]
 
 

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pipeline.atmosphere.profile import Profile
-from pipeline.refraction.published.column import Array, density, finite, times_tangent
+from pipeline.refraction.published.column import density, finite, times_tangent
+from pipeline.units import Array
 
 INDEX_PER_DENSITY = 0.000226
 """(n - 1) / rho [m3 kg-1] (Eq. 7)."""

@@ -11,9 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.refraction.ray_table import cut
-from pipeline.units import STANDARD_GRAVITY
+from pipeline.units import STANDARD_GRAVITY, Array
 
-Array = NDArray[np.float64]
 Quantity = Callable[[Profile, Array], Array]
 Method = Callable[[Profile, ArrayLike, ArrayLike, ArrayLike, ArrayLike], Array]
 

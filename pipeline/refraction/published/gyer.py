@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
-from pipeline.refraction.published.column import Array, downward, finite, mean, times_tangent
-from pipeline.units import HECTOPASCAL
+from pipeline.refraction.published.column import downward, finite, mean, times_tangent
+from pipeline.units import HECTOPASCAL, Array
 
 STEP_M = 1000.0
 

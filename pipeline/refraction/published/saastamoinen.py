@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
-from pipeline.refraction.published.column import Array, density, finite, mean, times_tangent
-from pipeline.units import HECTOPASCAL
+from pipeline.refraction.published.column import density, finite, mean, times_tangent
+from pipeline.units import HECTOPASCAL, Array
 
 INDEX_PER_DENSITY = 0.000226
 """(n - 1) / rho [m3 kg-1]."""

@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.refraction.ray_table import cut
+from pipeline.units import Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 # Pieces of the profile on which refractivity and its perturbations are polynomials of degree 5 in

@@ -38,8 +38,7 @@ from pipeline.refraction.kernels.columns import AirTables
 from pipeline.refraction.ray_table import cut
 from pipeline.refraction.uncertainty.sensitivity import sensitivity
 from pipeline.refraction.window import SCHEDULE_PRESSURE_PA, SCHEDULE_TEMPERATURE_K
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 OPEN, SEALED, SCHEDULED = range(3)
 """Kinds of windows: none that bends; a plane window with air behind it that does not

@@ -43,8 +43,7 @@ from pipeline.refraction.uncertainty.air_sigma import (
 )
 from pipeline.refraction.uncertainty.leading_mode import leading_mode, rays_of_exposures
 from pipeline.refraction.uncertainty.sigmas import Uncertainty
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 _SLOPE_STEP_M = 0.5
 _BORDER = 9  # points along each side of an image

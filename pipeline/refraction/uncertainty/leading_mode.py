@@ -31,8 +31,7 @@ from pipeline.refraction.uncertainty.air_sigma import (
     window_errors,
 )
 from pipeline.refraction.uncertainty.sensitivity import sensitivity
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 _MOST_EXPOSURES, _ACROSS = 24, 5  # and rays in five rows and columns of an image
 _LARGEST_ZETA = np.radians(88.0)

@@ -27,8 +27,7 @@ from pipeline.refraction.uncertainty.adjoint import (
     pieces_between,
     trace_adjoints,
 )
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 
 @dataclass(frozen=True, eq=False)

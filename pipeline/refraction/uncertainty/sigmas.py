@@ -15,8 +15,8 @@ from pipeline.refraction.kernels.columns import (
     TracedColumns,
 )
 from pipeline.refraction.uncertainty.air_sigma import AirMode, AirSigma
+from pipeline.units import Array
 
-Array = NDArray[np.float64]
 Single = NDArray[np.float32]
 
 

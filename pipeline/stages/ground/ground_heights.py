@@ -13,11 +13,11 @@ from pipeline.refraction.chord import target_heights
 from pipeline.refraction.image import Corrections
 from pipeline.refraction.status_codes import NO_GROUND, OK
 from pipeline.tables.observations import Batch
+from pipeline.units import Array
 
 if TYPE_CHECKING:
     from pipeline.stages.correction import CorrectionSetup
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 

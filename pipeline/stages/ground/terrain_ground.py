@@ -19,8 +19,8 @@ from pipeline.stages.correction import CorrectionSetup
 from pipeline.stages.ground.ground_heights import GroundHeights, sigmas_given
 from pipeline.tables.geodata.elevation import ElevationModel, open_elevation
 from pipeline.tables.observations import Batch
+from pipeline.units import Array
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 _LARGEST_FACTOR = 20.0  # of an error of the model's height, where a ray grazes a slope

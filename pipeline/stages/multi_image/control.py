@@ -23,8 +23,8 @@ from pipeline.stages.correction import CorrectionSetup, correct_batch
 from pipeline.stages.ground.point_table import read_points
 from pipeline.tables.geodata.object_points import ObjectPoints, matching_rows
 from pipeline.tables.observations import Batch, Observations
+from pipeline.units import Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _BATCH_ROWS = 250_000

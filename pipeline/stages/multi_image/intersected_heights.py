@@ -23,8 +23,7 @@ from pipeline.stages.ground.ground_heights import ComputedGround
 from pipeline.tables.geodata.object_points import matching_rows
 from pipeline.tables.observations import Observations
 from pipeline.tables.text_columns import hashes_of, rows_among
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 _RAY = np.dtype([("point", "u8"), ("row", "i8"), ("station", "i8"), ("x", "f8"), ("y", "f8")])
 _ROWS_OF_A_FILE, _MOST_FILES, _BATCH_ROWS = 300_000, 200, 250_000

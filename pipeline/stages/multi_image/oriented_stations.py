@@ -27,7 +27,6 @@ from pipeline.block.oriented_images import (
 from pipeline.config.sections import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.config.station_sources import EnuFrame, KnownPositions, OrientationSection
 from pipeline.errors import InputError, MissionError
-from pipeline.flight.channels import Array
 from pipeline.flight.heights import GeodeticOrigin, ground_offsets
 from pipeline.flight.image_names import renamed
 from pipeline.flight.rotations import (
@@ -50,7 +49,7 @@ from pipeline.tables.imports.blocks import BLOCKS, block_rows, damage_refused, r
 from pipeline.tables.imports.orientation import OrientationTable, read_known_positions
 from pipeline.tables.observations import Observations
 from pipeline.tables.tie_points import TiePoints, tie_rays
-from pipeline.units import DEGREE, RADIANS
+from pipeline.units import DEGREE, RADIANS, Array
 
 _FEW_BELOW_GROUND = 0.1
 _GOOD_FACTOR = 2.0

@@ -13,7 +13,6 @@ from pipeline.block.diagnosis import Finding, StatedMission, diagnosis, scatter_
 from pipeline.block.image_rays import (
     MINIMUM_ANGLE_RAD,
     UNKNOWN_SIGMAS,
-    Array,
     ImageRays,
     Orientations,
     orientations_of,
@@ -31,6 +30,7 @@ from pipeline.refraction.camera.camera import Camera
 from pipeline.stages.exposure_setup import cameras_of_mission
 from pipeline.tables.geodata.elevation import ElevationModel
 from pipeline.tables.tie_points import TiePoints, tie_rays
+from pipeline.units import Array
 
 FEWEST_TIE_POINTS = 10
 _FEET = 1.0 - 0.3048

@@ -40,8 +40,7 @@ from pipeline.tables.exports.format import ExportFormat, FinishedRun, Option, Va
 from pipeline.tables.exports.lattice import lattice_parts
 from pipeline.tables.exports.radial import flying_heights
 from pipeline.tables.geodata.object_points import matching_rows
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 _FLAGGED, _REFUSED, _NOTHING_PX = 0.1, 0.5, 0.02
 """Parts of the refraction that a calibration may leave, and what no adjustment sees."""

@@ -12,8 +12,7 @@ from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef, euler_radius, offs
 from pipeline.ledger import Ledger
 from pipeline.refraction.image import straight_reach
 from pipeline.tables.exports.format import FinishedRun
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 
 def placed_stations(

@@ -23,8 +23,7 @@ from pipeline.refraction.image import Exposures
 from pipeline.refraction.ray import PublishedRays
 from pipeline.refraction.ray_table import RayTable
 from pipeline.tables.pixels import PixelSystem
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 
 @dataclass(frozen=True)

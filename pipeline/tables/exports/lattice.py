@@ -14,8 +14,8 @@ from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.tables.exports.format import FinishedRun, Option, Values, parquet_and_csv
 from pipeline.tables.schemas import schema_of
 from pipeline.tables.writing import table_of
+from pipeline.units import Array
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 _F = pa.float64()

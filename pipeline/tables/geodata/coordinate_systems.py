@@ -13,16 +13,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.errors import InputError
 from pipeline.flight.heights import LARGEST_GEOID_M, USUAL_GEOID_M
 from pipeline.geodesy import GeoidGrid
 from pipeline.ledger import Entry, Notes, loss, note, warning
 from pipeline.tables.geodata.geoid import package_geoid
-from pipeline.units import WGS84_A
-
-Array = NDArray[np.float64]
+from pipeline.units import WGS84_A, Array
 
 _GOOD_M = 1.0
 """A transformation that is no better than this is a warning [m]."""

@@ -15,8 +15,7 @@ from pipeline.errors import InputError
 from pipeline.ledger import Notes, note, warning
 from pipeline.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
 from pipeline.tables.geodata.coordinate_systems import GridSystem, grid_system
-
-Array = NDArray[np.float64]
+from pipeline.units import Array
 
 _TILES_IN_MEMORY = 100
 """Each takes 1 MB."""

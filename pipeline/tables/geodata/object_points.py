@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from pipeline.errors import InputError
 from pipeline.tables.column_checks import no_such_column
 from pipeline.tables.text_columns import numbers_of, text_table
+from pipeline.units import Array
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 _CODES = ("POINTS-TABLE", "POINTS-COLUMN")

@@ -15,14 +15,14 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
 from pipeline.errors import MissionError
-from pipeline.flight.channels import Array, Channel
+from pipeline.flight.channels import Channel
 from pipeline.flight.heights import HeightSystem, heights_at
 from pipeline.flight.rotations import ANGLE_MISTAKES, UNIT_MISTAKES
 from pipeline.flight.trajectory import attitude_at
 from pipeline.geodesy import principal_radii
 from pipeline.ledger import Entry, Kind, Ledger
 from pipeline.tables.imports.stated import wrapped
-from pipeline.units import RADIANS
+from pipeline.units import RADIANS, Array
 
 _MOST_SAMPLES = 3000
 _MAX_GAP_S = 5.0

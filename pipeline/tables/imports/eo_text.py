@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.errors import InputError
-from pipeline.flight.channels import Array, Channel
+from pipeline.flight.channels import Channel
 from pipeline.flight.rotations import (
     CAMERA_AT_REST,
     NED_FROM_ENU,
@@ -28,7 +28,7 @@ from pipeline.ledger import Ledger
 from pipeline.tables.geodata.coordinate_systems import grid_coordinates
 from pipeline.tables.imports.stated import Stated, channel_of_rows, not_of_format, read_text
 from pipeline.tables.text_columns import numbers, split_lines
-from pipeline.units import RADIANS
+from pipeline.units import RADIANS, Array
 
 FARTHEST_FROM_GRID_M = 5000.0
 """Another zone or projection is farther away; another datum, or rounded degrees, are nearer [m]."""

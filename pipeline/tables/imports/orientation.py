@@ -22,9 +22,7 @@ from pipeline.tables.text_columns import (
     text_table,
     utc_of_columns,
 )
-from pipeline.units import RADIANS
-
-Array = NDArray[np.float64]
+from pipeline.units import RADIANS, Array
 
 _ANGLES = {
     "omega", "phi", "kappa", "roll", "pitch", "yaw", "q_w", "q_x", "q_y", "q_z",

@@ -12,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.flight.channels import Array, Channel
+from pipeline.flight.channels import Channel
 from pipeline.geodesy import enu_from_ecef, geodetic_of_ecef, offset_geodetic
 from pipeline.ledger import Ledger
 from pipeline.tables.imports.stated import Stated, channel_of_rows, not_of_format, read_text
 from pipeline.tables.text_columns import numbers, split_lines, utc_of_dates, utc_of_weeks
+from pipeline.units import Array
 
 SINGLE_SIGMA_H_M, SINGLE_SIGMA_V_M = 2.5, 5.0
 """A single-point fix (Q 5) is not better than this, whatever its formal sigma says [m]."""

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pipeline.errors import InputError
-from pipeline.flight.channels import Array, Channel
+from pipeline.flight.channels import Channel
 from pipeline.geodesy import principal_radii
 from pipeline.ledger import Ledger
 from pipeline.tables.imports.stated import Stated, channel_of_rows, not_of_format, wrapped
-from pipeline.units import ARCSEC
+from pipeline.units import ARCSEC, Array
 
 FASTEST_M_S = 700.0
 """No aircraft that takes pictures flies faster [m/s]."""

@@ -15,12 +15,12 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from pipeline.errors import InputError
-from pipeline.flight.channels import Array, Channel, Source, TimeArray
+from pipeline.flight.channels import Channel, Source, TimeArray
 from pipeline.flight.clock import SECONDS_PER_WEEK
 from pipeline.geodesy import GeoidGrid
 from pipeline.ledger import Ledger
 from pipeline.tables.text_columns import utc_of_weeks
-from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, AngleUnit
+from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pipeline.errors import InputError
-from pipeline.flight.channels import Array, Channel, TimeArray
+from pipeline.flight.channels import Channel, TimeArray
 from pipeline.flight.clock import SECONDS_PER_WEEK
 from pipeline.geodesy import geodetic_of_ecef
 from pipeline.ledger import Ledger
@@ -23,7 +23,7 @@ from pipeline.tables.text_columns import (
     utc_of_dates,
     utc_of_weeks,
 )
-from pipeline.units import RADIANS
+from pipeline.units import RADIANS, Array
 
 _SINCE_EPOCH_S = 1e8
 """Seconds beyond this count from an epoch, not from the beginning of a week."""

@@ -26,8 +26,8 @@ from pipeline.refraction.image import straight_reach
 from pipeline.tables.exports.footprints import OneFrame, placed_stations, stations_in_one_frame
 from pipeline.tables.exports.format import FinishedRun
 from pipeline.tables.geodata.object_points import matching_rows
+from pipeline.units import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _COLUMNS = ["image", "point", "x_corrected_px", "y_corrected_px", "h_g_m", "status"]

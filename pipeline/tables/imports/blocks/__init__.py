@@ -26,9 +26,10 @@ from pipeline.errors import InputError, PhysicsError, UnbendError
 from pipeline.refraction.camera.camera import Camera
 from pipeline.tables.imports import reader_of
 from pipeline.tables.imports.blocks import colmap, dbat, metashape, opensfm
-from pipeline.tables.imports.blocks.image_points import Array, CameraMakers
+from pipeline.tables.imports.blocks.image_points import CameraMakers
 from pipeline.tables.imports.orientation import OrientationTable
 from pipeline.tables.imports.stated import not_of_format
+from pipeline.units import Array
 
 
 class BlockFormat(Protocol):

@@ -25,7 +25,6 @@ from pipeline.errors import InputError
 from pipeline.flight.rotations import matrices_of
 from pipeline.refraction.calibration import camera_of_model
 from pipeline.tables.imports.blocks.image_points import (
-    Array,
     BinaryFile,
     CameraMakers,
     TextFile,
@@ -34,6 +33,7 @@ from pipeline.tables.imports.blocks.image_points import (
 )
 from pipeline.tables.imports.orientation import OrientationTable
 from pipeline.tables.imports.stated import not_of_format
+from pipeline.units import Array
 
 _MODELS = (
     ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8),

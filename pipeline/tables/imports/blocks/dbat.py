@@ -24,7 +24,6 @@ from pipeline.flight.rotations import quaternion_of_opk
 from pipeline.refraction.calibration import MetricReport, camera_of_model, camera_of_report
 from pipeline.refraction.camera.camera import Camera
 from pipeline.tables.imports.blocks.image_points import (
-    Array,
     CameraMakers,
     TextFile,
     oriented_images,
@@ -32,6 +31,7 @@ from pipeline.tables.imports.blocks.image_points import (
 )
 from pipeline.tables.imports.orientation import OrientationTable
 from pipeline.tables.imports.stated import not_of_format, read_text
+from pipeline.units import Array
 
 _PHOTO = re.compile(r"^ +Photo \d+: (.+)$", re.M)
 _VALUE = re.compile(r"^ +(?:Omega|Phi|Kappa|Xc|Yc|Zc):\s+Value: +(\S+)", re.M)

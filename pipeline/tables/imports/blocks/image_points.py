@@ -25,7 +25,6 @@ from pipeline.refraction.camera.camera import Camera
 from pipeline.tables.imports.orientation import OrientationTable
 from pipeline.tables.imports.stated import not_of_format
 
-Array = NDArray[np.float64]
 CameraMakers = dict[str, Callable[[], Camera]]
 
 

@@ -25,7 +25,6 @@ from pipeline.flight.heights import GeodeticOrigin
 from pipeline.refraction.calibration import camera_of_model
 from pipeline.refraction.camera.camera import Camera
 from pipeline.tables.imports.blocks.image_points import (
-    Array,
     CameraMakers,
     oriented_images,
     rows_of_image,
@@ -33,6 +32,7 @@ from pipeline.tables.imports.blocks.image_points import (
 from pipeline.tables.imports.orientation import OrientationTable
 from pipeline.tables.imports.stated import not_of_format
 from pipeline.tables.text_columns import numbers_of
+from pipeline.units import Array
 
 _COEFFICIENTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "perspective": ("BROWN", ("k1", "k2", "-", "-", "-")),
