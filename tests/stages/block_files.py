@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 A, E2 = 6378137.0, 0.00669437999014
+CABIN = {"pressure_hpa": 812.0, "temperature_c": 21.0, "relative_humidity": 0.3}
 
 
 def matrices(q) -> np.ndarray:

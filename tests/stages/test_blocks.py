@@ -19,11 +19,10 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parent))
-from block_files import in_enu, write_colmap
+from block_files import CABIN, in_enu, write_colmap
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
-CABIN = {"pressure_hpa": 812.0, "temperature_c": 21.0, "relative_humidity": 0.3}
 ORIGIN = (47.0, 8.5, 500.0)
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "ba"
 CAMERAS = {  # of the simulated mission, in COLMAP's order
@@ -32,18 +31,6 @@ CAMERAS = {  # of the simulated mission, in COLMAP's order
     "oblique": ("FULL_OPENCV", 14000, 10600, [20000.0, 20000.0, 6989.2, 5308.1, -0.015, 0.007,
                                               -0.00012, 0.00008, -0.001, 0.0, 0.0, 0.0]),
 }  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def by_log(mission_factory, tmp_path_factory):
-    """The mission by its log, in the standard atmosphere behind windows of constant air."""
-    mission = mission_factory(tmp_path_factory.mktemp("by_log") / "mission")
-    mission.config["atmosphere"] = {"adjust": False}
-    for camera in mission.config["cameras"].values():
-        camera["window"] = {"cabin": CABIN}
-    ended = mission.run()
-    assert ended.code == 0, ended.text
-    return mission
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -17,21 +18,12 @@ from pipeline.errors import InputError
 from pipeline.simulate import SimulationOptions, simulate
 from pipeline.stages.story import read_mission
 
+sys.path.insert(0, str(Path(__file__).parent))
+from block_files import earth_centred, matrices
+
 pytestmark = pytest.mark.usefixtures("plain_report")
 
-CABIN = {"pressure_hpa": 812.0, "temperature_c": 21.0, "relative_humidity": 0.3}
 UNDULATION_M = 47.6
-A, E2 = 6378137.0, 0.00669437999014
-
-
-def textbook_matrix(q) -> np.ndarray:
-    """(n, 3, 3) of v_camera = R(q) v_enu by the formula, not by a library."""
-    w, x, y, z = np.asarray(q).T
-    return np.stack([
-        np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
-        np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
-        np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
-    ], -2)  # fmt: skip
 
 
 def textbook_opk(matrix: np.ndarray) -> np.ndarray:
@@ -41,33 +33,6 @@ def textbook_opk(matrix: np.ndarray) -> np.ndarray:
     phi = np.arcsin(m[:, 0, 2])
     kappa = np.arctan2(-m[:, 0, 1], m[:, 0, 0])
     return np.degrees(np.stack([omega, phi, kappa], axis=1))
-
-
-def earth_centred(lat_deg, lon_deg, h) -> tuple[np.ndarray, np.ndarray]:
-    """(n, 3) coordinates and (n, 3, 3) from them to east, north, up, written out here."""
-    p, lon = np.radians(lat_deg), np.radians(lon_deg)
-    n = A / np.sqrt(1 - E2 * np.sin(p) ** 2)
-    xyz = np.stack([(n + h) * np.cos(p) * np.cos(lon), (n + h) * np.cos(p) * np.sin(lon),
-                    (n * (1 - E2) + h) * np.sin(p)], -1)  # fmt: skip
-    zero = np.zeros_like(p)
-    enu = np.stack([
-        np.stack([-np.sin(lon), np.cos(lon), zero], -1),
-        np.stack([-np.sin(p) * np.cos(lon), -np.sin(p) * np.sin(lon), np.cos(p)], -1),
-        np.stack([np.cos(p) * np.cos(lon), np.cos(p) * np.sin(lon), np.sin(p)], -1),
-    ], -2)  # fmt: skip
-    return xyz, enu
-
-
-@pytest.fixture(scope="module")
-def by_log(mission_factory, tmp_path_factory):
-    """The mission by its log, in the standard atmosphere behind windows of constant air."""
-    mission = mission_factory(tmp_path_factory.mktemp("by_log") / "mission")
-    mission.config["atmosphere"] = {"adjust": False}
-    for camera in mission.config["cameras"].values():
-        camera["window"] = {"cabin": CABIN}
-    ended = mission.run()
-    assert ended.code == 0, ended.text
-    return mission
 
 
 @pytest.fixture
@@ -91,7 +56,7 @@ def block(mission_factory, by_log, tmp_path):
 
 def columns_of(table: pd.DataFrame, digits: int = 9) -> pd.DataFrame:
     """image, camera, time, latitude, longitude, height above sea level, omega, phi, kappa."""
-    opk = textbook_opk(textbook_matrix(table[["q_w", "q_x", "q_y", "q_z"]])).round(digits)
+    opk = textbook_opk(matrices(table[["q_w", "q_x", "q_y", "q_z"]])).round(digits)
     time = pd.to_datetime(table["time_utc"]).dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
     return pd.DataFrame({
         "image": table["image"], "camera": table["camera"], "time": time,
@@ -125,7 +90,7 @@ def assert_same(block, by_log, atol: float = 2e-6) -> None:
     assert np.abs(shift(by_log)).max() > 0.3
     np.testing.assert_allclose(shift(block), shift(by_log), atol=atol)
     mine, theirs = (
-        textbook_matrix(mission.stations().to_pandas()[["q_w", "q_x", "q_y", "q_z"]])
+        matrices(mission.stations().to_pandas()[["q_w", "q_x", "q_y", "q_z"]])
         for mission in (block, by_log)
     )
     np.testing.assert_allclose(mine, theirs, atol=1e-7)
@@ -193,7 +158,7 @@ def test_earth_centred(block, by_log):
     table = columns_of(block.table)
     xyz, enu = earth_centred(block.table["lat_deg"], block.table["lon_deg"],
                              block.table["h_ellipsoid_m"].to_numpy())  # fmt: skip
-    opk = textbook_opk(textbook_matrix(block.table[["q_w", "q_x", "q_y", "q_z"]]) @ enu)
+    opk = textbook_opk(matrices(block.table[["q_w", "q_x", "q_y", "q_z"]]) @ enu)
     table[["x", "y", "z"]], table[["omega", "phi", "kappa"]] = xyz.round(4), opk
     write(block, table.drop(columns=["latitude", "longitude", "height"]))
     orientation = block.config["stations"]["orientation"]
@@ -209,7 +174,7 @@ def test_one_topocentric_frame_100_km_away(block, by_log):
     xyz, enu = earth_centred(block.table["lat_deg"], block.table["lon_deg"],
                              block.table["h_ellipsoid_m"].to_numpy())  # fmt: skip
     origin, axes = earth_centred(np.array([lat0]), np.array([lon0]), np.array([h0]))
-    matrix = textbook_matrix(block.table[["q_w", "q_x", "q_y", "q_z"]]) @ enu @ axes[0].T
+    matrix = matrices(block.table[["q_w", "q_x", "q_y", "q_z"]]) @ enu @ axes[0].T
     table = columns_of(block.table)
     table[["x", "y", "z"]] = ((xyz - origin[0]) @ axes[0].T).round(4)
     table[["omega", "phi", "kappa"]] = textbook_opk(matrix)
@@ -231,7 +196,7 @@ def test_a_grid_whose_north_is_not_the_meridian(block, by_log):
     east_of_north = np.radians(1.8)
     cos, sin = np.cos(east_of_north), np.sin(east_of_north)
     enu_from_grid = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    matrix = textbook_matrix(block.table[["q_w", "q_x", "q_y", "q_z"]]) @ enu_from_grid
+    matrix = matrices(block.table[["q_w", "q_x", "q_y", "q_z"]]) @ enu_from_grid
     table = columns_of(block.table)
     table[["omega", "phi", "kappa"]] = textbook_opk(matrix)
     write(block, table)
@@ -258,7 +223,7 @@ def test_a_projection_turns_each_image_by_its_convergence(block, by_log):
     # East and north of the earth, by columns of the grid's x and y.
     enu_from_grid = np.stack([np.stack([c, s, zero], -1), np.stack([-s, c, zero], -1),
                               np.stack([zero, zero, zero + 1.0], -1)], -2)  # fmt: skip
-    matrix = textbook_matrix(block.table[["q_w", "q_x", "q_y", "q_z"]]) @ enu_from_grid
+    matrix = matrices(block.table[["q_w", "q_x", "q_y", "q_z"]]) @ enu_from_grid
     table[["omega", "phi", "kappa"]] = textbook_opk(matrix)
     write(block, table)
     section = block.config["stations"]["orientation"]
@@ -308,7 +273,7 @@ def test_roll_pitch_and_yaw_of_the_aircraft_with_the_mounts_of_its_cameras(block
         name: mount | {"lever_arm_m": [0.0, 0.0, 0.0]}
         for name, mount in by_log.config["mount"].items()
     }
-    body = textbook_matrix(block.table[[f"aircraft_q_{axis}" for axis in "wxyz"]])
+    body = matrices(block.table[[f"aircraft_q_{axis}" for axis in "wxyz"]])
     ned = body @ np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])  # v_body = ned v_ned
     table = columns_of(block.table).drop(columns=["omega", "phi", "kappa"])
     table["roll"] = np.degrees(np.arctan2(ned[:, 1, 2], ned[:, 2, 2]))
@@ -329,7 +294,7 @@ def model_of(block, keep: int) -> tuple[pd.DataFrame, pd.DataFrame]:
     turn = turn @ np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
     table = columns_of(block.table).drop(columns=["latitude", "longitude", "height"])
     table[["x", "y", "z"]] = 0.02 * (xyz - xyz.mean(axis=0)) @ turn.T
-    matrix = textbook_matrix(block.table[["q_w", "q_x", "q_y", "q_z"]]) @ enu @ turn.T
+    matrix = matrices(block.table[["q_w", "q_x", "q_y", "q_z"]]) @ enu @ turn.T
     table[["omega", "phi", "kappa"]] = textbook_opk(matrix)
     known = block.table[["image", "lat_deg", "lon_deg", "h_ellipsoid_m"]].iloc[:keep]
     return table, known.set_axis(["image", "latitude", "longitude", "height"], axis=1)

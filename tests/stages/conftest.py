@@ -1,0 +1,23 @@
+"""What several tests of the stages start from."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from block_files import CABIN
+
+
+@pytest.fixture(scope="module")
+def by_log(mission_factory, tmp_path_factory):
+    """The mission by its log, in the standard atmosphere behind windows of constant air."""
+    mission = mission_factory(tmp_path_factory.mktemp("by_log") / "mission")
+    mission.config["atmosphere"] = {"adjust": False}
+    for camera in mission.config["cameras"].values():
+        camera["window"] = {"cabin": CABIN}
+    ended = mission.run()
+    assert ended.code == 0, ended.text
+    return mission
