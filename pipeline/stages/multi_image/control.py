@@ -178,10 +178,10 @@ def compare_control(
         "heights in feet taken for metres": (lat, lon, h - (1.0 - _FEET) * stated),
         "latitude and longitude exchanged": (lon, lat, h),
     }  # fmt: skip
+    used, corrected = comparison.used, places[1]
     off_m = {
-        what: float(np.median(np.linalg.norm(places[1] - ecef_of_geodetic(*at_), axis=1)[used]))
-        for used in (comparison.used,)
-        for what, at_ in readings.items()
+        what: float(np.median(np.linalg.norm(corrected - ecef_of_geodetic(*read), axis=1)[used]))
+        for what, read in readings.items()
     }
     judge_control(comparison, off_m, ledger)
     return comparison

@@ -36,7 +36,15 @@ from pipeline.refraction.camera.brown_conrady import BrownConrady
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
 from pipeline.refraction.image import lattice_nodes
-from pipeline.tables.exports.format import ExportFormat, FinishedRun, Option, Values
+from pipeline.tables.exports.blocks.opensfm_project import opensfm_camera
+from pipeline.tables.exports.format import (
+    PIXEL_UM,
+    ExportFormat,
+    FinishedRun,
+    Option,
+    Values,
+    pixel_mm,
+)
 from pipeline.tables.exports.lattice import lattice_parts
 from pipeline.tables.exports.radial import flying_heights
 from pipeline.tables.geodata.object_points import matching_rows
@@ -222,7 +230,7 @@ def fit_calibration(
     return FittedCalibration(
         f"{re.sub(r'[^0-9A-Za-z._-]', '_', name)}_{np.median(above):.4g}m",
         name, stations, base, few if few_do else full, change,
-        values["pixel_um"] * 1e-3 or given.pixel_mm,
+        pixel_mm(run, name, values),
         f"{above.min():.0f} to {above.max():.0f} m above the ground (cameras "
         f"{np.median(height):.0f}, ground {np.median(ground):.0f} m above sea level)",
         effect, of_few if few_do else of_full, rms(left),
@@ -332,12 +340,7 @@ def write_cameras(found: Sequence[FittedCalibration], path: Path) -> None:
         model = "OPENCV_FISHEYE" if fisheye else "FULL_OPENCV"
         colmap += [f"# {number}: {fitted.name}",
                    f"{number} {model} {w} {h} {' '.join(map(repr, params))}"]  # fmt: skip
-        longer = float(max(w, h))
-        opensfm[fitted.name] = {
-            "projection_type": "fisheye_opencv" if fisheye else "brown", "width": w, "height": h,
-            "focal_x": fx / longer, "focal_y": fy / longer, "c_x": (cx - 0.5 * w) / longer,
-            "c_y": (cy - 0.5 * h) / longer, **dict(zip(names, ordered, strict=True)),
-        }  # fmt: skip
+        opensfm[fitted.name] = opensfm_camera(camera, fitted.camera_name)
         # Metashape: x is projected with f + b1, and P1 belongs to x.
         p1, p2 = lens.pop("p1", 0.0), lens.pop("p2", 0.0)
         root = ElementTree.Element("calibration")
@@ -368,8 +371,7 @@ FORMATS = (
         (
             Option("same_height", float, 10.0, "largest difference of heights above ground that "
                    "share a calibration", "%", 0.1, 50.0),
-            Option("pixel_um", float, 0.0, "size of a pixel for the tables in mm; 0: as in "
-                   "cameras.<name>.metric", "um", 0.0, 200.0),
+            PIXEL_UM,
         ),
     ),
 )  # fmt: skip

@@ -92,6 +92,16 @@ class Option:
 Values = Mapping[str, Any]
 """The value of every option of a format, by name."""
 
+PIXEL_UM = Option(
+    "pixel_um", float, 0.0, "size of a pixel for the tables in mm; 0: as in cameras.<name>.metric",
+    "um", 0.0, 200.0,
+)  # fmt: skip
+
+
+def pixel_mm(run: FinishedRun, camera: str, values: Values) -> float:
+    """The size of a camera's pixels [mm], by `PIXEL_UM`, else its own; NaN if unknown."""
+    return float(values[PIXEL_UM.name] * 1e-3 or run.cameras[camera].pixel_mm)
+
 
 @dataclass(frozen=True)
 class ExportFormat:

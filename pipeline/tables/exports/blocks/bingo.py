@@ -19,10 +19,12 @@ from pipeline.errors import ConfigError, MissionError
 from pipeline.ledger import Ledger
 from pipeline.tables.exports.blocks.exported_block import block_of
 from pipeline.tables.exports.format import (
+    PIXEL_UM,
     ExportFormat,
     FinishedRun,
     Option,
     Values,
+    pixel_mm,
     write_csv_stream,
 )
 
@@ -60,8 +62,8 @@ def write_bingo(run: FinishedRun, values: Values, folder: Path, ledger: Ledger) 
     block = block_of(run, ledger)
     given = {"image": [*block.image], "camera": [*block.cameras], "point": block.name}
     short = {kind: short_names(names, kind) for kind, names in given.items()}
-    pixel_mm = {n: values["pixel_um"] * 1e-3 or run.cameras[n].pixel_mm for n in block.cameras}
-    for name in [name for name, size in pixel_mm.items() if np.isnan(size)]:
+    sizes = [pixel_mm(run, name, values) for name in block.cameras]
+    for name in [name for name, size in zip(block.cameras, sizes, strict=True) if np.isnan(size)]:
         raise ConfigError(
             "EXPORT-OPTION",
             f"nothing says how large the pixels of camera {name} are, or they are not square",
@@ -75,7 +77,7 @@ def write_bingo(run: FinishedRun, values: Values, folder: Path, ledger: Ledger) 
             here, number = block.of_image(i), block.camera[i]
             x = block.x_px[here] - 0.5 * cameras[number].width_px
             y = 0.5 * cameras[number].height_px - block.y_px[here]
-            xy = turn @ np.stack([x, y]) * [*pixel_mm.values()][number]
+            xy = turn @ np.stack([x, y]) * sizes[number]
             file.write(f"{image} {short['camera'][number]}\n")
             for p, x, y in zip(block.point[here], *xy, strict=True):
                 file.write(f"{short['point'][p]} {x:.7f} {y:.7f}\n")
@@ -95,8 +97,7 @@ FORMATS = (
     ExportFormat(
         "bingo", "a block for BINGO: a folder with image.dat", "", write_bingo,
         (
-            Option("pixel_um", float, 0.0, "size of a pixel for the tables in mm; 0: as in "
-                   "cameras.<name>.metric", "um", 0.0, 200.0),
+            PIXEL_UM,
             Option("quarter_turns", int, 0, "quarter turns, counter-clockwise, of the axes of "
                    "BINGO's image against x to the right, y up", "", 0, 3),
         ),
