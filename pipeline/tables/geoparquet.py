@@ -42,6 +42,7 @@ def geo_metadata(column: str) -> dict[str, str]:
 def points_wkb(lon_deg: Array, lat_deg: Array, h_ellipsoid_m: Array) -> list[bytes | None]:
     """(n,) points; without height where that is unknown (NaN), None where there is no position.
 
+    >>> import numpy as np
     >>> points_wkb(np.array([8.0]), np.array([47.0]), np.array([500.0]))[0].hex()[:10]
     '01e9030000'
     """
