@@ -59,7 +59,7 @@ class UnbendError(Exception):
 
 
 class ConfigError(UnbendError):
-    """The command line or the mission file cannot be obeyed."""
+    """The command line or the mission file asks for what cannot be done."""
 
     exit_code = EXIT_CONFIG
 

@@ -83,7 +83,7 @@ class ImageEvidence:
     drift_sigma : of the camera clock's rate (5e-5: 0.18 s in an hour).
     number : (k,) from the names.
     numbering : what the numbers are: ``index``, those of the log's index (modulo 65536);
-        ``counted``, the events counted from 1; ``sequence``, the camera's own, which tell the
+        ``counted``, the events counted from 1; ``sequence``, the camera's own, which give the
         order and the gaps only.
     total : for ``counted``, how many images were exposed; by default the largest number.
     """

@@ -38,7 +38,7 @@ _KEYS = {
 }  # fmt: skip
 
 _WORSE_THAN_FLAT, _FLAT = 1.1, 0.002  # of the relief, and at least of the flying height
-_MARGIN = 0.1  # of a log likelihood ratio, within which two mistakes are not told apart
+_MARGIN = 0.1  # of a log likelihood ratio, within which two mistakes count as equally likely
 _LARGEST_REFINEMENT_RAD = np.radians(5.0)  # of a mistake that is still that one
 
 _SCALES = (0.25, 0.5, 2.0 / 3.0, 0.8, 1.25, 1.5, 2.0, 4.0)

@@ -58,7 +58,7 @@ class Intersection:
     minus intersected along the image's x and y; ``bad`` (r,) rays that contradict the others of
     their point by more than any station error can. ``chi_square`` has ``redundancy`` degrees of
     freedom; ``log_likelihood`` is natural, up to a constant of the rays given, with a common factor
-    of all sigmas at its best (at least 1): too small sigmas do not feign certainty.
+    of all sigmas at its best (at least 1): too small sigmas do not make it too certain.
     """
 
     orientations: Orientations

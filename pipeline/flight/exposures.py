@@ -21,7 +21,7 @@ from pipeline.units import Array
 class Events:
     """Exposures of one camera: (m,) names, times (UTC, ns) and, one or (m,), their sigma [s].
 
-    A name is "" where only the images themselves can tell it. ``index`` (m,) are the log's numbers
+    A name is "" where only the images themselves give it. ``index`` (m,) are the log's numbers
     where they count on from the first event to the last, ``lost`` how many of them have no event.
     ``counts`` of a file: always, where its rows have no numbers of their own, or maybe, where they
     begin at 1 and skip none, which a file renumbered after a loss does too.

@@ -125,8 +125,8 @@ def height_system(
 
 def _by_size(off_m: float, what: str, where: str, count: int) -> Entry:
     """An undulation that is off: a warning, beyond 10 m a finding."""
-    tell = finding if abs(off_m) > LARGEST_GEOID_M else warning
-    return tell("HEIGHT-GEOID", what, where=where, count=count)
+    entry = finding if abs(off_m) > LARGEST_GEOID_M else warning
+    return entry("HEIGHT-GEOID", what, where=where, count=count)
 
 
 def undulation_notes(heights: HeightSystem, stations: Stations, egm96: GeoidGrid) -> Notes:

@@ -35,7 +35,7 @@ class Mount:
     """How a camera sits in the aircraft; angles [rad], lever arm [m] in the body frame.
 
     ``sigma_tilt_rad`` about each level axis of the body and ``sigma_yaw_rad`` about its vertical
-    one are those of the attitude and the mount together; None for what the log tells.
+    one are those of the attitude and the mount together; None for those of the log.
     """
 
     roll_rad: float = 0.0

@@ -63,7 +63,7 @@ def assign_roles(
     for role in ("temperature", "humidity"):
         inside_role = f"cabin_{role}"
         if needs_cabin and not {role, inside_role} & (filled.keys() | named.keys()):
-            # A sensor that may be outside or in the cabin is not guessed where both are needed.
+            # Where both are needed, a sensor that may be outside or in the cabin gets neither role.
             either = [c.name for c in everything if {role, inside_role} <= set(c.roles)]
             what = (
                 f"{', '.join(either)}: is it the {role} outside or in the cabin? none of them is "

@@ -217,7 +217,7 @@ class _Curve:
     parabola through the sample and both its neighbours. ``difference`` (m, k) of the samples of two
     arrays of rows. Slopes that differ from the straight line by more than the first of ``limits``
     over an interval, and by more than the second [per s^2] can do in it, contradict the samples.
-    Slopes settle late, by ``lag_s``: over shorter intervals the samples alone tell more.
+    Slopes settle late, by ``lag_s``: over shorter intervals the samples alone are better.
     """
 
     channel: Channel

@@ -133,7 +133,7 @@ class MessageMap:
     ``id_field`` names the field that tells instances apart, ``time_field`` the message's own time,
     both where the format itself does not;
     ``spare_rank`` is the rank of all instances but the first, where those are spares. Where it is
-    not given all have the same rank: instance numbers do not tell which thermometer is outside.
+    not given all have the same rank: instance numbers do not show which thermometer is outside.
     ``position`` drops rows without a fix, ``attitude`` turns Euler angles into a quaternion.
     ``text_field`` names the text of what the autopilot says: such a channel has no columns.
     """

@@ -342,7 +342,7 @@ def extent_of_observations(facts: Facts) -> Findings:
 
 
 def direction_of_cameras(facts: Facts) -> Findings:
-    """Cameras that look down, and those of a telling name where it says."""
+    """Cameras that look down, and those whose name says where they look."""
     for name in facts.cameras:
         axis, half, expected = facts.axis_deg(name), facts.view_deg(name) / 2.0, ""
         if axis > 90.0 - min(half, 10.0):

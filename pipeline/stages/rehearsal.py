@@ -1,4 +1,4 @@
-"""What ``unbend check`` tells of a mission: its inputs, and what a run would do, in ten lines."""
+"""The summary of ``unbend check``: inputs of a mission, and what a run would do, in ten lines."""
 
 from __future__ import annotations
 

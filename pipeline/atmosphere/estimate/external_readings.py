@@ -137,7 +137,7 @@ def reason_uninformative(source: Sounding | SurfaceReport, flight: TimeAndPlace)
     """Why a source is too old or too far away to be used, in words; None where it can be.
 
     >>> reason_uninformative(SurfaceReport(0.0, 1e5, 280.0, 800.0, time_ns=0), TimeAndPlace(10**15))
-    'it is 278 hours from the flight: the climatology knows as much'
+    'it is 278 hours from the flight: the climatology is as accurate'
     """
     hours, metres = hours_and_metres(source, flight)
     if variance_growth(hours, metres) <= MOST_GROWTH:
@@ -148,7 +148,7 @@ def reason_uninformative(source: Sounding | SurfaceReport, flight: TimeAndPlace)
         far = f"{metres / 1e3:.0f} km"
     else:
         far = f"{hours:.0f} hours and {metres / 1e3:.0f} km"
-    return f"it is {far} from the flight: the climatology knows as much"
+    return f"it is {far} from the flight: the climatology is as accurate"
 
 
 def note_source_distances(

@@ -88,21 +88,21 @@ def refuse_wrong_units(raw: RawLevels) -> None:
     p, t = _largest(raw.pressure_pa), _largest(raw.temperature_k)
     if p is not None and not _GROUND_PA[0] <= p <= _GROUND_PA[1]:
         as_pa, as_hpa = p * HECTOPASCAL, p / HECTOPASCAL
-        guess = (
+        likely = (
             "they look like hPa where Pa is stated" if _GROUND_PA[0] <= as_pa <= _GROUND_PA[1]
             else "they look like Pa where hPa is stated" if _GROUND_PA[0] <= as_hpa <= _GROUND_PA[1]
             else "that is no air near the ground"
         )  # fmt: skip
-        raise _refusal(raw, "pressure", f"the highest pressure is {p:.6g} Pa: {guess}",
+        raise _refusal(raw, "pressure", f"the highest pressure is {p:.6g} Pa: {likely}",
                        "pressure_pa or pressure_hpa")  # fmt: skip
     if t is not None and not _WARMEST_LEVEL_K[0] <= t <= _WARMEST_LEVEL_K[1]:
-        guess = (
+        likely = (
             "they look like Celsius where Kelvin is stated" if t < 80.0
             else "they look like Kelvin where Celsius is stated" if t > 198.0 + ZERO_CELSIUS_K
             else "they look like Fahrenheit" if t > _WARMEST_LEVEL_K[1]
             else "that is too cold for the warmest level of a sounding"
         )  # fmt: skip
-        raise _refusal(raw, "temperature", f"the warmest level has {t:.6g} K: {guess}",
+        raise _refusal(raw, "temperature", f"the warmest level has {t:.6g} K: {likely}",
                        "temperature_k or temperature_c, and convert Fahrenheit")  # fmt: skip
     dew = None if raw.dew_point_k is None else _largest(raw.dew_point_k)
     if dew is not None and not 150.0 <= dew <= 333.0:

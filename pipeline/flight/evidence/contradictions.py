@@ -166,7 +166,7 @@ def contradictions_of(sources: Sources, while_on: Channel) -> tuple[list[Stretch
         found += silences(own.channel, while_on, quantity)
     elif receivers:
         # A filter that was led away leaves the receiver's path less its steps. One that steps back
-        # to it was wrong before the step, which its own path does not tell.
+        # to it was wrong before the step, which its own path does not show.
         found = own_contradictions(receivers[0], quantity) if len(receivers) == 1 else []
         found = [s for s in found if not np.isfinite(s.off_m)]
         quiet = [silences(r.channel, own.channel, quantity) for r in receivers]

@@ -111,7 +111,7 @@ def message_evidence(channels: Sequence[Channel]) -> list[Stretch]:
 def attitude_evidence(attitude: Channel, channels: Sequence[Channel]) -> list[Stretch]:
     """Where the vertical of an attitude differs from that of another, beyond what is usual.
 
-    What the aircraft turns in 0.2 s does not count: telemetry does not tell times better.
+    What the aircraft turns in 0.2 s does not count: times of telemetry are no better.
     """
 
     def vertical(c: Channel) -> Channel:

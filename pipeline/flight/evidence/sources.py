@@ -99,7 +99,7 @@ def source_path(channel: Channel, quantity: str, channels: Iterable[Channel]) ->
     A step is what neither the velocity (of the first of ``channels`` that has one) nor the speed of
     the neighbouring samples explains: more than 3 m horizontally, 5 m in height, and several times
     what is usual in the channel. Steps add up; from the one that leaves to the one that returns the
-    source is away. One without return parts the channel: which side is right, it does not tell.
+    source is away. One without return parts the channel: which side is right, it does not show.
     """
     channel = with_places(channel, quantity)
     time_ns, n = channel.time_ns, len(channel)

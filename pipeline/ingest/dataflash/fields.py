@@ -162,7 +162,7 @@ MESSAGES: Mapping[str, MessageMap] = {
     "TRIG": MessageMap(_SHOT, ("events",), 40),
 }  # fmt: skip
 
-# What EV and ERR mean, as far as they tell of the filter and the receivers (AP_Logger.h); in ERR
+# What EV and ERR mean, as far as they concern the filter and the receivers (AP_Logger.h); in ERR
 # the second number is 0 where the trouble is over.
 EVENTS = {60: "EKF_ALT_RESET", 62: "EKF_YAW_RESET", 67: "GPS_PRIMARY_CHANGED"}
 ERRORS = {

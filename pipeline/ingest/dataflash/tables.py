@@ -74,8 +74,8 @@ def texts(raw: NDArray[np.bytes_]) -> NDArray[np.str_]:
 def merge_tables(several: list[Table]) -> Table:
     """Tables of one message whose definition changed in the file, in the order of the file.
 
-    Every value is as it is logged, see `join_pieces`; missing numbers of instances, which tell
-    rows apart, are -1.
+    Every value is as it is logged, see `join_pieces`; missing numbers of instances, which
+    separate rows, are -1.
     """
     if len(several) == 1:
         return several[0]

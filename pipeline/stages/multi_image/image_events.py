@@ -32,7 +32,7 @@ Likelihood = Callable[[Indices], float]
 
 _DAY_S = 86_400.0
 _FEW_CONTRADICTED = 0.02
-_FEWEST_POINTS, _TIE_POINTS = 10, 200  # 800 rays tell a shift by a factor of e^3000
+_FEWEST_POINTS, _TIE_POINTS = 10, 200  # 800 rays show a shift by a factor of e^3000
 _FEWEST_MEET, _POOREST_FIT = 0.5, 5.0
 _USABLE_STATIONS = 0.9
 _LARGEST_HOLE = 12
@@ -371,7 +371,7 @@ def hole_between(
 
     Exposures without event, or events without image, may lie between them: then a part is shifted,
     by two or by as many as there are too few, or too many. Tie points that are seen from both parts
-    tell, or positions; and where there are none, nothing does.
+    show it, or positions; where there are none, nothing does.
     """
     count, m, event = images.name.size, exposed.time_ns.size, assignment.event
     last = int(images.number.max()) if images.numbering == "counted" else count

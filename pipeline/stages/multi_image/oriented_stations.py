@@ -285,7 +285,7 @@ def stations_of_table(
 def check_height_above_ground(
     plan: Plan, flight: FlightLog, stations: Stations, observations: Observations, ledger: Ledger
 ) -> Stations:
-    """Tell how high the cameras are above the ground; refuses those that are in it.
+    """Stations, with an entry on the height of the cameras above the ground; none may be in it.
 
     Single ones that are far too high are suspect. The ground is that of the mission file, or of
     the first observations.
@@ -323,8 +323,8 @@ def check_height_above_ground(
         ledger.loss("ORIENTATION-HEIGHT", text, where=where, count=int(high.sum()))
         use = plan.mission.stations.use_suspect
         return stations.as_suspect(high, "far above the others", np.nan, use=use)
-    tell = ledger.warning if low > 0 or high.any() else ledger.note
-    tell("ORIENTATION-HEIGHT", what, where=where, count=above.size)
+    entry = ledger.warning if low > 0 or high.any() else ledger.note
+    entry("ORIENTATION-HEIGHT", what, where=where, count=above.size)
     return stations
 
 

@@ -183,10 +183,10 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
 
 
 def described(finding: Finding) -> str:
-    """What is found, with what tie points do not tell from it."""
+    """The mistake that is found, and others that tie points do not separate from it."""
     if not finding.also:
         return finding.what
-    return f"tie points do not tell these apart: {'; or '.join((finding.what, *finding.also))}"
+    return f"equally likely by the tie points: {'; or '.join((finding.what, *finding.also))}"
 
 
 def report_misses(
@@ -206,7 +206,7 @@ def report_misses(
     at = np.searchsorted(stated.point, rays.point)
     line = stated.position_m[at] - stated.orientations.centre_m[rays.image]
     miss = np.sqrt(np.mean(stated.residual_rad**2, axis=1))
-    # A point whose rays are all but parallel tells nothing.
+    # A point whose rays are all but parallel has no place of its own.
     judged = stated.used | (stated.angle_rad >= MINIMUM_ANGLE_RAD)
     judged[at[stated.bad]] = True
     lost = (stated.bad | np.isnan(miss)) & judged[at]

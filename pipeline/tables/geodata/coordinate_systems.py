@@ -112,8 +112,8 @@ def places_of(
                 )  # fmt: skip
             what = f"{vertical.name} taken as {geoid.name} relates it to the ellipsoid, "
             what += f"{off_m:+.1f} m from EGM96 in the median"
-            tell = note if abs(off_m) <= USUAL_GEOID_M else warning
-            notes.append(tell("CRS-VERTICAL", what, where=where, count=count))
+            entry = note if abs(off_m) <= USUAL_GEOID_M else warning
+            notes.append(entry("CRS-VERTICAL", what, where=where, count=count))
             h, heights = h + undulation, "ellipsoid"
     return Places(lat, lon, h, heights, convergence), tuple(notes)
 

@@ -276,8 +276,8 @@ def open_elevation(
     what += f"; to WGS 84 by {system.by}"
     if system.vertical and not system.is_sea_level:
         what += f"; {system.vertical} is taken as mean sea level, from which it may be a metre away"
-    tell = note if system.is_good and (system.is_sea_level or not system.vertical) else warning
-    return model, (tell("DEM-READ", what, where=where, count=len(rasters)),)
+    entry = note if system.is_good and (system.is_sea_level or not system.vertical) else warning
+    return model, (entry("DEM-READ", what, where=where, count=len(rasters)),)
 
 
 def _unreadable(where: str, error: Exception) -> InputError:

@@ -222,7 +222,7 @@ def _compare_attitudes(
     def apart(attitude: Rotation) -> float:
         return float(np.degrees(np.percentile((own.inv() * attitude).magnitude(), 90.0)))
 
-    # Few attitudes, as of some events, do not tell one mistake from another.
+    # Few attitudes, as of some events, do not separate one mistake from another.
     size = apart(imported) if np.count_nonzero(known) >= _FEWEST else 0.0
     for what, undone in (UNIT_MISTAKES | ANGLE_MISTAKES).items() if size > _LARGE_TURN_DEG else ():
         left = apart(Rotation.from_euler("ZYX", np.stack(undone(*angles.T[::-1])[::-1], axis=1)))

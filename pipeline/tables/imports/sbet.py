@@ -161,26 +161,26 @@ def wander_sign(
     # y points left (frame north, west, up) or right.
     velocity = min((rows[:, 4] + 1j * side * rows[:, 5] for side in (-1, 1)),
                    key=lambda able: min(misfits(able)))  # fmt: skip
-    trusted = min(misfits(velocity)) < max(0.3, 0.03 * usual)
+    consistent = min(misfits(velocity)) < max(0.3, 0.03 * usual)
     forward = np.abs(track) * np.exp(1j * rows[:, 9])
-    minus, plus = misfits(velocity if trusted else forward)
+    minus, plus = misfits(velocity if consistent else forward)
     largest = 2.0 * float(np.abs(np.sin(wander[moving])).max())
     decided = min(minus, plus) < 0.5 * usual and abs(plus - minus) > 0.25 * largest * usual
     sign = 1.0 if decided and plus < minus else -1.0
     if largest < 2.0 * _LEAST_WANDER_RAD:
         ledger.note("IMPORT-WANDER", "the wander angle is zero throughout", where=path.name)
     else:
-        tell = ledger.note if decided and sign < 0.0 else ledger.warning
-        tell(
+        entry = ledger.note if decided and sign < 0.0 else ledger.warning
+        entry(
             "IMPORT-WANDER",
             f"true heading is platform heading {'minus' if sign < 0 else 'plus'} wander angle (up "
             f"to {np.degrees(np.abs(wander[moving]).max()):.2f} deg; POSPac: minus): "
-            f"{'velocities and positions' if trusted else 'heading and course'} "
+            f"{'velocities and positions' if consistent else 'heading and course'} "
             f"{'differ' if decided else 'do not decide it, they differ'} by {minus:.2f} m/s with "
             f"minus, {plus:.2f} m/s with plus",
             where=path.name,
         )
-    if trusted:
+    if consistent:
         return sign, velocity * np.exp(1j * sign * wander)
     if said > 0.0:
         ledger.warning("IMPORT-VELOCITY", "its velocities are those of its positions in no frame ("

@@ -179,7 +179,7 @@ def test_the_age_of_a_sounding_counts_without_any_sensor(ascents):
     h = truth.h[:6000:100]
     assert made.profile.temperature(h) == pytest.approx(without.profile.temperature(h), abs=1e-6)
     (told,) = [use for use in made.sources if use.source.startswith("sounding 72357")]
-    assert "the climatology knows as much" in told.why_not
+    assert "the climatology is as accurate" in told.why_not
 
 
 def test_a_sounding_of_another_day_is_no_worse_than_none(ascents):
