@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: sample test lint bench faults planted clean
+.PHONY: sample test lint docs bench faults planted clean
 
 $(STAMP): pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "unbend needs Python 3.11 or newer: make PYTHON=python3.11 ...")'
@@ -26,6 +26,10 @@ lint: $(STAMP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# The documentation as a site: open docs/site/index.html.
+docs: $(STAMP)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --config-file docs/mkdocs.yml
+
 # 100,000 mutated logs of each format, half an hour; `make test` does 2,000. 1,000 flights drawn for
 # the assignment of events to images; `make test` does 200. All mistakes of survey engineers; `make
 # test` does 12. All cases of what tie points find in simulated blocks; `make test` does some. 30
@@ -42,4 +46,4 @@ bench: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -o addopts='' -o python_files='bench_*.py' -q benchmarks
 
 clean:
-	rm -rf $(VENV) results
+	rm -rf $(VENV) results docs/site

@@ -1,0 +1,60 @@
+"""Hooks of mkdocs: files outside docs/pages, generated parts, equations."""
+
+from __future__ import annotations
+
+import html
+import posixpath
+import re
+from pathlib import Path
+from typing import Any
+
+from latex2mathml.converter import convert
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+DOCS = Path(__file__).resolve().parent
+PAGES = DOCS / "pages"
+LINK = re.compile(r"(\]\()([^)#\s:]+)((?:#[^)\s]*)?\))")
+UNSEARCHED = ("changelog.md", "changelog_details.md", "decisions.md")
+EQUATION = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
+
+
+def elsewhere() -> dict[Path, str]:
+    """Files of the repository that the site has too, and their place in it."""
+    files = [*DOCS.glob("*.md"), *DOCS.glob("*.png")]
+    return {path: path.name for path in files} | {
+        DOCS.parent / "CONTRIBUTING.md": "contributing.md"
+    }
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    for path, place in elsewhere().items():
+        files.append(File.generated(config, place, abs_src_path=str(path)))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
+    source, here = Path(str(page.file.abs_src_path)), posixpath.dirname(page.file.src_uri)
+    places = elsewhere()
+    if page.file.src_uri in UNSEARCHED:
+        page.meta["search"] = {"exclude": True}
+
+    def as_in_the_site(link: re.Match[str]) -> str:
+        target = (source.parent / link[2]).resolve()
+        place = places.get(target)
+        if place is None and target.is_relative_to(PAGES):
+            place = target.relative_to(PAGES).as_posix()
+        return link[0] if place is None else f"{link[1]}{posixpath.relpath(place, here)}{link[3]}"
+
+    return LINK.sub(as_in_the_site, markdown)
+
+
+def on_page_content(content: str, **_: Any) -> str:
+    """Equations as MathML, which browsers show without a script."""
+    return EQUATION.sub(
+        lambda found: convert(
+            html.unescape(found[2]).strip(), display="block" if found[1] == "div" else "inline"
+        ),
+        content,
+    )
