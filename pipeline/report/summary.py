@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pipeline.report.words import three_digits, with_sigma
+
 _GRAVEST_FIRST = ("finding", "loss", "warning", "fallback", "note")
 _NEARLY_ALL = 0.9
 
@@ -65,23 +67,6 @@ def _suspects(manifest: Mapping[str, Any]) -> str:
         return ""
     more = f" (and {len(reasons) - 1} more entries in the ledger)" if len(reasons) > 1 else ""
     return f" {count} stations are suspect: {reasons[0]}{more}."
-
-
-def three_digits(value: float | None) -> str:
-    """A number to three significant digits, without an exponent.
-
-    >>> [three_digits(x) for x in (0.006234, 12.345, 1234.5, 2e-9, None)]
-    ['0.00623', '12.3', '1234', '<0.001', '-']
-    """
-    if value is None:
-        return "-"
-    if value == 0.0:
-        return "0"
-    if abs(value) < 5e-4:
-        return "<0.001"
-    if abs(value) >= 1000.0:
-        return f"{value:.0f}"
-    return f"{value:.3g}"
 
 
 def control_sentence(manifest: Mapping[str, Any]) -> str:
@@ -176,22 +161,18 @@ def air_sentences(manifest: Mapping[str, Any]) -> str:
 
 def effect_lines(effects: Sequence[Mapping[str, Any]], standard: str) -> list[str]:
     """R in the air of the flight beside that in the standard, a line for each nadir angle."""
-    lines = []
-    for effect in effects:
-        sigma, sigma_percent = (
-            "" if value is None else f" ± {value * factor:{digits}}"
-            for value, factor, digits in (
-                (effect["sigma_arcsec"], 1.0, ".3f"),
-                (effect["sigma_factor"], 100.0, ".2f"),
-            )
+    return [
+        f"R at {effect['nadir_angle_deg']:.0f}° from {effect['h_c_m']:.0f} m to "
+        f"{effect['h_g_m']:.0f} m: {with_sigma(effect['r_c_arcsec'], effect['sigma_arcsec'])} "
+        f"arcsec, {effect['standard_arcsec']:.3f} in {standard}: "
+        + with_sigma(
+            100.0 * (effect["factor"] - 1.0),
+            None if effect["sigma_factor"] is None else 100.0 * effect["sigma_factor"],
+            "%",
+            signed=True,
         )
-        lines.append(
-            f"R at {effect['nadir_angle_deg']:.0f}° from {effect['h_c_m']:.0f} m to "
-            f"{effect['h_g_m']:.0f} m: {effect['r_c_arcsec']:.3f}{sigma} arcsec, "
-            f"{effect['standard_arcsec']:.3f} in {standard}: "
-            f"{100.0 * (effect['factor'] - 1.0):+.2f}{sigma_percent} %"
-        )
-    return lines
+        for effect in effects
+    ]
 
 
 SENSOR_HEAD = ("sensor error", "estimate", "sigma", "prior sigma")

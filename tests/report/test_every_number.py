@@ -161,7 +161,7 @@ AIR = (
 )
 EFFECTS = [
     "R at 45° from 3456 m to 789 m: 6.694 ± 0.022 arcsec, 6.864 in us1962: -2.47 ± 0.33 %",
-    "R at 75° from 3457 m to 790 m: 25.055 arcsec, 24.685 in us1962: +1.50 %",
+    "R at 75° from 3457 m to 790 m: 25.1 arcsec, 24.685 in us1962: +1.5 %",
 ]
 SOURCES = [
     ["source", "readings", "RMS [sigma]", "sigma inflation factor",
