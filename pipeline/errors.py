@@ -4,8 +4,6 @@ Every refusal carries a stable code that a script may match, and has the exit co
 line that it leads to. A refusal is for the user; anything else that escapes is a bug.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial

@@ -4,8 +4,6 @@ Heights above mean sea level (orthometric) are written ``h``; heights above the 
 ``h_ellipsoid``; their difference is the undulation, ``h_ellipsoid = h + undulation``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

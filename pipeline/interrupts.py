@@ -4,8 +4,6 @@ A signal handler that raises may do so between taking a lock and entering its ``
 lock is never released, and the threads that need it wait for ever.
 """
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Callable, Iterator

@@ -3,8 +3,6 @@
 Every stage adds to it, nothing is removed from it, and it ends in the manifest and the report.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum

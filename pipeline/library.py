@@ -4,8 +4,6 @@ It is a run: a mission of the tables is prepared, checked and corrected by the s
 tables are handed over as files in a folder that is removed, because that is what a run reads.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import warnings

@@ -1,7 +1,5 @@
 """Constants, each with its source, and the usual array. All in the package is SI and radians."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Literal

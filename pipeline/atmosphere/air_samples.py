@@ -1,7 +1,5 @@
 """What a flight measured of the air, against height, and its robust binning."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ that extrapolated). ``data/afgl1986.csv``: the six model atmospheres of Anderson
 Atmospheric Constituent Profiles (0-120 km), AFGL-TR-86-0110, to 80 km.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Callable

@@ -9,8 +9,6 @@ so that d ln p(H) / d T_k = (G M0 / R*) * integral from the anchor to H of phi_k
 `pipeline.atmosphere.hypsometry.column`. Layers must meet in T_M, as `stack_layers` makes them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

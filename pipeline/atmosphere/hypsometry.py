@@ -1,7 +1,5 @@
 """Pressure, height and temperature: what the weight of the air column ties together."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

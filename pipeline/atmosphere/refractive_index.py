@@ -4,8 +4,6 @@ All pressures in Pa, temperatures in K, wavelengths of vacuum in m. The vapour p
 the partial pressure of water; ``e = 0`` is dry air.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -8,8 +8,6 @@ Model Atmosphere 1959 (the one behind the tables of Gyer 1996 and Bertram 1966) 
 comes from the package pymsis, temperature only, because it has no water.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

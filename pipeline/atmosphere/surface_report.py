@@ -1,7 +1,5 @@
 """Surface reports: the air at one height, from a METAR or from numbers in the mission file."""
 
-from __future__ import annotations
-
 import math
 import re
 import warnings

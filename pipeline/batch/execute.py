@@ -1,7 +1,5 @@
 """Many missions: one after the other or side by side; the end of one does not stop the others."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Generator, Sequence
 from contextlib import AbstractContextManager

@@ -3,8 +3,6 @@
 And how a mission ended.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

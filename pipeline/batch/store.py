@@ -4,8 +4,6 @@ Results are written into a hidden staging folder. When all of them are there and
 old results are removed and the new ones renamed into their places, the manifest last.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -15,8 +15,6 @@ the images have no times, what has to be added to their numbers; `alignment` giv
 The runner-up is the best hypothesis that gives most images another event.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -6,8 +6,6 @@ air makes the calibrated one see it. Over one flying height that is nearly a fra
 R = K tan(zeta), straight down, f (1 + K) and k1 + K.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

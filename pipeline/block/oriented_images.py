@@ -1,7 +1,5 @@
 """Images whose position and attitude another program has determined: their frame, and stations."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any

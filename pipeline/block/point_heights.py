@@ -1,7 +1,5 @@
 """Heights of points from their rays alone, each point by itself, the stations held."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

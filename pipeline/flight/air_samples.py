@@ -1,7 +1,5 @@
 """What the flight measured of the air outside, against GNSS height, with its gates."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

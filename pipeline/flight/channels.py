@@ -1,7 +1,5 @@
 """What a log holds, as columns in SI: the only thing that leaves `ingest`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -3,8 +3,6 @@
 Every device in a log has a clock of its own. What leaves this module is int64 Unix nanoseconds.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, replace

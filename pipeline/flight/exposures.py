@@ -1,7 +1,5 @@
 """Camera pulses become exposures: their channel, the names of their images, and lost pulses."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal

@@ -3,8 +3,6 @@
 Local positions (motion capture, visual odometry) get a place on the earth, and with it heights.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

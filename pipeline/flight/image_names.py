@@ -1,7 +1,5 @@
 """Names of images that differ in case, ending, folder or the writing of their digits."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping

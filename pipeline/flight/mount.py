@@ -1,7 +1,5 @@
 """How a camera sits in the aircraft, or on a gimbal whose attitude the mission file names."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Which channel plays which role: named by the user, or chosen where it is unambiguous."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Collection, Iterable, Mapping
 

@@ -8,8 +8,6 @@ the frame: ``M = Rx(omega) Ry(phi) Rz(kappa)``. Textbooks that turn from the fra
 print its transpose (Wolf and Dewitt 2000, Appendix C): the angles are the same.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Literal
 

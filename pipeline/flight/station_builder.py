@@ -1,7 +1,5 @@
 """From camera events to stations."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Position and attitude at an instant, never through a gap."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 

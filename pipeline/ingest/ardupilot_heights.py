@@ -1,7 +1,5 @@
 """Heights of an ArduPilot log that are above the ellipsoid, because a parameter says so."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 

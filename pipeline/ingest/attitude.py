@@ -3,8 +3,6 @@
 The convention: v_ned = R(q) v_body, Hamilton, body forward-right-down, q_w >= 0.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np

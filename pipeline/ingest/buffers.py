@@ -5,8 +5,6 @@ writes the pages of a file out when it needs memory: so logs of many GB are read
 have less, and what else runs there goes on. The files disappear with the process.
 """
 
-from __future__ import annotations
-
 import io
 import mmap
 import os

@@ -1,7 +1,5 @@
 """Field maps: which field of a message is which column of a channel, in which unit."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any

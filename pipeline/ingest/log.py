@@ -1,7 +1,5 @@
 """What a log is once it is read, and what a log format has to offer."""
 
-from __future__ import annotations
-
 import difflib
 import hashlib
 from collections.abc import Callable, Mapping

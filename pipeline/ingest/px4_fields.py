@@ -4,8 +4,6 @@ PX4 logs the same messages to its own files (.ulg) and, over ROS 2, to MCAP. Fie
 the message; a number is an index into an array. ``timestamp`` counts microseconds since boot.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import replace

@@ -5,8 +5,6 @@ positions of the autopilot's filter already allow for the delay: they keep their
 other message, and move along the axis of UTC with it.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace

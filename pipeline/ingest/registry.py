@@ -1,7 +1,5 @@
 """Which formats there are, and opening a log by its content."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Columns of messages whose definitions differ, as one table: no value is altered."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

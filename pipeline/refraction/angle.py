@@ -1,8 +1,6 @@
 """Refraction angles in the units people use: one angle, a table over the nadir angle, methods
 beside each other."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,8 +1,6 @@
 """Cameras by the name of a model and its parameters or from the calibration report of a metric
 camera in millimetres, and whether a camera can be one."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

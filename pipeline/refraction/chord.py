@@ -1,7 +1,5 @@
 """The height at which a ray is a given straight distance away: targets known by slant range."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

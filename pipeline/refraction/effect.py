@@ -1,7 +1,5 @@
 """The air of a flight, and R in it beside R in the standard, with sigma."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

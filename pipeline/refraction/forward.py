@@ -1,7 +1,5 @@
 """The other direction: from ideal pixels to what a camera in this air measures, for planning."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Heights of the ground where curved rays first meet a terrain."""
 
-from __future__ import annotations
-
 from contextlib import AbstractContextManager
 from typing import NamedTuple, Protocol
 

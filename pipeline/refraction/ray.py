@@ -8,8 +8,6 @@ of its interval, the subtended angle itself is integrated with h = h_90 + s^2, w
 through the lowest point P_90 (`bend_by_subtended`).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

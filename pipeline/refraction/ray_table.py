@@ -1,7 +1,5 @@
 """The refractivity of a profile as polynomials in height, the form that the kernels read."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 

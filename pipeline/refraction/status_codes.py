@@ -1,7 +1,5 @@
 """What became of an observation, as small integers inside and as words in files."""
 
-from __future__ import annotations
-
 OK = 0
 NO_STATION = 1
 NO_GROUND = 2

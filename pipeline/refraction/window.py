@@ -5,8 +5,6 @@ Plane-parallel glass displaces a ray and does not bend it, so only the air on ei
 pulled the image point inward; the correction moves it outward.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

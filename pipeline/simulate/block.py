@@ -1,7 +1,5 @@
 """The block of images with known truth: stations, ground points, observations, and their tables."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

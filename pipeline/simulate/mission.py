@@ -1,7 +1,5 @@
 """A simulated mission, from the first draw to the last file."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass

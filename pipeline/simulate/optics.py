@@ -8,8 +8,6 @@ large is subtracted. Beside them the bending of a single ray on a sphere.
 Camera axes: x right, y down, z forward. Pixels: the centre of the upper left pixel is (0.5, 0.5).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise

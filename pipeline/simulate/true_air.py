@@ -4,8 +4,6 @@ Everything is a smooth function of the height above sea level, so that a ray can
 the last digit. Written from the sources alone; nothing here is shared with `pipeline.atmosphere`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

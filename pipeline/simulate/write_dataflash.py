@@ -4,8 +4,6 @@ Layouts of ArduPlane 4.6 (FMT rows of a log that its simulator wrote); GPA with 
 height AEl, as ArduPilot has it since 4.7.
 """
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from functools import cached_property

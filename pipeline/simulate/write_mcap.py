@@ -1,7 +1,5 @@
 """The flight as a ROS 2 recording: CDR messages in zstd chunks, written by mcap-ros2-support."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

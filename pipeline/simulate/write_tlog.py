@@ -1,7 +1,5 @@
 """The flight as the telemetry log of a ground station: MAVLink 2 frames with the host's stamps."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 from typing import Any

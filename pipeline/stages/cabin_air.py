@@ -4,8 +4,6 @@ A window turns rays by the air behind it. Of that only the pressure has to be kn
 thermometer a pressurised cabin is near 21 degC, and the sigma says how near.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ Batches are independent of each other: while one is read, others are corrected a
 part holds does not depend on how many are in progress.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping

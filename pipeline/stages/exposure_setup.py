@@ -1,7 +1,5 @@
 """What bends the rays at each exposure: attitude, window, lens, and the air on both sides."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A finished run read back from its folder: mission, stations, profiles, ground; and checked."""
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import fields

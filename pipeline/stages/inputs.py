@@ -1,7 +1,5 @@
 """The inputs of a mission: the table of observations, and the flight log with its channels."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 

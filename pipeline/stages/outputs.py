@@ -1,7 +1,5 @@
 """The outputs of a run beside the observations: stations, profiles and the manifest."""
 
-from __future__ import annotations
-
 from collections import Counter
 from typing import Any
 

@@ -3,8 +3,6 @@
 None of them proves a mistake: a mission file can accept one by its code.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """The summary of ``unbend check``: inputs of a mission, and what a run would do, in ten lines."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping

@@ -3,8 +3,6 @@
 Nothing is computed here: each step is a call of a stage, and each stage has a module of its own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """How well air, stations and ground of a mission are known, and the sigmas of the corrections."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

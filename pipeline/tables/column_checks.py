@@ -1,7 +1,5 @@
 """Columns by the user's names: refusals of tables that lack one, or hold other pixels."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Mapping, Sequence
 from pathlib import Path

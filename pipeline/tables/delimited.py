@@ -4,8 +4,6 @@ A column is given a type only if each of its values can be had back from it. Dig
 plain number, such as 007, +49 or 12345678901234567890, stay text.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Exposure times from a CSV: image names with UTC times, or GPS week and seconds of week."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

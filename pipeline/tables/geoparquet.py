@@ -4,8 +4,6 @@ Source: OGC GeoParquet 1.1.0; OGC 06-103r4 (well-known binary). In a geometry th
 first, whatever the order of the axes in the coordinate reference system.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 

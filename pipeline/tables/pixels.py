@@ -3,8 +3,6 @@
 Inside the package a pixel is COLMAP's: the centre of the upper left pixel is (0.5, 0.5).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 

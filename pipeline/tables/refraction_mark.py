@@ -4,8 +4,6 @@ Parquet keeps it in its metadata, a database in a table of its own. Beside any o
 sidecar ``<file>.unbend.json`` with the SHA-256 of each file that holds such observations.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import sqlite3

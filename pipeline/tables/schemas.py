@@ -1,7 +1,5 @@
 """The columns of every table that leaves the package: types, units, conventions."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 

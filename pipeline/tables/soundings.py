@@ -1,7 +1,5 @@
 """A sounding from disk: text in any known format, or the netCDF of an ARM radiosonde."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Points that two or more images show, drawn from a table of observations of any size."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Results as Arrow tables and Parquet files."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

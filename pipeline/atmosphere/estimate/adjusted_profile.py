@@ -4,8 +4,6 @@ Sensors are checked, candidates are estimated in turn until one passes the check
 the result says in words why the profile is what it is. The estimate itself is made in `solver`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

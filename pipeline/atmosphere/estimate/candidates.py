@@ -3,8 +3,6 @@
 And afterwards: how each source was used, or why it was not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Estimate checks: it must be physical air, and predict readings that were held out of it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -5,8 +5,6 @@ correlates by rho = exp(-t/tau - (d/L)^2/2) with what it was. An old or far read
 of variance s^2 (1/rho^2 - 1), where s is the spread of the climatology, has the weight rho^2.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Sensor checks: known biases are subtracted, then sensors are checked by physics."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

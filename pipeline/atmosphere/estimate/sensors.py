@@ -1,7 +1,5 @@
 """Observation equations: what a sensor reads in a given air, and its derivatives by the state."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -6,8 +6,6 @@ square for the background, so that outliers among the readings lose weight and t
 its own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

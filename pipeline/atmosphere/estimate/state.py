@@ -5,8 +5,6 @@ between; relative humidity at coarser knots; ln p at a reference height; one num
 fault; the values of each drift at knots in time or height.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 

@@ -5,8 +5,6 @@ did not visit keep the estimate of the rest of the flight; estimated sensor faul
 too.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise

@@ -4,8 +4,6 @@ Formats: NOAA NCEI, igra2-data-format.txt and igra2-derived-format.txt. Fixed co
 geopotential. Fields: -9999 missing, -8888 removed by the archive's own checks.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 

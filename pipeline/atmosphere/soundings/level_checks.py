@@ -5,8 +5,6 @@ Everything that is dropped, averaged, clipped or computed is in the ledger with 
 that is unusual but physical (steep layers, an index that grows with height) is kept, and reported.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Levels of a balloon sounding: as a file has them, as the estimator takes them, and its fields."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Callable, Iterable, Mapping

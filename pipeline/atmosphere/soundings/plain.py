@@ -1,7 +1,5 @@
 """A plain CSV of levels, whose column names state the units."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.atmosphere.soundings.levels import (

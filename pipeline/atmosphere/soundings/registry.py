@@ -1,7 +1,5 @@
 """Which formats of soundings there are, and which one a text is in."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

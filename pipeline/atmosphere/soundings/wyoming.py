@@ -3,8 +3,6 @@
 Heights are geopotential. The list has columns seven places wide in which a field may be blank.
 """
 
-from __future__ import annotations
-
 import math
 import re
 

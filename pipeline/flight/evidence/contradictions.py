@@ -1,7 +1,5 @@
 """Suspect stretches of a flight by all evidence of its log, and of what other programs imported."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

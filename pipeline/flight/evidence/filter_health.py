@@ -1,7 +1,5 @@
 """What filter, autopilot and second attitudes say against a flight, as suspect stretches."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import replace

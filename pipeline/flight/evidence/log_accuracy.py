@@ -1,7 +1,5 @@
 """How accurate a log's positions and attitudes are, by what the log itself reports."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 

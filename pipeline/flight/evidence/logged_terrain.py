@@ -3,8 +3,6 @@
 ArduPilot's grid is SRTM at 100 m, read from its own card: some 10 m (90 %) in open country.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Readings that cannot be true, and units that are probably wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Samples of a source that replace those of another in a suspect stretch."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sources of position and height: steps that no vehicle makes, and differences between them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Tables of an ArduPilot log, binary or text -> channels, in UTC by the GNSS receivers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ Fields are named as FMT records name them; names changed over the years, newest 
 already divided as the format letter says (c, C, e: 100; L: 1e7), so Lat is in degrees.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

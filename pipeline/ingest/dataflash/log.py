@@ -1,7 +1,5 @@
 """ArduPilot DataFlash logs (.bin): the registry's entry of this format, and how one is read."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from pathlib import Path

@@ -6,8 +6,6 @@ a record may begin are found at once in a block of the file; where each ends on 
 has to be walked.
 """
 
-from __future__ import annotations
-
 from collections import Counter, deque
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field

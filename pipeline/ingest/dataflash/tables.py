@@ -1,7 +1,5 @@
 """Records of a DataFlash log -> one table a message type, with the columns that pymavlink gives."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np

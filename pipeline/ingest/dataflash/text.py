@@ -4,8 +4,6 @@ Mission Planner and mavlogdump write them: one message a line, fields after comm
 already in their unit. A place in the file is the first byte of a line.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterator

@@ -4,8 +4,6 @@ Every message has a cursor; a step reads at all cursors and moves them on. Numbe
 their size, so the layout of a run depends on where it begins modulo 8, which texts before it shift.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache

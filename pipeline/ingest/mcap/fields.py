@@ -4,8 +4,6 @@ Fields are paths into the message; a number is an index into an array. The time 
 where ``time_field`` says: a Time, or microseconds (PX4) since boot or of Unix time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """MCAP logs (.mcap) of ROS 2, PX4 and Foxglove: records -> channels in UTC."""
 
-from __future__ import annotations
-
 from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import replace

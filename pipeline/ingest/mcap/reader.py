@@ -1,7 +1,5 @@
 """Reading an MCAP log: definitions -> decoders, messages -> their topics, counts -> losses."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator, Mapping
 from io import BytesIO

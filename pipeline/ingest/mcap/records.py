@@ -7,8 +7,6 @@ that is proved by what stands there: the head of a chunk, or messages of known c
 each other.
 """
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Messages of a topic as they are read: their times in any form, and columns in SI."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field

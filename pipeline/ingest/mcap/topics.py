@@ -1,7 +1,5 @@
 """Topics of an MCAP log: their messages decoded into columns, each encoding in its own way."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable
 from contextlib import suppress

@@ -4,8 +4,6 @@ Their times since boot may be those of the autopilot's clock, to which MAVLink c
 of their own; a camera may also send UTC. The times at which its messages were received show which.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

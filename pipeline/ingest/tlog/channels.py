@@ -1,7 +1,5 @@
 """Messages of a telemetry log as they were sent -> channels; which of them are exposures."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any

@@ -3,8 +3,6 @@
 A key with a dot is a second channel out of the same message.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """MAVLink telemetry logs (.tlog): frames -> channels in UTC."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Container
 from functools import partial

@@ -5,8 +5,6 @@ accepted when its checksum holds. Between accepted frames there are frames that 
 (an id outside the dialect), frames whose checksum fails, and bytes of no message.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Set
 from dataclasses import dataclass

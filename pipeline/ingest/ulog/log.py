@@ -1,7 +1,5 @@
 """PX4 logs (.ulg) -> channels in UTC."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from functools import partial

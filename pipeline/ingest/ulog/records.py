@@ -6,8 +6,6 @@ as data, it has the size that its format defines; after damage the walk goes on 
 follow each other.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from collections import Counter, defaultdict

@@ -7,8 +7,6 @@ carries parameters, and their type names the model, so that the compiler makes a
 of each kernel for each model in use, without a branch in its loops.
 """
 
-from __future__ import annotations
-
 from types import ModuleType
 
 from pipeline.refraction.camera import brown_conrady, general_frame, opencv_fisheye

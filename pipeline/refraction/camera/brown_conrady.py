@@ -6,8 +6,6 @@ With (u, v) ideal image coordinates in units of the principal distance and r^2 =
     v_d = v (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 v^2) + 2 p2 u v.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -4,8 +4,6 @@ Pixels follow COLMAP's rule: the centre of the upper left pixel is (0.5, 0.5). T
 along z, x to the right and y down in the image.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any

@@ -11,8 +11,6 @@ is what corrects measured ones, so that (s + ds, t + dt) of distorted (s, t) are
 the USGS). Affinity comes last: u_d = u + skew_x v, v_d = v + skew_y u.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -9,8 +9,6 @@ COLMAP's OPENCV_FISHEYE; RADIAL_FISHEYE has k1 and k2, SIMPLE_RADIAL_FISHEYE k1.
 from the optical axis and beyond have no ideal image coordinates.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

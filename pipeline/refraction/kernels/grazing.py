@@ -3,8 +3,6 @@
 Without a slant range the near one is taken, and the observation is `beyond_grazing`.
 """
 
-from __future__ import annotations
-
 import math
 
 from pipeline.refraction.kernels.jit import jit

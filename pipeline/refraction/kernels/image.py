@@ -5,8 +5,6 @@ together, in short passes over all of them: what belongs to the exposure is read
 without a branch runs four rays at a time. ``span`` is the pair of first row and end of such a run.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -5,8 +5,6 @@ file of a cached function with the source, but not the files of the functions it
 is a folder named after the hash of all sources that may be compiled in.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

@@ -3,8 +3,6 @@
 Symbols are those of Gyer 1996: r = r_e + h, k = n_c r_c sin zeta_c, N = n - 1.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Standard deviations of corrections, row by row, compiled."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -11,8 +11,6 @@ moments M_pk, and the radius hardly: they are kept with their derivative by x. O
 from the camera down, serves all rays of an exposure, however many layers they cross.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ and of blocks of it, the lowest and the highest node are known, so that a ray st
 cannot meet. A ray waits where it needs a tile that is not in memory.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

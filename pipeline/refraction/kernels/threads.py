@@ -1,7 +1,5 @@
 """Blocks of rows on all cores we may use; the compiled functions hold no lock: threads do."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor

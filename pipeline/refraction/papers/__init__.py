@@ -4,8 +4,6 @@
 air. `paper_tables` returns columns; the printed figures stand in ``pipeline/refraction/data``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Bertram 1966, Tables 1 to 4: his trapezoid over the densities he printed."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Gyer 1996, Tables 2 to 7."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

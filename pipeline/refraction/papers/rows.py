@@ -1,7 +1,5 @@
 """Rows of a paper's table: as printed, as published, exact."""
 
-from __future__ import annotations
-
 import csv
 from importlib import resources
 

@@ -1,7 +1,5 @@
 """Saastamoinen 1974: the worked example and the errors he states for his formulas."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.atmosphere import standard_atmosphere

@@ -13,8 +13,6 @@ zeta_c >= 90 degrees, a ground above the camera, or heights that the profile doe
 within narrower limits where the docstring of the function states them.
 """
 
-from __future__ import annotations
-
 from pipeline.refraction.published.bertram import (
     bertram1966,
     bertram1966_curved,

@@ -13,8 +13,6 @@ Two things in the paper do not hold, whatever the digits:
 "2.340 / Z" above 80.5 km is 2,340 / Z urad with Z in km.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

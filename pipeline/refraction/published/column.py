@@ -1,7 +1,5 @@
 """Means over the column of air between ground and camera, which the plane forms are made of."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import lru_cache

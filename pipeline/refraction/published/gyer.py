@@ -5,8 +5,6 @@ over n_c^4 cos^2 zeta_c, its third (n - n_c)^3 (n + n_c)^3 over n_c^6 cos^4 zeta
 of the first. Eq. 32 is printed with jumbled indices; it means Eq. 31 over all intervals.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import partial

@@ -6,8 +6,6 @@ g M / R* as 34.11 (it is 34.163 K per geopotential km) and so read 27 % high at 
 ground and 1 % at 3 km; the coefficient 39.6 of Eq. 8 is 39.5 when derived from Eq. 7.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

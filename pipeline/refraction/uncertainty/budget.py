@@ -5,8 +5,6 @@ noise of an observation, and the adjustment gets it as one parameter (`leading_m
 station is common to an image, that of the ground to a point.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

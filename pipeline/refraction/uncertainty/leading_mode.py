@@ -11,8 +11,6 @@ That does not depend on the units of x, nor on air that no ray of the block pass
 the refraction: sigma^2 = |E u|^2 / |R|^2 over the rays, and a positive s turns them by more of it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ Both are derived, not differenced. With C the covariance of temperatures, ln p a
 gradient here, sigma of R_c is sqrt(g^T C g).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The locally adjusted profile of a mission: its sources, and the estimate made from them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Weather reports of a mission: read, and refused where a unit must be mistaken."""
 
-from __future__ import annotations
-
 import math
 
 from pipeline.atmosphere.climatology import Climatology

@@ -1,7 +1,5 @@
 """Heights of points from a table of the user's: in the datum of the stations, and near them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Ground heights where the rays meet an elevation model."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Before and after on the user's own control: points intersected with and without refraction."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any

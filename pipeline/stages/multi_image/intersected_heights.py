@@ -1,7 +1,5 @@
 """Ground heights from the observations themselves: each point intersected with the stations."""
 
-from __future__ import annotations
-
 from collections import Counter
 from contextlib import ExitStack
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Stations from the orientation of a block: read, brought to each station's vertical, checked."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import replace
 

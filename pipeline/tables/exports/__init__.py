@@ -5,8 +5,6 @@ and its name in `MODULES`. The command line generates the options of ``unbend ex
 help from that.
 """
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Mapping
 from pathlib import Path

@@ -5,8 +5,6 @@ project rays into the image, and the change and its radial table for those that 
 points. The fit is in `pipeline.block.calibration_fit`.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """What the exports of stations have in common: which have a place, in one frame, what they show."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What an export format is: its name, its options, what it is given, and what it writes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial

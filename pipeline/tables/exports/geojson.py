@@ -1,7 +1,5 @@
 """Stations and footprints as GeoJSON (RFC 7946), heights above the ellipsoid."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

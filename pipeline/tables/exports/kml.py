@@ -1,7 +1,5 @@
 """Stations and footprints as KML 2.2: heights above sea level, footprints on the ground."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from xml.sax.saxutils import escape
 

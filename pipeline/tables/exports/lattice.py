@@ -1,7 +1,5 @@
 """The correction lattice: the shift of the image points on a grid over every image."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 
 import numpy as np

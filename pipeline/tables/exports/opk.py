@@ -5,8 +5,6 @@ to the frame; see `pipeline.flight.rotations`. The vertical turns 324 arcsec in 
 two formats differ by that.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Refraction by nadir angle, one table for each flying height of each camera of a run."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 
 import numpy as np

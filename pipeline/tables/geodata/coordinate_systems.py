@@ -4,8 +4,6 @@ Horizontally by PROJ without ballpark transformations. Heights stay what they ar
 their datum: PROJ returns them unchanged, and says nothing, where it lacks a grid.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Grids of the geoid: EGM96 of the package, or a user's own as GTX or GeoTIFF."""
 
-from __future__ import annotations
-
 import lzma
 import struct
 from functools import lru_cache

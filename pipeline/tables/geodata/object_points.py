@@ -1,7 +1,5 @@
 """Object points with their heights, from a table of the user's, looked up by name."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -5,8 +5,6 @@ A new format is a module beside this one, and its reader in `TRAJECTORIES`, `CAM
 channel, or an `OrientationTable`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TypeVar

@@ -4,8 +4,6 @@ What cannot belong to the flight of the log is refused with what would make it f
 more than autopilots err is a warning or a loss.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

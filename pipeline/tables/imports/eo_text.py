@@ -5,8 +5,6 @@ HEIGHT``, ``LAT`` and ``LONG``; the line of units says ``lat, long in Deg`` and 
 Degrees``, that of the grid ``Zone:  UTM North 32``.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from pathlib import Path

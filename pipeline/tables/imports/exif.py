@@ -1,7 +1,5 @@
 """Times, positions and gimbal angles of the images of a flight: EXIF, DJI's XMP, exiftool's CSV."""
 
-from __future__ import annotations
-
 import logging
 import re
 import struct

@@ -6,8 +6,6 @@ north, east and up [m], quality (50 fixed, 34 float, 16 single, 0 none). DJI's m
 position that "after compensation": it is the camera's.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Position and attitude of images from a CSV, and known positions of some of them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ Format: RTKLIB manual 2.4.2, appendix B.1. Columns are found by the names in the
 order and each separator that RTKLIB can write is read.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from pathlib import Path

@@ -6,8 +6,6 @@ smrmsg: seconds of the week; sigmas north, east, down [m], of the velocities [m/
 and heading [arcmin].
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -3,8 +3,6 @@
 The week of its seconds, and a channel in the order of time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Blocks for bundle adjustment: a module for each program's format, in its line of `BLOCKS`."""
 
-from __future__ import annotations
-
 from pipeline.tables.exports.blocks import (
     bingo,
     bundler,

@@ -6,8 +6,6 @@ characters: of longer ones the last 15, blanks as underscores, and ``names.csv``
 changed. Written as documented; BINGO itself was not there to read it.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import Path

@@ -8,8 +8,6 @@ images were taken with. Where a program counts its pixels from drops out: the mi
 of COLMAP's. Points that were measured in one image only are left out.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

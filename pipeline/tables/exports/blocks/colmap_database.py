@@ -7,8 +7,6 @@ and verified geometries). Pose priors are the stations' positions with the covar
 sigmas. That refraction was removed stands in a table of its own, which COLMAP leaves alone.
 """
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing

@@ -8,8 +8,6 @@ their names. A point that was measured in one image only is an image point witho
 an adjustment could not determine it.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ All in one local frame. Nothing is projected to a map and no earth curvature is 
 is Cartesian, x east, y north, z up at its origin.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace

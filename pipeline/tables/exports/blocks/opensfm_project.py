@@ -7,8 +7,6 @@ one. Image points have nine decimals (OpenSfM itself writes six: 0.007 px at 14,
 images and cameras are those of the run; tracks are numbers, as the ids of `colmap_model`.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ A new format is a module beside this one that has the functions of `BlockFormat`
 come in COLMAP's pixels, orientations turn to a camera with x right, y down, z forward.
 """
 
-from __future__ import annotations
-
 import json
 import sqlite3
 import zipfile

@@ -7,8 +7,6 @@ database, are called ``image:index``. Read without pycolmap, which takes a camer
 short without a word, streamed, and tested against what pycolmap writes.
 """
 
-from __future__ import annotations
-
 import re
 import sqlite3
 from collections.abc import Iterator

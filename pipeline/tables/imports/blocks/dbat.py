@@ -8,8 +8,6 @@ script names: omega, phi, kappa in degrees. A point is its id. Files that are no
 says are looked for beside it.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from functools import partial

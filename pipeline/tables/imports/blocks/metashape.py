@@ -8,8 +8,6 @@ to the earth's centre where it has a coordinate system, else to local coordinate
 label as name; a tie point is called ``tie:`` and its number.
 """
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Iterator
 from functools import partial

@@ -7,8 +7,6 @@ north, up at reference_lla, to the camera, which has x right, y down, z forward.
 number of its track.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
