@@ -17,6 +17,9 @@ DOCS = Path(__file__).resolve().parent
 PAGES = DOCS / "pages"
 LINK = re.compile(r"(\]\()([^)#\s:]+)((?:#[^)\s]*)?\))")
 UNSEARCHED = ("changelog.md", "changelog_details.md", "decisions.md")
+FUNCTION = re.compile(
+    r"(?<=[\w}])\s*(?=\\(?:sin|cos|tan|cot)\b)|(?<=\\(?:sin|cos|tan|cot))\s*(?=[a-zA-Z\\])"
+)
 EQUATION = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
 
 
@@ -52,9 +55,10 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
 
 def on_page_content(content: str, **_: Any) -> str:
     """Equations as MathML, which browsers show without a script."""
-    return EQUATION.sub(
-        lambda found: convert(
-            html.unescape(found[2]).strip(), display="block" if found[1] == "div" else "inline"
-        ),
-        content,
-    )
+
+    def as_mathml(found: re.Match[str]) -> str:
+        # The converter leaves no space about the names of functions.
+        latex = FUNCTION.sub(r"\\,", html.unescape(found[2]).strip())
+        return convert(latex, display="block" if found[1] == "div" else "inline")
+
+    return EQUATION.sub(as_mathml, content)
