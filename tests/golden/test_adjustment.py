@@ -1,4 +1,4 @@
-"""The adjustment of README.md, with the sample flight: what it is all for."""
+"""The adjustment of docs/pages/guide/pycolmap.md, with the sample flight: what it is all for."""
 
 from __future__ import annotations
 
@@ -15,11 +15,8 @@ from pipeline.batch.plan import Outcome
 
 from .conftest import REPOSITORY
 
-README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
-SNIPPETS = {
-    name.lower(): code
-    for name, code in re.findall(r"### (\w+)\n[^#]*?```python\n(.*?)```", README, re.S)
-}
+PAGE = REPOSITORY / "docs" / "pages" / "guide" / "pycolmap.md"
+(RECIPE,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)
 
 
 @pytest.fixture
@@ -36,12 +33,12 @@ def beside_results(
 
 def execute(code: str) -> dict[str, Any]:
     names: dict[str, Any] = {}
-    exec(compile(code, "README.md", "exec"), names)
+    exec(compile(code, PAGE.name, "exec"), names)
     return names
 
 
 def height_error(code: str, truth: dict[str, pd.DataFrame]) -> float:
-    """RMS error in height [m] of the points that the README's adjustment finds."""
+    """RMS error in height [m] of the points that the page's adjustment finds."""
     found = execute(code)
     true = truth["points"].set_index("point").loc[list(found["points"])]
     ecef = np.stack(
@@ -53,11 +50,11 @@ def height_error(code: str, truth: dict[str, pd.DataFrame]) -> float:
     return float(np.sqrt(np.mean(error[:, 2] ** 2)))
 
 
-def test_the_readme_shows_what_the_correction_is_worth(
+def test_the_page_shows_what_the_correction_is_worth(
     beside_results: Path, truth: dict[str, pd.DataFrame], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Stations as the log has them; measured 0.027 and 0.136 m."""
-    code = SNIPPETS["pycolmap"]
+    code = RECIPE
     corrected = '"x_corrected_px", "y_corrected_px"'
     assert code.count(corrected) == 1
     uncorrected = code.replace(corrected, '"x_px", "y_px"')

@@ -102,9 +102,13 @@ def test_a_model_of_colmap(block, by_log, points, text):
     assert "GROUND-BLOCK" in {entry["code"] for entry in manifest["ledger"]}
 
 
-def test_the_mission_of_the_readme(block, by_log, points):
-    readme = (Path(__file__).resolve().parents[2] / "README.md").read_text(encoding="utf-8")
-    text = next(t for t in re.findall(r"```yaml\n(.*?)```", readme, re.S) if "sparse/0" in t)
+def test_the_mission_of_the_page(block, by_log, points):
+    page = Path(__file__).resolve().parents[2] / "docs/pages/guide/oriented_block.md"
+    text = next(
+        t
+        for t in re.findall(r"```yaml\n(.*?)```", page.read_text(encoding="utf-8"), re.S)
+        if "sparse/0" in t
+    )
     assert text.count("\n") < 20
     colmap(block, by_log, points)
     (block.folder / "sparse").rename(block.folder / "0")

@@ -465,15 +465,15 @@ def test_a_table_that_is_not_there(block):
     assert "stations.orientation.path" in refused(block, "INPUT-MISSING")
 
 
-README = Path(__file__).resolve().parents[2] / "README.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs/pages/guide/oriented_block.md"
 
 
-def test_the_example_of_the_readme_finds_the_simulated_truth(flown, mission_factory, tmp_path):
+def test_the_example_of_the_page_finds_the_simulated_truth(flown, mission_factory, tmp_path):
     """As it stands there, under twenty lines: true stations as angles, the true air as a sounding.
 
     The cameras of the simulation look through a window; its cabin is added to the example.
     """
-    examples = re.findall(r"```yaml\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+    examples = re.findall(r"```yaml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     example = next(text for text in examples if "orientation:" in text)
     assert len(example.splitlines()) < 20
     mission = mission_factory(tmp_path / "mission")

@@ -29,7 +29,7 @@ from pipeline.refraction.ray import rays_by
 from pipeline.tables.exports import FORMATS, ExportCamera, FinishedRun
 from pipeline.tables.pixels import PixelSystem
 
-README = Path(__file__).resolve().parents[3] / "README.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs/pages/keys.md"
 CAMERA = Camera(1000, 800, 900.0, 880.0, 510.0, 395.0, BrownConrady(k1=-0.02, p1=1e-3))
 CORNERS = np.array([[0.0, 0.0], [0.0, 800.0], [1000.0, 800.0], [1000.0, 0.0]])
 NAMES = ["a,b.tif", '<c> & "d".tif', "e\x01.tif", "over the horizon", "nowhere"]
@@ -251,11 +251,11 @@ def test_from_the_command_line(unbend, baseline, tmp_path):
 
 @pytest.mark.usefixtures("plain_report")
 def test_exported_orientations_are_read_again(unbend, baseline, tmp_path):
-    """As the README says, without renaming a column: the stations are those of the run."""
+    """As the page says, without renaming a column: the stations are those of the run."""
     exported = tmp_path / "opk.csv"
     unbend("export", baseline.output, "--format", "opk", "--out", exported)
     mission = yaml.safe_load((baseline.folder / "mission.yaml").read_text())
-    text = README.read_text(encoding="utf-8")
+    text = PAGE.read_text(encoding="utf-8")
     after = text.split("`unbend export --format opk` has `columns: ")[1]
     columns = yaml.safe_load(after.split("`")[0])
     for key in ("log", "mount", "events"):

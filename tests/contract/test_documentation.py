@@ -1,0 +1,166 @@
+"""The documentation works as it stands there: every command, snippet and link, and what is printed.
+
+After a change of what is printed: python -m docs.snippets --write
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from functools import cache
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+
+from docs import snippets
+from tests.conftest import run_command
+
+ROOT = Path(__file__).resolve().parents[2]
+EVERY = os.environ.get("UNBEND_SNIPPETS") == "all"
+PAGES = {page.relative_to(ROOT).as_posix(): page for page in snippets.pages()}
+TEXTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+posix = pytest.mark.skipif(os.name == "nt", reason="the pages show a POSIX shell")
+
+
+@pytest.fixture(scope="session")
+def ready(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What pages begin with, made when the first of them needs it."""
+    return tmp_path_factory.mktemp("ready")
+
+
+@posix
+@pytest.mark.parametrize("name", PAGES)
+def test_what_a_page_shows_runs_and_prints_that(name, ready, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    page = PAGES[name]
+    if not EVERY and all(block.slow or not block.runs for block in snippets.blocks(page)):
+        pytest.skip("only in full: UNBEND_SNIPPETS=all")
+    wrong = snippets.run_alone(page, ready, tmp_path / "page", EVERY)
+    assert not wrong, "\n".join(
+        f"{name} shows\n{difference.shown}where is printed\n{difference.printed}"
+        for _, difference in wrong
+    )
+
+
+@cache
+def help_text(command: str) -> str:
+    """What `unbend COMMAND --help` prints; nothing where there is no such command."""
+    ended = run_command(command, "--help")
+    return ended.out if ended.code == 0 else ""
+
+
+@pytest.mark.parametrize("page", TEXTS, ids=lambda page: page.name)
+def test_every_command_in_a_sentence_exists(page):
+    text = re.sub(r"^( *)```.*?^\1```", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    shown = re.findall(r"`unbend ([^`]+)`", text) + re.findall(r"^ {4}unbend ([^#\n]+)", text, re.M)
+    if page.name.startswith("changelog_details") or page.name == "decisions.md":
+        pytest.skip("of its time")
+    for line in shown:
+        name, *words = shlex.split(line.replace("|", " "))
+        if name.startswith("-"):
+            assert name in ("--help", "--version", "-h")
+            continue
+        assert help_text(name), f"`unbend {line}`"
+        for word in words:
+            if word.startswith("--"):
+                assert f"{word} " in help_text(name), f"`unbend {line}`"
+
+
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_bytes()) <= 9000
+
+
+def test_the_readme_has_a_mission_in_twenty_lines():
+    (block,) = (b for b in snippets.blocks(ROOT / "README.md") if b.kind == "yaml")
+    assert len(block.body.splitlines()) <= 20
+
+
+def test_the_angle_is_what_it_says(unbend):
+    text = (ROOT / "docs" / "pages" / "guide" / "exact.md").read_text(encoding="utf-8")
+    found = re.search(r"    unbend (angle .*)\n\s*\ngives ([0-9.]+) arcsec", text)
+    assert found is not None
+    assert f"{found[2]} arcsec" in unbend(*found[1].split()).out
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "CONTRIBUTING.md"], ids=str)
+def test_links_of_the_repository_are_files(page):
+    for link in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
+        assert (page.parent / link).exists(), link
+
+
+class Links(HTMLParser):
+    """Everything that a page of the site links or loads, and its anchors."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.linked: list[str] = []
+        self.loaded: list[str] = []
+        self.anchors: set[str] = set()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = dict(attrs)
+        if values.get("id"):
+            self.anchors.add(str(values["id"]))
+        if tag == "a" and values.get("href"):
+            self.linked.append(str(values["href"]))
+        elif tag in ("script", "img", "iframe", "source") and values.get("src"):
+            self.loaded.append(str(values["src"]))
+        elif tag == "link" and values.get("href"):
+            self.loaded.append(str(values["href"]))
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory: pytest.TempPathFactory) -> dict[Path, Links]:
+    """The links of every page of the site, built as `make docs` does, in strict mode."""
+    folder = tmp_path_factory.mktemp("site")
+    config = ROOT / "docs" / "mkdocs.yml"
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict",
+         "--config-file", config, "--site-dir", folder],
+        capture_output=True, text=True, cwd=ROOT, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    found = {}
+    for page in folder.rglob("*.html"):
+        found[page] = Links()
+        found[page].feed(page.read_text(encoding="utf-8"))
+    return found
+
+
+def test_links_and_anchors_of_the_site_exist(site):
+    assert len(site) > 20
+    broken = []
+    for page, links in site.items():
+        for link in links.linked + links.loaded:
+            parts = urlsplit(link)
+            if parts.scheme or page.name == "404.html":
+                continue
+            target = (page.parent / unquote(parts.path)).resolve() if parts.path else page
+            if not target.exists():
+                broken.append(f"{page.name}: {link}")
+            elif parts.fragment and target in site:
+                anchors = site[target].anchors
+                if unquote(parts.fragment) not in anchors and parts.fragment != "__search":
+                    broken.append(f"{page.name}: {link}")
+    assert not broken, "\n".join(sorted(set(broken)))
+
+
+def test_the_site_loads_nothing_from_a_network(site):
+    loaded = {link for links in site.values() for link in links.loaded}
+    assert not [link for link in loaded if urlsplit(link).scheme or link.startswith("//")]
+    folder = min(site, key=lambda page: len(page.parts)).parent
+    for sheet in folder.rglob("*.css"):
+        assert not re.search(r"url\(['\"]?(https?:)?//", sheet.read_text(encoding="utf-8")), sheet
+
+
+def test_equations_are_mathml(site):
+    """No equation is left to a script."""
+    for page in site:
+        text = page.read_text(encoding="utf-8")
+        assert 'class="arithmatex"' not in text, page.name
