@@ -223,7 +223,7 @@ def run_page(page: Path, folder: Path, every: bool = False) -> list[tuple[Block,
                     run_sh(block)
                 elif block.kind == "yaml":
                     whole = load_yaml(block, whole)
-                elif block.kind == "python" and not block.title:
+                elif block.kind == "python" and not block.title and ">>>" not in block.body:
                     with contextlib.redirect_stdout(io.StringIO()):
                         exec(compile(block.body, str(page), "exec"), {"__name__": "__main__"})
             except BaseException as error:
