@@ -12,6 +12,7 @@ from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.statistics import ShiftGrid
 from pipeline.report import summary
 from pipeline.report.figures import as_svg, correction_figure, profile_figure
+from pipeline.report.verdict import is_applied, next_steps, verdict
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #0f172a; max-width: 52rem;
@@ -36,10 +37,10 @@ def write_report(
     grids: Mapping[str, ShiftGrid],
 ) -> None:
     """Write the report of a run, a page without scripts or external files."""
-    title, findings = escape(str(manifest["mission"])), summary.findings_first(manifest)
+    title = escape(str(manifest["mission"]))
     change, left = (
         ("displacement", "What is not applied")
-        if summary.is_applied(manifest)
+        if is_applied(manifest)
         else ("correction", "What is not removed")
     )
     control = summary.control_sentence(manifest)
@@ -54,8 +55,8 @@ def write_report(
     )
     sections = [
         f"<h1>{title}</h1>",
-        f'<p class="lead finding">{escape(findings)}</p>' if findings else "",
-        f'<p class="lead">{escape(summary.headline(manifest))}</p>',
+        f'<p class="lead">{escape(verdict(manifest))}</p>',
+        _list("<h2>What to do next</h2>", next_steps(manifest)),
         f"<h2>How large the {change} is</h2>",
         _table(summary.CORRECTION_HEAD, summary.correction_rows(manifest), numeric=True),
         as_svg(correction_figure(grids)),

@@ -6,67 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pipeline.report.verdict import is_applied
 from pipeline.report.words import three_digits, with_sigma
 
 _GRAVEST_FIRST = ("finding", "loss", "warning", "fallback", "note")
-_NEARLY_ALL = 0.9
-
-LARGEST_CABIN_SHARE = 0.02
-"""From this standard deviation on, as a share of R, the air in the cabin is in the headline."""
-
-
-def findings_first(manifest: Mapping[str, Any]) -> str:
-    """The codes of the findings that lead to exit code 3, in one line; empty without any."""
-    codes = dict.fromkeys(e["code"] for e in manifest["ledger"] if e["kind"] == "finding")
-    return f"Likely mistakes, see below: {', '.join(codes)}." if codes else ""
-
-
-def headline(manifest: Mapping[str, Any]) -> str:
-    """How many observations were corrected, and by how much in the image and on the ground."""
-    shift = manifest["correction"]["shift_px"]
-    ground = manifest["correction"]["shift_ground_m"]
-    rows = manifest["observations"]["rows"]
-    verb = "displaced" if is_applied(manifest) else "corrected"
-    if not shift["count"]:
-        return f"None of the {rows:,} observations could be {verb}." + _suspects(manifest)
-    of_camera = {
-        k: c for k, c in manifest["correction"]["cameras"].items() if c["shift_px"]["count"]
-    }
-    texts = {}
-    for key, unit in (("shift_px", "px"), ("shift_ground_m", "m")):
-        medians = [f"{three_digits(c[key]['median'])} {unit} ({k})" for k, c in of_camera.items()]
-        texts[key] = " and ".join(medians)
-        if len(of_camera) < 2:
-            texts[key] = f"{three_digits(manifest['correction'][key]['median'])} {unit}"
-    sentence = (
-        f"{shift['count']:,} of {rows:,} observations were {verb}, by {texts['shift_px']} in the "
-        f"median and {three_digits(shift['maximum'])} px at most: {texts['shift_ground_m']} and "
-        f"{three_digits(ground['maximum'])} m on the ground."
-    )
-    if shift["maximum"] < 0.05 and shift["count"] > _NEARLY_ALL * rows:
-        sentence += " That is far below what can be measured in an image."
-    cabin = manifest["cabin_sigma_share"]["median"]
-    if cabin is not None and cabin > LARGEST_CABIN_SHARE:
-        air = manifest["uncertainty"]
-        sentence += (
-            f" The air in the cabin is uncertain by {100.0 * cabin:.2g} % of R in the median"
-        )
-        if air is not None:
-            sentence += f", the air outside by {100.0 * air['scale_sigma']:.2g} %"
-            if cabin > air["scale_sigma"]:
-                sentence += ": the cabin, not the air, limits the result"
-        sentence += "."
-    return sentence + _suspects(manifest)
-
-
-def _suspects(manifest: Mapping[str, Any]) -> str:
-    """How many stations are suspect, and the first reason."""
-    reasons = [e["what"] for e in manifest["ledger"] if e["code"] == "STATIONS-SUSPECT"]
-    count = manifest["stations"].get("suspect", 0)
-    if not count or not reasons:
-        return ""
-    more = f" (and {len(reasons) - 1} more entries in the ledger)" if len(reasons) > 1 else ""
-    return f" {count} stations are suspect: {reasons[0]}{more}."
 
 
 def control_sentence(manifest: Mapping[str, Any]) -> str:
@@ -153,9 +96,6 @@ def air_sentences(manifest: Mapping[str, Any]) -> str:
             f" The air changes: R by {min(changes):+.1f} to {max(changes):+.1f} % of that of the "
             f"whole flight; {profile['profiles']} profiles follow it."
         )
-    method = manifest["config"]["refraction"]["method"]
-    if method != "spherical":
-        sentence += f" Rays by the published method {method}, for comparison, not for work."
     return sentence
 
 
@@ -226,11 +166,6 @@ def ledger_rows(entries: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, st
     return sorted(rows, key=lambda row: (_GRAVEST_FIRST.index(row[0]), row[1]))
 
 
-def is_applied(manifest: Mapping[str, Any]) -> bool:
-    """Whether the run displaced ideal observations instead of correcting measured ones."""
-    return bool(manifest["config"]["refraction"]["direction"] == "apply")
-
-
 def not_included(manifest: Mapping[str, Any]) -> list[str]:
     """Effects that the coordinates still contain (or lack, if refraction was applied)."""
     applied = is_applied(manifest)
@@ -262,10 +197,8 @@ def not_included(manifest: Mapping[str, Any]) -> list[str]:
             "for each kilometre of height: not removed, unless a trajectory allows for it."
         )
     if not applied:
-        lines += [
+        lines.append(
             "Earth curvature and map projection: adjust in earth-centred or one local "
-            "east-north-up frame.",
-            "Switch the refraction correction off in the adjustment: nothing may be corrected "
-            "twice.",
-        ]
+            "east-north-up frame."
+        )
     return lines

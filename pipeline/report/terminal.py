@@ -17,6 +17,7 @@ from pipeline.refraction.angle import RadialTable
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.report import summary
+from pipeline.report.verdict import flagged, next_steps, verdict
 from pipeline.tables.exports.radial import radial_columns
 from pipeline.units import HECTOPASCAL, MICRORADIAN
 
@@ -73,9 +74,7 @@ def print_run(
     console.print(f"[bold]{escape(name)}[/bold]")
     if repeated:
         console.print("  nothing to do: mission file, inputs and code are those of the last run")
-    if findings := summary.findings_first(manifest):
-        _print_indented(console, f"[red]{escape(findings)}[/]")
-    _print_indented(console, escape(summary.headline(manifest)))
+    _print_indented(console, escape(verdict(manifest)))
     table = _table(summary.CORRECTION_HEAD, gap=2)
     for row in summary.correction_rows(manifest):
         table.add_row(*(escape(cell) for cell in row))
@@ -90,13 +89,13 @@ def print_run(
         for row in summary.control_rows(manifest, _MOST_CONTROL):
             table.add_row(*(escape(cell) for cell in row))
         _print_indented(console, table)
-    flagged = {k: n for k, n in manifest["observations"]["status"].items() if k != "ok" and n}
-    if flagged:
-        counts = ", ".join(f"{n:,} {status}" for status, n in flagged.items())
-        _print_indented(console, f"Flagged rows: {counts}")
+    if rows := flagged(manifest):
+        _print_indented(console, f"Flagged rows: {rows}")
     print_ledger(console, [entry for entry in manifest["ledger"] if entry["kind"] != "note"])
-    _print_indented(console, f"results in {escape(output)}")
-    _print_indented(console, f"report     {escape(output)}/report.html")
+    steps = next_steps(manifest)
+    _print_labelled(console, [("" if i else "next", step) for i, step in enumerate(steps)])
+    for label, path in (("results", output), ("report ", f"{output}/report.html")):
+        console.print(f"  {label}  {escape(path)}", soft_wrap=True)
 
 
 def print_ledger(console: Console, entries: Sequence[Mapping[str, Any]]) -> None:
@@ -111,12 +110,7 @@ def print_check(
     """What ``unbend check`` read and expects of a run, and what the ledger of a run would hold."""
     verdict = "a run would end with code 3" if manifest["exit_code"] else "can be run"
     console.print(f"[bold]{escape(name)}[/bold] {verdict}")
-    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column(no_wrap=True)
-    table.add_column(overflow="fold")
-    for label, text in lines:
-        table.add_row(label, escape(text))
-    _print_indented(console, table)
+    _print_labelled(console, lines)
     print_ledger(console, manifest["ledger"])
 
 
@@ -320,6 +314,16 @@ def print_radial(console: Console, tables: Sequence[RadialTable]) -> None:
 def _print_indented(console: Console, content: str | Table) -> None:
     """Print markup or a table two columns to the right."""
     console.print(Padding(content, (0, 0, 0, 2)))
+
+
+def _print_labelled(console: Console, lines: Sequence[tuple[str, str]]) -> None:
+    """Lines with their labels in a column before them."""
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for label, text in lines:
+        table.add_row(label, escape(text))
+    _print_indented(console, table)
 
 
 def _table(heads: Sequence[str], *, gap: int) -> Table:

@@ -11,6 +11,7 @@ import pytest
 from pipeline.batch.plan import Outcome
 from pipeline.errors import MissionError
 from pipeline.ingest import open_log
+from pipeline.report.verdict import verdict
 from pipeline.stages.story import run_mission
 
 from .conftest import SHARED, needs_shared, read_observations, write_mission
@@ -86,7 +87,12 @@ def test_copter_with_a_gap_in_the_log(tmp_path: Path) -> None:
     assert counts["ok"] >= 5
     assert outcome.exit_code == 3
     assert outcome.manifest["profile"]["basis"] == "climatology"
-    assert (observations["status"] == "ok").sum() > 20
+    corrected = (observations["status"] == "ok").sum()
+    assert corrected > 20
+    text = verdict(outcome.manifest)
+    assert text.startswith(f"{corrected} of 300 observations were corrected; refraction moves ")
+    assert "The air was not measured: a climatology stands for it, R is known to ± " in text
+    assert "Ready for adjustment without" not in text
 
 
 def test_telemetry_with_five_boots(tmp_path: Path) -> None:

@@ -72,6 +72,13 @@ def suspicions(mission) -> list[str]:
 def test_exposures_in_a_glitch_get_no_correction_and_the_run_ends_with_three(glitch):
     ended = glitch.run()
     assert ended.code == 3, ended.text
+    printed = " ".join(ended.out.split())
+    assert "; 2 suspect stations, whose observations have no corrected coordinates." in printed
+    assert (
+        "Look at the 2 suspect stations (unbend stations MISSION --plot FILE): 1 exposures"
+        in printed
+    )
+    assert "Ready for adjustment" not in printed
     stations = glitch.stations().to_pandas()
     suspect = stations["status"] == "suspect"
     assert suspect.sum() == 2

@@ -1,0 +1,160 @@
+"""What a run means and what to do next, from the manifests of runs that went well or wrong."""
+
+from __future__ import annotations
+
+import copy
+import json
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from pipeline.report.verdict import next_steps, verdict
+
+READY = "Ready for adjustment: switch its own refraction correction off."
+LOOK = "Not to be used before a look at "
+
+
+def manifest_of(mission) -> dict:
+    return json.loads((mission.output / "manifest.json").read_text(encoding="utf-8"))
+
+
+def ran(mission, code: int) -> tuple[dict, str, str]:
+    """Its manifest, verdict and next steps, which the terminal prints too."""
+    ended = mission.run()
+    assert ended.code == code, ended.text
+    manifest = manifest_of(mission)
+    steps = " ".join(next_steps(manifest))
+    text = verdict(manifest)
+    printed = " ".join(ended.out.split())
+    assert text in printed
+    assert steps in printed
+    return manifest, text, steps
+
+
+def with_heights(mission, heights) -> None:
+    table = mission.measurements()
+    h_g = np.array(table["h_g_m"].to_numpy(), dtype=float)
+    column = table.schema.get_field_index("h_g_m")
+    mission.observe(table.set_column(column, "h_g_m", pa.array(heights(h_g), from_pandas=True)))
+
+
+def test_all_corrected(baseline):
+    """Size by the results themselves: 1 m of 2.5 km, seen at 45 degrees."""
+    manifest = manifest_of(baseline)
+    rows = baseline.results().to_pandas()
+    moved = np.hypot(rows["x_corrected_px"] - rows["x_px"], rows["y_corrected_px"] - rows["y_px"])
+    text = verdict(manifest)
+    assert text.startswith("All 59 observations were corrected; refraction moves points by up to ")
+    assert f" on the ground, {moved.max():.2g} px in the image. " in text
+    centimetres = float(text.split("up to ")[1].split(" cm on")[0])
+    assert centimetres / 100.0 == pytest.approx(
+        manifest["correction"]["shift_ground_m"]["maximum"], rel=0.05
+    )
+    assert text.endswith(READY)
+    steps = next_steps(manifest)
+    assert steps[-1] == (
+        "Switch the refraction correction off in the adjustment: nothing may be corrected twice."
+    )
+    assert not any("suspect" in step or "Leave out" in step for step in steps)
+
+
+def test_some_flagged_and_none_corrected(mission, plain_report):
+    def no_first_two(h):
+        h[:2] = np.nan
+        return h
+
+    with_heights(mission, no_first_two)
+    _, text, steps = ran(mission, 3)
+    assert text.startswith("57 of 59 observations were corrected; ")
+    assert text.endswith(
+        "Ready for adjustment without the other 2 rows: switch its own refraction correction off."
+    )
+    assert steps.startswith("Leave out 2 rows without new coordinates (2 no_ground);")
+    with_heights(mission, lambda h: h + np.nan)
+    _, text, steps = ran(mission, 3)
+    assert text.startswith("None of 59 observations could be corrected: 59 no_ground.")
+    assert "Ready" not in steps
+    assert "correct the mission file, run again" in steps
+
+
+def test_a_likely_mistake_is_not_ready(mission, plain_report):
+    """Heights in feet: every observation gets a correction, and none may be used."""
+    with_heights(mission, lambda h: h * 3.28084)
+    manifest, text, steps = ran(mission, 3)
+    assert manifest["observations"]["status"]["ok"] == 59
+    found = [e["code"] for e in manifest["ledger"] if e["kind"] == "finding"]
+    assert "PLAUSIBLE-GROUND" in found
+    assert READY not in text
+    assert text.endswith(f"{LOOK}2 likely mistakes ({', '.join(sorted(set(found)))}).")
+    assert steps.startswith("Correct what PLAUSIBLE-GROUND")
+
+
+def test_air_that_was_not_measured(mission, baseline, plain_report):
+    """By a standard without a standard deviation, and by a climatology with one."""
+    mission.config["atmosphere"] = {"adjust": False}
+    for camera in mission.config["cameras"].values():
+        camera.pop("window", None)
+    for role in ("pressure", "temperature", "humidity"):
+        mission.config["log"]["channels"].pop(f"cabin_{role}")
+    _, text, steps = ran(mission, 0)
+    assert "The air was not measured: a standard stands for it." in text
+    assert text.endswith(READY)
+    assert "To correct better, give the air" in steps
+    manifest = copy.deepcopy(manifest_of(baseline))
+    manifest["profile"]["basis"] = "climatology"
+    manifest["uncertainty"]["scale_sigma"] = 0.0412
+    assert "a climatology stands for it, R is known to ± 4.1 %." in verdict(manifest)
+
+
+def test_a_correction_too_small_to_matter(baseline):
+    """One of 1.1 px, made 30 times smaller; not said where many rows could not be corrected."""
+    manifest = copy.deepcopy(manifest_of(baseline))
+    for of in (manifest["correction"]["shift_px"], manifest["correction"]["shift_ground_m"]):
+        of["maximum"] /= 30.0
+    assert verdict(manifest).endswith(
+        "That is far below what can be measured in an image: not needed here."
+    )
+    assert any("it makes no difference" in step for step in next_steps(manifest))
+    manifest["correction"]["shift_px"]["count"] = 40
+    assert "not needed" not in verdict(manifest)
+
+
+@pytest.mark.parametrize(
+    ("cabin", "air", "end"),
+    [
+        (0.05, 0.012, "by 5 % of R in the median, the air outside by 1.2 %: the cabin, not the "
+         "air, limits the result."),
+        (0.021, 0.13, "by 2.1 % of R in the median, the air outside by 13 %."),
+        (0.03, None, "by 3 % of R in the median."),
+        (0.02, 0.01, None),
+        (None, 0.01, None),
+    ],
+)  # fmt: skip
+def test_the_cabin_is_in_it_from_two_percent_on(baseline, cabin, air, end):
+    manifest = copy.deepcopy(manifest_of(baseline))
+    manifest["cabin_sigma_share"]["median"] = cabin
+    manifest["uncertainty"] = None if air is None else {"scale_sigma": air}
+    text = verdict(manifest)
+    if end is None:
+        assert "cabin" not in text
+    else:
+        assert f"The air in the cabin is uncertain {end} Ready" in text
+        assert any("cameras.<name>.window.cabin" in step for step in next_steps(manifest))
+
+
+@pytest.mark.parametrize("kind", ["loss", "finding"])
+def test_nothing_that_ended_with_three_is_ready(baseline, kind):
+    """Of the losses only those of single rows, which have no coordinates, leave the rest ready."""
+    manifest = copy.deepcopy(manifest_of(baseline))
+    manifest["ledger"] += [{"kind": kind, "code": "LOG-BAD-BYTES", "what": "77 bytes"}] * 2
+    text = verdict(manifest)
+    assert READY not in text
+    noun = {"loss": "1 loss", "finding": "1 likely mistake"}[kind]
+    assert text.endswith(f"{LOOK}{noun} (LOG-BAD-BYTES).")
+
+
+def test_a_published_method_is_not_for_work(baseline):
+    manifest = copy.deepcopy(manifest_of(baseline))
+    manifest["config"]["refraction"]["method"] = "gyer1996"
+    assert verdict(manifest).endswith("the method gyer1996, published for comparison.")
