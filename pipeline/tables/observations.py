@@ -126,17 +126,22 @@ class RowSample:
         self.counts = np.pad(self.counts, (0, len(self._codes) - self.counts.size))
         rows = np.bincount(image, minlength=self.counts.size)
         self.counts += rows
-        # Of an image eight times the rows that can be drawn are sorted, where these have them all.
-        drawn = np.minimum(rows, min(self.of_each, self.most))
-        share = np.minimum(8.0 * drawn / np.maximum(rows, 1), 1.0)
-        low = _scattered(number) <= (share * (1 << 40)).astype(np.uint64)[image]
-        low |= (np.bincount(image[low], minlength=rows.size) < drawn)[image]
+        # Images with more than 0, 1, 2 ... rows: so many rows of each image fit together.
+        more = np.bincount(np.minimum(self.counts, self.most), minlength=self.most + 1)
+        more = more[:0:-1].cumsum()[::-1].cumsum()
+        self.of_each = min(self.of_each, int(np.searchsorted(more, self.most, "right")))
+        # Of an image three times the rows that can be drawn are sorted, where these have them all.
+        drawn = np.minimum(rows, max(self.of_each, 1))
+        share = np.minimum(3.0 * drawn / np.maximum(rows, 1), 1.0) * (1 << 40)
+        scattered = _scattered(number)
+        low = np.flatnonzero(scattered <= np.uint64(share.max(initial=0.0)))
+        low = low[scattered[low] <= share.astype(np.uint64)[image[low]]]
+        few = np.bincount(image[low], minlength=rows.size) < drawn
+        low = np.union1d(low, np.flatnonzero(few[image])) if few.any() else low
         image, number = np.append(self.image, image[low]), np.append(self.number, number[low])
         order = np.argsort(image.astype(np.uint64) << np.uint64(40) | _scattered(number))
         begin = np.searchsorted(image[order], np.arange(self.counts.size))
         rank = np.arange(order.size) - begin[image[order]]
-        fitting = int(np.searchsorted(np.bincount(rank).cumsum(), self.most, "right"))
-        self.of_each = min(self.of_each, fitting)
         kept = order[rank < max(self.of_each, 1)]
         if self.of_each == 0:  # more images than rows: of some of them one
             kept = kept[np.argsort(_scattered(image[kept]), kind="stable")[: self.most]]
@@ -153,7 +158,10 @@ class RowSample:
 
 def _scattered(number: NDArray[np.int64]) -> NDArray[np.uint64]:
     """Multiples of the golden ratio: of consecutive numbers the lowest lie evenly among them."""
-    return number.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(24)
+    scattered = number.astype(np.uint64)
+    scattered *= np.uint64(0x9E3779B97F4A7C15)
+    scattered >>= np.uint64(24)
+    return scattered
 
 
 @dataclass(frozen=True, eq=False)

@@ -167,6 +167,13 @@ def test_rows_are_drawn_evenly_from_every_image(most):
         assert thirds.max() - thirds.min() <= 0.05 * of_large.size + 2
 
 
+def test_few_rows_are_drawn_whole_whatever_parts_they_come_in():
+    sample = RowSample(100)
+    for part in (["a"], ["a"] * 9, ["b"] * 30):
+        sample.add(pa.array(part))
+    assert sample.number.tolist() == list(range(40))
+
+
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
 def test_sampled_rows_are_those_of_the_table(tmp_path, kind):
     table = pd.DataFrame({
