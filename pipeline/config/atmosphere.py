@@ -21,24 +21,20 @@ PathText = Annotated[str, Field(min_length=1, pattern=r"^[^\x00]+$")]
 class SoundingSection(Section):
     """A balloon sounding near the flight."""
 
-    path: PathText = Field(description="IGRA v2, University of Wyoming, ARM netCDF or a CSV")
+    path: PathText
     format: Literal["auto", "igra", "igra_derived", "wyoming_csv", "wyoming_list", "csv"] = "auto"
-    station_h_msl_m: float | None = Field(
-        None, ge=-500, le=6000, description="height of the station, where the file has no heights"
-    )
+    station_h_msl_m: float | None = Field(None, ge=-500, le=6000)
 
 
 class SurfaceSection(Section):
     """The air at a weather station: a METAR, or numbers."""
 
-    h_msl_m: float = Field(ge=-500, le=6000, description="height of the station above sea level")
+    h_msl_m: float = Field(ge=-500, le=6000)
     metar: str | None = Field(None, min_length=1)
-    temperature_c: float | None = Field(None, description="degrees Celsius")
-    pressure_hpa: float | None = Field(
-        None, gt=0, description="at the station, not reduced to sea level"
-    )
-    relative_humidity: float | None = Field(None, description="0 to 1")
-    time_utc: str | None = Field(None, description="ISO 8601, as 2026-05-14T10:20:00Z")
+    temperature_c: float | None = None
+    pressure_hpa: float | None = Field(None, gt=0)
+    relative_humidity: float | None = None
+    time_utc: str | None = None
 
     @field_validator("time_utc")
     @classmethod
@@ -91,40 +87,34 @@ class ThermometerSection(Section):
     """Known errors of the thermometer outside: reading minus air."""
 
     bias_k: float | None = Field(None, ge=-30, le=30)
-    sigma_bias_k: float | None = Field(None, ge=0.01, le=30, description="by default 3")
-    lag_s: float | None = Field(None, ge=0, le=90, description="time constant in this airflow")
-    sigma_lag_s: float | None = Field(None, ge=0.1, le=90, description="by default 10, of 12 s")
-    transient_k: float | None = Field(
-        None, ge=-30, le=30, description="what the ground left in it at take-off, fades in a minute"
-    )
-    sigma_transient_k: float | None = Field(None, ge=0.01, le=30, description="by default 5")
-    recovery: float | None = Field(None, ge=0, le=1.1, description="recovery factor")
-    sigma_recovery: float | None = Field(None, ge=0.005, le=1, description="by default 0.3, of 0.7")
-    sigma_drift_k: float | None = Field(
-        None, ge=0.01, le=30, description="within a quarter of an hour, by default 0.4"
-    )
+    sigma_bias_k: float | None = Field(None, ge=0.01, le=30)
+    lag_s: float | None = Field(None, ge=0, le=90)
+    sigma_lag_s: float | None = Field(None, ge=0.1, le=90)
+    transient_k: float | None = Field(None, ge=-30, le=30)
+    sigma_transient_k: float | None = Field(None, ge=0.01, le=30)
+    recovery: float | None = Field(None, ge=0, le=1.1)
+    sigma_recovery: float | None = Field(None, ge=0.005, le=1)
+    sigma_drift_k: float | None = Field(None, ge=0.01, le=30)
 
 
 class BarometerSection(Section):
     """Known errors of the static pressure: reading minus air."""
 
     offset_hpa: float | None = Field(None, ge=-30, le=30)
-    sigma_offset_hpa: float | None = Field(None, ge=0.01, le=30, description="by default 0.5")
+    sigma_offset_hpa: float | None = Field(None, ge=0.01, le=30)
 
 
 class HygrometerSection(Section):
     """Known errors of the hygrometer: reading minus air, as relative humidity 0 to 1."""
 
     bias: float | None = Field(None, ge=-0.5, le=0.5)
-    sigma_bias: float | None = Field(None, ge=0.001, le=0.5, description="by default 0.03")
+    sigma_bias: float | None = Field(None, ge=0.001, le=0.5)
 
 
 class GnssSection(Section):
     """How well GNSS heights above sea level are known."""
 
-    sigma_height_m: float | None = Field(
-        None, ge=0.01, le=100, description="of the offset all of them share, by default 2.5"
-    )
+    sigma_height_m: float | None = Field(None, ge=0.01, le=100)
 
 
 class SensorsSection(Section):
@@ -164,18 +154,12 @@ def _pascal(hpa: float | None) -> float | None:
 class AtmosphereSection(Section):
     """The air."""
 
-    standard: str = Field("us1976", description="what the air is shown beside")
-    adjust: bool = Field(True, description="false keeps the standard atmosphere as it is")
-    climatology: str = Field(
-        "auto", description="what is expected where nothing was measured: auto, or a name"
-    )
+    standard: str = "us1976"
+    adjust: bool = True
+    climatology: str = "auto"
     soundings: list[SoundingSection] = Field([])
     surface: list[SurfaceSection] = Field([])
-    board_temperature: bool = Field(
-        False,
-        description="true takes the temperature of a circuit board, named under "
-        "log.channels.temperature, as the air plus an unknown 10 K that wanders",
-    )
+    board_temperature: bool = False
     sensors: SensorsSection = SensorsSection()
     index: Literal["ciddor", "gyer"] = "ciddor"
     wavelength_m: float = Field(0.55e-6, ge=0.3e-6, le=1.7e-6)

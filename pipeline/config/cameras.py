@@ -39,32 +39,12 @@ Celsius = Annotated[float, Field(ge=-60, le=60)]
 class CabinAir(Section):
     """The air in the compartment, quantity by quantity."""
 
-    pressure: Literal["log", "ambient"] | Hectopascal | None = Field(
-        None, description="log; ambient: not pressurised, as outside; or constant [hPa]"
-    )
-    pressure_hpa: Hectopascal | None = Field(
-        None, validate_default=True, description="constant; the same as a number under pressure"
-    )
-    temperature_c: Literal["log"] | Celsius | None = Field(
-        None,
-        description="log, or constant. Without it the log's, where it has one, else 21 degC: "
-        "+- 5 K where the cabin is pressurised, +- 10 K where it is not",
-    )
-    relative_humidity: float | None = Field(
-        None, ge=0, le=1, description="without it the log's, else dry air (ambient: as outside)"
-    )
-    sigma_pressure_hpa: float | None = Field(
-        None,
-        ge=0,
-        le=300,
-        description="standard deviation; without it 3 hPa of pressure that is logged or ambient",
-    )
-    sigma_temperature_k: float | None = Field(
-        None,
-        ge=0,
-        le=50,
-        description="standard deviation; without it 1 K of a thermometer that is logged",
-    )
+    pressure: Literal["log", "ambient"] | Hectopascal | None = None
+    pressure_hpa: Hectopascal | None = Field(None, validate_default=True)
+    temperature_c: Literal["log"] | Celsius | None = None
+    relative_humidity: float | None = Field(None, ge=0, le=1)
+    sigma_pressure_hpa: float | None = Field(None, ge=0, le=300)
+    sigma_temperature_k: float | None = Field(None, ge=0, le=50)
 
     @field_validator("pressure_hpa")
     @classmethod
@@ -113,31 +93,13 @@ def _checked_window(*given: Any) -> Window:
 class WindowSection(Section):
     """The window of a pressurised compartment."""
 
-    shape: Literal["plane", "spherical"] = Field(
-        "plane",
-        description="spherical: a dome about the projection centre, which bends nothing",
-    )
+    shape: Literal["plane", "spherical"] = "plane"
     cabin: Literal["log", "standard_schedule"] | CabinAir | None = Field(
-        None,
-        validate_default=True,
-        description="log: from the cabin channels of the log; standard_schedule: as outside up to "
-        "3 km, then 701.2 hPa, 21.1 degC (Gyer's Table 7); or {pressure, temperature_c}",
+        None, validate_default=True
     )
-    frame: Literal["camera", "body"] = Field(
-        "camera",
-        description="of the normal: camera (x right, y down, z forward), or the aircraft's body (x "
-        "forward, y right, z down), for a camera that moves behind a fixed window",
-    )
-    normal: Vector = Field(
-        default_factory=lambda: [0.0, 0.0, 1.0],
-        description="direction out of the window; [0, 0, 1] is square to the optical axis in the "
-        "camera frame, a window in the belly in the body frame",
-    )
-    in_calibration: Literal["none", "glass"] = Field(
-        "none",
-        description="glass: the camera was calibrated through it. It displaces rays and is never "
-        "modelled",
-    )
+    frame: Literal["camera", "body"] = "camera"
+    normal: Vector = Field(default_factory=lambda: [0.0, 0.0, 1.0])
+    in_calibration: Literal["none", "glass"] = "none"
 
     def build(self) -> Window:
         """The window, with cabin air in SI."""
@@ -180,7 +142,7 @@ class LensSection(Section):
 
     In pixels: derivatives in millimetres are divided by the pixel pitch in millimetres."""
 
-    reference: LensReference = Field(description="{pressure_hpa, temperature_c} of the calibration")
+    reference: LensReference
     dc_dp_px_per_hpa: float = Field(ge=-10, le=10)
     dc_dt_px_per_k: float = Field(ge=-10, le=10)
 
@@ -204,32 +166,13 @@ class MountSection(Section):
     v_ned = R(aircraft) R(gimbal) R(mount) v_camera, where a gimbal that is level to the horizon
     takes of the aircraft its yaw alone, and one whose yaw counts from north takes nothing."""
 
-    attitude: str | None = Field(
-        None,
-        description="channel of this camera's own gimbal or head, where each has one; by default "
-        "log.channels.attitude",
-    )
+    attitude: str | None = None
     roll_deg: float = 0.0
     pitch_deg: float = 0.0
     yaw_deg: float = 0.0
-    lever_arm_m: LeverArm = Field(
-        default_factory=lambda: [0.0, 0.0, 0.0],
-        description="projection centre minus the point whose position the log gives (horizontally "
-        "the filter's, in height the GNSS antenna's), in the body frame",
-    )
-    sigma_tilt_deg: float | None = Field(
-        None,
-        ge=0,
-        le=45,
-        description="standard deviation of the attitude about each of the body's two level axes, "
-        "in place of what the log tells; what the time between samples adds is added to it",
-    )
-    sigma_yaw_deg: float | None = Field(
-        None,
-        ge=0,
-        le=180,
-        description="that about the body's vertical axis; by default as for the others",
-    )
+    lever_arm_m: LeverArm = Field(default_factory=lambda: [0.0, 0.0, 0.0])
+    sigma_tilt_deg: float | None = Field(None, ge=0, le=45)
+    sigma_yaw_deg: float | None = Field(None, ge=0, le=180)
 
     @model_validator(mode="after")
     def _check_sigmas(self) -> MountSection:

@@ -38,18 +38,9 @@ ImagePattern = Annotated[str, AfterValidator(image_pattern)]
 class LogEvents(Section):
     """Exposures of one camera from the log."""
 
-    channel: str | None = Field(None, description="by default the only event channel of the log")
-    image: ImagePattern = Field(
-        "*",
-        description="name of the image: {index} the log's number, {n} counted from 1; format "
-        "codes as in Python, for example IMG_{index:05d}.tif. With * for any characters, as in "
-        "left/* or DJI_*_{n:04d}.JPG, the names are those of the observations and of events.images",
-    )
-    delay_s: Annotated[float, Field(ge=-10, le=10)] | Literal["from_feedback"] = Field(
-        0.0,
-        description="shutter time minus event time; from_feedback takes the median of the triggers "
-        "of this camera whose shutter pulse was logged too",
-    )
+    channel: str | None = None
+    image: ImagePattern = "*"
+    delay_s: Annotated[float, Field(ge=-10, le=10)] | Literal["from_feedback"] = 0.0
 
 
 class CsvEventColumns(ClockColumns):
@@ -67,37 +58,21 @@ class CsvEvents(Section):
 
     path: PathText
     columns: CsvEventColumns = CsvEventColumns(time_utc="time_utc")
-    camera: str | None = Field(None, description="the camera of every row without a camera column")
-    delay_s: float = Field(
-        0.0, ge=-86_400, le=86_400, description="true time minus the table's (the camera's clock)"
-    )
+    camera: str | None = None
+    delay_s: float = Field(0.0, ge=-86_400, le=86_400)
 
 
 class PositionEvents(Section):
     """Exposures of one camera with their positions, as receivers and other programs write them."""
 
     path: PathText
-    format: Annotated[str, known_format(CAMERA_EVENTS)] | None = Field(
-        None, description="by default by the ending: .pos, .MRK, .txt (POSPac's EO)"
-    )
-    image: ImagePattern | Literal["{name}"] = Field(
-        description="name of the image: {index} the file's number, {n} counted from 1, {name} the "
-        "column ID of an EO text"
-    )
-    delay_s: float = Field(0.0, ge=-10, le=10, description="shutter time minus the file's")
-    times_only: bool = Field(
-        False, description="true: positions (and attitudes) come from the log or a trajectory"
-    )
-    point: Literal["antenna", "camera"] | None = Field(
-        None, description="whose positions it has; by default the camera's, of .pos the antenna's"
-    )
-    heights: Literal["msl", "ellipsoid"] | None = Field(None, description="where not in the file")
-    grid: str | None = Field(
-        None,
-        pattern=r"^EPSG:\d{4,6}$",
-        description="in whose axes omega, phi, kappa of an EO text count, as EPSG:32632, where its "
-        "head names no UTM zone",
-    )
+    format: Annotated[str, known_format(CAMERA_EVENTS)] | None = None
+    image: ImagePattern | Literal["{name}"]
+    delay_s: float = Field(0.0, ge=-10, le=10)
+    times_only: bool = False
+    point: Literal["antenna", "camera"] | None = None
+    heights: Literal["msl", "ellipsoid"] | None = None
+    grid: str | None = Field(None, pattern=r"^EPSG:\d{4,6}$")
     time: ImportTime = ImportTime()
 
     @property
@@ -120,22 +95,15 @@ class PositionEvents(Section):
 class ImageFiles(Section):
     """The images that exist, beside the pulses of events.log or events.positions."""
 
-    path: PathText = Field(
-        description="folder of the images, whose EXIF has their times, or a table that exiftool "
-        "-csv -r FOLDER wrote"
-    )
-    time_zone: str = Field(
-        "",
-        pattern=r"^(|UTC|[+-](0[0-9]|1[0-4]):[0-5][0-9])$",
-        description="of the camera's clock, as +02:00 or UTC, where the images do not state it",
-    )
+    path: PathText
+    time_zone: str = Field("", pattern=r"^(|UTC|[+-](0[0-9]|1[0-4]):[0-5][0-9])$")
 
 
 class FirstImage(Section):
     """One image and its event, which fixes all others by their order."""
 
     image: str
-    event: int = Field(1, ge=1, description="the event's place among those of its channel, from 1")
+    event: int = Field(1, ge=1)
 
 
 class EventsSection(Section):
@@ -145,11 +113,7 @@ class EventsSection(Section):
     csv: CsvEvents | None = None
     positions: dict[str, PositionEvents] | None = None
     images: ImageFiles | None = None
-    first_image: dict[str, str | FirstImage] = Field(
-        {},
-        description="by camera, where the evidence does not decide: the image of the first event, "
-        "or {image: NAME, event: 6} that of the sixth",
-    )
+    first_image: dict[str, str | FirstImage] = Field({})
 
     @model_validator(mode="after")
     def _check_source(self) -> EventsSection:

@@ -43,27 +43,24 @@ class DistortionSection(Section):
 class MetricDistortion(Section):
     """Coefficients of a calibration report, in powers of mm, about the point of symmetry."""
 
-    sense: Sense = Field(
-        description="correction: what is added to measured coordinates (reports of the USGS); "
-        "distortion: what the lens does to ideal ones"
-    )
+    sense: Sense
     k0: float = 0.0
     k1: float = 0.0
     k2: float = 0.0
     k3: float = 0.0
     k4: float = 0.0
-    p1: float = Field(0.0, description="dx = p1 (r^2 + 2 x^2) + 2 p2 x y: not OpenCV's order")
+    p1: float = 0.0
     p2: float = 0.0
-    b1: float = Field(0.0, ge=-0.05, le=0.05, description="affinity, dx = b1 x + b2 y")
+    b1: float = Field(0.0, ge=-0.05, le=0.05)
     b2: float = Field(0.0, ge=-0.05, le=0.05)
 
 
 class MetricTable(Section):
     """Tabulated radial distortion of a calibration report."""
 
-    sense: Sense = Field(description="distortion: positive is away from the point of symmetry")
+    sense: Sense
     by: Literal["radius_mm", "field_angle_deg"]
-    rows: list[Pair] = Field(min_length=3, description="[radius or angle, micrometres]")
+    rows: list[Pair] = Field(min_length=3)
 
     @field_validator("rows")
     @classmethod
@@ -78,21 +75,15 @@ class MetricTable(Section):
 class MetricSection(Section):
     """The calibration report of a metric frame camera, in millimetres."""
 
-    focal_mm: float = Field(ge=1, le=5000, description="calibrated principal distance")
-    pixel_um: Pair = Field(description="size of a pixel, [across, down]")
-    format_mm: Pair = Field(description="width and height of the image, to check pixel_um")
-    origin: Literal["image_centre"] | Pair = Field(
-        description="of the report's coordinates: image_centre, or its pixel (centre of fiducials)"
-    )
+    focal_mm: float = Field(ge=1, le=5000)
+    pixel_um: Pair
+    format_mm: Pair
+    origin: Literal["image_centre"] | Pair
     axes: Literal["right up", "right down", "left up", "left down", "up right", "up left",
                   "down right", "down left"]  # fmt: skip
-    ppa_mm: Pair = Field(description="principal point of autocollimation, origin of projection")
-    ppbs_mm: Pair | None = Field(
-        None, description="point of best symmetry, origin of distortion; by default ppa_mm"
-    )
-    radius_mm: float | None = Field(
-        None, gt=0, description="calibrated to here; by default the last row of the table"
-    )
+    ppa_mm: Pair
+    ppbs_mm: Pair | None = None
+    radius_mm: float | None = Field(None, gt=0)
     distortion: MetricDistortion | None = None
     table: MetricTable | None = None
 
@@ -124,24 +115,11 @@ OWN_ORIENTATION = {*_OTHER_WAYS, "f_px", "fx_px", "fy_px", "cx_px", "cy_px", "di
 class CameraSection(Section):
     """Interior orientation of one camera, in one of four ways."""
 
-    file: PathText | None = Field(
-        None,
-        description="of a program: COLMAP, OpenSfM or ODM, Metashape, DBAT; then no numbers here. "
-        "By default the block of the observations, where that is one",
-    )
-    format: Literal[tuple(BLOCKS)] | None = Field(  # type: ignore[valid-type]
-        None, description="of file, where its ending does not say it"
-    )
-    camera: str | int | None = Field(
-        None, description="its name or number in file or in the block, where that has several"
-    )
-    model: Literal[tuple(MODELS)] | None = Field(  # type: ignore[valid-type]
-        None, description="COLMAP's name of the camera model"
-    )
-    params: list[float] | None = Field(
-        None,
-        description="its parameters in COLMAP's order, as in cameras.txt; in COLMAP's pixels",
-    )
+    file: PathText | None = None
+    format: Literal[tuple(BLOCKS)] | None = None  # type: ignore[valid-type]
+    camera: str | int | None = None
+    model: Literal[tuple(MODELS)] | None = None  # type: ignore[valid-type]
+    params: list[float] | None = None
     metric: MetricSection | None = None
     width_px: int | None = Field(None, gt=0, le=1_000_000, validate_default=True)
     height_px: int | None = Field(None, gt=0, le=1_000_000, validate_default=True)
@@ -150,20 +128,11 @@ class CameraSection(Section):
     fy_px: PrincipalDistance | None = None
     cx_px: float | None = Field(None, ge=-1e6, le=1e6, validate_default=True)
     cy_px: float | None = Field(None, ge=-1e6, le=1e6, validate_default=True)
-    pixel_origin: PixelOrigin | None = Field(
-        None,
-        description="of the principal point; by default that of the observations, and corner for "
-        "params",
-    )
+    pixel_origin: PixelOrigin | None = None
     distortion: DistortionSection | None = None
-    calibration: Literal["laboratory", "in_flight_uncorrected", "in_flight_corrected"] = Field(
-        description="how it was calibrated. A calibration estimated in flight on uncorrected "
-        "images already contains the nadir refraction of that height"
-    )
+    calibration: Literal["laboratory", "in_flight_uncorrected", "in_flight_corrected"]
     window: WindowSection | None = None
-    principal_distance: LensSection | None = Field(
-        None, description="how it follows the air in the lens; without it that is not removed"
-    )
+    principal_distance: LensSection | None = None
 
     @field_validator("width_px", "height_px", "cx_px", "cy_px")
     @classmethod
@@ -280,7 +249,10 @@ class CameraSection(Section):
         try:
             return CameraSection.model_validate(kept | known)
         except ValidationError as error:
-            what = error.errors()[0]["msg"].removeprefix("Value error, ")
+            first = error.errors()[0]
+            what = f"its {first['loc'][0]} is none that a camera can have"
+            if first["type"] == "value_error":
+                what = first["msg"].removeprefix("Value error, ")
             raise InputError(
                 "CAMERA-FILE", what, where=str(path), remedy="check the file, or give another one"
             ) from None

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import difflib
 import re
-import types
-import typing
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
+from pipeline.config.mistakes import of_yaml, open_questions, sentences_of
 from pipeline.config.sections import Mission
 from pipeline.errors import ConfigError
 
@@ -83,11 +81,11 @@ def load_mission(path: Path | str) -> Mission:
         line = f":{mark.line + 1}" if mark else ""
         raise ConfigError(
             "CONFIG-YAML",
-            str(getattr(error, "problem", None) or error),
+            of_yaml(str(getattr(error, "problem", None) or error)),
             where=f"{path}{line}",
             remedy="mend the YAML",
         ) from None
-    if not isinstance(values, dict):
+    if node is None or not isinstance(values, dict):
         required = [name for name, field in Mission.model_fields.items() if field.is_required()]
         raise ConfigError(
             "CONFIG-EMPTY",
@@ -95,91 +93,21 @@ def load_mission(path: Path | str) -> Mission:
             where=str(path),
             remedy=f"it needs {', '.join(required)}",
         )
+    mission: Mission | None = None
+    refused: ValidationError | None = None
     try:
-        return Mission.model_validate(values)
+        mission = Mission.model_validate(values)
     except ValidationError as error:
-        raise _refusal(error, path, node) from None
-
-
-def _refusal(error: ValidationError, path: Path, node: yaml.Node | None) -> ConfigError:
-    """One refusal that names every mistake."""
-    mistakes = []
-    for item in error.errors(include_url=False):
-        key, line = _place(node, item["loc"])
-        what = item["msg"].removeprefix("Value error, ")
-        if item["type"] == "extra_forbidden":
-            what = "unknown key" + _hint(item["type"], item["loc"])
-        elif item["type"] == "missing":
-            what = "is missing" + _hint(item["type"], item["loc"])
-        mistakes.append((line, f"line {line}: {key}: {what}" if key else f"line {line}: {what}"))
-    # A union reports each of its arms; what stands at the same place is one mistake.
-    ordered = [text for _, text in sorted(dict.fromkeys(mistakes))]
-    unknown = any(item["type"] == "extra_forbidden" for item in error.errors())
-    code = "CONFIG-UNKNOWN-KEY" if unknown else "CONFIG-INVALID"
-    return ConfigError(
-        code,
-        ordered[0]
-        if len(ordered) == 1
-        else f"{len(ordered)} mistakes\n    " + "\n    ".join(ordered),
-        where=str(path),
-        remedy="mend the file; README.md lists the keys",
-    )
-
-
-def _place(node: yaml.Node | None, loc: tuple[int | str, ...]) -> tuple[str, int]:
-    """The dotted key and line of a pydantic location, skipping the names of union arms."""
-    keys: list[str] = []
-    line = (node.start_mark.line + 1) if node is not None else 1
-    for i, part in enumerate(loc):
-        if isinstance(node, yaml.MappingNode):
-            match = [(k, v) for k, v in node.value if k.value == str(part)]
-            if match:
-                line, node = match[0][0].start_mark.line + 1, match[0][1]
-                keys.append(str(part))
-            elif i == len(loc) - 1:
-                keys.append(str(part))
-        elif isinstance(node, yaml.SequenceNode) and isinstance(part, int):
-            if part < len(node.value):
-                node = node.value[part]
-            keys.append(f"[{part}]")
-    return ".".join(keys), line
-
-
-def _models_at(loc: tuple[int | str, ...]) -> list[type[BaseModel]]:
-    """Sections that may stand at a location."""
-    models: list[type[BaseModel]] = [Mission]
-    a_name_follows = False
-    for part in loc:
-        if a_name_follows:  # the name of a camera, which may be the same as a key
-            a_name_follows = False
-            continue
-        fields = [m.model_fields[str(part)] for m in models if str(part) in m.model_fields]
-        a_name_follows = any("dict[" in str(field.annotation) for field in fields)
-        # The name of a union arm leads to no other section.
-        models = [s for field in fields for s in _sections_of(field.annotation)] or models
-    return models
-
-
-def _sections_of(annotation: Any) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    if isinstance(annotation, types.UnionType) or typing.get_origin(annotation):
-        return [s for arg in typing.get_args(annotation) for s in _sections_of(arg)]
-    return []
-
-
-def _hint(kind: str, loc: tuple[int | str, ...]) -> str:
-    """What to write instead of an unknown key, or the meaning and choices of a missing one."""
-    models = _models_at(loc[:-1])
-    key = str(loc[-1])
-    if kind == "extra_forbidden":
-        known = sorted({name for model in models for name in model.model_fields})
-        near = difflib.get_close_matches(key, known, 1, 0.5)
-        return f"; perhaps {near[0]!r}?" if near else f"; there is {', '.join(known)}"
-    field = next((m.model_fields[key] for m in models if key in m.model_fields), None)
-    if field is None:
-        return ""
-    is_literal = typing.get_origin(field.annotation) is Literal
-    choices = [a for a in typing.get_args(field.annotation) if is_literal and isinstance(a, str)]
-    meaning = f": {field.description}" if field.description else ""
-    return (f" ({' | '.join(choices)})" if choices else "") + meaning
+        refused = error
+    todo = any(open_questions(values))
+    if mission is not None and not todo:
+        return mission
+    what = sentences_of(refused, values, node)
+    kinds = {item["type"] for item in ([] if refused is None else refused.errors())}
+    code = "CONFIG-UNKNOWN-KEY" if "extra_forbidden" in kinds else "CONFIG-INVALID"
+    code = "CONFIG-TODO" if todo else code
+    several = f"{len(what)} {'questions are open' if todo else 'mistakes'}\n    "
+    raise ConfigError(
+        code, what[0] if len(what) == 1 else several + "\n    ".join(what), where=str(path),
+        remedy="mend the file; `unbend help KEY` explains a key, `unbend schema` has them all",
+    )  # fmt: skip

@@ -15,7 +15,6 @@ from pipeline.config.interior_orientation import OWN_ORIENTATION, CameraSection
 from pipeline.config.station_sources import LocalOrigin, StationsSection
 from pipeline.config.trajectories import NamedColumns
 from pipeline.flight.image_names import Difference
-from pipeline.ingest.registry import KNOWN
 from pipeline.refraction import METHODS
 from pipeline.tables.imports.blocks import BLOCKS
 from pipeline.tables.pixels import PixelOrigin, PixelSystem
@@ -27,22 +26,9 @@ LOWEST_GROUND_M, HIGHEST_GROUND_M = -600.0, 10_000.0
 class MissionSection(Section):
     """Name of the mission, and what its log does not hold."""
 
-    name: str = Field(
-        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$",
-        description="name of the mission: letters, digits, dot, dash, underscore",
-    )
-    undulation_m: float | None = Field(
-        None,
-        ge=-120,
-        le=100,
-        description="ellipsoidal height minus height above mean sea level, where the log does "
-        "not carry both; by default that of the geoid",
-    )
-    geoid: Literal["egm96"] | PathText = Field(
-        "egm96",
-        description="of undulations that neither the log nor undulation_m gives: egm96, or the "
-        "path of a .gtx or a GeoTIFF of ellipsoidal minus orthometric heights [m]",
-    )
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")
+    undulation_m: float | None = Field(None, ge=-120, le=100)
+    geoid: Literal["egm96"] | PathText = "egm96"
 
 
 class NamedChannel(Section):
@@ -58,10 +44,7 @@ class ChannelsSection(Section):
     position: str | NamedChannel | None = None
     height: str | NamedChannel | None = None
     attitude: str | NamedChannel | None = None
-    aircraft_attitude: str | NamedChannel | None = Field(
-        None,
-        description="of the aircraft itself, where attitude is that of a stabilised mount",
-    )
+    aircraft_attitude: str | NamedChannel | None = None
     pressure: str | NamedChannel | None = None
     temperature: str | NamedChannel | None = None
     humidity: str | NamedChannel | None = None
@@ -83,15 +66,9 @@ class ChannelsSection(Section):
 class LogSection(Section):
     """The flight log."""
 
-    path: PathText = Field(description=KNOWN)
+    path: PathText
     channels: ChannelsSection = ChannelsSection()
-    max_gap_s: float = Field(
-        2.0,
-        gt=0,
-        le=60,
-        description="an exposure between two positions or attitudes farther apart than this is in "
-        "a gap",
-    )
+    max_gap_s: float = Field(2.0, gt=0, le=60)
     local_origin: LocalOrigin | None = None
 
 
@@ -102,39 +79,18 @@ class ObservationColumnNames(Section):
     point: str = "point"
     x_px: str = "x_px"
     y_px: str = "y_px"
-    distance_m: str | None = Field(
-        None,
-        description="slant range to the point [m], where it is known; it tells the near from the "
-        "far crossing of a ray that meets the point's height twice",
-    )
+    distance_m: str | None = None
 
 
 class ObservationsSection(Section):
     """The table of image measurements."""
 
-    path: PathText = Field(description="CSV or Parquet, or what format says")
-    format: Literal["csv", "parquet", *BLOCKS] | None = Field(  # type: ignore[valid-type]
-        None,
-        description="csv or parquet, where the ending does not say it; or the block of another "
-        "program, with its cameras and orientations: colmap, a model's folder or a database; "
-        "opensfm, a project's folder; metashape, a .psz or .xml; dbat, a script",
-    )
+    path: PathText
+    format: Literal["csv", "parquet", *BLOCKS] | None = None  # type: ignore[valid-type]
     columns: ObservationColumnNames = ObservationColumnNames()
-    pixel_origin: PixelOrigin = Field(
-        "corner",
-        description="corner: the centre of the upper left pixel is (0.5, 0.5), as in COLMAP; "
-        "centre: it is (0, 0), as in OpenCV",
-    )
-    match_names: list[Difference] = Field(
-        [],
-        description="in what the images may be called otherwise than their exposures: case, "
-        "extension, folder, digits (DSC1 for DSC_0001)",
-    )
-    refraction: Literal["none", "removed_by_other"] = Field(
-        "none",
-        description="what was done to them before: none, as measured; removed_by_other: another "
-        "program has removed refraction, and they are refused",
-    )
+    pixel_origin: PixelOrigin = "corner"
+    match_names: list[Difference] = Field([])
+    refraction: Literal["none", "removed_by_other"] = "none"
 
     @field_validator("refraction")
     @classmethod
@@ -173,8 +129,8 @@ class PointColumns(NamedColumns):
     point: str = "point"
     latitude: str | None = None
     longitude: str | None = None
-    x: str | None = Field(None, description="east")
-    y: str | None = Field(None, description="north")
+    x: str | None = None
+    y: str | None = None
     height: str = "height"
 
     @model_validator(mode="after")
@@ -188,12 +144,9 @@ class PointColumns(NamedColumns):
 class PointTable(Section):
     """Ground heights by the names of points, in a table of their own."""
 
-    points: PathText = Field(description="CSV or Parquet, one row a point")
+    points: PathText
     columns: PointColumns
-    crs: str = Field(
-        description="of the places, as EPSG:4326 or EPSG:25832; with a vertical part, as "
-        "EPSG:25832+5773, of the heights too"
-    )
+    crs: str
 
 
 class ControlSection(Section):
@@ -202,16 +155,12 @@ class ControlSection(Section):
     Columns, crs and reference go together; without them the table has point, lat_deg, lon_deg
     (WGS 84) and h_ellipsoid_m."""
 
-    path: PathText = Field(
-        description="CSV or Parquet, one row a point, named as in the observations"
-    )
+    path: PathText
     columns: PointColumns = PointColumns(
         latitude="lat_deg", longitude="lon_deg", height="h_ellipsoid_m"
     )
-    crs: str = Field("EPSG:4326", description="of the places; with a vertical part of heights too")
-    reference: Literal["msl", "ellipsoid", "relative"] = Field(
-        "ellipsoid", description="what the heights count from, as under ground"
-    )
+    crs: str = "EPSG:4326"
+    reference: Literal["msl", "ellipsoid", "relative"] = "ellipsoid"
 
     @model_validator(mode="after")
     def _check_stated(self) -> ControlSection:
@@ -224,13 +173,8 @@ class ControlSection(Section):
 class GroundModel(Section):
     """A digital elevation model that the rays are followed to."""
 
-    dem: PathText | list[PathText] = Field(
-        description="raster of heights, or tiles of one: what GDAL reads, as GeoTIFF; a path or "
-        "several"
-    )
-    crs: str | None = Field(
-        None, description="coordinate system, as EPSG:25832, where the file has none"
-    )
+    dem: PathText | list[PathText]
+    crs: str | None = None
 
     @property
     def paths(self) -> tuple[str, ...]:
@@ -263,28 +207,11 @@ GroundHeight = Annotated[
 class GroundSection(Section):
     """Heights of the observed points. There is no default."""
 
-    height: GroundHeight = Field(
-        description="metres, or {column: NAME}, or {points: PATH, columns, crs}: a table of "
-        "object points, or {dem: PATH}: where the rays meet an elevation model, or "
-        "from_distance: where the slant range ends, or "
-        "intersected: where the rays of the point meet, with the stations as they are, or "
-        "block: of the points of stations.orientation, and their median in the image for others"
-    )
-    reference: Literal["msl", "ellipsoid", "relative"] = Field(
-        description="above mean sea level, above the ellipsoid, or above the take-off point"
-    )
-    home_h_msl_m: float | None = Field(
-        None,
-        ge=LOWEST_GROUND_M,
-        le=HIGHEST_GROUND_M,
-        description="height of the take-off point, where the log does not hold it",
-    )
-    sigma_m: float | None = Field(
-        None, ge=0, le=10_000, description="standard deviation of the heights of all points"
-    )
-    sigma_column: str | None = Field(
-        None, description="column of standard deviations [m], where they differ"
-    )
+    height: GroundHeight
+    reference: Literal["msl", "ellipsoid", "relative"]
+    home_h_msl_m: float | None = Field(None, ge=LOWEST_GROUND_M, le=HIGHEST_GROUND_M)
+    sigma_m: float | None = Field(None, ge=0, le=10_000)
+    sigma_column: str | None = None
 
     @property
     def constant_m(self) -> float | None:
@@ -361,18 +288,9 @@ class GroundSection(Section):
 class RefractionSection(Section):
     """How rays are traced."""
 
-    direction: Literal["remove", "apply"] = Field(
-        "remove",
-        description="remove: from measured observations to the straight chord; apply: from ideal "
-        "observations to what a camera in this air would measure, for planning",
-    )
+    direction: Literal["remove", "apply"] = "remove"
     method: str = "spherical"
-    radius_m: float | None = Field(
-        None,
-        ge=6.2e6,
-        le=6.5e6,
-        description="radius of the earth; by default the ellipsoid's in the azimuth of the ray",
-    )
+    radius_m: float | None = Field(None, ge=6.2e6, le=6.5e6)
 
     @field_validator("method")
     @classmethod
@@ -385,7 +303,7 @@ class RefractionSection(Section):
 class OutputSection(Section):
     """Where the results go."""
 
-    path: PathText = Field(description="folder of this mission's results")
+    path: PathText
     batch_rows: int = Field(250_000, ge=1_000, le=2_000_000)
 
 
@@ -394,38 +312,26 @@ class AcceptedFinding(Section):
 
     Losses (rows flagged, data lost or damaged) cannot be accepted."""
 
-    code: str = Field(pattern="^[A-Z0-9]+(-[A-Z0-9]+)+$", description="as the ledger prints it")
-    reason: str = Field(min_length=3, description="why it is right all the same")
+    code: str = Field(pattern="^[A-Z0-9]+(-[A-Z0-9]+)+$")
+    reason: str = Field(min_length=3)
 
 
 class Mission(Section):
     """A mission file as understood."""
 
     mission: MissionSection
-    log: LogSection | None = Field(
-        None,
-        description="may be left out where stations.orientation, or stations.trajectory with "
-        "attitudes and events with times, give the stations",
-    )
+    log: LogSection | None = None
     observations: ObservationsSection
     cameras: dict[str, CameraSection] = Field(min_length=1)
-    mount: dict[str, MountSection] = Field(
-        {}, description="by camera; with stations.orientation only where one is not at rest"
-    )
-    events: EventsSection | None = Field(
-        None, description="may be left out with stations.orientation"
-    )
+    mount: dict[str, MountSection] = Field({})
+    events: EventsSection | None = None
     stations: StationsSection = StationsSection()
     ground: GroundSection
     atmosphere: AtmosphereSection = AtmosphereSection()
     refraction: RefractionSection = RefractionSection()
-    control: ControlSection | None = Field(
-        None,
-        description="a path, or {path, columns, crs, reference}: control points, which stand "
-        "in the report before and after; they change no result",
-    )
+    control: ControlSection | None = None
     output: OutputSection
-    accept: list[AcceptedFinding] = Field([], description="findings that are right all the same")
+    accept: list[AcceptedFinding] = Field([])
 
     @model_validator(mode="before")
     @classmethod

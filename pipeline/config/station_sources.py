@@ -39,21 +39,21 @@ class OrientationColumns(ClockColumns, PoseColumns):
     omega: str | None = None
     phi: str | None = None
     kappa: str | None = None
-    sigma_horizontal_m: str | None = Field(None, description="per axis")
+    sigma_horizontal_m: str | None = None
     sigma_height_m: str | None = None
-    sigma_tilt: str | None = Field(None, description="about a level axis, in the unit of angles")
-    sigma_yaw: str | None = Field(None, description="about the vertical, in the unit of angles")
+    sigma_tilt: str | None = None
+    sigma_yaw: str | None = None
 
 
 class KnownPositions(Section):
     """Positions of at least three images, for a frame that is unknown."""
 
-    path: PathText = Field(description="a CSV of image, latitude and longitude [deg], height")
+    path: PathText
     image: str = "image"
     latitude: str = "latitude"
     longitude: str = "longitude"
     height: str = "height"
-    sigma_m: float = Field(default=1.0, gt=0, le=1000, description="of each coordinate [m]")
+    sigma_m: float = Field(default=1.0, gt=0, le=1000)
 
 
 class LocalOrigin(Section):
@@ -78,58 +78,22 @@ class OrientationSection(Section):
     """Position and attitude of every image from a CSV, or from DJI's images themselves."""
 
     path: PathText
-    format: Annotated[str, known_format([*ORIENTATIONS, *BLOCKS])] = Field(
-        "csv",
-        description="csv; dji: positions and gimbal angles in the images of a folder, or of a "
-        "table that exiftool -csv -r FOLDER wrote; or the block of another program as under "
-        "observations.format, which has angles, columns and cameras itself",
-    )
+    format: Annotated[str, known_format([*ORIENTATIONS, *BLOCKS])] = "csv"
     angles: Literal[
         "omega_phi_kappa", "phi_omega_kappa", "roll_pitch_yaw", "quaternion", "quaternion_to_frame"
-    ] = Field(
-        description="omega, phi and kappa of the camera, the primary rotation first; roll, pitch "
-        "and yaw of the aircraft, to which the camera is mounted as under mount; or q_w to q_z, "
-        "which turns from the frame to the camera (x right, y down, z forward), or back"
-    )
-    unit: AngleUnit = Field("deg", description="of the angles; latitude, longitude: degrees")
+    ]
+    unit: AngleUnit = "deg"
     frame: Literal["geographic", "projected", "ecef", "unknown"] | EnuFrame | None = Field(
-        None,
-        validate_default=True,
-        description="of the angles, and of x, y, z. geographic: east, north, up (roll_pitch_yaw: "
-        "north, east, down) at each station; projected: x, y of crs, whose grid north the angles "
-        "count from, and z, the height; ecef: earth-centred; {enu: {lat_deg, lon_deg, "
-        "h_ellipsoid_m}}: east, north, up at this one place; unknown: fitted to known_positions. "
-        "By default what the block says: OpenSfM's reference_lla, Metashape's coordinate system",
+        None, validate_default=True
     )
-    heights: Literal["msl", "ellipsoid"] | None = Field(
-        None,
-        description="what the height column counts from: mean sea level or the ellipsoid (in a "
-        "frame that is unknown, that of known_positions; of a block that says its frame, the "
-        "altitudes that its program was given)",
-    )
-    crs: str | None = Field(
-        None,
-        description="coordinate system of x and y, as EPSG:25832, or of latitude and longitude "
-        "that are not WGS 84",
-    )
-    convergence_deg: float = Field(
-        0.0,
-        ge=-30,
-        le=30,
-        description="of the grid from whose north kappa or yaw is counted: true minus grid "
-        "azimuth, positive where grid north lies east of true north",
-    )
+    heights: Literal["msl", "ellipsoid"] | None = None
+    crs: str | None = None
+    convergence_deg: float = Field(0.0, ge=-30, le=30)
     columns: OrientationColumns = OrientationColumns()
-    camera: str | None = Field(None, description="the camera of every row without a camera column")
-    date: str | None = Field(
-        None,
-        description="UTC day, as 2026-05-14, or day and time, where no column has the time: season "
-        "of the climatology, and how far soundings and surface reports are away",
-    )
-    known_positions: KnownPositions | Literal["log"] | None = Field(
-        None, description="of images, for an unknown frame: a CSV, or the exposures of the log"
-    )
-    sigma_horizontal_m: float | None = Field(None, ge=0, le=10_000, description="per axis")
+    camera: str | None = None
+    date: str | None = None
+    known_positions: KnownPositions | Literal["log"] | None = None
+    sigma_horizontal_m: float | None = Field(None, ge=0, le=10_000)
     sigma_height_m: float | None = Field(None, ge=0, le=10_000)
     sigma_tilt_deg: float | None = Field(None, ge=0, le=45)
     sigma_yaw_deg: float | None = Field(None, ge=0, le=180)
@@ -250,15 +214,7 @@ class StationsSection(Section):
 
     orientation: OrientationSection | None = None
     trajectory: TrajectorySection | None = None
-    use_suspect: bool = Field(
-        False,
-        description="true corrects the observations of stations that contradict other evidence of "
-        "the log (status suspect) too; the run ends with code 3 all the same",
-    )
-    max_sigma_horizontal_m: float | None = Field(
-        None, gt=0, description="largest sigma of a position, per axis, that serves the mission"
-    )
-    max_sigma_height_m: float | None = Field(None, gt=0, description="the same of a height")
-    max_sigma_tilt_deg: float | None = Field(
-        None, gt=0, le=45, description="the same of the attitude about each level axis"
-    )
+    use_suspect: bool = False
+    max_sigma_horizontal_m: float | None = Field(None, gt=0)
+    max_sigma_height_m: float | None = Field(None, gt=0)
+    max_sigma_tilt_deg: float | None = Field(None, gt=0, le=45)

@@ -30,12 +30,8 @@ def known_format(names: Collection[str]) -> AfterValidator:
 class ImportTime(Section):
     """The time of a file of another program."""
 
-    system: Literal["gpst", "utc"] | None = Field(
-        None, description="needed where the file does not say it: SBET, EO text, CSV"
-    )
-    week: int | None = Field(
-        None, ge=0, le=9999, description="GPS week of the first row; by default that of the log"
-    )
+    system: Literal["gpst", "utc"] | None = None
+    week: int | None = Field(None, ge=0, le=9999)
 
 
 class NamedColumns(Section):
@@ -51,7 +47,7 @@ class ClockColumns(NamedColumns):
     """Columns of images with their times: UTC, or GPS week and seconds of the week."""
 
     image: str = "image"
-    camera: str | None = Field(None, description="the camera of the row, where there are several")
+    camera: str | None = None
     time_utc: str | None = None
     gps_week: str | None = None
     gps_seconds: str | None = None
@@ -116,38 +112,18 @@ class TrajectorySection(Section):
     """A trajectory of another program, in place of the log's."""
 
     path: PathText
-    format: Annotated[str, known_format(TRAJECTORIES)] | None = Field(
-        None, description="by default by the ending: .pos, .sbet and .out, .csv and .txt"
-    )
-    replaces: list[Replaced] | None = Field(
-        None, min_length=1, description="by default all that the file has"
-    )
-    point: Literal["imu", "antenna", "camera"] = Field(
-        description="whose positions it has; with camera, the mount has no lever arm"
-    )
-    lever_arm_m: LeverArm | Literal["from_events"] = Field(
-        default_factory=lambda: [0.0, 0.0, 0.0],
-        description="point from which mount.<camera>.lever_arm_m counts, minus the file's: "
-        "forward, right, down; from_events: antenna to camera as in the .MRK of events.positions",
-    )
-    heights: Literal["msl", "ellipsoid"] | None = Field(
-        None, description="what they count from; needed for SBET and for latitudes in a CSV"
-    )
+    format: Annotated[str, known_format(TRAJECTORIES)] | None = None
+    replaces: list[Replaced] | None = Field(None, min_length=1)
+    point: Literal["imu", "antenna", "camera"]
+    lever_arm_m: LeverArm | Literal["from_events"] = Field(default_factory=lambda: [0.0, 0.0, 0.0])
+    heights: Literal["msl", "ellipsoid"] | None = None
     time: ImportTime = ImportTime()
-    crs: str | None = Field(
-        None,
-        description="of a CSV whose x and y are in a projection, and z heights; or of latitude and "
-        "longitude that are not WGS 84. Attitudes and velocities then count from grid north",
-    )
-    accuracy: PathText | None = Field(None, description="smrmsg file of an SBET")
-    columns: TrajectoryColumns | None = Field(None, description="needed for CSV")
-    position_unit: AngleUnit = Field("deg", description="of latitude and longitude in a CSV")
-    angle_unit: AngleUnit = Field("deg", description="of roll, pitch, yaw in a CSV")
-    angle_order: str = Field(
-        "ZYX",
-        pattern="^(?:XYZ|XZY|YXZ|YZX|ZXY|ZYX)$",
-        description="order of the rotations about the body's axes: ZYX is yaw, pitch, roll",
-    )
+    crs: str | None = None
+    accuracy: PathText | None = None
+    columns: TrajectoryColumns | None = None
+    position_unit: AngleUnit = "deg"
+    angle_unit: AngleUnit = "deg"
+    angle_order: str = Field("ZYX", pattern="^(?:XYZ|XZY|YXZ|YZX|ZXY|ZYX)$")
 
     @property
     def moves_stations(self) -> bool:

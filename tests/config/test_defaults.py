@@ -10,6 +10,7 @@ from pipeline.config.atmosphere import AtmosphereSection, SoundingSection, Surfa
 from pipeline.config.cameras import MountSection, WindowSection
 from pipeline.config.event_sources import CsvEvents, LogEvents
 from pipeline.config.interior_orientation import CameraSection
+from pipeline.config.schema import mission_keys
 from pipeline.config.sections import (
     GroundSection,
     LogSection,
@@ -150,7 +151,7 @@ def test_a_station_in_si():
 
 
 def test_the_formats_of_logs_are_those_that_can_be_read():
-    described = LogSection.model_fields["path"].description
+    described = next(key.text for key in mission_keys() if key.path == "log.path")
     assert described is not None
     for suffix in (".bin", ".log", ".tlog", ".mcap", ".ulg"):
         assert suffix in SUFFIXES

@@ -1,0 +1,165 @@
+"""What is wrong with a mission file, in sentences: the key, what stands there, what may stand."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from pipeline.config.schema import alternatives, as_written, in_words, nodes_at
+
+Place = tuple[str | int, ...]
+"""The keys that lead to a value, and places in lists, from 0."""
+
+TODO = "TODO"
+"""What stands in a mission file for a question that is still open."""
+
+_YAML = {
+    "mapping values are not allowed here": "there is a colon where none can stand: put quotes "
+    "around the text, or check the indentation",
+    "found character '\\t' that cannot start any token": "there is a tab: YAML is indented by "
+    "spaces",
+    "could not find expected ':'": "a key without a colon stands here or above",
+    "expected <block end>": "the indentation differs from that of the lines above",
+    "expected ',' or": "a bracket or a brace is not closed, or a comma is missing",
+    "could not determine a constructor": "tags (!) are not taken",
+    "found undefined alias": "an alias (*) has no anchor (&)",
+    "expected a single document": "there are several documents (---); a mission file is one",
+}
+"""Beginnings of what the YAML parser says, and the same in plain words."""
+
+
+def of_yaml(problem: str) -> str:
+    """What keeps a text from being YAML."""
+    own = problem.startswith(("the key ", "a key "))
+    known = (words for beginning, words in _YAML.items() if problem.startswith(beginning))
+    return problem if own else next(known, "here the text is no YAML")
+
+
+def open_questions(values: Any, place: Place = ()) -> Iterator[Place]:
+    """The places of a mission file where `TODO` stands."""
+    if values == TODO:
+        yield place
+    inner = values.items() if isinstance(values, dict) else ()
+    for key, value in enumerate(values) if isinstance(values, list) else inner:
+        yield from open_questions(value, (*place, key))
+
+
+def sentences_of(
+    error: ValidationError | None, values: dict[str, Any], node: yaml.Node
+) -> list[str]:
+    """One sentence for each mistake, in the order of the file.
+
+    ``error`` is what the models refuse, ``values`` and ``node`` are the file. Open questions come
+    as such; what the models say of them, and of what holds them, is left out.
+    """
+    todo = list(open_questions(values))
+    found: dict[tuple[Place, str], None] = {
+        (place, f"still TODO: {_meaning(place)}"): None for place in todo
+    }
+    items = [] if error is None else error.errors(include_url=False, include_context=False)
+    placed = [(_place(values, item["loc"]), item) for item in items]
+    for place, item in placed:
+        of_question = any(t[: len(place)] == place or place[: len(t)] == t for t in todo)
+        inside = any(other[: len(place)] == place != other for other, _ in placed)
+        value = _value_at(values, place)
+        # A union reports each of its arms: a section's own mistakes say more.
+        arm = inside and isinstance(value, dict | list)
+        match item["type"]:
+            case _ if of_question:
+                continue
+            case "value_error":
+                what = item["msg"].removeprefix("Value error, ")
+            case "extra_forbidden":
+                what = f"unknown key{_near(place)}"
+            case "missing":
+                what = f"is missing: {_meaning(place)}"
+            case _ if arm:
+                continue
+            case _:
+                what = f"{_shown(value)} stands there, and {_allowed(place)}"
+        found[place, what] = None
+    lines = []
+    for place, what in found:
+        line, key = _line(node, place), ".".join(f"[{p}]" if isinstance(p, int) else p
+                                                for p in place)  # fmt: skip
+        lines.append((line, f"line {line}: {key}: {what}" if key else f"line {line}: {what}"))
+    return [text for _, text in sorted(dict.fromkeys(lines))]
+
+
+def _place(values: Any, loc: tuple[int | str, ...]) -> Place:
+    """The place of an error of the models, without the names of the arms of unions in it."""
+    place: list[str | int] = []
+    for i, part in enumerate(loc):
+        inside = isinstance(part, int) and isinstance(values, list) and part < len(values)
+        if inside or (isinstance(values, dict) and part in values):
+            values = values[part]
+            place.append(part)
+        elif i == len(loc) - 1 and isinstance(values, dict) and nodes_at((*place, part)):
+            place.append(part)  # a key that is missing
+    return tuple(place)
+
+
+def _value_at(values: Any, place: Place) -> Any:
+    for key in place:
+        inside = isinstance(values, list) or (isinstance(values, dict) and key in values)
+        values = values[key] if inside else None
+    return values
+
+
+def _line(node: yaml.Node, place: Place) -> int:
+    """The line of the key that a place ends with, or of the last on the way that is there."""
+    line = int(node.start_mark.line) + 1
+    for key in place:
+        if isinstance(node, yaml.SequenceNode) and isinstance(key, int):
+            node = node.value[key]
+            continue
+        pairs = node.value if isinstance(node, yaml.MappingNode) else ()
+        match = next(((k, v) for k, v in pairs if k.value == key), None)
+        if match is None:
+            break
+        line, node = int(match[0].start_mark.line) + 1, match[1]
+    return line
+
+
+def _shown(value: Any) -> str:
+    """A value in a message: short, and on one line."""
+    match value:
+        case None:
+            return "nothing"
+        case dict():
+            return "a section"
+        case list():
+            return f"a list of {len(value)}"
+        case str():
+            return repr(value if len(value) <= 40 else f"{value[:20]}...{value[-16:]}")
+    return as_written(value)
+
+
+def _allowed(place: Place) -> str:
+    """What may stand at a place, with an example."""
+    nodes = nodes_at(place)
+    words = " or ".join(dict.fromkeys(in_words(node) for node in nodes)) or "something else"
+    examples = [as_written(node["examples"][0]) for node in nodes if "examples" in node]
+    as_in = f", as {examples[0]}" if examples and " | " not in words else ""
+    return f"it takes {words}{as_in}"
+
+
+def _meaning(place: Place) -> str:
+    """What a key is for, and what may stand there."""
+    texts = dict.fromkeys(n["description"] for n in nodes_at(place) if "description" in n)
+    allowed = _allowed(place)
+    return "; ".join([*list(texts)[:1], *([allowed] if len(allowed) < 160 or not texts else [])])
+
+
+def _near(place: Place) -> str:
+    """The key that an unknown one may have been meant for, or all that there are."""
+    known = sorted({
+        key for node in nodes_at(place[:-1]) for arm in alternatives(node)
+        for key in arm.get("properties", {})
+    })  # fmt: skip
+    near = difflib.get_close_matches(str(place[-1]), known, 1, 0.5)
+    return f"; perhaps {near[0]!r}?" if near else f"; there is {', '.join(known)}"

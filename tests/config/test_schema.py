@@ -1,0 +1,127 @@
+"""The JSON schema: every key has a text, numbers a unit, and it takes what the models take."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import jsonschema
+import pytest
+import yaml
+
+from pipeline.config import load_mission
+from pipeline.config.reading import _Loader
+from pipeline.config.schema import all_sections, key_texts, mission_keys, mission_schema, nodes_at
+from pipeline.errors import ConfigError
+
+ROOT = Path(__file__).resolve().parents[2]
+KEYS = {key.path: key for key in mission_keys()}
+MISSIONS = [path.read_text(encoding="utf-8") for path in sorted(ROOT.glob("configs/*.yaml"))] + [
+    block
+    for page in [ROOT / "README.md", *ROOT.glob("docs/**/*.md")]
+    for block in re.findall(r"^```yaml\n(.*?)^```", page.read_text(encoding="utf-8"), re.S | re.M)
+    if "output:" in block and "mission:" in block
+]
+
+
+@pytest.fixture(scope="module")
+def validator():
+    jsonschema.Draft7Validator.check_schema(mission_schema())
+    return jsonschema.Draft7Validator(mission_schema())
+
+
+def test_every_key_at_every_level_has_a_text_of_its_own():
+    assert len(KEYS) > 300
+    fields = {
+        (name, key) for name, section in all_sections().items() for key in section.model_fields
+    }
+    own = {(name, key) for name, keys in key_texts().items() for key in keys}
+    inherited = {
+        (owner.__name__, key)
+        for name, section in all_sections().items()
+        for owner in section.__mro__
+        for key in getattr(owner, "__annotations__", {})
+    }
+    assert own <= inherited  # no text of a key that is gone
+    assert {key for _, key in fields} == {key for _, key in own}
+    for path, key in KEYS.items():
+        assert len(key.text) > 10, path
+        assert key.text[0] not in " ,;", path
+
+
+def test_keys_of_numbers_have_a_unit_and_its_name_says_the_same():
+    ends = {"_m": "m", "_px": "px", "_deg": "deg", "_hpa": "hPa", "_c": "degC", "_k": "K",
+            "_s": "s", "_mm": "mm", "_um": "um", "_ppm": "ppm", "_px_per_hpa": "px/hPa",
+            "_px_per_k": "px/K"}  # fmt: skip
+    for path, key in KEYS.items():
+        is_name = path == "cameras.*.camera"  # or a number
+        assert bool(key.unit) == ("number" in key.allowed) - is_name, path
+        suffix = max((end for end in ends if path.endswith(end)), key=len, default="")
+        if key.unit and suffix:
+            assert key.unit == ends[suffix], path
+
+
+def test_every_default_is_stated_and_every_example_is_taken(validator):
+    for path in KEYS:
+        assert KEYS[path].default, path
+        for node in nodes_at(tuple(0 if p == "*" and "soundings" in path else p
+                                   for p in path.split("."))):  # fmt: skip
+            own = mission_schema() | node
+            own = {k: v for k, v in own.items() if k not in ("properties", "required")} | {
+                k: node[k] for k in ("properties", "required") if k in node
+            }
+            own.pop("type", None) if "type" not in node else None
+            own.pop("additionalProperties", None) if "additionalProperties" not in node else None
+            for example in node.get("examples", ()):
+                assert not list(jsonschema.Draft7Validator(own).iter_errors(example)), path
+
+
+@pytest.mark.parametrize("text", MISSIONS, ids=lambda t: re.search(r"name: *(\S+)", t)[1])
+def test_missions_of_configs_and_of_the_documents_are_valid(text, validator, tmp_path):
+    (tmp_path / "mission.yaml").write_text(text, encoding="utf-8")
+    load_mission(tmp_path / "mission.yaml")
+    errors = [
+        f"{list(e.path)}: {e.message}" for e in validator.iter_errors(yaml.load(text, _Loader))
+    ]
+    assert not errors
+
+
+def test_there_are_missions_with_and_without_a_log():
+    assert len(MISSIONS) >= 6
+    assert sum("stations:" in text and "log:" not in text for text in MISSIONS) >= 2
+
+
+def test_unknown_keys_are_refused_at_every_level_as_the_models_do(validator, tmp_path):
+    base = yaml.safe_load(MISSIONS[0])
+    assert not list(validator.iter_errors(base))
+
+    def sections(values, place=()):
+        yield place
+        for key, value in values.items():
+            if isinstance(value, dict):
+                yield from sections(value, (*place, key))
+
+    tried = 0
+    for place in sections(base):
+        if place in ((), ("cameras",), ("mount",), ("events", "log")) and place:
+            continue  # names are free there
+        spoilt = yaml.safe_load(MISSIONS[0])
+        inner = spoilt
+        for key in place:
+            inner = inner[key]
+        inner["no_such_key"] = 1
+        assert list(validator.iter_errors(spoilt)), place
+        (tmp_path / "mission.yaml").write_text(yaml.safe_dump(spoilt), encoding="utf-8")
+        with pytest.raises(ConfigError, match="no_such_key"):
+            load_mission(tmp_path / "mission.yaml")
+        tried += 1
+    assert tried > 15
+
+
+def test_the_texts_come_with_the_package():
+    """keys.toml is read as package data, from any folder."""
+    code = "from pipeline.config.schema import mission_schema as s; print(len(s()['properties']))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(done.stdout) == len(mission_schema()["properties"])
