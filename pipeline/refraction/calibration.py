@@ -51,11 +51,9 @@ def camera_of_model(
     BrownConrady(k1=-0.05, k2=0.0, k3=0.0, p1=0.0, p2=0.0)
     """
     if model not in MODELS:
-        raise PhysicsError(
-            "CAMERA-MODEL",
-            f"{model!r} is no camera model that can be corrected",
-            remedy=f"models are {', '.join(MODELS)}; convert the calibration to one of them",
-        )
+        what = f"{model!r} is no camera model that can be corrected"
+        remedy = f"models are {', '.join(MODELS)}; convert the calibration to one of them"
+        raise PhysicsError("CAMERA-MODEL", what, remedy=remedy)
     distortion, names = MODELS[model]
     if len(parameters) != len(names) or not all(map(math.isfinite, parameters)):
         raise PhysicsError(

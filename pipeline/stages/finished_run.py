@@ -165,13 +165,11 @@ def ground_of(parts: tuple[Path, ...], stations: Stations, ledger: Ledger) -> Ar
     empty = ~np.isfinite(ground) & stations.ok
     if bool(empty.any()) and bool(np.isfinite(ground).any()):
         median = float(np.nanmedian(ground))
-        ledger.fallback(
-            "EXPORT-GROUND",
+        what = (
             f"{int(empty.sum())} images have no observations with a ground height: {median:.1f} m "
-            "is taken, the median of the other images",
-            where="observations",
-            count=int(empty.sum()),
+            "is taken, the median of the other images"
         )
+        ledger.fallback("EXPORT-GROUND", what, where="observations", count=int(empty.sum()))
         ground[empty] = median
     return ground
 
@@ -190,12 +188,9 @@ def check_reproduced(run: FinishedRun, path: Path) -> None:
         station = matching_rows(table["image"].combine_chunks(), names)
         largest = max(largest, largest_difference_px(run, table, station))
     if largest > _LARGEST_DIFFERENCE_PX:
-        raise MissionError(
-            "EXPORT-NOT-REPRODUCED",
-            f"the run's own corrections come out {largest:.2g} px different",
-            where=str(path),
-            remedy="it was made by another version: run the mission again, then export",
-        )
+        what = f"the run's own corrections come out {largest:.2g} px different"
+        remedy = "it was made by another version: run the mission again, then export"
+        raise MissionError("EXPORT-NOT-REPRODUCED", what, where=str(path), remedy=remedy)
 
 
 _CHECKED = ["image", "x_px", "y_px", "x_corrected_px", "y_corrected_px", "zeta_c_rad", "h_g_m",
@@ -227,11 +222,9 @@ def refuse_output(run: Path, out: Path, *, force: bool) -> None:
     """Refuse to write among the results of a run, or over a file that is there already."""
     for resolve in (os.path.abspath, os.path.realpath):
         if Path(resolve(out)).is_relative_to(resolve(run)):
+            what = "the file would lie among the results of the run"
             raise ConfigError(
-                "EXPORT-INSIDE-RUN",
-                "the file would lie among the results of the run",
-                where=str(out),
-                remedy="write it beside that folder",
+                "EXPORT-INSIDE-RUN", what, where=str(out), remedy="write it beside that folder"
             )
     if out.is_dir() or (os.path.lexists(out) and not force):
         raise ConfigError(

@@ -151,12 +151,10 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
             plausible[role] = ledger.take(plausible_samples(trajectory, role))
         plausible.setdefault("height", plausible["position"]) if "position" in plausible else None
         former = ", ".join(f"{role} of {own[role].name}" for role in elsewhere if role in own)
-        ledger.note(
-            "TRAJECTORY-REPLACES",
-            f"{trajectory.name} gives {', '.join(elsewhere)}"
-            + (f", in place of {former}" if former else ", which the log has not"),
-            where="stations.trajectory",
+        what = f"{trajectory.name} gives {', '.join(elsewhere)}" + (
+            f", in place of {former}" if former else ", which the log has not"
         )
+        ledger.note("TRAJECTORY-REPLACES", what, where="stations.trajectory")
     suspect = (*(d for d in own_suspect if d.quantity not in elsewhere), *of_trajectory)
     plausible, accuracy = with_accuracy(plausible, channels)
     return FlightLog(
@@ -195,12 +193,9 @@ def stated_channels(plan: Plan, channels: tuple[Channel, ...]) -> tuple[Channel,
 
 def without_attitude(where: str) -> MissionError:
     """The refusal of stations of which nothing gives the attitude."""
-    return MissionError(
-        "STATIONS-ATTITUDE",
-        "there is no log, and the file has no attitudes: nothing says where the cameras look",
-        where=where,
-        remedy="give log, or a stations.trajectory with roll, pitch and yaw",
-    )
+    what = "there is no log, and the file has no attitudes: nothing says where the cameras look"
+    remedy = "give log, or a stations.trajectory with roll, pitch and yaw"
+    return MissionError("STATIONS-ATTITUDE", what, where=where, remedy=remedy)
 
 
 def user_geoid(plan: Plan) -> GeoidGrid | None:
@@ -240,12 +235,9 @@ def replaced_roles(plan: Plan, trajectory: Channel) -> tuple[str, ...]:
         return tuple(able)
     for role in section.replaces:
         if role not in able:
-            raise MissionError(
-                "TRAJECTORY-REPLACES",
-                f"it has no {role} ({', '.join(ROLE_COLUMNS[role])}); it has {', '.join(able)}",
-                where=trajectory.name,
-                remedy="leave that out of stations.trajectory.replaces",
-            )
+            what = f"it has no {role} ({', '.join(ROLE_COLUMNS[role])}); it has {', '.join(able)}"
+            remedy = "leave that out of stations.trajectory.replaces"
+            raise MissionError("TRAJECTORY-REPLACES", what, where=trajectory.name, remedy=remedy)
     return tuple(section.replaces)
 
 
@@ -275,11 +267,9 @@ def read_camera_events(plan: Plan, flight: FlightLog, ledger: Ledger) -> dict[st
             raise without_attitude(f"events.positions.{camera}")
         events[camera] = channel
         places = "" if source.times_only else f", and where the {source.reference_point} was then"
+        what = f"{path.name} says when {camera} was exposed{places}"
         ledger.note(
-            "EVENTS-POSITIONS",
-            f"{path.name} says when {camera} was exposed{places}",
-            where=f"events.positions.{camera}",
-            count=len(events[camera]),
+            "EVENTS-POSITIONS", what, where=f"events.positions.{camera}", count=len(events[camera])
         )
         replaces = ("position", "height", *(["attitude"] if attitude else []))
         compare_with_log(channel, flight.own, flight.heights, ledger, replaces=replaces)

@@ -480,11 +480,8 @@ def accept_findings(mission: Mission, ledger: Ledger) -> None:
     losses = {entry.code for entry in ledger if entry.kind is Kind.LOSS}
     for accepted in mission.accept:
         if accepted.code in losses:
-            raise MissionError(
-                "ACCEPT-LOSS",
-                f"{accepted.code} is a loss: data is missing or flagged whatever the reason is",
-                where="accept",
-                remedy="mend what leads to it; findings can be accepted, losses cannot",
-            )
+            what = f"{accepted.code} is a loss: data is missing or flagged whatever the reason is"
+            remedy = "mend what leads to it; findings can be accepted, losses cannot"
+            raise MissionError("ACCEPT-LOSS", what, where="accept", remedy=remedy)
     for code in ledger.accept({accepted.code: accepted.reason for accepted in mission.accept}):
         ledger.warning("ACCEPT-UNUSED", f"nothing is found that {code} accepts", where="accept")

@@ -167,21 +167,17 @@ class Statistics:
                 count=self.no_distance,
             )
         if self.no_sigma:
-            ledger.warning(
-                "OBS-SIGMA",
+            text = (
                 f"{self.no_sigma} standard deviations of ground heights are negative, infinite or "
-                "no number: taken as unknown",
-                where="ground.sigma_column",
-                count=self.no_sigma,
+                "no number: taken as unknown"
             )
+            ledger.warning("OBS-SIGMA", text, where="ground.sigma_column", count=self.no_sigma)
         if self.no_point:
-            ledger.loss(
-                "POINTS-MISSING",
+            text = (
                 f"{self.no_point} of {self.rows} observations are of points that the table of "
-                "object points has not: they are no_ground",
-                where="ground.height.points",
-                count=self.no_point,
+                "object points has not: they are no_ground"
             )
+            ledger.loss("POINTS-MISSING", text, where="ground.height.points", count=self.no_point)
         if self.implausible_heights:
             ledger.loss(
                 "OBS-GROUND-RANGE",

@@ -310,20 +310,13 @@ def verify_run(path: Path) -> dict[str, Any]:
     """The manifest of a run whose results are whole and unchanged; refuses any other."""
     manifest = read_manifest(path)
     if manifest is None:
-        raise StorageError(
-            "VERIFY-NO-MANIFEST",
-            "there is no manifest: the run never finished here",
-            where=str(path),
-            remedy="run the mission",
-        )
+        what = "there is no manifest: the run never finished here"
+        raise StorageError("VERIFY-NO-MANIFEST", what, where=str(path), remedy="run the mission")
     damage = find_damage(path, manifest)
     if damage:
-        raise StorageError(
-            "VERIFY-DAMAGED",
-            f"{len(damage)} results are damaged\n    " + "\n    ".join(damage),
-            where=str(path),
-            remedy="run the mission again; finished results are made anew",
-        )
+        what = f"{len(damage)} results are damaged\n    " + "\n    ".join(damage)
+        remedy = "run the mission again; finished results are made anew"
+        raise StorageError("VERIFY-DAMAGED", what, where=str(path), remedy=remedy)
     return manifest
 
 
@@ -379,11 +372,9 @@ def export_run(
 def write_comparison(accuracy: Accuracy, path: Path) -> None:
     """Write the comparison of the methods as a page, and its picture beside it."""
     if path.suffix.lower() != ".md":
+        what = f"the page is Markdown and ends in .md, not in {path.suffix or 'nothing'}"
         raise ConfigError(
-            "PAGE-FORMAT",
-            f"the page is Markdown and ends in .md, not in {path.suffix or 'nothing'}",
-            where=str(path),
-            remedy="its picture gets the same name with .png",
+            "PAGE-FORMAT", what, where=str(path), remedy="its picture gets the same name with .png"
         )
     picture = path.with_suffix(".png")
     text = accuracy_page(accuracy, picture.name)

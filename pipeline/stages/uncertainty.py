@@ -118,10 +118,8 @@ def report_unknown_sigmas(
             if bool(np.isnan(sigma[rows]).any()):
                 missing.append(f"the cabin's air (cameras.{name}.window.cabin.{key})")
     if missing:
-        ledger.note(
-            "SIGMA-UNKNOWN",
+        what = (
             f"no standard deviations are known of {', '.join(missing)}: what they do to the "
-            "corrections is not in the sigma columns",
-            where="observations",
-            count=len(missing),
+            "corrections is not in the sigma columns"
         )
+        ledger.note("SIGMA-UNKNOWN", what, where="observations", count=len(missing))

@@ -70,12 +70,9 @@ def require_columns(path: Path, schema: pa.Schema, wanted: Sequence[WantedColumn
         kind = schema.field(name).type
         if not (is_text(kind) or is_number(kind)):
             named = quantity in ("image", "point")
-            raise InputError(
-                "OBS-TYPE",
-                f"the column {name} holds {kind}, not {'names' if named else 'numbers'}",
-                where=str(path),
-                remedy=f"write it as {'text' if named else 'float64'}",
-            )
+            what = f"the column {name} holds {kind}, not {'names' if named else 'numbers'}"
+            remedy = f"write it as {'text' if named else 'float64'}"
+            raise InputError("OBS-TYPE", what, where=str(path), remedy=remedy)
 
 
 def is_text(kind: Any) -> bool:

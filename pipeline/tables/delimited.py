@@ -164,9 +164,5 @@ def open_csv(
 
 
 def _refusal(path: Path, error: object) -> InputError:
-    return InputError(
-        "OBS-CSV",
-        f"is no readable CSV: {error}",
-        where=str(path),
-        remedy="a table is UTF-8 and has a header line, commas, and as many fields in every row",
-    )
+    remedy = "a table is UTF-8 and has a header line, commas, and as many fields in every row"
+    return InputError("OBS-CSV", f"is no readable CSV: {error}", where=str(path), remedy=remedy)

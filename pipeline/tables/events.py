@@ -34,12 +34,8 @@ def read_events(path: Path, columns: Mapping[str, str], ledger: Ledger) -> Event
     time_ns, good = utc_of_columns(table, *clock)
     if not bool(good.all()):
         rows = np.flatnonzero(~good)
-        ledger.loss(
-            "EVENTS-TIME",
-            f"{rows.size} rows have no readable time, the first in line {rows[0] + 2}",
-            where=path.name,
-            count=int(rows.size),
-        )
+        what = f"{rows.size} rows have no readable time, the first in line {rows[0] + 2}"
+        ledger.loss("EVENTS-TIME", what, where=path.name, count=int(rows.size))
     if not bool(good.any()):
         raise InputError(
             "EVENTS-EMPTY", "no row has a readable time", where=str(path),

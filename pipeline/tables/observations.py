@@ -348,10 +348,8 @@ def open_observations(
         schema = pa.schema(list(scan.types.items()))
         require_columns(path, schema, wanted)  # now with the types that the values have
         for name in scan.codes:
-            ledger.note(
-                "OBS-CODES",
-                f"column {name} is written as text: some of its digits are no plain number",
-            )
+            text = f"column {name} is written as text: some of its digits are no plain number"
+            ledger.note("OBS-CODES", text)
     else:
         rows, images, repeated = 0, set(), list[str]()
         for batch in records(1 << 20, [named["image"], named["point"]][: 1 + (kind in BLOCKS)]):
@@ -402,10 +400,8 @@ def _written_names(users: list[str], ledger: Ledger) -> dict[str, str]:
         while name in _OURS or name in sources:
             name += "_input"
         if name != own:
-            ledger.note(
-                "OBS-RENAMED",
-                f"column {own} is written as {name}: a column of the results has its name",
-            )
+            what = f"column {own} is written as {name}: a column of the results has its name"
+            ledger.note("OBS-RENAMED", what)
         sources[name] = own
     return sources
 
@@ -413,12 +409,8 @@ def _written_names(users: list[str], ledger: Ledger) -> dict[str, str]:
 def _opened(path: Path, kind: str) -> tuple[pa.Schema, Records]:
     """The Arrow schema of a table, that of a CSV all text until it is scanned, and its rows."""
     if not path.exists() or (kind not in BLOCKS and not path.is_file()):
-        raise InputError(
-            "OBS-MISSING",
-            "there is no such file",
-            where=str(path),
-            remedy="check observations.path",
-        )
+        what = "there is no such file"
+        raise InputError("OBS-MISSING", what, where=str(path), remedy="check observations.path")
     if kind in BLOCKS:
         rows = partial(_block_records, path, kind)
         return next(rows(0, None), rows_of_image("", [])).schema, rows
@@ -434,13 +426,11 @@ def _opened(path: Path, kind: str) -> tuple[pa.Schema, Records]:
                 "OBS-PARQUET", f"is no readable Parquet file: {error}", where=str(path),
                 remedy="write it again",
             ) from None  # fmt: skip
-    raise InputError(
-        "OBS-FORMAT",
-        "a table of observations is .csv or .parquet, not "
-        + (path.suffix.lower() or "a file without extension"),
-        where=str(path),
-        remedy=f"convert or rename it, or give observations.format: {', '.join(BLOCKS)}",
+    what = "a table of observations is .csv or .parquet, not " + (
+        path.suffix.lower() or "a file without extension"
     )
+    remedy = f"convert or rename it, or give observations.format: {', '.join(BLOCKS)}"
+    raise InputError("OBS-FORMAT", what, where=str(path), remedy=remedy)
 
 
 def _block_records(

@@ -95,21 +95,15 @@ def refuse_done(path: Path, schema: pa.Schema, direction: Direction) -> None:
         return refuse_marked(path, direction)
     if removing:
         raise _corrected(why, path)
-    raise InputError(
-        "OBS-ALREADY-DISPLACED",
-        f"{why}; displacing it again would count it twice",
-        where=str(path),
-        remedy="give ideal observations, free of refraction",
-    )
+    what = f"{why}; displacing it again would count it twice"
+    remedy = "give ideal observations, free of refraction"
+    raise InputError("OBS-ALREADY-DISPLACED", what, where=str(path), remedy=remedy)
 
 
 def _corrected(why: str, path: Path) -> InputError:
-    return InputError(
-        "OBS-ALREADY-CORRECTED",
-        f"refraction was removed already: {why}; correcting it again would count it twice",
-        where=str(path),
-        remedy="give the measurements as they came from the images",
-    )
+    what = f"refraction was removed already: {why}; correcting it again would count it twice"
+    remedy = "give the measurements as they came from the images"
+    return InputError("OBS-ALREADY-CORRECTED", what, where=str(path), remedy=remedy)
 
 
 def _named_in(sidecar: Path) -> list[tuple[str, str]]:

@@ -46,19 +46,13 @@ def read_sounding(
         size = path.stat().st_size
         data = path.read_bytes() if size <= LARGEST_BYTES else b""
     except OSError as error:
-        raise InputError(
-            "SOUNDING-UNREADABLE",
-            f"the file cannot be read: {error.strerror}",
-            where=str(path),
-            remedy="check the path and its permissions",
-        ) from None
+        what = f"the file cannot be read: {error.strerror}"
+        remedy = "check the path and its permissions"
+        raise InputError("SOUNDING-UNREADABLE", what, where=str(path), remedy=remedy) from None
     if size > LARGEST_BYTES:
-        raise InputError(
-            "SOUNDING-SIZE",
-            f"the file has {size} bytes, more than the {LARGEST_BYTES} of the longest record",
-            where=str(path),
-            remedy="cut it down to the days around the flight",
-        )
+        what = f"the file has {size} bytes, more than the {LARGEST_BYTES} of the longest record"
+        remedy = "cut it down to the days around the flight"
+        raise InputError("SOUNDING-SIZE", what, where=str(path), remedy=remedy)
     if data.startswith(_HDF5):
         raise _no_netcdf(path, "it is netCDF-4 (HDF5); only the classic format is read")
     if data.startswith(_NETCDF3):
@@ -68,11 +62,9 @@ def read_sounding(
         try:
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError as error:
+            what = f"the byte {data[error.start]:#04x} at offset {error.start} is no UTF-8"
             raise InputError(
-                "SOUNDING-UNREADABLE",
-                f"the byte {data[error.start]:#04x} at offset {error.start} is no UTF-8",
-                where=str(path),
-                remedy="save the file as UTF-8 text",
+                "SOUNDING-UNREADABLE", what, where=str(path), remedy="save the file as UTF-8 text"
             ) from None
         sounding = parse_sounding(
             text,
@@ -135,9 +127,6 @@ def _column(file: netcdf_file, name: str) -> Array:
 
 
 def _no_netcdf(path: Path, why: str) -> InputError:
-    return InputError(
-        "SOUNDING-NETCDF",
-        f"is no sounding in ARM's classic netCDF: {why}",
-        where=str(path),
-        remedy="export the levels as CSV: h_m, pressure_hpa, temperature_c, dew_point_c",
-    )
+    what = f"is no sounding in ARM's classic netCDF: {why}"
+    remedy = "export the levels as CSV: h_m, pressure_hpa, temperature_c, dew_point_c"
+    return InputError("SOUNDING-NETCDF", what, where=str(path), remedy=remedy)

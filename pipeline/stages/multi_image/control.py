@@ -127,14 +127,12 @@ def compare_control(
     point = np.unique(measured[0].astype(np.int64))
     if not point.size:
         first = next(observations.batches(1)).point[0]
-        raise InputError(
-            "CONTROL-MISSING",
+        text = (
             f"none of {len(points.name)} control points is measured in an image: these are "
-            f"{points.name[0]} ..., the points of the observations {first} ...",
-            where="control",
-            remedy="write the names as in the observations, or name the column: "
-            "control.columns.point",
+            f"{points.name[0]} ..., the points of the observations {first} ..."
         )
+        remedy = "write the names as in the observations, or name the column: control.columns.point"
+        raise InputError("CONTROL-MISSING", text, where="control", remedy=remedy)
     measured = measured[:, np.isfinite(measured).all(axis=0) & (measured[1] >= 0)]
     at = np.searchsorted(point, measured[0].astype(np.int64))
     oriented = plan.mission.stations.orientation is not None
@@ -246,13 +244,11 @@ def judge_control(
     noise, of = (sigma, "sigmas of stations and pixels let control points miss") if (
         comparison.sigma_stated) else (usual, "the control points scatter")  # fmt: skip
     if noise > effect:
-        ledger.warning(
-            "CONTROL-NOISE",
+        text = (
             f"{of} by {noise:.3g} m, and refraction moves them by {effect:.3g} m: no single one "
-            "shows what the correction does",
-            where=where,
-            count=count,
+            "shows what the correction does"
         )
+        ledger.warning("CONTROL-NOISE", text, where=where, count=count)
     elif now**2 - was**2 > _WORSE * effect**2:
         what = f"{count} control points are missed by {was:.3g} m before and {now:.3g} m after the "
         what += "correction (RMS): their heights, the stations or the calibration were adjusted to "

@@ -31,22 +31,17 @@ def find_format(name: str, out: Path) -> ExportFormat:
     form = FORMATS.get(name)
     if form is None:
         near = difflib.get_close_matches(name, FORMATS, 2)
-        raise ConfigError(
-            "EXPORT-FORMAT",
-            f"no format is called {name!r}",
-            where="--format",
-            remedy=f"perhaps {' or '.join(near)}?" if near else f"one of {', '.join(FORMATS)}",
-        )
+        what = f"no format is called {name!r}"
+        remedy = f"perhaps {' or '.join(near)}?" if near else f"one of {', '.join(FORMATS)}"
+        raise ConfigError("EXPORT-FORMAT", what, where="--format", remedy=remedy)
     fitting = [other for other, f in FORMATS.items() if f.ending == out.suffix.lower()]
     if out.suffix.lower() != form.ending and (form.ending or fitting):
         kind = f"a file that ends in {form.ending}" if form.ending else "a folder"
-        raise ConfigError(
-            "EXPORT-ENDING",
-            f"{name} is written to {kind}",
-            where=str(out),
-            remedy=f"rename it to {out.with_suffix(form.ending).name or form.ending}"
-            + (f", or choose from {', '.join(fitting)}" if fitting else ""),
+        what = f"{name} is written to {kind}"
+        remedy = f"rename it to {out.with_suffix(form.ending).name or form.ending}" + (
+            f", or choose from {', '.join(fitting)}" if fitting else ""
         )
+        raise ConfigError("EXPORT-ENDING", what, where=str(out), remedy=remedy)
     return form
 
 

@@ -249,12 +249,11 @@ def as_written(camera: Camera, name: str, ledger: Ledger) -> Camera:
     written = changed_camera(plain, pixels, FULL)
     misfit = float(np.hypot(*pixels.left_px(written).T).max())
     if misfit > _LARGEST_MISFIT_PX:
-        ledger.loss(
-            "EXPORT-MODEL",
+        what = (
             f"the lens of camera {name} is written with k1, k2, k3, p1, p2, which differ from its "
-            f"calibration by up to {misfit:.3f} px; the change for measured points does not",
-            where=f"cameras.{name}",
+            f"calibration by up to {misfit:.3f} px; the change for measured points does not"
         )
+        ledger.loss("EXPORT-MODEL", what, where=f"cameras.{name}")
     return written
 
 

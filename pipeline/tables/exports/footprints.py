@@ -19,12 +19,8 @@ def placed_stations(
     """(n,) the stations that are ``known`` (s,); the others are a loss, ``what`` they lack."""
     missing = run.stations.image[~known]
     if missing.size:
-        ledger.loss(
-            "EXPORT-LEFT-OUT",
-            f"{missing.size} stations have no {what} and are left out, the first {missing[0]}",
-            where="stations.parquet",
-            count=int(missing.size),
-        )
+        text = f"{missing.size} stations have no {what} and are left out, the first {missing[0]}"
+        ledger.loss("EXPORT-LEFT-OUT", text, where="stations.parquet", count=int(missing.size))
     return np.flatnonzero(known).astype(np.int64)
 
 
@@ -106,11 +102,9 @@ def footprints(run: FinishedRun, ledger: Ledger) -> Array:
     corners[without] = np.nan
     count = int((without & run.exposures.usable).sum())
     if count:
-        ledger.loss(
-            "EXPORT-NO-GROUND",
+        what = (
             f"{count} images have no footprint: no ground height is known (--ground-height gives "
-            "one), or a corner shows no ground",
-            where="observations",
-            count=count,
+            "one), or a corner shows no ground"
         )
+        ledger.loss("EXPORT-NO-GROUND", what, where="observations", count=count)
     return corners

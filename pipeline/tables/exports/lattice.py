@@ -39,22 +39,17 @@ def _lattice(
     usable = run.exposures.usable
     left_out = run.stations.image[~usable]
     if left_out.size:
-        ledger.loss(
-            "EXPORT-LEFT-OUT",
-            f"{left_out.size} images have no usable station and no lattice, the first "
-            f"{left_out[0]}",
-            where="stations.parquet",
-            count=int(left_out.size),
+        what = (
+            f"{left_out.size} images have no usable station and no lattice, the first {left_out[0]}"
         )
+        ledger.loss("EXPORT-LEFT-OUT", what, where="stations.parquet", count=int(left_out.size))
     groundless = run.stations.image[usable & ~np.isfinite(run.ground_m)]
     if groundless.size:
-        ledger.loss(
-            "EXPORT-NO-GROUND",
+        what = (
             f"{groundless.size} images have a lattice without corrections: the run knows no ground "
-            "height; --ground-height gives one",
-            where="observations",
-            count=int(groundless.size),
+            "height; --ground-height gives one"
         )
+        ledger.loss("EXPORT-NO-GROUND", what, where="observations", count=int(groundless.size))
     columns, rows = values["columns"], values["rows"]
     layout = {"unbend.lattice": f"{columns} columns, {rows} rows, row by row"}
     schema = schema_of(LATTICE_COLUMNS, dict(run.metadata) | layout)

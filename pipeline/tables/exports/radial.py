@@ -71,21 +71,18 @@ def radial_columns(table: RadialTable) -> dict[str, object]:
 def _radial(run: FinishedRun, _: Values, ledger: Ledger) -> tuple[pa.Schema, Iterator[pa.Table]]:
     """A table for each camera and each height above ground that its images share, lowest first."""
     if len(run.rays) > 1:
-        ledger.warning(
-            "EXPORT-AIR-CHANGES",
+        what = (
             f"the air of the flight changes over {len(run.rays)} profiles: each radial table holds "
-            "the air of the middle one of its images; the lattice holds that of each",
-            where="profile.parquet",
-            count=len(run.rays),
+            "the air of the middle one of its images; the lattice holds that of each"
         )
+        ledger.warning("EXPORT-AIR-CHANGES", what, where="profile.parquet", count=len(run.rays))
     for name, camera in run.cameras.items():
         if camera.has_window:
-            ledger.warning(
-                "EXPORT-WINDOW",
+            what = (
                 f"camera {name} looks through a window: the radial tables hold the refraction of "
-                "the air outside alone; the lattice holds both",
-                where=f"cameras.{name}.window",
+                "the air outside alone; the lattice holds both"
             )
+            ledger.warning("EXPORT-WINDOW", what, where=f"cameras.{name}.window")
     schema = schema_of(RADIAL_COLUMNS, run.metadata)
     groups = flying_heights(run, _SAME_HEIGHT, ledger)
     return schema, (_table(run, name, rows, schema) for name, rows in groups)
@@ -105,13 +102,11 @@ def flying_heights(
         above_ground = run.exposures.height_m[rows] - run.ground_m[rows]
         known = above_ground > 0.0
         if not bool(known.all()):
-            ledger.loss(
-                "EXPORT-LEFT-OUT",
+            what = (
                 f"{int((~known).sum())} images of camera {name} have no known ground below them "
-                "and are left out",
-                where=f"camera {name}",
-                count=int((~known).sum()),
+                "and are left out"
             )
+            ledger.loss("EXPORT-LEFT-OUT", what, where=f"camera {name}", count=int((~known).sum()))
         rows, above_ground = rows[known], above_ground[known]
         while rows.size:
             near = above_ground <= (1.0 + same_height) * above_ground.min()

@@ -143,12 +143,9 @@ def _to_wgs84(horizontal: Any, lon_lat: Array, where: str, key: str) -> tuple[An
             area_of_interest=AreaOfInterest(*corners),
         )  # fmt: skip
     if not group.transformers:
-        raise InputError(
-            "CRS-BALLPARK",
-            f"{horizontal.name} has no transformation to WGS 84 with a known accuracy",
-            where=where,
-            remedy=f"transform it to a system on WGS 84 or ETRS89, and state that: {key}",
-        )
+        what = f"{horizontal.name} has no transformation to WGS 84 with a known accuracy"
+        remedy = f"transform it to a system on WGS 84 or ETRS89, and state that: {key}"
+        raise InputError("CRS-BALLPARK", what, where=where, remedy=remedy)
     best = group.transformers[0]
     by = f"{best.description or 'an unnamed operation'}"
     by += f", to {best.accuracy:g} m" if best.accuracy >= 0.0 else ", of unknown accuracy"

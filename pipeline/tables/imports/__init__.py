@@ -60,11 +60,9 @@ def reader_of(
         if known == name or (name is None and path.suffix.lower() in endings):
             return known, reader
     able = ", ".join(ending for _, endings in readers.values() for ending in endings)
+    what = f"its ending {path.suffix or 'is missing: it'} says nothing; known are {able}"
     raise InputError(
-        "IMPORT-FORMAT",
-        f"its ending {path.suffix or 'is missing: it'} says nothing; known are {able}",
-        where=str(path),
-        remedy=f"give format: {', '.join(readers)}",
+        "IMPORT-FORMAT", what, where=str(path), remedy=f"give format: {', '.join(readers)}"
     )
 
 

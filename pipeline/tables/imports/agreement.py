@@ -143,12 +143,9 @@ def _compare_places(
             "are to be mended in the file",
         )
     if distance.size == 0:
-        raise MissionError(
-            "TRAJECTORY-OVERLAP",
-            f"it covers {_span(imported.time_ns)}, the log {_span(track.time_ns)}",
-            where=imported.name,
-            remedy="name the file of this flight, or state the week or the system of its times",
-        )
+        text = f"it covers {_span(imported.time_ns)}, the log {_span(track.time_ns)}"
+        remedy = "name the file of this flight, or state the week or the system of its times"
+        raise MissionError("TRAJECTORY-OVERLAP", text, where=imported.name, remedy=remedy)
     if now > _OTHER_FLIGHT_M:
         what = f"it is {_metres(now)} from {track.name} of the log in the median"
         for mistake, undone in _OF_PLACE.items():

@@ -198,13 +198,11 @@ def read_tags(path: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
     """By image, its tags without their groups; refuses (InputError IMAGES-NONE) no images."""
     tags = _tags_of_folder(path, ledger) if path.is_dir() else _tags_of_csv(path)
     if not tags:
-        raise InputError(
-            "IMAGES-NONE",
-            "there are no images",
-            where=str(path),
-            remedy=f"path is a folder of images ({ENDINGS}) or a table as exiftool -csv writes it, "
-            "with a column SourceFile or FileName",
+        remedy = (
+            f"path is a folder of images ({ENDINGS}) or a table as exiftool -csv writes it, "
+            "with a column SourceFile or FileName"
         )
+        raise InputError("IMAGES-NONE", "there are no images", where=str(path), remedy=remedy)
     return tags
 
 
@@ -312,11 +310,9 @@ def _tags_of_csv(path: Path) -> dict[str, dict[str, str]]:
     try:
         table = pd.read_csv(path, dtype=str, keep_default_na=False, encoding="utf-8-sig")
     except (OSError, ValueError) as error:
+        what = f"is no readable CSV: {str(error).strip()}"
         raise InputError(
-            "IMAGES-CSV",
-            f"is no readable CSV: {str(error).strip()}",
-            where=str(path),
-            remedy="write it with exiftool -csv -r FOLDER",
+            "IMAGES-CSV", what, where=str(path), remedy="write it with exiftool -csv -r FOLDER"
         ) from None
     table.columns = pd.Index([_key(str(name)) for name in table.columns])
     table = table.loc[:, ~table.columns.duplicated()]

@@ -40,21 +40,17 @@ def read_mrk(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     time_ns = utc_of_weeks(value["week"], value["seconds"], stated.system_of(path, ledger, "gpst"))
     lost = (value["Q"] == 0) | ((value["Lat"] == 0.0) & (value["Lon"] == 0.0))
     if bool(lost.any()):
-        ledger.loss(
-            "IMPORT-NO-POSITION",
+        what = (
             f"{int(lost.sum())} of {lost.size} images have no position (quality 0), the first is "
-            f"number {value['index'][np.argmax(lost)]:.0f}",
-            where=path.name,
-            count=int(lost.sum()),
+            f"number {value['index'][np.argmax(lost)]:.0f}"
         )
+        ledger.loss("IMPORT-NO-POSITION", what, where=path.name, count=int(lost.sum()))
     if single := int(np.sum(value["Q"] == 16)):
-        ledger.warning(
-            "TRAJECTORY-SINGLE",
+        what = (
             f"{single} of {lost.size} images have a single-point position (quality 16): metres, "
-            "not centimetres",
-            where=path.name,
-            count=single,
+            "not centimetres"
         )
+        ledger.warning("TRAJECTORY-SINGLE", what, where=path.name, count=single)
     columns = {
         "event_index": value["index"],
         "offset_north_m": value["N"] * _MILLIMETRE,

@@ -84,13 +84,11 @@ def _sbet_rows(path: Path, ledger: Ledger) -> Array:
             why = "it is a smrmsg file (10 doubles a row), to be named as accuracy beside the SBET"
         raise not_of_format(path, f"it is no SBET: {why}")
     if left := len(content) % (8 * _ROW):
-        ledger.loss(
-            "IMPORT-CUT",
+        what = (
             f"the last {left} bytes are no whole row of {8 * _ROW}: the file was cut after "
-            f"{len(rows)} rows",
-            where=path.name,
-            count=left,
+            f"{len(rows)} rows"
         )
+        ledger.loss("IMPORT-CUT", what, where=path.name, count=left)
     return rows
 
 
@@ -169,15 +167,14 @@ def wander_sign(
         ledger.note("IMPORT-WANDER", "the wander angle is zero throughout", where=path.name)
     else:
         entry = ledger.note if decided and sign < 0.0 else ledger.warning
-        entry(
-            "IMPORT-WANDER",
+        what = (
             f"true heading is platform heading {'minus' if sign < 0 else 'plus'} wander angle (up "
             f"to {np.degrees(np.abs(wander[moving]).max()):.2f} deg; POSPac: minus): "
             f"{'velocities and positions' if consistent else 'heading and course'} "
             f"{'differ' if decided else 'do not decide it, they differ'} by {minus:.2f} m/s with "
-            f"minus, {plus:.2f} m/s with plus",
-            where=path.name,
+            f"minus, {plus:.2f} m/s with plus"
         )
+        entry("IMPORT-WANDER", what, where=path.name)
     if consistent:
         return sign, velocity * np.exp(1j * sign * wander)
     if said > 0.0:

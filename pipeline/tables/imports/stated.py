@@ -143,13 +143,11 @@ def channel_of_rows(
     for bad, what in ((np.flatnonzero(~readable), "cannot be read"),
                       (np.sort(rows[again]), "repeat the time of another")):  # fmt: skip
         if bad.size:
-            ledger.loss(
-                "IMPORT-ROWS",
+            what = (
                 f"{bad.size} of {time_ns.size} rows {what} and are not used, the first is row "
-                f"{bad[0] + 1}",
-                where=path.name,
-                count=int(bad.size),
+                f"{bad[0] + 1}"
             )
+            ledger.loss("IMPORT-ROWS", what, where=path.name, count=int(bad.size))
     rows = rows[~again]
     if rows.size == 0:
         raise not_of_format(path, "none of its rows can be read")

@@ -34,28 +34,22 @@ def write_database(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> i
     block = block_of(run, ledger)
     tables = rows_of_tables(block)
     if len(block.point_m) == 0:
-        ledger.loss(
-            "EXPORT-NO-TIES",
-            "no point was measured in two images: nothing ties the images of the database",
-            where="observations",
-        )
+        what = "no point was measured in two images: nothing ties the images of the database"
+        ledger.loss("EXPORT-NO-TIES", what, where="observations")
     unknown = int(np.isnan(block.frame.covariance_m2).any(axis=(1, 2)).sum())
     if unknown:
-        ledger.fallback(
-            "EXPORT-NO-SIGMA",
+        what = (
             f"{unknown} stations have no sigma of their position: their pose priors have no "
-            "covariance, and COLMAP takes the one it is called with",
-            where="stations.parquet",
-            count=unknown,
+            "covariance, and COLMAP takes the one it is called with"
         )
+        ledger.fallback("EXPORT-NO-SIGMA", what, where="stations.parquet", count=unknown)
     rounding = max(np.abs(c - c.astype("<f4")).max(initial=0.0) for c in (block.x_px, block.y_px))
     if rounding > _LARGEST_ROUNDING_PX:
-        ledger.warning(
-            "EXPORT-ROUNDED",
+        what = (
             f"keypoints of a database are 32-bit numbers: up to {rounding:.4f} px are lost; the "
-            "model (--format colmap) loses nothing",
-            where="keypoints",
+            "model (--format colmap) loses nothing"
         )
+        ledger.warning("EXPORT-ROUNDED", what, where="keypoints")
     schema = resources.files("pipeline.tables.exports.blocks").joinpath("colmap_4_2.sql")
     with closing(sqlite3.connect(path)) as database:
         # A draft that is interrupted is thrown away: no journal.

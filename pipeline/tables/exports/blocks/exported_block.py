@@ -88,11 +88,9 @@ def ideal_coordinates(camera: Camera, x_px: Array, y_px: Array) -> tuple[Array, 
 def refuse_names(names: Iterable[str], pattern: str, program: str) -> None:
     """Refuse (MissionError EXPORT-NAMES) names in which a regular expression is found."""
     for name in filter(re.compile(pattern).search, names):
+        what = f"{name!r} has a character that separates columns in files of {program}"
         raise MissionError(
-            "EXPORT-NAMES",
-            f"{name!r} has a character that separates columns in files of {program}",
-            where="observations",
-            remedy="rename it, or choose another format",
+            "EXPORT-NAMES", what, where="observations", remedy="rename it, or choose another format"
         )
 
 
@@ -143,21 +141,18 @@ def block_of(run: FinishedRun, ledger: Ledger) -> ExportedBlock:
     up = up @ frame.enu_from_ecef.T
     block.point_m[:], met = intersected_points(block, up, stations.h_msl_m[rows], h_g)
     if not met.all():
-        ledger.fallback(
-            "EXPORT-POINT-HEIGHT",
+        what = (
             f"the rays of {np.sum(~met)} points do not meet at 3 degrees or more: these points are "
-            "where the rays reach the height of the ground that the run took for them",
-            where="observations",
-            count=int(np.sum(~met)),
+            "where the rays reach the height of the ground that the run took for them"
         )
+        ledger.fallback("EXPORT-POINT-HEIGHT", what, where="observations", count=int(np.sum(~met)))
     lat, lon, h = frame.origin_deg.tolist()
-    ledger.note(
-        "EXPORT-FRAME",
+    what = (
         f"x, y, z count to the east, north and up from {lat:.5f} N, {lon:.5f} E, {h:.0f} m above "
         "the ellipsoid (WGS84), one frame for the block; neither earth curvature nor a map "
-        "projection is applied",
-        where="stations.parquet",
+        "projection is applied"
     )
+    ledger.note("EXPORT-FRAME", what, where="stations.parquet")
     return block
 
 
@@ -188,14 +183,12 @@ def read_image_points(
     image, point = table["image"].to_numpy(), table["point"].to_numpy()
     _, kept = np.unique(image * np.int64(len(coded.dictionary)) + point, return_index=True)
     if kept.size < total:
-        ledger.loss(
-            "EXPORT-LEFT-OUT",
+        what = (
             f"{total - kept.size} of {total} observations are left out: {total - image.size} are "
             "not ok, or have no point or no usable station, and "
-            f"{image.size - kept.size} are of a point that was measured before in the image",
-            where="observations",
-            count=total - kept.size,
+            f"{image.size - kept.size} are of a point that was measured before in the image"
         )
+        ledger.loss("EXPORT-LEFT-OUT", what, where="observations", count=total - kept.size)
     kept.sort()
     return table.take(kept[np.argsort(image[kept], kind="stable")]), coded.dictionary
 

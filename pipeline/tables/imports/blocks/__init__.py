@@ -100,13 +100,10 @@ def read_camera(path: Path, file_format: str | None, name: str | None) -> Camera
         chosen = next(iter(cameras)) if name is None and len(cameras) == 1 else name or ""
         if chosen in cameras:
             return cameras[chosen]()
-    raise InputError(
-        "CAMERA-NAME",
-        f"it holds {', '.join(map(repr, cameras)) or 'no camera'}, "
-        + ("and no camera is named" if name is None else f"and no {name!r}"),
-        where=str(path),
-        remedy="name one of them under camera",
+    what = f"it holds {', '.join(map(repr, cameras)) or 'no camera'}, " + (
+        "and no camera is named" if name is None else f"and no {name!r}"
     )
+    raise InputError("CAMERA-NAME", what, where=str(path), remedy="name one of them under camera")
 
 
 def read_block_images(path: Path, program: str) -> OrientationTable:
