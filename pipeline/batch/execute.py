@@ -1,22 +1,189 @@
-"""Many missions: one after the other or side by side; the end of one does not stop the others."""
+"""Many missions: one after the other or side by side; the end of one does not stop the others.
 
+Side by side each runs in a worker process, the death of which costs that one mission.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
 import os
-from collections.abc import Callable, Generator, Sequence
-from contextlib import AbstractContextManager
+import signal
+import time
+import traceback
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import dataclass
+from itertools import islice
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
 from pathlib import Path
-from typing import Any
+from types import FrameType
+from typing import Any, Protocol
 
-from pipeline.batch.workers import Bug, MissionEnd, RunMission, run_guarded, side_by_side
+from pipeline.batch.plan import Outcome
 from pipeline.config import load_mission
 from pipeline.errors import (
     EXIT_BUG,
     EXIT_DONE,
+    EXIT_INTERRUPTED,
     EXIT_LOSSES,
     EXIT_REFUSED,
     ConfigError,
     MissionError,
     UnbendError,
 )
+
+# How long a worker that was asked to stop may clean up before it is killed.
+_GRACE_S = 3.0
+
+
+class RunMission(Protocol):
+    """Runs one mission file."""
+
+    def __call__(self, path: Path, *, progress: Any = None) -> Outcome: ...
+
+
+@dataclass(frozen=True)
+class Bug:
+    """A mission that ended in an unexpected exception."""
+
+    traceback: str
+
+
+MissionEnd = Outcome | UnbendError | Bug
+
+
+def run_guarded(run_mission: RunMission, config: Path, progress: Any) -> MissionEnd:
+    """Run a mission; refusals and unexpected exceptions are returned, not raised."""
+    try:
+        return run_mission(config, progress=progress)
+    except UnbendError as error:
+        return error
+    except Exception:
+        # The one broad except: a bug in one mission must not cost the user the others.
+        return Bug(traceback.format_exc())
+
+
+@dataclass(eq=False)
+class _Worker:
+    """A process that runs one mission at a time, and the connection to it."""
+
+    process: SpawnProcess
+    connection: Connection
+    config: Path
+
+    @classmethod
+    def start(cls, run_mission: RunMission, config: Path) -> _Worker:
+        """Start a process and send it the function that runs a mission file, and the first one."""
+        ours, theirs = multiprocessing.Pipe()
+        process = multiprocessing.get_context("spawn").Process(
+            target=_run_missions, args=(theirs,), daemon=True
+        )
+        process.start()
+        theirs.close()  # otherwise the connection would not end when the worker dies
+        with suppress(OSError):
+            ours.send(run_mission)
+        worker = cls(process, ours, config)
+        worker.assign(config)
+        return worker
+
+    def assign(self, config: Path) -> None:
+        """Send a mission file to the worker."""
+        self.config = config
+        with suppress(OSError):  # a dead worker is noticed when its result is received
+            self.connection.send(config)
+
+    def result(self) -> MissionEnd | None:
+        """How its mission ended; None if the process ended first."""
+        try:
+            end: MissionEnd = self.connection.recv()
+        except (EOFError, OSError):
+            return None
+        return end
+
+
+def side_by_side(
+    run_mission: RunMission, configs: Sequence[Path], jobs: int, lost: list[Path]
+) -> Iterator[tuple[Path, MissionEnd]]:
+    """Run missions in ``jobs`` processes; yields how each ended, as soon as it did.
+
+    A mission is assigned when a worker is free for it. The missions of workers that died are
+    added to ``lost``; the others go on. When the caller leaves early, the workers are stopped.
+    """
+    waiting = iter(configs)
+    workers: dict[Connection, _Worker] = {}
+    finished: list[_Worker] = []
+
+    def start(config: Path) -> None:
+        with _interrupts_blocked():
+            worker = _Worker.start(run_mission, config)
+            workers[worker.connection] = worker
+
+    try:
+        for config in islice(waiting, jobs):
+            start(config)
+        while workers:
+            ready = wait(list(workers))
+            for worker in [workers[c] for c in workers if c in ready]:
+                done, end = worker.config, worker.result()
+                following = next(waiting, None)
+                if following is not None and end is not None:
+                    worker.assign(following)
+                else:
+                    del workers[worker.connection]
+                    worker.connection.close()
+                    finished.append(worker)
+                    if following is not None:
+                        start(following)
+                if end is None:
+                    lost.append(done)
+                else:
+                    yield done, end
+    finally:
+        for worker in workers.values():
+            worker.process.terminate()
+        deadline = time.monotonic() + _GRACE_S
+        for worker in (*workers.values(), *finished):
+            worker.process.join(max(0.0, deadline - time.monotonic()))
+            if worker.process.is_alive():
+                worker.process.kill()
+                worker.process.join()
+            worker.connection.close()
+
+
+@contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Block Ctrl-C while a worker starts: a terminal sends it to all processes.
+
+    A process inherits the block. On Windows there is none; there a Ctrl-C in the first moments of
+    a worker ends it like any other process.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    from multiprocessing import resource_tracker
+
+    resource_tracker.ensure_running()  # it would unblock the signal when first started
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _run_missions(connection: Connection) -> None:
+    """Body of a worker process: run the missions it is sent until the connection ends."""
+
+    def stop(_: int, __: FrameType | None) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second one must not stop the cleaning up
+        raise SystemExit(EXIT_INTERRUPTED)
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, stop)
+    with suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        run_mission: RunMission = connection.recv()
+        while True:
+            connection.send(run_guarded(run_mission, connection.recv(), None))
 
 
 def run_many(

@@ -3,7 +3,7 @@
 Local positions (motion capture, visual odometry) get a place on the earth, and with it heights.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -252,3 +252,29 @@ def to_geodetic(channel: Channel, origin: GeodeticOrigin) -> Channel:
         columns=dict(channel.columns) | {"lat_rad": lat, "lon_rad": lon, "h_ellipsoid_m": height},
         roles=(*channel.roles, "height", "position"),
     )
+
+
+_LONGEST_GAP_S = 5.0
+_HEALTHY = 2.0  # status of TERR
+
+
+def logged_terrain(channels: Iterable[Channel], time_ns: NDArray[np.int64]) -> Array:
+    """(n,) terrain height above sea level [m] below the vehicle at times, NaN where none is logged.
+
+    For checks, never as truth: ArduPilot's grid is SRTM at 100 m, some 10 m (90 %) in open country.
+    Rows count where the autopilot had its grid: TERR of status 2, TERRAIN_REPORT with a spacing and
+    place.
+    """
+    height = np.full(time_ns.size, np.nan)
+    for channel in channels:
+        if "h_terrain_m" not in channel.columns:
+            continue
+        nothing = np.zeros(len(channel))
+        healthy = channel.columns.get("terrain_status", nothing) == _HEALTHY
+        placed = channel.columns.get("lat_rad", nothing + 1.0) != 0.0
+        healthy |= (channel.columns.get("terrain_spacing_m", nothing) > 0.0) & placed
+        of_grid = np.where(healthy, channel["h_terrain_m"], np.nan)
+        channel = replace(channel, columns=dict(channel.columns) | {"h_terrain_m": of_grid})
+        known = interpolate(channel, "h_terrain_m", time_ns, _LONGEST_GAP_S)
+        height = np.where(np.isnan(height), known, height)
+    return height

@@ -36,8 +36,7 @@ from pipeline.block.oriented_images import SIGMAS_OF_BLOCK
 from pipeline.config import load_mission
 from pipeline.errors import ConfigError, StorageError, storage_errors
 from pipeline.flight.air_samples import air_samples
-from pipeline.flight.evidence.logged_terrain import logged_terrain
-from pipeline.flight.heights import heights_at, undulation_notes
+from pipeline.flight.heights import heights_at, logged_terrain, undulation_notes
 from pipeline.flight.stations import Stations, append_unmatched_images, flag_height_misfits
 from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir
@@ -61,8 +60,8 @@ from pipeline.stages.exposure_setup import (
     windows_of_mission,
 )
 from pipeline.stages.finished_run import rebuild_run, refuse_output
+from pipeline.stages.ground.ground_heights import elevation_of_mission, with_terrain
 from pipeline.stages.ground.point_table import check_object_points, with_object_points
-from pipeline.stages.ground.terrain_ground import elevation_of_mission, with_terrain
 from pipeline.stages.inputs import FlightLog, read_log, read_observations
 from pipeline.stages.multi_image.control import compare_control
 from pipeline.stages.multi_image.intersected_heights import with_intersected_heights

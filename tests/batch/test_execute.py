@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.batch import workers
+from pipeline.batch import execute
 from pipeline.batch.execute import Bug, exit_code_of, run_many, shared_outputs
 from pipeline.batch.plan import Outcome
 from pipeline.errors import InputError
@@ -86,13 +86,13 @@ def test_the_exit_code_of_several(codes, code):
 def test_workers_start_where_no_signal_can_be_blocked(monkeypatch):
     """Windows has no signal masks."""
     monkeypatch.delattr(signal, "pthread_sigmask", raising=False)
-    with workers._interrupts_blocked():
+    with execute._interrupts_blocked():
         pass
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no signal masks")
 def test_a_worker_is_born_with_ctrl_c_blocked():
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [])
-    with workers._interrupts_blocked():
+    with execute._interrupts_blocked():
         assert signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
     assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == before

@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.block.image_rays import UNKNOWN_SIGMAS, ImageRays, Orientations, orientations_of
-from pipeline.block.intersection import Intersection, intersect
-from pipeline.block.point_heights import point_heights
+from pipeline.block.intersection import Intersection, intersect, point_heights
 from pipeline.flight.stations import STATION_OK, empty_stations
 
 

@@ -19,7 +19,6 @@ SAME_THING = {
     "log", "records", "channels", "fields", "clock", "registry",  # formats, and of all
     "stations", "adjusted_profile", "statistics", "air_samples",  # computed, and as a stage
     "image", "ray",  # for a caller, and compiled
-    "bertram", "gyer", "saastamoinen",  # the methods, and the printed tables
     "sensors",  # estimated, and simulated
 }  # fmt: skip
 

@@ -9,7 +9,7 @@ import pytest
 from pymavlink import mavutil
 
 from pipeline.flight.channels import Channel, Source
-from pipeline.flight.evidence.logged_terrain import logged_terrain
+from pipeline.flight.heights import logged_terrain
 from pipeline.ingest import open_log
 
 LOGS = Path(__file__).resolve().parents[2].parent / "shared" / "logs"

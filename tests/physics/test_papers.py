@@ -19,8 +19,7 @@ from pipeline.errors import PhysicsError
 from pipeline.refraction import published as pub
 from pipeline.refraction import refraction_angle
 from pipeline.refraction.papers import paper_names, paper_tables
-from pipeline.refraction.papers.bertram import hand_sum
-from pipeline.refraction.papers.rows import printed_table
+from pipeline.refraction.papers.printed_tables import hand_sum, printed_table
 from pipeline.refraction.published.column import density
 from pipeline.refraction.ray import bend, rays_by
 from pipeline.units import ARCSEC

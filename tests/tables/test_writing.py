@@ -22,8 +22,8 @@ from pipeline.geodesy import lambert_gravity
 from pipeline.ledger import Ledger
 from pipeline.tables import delimited
 from pipeline.tables.column_checks import refuse_other_pixels
-from pipeline.tables.events import read_events
 from pipeline.tables.exports.format import write_csv_stream
+from pipeline.tables.imports.orientation import read_events
 from pipeline.tables.observations import open_observations
 from pipeline.tables.refraction_mark import refuse_done
 from pipeline.tables.schemas import (

@@ -11,8 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import PhysicsError
-from pipeline.refraction.papers import bertram, gyer, saastamoinen
-from pipeline.refraction.papers.rows import Block
+from pipeline.refraction.papers.printed_tables import (
+    BERTRAM_NOTES,
+    GYER_NOTES,
+    SAASTAMOINEN_NOTES,
+    Block,
+    bertram_rows,
+    gyer_rows,
+    saastamoinen_rows,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +76,9 @@ def paper_tables(paper: str) -> PaperTable:
 
 
 _PAPERS: dict[str, tuple[Callable[[], list[Block]], tuple[str, ...]]] = {
-    "gyer1996": (gyer.gyer_rows, gyer.NOTES),
-    "saastamoinen1974": (saastamoinen.saastamoinen_rows, saastamoinen.NOTES),
-    "bertram1966": (bertram.bertram_rows, bertram.NOTES),
+    "gyer1996": (gyer_rows, GYER_NOTES),
+    "saastamoinen1974": (saastamoinen_rows, SAASTAMOINEN_NOTES),
+    "bertram1966": (bertram_rows, BERTRAM_NOTES),
 }
 
 __all__ = ["PaperTable", "paper_names", "paper_tables"]

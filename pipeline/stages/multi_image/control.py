@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from pipeline.batch.plan import Plan
 from pipeline.block.image_rays import UNKNOWN_SIGMAS, ImageRays, orientations_of, sorted_rays
+from pipeline.block.intersection import point_heights
 from pipeline.block.oriented_images import SIGMAS_OF_BLOCK
-from pipeline.block.point_heights import point_heights
 from pipeline.errors import InputError
 from pipeline.flight.heights import HeightSystem
 from pipeline.flight.stations import Stations

@@ -11,7 +11,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.block.image_rays import ImageRays, Orientations, orientations_of
-from pipeline.block.point_heights import PointHeights, point_heights
+from pipeline.block.intersection import PointHeights, point_heights
 from pipeline.errors import MissionError
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Entry, Kind, Ledger

@@ -18,9 +18,8 @@ from pipeline.block.image_rays import (
     orientations_of,
     straightened,
 )
-from pipeline.block.intersection import Intersection
+from pipeline.block.intersection import Intersection, point_heights
 from pipeline.block.oriented_images import SIGMAS_OF_BLOCK
-from pipeline.block.point_heights import point_heights
 from pipeline.config import Mission
 from pipeline.flight.heights import HeightSystem, ground_offsets
 from pipeline.flight.stations import Stations

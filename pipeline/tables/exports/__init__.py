@@ -10,11 +10,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from pipeline.errors import ConfigError
-from pipeline.tables.exports import calibrations, geojson, kml, lattice, opk, radial
+from pipeline.tables.exports import calibrations, lattice, maps, opk, radial
 from pipeline.tables.exports.blocks import BLOCKS
 from pipeline.tables.exports.format import ExportCamera, ExportFormat, FinishedRun, Option
 
-MODULES = (lattice, radial, calibrations, geojson, kml, opk, *BLOCKS)
+MODULES = (lattice, radial, calibrations, maps, opk, *BLOCKS)
 
 FORMATS: Mapping[str, ExportFormat] = {
     form.name: form for module in MODULES for form in module.FORMATS
