@@ -1,4 +1,4 @@
-"""Constants, each with its source, and the usual array. All in the package is SI and radians."""
+"""Constants, each with its source, and the usual arrays. All in the package is SI and radians."""
 
 import math
 from collections.abc import Mapping
@@ -8,6 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+Names = NDArray[np.object_]
+Rows = NDArray[np.intp]  # as numpy's functions return row numbers
 
 ARCSEC = math.pi / 648_000.0  # [rad]
 DEGREE = math.pi / 180.0  # [rad]

@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.units import Array
+from pipeline.units import Array, Integers, Mask
 
 BIN_M = 50.0
 """Thickness of the layers where temperature was measured [m']."""
@@ -22,10 +21,10 @@ class SensorSamples:
     made False where height or value is NaN.
     """
 
-    time_ns: NDArray[np.int64]
+    time_ns: Integers
     h_m: Array
     value: Array
-    accepted: NDArray[np.bool_]
+    accepted: Mask
     name: str = ""
 
     def __post_init__(self) -> None:
@@ -77,7 +76,7 @@ class AirSamples:
     pressure: SensorSamples | None = None
     humidity: SensorSamples | None = None
     airspeed: SensorSamples | None = None
-    takeoff_ns: NDArray[np.int64] | None = None
+    takeoff_ns: Integers | None = None
 
 
 def bin_by_height(

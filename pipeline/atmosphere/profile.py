@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity
-from pipeline.units import HYDROSTATIC_CONSTANT, VAPOUR_DEFICIT, Array
+from pipeline.units import HYDROSTATIC_CONSTANT, VAPOUR_DEFICIT, Array, Rows
 
 MEASURED = "measured"
 BAROMETRIC = "barometric"
@@ -207,7 +207,7 @@ class Profile:
         """(m + 1,) heights at which layers meet [m]."""
         return self.gravity.height(self.layers.edge)
 
-    def layer_of(self, h: ArrayLike) -> NDArray[np.intp]:
+    def layer_of(self, h: ArrayLike) -> Rows:
         """Number of the layer at a height, -1 outside the profile."""
         geopotential = self.gravity.geopotential_height(h)
         edge = self.layers.edge

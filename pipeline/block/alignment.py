@@ -18,12 +18,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from pipeline.units import Array
-
-Indices = NDArray[np.int64]
+from pipeline.units import Array, Integers, Mask
 
 LOG_RATIO_NEEDED = float(np.log(1000.0))
 """What is 1000 times as likely as its rival is accepted."""
@@ -50,7 +47,7 @@ class Pairs:
     weight: Array  # of a pair itself
     before: Array  # of all that comes before, where it is the first pair
     after: Array  # of all that comes after, where it is the last one
-    low: Indices  # (c, k) the first event of w
+    low: Integers  # (c, k) the first event of w
 
     def reversed_from(self, events: int) -> Pairs:
         """The same, counted from the end."""
@@ -66,8 +63,8 @@ class Axis:
     events: Array  # (m,) ascending
     images: Array  # (k,) ascending, those of the rows ``image_rows``
     sigma: Array  # (k,)
-    pulse: Indices  # (m,) which pulse an event is of: its repeats have the same
-    image_rows: Indices
+    pulse: Integers  # (m,) which pulse an event is of: its repeats have the same
+    image_rows: Integers
     is_time: bool
     offset: float = 0.0  # known beforehand, with its sigma and that of a drift
     offset_sigma: float = np.inf
@@ -85,7 +82,7 @@ class Axis:
             self.images + clocks[:, :1] + clocks[:, 1:] * (self.images - self.images.mean())
         )
 
-    def partners(self, clocks: Array) -> Indices:
+    def partners(self, clocks: Array) -> Integers:
         """(c, k) the nearest event of each image within reach, -1 for none; no event twice."""
         predicted = self.predicted(clocks)
         nearest = _nearest(self.events, predicted)
@@ -201,7 +198,7 @@ class Axis:
             total -= 0.5 * np.sum(from_known**2, axis=1)
         return total
 
-    def price_of_pauses(self, clocks: Array, rows: Indices, shares: tuple[float, float]) -> Array:
+    def price_of_pauses(self, clocks: Array, rows: Integers, shares: tuple[float, float]) -> Array:
         """(c,) log probability of the pauses in which there is neither an event nor an image.
 
         In a flight of constant intervals an assignment with one pair more has one image and one
@@ -224,9 +221,7 @@ class Axis:
             pauses[h] = np.count_nonzero(np.diff(exposed) > longest)
         return np.asarray(each * pauses)
 
-    def aligned(
-        self, clock: Array, shares: tuple[float, float]
-    ) -> tuple[Indices, NDArray[np.bool_]]:
+    def aligned(self, clock: Array, shares: tuple[float, float]) -> tuple[Integers, Mask]:
         """(k,) event of each image under one clock, -1 for none, and images between two events."""
         pairs = self.pairs(clock[None], shares)
         back = _first_parts(pairs.reversed_from(self.events.size), shares)[:, ::-1, ::-1]
@@ -251,7 +246,7 @@ class Axis:
         return rows, ambiguous
 
 
-def _nearest(events: Array, places: Array) -> Indices:
+def _nearest(events: Array, places: Array) -> Integers:
     right = np.clip(np.searchsorted(events, places), 1, max(1, events.size - 1))
     right = np.minimum(right, events.size - 1)
     left = np.maximum(right - 1, 0)

@@ -19,13 +19,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.block.alignment import LOG_RATIO_NEEDED, Axis
 from pipeline.flight.exposures import unwrapped_numbers
-from pipeline.units import Array
-
-Indices = NDArray[np.int64]
+from pipeline.units import Array, Integers, Mask
 
 WHOLE_SECOND_SIGMA_S = 12.0**-0.5
 """Times cut to whole seconds are uniform within 1 s; the mean of 0.5 s is the offset's."""
@@ -47,14 +44,14 @@ class CameraEvents:
     """
 
     time_s: Array
-    index: Indices | None = None
+    index: Integers | None = None
 
     def __post_init__(self) -> None:
         if not np.all(np.isfinite(self.time_s)) or np.any(np.diff(self.time_s) < 0.0):
             raise ValueError("events are not in the order of their time")
 
     @property
-    def repeated(self) -> NDArray[np.bool_]:
+    def repeated(self) -> Mask:
         """(m,) events that repeat the one before: a pulse that bounced or was logged twice.
 
         They follow within 0.2 s and a quarter of the shorter intervals (lower quartile), or have
@@ -92,7 +89,7 @@ class ImageEvidence:
     clock_offset_s: float = 0.0
     clock_sigma_s: float = np.inf
     drift_sigma: float = 5e-5
-    number: Indices | None = None
+    number: Integers | None = None
     numbering: str = "sequence"
     total: int | None = None
 
@@ -147,7 +144,7 @@ class ImageEvidence:
         total = int(self.number.max()) if self.total is None else self.total
         return total == events.time_s.size
 
-    def log_prior_of_names(self, events: CameraEvents, rows: Indices) -> Array:
+    def log_prior_of_names(self, events: CameraEvents, rows: Integers) -> Array:
         """(c,) log probability of assignments (c, k) by what the pattern of the names claims."""
         if not self.names_speak(events) or self.number is None:
             return np.zeros(rows.shape[0])
@@ -171,11 +168,11 @@ class Assignment:
     image, ``sigma_s`` what the residuals show of one image's time; NaN without times.
     """
 
-    event: Indices
+    event: Integers
     residual_s: Array
-    ambiguous: NDArray[np.bool_]
-    repeated: NDArray[np.bool_]
-    runner_up: Indices
+    ambiguous: Mask
+    repeated: Mask
+    runner_up: Integers
     log_ratio: float
     reason: str
     evidence: tuple[str, ...]
@@ -195,7 +192,7 @@ class Assignment:
         return int(np.median((self.runner_up - self.event)[both])) if np.any(both) else 0
 
     @property
-    def unused_events(self) -> Indices:
+    def unused_events(self) -> Integers:
         """Rows of the events that no image has, without those that repeat another."""
         free = ~self.repeated
         free[self.event[self.event >= 0]] = False
@@ -207,7 +204,7 @@ def assign(
     images: ImageEvidence,
     *,
     first_image: tuple[int, int] | None = None,
-    tie_points: Callable[[Indices], float] | None = None,
+    tie_points: Callable[[Integers], float] | None = None,
 ) -> Assignment:
     """Assign events to images by all that both say.
 

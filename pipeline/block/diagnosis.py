@@ -16,12 +16,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pipeline.block.alignment import LOG_RATIO_NEEDED
-from pipeline.block.image_rays import ImageRays, Indices, Orientations, straightened
+from pipeline.block.image_rays import ImageRays, Orientations, straightened
 from pipeline.block.intersection import Intersection, intersect
 from pipeline.flight.mount import Mount
 from pipeline.flight.rotations import ANGLE_MISTAKES, CAMERA_AT_REST, UNIT_MISTAKES
 from pipeline.refraction.camera.camera import Camera
-from pipeline.units import Array
+from pipeline.units import Array, Integers
 
 _RANKING_POINTS, _DECIDED_BY_ALL, _MOST_FINDINGS, _FEWEST_HEIGHTS = 200, 4, 3, 10
 _SIGMAS = 4.0  # beyond which a stated sigma does not explain an error that all stations share
@@ -87,7 +87,7 @@ class _Reading:
     time_s: float = 0.0
     up_m: float = 0.0
 
-    def intersected(self, mission: StatedMission, points: Indices | None = None) -> Intersection:
+    def intersected(self, mission: StatedMission, points: Integers | None = None) -> Intersection:
         """The intersection of all points by straight rays, or of some by the apparent ones."""
         shifted = mission.shifted if self.time_s else None
         o = mission.orientations if shifted is None else shifted(self.time_s)
@@ -330,7 +330,7 @@ def large_mistakes(mission: StatedMission, now: _Reading) -> Iterator[_Hypothesi
 
 
 def _refined(
-    mission: StatedMission, h: _Hypothesis, points: Indices | None
+    mission: StatedMission, h: _Hypothesis, points: Integers | None
 ) -> tuple[_Hypothesis, float]:
     """A hypothesis at its most likely amount by some points or all, with the sigma of that."""
     if h.code == "TIES-MOUNT":

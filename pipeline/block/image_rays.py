@@ -17,10 +17,7 @@ from pipeline.atmosphere import standard_atmosphere
 from pipeline.flight.stations import Stations
 from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef
 from pipeline.refraction import refraction_angle
-from pipeline.units import Array
-
-Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from pipeline.units import Array, Integers, Mask, Names
 
 MINIMUM_ANGLE_RAD = float(np.radians(3.0))
 """Least angle between two rays of a point that is used."""
@@ -40,13 +37,13 @@ class Orientations:
     (s, 3, 3); ``sigma`` (s, 6) of east, north, up [m] and of rotations about these axes [rad].
     """
 
-    camera: NDArray[np.object_]
+    camera: Names
     centre_m: Array
     camera_from_ecef: Array
     enu_from_ecef: Array
     sigma: Array
 
-    def assigned(self, row: Indices) -> Orientations:
+    def assigned(self, row: Integers) -> Orientations:
         """Orientations of images (k,), each that of a row, or none for -1: a hypothesis."""
         centre = np.where(row[:, None] >= 0, self.centre_m[row], np.nan)
         return Orientations(
@@ -101,14 +98,14 @@ class ImageRays:
     point above the ellipsoid, NaN where unknown, with ``sigma_height_m``.
     """
 
-    image: Indices
-    point: Indices
+    image: Integers
+    point: Integers
     direction: Array
     sigma_rad: float | Array
     height_m: Array | None = None
     sigma_height_m: float = 1.0
 
-    def of_points(self, points: Indices) -> ImageRays:
+    def of_points(self, points: Integers) -> ImageRays:
         """The rays of some points."""
         keep = np.isin(self.point, points)
         sigma = np.broadcast_to(self.sigma_rad, keep.shape)[keep]
@@ -123,10 +120,10 @@ class ImageRays:
 class SortedRays:
     """Rays sorted by their points: (r, ...) arrays of what does not change while points move."""
 
-    order: Indices
-    image: Indices
-    index: Indices  # which point
-    start: Indices  # (p,) the first ray of each point
+    order: Integers
+    image: Integers
+    index: Integers  # which point
+    start: Integers  # (p,) the first ray of each point
     sigma: Array
     oriented: Mask
     centre: Array  # (r, 3) from `origin`

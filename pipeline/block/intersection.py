@@ -32,14 +32,12 @@ from scipy.stats import chi2
 from pipeline.block.image_rays import (
     MINIMUM_ANGLE_RAD,
     ImageRays,
-    Indices,
-    Mask,
     Orientations,
     SortedRays,
     sorted_rays,
 )
 from pipeline.geodesy import enu_from_ecef, geodetic_of_ecef
-from pipeline.units import Array
+from pipeline.units import Array, Integers, Mask
 
 # A bad tie point is anywhere within half a radian, and one in fifty is bad.
 _LOG_BAD, _WIDTH_OF_BAD_RAD = np.log(0.02), 0.5
@@ -60,7 +58,7 @@ class Intersection:
     """
 
     orientations: Orientations
-    point: Indices
+    point: Integers
     position_m: Array
     angle_rad: Array
     used: Mask
@@ -95,7 +93,7 @@ class Intersection:
         return np.where(self.used, np.sqrt(variance), np.nan)
 
     @cached_property
-    def of_images(self) -> tuple[Array, Indices]:
+    def of_images(self) -> tuple[Array, Integers]:
         """(s,) chi-square of what residuals say of each station, and its degrees of freedom.
 
         The gradient J'Q y of the station's six errors has the covariance M M + M, M = J'Q J.
@@ -144,8 +142,8 @@ class _System:
     Rows are two for each ray, then one for each point's given height.
     """
 
-    order: Indices  # (r,) where the sorted rays stood
-    image: Indices  # (r,)
+    order: Integers  # (r,) where the sorted rays stood
+    image: Integers  # (r,)
     sigma: Array  # (r,) of the sorted rays [rad]
     half_inverse: Array  # (p, 3, 3) L^-1 of the points' normal equations L L'
     Y: sparse.csr_matrix  # A L'^-1: Q = I - Y Y'
@@ -157,7 +155,7 @@ class _System:
     errors: Array  # of the stations at their most probable, in units of their sigmas
 
 
-def _blocks(values: Array, column: Indices, columns: int) -> sparse.csr_matrix:
+def _blocks(values: Array, column: Integers, columns: int) -> sparse.csr_matrix:
     """Sparse matrix of blocks (n, rows, width), one in each row of blocks."""
     count, rows, width = values.shape
     indices = np.repeat(column[:, None] * width + np.arange(width), rows, axis=0)
@@ -281,7 +279,7 @@ class PointHeights:
     h_m: Array
     sigma_m: Array
     position_m: Array
-    index: Indices
+    index: Integers
     few: Mask
     narrow: Mask
     apart: Mask

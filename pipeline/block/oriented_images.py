@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pipeline.errors import MissionError
@@ -23,7 +22,7 @@ from pipeline.flight.stations import (
 )
 from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef, offset_geodetic
 from pipeline.ledger import Notes, loss, note, warning
-from pipeline.units import Array
+from pipeline.units import Array, Integers, Mask, Names
 
 LARGEST_FIT_TILT_RAD = np.radians(1.0)
 """A vertical that known positions determine no better than this is none (1 deg is 5 % of R)."""
@@ -80,9 +79,9 @@ def topocentric(origin: GeodeticOrigin) -> CartesianFrame:
 
 
 def fitted_frame(
-    image: NDArray[np.object_],
+    image: Names,
     xyz: Array,
-    known_image: NDArray[np.object_],
+    known_image: Names,
     known: Array,
     *,
     sigma_m: float = 1.0,
@@ -150,8 +149,8 @@ def fitted_frame(
 
 
 def _positions_of_both(
-    image: NDArray[np.object_], xyz: Array, known_image: NDArray[np.object_], known: Array
-) -> tuple[NDArray[np.object_], Array, Array]:
+    image: Names, xyz: Array, known_image: Names, known: Array
+) -> tuple[Names, Array, Array]:
     """Names of the images that model and known positions share, and both positions (k, 3) [m]."""
     row = {name: number for number, name in enumerate(image.tolist())}
     pairs = [(row[name], k) for k, name in enumerate(known_image.tolist()) if name in row]
@@ -171,7 +170,7 @@ def _positions_of_both(
 
 
 def _contradictions_of_fit(
-    names: NDArray[np.object_], model: Array, earth: Array, residual: Array, sigma_m: float
+    names: Names, model: Array, earth: Array, residual: Array, sigma_m: float
 ) -> list[str]:
     """What speaks against a fit that its residuals allow."""
     contradictions, count = [], names.size
@@ -196,7 +195,7 @@ def _contradictions_of_fit(
     return contradictions
 
 
-def _similarity(model: Array, earth: Array, use: NDArray[np.bool_]) -> tuple[CartesianFrame, Array]:
+def _similarity(model: Array, earth: Array, use: Mask) -> tuple[CartesianFrame, Array]:
     """The frame through some of the positions, and what all of them (n, 3) miss it by [m]."""
     middle, centre = model[use].mean(axis=0), earth[use].mean(axis=0)
     rotation, _ = Rotation.align_vectors(earth[use] - centre, model[use] - middle)
@@ -216,9 +215,9 @@ class OrientedImages:
     sea level where ``is_msl``. ``sigmas`` by the names of `Stations`.
     """
 
-    image: NDArray[np.object_]
-    camera: NDArray[np.object_]
-    time_ns: NDArray[np.int64]
+    image: Names
+    camera: Names
+    time_ns: Integers
     lat_rad: Array
     lon_rad: Array
     h_m: Array

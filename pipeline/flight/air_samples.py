@@ -3,13 +3,13 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.flight.channels import Channel
 from pipeline.flight.evidence.stretches import HEIGHT, Stretch, covered
 from pipeline.flight.heights import HeightSystem, heights_at
 from pipeline.ledger import Notes, note, warning
+from pipeline.units import Integers
 
 SOAK_SECONDS = 120.0
 """A thermometer still carries the heat of the ground for so long after take-off [s]. Over a climb
@@ -74,7 +74,7 @@ def air_samples(
     return AirSamples(**samples, takeoff_ns=takeoffs_ns), tuple(notes)
 
 
-def times_on_the_ground(height: Channel) -> NDArray[np.int64]:
+def times_on_the_ground(height: Channel) -> Integers:
     """Times [Unix ns] at which the aircraft stood on the ground, increasing.
 
     It stands where it moves neither along nor up over ten seconds, near the lowest height of the

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.flight.channels import TimeArray
 from pipeline.ledger import Entry, loss, note
-from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, Array
+from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, Array, Integers, Mask, Rows
 
 SECONDS_PER_WEEK = 604_800
 WEEKS_PER_ROLLOVER = 1024  # the week has 10 bits in the signal
@@ -61,7 +61,7 @@ def utc_of_gps(week: ArrayLike, seconds: ArrayLike) -> TimeArray:
     return np.asarray(utc, np.int64)
 
 
-def full_weeks(week: ArrayLike, first: int) -> tuple[NDArray[np.int64], int]:
+def full_weeks(week: ArrayLike, first: int) -> tuple[Integers, int]:
     """GPS weeks that a receiver counts modulo 1024 -> full weeks.
 
     ``week``: (n,) as reported. ``first``: the first week that is possible. The receiver is one that
@@ -79,7 +79,7 @@ def full_weeks(week: ArrayLike, first: int) -> tuple[NDArray[np.int64], int]:
     return full, int(np.count_nonzero(early))
 
 
-def stray_times(time_ns: TimeArray, limit_ns: int = BOOT_STEP_NS) -> NDArray[np.bool_]:
+def stray_times(time_ns: TimeArray, limit_ns: int = BOOT_STEP_NS) -> Mask:
     """Mark time stamps far from those on both sides, which agree with each other.
 
     ``time_ns``: (n,) [ns] in the order of the file. ``limit_ns``: [ns] how far is far. Returns (n,)
@@ -101,8 +101,8 @@ def stray_times(time_ns: TimeArray, limit_ns: int = BOOT_STEP_NS) -> NDArray[np.
 
 
 def stray_stretches(
-    begin: TimeArray, end: TimeArray, length: NDArray[np.int64], limit_ns: int = BOOT_STEP_NS
-) -> NDArray[np.bool_]:
+    begin: TimeArray, end: TimeArray, length: Integers, limit_ns: int = BOOT_STEP_NS
+) -> Mask:
     """Mark the stray ones of stretches of time stamps, as `stray_times` does for the stamps.
 
     ``begin``, ``end``: (n,) [ns] the first and the last stamp of each stretch, in the order of the
@@ -127,7 +127,7 @@ def stray_stretches(
     return stray
 
 
-def longest_increasing(time_ns: TimeArray) -> NDArray[np.bool_]:
+def longest_increasing(time_ns: TimeArray) -> Mask:
     """Mark the most rows whose times increase strictly, in the order they have.
 
     A longest increasing subsequence: one wrong stamp costs one row, whatever its value. Of equal
@@ -156,7 +156,7 @@ def longest_increasing(time_ns: TimeArray) -> NDArray[np.bool_]:
     return keep
 
 
-def rows_in_time_order(time_ns: TimeArray) -> tuple[NDArray[np.intp], NDArray[np.int16]]:
+def rows_in_time_order(time_ns: TimeArray) -> tuple[Rows, NDArray[np.int16]]:
     """Rows in the order of their time, without strays, also where the clock was set back.
 
     ``time_ns``: (n,) [ns] in the order of the file. Returns (m,) rows whose times increase
@@ -184,7 +184,7 @@ def rows_in_time_order(time_ns: TimeArray) -> tuple[NDArray[np.intp], NDArray[np
     return rows[stays][order], stretch[stays][order]
 
 
-def _in_long_runs(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _in_long_runs(mask: Mask) -> Mask:
     """Where a mask is True more than `STRAY_ROWS` times in a row."""
     begin = np.flatnonzero(np.diff(mask, prepend=~mask[:1]))
     length = np.diff(np.append(begin, mask.shape[0]))
@@ -237,7 +237,7 @@ def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> ClockOffset | None:
     return replace(offset, far=int(np.count_nonzero(far)), first_far_ns=first, stepped=stepped)
 
 
-def new_readings(time_ns: TimeArray) -> NDArray[np.bool_]:
+def new_readings(time_ns: TimeArray) -> Mask:
     """Mark the rows whose time differs from the row before.
 
     A receiver that is logged faster than it reports repeats its time (200 ms steps at 10 Hz were

@@ -12,7 +12,7 @@ from pipeline.flight.air_samples import times_on_the_ground
 from pipeline.flight.channels import Channel
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Notes, loss, note, warning
-from pipeline.units import Array
+from pipeline.units import Array, Integers, Names
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,10 +26,10 @@ class Events:
     """
 
     camera: str
-    image: NDArray[np.object_]
-    time_ns: NDArray[np.int64]
+    image: Names
+    time_ns: Integers
     sigma_time_s: Array | float = 0.0
-    index: NDArray[np.int64] | None = None
+    index: Integers | None = None
     lost: int = 0
     counts: Literal["no", "maybe", "always"] = "no"
 
@@ -100,9 +100,9 @@ def events_of_channel(
 
 
 def events_of_table(
-    image: NDArray[np.object_],
+    image: Names,
     camera_of: NDArray[Any],
-    time_ns: NDArray[np.int64],
+    time_ns: Integers,
     camera: str,
     delay_s: float,
     *,
@@ -120,7 +120,7 @@ def events_of_table(
 _COUNT_ROUND, _COUNT_NEAR = 1 << 16, 1 << 12
 
 
-def unwrapped_numbers(index: NDArray[np.int64]) -> NDArray[np.int64]:
+def unwrapped_numbers(index: Integers) -> Integers:
     """Image numbers that count on where a number of 16 bits ran over.
 
     ``index``: (n,) in the order of their time, of one power-up.
@@ -135,7 +135,7 @@ def unwrapped_numbers(index: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.asarray(index + _COUNT_ROUND * np.append(0, rounds), np.int64)
 
 
-def _skipped_numbers(channel: Channel, index: NDArray[np.int64]) -> Notes:
+def _skipped_numbers(channel: Channel, index: Integers) -> Notes:
     """A loss for each power-up in which numbers between others have no event."""
     notes = []
     for boot in np.unique(channel.boot):

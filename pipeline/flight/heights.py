@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel
@@ -15,7 +14,7 @@ from pipeline.flight.stations import Stations
 from pipeline.flight.trajectory import interpolate
 from pipeline.geodesy import GeoidGrid, offset_geodetic
 from pipeline.ledger import Entry, Notes, finding, loss, note, warning
-from pipeline.units import Array
+from pipeline.units import Array, Integers
 
 STEADY_HOME_M = 2.0  # the take-off height of a flight does not change by more than this [m]
 
@@ -169,7 +168,7 @@ def _difference(channel: Channel, first: str, second: str) -> Array:
 
 
 def heights_at(
-    height: Channel, time_ns: NDArray[np.int64], heights: HeightSystem, max_gap_s: float
+    height: Channel, time_ns: Integers, heights: HeightSystem, max_gap_s: float
 ) -> tuple[Array, Array]:
     """Heights above sea level and above the ellipsoid, each from the other where it must be.
 
@@ -258,7 +257,7 @@ _LONGEST_GAP_S = 5.0
 _HEALTHY = 2.0  # status of TERR
 
 
-def logged_terrain(channels: Iterable[Channel], time_ns: NDArray[np.int64]) -> Array:
+def logged_terrain(channels: Iterable[Channel], time_ns: Integers) -> Array:
     """(n,) terrain height above sea level [m] below the vehicle at times, NaN where none is logged.
 
     For checks, never as truth: ArduPilot's grid is SRTM at 100 m, some 10 m (90 %) in open country.

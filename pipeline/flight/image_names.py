@@ -7,10 +7,10 @@ from itertools import combinations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.errors import MissionError
 from pipeline.ledger import Notes, note
+from pipeline.units import Names
 
 Difference = Literal["case", "extension", "folder", "digits"]
 DIFFERENCES: tuple[Difference, ...] = ("case", "extension", "folder", "digits")
@@ -54,8 +54,8 @@ def other_names(
 
 
 def renamed(
-    names: NDArray[np.object_], images: Iterable[str], differences: Collection[str], where: str
-) -> tuple[NDArray[np.object_], Notes]:
+    names: Names, images: Iterable[str], differences: Collection[str], where: str
+) -> tuple[Names, Notes]:
     """Names as the observations have them, by the differences that the mission file allows."""
     other = other_names(images, filter(None, names.tolist()), differences) if differences else {}
     if not other:

@@ -27,7 +27,7 @@ from pipeline.flight.stations import (
     empty_stations,
 )
 from pipeline.ledger import Notes, loss
-from pipeline.units import Array
+from pipeline.units import Array, Mask
 
 
 def build_stations(
@@ -117,13 +117,13 @@ def build_stations(
     return with_air(stations, roles, max_gap_s)
 
 
-def _with_first(stations: Stations, missing: Sequence[tuple[NDArray[np.bool_], str]]) -> Stations:
+def _with_first(stations: Stations, missing: Sequence[tuple[Mask, str]]) -> Stations:
     """Stations with the first of several statuses whose mask is True, ok without any."""
     masks, names = zip(*missing, strict=True)
     return replace(stations, status=np.select(masks, names, STATION_OK).astype(object))
 
 
-def _not_covered(coverage: NDArray[np.uint8]) -> list[tuple[NDArray[np.bool_], str]]:
+def _not_covered(coverage: NDArray[np.uint8]) -> list[tuple[Mask, str]]:
     """Where a channel has a gap, or has ended."""
     outside = (coverage != trajectory.INSIDE) & (coverage != trajectory.GAP_IN_CHANNEL)
     return [(coverage == trajectory.GAP_IN_CHANNEL, IN_GAP), (outside, OUTSIDE_LOG)]
@@ -176,7 +176,7 @@ def flag_missing_aircraft_attitude(stations: Stations, camera: str) -> tuple[Sta
 
 
 def mark_suspect(
-    stations: Stations, camera: str, missing: NDArray[np.bool_], code: str, what: str
+    stations: Stations, camera: str, missing: Mask, code: str, what: str
 ) -> tuple[Stations, Notes]:
     """Mark the exposures of a camera that lack something, with a loss that counts them."""
     missing = missing & (stations.camera == camera) & stations.ok

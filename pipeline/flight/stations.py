@@ -13,7 +13,7 @@ from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.flight.image_names import proposal
 from pipeline.geodesy import offset_geodetic
 from pipeline.ledger import Notes, loss, note
-from pipeline.units import DEGREE, HECTOPASCAL, Array
+from pipeline.units import DEGREE, HECTOPASCAL, Array, Integers, Mask, Names
 
 STATION_OK = "ok"
 OUTSIDE_LOG = "outside_log"
@@ -44,9 +44,9 @@ class Stations:
     the same, as the mission file wants.
     """
 
-    image: NDArray[np.object_]
-    camera: NDArray[np.object_]
-    time_ns: NDArray[np.int64]
+    image: Names
+    camera: Names
+    time_ns: Integers
     lat_rad: Array
     lon_rad: Array
     h_msl_m: Array
@@ -65,10 +65,10 @@ class Stations:
     sigma_height_m: Array
     sigma_tilt_rad: Array
     sigma_yaw_rad: Array
-    suspect_reason: NDArray[np.object_]
+    suspect_reason: Names
     suspect_m: Array
-    accepted: NDArray[np.bool_]
-    status: NDArray[np.object_]
+    accepted: Mask
+    status: Names
 
     def __post_init__(self) -> None:
         n = self.image.shape[0]
@@ -81,7 +81,7 @@ class Stations:
         return int(self.image.shape[0])
 
     @property
-    def ok(self) -> NDArray[np.bool_]:
+    def ok(self) -> Mask:
         """(s,) which stations can be used."""
         return np.asarray((self.status == STATION_OK) | self.accepted)
 
@@ -91,15 +91,13 @@ class Stations:
         known = self.lat_rad[np.isfinite(self.lat_rad)]
         return float(known.mean()) if known.size else float(np.pi / 4.0)
 
-    def with_status(self, where: NDArray[np.bool_], status: str) -> Stations:
+    def with_status(self, where: Mask, status: str) -> Stations:
         """The stations with another status where a mask is True and they were ok."""
         changed = where & self.ok
         accepted = self.accepted & ~changed
         return replace(self, status=np.where(changed, status, self.status), accepted=accepted)
 
-    def as_suspect(
-        self, where: NDArray[np.bool_], reason: str, off_m: float | Array, *, use: bool
-    ) -> Stations:
+    def as_suspect(self, where: Mask, reason: str, off_m: float | Array, *, use: bool) -> Stations:
         """The stations marked as suspect where a mask is True and they were ok or suspect.
 
         A reason is added to those that a station has; ``off_m`` is how far off they may be [m], NaN
@@ -130,7 +128,7 @@ class Stations:
         h_ellipsoid[at] += end - start
         return replace(self, lat_rad=lat, lon_rad=lon, h_msl_m=h_msl, h_ellipsoid_m=h_ellipsoid)
 
-    def rows(self, which: NDArray[np.int64]) -> Stations:
+    def rows(self, which: Integers) -> Stations:
         """Some of the stations, in the order of ``which``."""
         return Stations(*(getattr(self, field.name)[which] for field in fields(self)))
 
@@ -141,9 +139,7 @@ class Stations:
         return pd.DataFrame(station_columns(self))
 
 
-def empty_stations(
-    image: NDArray[np.object_], camera: NDArray[np.object_], status: str
-) -> Stations:
+def empty_stations(image: Names, camera: Names, status: str) -> Stations:
     """Stations of which only the name is known."""
     n = image.shape[0]
     blank: dict[str, Any] = {
@@ -210,7 +206,7 @@ def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tupl
     return join_stations([stations, unmatched]), tuple(notes)
 
 
-def _first_three(images: NDArray[np.object_]) -> str:
+def _first_three(images: Names) -> str:
     return ", ".join(images[:3].tolist()) + (" ..." if images.size > 3 else "")
 
 

@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 from pipeline.flight.channels import Channel, TimeArray
 from pipeline.flight.rotations import lengths, quaternion_products, rotation_vectors
 from pipeline.geodesy import principal_radii
-from pipeline.units import Array
-
-Rows = NDArray[np.intp]
+from pipeline.units import Array, Rows
 
 VELOCITY = ("v_north_m_s", "v_east_m_s", "v_down_m_s")
 _LIMITS_M, _LIMITS_RAD = (1.0, 20.0), (0.02, 20.0)  # twice what aircraft of survey do
@@ -29,8 +27,8 @@ class Bracket:
     means nothing.
     """
 
-    before: NDArray[np.intp]
-    after: NDArray[np.intp]
+    before: Rows
+    after: Rows
     fraction: Array
     coverage: NDArray[np.uint8]
 

@@ -25,12 +25,12 @@ from pipeline.flight.clock import (
     stray_stretches,
 )
 from pipeline.ledger import Ledger
+from pipeline.units import Integers, Mask, Rows
 
 LOWEST_FIX = 3  # 3D; both GPS_FIX_TYPE of MAVLink and GPS.Status of ArduPilot
 _BLOCK = 65_536  # rows
 
-Places = NDArray[np.int64]
-Stamps = tuple[Places, TimeArray]
+Stamps = tuple[Integers, TimeArray]
 """Places of records in the log, rising, and their times since boot [ns]."""
 
 
@@ -42,37 +42,37 @@ class Timeline:
     boot [ns], ``length`` how many records, ``stray`` whether it is a glitch, ``boot`` from 0.
     """
 
-    first: Places
+    first: Integers
     begin: TimeArray
     end: TimeArray
-    length: NDArray[np.int64]
-    stray: NDArray[np.bool_]
+    length: Integers
+    stray: Mask
     boot: NDArray[np.int16]
 
     @property
     def boots(self) -> int:
         return int(self.boot.max()) + 1 if self.boot.size else 1
 
-    def boot_of(self, places: Places) -> NDArray[np.int16]:
+    def boot_of(self, places: Integers) -> NDArray[np.int16]:
         """The power-up to which records belong, from 0."""
         if self.boots == 1:
             return np.zeros(places.shape, np.int16)
         return np.asarray(self.boot[self._stretch(places)], np.int16)
 
-    def good(self, places: Places) -> NDArray[np.bool_]:
+    def good(self, places: Integers) -> Mask:
         """Whether the stamps of records are no glitches."""
         if not self.stray.any():
             return np.ones(places.shape, np.bool_)
         return np.asarray(~self.stray[self._stretch(places)], np.bool_)
 
-    def silences(self) -> tuple[NDArray[np.intp], TimeArray]:
+    def silences(self) -> tuple[Rows, TimeArray]:
         """The stretches before which nothing was recorded for a while, and for how long [ns]."""
         steady = np.flatnonzero(~self.stray)
         silence = self.begin[steady][1:] - self.end[steady][:-1]
         long = silence > BOOT_STEP_NS
         return steady[1:][long], silence[long]
 
-    def _stretch(self, places: Places) -> NDArray[np.intp]:
+    def _stretch(self, places: Integers) -> Rows:
         return np.maximum(np.searchsorted(self.first, places, side="right") - 1, 0)
 
 
@@ -164,10 +164,10 @@ class UtcReadings:
     """
 
     source: str
-    places: Places
+    places: Integers
     boot_ns: TimeArray
     utc_ns: TimeArray
-    usable: NDArray[np.bool_]
+    usable: Mask
     fix: NDArray[Any] = field(default_factory=lambda: np.empty(0))
 
     def sound(self, line: Timeline) -> UtcReadings:
@@ -196,11 +196,11 @@ class BootClock:
     utc_known: tuple[bool, ...]
 
     @property
-    def offsets(self) -> NDArray[np.int64]:
+    def offsets(self) -> Integers:
         """UTC minus time since boot [ns] of each boot, 0 where it is unknown."""
         return np.array([fit.offset_ns if fit else 0 for fit in self.fits], np.int64)
 
-    def utc(self, places: Places, boot_ns: TimeArray) -> TimeArray:
+    def utc(self, places: Integers, boot_ns: TimeArray) -> TimeArray:
         """UTC [ns] of times since boot at places of the log."""
         utc_ns = self.offsets[self.line.boot_of(places)]
         utc_ns += boot_ns  # memory has its peak here
@@ -273,7 +273,7 @@ def fit_boot_clock(
     return BootClock(line, tuple(fits), tuple(known_utc))
 
 
-def _split_boots(line: Timeline, source: UtcReadings, decided: NDArray[np.bool_]) -> Timeline:
+def _split_boots(line: Timeline, source: UtcReadings, decided: Mask) -> Timeline:
     """Split boots where this source's offset steps at a silence that is not ``decided`` yet."""
     after, silence = line.silences()
     free = ~decided & (line.boot[after] == line.boot[after - 1])

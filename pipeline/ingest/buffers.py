@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from pipeline.errors import LogError
+from pipeline.units import Rows
 
 SPAN = 4 << 20  # [bytes] read at once; 1 to 16 MiB are equally fast
 BEHIND = 4096  # [bytes] kept before the place asked for: recovery after damage goes back
@@ -208,7 +209,7 @@ def allocate(count: int, dtype: DTypeLike) -> NDArray[Any]:
     return np.frombuffer(memory, kind, count, begin)
 
 
-def copy_rows(column: NDArray[Any], rows: NDArray[np.intp] | None = None) -> NDArray[Any]:
+def copy_rows(column: NDArray[Any], rows: Rows | None = None) -> NDArray[Any]:
     """A copy of a column, or of some rows of it, in memory of `allocate`.
 
     >>> copy_rows(np.array([5, 6, 7]), np.array([2, 0])).tolist()

@@ -17,7 +17,7 @@ from pipeline.ingest.buffers import ColumnStore, allocate, copy_rows
 from pipeline.ingest.fields import MessageMap
 from pipeline.ingest.log import utc_text
 from pipeline.ledger import Entry, Kind, Ledger
-from pipeline.units import Array
+from pipeline.units import Array, Mask, Rows
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class DecodedRows:
     def __len__(self) -> int:
         return int(self.time_ns.shape[0])
 
-    def take(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> DecodedRows:
+    def take(self, rows: Mask | Rows) -> DecodedRows:
         """The rows of a mask or an index."""
         kept = np.asarray(np.flatnonzero(rows) if rows.dtype == np.bool_ else rows, np.intp)
         return DecodedRows(
@@ -143,7 +143,7 @@ def channel_of_texts(rows: DecodedRows, spec: MessageMap) -> Channel | None:
     return Channel(rows.name, time_ns, {}, rows.source, boot, (), spec.rank, {"text": texts})
 
 
-def without_stray(rows: DecodedRows, stray: NDArray[np.bool_], ledger: Ledger) -> DecodedRows:
+def without_stray(rows: DecodedRows, stray: Mask, ledger: Ledger) -> DecodedRows:
     """The rows without those whose time since boot fits none of their neighbours."""
     if not stray.any():
         return rows

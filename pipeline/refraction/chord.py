@@ -20,7 +20,7 @@ from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.ray import DEFAULT_RADIUS_M, PublishedRays, as_columns, bend
 from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.status_codes import BAD_MEASUREMENT, MISSES_GROUND, OK
-from pipeline.units import Array
+from pipeline.units import Array, Integers
 
 # Rounds for a published method: each gains three digits, and they go no nearer to grazing.
 _ROUNDS = 12
@@ -93,7 +93,7 @@ def target_heights(
     x_px: Array,
     y_px: Array,
     distance_m: Array,
-    exposure: NDArray[np.int64],
+    exposure: Integers,
     exposures: Exposures,
     *,
     camera: Camera,
@@ -122,7 +122,7 @@ def target_heights(
 def target_rays(
     x_px: Array,
     y_px: Array,
-    exposure: NDArray[np.int64],
+    exposure: Integers,
     exposures: Exposures,
     *,
     camera: Camera,

@@ -4,7 +4,6 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.geodesy import euler_radius
 from pipeline.refraction import image, status_codes
@@ -14,7 +13,7 @@ from pipeline.refraction.ray import PublishedRays, bend
 from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.uncertainty.sigmas import Uncertainty
 from pipeline.refraction.window import refract_at_window
-from pipeline.units import Array
+from pipeline.units import Array, Integers
 
 # Four rounds do for steep rays, which gain three digits in each.
 _ROUNDS = 12
@@ -35,7 +34,7 @@ def apply_refraction(
     x_px: Array,
     y_px: Array,
     h_g: Array,
-    exposure: NDArray[np.int64],
+    exposure: Integers,
     exposures: image.Exposures,
     *,
     camera: Camera,
@@ -112,7 +111,7 @@ class _Targets(NamedTuple):
 
     h_g: Array
     distance: Array
-    exposure: NDArray[np.int64]
+    exposure: Integers
 
 
 def _starting_points(

@@ -33,7 +33,7 @@ from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.status_codes import OK, STATUS_NAMES
 from pipeline.refraction.uncertainty.sigmas import PARTIALS, Sigmas, Uncertainty
 from pipeline.refraction.window import OPTICAL_AXIS
-from pipeline.units import Array
+from pipeline.units import Array, Integers, Mask, Rows
 
 # Rows of an image that follow each other on the average, below which it pays to sort them.
 _ROWS_OF_AN_IMAGE = 50
@@ -52,7 +52,7 @@ class Exposures:
     ``radius_m`` replaces the ellipsoid's radius in the ray's azimuth when it is given.
     """
 
-    usable: NDArray[np.bool_]
+    usable: Mask
     rotation: Array
     latitude_rad: Array
     height_m: Array
@@ -111,7 +111,7 @@ class Corrections:
     status: NDArray[np.uint8]
     sigmas: Sigmas | None = None
 
-    def rows(self, which: NDArray[np.intp]) -> Corrections:
+    def rows(self, which: Rows) -> Corrections:
         """Some of the rows."""
         columns: dict[str, Any] = {name: getattr(self, name)[which] for name in COLUMNS}
         sigmas = None if self.sigmas is None else self.sigmas.rows(which)
@@ -135,7 +135,7 @@ def correct_observations(
     x_px: Array,
     y_px: Array,
     h_g: Array,
-    exposure: NDArray[np.int64],
+    exposure: Integers,
     exposures: Exposures,
     *,
     camera: Camera,
@@ -220,7 +220,7 @@ def outgoing_rays(
 def sigmas_at(
     corrections: Corrections,
     h_g: Array,
-    exposure: NDArray[np.int64],
+    exposure: Integers,
     exposures: Exposures,
     *,
     camera: Camera,
@@ -311,7 +311,7 @@ def lattice_corrections(
     x_px: Array,
     y_px: Array,
     ground_m: Array,
-    exposure: NDArray[np.int64],
+    exposure: Integers,
     exposures: Exposures,
     *,
     camera: Camera,

@@ -37,7 +37,7 @@ from pipeline.refraction.status_codes import (
     OUTSIDE_PROFILE,
     SEVERAL_CROSSINGS,
 )
-from pipeline.units import Array
+from pipeline.units import Array, Integers
 
 # Some hundred bytes are needed for each.
 _ROWS_AT_ONCE = 65_536
@@ -77,7 +77,7 @@ class Terrain(Protocol):
     def nodes(self, lat_rad: Array, lon_rad: Array) -> tuple[Array, Array]:
         """Row and column, in nodes of the grid, of places on WGS 84."""
 
-    def load(self, tiles: NDArray[np.int64]) -> None:
+    def load(self, tiles: Integers) -> None:
         """Read tiles into memory, as many as fit there, the first ones first."""
 
 
@@ -98,7 +98,7 @@ class TerrainHeights(NamedTuple):
 def terrain_heights(
     x_px: Array,
     y_px: Array,
-    exposure: NDArray[np.int64],
+    exposure: Integers,
     exposures: Exposures,
     places: tuple[Array, Array],
     *,
@@ -153,7 +153,7 @@ def terrain_heights(
 
 def _ways(
     rays: Array,
-    exposure: NDArray[np.int64],
+    exposure: Integers,
     places: tuple[Array, Array],
     air: RayTable | None,
     terrain: Terrain,

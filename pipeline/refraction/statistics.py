@@ -6,10 +6,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.refraction.image import Corrections
-from pipeline.units import ARCSEC, Array
+from pipeline.units import ARCSEC, Array, Integers
 
 _LOWEST_EXPONENT = -12
 _HIGHEST_EXPONENT = 8
@@ -28,7 +27,7 @@ class Distribution:
     (True, 999.0)
     """
 
-    counts: NDArray[np.int64] = field(
+    counts: Integers = field(
         default_factory=lambda: np.zeros(
             (_HIGHEST_EXPONENT - _LOWEST_EXPONENT) * _BINS_PER_DECADE + 1, np.int64
         )

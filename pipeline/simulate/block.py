@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from pipeline.errors import MissionError
 from pipeline.simulate import optics
@@ -21,9 +20,7 @@ from pipeline.simulate.flight import (
 )
 from pipeline.simulate.sensors import unix_ns
 from pipeline.simulate.true_air import TrueAir, relative_humidity, temperature_k, vapour_pressure_pa
-from pipeline.units import Array
-
-Indices = NDArray[np.int64]
+from pipeline.units import Array, Integers
 
 FEWEST_IMAGES = 2  # a point seen once measures nothing
 
@@ -41,8 +38,8 @@ class TrueStations:
     """Projection centres and attitudes (n,), camera by camera, with the air at each."""
 
     image: tuple[str, ...]
-    camera: Indices
-    time_ns: Indices
+    camera: Integers
+    time_ns: Integers
     ecef_m: Array  # (n, 3)
     lat_rad: Array
     lon_rad: Array
@@ -73,8 +70,8 @@ class GroundPoints:
 class TrueObservations:
     """What the cameras measure without error (n,), and what they would without air."""
 
-    station: Indices
-    point: Indices
+    station: Integers
+    point: Integers
     x_px: Array
     y_px: Array
     x_true_px: Array
@@ -138,7 +135,7 @@ def _candidates(spacing_m: float, flight: Flight, rng: np.random.Generator) -> G
     return GroundPoints((), lat, lon, h_msl, optics.to_ecef(lat, lon, h_msl + UNDULATION_M))
 
 
-def _in_camera(stations_: TrueStations, station: Indices, direction: Array) -> Array:
+def _in_camera(stations_: TrueStations, station: Integers, direction: Array) -> Array:
     """Unit vectors (n, 3) along ECEF axes, in the axes of the cameras of those stations."""
     axes = optics.enu_axes(stations_.lat_rad[station], stations_.lon_rad[station])
     rotation = stations_.camera_from_enu[station] @ axes
@@ -151,7 +148,7 @@ def choose_points(
     cameras: tuple[optics.SimulatedCamera, ...],
     points_per_image: int,
     rng: np.random.Generator,
-) -> tuple[GroundPoints, Indices, Indices]:
+) -> tuple[GroundPoints, Integers, Integers]:
     """Points, and the (station, point) pairs of the observations: each point in two images or more.
 
     Points are taken in random order into every image that sees them and is not full.
@@ -195,8 +192,8 @@ def observe(
     points: GroundPoints,
     cameras: tuple[optics.SimulatedCamera, ...],
     *,
-    station: Indices,
-    point: Indices,
+    station: Integers,
+    point: Integers,
 ) -> TrueObservations:
     """Bend every ray, send it through the window and the lens; beside it the straight chord."""
     rays = optics.shoot(air, block.ecef_m[station], points.ecef_m[point], UNDULATION_M)

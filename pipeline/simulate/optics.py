@@ -14,11 +14,10 @@ from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from pipeline.errors import PhysicsError
-from pipeline.units import WGS84_A, WGS84_F, Array
+from pipeline.units import WGS84_A, WGS84_F, Array, Mask
 
 _E2 = WGS84_F * (2.0 - WGS84_F)
 _B = WGS84_A * (1.0 - WGS84_F)
@@ -269,7 +268,7 @@ class SimulatedCamera:
         yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
         return self.focal_px * xd + self.cx_px, self.focal_px * yd + self.cy_px
 
-    def sees(self, rays: Array, margin_px: float = 80.0) -> NDArray[np.bool_]:
+    def sees(self, rays: Array, margin_px: float = 80.0) -> Mask:
         """Which rays (n, 3) fall on the sensor, a margin inside its edge."""
         # The distortion polynomial folds far rays back onto the sensor: first without the lens.
         reach = 0.6 * np.array([self.width_px, self.height_px]) / self.focal_px

@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from pipeline.simulate.flight import UNDULATION_M, Flight, State, cabin_air
@@ -19,9 +18,8 @@ from pipeline.units import (
     WGS84_A,
     ZERO_CELSIUS_K,
     Array,
+    Integers,
 )
-
-IntArray = NDArray[np.int64]
 
 LOG_BEGINS_UNIX_NS = 1_749_720_600 * NANOSECONDS_PER_SECOND  # 2025-06-12T09:30:00Z
 LOG_BEGINS_BOOT_US = 25_000_000
@@ -122,17 +120,17 @@ class LoggedSamples:
     camera_names: tuple[str, ...]
 
 
-def boot_us(time_s: Array) -> IntArray:
+def boot_us(time_s: Array) -> Integers:
     """Microseconds since boot (n,) of times since the log began [s]."""
     return np.asarray(np.rint(time_s * 1e6), np.int64) + LOG_BEGINS_BOOT_US
 
 
-def unix_ns(time_s: Array) -> IntArray:
+def unix_ns(time_s: Array) -> Integers:
     """UTC, Unix nanoseconds (n,), whole microseconds, of times since the log began [s]."""
     return np.asarray(np.rint(time_s * 1e6), np.int64) * 1000 + LOG_BEGINS_UNIX_NS
 
 
-def gps_week_ms(time_s: Array) -> tuple[IntArray, IntArray]:
+def gps_week_ms(time_s: Array) -> tuple[Integers, Integers]:
     """GPS week and milliseconds of the week (n,) of times since the log began [s]."""
     gps_ns = unix_ns(time_s) - UNIX_NS_OF_GPS_EPOCH + LEAP_SECONDS * NANOSECONDS_PER_SECOND
     week, rest = np.divmod(gps_ns, 604_800 * NANOSECONDS_PER_SECOND)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pipeline.atmosphere import Profile
 from pipeline.atmosphere.refractive_index import IndexModel, vapour_pressure
@@ -26,7 +26,7 @@ from pipeline.refraction.window import (
     Window,
     scheduled_pressure,
 )
-from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K, Array
+from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K, Array, Mask
 
 USUAL_TEMPERATURE_K = 294.15
 SIGMA_PRESSURISED_K, SIGMA_AMBIENT_K = 5.0, 10.0
@@ -120,7 +120,7 @@ def cabin_from_log(
 
 def _pressurised_after_all(
     stations: Stations,
-    of_camera: NDArray[np.bool_],
+    of_camera: Mask,
     camera: str,
     channels: Iterable[Channel],
     roles: Mapping[str, Channel],
@@ -193,9 +193,7 @@ def with_cabin_air(
     return replace(stations, **columns)
 
 
-def _implausible_air(
-    name: str, ok: NDArray[np.bool_], values: tuple[Array, ...], p_outside: Array
-) -> Notes:
+def _implausible_air(name: str, ok: Mask, values: tuple[Array, ...], p_outside: Array) -> Notes:
     """Warnings where pressure or temperature are those of no cabin."""
     p, t = values[:2]
     notes = []

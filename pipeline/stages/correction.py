@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.batch.store import RunFolder
@@ -45,9 +44,7 @@ from pipeline.tables.observations import Batch, Observations
 from pipeline.tables.refraction_mark import Direction
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
 from pipeline.tables.writing import table_of_observations, write_parquet
-from pipeline.units import Array
-
-Rows = NDArray[np.int64]
+from pipeline.units import Array, Integers, Names
 
 _MOST_WORKERS = 4
 """Batches corrected at the same time: each holds 250,000 rows, and reading and writing take the
@@ -66,13 +63,13 @@ class CorrectionSetup:
     standard deviations are computed.
     """
 
-    images: NDArray[np.object_]
-    camera_names: NDArray[np.object_]
+    images: Names
+    camera_names: Names
     exposures: Exposures
     ground: Ground
     cameras: Mapping[str, Camera]
     rays: tuple[RayTable | PublishedRays, ...]
-    profile_number: Rows
+    profile_number: Integers
     direction: Direction = "remove"
     uncertainties: tuple[Uncertainty | None, ...] = (None,)
 
@@ -82,7 +79,7 @@ class CorrectionSetup:
         return any(uncertainty is not None for uncertainty in self.uncertainties)
 
     @cached_property
-    def camera_number(self) -> Rows:
+    def camera_number(self) -> Integers:
         """(s + 1,) the position in ``cameras`` of each station's camera, -1 without one.
 
         An image without an exposure has a station without a camera. The last entry is for
@@ -91,7 +88,7 @@ class CorrectionSetup:
         number_of = {name: number for number, name in enumerate(self.cameras)}
         return np.array([number_of.get(n, -1) for n in self.camera_names] + [-1], np.int64)
 
-    def groups(self, station: Rows) -> Iterator[tuple[NDArray[np.intp], Camera, int]]:
+    def groups(self, station: Integers) -> Iterator[tuple[Integers, Camera, int]]:
         """The observations (n,) of each camera in each profile: rows, camera, profile number."""
         camera_number = self.camera_number[station]
         for number, camera in enumerate(self.cameras.values()):
@@ -253,14 +250,14 @@ def on_threads(
 
 
 def correct_batch(
-    batch: Batch, station: Rows, ground: GroundHeights, setup: CorrectionSetup
+    batch: Batch, station: Integers, ground: GroundHeights, setup: CorrectionSetup
 ) -> Corrections:
     """The corrections of a batch, computed for each camera and profile, in the order of its rows.
 
     ``station`` (n,) as `matching_rows` returns it, ``ground`` the heights of the batch.
     """
     method = correct_observations if setup.direction == "remove" else apply_refraction
-    parts: list[tuple[NDArray[np.intp], Corrections]] = []
+    parts: list[tuple[Integers, Corrections]] = []
     distance = ground.distance_m if batch.distance_m is None else batch.distance_m
     for group, camera, profile in setup.groups(station):
         whole = group.size == len(batch)

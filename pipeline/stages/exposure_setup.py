@@ -4,7 +4,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.atmosphere import Profile
 from pipeline.atmosphere.series.profile_series import ProfileSeries
@@ -19,9 +18,7 @@ from pipeline.refraction.window import (
     OPTICAL_AXIS,
     Window,
 )
-from pipeline.units import HECTOPASCAL, Array
-
-Mask = NDArray[np.bool_]
+from pipeline.units import HECTOPASCAL, Array, Mask, Names
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +38,11 @@ def cameras_of_mission(mission: Mission) -> dict[str, Camera]:
 
 def camera_of_rows(
     mission: Mission,
-    given: NDArray[np.object_] | None,
+    given: Names | None,
     only: str | None,
     count: int,
     path: str,
-) -> NDArray[np.object_]:
+) -> Names:
     """(n,) the camera of each row of a table: as its column says, or the only one there is.
 
     Refuses (MissionError EVENTS-CAMERA) one that the mission lacks.

@@ -11,7 +11,6 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from pipeline.atmosphere.profile import Layers, Profile
@@ -32,7 +31,7 @@ from pipeline.stages.exposure_setup import (
 )
 from pipeline.tables.exports import ExportCamera, FinishedRun
 from pipeline.tables.geodata.object_points import matching_rows
-from pipeline.units import Array
+from pipeline.units import Array, Integers, Names
 
 _MOST_CHECKED = 50_000
 """Observations of each part that are computed again."""
@@ -70,7 +69,7 @@ def stations_of(table: pa.Table) -> Stations:
     def quaternion(prefix: str) -> Array:
         return np.stack([number(f"{prefix}_{axis}") for axis in "wxyz"], axis=1)
 
-    def text(name: str) -> NDArray[np.object_]:
+    def text(name: str) -> Names:
         if name not in table.schema.names:
             return np.full(table.num_rows, "", dtype=object)
         return np.array([value or "" for value in table[name].to_pylist()], dtype=object)
@@ -197,7 +196,7 @@ _CHECKED = ["image", "x_px", "y_px", "x_corrected_px", "y_corrected_px", "zeta_c
             "status"]  # fmt: skip
 
 
-def largest_difference_px(run: FinishedRun, table: pa.Table, station: NDArray[np.int64]) -> float:
+def largest_difference_px(run: FinishedRun, table: pa.Table, station: Integers) -> float:
     """The largest difference between corrections in a table and those computed now [px]."""
     x, y, x_then, y_then, zeta, h_g = (
         np.asarray(table[name].to_numpy(), dtype=np.float64) for name in _CHECKED[1:7]

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 from pipeline.config import Mission
@@ -23,7 +22,7 @@ from pipeline.refraction.effect import Effect, effects_on_r
 from pipeline.refraction.image import Exposures
 from pipeline.refraction.status_codes import MISSES_GROUND, OUTSIDE_CAMERA, STATUS_NAMES
 from pipeline.stages.statistics import SampledRows
-from pipeline.units import Array
+from pipeline.units import Array, Integers, Names
 
 Findings = Iterator[tuple[str, str, str]]
 """Code, key to change, and what was found, was expected, and is the likely mistake."""
@@ -87,7 +86,7 @@ class Facts:
         return effects_on_r(air.profile, air.standard, air.covariance, h_c, h_g)
 
     @cached_property
-    def camera(self) -> NDArray[np.object_]:
+    def camera(self) -> Names:
         """(n,) the camera of each row, empty without one."""
         return np.append(self.stations.camera, "")[self.rows.station]
 
@@ -135,9 +134,7 @@ class Facts:
         return 2.0 * math.degrees(half if is_fisheye(camera) else math.atan(half))
 
 
-def takeoff_of(
-    track: tuple[NDArray[np.int64], Array, Array, Array], home_m: float | None
-) -> Takeoff | None:
+def takeoff_of(track: tuple[Integers, Array, Array, Array], home_m: float | None) -> Takeoff | None:
     """Where a log begins, if it stands still there or has a take-off height ``home_m`` [m].
 
     ``track`` holds time [Unix ns], latitude, longitude [rad] and height above sea level [m].

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.config import Mission
@@ -17,6 +16,7 @@ from pipeline.refraction.uncertainty.budget import StationSigmas, uncertainty_of
 from pipeline.refraction.uncertainty.sigmas import Uncertainty
 from pipeline.stages.cabin_air import cabin_changes
 from pipeline.stages.exposure_setup import lenses_of_mission, windows_of_mission
+from pipeline.units import Integers
 
 
 def uncertainties_of_mission(
@@ -64,7 +64,7 @@ def uncertainties_of_mission(
     return tuple(u and u.with_scale(common) for u in uncertainties)
 
 
-def views_of_mission(mission: Mission, stations: Stations, air: ProfileSeries) -> NDArray[np.int64]:
+def views_of_mission(mission: Mission, stations: Stations, air: ProfileSeries) -> Integers:
     """(s,) the kind of window of each exposure: `OPEN`, `SEALED` or `SCHEDULED`."""
     views = np.full(len(stations), OPEN, np.int64)
     pressure = air.pressure(stations.h_msl_m)

@@ -17,7 +17,15 @@ from pipeline.errors import InputError
 from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import SECONDS_PER_WEEK, utc_of_gps
 from pipeline.tables.column_checks import no_such_column
-from pipeline.units import NANOSECONDS_PER_SECOND, RADIANS, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array
+from pipeline.units import (
+    NANOSECONDS_PER_SECOND,
+    RADIANS,
+    UNIX_NS_OF_GPS_EPOCH,
+    AngleUnit,
+    Array,
+    Integers,
+    Mask,
+)
 
 Hashes = NDArray[np.uint64]
 
@@ -113,7 +121,7 @@ def angles_in_radians(given: Array, unit: AngleUnit, path: Path, code: str, key:
     )
 
 
-def utc_of_dates(text: pd.Series[str], system: str = "utc") -> tuple[TimeArray, NDArray[np.bool_]]:
+def utc_of_dates(text: pd.Series[str], system: str = "utc") -> tuple[TimeArray, Mask]:
     """(n,) Unix nanoseconds of dates with a time of day in UTC or GPS time; which are good.
 
     ISO 8601, or with slashes between year, month and day; zones are honoured.
@@ -143,7 +151,7 @@ def utc_of_weeks(week: Array | int, seconds: Array, system: str) -> TimeArray:
 
 def utc_of_columns(
     table: pd.DataFrame, time_utc: str | None, gps_week: str | None, gps_seconds: str | None
-) -> tuple[TimeArray, NDArray[np.bool_]]:
+) -> tuple[TimeArray, Mask]:
     """(n,) Unix nanoseconds from a column of UTC times, or GPS week and seconds; which are good.
 
     Times without a zone are UTC; GPS seconds are reduced by the leap seconds of their date.
@@ -181,7 +189,7 @@ def hashes_of(names: pa.StringArray) -> Hashes:
     return found
 
 
-def rows_among(hashes: Hashes, wanted: Hashes) -> NDArray[np.int64]:
+def rows_among(hashes: Hashes, wanted: Hashes) -> Integers:
     """The rows whose hash is a wanted one; by their last 24 bits first, which leaves few."""
     maybe, mask = np.zeros(1 << 24, np.bool_), np.uint64((1 << 24) - 1)
     maybe[wanted & mask] = True

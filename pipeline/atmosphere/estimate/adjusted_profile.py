@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.climatology import Climatology, climatology, month_of
@@ -53,7 +52,7 @@ from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
 from pipeline.geodesy import normal_gravity
 from pipeline.ledger import Ledger
-from pipeline.units import Array
+from pipeline.units import Array, Mask
 
 WIDEST_GAP_M = 400.0
 """Between two measured heights farther apart than this the layers are called relaxed [m']."""
@@ -90,7 +89,7 @@ class Adjustment:
     covariance: ProfileCovariance | None = None
     faults: tuple[FaultEstimate, ...] = ()
     sources: tuple[SourceUse, ...] = ()
-    rejected: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+    rejected: Mapping[str, Mask] = field(default_factory=dict)
     samples: AirSamples | None = None
     settings: SensorSettings | None = None
     moisture: Climatology | None = None
@@ -274,9 +273,7 @@ def unadjusted(standard: Profile, reason: str) -> Adjustment:
     return Adjustment(standard, standard, UNADJUSTED, reason)
 
 
-def _covered(
-    middle: Array, made: Estimate, kinds: tuple[type, ...], widest: float
-) -> NDArray[np.bool_]:
+def _covered(middle: Array, made: Estimate, kinds: tuple[type, ...], widest: float) -> Mask:
     """Whether heights lie between two readings of some kinds, at most ``widest`` apart."""
     heights = [s.height for s in made.readings.sets if isinstance(s, kinds)]
     if not heights:

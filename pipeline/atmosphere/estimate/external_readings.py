@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.estimate import sensors
@@ -19,7 +18,7 @@ from pipeline.atmosphere.refractive_index import enhancement_factor, saturation_
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
 from pipeline.ledger import Ledger
-from pipeline.units import Array
+from pipeline.units import Array, Mask
 
 SPREAD_K, SPREAD_RH = 5.0, 0.3
 """Of the climatology in the free troposphere."""
@@ -211,7 +210,7 @@ def sounding_departures(
     return tuple(departures)
 
 
-def _inside(sounding: Sounding, background: Climatology) -> NDArray[np.bool_]:
+def _inside(sounding: Sounding, background: Climatology) -> Mask:
     """Levels where the background has air: a climatology ends at 30 km, a balloon at 35."""
     profile = background.profile
     top = min(TOP_M, profile.top_m - THIN_M)

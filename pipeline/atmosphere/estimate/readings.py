@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.atmosphere.air_samples import AirSamples, SensorSamples, climb_of
 from pipeline.atmosphere.climatology import Climatology
@@ -35,7 +34,7 @@ from pipeline.atmosphere.estimate.state import TOP_M, Drift, Fault, SensorFault
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
-from pipeline.units import Array
+from pipeline.units import Array, Integers, Mask, Rows
 
 CLIMBING_M_S = 0.5
 """Slower than this an aircraft flies level; lag has a sign only above it [m/s]."""
@@ -92,7 +91,7 @@ class FlightReadings:
     drifts: tuple[Drift, ...]
     low: float
     high: float
-    rejected: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+    rejected: Mapping[str, Mask] = field(default_factory=dict)
 
 
 def collect_readings(
@@ -126,7 +125,7 @@ def collect_readings(
     sets: list[Readings] = []
     expected: list[Fault] = []
     drifts: list[Drift] = []
-    rejected: dict[str, NDArray[np.bool_]] = {}
+    rejected: dict[str, Mask] = {}
     if start_ns is not None:
         sets, expected, drifts, rejected = _sensor_readings(
             samples, sensors, background.profile, start_ns, settings
@@ -154,12 +153,12 @@ def _sensor_readings(
     profile: Profile,
     start_ns: int,
     settings: SensorSettings,
-) -> tuple[list[Readings], list[Fault], list[Drift], dict[str, NDArray[np.bool_]]]:
+) -> tuple[list[Readings], list[Fault], list[Drift], dict[str, Mask]]:
     """The readings of the flight's own sensors, with their faults and drifts."""
     sets: list[Readings] = []
     faults: list[Fault] = []
     drifts: list[Drift] = []
-    rejected: dict[str, NDArray[np.bool_]] = {}
+    rejected: dict[str, Mask] = {}
     end_ns = max(int(sensor.time_ns[-1]) for sensor in sensors.values())
     duration = max((end_ns - start_ns) * 1e-9, 1.0)
     steps = 1 + min(MOST_DRIFT_STEPS, int(duration / DRIFT_STEP_S))
@@ -200,7 +199,7 @@ def _sensor_readings(
     return sets, faults, drifts, rejected
 
 
-def part_of(readings: Readings, rows: NDArray[np.bool_]) -> Readings:
+def part_of(readings: Readings, rows: Mask) -> Readings:
     """Some rows of a set of readings."""
     size = readings.value.size
     columns = {
@@ -211,7 +210,7 @@ def part_of(readings: Readings, rows: NDArray[np.bool_]) -> Readings:
     return replace(readings, **columns)  # type: ignore[arg-type]
 
 
-def _usable(sensor: SensorSamples, profile: Profile) -> NDArray[np.bool_]:
+def _usable(sensor: SensorSamples, profile: Profile) -> Mask:
     """Accepted readings at heights that both aircraft and background reach."""
     with np.errstate(invalid="ignore"):
         inside = (sensor.h_m > profile.bottom_m + 500.0) & (sensor.h_m < TOP_M - 2000.0)
@@ -270,7 +269,7 @@ class _Binning:
 
 def _thermometer(
     sensor: SensorSamples, samples: AirSamples, climbing: SensorSamples, binning: _Binning
-) -> tuple[NDArray[np.bool_], Thermometer]:
+) -> tuple[Mask, Thermometer]:
     """Outliers and readings of a thermometer.
 
     Where the take-off is not known, it is when ``climbing`` first left the lowest 20 m.
@@ -314,15 +313,15 @@ class Bins:
     height: Array
     value: Array
     sigma: Array
-    count: NDArray[np.int64]
-    rejected: NDArray[np.bool_]
+    count: Integers
+    rejected: Mask
 
 
 def bin_readings(
     seconds: Array,
     height: Array,
     value: Array,
-    accepted: NDArray[np.bool_],
+    accepted: Mask,
     *,
     width: float,
     slice_s: float,
@@ -372,7 +371,7 @@ def bin_readings(
     return Bins(middle, mean(height[use]), mean(reading), sigma, number, rejected)
 
 
-def _medians(bin_of: NDArray[np.intp], value: Array, size: NDArray[np.int64]) -> Array:
+def _medians(bin_of: Rows, value: Array, size: Integers) -> Array:
     """Median of the values of each bin."""
     ordered = value[np.lexsort((value, bin_of))]
     start = np.concatenate([[0], np.cumsum(size)[:-1]])

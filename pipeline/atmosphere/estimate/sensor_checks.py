@@ -4,7 +4,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.atmosphere.air_samples import BIN_M, AirSamples, SensorSamples, bin_by_height
 from pipeline.atmosphere.climatology import Climatology
@@ -15,7 +14,7 @@ from pipeline.atmosphere.hypsometry import Fall, fall_of_pressure
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import saturation_vapour_pressure
 from pipeline.ledger import Ledger
-from pipeline.units import HECTOPASCAL, VAPOUR_DEFICIT
+from pipeline.units import HECTOPASCAL, VAPOUR_DEFICIT, Mask
 
 LARGEST_DISAGREEMENT_K, LARGEST_CHANGE_K = 8.0, 3.5
 """Thermometer against barometer and GNSS, on the whole of the common heights, and its change from
@@ -199,7 +198,7 @@ def _reject_pressure(pressure: SensorSamples, what: str, ledger: Ledger) -> None
     ledger.loss("AIR-NOT-OUTSIDE", text, where=pressure.name)
 
 
-def _stuck(sensor: SensorSamples, name: str) -> NDArray[np.bool_]:
+def _stuck(sensor: SensorSamples, name: str) -> Mask:
     """Which readings belong to a run of equal ones over more height than the steps explain."""
     stuck = np.zeros(sensor.value.size, dtype=bool)
     rows = np.flatnonzero(sensor.accepted)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.covariance import ProfileCovariance, plane_rule
@@ -19,7 +19,7 @@ from pipeline.atmosphere.hypsometry import hats
 from pipeline.atmosphere.profile import Profile, stack_layers
 from pipeline.atmosphere.refractive_index import IndexModel, saturation_vapour_pressure
 from pipeline.ledger import Ledger
-from pipeline.units import Array
+from pipeline.units import Array, Integers
 
 FINEST_CHANGE = 5e-4
 """Profiles follow each other so closely that R changes by less than this from one to the next."""
@@ -193,7 +193,7 @@ class ProfileSeries:
     """
 
     timed_profiles: tuple[TimedProfile, ...]
-    profile_number: NDArray[np.int64]
+    profile_number: Integers
 
     @property
     def profiles(self) -> tuple[Profile, ...]:
@@ -236,7 +236,7 @@ def constant_series(air: TimedProfile, exposures: int) -> ProfileSeries:
 
 
 def interpolate_series(
-    nodes: Sequence[TimedProfile], time_ns: NDArray[np.int64], h_c: Sequence[float], h_g: float
+    nodes: Sequence[TimedProfile], time_ns: Integers, h_c: Sequence[float], h_g: float
 ) -> ProfileSeries:
     """The air at the times of exposures, linear in time between ``nodes`` and constant beyond.
 
@@ -266,7 +266,7 @@ def interpolate_series(
 
 def add_ageing(
     series: ProfileSeries,
-    time_ns: NDArray[np.int64],
+    time_ns: Integers,
     samples: AirSamples,
     ledger: Ledger,
     *,

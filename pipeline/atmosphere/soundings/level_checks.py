@@ -9,7 +9,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.atmosphere.refractive_index import (
     refractivity_gyer,
@@ -20,7 +19,15 @@ from pipeline.atmosphere.soundings.levels import RawLevels, Sounding
 from pipeline.errors import InputError
 from pipeline.geodesy import normal_gravity
 from pipeline.ledger import Ledger
-from pipeline.units import DEGREE, HECTOPASCAL, HYDROSTATIC_CONSTANT, ZERO_CELSIUS_K, Array
+from pipeline.units import (
+    DEGREE,
+    HECTOPASCAL,
+    HYDROSTATIC_CONSTANT,
+    ZERO_CELSIUS_K,
+    Array,
+    Mask,
+    Rows,
+)
 
 FEWEST_LEVELS = 5
 """With fewer a sounding has less information than the climatology and a surface report."""
@@ -154,7 +161,7 @@ def _refusal(raw: RawLevels, quantity: str, what: str, remedy: str) -> InputErro
     return InputError("SOUNDING-UNITS", text, where=raw.where, remedy=remedy)
 
 
-def _take(raw: RawLevels, keep: NDArray[np.bool_] | NDArray[np.intp]) -> RawLevels:
+def _take(raw: RawLevels, keep: Mask | Rows) -> RawLevels:
     """Some of the levels, in the order of ``keep``."""
 
     columns = {name: part[keep] for name, part in vars(raw).items() if isinstance(part, np.ndarray)}

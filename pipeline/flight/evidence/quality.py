@@ -5,16 +5,13 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.errors import MissionError
 from pipeline.flight.channels import ROLE_COLUMNS, Channel
 from pipeline.flight.clock import STRAY_ROWS
 from pipeline.ledger import Entry, Notes, loss, note, warning
-from pipeline.units import Array
+from pipeline.units import Array, Mask, Rows
 
-Mask = NDArray[np.bool_]
-Rows = NDArray[np.intp]
 RANGES: Mapping[str, tuple[float, float]] = {
     "lat_rad": (-np.pi / 2.0, np.pi / 2.0),
     "lon_rad": (-2.0 * np.pi, 2.0 * np.pi),

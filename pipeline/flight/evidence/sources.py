@@ -5,14 +5,13 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from pipeline.flight.channels import Channel, TimeArray
 from pipeline.flight.evidence.quality import subset
-from pipeline.flight.evidence.stretches import HEIGHT, POSITION, SECOND, Mask, runs
+from pipeline.flight.evidence.stretches import HEIGHT, POSITION, SECOND, runs
 from pipeline.flight.trajectory import interpolate
-from pipeline.units import Array
+from pipeline.units import Array, Mask, Rows
 
 # A step from sample to sample that is noise, beyond what velocity and neighbours explain [m].
 NOISE_STEP_M = {POSITION: 3.0, HEIGHT: 5.0}
@@ -43,7 +42,7 @@ class SourcePath:
     channel: Channel
     stepped_m: Array
     good: Mask
-    part: NDArray[np.intp]
+    part: Rows
     step_ns: TimeArray
     lasting_ns: TimeArray
     fastest_m_s: float

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.flight.channels import TimeArray
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Notes, fallback, loss
-
-Mask = NDArray[np.bool_]
+from pipeline.units import Mask
 
 POSITION, HEIGHT, ATTITUDE = "position", "height", "attitude"
 SECOND = 1_000_000_000

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.flight.channels import ROLE_COLUMNS, Channel, Source
 from pipeline.flight.clock import SECONDS_PER_WEEK, STRAY_ROWS, full_weeks, utc_of_gps
@@ -35,6 +34,7 @@ from pipeline.ingest.fields import MessageMap, extract, is_number
 from pipeline.ingest.log import Table
 from pipeline.ingest.stacking import PLACE
 from pipeline.ledger import Ledger
+from pipeline.units import Integers
 
 RECEIVERS = ("GPS", "GPS2")
 FIRST_WEEK = 1_721  # 2012-12-30: no log that defines its own records is older
@@ -256,7 +256,7 @@ def _join_accuracy(table: Table, other: Table) -> Table:
     return table | added
 
 
-def _key(table: Table) -> NDArray[np.int64]:
+def _key(table: Table) -> Integers:
     # 2^52 us are 142 years: the instance fits above the time.
     instance = (instance_of(table).astype(np.int64) + 1 & 0x3FF) << 52
     return np.asarray(microseconds(table["TimeUS"]) + instance, np.int64)

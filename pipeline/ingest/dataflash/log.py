@@ -25,6 +25,7 @@ from pipeline.ingest.fields import is_number
 from pipeline.ingest.log import Contents, DamagedBytes, LogFormat, Table
 from pipeline.ingest.stacking import PLACE
 from pipeline.ledger import Ledger
+from pipeline.units import Integers
 
 # Fields that are used as they are logged, without a field map that checks that they are numbers.
 _NUMBERS = {*INSTANCE_FIELDS, "TimeUS", "GMS", "GWk", "Week", "Status", "Value"} | {
@@ -192,7 +193,7 @@ def exposures_by_last_fix(exposures: Table, receiver: Table, ledger: Ledger) -> 
     return exposures | {"TimeUS": time_us, "sigma_time_s": sigma_s}
 
 
-def _gps_ms(week: NDArray[Any], time_ms: NDArray[Any]) -> NDArray[np.int64]:
+def _gps_ms(week: NDArray[Any], time_ms: NDArray[Any]) -> Integers:
     week_ms = np.asarray(week, np.int64) * (SECONDS_PER_WEEK * 1000)
     return np.asarray(week_ms + np.asarray(time_ms, np.int64), np.int64)
 

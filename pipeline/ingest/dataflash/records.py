@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pipeline.ingest.buffers import SPAN, FileView, gather
 from pipeline.ingest.log import DamagedBytes
+from pipeline.units import Integers, Mask, Rows
 
 MAGIC = b"\xa3\x95"
 HEADER = 3
@@ -129,12 +130,12 @@ class _Candidates:
     ``breaks`` are the rows whose record does not end at the place of the next row.
     """
 
-    places: NDArray[np.int64]
+    places: Integers
     types: NDArray[np.uint8]
-    lengths: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
-    breaks: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))
+    lengths: Integers = field(default_factory=lambda: np.empty(0, np.int64))
+    breaks: Rows = field(default_factory=lambda: np.empty(0, np.intp))
 
-    def link(self, length_of: NDArray[np.int64]) -> None:
+    def link(self, length_of: Integers) -> None:
         """Set the lengths and the breaks; again when a length has changed."""
         self.lengths = length_of[self.types]
         links = self.places[:-1] + self.lengths[:-1] == self.places[1:]
@@ -169,7 +170,7 @@ class RecordWalker(DamagedBytes):
         self.refused: list[str] = []
         self.wanted: list[RecordBlock] = []
         self._counts = np.zeros(1, np.int64)
-        self.runs: list[tuple[NDArray[np.int64], NDArray[np.uint16]]] = []
+        self.runs: list[tuple[Integers, NDArray[np.uint16]]] = []
 
     def blocks(self) -> Iterator[RecordBlock]:
         """All records block by block, while their bytes are in memory; wanted ones are kept."""
@@ -182,7 +183,7 @@ class RecordWalker(DamagedBytes):
         yield from self._flush(keep=0)
 
     @property
-    def counts(self) -> NDArray[np.int64]:
+    def counts(self) -> Integers:
         """(n,) how many records there are so far, wanted or not, by definition."""
         missing = len(self.definitions) - self._counts.shape[0]
         return np.append(self._counts, np.zeros(missing, np.int64)) if missing else self._counts
@@ -337,9 +338,7 @@ def find_records(data: FileView, names: Collection[str] | None = None) -> Record
     return walker
 
 
-def read_records(
-    found: RecordWalker, wanted: NDArray[np.bool_]
-) -> Iterator[tuple[int, NDArray[Any], NDArray[np.int64]]]:
+def read_records(found: RecordWalker, wanted: Mask) -> Iterator[tuple[int, NDArray[Any], Integers]]:
     """The records of some definitions, a block of the file at a time.
 
     ``wanted``: for each definition, whether its records are wanted. Yields the number of a

@@ -20,6 +20,7 @@ from pipeline.ingest.mcap.cdr_schema import (
     SequenceField,
     TextField,
 )
+from pipeline.units import Integers, Mask, Rows
 
 HEAD = 4  # bytes of encapsulation; alignment counts from behind them
 CDR_LE = 1  # plain CDR, little-endian; 0 is big-endian, larger are other encodings
@@ -101,14 +102,14 @@ class _Cursors:
     """
 
     data: Bytes
-    row: NDArray[np.intp]
-    begin: NDArray[np.int64]
-    length: NDArray[np.int64]
-    big: NDArray[np.bool_]
-    at: NDArray[np.int64]
+    row: Rows
+    begin: Integers
+    length: Integers
+    big: Mask
+    at: Integers
     columns: dict[str, NDArray[Any]] = field(default_factory=dict)
 
-    def only(self, good: NDArray[np.bool_]) -> None:
+    def only(self, good: Mask) -> None:
         """Keep these messages only, and what was read of them."""
         if bool(good.all()):
             return
@@ -116,7 +117,7 @@ class _Cursors:
             setattr(self, name, getattr(self, name)[good])
         self.columns = {name: column[good] for name, column in self.columns.items()}
 
-    def count(self) -> NDArray[np.int64]:
+    def count(self) -> Integers:
         """The 32-bit length that stands here; the cursors move behind it."""
         self.at = -(-self.at // 4) * 4
         self.only(self.at + 4 <= self.length)
@@ -126,8 +127,8 @@ class _Cursors:
 
 
 def decode(
-    data: Bytes, begin: NDArray[np.int64], length: NDArray[np.int64], plan: DecodePlan
-) -> tuple[NDArray[np.intp], dict[str, NDArray[Any]]]:
+    data: Bytes, begin: Integers, length: Integers, plan: DecodePlan
+) -> tuple[Rows, dict[str, NDArray[Any]]]:
     """Decode messages of one definition.
 
     ``data``: the bytes they lie in. ``begin``, ``length``: (n,) of each, with the encapsulation.
@@ -240,7 +241,7 @@ def _skip(cursors: _Cursors, step: SequenceField, counted: bool = False) -> None
     _skip_elements(cursors, step, count)
 
 
-def _skip_elements(cursors: _Cursors, step: SequenceField, count: NDArray[np.int64]) -> None:
+def _skip_elements(cursors: _Cursors, step: SequenceField, count: Integers) -> None:
     """Move behind so many elements; those of varying length one at a time in all messages."""
     good = count <= cursors.length  # an element has a byte at least
     cursors.only(good)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.ingest.buffers import Bytes, FileView, gather
+from pipeline.units import Integers, Rows
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
@@ -101,9 +102,9 @@ class Messages:
     data: Bytes
     channel: NDArray[np.uint16]
     sequence: NDArray[np.uint32]
-    log_time: NDArray[np.int64]
-    begin: NDArray[np.int64]
-    length: NDArray[np.int64]
+    log_time: Integers
+    begin: Integers
+    length: Integers
     short: int
 
     def __len__(self) -> int:
@@ -121,7 +122,7 @@ _HEADER = np.dtype(
 _LAST_NS = np.uint64(2**63 - 1)  # log_time is unsigned in the file; times inside are int64
 
 
-def messages_at(data: Bytes, starts: NDArray[np.int64]) -> Messages:
+def messages_at(data: Bytes, starts: Integers) -> Messages:
     """The messages whose records begin at these places."""
     size = _HEADER.itemsize
     inside = starts[starts + size <= data.shape[0]]
@@ -144,7 +145,7 @@ def record_at(raw: bytes | memoryview, at: int) -> tuple[int, int]:
     return int(opcode), int(length)
 
 
-def candidate_places(view: Bytes, opcodes: tuple[int, ...]) -> NDArray[np.intp]:
+def candidate_places(view: Bytes, opcodes: tuple[int, ...]) -> Rows:
     """Places with one of these opcodes and a length below 4 GiB."""
     count = view.shape[0] - RECORD.size + 1
     if count <= 0:
@@ -190,9 +191,9 @@ class MessageRuns:
     ``at`` and ``end`` (n,) of each candidate; ``breaks`` those that the next does not follow.
     """
 
-    at: NDArray[np.int64]
-    end: NDArray[np.int64]
-    breaks: NDArray[np.intp]
+    at: Integers
+    end: Integers
+    breaks: Rows
 
     @classmethod
     def of(cls, view: Bytes) -> MessageRuns:

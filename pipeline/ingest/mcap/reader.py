@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.flight.clock import UNIX_NS_FROM
 from pipeline.ingest.boot_clock import Stamps, UtcReadings
@@ -26,6 +25,7 @@ from pipeline.ingest.mcap.topics import (
     protobuf_decoder,
 )
 from pipeline.ledger import Ledger
+from pipeline.units import Integers, Rows
 
 # What the library's parsers of records raise on damaged lengths and text, beside McapError.
 _PARSE_ERRORS = (struct.error, ValueError, OverflowError)
@@ -144,7 +144,7 @@ class McapReader:
         self.decoders: dict[tuple[int, str], Decoder | Exception] = {}
         self.topics: dict[tuple[str, str], Topic] = {}
         self.seen = 0  # messages, of any channel
-        self.recorded: list[NDArray[np.int64]] = []
+        self.recorded: list[Integers] = []
 
     def through(self, path: Path) -> Iterator[Stamps]:
         """Read the file; yields places and times since boot of the messages that count it."""
@@ -153,7 +153,7 @@ class McapReader:
                 if isinstance(part, Definition):
                     self._define(part)
                     continue
-                shares: dict[tuple[str, str], list[tuple[Decoder, NDArray[np.intp]]]] = {}
+                shares: dict[tuple[str, str], list[tuple[Decoder, Rows]]] = {}
                 for number in self.counts.take(part, self.names):
                     if number in self.topic_of:
                         topic, decoder = self.topic_of[number]

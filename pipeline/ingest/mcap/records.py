@@ -11,7 +11,6 @@ import zlib
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.ingest.buffers import Bytes, FileView
 from pipeline.ingest.mcap.file_format import (
@@ -41,6 +40,7 @@ from pipeline.ingest.mcap.file_format import (
     raw_of,
     record_at,
 )
+from pipeline.units import Integers
 
 DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
 
@@ -73,7 +73,7 @@ class _RecordWalk:
         self.data = data
         self.damage = damage
         self.channels: set[int] = set()
-        self.waiting: list[tuple[Bytes, NDArray[np.int64]]] = []
+        self.waiting: list[tuple[Bytes, Integers]] = []
         self.weight = 0
         self.before = -1  # where the last record began: its length may be the damage
         self.data_end = -1  # where the summary begins
@@ -314,7 +314,7 @@ class _RecordWalk:
         if len(starts) > 1:
             yield from self._collect(view, np.concatenate(starts))
 
-    def _collect(self, view: Bytes, starts: NDArray[np.int64]) -> Iterator[Messages]:
+    def _collect(self, view: Bytes, starts: Integers) -> Iterator[Messages]:
         """Put messages aside until there are enough to decode them together."""
         self.waiting.append((view, starts))
         self.weight += view.shape[0]

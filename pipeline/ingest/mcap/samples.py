@@ -19,7 +19,7 @@ from pipeline.ingest.mcap.fields import LABELS, finished
 from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, UTC_FIELD, captured_rows
 from pipeline.ingest.stacking import PLACE
 from pipeline.ledger import Ledger
-from pipeline.units import NANOSECONDS_PER_SECOND
+from pipeline.units import NANOSECONDS_PER_SECOND, Mask, Rows
 
 Columns = Mapping[str, NDArray[Any]]
 STAMP, LOG_TIME, SEQUENCE = "\0stamp_ns", "\0log_ns", "\0sequence"
@@ -173,7 +173,7 @@ def _copied(store: ColumnStore) -> NDArray[Any]:
     return np.concatenate([np.empty(0, store.dtype), *store.blocks()])
 
 
-def in_sequence(sequence: NDArray[np.uint32], time_ns: TimeArray) -> NDArray[np.intp] | None:
+def in_sequence(sequence: NDArray[np.uint32], time_ns: TimeArray) -> Rows | None:
     """The order of messages by their numbers, where that puts times right that step back.
 
     ``sequence``, ``time_ns``: (n,) in the order of the file; a chunk of it may be elsewhere. None
@@ -212,12 +212,12 @@ def own_times(columns: Columns, time_field: str, count: int) -> tuple[TimeArray,
     return np.zeros(count, np.int64), False
 
 
-def since_boot(stamp_ns: TimeArray) -> NDArray[np.bool_]:
+def since_boot(stamp_ns: TimeArray) -> Mask:
     """Which counted stamps count from a boot; 0 is none, and large ones are Unix time."""
     return np.asarray((stamp_ns > 0) & (stamp_ns < UNIX_NS_FROM), np.bool_)
 
 
-def good_rows(places: TimeArray, stamp_ns: TimeArray, clock: BootClock) -> NDArray[np.bool_]:
+def good_rows(places: TimeArray, stamp_ns: TimeArray, clock: BootClock) -> Mask:
     """Which messages have a time that fits the log.
 
     ``places``, ``stamp_ns``: (n,) of a topic, [ns] counted.

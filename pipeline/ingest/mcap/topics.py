@@ -27,13 +27,14 @@ from pipeline.ingest.mcap.samples import (
 )
 from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, UTC_FIELD
 from pipeline.ingest.stacking import PLACE, column_of, in_order
+from pipeline.units import Mask, Rows
 
 Columns = dict[str, NDArray[Any]]
 MAX_ARRAY = 64  # elements of an array that a table spreads over columns
 MAX_NAMES = 1000  # that the messages of a topic may give; a log of values has tens
 
 
-Decoder = Callable[[Messages, NDArray[np.intp]], tuple[Any, Columns, int]]
+Decoder = Callable[[Messages, Rows], tuple[Any, Columns, int]]
 """Rows of messages of one definition -> those that could be decoded, counted among these, their
 columns, and how many values were left out."""
 
@@ -57,7 +58,7 @@ class Topic:
     odd: int = 0
 
     def take(
-        self, messages: Messages, shares: Iterable[tuple[Decoder, NDArray[np.intp]]], before: int
+        self, messages: Messages, shares: Iterable[tuple[Decoder, Rows]], before: int
     ) -> list[tuple[TimeArray, TimeArray, TimeArray]]:
         """Decode some of these messages, which ``before`` others precede in the log.
 
@@ -112,9 +113,7 @@ class Topic:
         return self.odd if wanted else 0
 
 
-def rows_by_name(
-    columns: Columns, field: str
-) -> Iterable[tuple[str | None, slice | NDArray[np.bool_]]]:
+def rows_by_name(columns: Columns, field: str) -> Iterable[tuple[str | None, slice | Mask]]:
     """The names in messages, and the rows of each; None where the messages have no names.
 
     ``index`` is the name of those whose name is empty.
@@ -145,7 +144,7 @@ def cdr_decoder(schema: str, text: str, wanted: frozenset[str] | None) -> Decode
     """ROS 2 messages, by their definition in the log; raises SchemaError."""
     plan = decode_plan(steps_of(schema, text), wanted)
 
-    def decoder(messages: Messages, rows: NDArray[np.intp]) -> tuple[Any, Columns, int]:
+    def decoder(messages: Messages, rows: Rows) -> tuple[Any, Columns, int]:
         begin, length = messages.begin[rows], messages.length[rows]
         return (*decode(messages.data, begin, length, plan), 0)
 
@@ -172,7 +171,7 @@ def object_decoder(
             stamp = getter(part, None)
         return values | {STAMP: stamp_of(stamp)}
 
-    def decoder(messages: Messages, rows: NDArray[np.intp]) -> tuple[Any, Columns, int]:
+    def decoder(messages: Messages, rows: Rows) -> tuple[Any, Columns, int]:
         raw = memoryview(messages.data)  # type: ignore[arg-type]
         places = zip(messages.begin[rows].tolist(), messages.length[rows].tolist(), strict=True)
         decoded: dict[int, dict[str, Any]] = {}

@@ -28,6 +28,7 @@ from pipeline.ingest.tlog.clock import (
     clock_field,
 )
 from pipeline.ledger import Ledger
+from pipeline.units import Integers
 
 OWN_UTC = "time_utc"
 
@@ -60,7 +61,7 @@ def with_borrowed_clocks(clocks: Clocks, sent: Sequence[ColumnStore], ledger: Le
     return clocks
 
 
-def unix_us(records: NDArray[Any]) -> NDArray[np.int64]:
+def unix_us(records: NDArray[Any]) -> Integers:
     """The UTC that images carry [us]; 0 where they have none."""
     if OWN_UTC not in (records.dtype.names or ()):
         return np.zeros(records.shape, np.int64)

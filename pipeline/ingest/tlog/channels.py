@@ -27,6 +27,7 @@ from pipeline.ingest.tlog.clock import (
 )
 from pipeline.ingest.tlog.fields import LABELS, MESSAGES, PARAM_VALUE, message_of_name
 from pipeline.ledger import Ledger
+from pipeline.units import Rows
 
 Group = tuple[int, Any]
 """Who sent a message (system times 256 plus component), and its instance as sent, or None."""
@@ -204,7 +205,7 @@ def whole_texts(rows: DecodedRows, records: NDArray[Any]) -> DecodedRows:
     return replace(rows.take(np.array(firsts, np.intp)), labels={"text": tuple(texts)})
 
 
-def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> NDArray[np.intp]:
+def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
     """The rows of CAMERA_FEEDBACK that are exposures of a camera: no empty ones, each once.
 
     ArduPilot repeats a row while it waits for the next pulse, sometimes already with the next
@@ -240,7 +241,7 @@ def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> NDArra
     return rows[first]
 
 
-def captured_images(table: NDArray[Any], name: str, ledger: Ledger) -> NDArray[np.intp]:
+def captured_images(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
     """The rows of CAMERA_IMAGE_CAPTURED that are images, each once.
 
     ``capture_result`` is 0 where the camera failed; a camera repeats a row on request, with the

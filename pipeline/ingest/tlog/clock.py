@@ -25,7 +25,7 @@ from pipeline.ingest.boot_clock import (
 )
 from pipeline.ingest.buffers import ColumnStore
 from pipeline.ledger import Ledger
-from pipeline.units import NANOSECONDS_PER_SECOND
+from pipeline.units import NANOSECONDS_PER_SECOND, Integers, Mask, Rows
 
 MILLISECOND, MICROSECOND = 1_000_000, 1_000  # [ns]
 
@@ -113,12 +113,12 @@ class Sampler:
         return chosen.whole()
 
 
-def _changes(column: NDArray[Any]) -> NDArray[np.bool_]:
+def _changes(column: NDArray[Any]) -> Mask:
     """Where a value is not that of the row before."""
     return np.append(True, column[1:] != column[:-1])
 
 
-def by_source(rows: NDArray[Any]) -> Iterator[tuple[Key, NDArray[np.bool_] | slice]]:
+def by_source(rows: NDArray[Any]) -> Iterator[tuple[Key, Mask | slice]]:
     """The senders of messages, and the rows of each."""
     sources = np.unique(rows["source"])
     for number in sources.tolist():
@@ -135,21 +135,21 @@ class SenderClock:
     ``counts`` of readings, ``maps`` from the ground station's clock to UTC.
     """
 
-    at: NDArray[np.int64]
+    at: Integers
     boot_ns: TimeArray
     clock: BootClock
     counts: tuple[int, ...]
     maps: tuple[Callable[[TimeArray], TimeArray], ...]
 
-    def boot(self, at: NDArray[np.int64]) -> NDArray[np.int16]:
+    def boot(self, at: Integers) -> NDArray[np.int16]:
         """The boot of messages at these places of the file."""
         return self.clock.line.boot_of(at)
 
-    def _row(self, at: NDArray[np.int64]) -> NDArray[np.intp]:
+    def _row(self, at: Integers) -> Rows:
         """The reading that stands before each place of the file, or the first."""
         return np.maximum(np.searchsorted(self.at, at, side="right") - 1, 0)
 
-    def boot_places(self, at: NDArray[np.int64], boot_ns: TimeArray) -> NDArray[np.int64]:
+    def boot_places(self, at: Integers, boot_ns: TimeArray) -> Integers:
         """Places whose boot is that of times since boot.
 
         The first messages of a boot may come before the first reading of its clock: they get the
@@ -163,7 +163,7 @@ class SenderClock:
         closer &= self.boot(self.at[after]) != self.boot(at)
         return np.asarray(np.where(closer, self.at[after], at), np.int64)
 
-    def utc_of_host(self, at: NDArray[np.int64], host_ns: TimeArray) -> TimeArray:
+    def utc_of_host(self, at: Integers, host_ns: TimeArray) -> TimeArray:
         """UTC [ns] of messages without a time of their own."""
         if not self.at.size:
             return host_ns
@@ -174,7 +174,7 @@ class SenderClock:
         return result
 
     def utc_of_boot(
-        self, at: NDArray[np.int64], host_ns: TimeArray, boot_ns: TimeArray, turn: int
+        self, at: Integers, host_ns: TimeArray, boot_ns: TimeArray, turn: int
     ) -> TimeArray:
         """UTC [ns] of times since boot; where no clock is known, the log's own stamps.
 
@@ -286,12 +286,12 @@ def clocks_of(readings: Readings, ledger: Ledger) -> Clocks:
     return Clocks(senders, clock.line.boots, description)
 
 
-def _some(readings: Readings, rows: NDArray[np.bool_]) -> Readings:
+def _some(readings: Readings, rows: Mask) -> Readings:
     """Some of the readings, not copied where these are all: memory has its peak here."""
     return readings if bool(rows.all()) else readings[rows]
 
 
-def overtaken(readings: Readings) -> NDArray[np.bool_]:
+def overtaken(readings: Readings) -> Mask:
     """Which readings are of messages that others overtook: of one sender, (n,).
 
     They are up to `LATEST_NS` older than a reading before them, and their sender was on as long

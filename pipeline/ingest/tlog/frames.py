@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.ingest.buffers import Bytes, gather
+from pipeline.units import Integers, Mask, Rows
 
 STAMP = 8
 V1, V2 = 0xFE, 0xFD
@@ -48,9 +49,9 @@ class Frames:
     ``message_id`` as in the header.
     """
 
-    at: NDArray[np.int64]
-    total: NDArray[np.int64]
-    host_us: NDArray[np.int64]
+    at: Integers
+    total: Integers
+    host_us: Integers
     version: NDArray[np.uint8]
     length: NDArray[np.uint8]
     sequence: NDArray[np.uint8]
@@ -62,16 +63,16 @@ class Frames:
         return int(self.at.shape[0])
 
     @property
-    def end(self) -> NDArray[np.int64]:
+    def end(self) -> Integers:
         return np.asarray(self.at + self.total, np.int64)
 
     @property
-    def payload(self) -> NDArray[np.int64]:
+    def payload(self) -> Integers:
         """The byte offset of the payload."""
         before = np.where(self.version == 2, HEAD, STAMP + V1_BEFORE_PAYLOAD)
         return np.asarray(self.at + before, np.int64)
 
-    def take(self, rows: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Frames:
+    def take(self, rows: Mask | Rows | slice) -> Frames:
         """The frames of a mask, an index or a slice."""
         if isinstance(rows, np.ndarray) and rows.dtype == np.bool_ and bool(rows.all()):
             return self
@@ -106,7 +107,7 @@ def frame_length(data: bytes, at: int) -> int:
     return 0
 
 
-def candidates(window: Bytes, stop: int) -> NDArray[np.int64]:
+def candidates(window: Bytes, stop: int) -> Integers:
     """Where a frame may begin: a plausible stamp and a magic byte eight bytes on.
 
     Parameters
@@ -124,7 +125,7 @@ def candidates(window: Bytes, stop: int) -> NDArray[np.int64]:
     return np.flatnonzero(may).astype(np.int64)
 
 
-def headers(window: Bytes, places: NDArray[np.int64], room: int) -> Frames:
+def headers(window: Bytes, places: Integers, room: int) -> Frames:
     """What the headers say at these places, of the frames that end in the first ``allocate`` bytes.
 
     The window must be `HEAD` bytes longer than the last place.
@@ -163,7 +164,7 @@ _ZERO = np.zeros(1, np.uint16)
 _WORDS = _step(_step(np.arange(1 << 16, dtype=np.uint16), _ZERO), _ZERO)
 
 
-def checksums_hold(window: Bytes, frames: Frames, extras: Mapping[int, int]) -> NDArray[np.bool_]:
+def checksums_hold(window: Bytes, frames: Frames, extras: Mapping[int, int]) -> Mask:
     """Whether the checksum of each frame holds; False for ids without a CRC_EXTRA.
 
     Parameters
@@ -197,7 +198,7 @@ def checksums_hold(window: Bytes, frames: Frames, extras: Mapping[int, int]) -> 
 
 
 def checksums(
-    window: Bytes, first: NDArray[np.int64], covered: int, extra: NDArray[np.uint16]
+    window: Bytes, first: Integers, covered: int, extra: NDArray[np.uint16]
 ) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
     """The checksums of packets of one length, and those that stand behind them.
 

@@ -9,12 +9,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pipeline.refraction.camera import model_of
 from pipeline.refraction.camera.brown_conrady import BrownConrady
 from pipeline.refraction.kernels.columns import RAY_ROWS, CameraConstants, U, V
-from pipeline.units import Array
+from pipeline.units import Array, Mask
 
 NO_DISTORTION = BrownConrady()
 
@@ -62,7 +62,7 @@ class Camera:
         u_d, v_d = model_of(type(self.distortion)).distort(u, v, self.distortion)
         return u_d, v_d
 
-    def rays(self, x_px: Array, y_px: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def rays(self, x_px: Array, y_px: Array) -> tuple[Array, Array, Mask]:
         """Ideal image coordinates (u, v) = (tan) of pixels, and whether the camera covers them.
 
         (n,) pixels. A pixel outside the format, or beyond the radius to which the distortion can
@@ -124,7 +124,7 @@ def principal_change(lens: LensInAir, pressure_pa: ArrayLike, temperature_k: Arr
     return np.asarray(lens.px_per_pa * fall + lens.px_per_k * warming)
 
 
-def is_absurd(lens: LensInAir, change_px: ArrayLike) -> NDArray[np.bool_]:
+def is_absurd(lens: LensInAir, change_px: ArrayLike) -> Mask:
     """Where a change of the principal distance [px] is more than any air can cause."""
     with np.errstate(invalid="ignore"):
         return np.asarray(np.abs(change_px) > LARGEST_CHANGE * lens.principal_distance_px)

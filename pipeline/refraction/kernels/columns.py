@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.units import Array
+from pipeline.units import Array, Integers, Mask, Rows
 
 # Rows of a matrix of rays (RAY_ROWS, n): ideal image coordinates; change of direction in the window
 # (camera frame); direction outside (east, north, up); sine and cosine of the nadir angle, radius of
@@ -49,7 +49,7 @@ class FineTable(NamedTuple):
 
     edge: Array
     coefficient: Array
-    hint: NDArray[np.intp]
+    hint: Rows
 
 
 HINT_M = 125.0
@@ -84,7 +84,7 @@ class ExposureColumns(NamedTuple):
     """Exposures; ``curvature`` (s, 2) is 1/radius in the meridian and in the prime vertical,
     ``normal`` (s, 3) that of the window, ``change_px`` is added to the principal distance."""
 
-    usable: NDArray[np.bool_]
+    usable: Mask
     rotation: Array
     curvature: Array
     height: Array
@@ -101,7 +101,7 @@ class ObservationColumns(NamedTuple):
     y: Array
     h_g: Array
     sigma_h_g: Array
-    exposure: NDArray[np.int64]
+    exposure: Integers
 
     def part(self, rows: slice) -> ObservationColumns:
         """Some of the rows."""
@@ -210,7 +210,7 @@ class TerrainRays(NamedTuple):
     north: Array
     knot: Array
     bend: Array
-    chart: NDArray[np.int64]
+    chart: Integers
     charts: Array
     reach: Array
 
@@ -228,9 +228,9 @@ class TerrainState(NamedTuple):
     end: Array
     t: Array
     side: NDArray[np.int8]
-    gap: NDArray[np.bool_]
+    gap: Mask
     distance: Array
     height: Array
     factor: Array
-    wanted: NDArray[np.int64]
+    wanted: Integers
     result: NDArray[np.uint8]

@@ -5,11 +5,11 @@ from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.refraction.ray_table import cut
-from pipeline.units import STANDARD_GRAVITY, Array
+from pipeline.units import STANDARD_GRAVITY, Array, Mask
 
 Quantity = Callable[[Profile, Array], Array]
 Method = Callable[[Profile, ArrayLike, ArrayLike, ArrayLike, ArrayLike], Array]
@@ -41,7 +41,7 @@ def finite(*arguments: ArrayLike) -> tuple[Array, ...]:
     return tuple(np.broadcast_arrays(*(np.where(np.isfinite(a), a, np.nan) for a in numbers)))
 
 
-def downward(h_c: Array, h_g: Array, zeta_c: Array) -> NDArray[np.bool_]:
+def downward(h_c: Array, h_g: Array, zeta_c: Array) -> Mask:
     """Where a plane form has a meaning: below the horizon, with the ground below the camera."""
     return (zeta_c >= 0.0) & (zeta_c < math.pi / 2.0) & (h_c >= h_g)
 

@@ -10,12 +10,12 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
 from pipeline.refraction.published.column import downward, finite, mean, times_tangent
-from pipeline.units import HECTOPASCAL, Array
+from pipeline.units import HECTOPASCAL, Array, Rows
 
 STEP_M = 1000.0
 
@@ -72,7 +72,7 @@ def plane_first_term(
     else:
         count, width = _intervals(profile, h_c, h_g, step)
 
-        def above_w_c(h: Array, used: NDArray[np.intp]) -> Array:
+        def above_w_c(h: Array, used: Rows) -> Array:
             return _squared(profile, h) - w_c.ravel()[used]
 
         total = _eq_31(above_w_c, h_g, width, np.zeros(h_g.shape), count)
@@ -221,7 +221,7 @@ def subtended_angle(
     grazing = n_r(below, radius + below) <= k
     first = np.where(grazing, np.minimum(count, _SHELL_INTERVALS), 0.0)
 
-    def eq_12(h: Array, used: NDArray[np.intp]) -> Array:
+    def eq_12(h: Array, used: Rows) -> Array:
         r, k_used = radius[used] + h, k[used]
         product = n_r(h, r)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -244,7 +244,7 @@ def subtended_angle(
 
 
 def _eq_31(
-    integrand: Callable[[Array, NDArray[np.intp]], Array],
+    integrand: Callable[[Array, Rows], Array],
     h_g: Array,
     width: Array,
     first: Array,

@@ -24,13 +24,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.refraction.ray_table import cut
-from pipeline.units import Array
-
-Mask = NDArray[np.bool_]
+from pipeline.units import Array, Mask, Rows
 
 # Pieces of the profile on which refractivity and its perturbations are polynomials of degree 5 in
 # height: N is reproduced to 1e-13 of itself, to 1e-12 across an inversion of 5 K in 350 m.
@@ -79,7 +76,7 @@ class Rays:
     radius: Array
     r_c: Array
 
-    def __getitem__(self, which: NDArray[np.intp] | slice) -> Rays:
+    def __getitem__(self, which: Rows | slice) -> Rays:
         return Rays(*(a[which] for a in (self.h_c, self.h_g, self.zeta_c, self.radius, self.r_c)))
 
 
@@ -183,7 +180,7 @@ def _basis(u: Array) -> Array:
     return basis
 
 
-def _at(pieces: Pieces, h: Array, other: Array) -> tuple[NDArray[np.intp], Array]:
+def _at(pieces: Pieces, h: Array, other: Array) -> tuple[Rows, Array]:
     """The piece that holds h, on the side of ``other``, and the polynomials (rays, 6) there."""
     edge = pieces.edge_m
     below = np.searchsorted(edge, h, side="left") - 1

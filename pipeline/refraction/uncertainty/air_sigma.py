@@ -29,7 +29,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.atmosphere.covariance import ProfileCovariance, air_jacobian, log_pressure_jacobian
 from pipeline.atmosphere.profile import Profile
@@ -38,7 +37,7 @@ from pipeline.refraction.kernels.columns import AirTables
 from pipeline.refraction.ray_table import cut
 from pipeline.refraction.uncertainty.sensitivity import sensitivity
 from pipeline.refraction.window import SCHEDULE_PRESSURE_PA, SCHEDULE_TEMPERATURE_K
-from pipeline.units import Array
+from pipeline.units import Array, Integers
 
 OPEN, SEALED, SCHEDULED = range(3)
 """Kinds of windows: none that bends; a plane window with air behind it that does not
@@ -161,7 +160,7 @@ def cabin_response(profile: Profile, h: Array, kind: int) -> Array:
     return np.asarray((n(1.0 + step) - n(1.0 - step)) / (2.0 * step))
 
 
-def window_kind_of(pressure_pa: Array, *, scheduled: bool) -> NDArray[np.int64]:
+def window_kind_of(pressure_pa: Array, *, scheduled: bool) -> Integers:
     """(n,) the kind from behind a plane window at cameras in outside air of ``pressure_pa``."""
     with np.errstate(invalid="ignore"):
         thin = scheduled & (pressure_pa > SCHEDULE_PRESSURE_PA)

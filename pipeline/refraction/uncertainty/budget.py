@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.profile import Profile
@@ -41,7 +40,7 @@ from pipeline.refraction.uncertainty.air_sigma import (
 )
 from pipeline.refraction.uncertainty.leading_mode import leading_mode, rays_of_exposures
 from pipeline.refraction.uncertainty.sigmas import Uncertainty
-from pipeline.units import Array
+from pipeline.units import Array, Integers, Mask
 
 _SLOPE_STEP_M = 0.5
 _BORDER = 9  # points along each side of an image
@@ -76,10 +75,10 @@ def uncertainty_of(
     covariance: ProfileCovariance | None,
     exposures: Exposures,
     stations: StationSigmas,
-    cameras: Sequence[tuple[Camera, NDArray[np.bool_]]],
+    cameras: Sequence[tuple[Camera, Mask]],
     *,
     ground_heights_m: tuple[float, float],
-    window_kinds: NDArray[np.int64] | None = None,
+    window_kinds: Integers | None = None,
     typical_ground_m: float | None = None,
 ) -> Uncertainty | None:
     """Tables for the standard deviations of a block's corrections.
@@ -156,7 +155,7 @@ def _station_columns(
     profile: Profile,
     exposures: Exposures,
     stations: StationSigmas,
-    kinds: NDArray[np.int64],
+    kinds: Integers,
     air: AirSigma,
 ) -> Array:
     """(s, 19) columns `N` to `CABIN` of `kernels.columns`; ``kinds`` (s,) are those of windows."""

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.profile import Profile
@@ -29,7 +28,7 @@ from pipeline.refraction.uncertainty.air_sigma import (
     window_errors,
 )
 from pipeline.refraction.uncertainty.sensitivity import sensitivity
-from pipeline.units import Array
+from pipeline.units import Array, Integers, Mask
 
 _MOST_EXPOSURES, _ACROSS = 24, 5  # and rays in five rows and columns of an image
 _LARGEST_ZETA = np.radians(88.0)
@@ -45,7 +44,7 @@ class WindowRays:
 
     h_c: Array
     zeta_c: Array
-    kind: NDArray[np.int64]
+    kind: Integers
     towards: Array
     across: Array
 
@@ -72,8 +71,8 @@ def window_turn(direction: Array, down: Array, normal: Array) -> tuple[Array, Ar
 
 def rays_of_exposures(
     exposures: Exposures,
-    cameras: Sequence[tuple[Camera, NDArray[np.bool_]]],
-    kinds: NDArray[np.int64],
+    cameras: Sequence[tuple[Camera, Mask]],
+    kinds: Integers,
 ) -> WindowRays:
     """Rays evenly spread over the images of at most 24 exposures; those below the horizon.
 

@@ -25,7 +25,7 @@ from pipeline.refraction.uncertainty.adjoint import (
     pieces_between,
     trace_adjoints,
 )
-from pipeline.units import Array
+from pipeline.units import Array, Mask, Rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class RayWeights:
     weight: Array
     r_c: Array
     status: NDArray[np.uint8]
-    valid: NDArray[np.bool_]
+    valid: Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class Sensitivity:
     d_h_g: Array
     d_zeta_c: Array
     status: NDArray[np.uint8]
-    valid: NDArray[np.bool_]
+    valid: Mask
 
     @property
     def gradient(self) -> Array:
@@ -191,11 +191,11 @@ class _Batch:
     shape: tuple[int, ...]
     r_c: Array
     status: NDArray[np.uint8]
-    rows: NDArray[np.intp]
+    rows: Rows
     rays: Rays
     pieces: Pieces
 
-    def adjoints(self) -> Iterator[tuple[NDArray[np.intp], Adjoints]]:
+    def adjoints(self) -> Iterator[tuple[Rows, Adjoints]]:
         """Block by block: which rows, and their adjoints."""
         for block in blocks_of(self.rows.size, self.pieces):
             rows = self.rows[block]

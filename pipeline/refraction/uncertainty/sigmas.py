@@ -15,7 +15,7 @@ from pipeline.refraction.kernels.columns import (
     TracedColumns,
 )
 from pipeline.refraction.uncertainty.air_sigma import AirMode, AirSigma
-from pipeline.units import Array
+from pipeline.units import Array, Rows
 
 Single = NDArray[np.float32]
 
@@ -96,11 +96,11 @@ class Sigmas:
         """The arrays by the names of columns of tables."""
         return {n if n in PARTIALS else f"sigma_{n}": v for n, v in self.columns().items()}
 
-    def rows(self, which: NDArray[np.intp] | slice) -> Sigmas:
+    def rows(self, which: Rows | slice) -> Sigmas:
         """Some of the rows; those of a slice can be filled."""
         return Sigmas(**{name: values[which] for name, values in self.columns().items()})
 
-    def put(self, rows: NDArray[np.intp], part: Sigmas) -> None:
+    def put(self, rows: Rows, part: Sigmas) -> None:
         """Fill some rows in."""
         for name, values in self.columns().items():
             values[rows] = getattr(part, name)

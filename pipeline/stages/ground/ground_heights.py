@@ -23,12 +23,10 @@ from pipeline.refraction.landing import terrain_heights
 from pipeline.refraction.status_codes import NO_GROUND, OK
 from pipeline.tables.geodata.elevation import ElevationModel, open_elevation
 from pipeline.tables.observations import Batch
-from pipeline.units import Array
+from pipeline.units import Array, Integers
 
 if TYPE_CHECKING:
     from pipeline.stages.correction import CorrectionSetup
-
-Rows = NDArray[np.int64]
 
 
 class GroundHeights(NamedTuple):
@@ -62,7 +60,7 @@ class Ground(Protocol):
     def limits(self) -> tuple[float, float]:
         """The lowest and the highest height above sea level that a point can have [m]."""
 
-    def heights(self, batch: Batch, station: Rows, setup: CorrectionSetup) -> GroundHeights:
+    def heights(self, batch: Batch, station: Integers, setup: CorrectionSetup) -> GroundHeights:
         """The heights of a batch; ``station`` (n,) as `matching_rows` returns it."""
 
 
@@ -80,7 +78,7 @@ class GivenGround:
     sigma_m: float | None = None
 
     def heights(
-        self, batch: Batch, station: Rows, setup: CorrectionSetup | None = None
+        self, batch: Batch, station: Integers, setup: CorrectionSetup | None = None
     ) -> GroundHeights:
         """(n,) heights above sea level [m]; NaN where implausible."""
         given = batch.ground
@@ -113,7 +111,7 @@ class SlantRangeGround:
     sigma_m: float | None = None
     limits: tuple[float, float] = (LOWEST_GROUND_M, HIGHEST_GROUND_M)
 
-    def heights(self, batch: Batch, station: Rows, setup: CorrectionSetup) -> GroundHeights:
+    def heights(self, batch: Batch, station: Integers, setup: CorrectionSetup) -> GroundHeights:
         """(n,) heights above sea level [m] of the ends of the chords; NaN without a distance."""
         h_g = np.full(len(batch), np.nan)
         if batch.distance_m is not None:
@@ -138,7 +136,7 @@ class ComputedGround:
     of_rows: Array
     limits: tuple[float, float] = (LOWEST_GROUND_M, HIGHEST_GROUND_M)
 
-    def heights(self, batch: Batch, station: Rows, setup: CorrectionSetup) -> GroundHeights:
+    def heights(self, batch: Batch, station: Integers, setup: CorrectionSetup) -> GroundHeights:
         """(n,) heights above sea level [m], NaN where none was computed, or it is implausible."""
         h_m, sigma_m = np.array(self.of_rows[:, batch.rows])
         return GroundHeights(plausible_heights(h_m), sigma_m)
@@ -173,13 +171,15 @@ class TerrainGround:
     sigma_m: float | None = None
     limits: tuple[float, float] = (LOWEST_GROUND_M, HIGHEST_GROUND_M)
 
-    def heights(self, batch: Batch, station: Rows, setup: CorrectionSetup) -> GroundHeights:
+    def heights(self, batch: Batch, station: Integers, setup: CorrectionSetup) -> GroundHeights:
         """(n,) heights above sea level [m], with the reason where there is none."""
         h_m, factor, distance, status = self.landings(batch.x_px, batch.y_px, station, setup)
         sigma = sigmas_given(batch, self.sigma_m) * np.minimum(factor, _LARGEST_FACTOR)
         return GroundHeights(h_m, sigma, status.astype(np.uint8), distance_m=distance)
 
-    def landings(self, x_px: Array, y_px: Array, station: Rows, setup: CorrectionSetup) -> Array:
+    def landings(
+        self, x_px: Array, y_px: Array, station: Integers, setup: CorrectionSetup
+    ) -> Array:
         """(4, n) height [m], its error over the model's, slant range [m] and status of pixels."""
         found = np.full((4, station.size), np.nan)
         found[3] = OK

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from pipeline.batch.plan import Plan
 from pipeline.block.image_rays import UNKNOWN_SIGMAS, ImageRays, orientations_of, sorted_rays
@@ -21,9 +20,7 @@ from pipeline.stages.correction import CorrectionSetup, correct_batch
 from pipeline.stages.ground.point_table import read_points
 from pipeline.tables.geodata.object_points import ObjectPoints, matching_rows
 from pipeline.tables.observations import Batch, Observations
-from pipeline.units import Array
-
-Mask = NDArray[np.bool_]
+from pipeline.units import Array, Integers, Mask
 
 _BATCH_ROWS = 250_000
 _FEET = 0.3048
@@ -47,7 +44,7 @@ class ControlComparison:
     """
 
     name: tuple[str, ...]
-    rays: NDArray[np.int64]
+    rays: Integers
     before: Array
     after: Array
     sigma_m: Array

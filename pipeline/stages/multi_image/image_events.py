@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.batch.plan import Plan
 from pipeline.block.alignment import LOG_RATIO_NEEDED
@@ -26,9 +25,9 @@ from pipeline.stages.exposure_setup import cameras_of_mission
 from pipeline.tables.imports.exif import NO_TIME, ImageTimes, read_image_times
 from pipeline.tables.observations import Observations
 from pipeline.tables.tie_points import TiePoints, tie_rays
+from pipeline.units import Integers, Names
 
-Indices = NDArray[np.int64]
-Likelihood = Callable[[Indices], float]
+Likelihood = Callable[[Integers], float]
 
 _DAY_S = 86_400.0
 _FEW_CONTRADICTED = 0.02
@@ -46,10 +45,10 @@ class CameraImages:
     ``numbering`` as for `ImageEvidence`: what the numbers are.
     """
 
-    name: NDArray[np.object_]
-    number: Indices
+    name: Names
+    number: Integers
     numbering: str
-    file: Indices
+    file: Integers
 
 
 def assigned_stations(
@@ -119,21 +118,21 @@ class TieLikelihood:
     rays: ImageRays
     every: ImageRays
 
-    def intersected(self, event: Indices) -> Intersection:
+    def intersected(self, event: Integers) -> Intersection:
         """The intersection of the rays under an assignment."""
         orientations = self.of_events.assigned(event)
         return intersect(orientations, straightened(orientations, self.rays))
 
-    def __call__(self, event: Indices) -> float:
+    def __call__(self, event: Integers) -> float:
         return self.intersected(event).log_likelihood if self.rays.point.size else 0.0
 
-    def across(self, images: Indices) -> TieLikelihood:
+    def across(self, images: Integers) -> TieLikelihood:
         """That by the points which some of the images show, and others too."""
         inside = np.isin(self.every.image, images)
         both = np.intersect1d(self.every.point[inside], self.every.point[~inside])
         return replace(self, rays=self.every.of_points(both))
 
-    def contradicted(self, event: Indices) -> Indices:
+    def contradicted(self, event: Integers) -> Integers:
         """The images, by their rows, half of whose rays meet those of no others."""
         of, every = self.of_events.assigned(event), self.every
         found = intersect(of, straightened(of, every))
@@ -141,7 +140,7 @@ class TieLikelihood:
         seen, off = (np.bincount(every.image[k], minlength=event.size) for k in (slice(None), lost))
         return np.flatnonzero((off >= 0.5 * np.maximum(seen, 4)) & np.isfinite(of.centre_m[:, 0]))
 
-    def fits(self, event: Indices) -> bool:
+    def fits(self, event: Integers) -> bool:
         """Whether rays meet at all under the best assignment: else something else is wrong."""
         found = self.intersected(event)
         return bool(found.used.mean() >= _FEWEST_MEET and found.sigma_factor < _POOREST_FIT)
@@ -190,7 +189,7 @@ def position_likelihood(
         velocity = np.nan_to_num(np.gradient(flown, seconds, axis=0), posinf=0.0, neginf=0.0)
     written = (position[:, :2] - [lat, lon]) * metres
 
-    def log_likelihood(event: Indices) -> float:
+    def log_likelihood(event: Integers) -> float:
         rows = np.flatnonzero(has & (event >= 0))
         rows = rows[np.isfinite(flown[event[rows], 0])]
         off = (written[rows] - flown[event[rows]]).ravel() / _POSITION_M
@@ -263,7 +262,7 @@ def assigned_events(
     files: ImageTimes | None,
     anchor: FirstImage | None,
     spoken: Mapping[str, Likelihood | None],
-) -> tuple[Events, Indices, Notes]:
+) -> tuple[Events, Integers, Notes]:
     """The events that have an image, under its name, and their rows among all events.
 
     The log's own numbers in the names of images decide, and all events keep their names, unless
@@ -274,7 +273,7 @@ def assigned_events(
     where = f"events.log.{exposed.camera}"
     likelihoods = {name: function for name, function in spoken.items() if function is not None}
 
-    def tie_points_and_positions(event: Indices) -> float:
+    def tie_points_and_positions(event: Integers) -> float:
         return sum(function(event) for function in likelihoods.values())
 
     tie_points = tie_points_and_positions if likelihoods else None

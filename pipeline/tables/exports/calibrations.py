@@ -17,7 +17,6 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from pipeline.block.calibration_fit import (
     CORRECTIONS,
@@ -46,7 +45,7 @@ from pipeline.tables.exports.format import (
 from pipeline.tables.exports.lattice import lattice_parts
 from pipeline.tables.exports.radial import flying_heights
 from pipeline.tables.geodata.object_points import matching_rows
-from pipeline.units import Array
+from pipeline.units import Array, Integers, Mask
 
 _FLAGGED, _REFUSED, _NOTHING_PX = 0.1, 0.5, 0.02
 """Parts of the refraction that a calibration may leave, and what no adjustment sees."""
@@ -90,7 +89,7 @@ class FittedCalibration:
 
     name: str
     camera_name: str
-    stations: NDArray[np.int64]
+    stations: Integers
     base: Camera
     camera: Camera
     change: CorrectionChange
@@ -163,8 +162,8 @@ def observed_corrections(run: FinishedRun) -> Array:
 
 
 def seen_rays(
-    run: FinishedRun, camera: str, stations: NDArray[np.int64], observed: Array
-) -> tuple[SeenRays, Array, Array, NDArray[np.bool_]]:
+    run: FinishedRun, camera: str, stations: Integers, observed: Array
+) -> tuple[SeenRays, Array, Array, Mask]:
     """What some stations of a camera saw, at their observations and at the nodes of a lattice.
 
     Beside it (n, 2) the correction [px], (n,) the metres of a pixel across the ray at the ground,
@@ -197,7 +196,7 @@ def seen_rays(
 def fit_calibration(
     run: FinishedRun,
     name: str,
-    stations: NDArray[np.int64],
+    stations: Integers,
     observed: Array,
     *,
     values: Values,

@@ -3,19 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.flight.rotations import in_turned_frame, matrices_of
 from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef, euler_radius, offset_geodetic
 from pipeline.ledger import Ledger
 from pipeline.refraction.image import straight_reach
 from pipeline.tables.exports.format import FinishedRun
-from pipeline.units import Array
+from pipeline.units import Array, Integers, Mask
 
 
-def placed_stations(
-    run: FinishedRun, known: NDArray[np.bool_], what: str, ledger: Ledger
-) -> NDArray[np.int64]:
+def placed_stations(run: FinishedRun, known: Mask, what: str, ledger: Ledger) -> Integers:
     """(n,) the stations that are ``known`` (s,); the others are a loss, ``what`` they lack."""
     missing = run.stations.image[~known]
     if missing.size:
@@ -41,7 +38,7 @@ class OneFrame:
     covariance_m2: Array
 
 
-def stations_in_one_frame(run: FinishedRun, rows: NDArray[np.int64]) -> OneFrame:
+def stations_in_one_frame(run: FinishedRun, rows: Integers) -> OneFrame:
     """The stations of some rows, at least one, all with latitude, longitude and h_ellipsoid_m.
 
     The origin is the middle of their extent, to 1e-5 degrees and one metre.

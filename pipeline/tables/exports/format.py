@@ -10,7 +10,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.errors import ConfigError
@@ -21,7 +20,7 @@ from pipeline.refraction.image import Exposures
 from pipeline.refraction.ray import PublishedRays
 from pipeline.refraction.ray_table import RayTable
 from pipeline.tables.pixels import PixelSystem
-from pipeline.units import Array
+from pipeline.units import Array, Integers
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ class FinishedRun:
     parts: tuple[Path, ...]
     metadata: Mapping[str, str]
 
-    def rows_of(self, camera: str) -> NDArray[np.int64]:
+    def rows_of(self, camera: str) -> Integers:
         """(n,) the stations of a camera that can be used, in the order of the table."""
         usable = (self.stations.camera == camera) & self.exposures.usable
         return np.flatnonzero(usable).astype(np.int64)

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from pipeline.ledger import Ledger
 from pipeline.refraction.image import Corrections, lattice_corrections, lattice_nodes
@@ -12,9 +11,7 @@ from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.tables.exports.format import FinishedRun, Option, Values, parquet_and_csv
 from pipeline.tables.schemas import schema_of
 from pipeline.tables.writing import table_of
-from pipeline.units import Array
-
-Rows = NDArray[np.int64]
+from pipeline.units import Array, Integers
 
 _F = pa.float64()
 
@@ -77,8 +74,8 @@ def _tables(run: FinishedRun, schema: pa.Schema, columns: int, rows: int) -> Ite
 
 
 def lattice_parts(
-    run: FinishedRun, camera: str, stations: Rows, nodes: tuple[Array, Array]
-) -> Iterator[tuple[Rows, Corrections]]:
+    run: FinishedRun, camera: str, stations: Integers, nodes: tuple[Array, Array]
+) -> Iterator[tuple[Integers, Corrections]]:
     """Corrections of a camera at the same nodes (k,) [px] of some stations, image by image.
 
     In parts of some stations in one air, (s,) rows and (s * k,) corrections, in their order.

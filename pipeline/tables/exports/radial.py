@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from pipeline.geodesy import euler_radius
 from pipeline.ledger import Ledger
@@ -13,7 +12,7 @@ from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.tables.exports.format import FinishedRun, Values, parquet_and_csv
 from pipeline.tables.schemas import schema_of
 from pipeline.tables.writing import table_of
-from pipeline.units import ARCSEC, DEGREE, MICRORADIAN
+from pipeline.units import ARCSEC, DEGREE, MICRORADIAN, Integers
 
 _F = pa.float64()
 
@@ -90,13 +89,13 @@ def _radial(run: FinishedRun, _: Values, ledger: Ledger) -> tuple[pa.Schema, Ite
 
 def flying_heights(
     run: FinishedRun, same_height: float, ledger: Ledger
-) -> list[tuple[str, NDArray[np.int64]]]:
+) -> list[tuple[str, Integers]]:
     """The stations of each camera at about one height above the ground, lowest first.
 
     None is higher than the lowest of its group by more than the part ``same_height``. Images
     without a known ground are a loss.
     """
-    groups: list[tuple[str, NDArray[np.int64]]] = []
+    groups: list[tuple[str, Integers]] = []
     for name in run.cameras:
         rows = run.rows_of(name)
         above_ground = run.exposures.height_m[rows] - run.ground_m[rows]
@@ -115,7 +114,7 @@ def flying_heights(
     return groups
 
 
-def _table(run: FinishedRun, name: str, rows: NDArray[np.int64], schema: pa.Schema) -> pa.Table:
+def _table(run: FinishedRun, name: str, rows: Integers, schema: pa.Schema) -> pa.Table:
     """The table of some stations of a camera, for their median height, ground and latitude."""
     # At 45 degrees of azimuth Euler's radius is the harmonic mean of the two principal ones.
     latitude = float(np.median(run.stations.lat_rad[rows]))

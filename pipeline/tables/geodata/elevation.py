@@ -15,7 +15,7 @@ from pipeline.errors import InputError
 from pipeline.ledger import Notes, note, warning
 from pipeline.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
 from pipeline.tables.geodata.coordinate_systems import GridSystem, grid_system
-from pipeline.units import Array
+from pipeline.units import Array, Integers, Mask
 
 _TILES_IN_MEMORY = 100
 """Each takes 1 MB."""
@@ -94,7 +94,7 @@ class ElevationModel:
             x = middle + (x - middle + 180.0) % 360.0 - 180.0
         return (north - y) / step_y - 0.5, (x - west) / step_x - 0.5
 
-    def covers(self, lat_rad: Array, lon_rad: Array) -> NDArray[np.bool_]:
+    def covers(self, lat_rad: Array, lon_rad: Array) -> Mask:
         """(n,) which places lie within the rasters' common frame."""
         row, column = self.nodes(lat_rad, lon_rad)
         inside = (row >= 0.0) & (row <= self.size[0] - 1) & (column <= self.size[1] - 1)
@@ -123,7 +123,7 @@ class ElevationModel:
             height[at] = upper * (1.0 - down) + lower * down
         return height
 
-    def load(self, tiles: NDArray[np.int64]) -> None:
+    def load(self, tiles: Integers) -> None:
         """Read tiles that are not in memory, as many as fit there, in the place of others."""
         from pipeline.refraction.kernels.terrain import extremes_of_tile
 

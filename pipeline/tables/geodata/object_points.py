@@ -9,14 +9,11 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from pipeline.errors import InputError
 from pipeline.tables.column_checks import no_such_column
 from pipeline.tables.text_columns import numbers_of, text_table
-from pipeline.units import Array
-
-Rows = NDArray[np.int64]
+from pipeline.units import Array, Integers
 
 _CODES = ("POINTS-TABLE", "POINTS-COLUMN")
 
@@ -35,7 +32,7 @@ class ObjectPoints:
     h_m: Array
     of_image: tuple[pa.StringArray, Array] | None = None
 
-    def heights(self, point: pa.StringArray, image: pa.StringArray) -> tuple[Array, Rows]:
+    def heights(self, point: pa.StringArray, image: pa.StringArray) -> tuple[Array, Integers]:
         """(n,) heights [m] of named points, NaN where unknown; and their rows, -1 without one."""
         row = matching_rows(point, self.name)
         h_m = np.append(self.h_m, np.nan)[row]
@@ -45,7 +42,7 @@ class ObjectPoints:
         return h_m, row
 
 
-def matching_rows(name: pa.StringArray, known: pa.StringArray) -> Rows:
+def matching_rows(name: pa.StringArray, known: pa.StringArray) -> Integers:
     """(n,) the row of each name among those that are known, -1 where it is not.
 
     >>> matching_rows(pa.array(["b", None, "x", "a"]), pa.array(["a", "b"])).tolist()

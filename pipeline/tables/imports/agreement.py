@@ -20,7 +20,7 @@ from pipeline.flight.trajectory import attitude_at
 from pipeline.geodesy import principal_radii
 from pipeline.ledger import Entry, Kind, Ledger
 from pipeline.tables.imports.stated import wrapped
-from pipeline.units import RADIANS, Array
+from pipeline.units import RADIANS, Array, Integers, Rows
 
 _MOST_SAMPLES = 3000
 _MAX_GAP_S = 5.0
@@ -97,9 +97,7 @@ class _Track:
         east = wrapped(lon - self._origin[1]) * vertical * np.cos(self._origin[0])
         return np.asarray((lat - self._origin[0]) * meridian + 1j * east)
 
-    def distances(
-        self, time_ns: NDArray[np.int64], places: NDArray[np.complex128], shift_s: float
-    ) -> Array:
+    def distances(self, time_ns: Integers, places: NDArray[np.complex128], shift_s: float) -> Array:
         """From the log's positions ``shift_s`` later; of those the log has, without gaps [m]."""
         at, seconds = (time_ns - self.time_ns[0]) * 1e-9 + shift_s, self._seconds
         after = np.clip(np.searchsorted(seconds, at), 1, seconds.size - 1)
@@ -108,9 +106,7 @@ class _Track:
         return np.asarray(np.abs(places[inside] - np.interp(at[inside], seconds, self._own)))
 
 
-def _compare_places(
-    imported: Channel, rows: NDArray[np.intp], track: _Track, ledger: Ledger
-) -> None:
+def _compare_places(imported: Channel, rows: Rows, track: _Track, ledger: Ledger) -> None:
     """Position and time offset against the log's positions."""
     places = track.metres(imported["lat_rad"][rows], imported["lon_rad"][rows])
     at = [track.distances(imported.time_ns[rows], places, shift) for shift in _SHIFTS_S.tolist()]
@@ -167,7 +163,7 @@ def _compare_places(
 
 def _compare_heights(
     imported: Channel,
-    rows: NDArray[np.intp],
+    rows: Rows,
     own: Channel,
     heights: HeightSystem,
     ledger: Ledger,
@@ -265,6 +261,6 @@ def _metres(distance: float) -> str:
     return f"{distance / 1000.0:,.0f} km" if distance > 10_000.0 else f"{distance:.0f} m"
 
 
-def _span(time_ns: NDArray[np.int64]) -> str:
+def _span(time_ns: Integers) -> str:
     first, last = time_ns[[0, -1]].astype("datetime64[ns]").astype("datetime64[s]")
     return f"{first} to {last} UTC"

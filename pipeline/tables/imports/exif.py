@@ -30,6 +30,7 @@ from pipeline.flight.rotations import (
 from pipeline.ledger import Ledger
 from pipeline.tables.imports.orientation import OrientationTable
 from pipeline.tables.imports.stated import Stated
+from pipeline.units import Integers, Names
 
 ENDINGS = ".3fr .arw .cr2 .cr3 .dng .heic .iiq .jpeg .jpg .nef .orf .raf .rw2 .tif .tiff"
 NO_TIME = np.iinfo(np.int64).min
@@ -101,8 +102,8 @@ class ImageTimes:
     latitude, longitude [rad] and the height as written [m], NaN where an image has none.
     """
 
-    file: NDArray[np.object_]
-    time_ns: NDArray[np.int64]
+    file: Names
+    time_ns: Integers
     sigma_s: NDArray[np.float64]
     is_utc: bool
     position: NDArray[np.float64]

@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from pipeline.errors import InputError
 from pipeline.flight.heights import GeodeticOrigin
@@ -20,7 +19,7 @@ from pipeline.tables.text_columns import (
     text_table,
     utc_of_columns,
 )
-from pipeline.units import RADIANS, Array
+from pipeline.units import RADIANS, Array, Integers, Names
 
 _ANGLES = {
     "omega", "phi", "kappa", "roll", "pitch", "yaw", "q_w", "q_x", "q_y", "q_z",
@@ -40,9 +39,9 @@ class OrientationTable:
     says of the frame of its x, y, z: earth-centred, or the origin of east, north and up.
     """
 
-    image: NDArray[np.object_]
-    camera: NDArray[np.object_] | None
-    time_ns: NDArray[np.int64]
+    image: Names
+    camera: Names | None
+    time_ns: Integers
     position: Array
     angles: Array
     sigmas: Mapping[str, Array]
@@ -88,7 +87,7 @@ def read_orientation(path: Path, stated: Stated, ledger: Ledger) -> OrientationT
     return OrientationTable(image, camera, time_ns, position, attitude, sigmas)
 
 
-def read_known_positions(path: Path, names: Mapping[str, str]) -> tuple[NDArray[np.object_], Array]:
+def read_known_positions(path: Path, names: Mapping[str, str]) -> tuple[Names, Array]:
     """Images, and (m, 3) their latitude, longitude [rad] and height [m], from a CSV."""
     key = "stations.orientation.known_positions"
     table = _table_with(path, names, key)
@@ -166,9 +165,9 @@ def _unit_quaternions(given: Array, path: Path) -> Array:
 class EventTable:
     """Exposures as a table gave them; (m,) image, camera (or None), UTC [ns]."""
 
-    image: NDArray[np.object_]
-    camera: NDArray[np.object_] | None
-    time_ns: NDArray[np.int64]
+    image: Names
+    camera: Names | None
+    time_ns: Integers
 
 
 def read_events(path: Path, columns: Mapping[str, str], ledger: Ledger) -> EventTable:

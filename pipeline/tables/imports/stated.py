@@ -10,7 +10,6 @@ from typing import Literal
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from pipeline.errors import InputError
 from pipeline.flight.channels import Channel, Source, TimeArray
@@ -18,7 +17,7 @@ from pipeline.flight.clock import SECONDS_PER_WEEK
 from pipeline.geodesy import GeoidGrid
 from pipeline.ledger import Ledger
 from pipeline.tables.text_columns import utc_of_weeks
-from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array
+from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array, Mask
 
 
 @dataclass(frozen=True)
@@ -129,7 +128,7 @@ def channel_of_rows(
     columns: Mapping[str, Array],
     ledger: Ledger,
     *,
-    readable: NDArray[np.bool_],
+    readable: Mask,
     labels: Mapping[str, tuple[str, ...]] | None = None,
 ) -> Channel:
     """A channel called like the file, in the order of time, without rows that cannot be read.

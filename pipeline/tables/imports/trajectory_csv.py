@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pipeline.errors import InputError
@@ -23,7 +22,7 @@ from pipeline.tables.text_columns import (
     utc_of_dates,
     utc_of_weeks,
 )
-from pipeline.units import RADIANS, Array
+from pipeline.units import RADIANS, Array, Mask
 
 _SINCE_EPOCH_S = 1e8
 """Seconds beyond this count from an epoch, not from the beginning of a week."""
@@ -111,7 +110,7 @@ def from_grid_north(columns: dict[str, Array], convergence_rad: Array) -> dict[s
 
 def _utc(
     path: Path, text: pd.Series[str], value: dict[str, Array], stated: Stated, ledger: Ledger
-) -> tuple[TimeArray, NDArray[np.bool_]]:
+) -> tuple[TimeArray, Mask]:
     """UTC of the rows, and which have a readable time."""
     system, seconds = stated.system_of(path, ledger), value["time"]
     readable = np.isfinite(seconds)

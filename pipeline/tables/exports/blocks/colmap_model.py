@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from pipeline.errors import MissionError
 from pipeline.ledger import Ledger
@@ -24,6 +23,7 @@ from pipeline.refraction.camera.general_frame import GeneralFrame
 from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
 from pipeline.tables.exports.blocks.exported_block import ExportedBlock, block_of
 from pipeline.tables.exports.format import ExportFormat, FinishedRun, Values, write_csv_stream
+from pipeline.units import Integers
 
 USE = (
     "COLMAP knows neither refraction nor earth curvature: nothing is to be switched off in it; its "
@@ -81,7 +81,7 @@ def colmap_camera(camera: Camera, name: str) -> tuple[str, list[float]]:
     return model, [*frame, *(known.get(key, 0.0) for key in _OPENCV[:count])]
 
 
-def point_ids(block: ExportedBlock, folder: Path) -> NDArray[np.int64]:
+def point_ids(block: ExportedBlock, folder: Path) -> Integers:
     """(p,) numbers of points; writes points.csv with the names of those that are no numbers."""
     number = re.compile(r"[1-9][0-9]{0,17}")
     ids = np.array([int(n) if number.fullmatch(n) else 0 for n in block.name], np.int64)

@@ -12,7 +12,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from pipeline.block.image_rays import MINIMUM_ANGLE_RAD
 from pipeline.errors import MissionError
@@ -24,9 +23,7 @@ from pipeline.refraction.image import straight_reach
 from pipeline.tables.exports.footprints import OneFrame, placed_stations, stations_in_one_frame
 from pipeline.tables.exports.format import FinishedRun
 from pipeline.tables.geodata.object_points import matching_rows
-from pipeline.units import Array
-
-Indices = NDArray[np.int64]
+from pipeline.units import Array, Integers, Mask, Names
 
 _COLUMNS = ["image", "point", "x_corrected_px", "y_corrected_px", "h_g_m", "status"]
 
@@ -44,23 +41,23 @@ class ExportedBlock:
     """
 
     cameras: dict[str, Camera]
-    image: NDArray[np.object_]
-    camera: Indices
+    image: Names
+    camera: Integers
     frame: OneFrame
     rotation: Array
-    first: Indices
-    point: Indices
+    first: Integers
+    point: Integers
     x_px: Array
     y_px: Array
     name: list[str]
-    count: Indices
+    count: Integers
     point_m: Array
 
     def of_image(self, image: int) -> slice:
         """The image points of an image."""
         return slice(self.first[image], self.first[image + 1])
 
-    def of_points(self) -> tuple[Indices, Indices, Indices]:
+    def of_points(self) -> tuple[Integers, Integers, Integers]:
         """Image points by their points (r,), where each begins (p + 1,), and their images (r,)."""
         order = np.argsort(self.point, kind="stable")
         image = np.repeat(np.arange(self.image.size), np.diff(self.first))
@@ -157,7 +154,7 @@ def block_of(run: FinishedRun, ledger: Ledger) -> ExportedBlock:
 
 
 def read_image_points(
-    run: FinishedRun, images: NDArray[np.object_], ledger: Ledger
+    run: FinishedRun, images: Names, ledger: Ledger
 ) -> tuple[pa.Table, pa.StringArray]:
     """Number of the image and of the point, x, y and height of the ground, sorted by image.
 
@@ -195,7 +192,7 @@ def read_image_points(
 
 def intersected_points(
     block: ExportedBlock, up: Array, h_c: Array, h_g: Array
-) -> tuple[Array, NDArray[np.bool_]]:
+) -> tuple[Array, Mask]:
     """(t, 3) points by least squares of the angles across their rays, and whether these meet (t,).
 
     Where they do not meet at 3 degrees or more it is the mean of where they reach the ground.

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pipeline.ledger import Ledger
@@ -21,6 +20,7 @@ from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
 from pipeline.tables.exports.blocks.colmap_model import opencv_coefficients, point_ids
 from pipeline.tables.exports.blocks.exported_block import ExportedBlock, block_of, refuse_names
 from pipeline.tables.exports.format import ExportFormat, FinishedRun, Values
+from pipeline.units import Integers
 
 _USE = (
     "OpenSfM and ODM know neither refraction nor earth curvature: nothing is to be switched off "
@@ -80,7 +80,7 @@ def write_project(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> 
     return int(block.point.size)
 
 
-def write_tracks(block: ExportedBlock, ids: NDArray[np.int64], path: Path) -> None:
+def write_tracks(block: ExportedBlock, ids: Integers, path: Path) -> None:
     """Image, point, place in the image, x, y, scale, colour; segmentation and instance: none."""
     cameras = list(block.cameras.values())
     with path.open("w", encoding="utf-8") as file:

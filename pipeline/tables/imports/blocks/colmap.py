@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from pipeline.errors import InputError
 from pipeline.flight.rotations import matrices_of
@@ -31,7 +30,7 @@ from pipeline.tables.imports.blocks.image_points import (
 )
 from pipeline.tables.imports.orientation import OrientationTable
 from pipeline.tables.imports.stated import not_of_format
-from pipeline.units import Array
+from pipeline.units import Array, Integers
 
 _MODELS = (
     ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8),
@@ -129,7 +128,7 @@ def _cameras(file: Path) -> Iterator[tuple[Any, ...]]:
             yield number, model, *numbers
 
 
-def _images(path: Path) -> Iterator[tuple[str, str, Array, Array, NDArray[np.int64]]]:
+def _images(path: Path) -> Iterator[tuple[str, str, Array, Array, Integers]]:
     """Name, camera, pose (7,), keypoints (n, 2) and their point3D, -1 for none, of each image."""
     file = _of_model(path)[1]
     if file.suffix == ".bin":

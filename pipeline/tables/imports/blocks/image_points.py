@@ -17,13 +17,14 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pipeline.flight.heights import GeodeticOrigin
 from pipeline.flight.stations import NO_TIME
 from pipeline.refraction.camera.camera import Camera
 from pipeline.tables.imports.orientation import OrientationTable
 from pipeline.tables.imports.stated import not_of_format
+from pipeline.units import Integers
 
 CameraMakers = dict[str, Callable[[], Camera]]
 
@@ -31,7 +32,7 @@ CameraMakers = dict[str, Callable[[], Camera]]
 def rows_of_image(
     image: str,
     xy: ArrayLike,
-    point: Sequence[str] | NDArray[np.int64] | None = None,
+    point: Sequence[str] | Integers | None = None,
     *,
     keypoint: ArrayLike | None = None,
     more: Mapping[str, pa.Array] | None = None,
