@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from pipeline.ingest.fields import FieldColumn, column, columns
 from pipeline.units import Array
 
 BLOCK = 65_536  # rows
@@ -80,17 +79,8 @@ def ned_frd_of_enu_flu(q: Array) -> Array:
         return unit_quaternions(np.sqrt(0.5) * np.stack([w + z, x + y, x - y, w - z], axis=1))
 
 
-def gimbal_columns() -> tuple[FieldColumn, ...]:
-    """The columns of MAVLink's GIMBAL_DEVICE_ATTITUDE_STATUS, where ``q`` is w, x, y, z."""
-    return (
-        *columns("q_w q_x q_y q_z", "q.0 q.1 q.2 q.3"),
-        *columns("gimbal_q_w gimbal_q_x gimbal_q_y gimbal_q_z", "q.0 q.1 q.2 q.3"),
-        column("flags", "flags device_flags"),
-    )
-
-
 def earth_frame_attitude(columns: Mapping[str, Array]) -> dict[str, Array]:
-    """`gimbal_columns` with ``q_*`` NaN where the yaw is not from north; ``gimbal_q_*`` as sent.
+    """A gimbal's columns with ``q_*`` NaN where the yaw is not from north; ``gimbal_q_*`` as sent.
 
     The yaw counts from north or from the vehicle's nose, as the flags say; where neither flag is
     set, a locked yaw counts from north (the text of the message in MAVLink's common.xml).

@@ -1,7 +1,11 @@
 """Field maps: which field of a message is which column of a channel, in which unit."""
 
-from collections.abc import Callable, Mapping
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -52,13 +56,12 @@ STATED_UNITS: Mapping[str, tuple[str, float, float]] = {
     "percent": ("relative_humidity", 0.01, 0.0),
     "m/s": ("airspeed_m_s", 1.0, 0.0),
 }
+_COLUMN = re.compile(
+    r"([\w ]+) = ([^\[ ]+(?: [^\[ ]+)*?)(?: \[(.+)\])?(?: unless (\S+))?(?: from (\S+))?"
+)
+
 # The scaled integers of a log are numbers of these units: 8050 c% is 80.5 percent.
 _NUMBERS_OF = {"cdegC": "degC", "%": "percent", "c%": "percent"}
-
-# The roles of a sensor. It gets those in the cabin only where a mission file names it.
-GNSS, ATTITUDE = ("height", "position"), ("attitude",)
-PRESSURE = ("pressure", "cabin_pressure")
-TEMPERATURE, HUMIDITY = ("temperature", "cabin_temperature"), ("humidity", "cabin_humidity")
 
 
 @dataclass(frozen=True)
@@ -74,54 +77,6 @@ class FieldColumn:
     unit: str = ""
     missing: float | None = None
     floor: float | None = None
-
-
-def column(
-    name: str,
-    fields: str,
-    unit: str = "",
-    *,
-    missing: float | None = None,
-    floor: float | None = None,
-) -> FieldColumn:
-    """A column from field names separated by spaces."""
-    return FieldColumn(name, tuple(fields.split()), unit, missing, floor)
-
-
-def columns(
-    names: str, fields: str, unit: str = "", missing: float | None = None
-) -> tuple[FieldColumn, ...]:
-    """Columns of one unit, each from a field of its own: both separated by spaces.
-
-    >>> columns("q_w q_x", "q.0 q.1") == (column("q_w", "q.0"), column("q_x", "q.1"))
-    True
-    """
-    pairs = zip(names.split(), fields.split(), strict=True)
-    return tuple(FieldColumn(name, (field,), unit, missing) for name, field in pairs)
-
-
-def members(path: str, names: str) -> str:
-    """The paths of members, or elements, of a field: each has a name of one letter."""
-    return " ".join(f"{path}.{name}" for name in names)
-
-
-INNOVATIONS = "innovation_velocity innovation_position innovation_height innovation_compass"
-
-# A fix in MAVLink's units, also as mavros passes it on. Trimmed zeros of MAVLink 2 and the short
-# MAVLink 1 message look like 0: 0 is missing.
-MAVLINK_FIX = (
-    column("lat_rad", "lat", "degE7"),
-    column("lon_rad", "lon lng", "degE7"),
-    column("h_msl_m", "alt", "mm"),
-    column("h_ellipsoid_m", "alt_ellipsoid", "mm", missing=0.0),
-    column("sigma_h_m", "h_acc", "mm plane", missing=0.0),
-    column("sigma_v_m", "v_acc", "mm", missing=0.0),
-    column("fix", "fix_type"),
-    column("satellites", "satellites_visible", missing=255.0),
-    column("hdop", "eph", "1/100", missing=65535.0),
-    column("speed_m_s", "vel", "cm", missing=65535.0),
-    column("course_rad", "cog", "cdeg", missing=65535.0),
-)
 
 
 @dataclass(frozen=True)
@@ -151,10 +106,56 @@ class MessageMap:
         return "events" in self.roles
 
 
+def parse_columns(lines: Iterable[str], groups: Mapping[str, list[str]]) -> Iterator[FieldColumn]:
+    """Columns as ``data/messages.toml`` writes them, the groups in their places.
+
+    >>> [*parse_columns(["q_w q_x = q.0 q|old", "@a"], {"a": ["t_k = t [degC] unless 0"]})][1:]
+    [FieldColumn(name='q_x', fields=('q', 'old'), unit='', missing=None, floor=None), \
+FieldColumn(name='t_k', fields=('t',), unit='degC', missing=0.0, floor=None)]
+    """
+    for line in lines:
+        if line.startswith("@"):
+            yield from parse_columns(groups[line[1:]], groups)
+        elif found := _COLUMN.fullmatch(line):
+            names, fields, unit, missing, floor = found.groups()
+            limits = (None if number is None else float(number) for number in (missing, floor))
+            values = (unit or "", *limits)
+            for name, field in zip(names.split(), fields.split(), strict=True):
+                yield FieldColumn(name, tuple(field.split("|")), *values)
+        else:
+            raise ValueError(line)
+
+
+@cache
+def message_maps(section: str) -> dict[str, MessageMap]:
+    """The messages of a format that are wanted: a section of ``data/messages.toml``."""
+    given, maps = _messages(), dict[str, MessageMap]()
+    for name, stated in given[section].items():
+        same = maps.get(stated.get("like", ""), MessageMap(()))
+        own = {key: value for key, value in stated.items() if key != "like"}
+        if "columns" in own:
+            own["columns"] = tuple(parse_columns(own["columns"], given["groups"]))
+        if "roles" in own:
+            own["roles"] = tuple(own["roles"])
+        maps[name] = replace(same, **({"rank": MessageMap.rank, "spare_rank": None} | own))
+    return maps
+
+
+@cache
+def columns_of_group(name: str) -> tuple[FieldColumn, ...]:
+    """The columns of a group in ``data/messages.toml``."""
+    return tuple(parse_columns([f"@{name}"], _messages()["groups"]))
+
+
+@cache
+def _messages() -> dict[str, Any]:
+    return tomllib.loads(files("pipeline.ingest").joinpath("data/messages.toml").read_text("utf-8"))
+
+
 def to_si(raw: NDArray[Any], spec: FieldColumn) -> Array:
     """Values of a log -> SI, NaN where the log says unknown or the value is not finite.
 
-    >>> to_si(np.array([-32768, 2000]), column("temperature_k", "t", "cdegC", missing=-32768))
+    >>> to_si(np.array([-32768, 2000]), FieldColumn("temperature_k", ("t",), "cdegC", -32768))
     array([   nan, 293.15])
     """
     with np.errstate(invalid="ignore"):  # signalling NaNs

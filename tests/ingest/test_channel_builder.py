@@ -9,14 +9,16 @@ from hypothesis import strategies as st
 
 from pipeline.flight.channels import Source
 from pipeline.ingest.channel_builder import DecodedRows, channel_of
-from pipeline.ingest.fields import MessageMap, column
+from pipeline.ingest.fields import MessageMap, parse_columns
 from pipeline.ledger import Kind, Ledger
 
 SHOT = MessageMap(
-    (column("lat_rad", "lat", "deg"), column("lon_rad", "lon", "deg"), column("h_msl_m", "alt")),
+    tuple(parse_columns(["lat_rad lon_rad = lat lon [deg]", "h_msl_m = alt"], {})),
     ("events",),
 )
-BARO = MessageMap((column("pressure_pa", "p", "hPa"),), ("pressure",), 10, spare_rank=20)
+BARO = MessageMap(
+    tuple(parse_columns(["pressure_pa = p [hPa]"], {})), ("pressure",), 10, spare_rank=20
+)
 
 
 def rows(time_s: list[float], **columns: list[float]) -> DecodedRows:
