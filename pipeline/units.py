@@ -36,3 +36,14 @@ WGS84_A = 6_378_137.0  # [m]
 WGS84_F = 1.0 / 298.257223563
 
 UNIX_NS_OF_GPS_EPOCH = 315_964_800 * NANOSECONDS_PER_SECOND  # 1980-01-06T00:00:00Z
+
+
+def round_step(least: float) -> float:
+    """The smallest of 1, 2, 5 times a power of ten that is not below ``least`` (positive).
+
+    >>> [round_step(x) for x in (0.03, 1.0, 2.1, 70.0)]
+    [0.05, 1.0, 5.0, 100.0]
+    """
+    power = math.floor(math.log10(least))
+    steps = (float(f"{f}e{power}") for f in (1, 2, 5, 10))
+    return next(step for step in steps if step >= least * (1.0 - 1e-9))

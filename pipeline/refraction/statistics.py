@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.refraction.image import Corrections
-from pipeline.units import ARCSEC, Array, Integers
+from pipeline.units import ARCSEC, Array, Integers, round_step
 
 _LOWEST_EXPONENT = -12
 _HIGHEST_EXPONENT = 8
@@ -67,6 +67,25 @@ class Distribution:
             self.counts + other.counts, max(self.maximum, other.maximum), self.total + other.total
         )
 
+    def histogram(self, bins: int = 24) -> dict[str, Any]:
+        """Counts in at most ``bins`` equal bins from zero: step of 1, 2 or 5, up to the maximum.
+
+        A value counts in the bin of the middle of its logarithmic bin, 0.25 % off at most.
+
+        >>> distribution = Distribution()
+        >>> distribution.add(np.array([0.1, 2.5, 2.6, 9.9]))
+        >>> distribution.histogram(10)
+        {'step': 1.0, 'counts': [1, 0, 2, 0, 0, 0, 0, 0, 0, 1]}
+        """
+        if self.maximum <= 0.0:
+            return {"step": 1.0, "counts": [self.total] if self.total else []}
+        step = round_step(self.maximum / bins)
+        filled = np.flatnonzero(self.counts)
+        middle = 10.0 ** ((filled + 0.5) / _BINS_PER_DECADE + _LOWEST_EXPONENT)
+        number = (np.minimum(middle, self.maximum * (1.0 - 1e-12)) / step).astype(np.int64)
+        counts = np.bincount(number, self.counts[filled]).astype(np.int64)
+        return {"step": step, "counts": counts.tolist()}
+
     def summary(self) -> dict[str, float | int | None]:
         """For the manifest: six digits are more than the bins hold."""
 
@@ -116,6 +135,13 @@ class ShiftGrid:
             self.sums[1][filled] / self.sums[2][filled],
         )
 
+    def field(self) -> dict[str, Any]:
+        """Format of the image [px], and centre x, y and mean shift dx, dy [px] of each cell."""
+        columns = zip(("x_px", "y_px", "dx_px", "dy_px"), self.means(), strict=True)
+        return {"format_px": [self.width_px, self.height_px], "columns": self.columns} | {
+            name: [float(f"{value:.5g}") for value in values] for name, values in columns
+        }
+
 
 DISTRIBUTIONS = ("shift_px", "shift_ground_m", "refraction_arcsec", "window_arcsec")
 """The quantities of which `ShiftStatistics` keeps distributions."""
@@ -154,3 +180,11 @@ class ShiftStatistics:
     def summary(self) -> dict[str, Any]:
         """Counts, medians and maxima, for the manifest."""
         return {name: distribution.summary() for name, distribution in self.distributions().items()}
+
+    def figures(self) -> dict[str, Any]:
+        """Histograms of the shift, and its field over the image, for the manifest."""
+        return {
+            "histogram_px": self.shift_px.histogram(),
+            "histogram_m": self.shift_ground_m.histogram(),
+            "field": self.grid.field(),
+        }

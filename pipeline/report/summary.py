@@ -115,13 +115,13 @@ def effect_lines(effects: Sequence[Mapping[str, Any]], standard: str) -> list[st
     ]
 
 
-SENSOR_HEAD = ("sensor error", "estimate", "sigma", "prior sigma")
+SENSOR_HEAD = ("sensor error", "estimate ± sigma", "prior sigma")
 
 
 def sensor_rows(manifest: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Estimated errors of the sensors, each with its sigma and the prior sigma."""
     return [
-        (s["what"], f"{s['value']:.3g}", f"{s['sigma']:.2g}", f"{s['expected_sigma']:.2g}")
+        (s["what"], with_sigma(s["value"], s["sigma"]), f"{s['expected_sigma']:.2g}")
         for s in manifest["profile"]["sensors"]
     ]
 

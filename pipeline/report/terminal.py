@@ -264,7 +264,10 @@ def print_air(console: Console, air: FlightAir) -> None:
     for line in (
         *summary.effect_lines(rows, adjustment.standard.name),
         *(use.sentence() for use in adjustment.sources),
-        *(f"{FAULT_TEXTS[f.fault]}: {f.value:.3g} ± {f.sigma:.2g}" for f in adjustment.faults),
+        *(
+            f"{FAULT_TEXTS[f.fault]}: {f.value:.3g} ± {f.sigma:.2g}"
+            for f in (fault.in_units() for fault in adjustment.faults)
+        ),
         *profiles,
     ):
         _print_indented(console, escape(line))

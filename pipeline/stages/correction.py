@@ -215,6 +215,9 @@ def correct_counted(
     statistics = Statistics.of(setup.cameras)
     statistics.add(batch, corrections, setup.camera_number[station])
     statistics.implausible_heights += ground.implausible
+    used = ground.h_m[np.isfinite(corrections.dx_px)]
+    if used.size:
+        statistics.ground_m = float(used.min()), float(used.max())
     statistics.sampled.append(SampledRows.of(batch, corrections, ground.h_m, station, sampled))
     return corrections, ground.h_m, statistics
 

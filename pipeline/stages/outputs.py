@@ -1,6 +1,9 @@
 """The outputs of a run beside the observations: stations, profiles and the manifest."""
 
+import math
 from collections import Counter
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,8 +13,10 @@ from pipeline.batch.plan import MANIFEST_VERSION, Plan, versions
 from pipeline.batch.store import RunFolder
 from pipeline.config import Mission
 from pipeline.errors import EXIT_DONE, EXIT_LOSSES
-from pipeline.flight.stations import Stations
+from pipeline.flight.rotations import matrices_of
+from pipeline.flight.stations import NO_TIME, Stations
 from pipeline.ledger import Ledger
+from pipeline.refraction.camera.camera import NO_DISTORTION
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.kernels.columns import CABIN, WINDOW
 from pipeline.stages.correction import CorrectionSetup
@@ -23,7 +28,7 @@ from pipeline.tables.refraction_mark import (
     REFRACTION_REMOVED,
 )
 from pipeline.tables.writing import table_of_profiles, table_of_stations, write_parquet
-from pipeline.units import ARCSEC
+from pipeline.units import ARCSEC, Array
 
 
 def observation_metadata(mission: Mission) -> dict[str, str]:
@@ -55,9 +60,10 @@ def manifest_of(
     *,
     statistics: Statistics,
     setup: CorrectionSetup,
+    causes: Mapping[str, str],
     ledger: Ledger,
 ) -> dict[str, Any]:
-    """The manifest of a run, without its outputs.
+    """The manifest of a run, without its outputs; ``causes`` are those of statuses of rows.
 
     Holds no clock, no host name and no absolute path: the same inputs give the same bytes.
     """
@@ -87,19 +93,73 @@ def manifest_of(
         },
         "channels": {role: channel.name for role, channel in sorted(flight.roles.items())},
         "stations": dict(sorted(Counter(stations.status.tolist()).items())),
+        "flight": _flight(stations, setup, statistics),
         "heights": _heights(plan.mission, flight, stations),
         "profile": _profile(air, stations),
         "observations": {
             "rows": statistics.rows,
             "parts": statistics.parts,
             "status": statistics.status,
+            "causes": {k: v for k, v in causes.items() if statistics.status.get(k)},
         },
         "correction": statistics.correction(),
+        "sigma_budget": statistics.sigma_budget(setup.camera_number),
+        "ground_heights": statistics.ground_heights(),
         "uncertainty": _air_parameter(setup, statistics),
         "cabin_air": _cabin_parameters(setup),
         "cabin_sigma_share": statistics.cabin_share.summary(),
         "ledger": entries,
         "exit_code": EXIT_LOSSES if ledger.has_losses else EXIT_DONE,
+    }
+
+
+def _flight(stations: Stations, setup: CorrectionSetup, statistics: Statistics) -> dict[str, Any]:
+    """When and where the exposures are, how high above the ground, and the nadir in the images.
+
+    Of what is spread the lowest, the median and the highest value. ``nadir_px`` is where the
+    vertical through the median camera meets the image plane, None where it does not.
+    """
+    ok = stations.ok
+
+    def spread(values: Array, digits: int) -> list[float] | None:
+        known = values[np.isfinite(values)]
+        if not known.size:
+            return None
+        parts = known.min(), np.median(known), known.max()
+        return [round(float(part), digits) for part in parts]
+
+    time_ns = stations.time_ns[ok & (stations.time_ns != NO_TIME)]
+    rows, cameras = statistics.sampled_rows(), {}
+    height = np.append(np.where(ok, stations.h_msl_m, np.nan), np.nan)
+    above = height[rows.station] - rows.h_g_m
+    down = -matrices_of(stations.quaternion)[:, :, 2]
+    for number, (name, camera) in enumerate(setup.cameras.items()):
+        axis = down[ok & (stations.camera == name)]
+        x, y, z = np.median(axis[np.isfinite(axis).all(axis=1)], axis=0) if len(axis) else [0.0] * 3
+        nadir = None
+        if z > 0.05:
+            inside = np.hypot(x, y) < camera.largest_radius * z
+            flat = camera if inside else replace(camera, distortion=NO_DISTORTION)
+            nadir = [
+                round(float(v[0]), 1) for v in flat.project(np.array([x / z]), np.array([y / z]))
+            ]
+        cameras[name] = {
+            "exposures": int((stations.camera == name).sum()),
+            "format_px": [camera.width_px, camera.height_px],
+            "principal_distance_px": float(f"{camera.fx_px:.10g}"),
+            "height_above_ground_m": spread(above[setup.camera_number[rows.station] == number], 1),
+            "axis_nadir_angle_deg": round(float(np.degrees(np.arccos(z / norm))), 2)
+            if (norm := math.hypot(x, y, z)) > 0.0
+            else None,
+            "nadir_px": nadir,
+        }
+    return {
+        "begin_utc": utc_second(int(time_ns.min())) if time_ns.size else None,
+        "end_utc": utc_second(int(time_ns.max())) if time_ns.size else None,
+        "latitude_deg": spread(np.degrees(stations.lat_rad[ok]), 6),
+        "longitude_deg": spread(np.degrees(stations.lon_rad[ok]), 6),
+        "h_msl_m": spread(stations.h_msl_m[ok], 1),
+        "cameras": cameras,
     }
 
 
@@ -203,13 +263,13 @@ def _profile(air: FlightAir, stations: Stations) -> dict[str, Any]:
                 "sigma": round(fault.sigma, 4),
                 "expected_sigma": round(fault.prior_sigma, 4),
             }
-            for fault in adjustment.faults
+            for fault in (estimate.in_units() for estimate in adjustment.faults)
         ],
         "profiles": len(air.series.timed_profiles),
         "windows": [
             {
-                "start_utc": _utc_second(window.start_ns),
-                "end_utc": _utc_second(window.end_ns),
+                "start_utc": utc_second(window.start_ns),
+                "end_utc": utc_second(window.end_ns),
                 "change": round(window.change, 5),  # of R against that of the whole flight
                 "sigma": round(window.sigma, 5),
                 "why_not": window.why_not,
@@ -219,5 +279,6 @@ def _profile(air: FlightAir, stations: Stations) -> dict[str, Any]:
     }
 
 
-def _utc_second(time_ns: int) -> str:
+def utc_second(time_ns: int) -> str:
+    """A time [Unix ns] as ISO 8601, to the second below."""
     return f"{np.datetime64(time_ns, 'ns').astype('datetime64[s]')}Z"

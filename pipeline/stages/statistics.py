@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from pipeline.config.sections import HIGHEST_GROUND_M, LOWEST_GROUND_M
@@ -16,16 +18,20 @@ from pipeline.refraction.image import Corrections
 from pipeline.refraction.statistics import DISTRIBUTIONS, Distribution, ShiftGrid, ShiftStatistics
 from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.tables.observations import Batch
-from pipeline.units import Array
+from pipeline.units import Array, round_step
 
 SAMPLED_ROWS = 20_000
 """Rows that stand for all others, where what is plausible is looked at."""
+
+SIGMA_PARTS = ("air", "station", "ground", "cabin")
+"""What makes corrections uncertain, each with columns of its own in the results."""
 
 
 class SampledRows(NamedTuple):
     """Rows that stand for all; (n,) each.
 
-    ``station`` is -1 where an image has none; ``weight`` how many rows each stands for.
+    ``station`` is -1 where an image has none; ``weight`` how many rows each stands for;
+    ``sigma_px`` (n, 4) standard deviations of the correction as in `SIGMA_PARTS`, NaN if unknown.
     """
 
     station: NDArray[np.int64]
@@ -39,6 +45,7 @@ class SampledRows(NamedTuple):
     shift_ground_m: Array
     status: NDArray[np.uint8]
     weight: Array
+    sigma_px: Array
 
     @classmethod
     def of(
@@ -66,6 +73,7 @@ class SampledRows(NamedTuple):
             corrections.shift_ground_m[rows],
             corrections.status[rows],
             weight[rows] * len(batch) / rows.size,
+            sigma_parts(corrections, rows),
         )
 
 
@@ -73,6 +81,7 @@ class SampledRows(NamedTuple):
 class Statistics:
     """Counts of observations, and how large the corrections were in each camera.
 
+    ``ground_m`` : the lowest and the highest ground that was used.
     ``air_variance`` : of all corrections by the air, and ``by_mode`` the squares of their
     derivatives by the parameter of the leading mode [px2].
     ``sampled`` : rows of each part, of which `SAMPLED_ROWS` stand for all.
@@ -87,6 +96,7 @@ class Statistics:
     no_sigma: int = 0
     no_point: int = 0
     implausible_heights: int = 0
+    ground_m: tuple[float, float] = (math.inf, -math.inf)
     air_variance: float = 0.0
     by_mode: float = 0.0
     sampled: list[SampledRows] = field(default_factory=list)
@@ -133,6 +143,8 @@ class Statistics:
         self.no_sigma += other.no_sigma
         self.no_point += other.no_point
         self.implausible_heights += other.implausible_heights
+        (low, high), (other_low, other_high) = self.ground_m, other.ground_m
+        self.ground_m = min(low, other_low), max(high, other_high)
         self.air_variance += other.air_variance
         self.by_mode += other.by_mode
         self.sampled += other.sampled
@@ -151,7 +163,67 @@ class Statistics:
             ).summary()
             for name in DISTRIBUTIONS
         }
-        return together | {"cameras": {n: e.summary() for n, e in self.shifts.items()}}
+        of_cameras = {n: e.summary() | e.figures() for n, e in self.shifts.items()}
+        return together | {"cameras": of_cameras}
+
+    def sigma_budget(self, camera: NDArray[np.int64]) -> dict[str, Any]:
+        """Median and 95 % of the parts of sigma [px, m on the ground] by camera, for the manifest.
+
+        ``camera`` (s + 1,) numbers the camera of each station, as `CorrectionSetup.camera_number`.
+        From the rows that stand for all, at the scale of each one's shift; ``all`` is the root of
+        the sum of the squares of the parts that are known.
+        """
+        rows, budget = self.sampled_rows(), {}
+        with np.errstate(divide="ignore", invalid="ignore"):
+            metres_per_px = rows.shift_ground_m / rows.shift_px
+        together = np.sqrt(np.nansum(rows.sigma_px**2, axis=1))
+        together[np.isnan(rows.sigma_px).all(axis=1)] = np.nan
+        parts = dict(zip((*SIGMA_PARTS, "all"), (*rows.sigma_px.T, together), strict=True))
+        for number, name in enumerate(self.shifts):
+            of = camera[rows.station] == number
+            budget[name] = {
+                part: {
+                    unit: weighted_quantiles(
+                        values[of], rows.weight[of], {"median": 0.5, "p95": 0.95}
+                    )
+                    for unit, values in (("px", sigma), ("m", sigma * metres_per_px))
+                }
+                for part, sigma in parts.items()
+                if np.isfinite(sigma[of]).any()
+            }
+        return budget
+
+    def ground_of_stations(self, count: int) -> Array:
+        """(count,) median ground height [m] of the rows of each station; NaN without any."""
+        rows = self.sampled_rows()
+        used = (rows.station >= 0) & np.isfinite(rows.h_g_m)
+        medians = pd.Series(rows.h_g_m[used]).groupby(rows.station[used]).median()
+        return np.asarray(medians.reindex(range(count)), np.float64)
+
+    def ground_heights(self) -> dict[str, Any] | None:
+        """Heights of the ground that were used [m above sea level], for the manifest.
+
+        Limits are of all, median and histogram of the rows that stand for all.
+        """
+        low, high = self.ground_m
+        if not low <= high:
+            return None
+        rows = self.sampled_rows()
+        used = np.isfinite(rows.shift_px) & np.isfinite(rows.h_g_m)
+        step = round_step(max((high - low) / 24, 0.1))
+        first = math.floor(low / step)
+        number = np.floor(rows.h_g_m[used] / step).astype(np.int64) - first
+        counts = np.bincount(number, rows.weight[used])
+        median = weighted_quantiles(rows.h_g_m[used], rows.weight[used], {"median_m": 0.5})
+        return median | {
+            "lowest_m": round(low, 2),
+            "highest_m": round(high, 2),
+            "histogram": {
+                "first_m": round(first * step, 6),
+                "step": step,
+                "counts": np.round(counts).astype(np.int64).tolist(),
+            },
+        }
 
     def report_flagged(self, ledger: Ledger, causes: Mapping[str, str]) -> None:
         """A ledger entry for each reason why observations were not corrected.
@@ -204,9 +276,38 @@ class Statistics:
                 ledger.loss("OBS-FLAGGED", what, count=count)
 
 
+def sigma_parts(corrections: Corrections, rows: NDArray[np.intp]) -> Array:
+    """(n, 4) lengths [px] of the standard deviations of some rows, as in `SIGMA_PARTS`."""
+    if corrections.sigmas is None:
+        return np.full((rows.size, len(SIGMA_PARTS)), np.nan)
+    columns = corrections.sigmas.columns()
+    parts = [np.hypot(columns[f"{k}_dx_px"][rows], columns[f"{k}_dy_px"][rows])
+             for k in SIGMA_PARTS]  # fmt: skip
+    return np.stack(parts, axis=1).astype(np.float64)
+
+
 def _squares(*columns: NDArray[np.float32]) -> float:
     """The sum of the squares of numbers, those that are none left out."""
     return sum(float(np.nansum(np.square(column, dtype=np.float64))) for column in columns)
+
+
+def weighted_quantiles(
+    values: Array, weight: Array, shares: Mapping[str, float]
+) -> dict[str, float | None]:
+    """Quantiles of the finite values by name, to six digits; None without any.
+
+    >>> weighted_quantiles(np.array([1.0, 5.0, 9.0]), np.array([1.0, 1.0, 3.0]), {"median": 0.5})
+    {'median': 9.0}
+    """
+    order = np.argsort(values)
+    order = order[np.isfinite(values[order])]
+    if not order.size:
+        return dict.fromkeys(shares)
+    until = np.cumsum(weight[order])
+    return {
+        name: float(f"{values[order[np.searchsorted(until, share * until[-1])]]:.6g}")
+        for name, share in shares.items()
+    }
 
 
 def evenly_spaced(count: int, most: int) -> NDArray[np.intp]:

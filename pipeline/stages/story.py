@@ -41,6 +41,7 @@ from pipeline.flight.stations import Stations, append_unmatched_images, flag_hei
 from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir
 from pipeline.report.accuracy import Accuracy, accuracy_page, accuracy_png, text_hash
+from pipeline.report.flown import flown_of
 from pipeline.report.html import write_report
 from pipeline.report.progress import NoProgress, Progress
 from pipeline.stages.air.adjusted_profile import AirSources, adjusted_profiles, read_air_sources
@@ -273,7 +274,8 @@ def correct_mission(
         logged_terrain(prepared.flight.channels, stations.time_ns),
         float(model_at_takeoff[0]),
     )
-    statistics.report_flagged(ledger, causes_of_statuses(facts))
+    causes = causes_of_statuses(facts)
+    statistics.report_flagged(ledger, causes)
     ledger.extend(findings_of(facts))
     accept_findings(mission, ledger)
     air = replace(air, effects=facts.effects)
@@ -284,6 +286,7 @@ def correct_mission(
         air,
         statistics=statistics,
         setup=setup,
+        causes=causes,
         ledger=ledger,
     ) | {"control": None if control is None else control.manifest()}
     return CorrectedMission(prepared, stations, air, setup, statistics, facts, manifest)
@@ -294,9 +297,15 @@ def write_results(corrected: CorrectedMission, folder: RunFolder) -> None:
     write_tables(folder, corrected.stations, corrected.air)
     report = folder.place("report.html")
     with storage_errors(report):
-        grids = {name: shifts.grid for name, shifts in corrected.statistics.shifts.items()}
-        samples = corrected.prepared.samples
-        write_report(report, corrected.manifest, corrected.air, samples, grids)
+        prepared, setup = corrected.prepared, corrected.setup
+        flown = flown_of(
+            corrected.stations, corrected.air, prepared.samples, prepared.track(),
+            cameras=setup.cameras,
+            ground_m=corrected.statistics.ground_of_stations(len(corrected.stations)),
+            radius_m=setup.exposures.radius_m,
+            terrain=prepared.terrain,
+        )  # fmt: skip
+        write_report(report, corrected.manifest, flown)
     folder.seal("report.html")
 
 

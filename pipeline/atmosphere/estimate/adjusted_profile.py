@@ -295,7 +295,7 @@ def _note_estimate(candidate: Candidate, made: Estimate, ledger: Ledger) -> None
         ledger.fallback("AIR-HUMIDITY-EXPECTED", what)
     if not made.converged:
         ledger.warning("AIR-UNSETTLED", "the estimate did not converge: its last step still moved")
-    learnt = [f for f in made.faults if f.sigma < 0.7 * f.prior_sigma]
+    learnt = [f.in_units() for f in made.faults if f.sigma < 0.7 * f.prior_sigma]
     if learnt:
         texts = (f"{FAULT_TEXTS[f.fault]} {f.value:.3g} ± {f.sigma:.2g}" for f in learnt)
         ledger.note("AIR-SENSORS", "; ".join(texts))

@@ -41,7 +41,7 @@ SOUNDING_DEPARTURE, SOUNDING_HUMIDITY = "sounding_temperature", "sounding_humidi
 FAULT_TEXTS: Mapping[SensorFault, str] = {
     SensorFault.THERMOMETER_BIAS: "thermometer bias [K]",
     SensorFault.TAKEOFF_TRANSIENT: "take-off transient [K]",
-    SensorFault.TRANSIENT_DECAY: "ln of its decay time [s]",
+    SensorFault.TRANSIENT_DECAY: "decay time of the take-off transient [s]",
     SensorFault.THERMOMETER_LAG: "thermometer lag [s]",
     SensorFault.RECOVERY_FACTOR: "recovery factor",
     SensorFault.THERMOMETER_DRIFT: "thermometer drift [K]",

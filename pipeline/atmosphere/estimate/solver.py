@@ -55,6 +55,15 @@ class FaultEstimate:
     sigma: float
     prior_sigma: float
 
+    def in_units(self) -> "FaultEstimate":
+        """The same in the unit of its text: the decay time, whose logarithm is estimated."""
+        if self.fault is not SensorFault.TRANSIENT_DECAY:
+            return self
+        time = float(np.exp(self.value))
+        return replace(
+            self, value=time, sigma=time * self.sigma, prior_sigma=time * self.prior_sigma
+        )
+
 
 @dataclass(frozen=True)
 class Fit:

@@ -1,12 +1,15 @@
 """What the exports of stations have in common: which have a place, in one frame, what they show."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.flight.rotations import in_turned_frame, matrices_of
+from pipeline.flight.stations import Stations
 from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef, euler_radius, offset_geodetic
 from pipeline.ledger import Ledger
+from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import straight_reach
 from pipeline.tables.exports.format import FinishedRun
 from pipeline.units import Array, Integers, Mask
@@ -67,36 +70,13 @@ def stations_in_one_frame(run: FinishedRun, rows: Integers) -> OneFrame:
 def footprints(run: FinishedRun, ledger: Ledger) -> Array:
     """(s, 4, 2) longitude, latitude [deg] of the ground at the corners of each image.
 
-    Counter-clockwise seen from above, from the upper left: straight lines through the corners, at
-    the height ``run.ground_m``; refraction moves them by some metres. Longitudes go on beyond 180
-    degrees across that meridian. NaN for an image without ground, or a corner of which shows none
-    (ledger: EXPORT-NO-GROUND).
+    As `ground_corners` at the height ``run.ground_m``. NaN for an image without ground, or a corner
+    of which shows none (ledger: EXPORT-NO-GROUND).
     """
-    stations, corners = run.stations, np.full((len(run.stations), 4, 2), np.nan)
-    turn = matrices_of(stations.quaternion)
-    height = np.where(np.isfinite(stations.h_ellipsoid_m), stations.h_ellipsoid_m, stations.h_msl_m)
-    for name, camera in run.cameras.items():
-        width, depth = camera.camera.width_px, camera.camera.height_px
-        u, v, _ = camera.camera.rays(
-            np.array([0.0, 0.0, width, width]), np.array([0.0, depth, depth, 0.0])
-        )
-        rays = np.stack([u, v, np.ones(4)], axis=1) / np.sqrt(u * u + v * v + 1.0)[:, None]
-        rows = run.rows_of(name)
-        rows = rows[run.ground_m[rows] < stations.h_msl_m[rows]]
-        for corner, ray in enumerate(rays):
-            enu = np.einsum("nji,j->ni", turn[rows], ray)
-            azimuth = np.arctan2(enu[:, 0], enu[:, 1])
-            radius = run.exposures.radius_m or euler_radius(stations.lat_rad[rows], azimuth)
-            reach = straight_reach(
-                stations.h_msl_m[rows], run.ground_m[rows], -enu[:, 2], radius=radius, far=False
-            )
-            lat, lon, _ = offset_geodetic(
-                stations.lat_rad[rows], stations.lon_rad[rows], height[rows], enu * reach[:, None]
-            )
-            lon = np.unwrap([stations.lon_rad[rows], lon], axis=0)[1]
-            corners[rows, corner] = np.degrees(np.stack([lon, lat], axis=1))
+    cameras = {name: camera.camera for name, camera in run.cameras.items()}
+    ground_m = np.where(run.exposures.usable, run.ground_m, np.nan)
+    corners = ground_corners(run.stations, cameras, ground_m, run.exposures.radius_m)
     without = np.isnan(corners).any(axis=(1, 2))
-    corners[without] = np.nan
     count = int((without & run.exposures.usable).sum())
     if count:
         what = (
@@ -104,4 +84,40 @@ def footprints(run: FinishedRun, ledger: Ledger) -> Array:
             "one), or a corner shows no ground"
         )
         ledger.loss("EXPORT-NO-GROUND", what, where="observations", count=count)
+    return corners
+
+
+def ground_corners(
+    stations: Stations, cameras: Mapping[str, Camera], ground_m: Array, radius_m: float | None
+) -> Array:
+    """(s, 4, 2) longitude, latitude [deg] of the ground at the corners of each image.
+
+    Counter-clockwise seen from above, from the upper left: straight lines through the corners, at
+    the heights ``ground_m`` (s,) above sea level, NaN for none; refraction moves them by some
+    metres. Longitudes go on beyond 180 degrees across that meridian. ``radius_m`` of the earth,
+    None for the ellipsoid's. NaN for an image without ground, or a corner of which shows none.
+    """
+    corners = np.full((len(stations), 4, 2), np.nan)
+    turn = matrices_of(stations.quaternion)
+    height = np.where(np.isfinite(stations.h_ellipsoid_m), stations.h_ellipsoid_m, stations.h_msl_m)
+    for name, camera in cameras.items():
+        width, depth = camera.width_px, camera.height_px
+        u, v, _ = camera.rays(
+            np.array([0.0, 0.0, width, width]), np.array([0.0, depth, depth, 0.0])
+        )
+        rays = np.stack([u, v, np.ones(4)], axis=1) / np.sqrt(u * u + v * v + 1.0)[:, None]
+        rows = np.flatnonzero((stations.camera == name) & (ground_m < stations.h_msl_m))
+        for corner, ray in enumerate(rays):
+            enu = np.einsum("nji,j->ni", turn[rows], ray)
+            azimuth = np.arctan2(enu[:, 0], enu[:, 1])
+            radius = radius_m or euler_radius(stations.lat_rad[rows], azimuth)
+            reach = straight_reach(
+                stations.h_msl_m[rows], ground_m[rows], -enu[:, 2], radius=radius, far=False
+            )
+            lat, lon, _ = offset_geodetic(
+                stations.lat_rad[rows], stations.lon_rad[rows], height[rows], enu * reach[:, None]
+            )
+            lon = np.unwrap([stations.lon_rad[rows], lon], axis=0)[1]
+            corners[rows, corner] = np.degrees(np.stack([lon, lat], axis=1))
+    corners[np.isnan(corners).any(axis=(1, 2))] = np.nan
     return corners
