@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator
 from typing import Any
 
 import yaml
@@ -39,13 +38,21 @@ def of_yaml(problem: str) -> str:
     return problem if own else next(known, "here the text is no YAML")
 
 
-def open_questions(values: Any, place: Place = ()) -> Iterator[Place]:
-    """The places of a mission file where `TODO` stands."""
-    if values == TODO:
-        yield place
-    inner = values.items() if isinstance(values, dict) else ()
-    for key, value in enumerate(values) if isinstance(values, list) else inner:
-        yield from open_questions(value, (*place, key))
+def open_questions(values: Any) -> list[Place]:
+    """The places of a mission file where `TODO` stands; what aliases repeat counts once."""
+    found: list[Place] = []
+    walked: set[int] = set()
+    left: list[tuple[Place, Any]] = [((), values)]
+    while left:
+        place, value = left.pop()
+        if value == TODO:
+            found.append(place)
+        if not isinstance(value, dict | list) or id(value) in walked:
+            continue
+        walked.add(id(value))
+        inner = value.items() if isinstance(value, dict) else enumerate(value)
+        left += [((*place, key), held) for key, held in reversed(list(inner))]
+    return found
 
 
 def sentences_of(
@@ -56,7 +63,7 @@ def sentences_of(
     ``error`` is what the models refuse, ``values`` and ``node`` are the file. Open questions come
     as such; what the models say of them, and of what holds them, is left out.
     """
-    todo = list(open_questions(values))
+    todo = open_questions(values)
     found: dict[tuple[Place, str], None] = {
         (place, f"still TODO: {_meaning(place)}"): None for place in todo
     }

@@ -99,7 +99,7 @@ def load_mission(path: Path | str) -> Mission:
         mission = Mission.model_validate(values)
     except ValidationError as error:
         refused = error
-    todo = any(open_questions(values))
+    todo = bool(open_questions(values))
     if mission is not None and not todo:
         return mission
     what = sentences_of(refused, values, node)
