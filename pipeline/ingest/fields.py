@@ -118,10 +118,9 @@ FieldColumn(name='t_k', fields=('t',), unit='degC', missing=0.0, floor=None)]
             yield from parse_columns(groups[line[1:]], groups)
         elif found := _COLUMN.fullmatch(line):
             names, fields, unit, missing, floor = found.groups()
-            limits = (None if number is None else float(number) for number in (missing, floor))
-            values = (unit or "", *limits)
+            limits = [None if number is None else float(number) for number in (missing, floor)]
             for name, field in zip(names.split(), fields.split(), strict=True):
-                yield FieldColumn(name, tuple(field.split("|")), *values)
+                yield FieldColumn(name, tuple(field.split("|")), unit or "", *limits)
         else:
             raise ValueError(line)
 

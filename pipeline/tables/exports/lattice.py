@@ -1,6 +1,6 @@
 """The correction lattice: the shift of the image points on a grid over every image."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
 import pyarrow as pa
@@ -9,21 +9,9 @@ from pipeline.ledger import Ledger
 from pipeline.refraction.image import Corrections, lattice_corrections, lattice_nodes
 from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.tables.exports.format import FinishedRun, Option, Values, parquet_and_csv
-from pipeline.tables.schemas import schema_of
+from pipeline.tables.schemas import columns_of, schema_of
 from pipeline.tables.writing import table_of
 from pipeline.units import Array, Integers
-
-_F = pa.float64()
-
-LATTICE_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
-    "image": (pa.string(), "", "name of the image"),
-    "x_px": (_F, "px", "node, as measured in the image, distortion in"),
-    "y_px": (_F, "px", "node, as measured in the image, distortion in"),
-    "dx_px": (_F, "px", "to be added to a measured x at the node"),
-    "dy_px": (_F, "px", "to be added to a measured y at the node"),
-    "h_g_m": (_F, "m", "height of the ground above mean sea level that it is computed for"),
-    "status": (pa.string(), "", "ok, or why there is no correction"),
-}
 
 _MOST_ROWS = 250_000
 """Rows held in memory at a time."""
@@ -49,7 +37,7 @@ def _lattice(
         ledger.loss("EXPORT-NO-GROUND", what, where="observations", count=int(groundless.size))
     columns, rows = values["columns"], values["rows"]
     layout = {"unbend.lattice": f"{columns} columns, {rows} rows, row by row"}
-    schema = schema_of(LATTICE_COLUMNS, dict(run.metadata) | layout)
+    schema = schema_of(columns_of("lattice"), dict(run.metadata) | layout)
     return schema, _tables(run, schema, columns, rows)
 
 

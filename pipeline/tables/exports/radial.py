@@ -1,6 +1,6 @@
 """Refraction by nadir angle, one table for each flying height of each camera of a run."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
 import pyarrow as pa
@@ -10,32 +10,9 @@ from pipeline.ledger import Ledger
 from pipeline.refraction.angle import RadialTable, angles_to, radial_table
 from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.tables.exports.format import FinishedRun, Values, parquet_and_csv
-from pipeline.tables.schemas import schema_of
+from pipeline.tables.schemas import columns_of, schema_of
 from pipeline.tables.writing import table_of
 from pipeline.units import ARCSEC, DEGREE, MICRORADIAN, Integers
-
-_F = pa.float64()
-
-RADIAL_COLUMNS: Mapping[str, tuple[pa.DataType, str, str]] = {
-    "camera": (pa.string(), "", "name of the camera in the mission file"),
-    "images": (pa.int32(), "", "how many images were taken from about this height above ground"),
-    "h_c_m": (_F, "m", "height of the camera above mean sea level, median of these images"),
-    "h_g_m": (_F, "m", "height of the ground above mean sea level, median of these images"),
-    "nadir_angle_deg": (_F, "deg", "apparent nadir angle outside the window"),
-    "r_c_arcsec": (_F, "arcsec", "refraction angle R_c, of the air outside alone"),
-    "r_c_urad": (_F, "urad", "refraction angle R_c, of the air outside alone"),
-    "shift_ground_m": (
-        _F,
-        "m",
-        "horizontal displacement on the ground; null where only the bent ray lands and the "
-        "straight one passes over the horizon",
-    ),
-    "radius_px": (_F, "px", "ideal radius f tan(zeta) in a vertical image"),
-    "dr_px": (_F, "px", "to be added to a measured radius in a vertical image"),
-    "k_urad": (_F, "urad", "R_c at 45 degrees, K of the Manual of Photogrammetry"),
-    "k_manual_urad": (_F, "urad", "the same by the Manual's formula; null where it has none"),
-    "status": (pa.string(), "", "ok, or why there is no angle"),
-}
 
 _LARGEST_DEG, _STEP_DEG = 80.0, 1.0
 
@@ -82,7 +59,7 @@ def _radial(run: FinishedRun, _: Values, ledger: Ledger) -> tuple[pa.Schema, Ite
                 "the air outside alone; the lattice holds both"
             )
             ledger.warning("EXPORT-WINDOW", what, where=f"cameras.{name}.window")
-    schema = schema_of(RADIAL_COLUMNS, run.metadata)
+    schema = schema_of(columns_of("radial"), run.metadata)
     groups = flying_heights(run, _SAME_HEIGHT, ledger)
     return schema, (_table(run, name, rows, schema) for name, rows in groups)
 
