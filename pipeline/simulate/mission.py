@@ -3,10 +3,12 @@
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from importlib.resources import files
 from itertools import count
 from pathlib import Path
 
 import numpy as np
+from jinja2 import Template
 
 from pipeline.errors import ConfigError, storage_errors
 from pipeline.simulate import sensors
@@ -159,45 +161,6 @@ def _truth_json(
     return json.dumps(content, indent=2) + "\n"
 
 
-_CHANNELS = {
-    "bin": {
-        "pressure": "BARO[0]", "temperature": "HYGR[0]", "humidity": "HYGR[0]",
-        "cabin_pressure": "BARO[1]", "cabin_temperature": "HYGR[1]", "cabin_humidity": "HYGR[1]",
-    },
-    "tlog": {
-        "pressure": "SCALED_PRESSURE", "temperature": "HYGROMETER_SENSOR[0]",
-        "humidity": "HYGROMETER_SENSOR[0]", "cabin_pressure": "SCALED_PRESSURE2",
-        "cabin_temperature": "HYGROMETER_SENSOR[1]", "cabin_humidity": "HYGROMETER_SENSOR[1]",
-    },
-    "mcap": {
-        f"{prefix}{role}": f"/{place}/{role}"
-        for prefix, place in (("", "outside"), ("cabin_", "cabin"))
-        for role in ("pressure", "temperature", "humidity")
-    },
-}  # fmt: skip
-
-
-_EVENTS = {
-    "bin": ("CAM[{instance}]", "index"),
-    "tlog": ("CAMERA_FEEDBACK[{instance}]", "index"),
-    "mcap": ("/camera/{name}/image/compressed", "n"),  # an image topic has no number of its own
-}
-
-
-# Distortion without exponents: YAML 1.1 reads 8e-05 as a word.
-_CAMERA = """\
-  {0.name}:
-    width_px: {0.width_px}
-    height_px: {0.height_px}
-    fx_px: {0.focal_px}
-    fy_px: {0.focal_px}
-    cx_px: {0.cx_px}
-    cy_px: {0.cy_px}
-    distortion: {{k1: {1:.6f}, k2: {2:.6f}, k3: {5:.6f}, p1: {3:.6f}, p2: {4:.6f}}}
-    calibration: laboratory
-    window: {{cabin: log}}"""
-
-
 def mission_yaml(
     kind: str, pair: tuple[SimulatedCamera, ...], *, inputs: str = "", results: str = "results"
 ) -> str:
@@ -205,45 +168,7 @@ def mission_yaml(
 
     ``inputs`` and ``results`` are the folders of both, relative to the mission file.
     """
-    mount, events = [], []
-    for camera in pair:
-        lever = ", ".join(str(value) for value in camera.lever_arm_m)
-        mount += [
-            f"  {camera.name}:",
-            f"    roll_deg: {camera.roll_deg}",
-            f"    pitch_deg: {camera.pitch_deg}",
-            f"    yaw_deg: {camera.yaw_deg}",
-            f"    lever_arm_m: [{lever}]",
-        ]
-        channel, number = _EVENTS[kind]
-        events += [
-            f"    {camera.name}:",
-            f"      channel: {channel.format(instance=camera.instance, name=camera.name)}",
-            f'      image: "{camera.name}_{{{number}:05d}}"',
-        ]
-    lines = [
-        "mission:",
-        f"  name: simulated_{kind}",
-        f"  undulation_m: {UNDULATION_M}",
-        "log:",
-        f"  path: {inputs}flight.{kind}",
-        "  channels:",
-        *[f"    {role}: {channel}" for role, channel in _CHANNELS[kind].items()],
-        "observations:",
-        f"  path: {inputs}observations.parquet",
-        "cameras:",
-        *[_CAMERA.format(camera, *camera.distortion) for camera in pair],
-        "mount:",
-        *mount,
-        "events:",
-        "  log:",
-        *events,
-        "ground:",
-        "  height: {column: h_g_m}",
-        "  reference: msl",
-        "atmosphere:",
-        "  standard: us1976",
-        "output:",
-        f"  path: {results}/simulated_{kind}",
-    ]
-    return "\n".join(lines) + "\n"
+    template = files("pipeline.simulate").joinpath("data/mission.yaml.j2").read_text("utf-8")
+    return Template(template, keep_trailing_newline=True).render(
+        kind=kind, cameras=pair, undulation_m=UNDULATION_M, inputs=inputs, results=results
+    )

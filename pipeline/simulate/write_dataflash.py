@@ -1,12 +1,10 @@
-"""The flight as an ArduPilot DataFlash log, packed row by row as the FMT rows announce it.
-
-Layouts of ArduPlane 4.6 (FMT rows of a log that its simulator wrote); GPA with the ellipsoidal
-height AEl, as ArduPilot has it since 4.7.
-"""
+"""The flight as an ArduPilot DataFlash log, packed row by row as the FMT rows announce it."""
 
 import struct
+import tomllib
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -51,53 +49,12 @@ class _Format:
         return _MAGIC + bytes([self.type_id]) + self.struct.pack(*body)
 
 
-_CAMERA = ("QBHIHLLeeeccC", "TimeUS,I,Img,GPSTime,GPSWeek,Lat,Lng,Alt,RelAlt,GPSAlt,R,P,Y")
-_CAMERA_UNITS = ("s#---DUmmmddd", "F----GGBBBBBB")
+_ANNOUNCED = tomllib.loads(
+    files("pipeline.simulate").joinpath("data/dataflash.toml").read_text("utf-8")
+)
 FORMATS = {
-    row[1]: _Format(*row)
-    for row in (
-        (128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns", "-b---", "-----"),
-        (115, "UNIT", "QbZ", "TimeUS,Id,Label", "s--", "F--"),
-        (114, "FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds", "s---", "F---"),
-        (116, "MULT", "Qbd", "TimeUS,Id,Mult", "s--", "F--"),
-        (32, "PARM", "QNff", "TimeUS,Name,Value,Default", "s---", "F---"),
-        (59, "MSG", "QZ", "TimeUS,Message", "s-", "F-"),
-        (201, "VER", "QBHBBBBIZHBB", "TimeUS,BT,BST,Maj,Min,Pat,FWT,GH,FWS,APJ,BU,FV",
-         "s-----------", "F-----------"),
-        (90, "GPS", "QBBIHBcLLeffffB",
-         "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,Yaw,U",
-         "s#-s-S-DUmnhnh-", "F--C-0BGGB000--"),
-        (91, "GPA", "QBCCCCfBIHeHH",
-         "TimeUS,I,VDop,HAcc,VAcc,SAcc,YAcc,VV,SMS,Delta,AEl,RTCMFU,RTCMFD",
-         "s#-mmnd-ssm--", "F-BBBB0-CCB--"),
-        (70, "ATT", "QccccCCCCB",
-         "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw,AEKF",
-         "sddddhhdh-", "FBBBBBBBB-"),
-        (72, "POS", "QLLfff", "TimeUS,Lat,Lng,Alt,RelHomeAlt,RelOriginAlt", "sDUmmm", "FGG000"),
-        (64, "BARO", "QBfffcfIffB",
-         "TimeUS,I,Alt,AltAMSL,Press,Temp,CRt,SMS,Offset,GndTemp,Health",
-         "s#mmPOnsmO-", "F-000B0C?0-"),
-        (110, "ARSP", "QBffcffBBffB",
-         "TimeUS,I,Airspeed,DiffPress,Temp,RawPress,Offset,U,H,Hp,TR,Pri",
-         "s#nPOPP-----", "F-00B00-----"),
-        (111, "HYGR", "QBff", "TimeUS,Id,Humidity,Temp", "s#%O", "F---"),
-        (81, "TRIG", *_CAMERA, *_CAMERA_UNITS),
-        (80, "CAM", *_CAMERA, *_CAMERA_UNITS),
-    )
-}  # fmt: skip
-_UNITS = {
-    "-": "", "#": "instance", "s": "s", "m": "m", "d": "deg", "h": "degheading",
-    "D": "deglatitude", "U": "deglongitude", "n": "m/s", "P": "Pa", "O": "degC", "%": "%",
-    "S": "satellites", "b": "B",
-}  # fmt: skip
-_MULTIPLIERS = {
-    "-": 0.0, "?": 1.0, "0": 1.0, "B": 1e-2, "C": 1e-3, "F": 1e-6, "G": 1e-7,
-}  # fmt: skip
-# Camera feedback pins: CAM rows then carry the instant of the shutter, TRIG the command before it.
-_PARAMETERS = {
-    "FORMAT_VERSION": 13.0, "SYSID_THISMAV": 1.0, "CAM1_TYPE": 1.0, "CAM1_FEEDBAK_PIN": 54.0,
-    "CAM2_TYPE": 1.0, "CAM2_FEEDBAK_PIN": 55.0, "GPS_TYPE": 5.0,
-}  # fmt: skip
+    name: _Format(number, name, *texts) for name, (number, *texts) in _ANNOUNCED["formats"].items()
+}
 _SHUTTER_LAG_US = 85_000
 
 
@@ -106,18 +63,19 @@ def write_dataflash(path: Path, samples: sensors.LoggedSamples) -> int:
     # FMT, UNIT, MULT, FMTU, PARM, VER and MSG stand at the start of every log.
     begin = sensors.LOG_BEGINS_BOOT_US - 500_000
     fmt, fmtu = FORMATS["FMT"], FORMATS["FMTU"]
+    unit, scale, parameter = FORMATS["UNIT"], FORMATS["MULT"], FORMATS["PARM"]
     head = [
         fmt.pack(f.type_id, f.struct.size + 3, f.name.encode(), f.format.encode(),
                  f.columns.encode())
         for f in FORMATS.values()
     ]  # fmt: skip
-    head += [FORMATS["UNIT"].pack(begin, ord(k), v.encode()) for k, v in _UNITS.items()]
-    head += [FORMATS["MULT"].pack(begin, ord(k), v) for k, v in _MULTIPLIERS.items()]
+    head += [unit.pack(begin, ord(k), v.encode()) for k, v in _ANNOUNCED["units"].items()]
+    head += [scale.pack(begin, ord(k), v) for k, v in _ANNOUNCED["multipliers"].items()]
     head += [
         fmtu.pack(begin, f.type_id, f.units.encode(), f.multipliers.encode())
         for f in FORMATS.values()
     ]
-    head += [FORMATS["PARM"].pack(begin, k.encode(), v, v) for k, v in _PARAMETERS.items()]
+    head += [parameter.pack(begin, k.encode(), v, v) for k, v in _ANNOUNCED["parameters"].items()]
     firmware = b"ArduPlane V4.7.0-dev (simulated by unbend)"
     head.append(FORMATS["VER"].pack(begin, 3, 65535, 4, 7, 0, 0, 0, firmware, 0, 3, 2))
     head.append(FORMATS["MSG"].pack(begin, firmware))

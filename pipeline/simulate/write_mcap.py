@@ -1,6 +1,8 @@
 """The flight as a ROS 2 recording: CDR messages in zstd chunks, written by mcap-ros2-support."""
 
+import tomllib
 from collections.abc import Mapping
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -11,77 +13,6 @@ from pipeline.simulate import sensors
 from pipeline.simulate.optics import NED_FROM_ENU, body_rotation, quaternion
 from pipeline.units import NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
 
-_BAR = "=" * 80
-_HEADER = f"""{_BAR}
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-{_BAR}
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-"""
-_SCHEMAS = {
-    "sensor_msgs/msg/NavSatFix": f"""uint8 COVARIANCE_TYPE_UNKNOWN = 0
-uint8 COVARIANCE_TYPE_APPROXIMATED = 1
-uint8 COVARIANCE_TYPE_DIAGONAL_KNOWN = 2
-uint8 COVARIANCE_TYPE_KNOWN = 3
-std_msgs/Header header
-sensor_msgs/NavSatStatus status
-float64 latitude
-float64 longitude
-float64 altitude
-float64[9] position_covariance
-uint8 position_covariance_type
-{_HEADER}{_BAR}
-MSG: sensor_msgs/NavSatStatus
-int8 STATUS_NO_FIX = -1
-int8 STATUS_FIX = 0
-int8 STATUS_SBAS_FIX = 1
-int8 STATUS_GBAS_FIX = 2
-uint16 SERVICE_GPS = 1
-uint16 SERVICE_GLONASS = 2
-uint16 SERVICE_COMPASS = 4
-uint16 SERVICE_GALILEO = 8
-int8 status
-uint16 service
-""",
-    "sensor_msgs/msg/Imu": f"""std_msgs/Header header
-geometry_msgs/Quaternion orientation
-float64[9] orientation_covariance
-geometry_msgs/Vector3 angular_velocity
-float64[9] angular_velocity_covariance
-geometry_msgs/Vector3 linear_acceleration
-float64[9] linear_acceleration_covariance
-{_HEADER}{_BAR}
-MSG: geometry_msgs/Quaternion
-float64 x
-float64 y
-float64 z
-float64 w
-{_BAR}
-MSG: geometry_msgs/Vector3
-float64 x
-float64 y
-float64 z
-""",
-    "sensor_msgs/msg/FluidPressure": f"""std_msgs/Header header
-float64 fluid_pressure
-float64 variance
-{_HEADER}""",
-    "sensor_msgs/msg/Temperature": f"""std_msgs/Header header
-float64 temperature
-float64 variance
-{_HEADER}""",
-    "sensor_msgs/msg/RelativeHumidity": f"""std_msgs/Header header
-float64 relative_humidity
-float64 variance
-{_HEADER}""",
-    "sensor_msgs/msg/CompressedImage": f"""std_msgs/Header header
-string format
-uint8[] data
-{_HEADER}""",
-}
 _FLU_FROM_FRD = np.diag([1.0, -1.0, -1.0])
 _CHUNK_BYTES = 1024 * 1024
 
@@ -112,7 +43,9 @@ def write_mcap(path: Path, samples: sensors.LoggedSamples, seed: int) -> int:
     sequence = dict.fromkeys((row[1] for row in rows), 0)
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=_CHUNK_BYTES)
-        schemas = {name: writer.register_msgdef(name, text) for name, text in _SCHEMAS.items()}
+        texts = files("pipeline.simulate").joinpath("data/ros2.toml").read_text("utf-8")
+        definitions = tomllib.loads(texts).items()
+        schemas = {name: writer.register_msgdef(name, text) for name, text in definitions}
         for i in order.tolist():
             stamp, topic, schema, fields = rows[i]
             sec, nanosec = divmod(stamp, NANOSECONDS_PER_SECOND)

@@ -8,6 +8,7 @@ import json
 import math
 import struct
 from collections.abc import Mapping
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -26,32 +27,13 @@ from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.tables.observations import Batch
 from pipeline.tables.pixels import PixelSystem
 from pipeline.tables.schemas import PROFILE_COLUMNS, STATION_COLUMNS, schema_of
-from pipeline.units import WGS84_A, WGS84_F, Array
-
-_AXES = {"subtype": "ellipsoidal", "axis": [
-    {"name": "Geodetic latitude", "abbreviation": "Lat", "direction": "north", "unit": "degree"},
-    {"name": "Geodetic longitude", "abbreviation": "Lon", "direction": "east", "unit": "degree"},
-    {"name": "Ellipsoidal height", "abbreviation": "h", "direction": "up", "unit": "metre"},
-]}  # fmt: skip
-_WGS84_3D = {
-    "$schema": "https://proj.org/schemas/v0.7/projjson.schema.json",
-    "type": "GeographicCRS",
-    "name": "WGS 84",
-    "datum": {
-        "type": "GeodeticReferenceFrame",
-        "name": "World Geodetic System 1984",
-        "ellipsoid": {
-            "name": "WGS 84", "semi_major_axis": WGS84_A, "inverse_flattening": 1.0 / WGS84_F,
-        },
-    },
-    "coordinate_system": _AXES,
-    "id": {"authority": "EPSG", "code": 4979},
-}  # fmt: skip
+from pipeline.units import Array
 
 
 def geo_metadata(column: str) -> dict[str, str]:
     """The entry ``geo`` of a file's metadata, for a column of points in EPSG:4979."""
-    described = {"encoding": "WKB", "geometry_types": ["Point", "Point Z"], "crs": _WGS84_3D}
+    system = json.loads(files("pipeline.tables").joinpath("data/wgs84_3d.json").read_text("utf-8"))
+    described = {"encoding": "WKB", "geometry_types": ["Point", "Point Z"], "crs": system}
     geo = {"version": "1.1.0", "primary_column": column, "columns": {column: described}}
     return {"geo": json.dumps(geo)}
 

@@ -4,17 +4,16 @@
 air. `paper_tables` returns columns; the printed figures stand in ``pipeline/refraction/data``.
 """
 
+import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.resources import files
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import PhysicsError
 from pipeline.refraction.papers.printed_tables import (
-    BERTRAM_NOTES,
-    GYER_NOTES,
-    SAASTAMOINEN_NOTES,
     Block,
     bertram_rows,
     gyer_rows,
@@ -63,22 +62,23 @@ def paper_tables(paper: str) -> PaperTable:
     (-3.0, -3.0)
     """
     try:
-        rows, notes = _PAPERS[paper]
+        rows_of_paper = _PAPERS[paper]
     except KeyError:
         raise PhysicsError(
             "PAPER-NAME", f"no paper is called {paper!r}", remedy=f"one of {', '.join(_PAPERS)}"
         ) from None
-    blocks = rows()
+    blocks = rows_of_paper()
     columns: dict[str, NDArray[np.generic]] = {
         name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]
     }
-    return PaperTable(columns, notes)
+    notes = files("pipeline.refraction").joinpath("data/paper_notes.toml").read_text("utf-8")
+    return PaperTable(columns, tuple(tomllib.loads(notes)[paper]))
 
 
-_PAPERS: dict[str, tuple[Callable[[], list[Block]], tuple[str, ...]]] = {
-    "gyer1996": (gyer_rows, GYER_NOTES),
-    "saastamoinen1974": (saastamoinen_rows, SAASTAMOINEN_NOTES),
-    "bertram1966": (bertram_rows, BERTRAM_NOTES),
+_PAPERS: dict[str, Callable[[], list[Block]]] = {
+    "gyer1996": gyer_rows,
+    "saastamoinen1974": saastamoinen_rows,
+    "bertram1966": bertram_rows,
 }
 
 __all__ = ["PaperTable", "paper_names", "paper_tables"]

@@ -62,25 +62,6 @@ def printed_table(name: str) -> dict[str, Array]:
 
 GYER_RADIUS_M = 6_378_000.0
 
-GYER_NOTES = (
-    "Table 2 is the ARDC Model Atmosphere 1959, not US 1976 as its heading says; p at -1 km "
-    "computes as 1139.31 for 1139.30.",
-    "Tables 3 and 4: of 440 entries as published 363 (82.5 %) have the printed digits, 379 "
-    "(86.1 %) lie within 0.0055 arcsec, half a unit of the last digit and a tenth more; all within "
-    "0.0146.",
-    "Tables 3 to 7 have the temperatures of ARDC 1959 and Gyer's M0 = 28.9644, R* = 8314.32. "
-    "--atmosphere ardc1959 has ARDC's own, 28.966 and 8314.39: M0 / R* is 5e-5 larger. With it, "
-    "--index gyer --method gyer1996 --radius 6378000 gives the printed digits of 347 entries "
-    "(78.9 %), all within 0.0151 arcsec.",
-    "Tables 3 and 4 carry the error of a 1 km step: at 25 km and 85 deg printed 465.69, exact "
-    "457.86.",
-    "Table 5 is the difference to the first term of Eq. 24; the further terms, as they follow from "
-    "Eq. 22, would add up to 6.5 arcsec at 85 deg.",
-    "Table 6: R_c is up to 1.5 arcsec low, the error of thin shells; the size of his shells is not "
-    "printed, 0.2 m are taken here. The distance is the arc r_e theta_c, at sea level.",
-    "Table 7 has the sign of Eq. 39; Eq. 38 prints the opposite one. Its n are up to 0.014e-6 low.",
-)
-
 
 def gyer_air() -> Profile:
     """The air behind Gyer's Tables 3 to 7.
@@ -215,15 +196,6 @@ def table_7(air: Profile) -> list[Block]:
     ]  # fmt: skip
 
 
-SAASTAMOINEN_NOTES = (
-    "The example is worked in whole microradians, as published here too; unrounded R + Delta R is "
-    "-3.6 urad.",
-    "Eq. 3a and 3b differ from Eq. 2 in US 1962 by up to 0.24 urad at 12 km; he compares with sums "
-    "of Schut.",
-    "Eq. 7 and 10 hold 34.11 for g M/R* = 34.163 and read 27 % high at 120 m, 1 % at 3 km.",
-)
-
-
 def saastamoinen_rows() -> list[Block]:
     return [*worked_example(), *stated_errors()]
 
@@ -278,13 +250,6 @@ def stated_errors() -> list[Block]:
 
 
 RADIUS_M = 6_378_000.0
-
-BERTRAM_NOTES = (
-    "Table 2: the density at 58 km prints .00041, ARDC 1959 has .00044; 53,400 m is 53,500 m.",
-    "Sums are rounded to a unit, in Table 2 to ten, and divided to three decimals (0.2 urad).",
-    "Eq. 9 for raised ground counts heights from sea level instead of from the ground point: "
-    "78.1 urad in his example, where the sum started at the point gives 66.0.",
-)
 
 
 def hand_sum(z: Array, density: Array, carried: float | None = None) -> tuple[Array, Array]:

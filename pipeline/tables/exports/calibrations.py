@@ -9,6 +9,7 @@ import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from importlib.resources import files
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -59,22 +60,6 @@ _MOST_IMAGES, _COLUMNS, _ROWS, _NODE_WEIGHT = 60, 15, 11, 0.1
 _MOST_ROWS = 200_000
 _LARGEST_ZETA_RAD = np.radians(80.0)
 _LARGEST_MISFIT_PX = 0.02
-
-_ADVICE = """\
-Calibrations that stand for the refraction of this block, fitted to the corrections of the run.
-
-* The program gets its image points as measured; its own correction of refraction is off.
-* The program holds the calibration fixed, all of it. One that estimates it again takes the change
-  for an error of the camera, and leaves 0.16 m a head at 6 km.
-    COLMAP            --Mapper.ba_refine_focal_length 0 --Mapper.ba_refine_principal_point 0
-                      --Mapper.ba_refine_extra_params 0
-    OpenSfM, ODM      optimize_camera_parameters: no; --use-fixed-camera-params
-    Metashape         Camera Calibration, tab Initial: load the XML, then fix all parameters; no
-                      Fit in Optimize Cameras, no adaptive fitting
-    BINGO, Inpho      no self-calibration; correction of refraction off
-* It holds for the flying height and the images (images.csv) that it stands with, no others.
-* A program that takes corrected points, or a lattice of corrections, does better with these.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,9 +115,9 @@ def _write(run: FinishedRun, values: Values, path: Path, ledger: Ledger) -> int:
             )  # fmt: skip
         if fitted.part > _FLAGGED:
             ledger.loss("EXPORT-RESIDUAL", what, where=where, count=fitted.stations.size)
-    (path / "calibration.txt").write_text(
-        "\n".join([_ADVICE, *map(report_of, found)]), encoding="utf-8"
-    )
+    advice = files("pipeline.tables").joinpath("data/calibrations.txt").read_text("utf-8")
+    report = "\n".join([advice, *map(report_of, found)])
+    (path / "calibration.txt").write_text(report, encoding="utf-8")
     for_images = [(run.stations.image[i], f.camera_name, f.name) for f in found for i in f.stations]
     pd.DataFrame(for_images, columns=["image", "camera", "calibration"]).to_csv(
         path / "images.csv", index=False
