@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from pipeline.ledger import Ledger
 
 _ORDER = (
-    "run", "check", "stations", "inspect", "angle", "radial", "tables", "profile", "compare",
-    "simulate", "export", "verify",
+    "init", "schema", "help", "run", "check", "stations", "inspect", "angle", "radial", "tables",
+    "profile", "compare", "simulate", "export", "verify",
 )  # fmt: skip
-"""Order of the commands in the help: missions, atmosphere and rays, results."""
+"""Order of the commands in the help: the way in, missions, atmosphere and rays, results."""
 
 
 class _Group(TyperGroup):

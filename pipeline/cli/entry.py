@@ -11,13 +11,13 @@ from types import FrameType
 
 import typer
 
-from pipeline.cli import missions, physics
+from pipeline.cli import guide, missions, physics
 from pipeline.cli.app import app, print_bug, print_error
 from pipeline.errors import EXIT_CONFIG, EXIT_DONE, EXIT_INTERRUPTED, EXIT_TERMINATED, UnbendError
 from pipeline.interrupts import SIGNALS
 
 # The import of these modules registers their commands.
-_COMMANDS = (missions, physics)
+_COMMANDS = (guide, missions, physics)
 
 # Base class of all errors in a command line: click's UsageError, or that of the copy of click in
 # newer versions of typer.

@@ -11,6 +11,7 @@ import pytest
 
 import pipeline
 from pipeline import errors
+from pipeline.report import explanations
 
 PACKAGE = Path(pipeline.__file__).parent
 TESTS = Path(__file__).resolve().parents[1]
@@ -98,6 +99,43 @@ def test_nothing_is_explained_that_does_not_exist():
 def test_nothing_is_explained_that_a_test_raises(said_in_tests):
     refusals_only = set(EXPLAINED) - set(codes(LEDGER))
     assert not refusals_only & said_in_tests
+
+
+# Written like codes, and none: dates, hashes, encodings, numbers of tables; or made of parts.
+NO_CODES = {"2026-05-14", "3-4", "SHA-256", "UTF-8"}
+MADE = {"RAY-BAD-MEASUREMENT", "RAY-MISSES-GROUND", "RAY-OUTSIDE-PROFILE"}
+
+
+def test_every_code_is_explained_offline_and_nothing_else_is():
+    """`unbend help CODE`: what it means, what it does to the result, what to do."""
+    written = {
+        word
+        for path in sorted(PACKAGE.rglob("*.py"))
+        for word in strings(ast.parse(path.read_text(encoding="utf-8")))
+        if re.fullmatch(r"[A-Z0-9]+(?:-[A-Z0-9]+)+", word)
+    }
+    known = (written - NO_CODES) | MADE | codes(REFUSALS).keys() | codes(LEDGER).keys()
+    assert len(known) > 400
+    explained = explanations.codes()
+    assert known - set(explained) == set()
+    assert set(explained) - known == set()
+    meanings = [meaning.means for meaning in explained.values()]
+    assert len(set(meanings)) == len(meanings)  # none is a copy of another
+    for code, meaning in explained.items():
+        for text in (meaning.means, meaning.effect, meaning.remedy):
+            assert text.endswith("."), code
+            assert text[0].isupper() or text[0] in "`0123456789" or text.split()[0] in LOWER, code
+        assert 15 < len(meaning.means) < 300, code
+        assert meaning.remedy == "Nothing." or len(meaning.remedy) > 10, code
+
+
+LOWER = {"pip", "pressure_hpa", "time_utc", "delay_s", "direction", "lever_arm_m",
+         "ppa_mm", "atmosphere.adjust", "events.first_image"}  # fmt: skip
+
+
+def test_every_exit_code_is_explained():
+    own = {value for name, value in vars(errors).items() if name.startswith("EXIT_")}
+    assert set(explanations.exit_codes()) == own
 
 
 def test_only_strings_at_work_count():

@@ -1,0 +1,103 @@
+"""What a key, a code or an exit code means: the words of `unbend help`."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+
+from pipeline.config.schema import MissionKey, mission_keys
+from pipeline.errors import ConfigError
+
+_MOST_LISTED = 8
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """Of a code: what it means, what it does to the result, and what to do."""
+
+    means: str
+    effect: str
+    remedy: str
+
+
+@cache
+def _meanings() -> Mapping[str, Mapping[str, Mapping[str, str]]]:
+    return tomllib.loads(resources.files(__package__).joinpath("codes.toml").read_text("utf-8"))
+
+
+def codes() -> dict[str, Meaning]:
+    """All codes of refusals and of the ledger, sorted."""
+    return {code: Meaning(**of) for code, of in sorted(_meanings()["codes"].items())}
+
+
+def exit_codes() -> dict[int, Meaning]:
+    """The exit codes of the command line."""
+    return {int(code): Meaning(**of) for code, of in _meanings()["exit"].items()}
+
+
+def explain(word: str) -> list[str]:
+    """Lines that explain a key (whole or its last part), a code or an exit code.
+
+    Of several keys that end in the word each is explained, up to 8, the rest are listed. Refuses
+    (ConfigError HELP-WORD) a word that is none, with the nearest ones.
+
+    >>> explain("4")[0]
+    'exit code 4'
+    >>> explain("f_px")[:2]
+    ['cameras.*.f_px', '  principal distance, where it is the same along x and y']
+    """
+    of_exit = {str(code): meaning for code, meaning in exit_codes().items()}
+    if word in of_exit:
+        return [f"exit code {word}", *_lines_of(of_exit[word])]
+    code = word.upper().strip(":")
+    if code in codes():
+        return [code, *_lines_of(codes()[code])]
+    keys = list(mission_keys())
+    parts = word.strip(".").lower().split(".")
+    found = [key for key in keys if _ends_in(key.path.split("."), parts)]
+    whole = [key for key in found if len(key.path.split(".")) == len(parts)]
+    found = whole or found
+    if not found:
+        last = {key.path.rpartition(".")[2]: key.path for key in keys}
+        near = difflib.get_close_matches(code, codes(), 3, 0.7)
+        near += difflib.get_close_matches(parts[-1], last, 3, 0.6)
+        raise ConfigError(
+            "HELP-WORD",
+            f"{word!r} is no key of a mission file, no code and no exit code",
+            remedy=f"perhaps {', '.join(near)}?"
+            if near
+            else "`unbend schema` has all keys; codes are what the ledger and refusals begin with",
+        )
+    lines = [line for key in found[:_MOST_LISTED] for line in [*_lines_of_key(key, keys), ""]]
+    rest = [key.path for key in found[_MOST_LISTED:]]
+    return lines[:-1] + ([f"and: {', '.join(rest)}"] if rest else [])
+
+
+def _ends_in(path: list[str], parts: list[str]) -> bool:
+    """Whether a key is, or ends in, the parts that are asked for; * stands for any name."""
+    tail = path[-len(parts) :]
+    return len(tail) == len(parts) and all(
+        of_key in ("*", part) for of_key, part in zip(tail, parts, strict=True)
+    ) and tail[-1] == parts[-1]  # fmt: skip
+
+
+def _lines_of(meaning: Meaning) -> list[str]:
+    return [
+        f"  {meaning.means}",
+        f"  effect on the result: {meaning.effect}",
+        f"  to do: {meaning.remedy}",
+    ]
+
+
+def _lines_of_key(key: MissionKey, keys: list[MissionKey]) -> list[str]:
+    """A key: its text, what it takes, default and example, and the keys within it."""
+    within = [k.path.removeprefix(key.path) for k in keys if k.path.startswith(f"{key.path}.")]
+    names = dict.fromkeys(path.split(".*.")[-1].split(".")[-1] for path in within
+                          if path.removeprefix(".*").count(".") == 1)  # fmt: skip
+    lines = [key.path, f"  {key.text}", f"  takes: {key.allowed}", f"  default: {key.default}"]
+    lines += [f"  example: {key.example}"] if key.example else []
+    return lines + ([f"  within it: {', '.join(names)}"] if names else [])

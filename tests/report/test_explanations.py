@@ -1,0 +1,69 @@
+"""`unbend help` and `unbend schema`: keys, codes and exit codes, offline."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from pipeline.config.schema import mission_keys, mission_schema
+from pipeline.errors import ConfigError
+from pipeline.report.explanations import codes, explain
+
+
+@pytest.mark.parametrize("word", ["f_px", "cameras.*.f_px", "cameras.nadir.f_px", "F_PX"])
+def test_a_key_is_found_whole_by_a_camera_s_name_or_by_its_last_part(word):
+    lines = explain(word)
+    assert lines[0] == "cameras.*.f_px"
+    assert "  takes: a number from 10 to 1000000 [px]" in lines
+    assert "  default: none" in lines
+    assert "  example: 20000.0" in lines
+
+
+def test_several_keys_of_one_name_are_listed():
+    lines = explain("path")
+    assert sum(line.endswith(".path") for line in lines[:-1]) == 8
+    assert lines[-1].startswith("and: ")
+    assert explain("undulation_m")[0] == "mission.undulation_m"
+    assert explain("mission")[0] == "mission"  # the section, not all keys within it
+    within = next(line for line in explain("cameras") if "within it" in line)
+    assert " f_px," in within
+    assert "pressure_hpa" not in within
+
+
+def test_every_key_and_every_code_is_found():
+    for key in mission_keys():
+        assert key.path in explain(key.path)
+    for code, meaning in codes().items():
+        assert explain(code.lower())[:2] == [code, f"  {meaning.means}"]
+    assert explain("130")[1].startswith("  Interrupted")
+
+
+@pytest.mark.parametrize(
+    ("typo", "meant"),
+    [("undulaton_m", "undulation_m"), ("EVENTS-AMBIGOUS", "EVENTS-AMBIGUOUS"), ("f_pix", "f_px")],
+)
+def test_a_typo_gets_the_nearest_names(typo, meant):
+    with pytest.raises(ConfigError) as caught:
+        explain(typo)
+    assert caught.value.code == "HELP-WORD"
+    assert meant in caught.value.remedy
+
+
+def test_the_commands(tmp_path):
+    def unbend(*words):
+        return subprocess.run([sys.executable, "-m", "pipeline", *words], capture_output=True,
+                              text=True, timeout=120, cwd=tmp_path)  # fmt: skip
+
+    done = unbend("schema", "--out", "mission.schema.json")
+    assert (done.returncode, done.stdout) == (0, "mission.schema.json\n")
+    assert json.loads((tmp_path / "mission.schema.json").read_text()) == mission_schema()
+    done = unbend("help", "EVENTS-AMBIGUOUS")
+    assert done.returncode == 0
+    assert "  effect on the result: The mission is refused." in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    done = unbend("help", "nothing-like-it")
+    assert done.returncode == 2
+    assert "HELP-WORD" in done.stderr
