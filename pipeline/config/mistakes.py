@@ -68,11 +68,10 @@ def sentences_of(
         (place, f"still TODO: {_meaning(place)}"): None for place in todo
     }
     items = [] if error is None else error.errors(include_url=False, include_context=False)
-    placed = [(_place(values, item["loc"]), item) for item in items]
-    for place, item in placed:
+    placed = [(*_found_at(values, item["loc"]), item) for item in items]
+    for place, value, item in placed:
         of_question = any(t[: len(place)] == place or place[: len(t)] == t for t in todo)
-        inside = any(other[: len(place)] == place != other for other, _ in placed)
-        value = _value_at(values, place)
+        inside = any(other[: len(place)] == place != other for other, *_ in placed)
         # A union reports each of its arms: a section's own mistakes say more.
         arm = inside and isinstance(value, dict | list)
         match item["type"]:
@@ -81,7 +80,11 @@ def sentences_of(
             case "value_error":
                 what = item["msg"].removeprefix("Value error, ")
             case "extra_forbidden":
-                what = f"unknown key{_near(place)}"
+                nodes = [arm for node in nodes_at(place[:-1]) for arm in alternatives(node)]
+                known = sorted({key for arm in nodes for key in arm.get("properties", {})})
+                near = difflib.get_close_matches(str(place[-1]), known, 1, 0.5)
+                what = f"unknown key; there is {', '.join(known)}"
+                what = f"unknown key; perhaps {near[0]!r}?" if near else what
             case "missing":
                 what = f"is missing: {_meaning(place)}"
             case _ if arm:
@@ -97,8 +100,8 @@ def sentences_of(
     return [text for _, text in sorted(dict.fromkeys(lines))]
 
 
-def _place(values: Any, loc: tuple[int | str, ...]) -> Place:
-    """The place of an error of the models, without the names of the arms of unions in it."""
+def _found_at(values: Any, loc: tuple[int | str, ...]) -> tuple[Place, Any]:
+    """Place and value of an error of the models, without the arms of unions; None if missing."""
     place: list[str | int] = []
     for i, part in enumerate(loc):
         inside = isinstance(part, int) and isinstance(values, list) and part < len(values)
@@ -106,15 +109,9 @@ def _place(values: Any, loc: tuple[int | str, ...]) -> Place:
             values = values[part]
             place.append(part)
         elif i == len(loc) - 1 and isinstance(values, dict) and nodes_at((*place, part)):
+            values = None
             place.append(part)  # a key that is missing
-    return tuple(place)
-
-
-def _value_at(values: Any, place: Place) -> Any:
-    for key in place:
-        inside = isinstance(values, list) or (isinstance(values, dict) and key in values)
-        values = values[key] if inside else None
-    return values
+    return tuple(place), values
 
 
 def _line(node: yaml.Node, place: Place) -> int:
@@ -160,13 +157,3 @@ def _meaning(place: Place) -> str:
     texts = dict.fromkeys(n["description"] for n in nodes_at(place) if "description" in n)
     allowed = _allowed(place)
     return "; ".join([*list(texts)[:1], *([allowed] if len(allowed) < 160 or not texts else [])])
-
-
-def _near(place: Place) -> str:
-    """The key that an unknown one may have been meant for, or all that there are."""
-    known = sorted({
-        key for node in nodes_at(place[:-1]) for arm in alternatives(node)
-        for key in arm.get("properties", {})
-    })  # fmt: skip
-    near = difflib.get_close_matches(str(place[-1]), known, 1, 0.5)
-    return f"; perhaps {near[0]!r}?" if near else f"; there is {', '.join(known)}"

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 
-from pipeline.config.schema import MissionKey, mission_keys
+from pipeline.config.schema import mission_keys
 from pipeline.errors import ConfigError
 
 _MOST_LISTED = 8
@@ -58,7 +58,12 @@ def explain(word: str) -> list[str]:
         return [code, *_lines_of(codes()[code])]
     keys = list(mission_keys())
     parts = word.strip(".").lower().split(".")
-    found = [key for key in keys if _ends_in(key.path.split("."), parts)]
+    tails = [(key, key.path.split(".")[-len(parts) :]) for key in keys]
+    found = [  # * of a key stands for any name
+        key for key, tail in tails
+        if len(tail) == len(parts) and tail[-1] == parts[-1]
+        and all(a in ("*", b) for a, b in zip(tail, parts, strict=True))
+    ]  # fmt: skip
     whole = [key for key in found if len(key.path.split(".")) == len(parts)]
     found = whole or found
     if not found:
@@ -72,17 +77,17 @@ def explain(word: str) -> list[str]:
             if near
             else "`unbend schema` has all keys; codes are what the ledger and refusals begin with",
         )
-    lines = [line for key in found[:_MOST_LISTED] for line in [*_lines_of_key(key, keys), ""]]
+    lines = []
+    for key in found[:_MOST_LISTED]:
+        lines += [key.path, f"  {key.text}", f"  takes: {key.allowed}", f"  default: {key.default}"]
+        lines += [f"  example: {key.example}"] if key.example else []
+        within = [k.path.removeprefix(key.path).removeprefix(".*") for k in keys
+                  if k.path.startswith(f"{key.path}.")]  # fmt: skip
+        names = [path[1:] for path in dict.fromkeys(within) if path.count(".") == 1]
+        lines += [f"  within it: {', '.join(names)}"] if names else []
+        lines.append("")
     rest = [key.path for key in found[_MOST_LISTED:]]
     return lines[:-1] + ([f"and: {', '.join(rest)}"] if rest else [])
-
-
-def _ends_in(path: list[str], parts: list[str]) -> bool:
-    """Whether a key is, or ends in, the parts that are asked for; * stands for any name."""
-    tail = path[-len(parts) :]
-    return len(tail) == len(parts) and all(
-        of_key in ("*", part) for of_key, part in zip(tail, parts, strict=True)
-    ) and tail[-1] == parts[-1]  # fmt: skip
 
 
 def _lines_of(meaning: Meaning) -> list[str]:
@@ -91,13 +96,3 @@ def _lines_of(meaning: Meaning) -> list[str]:
         f"  effect on the result: {meaning.effect}",
         f"  to do: {meaning.remedy}",
     ]
-
-
-def _lines_of_key(key: MissionKey, keys: list[MissionKey]) -> list[str]:
-    """A key: its text, what it takes, default and example, and the keys within it."""
-    within = [k.path.removeprefix(key.path) for k in keys if k.path.startswith(f"{key.path}.")]
-    names = dict.fromkeys(path.split(".*.")[-1].split(".")[-1] for path in within
-                          if path.removeprefix(".*").count(".") == 1)  # fmt: skip
-    lines = [key.path, f"  {key.text}", f"  takes: {key.allowed}", f"  default: {key.default}"]
-    lines += [f"  example: {key.example}"] if key.example else []
-    return lines + ([f"  within it: {', '.join(names)}"] if names else [])
