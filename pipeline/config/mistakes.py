@@ -94,8 +94,8 @@ def sentences_of(
         found[place, what] = None
     lines = []
     for place, what in found:
-        line, key = _line(node, place), ".".join(f"[{p}]" if isinstance(p, int) else p
-                                                for p in place)  # fmt: skip
+        line = _line(node, place)
+        key = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in place).removeprefix(".")
         lines.append((line, f"line {line}: {key}: {what}" if key else f"line {line}: {what}"))
     return [text for _, text in sorted(dict.fromkeys(lines))]
 
