@@ -140,7 +140,7 @@ def test_open_questions_are_named_exactly_and_nothing_that_follows_from_them(tmp
     assert error is not None
     assert error.code == "CONFIG-TODO"
     named = re.findall(r"line \d+: (\S+): still TODO: \w+", error.what)
-    wanted = {".".join(f"[{k}]" if isinstance(k, int) else k for k in place) for place in todo}
+    wanted = {".".join(map(str, place)).replace(".0.", "[0].") for place in todo}
     assert len(named) == len(todo)
     assert set(named) == wanted
     assert error.what.count("line ") == len(todo)
