@@ -45,6 +45,29 @@ def test_a_wrong_number_is_noticed() -> None:
     assert "line 4" in failures(examples(page), "page")
 
 
+QUOTED = re.compile(r"`([\w/]+\.py|test_\w+)`")
+
+
+def test_modules_and_tests_that_pages_name_exist() -> None:
+    files = [
+        f"/{path.relative_to(ROOT).as_posix()}"
+        for folder in ("pipeline", "tests", "docs", "benchmarks")
+        for path in (ROOT / folder).rglob("*.py")
+    ]
+    tests = "".join(path.read_text("utf-8") for path in (ROOT / "tests").rglob("*.py"))
+    lost = [
+        f"{page.name}: {name}"
+        for page in (*(ROOT / "docs" / "pages").rglob("*.md"), ROOT / "docs" / "decisions.md")
+        for name in QUOTED.findall(page.read_text(encoding="utf-8"))
+        if not (
+            any(file.endswith(f"/{name}") for file in files)
+            if name.endswith(".py")
+            else f"def {name}(" in tests
+        )
+    ]
+    assert not lost, "\n".join(sorted(set(lost)))
+
+
 def test_there_are_pages() -> None:
     assert {"gyer1996", "saastamoinen1974", "bertram1966", "ray", "air"} <= {
         path.stem for path in PAGES

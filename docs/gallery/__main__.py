@@ -1,0 +1,39 @@
+"""Draws the gallery and writes its page: python -m docs.gallery [NAME...], in the root.
+
+Pictures that are not named keep the numbers of the page and are drawn again.
+"""
+
+import os
+import sys
+import tomllib
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads that wait for each other
+from docs.gallery.plates import FOLDER, numbers_of, save, table
+
+PAGE, TEXTS = FOLDER / "index.md", Path(__file__).with_name("texts.toml")
+HEAD = """\
+# Gallery
+
+Pictures made by scripts, and the numbers behind them. The scripts stand in `docs/gallery`;
+`python -m docs.gallery` runs them and writes this page, tests compute numbers again.
+"""
+
+
+def main(named: list[str]) -> None:
+    page, texts = HEAD, tomllib.loads(TEXTS.read_text(encoding="utf-8"))
+    for name, about in texts.items():
+        script = import_module(f"docs.gallery.{name}")
+        rows = script.rows() if name in named or not named else numbers_of(name)
+        title, drawn = about["title"], partial(script.draw, table=rows)
+        picture = save(name, title, script.SIZE, drawn)
+        page += f"\n## {title}\n\n{about['text']}\n{picture}\n"
+        page += f'??? note "The numbers (`docs/gallery/{name}.py`)"\n\n'
+        page += "".join(f"    {line}\n" for line in table(rows).splitlines())
+    PAGE.write_text(page, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
