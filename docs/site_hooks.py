@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import posixpath
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,9 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 DOCS = Path(__file__).resolve().parent
+sys.path.insert(0, str(DOCS.parent))  # mkdocs loads hooks by their file
+from docs.reference import with_generated  # noqa: E402
+
 PAGES = DOCS / "pages"
 LINK = re.compile(r"(\]\()([^)#\s:]+)((?:#[^)\s]*)?\))")
 UNSEARCHED = ("changelog.md", "changelog_details.md", "decisions.md")
@@ -50,7 +54,7 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
             place = target.relative_to(PAGES).as_posix()
         return link[0] if place is None else f"{link[1]}{posixpath.relpath(place, here)}{link[3]}"
 
-    return LINK.sub(as_in_the_site, markdown)
+    return LINK.sub(as_in_the_site, with_generated(markdown))
 
 
 def on_page_content(content: str, **_: Any) -> str:

@@ -1,0 +1,67 @@
+"""The generated parts of the pages: `<!-- generated: what of -->`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+
+import pipeline.tables.schemas as schemas
+from docs.snippets import printed_by
+from pipeline.config.schema import MissionKey, mission_keys
+
+GENERATED = re.compile(r"<!-- generated: (\w+) (\w+) -->")
+
+
+def help_of(command: str) -> str:
+    """What `unbend COMMAND --help` prints."""
+    text, _ = printed_by([command, "--help"])
+    lines = "\n".join(line.rstrip() for line in text.strip().splitlines())
+    return f"```text\n{lines}\n```"
+
+
+def keys_of(section: str) -> str:
+    """The keys of a section of the mission file, each under a heading of its own."""
+    found = [key for key in mission_keys() if key.path.split(".")[0] == section]
+    return "\n\n".join(lines for key in found for lines in key_lines(key))
+
+
+def key_lines(key: MissionKey) -> Iterator[str]:
+    """A key: its heading, what it means, what it takes."""
+    path = key.path.replace(".*", ".<name>") if key.path.count("*") == 1 else key.path
+    anchor = re.sub(r"[^a-z0-9]+", "-", key.path.lower()).strip("-")
+    yield f"### `{path}` {{ #{anchor} }}"
+    text = key.text[:1].upper() + key.text[1:]
+    yield escaped(text.rstrip(".") + ".")
+    facts = [f"Takes {escaped(key.allowed)}.", f"Default: {escaped(key.default)}."]
+    if key.example:
+        facts.append(f"Example: `{key.path.rsplit('.', 1)[-1]}: {key.example}`")
+    yield " ".join(facts) + "\n{ .facts }"
+
+
+def columns_of(table: str) -> str:
+    """The columns of a table of results."""
+    columns = getattr(schemas, f"{table.upper()}_COLUMNS")
+    rows = [
+        f"| `{name}` | {unit or '-'} | {escaped(text)} |"
+        for name, (_, unit, text) in columns.items()
+    ]
+    return "\n".join(["| column | unit | |", "|---|---|---|", *rows])
+
+
+def escaped(text: str) -> str:
+    """Text that Markdown leaves as it is; `code` stays code."""
+    parts = re.split(r"(`[^`]*`)", text)
+    plain = [re.sub(r"([*_<>|\\$\[\]{}])", r"\\\1", part) for part in parts[::2]]
+    return "".join(a + b for a, b in zip(plain, [*parts[1::2], ""], strict=True))
+
+
+PARTS: dict[str, Callable[[str], str]] = {
+    "help": help_of,
+    "keys": keys_of,
+    "columns": columns_of,
+}
+
+
+def with_generated(markdown: str) -> str:
+    """A page with its generated parts."""
+    return GENERATED.sub(lambda found: PARTS[found[1]](found[2]), markdown)
