@@ -28,7 +28,7 @@ lint: $(STAMP)
 
 # The documentation as a site: open docs/site/index.html.
 docs: $(STAMP)
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --config-file docs/mkdocs.yml
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --config-file docs/mkdocs.yml
 
 # 100,000 mutated logs of each format, half an hour; `make test` does 2,000. 1,000 flights drawn for
 # the assignment of events to images; `make test` does 200. All mistakes of survey engineers; `make

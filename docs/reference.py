@@ -11,6 +11,9 @@ from pipeline.config.schema import MissionKey, mission_keys
 
 GENERATED = re.compile(r"<!-- generated: (\w+) (\w+) -->")
 
+# Each role of a channel may be {name, unit}: said once, of the first of them.
+REPEATED = re.compile(r"log\.channels\.(?!position\b)\w+\.")
+
 
 def help_of(command: str) -> str:
     """What `unbend COMMAND --help` prints."""
@@ -21,13 +24,18 @@ def help_of(command: str) -> str:
 
 def keys_of(section: str) -> str:
     """The keys of a section of the mission file, each under a heading of its own."""
-    found = [key for key in mission_keys() if key.path.split(".")[0] == section]
+    found = [
+        key
+        for key in mission_keys()
+        if key.path.split(".")[0] == section and not REPEATED.match(key.path)
+    ]
     return "\n\n".join(lines for key in found for lines in key_lines(key))
 
 
 def key_lines(key: MissionKey) -> Iterator[str]:
     """A key: its heading, what it means, what it takes."""
-    path = key.path.replace(".*", ".<name>") if key.path.count("*") == 1 else key.path
+    path = key.path.replace(".*", ".<name>", 1) if section_of_names(key) else key.path
+    path = path.replace("channels.position.", "channels.<role>.")
     anchor = re.sub(r"[^a-z0-9]+", "-", key.path.lower()).strip("-")
     yield f"### `{path}` {{ #{anchor} }}"
     text = key.text[:1].upper() + key.text[1:]
@@ -36,6 +44,11 @@ def key_lines(key: MissionKey) -> Iterator[str]:
     if key.example:
         facts.append(f"Example: `{key.path.rsplit('.', 1)[-1]}: {key.example}`")
     yield " ".join(facts) + "\n{ .facts }"
+
+
+def section_of_names(key: MissionKey) -> bool:
+    """Whether the first `*` of a key stands for a name of the reader's choice."""
+    return key.path.split(".")[0] in ("cameras", "mount", "events")
 
 
 def columns_of(table: str) -> str:

@@ -123,9 +123,13 @@ def run_line(line: str) -> tuple[str, int]:
         words = [word for words in named for word in words]
         said, code = printed_by(words[1:])
     elif words[0] == "python":
-        out = io.StringIO()
-        with contextlib.redirect_stdout(out):
-            runpy.run_path(words[1], run_name="__main__")
+        out, kept = io.StringIO(), sys.argv
+        sys.argv = words[1:]
+        try:
+            with contextlib.redirect_stdout(out):
+                runpy.run_path(words[1], run_name="__main__")
+        finally:
+            sys.argv = kept
         said, code = out.getvalue(), 0
     elif words[0] in SHELL:
         rest, mark = "", ""

@@ -121,7 +121,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> dict[Path, Links]:
     folder = tmp_path_factory.mktemp("site")
     config = ROOT / "docs" / "mkdocs.yml"
     done = subprocess.run(
-        [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict",
+        [sys.executable, "-m", "mkdocs", "build", "--strict",
          "--config-file", config, "--site-dir", folder],
         capture_output=True, text=True, cwd=ROOT, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
     )  # fmt: skip
