@@ -23,6 +23,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +32,7 @@ import yaml
 
 from pipeline.cli import main as unbend_main
 from pipeline.config import load_mission
+from pipeline.errors import UnbendError
 
 DOCS = Path(__file__).resolve().parent
 REPOSITORY = DOCS.parent
@@ -41,6 +43,18 @@ FENCE = re.compile(
 TITLE = re.compile(r'title="([^"]+)"')
 SHELL = ("cat", "cp", "grep", "head", "ls", "mkdir", "rm", "tail", "wc")  # run as they stand
 NOT_RUN = ("#", "cd ", "env/", "exiftool ", "git ", "make", "pip ", "py", "python -m")
+ONE_CAMERA = """
+mission: {name: one}
+log: {path: flight.bin}
+observations: {path: observations.csv}
+cameras:
+  nadir: {width_px: 14000, height_px: 10600, f_px: 20000.0, cx_px: 7000.0, cy_px: 5300.0,
+          calibration: laboratory}
+mount: {nadir: {}}
+events: {log: {nadir: {image: "*"}}}
+ground: {height: {column: h_g_m}, reference: msl}
+output: {path: results/one}
+"""
 
 
 @dataclass(frozen=True)
@@ -195,23 +209,35 @@ def run_sh(block: Block) -> None:
 
 
 def load_yaml(block: Block, whole: str) -> str:
-    """Load a mission file, or a part of one together with what the page's last one lacks."""
+    """Load a mission file, or a part of one together with what a mission of the page, of one camera
+    or of two has besides; returns the page's mission file."""
     text = yaml.safe_load(block.body)
     if not isinstance(text, dict):
         raise ValueError(f"not a part of a mission file: {block.body}")
-    if "mission" not in text:
-        text = {**yaml.safe_load(whole), **text}
+    if "cameras" in text and "output" in text:
+        load_text(text)
+        return block.body
+    two = (REPOSITORY / "configs" / "sample_bin.yaml").read_text(encoding="utf-8")
+    for base in filter(None, (whole, ONE_CAMERA)):
+        with contextlib.suppress(UnbendError):
+            load_text({**yaml.safe_load(base), **text})
+            return whole
+    load_text({**yaml.safe_load(two), **text})
+    return whole
+
+
+def load_text(text: dict[str, object]) -> None:
+    """Load a mission file as `run` does; raises what is wrong with it."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "mission.yaml")
         file.write_text(yaml.safe_dump(text, sort_keys=False), encoding="utf-8")
         load_mission(file)
-    return block.body if "mission" in yaml.safe_load(block.body) else whole
 
 
 def run_page(page: Path, folder: Path, every: bool = False) -> list[tuple[Block, Difference]]:
     """Run all blocks of a page in a folder; an error of the page raises with its name."""
     found: list[tuple[Block, Difference]] = []
-    whole = (REPOSITORY / "configs" / "sample_bin.yaml").read_text(encoding="utf-8")
+    whole = ""
     with contextlib.chdir(folder):
         for block in blocks(page):
             if block.slow and not every:
@@ -303,7 +329,7 @@ def main() -> int:
     os.environ["COLUMNS"] = "80"
     ready = Path(tempfile.mkdtemp())
     for page in named or pages():
-        folder = Path(tempfile.mkdtemp())
+        folder, begun = Path(tempfile.mkdtemp()), time.process_time()
         try:
             differences = run_alone(page, ready, folder, every)
         except RuntimeError as error:
@@ -312,6 +338,7 @@ def main() -> int:
             continue
         finally:
             shutil.rmtree(folder)
+            print(f"{page.relative_to(REPOSITORY)}: {time.process_time() - begun:.1f} s of CPU")
         for _, difference in differences:
             print(f"{page}\n--- shown\n{difference.shown}--- printed\n{difference.printed}")
         bad += len(differences)
