@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Callable, Iterator
+from importlib import resources
 
 import pipeline.tables.schemas as schemas
 from docs.snippets import printed_by
@@ -68,7 +70,33 @@ def escaped(text: str) -> str:
     return "".join(a + b for a, b in zip(plain, [*parts[1::2], ""], strict=True))
 
 
+def codes_of(table: str) -> str:
+    """The codes of the exit, or of refusals and the ledger by their first word."""
+    entries = explanations()[table]
+    if table == "exit":
+        rows = [
+            f"| {code} | {escaped(e['means'])} | {escaped(e['effect'])} | {escaped(e['remedy'])} |"
+            for code, e in entries.items()
+        ]
+        return "\n".join(["| code | means | the results | to do |", "|---|---|---|---|", *rows])
+    lines: list[str] = []
+    for code in sorted(entries):
+        word, entry = code.split("-")[0], entries[code]
+        if f"## {word}" not in lines:
+            lines.append(f"## {word}")
+        facts = f"Effect: {escaped(entry['effect'])} To do: {escaped(entry['remedy'])}"
+        lines += [f"### {code}", escaped(entry["means"]), f"{facts}\n{{ .facts }}"]
+    return "\n\n".join(lines)
+
+
+def explanations() -> dict[str, dict[str, dict[str, str]]]:
+    """The data file of all codes."""
+    text = resources.files("pipeline.report").joinpath("codes.toml").read_text("utf-8")
+    return tomllib.loads(text)
+
+
 PARTS: dict[str, Callable[[str], str]] = {
+    "codes": codes_of,
     "help": help_of,
     "keys": keys_of,
     "columns": columns_of,

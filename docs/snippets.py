@@ -163,13 +163,13 @@ def run_line(line: str) -> tuple[str, int]:
 def matches(shown: str, printed: str) -> bool:
     """Whether text is as shown: `...` alone stands for any lines, in a line for any text."""
     pattern = ""
-    for line in shown.splitlines():
+    for line in shown.rstrip().splitlines():
         if line.strip() == "...":
             pattern += r"(?:[^\n]*\n)*?"
         else:
             parts = (re.escape(part) for part in line.rstrip().split("..."))
             pattern += "[^\n]*?".join(parts) + "\n"
-    text = "".join(f"{line.rstrip()}\n" for line in printed.splitlines())
+    text = "".join(f"{line.rstrip()}\n" for line in printed.rstrip().splitlines())
     return re.fullmatch(pattern, text) is not None
 
 
@@ -329,6 +329,8 @@ def main() -> int:
     os.environ["COLUMNS"] = "80"
     ready = Path(tempfile.mkdtemp())
     for page in named or pages():
+        if not every and not any(block.runs and not block.slow for block in blocks(page)):
+            continue
         folder, begun = Path(tempfile.mkdtemp()), time.process_time()
         try:
             differences = run_alone(page, ready, folder, every)

@@ -29,7 +29,7 @@ from pipeline.refraction.ray import rays_by
 from pipeline.tables.exports import FORMATS, ExportCamera, FinishedRun
 from pipeline.tables.pixels import PixelSystem
 
-PAGE = Path(__file__).resolve().parents[3] / "docs/pages/keys.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs/pages/formats/orientations.md"
 CAMERA = Camera(1000, 800, 900.0, 880.0, 510.0, 395.0, BrownConrady(k1=-0.02, p1=1e-3))
 CORNERS = np.array([[0.0, 0.0], [0.0, 800.0], [1000.0, 800.0], [1000.0, 0.0]])
 NAMES = ["a,b.tif", '<c> & "d".tif', "e\x01.tif", "over the horizon", "nowhere"]
