@@ -25,9 +25,9 @@ from pipeline.batch.plan import Outcome
 from pipeline.config import load_mission
 from pipeline.geodesy import lambert_gravity
 from pipeline.refraction import Exposures, bend, correct_observations, ray_table
+from pipeline.simulate import ray_angle_sphere
 from pipeline.stages.story import read_mission
 from pipeline.units import ARCSEC, DEGREE
-from tests.physics.ray_on_sphere import ray_angle_sphere
 
 from .conftest import REPOSITORY, read_observations, run_sample
 
@@ -250,3 +250,15 @@ def test_tables_in_memory_give_the_rows_of_the_run(runs: dict[str, Outcome]) -> 
     told = json.loads((run / "manifest.json").read_text(encoding="utf-8"))
     for name in ("uncertainty", "cabin_air"):
         assert json.loads(found.schema.metadata[f"unbend.{name}".encode()]) == told[name]
+
+
+def test_the_gallery_shows_this_flight(runs: dict[str, Outcome]) -> None:
+    from docs.gallery import sample_flight
+    from docs.gallery.plates import numbers_of
+
+    shown = sample_flight.rows(runs["bin"].output)
+    assert shown == numbers_of("sample_flight")
+    page = (REPOSITORY / "docs/pages/theory/uncertainty.md").read_text(encoding="utf-8")
+    manifest = json.loads((runs["bin"].output / "manifest.json").read_text(encoding="utf-8"))
+    share = manifest["uncertainty"]["variance_share"]
+    assert f"In the sample flight it is {share:.2f}:" in page
