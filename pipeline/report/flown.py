@@ -258,7 +258,7 @@ def air_curves(air: FlightAir, samples: AirSamples, heights_m: Array) -> dict[st
             if of["column"] == i:
                 shown_here += [of["values_used"], of["values_not_used"]]
         every = np.concatenate(shown_here)
-        margin = 0.04 * max(float(np.ptp(every)), 1e-3)
+        margin = 0.04 * max(float(np.ptp(every)), 5.0)
         limits.append((float(every.min()) - margin, float(every.max()) + margin))
     return {
         "h_m": h, "samples": shown, "standard_name": standard.name, "basis": adjustment.basis,

@@ -152,10 +152,10 @@ def map_axes(limits_deg: Sequence[float], width: float) -> tuple[Axes, float]:
 
 
 def light_png(light: Array) -> str:
-    """Light (rows, columns) from -1 (shade, black) to 1 (white), transparent at 0, as data URL."""
+    """Light (rows, columns) from -1 (shade) to 1 as greys, clear where unknown, as data URL."""
     from PIL import Image
 
-    shade = np.nan_to_num(np.abs(light) * 110.0), np.where(light > 0.0, 255.0, 0.0)
+    grey = np.stack([np.nan_to_num(140.0 + 80.0 * light), 120.0 * np.isfinite(light)], axis=2)
     buffer = io.BytesIO()
-    Image.fromarray(np.stack(shade[::-1], axis=2).astype(np.uint8)).save(buffer, format="png")
+    Image.fromarray(grey.astype(np.uint8)).save(buffer, format="png")
     return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"

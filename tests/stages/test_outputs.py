@@ -348,3 +348,61 @@ def test_the_departure_is_the_adjusted_minus_the_standard_temperature(baseline):
     )
     assert abs(ours - standard) > 0.5
     assert manifest["profile"]["departure_at_cameras_k"] == pytest.approx(ours - standard, abs=0.1)
+
+
+def test_the_manifest_has_the_numbers_of_the_figures(baseline):
+    """Sigma budget, ground heights, histograms, field and nadir points, from the tables alone."""
+    manifest = json.loads((baseline.output / "manifest.json").read_text(encoding="utf-8"))
+    stations = baseline.stations().to_pandas().set_index("image")
+    rows = baseline.results().to_pandas().join(stations[["camera"]], on="image")
+    ground = manifest["ground_heights"]
+    limits = rows["h_g_m"].agg(["min", "median", "max"])
+    found = [ground[key] for key in ("lowest_m", "median_m", "highest_m")]
+    assert found == pytest.approx(list(limits), abs=0.5)
+    edges = ground["histogram"]["first_m"] + ground["histogram"]["step"] * np.arange(
+        len(ground["histogram"]["counts"]) + 1
+    )
+    assert ground["histogram"]["counts"] == np.histogram(rows["h_g_m"], edges)[0].tolist()
+    for name, of in rows.groupby("camera"):
+        sizes = manifest["correction"]["cameras"][name]
+        shift = np.stack([of["x_corrected_px"] - of["x_px"], of["y_corrected_px"] - of["y_px"]])
+        size = np.hypot(*shift)
+        bins = sizes["histogram_px"]
+        assert sum(bins["counts"]) == sum(sizes["histogram_m"]["counts"]) == len(of)
+        counted = np.histogram(size, bins["step"] * np.arange(len(bins["counts"]) + 1))[0]
+        assert np.abs(counted - bins["counts"]).sum() <= 2  # a bin's edge is good to 0.25 %
+        budget = manifest["sigma_budget"][name]
+        together = np.zeros(len(of))
+        for part in ("air", "station", "cabin"):
+            sigma = np.hypot(of[f"sigma_{part}_dx_px"], of[f"sigma_{part}_dy_px"])
+            together += sigma**2
+            px, metres = budget[part]["px"], budget[part]["m"]
+            assert sigma.sort_values().iloc[(len(of) - 1) // 2] <= px["median"] * 1.001
+            assert px["median"] <= sigma.sort_values().iloc[(len(of) + 1) // 2] * 1.001
+            assert px["median"] <= px["p95"] <= sigma.max() * 1.001
+            # As large on the ground, beside the shift there, as in the image, beside the shift.
+            scale = sizes["shift_ground_m"]["median"] / sizes["shift_px"]["median"]
+            assert metres["median"] / px["median"] == pytest.approx(scale, rel=0.35)
+        assert budget["all"]["px"]["median"] == pytest.approx(np.median(np.sqrt(together)), rel=0.1)
+        assert "ground" not in budget  # no sigma of the ground is known
+        field = sizes["field"]
+        assert np.max(np.hypot(field["dx_px"], field["dy_px"])) <= size.max() * 1.001
+        toward = np.sign(np.median(shift, axis=1))
+        assert np.sign(
+            np.median([field["dx_px"], field["dy_px"]], axis=1)
+        ).tolist() == pytest.approx(toward)
+    flight = manifest["flight"]
+    time = stations["time_utc"].agg(["min", "max"])
+    assert [flight["begin_utc"], flight["end_utc"]] == [f"{t:%Y-%m-%dT%H:%M:%SZ}" for t in time]
+    # The camera looks down within 2 degrees: 700 px; the other 45 degrees to its side: 20,000 px.
+    nadir, oblique = (flight["cameras"][name] for name in ("nadir", "oblique"))
+    assert np.hypot(nadir["nadir_px"][0] - 7000.0, nadir["nadir_px"][1] - 5300.0) < 1000.0
+    assert nadir["axis_nadir_angle_deg"] < 3.0
+    assert oblique["axis_nadir_angle_deg"] == pytest.approx(45.0, abs=2.0)
+    off = oblique["nadir_px"][0] - 7000.0, oblique["nadir_px"][1] - 5300.0
+    assert np.hypot(*off) == pytest.approx(20_000.0, rel=0.1)
+    # Refraction lets points appear farther from the nadir: the correction is towards it.
+    field = manifest["correction"]["cameras"]["oblique"]["field"]
+    assert np.dot(off, [np.median(field["dx_px"]), np.median(field["dy_px"])]) > 0.0
+    assert flight["h_msl_m"][1] == pytest.approx(stations["h_msl_m"].median(), abs=0.1)
+    assert nadir["height_above_ground_m"][0] <= nadir["height_above_ground_m"][1]

@@ -1,0 +1,279 @@
+"""The page in a browser: on a phone, a tablet and a desk, light and dark, and on paper.
+
+With the system's Chromium; nothing is downloaded. Where there is none the tests are skipped, unless
+UNBEND_BROWSER is set, as `.ci/run` does.
+"""
+
+import json
+import os
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+import yaml
+from rasterio import Affine
+
+from pipeline.simulate.flight import FIELD_LAT_RAD, FIELD_LON_RAD, geographic, terrain_m
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+WIDTHS = (390, 768, 1280)
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+pytestmark = pytest.mark.skipif(
+    CHROMIUM is None and not os.environ.get("UNBEND_BROWSER"),
+    reason="no chromium is installed (Debian: apt-get install chromium)",
+)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    from playwright.sync_api import sync_playwright
+
+    assert CHROMIUM is not None, "UNBEND_BROWSER is set, but no chromium is installed"
+    with sync_playwright() as started:
+        arguments = ["--no-sandbox", "--disable-gpu"]
+        running = started.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        yield running
+        running.close()
+
+
+def ran(mission: Any, code: int) -> Path:
+    ended = mission.run()
+    assert ended.code == code, ended.text
+    return Path(mission.output)
+
+
+def with_model_and_flagged_rows(mission: Any) -> Path:
+    """A mission on an elevation model that covers a part of it, with rows that are no use."""
+    cells, step = 300, 60.0 / 111_000.0
+    west, north = np.degrees(FIELD_LON_RAD) - 0.02, np.degrees(FIELD_LAT_RAD) + 0.1
+    at = (np.arange(cells) + 0.5) * step
+    lon, lat = np.meshgrid(west + at, north - at)
+    lat_1, lon_1 = geographic(np.array(1.0), np.array(1.0))
+    heights = terrain_m(
+        (np.radians(lon) - FIELD_LON_RAD) / (float(lon_1) - FIELD_LON_RAD),
+        (np.radians(lat) - FIELD_LAT_RAD) / (float(lat_1) - FIELD_LAT_RAD),
+    )
+    with rasterio.open(
+        mission.folder / "dem.tif", "w", driver="GTiff", height=cells, width=cells, count=1,
+        dtype="float32", crs="EPSG:4326", transform=Affine(step, 0.0, west, 0.0, -step, north),
+    ) as out:  # fmt: skip
+        out.write(heights.astype(np.float32), 1)
+    mission.config["ground"] = {"height": {"dem": "dem.tif"}, "reference": "msl", "sigma_m": 1.5}
+    table = mission.measurements().to_pandas()
+    table.loc[table.index[::9], "x_px"] = 99_999.0
+    table.loc[table.index[4::31], "y_px"] = np.nan
+    first = table["image"].iloc[0]
+    table.loc[table["image"] == first, "image"] = "a_name_of_an_image_that_nobody_shortened_" * 3
+    table.to_parquet(mission.folder / "own.parquet")
+    mission.config["observations"]["path"] = "own.parquet"
+    return ran(mission, 3)
+
+
+def without_log(mission: Any, baseline: Any) -> Path:
+    """A mission whose stations are a table, in the air of a standard."""
+    for section in ("log", "mount", "events"):
+        del mission.config[section]
+    for camera in mission.config["cameras"].values():
+        del camera["window"]
+    stations = baseline.stations().to_pandas().drop(columns=["time_utc", "geometry"])
+    stations.to_csv(mission.folder / "stations.csv", index=False)
+    mission.config["stations"] = {
+        "orientation": {
+            "path": "stations.csv", "angles": "quaternion", "frame": "geographic", "heights": "msl",
+            "columns": {"camera": "camera", "latitude": "lat_deg", "longitude": "lon_deg",
+                        "height": "h_msl_m"},
+        }
+    }  # fmt: skip
+    mission.config["atmosphere"] = {"adjust": False}
+    return ran(mission, 0)
+
+
+def sample(folder: Path) -> Path:
+    """The sample mission of a log of ArduPilot."""
+    from pipeline.stages.story import run_mission
+
+    text = (REPOSITORY / "configs" / "sample_bin.yaml").read_text(encoding="utf-8")
+    sections = yaml.safe_load(text)
+    for name in ("log", "observations"):
+        sections[name]["path"] = str((REPOSITORY / "configs" / sections[name]["path"]).resolve())
+    sections["output"]["path"] = str(folder / "results")
+    folder.mkdir()
+    (folder / "mission.yaml").write_text(yaml.safe_dump(sections), encoding="utf-8")
+    run_mission(folder / "mission.yaml")
+    return folder / "results"
+
+
+@pytest.fixture(scope="module")
+def runs(mission_factory, baseline, tmp_path_factory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("pages")
+    return {
+        "sample": sample(folder / "sample"),
+        "small": baseline.output,
+        "model": with_model_and_flagged_rows(mission_factory(folder / "model")),
+        "no log": without_log(mission_factory(folder / "none", "tlog"), baseline),
+    }
+
+
+# Elements that stand out of the screen or of their drawing, and texts that do not fit theirs.
+LOOK = """() => {
+  const wide = document.documentElement.clientWidth, out = [], seen = e => e.checkVisibility();
+  const aside = e => e && getComputedStyle(e).position === "absolute";  // heads of cards, for ears
+  for (const e of document.querySelectorAll("body *")) {
+    if (!seen(e) || e.closest("[aria-hidden]") || aside(e.closest("thead"))) continue;
+    const box = e.getBoundingClientRect();
+    if (box.right > wide + 0.5 || box.left < -0.5)
+      out.push(`${e.tagName} ${e.getAttribute("class")} ${box.left} to ${box.right}`);
+    if (!(e instanceof SVGElement) && e.scrollWidth > e.clientWidth + 1 && e.clientWidth > 0)
+      out.push(`${e.tagName} ${e.scrollWidth} in ${e.clientWidth}: ${e.textContent.slice(0, 40)}`);
+  }
+  for (const svg of document.querySelectorAll("figure > svg")) {
+    if (!seen(svg)) continue;
+    const frame = svg.getBoundingClientRect();
+    for (const text of svg.querySelectorAll("text")) {
+      const box = text.getBoundingClientRect();
+      if (box.right > frame.right + 1 || box.left < frame.left - 1 || box.top < frame.top - 1 ||
+          box.bottom > frame.bottom + 1)
+        out.push(`text ${text.textContent} leaves its drawing: ${box.left - frame.left}`);
+    }
+  }
+  return out;
+}"""
+
+# Ratio of the luminances of text and ground (WCAG 2), the lowest of all texts that are shown.
+CONTRAST = """() => {
+  const light = c => { const [r, g, b] = c.match(/[\\d.]+/g).slice(0, 3).map(v => v / 255)
+      .map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b; };
+  const paper = light(getComputedStyle(document.body).backgroundColor);
+  let worst = [99, ""];
+  const texts = "p, li, td, th, dd, dt, h1, h2, h3, a, code, text, summary, figcaption";
+  for (const e of document.querySelectorAll(texts)) {
+    if (!e.checkVisibility() || !e.textContent.trim()) continue;
+    const style = getComputedStyle(e);
+    const ink = light(e instanceof SVGElement ? style.fill : style.color);
+    const ratio = (Math.max(ink, paper) + 0.05) / (Math.min(ink, paper) + 0.05);
+    if (ratio < worst[0]) worst = [ratio, `${e.tagName} ${e.textContent.slice(0, 40)}`];
+  }
+  return worst;
+}"""
+
+DRAWN = ("map", "height", "size", "field", "air", "ground")
+
+
+@pytest.mark.parametrize("name", ["sample", "small", "model", "no log"])
+def test_nothing_is_wider_than_the_screen(runs, browser, name):
+    file = (runs[name] / "report.html").resolve()
+    for scheme in ("light", "dark"):
+        page = browser.new_page(color_scheme=scheme)
+        said, asked = [], []
+        page.on("console", lambda message, said=said: said.append(message.text))
+        page.on("pageerror", lambda error, said=said: said.append(str(error)))
+        page.on("request", lambda request, asked=asked: asked.append(request.url))
+        for width in WIDTHS:
+            page.set_viewport_size({"width": width, "height": 900})
+            page.goto(file.as_uri())
+            assert page.evaluate(LOOK) == [], f"{width} px, {scheme}"
+            shown = page.locator("figure > svg:visible")
+            classes = shown.evaluate_all("all => all.map(e => e.getAttribute('class'))")
+            assert set(classes) == {"narrow" if width == 390 else "wide"}
+            figures = page.locator("figure").evaluate_all("all => all.map(e => e.id)")
+            assert set(DRAWN) <= {figure.removeprefix("figure-") for figure in figures}
+            # Numbers at axes are drawn at eight pixels or more, not shrunk with the screen.
+            sizes = shown.evaluate_all(
+                "all => all.map(e => 11 * e.clientWidth / e.viewBox.baseVal.width)"
+            )
+            assert min(sizes) >= 10.0
+            # Open, the tables of data fit too.
+            page.evaluate("for (const e of document.querySelectorAll('details')) e.open = true")
+            assert page.evaluate(LOOK) == [], f"{width} px, {scheme}, all open"
+            ratio, where = page.evaluate(CONTRAST)
+            assert ratio >= 4.5, where
+        paper = page.evaluate("getComputedStyle(document.body).backgroundColor")
+        assert (sum(map(int, re.findall(r"\d+", paper)[:3])) < 150) == (scheme == "dark")
+        assert (said, [url for url in asked if not url.startswith(("file:", "data:"))]) == ([], [])
+        page.close()
+
+
+@pytest.mark.parametrize("name", ["sample", "model"])
+def test_a_drawing_has_a_text_in_its_place_and_follows_the_colours(runs, browser, name):
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.goto((runs[name] / "report.html").resolve().as_uri())
+    labels = page.locator("figure > svg:visible").evaluate_all(
+        "all => all.map(e => [e.getAttribute('role'), (e.getAttribute('aria-label') || '').length])"
+    )
+    assert all(role == "img" and length > 30 for role, length in labels)
+    colours = []
+    for scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=scheme)
+        colours.append(page.evaluate(
+            "[...document.querySelectorAll('figure > svg.wide *')].map(e => "
+            "getComputedStyle(e)).map(s => s.stroke + s.fill)"
+        ))  # fmt: skip
+    assert not set(colours[0]) & set(colours[1]) - {"nonenone", "nonergb(0, 0, 0)"}
+    page.close()
+
+
+def test_on_paper_no_head_is_left_alone_and_nothing_is_cut(runs, browser, tmp_path):
+    page = browser.new_page(viewport={"width": 680, "height": 900}, color_scheme="dark")
+    page.goto((runs["model"] / "report.html").resolve().as_uri())
+    page.emulate_media(media="print", color_scheme="dark")
+    assert page.evaluate(LOOK) == []
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    style = page.evaluate(
+        "[getComputedStyle(document.querySelector('thead')).display, "
+        "getComputedStyle(document.querySelector('tr')).breakInside, "
+        "getComputedStyle(document.querySelector('h2')).breakAfter, "
+        "getComputedStyle(document.querySelector('figure')).breakInside]"
+    )
+    assert style == ["table-header-group", "avoid", "avoid", "avoid"]
+    content = page.pdf(path=tmp_path / "report.pdf", prefer_css_page_size=True)
+    assert content.startswith(b"%PDF")
+    assert 3 <= len(re.findall(rb"/Type\s*/Page\b", content)) <= 20
+    page.close()
+
+
+@pytest.mark.parametrize("name", ["sample", "small", "model", "no log"])
+def test_the_page_says_what_the_manifest_says(runs, browser, name):
+    """Cell by cell, as a reader sees them."""
+    manifest = json.loads((runs[name] / "manifest.json").read_text(encoding="utf-8"))
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.goto((runs[name] / "report.html").resolve().as_uri())
+
+    def rows(section: str) -> list[list[str]]:
+        found: list[list[str]] = page.locator(f"#{section} > table tbody tr").evaluate_all(
+            "all => all.map(row => [...row.cells].map(cell => cell.innerText.trim()))"
+        )
+        return found
+
+    assert page.title().startswith(manifest["mission"])
+    statuses = manifest["observations"]["status"]
+    expected = [(k, f"{n:,}") for k, n in [*statuses.items(), *manifest["stations"].items()] if n]
+    shown = rows("rows")
+    assert sorted((row[0].split()[0], row[1]) for row in shown) == sorted(expected)
+    for row in shown:
+        if cause := manifest["observations"]["causes"].get(row[0].split()[0]):
+            assert f"Cause: {cause}" in row[0]
+    assert ("Cause: " in " ".join(row[0] for row in shown)) == bool(
+        manifest["observations"]["causes"]
+    )
+    assert [row[1:] for row in rows("provenance")] == [
+        [item["name"], item["sha256"]] for item in manifest["inputs"]
+    ]
+    assert [row[:2] for row in rows("flight")] == [
+        [camera, f"{of['exposures']:,}"] for camera, of in manifest["flight"]["cameras"].items()
+    ]
+    codes = page.locator("#ledger code").all_inner_texts()
+    assert sorted(codes) == sorted(entry["code"] for entry in manifest["ledger"])
+    ground, text = manifest["ground_heights"], page.locator("#ground > p").inner_text()
+    for key in ("lowest_m", "median_m", "highest_m"):
+        assert f"{ground[key]:.1f}" in text
+    # The heights that were used are those of the table of results.
+    text = page.locator("#figure-map .keys").inner_text()
+    assert f"{manifest['stations']['ok']} exposures, ok" in text
+    assert (page.locator("image#relief").count() == 1) == (name == "model")
+    page.close()
