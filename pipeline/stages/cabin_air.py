@@ -252,9 +252,7 @@ def _air_in(
     t = _first_known(blank, cabin.temperature_k, t_logged, USUAL_TEMPERATURE_K)
     measured = np.isfinite(t_logged) & (cabin.source != "standard_schedule")
     sigma_t = np.where(
-        measured,
-        _first_known(sigma_board, SIGMA_THERMOMETER_K),
-        _usual_sigma(p, p_outside),
+        measured, _first_known(sigma_board, SIGMA_THERMOMETER_K), _usual_sigma(p, p_outside)
     )
     if np.isfinite(cabin.temperature_k):
         sigma_t = blank

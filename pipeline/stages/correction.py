@@ -124,11 +124,7 @@ def correction_setup(
 
 
 def with_uncertainties(
-    setup: CorrectionSetup,
-    mission: Mission,
-    stations: Stations,
-    air: ProfileSeries,
-    batch: Batch,
+    setup: CorrectionSetup, mission: Mission, stations: Stations, air: ProfileSeries, batch: Batch
 ) -> CorrectionSetup:
     """The setup with what standard deviations and derivatives are computed from.
 

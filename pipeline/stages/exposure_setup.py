@@ -14,10 +14,7 @@ from pipeline.flight.stations import Stations
 from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera, LensInAir, is_absurd, principal_change
 from pipeline.refraction.image import Exposures
-from pipeline.refraction.window import (
-    OPTICAL_AXIS,
-    Window,
-)
+from pipeline.refraction.window import OPTICAL_AXIS, Window
 from pipeline.units import HECTOPASCAL, Array, Mask, Names
 
 
@@ -37,11 +34,7 @@ def cameras_of_mission(mission: Mission) -> dict[str, Camera]:
 
 
 def camera_of_rows(
-    mission: Mission,
-    given: Names | None,
-    only: str | None,
-    count: int,
-    path: str,
+    mission: Mission, given: Names | None, only: str | None, count: int, path: str
 ) -> Names:
     """(n,) the camera of each row of a table: as its column says, or the only one there is.
 

@@ -22,11 +22,7 @@ from pipeline.refraction.kernels.columns import CABIN, WINDOW
 from pipeline.stages.correction import CorrectionSetup
 from pipeline.stages.inputs import FlightLog
 from pipeline.stages.statistics import Statistics
-from pipeline.tables.refraction_mark import (
-    REFRACTION_APPLIED,
-    REFRACTION_KEY,
-    REFRACTION_REMOVED,
-)
+from pipeline.tables.refraction_mark import REFRACTION_APPLIED, REFRACTION_KEY, REFRACTION_REMOVED
 from pipeline.tables.writing import table_of_profiles, table_of_stations, write_parquet
 from pipeline.units import ARCSEC, Array
 

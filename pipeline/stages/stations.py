@@ -31,11 +31,7 @@ from pipeline.flight.exposures import (
 from pipeline.flight.heights import HeightSystem
 from pipeline.flight.image_names import refuse_other_names, renamed
 from pipeline.flight.mount import Mount
-from pipeline.flight.station_builder import (
-    build_stations,
-    flag_missing_aircraft_attitude,
-    with_air,
-)
+from pipeline.flight.station_builder import build_stations, flag_missing_aircraft_attitude, with_air
 from pipeline.flight.stations import (
     Stations,
     append_unmatched_images,

@@ -244,11 +244,7 @@ def subtended_angle(
 
 
 def _eq_31(
-    integrand: Callable[[Array, Rows], Array],
-    h_g: Array,
-    width: Array,
-    first: Array,
-    count: Array,
+    integrand: Callable[[Array, Rows], Array], h_g: Array, width: Array, first: Array, count: Array
 ) -> Array:
     """Sum of Eq. 31 over the intervals ``first`` to ``count``, counted from the ground.
 

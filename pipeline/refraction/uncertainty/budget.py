@@ -32,12 +32,7 @@ from pipeline.refraction.kernels.columns import (
     N,
 )
 from pipeline.refraction.ray import DEFAULT_RADIUS_M
-from pipeline.refraction.uncertainty.air_sigma import (
-    OPEN,
-    AirSigma,
-    air_sigma,
-    cabin_response,
-)
+from pipeline.refraction.uncertainty.air_sigma import OPEN, AirSigma, air_sigma, cabin_response
 from pipeline.refraction.uncertainty.leading_mode import leading_mode, rays_of_exposures
 from pipeline.refraction.uncertainty.sigmas import Uncertainty
 from pipeline.units import Array, Integers, Mask
@@ -152,11 +147,7 @@ def uncertainty_of(
 
 
 def _station_columns(
-    profile: Profile,
-    exposures: Exposures,
-    stations: StationSigmas,
-    kinds: Integers,
-    air: AirSigma,
+    profile: Profile, exposures: Exposures, stations: StationSigmas, kinds: Integers, air: AirSigma
 ) -> Array:
     """(s, 19) columns `N` to `CABIN` of `kernels.columns`; ``kinds`` (s,) are those of windows."""
     camera_m, n = air.camera_m, exposures.refractivity_outside

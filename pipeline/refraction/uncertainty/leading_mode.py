@@ -21,12 +21,7 @@ from pipeline.atmosphere.profile import Profile
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Exposures
 from pipeline.refraction.ray import DEFAULT_RADIUS_M
-from pipeline.refraction.uncertainty.air_sigma import (
-    OPEN,
-    AirMode,
-    CovarianceRoot,
-    window_errors,
-)
+from pipeline.refraction.uncertainty.air_sigma import OPEN, AirMode, CovarianceRoot, window_errors
 from pipeline.refraction.uncertainty.sensitivity import sensitivity
 from pipeline.units import Array, Integers, Mask
 
@@ -70,9 +65,7 @@ def window_turn(direction: Array, down: Array, normal: Array) -> tuple[Array, Ar
 
 
 def rays_of_exposures(
-    exposures: Exposures,
-    cameras: Sequence[tuple[Camera, Mask]],
-    kinds: Integers,
+    exposures: Exposures, cameras: Sequence[tuple[Camera, Mask]], kinds: Integers
 ) -> WindowRays:
     """Rays evenly spread over the images of at most 24 exposures; those below the horizon.
 

@@ -41,10 +41,7 @@ CAMERA_EVENTS: Mapping[str, tuple[Reader, tuple[str, ...]]] = {
 
 ORIENTATIONS: Mapping[
     str, tuple[Callable[[Path, Stated, Ledger], OrientationTable], tuple[str, ...]]
-] = {
-    "csv": (read_orientation, (".csv", ".txt")),
-    "dji": (read_gimbal_orientations, ()),
-}
+] = {"csv": (read_orientation, (".csv", ".txt")), "dji": (read_gimbal_orientations, ())}
 """Readers of positions and attitudes of images: a table, or the images of a folder themselves."""
 
 
@@ -66,11 +63,4 @@ def reader_of(
     )
 
 
-__all__ = [
-    "CAMERA_EVENTS",
-    "ORIENTATIONS",
-    "TRAJECTORIES",
-    "Reader",
-    "Stated",
-    "reader_of",
-]
+__all__ = ["CAMERA_EVENTS", "ORIENTATIONS", "TRAJECTORIES", "Reader", "Stated", "reader_of"]

@@ -13,12 +13,7 @@ from pipeline.flight.heights import GeodeticOrigin
 from pipeline.flight.stations import NO_TIME
 from pipeline.ledger import Ledger
 from pipeline.tables.imports.stated import Stated
-from pipeline.tables.text_columns import (
-    angles_in_radians,
-    numbers_of,
-    text_table,
-    utc_of_columns,
-)
+from pipeline.tables.text_columns import angles_in_radians, numbers_of, text_table, utc_of_columns
 from pipeline.units import RADIANS, Array, Integers, Names
 
 _ANGLES = {

@@ -23,11 +23,7 @@ from pipeline.refraction.calibration import camera_of_model
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.camera.general_frame import GeneralFrame
 from pipeline.tables.geodata.coordinate_systems import is_on_wgs84
-from pipeline.tables.imports.blocks.image_points import (
-    CameraMakers,
-    oriented_images,
-    rows_of_image,
-)
+from pipeline.tables.imports.blocks.image_points import CameraMakers, oriented_images, rows_of_image
 from pipeline.tables.imports.orientation import OrientationTable
 from pipeline.tables.imports.stated import not_of_format
 from pipeline.units import Array
