@@ -44,6 +44,38 @@ def persons_in(text: str) -> list[str]:
     return PERSON.findall(NO_PERSON.sub("", text))
 
 
+PRIVATE = re.compile(
+    r"\b(?:told|doubtful|believ\w*|betray\w*|widened|heed\w*|feign\w*|honest\w*)\b", re.IGNORECASE
+)
+"""Words of this program for what has a name in the field: reported, sigma inflation factor, ..."""
+ROOT = PACKAGE.parent
+
+
+def test_texts_have_no_private_words():
+    wrong = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
+                wrong += [f"{path.name}:{node.lineno}: {w}" for w in PRIVATE.findall(node.value)]
+    changes = ("changelog.md", "changelog_details.md")
+    pages = [
+        ROOT / "README.md",
+        *(path for path in (ROOT / "docs").rglob("*.md") if path.name not in changes),
+        *PACKAGE.rglob("*.toml"),
+        *PACKAGE.rglob("*.j2"),
+    ]
+    for path in pages:
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+            wrong += [f"{path.name}:{number}: {word}" for word in PRIVATE.findall(line)]
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize("text", ["is told of", "a widened sigma", "Honest thermometers"])
+def test_private_words_are_noticed(text):
+    assert PRIVATE.search(text)
+    assert not PRIVATE.search("the field that tells instances apart; sigma inflation factor")
+
+
 def test_texts_have_no_first_or_second_person():
     wrong = []
     for path in sorted(PACKAGE.rglob("*.py")):
