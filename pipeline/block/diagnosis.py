@@ -1,9 +1,9 @@
 """What tie points say of a mission file: each likely mistake tried, with its estimate.
 
 The stations are held, and the rays of tie points are intersected under each hypothesis: cameras
-exchanged, another mount, another principal distance, exposures earlier or later, heights from
-another zero, other axes of the pixels. A hypothesis that is 1000 times as likely as what is
-stated, and larger than the stated sigmas explain, is a finding.
+exchanged, another mount, another principal distance, a calibration of other signs or axes,
+exposures earlier or later, heights from another zero, other axes of the pixels. A hypothesis that
+is 1000 times as likely as what is stated, and larger than the stated sigmas explain, is a finding.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pipeline.block.alignment import LOG_RATIO_NEEDED
+from pipeline.block.calibration_mistakes import between, mistaken_calibrations
 from pipeline.block.image_rays import ImageRays, Orientations, straightened
 from pipeline.block.intersection import Intersection, intersect
 from pipeline.flight.mount import Mount
@@ -35,10 +36,12 @@ _SMALL = {"TIES-MOUNT": np.radians(0.3), "TIES-FOCAL": 0.01, "TIES-HEIGHT": 0.01
 _KEYS = {
     "TIES-MOUNT": "mount.{}", "TIES-FOCAL": "cameras.{}", "TIES-TIME": "events",
     "TIES-HEIGHT": "ground", "TIES-PIXELS": "observations.columns", "TIES-CAMERAS": "cameras",
+    "TIES-CALIBRATION": "cameras.{}",
 }  # fmt: skip
 
 _WORSE_THAN_FLAT, _FLAT = 1.1, 0.002  # of the relief, and at least of the flying height
 _MARGIN = 0.1  # of a log likelihood ratio, within which two mistakes count as equally likely
+_MISTAKEN_AT = 0.3  # within which of 1 a calibration is the mistaken one, and nothing between
 _LARGEST_REFINEMENT_RAD = np.radians(5.0)  # of a mistake that is still that one
 
 _SCALES = (0.25, 0.5, 2.0 / 3.0, 0.8, 1.25, 1.5, 2.0, 4.0)
@@ -160,7 +163,13 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
         large = list(large_mistakes(mission, current)) if poor else []
         large.sort(key=lambda h: likely(h.reading(h.x)), reverse=True)
         best, before = [], likely(current)
-        for hypothesis in [*small_errors(mission, current, now), *large[:_DECIDED_BY_ALL]]:
+        calibrations = sorted(
+            ((likely(h.reading(1.0)), k, h) for k, h in enumerate(other_calibrations(current))),
+            reverse=True,
+        )
+        small = [h for gain, _, h in calibrations[:_DECIDED_BY_ALL] if gain > before]
+        small += small_errors(mission, current, now)
+        for hypothesis in [*small, *large[:_DECIDED_BY_ALL]]:
             h, _ = _refined(mission, hypothesis, some)
             if likely(h.reading(h.x)) < before + 0.3 * LOG_RATIO_NEEDED:
                 continue
@@ -178,7 +187,7 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
         gain, chosen, current, now, text = best[0]
         other = {(h.code, h.camera): t for g, h, _, _, t in best if g > (1.0 - _MARGIN) * gain}
         other.pop((chosen.code, chosen.camera), None)
-        key = _KEYS[chosen.code].format(chosen.camera)
+        key = _KEYS[chosen.code].format(chosen.camera).rstrip(".")
         key = "stations.orientation" if "mount" in key and not mission.mounts else key
         # What is estimated once more is said once.
         findings = [f for f in findings if (f.code, f.key) != (chosen.code, key)]
@@ -275,6 +284,18 @@ def small_errors(
         yield _later(now, 0.0)
 
 
+def other_calibrations(now: _Reading) -> Iterator[_Hypothesis]:
+    """Calibrations without a mistake, at 1; of one that is a little off another amount is best."""
+    for what, other in mistaken_calibrations(now.cameras):
+
+        def reading(x: float, other: Mapping[str, Camera] = other) -> _Reading:
+            mixed = {name: between(now.cameras[name], c, x) for name, c in other.items()}
+            return replace(now, cameras={**now.cameras, **mixed})
+
+        name = next(iter(other)) if len(other) == 1 else ""
+        yield _Hypothesis("TIES-CALIBRATION", what, name, reading, 1.0, 0.25)
+
+
 def _at_once(reading: _Reading) -> Callable[[float], _Reading]:
     return lambda _: reading
 
@@ -369,6 +390,8 @@ def _described(
     least = _SMALL.get(h.code, 0.0)
     if h.code == "TIES-MOUNT":
         return _turn_of(mission, h, reading, found)
+    if h.code == "TIES-CALIBRATION":
+        return h.label if abs(h.x - 1.0) < _MISTAKEN_AT else ""
     if h.code == "TIES-FOCAL":
         stated, size = mission.cameras[h.camera].fx_px, reading.cameras[h.camera].fx_px
         explained = max(least, _SIGMAS * float(np.hypot(sigma, heights_m / above)))
@@ -414,5 +437,5 @@ def _turn_of(mission: StatedMission, h: _Hypothesis, reading: _Reading, found: I
     sigma = float(np.degrees(np.sqrt(np.diag(estimated).max())))
     text = f"{h.camera} is turned by {np.degrees(size):.2f} deg +- {sigma:.2g} against that stated"
     if mission.mounts:
-        text += f": its mount is roll {roll:.2f}, pitch {pitch:.2f}, yaw {yaw:.2f} deg"
+        text += f": its mount is roll_deg {roll:.2f}, pitch_deg {pitch:.2f}, yaw_deg {yaw:.2f}"
     return text + (f", as {h.label.format('roll', 'pitch', 'yaw')}" if h.label else "")

@@ -273,9 +273,9 @@ def flag_above_horizon(stations: Stations) -> tuple[Stations, Notes]:
     where = "stations.orientation"
     if count > FEW_LOOK_UP * of:
         remedy = (
-            "check the unit (grad?), angles and the names of their columns, the frame, and "
-            "the axes of the camera: x right, y down, z forward for a quaternion; roll, pitch and "
-            "yaw of 0 look straight down unless mount says otherwise"
+            "check unit (grad?), angles, columns (omega, phi, kappa; roll, pitch, yaw; q_w to q_z) "
+            "and frame there, and the axes of the camera: x right, y down, z forward for a "
+            "quaternion; roll, pitch and yaw of 0 look straight down unless mount says otherwise"
         )
         raise MissionError("ORIENTATION-UP", f"{what}; {first}", where=where, remedy=remedy)
     reason = np.where(up, "looks above the horizon", stations.suspect_reason)

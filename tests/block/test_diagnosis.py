@@ -16,11 +16,19 @@ import pytest
 from pipeline.block.diagnosis import StatedMission, diagnosis
 from pipeline.block.image_rays import ImageRays, Orientations, straightened
 from pipeline.flight.mount import Mount
+from pipeline.refraction.camera.brown_conrady import BrownConrady
 from pipeline.refraction.camera.camera import Camera
 
 BLOCKS = int(os.environ.get("UNBEND_BLOCKS", "2"))
 SEED = int(os.environ.get("UNBEND_BLOCK_SEED", "0"))
-FORMAT = {"width_px": 9000, "height_px": 9000, "cx_px": 4500.0, "cy_px": 4500.0}
+CAMERAS = {
+    "camera0": Camera(
+        9000, 9000, 1e4, 1e4, 4540.0, 4475.0, BrownConrady(k1=-0.02, k2=0.01, p1=2e-4)
+    ),
+    "camera1": Camera(
+        9000, 9000, 1e4, 1e4, 4462.0, 4521.0, BrownConrady(k1=-0.04, k2=0.01, p2=1e-4)
+    ),
+}
 
 
 def drawn(*cases):
@@ -42,8 +50,10 @@ def make(simulated_block):
             block.camera, centre, block.camera_from_enu @ frames, frames, block.sigma
         )
         d = block.direction
-        x, y = (4500.0 + 10_000.0 * d[:, k] / d[:, 2] for k in (0, 1))
-        own = {name: block.camera[block.image] == name for name in ("camera0", "camera1")}
+        own = {name: block.camera[block.image] == name for name in CAMERAS}
+        x, y = np.empty((2, len(d)))
+        for name, rows in own.items():
+            x[rows], y[rows] = CAMERAS[name].project(*(d[rows, :2] / d[rows, 2:]).T)
 
         def rays(cameras, axes) -> ImageRays:
             direction = np.empty(d.shape)
@@ -61,9 +71,8 @@ def make(simulated_block):
             step = (speed * seconds * heading)[:, None] * frames[:, 0]
             return replace(orientations, centre_m=centre + step)
 
-        cameras = {name: Camera(fx_px=10_000.0, fy_px=10_000.0, **FORMAT) for name in own}
         mounts = {"camera0": Mount(), "camera1": Mount(roll_rad=-0.35)}
-        return StatedMission(orientations, cameras, rays, mounts, shifted)
+        return StatedMission(orientations, CAMERAS, rays, mounts, shifted)
 
     return made
 
@@ -99,7 +108,7 @@ def test_a_mount_with_the_other_sign_is_named_with_its_angle(make):
     (finding,) = diagnosis(mission)[1]
     assert (finding.code, finding.key) == ("TIES-MOUNT", "mount.camera1")
     assert "other sign of roll" in finding.what
-    assert "mount is roll -20.0" in finding.what or "mount is roll -20.1" in finding.what
+    assert "is roll_deg -20.0" in finding.what or "is roll_deg -20.1" in finding.what
 
 
 @pytest.mark.parametrize("factor", drawn(0.004, 0.97, 2.0))
@@ -168,10 +177,61 @@ def test_exchanged_cameras(make):
         mission,
         orientations=replace(o, camera_from_ecef=turned),
         mounts={"camera0": b, "camera1": a},
+        cameras={"camera0": CAMERAS["camera1"], "camera1": CAMERAS["camera0"]},
     )
     finding = diagnosis(exchanged)[1][0]
     assert finding.code == "TIES-CAMERAS"
     assert finding.log_ratio > 100.0
+
+
+def mirrored(camera: Camera) -> Camera:
+    return replace(camera, cx_px=9000.0 - camera.cx_px)
+
+
+def exchanged_axes(camera: Camera) -> Camera:
+    return replace(camera, cx_px=camera.cy_px, cy_px=camera.cx_px)
+
+
+def other_sign(camera: Camera) -> Camera:
+    lens = BrownConrady(*(-np.array(camera.distortion)).tolist())
+    return replace(camera, distortion=lens)
+
+
+@pytest.mark.parametrize("read", drawn(mirrored, exchanged_axes, other_sign))
+@pytest.mark.parametrize("names", [("camera1",), ("camera0", "camera1")])
+def test_calibrations_of_other_signs_or_axes(make, read, names):
+    mission = make(29)
+    finding = diagnosis(replace(mission, cameras=CAMERAS | {n: read(CAMERAS[n]) for n in names}))[
+        1
+    ][0]
+    key = "cameras" if len(names) == 2 else "cameras.camera1"
+    assert (finding.code, finding.key) == ("TIES-CALIBRATION", key)
+    assert ("have the other sign" in finding.what) == (read is other_sign)
+    if read is not other_sign:
+        for name in names:
+            assert f"{CAMERAS[name].cx_px}, {CAMERAS[name].cy_px} px in {name}" in finding.what
+
+
+def test_calibrations_that_are_each_others(make):
+    a, b = CAMERAS
+    cameras = {a: CAMERAS[b], b: CAMERAS[a]}
+    finding = diagnosis(replace(make(30), cameras=cameras))[1][0]
+    assert (finding.code, finding.key) == ("TIES-CALIBRATION", "cameras")
+    assert finding.what == "the calibrations of camera0 and camera1 are each other's"
+
+
+@pytest.mark.parametrize("seed", range(BLOCKS))
+def test_calibrations_that_drifted_are_not_taken_for_mistaken_ones(make, seed):
+    """The principal point by a fifth of its offset, the distortion by a tenth."""
+    rng = np.random.default_rng(seed)
+    drifted = {
+        name: replace(
+            c, cx_px=c.cx_px + rng.normal(0.0, 8.0), cy_px=c.cy_px + rng.normal(0.0, 8.0),
+            distortion=BrownConrady(*(np.array(c.distortion) * rng.normal(1.0, 0.1, 5)).tolist()),
+        )
+        for name, c in CAMERAS.items()
+    }  # fmt: skip
+    assert "TIES-CALIBRATION" not in found(replace(make(31 + seed), cameras=drifted))
 
 
 def test_refraction_is_removed_from_apparent_rays(make):

@@ -34,20 +34,12 @@ COUNT = min(int(os.environ.get("UNBEND_MISTAKES", "12")), len(LIST["mistakes"]))
 DRAWN = random.Random(SEED).sample(LIST["mistakes"], COUNT)
 
 MISSED = {
-    "distortion-sign": "40 px at the corners are within the 0.3 deg of the attitudes",
-    "calibrations-exchanged": "cameras that are alike, as above",
     "thermometer-bias-sign": "a stated calibration is taken for known",
     "orientation-date-of-processing": "without a log nothing else has the date",
     "cameras-exchanged-in-events": "both fire at the same moments: nothing changes",
     "pixel-origin-centre": "half a pixel",
 }
 """Mistakes that end with code 0: id -> why."""
-
-OTHER_KEY = {
-    "trajectory-gpst-called-utc", "observations-of-another-mission", "log-of-another-day",
-    "image-patterns-exchanged", "camera-axes-y-up",
-}  # fmt: skip
-"""Mistakes that are caught, but by the key of another section, or of none."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -83,11 +75,10 @@ def checked(folder: Path, mistake: dict[str, Any]) -> tuple[int, str]:
 
 
 def names(text: str, keys: str) -> bool:
-    """Whether a text names one of the keys, or the section that it stands in."""
+    """Whether a text names one of the keys: as a whole, or its first and its last part."""
     for key in keys.split(" | "):
         *section, last = key.split(".")
-        spoken = all(re.search(rf"\b{re.escape(part)}\b", text) for part in (*section[:1], last))
-        if key in text or spoken or (len(section) > 1 and ".".join(section) in text):
+        if all(re.search(rf"\b{re.escape(part)}\b", text) for part in (*section[:1], last)):
             return True
     return False
 
@@ -100,7 +91,7 @@ def test_a_mistake_is_caught_with_its_key(tmp_path: Path, mistake: dict[str, Any
         assert code == 0, "caught by now: to be taken from the list of the missed"
         return
     assert code not in (0, 1), text
-    assert names(text, mistake["key"]) != (mistake["id"] in OTHER_KEY), text
+    assert names(text, mistake["key"]), text
 
 
 @pytest.mark.parametrize("control", LIST["controls"], ids=lambda control: control["id"])
@@ -110,5 +101,5 @@ def test_what_is_right_raises_nothing(tmp_path: Path, control: dict[str, Any]) -
 
 def test_hardly_any_is_missed() -> None:
     assert len(LIST["mistakes"]) >= 60
-    assert len(MISSED) <= 6
+    assert len(LIST["mistakes"]) - len(MISSED) >= 57
     assert set(MISSED) <= {mistake["id"] for mistake in LIST["mistakes"]}

@@ -321,8 +321,9 @@ def assigned_events(
                 "EVENTS-CONTRADICTED",
                 f"the log's numbers in the names of images are contradicted: {description}",
                 where=where,
-                remedy="check which camera the channel belongs to; count the images by {n} or "
-                "name them by *, and the evidence decides",
+                remedy=f"check {where}.channel (of which camera?), {where}.image (which numbers?) "
+                "and observations.path (of this flight?); count the images by {n} or name them by "
+                "*, and the evidence decides",
             )
         event = np.where(undecided, -1, event_by_name)
     reason = ""

@@ -104,7 +104,7 @@ def oriented_stations(
             f"the rays of {np.unique(rays.point).size} tie points meet far better {likely}: the "
             f"log likelihood is {better:.0f} higher",
             where=section.path,
-            remedy="state under stations.orientation what the table holds, or mend it",
+            remedy=f"change stations.orientation.{key_of_reading(likely)}, or mend the table",
         )
     return stations
 
@@ -203,6 +203,13 @@ def in_wgs84(
     convergence = np.nan_to_num(places.convergence_rad)
     table = replace(table, position=position, convergence_rad=convergence, heights=places.heights)
     return table, notes
+
+
+def key_of_reading(what: str) -> str:
+    """The key of `stations.orientation` that one of `other_readings` is about."""
+    keys = {"angles are in": "unit", "longitude": "columns.latitude and longitude",
+            "feet": "path: a table with heights in metres"}  # fmt: skip
+    return next((key for words, key in keys.items() if words in what), "angles and columns")
 
 
 def other_readings(

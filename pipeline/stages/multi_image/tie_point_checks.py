@@ -35,9 +35,11 @@ FEWEST_TIE_POINTS = 10
 _FEET = 1.0 - 0.3048
 _POOR_FACTOR = 5.0  # residuals over what the stations' sigmas say, where no station explains them
 _TO_CHANGE = {
-    "TIES-HEIGHT": "ground.height or its unit, ground.reference, mission.undulation_m, or what the "
-    "heights of the stations count from",
+    "TIES-HEIGHT": "ground.height (its column or unit), ground.reference, mission.undulation_m, or "
+    "what the heights of the stations count from",
     "TIES-TIME": "delay_s under events, or the clock that the times are of",
+    "TIES-PIXELS": "observations.columns: x_px, y_px",
+    "TIES-CAMERAS": "image or channel of both under events, or their names under cameras",
 }
 _OF_RELIEF, _FLAT = 0.2, 0.002  # what a model leaves of it, and at least of the flying height
 _PANE_RAD = 1e-4  # what a window bends, which stays in the rays
@@ -174,11 +176,23 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
         if np.isfinite(finding.log_ratio):
             decades = finding.log_ratio / np.log(10.0)
             what += f" this is 10^{decades:.0f} times as likely as what is stated"
-        what += f"; change {_TO_CHANGE.get(finding.code, finding.key)}"
+        what += f"; change {_TO_CHANGE.get(finding.code, key_to_change(mission, finding))}"
         ledger.finding(finding.code, what, where=finding.key, count=stated.point.size)
     nearest = "; ".join(described(finding) + f" ({finding.key})" for finding in findings)
     code = "TIES-RESIDUALS" if oriented is None else "ORIENTATION-TIES"
     report_misses(stations, stated, rays, ledger, code=code, explained=explained, nearest=nearest)
+
+
+def key_to_change(mission: Mission, finding: Finding) -> str:
+    """The key of a finding, with the numbers that it is about where it is about a camera."""
+    numbers = {"TIES-FOCAL": ("fx_px and fy_px", "focal_mm"),
+               "TIES-CALIBRATION": ("cx_px, cy_px or distortion (k1 ...)", "origin or distortion"),
+               }.get(finding.code)  # fmt: skip
+    camera = mission.cameras.get(finding.key.removeprefix("cameras."))
+    if numbers is None or (camera is not None and camera.model is not None):
+        return finding.key + ("" if numbers is None else ": params or file")
+    of_metric = camera is not None and camera.metric is not None
+    return f"{finding.key}{'.metric' * of_metric}: {numbers[of_metric]}"
 
 
 def described(finding: Finding) -> str:
@@ -210,7 +224,8 @@ def report_misses(
     judged[at[stated.bad]] = True
     lost = (stated.bad | np.isnan(miss)) & judged[at]
     points = int(stated.used.sum())
-    size, where = stated.point.size, "stations"
+    size = stated.point.size
+    where = "stations.orientation.path" if code == "ORIENTATION-TIES" else "stations"
     what = f"no rays of {size} tie points meet at an angle that checks anything"
     if points and np.isnan(miss).all():
         what = f"the rays of {points} of {size} tie points meet nowhere"
@@ -236,7 +251,8 @@ def report_misses(
     what += f"; most of {', '.join(worst)}" if worst else ""
     what += (
         ": the orientations are not what they should be (rows of other images or cameras, another "
-        "convention), or the name of a point is not that of one point in all images"
+        "convention, log.path of another flight), or the name of a point is not that of one point "
+        "in all images"
     )
     what += f"; nearest comes, though rays still miss then: {nearest}" if nearest else ""
     ledger.finding(code, what, where=where, count=size)

@@ -135,8 +135,8 @@ def _compare_places(imported: Channel, rows: Rows, track: _Track, ledger: Ledger
             f"fits {track.name} of the log within {best:.1f} m, as it is within {now:.0f} m"
             f"{leap}{zone}",
             where=imported.name,
-            remedy="state time: {system: gpst} or {system: utc} as it was written; other offsets "
-            "are to be mended in the file",
+            remedy="state time: {system: gpst} or {system: utc} under stations.trajectory or "
+            "events.positions, as it was written; other offsets are to be mended in the file",
         )
     if distance.size == 0:
         text = f"it covers {_span(imported.time_ns)}, the log {_span(track.time_ns)}"
