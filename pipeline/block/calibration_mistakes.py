@@ -1,15 +1,12 @@
 """Calibrations as other signs, other axes or the other camera would give them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import combinations, product
 
 from pipeline.refraction.camera.camera import Camera
 
-_COEFFICIENTS = "kpq"  # of which the names of coefficients begin; limits and senses stay
-_LEAST_PX = 1.0  # of a principal point, which nothing shows
+_LEAST_PX = 1.0  # that a principal point moves
 
 
 def mistaken_calibrations(cameras: Mapping[str, Camera]) -> Iterator[tuple[str, dict[str, Camera]]]:
@@ -19,16 +16,20 @@ def mistaken_calibrations(cameras: Mapping[str, Camera]) -> Iterator[tuple[str, 
     """
     groups = dict.fromkeys([*((name,) for name in cameras), tuple(cameras)])
     for group, axes in product(groups, list(product((False, True), (1, -1), (1, -1)))[1:]):
-        other = {name: with_other_axes(cameras[name], *axes) for name in group}
-        moved = (max(abs(c.cx_px - cameras[n].cx_px), abs(c.cy_px - cameras[n].cy_px))
-                 for n, c in other.items())  # fmt: skip
-        if min(moved) > _LEAST_PX:
+        other = {n: with_other_axes(cameras[n], *axes) for n in group}
+        moved = ((c.cx_px - cameras[n].cx_px, c.cy_px - cameras[n].cy_px) for n, c in other.items())
+        if min(max(abs(x), abs(y)) for x, y in moved) > _LEAST_PX:
             places = (f"{c.cx_px:.1f}, {c.cy_px:.1f} px in {n}" for n, c in other.items())
             what = f"the principal point is at {' and '.join(places)}"
             yield f"{what}: what is stated counts along other axes", other
     for group in groups:
-        other = {name: with_other_sign(cameras[name]) for name in group}
-        if all(other[name] != cameras[name] for name in group):
+        other = {}
+        for name in group:  # limits and senses stay
+            lens = cameras[name].distortion
+            negative = {k: -v for k, v in lens._asdict().items() if v and k[0] in "kpq"}
+            if negative:
+                other[name] = replace(cameras[name], distortion=lens._replace(**negative))
+        if len(other) == len(group):
             of = f"the coefficients of distortion of {' and '.join(group)}"
             yield f"{of} have the other sign: those of corrections, or the reverse", other
     for a, b in combinations(cameras, 2):
@@ -47,25 +48,10 @@ def with_other_axes(camera: Camera, exchanged: bool, along_x: int, along_y: int)
     >>> other.cx_px, other.cy_px
     (495.0, 388.0)
     """
-
-    def turned(x: float, y: float) -> tuple[float, float]:
-        x, y = (y, x) if exchanged else (x, y)
-        return along_x * x, along_y * y
-
     half = 0.5 * camera.width_px, 0.5 * camera.height_px
-    x, y = turned(camera.cx_px - half[0], camera.cy_px - half[1])
-    lens = camera.distortion
-    if hasattr(lens, "offset_u"):
-        u, v = turned(lens.offset_u, lens.offset_v)
-        lens = lens._replace(offset_u=u, offset_v=v)
-    return replace(camera, cx_px=half[0] + x, cy_px=half[1] + y, distortion=lens)
-
-
-def with_other_sign(camera: Camera) -> Camera:
-    """The coefficients of distortion with the other sign."""
-    lens = camera.distortion
-    negative = {k: -v for k, v in lens._asdict().items() if v and k[0] in _COEFFICIENTS}
-    return replace(camera, distortion=lens._replace(**negative))
+    x, y = camera.cx_px - half[0], camera.cy_px - half[1]
+    x, y = (y, x) if exchanged else (x, y)
+    return replace(camera, cx_px=half[0] + along_x * x, cy_px=half[1] + along_y * y)
 
 
 def between(camera: Camera, other: Camera, x: float) -> Camera:

@@ -138,6 +138,11 @@ class _Hypothesis:
     step: float = 0.0
 
 
+def _subject(h: _Hypothesis) -> tuple[str, str]:
+    """What two hypotheses have in common that are one: calibrations do not meet when estimated."""
+    return h.code, h.label if h.code == "TIES-CALIBRATION" else h.camera
+
+
 def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]]:
     """The intersection as stated, by the rays alone, and what contradicts the mission file.
 
@@ -185,8 +190,8 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
         # Of equals, that which has a name.
         best.sort(key=lambda item: -item[0] - LOG_RATIO_NEEDED * bool(item[1].label))
         gain, chosen, current, now, text = best[0]
-        other = {(h.code, h.camera): t for g, h, _, _, t in best if g > (1.0 - _MARGIN) * gain}
-        other.pop((chosen.code, chosen.camera), None)
+        other = {_subject(h): t for g, h, _, _, t in best if g > (1.0 - _MARGIN) * gain}
+        other.pop(_subject(chosen), None)
         key = _KEYS[chosen.code].format(chosen.camera).rstrip(".")
         key = "stations.orientation" if "mount" in key and not mission.mounts else key
         # What is estimated once more is said once.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import random
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -197,8 +198,10 @@ def other_sign(camera: Camera) -> Camera:
     return replace(camera, distortion=lens)
 
 
-@pytest.mark.parametrize("read", drawn(mirrored, exchanged_axes, other_sign))
-@pytest.mark.parametrize("names", [("camera1",), ("camera0", "camera1")])
+@pytest.mark.parametrize(
+    ("read", "names"),
+    drawn(*product((mirrored, exchanged_axes, other_sign), (("camera1",), tuple(CAMERAS)))),
+)
 def test_calibrations_of_other_signs_or_axes(make, read, names):
     mission = make(29)
     finding = diagnosis(replace(mission, cameras=CAMERAS | {n: read(CAMERAS[n]) for n in names}))[
@@ -220,7 +223,7 @@ def test_calibrations_that_are_each_others(make):
     assert finding.what == "the calibrations of camera0 and camera1 are each other's"
 
 
-@pytest.mark.parametrize("seed", range(BLOCKS))
+@pytest.mark.parametrize("seed", range(BLOCKS // 2))
 def test_calibrations_that_drifted_are_not_taken_for_mistaken_ones(make, seed):
     """The principal point by a fifth of its offset, the distortion by a tenth."""
     rng = np.random.default_rng(seed)
@@ -244,9 +247,9 @@ def test_refraction_is_removed_from_apparent_rays(make):
     straight = straightened(o, rays)
     down = np.einsum("rij,rj->ri", o.camera_from_ecef[rays.image], -o.enu_from_ecef[rays.image, 2])
     before, after = (np.arccos(np.sum(down * r.direction, axis=1)) for r in (rays, straight))
-    several = np.bincount(rays.point)[rays.point] > 2
+    several = (np.bincount(rays.point)[rays.point] > 2) & np.isfinite(before)
     assert (before > after)[several].all()
-    row = int(np.argmax(before * several))
+    row = int(np.argmax(np.where(several, before, 0.0)))
     expected = one_angle("us1976", 1000.0, 30.0, float(np.degrees(before[row])))["r_c_rad"]
     assert before[row] - after[row] == pytest.approx(expected, rel=0.1)
 

@@ -56,6 +56,8 @@ _GOOD_FACTOR = 2.0
 _SIGMA_OF_LOG_M = 1.5
 """Positions of an autopilot that fuses a receiver without corrections."""
 
+_KEYS_OF_READINGS = {"angles are in": "unit", "longitude": "columns (latitude, longitude)"}
+
 _HIGHEST_ABOVE_GROUND_M = 15_000.0
 """No survey is flown higher, in the median, than that above its ground."""
 
@@ -99,12 +101,14 @@ def oriented_stations(
     likely = max(found, key=lambda what: found[what].log_likelihood)
     better = found[likely].log_likelihood - found["as stated"].log_likelihood
     if better > LOG_RATIO_NEEDED and found[likely].sigma_factor < _GOOD_FACTOR:
+        keys = (key for words, key in _KEYS_OF_READINGS.items() if words in likely)
+        key = next(keys, "angles or columns")
         raise InputError(
             "ORIENTATION-READING",
             f"the rays of {np.unique(rays.point).size} tie points meet far better {likely}: the "
             f"log likelihood is {better:.0f} higher",
             where=section.path,
-            remedy=f"change stations.orientation.{key_of_reading(likely)}, or mend the table",
+            remedy=f"change stations.orientation.{key}, or mend the table",
         )
     return stations
 
@@ -203,13 +207,6 @@ def in_wgs84(
     convergence = np.nan_to_num(places.convergence_rad)
     table = replace(table, position=position, convergence_rad=convergence, heights=places.heights)
     return table, notes
-
-
-def key_of_reading(what: str) -> str:
-    """The key of `stations.orientation` that one of `other_readings` is about."""
-    keys = {"angles are in": "unit", "longitude": "columns.latitude and longitude",
-            "feet": "path: a table with heights in metres"}  # fmt: skip
-    return next((key for words, key in keys.items() if words in what), "angles and columns")
 
 
 def other_readings(

@@ -38,7 +38,9 @@ _TO_CHANGE = {
     "TIES-HEIGHT": "ground.height (its column or unit), ground.reference, mission.undulation_m, or "
     "what the heights of the stations count from",
     "TIES-TIME": "delay_s under events, or the clock that the times are of",
-    "TIES-PIXELS": "observations.columns: x_px, y_px",
+    "TIES-FOCAL": "{}: fx_px and fy_px (f_px, params, metric.focal_mm)",
+    "TIES-CALIBRATION": "{}: cx_px, cy_px, distortion (k1 ...; or params, file, metric)",
+    "TIES-PIXELS": "{}: x_px, y_px",
     "TIES-CAMERAS": "image or channel of both under events, or their names under cameras",
 }
 _OF_RELIEF, _FLAT = 0.2, 0.002  # what a model leaves of it, and at least of the flying height
@@ -176,23 +178,11 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
         if np.isfinite(finding.log_ratio):
             decades = finding.log_ratio / np.log(10.0)
             what += f" this is 10^{decades:.0f} times as likely as what is stated"
-        what += f"; change {_TO_CHANGE.get(finding.code, key_to_change(mission, finding))}"
+        what += f"; change {_TO_CHANGE.get(finding.code, '{}').format(finding.key)}"
         ledger.finding(finding.code, what, where=finding.key, count=stated.point.size)
     nearest = "; ".join(described(finding) + f" ({finding.key})" for finding in findings)
     code = "TIES-RESIDUALS" if oriented is None else "ORIENTATION-TIES"
     report_misses(stations, stated, rays, ledger, code=code, explained=explained, nearest=nearest)
-
-
-def key_to_change(mission: Mission, finding: Finding) -> str:
-    """The key of a finding, with the numbers that it is about where it is about a camera."""
-    numbers = {"TIES-FOCAL": ("fx_px and fy_px", "focal_mm"),
-               "TIES-CALIBRATION": ("cx_px, cy_px or distortion (k1 ...)", "origin or distortion"),
-               }.get(finding.code)  # fmt: skip
-    camera = mission.cameras.get(finding.key.removeprefix("cameras."))
-    if numbers is None or (camera is not None and camera.model is not None):
-        return finding.key + ("" if numbers is None else ": params or file")
-    of_metric = camera is not None and camera.metric is not None
-    return f"{finding.key}{'.metric' * of_metric}: {numbers[of_metric]}"
 
 
 def described(finding: Finding) -> str:
