@@ -43,12 +43,15 @@ ADJUSTED_BY_DBAT = {
 }  # report.txt, check measurements, posterior
 
 
+Poses = dict[str, tuple[np.ndarray, np.ndarray]]
+
+
 @dataclass(frozen=True)
 class Project:
     """f, cx, cy [px], poses by image (rotation to the camera, centre), image points, control."""
 
     camera: tuple[float, float, float]
-    poses: dict[str, tuple[np.ndarray, np.ndarray]]
+    poses: Poses
     rows: pd.DataFrame
     control: dict[str, np.ndarray]
 
@@ -231,8 +234,20 @@ def exported(project: Project, name: str, folder: Path) -> Path:
     out = folder / f"block{form.ending}"
     if not form.ending:
         out.mkdir()
-    assert form.write(run, form.values({}), out, Ledger()) == len(project.rows)
+    written = form.write(run, form.values({}), out, Ledger())
+    assert written == len(project.rows) - (name == "bundler")  # a point of one image
     return out
+
+
+def in_dbats_frame(poses: Poses, turns: np.ndarray, place: np.ndarray) -> Poses:
+    """Orientations in another frame, turned back by the places of the cameras: the same poses."""
+    centre = np.stack([c for _, c in poses.values()])
+    back, _ = Rotation.align_vectors(place - place.mean(axis=0), centre - centre.mean(axis=0))
+    moved = back.inv().apply(place - place.mean(axis=0)) + centre.mean(axis=0)
+    np.testing.assert_allclose(moved, centre, atol=1e-3)
+    turns = turns @ back.as_matrix()
+    np.testing.assert_allclose(turns, [turn for turn, _ in poses.values()], atol=1e-6)
+    return dict(zip(poses, zip(turns, moved, strict=True), strict=True))
 
 
 @pytest.mark.parametrize(
@@ -248,14 +263,8 @@ def test_a_round_trip_gives_dbats_solution(
     if name != "colmap-database":  # which has no orientations
         images = form.read_images(path)
         order = [list(images.image).index(image) for image in poses]
-        centre, place = np.stack([c for _, c in poses.values()]), images.position[order]
-        back, _ = Rotation.align_vectors(place - place.mean(axis=0), centre - centre.mean(axis=0))
-        moved = back.inv().apply(place - place.mean(axis=0)) + centre.mean(axis=0)
-        np.testing.assert_allclose(moved, centre, atol=1e-3)
         turns = Rotation.from_quat(images.angles[order][:, [1, 2, 3, 0]]).as_matrix()
-        turns = turns @ back.as_matrix()
-        np.testing.assert_allclose(turns, [turn for turn, _ in poses.values()], atol=1e-6)
-        poses = dict(zip(poses, zip(turns, moved, strict=True), strict=True))
+        poses = in_dbats_frame(poses, turns, images.position[order])
     rows = pd.concat([b.to_pandas() for b in form.read_rows(path)], ignore_index=True)
     # COLMAP has no name of a point of one image, and a database of none, but keypoints keep places.
     nameless = rows["point"].str.contains(":")
@@ -270,3 +279,82 @@ def test_a_round_trip_gives_dbats_solution(
     project = Project((camera.fx_px, camera.cx_px, camera.cy_px), poses, rows, read.control)
     assert project.camera == pytest.approx(read.camera, abs=1e-4)
     assert_is_dbats(project)
+
+
+def bundler_block(folder: Path) -> tuple[float, list[str], np.ndarray, np.ndarray, pd.DataFrame]:
+    """f, names, rotations to COLMAP's axes, centres and image points, as Bundler defines them.
+
+    A point X is P = R X + t in a camera that looks along -z, y up, and f (-P / P_z) in pixels from
+    the middle of the image, x to the right, y up. Two lines of numbers before the cameras, five
+    lines for each camera, three for each point.
+    """
+    lines = (folder / "bundle.out").read_text(encoding="ascii").splitlines()
+    assert lines[0] == "# Bundle file v0.3"
+    cameras, points = map(int, lines[1].split())
+    numbers = np.array(" ".join(lines[2 : 2 + 5 * cameras]).split(), float).reshape(cameras, 15)
+    assert np.all(numbers[:, 1:3] == 0.0)
+    assert len(set(numbers[:, 0])) == 1
+    turns, moves = numbers[:, 3:12].reshape(-1, 3, 3), numbers[:, 12:]
+    centres = -np.einsum("nji,nj->ni", turns, moves)
+    names = (folder / "list.txt").read_text(encoding="ascii").split()
+    rows = []
+    for point in range(points):
+        count, *views = lines[2 + 5 * cameras + 3 * point + 2].split()
+        assert len(views) == 4 * int(count)
+        for k in range(0, len(views), 4):
+            rows.append((names[int(views[k])], point, float(views[k + 2]), float(views[k + 3])))
+    assert len(lines) == 2 + 5 * cameras + 3 * points
+    table = pd.DataFrame(rows, columns=["image", "number", "x", "y"])
+    return numbers[0, 0], names, turns * [[1.0], [-1.0], [-1.0]], centres, table
+
+
+def test_bundler_gives_dbats_solution(read: Project, tmp_path: Path) -> None:
+    """Points of an ideal camera; they have numbers, and their names by their places."""
+    f, names, turns, centres, rows = bundler_block(exported(read, "bundler", tmp_path))
+    assert names == list(read.poses)
+    own, cx, cy = read.camera
+    assert f == own
+    rows = rows.assign(x_px=rows["x"] + cx, y_px=cy - rows["y"]).sort_values(["image", "x_px"])
+    tied = read.rows[read.rows.groupby("point")["image"].transform("size") > 1]
+    tied = tied.sort_values(["image", "x_px"])
+    assert rows["image"].tolist() == tied["image"].tolist()
+    for axis in ("x_px", "y_px"):
+        np.testing.assert_allclose(rows[axis], tied[axis], rtol=0.0, atol=1e-6)
+    numbers = rows["number"].to_numpy()
+    point = tied["point"].to_numpy()
+    assert len(set(zip(numbers, point, strict=True))) == len(set(numbers)) == len(set(point))
+    # One image alone sees a control point, which Bundler's points have no place for: without it the
+    # adjustment itself ends 7 cm elsewhere, so it is measured again.
+    lone = read.rows.drop(tied.index)
+    assert len(lone) == 1
+    rows = pd.concat([rows.assign(point=point), lone])
+    rows = rows.assign(x_px=rows["x_px"] - cx + 4429.0, y_px=rows["y_px"] - cy + 6498.0)
+    poses = in_dbats_frame(read.poses, turns, centres)
+    assert_is_dbats(Project((f, 4429.0, 6498.0), poses, rows, read.control))
+
+
+def test_bingo_gives_dbats_solution(read: Project, tmp_path: Path) -> None:
+    """Millimetres from the middle of the image, y up; it has no orientations."""
+    folder = exported(read, "bingo", tmp_path)
+    changed = folder / "names.csv"
+    given = pd.read_csv(changed, dtype=str) if changed.exists() else pd.DataFrame()
+    long = {tuple(row[:2]): row[2] for row in given.itertuples(index=False)}
+    rows, image = [], None
+    for line in (folder / "image.dat").read_text(encoding="ascii").splitlines():
+        if line == "-99":
+            image = None
+        elif image is None:
+            image, camera = line.split()
+            assert (len(image) <= 15, camera) == (True, "aerial")
+            image = long.get(("image", image), image)
+        else:
+            point, x, y = line.split()
+            point = long.get(("point", point), point)
+            x_px, y_px = 4429.0 + float(x) / 0.006, 6498.0 - float(y) / 0.006
+            rows.append((image, point, x_px, y_px))
+    table = pd.DataFrame(rows, columns=["image", "point", "x_px", "y_px"])
+    gap = table.merge(read.rows, on=["image", "point"], suffixes=("", "_before"))
+    assert len(gap) == len(table) == len(read.rows)
+    for axis in ("x_px", "y_px"):
+        assert np.abs(gap[axis] - gap[f"{axis}_before"]).max() <= 1e-5
+    assert_is_dbats(replace(read, rows=table))
