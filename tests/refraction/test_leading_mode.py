@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from pipeline.atmosphere import standard_atmosphere
+from pipeline.atmosphere.profile import stack_layers
 from pipeline.refraction import (
     BrownConrady,
     Camera,
@@ -161,6 +163,55 @@ def test_what_a_pane_does_to_it(claims):
     assert share("nadir, level pane", 2) < 0.7
     assert share("nadir, level pane", 3) < 0.4
     assert 0.8 < share("nadir, open", 3) < 1.25
+
+
+def sum_over_layers(warmer_k: float) -> tuple[float, float]:
+    """Total and R_c over tan of the angle in the cabin, 10 degrees, from 6 km to the ground.
+
+    Level layers of 1 m of the standard troposphere, n sin(zeta) the same in all and in the cabin;
+    the pressure is held at the camera; n by Gladstone and Dale from 2.779e-4 (15 deg C, 550 nm).
+    """
+    h = np.arange(0.0, 6000.5, 1.0)
+    kelvin, n_cabin, angle = 288.15 - 0.0065 * h + warmer_k, 1.0 + CABIN, np.radians(10.0)
+    fall = 9.80665 * 0.0289644 / 8.31432 * np.diff(h) * 0.5 * (1 / kelvin[1:] + 1 / kelvin[:-1])
+    pressure = 47_181.0 * np.exp(np.append(np.cumsum(fall[::-1])[::-1], 0.0))
+    n = 1.0 + 2.779e-4 * (pressure / 101_325.0) * 288.15 / kelvin
+    sine = n_cabin * np.sin(angle) / n
+    chord = np.arctan2(np.trapezoid(sine / np.sqrt(1.0 - sine**2), h), h[-1])
+    return (angle - chord) / np.tan(angle), (np.arcsin(sine[-1]) - chord) / np.tan(angle)
+
+
+def test_one_kelvin_behind_a_level_pane():
+    """Of a uniform kelvin, the pressure held at the camera, R_c has less than half."""
+    more, less = sum_over_layers(0.5), sum_over_layers(-0.5)
+    total, of_r = (1e6 * abs(a - b) for a, b in zip(more, less, strict=True))
+    assert (total, of_r) == (pytest.approx(1.10, abs=0.02), pytest.approx(0.51, abs=0.005))
+    profile, airs = standard_atmosphere("us1976"), []
+    for kelvin in (0.5, -0.5):
+        layers = profile.layers
+        vapour = np.append(layers.vapour, 0.0)
+        top = 6000.0 * 6_356_766.0 / 6_362_766.0  # geopotential
+        airs.append(replace(profile, layers=stack_layers(
+            layers.edge, layers.edge_temperature + kelvin, vapour, layers.source,
+            anchor=(top, float(profile.pressure(6000.0))), constant=profile.constant,
+        )))  # fmt: skip
+    h, r_c, shifted = np.array([6000.0]), [], []
+    for air in airs:
+        exposures = Exposures(
+            np.array([True]), looking(0.0)[None], np.array([0.8]), h, air.refractivity(h),
+            np.array([CABIN]), np.array([AHEAD]), radius_m=RADIUS,
+        )  # fmt: skip
+        x = np.array([CAMERA.cx_px + CAMERA.fx_px * np.tan(np.radians(10.0))])
+        plain = replace(CAMERA, fy_px=CAMERA.fx_px, distortion=BrownConrady())
+        done = correct_observations(
+            x, np.array([plain.cy_px]), np.zeros(1), np.zeros(1, np.int64), exposures, camera=plain,
+            table=ray_table(air),
+        )  # fmt: skip
+        shifted.append(np.arctan((done.x_px[0] - plain.cx_px) / plain.fx_px))
+        r_c.append(done.r_c_rad[0])
+    ppm = 1e6 / np.tan(np.radians(10.0))
+    assert abs(shifted[0] - shifted[1]) * ppm == pytest.approx(total, rel=0.01)
+    assert abs(r_c[0] - r_c[1]) * ppm == pytest.approx(of_r, rel=0.01)
 
 
 @pytest.mark.parametrize("name", LOOKS)
