@@ -23,15 +23,13 @@ def mistaken_calibrations(cameras: Mapping[str, Camera]) -> Iterator[tuple[str, 
             what = f"the principal point is at {' and '.join(places)}"
             yield f"{what}: what is stated counts along other axes", other
     for group in groups:
-        other = {}
-        for name in group:  # limits and senses stay
-            lens = cameras[name].distortion
-            negative = {k: -v for k, v in lens._asdict().items() if v and k[0] in "kpq"}
-            if negative:
-                other[name] = replace(cameras[name], distortion=lens._replace(**negative))
-        if len(other) == len(group):
-            of = f"the coefficients of distortion of {' and '.join(group)}"
-            yield f"{of} have the other sign: those of corrections, or the reverse", other
+        of = {n: cameras[n].distortion for n in group}
+        other = {n: replace(cameras[n], distortion=lens._replace(**{
+            key: -value for key, value in lens._asdict().items() if value and key[0] in "kpq"
+        })) for n, lens in of.items()}  # fmt: skip
+        if all(other[n] != cameras[n] for n in group):
+            what = f"the coefficients of distortion of {' and '.join(group)}"
+            yield f"{what} have the other sign: those of corrections, or the reverse", other
     for a, b in combinations(cameras, 2):
         of_a, of_b = cameras[a], cameras[b]
         a_of_b = replace(of_b, width_px=of_a.width_px, height_px=of_a.height_px)
@@ -41,13 +39,7 @@ def mistaken_calibrations(cameras: Mapping[str, Camera]) -> Iterator[tuple[str, 
 
 
 def with_other_axes(camera: Camera, exchanged: bool, along_x: int, along_y: int) -> Camera:
-    """The principal point with its offset from the centre along other axes.
-
-    >>> camera = Camera(1000, 800, 900.0, 900.0, 512.0, 395.0)
-    >>> other = with_other_axes(camera, True, 1, -1)
-    >>> other.cx_px, other.cy_px
-    (495.0, 388.0)
-    """
+    """The principal point with its offset from the centre along other axes."""
     half = 0.5 * camera.width_px, 0.5 * camera.height_px
     x, y = camera.cx_px - half[0], camera.cy_px - half[1]
     x, y = (y, x) if exchanged else (x, y)

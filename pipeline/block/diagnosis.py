@@ -168,11 +168,9 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
         large = list(large_mistakes(mission, current)) if poor else []
         large.sort(key=lambda h: likely(h.reading(h.x)), reverse=True)
         best, before = [], likely(current)
-        calibrations = sorted(
-            ((likely(h.reading(1.0)), k, h) for k, h in enumerate(other_calibrations(current))),
-            reverse=True,
-        )
-        small = [h for gain, _, h in calibrations[:_DECIDED_BY_ALL] if gain > before]
+        calibrations = [(likely(h.reading(1.0)), h) for h in other_calibrations(current)]
+        calibrations.sort(key=lambda each: -each[0])
+        small = [h for gain, h in calibrations[:_DECIDED_BY_ALL] if gain > before]
         small += small_errors(mission, current, now)
         for hypothesis in [*small, *large[:_DECIDED_BY_ALL]]:
             h, _ = _refined(mission, hypothesis, some)
