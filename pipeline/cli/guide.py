@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.markup import escape
 
 from pipeline.cli.app import app, new_console
-from pipeline.errors import storage_errors
+from pipeline.errors import ConfigError, storage_errors
 
 
 @app.command(epilog="Example: unbend schema --out mission.schema.json")
@@ -49,3 +50,49 @@ def explain_word(
         indent = " " * (len(line) - len(line.lstrip()))
         print(textwrap.fill(line, width, subsequent_indent=indent + "  " * bool(indent),
                             break_on_hyphens=False, break_long_words=False))  # fmt: skip
+
+
+@app.command(epilog="Example: unbend init flight.bin observations.csv")
+def init(
+    log: Annotated[Path, typer.Argument(help="a flight log, or a block alone", metavar="LOG")],
+    observations: Annotated[
+        Path | None,
+        typer.Argument(help="a table, or a block of another program", metavar="[OBSERVATIONS]"),
+    ] = None,
+    images: Annotated[
+        Path | None, typer.Option(help="folder of the images, or exiftool's table of them")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="the file to write; - prints it")] = Path(
+        "mission.yaml"
+    ),
+    force: Annotated[bool, typer.Option(help="replace the file if it is there")] = False,
+) -> None:
+    """Write a mission file from what a log and observations hold.
+
+    What is open is TODO; `unbend check` lists it. Beside the file stands mission.schema.json, by
+    which editors complete and check.
+    """
+    from pipeline.report.progress import DelayedProgressBar
+    from pipeline.stages.proposal.mission_proposal import propose_mission
+
+    printed = str(out) == "-"
+    if not printed and out.exists() and not force:
+        raise ConfigError(
+            "INIT-EXISTS", "the file is there already", where=str(out),
+            remedy="choose another name with --out, or replace it: --force",
+        )  # fmt: skip
+    console = new_console()
+    with DelayedProgressBar(console, f"reading {log.name}"):
+        text = propose_mission(
+            log, observations, images, out=Path("mission.yaml") if printed else out,
+            schema="mission.schema.json",
+        )  # fmt: skip
+    if printed:
+        print(text, end="")
+        return
+    with storage_errors(out):
+        out.write_text(text, encoding="utf-8")
+    schema(out.parent / "mission.schema.json")
+    count = text.count("TODO") - 1  # the head names it once
+    console.print(f"{escape(str(out))}: {count} open questions (TODO)", soft_wrap=True)
+    console.print(f"  unbend check {escape(str(out))}", soft_wrap=True)

@@ -65,7 +65,7 @@ def sentences_of(
     """
     todo = open_questions(values)
     found: dict[tuple[Place, str], None] = {
-        (place, f"still TODO: {_meaning(place)}"): None for place in todo
+        (place, f"still TODO: {_allowed(place)}"): None for place in todo
     }
     items = [] if error is None else error.errors(include_url=False, include_context=False)
     placed = [(*_found_at(values, item["loc"]), item) for item in items]

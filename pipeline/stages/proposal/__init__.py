@@ -1,0 +1,1 @@
+"""A mission file proposed from a log and observations, for `unbend init`."""

@@ -1,0 +1,383 @@
+"""A commented mission file from what a log, observations and images hold.
+
+What the inputs decide is written, with a remark where it is guessed; what they leave open is TODO,
+which `unbend check` refuses by name.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+from jinja2 import Environment, StrictUndefined
+
+from pipeline.errors import InputError, MissionError
+from pipeline.flight.channels import Channel
+from pipeline.flight.evidence.quality import plausible_samples
+from pipeline.flight.exposures import trigger_notes
+from pipeline.flight.heights import height_system
+from pipeline.flight.mount import is_of_gimbal
+from pipeline.flight.roles import assign_roles
+from pipeline.ingest import open_log
+from pipeline.ingest.log import utc_text
+from pipeline.ledger import Ledger
+from pipeline.stages.proposal.name_series import NameSeries, name_series
+from pipeline.tables.delimited import csv_names
+from pipeline.tables.geodata.geoid import package_geoid
+from pipeline.tables.imports.blocks import BLOCKS, damage_refused
+from pipeline.tables.imports.exif import read_image_times
+from pipeline.tables.observations import open_observations
+
+TODO = "TODO"
+_MOST_CAMERAS, _BATCH_ROWS, _MOST_BATCHES = 12, 250_000, 4
+
+# Other names of the columns, in small letters; what is found by them is guessed.
+_COLUMN_NAMES = {
+    "image": ("image", "img", "image_name", "filename", "file", "photo", "picture"),
+    "point": ("point", "point_id", "pt", "id", "marker", "track", "point_name"),
+    "x_px": ("x_px", "x", "px", "u", "col", "column", "x_pixel"),
+    "y_px": ("y_px", "y", "py", "v", "row", "line", "y_pixel"),
+}
+_HEIGHT = re.compile(r"^(h|z)(_.*)?$|height|elev|^alt", re.IGNORECASE)
+_DATUMS = {
+    "ellips": "ellipsoid",
+    "hae": "ellipsoid",
+    "msl": "msl",
+    "ortho": "msl",
+    "agl": "relative",
+}
+
+
+@dataclass(frozen=True)
+class Proposed:
+    """A key of the mission file: its value as YAML, and a remark."""
+
+    key: str
+    value: str
+    remark: str = ""
+
+
+@dataclass(frozen=True)
+class ProposedCamera:
+    """A camera with its exposures; ``block`` is its name in the block that has it."""
+
+    name: str
+    channel: Proposed | None = None
+    image: Proposed | None = None
+    block: str = ""
+
+
+@dataclass
+class FoundLog:
+    """What a log decides: its roles, its channels of exposures, and remarks in sentences."""
+
+    events: tuple[Channel, ...] = ()
+    remarks: list[str] = field(default_factory=list)
+    roles: list[Proposed] = field(default_factory=list)
+    compartment: str = ""
+    takeoff: str = ""
+    gimbals: str = ""
+    trigger: str = ""
+
+
+@dataclass
+class FoundTable:
+    """What a table of observations, or a block, decides."""
+
+    format: str = ""
+    images: tuple[str, ...] = ()
+    remark: str = ""
+    columns: list[Proposed] = field(default_factory=list)
+    size: str = ""
+    height: Proposed = Proposed(
+        "height", TODO, "metres; {column: NAME} of the observations; {dem: dem.tif}; intersected"
+    )
+    reference: str = TODO
+    heights: str = ""
+    cameras: tuple[str, ...] = ()
+
+
+def yaml_text(text: str) -> str:
+    """A text as a YAML scalar, in quotes where it needs them.
+
+    >>> yaml_text("flight.bin"), yaml_text("CAM[0]"), yaml_text("no: 1"), yaml_text("12")
+    ('flight.bin', '"CAM[0]"', '"no: 1"', '"12"')
+    """
+    plain = re.fullmatch(r"[A-Za-z./][\w./-]*", text) and text.lower() not in (
+        "true",
+        "false",
+        "null",
+    )
+    return text if plain else json.dumps(text, ensure_ascii=False)
+
+
+def block_format(path: Path) -> str:
+    """The program whose block a file or folder is, by its files; empty where it is none."""
+    if path.is_dir():
+        files = {"images.bin": "colmap", "images.txt": "colmap", "reconstruction.json": "opensfm"}
+        return next((name for file, name in files.items() if (path / file).is_file()), "")
+    if path.suffix.lower() == ".xml" and path.is_file():
+        head = path.read_bytes()[:4000].lower()
+        return "dbat" if b"dbat" in head else "metashape"
+    return {".psz": "metashape", ".db": "colmap"}.get(path.suffix.lower(), "")
+
+
+def found_in_log(path: Path) -> FoundLog:
+    """Read a log and decide what can be decided; refuses as `open_log`."""
+    log, found = open_log(path), FoundLog()
+    roles, notes = assign_roles(log.channels, {}, needs_cabin=False)
+    plausible = {}
+    for role, channel in roles.items():
+        try:
+            plausible[role] = plausible_samples(channel, role)[0]
+        except MissionError as error:  # another unit than the log says
+            found.roles.append(Proposed(role, TODO, f"{error.what}; {error.remedy}"))
+    indoors = [entry.where for entry in notes if entry.code == "BARO-NOT-OUTSIDE"]
+    found.compartment = ", ".join(indoors)
+    asked = [entry.where.rpartition(".")[2] for entry in notes if entry.code == "ROLE-AMBIGUOUS"]
+    asked += [entry.where.rpartition(".")[2] for entry in notes if entry.code == "CHANNEL-MISSING"]
+    for role in dict.fromkeys(asked):
+        found.roles += questions_of_role(role, log.channels, found.compartment)
+    listed = [f"{role} {channel.name}" for role, channel in roles.items() if role not in asked]
+    minutes = log.duration_s / 60.0
+    found.remarks = [
+        f"{utc_text(log.start_ns)[:19]} to {utc_text(log.end_ns)[:19]} UTC, {minutes:.1f} minutes; "
+        f"{log.time_base}"
+    ]
+    position, height = plausible.get("position"), plausible.get("height")
+    if position is not None and len(position):
+        lat, lon = (np.degrees(np.nanmedian(position[c])) for c in ("lat_rad", "lon_rad"))
+        found.remarks.append(f"place: latitude {lat:.4f}, longitude {lon:.4f}")
+    system, _ = height_system(plausible, None, package_geoid())
+    if height is not None and height.height_column is not None:
+        h = height[height.height_column]
+        h = h[np.isfinite(h)]
+        above = "the sea" if height.height_column == "h_msl_m" else "the ellipsoid"
+        first = float(np.median(h[:20])) if system.home_h_msl_m is None else system.home_h_msl_m
+        above_first = above if system.home_h_msl_m is None else "the sea"
+        found.takeoff = f"take-off {first:.0f} m above {above_first}"
+        span = f"{h.min():.0f} to {h.max():.0f} m above {above} ({height.name})"
+        found.remarks.append(f"heights {span}; {found.takeoff}")
+    found.remarks.append(f"found by itself: {', '.join(listed)}")
+    if indoors:
+        found.remarks.append(f"{found.compartment} is in a closed compartment: it does not follow "
+                             "the height")  # fmt: skip
+    found.gimbals = ", ".join(c.name for c in log.channels if is_of_gimbal(c.source.message))
+    able = [c for c in log.channels if c.fits_role("events")]
+    best = min((c.rank for c in able), default=0)
+    found.events = tuple(c for c in able if c.rank == best)
+    late = [c.name for c in found.events for entry in trigger_notes(log.channels, c)
+            if entry.code == "EVENTS-TRIGGER-TIME"]  # fmt: skip
+    late += [entry.where for entry in log.ledger if entry.code == "EVENTS-TRIGGER-TIME"]
+    found.trigger = ", ".join(dict.fromkeys(late))
+    return found
+
+
+def questions_of_role(role: str, channels: tuple[Channel, ...], compartment: str) -> list[Proposed]:
+    """The questions about a role that several channels could play, or none."""
+    able = [c for c in channels if role in c.roles and c.fits_role(role)]
+    best = min((c.rank for c in able), default=0)
+    names = [c.name for c in able if c.rank == best]
+    if not names:
+        return [
+            Proposed(
+                role,
+                TODO,
+                f"no channel of the log has the {role}; null where stations.trajectory gives it",
+            )
+        ]
+    choices = " or ".join(names)
+    outside = Proposed(role, TODO, f"{choices}: the one outside; null to use none")
+    if not compartment or not any(f"cabin_{role}" in c.roles for c in able if c.name in names):
+        return [outside]
+    inside = f"{choices}: the one in the compartment of {compartment}; null if there is none"
+    return [outside, Proposed(f"cabin_{role}", TODO, inside)]
+
+
+def found_in_table(path: Path) -> FoundTable:
+    """Read a table of observations or a block; refuses as `open_observations`."""
+    found, program = FoundTable(), block_format(path)
+    if program:
+        found.format = program
+        with damage_refused(path, program):
+            found.cameras = tuple(BLOCKS[program][0].read_cameras(path))
+        wanted: dict[str, str | None] = {name: name for name in _COLUMN_NAMES}
+        opened = open_observations(path, wanted, None, Ledger(), file_format=program)
+        found.images = opened.images
+        found.remark = f"{opened.rows} image points of {len(opened.images)} images"
+        return found
+    names = column_names(path)
+    by_small = {name.lower(): name for name in reversed(names)}
+    columns: dict[str, str | None] = {}
+    for role, others in _COLUMN_NAMES.items():
+        name = role if role in names else next((by_small[o] for o in others if o in by_small), None)
+        columns[role] = name or role
+        if names and name != role:
+            choices = f"one of {', '.join(names)}" if name is None else "guessed by its name"
+            found.columns.append(Proposed(role, yaml_text(name or TODO), choices))
+    if any(column.value == TODO for column in found.columns):
+        found.remark = "its images are not known until columns says which column has them"
+        return found
+    heights = [n for n in names if _HEIGHT.search(n) and n not in columns.values()]
+    heights = ["h_g_m"] if "h_g_m" in heights else heights
+    height = heights[0] if len(heights) == 1 else None
+    opened = open_observations(path, columns, height, Ledger())
+    found.images = opened.images
+    found.remark = f"{opened.rows} rows of {len(opened.images)} images"
+    if heights:
+        value = f"{{column: {yaml_text(height) if height else TODO}}}"
+        found.height = Proposed("height", value, "" if height else f"one of {', '.join(heights)}")
+    _extent(opened, found)
+    datums = {of for part, of in _DATUMS.items() if height and part in height.lower()}
+    if len(datums) == 1:
+        found.reference = datums.pop()
+        found.heights = f"guessed by the name of the column; {found.heights}"
+    return found
+
+
+def column_names(path: Path) -> list[str]:
+    """The columns of a CSV or Parquet file; none of what is neither, or cannot be read."""
+    if path.is_file() and path.suffix.lower() in (".csv", ".txt"):
+        return csv_names(path)
+    try:
+        return list(pq.read_schema(path).names)
+    except (OSError, ValueError):  # the reader of observations says what is wrong
+        return []
+
+
+def _extent(opened: Any, found: FoundTable) -> None:
+    """Largest pixels and the heights of the first million rows, as remarks."""
+    x, y, ground = [], [], []
+    for number, batch in enumerate(opened.batches(_BATCH_ROWS)):
+        x.append(batch.x_given_px)
+        y.append(batch.y_given_px)
+        ground += [] if batch.ground is None else [batch.ground]
+        if number + 1 == _MOST_BATCHES:
+            break
+    width, height = (np.nanmax(np.concatenate(part), initial=0.0) for part in (x, y))
+    found.size = f"at least {np.ceil(width):.0f} x {np.ceil(height):.0f} px, by the observations"
+    if ground:
+        low, middle, high = np.nanpercentile(np.concatenate(ground), [0.0, 50.0, 100.0])
+        found.heights = f"the heights are {low:.0f} to {high:.0f} m, {middle:.0f} in the median"
+
+
+def proposed_cameras(
+    log: FoundLog | None, images: tuple[str, ...], of_block: tuple[str, ...] = ()
+) -> list[ProposedCamera]:
+    """The cameras by the names of the images, each with the channel that counts as they do.
+
+    Where several channels could be a camera's, or names do not count as the log, it is asked for,
+    or left to the evidence (``*``), with a remark.
+    """
+    events = () if log is None else log.events
+    series = name_series(images)
+    if len(series) > max(_MOST_CAMERAS, len(events)):
+        series = [NameSeries("", 0, "", (0,), has_number=False)]
+    if of_block and len(of_block) != len(series):
+        series = []
+    index = {c.name: c["event_index"].astype(int).tolist() for c in events}
+    names: list[str] = []
+    count = max(len(series) or (len(of_block) or len(events)), 1)
+    cameras = []
+    for number in range(count):
+        one = series[number] if series else None
+        name = (one.camera if one else "") or ("camera" if count == 1 else f"camera_{number + 1}")
+        name = name if name not in names else f"{name}_{number + 1}"
+        names.append(name)
+        # The log's own numbers decide; where it has none, as many images as events do.
+        counts = {"index": index, "n": {c: range(1, len(own) + 1) for c, own in index.items()}}
+        fitting = {by: [c for c in of if one is not None and one.counts_as(of[c])]
+                   for by, of in counts.items()}  # fmt: skip
+        by = next((by for by, found in fitting.items() if found), "*")
+        fits = fitting.get(by, [])
+        rivals = [
+            s for s in series if s is not one and any(s.counts_as(counts[by][c]) for c in fits)
+        ]
+        channel = None
+        if one is None and count == len(events):
+            channel = Proposed("channel", yaml_text(events[number].name))
+        elif len(events) == count == 1 or (len(fits) == 1 and not rivals):
+            channel = Proposed("channel", yaml_text(fits[0] if fits else events[0].name))
+        elif events:
+            listed = " or ".join(f"{c} ({len(index[c])} events)" for c in fits or index)
+            channel = Proposed("channel", TODO, f"{listed}: which of them fires this camera")
+        image = None
+        if events and one is None:
+            remark = "names of its images; {index} is the log's number, as in IMG_{index:04d}.JPG"
+            image = Proposed("image", TODO, remark)
+        elif events and one is not None and fits:
+            remark = f"guessed: {len(one.numbers)} images count as the log does, "
+            remark += f"{one.numbers[0]} to {one.numbers[-1]}"
+            image = Proposed("image", json.dumps(one.pattern(by), ensure_ascii=False), remark)
+        elif events and one is not None:
+            remark = f"numbers and tie points assign {len(one.numbers)} images"
+            remark += (
+                f"; or {one.pattern('index')}, if these are the log's numbers" * one.has_number
+            )
+            image = Proposed("image", json.dumps(one.pattern("*"), ensure_ascii=False), remark)
+        block = of_block[number] if len(of_block) == count else ""
+        cameras.append(ProposedCamera(name, channel, image, block))
+    return cameras
+
+
+def propose_mission(
+    log: Path, observations: Path | None, images: Path | None, *, out: Path, schema: str
+) -> str:
+    """The text of a mission file.
+
+    ``log`` may be a block with orientations, alone; ``images`` is a folder of images, or
+    exiftool's table of them. ``out`` is the file to be written, from whose folder paths count;
+    ``schema`` what its first line links. Refuses (UnbendError) inputs that cannot be read, and
+    images of which none is in the observations (IMAGES-OTHER).
+    """
+
+    def relative(path: Path | None) -> str:
+        if path is None:
+            return TODO
+        try:
+            return yaml_text(Path(os.path.relpath(path, out.parent)).as_posix())
+        except ValueError:  # another drive of Windows
+            return yaml_text(str(path.absolute()))
+
+    alone = observations is None and bool(block_format(log))
+    found = None if alone else found_in_log(log)
+    observations = log if alone else observations
+    table = FoundTable() if observations is None else found_in_table(observations)
+    files: tuple[str, ...] = ()
+    zone = ""
+    if images is not None:
+        times = read_image_times(images, "", Ledger())
+        zone = "" if times.is_utc else TODO
+        files = tuple(Path(str(name)).name for name in times.file)
+        if table.images and not times.rows_of(table.images):
+            raise InputError(
+                "IMAGES-OTHER", f"none of the images of the observations is there: "
+                f"{table.images[0]} is not, but {times.file[0]} is", where=str(images),
+                remedy="give the images of this flight",
+            )  # fmt: skip
+    cameras = proposed_cameras(found, table.images or files, table.cameras)
+    name = re.sub(r"[^A-Za-z0-9._-]+", "-", log.stem).strip("-._")[:100] or "mission"
+    template = resources.files(__package__).joinpath("mission.yaml.j2").read_text("utf-8")
+    made = Environment(
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
+    )
+    made.filters["remark"] = as_remark
+    return made.from_string(template).render(
+        schema=schema, mission=yaml_text(name), file=out.name, log=relative(log), found=found,
+        observations=relative(observations), table=table, images=images and relative(images),
+        zone=zone, cameras=cameras,
+        has_reference=bool(observations and (observations / "reference_lla.json").is_file()),
+    )  # fmt: skip
+
+
+def as_remark(text: str) -> str:
+    """A remark at the end of a line, on this line whatever it cites."""
+    shown = "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
+    return f"  # {shown}" if shown else ""

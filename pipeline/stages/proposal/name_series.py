@@ -1,0 +1,99 @@
+"""Names of images that differ in one number: their pattern, and whether the log counts alike."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+
+_MOST_SERIES = 12
+_OF_ANY_CAMERA = {"dsc", "dscf", "img", "image", "dji", "photo", "p", "pic", "frame", "cap", ""}
+
+
+@dataclass(frozen=True)
+class NameSeries:
+    """Images whose names differ in one number, and where ``before`` has a ``*`` in other digits.
+
+    ``before`` and ``after`` : the text around the number. ``width`` : its digits, 0 where they are
+    not padded. ``numbers`` : of all images, in rising order. ``has_number`` is False where the
+    names have none.
+    """
+
+    before: str
+    width: int
+    after: str
+    numbers: tuple[int, ...]
+    has_number: bool = True
+
+    def pattern(self, field: str) -> str:
+        """The pattern of a mission file, for example ``DSC_{index:04d}.tif``; ``*`` for any.
+
+        >>> NameSeries("DSC_", 4, ".tif", (7, 8)).pattern("index")
+        'DSC_{index:04d}.tif'
+        """
+        before, after = (t.replace("{", "{{").replace("}", "}}") for t in (self.before, self.after))
+        digits = f":0{self.width}d" if self.width else ""
+        return f"{before}{'*' if field == '*' else f'{{{field}{digits}}}'}{after}"
+
+    @property
+    def camera(self) -> str:
+        """What the names call their camera: the word before the number, or the folder; or empty."""
+        *folders, word = re.split(r"[\\/]", self.before)
+        for name in (word, *reversed(folders)):
+            plain = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_").lower()
+            if plain not in _OF_ANY_CAMERA and not plain.isdigit():
+                return plain
+        return ""
+
+    def counts_as(self, index: Collection[int]) -> bool:
+        """Whether the numbers may be those of a log: none is missing at either end, none is new."""
+        of_log = set(index)
+        mine = set(self.numbers)
+        once = len(mine) == len(self.numbers) and len(of_log) == len(index)
+        if not (self.has_number and once and mine and mine <= of_log):
+            return False
+        return min(mine) == min(of_log) and max(mine) == max(of_log)
+
+
+def name_series(names: Iterable[str]) -> list[NameSeries]:
+    """The series of some names, the largest first.
+
+    Digits that differ between few groups of images (a head, a folder) part them into several
+    series; digits that differ from image to image beside the count (a time) become ``*``.
+
+    >>> [s.pattern("n") for s in name_series(["cam1/a_01.jpg", "cam1/a_02.jpg", "cam2/a_01.jpg"])]
+    ['cam1/a_{n:02d}.jpg', 'cam2/a_{n:02d}.jpg']
+    """
+    shapes: defaultdict[tuple[str, ...], list[list[str]]] = defaultdict(list)
+    for name in sorted(set(names)):
+        parts = re.split(r"(\d+)", name)
+        shapes[tuple(parts[::2])].append(parts[1::2])
+    found = [series for texts, rows in shapes.items() for series in _series(texts, rows)]
+    return sorted(found, key=lambda series: (-len(series.numbers), series.before))
+
+
+def _series(texts: tuple[str, ...], rows: list[list[str]]) -> list[NameSeries]:
+    """The series of names of the same texts, whose digits are ``rows`` (one a name)."""
+    if not rows[0]:
+        stem, dot, ending = texts[0].rpartition(".")
+        return [NameSeries(stem if dot else ending, 0, dot + ending if dot else "", (0,), False)]
+    values = [set(column) for column in zip(*rows, strict=True)]
+    # Of digits that differ alike the last count the images.
+    count = max(range(len(values)), key=lambda k: (len(values[k]), k))
+    others = [k for k in range(len(values)) if k != count and len(values[k]) > 1]
+    groups: defaultdict[tuple[str, ...], list[list[str]]] = defaultdict(list)
+    for row in rows:
+        groups[tuple(row[k] for k in others)].append(row)
+    if others and len(groups) <= _MOST_SERIES and 2 * len(groups) <= len(rows) + 1:
+        return [series for group in groups.values() for series in _series(texts, group)]
+    written = ["*" if k in others else rows[0][k] for k in range(len(values))]
+    digits = [row[count] for row in rows]
+    widths = {len(text) for text in digits}
+    before = (
+        "".join(t + w for t, w in zip(texts[:count], written[:count], strict=True)) + texts[count]
+    )
+    after = "".join(w + t for w, t in zip(written[count + 1 :], texts[count + 2 :], strict=True))
+    numbers = tuple(sorted(map(int, digits)))
+    padded = len(widths) == 1 and max(widths) > 1
+    return [NameSeries(before, max(widths) if padded else 0, texts[count + 1] + after, numbers)]
