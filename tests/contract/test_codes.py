@@ -26,7 +26,6 @@ LEDGER = {"note", "fallback", "warning", "loss", "finding"}
 EXPLAINED = {
     "EVENTS-NONE": "the mission file cannot say that: its model asks for log or csv",
     "LOG-UNREADABLE": "a disk that fails while a log is read; tests run as any user, root too",
-    "OBS-MISSING": "a table that vanishes between hashing and reading; INPUT-MISSING comes first",
     "SIM-ODE": "scipy's integrator giving up; no input is known that makes it",
     "SIM-PATH": "as SIM-ODE",
     "SIM-POINTS": "a block without points; the simulator's own limits keep it away",
