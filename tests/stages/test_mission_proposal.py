@@ -134,6 +134,7 @@ def test_columns_and_heights_are_asked_for_where_their_names_do_not_say_it(missi
     tree = yaml.safe_load(text)
     assert tree["ground"] == {"height": {"column": "Z_ellipsoid"}, "reference": "ellipsoid"}
     assert "guessed by the name of the column" in text
+    assert "height: {column: Z_ellipsoid}  # guessed by its name" in text
     seen.rename(columns={"Filename": "bild"}).to_csv(mission.folder / "o.csv", index=False)
     text = unbend("init", mission.log, mission.folder / "o.csv", "--out", "-").out
     assert re.search(r"    image: TODO  # one of bild, point", text)

@@ -233,7 +233,9 @@ def found_in_table(path: Path) -> FoundTable:
     found.remark = f"{opened.rows} rows of {len(opened.images)} images"
     if heights:
         value = f"{{column: {yaml_text(height) if height else TODO}}}"
-        found.height = Proposed("height", value, "" if height else f"one of {', '.join(heights)}")
+        guessed = "" if height == "h_g_m" else "guessed by its name: heights of the points [m]"
+        remark = guessed if height else f"one of {', '.join(heights)}"
+        found.height = Proposed("height", value, remark)
     _extent(opened, found)
     datums = {of for part, of in _DATUMS.items() if height and part in height.lower()}
     if len(datums) == 1:
