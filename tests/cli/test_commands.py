@@ -18,8 +18,8 @@ from pipeline.ingest.log import Log
 from pipeline.refraction import angle
 
 COMMANDS = (
-    "run", "check", "stations", "inspect", "angle", "radial", "tables", "profile", "compare",
-    "simulate", "export", "verify",
+    "init", "schema", "help", "run", "check", "stations", "inspect", "angle", "radial", "tables",
+    "profile", "compare", "simulate", "export", "verify",
 )  # fmt: skip
 
 
