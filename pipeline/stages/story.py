@@ -42,7 +42,7 @@ from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir
 from pipeline.report.accuracy import Accuracy, accuracy_page, accuracy_png, text_hash
 from pipeline.report.flown import flown_of
-from pipeline.report.html import write_report
+from pipeline.report.page.html import write_report
 from pipeline.report.progress import NoProgress, Progress
 from pipeline.stages.air.adjusted_profile import AirSources, adjusted_profiles, read_air_sources
 from pipeline.stages.cabin_air import with_cabin_air

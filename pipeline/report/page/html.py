@@ -13,12 +13,12 @@ from markupsafe import Markup, escape
 
 from pipeline.report import summary, words
 from pipeline.report.flown import QUANTITIES, Flown, utc
-from pipeline.report.svg import Axes, arrows, field_arrows, light_png, map_axes
+from pipeline.report.page.svg import Axes, arrows, field_arrows, light_png, map_axes
 from pipeline.report.verdict import is_applied, next_steps, verdict
 from pipeline.units import round_step
 
 _MOST_CAMERAS = 8  # with figures of their own; the manifest has the others too
-_DATA = files("pipeline.report") / "data"
+_DATA = files("pipeline.report.page") / "data"
 
 
 def write_report(path: Path, manifest: Mapping[str, Any], flown: Flown) -> None:
