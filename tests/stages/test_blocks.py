@@ -338,3 +338,58 @@ def test_a_real_block_as_a_mission_without_a_log(tmp_path, program):
     assert stations["lat_deg"].between(48.579, 48.587).all()
     assert stations["lon_deg"].between(7.757, 7.770).all()
     assert stations["h_msl_m"].between(1906, 1938).all()
+
+
+def test_a_model_in_an_unknown_frame(tmp_path):
+    """The sample's block turned, moved and 50 times smaller, by four known places: as in its own.
+
+    Truth is the same model in a stated frame; pycolmap turns it.
+    """
+    import pycolmap
+
+    from pipeline.stages.story import run_mission
+
+    samples = Path(__file__).resolve().parents[2] / "sample_logs"
+    stations = pq.read_table(samples / "truth" / "stations.parquet").to_pandas()
+    points = pq.read_table(samples / "truth" / "points.parquet").to_pandas()
+    observations = pq.read_table(samples / "observations.parquet").to_pandas()
+    write_colmap(tmp_path / "stated", CAMERAS, stations, observations, points, origin=ORIGIN)
+    model = pycolmap.Reconstruction(str(tmp_path / "stated"))
+    turn = pycolmap.Rotation3d(Rotation.from_euler("xyz", [70.0, -40.0, 150.0], True).as_quat())
+    model.transform(pycolmap.Sim3d(0.02, turn, np.array([5.0, -3.0, 8.0])))
+    (tmp_path / "unknown").mkdir()
+    model.write_binary(str(tmp_path / "unknown"))
+    nadir = stations[stations["camera"] == "nadir"].reset_index(drop=True)
+    known = nadir.loc[[0, 6, 13, 20, 27], ["image", "lat_deg", "lon_deg", "h_ellipsoid_m"]]
+    known.set_axis(["image", "latitude", "longitude", "height"], axis=1).to_csv(
+        tmp_path / "known.csv", index=False
+    )
+    same = {"calibration": "laboratory", "window": {"cabin": CABIN}}
+    of_unknown = {"frame": "unknown", "heights": "ellipsoid",
+                  "known_positions": {"path": "known.csv", "sigma_m": 0.05}}  # fmt: skip
+    found = {}
+    for name, orientation in {"stated": {"frame": enu(ORIGIN)}, "unknown": of_unknown}.items():
+        config = {
+            "mission": {"name": name, "undulation_m": 47.6},
+            "observations": {"path": name, "format": "colmap"},
+            "cameras": {"nadir": {"camera": 1} | same, "oblique": {"camera": 2} | same},
+            "stations": {"orientation": orientation},
+            "ground": {"height": "block"},
+            "atmosphere": {"adjust": False},
+            "output": {"path": f"results_{name}"},
+        }
+        path = tmp_path / f"{name}.yaml"
+        path.write_text(yaml.safe_dump(config), encoding="utf-8")
+        outcome = run_mission(path)
+        assert outcome.exit_code == 0, outcome.manifest["ledger"]
+        codes = {entry["code"]: entry["what"] for entry in outcome.manifest["ledger"]}
+        parts = sorted((tmp_path / f"results_{name}" / "observations").glob("*.parquet"))
+        table = pd.concat([pq.read_table(part).to_pandas() for part in parts])
+        found[name] = table.sort_values(["image", "keypoint"], ignore_index=True)
+    assert "5 known positions" in codes["ORIENTATION-FIT"]
+    assert (found["unknown"]["status"] == "ok").all()
+    moved = {k: t[["x_corrected_px", "y_corrected_px"]] - t[["x_px", "y_px"]].to_numpy()
+             for k, t in found.items()}  # fmt: skip
+    assert np.abs(moved["stated"].to_numpy()).max() > 0.3
+    np.testing.assert_allclose(moved["unknown"], moved["stated"], rtol=0.0, atol=2e-5)
+    np.testing.assert_allclose(found["unknown"]["h_g_m"], found["stated"]["h_g_m"], atol=1e-3)
