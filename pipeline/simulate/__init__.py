@@ -5,7 +5,7 @@ cameras are written again from the sources, with slow and general methods.
 """
 
 from pipeline.simulate.mission import Simulated, SimulationOptions, mission_yaml, simulate
-from pipeline.simulate.optics import ray_angle_sphere, shoot
+from pipeline.simulate.optics import shoot
 from pipeline.simulate.true_air import TrueAir, edlen_index, true_air
 
 __all__ = [
@@ -14,7 +14,6 @@ __all__ = [
     "TrueAir",
     "edlen_index",
     "mission_yaml",
-    "ray_angle_sphere",
     "shoot",
     "simulate",
     "true_air",

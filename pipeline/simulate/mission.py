@@ -169,6 +169,7 @@ def mission_yaml(
     ``inputs`` and ``results`` are the folders of both, relative to the mission file.
     """
     template = files("pipeline.simulate").joinpath("data/mission.yaml.j2").read_text("utf-8")
-    return Template(template, keep_trailing_newline=True).render(
+    rendered: str = Template(template, keep_trailing_newline=True).render(
         kind=kind, cameras=pair, undulation_m=UNDULATION_M, inputs=inputs, results=results
     )
+    return rendered

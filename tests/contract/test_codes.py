@@ -152,7 +152,7 @@ def test_every_refusal_says_what_to_do():
                 given = {keyword.arg for keyword in node.keywords}
                 if node.func.id in REFUSALS and code and "remedy" not in given:
                     without.append((code, f"{path.relative_to(PACKAGE)}:{node.lineno}"))
-    allowed = {"EVENTS-NONE", "SIM-ODE", "SIM-PATH", "SIM-GRAZING"}
+    allowed = {"EVENTS-NONE", "SIM-ODE", "SIM-PATH"}
     assert {code for code, _ in without} <= allowed, without
 
 

@@ -25,9 +25,9 @@ from pipeline.batch.plan import Outcome
 from pipeline.config import load_mission
 from pipeline.geodesy import lambert_gravity
 from pipeline.refraction import Exposures, bend, correct_observations, ray_table
-from pipeline.simulate import ray_angle_sphere
 from pipeline.stages.story import read_mission
 from pipeline.units import ARCSEC, DEGREE
+from tests.physics.ray_on_sphere import ray_angle_sphere
 
 from .conftest import REPOSITORY, read_observations, run_sample
 

@@ -13,8 +13,8 @@ from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from pipeline.ledger import Ledger
 from pipeline.refraction import ray_table, refraction_angle
-from pipeline.simulate.optics import ray_angle_sphere
 from pipeline.units import ARCSEC, DEGREE
+from tests.physics.ray_on_sphere import ray_angle_sphere
 
 RADIUS = 6_371_000.0
 

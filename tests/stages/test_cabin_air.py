@@ -19,12 +19,13 @@ from pipeline.refraction import StationSigmas, correct_observations, ray_table, 
 from pipeline.refraction.camera.camera import Camera, LensInAir
 from pipeline.refraction.uncertainty.air_sigma import SEALED
 from pipeline.refraction.window import Cabin, Window
-from pipeline.simulate.optics import cameras, ray_angle_sphere, through_window
+from pipeline.simulate.optics import cameras, through_window
 from pipeline.simulate.true_air import edlen_index
 from pipeline.stages import inputs
 from pipeline.stages.cabin_air import cabin_changes, cabin_from_log, with_cabin_air
 from pipeline.stages.exposure_setup import exposures_of
 from pipeline.units import ZERO_CELSIUS_K
+from tests.physics.ray_on_sphere import ray_angle_sphere
 
 US1976 = standard_atmosphere("us1976")
 DOWN = (0.0, 1.0, 0.0, 0.0)

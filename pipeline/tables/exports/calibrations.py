@@ -34,6 +34,7 @@ from pipeline.refraction.camera.brown_conrady import BrownConrady
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
 from pipeline.refraction.image import lattice_nodes
+from pipeline.tables.exports.blocks.colmap_model import colmap_camera
 from pipeline.tables.exports.blocks.opensfm_project import opensfm_camera
 from pipeline.tables.exports.format import (
     PIXEL_UM,
@@ -315,10 +316,9 @@ def write_cameras(found: Sequence[FittedCalibration], path: Path) -> None:
         camera, lens = fitted.camera, fitted.camera.distortion._asdict()
         w, h, (fx, fy, cx, cy) = camera.width_px, camera.height_px, _numbers(camera)[:4]
         fisheye = isinstance(camera.distortion, OpenCVFisheye)
-        names = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
-        ordered = [float(lens[name]) for name in names]
-        params = [fx, fy, cx, cy, *ordered, *[0.0] * (0 if fisheye else 3)]
-        model = "OPENCV_FISHEYE" if fisheye else "FULL_OPENCV"
+        model, params = colmap_camera(camera, fitted.camera_name, simplest=False)
+        params = [float(number) for number in params]
+        ordered = params[4 : 8 if fisheye else 9]
         colmap += [f"# {number}: {fitted.name}",
                    f"{number} {model} {w} {h} {' '.join(map(repr, params))}"]  # fmt: skip
         opensfm[fitted.name] = opensfm_camera(camera, fitted.camera_name)

@@ -65,8 +65,8 @@ def opencv_coefficients(
     return known
 
 
-def colmap_camera(camera: Camera, name: str) -> tuple[str, list[float]]:
-    """COLMAP's model and parameters of a camera, the simplest that is exact.
+def colmap_camera(camera: Camera, name: str, *, simplest: bool = True) -> tuple[str, list[float]]:
+    """COLMAP's model and parameters of a camera, the simplest that is exact or the fullest.
 
     >>> colmap_camera(Camera(1000, 800, 900.0, 900.0, 500.0, 400.0), "nadir")
     ('PINHOLE', [900.0, 900.0, 500.0, 400.0])
@@ -75,7 +75,7 @@ def colmap_camera(camera: Camera, name: str) -> tuple[str, list[float]]:
     if isinstance(camera.distortion, OpenCVFisheye):
         return "OPENCV_FISHEYE", [*frame, *camera.distortion]
     known = opencv_coefficients(camera, name, "COLMAP", _OPENCV)
-    last = max((_OPENCV.index(key) for key in known), default=-1)
+    last = max((_OPENCV.index(key) for key in known), default=-1) if simplest else 7
     model = "PINHOLE" if last < 0 else "OPENCV" if last < 4 else "FULL_OPENCV"
     count = {"PINHOLE": 0, "OPENCV": 4, "FULL_OPENCV": 8}[model]
     return model, [*frame, *(known.get(key, 0.0) for key in _OPENCV[:count])]
