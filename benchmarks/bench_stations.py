@@ -1,0 +1,47 @@
+"""20,000 exposures become stations beside the ingest of a log that has 256."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+from pipeline.batch.plan import make_plan
+from pipeline.config import load_mission
+from pipeline.flight.exposures import Events
+from pipeline.ingest import open_log
+from pipeline.ledger import Ledger
+from pipeline.stages.inputs import read_log
+from pipeline.stages.stations import StationBuilder
+
+LOG = Path(__file__).resolve().parents[2] / "shared" / "logs" / "sitl_survey.BIN"
+COUNT = 20_000
+
+
+@pytest.mark.skipif(not LOG.is_file(), reason="../shared/logs is not beside this checkout")
+def test_twenty_thousand_stations_beside_the_ingest_of_a_log(ratios, tmp_path):
+    pd.DataFrame({"image": ["a"], "point": ["p"], "x_px": [1.0], "y_px": [1.0]}).to_parquet(
+        tmp_path / "observations.parquet"
+    )
+    camera = {"width_px": 6000, "height_px": 4000, "f_px": 5000.0, "cx_px": 3000.0,
+              "cy_px": 2000.0, "calibration": "laboratory"}  # fmt: skip
+    config = {
+        "mission": {"name": "stations"}, "log": {"path": str(LOG)},
+        "observations": {"path": "observations.parquet"}, "cameras": {"c": camera},
+        "mount": {"c": {}}, "events": {"log": {"c": {"channel": "CAM[0]", "image": "{n}"}}},
+        "ground": {"height": 500.0, "reference": "msl"}, "output": {"path": "results"},
+    }  # fmt: skip
+    path = tmp_path / "mission.yaml"
+    path.write_text(yaml.safe_dump(config), encoding="utf-8")
+    plan = make_plan(load_mission(path), tmp_path)
+    flight = read_log(plan, Ledger())
+    builder = StationBuilder.of(plan, flight, "c", None)
+    (events,) = (c for c in flight.channels if c.name == "CAM[0]")
+    time = np.linspace(events.time_ns[0], events.time_ns[-1], COUNT).astype(np.int64)
+    exposed = Events("c", np.array([f"i{k}" for k in range(COUNT)], object), time)
+    assert builder.stations(exposed).ok.mean() > 0.99
+    ratio = ratios.of_times(lambda: builder.stations(exposed), lambda: open_log(LOG))
+    ratios.check("20,000 stations, times the ingest of a log", 1.0 / ratio, at_most=0.5)
