@@ -2,7 +2,7 @@
 
 import json
 import os
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from pipeline.config.sections import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.errors import ConfigError, MissionError
 from pipeline.flight.stations import NO_TIME, SUSPECT, Stations
 from pipeline.geodesy import Gravity
+from pipeline.ingest.log import hash_file
 from pipeline.ledger import Ledger
 from pipeline.refraction.image import correct_observations
 from pipeline.refraction.ray import rays_by
@@ -292,4 +293,20 @@ def rebuild_run(
         },
     )
     check_reproduced(run, path)
-    return run
+    return replace(run, database=database_of(mission, manifest, path))
+
+
+def database_of(mission: Mission, manifest: dict[str, Any], path: Path) -> Path | None:
+    """COLMAP's database whose keypoints the run read; None where it is gone or has changed.
+
+    It is looked for from the run's folder, as the mission file states both places.
+    """
+    here = Path("/?/?/?/?/?")  # in the place of the mission's folder, whose name no table keeps
+    stated = mission.observations.path
+    absolute = os.path.isabs(stated)
+    file = path / (
+        stated if absolute else os.path.relpath(here / stated, here / mission.output.path)
+    )
+    read = {item["sha256"] for item in manifest["inputs"] if item["role"] == "observations"}
+    is_it = file.suffix.lower() == ".db" and file.is_file() and hash_file(file) in read
+    return file if is_it else None

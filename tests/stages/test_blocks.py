@@ -9,6 +9,8 @@ from __future__ import annotations
 import json
 import re
 import sys
+from contextlib import closing
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -290,6 +292,68 @@ def test_a_database_beside_a_model(block, by_log, points):
     assert len(numbers) == len(points)
     del block.config["stations"]["orientation"]["path"]
     refused(block, "neither orientations nor object points", "a model, as sparse/0")
+
+
+def test_matches_of_a_database_come_out_with_its_keypoints(block, by_log, points, unbend):
+    """By name of the points, which the program never sees: with a keypoint outside the image as the
+    first of each, and images numbered the other way round."""
+    pycolmap = pytest.importorskip("pycolmap")
+    colmap(block, by_log, points)
+    table, source = by_log.measurements().to_pandas(), block.folder / "database.db"
+    names, numbers = {}, {}
+    with closing(pycolmap.Database.open(str(source))) as content:
+        for model, width, height, params in CAMERAS.values():
+            camera = pycolmap.Camera(model=model, width=width, height=height, params=params)
+            content.write_camera(camera)
+        for name, rows in reversed([*table.groupby("image")]):
+            image = pycolmap.Image(name=name, camera_id=1 + name.startswith("oblique"))
+            numbers[name], names[name] = content.write_image(image), ["outside", *rows["point"]]
+            xy = np.vstack([[-900.0, 50.0], rows[["x_px", "y_px"]]]).astype(np.float32)
+            content.write_keypoints(numbers[name], xy)
+        for pair in combinations(names, 2):
+            place = {point: k for k, point in enumerate(names[pair[1]])}
+            both = [(k, place[p]) for k, p in enumerate(names[pair[0]]) if p in place]
+            both, ids = np.array(both, np.uint32), [numbers[name] for name in pair]
+            content.write_matches(*ids, both)
+            verified = pycolmap.TwoViewGeometry()
+            verified.config = pycolmap.TwoViewGeometryConfiguration.UNCALIBRATED
+            verified.inlier_matches = both[:-1]
+            content.write_two_view_geometry(*ids, verified)
+    block.config["observations"]["path"] = "database.db"
+    block.config["stations"]["orientation"] |= {"path": "sparse", "format": "colmap"}
+    ended = block.run()
+    assert ended.code == 3, ended.text  # a loss: keypoints outside the image
+    words = ("export", block.output, "--format", "colmap-database", "--out")
+    assert "EXPORT-NO-TIES" not in unbend(*words, block.folder / "out.db").text
+    rows = block.results().to_pandas().query("status == 'ok'").sort_values("keypoint")
+    assert (rows["keypoint"] > 0).all()
+    count = 0
+    with closing(pycolmap.Database.open(str(block.folder / "out.db"))) as content:
+        ids = {image.name: image.image_id for image in content.read_all_images()}
+        assert sorted(ids, key=ids.get) != sorted(numbers, key=numbers.get)
+        for name, own in rows.groupby("image"):
+            xy = content.read_keypoints(ids[name])[:, :2]
+            assert np.abs(xy - own[["x_corrected_px", "y_corrected_px"]]).to_numpy().max() < 0.0006
+        points_of = {
+            name: [names[name][k] for k in own] for name, own in rows.groupby("image")["keypoint"]
+        }
+        for one, other in combinations(names, 2):
+            both = content.read_matches(ids[one], ids[other])
+            found = [(points_of[one][i], points_of[other][k]) for i, k in both]
+            common = [p for p in points_of[one] if p in points_of[other]]
+            assert found == [(p, p) for p in common]
+            verified = content.read_two_view_geometry(ids[one], ids[other])
+            last = [p for p in names[one] if p in names[other]][-1]
+            kept = [k for k, p in enumerate(common) if p != last]
+            np.testing.assert_array_equal(verified.inlier_matches, both[kept])
+            if kept:
+                assert verified.config == pycolmap.TwoViewGeometryConfiguration.UNCALIBRATED
+            count += len(both)
+    assert count > 30
+    with closing(pycolmap.Database.open(str(source))) as content:
+        content.write_camera(pycolmap.Camera(model="PINHOLE", width=9, height=9, params=[9] * 4))
+    changed = unbend(*words, block.folder / "again.db")
+    assert (changed.code, "EXPORT-NO-TIES" in changed.text) == (3, True)
 
 
 def test_a_point_twice_in_an_image_is_a_loss(block, by_log, points):

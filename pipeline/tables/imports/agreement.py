@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
 from pipeline.errors import MissionError
@@ -115,6 +114,8 @@ def _compare_places(imported: Channel, rows: Rows, track: _Track, ledger: Ledger
     def misfit(distance: Array) -> float:
         """Median [m], where half of the places are within the log."""
         return float(np.median(distance)) if distance.size >= max(fewest, 1) else 1e9
+
+    from scipy.optimize import minimize_scalar  # a fifth of a second, and few runs need it
 
     coarse = _SHIFTS_S[np.argmin([misfit(distance) for distance in at])]
     fine = minimize_scalar(

@@ -3,8 +3,9 @@
 Tables are those of COLMAP 4.2 (``colmap_4_2.sql``), ids and pixels those of `colmap_model`, and
 image points keep their places as keypoints. Keypoints are 32-bit numbers there: up to 16,384 px
 they lose at most 0.0005 px, which the model does not. Points tie each pair of their images (matches
-and verified geometries). Pose priors are the stations' positions with the covariance of their
-sigmas. That refraction was removed stands in a table of its own, which COLMAP leaves alone.
+and verified geometries); where the run read a database, its own matches and geometries are copied.
+Pose priors are the stations' positions with the covariance of their sigmas. That refraction was
+removed stands in a table of its own, which COLMAP leaves alone.
 """
 
 import sqlite3
@@ -21,6 +22,8 @@ from pipeline.ledger import Ledger
 from pipeline.tables.exports.blocks.colmap_model import MODEL_IDS, USE, colmap_camera
 from pipeline.tables.exports.blocks.exported_block import ExportedBlock, block_of
 from pipeline.tables.exports.format import ExportFormat, FinishedRun, Values
+from pipeline.tables.imports.blocks.colmap import opened
+from pipeline.tables.imports.stated import not_of_format
 from pipeline.tables.refraction_mark import MARK_TABLE, REFRACTION_KEY, REFRACTION_REMOVED
 
 _VERSION = 4_020_100
@@ -33,9 +36,6 @@ def write_database(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> i
     """The database of a block; the number of keypoints."""
     block = block_of(run, ledger)
     tables = rows_of_tables(block)
-    if len(block.point_m) == 0:
-        what = "no point was measured in two images: nothing ties the images of the database"
-        ledger.loss("EXPORT-NO-TIES", what, where="observations")
     unknown = int(np.isnan(block.frame.covariance_m2).any(axis=(1, 2)).sum())
     if unknown:
         what = (
@@ -61,11 +61,20 @@ def write_database(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> i
             marks = ", ".join("?" * len(rows[0]))
             database.executemany(f"INSERT INTO {table} VALUES ({marks})", rows)
         database.executemany("INSERT INTO keypoints VALUES (?, ?, 2, ?)", keypoint_rows(block))
-        for row in match_rows(block):
-            database.execute("INSERT INTO matches VALUES (?, ?, 2, ?)", row)
-            columns = f"VALUES (?, ?, 2, ?, {_CALIBRATED}{', NULL' * 7})"
-            database.execute(f"INSERT INTO two_view_geometries {columns}", row)
+        tied = 0
+        for table, *row in (
+            match_rows(block) if run.database is None else copied_rows(block, run.database)
+        ):
+            marks = "?, ?, 2, ?" if table == "matches" else "?, ?, 2, ?, ?" + ", NULL" * 7
+            database.execute(f"INSERT INTO {table} VALUES ({marks})", row)
+            tied += 1
         database.commit()
+    if not tied:
+        what = (
+            "nothing ties the images of the database: no point was measured in two images, and no "
+            "database with matches was read that is still in its place, unchanged"
+        )
+        ledger.loss("EXPORT-NO-TIES", what, where="observations")
     return int(block.point.size)
 
 
@@ -105,8 +114,45 @@ def keypoint_rows(block: ExportedBlock) -> Iterator[tuple[int, int, bytes]]:
         yield i + 1, len(xy), xy.tobytes()
 
 
-def match_rows(block: ExportedBlock) -> Iterator[tuple[int, int, bytes]]:
-    """Pair of images, number of points in both, and the places of their keypoints."""
+def copied_rows(block: ExportedBlock, source: Path) -> Iterator[tuple[Any, ...]]:
+    """Rows of both tables as the database that was read has them, with the keypoints' places here.
+
+    Its keypoints are the points ``image:index``. Matches of those that are left out are left out;
+    of the geometries the configuration is kept, and not the matrices, which are of bent rays.
+    Refuses (InputError IMPORT-FORMAT) matches that are cut short.
+    """
+    places = {}
+    for i, image in enumerate(block.image):
+        own = [block.name[point] for point in block.point[block.of_image(i)]]
+        index = np.array([int(name.removeprefix(f"{image}:")) for name in own], np.int64)
+        place = np.full(index.max(initial=0) + 2, -1)  # of the last, and beyond, there is none
+        place[index] = np.arange(index.size)
+        places[image] = i + 1, place
+    with closing(opened(source)) as database:
+        images = dict(database.execute("SELECT image_id, name FROM images"))
+        for table, more in (("matches", ""), ("two_view_geometries", ", config")):
+            query = f"SELECT pair_id, rows, cols, data{more} FROM {table} WHERE rows > 0"
+            for pair, rows, columns, blob, *config in database.execute(query):
+                names = [images.get(number) for number in divmod(pair, _MOST_IMAGES)]
+                if columns != 2 or len(blob or b"") != 8 * rows:
+                    what = f"the {table} of {names[0]!r} and {names[1]!r} are cut short"
+                    raise not_of_format(source, what, "match the images again")
+                if not places.keys() >= set(names):
+                    continue
+                given = np.frombuffer(blob, "<u4").reshape(rows, 2)
+                found = sorted(
+                    (number, k, place[np.minimum(given[:, k], place.size - 1)])
+                    for k, (number, place) in enumerate(places[name] for name in names)
+                )
+                both = np.stack([place for _, _, place in found], axis=1)
+                both = both[(both >= 0).all(axis=1)].astype("<u4")
+                if len(both):
+                    pair = found[0][0] * _MOST_IMAGES + found[1][0]
+                    yield table, pair, len(both), both.tobytes(), *config
+
+
+def match_rows(block: ExportedBlock) -> Iterator[tuple[Any, ...]]:
+    """Rows of both tables: pair of images, number of points in both, places of their keypoints."""
     order, begin, images = block.of_points()
     place = order - block.first[images]
     for i in range(block.image.size):
@@ -122,7 +168,8 @@ def match_rows(block: ExportedBlock) -> Iterator[tuple[int, int, bytes]]:
         for low, high in pairwise(edges.tolist()):
             both = np.stack([own[low:high], place[other[low:high]]], axis=1).astype("<u4")
             pair = (i + 1) * _MOST_IMAGES + int(images[other[low]]) + 1
-            yield pair, high - low, both.tobytes()
+            yield "matches", pair, high - low, both.tobytes()
+            yield "two_view_geometries", pair, high - low, both.tobytes(), _CALIBRATED
 
 
 FORMATS = (

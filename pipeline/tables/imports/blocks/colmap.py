@@ -76,7 +76,7 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
             yield rows_of_image(name, xy, point)
         return
     query = "SELECT name, rows, cols, data FROM keypoints JOIN images USING (image_id)"
-    with closing(_opened(path)) as database:
+    with closing(opened(path)) as database:
         count = 0
         for name, rows, columns, blob in database.execute(f"{query} ORDER BY image_id"):
             count += rows
@@ -114,7 +114,7 @@ def _cameras(file: Path) -> Iterator[tuple[Any, ...]]:
     """Number, model, width, height and parameters of each camera."""
     if file.suffix.lower() == ".db":
         query = "SELECT camera_id, model, width, height, params FROM cameras"
-        with closing(_opened(file)) as database:
+        with closing(opened(file)) as database:
             for number, code, width, height, blob in database.execute(query):
                 yield number, _model(code, file)[0], width, height, *np.frombuffer(blob, "<f8")
     elif file.suffix.lower() == ".bin":
@@ -189,7 +189,8 @@ def _model(code: int, path: Path) -> tuple[str, int]:
     return _MODELS[code]
 
 
-def _opened(path: Path) -> sqlite3.Connection:
+def opened(path: Path) -> sqlite3.Connection:
+    """A database for reading only; refuses one with rows that are still in the log beside it."""
     log = Path(f"{path}-wal")
     if log.is_file() and log.stat().st_size:
         raise not_of_format(path, f"{log.name} beside it has rows that are not in it yet",
