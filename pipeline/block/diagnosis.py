@@ -40,6 +40,7 @@ _KEYS = {
 }  # fmt: skip
 
 _WORSE_THAN_FLAT, _FLAT = 1.1, 0.002  # of the relief, and at least of the flying height
+_SETTLED = 0.05  # of its sigma: an amount that changes by less is the most likely one
 _MARGIN = 0.1  # of a log likelihood ratio, within which two mistakes count as equally likely
 _MISTAKEN_AT = 0.3  # within which of 1 a calibration is the mistaken one, and nothing between
 _LARGEST_REFINEMENT_RAD = np.radians(5.0)  # of a mistake that is still that one
@@ -376,8 +377,10 @@ def _refined(
         curve = low - 2.0 * middle + high
         if curve < 0.0:
             sigma = step / float(np.sqrt(-curve))
-            x += float(np.clip(0.5 * step * (low - high) / curve, -3.0 * step, 3.0 * step))
-            step = min(max(sigma, 0.1 * step), step)
+            change = float(np.clip(0.5 * step * (low - high) / curve, -3.0 * step, 3.0 * step))
+            x, step = x + change, min(max(sigma, 0.1 * step), step)
+            if abs(change) < _SETTLED * sigma:
+                break
         else:
             x += 3.0 * step * float(np.sign(high - low))
     return replace(h, x=x, step=step), sigma

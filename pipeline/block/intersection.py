@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from pipeline.block.image_rays import (
     MINIMUM_ANGLE_RAD,
@@ -223,7 +223,7 @@ def intersect(
         e = system.residual - system.J @ system.errors + system.Y @ (system.Z @ system.errors)
         e_rays = e[: 2 * r.sigma.size].reshape(-1, 2)
         of_point, freedom = r.sums(np.sum(e_rays**2, axis=1)), np.maximum(2 * count - 3, 1)
-        usual = of_point[count >= 2] / chi2.ppf(0.5, freedom[count >= 2])
+        usual = of_point[count >= 2] / chdtri(freedom[count >= 2], 0.5)  # the median
         factor = max(1.0, float(np.median(usual))) if usual.size else 1.0
         # What chi-square loses without a ray, or a pair, against what bad ones are improbable by.
         half = system.Y.data[: 6 * r.sigma.size].reshape(-1, 2, 3)

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
 from pipeline.flight.channels import Channel
 from pipeline.flight.evidence.filter_health import (
@@ -236,8 +235,8 @@ def receiver_is_right(sources: Sources, d: Difference, a: int, b: int) -> bool:
     times = mine.time_ns[rows]
     climb = velocity_at([mine], HEIGHT, times)[:, 0]
     if np.isfinite(climb).all():
-        climbed = cumulative_trapezoid(climb, times * 1e-9, initial=0)
-        left = climbed - places_of(mine, HEIGHT)[0][rows, 0]
+        climbed = np.cumsum(np.diff(times * 1e-9) * (climb[1:] + climb[:-1]) / 2.0)
+        left = np.append(0.0, climbed) - places_of(mine, HEIGHT)[0][rows, 0]
         at = np.searchsorted(times, [begin_ns, time_ns[worst], time_ns[b] - beside_ns, end_ns])
         left = left[np.minimum(at, times.size - 1)]
         return bool((np.abs(left[1::2] - left[::2]) < 0.5 * float(d.off_m[worst])).all())
