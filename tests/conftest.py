@@ -8,7 +8,7 @@ import os
 import shutil
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -160,15 +160,24 @@ def baseline(
     return done
 
 
-@pytest.fixture
-def plain_report(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A report without plots, which take most of the time of a small run."""
+@contextlib.contextmanager
+def without_plots() -> Iterator[None]:
+    """A report without plots, which take half of the time of a small run."""
     from pipeline.stages import story as stages
 
     def write_report(path: Path, manifest: dict[str, Any], *_: object) -> None:
         path.write_text(manifest["mission"], encoding="utf-8")
 
-    monkeypatch.setattr(stages, "write_report", write_report)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stages, "write_report", write_report)
+        yield
+
+
+@pytest.fixture
+def plain_report() -> Iterator[None]:
+    """The runs of a test have a report without plots."""
+    with without_plots():
+        yield
 
 
 @pytest.fixture

@@ -1,9 +1,10 @@
-"""The mutator, and how many mutations: UNBEND_MUTATIONS (2,000) from UNBEND_MUTATION_SEED (0)."""
+"""The mutator, and how many mutations: UNBEND_MUTATIONS (500) from UNBEND_MUTATION_SEED (0)."""
 
 from __future__ import annotations
 
 import csv
 import os
+import random
 import sys
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -34,12 +35,19 @@ def mutate() -> ModuleType:
 
 @pytest.fixture(scope="session")
 def mutation_count() -> int:
-    return int(os.environ.get("UNBEND_MUTATIONS", "2000"))
+    return int(os.environ.get("UNBEND_MUTATIONS", "500"))
 
 
 @pytest.fixture(scope="session")
 def mutation_seed() -> int:
     return int(os.environ.get("UNBEND_MUTATION_SEED", "0"))
+
+
+@pytest.fixture(scope="session")
+def cuts(mutation_count: int, mutation_seed: int) -> list[int]:
+    """How many bytes are cut from either end: 1 to 1,000 in `make faults`, else 150 of these."""
+    every = range(1, 1001)
+    return [*every] if mutation_count > 2000 else random.Random(mutation_seed).sample(every, 150)
 
 
 @pytest.fixture(scope="session")

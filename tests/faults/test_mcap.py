@@ -132,15 +132,15 @@ def test_failures_found_once_stay_away(trial, mutate: ModuleType, corpus) -> Non
     assert trial.failures == before
 
 
-def test_every_cut_of_the_first_and_last_1000_bytes(trial) -> None:
+def test_every_cut_of_the_first_and_last_1000_bytes(trial, cuts: list[int]) -> None:
     data = small_logs()[0]
     before = trial.ends.copy()
-    for count in range(1, 1001):
+    for count in cuts:
         trial.examine(0, data[count:], f"first {count} bytes cut")
         trial.examine(0, data[:-count], f"last {count} bytes cut")
     assert not trial.failures, trial.summary()
     ends = trial.ends - before
-    assert ends == {"reported": 2000}
+    assert ends == {"reported": 2 * len(cuts)}
 
 
 def read(path: Path, data: bytes) -> Log:

@@ -90,15 +90,17 @@ def test_failures_found_once_stay_away(trial, mutate: ModuleType, corpus) -> Non
     assert trial.failures == before
 
 
-def test_every_cut_of_the_first_and_last_1000_bytes(trial, logs: list[bytes]) -> None:
+def test_every_cut_of_the_first_and_last_1000_bytes(
+    trial, logs: list[bytes], cuts: list[int]
+) -> None:
     before = trial.ends.copy()
-    for count in range(1, 1001):
+    for count in cuts:
         trial.examine(0, logs[0][count:], f"first {count} bytes cut")
         trial.examine(0, logs[0][:-count], f"last {count} bytes cut")
     assert not trial.failures, trial.summary()
     ends = trial.ends - before
     assert set(ends) <= {"LOG-FORMAT", "LOG-ULOG", "reported", "unreported"}
-    assert ends["unreported"] <= 30  # cuts between two messages
+    assert ends["unreported"] <= 0.03 * len(cuts) + 4  # cuts between two messages
 
 
 def test_a_large_hole_ends_at_once(trial, mutate: ModuleType, logs: list[bytes]) -> None:

@@ -9,7 +9,8 @@ import pytest
 import yaml
 
 from pipeline.batch.plan import Outcome
-from pipeline.stages.story import run_mission
+from pipeline.stages import story
+from tests.conftest import without_plots
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SHARED = REPOSITORY.parent / "shared"
@@ -17,6 +18,12 @@ SHARED = REPOSITORY.parent / "shared"
 needs_shared = pytest.mark.skipif(
     not (SHARED / "logs").is_dir(), reason="../shared/logs is not beside this checkout"
 )
+
+
+def run_mission(path: Path) -> Outcome:
+    """The mission with a report without plots."""
+    with without_plots():
+        return story.run_mission(path)
 
 
 def write_mission(path: Path, **sections: object) -> Path:

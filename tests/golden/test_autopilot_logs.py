@@ -11,9 +11,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.batch.plan import Outcome
-from pipeline.stages.story import run_mission
 
-from .conftest import SHARED, needs_shared, read_observations, write_mission
+from .conftest import SHARED, needs_shared, read_observations, run_mission, write_mission
 
 pytestmark = needs_shared
 

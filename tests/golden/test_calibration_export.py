@@ -17,7 +17,7 @@ import pytest
 import yaml
 
 from pipeline.errors import MissionError
-from pipeline.stages.story import export_run, run_mission
+from pipeline.stages.story import export_run
 from tests.golden.held_block import (
     CX,
     CY,
@@ -32,6 +32,8 @@ from tests.golden.held_block import (
     intersected,
     write_mission,
 )
+
+from .conftest import run_mission
 
 pycolmap = pytest.importorskip("pycolmap")
 

@@ -1,7 +1,7 @@
 """What a new thing costs, as CONTRIBUTING.md says: a file, and its line in a registry.
 
-A copy of the package gets a toy of each kind, exactly those files and lines, and each is used in a
-process of its own through the command line or the names of `pipeline`.
+A copy of the package gets a toy of each kind, exactly those files and lines, and each is used in
+another process through the command line or the names of `pipeline`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -264,36 +264,53 @@ THINGS = {
 }
 
 
+# A line is code to run, or the words of a command; the answer is how it ended and what it said.
+SERVER = """
+import contextlib, io, json, sys, traceback
+for line in sys.stdin:
+    asked, said, code = json.loads(line), io.StringIO(), 0
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        try:
+            if isinstance(asked, str):
+                exec(asked, {})
+            else:
+                from pipeline.cli import main
+                sys.argv = ["unbend", *asked]
+                main()
+        except SystemExit as end:
+            code = int(end.code or 0)
+        except BaseException:
+            traceback.print_exc()
+            code = -1
+    print(json.dumps([code, said.getvalue()]), flush=True)
+"""
+
+
 @dataclass(frozen=True)
 class Copy:
-    """A copy of the package with a toy in it."""
+    """A copy of the package with the toys in it, and a process that has imported it."""
 
     folder: Path
+    process: subprocess.Popen[str]
 
-    def python(self, *words: object, code: int = 0) -> str:
-        done = subprocess.run(
-            [sys.executable, *map(str, words)],
-            capture_output=True,
-            text=True,
-            encoding="utf-8",
-            cwd=self.folder,
-            env=os.environ
-            | {
-                "PYTHONPATH": str(self.folder),
-                "PYTHONIOENCODING": "utf-8",
-                "NUMBA_CACHE_DIR": str(self.folder / "compiled"),
-            },
-        )
-        assert done.returncode == code, done.stdout + done.stderr
-        return done.stdout + done.stderr
+    def answer(self, asked: str | list[str], code: int) -> str:
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        print(json.dumps(asked), file=self.process.stdin, flush=True)
+        ended, said = json.loads(self.process.stdout.readline())
+        assert ended == code, said
+        return str(said)
+
+    def python(self, code: str) -> str:
+        return self.answer(code, 0)
 
     def unbend(self, *words: object, code: int = 0) -> str:
-        return self.python("-m", "pipeline", *words, code=code)
+        return self.answer([str(word) for word in words], code)
 
 
 @pytest.fixture(scope="module")
-def copy(tmp_path_factory: pytest.TempPathFactory) -> Copy:
-    """All toys in one copy, so that the kernels are compiled once."""
+def copy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Copy]:
+    """All toys in one copy and one process, so that it is imported and compiled once."""
     folder = tmp_path_factory.mktemp("toys")
     shutil.copytree(PACKAGE, folder / "pipeline", ignore=shutil.ignore_patterns("__pycache__"))
     for thing in THINGS.values():
@@ -306,7 +323,16 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Copy:
                 assert text.count(before) == 1, f"{before!r} does not stand once in {name}"
                 text = text.replace(before, after)
             (folder / name).write_text(text, encoding="utf-8")
-    return Copy(folder)
+    environment = {"PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(folder / "compiled")}
+    with subprocess.Popen(
+        [sys.executable, "-c", SERVER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        encoding="utf-8", cwd=folder, env=os.environ | environment | {"PYTHONIOENCODING": "utf-8"},
+    ) as process:  # fmt: skip
+        made = Copy(folder, process)
+        assert str(folder) in made.python("import pipeline; print(pipeline.__file__)")
+        yield made
+        assert process.stdin is not None
+        process.stdin.close()
 
 
 def documented() -> dict[str, tuple[str, str, str]]:
@@ -349,7 +375,7 @@ def test_a_log_format(copy):
     shown = copy.unbend("inspect", "flight.toy")
     assert "TOY" in shown
     code = "import pipeline; print(pipeline.open_log('flight.toy').channel('TOY')['pressure_pa'])"
-    assert "101325" in copy.python("-c", code)
+    assert "101325" in copy.python(code)
 
 
 def test_an_atmosphere(copy):
@@ -365,7 +391,7 @@ def test_an_atmosphere(copy):
     mission["atmosphere"] = {"standard": "toy", "climatology": "toy"}
     (copy.folder / "mission.yaml").write_text(yaml.safe_dump(mission))
     code = "import pipeline; print(pipeline.load_mission('mission.yaml').atmosphere.climatology)"
-    assert "toy" in copy.python("-c", code)
+    assert "toy" in copy.python(code)
 
 
 def test_a_refraction_method(copy):
@@ -375,7 +401,7 @@ def test_a_refraction_method(copy):
         "toy, plane = (pipeline.refraction_angle(air, 3e3, 0.0, 0.7, method=m) "
         "for m in ('toy', 'plane'))\nassert toy == 2 * plane > 0"
     )
-    copy.python("-c", code)
+    copy.python(code)
     assert "toy" in copy.unbend("angle", *words, "--method", "toy")
     assert "toy" in copy.unbend("angle", *words, "--method", "none of them", code=2)
     assert "toy" in copy.unbend("angle", "--help")
@@ -384,7 +410,7 @@ def test_a_refraction_method(copy):
 
 
 def test_a_camera_model(copy):
-    copy.python("-c", CAMERA_USED)
+    copy.python(CAMERA_USED)
 
 
 def test_a_camera_file(copy):
@@ -395,7 +421,7 @@ def test_a_camera_file(copy):
         "camera = CameraSection(file='cameras.toycam', camera='right', calibration='laboratory')\n"
         "print(camera.with_file(Path('cameras.toycam')).build().fx_px)"
     )
-    assert "501" in copy.python("-c", code)
+    assert "501" in copy.python(code)
 
 
 def test_an_export(copy, baseline):
@@ -425,7 +451,7 @@ def test_an_import(copy):
         "assert (name, read) == by_ending\n"
         "print(read(Path('flown.toy'), Stated(heights=stated.heights), Ledger())['h_msl_m'])"
     )
-    assert "501" in copy.python("-c", code)
+    assert "501" in copy.python(code)
     mission["stations"]["trajectory"]["format"] = "none of them"
     (copy.folder / "with_toy.yaml").write_text(yaml.safe_dump(mission))
     assert "toy" in copy.unbend("check", "with_toy.yaml", code=2)

@@ -12,9 +12,8 @@ from pipeline.batch.plan import Outcome
 from pipeline.errors import MissionError
 from pipeline.ingest import open_log
 from pipeline.report.verdict import verdict
-from pipeline.stages.story import run_mission
 
-from .conftest import SHARED, needs_shared, read_observations, write_mission
+from .conftest import SHARED, needs_shared, read_observations, run_mission, write_mission
 from .test_autopilot_logs import CAMERA
 
 pytestmark = needs_shared

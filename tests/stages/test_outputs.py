@@ -143,7 +143,9 @@ def test_manifest_knows_inputs_and_outputs_but_not_where_or_when(baseline):
     assert str(baseline.folder) not in report
 
 
-def test_same_inputs_elsewhere_give_the_same_bytes(baseline, mission_factory, tmp_path):
+def test_same_inputs_elsewhere_give_the_same_bytes(
+    baseline, mission_factory, tmp_path, whole_report
+):
     other = mission_factory(tmp_path / "quite" / "another place")
     assert other.run().code == 0
     assert tree(other.output) == tree(baseline.output)
