@@ -27,8 +27,6 @@ from tests.golden.held_block import (
     write_mission,
 )
 
-pytestmark = pytest.mark.usefixtures("plain_report")
-
 EVERY = 7  # of the points is control
 
 
@@ -171,10 +169,9 @@ def test_the_terminal_and_a_rehearsal_show_it(surveyed):
     assert float(line.split()[5]) == pytest.approx(0.35, abs=0.02)
 
 
-def test_the_report_has_each_point(block, tmp_path, unbend, monkeypatch):
+def test_the_report_has_each_point(block, tmp_path, unbend, whole_report):
     from pipeline.report.summary import CONTROL_HEAD, control_rows, control_sentence
 
-    monkeypatch.undo()  # of the plain report
     surveyed = Surveyed(block, tmp_path, unbend)
     surveyed.state()
     manifest = surveyed.ran()
