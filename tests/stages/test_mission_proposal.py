@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from pipeline.flight.channels import Channel, Source
+from pipeline.stages.proposal import mission_proposal
 from pipeline.stages.proposal.mission_proposal import FoundLog, propose_mission, proposed_cameras
 from pipeline.stages.proposal.name_series import name_series
 
@@ -84,19 +85,18 @@ def test_with_the_truth_filled_in_it_gives_what_the_mission_file_of_the_flight_g
         pd.testing.assert_frame_equal(mine, wanted, check_exact=True)
 
 
-def test_a_bare_camera_takes_twenty_lines(mission, unbend):
-    """Beside remarks on lines of their own."""
+def test_a_bare_camera_takes_twenty_lines(mission, monkeypatch):
+    """Beside remarks on lines of their own; the flight has one channel, and no cabin."""
     seen = mission.measurements().to_pandas()
     seen[seen["image"].str.startswith("nadir")].to_csv(mission.folder / "o.csv", index=False)
-    ended = unbend("init", mission.log, mission.folder / "o.csv", "--out", "-")
-    assert ended.code == 0, ended.text
-    lines = [line for line in ended.out.splitlines() if not line.lstrip().startswith("#")]
-    of_cabin = [line for line in lines if re.search("window|channels:|temperature|humidity", line)]
-    assert len(lines) - len(of_cabin) <= 20
-    assert (
-        'image: "nadir_{index:05d}"}  # guessed: 3 images count as the log does' in ended.out
-        or ("channel: TODO" in ended.out)
-    )
+    found = FoundLog(events=(channel("CAM[0]", [1, 2, 3]),), takeoff="take-off 450 m above the sea")
+    monkeypatch.setattr(mission_proposal, "found_in_log", lambda _: found)
+    table = mission.folder / "o.csv"
+    text = propose_mission(mission.log, table, None, out=mission.file, schema="s.json")
+    lines = [line for line in text.splitlines() if not line.lstrip().startswith("#")]
+    assert len(lines) <= 20
+    assert 'nadir: {channel: "CAM[0]", image: "nadir_{index:05d}"}  # guessed: 3 images' in text
+    assert "ground: {height: {column: h_g_m}, reference: TODO}" in text
 
 
 def test_nothing_is_written_over(mission, unbend, tmp_path):
@@ -189,8 +189,6 @@ def test_names_that_do_not_count_as_the_log_are_left_to_the_evidence(numbers):
 
 
 def test_without_events_their_table_is_asked_for(mission, unbend, monkeypatch):
-    from pipeline.stages.proposal import mission_proposal
-
     found = mission_proposal.found_in_log(mission.log)
     found.events = ()
     monkeypatch.setattr(mission_proposal, "found_in_log", lambda _: found)

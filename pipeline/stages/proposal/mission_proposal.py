@@ -11,8 +11,8 @@ import os
 import re
 from dataclasses import dataclass, field
 from importlib import resources
+from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -33,7 +33,7 @@ from pipeline.tables.delimited import csv_names
 from pipeline.tables.geodata.geoid import package_geoid
 from pipeline.tables.imports.blocks import BLOCKS, damage_refused
 from pipeline.tables.imports.exif import read_image_times
-from pipeline.tables.observations import open_observations
+from pipeline.tables.observations import Observations, open_observations
 
 TODO = "TODO"
 _MOST_CAMERAS, _BATCH_ROWS, _MOST_BATCHES = 12, 250_000, 4
@@ -110,11 +110,7 @@ def yaml_text(text: str) -> str:
     >>> yaml_text("flight.bin"), yaml_text("CAM[0]"), yaml_text("no: 1"), yaml_text("12")
     ('flight.bin', '"CAM[0]"', '"no: 1"', '"12"')
     """
-    plain = re.fullmatch(r"[A-Za-z./][\w./-]*", text) and text.lower() not in (
-        "true",
-        "false",
-        "null",
-    )
+    plain = re.fullmatch(r"(?!(?i:true|false|null)$)[A-Za-z./][\w./-]*", text)
     return text if plain else json.dumps(text, ensure_ascii=False)
 
 
@@ -141,16 +137,14 @@ def found_in_log(path: Path) -> FoundLog:
             found.roles.append(Proposed(role, TODO, f"{error.what}; {error.remedy}"))
     indoors = [entry.where for entry in notes if entry.code == "BARO-NOT-OUTSIDE"]
     found.compartment = ", ".join(indoors)
-    asked = [entry.where.rpartition(".")[2] for entry in notes if entry.code == "ROLE-AMBIGUOUS"]
-    asked += [entry.where.rpartition(".")[2] for entry in notes if entry.code == "CHANNEL-MISSING"]
+    asked = [entry.where.rpartition(".")[2] for entry in notes
+             if entry.code in ("ROLE-AMBIGUOUS", "CHANNEL-MISSING")]  # fmt: skip
     for role in dict.fromkeys(asked):
         found.roles += questions_of_role(role, log.channels, found.compartment)
     listed = [f"{role} {channel.name}" for role, channel in roles.items() if role not in asked]
-    minutes = log.duration_s / 60.0
-    found.remarks = [
-        f"{utc_text(log.start_ns)[:19]} to {utc_text(log.end_ns)[:19]} UTC, {minutes:.1f} minutes; "
-        f"{log.time_base}"
-    ]
+    first, last = utc_text(log.start_ns)[:19], utc_text(log.end_ns)[:19]
+    minutes = f"{log.duration_s / 60.0:.1f} minutes"
+    found.remarks = [f"{first} to {last} UTC, {minutes}; {log.time_base}"]
     position, height = plausible.get("position"), plausible.get("height")
     if position is not None and len(position):
         lat, lon = (np.degrees(np.nanmedian(position[c])) for c in ("lat_rad", "lon_rad"))
@@ -158,17 +152,17 @@ def found_in_log(path: Path) -> FoundLog:
     system, _ = height_system(plausible, None, package_geoid())
     if height is not None and height.height_column is not None:
         h = height[height.height_column]
-        h = h[np.isfinite(h)]
+        h = h[np.isfinite(h)]  # the column of a role has some
         above = "the sea" if height.height_column == "h_msl_m" else "the ellipsoid"
-        first = float(np.median(h[:20])) if system.home_h_msl_m is None else system.home_h_msl_m
-        above_first = above if system.home_h_msl_m is None else "the sea"
-        found.takeoff = f"take-off {first:.0f} m above {above_first}"
+        home, of_home = system.home_h_msl_m, "the sea"
+        home, of_home = (float(np.median(h[:20])), above) if home is None else (home, of_home)
+        found.takeoff = f"take-off {home:.0f} m above {of_home}"
         span = f"{h.min():.0f} to {h.max():.0f} m above {above} ({height.name})"
         found.remarks.append(f"heights {span}; {found.takeoff}")
     found.remarks.append(f"found by itself: {', '.join(listed)}")
     if indoors:
-        found.remarks.append(f"{found.compartment} is in a closed compartment: it does not follow "
-                             "the height")  # fmt: skip
+        why = "is in a closed compartment: it does not follow the height"
+        found.remarks.append(f"{found.compartment} {why}")
     found.gimbals = ", ".join(c.name for c in log.channels if is_of_gimbal(c.source.message))
     able = [c for c in log.channels if c.fits_role("events")]
     best = min((c.rank for c in able), default=0)
@@ -186,13 +180,8 @@ def questions_of_role(role: str, channels: tuple[Channel, ...], compartment: str
     best = min((c.rank for c in able), default=0)
     names = [c.name for c in able if c.rank == best]
     if not names:
-        return [
-            Proposed(
-                role,
-                TODO,
-                f"no channel of the log has the {role}; null where stations.trajectory gives it",
-            )
-        ]
+        none = f"no channel of the log has the {role}; null where stations.trajectory gives it"
+        return [Proposed(role, TODO, none)]
     choices = " or ".join(names)
     outside = Proposed(role, TODO, f"{choices}: the one outside; null to use none")
     if not compartment or not any(f"cabin_{role}" in c.roles for c in able if c.name in names):
@@ -205,12 +194,11 @@ def found_in_table(path: Path) -> FoundTable:
     """Read a table of observations or a block; refuses as `open_observations`."""
     found, program = FoundTable(), block_format(path)
     if program:
-        found.format = program
         with damage_refused(path, program):
             found.cameras = tuple(BLOCKS[program][0].read_cameras(path))
         wanted: dict[str, str | None] = {name: name for name in _COLUMN_NAMES}
         opened = open_observations(path, wanted, None, Ledger(), file_format=program)
-        found.images = opened.images
+        found.format, found.images = program, opened.images
         found.remark = f"{opened.rows} image points of {len(opened.images)} images"
         return found
     names = column_names(path)
@@ -254,19 +242,17 @@ def column_names(path: Path) -> list[str]:
         return []
 
 
-def _extent(opened: Any, found: FoundTable) -> None:
+def _extent(opened: Observations, found: FoundTable) -> None:
     """Largest pixels and the heights of the first million rows, as remarks."""
-    x, y, ground = [], [], []
-    for number, batch in enumerate(opened.batches(_BATCH_ROWS)):
-        x.append(batch.x_given_px)
-        y.append(batch.y_given_px)
-        ground += [] if batch.ground is None else [batch.ground]
-        if number + 1 == _MOST_BATCHES:
-            break
-    width, height = (np.nanmax(np.concatenate(part), initial=0.0) for part in (x, y))
+    batches = list(islice(opened.batches(_BATCH_ROWS), _MOST_BATCHES))
+    width, height = (
+        np.nanmax(np.concatenate([getattr(batch, name) for batch in batches]), initial=0.0)
+        for name in ("x_given_px", "y_given_px")
+    )
     found.size = f"at least {np.ceil(width):.0f} x {np.ceil(height):.0f} px, by the observations"
-    if ground:
-        low, middle, high = np.nanpercentile(np.concatenate(ground), [0.0, 50.0, 100.0])
+    ground = np.concatenate([np.empty(0), *(b.ground for b in batches if b.ground is not None)])
+    if np.isfinite(ground).any():
+        low, middle, high = np.nanpercentile(ground, [0.0, 50.0, 100.0])
         found.heights = f"the heights are {low:.0f} to {high:.0f} m, {middle:.0f} in the median"
 
 
@@ -299,10 +285,9 @@ def proposed_cameras(
                    for by, of in counts.items()}  # fmt: skip
         by = next((by for by, found in fitting.items() if found), "*")
         fits = fitting.get(by, [])
-        rivals = [
-            s for s in series if s is not one and any(s.counts_as(counts[by][c]) for c in fits)
-        ]
-        channel = None
+        others = [s for s in series if s is not one]
+        rivals = any(s.counts_as(counts[by][c]) for s in others for c in fits)
+        channel = image = None
         if one is None and count == len(events):
             channel = Proposed("channel", yaml_text(events[number].name))
         elif len(events) == count == 1 or (len(fits) == 1 and not rivals):
@@ -310,20 +295,18 @@ def proposed_cameras(
         elif events:
             listed = " or ".join(f"{c} ({len(index[c])} events)" for c in fits or index)
             channel = Proposed("channel", TODO, f"{listed}: which of them fires this camera")
-        image = None
         if events and one is None:
             remark = "names of its images; {index} is the log's number, as in IMG_{index:04d}.JPG"
             image = Proposed("image", TODO, remark)
         elif events and one is not None and fits:
-            remark = f"guessed: {len(one.numbers)} images count as the log does, "
-            remark += f"{one.numbers[0]} to {one.numbers[-1]}"
-            image = Proposed("image", json.dumps(one.pattern(by), ensure_ascii=False), remark)
+            first, last = one.numbers[0], one.numbers[-1]
+            remark = f"guessed: {len(one.numbers)} images count as the log does, {first} to {last}"
         elif events and one is not None:
+            by_log = f"; or {one.pattern('index')}, if these are the log's numbers"
             remark = f"numbers and tie points assign {len(one.numbers)} images"
-            remark += (
-                f"; or {one.pattern('index')}, if these are the log's numbers" * one.has_number
-            )
-            image = Proposed("image", json.dumps(one.pattern("*"), ensure_ascii=False), remark)
+            remark += by_log * one.has_number
+        if events and one is not None:
+            image = Proposed("image", json.dumps(one.pattern(by), ensure_ascii=False), remark)
         block = of_block[number] if len(of_block) == count else ""
         cameras.append(ProposedCamera(name, channel, image, block))
     return cameras
@@ -352,18 +335,13 @@ def propose_mission(
     found = None if alone else found_in_log(log)
     observations = log if alone else observations
     table = FoundTable() if observations is None else found_in_table(observations)
-    files: tuple[str, ...] = ()
-    zone = ""
-    if images is not None:
-        times = read_image_times(images, "", Ledger())
-        zone = "" if times.is_utc else TODO
-        files = tuple(Path(str(name)).name for name in times.file)
-        if table.images and not times.rows_of(table.images):
-            raise InputError(
-                "IMAGES-OTHER", f"none of the images of the observations is there: "
-                f"{table.images[0]} is not, but {times.file[0]} is", where=str(images),
-                remedy="give the images of this flight",
-            )  # fmt: skip
+    times = None if images is None else read_image_times(images, "", Ledger())
+    if times is not None and table.images and not times.rows_of(table.images):
+        what = f"none of the images of the observations is there: {table.images[0]} is not, but "
+        what += f"{times.file[0]} is"
+        remedy = "give the images of this flight"
+        raise InputError("IMAGES-OTHER", what, where=str(images), remedy=remedy)
+    files = () if times is None else tuple(Path(str(name)).name for name in times.file)
     cameras = proposed_cameras(found, table.images or files, table.cameras)
     name = re.sub(r"[^A-Za-z0-9._-]+", "-", log.stem).strip("-._")[:100] or "mission"
     template = resources.files(__package__).joinpath("mission.yaml.j2").read_text("utf-8")
@@ -374,7 +352,7 @@ def propose_mission(
     return made.from_string(template).render(
         schema=schema, mission=yaml_text(name), file=out.name, log=relative(log), found=found,
         observations=relative(observations), table=table, images=images and relative(images),
-        zone=zone, cameras=cameras,
+        zone="" if times is None or times.is_utc else TODO, cameras=cameras,
         has_reference=bool(observations and (observations / "reference_lla.json").is_file()),
     )  # fmt: skip
 
