@@ -77,16 +77,12 @@ def init(
 
     printed = str(out) == "-"
     if not printed and out.exists() and not force:
-        raise ConfigError(
-            "INIT-EXISTS", "the file is there already", where=str(out),
-            remedy="choose another name with --out, or replace it: --force",
-        )  # fmt: skip
+        remedy = "choose another name with --out, or replace it: --force"
+        raise ConfigError("INIT-EXISTS", "the file is there already", where=str(out), remedy=remedy)
     console = new_console()
     with DelayedProgressBar(console, f"reading {log.name}"):
-        text = propose_mission(
-            log, observations, images, out=Path("mission.yaml") if printed else out,
-            schema="mission.schema.json",
-        )  # fmt: skip
+        target = Path("mission.yaml") if printed else out
+        text = propose_mission(log, observations, images, target)
     if printed:
         print(text, end="")
         return

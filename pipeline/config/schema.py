@@ -42,21 +42,14 @@ def key_texts() -> Mapping[str, Mapping[str, Mapping[str, Any]]]:
     return tomllib.loads(resources.files(__package__).joinpath("keys.toml").read_text("utf-8"))
 
 
-def sections_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """The sections that an annotation names."""
+def all_sections(annotation: Any = Mission) -> dict[str, type[BaseModel]]:
+    """The sections that an annotation names and all within them, by the names of their classes."""
+    found, inner = {}, list(typing.get_args(annotation))
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for argument in typing.get_args(annotation):
-        yield from sections_in(argument)
-
-
-def all_sections(section: type[BaseModel] = Mission) -> dict[str, type[BaseModel]]:
-    """A section and all within it, by the names of their classes."""
-    found = {section.__name__: section}
-    for field in section.model_fields.values():
-        for inner in sections_in(field.annotation):
-            if inner.__name__ not in found:
-                found |= all_sections(inner)
+        found[annotation.__name__] = annotation
+        inner = [field.annotation for field in annotation.model_fields.values()]
+    for part in inner:
+        found |= all_sections(part)
     return found
 
 

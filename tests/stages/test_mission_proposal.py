@@ -92,7 +92,7 @@ def test_a_bare_camera_takes_twenty_lines(mission, monkeypatch):
     found = FoundLog(events=(channel("CAM[0]", [1, 2, 3]),), takeoff="take-off 450 m above the sea")
     monkeypatch.setattr(mission_proposal, "found_in_log", lambda _: found)
     table = mission.folder / "o.csv"
-    text = propose_mission(mission.log, table, None, out=mission.file, schema="s.json")
+    text = propose_mission(mission.log, table, None, mission.file)
     lines = [line for line in text.splitlines() if not line.lstrip().startswith("#")]
     assert len(lines) <= 20
     assert 'nadir: {channel: "CAM[0]", image: "nadir_{index:05d}"}  # guessed: 3 images' in text
@@ -192,7 +192,7 @@ def test_without_events_their_table_is_asked_for(mission, unbend, monkeypatch):
     found = mission_proposal.found_in_log(mission.log)
     found.events = ()
     monkeypatch.setattr(mission_proposal, "found_in_log", lambda _: found)
-    text = propose_mission(mission.log, None, None, out=mission.file, schema="s.json")
+    text = propose_mission(mission.log, None, None, mission.file)
     assert yaml.safe_load(text)["events"] == {"csv": {"path": "TODO"}}
     assert "# the log has no camera events" in text
     mission.file.write_text(text, encoding="utf-8")

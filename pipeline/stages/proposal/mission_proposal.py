@@ -312,15 +312,13 @@ def proposed_cameras(
     return cameras
 
 
-def propose_mission(
-    log: Path, observations: Path | None, images: Path | None, *, out: Path, schema: str
-) -> str:
+def propose_mission(log: Path, observations: Path | None, images: Path | None, out: Path) -> str:
     """The text of a mission file.
 
     ``log`` may be a block with orientations, alone; ``images`` is a folder of images, or
-    exiftool's table of them. ``out`` is the file to be written, from whose folder paths count;
-    ``schema`` what its first line links. Refuses (UnbendError) inputs that cannot be read, and
-    images of which none is in the observations (IMAGES-OTHER).
+    exiftool's table of them. ``out`` is the file to be written, from whose folder paths count.
+    Refuses (UnbendError) inputs that cannot be read, and images of which none is in the
+    observations (IMAGES-OTHER).
     """
 
     def relative(path: Path | None) -> str:
@@ -350,7 +348,7 @@ def propose_mission(
     )
     made.filters["remark"] = as_remark
     return made.from_string(template).render(
-        schema=schema, mission=yaml_text(name), file=out.name, log=relative(log), found=found,
+        mission=yaml_text(name), file=out.name, log=relative(log), found=found,
         observations=relative(observations), table=table, images=images and relative(images),
         zone="" if times is None or times.is_utc else TODO, cameras=cameras,
         has_reference=bool(observations and (observations / "reference_lla.json").is_file()),

@@ -89,11 +89,7 @@ def _series(texts: tuple[str, ...], rows: list[list[str]]) -> list[NameSeries]:
         return [series for group in groups.values() for series in _series(texts, group)]
     written = ["*" if k in others else rows[0][k] for k in range(len(values))]
     digits = [row[count] for row in rows]
-    widths = {len(text) for text in digits}
-    before = (
-        "".join(t + w for t, w in zip(texts[:count], written[:count], strict=True)) + texts[count]
-    )
-    after = "".join(w + t for w, t in zip(written[count + 1 :], texts[count + 2 :], strict=True))
-    numbers = tuple(sorted(map(int, digits)))
-    padded = len(widths) == 1 and max(widths) > 1
-    return [NameSeries(before, max(widths) if padded else 0, texts[count + 1] + after, numbers)]
+    pieces = [text for pair in zip(texts, [*written, ""], strict=True) for text in pair]
+    before, after = "".join(pieces[: 2 * count + 1]), "".join(pieces[2 * count + 2 :])
+    width = len(digits[0]) if len({len(text) for text in digits}) == 1 else 0
+    return [NameSeries(before, width * (width > 1), after, tuple(sorted(map(int, digits))))]
