@@ -186,6 +186,12 @@ def unbend() -> Callable[..., Ended]:
     return run_command
 
 
+@pytest.fixture
+def eighty_columns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Texts as wide as in a terminal of 80 columns; otherwise what is captured is not wrapped."""
+    monkeypatch.setenv("COLUMNS", "80")
+
+
 COUNTED = ("cells compared", "mutations", "assignments")
 
 

@@ -8,19 +8,24 @@ or verify found damage; 6 a mission was refused, the others are done; 130, 143 i
 from __future__ import annotations
 
 import csv as csv_module
+import json
 import sys
+from collections.abc import Iterable
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
-from rich.console import Console
-from rich.markup import escape
 from typer.core import TyperGroup
 
 import pipeline
 from pipeline.errors import EXIT_DONE, EXIT_LOSSES, UnbendError, storage_errors
+from pipeline.report.progress import DelayedProgressBar
+from pipeline.report.words import visible
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from pipeline.ledger import Ledger
 
 _ORDER = (
@@ -43,33 +48,75 @@ app = typer.Typer(
     "aircraft measured.",
     epilog=__doc__.split("\n\n", 1)[1],
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
 
 
-class _Console(Console):
-    """Console that raises BrokenPipeError instead of exiting, so that main() sets the exit code."""
-
-    def on_broken_pipe(self) -> NoReturn:
-        raise BrokenPipeError
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print nothing but refusals")]
+AsJson = Annotated[bool, typer.Option("--json", help="print the answer as JSON")]
 
 
-def new_console() -> Console:
-    """Console for standard output, as wide as the terminal."""
-    return _Console(soft_wrap=False, highlight=False)
+class Answer:
+    """Where the answer of a command goes: as text, as JSON with nothing else, or nowhere."""
+
+    def __init__(self, *, quiet: bool, as_json: bool) -> None:
+        self._quiet, self._as_json = quiet, as_json
+
+    @cached_property
+    def console(self) -> Console:
+        """Console for the text of the answer; it discards what nobody wants."""
+        from pipeline.report.text.console import report_console
+
+        return report_console(quiet=self._quiet or self._as_json)
+
+    def progress(self, title: str) -> DelayedProgressBar:
+        """A bar for work that may take longer than a second, where there is a terminal."""
+        if self._quiet or not (sys.stdout.isatty() or sys.stderr.isatty()):
+            return DelayedProgressBar(None, title)
+        from pipeline.report.text.console import report_console
+
+        on_error = self._as_json or not sys.stdout.isatty()
+        return DelayedProgressBar(report_console(error=True) if on_error else self.console, title)
+
+    def print_json(self, content: Any) -> None:
+        """Print it as JSON if that is wanted; ValueError where a number is none (null is meant)."""
+        if self._as_json:
+            print(json.dumps(content, indent=2, allow_nan=False, default=str))
+
+    def end(self, content: dict[str, Any], ledger: Ledger, *written: Path | None) -> NoReturn:
+        """Print ledger and written files after the answer, and exit with the ledger's code."""
+        code = EXIT_LOSSES if ledger.has_losses else EXIT_DONE
+        files = [str(path) for path in written if path is not None]
+        self.print_json(content | {"written": files, "ledger": ledger.rows(), "exit_code": code})
+        if not (self._quiet or self._as_json):
+            from pipeline.report.text.terminal import print_ledger
+
+            print_ledger(self.console, ledger.rows())
+            self.print_paths(files)
+        raise typer.Exit(code)
+
+    def print_paths(self, paths: Iterable[str]) -> None:
+        """Print paths, each in one piece."""
+        for path in paths:
+            self.console.print(visible(path), markup=False, soft_wrap=True)
 
 
 def print_error(error: UnbendError, subject: str = "") -> None:
     """Write a refusal to standard error; ``subject`` is the mission file if there are several."""
-    print(f"{subject}: {error}" if subject else error, file=sys.stderr)
+    text = f"{subject}: {error}" if subject else str(error)
+    print(visible(text, keep="\n"), file=sys.stderr)
 
 
 def print_bug(text: str, subject: str = "") -> None:
     """Write a traceback to standard error, with the request to report it."""
     where = f"{subject}: " if subject else ""
-    print(f"{text}\n{where}this is a bug in unbend: please report the lines above", file=sys.stderr)
+    text = visible(text, keep="\n")
+    print(
+        f"{text}\n{visible(where)}this is a bug in unbend: please report the lines above",
+        file=sys.stderr,
+    )
 
 
 def write_rows_csv(path: Path, rows: list[dict[str, Any]]) -> None:
@@ -78,16 +125,6 @@ def write_rows_csv(path: Path, rows: list[dict[str, Any]]) -> None:
         writer = csv_module.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
-
-
-def end_command(console: Console, ledger: Ledger, *written: Path | None) -> NoReturn:
-    """Print a ledger and the files that were written, and exit with the code of the ledger."""
-    from pipeline.report.terminal import print_ledger
-
-    print_ledger(console, ledger.rows())
-    for path in filter(None, written):
-        console.print(escape(str(path)), soft_wrap=True)
-    raise typer.Exit(EXIT_LOSSES if ledger.has_losses else EXIT_DONE)
 
 
 @app.callback(invoke_without_command=True)

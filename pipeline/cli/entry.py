@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 import traceback
-from io import TextIOWrapper
+from io import StringIO, TextIOWrapper
 from types import FrameType
 
 import typer
@@ -15,6 +15,7 @@ from pipeline.cli import guide, missions, physics
 from pipeline.cli.app import app, print_bug, print_error
 from pipeline.errors import EXIT_CONFIG, EXIT_DONE, EXIT_INTERRUPTED, EXIT_TERMINATED, UnbendError
 from pipeline.interrupts import SIGNALS
+from pipeline.report.words import visible
 
 # The import of these modules registers their commands.
 _COMMANDS = (guide, missions, physics)
@@ -60,6 +61,10 @@ def run_command(arguments: list[str]) -> int:
     Instead of typer's main(), which gives bugs, Ctrl-C and broken pipes its own exit codes.
     """
     command = typer.main.get_command(app)
+    if instruction := os.environ.get("_UNBEND_COMPLETE"):  # the shell asks for completions
+        from typer.completion import shell_complete
+
+        return int(shell_complete(command, {}, "unbend", "_UNBEND_COMPLETE", instruction))
     try:
         with command.make_context("unbend", arguments) as context:
             command.invoke(context)
@@ -73,6 +78,8 @@ def main() -> None:
     # With matrices of some hundred rows, threads are slower and make sums depend on their number.
     # Takes effect if set before numpy is imported; a value of the user's is kept.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Colours of numba's messages: it resets them at the end, on terminals without colours too.
+    os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # redirected on Windows: code page 1252, strict
             stream.reconfigure(errors="backslashreplace")
@@ -91,7 +98,9 @@ def main() -> None:
     except (typer.Abort, KeyboardInterrupt):  # raised by a library
         code = EXIT_INTERRUPTED
     except _USAGE_ERROR as error:
-        error.show()  # type: ignore[attr-defined]
+        text = StringIO()
+        error.show(file=text)  # type: ignore[attr-defined]
+        print(visible(text.getvalue(), keep="\n"), end="", file=sys.stderr)
         code = EXIT_CONFIG
     except BrokenPipeError:
         # The reader of a pipe has closed it. Python flushes the rest at exit: let that succeed.

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
 
-from pipeline.cli.app import app, new_console
+from pipeline.cli.app import Answer, app
 from pipeline.errors import ConfigError, storage_errors
+from pipeline.report.words import count
 
 
 @app.command(epilog="Example: unbend schema --out mission.schema.json")
@@ -44,8 +44,9 @@ def explain_word(
 ) -> None:
     """What a key, a code or an exit code means."""
     from pipeline.report.explanations import explain
+    from pipeline.report.text.console import report_console
 
-    width = max(40, new_console().width)
+    width = max(40, report_console().width)
     for line in explain(word):
         indent = " " * (len(line) - len(line.lstrip()))
         print(textwrap.fill(line, width, subsequent_indent=indent + "  " * bool(indent),
@@ -72,15 +73,14 @@ def init(
     What is open is TODO; `unbend check` lists it. Beside the file stands mission.schema.json, by
     which editors complete and check.
     """
-    from pipeline.report.progress import DelayedProgressBar
-    from pipeline.stages.proposal.mission_proposal import propose_mission
-
     printed = str(out) == "-"
     if not printed and out.exists() and not force:
         remedy = "choose another name with --out, or replace it: --force"
         raise ConfigError("INIT-EXISTS", "the file is there already", where=str(out), remedy=remedy)
-    console = new_console()
-    with DelayedProgressBar(console, f"reading {log.name}"):
+    answer = Answer(quiet=False, as_json=False)
+    with answer.progress(f"reading {log.name}"):
+        from pipeline.stages.proposal.mission_proposal import propose_mission
+
         target = Path("mission.yaml") if printed else out
         text = propose_mission(log, observations, images, target)
     if printed:
@@ -89,6 +89,5 @@ def init(
     with storage_errors(out):
         out.write_text(text, encoding="utf-8")
     schema(out.parent / "mission.schema.json")
-    count = text.count("TODO") - 1  # the head names it once
-    console.print(f"{escape(str(out))}: {count} open questions (TODO)", soft_wrap=True)
-    console.print(f"  unbend check {escape(str(out))}", soft_wrap=True)
+    questions = count(text.count("TODO") - 1, "open question")  # the head names it once
+    answer.print_paths([f"{out}: {questions} (TODO)", f"  unbend check {out}"])

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import sys
-from contextlib import closing
+from contextlib import closing, nullcontext
 from functools import cache, partial
 from inspect import Parameter, Signature
 from math import inf
@@ -12,11 +11,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.markup import escape
 from typer.core import TyperCommand
 
-from pipeline.cli.app import app, end_command, new_console, print_bug, print_error, write_rows_csv
+from pipeline.cli.app import Answer, AsJson, Quiet, app, print_bug, print_error, write_rows_csv
 from pipeline.errors import EXIT_BUG, EXIT_DONE, EXIT_LOSSES, ConfigError, UnbendError
+from pipeline.report.words import count
 
 
 @app.command(epilog="Example: unbend run configs/*.yaml")
@@ -24,61 +23,89 @@ def run(
     configs: Annotated[list[Path], typer.Argument(help="mission files", metavar="CONFIG...")],
     jobs: Annotated[int, typer.Option(min=1, help="missions at the same time")] = 1,
     force: Annotated[bool, typer.Option(help="run even where nothing has changed")] = False,
+    *,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
 ) -> None:
     """Correct missions; one that is refused does not stop the rest."""
-    from pipeline.batch.execute import Bug, exit_code_of, run_many
-    from pipeline.report.progress import DelayedProgressBar
-    from pipeline.report.terminal import print_run
-    from pipeline.stages.story import run_mission
+    answer = Answer(quiet=quiet, as_json=as_json)
+    with answer.progress("loading"):
+        from pipeline.batch.execute import Bug, exit_code_of, run_many
+        from pipeline.report.text.terminal import print_run
+        from pipeline.stages.story import run_mission
 
-    console = new_console()
     codes: list[int] = []
-    run_one = partial(run_mission, force=force)
-    outcomes = run_many(run_one, configs, jobs, lambda name: DelayedProgressBar(console, name))
-    with closing(outcomes):
+    missions: list[dict[str, Any]] = []
+    beside = nullcontext() if jobs == 1 else answer.progress(f"{len(configs)} missions")
+    outcomes = run_many(partial(run_mission, force=force), configs, jobs, answer.progress)
+    with beside, closing(outcomes):
         for config, end in outcomes:
             if isinstance(end, UnbendError):
                 print_error(end, str(config))
                 codes.append(end.exit_code)
+                missions.append(_refusal(config, end))
             elif isinstance(end, Bug):
                 print_bug(end.traceback, str(config))
                 codes.append(EXIT_BUG)
+                missions.append({"config": str(config), "exit_code": EXIT_BUG})
             else:
-                print_run(console, end.name, str(end.output), end.manifest, repeated=end.repeated)
+                output = str(end.output)
+                print_run(answer.console, end.name, output, end.manifest, repeated=end.repeated)
                 codes.append(end.exit_code)
+                missions.append(
+                    {"config": str(config), "output": output, "repeated": end.repeated,
+                     "exit_code": end.exit_code, "manifest": end.manifest}
+                )  # fmt: skip
+    answer.print_json(missions)
     raise typer.Exit(exit_code_of(codes))
+
+
+def _refusal(config: Path, error: UnbendError) -> dict[str, Any]:
+    """A refused mission in the JSON of `run` and `check`."""
+    parts = {"code": error.code, "what": error.what, "where": error.where, "to_do": error.remedy}
+    return {"config": str(config), "exit_code": error.exit_code, "refusal": parts}
 
 
 @app.command(epilog="Example: unbend check mission.yaml")
 def check(
     configs: Annotated[list[Path], typer.Argument(help="mission files", metavar="CONFIG...")],
+    *,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
 ) -> None:
     """Rehearse `run` on a sample: all it would say, and its exit code.
 
     Writes nothing.
     """
-    from pipeline.batch.execute import exit_code_of, shared_outputs
-    from pipeline.report.progress import DelayedProgressBar
-    from pipeline.report.terminal import print_check
-    from pipeline.stages.rehearsal import input_lines, rehearsal_lines
-    from pipeline.stages.story import check_mission
+    answer = Answer(quiet=quiet, as_json=as_json)
+    with answer.progress("loading"):
+        from pipeline.batch.execute import exit_code_of, shared_outputs
+        from pipeline.report.text.terminal import print_check
+        from pipeline.stages.rehearsal import input_lines, rehearsal_lines
+        from pipeline.stages.story import check_mission
 
-    console = new_console()
     codes: list[int] = []
+    missions: list[dict[str, Any]] = []
     shared = shared_outputs(configs)
     for config in configs:
         try:
             if config in shared:
                 raise shared[config]
-            with DelayedProgressBar(console, f"checking {config.name}") as bar:
+            with answer.progress(f"checking {config.name}") as bar:
                 checked = check_mission(config, progress=bar)
                 lines = [*input_lines(checked), *rehearsal_lines(checked)]
         except UnbendError as error:
             print_error(error, str(config))
             codes.append(error.exit_code)
+            missions.append(_refusal(config, error))
             continue
-        print_check(console, str(config), lines, checked.manifest)
+        print_check(answer.console, str(config), lines, checked.manifest)
         codes.append(int(checked.manifest["exit_code"]))
+        missions.append(
+            {"config": str(config), "exit_code": codes[-1], "lines": dict(lines),
+             "manifest": checked.manifest}
+        )  # fmt: skip
+    answer.print_json(missions)
     raise typer.Exit(exit_code_of(codes))
 
 
@@ -89,32 +116,37 @@ def stations(
     plot: Annotated[
         Path | None, typer.Option(help="draw the flight with its stations, .png or .svg")
     ] = None,
+    *,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
 ) -> None:
     """Stations of a mission, how events became images, and a drawing."""
-    from pipeline.report.progress import DelayedProgressBar
-    from pipeline.report.terminal import print_ledger, print_stations
-    from pipeline.stages.story import read_mission
-    from pipeline.tables.writing import rows_of_stations
+    answer = Answer(quiet=quiet, as_json=as_json)
+    with answer.progress(f"reading {config.name}"):
+        from pipeline.report.text.terminal import print_ledger, print_stations
+        from pipeline.stages.story import read_mission
+        from pipeline.tables.writing import rows_of_stations
 
-    console = new_console()
-    with DelayedProgressBar(console, f"reading {config.name}"):
         checked = read_mission(config)
-    table = rows_of_stations(checked.stations)
+        table = rows_of_stations(checked.stations)
     if csv is not None:
         write_rows_csv(csv, table)
     if plot is not None:
-        from pipeline.report.figures import flight_figure, save_figure
+        with answer.progress(f"drawing {plot.name}"):
+            from pipeline.report.figures import flight_figure, save_figure
 
-        suspect = [(stretch.begin_ns, stretch.end_ns) for stretch in checked.flight.suspect]
-        save_figure(flight_figure(checked.stations, checked.track(), suspect), plot)
-    print_stations(console, table)
+            suspect = [(stretch.begin_ns, stretch.end_ns) for stretch in checked.flight.suspect]
+            save_figure(flight_figure(checked.stations, checked.track(), suspect), plot)
+    print_stations(answer.console, table)
     about = ("EVENTS-", "EXIF-", "IMAGES-", "STATIONS-", "SUSPECT-")
     rows = checked.ledger.rows()
     shown = [e for e in rows if e["kind"] != "note" or str(e["code"]).startswith(about)]
-    print_ledger(console, shown)
-    for path in filter(None, (csv, plot)):
-        console.print(escape(str(path)), soft_wrap=True)
-    raise typer.Exit(EXIT_LOSSES if checked.ledger.has_losses else EXIT_DONE)
+    print_ledger(answer.console, shown)
+    files = [str(path) for path in (csv, plot) if path is not None]
+    answer.print_paths(files)
+    code = EXIT_LOSSES if checked.ledger.has_losses else EXIT_DONE
+    answer.print_json({"stations": table, "written": files, "ledger": rows, "exit_code": code})
+    raise typer.Exit(code)
 
 
 @app.command(
@@ -122,35 +154,41 @@ def stations(
 )
 def inspect(
     log: Annotated[Path, typer.Argument(help="a flight log", metavar="LOG")],
-    as_json: Annotated[bool, typer.Option("--json", help="everything, as JSON")] = False,
     kind: Annotated[
         str | None, typer.Option("--type", help="all messages of one type or topic")
     ] = None,
     instance: Annotated[str | None, typer.Option(help="with --type: only this instance")] = None,
     as_csv: Annotated[bool, typer.Option("--csv", help="with --type: every row, as CSV")] = False,
+    *,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show what a log holds, by the names that a mission file uses."""
-    from pipeline.ingest import open_log
-    from pipeline.report.messages import field_rows, write_messages_csv
-    from pipeline.report.progress import DelayedProgressBar
-    from pipeline.report.terminal import print_fields, print_log
-
     if (kind is None and (as_csv or instance is not None)) or (kind is not None and as_json):
         what = "--csv and --instance go with --type, --json goes without it"
         remedy = "for example: unbend inspect flight.bin --type BARO --csv"
         raise ConfigError("INSPECT-ARGUMENTS", what, remedy=remedy)
-    console = new_console()
-    with DelayedProgressBar(console, f"reading {log.name}"):
+    answer = Answer(quiet=quiet, as_json=as_json)
+    with answer.progress(f"reading {log.name}"):
+        from pipeline.ingest import open_log
+
         opened = open_log(log, needs_channels=kind is None)
         columns = None if kind is None else opened.message(kind, instance)
     if columns is not None and as_csv:
+        from pipeline.report.messages import write_messages_csv
+
         write_messages_csv(sys.stdout, columns)
     elif columns is not None:
-        print_fields(console, f"{log.name}, {kind}", field_rows(columns))
+        from pipeline.report.messages import field_rows
+        from pipeline.report.text.terminal import print_fields
+
+        print_fields(answer.console, f"{log.name}, {kind}", field_rows(columns))
     elif as_json:
-        print(json.dumps(opened.to_json_dict(), indent=2, allow_nan=False))
-    else:
-        print_log(console, opened.to_json_dict(), log.name)
+        answer.print_json(opened.to_json_dict())
+    elif not quiet:
+        from pipeline.report.text.terminal import print_log
+
+        print_log(answer.console, opened.to_json_dict(), log.name)
     raise typer.Exit(EXIT_LOSSES if opened.ledger.has_losses else EXIT_DONE)
 
 
@@ -163,7 +201,8 @@ def _format_parameters() -> tuple[Any, ...]:
     for form in FORMATS.values():
         names.setdefault(form.contents, []).append(form.name)
     listed = "; ".join(f"{', '.join(of)}: {contents}" for contents, of in names.items())
-    hints: dict[str, Any] = {"format_name": Annotated[str, typer.Option("--format", help=listed)]}
+    option = typer.Option("--format", help=listed, autocompletion=lambda: list(FORMATS))
+    hints: dict[str, Any] = {"format_name": Annotated[str, option]}
     parameters = [Parameter("format_name", Parameter.KEYWORD_ONLY)]
     for option in {o.name: o for form in FORMATS.values() for o in form.options}.values():
         unit = f" {option.unit}" if option.unit else ""
@@ -218,20 +257,22 @@ def export(
         ),
     ] = None,
     force: Annotated[bool, typer.Option(help="replace the file if it is there")] = False,
+    *,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
 ) -> None:
     """Write the results of a run for other programs."""
-    from pipeline.report.progress import DelayedProgressBar
-    from pipeline.stages.story import export_run
-
-    console = new_console()
+    answer = Answer(quiet=quiet, as_json=as_json)
     options = {name: value for name, value in ctx.obj.items() if value is not None}
     name = options.pop("format_name")
-    with DelayedProgressBar(console, f"exporting {run.name}"):
+    with answer.progress(f"exporting {run.name}"):
+        from pipeline.stages.story import export_run
+
         written, ledger = export_run(
             run, name, out, options, ground_height_m=ground_height, force=force
         )
-    console.print(f"{escape(str(out))}: {written:,} rows")
-    end_command(console, ledger)
+    answer.print_paths([f"{out}: {count(written, 'row')}"])
+    answer.end({"out": str(out), "format": name, "rows": written}, ledger)
 
 
 @app.command(epilog="Example: unbend simulate flown --height 3000")
@@ -240,34 +281,48 @@ def simulate(
     height: Annotated[float, typer.Option(help="metres above ground")] = 3000.0,
     seed: Annotated[int, typer.Option(help="of the sensor noise")] = 7,
     noise: Annotated[float, typer.Option(help="of the image measurements, pixels")] = 0.0,
+    *,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
 ) -> None:
     """Fly a survey with known truth: logs, observations, missions.
 
     The same flight three times, as .bin, .tlog and .mcap, with a mission file for each.
     """
-    from pipeline.report.progress import DelayedProgressBar
-    from pipeline.simulate import SimulationOptions
-    from pipeline.simulate import simulate as simulate_flight
+    answer = Answer(quiet=quiet, as_json=as_json)
+    with answer.progress("simulating") as bar:
+        from pipeline.simulate import SimulationOptions
+        from pipeline.simulate import simulate as simulate_flight
 
-    console = new_console()
-    options = SimulationOptions(seed=seed, height_above_ground_m=height, image_noise_px=noise)
-    with DelayedProgressBar(console, "simulating") as bar:
+        options = SimulationOptions(seed=seed, height_above_ground_m=height, image_noise_px=noise)
         flown = simulate_flight(out, options, bar.update)
-    console.print(
-        f"{escape(str(out))}: {flown.images} images, {flown.observation_count:,} observations of "
-        f"{flown.points:,} points, {flown.duration_s:.0f} s of flight in three logs"
+    missions = [str(path) for path in flown.missions.values()]
+    text = (
+        f"{out}: {count(flown.images, 'image')}, {count(flown.observation_count, 'observation')} "
+        f"of {count(flown.points, 'point')}, {flown.duration_s:.0f} s of flight in three logs"
     )
-    for path in flown.missions.values():
-        console.print(f"  unbend run {escape(str(path))}")
+    answer.print_paths([text, *(f"  unbend run {path}" for path in missions)])
+    answer.print_json(
+        {"out": str(out), "images": flown.images, "observations": flown.observation_count,
+         "points": flown.points, "duration_s": flown.duration_s, "missions": missions}
+    )  # fmt: skip
 
 
 @app.command(epilog="Example: unbend verify results/survey")
-def verify(run: Annotated[Path, typer.Argument(help="a folder of results", metavar="RUN")]) -> None:
+def verify(
+    run: Annotated[Path, typer.Argument(help="a folder of results", metavar="RUN")],
+    *,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
     """Whether the results of a run are whole and unchanged."""
-    from pipeline.stages.story import verify_run
+    answer = Answer(quiet=quiet, as_json=as_json)
+    with answer.progress(f"hashing {run.name}"):
+        from pipeline.stages.story import verify_run
 
-    manifest = verify_run(run)
-    new_console().print(
-        f"{escape(str(run))}: {len(manifest['outputs'])} files of mission "
-        f"{escape(str(manifest['mission']))} are whole"
-    )
+        manifest = verify_run(run)
+    files = len(manifest["outputs"])
+    are = "is" if files == 1 else "are"
+    mission = manifest["mission"]
+    answer.print_paths([f"{run}: {count(files, 'file')} of mission {mission} {are} whole"])
+    answer.print_json({"run": str(run), "mission": mission, "files": files, "whole": True})

@@ -2,25 +2,40 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand
 
-from pipeline.cli.app import app, end_command, new_console, write_rows_csv
+from pipeline.cli.app import Answer, AsJson, Quiet, app, write_rows_csv
 from pipeline.errors import ConfigError
+
+
+def _methods() -> list[str]:
+    """Names that a shell completes; imported when it asks."""
+    from pipeline.refraction import METHODS
+
+    return list(METHODS)
+
+
+def _atmospheres() -> list[str]:
+    from pipeline.atmosphere.standard import ATMOSPHERES
+
+    return list(ATMOSPHERES)
+
+
+Atmosphere = Annotated[
+    str, typer.Option(help="name of a standard atmosphere", autocompletion=_atmospheres)
+]
 
 
 class _AngleCommand(TyperCommand):
     """`unbend angle`: --method lists all methods, which are imported when the command is used."""
 
     def get_params(self, ctx: Any) -> list[Any]:
-        from pipeline.refraction import METHODS
-
         params: list[Any] = super().get_params(ctx)
-        next(p for p in params if p.name == "method").help = ", ".join(METHODS)
+        next(p for p in params if p.name == "method").help = ", ".join(_methods())
         return params
 
 
@@ -35,34 +50,36 @@ def angle(
     camera_height: Annotated[float, typer.Option(help="metres above sea level")],
     ground_height: Annotated[float, typer.Option(help="metres above sea level")],
     nadir_angle: Annotated[float, typer.Option(help="apparent nadir angle, degrees, 0 to 180")],
-    atmosphere: Annotated[str, typer.Option(help="name of a standard atmosphere")] = "us1976",
-    method: Annotated[str, typer.Option()] = "spherical",
+    atmosphere: Atmosphere = "us1976",
+    method: Annotated[str, typer.Option(autocompletion=_methods)] = "spherical",
     index: Annotated[str, typer.Option(help="ciddor or gyer (Eq. 13)")] = "ciddor",
     radius: Annotated[float, typer.Option(help="radius of the earth, metres")] = 6_371_000.0,
     distance: Annotated[
         float | None,
         typer.Option(help="slant range, metres: which of two crossings is meant (spherical)"),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="as JSON")] = False,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
 ) -> None:
     """One refraction angle: arcsec, microradians, ground metres."""
-    from pipeline.refraction.angle import one_angle
-    from pipeline.report.terminal import print_angle
+    answer = Answer(quiet=quiet, as_json=as_json)
+    with answer.progress("tracing the ray"):
+        from pipeline.refraction.angle import one_angle
 
-    result = one_angle(
-        atmosphere=atmosphere,
-        index=index,
-        camera_height=camera_height,
-        ground_height=ground_height,
-        nadir_angle=nadir_angle,
-        radius=radius,
-        method=method,
-        distance=distance,
-    )
-    if as_json:
-        print(json.dumps(result, indent=2, allow_nan=False))
-    else:
-        print_angle(new_console(), result)
+        result = one_angle(
+            atmosphere=atmosphere,
+            index=index,
+            camera_height=camera_height,
+            ground_height=ground_height,
+            nadir_angle=nadir_angle,
+            radius=radius,
+            method=method,
+            distance=distance,
+        )
+        from pipeline.report.text.air_and_rays import print_angle
+    answer.print_json(result)
+    if not as_json:
+        print_angle(answer.console, result)
 
 
 @app.command(
@@ -82,6 +99,8 @@ def radial(
     step: Annotated[float, typer.Option(min=0.01, help="degrees between rows")] = 5.0,
     radius: Annotated[float, typer.Option(help="radius of the earth, metres")] = 6_371_000.0,
     csv: Annotated[Path | None, typer.Option(help="write the rows as CSV")] = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
 ) -> None:
     """Refraction by nadir angle per flying height; the Manual's K.
 
@@ -89,27 +108,26 @@ def radial(
     metres on the ground are given where only the bent ray lands and the straight one passes over
     the horizon.
     """
-    from pipeline.refraction.angle import angles_to, radial_table
-    from pipeline.report.progress import DelayedProgressBar
-    from pipeline.report.terminal import print_radial, radial_rows
-    from pipeline.stages.story import air_of_mission_or_standard
-
     _require_one_atmosphere(config, atmosphere)
-    console = new_console()
-    angles = angles_to(max_angle, step)
-    with DelayedProgressBar(console, "estimating the air"):
+    answer = Answer(quiet=quiet, as_json=as_json)
+    with answer.progress("estimating the air"):
+        from pipeline.refraction.angle import angles_to, radial_table
+        from pipeline.report.text.air_and_rays import print_radial, radial_rows
+        from pipeline.stages.story import air_of_mission_or_standard
+
+        angles = angles_to(max_angle, step)
         air, _, ledger = air_of_mission_or_standard(config, atmosphere)
-    tables = [
-        radial_table(
-            air.adjustment.profile, h, ground_height, angles, focal_px=focal_px, radius=radius
-        )
-        for h in camera_height
-    ]
+        profile = air.adjustment.profile
+        tables = [
+            radial_table(profile, h, ground_height, angles, focal_px=focal_px, radius=radius)
+            for h in camera_height
+        ]
+        rows = radial_rows(tables)
     if csv is not None:
-        write_rows_csv(csv, radial_rows(tables))
+        write_rows_csv(csv, rows)
     else:
-        print_radial(console, tables)
-    end_command(console, ledger, csv)
+        print_radial(answer.console, tables)
+    answer.end({"rows": rows}, ledger, csv)
 
 
 @app.command(epilog="Example: unbend tables gyer1996 --csv gyer.csv")
@@ -118,16 +136,23 @@ def tables(
         str, typer.Argument(help="gyer1996, saastamoinen1974 or bertram1966", metavar="PAPER")
     ],
     csv: Annotated[Path | None, typer.Option(help="write the rows as CSV")] = None,
+    *,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
 ) -> None:
     """Recompute a paper's tables: as printed, as published, and exact."""
-    from pipeline.refraction.papers import paper_tables
-    from pipeline.report.terminal import print_paper
+    answer = Answer(quiet=quiet, as_json=as_json)
+    with answer.progress("computing the tables"):
+        from pipeline.refraction.papers import paper_tables
+        from pipeline.report.text.air_and_rays import print_paper
 
-    table = paper_tables(paper)
+        table = paper_tables(paper)
+        rows = table.rows()
     if csv is None:
-        print_paper(new_console(), table.rows(), table.notes)
+        print_paper(answer.console, rows, table.notes)
     else:
-        write_rows_csv(csv, table.rows())
+        write_rows_csv(csv, rows)
+    answer.print_json({"rows": rows, "notes": table.notes})
 
 
 @app.command(
@@ -145,17 +170,19 @@ def profile(
         float | None,
         typer.Option(min=1, max=10_000, help="metres between rows; by default the layers' edges"),
     ] = None,
+    *,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
 ) -> None:
     """The air of a mission or of a standard: a table, CSV or plot."""
-    from pipeline.atmosphere.profile import heights_every
-    from pipeline.report.progress import DelayedProgressBar
-    from pipeline.report.terminal import print_air, print_profile
-    from pipeline.stages.story import air_of_mission_or_standard
-    from pipeline.tables.writing import table_of_profile, table_of_profiles
-
     _require_one_atmosphere(config, atmosphere)
-    console = new_console()
-    with DelayedProgressBar(console, "estimating the air"):
+    answer = Answer(quiet=quiet, as_json=as_json)
+    with answer.progress("estimating the air"):
+        from pipeline.atmosphere.profile import heights_every
+        from pipeline.report.text.air_and_rays import print_air, print_profile
+        from pipeline.stages.story import air_of_mission_or_standard
+        from pipeline.tables.writing import table_of_profile, table_of_profiles
+
         air, samples, ledger = air_of_mission_or_standard(config, atmosphere)
     adjustment = air.adjustment
     heights = None if step is None else heights_every(adjustment.profile, step)
@@ -165,34 +192,42 @@ def profile(
         whole = table_of_profiles(adjustment, air.series, heights) if several else rows
         write_rows_csv(csv, whole.to_pylist())
     if plot is not None:
-        from pipeline.report.figures import profile_figure, save_figure
+        with answer.progress(f"drawing {plot.name}"):
+            from pipeline.report.figures import profile_figure, save_figure
 
-        save_figure(profile_figure(air, samples), plot)
+            save_figure(profile_figure(air, samples), plot)
     if csv is None and plot is None:
-        print_profile(console, rows.to_pylist(), adjustment.standard.name)
-    print_air(console, air)
-    end_command(console, ledger, csv, plot)
+        print_profile(answer.console, rows.to_pylist(), adjustment.standard.name)
+    print_air(answer.console, air)
+    effects = [effect.row() for effect in air.effects]
+    answer.end({"profile": rows.to_pylist(), "effect": effects}, ledger, csv, plot)
 
 
 @app.command(epilog="Example: unbend compare --out docs/accuracy.md")
 def compare(
-    atmosphere: Annotated[str, typer.Option(help="name of a standard atmosphere")] = "us1976",
+    atmosphere: Atmosphere = "us1976",
     out: Annotated[
         Path | None, typer.Option(help="write the page as Markdown, its picture beside it as .png")
     ] = None,
+    *,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
 ) -> None:
     """How far each published method can be trusted.
 
     By flying height: to which nadir angle it stays within 0.1 and 1 arcsec of the spherical ray.
     """
-    from pipeline.report.accuracy import compare_all, print_accuracy
-    from pipeline.stages.story import write_comparison
+    answer = Answer(quiet=quiet, as_json=as_json)
+    with answer.progress("comparing the methods"):
+        from pipeline.report.accuracy import compare_all, comparison_rows, print_accuracy
+        from pipeline.stages.story import write_comparison
 
-    comparisons = compare_all(atmosphere)
+        comparisons = compare_all(atmosphere)
+        if out is not None:
+            write_comparison(comparisons, out)
     if out is None:
-        print_accuracy(new_console(), comparisons)
-    else:
-        write_comparison(comparisons, out)
+        print_accuracy(answer.console, comparisons)
+    answer.print_json({"atmosphere": atmosphere, "rows": comparison_rows(comparisons)})
 
 
 def _require_one_atmosphere(config: Path | None, atmosphere: str | None) -> None:

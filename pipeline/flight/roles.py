@@ -5,7 +5,6 @@ from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
 
-from pipeline.atmosphere.hypsometry import fall_of_pressure
 from pipeline.errors import MissionError
 from pipeline.flight.channels import ROLE_COLUMNS, Channel
 from pipeline.flight.trajectory import interpolate
@@ -181,5 +180,7 @@ def follows_height(barometer: Channel, height: Channel) -> bool | None:
     use = np.isfinite(h) & (p > 0.0)
     if use.sum() < 10 or float(np.ptp(h[use])) < 300.0:
         return None
+    from pipeline.atmosphere.hypsometry import fall_of_pressure  # with all of the atmosphere
+
     fall = fall_of_pressure(h[use], np.log(p[use]))
     return fall.is_of_air and fall.unexplained < 0.01

@@ -9,13 +9,15 @@ print its transpose (Wolf and Dewitt 2000, Appendix C): the angles are the same.
 """
 
 from collections.abc import Callable
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from pipeline.flight.channels import Channel
 from pipeline.units import DEGREE, Array
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 # From the body (forward, right, down) to a camera that looks down, its top towards the nose.
 CAMERA_AT_REST = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -49,6 +51,13 @@ ANGLE_MISTAKES: dict[str, Callable[..., tuple[Array, Array, Array]]] = {
 """Mistakes about three angles, two about level axes and the heading, and what undoes them."""
 
 
+def _rotation() -> "type[Rotation]":
+    """scipy's rotations: their import takes longer than to read a small log."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation
+
+
 def matrices_of(quaternion: Array) -> Array:
     """(n, 3, 3) rotation matrices of (n, 4) quaternions w, x, y, z.
 
@@ -56,14 +65,16 @@ def matrices_of(quaternion: Array) -> Array:
     [1.0, -1.0, -1.0]
     """
     return _where_known(
-        lambda q: Rotation.from_quat(q, scalar_first=True).as_matrix(), quaternion, (3, 3)
+        lambda q: _rotation().from_quat(q, scalar_first=True).as_matrix(), quaternion, (3, 3)
     )
 
 
 def quaternions_of(matrix: Array) -> Array:
     """(n, 4) quaternions w, x, y, z, w >= 0, of (n, 3, 3) rotation matrices."""
     return _where_known(
-        lambda m: Rotation.from_matrix(m).as_quat(canonical=True, scalar_first=True), matrix, (4,)
+        lambda m: _rotation().from_matrix(m).as_quat(canonical=True, scalar_first=True),
+        matrix,
+        (4,),
     )
 
 
@@ -139,7 +150,7 @@ def enu_from_grid(convergence_rad: float | Array) -> Array:
     [0.0349, 0.9994, 0.0]
     """
     up = np.array([0.0, 0.0, 1.0])
-    return np.asarray(Rotation.from_rotvec(np.multiply.outer(-convergence_rad, up)).as_matrix())
+    return np.asarray(_rotation().from_rotvec(np.multiply.outer(-convergence_rad, up)).as_matrix())
 
 
 def quaternion_products(first: Array, second: Array) -> Array:
@@ -174,12 +185,14 @@ def rotation_vectors(quaternion: Array) -> Array:
 
 
 def _euler_matrices(axes: _Axes, angles: Array) -> Array:
-    return _where_known(lambda known: Rotation.from_euler(axes, known).as_matrix(), angles, (3, 3))
+    return _where_known(
+        lambda known: _rotation().from_euler(axes, known).as_matrix(), angles, (3, 3)
+    )
 
 
 def _euler_angles(axes: _Axes, matrix: Array) -> Array:
     return _where_known(
-        lambda m: Rotation.from_matrix(m).as_euler(axes, suppress_warnings=True), matrix, (3,)
+        lambda m: _rotation().from_matrix(m).as_euler(axes, suppress_warnings=True), matrix, (3,)
     )
 
 

@@ -1,5 +1,6 @@
 """Position and attitude at an instant, never through a gap."""
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
@@ -290,3 +291,37 @@ class _Curve:
         square, count = np.where(known, square, 0.0)[which].sum(axis=0), known[which].sum(axis=0)
         u, misfit = place.fraction[:, None], np.sqrt(square / np.maximum(count, 1.0))
         return np.asarray(2.0 * u * (1.0 - u) * misfit)
+
+
+@dataclass(frozen=True, eq=False)
+class Takeoff:
+    """Where the log begins: latitude, longitude [rad], above sea level [m].
+
+    ``stands`` where it stands still there, at this height.
+    """
+
+    lat_rad: float
+    lon_rad: float
+    h_msl_m: float
+    stands: bool = True
+
+
+def takeoff_of(
+    track: tuple[TimeArray, Array, Array, Array], home_m: float | None
+) -> Takeoff | None:
+    """Where a log begins, if it stands still there or has a take-off height ``home_m`` [m].
+
+    ``track`` holds time [Unix ns], latitude, longitude [rad] and height above sea level [m].
+    """
+    known = np.isfinite(np.sum(track[1:], axis=0))
+    time, lat, lon, h = (values[known] for values in track)
+    if not time.size:
+        return None
+    first = time <= time[0] + 10 * 10**9
+    north, east = 6.371e6 * np.array([np.ptp(lat[first]), np.ptp(lon[first]) * math.cos(lat[0])])
+    stands = max(math.hypot(north, east), float(np.ptp(h[first]))) <= 20.0
+    if home_m is None and not stands:
+        return None
+    logged = float(np.median(h[first]))
+    height = logged if home_m is None else home_m
+    return Takeoff(float(lat[0]), float(lon[0]), height, stands and abs(logged - height) <= 20.0)

@@ -96,6 +96,9 @@ def nanoseconds(raw: NDArray[Any]) -> TimeArray:
     return time_ns
 
 
+_FEWEST_RECORDS = 10  # without a second between them, of sensors; parameters come one by one
+
+
 def timeline(blocks: Iterable[Stamps]) -> Timeline:
     """Power-ups and stray stamps, from all times since boot of a log in its order.
 
@@ -136,7 +139,11 @@ def timeline(blocks: Iterable[Stamps]) -> Timeline:
 
 
 def report_timeline(line: Timeline, ledger: Ledger) -> None:
-    """Enter stray stamps and silences of a log whose places are bytes."""
+    """Enter stray stamps and silences of a log whose places are bytes.
+
+    What is logged now and then before sensors are or after them, as parameters of a vehicle that
+    is not armed, begins and ends no silence.
+    """
     if line.stray.any():
         count = int(line.length[line.stray].sum())
         what = f"{count} records carry a time that fits none of their neighbours"
@@ -144,6 +151,9 @@ def report_timeline(line: Timeline, ledger: Ledger) -> None:
             "TIME-STRAY", what, where=f"first at byte {int(line.first[line.stray][0])}", count=count
         )
     after, silence = line.silences()
+    steady = np.flatnonzero(~line.stray & (line.length >= _FEWEST_RECORDS))
+    inside = (after > steady[0]) & (after <= steady[-1]) if steady.size else after < 0
+    after, silence = after[inside], silence[inside]
     if after.size:
         ledger.warning(
             "LOG-GAP",

@@ -111,10 +111,18 @@ class Log(Contents):
     def message(self, name: str, instance: str | None = None) -> Table:
         """All messages of one type as columns, in the order of the file.
 
-        ``name``: a type or topic of `message_types`. ``instance``: only those, where the type has
-        instances. Returns columns of one length with the names and units that the log has; damaged
-        rows are in them. Raises LogError (LOG-NO-TYPE, LOG-NO-TABLE).
+        ``name``: a type or topic of `message_types`, or a channel, upper or lower case.
+        ``instance``: only those, where the type has instances. Returns columns of one length with
+        the names and units that the log has; damaged rows are in them. Raises LogError
+        (LOG-NO-TYPE, LOG-NO-TABLE).
         """
+        if name not in self.messages:
+            types = {kind.lower(): (kind, None) for kind in self.messages}
+            of_channels = {
+                c.name.lower(): (c.source.message, c.source.instance) for c in self.channels
+            }
+            kind, of_channel = (of_channels | types).get(name.lower(), (name, None))
+            name, instance = kind, instance or of_channel
         if name not in self.messages:
             what = f"no message of type {name}"
             remedy = _available(name, sorted(self.messages))
@@ -137,6 +145,9 @@ class Log(Contents):
 
     def to_json_dict(self) -> dict[str, Any]:
         """A summary of the log for ``unbend inspect --json``."""
+        from pipeline.ingest.overview import roles_of
+
+        flight, roles = roles_of(self.channels)
         return {
             "format": self.format,
             "sha256": self.sha256,
@@ -149,6 +160,8 @@ class Log(Contents):
             "start_utc": utc_text(self.start_ns),
             "end_utc": utc_text(self.end_ns),
             "duration_s": self.duration_s,
+            "flight": flight,
+            "roles": roles,
             "time_base": self.time_base,
             "ledger": self.ledger.rows(),
         }

@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
 from rich.padding import Padding
-from rich.table import Table
 
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.refraction.angle import Comparison, compare_methods
 from pipeline.refraction.ray import refraction_angle
+from pipeline.report.text.console import plain_table
 from pipeline.units import ARCSEC, DEGREE, Array
 
 if TYPE_CHECKING:
@@ -235,14 +234,32 @@ def print_accuracy(console: Console, accuracy: Accuracy) -> None:
             "stays below 0.1 / 1 arcsec"
         )
         head, rows = _good_to_table(comparison)
-        table = Table(*(name or " " for name in head), box=None, padding=(0, 1, 0, 0))
-        for column in table.columns[1:]:
-            column.justify = "right"
+        table = plain_table([name or " " for name in head], gap=1)
         for row in rows:
-            name = row[0].strip("`").replace("saastamoinen1974", "s1974")
-            table.add_row(escape(name), *row[1:])
+            table.add_row(row[0].strip("`").replace("saastamoinen1974", "s1974"), *row[1:])
         console.print(Padding(table, (0, 0, 1, 0)))
     console.print("s1974 stands for saastamoinen1974; by height of the camera above sea level")
+
+
+def comparison_rows(accuracy: Accuracy) -> list[dict[str, Any]]:
+    """To which nadir angle [deg] each method is good, a row for each method, height and ground.
+
+    None where a method is not defined.
+    """
+    rows = []
+    for comparison in accuracy.tables:
+        angles = [comparison.good_to(limit * ARCSEC) / DEGREE for limit in LIMITS_ARCSEC]
+        for method, height in np.ndindex(angles[0].shape):
+            row = {
+                f"good_to_{limit:g}_arcsec_deg": None if np.isnan(good) else float(good)
+                for limit, good in zip(
+                    LIMITS_ARCSEC, (a[method, height] for a in angles), strict=True
+                )
+            }
+            h_c = float(comparison.h_c_m[height])
+            head = {"method": comparison.methods[method], "h_c_m": h_c, "h_g_m": comparison.h_g_m}
+            rows.append(head | row)
+    return rows
 
 
 def accuracy_png(curves: tuple[Comparison, ...], belongs_to: str) -> bytes:

@@ -1,17 +1,19 @@
-"""Progress of a command in a terminal: nothing for two seconds, then a bar."""
+"""Progress of a command in a terminal: nothing for a second, then a bar."""
 
 from __future__ import annotations
 
+import sys
 import threading
-from typing import Protocol
-
-from rich.console import Console
-from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
-from rich.progress import Progress as Bar
+from typing import TYPE_CHECKING, Any, Protocol
 
 from pipeline.interrupts import held_back
+from pipeline.report.words import visible
 
-DELAY_S = 2.0
+if TYPE_CHECKING:
+    from rich.console import Console
+
+DELAY_S = 1.0
+"""After it the bar appears: commands that end earlier stay without, none is silent for two."""
 
 
 class Progress(Protocol):
@@ -34,22 +36,42 @@ class NoProgress:
         """Do nothing."""
 
 
-class DelayedProgressBar:
-    """A bar that appears after two seconds of work and is erased at the end."""
+class CompilingNote:
+    """Text that says whether kernels are being compiled, which numba reports once it is loaded."""
 
-    def __init__(self, console: Console, title: str) -> None:
-        self._title = title
-        ends = TaskProgressColumn(), TimeRemainingColumn(compact=True)
-        columns = TextColumn("{task.description}"), BarColumn(bar_width=24), *ends
-        self._bar = Bar(*columns, console=console, transient=True)
-        self._task = self._bar.add_task(title, total=None)
+    def __init__(self) -> None:
+        self._recorder: Any = None
+
+    def __str__(self) -> str:
+        event = sys.modules.get("numba.core.event")
+        if self._recorder is None and hasattr(event, "register"):
+            self._recorder = event.RecordingListener()  # type: ignore[union-attr]
+            event.register("numba:compile", self._recorder)  # type: ignore[union-attr]
+        depth = 0  # a function that is compiled has others compiled
+        for _, of_numba in tuple(self._recorder.buffer) if self._recorder else ():
+            depth = max(depth + (1 if of_numba.is_start else -1), 0)
+        return " (compiling, once)" if depth else ""
+
+
+class DelayedProgressBar:
+    """A bar that appears after a second of work and is erased at the end.
+
+    On a terminal that cannot move its cursor, a line for each step. None without a terminal.
+    """
+
+    def __init__(self, console: Console | None, title: str) -> None:
+        self._console, self._title = console, visible(title)
+        self._text, self._completed = self._title, 0
+        self._total: int | None = None
+        self._bar: Any = None
+        self._task: Any = None
         self._timer = threading.Timer(DELAY_S, self._show)
         self._timer.daemon = True
         self._lock = threading.Lock()
         self._ended = False
 
     def __enter__(self) -> DelayedProgressBar:
-        if self._bar.console.is_terminal:
+        if self._console is not None and self._console.is_terminal:
             with held_back():
                 self._timer.start()
         return self
@@ -58,26 +80,58 @@ class DelayedProgressBar:
         with held_back(), self._lock:
             self._timer.cancel()
             self._ended = True
-            if self._bar.live.is_started:
+            if self._bar is not None:
                 self._bar.stop()
 
     def _show(self) -> None:
+        # Here, in the timer's thread: most commands end before it is imported.
+        from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
+        from rich.progress import Progress as Bar
+
         # A timer that runs out while the work ends can no longer be cancelled.
         with self._lock:
-            if not self._ended:
-                self._bar.start()
+            if self._ended or self._console is None:
+                return
+            ends = TaskProgressColumn(), TimeRemainingColumn(compact=True)
+            text = TextColumn("{task.description}{task.fields[note]}", markup=False)
+            self._bar = Bar(
+                text, BarColumn(bar_width=24), *ends, console=self._console, transient=True,
+                redirect_stdout=False, redirect_stderr=sys.stderr.isatty(),
+                disable=self._console.is_dumb_terminal,
+            )  # fmt: skip
+            self._begin_task()
+            self._bar.start()
+
+    def _begin_task(self) -> None:
+        """Show the step as a new task, since rich cannot take the total from one that has it."""
+        if self._task is not None:
+            self._bar.remove_task(self._task)
+        self._task = self._bar.add_task(
+            self._text, total=self._total, completed=self._completed, note=CompilingNote()
+        )
+        if self._bar.disable and self._console is not None:
+            self._console.print(f"{self._text} ...", markup=False, highlight=False)
 
     def start(self, step: str, total: int | None = None) -> None:
         """Begin a step of ``total`` units, None if that is not known."""
-        # A new task, since rich cannot take the total from one that has it.
-        self._bar.remove_task(self._task)
-        self._task = self._bar.add_task(f"{self._title}: {step}", total=total)
+        with self._lock:
+            self._text, self._completed, self._total = f"{self._title}: {step}", 0, total
+            if self._bar is not None:
+                self._begin_task()
 
     def advance(self, count: int) -> None:
         """Add ``count`` finished units to the step."""
-        self._bar.advance(self._task, count)
+        with self._lock:
+            self._completed += count
+            if self._bar is not None:
+                self._bar.advance(self._task, count)
 
     def update(self, step: str, completed: int, total: int) -> None:
         """Set step, finished units and their total (0 if that is not known)."""
-        text = f"{self._title}: {step}"
-        self._bar.update(self._task, description=text, completed=completed, total=total or None)
+        with self._lock:
+            self._text, self._completed = f"{self._title}: {step}", completed
+            self._total = total or None
+            if self._bar is not None:
+                self._bar.update(
+                    self._task, description=self._text, completed=completed, total=self._total
+                )

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pipeline.report.verdict import is_applied
-from pipeline.report.words import three_digits, with_sigma
+from pipeline.report.words import length, three_digits, with_sigma
 
 _GRAVEST_FIRST = ("finding", "loss", "warning", "fallback", "note")
 
@@ -66,14 +66,15 @@ def correction_rows(manifest: Mapping[str, Any]) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
     for key, label in (
         ("shift_px", "shift in the image [px]"),
-        ("shift_ground_m", "shift on the ground [m]"),
+        ("shift_ground_m", "shift on the ground"),
         ("refraction_arcsec", "refraction of the air [arcsec]"),
         ("window_arcsec", "refraction of the window [arcsec]"),
     ):
         if key == "window_arcsec" and not correction[key]["maximum"]:
             continue
         for name, of_camera in (cameras if len(cameras) > 1 else {"": correction}).items():
-            values = (three_digits(of_camera[key][part]) for part in ("median", "p95", "maximum"))
+            written = length if key == "shift_ground_m" else three_digits
+            values = (written(of_camera[key][part]) for part in ("median", "p95", "maximum"))
             rows.append((f"{label} {name}".rstrip(), *values))
     return rows
 

@@ -15,6 +15,7 @@ from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 from pipeline.config import Mission
 from pipeline.errors import MissionError
 from pipeline.flight.stations import Stations
+from pipeline.flight.trajectory import Takeoff
 from pipeline.ledger import Entry, Kind, Ledger, finding
 from pipeline.refraction.calibration import is_fisheye
 from pipeline.refraction.camera.camera import Camera
@@ -22,7 +23,7 @@ from pipeline.refraction.effect import Effect, effects_on_r
 from pipeline.refraction.image import Exposures
 from pipeline.refraction.status_codes import MISSES_GROUND, OUTSIDE_CAMERA, STATUS_NAMES
 from pipeline.stages.statistics import SampledRows
-from pipeline.units import Array, Integers, Names
+from pipeline.units import Array, Names
 
 Findings = Iterator[tuple[str, str, str]]
 """Code, key to change, and what was found, was expected, and is the likely mistake."""
@@ -41,19 +42,6 @@ _KEYS = {
     "outside_log": "log.path; time_utc, gps_week or gps_seconds of events.csv.columns; delay_s",
 }
 """Keys to look at by the status of stations."""
-
-
-@dataclass(frozen=True, eq=False)
-class Takeoff:
-    """Where the log begins: latitude, longitude [rad], above sea level [m].
-
-    ``stands`` where it stands still there, at this height.
-    """
-
-    lat_rad: float
-    lon_rad: float
-    h_msl_m: float
-    stands: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,25 +120,6 @@ class Facts:
         half = math.hypot(camera.width_px / camera.fx_px, camera.height_px / camera.fy_px) / 2.0
         # Equidistant behind a fisheye, whose corners often lie beyond its circle.
         return 2.0 * math.degrees(half if is_fisheye(camera) else math.atan(half))
-
-
-def takeoff_of(track: tuple[Integers, Array, Array, Array], home_m: float | None) -> Takeoff | None:
-    """Where a log begins, if it stands still there or has a take-off height ``home_m`` [m].
-
-    ``track`` holds time [Unix ns], latitude, longitude [rad] and height above sea level [m].
-    """
-    known = np.isfinite(np.sum(track[1:], axis=0))
-    time, lat, lon, h = (values[known] for values in track)
-    if not time.size:
-        return None
-    first = time <= time[0] + 10 * 10**9
-    north, east = np.ptp(lat[first]) * _RADIUS_M, np.ptp(lon[first]) * _RADIUS_M * math.cos(lat[0])
-    stands = max(math.hypot(north, east), float(np.ptp(h[first]))) <= 20.0
-    if home_m is None and not stands:
-        return None
-    logged = float(np.median(h[first]))
-    height = logged if home_m is None else home_m
-    return Takeoff(float(lat[0]), float(lon[0]), height, stands and abs(logged - height) <= 20.0)
 
 
 def cause_of_misses(facts: Facts) -> str:

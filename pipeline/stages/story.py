@@ -38,6 +38,7 @@ from pipeline.errors import ConfigError, StorageError, storage_errors
 from pipeline.flight.air_samples import air_samples
 from pipeline.flight.heights import heights_at, logged_terrain, undulation_notes
 from pipeline.flight.stations import Stations, append_unmatched_images, flag_height_misfits
+from pipeline.flight.trajectory import takeoff_of
 from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir
 from pipeline.report.accuracy import Accuracy, accuracy_page, accuracy_png, text_hash
@@ -72,7 +73,6 @@ from pipeline.stages.plausibility import (
     accept_findings,
     causes_of_statuses,
     findings_of,
-    takeoff_of,
 )
 from pipeline.stages.stations import stations_of_mission
 from pipeline.stages.statistics import SAMPLED_ROWS, Statistics

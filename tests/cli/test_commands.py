@@ -17,6 +17,8 @@ import pipeline
 from pipeline.ingest.log import Log
 from pipeline.refraction import angle
 
+pytestmark = pytest.mark.usefixtures("eighty_columns")
+
 COMMANDS = (
     "init", "schema", "help", "run", "check", "stations", "inspect", "angle", "radial", "tables",
     "profile", "compare", "simulate", "export", "verify",
@@ -299,9 +301,12 @@ def test_summary_of_a_run(baseline):
     assert ended.code == 0
     assert ended.err == ""
     assert "All 59 observations were corrected" in ended.out
-    for words in ("m on the ground", "[px]", "[arcsec]", "results"):
-        assert words in ended.out
-    assert longest(ended.out) <= 80
+    text = " ".join(ended.out.split())
+    for words in ("cm on the ground, ", "px in the image.", "[px]", "[arcsec]", "results"):
+        assert words in text
+    paths = [line for line in ended.out.splitlines() if str(baseline.folder) in line]
+    assert len(paths) == 2  # in one piece
+    assert longest("\n".join(set(ended.out.splitlines()) - set(paths))) <= 80
 
 
 def test_profile_of_a_standard(unbend, tmp_path):

@@ -53,6 +53,18 @@ def test_one_instance(unbend, flown):
     assert second == [row for row in every if row["I"] == "1"]
 
 
+@pytest.mark.parametrize("name", ["BARO[1]", "baro[1]"])
+def test_names_as_printed_upper_or_lower_case(unbend, flown, name):
+    path = flown.logs["bin"]
+    second = unbend("inspect", path, "--type", "BARO", "--csv", "--instance", "1")
+    assert unbend("inspect", path, "--type", name, "--csv").out == second.out
+    lower = unbend("inspect", path, "--type", "baro", "--csv")
+    assert lower.out == unbend("inspect", path, "--type", "BARO", "--csv").out
+    topic = unbend("inspect", flown.logs["mcap"], "--type", "/CABIN/pressure", "--csv")
+    assert topic.code == 0
+    assert "fluid_pressure" in topic.out.splitlines()[0]
+
+
 def test_fields_without_csv(unbend, flown):
     ended = unbend("inspect", flown.logs["bin"], "--type", "BARO")
     assert ended.code == 0

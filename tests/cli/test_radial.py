@@ -19,6 +19,8 @@ def longest(text: str) -> int:
     return max(len(line.rstrip()) for line in text.splitlines())
 
 
+pytestmark = pytest.mark.usefixtures("eighty_columns")
+
 TWO_HEIGHTS = (
     "radial", "--atmosphere", "us1976", "--camera-height", 3000, "--camera-height", 10000,
     "--ground-height", 0, "--focal-px", 20000,

@@ -25,15 +25,14 @@ from pipeline.report.figures import (
     profile_figure,
     save_figure,
 )
-from pipeline.report.terminal import (
+from pipeline.report.text.air_and_rays import (
     print_air,
     print_angle,
-    print_log,
     print_paper,
     print_profile,
     print_radial,
-    print_run,
 )
+from pipeline.report.text.terminal import print_log, print_run
 
 
 def spread(count: int, median: float, p95: float, maximum: float) -> dict[str, float]:
@@ -150,8 +149,8 @@ CORRECTION = [
     ["", "median", "95 %", "maximum"],
     ["shift in the image [px] belly", "1.01", "1.02", "1.03"],
     ["shift in the image [px] tail", "2.01", "2.02", "2.03"],
-    ["shift on the ground [m] belly", "1.11", "1.12", "1.13"],
-    ["shift on the ground [m] tail", "2.11", "2.12", "2.13"],
+    ["shift on the ground belly", "1.1 m", "1.1 m", "1.1 m"],
+    ["shift on the ground tail", "2.1 m", "2.1 m", "2.1 m"],
     ["refraction of the air [arcsec] belly", "11.1", "11.2", "11.3"],
     ["refraction of the air [arcsec] tail", "12.1", "12.2", "12.3"],
     ["refraction of the window [arcsec] belly", "21.1", "21.2", "21.3"],
@@ -477,7 +476,7 @@ def test_every_cell_of_a_radial_table():
         object.__setattr__(table, name, value)
     patch = pytest.MonkeyPatch()
     with patch.context() as context:
-        context.setattr("pipeline.report.terminal.radial_columns", lambda _: columns)
+        context.setattr("pipeline.report.text.air_and_rays.radial_columns", lambda _: columns)
         lines = printed(print_radial, [table])
     assert lines[0] == (
         "camera 3210 m, ground 123 m: R at 45 deg 34.56 urad, the Manual's formula 29.87"
@@ -511,27 +510,44 @@ def test_every_cell_of_a_papers_table():
 
 
 def test_every_number_of_a_log():
+    def row(role: str, channel: str | None, rate: float | None, remark: str, *others: str) -> dict:
+        return {"role": role, "channel": channel, "rate_hz": rate, "samples": 7, "remark": remark,
+                "others": list(others)}  # fmt: skip
+
     log = {
         "format": "mcap", "duration_s": 1234.56, "start_utc": "2025-06-12T09:00:01Z",
         "end_utc": "2025-06-12T09:20:36Z", "time_base": "UTC of [x]",
-        "messages": {"A": 1000, "B": 2345}, "boots": 2, "bad_bytes": 7654, "lost_messages": 1321,
+        "flight": {"lat_deg": 47.123, "lon_deg": -8.456, "height_reference": "sea level",
+                   "lowest_m": 451.2, "highest_m": 3459.6, "take_off_m": 450.4},
+        "roles": [row("position", "GPS", 4.987, "plausible", "POS", "[b]"),
+                  row("humidity", None, None, "none in the log")],
+        "messages": {"A": 1000, "B": 2345}, "boots": 2, "bad_bytes": 1, "lost_messages": 1321,
         "channels": [
-            {"name": "BARO[0]", "samples": 6543, "rate_hz": 9.876, "gaps": [1, 2, 3],
-             "roles": ["pressure", "cabin_pressure"]},
-            {"name": "CAM", "samples": 12, "rate_hz": 0.5, "gaps": [], "roles": []},
+            {"name": "BARO[0]", "samples": 6543, "rate_hz": 9.876,
+             "gaps": [{"seconds": 1.25}, {"seconds": 12.5}]},
+            {"name": "CAM", "samples": 12, "rate_hz": 0.5, "gaps": []},
         ],
         "ledger": MANIFEST["ledger"],
     }  # fmt: skip
     lines = printed(print_log, log, "a[1].mcap")
-    assert lines[:4] == [
-        "a[1].mcap: mcap, channels over 1234.6 s",
-        "  from 2025-06-12T09:00:01Z to 2025-06-12T09:20:36Z",
-        "  time: UTC of [x]",
-        "  3,345 messages of 2 types, 2 boots, 7,654 bad bytes, 1,321 lost",
+    assert [" ".join(line.split()) for line in lines[:7]] == [
+        "a[1].mcap: mcap, 1234.6 s",
+        "place 47.123°, -8.456°",
+        "time 2025-06-12 09:00:01 to 09:20:36 UTC",
+        "clock UTC of [x]",
+        "heights 451 to 3460 m above sea level",
+        "take-off 450 m above sea level, where the log begins",
+        "messages 3,345 of 2 types, 1 bad byte, 1,321 lost, 2 boots",
     ]
-    table = [line.split() for line in lines[5:]]
-    assert table[0] == ["channel", "samples", "rate", "[Hz]", "gaps", "can", "play"]
-    assert table[1] == ["BARO[0]", "6,543", "9.88", "3", "pressure,", "cabin_pressure"]
-    assert table[2] == ["CAM", "12", "0.5", "0", "only", "if", "named"]
+    assert cells(lines[8:11]) == [
+        ["role", "channel", "rate [Hz]", "remark"],
+        ["position", "GPS", "4.99", "plausible; also POS, [b]"],
+        ["humidity", "-", "none in the log"],
+    ]
+    assert cells(lines[12:15]) == [
+        ["channel", "samples", "rate [Hz]", "gaps", "gaps [s]"],
+        ["BARO[0]", "6,543", "9.88", "2", "13.8"],
+        ["CAM", "12", "0.5"],
+    ]
     text = " ".join(" ".join(lines).split())
     assert text.endswith(" ".join(f"{kind} {code}: {what}" for kind, code, what in LEDGER))

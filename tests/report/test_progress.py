@@ -30,19 +30,20 @@ class ManualTimer:
 @pytest.fixture
 def bar(monkeypatch):
     monkeypatch.setattr(threading, "Timer", ManualTimer)
+    monkeypatch.setenv("TERM", "xterm")
     console = Console(file=io.StringIO(), force_terminal=True, width=80)
     return DelayedProgressBar(console, "survey")
 
 
 def written(bar: DelayedProgressBar) -> str:
-    return bar._bar.console.file.getvalue()
+    return bar._console.file.getvalue()
 
 
 def test_a_bar_appears_when_its_time_has_come(bar):
     with bar:
         bar.start("correcting", 10)
         assert written(bar) == ""
-        assert bar._timer.seconds == progress.DELAY_S == 2.0
+        assert bar._timer.seconds == progress.DELAY_S == 1.0
         bar._timer.fire()
         assert "survey: correcting" in written(bar)
     assert not bar._bar.live.is_started
@@ -52,13 +53,14 @@ def test_a_timer_that_runs_out_as_the_work_ends_comes_too_late(bar):
     with bar:
         bar.start("correcting", 10)
     bar._timer.fire()
-    assert not bar._bar.live.is_started
+    assert bar._bar is None
     assert written(bar) == ""
 
 
-def test_the_bar_counts_each_step_from_zero(bar):
+def test_the_bar_counts_each_step_from_zero_before_and_after_it_appears(bar):
     bar.start("correcting", 10)
     bar.advance(4)
+    bar._timer.fire()
     bar.advance(3)
     (task,) = bar._bar.tasks
     assert (task.description, task.completed, task.total) == ("survey: correcting", 7, 10)
@@ -68,9 +70,45 @@ def test_the_bar_counts_each_step_from_zero(bar):
     bar.update("rays", 5, 20)
     (task,) = bar._bar.tasks
     assert (task.description, task.completed, task.total) == ("survey: rays", 5, 20)
+    bar.__exit__()
+
+
+def test_it_says_when_kernels_are_compiled():
+    """By numba's own events, of a function that is compiled while the note is read."""
+    import numba
+    from numba.core import event
+
+    note = progress.CompilingNote()
+    assert str(note) == ""
+    seen = []
+
+    class Reader(event.Listener):
+        def on_start(self, _):
+            seen.append(str(note))
+
+        def on_end(self, _):
+            pass
+
+    with event.install_listener("numba:compile", Reader()):
+        numba.njit(lambda x: x + 1)(1)
+    assert seen == [" (compiling, once)"]
+    assert str(note) == ""
+
+
+def test_a_dumb_terminal_gets_a_line_for_each_step(bar, monkeypatch):
+    monkeypatch.setenv("TERM", "dumb")
+    with bar:
+        bar.start("reading")
+        bar._timer.fire()
+        bar.start("correcting", 10)
+        bar.advance(10)
+    assert written(bar) == "survey: reading ...\nsurvey: correcting ...\n"
 
 
 def test_no_bar_where_output_is_not_a_terminal():
     console = Console(file=io.StringIO(), force_terminal=False)
-    with DelayedProgressBar(console, "survey") as bar:
-        assert not bar._timer.is_alive()
+    for where in (console, None):
+        with DelayedProgressBar(where, "survey") as bar:
+            assert not bar._timer.is_alive()
+            bar.start("correcting", 10)
+            bar.advance(1)

@@ -35,6 +35,17 @@ REACH = 1 << 14  # [bytes] first searched after damage: the next record is seldo
 MOST_DEFINITIONS = 1 << 15  # real logs have 16 to 200; the number of a definition fits two bytes
 
 
+FORMAT_LETTERS: Mapping[str, Any] = {
+    "a": ("<i2", (32,)), "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4",
+    "q": "<i8", "Q": "<u8", "g": "<f2", "f": "<f4", "d": "<f8", "M": "i1", "n": "S4", "N": "S16",
+    "Z": "S64", "c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4", "L": "<i4",
+}  # fmt: skip
+"""Types of fields by the letters of FMT records, as in pymavlink, which takes long to import."""
+
+DIVISORS = {"c": 100.0, "C": 100.0, "e": 100.0, "E": 100.0, "L": 1e7}
+"""What integers of some letters are divided by."""
+
+
 @dataclass(frozen=True)
 class RecordDefinition:
     """The definition of a record type by an FMT record: its name, and where its fields are.
@@ -66,8 +77,6 @@ class RecordDefinition:
 
 def define(payload: bytes) -> RecordDefinition | None:
     """The definition in the payload of an FMT record (86 bytes); None when it is not valid."""
-    from pymavlink.DFReader import FORMAT_TO_STRUCT, DFFormat
-
     type_id, length = payload[0], payload[1]
     try:
         name, codes, columns = (
@@ -76,19 +85,13 @@ def define(payload: bytes) -> RecordDefinition | None:
         )
     except UnicodeDecodeError:
         return None
-    if not name.isidentifier() or not set(codes) <= set(FORMAT_TO_STRUCT):
+    if not name.isidentifier() or not set(codes) <= set(FORMAT_LETTERS):
         return None
-    form = DFFormat(type_id, name, length, codes, columns)
-    fields = tuple(form.columns)
-    kinds: list[np.dtype[Any]] = []
-    for code in codes:  # "64s" -> S64, "h" -> <i2; bytes of files stay bytes
-        letters = FORMAT_TO_STRUCT[code][0]
-        if code == "a":
-            kinds.append(np.dtype(("<i2", (32,))))
-        elif code == "Z" and name == "FILE":
-            kinds.append(np.dtype(("u1", (64,))))
-        else:
-            kinds.append(np.dtype(f"S{letters[:-1]}" if letters.endswith("s") else f"<{letters}"))
+    fields = tuple(columns.split(",")) if columns else ()
+    kinds = [  # bytes of files stay bytes
+        np.dtype(("u1", (64,)) if code == "Z" and name == "FILE" else FORMAT_LETTERS[code])
+        for code in codes
+    ]
     sizes = [kind.itemsize for kind in kinds]
     distinct = len(set(fields)) == len(fields) == len(kinds) and all(fields)
     if not distinct or HEADER + sum(sizes) != length:
@@ -99,9 +102,8 @@ def define(payload: bytes) -> RecordDefinition | None:
     dtype = np.dtype(
         {"names": list(fields), "formats": kinds, "offsets": offsets, "itemsize": length}
     )
-    # 1/0.01 and 1/1e-7 are exactly 100 and 1e7, and division is what the library does.
-    scales = zip(fields, form.msg_mults, strict=True)
-    divisors = {field: 1.0 / scale for field, scale in scales if scale}
+    coded = zip(fields, codes, strict=True)
+    divisors = {field: DIVISORS[code] for field, code in coded if code in DIVISORS}
     letters_of = dict(zip(fields, codes, strict=True))
     return RecordDefinition(type_id, name, length, dtype, divisors, letters_of)
 
@@ -158,7 +160,7 @@ class RecordWalker(DamagedBytes):
         super().__init__()
         fmt = define(_FMT_PAYLOAD)
         if fmt is None:
-            raise LookupError("pymavlink does not know the format letters of FMT")
+            raise LookupError("the definition of FMT is not valid")
         self.data = data
         self.names = names
         self.size = data.size

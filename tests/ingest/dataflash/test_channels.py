@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -139,6 +140,34 @@ def test_silence_is_told(writer: Any, opened: Callable) -> None:
     assert "51.2 s" in entry.what
 
 
+def test_what_is_logged_now_and_then_before_and_after_the_sensors_is_no_gap(
+    writer: Any, opened: Callable
+) -> None:
+    """Parameters every 31 s, as ArduPilot logs them while it is not armed: 3 before, 4 after."""
+    writer.define("PARM", "QNf", "TimeUS,Name,Value")
+    for k in range(3):
+        writer.row("PARM", 1_000_000 + 31_000_000 * k, b"A", 1.0)
+    fixes(writer, 2200, from_us=100_000_000)
+    fixes(writer, 2200, from_us=160_000_000)
+    for k in range(4):
+        writer.row("PARM", 200_000_000 + 31_000_000 * k, b"A", 1.0)
+    (entry,) = entries(opened(writer.data), "LOG-GAP")
+    assert entry.count == 1
+    seconds = float(entry.what.split(", ")[1].split(" s")[0])
+    assert seconds == pytest.approx(60.0 - 8.8, abs=0.3)
+
+
+def test_the_gaps_of_a_real_log_fit_into_its_span(real_log: Callable[[str], Path]) -> None:
+    """628 s not armed, with a parameter every 31 s; and again 80 s of it after the flight."""
+    log = open_log(real_log("beastayyg_sample.bin"))
+    (entry,) = entries(log, "LOG-GAP")
+    assert entry.count == 24
+    assert "627.9 s together" in entry.what
+    (gap,) = log.to_json_dict()["channels"][1]["gaps"]
+    assert gap["seconds"] == pytest.approx(627.9, abs=0.2)
+    assert log.duration_s == pytest.approx(700.8, abs=0.1)
+
+
 def test_one_flipped_type_byte_in_the_middle_costs_one_message(
     tmp_path: Path, real_log: Callable[[str], Path]
 ) -> None:
@@ -220,3 +249,18 @@ def test_a_grown_log_is_one_long_flight(tmp_path: Path, grower: ModuleType) -> N
     assert log.duration_s == pytest.approx(3 * once.duration_s, rel=0.01)
     assert len(log.channel("ATT")) == 3 * len(once.channel("ATT"))
     assert not log.ledger.has_losses
+
+
+def test_the_format_letters_are_those_of_the_library():
+    """Letter by letter: size, kind and divisor as pymavlink unpacks and scales them."""
+    from pymavlink.DFReader import FORMAT_TO_STRUCT
+
+    from pipeline.ingest.dataflash.records import DIVISORS, FORMAT_LETTERS
+
+    assert set(FORMAT_LETTERS) == set(FORMAT_TO_STRUCT)
+    for letter, (struct_code, scale, _) in FORMAT_TO_STRUCT.items():
+        dtype = np.dtype(FORMAT_LETTERS[letter])
+        assert dtype.itemsize == struct.calcsize(f"<{struct_code}"), letter
+        if letter != "a" and not struct_code.endswith("s"):
+            assert dtype == np.dtype(f"<{struct_code}"), letter
+        assert DIVISORS.get(letter) == (None if scale is None else 1.0 / scale), letter

@@ -1,0 +1,90 @@
+"""Consoles for texts: as wide as a terminal, or lines as they are for a file or the next program.
+
+What is not a terminal gets no colours, no line breaks inside a sentence and no blanks at the ends
+of lines, so that a line is found by ``grep`` and copied as it is.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Sequence
+from typing import Any, NoReturn, TextIO
+
+from rich.console import Console
+from rich.markup import escape
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from pipeline.report.words import visible
+
+_WIDE = 100_000  # columns of what is not a terminal: no line is broken
+_BLANKS_AT_END = re.compile(r"[ \t]+(?=\n)")
+
+
+class _Trimmed:
+    """A stream whose lines lose the blanks at their ends; the rest is the stream's own."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        return self._stream.write(_BLANKS_AT_END.sub("", text))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+class ReportConsole(Console):
+    """Console that writes control characters out, and raises BrokenPipeError instead of exiting."""
+
+    def on_broken_pipe(self) -> NoReturn:
+        raise BrokenPipeError
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """As rich does, with all control characters but line breaks written out."""
+        return super().render_str(visible(text, keep="\n"), **options)
+
+
+def report_console(*, error: bool = False, quiet: bool = False) -> Console:
+    """Console for standard output, or for standard error; ``COLUMNS`` sets the width of both."""
+    stream = sys.stderr if error else sys.stdout
+    if stream.isatty():
+        return ReportConsole(stderr=error, highlight=False, quiet=quiet)
+    file: Any = _Trimmed(stream)
+    width = None if os.environ.get("COLUMNS", "").isdigit() else _WIDE
+    return ReportConsole(file=file, width=width, highlight=False, quiet=quiet)
+
+
+def shown(text: str) -> str:
+    r"""A text of a file or a name for a console: no markup, no control characters.
+
+    >>> print(shown("[red]a\x1b[1m\nb"))
+    \[red]a\x1b[1m\nb
+    """
+    return escape(visible(text))
+
+
+def print_indented(console: Console, content: str | Table) -> None:
+    """Print markup or a table two columns to the right."""
+    console.print(Padding(content, (0, 0, 0, 2), expand=False))
+
+
+def plain_table(heads: Sequence[str], *, gap: int) -> Table:
+    """A table without lines, all columns but the first aligned to the right."""
+    table = Table(*(escape(h) for h in heads), box=None, pad_edge=False, padding=(0, gap, 0, 0))
+    for column in table.columns[1:]:
+        column.justify = "right"
+    return table
+
+
+def print_labelled(console: Console, lines: Sequence[tuple[str, str]]) -> None:
+    """Lines with their labels in a column before them."""
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for label, text in lines:
+        table.add_row(shown(label), shown(text))
+    print_indented(console, table)

@@ -1,0 +1,174 @@
+"""What commands say of missions and logs, for people: 80 columns wide in a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.padding import Padding
+
+from pipeline.report import summary
+from pipeline.report.text.console import plain_table, print_indented, print_labelled, shown
+from pipeline.report.verdict import flagged, next_steps, verdict
+from pipeline.report.words import count
+
+_COLOURS = {"finding": "red", "loss": "red", "warning": "yellow", "fallback": "cyan", "note": "dim"}
+
+_MOST_CONTROL = 12
+
+
+def print_run(
+    console: Console, name: str, output: str, manifest: Mapping[str, Any], *, repeated: bool
+) -> None:
+    """Summary at the end of a mission; ``repeated`` if an earlier run was up to date."""
+    console.print(f"[bold]{shown(name)}[/bold]")
+    if repeated:
+        console.print("  nothing to do: mission file, inputs and code are those of the last run")
+    print_indented(console, shown(verdict(manifest)))
+    table = plain_table(summary.CORRECTION_HEAD, gap=2)
+    for row in summary.correction_rows(manifest):
+        table.add_row(*(shown(cell) for cell in row))
+    print_indented(console, table)
+    profile = manifest["profile"]
+    effects = summary.effect_lines(profile["effect"], profile["standard"])
+    for line in (summary.air_sentences(manifest), *effects):
+        print_indented(console, shown(line))
+    if sentence := summary.control_sentence(manifest):
+        print_indented(console, shown(sentence))
+        table = plain_table(summary.CONTROL_HEAD, gap=1)
+        for row in summary.control_rows(manifest, _MOST_CONTROL):
+            table.add_row(*(shown(cell) for cell in row))
+        print_indented(console, table)
+    if rows := flagged(manifest):
+        print_indented(console, f"Flagged rows: {rows}")
+    print_ledger(console, [entry for entry in manifest["ledger"] if entry["kind"] != "note"])
+    steps = next_steps(manifest)
+    print_labelled(console, [("" if i else "next", step) for i, step in enumerate(steps)])
+    for label, path in (("results", output), ("report ", f"{output}/report.html")):
+        console.print(f"  {label}  {shown(path)}", soft_wrap=True)
+
+
+def print_ledger(console: Console, entries: Sequence[Mapping[str, Any]]) -> None:
+    """Entries of a ledger, the gravest first."""
+    for kind, code, what in summary.ledger_rows(entries):
+        print_indented(console, f"[{_COLOURS[kind]}]{kind}[/] {shown(code)}: {shown(what)}")
+
+
+def print_check(
+    console: Console, name: str, lines: Sequence[tuple[str, str]], manifest: Mapping[str, Any]
+) -> None:
+    """What ``unbend check`` read and expects of a run, and what the ledger of a run would hold."""
+    verdict = "a run would end with code 3" if manifest["exit_code"] else "can be run"
+    console.print(f"[bold]{shown(name)}[/bold] {verdict}")
+    print_labelled(console, lines)
+    print_ledger(console, manifest["ledger"])
+
+
+_STATION_COLUMNS = (
+    ("lat\n[deg]", "lat_deg", ".5f"),
+    ("lon\n[deg]", "lon_deg", ".5f"),
+    ("± xy\n[m]", "sigma_horizontal_m", ".2f"),
+    ("h\n[m]", "h_msl_m", ".1f"),
+    ("± h\n[m]", "sigma_height_m", ".2f"),
+    ("tilt\n± deg", "sigma_tilt_deg", ".2f"),
+)
+_FIRST_STATIONS, _LAST_STATIONS = 25, 5
+
+
+def print_stations(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
+    """The first and last stations as a table, how many there are, and why some cannot be used."""
+    heads = ("image\n", "UTC\n", *(head for head, *_ in _STATION_COLUMNS), "status\n")
+    table = plain_table(heads, gap=1)
+    table.columns[0].overflow = table.columns[-1].overflow = "fold"
+    table.columns[-1].justify = "left"
+    for column in table.columns[1:-1]:
+        column.no_wrap = True
+    few = len(rows) <= _FIRST_STATIONS + _LAST_STATIONS
+    for row in rows if few else (*rows[:_FIRST_STATIONS], None, *rows[-_LAST_STATIONS:]):
+        if row is None:
+            table.add_row("...")
+            continue
+        time = f"{row['time_utc']:%H:%M:%S.%f}"[:10] if row["time_utc"] else ""
+        cells = (
+            "" if row[name] is None else f"{row[name]:{digits}}"
+            for _, name, digits in _STATION_COLUMNS
+        )
+        table.add_row(shown(row["image"]), time, *cells, row["status"])
+    print_indented(console, table)
+    if not few:
+        hidden = len(rows) - _FIRST_STATIONS - _LAST_STATIONS
+        print_indented(console, f"{hidden:,} rows are not shown: all of them with --csv FILE")
+    groups: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
+    for row in rows:
+        key = row["camera"] or "no camera", row["status"], row["suspect_reason"] or ""
+        groups.setdefault(key, []).append(row)
+    for (camera, status, reason), of_group in groups.items():
+        line = f"{camera}: {len(of_group):,} {status}"
+        if status != "ok":
+            names = [row["image"] for row in of_group]
+            line += f", {names[0]}" if len(names) == 1 else f", {names[0]} to {names[-1]}"
+        off = max((row["suspect_m"] or 0.0 for row in of_group), default=0.0)
+        line += f": {reason}" if reason else ""
+        line += f" (up to {off:.0f} m off)" if off else ""
+        print_indented(console, shown(line))
+
+
+def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
+    """What ``unbend inspect`` prints: flight, roles, and channels by the names of mission files."""
+    console.print(f"[bold]{shown(name)}[/bold]: {log['format']}, {log['duration_s']:.1f} s")
+    flight, boots = log["flight"], log["boots"]
+    begin, end = (log[f"{key}_utc"][:19].replace("T", " ") for key in ("start", "end"))
+    reference = flight.get("height_reference")
+    heights = take_off = "unknown"
+    if reference and flight["lowest_m"] is not None:
+        heights = f"{flight['lowest_m']:.0f} to {flight['highest_m']:.0f} m above {reference}"
+    if flight.get("take_off_m") is not None:
+        take_off = f"{flight['take_off_m']:.0f} m above {reference}, where the log begins"
+    elif flight:
+        take_off = "unknown: the log does not begin standing still"
+    place = f"{flight['lat_deg']:.3f}°, {flight['lon_deg']:.3f}°" if flight else "unknown"
+    print_labelled(
+        console,
+        [
+            ("place", place),
+            ("time", f"{begin} to {end if end[:10] != begin[:10] else end[11:]} UTC"),
+            ("clock", log["time_base"]),
+            ("heights", heights),
+            ("take-off", take_off),
+            ("messages", f"{sum(log['messages'].values()):,} of "
+             f"{count(len(log['messages']), 'type')}, {count(log['bad_bytes'], 'bad byte')}, "
+             f"{log['lost_messages']:,} lost" + (f", {boots} boots" if boots > 1 else "")),
+        ],
+    )  # fmt: skip
+    table = plain_table(("role", "channel", "rate [Hz]", "remark"), gap=2)
+    table.columns[1].justify = table.columns[3].justify = "left"
+    for row in log["roles"]:
+        remark = "; also ".join(filter(None, (row["remark"], ", ".join(row["others"]))))
+        rate = "" if row["rate_hz"] is None else f"{row['rate_hz']:.3g}"
+        table.add_row(row["role"], shown(row["channel"] or "-"), rate, shown(remark))
+    console.print()
+    print_indented(console, table)
+    table = plain_table(("channel", "samples", "rate [Hz]", "gaps", "gaps [s]"), gap=2)
+    # Names are copied into mission files: in one piece, and never cut.
+    table.columns[0].overflow = "fold"
+    for channel in log["channels"]:
+        seconds = [gap["seconds"] for gap in channel["gaps"]]
+        numbers = f"{channel['samples']:,}", f"{channel['rate_hz']:.3g}"
+        gaps = (str(len(seconds)), f"{sum(seconds):.1f}") if seconds else ("", "")
+        table.add_row(shown(channel["name"]), *numbers, *gaps)
+    console.print()
+    print_indented(console, table)
+    console.print()
+    print_ledger(console, log["ledger"])
+
+
+def print_fields(console: Console, title: str, rows: Sequence[Mapping[str, str]]) -> None:
+    """The fields of one message type of a log."""
+    console.print(f"[bold]{shown(title)}[/bold]")
+    heads = ("field", "type", "first", "lowest", "highest")
+    table = plain_table(heads, gap=2)
+    table.columns[1].justify = table.columns[2].justify = "left"
+    for row in rows:
+        table.add_row(*(shown(row.get(name, "")) for name in heads))
+    console.print(Padding(table, (1, 0, 1, 2)))

@@ -1,0 +1,134 @@
+"""What commands write where: to a terminal, a pipe, as JSON, or nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import subprocess
+import sys
+
+import pyarrow as pa
+import pytest
+
+NASTY = "nadir\x1b[31m\r\n\u202e"
+
+
+def in_terminal(*words: str, **environment: str) -> str:
+    """What `unbend` writes to a terminal of its own."""
+    master, slave = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pipeline", *words], stdin=slave, stdout=slave, stderr=slave,
+        env=dict(os.environ, TERM="xterm", COLUMNS="80") | environment,
+    )  # fmt: skip
+    os.close(slave)
+    parts = []
+    while True:
+        try:
+            part = os.read(master, 65536)
+        except OSError:  # Linux, once the process has ended
+            part = b""
+        if not part:
+            break
+        parts.append(part)
+    os.close(master)
+    process.wait()
+    return b"".join(parts).decode()
+
+
+def test_a_pipe_gets_whole_lines_without_colours(unbend, baseline, flown):
+    for words in (
+        ("run", baseline.file),
+        ("check", baseline.file),
+        ("stations", baseline.file),
+        ("inspect", flown.logs["bin"]),
+        ("profile", baseline.file),
+        ("tables", "bertram1966"),
+    ):
+        ended = unbend(*words)
+        assert ended.code == 0, ended.text
+        assert "\x1b" not in ended.out
+        assert not [line for line in ended.out.splitlines() if line != line.rstrip()]
+    lines = unbend("check", baseline.file).out.splitlines()
+    assert any(line.startswith("  note STATIONS-SIGMA") and "deg" in line for line in lines)
+
+
+def test_json_is_all_that_is_written_and_quiet_writes_nothing(unbend, baseline, flown, tmp_path):
+    manifest = json.loads((baseline.output / "manifest.json").read_text(encoding="utf-8"))
+    for words, keys in (
+        (("run", baseline.file), {"config", "output", "repeated", "exit_code", "manifest"}),
+        (("check", baseline.file), {"config", "exit_code", "lines", "manifest"}),
+        (("stations", baseline.file), {"stations", "written", "ledger", "exit_code"}),
+        (("inspect", flown.logs["bin"]), {"flight", "roles", "channels", "duration_s"}),
+        (("profile", "--atmosphere", "us1976"), {"profile", "effect", "ledger", "exit_code"}),
+        (("radial", "--atmosphere", "us1976", "--camera-height", 3000, "--ground-height", 0),
+         {"rows", "ledger"}),
+        (("angle", "--camera-height", 3000, "--ground-height", 0, "--nadir-angle", 45),
+         {"r_c_arcsec"}),
+        (("tables", "bertram1966"), {"rows", "notes"}),
+        (("verify", baseline.output), {"mission", "files", "whole"}),
+        (("export", baseline.output, "--format", "lattice-csv", "--force", "--out",
+          tmp_path / "l.csv"), {"rows", "out", "ledger"}),
+    ):  # fmt: skip
+        ended = unbend(*words, "--json")
+        content = json.loads(ended.out)
+        assert set(content[0] if isinstance(content, list) else content) >= keys, words
+        assert ended.err == ""
+        quiet = unbend(*words, "--quiet")
+        assert (quiet.out, quiet.err, quiet.code) == ("", "", ended.code), words
+    (run,) = json.loads(unbend("run", baseline.file, "--json").out)
+    assert run["manifest"] == manifest
+
+
+def test_a_refused_mission_is_in_the_json_and_on_standard_error(unbend, tmp_path):
+    ended = unbend("run", tmp_path / "none.yaml", "--json")
+    (only,) = json.loads(ended.out)
+    assert (only["exit_code"], ended.code) == (2, 2)
+    assert only["refusal"]["code"] in ended.err
+    assert unbend("run", tmp_path / "none.yaml", "--quiet").err == ended.err
+
+
+def test_names_never_steer_the_terminal(unbend, mission):
+    table = mission.measurements()
+    names = [f"{NASTY}{name}" for name in table["image"].to_pylist()]
+    mission.observe(
+        table.set_column(table.schema.get_field_index("image"), "image", pa.array(names))
+    )
+    config = mission.save()
+    for command, file in (
+        ("check", config),
+        ("stations", config),
+        ("run", config),
+        ("run", "nadir\x1b[31m\u202e.yaml"),
+    ):
+        ended = unbend(command, file)
+        assert ended.code in (2, 3, 6), ended.text
+        for mark in ("\x1b", "\r", "\u202e"):
+            assert mark not in ended.text
+        assert r"nadir\x1b[31m" in ended.text, command
+
+
+def test_h_is_help_and_bash_completes(unbend, monkeypatch):
+    for words in ([], ["run"], ["inspect"], ["export"]):
+        assert unbend(*words, "-h").out == unbend(*words, "--help").out
+    shown = unbend("--show-completion", "bash")
+    assert (shown.code, "_UNBEND_COMPLETE=complete_bash" in shown.out) == (0, True)
+    for typed, expected in (("unbend ins", "inspect"), ("unbend export x --format colm", "colmap"),
+                            ("unbend angle --method gy", "gyer1996")):  # fmt: skip
+        monkeypatch.setenv("_UNBEND_COMPLETE", "complete_bash")
+        monkeypatch.setenv("COMP_WORDS", typed)
+        monkeypatch.setenv("COMP_CWORD", str(len(typed.split()) - 1))
+        assert expected in unbend().out.split()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no pseudo-terminals")
+def test_a_terminal_is_not_left_silent(flown, tmp_path):
+    """A first run, with everything to compile: the bar says so; none of it stays."""
+    cache = str(tmp_path / "cache")
+    words = ("angle", "--camera-height", "3000", "--ground-height", "0", "--nadir-angle", "45")
+    text = in_terminal(*words, NUMBA_CACHE_DIR=cache)
+    assert "(compiling, once)" in text
+    assert "R_c    7.10" in text.split("\x1b[2K")[-1]
+    dumb = in_terminal(*words, NUMBA_CACHE_DIR=str(tmp_path / "other"), TERM="dumb")
+    assert "\x1b" not in dumb
+    assert "tracing the ray ..." in dumb
