@@ -6,6 +6,7 @@ import os
 import statistics
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from timing import seconds
@@ -96,3 +97,22 @@ def test_the_first_points_with_a_cold_cache(ratios, tmp_path):
     """More than for an angle is compiled: many functions go over the points of an exposure."""
     ratio = cold_in_compilations(FIRST_POINT, tmp_path)
     ratios.check("first 1000 points, cold, times compiling a small kernel", ratio, at_most=16.0)
+
+
+def test_the_first_answer_of_the_command_line(ratios):
+    """The help, and what a log of 1 MB holds, in times of importing numpy and pyarrow."""
+    log = Path(__file__).parents[1] / "sample_logs" / "flight.bin"
+
+    def command(*words: str) -> Callable[[], object]:
+        environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+        return lambda: subprocess.run(
+            [sys.executable, *words], check=True, env=environment, stdout=subprocess.DEVNULL
+        )
+
+    imports = command("-c", "import numpy, pyarrow")
+    for what, words, at_most in (
+        ("unbend --help", ("--help",), 2.0),
+        ("unbend inspect, 1 MB", ("inspect", str(log)), 4.0),
+    ):
+        ratio = 1.0 / ratios.of_times(command("-m", "pipeline", *words), imports)
+        ratios.check(f"{what}, times import numpy, pyarrow", ratio, at_most=at_most)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,14 +20,12 @@ def _methods() -> list[str]:
     return list(METHODS)
 
 
-def _atmospheres() -> list[str]:
-    from pipeline.atmosphere.standard import ATMOSPHERES
-
-    return list(ATMOSPHERES)
-
-
 Atmosphere = Annotated[
-    str, typer.Option(help="name of a standard atmosphere", autocompletion=_atmospheres)
+    str,
+    typer.Option(
+        help="name of a standard atmosphere",
+        autocompletion=lambda: list(import_module("pipeline.atmosphere.standard").ATMOSPHERES),
+    ),
 ]
 
 
