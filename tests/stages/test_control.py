@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -177,10 +178,11 @@ def test_the_report_has_each_point(block, tmp_path, unbend, whole_report):
     manifest = surveyed.ran()
     page = (tmp_path / "results" / "report.html").read_text(encoding="utf-8")
     assert "<h2>Control points</h2>" in page
+    page = re.sub(r"<td [^>]*>", "<td>", page)
     for point in manifest["control"]["points"]:
         cells = [f"{v:+.3f}" for v in (*point["before_m"], *point["after_m"])]
         assert f"<td>{point['point']}</td>" in page
-        assert "".join(f"<td class=n>{cell}</td>" for cell in cells) in page
+        assert "".join(f"<td>{cell}</td>" for cell in cells) in page
     rows = control_rows(manifest, 200)
     assert {len(row) for row in rows} == {len(CONTROL_HEAD)}
     assert [row[0] for row in rows[:-2]] == [p["point"] for p in manifest["control"]["points"]]
