@@ -39,10 +39,10 @@ def schema(
 )
 def explain_word(
     word: Annotated[
-        str, typer.Argument(help="a key, a code or an exit code", metavar="KEY|CODE|EXITCODE")
+        str, typer.Argument(help="a key, a code, an exit code or a status", metavar="WORD")
     ],
 ) -> None:
-    """What a key, a code or an exit code means."""
+    """What a key, a code, an exit code or a status means."""
     from pipeline.report.explanations import explain
     from pipeline.report.text.console import report_console
 

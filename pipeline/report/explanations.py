@@ -13,6 +13,8 @@ from pipeline.config.schema import mission_keys
 from pipeline.errors import ConfigError
 
 _MOST_LISTED = 8
+_NUMBERS_AND_STATUSES = {"exit": "exit code {}", "observations": "{} (status of observations)",
+                         "stations": "{} (status of stations)"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ def exit_codes() -> dict[int, Meaning]:
 
 
 def explain(word: str) -> list[str]:
-    """Lines that explain a key (whole or its last part), a code or an exit code.
+    """Lines that explain a key (whole or its last part), a code, an exit code or a status.
 
     Of several keys that end in the word each is explained, up to 8, the rest are listed. Refuses
     (ConfigError HELP-WORD) a word that is none, with the nearest ones.
@@ -50,9 +52,13 @@ def explain(word: str) -> list[str]:
     >>> explain("f_px")[:2]
     ['cameras.*.f_px', '  principal distance, where it is the same along x and y']
     """
-    of_exit = {str(code): meaning for code, meaning in exit_codes().items()}
-    if word in of_exit:
-        return [f"exit code {word}", *_lines_of(of_exit[word])]
+    of_word = [
+        line for of, text in _NUMBERS_AND_STATUSES.items() if word.lower() in _meanings()[of]
+        for line in (text.format(word.lower()),
+                     *_lines_of(Meaning(**_meanings()[of][word.lower()])))
+    ]  # fmt: skip
+    if of_word:
+        return of_word
     code = word.upper().strip(":")
     if code in codes():
         return [code, *_lines_of(codes()[code])]
@@ -69,10 +75,11 @@ def explain(word: str) -> list[str]:
     if not found:
         last = {key.path.rpartition(".")[2]: key.path for key in keys}
         near = difflib.get_close_matches(code, codes(), 3, 0.7)
+        last |= {status: status for of in _NUMBERS_AND_STATUSES for status in _meanings()[of]}
         near += difflib.get_close_matches(parts[-1], last, 3, 0.6)
         raise ConfigError(
             "HELP-WORD",
-            f"{word!r} is no key of a mission file, no code and no exit code",
+            f"{word!r} is no key of a mission file, no code, no exit code and no status",
             remedy=f"perhaps {', '.join(near)}?"
             if near
             else "`unbend schema` has all keys; codes are what the ledger and refusals begin with",

@@ -38,7 +38,7 @@ _BELOW_RAD = 0.5
 _HIGHEST_CAMERA_M = 0.25  # above an antenna, which has the sky above it, or an inertial sensor
 
 _KEYS = {
-    "unmatched": "events.log.<camera>.image, observations.columns.image",
+    "unmatched": "image under events, observations.columns.image",
     "outside_log": "log.path; time_utc, gps_week or gps_seconds of events.csv.columns; delay_s",
 }
 """Keys to look at by the status of stations."""
@@ -144,13 +144,13 @@ def cause_of_misses(facts: Facts) -> str:
 def causes_of_statuses(facts: Facts) -> dict[str, str]:
     """A likely cause of each status that flags rows, with the keys to look at."""
     lost = Counter(facts.stations.status[~facts.stations.ok].tolist())
-    lacks = {name: f"{count} are {name} ({_KEYS.get(name, 'log')})" for name, count in lost.items()}
-    column = facts.mission.ground.column
-    height = "ground.height" + (f", column {column}" if column else "")
+    lacks = {name: f"{count} {name} ({_KEYS.get(name, 'log')})" for name, count in lost.items()}
+    column, of = facts.mission.ground.column, facts.mission.observations.columns
+    height = f"column {column} is empty or no height there" if column else "no height is known"
     causes = {
         "no_station": f"of their images {', '.join(lacks.values())}",
-        "no_ground": f"no height is known of their points ({height})",
-        "bad_measurement": "x_px or y_px is no number (observations.columns)",
+        "no_ground": f"{height} (ground.height)",
+        "bad_measurement": f"{of.x_px} or {of.y_px} is empty or no number (observations.columns)",
         "outside_profile": "their rays leave the profile of the air (ground.height)",
         "beyond_grazing": "their rays graze the ground (angles of mount)",
     }

@@ -16,7 +16,7 @@ from pipeline.refraction.ray import rays_by
 from pipeline.report.summary import control_sentence, effect_lines
 from pipeline.stages.correction import correct_batch
 from pipeline.stages.ground.ground_heights import GroundHeights
-from pipeline.stages.plausibility import Facts, causes_of_statuses
+from pipeline.stages.plausibility import Facts
 from pipeline.stages.statistics import evenly_spaced
 from pipeline.stages.story import CorrectedMission
 from pipeline.tables.geodata.geoid import package_geoid
@@ -68,9 +68,7 @@ def rehearsal_lines(checked: CorrectedMission) -> list[tuple[str, str]]:
         name: _span(np.degrees(facts.of_camera(name, facts.nadir_angle_rad)), 2)
         for name in facts.cameras
     }
-    status = {k: n for k, n in checked.statistics.status.items() if n}
-    causes = causes_of_statuses(facts)
-    rows = (f"{n:,} {k}" + (f" ({causes[k]})" if k in causes else "") for k, n in status.items())
+    rows = (f"{n:,} {k}" for k, n in checked.statistics.status.items() if n)
     taken = "unknown" if home is None else f"{home.h_msl_m:.0f} m"
     above, control = facts.camera_height_m - facts.rows.h_g_m, control_sentence(checked.manifest)
     return [

@@ -16,7 +16,7 @@ from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Corrections
 from pipeline.refraction.statistics import DISTRIBUTIONS, Distribution, ShiftGrid, ShiftStatistics
-from pipeline.refraction.status_codes import STATUS_NAMES
+from pipeline.refraction.status_codes import OK, STATUS_NAMES
 from pipeline.tables.observations import Batch
 from pipeline.units import Array, round_step
 
@@ -81,6 +81,7 @@ class SampledRows(NamedTuple):
 class Statistics:
     """Counts of observations, and how large the corrections were in each camera.
 
+    ``examples`` : of each status but ok, its first images and points in the order of the rows.
     ``ground_m`` : the lowest and the highest ground that was used.
     ``air_variance`` : of all corrections by the air, and ``by_mode`` the squares of their
     derivatives by the parameter of the leading mode [px2].
@@ -92,6 +93,7 @@ class Statistics:
     rows: int = 0
     parts: int = 0
     status: dict[str, int] = field(default_factory=dict)
+    examples: dict[str, list[str]] = field(default_factory=dict)
     no_distance: int = 0
     no_sigma: int = 0
     no_point: int = 0
@@ -105,7 +107,7 @@ class Statistics:
     @classmethod
     def of(cls, cameras: Mapping[str, Camera]) -> Statistics:
         """Those of no observations."""
-        grids = {n: ShiftGrid(c.width_px, c.height_px) for n, c in cameras.items()}
+        grids = {name: ShiftGrid(of.width_px, of.height_px) for name, of in cameras.items()}
         return cls({name: ShiftStatistics(grid) for name, grid in grids.items()})
 
     def add(self, batch: Batch, corrections: Corrections, camera: NDArray[np.int64]) -> None:
@@ -125,6 +127,13 @@ class Statistics:
         counts = np.bincount(corrections.status, batch.weight, minlength=len(STATUS_NAMES))
         for name, count in zip(STATUS_NAMES, counts.tolist(), strict=True):
             self.status[name] = self.status.get(name, 0) + round(count)
+        places = np.arange(batch.first_row, batch.first_row + len(batch))
+        places = places if batch.numbers is None else batch.numbers
+        for code in np.unique(corrections.status[corrections.status != OK]).tolist():
+            first = np.flatnonzero(corrections.status == code)[:3].tolist()
+            self.examples[STATUS_NAMES[code]] = [
+                f"{batch.image[k]} {batch.point[k].as_py() or f'(row {places[k]})'}" for k in first
+            ]
         for number, shift_statistics in enumerate(self.shifts.values()):
             rows = camera == number
             if bool(rows.all()):
@@ -138,29 +147,23 @@ class Statistics:
 
     def merge(self, other: Statistics) -> None:
         """Add the counts of another part."""
-        self.rows += other.rows
-        self.no_distance += other.no_distance
-        self.no_sigma += other.no_sigma
-        self.no_point += other.no_point
-        self.implausible_heights += other.implausible_heights
+        for name in ("rows", "no_distance", "no_sigma", "no_point", "implausible_heights", "parts",
+                     "air_variance", "by_mode", "sampled", "cabin_share"):  # fmt: skip
+            setattr(self, name, getattr(self, name) + getattr(other, name))
         (low, high), (other_low, other_high) = self.ground_m, other.ground_m
         self.ground_m = min(low, other_low), max(high, other_high)
-        self.air_variance += other.air_variance
-        self.by_mode += other.by_mode
-        self.sampled += other.sampled
-        self.cabin_share += other.cabin_share
-        self.parts += other.parts
         for name, count in other.status.items():
             self.status[name] = self.status.get(name, 0) + count
+        for name, texts in other.examples.items():
+            self.examples[name] = (self.examples.get(name, []) + texts)[:3]
         for name, shift_statistics in other.shifts.items():
             self.shifts[name].merge(shift_statistics)
 
     def correction(self) -> dict[str, Any]:
         """How large the correction was, over all and camera by camera, for the manifest."""
+        parts = [of.distributions() for of in self.shifts.values()]
         together = {
-            name: sum(
-                (e.distributions()[name] for e in self.shifts.values()), Distribution()
-            ).summary()
+            name: sum((of[name] for of in parts), Distribution()).summary()
             for name in DISTRIBUTIONS
         }
         of_cameras = {n: e.summary() | e.figures() for n, e in self.shifts.items()}
@@ -173,7 +176,7 @@ class Statistics:
         From the rows that stand for all, at the scale of each one's shift; ``all`` is the root of
         the sum of the squares of the parts that are known.
         """
-        rows, budget = self.sampled_rows(), {}
+        rows, budget, quantiles = self.sampled_rows(), {}, {"median": 0.5, "p95": 0.95}
         with np.errstate(divide="ignore", invalid="ignore"):
             metres_per_px = rows.shift_ground_m / rows.shift_px
         together = np.sqrt(np.nansum(rows.sigma_px**2, axis=1))
@@ -183,9 +186,7 @@ class Statistics:
             of = camera[rows.station] == number
             budget[name] = {
                 part: {
-                    unit: weighted_quantiles(
-                        values[of], rows.weight[of], {"median": 0.5, "p95": 0.95}
-                    )
+                    unit: weighted_quantiles(values[of], rows.weight[of], quantiles)
                     for unit, values in (("px", sigma), ("m", sigma * metres_per_px))
                 }
                 for part, sigma in parts.items()
@@ -218,12 +219,9 @@ class Statistics:
         return median | {
             "lowest_m": round(low, 2),
             "highest_m": round(high, 2),
-            "histogram": {
-                "first_m": round(first * step, 6),
-                "step": step,
-                "counts": np.round(counts).astype(np.int64).tolist(),
-            },
-        }
+            "histogram": {"first_m": round(first * step, 6), "step": step,
+                          "counts": np.round(counts).astype(np.int64).tolist()},
+        }  # fmt: skip
 
     def report_flagged(self, ledger: Ledger, causes: Mapping[str, str]) -> None:
         """A ledger entry for each reason why observations were not corrected.
@@ -231,13 +229,10 @@ class Statistics:
         ``causes`` by status: what likely led to it.
         """
         if self.no_distance:
-            ledger.warning(
-                "OBS-DISTANCE",
-                f"{self.no_distance} slant ranges are zero, negative, infinite or no number: taken "
-                "as absent",
-                where="observations.columns.distance_m",
-                count=self.no_distance,
-            )
+            text = "slant ranges are zero, negative, infinite or no number: taken as absent"
+            ledger.warning("OBS-DISTANCE", f"{self.no_distance} {text}",
+                           where="observations.columns.distance_m",
+                           count=self.no_distance)  # fmt: skip
         if self.no_sigma:
             text = (
                 f"{self.no_sigma} standard deviations of ground heights are negative, infinite or "
@@ -251,19 +246,17 @@ class Statistics:
             )
             ledger.loss("POINTS-MISSING", text, where="ground.height.points", count=self.no_point)
         if self.implausible_heights:
-            ledger.loss(
-                "OBS-GROUND-RANGE",
-                f"{self.implausible_heights} heights of points are below {LOWEST_GROUND_M:.0f} or "
-                f"above {HIGHEST_GROUND_M:.0f} m, where no ground is: taken as unknown, their "
-                "points are no_ground",
-                where="ground.height",
-                count=self.implausible_heights,
-            )
+            text = f"heights of points are below {LOWEST_GROUND_M:.0f} or above "
+            text += f"{HIGHEST_GROUND_M:.0f} m, where no ground is: taken as unknown, their points "
+            ledger.loss("OBS-GROUND-RANGE", f"{self.implausible_heights} {text}are no_ground",
+                        where="ground.height", count=self.implausible_heights)  # fmt: skip
         for name, count in self.status.items():
             what = f"{count} of {self.rows} observations are {name}"
+            texts = self.examples.get(name, [])
             if name == "ok" or count == 0:
                 continue
             what += f": {causes[name]}" if causes.get(name) else ""
+            what += f"; first {', '.join(texts)}" if texts else ""
             if name == "beyond_grazing":
                 ledger.loss("OBS-BEYOND-GRAZING", what + "; near branch used", count=count)
             elif name == "several_crossings":

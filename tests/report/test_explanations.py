@@ -10,6 +10,7 @@ import pytest
 
 from pipeline.config.schema import mission_keys, mission_schema
 from pipeline.errors import ConfigError
+from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.report.explanations import codes, explain
 
 
@@ -50,6 +51,11 @@ def test_a_typo_gets_the_nearest_names(typo, meant):
         explain(typo)
     assert caught.value.code == "HELP-WORD"
     assert meant in caught.value.remedy
+
+
+def test_every_status_is_found():
+    for status in (*STATUS_NAMES[1:], "unmatched", "in_gap", "height_reference_unknown"):
+        assert explain(status)[0].startswith(f"{status} (status of ")
 
 
 def test_the_commands(tmp_path):

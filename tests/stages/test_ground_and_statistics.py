@@ -109,13 +109,17 @@ def counted(**counts: object) -> Statistics:
 
 def test_the_counts_of_two_parts_are_added():
     total = counted(rows=10, parts=1, no_distance=1, no_sigma=2, implausible_heights=3,
-                    status={"ok": 6, "no_ground": 4}, air_variance=0.25, by_mode=2.0)  # fmt: skip
+                    status={"ok": 6, "no_ground": 4},
+                    examples={"no_ground": ["a 1", "a 2"]},
+                    air_variance=0.25, by_mode=2.0)  # fmt: skip
     total.merge(counted(rows=5, parts=1, no_distance=10, no_sigma=20, implausible_heights=30,
-                        status={"ok": 4, "no_station": 1}, air_variance=0.5,
+                        status={"ok": 4, "no_station": 1},
+                        examples={"no_ground": ["b 1", "b 2"]}, air_variance=0.5,
                         by_mode=1.0))  # fmt: skip
     assert (total.rows, total.parts) == (15, 2)
     assert (total.no_distance, total.no_sigma, total.implausible_heights) == (11, 22, 33)
     assert total.status == {"ok": 10, "no_ground": 4, "no_station": 1}
+    assert total.examples == {"no_ground": ["a 1", "a 2", "b 1"]}
     assert (total.air_variance, total.by_mode) == (0.75, 3.0)
 
 

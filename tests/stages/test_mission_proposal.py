@@ -282,3 +282,12 @@ def test_a_flight_of_two_cameras_runs_once_the_questions_are_answered(unbend, tm
     assert ended.code in (0, 3), ended.text
     assert "PLAUSIBLE" not in ended.text
     assert "no_station" not in ended.text
+
+
+def test_one_stray_name_does_not_hide_that_the_others_count_as_the_log():
+    log = FoundLog(events=(channel("CAM[0]", [*range(1, 29)]),))
+    (camera,) = proposed_cameras(log, (*names("a_", range(1, 29)), "a_9999.tif"))
+    assert camera.image.value == '"a_{index:04d}.tif"'
+    assert camera.image.remark.endswith("1 to 28; not a_9999.tif")
+    (camera,) = proposed_cameras(log, names("a_", range(1, 30)))  # an event may be lost
+    assert camera.image.value == '"a_*.tif"'

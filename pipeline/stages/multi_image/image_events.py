@@ -22,6 +22,7 @@ from pipeline.geodesy import principal_radii
 from pipeline.ledger import Ledger, Notes, loss, note, warning
 from pipeline.refraction.camera.camera import Camera
 from pipeline.stages.exposure_setup import cameras_of_mission
+from pipeline.stages.proposal.name_series import name_series
 from pipeline.tables.imports.exif import NO_TIME, ImageTimes, read_image_times
 from pipeline.tables.observations import Observations
 from pipeline.tables.tie_points import TiePoints, tie_rays
@@ -326,16 +327,18 @@ def assigned_events(
                 "*, and the evidence decides",
             )
         event = np.where(undecided, -1, event_by_name)
-    reason = ""
-    if exposed.counts == "maybe" or not by_index:
-        reason = "" if by_index else assignment.reason
-        reason = reason or hole_between(assignment, images, exposed, likelihoods)
-    if reason:
+    reason, hole = "" if by_index else assignment.reason, ""
+    if not reason and (exposed.counts == "maybe" or not by_index):
+        hole = hole_between(assignment, images, exposed, likelihoods)
+    if reason or hole:
+        what = "which image belongs to which event is not decided"
+        what = what if reason else "a part of the images, not all, may be shifted"
+        strays, mend = beside_the_log(images, exposed)
         raise MissionError(
             "EVENTS-AMBIGUOUS",
-            f"which image belongs to which event is not decided: {reason}. {description}",
+            f"{strays}{what}: {reason or hole}. {description}",
             where=where,
-            remedy=f"state one under events.first_image.{exposed.camera}, as {{image: "
+            remedy=f"{mend}state one under events.first_image.{exposed.camera}, as {{image: "
             f"{images.name[0]}, event: 1}}; or give the images' times under events.images",
         )
     entries = [note("EVENTS-ASSIGNED", description, where=where, count=int((event >= 0).sum()))]
@@ -379,7 +382,9 @@ def hole_between(
         return ""
     lost = last > m or (exposed.lost > 0 and not likelihoods)
     if lost and "first_image" not in assignment.evidence:
-        return f"{m} events for images counted up to {last}: some were lost"
+        if images.numbering == "counted":
+            return f"{m} events for images counted up to {last}: some were lost"
+        return f"{m} events for {count} images, and nothing shows where the log lacks one"
     if not likelihoods:
         return ""
     whole = images.number + int(np.median((event - images.number)[event >= 0]))
@@ -406,6 +411,20 @@ def hole_between(
                 ):
                     return f"one is missing near {images.name[order[k]]}"
     return ""
+
+
+def beside_the_log(images: CameraImages, exposed: Events) -> tuple[str, str]:
+    """Few names that do not fit, where the others may be the log's numbers, and what to do."""
+    series, index = name_series(images.name)[0], exposed.index
+    far = () if index is None else series.strays(index.tolist())
+    if index is None or not far or len(series.numbers) != images.name.size:
+        return "", ""
+    return (
+        f"{images.name.size} images, {index.size} events: {series.listed(far)} does not fit, the "
+        f"other names may be the log's numbers {index.min()} to {index.max()}; ",
+        f"write events.log.{exposed.camera}.image: {series.pattern('index')} if these are the "
+        "log's numbers, or correct the name in the observations; or ",
+    )
 
 
 def anchor_rows(

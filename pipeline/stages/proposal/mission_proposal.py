@@ -283,10 +283,15 @@ def proposed_cameras(
         counts = {"index": index, "n": {c: range(1, len(own) + 1) for c, own in index.items()}}
         fitting = {by: [c for c in of if one is not None and one.counts_as(of[c])]
                    for by, of in counts.items()}  # fmt: skip
+        beside = {c: one.strays(own) for c, own in index.items()} if one is not None else {}
+        if not any(fitting.values()):
+            fitting["index"] = [c for c, far in beside.items() if far]
         by = next((by for by, found in fitting.items() if found), "*")
         fits = fitting.get(by, [])
         others = [s for s in series if s is not one]
-        rivals = any(s.counts_as(counts[by][c]) for s in others for c in fits)
+        rivals = any(
+            s.counts_as(counts[by][c]) or s.strays(counts[by][c]) for s in others for c in fits
+        )
         channel = image = None
         if one is None and count == len(events):
             channel = Proposed("channel", yaml_text(events[number].name))
@@ -299,8 +304,10 @@ def proposed_cameras(
             remark = "names of its images; {index} is the log's number, as in IMG_{index:04d}.JPG"
             image = Proposed("image", TODO, remark)
         elif events and one is not None and fits:
-            first, last = one.numbers[0], one.numbers[-1]
-            remark = f"guessed: {len(one.numbers)} images count as the log does, {first} to {last}"
+            far = beside[fits[0]]
+            like = [number for number in one.numbers if number not in far]
+            remark = f"guessed: {len(like)} images count as the log does, {like[0]} to {like[-1]}"
+            remark += f"; not {one.listed(far)}" * bool(far)
         elif events and one is not None:
             by_log = f"; or {one.pattern('index')}, if these are the log's numbers"
             remark = f"numbers and tie points assign {len(one.numbers)} images"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 _MOST_SERIES = 12
 _OF_ANY_CAMERA = {"dsc", "dscf", "img", "image", "dji", "photo", "p", "pic", "frame", "cap", ""}
@@ -54,6 +54,22 @@ class NameSeries:
         if not (self.has_number and once and mine and mine <= of_log):
             return False
         return min(mine) == min(of_log) and max(mine) == max(of_log)
+
+    def listed(self, numbers: tuple[int, ...]) -> str:
+        """The names of images, the first three of them; ``*`` where other digits differ."""
+        names = [self.pattern("index").format(index=number) for number in numbers[:3]]
+        return ", ".join(names) + " ..." * (len(numbers) > 3)
+
+    def strays(self, index: Collection[int]) -> tuple[int, ...]:
+        """Few numbers far from a log's, beside which all others may be the log's; else none.
+
+        Numbers that go on where the log's end (1 to 29 for 28 events) rather show a lost event.
+        """
+        first, last = min(index, default=0), max(index, default=0)
+        reach = last - first + 1
+        far = tuple(n for n in self.numbers if not first - reach <= n <= last + reach)
+        rest = replace(self, numbers=tuple(n for n in self.numbers if n not in far))
+        return far if 10 * len(far) <= len(self.numbers) and rest.counts_as(index) else ()
 
 
 def name_series(names: Iterable[str]) -> list[NameSeries]:
