@@ -146,8 +146,12 @@ def undulation_notes(heights: HeightSystem, stations: Stations, egm96: GeoidGrid
     if not bool(known.any()):
         return tuple(notes)
     used, of_egm = used[known], egm96.undulation(lat, lon)[known]
-    span, size = f"{used.min():.2f} to {used.max():.2f} m", int(used.size)
-    what = f"undulation of {span}, by {heights.source}"
+    there, size = used, int(used.size)
+    if heights.source.startswith("the two heights"):
+        own, where = stations.h_ellipsoid_m - stations.h_msl_m, "log.channels.height"
+        there = np.where(np.isfinite(own[placed][known]), own[placed][known], used)
+    ends = dict.fromkeys(f"{h:.2f}" for h in (there.min(), there.max()))
+    what = f"undulation of {' to '.join(ends)} m, by {heights.source}"
     notes.append(note("HEIGHT-UNDULATION", what, where=where, count=size))
     off, other = float(np.median(used - of_egm)), float(np.median(-used - of_egm))
     if abs(off) > USUAL_GEOID_M:

@@ -20,6 +20,13 @@ SCHEDULE_TEMPERATURE_K = 294.26  # 70 F
 SCHEDULE_PRESSURE_PA = 701.2 * HECTOPASCAL  # of 3 km pressure altitude
 SCHEDULE_CEILING_M = 10_000.0  # Table 7 ends here
 
+SIGMA_BAROMETER_PA = 3.0 * HECTOPASCAL
+"""Of a barometer that nobody calibrated; and of a vented cabin against the air outside, which the
+alternate static sources of light aircraft show (some 25 m of height)."""
+
+SIGMA_THERMOMETER_K = 1.0
+"""Of a thermometer in the cabin that nobody calibrated, against the air before the window."""
+
 
 UNKNOWN = float("nan")
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.refractive_index import vapour_pressure
-from pipeline.flight.stations import NO_TIME, SUSPECT, Stations
+from pipeline.flight.stations import NO_TIME, SUSPECT, UNMATCHED, Stations
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.kernels.columns import TILE
@@ -116,7 +116,7 @@ def flown_of(
     """What a page shows of a flight; ``ground_m`` (s,) below each station, NaN for the median."""
     if np.isfinite(ground_m).any():
         ground_m = np.where(np.isfinite(ground_m), ground_m, np.nanmedian(ground_m))
-    suspect = stations.status == SUSPECT
+    suspect, exposed = stations.status == SUSPECT, stations.status != UNMATCHED
     shown_as = np.where(suspect, "suspect", np.where(stations.ok, "ok", "unusable"))
     flagged = np.flatnonzero(shown_as != "ok")
     rows = np.union1d(
@@ -139,11 +139,8 @@ def flown_of(
     everything = everything[np.isfinite(everything).all(axis=1)]
     limits = None
     if everything.size:
-        (west, south), (east, north) = (
-            everything.min(axis=0).tolist(),
-            everything.max(axis=0).tolist(),
-        )
-        limits = west, east, south, north
+        low, high = everything.min(axis=0).tolist(), everything.max(axis=0).tolist()
+        limits = low[0], high[0], low[1], high[1]
     heights = np.concatenate([stations.h_msl_m, ground_m])
     shown = {
             "image": stations.image[rows], "time_ns": stations.time_ns[rows],
@@ -153,7 +150,7 @@ def flown_of(
     }  # fmt: skip
     return Flown(
         shown,
-        {name: int((shown_as == name).sum()) for name in ("ok", "suspect", "unusable")},
+        {name: int((exposed & (shown_as == name)).sum()) for name in ("ok", "suspect", "unusable")},
         {"time_ns": time_ns, "lat_deg": places[0] / DEGREE, "lon_deg": track_lon,
          "h_msl_m": places[2]},
         {name: corners[whole & (stations.camera[drawn] == name)] for name in cameras},

@@ -182,7 +182,8 @@ def not_included(manifest: Mapping[str, Any]) -> list[str]:
     if without_lens:
         lines.append(
             f"The principal distance of {', '.join(without_lens)} changes with the air in the lens "
-            f"(130 to 310 ppm at 6 km on a 153 mm lens, as much as refraction itself): {remains}."
+            f"(130 to 310 ppm at 6 km on a 153 mm lens, about in proportion to the height; as much "
+            f"as refraction itself): {remains}."
         )
     if behind_glass:
         lines.append(

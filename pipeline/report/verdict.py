@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from pipeline.refraction.window import SIGMA_BAROMETER_PA, SIGMA_THERMOMETER_K
 from pipeline.report.words import count, length, pixels
+from pipeline.units import HECTOPASCAL
 
 LARGEST_CABIN_SHARE = 0.02
 """From this standard deviation on, as a share of R, the air in the cabin is in the verdict."""
@@ -20,6 +22,12 @@ _OF_ROWS = (
 """Losses of single rows, which have no corrected coordinates: counted apart."""
 
 _OF_SUSPECTS = ("STATIONS-SUSPECT", "STATIONS-HEIGHT", "ORIENTATION-FAR", "ORIENTATION-UP")
+_OF_USUAL_CABINS = ("CABIN-BOARD", "CABIN-TEMPERATURE")
+_ASSUMED = {
+    "sigma_pressure_hpa":
+        ("pressure", ("log", "ambient"), f"{SIGMA_BAROMETER_PA / HECTOPASCAL:g} hPa"),
+    "sigma_temperature_k": ("temperature_c", ("log", None), f"{SIGMA_THERMOMETER_K:g} K"),
+}  # fmt: skip
 _UNMEASURED = {"climatology": "a climatology stands for it", "standard": "a standard stands for it"}
 
 
@@ -67,7 +75,8 @@ def verdict(manifest: Mapping[str, Any]) -> str:
     else:
         without = "" if done == rows else f" without the other {count(rows - done, 'row')}"
         sentences.append(
-            f"Ready for adjustment{without}: switch its own refraction correction off."
+            f"Ready for adjustment{without}: switch the refraction correction off in the "
+            "adjustment program, where it has one."
         )
     return " ".join(sentences)
 
@@ -93,8 +102,8 @@ def next_steps(manifest: Mapping[str, Any]) -> list[str]:
     else:
         steps += [
             f"{adjust} x_corrected_px, y_corrected_px, or write them for a program: unbend export.",
-            "Switch the refraction correction off in the adjustment: nothing may be corrected "
-            "twice.",
+            "Switch the refraction correction off in the adjustment program, where it has one: "
+            "nothing may be corrected twice.",
         ]
     return steps
 
@@ -162,6 +171,27 @@ def _limits(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
             text += f", the air outside by{sigma.replace(' ±', '')}"
             if cabin > air["scale_sigma"]:
                 text += ": the cabin, not the air, limits the result"
-        step = "Measure the air in the cabin, or state it: cameras.<name>.window.cabin."
-        limits.append((f"{text}.", step))
+        limits.append((f"{text}.", _cabin_step(manifest)))
     return limits
+
+
+def _cabin_step(manifest: Mapping[str, Any]) -> str:
+    """Which air in the cabins to measure, or which of the errors assumed of it to state."""
+    cameras = manifest["config"]["cameras"].items()
+    windows = {name: camera["window"] for name, camera in cameras if camera["window"]}
+    cabins = {name: w["cabin"] for name, w in windows.items() if w["shape"] == "plane"}
+    of = [e["where"] for e in manifest["ledger"] if e["code"] in _OF_USUAL_CABINS]
+    usual = [n for n, c in cabins.items() if c == "standard_schedule" or f"camera {n}" in of]
+    keys = ", ".join(f"cameras.{name}.window.cabin" for name in usual or cabins)
+    if usual:
+        return f"Measure the air in the cabin, or state it: {keys}."
+    assumed = {
+        sigma: value for sigma, (quantity, sources, value) in _ASSUMED.items()
+        if any(c == "log" or (c[quantity] in sources and c[sigma] is None) for c in cabins.values())
+    }  # fmt: skip
+    if not assumed:
+        return f"To correct better, know the air in the cabin better than stated: {keys}."
+    return (
+        f"The assumed errors of the cabin's sensors ({', '.join(assumed.values())}) limit the "
+        f"result: if yours are better, give {', '.join(assumed)} ({keys})."
+    )

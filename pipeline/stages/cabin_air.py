@@ -22,6 +22,8 @@ from pipeline.refraction.camera.camera import LensInAir
 from pipeline.refraction.window import (
     SCHEDULE_CEILING_M,
     SCHEDULE_TEMPERATURE_K,
+    SIGMA_BAROMETER_PA,
+    SIGMA_THERMOMETER_K,
     Cabin,
     Window,
     scheduled_pressure,
@@ -35,13 +37,6 @@ SIGMA_PRESSURISED_K, SIGMA_AMBIENT_K = 5.0, 10.0
 PRESSURISED_PA = 20.0 * HECTOPASCAL
 """A cabin with so much more pressure than the air outside is pressurised."""
 
-SIGMA_BAROMETER_PA = 3.0 * HECTOPASCAL
-"""Of a barometer that nobody calibrated; and of a vented cabin against the air outside, which the
-alternate static sources of light aircraft show (some 25 m of height)."""
-
-SIGMA_THERMOMETER_K = 1.0
-"""Of a thermometer in the cabin that nobody calibrated, against the air before the window."""
-
 BOARD_WARMER_K, SIGMA_BOARD_K = 10.0, 6.0
 """A barometer's board against the air about it: 0 to 20 K warmer in autopilots and their simulator,
 evenly spread (standard deviation 5.8 K); the same 10 K as `atmosphere.estimate.readings` has."""
@@ -54,12 +49,9 @@ _COLUMNS = (
 
 
 def cabin_from_log(
-    stations: Stations,
-    camera: str,
-    cabin: Cabin,
-    channels: Iterable[Channel] = (),
+    stations: Stations, camera: str, cabin: Cabin, channels: Iterable[Channel] = (),
     roles: Mapping[str, Channel] | None = None,
-) -> tuple[Stations, Notes]:
+) -> tuple[Stations, Notes]:  # fmt: skip
     """Stations of a camera with what the log has of its cabin, and what it lacks.
 
     Exposures without the pressure that is to come from the log become suspect (CABIN-MISSING). A
@@ -119,12 +111,9 @@ def cabin_from_log(
 
 
 def _pressurised_after_all(
-    stations: Stations,
-    of_camera: Mask,
-    camera: str,
-    channels: Iterable[Channel],
+    stations: Stations, of_camera: Mask, camera: str, channels: Iterable[Channel],
     roles: Mapping[str, Channel],
-) -> Notes:
+) -> Notes:  # fmt: skip
     """A warning where a barometer of the log has much more pressure than the air outside."""
     outside = roles.get("pressure")
     for channel in channels:
@@ -145,12 +134,9 @@ def _pressurised_after_all(
 
 
 def with_cabin_air(
-    stations: Stations,
-    windows: Mapping[str, Window],
-    lenses: Iterable[str],
-    profile: Profile | ProfileSeries,
-    ledger: Ledger,
-) -> Stations:
+    stations: Stations, windows: Mapping[str, Window], lenses: Iterable[str],
+    profile: Profile | ProfileSeries, ledger: Ledger,
+) -> Stations:  # fmt: skip
     """Stations with the air in the cabins of those cameras that it matters to, and its sigmas.
 
     It matters behind a plane window and, behind any, to a lens of which the mission file says how

@@ -230,9 +230,9 @@ def refuse_output(run: Path, out: Path, *, force: bool) -> None:
         raise ConfigError(
             "EXPORT-EXISTS",
             "there is a folder of that name" if out.is_dir() else "the file is there already",
-            where=str(out),
-            remedy="choose another name" + ("" if out.is_dir() else ", or replace it: --force"),
-        )
+            where=str(out), remedy="choose another name, or "
+            + ("delete it: --force replaces files only" if out.is_dir() else "replace it: --force"),
+        )  # fmt: skip
 
 
 def rebuild_run(
@@ -244,20 +244,17 @@ def rebuild_run(
     """
     if ground_height_m is not None and not LOWEST_GROUND_M <= ground_height_m <= HIGHEST_GROUND_M:
         raise ConfigError(
-            "EXPORT-GROUND",
-            f"{ground_height_m:g} m is no ground height ({LOWEST_GROUND_M:g} to "
-            f"{HIGHEST_GROUND_M:g} m)",
-            where="--ground-height",
+            "EXPORT-GROUND", f"{ground_height_m:g} m is no ground height ({LOWEST_GROUND_M:g} to "
+            f"{HIGHEST_GROUND_M:g} m)", where="--ground-height",
             remedy="give it in metres above sea level",
-        )
+        )  # fmt: skip
     mission = mission_of(manifest, path)
     if mission.refraction.direction != "remove":
         raise ConfigError(
-            "EXPORT-DIRECTION",
-            "the run displaced ideal observations; there is no correction to export",
-            where=f"{path / 'manifest.json'}, refraction.direction",
+            "EXPORT-DIRECTION", "the run displaced ideal observations; there is no correction to "
+            "export", where=f"{path / 'manifest.json'}, refraction.direction",
             remedy="export from a run that removes refraction",
-        )
+        )  # fmt: skip
     table = pq.read_table(path / "stations.parquet")
     stations = stations_of(table)
     air = air_of(pq.read_table(path / "profile.parquet"), table["profile_id"])

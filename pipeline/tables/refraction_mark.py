@@ -66,13 +66,12 @@ def refuse_marked(path: Path, direction: Direction = "remove") -> None:
             raise _corrected(f"its table {MARK_TABLE} says so", file)
         if file.name in by_name:
             raise InputError(
-                "OBS-MARK-CHANGED",
-                f"refraction was removed from it, says {by_name[file.name].name}, but its content "
-                "has changed since",
-                where=str(file),
-                remedy="if it holds measurements as they came from the images, give it another "
-                "name or delete the sidecar; otherwise give such measurements",
-            )
+                "OBS-MARK-CHANGED", f"refraction was removed from it, says "
+                f"{by_name[file.name].name}, but its content has changed since", where=str(file),
+                remedy="a model that another program adjusted from an export is still corrected: "
+                "do not use it; if it holds measurements as they came from the images, move the "
+                "sidecar away",
+            )  # fmt: skip
 
 
 def refuse_done(path: Path, schema: pa.Schema, direction: Direction) -> None:

@@ -11,7 +11,8 @@ import pytest
 
 from pipeline.report.verdict import next_steps, verdict
 
-READY = "Ready for adjustment: switch its own refraction correction off."
+OFF = "switch the refraction correction off in the adjustment program, where it has one."
+READY = f"Ready for adjustment: {OFF}"
 LOOK = "Not to be used before a look at "
 
 
@@ -54,7 +55,8 @@ def test_all_corrected(baseline):
     assert text.endswith(READY)
     steps = next_steps(manifest)
     assert steps[-1] == (
-        "Switch the refraction correction off in the adjustment: nothing may be corrected twice."
+        "Switch the refraction correction off in the adjustment program, where it has one: "
+        "nothing may be corrected twice."
     )
     assert not any("suspect" in step or "Leave out" in step for step in steps)
 
@@ -67,9 +69,7 @@ def test_some_flagged_and_none_corrected(mission, plain_report):
     with_heights(mission, no_first_two)
     _, text, steps = ran(mission, 3)
     assert text.startswith("57 of 59 observations were corrected; ")
-    assert text.endswith(
-        "Ready for adjustment without the other 2 rows: switch its own refraction correction off."
-    )
+    assert text.endswith(f"Ready for adjustment without the other 2 rows: {OFF}")
     assert steps.startswith("Leave out 2 rows without new coordinates (2 no_ground);")
     with_heights(mission, lambda h: h + np.nan)
     _, text, steps = ran(mission, 3)
@@ -140,7 +140,37 @@ def test_the_cabin_is_in_it_from_two_percent_on(baseline, cabin, air, end):
         assert "cabin" not in text
     else:
         assert f"The air in the cabin is uncertain {end} Ready" in text
-        assert any("cameras.<name>.window.cabin" in step for step in next_steps(manifest))
+        assert (
+            "The assumed errors of the cabin's sensors (3 hPa, 1 K) limit the result: if yours are "
+            "better, give sigma_pressure_hpa, sigma_temperature_k (cameras.nadir.window.cabin, "
+            "cameras.oblique.window.cabin)."
+        ) in next_steps(manifest)
+
+
+def test_the_cabin_is_to_be_measured_only_where_it_was_not(baseline):
+    manifest = copy.deepcopy(manifest_of(baseline))
+    manifest["cabin_sigma_share"]["median"] = 0.05
+
+    def step() -> str:
+        (found,) = [step for step in next_steps(manifest) if "window.cabin" in step]
+        return found
+
+    windows = {name: c["window"] for name, c in manifest["config"]["cameras"].items()}
+    windows["nadir"]["cabin"] = "standard_schedule"
+    asked = "Measure the air in the cabin, or state it: cameras.nadir.window.cabin."
+    assert step() == asked
+    windows["nadir"]["cabin"] = stated = {
+        "pressure": "log", "pressure_hpa": None, "temperature_c": None, "relative_humidity": None,
+        "sigma_pressure_hpa": 1.0, "sigma_temperature_k": None,
+    }  # fmt: skip
+    windows["oblique"]["shape"] = "spherical"
+    assert step().startswith("The assumed errors of the cabin's sensors (1 K) limit the result: ")
+    assert step().endswith("give sigma_temperature_k (cameras.nadir.window.cabin).")
+    stated["sigma_temperature_k"] = 0.5
+    assert "better than stated" in step()
+    missing = {"kind": "fallback", "code": "CABIN-TEMPERATURE", "what": "", "where": "camera nadir"}
+    manifest["ledger"].append(missing)
+    assert step() == asked
 
 
 @pytest.mark.parametrize("kind", ["loss", "finding"])

@@ -125,7 +125,7 @@ def test_a_grid_of_the_mission_file_and_its_mistakes(mission_factory, tmp_path):
 
     grid(47.0, 47.5)
     what = entry_of(ran(mission), "HEIGHT-UNDULATION")["what"]
-    assert what == "undulation of 47.50 to 47.50 m, by national.gtx"
+    assert what == "undulation of 47.50 m, by national.gtx"
     grid(47.0, -47.5)
     assert "other sign" in entry_of(ran(mission, 3), "HEIGHT-GEOID")["what"]
     grid(49.0, 47.5)

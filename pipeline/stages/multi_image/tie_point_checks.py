@@ -193,15 +193,9 @@ def described(finding: Finding) -> str:
 
 
 def report_misses(
-    stations: Stations,
-    stated: Intersection,
-    rays: ImageRays,
-    ledger: Ledger,
-    *,
-    code: str,
-    explained: bool,
-    nearest: str,
-) -> None:
+    stations: Stations, stated: Intersection, rays: ImageRays, ledger: Ledger, *,
+    code: str, explained: bool, nearest: str,
+) -> None:  # fmt: skip
     """How far the rays of tie points miss each other; a finding where no station explains it.
 
     ``nearest`` is what would explain a part of it.
@@ -222,7 +216,7 @@ def report_misses(
     elif points:
         pixels = np.sqrt(np.nanmean(miss**2)) / float(np.median(rays.sigma_rad))
         what = f"the rays of {points} of {size} tie points miss each other by {pixels:.1f} px "
-        what += "(rms), without refraction"
+        what += "(rms) before adjustment, with the refraction of us1976 removed, not of windows"
     meets = points >= 0.5 * judged.sum() and not stated.sigma_factor > _POOR_FACTOR
     if explained or (meets and not nearest):
         ledger.note(code, what, where=where, count=size)

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.ledger import Ledger
-from pipeline.tables.exports.blocks.colmap_model import MODEL_IDS, USE, colmap_camera
+from pipeline.tables.exports.blocks.colmap_model import MODEL_IDS, USE, colmap_camera, note_cameras
 from pipeline.tables.exports.blocks.exported_block import ExportedBlock, block_of
 from pipeline.tables.exports.format import ExportFormat, FinishedRun, Values
 from pipeline.tables.imports.blocks.colmap import opened
@@ -35,6 +35,7 @@ _LARGEST_ROUNDING_PX = 0.0005
 def write_database(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
     """The database of a block; the number of keypoints."""
     block = block_of(run, ledger)
+    note_cameras(block, ledger)
     tables = rows_of_tables(block)
     unknown = int(np.isnan(block.frame.covariance_m2).any(axis=(1, 2)).sum())
     if unknown:

@@ -81,6 +81,12 @@ def colmap_camera(camera: Camera, name: str, *, simplest: bool = True) -> tuple[
     return model, [*frame, *(known.get(key, 0.0) for key in _OPENCV[:count])]
 
 
+def note_cameras(block: ExportedBlock, ledger: Ledger) -> None:
+    """Note which number each camera has."""
+    numbers = ", ".join(f"{number} {name}" for number, name in enumerate(block.cameras, 1))
+    ledger.note("EXPORT-CAMERAS", f"camera {numbers}", where="cameras", count=len(block.cameras))
+
+
 def point_ids(block: ExportedBlock, folder: Path) -> Integers:
     """(p,) numbers of points; writes points.csv with the names of those that are no numbers."""
     number = re.compile(r"[1-9][0-9]{0,17}")
@@ -96,6 +102,7 @@ def point_ids(block: ExportedBlock, folder: Path) -> Integers:
 def write_model(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> int:
     """The three files of a model and, where names are no numbers, points.csv."""
     block = block_of(run, ledger)
+    note_cameras(block, ledger)
     ids, tied, moved = point_ids(block, folder), len(block.point_m), block.moved_m
     ids[tied:] = -1
     if tied < ids.size:
