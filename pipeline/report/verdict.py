@@ -171,11 +171,11 @@ def _limits(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
             text += f", the air outside by{sigma.replace(' ±', '')}"
             if cabin > air["scale_sigma"]:
                 text += ": the cabin, not the air, limits the result"
-        limits.append((f"{text}.", _cabin_step(manifest)))
+        limits.append((f"{text}.", cabin_step(manifest)))
     return limits
 
 
-def _cabin_step(manifest: Mapping[str, Any]) -> str:
+def cabin_step(manifest: Mapping[str, Any]) -> str:
     """Which air in the cabins to measure, or which of the errors assumed of it to state."""
     cameras = manifest["config"]["cameras"].items()
     windows = {name: camera["window"] for name, camera in cameras if camera["window"]}
@@ -193,5 +193,5 @@ def _cabin_step(manifest: Mapping[str, Any]) -> str:
         return f"To correct better, know the air in the cabin better than stated: {keys}."
     return (
         f"The assumed errors of the cabin's sensors ({', '.join(assumed.values())}) limit the "
-        f"result: if yours are better, give {', '.join(assumed)} ({keys})."
+        f"result: if they are better, give {', '.join(assumed)} ({keys})."
     )

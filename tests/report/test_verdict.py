@@ -141,7 +141,7 @@ def test_the_cabin_is_in_it_from_two_percent_on(baseline, cabin, air, end):
     else:
         assert f"The air in the cabin is uncertain {end} Ready" in text
         assert (
-            "The assumed errors of the cabin's sensors (3 hPa, 1 K) limit the result: if yours are "
+            "The assumed errors of the cabin's sensors (3 hPa, 1 K) limit the result: if they are "
             "better, give sigma_pressure_hpa, sigma_temperature_k (cameras.nadir.window.cabin, "
             "cameras.oblique.window.cabin)."
         ) in next_steps(manifest)
