@@ -143,7 +143,8 @@ STEPS = [
     "Leave out 4,980 rows without new coordinates (13 no_ground, 21 misses_ground); the ledger "
     "names the causes.",
     "Then adjust x_corrected_px, y_corrected_px, or write them for a program: unbend export.",
-    "Switch the refraction correction off in the adjustment: nothing may be corrected twice.",
+    "Switch the refraction correction off in the adjustment program, where it has one: nothing may "
+    "be corrected twice.",
 ]
 CORRECTION = [
     ["", "median", "95 %", "maximum"],
