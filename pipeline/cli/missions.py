@@ -234,6 +234,9 @@ class _ExportCommand(TyperCommand):
     def get_params(self, ctx: Any) -> list[Any]:
         own = len(self.params)
         params = super().get_params(ctx)
+        quiet = not {"-q", "--quiet"}.isdisjoint(sys.argv)
+        with Answer(quiet=quiet, as_json="--json" in sys.argv).progress("loading"):
+            _format_parameters()
         return [*params[:own], *_format_parameters(), *params[own:]]
 
     def invoke(self, ctx: Any) -> Any:
