@@ -46,10 +46,10 @@ def verdict(manifest: Mapping[str, Any]) -> str:
     done, shift = correction["shift_px"]["count"], correction["shift_px"]["maximum"]
     applied, metres = is_applied(manifest), correction["shift_ground_m"]["maximum"]
     verb = "displaced" if applied else "corrected"
-    doubts = [doubt for doubt, _ in _doubts(manifest)]
+    concerns = [what for what, _ in _concerns(manifest)]
     if not done:
         sentences = [f"None of {count(rows, 'observation')} could be {verb}: {flagged(manifest)}."]
-        return " ".join([*sentences, *([f"Look at {'; '.join(doubts)}."] if doubts else [])])
+        return " ".join([*sentences, *([f"Look at {'; '.join(concerns)}."] if concerns else [])])
     if done < rows:
         start = f"{done:,} of {rows:,} observations were"
     else:
@@ -66,8 +66,8 @@ def verdict(manifest: Mapping[str, Any]) -> str:
         )
         points = count(control["used"], "control point")
         sentences.append(f"{points}: RMS distance {before} as measured, {after} {verb}.")
-    if doubts:
-        sentences.append(f"Not to be used before a look at {'; '.join(doubts)}.")
+    if concerns:
+        sentences.append(f"Not to be used before a look at {'; '.join(concerns)}.")
     elif is_tiny(manifest):
         sentences.append("That is far below what can be measured in an image: not needed here.")
     elif applied:
@@ -83,7 +83,7 @@ def verdict(manifest: Mapping[str, Any]) -> str:
 
 def next_steps(manifest: Mapping[str, Any]) -> list[str]:
     """What to do next, the most urgent first; each a sentence."""
-    steps = [step for _, step in _doubts(manifest)]
+    steps = [step for _, step in _concerns(manifest)]
     adjust = "Then adjust" if steps else "Adjust"
     rows, done = manifest["observations"]["rows"], manifest["correction"]["shift_px"]["count"]
     applied = is_applied(manifest)
@@ -124,9 +124,9 @@ def is_tiny(manifest: Mapping[str, Any]) -> bool:
     return bool(shift["count"] > _NEARLY_ALL * rows and shift["maximum"] < SMALLEST_MEASURABLE_PX)
 
 
-def _doubts(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _concerns(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
     """What has to be looked at before the results are used, and how; the gravest first."""
-    doubts = []
+    concerns = []
     codes: dict[str, list[str]] = {"finding": [], "loss": []}
     for entry in manifest["ledger"]:
         kind, code = entry["kind"], entry["code"]
@@ -135,7 +135,7 @@ def _doubts(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
     if codes["finding"]:
         names = ", ".join(sorted(codes["finding"]))
         step = f"Correct what {names} says and run again, or accept it with the reason (accept)."
-        doubts.append((f"{count(len(codes['finding']), 'likely mistake')} ({names})", step))
+        concerns.append((f"{count(len(codes['finding']), 'likely mistake')} ({names})", step))
     if number := manifest["stations"].get("suspect", 0):
         some = count(number, "suspect station")
         reasons = [e["what"] for e in manifest["ledger"] if e["code"] in _OF_SUSPECTS]
@@ -143,16 +143,16 @@ def _doubts(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
         used = manifest["config"]["stations"]["use_suspect"]
         left = "" if used else ", whose observations have no corrected coordinates"
         step = f"Look at the {some} (unbend stations MISSION --plot FILE): {reasons[0]}{more}."
-        doubts.append((f"{some}{left}", step))
+        concerns.append((f"{some}{left}", step))
     if codes["loss"]:
         names = ", ".join(sorted(codes["loss"]))
         step = f"Read what was lost ({names}), and give the whole file where there is one."
-        doubts.append((f"{count(len(codes['loss']), 'loss', 'losses')} ({names})", step))
+        concerns.append((f"{count(len(codes['loss']), 'loss', 'losses')} ({names})", step))
     method = manifest["config"]["refraction"]["method"]
     if method != "spherical":
         step = "Run again without refraction.method: the published methods are not for work."
-        doubts.append((f"the method {method}, published for comparison", step))
-    return doubts
+        concerns.append((f"the method {method}, published for comparison", step))
+    return concerns
 
 
 def _limits(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -162,7 +162,7 @@ def _limits(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
     sigma = "" if air is None else f" ± {100.0 * air['scale_sigma']:.2g} %"
     if basis in _UNMEASURED:
         known = f", R is known to{sigma}" if sigma else ""
-        step = "To correct better, give the air: a thermometer, soundings, METARs, a weather model."
+        step = "To correct better, give the air: a thermometer, soundings or METARs."
         limits.append((f"The air was not measured: {_UNMEASURED[basis]}{known}.", step))
     cabin = manifest["cabin_sigma_share"]["median"]
     if cabin is not None and cabin > LARGEST_CABIN_SHARE:
