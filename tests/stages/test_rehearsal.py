@@ -194,6 +194,7 @@ def test_sampled_rows_are_those_of_the_table(tmp_path, kind):
     assert batch.weight.sum() == pytest.approx(3520.0)
 
 
+@pytest.mark.usefixtures("eighty_columns")
 def test_ten_lines_in_80_columns(mission, unbend):
     ended = unbend("check", mission.save())
     assert max(map(len, ended.out.splitlines())) <= 80
