@@ -250,9 +250,10 @@ class CameraSection(Section):
             return CameraSection.model_validate(kept | known)
         except ValidationError as error:
             first = error.errors()[0]
-            what = f"its {first['loc'][0]} is none that a camera can have"
             if first["type"] == "value_error":
                 what = first["msg"].removeprefix("Value error, ")
+            else:
+                what = f"its {first['loc'][0]} is none that a camera can have"
             raise InputError(
                 "CAMERA-FILE", what, where=str(path), remedy="check the file, or give another one"
             ) from None

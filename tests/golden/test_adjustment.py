@@ -54,7 +54,8 @@ def test_the_page_shows_what_the_correction_is_worth(
     beside_results: Path, truth: dict[str, pd.DataFrame], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Stations as the log has them; measured 0.027 and 0.136 m."""
-    code = RECIPE
+    code = RECIPE.replace("flown/results/simulated_bin", "results/sample_bin")
+    code = code.replace("flown/observations.parquet", "sample_logs/observations.parquet")
     corrected = '"x_corrected_px", "y_corrected_px"'
     assert code.count(corrected) == 1
     uncorrected = code.replace(corrected, '"x_px", "y_px"')

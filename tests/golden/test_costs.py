@@ -256,8 +256,8 @@ THINGS = {
         {"pipeline/tables/exports/toy.py": EXPORT},
         {
             "pipeline/tables/exports/__init__.py": (
-                ("lattice, opk, radial\n", "lattice, opk, radial, toy\n"),
-                ("geojson, kml, opk, ", "geojson, kml, opk, toy, "),
+                ("maps, opk, radial\n", "maps, opk, radial, toy\n"),
+                ("maps, opk, *BLOCKS", "maps, opk, toy, *BLOCKS"),
             )
         },
     ),

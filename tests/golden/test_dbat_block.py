@@ -220,9 +220,10 @@ def exported(project: Project, name: str, folder: Path) -> Path:
     )  # fmt: skip
     outside = air.refractivity(height)
     part = folder / "part.parquet"
-    project.rows.rename(columns={"x_px": "x_corrected_px", "y_px": "y_corrected_px"}).assign(
-        h_g_m=140.0, status="ok"
-    ).to_parquet(part)
+    project.rows.assign(
+        x_corrected_px=project.rows["x_px"], y_corrected_px=project.rows["y_px"],
+        h_g_m=140.0, status="ok",
+    ).to_parquet(part)  # fmt: skip
     f, cx, cy = project.camera
     camera = ExportCamera(Camera(8858, 12996, f, f, cx, cy), False, 0.006)
     run = FinishedRun(

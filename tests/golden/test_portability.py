@@ -84,7 +84,7 @@ def test_what_windows_lacks_is_missing(like_windows, code):
 
 
 def test_the_rooms_can_be_imported(like_windows):
-    for room in ("refraction", "ingest", "stages.story", "simulate", "cli", "report.html"):
+    for room in ("refraction", "ingest", "stages.story", "simulate", "cli", "report.page.html"):
         like_windows("-c", f"import pipeline.{room}")
 
 

@@ -25,8 +25,7 @@ from pipeline.tables.exports.format import FinishedRun
 from pipeline.tables.geodata.object_points import matching_rows
 from pipeline.units import Array, Integers, Mask, Names
 
-_COLUMNS = ["image", "point", "x_corrected_px", "y_corrected_px", "h_g_m", "status", "x_px",
-            "y_px"]  # fmt: skip
+_COLUMNS = ["image", "point", "x_corrected_px", "y_corrected_px", "h_g_m", "status"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +116,7 @@ def block_of(run: FinishedRun, ledger: Ledger) -> ExportedBlock:
         )  # fmt: skip
     frame = stations_in_one_frame(run, rows)
     table, names = read_image_points(run, stations.image[rows], ledger)
-    image, point, x, y, h_g, shift = (column.to_numpy() for column in table.columns)
+    image, point, x, y, h_g = (column.to_numpy() for column in table.columns)
     count = np.bincount(point, minlength=len(names))
     order = np.argsort(count < 2, kind="stable")
     cameras = {name: run.cameras[name].camera for name in dict.fromkeys(stations.camera[rows])}
@@ -146,10 +145,9 @@ def block_of(run: FinishedRun, ledger: Ledger) -> ExportedBlock:
         "projection is applied"
     )
     ledger.note("EXPORT-FRAME", what, where="stations.parquet")
-    median = np.median(shift) if shift.size else 0.0
     what = (
         f"x_corrected_px, y_corrected_px of {image.size:,} observations of {len(names):,} points "
-        f"in {rows.size:,} images, in the median {median:.2g} px from where they were measured"
+        f"in {rows.size:,} images"
     )
     ledger.note("EXPORT-POINTS", what, where="observations", count=image.size)
     return block
@@ -158,14 +156,13 @@ def block_of(run: FinishedRun, ledger: Ledger) -> ExportedBlock:
 def read_image_points(
     run: FinishedRun, images: Names, ledger: Ledger
 ) -> tuple[pa.Table, pa.StringArray]:
-    """Number of the image and of the point, x, y, height of the ground, and shift, sorted by image.
+    """Number of the image and of the point, x, y and height of the ground, sorted by image.
 
-    And the names of the points. The shift is by the correction [px]. Of a point that is twice in an
-    image the first row is kept.
+    And the names of the points. Of a point that is twice in an image the first row is kept.
     """
     known, total = pa.array(images, pa.string()), 0
-    kinds = [pa.int32(), pa.dictionary(pa.int32(), pa.string()), *[pa.float64()] * 4]
-    schema = pa.schema(list(zip([*_COLUMNS[:5], "shift_px"], kinds, strict=True)))
+    kinds = [pa.int32(), pa.dictionary(pa.int32(), pa.string()), *[pa.float64()] * 3]
+    schema = pa.schema(list(zip(_COLUMNS[:5], kinds, strict=True)))
     tables = [schema.empty_table()]
     for path in run.parts:
         table = pq.read_table(path, columns=_COLUMNS)
@@ -173,9 +170,7 @@ def read_image_points(
         image = pa.array(matching_rows(table["image"].combine_chunks(), known), pa.int32())
         good = pc.and_(pc.equal(table["status"], "ok"), table["point"].is_valid())
         table = table.set_column(0, "image", image).filter(pc.and_(good, pc.greater(image, -1)))
-        x, y, x_measured, y_measured = (table[k].to_numpy() for k in (2, 3, 6, 7))
-        shift = pa.chunked_array([np.hypot(x - x_measured, y - y_measured)])
-        columns = [table[0], table[1].dictionary_encode(), *table.columns[2:5], shift]
+        columns = [table[0], table[1].dictionary_encode(), *table.columns[2:5]]
         tables.append(pa.table(columns, schema=schema))
     table = pa.concat_tables(tables).unify_dictionaries()
     tables.clear()
