@@ -129,6 +129,16 @@ def offset_geodetic(
     return geodetic_of_ecef(*point.T)
 
 
+def longitudes_near(longitude_rad: Array, reference_rad: ArrayLike) -> Array:
+    """(n,) longitudes [rad] within half a turn of a reference, on across the 180th meridian.
+
+    >>> np.degrees(longitudes_near(np.radians([179.0, -179.0]), 3.1)).round().tolist()
+    [179.0, 181.0]
+    """
+    reference = np.broadcast_to(np.asarray(reference_rad, np.float64), longitude_rad.shape)
+    return np.asarray(np.unwrap([reference, longitude_rad], axis=0)[1])
+
+
 def ecef_of_geodetic(latitude_rad: Array, longitude_rad: Array, h_ellipsoid: Array) -> Array:
     """(n, 3) earth-centred coordinates [m] of (n,) geodetic ones on WGS84.
 

@@ -47,3 +47,12 @@ def round_step(least: float) -> float:
     power = math.floor(math.log10(least))
     steps = (float(f"{f}e{power}") for f in (1, 2, 5, 10))
     return next(step for step in steps if step >= least * (1.0 - 1e-9))
+
+
+def evenly_spaced(count: int, most: int) -> Integers:
+    """At most ``most`` numbers below ``count``, evenly spaced, first and last among them.
+
+    >>> evenly_spaced(9, 3).tolist(), evenly_spaced(2, 3).tolist(), evenly_spaced(0, 3).tolist()
+    ([0, 4, 8], [0, 1], [])
+    """
+    return np.unique(np.linspace(0, max(count - 1, 0), min(count, most)).round().astype(np.int64))

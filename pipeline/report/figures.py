@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.errors import ConfigError, storage_errors
 from pipeline.flight.stations import NO_TIME, SUSPECT, Stations
+from pipeline.geodesy import longitudes_near
 from pipeline.refraction.effect import FlightAir
 from pipeline.report.flown import QUANTITIES, air_curves
 from pipeline.report.summary import effect_lines
@@ -108,9 +109,7 @@ def flight_figure(
     time_ns, lat, lon, h = track
     places = np.concatenate([stations.lat_rad, lat]), np.concatenate([stations.lon_rad, lon])
     middle = [float(np.nanmedian(p)) if np.isfinite(p).any() else 0.0 for p in places]
-    # Across the 180th meridian longitudes go on beyond 180 degrees.
-    lon_stations, lon = (np.unwrap([np.full(x.shape, middle[1]), x], axis=0)[1]
-                         for x in (stations.lon_rad, lon))  # fmt: skip
+    lon_stations, lon = (longitudes_near(x, middle[1]) for x in (stations.lon_rad, lon))
     every = slice(None, None, max(1, time_ns.size // 20_000))
     above.plot(np.degrees(lon[every]), np.degrees(lat[every]), color=STANDARD, lw=0.7, label="log")
     beside.plot(time_ns[every].astype("datetime64[ns]"), h[every], color=STANDARD, lw=0.7)

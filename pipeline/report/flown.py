@@ -10,11 +10,12 @@ import numpy as np
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.refractive_index import vapour_pressure
 from pipeline.flight.stations import NO_TIME, SUSPECT, UNMATCHED, Stations
+from pipeline.geodesy import longitudes_near
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.kernels.columns import TILE
 from pipeline.tables.exports.footprints import ground_corners
-from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K, Array, Integers
+from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K, Array, Integers, evenly_spaced
 
 Track = tuple[Integers, Array, Array, Array]
 """Time [Unix ns], latitude, longitude [rad], height above sea level [m] as logged; (n,) each."""
@@ -93,15 +94,6 @@ class Flown:
         }  # fmt: skip
 
 
-def thinned(count: int, most: int) -> Integers:
-    """At most ``most`` numbers below ``count``, evenly spaced, first and last among them.
-
-    >>> thinned(9, 3).tolist(), thinned(2, 3).tolist(), thinned(0, 3).tolist()
-    ([0, 4, 8], [0, 1], [])
-    """
-    return np.unique(np.linspace(0, max(count - 1, 0), min(count, most)).round().astype(np.int64))
-
-
 def flown_of(
     stations: Stations,
     air: FlightAir,
@@ -120,16 +112,16 @@ def flown_of(
     shown_as = np.where(suspect, "suspect", np.where(stations.ok, "ok", "unusable"))
     flagged = np.flatnonzero(shown_as != "ok")
     rows = np.union1d(
-        thinned(len(stations), MOST_EXPOSURES), flagged[thinned(flagged.size, MOST_EXPOSURES)]
+        evenly_spaced(len(stations), MOST_EXPOSURES),
+        flagged[evenly_spaced(flagged.size, MOST_EXPOSURES)],
     ).astype(np.int64)
-    time_ns, *places = (column[thinned(track[0].size, MOST_OF_TRACK)] for column in track)
+    time_ns, *places = (column[evenly_spaced(track[0].size, MOST_OF_TRACK)] for column in track)
     lon = np.concatenate([stations.lon_rad, places[1]])
     known = lon[np.isfinite(lon)][:1]
-    if known.size:  # across the 180th meridian longitudes go on beyond 180 degrees
-        lon = np.unwrap([np.full(lon.shape, known[0]), lon], axis=0)[1]
+    lon = longitudes_near(lon, known[0]) if known.size else lon
     lon_deg, track_lon = np.split(lon / DEGREE, [len(stations)])
     seen = np.flatnonzero(stations.ok & np.isfinite(ground_m))
-    drawn = seen[thinned(seen.size, MOST_FOOTPRINTS)]
+    drawn = seen[evenly_spaced(seen.size, MOST_FOOTPRINTS)]
     corners = ground_corners(stations.rows(drawn), cameras, ground_m[drawn], radius_m)
     whole = np.isfinite(corners).all(axis=(1, 2))
     everything = np.concatenate([
@@ -235,7 +227,7 @@ def air_curves(air: FlightAir, samples: AirSamples, heights_m: Array) -> dict[st
         used = sensor.accepted & ~np.asarray(rejected)
         known = np.isfinite(values) & np.isfinite(sensor.h_m)
         groups: Sequence[Any] = [np.flatnonzero(known & which) for which in (used, ~used)]
-        rows, not_used = (group[thinned(group.size, _MOST_SAMPLES)] for group in groups)
+        rows, not_used = (group[evenly_spaced(group.size, _MOST_SAMPLES)] for group in groups)
         shown.append({
             "quantity": quantity, "sensor": sensor.name, "column": column,
             "values_used": values[rows], "h_used": sensor.h_m[rows],

@@ -17,11 +17,10 @@ from pipeline.report.summary import control_sentence, effect_lines
 from pipeline.stages.correction import correct_batch
 from pipeline.stages.ground.ground_heights import GroundHeights
 from pipeline.stages.plausibility import Facts
-from pipeline.stages.statistics import evenly_spaced
 from pipeline.stages.story import CorrectedMission
 from pipeline.tables.geodata.geoid import package_geoid
 from pipeline.tables.observations import Batch
-from pipeline.units import ARCSEC, Array
+from pipeline.units import ARCSEC, Array, evenly_spaced
 
 _ROWS = 1000
 

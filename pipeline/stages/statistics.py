@@ -18,7 +18,7 @@ from pipeline.refraction.image import Corrections
 from pipeline.refraction.statistics import DISTRIBUTIONS, Distribution, ShiftGrid, ShiftStatistics
 from pipeline.refraction.status_codes import OK, STATUS_NAMES
 from pipeline.tables.observations import Batch
-from pipeline.units import Array, round_step
+from pipeline.units import Array, evenly_spaced, round_step
 
 SAMPLED_ROWS = 20_000
 """Rows that stand for all others, where what is plausible is looked at."""
@@ -301,12 +301,3 @@ def weighted_quantiles(
         name: float(f"{values[order[np.searchsorted(until, share * until[-1])]]:.6g}")
         for name, share in shares.items()
     }
-
-
-def evenly_spaced(count: int, most: int) -> NDArray[np.intp]:
-    """At most ``most`` indices below ``count``, evenly spaced.
-
-    >>> evenly_spaced(9, 3).tolist()
-    [0, 4, 8]
-    """
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))

@@ -7,7 +7,13 @@ import numpy as np
 
 from pipeline.flight.rotations import in_turned_frame, matrices_of
 from pipeline.flight.stations import Stations
-from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef, euler_radius, offset_geodetic
+from pipeline.geodesy import (
+    ecef_of_geodetic,
+    enu_from_ecef,
+    euler_radius,
+    longitudes_near,
+    offset_geodetic,
+)
 from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import straight_reach
@@ -48,7 +54,7 @@ def stations_in_one_frame(run: FinishedRun, rows: Integers) -> OneFrame:
     """
     stations = run.stations
     lat, lon, h = stations.lat_rad[rows], stations.lon_rad[rows], stations.h_ellipsoid_m[rows]
-    near = np.unwrap([np.full(lon.shape, lon[0]), lon], axis=0)[1]
+    near = longitudes_near(lon, lon[0])
     origin_deg = [
         round(0.5 * (float(values.min()) + float(values.max())), digits)
         for values, digits in ((np.degrees(lat), 5), (np.degrees(near), 5), (h, 0))
@@ -117,7 +123,7 @@ def ground_corners(
             lat, lon, _ = offset_geodetic(
                 stations.lat_rad[rows], stations.lon_rad[rows], height[rows], enu * reach[:, None]
             )
-            lon = np.unwrap([stations.lon_rad[rows], lon], axis=0)[1]
+            lon = longitudes_near(lon, stations.lon_rad[rows])
             corners[rows, corner] = np.degrees(np.stack([lon, lat], axis=1))
     corners[np.isnan(corners).any(axis=(1, 2))] = np.nan
     return corners
