@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv as csv_module
 import json
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -85,15 +85,24 @@ class Answer:
         if self._as_json:
             print(json.dumps(content, indent=2, allow_nan=False, default=str))
 
-    def end(self, content: dict[str, Any], ledger: Ledger, *written: Path | None) -> NoReturn:
-        """Print ledger and written files after the answer, and exit with the ledger's code."""
+    def end(
+        self,
+        content: dict[str, Any],
+        ledger: Ledger,
+        *written: Path | None,
+        shown: Sequence[Mapping[str, Any]] | None = None,
+    ) -> NoReturn:
+        """Print ledger and written files after the answer, and exit with the ledger's code.
+
+        ``shown`` : the entries that are printed as text, by default all; JSON has all.
+        """
         code = EXIT_LOSSES if ledger.has_losses else EXIT_DONE
         files = [str(path) for path in written if path is not None]
         self.print_json(content | {"written": files, "ledger": ledger.rows(), "exit_code": code})
         if not (self._quiet or self._as_json):
             from pipeline.report.text.terminal import print_ledger
 
-            print_ledger(self.console, ledger.rows())
+            print_ledger(self.console, ledger.rows() if shown is None else shown)
             self.print_paths(files)
         raise typer.Exit(code)
 

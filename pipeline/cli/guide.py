@@ -79,6 +79,9 @@ def init(
         raise ConfigError("INIT-EXISTS", "the file is there already", where=str(out), remedy=remedy)
     answer = Answer(quiet=False, as_json=False)
     with answer.progress(f"reading {log.name}"):
+        import yaml
+
+        from pipeline.config.mistakes import open_questions
         from pipeline.stages.proposal.mission_proposal import propose_mission
 
         target = Path("mission.yaml") if printed else out
@@ -89,5 +92,5 @@ def init(
     with storage_errors(out):
         out.write_text(text, encoding="utf-8")
     schema(out.parent / "mission.schema.json")
-    questions = count(text.count("TODO") - 1, "open question")  # the head names it once
+    questions = count(len(open_questions(yaml.safe_load(text))), "open question")
     answer.print_paths([f"{out}: {questions} (TODO)", f"  unbend check {out}"])

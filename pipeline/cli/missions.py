@@ -123,7 +123,7 @@ def stations(
     """Stations of a mission, how events became images, and a drawing."""
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress(f"reading {config.name}"):
-        from pipeline.report.text.terminal import print_ledger, print_stations
+        from pipeline.report.text.terminal import print_stations
         from pipeline.stages.story import read_mission
         from pipeline.tables.writing import rows_of_stations
 
@@ -141,12 +141,7 @@ def stations(
     about = ("EVENTS-", "EXIF-", "IMAGES-", "STATIONS-", "SUSPECT-")
     rows = checked.ledger.rows()
     shown = [e for e in rows if e["kind"] != "note" or str(e["code"]).startswith(about)]
-    print_ledger(answer.console, shown)
-    files = [str(path) for path in (csv, plot) if path is not None]
-    answer.print_paths(files)
-    code = EXIT_LOSSES if checked.ledger.has_losses else EXIT_DONE
-    answer.print_json({"stations": table, "written": files, "ledger": rows, "exit_code": code})
-    raise typer.Exit(code)
+    answer.end({"stations": table}, checked.ledger, csv, plot, shown=shown)
 
 
 @app.command(

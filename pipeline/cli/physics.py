@@ -64,6 +64,7 @@ def angle(
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("tracing the ray"):
         from pipeline.refraction.angle import one_angle
+        from pipeline.report.text.air_and_rays import print_angle
 
         result = one_angle(
             atmosphere=atmosphere,
@@ -75,10 +76,8 @@ def angle(
             method=method,
             distance=distance,
         )
-        from pipeline.report.text.air_and_rays import print_angle
     answer.print_json(result)
-    if not as_json:
-        print_angle(answer.console, result)
+    print_angle(answer.console, result)
 
 
 @app.command(

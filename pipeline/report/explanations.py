@@ -60,8 +60,9 @@ def explain(word: str) -> list[str]:
     if of_word:
         return of_word
     code = word.upper().strip(":")
-    if code in codes():
-        return [code, *_lines_of(codes()[code])]
+    known = codes()
+    if code in known:
+        return [code, *_lines_of(known[code])]
     keys = list(mission_keys())
     parts = word.strip(".").lower().split(".")
     tails = [(key, key.path.split(".")[-len(parts) :]) for key in keys]
@@ -74,7 +75,7 @@ def explain(word: str) -> list[str]:
     found = whole or found
     if not found:
         last = {key.path.rpartition(".")[2]: key.path for key in keys}
-        near = difflib.get_close_matches(code, codes(), 3, 0.7)
+        near = difflib.get_close_matches(code, known, 3, 0.7)
         last |= {status: status for of in _NUMBERS_AND_STATUSES for status in _meanings()[of]}
         near += difflib.get_close_matches(parts[-1], last, 3, 0.6)
         raise ConfigError(

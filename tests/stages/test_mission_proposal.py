@@ -11,10 +11,10 @@ import pandas as pd
 import pytest
 import yaml
 
+from pipeline.block.name_series import name_series
 from pipeline.flight.channels import Channel, Source
 from pipeline.stages.proposal import mission_proposal
 from pipeline.stages.proposal.mission_proposal import FoundLog, propose_mission, proposed_cameras
-from pipeline.stages.proposal.name_series import name_series
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "logs"
 CAMERA = {"width_px": 6000, "height_px": 4000, "f_px": 5000.0, "cx_px": 3000.0, "cy_px": 2000.0,

@@ -14,6 +14,7 @@ from pipeline.block.alignment import LOG_RATIO_NEEDED
 from pipeline.block.assignment import Assignment, CameraEvents, ImageEvidence, assign
 from pipeline.block.image_rays import ImageRays, Orientations, orientations_of, straightened
 from pipeline.block.intersection import Intersection, intersect
+from pipeline.block.name_series import name_series
 from pipeline.config.event_sources import EventsSection, FirstImage
 from pipeline.errors import InputError, MissionError
 from pipeline.flight.exposures import Events, refuse_repeated_images
@@ -22,7 +23,6 @@ from pipeline.geodesy import principal_radii
 from pipeline.ledger import Ledger, Notes, loss, note, warning
 from pipeline.refraction.camera.camera import Camera
 from pipeline.stages.exposure_setup import cameras_of_mission
-from pipeline.stages.proposal.name_series import name_series
 from pipeline.tables.imports.exif import NO_TIME, ImageTimes, read_image_times
 from pipeline.tables.observations import Observations
 from pipeline.tables.tie_points import TiePoints, tie_rays

@@ -18,6 +18,8 @@ import numpy as np
 import pyarrow.parquet as pq
 from jinja2 import Environment, StrictUndefined
 
+from pipeline.block.name_series import NameSeries, name_series
+from pipeline.config.mistakes import TODO
 from pipeline.errors import InputError, MissionError
 from pipeline.flight.channels import Channel
 from pipeline.flight.evidence.quality import plausible_samples
@@ -28,14 +30,12 @@ from pipeline.flight.roles import assign_roles
 from pipeline.ingest import open_log
 from pipeline.ingest.log import utc_text
 from pipeline.ledger import Ledger
-from pipeline.stages.proposal.name_series import NameSeries, name_series
 from pipeline.tables.delimited import csv_names
 from pipeline.tables.geodata.geoid import package_geoid
 from pipeline.tables.imports.blocks import BLOCKS, damage_refused
 from pipeline.tables.imports.exif import read_image_times
 from pipeline.tables.observations import Observations, open_observations
 
-TODO = "TODO"
 _MOST_CAMERAS, _BATCH_ROWS, _MOST_BATCHES = 12, 250_000, 4
 
 # Other names of the columns, in small letters; what is found by them is guessed.
