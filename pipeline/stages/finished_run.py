@@ -2,7 +2,8 @@
 
 import json
 import os
-from dataclasses import fields, replace
+from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -227,12 +228,11 @@ def refuse_output(run: Path, out: Path, *, force: bool) -> None:
                 "EXPORT-INSIDE-RUN", what, where=str(out), remedy="write it beside that folder"
             )
     if out.is_dir() or (os.path.lexists(out) and not force):
-        raise ConfigError(
-            "EXPORT-EXISTS",
-            "there is a folder of that name" if out.is_dir() else "the file is there already",
-            where=str(out), remedy="choose another name, or "
-            + ("delete it: --force replaces files only" if out.is_dir() else "replace it: --force"),
-        )  # fmt: skip
+        what, other = "the file is there already", "replace it: --force"
+        if out.is_dir():
+            what, other = "there is a folder of that name", "delete it: --force replaces files only"
+        remedy = f"choose another name, or {other}"
+        raise ConfigError("EXPORT-EXISTS", what, where=str(out), remedy=remedy)
 
 
 def rebuild_run(
@@ -243,18 +243,16 @@ def rebuild_run(
     ``ground_height_m`` [m above sea level] replaces the ground heights of all images.
     """
     if ground_height_m is not None and not LOWEST_GROUND_M <= ground_height_m <= HIGHEST_GROUND_M:
-        raise ConfigError(
-            "EXPORT-GROUND", f"{ground_height_m:g} m is no ground height ({LOWEST_GROUND_M:g} to "
-            f"{HIGHEST_GROUND_M:g} m)", where="--ground-height",
-            remedy="give it in metres above sea level",
-        )  # fmt: skip
+        limits = f"{LOWEST_GROUND_M:g} to {HIGHEST_GROUND_M:g} m"
+        what = f"{ground_height_m:g} m is no ground height ({limits})"
+        remedy = "give it in metres above sea level"
+        raise ConfigError("EXPORT-GROUND", what, where="--ground-height", remedy=remedy)
     mission = mission_of(manifest, path)
     if mission.refraction.direction != "remove":
-        raise ConfigError(
-            "EXPORT-DIRECTION", "the run displaced ideal observations; there is no correction to "
-            "export", where=f"{path / 'manifest.json'}, refraction.direction",
-            remedy="export from a run that removes refraction",
-        )  # fmt: skip
+        what = "the run displaced ideal observations; there is no correction to export"
+        where = f"{path / 'manifest.json'}, refraction.direction"
+        remedy = "export from a run that removes refraction"
+        raise ConfigError("EXPORT-DIRECTION", what, where=where, remedy=remedy)
     table = pq.read_table(path / "stations.parquet")
     stations = stations_of(table)
     air = air_of(pq.read_table(path / "profile.parquet"), table["profile_id"])
@@ -288,9 +286,10 @@ def rebuild_run(
             "unbend.fingerprint": manifest["fingerprint"],
             "unbend.pixel_origin": mission.observations.pixel_origin,
         },
+        partial(database_of, mission, manifest, path),
     )
     check_reproduced(run, path)
-    return replace(run, database=database_of(mission, manifest, path))
+    return run
 
 
 def database_of(mission: Mission, manifest: dict[str, Any], path: Path) -> Path | None:

@@ -44,8 +44,8 @@ class FinishedRun:
     ``ground_m`` (s,) is the ground that images are computed for, above sea level [m], NaN where
     there is none. ``exposures`` has the rows of ``stations``. ``parts`` are the Parquet files of
     the observations, in order, with coordinates in the system ``pixels``; ``metadata`` goes into
-    every file that is written. ``rays`` are those of the profiles of ``air``; ``database`` is
-    COLMAP's, of which the observations are the keypoints.
+    every file that is written. ``rays`` are those of the profiles of ``air``; ``database``
+    finds COLMAP's, of which the observations are the keypoints, and reads all of it.
     """
 
     mission: str
@@ -59,7 +59,7 @@ class FinishedRun:
     pixels: PixelSystem
     parts: tuple[Path, ...]
     metadata: Mapping[str, str]
-    database: Path | None = None
+    database: Callable[[], Path | None] = lambda: None
 
     def rows_of(self, camera: str) -> Integers:
         """(n,) the stations of a camera that can be used, in the order of the table."""

@@ -62,10 +62,8 @@ def write_database(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> i
             marks = ", ".join("?" * len(rows[0]))
             database.executemany(f"INSERT INTO {table} VALUES ({marks})", rows)
         database.executemany("INSERT INTO keypoints VALUES (?, ?, 2, ?)", keypoint_rows(block))
-        tied = 0
-        for table, *row in (
-            match_rows(block) if run.database is None else copied_rows(block, run.database)
-        ):
+        tied, source = 0, run.database()
+        for table, *row in match_rows(block) if source is None else copied_rows(block, source):
             marks = "?, ?, 2, ?" if table == "matches" else "?, ?, 2, ?, ?" + ", NULL" * 7
             database.execute(f"INSERT INTO {table} VALUES ({marks})", row)
             tied += 1

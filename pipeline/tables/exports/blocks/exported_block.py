@@ -121,14 +121,19 @@ def block_of(run: FinishedRun, ledger: Ledger) -> ExportedBlock:
     order = np.argsort(count < 2, kind="stable")
     cameras = {name: run.cameras[name].camera for name in dict.fromkeys(stations.camera[rows])}
     block = ExportedBlock(
-        cameras=cameras, image=stations.image[rows],
+        cameras=cameras,
+        image=stations.image[rows],
         camera=np.array([[*cameras].index(name) for name in stations.camera[rows]]),
-        frame=frame, rotation=matrices_of(frame.quaternion),
-        first=np.searchsorted(image, np.arange(rows.size + 1)), point=np.argsort(order)[point],
-        x_px=run.pixels.to_colmap(x), y_px=run.pixels.to_colmap(y),
-        name=names.take(pa.array(order)).to_pylist(), count=count[order],
+        frame=frame,
+        rotation=matrices_of(frame.quaternion),
+        first=np.searchsorted(image, np.arange(rows.size + 1)),
+        point=np.argsort(order)[point],
+        x_px=run.pixels.to_colmap(x),
+        y_px=run.pixels.to_colmap(y),
+        name=names.take(pa.array(order)).to_pylist(),
+        count=count[order],
         point_m=np.empty((int(np.sum(count > 1)), 3)),
-    )  # fmt: skip
+    )
     up = enu_from_ecef(stations.lat_rad[rows], stations.lon_rad[rows])[:, 2]
     up = up @ frame.enu_from_ecef.T
     block.point_m[:], met = intersected_points(block, up, stations.h_msl_m[rows], h_g)
