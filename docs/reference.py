@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Callable, Iterator
-from importlib import resources
 
-import pipeline.tables.schemas as schemas
 from docs.snippets import printed_by
 from pipeline.config.schema import MissionKey, mission_keys
+from pipeline.report import explanations
+from pipeline.tables import schemas
 
 GENERATED = re.compile(r"<!-- generated: (\w+) (\w+) -->")
 
@@ -55,10 +54,9 @@ def section_of_names(key: MissionKey) -> bool:
 
 def columns_of(table: str) -> str:
     """The columns of a table of results."""
-    columns = getattr(schemas, f"{table.upper()}_COLUMNS")
     rows = [
         f"| `{name}` | {unit or '-'} | {escaped(text)} |"
-        for name, (_, unit, text) in columns.items()
+        for name, (_, unit, text) in schemas.columns_of(table).items()
     ]
     return "\n".join(["| column | unit | |", "|---|---|---|", *rows])
 
@@ -72,27 +70,20 @@ def escaped(text: str) -> str:
 
 def codes_of(table: str) -> str:
     """The codes of the exit, or of refusals and the ledger by their first word."""
-    entries = explanations()[table]
     if table == "exit":
         rows = [
-            f"| {code} | {escaped(e['means'])} | {escaped(e['effect'])} | {escaped(e['remedy'])} |"
-            for code, e in entries.items()
+            f"| {code} | {escaped(e.means)} | {escaped(e.effect)} | {escaped(e.remedy)} |"
+            for code, e in explanations.exit_codes().items()
         ]
         return "\n".join(["| code | means | the results | to do |", "|---|---|---|---|", *rows])
     lines: list[str] = []
-    for code in sorted(entries):
-        word, entry = code.split("-")[0], entries[code]
+    for code, entry in explanations.codes().items():
+        word = code.split("-")[0]
         if f"## {word}" not in lines:
             lines.append(f"## {word}")
-        facts = f"Effect: {escaped(entry['effect'])} To do: {escaped(entry['remedy'])}"
-        lines += [f"### {code}", escaped(entry["means"]), f"{facts}\n{{ .facts }}"]
+        facts = f"Effect: {escaped(entry.effect)} To do: {escaped(entry.remedy)}"
+        lines += [f"### {code}", escaped(entry.means), f"{facts}\n{{ .facts }}"]
     return "\n\n".join(lines)
-
-
-def explanations() -> dict[str, dict[str, dict[str, str]]]:
-    """The data file of all codes."""
-    text = resources.files("pipeline.report").joinpath("codes.toml").read_text("utf-8")
-    return tomllib.loads(text)
 
 
 PARTS: dict[str, Callable[[str], str]] = {
