@@ -29,6 +29,7 @@ from pipeline.flight.mount import is_of_gimbal
 from pipeline.flight.roles import assign_roles
 from pipeline.ingest import open_log
 from pipeline.ingest.log import utc_text
+from pipeline.ingest.overview import flight_of
 from pipeline.ledger import Ledger
 from pipeline.tables.delimited import csv_names
 from pipeline.tables.geodata.geoid import package_geoid
@@ -155,10 +156,11 @@ def found_in_log(path: Path) -> FoundLog:
         h = h[np.isfinite(h)]  # the column of a role has some
         above = "the sea" if height.height_column == "h_msl_m" else "the ellipsoid"
         home, of_home = system.home_h_msl_m, "the sea"
-        home, of_home = (float(np.median(h[:20])), above) if home is None else (home, of_home)
-        found.takeoff = f"take-off {home:.0f} m above {of_home}"
-        span = f"{h.min():.0f} to {h.max():.0f} m above {above} ({height.name})"
-        found.remarks.append(f"heights {span}; {found.takeoff}")
+        if home is None and position is not None:
+            home, of_home = flight_of(position, height).get("take_off_m"), above
+        found.takeoff = "" if home is None else f"take-off {home:.0f} m above {of_home}"
+        span = f"heights {h.min():.0f} to {h.max():.0f} m above {above} ({height.name})"
+        found.remarks.append("; ".join(filter(None, (span, found.takeoff))))
     found.remarks.append(f"found by itself: {', '.join(listed)}")
     if indoors:
         why = "is in a closed compartment: it does not follow the height"
