@@ -32,7 +32,12 @@ from pipeline.tables.schemas import (
     STATION_COLUMNS,
     schema_of,
 )
-from pipeline.tables.writing import table_of_profile, table_of_profiles, table_of_stations
+from pipeline.tables.writing import (
+    table_of_profile,
+    table_of_profiles,
+    table_of_stations,
+    write_parquet,
+)
 
 US, ICAN = standard_atmosphere("us1976"), standard_atmosphere("ican", index="gyer")
 COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
@@ -203,3 +208,21 @@ def test_batches_are_of_one_size_wherever_the_reader_cuts(tmp_path, monkeypatch,
     assert np.concatenate([batch.x_px for batch in batches]).tolist() == [
         i + 0.5 for i in range(31)
     ]
+
+
+def test_floats_are_split_by_bytes_and_all_else_has_a_dictionary(tmp_path):
+    table = pa.table({
+        "wide": np.linspace(0.0, 1.0, 1000), "narrow": np.linspace(0.0, 1.0, 1000, dtype=np.float32),
+        "name": [f"p{i % 9}" for i in range(1000)], "count": np.arange(1000) % 7,
+        "pair": [{"a": 1.5, "b": "x"}] * 1000,
+    })  # fmt: skip
+    write_parquet(table, tmp_path / "table.parquet")
+    with pq.ParquetFile(tmp_path / "table.parquet", page_checksum_verification=True) as file:
+        assert file.read().equals(table)
+        group = file.metadata.row_group(0)
+    columns = [group.column(i) for i in range(group.num_columns)]
+    split = {c.path_in_schema: "BYTE_STREAM_SPLIT" in c.encodings for c in columns}
+    assert split == {"wide": True, "narrow": True, "name": False, "count": False,
+                     "pair.a": False, "pair.b": False}  # fmt: skip
+    assert {c.path_in_schema for c in columns if c.has_dictionary_page} >= {"name", "count"}
+    assert not any(c.has_dictionary_page for c in columns if split[c.path_in_schema])

@@ -20,6 +20,7 @@ from pipeline.refraction.image import Exposures
 from pipeline.refraction.ray import PublishedRays
 from pipeline.refraction.ray_table import RayTable
 from pipeline.tables.pixels import PixelSystem
+from pipeline.tables.writing import parquet_settings
 from pipeline.units import Array, Integers
 
 
@@ -175,9 +176,9 @@ def parquet_and_csv(
 
 
 def write_parquet_stream(path: Path, schema: pa.Schema, tables: Iterable[pa.Table]) -> int:
-    """One Parquet file of all the tables, zstd with page checksums; the number of rows."""
+    """One Parquet file of all the tables; the number of rows."""
     rows = 0
-    with pq.ParquetWriter(path, schema, compression="zstd", write_page_checksum=True) as writer:
+    with pq.ParquetWriter(path, schema, **parquet_settings(schema)) as writer:
         for table in tables:
             writer.write_table(table)
             rows += table.num_rows
