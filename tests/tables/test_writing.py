@@ -212,7 +212,8 @@ def test_batches_are_of_one_size_wherever_the_reader_cuts(tmp_path, monkeypatch,
 
 def test_floats_are_split_by_bytes_and_all_else_has_a_dictionary(tmp_path):
     table = pa.table({
-        "wide": np.linspace(0.0, 1.0, 1000), "narrow": np.linspace(0.0, 1.0, 1000, dtype=np.float32),
+        "wide": np.linspace(0.0, 1.0, 1000),
+        "narrow": np.linspace(0.0, 1.0, 1000, dtype=np.float32),
         "name": [f"p{i % 9}" for i in range(1000)], "count": np.arange(1000) % 7,
         "pair": [{"a": 1.5, "b": "x"}] * 1000,
     })  # fmt: skip
