@@ -21,7 +21,7 @@ of I + J'Q J (the reduced normal equations, by which a bundle adjustment would s
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -43,6 +43,7 @@ from pipeline.units import Array, Integers, Mask
 _LOG_BAD, _WIDTH_OF_BAD_RAD = np.log(0.02), 0.5
 _NEAREST_SIGMAS = 3.0
 _ROUNDS = 4  # of finding bad ones
+_identity = lru_cache(1)(partial(sparse.identity, format="csr"))  # as large as the last one
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +149,7 @@ class _System:
     half_inverse: Array  # (p, 3, 3) L^-1 of the points' normal equations L L'
     Y: sparse.csr_matrix  # A L'^-1: Q = I - Y Y'
     J: sparse.csr_matrix  # by the stations' errors in units of their sigmas
+    JJ: sparse.csr_matrix  # J'J
     Z: sparse.csr_matrix  # Y'J
     M: sparse.csr_matrix  # J'QJ
     residual: Array  # Q y
@@ -155,20 +157,20 @@ class _System:
     errors: Array  # of the stations at their most probable, in units of their sigmas
 
 
-def _blocks(values: Array, column: Integers, columns: int) -> sparse.csr_matrix:
-    """Sparse matrix of blocks (n, rows, width), one in each row of blocks."""
+def _blocks(values: Array, column: Integers, columns: int, empty: int = 0) -> sparse.csr_matrix:
+    """Sparse matrix of blocks (n, rows, width), one in each row of blocks, above empty rows."""
     count, rows, width = values.shape
     indices = np.repeat(column[:, None] * width + np.arange(width), rows, axis=0)
-    start = np.arange(count * rows + 1) * width
+    start = np.minimum(np.arange(count * rows + empty + 1), count * rows) * width
     return sparse.csr_matrix(
-        (values.ravel(), indices.ravel(), start), shape=(count * rows, columns * width)
+        (values.ravel(), indices.ravel(), start), shape=(count * rows + empty, columns * width)
     )
 
 
 def linearised(r: SortedRays, o: Orientations, position: Array, good: Mask) -> _System:
     """The system at some positions, of the good rays."""
     points = r.start.size
-    sigma, A, J, y = r.derivatives(o, position, good)
+    sigma, A, J_rays, y = r.derivatives(o, position, good)
     lat, lon, h = geodetic_of_ecef(*(position + r.origin).T)
     known = np.isfinite(r.height) & (r.sums(good * 1) >= 2)
     up = np.where(known[:, None], enu_from_ecef(lat, lon)[:, 2] / r.sigma_height, 0.0)
@@ -178,20 +180,18 @@ def linearised(r: SortedRays, o: Orientations, position: Array, good: Mask) -> _
     normal += (1e-12 * trace + (trace == 0.0))[:, None, None] * np.eye(3)
     half_inverse = np.linalg.inv(np.linalg.cholesky(normal))
     half = np.swapaxes(half_inverse, 1, 2)
-    Y = sparse.vstack(
-        [_blocks(A @ half[r.index], r.index, points),
-         _blocks(up[:, None, :] @ half, np.arange(points), points)], format="csr",
-    )  # fmt: skip
-    J_rays = _blocks(J, r.image, o.camera.size)
-    J_all = sparse.vstack([J_rays, sparse.csr_matrix((points, J_rays.shape[1]))], format="csr")
+    rows = [(A @ half[r.index]).reshape(-1, 1, 3), up[:, None, :] @ half]
+    Y = _blocks(np.concatenate(rows), np.append(np.repeat(r.index, 2), np.arange(points)), points)
+    J = _blocks(J_rays, r.image, o.camera.size, empty=points)
     y = np.append(y.ravel(), above)
-    Z = (Y.T @ J_all).tocsr()
-    M = (J_all.T @ J_all - Z.T @ Z).tocsr()
-    residual = y - Y @ (Y.T @ y)
-    factor = splu((sparse.identity(M.shape[0]) + M).tocsc(), permc_spec="MMD_AT_PLUS_A",
+    Y_t, J_t = Y.T.tocsr(), J.T.tocsr()  # matrices of one format are not converted again
+    Z, JJ = Y_t @ J, J_t @ J
+    M = JJ - Z.T.tocsr() @ Z
+    residual = y - Y @ (Y_t @ y)
+    factor = splu((_identity(M.shape[0]) + M).tocsc(), permc_spec="MMD_AT_PLUS_A",
                   diag_pivot_thresh=0.0, options={"SymmetricMode": True})  # fmt: skip
-    errors = factor.solve(J_all.T @ residual)
-    return _System(r.order, r.image, sigma, half_inverse, Y, J_all, Z, M, residual, factor, errors)
+    errors = factor.solve(J_t @ residual)
+    return _System(r.order, r.image, sigma, half_inverse, Y, J, JJ, Z, M, residual, factor, errors)
 
 
 def intersect(
@@ -242,7 +242,7 @@ def intersect(
     possible = int(np.sum((2 * given - 3 + heights)[given >= 2]))
     chi_square = float(e @ e + system.errors @ system.errors)
     excess = redundancy * np.log(max(1.0, chi_square / max(1, redundancy)))
-    own = (system.J.T @ system.J).tobsr((6, 6)).data + np.eye(6)
+    own = system.JJ.tobsr((6, 6)).data + np.eye(6)
     log_likelihood = -0.5 * (min(chi_square, redundancy) + excess + np.linalg.slogdet(own)[1].sum())
     width = np.log(_WIDTH_OF_BAD_RAD / np.median(r.sigma)) if r.sigma.size else 0.0
     log_likelihood += contradictions * _LOG_BAD - (possible - redundancy) * width

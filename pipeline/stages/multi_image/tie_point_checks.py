@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import product
 
 import numpy as np
@@ -163,7 +163,7 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
             cameras,
             evidence.rays,
             {name: mount.build() for name, mount in mission.mount.items() if of_body},
-            None if evidence.later is None else evidence.orientations,
+            None if evidence.later is None else lru_cache(8)(evidence.orientations),
             sigma_heights_m=mission.ground.sigma_m or 0.0,
             other_heights_m=evidence.other_heights_m(rays),
             one_height=mission.ground.constant_m is not None,
