@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import pickle
 import shutil
 import signal
 import sys
@@ -129,7 +130,43 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Simulated:
 
 
 @pytest.fixture(scope="session")
-def mission_factory(flown: Simulated) -> Callable[..., MissionFolder]:
+def computed_once() -> Iterator[None]:
+    """What takes most of a small run is computed once for equal inputs, in however many runs.
+
+    What tie points say of a mission file, and the air of a flight: pure functions, known by all
+    that they are given.
+    """
+    from pipeline.ledger import Ledger
+    from pipeline.stages.air import adjusted_profile
+    from pipeline.stages.multi_image import tie_point_checks
+
+    diagnose, said = tie_point_checks.diagnosis, {}
+    estimate, found = adjusted_profile.build_adjusted_profile, {}
+
+    def diagnosis(stated: Any) -> Any:
+        given = {name: value for name, value in vars(stated).items() if not callable(value)}
+        at = [stated.shifted(seconds) for seconds in (-60.0, 1.0)] if stated.shifted else []
+        key = pickle.dumps((given, at, stated.rays(stated.cameras, {})))
+        if key not in said:
+            said[key] = diagnose(stated)
+        return said[key]
+
+    def build(samples: Any, standard: Any, latitude: float, ledger: Any, **named: Any) -> Any:
+        key = pickle.dumps((samples, standard, latitude, named))
+        if key not in found:
+            own = Ledger()
+            found[key] = estimate(samples, standard, latitude, own, **named), tuple(own)
+        ledger.extend(found[key][1])
+        return found[key][0]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tie_point_checks, "diagnosis", diagnosis)
+        patch.setattr(adjusted_profile, "build_adjusted_profile", build)
+        yield
+
+
+@pytest.fixture(scope="session")
+def mission_factory(flown: Simulated, computed_once: None) -> Callable[..., MissionFolder]:
     """Copies the simulated mission into a folder."""
 
     def make(folder: Path, kind: str = "bin") -> MissionFolder:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import json
 import re
+import shutil
+from dataclasses import replace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -24,6 +27,7 @@ from pipeline.simulate.true_air import (
 )
 from pipeline.stages.air import adjusted_profile as batch_air
 from pipeline.stages.story import read_mission
+from tests.conftest import without_plots
 
 METAR = "METAR KXYZ 151055Z 24011KT 9999 SCT040 12/08 Q1013"
 
@@ -435,18 +439,29 @@ def angles(mission):
     return table[table["status"] == "ok"]
 
 
-@pytest.fixture
-def changed(mission, baseline, monkeypatch, plain_report):
+@pytest.fixture(scope="module")
+def changed_once(mission_factory, baseline, tmp_path_factory):
     """The mission in air that changes, and the same in the first and in the last air alone."""
-    found = {}
-    for name, climates in (
-        ("first", (ENDS[0],) * 2), ("last", (ENDS[1],) * 2), ("changing", ENDS),
-    ):  # fmt: skip
-        two_airs(mission, baseline, monkeypatch, climates)
-        ended = mission.run("--force")
-        assert ended.code == 0, ended.text
-        found[name] = angles(mission)
+    mission, found = mission_factory(tmp_path_factory.mktemp("changed") / "mission"), {}
+    with pytest.MonkeyPatch.context() as patch, without_plots():
+        for name, climates in (
+            ("first", (ENDS[0],) * 2), ("last", (ENDS[1],) * 2), ("changing", ENDS),
+        ):  # fmt: skip
+            two_airs(mission, baseline, patch, climates)
+            ended = mission.run("--force")
+            assert ended.code == 0, ended.text
+            found[name] = angles(mission)
     return mission, found
+
+
+@pytest.fixture
+def changed(changed_once, baseline, monkeypatch, plain_report, tmp_path):
+    """A copy of these runs for a test of its own, in the air that changes."""
+    mission, found = changed_once
+    own = replace(mission, folder=tmp_path / "mission", config=copy.deepcopy(mission.config))
+    shutil.copytree(mission.folder, own.folder)
+    two_airs(own, baseline, monkeypatch)
+    return own, found
 
 
 def test_each_image_is_corrected_in_the_air_of_its_time(changed):
