@@ -29,7 +29,7 @@ def scattered(names: list[str]) -> pd.DataFrame:
     return pd.DataFrame(
         {
             "image": np.repeat(names, 2),
-            "point": [f"p{i}" for i in range(2 * len(names))],
+            "point": [f"{name}/{i}" for name in names for i in "ab"],
             "x_px": 100.0,
             "y_px": 200.0,
         }
@@ -98,8 +98,9 @@ def survey() -> tuple[pd.DataFrame, list[str]]:
 
 
 @needs_shared
-@pytest.mark.parametrize("extension", ["BIN", "tlog"])
-@pytest.mark.parametrize("pattern", ["IMG_{n:04d}.tif", "*"])
+@pytest.mark.parametrize(
+    ("pattern", "extension"), [("IMG_{n:04d}.tif", "BIN"), ("*", "tlog")], ids=["BIN", "tlog"]
+)
 def test_tie_points_find_the_five_exposures_without_an_image(survey, extension, pattern, tmp_path):
     truth, names = survey
     events = {"log": {"cam": {"channel": CHANNEL[extension].format(0), "image": pattern}}}

@@ -538,15 +538,20 @@ def crossing(tmp_path_factory):
     return folder, config, truth
 
 
-def told_of(crossing, table: pd.DataFrame, **orientation):
+def ledger_of(crossing, table: pd.DataFrame, **orientation) -> dict:
+    """The ledger by its codes; the last entry of each."""
     folder, config, _ = crossing
     table.to_csv(folder / "block.csv", index=False)
     config = yaml.safe_load(yaml.safe_dump(config))
     config["stations"]["orientation"] |= orientation
     (folder / "block.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
     ledger = read_mission(folder / "block.yaml").ledger
-    (ties,) = [entry for entry in ledger if entry.code == "ORIENTATION-TIES"]
-    return ties
+    assert sum(entry.code == "ORIENTATION-TIES" for entry in ledger) == 1
+    return {entry.code: entry for entry in ledger}
+
+
+def told_of(crossing, table: pd.DataFrame, **orientation):
+    return ledger_of(crossing, table, **orientation)["ORIENTATION-TIES"]
 
 
 @pytest.mark.parametrize("cameras", [["nadir"], ["nadir", "oblique"]])
@@ -620,12 +625,6 @@ def test_rows_that_belong_to_the_next_image_are_found(crossing):
     ties = told_of(crossing, moved)
     assert ties.kind == "finding"
     assert "rows of other images" in ties.what
-
-
-def ledger_of(crossing, table: pd.DataFrame, **orientation) -> dict:
-    """The ledger by its codes; the last entry of each."""
-    told_of(crossing, table, **orientation)
-    return {entry.code: entry for entry in read_mission(crossing[0] / "block.yaml").ledger}
 
 
 def test_intersected_heights_are_compared_with_those_given(crossing):
