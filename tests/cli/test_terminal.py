@@ -14,11 +14,20 @@ import pytest
 NASTY = "nadir\x1b[31m\r\n\u202e"
 
 
-def in_terminal(*words: str, **environment: str) -> str:
+UNBEND = ("-m", "pipeline")
+# The bar at once, however short the work is.
+IMPATIENT = (
+    "-c",
+    "from pipeline.report import progress; progress.DELAY_S = 0.0\n"
+    "from pipeline.cli import main; main()",
+)
+
+
+def in_terminal(*words: str, python: tuple[str, ...] = UNBEND, **environment: str) -> str:
     """What `unbend` writes to a terminal of its own."""
     master, slave = pty.openpty()
     process = subprocess.Popen(
-        [sys.executable, "-m", "pipeline", *words], stdin=slave, stdout=slave, stderr=slave,
+        [sys.executable, *python, *words], stdin=slave, stdout=slave, stderr=slave,
         env=dict(os.environ, TERM="xterm", COLUMNS="80") | environment,
     )  # fmt: skip
     os.close(slave)
@@ -130,6 +139,6 @@ def test_a_terminal_is_not_left_silent(flown, tmp_path):
     text = in_terminal(*words, NUMBA_CACHE_DIR=cache)
     assert "(compiling, once)" in text
     assert "R_c    7.10" in text.split("\x1b[2K")[-1]
-    dumb = in_terminal(*words, NUMBA_CACHE_DIR=str(tmp_path / "other"), TERM="dumb")
+    dumb = in_terminal(*words, python=IMPATIENT, NUMBA_CACHE_DIR=cache, TERM="dumb")
     assert "\x1b" not in dumb
     assert "tracing the ray ..." in dumb

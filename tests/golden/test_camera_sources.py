@@ -38,9 +38,8 @@ SAME = {"calibration": "laboratory", "window": {"cabin": "log"}}
 
 
 @pytest.fixture(scope="module")
-def as_it_is(tmp_path_factory):
-    outcome = run_sample("bin", tmp_path_factory.mktemp("as_it_is"))
-    return read_observations(outcome.output)
+def as_it_is(runs):
+    return read_observations(runs["bin"].output)
 
 
 def with_cameras(folder, **changes):

@@ -20,6 +20,21 @@ pytestmark = pytest.mark.skipif(
 )
 
 
+# Commands one after the other, which end well; a form feed ends the words of each.
+COMMANDS = r"""
+import json, sys
+from pipeline.cli import main
+for words in json.loads(sys.argv[1]):
+    sys.argv = ["unbend", *words]
+    try:
+        main()
+    except SystemExit as end:
+        if end.code:
+            raise
+    print(end="\f", flush=True)
+"""
+
+
 @pytest.fixture(scope="module")
 def like_windows(tmp_path_factory):
     """Runs a Python that lacks what Windows lacks, its console in the code page 1252."""
@@ -84,8 +99,8 @@ def test_what_windows_lacks_is_missing(like_windows, code):
 
 
 def test_the_rooms_can_be_imported(like_windows):
-    for room in ("refraction", "ingest", "stages.story", "simulate", "cli", "report.page.html"):
-        like_windows("-c", f"import pipeline.{room}")
+    rooms = ("refraction", "ingest", "stages.story", "simulate", "cli", "report.page.html")
+    like_windows("-c", "import " + ", ".join(f"pipeline.{room}" for room in rooms))
 
 
 def test_the_sample_runs_and_is_the_same(like_windows, runs, tmp_path):
@@ -105,18 +120,25 @@ def test_the_sample_runs_and_is_the_same(like_windows, runs, tmp_path):
 def test_missions_run_again_and_side_by_side(like_windows, mission_factory, tmp_path):
     missions = [mission_factory(tmp_path / "Vol \u03a9" / name) for name in ("first", "second")]
     first, second = (mission.save() for mission in missions)
-    like_windows("-m", "pipeline", "run", first)
-    like_windows("-m", "pipeline", "run", first)  # finds it up to date
-    like_windows("-m", "pipeline", "run", first, second, "--jobs", "2", "--force")  # replaces it
-    like_windows("-m", "pipeline", "verify", missions[0].output)
+    commands = [
+        ("run", first),
+        ("run", first),  # finds it up to date
+        ("run", first, second, "--jobs", "2", "--force"),  # replaces it
+        ("verify", missions[0].output),
+    ]
+    words = [[str(word) for word in each] for each in commands]
+    texts = like_windows("-c", COMMANDS, json.dumps(words)).split("\f")
+    assert len(texts) == len(commands) + 1
+    assert "nothing to do" in texts[1]
     tables = [mission.results() for mission in missions]
     assert tables[0].num_rows > 10
     assert tables[0].equals(tables[1])
 
 
-@pytest.mark.parametrize("suffix", ["bin", "tlog", "mcap"])
-def test_logs_are_inspected(like_windows, suffix):
-    words = ("-m", "pipeline", "inspect", ROOT / "sample_logs" / f"flight.{suffix}")
-    assert json.loads(like_windows(*words, "--json"))["channels"]
-    if suffix == "bin":
-        like_windows(*words)
+def test_logs_are_inspected(like_windows):
+    logs = [str(ROOT / "sample_logs" / f"flight.{suffix}") for suffix in ("bin", "tlog", "mcap")]
+    words = [["inspect", log, "--json"] for log in logs] + [["inspect", logs[0]]]
+    *texts, shown, _ = like_windows("-c", COMMANDS, json.dumps(words)).split("\f")
+    assert len(texts) == 3
+    assert all(json.loads(text)["channels"] for text in texts)
+    assert "BARO" in shown
