@@ -1,12 +1,14 @@
 """Faults drawn into good logs with known truth: no usable station is far off, few good are lost.
 
 Truth is the simulator's (`*_truth.csv`), at every exposure. The faults are those of
-`injected_faults`; each is seen by a second channel.
+`injected_faults`; each is seen by a second channel. 104 are drawn; with UNBEND_FLIGHTS of 208 or
+more, as in `make faults`, 208.
 """
 
 from __future__ import annotations
 
 import csv
+import os
 import sys
 from collections import Counter
 from dataclasses import dataclass
@@ -35,7 +37,8 @@ from pipeline.ingest import open_log
 
 LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs"
 RADIUS_M = 6_371_000.0
-DRAWS, SEED = 208, 20_261_122
+DRAWS = 208 if int(os.environ.get("UNBEND_FLIGHTS", "0")) >= 208 else 104
+SEED = 20_261_122
 
 pytestmark = pytest.mark.skipif(not LOGS.exists(), reason="needs ../shared/logs")
 
@@ -129,7 +132,7 @@ def test_good_logs_have_no_suspect(logs):
 
 
 def test_no_usable_station_is_far_off_and_few_good_ones_are_lost(logs, record_property):
-    print(f"seed {SEED}")
+    print(f"seed {SEED}: {DRAWS} faults")
     rng = np.random.default_rng(SEED)
     counts: Counter[str] = Counter()
     failures = []
@@ -149,6 +152,6 @@ def test_no_usable_station_is_far_off_and_few_good_ones_are_lost(logs, record_pr
             failures.append(f"draw {draw}: {fault}: {int((wild & stations.ok).sum())} stations")
     print(dict(counts))
     assert not failures, "\n".join(failures)
-    assert counts["far"] > 300  # the faults do harm
-    assert counts["replaced"] > 300  # and good sources stand in
+    assert counts["far"] > 1.5 * DRAWS  # the faults do harm
+    assert counts["replaced"] > 1.5 * DRAWS  # and good sources stand in
     assert counts["good but suspect"] <= 0.01 * counts["good"], counts
