@@ -36,7 +36,7 @@ from pipeline.tables.geodata.object_points import matching_rows
 from pipeline.units import Array, Integers, Names
 
 _MOST_CHECKED = 50_000
-"""Observations of each part that are computed again."""
+"""Observations of a run that are computed again, spread over all of them."""
 
 _LARGEST_DIFFERENCE_PX = 1e-6
 """Rounding of what is read back; the sample runs are reproduced to the last bit."""
@@ -178,14 +178,14 @@ def ground_of(parts: tuple[Path, ...], stations: Stations, ledger: Ledger) -> Ar
 def check_reproduced(run: FinishedRun, path: Path) -> None:
     """Refuse a run whose corrections cannot be computed again to 1e-6 px (EXPORT-NOT-REPRODUCED).
 
-    Computes up to 50,000 observations of each part. They differ where the program has changed
+    Computes up to 50,000 observations. They differ where the program has changed
     since, or where the folder does not hold all inputs of the correction.
     """
     names = pa.array(run.stations.image, pa.string())
-    largest = 0.0
+    largest, total = 0.0, sum(pq.read_metadata(part).num_rows for part in run.parts)
     for part in run.parts:
         table = pq.read_table(part, columns=_CHECKED)
-        table = table.take(np.arange(0, table.num_rows, 1 + table.num_rows // _MOST_CHECKED))
+        table = table.take(np.arange(0, table.num_rows, 1 + total // _MOST_CHECKED))
         station = matching_rows(table["image"].combine_chunks(), names)
         largest = max(largest, largest_difference_px(run, table, station))
     if largest > _LARGEST_DIFFERENCE_PX:

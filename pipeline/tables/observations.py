@@ -245,7 +245,7 @@ class Observations:
     def batches(self, batch_rows: int) -> Iterator[Batch]:
         """The observations in slices of ``batch_rows``, each row once and in its place."""
         # Keypoints are many more than tie points: their memory stays under 100 MB.
-        batch_rows = min(batch_rows, 1 << 16) if self.is_block else batch_rows
+        batch_rows = min(batch_rows, 1 << 15) if self.is_block else batch_rows
         records, first_row = self._records(batch_rows, None), 0
         for table in _slices(records, batch_rows):
             users = {f.name: self._sources[f.name] for f in self.user_fields}

@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from pipeline.ledger import Ledger
 from pipeline.tables.exports.blocks.colmap_model import MODEL_IDS, USE, colmap_camera, note_cameras
@@ -122,8 +124,8 @@ def copied_rows(block: ExportedBlock, source: Path) -> Iterator[tuple[Any, ...]]
     """
     places = {}
     for i, image in enumerate(block.image):
-        own = [block.name[point] for point in block.point[block.of_image(i)]]
-        index = np.array([int(name.removeprefix(f"{image}:")) for name in own], np.int64)
+        own = block.name.take(pa.array(block.point[block.of_image(i)]))
+        index = pc.utf8_slice_codeunits(own, len(image) + 1).cast(pa.int64()).to_numpy()
         place = np.full(index.max(initial=0) + 2, -1)  # of the last, and beyond, there is none
         place[index] = np.arange(index.size)
         places[image] = i + 1, place

@@ -8,13 +8,13 @@ their names. A point that was measured in one image only is an image point witho
 an adjustment could not determine it.
 """
 
-import re
 import struct
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from pipeline.errors import MissionError
 from pipeline.ledger import Ledger
@@ -89,12 +89,12 @@ def note_cameras(block: ExportedBlock, ledger: Ledger) -> None:
 
 def point_ids(block: ExportedBlock, folder: Path) -> Integers:
     """(p,) numbers of points; writes points.csv with the names of those that are no numbers."""
-    number = re.compile(r"[1-9][0-9]{0,17}")
-    ids = np.array([int(n) if number.fullmatch(n) else 0 for n in block.name], np.int64)
+    is_number = pc.match_substring_regex(block.name, "^[1-9][0-9]{0,17}$")
+    ids = np.array(pc.if_else(is_number, block.name, "0").cast(pa.int64()))
     other = np.flatnonzero(ids == 0)
     ids[other] = ids.max(initial=0) + 1 + np.arange(other.size)
     if other.size:
-        table = pa.table({"id": ids[other], "point": [block.name[p] for p in other]})
+        table = pa.table({"id": ids[other], "point": block.name.take(pa.array(other))})
         write_csv_stream(folder / "points.csv", table.schema, [table])
     return ids
 

@@ -49,7 +49,7 @@ class ExportedBlock:
     point: Integers
     x_px: Array
     y_px: Array
-    name: list[str]
+    name: pa.StringArray
     count: Integers
     point_m: Array
 
@@ -130,7 +130,7 @@ def block_of(run: FinishedRun, ledger: Ledger) -> ExportedBlock:
         point=np.argsort(order)[point],
         x_px=run.pixels.to_colmap(x),
         y_px=run.pixels.to_colmap(y),
-        name=names.take(pa.array(order)).to_pylist(),
+        name=names.take(pa.array(order)),
         count=count[order],
         point_m=np.empty((int(np.sum(count > 1)), 3)),
     )
@@ -170,15 +170,18 @@ def read_image_points(
     schema = pa.schema(list(zip(_COLUMNS[:5], kinds, strict=True)))
     tables = [schema.empty_table()]
     for path in run.parts:
-        table = pq.read_table(path, columns=_COLUMNS)
+        table = pq.read_table(path, columns=_COLUMNS, use_threads=False)
         total += table.num_rows
         image = pa.array(matching_rows(table["image"].combine_chunks(), known), pa.int32())
         good = pc.and_(pc.equal(table["status"], "ok"), table["point"].is_valid())
         table = table.set_column(0, "image", image).filter(pc.and_(good, pc.greater(image, -1)))
         columns = [table[0], table[1].dictionary_encode(), *table.columns[2:5]]
         tables.append(pa.table(columns, schema=schema))
+    pool = pa.default_memory_pool()
+    pool.release_unused()  # which it keeps else, as much as the block takes
     table = pa.concat_tables(tables).unify_dictionaries()
     tables.clear()
+    pool.release_unused()
     table = table.combine_chunks()
     coded = table["point"].chunk(0)
     table = table.set_column(1, "point", coded.indices)

@@ -125,7 +125,8 @@ def _root(path: Path) -> ElementTree.Element:
 def _chunk(path: Path) -> ElementTree.Element:
     chunks = [*_root(path).iter("chunk")]
     if len(chunks) != 1:
-        raise not_of_format(path, f"it has {len(chunks)} chunks, and one is read",
+        names = ", ".join(repr(chunk.get("label", "")) for chunk in chunks)
+        raise not_of_format(path, f"it has {len(chunks)} chunks ({names}), and one is read",
                             "keep the chunk that is meant, or export it alone")  # fmt: skip
     return chunks[0]
 

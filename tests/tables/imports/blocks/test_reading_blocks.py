@@ -363,7 +363,7 @@ def test_markers_of_metashape(tmp_path):
         (("1.5.0", "9.0"), "of version 9.0"),
         (('x="100.5"', ""), "it has no 'x'"),
         (("</document>", ""), "is no XML"),
-        (("<chunk ", '<chunk id="7"/><chunk '), "it has 2 chunks"),
+        (("<chunk ", '<chunk label="old"/><chunk '), "it has 2 chunks ('old', "),
         (('class="adjusted"', 'class="initial"'), "no adjusted calibration"),
         (("1 0 0 10 0", "1 0 ten 10 0"), "not as that program writes it"),
         (("<cx>1</cx>", "<p3>0.1</p3>"), "p3 of a frame calibration"),
