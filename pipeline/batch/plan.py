@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import pipeline
+from pipeline.batch.file_hashes import remembered_hash
 from pipeline.batch.store import would_replace
 from pipeline.config import Mission
 from pipeline.config.station_sources import KnownPositions
 from pipeline.errors import ConfigError, InputError
-from pipeline.ingest import hash_file
 from pipeline.tables.imports.blocks import BLOCKS, damage_refused
 from pipeline.tables.imports.exif import image_files
 
@@ -38,6 +38,9 @@ _MISSION_FILE_KEYS = {
     "control": "control.path",
 }
 _EXIF_BYTES = 1 << 18
+
+NOT_IN_KEY = ("output.batch_rows",)
+"""Keys of a mission file that no number depends on."""
 
 _LIBRARIES = (
     "numpy", "scipy", "numba", "llvmlite", "pandas", "pyarrow",  # arithmetic and tables
@@ -77,8 +80,12 @@ class Plan:
     @property
     def fingerprint(self) -> str:
         """SHA-256 over the mission file as understood, the inputs, the code and its libraries."""
+        config = self.mission.model_dump(mode="json")
+        for key in NOT_IN_KEY:
+            section, name = key.split(".")
+            del config[section][name]
         content = {
-            "config": self.mission.model_dump(mode="json"),
+            "config": config,
             "inputs": {item.role: item.sha256 for item in self.inputs},
             "code": code_hash(),
             "libraries": library_versions(),
@@ -149,11 +156,12 @@ def sounding_role(number: int) -> str:
     return f"sounding {number + 1}"
 
 
-def make_plan(mission: Mission, folder: Path) -> Plan:
+def make_plan(mission: Mission, folder: Path, *, verify: bool = False) -> Plan:
     """Hash the inputs of a mission; relative paths resolve from the mission file's folder.
 
-    The cameras of the plan have the numbers of their files. Refuses a mission that would write its
-    results over one of its inputs.
+    Files that did not change since they were last hashed are read only to ``verify``. The cameras
+    of the plan have the numbers of their files. Refuses a mission that would write its results
+    over one of its inputs.
     """
     output = Path(os.path.normpath(folder / mission.output.path))
     _refuse_among_results("mission", folder, output)
@@ -180,7 +188,8 @@ def make_plan(mission: Mission, folder: Path) -> Plan:
                 raise InputError("INPUT-MISSING", what, where=str(path), remedy=remedy)
             _refuse_among_results(role, path, output)
             stamp = _stamp(path, program)
-            inputs.append(Input(role, name, path, _hash_input(path, program), stamp, program))
+            sha256 = _hash_input(path, program, verify=verify)
+            inputs.append(Input(role, name, path, sha256, stamp, program))
         except OSError as error:
             raise InputError(
                 "INPUT-UNREADABLE", str(error.strerror), where=str(path), remedy="mend permissions"
@@ -220,24 +229,24 @@ def check_unchanged(plan: Plan) -> None:
     """Refuse results whose inputs changed while they were made."""
     for item in plan.inputs:
         changed = _stamp(item.path, item.program) != item.stamp
-        if changed and _hash_input(item.path, item.program) != item.sha256:
+        if changed and _hash_input(item.path, item.program, verify=True) != item.sha256:
             what = f"the {item.role} file changed during the run"
             remedy = "run again when nothing writes to it"
             raise InputError("INPUT-CHANGED", what, where=str(item.path), remedy=remedy)
 
 
-def _hash_input(path: Path, program: str | None) -> str:
+def _hash_input(path: Path, program: str | None, *, verify: bool) -> str:
     """SHA-256 of a file; of a folder of images over their names, sizes and first 256 KiB.
 
     Of a block over the names and hashes of its files.
     """
     files = _files_of(path, program)
     if files == (path,):
-        return hash_file(path)
+        return remembered_hash(path, verify=verify)
     digest = hashlib.sha256()
     for file in files:
         if program is not None:
-            digest.update(f"{file.name}\0{hash_file(file)}\0".encode())
+            digest.update(f"{file.name}\0{remembered_hash(file, verify=verify)}\0".encode())
             continue
         with file.open("rb") as stream:
             digest.update(f"{file.relative_to(path)}\0{file.stat().st_size}\0".encode())

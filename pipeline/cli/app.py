@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from pipeline.ledger import Ledger
 
 _ORDER = (
-    "init", "schema", "help", "run", "check", "stations", "inspect", "angle", "radial", "tables",
-    "profile", "compare", "simulate", "export", "verify",
+    "init", "schema", "help", "run", "check", "status", "stations", "inspect", "angle", "radial",
+    "tables", "profile", "compare", "simulate", "export", "verify",
 )  # fmt: skip
 """Order of the commands in the help: the way in, missions, atmosphere and rays, results."""
 

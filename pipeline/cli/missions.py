@@ -24,6 +24,9 @@ def run(
     jobs: Annotated[int, typer.Option(min=1, help="missions at the same time")] = 1,
     force: Annotated[bool, typer.Option(help="run even where nothing has changed")] = False,
     *,
+    verify_inputs: Annotated[
+        bool, typer.Option(help="read and hash inputs whose size and times did not change too")
+    ] = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
@@ -37,7 +40,8 @@ def run(
     codes: list[int] = []
     missions: list[dict[str, Any]] = []
     beside = nullcontext() if jobs == 1 else answer.progress(f"{len(configs)} missions")
-    outcomes = run_many(partial(run_mission, force=force), configs, jobs, answer.progress)
+    run_one = partial(run_mission, force=force, verify_inputs=verify_inputs)
+    outcomes = run_many(run_one, configs, jobs, answer.progress)
     with beside, closing(outcomes):
         for config, end in outcomes:
             if isinstance(end, UnbendError):
@@ -105,6 +109,43 @@ def check(
             {"config": str(config), "exit_code": codes[-1], "lines": dict(lines),
              "manifest": checked.manifest}
         )  # fmt: skip
+    answer.print_json(missions)
+    raise typer.Exit(exit_code_of(codes))
+
+
+@app.command(epilog="Example: unbend status configs/*.yaml")
+def status(
+    configs: Annotated[list[Path], typer.Argument(help="mission files", metavar="CONFIG...")],
+    *,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """What `run` would run now, and why: inputs, keys, program or results that changed."""
+    answer = Answer(quiet=quiet, as_json=as_json)
+    with answer.progress("loading"):
+        from pipeline.batch.execute import exit_code_of
+        from pipeline.report.text.terminal import print_status
+        from pipeline.stages.story import mission_status
+
+    codes: list[int] = []
+    missions: list[dict[str, Any]] = []
+    for config in configs:
+        try:
+            with answer.progress(f"looking at {config.name}"):
+                plan, reasons = mission_status(config)
+        except UnbendError as error:
+            print_error(error, str(config))
+            codes.append(error.exit_code)
+            missions.append(_refusal(config, error))
+            continue
+        print_status(answer.console, str(config), reasons)
+        codes.append(EXIT_DONE)
+        missions.append(
+            {"config": str(config), "output": str(plan.output), "would_run": bool(reasons),
+             "reasons": reasons, "exit_code": EXIT_DONE}
+        )  # fmt: skip
+    runs = sum(mission.get("would_run", False) for mission in missions)
+    answer.console.print(f"{count(runs, 'mission')} of {len(configs)} would run")
     answer.print_json(missions)
     raise typer.Exit(exit_code_of(codes))
 

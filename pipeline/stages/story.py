@@ -15,6 +15,7 @@ from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.estimate.adjusted_profile import unadjusted
 from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
+from pipeline.batch.changes import changes_since
 from pipeline.batch.plan import (
     Outcome,
     Plan,
@@ -125,17 +126,21 @@ class CorrectedMission:
 
 
 def run_mission(
-    path: Path | str, *, force: bool = False, progress: Progress | None = None
+    path: Path | str,
+    *,
+    force: bool = False,
+    verify_inputs: bool = False,
+    progress: Progress | None = None,
 ) -> Outcome:
     """Run one mission, from its file to its folder of results.
 
     Does nothing where the same inputs, mission file and code gave these results before, unless
-    ``force``.
+    ``force``. ``verify_inputs`` reads inputs that seem unchanged too.
     """
     path, progress = Path(path), progress or NoProgress()
     mission_file = load_mission(path)
     progress.start("hashing the inputs")
-    plan = make_plan(mission_file, path.parent)
+    plan = make_plan(mission_file, path.parent, verify=verify_inputs)
     mission = plan.mission
     with open_folder(plan.output) as folder:
         earlier = finished_before(plan, force=force)
@@ -182,6 +187,20 @@ def check_mission(path: Path | str, *, progress: Progress | None = None) -> Corr
         return statistics
 
     return correct_mission(prepared, correct_sample)
+
+
+def mission_status(path: Path | str) -> tuple[Plan, list[str]]:
+    """Why `run_mission` would run a mission now, one reason each; none where it would not.
+
+    Nothing is locked or written, and no input is read that did not change.
+    """
+    path = Path(path)
+    plan = make_plan(load_mission(path), path.parent)
+    manifest = read_manifest(plan.output, damaged=True)
+    refuse_other_mission(plan, manifest)
+    if manifest is None:
+        return plan, [f"{plan.output} has no results of it"]
+    return plan, changes_since(plan, manifest) or find_damage(plan.output, manifest, read=False)
 
 
 def finished_before(plan: Plan, *, force: bool = False) -> dict[str, Any] | None:

@@ -16,6 +16,7 @@ from pipeline.report.words import count
 _COLOURS = {"finding": "red", "loss": "red", "warning": "yellow", "fallback": "cyan", "note": "dim"}
 
 _MOST_CONTROL = 12
+_MOST_REASONS = 6
 
 
 def print_run(
@@ -63,6 +64,15 @@ def print_check(
     console.print(f"[bold]{shown(name)}[/bold] {verdict}")
     print_labelled(console, lines)
     print_ledger(console, manifest["ledger"])
+
+
+def print_status(console: Console, name: str, reasons: Sequence[str]) -> None:
+    """Whether a mission would run, and why."""
+    console.print(f"[bold]{shown(name)}[/bold] {'would run' if reasons else 'unchanged'}")
+    for reason in reasons[:_MOST_REASONS]:
+        print_indented(console, shown(reason))
+    if len(reasons) > _MOST_REASONS:
+        print_indented(console, f"and {count(len(reasons) - _MOST_REASONS, 'more reason')}")
 
 
 _STATION_COLUMNS = (

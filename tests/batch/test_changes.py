@@ -1,0 +1,70 @@
+"""`status`: what would run, and why."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import pytest
+
+from pipeline.batch import file_hashes
+from pipeline.batch import plan as planning
+from pipeline.stages.story import mission_status, run_mission
+
+
+@pytest.fixture
+def done(mission, monkeypatch, tmp_path):
+    """A mission that was run."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    run_mission(mission.save())
+    return mission
+
+
+def reasons(mission) -> list[str]:
+    return mission_status(mission.save())[1]
+
+
+def test_unchanged(done):
+    assert reasons(done) == []
+
+
+def test_a_mission_that_never_ran(mission):
+    assert reasons(mission) == [f"{mission.output} has no results of it"]
+
+
+def test_each_change_is_named(done, monkeypatch):
+    done.config["ground"]["sigma_m"] = 1.5
+    assert reasons(done) == ["ground.sigma_m: nothing -> 1.5"]
+    with done.log.open("ab") as log:
+        log.write(b"\0")
+    changed = f"log changed ({done.config['log']['path']})"
+    assert reasons(done) == [changed, "ground.sigma_m: nothing -> 1.5"]
+    del done.config["ground"]["sigma_m"]
+    versions = planning.versions()
+    monkeypatch.setattr("pipeline.batch.changes.versions", lambda: versions | {"numpy": "0.1"})
+    assert reasons(done) == [changed, f"numpy {versions['numpy']} -> 0.1"]
+
+
+def test_the_size_of_batches_changes_no_number(done):
+    done.config["output"]["batch_rows"] = 10_000
+    assert reasons(done) == []
+    assert run_mission(done.save()).repeated
+
+
+def test_results_that_are_gone(done):
+    (done.output / "report.html").unlink()
+    assert reasons(done) == ["report.html: is missing"]
+
+
+def test_nothing_is_read_where_nothing_changed(done, unbend, monkeypatch):
+    past = 1_700_000_000
+    for path in (done.log, done.folder / done.config["observations"]["path"]):
+        os.utime(path, (past, past))
+    now = file_hashes.time.time_ns
+    monkeypatch.setattr(file_hashes.time, "time_ns", lambda: now() + 60_000_000_000)
+    assert reasons(done) == []
+    monkeypatch.setattr(file_hashes, "hash_file", lambda path: pytest.fail(f"read {path}"))
+    assert reasons(done) == []
+    answer = json.loads(unbend("status", str(done.file), "--json").out)
+    assert [entry["would_run"] for entry in answer] == [False]
+    assert answer[0]["reasons"] == []
