@@ -120,7 +120,10 @@ def status(
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """What `run` would run now, and why: inputs, keys, program or results that changed."""
+    """What `run` would run now, and why.
+
+    Names the inputs, keys, libraries and results that changed since the last run.
+    """
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("loading"):
         from pipeline.batch.execute import exit_code_of

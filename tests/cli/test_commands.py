@@ -20,8 +20,8 @@ from pipeline.refraction import angle
 pytestmark = pytest.mark.usefixtures("eighty_columns")
 
 COMMANDS = (
-    "init", "schema", "help", "run", "check", "stations", "inspect", "angle", "radial", "tables",
-    "profile", "compare", "simulate", "export", "verify",
+    "init", "schema", "help", "run", "check", "status", "stations", "inspect", "angle", "radial",
+    "tables", "profile", "compare", "simulate", "export", "verify",
 )  # fmt: skip
 
 
