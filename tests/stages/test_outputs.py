@@ -285,6 +285,7 @@ def test_fewer_parts_leave_none_of_the_old_ones(mission):
     assert mission.run().code == 0
     assert len(list((mission.output / "observations").iterdir())) == 2
     mission.config["output"]["batch_rows"] = 100_000
+    mission.config["ground"]["sigma_m"] = 1.5
     assert mission.run().code == 0
     assert len(list((mission.output / "observations").iterdir())) == 1
 
