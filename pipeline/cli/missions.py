@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping, Sequence
 from contextlib import closing, nullcontext
 from functools import cache, partial
 from inspect import Parameter, Signature
 from math import inf
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperCommand
@@ -33,11 +34,10 @@ def run(
     """Correct missions; one that is refused does not stop the rest."""
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("loading"):
-        from pipeline.batch.execute import Bug, exit_code_of, run_many
+        from pipeline.batch.execute import Bug, run_many
         from pipeline.report.text.terminal import print_run
         from pipeline.stages.story import run_mission
 
-    codes: list[int] = []
     missions: list[dict[str, Any]] = []
     beside = nullcontext() if jobs == 1 else answer.progress(f"{len(configs)} missions")
     run_one = partial(run_mission, force=force, verify_inputs=verify_inputs)
@@ -45,29 +45,33 @@ def run(
     with beside, closing(outcomes):
         for config, end in outcomes:
             if isinstance(end, UnbendError):
-                print_error(end, str(config))
-                codes.append(end.exit_code)
-                missions.append(_refusal(config, end))
+                missions.append(_refused(config, end))
             elif isinstance(end, Bug):
                 print_bug(end.traceback, str(config))
-                codes.append(EXIT_BUG)
                 missions.append({"config": str(config), "exit_code": EXIT_BUG})
             else:
                 output = str(end.output)
                 print_run(answer.console, end.name, output, end.manifest, repeated=end.repeated)
-                codes.append(end.exit_code)
                 missions.append(
                     {"config": str(config), "output": output, "repeated": end.repeated,
                      "exit_code": end.exit_code, "manifest": end.manifest}
                 )  # fmt: skip
-    answer.print_json(missions)
-    raise typer.Exit(exit_code_of(codes))
+    _end(answer, missions)
 
 
-def _refusal(config: Path, error: UnbendError) -> dict[str, Any]:
-    """A refused mission in the JSON of `run` and `check`."""
+def _refused(config: Path, error: UnbendError) -> dict[str, Any]:
+    """Print the refusal of a mission; its entry in the JSON of the command."""
+    print_error(error, str(config))
     parts = {"code": error.code, "what": error.what, "where": error.where, "to_do": error.remedy}
     return {"config": str(config), "exit_code": error.exit_code, "refusal": parts}
+
+
+def _end(answer: Answer, missions: Sequence[Mapping[str, Any]]) -> NoReturn:
+    """Print the entries as JSON if that is wanted, and exit with the code of all missions."""
+    from pipeline.batch.execute import exit_code_of
+
+    answer.print_json(missions)
+    raise typer.Exit(exit_code_of([int(mission["exit_code"]) for mission in missions]))
 
 
 @app.command(epilog="Example: unbend check mission.yaml")
@@ -83,12 +87,11 @@ def check(
     """
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("loading"):
-        from pipeline.batch.execute import exit_code_of, shared_outputs
+        from pipeline.batch.execute import shared_outputs
         from pipeline.report.text.terminal import print_check
         from pipeline.stages.rehearsal import input_lines, rehearsal_lines
         from pipeline.stages.story import check_mission
 
-    codes: list[int] = []
     missions: list[dict[str, Any]] = []
     shared = shared_outputs(configs)
     for config in configs:
@@ -99,18 +102,14 @@ def check(
                 checked = check_mission(config, progress=bar)
                 lines = [*input_lines(checked), *rehearsal_lines(checked)]
         except UnbendError as error:
-            print_error(error, str(config))
-            codes.append(error.exit_code)
-            missions.append(_refusal(config, error))
+            missions.append(_refused(config, error))
             continue
         print_check(answer.console, str(config), lines, checked.manifest)
-        codes.append(int(checked.manifest["exit_code"]))
         missions.append(
-            {"config": str(config), "exit_code": codes[-1], "lines": dict(lines),
-             "manifest": checked.manifest}
+            {"config": str(config), "exit_code": checked.manifest["exit_code"],
+             "lines": dict(lines), "manifest": checked.manifest}
         )  # fmt: skip
-    answer.print_json(missions)
-    raise typer.Exit(exit_code_of(codes))
+    _end(answer, missions)
 
 
 @app.command(epilog="Example: unbend status configs/*.yaml")
@@ -126,31 +125,25 @@ def status(
     """
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("loading"):
-        from pipeline.batch.execute import exit_code_of
         from pipeline.report.text.terminal import print_status
         from pipeline.stages.story import mission_status
 
-    codes: list[int] = []
     missions: list[dict[str, Any]] = []
     for config in configs:
         try:
             with answer.progress(f"looking at {config.name}"):
                 plan, reasons = mission_status(config)
         except UnbendError as error:
-            print_error(error, str(config))
-            codes.append(error.exit_code)
-            missions.append(_refusal(config, error))
+            missions.append(_refused(config, error))
             continue
         print_status(answer.console, str(config), reasons)
-        codes.append(EXIT_DONE)
         missions.append(
             {"config": str(config), "output": str(plan.output), "would_run": bool(reasons),
              "reasons": reasons, "exit_code": EXIT_DONE}
         )  # fmt: skip
     runs = sum(mission.get("would_run", False) for mission in missions)
     answer.console.print(f"{count(runs, 'mission')} of {len(configs)} would run")
-    answer.print_json(missions)
-    raise typer.Exit(exit_code_of(codes))
+    _end(answer, missions)
 
 
 @app.command(epilog="Example: unbend stations mission.yaml --plot flight.png")

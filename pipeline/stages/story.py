@@ -15,7 +15,7 @@ from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.estimate.adjusted_profile import unadjusted
 from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
-from pipeline.batch.changes import changes_since
+from pipeline.batch.changes import reasons_to_run
 from pipeline.batch.plan import (
     Outcome,
     Plan,
@@ -200,7 +200,7 @@ def mission_status(path: Path | str) -> tuple[Plan, list[str]]:
     refuse_other_mission(plan, manifest)
     if manifest is None:
         return plan, [f"{plan.output} has no results of it"]
-    return plan, changes_since(plan, manifest) or find_damage(plan.output, manifest, read=False)
+    return plan, reasons_to_run(plan, manifest)
 
 
 def finished_before(plan: Plan, *, force: bool = False) -> dict[str, Any] | None:
@@ -210,9 +210,8 @@ def finished_before(plan: Plan, *, force: bool = False) -> dict[str, Any] | None
     """
     manifest = read_manifest(plan.output, damaged=force)
     refuse_other_mission(plan, manifest)
-    if force or manifest is None or manifest.get("fingerprint") != plan.fingerprint:
-        return None
-    return None if find_damage(plan.output, manifest, read=False) else manifest
+    stays = not force and manifest is not None and not reasons_to_run(plan, manifest)
+    return manifest if stays else None
 
 
 def prepare_mission(

@@ -40,8 +40,9 @@ def test_each_change_is_named(done, monkeypatch):
     changed = f"log changed ({done.config['log']['path']})"
     assert reasons(done) == [changed, "ground.sigma_m: nothing -> 1.5"]
     del done.config["ground"]["sigma_m"]
-    versions = planning.versions()
-    monkeypatch.setattr("pipeline.batch.changes.versions", lambda: versions | {"numpy": "0.1"})
+    versions = planning.library_versions()
+    changed_one = versions | {"numpy": "0.1"}
+    monkeypatch.setattr("pipeline.batch.changes.library_versions", lambda: changed_one)
     assert reasons(done) == [changed, f"numpy {versions['numpy']} -> 0.1"]
 
 
@@ -68,3 +69,15 @@ def test_nothing_is_read_where_nothing_changed(done, unbend, monkeypatch):
     answer = json.loads(unbend("status", str(done.file), "--json").out)
     assert [entry["would_run"] for entry in answer] == [False]
     assert answer[0]["reasons"] == []
+
+
+def test_a_manifest_without_its_inputs_is_no_bug(done):
+    """That of another version may lack what says why; the mission would run."""
+    kept = ("fingerprint", "mission", "outputs", "exit_code")
+    file = done.output / "manifest.json"
+    manifest = json.loads(file.read_text())
+    file.write_text(json.dumps({key: manifest[key] for key in kept} | {"fingerprint": "0"}))
+    found = reasons(done)
+    assert f"log is new ({done.config['log']['path']})" in found
+    assert not run_mission(done.save()).repeated
+    assert reasons(done) == []

@@ -8,7 +8,6 @@ faults`: all) are drawn from UNBEND_MISTAKE_SEED (0).
 from __future__ import annotations
 
 import os
-import pickle
 import random
 import re
 from collections.abc import Iterator
@@ -20,9 +19,7 @@ import pytest
 import yaml
 
 from pipeline.errors import UnbendError
-from pipeline.ledger import Ledger
 from pipeline.stages import inputs
-from pipeline.stages.air import adjusted_profile
 from pipeline.stages.story import check_mission
 
 from .mistaken import MISTAKES, write_mistake
@@ -43,24 +40,11 @@ MISSED = {
 
 
 @pytest.fixture(scope="module", autouse=True)
-def parsed_once() -> Iterator[None]:
-    """Logs are parsed once, and the air is estimated once from the same samples."""
-    patched = pytest.MonkeyPatch()
-    patched.setattr(inputs, "open_log", lru_cache(None)(inputs.open_log))
-    estimate, known = adjusted_profile.build_adjusted_profile, {}
-
-    def build(samples: Any, standard: Any, latitude: float, ledger: Ledger, **named: Any) -> Any:
-        key = pickle.dumps((samples, standard, round(latitude, 4), named))
-        if key not in known:
-            own = Ledger()
-            known[key] = estimate(samples, standard, latitude, own, **named), tuple(own)
-        result, entries = known[key]
-        ledger.extend(entries)
-        return result
-
-    patched.setattr(adjusted_profile, "build_adjusted_profile", build)
-    yield
-    patched.undo()
+def parsed_once(computed_once: None) -> Iterator[None]:
+    """Logs are parsed once, and what is the same in many missions is computed once."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(inputs, "open_log", lru_cache(None)(inputs.open_log))
+        yield
 
 
 def checked(folder: Path, mistake: dict[str, Any]) -> tuple[int, str]:
