@@ -185,7 +185,12 @@ def stations(
     epilog="Example: unbend inspect flight.bin; unbend inspect flight.bin --type BARO --csv"
 )
 def inspect(
-    log: Annotated[Path, typer.Argument(help="a flight log", metavar="LOG")],
+    log: Annotated[
+        Path,
+        typer.Argument(
+            help="a flight log, or a file of a weather model (netCDF, GRIB)", metavar="LOG"
+        ),
+    ],
     kind: Annotated[
         str | None, typer.Option("--type", help="all messages of one type or topic")
     ] = None,
@@ -195,7 +200,7 @@ def inspect(
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show what a log holds, by the names that a mission file uses."""
+    """Show what a log holds, by the names that a mission file uses, or a weather model's file."""
     if (kind is None and (as_csv or instance is not None)) or (kind is not None and as_json):
         what = "--csv and --instance go with --type, --json goes without it"
         remedy = "for example: unbend inspect flight.bin --type BARO --csv"
@@ -203,7 +208,17 @@ def inspect(
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress(f"reading {log.name}"):
         from pipeline.ingest import open_log
+        from pipeline.tables.weather_files import contents_of, is_model_file
 
+        if kind is None and is_model_file(log):
+            contents = contents_of(log)
+            if as_json:
+                answer.print_json(contents)
+            else:
+                from pipeline.report.text.terminal import print_model
+
+                print_model(answer.console, contents, log.name)
+            raise typer.Exit(EXIT_DONE)
         opened = open_log(log, needs_channels=kind is None)
         columns = None if kind is None else opened.message(kind, instance)
     if columns is not None and as_csv:

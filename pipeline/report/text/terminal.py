@@ -173,6 +173,38 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
     print_ledger(console, log["ledger"])
 
 
+def print_model(console: Console, contents: Mapping[str, Any], name: str) -> None:
+    """What ``unbend inspect`` prints of a weather model's file: time, area, levels, variables."""
+    console.print(f"[bold]{shown(name)}[/bold]: weather model, {contents['format']}")
+    lines = [("grid", contents["grid"] or "no temperature on levels")]
+    if contents["grid"] is not None:
+        times, leads, levels = contents["times_utc"], contents["lead_h"], contents["levels"]
+        unit, members = "" if contents["level_kind"] == "model" else " hPa", contents["members"]
+        between = " to ".join(t.replace("T", " ") for t in dict.fromkeys((times[0], times[-1])))
+        lead = f"; {max(leads):g} h since the forecast began" if max(leads) else ""
+        lines += [
+            ("time", f"{count(len(times), 'time')}, {between} UTC{lead}"),
+            ("levels", f"{len(levels)} {contents['level_kind']} levels, {levels[0]:g} to "
+             f"{levels[-1]:g}{unit}" + (f": {', '.join(f'{v:g}' for v in levels)}"
+                                        if len(levels) <= 40 else "")),
+        ]  # fmt: skip
+        for axis in ("latitude", "longitude"):
+            if node := contents[f"{axis}_deg"]:
+                text = f"{node['from']:g}° to {node['to']:g}°, {node['count']} nodes every "
+                lines.append((axis, f"{text}{node['step']:g}°"))
+        if members:
+            text = f"{len(members)}, {members[0]} to {members[-1]}"
+            lines.append(("members", text))
+    print_labelled(console, lines)
+    table = plain_table(("variable", "unit", "levels", "name"), gap=2)
+    table.columns[1].justify = table.columns[3].justify = "left"
+    for row in contents["variables"]:
+        cells = (str(row[key]) for key in ("name", "units", "levels", "long_name"))
+        table.add_row(*(shown(cell) for cell in cells))
+    console.print()
+    print_indented(console, table)
+
+
 def print_fields(console: Console, title: str, rows: Sequence[Mapping[str, str]]) -> None:
     """The fields of one message type of a log."""
     console.print(f"[bold]{shown(title)}[/bold]")
