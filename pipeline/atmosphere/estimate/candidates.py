@@ -93,7 +93,8 @@ def candidates(
     no_thermometer = replace(samples, temperature=None)
     for external in choices:
         if external.names:
-            basis, reason = "sounding" if external.soundings else "surface", external.described("")
+            basis = external.soundings[0].kind if external.soundings else "surface"
+            reason = external.described("")
             ordered.append(Candidate(basis, reason, no_thermometer, external, samples.pressure))
     return ordered
 

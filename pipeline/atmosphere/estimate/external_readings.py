@@ -44,15 +44,13 @@ UNDATED_SOUNDING_H, UNDATED_REPORT_H, UNPLACED_M = 6.0, 3.0, 100e3
 _EARTH_M = 6.371e6
 _MOST_EXPONENT = 50.0  # exp of it is finite, and far beyond MOST_GROWTH
 
-AT_ONCE_K, AT_ONCE_LENGTH_M, LATER_LENGTH_M = 1.2, 1500.0, 4000.0
-"""How far the air of a sounding is from the flight's: 1.2 K at once (instrument, the way the
-balloon drifted), and what age and distance add (see `variance_growth`), which correlates in height
-like departures from the climatology. Set by judgement, not measured here."""
+LATER_LENGTH_M = 4000.0
+"""What age and distance add to the errors of a column (see `variance_growth`) correlates in height
+like departures from the climatology."""
 
-DEPARTURE_RH, DEPARTURE_RH_LENGTH_M = 0.15, 1000.0
 DEPARTURE_STEP_M = 500.0
 
-LEVEL_K, LEVEL_RH, LEVEL_LOG_P = 0.4, 0.04, 1e-3
+LEVEL_K, LEVEL_RH = 0.4, 0.04
 """Independent errors of a level of a sounding."""
 
 WEATHER_LOG_P_PER_H, WEATHER_LOG_P_PER_M = 5e-4, 1.5e-8
@@ -189,7 +187,7 @@ def note_source_distances(
 def sounding_departures(
     soundings: Sequence[Sounding], background: Climatology, flight: TimeAndPlace
 ) -> tuple[Drift, ...]:
-    """How the air of each sounding departs from that of the flight, over its own heights."""
+    """How the air of each column departs from that of the flight, over its own heights."""
     gravity = background.profile.gravity
     departures: list[Drift] = []
     for i, sounding in enumerate(soundings):
@@ -198,14 +196,19 @@ def sounding_departures(
             continue
         height = gravity.geopotential_height(sounding.h_m[inside])
         knots = np.arange(height[0], height[-1] + DEPARTURE_STEP_M, DEPARTURE_STEP_M)
+        errors, levels = sounding.errors, gravity.geopotential_height(sounding.h_m)
+
+        def at_knots(sigma: Array | float, knots: Array = knots, levels: Array = levels) -> Array:
+            return np.asarray(np.interp(knots, levels, np.broadcast_to(sigma, levels.shape)))
+
         growth = variance_growth(*hours_and_metres(sounding, flight))
-        later = SPREAD_K**2 * growth
-        variance = AT_ONCE_K**2 + later
-        length = (AT_ONCE_K**2 * AT_ONCE_LENGTH_M + later * LATER_LENGTH_M) / variance
-        humid = float(np.hypot(DEPARTURE_RH, SPREAD_RH * np.sqrt(growth)))
+        own, later = at_knots(errors.temperature_k) ** 2, SPREAD_K**2 * growth
+        both = errors.temperature_length_m * float(np.mean(own)) + LATER_LENGTH_M * later
+        length = both / (float(np.mean(own)) + later)
+        humid = np.hypot(at_knots(errors.relative_humidity), SPREAD_RH * np.sqrt(growth))
         departures += [
-            Drift(f"{sensors.SOUNDING_DEPARTURE} {i}", knots, float(np.sqrt(variance)), length),
-            Drift(f"{sensors.SOUNDING_HUMIDITY} {i}", knots, humid, DEPARTURE_RH_LENGTH_M),
+            Drift(f"{sensors.SOUNDING_DEPARTURE} {i}", knots, np.sqrt(own + later), length),
+            Drift(f"{sensors.SOUNDING_HUMIDITY} {i}", knots, humid, errors.humidity_length_m),
         ]
     return tuple(departures)
 
@@ -245,7 +248,7 @@ def sounding_readings(
     level = np.log(sounding.pressure_pa[lowest : lowest + 1])
     hours, metres = hours_and_metres(sounding, flight)
     weather = np.hypot(WEATHER_LOG_P_PER_H * hours, WEATHER_LOG_P_PER_M * metres)
-    sigma = np.array([float(np.hypot(LEVEL_LOG_P, weather))])
+    sigma = np.array([float(np.hypot(sounding.errors.log_pressure, weather))])
     readings.append(sensors.Pressures(name, height[lowest : lowest + 1], level, sigma))
     return readings
 

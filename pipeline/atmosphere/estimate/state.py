@@ -64,20 +64,22 @@ class Fault:
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """A drift along time [s] or height [m']: (k,) knots, sigma, correlation length.
+    """A drift along time [s] or height [m']: (k,) knots, sigma there, correlation length.
 
     ``name`` is a `SensorFault`, or that of a sounding's departure with its number.
     """
 
     name: str
     knot: Array
-    sigma: float
+    sigma: Array | float
     length: float
 
     def covariance(self) -> Array:
         """Of a first-order Markov process: sigma^2 exp(-d / length); a jitter keeps it regular."""
         size = self.knot.size
-        return self.sigma**2 * (exponential(self.knot, self.length) + 1e-8 * np.eye(size))
+        sigma = np.broadcast_to(self.sigma, size)
+        correlation = exponential(self.knot, self.length) + 1e-8 * np.eye(size)
+        return np.outer(sigma, sigma) * correlation
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,8 +32,25 @@ _UNIT: dict[str, Callable[[Array], Array]] = {
 
 
 @dataclass(frozen=True, eq=False)
+class ColumnErrors:
+    """Errors of a column of air where and when it was taken, beside those of single levels.
+
+    ``temperature_k`` and ``relative_humidity`` are one sigma at each of the levels, or of all;
+    errors at heights d apart correlate as exp(-d / length). ``log_pressure`` is the sigma of ln p
+    at the lowest level. The defaults are a balloon's (instrument, and its way with the wind): set
+    by judgement, not measured here.
+    """
+
+    temperature_k: Array | float = 1.2
+    relative_humidity: Array | float = 0.15
+    temperature_length_m: float = 1500.0
+    humidity_length_m: float = 1000.0
+    log_pressure: float = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
 class Sounding:
-    """Levels of one ascent, from the ground up.
+    """Levels of one ascent, or of another column of air, from the ground up.
 
     Parameters
     ----------
@@ -45,6 +62,8 @@ class Sounding:
     station : identifier or name as the file has it, may be empty.
     latitude_rad, longitude_rad : [rad], NaN where the file has none.
     origin : which format it was read as, for the manifest.
+    kind : first word of its name, and the basis of an estimate that rests on it.
+    errors : of the column; age and distance add to them.
     """
 
     h_m: Array
@@ -56,14 +75,16 @@ class Sounding:
     latitude_rad: float = float("nan")
     longitude_rad: float = float("nan")
     origin: str = ""
+    kind: str = "sounding"
+    errors: ColumnErrors = field(default_factory=ColumnErrors)
 
     @property
     def name(self) -> str:
-        """Station and time, for messages."""
+        """Kind, station and time, for messages."""
         when = ""
         if self.time_ns is not None:
             when = str(np.datetime64(self.time_ns, "ns").astype("datetime64[m]"))
-        return " ".join(word for word in ("sounding", self.station, when) if word)
+        return " ".join(word for word in (self.kind, self.station, when) if word)
 
     def __post_init__(self) -> None:
         shape = self.h_m.shape

@@ -24,7 +24,7 @@ from pipeline.atmosphere.estimate.external_readings import (
 )
 from pipeline.atmosphere.estimate.readings import collect_readings
 from pipeline.atmosphere.estimate.sensors import SensorSettings
-from pipeline.atmosphere.soundings import Sounding
+from pipeline.atmosphere.soundings import ColumnErrors, Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
 from pipeline.ledger import Kind, Ledger
 
@@ -319,6 +319,28 @@ def test_a_station_of_years_ago_is_left_out(ascents):
     made, ledger = adjusted(truth, surface=[station(truth, 24.0 * 365.0)])
     assert made.basis == "climatology"
     assert "AIR-SOURCE-FAR" in codes(ledger, Kind.LOSS)
+
+
+def test_a_column_brings_errors_of_its_own(ascents):
+    """Where they are 4 K, the climatology has a share; their length is that of the covariance."""
+    truth = ascents["2023"]
+    own = np.where(truth.h[::200] < 3000.0, 1.0, 4.0)
+    at = np.array([1000.0, 7000.0])
+    between = []
+    for length in (200.0, 20_000.0):
+        errors = ColumnErrors(own, 0.15, temperature_length_m=length)
+        column = balloon_of(truth, station="own", kind="model", errors=errors)
+        made, _ = adjusted(truth, soundings=[column])
+        assert made.basis == "model"
+        sigma = made.covariance.sigma_temperature(at)
+        assert sigma[0] == pytest.approx(1.0, rel=0.25)
+        assert 1.6 < sigma[1] < 4.0
+        edge = made.profile.layers.edge
+        rows = [int(np.argmin(np.abs(edge - h))) for h in (1000.0, 2000.0)]
+        part = made.covariance.matrix[np.ix_(rows, rows)]
+        between.append(part[0, 1] / np.sqrt(part[0, 0] * part[1, 1]))
+    assert between[0] < 0.3
+    assert between[1] > between[0] + 0.1
 
 
 # Balloons that are wrong
