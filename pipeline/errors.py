@@ -4,6 +4,7 @@ Every refusal carries a stable code that a script may match, and has the exit co
 line that it leads to. A refusal is for the user; anything else that escapes is a bug.
 """
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -16,6 +17,38 @@ EXIT_IN_USE = 4
 EXIT_STORAGE = 5
 EXIT_REFUSED = 6
 EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
+
+
+_NOUNS = (
+    "angle|band|bin|boot|byte|camera|cell|character|chunk|column|definition|degree|element|event|"
+    "exposure|field|file|fix|frame|gap|hour|image|indice|layer|level|line|message|minute|mission|"
+    "observation|pair|parameter|pixel|place|point|position|profile|pulse|quaternion|raster|ray|"
+    "reading|receiver|reconstruction|record|result|row|sample|second|sounding|station|time|trigger|"
+    "value|window|calibration|name|number|solution|deviation|measurement|stretche|entrie"
+)
+_VERBS = {"are": "is", "were": "was", "have": "has", "do": "does", "carry": "carries",
+          "lie": "lies", "follow": "follows", "find": "finds", "come": "comes"}  # fmt: skip
+_BEFORE = "bad|control|different|image|known|more|object|sensor|shutter|standard|tie"
+_ONE = re.compile(
+    rf"(?<![\w.,:/])(?<!\w-)1( (?:(?:{_BEFORE}) )*(?:{_NOUNS})s\b)?( (?:{'|'.join(_VERBS)})\b)?"
+)
+_IRREGULAR = {"indice": "index", "entrie": "entry", "stretche": "stretch"}
+
+
+def in_agreement(text: str) -> str:
+    """A text with what follows a 1 in the singular: texts are written for several.
+
+    >>> print(in_agreement("1 exposures have no fix, 11 rows, 1 image points are 1 m from them"))
+    1 exposure has no fix, 11 rows, 1 image point is 1 m from them
+    """
+
+    def singular(found: re.Match[str]) -> str:
+        nouns, verb = found[1] or "", found[2]
+        before, _, noun = nouns.removesuffix("s").rpartition(" ")
+        nouns = f"{before} {_IRREGULAR.get(noun, noun)}" if nouns else ""
+        return f"1{nouns}" + (f" {_VERBS[verb[1:]]}" if verb else "")
+
+    return _ONE.sub(singular, text)
 
 
 class UnbendError(Exception):
@@ -37,9 +70,10 @@ class UnbendError(Exception):
     exit_code = EXIT_REFUSED
 
     def __init__(self, code: str, what: str, *, where: str = "", remedy: str = "") -> None:
-        super().__init__(code, what, where, remedy)
+        what = in_agreement(what)
         self.code = code
-        self.what = what
+        self.what = in_agreement(what)
+        super().__init__(code, self.what, where, remedy)
         self.where = where
         self.remedy = remedy
 

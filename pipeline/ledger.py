@@ -8,6 +8,8 @@ from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from typing import TypeVar
 
+from pipeline.errors import in_agreement
+
 
 class Kind(StrEnum):
     """How serious an entry is. ``LOSS`` and ``FINDING`` make a run end with exit code 3."""
@@ -32,6 +34,9 @@ class Entry:
     what: str
     where: str = ""
     count: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "what", in_agreement(self.what))
 
 
 Result = TypeVar("Result")

@@ -72,7 +72,7 @@ class Answer:
         return report_console(quiet=self._quiet or self._as_json)
 
     def progress(self, title: str) -> DelayedProgressBar:
-        """A bar for work that may take longer than a second, where there is a terminal."""
+        """A bar for work that may take longer than half a second, where there is a terminal."""
         if self._quiet or not (sys.stdout.isatty() or sys.stderr.isatty()):
             return DelayedProgressBar(None, title)
         from pipeline.report.text.console import report_console

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from pipeline.cli.app import Answer, app
+from pipeline.cli.app import Answer, AsJson, Quiet, app
 from pipeline.errors import ConfigError, storage_errors
 from pipeline.report.words import count
 
@@ -17,21 +17,31 @@ from pipeline.report.words import count
 @app.command(epilog="Example: unbend schema --out mission.schema.json")
 def schema(
     out: Annotated[Path | None, typer.Option(help="the file to write")] = None,
+    *,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
 ) -> None:
     """The JSON schema of a mission file, for editors.
 
     Every key with its description, unit, default and example. An editor reads it where the first
     line of the mission file is: # yaml-language-server: $schema=mission.schema.json
     """
+    answer = Answer(quiet=quiet, as_json=as_json)
+    with answer.progress("listing the keys"):
+        text = _schema_text()
+    if out is not None:
+        with storage_errors(out):
+            out.write_text(text + "\n", encoding="utf-8")
+        answer.print_paths([str(out)])
+        answer.print_json({"written": [str(out)]})
+    elif not quiet:
+        print(text)
+
+
+def _schema_text() -> str:
     from pipeline.config.schema import mission_schema
 
-    text = json.dumps(mission_schema(), indent=1)
-    if out is None:
-        print(text)
-        return
-    with storage_errors(out):
-        out.write_text(text + "\n", encoding="utf-8")
-    print(out)
+    return json.dumps(mission_schema(), indent=1)
 
 
 @app.command(
@@ -41,13 +51,19 @@ def explain_word(
     word: Annotated[
         str, typer.Argument(help="a key, a code, an exit code or a status", metavar="WORD")
     ],
+    *,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
 ) -> None:
     """What a key, a code, an exit code or a status means."""
-    from pipeline.report.explanations import explain
-    from pipeline.report.text.console import report_console
+    answer = Answer(quiet=quiet, as_json=as_json)
+    with answer.progress("looking it up"):
+        from pipeline.report.explanations import explain
 
-    width = max(40, report_console().width)
-    for line in explain(word):
+        lines = explain(word)
+    answer.print_json({"word": word, "lines": lines})
+    width = max(40, answer.console.width)
+    for line in [] if quiet or as_json else lines:
         indent = " " * (len(line) - len(line.lstrip()))
         print(textwrap.fill(line, width, subsequent_indent=indent + "  " * bool(indent),
                             break_on_hyphens=False, break_long_words=False))  # fmt: skip
@@ -67,6 +83,9 @@ def init(
         "mission.yaml"
     ),
     force: Annotated[bool, typer.Option(help="replace the file if it is there")] = False,
+    *,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
 ) -> None:
     """Write a mission file from what a log and observations hold.
 
@@ -77,7 +96,7 @@ def init(
     if not printed and out.exists() and not force:
         remedy = "choose another name with --out, or replace it: --force"
         raise ConfigError("INIT-EXISTS", "the file is there already", where=str(out), remedy=remedy)
-    answer = Answer(quiet=False, as_json=False)
+    answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress(f"reading {log.name}"):
         import yaml
 
@@ -86,11 +105,17 @@ def init(
 
         target = Path("mission.yaml") if printed else out
         text = propose_mission(log, observations, images, target)
+        questions = open_questions(yaml.safe_load(text))
+    content = {"questions": [".".join(map(str, place)) for place in questions]}
     if printed:
-        print(text, end="")
+        answer.print_json(content | {"text": text})
+        if not (quiet or as_json):
+            print(text, end="")
         return
+    of_editors = out.parent / "mission.schema.json"
     with storage_errors(out):
         out.write_text(text, encoding="utf-8")
-    schema(out.parent / "mission.schema.json")
-    questions = count(len(open_questions(yaml.safe_load(text))), "open question")
-    answer.print_paths([f"{out}: {questions} (TODO)", f"  unbend check {out}"])
+        of_editors.write_text(_schema_text() + "\n", encoding="utf-8")
+    answer.print_json(content | {"written": [str(out), str(of_editors)]})
+    asked = f"{out}: {count(len(questions), 'open question')} (TODO)"
+    answer.print_paths([str(of_editors), asked, f"  unbend check {out}"])

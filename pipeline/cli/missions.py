@@ -201,8 +201,8 @@ def inspect(
     as_json: AsJson = False,
 ) -> None:
     """Show what a log holds, by the names that a mission file uses, or a weather model's file."""
-    if (kind is None and (as_csv or instance is not None)) or (kind is not None and as_json):
-        what = "--csv and --instance go with --type, --json goes without it"
+    if (kind is None and (as_csv or instance is not None)) or (as_csv and as_json):
+        what = "--csv and --instance go with --type, and --csv not with --json"
         remedy = "for example: unbend inspect flight.bin --type BARO --csv"
         raise ConfigError("INSPECT-ARGUMENTS", what, remedy=remedy)
     answer = Answer(quiet=quiet, as_json=as_json)
@@ -214,22 +214,25 @@ def inspect(
             contents = contents_of(log)
             if as_json:
                 answer.print_json(contents)
-            else:
+            elif not quiet:
                 from pipeline.report.text.terminal import print_model
 
                 print_model(answer.console, contents, log.name)
             raise typer.Exit(EXIT_DONE)
         opened = open_log(log, needs_channels=kind is None)
         columns = None if kind is None else opened.message(kind, instance)
-    if columns is not None and as_csv:
+    if as_csv and columns is not None and not quiet:
         from pipeline.report.messages import write_messages_csv
 
         write_messages_csv(sys.stdout, columns)
-    elif columns is not None:
+    elif columns is not None and not as_csv:
         from pipeline.report.messages import field_rows
         from pipeline.report.text.terminal import print_fields
 
-        print_fields(answer.console, f"{log.name}, {kind}", field_rows(columns))
+        fields = field_rows(columns)
+        rows = len(next(iter(columns.values())))
+        answer.print_json({"type": kind, "rows": rows, "fields": fields})
+        print_fields(answer.console, f"{log.name}, {kind}", fields)
     elif as_json:
         answer.print_json(opened.to_json_dict())
     elif not quiet:

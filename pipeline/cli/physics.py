@@ -60,7 +60,10 @@ def angle(
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """One refraction angle: arcsec, microradians, ground metres."""
+    """One refraction angle: arcsec, microradians, ground metres.
+
+    To five digits; all of them with --json.
+    """
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("tracing the ray"):
         from pipeline.refraction.angle import one_angle

@@ -1,4 +1,4 @@
-"""Progress of a command in a terminal: nothing for a second, then a bar."""
+"""Progress of a command in a terminal: nothing for half a second, then a bar."""
 
 from __future__ import annotations
 
@@ -12,8 +12,12 @@ from pipeline.report.words import visible
 if TYPE_CHECKING:
     from rich.console import Console
 
-DELAY_S = 1.0
-"""After it the bar appears: commands that end earlier stay without, none is silent for two."""
+DELAY_S = 0.5
+"""After it the bar appears: commands that end earlier stay without.
+
+With the start of Python and the import of the bar itself, no terminal is silent for two seconds,
+on a machine that is three times overloaded too.
+"""
 
 
 class Progress(Protocol):
@@ -54,7 +58,7 @@ class CompilingNote:
 
 
 class DelayedProgressBar:
-    """A bar that appears after a second of work and is erased at the end.
+    """A bar that appears after half a second of work and is erased at the end.
 
     On a terminal that cannot move its cursor, a line for each step. None without a terminal.
     """

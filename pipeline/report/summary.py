@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pipeline.report.verdict import is_applied
-from pipeline.report.words import length, three_digits, with_sigma
+from pipeline.report.words import length, shortened, significant, with_sigma
 
 _GRAVEST_FIRST = ("finding", "loss", "warning", "fallback", "note")
 
@@ -27,7 +27,7 @@ def control_sentence(manifest: Mapping[str, Any]) -> str:
         f"{control['used']} control points, intersected with the stations held: RMS of east/north/"
         f"up {before} m as measured, {after} m corrected; refraction moves them by {moved} m"
         + (f", {100.0 * share:.1f} % of what they missed (mean square)" if share > 0.0 else "")
-        + (f". Stations and pixels let a height miss by {three_digits(sigma)} m." if sigma else ".")
+        + (f". Stations and pixels let a height miss by {significant(sigma)} m." if sigma else ".")
     )
 
 
@@ -42,7 +42,7 @@ def control_rows(manifest: Mapping[str, Any], most: int) -> list[tuple[str, ...]
     if control is None:
         return []
     rows = [
-        (p["point"], str(p["rays"]), *p["before_m"], *p["after_m"], p["sigma_u_m"])
+        (shortened(p["point"], 20), str(p["rays"]), *p["before_m"], *p["after_m"], p["sigma_u_m"])
         for p in control["points"][:most]
     ]
     if len(control["points"]) > most:
@@ -73,9 +73,9 @@ def correction_rows(manifest: Mapping[str, Any]) -> list[tuple[str, ...]]:
         if key == "window_arcsec" and not correction[key]["maximum"]:
             continue
         for name, of_camera in (cameras if len(cameras) > 1 else {"": correction}).items():
-            written = length if key == "shift_ground_m" else three_digits
+            written = length if key == "shift_ground_m" else significant
             values = (written(of_camera[key][part]) for part in ("median", "p95", "maximum"))
-            rows.append((f"{label} {name}".rstrip(), *values))
+            rows.append((f"{label} {shortened(name, 20)}".rstrip(), *values))
     return rows
 
 

@@ -57,13 +57,23 @@ def count(number: int, noun: str, plural: str = "") -> str:
     return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
 
 
-def three_digits(value: float | None) -> str:
-    """A number to three significant digits, without an exponent.
+def significant(value: float | None, digits: int = 3, *, smallest: float = 0.001) -> str:
+    """A number to so many significant digits, all those before the point, without an exponent.
 
-    >>> [three_digits(x) for x in (0.006234, 12.345, 1234.5, 2e-9, -2e-9, None)]
-    ['0.00623', '12.3', '1234', '<0.001', '>-0.001', '-']
+    >>> [significant(x) for x in (0.006234, 12.345, 1234.5, 2e-9, -2e-9, 0.0, None)]
+    ['0.00623', '12.3', '1234', '<0.001', '>-0.001', '0', '-']
+    >>> significant(61.778543, 5), significant(2e-5, 5, smallest=1e-6)
+    ('61.779', '0.00002')
     """
-    return "-" if value is None else _digits(value, 3, smallest=0.001)
+    if value is None:
+        return "-"
+    if value == 0.0:
+        return "0"
+    if abs(value) < smallest / 2.0:
+        return f"<{smallest:g}" if value > 0.0 else f">-{smallest:g}"
+    size = math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
+    text = f"{value:.{max(digits - 1 - size, 0)}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
 
 
 def with_sigma(value: float, sigma: float | None, unit: str = "", *, signed: bool = False) -> str:
@@ -80,7 +90,7 @@ def with_sigma(value: float, sigma: float | None, unit: str = "", *, signed: boo
     ('6.86 arcsec', '-0.2', '1.00 ± 0.10')
     """
     if sigma is None or not 0.0 < sigma < math.inf:
-        text, spread = three_digits(value), ""
+        text, spread = significant(value), ""
     else:
         decimals = 1 - math.floor(math.log10(float(f"{sigma:.1e}")))  # 0.0996 counts as 0.10
         value, sigma = (round(v, decimals) + 0.0 for v in (value, sigma))
@@ -105,7 +115,7 @@ def length(metres: float | None) -> str:
         for unit, factor, below in _METRES_OF_UNIT
         if abs(float(f"{metres:.1e}")) < below
     )
-    return f"{_digits(metres / factor, 2, smallest=0.1)} {unit}"
+    return f"{significant(metres / factor, 2, smallest=0.1)} {unit}"
 
 
 def pixels(value: float | None) -> str:
@@ -114,15 +124,4 @@ def pixels(value: float | None) -> str:
     >>> [pixels(x) for x in (0.0271, 1.3996, 123.4, 0.0, 0.0002, None)]
     ['0.027 px', '1.4 px', '123 px', '0 px', '<0.001 px', '-']
     """
-    return "-" if value is None else f"{_digits(value, 2, smallest=0.001)} px"
-
-
-def _digits(value: float, digits: int, *, smallest: float) -> str:
-    """A number to so many significant digits, all before the point; no exponent."""
-    if value == 0.0:
-        return "0"
-    if abs(value) < smallest / 2.0:
-        return f"<{smallest:g}" if value > 0.0 else f">-{smallest:g}"
-    size = math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
-    text = f"{value:.{max(digits - 1 - size, 0)}f}"
-    return text.rstrip("0").rstrip(".") if "." in text else text
+    return "-" if value is None else f"{significant(value, 2)} px"

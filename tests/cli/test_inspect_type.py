@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 
 import numpy as np
 import pytest
@@ -68,6 +69,14 @@ def test_names_as_printed_upper_or_lower_case(unbend, flown, name):
 def test_fields_without_csv(unbend, flown):
     ended = unbend("inspect", flown.logs["bin"], "--type", "BARO")
     assert ended.code == 0
+    words = ("inspect", flown.logs["bin"], "--type", "BARO")
+    content = json.loads(unbend(*words, "--json").out)
+    library_rows = library(flown.logs["bin"], "BARO")
+    assert content["rows"] == len(library_rows)
+    (pressure,) = (field for field in content["fields"] if field["field"] == "Press")
+    assert float(pressure["lowest"]) == min(row["Press"] for row in library_rows)
+    for more in ((), ("--csv",)):
+        assert unbend(*words, *more, "--quiet").out == ""
     for words in ("flight.bin, BARO", "Press", "float32", "lowest"):
         assert words in ended.out
 
@@ -82,7 +91,7 @@ def test_what_there_is_not(unbend, flown):
 
 
 @pytest.mark.parametrize(
-    "words", [("--csv",), ("--instance", "1"), ("--type", "BARO", "--json")], ids=" ".join
+    "words", [("--csv",), ("--instance", "1"), ("--type", "BARO", "--csv", "--json")], ids=" ".join
 )
 def test_words_that_do_not_go_together(unbend, flown, words):
     ended = unbend("inspect", flown.logs["bin"], *words)

@@ -70,6 +70,10 @@ def test_the_table_and_the_reasons(capsys):
         "nadir: 1 outside_log, DSC_00008.tif",
     ]
     assert "..." not in printed(flown(30), capsys)
+    stations = flown(8)
+    stations.image[:] = "2025-06-12_block_north_strip_07_oblique_left_00001.jpg"
+    (row,) = {line.partition(" ")[0] for line in printed(stations, capsys)[2:10]}
+    assert row == "2025-06-…0001.jpg"
 
 
 def points_of(axis, label: str) -> np.ndarray:

@@ -79,6 +79,12 @@ def test_json_is_all_that_is_written_and_quiet_writes_nothing(unbend, baseline, 
         (("verify", baseline.output), {"mission", "files", "whole"}),
         (("export", baseline.output, "--format", "lattice-csv", "--force", "--out",
           tmp_path / "l.csv"), {"rows", "out", "ledger"}),
+        (("init", flown.logs["bin"], "--force", "--out", tmp_path / "m.yaml"),
+         {"questions", "written"}),
+        (("init", flown.logs["bin"], "--out", "-"), {"questions", "text"}),
+        (("schema", "--out", tmp_path / "s.json"), {"written"}),
+        (("schema",), {"properties", "required"}),
+        (("help", "f_px"), {"word", "lines"}),
     ):  # fmt: skip
         ended = unbend(*words, "--json")
         content = json.loads(ended.out)

@@ -5,11 +5,14 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 import pipeline
+from pipeline.errors import LogError, in_agreement
+from pipeline.ledger import Entry, Kind
 
 PACKAGE = Path(pipeline.__file__).parent
 PERSON = re.compile(
@@ -74,6 +77,50 @@ def test_texts_have_no_private_words():
 def test_private_words_are_noticed(text):
     assert PRIVATE.search(text)
     assert not PRIVATE.search("the field that tells instances apart; sigma inflation factor")
+
+
+NO_NOUNS = re.compile(
+    r"^(?:accepts|across|as|calls|changes|claims|contains|counts|differs|displaces|does|drifts|gives|"
+    r"has|holds|is|its|leans|leaves|lies|looks|loss|lies|minus|microradians|misses|moves|names|needs|only|opens|others|"
+    r"pandas|plays|radians|radius|reads|relates|reports|rms|says|sees|selects|spans|stands|starts|steps|takes|"
+    r"this|was)$"
+)
+"""What may follow a name or a number in a text and is no noun in the plural."""
+
+
+def test_every_count_agrees_with_its_noun():
+    """In all texts with a value and a noun in the plural after it, a 1 turns that to singular."""
+    counted, wrong = 0, []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            parts = node.values if isinstance(node, ast.JoinedStr) else []
+            for value, after in pairwise(parts):
+                text = str(after.value) if isinstance(after, ast.Constant) else ""
+                found = re.match(r" (?:[a-z]+ )?([a-z]{3,}s)\b", text)
+                unit = re.match(r" (?:m|s|px|deg|K|ms|if|in|of|with|under|at|the) ", text)
+                if not isinstance(value, ast.FormattedValue) or not found or unit:
+                    continue
+                if not NO_NOUNS.match(found[1]) and not NO_NOUNS.match(text.split()[0]):
+                    counted += 1
+                    if in_agreement(f"1{text}").startswith(f"1{found[0]}"):
+                        wrong.append(f"{path.name}:{node.lineno}: {found[0]}")
+    assert counted > 150
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("1 exposures of nadir", "1 exposure of nadir"),
+        ("after 1 entries, 21 entries", "after 1 entry, 21 entries"),
+        ("all 1 control points are used", "all 1 control point is used"),
+        ("0.1 hours, CAM-1 images, 1,001 rows, 1 of the images", None),
+        ("1 indices do not fit, 1 have none", "1 index does not fit, 1 has none"),
+    ],
+)
+def test_one_is_singular(text, expected):
+    assert Entry(Kind.NOTE, "A-B", text).what == (expected or text)
+    assert LogError("A-B", text).what == (expected or text)
 
 
 def test_texts_have_no_first_or_second_person():

@@ -453,7 +453,7 @@ def test_every_number_of_an_angle():
     }  # fmt: skip
     lines = [line.strip() for line in printed(print_angle, angle)]
     assert lines == [
-        "R_c    1.234568 arcsec", "5.987654 microradians", "0.345679 m on the ground",
+        "R_c    1.2346 arcsec", "5.9877 microradians", "0.34568 m on the ground",
         "icao, index gyer, plane, radius 6371000 m",
     ]  # fmt: skip
 

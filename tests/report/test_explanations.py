@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 
@@ -61,7 +62,8 @@ def test_every_status_is_found():
 def test_the_commands(tmp_path):
     def unbend(*words):
         return subprocess.run([sys.executable, "-m", "pipeline", *words], capture_output=True,
-                              text=True, timeout=120, cwd=tmp_path)  # fmt: skip
+                              text=True, timeout=120, cwd=tmp_path,
+                              env=os.environ | {"COLUMNS": "80"})  # fmt: skip
 
     done = unbend("schema", "--out", "mission.schema.json")
     assert (done.returncode, done.stdout) == (0, "mission.schema.json\n")

@@ -43,7 +43,7 @@ def test_a_bar_appears_when_its_time_has_come(bar):
     with bar:
         bar.start("correcting", 10)
         assert written(bar) == ""
-        assert bar._timer.seconds == progress.DELAY_S == 1.0
+        assert bar._timer.seconds == progress.DELAY_S == 0.5
         bar._timer.fire()
         assert "survey: correcting" in written(bar)
     assert not bar._bar.live.is_started

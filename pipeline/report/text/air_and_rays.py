@@ -17,7 +17,7 @@ from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.report import summary
 from pipeline.report.text.console import plain_table, print_indented, shown
-from pipeline.report.words import with_sigma
+from pipeline.report.words import significant, with_sigma
 from pipeline.tables.exports.radial import radial_columns
 from pipeline.units import HECTOPASCAL, MICRORADIAN
 
@@ -65,14 +65,15 @@ _RADIAL_COLUMNS = (
 
 def print_angle(console: Console, angle: Mapping[str, Any]) -> None:
     """One refraction angle in arcsec, microradians and metres on the ground."""
-    ground = angle["ground_m"]
-    lines = [
-        f"{angle['r_c_urad']:.6f} microradians",
-        _OVER_THE_HORIZON if ground is None else f"{ground:.6f} m on the ground",
-    ]
+    arcsec, urad, ground = (
+        significant(angle[name], 5, smallest=1e-6)
+        for name in ("r_c_arcsec", "r_c_urad", "ground_m")
+    )
+    over = angle["ground_m"] is None
+    lines = [f"{urad} microradians", _OVER_THE_HORIZON if over else f"{ground} m on the ground"]
     if angle["status"] in _STATUS_TEXTS:
         lines.append(f"{angle['status']}: {_STATUS_TEXTS[angle['status']]}")
-    console.print(f"R_c    {angle['r_c_arcsec']:.6f} arcsec", highlight=False)
+    console.print(f"R_c    {arcsec} arcsec", highlight=False)
     for line in lines:
         console.print(Padding(line, (0, 0, 0, 7), expand=False))
     console.print(

@@ -6,12 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.padding import Padding
 
 from pipeline.report import summary
 from pipeline.report.text.console import plain_table, print_indented, print_labelled, shown
 from pipeline.report.verdict import flagged, next_steps, verdict
-from pipeline.report.words import count
+from pipeline.report.words import count, shortened
 
 _COLOURS = {"finding": "red", "loss": "red", "warning": "yellow", "fallback": "cyan", "note": "dim"}
 
@@ -84,15 +85,15 @@ _STATION_COLUMNS = (
     ("tilt\n± deg", "sigma_tilt_deg", ".2f"),
 )
 _FIRST_STATIONS, _LAST_STATIONS = 25, 5
+_BESIDE_NAMES, _SHORTEST_NAME = 63, 17  # characters of the other columns; of an image's name
 
 
 def print_stations(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
     """The first and last stations as a table, how many there are, and why some cannot be used."""
     heads = ("image\n", "UTC\n", *(head for head, *_ in _STATION_COLUMNS), "status\n")
     table = plain_table(heads, gap=1)
-    table.columns[0].overflow = table.columns[-1].overflow = "fold"
-    table.columns[-1].justify = "left"
-    for column in table.columns[1:-1]:
+    table.columns[-1].overflow, table.columns[-1].justify = "fold", "left"
+    for column in table.columns[:-1]:
         column.no_wrap = True
     few = len(rows) <= _FIRST_STATIONS + _LAST_STATIONS
     for row in rows if few else (*rows[:_FIRST_STATIONS], None, *rows[-_LAST_STATIONS:]):
@@ -104,7 +105,8 @@ def print_stations(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
             "" if row[name] is None else f"{row[name]:{digits}}"
             for _, name, digits in _STATION_COLUMNS
         )
-        table.add_row(shown(row["image"]), time, *cells, row["status"])
+        name = shortened(row["image"], max(console.width - _BESIDE_NAMES, _SHORTEST_NAME))
+        table.add_row(escape(name), time, *cells, row["status"])
     print_indented(console, table)
     if not few:
         hidden = len(rows) - _FIRST_STATIONS - _LAST_STATIONS
