@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -15,6 +18,7 @@ from pipeline.block.name_series import name_series
 from pipeline.flight.channels import Channel, Source
 from pipeline.stages.proposal import mission_proposal
 from pipeline.stages.proposal.mission_proposal import FoundLog, propose_mission, proposed_cameras
+from tests.ingest.ulog.test_log import flight
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "logs"
 CAMERA = {"width_px": 6000, "height_px": 4000, "f_px": 5000.0, "cx_px": 3000.0, "cy_px": 2000.0,
@@ -220,6 +224,60 @@ def test_a_block_alone_asks_for_its_frame_and_its_day(unbend, tmp_path):
     out.write_text(yaml.safe_dump(answered(tree, truth)), encoding="utf-8")
     ended = unbend("check", out)
     assert ended.code in (0, 3), ended.text  # two images: findings, no refusal
+
+
+def test_choices_stand_with_what_the_sensors_read(unbend, flown):
+    """By the CSV of the log's messages."""
+    text = unbend("init", flown.logs["bin"], "--out", "-").out
+    for field, key, unit in (("Temp", "temperature", "°C"), ("Humidity", "humidity", "%")):
+        said = []
+        for instance in ("0", "1"):
+            words = ("--type", "HYGR", "--instance", instance, "--csv")
+            rows = csv.DictReader(io.StringIO(unbend("inspect", flown.logs["bin"], *words).out))
+            read = [float(row[field]) for row in rows]
+            said.append(f"HYGR[{instance}] ({min(read):.0f} to {max(read):.0f} {unit})")
+        assert f"    {key}: TODO  # {' or '.join(said)}: the one outside" in text
+
+
+@pytest.mark.parametrize("kind", ["ulg", "opensfm", "reconstruction.json", "photographs", "folder"])
+def test_every_kind_of_beginning(kind, unbend, tmp_path):
+    log = tmp_path / "flight.ulg"
+    log.write_bytes(flight())
+    project = tmp_path / "project"
+    project.mkdir()
+    (project / "reconstruction.json").write_text(json.dumps([{
+        "cameras": {"c": {"projection_type": "perspective", "width": 600, "height": 400,
+                          "focal": 0.8, "k1": 0.0, "k2": 0.0}},
+        "shots": {f"{n}.jpg": {"rotation": [3.14, 0, 0], "translation": [0, 0, 9], "camera": "c"}
+                  for n in (1, 2)},
+        "points": {"7": {"coordinates": [0.0, 0.0, 0.0]}},
+    }]), encoding="utf-8")  # fmt: skip
+    rows = [f"{n}.jpg\t7\t0\t0.1\t0.1\t0.01\t0\t0\t0\t-1\t-1" for n in (1, 2)]
+    tracks = "\n".join(["OPENSFM_TRACKS_VERSION_v2", *rows, ""])
+    (project / "tracks.csv").write_text(tracks, encoding="utf-8")
+    block = {"path": "project", "format": "opensfm"}
+    words, expected = {
+        "ulg": ((log, project), {"log": {"path": "flight.ulg"}, "observations": block}),
+        "opensfm": ((project,), {"observations": block, "ground": {"height": "block"}}),
+        "reconstruction.json": ((project / kind,), {"observations": block}),
+        "photographs": ((log, "--images", project / "images.csv"), {"log": {"path": "flight.ulg"}}),
+        "folder": ((tmp_path,), None),
+    }[kind]
+    (project / "images.csv").write_text(
+        "SourceFile,DateTimeOriginal\nA_0001.JPG,2023:11:14 22:13:26\n", encoding="utf-8"
+    )
+    ended = unbend("init", *words, "--out", tmp_path / "mission.yaml")
+    if expected is None:
+        assert (ended.code, ended.err.partition(":")[0]) == (6, "INPUT-MISSING")
+        return
+    assert ended.code == 0, ended.text
+    tree = yaml.safe_load((tmp_path / "mission.yaml").read_text(encoding="utf-8"))
+    assert {key: tree[key] for key in expected} == expected
+    if kind == "photographs":
+        assert tree["events"]["images"]["path"] == "project/images.csv"
+    assert todo_of_check(unbend, tmp_path / "mission.yaml") == {
+        ".".join(place) for place in places_of_todo(tree)
+    }
 
 
 def test_names_of_files_do_not_break_the_yaml(mission, unbend, tmp_path):

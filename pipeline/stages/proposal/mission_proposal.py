@@ -21,7 +21,7 @@ from jinja2 import Environment, StrictUndefined
 from pipeline.block.name_series import NameSeries, name_series
 from pipeline.config.mistakes import TODO
 from pipeline.errors import InputError, MissionError
-from pipeline.flight.channels import Channel
+from pipeline.flight.channels import ROLE_COLUMNS, Channel
 from pipeline.flight.evidence.quality import plausible_samples
 from pipeline.flight.exposures import trigger_notes
 from pipeline.flight.heights import height_system
@@ -36,6 +36,7 @@ from pipeline.tables.geodata.geoid import package_geoid
 from pipeline.tables.imports.blocks import BLOCKS, damage_refused
 from pipeline.tables.imports.exif import read_image_times
 from pipeline.tables.observations import Observations, open_observations
+from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K
 
 _MOST_CAMERAS, _BATCH_ROWS, _MOST_BATCHES = 12, 250_000, 4
 
@@ -47,6 +48,8 @@ _COLUMN_NAMES = {
     "y_px": ("y_px", "y", "py", "v", "row", "line", "y_pixel"),
 }
 _HEIGHT = re.compile(r"^(h|z)(_.*)?$|height|elev|^alt", re.IGNORECASE)
+_RANGE_UNITS = {"pressure_pa": ("hPa", HECTOPASCAL, 0.0), "relative_humidity": ("%", 0.01, 0.0),
+                "temperature_k": ("°C", 1.0, ZERO_CELSIUS_K)}  # fmt: skip
 _DATUMS = {
     "ellips": "ellipsoid",
     "hae": "ellipsoid",
@@ -116,10 +119,19 @@ def yaml_text(text: str) -> str:
 
 
 def block_format(path: Path) -> str:
-    """The program whose block a file or folder is, by its files; empty where it is none."""
+    """The program whose block a file or folder is, by its files; empty where it is none.
+
+    Refuses (InputError) a folder of nothing that is known.
+    """
     if path.is_dir():
-        files = {"images.bin": "colmap", "images.txt": "colmap", "reconstruction.json": "opensfm"}
-        return next((name for file, name in files.items() if (path / file).is_file()), "")
+        files = {"cameras.bin": "colmap", "cameras.txt": "colmap", "reconstruction.json": "opensfm"}
+        found = next((name for file, name in files.items() if (path / file).is_file()), "")
+        if not found:
+            what = f"the folder is no block: it has none of {', '.join(files)}"
+            remedy = "name a log or a block: sparse/0 of COLMAP, the project of OpenSfM, a .psz or "
+            remedy += ".xml of Metashape, an .xml of DBAT; a folder of images goes with --images"
+            raise InputError("INPUT-MISSING", what, where=str(path), remedy=remedy)
+        return found
     if path.suffix.lower() == ".xml" and path.is_file():
         head = path.read_bytes()[:4000].lower()
         return "dbat" if b"dbat" in head else "metashape"
@@ -176,17 +188,27 @@ def found_in_log(path: Path) -> FoundLog:
     return found
 
 
+def range_text(channel: Channel, role: str) -> str:
+    """The range of a sensor's finite readings, in brackets; empty for other channels."""
+    column = ROLE_COLUMNS[role][0]
+    unit, factor, zero = _RANGE_UNITS.get(column, ("", 1.0, 0.0))
+    values = channel[column]
+    values = values[np.isfinite(values)] / factor - zero
+    return f" ({values.min():.0f} to {values.max():.0f} {unit})" if unit and values.size else ""
+
+
 def questions_of_role(role: str, channels: tuple[Channel, ...], compartment: str) -> list[Proposed]:
     """The questions about a role that several channels could play, or none."""
     able = [c for c in channels if role in c.roles and c.fits_role(role)]
     best = min((c.rank for c in able), default=0)
-    names = [c.name for c in able if c.rank == best]
+    able = [c for c in able if c.rank == best]
+    names = [c.name for c in able]
     if not names:
         none = f"no channel of the log has the {role}; null where stations.trajectory gives it"
         return [Proposed(role, TODO, none)]
-    choices = " or ".join(names)
+    choices = " or ".join(c.name + range_text(c, role) for c in able)
     outside = Proposed(role, TODO, f"{choices}: the one outside; null to use none")
-    if not compartment or not any(f"cabin_{role}" in c.roles for c in able if c.name in names):
+    if not compartment or not any(f"cabin_{role}" in c.roles for c in able):
         return [outside]
     inside = f"{choices}: the one in the compartment of {compartment}; null if there is none"
     return [outside, Proposed(f"cabin_{role}", TODO, inside)]
@@ -338,6 +360,10 @@ def propose_mission(log: Path, observations: Path | None, images: Path | None, o
         except ValueError:  # another drive of Windows
             return yaml_text(str(path.absolute()))
 
+    log, observations = (
+        path.parent if path and path.name == "reconstruction.json" else path
+        for path in (log, observations)
+    )
     alone = observations is None and bool(block_format(log))
     found = None if alone else found_in_log(log)
     observations = log if alone else observations
