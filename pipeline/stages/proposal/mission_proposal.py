@@ -50,6 +50,7 @@ _COLUMN_NAMES = {
 _HEIGHT = re.compile(r"^(h|z)(_.*)?$|height|elev|^alt", re.IGNORECASE)
 _RANGE_UNITS = {"pressure_pa": ("hPa", HECTOPASCAL, 0.0), "relative_humidity": ("%", 0.01, 0.0),
                 "temperature_k": ("°C", 1.0, ZERO_CELSIUS_K)}  # fmt: skip
+_OPENSFM = "reconstruction.json"  # stands for the folder of its project
 _DATUMS = {
     "ellips": "ellipsoid",
     "hae": "ellipsoid",
@@ -124,7 +125,7 @@ def block_format(path: Path) -> str:
     Refuses (InputError) a folder of nothing that is known.
     """
     if path.is_dir():
-        files = {"cameras.bin": "colmap", "cameras.txt": "colmap", "reconstruction.json": "opensfm"}
+        files = {"cameras.bin": "colmap", "cameras.txt": "colmap", _OPENSFM: "opensfm"}
         found = next((name for file, name in files.items() if (path / file).is_file()), "")
         if not found:
             what = f"the folder is no block: it has none of {', '.join(files)}"
@@ -360,10 +361,9 @@ def propose_mission(log: Path, observations: Path | None, images: Path | None, o
         except ValueError:  # another drive of Windows
             return yaml_text(str(path.absolute()))
 
-    log, observations = (
-        path.parent if path and path.name == "reconstruction.json" else path
-        for path in (log, observations)
-    )
+    log = log.parent if log.name == _OPENSFM else log
+    if observations is not None and observations.name == _OPENSFM:
+        observations = observations.parent
     alone = observations is None and bool(block_format(log))
     found = None if alone else found_in_log(log)
     observations = log if alone else observations
