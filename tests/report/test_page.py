@@ -523,6 +523,26 @@ def test_the_page_of_twenty_thousand_exposures_is_small(air):
     assert "1500 of 20000 exposures are drawn. 250 of 20000 footprints are drawn." in text
 
 
+@pytest.mark.parametrize(
+    ("height", "drawn", "said"),
+    [
+        ({"dem": "d.tif"}, False, "The relief is not drawn: "),
+        ({"dem": "d.tif"}, True, "The relief is that of the elevation model"),
+        ({"column": "h_g_m"}, False, ""),
+        ("intersected", False, ""),
+    ],
+    ids=str,
+)
+def test_a_relief_that_is_not_drawn_is_not_left_unsaid(flown, height, drawn, said):
+    manifest = whole_manifest()
+    manifest["config"]["ground"]["height"] = height
+    relief = (flown.limits_deg, np.zeros((2, 2))) if drawn else None
+    page = Page(report_page(manifest, replace(flown, relief=relief)))
+    (caption,) = (text for tag, text in page.texts if tag == "figcaption" and "Map of" in text)
+    assert ("relief" in caption) == bool(said)
+    assert said in caption
+
+
 HOSTILE = "<script>alert(1)</script>\"' onload=x \u202egpj.exe \x1b[31m\x00"
 
 
