@@ -315,7 +315,7 @@ def why_refused(
     if found.evidence[-1] == "names (counted)" and not images.names_speak(events):
         return (
             f"{images.count} images counted up to {int(np.max(axis.images))} and "
-            f"{events.time_s.size} events: their counting alone does not say which event is whose"
+            f"{events.time_s.size} events: numbers alone do not decide which image has which event"
         )
     return (
         f"shifted by {found.shift:+d} events it is only {np.exp(max(0.0, found.log_ratio)):.3g} "

@@ -57,8 +57,8 @@ def lag_from_feedback(
     if lags.size < FEWEST_PAIRS:
         raise MissionError(
             "EVENTS-FEEDBACK",
-            f"{trigger.name} has {lags.size} triggers whose shutter pulse was logged too, of "
-            f"{FEWEST_PAIRS} that a lag takes",
+            f"{trigger.name} has {lags.size} triggers whose shutter pulse was logged too; "
+            f"{FEWEST_PAIRS} are needed to measure the lag",
             where=f"events.log.{camera}.delay_s",
             remedy="give the lag in seconds; or name the channel of the triggers (TRIG) of a "
             "camera with a feedback pin",

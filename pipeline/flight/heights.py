@@ -113,7 +113,7 @@ def height_system(
             "it is not used"
         )
         if high - low <= STEADY_HOME_M:
-            home, what = float(middle), f"take-off height {middle:.2f} m"
+            home, what = float(middle), f"take-off height {middle:.2f} m above mean sea level"
         notes.append(note("HEIGHT-HOME", what, where=position.name))
     home = home if stated_home_m is None else stated_home_m
     system = HeightSystem(undulation, home, geoid, offset, source, one_height)

@@ -156,7 +156,7 @@ def gimbal_notes(
             Entry(
                 Kind.WARNING if from_forward > _LARGEST_AXIS_ANGLE_DEG else Kind.NOTE,
                 "GIMBAL-FRAME",
-                f"{attitude.name} plays the attitude: it is that of a gimbal's payload (forward, "
+                f"{attitude.name} is the attitude: that of a gimbal's payload (forward, "
                 f"right, down), along whose forward axis a camera with pitch_deg: 90 looks. By its "
                 f"mount {camera} looks {from_forward:.0f} deg away from that axis, and in the "
                 f"median {from_nadir:.0f} deg from straight down",

@@ -169,8 +169,8 @@ def flag_missing_aircraft_attitude(stations: Stations, camera: str) -> tuple[Sta
     """
     missing = np.asarray(np.isnan(stations.aircraft_quaternion).any(axis=1))
     what = (
-        "no attitude of the aircraft (log.channels.aircraft_attitude): how its window stands "
-        "before the camera is not known"
+        "no attitude of the aircraft (log.channels.aircraft_attitude): the direction of its "
+        "window, seen from the camera, is not known"
     )
     return mark_suspect(stations, camera, missing, "AIRCRAFT-ATTITUDE-MISSING", what)
 

@@ -157,7 +157,7 @@ def report_timeline(line: Timeline, ledger: Ledger) -> None:
     if after.size:
         ledger.warning(
             "LOG-GAP",
-            f"nothing at all was logged {after.size} times for more than 1 s, "
+            f"{after.size} times nothing was logged for more than 1 s, "
             f"{silence.sum() / 1e9:.1f} s together: the logger stopped, or bytes are missing",
             where=f"first before byte {int(line.first[after[0]])}",
             count=int(after.size),

@@ -211,7 +211,7 @@ def report_lenses(cameras: Iterable[str], lenses: Mapping[str, LensInAir], ledge
     uncorrected = [name for name in cameras if name not in lenses]
     if uncorrected:
         ledger.note(
-            "LENS-NOT-REMOVED", "what the air in the lens does to the principal distance of "
+            "LENS-NOT-REMOVED", "the effect of the air in the lens on the principal distance of "
             f"{', '.join(uncorrected)} is not removed: 130 to 310 ppm at 6 km (Meier), about in "
             "proportion to the height",
             where="cameras.<name>.principal_distance", count=len(uncorrected),

@@ -241,8 +241,8 @@ class Statistics:
             ledger.warning("OBS-SIGMA", text, where="ground.sigma_column", count=self.no_sigma)
         if self.no_point:
             text = (
-                f"{self.no_point} of {self.rows} observations are of points that the table of "
-                "object points has not: they are no_ground"
+                f"{self.no_point} of {self.rows} observations are of points that are not in the "
+                "table of object points: their status is no_ground"
             )
             ledger.loss("POINTS-MISSING", text, where="ground.height.points", count=self.no_point)
         if self.implausible_heights:

@@ -119,7 +119,7 @@ def report_unknown_sigmas(
                 missing.append(f"the cabin's air (cameras.{name}.window.cabin.{key})")
     if missing:
         what = (
-            f"no standard deviations are known of {', '.join(missing)}: what they do to the "
+            f"no standard deviations are known of {', '.join(missing)}: their effect on the "
             "corrections is not in the sigma columns"
         )
         ledger.note("SIGMA-UNKNOWN", what, where="observations", count=len(missing))

@@ -297,7 +297,11 @@ def _note_estimate(candidate: Candidate, made: Estimate, ledger: Ledger) -> None
         ledger.warning("AIR-UNSETTLED", "the estimate did not converge: its last step still moved")
     learnt = [f.in_units() for f in made.faults if f.sigma < 0.7 * f.prior_sigma]
     if learnt:
-        texts = (f"{FAULT_TEXTS[f.fault]} {f.value:.3g} ± {f.sigma:.2g}" for f in learnt)
+        digits = [max(1 - math.floor(math.log10(f.sigma)), 0) for f in learnt]
+        texts = (
+            f"{FAULT_TEXTS[f.fault]} {f.value:.{n}f} ± {f.sigma:.{n}f}"
+            for f, n in zip(learnt, digits, strict=True)
+        )
         ledger.note("AIR-SENSORS", "; ".join(texts))
     for fit in made.fits:
         few = fit.count < FEWEST_TO_INFLATE

@@ -303,7 +303,7 @@ def _rising_levels(raw: RawLevels, ledger: Ledger) -> RawLevels:
     if dropped:
         out = np.setdiff1d(np.arange(raw.h_m.size), keep)[0]
         what = (
-            f"{dropped} levels stand lower than one of higher pressure, the first at "
+            f"{dropped} levels are lower than one of higher pressure, the first at "
             f"{raw.h_m[out]:.0f} m and {raw.pressure_pa[out] / 100.0:.1f} hPa: not used"
         )
         ledger.warning("SOUNDING-ORDER", what, where=raw.where, count=dropped)

@@ -119,7 +119,7 @@ def mask_impossible_values(channel: Channel) -> tuple[Channel, Notes]:
             odd.add(column)
             what = (
                 f"the median of {column} is {median:.4g}, {_limits(column)}: it has another unit, "
-                "or is not of air or aircraft; nothing of it is checked"
+                "or does not measure air or aircraft; its samples are not checked"
             )
             notes.append(warning("SENSOR-ODD", what, where=channel.name, count=len(channel)))
             continue

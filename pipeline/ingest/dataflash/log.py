@@ -183,10 +183,10 @@ def exposures_by_last_fix(exposures: Table, receiver: Table, ledger: Ledger) -> 
         known = fix_ms[row] == own_ms
         time_us[known] = fix_us[row[known]] + round(interval_s * 5e5)
     what = (
-        f"{time_us.size} exposures have no time since boot: {int(known.sum())} are half an "
-        f"interval of the receiver ({interval_s / 2.0:.3f} s) behind the fix that they name, with "
-        f"a sigma of {interval_s / np.sqrt(12.0):.3f} s, {int((~known).sum())} at the record "
-        "before them"
+        f"{time_us.size} exposures have no time since boot: {int(known.sum())} get that of the "
+        f"fix that they name and half an interval of the receiver ({interval_s / 2.0:.3f} s), with "
+        f"a sigma of {interval_s / np.sqrt(12.0):.3f} s; {int((~known).sum())} get the time of the "
+        "record before them"
     )
     ledger.fallback("EVENTS-FIX-TIME", what, where="CAM", count=time_us.size)
     sigma_s = np.full(time_us.shape, interval_s / np.sqrt(12.0))

@@ -131,7 +131,7 @@ def report_silences(messages: records.ULogMessages, name: str, ledger: Ledger) -
     rate = messages.counts.total() / float(steps[~silent].sum())
     ledger.loss(
         "LOG-GAP",
-        f"nothing at all was logged {int(silent.sum())} times, {steps[silent].sum() / 1e9:.3f} s "
+        f"{int(silent.sum())} times nothing was logged, {steps[silent].sum() / 1e9:.3f} s "
         f"together, about {round(rate * float(steps[silent].sum()))} messages: they were cut out, "
         "or the logger stopped",
         where=f"{name}, first {first_s:.3f} s after boot",

@@ -491,6 +491,7 @@ def describe_assignment(assignment: Assignment, images: CameraImages, exposed: E
     if assignment.runner_up.size:
         decades = assignment.log_ratio / np.log(10)
         text += (
-            f"; the runner-up ({assignment.shift:+d} events) is 10^{decades:.1f} times less likely"
+            f"; the next best assignment ({assignment.shift:+d} events) is 10^{decades:.0f} times "
+            "less likely"
         )
     return text

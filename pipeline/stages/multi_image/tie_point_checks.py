@@ -216,7 +216,7 @@ def report_misses(
     elif points:
         pixels = np.sqrt(np.nanmean(miss**2)) / float(np.median(rays.sigma_rad))
         what = f"the rays of {points} of {size} tie points miss each other by {pixels:.1f} px "
-        what += "(rms) before adjustment, with the refraction of us1976 removed, not of windows"
+        what += "(rms) before adjustment, without the refraction of us1976, with that of windows"
     meets = points >= 0.5 * judged.sum() and not stated.sigma_factor > _POOR_FACTOR
     if explained or (meets and not nearest):
         ledger.note(code, what, where=where, count=size)
