@@ -21,18 +21,17 @@ EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
 
 _NOUNS = (
     "angle|band|bin|boot|byte|camera|cell|character|chunk|column|definition|degree|element|event|"
-    "exposure|field|file|fix|frame|gap|hour|image|indice|layer|level|line|message|minute|mission|"
-    "observation|pair|parameter|pixel|place|point|position|profile|pulse|quaternion|raster|ray|"
+    "exposure|field|file|fix|frame|gap|hour|image|layer|level|line|message|minute|mission|pixel|"
+    "observation|pair|parameter|place|point|position|profile|pulse|quaternion|raster|ray|value|"
     "reading|receiver|reconstruction|record|result|row|sample|second|sounding|station|time|trigger|"
-    "value|window|calibration|name|number|solution|deviation|measurement|stretche|entrie"
+    "window|calibration|name|number|solution|deviation|measurement|key"
 )
-_VERBS = {"are": "is", "were": "was", "have": "has", "do": "does", "carry": "carries",
-          "lie": "lies", "follow": "follows", "find": "finds", "come": "comes"}  # fmt: skip
 _BEFORE = "bad|control|different|image|known|more|object|sensor|shutter|standard|tie"
+_VERBS = {"are": "is", "were": "was", "have": "has", "do": "does", "carry": "carries"}
 _ONE = re.compile(
-    rf"(?<![\w.,:/])(?<!\w-)1( (?:(?:{_BEFORE}) )*(?:{_NOUNS})s\b)?( (?:{'|'.join(_VERBS)})\b)?"
+    rf"(?<![\w.,:/])(?<!\w-)1( (?:(?:{_BEFORE}) )*(?:{_NOUNS}))?(?(1)s\b)"
+    rf"( (?:{'|'.join(_VERBS)}|lie|follow|find|come)\b)?"
 )
-_IRREGULAR = {"indice": "index", "entrie": "entry", "stretche": "stretch"}
 
 
 def in_agreement(text: str) -> str:
@@ -43,10 +42,8 @@ def in_agreement(text: str) -> str:
     """
 
     def singular(found: re.Match[str]) -> str:
-        nouns, verb = found[1] or "", found[2]
-        before, _, noun = nouns.removesuffix("s").rpartition(" ")
-        nouns = f"{before} {_IRREGULAR.get(noun, noun)}" if nouns else ""
-        return f"1{nouns}" + (f" {_VERBS[verb[1:]]}" if verb else "")
+        verb = (found[2] or "")[1:]
+        return f"1{found[1] or ''}" + (f" {_VERBS.get(verb, verb + 's')}" if verb else "")
 
     return _ONE.sub(singular, text)
 

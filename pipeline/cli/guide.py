@@ -28,7 +28,9 @@ def schema(
     """
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("listing the keys"):
-        text = _schema_text()
+        from pipeline.config.schema import mission_schema
+
+        text = json.dumps(mission_schema(), indent=1)
     if out is not None:
         with storage_errors(out):
             out.write_text(text + "\n", encoding="utf-8")
@@ -36,12 +38,6 @@ def schema(
         answer.print_json({"written": [str(out)]})
     elif not quiet:
         print(text)
-
-
-def _schema_text() -> str:
-    from pipeline.config.schema import mission_schema
-
-    return json.dumps(mission_schema(), indent=1)
 
 
 @app.command(
@@ -115,7 +111,7 @@ def init(
     of_editors = out.parent / "mission.schema.json"
     with storage_errors(out):
         out.write_text(text, encoding="utf-8")
-        of_editors.write_text(_schema_text() + "\n", encoding="utf-8")
+    schema(of_editors, quiet=quiet or as_json)
     answer.print_json(content | {"written": [str(out), str(of_editors)]})
     asked = f"{out}: {count(len(questions), 'open question')} (TODO)"
-    answer.print_paths([str(of_editors), asked, f"  unbend check {out}"])
+    answer.print_paths([asked, f"  unbend check {out}"])

@@ -13,11 +13,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 DELAY_S = 0.5
-"""After it the bar appears: commands that end earlier stay without.
-
-With the start of Python and the import of the bar itself, no terminal is silent for two seconds,
-on a machine that is three times overloaded too.
-"""
+"""After it the bar appears, so that none is silent for two on an overloaded machine either."""
 
 
 class Progress(Protocol):

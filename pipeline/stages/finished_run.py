@@ -53,7 +53,7 @@ def mission_of(manifest: dict[str, Any], path: Path) -> Mission:
     except ValidationError as error:
         raise MissionError(
             "EXPORT-CONFIG",
-            f"the mission file in the manifest has {error.error_count()} entries that this version "
+            f"the mission file in the manifest has {error.error_count()} keys that this version "
             "does not understand",
             where=str(path / "manifest.json"),
             remedy="run the mission again with this version",

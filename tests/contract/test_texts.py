@@ -112,10 +112,10 @@ def test_every_count_agrees_with_its_noun():
     ("text", "expected"),
     [
         ("1 exposures of nadir", "1 exposure of nadir"),
-        ("after 1 entries, 21 entries", "after 1 entry, 21 entries"),
+        ("after 1 keys, 21 keys", "after 1 key, 21 keys"),
         ("all 1 control points are used", "all 1 control point is used"),
         ("0.1 hours, CAM-1 images, 1,001 rows, 1 of the images", None),
-        ("1 indices do not fit, 1 have none", "1 index does not fit, 1 has none"),
+        ("1 rows do not fit, 1 have none", "1 row does not fit, 1 has none"),
     ],
 )
 def test_one_is_singular(text, expected):

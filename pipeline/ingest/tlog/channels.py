@@ -234,7 +234,7 @@ def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
     unseen = np.setdiff1d(indices, indices[first])
     if unseen.shape[0]:
         what = (
-            f"{unseen.shape[0]} image indices never got a time of their own (the first is "
+            f"{unseen.shape[0]} image numbers never got a time of their own (the first is "
             f"{int(unseen[0])}): the camera was triggered and its feedback was lost"
         )
         ledger.warning("EVENT-NO-PULSE", what, where=name, count=int(unseen.shape[0]))
