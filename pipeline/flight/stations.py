@@ -196,7 +196,7 @@ def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tupl
         return stations, tuple(notes)
     near = proposal(unknown.tolist(), stations.image.tolist())
     what = (
-        f"{unknown.size} images of the observations have no exposure: {_first_three(unknown)}"
+        f"{unknown.size} images have observations but no exposure: {_first_three(unknown)}"
         + (f"; exposures are called like '{stations.image[0]}'" if len(stations) else "")
         + (f"; {near}" if near else "")
     )

@@ -61,7 +61,7 @@ def test_each_reason_is_a_loss_but_unmatched_images_are_entered_elsewhere():
     notes = unusable_station_notes(replace(stations(5), status=status))
     assert [(e.code, e.count, e.what) for e in notes] == [
         ("STATIONS-FLAGGED", 2, "2 exposures are in_gap: image_0, image_3"),
-        ("STATIONS-FLAGGED", 1, "1 exposures are no_attitude: image_2"),
+        ("STATIONS-FLAGGED", 1, "1 exposure is no_attitude: image_2"),
     ]
 
 

@@ -209,7 +209,7 @@ def test_what_has_no_lattice_is_said(mission, export):
     assert mission.run().code == 3
     out, ended = export(mission.output, "lattice", "--columns", 2, "--rows", 2)
     assert ended.code == 3
-    assert "EXPORT-LEFT-OUT: 1 images" in " ".join(ended.out.split())
+    assert "EXPORT-LEFT-OUT: 1 image " in " ".join(ended.out.split())
     assert "unknown.tif" not in pq.read_table(out)["image"].to_pylist()
 
 

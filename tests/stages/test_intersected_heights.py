@@ -110,7 +110,7 @@ def test_points_of_one_image_have_no_height(own):
     ended, manifest, results, _ = own(single)
     assert results.loc[results["point"] == "alone", "status"].tolist() == ["no_ground"]
     assert ended.code == 3
-    assert "have fewer than two rays" in entry(manifest)["what"]
+    assert "1 has fewer than two rays" in entry(manifest)["what"]
 
 
 def test_names_that_never_repeat_are_refused(own):

@@ -225,7 +225,7 @@ def _jumps(channel: Channel, known: Mask, role: str) -> tuple[Rows, Notes]:
         lost = jumps[~stays]
         if stays.any():
             count = int(np.count_nonzero(stays))
-            what = f"{count} samples in which the filter was aligned or reset are not used"
+            what = f"not used: {count} samples in which the filter was aligned or reset"
             notes.append(note("ATTITUDE-ALIGNED", what, where=where, count=count))
     if lost.size:
         time_s = (channel.time_ns[lost[0]] - channel.time_ns[0]) * 1e-9

@@ -82,7 +82,7 @@ def assigned_stations(
                 remedy="check events.images.path; names may differ in their ending only",
             )
         if absent:
-            what = f"{len(absent)} images of the observations are not there: {absent[0]} ..."
+            what = f"{len(absent)} observed images are not there: {absent[0]} ..."
             ledger.loss("IMAGES-ABSENT", what, where=section.images.path, count=len(absent))
     result, chosen = [], []
     for exposed, of_events in zip(events, stations, strict=True):

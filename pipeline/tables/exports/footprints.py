@@ -25,7 +25,7 @@ def placed_stations(run: FinishedRun, known: Mask, what: str, ledger: Ledger) ->
     """(n,) the stations that are ``known`` (s,); the others are a loss, ``what`` they lack."""
     missing = run.stations.image[~known]
     if missing.size:
-        text = f"{missing.size} stations have no {what} and are left out, the first {missing[0]}"
+        text = f"left out: {missing.size} stations without a {what}, the first {missing[0]}"
         ledger.loss("EXPORT-LEFT-OUT", text, where="stations.parquet", count=int(missing.size))
     return np.flatnonzero(known).astype(np.int64)
 

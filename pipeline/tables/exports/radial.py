@@ -79,8 +79,8 @@ def flying_heights(
         known = above_ground > 0.0
         if not bool(known.all()):
             what = (
-                f"{int((~known).sum())} images of camera {name} have no known ground below them "
-                "and are left out"
+                f"left out: {int((~known).sum())} images of camera {name} without known ground "
+                "below them"
             )
             ledger.loss("EXPORT-LEFT-OUT", what, where=f"camera {name}", count=int((~known).sum()))
         rows, above_ground = rows[known], above_ground[known]
