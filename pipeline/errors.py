@@ -21,12 +21,12 @@ EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
 
 _NOUNS = (
     "angle|band|bin|boot|byte|camera|cell|character|chunk|column|definition|degree|element|event|"
-    "exposure|field|file|fix|frame|gap|hour|image|layer|level|line|message|minute|mission|pixel|"
+    "exposure|field|file|fix|frame|gap|hour|image|layer|level|line|message|minute|mission|node|pixel|"
     "observation|pair|parameter|place|point|position|profile|pulse|quaternion|raster|ray|value|"
     "reading|receiver|reconstruction|record|result|row|sample|second|sounding|station|time|trigger|"
     "window|calibration|name|number|solution|deviation|measurement|key"
 )
-_BEFORE = "bad|control|different|image|known|more|object|sensor|shutter|standard|tie"
+_BEFORE = "bad|control|different|image|known|more|object|observed|sensor|shutter|standard|tie"
 _VERBS = {"are": "is", "were": "was", "have": "has", "do": "does", "carry": "carries"}
 _ONE = re.compile(
     rf"(?<![\w.,:/])(?<!\w-)1( (?:(?:{_BEFORE}) )*(?:{_NOUNS}))?(?(1)s\b)"

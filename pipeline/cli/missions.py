@@ -200,7 +200,7 @@ def inspect(
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show what a log holds, by the names that a mission file uses, or a weather model's file."""
+    """What a log holds, by names of the mission file, or a weather model."""
     if (kind is None and (as_csv or instance is not None)) or (as_csv and as_json):
         what = "--csv and --instance go with --type, and --csv not with --json"
         remedy = "for example: unbend inspect flight.bin --type BARO --csv"
