@@ -200,7 +200,7 @@ def inspect(
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """What a log holds, by names of the mission file, or a weather model."""
+    """What a log or weather model holds, in words of a mission file."""
     if (kind is None and (as_csv or instance is not None)) or (as_csv and as_json):
         what = "--csv and --instance go with --type, and --csv not with --json"
         remedy = "for example: unbend inspect flight.bin --type BARO --csv"
