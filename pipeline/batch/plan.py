@@ -36,6 +36,7 @@ _MISSION_FILE_KEYS = {
     "geoid": "mission.geoid",
     "object points": "ground.height.points",
     "control": "control.path",
+    "weather model": "atmosphere.model.path",
 }
 _EXIF_BYTES = 1 << 18
 
@@ -148,6 +149,8 @@ def input_paths(mission: Mission, folder: Path) -> dict[str, tuple[str, Path]]:
             named["trajectory accuracy"] = trajectory.accuracy
     for number, sounding in enumerate(mission.atmosphere.soundings):
         named[sounding_role(number)] = sounding.path
+    if mission.atmosphere.model is not None:
+        named["weather model"] = mission.atmosphere.model.path
     return {role: (name, folder / name) for role, name in named.items()}
 
 

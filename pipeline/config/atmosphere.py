@@ -1,4 +1,4 @@
-"""The sections of a mission file on the air: standard, climatology, soundings, sensors."""
+"""The sections of a mission file on the air: standard, climatology, other sources, sensors."""
 
 from __future__ import annotations
 
@@ -24,6 +24,13 @@ class SoundingSection(Section):
     path: PathText
     format: Literal["auto", "igra", "igra_derived", "wyoming_csv", "wyoming_list", "csv"] = "auto"
     station_h_msl_m: float | None = Field(None, ge=-500, le=6000)
+
+
+class WeatherModelSection(Section):
+    """Fields of a weather model around the flight."""
+
+    path: PathText
+    member: int | None = Field(None, ge=0)
 
 
 class SurfaceSection(Section):
@@ -159,6 +166,7 @@ class AtmosphereSection(Section):
     climatology: str = "auto"
     soundings: list[SoundingSection] = Field([])
     surface: list[SurfaceSection] = Field([])
+    model: WeatherModelSection | None = None
     board_temperature: bool = False
     sensors: SensorsSection = SensorsSection()
     index: Literal["ciddor", "gyer"] = "ciddor"

@@ -1,4 +1,4 @@
-"""A file of a weather model, netCDF or GRIB: what is in it.
+"""A file of a weather model, netCDF or GRIB: what is in it, and its fields around a flight.
 
 The only module that uses xarray. It imports pyproj first: loaded after ecCodes, pyproj crashes.
 """
@@ -12,16 +12,31 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.atmosphere.soundings.level_checks import FEWEST_LEVELS
+from pipeline.atmosphere.soundings.model_column import too_few_levels
+from pipeline.atmosphere.soundings.model_field import MODEL_LEVELS, ModelField, checked_field
 from pipeline.errors import InputError
-from pipeline.units import HECTOPASCAL, Array, Integers
+from pipeline.geodesy import longitudes_near
+from pipeline.ledger import Ledger
+from pipeline.units import DEGREE, HECTOPASCAL, STANDARD_GRAVITY, Array, Integers
+
+FARTHEST_H = 6.0
+"""Farther from every time of the file a flight is refused [h]."""
 
 _ENGINES = {b"CDF\x01": "scipy", b"CDF\x02": "scipy", b"\x89HDF": "h5netcdf", b"GRIB": "cfgrib"}
 _FORMATS = {"scipy": "netCDF classic", "h5netcdf": "netCDF-4", "cfgrib": "GRIB"}
-_TEMPERATURE = {"t", "ta", "tmp", "temperature", "air_temperature"}
+_NAMES = {
+    "temperature": {"t", "ta", "tmp", "temperature", "air_temperature"},
+    "specific humidity": {"q", "hus", "spfh", "specific_humidity"},
+    "relative humidity": {"r", "rh", "hur", "relative_humidity"},
+    "geopotential": {"z", "gh", "zg", "hgt", "geopotential", "geopotential_height"},
+    "surface geopotential": {"z", "orog", "surface_geopotential"},
+    "log surface pressure": {"lnsp"},
+}
 _MODEL_LEVELS = ("hybrid", "model_level")
 _LEVELS = ("level", "pressure_level", "plev", "lev", *_MODEL_LEVELS)
 _LATITUDE, _LONGITUDE = ("latitude", "lat"), ("longitude", "lon")
-_MEMBERS = ("number", "member", "realization", "ensemble")
+_MEMBERS, _VERSIONS = ("number", "member", "realization", "ensemble"), ("expver",)
 _HECTOPASCALS = ("hpa", "millibars", "millibar", "mbar", "mb")
 _GRIB_HEAD = 16
 
@@ -143,15 +158,34 @@ def _levels(field: Any) -> _Levels | None:
     return _Levels(name, values, of_model)
 
 
-def temperature_on_levels(datasets: Sequence[Any]) -> Any | None:
-    """The temperature on levels, None where there is none."""
+def _find(datasets: Sequence[Any], quantity: str) -> Any | None:
+    """The field of a quantity on levels, or of the surface; there model levels keep the first.
+
+    Of several on levels the one with most: GRIB has those above 1 hPa apart.
+    """
+    upper: list[tuple[int, int, Any]] = []
+    surface: list[Any] = []
     for dataset in datasets:
         for name, field in dataset.data_vars.items():
             short = str(name).lower().split("_isobaric")[0]
-            if (_levels(field) is not None
-                    and {short, str(field.attrs.get("standard_name"))} & _TEMPERATURE):  # fmt: skip
-                return field
-    return None
+            names = {short, str(field.attrs.get("standard_name")), str(
+                field.attrs.get("GRIB_shortName"))}  # fmt: skip
+            levels = _levels(field)
+            if not names & _NAMES[quantity]:
+                continue
+            of_level = any(str(c).lower() in _LEVELS for c in field.coords)
+            if levels is not None:
+                upper.append((levels.values.size, -len(upper), field))
+                if levels.of_model:  # lnsp and z mean something at level 1 only
+                    first = int(np.argmin(levels.values))
+                    surface.append(field.isel({levels.name: first}, drop=True))
+            elif field.attrs.get("GRIB_typeOfLevel", "level" if of_level else "surface") in (
+                "surface", "hybrid"
+            ):  # fmt: skip
+                surface.append(field)
+    if "surface" in quantity:
+        return surface[0] if surface else None
+    return max(upper)[2] if upper else None
 
 
 def times_of(field: Any, where: str) -> tuple[str | None, Integers, Array]:
@@ -171,7 +205,7 @@ def times_of(field: Any, where: str) -> tuple[str | None, Integers, Array]:
     lead = np.zeros(stamps.size)
     if "step" in field.coords and field["step"].dtype.kind == "m":
         lead = lead + np.atleast_1d(field["step"].values) / np.timedelta64(1, "h")
-    return dim, stamps.astype("datetime64[ns]").astype(np.int64), lead
+    return dim, stamps.ravel().astype("datetime64[ns]").astype(np.int64), lead
 
 
 def contents_of(path: Path) -> dict[str, Any]:
@@ -188,7 +222,7 @@ def contents_of(path: Path) -> dict[str, Any]:
             row = {"name": str(field.name), "levels": 1 if on is None else on.values.size}
             row |= {key: str(field.attrs.get(key, "")) for key in ("long_name", "units")}
             variables.append(row)
-        upper = temperature_on_levels(datasets)
+        upper = _find(datasets, "temperature")
         contents: dict[str, Any] = {"format": format_name, "variables": variables}
         levels = None if upper is None else _levels(upper)
         if upper is None or levels is None:
@@ -224,3 +258,179 @@ def grid_name(datasets: Sequence[Any], field: Any) -> str:
     named = (v.attrs.get("grid_mapping_name") for d in datasets for v in d.variables.values())
     own = field.attrs.get("GRIB_gridType") or next((str(n) for n in named if n), None)
     return own or f"unnamed, with dimensions {', '.join(map(str, field.dims))}"
+
+
+@dataclass(frozen=True, eq=False)
+class FlightArea:
+    """Places (n,) [rad] and times (n,) [Unix ns] that columns are taken at."""
+
+    latitude_rad: Array
+    longitude_rad: Array
+    time_ns: Integers
+
+
+def read_model_field(
+    path: Path, area: FlightArea, ledger: Ledger, *, member: int | None = None
+) -> ModelField:
+    """The fields of a weather model around a flight; only that part of the file is read.
+
+    ``member`` of an ensemble. Refuses (`InputError`): what is no such file or is damaged
+    (MODEL-FORMAT, MODEL-UNREADABLE, MODEL-TRUNCATED), a projected grid (MODEL-GRID), fields that
+    are missing (MODEL-VARIABLE), an ensemble without a member (MODEL-MEMBER), levels that make no
+    column (MODEL-LEVELS), another time (MODEL-TIME), units (MODEL-UNITS).
+    """
+    where = path.name
+    with open_datasets(path) as (datasets, _):
+        t = _find(datasets, "temperature")
+        levels = None if t is None else _levels(t)
+        if levels is not None and levels.values.size < FEWEST_LEVELS and not levels.of_model:
+            raise too_few_levels(levels.values, where, "in all")
+        found = {name: _find(datasets, name) for name in _NAMES}
+        surface, log_surface = found["surface geopotential"], found["log surface pressure"]
+        specific, humidity = found["specific humidity"], found["relative humidity"]
+        humidity = specific if specific is not None else humidity
+        of_model = levels is not None and levels.of_model
+        height = None if of_model else found["geopotential"]
+        lacking = [name for name, field in {
+            "temperature on levels": t, "specific or relative humidity on levels": humidity,
+            "geopotential on levels": surface if of_model else height,
+            "lnsp (at level 1)": log_surface if of_model else t,
+        }.items() if field is None]  # fmt: skip
+        if lacking or t is None or levels is None:
+            held = ", ".join(sorted({str(v) for d in datasets for v in d.data_vars})) or "nothing"
+            what = f"it has no {', no '.join(lacking)}; it holds {held}"
+            remedy = "request temperature, specific humidity and geopotential on levels"
+            raise InputError("MODEL-VARIABLE", what, where=where, remedy=remedy)
+        grid = grid_name(datasets, t)
+        if grid != "latitude-longitude":
+            what = f"its grid is {grid}: only latitude-longitude grids are read"
+            remedy = "take ERA5 or GFS, or regrid it: cdo remapbil,r1440x720 in.grb out.nc"
+            raise InputError("MODEL-GRID", what, where=where, remedy=remedy)
+        part = _Part.of(t, area, where, member)
+        level = np.sort(levels.values)
+        if of_model and not np.array_equal(level, np.arange(level[0], MODEL_LEVELS + 1.0)):
+            what = (
+                f"{level.size} model levels from {level[0]:g} to {level[-1]:g}: the lowest of "
+                f"ERA5 is {MODEL_LEVELS}, and none may be missing above it"
+            )
+            remedy = f"request all levels down to {MODEL_LEVELS}, as 60/to/{MODEL_LEVELS}"
+            raise InputError("MODEL-LEVELS", what, where=where, remedy=remedy)
+        unit = "" if surface is None else str(surface.attrs.get("units", surface.name)).lower()
+        metre = STANDARD_GRAVITY if unit == "z" or "s" in unit else 1.0
+        field = ModelField(
+            name=where,
+            time_ns=part.time_ns,
+            latitude_rad=part.latitude_rad,
+            longitude_rad=part.longitude_rad,
+            level=level,
+            temperature_k=part.values(t, level),
+            humidity=part.values(humidity, level),
+            height=None if height is None else part.values(height, level),
+            surface=None if surface is None else part.values(surface) / metre,
+            log_surface_pa=part.values(log_surface) if of_model else None,
+            lead_h=part.lead_h,
+            relative=specific is None,
+            on_model_levels=of_model,
+        )
+    return ledger.take(checked_field(field, where))
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """The part of each field that is read: nodes around the flight, times about it, one member.
+
+    ``chosen`` are rows by dimension, ``labels`` the coordinates of these dimensions in the file.
+    """
+
+    time_ns: Integers
+    lead_h: Array
+    latitude_rad: Array
+    longitude_rad: Array
+    chosen: dict[str, Any]
+    labels: dict[str, Any]
+    where: str
+
+    @classmethod
+    def of(cls, field: Any, area: FlightArea, where: str, member: int | None) -> "_Part":
+        """By the nodes of the temperature."""
+        chosen: dict[str, Any] = {}
+        name = next((n for n in field.coords if str(n).lower() in _MEMBERS), None)
+        if name is not None and (member is not None or name in field.dims):
+            members = np.atleast_1d(field[name].values).tolist()
+            if member not in members:
+                have = f"{len(members)} members, {min(members)} to {max(members)}"
+                what = f"it has {have}, and " + (
+                    "none is chosen" if member is None else f"member {member} is not among them"
+                )
+                remedy = "name one, as atmosphere.model.member: 0 (the control)"
+                raise InputError("MODEL-MEMBER", what, where=where, remedy=remedy)
+            if name in field.dims:
+                chosen[name] = members.index(member)
+        elif member is not None:
+            what, remedy = f"it has no members, and {member} is asked for", "leave member out"
+            raise InputError("MODEL-MEMBER", what, where=where, remedy=remedy)
+        dim, time_ns, lead_h = times_of(field, where)
+        order = np.argsort(time_ns)
+        first, last = (int(t) for t in (area.time_ns.min(), area.time_ns.max()))
+        low = max(int(np.searchsorted(time_ns[order], first, side="right")) - 1, 0)
+        high = min(int(np.searchsorted(time_ns[order], last)), time_ns.size - 1)
+        times = order[low : high + 1]
+        if dim is not None:
+            chosen[dim] = times
+        hours = max(float(np.abs(time_ns - t).min()) for t in (first, last)) / 3.6e12
+        if hours > FARTHEST_H:
+            begin, end = time_ns[order[[0, -1]]].astype("datetime64[ns]").astype("datetime64[m]")
+            what = f"its times, {begin} to {end} UTC, are {hours:.1f} h away from the flight"
+            remedy = "download the hours before, during and after the flight"
+            raise InputError("MODEL-TIME", what, where=where, remedy=remedy)
+        nodes = []
+        middle = float(np.median(area.longitude_rad))
+        places = (area.latitude_rad, longitudes_near(area.longitude_rad, middle))
+        for names, place in zip((_LATITUDE, _LONGITUDE), places, strict=True):
+            axis = _dimension(field, names)
+            assert axis is not None
+            node = np.asarray(field[axis].values, np.float64) * DEGREE
+            if names is _LONGITUDE:
+                node = longitudes_near(node, middle)
+            node, rows = np.unique(np.round(node, 12), return_index=True)
+            low = max(int(np.searchsorted(node, place.min(), side="right")) - 2, 0)
+            high = int(np.searchsorted(node, place.max())) + 2
+            chosen[axis] = rows[low:high]
+            nodes.append(node[low:high])
+        labels = {name: field[name].values for name in chosen}
+        return cls(time_ns[times], lead_h[times], nodes[0], nodes[1], chosen, labels, where)
+
+    def values(self, field: Any, level: Array | None = None) -> Array:
+        """A field as (t, l, y, x), NaN where it has no value; of the surface l is 1."""
+        levels = _levels(field)
+        version, axes = _dimension(field, _VERSIONS), list(self.chosen)[-2:]
+        time = next((d for d in self.chosen if d not in axes and d in field.dims
+                     and np.ndim(self.chosen[d])), None)  # fmt: skip
+        order = [d for d in (version, time, None if levels is None else levels.name, *axes) if d]
+        others = [d for d in self.chosen if d in field.dims and not (
+            np.array_equal(field[d].values, self.labels[d]))]  # fmt: skip
+        taken = field.isel({d: rows for d, rows in self.chosen.items() if d in field.dims})
+        others += [d for d in taken.dims if d not in order and taken.sizes[d] > 1]
+        others += [d for d in axes if d not in field.dims]
+        if time is None and self.time_ns.size > 1 and level is not None:
+            others.append("time")
+        if others:
+            what = f"{field.name} and the temperature differ in their {', '.join(others)}"
+            remedy = "request all variables for the same area and times"
+            raise InputError("MODEL-VARIABLE", what, where=self.where, remedy=remedy)
+        single = {d: 0 for d in taken.dims if d not in order}
+        values = np.asarray(taken.isel(single, drop=True).transpose(*order).values, np.float64)
+        if version is not None:  # ERA5 and its preliminary months: each where the other is not
+            filled = values[0]
+            for other in values[1:]:
+                filled = np.where(np.isnan(filled), other, filled)
+            values = filled
+        if time is None:
+            values = np.broadcast_to(values, (self.time_ns.size, *values.shape))
+        if levels is None or level is None:
+            return values.reshape(values.shape[0], -1, *values.shape[-2:])
+        # On other levels than the temperature a field has no value.
+        whole = np.full((values.shape[0], level.size, *values.shape[2:]), np.nan)
+        _, rows, from_rows = np.intersect1d(level, levels.values, return_indices=True)
+        whole[:, rows] = values[:, from_rows]
+        return whole

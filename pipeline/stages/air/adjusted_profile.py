@@ -44,6 +44,7 @@ from pipeline.errors import InputError
 from pipeline.flight.stations import NO_TIME, Stations
 from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir, effects_on_r
+from pipeline.stages.air.weather_model import ModelAir, Track, read_model_air
 from pipeline.tables.soundings import read_sounding
 from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K
 
@@ -163,6 +164,7 @@ class AirSources:
     time_ns: int | None = None
     longitude_rad: float = math.nan
     lowest_h_m: float = 0.0
+    model: ModelAir | None = None
     calibration: Mapping[SensorFault, SensorCalibration] = field(default_factory=dict)
 
     def lines(self) -> list[tuple[str, str]]:
@@ -174,7 +176,7 @@ class AirSources:
                 time = f" of {np.datetime64(sounding.time_ns, 'ns').astype('datetime64[m]')} UTC"
             h_m = sounding.h_m
             levels = f"{h_m.size} levels from {h_m[0]:.0f} to {h_m[-1]:.0f} m"
-            lines.append(("sounding", f"{sounding.station}{time}: {levels}, {sounding.origin}"))
+            lines.append((sounding.kind, f"{sounding.station}{time}: {levels}, {sounding.origin}"))
         for report in self.surface:
             values = []
             if np.isfinite(report.temperature_k):
@@ -212,10 +214,12 @@ def read_air_sources(
     samples: AirSamples,
     ledger: Ledger,
     home_h_msl_m: float | None = None,
+    track: Track | None = None,
 ) -> AirSources:
-    """Read the soundings and surface reports of a mission, and choose its climatology.
+    """Read the soundings, surface reports and weather model of a mission; choose its climatology.
 
-    ``home_h_msl_m`` is the take-off height, that of the ground where the log sampled no air.
+    ``home_h_msl_m`` is the take-off height, that of the ground where the log sampled no air;
+    ``track`` where the aircraft was.
     Refuses what cannot be read, and values that no ground has (``InputError``).
     """
     section = plan.mission.atmosphere
@@ -252,17 +256,30 @@ def read_air_sources(
         read_report(s, f"atmosphere.surface[{i}]", flight_ns, background, ledger)
         for i, s in enumerate(section.surface)
     )
-    note_source_distances(soundings, surface, TimeAndPlace(flight_ns, latitude, longitude), ledger)
+    flight = TimeAndPlace(flight_ns, latitude, longitude)
+    ground = plan.mission.ground
+    level = ground.constant_m if ground.reference == "msl" else None
+    model = read_model_air(
+        plan, stations, samples, flight,
+        track=track or (np.empty(0, np.int64), np.empty(0), np.empty(0)),
+        ground_h_m=next((h for h in (level, home_h_msl_m) if h is not None), math.nan),
+        ledger=ledger,
+    )  # fmt: skip
+    soundings += () if model is None else (model.column,)
+    note_source_distances(soundings, surface, flight, ledger)
     calibration = section.sensors.calibration
     if not section.adjust and (soundings or surface or calibration):
         ledger.warning(
             "AIR-SOURCES-UNUSED",
-            f"atmosphere.adjust is false: {len(soundings)} soundings, {len(surface)} surface "
-            f"reports and {len(calibration)} sensor calibrations are not used",
+            f"atmosphere.adjust is false: {len(soundings)} soundings or model columns, "
+            f"{len(surface)} surface reports and {len(calibration)} sensor calibrations are not "
+            "used",
             where="atmosphere",
             count=len(soundings) + len(surface) + len(calibration),
         )
-    return AirSources(background, soundings, surface, flight_ns, longitude, lowest, calibration)
+    return AirSources(
+        background, soundings, surface, flight_ns, longitude, lowest, model, calibration
+    )
 
 
 def _middle_exposure_ns(stations: Stations) -> int | None:

@@ -1,0 +1,287 @@
+"""Fields of a weather model on pressure or model levels, and the air of columns in them.
+
+ECMWF's 137 model levels lie between half levels of pressure a + b p_s; `data/ecmwf_l137.csv` has
+a and b of ECMWF's L137 definition (a to six decimals, b to nine digits as in its GRIB files).
+"""
+
+import csv
+import math
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib import resources
+from itertools import product
+
+import numpy as np
+
+from pipeline.atmosphere.profile import Profile, profile_from_table
+from pipeline.atmosphere.refractive_index import vapour_pressure
+from pipeline.errors import InputError
+from pipeline.geodesy import longitudes_near, normal_gravity
+from pipeline.ledger import Entry, Notes, fallback
+from pipeline.units import (
+    DEGREE,
+    HECTOPASCAL,
+    HYDROSTATIC_CONSTANT,
+    STANDARD_GRAVITY,
+    VAPOUR_DEFICIT,
+    Array,
+    Integers,
+    Rows,
+)
+
+MODEL_LEVELS = 137
+"""Of ERA5 and of ECMWF's forecasts since 2013."""
+
+_RATIO = 0.622  # of the molar masses of water and dry air
+_THICKNESS_RATIO = 0.03  # as `level_checks`: heights come from the same temperatures
+_SURFACE_PA = (30_000.0, 110_000.0)  # the highest pressure of levels that reach the ground
+_COLDEST_K, _WARMEST_K = 150.0, 340.0
+_MOST_Q, _MOST_FRACTION, _MOST_PERCENT = 0.05, 1.6, 160.0
+_EARTH_KM = 6371.0
+_SEA_LEVEL_PA = 101_325.0
+_WIDEST_STEP, _ROUNDING = 0.2, 1e-9  # of nodes [rad]
+_GROUND_M, _SCALE_HEIGHT_M, _SURFACE_LOG_P = (-600.0, 9000.0), 8000.0, 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class ModelColumns:
+    """The air over n places: (n, l) arrays from the top down, NaN where a field has no value.
+
+    ``height`` geopotential [m'], ``log_pressure`` of [Pa], ``temperature_k``, ``vapour`` e/p;
+    ``surface`` (n,) geopotential height of the model's ground [m'], NaN where it is not known.
+    """
+
+    height: Array
+    log_pressure: Array
+    temperature_k: Array
+    vapour: Array
+    surface: Array
+
+    @property
+    def virtual(self) -> Array:
+        """T_M = T / (1 - 0.378 e/p) [K]; dry where humidity is missing."""
+        return np.asarray(self.temperature_k / (1.0 - VAPOUR_DEFICIT * np.nan_to_num(self.vapour)))
+
+
+@dataclass(frozen=True, eq=False)
+class ModelField:
+    """A model's fields as its file has them.
+
+    Parameters
+    ----------
+    name : the file's, for messages.
+    time_ns : (t,) [Unix ns], increasing; ``lead_h`` (t,) hours since the forecast began, 0 of an
+        analysis.
+    latitude_rad, longitude_rad : (y,), (x,) [rad], increasing.
+    level : (l,) pressures [Pa], or numbers of ECMWF's model levels (``on_model_levels``),
+        increasing.
+    temperature_k, humidity : (t, l, y, x); the latter specific [kg/kg], or ``relative`` [1].
+    height : (t, l, y, x) geopotential heights of pressure levels [m'].
+    surface : (t, 1, y, x) geopotential height of the ground [m'], None where the file has none.
+    log_surface_pa : (t, 1, y, x) ln of surface pressure [Pa], for model levels.
+    """
+
+    name: str
+    time_ns: Integers
+    latitude_rad: Array
+    longitude_rad: Array
+    level: Array
+    temperature_k: Array
+    humidity: Array
+    height: Array | None = None
+    surface: Array | None = None
+    log_surface_pa: Array | None = None
+    lead_h: Array | None = None
+    relative: bool = False
+    on_model_levels: bool = False
+
+    def columns(self, latitude_rad: Array, longitude_rad: Array, time_ns: Integers) -> ModelColumns:
+        """The air over places (n,) at times (n,), interpolated between nodes and in time.
+
+        Bilinear in latitude and longitude and linear in time, on each level; beyond the first and
+        the last time that time's. On model levels p = (p_upper + p_lower)/2 of the half levels and
+        H by the hydrostatic equation in the model's own form (IFS documentation CY41R2, part III,
+        Eq. 2.21 to 2.23); against an integrated column 1e-4 of p up to 30 km.
+        """
+        longitude_rad = longitudes_near(longitude_rad, float(self.longitude_rad.mean()))
+        axes = (
+            _between(self.time_ns.astype(np.float64), time_ns.astype(np.float64)),
+            _between(self.latitude_rad, latitude_rad),
+            _between(self.longitude_rad, longitude_rad),
+        )
+
+        def at(field: Array) -> Array:
+            total = np.zeros((time_ns.size, field.shape[1]))
+            for corner in product((0, 1), repeat=3):
+                weight = np.ones(time_ns.size)
+                rows: list[Rows] = []
+                for (first, share), upper in zip(axes, corner, strict=True):
+                    weight *= share if upper else 1.0 - share
+                    rows.append(first + upper)
+                t, y, x = (np.minimum(r, n - 1) for r, n in zip(
+                    rows, (field.shape[0], *field.shape[2:]), strict=True))  # fmt: skip
+                used = weight > 0.0
+                total[used] += weight[used, None] * field[t[used], :, y[used], x[used]]
+            return total
+
+        t, humidity = at(self.temperature_k), at(self.humidity)
+        surface = np.full(time_ns.size, np.nan) if self.surface is None else at(self.surface)[:, 0]
+        if self.on_model_levels:
+            assert self.log_surface_pa is not None
+            half = half_levels(np.exp(at(self.log_surface_pa)))[:, int(self.level[0]) - 1 :]
+            p = 0.5 * (half[:, 1:] + half[:, :-1])
+        else:
+            p = np.broadcast_to(self.level, t.shape)
+        if self.relative:
+            vapour = vapour_pressure(humidity, t, p) / p
+        else:
+            vapour = humidity / (_RATIO + VAPOUR_DEFICIT * humidity)
+        columns = ModelColumns(np.zeros(t.shape), np.log(p), t, np.maximum(vapour, 0.0), surface)
+        if self.on_model_levels:
+            return replace(columns, height=_heights(half, columns.virtual, surface))
+        assert self.height is not None
+        return replace(columns, height=at(self.height))
+
+    def profile(self, latitude_rad: float, longitude_rad: float, time_ns: int) -> Profile:
+        """The air over one place at one time, through all levels that have values there."""
+        place = np.array([latitude_rad]), np.array([longitude_rad]), np.array([time_ns])
+        air = self.columns(*place)
+        known = np.flatnonzero(np.isfinite(air.height + air.virtual + air.log_pressure)[0])[::-1]
+        t, p = air.temperature_k[0, known], np.exp(air.log_pressure[0, known])
+        gravity = normal_gravity(latitude_rad)
+        h, e = gravity.height(air.height[0, known]), np.nan_to_num(air.vapour[0, known]) * p
+        return profile_from_table(h, t, p, e, gravity=gravity, name=self.name)
+
+    def refuse_outside(self, latitude_rad: Array, longitude_rad: Array) -> None:
+        """Refuse (`InputError`) places (n,) outside the grid, or in a hole of it: how far."""
+        east = longitudes_near(longitude_rad, float(self.longitude_rad.mean()))
+        away = _EARTH_KM * np.hypot(
+            _outside(self.latitude_rad, latitude_rad),
+            _outside(self.longitude_rad, east) * np.cos(latitude_rad),
+        )
+        worst = int(np.argmax(away))
+        if away[worst] == 0.0:
+            return
+        y, x = (nodes[[0, -1]] / DEGREE for nodes in (self.latitude_rad, self.longitude_rad))
+        what = (
+            f"the flight at {latitude_rad[worst] / DEGREE:.2f}°, {east[worst] / DEGREE:.2f}° is "
+            f"{away[worst]:.0f} km from its nodes, the nearest within {y[0]:.2f}° to {y[1]:.2f}°, "
+            f"{x[0]:.2f}° to {x[1]:.2f}°"
+        )
+        remedy = "download an area that reaches half a degree beyond the flight on all sides"
+        raise InputError("MODEL-AREA", what, where=self.name, remedy=remedy)
+
+
+def _between(node: Array, x: Array) -> tuple[Rows, Array]:
+    """The node below each x, and the share of the next; beyond the nodes the first or the last."""
+    if node.size == 1:
+        return np.zeros(x.size, np.intp), np.zeros(x.size)
+    i = np.clip(np.searchsorted(node, x, side="right") - 1, 0, node.size - 2)
+    return i, np.clip((x - node[i]) / (node[i + 1] - node[i]), 0.0, 1.0)
+
+
+def _outside(node: Array, x: Array) -> Array:
+    """(n,) distances from the nodes [rad]; inside them 0, but in a gap of 1.5 steps or 11°."""
+    away = np.maximum(np.maximum(node[0] - x, x - node[-1]), 0.0)
+    if node.size > 1:
+        i = np.clip(np.searchsorted(node, x), 1, node.size - 1)
+        step, usual = node[i] - node[i - 1], float(np.median(np.diff(node)))
+        hole = (away == 0.0) & ((step > 1.5 * usual) | (step > _WIDEST_STEP))
+        away = np.where(hole, np.minimum(x - node[i - 1], node[i] - x), away)
+    return np.where(away > _ROUNDING, away, 0.0)
+
+
+@cache
+def _coefficients() -> tuple[Array, Array]:
+    text = resources.files("pipeline.atmosphere").joinpath("data/ecmwf_l137.csv")
+    rows = list(csv.DictReader(text.read_text(encoding="ascii").splitlines()))
+    return tuple(np.array([float(row[name]) for row in rows]) for name in ("a_pa", "b"))  # type: ignore[return-value]
+
+
+def half_levels(surface_pa: Array) -> Array:
+    """(n, 138) pressures [Pa] of the half levels over surface pressures (n,) or (n, 1) [Pa].
+
+    >>> half_levels(np.array([101325.0]))[0, [1, 100, 136, 137]].round(2).tolist()
+    [2.0, 60016.68, 101084.87, 101325.0]
+    """
+    a, b = _coefficients()
+    return np.asarray(a + b * np.reshape(surface_pa, (-1, 1)))
+
+
+def _heights(half: Array, virtual: Array, surface: Array) -> Array:
+    """Geopotential heights [m'] of model levels from the ground up."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fall = np.log(half[:, 1:] / half[:, :-1])
+        alpha = 1.0 - half[:, :-1] / np.diff(half, axis=1) * fall
+    top = half[:, 0] <= 0.0  # the uppermost layer ends at no pressure
+    alpha[top, 0], fall[top, 0] = math.log(2.0), 0.0
+    layer = virtual * fall / HYDROSTATIC_CONSTANT
+    below = np.cumsum(layer[:, ::-1], axis=1)[:, ::-1] - layer
+    return np.asarray(surface[:, None] + below + alpha * virtual / HYDROSTATIC_CONSTANT)
+
+
+def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
+    """A field whose units are what its numbers can only be; repairs are noted.
+
+    Pressures in hPa or Pa by the highest, which has to be between 300 and 1100 hPa; geopotential
+    [m2/s2] or geopotential metres by the hydrostatic equation; relative humidity in percent or as
+    a fraction. Refuses (`InputError`) what is neither.
+    """
+    notes: list[Entry] = []
+
+    def refused(what: str) -> InputError:
+        remedy = "download the file again as the model's centre offers it"
+        return InputError("MODEL-UNITS", what, where=where, remedy=remedy)
+
+    t, q = field.temperature_k, field.humidity
+    low, high = float(np.nanmin(t)), float(np.nanmax(t))
+    if not _COLDEST_K <= low <= high <= _WARMEST_K:
+        raise refused(f"temperatures from {low:.6g} to {high:.6g} K: that is no air")
+    wettest = float(np.nanmax(q))
+    if field.relative and wettest > _MOST_FRACTION:
+        field = replace(field, humidity=q / 100.0)
+        wettest /= 100.0
+    if wettest > (_MOST_FRACTION if field.relative else _MOST_Q):
+        kind = "relative" if field.relative else "specific"
+        raise refused(f"{kind} humidities up to {wettest:.6g}: not kg/kg, and no fraction of 1")
+    if field.surface is not None:
+        ground = field.surface
+        if not _GROUND_M[0] <= float(np.nanmin(ground)) <= float(np.nanmax(ground)) <= _GROUND_M[1]:
+            raise refused(f"its ground is up to {np.nanmax(ground):.6g} m high")
+        if field.log_surface_pa is not None:
+            expected = math.log(_SEA_LEVEL_PA) - ground / _SCALE_HEIGHT_M
+            off = float(np.nanmax(np.abs(field.log_surface_pa - expected)))
+            if off > _SURFACE_LOG_P:
+                raise refused(f"surface pressures are up to {math.expm1(off):.0%} from those of "
+                              "its ground's height: z or lnsp has another unit")  # fmt: skip
+    if field.on_model_levels:
+        return field, ()
+    lowest = float(field.level[-1])
+    if not _SURFACE_PA[0] <= lowest <= _SURFACE_PA[1]:
+        factor = next((f for f in (HECTOPASCAL, 1.0 / HECTOPASCAL)
+                       if _SURFACE_PA[0] <= f * lowest <= _SURFACE_PA[1]), None)  # fmt: skip
+        if factor is None:
+            raise refused(f"the highest pressure level is {lowest:.6g} Pa, not near the ground")
+        what = f"pressure levels up to {lowest:.6g} Pa by their unit: taken as {factor:g} times"
+        notes.append(fallback("MODEL-PRESSURE-UNIT", what, where=where))
+        field = replace(field, level=factor * field.level)
+    assert field.height is not None
+    ratio = _thickness_ratio(field)
+    if abs(ratio / STANDARD_GRAVITY - 1.0) < _THICKNESS_RATIO:
+        return replace(field, height=field.height / STANDARD_GRAVITY), tuple(notes)
+    if abs(ratio - 1.0) < _THICKNESS_RATIO:
+        return field, tuple(notes)
+    raise refused(
+        f"layers are {ratio:.4g} times as thick as their pressures and temperatures imply: 1 is "
+        "geopotential metres, 9.807 geopotential"
+    )
+
+
+def _thickness_ratio(field: ModelField) -> float:
+    """Median thickness of the layers by the field's heights over the hydrostatic one."""
+    assert field.height is not None
+    step = np.diff(np.log(field.level))[:, None, None]
+    t = field.temperature_k[0]
+    implied = 0.5 * (t[1:] + t[:-1]) * step / HYDROSTATIC_CONSTANT
+    ratio = -np.diff(field.height[0], axis=0) / implied
+    return float(np.nanmedian(ratio))

@@ -1,0 +1,115 @@
+"""A weather model as a source of a mission's air, end to end; the truth is the simulator's."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from pipeline.atmosphere.air_samples import AirSamples
+from pipeline.ledger import Ledger
+from pipeline.simulate.flight import FIELD_LAT_RAD
+from pipeline.simulate.true_air import temperature_k, true_air, vapour_pressure_pa
+from pipeline.stages.air.adjusted_profile import adjusted_profiles, read_air_sources
+from pipeline.stages.story import read_mission
+from tests.conftest import run_command
+from tests.model_files import dataset, netcdf
+
+pytestmark = pytest.mark.usefixtures("plain_report")
+
+NORTH, EAST = (48.0, 47.5, 47.0), (8.0, 8.5, 9.0)
+HOURS = ("2025-06-12T09", "2025-06-12T10", "2025-06-12T11")
+H = np.arange(-200.0, 20_000.0, 20.0)
+PRESSURE = true_air(FIELD_LAT_RAD).pressure_pa(H)
+NAME = "weather model era5.nc 2025-06-12T10:00"
+
+
+def true_column(*_):
+    return H, temperature_k(H), PRESSURE, np.maximum(vapour_pressure_pa(H), 1e-4)
+
+
+@pytest.fixture(scope="module")
+def fields():
+    return dataset(true_column, NORTH, EAST, HOURS)
+
+
+@pytest.fixture
+def modelled(mission, fields):
+    """The mission with a weather model beside its sensors."""
+    netcdf(mission.folder / "era5.nc", fields)
+    mission.config["atmosphere"] = {"model": {"path": "era5.nc"}}
+    return mission
+
+
+def manifest(mission):
+    return json.loads((mission.output / "manifest.json").read_text())
+
+
+def true_factor(h_g: float, h_c: float) -> float:
+    """R / tan(zeta) in the plane: Gyer 1996, Eq. 24."""
+    n = true_air(FIELD_LAT_RAD).n(np.linspace(h_g, h_c, 3001)) - 1.0
+    return float(np.mean(0.5 * (n[1:] + n[:-1])) - n[-1])
+
+
+def factor(profile, h_g: float, h_c: float) -> float:
+    n = profile.refractivity(np.linspace(h_g, h_c, 3001))
+    return float(np.mean(0.5 * (n[1:] + n[:-1])) - n[-1])
+
+
+def test_beside_the_sensors_it_is_used_hashed_and_named(modelled, unbend):
+    checked = unbend("check", modelled.save())
+    assert checked.code == 0, checked.text
+    assert "weather model  era5.nc of 2025-06-12T10:00 UTC:" in checked.out
+    assert modelled.run().code == 0
+    told = manifest(modelled)
+    (entry,) = [e for e in told["ledger"] if e["code"] == "MODEL-COLUMN"]
+    assert "0.4 h from the nearest time of the file" in entry["what"]
+    assert "weather model" in {row["role"] for row in told["inputs"]}
+    used = [row for row in told["profile"]["sources"] if row["source"] == NAME]
+    assert [row["quantity"] for row in used] == ["temperature", "humidity", "pressure"]
+    assert told["profile"]["basis"] == "thermometer"
+    assert "with " + NAME in told["profile"]["reason"]
+    assert "0 missions of 1 would run" in unbend("status", modelled.file).out
+    with (modelled.folder / "era5.nc").open("ab") as file:
+        file.write(bytes(8))
+    assert "weather model" in unbend("status", modelled.file).out
+
+
+def test_the_flights_own_sensors_win(modelled, fields):
+    netcdf(modelled.folder / "era5.nc", fields.assign(t=fields.t + 2.0))
+    air = read_mission(modelled.save()).air.adjustment
+    del modelled.config["atmosphere"]["model"]
+    alone = read_mission(modelled.save()).air.adjustment
+    h = np.linspace(500.0, 2900.0, 50)
+    assert np.abs(air.profile.temperature(h) - alone.profile.temperature(h)).max() < 0.3
+
+
+def test_without_sensors_the_air_is_the_models(modelled):
+    read = read_mission(modelled.save())
+    nothing, ledger = AirSamples(), Ledger()
+    sources = read_air_sources(read.plan, read.stations, nothing, ledger, 450.0)
+    air = adjusted_profiles(
+        read.plan.mission, read.stations, nothing, sources, ledger
+    ).adjustment  # fmt: skip
+    assert air.basis == "weather model"
+    assert air.is_measured
+    assert air.reason == NAME
+    right = true_factor(450.0, 2950.0)
+    assert factor(air.profile, 450.0, 2950.0) == pytest.approx(right, rel=0.02)
+    assert 0.015 < air.covariance.relative_sigma(2950.0, 450.0) < 0.06
+
+
+def test_one_of_another_day_is_refused(modelled, fields):
+    later = fields.valid_time + np.timedelta64(1, "D")
+    netcdf(modelled.folder / "era5.nc", fields.assign_coords(valid_time=later))
+    ended = modelled.run()
+    assert ended.code == 6
+    assert "MODEL-TIME: its times, 2025-06-13T09:00 to 2025-06-13T11:00 UTC" in ended.err
+
+
+def test_a_standard_asked_for_leaves_it_unused(modelled):
+    modelled.config["atmosphere"]["adjust"] = False
+    (entry,) = [e for e in read_mission(modelled.save()).ledger if e.code == "AIR-SOURCES-UNUSED"]
+    assert "1 soundings or model columns" in entry.what
+    assert run_command("check", modelled.file).code == 0
