@@ -241,11 +241,11 @@ def prepare_mission(
     samples = ledger.take(
         air_samples(flight.air_roles, flight.heights, plan.mission.max_gap_s, flight.own_suspect)
     )
-    position = flight.roles.get("position")
-    sources = read_air_sources(
-        plan, stations, samples, ledger, flight.heights.home_h_msl_m,
-        None if position is None else (position.time_ns, position["lat_rad"], position["lon_rad"]),
-    )  # fmt: skip
+    track = None
+    if (position := flight.roles.get("position")) is not None:
+        track = position.time_ns, position["lat_rad"], position["lon_rad"]
+    home = flight.heights.home_h_msl_m
+    sources = read_air_sources(plan, stations, samples, ledger, home_h_msl_m=home, track=track)
     air = adjusted_profiles(plan.mission, stations, samples, sources, ledger)
     if air.adjustment.is_measured:
         use_suspect = plan.mission.stations.use_suspect

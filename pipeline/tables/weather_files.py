@@ -310,8 +310,8 @@ def read_model_field(
         level = np.sort(levels.values)
         if of_model and not np.array_equal(level, np.arange(level[0], MODEL_LEVELS + 1.0)):
             what = (
-                f"{level.size} model levels from {level[0]:g} to {level[-1]:g}: the lowest of "
-                f"ERA5 is {MODEL_LEVELS}, and none may be missing above it"
+                f"its model levels run from {level[0]:g} to {level[-1]:g}, {level.size} in all: "
+                f"the lowest of ERA5 is {MODEL_LEVELS}, and none may be missing above it"
             )
             remedy = f"request all levels down to {MODEL_LEVELS}, as 60/to/{MODEL_LEVELS}"
             raise InputError("MODEL-LEVELS", what, where=where, remedy=remedy)
@@ -358,7 +358,7 @@ class _Part:
         if name is not None and (member is not None or name in field.dims):
             members = np.atleast_1d(field[name].values).tolist()
             if member not in members:
-                have = f"{len(members)} members, {min(members)} to {max(members)}"
+                have = f"members {min(members)} to {max(members)}"
                 what = f"it has {have}, and " + (
                     "none is chosen" if member is None else f"member {member} is not among them"
                 )

@@ -126,6 +126,7 @@ FULL: dict[str, Any] = {
             "hygrometer": {"bias": 0.01, "sigma_bias": 0.01},
             "gnss": {"sigma_height_m": 0.1},
         },
+        "model": {"path": "era5.nc", "member": 0},
         "soundings": [{"path": "s.csv", "format": "csv", "station_h_msl_m": 500.0}],
         "surface": [
             {"h_msl_m": 500.0, "metar": "METAR EDDF 221150Z 12/08 Q1013"},

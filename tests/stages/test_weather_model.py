@@ -88,7 +88,7 @@ def test_the_flights_own_sensors_win(modelled, fields):
 def test_without_sensors_the_air_is_the_models(modelled):
     read = read_mission(modelled.save())
     nothing, ledger = AirSamples(), Ledger()
-    sources = read_air_sources(read.plan, read.stations, nothing, ledger, 450.0)
+    sources = read_air_sources(read.plan, read.stations, nothing, ledger, home_h_msl_m=450.0)
     air = adjusted_profiles(
         read.plan.mission, read.stations, nothing, sources, ledger
     ).adjustment  # fmt: skip
@@ -111,5 +111,5 @@ def test_one_of_another_day_is_refused(modelled, fields):
 def test_a_standard_asked_for_leaves_it_unused(modelled):
     modelled.config["atmosphere"]["adjust"] = False
     (entry,) = [e for e in read_mission(modelled.save()).ledger if e.code == "AIR-SOURCES-UNUSED"]
-    assert "1 soundings or model columns" in entry.what
+    assert "1 column (soundings, weather model)" in entry.what
     assert run_command("check", modelled.file).code == 0

@@ -165,12 +165,12 @@ REFUSED = {
     "three levels": (lambda f: f.isel(pressure_level=[0, 5, 9]), "MODEL-LEVELS",
                      r"3 levels in all \(775, 875, 1000 hPa\)"),
     "a member to choose": (lambda f: xarray.concat([f, f], "number").assign_coords(number=[0, 1]),
-                           "MODEL-MEMBER", "2 members, 0 to 1, and none is chosen"),
+                           "MODEL-MEMBER", "members 0 to 1, and none is chosen"),
     "projected": (lambda f: f.rename(latitude="y", longitude="x").drop_vars(["x", "y"]).assign(
         crs=((), 0, {"grid_mapping_name": "lambert_conformal_conic"})),
         "MODEL-GRID", "lambert_conformal_conic"),
     "Celsius": (lambda f: spoiled(f, "t", lambda t: t - 273.15), "MODEL-UNITS", "temperatures"),
-    "g/kg": (lambda f: spoiled(f, "q", lambda q: 1000.0 * q), "MODEL-UNITS", "humidities"),
+    "g/kg": (lambda f: spoiled(f, "q", lambda q: 1000.0 * q), "MODEL-UNITS", "specific humidity up to"),
     "feet": (lambda f: spoiled(f, "z", lambda z: z / 0.3048), "MODEL-UNITS", "as thick"),
     "levels of the stratosphere": (lambda f: f.assign_coords(
         pressure_level=f.pressure_level / 7.0), "MODEL-UNITS", "not near the ground"),

@@ -10,7 +10,6 @@ import math
 
 import numpy as np
 
-from pipeline.atmosphere.refractive_index import saturation_vapour_pressure
 from pipeline.atmosphere.soundings.level_checks import FEWEST_LEVELS
 from pipeline.atmosphere.soundings.levels import ColumnErrors, Sounding
 from pipeline.atmosphere.soundings.model_field import ModelField
@@ -91,17 +90,13 @@ def model_column(
     sigma = np.interp(above, [LOW_M, ALOFT_M], [LOW_K, ALOFT_K])
     sigma_rh = np.full(t.size, HUMIDITY_RH)
     if (depth := float(above[0])) > _SMALLEST_EXTENSION_M:
-        # [m'] under the lowest level, from the ground up
+        # [m'] under the lowest level, from the ground up; mixed air: e/p stays
         below = np.linspace(depth, 0.0, 1 + math.ceil(depth / _EXTENSION_STEP_M))[:-1]
-        t_below = t[0] + EXTENSION_LAPSE * below
-        saturated = saturation_vapour_pressure(np.append(t_below, t[0]))
-        dry = 1.0 - VAPOUR_DEFICIT * float(vapour[0])
-        exponent = HYDROSTATIC_CONSTANT * dry / EXTENSION_LAPSE
-        log_p_below = log_p[0] + exponent * np.log(t_below / t[0])
-        wetter = saturated[:-1] / saturated[-1] * np.exp(log_p[0] - log_p_below)
+        warmer = t[0] + EXTENSION_LAPSE * below
+        exponent = HYDROSTATIC_CONSTANT * (1.0 - VAPOUR_DEFICIT * vapour[0]) / EXTENSION_LAPSE
+        log_p = np.concatenate([log_p[0] + exponent * np.log(warmer / t[0]), log_p])
         height = np.concatenate([height[0] - below, height])
-        t, log_p = np.concatenate([t_below, t]), np.concatenate([log_p_below, log_p])
-        vapour = np.concatenate([vapour[0] * wetter, vapour])
+        t, vapour = np.concatenate([warmer, t]), np.append(np.full(below.size, vapour[0]), vapour)
         sigma = np.concatenate([np.hypot(sigma[0], EXTENSION_K_PER_M * below), sigma])
         sigma_rh = np.concatenate([np.hypot(HUMIDITY_RH, EXTENSION_RH_PER_M * below), sigma_rh])
         if depth > _USUAL_STEP_M:

@@ -138,7 +138,7 @@ class ModelField:
             vapour = humidity / (_RATIO + VAPOUR_DEFICIT * humidity)
         columns = ModelColumns(np.zeros(t.shape), np.log(p), t, np.maximum(vapour, 0.0), surface)
         if self.on_model_levels:
-            return replace(columns, height=_heights(half, columns.virtual, surface))
+            return replace(columns, height=level_heights(half, columns.virtual, surface))
         assert self.height is not None
         return replace(columns, height=at(self.height))
 
@@ -192,10 +192,11 @@ def _outside(node: Array, x: Array) -> Array:
 
 
 @cache
-def _coefficients() -> tuple[Array, Array]:
+def level_coefficients() -> Array:
+    """(2, 138): a [Pa] and b of the half levels."""
     text = resources.files("pipeline.atmosphere").joinpath("data/ecmwf_l137.csv")
-    rows = list(csv.DictReader(text.read_text(encoding="ascii").splitlines()))
-    return tuple(np.array([float(row[name]) for row in rows]) for name in ("a_pa", "b"))  # type: ignore[return-value]
+    rows = csv.DictReader(text.read_text(encoding="ascii").splitlines())
+    return np.array([[float(row["a_pa"]), float(row["b"])] for row in rows]).T
 
 
 def half_levels(surface_pa: Array) -> Array:
@@ -204,12 +205,15 @@ def half_levels(surface_pa: Array) -> Array:
     >>> half_levels(np.array([101325.0]))[0, [1, 100, 136, 137]].round(2).tolist()
     [2.0, 60016.68, 101084.87, 101325.0]
     """
-    a, b = _coefficients()
+    a, b = level_coefficients()
     return np.asarray(a + b * np.reshape(surface_pa, (-1, 1)))
 
 
-def _heights(half: Array, virtual: Array, surface: Array) -> Array:
-    """Geopotential heights [m'] of model levels from the ground up."""
+def level_heights(half: Array, virtual: Array, surface: Array) -> Array:
+    """(n, l) geopotential heights [m'] of model levels, from the ground ``surface`` (n,) up.
+
+    ``half`` (n, l + 1) pressures of the half levels about them, ``virtual`` T_M [K] on them.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         fall = np.log(half[:, 1:] / half[:, :-1])
         alpha = 1.0 - half[:, :-1] / np.diff(half, axis=1) * fall
@@ -243,7 +247,7 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
         wettest /= 100.0
     if wettest > (_MOST_FRACTION if field.relative else _MOST_Q):
         kind = "relative" if field.relative else "specific"
-        raise refused(f"{kind} humidities up to {wettest:.6g}: not kg/kg, and no fraction of 1")
+        raise refused(f"{kind} humidity up to {wettest:.6g}: not kg/kg, and no fraction of 1")
     if field.surface is not None:
         ground = field.surface
         if not _GROUND_M[0] <= float(np.nanmin(ground)) <= float(np.nanmax(ground)) <= _GROUND_M[1]:
@@ -266,7 +270,9 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
         notes.append(fallback("MODEL-PRESSURE-UNIT", what, where=where))
         field = replace(field, level=factor * field.level)
     assert field.height is not None
-    ratio = _thickness_ratio(field)
+    layers = 0.5 * (t[0, 1:] + t[0, :-1]) * np.diff(np.log(field.level))[:, None, None]
+    thickness = -HYDROSTATIC_CONSTANT * np.diff(field.height[0], axis=0)
+    ratio = float(np.nanmedian(thickness / layers))
     if abs(ratio / STANDARD_GRAVITY - 1.0) < _THICKNESS_RATIO:
         return replace(field, height=field.height / STANDARD_GRAVITY), tuple(notes)
     if abs(ratio - 1.0) < _THICKNESS_RATIO:
@@ -275,13 +281,3 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
         f"layers are {ratio:.4g} times as thick as their pressures and temperatures imply: 1 is "
         "geopotential metres, 9.807 geopotential"
     )
-
-
-def _thickness_ratio(field: ModelField) -> float:
-    """Median thickness of the layers by the field's heights over the hydrostatic one."""
-    assert field.height is not None
-    step = np.diff(np.log(field.level))[:, None, None]
-    t = field.temperature_k[0]
-    implied = 0.5 * (t[1:] + t[:-1]) * step / HYDROSTATIC_CONSTANT
-    ratio = -np.diff(field.height[0], axis=0) / implied
-    return float(np.nanmedian(ratio))

@@ -213,6 +213,7 @@ def read_air_sources(
     stations: Stations,
     samples: AirSamples,
     ledger: Ledger,
+    *,
     home_h_msl_m: float | None = None,
     track: Track | None = None,
 ) -> AirSources:
@@ -261,7 +262,7 @@ def read_air_sources(
     level = ground.constant_m if ground.reference == "msl" else None
     model = read_model_air(
         plan, stations, samples, flight,
-        track=track or (np.empty(0, np.int64), np.empty(0), np.empty(0)),
+        track=track,
         ground_h_m=next((h for h in (level, home_h_msl_m) if h is not None), math.nan),
         ledger=ledger,
     )  # fmt: skip
@@ -271,7 +272,7 @@ def read_air_sources(
     if not section.adjust and (soundings or surface or calibration):
         ledger.warning(
             "AIR-SOURCES-UNUSED",
-            f"atmosphere.adjust is false: {len(soundings)} soundings or model columns, "
+            f"atmosphere.adjust is false: {len(soundings)} columns (soundings, weather model), "
             f"{len(surface)} surface reports and {len(calibration)} sensor calibrations are not "
             "used",
             where="atmosphere",

@@ -33,7 +33,7 @@ class ModelAir:
     field: ModelField
     column: Sounding
     place: tuple[float, float, int]
-    track: Track
+    track: Track | None
 
 
 def read_model_air(
@@ -42,7 +42,7 @@ def read_model_air(
     samples: AirSamples,
     flight: TimeAndPlace,
     *,
-    track: Track,
+    track: Track | None,
     ground_h_m: float,
     ledger: Ledger,
 ) -> ModelAir | None:
@@ -89,13 +89,15 @@ def read_model_air(
 
 
 def sampled_place(
-    samples: AirSamples, track: Track, start_ns: int = -(2**62), end_ns: int = 2**62
+    samples: AirSamples, track: Track | None, start_ns: int = -(2**62), end_ns: int = 2**62
 ) -> tuple[float, float, int] | None:
     """Where and when a flight met the air that it measured: latitude, longitude, time.
 
     The mean over its heights in bins of 100 m, so that a climb counts more than a long level run;
     None where nothing was measured between two times.
     """
+    if track is None:
+        return None
     time_ns, latitude, longitude = track
     known = np.isfinite(latitude + longitude)
     for sensor in (samples.temperature, samples.pressure):
