@@ -170,7 +170,7 @@ REFUSED = {
         crs=((), 0, {"grid_mapping_name": "lambert_conformal_conic"})),
         "MODEL-GRID", "lambert_conformal_conic"),
     "Celsius": (lambda f: spoiled(f, "t", lambda t: t - 273.15), "MODEL-UNITS", "temperatures"),
-    "g/kg": (lambda f: spoiled(f, "q", lambda q: 1000.0 * q), "MODEL-UNITS", "specific humidity up to"),
+    "g/kg": (lambda f: spoiled(f, "q", lambda q: 1000.0 * q), "MODEL-UNITS", "humidity up to"),
     "feet": (lambda f: spoiled(f, "z", lambda z: z / 0.3048), "MODEL-UNITS", "as thick"),
     "levels of the stratosphere": (lambda f: f.assign_coords(
         pressure_level=f.pressure_level / 7.0), "MODEL-UNITS", "not near the ground"),
