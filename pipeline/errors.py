@@ -5,9 +5,12 @@ line that it leads to. A refusal is for the user; anything else that escapes is 
 """
 
 import re
-from collections.abc import Iterator
+import tomllib
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
+from importlib.resources import files
+from typing import Self
 
 EXIT_DONE = 0
 EXIT_BUG = 1
@@ -17,6 +20,12 @@ EXIT_IN_USE = 4
 EXIT_STORAGE = 5
 EXIT_REFUSED = 6
 EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
+
+
+@cache
+def texts() -> Mapping[str, Mapping[str, str]]:
+    """The texts of ``pipeline/texts.toml`` by key: ``what``, and of a refusal its ``remedy``."""
+    return tomllib.loads(files("pipeline").joinpath("texts.toml").read_text("utf-8"))
 
 
 _NOUNS = (
@@ -73,6 +82,13 @@ class UnbendError(Exception):
         super().__init__(code, self.what, where, remedy)
         self.where = where
         self.remedy = remedy
+
+    @classmethod
+    def of(cls, key: str, where: object = "", **values: object) -> Self:
+        """The refusal with the texts of a key (CODE or CODE/word), the values filled in."""
+        text, code = texts()[key], key.partition("/")[0]
+        what, remedy = (text.get(part, "").format_map(values) for part in ("what", "remedy"))
+        return cls(code, what, where=str(where), remedy=remedy)
 
     def __reduce__(self) -> tuple[object, ...]:
         again = partial(type(self), where=self.where, remedy=self.remedy)

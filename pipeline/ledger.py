@@ -3,12 +3,14 @@
 Every stage adds to it, nothing is removed from it, and it ends in the manifest and the report.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
-from typing import TypeVar
+from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
-from pipeline.errors import in_agreement
+from pipeline.errors import in_agreement, texts
 
 
 class Kind(StrEnum):
@@ -40,34 +42,44 @@ class Entry:
 
 
 Result = TypeVar("Result")
+P = ParamSpec("P")
 
 Notes = tuple[Entry, ...]
 """What a function of a pure room has to report, beside its result."""
 
 
-def note(code: str, what: str, *, where: str = "", count: int = 0) -> Entry:
-    """An entry for a choice that was made."""
-    return Entry(Kind.NOTE, code, what, where, count)
+class _Make(Protocol):
+    """Makes an entry: with its text, or that of its key (CODE or CODE/word) in ``texts.toml``.
+
+    The values fill in that text, ``where`` and ``count`` among them.
+    """
+
+    def __call__(
+        self, key: str, what: str = "", *, where: str = "", count: int = 0, **values: object
+    ) -> Entry: ...
 
 
-def fallback(code: str, what: str, *, where: str = "", count: int = 0) -> Entry:
-    """An entry for an allowed substitute."""
-    return Entry(Kind.FALLBACK, code, what, where, count)
+def _entries_of(kind: Kind) -> _Make:
+    def make(
+        key: str, what: str = "", *, where: str = "", count: int = 0, **values: object
+    ) -> Entry:
+        what = what or texts()[key]["what"].format(where=where, count=count, **values)
+        return Entry(kind, key.partition("/")[0], what, where, count)
+
+    return make
 
 
-def warning(code: str, what: str, *, where: str = "", count: int = 0) -> Entry:
-    """An entry for what the user should look at, though the result stands."""
-    return Entry(Kind.WARNING, code, what, where, count)
+note, fallback, warning = map(_entries_of, (Kind.NOTE, Kind.FALLBACK, Kind.WARNING))
+finding, loss = map(_entries_of, (Kind.FINDING, Kind.LOSS))
 
 
-def loss(code: str, what: str, *, where: str = "", count: int = 0) -> Entry:
-    """An entry for what was lost, damaged, flagged or absent."""
-    return Entry(Kind.LOSS, code, what, where, count)
+def _adding(make: Callable[P, Entry]) -> Callable[Concatenate[Ledger, P], None]:
+    """The method that adds such an entry to a ledger."""
 
+    def add(ledger: Ledger, /, *key: P.args, **values: P.kwargs) -> None:
+        ledger.add(make(*key, **values))
 
-def finding(code: str, what: str, *, where: str = "", count: int = 0) -> Entry:
-    """An entry for inputs that contradict each other, or what is plausible."""
-    return Entry(Kind.FINDING, code, what, where, count)
+    return add
 
 
 class Ledger:
@@ -130,20 +142,8 @@ class Ledger:
         self.extend(notes)
         return result
 
-    def note(self, code: str, what: str, *, where: str = "", count: int = 0) -> None:
-        self.add(note(code, what, where=where, count=count))
-
-    def fallback(self, code: str, what: str, *, where: str = "", count: int = 0) -> None:
-        self.add(fallback(code, what, where=where, count=count))
-
-    def warning(self, code: str, what: str, *, where: str = "", count: int = 0) -> None:
-        self.add(warning(code, what, where=where, count=count))
-
-    def loss(self, code: str, what: str, *, where: str = "", count: int = 0) -> None:
-        self.add(loss(code, what, where=where, count=count))
-
-    def finding(self, code: str, what: str, *, where: str = "", count: int = 0) -> None:
-        self.add(finding(code, what, where=where, count=count))
+    note, fallback, warning = map(_adding, (note, fallback, warning))
+    finding, loss = map(_adding, (finding, loss))
 
     def rows(self) -> list[dict[str, str | int]]:
         """The entries as plain dictionaries, sorted, for the manifest."""

@@ -217,12 +217,7 @@ def run_many(
         lost_again: list[Path] = []
         yield from side_by_side(run_mission, [config], 1, lost_again)
         if lost_again:
-            what = "the process that ran this mission died, and so did a second one"
-            remedy = (
-                "the machine may be short of memory: lower output.batch_rows, or run it "
-                "on a larger one"
-            )
-            yield (config, MissionError("WORKER-LOST", what, where=str(config), remedy=remedy))
+            yield (config, MissionError.of("WORKER-LOST", config))
 
 
 def shared_outputs(configs: Sequence[Path]) -> dict[Path, UnbendError]:
@@ -240,9 +235,7 @@ def shared_outputs(configs: Sequence[Path]) -> dict[Path, UnbendError]:
         output = os.path.normcase(os.path.realpath(config.parent / mission.output.path))
         first = first_of.setdefault(output, config)
         if first is not config:
-            what = f"writes to the same folder as {first}"
-            remedy = "give each mission a folder of its own"
-            refused[config] = ConfigError("OUTPUT-SHARED", what, where="output.path", remedy=remedy)
+            refused[config] = ConfigError.of("OUTPUT-SHARED", "output.path", first=first)
     return refused
 
 

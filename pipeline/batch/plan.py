@@ -212,20 +212,14 @@ def refuse_other_mission(plan: Plan, manifest: dict[str, Any] | None) -> None:
     """Refuse (OUTPUT-OTHER) a folder whose manifest is that of a mission of another name."""
     name = plan.mission.mission.name
     if manifest is not None and manifest["mission"] != name:
-        raise ConfigError(
-            "OUTPUT-OTHER",
-            f"the folder holds the results of mission {manifest['mission']}, and {name} would "
-            "replace them",
-            where=str(plan.output),
-            remedy="give each mission an output.path of its own, or remove the other results",
+        raise ConfigError.of(
+            "OUTPUT-OTHER", str(plan.output), manifest=manifest["mission"], name=name
         )
 
 
 def _refuse_among_results(role: str, path: Path, output: Path) -> None:
     if would_replace(output, path):
-        what = f"the {role} file is among the results that a run replaces in {output}"
-        remedy = "move it elsewhere, or choose another output.path"
-        raise ConfigError("OUTPUT-OVER-INPUT", what, where=str(path), remedy=remedy)
+        raise ConfigError.of("OUTPUT-OVER-INPUT", path, role=role, output=output)
 
 
 def check_unchanged(plan: Plan) -> None:
@@ -233,9 +227,7 @@ def check_unchanged(plan: Plan) -> None:
     for item in plan.inputs:
         changed = _stamp(item.path, item.program) != item.stamp
         if changed and _hash_input(item.path, item.program, verify=True) != item.sha256:
-            what = f"the {item.role} file changed during the run"
-            remedy = "run again when nothing writes to it"
-            raise InputError("INPUT-CHANGED", what, where=str(item.path), remedy=remedy)
+            raise InputError.of("INPUT-CHANGED", str(item.path), role=item.role)
 
 
 def _hash_input(path: Path, program: str | None, *, verify: bool) -> str:

@@ -217,9 +217,7 @@ def open_folder(path: Path) -> Iterator[RunFolder]:
 def _refuse_links(path: Path) -> None:
     for name in (_LOCK, _STAGING, *_RESULTS, MANIFEST):
         if (path / name).is_symlink():
-            what = f"{name} is a symbolic link"
-            remedy = "remove it: results are never written through a link"
-            raise StorageError("STORAGE-SYMLINK", what, where=str(path), remedy=remedy)
+            raise StorageError.of("STORAGE-SYMLINK", path, name=name)
 
 
 def _locked(path: Path) -> FileLock:
@@ -228,16 +226,12 @@ def _locked(path: Path) -> FileLock:
     try:
         lock.acquire()
     except Timeout:
-        what = "another process is writing to this folder"
-        remedy = "wait for it, or choose another output.path"
-        raise OutputInUseError("OUTPUT-IN-USE", what, where=str(path), remedy=remedy) from None
+        raise OutputInUseError.of("OUTPUT-IN-USE", path) from None
     except PermissionError as error:
         with storage_errors(path):
             raise error
     except (OSError, NotImplementedError) as error:
-        what = f"the folder cannot be locked: {error}"
-        remedy = "choose an output.path on a disk that can lock files"
-        raise StorageError("STORAGE-LOCK", what, where=str(path), remedy=remedy) from None
+        raise StorageError.of("STORAGE-LOCK", path, error=error) from None
     return lock
 
 
@@ -246,13 +240,7 @@ def _refuse_strangers(path: Path) -> None:
     results = [name for name in _RESULTS if os.path.lexists(path / name)]
     manifests = (path / MANIFEST).exists() or (path / _STAGING / MANIFEST).is_file()
     if results and not manifests:
-        raise StorageError(
-            "STORAGE-NOT-OURS",
-            f"{', '.join(results)} would be replaced, but there is no manifest.json that says "
-            "that unbend wrote them",
-            where=str(path),
-            remedy="choose an output.path of its own for the results, or remove these",
-        )
+        raise StorageError.of("STORAGE-NOT-OURS", path, results=", ".join(results))
 
 
 def _clear_interrupted(path: Path) -> None:
@@ -282,12 +270,7 @@ def read_manifest(path: Path, *, damaged: bool = False) -> dict[str, Any] | None
     except (OSError, ValueError) as error:
         if damaged:
             return None
-        raise StorageError(
-            "MANIFEST-UNREADABLE",
-            f"the manifest cannot be read: {error}",
-            where=str(path / MANIFEST),
-            remedy="run the mission again with --force",
-        ) from None
+        raise StorageError.of("MANIFEST-UNREADABLE", str(path / MANIFEST), error=error) from None
     outputs = manifest.get("outputs") if isinstance(manifest, dict) else None
     if (
         not isinstance(outputs, list)
@@ -296,9 +279,7 @@ def read_manifest(path: Path, *, damaged: bool = False) -> dict[str, Any] | None
     ):
         if damaged:
             return None
-        what = "manifest.json is not one that unbend wrote"
-        remedy = "choose another folder, or remove that file and the results beside it"
-        raise StorageError("MANIFEST-UNREADABLE", what, where=str(path / MANIFEST), remedy=remedy)
+        raise StorageError.of("MANIFEST-UNREADABLE/read-manifest", str(path / MANIFEST))
     return dict(manifest)
 
 

@@ -115,21 +115,10 @@ def fitted_frame(
         fit = (f"residuals of {rms:.2f} m (rms) over {extent:.0f} m, the largest "
                f"{residual.max():.2f} m at {worst}")  # fmt: skip
         if rms > LARGEST_FIT_RESIDUAL * extent:
-            raise MissionError(
-                "ORIENTATION-FIT",
-                f"the model does not fit {names.size} known positions: {fit}",
-                where=where,
-                remedy="are latitude and longitude swapped, are the names those of other images, "
-                "are x, y and z right-handed?",
-            )
+            raise MissionError.of("ORIENTATION-FIT", where, size=names.size, fit=fit)
     if tilt > LARGEST_FIT_TILT_RAD:
-        raise MissionError(
-            "ORIENTATION-LINE",
-            f"{names.size} known positions lie on a line, or nearly so: with {sigma:.2g} m of "
-            "sigma they leave the model free to roll about it by "
-            f"{np.degrees(tilt):.2g} deg (one sigma)",
-            where=where,
-            remedy="give known positions on both sides of that line",
+        raise MissionError.of(
+            "ORIENTATION-LINE", where, size=names.size, sigma=sigma, tilt=np.degrees(tilt)
         )
     what = (
         f"the model was fitted to {names.size} known positions: scale {frame.scale:.6g}, {fit}; "
@@ -156,14 +145,11 @@ def _positions_of_both(
     pairs = [(row[name], k) for k, name in enumerate(known_image.tolist()) if name in row]
     usable = [(i, k) for i, k in pairs if np.isfinite(xyz[i]).all() and np.isfinite(known[k]).all()]
     if len(usable) < 3:
-        raise MissionError(
+        raise MissionError.of(
             "ORIENTATION-KNOWN",
-            f"{len(usable)} of {known_image.size} known positions belong to an image of the "
-            "orientation and are complete: a model in an unknown frame has no vertical, no north "
-            "and no scale, and needs at least three",
-            where="stations.orientation.known_positions",
-            remedy="give more known positions, with the names of images as in the orientation, or "
-            "state the frame",
+            "stations.orientation.known_positions",
+            usable=len(usable),
+            known=known_image.size,
         )
     of_model, of_earth = np.array(usable).T
     return image[of_model], xyz[of_model], ecef_of_geodetic(*known[of_earth].T)
@@ -335,10 +321,4 @@ def refuse_turned_images(stations: Stations) -> None:
         for parts in (differences, sums)
     )
     if against > 0.8 and same < 0.5:
-        raise MissionError(
-            "ORIENTATION-TURNS",
-            "the images turn against the flight: where the track turns right, they turn left",
-            where="stations.orientation",
-            remedy="yaw counts clockwise from north, kappa counter-clockwise; a quaternion may be "
-            "the inverse one: choose the other sense of stations.orientation.angles",
-        )
+        raise MissionError.of("ORIENTATION-TURNS", "stations.orientation")

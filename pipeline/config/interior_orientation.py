@@ -236,12 +236,13 @@ class CameraSection(Section):
         size = camera.width_px, camera.height_px
         stated = self.width_px or size[0], self.height_px or size[1]
         if stated != size:
-            raise InputError(
+            raise InputError.of(
                 "CAMERA-SIZE",
-                f"it is of {size[0]} x {size[1]} px, and the mission file says {stated[0]} x "
-                f"{stated[1]}",
-                where=str(path),
-                remedy="check width_px and height_px, or choose the camera of these images",
+                path,
+                width=size[0],
+                height=size[1],
+                stated_width=stated[0],
+                stated_height=stated[1],
             )
         model, params = model_of_camera(camera)
         known = {"model": model, "params": params, "width_px": size[0], "height_px": size[1]}

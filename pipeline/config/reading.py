@@ -64,14 +64,9 @@ def load_mission(path: Path | str) -> Mission:
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise ConfigError(
-            "CONFIG-MISSING", "there is no such file", where=str(path), remedy="check the path"
-        ) from None
+        raise ConfigError.of("CONFIG-MISSING", path) from None
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(
-            "CONFIG-UNREADABLE", f"cannot be read: {error}", where=str(path),
-            remedy="a mission file is YAML in UTF-8",
-        ) from None  # fmt: skip
+        raise ConfigError.of("CONFIG-UNREADABLE", path, error=error) from None
     try:
         loader = _Loader(text)
         node = loader.get_single_node()
@@ -87,12 +82,7 @@ def load_mission(path: Path | str) -> Mission:
         ) from None
     if node is None or not isinstance(values, dict):
         required = [name for name, field in Mission.model_fields.items() if field.is_required()]
-        raise ConfigError(
-            "CONFIG-EMPTY",
-            "holds no sections",
-            where=str(path),
-            remedy=f"it needs {', '.join(required)}",
-        )
+        raise ConfigError.of("CONFIG-EMPTY", path, required=", ".join(required))
     mission: Mission | None = None
     refused: ValidationError | None = None
     try:

@@ -262,12 +262,7 @@ def trigger_notes(channels: tuple[Channel, ...], chosen: Channel) -> Notes:
     if chosen.source.message in ("TRIG", "CAMERA_TRIGGER") or (
         chosen.source.message == "CAM" and not triggers
     ):
-        what = (
-            f"{chosen.name} has the times of the trigger commands, for want of a feedback pin: "
-            "the shutter opens later (70 to 160 ms were measured), which "
-            "events.log.<camera>.delay_s takes into account"
-        )
-        notes.append(note("EVENTS-TRIGGER-TIME", what, where=chosen.name, count=len(chosen)))
+        notes.append(note("EVENTS-TRIGGER-TIME", where=chosen.name, count=len(chosen)))
     if chosen.source.message != "CAM":
         return tuple(notes)
     for trigger in triggers:
@@ -294,10 +289,4 @@ def refuse_repeated_images(events: list[Events]) -> None:
     unique, count = np.unique(names.astype(str), return_counts=True)
     if bool((count > 1).any()):
         twice = unique[count > 1]
-        raise MissionError(
-            "EVENTS-REPEATED",
-            f"{twice.size} image names stand for more than one exposure, for example '{twice[0]}'",
-            where="events",
-            remedy="give each exposure a name of its own: a pattern for each camera, or one row "
-            "an image in events.csv",
-        )
+        raise MissionError.of("EVENTS-REPEATED", "events", total=twice.size, example=twice[0])

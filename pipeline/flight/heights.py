@@ -81,14 +81,9 @@ def height_system(
                 of_grid = geoid.undulation(height["lat_rad"], height["lon_rad"])
                 here = float(np.nanmedian(of_grid)) if np.isfinite(of_grid).any() else None
             size = "" if here is None else f" of {here:.1f} m"
-            what = (
-                f"both heights of {height.name} are equal to the last digit in {count} rows: one "
-                "is a copy of the other, and which of them is meant is unknown; they are taken as "
-                f"above mean sea level, and the others follow by {source}: if they are above the "
-                f"ellipsoid, the stations are off by the undulation{size}, and "
-                "log.channels.height must name another channel"
+            notes.append(
+                warning("HEIGHT-SAME", where=height.name, count=count, source=source, size=size)
             )
-            notes.append(warning("HEIGHT-SAME", what, where=height.name, count=count))
         elif undulation is None:
             source = f"the two heights of {height.name}"
             if geoid is None:
@@ -206,13 +201,7 @@ def ground_offsets(reference: str, stations: Stations, heights: HeightSystem) ->
     if reference == "ellipsoid":
         undulation = stations.h_ellipsoid_m - stations.h_msl_m
         if not bool(np.isfinite(undulation[stations.ok]).any()) and bool(stations.ok.any()):
-            raise MissionError(
-                "HEIGHT-REFERENCE",
-                "ground heights are above the ellipsoid, and no undulation is known at any station",
-                where="ground.reference",
-                remedy="give mission.undulation_m (ellipsoidal minus mean sea level), or a "
-                "mission.geoid that reaches as far",
-            )
+            raise MissionError.of("HEIGHT-REFERENCE", "ground.reference")
         return -undulation
     return np.full(n, known_home_m(heights))
 
@@ -221,13 +210,7 @@ def known_home_m(heights: HeightSystem) -> float:
     """The height of the take-off point; refuses (MissionError) heights relative to an unknown."""
     if heights.home_h_msl_m is not None:
         return heights.home_h_msl_m
-    raise MissionError(
-        "HEIGHT-REFERENCE",
-        "ground heights are relative to the take-off point, of which the log gives no height, or "
-        "more than one",
-        where="ground.reference",
-        remedy="give ground.home_h_msl_m",
-    )
+    raise MissionError.of("HEIGHT-REFERENCE/known-home-m", "ground.reference")
 
 
 @dataclass(frozen=True)

@@ -93,11 +93,9 @@ def payload_attitude(
         level[:, 2] = np.arctan2(turned[:, 1, 0], turned[:, 0, 0])
         turned = ned_from_body(level)
     known[missing] = quaternions_of(turned @ to_nose[missing])
-    what = (
-        f"the yaw of {gimbal.name} counts from the nose in {int(missing.sum())} of {len(gimbal)} "
-        f"rows: {added}"
+    entry = note(
+        "GIMBAL-YAW", where=gimbal.name, count=int(missing.sum()), total=len(gimbal), added=added
     )
-    entry = note("GIMBAL-YAW", what, where=gimbal.name, count=int(missing.sum()))
     columns = dict(gimbal.columns) | dict(zip(_Q, known.T, strict=True))
     return replace(gimbal, columns=columns), (entry,)
 
@@ -138,11 +136,7 @@ def gimbal_notes(
                   if count and is_of_gimbal(name)]  # fmt: skip
         if not listed:
             return ()
-        what = (
-            f"the log has {', '.join(listed)} of a gimbal: no camera follows it unless its "
-            "channel is named as attitude; each is taken as fixed to the aircraft by its mount"
-        )
-        return (warning("GIMBAL-IGNORED", what),)
+        return (warning("GIMBAL-IGNORED", listed=", ".join(listed)),)
     notes = []
     for camera, mount in mounts.items():
         optical_axis = mount.camera_from_body[2]

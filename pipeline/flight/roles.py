@@ -47,10 +47,8 @@ def assign_roles(
     for role in ("pressure", "temperature", "humidity"):
         outside, inside = filled.get(role), filled.get(f"cabin_{role}")
         if outside is not None and inside is not None and outside.name == inside.name:
-            what = f"{outside.name} is named for the {role} outside and in the cabin"
             where = f"log.channels.{role}, log.channels.cabin_{role}"
-            remedy = "name two sensors, or leave the window away where there is no cabin"
-            raise MissionError("CHANNEL-TWICE", what, where=where, remedy=remedy)
+            raise MissionError.of("CHANNEL-TWICE", where, name=outside.name, role=role)
     free = tuple(c for c in everything if c.name not in {c.name for c in filled.values()})
     for role in ("height", "position", "attitude", "airspeed"):
         notes += _fill(filled, role, everything, named)
@@ -147,11 +145,7 @@ def _fill_barometers(
     indoors = [channel for channel in barometers if follows_height(channel, height) is False]
     if "pressure" not in settled:
         for channel in indoors:
-            what = (
-                f"{channel.name} does not follow the GNSS height as outside air does: it is taken "
-                "for a barometer in a closed compartment"
-            )
-            notes.append(note("BARO-NOT-OUTSIDE", what, where=channel.name))
+            notes.append(note("BARO-NOT-OUTSIDE", where=channel.name))
         outside = [channel for channel in barometers if channel not in indoors]
         if outside:
             filled["pressure"] = outside[0]

@@ -189,9 +189,7 @@ def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tupl
     unknown = np.array(sorted(set(images) - set(stations.image.tolist())), dtype=object)
     unused = int((~np.isin(stations.image.astype(str), np.array(images, dtype=str))).sum())
     if unused:
-        notes.append(
-            note("STATIONS-UNUSED", f"{unused} exposures have no observations", count=unused)
-        )
+        notes.append(note("STATIONS-UNUSED", count=unused))
     if unknown.size == 0:
         return stations, tuple(notes)
     near = proposal(unknown.tolist(), stations.image.tolist())

@@ -31,11 +31,7 @@ def with_both_heights(
     """
     ellipsoidal = selects_ellipsoid(parameters.get(HEIGHT_OPTION, 0.0))
     if ellipsoidal:
-        what = (
-            f"the parameter {HEIGHT_OPTION} selects GNSS heights above the ellipsoid: all heights "
-            "of this log are, except those that are computed with the undulation"
-        )
-        ledger.note("HEIGHT-ELLIPSOID", what, where=where)
+        ledger.note("HEIGHT-ELLIPSOID", where=where, height_option=HEIGHT_OPTION)
     result = []
     for channel in channels:
         columns = dict(channel.columns)

@@ -260,11 +260,7 @@ def fit_boot_clock(
         row = np.searchsorted(source.places, at_silence)
         decided |= boots[row] == boots[row + 1]
     if line.boots > known:
-        what = (
-            f"{line.boots - known} times UTC and the time since boot disagree before and after "
-            "a silence: the vehicle was restarted, though its time is later"
-        )
-        ledger.warning("TIME-REBOOT", what, where=where, count=line.boots - known)
+        ledger.warning("TIME-REBOOT", where=where, count=line.boots - known)
     fits, known_utc = [], []
     for number in range(line.boots):
         place = f"{where}, boot {number}".removeprefix(", ")
@@ -274,11 +270,7 @@ def fit_boot_clock(
         if fit is None and spare:
             fit = _fit_boot(line, number, spare[0])
         if fit is None:
-            what = (
-                f"no {utc_of}: time counts from boot, as if in 1970; events in this log can be "
-                "used, matching by UTC is impossible"
-            )
-            ledger.fallback("TIME-NO-UTC", what, where=place)
+            ledger.fallback("TIME-NO-UTC", where=place, utc_of=utc_of)
         fits.append(fit)
     return BootClock(line, tuple(fits), tuple(known_utc))
 

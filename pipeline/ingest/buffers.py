@@ -62,9 +62,7 @@ class FileView:
             while count < length and (more := self._stream.readinto(fetched[count:].data)):
                 count += more
             if count < length:
-                what = f"it had {self.size} bytes and now ends at byte {first + count}"
-                remedy = "wait until the log is complete, and read it again"
-                raise LogError("LOG-CHANGED", what, where=self.name, remedy=remedy)
+                raise LogError.of("LOG-CHANGED", self.name, size=self.size, end=first + count)
             self._begin, self._bytes = first, fetched
         return self._bytes[begin - self._begin : end - self._begin]
 

@@ -192,11 +192,7 @@ def _in_rising_time(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
     result = rows.take(kept)
     if not stretch.any():
         return result
-    what = (
-        f"the clock of these messages was set back, {int(stretch.max())} times: values are not "
-        "interpolated across these steps"
-    )
-    ledger.warning("TIME-SET-BACK", what, where=rows.name, count=int(stretch.max()))
+    ledger.warning("TIME-SET-BACK", where=rows.name, count=int(stretch.max()))
     numbers = np.stack([result.boot, stretch])
     boot = np.unique(numbers, axis=1, return_inverse=True)[1].reshape(-1)
     return replace(result, boot=boot.astype(np.int16))

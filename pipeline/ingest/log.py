@@ -130,9 +130,7 @@ class Log(Contents):
         columns = self.table(name, instance) if self.table else {}
         if not columns:
             which = "" if instance is None else f", instance {instance},"
-            what = f"{name}{which} has no rows that can be laid out in columns"
-            remedy = "choose another type or instance of `unbend inspect`"
-            raise LogError("LOG-NO-TABLE", what, where=str(self.path), remedy=remedy)
+            raise LogError.of("LOG-NO-TABLE", str(self.path), name=name, which=which)
         return columns
 
     def message_to_pandas(self, name: str, instance: str | None = None) -> Any:
@@ -198,11 +196,7 @@ class DamagedBytes:
             where = f"{name}, first at byte {self.first_bad}"
             ledger.loss("LOG-BAD-BYTES", what, where=where, count=self.bad_bytes)
         if self.cut_bytes:
-            what = (
-                f"the last {unit} is cut off after {self.cut_bytes} bytes, as when the power is "
-                "lost: this format has no end mark; every whole one before it was read"
-            )
-            ledger.loss("LOG-TRUNCATED", what, where=name, count=self.cut_bytes)
+            ledger.loss("LOG-TRUNCATED", where=name, count=self.cut_bytes, unit=unit)
 
 
 def utc_text(time_ns: int) -> str:

@@ -62,9 +62,7 @@ def open_log(path: Path | str, sha256: str | None = None, *, needs_channels: boo
         contents = _read(form, path, ledger, needs_channels)
         sha256 = sha256 or hash_file(path)
     except OSError as error:
-        what = f"the system cannot read it: {error.strerror or error}"
-        remedy = "check its permissions and the disk, or copy it again"
-        raise LogError("LOG-UNREADABLE", what, where=str(path), remedy=remedy) from error
+        raise LogError.of("LOG-UNREADABLE", path, error=error.strerror or error) from error
     channels = contents.channels
     return Log(
         **vars(contents),
@@ -110,13 +108,8 @@ def _read(form: LogFormat, path: Path, ledger: Ledger, needs_channels: bool) -> 
         raise LogError("LOG-FORMAT", what, where=str(path), remedy=remedy)
     if needs_channels and all(channel.is_evidence for channel in channels):
         kinds = ", ".join(sorted(contents.messages)[:12])
-        raise LogError(
-            "LOG-NO-MESSAGES",
-            f"{sum(contents.messages.values())} messages, but none with a position, an attitude, "
-            "air data or camera events",
-            where=str(path),
-            remedy=f"check what the vehicle logs; this log has {kinds}, which "
-            "`unbend inspect --type` shows",
+        raise LogError.of(
+            "LOG-NO-MESSAGES", path, total=sum(contents.messages.values()), kinds=kinds
         )
     messages = dict(sorted(contents.messages.items()))
     contents = replace(contents, messages=messages, channels=tuple(channels))

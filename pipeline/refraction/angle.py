@@ -42,9 +42,7 @@ def one_angle(
     61.778543
     """
     if distance is not None and not 0.0 < distance < math.inf:
-        what = f"a slant range of {distance:g} m is none"
-        remedy = "give the straight distance from camera to target in metres, or leave it out"
-        raise PhysicsError("ANGLE-DISTANCE", what, remedy=remedy)
+        raise PhysicsError.of("ANGLE-DISTANCE", distance=distance)
     air = standard_atmosphere(atmosphere, index=index)
     zeta = nadir_angle * DEGREE
     r_c, status = ray.angle_and_status(
@@ -130,16 +128,11 @@ def radial_table(
     """
     zeta = np.asarray(nadir_angle, dtype=np.float64)
     if not bool(np.all((zeta >= 0.0) & (zeta < 90.0 * DEGREE))):
-        raise PhysicsError(
-            "RADIAL-ANGLE",
-            "a radial table goes from the nadir to below the horizon, not from "
-            f"{zeta.min() / DEGREE:g} to {zeta.max() / DEGREE:g} degrees",
-            remedy="choose a largest nadir angle of more than 0 and less than 90 degrees",
+        raise PhysicsError.of(
+            "RADIAL-ANGLE", least_deg=zeta.min() / DEGREE, largest_deg=zeta.max() / DEGREE
         )
     if not h_c > h_g:
-        what = f"a camera at {h_c:g} m is not above a ground at {h_g:g} m"
-        remedy = "give both in metres above sea level, the camera's the greater"
-        raise PhysicsError("RADIAL-HEIGHTS", what, remedy=remedy)
+        raise PhysicsError.of("RADIAL-HEIGHTS", h_c=h_c, h_g=h_g)
     if focal_px is not None and not 0.0 < focal_px < math.inf:
         what = f"a principal distance of {focal_px:g} px is none"
         raise PhysicsError("RADIAL-FOCAL", what, remedy="give it in pixels")
@@ -162,9 +155,7 @@ def angles_to(largest_deg: float, step_deg: float = 5.0) -> Array:
     [0.0, 5.0, 10.0, 12.0]
     """
     if not (0.0 < largest_deg < 90.0 and step_deg > 0.0):
-        what = f"nadir angles to {largest_deg:g} degrees in steps of {step_deg:g} make no table"
-        remedy = "choose a largest nadir angle of more than 0 and less than 90 degrees"
-        raise PhysicsError("RADIAL-ANGLE", what, remedy=remedy)
+        raise PhysicsError.of("RADIAL-ANGLE/angles-to", largest_deg=largest_deg, step_deg=step_deg)
     steps = np.arange(0.0, largest_deg - 1e-9 * step_deg, step_deg)
     return np.append(steps, largest_deg) * DEGREE
 

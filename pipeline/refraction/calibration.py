@@ -51,9 +51,7 @@ def camera_of_model(
     BrownConrady(k1=-0.05, k2=0.0, k3=0.0, p1=0.0, p2=0.0)
     """
     if model not in MODELS:
-        what = f"{model!r} is no camera model that can be corrected"
-        remedy = f"models are {', '.join(MODELS)}; convert the calibration to one of them"
-        raise PhysicsError("CAMERA-MODEL", what, remedy=remedy)
+        raise PhysicsError.of("CAMERA-MODEL", model=model, models=", ".join(MODELS))
     distortion, names = MODELS[model]
     if len(parameters) != len(names) or not all(map(math.isfinite, parameters)):
         raise PhysicsError(
@@ -131,12 +129,8 @@ def refuse_impossible(camera: Camera) -> None:
     folded &= (x >= 0.0) & (x <= camera.width_px) & (y >= 0.0) & (y <= camera.height_px)
     if folded.any():
         i, k = np.argwhere(folded)[0]
-        raise PhysicsError(
-            "CAMERA-TURNS",
-            "the distortion turns back inside the image (or is a correction of more than 30 %), "
-            f"{np.degrees(theta[i, 0]):.1f} degrees off the axis at ({x[i, k]:.0f}, {y[i, k]:.0f}) "
-            "px",
-            remedy="check signs, order and units of the coefficients",
+        raise PhysicsError.of(
+            "CAMERA-TURNS", off_axis_deg=np.degrees(theta[i, 0]), x=x[i, k], y=y[i, k]
         )
 
 
@@ -198,12 +192,7 @@ def camera_of_report(report: MetricReport, size_px: tuple[int, int]) -> Camera:
     point = np.asarray(report.origin_px) + to_image @ ppa_mm / pixel
     off = np.abs(point / size - 0.5).max()
     if off > LARGEST_OFFSET:
-        raise PhysicsError(
-            "CAMERA-PRINCIPAL-POINT",
-            f"the principal point lies {100.0 * off:.0f} % of the format from its centre",
-            remedy="ppa_mm counts from origin along axes, in millimetres; give the pixel of the "
-            "corner as origin where it counts from there",
-        )
+        raise PhysicsError.of("CAMERA-PRINCIPAL-POINT", percent=100.0 * off)
     sign, given = SENSES[report.sense], report.coefficients.get
     known = np.array([given(f"k{i}", 0.0) for i in range(5)])
     if table is not None:
@@ -238,12 +227,10 @@ def _agreed(known: Array, r: Array, wanted: Array) -> Array:
         known = known / scale
     apart = np.abs(powers @ known - wanted)
     if not apart.max() <= LARGEST_DISAGREEMENT_MM:
-        raise PhysicsError(
+        raise PhysicsError.of(
             "CAMERA-REPORT",
-            f"the table and {'a polynomial' if fitted else 'the coefficients'} differ by "
-            f"{apart.max() * 1e3:.1f} um at a radius of {r[apart.argmax()]:.1f} mm",
-            remedy="check distortion.sense and table.sense (reports of the USGS have coefficients "
-            "that correct and a table of the distortion), powers of ten, units, and that both are "
-            "for one principal distance",
+            fit="a polynomial" if fitted else "the coefficients",
+            apart_um=apart.max() * 1000.0,
+            radius_mm=r[apart.argmax()],
         )
     return known

@@ -85,14 +85,9 @@ class Window:
     def __post_init__(self) -> None:
         length = float(np.linalg.norm(self.normal))
         if not abs(length - 1.0) < 1e-9:
-            what = f"the normal of a window has the length {length:.9g}"
-            remedy = "give a unit vector that points out of the compartment"
-            raise PhysicsError("WINDOW-NORMAL", what, remedy=remedy)
+            raise PhysicsError.of("WINDOW-NORMAL", length=length)
         if self.frame == "camera" and not self.normal[2] > 0.0:
-            what = "the normal of a window points into the compartment"
-            raise PhysicsError(
-                "WINDOW-NORMAL", what, remedy="in the camera frame its third component is positive"
-            )
+            raise PhysicsError.of("WINDOW-NORMAL/post-init")
         if self.cabin is None and self.shape == "plane":
             what = "the air behind the window is missing: a plane window bends by it"
             raise PhysicsError("WINDOW-AIR", what, remedy="give the cabin's air")

@@ -170,11 +170,7 @@ def with_cabin_air(
             )
             ledger.note("CABIN-SCHEDULE", what, where=where)
             if above:
-                what = (
-                    f"{above} exposures lie above 10 km, where the schedule of the cabin's "
-                    "pressure ends; 701.2 hPa are taken there too"
-                )
-                ledger.warning("CABIN-SCHEDULE-HIGH", what, where=where, count=above)
+                ledger.warning("CABIN-SCHEDULE-HIGH", where=where, count=above)
         ledger.extend(_implausible_air(name, ok, values, ambient[0]))
     return replace(stations, **columns)
 

@@ -43,10 +43,7 @@ def camera_of_rows(
     named = np.full(count, only or next(iter(mission.cameras)), dtype=object)
     named = named if given is None else given
     for name in sorted(set(named.tolist()) - set(mission.cameras)):
-        what = f"the table names camera {name!r}, which the mission file does not define"
-        raise MissionError(
-            "EVENTS-CAMERA", what, where=path, remedy=f"cameras are {', '.join(mission.cameras)}"
-        )
+        raise MissionError.of("EVENTS-CAMERA", path, name=name, cameras=", ".join(mission.cameras))
     return named
 
 
@@ -66,12 +63,7 @@ def exposures_of_mission(
     """The exposures of a mission; the ledger names the effects that are not removed."""
     for name, camera in mission.cameras.items():
         if camera.calibration == "in_flight_uncorrected":
-            what = (
-                f"camera {name} was calibrated in flight on uncorrected images: its principal "
-                "distance and k1 already contain the nadir refraction of that height, and this "
-                "correction counts it twice"
-            )
-            ledger.warning("CALIBRATION-IN-FLIGHT", what, where=f"cameras.{name}.calibration")
+            ledger.warning("CALIBRATION-IN-FLIGHT", where=f"cameras.{name}.calibration", name=name)
     windows = windows_of_mission(mission)
     lenses = lenses_of_mission(mission)
     report_windows(windows, ledger)
@@ -194,16 +186,9 @@ def report_windows(windows: Mapping[str, Window], ledger: Ledger) -> None:
             what = f"the window of {name} is a sphere about the projection centre: it bends nothing"
             ledger.note("WINDOW-SPHERICAL", what, where=where)
         elif window.in_calibration == "glass":
-            what = (
-                f"the calibration of {name} contains the displacement of rays by the window glass"
-            )
-            ledger.note("WINDOW-GLASS", what, where=where)
+            ledger.note("WINDOW-GLASS", where=where, name=name)
         else:
-            what = (
-                f"the displacement of rays by the window glass of {name} is not removed: 7 mm for "
-                "20 mm of glass at 45 degrees"
-            )
-            ledger.note("WINDOW-GLASS", what, where=where)
+            ledger.note("WINDOW-GLASS/report-windows", where=where, name=name)
 
 
 def report_lenses(cameras: Iterable[str], lenses: Mapping[str, LensInAir], ledger: Ledger) -> None:

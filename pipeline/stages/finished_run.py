@@ -51,12 +51,8 @@ def mission_of(manifest: dict[str, Any], path: Path) -> Mission:
         # As text, because strict models take from JSON what they gave to it.
         return Mission.model_validate_json(json.dumps(manifest.get("config")))
     except ValidationError as error:
-        raise MissionError(
-            "EXPORT-CONFIG",
-            f"the mission file in the manifest has {error.error_count()} keys that this version "
-            "does not understand",
-            where=str(path / "manifest.json"),
-            remedy="run the mission again with this version",
+        raise MissionError.of(
+            "EXPORT-CONFIG", str(path / "manifest.json"), mistakes=error.error_count()
         ) from None
 
 
@@ -166,11 +162,9 @@ def ground_of(parts: tuple[Path, ...], stations: Stations, ledger: Ledger) -> Ar
     empty = ~np.isfinite(ground) & stations.ok
     if bool(empty.any()) and bool(np.isfinite(ground).any()):
         median = float(np.nanmedian(ground))
-        what = (
-            f"{int(empty.sum())} images have no observations with a ground height: {median:.1f} m "
-            "is taken, the median of the other images"
+        ledger.fallback(
+            "EXPORT-GROUND", where="observations", count=int(empty.sum()), median=median
         )
-        ledger.fallback("EXPORT-GROUND", what, where="observations", count=int(empty.sum()))
         ground[empty] = median
     return ground
 
@@ -189,9 +183,7 @@ def check_reproduced(run: FinishedRun, path: Path) -> None:
         station = matching_rows(table["image"].combine_chunks(), names)
         largest = max(largest, largest_difference_px(run, table, station))
     if largest > _LARGEST_DIFFERENCE_PX:
-        what = f"the run's own corrections come out {largest:.2g} px different"
-        remedy = "it was made by another version: run the mission again, then export"
-        raise MissionError("EXPORT-NOT-REPRODUCED", what, where=str(path), remedy=remedy)
+        raise MissionError.of("EXPORT-NOT-REPRODUCED", path, largest=largest)
 
 
 _CHECKED = ["image", "x_px", "y_px", "x_corrected_px", "y_corrected_px", "zeta_c_rad", "h_g_m",
@@ -223,10 +215,7 @@ def refuse_output(run: Path, out: Path, *, force: bool) -> None:
     """Refuse to write among the results of a run, or over a file that is there already."""
     for resolve in (os.path.abspath, os.path.realpath):
         if Path(resolve(out)).is_relative_to(resolve(run)):
-            what = "the file would lie among the results of the run"
-            raise ConfigError(
-                "EXPORT-INSIDE-RUN", what, where=str(out), remedy="write it beside that folder"
-            )
+            raise ConfigError.of("EXPORT-INSIDE-RUN", out)
     if out.is_dir() or (os.path.lexists(out) and not force):
         what, other = "the file is there already", "replace it: --force"
         if out.is_dir():
@@ -249,10 +238,8 @@ def rebuild_run(
         raise ConfigError("EXPORT-GROUND", what, where="--ground-height", remedy=remedy)
     mission = mission_of(manifest, path)
     if mission.refraction.direction != "remove":
-        what = "the run displaced ideal observations; there is no correction to export"
         where = f"{path / 'manifest.json'}, refraction.direction"
-        remedy = "export from a run that removes refraction"
-        raise ConfigError("EXPORT-DIRECTION", what, where=where, remedy=remedy)
+        raise ConfigError.of("EXPORT-DIRECTION", where)
     table = pq.read_table(path / "stations.parquet")
     stations = stations_of(table)
     air = air_of(pq.read_table(path / "profile.parquet"), table["profile_id"])

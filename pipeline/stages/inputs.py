@@ -193,9 +193,7 @@ def stated_channels(plan: Plan, channels: tuple[Channel, ...]) -> tuple[Channel,
 
 def without_attitude(where: str) -> MissionError:
     """The refusal of stations of which nothing gives the attitude."""
-    what = "there is no log, and the file has no attitudes: nothing says where the cameras look"
-    remedy = "give log, or a stations.trajectory with roll, pitch and yaw"
-    return MissionError("STATIONS-ATTITUDE", what, where=where, remedy=remedy)
+    return MissionError.of("STATIONS-ATTITUDE", where)
 
 
 def user_geoid(plan: Plan) -> GeoidGrid | None:

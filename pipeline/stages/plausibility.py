@@ -446,8 +446,6 @@ def accept_findings(mission: Mission, ledger: Ledger) -> None:
     losses = {entry.code for entry in ledger if entry.kind is Kind.LOSS}
     for accepted in mission.accept:
         if accepted.code in losses:
-            what = f"{accepted.code} is a loss: data is missing or flagged whatever the reason is"
-            remedy = "mend what leads to it; findings can be accepted, losses cannot"
-            raise MissionError("ACCEPT-LOSS", what, where="accept", remedy=remedy)
+            raise MissionError.of("ACCEPT-LOSS", "accept", accepted_code=accepted.code)
     for code in ledger.accept({accepted.code: accepted.reason for accepted in mission.accept}):
         ledger.warning("ACCEPT-UNUSED", f"nothing is found that {code} accepts", where="accept")

@@ -134,14 +134,7 @@ def events_of_file(
     if image != "{name}":
         events = ledger.take(events_of_channel(channel, camera, image, delay_s))
         if reversed_rows and "{index" in image:
-            raise MissionError(
-                "EVENTS-ORDER",
-                f"{reversed_rows} of its numbers fall as time goes on: the images that are named "
-                "by them would be in another order than their exposures",
-                where=channel.name,
-                remedy="put the rows in the order of their time; or name the images by {n}, "
-                "counted in the order of time",
-            )
+            raise MissionError.of("EVENTS-ORDER", channel.name, reversed_rows=reversed_rows)
         _tell_order(reversed_rows, channel, ledger)
         if channel.source.message == "RTKLIB":
             return replace(events, counts="always")
@@ -149,9 +142,7 @@ def events_of_file(
         return replace(events, counts="maybe" if whole else "no")
     names = channel.labels.get("name")
     if names is None:
-        what = "the file has no names of images (the column ID of an EO text)"
-        remedy = "name the images by {index} or {n}, as in image: DJI_{index:04d}.JPG"
-        raise MissionError("EVENTS-NAMELESS", what, where=channel.name, remedy=remedy)
+        raise MissionError.of("EVENTS-NAMELESS", channel.name)
     digits = [re.findall(r"\d{1,15}", name) for name in names]
     numbers = np.array([int(found[-1]) if found else 0 for found in digits], np.int64)
     _tell_order(int(np.count_nonzero(np.diff(numbers) < 0)), channel, ledger)
@@ -202,12 +193,7 @@ class StationBuilder:
                 ),
             )
         if from_events and (positions is None or "offset_down_m" not in positions.columns):
-            raise MissionError(
-                "EVENTS-OFFSETS",
-                "it has no offsets from the antenna to the camera: only .MRK files have",
-                where="" if positions is None else positions.name,
-                remedy="give stations.trajectory.lever_arm_m in metres",
-            )
+            raise MissionError.of("EVENTS-OFFSETS", "" if positions is None else positions.name)
         return cls(
             camera, roles, mount, suspect, positions if from_events else None, flight.heights,
             flight.accuracy, plan.mission.max_gap_s,

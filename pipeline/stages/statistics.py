@@ -234,17 +234,11 @@ class Statistics:
                            where="observations.columns.distance_m",
                            count=self.no_distance)  # fmt: skip
         if self.no_sigma:
-            text = (
-                f"{self.no_sigma} standard deviations of ground heights are negative, infinite or "
-                "no number: taken as unknown"
-            )
-            ledger.warning("OBS-SIGMA", text, where="ground.sigma_column", count=self.no_sigma)
+            ledger.warning("OBS-SIGMA", where="ground.sigma_column", count=self.no_sigma)
         if self.no_point:
-            text = (
-                f"{self.no_point} of {self.rows} observations are of points that are not in the "
-                "table of object points: their status is no_ground"
+            ledger.loss(
+                "POINTS-MISSING", where="ground.height.points", count=self.no_point, rows=self.rows
             )
-            ledger.loss("POINTS-MISSING", text, where="ground.height.points", count=self.no_point)
         if self.implausible_heights:
             text = f"heights of points are below {LOWEST_GROUND_M:.0f} or above "
             text += f"{HIGHEST_GROUND_M:.0f} m, where no ground is: taken as unknown, their points "

@@ -402,10 +402,7 @@ def export_run(
 def write_comparison(accuracy: Accuracy, path: Path) -> None:
     """Write the comparison of the methods as a page, and its picture beside it."""
     if path.suffix.lower() != ".md":
-        what = f"the page is Markdown and ends in .md, not in {path.suffix or 'nothing'}"
-        raise ConfigError(
-            "PAGE-FORMAT", what, where=str(path), remedy="its picture gets the same name with .png"
-        )
+        raise ConfigError.of("PAGE-FORMAT", path, suffix=path.suffix or "nothing")
     picture = path.with_suffix(".png")
     text = accuracy_page(accuracy, picture.name)
     png = accuracy_png(accuracy.curves, text_hash(text))

@@ -118,8 +118,6 @@ def report_unknown_sigmas(
             if bool(np.isnan(sigma[rows]).any()):
                 missing.append(f"the cabin's air (cameras.{name}.window.cabin.{key})")
     if missing:
-        what = (
-            f"no standard deviations are known of {', '.join(missing)}: their effect on the "
-            "corrections is not in the sigma columns"
+        ledger.note(
+            "SIGMA-UNKNOWN", where="observations", count=len(missing), missing=", ".join(missing)
         )
-        ledger.note("SIGMA-UNKNOWN", what, where="observations", count=len(missing))

@@ -47,17 +47,11 @@ def refuse_ambiguous_names(path: Path, schema: pa.Schema, wanted: Sequence[Wante
     """Refuse a table with two columns of one name, and one column for two quantities."""
     twice = sorted({name for name in schema.names if schema.names.count(name) > 1})
     if twice:
-        raise InputError(
-            "OBS-REPEATED-COLUMN", f"the columns {', '.join(twice)} stand there twice",
-            where=str(path), remedy="rename one of each",
-        )  # fmt: skip
+        raise InputError.of("OBS-REPEATED-COLUMN", path, twice=", ".join(twice))
     names = [column.name for column in wanted]
     shared = sorted({name for name in names if names.count(name) > 1})
     if shared:
-        raise InputError(
-            "OBS-COLUMN", f"the column {shared[0]!r} is named for two quantities", where=str(path),
-            remedy="mend observations.columns",
-        )  # fmt: skip
+        raise InputError.of("OBS-COLUMN", path, shared=shared[0])
 
 
 def require_columns(path: Path, schema: pa.Schema, wanted: Sequence[WantedColumn]) -> None:

@@ -368,9 +368,7 @@ def open_observations(
             what += "at most one of both is its measurement"
             ledger.loss("OBS-REPEATED-POINT", what, where=path.name, count=len(repeated))
     if rows == 0:
-        raise InputError(
-            "OBS-EMPTY", "the table has no rows", where=str(path), remedy="write observations to it"
-        )
+        raise InputError.of("OBS-EMPTY/open-observations", path)
     replaced = set(named.values()) - {named.get("distance_m")}
     if ground_column == "h_g_m" and ground_is_msl:
         replaced.add("h_g_m")
@@ -422,10 +420,7 @@ def _opened(path: Path, kind: str) -> tuple[pa.Schema, Records]:
         try:
             return pq.read_schema(path), partial(_parquet_records, path)
         except (pa.ArrowInvalid, OSError) as error:
-            raise InputError(
-                "OBS-PARQUET", f"is no readable Parquet file: {error}", where=str(path),
-                remedy="write it again",
-            ) from None  # fmt: skip
+            raise InputError.of("OBS-PARQUET", path, error=error) from None
     what = "a table of observations is .csv or .parquet, not " + (
         path.suffix.lower() or "a file without extension"
     )
@@ -463,9 +458,7 @@ def damage_in_table(path: Path) -> Iterator[None]:
     try:
         yield
     except (pa.ArrowException, OSError) as error:
-        raise InputError(
-            "OBS-DAMAGED", f"reading failed: {error}", where=str(path), remedy="write it again"
-        ) from None
+        raise InputError.of("OBS-DAMAGED", path, error=error) from None
 
 
 def _slices(batches: Iterator[pa.RecordBatch], rows: int) -> Iterator[pa.Table]:

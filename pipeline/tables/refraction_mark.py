@@ -65,13 +65,7 @@ def refuse_marked(path: Path, direction: Direction = "remove") -> None:
         if _database_is_marked(file):
             raise _corrected(f"its table {MARK_TABLE} says so", file)
         if file.name in by_name:
-            raise InputError(
-                "OBS-MARK-CHANGED", f"refraction was removed from it, says "
-                f"{by_name[file.name].name}, but its content has changed since", where=str(file),
-                remedy="a model that another program adjusted from an export is still corrected: "
-                "do not use it; if it holds measurements as they came from the images, move the "
-                "sidecar away",
-            )  # fmt: skip
+            raise InputError.of("OBS-MARK-CHANGED", file, name=by_name[file.name].name)
 
 
 def refuse_done(path: Path, schema: pa.Schema, direction: Direction) -> None:
@@ -94,15 +88,11 @@ def refuse_done(path: Path, schema: pa.Schema, direction: Direction) -> None:
         return refuse_marked(path, direction)
     if removing:
         raise _corrected(why, path)
-    what = f"{why}; displacing it again would count it twice"
-    remedy = "give ideal observations, free of refraction"
-    raise InputError("OBS-ALREADY-DISPLACED", what, where=str(path), remedy=remedy)
+    raise InputError.of("OBS-ALREADY-DISPLACED", path, why=why)
 
 
 def _corrected(why: str, path: Path) -> InputError:
-    what = f"refraction was removed already: {why}; correcting it again would count it twice"
-    remedy = "give the measurements as they came from the images"
-    return InputError("OBS-ALREADY-CORRECTED", what, where=str(path), remedy=remedy)
+    return InputError.of("OBS-ALREADY-CORRECTED", path, why=why)
 
 
 def _named_in(sidecar: Path) -> list[tuple[str, str]]:
@@ -111,14 +101,7 @@ def _named_in(sidecar: Path) -> list[tuple[str, str]]:
         files = json.loads(sidecar.read_text(encoding="utf-8"))["files"]
         return [(str(item["name"]), str(item["sha256"])) for item in files]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            "OBS-MARK-UNREADABLE",
-            f"the sidecar cannot be read ({type(error).__name__}): it may name a file from which "
-            "refraction was removed",
-            where=str(sidecar),
-            remedy="restore it, or move it away if the files beside it hold measurements as they "
-            "came from the images",
-        ) from None
+        raise InputError.of("OBS-MARK-UNREADABLE", sidecar, name=type(error).__name__) from None
 
 
 def _database_is_marked(path: Path) -> bool:

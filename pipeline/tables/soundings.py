@@ -46,13 +46,9 @@ def read_sounding(
         size = path.stat().st_size
         data = path.read_bytes() if size <= LARGEST_BYTES else b""
     except OSError as error:
-        what = f"the file cannot be read: {error.strerror}"
-        remedy = "check the path and its permissions"
-        raise InputError("SOUNDING-UNREADABLE", what, where=str(path), remedy=remedy) from None
+        raise InputError.of("SOUNDING-UNREADABLE", path, strerror=error.strerror) from None
     if size > LARGEST_BYTES:
-        what = f"the file has {size} bytes, more than the {LARGEST_BYTES} of the longest record"
-        remedy = "cut it down to the days around the flight"
-        raise InputError("SOUNDING-SIZE", what, where=str(path), remedy=remedy)
+        raise InputError.of("SOUNDING-SIZE", path, size=size, largest_bytes=LARGEST_BYTES)
     if data.startswith(_HDF5):
         raise _no_netcdf(path, "it is netCDF-4 (HDF5); only the classic format is read")
     if data.startswith(_NETCDF3):
@@ -127,6 +123,4 @@ def _column(file: netcdf_file, name: str) -> Array:
 
 
 def _no_netcdf(path: Path, why: str) -> InputError:
-    what = f"is no sounding in ARM's classic netCDF: {why}"
-    remedy = "export the levels as CSV: h_m, pressure_hpa, temperature_c, dew_point_c"
-    return InputError("SOUNDING-NETCDF", what, where=str(path), remedy=remedy)
+    return InputError.of("SOUNDING-NETCDF", path, why=why)

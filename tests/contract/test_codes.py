@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import string
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -38,6 +39,19 @@ def first_words(call: ast.Call) -> str | None:
     return first.value if isinstance(first, ast.Constant) and isinstance(first.value, str) else None
 
 
+def refuses(call: ast.Call) -> bool:
+    """Whether it makes a refusal with a text of ``texts.toml``: ``InputError.of(...)``."""
+    return isinstance(call.func, ast.Attribute) and call.func.attr == "of"
+
+
+def name_of(call: ast.Call) -> str:
+    """The function that is called; of ``InputError.of`` the class."""
+    function = (
+        call.func.value if isinstance(call.func, ast.Attribute) and refuses(call) else call.func
+    )
+    return getattr(function, "attr", getattr(function, "id", ""))
+
+
 def codes(callers: set[str]) -> dict[str, str]:
     """Code -> file of every call of these functions with a literal code."""
     found = {}
@@ -45,10 +59,8 @@ def codes(callers: set[str]) -> dict[str, str]:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if not isinstance(node, ast.Call):
                 continue
-            name = node.func.id if isinstance(node.func, ast.Name) else getattr(
-                node.func, "attr", "")  # fmt: skip
-            code = first_words(node)
-            if name in callers and code and code == code.upper() and " " not in code:
+            code = (first_words(node) or "").partition("/")[0]
+            if name_of(node) in callers and code and code == code.upper() and " " not in code:
                 found[code] = f"{path.relative_to(PACKAGE)}:{node.lineno}"
     return found
 
@@ -165,3 +177,37 @@ def test_a_refusal_survives_the_way_between_processes():
         assert type(back) is type(error)
         assert str(back) == str(error)
         assert back.exit_code == error.exit_code
+
+
+def test_every_text_gets_the_values_that_it_asks_for():
+    """Of ``texts.toml``: a refusal has a remedy, no text is idle, and no call names another."""
+    texts, used, wrong = errors.texts(), set(), []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            key, name = (
+                (first_words(node), name_of(node)) if isinstance(node, ast.Call) else ("", "")
+            )
+            if (
+                name not in REFUSALS | LEDGER | {"entry"}
+                or not key
+                or len(node.args) > 1 + refuses(node)
+            ):
+                continue
+            place = f"{path.relative_to(PACKAGE)}:{node.lineno}: {key}"
+            given = {word.arg for word in node.keywords}
+            if name not in REFUSALS:
+                given |= {"where", "count"}
+            elif not refuses(node):
+                continue
+            if key not in texts:
+                wrong.append(f"{place} is no text")
+                continue
+            used.add(key)
+            parts = (string.Formatter().parse(part) for part in texts[key].values())
+            asked = {field for part in parts for _, field, _, _ in part if field}
+            if asked ^ given > {"where", "count"} or (asked ^ given) - {"where", "count"}:
+                wrong.append(f"{place} asks for {sorted(asked)}, given are {sorted(given)}")
+            if refuses(node) != ("remedy" in texts[key]):
+                wrong.append(f"{place}: a remedy belongs to refusals")
+    assert not wrong, "\n".join(wrong)
+    assert set(texts) == used

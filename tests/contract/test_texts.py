@@ -7,10 +7,12 @@ import re
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
+from string import Formatter
 
 import pytest
 
 import pipeline
+from pipeline import errors
 from pipeline.errors import LogError, in_agreement
 from pipeline.ledger import Entry, Kind
 
@@ -88,22 +90,39 @@ NO_NOUNS = re.compile(
 """What may follow a name or a number in a text and is no noun in the plural."""
 
 
-def test_every_count_agrees_with_its_noun():
-    """In all texts with a value and a noun in the plural after it, a 1 turns that to singular."""
-    counted, wrong = 0, []
+def after_values() -> Iterator[tuple[str, str]]:
+    """The place and the text of what follows a value that is filled in, in code and in data."""
     for path in sorted(PACKAGE.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             parts = node.values if isinstance(node, ast.JoinedStr) else []
             for value, after in pairwise(parts):
-                text = str(after.value) if isinstance(after, ast.Constant) else ""
-                found = re.match(r" (?:[a-z]+ )?([a-z]{3,}s)\b", text)
-                unit = re.match(r" (?:m|s|px|deg|K|ms|if|in|of|with|under|at|the) ", text)
-                if not isinstance(value, ast.FormattedValue) or not found or unit:
-                    continue
-                if not NO_NOUNS.match(found[1]) and not NO_NOUNS.match(text.split()[0]):
-                    counted += 1
-                    if in_agreement(f"1{text}").startswith(f"1{found[0]}"):
-                        wrong.append(f"{path.name}:{node.lineno}: {found[0]}")
+                if isinstance(value, ast.FormattedValue) and isinstance(after, ast.Constant):
+                    yield f"{path.name}:{node.lineno}", str(after.value)
+    for key, text in errors.texts().items():
+        for part in text.values():
+            for value, after in fields(part):
+                yield f"texts.toml {key} {value}", after
+
+
+def fields(text: str) -> Iterator[tuple[str, str]]:
+    """The name of each field of a text, and what stands after it."""
+    parsed = list(Formatter().parse(text))
+    for (_, name, _, _), (after, *_) in pairwise([*parsed, ("", None, None, None)]):
+        if name is not None:
+            yield name, after
+
+
+def test_every_count_agrees_with_its_noun():
+    """In all texts with a value and a noun in the plural after it, a 1 turns that to singular."""
+    counted, wrong = 0, []
+    for place, text in after_values():
+        found = re.match(r" (?:[a-z]+ )?([a-z]{3,}s)\b", text)
+        unit = re.match(r" (?:m|s|px|deg|K|ms|if|in|of|with|under|at|the) ", text)
+        if not found or unit or NO_NOUNS.match(found[1]) or NO_NOUNS.match(text.split()[0]):
+            continue
+        counted += 1
+        if in_agreement(f"1{text}").startswith(f"1{found[0]}"):
+            wrong.append(f"{place}: {found[0]}")
     assert counted > 150
     assert not wrong, "\n".join(wrong)
 
@@ -133,6 +152,10 @@ def test_texts_have_no_first_or_second_person():
             f"{path.relative_to(PACKAGE)}:{line}: {words} in {text.strip()[:80]!r}"
             for line, text in shown
             if (words := persons_in(text))
+        ]
+    for key, text in errors.texts().items():
+        wrong += [
+            f"texts.toml, {key}: {words}" for part in text.values() if (words := persons_in(part))
         ]
     assert not wrong, "\n".join(wrong)
 

@@ -101,9 +101,5 @@ def without_objects(table: Table, name: str, ledger: Ledger) -> Table:
             numbers = [value if isinstance(value, kind) else np.nan for value in column.tolist()]
             columns[field] = np.array(numbers, np.float64)
         if lost:
-            what = (
-                f"{lost} of {len(known)} values of {field} are of another kind, text or numbers, "
-                "than in the last definition of the log: they are in its table, in no channel"
-            )
-            ledger.loss("LOG-REDEFINED", what, where=name, count=lost)
+            ledger.loss("LOG-REDEFINED", where=name, count=lost, total=len(known), field=field)
     return columns

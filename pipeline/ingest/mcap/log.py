@@ -119,11 +119,7 @@ def boot_clock_of(
     clock = fit_boot_clock(line, receivers, ledger, recorder, cameras=cameras, utc_of=utc_of)
     for number, (fit, known) in enumerate(zip(clock.fits, clock.utc_known, strict=True)):
         if fit is not None and not known:
-            what = (
-                "time counts from boot, and no GNSS message with a fix ties that to UTC: the clock "
-                "is set by the recorder's time"
-            )
-            ledger.fallback("TIME-LOG-TIME", what, where=f"boot {number}", count=fit.rows)
+            ledger.fallback("TIME-LOG-TIME", where=f"boot {number}", count=fit.rows)
     return clock
 
 
@@ -156,9 +152,7 @@ def _table(path: Path, clock: BootClock, name: str, instance: str | None) -> Tab
     reasons = [entry.what for entry in reader.ledger if entry.code in REASONS]
     reasons += [topic.misfit for topic in reader.topics.values() if topic.failed]
     if not tables and reasons:
-        what = f"{name} has no rows that can be laid out in columns: {reasons[0]}"
-        remedy = "choose another topic of `unbend inspect`"
-        raise LogError("LOG-NO-TABLE", what, where=reader.where, remedy=remedy)
+        raise LogError.of("LOG-NO-TABLE/table", reader.where, name=name, reasons=reasons[0])
     if not tables:
         return {}
     whole = in_order(tables)

@@ -99,11 +99,7 @@ class MessageCounts:
                 continue  # its numbers do not count its messages
             count = int(self._gaps[number])
             skipped += count
-            what = (
-                f"{count} messages are missing by their sequence numbers: the recorder did not "
-                "get them, or they are damaged"
-            )
-            ledger.loss("LOG-LINK-LOSS", what, where=names[number], count=count)
+            ledger.loss("LOG-LINK-LOSS", where=names[number], count=count)
         if self.stated_total is None:
             if not damaged:
                 what = "the log has no statistics: whether it is whole cannot be checked"
@@ -270,16 +266,10 @@ class McapReader:
             if topic.failed:
                 self.ledger.loss("LOG-DECODE", topic.misfit, where=topic.name, count=topic.failed)
             if topic.lost_values:
-                what = (
-                    f"{topic.lost_values} values are no numbers where numbers are wanted: they are "
-                    "missing"
-                )
-                self.ledger.loss("LOG-DECODE", what, where=topic.name, count=topic.lost_values)
+                self.ledger.loss("LOG-DECODE", where=topic.name, count=topic.lost_values)
             if topic.nameless:
-                what = (
-                    f"{topic.nameless} messages come after {MAX_NAMES} different names: their "
-                    "values are not read"
+                self.ledger.loss(
+                    "LOG-TOO-LARGE", where=topic.name, count=topic.nameless, max_names=MAX_NAMES
                 )
-                self.ledger.loss("LOG-TOO-LARGE", what, where=topic.name, count=topic.nameless)
         damaged = bool(self.damage.losses)
         return self.counts.report(self.names, self.ledger, self.where, damaged=damaged)

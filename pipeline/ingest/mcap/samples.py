@@ -265,9 +265,5 @@ def times_of(
         stamp_ns[none] = log_ns[none]
         early[none] = log_ns[none] < UNIX_NS_FROM
     if bool(early.any()):
-        what = (
-            "time stamps before 2001 are no UTC (simulated time?): events in this log can be "
-            "used, matching by UTC is impossible"
-        )
-        ledger.fallback("TIME-NO-UTC", what, where=where)
+        ledger.fallback("TIME-NO-UTC/times-of", where=where)
     return stamp_ns, boot, count

@@ -99,18 +99,12 @@ def _with_checked_clock(
         return clocks
     count, lender = int(late.size), clocks.lender(source)
     if lender is None:
-        what = (
-            f"no clock of this system is known: {count} messages have the time at which they were "
-            "received, by a ground station's clock that may be seconds off UTC"
-        )
-        ledger.fallback("TIME-HOST-CLOCK", what, where=where, count=count)
+        ledger.fallback("TIME-HOST-CLOCK", where=where, count=count)
         return clocks
     if EARLIEST_NS <= np.median(late) <= LATEST_NS:
-        what = (
-            f"it has no clock of its own: the times of {count} messages are taken as those of "
-            f"component {lender[1]}, which fits as they were received {_seconds(late)} later"
+        ledger.note(
+            "TIME-BORROWED", where=where, count=count, lender=lender[1], late=_seconds(late)
         )
-        ledger.note("TIME-BORROWED", what, where=where, count=count)
         return clocks
     what = (
         f"the times since boot of {count} messages are not those of component {lender[1]}, by "

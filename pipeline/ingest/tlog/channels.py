@@ -225,12 +225,7 @@ def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
         ledger.note("EVENT-REPEAT", what, where=name, count=repeats)
     by_unix = int(np.count_nonzero(times[first] > UNIX_US_FROM))
     if by_unix:
-        what = (
-            f"{by_unix} exposures have Unix time, as autopilots send it without a feedback pin: "
-            "it is that of the trigger command, and the shutter opens later (70 to 160 ms were "
-            "measured), which events.log.<camera>.delay_s takes into account"
-        )
-        ledger.note("EVENTS-TRIGGER-TIME", what, where=name, count=by_unix)
+        ledger.note("EVENTS-TRIGGER-TIME/distinct-exposures", where=name, count=by_unix)
     unseen = np.setdiff1d(indices, indices[first])
     if unseen.shape[0]:
         what = (

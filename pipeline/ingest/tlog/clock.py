@@ -262,11 +262,7 @@ def unrolled(stamp_ns: TimeArray, near_ns: TimeArray, turn: int) -> TimeArray:
 def clocks_of(readings: Readings, ledger: Ledger) -> Clocks:
     """Fit the clocks of all senders; residuals and fallbacks are entered in the ledger."""
     if not readings.size:
-        ledger.fallback(
-            "TIME-HOST-CLOCK",
-            "no message carries the vehicle's time: the ground station's clock is used, "
-            "which may be seconds off UTC",
-        )
+        ledger.fallback("TIME-HOST-CLOCK/clocks-of")
         return Clocks({}, 1, "ground station clock")
     unique, counts = np.unique(readings["source"], return_counts=True)
     busiest = [divmod(key, 256) for key in unique[np.argsort(-counts, kind="stable")].tolist()]
@@ -323,11 +319,7 @@ def _fit_sender(
     if turn.any():
         turns = np.concatenate([[0], np.cumsum(turn)])
         boot_ns = np.asarray(boot_ns + turns * ROUND_MS, np.int64)
-        what = (
-            f"the 32-bit count of milliseconds since boot wrapped after 49.7 days, "
-            f"{int(turns.max())} times: it is continued"
-        )
-        ledger.note("TIME-WRAP", what, where=where, count=int(turns.max()))
+        ledger.note("TIME-WRAP", where=where, count=int(turns.max()))
     host_ns = leader.utc_of_host(at, stamped_ns)
     system_time = UtcReadings("SYSTEM_TIME messages", at, boot_ns, sent_utc, sent_utc > 0)
     received = UtcReadings("stamps", at, boot_ns, host_ns, np.ones(at.shape, np.bool_))

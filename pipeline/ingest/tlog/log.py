@@ -79,11 +79,7 @@ def _report_damage(result: Scan, needed: Container[int], path: Path, ledger: Led
             what = f"{rejected.count} messages {name} fail their checksum"
             ledger.loss("LOG-CRC", what, where=where, count=rejected.count)
         else:
-            what = (
-                f"{rejected.count} messages {name} fail their checksum, all there are: another "
-                "version of the dialect; nothing here needs them"
-            )
-            ledger.warning("LOG-DIALECT", what, where=where, count=rejected.count)
+            ledger.warning("LOG-DIALECT", where=where, count=rejected.count, name=name)
     return damaged
 
 
@@ -134,13 +130,7 @@ def _replace_stray_stamps(result: Scan, ledger: Ledger, where: str) -> None:
     count = int(np.count_nonzero(stray))
     if count == 0 or bool(stray.all()):
         return
-    ledger.loss(
-        "TIME-STRAY",
-        f"{count} messages carry a stamp of the ground station that fits none of their "
-        "neighbours: the one before is used",
-        where=f"{where}, first at byte {int(at[stray][0])}",
-        count=count,
-    )
+    ledger.loss("TIME-STRAY", where=f"{where}, first at byte {int(at[stray][0])}", count=count)
     good = host_us[~stray]
     before = np.maximum(np.searchsorted(np.flatnonzero(~stray), np.flatnonzero(stray)) - 1, 0)
     for store in stores:

@@ -164,11 +164,7 @@ class ULogMessages(DamagedBytes):
             what = f"{count} rows cannot be used: the log defines no field for timestamp"
             ledger.loss("LOG-FIELDS", what, where=topic, count=count)
         if self.damaged_values:
-            what = (
-                f"{self.damaged_values} values of parameters or of information do not have the "
-                "length of their type; how many messages are lost is unknown"
-            )
-            ledger.loss("LOG-ULOG-DAMAGE", what, where=file_name, count=self.damaged_values)
+            ledger.loss("LOG-ULOG-DAMAGE", where=file_name, count=self.damaged_values)
         if self.dropouts_ms:
             count, lost_s = len(self.dropouts_ms), sum(self.dropouts_ms) / 1000.0
             what = f"the logger could not keep up {count} times, {lost_s:.3f} s together"

@@ -64,9 +64,7 @@ def paper_tables(paper: str) -> PaperTable:
     try:
         rows_of_paper = _PAPERS[paper]
     except KeyError:
-        raise PhysicsError(
-            "PAPER-NAME", f"no paper is called {paper!r}", remedy=f"one of {', '.join(_PAPERS)}"
-        ) from None
+        raise PhysicsError.of("PAPER-NAME", paper=paper, papers=", ".join(_PAPERS)) from None
     blocks = rows_of_paper()
     columns: dict[str, NDArray[np.generic]] = {
         name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]

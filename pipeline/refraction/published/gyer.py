@@ -193,9 +193,7 @@ def _intervals(profile: Profile, h_c: Array, h_g: Array, step: float) -> tuple[A
     of NaN.
     """
     if not step > 0.0:
-        raise PhysicsError(
-            "METHOD-STEP", f"a step of {step:g} m is not positive", remedy="for example 1000 m"
-        )
+        raise PhysicsError.of("METHOD-STEP", step=step)
     # 3000 m reached with a rounding error are three intervals of 1000 m.
     rise = np.where((profile.layer_of(h_c) >= 0) & (profile.layer_of(h_g) >= 0), h_c - h_g, np.nan)
     count = np.maximum(np.ceil(rise / step - 1e-9), 1.0)

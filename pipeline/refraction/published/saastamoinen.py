@@ -104,9 +104,7 @@ def quadratic_coefficients(
     (12.94, -0.0199)
     """
     if not profile.bottom_m <= lowest < highest <= profile.top_m:
-        what = f"a parabola cannot be fitted from {lowest:.0f} to {highest:.0f} m"
-        remedy = "give heights inside the profile, the lower one first"
-        raise PhysicsError("METHOD-SPAN", what, where=profile.extent, remedy=remedy)
+        raise PhysicsError.of("METHOD-SPAN", profile.extent, lowest=lowest, highest=highest)
     x = np.linspace(-1.0, 1.0, 200)
     middle, half = 0.5 * (highest + lowest), 0.5 * (highest - lowest)
     a_2, a_1, _ = np.polyfit(x, profile.refractivity(middle + half * x), 2)

@@ -124,12 +124,9 @@ def compare_control(
     point = np.unique(measured[0].astype(np.int64))
     if not point.size:
         first = next(observations.batches(1)).point[0]
-        text = (
-            f"none of {len(points.name)} control points is measured in an image: these are "
-            f"{points.name[0]} ..., the points of the observations {first} ..."
+        raise InputError.of(
+            "CONTROL-MISSING", "control", total=len(points.name), name=points.name[0], first=first
         )
-        remedy = "write the names as in the observations, or name the column: control.columns.point"
-        raise InputError("CONTROL-MISSING", text, where="control", remedy=remedy)
     measured = measured[:, np.isfinite(measured).all(axis=0) & (measured[1] >= 0)]
     at = np.searchsorted(point, measured[0].astype(np.int64))
     oriented = plan.mission.stations.orientation is not None
@@ -157,10 +154,7 @@ def compare_control(
         len(points.name) - point.size,
     )  # fmt: skip
     if not comparison.used.any():
-        ledger.loss(
-            "CONTROL-RAYS", f"of {point.size} control points none has a height and rays that meet "
-            "at 3 deg or more: there is nothing to compare", where="control", count=point.size,
-        )  # fmt: skip
+        ledger.loss("CONTROL-RAYS", where="control", count=point.size)
         return None
     stated = h if section.reference == "ellipsoid" else h - undulation
     readings = {
@@ -241,11 +235,7 @@ def judge_control(
     noise, of = (sigma, "sigmas of stations and pixels let control points miss") if (
         comparison.sigma_stated) else (usual, "the control points scatter")  # fmt: skip
     if noise > effect:
-        text = (
-            f"{of} by {noise:.3g} m, and refraction moves them by {effect:.3g} m: no single one "
-            "shows what the correction does"
-        )
-        ledger.warning("CONTROL-NOISE", text, where=where, count=count)
+        ledger.warning("CONTROL-NOISE", where=where, count=count, of=of, noise=noise, effect=effect)
     elif now**2 - was**2 > _WORSE * effect**2:
         what = f"{count} control points are missed by {was:.3g} m before and {now:.3g} m after the "
         what += "correction (RMS): their heights, the stations or the calibration were adjusted to "

@@ -74,12 +74,8 @@ def assigned_stations(
         files = read_image_times(plan.input("images").path, section.images.time_zone, ledger)
         absent = sorted(set(observations.images) - set(files.rows_of(observations.images)))
         if len(absent) == len(observations.images):
-            raise InputError(
-                "IMAGES-OTHER",
-                f"none of the images of the observations is there: {absent[0]} is not, but "
-                f"{files.file[0]} is",
-                where=section.images.path,
-                remedy="check events.images.path; names may differ in their ending only",
+            raise InputError.of(
+                "IMAGES-OTHER", section.images.path, absent=absent[0], files=files.file[0]
             )
         if absent:
             what = f"{len(absent)} observed images are not there: {absent[0]} ..."

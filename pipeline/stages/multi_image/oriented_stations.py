@@ -128,12 +128,8 @@ def orientation_table(plan: Plan, section: OrientationSection, ledger: Ledger) -
     names |= {own[0]: names[""]} if len(own) == 1 and "" in names else {}
     for name in sorted({*own} - {*names}):
         image = table.image[given == name]
-        raise MissionError(
-            "BLOCK-CAMERA",
-            f"{image.size} images, the first {image[0]}, are of camera {name!r}, which the mission "
-            "file does not define",
-            where=section.path,
-            remedy="give cameras.<name>.camera, the name or number that it has there",
+        raise MissionError.of(
+            "BLOCK-CAMERA", section.path, total=image.size, image=image[0], name=name
         )
     return replace(table, camera=np.array([names[name] for name in given], object))
 
@@ -150,10 +146,7 @@ def block_points(plan: Plan, flight: FlightLog, ledger: Ledger) -> ObjectPoints:
     with damage_refused(source, section.format):
         name, xyz = BLOCKS[section.format][0].read_points(source)
     if len(name) == 0:
-        raise InputError(
-            "POINTS-EMPTY", "the block has no object points", where=section.path,
-            remedy="give ground.height in another way",
-        )  # fmt: skip
+        raise InputError.of("POINTS-EMPTY", section.path)
     table = orientation_table(plan, section, ledger)
     if section.is_geodetic:
         table, _ = in_wgs84(plan, section, replace(table, position=xyz))
@@ -164,13 +157,7 @@ def block_points(plan: Plan, flight: FlightLog, ledger: Ledger) -> ObjectPoints:
     if not section.is_msl(table.heights):
         h = h - flight.heights.undulation(lat, lon)
     if not LOWEST_GROUND_M < np.nanmedian(h) < HIGHEST_GROUND_M:
-        raise InputError(
-            "ORIENTATION-FRAME",
-            f"in that frame the points of the block lie {np.nanmedian(h):.0f} m above sea level",
-            where=section.path,
-            remedy="give stations.orientation.frame as the program has it: a local frame is no "
-            "ecef; {enu: ...} needs its origin, a model of images alone is unknown",
-        )
+        raise InputError.of("ORIENTATION-FRAME", section.path, height_m=np.nanmedian(h))
     points = ObjectPoints(name, lat, lon, h)
     image, usual, apart = [], [], [np.zeros(1)]
     for batch in block_rows(source, section.format):
@@ -343,13 +330,7 @@ def frame_of_block(
     stated = section.frame.enu.build() if isinstance(section.frame, EnuFrame) else section.frame
     frame = stated or table.frame
     if frame is None:
-        raise MissionError(
-            "ORIENTATION-FRAME",
-            "the file does not say what its x, y and z are",
-            where=section.path,
-            remedy="give stations.orientation.frame: ecef; {enu: {lat_deg, lon_deg, "
-            "h_ellipsoid_m}}; projected, with crs; or unknown, with known_positions",
-        )
+        raise MissionError.of("ORIENTATION-FRAME/frame-of-block", section.path)
     if table.frame not in (None, frame):
         what = f"by the file its frame is {table.frame}, by the mission file {frame}, which holds"
         ledger.warning("IMPORT-CONTRADICTED", what, where=section.path)

@@ -198,10 +198,7 @@ class _Raster:
         self.rows, self.columns = source.height, source.width
         unit = source.units[0]
         if unit and unit.strip().lower().replace(" ", "-") not in _METRES:
-            raise InputError(
-                "DEM-UNIT", f"its heights are in {unit!r}, which is no known unit of length",
-                where=str(path), remedy="state the unit of the band as m or ft",
-            )  # fmt: skip
+            raise InputError.of("DEM-UNIT", path, unit=unit)
         self.unit_m = _METRES[unit.strip().lower().replace(" ", "-")] if unit else None
         self.scale, self.offset = source.scales[0], source.offsets[0]
 
@@ -245,11 +242,7 @@ def open_elevation(
     try:
         import rasterio
     except ImportError:
-        raise InputError(
-            "DEM-RASTERIO", "elevation models are read by rasterio, which is not installed",
-            where="ground.height.dem",
-            remedy="pip install 'unbend[rasters]', or give ground.height another source",
-        ) from None  # fmt: skip
+        raise InputError.of("DEM-RASTERIO", "ground.height.dem") from None
     where, key = str(paths[0]), "ground.height.crs"
     open_raster = lru_cache(maxsize=64)(rasterio.open)
     try:

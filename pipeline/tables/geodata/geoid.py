@@ -54,13 +54,7 @@ def read_geoid(path: Path) -> GeoidGrid:
 
 
 def _no_grid(path: Path, why: str) -> InputError:
-    return InputError(
-        "GEOID-GRID",
-        f"is no grid of undulations: {why}",
-        where=str(path),
-        remedy="give a .gtx or a GeoTIFF in geographic coordinates of the ellipsoidal height minus "
-        "the height above the geoid, in metres",
-    )
+    return InputError.of("GEOID-GRID", path, why=why)
 
 
 def _grid_of_gtx(content: bytes, name: str) -> GeoidGrid:

@@ -234,13 +234,7 @@ def _compare_attitudes(
         again = Rotation.from_euler(order, np.stack([about[axis] for axis in order], axis=1))
         left = apart(again)
         if order != angle_order and left < min(_LARGE_TURN_DEG, size / 3.0):
-            raise MissionError(
-                "TRAJECTORY-ANGLES",
-                f"its attitude is up to {size:.1f} deg from that of the log (90 %), in the order "
-                f"{order} up to {left:.1f} deg",
-                where=name,
-                remedy=f"state angle_order: {order}",
-            )
+            raise MissionError.of("TRAJECTORY-ANGLES", name, size=size, order=order, left=left)
     cosine = np.sum(own.as_matrix()[:, 2] * imported.as_matrix()[:, 2], axis=1)
     tilt = float(np.degrees(np.median(np.arccos(np.clip(cosine, -1.0, 1.0)))))
     yaw = float(np.degrees(np.median(wrapped(angles[:, 0] - own.as_euler("ZYX")[:, 0]))))

@@ -97,11 +97,7 @@ def attitudes_of_eo(
         grid = f"EPSG:{32600 + 100 * (zone[1].lower() == 'south') + int(zone[2])}"
     if unit is None or (grid is None and "OMEGA" in value):
         missing = "'orientation in Degrees'" if unit is None else "its UTM zone"
-        what = (
-            f"its head does not say {missing}: attitudes are taken from elsewhere; "
-            "events.positions.<camera>.grid states the grid"
-        )
-        ledger.fallback("IMPORT-EO-ANGLES", what, where=path.name)
+        ledger.fallback("IMPORT-EO-ANGLES", where=path.name, missing=missing)
         return {}
     scale = {"d": RADIANS["deg"], "r": RADIANS["rad"], "g": RADIANS["grad"]}[unit[1][0].lower()]
     angles = np.stack([value[name] for name in names], axis=1) * scale

@@ -199,11 +199,7 @@ def read_tags(path: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
     """By image, its tags without their groups; refuses (InputError IMAGES-NONE) no images."""
     tags = _tags_of_folder(path, ledger) if path.is_dir() else _tags_of_csv(path)
     if not tags:
-        remedy = (
-            f"path is a folder of images ({ENDINGS}) or a table as exiftool -csv writes it, "
-            "with a column SourceFile or FileName"
-        )
-        raise InputError("IMAGES-NONE", "there are no images", where=str(path), remedy=remedy)
+        raise InputError.of("IMAGES-NONE", path, endings=ENDINGS)
     return tags
 
 
@@ -253,12 +249,7 @@ def read_gimbal_orientations(path: Path, stated: Stated, ledger: Ledger) -> Orie
     keys = [f"gimbal{name}degree" for name in ("roll", "pitch", "yaw")]
     given = np.radians([[_degrees(tags[file].get(key, "")) for key in keys] for file in files])
     if not np.isfinite(given).all(axis=1).any():
-        raise InputError(
-            "IMAGES-NO-GIMBAL",
-            f"none of {len(files)} images has GimbalRollDegree, GimbalPitchDegree, GimbalYawDegree",
-            where=str(path),
-            remedy="give a CSV under stations.orientation.path, without format",
-        )
+        raise InputError.of("IMAGES-NO-GIMBAL", path, files=len(files))
     quarter = Rotation.from_euler("y", 90.0, degrees=True).as_matrix()
     body = quaternions_of(CAMERA_AT_REST @ (ned_from_body(given) @ quarter).transpose(0, 2, 1))
     angles = rpy_of_quaternion(in_turned_frame(body, NED_FROM_ENU))
@@ -311,10 +302,7 @@ def _tags_of_csv(path: Path) -> dict[str, dict[str, str]]:
     try:
         table = pd.read_csv(path, dtype=str, keep_default_na=False, encoding="utf-8-sig")
     except (OSError, ValueError) as error:
-        what = f"is no readable CSV: {str(error).strip()}"
-        raise InputError(
-            "IMAGES-CSV", what, where=str(path), remedy="write it with exiftool -csv -r FOLDER"
-        ) from None
+        raise InputError.of("IMAGES-CSV", path, error=str(error).strip()) from None
     table.columns = pd.Index([_key(str(name)) for name in table.columns])
     table = table.loc[:, ~table.columns.duplicated()]
     column = next((c for c in ("sourcefile", "filename", "image") if c in table), None)

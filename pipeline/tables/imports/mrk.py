@@ -46,11 +46,7 @@ def read_mrk(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         )
         ledger.loss("IMPORT-NO-POSITION", what, where=path.name, count=int(lost.sum()))
     if single := int(np.sum(value["Q"] == 16)):
-        what = (
-            f"{single} of {lost.size} images have a single-point position (quality 16): metres, "
-            "not centimetres"
-        )
-        ledger.warning("TRAJECTORY-SINGLE", what, where=path.name, count=single)
+        ledger.warning("TRAJECTORY-SINGLE", where=path.name, count=single, total=lost.size)
     columns = {
         "event_index": value["index"],
         "offset_north_m": value["N"] * _MILLIMETRE,

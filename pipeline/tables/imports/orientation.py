@@ -95,18 +95,12 @@ def _table_with(path: Path, names: Mapping[str, str], key: str) -> pd.DataFrame:
     table = text_table(path, names, codes=("ORIENTATION-CSV", "ORIENTATION-COLUMN"), key=key)
     images = table[names["image"]]
     if len(images) == 0:
-        raise InputError(
-            "ORIENTATION-EMPTY", "the table has no rows", where=str(path), remedy="write it again"
-        )
+        raise InputError.of("ORIENTATION-EMPTY", path)
     twice = images[images.duplicated(keep=False)]
     if len(twice):
         lines = ", ".join(str(row + 2) for row in twice.index[twice == twice.iloc[0]])
-        raise InputError(
-            "ORIENTATION-REPEATED",
-            f"{twice.nunique()} images stand there more than once, for example "
-            f"{twice.iloc[0]!r} in lines {lines}",
-            where=str(path),
-            remedy="keep one row an image",
+        raise InputError.of(
+            "ORIENTATION-REPEATED", path, repeated=twice.nunique(), image=twice.iloc[0], lines=lines
         )
     return table
 
@@ -181,10 +175,7 @@ def read_events(path: Path, columns: Mapping[str, str], ledger: Ledger) -> Event
         what = f"{rows.size} rows have no readable time, the first in line {rows[0] + 2}"
         ledger.loss("EVENTS-TIME", what, where=path.name, count=int(rows.size))
     if not bool(good.any()):
-        raise InputError(
-            "EVENTS-EMPTY", "no row has a readable time", where=str(path),
-            remedy="times look like 2026-05-01T10:20:30.123Z",
-        )  # fmt: skip
+        raise InputError.of("EVENTS-EMPTY", path)
     table, time_ns = table[good], time_ns[good]
     camera = table[columns["camera"]].to_numpy(object) if "camera" in columns else None
     return EventTable(table[columns["image"]].to_numpy(object), camera, time_ns)

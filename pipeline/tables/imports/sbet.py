@@ -84,11 +84,7 @@ def _sbet_rows(path: Path, ledger: Ledger) -> Array:
             why = "it is a smrmsg file (10 doubles a row), to be named as accuracy beside the SBET"
         raise not_of_format(path, f"it is no SBET: {why}")
     if left := len(content) % (8 * _ROW):
-        what = (
-            f"the last {left} bytes are no whole row of {8 * _ROW}: the file was cut after "
-            f"{len(rows)} rows"
-        )
-        ledger.loss("IMPORT-CUT", what, where=path.name, count=left)
+        ledger.loss("IMPORT-CUT", where=path.name, count=left, row=8 * _ROW, rows=len(rows))
     return rows
 
 
@@ -141,13 +137,7 @@ def wander_sign(
     usual = float(np.median(np.abs(track[moving])))
     said = float(np.median(np.hypot(rows[moving, 4], rows[moving, 5])))
     if usual > FASTEST_M_S or (said > 0.0 and not 0.8 < usual / said < 1.25):
-        raise InputError(
-            "IMPORT-SPEED",
-            f"its positions move at {usual:.3g} m/s, its velocities say {said:.3g} m/s: latitude "
-            "and longitude are not in radians, are exchanged, or the columns are others",
-            where=str(path),
-            remedy="export an SBET in radians, latitude before longitude",
-        )
+        raise InputError.of("IMPORT-SPEED", path, usual=usual, said=said)
 
     def misfits(velocity: NDArray[np.complex128]) -> list[float]:
         """Against the movement of the positions, with the wander angle subtracted and added."""
@@ -178,9 +168,7 @@ def wander_sign(
     if consistent:
         return sign, velocity * np.exp(1j * sign * wander)
     if said > 0.0:
-        ledger.warning("IMPORT-VELOCITY", "its velocities are those of its positions in no frame ("
-                       f"{min(misfits(velocity)):.2f} m/s apart): they are not used",
-                       where=path.name)  # fmt: skip
+        ledger.warning("IMPORT-VELOCITY", where=path.name, misfits=min(misfits(velocity)))
     return sign, None
 
 

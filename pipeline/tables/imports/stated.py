@@ -72,10 +72,7 @@ class Stated:
         if self.week is not None:
             return utc_of_weeks(self.week, seconds, system)
         if self.around_ns is None:
-            raise InputError(
-                "IMPORT-WEEK", "it has seconds of the week, and nothing says of which week",
-                where=str(path), remedy="give time: {week: NUMBER}, counted from 1980-01-06",
-            )  # fmt: skip
+            raise InputError.of("IMPORT-WEEK", path)
         first, last = self.around_ns
         since = (first + last) // 2 - UNIX_NS_OF_GPS_EPOCH
         week = since // (SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND)
@@ -152,12 +149,7 @@ def channel_of_rows(
         raise not_of_format(path, "none of its rows can be read")
     worst = float(np.fmax.reduce(np.abs(columns["lat_rad"][rows]), initial=0.0))
     if worst > np.pi / 2.0:
-        raise InputError(
-            "IMPORT-RANGE",
-            f"a latitude of {np.degrees(worst):.2f} degrees: it is a longitude, or in another unit",
-            where=str(path),
-            remedy="exchange the columns of latitude and longitude, or state the unit that it has",
-        )
+        raise InputError.of("IMPORT-RANGE", path, worst_deg=np.degrees(worst))
     values = {name: column[rows] for name, column in columns.items()}
     words = {n: tuple(np.array(v, dtype=object)[rows]) for n, v in (labels or {}).items()}
     return Channel(path.name, time_ns[rows], values, Source(kind), labels=words)

@@ -67,10 +67,7 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         surface = stated.height_column(path, ledger, "ellipsoid")
         radius = float(np.nanmedian(np.linalg.norm([value[axis] for axis in "xyz"], axis=0)))
         if not 6.3e6 < radius < 6.5e6:
-            raise InputError(
-                "IMPORT-RANGE", f"x, y and z are {radius:.4g} m from the centre of the earth",
-                where=str(path), remedy="name columns of earth-centred coordinates (WGS84, metres)",
-            )  # fmt: skip
+            raise InputError.of("IMPORT-RANGE/read-trajectory-csv", path, radius=radius)
     else:
         unit = RADIANS[stated.position_unit]
         lat, lon, height = value["latitude"] * unit, value["longitude"] * unit, value["height"]
@@ -116,10 +113,7 @@ def _utc(
     readable = np.isfinite(seconds)
     if not bool(readable.any()):
         if system == "gpst" and bool(text.str.contains(r"(?:Z|[+-]\d\d:?\d\d)$").any()):
-            raise InputError(
-                "IMPORT-TIME-SYSTEM", f"{text.iloc[0]} has a time zone, which GPS time has not",
-                where=str(path), remedy="give time: {system: utc}",
-            )  # fmt: skip
+            raise InputError.of("IMPORT-TIME-SYSTEM", path, text=text.iloc[0])
         return utc_of_dates(text, system)
     if "week" in value:
         readable = readable & np.isfinite(value["week"])

@@ -87,9 +87,7 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
                 yield rows_of_image(name, np.frombuffer(blob, "<f4").reshape(rows, -1)[:, :2])
         pairs = database.execute("SELECT COUNT(*) FROM matches").fetchone()[0]
     if count == 0:
-        what = f"the database has no keypoints, and matches of {pairs} pairs"
-        raise InputError("OBS-EMPTY", what, where=str(path),
-                         remedy="extract features first, or name another file")  # fmt: skip
+        raise InputError.of("OBS-EMPTY", path, pairs=pairs)
 
 
 def read_points(path: Path) -> tuple[pa.StringArray, Array]:

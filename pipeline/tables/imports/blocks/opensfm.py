@@ -48,10 +48,7 @@ def block_files(path: Path) -> tuple[Path, ...]:
     needed = (path / "reconstruction.json", path / "tracks.csv")
     for file in needed:
         if not file.is_file():
-            raise InputError(
-                "INPUT-MISSING", f"a project of OpenSfM has a {file.name}", where=str(file),
-                remedy="name the folder of the project; of ODM that is opensfm",
-            )  # fmt: skip
+            raise InputError.of("INPUT-MISSING", file, name=file.name)
     reference = path / "reference_lla.json"
     return (*needed, reference) if reference.is_file() else needed
 
