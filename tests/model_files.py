@@ -55,6 +55,38 @@ def dataset(
     )  # fmt: skip
 
 
+def on_model_levels(
+    air: Callable[[float, float, np.datetime64], Column],
+    latitude_deg: Sequence[float],
+    longitude_deg: Sequence[float],
+    times: Sequence[str],
+    ground_m: float,
+) -> xarray.Dataset:
+    """Fields on ECMWF's levels 60 to 137 over a ground at one height [m above sea level]."""
+    from pipeline.atmosphere.soundings.model_field import half_levels
+
+    levels, stamps = np.arange(60, 138), np.array(times, "datetime64[ns]")
+    shape = (stamps.size, levels.size, len(latitude_deg), len(longitude_deg))
+    t, q, log_p, z = np.empty(shape), np.empty(shape), np.empty(shape)[:, 0], np.empty(shape)[:, 0]
+    for i, j, k in np.ndindex(shape[0], *shape[2:]):
+        place = np.radians(latitude_deg[j]), np.radians(longitude_deg[k])
+        h, kelvin, p, e = air(*place, stamps[i])
+        log_p[i, j, k] = np.interp(ground_m, h, np.log(p))
+        z[i, j, k] = geopotential(place[0], np.array(ground_m))
+        half = half_levels(np.exp(log_p[i, j, k]))[0, 59:]
+        full = 0.5 * (half[1:] + half[:-1])
+        at = np.interp(np.log(full), np.log(p[::-1]), h[::-1])
+        e = np.exp(np.interp(at, h, np.log(e)))
+        t[i, :, j, k], q[i, :, j, k] = np.interp(at, h, kelvin), 0.622 * e / (full - 0.378 * e)
+    on = ("valid_time", "hybrid", "latitude", "longitude")
+    flat = (on[0], *on[2:])
+    return xarray.Dataset(
+        {"t": (on, t), "q": (on, q), "lnsp": (flat, log_p), "z": (flat, z)},
+        {"valid_time": stamps, "hybrid": levels.astype(float),
+         "latitude": list(latitude_deg), "longitude": list(longitude_deg)},
+    )  # fmt: skip
+
+
 def netcdf(path: Path, data: xarray.Dataset) -> Path:
     """The fields as netCDF-4."""
     data.to_netcdf(path, engine="h5netcdf")

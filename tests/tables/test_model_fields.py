@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray
+from scipy.integrate import cumulative_trapezoid
 from scipy.io import netcdf_file
 
 from pipeline.atmosphere.soundings.model_column import model_column
@@ -15,7 +16,7 @@ from pipeline.geodesy import normal_gravity
 from pipeline.ledger import Ledger
 from pipeline.simulate.true_air import temperature_k, true_air, vapour_pressure_pa
 from pipeline.tables.weather_files import FlightArea, read_model_field
-from tests.model_files import dataset, grib, netcdf
+from tests.model_files import dataset, grib, netcdf, on_model_levels
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "nwp"
 PLACE = (np.radians(47.3), np.radians(8.6))
@@ -131,6 +132,42 @@ def test_grib_has_the_air_of_netcdf_and_a_forecast_its_lead_time(fields, tmp_pat
     np.testing.assert_allclose(found.errors.temperature_k,
                                np.hypot(usual.errors.temperature_k, 0.5))  # fmt: skip
     assert found.errors.log_pressure > usual.errors.log_pressure
+
+
+def test_model_levels_in_grib_give_the_same_air(tmp_path):
+    nodes = ((48.0, 47.0), (8.0, 8.5, 9.0), ("2026-05-14T10", "2026-05-14T11"), 400.0)
+
+    def still(*_):
+        return H, temperature_k(H), PRESSURE, np.maximum(vapour_pressure_pa(H), 1e-3)
+
+    field = read(grib(tmp_path / "levels.grib2", on_model_levels(still, *nodes)))
+    assert field.on_model_levels
+    found, notes = column(field)
+    assert [n.code for n in notes] == ["MODEL-UNDERGROUND"]
+    h = found.h_m[1:]
+    assert h.size > 35
+    np.testing.assert_allclose(found.temperature_k[1:], temperature_k(h), atol=0.02)
+    np.testing.assert_allclose(found.pressure_pa[1:], true_air(PLACE[0]).pressure_pa(h), rtol=2e-4)
+    np.testing.assert_allclose(found.vapour_pressure_pa[1:], vapour_pressure_pa(h), rtol=5e-3)
+
+
+MODEL_LEVELS_REFUSED = {
+    "91 levels": (lambda f: f.assign_coords(hybrid=f.hybrid - 46.0), "MODEL-LEVELS",
+                  "run from 14 to 91, 78 in all: the lowest of ERA5 is 137"),
+    "one is missing": (lambda f: f.drop_sel(hybrid=100.0), "MODEL-LEVELS", "60 to 137, 77 in all"),
+    "no lnsp": (lambda f: f.drop_vars("lnsp"), "MODEL-VARIABLE", "no lnsp"),
+    "heights of the ground divided twice": (lambda f: f.assign(z=f.z * 9.80665),
+                                            "MODEL-UNITS", "z or lnsp has another unit"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", MODEL_LEVELS_REFUSED)
+def test_model_levels_that_make_no_column_are_refused(tmp_path, what):
+    change, code, words = MODEL_LEVELS_REFUSED[what]
+    whole = on_model_levels(air, (48.0, 47.0), (8.0, 9.0), ("2026-05-14T10",), 400.0)
+    with pytest.raises(InputError, match=words) as refused:
+        read(netcdf(tmp_path / "levels.nc", change(whole)))
+    assert refused.value.code == code
 
 
 @pytest.mark.parametrize("east", [(178.5, 179.5, 180.5), (-181.5, -180.5, -179.5)])
@@ -276,6 +313,21 @@ def test_era5_at_a_node_to_the_last_digit():
     assert on.sum() > 15
     for name, values in zip(COLUMN, truth, strict=True):
         np.testing.assert_allclose(getattr(found, name)[on], values[rows], rtol=1e-6)
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="needs ../shared/nwp, real files of ERA5")
+def test_era5_on_model_levels_is_hydrostatic():
+    """Over Alaska's coast, longitudes to 360; the ODE is integrated here from the ground up."""
+    place, when = (np.radians(70.25), np.radians(-156.5)), ns("2022-08-29T17:00")
+    path = SHARED / "era5_model_levels_20220829T17.nc"
+    found, _ = column(read(path, place, when), place, when, ground_h_m=float("nan"))
+    h, t, p, e = (getattr(found, name) for name in COLUMN)
+    height = normal_gravity(place[0]).geopotential_height(h)
+    virtual = t / (1.0 - 0.378 * e / p)
+    fine = np.linspace(height[0], height[-1], 100_001)
+    fall = 9.80665 * 28.9644 / 8314.32 / np.interp(fine, height, virtual)
+    log_p = np.log(p[0]) - cumulative_trapezoid(fall, fine, initial=0.0)
+    assert np.abs(np.interp(height, fine, log_p) - np.log(p)).max() < 1e-4
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="needs ../shared/nwp, real files of ERA5")

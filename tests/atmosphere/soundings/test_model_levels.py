@@ -1,0 +1,84 @@
+"""The 137 levels of ERA5 against ECMWF's published pressures, and heights of known air on them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from pipeline.atmosphere.soundings.model_field import ModelField, half_levels, level_coefficients
+
+# "L137 model level definitions", ECMWF: pressures of the half levels 1 to 137 [hPa] over a surface
+# of 1013.25 hPa.
+PUBLISHED = """
+0.02 0.031 0.0467 0.0683 0.0975 0.1361 0.1861 0.2499 0.3299 0.4288 0.5496 0.6952 0.869 1.0742
+1.3143 1.5928 1.9134 2.2797 2.6954 3.1642 3.6898 4.2759 4.9262 5.6441 6.4334 7.2974 8.2397
+9.2634 10.3720 11.5685 12.8561 14.2377 15.7162 17.2945 18.9752 20.7610 22.6543 24.6577 26.7735
+29.0039 31.3512 33.8174 36.4047 39.1149 41.9493 44.9082 47.9915 51.1990 54.5299 57.9834 61.5607
+65.2695 69.1187 73.1187 77.2810 81.6182 86.1450 90.8774 95.8280 101.0047 106.4153 112.0681
+117.9714 124.1337 130.5637 137.2703 144.2624 151.5493 159.1403 167.0450 175.2731 183.8344
+192.7389 201.9969 211.6186 221.6146 231.9954 242.7719 253.9549 265.5556 277.5852 290.0548
+302.9762 316.3607 330.2202 344.5663 359.4111 374.7666 390.6450 407.0583 424.0190 441.5395
+459.6321 478.3096 497.5845 517.4198 537.7195 558.3430 579.1926 600.1668 621.1624 642.0764
+662.8084 683.2620 703.3467 722.9795 742.0855 760.5996 778.4661 795.6396 812.0847 827.7756
+842.6959 856.8376 870.2004 882.7910 894.6222 905.7116 916.0815 925.7571 934.7666 943.1399
+950.9082 958.1037 964.7584 970.9046 976.5737 981.7968 986.6036 991.0230 995.0824 998.8081
+1002.2250 1005.3562 1008.2239 1010.8487 1013.2500
+"""
+
+
+def test_half_levels_are_the_published_ones():
+    published = np.array([float(word) for word in PUBLISHED.split()])
+    ours = half_levels(np.array([101_325.0]))[0, 1:] / 100.0
+    np.testing.assert_allclose(ours, published, rtol=0.0, atol=5.1e-5)  # four decimals
+
+
+def test_coefficients_are_smooth_and_end_at_nothing_and_at_the_surface():
+    a, b = level_coefficients()
+    assert (a[0], b[0], a[-1], b[-1]) == (0.0, 0.0, 0.0, 1.0)
+    # A wrong digit in one row shows in the third differences, where the next rows do not.
+    for column, largest in ((a, 12.0), (b, 2e-4)):
+        third = np.abs(np.diff(column, 3))
+        assert third.max() < largest
+    assert (np.diff(half_levels(np.array([101_325.0, 60_000.0])), axis=1) > 0.0).all()
+
+
+def known_air():
+    """ln p of heights [m'] in air of two lapse rates, moist below 3 km, integrated every metre."""
+    height = np.arange(0.0, 40_000.0, 1.0)
+    t = np.maximum(288.0 - 6.5e-3 * height, 217.0)
+    q = 0.012 * np.exp(-height / 2500.0)
+    vapour = q / (0.622 + 0.378 * q)
+    fall = 9.80665 * 28.9644 / 8314.32 * (1.0 - 0.378 * vapour) / t
+    log_p = math.log(100_500.0) - np.concatenate([[0.0], np.cumsum(0.5 * (fall[1:] + fall[:-1]))])
+    return height, t, q, log_p
+
+
+@pytest.mark.parametrize("first", [1, 60])
+def test_heights_and_pressures_of_model_levels_are_those_of_known_air(first):
+    """Within 1e-4 of p up to 10 km, as 0.8 m: levels are means of half levels, not their air."""
+    height, t, q, log_p = known_air()
+    ground = 300.0
+    surface = np.interp(ground, height, log_p)
+    half = half_levels(np.array([math.exp(surface)]))[0]
+    full = np.log(0.5 * (half[1:] + half[:-1]))[first - 1 :]
+    at = np.interp(-full, -log_p, height)
+    values = (np.interp(at, height, v)[None, :, None, None] for v in (t, q))
+    field = ModelField(
+        "era5.nc", np.zeros(1, np.int64), np.zeros(1), np.zeros(1), np.arange(first, 138.0),
+        *values, surface=np.full((1, 1, 1, 1), ground),
+        log_surface_pa=np.full((1, 1, 1, 1), surface), on_model_levels=True,
+    )  # fmt: skip
+    air = field.columns(np.zeros(1), np.zeros(1), np.zeros(1, np.int64))
+    low = at < 10_000.0
+    assert low.sum() == 57
+    np.testing.assert_allclose(air.log_pressure[0], full, rtol=1e-12)
+    true_log_p = np.interp(air.height[0], height, log_p)
+    assert np.abs(true_log_p - full)[low].max() < 1e-4
+    assert np.abs(true_log_p - full)[at < 30_000.0].max() < 5e-4
+    np.testing.assert_allclose(air.temperature_k[0], np.interp(at, height, t))
+    e = air.vapour[0] * np.exp(full)
+    p = np.exp(full)
+    np.testing.assert_allclose(e, p * np.interp(at, height, q) / (
+        0.622 + 0.378 * np.interp(at, height, q)), rtol=1e-6)  # fmt: skip
