@@ -57,12 +57,10 @@ def open_datasets(path: Path) -> Iterator[tuple[list[Any], str]]:
         with path.open("rb") as file:
             head = file.read(4)
     except OSError as error:
-        raise _unreadable(path, error.strerror) from None
+        raise InputError.of("MODEL-UNREADABLE", path, why=error.strerror) from None
     engine = _ENGINES.get(head)
     if engine is None:
-        what = f"begins with {head!r}: it is neither netCDF (classic or 4) nor GRIB"
-        remedy = "download it as netCDF or GRIB; nccopy -k nc4 converts other kinds of netCDF"
-        raise InputError("MODEL-FORMAT", what, where=str(path), remedy=remedy)
+        raise InputError.of("MODEL-FORMAT", path, head=head)
     try:
         import pyproj  # noqa: F401  (before ecCodes)
         import xarray
@@ -72,9 +70,7 @@ def open_datasets(path: Path) -> Iterator[tuple[list[Any], str]]:
         elif engine == "h5netcdf":
             import h5netcdf  # noqa: F401
     except (ImportError, RuntimeError) as error:  # ecCodes without its library raises the latter
-        what = f"weather models are read by packages that are not installed: {error}"
-        remedy = "pip install 'unbend[nwp]'"
-        raise InputError("MODEL-PACKAGE", what, where=str(path), remedy=remedy) from None
+        raise InputError.of("MODEL-PACKAGE", path, error=error) from None
     datasets: list[Any] = []
     try:
         with warnings.catch_warnings():
@@ -89,15 +85,10 @@ def open_datasets(path: Path) -> Iterator[tuple[list[Any], str]]:
     except InputError:
         raise
     except Exception as error:  # of xarray, its engines and ecCodes, by what the damage hit
-        raise _unreadable(path, error) from None
+        raise InputError.of("MODEL-UNREADABLE", path, why=str(error)[:200]) from None
     finally:
         for dataset in datasets:
             dataset.close()
-
-
-def _unreadable(path: Path, why: object) -> InputError:
-    what = f"the file cannot be read: {str(why)[:200]}"
-    return InputError("MODEL-UNREADABLE", what, where=str(path), remedy="download it again")
 
 
 def refuse_truncated(path: Path) -> None:
@@ -120,12 +111,9 @@ def refuse_truncated(path: Path) -> None:
                 return
             file.seek(max(start + length - 4, 0))
             if length < _GRIB_HEAD or file.read(4) != b"7777":
-                what = (
-                    f"message {number} at byte {start} has {length} bytes by its header, and no "
-                    f"end there; the file has {size} bytes"
+                raise InputError.of(
+                    "MODEL-TRUNCATED", path, number=number, start=start, length=length, size=size
                 )
-                remedy = "the download was cut off: fetch the file again"
-                raise InputError("MODEL-TRUNCATED", what, where=str(path), remedy=remedy)
             start += length
 
 
@@ -194,14 +182,12 @@ def times_of(field: Any, where: str) -> tuple[str | None, Integers, Array]:
     dims = [d for d in dims if field.sizes[d] > 1]
     if len(dims) > 1:
         runs = " and ".join(f"{field.sizes[d]} of {d}" for d in dims)
-        what, remedy = f"it has {runs}: several runs of a forecast", "keep one run in the file"
-        raise InputError("MODEL-TIME", what, where=where, remedy=remedy)
+        raise InputError.of("MODEL-TIME/runs", where, runs=runs)
     dim = dims[0] if dims else next((d for d in ("valid_time", "time") if d in field.dims), None)
     name = next((n for n in ("valid_time", dim, "time") if n in field.coords), None)
     stamps = np.empty(0) if name is None else np.atleast_1d(field[name].values)
     if stamps.dtype.kind != "M" or stamps.size != (1 if dim is None else field.sizes[dim]):
-        what, remedy = "its fields have no time that can be read", "download the file again"
-        raise InputError("MODEL-TIME", what, where=where, remedy=remedy)
+        raise InputError.of("MODEL-TIME/none", where)
     lead = np.zeros(stamps.size)
     if "step" in field.coords and field["step"].dtype.kind == "m":
         lead = lead + np.atleast_1d(field["step"].values) / np.timedelta64(1, "h")
@@ -298,23 +284,16 @@ def read_model_field(
         }.items() if field is None]  # fmt: skip
         if lacking or t is None or levels is None:
             held = ", ".join(sorted({str(v) for d in datasets for v in d.data_vars})) or "nothing"
-            what = f"it has no {', no '.join(lacking)}; it holds {held}"
-            remedy = "request temperature, specific humidity and geopotential on levels"
-            raise InputError("MODEL-VARIABLE", what, where=where, remedy=remedy)
+            raise InputError.of("MODEL-VARIABLE", where, lacking=", no ".join(lacking), held=held)
         grid = grid_name(datasets, t)
         if grid != "latitude-longitude":
-            what = f"its grid is {grid}: only latitude-longitude grids are read"
-            remedy = "take ERA5 or GFS, or regrid it: cdo remapbil,r1440x720 in.grb out.nc"
-            raise InputError("MODEL-GRID", what, where=where, remedy=remedy)
+            raise InputError.of("MODEL-GRID", where, grid=grid)
         part = _Part.of(t, area, where, member)
         level = np.sort(levels.values)
         if of_model and not np.array_equal(level, np.arange(level[0], MODEL_LEVELS + 1.0)):
-            what = (
-                f"its model levels run from {level[0]:g} to {level[-1]:g}, {level.size} in all: "
-                f"the lowest of ERA5 is {MODEL_LEVELS}, and none may be missing above it"
+            raise InputError.of(
+                "MODEL-LEVELS/hybrid", where, first=level[0], last=level[-1], total=level.size
             )
-            remedy = f"request all levels down to {MODEL_LEVELS}, as 60/to/{MODEL_LEVELS}"
-            raise InputError("MODEL-LEVELS", what, where=where, remedy=remedy)
         unit = "" if surface is None else str(surface.attrs.get("units", surface.name)).lower()
         metre = STANDARD_GRAVITY if unit == "z" or "s" in unit else 1.0
         field = ModelField(
@@ -358,17 +337,14 @@ class _Part:
         if name is not None and (member is not None or name in field.dims):
             members = np.atleast_1d(field[name].values).tolist()
             if member not in members:
-                have = f"members {min(members)} to {max(members)}"
-                what = f"it has {have}, and " + (
-                    "none is chosen" if member is None else f"member {member} is not among them"
-                )
-                remedy = "name one, as atmosphere.model.member: 0 (the control)"
-                raise InputError("MODEL-MEMBER", what, where=where, remedy=remedy)
+                low, high = min(members), max(members)
+                if member is None:
+                    raise InputError.of("MODEL-MEMBER/which", where, low=low, high=high)
+                raise InputError.of("MODEL-MEMBER", where, low=low, high=high, member=member)
             if name in field.dims:
                 chosen[name] = members.index(member)
         elif member is not None:
-            what, remedy = f"it has no members, and {member} is asked for", "leave member out"
-            raise InputError("MODEL-MEMBER", what, where=where, remedy=remedy)
+            raise InputError.of("MODEL-MEMBER/none", where, member=member)
         dim, time_ns, lead_h = times_of(field, where)
         order = np.argsort(time_ns)
         first, last = (int(t) for t in (area.time_ns.min(), area.time_ns.max()))
@@ -380,9 +356,7 @@ class _Part:
         hours = max(float(np.abs(time_ns - t).min()) for t in (first, last)) / 3.6e12
         if hours > FARTHEST_H:
             begin, end = time_ns[order[[0, -1]]].astype("datetime64[ns]").astype("datetime64[m]")
-            what = f"its times, {begin} to {end} UTC, are {hours:.1f} h away from the flight"
-            remedy = "download the hours before, during and after the flight"
-            raise InputError("MODEL-TIME", what, where=where, remedy=remedy)
+            raise InputError.of("MODEL-TIME", where, begin=begin, end=end, hours=hours)
         nodes = []
         middle = float(np.median(area.longitude_rad))
         places = (area.latitude_rad, longitudes_near(area.longitude_rad, middle))
@@ -415,9 +389,10 @@ class _Part:
         if time is None and self.time_ns.size > 1 and level is not None:
             others.append("time")
         if others:
-            what = f"{field.name} and the temperature differ in their {', '.join(others)}"
-            remedy = "request all variables for the same area and times"
-            raise InputError("MODEL-VARIABLE", what, where=self.where, remedy=remedy)
+            differing = ", ".join(others)
+            raise InputError.of(
+                "MODEL-VARIABLE/other", self.where, name=field.name, differing=differing
+            )
         single = {d: 0 for d in taken.dims if d not in order}
         values = np.asarray(taken.isel(single, drop=True).transpose(*order).values, np.float64)
         if version is not None:  # ERA5 and its preliminary months: each where the other is not

@@ -65,9 +65,7 @@ def model_column(
     ground = float(gravity.geopotential_height(ground_h_m))
     if math.isnan(ground):
         ground = 0.0 if math.isnan(surface) else surface
-        of = "sea level" if math.isnan(surface) else f"the model's, {surface:.0f} m"
-        what = f"the height of the ground is not known: it is taken as {of}"
-        notes.append(fallback("MODEL-GROUND", what, where=where))
+        notes.append(fallback("MODEL-GROUND", where=where, ground=ground))
     bottom = ground if math.isnan(surface) else max(surface, ground)
     with np.errstate(invalid="ignore"):
         under = known & (height < bottom)
@@ -76,13 +74,11 @@ def model_column(
         )
         used = known & ~under & (height < top)
     if count := int(under.sum()):
-        what = f"{count} levels lie under the ground at {gravity.height(bottom):.0f} m: left out"
-        notes.append(note("MODEL-UNDERGROUND", what, where=where, count=count))
+        notes.append(note("MODEL-UNDERGROUND", where=where, count=count, bottom=bottom))
     if used.sum() < FEWEST_LEVELS or bool(np.any(np.diff(height[used]) <= 0.0)):
         raise too_few_levels(np.exp(log_p[used]), where, "above the ground")
     if missing := int((~known & (log_p >= log_p[used][-1])).sum()):
-        what = f"{missing} of {known.size} levels have missing values there: left out"
-        notes.append(fallback("MODEL-MISSING", what, where=where, count=missing))
+        notes.append(fallback("MODEL-MISSING", where=where, count=missing, total=known.size))
     height, t, vapour, log_p = height[used], t[used], vapour[used], log_p[used]
     above = height - ground
     days = 0.0 if field.lead_h is None else float(
@@ -100,11 +96,9 @@ def model_column(
         sigma = np.concatenate([np.hypot(sigma[0], EXTENSION_K_PER_M * below), sigma])
         sigma_rh = np.concatenate([np.hypot(HUMIDITY_RH, EXTENSION_RH_PER_M * below), sigma_rh])
         if depth > _USUAL_STEP_M:
-            what = (
-                f"its lowest level is {depth:.0f} m above the ground at {ground:.0f} m: continued "
-                f"down to it with 6.5 K/km, at the ground ± {sigma[0]:.1f} K"
-            )
-            notes.append(fallback("MODEL-EXTENDED", what, where=where))
+            notes.append(fallback(
+                "MODEL-EXTENDED", where=where, depth=depth, ground=ground, sigma=sigma[0]
+            ))  # fmt: skip
     depth = max(depth, 0.0)
     level = HYDROSTATIC_CONSTANT * EXTENSION_K_PER_M * depth**2 / (2.0 * float(t[0]) ** 2)
     p = np.exp(log_p)
@@ -124,10 +118,8 @@ def model_column(
 
 def too_few_levels(pressure_pa: Array, where: str, which: str) -> InputError:
     """The refusal of levels that make no profile."""
-    listed = ", ".join(f"{p / HECTOPASCAL:.4g}" for p in np.sort(pressure_pa)[:8])
-    what = (
-        f"{pressure_pa.size} levels {which}" + (f" ({listed} hPa)" if listed else "")
-        + f": a profile needs at least {FEWEST_LEVELS}, rising"
+    listed = ", ".join(f"{p / HECTOPASCAL:.4g}" for p in np.sort(pressure_pa)[:8]) or "no"
+    return InputError.of(
+        "MODEL-LEVELS", where, total=pressure_pa.size, which=which, listed=listed,
+        fewest=FEWEST_LEVELS,
     )  # fmt: skip
-    remedy = "request all levels from the ground to the highest camera, 1000 to 100 hPa"
-    return InputError("MODEL-LEVELS", what, where=where, remedy=remedy)

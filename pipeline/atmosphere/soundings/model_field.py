@@ -163,13 +163,10 @@ class ModelField:
         if away[worst] == 0.0:
             return
         y, x = (nodes[[0, -1]] / DEGREE for nodes in (self.latitude_rad, self.longitude_rad))
-        what = (
-            f"the flight at {latitude_rad[worst] / DEGREE:.2f}°, {east[worst] / DEGREE:.2f}° is "
-            f"{away[worst]:.0f} km from its nodes, the nearest within {y[0]:.2f}° to {y[1]:.2f}°, "
-            f"{x[0]:.2f}° to {x[1]:.2f}°"
-        )
-        remedy = "download an area that reaches half a degree beyond the flight on all sides"
-        raise InputError("MODEL-AREA", what, where=self.name, remedy=remedy)
+        raise InputError.of(
+            "MODEL-AREA", self.name, north=latitude_rad[worst] / DEGREE, east=east[worst] / DEGREE,
+            away_km=away[worst], south_node=y[0], north_node=y[1], west_node=x[0], east_node=x[1],
+        )  # fmt: skip
 
 
 def _between(node: Array, x: Array) -> tuple[Rows, Array]:
@@ -238,6 +235,8 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
         return InputError("MODEL-UNITS", what, where=where, remedy=remedy)
 
     t, q = field.temperature_k, field.humidity
+    if not bool(np.isfinite(t + q).any()):
+        raise refused("no value of temperature and humidity around the flight")
     low, high = float(np.nanmin(t)), float(np.nanmax(t))
     if not _COLDEST_K <= low <= high <= _WARMEST_K:
         raise refused(f"temperatures from {low:.6g} to {high:.6g} K: that is no air")
@@ -266,8 +265,7 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
                        if _SURFACE_PA[0] <= f * lowest <= _SURFACE_PA[1]), None)  # fmt: skip
         if factor is None:
             raise refused(f"the highest pressure level is {lowest:.6g} Pa, not near the ground")
-        what = f"pressure levels up to {lowest:.6g} Pa by their unit: taken as {factor:g} times"
-        notes.append(fallback("MODEL-PRESSURE-UNIT", what, where=where))
+        notes.append(fallback("MODEL-PRESSURE-UNIT", where=where, lowest=lowest, factor=factor))
         field = replace(field, level=factor * field.level)
     assert field.height is not None
     layers = 0.5 * (t[0, 1:] + t[0, :-1]) * np.diff(np.log(field.level))[:, None, None]

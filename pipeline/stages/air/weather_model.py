@@ -57,9 +57,7 @@ def read_model_air(
         return None
     path = plan.input(MODEL_ROLE).path
     if flight.time_ns is None or not math.isfinite(flight.latitude_rad + flight.longitude_rad):
-        what = "no station has a time and a place to take the weather model at"
-        remedy = "give the day and hour: stations.orientation.date"
-        raise InputError("MODEL-TIME", what, where=path.name, remedy=remedy)
+        raise InputError.of("MODEL-TIME/flight", path.name)
     place = sampled_place(samples, track) or (
         flight.latitude_rad, flight.longitude_rad, flight.time_ns
     )  # fmt: skip
@@ -75,12 +73,10 @@ def read_model_air(
     highest = float(stations.h_msl_m[rows].max(initial=0.0))
     column = ledger.take(model_column(field, place, ground_h_m=ground_h_m, highest_h_m=highest))
     hours = TimeAndPlace(place[2]).hours_from(column.time_ns)
-    what = (
-        f"{column.h_m.size} levels from {column.h_m[0]:.0f} to {column.h_m[-1]:.0f} m, at "
-        f"{place[0] / DEGREE:.3f}°, {place[1] / DEGREE:.3f}°, {hours:.1f} h from the nearest time "
-        "of the file"
-    )
-    ledger.note("MODEL-COLUMN", what, where=path.name, count=column.h_m.size)
+    ledger.note(
+        "MODEL-COLUMN", where=path.name, count=column.h_m.size, low=column.h_m[0], hours=hours,
+        high=column.h_m[-1], north=place[0] / DEGREE, east=place[1] / DEGREE,
+    )  # fmt: skip
     # It is the air where the flight met it: no distance adds to its errors.
     column = replace(
         column, latitude_rad=flight.latitude_rad, longitude_rad=flight.longitude_rad
