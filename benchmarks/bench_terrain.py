@@ -39,15 +39,22 @@ def write_model(path: Path) -> None:
         out.write(z.astype(np.float32), 1)
 
 
+def flown_places() -> tuple[np.ndarray, np.ndarray]:
+    """Latitude and longitude [rad] along ten lines to and fro over nearly all of the model."""
+    lines, each = 10, IMAGES // 10
+    along = np.linspace(-0.007, 0.007, each)
+    lon = np.concatenate([along if line % 2 == 0 else along[::-1] for line in range(lines)])
+    return 0.805 + np.repeat(np.linspace(-0.006, 0.006, lines), each), lon
+
+
 def correct(source: Path, out: Path, model: Path | None) -> None:
     """Correct a million observations, from a file to a file, with sigmas."""
-    rng = np.random.default_rng(5)
-    seen_from = replace(exposures(IMAGES), latitude_rad=0.805 + rng.uniform(-0.006, 0.006, IMAGES))
+    lat, lon = flown_places()
+    seen_from = replace(exposures(IMAGES), latitude_rad=lat)
     ground: GivenGround | TerrainGround = GivenGround(None, np.zeros(IMAGES), sigma_m=2.0)
     if model is not None:
         elevation, _ = open_elevation([model], None, reference="msl", undulation=np.zeros_like)
-        places = seen_from.latitude_rad, rng.uniform(-0.007, 0.007, IMAGES)
-        ground = TerrainGround(elevation, places, 2.0)
+        ground = TerrainGround(elevation, (lat, lon), 2.0)
     setup = CorrectionSetup(
         image_names(IMAGES), np.full(IMAGES, "nadir", object), seen_from, ground,
         {"nadir": CAMERA}, (rays_by(air(), "spherical"),), np.zeros(IMAGES, np.int64),

@@ -264,14 +264,16 @@ def follow_rays(rays, which, grid, state):  # type: ignore[no-untyped-def]
 
     ``rays`` is a `TerrainRays`; the columns of ``state``, a `TerrainState`, are changed.
     """
-    row, column = np.empty(CHART_DEGREE + 1), np.empty(CHART_DEGREE + 1)
+    row, column, easts, norths = np.ones((4, CHART_DEGREE + 1))
     for i in which:
         row[:] = column[:] = 0.0
         chart, term = rays.chart[i], 0
-        scale = rays.reach[chart]
+        east, north = rays.east[i] / rays.reach[chart], rays.north[i] / rays.reach[chart]
+        for power in range(CHART_DEGREE):
+            easts[power + 1], norths[power + 1] = east * easts[power], north * norths[power]
         for degree in range(CHART_DEGREE + 1):
             for power in range(degree + 1):
-                share = rays.east[i] ** (degree - power) * rays.north[i] ** power / scale**degree
+                share = easts[degree - power] * norths[power]
                 row[degree] += rays.charts[chart, 0, term] * share
                 column[degree] += rays.charts[chart, 1, term] * share
                 term += 1

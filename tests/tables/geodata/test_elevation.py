@@ -22,6 +22,24 @@ def write(path, heights, west, north):
         out.write(heights, 1)
 
 
+def test_blocks_of_a_file_are_decoded_once_for_the_tiles_they_serve(tmp_path):
+    """The first tile has the edges of the others, whose blocks stay in memory: the file may go."""
+    heights = relief(1024, 1024)
+    with rasterio.open(
+        tmp_path / "dem.tif", "w", driver="GTiff", height=1024, width=1024, count=1,
+        dtype="float32", crs="EPSG:4326", transform=Affine(STEP, 0, 8.0, 0, -STEP, LAT),
+        tiled=True, blockxsize=512, blockysize=512, compress="deflate",
+    ) as out:  # fmt: skip
+        out.write(heights, 1)
+    model, _ = open_elevation(
+        [tmp_path / "dem.tif"], None, reference="msl", undulation=np.zeros_like
+    )
+    assert model.heights(np.array([3.0]), np.array([4.0])) == heights[3, 4]
+    with (tmp_path / "dem.tif").open("r+b") as file:
+        file.truncate(1000)
+    assert model.heights(np.array([600.0]), np.array([700.0])) == heights[600, 700]
+
+
 def test_rasters_either_side_of_the_date_line_are_one_model(tmp_path):
     heights, north = relief(CELLS, CELLS), LAT + 0.5 * CELLS * STEP
     half = CELLS // 2
