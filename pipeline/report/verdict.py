@@ -1,4 +1,4 @@
-"""What a run means in one or two sentences, and what to do next; terminal and report agree."""
+"""What a run means in a sentence, and what to do next; terminal and report agree."""
 
 from __future__ import annotations
 
@@ -37,48 +37,48 @@ def is_applied(manifest: Mapping[str, Any]) -> bool:
 
 
 def verdict(manifest: Mapping[str, Any]) -> str:
-    """How many observations were corrected, how far they moved, and whether they can be used.
+    """One sentence: how many observations were corrected, how far, and whether they can be used.
 
-    Never says that results are ready where the run ended with code 3 for anything but rows that
+    Never says that results can be adjusted where the run ended with code 3 for anything but rows that
     have no corrected coordinates.
     """
     correction, rows = manifest["correction"], manifest["observations"]["rows"]
     done, shift = correction["shift_px"]["count"], correction["shift_px"]["maximum"]
     applied, metres = is_applied(manifest), correction["shift_ground_m"]["maximum"]
     verb = "displaced" if applied else "corrected"
-    concerns = [what for what, _ in _concerns(manifest)]
+    concerns = "; ".join(what for what, _ in _concerns(manifest))
     if not done:
-        sentences = [f"None of {count(rows, 'observation')} could be {verb}: {flagged(manifest)}."]
-        return " ".join([*sentences, *([f"Look at {'; '.join(concerns)}."] if concerns else [])])
+        look = f"; look at {concerns}" if concerns else ""
+        return f"None of {count(rows, 'observation')} could be {verb}: {flagged(manifest)}{look}."
     if done < rows:
         start = f"{done:,} of {rows:,} observations were"
     else:
         start = "The observation was" if rows == 1 else f"All {rows:,} observations were"
-    ground = "" if metres is None else f"{length(metres)} on the ground, "
-    sentences = [
-        f"{start} {verb}; refraction moves points by up to {ground}{pixels(shift)} in the image."
-    ]
-    sentences += [text for text, _ in _limits(manifest)]
+    shown = pixels(shift) if metres is None else f"{length(metres)} on the ground, {pixels(shift)}"
+    if concerns:
+        end = f", but not to be used before a look at {concerns}"
+    elif is_tiny(manifest):
+        end = ", less than can be measured there: not needed here"
+    elif applied:
+        end = ", for simulations and tests: they now contain refraction"
+    else:
+        left = "" if done == rows else f" without the other {count(rows - done, 'row')}"
+        end = f", and can be adjusted{left}"
+    return f"{start} {verb} by up to {shown} in the image{end}."
+
+
+def remarks(manifest: Mapping[str, Any]) -> list[str]:
+    """What stands below the verdict: what limits the accuracy, and what control points show."""
+    sentences = [text for text, _ in _limits(manifest)]
     if control := manifest.get("control"):
         before, after = (
             length(sum(v**2 for v in control[f"rms_{name}_m"]) ** 0.5)
             for name in ("before", "after")
         )
         points = count(control["used"], "control point")
+        verb = "displaced" if is_applied(manifest) else "corrected"
         sentences.append(f"{points}: RMS distance {before} as measured, {after} {verb}.")
-    if concerns:
-        sentences.append(f"Not to be used before a look at {'; '.join(concerns)}.")
-    elif is_tiny(manifest):
-        sentences.append("That is far below what can be measured in an image: not needed here.")
-    elif applied:
-        sentences.append("The coordinates now contain refraction: for simulations and tests.")
-    else:
-        without = "" if done == rows else f" without the other {count(rows - done, 'row')}"
-        sentences.append(
-            f"Ready for adjustment{without}: switch the refraction correction off in the "
-            "adjustment program, where it has one."
-        )
-    return " ".join(sentences)
+    return sentences
 
 
 def next_steps(manifest: Mapping[str, Any]) -> list[str]:

@@ -11,7 +11,7 @@ import pytest
 from pipeline.batch.plan import Outcome
 from pipeline.errors import MissionError
 from pipeline.ingest import open_log
-from pipeline.report.verdict import verdict
+from pipeline.report.verdict import remarks, verdict
 
 from .conftest import SHARED, needs_shared, read_observations, run_mission, write_mission
 from .test_autopilot_logs import CAMERA
@@ -89,9 +89,10 @@ def test_copter_with_a_gap_in_the_log(tmp_path: Path) -> None:
     corrected = (observations["status"] == "ok").sum()
     assert corrected > 20
     text = verdict(outcome.manifest)
-    assert text.startswith(f"{corrected} of 300 observations were corrected; refraction moves ")
-    assert "The air was not measured: a climatology stands for it, R is known to ± " in text
-    assert "Ready for adjustment without" not in text
+    assert text.startswith(f"{corrected} of 300 observations were corrected by up to ")
+    (air,) = remarks(outcome.manifest)
+    assert air.startswith("The air was not measured: a climatology stands for it, R is known to ± ")
+    assert "can be adjusted" not in text
 
 
 def test_telemetry_with_five_boots(tmp_path: Path) -> None:

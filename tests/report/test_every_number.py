@@ -135,8 +135,8 @@ MANIFEST: dict[str, Any] = {
 }
 
 VERDICT = (
-    "41 of 5,021 observations were corrected; refraction moves points by up to 3.1 m on the "
-    "ground, 3 px in the image. Not to be used before a look at 2 losses (AA-LOSS, ZZ-LOSS)."
+    "41 of 5,021 observations were corrected by up to 3.1 m on the "
+    "ground, 3 px in the image, but not to be used before a look at 2 losses (AA-LOSS, ZZ-LOSS)."
 )
 STEPS = [
     "Read what was lost (AA-LOSS, ZZ-LOSS), and give the whole file where there is one.",
@@ -299,7 +299,7 @@ def test_a_tiny_correction_is_called_tiny(largest, said):
     nine = {"observations": MANIFEST["observations"] | {"rows": 9}, "ledger": []}
     lines = printed(print_run, "a", "b", MANIFEST | nine | {"correction": small}, repeated=False)
     text = " ".join(" ".join(lines).split())
-    assert ("far below what can be measured" in text) == said
+    assert ("less than can be measured" in text) == said
     assert "refraction of the window" not in text
 
 

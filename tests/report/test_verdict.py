@@ -9,11 +9,10 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from pipeline.report.verdict import next_steps, verdict
+from pipeline.report.verdict import next_steps, remarks, verdict
 
-OFF = "switch the refraction correction off in the adjustment program, where it has one."
-READY = f"Ready for adjustment: {OFF}"
-LOOK = "Not to be used before a look at "
+READY = " in the image, and can be adjusted"
+LOOK = ", but not to be used before a look at "
 
 
 def manifest_of(mission) -> dict:
@@ -46,13 +45,13 @@ def test_all_corrected(baseline):
     rows = baseline.results().to_pandas()
     moved = np.hypot(rows["x_corrected_px"] - rows["x_px"], rows["y_corrected_px"] - rows["y_px"])
     text = verdict(manifest)
-    assert text.startswith("All 59 observations were corrected; refraction moves points by up to ")
-    assert f" on the ground, {moved.max():.2g} px in the image. " in text
+    assert text.startswith("All 59 observations were corrected by up to ")
+    assert f" on the ground, {moved.max():.2g} px in the image, " in text
     centimetres = float(text.split("up to ")[1].split(" cm on")[0])
     assert centimetres / 100.0 == pytest.approx(
         manifest["correction"]["shift_ground_m"]["maximum"], rel=0.05
     )
-    assert text.endswith(READY)
+    assert text.endswith(f"{READY}.")
     steps = next_steps(manifest)
     assert steps[-1] == (
         "Switch the refraction correction off in the adjustment program, where it has one: "
@@ -68,13 +67,13 @@ def test_some_flagged_and_none_corrected(mission, plain_report):
 
     with_heights(mission, no_first_two)
     _, text, steps = ran(mission, 3)
-    assert text.startswith("57 of 59 observations were corrected; ")
-    assert text.endswith(f"Ready for adjustment without the other 2 rows: {OFF}")
+    assert text.startswith("57 of 59 observations were corrected by up to ")
+    assert text.endswith(f"{READY} without the other 2 rows.")
     assert steps.startswith("Leave out 2 rows without new coordinates (2 no_ground);")
     with_heights(mission, lambda h: h + np.nan)
     _, text, steps = ran(mission, 3)
-    assert text.startswith("None of 59 observations could be corrected: 59 no_ground.")
-    assert "Ready" not in steps
+    assert text.startswith("None of 59 observations could be corrected: 59 no_ground")
+    assert "djust" not in steps
     assert "correct the mission file, run again" in steps
 
 
@@ -97,14 +96,14 @@ def test_air_that_was_not_measured(mission, baseline, plain_report):
         camera.pop("window", None)
     for role in ("pressure", "temperature", "humidity"):
         mission.config["log"]["channels"].pop(f"cabin_{role}")
-    _, text, steps = ran(mission, 0)
-    assert "The air was not measured: a standard stands for it." in text
-    assert text.endswith(READY)
+    manifest, text, steps = ran(mission, 0)
+    assert remarks(manifest) == ["The air was not measured: a standard stands for it."]
+    assert text.endswith(f"{READY}.")
     assert "To correct better, give the air" in steps
     manifest = copy.deepcopy(manifest_of(baseline))
     manifest["profile"]["basis"] = "climatology"
     manifest["uncertainty"]["scale_sigma"] = 0.0412
-    assert "a climatology stands for it, R is known to ± 4.1 %." in verdict(manifest)
+    assert "a climatology stands for it, R is known to ± 4.1 %." in remarks(manifest)[0]
 
 
 def test_a_correction_too_small_to_matter(baseline):
@@ -113,7 +112,7 @@ def test_a_correction_too_small_to_matter(baseline):
     for of in (manifest["correction"]["shift_px"], manifest["correction"]["shift_ground_m"]):
         of["maximum"] /= 30.0
     assert verdict(manifest).endswith(
-        "That is far below what can be measured in an image: not needed here."
+        " in the image, less than can be measured there: not needed here."
     )
     assert any("it makes no difference" in step for step in next_steps(manifest))
     manifest["correction"]["shift_px"]["count"] = 40
@@ -135,11 +134,11 @@ def test_the_cabin_is_in_it_from_two_percent_on(baseline, cabin, air, end):
     manifest = copy.deepcopy(manifest_of(baseline))
     manifest["cabin_sigma_share"]["median"] = cabin
     manifest["uncertainty"] = None if air is None else {"scale_sigma": air}
-    text = verdict(manifest)
+    assert "cabin" not in verdict(manifest)
     if end is None:
-        assert "cabin" not in text
+        assert remarks(manifest) == []
     else:
-        assert f"The air in the cabin is uncertain {end} Ready" in text
+        assert remarks(manifest) == [f"The air in the cabin is uncertain {end}"]
         assert (
             "The assumed errors of the cabin's sensors (3 hPa, 1 K) limit the result: if they are "
             "better, give sigma_pressure_hpa, sigma_temperature_k (cameras.nadir.window.cabin, "

@@ -162,7 +162,7 @@ def test_the_terminal_and_a_rehearsal_show_it(surveyed):
     assert "control points, intersected with the stations held" in rehearsed
     ended = surveyed.run()
     printed = " ".join(ended.out.split())
-    assert "27 control points: RMS distance 35 cm as measured, 0 mm corrected. Ready" in printed
+    assert "27 control points: RMS distance 35 cm as measured, 0 mm corrected." in printed
     for words in ("RMS of east/north/up", "100.0 % of what they missed", "p14", "rms of",
                   "more: manifest.json", "dU corr."):  # fmt: skip
         assert words in printed, printed

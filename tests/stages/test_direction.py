@@ -31,9 +31,9 @@ def test_what_was_removed_is_applied_again(baseline, mission, plain_report):
     ended = mission.run()
     assert ended.code == 0, ended.text
     printed = " ".join(ended.out.split())
-    assert "All 59 observations were displaced; refraction moves points by up to" in printed
-    assert "The coordinates now contain refraction: for simulations and tests." in printed
-    assert "Ready for adjustment" not in printed
+    assert "All 59 observations were displaced by up to" in printed
+    assert "for simulations and tests: they now contain refraction." in printed
+    assert "can be adjusted" not in printed
     found = mission.results()
     assert found.schema.metadata[b"unbend.refraction"] == b"applied"
     assert "x_corrected_px" not in found.column_names

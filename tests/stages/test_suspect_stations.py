@@ -78,7 +78,7 @@ def test_exposures_in_a_glitch_get_no_correction_and_the_run_ends_with_three(gli
         "Look at the 2 suspect stations (unbend stations MISSION --plot FILE): 1 exposures"
         in printed
     )
-    assert "Ready for adjustment" not in printed
+    assert "can be adjusted" not in printed
     stations = glitch.stations().to_pandas()
     suspect = stations["status"] == "suspect"
     assert suspect.sum() == 2

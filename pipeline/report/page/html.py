@@ -14,7 +14,7 @@ from markupsafe import Markup, escape
 from pipeline.report import summary, words
 from pipeline.report.flown import QUANTITIES, Flown, utc
 from pipeline.report.page.svg import Axes, arrows, field_arrows, light_png, map_axes
-from pipeline.report.verdict import is_applied, next_steps, verdict
+from pipeline.report.verdict import is_applied, next_steps, remarks, verdict
 from pipeline.units import round_step
 
 _MOST_CAMERAS = 8  # with figures of their own; the manifest has the others too
@@ -69,7 +69,7 @@ def environment() -> Environment:
     made.globals |= {
         "Axes": Axes, "arrows": arrows, "field_arrows": field_arrows, "map_axes": map_axes,
         "count": words.count, "round_step": round_step, "quantities": QUANTITIES,
-        "summary": summary, "is_applied": is_applied, "verdict": verdict, "next_steps": next_steps,
+        "summary": summary, "is_applied": is_applied, "verdict": verdict, "next_steps": next_steps, "remarks": remarks,
         "texts": tomllib.loads((_DATA / "report.toml").read_text("utf-8")),
         "style": Markup((_DATA / "report.css").read_text("utf-8")),
     }  # fmt: skip

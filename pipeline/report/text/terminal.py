@@ -11,7 +11,7 @@ from rich.padding import Padding
 
 from pipeline.report import summary
 from pipeline.report.text.console import plain_table, print_indented, print_labelled, shown
-from pipeline.report.verdict import flagged, next_steps, verdict
+from pipeline.report.verdict import flagged, next_steps, remarks, verdict
 from pipeline.report.words import count, shortened
 
 _COLOURS = {"finding": "red", "loss": "red", "warning": "yellow", "fallback": "cyan", "note": "dim"}
@@ -27,7 +27,7 @@ def print_run(
     console.print(f"[bold]{shown(name)}[/bold]")
     if repeated:
         console.print("  nothing to do: mission file, inputs and code are those of the last run")
-    print_indented(console, shown(verdict(manifest)))
+    print_indented(console, shown(" ".join([verdict(manifest), *remarks(manifest)])))
     table = plain_table(summary.CORRECTION_HEAD, gap=2)
     for row in summary.correction_rows(manifest):
         table.add_row(*(shown(cell) for cell in row))
