@@ -187,21 +187,31 @@ def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tupl
     """The stations, with a row for every image that was measured but never exposed in the log."""
     notes = []
     unknown = np.array(sorted(set(images) - set(stations.image.tolist())), dtype=object)
-    unused = int((~np.isin(stations.image.astype(str), np.array(images, dtype=str))).sum())
-    if unused:
-        notes.append(note("STATIONS-UNUSED", count=unused))
+    unused = stations.image[~np.isin(stations.image.astype(str), np.array(images, dtype=str))]
+    if unused.size:
+        names = _first_three(unused)
+        notes.append(note("STATIONS-UNUSED", count=unused.size, names=names))
     if unknown.size == 0:
         return stations, tuple(notes)
     near = proposal(unknown.tolist(), stations.image.tolist())
     what = (
         f"{unknown.size} images have observations but no exposure: {_first_three(unknown)}"
-        + (f"; exposures are called like '{stations.image[0]}'" if len(stations) else "")
+        + (
+            f"; exposures are called like {_nearest(unknown[0], stations.image)!r}"
+            * (len(stations) > 0)
+        )
         + (f"; {near}" if near else "")
     )
     notes.append(loss("IMAGES-UNMATCHED", what, where="events", count=int(unknown.size)))
     camera = np.full(unknown.shape, "", dtype=object)
     unmatched = empty_stations(unknown, camera, UNMATCHED)
     return join_stations([stations, unmatched]), tuple(notes)
+
+
+def _nearest(image: str, names: Names) -> str:
+    """Of a camera's names those that begin like an image: its neighbour in their order."""
+    ordered = np.sort(names.astype(str))
+    return str(ordered[max(int(np.searchsorted(ordered, image)) - 1, 0)])
 
 
 def _first_three(images: Names) -> str:

@@ -64,18 +64,19 @@ def correction_rows(manifest: Mapping[str, Any]) -> list[tuple[str, ...]]:
     correction = manifest["correction"]
     cameras = correction["cameras"]
     rows: list[tuple[str, ...]] = []
-    for key, label in (
-        ("shift_px", "shift in the image [px]"),
-        ("shift_ground_m", "shift on the ground"),
-        ("refraction_arcsec", "refraction of the air [arcsec]"),
-        ("window_arcsec", "refraction of the window [arcsec]"),
+    for key, label, unit in (
+        ("shift_px", "shift in the image", " [px]"),
+        ("shift_ground_m", "shift on the ground", ""),
+        ("refraction_arcsec", "refraction of the air", " [arcsec]"),
+        ("window_arcsec", "refraction of the window", " [arcsec]"),
     ):
         if key == "window_arcsec" and not correction[key]["maximum"]:
             continue
         for name, of_camera in (cameras if len(cameras) > 1 else {"": correction}).items():
             written = length if key == "shift_ground_m" else significant
             values = (written(of_camera[key][part]) for part in ("median", "p95", "maximum"))
-            rows.append((f"{label} {shortened(name, 20)}".rstrip(), *values))
+            of = f", {shortened(name, 20)}" if name else ""
+            rows.append((f"{label}{of}{unit}", *values))
     return rows
 
 

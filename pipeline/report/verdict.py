@@ -168,9 +168,8 @@ def _limits(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
     if cabin is not None and cabin > LARGEST_CABIN_SHARE:
         text = f"The air in the cabin is uncertain by {100.0 * cabin:.2g} % of R in the median"
         if air is not None:
-            text += f", the air outside by{sigma.replace(' ±', '')}"
-            if cabin > air["scale_sigma"]:
-                text += ": the cabin, not the air, limits the result"
+            more = ", more than" if cabin > air["scale_sigma"] else ","
+            text += f"{more} the air outside by{sigma.replace(' ±', '')}"
         limits.append((f"{text}.", cabin_step(manifest)))
     return limits
 

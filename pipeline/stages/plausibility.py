@@ -148,7 +148,7 @@ def causes_of_statuses(facts: Facts) -> dict[str, str]:
     column, of = facts.mission.ground.column, facts.mission.observations.columns
     height = f"column {column} is empty or no height there" if column else "no height is known"
     causes = {
-        "no_station": f"of their images {', '.join(lacks.values())}",
+        "no_station": f"their stations: {', '.join(lacks.values())}",
         "no_ground": f"{height} (ground.height)",
         "bad_measurement": f"{of.x_px} or {of.y_px} is empty or no number (observations.columns)",
         "outside_profile": "their rays leave the profile of the air (ground.height)",

@@ -43,7 +43,7 @@ _MOST_CAMERAS, _BATCH_ROWS, _MOST_BATCHES = 12, 250_000, 4
 # Other names of the columns, in small letters; what is found by them is guessed.
 _COLUMN_NAMES = {
     "image": ("image", "img", "image_name", "filename", "file", "photo", "picture"),
-    "point": ("point", "point_id", "pt", "id", "marker", "track", "point_name"),
+    "point": ("point", "point_id", "pt", "id", "marker", "track", "point_name", "tie", "tie_point"),
     "x_px": ("x_px", "x", "px", "u", "col", "column", "x_pixel"),
     "y_px": ("y_px", "y", "py", "v", "row", "line", "y_pixel"),
 }
@@ -319,7 +319,10 @@ def proposed_cameras(
         )
         channel = image = None
         if one is None and count == len(events):
-            channel = Proposed("channel", yaml_text(events[number].name))
+            remark = "guessed: a camera for each channel; name it by the camera that is fired" * (
+                count > 1
+            )
+            channel = Proposed("channel", yaml_text(events[number].name), remark)
         elif len(events) == count == 1 or (len(fits) == 1 and not rivals):
             channel = Proposed("channel", yaml_text(fits[0] if fits else events[0].name))
         elif events:
