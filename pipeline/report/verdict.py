@@ -168,8 +168,8 @@ def _limits(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
     if cabin is not None and cabin > LARGEST_CABIN_SHARE:
         text = f"The air in the cabin is uncertain by {100.0 * cabin:.2g} % of R in the median"
         if air is not None:
-            more = ", more than" if cabin > air["scale_sigma"] else ","
-            text += f"{more} the air outside by{sigma.replace(' ±', '')}"
+            text += f", the air outside by{sigma.replace(' ±', '')}"
+            text += " only" * (cabin > air["scale_sigma"])
         limits.append((f"{text}.", cabin_step(manifest)))
     return limits
 
@@ -191,6 +191,6 @@ def cabin_step(manifest: Mapping[str, Any]) -> str:
     if not assumed:
         return f"To correct better, know the air in the cabin better than stated: {keys}."
     return (
-        f"The assumed errors of the cabin's sensors ({', '.join(assumed.values())}) limit the "
-        f"result: if they are better, give {', '.join(assumed)} ({keys})."
+        f"The cabin's sensors are assumed to be good to {', '.join(assumed.values())}: if they are "
+        f"better, give {', '.join(assumed)} ({keys})."
     )

@@ -148,14 +148,14 @@ STEPS = [
 ]
 CORRECTION = [
     ["", "median", "95 %", "maximum"],
-    ["shift in the image [px] belly", "1.01", "1.02", "1.03"],
-    ["shift in the image [px] tail", "2.01", "2.02", "2.03"],
-    ["shift on the ground belly", "1.1 m", "1.1 m", "1.1 m"],
-    ["shift on the ground tail", "2.1 m", "2.1 m", "2.1 m"],
-    ["refraction of the air [arcsec] belly", "11.1", "11.2", "11.3"],
-    ["refraction of the air [arcsec] tail", "12.1", "12.2", "12.3"],
-    ["refraction of the window [arcsec] belly", "21.1", "21.2", "21.3"],
-    ["refraction of the window [arcsec] tail", "22.1", "22.2", "22.3"],
+    ["shift in the image, belly [px]", "1.01", "1.02", "1.03"],
+    ["shift in the image, tail [px]", "2.01", "2.02", "2.03"],
+    ["shift on the ground, belly", "1.1 m", "1.1 m", "1.1 m"],
+    ["shift on the ground, tail", "2.1 m", "2.1 m", "2.1 m"],
+    ["refraction of the air, belly [arcsec]", "11.1", "11.2", "11.3"],
+    ["refraction of the air, tail [arcsec]", "12.1", "12.2", "12.3"],
+    ["refraction of the window, belly [arcsec]", "21.1", "21.2", "21.3"],
+    ["refraction of the window, tail [arcsec]", "22.1", "22.2", "22.3"],
 ]
 AIR = (
     "Temperatures of HYGR[0] over 2345 m of height. At the height of the cameras the air is -6.7 K "
@@ -289,7 +289,7 @@ def test_every_number_of_the_terminal():
 def test_sentences_that_depend_on_the_air():
     stated = changed(basis="standard", reason="atmosphere.use is standard", windows=[])
     text = " ".join(" ".join(printed(print_run, "a", "b", stated, repeated=False)).split())
-    assert "arcsec] tail 22.1 22.2 22.3 atmosphere.use is standard. R at 45°" in text
+    assert "tail [arcsec] 22.1 22.2 22.3 atmosphere.use is standard. R at 45°" in text
 
 
 @pytest.mark.parametrize(("largest", "said"), [(0.0499, True), (0.0501, False)])

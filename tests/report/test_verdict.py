@@ -122,8 +122,7 @@ def test_a_correction_too_small_to_matter(baseline):
 @pytest.mark.parametrize(
     ("cabin", "air", "end"),
     [
-        (0.05, 0.012, "by 5 % of R in the median, the air outside by 1.2 %: the cabin, not the "
-         "air, limits the result."),
+        (0.05, 0.012, "by 5 % of R in the median, the air outside by 1.2 % only."),
         (0.021, 0.13, "by 2.1 % of R in the median, the air outside by 13 %."),
         (0.03, None, "by 3 % of R in the median."),
         (0.02, 0.01, None),
@@ -140,7 +139,7 @@ def test_the_cabin_is_in_it_from_two_percent_on(baseline, cabin, air, end):
     else:
         assert remarks(manifest) == [f"The air in the cabin is uncertain {end}"]
         assert (
-            "The assumed errors of the cabin's sensors (3 hPa, 1 K) limit the result: if they are "
+            "The cabin's sensors are assumed to be good to 3 hPa, 1 K: if they are "
             "better, give sigma_pressure_hpa, sigma_temperature_k (cameras.nadir.window.cabin, "
             "cameras.oblique.window.cabin)."
         ) in next_steps(manifest)
@@ -163,7 +162,7 @@ def test_the_cabin_is_to_be_measured_only_where_it_was_not(baseline):
         "sigma_pressure_hpa": 1.0, "sigma_temperature_k": None,
     }  # fmt: skip
     windows["oblique"]["shape"] = "spherical"
-    assert step().startswith("The assumed errors of the cabin's sensors (1 K) limit the result: ")
+    assert step().startswith("The cabin's sensors are assumed to be good to 1 K: ")
     assert step().endswith("give sigma_temperature_k (cameras.nadir.window.cabin).")
     stated["sigma_temperature_k"] = 0.5
     assert "better than stated" in step()
