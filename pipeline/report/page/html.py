@@ -69,7 +69,8 @@ def environment() -> Environment:
     made.globals |= {
         "Axes": Axes, "arrows": arrows, "field_arrows": field_arrows, "map_axes": map_axes,
         "count": words.count, "round_step": round_step, "quantities": QUANTITIES,
-        "summary": summary, "is_applied": is_applied, "verdict": verdict, "next_steps": next_steps, "remarks": remarks,
+        "summary": summary, "is_applied": is_applied, "verdict": verdict, "remarks": remarks,
+        "next_steps": next_steps,
         "texts": tomllib.loads((_DATA / "report.toml").read_text("utf-8")),
         "style": Markup((_DATA / "report.css").read_text("utf-8")),
     }  # fmt: skip
