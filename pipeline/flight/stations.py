@@ -193,25 +193,17 @@ def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tupl
         notes.append(note("STATIONS-UNUSED", count=unused.size, names=names))
     if unknown.size == 0:
         return stations, tuple(notes)
-    near = proposal(unknown.tolist(), stations.image.tolist())
-    what = (
-        f"{unknown.size} images have observations but no exposure: {_first_three(unknown)}"
-        + (
-            f"; exposures are called like {_nearest(unknown[0], stations.image)!r}"
-            * (len(stations) > 0)
-        )
-        + (f"; {near}" if near else "")
-    )
+    what = f"{unknown.size} images have observations but no exposure: {_first_three(unknown)}"
+    if len(stations):
+        ordered = np.sort(stations.image.astype(str))  # its neighbour there begins as it does
+        like = str(ordered[max(int(np.searchsorted(ordered, unknown[0])) - 1, 0)])
+        what += f"; exposures are called like {like!r}"
+    if near := proposal(unknown.tolist(), stations.image.tolist()):
+        what += f"; {near}"
     notes.append(loss("IMAGES-UNMATCHED", what, where="events", count=int(unknown.size)))
     camera = np.full(unknown.shape, "", dtype=object)
     unmatched = empty_stations(unknown, camera, UNMATCHED)
     return join_stations([stations, unmatched]), tuple(notes)
-
-
-def _nearest(image: str, names: Names) -> str:
-    """Of a camera's names those that begin like an image: its neighbour in their order."""
-    ordered = np.sort(names.astype(str))
-    return str(ordered[max(int(np.searchsorted(ordered, image)) - 1, 0)])
 
 
 def _first_three(images: Names) -> str:
