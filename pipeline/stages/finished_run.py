@@ -32,7 +32,6 @@ from pipeline.stages.exposure_setup import (
     windows_of_mission,
 )
 from pipeline.tables.exports import ExportCamera, FinishedRun
-from pipeline.tables.geodata.object_points import matching_rows
 from pipeline.units import Array, Integers, Names
 
 _MOST_CHECKED = 50_000
@@ -144,22 +143,20 @@ def parts_of(manifest: dict[str, Any], path: Path) -> tuple[Path, ...]:
     return tuple(path / name for name in names if name.startswith("observations/"))
 
 
-def ground_of(parts: tuple[Path, ...], stations: Stations, ledger: Ledger) -> Array:
+def ground_of(run: FinishedRun, ledger: Ledger) -> Array:
     """(s,) median ground height [m above sea level] of the observations of each image.
 
     An image without observations gets the median of the others (ledger: EXPORT-GROUND). Memory
     holds 16 bytes an observation.
     """
-    names = pa.array(stations.image, pa.string())
     rows, heights = [], []
-    for part in parts:
-        table = pq.read_table(part, columns=["image", "h_g_m"])
-        rows.append(matching_rows(table["image"].combine_chunks(), names))
+    for station, table in run.observations(["h_g_m"]):
+        rows.append(station)
         heights.append(table["h_g_m"].to_numpy())
     series = pd.Series(np.concatenate(heights)).dropna()
     by_station = series.groupby(np.concatenate(rows)[series.index]).median()
-    ground = np.array(by_station.reindex(range(len(stations))), dtype=np.float64)
-    empty = ~np.isfinite(ground) & stations.ok
+    ground = np.array(by_station.reindex(range(len(run.stations))), dtype=np.float64)
+    empty = ~np.isfinite(ground) & run.stations.ok
     if bool(empty.any()) and bool(np.isfinite(ground).any()):
         median = float(np.nanmedian(ground))
         ledger.fallback(
@@ -175,25 +172,19 @@ def check_reproduced(run: FinishedRun, path: Path) -> None:
     Computes up to 50,000 observations. They differ where the program has changed
     since, or where the folder does not hold all inputs of the correction.
     """
-    names = pa.array(run.stations.image, pa.string())
-    largest, total = 0.0, sum(pq.read_metadata(part).num_rows for part in run.parts)
-    for part in run.parts:
-        table = pq.read_table(part, columns=_CHECKED)
-        table = table.take(np.arange(0, table.num_rows, 1 + total // _MOST_CHECKED))
-        station = matching_rows(table["image"].combine_chunks(), names)
-        largest = max(largest, largest_difference_px(run, table, station))
+    parts = run.observations(_CHECKED, _MOST_CHECKED)
+    largest = max((largest_difference_px(run, t, station) for station, t in parts), default=0.0)
     if largest > _LARGEST_DIFFERENCE_PX:
         raise MissionError.of("EXPORT-NOT-REPRODUCED", path, largest=largest)
 
 
-_CHECKED = ["image", "x_px", "y_px", "x_corrected_px", "y_corrected_px", "zeta_c_rad", "h_g_m",
-            "status"]  # fmt: skip
+_CHECKED = ["x_px", "y_px", "x_corrected_px", "y_corrected_px", "zeta_c_rad", "h_g_m", "status"]
 
 
 def largest_difference_px(run: FinishedRun, table: pa.Table, station: Integers) -> float:
     """The largest difference between corrections in a table and those computed now [px]."""
     x, y, x_then, y_then, zeta, h_g = (
-        np.asarray(table[name].to_numpy(), dtype=np.float64) for name in _CHECKED[1:7]
+        np.asarray(table[name].to_numpy(), dtype=np.float64) for name in _CHECKED[:6]
     )
     x, y, x_then, y_then = map(run.pixels.to_colmap, (x, y, x_then, y_then))
     ok = np.asarray(pc.equal(table["status"], "ok").to_numpy()) & (zeta < _LARGEST_CHECKED_RAD)
@@ -243,9 +234,7 @@ def rebuild_run(
     table = pq.read_table(path / "stations.parquet")
     stations = stations_of(table)
     air = air_of(pq.read_table(path / "profile.parquet"), table["profile_id"])
-    parts = parts_of(manifest, path)
     windows = windows_of_mission(mission)
-    constant = None if ground_height_m is None else np.full(len(stations), ground_height_m)
     run = FinishedRun(
         mission.mission.name,
         stations,
@@ -265,9 +254,11 @@ def rebuild_run(
             for name, camera in cameras_of_mission(mission).items()
             for metric in (mission.cameras[name].metric,)
         },
-        ground_of(parts, stations, ledger) if constant is None else constant,
+        partial(ground_of, ledger=ledger)
+        if ground_height_m is None
+        else lambda run: np.full(len(run.stations), ground_height_m),
         mission.observations.pixels,
-        parts,
+        parts_of(manifest, path),
         {
             "unbend.mission": mission.mission.name,
             "unbend.fingerprint": manifest["fingerprint"],

@@ -27,7 +27,7 @@ from pipeline.tables.column_checks import (
 from pipeline.tables.delimited import csv_names, open_csv, scan_csv
 from pipeline.tables.geodata.object_points import ObjectPoints
 from pipeline.tables.imports.blocks import BLOCKS, block_rows
-from pipeline.tables.imports.blocks.image_points import rows_of_image
+from pipeline.tables.imports.blocks.image_points import of_points, rows_of_image
 from pipeline.tables.pixels import COLMAP, PixelSystem
 from pipeline.tables.refraction_mark import Direction, refuse_done
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
@@ -211,13 +211,12 @@ class Observations:
         """
 
         def of_hashes(records: pa.RecordBatch, first: int) -> NDArray[np.int64]:
-            names = _one_array(pa.chunked_array([records[self.columns["point"]]]))
-            rows = chosen(hashes_of(names.cast(pa.string())))
-            if not self.is_block or len(rows) == 0:
-                return rows
-            own = pc.starts_with(names, f"{records[self.columns['image']][0]}:")  # of no track
-            tied: NDArray[np.int64] = rows[~own.to_numpy(zero_copy_only=False)[rows]]
-            return tied
+            point = self.columns["point"]
+            if self.is_block:
+                tied = of_points(records, self.columns["image"], point)
+                return tied[chosen(hashes_of(records[point].take(tied)))] if tied.size else tied
+            names = _one_array(pa.chunked_array([records[point]]))
+            return chosen(hashes_of(names.cast(pa.string())))
 
         return self.selected(of_hashes, most_rows=most_rows)
 
@@ -354,8 +353,8 @@ def open_observations(
         rows, images, repeated = 0, set(), list[str]()
         for batch in records(1 << 20, [named["image"], named["point"]][: 1 + (kind in BLOCKS)]):
             rows += batch.num_rows
-            if kind in BLOCKS and pc.count_distinct(batch.column(1)).as_py() < batch.num_rows:
-                point = batch.column(1).to_pandas()
+            if kind in BLOCKS and (tied := of_points(batch, *batch.schema.names)).size:
+                point = batch.column(1).take(tied).to_pandas()
                 repeated += [f"{p} in {batch.column(0)[0]}" for p in point[point.duplicated()]]
             names = batch.column(0)
             if not pa.types.is_dictionary(names.type):

@@ -229,7 +229,7 @@ def exported(project: Project, name: str, folder: Path) -> Path:
     run = FinishedRun(
         "strasbourg", stations, Exposures(np.full(n, True), turn, lat, height, outside, outside),
         constant_series(TimedProfile(None, air), n), (rays_by(air, "spherical"),), "spherical",
-        {"aerial": camera}, np.full(n, 140.0), COLMAP, (part,), {},
+        {"aerial": camera}, lambda _: np.full(n, 140.0), COLMAP, (part,), {},
     )  # fmt: skip
     form = FORMATS[name]
     out = folder / f"block{form.ending}"

@@ -15,9 +15,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from pipeline.block.calibration_fit import (
     CORRECTIONS,
@@ -46,7 +44,6 @@ from pipeline.tables.exports.format import (
 )
 from pipeline.tables.exports.lattice import lattice_parts
 from pipeline.tables.exports.radial import flying_heights
-from pipeline.tables.geodata.object_points import matching_rows
 from pipeline.units import Array, Integers, Mask
 
 _FLAGGED, _REFUSED, _NOTHING_PX = 0.1, 0.5, 0.02
@@ -133,17 +130,13 @@ def observed_corrections(run: FinishedRun) -> Array:
 
     Rows: station, measured x and y, corrected x and y, nadir angle [rad], height of the point [m].
     """
-    names = pa.array(run.stations.image, pa.string())
-    every = 1 + sum(pq.read_metadata(part).num_rows for part in run.parts) // _MOST_ROWS
     pixels = ["x_px", "y_px", "x_corrected_px", "y_corrected_px"]
     parts = [np.empty((7, 0))]
-    for part in run.parts:
-        table = pq.read_table(part, columns=["image", *pixels, "zeta_c_rad", "h_g_m", "status"])
-        table = table.take(np.arange(0, table.num_rows, every))
-        table = table.filter(pc.equal(table["status"], "ok"))
-        station = matching_rows(table["image"].combine_chunks(), names)
+    columns = [*pixels, "zeta_c_rad", "h_g_m", "status"]
+    for station, table in run.observations(columns, _MOST_ROWS):
         points = [run.pixels.to_colmap(table[name].to_numpy()) for name in pixels]
-        parts.append(np.stack([station, *points, table["zeta_c_rad"], table["h_g_m"]]))
+        rows = np.stack([station, *points, table["zeta_c_rad"], table["h_g_m"]])
+        parts.append(rows[:, pc.equal(table["status"], "ok").to_numpy()])
     return np.concatenate(parts, axis=1)
 
 

@@ -1,8 +1,8 @@
 """What an export format is: its name, its options, what it is given, and what it writes."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Exposures
 from pipeline.refraction.ray import PublishedRays
 from pipeline.refraction.ray_table import RayTable
+from pipeline.tables.geodata.object_points import matching_rows
 from pipeline.tables.pixels import PixelSystem
 from pipeline.tables.writing import parquet_settings
 from pipeline.units import Array, Integers
@@ -42,11 +43,10 @@ class ExportCamera:
 class FinishedRun:
     """A finished run as an exporter sees it, rebuilt from its folder.
 
-    ``ground_m`` (s,) is the ground that images are computed for, above sea level [m], NaN where
-    there is none. ``exposures`` has the rows of ``stations``. ``parts`` are the Parquet files of
-    the observations, in order, with coordinates in the system ``pixels``; ``metadata`` goes into
-    every file that is written. ``rays`` are those of the profiles of ``air``; ``database``
-    finds COLMAP's, of which the observations are the keypoints, and reads all of it.
+    ``exposures`` has the rows of ``stations``. ``parts`` are the Parquet files of the observations,
+    in order, with coordinates in the system ``pixels``; ``metadata`` goes into every file that is
+    written. ``rays`` are those of the profiles of ``air``. ``find_ground`` reads heights of all
+    observations; ``database`` finds COLMAP's, of which they are the keypoints, and reads all of it.
     """
 
     mission: str
@@ -56,7 +56,7 @@ class FinishedRun:
     rays: tuple[RayTable | PublishedRays, ...]
     method: str
     cameras: Mapping[str, ExportCamera]
-    ground_m: Array
+    find_ground: Callable[["FinishedRun"], Array]
     pixels: PixelSystem
     parts: tuple[Path, ...]
     metadata: Mapping[str, str]
@@ -66,6 +66,31 @@ class FinishedRun:
         """(n,) the stations of a camera that can be used, in the order of the table."""
         usable = (self.stations.camera == camera) & self.exposures.usable
         return np.flatnonzero(usable).astype(np.int64)
+
+    @cached_property
+    def ground_m(self) -> Array:
+        """(s,) ground that images are computed for, above sea level [m], NaN where there is none.
+
+        Only formats that need it ask for it.
+        """
+        return self.find_ground(self)
+
+    def observations(
+        self, columns: Sequence[str], most_rows: int | None = None
+    ) -> Iterator[tuple[Integers, pa.Table]]:
+        """Part by part the stations of the observations (n,), -1 for none, and some columns.
+
+        Of all, or of some ``most_rows`` that are spread over them.
+        """
+        names, texts = pa.array(self.stations.image, pa.string()), ["image", "status"]
+        total = sum(pq.read_metadata(part).num_rows for part in self.parts) if most_rows else 0
+        every = 1 + total // (most_rows or 1)
+        for part in self.parts:
+            with pq.ParquetFile(part, read_dictionary=texts) as file:
+                table = file.read(["image", *columns], use_threads=False)
+            if every > 1:
+                table = table.take(np.arange(0, table.num_rows, every))
+            yield matching_rows(table["image"].combine_chunks(), names), table.select(columns)
 
 
 @dataclass(frozen=True)

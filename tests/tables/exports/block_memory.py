@@ -62,7 +62,8 @@ def write(name: str, rows: int, folder: Path) -> None:
         "block", stations,
         Exposures(np.full(n, True), down, stations.lat_rad, stations.h_msl_m, outside, outside),
         constant_series(TimedProfile(None, air), n), (rays_by(air, "spherical"),), "spherical",
-        {"nadir": ExportCamera(CAMERA, False, 0.004)}, np.zeros(n), COLMAP, tuple(parts), {},
+        {"nadir": ExportCamera(CAMERA, False, 0.004)}, lambda _: np.zeros(n), COLMAP,
+        tuple(parts), {},
     )  # fmt: skip
     form = FORMATS[name]
     out = folder / f"out{form.ending}"

@@ -127,7 +127,8 @@ class Block:
             "block", stations, exposures, constant_series(TimedProfile(None, air), n),
             (rays_by(air, "spherical"),), "spherical",
             {"nadir": ExportCamera(NADIR, False, 0.005), "side": ExportCamera(SIDE, False)},
-            np.full(n, GROUND), PixelSystem("centre"), self.parts, {"unbend.mission": "block"},
+            lambda _: np.full(n, GROUND), PixelSystem("centre"), self.parts,
+            {"unbend.mission": "block"},
         )  # fmt: skip
         return replace(run, **changes)
 

@@ -61,7 +61,7 @@ def run() -> FinishedRun:
         rays=tuple(rays_by(profile, "spherical") for profile in PROFILES),
         method="spherical",
         cameras={"nadir": ExportCamera(NADIR, False), "side": ExportCamera(SIDE, True)},
-        ground_m=np.full(5, GROUND),
+        find_ground=lambda _: np.full(5, GROUND),
         pixels=PixelSystem("centre"),
         parts=(),
         metadata={"unbend.mission": "small"},
@@ -140,7 +140,7 @@ def test_csv_has_what_parquet_has(run, tmp_path, name):
 
 
 def test_images_without_ground_have_a_lattice_without_corrections(run, tmp_path):
-    blind = replace(run, ground_m=np.array([GROUND, np.nan, GROUND, np.nan, GROUND]))
+    blind = replace(run, find_ground=lambda _: np.array([GROUND, np.nan, GROUND, np.nan, GROUND]))
     rows, ledger = written(blind, "lattice", tmp_path, columns=2, rows=2)
     empty = {row["image"] for row in rows if row["dx_px"] is None and row["status"] == "no_ground"}
     assert empty == {"b, 2.tif", "d"}
@@ -193,7 +193,7 @@ def test_the_radius_of_a_radial_table_is_the_mean_one_of_the_latitude(run, tmp_p
 
 
 def test_images_below_ground_are_in_no_radial_table(run, tmp_path):
-    low = replace(run, ground_m=np.array([GROUND, 3500.0, GROUND, np.nan, GROUND]))
+    low = replace(run, find_ground=lambda _: np.array([GROUND, 3500.0, GROUND, np.nan, GROUND]))
     rows, ledger = written(low, "radial", tmp_path)
     assert {(row["camera"], row["images"]) for row in rows} == {("nadir", 2)}
     left_out = [(e.where, e.count) for e in ledger if e.code == "EXPORT-LEFT-OUT"]

@@ -69,7 +69,8 @@ def run() -> FinishedRun:
         "<survey>", stations,
         Exposures(usable, np.array(TURNS), stations.lat_rad, stations.h_msl_m, outside, outside),
         constant_series(TimedProfile(None, air), n), (rays_by(air, "spherical"),), "spherical",
-        {"nadir": ExportCamera(CAMERA, False)}, np.full(n, GROUND), PixelSystem("corner"), (), {},
+        {"nadir": ExportCamera(CAMERA, False)}, lambda _: np.full(n, GROUND),
+        PixelSystem("corner"), (), {},
     )  # fmt: skip
 
 
@@ -136,7 +137,7 @@ def test_heights_that_are_not_known(run, tmp_path):
     n = len(NAMES)
     at = replace(run.stations, h_ellipsoid_m=np.full(n, np.nan))
     path, count, ledger = written(
-        replace(run, stations=at, ground_m=np.full(n, np.nan)), "geojson", tmp_path
+        replace(run, stations=at, find_ground=lambda _: np.full(n, np.nan)), "geojson", tmp_path
     )
     features = json.loads(path.read_text())["features"]
     assert count == 4

@@ -36,7 +36,7 @@ _LARGEST_ROUNDING_PX = 0.0005
 
 def write_database(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
     """The database of a block; the number of keypoints."""
-    block = block_of(run, ledger)
+    block = block_of(run, ledger, intersect=False)
     note_cameras(block, ledger)
     tables = rows_of_tables(block)
     unknown = int(np.isnan(block.frame.covariance_m2).any(axis=(1, 2)).sum())
@@ -125,7 +125,8 @@ def copied_rows(block: ExportedBlock, source: Path) -> Iterator[tuple[Any, ...]]
     places = {}
     for i, image in enumerate(block.image):
         own = block.name.take(pa.array(block.point[block.of_image(i)]))
-        index = pc.utf8_slice_codeunits(own, len(image) + 1).cast(pa.int64()).to_numpy()
+        index = pc.binary_replace_slice(own, 0, len(f"{image}:".encode()), "")
+        index = index.cast(pa.int64()).to_numpy()
         place = np.full(index.max(initial=0) + 2, -1)  # of the last, and beyond, there is none
         place[index] = np.arange(index.size)
         places[image] = i + 1, place
@@ -141,14 +142,14 @@ def copied_rows(block: ExportedBlock, source: Path) -> Iterator[tuple[Any, ...]]
                 if not places.keys() >= set(names):
                     continue
                 given = np.frombuffer(blob, "<u4").reshape(rows, 2)
-                found = sorted(
-                    (number, k, place[np.minimum(given[:, k], place.size - 1)])
+                (first, _, low), (second, _, high) = sorted(
+                    (number, k, place.take(given[:, k], mode="clip"))
                     for k, (number, place) in enumerate(places[name] for name in names)
                 )
-                both = np.stack([place for _, _, place in found], axis=1)
-                both = both[(both >= 0).all(axis=1)].astype("<u4")
+                both = np.array([low, high])
+                both = both[:, both.min(axis=0) >= 0].T.astype("<u4")
                 if len(both):
-                    pair = found[0][0] * _MOST_IMAGES + found[1][0]
+                    pair = first * _MOST_IMAGES + second
                     yield table, pair, len(both), both.tobytes(), *config
 
 

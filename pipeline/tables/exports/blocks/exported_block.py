@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from pipeline.block.image_rays import MINIMUM_ANGLE_RAD
 from pipeline.errors import MissionError
@@ -22,7 +21,6 @@ from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import straight_reach
 from pipeline.tables.exports.footprints import OneFrame, placed_stations, stations_in_one_frame
 from pipeline.tables.exports.format import FinishedRun
-from pipeline.tables.geodata.object_points import matching_rows
 from pipeline.units import Array, Integers, Mask, Names
 
 _COLUMNS = ["image", "point", "x_corrected_px", "y_corrected_px", "h_g_m", "status"]
@@ -37,7 +35,7 @@ class ExportedBlock:
     image; those of an image stand in the order of the run. ``x_px``, ``y_px`` (r,) are free of
     refraction, in COLMAP's pixels; ``point`` (r,) numbers the points, of which those that were
     measured in ``count`` > 1 images come first: of these ``point_m`` (t, 3) is where their rays
-    meet, or end on the ground.
+    meet, or end on the ground, where a format has object points.
     """
 
     cameras: dict[str, Camera]
@@ -91,8 +89,10 @@ def refuse_names(names: Iterable[str], pattern: str, program: str) -> None:
         )
 
 
-def block_of(run: FinishedRun, ledger: Ledger) -> ExportedBlock:
+def block_of(run: FinishedRun, ledger: Ledger, *, intersect: bool = True) -> ExportedBlock:
     """The block of a run, in one pass over its parts; memory holds some 70 bytes an observation.
+
+    The object points are left out where the format has none (``intersect``).
 
     Left out as losses (EXPORT-LEFT-OUT) are images without a usable station, and observations of
     them, of another status than ok, and of a point a second time in its image. Refuses
@@ -115,7 +115,7 @@ def block_of(run: FinishedRun, ledger: Ledger) -> ExportedBlock:
             remedy=f"give it under cameras.{camera} and run again",
         )  # fmt: skip
     frame = stations_in_one_frame(run, rows)
-    table, names = read_image_points(run, stations.image[rows], ledger)
+    table, names = read_image_points(run, rows, ledger)
     image, point, x, y, h_g = (column.to_numpy() for column in table.columns)
     count = np.bincount(point, minlength=len(names))
     order = np.argsort(count < 2, kind="stable")
@@ -132,11 +132,13 @@ def block_of(run: FinishedRun, ledger: Ledger) -> ExportedBlock:
         y_px=run.pixels.to_colmap(y),
         name=names.take(pa.array(order)),
         count=count[order],
-        point_m=np.empty((int(np.sum(count > 1)), 3)),
+        point_m=np.empty((int(np.sum(count > 1)) if intersect else 0, 3)),
     )
     up = enu_from_ecef(stations.lat_rad[rows], stations.lon_rad[rows])[:, 2]
     up = up @ frame.enu_from_ecef.T
-    block.point_m[:], met = intersected_points(block, up, stations.h_msl_m[rows], h_g)
+    met = np.ones(1, bool)
+    if intersect:
+        block.point_m[:], met = intersected_points(block, up, stations.h_msl_m[rows], h_g)
     if not met.all():
         what = (
             f"the rays of {np.sum(~met)} points do not meet at 3 degrees or more: these points are "
@@ -159,34 +161,38 @@ def block_of(run: FinishedRun, ledger: Ledger) -> ExportedBlock:
 
 
 def read_image_points(
-    run: FinishedRun, images: Names, ledger: Ledger
+    run: FinishedRun, images: Integers, ledger: Ledger
 ) -> tuple[pa.Table, pa.StringArray]:
     """Number of the image and of the point, x, y and height of the ground, sorted by image.
 
-    And the names of the points. Of a point that is twice in an image the first row is kept.
+    ``images`` are the stations of the images. And the names of the points: of one that is twice in
+    an image the first row is kept.
     """
-    known, total = pa.array(images, pa.string()), 0
-    kinds = [pa.int32(), pa.dictionary(pa.int32(), pa.string()), *[pa.float64()] * 3]
+    number, total = np.full(len(run.stations) + 1, -1, np.int32), 0
+    number[images] = np.arange(images.size)
+    kinds = [pa.int32(), pa.string(), *[pa.float64()] * 3]
     schema = pa.schema(list(zip(_COLUMNS[:5], kinds, strict=True)))
     tables = [schema.empty_table()]
-    for path in run.parts:
-        table = pq.read_table(path, columns=_COLUMNS, use_threads=False)
+    for station, table in run.observations(_COLUMNS[1:]):
         total += table.num_rows
-        image = pa.array(matching_rows(table["image"].combine_chunks(), known), pa.int32())
+        image = pa.array(number[station])
         good = pc.and_(pc.equal(table["status"], "ok"), table["point"].is_valid())
-        table = table.set_column(0, "image", image).filter(pc.and_(good, pc.greater(image, -1)))
-        columns = [table[0], table[1].dictionary_encode(), *table.columns[2:5]]
-        tables.append(pa.table(columns, schema=schema))
+        table = table.set_column(4, "image", image).filter(pc.and_(good, pc.greater(image, -1)))
+        tables.append(table.select([4, 0, 1, 2, 3]).cast(schema))
     pool = pa.default_memory_pool()
     pool.release_unused()  # which it keeps else, as much as the block takes
-    table = pa.concat_tables(tables).unify_dictionaries()
+    table = pa.concat_tables(tables)
     tables.clear()
+    table = table.set_column(1, "point", table["point"].dictionary_encode())
     pool.release_unused()
     table = table.combine_chunks()
     coded = table["point"].chunk(0)
     table = table.set_column(1, "point", coded.indices)
     image, point = table["image"].to_numpy(), table["point"].to_numpy()
-    _, kept = np.unique(image * np.int64(len(coded.dictionary)) + point, return_index=True)
+    _, first = np.unique(image * np.int64(len(coded.dictionary)) + point, return_index=True)
+    is_first = np.zeros(image.size, bool)
+    is_first[first] = True
+    kept = np.flatnonzero(is_first)
     if kept.size < total:
         what = (
             f"{total - kept.size} of {total} observations are left out: {total - image.size} are "
@@ -194,7 +200,6 @@ def read_image_points(
             f"{image.size - kept.size} are of a point that was measured before in the image"
         )
         ledger.loss("EXPORT-LEFT-OUT", what, where="observations", count=total - kept.size)
-    kept.sort()
     return table.take(kept[np.argsort(image[kept], kind="stable")]), coded.dictionary
 
 

@@ -85,9 +85,9 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
                                     f" and not {rows} rows of {columns} float32")  # fmt: skip
             if rows:
                 yield rows_of_image(name, np.frombuffer(blob, "<f4").reshape(rows, -1)[:, :2])
-        pairs = database.execute("SELECT COUNT(*) FROM matches").fetchone()[0]
-    if count == 0:
-        raise InputError.of("OBS-EMPTY", path, pairs=pairs)
+        if count == 0:
+            pairs = database.execute("SELECT COUNT(*) FROM matches").fetchone()[0]
+            raise InputError.of("OBS-EMPTY", path, pairs=pairs)
 
 
 def read_points(path: Path) -> tuple[pa.StringArray, Array]:

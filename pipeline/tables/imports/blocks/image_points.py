@@ -46,7 +46,7 @@ def rows_of_image(
     index = pa.array(np.arange(x.size) if keypoint is None else np.asarray(keypoint, np.int64))
     names = pa.repeat(pa.scalar(image, pa.string()), x.size)
     if point is None or isinstance(point, np.ndarray):
-        own = pc.binary_join_element_wise(names, index.cast(pa.string()), ":")
+        own = pc.binary_replace_slice(index.cast(pa.string()), 0, 0, f"{image}:")
         number = pa.array([] if point is None else point, pa.int64())
         placed = pc.greater_equal(number, 0)
         point = own if point is None else pc.if_else(placed, number.cast(pa.string()), own)
@@ -71,6 +71,13 @@ def oriented_images(
         {},
         frame=frame,
     )
+
+
+def of_points(rows: pa.RecordBatch, image: str, point: str) -> Integers:
+    """(k,) the rows, all of one image, that belong to a point; ``image``, ``point`` are columns."""
+    names = rows[point].cast(pa.string())
+    own = pc.starts_with(names, f"{rows[image][0]}:") if len(rows) else names.is_null()
+    return np.flatnonzero(~own.fill_null(False).to_numpy(zero_copy_only=False))
 
 
 class TextFile:
