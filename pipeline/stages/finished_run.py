@@ -137,18 +137,14 @@ def profile_of(table: pa.Table) -> Profile:
     return Profile(layers, gravity, index, name, float(metadata["unbend.constant_k_per_m"]))
 
 
-def parts_of(manifest: dict[str, Any], path: Path) -> tuple[Path, ...]:
-    """The files of a run's observations, in order."""
-    names = sorted(str(item["name"]) for item in manifest["outputs"])
-    return tuple(path / name for name in names if name.startswith("observations/"))
-
-
-def ground_of(run: FinishedRun, ledger: Ledger) -> Array:
-    """(s,) median ground height [m above sea level] of the observations of each image.
+def ground_of(run: FinishedRun, constant_m: float | None, ledger: Ledger) -> Array:
+    """(s,) median ground height [m above sea level] of the observations of each image, or constant.
 
     An image without observations gets the median of the others (ledger: EXPORT-GROUND). Memory
     holds 16 bytes an observation.
     """
+    if constant_m is not None:
+        return np.full(len(run.stations), constant_m)
     rows, heights = [], []
     for station, table in run.observations(["h_g_m"]):
         rows.append(station)
@@ -235,6 +231,7 @@ def rebuild_run(
     stations = stations_of(table)
     air = air_of(pq.read_table(path / "profile.parquet"), table["profile_id"])
     windows = windows_of_mission(mission)
+    outputs = sorted(str(item["name"]) for item in manifest["outputs"])
     run = FinishedRun(
         mission.mission.name,
         stations,
@@ -254,11 +251,9 @@ def rebuild_run(
             for name, camera in cameras_of_mission(mission).items()
             for metric in (mission.cameras[name].metric,)
         },
-        partial(ground_of, ledger=ledger)
-        if ground_height_m is None
-        else lambda run: np.full(len(run.stations), ground_height_m),
+        partial(ground_of, constant_m=ground_height_m, ledger=ledger),
         mission.observations.pixels,
-        parts_of(manifest, path),
+        tuple(path / name for name in outputs if name.startswith("observations/")),
         {
             "unbend.mission": mission.mission.name,
             "unbend.fingerprint": manifest["fingerprint"],

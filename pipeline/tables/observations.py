@@ -212,11 +212,10 @@ class Observations:
 
         def of_hashes(records: pa.RecordBatch, first: int) -> NDArray[np.int64]:
             point = self.columns["point"]
-            if self.is_block:
-                tied = of_points(records, self.columns["image"], point)
-                return tied[chosen(hashes_of(records[point].take(tied)))] if tied.size else tied
-            names = _one_array(pa.chunked_array([records[point]]))
-            return chosen(hashes_of(names.cast(pa.string())))
+            if not self.is_block:
+                return chosen(hashes_of(records[point].cast(pa.string())))
+            tied = of_points(records, self.columns["image"], point)
+            return tied[chosen(hashes_of(records[point].take(tied)))] if tied.size else tied
 
         return self.selected(of_hashes, most_rows=most_rows)
 
@@ -253,7 +252,11 @@ class Observations:
 
     def _batch(self, table: pa.Table, users: Mapping[str, str]) -> Batch:
         """A slice of the table; ``users`` names the user's columns of it."""
-        arrays = {name: _one_array(table[name]) for name in table.column_names}
+        arrays = {}
+        for name, column in zip(table.column_names, table.columns, strict=True):
+            if pa.types.is_dictionary(column.type):
+                column = column.cast(column.type.value_type)
+            arrays[name] = column.combine_chunks()
         x, y = _as_float(arrays[self.columns["x_px"]]), _as_float(arrays[self.columns["y_px"]])
         distance, no_distance, sigma, no_sigma = None, 0, None, 0
         unread = pa.nulls(table.num_rows)
@@ -475,16 +478,6 @@ def _slices(batches: Iterator[pa.RecordBatch], rows: int) -> Iterator[pa.Table]:
                 waiting, count = [], 0
     if waiting:
         yield pa.Table.from_batches(waiting)
-
-
-def _one_array(column: pa.ChunkedArray) -> pa.Array:
-    """One contiguous array, dictionaries decoded."""
-    if pa.types.is_dictionary(column.type):
-        column = column.cast(column.type.value_type)
-    combined = column.combine_chunks()
-    if isinstance(combined, pa.ChunkedArray):
-        return combined.chunk(0) if combined.num_chunks else pa.array([], combined.type)
-    return combined
 
 
 def _as_float(column: pa.Array) -> Array:

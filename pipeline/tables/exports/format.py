@@ -45,7 +45,7 @@ class FinishedRun:
 
     ``exposures`` has the rows of ``stations``. ``parts`` are the Parquet files of the observations,
     in order, with coordinates in the system ``pixels``; ``metadata`` goes into every file that is
-    written. ``rays`` are those of the profiles of ``air``. ``find_ground`` reads heights of all
+    written. ``rays`` are those of ``air``'s profiles. ``find_ground`` reads heights of all
     observations; ``database`` finds COLMAP's, of which they are the keypoints, and reads all of it.
     """
 
@@ -69,27 +69,19 @@ class FinishedRun:
 
     @cached_property
     def ground_m(self) -> Array:
-        """(s,) ground that images are computed for, above sea level [m], NaN where there is none.
-
-        Only formats that need it ask for it.
-        """
+        """(s,) ground that images are computed for, above sea level [m], NaN where none is."""
         return self.find_ground(self)
 
     def observations(
         self, columns: Sequence[str], most_rows: int | None = None
     ) -> Iterator[tuple[Integers, pa.Table]]:
-        """Part by part the stations of the observations (n,), -1 for none, and some columns.
-
-        Of all, or of some ``most_rows`` that are spread over them.
-        """
-        names, texts = pa.array(self.stations.image, pa.string()), ["image", "status"]
-        total = sum(pq.read_metadata(part).num_rows for part in self.parts) if most_rows else 0
-        every = 1 + total // (most_rows or 1)
+        """Stations (n,), -1 for none, and columns of all observations or ``most_rows``: parts."""
+        names, every = pa.array(self.stations.image, pa.string()), 1
+        if most_rows is not None:
+            every += sum(pq.read_metadata(part).num_rows for part in self.parts) // most_rows
         for part in self.parts:
-            with pq.ParquetFile(part, read_dictionary=texts) as file:
-                table = file.read(["image", *columns], use_threads=False)
-            if every > 1:
-                table = table.take(np.arange(0, table.num_rows, every))
+            with pq.ParquetFile(part, read_dictionary=["image", "status"]) as file:
+                table = file.read(["image", *columns], use_threads=False)[::every]
             yield matching_rows(table["image"].combine_chunks(), names), table.select(columns)
 
 

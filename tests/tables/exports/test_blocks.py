@@ -360,6 +360,21 @@ def test_a_database_adjusts_with_its_priors(block, tmp_path):
     np.testing.assert_allclose(found, centres, atol=2e-3)
 
 
+@pytest.mark.parametrize("missing", ["images", "matches", "two_view_geometries"])
+def test_a_database_without_a_table_of_matches_is_refused(block, tmp_path, missing):
+    source = tmp_path / "source.db"
+    pycolmap.Database.open(source).close()
+    with closing(sqlite3.connect(source)) as database, database:
+        database.execute(f"DROP TABLE {missing}")
+    alone = [(i, f"{i}:{k}", *rest) for k, (i, _, *rest) in enumerate(block.rows)]
+    pq.write_table(table_of(alone), tmp_path / "alone.parquet")
+    run = block.run(parts=(tmp_path / "alone.parquet",), database=lambda: source)
+    with pytest.raises(InputError, match="IMPORT-FORMAT") as refused:
+        written(run, "colmap-database", tmp_path)
+    assert refused.value.where == str(source)
+    assert f"no such table: {missing}" in refused.value.what
+
+
 def test_priors_without_sigma_and_wide_images(block, tmp_path):
     run = block.run()
     n = len(block.image)

@@ -57,7 +57,7 @@ def short_names(names: Sequence[str], kind: str) -> list[str]:
 
 def write_bingo(run: FinishedRun, values: Values, folder: Path, ledger: Ledger) -> int:
     """image.dat, and names.csv where names were changed."""
-    block = block_of(run, ledger)
+    block = block_of(run, ledger, intersect=False)
     given = {"image": [*block.image], "camera": [*block.cameras], "point": block.name.to_pylist()}
     short = {kind: short_names(names, kind) for kind, names in given.items()}
     sizes = [pixel_mm(run, name, values) for name in block.cameras]

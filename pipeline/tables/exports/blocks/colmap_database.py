@@ -24,6 +24,7 @@ from pipeline.ledger import Ledger
 from pipeline.tables.exports.blocks.colmap_model import MODEL_IDS, USE, colmap_camera, note_cameras
 from pipeline.tables.exports.blocks.exported_block import ExportedBlock, block_of
 from pipeline.tables.exports.format import ExportFormat, FinishedRun, Values
+from pipeline.tables.imports.blocks import damage_refused
 from pipeline.tables.imports.blocks.colmap import opened
 from pipeline.tables.imports.stated import not_of_format
 from pipeline.tables.refraction_mark import MARK_TABLE, REFRACTION_KEY, REFRACTION_REMOVED
@@ -41,17 +42,13 @@ def write_database(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> i
     tables = rows_of_tables(block)
     unknown = int(np.isnan(block.frame.covariance_m2).any(axis=(1, 2)).sum())
     if unknown:
-        what = (
-            f"{unknown} stations have no sigma of their position: their pose priors have no "
-            "covariance, and COLMAP takes the one it is called with"
-        )
+        what = f"{unknown} stations have no sigma of their position: their pose priors have no "
+        what += "covariance, and COLMAP takes the one it is called with"
         ledger.fallback("EXPORT-NO-SIGMA", what, where="stations.parquet", count=unknown)
     rounding = max(np.abs(c - c.astype("<f4")).max(initial=0.0) for c in (block.x_px, block.y_px))
     if rounding > _LARGEST_ROUNDING_PX:
-        what = (
-            f"keypoints of a database are 32-bit numbers: up to {rounding:.4f} px are lost; the "
-            "model (--format colmap) loses nothing"
-        )
+        what = f"keypoints of a database are 32-bit numbers: up to {rounding:.4f} px are lost; the "
+        what += "model (--format colmap) loses nothing"
         ledger.warning("EXPORT-ROUNDED", what, where="keypoints")
     schema = resources.files("pipeline.tables.exports.blocks").joinpath("colmap_4_2.sql")
     with closing(sqlite3.connect(path)) as database:
@@ -120,7 +117,7 @@ def copied_rows(block: ExportedBlock, source: Path) -> Iterator[tuple[Any, ...]]
 
     Its keypoints are the points ``image:index``. Matches of those that are left out are left out;
     of the geometries the configuration is kept, and not the matrices, which are of bent rays.
-    Refuses (InputError IMPORT-FORMAT) matches that are cut short.
+    Refuses (InputError IMPORT-FORMAT) a database without these tables, and matches cut short.
     """
     places = {}
     for i, image in enumerate(block.image):
@@ -130,7 +127,7 @@ def copied_rows(block: ExportedBlock, source: Path) -> Iterator[tuple[Any, ...]]
         place = np.full(index.max(initial=0) + 2, -1)  # of the last, and beyond, there is none
         place[index] = np.arange(index.size)
         places[image] = i + 1, place
-    with closing(opened(source)) as database:
+    with damage_refused(source, "colmap"), closing(opened(source)) as database:
         images = dict(database.execute("SELECT image_id, name FROM images"))
         for table, more in (("matches", ""), ("two_view_geometries", ", config")):
             query = f"SELECT pair_id, rows, cols, data{more} FROM {table} WHERE rows > 0"

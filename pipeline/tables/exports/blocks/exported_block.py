@@ -92,8 +92,7 @@ def refuse_names(names: Iterable[str], pattern: str, program: str) -> None:
 def block_of(run: FinishedRun, ledger: Ledger, *, intersect: bool = True) -> ExportedBlock:
     """The block of a run, in one pass over its parts; memory holds some 70 bytes an observation.
 
-    The object points are left out where the format has none (``intersect``).
-
+    Without object points where the format has none (``intersect``).
     Left out as losses (EXPORT-LEFT-OUT) are images without a usable station, and observations of
     them, of another status than ok, and of a point a second time in its image. Refuses
     (MissionError) a run of which no station is placed (EXPORT-NO-STATIONS), and a camera that it
@@ -134,17 +133,16 @@ def block_of(run: FinishedRun, ledger: Ledger, *, intersect: bool = True) -> Exp
         count=count[order],
         point_m=np.empty((int(np.sum(count > 1)) if intersect else 0, 3)),
     )
-    up = enu_from_ecef(stations.lat_rad[rows], stations.lon_rad[rows])[:, 2]
-    up = up @ frame.enu_from_ecef.T
-    met = np.ones(1, bool)
     if intersect:
+        up = enu_from_ecef(stations.lat_rad[rows], stations.lon_rad[rows])[:, 2]
+        up = up @ frame.enu_from_ecef.T
         block.point_m[:], met = intersected_points(block, up, stations.h_msl_m[rows], h_g)
-    if not met.all():
-        what = (
-            f"the rays of {np.sum(~met)} points do not meet at 3 degrees or more: these points are "
-            "where the rays reach the height of the ground that the run took for them"
-        )
-        ledger.fallback("EXPORT-POINT-HEIGHT", what, where="observations", count=int(np.sum(~met)))
+        if apart := int(np.sum(~met)):
+            what = (
+                f"the rays of {apart} points do not meet at 3 degrees or more: these points are "
+                "where the rays reach the height of the ground that the run took for them"
+            )
+            ledger.fallback("EXPORT-POINT-HEIGHT", what, where="observations", count=apart)
     lat, lon, h = frame.origin_deg.tolist()
     what = (
         f"x, y, z count to the east, north and up from {lat:.5f} N, {lon:.5f} E, {h:.0f} m above "
@@ -152,10 +150,8 @@ def block_of(run: FinishedRun, ledger: Ledger, *, intersect: bool = True) -> Exp
         "projection is applied"
     )
     ledger.note("EXPORT-FRAME", what, where="stations.parquet")
-    what = (
-        f"x_corrected_px, y_corrected_px of {image.size:,} observations of {len(names):,} points "
-        f"in {rows.size:,} images"
-    )
+    what = f"x_corrected_px, y_corrected_px of {image.size:,} observations of {len(names):,} points"
+    what += f" in {rows.size:,} images"
     ledger.note("EXPORT-POINTS", what, where="observations", count=image.size)
     return block
 
@@ -189,10 +185,8 @@ def read_image_points(
     coded = table["point"].chunk(0)
     table = table.set_column(1, "point", coded.indices)
     image, point = table["image"].to_numpy(), table["point"].to_numpy()
-    _, first = np.unique(image * np.int64(len(coded.dictionary)) + point, return_index=True)
-    is_first = np.zeros(image.size, bool)
-    is_first[first] = True
-    kept = np.flatnonzero(is_first)
+    _, kept = np.unique(image * np.int64(len(coded.dictionary)) + point, return_index=True)
+    kept.sort(kind="stable")  # fast where images come one by one
     if kept.size < total:
         what = (
             f"{total - kept.size} of {total} observations are left out: {total - image.size} are "

@@ -82,7 +82,7 @@ def damage_refused(path: Path, program: str) -> Iterator[None]:
         elif isinstance(error, ElementTree.ParseError):
             what = f"line {error.position[0]} is no XML"
         elif isinstance(error, sqlite3.Error):
-            what = "it is no such database, or a damaged one"
+            what = f"it is no such database, or a damaged one ({error})"
         elif isinstance(error, OSError) and error.strerror:
             what = f"it cannot be read: {error.strerror}"
         raise not_of_format(path, f"as a file of {program}: {what}") from None

@@ -77,7 +77,7 @@ def of_points(rows: pa.RecordBatch, image: str, point: str) -> Integers:
     """(k,) the rows, all of one image, that belong to a point; ``image``, ``point`` are columns."""
     names = rows[point].cast(pa.string())
     own = pc.starts_with(names, f"{rows[image][0]}:") if len(rows) else names.is_null()
-    return np.flatnonzero(~own.fill_null(False).to_numpy(zero_copy_only=False))
+    return np.flatnonzero(~own.to_numpy(zero_copy_only=False))
 
 
 class TextFile:
