@@ -235,7 +235,7 @@ def test_databases_without_keypoints_or_damaged(tmp_path):
     assert "no keypoints, and matches of 0 pairs" in refusal(path, "colmap")
     with closing(sqlite3.connect(path)) as content, content:
         content.execute("INSERT INTO matches VALUES (2147483649, 4, 2, NULL)")
-    assert "no keypoints, and matches of 1 pairs" in refusal(path, "colmap")
+    assert "no keypoints, and matches of 1 pair\n" in refusal(path, "colmap")
     log = tmp_path / "database.db-wal"
     log.write_bytes(b"\1" * 100)
     assert "database.db-wal beside it has rows" in refusal(path, "colmap")
