@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from pipeline.atmosphere.air_samples import AirSamples
+from pipeline.atmosphere.series import profiles_by_place
 from pipeline.ledger import Ledger
 from pipeline.simulate.flight import FIELD_LAT_RAD
 from pipeline.simulate.true_air import temperature_k, true_air, vapour_pressure_pa
 from pipeline.stages.air.adjusted_profile import adjusted_profiles, read_air_sources
-from pipeline.stages.story import read_mission
+from pipeline.stages.story import read_mission, verify_run
 from tests.conftest import run_command
 from tests.model_files import dataset, netcdf
 
@@ -113,3 +115,25 @@ def test_a_standard_asked_for_leaves_it_unused(modelled):
     (entry,) = [e for e in read_mission(modelled.save()).ledger if e.code == "AIR-SOURCES-UNUSED"]
     assert "1 column (soundings, weather model)" in entry.what
     assert run_command("check", modelled.file).code == 0
+
+
+def test_in_a_long_flight_each_exposure_has_the_air_of_its_place(
+    modelled, fields, baseline, monkeypatch
+):
+    monkeypatch.setattr(profiles_by_place, "LONG_KM", 0.5)
+    monkeypatch.setattr(profiles_by_place, "_CELL_KM", 0.2)
+    steep = fields.t + 50.0 * (fields.longitude - 8.5)  # 66 K in 100 km
+    netcdf(modelled.folder / "era5.nc", fields.assign(t=steep))
+    assert modelled.run().code == 0
+    (entry,) = [e for e in manifest(modelled)["ledger"] if e["code"] == "AIR-BY-PLACE"]
+    stations = modelled.stations().to_pandas()
+    profiles = pq.read_table(modelled.output / "profile.parquet").to_pandas()
+    assert set(stations["profile_id"]) == set(profiles["profile_id"])
+    assert 2 < profiles["profile_id"].nunique() <= entry["count"]
+    # R follows the air of the place, against the one profile of the usual run.
+    both = [run.results().to_pandas().set_index(["image", "point"])["r_c_rad"]
+            for run in (modelled, baseline)]  # fmt: skip
+    east = stations.set_index("image")["lon_deg"] - stations["lon_deg"].median()
+    ratio = (both[0] / both[1]).groupby("image").median().dropna()
+    assert np.corrcoef(ratio, east[ratio.index])[0, 1] < -0.8
+    assert verify_run(modelled.output)

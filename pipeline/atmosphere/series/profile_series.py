@@ -43,6 +43,9 @@ CHANGE_RH, CHANGE_RH_IN_H = 0.1, 4.0
 FRESH_S = 1800.0
 """In half an hour the air of a calm day changes by some 0.5 K at the ground: R by 0.2 %."""
 
+Place = tuple[float, float, int]
+"""Latitude, longitude [rad] and time [Unix ns]."""
+
 _BIN_M, _MINUTE_NS = 100.0, 60 * 10**9
 
 
@@ -134,7 +137,7 @@ class TimedProfile:
 
     Between ``neighbours`` (the earlier and the later profile and the share of the later) the
     covariance is computed when it is needed: hundreds of them would fill memory. ``ages`` are the
-    ages of its samples, where these are old.
+    ages of its samples, where these are old; ``sampled_at`` is where they were taken.
     """
 
     time_ns: int | None
@@ -142,6 +145,7 @@ class TimedProfile:
     own_covariance: ProfileCovariance | None = None
     neighbours: tuple[TimedProfile, TimedProfile, float] | None = None
     ages: SampleAges | None = None
+    sampled_at: Place | None = None
 
     @property
     def has_covariance(self) -> bool:

@@ -29,6 +29,7 @@ from pipeline.atmosphere.series.profile_series import (
     constant_series,
     interpolate_series,
 )
+from pipeline.atmosphere.series.profiles_by_place import add_model_changes
 from pipeline.atmosphere.series.time_windows import estimate_windows
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import (
@@ -42,6 +43,7 @@ from pipeline.config import Mission
 from pipeline.config.atmosphere import AtmosphereSection, SurfaceSection
 from pipeline.errors import InputError
 from pipeline.flight.stations import NO_TIME, Stations
+from pipeline.geodesy import longitudes_near
 from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir, effects_on_r
 from pipeline.stages.air.weather_model import ModelAir, Track, read_model_air
@@ -329,15 +331,35 @@ def adjusted_profiles(
         h_g = mission.ground.constant_m
     heights = stations.h_msl_m[stations.ok]
     h_c = [float(h) for h in np.percentile(heights, [0, 50, 100])] if heights.size else [h_g]
-    return _profiles_in_time(adjustment, stations, h_c, h_g, ledger)
+    model = sources.model
+    if not any(model and use.source == model.column.name and use.fit for use in adjustment.sources):
+        model = None
+    return _profiles_in_time(adjustment, stations, h_c, h_g, model=model, ledger=ledger)
 
 
 def _profiles_in_time(
-    adjustment: Adjustment, stations: Stations, h_c: list[float], h_g: float, ledger: Ledger
+    adjustment: Adjustment,
+    stations: Stations,
+    h_c: list[float],
+    h_g: float,
+    *,
+    model: ModelAir | None,
+    ledger: Ledger,
 ) -> FlightAir:
-    """Profiles at the times of the exposures; ``h_c`` low, middle and high camera height [m]."""
-    whole = TimedProfile(adjustment.time_ns, adjustment.profile, adjustment.covariance)
+    """Profiles of the exposures; ``h_c`` low, middle and high camera height [m].
+
+    Each is of the exposure's time, and of its place where a weather ``model`` knows its air.
+    """
+    whole = TimedProfile(
+        adjustment.time_ns, adjustment.profile, adjustment.covariance,
+        sampled_at=None if model is None else model.place,
+    )  # fmt: skip
     windows = estimate_windows(adjustment, h_c, h_g, ledger) if max(h_c) > h_g + 1.0 else ()
+    if model is not None:
+        windows = tuple(
+            replace(w, air=replace(w.air, sampled_at=model.place_of(adjustment.samples, w)))
+            for w in windows
+        )
     series = constant_series(whole, len(stations))
     middle = _middle_exposure_ns(stations)
     if middle is not None:
@@ -347,10 +369,19 @@ def _profiles_in_time(
             series = interpolate_series([window.air for window in windows], times, h_c, h_g)
         if adjustment.samples is not None:
             series = add_ageing(series, times, adjustment.samples, ledger, h_c=max(h_c), h_g=h_g)
+        if model is not None:
+            east = longitudes_near(stations.lon_rad, model.place[1])
+            series = ledger.take(add_model_changes(
+                series, model.field, times, stations.lat_rad, east,
+                h_c=h_c, h_g=h_g, measured=adjustment.time_ns is not None,
+            ))  # fmt: skip
         if not windows and len(stations):
             # The covariance reported for the flight is that at its middle exposure.
             number = series.profile_number[int(np.argmin(np.abs(times - middle)))]
-            adjustment = replace(adjustment, covariance=series.timed_profiles[number].covariance)
+            covariance = series.timed_profiles[number].covariance
+            if covariance is not None:
+                covariance = replace(covariance, profile=adjustment.profile)
+            adjustment = replace(adjustment, covariance=covariance)
     effects = effects_on_r(
         adjustment.profile, adjustment.standard, adjustment.covariance, float(np.median(h_c)), h_g
     )

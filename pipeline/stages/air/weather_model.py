@@ -7,6 +7,8 @@ import numpy as np
 
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.estimate.external_readings import TimeAndPlace
+from pipeline.atmosphere.series.profile_series import Place
+from pipeline.atmosphere.series.time_windows import TimeWindow
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.soundings.model_column import model_column
 from pipeline.atmosphere.soundings.model_field import ModelField
@@ -32,8 +34,14 @@ class ModelAir:
 
     field: ModelField
     column: Sounding
-    place: tuple[float, float, int]
+    place: Place
     track: Track | None
+
+    def place_of(self, samples: AirSamples | None, window: TimeWindow) -> Place:
+        """Where and when a part of the flight met the air that is used in it."""
+        if samples is None or window.why_not:
+            return self.place
+        return sampled_place(samples, self.track, window.start_ns, window.end_ns) or self.place
 
 
 def read_model_air(
@@ -86,7 +94,7 @@ def read_model_air(
 
 def sampled_place(
     samples: AirSamples, track: Track | None, start_ns: int = -(2**62), end_ns: int = 2**62
-) -> tuple[float, float, int] | None:
+) -> Place | None:
     """Where and when a flight met the air that it measured: latitude, longitude, time.
 
     The mean over its heights in bins of 100 m, so that a climb counts more than a long level run;
