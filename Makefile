@@ -37,7 +37,7 @@ docs: $(STAMP)
 # their first megabytes. 30 adjusted blocks for each flying height and all airs of docs/when.md;
 # `make test` does one. Memory of all five block exports; `make test` does two.
 faults: $(STAMP)
-	UNBEND_AIR_FLIGHTS=3 UNBEND_WHOLE_LOGS=1 UNBEND_MUTATIONS=100000 UNBEND_SNIPPETS=all UNBEND_FLIGHTS=1000 UNBEND_MISTAKES=100 UNBEND_BLOCKS=8 UNBEND_ADJUSTMENTS=30 $(BIN)/python -m pytest -n 2 --dist loadfile tests/faults tests/ingest tests/flight/test_injected_faults.py tests/atmosphere/test_estimate_montecarlo.py tests/block tests/stages/test_mistakes.py tests/golden/test_block_heights.py tests/golden/test_when.py tests/contract/test_documentation.py tests/tables/exports/test_block_memory.py
+	UNBEND_AIR_FLIGHTS=3 UNBEND_WHOLE_LOGS=1 UNBEND_MUTATIONS=100000 UNBEND_SNIPPETS=all UNBEND_FLIGHTS=1000 UNBEND_MISTAKES=100 UNBEND_BLOCKS=8 UNBEND_ADJUSTMENTS=30 $(BIN)/python -m pytest -n 2 --dist loadfile tests/faults tests/ingest tests/flight/test_injected_faults.py tests/atmosphere/test_estimate_montecarlo.py tests/atmosphere/test_model_montecarlo.py tests/block tests/stages/test_mistakes.py tests/golden/test_block_heights.py tests/golden/test_when.py tests/contract/test_documentation.py tests/tables/exports/test_block_memory.py
 
 # Bugs planted one at a time: do the tests of their room notice? All, or ROOM=refraction; two hours.
 planted: $(STAMP)
