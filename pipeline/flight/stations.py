@@ -194,7 +194,9 @@ def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tupl
     if unknown.size == 0:
         return stations, tuple(notes)
     what = f"{unknown.size} images have observations but no exposure: {_first_three(unknown)}"
-    if len(stations):
+    if unused.size:
+        what += f"; exposures without observations: {names}"
+    elif len(stations):
         ordered = np.sort(stations.image.astype(str))  # its neighbour there begins as it does
         like = str(ordered[max(int(np.searchsorted(ordered, unknown[0])) - 1, 0)])
         what += f"; exposures are called like {like!r}"

@@ -270,11 +270,12 @@ def column_names(path: Path) -> list[str]:
 def _extent(opened: Observations, found: FoundTable) -> None:
     """Largest pixels and the heights of the first million rows, as remarks."""
     batches = list(islice(opened.batches(_BATCH_ROWS), _MOST_BATCHES))
-    width, height = (
-        np.nanmax(np.concatenate([getattr(batch, name) for batch in batches]), initial=0.0)
+    most, largest = np.array([
+        np.nanpercentile(np.concatenate([getattr(b, name) for b in batches] or [[0.0]]), [99, 100])
         for name in ("x_given_px", "y_given_px")
-    )
-    found.size = f"at least {np.ceil(width):.0f} x {np.ceil(height):.0f} px, by the observations"
+    ]).T.round()  # fmt: skip
+    found.size = f"99 % of the observations lie within {most[0]:.0f} x {most[1]:.0f} px, "
+    found.size += f"all within {largest[0]:.0f} x {largest[1]:.0f}"
     ground = np.concatenate([np.empty(0), *(b.ground for b in batches if b.ground is not None)])
     if np.isfinite(ground).any():
         low, middle, high = np.nanpercentile(ground, [0.0, 50.0, 100.0])
