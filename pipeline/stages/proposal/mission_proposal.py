@@ -270,10 +270,9 @@ def column_names(path: Path) -> list[str]:
 def _extent(opened: Observations, found: FoundTable) -> None:
     """Largest pixels and the heights of the first million rows, as remarks."""
     batches = list(islice(opened.batches(_BATCH_ROWS), _MOST_BATCHES))
-    most, largest = np.array([
-        np.nanpercentile(np.concatenate([getattr(b, name) for b in batches] or [[0.0]]), [99, 100])
-        for name in ("x_given_px", "y_given_px")
-    ]).T.round()  # fmt: skip
+    pixels = [np.concatenate([np.zeros(1), *(getattr(b, name) for b in batches)])
+              for name in ("x_given_px", "y_given_px")]  # fmt: skip
+    most, largest = np.nanpercentile(np.array(pixels), [99, 100], axis=1).round()
     found.size = f"99 % of the observations lie within {most[0]:.0f} x {most[1]:.0f} px, "
     found.size += f"all within {largest[0]:.0f} x {largest[1]:.0f}"
     ground = np.concatenate([np.empty(0), *(b.ground for b in batches if b.ground is not None)])
