@@ -48,6 +48,34 @@ def saturation_vapour_pressure(temperature_k: ArrayLike) -> Array:
     )
 
 
+def dew_point(vapour_pressure_pa: ArrayLike) -> Array:
+    """Temperature [K] at which air of a vapour pressure [Pa] is saturated, from 180 to 373 K.
+
+    Within 1 mK of the inverse of `saturation_vapour_pressure`.
+
+    >>> dew_point([611.66, 2339.16]).round(2).tolist()
+    [273.16, 293.15]
+    """
+    t = np.arange(180.0, 373.5, 0.5)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        log_e, saturated = np.log(vapour_pressure_pa), np.log(saturation_vapour_pressure(t))
+    return np.asarray(np.interp(log_e, saturated, t))
+
+
+def saturated_lapse(temperature_k: ArrayLike, pressure_pa: ArrayLike) -> Array:
+    """Fall of temperature with height [K/m] in rising saturated air, over water (AMS Glossary).
+
+    >>> saturated_lapse([293.15, 253.15], [1e5, 5e4]).round(4).tolist()
+    [0.0042, 0.0077]
+    """
+    t, p = np.asarray(temperature_k, np.float64), np.asarray(pressure_pa, np.float64)
+    e = saturation_vapour_pressure(t)
+    heat = 2.501e6 * 0.622 * e / (p - e) / t  # of condensation [J kg-1 K-1]
+    return np.asarray(
+        9.80665 * (1.0 + heat / 287.05) / (1005.0 + 0.622 * 2.501e6 * heat / 287.05 / t)
+    )
+
+
 def enhancement_factor(temperature_k: ArrayLike, pressure_pa: ArrayLike) -> Array:
     """By how much air at pressure p holds more vapour than vacuum (Ciddor 1996, appendix A).
 

@@ -26,6 +26,7 @@ from pipeline.atmosphere.estimate.candidates import (
 )
 from pipeline.atmosphere.estimate.estimate_checks import (
     MISFIT,
+    hygrometer_is_outside,
     is_better_than_background,
     is_plausible,
     thermometer_is_outside,
@@ -163,9 +164,10 @@ def build_adjusted_profile(
     reports = [report for report in surface if report.name not in unused]
     tried: list[AirSamples] = []
     faults: list[str] = []
+    refused: dict[str, str] = {}
     passed = _first_that_passes(
         candidates(usable, near, reports), background, settings, tried, faults,
-        moisture=moisture, flight=flight, ledger=ledger,
+        refused=refused, moisture=moisture, flight=flight, ledger=ledger,
     )  # fmt: skip
     usage = partial(source_usage, external=external, background=background, standard=standard.name)
     if passed is None:  # the background itself, in layers fine enough to carry its covariance
@@ -185,7 +187,7 @@ def build_adjusted_profile(
         profile = replace(profile, layers=layers)
         covariance = replace(made.covariance, profile=profile)
         basis = UNADJUSTED if is_standard else UNMEASURED
-        sources = usage(UsedSamples(samples, usable, tried), (), unused=unused)
+        sources = usage(UsedSamples(samples, usable, tried, refused=refused), (), unused=unused)
         return Adjustment(profile, standard, basis, reason, None, covariance, sources=sources)
     candidate, made = passed
     for name in candidate.external.left_out:
@@ -195,7 +197,7 @@ def build_adjusted_profile(
     sensor_checks.note_pressure_level(profile, background, candidate.samples.pressure, ledger)
     _note_estimate(candidate, made, ledger)
     sensor_checks.check_calibration(made, settings, ledger)
-    flown = UsedSamples(samples, usable, tried, candidate.samples)
+    flown = UsedSamples(samples, usable, tried, candidate.samples, refused)
     return Adjustment(
         profile,
         standard,
@@ -219,15 +221,18 @@ def _first_that_passes(
     tried: list[AirSamples],
     faults: list[str],
     *,
+    refused: dict[str, str],
     moisture: Climatology,
     flight: TimeAndPlace,
     ledger: Ledger,
 ) -> tuple[Candidate, Estimate] | None:
-    """The first estimate that passes its checks; all that were ``tried``, and their ``faults``."""
-    indoors = False
-    for candidate in choices:
-        if indoors and candidate.samples.temperature is not None:
-            continue
+    """The first estimate that passes its checks; all that were ``tried``, and their ``faults``.
+
+    ``refused`` receives the sensors that are not used, by their quantity, and why.
+    """
+    remaining = list(choices)
+    while remaining:
+        candidate = remaining.pop(0)
         tried.append(candidate.samples)
         made = estimate(
             candidate.samples, background, settings=settings, moisture=moisture,
@@ -237,8 +242,19 @@ def _first_that_passes(
         name = candidate.main.name if candidate.main is not None else ""
         check = thermometer_is_outside(candidate.samples, made, background, moisture, settings)
         if not check and candidate.main is not None:
-            indoors = True
+            remaining = [other for other in remaining if other.samples.temperature is None]
+            refused["temperature"] = check.reason
             ledger.loss("AIR-THERMOMETER", f"{name} is not used: {check.reason}", where=name)
+        elif not (check := hygrometer_is_outside(made, moisture)):
+            humidity = candidate.samples.humidity
+            where = humidity.name if humidity is not None else ""
+            refused["humidity"] = check.reason
+            ledger.loss("AIR-HYGROMETER", f"{where} is not used: {check.reason}", where=where)
+            remaining = [
+                replace(other, samples=replace(other.samples, humidity=None))
+                for other in (candidate, *remaining)
+            ]
+            continue
         else:
             check = is_plausible(made, background)
             check = check and is_better_than_background(made, background, moisture)

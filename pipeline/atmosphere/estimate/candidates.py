@@ -4,7 +4,7 @@ And afterwards: how each source was used, or why it was not.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.climatology import Climatology
@@ -211,12 +211,14 @@ class SourceUse:
 @dataclass(frozen=True, eq=False)
 class UsedSamples:
     """Samples of a flight: ``given`` by its log, ``usable`` by the sensor checks, of the estimates
-    that were ``tried``, and of the one that is ``used``, None where there is none."""
+    that were ``tried``, and of the one that is ``used``, None where there is none; and why a sensor
+    was ``refused``, by its quantity."""
 
     given: AirSamples
     usable: AirSamples
     tried: Sequence[AirSamples] = ()
     used: AirSamples | None = None
+    refused: Mapping[str, str] = field(default_factory=dict)
 
     def why_not(self, name: str) -> str | None:
         """Why a sensor is not used, in words; None where it is."""
@@ -225,6 +227,8 @@ class UsedSamples:
             return "none outside in the log"
         if not bool(given.accepted.any()):
             return "no reading at a known height passes the gates"
+        if name in self.refused:
+            return self.refused[name]
         if getattr(self.usable, name) is None:
             return "contradicted by the others: see the ledger"
         if self.used is None:

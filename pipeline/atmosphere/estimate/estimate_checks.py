@@ -6,17 +6,29 @@ import numpy as np
 
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.climatology import Climatology
-from pipeline.atmosphere.estimate.readings import part_of
-from pipeline.atmosphere.estimate.sensors import Barometer, SensorSettings, Thermometer
-from pipeline.atmosphere.estimate.solver import Estimate, estimate, layout_of, solve
-from pipeline.atmosphere.estimate.state import air_of, prior_of
+from pipeline.atmosphere.estimate.readings import collect_readings, part_of
+from pipeline.atmosphere.estimate.sensors import (
+    Barometer,
+    Humidities,
+    SensorSettings,
+    Thermometer,
+)
+from pipeline.atmosphere.estimate.solver import Estimate, Solution, estimate, layout_of, solve
+from pipeline.atmosphere.estimate.state import SensorFault, air_of, prior_of
 from pipeline.atmosphere.hypsometry import COLDEST_K, WARMEST_K, hats
+from pipeline.atmosphere.refractive_index import (
+    dew_point,
+    saturated_lapse,
+    saturation_vapour_pressure,
+)
+from pipeline.units import ZERO_CELSIUS_K
 
 ADIABATIC_K_PER_M = 9.8e-3
 """Unsaturated air whose temperature falls faster overturns within minutes [K/m']."""
 
-OVERTURNING_M = 500.0
-"""... but over less height than this a sunny field, or a lag, may show it [m']."""
+OVERTURNING_M, SUNNY_M = 500.0, 100.0
+"""... but over less height than the first a lag may show it, and over the second above the ground a
+sunny field does [m']."""
 
 CERTAIN = 3.0
 """Sigmas by which a lapse rate must exceed the adiabatic one."""
@@ -24,14 +36,32 @@ CERTAIN = 3.0
 FARTHEST = 5.0
 """Sigmas of the climatology that no air of the real soundings comes near (2.9 at most)."""
 
-MISFIT = 5.0
-"""Readings with a larger sigma inflation factor disagree with the others."""
+MISFIT, MISFIT_K = 5.0, 1.5
+"""Readings with a larger sigma inflation factor disagree with the others; those of a thermometer
+only if their inflated sigma is larger than this too: the sun on its probe comes to 0.9 K."""
+
+LARGEST_BIAS_K, LARGEST_CHANGE_K, COMPARED_SIGMAS = 8.0, 3.5, 3.5
+"""A thermometer against what the barometer implies, in the mean and in its change from the lower to
+the upper half: more, beside so many sigmas of the comparison, is a wrong sensor."""
 
 TOGETHER_S = 1800.0
 """Within so long the air hardly changes; over hours the readings of a good thermometer disagree."""
 
 HARMLESS_K, HARMLESS_LOG_P = 1.0, 1e-3
 """Held-out residuals of so little are no reason to fall back: a sharp inversion leaves them."""
+
+LAYER_M = 100.0  # each weighs the same where a thermometer is compared [m']
+
+HIGHEST_DEW_POINT_K = 308.15
+"""The highest ever reported near the ground, 35 C on the Persian Gulf."""
+
+WETTEST_SIGMAS = 4.0
+"""Sigmas above the climatology's dew point that no air of the real soundings comes near."""
+
+CLOUD_RH, CLOUD_SHARE = 0.97, 0.9
+CLOUD_M, CLOUD_EXCESS_K_PER_M = 1000.0, 3e-3
+"""Air whose readings are saturated, nine of ten over so much height [m'], does not cool by 3 K/km
+more than the saturated adiabat."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +81,7 @@ def is_plausible(made: Estimate, background: Climatology) -> Check:
     """Whether an estimate can be air, between the lowest and the highest measurement.
 
     Not passed: temperatures outside 180 to 335 K, a fall steeper than the dry adiabat by 3 sigma
-    over 500 m, or a temperature 5 sigma from the climatology.
+    over 500 m above the lowest 100 m, or a temperature 5 sigma from the climatology.
     """
     layers = made.profile.layers
     # A balloon goes higher than a climatology does.
@@ -73,6 +103,7 @@ def is_plausible(made: Estimate, background: Climatology) -> Check:
             "the climatology"
         )
     over = round(OVERTURNING_M / 50.0)
+    h, t, height = (values[round(SUNNY_M / 50.0) :] for values in (h, t, height))
     if h.size > over:
         # One sigma of T(h) - T(h + 500 m) [K]; that of T_M stands for it.
         weights = hats(layers.edge, h[:-over]) - hats(layers.edge, h[over:])
@@ -145,18 +176,28 @@ def thermometer_is_outside(
 ) -> Check:
     """Whether the thermometer of a flight with a barometer can be outside.
 
-    ``made`` is an estimate with both. Not passed where its readings within half an hour differ from
-    those of any air that the barometer allows; or where the barometer differs from any air that the
-    thermometer allows, and fits plausible air of its own. Both without soundings and stations.
+    ``made`` is an estimate with both. Not passed where its readings, in the mean or in their change
+    with height, are not those that the estimate without them predicts; where within half an hour
+    they differ from those of any air that the barometer allows; or where the barometer differs from
+    any air that the thermometer allows, and fits plausible air of its own. All without soundings
+    and stations.
     """
     temperature, pressure = samples.temperature, samples.pressure
     if temperature is None or pressure is None or settings.board_temperature:
         return PASSED
+    flown = collect_readings(samples, background, settings)
+    layout = layout_of(flown, background)
+    others = [readings for readings in flown.sets if not isinstance(readings, Thermometer)]
+    prior = prior_of(layout, background, moisture or background)
+    without = solve(layout, prior, others, background.profile)
+    for readings in flown.sets:
+        if isinstance(readings, Thermometer) and not (check := _is_predicted(readings, without)):
+            return check
 
     def estimate_of(part: AirSamples) -> Estimate:
         return estimate(part, background, settings=settings, moisture=moisture)
 
-    if _sigma_inflation(made, Thermometer) > MISFIT:
+    if _inflated_sigma_k(made) > MISFIT_K:
         # The flight until half an hour after its thermometer's first accepted reading.
         until = int(temperature.time_ns[temperature.accepted][0]) + round(TOGETHER_S * 1e9)
         early = {
@@ -164,12 +205,12 @@ def thermometer_is_outside(
             for name in ("temperature", "pressure", "humidity")
             if (sensor := getattr(samples, name)) is not None
         }
-        inflation = _sigma_inflation(estimate_of(replace(samples, **early)), Thermometer)
-        if inflation > MISFIT:
+        inflated_k = _inflated_sigma_k(estimate_of(replace(samples, **early)))
+        if inflated_k > MISFIT_K:
             return Check(
                 f"its readings within {TOGETHER_S / 60.0:.0f} minutes, beside {pressure.name} "
-                "against GNSS height, fit physical air only with a sigma inflation factor of "
-                f"{inflation:.0f}"
+                f"against GNSS height, fit physical air only with errors of {inflated_k:.1f} K, "
+                f"limit {MISFIT_K:.1f} K"
             )
     if _sigma_inflation(made, Barometer) > MISFIT:
         inflation = _sigma_inflation(estimate_of(samples), Barometer)
@@ -178,9 +219,88 @@ def thermometer_is_outside(
         if inflation > MISFIT and fits:
             return Check(
                 f"{pressure.name} against GNSS height fits plausible air, but with these "
-                f"temperatures only with a sigma inflation factor of {inflation:.0f}"
+                f"temperatures only with a sigma inflation factor of {inflation:.0f}, limit "
+                f"{MISFIT:.0f}"
             )
     return PASSED
+
+
+def _is_predicted(thermometer: Thermometer, without: Solution) -> Check:
+    """Whether temperatures are those that an estimate without them predicts.
+
+    In the mean over their heights, and in the change from the lower to the upper half of these;
+    within the sigma of the prediction, and of all faults that a thermometer may have.
+    """
+    layout, height = without.air.layout, thermometer.height
+    predicted, jacobian = thermometer.predict(without.air)
+    layer = np.floor((height - height.min()) / LAYER_M).astype(np.int64)
+    weight = 1.0 / np.bincount(layer)[layer]
+    upper = np.where(height >= 0.5 * (height.min() + height.max()), weight, 0.0)
+    lower = weight - upper
+    comparisons = [(weight / weight.sum(), LARGEST_BIAS_K, "reads")]
+    if lower.any() and upper.any():
+        what = f"from the lower to the upper half of {np.ptp(height):.0f} m changes by"
+        comparisons.append((upper / upper.sum() - lower / lower.sum(), LARGEST_CHANGE_K, what))
+    for weights, largest, what in comparisons:
+        by_state = weights @ jacobian
+        by_state[layout.fault(SensorFault.THERMOMETER_BIAS)] = 0.0  # ``largest`` is its limit
+        sigma = float(np.sqrt(by_state @ without.covariance @ by_state))
+        limit = float(np.hypot(largest, COMPARED_SIGMAS * sigma))
+        seen = float(weights @ (thermometer.value - predicted))
+        if abs(seen) > limit:
+            return Check(
+                f"it {what} {seen:+.1f} K against what pressure and GNSS height imply, limit "
+                f"{limit:.1f} K (log.channels.temperature)"
+            )
+    return PASSED
+
+
+def hygrometer_is_outside(made: Estimate, moisture: Climatology) -> Check:
+    """Whether air can be as humid as the flight's hygrometer reads, at the estimated temperatures.
+
+    Not passed: a dew point above 35 C, or 4 sigma above that of the climatology; saturation over
+    1 km in which temperature falls too fast for a cloud.
+    """
+    gravity, spread = made.profile.gravity, moisture.spread
+    for readings in made.readings.sets:
+        if not isinstance(readings, Humidities) or readings.fault is None:
+            continue
+        h = gravity.height(readings.height)
+        dew = dew_point(readings.value * saturation_vapour_pressure(made.profile.temperature(h)))
+        usual = dew_point(moisture.profile.vapour_pressure(h))
+        # d ln e_s / dT is about 5400 K / T^2.
+        share = spread.sigma_relative_humidity(h) / np.maximum(moisture.relative_humidity(h), 0.01)
+        sigma = np.hypot(spread.sigma_temperature(h), usual**2 / 5400.0 * share)
+        limit = np.minimum(usual + WETTEST_SIGMAS * sigma, HIGHEST_DEW_POINT_K)
+        worst = int(np.argmax(dew - limit))
+        if dew[worst] > limit[worst]:
+            return Check(
+                f"{100.0 * readings.value[worst]:.0f} % of relative humidity at {h[worst]:.0f} m "
+                f"is a dew point of {dew[worst] - ZERO_CELSIUS_K:.1f} C, and no air there has more "
+                f"than {limit[worst] - ZERO_CELSIUS_K:.1f} C"
+            )
+        wet = readings.height[readings.value >= CLOUD_RH]
+        if wet.size == 0 or np.ptp(wet) < CLOUD_M:
+            continue
+        ends = np.array([wet.min(), wet.max()])
+        inside = (readings.height >= ends[0]) & (readings.height <= ends[1])
+        t = made.profile.temperature(gravity.height(ends))
+        lapse = float(t[0] - t[1]) / float(np.ptp(ends))
+        adiabat = float(saturated_lapse(t, made.profile.pressure(gravity.height(ends))).mean())
+        if wet.size >= CLOUD_SHARE * inside.sum() and lapse > adiabat + CLOUD_EXCESS_K_PER_M:
+            return Check(
+                f"{100.0 * CLOUD_RH:.0f} % and more from {ends[0]:.0f} to {ends[1]:.0f} m, where "
+                f"temperature falls by {1e3 * lapse:.1f} K/km: saturated air overturns at "
+                f"{1e3 * adiabat:.1f} K/km"
+            )
+    return PASSED
+
+
+def _inflated_sigma_k(made: Estimate) -> float:
+    """Sigma [K] of a thermometer's readings with the inflation factor, 0 where that is small."""
+    inflation = _sigma_inflation(made, Thermometer)
+    sigmas = [np.median(s.sigma) for s in made.readings.sets if isinstance(s, Thermometer)]
+    return inflation * float(max(sigmas, default=0.0)) if inflation > MISFIT else 0.0
 
 
 def _sigma_inflation(made: Estimate, kind: type) -> float:

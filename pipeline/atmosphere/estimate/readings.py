@@ -75,6 +75,10 @@ BOARD_BIAS_K, BOARD_DRIFT_K = 10.0, 5.0
 USUAL_BIAS_K, USUAL_DRIFT_K = 3.0, 0.4
 """The same of a thermometer outside."""
 
+SUN_ON_PROBE = 0.2, 60.0
+"""What headings and clouds change of the sun on a probe: sigma [K] and correlation time [s]; none
+where the mission file states the drift."""
+
 _GROUND_RISE_M = 20.0
 
 
@@ -186,8 +190,9 @@ def _sensor_readings(
         faults += [bias, *THERMOMETER_FAULTS[1:]]
         faults += [] if warm.heating is None else [RECOVERY_FACTOR]
         known = settings.calibration.get(SensorFault.THERMOMETER_DRIFT, SensorCalibration())
+        sun = SUN_ON_PROBE if known.sigma is None else (0.0, SUN_ON_PROBE[1])
         drift = known.sigma_or(BOARD_DRIFT_K if board else USUAL_DRIFT_K)
-        drifts.append(Drift(SensorFault.THERMOMETER_DRIFT, knots, drift, 900.0))
+        drifts.append(Drift(SensorFault.THERMOMETER_DRIFT, knots, drift, 900.0, sun))
     if (sensor := sensors.get("humidity")) is not None:
         high_bins = replace(binning, width_m=2.0 * binning.width_m)
         bins = high_bins.bins(sensor, sensor.value, LEAST_SCATTER_RH)

@@ -12,29 +12,17 @@ from pipeline.atmosphere.estimate.solver import Estimate
 from pipeline.atmosphere.estimate.state import SensorFault
 from pipeline.atmosphere.hypsometry import Fall, fall_of_pressure
 from pipeline.atmosphere.profile import Profile
-from pipeline.atmosphere.refractive_index import saturation_vapour_pressure
 from pipeline.ledger import Ledger
-from pipeline.units import HECTOPASCAL, VAPOUR_DEFICIT, Mask
+from pipeline.units import HECTOPASCAL, Mask
 
-LARGEST_DISAGREEMENT_K, LARGEST_CHANGE_K = 8.0, 3.5
-"""Thermometer against barometer and GNSS, on the whole of the common heights, and its change from
-the lower to the upper half of them: more is a wrong sensor. Working ones (bias 2 K, transient 4 K,
-lag 25 s) over 0.7 to 3 km, up and down, came to 2.6 and 1.0 K RMS in 840 flights."""
+CLIMB_TO_COMPARE_M = 200.0
+"""Over less height the fall of pressure shows nothing [m]."""
 
-CLIMB_TO_COMPARE_M, HALF_TO_COMPARE_M = 200.0, 350.0
-"""Over less height nothing is compared, and no half of a climb [m]."""
-
-WANDER_M, WANDER_AT_ONCE_M = 2.7, 1.1
-"""By so much pressure and GNSS height wander against each other between two ends of a climb, and
-within the minutes of half of it: 3.8 K of what they imply over 200 m, 0.8 K over 1 km."""
-
-MILD_K, USUAL_RH, USUAL_E_PA = 280.0, 0.6, 1500.0  # of air, where only its order matters
+SHORT_CLIMB_M = 700.0
+"""Over less height the barometer cannot show that a thermometer is indoors [m]."""
 
 ISOTHERMAL_K = 1.0
 """A thermometer that reads the same within this may be indoors [K]."""
-
-CERTAIN = 3.0
-"""Disagreements within so many sigmas of the comparison are accepted."""
 
 STUCK_M, FEWEST_STUCK = 300.0, 5
 """A sensor with so many equal readings over so much height is stuck [m]."""
@@ -128,9 +116,7 @@ def usable_sensors(
     """The samples without the sensors that contradict physics, or one another.
 
     Readings of a sensor must not stay the same during a climb. Pressure must fall with GNSS height
-    as it does in air of 180 to 335 K; a thermometer must agree with the temperature that this
-    implies, on the whole and in its change with height, or it measures something else (a board,
-    the cabin).
+    as it does in air of 180 to 335 K.
     """
     pressure = samples.pressure
     if pressure is not None:
@@ -151,16 +137,8 @@ def usable_sensors(
         return replace(samples, pressure=None)
     if temperature is None or settings.board_temperature:
         return samples
-    disagreement = _disagreement(temperature, pressure, standard)
-    if disagreement is not None:
-        what = (
-            f"{temperature.name} {disagreement} against what {pressure.name} and GNSS height "
-            "imply: it does not measure the air outside and is not used (log.channels.temperature)"
-        )
-        ledger.loss("AIR-THERMOMETER", what, where=temperature.name)
-        return replace(samples, temperature=None)
     extent = temperature.extent_m
-    if STUCK_M <= extent < 2.0 * HALF_TO_COMPARE_M:
+    if STUCK_M <= extent < SHORT_CLIMB_M:
         height = standard.gravity.geopotential_height(temperature.h_m)
         _, binned = bin_by_height(height, temperature, BIN_M)
         if binned.size and np.ptp(binned) < ISOTHERMAL_K:
@@ -228,66 +206,6 @@ def _fall(pressure: SensorSamples, standard: Profile) -> Fall | None:
         return None
     log_p = middle + np.log(standard.pressure(standard.gravity.height(height)))
     return fall_of_pressure(height, log_p)
-
-
-def _disagreement(
-    temperature: SensorSamples, pressure: SensorSamples, standard: Profile
-) -> str | None:
-    """How a thermometer reads against what pressure implies, in words; None where they agree.
-
-    Over all common heights, and the upper half of them against the lower: a sensor that reads the
-    same everywhere may be right in the mean.
-    """
-    heights = [sensor.used()[0] for sensor in (temperature, pressure)]
-    if any(h.size == 0 for h in heights):
-        return None
-    low, high = max(h.min() for h in heights), min(h.max() for h in heights)
-
-    def largest(of_sensor_k: float, wander_m: float, extent_m: float) -> float:
-        """The largest disagreement [K] of sensors outside, compared over a height [m]."""
-        return float(np.hypot(of_sensor_k, CERTAIN * wander_m / extent_m * MILD_K))
-
-    excess = _excess_over_pressure(temperature, pressure, standard, low, high)
-    if excess is not None and abs(excess) > largest(LARGEST_DISAGREEMENT_K, WANDER_M, high - low):
-        return f"reads {excess:+.1f} K"
-    half = 0.5 * (high + low)
-    lower = _excess_over_pressure(temperature, pressure, standard, low, half)
-    upper = _excess_over_pressure(temperature, pressure, standard, half, high)
-    if lower is None or upper is None or half - low < HALF_TO_COMPARE_M:
-        return None
-    change = upper - lower
-    if abs(change) <= largest(LARGEST_CHANGE_K, WANDER_AT_ONCE_M, half - low):
-        return None
-    return f"changes by {change:+.1f} K from the lower to the upper half of {high - low:.0f} m"
-
-
-def _excess_over_pressure(
-    temperature: SensorSamples, pressure: SensorSamples, standard: Profile, low: float, high: float
-) -> float | None:
-    """Excess [K] of a thermometer over what pressure implies between two heights [m].
-
-    Of the mean temperature by which pressure falls, so that the shape of T(H) does not matter.
-    """
-    parts = []
-    for sensor in (temperature, pressure):
-        with np.errstate(invalid="ignore"):
-            inside = sensor.accepted & (sensor.h_m >= low) & (sensor.h_m <= high)
-        parts.append(replace(sensor, accepted=inside))
-        if parts[-1].extent_m < CLIMB_TO_COMPARE_M:
-            return None
-    warm, beside = parts
-    fall = _fall(beside, standard)
-    geopotential = standard.gravity.geopotential_height(warm.h_m)
-    height, binned = bin_by_height(geopotential, warm, BIN_M)
-    if fall is None or fall.implied_k is None or not fall.is_of_air or binned.size < 3:
-        return None
-    moist = np.minimum(USUAL_RH * saturation_vapour_pressure(binned), USUAL_E_PA)
-    moist /= standard.pressure(standard.gravity.height(height))
-    virtual = binned / (1.0 - VAPOUR_DEFICIT * moist)
-    steps = np.diff(height) * 0.5 * (1.0 / virtual[1:] + 1.0 / virtual[:-1])
-    falls = -standard.constant * np.concatenate([[0.0], np.cumsum(steps)])
-    felt = fall_of_pressure(height, falls).implied_k
-    return None if felt is None else felt - fall.implied_k
 
 
 def note_pressure_level(

@@ -32,6 +32,11 @@ by 1.9, 3.5, 5.6 K RMS in the lowest 1.5 km, 0.5, 1.1, 2.0 K between 1.5 and 4 k
 above. This prior has 3.1, 4.5, 5.5, and aloft 1.4, 2.4, 4.0 (with 10 K in all): never less than
 seen, because strong inversions are rare among nine."""
 
+SURFACE_K, SURFACE_M = 1.5, 40.0
+"""Air near the ground is warmer in the sun, or colder at night, than that above it by so much, less
+by 1/e in so much height [m']. In the sun similarity theory (Businger et al. 1971) gives 2 K between
+2 and 50 m, at 200 W/m2 and a friction velocity of 0.3 m/s."""
+
 _UNKNOWN_LOG_P = 0.1  # prior sigma of ln p before sea-level pressure and barometer are used
 
 
@@ -66,20 +71,23 @@ class Fault:
 class Drift:
     """A drift along time [s] or height [m']: (k,) knots, sigma there, correlation length.
 
-    ``name`` is a `SensorFault`, or that of a sounding's departure with its number.
+    ``name`` is a `SensorFault`, or that of a sounding's departure with its number; ``quick`` sigma
+    and correlation length of a second process beside the first.
     """
 
     name: str
     knot: Array
     sigma: Array | float
     length: float
+    quick: tuple[float, float] = (0.0, 1.0)
 
     def covariance(self) -> Array:
         """Of a first-order Markov process: sigma^2 exp(-d / length); a jitter keeps it regular."""
         size = self.knot.size
         sigma = np.broadcast_to(self.sigma, size)
         correlation = exponential(self.knot, self.length) + 1e-8 * np.eye(size)
-        return np.outer(sigma, sigma) * correlation
+        quick = self.quick[0] ** 2 * exponential(self.knot, self.quick[1])
+        return np.outer(sigma, sigma) * correlation + quick
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +185,8 @@ def prior_of(layout: Layout, background: Climatology, moisture: Climatology) -> 
 
     The departure of temperature from the climatology has its spread sigma(H) in two parts: a rough
     one, sigma_r^2 exp(-d/600 m), and a broad one, (sigma^2 - sigma_r^2) (1 + q) exp(-q) with
-    q = sqrt(3) d / 5 km (Matern 3/2: no kinks). ``moisture`` gives humidity.
+    q = sqrt(3) d / 5 km (Matern 3/2: no kinks). To these comes a layer of air near the lowest
+    height. ``moisture`` gives humidity.
     """
     gravity = background.profile.gravity
     knot, humid = layout.knot, layout.humid
@@ -195,6 +204,8 @@ def prior_of(layout: Layout, background: Climatology, moisture: Climatology) -> 
     q = np.sqrt(3.0) * np.abs(knot[:, None] - knot[None, :]) / BROAD_LENGTH_M
     covariance = np.outer(broad, broad) * (1.0 + q) * np.exp(-q)
     covariance += np.outer(rough, rough) * exponential(knot, ROUGH_LENGTH_M)
+    near_ground = SURFACE_K * np.exp(-np.maximum(above, 0.0) / SURFACE_M)
+    covariance += np.outer(near_ground, near_ground)
     put(layout.temperature, background.profile.temperature(gravity.height(knot)), covariance)
 
     h = gravity.height(humid)

@@ -6,6 +6,7 @@ a stuck one reads is written here.
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from pipeline.atmosphere.climatology import climatology, month_of
 from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from pipeline.atmosphere.estimate.estimate_checks import (
     PASSED,
+    hygrometer_is_outside,
     is_plausible,
     thermometer_is_outside,
 )
@@ -145,6 +147,61 @@ def test_the_pressure_of_a_sealed_hull(flights, airs, climb):
         assert losses(ledger) == ["AIR-NOT-OUTSIDE"]
         assert adjusted.basis == "thermometer"
         assert sigmas(truth, adjusted, climb) < 2.0
+
+
+# A hygrometer that reads what no air holds
+
+
+def stuck_wet(samples, value=1.0):
+    humidity = samples.humidity
+    return replace(samples, humidity=replace(humidity, value=np.full(humidity.value.size, value)))
+
+
+@pytest.mark.parametrize("thermometer", [True, False])
+def test_a_hygrometer_stuck_at_saturation_through_a_desert(flights, airs, thermometer):
+    """A cloud 2.4 km deep whose temperature falls by 9.75 K/km."""
+    truth = airs[DESERT]
+    samples = flown(flights, truth, 3000.0, humidity="profile", thermometer=thermometer)
+    adjusted, ledger = adjust(truth, stuck_wet(samples))
+    (entry,) = [e for e in ledger if e.code == "AIR-HYGROMETER"]
+    assert (entry.kind, entry.where) == (Kind.LOSS, "hygrometer")
+    assert "97 % and more" in entry.what
+    # Of saturated air at 309 K and 940 hPa 3.1, at 286 K and 700 hPa 4.3 K/km, worked by hand.
+    limit = float(re.search(r"saturated air overturns at ([\d.]+) K/km", entry.what)[1])
+    assert limit == pytest.approx(3.7, abs=0.3)
+    (use,) = [use for use in adjusted.sources if use.source == "hygrometer hygrometer"]
+    assert "K/km" in use.row()["why_not"]
+    assert adjusted.basis == ("both" if thermometer else "barometer")
+    assert adjusted.samples.humidity is None
+    assert sigmas(truth, adjusted, 3000.0) < 2.5
+    good, ledger = adjust(truth, samples)
+    assert losses(ledger) == []
+    assert good.samples.humidity is not None
+
+
+def test_a_dew_point_above_that_of_any_air(flights, airs):
+    """Saturated at 315 K, on the ground of a desert; and 4 sigma too wet for an arctic winter."""
+    samples = flown(flights, airs[DESERT], 800.0, gate_s=0.0)  # humidity of the lowest 200 m
+    _, ledger = adjust(airs[DESERT], stuck_wet(samples))
+    (entry,) = [e for e in ledger if e.code == "AIR-HYGROMETER"]
+    assert float(re.search(r"dew point of ([\d.]+) C", entry.what)[1]) > 35.0
+    assert "more than 35.0 C" in entry.what
+    made = estimate(stuck_wet(samples, 0.4), background(airs[DESERT]))
+    assert hygrometer_is_outside(made, background(airs[DESERT])) == PASSED
+    check = hygrometer_is_outside(made, background(airs[ARCTIC]))
+    assert not check
+    limit = float(re.search(r"no air there has more than ([\d.-]+) C", check.reason)[1])
+    # Expected -33 C, sigma of T 10.5 K and of RH 0.15 in 0.8: 10.8 K.
+    assert limit == pytest.approx(-33.0 + 4.0 * 10.8, abs=6.0)
+
+
+def test_real_clouds_keep_their_hygrometer(flights, airs):
+    """Monsoon air of 5.5 K/km, saturated over 2 km and 3 % more."""
+    truth = airs[MONSOON]
+    samples = flown(flights, truth, 2000.0, humidity="profile", descent=True)
+    for value in (1.0, 1.03):
+        _, ledger = adjust(truth, stuck_wet(samples, value))
+        assert losses(ledger) == []
 
 
 # A thermometer against a barometer
