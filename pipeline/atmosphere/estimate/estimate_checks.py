@@ -191,7 +191,7 @@ def thermometer_is_outside(
     prior = prior_of(layout, background, moisture or background)
     without = solve(layout, prior, others, background.profile)
     for readings in flown.sets:
-        if isinstance(readings, Thermometer) and not (check := _is_predicted(readings, without)):
+        if isinstance(readings, Thermometer) and not (check := is_predicted(readings, without)):
             return check
 
     def estimate_of(part: AirSamples) -> Estimate:
@@ -225,7 +225,7 @@ def thermometer_is_outside(
     return PASSED
 
 
-def _is_predicted(thermometer: Thermometer, without: Solution) -> Check:
+def is_predicted(thermometer: Thermometer, without: Solution) -> Check:
     """Whether temperatures are those that an estimate without them predicts.
 
     In the mean over their heights, and in the change from the lower to the upper half of these;
