@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,7 @@ _LATITUDE, _LONGITUDE = ("latitude", "lat"), ("longitude", "lon")
 _MEMBERS, _VERSIONS = ("number", "member", "realization", "ensemble"), ("expver",)
 _HECTOPASCALS = ("hpa", "millibars", "millibar", "mbar", "mb")
 _GRIB_HEAD = 16
+_READ_GRID = "latitude-longitude"
 
 
 def is_model_file(path: Path) -> bool:
@@ -194,6 +196,10 @@ def times_of(field: Any, where: str) -> tuple[str | None, Integers, Array]:
     return dim, stamps.ravel().astype("datetime64[ns]").astype(np.int64), lead
 
 
+def _minutes(time_ns: Integers) -> Any:
+    return time_ns.astype("datetime64[ns]").astype("datetime64[m]")
+
+
 def contents_of(path: Path) -> dict[str, Any]:
     """What a file of a weather model holds, for `unbend inspect`: nothing is judged.
 
@@ -220,10 +226,7 @@ def contents_of(path: Path) -> dict[str, Any]:
             "grid": grid_name(datasets, upper),
             "level_kind": "model" if levels.of_model else "pressure",
             "levels": np.sort(levels.values / scale).tolist(),
-            "times_utc": time_ns.astype("datetime64[ns]")
-            .astype("datetime64[m]")
-            .astype(str)
-            .tolist(),
+            "times_utc": _minutes(time_ns).astype(str).tolist(),
             "lead_h": lead_h.tolist(),
             "members": [] if member is None else upper[member].values.tolist(),
         }
@@ -239,10 +242,11 @@ def contents_of(path: Path) -> dict[str, Any]:
 
 def grid_name(datasets: Sequence[Any], field: Any) -> str:
     """Which grid a field is on: latitude-longitude, or as GRIB or CF call another."""
-    if _dimension(field, _LATITUDE) and _dimension(field, _LONGITUDE):
-        return "latitude-longitude"
     named = (v.attrs.get("grid_mapping_name") for d in datasets for v in d.variables.values())
     own = field.attrs.get("GRIB_gridType") or next((str(n) for n in named if n), None)
+    has_axes = _dimension(field, _LATITUDE) and _dimension(field, _LONGITUDE)
+    if has_axes and own in (None, "regular_ll", "regular_gg", "latitude_longitude"):
+        return _READ_GRID
     return own or f"unnamed, with dimensions {', '.join(map(str, field.dims))}"
 
 
@@ -268,6 +272,8 @@ def read_model_field(
     where = path.name
     with open_datasets(path) as (datasets, _):
         t = _find(datasets, "temperature")
+        if t is not None and (grid := grid_name(datasets, t)) != _READ_GRID:
+            raise InputError.of("MODEL-GRID", where, grid=grid)
         levels = None if t is None else _levels(t)
         if levels is not None and levels.values.size < FEWEST_LEVELS and not levels.of_model:
             raise too_few_levels(levels.values, where, "in all")
@@ -285,9 +291,6 @@ def read_model_field(
         if lacking or t is None or levels is None:
             held = ", ".join(sorted({str(v) for d in datasets for v in d.data_vars})) or "nothing"
             raise InputError.of("MODEL-VARIABLE", where, lacking=", no ".join(lacking), held=held)
-        grid = grid_name(datasets, t)
-        if grid != "latitude-longitude":
-            raise InputError.of("MODEL-GRID", where, grid=grid)
         part = _Part.of(t, area, where, member)
         level = np.sort(levels.values)
         if of_model and not np.array_equal(level, np.arange(level[0], MODEL_LEVELS + 1.0)):
@@ -304,9 +307,9 @@ def read_model_field(
             level=level,
             temperature_k=part.values(t, level),
             humidity=part.values(humidity, level),
-            height=None if height is None else part.values(height, level),
-            surface=None if surface is None else part.values(surface) / metre,
-            log_surface_pa=part.values(log_surface) if of_model else None,
+            height=np.empty(0) if height is None else part.values(height, level),
+            surface=np.empty(0) if surface is None else part.values(surface) / metre,
+            log_surface_pa=part.values(log_surface) if of_model else np.empty(0),
             lead_h=part.lead_h,
             relative=specific is None,
             on_model_levels=of_model,
@@ -355,7 +358,7 @@ class _Part:
             chosen[dim] = times
         hours = max(float(np.abs(time_ns - t).min()) for t in (first, last)) / 3.6e12
         if hours > FARTHEST_H:
-            begin, end = time_ns[order[[0, -1]]].astype("datetime64[ns]").astype("datetime64[m]")
+            begin, end = _minutes(time_ns[order[[0, -1]]])
             raise InputError.of("MODEL-TIME", where, begin=begin, end=end, hours=hours)
         nodes = []
         middle = float(np.median(area.longitude_rad))
@@ -389,17 +392,12 @@ class _Part:
         if time is None and self.time_ns.size > 1 and level is not None:
             others.append("time")
         if others:
-            differing = ", ".join(others)
-            raise InputError.of(
-                "MODEL-VARIABLE/other", self.where, name=field.name, differing=differing
-            )
+            apart = ", ".join(others)
+            raise InputError.of("MODEL-VARIABLE/other", self.where, name=field.name, apart=apart)
         single = {d: 0 for d in taken.dims if d not in order}
         values = np.asarray(taken.isel(single, drop=True).transpose(*order).values, np.float64)
         if version is not None:  # ERA5 and its preliminary months: each where the other is not
-            filled = values[0]
-            for other in values[1:]:
-                filled = np.where(np.isnan(filled), other, filled)
-            values = filled
+            values = reduce(lambda a, b: np.where(np.isnan(a), b, a), values)
         if time is None:
             values = np.broadcast_to(values, (self.time_ns.size, *values.shape))
         if levels is None or level is None:

@@ -206,6 +206,9 @@ REFUSED = {
     "projected": (lambda f: f.rename(latitude="y", longitude="x").drop_vars(["x", "y"]).assign(
         crs=((), 0, {"grid_mapping_name": "lambert_conformal_conic"})),
         "MODEL-GRID", "lambert_conformal_conic"),
+    "rotated": (lambda f: f.assign(
+        pole=((), 0, {"grid_mapping_name": "rotated_latitude_longitude"})),
+                "MODEL-GRID", "its grid is rotated_latitude_longitude"),
     "Celsius": (lambda f: spoiled(f, "t", lambda t: t - 273.15), "MODEL-UNITS", "temperatures"),
     "g/kg": (lambda f: spoiled(f, "q", lambda q: 1000.0 * q), "MODEL-UNITS", "humidity up to"),
     "feet": (lambda f: spoiled(f, "z", lambda z: z / 0.3048), "MODEL-UNITS", "as thick"),
@@ -224,6 +227,28 @@ def test_what_is_no_such_field_is_refused_with_its_numbers(fields, tmp_path, wha
     with pytest.raises(InputError, match=words) as refused:
         read(netcdf(tmp_path / "bad.nc", change(fields)))
     assert refused.value.code == code
+
+
+def test_a_projected_grib_such_as_hrrr_is_refused_by_name(tmp_path):
+    import eccodes
+
+    path = tmp_path / "hrrr.grib2"
+    with path.open("wb") as file:
+        for level in (1000, 850, 700, 500, 300):
+            message = eccodes.codes_grib_new_from_samples("regular_ll_pl_grib2")
+            for key, value in {
+                "gridType": "lambert", "Nx": 3, "Ny": 2, "DxInMetres": 3000, "DyInMetres": 3000,
+                "latitudeOfFirstGridPointInDegrees": 40.0, "shortName": "t", "level": level,
+                "longitudeOfFirstGridPointInDegrees": 260.0, "LoVInDegrees": 262.5,
+                "LaDInDegrees": 38.5, "Latin1InDegrees": 38.5, "Latin2InDegrees": 38.5,
+            }.items():  # fmt: skip
+                eccodes.codes_set(message, key, value)
+            eccodes.codes_set_values(message, np.full(6, 280.0))
+            eccodes.codes_write(message, file)
+            eccodes.codes_release(message)
+    with pytest.raises(InputError, match="its grid is lambert") as refused:
+        read(path)
+    assert refused.value.code == "MODEL-GRID"
 
 
 def test_another_member_than_the_file_has_is_refused(fields, tmp_path):

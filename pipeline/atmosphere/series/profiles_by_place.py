@@ -19,7 +19,7 @@ from pipeline.atmosphere.series.profile_series import (
 )
 from pipeline.atmosphere.soundings.model_field import ModelColumns, ModelField
 from pipeline.ledger import Notes, note
-from pipeline.units import Array, Integers
+from pipeline.units import VAPOUR_DEFICIT, Array, Integers
 
 LONG_KM, LONG_H = 30.0, 2.0
 """In a shorter flight the air of one place and time is that of all."""
@@ -115,7 +115,8 @@ def _origins(air: TimedProfile) -> list[tuple[Place, float]]:
 
 def _column(columns: ModelColumns, i: int) -> tuple[Array, Array]:
     """(l,) heights [m'] of one column from the ground up; (3, l) T_M, e/p and ln p there."""
-    values = np.stack([columns.virtual[i], columns.vapour[i], columns.log_pressure[i]])
+    virtual = columns.temperature_k[i] / (1.0 - VAPOUR_DEFICIT * columns.vapour[i])
+    values = np.stack([virtual, columns.vapour[i], columns.log_pressure[i]])
     known = np.flatnonzero(np.isfinite(columns.height[i] + values.sum(axis=0)))[::-1]
     return columns.height[i, known], values[:, known]
 

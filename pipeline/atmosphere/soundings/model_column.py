@@ -81,8 +81,7 @@ def model_column(
         notes.append(fallback("MODEL-MISSING", where=where, count=missing, total=known.size))
     height, t, vapour, log_p = height[used], t[used], vapour[used], log_p[used]
     above = height - ground
-    days = 0.0 if field.lead_h is None else float(
-        np.interp(time_ns, field.time_ns, field.lead_h)) / 24.0  # fmt: skip
+    days = float(np.interp(time_ns, field.time_ns, field.lead_h)) / 24.0 if field.lead_h.size else 0
     sigma = np.interp(above, [LOW_M, ALOFT_M], [LOW_K, ALOFT_K])
     sigma_rh = np.full(t.size, HUMIDITY_RH)
     if (depth := float(above[0])) > _SMALLEST_EXTENSION_M:

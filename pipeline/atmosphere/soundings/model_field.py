@@ -6,18 +6,17 @@ a and b of ECMWF's L137 definition (a to six decimals, b to nine digits as in it
 
 import csv
 import math
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from importlib import resources
 from itertools import product
 
 import numpy as np
 
-from pipeline.atmosphere.profile import Profile, profile_from_table
 from pipeline.atmosphere.refractive_index import vapour_pressure
 from pipeline.errors import InputError
-from pipeline.geodesy import longitudes_near, normal_gravity
-from pipeline.ledger import Entry, Notes, fallback
+from pipeline.geodesy import longitudes_near
+from pipeline.ledger import Notes, fallback
 from pipeline.units import (
     DEGREE,
     HECTOPASCAL,
@@ -35,12 +34,11 @@ MODEL_LEVELS = 137
 _RATIO = 0.622  # of the molar masses of water and dry air
 _THICKNESS_RATIO = 0.03  # as `level_checks`: heights come from the same temperatures
 _SURFACE_PA = (30_000.0, 110_000.0)  # the highest pressure of levels that reach the ground
-_COLDEST_K, _WARMEST_K = 150.0, 340.0
-_MOST_Q, _MOST_FRACTION, _MOST_PERCENT = 0.05, 1.6, 160.0
-_EARTH_KM = 6371.0
-_SEA_LEVEL_PA = 101_325.0
+_COLDEST_K, _WARMEST_K, _MOST_Q, _MOST_FRACTION = 150.0, 340.0, 0.05, 1.6
+_EARTH_KM, _SEA_LEVEL_PA, _SCALE_HEIGHT_M = 6371.0, 101_325.0, 8000.0
 _WIDEST_STEP, _ROUNDING = 0.2, 1e-9  # of nodes [rad]
-_GROUND_M, _SCALE_HEIGHT_M, _SURFACE_LOG_P = (-600.0, 9000.0), 8000.0, 0.25
+_GROUND_M, _SURFACE_LOG_P = (-600.0, 9000.0), 0.25
+_MISSING = partial(np.empty, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +55,6 @@ class ModelColumns:
     vapour: Array
     surface: Array
 
-    @property
-    def virtual(self) -> Array:
-        """T_M = T / (1 - 0.378 e/p) [K]; dry where humidity is missing."""
-        return np.asarray(self.temperature_k / (1.0 - VAPOUR_DEFICIT * np.nan_to_num(self.vapour)))
-
 
 @dataclass(frozen=True, eq=False)
 class ModelField:
@@ -77,7 +70,7 @@ class ModelField:
         increasing.
     temperature_k, humidity : (t, l, y, x); the latter specific [kg/kg], or ``relative`` [1].
     height : (t, l, y, x) geopotential heights of pressure levels [m'].
-    surface : (t, 1, y, x) geopotential height of the ground [m'], None where the file has none.
+    surface : (t, 1, y, x) geopotential height of the ground [m'], if known.
     log_surface_pa : (t, 1, y, x) ln of surface pressure [Pa], for model levels.
     """
 
@@ -88,10 +81,10 @@ class ModelField:
     level: Array
     temperature_k: Array
     humidity: Array
-    height: Array | None = None
-    surface: Array | None = None
-    log_surface_pa: Array | None = None
-    lead_h: Array | None = None
+    height: Array = field(default_factory=_MISSING)
+    surface: Array = field(default_factory=_MISSING)
+    log_surface_pa: Array = field(default_factory=_MISSING)
+    lead_h: Array = field(default_factory=_MISSING)
     relative: bool = False
     on_model_levels: bool = False
 
@@ -104,30 +97,28 @@ class ModelField:
         Eq. 2.21 to 2.23); against an integrated column 1e-4 of p up to 30 km.
         """
         longitude_rad = longitudes_near(longitude_rad, float(self.longitude_rad.mean()))
-        axes = (
-            _between(self.time_ns.astype(np.float64), time_ns.astype(np.float64)),
-            _between(self.latitude_rad, latitude_rad),
-            _between(self.longitude_rad, longitude_rad),
-        )
+        nodes = (self.time_ns - self.time_ns[0], self.latitude_rad, self.longitude_rad)
+        wanted = (time_ns - self.time_ns[0], latitude_rad, longitude_rad)
+        axes = [np.interp(x, node, np.arange(node.size)) for x, node in zip(
+            wanted, nodes, strict=True)]  # fmt: skip
 
         def at(field: Array) -> Array:
             total = np.zeros((time_ns.size, field.shape[1]))
-            for corner in product((0, 1), repeat=3):
+            for upper in product((False, True), repeat=3):
                 weight = np.ones(time_ns.size)
                 rows: list[Rows] = []
-                for (first, share), upper in zip(axes, corner, strict=True):
-                    weight *= share if upper else 1.0 - share
-                    rows.append(first + upper)
-                t, y, x = (np.minimum(r, n - 1) for r, n in zip(
-                    rows, (field.shape[0], *field.shape[2:]), strict=True))  # fmt: skip
+                for axis, up in zip(axes, upper, strict=True):
+                    low = np.floor(axis)
+                    weight *= axis - low if up else 1.0 - (axis - low)
+                    rows.append((np.ceil(axis) if up else low).astype(np.intp))
                 used = weight > 0.0
-                total[used] += weight[used, None] * field[t[used], :, y[used], x[used]]
+                t, y, x = (row[used] for row in rows)
+                total[used] += weight[used, None] * field[t, :, y, x]
             return total
 
         t, humidity = at(self.temperature_k), at(self.humidity)
-        surface = np.full(time_ns.size, np.nan) if self.surface is None else at(self.surface)[:, 0]
+        surface = at(self.surface)[:, 0] if self.surface.size else np.full(time_ns.size, np.nan)
         if self.on_model_levels:
-            assert self.log_surface_pa is not None
             half = half_levels(np.exp(at(self.log_surface_pa)))[:, int(self.level[0]) - 1 :]
             p = 0.5 * (half[:, 1:] + half[:, :-1])
         else:
@@ -136,21 +127,12 @@ class ModelField:
             vapour = vapour_pressure(humidity, t, p) / p
         else:
             vapour = humidity / (_RATIO + VAPOUR_DEFICIT * humidity)
-        columns = ModelColumns(np.zeros(t.shape), np.log(p), t, np.maximum(vapour, 0.0), surface)
+        vapour = np.maximum(vapour, 0.0)
         if self.on_model_levels:
-            return replace(columns, height=level_heights(half, columns.virtual, surface))
-        assert self.height is not None
-        return replace(columns, height=at(self.height))
-
-    def profile(self, latitude_rad: float, longitude_rad: float, time_ns: int) -> Profile:
-        """The air over one place at one time, through all levels that have values there."""
-        place = np.array([latitude_rad]), np.array([longitude_rad]), np.array([time_ns])
-        air = self.columns(*place)
-        known = np.flatnonzero(np.isfinite(air.height + air.virtual + air.log_pressure)[0])[::-1]
-        t, p = air.temperature_k[0, known], np.exp(air.log_pressure[0, known])
-        gravity = normal_gravity(latitude_rad)
-        h, e = gravity.height(air.height[0, known]), np.nan_to_num(air.vapour[0, known]) * p
-        return profile_from_table(h, t, p, e, gravity=gravity, name=self.name)
+            height = level_heights(half, t / (1.0 - VAPOUR_DEFICIT * vapour), surface)
+        else:
+            height = at(self.height)
+        return ModelColumns(height, np.log(p), t, vapour, surface)
 
     def refuse_outside(self, latitude_rad: Array, longitude_rad: Array) -> None:
         """Refuse (`InputError`) places (n,) outside the grid, or in a hole of it: how far."""
@@ -167,14 +149,6 @@ class ModelField:
             "MODEL-AREA", self.name, north=latitude_rad[worst] / DEGREE, east=east[worst] / DEGREE,
             away_km=away[worst], south_node=y[0], north_node=y[1], west_node=x[0], east_node=x[1],
         )  # fmt: skip
-
-
-def _between(node: Array, x: Array) -> tuple[Rows, Array]:
-    """The node below each x, and the share of the next; beyond the nodes the first or the last."""
-    if node.size == 1:
-        return np.zeros(x.size, np.intp), np.zeros(x.size)
-    i = np.clip(np.searchsorted(node, x, side="right") - 1, 0, node.size - 2)
-    return i, np.clip((x - node[i]) / (node[i + 1] - node[i]), 0.0, 1.0)
 
 
 def _outside(node: Array, x: Array) -> Array:
@@ -228,12 +202,11 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
     [m2/s2] or geopotential metres by the hydrostatic equation; relative humidity in percent or as
     a fraction. Refuses (`InputError`) what is neither.
     """
-    notes: list[Entry] = []
 
     def refused(what: str) -> InputError:
-        remedy = "download the file again as the model's centre offers it"
-        return InputError("MODEL-UNITS", what, where=where, remedy=remedy)
+        return InputError.of("MODEL-UNITS", where, what=what)
 
+    notes: Notes = ()
     t, q = field.temperature_k, field.humidity
     if not bool(np.isfinite(t + q).any()):
         raise refused("no value of temperature and humidity around the flight")
@@ -247,11 +220,11 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
     if wettest > (_MOST_FRACTION if field.relative else _MOST_Q):
         kind = "relative" if field.relative else "specific"
         raise refused(f"{kind} humidity up to {wettest:.6g}: not kg/kg, and no fraction of 1")
-    if field.surface is not None:
+    if field.surface.size:
         ground = field.surface
         if not _GROUND_M[0] <= float(np.nanmin(ground)) <= float(np.nanmax(ground)) <= _GROUND_M[1]:
             raise refused(f"its ground is up to {np.nanmax(ground):.6g} m high")
-        if field.log_surface_pa is not None:
+        if field.on_model_levels:
             expected = math.log(_SEA_LEVEL_PA) - ground / _SCALE_HEIGHT_M
             off = float(np.nanmax(np.abs(field.log_surface_pa - expected)))
             if off > _SURFACE_LOG_P:
@@ -265,17 +238,14 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
                        if _SURFACE_PA[0] <= f * lowest <= _SURFACE_PA[1]), None)  # fmt: skip
         if factor is None:
             raise refused(f"the highest pressure level is {lowest:.6g} Pa, not near the ground")
-        notes.append(fallback("MODEL-PRESSURE-UNIT", where=where, lowest=lowest, factor=factor))
+        notes = (fallback("MODEL-PRESSURE-UNIT", where=where, lowest=lowest, factor=factor),)
         field = replace(field, level=factor * field.level)
-    assert field.height is not None
     layers = 0.5 * (t[0, 1:] + t[0, :-1]) * np.diff(np.log(field.level))[:, None, None]
     thickness = -HYDROSTATIC_CONSTANT * np.diff(field.height[0], axis=0)
     ratio = float(np.nanmedian(thickness / layers))
     if abs(ratio / STANDARD_GRAVITY - 1.0) < _THICKNESS_RATIO:
-        return replace(field, height=field.height / STANDARD_GRAVITY), tuple(notes)
+        return replace(field, height=field.height / STANDARD_GRAVITY), notes
     if abs(ratio - 1.0) < _THICKNESS_RATIO:
-        return field, tuple(notes)
-    raise refused(
-        f"layers are {ratio:.4g} times as thick as their pressures and temperatures imply: 1 is "
-        "geopotential metres, 9.807 geopotential"
-    )
+        return field, notes
+    raise refused(f"layers are {ratio:.4g} times as thick as pressure and temperature imply: 1 is "
+                  "geopotential metres, 9.807 geopotential")  # fmt: skip
