@@ -119,18 +119,12 @@ def parse_metar(
         (qnh, _QNH_PA, "altimeter setting", "Pa"),
     ):
         if number < low or number > high:
-            what = f"the {quantity} is {number:.6g} {unit}, which does not occur at the ground"
-            place, remedy = f"{where}: {flat[:80]!r}", "check whether a digit is missing"
-            raise InputError("METAR-RANGE", what, where=place, remedy=remedy)
+            place = f"{where}: {flat[:80]!r}"
+            raise InputError.of("METAR-RANGE", place, quantity=quantity, number=number, unit=unit)
     time_ns = _nearest_day(flat, flight_ns, ledger, where)
     if dew > t:
-        ledger.warning(
-            "METAR-DEW-POINT",
-            f"the dew point {dew - ZERO_CELSIUS_K:.1f} C lies above the temperature "
-            f"{t - ZERO_CELSIUS_K:.1f} C: taken as saturated",
-            where=where,
-            count=1,
-        )
+        celsius, dew_c = t - ZERO_CELSIUS_K, dew - ZERO_CELSIUS_K
+        ledger.warning("METAR-DEW-POINT", where=where, count=1, dew_c=dew_c, celsius=celsius)
         dew = t
     quantities = (("temperature", t), ("dew point", dew), ("altimeter setting", qnh))
     missing = [quantity for quantity, value in quantities if not math.isfinite(value)]
@@ -185,8 +179,7 @@ def _nearest_day(flat: str, flight_ns: int | None, ledger: Ledger, where: str) -
     nearest = min(times, key=lambda time: abs(time - flight_ns))
     hours = abs(nearest - flight_ns) / (_DAY_NS / 24)
     if hours > _FAR_HOURS:
-        what = f"the report is {hours:.1f} hours away from the flight"
-        ledger.warning("METAR-FAR-IN-TIME", what, where=where)
+        ledger.warning("METAR-FAR-IN-TIME", where=where, hours=hours)
     return nearest
 
 
@@ -217,32 +210,18 @@ def surface_report(
     """
     _refuse_height(h_m, where)
     if not (math.isfinite(temperature_k) or math.isfinite(pressure_pa)):
-        raise InputError(
-            "SURFACE-EMPTY", "a surface report needs a temperature or a pressure", where=where,
-            remedy="give temperature_c, pressure_hpa or a metar",
-        )  # fmt: skip
+        raise InputError.of("SURFACE-EMPTY", where)
     if temperature_k < _GROUND_K[0] or temperature_k > _GROUND_K[1]:
-        raise InputError(
-            "SURFACE-TEMPERATURE",
-            f"{temperature_k:.2f} K ({temperature_k - ZERO_CELSIUS_K:.2f} C) is no temperature of "
-            "air at the ground",
-            where=where,
-            remedy="temperature_c is in Celsius: convert Fahrenheit by (F - 32) / 1.8, Kelvin by "
-            "K - 273.15",
-        )
+        celsius = temperature_k - ZERO_CELSIUS_K
+        raise InputError.of("SURFACE-TEMPERATURE", where, kelvin=temperature_k, celsius=celsius)
     usual = station_pressure(_SEA_LEVEL_PA, h_m)
     if math.isfinite(pressure_pa) and abs(pressure_pa / usual - 1.0) > 0.08:
-        what = (
-            f"{pressure_pa / 100.0:.2f} hPa at {h_m:.0f} m is {pressure_pa / usual:.3f} times the "
-            f"usual {usual / 100.0:.0f} hPa"
-        )
-        remedy = "pressure_hpa is what the barometer shows there, in hPa, not reduced to sea level"
-        raise InputError("SURFACE-PRESSURE", what, where=where, remedy=remedy)
+        raise InputError.of(
+            "SURFACE-PRESSURE", where, hpa=pressure_pa / HECTOPASCAL, height_m=h_m,
+            ratio=pressure_pa / usual, usual_hpa=usual / HECTOPASCAL,
+        )  # fmt: skip
     if math.isfinite(relative_humidity) and not 0.0 <= relative_humidity <= 1.0:
-        what = f"a relative humidity of {relative_humidity:g} is not between 0 and 1"
-        raise InputError(
-            "SURFACE-HUMIDITY", what, where=where, remedy="give a fraction: 55 % is 0.55"
-        )
+        raise InputError.of("SURFACE-HUMIDITY", where, humidity=relative_humidity)
     p = pressure_pa if math.isfinite(pressure_pa) else usual
     e = float(vapour_pressure(relative_humidity, temperature_k, p))
     return SurfaceReport(h_m, pressure_pa, temperature_k, e, time_ns, "mission file")
@@ -250,10 +229,7 @@ def surface_report(
 
 def _refuse_height(h_m: float, where: str) -> None:
     if not _STATION_M[0] <= h_m <= _STATION_M[1]:
-        what = f"a station {h_m:g} m above the sea is not on the ground"
-        raise InputError(
-            "SURFACE-HEIGHT", what, where=where, remedy="give its elevation in metres, -500 to 6000"
-        )
+        raise InputError.of("SURFACE-HEIGHT", where, height_m=h_m)
 
 
 def _no_metar(what: str, flat: str, where: str) -> InputError:

@@ -66,11 +66,7 @@ def check_levels(
     refuse_wrong_units(raw)
     latitude = raw.latitude_rad if math.isfinite(raw.latitude_rad) else latitude_rad
     if not math.isfinite(latitude):
-        what = (
-            "the sounding's latitude is not known: its heights are those of 45 degrees, at most "
-            "27 m wrong at 10 km"
-        )
-        ledger.fallback("SOUNDING-LATITUDE", what, where=raw.where)
+        ledger.fallback("SOUNDING-LATITUDE", where=raw.where)
         latitude = _UNKNOWN_LATITUDE_RAD
     gravity = normal_gravity(latitude)
     if not raw.geopotential:
@@ -139,13 +135,7 @@ def refuse_wrong_heights(raw: RawLevels, h: Array, rise: Array) -> None:
         return
     ratio = float(np.median((h[apart:] - h[:-apart])[thick] / far[thick]))
     if abs(ratio - 1.0) > _THICKNESS_RATIO:
-        raise InputError(
-            "SOUNDING-INCONSISTENT",
-            f"the layers are {ratio:.3f} times as thick as their pressures and temperatures imply",
-            where=raw.where,
-            remedy="look for heights in feet (3.28 times), temperatures in Fahrenheit, columns "
-            "mixed up, or another file in atmosphere.soundings.path",
-        )
+        raise InputError.of("SOUNDING-INCONSISTENT", raw.where, ratio=ratio)
 
 
 def _largest(column: Array) -> float | None:
@@ -171,40 +161,28 @@ def _take(raw: RawLevels, keep: Mask | Rows) -> RawLevels:
 def _refuse_few(raw: RawLevels) -> RawLevels:
     count = raw.pressure_pa.size
     if count < FEWEST_LEVELS:
-        raise InputError(
-            "SOUNDING-LEVELS",
-            f"{count} levels have a pressure and a temperature and are in order; "
-            f"{FEWEST_LEVELS} are needed",
-            where=raw.where,
-            remedy="give another sounding, or the lowest level as a surface report",
-        )
+        raise InputError.of("SOUNDING-LEVELS", raw.where, count=count, fewest=FEWEST_LEVELS)
     return raw
 
 
 def _complete_levels(raw: RawLevels, ledger: Ledger) -> RawLevels:
     """The levels with possible pressure and temperature, by falling pressure."""
     if raw.lines_missing > 0:
-        what = f"the header announces {raw.lines_missing} levels more than there are"
-        ledger.loss("SOUNDING-TRUNCATED", what, where=raw.where, count=raw.lines_missing)
+        ledger.loss("SOUNDING-TRUNCATED", where=raw.where, count=raw.lines_missing)
     p, t = raw.pressure_pa, raw.temperature_k
     has = np.isfinite(p) & np.isfinite(t)
     possible = (p > 0.0) & (p <= _HIGHEST_PA) & (t >= _COLDEST_K) & (t <= _WARMEST_K)
     missing, impossible = int((~has).sum()), int((has & ~possible).sum())
     if missing:
-        what = f"{missing} of {p.size} levels have no pressure or no temperature, and are not used"
-        ledger.note("SOUNDING-MISSING", what, where=raw.where, count=missing)
+        ledger.note("SOUNDING-MISSING", where=raw.where, count=missing, total=p.size)
     if impossible:
         worst = int(np.flatnonzero(has & ~possible)[0])
-        what = (
-            f"{impossible} levels have values that no air has, the first {p[worst] / 100.0:.1f} hPa"
-            f" and {t[worst]:.1f} K"
-        )
-        ledger.loss("SOUNDING-RANGE", what, where=raw.where, count=impossible)
+        hpa, kelvin = p[worst] / HECTOPASCAL, t[worst]
+        ledger.loss("SOUNDING-RANGE", where=raw.where, count=impossible, hpa=hpa, kelvin=kelvin)
     raw = _refuse_few(_take(raw, has & possible))
     up = int((np.diff(raw.pressure_pa) > 0.0).sum())
     if up:
-        what = f"pressure rises {up} times from one level to the next: the levels are put in order"
-        ledger.warning("SOUNDING-UNSORTED", what, where=raw.where, count=up)
+        ledger.warning("SOUNDING-UNSORTED", where=raw.where, count=up)
         raw = _take(raw, np.argsort(-raw.pressure_pa, kind="stable"))
     return raw
 
@@ -218,35 +196,23 @@ def _vapour_pressure(raw: RawLevels, ledger: Ledger) -> Array:
     if raw.dew_point_k is not None:
         dew = raw.dew_point_k
         impossible = np.isfinite(dew) & ~((dew >= _COLDEST_K) & (dew <= _WARMEST_K))
-        if bool(impossible.any()):
-            ledger.warning(
-                "SOUNDING-HUMIDITY-RANGE",
-                f"{int(impossible.sum())} levels have a dew point that no air has, the first "
-                f"{dew[impossible][0]:.1f} K: taken as unknown",
-                where=raw.where,
-                count=int(impossible.sum()),
-            )
+        if count := int(impossible.sum()):
+            first = dew[impossible][0]
+            ledger.warning("SOUNDING-HUMIDITY-RANGE", where=raw.where, count=count, first=first)
         dew = np.where(impossible, np.nan, dew)
         e = np.where(np.isfinite(e), e, vapour_pressure(1.0, dew, p))
     if raw.relative_humidity is not None:
         e = np.where(np.isfinite(e), e, vapour_pressure(raw.relative_humidity, t, p))
     negative = np.isfinite(e) & (e < 0.0)
-    if bool(negative.any()):
-        what = f"{int(negative.sum())} levels have a humidity below zero: taken as unknown"
-        ledger.warning(
-            "SOUNDING-HUMIDITY-NEGATIVE", what, where=raw.where, count=int(negative.sum())
-        )
+    if count := int(negative.sum()):
+        ledger.warning("SOUNDING-HUMIDITY-NEGATIVE", where=raw.where, count=count)
         e[negative] = np.nan
     saturated = vapour_pressure(1.0, t, p)
     # A rounded dew point, 0.05 K of it, may pass saturation by 0.4 %: not reported.
     over = np.isfinite(e) & (e > saturated * 1.005)
-    if bool(over.any()):
-        what = (
-            f"{int(over.sum())} levels have a dew point above the temperature or more than "
-            f"100 % humidity, at most {100.0 * np.max(e[over] / saturated[over]):.0f} %: taken as "
-            "saturated"
-        )
-        ledger.warning("SOUNDING-HUMIDITY-OVER", what, where=raw.where, count=int(over.sum()))
+    if count := int(over.sum()):
+        percent = 100.0 * np.max(e[over] / saturated[over])
+        ledger.warning("SOUNDING-HUMIDITY-OVER", where=raw.where, count=count, percent=percent)
     return np.asarray(np.minimum(e, saturated))
 
 
@@ -260,16 +226,12 @@ def _heights(raw: RawLevels, start: float, ledger: Ledger) -> Array:
     rise = np.concatenate([[0.0], np.cumsum(steps)])
     if not bool(np.isfinite(h).any()):
         if not math.isfinite(start):
-            what = f"none of the {h.size} levels has a height"
-            remedy = "give the height of the station above the sea as station_h_msl_m"
-            raise InputError("SOUNDING-HEIGHT", what, where=raw.where, remedy=remedy)
+            raise InputError.of("SOUNDING-HEIGHT", raw.where, total=h.size)
         h[0] = start
     known = np.isfinite(h)
     refuse_wrong_heights(raw, h[known], rise[known])
-    if not bool(known.all()):
-        count = int((~known).sum())
-        what = f"{count} levels have no height: it is computed from pressure and temperature"
-        ledger.fallback("SOUNDING-HEIGHTS", what, where=raw.where, count=count)
+    if count := int((~known).sum()):
+        ledger.fallback("SOUNDING-HEIGHTS", where=raw.where, count=count)
         # The departure of the reported heights from the hypsometric ones, carried to the gaps.
         h = np.where(known, h, rise + np.interp(rise, rise[known], (h - rise)[known]))
     return h
@@ -286,8 +248,7 @@ def _rising_levels(raw: RawLevels, ledger: Ledger) -> RawLevels:
     raw = _mean_of_runs(raw, np.round(raw.h_m, 2))
     merged = before - raw.pressure_pa.size
     if merged:
-        what = f"{merged} levels repeat the pressure or the height of another: averaged"
-        ledger.note("SOUNDING-DUPLICATE", what, where=raw.where, count=merged)
+        ledger.note("SOUNDING-DUPLICATE", where=raw.where, count=merged)
     # The longest strictly increasing subsequence of heights, by patience sorting.
     tails: list[int] = []
     before_it = np.full(raw.h_m.size, -1, dtype=np.intp)
@@ -302,11 +263,8 @@ def _rising_levels(raw: RawLevels, ledger: Ledger) -> RawLevels:
     dropped = raw.h_m.size - keep.size
     if dropped:
         out = np.setdiff1d(np.arange(raw.h_m.size), keep)[0]
-        what = (
-            f"{dropped} levels are lower than one of higher pressure, the first at "
-            f"{raw.h_m[out]:.0f} m and {raw.pressure_pa[out] / 100.0:.1f} hPa: not used"
-        )
-        ledger.warning("SOUNDING-ORDER", what, where=raw.where, count=dropped)
+        h, hpa = raw.h_m[out], raw.pressure_pa[out] / HECTOPASCAL
+        ledger.warning("SOUNDING-ORDER", where=raw.where, count=dropped, height_m=h, hpa=hpa)
     return _refuse_few(_take(raw, keep))
 
 
@@ -345,19 +303,14 @@ def _note_unusual_air(sounding: Sounding, where: str, ledger: Ledger) -> None:
     steep = lapse > _ADIABAT_K_PER_M + _STEEPER_K_PER_M
     if count := int(steep.sum()):
         i = int(np.argmax(lapse))
-        what = (
-            f"over {_SLICE_M * count:.0f} m of height the air cools faster than dry air that "
-            f"rises, at most by {1e3 * lapse[i]:.1f} K/km at {grid[i]:.0f} m: kept"
-        )
-        ledger.warning("SOUNDING-SUPERADIABATIC", what, where=where, count=count)
+        ledger.warning(
+            "SOUNDING-SUPERADIABATIC", where=where, count=count, k_per_km=1e3 * lapse[i],
+            height_m=grid[i], over_m=_SLICE_M * count,
+        )  # fmt: skip
     n = refractivity_gyer(
         sounding.temperature_k, sounding.pressure_pa, np.nan_to_num(sounding.vapour_pressure_pa)
     )
     rising = np.diff(n) > _INDEX_ROUNDING * n[:-1]
     if count := int(rising.sum()):
-        i = int(np.argmax(rising))
-        what = (
-            f"in {count} layers the refractive index grows with height, the lowest at "
-            f"{sounding.h_m[i]:.0f} m: light bends away from the ground there, a mirage: kept"
-        )
-        ledger.warning("SOUNDING-INDEX-RISES", what, where=where, count=count)
+        lowest = sounding.h_m[int(np.argmax(rising))]
+        ledger.warning("SOUNDING-INDEX-RISES", where=where, count=count, lowest=lowest)

@@ -60,13 +60,7 @@ def parse_sounding(
         name = next((name for name, (is_it, _) in FORMATS.items() if is_it(text)), "")
         if not name:
             begins = text.lstrip()[:60].splitlines()
-            raise InputError(
-                "SOUNDING-FORMAT",
-                f"is no sounding in a known format: it begins with {begins[0] if begins else ''!r}",
-                where=where,
-                remedy="give IGRA v2, a University of Wyoming list or CSV, or a CSV whose columns "
-                "are named like h_m, pressure_hpa, temperature_c, dew_point_c",
-            )
+            raise InputError.of("SOUNDING-FORMAT", where, begins=begins[0] if begins else "")
     if name not in FORMATS:
         what = f"no format of soundings is called {name!r}"
         raise InputError(
@@ -88,27 +82,18 @@ def nearest_in_time(
         )
     if len(full) < len(ascents):  # a file that was cut off may end with a header
         count = len(ascents) - len(full)
-        what = (
-            f"{count} soundings have a header and no level: one of them may have been nearer to "
-            "the flight"
-        )
-        ledger.loss("SOUNDING-CUT-OFF", what, where=where, count=count)
+        ledger.loss("SOUNDING-CUT-OFF", where=where, count=count)
     if len(full) == 1 and (time_ns is None or full[0].time_ns is None):
         return full[0]
     if time_ns is None:
-        what = f"the file holds {len(full)} soundings and no time is given to choose by"
-        remedy = "keep the one sounding of the flight in the file"
-        raise InputError("SOUNDING-CHOICE", what, where=where, remedy=remedy)
+        raise InputError.of("SOUNDING-CHOICE", where, total=len(full))
     dated = [(abs(raw.time_ns - time_ns), raw) for raw in full if raw.time_ns is not None]
     if not dated:
-        what = f"none of the {len(full)} soundings has a date to choose by"
-        raise InputError("SOUNDING-CHOICE", what, where=where, remedy="keep one sounding")
+        raise InputError.of("SOUNDING-CHOICE/undated", where, total=len(full))
     apart, raw = min(dated, key=lambda pair: pair[0])
     hours = apart / NANOSECONDS_PER_SECOND / 3600.0
     if hours > FAR_HOURS:
-        what = f"the nearest sounding is {hours:.0f} hours away from the flight"
-        ledger.warning("SOUNDING-FAR-IN-TIME", what, where=raw.where)
+        ledger.warning("SOUNDING-FAR-IN-TIME", where=raw.where, hours=hours)
     if len(full) > 1:
-        what = f"of {len(full)} soundings the one {hours:.1f} hours away is taken"
-        ledger.note("SOUNDING-CHOSEN", what, where=raw.where, count=len(full))
+        ledger.note("SOUNDING-CHOSEN", where=raw.where, count=len(full), hours=hours)
     return raw

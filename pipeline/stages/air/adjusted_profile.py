@@ -89,8 +89,7 @@ def read_report(
         )
         hours = TimeAndPlace(flight_ns).hours_from(report.time_ns)
         if hours > _FAR_HOURS:  # as `parse_metar` warns of a METAR
-            what = f"the report is {hours:.1f} hours away from the flight"
-            ledger.warning("SURFACE-FAR-IN-TIME", what, where=where)
+            ledger.warning("SURFACE-FAR-IN-TIME", where=where, hours=hours)
     _refuse_temperature(report, background, where, is_celsius=section.metar is not None)
     _refuse_level(report, background, where, is_station=section.metar is not None)
     return report
@@ -108,17 +107,11 @@ def _refuse_temperature(
     mistaken = departure > _LIKE_FAHRENHEIT and abs(as_fahrenheit) < _LIKELY and not is_celsius
     if not mistaken and not abs(departure) > _IMPOSSIBLE_SIGMAS:
         return
-    what = (
-        f"{celsius:.1f} C at {report.h_m:.0f} m is {abs(departure):.1f} sigma from the "
-        f"{expected - ZERO_CELSIUS_K:.0f} C of the climatology"
-    )
-    if mistaken:
-        what += f"; {celsius:.1f} F would be {(celsius - 32.0) / 1.8:.1f} C"
-    remedy = (
-        "temperature_c is in Celsius: convert Fahrenheit by (F - 32) / 1.8, Kelvin by "
-        "K - 273.15; or the station or the date is another; a METAR is taken as it is"
-    )
-    raise InputError("SURFACE-CLIMATE", what, where=where, remedy=remedy)
+    rather = f"; {celsius:.1f} F would be {(celsius - 32.0) / 1.8:.1f} C" if mistaken else ""
+    raise InputError.of(
+        "SURFACE-CLIMATE", where, celsius=celsius, height_m=report.h_m, sigmas=abs(departure),
+        expected_c=expected - ZERO_CELSIUS_K, rather=rather,
+    )  # fmt: skip
 
 
 def _refuse_level(
@@ -139,17 +132,11 @@ def _refuse_level(
     mistaken = departure > _LIKE_QNH and abs(as_qnh) < _LIKELY and not is_station
     if not mistaken and abs(departure) <= _IMPOSSIBLE_LEVEL:
         return
-    what = (
-        f"{report.pressure_pa / HECTOPASCAL:.1f} hPa at {report.h_m:.0f} m is "
-        f"{abs(departure):.1f} sigma from the {expected / HECTOPASCAL:.0f} hPa of the climatology"
-    )
-    if mistaken:
-        what += f"; as QNH it would be {reduced / HECTOPASCAL:.1f} hPa there"
-    remedy = (
-        "pressure_hpa is what the barometer shows at h_msl_m, not reduced to sea level; "
-        "give QNH as a metar, or correct h_msl_m"
-    )
-    raise InputError("SURFACE-LEVEL", what, where=where, remedy=remedy)
+    rather = f"; as QNH it would be {reduced / HECTOPASCAL:.1f} hPa there" if mistaken else ""
+    raise InputError.of(
+        "SURFACE-LEVEL", where, hpa=report.pressure_pa / HECTOPASCAL, height_m=report.h_m,
+        sigmas=abs(departure), expected_hpa=expected / HECTOPASCAL, rather=rather,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,13 +260,10 @@ def read_air_sources(
     calibration = section.sensors.calibration
     if not section.adjust and (soundings or surface or calibration):
         ledger.warning(
-            "AIR-SOURCES-UNUSED",
-            f"atmosphere.adjust is false: {len(soundings)} columns (soundings, weather model), "
-            f"{len(surface)} surface reports and {len(calibration)} sensor calibrations are not "
-            "used",
-            where="atmosphere",
+            "AIR-SOURCES-UNUSED", where="atmosphere", soundings=len(soundings),
+            surface=len(surface), calibrations=len(calibration),
             count=len(soundings) + len(surface) + len(calibration),
-        )
+        )  # fmt: skip
     return AirSources(
         background, soundings, surface, flight_ns, longitude, lowest, model, calibration
     )
