@@ -366,8 +366,8 @@ def open_observations(
             if sample is not None:
                 sample.add(names)
         if repeated:
-            what = f"{len(repeated)} points stand twice in an image, the first is {repeated[0]}: "
-            what += "at most one of both is its measurement"
+            what = f"a point twice in an image, {len(repeated)} times, first {repeated[0]}: at most "
+            what += "one of both is its measurement"
             ledger.loss("OBS-REPEATED-POINT", what, where=path.name, count=len(repeated))
     if rows == 0:
         raise InputError.of("OBS-EMPTY/open-observations", path)

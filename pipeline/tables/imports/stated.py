@@ -107,7 +107,7 @@ def read_text(path: Path) -> list[str]:
 
 
 def not_of_format(
-    path: Path, why: str, remedy: str = "name the format of the file, or export it again"
+    path: Path | str, why: str, remedy: str = "name the format of the file, or export it again"
 ) -> InputError:
     """The refusal of a file that is not what its format says."""
     return InputError("IMPORT-FORMAT", why, where=str(path), remedy=remedy)

@@ -65,7 +65,7 @@ _OF_LIBRARIES = (
 
 
 @contextmanager
-def damage_refused(path: Path, program: str) -> Iterator[None]:
+def damage_refused(path: Path | str, program: str) -> Iterator[None]:
     """Raise what a library says of a damaged file as InputError (IMPORT-FORMAT)."""
     try:
         yield
@@ -99,7 +99,8 @@ def read_camera(path: Path, file_format: str | None, name: str | None) -> Camera
         cameras = reader.read_cameras(path)
         chosen = next(iter(cameras)) if name is None and len(cameras) == 1 else name or ""
         if chosen in cameras:
-            return cameras[chosen]()
+            with damage_refused(f"{path}, camera {chosen}", program):
+                return cameras[chosen]()
     what = f"it holds {', '.join(map(repr, cameras)) or 'no camera'}, " + (
         "and no camera is named" if name is None else f"and no {name!r}"
     )
