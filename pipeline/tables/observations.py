@@ -169,7 +169,8 @@ class Observations:
     """A table of observations, opened and checked, not yet read.
 
     ``user_fields`` are the columns that pass through, under the names they leave with; ``pixels``
-    the system of the table's pixels, ``points`` give the heights where they do.
+    the system of the table's pixels, ``points`` give the heights where they do. A database of
+    keypoints has no points (``has_points``).
     """
 
     path: Path
@@ -183,6 +184,7 @@ class Observations:
     pixels: PixelSystem = COLMAP
     points: ObjectPoints | None = None
     is_block: bool = False
+    has_points: bool = True
     sample: RowSample | None = field(repr=False, default=None)
     _sources: Mapping[str, str] = field(repr=False, default_factory=dict)
     _records: Records = field(repr=False, default=lambda rows, only: iter(()))
@@ -217,7 +219,7 @@ class Observations:
             tied = of_points(records, self.columns["image"], point)
             return tied[chosen(hashes_of(records[point].take(tied)))] if tied.size else tied
 
-        return self.selected(of_hashes, most_rows=most_rows)
+        return self.selected(of_hashes, most_rows=most_rows if self.has_points else 0)
 
     def selected(
         self,
@@ -335,7 +337,7 @@ def open_observations(
     refuse_done(path, schema, direction)
     refuse_other_pixels(path, schema, direction, named)
     require_columns(path, schema, wanted)
-    sample = None if most_rows is None else RowSample(most_rows)
+    sample, has_points = None if most_rows is None else RowSample(most_rows), kind not in BLOCKS
     if kind == "csv":
         numbers = {named["x_px"], named["y_px"], ground_column or ""} & set(schema.names)
         scan = scan_csv(
@@ -357,7 +359,7 @@ def open_observations(
         for batch in records(1 << 20, [named["image"], named["point"]][: 1 + (kind in BLOCKS)]):
             rows += batch.num_rows
             if kind in BLOCKS and (tied := of_points(batch, *batch.schema.names)).size:
-                point = batch.column(1).take(tied).to_pandas()
+                point, has_points = batch.column(1).take(tied).to_pandas(), True
                 repeated += [f"{p} in {batch.column(0)[0]}" for p in point[point.duplicated()]]
             names = batch.column(0)
             if not pa.types.is_dictionary(names.type):
@@ -366,8 +368,8 @@ def open_observations(
             if sample is not None:
                 sample.add(names)
         if repeated:
-            what = f"a point twice in an image, {len(repeated)} times, first {repeated[0]}: at most "
-            what += "one of both is its measurement"
+            what = f"a point twice in an image, {len(repeated)} times, first {repeated[0]}: at "
+            what += "most one of both is its measurement"
             ledger.loss("OBS-REPEATED-POINT", what, where=path.name, count=len(repeated))
     if rows == 0:
         raise InputError.of("OBS-EMPTY/open-observations", path)
@@ -386,6 +388,7 @@ def open_observations(
         sigma_column=sigma_column,
         pixels=pixels,
         is_block=kind in BLOCKS,
+        has_points=has_points,
         sample=sample,
         _sources=sources,
         _records=records,
