@@ -83,16 +83,22 @@ class StatedMission:
 
 @dataclass(frozen=True, eq=False)
 class _Reading:
-    """One way to read a mission file: what is changed against what is stated."""
+    """One way to read a mission file: what is changed against what is stated.
+
+    With ``free`` mounts the cameras are turned to where the rays meet best.
+    """
 
     cameras: Mapping[str, Camera]
     axes: Mapping[str, str] = field(default_factory=dict)
     turns: Mapping[str, Array] = field(default_factory=dict)  # (3, 3) by camera
     time_s: float = 0.0
     up_m: float = 0.0
+    free: bool = False
 
     def intersected(self, mission: StatedMission, points: Integers | None = None) -> Intersection:
         """The intersection of all points by straight rays, or of some by the apparent ones."""
+        if self.free:
+            return self.settled(mission, points).intersected(mission, points)
         shifted = mission.shifted if self.time_s else None
         o = mission.orientations if shifted is None else shifted(self.time_s)
         o = replace(o, centre_m=o.centre_m + self.up_m * o.enu_from_ecef[:, 2])
@@ -104,6 +110,15 @@ class _Reading:
             given = np.where(np.isin(rays.point, mission.heights_of), rays.height_m, np.nan)
             rays = replace(rays, height_m=given, sigma_height_m=mission.sigma_height_m)
         return intersect(o, straightened(o, rays) if points is None else rays)
+
+    def settled(self, mission: StatedMission, points: Integers | None = None) -> _Reading:
+        """The same with what free mounts are turned by."""
+        reading = replace(self, free=False)
+        found = reading.intersected(mission, points)
+        for name in self.cameras:
+            turn = Rotation.from_rotvec(found.camera_rotation(name)[0]).as_matrix()
+            reading = reading.turned(name, turn)
+        return reading
 
     def turned(self, camera: str, turn: Array) -> _Reading:
         """The same with one camera turned further."""
@@ -160,22 +175,17 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
     some = stated.point[np.unique(np.linspace(0, size - 1, _RANKING_POINTS).astype(int))[:size]]
     findings: list[Finding] = []
 
-    def likely(reading: _Reading) -> float:
-        found = reading.intersected(mission, some)
-        return found.log_likelihood if _above_points(found) > 0.0 else -np.inf
-
     for _ in range(_MOST_FINDINGS if size else 0):
         poor = not now.sigma_factor < _POOR_FIT or now.used.mean() < _FEW_MEET
         large = list(large_mistakes(mission, current)) if poor else []
-        large.sort(key=lambda h: likely(h.reading(h.x)), reverse=True)
-        best, before = [], likely(current)
-        calibrations = [(likely(h.reading(1.0)), h) for h in other_calibrations(current)]
-        calibrations.sort(key=lambda each: -each[0])
-        small = [h for gain, h in calibrations[:_DECIDED_BY_ALL] if gain > before]
-        small += small_errors(mission, current, now)
-        for hypothesis in [*small, *large[:_DECIDED_BY_ALL]]:
+        large.sort(key=lambda h: -_likelihood(mission, h.reading(h.x), some))
+        best, before = (
+            likely_calibrations(mission, current, now, some),
+            _likelihood(mission, current, some),
+        )
+        for hypothesis in [*small_errors(mission, current, now), *large[:_DECIDED_BY_ALL]]:
             h, _ = _refined(mission, hypothesis, some)
-            if likely(h.reading(h.x)) < before + 0.3 * LOG_RATIO_NEEDED:
+            if _likelihood(mission, h.reading(h.x), some) < before + 0.3 * LOG_RATIO_NEEDED:
                 continue
             h, sigma = _refined(mission, h, None)
             reading = h.reading(h.x)
@@ -202,6 +212,44 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
     if text := scattered_heights(mission, now, factor):
         findings.append(Finding("TIES-HEIGHT", "ground", text, np.inf, factor))
     return stated, tuple(findings)
+
+
+def _likelihood(mission: StatedMission, reading: _Reading, points: Integers) -> float:
+    """Its logarithm by some points; of mirrored rays none."""
+    found = reading.intersected(mission, points)
+    return found.log_likelihood if _above_points(found) > 0.0 else -np.inf
+
+
+def likely_calibrations(
+    mission: StatedMission, current: _Reading, now: Intersection, some: Integers
+) -> list[tuple[float, _Hypothesis, _Reading, Intersection, str]]:
+    """Other calibrations that are likely: by how much, how read, what is then found, and the text.
+
+    A principal point that is off turns rays nearly as a mount does. Only what mounts do not explain
+    that are turned to where the rays meet best speaks of a calibration: the sigma of an offset is
+    0.2 to 1 px of 2,000 points of a block 3 km above ground.
+    """
+    freed, best = replace(current, free=True), []
+    before = _likelihood(mission, freed, some)
+    ranked = [(_likelihood(mission, h.reading(1.0), some), h) for h in other_calibrations(freed)]
+    for gain, h in sorted(ranked, key=lambda each: -each[0])[:_DECIDED_BY_ALL]:
+        if gain > before:
+            h, _ = _refined(mission, _refined(mission, h, some)[0], None)
+            reading = h.reading(h.x).settled(mission)
+            found = reading.intersected(mission)
+            gain = found.log_likelihood - freed.intersected(mission).log_likelihood
+            if gain > LOG_RATIO_NEEDED and abs(h.x - 1.0) < _MISTAKEN_AT:
+                best.append((gain, h, reading, found, h.label))
+    most, given = max((each[0] for each in best), default=0.0), []
+    for gain, h, reading, found, text in best:
+        if gain > (1.0 - _MARGIN) * most:
+            # Beside other mistakes it counts without the turns, if it then explains more.
+            plain = replace(h.reading(h.x), free=False)
+            met = plain.intersected(mission)
+            more = met.log_likelihood - now.log_likelihood
+            given.append((more, h, plain, met, text) if more > gain
+                         else (gain, h, reading, found, text))  # fmt: skip
+    return given
 
 
 def scattered_heights(mission: StatedMission, found: Intersection, factor: float) -> str:
@@ -396,8 +444,6 @@ def _described(
     least = _SMALL.get(h.code, 0.0)
     if h.code == "TIES-MOUNT":
         return _turn_of(mission, h, reading, found)
-    if h.code == "TIES-CALIBRATION":
-        return h.label if abs(h.x - 1.0) < _MISTAKEN_AT else ""
     if h.code == "TIES-FOCAL":
         stated, size = mission.cameras[h.camera].fx_px, reading.cameras[h.camera].fx_px
         explained = max(least, _SIGMAS * float(np.hypot(sigma, heights_m / above)))

@@ -42,7 +42,7 @@ def make(simulated_block):
     """A block of two cameras as a mission file states it, from its seed."""
     print(f"UNBEND_BLOCK_SEED {SEED}")
 
-    def made(seed: int, *, speed: float = 50.0, **options) -> StatedMission:
+    def made(seed: int, *, speed: float = 50.0, calibrations=CAMERAS, **options) -> StatedMission:
         options = {"cameras": (0.0, 0.35), "points": 500, "each": 8} | options
         block = simulated_block.simulate_block(np.random.default_rng(seed), **options)
         frames = simulated_block.axes(block.lat, block.lon)
@@ -51,10 +51,10 @@ def make(simulated_block):
             block.camera, centre, block.camera_from_enu @ frames, frames, block.sigma
         )
         d = block.direction
-        own = {name: block.camera[block.image] == name for name in CAMERAS}
+        own = {name: block.camera[block.image] == name for name in calibrations}
         x, y = np.empty((2, len(d)))
         for name, rows in own.items():
-            x[rows], y[rows] = CAMERAS[name].project(*(d[rows, :2] / d[rows, 2:]).T)
+            x[rows], y[rows] = calibrations[name].project(*(d[rows, :2] / d[rows, 2:]).T)
 
         def rays(cameras, axes) -> ImageRays:
             direction = np.empty(d.shape)
@@ -73,7 +73,7 @@ def make(simulated_block):
             return replace(orientations, centre_m=centre + step)
 
         mounts = {"camera0": Mount(), "camera1": Mount(roll_rad=-0.35)}
-        return StatedMission(orientations, CAMERAS, rays, mounts, shifted)
+        return StatedMission(orientations, dict(calibrations), rays, mounts, shifted)
 
     return made
 
@@ -235,6 +235,33 @@ def test_calibrations_that_drifted_are_not_taken_for_mistaken_ones(make, seed):
         for name, c in CAMERAS.items()
     }  # fmt: skip
     assert "TIES-CALIBRATION" not in found(replace(make(31 + seed), cameras=drifted))
+
+
+NEAR_THE_MIDDLE = {"camera0": replace(CAMERAS["camera0"], cx_px=4512.4, cy_px=4491.7)}
+ONE_CAMERA = {"cameras": (0.0,), "calibrations": NEAR_THE_MIDDLE, "points": 800, "each": 15}
+
+
+@pytest.mark.parametrize("turned_deg", [0.17, 0.0])
+def test_a_principal_point_six_pixels_off_is_no_turn_of_the_mount(make, turned_deg):
+    """12.4, -8.3 px read as 8.3, -12.4, beside a mount that is off by its sigma, or is not."""
+    mission = make(41, lines=4, base=600.0, height=3000.0, **ONE_CAMERA)
+    turn = np.radians(turned_deg) * np.array([0.6, 0.7, 0.4])
+    mission = replace(mission, orientations=mission.orientations.turned(turn, "camera0"))
+    right = mission.cameras["camera0"]
+    wrong = {"camera0": replace(right, cx_px=4508.3, cy_px=4487.6)}
+    (finding,) = diagnosis(replace(mission, cameras=wrong))[1]
+    assert finding.code == "TIES-CALIBRATION"
+    assert "4512.4, 4491.7 px in camera0" in finding.what
+
+
+@pytest.mark.parametrize("turned_px", [(33.0, -40.0), (33.0, 40.0), (40.0, 0.0)])
+def test_a_turned_mount_is_no_other_calibration(make, turned_px):
+    """Turned within its sigma, by 40 to 52 px: beside it a principal point moves by 25."""
+    sigma = (1.0, 1.0, 2.0, 0.005, 0.005, 0.01)
+    mission = make(42, lines=4, base=600.0, height=3000.0, sigma=sigma, **ONE_CAMERA)
+    x, y = np.array(turned_px) / 1e4
+    turned = mission.orientations.turned(np.array([y, x, 0.0]), "camera0")
+    assert found(replace(mission, orientations=turned)) == []
 
 
 def test_refraction_is_removed_from_apparent_rays(make):
