@@ -7,6 +7,7 @@ first order; the sensors are differential equations and random walks in time.
 
 from __future__ import annotations
 
+import copy
 import csv
 import math
 from dataclasses import dataclass, replace
@@ -90,14 +91,28 @@ class Truth:
         H = geopotential(balloon.latitude, self.h)
         self.t = np.interp(H, balloon.H, balloon.t)
         self.e = np.exp(np.interp(H, balloon.H, np.log(balloon.e)))
-        p = np.full(H.size, balloon.p0)
+        self.H, self.p0 = H, balloon.p0
+        self._weigh()
+
+    def _weigh(self) -> None:
+        """Pressure, relative humidity and refractivity of temperature and vapour pressure."""
+        p = np.full(self.H.size, self.p0)
         for _ in range(4):  # the vapour's share of the weight, settled against pressure
             virtual = self.t / (1.0 - 0.378 * self.e / p)
-            fall = cumulative_simpson(9.80665 * 28.9644 / 8314.32 / virtual, x=H, initial=0.0)
-            p = balloon.p0 * np.exp(-fall)
+            fall = cumulative_simpson(9.80665 * 28.9644 / 8314.32 / virtual, x=self.H, initial=0.0)
+            p = self.p0 * np.exp(-fall)
         self.p = p
         self.rh = np.minimum(self.e / saturation_pressure_pa(self.t), 1.0)
         self.refractivity = edlen_index(p, self.t, self.e) - 1.0
+
+    def over_hot_ground(self, rng: np.random.Generator) -> Truth:
+        """The same with its lowest metres in the sun: warmer by 0.5 to 4 K, falling by 1/e in 10 to
+        40 m (similarity theory has 1 to 3 K between 2 and 50 m on a sunny day)."""
+        hot = copy.copy(self)
+        warmer, depth = rng.uniform(0.5, 4.0), rng.uniform(10.0, 40.0)
+        hot.t = self.t + warmer * np.exp(-(self.h - self.h[0]) / depth)
+        hot._weigh()
+        return hot
 
     def at(self, values: np.ndarray, above_ground: np.ndarray) -> np.ndarray:
         return np.interp(above_ground, np.arange(self.h.size), values)
@@ -221,3 +236,18 @@ def fly(
         SensorSamples(time_ns, h, p, np.ones(n, bool), "barometer") if barometer else None,
         SensorSamples(time_ns, h, rh, moist, "hygrometer") if moist is not None else None,
     )
+
+
+def sun_on_the_probe(samples: AirSamples, rng: np.random.Generator) -> AirSamples:
+    """The sun warms a thermometer: by 0 to 1.6 K always, less behind clouds (minutes apart) and on
+    some headings (circles of 40 to 120 s), and by 0 to 8 K more on the ground."""
+    t = samples.temperature
+    seconds = (t.time_ns - t.time_ns[0]) * 1e-9
+    most, soak = rng.uniform(0.0, 2.0), rng.uniform(0.0, 8.0)
+    share = 0.8 + 0.2 * np.sign(walk(rng, seconds, 120.0))
+    turn = 2.0 * np.pi * (seconds / rng.uniform(40.0, 120.0) + rng.random())
+    keep = math.exp(-(seconds[1] - seconds[0]) / 10.0)  # the probe's own 10 s
+    warmer = lfilter([1.0 - keep], [1.0, -keep], most * (share + 0.3 * np.sin(turn)))
+    decay = 60.0 * math.exp(rng.normal(0.0, 0.3))
+    warmer += soak * np.exp(-np.maximum(seconds - TAKEOFF_S, 0.0) / decay)
+    return replace(samples, temperature=replace(t, value=t.value + warmer))

@@ -129,9 +129,15 @@ def usable_sensors(
     samples = replace(samples, temperature=temperature, pressure=pressure, humidity=humidity)
     if pressure is None or pressure.extent_m < CLIMB_TO_COMPARE_M:
         return samples
-    fall = _fall(pressure, standard)
-    if fall is None or not fall.is_of_air:
-        implied = None if fall is None else fall.implied_k
+    gravity = standard.gravity
+    with np.errstate(invalid="ignore", divide="ignore"):
+        departure = np.log(pressure.value) - np.log(standard.pressure(pressure.h_m))
+    at = gravity.geopotential_height(pressure.h_m)
+    height, middle = bin_by_height(at, pressure, BIN_M, departure)
+    log_p = middle + np.log(standard.pressure(gravity.height(height)))
+    fall = fall_of_pressure(height, log_p) if height.size >= 3 else Fall(None, 0.0)
+    if not fall.is_of_air:
+        implied = fall.implied_k
         what = "does not fall with height" if implied is None else f"implies {implied:.0f} K"
         _reject_pressure(pressure, what, ledger)
         return replace(samples, pressure=None)
@@ -139,8 +145,7 @@ def usable_sensors(
         return samples
     extent = temperature.extent_m
     if STUCK_M <= extent < SHORT_CLIMB_M:
-        height = standard.gravity.geopotential_height(temperature.h_m)
-        _, binned = bin_by_height(height, temperature, BIN_M)
+        _, binned = bin_by_height(gravity.geopotential_height(temperature.h_m), temperature, BIN_M)
         if binned.size and np.ptp(binned) < ISOTHERMAL_K:
             what = (
                 f"{temperature.name} reads the same within {np.ptp(binned):.1f} K over "
@@ -194,18 +199,6 @@ def _stuck(sensor: SensorSamples, name: str) -> Mask:
         long &= extent >= STUCK_M + (float(steps.min()) / SLOWEST[name] if steps.size else 0.0)
     stuck[rows] = np.repeat(long, count)
     return stuck
-
-
-def _fall(pressure: SensorSamples, standard: Profile) -> Fall | None:
-    """How pressure falls, by medians in bins of height; None where there are too few."""
-    geopotential = standard.gravity.geopotential_height(pressure.h_m)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        departure = np.log(pressure.value) - np.log(standard.pressure(pressure.h_m))
-    height, middle = bin_by_height(geopotential, pressure, BIN_M, departure)
-    if height.size < 3:
-        return None
-    log_p = middle + np.log(standard.pressure(standard.gravity.height(height)))
-    return fall_of_pressure(height, log_p)
 
 
 def note_pressure_level(

@@ -6,6 +6,7 @@ a stuck one reads is written here.
 
 from __future__ import annotations
 
+import copy
 import re
 from dataclasses import replace
 
@@ -307,6 +308,32 @@ def test_honest_thermometers_are_believed(flights, airs):
                     samples = flights.fly(truth, climb, sensors, rng, descent=descent)
                     _, ledger = adjust(truth, samples)
                     assert losses(ledger) == []
+
+
+def test_a_refusal_states_what_is_seen_and_the_limit(flights, airs):
+    """A probe 20 K too warm: beside the 8 K stands what barometer and GNSS leave open."""
+    for climb in (1000.0, 400.0):
+        samples = flown(flights, airs[TRADES], climb, descent=True)
+        adjusted, ledger = adjust(airs[TRADES], with_t(samples, samples.temperature.value + 20.0))
+        (entry,) = [e for e in ledger if e.code == "AIR-THERMOMETER"]
+        assert entry.where == "thermometer"
+        seen, limit = re.search(r"reads \+([\d.]+) K .* limit ([\d.]+) K", entry.what).groups()
+        assert float(seen) == pytest.approx(20.0, abs=5.0)
+        assert 8.0 < float(limit) < 12.0
+        (use,) = [use for use in adjusted.sources if use.source == "thermometer thermometer"]
+        assert f"limit {limit} K" in use.row()["why_not"]
+
+
+def test_ground_in_the_sun_is_air(flights, airs):
+    """Superadiabatic in its lowest 100 m; the same lapse farther up overturns."""
+    truth = airs[DESERT]
+    for lowest, overturns in ((0.0, False), (300.0, True)):
+        hot = copy.copy(truth)
+        hot.t = truth.t + 6.0 * np.exp(-np.maximum(truth.h - truth.h[0] - lowest, 0.0) / 60.0)
+        samples = flown(flights, hot, 2000.0, descent=True, gate_s=0.0)
+        check = is_plausible(estimate(samples, background(truth)), background(truth))
+        assert bool(check) is not overturns, check.reason
+        assert not overturns or "air overturns at 9.8 K/km" in check.reason
 
 
 # Whether an estimate looks like air

@@ -642,3 +642,19 @@ def test_the_derivative_by_the_lag_is_that_of_an_exponential_memory():
     np.testing.assert_allclose(reading, expected, atol=0.02)
     by_lag = jacobian[:, layout.fault(SensorFault.THERMOMETER_LAG)]
     np.testing.assert_allclose(by_lag, a * (-2.0 * seconds + 4.0 * lag), rtol=0.03)
+
+
+def test_air_near_the_ground_and_sun_on_a_probe_are_in_the_prior():
+    """By hand: 1.5 K at the lowest height, 1/e of it 40 m up; 0.2 K of a minute beside 0.4."""
+    air = climatology(latitude_rad=0.8, month=7.0)
+    layout = Layout(
+        np.array([-500.0, 0.0, 40.0, 4000.0]), np.array([0.0, 250.0, 15e3]), 0.0, (), ()
+    )
+    prior = prior_of(layout, air, air)
+    covariance = np.linalg.inv(prior.precision)[:4, :4]
+    spread = air.spread.sigma_temperature(air.profile.gravity.height(layout.knot))
+    near = 1.5 * np.array([1.0, 1.0, np.exp(-1.0), 0.0])
+    assert np.allclose(np.diag(covariance), spread**2 + near**2, rtol=1e-6)
+    drift = Drift("thermometer_drift", np.array([0.0, 60.0]), 0.4, 900.0, (0.2, 60.0))
+    expected = 0.16 * np.exp(-60.0 / 900.0) + 0.04 * np.exp(-1.0)
+    assert drift.covariance()[0].tolist() == pytest.approx([0.2, expected], rel=1e-6)
