@@ -20,7 +20,7 @@ from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.errors import PhysicsError
 from pipeline.units import VAPOUR_DEFICIT, Array
 
-_RAY_STEPS = 200  # trapezia of the plane integral: 1e-5 of R over 10 km
+RAY_STEPS = 200  # trapezia of the plane integral: 1e-5 of R over 10 km
 
 # Of the index formula itself, so that a new one is still one function: central differences of
 # eighth order. N is a rational function of T, p and e/p whose poles are far away, so that long
@@ -193,7 +193,7 @@ class ProfileCovariance:
         of itself below 75 degrees. This is the sigma of the one scale factor of R that a whole
         flight shares.
         """
-        h, weight = plane_rule(h_c, h_g, _RAY_STEPS)
+        h, weight = plane_rule(h_c, h_g, RAY_STEPS)
         r = float(weight @ self.profile.refractivity(h))
         gradient = weight @ self.refractivity_gradient(h)
         return float(np.sqrt(gradient @ self.matrix @ gradient)) / abs(r)

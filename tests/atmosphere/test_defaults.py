@@ -10,7 +10,7 @@ import pytest
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.climatology import climatology
 from pipeline.atmosphere.estimate import external_readings, solver
-from pipeline.atmosphere.estimate.candidates import SMALLEST_BAROMETRIC_CLIMB_M, SMALLEST_CLIMB_M
+from pipeline.atmosphere.estimate.candidates import SMALLEST_CLIMB_M
 from pipeline.atmosphere.estimate.sensors import (
     BAROMETER_FAULTS,
     DYNAMIC_PRESSURE_ERROR,
@@ -84,8 +84,6 @@ def test_sensors_without_calibration_are_cheap_ones():
 
 
 def test_gates_of_the_estimate():
-    # Below 1 km of climb a barometer alone errs by more than 10 % of R; 2 km leave 4 %.
-    assert SMALLEST_BAROMETRIC_CLIMB_M == 2000.0
     # 300 m of temperatures halve the error of the standard at 1 km.
     assert SMALLEST_CLIMB_M == 300.0
     # Student's t with 4 degrees of freedom: a bin 5 sigma off weighs (4 + 1)/(4 + 25) of one.

@@ -26,6 +26,9 @@ from pipeline.atmosphere.estimate.candidates import (
 )
 from pipeline.atmosphere.estimate.estimate_checks import (
     MISFIT,
+    UNCHANGED,
+    Check,
+    has_information,
     hygrometer_is_outside,
     is_better_than_background,
     is_plausible,
@@ -57,9 +60,6 @@ from pipeline.units import Array, Mask
 
 WIDEST_GAP_M = 400.0
 """Between two measured heights farther apart than this the layers are called relaxed [m']."""
-
-UNCHANGED = 0.95
-"""Where sigma of temperature is still this much of the climatology's, nothing was learnt."""
 
 FEWEST_TO_INFLATE = 5
 """The estimator never inflates the sigmas of fewer readings."""
@@ -255,6 +255,10 @@ def _first_that_passes(
                 for other in (candidate, *remaining)
             ]
             continue
+        elif candidate.basis == "barometer" and not (
+            check := has_information(made, background, moisture)
+        ):
+            check = Check(f"{candidate.reason}, but {check.reason}")
         else:
             check = is_plausible(made, background)
             check = check and is_better_than_background(made, background, moisture)

@@ -15,9 +15,6 @@ from pipeline.atmosphere.surface_report import SurfaceReport
 SMALLEST_CLIMB_M = 300.0
 """A thermometer needs this much sampled height [m]."""
 
-SMALLEST_BAROMETRIC_CLIMB_M = 2000.0
-"""A barometer alone needs more: below 1 km the error stays above 10 % of R in any case [m]."""
-
 BEYOND_M = 500.0
 """A barometer that sampled so much more height than the thermometer is named beside it [m']."""
 
@@ -100,10 +97,13 @@ def candidates(
 
 
 def _with_own_sensors(samples: AirSamples, external: ExternalSources) -> list[Candidate]:
-    """Thermometer and barometer, the barometer alone, the thermometer alone."""
+    """Thermometer and barometer, the barometer alone, the thermometer alone.
+
+    A barometer over any height: the sigma of its estimate says whether it is used.
+    """
     temperature, pressure = samples.temperature, samples.pressure
     warm = _if_tall(temperature, SMALLEST_CLIMB_M)
-    high = _if_tall(pressure, SMALLEST_BAROMETRIC_CLIMB_M)
+    high = _if_tall(pressure, 0.0)
     choices: list[Candidate] = []
 
     def add(basis: str, reason: str, used: AirSamples, main: SensorSamples) -> None:
@@ -142,8 +142,10 @@ def _with_own_sensors(samples: AirSamples, external: ExternalSources) -> list[Ca
 
 
 def _if_tall(sensor: SensorSamples | None, least_m: float) -> SensorSamples | None:
-    """A sensor that spans enough height."""
-    return sensor if sensor is not None and sensor.extent_m >= least_m else None
+    """A sensor whose accepted readings span enough height."""
+    if sensor is None or not bool(sensor.accepted.any()) or sensor.extent_m < least_m:
+        return None
+    return sensor
 
 
 def reason_unadjusted(samples: AirSamples, faults: Sequence[str], kept: str) -> str:
@@ -154,18 +156,12 @@ def reason_unadjusted(samples: AirSamples, faults: Sequence[str], kept: str) -> 
         return f"no estimate passed its checks, the first because {faults[0]}: {kept}"
     if temperature is None and pressure is None:
         return f"no thermometer and no barometer outside that can be used: {kept}"
-    spans = []
-    if temperature is not None:
-        spans.append(
-            f"the thermometer {temperature.name} spans {temperature.extent_m:.0f} m of height "
-            f"(at least {SMALLEST_CLIMB_M:.0f} m are needed)"
-        )
-    if pressure is not None:
-        spans.append(
-            f"the barometer {pressure.name} spans {pressure.extent_m:.0f} m (at least "
-            f"{SMALLEST_BAROMETRIC_CLIMB_M:.0f} m are needed without a thermometer)"
-        )
-    return f"{'; '.join(spans)}: {kept}"
+    if temperature is None:
+        return f"the barometer has no reading at a known height: {kept}"
+    return (
+        f"the thermometer {temperature.name} spans {temperature.extent_m:.0f} m of height (at "
+        f"least {SMALLEST_CLIMB_M:.0f} m are needed), and there is no barometer: {kept}"
+    )
 
 
 @dataclass(frozen=True)

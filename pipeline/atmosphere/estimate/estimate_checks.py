@@ -6,6 +6,7 @@ import numpy as np
 
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.climatology import Climatology
+from pipeline.atmosphere.covariance import RAY_STEPS, plane_rule
 from pipeline.atmosphere.estimate.readings import collect_readings, part_of
 from pipeline.atmosphere.estimate.sensors import (
     Barometer,
@@ -44,8 +45,17 @@ LARGEST_BIAS_K, LARGEST_CHANGE_K, COMPARED_SIGMAS = 8.0, 3.5, 3.5
 """A thermometer against what the barometer implies, in the mean and in its change from the lower to
 the upper half: more, beside so many sigmas of the comparison, is a wrong sensor."""
 
+LARGE_DRIFT = 1.25
+"""A drift that the residuals make so many times as large as expected may hide a wrong sensor."""
+
 TOGETHER_S = 1800.0
 """Within so long the air hardly changes; over hours the readings of a good thermometer disagree."""
+
+UNCHANGED = 0.95
+"""Where a sigma is still this much of the climatology's, nothing was learnt."""
+
+LEAST_RAY_M = 100.0
+"""Height over which sigmas of R are compared where less was flown [m]."""
 
 HARMLESS_K, HARMLESS_LOG_P = 1.0, 1e-3
 """Held-out residuals of so little are no reason to fall back: a sharp inversion leaves them."""
@@ -120,6 +130,28 @@ def is_plausible(made: Estimate, background: Climatology) -> Check:
     return PASSED
 
 
+def has_information(made: Estimate, background: Climatology, moisture: Climatology | None) -> Check:
+    """Whether an estimate is more certain than it were without the flight's own sensors.
+
+    By the sigma of R between the lowest and the highest measurement: a barometer beside a GNSS
+    height that drifts has information on temperature from some 200 m of climb.
+    """
+    layout, profile = layout_of(made.readings, background), background.profile
+    prior = prior_of(layout, background, moisture or background)
+    others = [s for s in made.readings.sets if not isinstance(s, Thermometer | Barometer)]
+    without = solve(layout, prior, others, profile).profile(profile)
+    low, high = (float(profile.gravity.height(h)) for h in (made.readings.low, made.readings.high))
+    h, weight = plane_rule(max(high, low + LEAST_RAY_M), low, RAY_STEPS)
+    sigmas = []
+    for covariance in (made.covariance, without[1]):
+        gradient = weight[None] @ covariance.refractivity_gradient(h)
+        sigmas.append(float(covariance.sigma_of(gradient)[0]))
+    if sigmas[0] < UNCHANGED * sigmas[1]:
+        return PASSED
+    kept = 100.0 * sigmas[0] / sigmas[1]
+    return Check(f"it has no information on temperature: {kept:.0f} % of the sigma of R are left")
+
+
 def is_better_than_background(
     made: Estimate,
     background: Climatology,
@@ -180,7 +212,8 @@ def thermometer_is_outside(
     with height, are not those that the estimate without them predicts; where within half an hour
     they differ from those of any air that the barometer allows; or where the barometer differs from
     any air that the thermometer allows, and fits plausible air of its own. All without soundings
-    and stations.
+    and stations; the last two with drifts of the expected size, since a large one could hide any
+    contradiction.
     """
     temperature, pressure = samples.temperature, samples.pressure
     if temperature is None or pressure is None or settings.board_temperature:
@@ -195,9 +228,11 @@ def thermometer_is_outside(
             return check
 
     def estimate_of(part: AirSamples) -> Estimate:
-        return estimate(part, background, settings=settings, moisture=moisture)
+        return estimate(part, background, settings=expected, moisture=moisture)
 
-    if _inflated_sigma_k(made) > MISFIT_K:
+    expected = replace(settings, large_drifts=False)
+    drifted = max(made.drift_scales.values(), default=1.0) > LARGE_DRIFT
+    if drifted or _inflated_sigma_k(made) > MISFIT_K:
         # The flight until half an hour after its thermometer's first accepted reading.
         until = int(temperature.time_ns[temperature.accepted][0]) + round(TOGETHER_S * 1e9)
         early = {
@@ -212,7 +247,7 @@ def thermometer_is_outside(
                 f"against GNSS height, fit physical air only with errors of {inflated_k:.1f} K, "
                 f"limit {MISFIT_K:.1f} K"
             )
-    if _sigma_inflation(made, Barometer) > MISFIT:
+    if drifted or _sigma_inflation(made, Barometer) > MISFIT:
         inflation = _sigma_inflation(estimate_of(samples), Barometer)
         alone = estimate_of(replace(samples, temperature=None))
         fits = _sigma_inflation(alone, Barometer) <= MISFIT and is_plausible(alone, background)

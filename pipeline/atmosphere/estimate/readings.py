@@ -60,8 +60,15 @@ AIR_NOISE_K, AIR_NOISE_LOG_P, AIR_NOISE_RH = 0.15, 3e-5, 0.03
 
 LEAST_SCATTER_K, LEAST_SCATTER_LOG_P, LEAST_SCATTER_RH = 0.05, 5e-5, 0.01
 
-DRIFT_STEP_S, MOST_DRIFT_STEPS = 45.0, 60
-"""Knots of drifts; with 300 s the sigma of R over 1 km was 2.3 % and the error 4.1 %."""
+DRIFT_STEP_S, ALONE_STEP_S, MOST_DRIFT_STEPS = 45.0, 15.0, 60
+"""Knots of drifts; with 300 s the sigma of R over 1 km was 2.3 % and the error 4.1 %. Of a
+barometer alone nearer: between knots 45 s apart a walk is too smooth for a climb of a minute (over
+300 m errors of 1.35 sigma RMS, not 1)."""
+
+BAROMETER_SCALES, THERMOMETER_SCALES = (0.1, 4.0), (1.0, 3.0)
+"""Smallest and largest factor of the sigma of a drift that the residuals of a flight may give it:
+heights of a survey receiver wander by centimetres, those of an autopilot's by metres. Beside a
+thermometer no drift becomes smaller: its errors hide drifts (R erred by 1.3 sigma, not 1.15)."""
 
 UNMEASURED_M = (0.0, 6000.0)
 """Where knots are fine if nothing was measured [m']."""
@@ -165,7 +172,9 @@ def _sensor_readings(
     rejected: dict[str, Mask] = {}
     end_ns = max(int(sensor.time_ns[-1]) for sensor in sensors.values())
     duration = max((end_ns - start_ns) * 1e-9, 1.0)
-    steps = 1 + min(MOST_DRIFT_STEPS, int(duration / DRIFT_STEP_S))
+    alone = "temperature" not in sensors
+    step_s = ALONE_STEP_S if alone else DRIFT_STEP_S
+    steps = 1 + min(MOST_DRIFT_STEPS, int(duration / step_s))
     knots = np.linspace(0.0, duration, steps + 1)
     binning = _Binning.of_flight(sensors, profile, start_ns, duration)
     if (sensor := sensors.get("pressure")) is not None:
@@ -177,10 +186,12 @@ def _sensor_readings(
         speed = binning.airspeed_at(bins.seconds, samples.airspeed)
         dynamic = None if speed is None else dynamic_of(speed)
         sigma = np.hypot(bins.sigma, AIR_NOISE_LOG_P)
+        least, most = BAROMETER_SCALES
+        scales = (least if alone else 1.0, most) if settings.large_drifts else (least, 1.0)
         sets.append(Barometer(sensor.name, bins.height, value, sigma, bins.seconds, dynamic))
         faults += BAROMETER_FAULTS
         faults += [] if dynamic is None else [DYNAMIC_PRESSURE_ERROR]
-        drifts.append(Drift(SensorFault.BAROMETER_DRIFT, knots, 1.0, 1200.0))
+        drifts.append(Drift(SensorFault.BAROMETER_DRIFT, knots, 1.0, 1200.0, scales=scales))
     if (sensor := sensors.get("temperature")) is not None:
         climbing = sensors.get("pressure", sensor)
         rejected["temperature"], warm = _thermometer(sensor, samples, climbing, binning)
@@ -192,7 +203,10 @@ def _sensor_readings(
         known = settings.calibration.get(SensorFault.THERMOMETER_DRIFT, SensorCalibration())
         sun = SUN_ON_PROBE if known.sigma is None else (0.0, SUN_ON_PROBE[1])
         drift = known.sigma_or(BOARD_DRIFT_K if board else USUAL_DRIFT_K)
-        drifts.append(Drift(SensorFault.THERMOMETER_DRIFT, knots, drift, 900.0, sun))
+        least, most = THERMOMETER_SCALES
+        is_known = known.sigma is not None or board or not settings.large_drifts
+        scales = least, least if is_known else most
+        drifts.append(Drift(SensorFault.THERMOMETER_DRIFT, knots, drift, 900.0, sun, scales))
     if (sensor := sensors.get("humidity")) is not None:
         high_bins = replace(binning, width_m=2.0 * binning.width_m)
         bins = high_bins.bins(sensor, sensor.value, LEAST_SCATTER_RH)

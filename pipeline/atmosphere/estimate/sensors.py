@@ -82,10 +82,12 @@ class SensorSettings:
 
     ``board_temperature``: the thermometer sits on a circuit board and is used all the same, as the
     air plus an unknown 10 K that wanders. ``calibration`` of the sensors, by fault.
+    ``large_drifts``: residuals may show drifts larger than expected.
     """
 
     board_temperature: bool = False
     calibration: Mapping[SensorFault, SensorCalibration] = field(default_factory=dict)
+    large_drifts: bool = True
 
 
 @dataclass(frozen=True, eq=False)

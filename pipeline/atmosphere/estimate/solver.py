@@ -6,8 +6,8 @@ square for the background, so that outliers among the readings lose weight and t
 its own.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import linalg
@@ -39,6 +39,8 @@ FREEDOM = 4.0
 _HUBER = 3.0  # of the first iterations, while residuals are still those of the background
 _HUBER_STEPS, _MOST_STEPS = 3, 80
 _CONVERGED_K = 2e-3
+_SETTLED = 0.02  # relative change of inflation factors in the last step
+_DRIFT_FREEDOM = 1.0  # that the expected size of a drift weighs, against those of the flight
 _LEAST_SHARE = 1.0 / 64.0  # of a step, halved whenever it turns back
 _REGAINED, _LATE, _REGAINED_LATE = 1.5, 20, 1.1  # by each that does not: slowly in the end
 _EXPECTED_SQUARE = 0.786  # of a normal residual under Student's weights
@@ -90,7 +92,8 @@ class Estimate:
     ``profile`` has layers between the knots; ``covariance`` is that of the profile;
     ``background_sigma_k`` (k,) prior sigma of temperature at the knots; ``readings`` what was
     measured, with the outliers among the accepted samples of each sensor; ``state`` the solution
-    itself, and ``converged`` whether temperatures moved by less than 2 mK in the last step.
+    itself, and ``converged`` whether temperatures moved by less than 2 mK in the last step;
+    ``drift_scales`` the sigma of each drift over the expected one, by the residuals.
     """
 
     profile: Profile
@@ -101,6 +104,7 @@ class Estimate:
     readings: FlightReadings
     state: Array
     converged: bool = True
+    drift_scales: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +116,7 @@ class Solution:
     air: AirAtKnots
     fits: tuple[Fit, ...]
     converged: bool
+    drift_scales: Mapping[str, float]
 
     def profile(self, background: Profile) -> tuple[Profile, ProfileCovariance]:
         """The layers of the state, and the covariance of what defines them: T_M, ln p, e/p."""
@@ -186,7 +191,9 @@ def estimate(
         FaultEstimate(fault.name, float(solution.x[i]), float(sigma[i]), fault.sigma)
         for i, fault in enumerate(layout.faults, layout.level + 1)
     )
-    of_solution = estimated, solution.fits, readings, solution.x, solution.converged
+    of_solution = (
+        estimated, solution.fits, readings, solution.x, solution.converged, solution.drift_scales,
+    )  # fmt: skip
     return Estimate(profile, covariance, prior.sigma_temperature, *of_solution)
 
 
@@ -208,18 +215,21 @@ def solve(
 
     Where the residuals of a set of readings are larger than its sigmas, or neighbours in it
     correlate (its errors are not independent, as the weights assume), its sigmas are multiplied by
-    an inflation factor until they fit, so that C is not too small. ``start`` is a state near the
-    solution; without it the iteration begins at the prior, with a loss that has one minimum.
+    an inflation factor until they fit, so that C is not too small. The sigma of a drift follows
+    from the drift itself (`drift_variances`). ``start`` is a state near the solution; without it
+    the iteration begins at the prior, with a loss that has one minimum.
 
     Lag times the shape of T(H) is not linear, and whole steps may oscillate (in 38 of 84 flights,
     by 0.1 to 0.3 K): a step that turns back is halved.
     """
     x = prior.mean.copy() if start is None else start
     pressure = background.pressure(background.gravity.height(layout.knot))
-    inflation = np.ones(len(sets))
+    inflation, variance = np.ones(len(sets)), np.ones(len(layout.drifts))
+    expected = prior
     share, before, converged = 1.0, np.zeros(layout.knot.size), False
     for step in range(0 if start is None else _HUBER_STEPS, _MOST_STEPS):
         air = air_of(layout, x, pressure, background.constant)
+        prior = expected.with_drifts(layout, variance)
         normal, right, after, of_sets = _normal_equations(prior, sets, air, inflation, step)
         change = linalg.solve(normal, right, assume_a="pos")
         warming = change[layout.temperature]
@@ -230,8 +240,12 @@ def solve(
         air = air_of(layout, x, pressure, background.constant)
         pressure = np.exp(air.log_pressure(layout.knot)[0])
         moved = float(np.abs(warming).max()) * (share if back else 1.0)
-        settled = bool(np.all(np.abs(after / inflation - 1.0) < 0.02))
+        settled = bool(np.all(np.abs(after / inflation - 1.0) < _SETTLED))
         inflation = after
+        if _HUBER_STEPS < step < _LATE:
+            drifted = drift_variances(expected.precision, layout, x, normal, variance)
+            settled = settled and bool(np.all(np.abs(drifted / variance - 1.0) < 2.0 * _SETTLED))
+            variance = drifted
         converged = step > _HUBER_STEPS + 1 and settled and moved < _CONVERGED_K
         if converged:
             break
@@ -241,7 +255,33 @@ def solve(
         replace(fit, signal_freedom=float(np.sum(covariance * information)))
         for fit, information in of_sets
     )
-    return Solution(x, covariance, air, fits, converged)
+    scales = zip((drift.name for drift in layout.drifts), np.sqrt(variance), strict=True)
+    return Solution(x, covariance, air, fits, converged, {n: float(s) for n, s in scales})
+
+
+def drift_variances(
+    precision: Array, layout: Layout, x: Array, normal: Array, variance: Array
+) -> Array:
+    """The variance of each drift over the expected one, by the drift d as estimated.
+
+    Maximum of the marginal likelihood by MacKay's step (1992, Neural Comput. 4, 415, Eq. 4.8):
+    (d^T P d + nu)/(gamma + nu), where P is the expected precision, gamma the degrees of freedom
+    for signal of the drift, and nu those of the expectation itself.
+    """
+    after = np.ones(variance.size)
+    factor = linalg.cho_factor(normal)
+    for i, drift in enumerate(layout.drifts):
+        least, most = drift.scales
+        if least == most:
+            continue
+        where = layout.drift(drift.name)[1]
+        columns = np.zeros((layout.size, drift.knot.size))
+        columns[where] = precision[where, where] / variance[i]
+        freedom = drift.knot.size - float(np.trace(linalg.cho_solve(factor, columns)[where]))
+        square = float(x[where] @ precision[where, where] @ x[where])
+        ratio = (square + _DRIFT_FREEDOM) / (freedom + _DRIFT_FREEDOM)
+        after[i] = min(max(ratio, least**2), most**2)
+    return after
 
 
 def _normal_equations(

@@ -5,7 +5,7 @@ between; relative humidity at coarser knots; ln p at a reference height; one num
 fault; the values of each drift at knots in time or height.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -24,13 +24,13 @@ TOP_M = 32_000.0  # above, the background's own breakpoints suffice [m']
 HUMID_M, HUMID_TOP_M = 250.0, 15_000.0
 """Knots of humidity; above the highest vapour weighs less than 1e-5 of n - 1 [m']."""
 
-ROUGH_K, ROUGH_ALOFT_K, ROUGH_LENGTH_M = 2.5, 1.2, 600.0
+ROUGH_K, ROUGH_ALOFT_K, ROUGH_LENGTH_M = 2.1, 1.2, 600.0
 ROUGH_BELOW_M, SMOOTH_ABOVE_M = 2000.0, 4000.0
 BROAD_LENGTH_M = 5000.0
 """Structure of T about a climatology, from nine real ascents: over 200, 500 and 1000 m it changes
-by 1.9, 3.5, 5.6 K RMS in the lowest 1.5 km, 0.5, 1.1, 2.0 K between 1.5 and 4 km, 0.4, 0.9, 1.5 K
-above. This prior has 3.1, 4.5, 5.5, and aloft 1.4, 2.4, 4.0 (with 10 K in all): never less than
-seen, because strong inversions are rare among nine."""
+by 1.7, 2.8, 3.5 K RMS in the lowest 1.5 km about that of place and month, and less aloft: 0.5, 1.1,
+2.0 K between 1.5 and 4 km, 0.4, 0.9, 1.5 K above, about a standard. This prior has 1.7, 2.7, 3.7
+near the ground and more than was seen aloft: strong inversions are rare among nine."""
 
 SURFACE_K, SURFACE_M = 1.5, 40.0
 """Air near the ground is warmer in the sun, or colder at night, than that above it by so much, less
@@ -72,7 +72,8 @@ class Drift:
     """A drift along time [s] or height [m']: (k,) knots, sigma there, correlation length.
 
     ``name`` is a `SensorFault`, or that of a sounding's departure with its number; ``quick`` sigma
-    and correlation length of a second process beside the first.
+    and correlation length of a second process beside the first. ``scales`` are
+    the smallest and the largest factor of the sigmas that the flight may show (`solver.solve`).
     """
 
     name: str
@@ -80,6 +81,7 @@ class Drift:
     sigma: Array | float
     length: float
     quick: tuple[float, float] = (0.0, 1.0)
+    scales: tuple[float, float] = (1.0, 1.0)
 
     def covariance(self) -> Array:
         """Of a first-order Markov process: sigma^2 exp(-d / length); a jitter keeps it regular."""
@@ -178,6 +180,14 @@ class Prior:
     mean: Array
     precision: Array
     sigma_temperature: Array
+
+    def with_drifts(self, layout: Layout, variance: Array) -> "Prior":
+        """The same with drifts (d,) of so many times the variance."""
+        precision = self.precision.copy()
+        for drift, times in zip(layout.drifts, variance, strict=True):
+            where = layout.drift(drift.name)[1]
+            precision[where, where] /= times
+        return replace(self, precision=precision)
 
 
 def prior_of(layout: Layout, background: Climatology, moisture: Climatology) -> Prior:

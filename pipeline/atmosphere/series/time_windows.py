@@ -15,7 +15,7 @@ from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.climatology import Climatology, Spread
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
-from pipeline.atmosphere.estimate.candidates import SMALLEST_BAROMETRIC_CLIMB_M, SMALLEST_CLIMB_M
+from pipeline.atmosphere.estimate.candidates import SMALLEST_CLIMB_M
 from pipeline.atmosphere.estimate.estimate_checks import is_better_than_background, is_plausible
 from pipeline.atmosphere.estimate.solver import estimate
 from pipeline.atmosphere.series.profile_series import (
@@ -67,10 +67,9 @@ def time_windows(samples: AirSamples) -> tuple[tuple[int, int], ...]:
     >>> time_windows(AirSamples())
     ()
     """
-    deciding = _deciding_sensor(samples)
-    if deciding is None:
+    sensor = _deciding_sensor(samples)
+    if sensor is None:
         return ()
-    sensor, least = deciding
     time = sensor.time_ns[sensor.accepted]
     if time.size == 0:
         return ()
@@ -81,7 +80,7 @@ def time_windows(samples: AirSamples) -> tuple[tuple[int, int], ...]:
     while len(parts) > 1:
         extents = [_part(sensor, *part).extent_m for part in parts]
         i = int(np.argmin(extents))
-        if extents[i] >= least:
+        if extents[i] >= SMALLEST_CLIMB_M:
             break
         sides = [j for j in (i - 1, i + 1) if 0 <= j < len(parts)]
         j = min(sides, key=lambda side: parts[side][1] - parts[side][0])
@@ -90,13 +89,9 @@ def time_windows(samples: AirSamples) -> tuple[tuple[int, int], ...]:
     return tuple(parts)
 
 
-def _deciding_sensor(samples: AirSamples) -> tuple[SensorSamples, float] | None:
-    """The sensor whose heights decide, and the height it must span [m]."""
-    if samples.temperature is not None:
-        return samples.temperature, SMALLEST_CLIMB_M
-    if samples.pressure is not None:
-        return samples.pressure, SMALLEST_BAROMETRIC_CLIMB_M
-    return None
+def _deciding_sensor(samples: AirSamples) -> SensorSamples | None:
+    """The sensor whose heights decide: the thermometer, without it the barometer."""
+    return samples.pressure if samples.temperature is None else samples.temperature
 
 
 def _part(sensor: SensorSamples, start_ns: int, end_ns: int) -> SensorSamples:
@@ -120,7 +115,7 @@ def part_of_flight(samples: AirSamples, start_ns: int, end_ns: int) -> AirSample
     }
     takeoffs = samples.takeoff_ns
     deciding = _deciding_sensor(samples)
-    if takeoffs is None and deciding is not None and start_ns > int(deciding[0].time_ns[0]):
+    if takeoffs is None and deciding is not None and start_ns > int(deciding.time_ns[0]):
         takeoffs = np.empty(0, np.int64)
     parts = {name: sensor for name, sensor in parts.items() if sensor.time_ns.size}
     return AirSamples(**parts, takeoff_ns=takeoffs)
@@ -153,7 +148,7 @@ def estimate_windows(
     for start_ns, end_ns in parts:
         part = part_of_flight(samples, start_ns, end_ns)
         deciding = _deciding_sensor(part)
-        visited_ns = deciding[0].middle_of_heights_ns if deciding is not None else None
+        visited_ns = deciding.middle_of_heights_ns if deciding is not None else None
         middle_ns = (start_ns + end_ns) // 2 if visited_ns is None else visited_ns
         air = replace(fallback, time_ns=middle_ns)
         own, why_not = _own_air(part, air, whole, background)

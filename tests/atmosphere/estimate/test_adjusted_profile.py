@@ -130,7 +130,7 @@ def test_a_gap_in_the_heights_is_not_called_measured(air):
     alone = adjust(AirSamples(given.temperature))[0].profile
     assert alone.layers.source[int(alone.layer_of(1900.0))] == "relaxed"
     inside, beside = adjusted.covariance.sigma_temperature([1900.0, 2600.0])
-    assert inside > 2.0 * beside
+    assert inside > 1.8 * beside
     assert profile.layers.source[int(profile.layer_of(1200.0))] == "measured"
     assert profile.layers.source[int(profile.layer_of(2600.0))] == "measured"
 
@@ -223,26 +223,43 @@ def test_barometer_alone_passes_through_the_pressures(air):
     assert "over 3000 m" in adjusted.reason
 
 
-def test_a_short_climb_without_a_thermometer_keeps_the_standard(air):
-    for climb in (150.0, 1000.0, 1990.0):
-        adjusted, ledger = adjust(measured(air, climb, t=False, rh=False))
-        assert adjusted.basis == "standard"
-        assert codes(ledger) == ["AIR-STANDARD"]
-        h = np.linspace(0.0, 20_000.0, 200)
-        # Unscaled: the measured pressure, 10 hPa off the standard's, is not forced on it.
-        own = standard_atmosphere("us1976", latitude=LATITUDE)
-        np.testing.assert_allclose(adjusted.profile.pressure(h), own.pressure(h), rtol=1e-12)
-        np.testing.assert_allclose(adjusted.profile.temperature(h), own.temperature(h), rtol=1e-12)
-        assert f"{climb:.0f} m" in adjusted.reason
-        assert "2000 m" in adjusted.reason
-    assert adjust(measured(air, 2010.0, t=False, rh=False))[0].basis == "barometer"
+@pytest.mark.parametrize("climb", [0.0, 20.0])
+def test_a_hop_without_a_thermometer_keeps_the_standard(air, climb):
+    adjusted, ledger = adjust(measured(air, climb, t=False, rh=False))
+    assert adjusted.basis == "standard"
+    assert codes(ledger) == ["AIR-STANDARD"]
+    h = np.linspace(0.0, 20_000.0, 200)
+    # Unscaled: the measured pressure, 10 hPa off the standard's, is not forced on it.
+    own = standard_atmosphere("us1976", latitude=LATITUDE)
+    np.testing.assert_allclose(adjusted.profile.pressure(h), own.pressure(h), rtol=1e-12)
+    np.testing.assert_allclose(adjusted.profile.temperature(h), own.temperature(h), rtol=1e-12)
+    assert f"over {climb:.0f} m" in adjusted.reason
+    assert "no information on temperature" in adjusted.reason
+    (use,) = [use for use in adjusted.sources if use.source.startswith("barometer")]
+    assert use.why_not
+
+
+@pytest.mark.parametrize("climb", [300.0, 1000.0, 2010.0])
+def test_a_barometer_is_used_from_the_first_climb_that_has_information(air, climb):
+    """The sigma decides: no height of the climb does."""
+    adjusted, ledger = adjust(measured(air, climb, t=False, rh=False))
+    assert adjusted.basis == "barometer"
+    assert set(codes(ledger, Kind.FALLBACK)) == {"AIR-BAROMETRIC", "AIR-HUMIDITY-EXPECTED"}
+    kept, _ = adjust(AirSamples())
+    ground = float(adjusted.samples.pressure.h_m.min())
+    sigmas = [a.covariance.relative_sigma(ground + climb, ground) for a in (adjusted, kept)]
+    assert sigmas[0] < 0.95 * sigmas[1]
 
 
 def test_a_short_hop_with_a_thermometer(air):
     adjusted, ledger = adjust(measured(air, 290.0))
-    assert adjusted.basis == "standard"
-    assert "AIR-STANDARD" in codes(ledger)
+    assert adjusted.basis == "barometer"
+    assert "spans only 290 m" in adjusted.reason
     assert adjust(measured(air, 310.0))[0].basis == "thermometer"
+    alone, ledger = adjust(measured(air, 290.0, p=False))
+    assert alone.basis == "standard"
+    assert "at least 300 m" in alone.reason
+    assert "AIR-STANDARD" in codes(ledger)
 
 
 def test_a_short_thermometer_leaves_a_long_barometer_its_say(air):

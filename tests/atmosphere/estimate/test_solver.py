@@ -526,7 +526,7 @@ def test_whatever_a_thermometer_reads_the_sigma_knows(flights, airs, size, barom
 
 def test_too_little_height_returns_the_climatology_with_its_sigma(flights, airs):
     truth = airs[TRADES]
-    samples = flights.fly(truth, 120.0, flights.REALISTIC, np.random.default_rng(1))
+    samples = flights.fly(truth, 20.0, flights.REALISTIC, np.random.default_rng(1))
     climate = climatology(AUTO, latitude_rad=truth.latitude, month=3.0)
     adjusted, ledger = adjust(truth, samples, background=climate)
     assert adjusted.basis == "climatology"

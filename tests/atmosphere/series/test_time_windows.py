@@ -387,9 +387,14 @@ def test_windows_span_enough_height(heights, expected):
     assert hours_of(found) == expected
 
 
-def test_a_barometer_alone_needs_more_height():
-    heights = 1000.0 + 500.0 * np.sin(TIMES * 20.0)
-    assert hours_of(time_windows(AirSamples(None, sensor(TIMES, heights)))) == [(0.0, 4.0)]
+def test_a_barometer_alone_needs_the_same_height():
+    for half, windows in ((500.0, 8), (140.0, 1)):
+        heights = 1000.0 + half * np.sin(TIMES * 20.0)
+        for samples in (
+            AirSamples(None, sensor(TIMES, heights)),
+            AirSamples(sensor(TIMES, heights)),
+        ):
+            assert len(time_windows(samples)) == windows
 
 
 def test_a_short_flight_is_one_window_and_a_long_one_not_many():
