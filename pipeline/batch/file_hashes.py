@@ -3,6 +3,7 @@
 A season's inputs are a terabyte: they are read for their hashes once, not at each run.
 """
 
+import hashlib
 import os
 import sqlite3
 import time
@@ -10,50 +11,53 @@ from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
+from pipeline.caches import user_cache
 from pipeline.ingest import hash_file
 
 _SETTLED_NS = 2_000_000_000
 """A file changed within this time may change again with the same times: FAT counts 2 s."""
 
-_TABLE = (
-    "CREATE TABLE IF NOT EXISTS hashes (path TEXT PRIMARY KEY, stamp TEXT, sha256 TEXT)"
-    " WITHOUT ROWID"
-)
+_MOST_FILES = 1_000_000
+"""Remembered, a season or two: of more those that were hashed longest ago are forgotten."""
+
+_TABLE = "CREATE TABLE IF NOT EXISTS hashes (path TEXT PRIMARY KEY, stamp TEXT, sha256 TEXT)"
+_FORGET = "DELETE FROM hashes WHERE rowid <= (SELECT max(rowid) FROM hashes) - ?"
 
 
-def user_cache() -> Path:
-    """The folder for what can be made again: XDG_CACHE_HOME or ~/.cache."""
-    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    return Path(base) / "unbend"
-
-
-def remembered_hash(path: Path, *, verify: bool = False) -> str:
+def remembered_hash(path: Path, *, verify: bool = False, first_bytes: int | None = None) -> str:
     """SHA-256 of a file; not read again while inode, size, time of content and of status stay.
 
-    ``verify`` reads it anyway. A file that changed in the last two seconds is not remembered.
-    Without a cache that can be written every file is read.
+    Of its ``first_bytes`` only where these are given. ``verify`` reads it anyway. A file that
+    changed in the last two seconds is not remembered. Without a cache that can be written every
+    file is read.
     """
     stat = path.stat()
     stamp = f"{stat.st_ino} {stat.st_size} {stat.st_mtime_ns} {stat.st_ctime_ns}"
-    place = os.path.realpath(path)
+    place = os.path.realpath(path) + ("" if first_bytes is None else f"\0{first_bytes}")
     with suppress(sqlite3.Error, OSError):
         if not verify:
             query = "SELECT sha256 FROM hashes WHERE path = ? AND stamp = ?"
             if known := _database(user_cache()).execute(query, (place, stamp)).fetchone():
                 return str(known[0])
     began = time.time_ns()
-    sha256 = hash_file(path)
+    if first_bytes is None:
+        sha256 = hash_file(path)
+    else:
+        with path.open("rb") as stream:
+            sha256 = hashlib.sha256(stream.read(first_bytes)).hexdigest()
     with suppress(sqlite3.Error, OSError):
         if began - max(stat.st_mtime_ns, stat.st_ctime_ns) > _SETTLED_NS:
             with _database(user_cache()) as database:
                 row = place, stamp, sha256
                 database.execute("INSERT OR REPLACE INTO hashes VALUES (?, ?, ?)", row)
+                database.execute(_FORGET, (_MOST_FILES,))
     return sha256
 
 
 @lru_cache(maxsize=1)
-def _database(folder: Path) -> sqlite3.Connection:
-    folder.mkdir(parents=True, exist_ok=True)
-    database = sqlite3.connect(folder / "hashes.sqlite", timeout=10.0, check_same_thread=False)
+def _database(folder: str) -> sqlite3.Connection:
+    os.makedirs(folder, exist_ok=True)
+    name = os.path.join(folder, "hashes.sqlite")
+    database = sqlite3.connect(name, timeout=10.0, check_same_thread=False)
     database.execute(_TABLE)
     return database

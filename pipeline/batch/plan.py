@@ -243,9 +243,8 @@ def _hash_input(path: Path, program: str | None, *, verify: bool) -> str:
         if program is not None:
             digest.update(f"{file.name}\0{remembered_hash(file, verify=verify)}\0".encode())
             continue
-        with file.open("rb") as stream:
-            digest.update(f"{file.relative_to(path)}\0{file.stat().st_size}\0".encode())
-            digest.update(stream.read(_EXIF_BYTES))
+        start = remembered_hash(file, verify=verify, first_bytes=_EXIF_BYTES)
+        digest.update(f"{file.relative_to(path)}\0{file.stat().st_size}\0{start}\0".encode())
     return digest.hexdigest()
 
 

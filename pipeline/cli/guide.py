@@ -1,4 +1,4 @@
-"""Commands that lead in: the JSON schema, and what a key or a code means."""
+"""Commands beside missions: the way in, what a word means, and the caches."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from pipeline.caches import empty_caches, user_cache
 from pipeline.cli.app import Answer, AsJson, Quiet, app
 from pipeline.errors import ConfigError, storage_errors
 from pipeline.report.words import count
@@ -115,3 +116,20 @@ def init(
     answer.print_json(content | {"written": [str(out), str(of_editors)]})
     asked = f"{out}: {count(len(questions), 'open question')} (TODO)"
     answer.print_paths([asked, f"  unbend check {out}"])
+
+
+@app.command(epilog="Example: unbend clean --quiet")
+def clean(*, quiet: Quiet = False, as_json: AsJson = False) -> None:
+    """Remove what is kept to save time: compiled code, hashes.
+
+    No result is touched. The next run compiles again, and reads all of its inputs for their hashes.
+    """
+    answer = Answer(quiet=quiet, as_json=as_json)
+    with storage_errors(Path(user_cache())):
+        removed = empty_caches()
+    answer.print_json({"removed": removed})
+    for what in removed:
+        answer.console.print(f"removed {what['what']}, {int(what['bytes']) / 1e6:.1f} MB:")
+        answer.print_paths([f"  {what['path']}"])
+    if not removed:
+        answer.console.print("nothing is kept")

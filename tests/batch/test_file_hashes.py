@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from pipeline.batch import file_hashes
-from pipeline.batch.file_hashes import remembered_hash, user_cache
+from pipeline.batch.file_hashes import remembered_hash
+from pipeline.caches import user_cache
 from pipeline.ingest import hash_file
 
 
@@ -73,7 +74,7 @@ def test_what_was_just_written_is_not_remembered(reads, tmp_path):
 
 @pytest.mark.parametrize("state", ["damaged", "a folder", "without the table's columns"])
 def test_a_cache_that_cannot_be_used_costs_time_only(reads, later, tmp_path, state):
-    file = user_cache() / "hashes.sqlite"
+    file = Path(user_cache()) / "hashes.sqlite"
     file.parent.mkdir(parents=True)
     if state == "damaged":
         file.write_bytes(b"no database" * 100)
@@ -86,3 +87,25 @@ def test_a_cache_that_cannot_be_used_costs_time_only(reads, later, tmp_path, sta
     for _ in range(2):
         assert remembered_hash(path) == hashlib.sha256(b"one").hexdigest()
     assert len(reads) == 2
+
+
+def test_the_start_of_a_file_has_a_hash_of_its_own(reads, later, tmp_path):
+    path = settled(tmp_path / "image.jpg", b"head and image")
+    assert remembered_hash(path, first_bytes=4) == hashlib.sha256(b"head").hexdigest()
+    assert remembered_hash(path) == hashlib.sha256(b"head and image").hexdigest()
+    assert remembered_hash(path, first_bytes=4) == hashlib.sha256(b"head").hexdigest()
+    opened, first = [], Path.open
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Path, "open", lambda self, *a: opened.append(self) or first(self, *a))
+        remembered_hash(path, first_bytes=4)
+        assert opened == []
+        remembered_hash(path, first_bytes=4, verify=True)
+        assert opened == [path]
+
+
+def test_what_was_hashed_longest_ago_is_forgotten(reads, later, tmp_path, monkeypatch):
+    monkeypatch.setattr(file_hashes, "_MOST_FILES", 2)
+    paths = [settled(tmp_path / name, name.encode()) for name in ("a", "b", "c")]
+    for path in (*paths, paths[2], paths[1], paths[0]):
+        remembered_hash(path)
+    assert [path.name for path in reads] == ["a", "b", "c", "a"]

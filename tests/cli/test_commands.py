@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("eighty_columns")
 
 COMMANDS = (
     "init", "schema", "help", "run", "check", "status", "stations", "inspect", "angle", "radial",
-    "tables", "profile", "compare", "simulate", "export", "verify",
+    "tables", "profile", "compare", "simulate", "export", "verify", "clean",
 )  # fmt: skip
 
 

@@ -7,7 +7,6 @@ is a folder named after the hash of all sources that may be compiled in.
 
 import hashlib
 import os
-import re
 import shutil
 import time
 from collections.abc import Callable
@@ -15,8 +14,9 @@ from typing import Any
 
 import numba
 
+from pipeline.caches import OF_COMPILED, user_cache
+
 _ROOM = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-_FOLDER = re.compile(r"unbend-[0-9a-f]{16}")
 _KEPT_S = 7 * 86_400.0  # unused this long, the folder of another version is removed
 
 
@@ -45,9 +45,7 @@ def cache_folder() -> str | None:
     of other sources that were not used for a week are removed; a process that still uses one
     compiles again.
     """
-    base = numba.config.CACHE_DIR or os.path.join(
-        os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "unbend", "numba"
-    )
+    base = numba.config.CACHE_DIR or os.path.join(user_cache(), "numba")
     try:
         folder = os.path.join(base, f"unbend-{source_hash()}")
         os.makedirs(folder, exist_ok=True)
@@ -61,7 +59,7 @@ def cache_folder() -> str | None:
             unused = [
                 entry.path
                 for entry in entries
-                if _FOLDER.fullmatch(entry.name)
+                if OF_COMPILED.fullmatch(entry.name)
                 and entry.path != folder
                 and time.time() - entry.stat().st_mtime > _KEPT_S
             ]

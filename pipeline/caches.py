@@ -1,0 +1,51 @@
+"""What is kept only because making it again takes time: compiled code, hashes of inputs.
+
+All of it lies in one folder of the user's, and none of it is a result: without it everything is
+the same, later.
+"""
+
+import os
+import re
+import shutil
+from collections.abc import Iterator
+
+OF_COMPILED = re.compile(r"unbend-[0-9a-f]{16}")
+"""Names of the folders of compiled code, one for each state of the sources."""
+
+
+def user_cache() -> str:
+    """The folder: ``unbend`` in XDG_CACHE_HOME or ~/.cache."""
+    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    return os.path.join(base, "unbend")
+
+
+def compiled_code() -> str:
+    """The folder for folders of compiled code: NUMBA_CACHE_DIR, or one in the user's cache."""
+    return os.environ.get("NUMBA_CACHE_DIR") or os.path.join(user_cache(), "numba")
+
+
+def cached() -> Iterator[tuple[str, str]]:
+    """What is kept and the path of each: files and folders that exist and are ours."""
+    for folder, what, ours in (
+        (compiled_code(), "compiled code", OF_COMPILED),
+        (user_cache(), "hashes of inputs", re.compile(r"hashes\.sqlite(-\w+)?")),
+    ):
+        names = sorted(os.listdir(folder)) if os.path.isdir(folder) else []
+        yield from ((what, os.path.join(folder, name)) for name in names if ours.fullmatch(name))
+
+
+def empty_caches() -> list[dict[str, str | int]]:
+    """Remove all that is kept; what it was, where, and its size in bytes. OSError where it stays.
+
+    Runs that are under way go on, and keep what they make afterwards.
+    """
+    removed: list[dict[str, str | int]] = []
+    for what, path in list(cached()):
+        inside = [os.path.join(root, name) for root, _, names in os.walk(path) for name in names]
+        size = sum(os.path.getsize(file) for file in inside or [path])
+        if os.path.isdir(path):
+            shutil.rmtree(path)
+        else:
+            os.remove(path)
+        removed.append({"what": what, "path": path, "bytes": size})
+    return removed
