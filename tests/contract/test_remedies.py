@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pipeline.atmosphere.soundings.plain import COLUMNS
 from pipeline.config import Mission
+from pipeline.errors import texts
 
 PACKAGE = Path(__file__).resolve().parents[2] / "pipeline"
 WORD = re.compile(r"[a-z][a-z0-9]*(?:_[a-z0-9]+)+")
@@ -27,6 +28,9 @@ def words_of_remedies() -> dict[str, set[str]]:
                 if isinstance(part, ast.Constant) and isinstance(part.value, str):
                     for word in WORD.findall(part.value):
                         found.setdefault(word, set()).add(path.name)
+    for key, text in texts().items():
+        for word in WORD.findall(text.get("remedy", "")):
+            found.setdefault(word, set()).add(key)
     return found
 
 

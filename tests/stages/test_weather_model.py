@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import warnings
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from pipeline import correct
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.series import profiles_by_place
 from pipeline.ledger import Ledger
@@ -17,6 +19,8 @@ from pipeline.stages.air.adjusted_profile import adjusted_profiles, read_air_sou
 from pipeline.stages.story import read_mission, verify_run
 from tests.conftest import run_command
 from tests.model_files import dataset, netcdf
+
+from .test_oriented_stations import columns_of
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
@@ -137,3 +141,21 @@ def test_in_a_long_flight_each_exposure_has_the_air_of_its_place(
     ratio = (both[0] / both[1]).groupby("image").median().dropna()
     assert np.corrcoef(ratio, east[ratio.index])[0, 1] < -0.8
     assert verify_run(modelled.output)
+
+
+def test_correct_takes_it_from_python(modelled, baseline):
+    """Paths of the section are relative to the working folder, or whole."""
+    atmosphere = {"model": {"path": str(modelled.folder / "era5.nc")}}
+    camera = {"width_px": 14000, "height_px": 10600, "f_px": 20000.0, "cx_px": 7012.4,
+              "cy_px": 5291.7, "calibration": "laboratory"}  # fmt: skip
+    run = baseline.results().to_pandas()
+    stations = columns_of(baseline.stations().to_pandas()).rename(columns={"time": "time_utc"})
+    given = run[["image", "point", "x_px", "y_px", "h_g_m"]]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # pinholes do not fit the points
+        corrected = correct(given, stations, atmosphere, {"nadir": camera, "oblique": camera},
+                            orientation={"heights": "msl"})  # fmt: skip
+    told = [entry["code"] for entry in corrected.attrs["ledger"]]
+    assert "MODEL-COLUMN" in told
+    ratio = (corrected["r_c_rad"] / run["r_c_rad"].to_numpy()).median()
+    assert ratio == pytest.approx(1.0, abs=0.02)
