@@ -170,6 +170,25 @@ def test_model_levels_that_make_no_column_are_refused(tmp_path, what):
     assert refused.value.code == code
 
 
+def test_gfs_has_relative_humidity_and_geopotential_metres(fields, tmp_path):
+    """Around Greenwich, longitudes from 0 to 360 in a file that goes round the earth."""
+    around = np.arange(0.0, 360.0, 90.0).tolist()
+    place, when = (PLACE[0], np.radians(-45.0)), NOON
+
+    def still(*_):
+        return H, temperature_k(H), PRESSURE, np.maximum(vapour_pressure_pa(H), 1e-3)
+
+    gfs = relative(dataset(still, (48.0, 47.0), around, ("2026-05-14T09", "2026-05-14T12")))
+    gfs = gfs.assign(gh=gfs.z / 9.80665).drop_vars("z")
+    found, _ = column(read(grib(tmp_path / "gfs.grib2", gfs, lead_h=3), place, when), place)
+    on = on_levels(found)
+    h = found.h_m[on]
+    np.testing.assert_allclose(found.temperature_k[on], temperature_k(h), atol=0.02)
+    low = h < 7000.0
+    np.testing.assert_allclose(found.vapour_pressure_pa[on][low], vapour_pressure_pa(h[low]),
+                               rtol=1e-2)  # fmt: skip
+
+
 @pytest.mark.parametrize("east", [(178.5, 179.5, 180.5), (-181.5, -180.5, -179.5)])
 @pytest.mark.parametrize("at", [179.9, -180.1])
 def test_across_the_date_line(fields, tmp_path, east, at):

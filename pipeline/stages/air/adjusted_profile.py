@@ -354,9 +354,10 @@ def _profiles_in_time(
         if adjustment.samples is not None:
             series = add_ageing(series, times, adjustment.samples, ledger, h_c=max(h_c), h_g=h_g)
         if model is not None:
+            north = np.where(stations.ok, stations.lat_rad, np.nan)
             east = longitudes_near(stations.lon_rad, model.place[1])
             series = ledger.take(add_model_changes(
-                series, model.field, times, stations.lat_rad, east,
+                series, model.field, times, north, east,
                 h_c=h_c, h_g=h_g, measured=adjustment.time_ns is not None,
             ))  # fmt: skip
         if not windows and len(stations):
