@@ -35,6 +35,7 @@ from pipeline.refraction.image import lattice_nodes
 from pipeline.tables.exports.blocks.colmap_model import colmap_camera
 from pipeline.tables.exports.blocks.opensfm_project import opensfm_camera
 from pipeline.tables.exports.format import (
+    CORRECTIONS_USE,
     PIXEL_UM,
     ExportFormat,
     FinishedRun,
@@ -347,5 +348,6 @@ FORMATS = (
                    "share a calibration", "%", 0.1, 50.0),
             PIXEL_UM,
         ),
+        use=CORRECTIONS_USE,
     ),
 )  # fmt: skip
