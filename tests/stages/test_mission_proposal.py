@@ -99,6 +99,7 @@ def test_a_bare_camera_takes_twenty_lines(mission, monkeypatch):
     text = propose_mission(mission.log, table, None, mission.file)
     lines = [line for line in text.splitlines() if not line.lstrip().startswith("#")]
     assert len(lines) <= 20
+    assert "  # refraction: none is taken: points as they were measured" in text
     assert 'nadir: {channel: "CAM[0]", image: "nadir_{index:05d}"}  # guessed: 3 images' in text
     assert "ground: {height: {column: h_g_m}, reference: TODO}" in text
 
