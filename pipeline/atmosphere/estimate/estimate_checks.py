@@ -264,10 +264,12 @@ def is_predicted(thermometer: Thermometer, without: Solution) -> Check:
     """Whether temperatures are those that an estimate without them predicts.
 
     In the mean over their heights, and in the change from the lower to the upper half of these;
-    within the sigma of the prediction, and of all faults that a thermometer may have.
+    within the sigma of the prediction, and of all faults that a thermometer may have. Pressure
+    implies virtual temperatures: in air as dry as a desert's, temperatures as high as these.
     """
-    layout, height = without.air.layout, thermometer.height
-    predicted, jacobian = thermometer.predict(without.air)
+    air, layout, height = without.air, without.air.layout, thermometer.height
+    moist = np.interp(height, layout.knot, air.virtual - air.temperature)
+    predicted, jacobian = thermometer.predict(air)
     layer = np.floor((height - height.min()) / LAYER_M).astype(np.int64)
     weight = 1.0 / np.bincount(layer)[layer]
     upper = np.where(height >= 0.5 * (height.min() + height.max()), weight, 0.0)
@@ -280,7 +282,7 @@ def is_predicted(thermometer: Thermometer, without: Solution) -> Check:
         by_state = weights @ jacobian
         by_state[layout.fault(SensorFault.THERMOMETER_BIAS)] = 0.0  # ``largest`` is its limit
         sigma = float(np.sqrt(by_state @ without.covariance @ by_state))
-        limit = float(np.hypot(largest, COMPARED_SIGMAS * sigma))
+        limit = float(np.hypot(largest, COMPARED_SIGMAS * sigma) + abs(weights @ moist))
         seen = float(weights @ (thermometer.value - predicted))
         if abs(seen) > limit:
             return Check(
