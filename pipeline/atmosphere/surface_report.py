@@ -43,6 +43,7 @@ class SurfaceReport:
     time_ns : [Unix ns]; None if unknown.
     origin : ``METAR KOUN`` or ``mission file``.
     sigma_temperature_k, sigma_pressure_pa : rounding and sensor, not how far away the station is.
+    distance_m : from the flight; ``across`` a coast or a ridge.
     """
 
     h_m: float
@@ -53,6 +54,8 @@ class SurfaceReport:
     origin: str = ""
     sigma_temperature_k: float = _WHOLE_K
     sigma_pressure_pa: float = _QNH_SIGMA_PA
+    distance_m: float = 0.0
+    across: bool = False
 
     @property
     def name(self) -> str:

@@ -24,6 +24,7 @@ class SoundingSection(Section):
     path: PathText
     format: Literal["auto", "igra", "igra_derived", "wyoming_csv", "wyoming_list", "csv"] = "auto"
     station_h_msl_m: float | None = Field(None, ge=-500, le=6000)
+    across_coast_or_ridge: bool = False
 
 
 class WeatherModelSection(Section):
@@ -41,6 +42,8 @@ class SurfaceSection(Section):
     temperature_c: float | None = None
     pressure_hpa: float | None = Field(None, gt=0)
     relative_humidity: float | None = None
+    distance_km: float = Field(0.0, ge=0, le=2000)
+    across_coast_or_ridge: bool = False
     time_utc: str | None = None
 
     @field_validator("time_utc")

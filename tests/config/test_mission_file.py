@@ -127,9 +127,10 @@ FULL: dict[str, Any] = {
             "gnss": {"sigma_height_m": 0.1},
         },
         "model": {"path": "era5.nc", "member": 0},
-        "soundings": [{"path": "s.csv", "format": "csv", "station_h_msl_m": 500.0}],
+        "soundings": [{"path": "s.csv", "format": "csv", "station_h_msl_m": 500.0,
+                       "across_coast_or_ridge": True}],
         "surface": [
-            {"h_msl_m": 500.0, "metar": "METAR EDDF 221150Z 12/08 Q1013"},
+            {"h_msl_m": 500.0, "metar": "METAR EDDF 221150Z 12/08 Q1013", "distance_km": 12.0},
             {"h_msl_m": 500.0, "temperature_c": 15.0, "pressure_hpa": 955.0,
              "relative_humidity": 0.5, "time_utc": "2026-05-14T10:20:00Z"},
         ],

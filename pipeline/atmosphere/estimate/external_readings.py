@@ -1,8 +1,9 @@
 """Soundings, weather stations and the climatology as readings, weighted by their age and distance.
 
 The air's departure from its climatology persists: after a time t and over a distance d it
-correlates by rho = exp(-t/tau - (d/L)^2/2) with what it was. An old or far reading with an error
-of variance s^2 (1/rho^2 - 1), where s is the spread of the climatology, has the weight rho^2.
+correlates by rho = exp(-t/tau - max(d/(tau v), (d/L)^2/2)) with what it was. An old or far reading
+with an error of variance s^2 (1/rho^2 - 1), where s is the spread of the climatology, has the
+weight rho^2.
 """
 
 import math
@@ -28,11 +29,15 @@ MEMORY_H = 167.0
 Sun et al. 2010 (J. Geophys. Res. 115, D23104) find 0.35 K per 3 h in the free troposphere, linear
 up to 6 h: 2.8 K in a day. Two pairs of ascents over Barrow differ by 1.0 to 2.3 K in 12 hours."""
 
-MEMORY_M = 1.19e6
-"""L: 0.42 K per 100 km, the figure of the same paper for soundings up to 250 km apart."""
+METRES_PER_H, MEMORY_M = 1e5 / 3.0, 1.19e6
+"""v: 100 km are as 3 h, 0.95 K (the same paper, which holds for 250 km and from 850 to 200 hPa); L:
+from 500 km on, where the climate changes too."""
+
+LOW_PA, ROUGHER = 85_000.0, 2.0
+"""In the air below 850 hPa, and across a coast or a ridge, a distance counts so many times."""
 
 FAR_M = 200e3
-"""A sounding from farther away is reported: its temperatures are 0.9 K less certain."""
+"""A sounding from farther away is reported: its temperatures are 1.4 K less certain."""
 
 MOST_GROWTH = 9.0
 """A reading whose variance is that many times the climatology's weighs a tenth: after 8 days, or
@@ -106,26 +111,27 @@ def variance_growth(hours: float, metres: float = 0.0) -> float:
     """1/rho^2 - 1: variance of the change of the air, over that of the climatology.
 
     >>> [round(SPREAD_K * variance_growth(*d) ** 0.5, 2) for d in ((3.0, 0.0), (0.0, 1e5))]
-    [0.96, 0.42]
+    [0.96, 0.96]
     """
-    exponent = 2.0 * hours / MEMORY_H + (metres / MEMORY_M) ** 2
+    of_distance = max(2.0 * metres / (METRES_PER_H * MEMORY_H), (metres / MEMORY_M) ** 2)
+    exponent = 2.0 * hours / MEMORY_H + of_distance
     return math.expm1(min(exponent, _MOST_EXPONENT))
 
 
 def hours_and_metres(source: Sounding | SurfaceReport, flight: TimeAndPlace) -> tuple[float, float]:
-    """Hours and metres between a source and the flight.
+    """Hours and metres between a source and the flight; twice the metres across a coast or a ridge.
 
-    Six hours and 100 km where those of a sounding are not known; three hours, and no distance, of
-    a surface report: a station near the flight is meant.
+    Six hours and 100 km where those of a sounding are not known; three hours of a surface report.
     """
-    hours, metres, undated_h = flight.hours_from(source.time_ns), 0.0, UNDATED_REPORT_H
+    hours = flight.hours_from(source.time_ns)
     if isinstance(source, Sounding):
         undated_h = UNDATED_SOUNDING_H
         metres = flight.metres_from(source.latitude_rad, source.longitude_rad)
-    return (
-        hours if math.isfinite(hours) else undated_h,
-        metres if math.isfinite(metres) else UNPLACED_M,
-    )
+        metres = metres if math.isfinite(metres) else UNPLACED_M
+    else:
+        undated_h, metres = UNDATED_REPORT_H, source.distance_m
+    metres *= ROUGHER if source.across else 1.0
+    return hours if math.isfinite(hours) else undated_h, metres
 
 
 def reason_uninformative(source: Sounding | SurfaceReport, flight: TimeAndPlace) -> str | None:
@@ -137,6 +143,7 @@ def reason_uninformative(source: Sounding | SurfaceReport, flight: TimeAndPlace)
     hours, metres = hours_and_metres(source, flight)
     if variance_growth(hours, metres) <= MOST_GROWTH:
         return None
+    metres /= ROUGHER if source.across else 1.0
     if variance_growth(hours) > MOST_GROWTH:
         far = f"{hours:.0f} hours"
     elif variance_growth(0.0, metres) > MOST_GROWTH:
@@ -201,10 +208,14 @@ def sounding_departures(
         def at_knots(sigma: Array | float, knots: Array = knots, levels: Array = levels) -> Array:
             return np.asarray(np.interp(knots, levels, np.broadcast_to(sigma, levels.shape)))
 
-        growth = variance_growth(*hours_and_metres(sounding, flight))
+        hours, metres = hours_and_metres(sounding, flight)
+        low = background.profile.pressure(gravity.height(knots)) > LOW_PA
+        growth = np.where(
+            low, variance_growth(hours, ROUGHER * metres), variance_growth(hours, metres)
+        )
         own, later = at_knots(errors.temperature_k) ** 2, SPREAD_K**2 * growth
-        both = errors.temperature_length_m * float(np.mean(own)) + LATER_LENGTH_M * later
-        length = both / (float(np.mean(own)) + later)
+        share = float(np.mean(own) / np.mean(own + later))
+        length = share * errors.temperature_length_m + (1.0 - share) * LATER_LENGTH_M
         humid = np.hypot(at_knots(errors.relative_humidity), SPREAD_RH * np.sqrt(growth))
         departures += [
             Drift(f"{sensors.SOUNDING_DEPARTURE} {i}", knots, np.sqrt(own + later), length),
@@ -256,24 +267,28 @@ def sounding_readings(
 def surface_readings(
     report: SurfaceReport, background: Climatology, flight: TimeAndPlace
 ) -> list[sensors.Readings]:
-    """Temperature, pressure and humidity of a weather station, less certain by its age."""
+    """Temperature, pressure and humidity of a station, less certain by its age and distance."""
     height = background.profile.gravity.geopotential_height(np.array([report.h_m]))
-    hours, _ = hours_and_metres(report, flight)
+    hours, metres = hours_and_metres(report, flight)
+    if float(background.profile.pressure(report.h_m)) > LOW_PA:
+        metres *= ROUGHER
     name, pressure = report.name, report.pressure_pa
     readings: list[sensors.Readings] = []
     if np.isfinite(report.temperature_k):
         of_air = STATION_K**2 + report.sigma_temperature_k**2 + STATION_K2_PER_H * hours
+        of_air += SPREAD_K**2 * variance_growth(0.0, metres)
         sigma = np.array([np.sqrt(of_air)])
         readings.append(sensors.Temperatures(name, height, np.array([report.temperature_k]), sigma))
     if np.isfinite(pressure):
         instrument = np.hypot(STATION_LOG_P, report.sigma_pressure_pa / pressure)
-        sigma = np.array([np.hypot(instrument, WEATHER_LOG_P_PER_H * hours)])
+        weather = np.hypot(WEATHER_LOG_P_PER_H * hours, WEATHER_LOG_P_PER_M * report.distance_m)
+        sigma = np.array([np.hypot(instrument, weather)])
         readings.append(sensors.Pressures(name, height, np.log([pressure]), sigma))
     else:
         pressure = float(background.profile.pressure(report.h_m))
     rh = _relative_humidity(report.vapour_pressure_pa, report.temperature_k, pressure)
     if bool(np.isfinite(rh)):
-        growth = variance_growth(hours)
+        growth = variance_growth(hours, metres)
         sigma = np.array([np.hypot(STATION_RH, SPREAD_RH * np.sqrt(growth))])
         readings.append(sensors.Humidities(name, height, np.atleast_1d(rh), sigma))
     return readings

@@ -64,6 +64,7 @@ class Sounding:
     origin : which format it was read as, for the manifest.
     kind : first word of its name, and the basis of an estimate that rests on it.
     errors : of the column; age and distance add to them.
+    across : whether a coast or a ridge is between it and the flight.
     """
 
     h_m: Array
@@ -77,6 +78,7 @@ class Sounding:
     origin: str = ""
     kind: str = "sounding"
     errors: ColumnErrors = field(default_factory=ColumnErrors)
+    across: bool = False
 
     @property
     def name(self) -> str:

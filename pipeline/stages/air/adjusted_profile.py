@@ -92,7 +92,8 @@ def read_report(
             ledger.warning("SURFACE-FAR-IN-TIME", where=where, hours=hours)
     _refuse_temperature(report, background, where, is_celsius=section.metar is not None)
     _refuse_level(report, background, where, is_station=section.metar is not None)
-    return report
+    metres, across = 1e3 * section.distance_km, section.across_coast_or_ridge
+    return replace(report, distance_m=metres, across=across)
 
 
 def _refuse_temperature(
@@ -232,13 +233,16 @@ def read_air_sources(
         longitude_rad=longitude if known.size else 0.0,
     )
     soundings = tuple(
-        read_sounding(
-            plan.input(sounding_role(i)).path,
-            ledger,
-            format_name=s.format,
-            time_ns=flight_ns,
-            latitude_rad=latitude,
-            station_h_m=np.nan if s.station_h_msl_m is None else s.station_h_msl_m,
+        replace(
+            read_sounding(
+                plan.input(sounding_role(i)).path,
+                ledger,
+                format_name=s.format,
+                time_ns=flight_ns,
+                latitude_rad=latitude,
+                station_h_m=np.nan if s.station_h_msl_m is None else s.station_h_msl_m,
+            ),
+            across=s.across_coast_or_ridge,
         )
         for i, s in enumerate(section.soundings)
     )

@@ -20,6 +20,8 @@ from pipeline.atmosphere.estimate.external_readings import (
     hours_and_metres,
     note_source_distances,
     reason_uninformative,
+    sounding_departures,
+    surface_readings,
     variance_growth,
 )
 from pipeline.atmosphere.estimate.readings import collect_readings
@@ -60,10 +62,11 @@ def test_what_is_not_known_is_not_near():
 
 
 def test_temperatures_differ_as_published():
-    """Sun et al. 2010: 0.35 K per 3 h and 0.42 K per 100 km in the free troposphere."""
-    for km in (50.0, 100.0, 250.0):
+    """Sun et al. 2010: 100 km are as 3 h in the free troposphere; the variance grows with both."""
+    for km in (3.0, 30.0, 100.0, 250.0):
+        assert variance_growth(0.0, 1e3 * km) == pytest.approx(variance_growth(0.03 * km))
         assert 5.0 * math.sqrt(variance_growth(0.0, 1e3 * km)) == pytest.approx(
-            0.0042 * km, rel=0.03
+            0.95 * math.sqrt(km / 100.0), rel=0.04
         )
     # In time they are linear to 6 h; ours is a random walk, which is more at once and as much
     # after a day.
@@ -71,10 +74,45 @@ def test_temperatures_differ_as_published():
     assert 5.0 * math.sqrt(variance_growth(24.0)) == pytest.approx(2.8, rel=0.1)
 
 
+def test_a_distance_counts_twice_near_the_ground_and_across_a_coast(flights, ascents):
+    """100 km away: 1.3 K below 850 hPa where it is 0.95 K aloft; twice the variance once more."""
+    truth = ascents["2023"]
+    near = balloon_of(truth, latitude_rad=truth.latitude, longitude_rad=0.0)
+    far = balloon_of(truth, latitude_rad=truth.latitude + 1e5 / 6.371e6, longitude_rad=0.0)
+    here, air = TimeAndPlace(near.time_ns, truth.latitude, 0.0), background_of(truth)
+
+    def added(balloon) -> np.ndarray:
+        """Variance [K2] that the distance adds, at the lowest and the highest knot."""
+        drifts = [sounding_departures([b], air, here)[0].sigma for b in (balloon, near)]
+        return (drifts[0] ** 2 - drifts[1] ** 2)[[0, -1]]
+
+    low, high = added(far)
+    assert high == pytest.approx(0.95**2, rel=0.05)
+    assert low == pytest.approx(2.0 * high, rel=0.05)
+    assert added(replace(far, across=True)) == pytest.approx([2.0 * low, 2.0 * high], rel=0.1)
+
+
+@pytest.mark.parametrize("across", [False, True])
+def test_a_station_far_away_is_less_certain(flights, ascents, across):
+    truth = ascents["2023"]
+    report = replace(station(truth), sigma_temperature_k=0.0)
+    here = TimeAndPlace(report.time_ns, truth.latitude, 0.0)
+
+    def variances(distance_m: float) -> list[float]:
+        of = replace(report, distance_m=distance_m, across=across)
+        return [float(r.sigma[0]) ** 2 for r in surface_readings(of, background_of(truth), here)]
+
+    grown = np.subtract(variances(3e4), variances(0.0))
+    # 30 km near the ground are as 1.8 h aloft, 0.55 K2, and across a coast twice that.
+    assert grown[0] == pytest.approx(1.1 if across else 0.55, rel=0.05)
+    assert grown[1] == pytest.approx((1.5e-8 * 3e4) ** 2, rel=1e-6)
+    assert grown[2] > 0.0
+
+
 @pytest.mark.parametrize(("hours", "km"), [(2.0, 0.0), (24.0, 100.0), (100.0, 0.0), (0.0, 1000.0)])
 def test_an_old_reading_weighs_what_it_is_worth(hours, km):
     """Air that forgets: truth and reading drawn with the correlation, and combined as we do."""
-    rho = math.exp(-hours / 167.0 - 0.5 * (km / 1190.0) ** 2)
+    rho = math.exp(-hours / 167.0 - max(0.03 * km / 167.0, 0.5 * (km / 1190.0) ** 2))
     rng = np.random.default_rng(4)
     now = rng.normal(0.0, 5.0, 200_000)
     then = rho * now + math.sqrt(1.0 - rho**2) * rng.normal(0.0, 5.0, now.size)
@@ -135,6 +173,11 @@ def balloon_of(truth, **change) -> Sounding:
         "vapour_pressure_pa": truth.e[pick], "time_ns": truth.start_ns, "station": "72357",
     }  # fmt: skip
     return Sounding(**(columns | change))
+
+
+def background_of(truth):
+    ground = float(truth.h[0])
+    return climatology(latitude_rad=truth.latitude, month=5.5, ground_h_m=ground)
 
 
 @pytest.fixture(scope="module")
@@ -329,7 +372,8 @@ def test_a_column_brings_errors_of_its_own(ascents):
     between = []
     for length in (200.0, 20_000.0):
         errors = ColumnErrors(own, 0.15, temperature_length_m=length)
-        column = balloon_of(truth, station="own", kind="model", errors=errors)
+        here = {"latitude_rad": truth.latitude, "longitude_rad": 0.0}
+        column = balloon_of(truth, station="own", kind="model", errors=errors, **here)
         made, _ = adjusted(truth, soundings=[column])
         assert made.basis == "model"
         sigma = made.covariance.sigma_temperature(at)
