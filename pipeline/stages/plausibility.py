@@ -438,6 +438,16 @@ def findings_of(facts: Facts) -> tuple[Entry, ...]:
     return tuple(finding(code, what, where=key) for code, key, what in found)
 
 
+def check_model_is_verified(facts: Facts, ledger: Ledger) -> None:
+    """Say so where nothing of a mission could contradict its elevation model (DEM-UNVERIFIED)."""
+    off = facts.takeoff
+    verified = off is not None and off.stands and math.isfinite(facts.model_at_takeoff_m)
+    verified |= bool(np.isfinite(facts.logged_terrain_m).any())
+    verified |= any(entry.code in ("TIES-RESIDUALS", "ORIENTATION-TIES") for entry in ledger)
+    if facts.mission.ground.model is not None and not verified:
+        ledger.warning("DEM-UNVERIFIED", where="ground.height.dem")
+
+
 def accept_findings(mission: Mission, ledger: Ledger) -> None:
     """Make warnings of the findings that a mission file accepts; losses cannot be accepted.
 

@@ -73,6 +73,7 @@ from pipeline.stages.plausibility import (
     Facts,
     accept_findings,
     causes_of_statuses,
+    check_model_is_verified,
     findings_of,
 )
 from pipeline.stages.stations import stations_of_mission
@@ -299,6 +300,7 @@ def correct_mission(
     causes = causes_of_statuses(facts)
     statistics.report_flagged(ledger, causes)
     ledger.extend(findings_of(facts))
+    check_model_is_verified(facts, ledger)
     accept_findings(mission, ledger)
     air = replace(air, effects=facts.effects)
     manifest = manifest_of(

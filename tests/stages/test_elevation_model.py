@@ -14,6 +14,8 @@ from rasterio import Affine
 from pipeline.simulate.flight import FIELD_LAT_RAD, FIELD_LON_RAD, geographic, terrain_m
 from pipeline.stages.story import check_mission
 
+from .test_rehearsal import rows
+
 pytestmark = pytest.mark.usefixtures("plain_report")
 
 STEP_M, CELLS = 10.0, 1600
@@ -147,6 +149,27 @@ def test_tie_points_contradict_a_model_of_other_heights(mission, modelled, chang
     modelled(change=change)
     manifest, _ = ran(mission, 3)
     assert entry(manifest, "TIES-HEIGHT")["kind"] == "finding"
+
+
+@pytest.mark.parametrize("known", ["nothing", "tie points", "take-off", "no model"])
+def test_a_model_that_nothing_can_verify_is_said_to_be_so(mission, modelled, monkeypatch, known):
+    """Upside down, and every point in one image: no check can see it, and the ledger says that."""
+    if known == "take-off":  # the field lies in a wider model
+        monkeypatch.setitem(globals(), "STEP_M", 40.0)
+    if known != "no model":
+        modelled(change=lambda z: z if known == "take-off" else z[::-1])
+    if known != "tie points":
+        rows(lambda table: table.__setitem__("point", table["point"] + table["image"]))(mission)
+    ledger = check_mission(mission.save()).manifest["ledger"]
+    found = {e["code"]: e["kind"] for e in ledger if e["kind"] != "note"}
+    assert ("TIES-HEIGHT" in found) == (known == "tie points")
+    assert found.get("DEM-UNVERIFIED") == ("warning" if known == "nothing" else None)
+    assert "finding" not in found.values() or known == "tie points"
+
+
+def test_a_model_said_to_be_in_the_next_zone_is_refused(mission, modelled):
+    modelled(crs="EPSG:25832", file_crs=None, crs_stated="EPSG:25833")
+    assert "6 of 6 stations" in refused(mission, "DEM-OUTSIDE")
 
 
 def test_a_hole_under_half_of_the_block_is_flagged_with_its_number(mission, modelled, given):
