@@ -204,7 +204,7 @@ def test_every_text_gets_the_values_that_it_asks_for():
                 continue
             used.add(key)
             parts = (string.Formatter().parse(part) for part in texts[key].values())
-            asked = {field for part in parts for _, field, _, _ in part if field}
+            asked = {field.partition(".")[0] for part in parts for _, field, _, _ in part if field}
             if asked ^ given > {"where", "count"} or (asked ^ given) - {"where", "count"}:
                 wrong.append(f"{place} asks for {sorted(asked)}, given are {sorted(given)}")
             if refuses(node) != ("remedy" in texts[key]):

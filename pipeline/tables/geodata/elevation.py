@@ -61,15 +61,7 @@ class ElevationModel:
                 raster.rows * abs(raster.step_y / first.step_y - 1.0),
             )  # fmt: skip
             if off > _APART:
-                raise InputError(
-                    "DEM-TILES",
-                    f"its nodes lie {off:.2g} cells beside those of {first.path.name} (cells of "
-                    f"{raster.step_x:.9g} by {raster.step_y:.9g}, there {first.step_x:.9g} by "
-                    f"{first.step_y:.9g})",
-                    where=str(raster.path),
-                    remedy="resample the rasters to one grid (gdalwarp), or name one of them in "
-                    "ground.height.dem",
-                )
+                raise InputError.of("DEM-TILES", raster.path, off=off, raster=raster, first=first)
             self._places.append((round(row), round(column)))
         rows = max(p[0] + r.rows for p, r in zip(self._places, rasters, strict=True))
         columns = max(p[1] + r.columns for p, r in zip(self._places, rasters, strict=True))
@@ -195,14 +187,7 @@ class _Raster:
         affine, self.crs = source.transform, source.crs.to_wkt() if source.crs else ""
         upright = affine.b == affine.d == 0.0 and affine.a > 0.0 > affine.e
         if source.count != 1 or not upright or source.driver == "VRT":
-            raise InputError(
-                "DEM-RASTER",
-                f"it is a {source.driver} of {source.count} bands, its cells ({affine.a:g}, "
-                f"{affine.b:g}, {affine.d:g}, {affine.e:g}); one band is needed, north up",
-                where=str(path),
-                remedy="write one band of heights, north up (gdalwarp); in the place of a VRT name "
-                "its rasters in ground.height.dem",
-            )
+            raise InputError.of("DEM-RASTER", path, source=source, cell=affine)
         self.step_x, self.step_y, self.west, self.north = affine.a, -affine.e, affine.c, affine.f
         self.rows, self.columns = source.height, source.width
         unit = source.units[0]
@@ -224,7 +209,7 @@ class _Raster:
                 source = self._open(self.path)
                 read = source.read(1, window=window, masked=self.holed, out_dtype=np.float32)
         except RasterioError as error:
-            raise _unreadable(str(self.path), error) from None
+            raise InputError.of("DEM-UNREADABLE", self.path, error=error) from None
         height = np.asarray(np.ma.filled(read, np.nan), np.float32)
         if (self.scale, self.offset) == (1.0, 0.0):
             return height
@@ -265,13 +250,11 @@ def open_elevation(
         with rasterio.Env(GDAL_CACHEMAX=_CACHE_BYTES):
             rasters = [_Raster(path, open_raster) for path in paths]
     except rasterio.errors.RasterioError as error:
-        raise _unreadable(where, error) from None
+        raise InputError.of("DEM-UNREADABLE", where, error=error) from None
     own = sorted({raster.crs for raster in rasters})
     if len(own) > 1 or not (own[0] or crs):
         what = "have several coordinate systems" if own[-1] else "have no coordinate system"
-        raise InputError("DEM-CRS", f"the rasters {what}", where=where,
-                         remedy=f"state {key}, as EPSG:25832, for rasters that have none; warp "
-                         "others to one system (gdalwarp)")  # fmt: skip
+        raise InputError.of("DEM-CRS/rasters", where, what=what)
     corners = [[r.west + i * r.columns * r.step_x, r.north - k * r.rows * r.step_y]
                for r in rasters for i in (0, 1) for k in (0, 1)]  # fmt: skip
     system = grid_system(
@@ -287,8 +270,3 @@ def open_elevation(
         what += f"; {system.vertical} is taken as mean sea level, from which it may be a metre away"
     entry = note if system.is_good and (system.is_sea_level or not system.vertical) else warning
     return model, (entry("DEM-READ", what, where=where, count=len(rasters)),)
-
-
-def _unreadable(where: str, error: Exception) -> InputError:
-    return InputError("DEM-UNREADABLE", f"is no raster that can be read: {error}", where=where,
-                      remedy="check ground.height.dem, and the file with gdalinfo")  # fmt: skip
