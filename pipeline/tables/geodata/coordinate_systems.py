@@ -143,7 +143,7 @@ def _to_wgs84(horizontal: Any, lon_lat: Array, where: str, key: str) -> tuple[An
             area_of_interest=AreaOfInterest(*corners),
         )  # fmt: skip
     if not group.transformers:
-        raise InputError.of("CRS-BALLPARK", where, name=horizontal.name, key=key)
+        raise InputError.of("CRS-BALLPARK", where, name=horizontal.name, named=key)
     best = group.transformers[0]
     by = f"{best.description or 'an unnamed operation'}"
     by += f", to {best.accuracy:g} m" if best.accuracy >= 0.0 else ", of unknown accuracy"
@@ -209,7 +209,9 @@ def grid_system(
     other, of_other = _system(stated or own, heights, where, key)
     vertical = vertical or of_other
     if not horizontal.equals(other, ignore_axis_order=True):
-        raise InputError.of("DEM-CRS/stated", where, own=horizontal.name, other=other.name, key=key)
+        raise InputError.of(
+            "DEM-CRS/stated", where, own=horizontal.name, other=other.name, named=key
+        )
     places = _own_places(horizontal, *corners)
     best, by, good = _to_wgs84(horizontal, places[:, np.isfinite(places).all(axis=0)], where, key)
     there = partial(best.transform, direction="INVERSE")
@@ -250,7 +252,7 @@ def _system(crs: str, heights: str, where: str, key: str) -> tuple[Any, Any]:
         if not (horizontal.is_projected or horizontal.is_geographic) or horizontal.is_geocentric:
             raise CRSError(f"{whole.name} is a {whole.type_name}")
     except CRSError as error:
-        raise InputError.of("CRS-UNKNOWN", where, crs=crs, error=error, key=key) from None
+        raise InputError.of("CRS-UNKNOWN", where, crs=crs, error=error, named=key) from None
     of_system, ellipsoid = "msl" if vertical else heights, horizontal.ellipsoid
     if not vertical and len(whole.axis_info) == 3:
         of_system = "ellipsoid"
@@ -293,5 +295,5 @@ def _inside(
         what += f"({area.name if area else 'the earth'}), the first {given[0][first]:g}, "
         what += f"{given[1][first]:g}"
     if 2 * count >= known.sum():
-        raise InputError.of("CRS-AREA", where, what=what, key=key)
+        raise InputError.of("CRS-AREA", where, what=what, named=key)
     return np.where(inside, lon_lat, np.nan), [loss("CRS-AREA", what, where=where, count=count)]
