@@ -63,7 +63,8 @@ LEAST_SCATTER_K, LEAST_SCATTER_LOG_P, LEAST_SCATTER_RH = 0.05, 5e-5, 0.01
 DRIFT_STEP_S, ALONE_STEP_S, MOST_DRIFT_STEPS = 45.0, 15.0, 60
 """Knots of drifts; with 300 s the sigma of R over 1 km was 2.3 % and the error 4.1 %. Of a
 barometer alone nearer: between knots 45 s apart a walk is too smooth for a climb of a minute (over
-300 m errors of 1.35 sigma RMS, not 1)."""
+300 m errors of 1.35 sigma RMS, not 1), and where it judges a thermometer: 1 in 100 that work were
+refused over 500 m."""
 
 BAROMETER_SCALES, THERMOMETER_SCALES = (0.1, 4.0), (1.0, 3.0)
 """Smallest and largest factor of the sigma of a drift that the residuals of a flight may give it:
@@ -173,7 +174,7 @@ def _sensor_readings(
     end_ns = max(int(sensor.time_ns[-1]) for sensor in sensors.values())
     duration = max((end_ns - start_ns) * 1e-9, 1.0)
     alone = "temperature" not in sensors
-    step_s = ALONE_STEP_S if alone else DRIFT_STEP_S
+    step_s = ALONE_STEP_S if alone or not settings.large_drifts else DRIFT_STEP_S
     steps = 1 + min(MOST_DRIFT_STEPS, int(duration / step_s))
     knots = np.linspace(0.0, duration, steps + 1)
     binning = _Binning.of_flight(sensors, profile, start_ns, duration)
