@@ -364,8 +364,7 @@ class _Part:
         middle = float(np.median(area.longitude_rad))
         places = (area.latitude_rad, longitudes_near(area.longitude_rad, middle))
         for names, place in zip((_LATITUDE, _LONGITUDE), places, strict=True):
-            axis = _dimension(field, names)
-            assert axis is not None
+            axis = str(_dimension(field, names))  # a grid without it was refused
             node = np.asarray(field[axis].values, np.float64) * DEGREE
             if names is _LONGITUDE:
                 node = longitudes_near(node, middle)
