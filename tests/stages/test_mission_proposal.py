@@ -35,6 +35,7 @@ def places_of_todo(tree: Any, above: tuple[str, ...] = ()) -> list[tuple[str, ..
 
 def answered(tree: dict[str, Any], truth: dict[str, Any]) -> dict[str, Any]:
     """The tree with the truth in the place of each TODO, and nothing else changed."""
+    truth = truth | {"observations": {"refraction": "none"} | truth.get("observations", {})}
     for place in places_of_todo(tree):
         inner, value = tree, truth
         for key in place:
@@ -99,7 +100,7 @@ def test_a_bare_camera_takes_twenty_lines(mission, monkeypatch):
     text = propose_mission(mission.log, table, None, mission.file)
     lines = [line for line in text.splitlines() if not line.lstrip().startswith("#")]
     assert len(lines) <= 20
-    assert "  # refraction: none is taken: points as they were measured" in text
+    assert "refraction: TODO}" in text
     assert 'nadir: {channel: "CAM[0]", image: "nadir_{index:05d}"}  # guessed: 3 images' in text
     assert "ground: {height: {column: h_g_m}, reference: TODO}" in text
 
@@ -215,9 +216,10 @@ def test_a_block_alone_asks_for_its_frame_and_its_day(unbend, tmp_path):
     out = tmp_path / "mission.yaml"
     assert unbend("init", block, "--out", out).code == 0
     tree = yaml.safe_load(out.read_text(encoding="utf-8"))
-    assert tree["observations"] == {"path": "sparse", "format": "colmap"}
+    assert tree["observations"] == {"path": "sparse", "format": "colmap", "refraction": "TODO"}
     assert todo_of_check(unbend, out) == {
-        "cameras.a.calibration", "stations.orientation.frame", "stations.orientation.date"
+        "cameras.a.calibration", "stations.orientation.frame", "stations.orientation.date",
+        "observations.refraction",
     }  # fmt: skip
     enu = {"enu": {"lat_deg": 47.0, "lon_deg": 8.5, "h_ellipsoid_m": 500.0}}
     truth = {"cameras": {"a": {"calibration": "laboratory"}},
@@ -256,7 +258,7 @@ def test_every_kind_of_beginning(kind, unbend, tmp_path):
     rows = [f"{n}.jpg\t7\t0\t0.1\t0.1\t0.01\t0\t0\t0\t-1\t-1" for n in (1, 2)]
     tracks = "\n".join(["OPENSFM_TRACKS_VERSION_v2", *rows, ""])
     (project / "tracks.csv").write_text(tracks, encoding="utf-8")
-    block = {"path": "project", "format": "opensfm"}
+    block = {"path": "project", "format": "opensfm", "refraction": "TODO"}
     words, expected = {
         "ulg": ((log, project), {"log": {"path": "flight.ulg"}, "observations": block}),
         "opensfm": ((project,), {"observations": block, "ground": {"height": "block"}}),

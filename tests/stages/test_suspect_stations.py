@@ -73,9 +73,9 @@ def test_exposures_in_a_glitch_get_no_correction_and_the_run_ends_with_three(gli
     ended = glitch.run()
     assert ended.code == 3, ended.text
     printed = " ".join(ended.out.split())
-    assert "; 2 suspect stations, whose observations have no corrected coordinates." in printed
+    assert "2 suspect stations, whose observations have no corrected coordinates." in printed
     assert (
-        "Look at the 2 suspect stations (unbend stations MISSION --plot FILE): 1 exposures"
+        "Look at the 2 suspect stations (unbend stations MISSION --plot FILE): 1 exposure "
         in printed
     )
     assert "can be adjusted" not in printed
@@ -95,7 +95,7 @@ def test_exposures_in_a_glitch_get_no_correction_and_the_run_ends_with_three(gli
     assert set(rows.loc[~of_suspect, "status"]) == {"ok"}
     told = suspicions(glitch)  # one entry a camera
     assert len(told) == 2
-    assert all(what.startswith("1 exposures from 2025-06-12T") for what in told)
+    assert all(what.startswith("1 exposure from 2025-06-12T") for what in told)
     assert all("position is suspect, up to 77 m off" in what for what in told)
 
 

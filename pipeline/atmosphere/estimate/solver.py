@@ -168,7 +168,7 @@ def estimate(
     >>> from pipeline.atmosphere.climatology import climatology
     >>> made = estimate(AirSamples(), climatology(latitude_rad=0.8, month=7.0))
     >>> made.covariance.sigma_temperature([0.0, 5000.0]).round(1).tolist()
-    [7.3, 4.9]
+    [7.5, 4.9]
     """
     settings = settings or SensorSettings()
     readings = collect_readings(

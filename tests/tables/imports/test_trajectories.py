@@ -287,7 +287,7 @@ def test_a_cut_sbet_is_a_loss_of_its_last_row(flight):
          "time"),
         (lambda f, rows: np.where(np.arange(17) == 12, np.nan, rows).tobytes(), "IMPORT-FORMAT",
          "numbers"),
-        (lambda f, rows: rows.tobytes()[:200], "IMPORT-FORMAT", "1 rows"),
+        (lambda f, rows: rows.tobytes()[:200], "IMPORT-FORMAT", "1 row"),
         (lambda f, rows: b"time,lat,lon\n" * 1000, "IMPORT-FORMAT", "SBET"),
     ],
 )  # fmt: skip
