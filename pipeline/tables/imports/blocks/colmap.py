@@ -137,12 +137,15 @@ def _images(path: Path) -> Iterator[tuple[str, str, Array, Array, Integers]]:
                 record = content.array(_POINT2D, content.take("Q")[0])
                 yield name, str(camera), np.array(numbers), record["xy"], record["point"]
         return
-    count = 0
+    count, cameras = 0, {str(number) for number, *_ in _cameras(_of_model(path)[0])}
     with TextFile(file) as lines:
         rows = iter(lines)
         for head in rows:
             if head and not head.startswith("#"):
                 _, *numbers, camera, name = head.split(maxsplit=9)
+                if camera not in cameras:
+                    raise not_of_format(file, f"in line {lines.number} {name!r} is of camera "
+                                        f"{camera}, which cameras.txt has not")  # fmt: skip
                 pose, count = np.array(numbers, np.float64).reshape(7), count + 1
                 points = np.array(next(rows, "").split(), np.float64).reshape(-1, 3)
                 yield name, camera, pose, points[:, :2], points[:, 2].astype(np.int64)

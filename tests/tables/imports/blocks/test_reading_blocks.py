@@ -182,6 +182,17 @@ def test_other_versions_and_models(model):
     assert "CAMERA-MODEL" in refusal(folder / "txt", "colmap")
 
 
+def test_an_image_of_a_camera_that_a_text_has_not(model):
+    _, folder = model
+    file = folder / "txt" / "images.txt"
+    lines = file.read_text().splitlines()
+    row = next(k for k, line in enumerate(lines) if line.endswith("strip 2/of 1.jpg"))
+    lines[row] = " ".join([*lines[row].split(" ")[:8], "9", "strip 2/of 1.jpg"])
+    file.write_text("\n".join(lines) + "\n")
+    expected = f"in line {row + 1} 'strip 2/of 1.jpg' is of camera 9, which cameras.txt has not"
+    assert expected in refusal(folder / "txt", "colmap")
+
+
 def test_poses_that_are_no_rotations_and_images_that_stand_twice(model):
     _, folder = model
     file = folder / "txt" / "images.txt"
