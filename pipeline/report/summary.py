@@ -51,8 +51,8 @@ def control_rows(manifest: Mapping[str, Any], most: int) -> list[tuple[str, ...]
         both = (*control[f"{name}_before_m"], *control[f"{name}_after_m"])
         rows.append((f"{name} of {control['used']}", "", *both, None))
     return [
-        (name, rays, *("" if v is None else f"{v:+.3f}" for v in values))
-        for name, rays, *values in rows
+        (name, rays, *("" if v is None else f"{v:+.3f}" for v in values), significant(sigma, 2))
+        for name, rays, *values, sigma in rows
     ]
 
 
