@@ -38,7 +38,7 @@ _NOUNS = (
 _BEFORE = "bad|control|different|image|known|more|object|observed|sensor|shutter|standard|tie"
 _VERBS = {"are": "is", "were": "was", "have": "has", "do": "does", "carry": "carries"}
 _ONE = re.compile(
-    rf"(?<![\w.,:/])(?<!\w-)1( (?:(?:{_BEFORE}) )*(?:{_NOUNS}))?(?(1)s\b)"
+    rf"(?<![\w.,:/])(?<!\w-)1(?:( (?:(?:{_BEFORE}) )*(?:{_NOUNS}))s\b(?!\.\w)|(?<![\w)] 1))"
     rf"( (?:{'|'.join(_VERBS)}|lie|follow|find|come)\b)?"
 )
 

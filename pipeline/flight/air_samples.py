@@ -15,6 +15,7 @@ SOAK_SECONDS = 120.0
 """A thermometer still carries the heat of the ground for so long after take-off [s]. Over a climb
 of 1 km, with realistic sensors and no descent, R scatters by 2.0 %; with 60 s by 2.2 %."""
 
+LEVEL_M = 30.0  # above the lowest height of a flight, pressures give their level [m]
 AWAY_SECONDS = 60.0  # an aircraft that is away from the ground for less has not taken off [s]
 # An aircraft that does not move, this near the lowest height of the log, is on the ground [m].
 GROUND_RISE_M = 20.0
@@ -32,7 +33,8 @@ def air_samples(
 
     Temperature and humidity on the ground and in the first two minutes after take-off are shown
     but not accepted: they are the runway's. Nor are readings where the height is ``suspect`` and
-    no other source replaces it.
+    no other source replaces it, nor pressures but the lowest where no receiver gives the height: a
+    height fused with the barometer says nothing on the air between two pressures.
     """
     height = roles.get("height")
     if height is None:
@@ -56,6 +58,9 @@ def air_samples(
         if count := int(np.count_nonzero(known & ~accepted)):
             what = f"{count} readings are not used, at heights that other evidence contradicts"
             notes.append(warning("AIR-SUSPECT-HEIGHT", what, where=channel.name, count=count))
+        if role == "pressure" and height.roles and "height" not in height.roles:
+            accepted &= h < np.min(h[accepted], initial=np.inf) + LEVEL_M
+            notes.append(warning("AIR-HEIGHT-FUSED", where=height.name, level=LEVEL_M))
         if role in ("temperature", "humidity") and on_ground_ns.size:
             last = np.searchsorted(on_ground_ns, channel.time_ns, side="right") - 1
             since_s = (channel.time_ns - on_ground_ns[np.maximum(last, 0)]) * 1e-9

@@ -3,6 +3,7 @@
 The only module that uses xarray. It imports pyproj first: loaded after ecCodes, pyproj crashes.
 """
 
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -21,6 +22,8 @@ from pipeline.geodesy import longitudes_near
 from pipeline.ledger import Ledger
 from pipeline.units import DEGREE, HECTOPASCAL, STANDARD_GRAVITY, Array, Integers
 
+_TIMES = {"valid_time", "time"}
+_PER_SECOND = re.compile(r"s\s*(?:\*\*|\^)?\s*-\s*2|/\s*s")
 FARTHEST_H = 6.0
 """Farther from every time of the file a flight is refused [h]."""
 
@@ -193,6 +196,10 @@ def times_of(field: Any, where: str) -> tuple[str | None, Integers, Array]:
     lead = np.zeros(stamps.size)
     if "step" in field.coords and field["step"].dtype.kind == "m":
         lead = lead + np.atleast_1d(field["step"].values) / np.timedelta64(1, "h")
+        if "valid_time" not in field.coords:  # these times are those of the run
+            stamps = stamps + np.atleast_1d(field["step"].values)
+    for run in {"forecast_reference_time", "reftime"} & field.coords.keys():
+        lead = (stamps - np.atleast_1d(field[run].values)) / np.timedelta64(1, "h")
     return dim, stamps.ravel().astype("datetime64[ns]").astype(np.int64), lead
 
 
@@ -298,7 +305,7 @@ def read_model_field(
                 "MODEL-LEVELS/hybrid", where, first=level[0], last=level[-1], total=level.size
             )
         unit = "" if surface is None else str(surface.attrs.get("units", surface.name)).lower()
-        metre = STANDARD_GRAVITY if unit == "z" or "s" in unit else 1.0
+        metre = STANDARD_GRAVITY if unit == "z" or _PER_SECOND.search(unit) else 1.0
         field = ModelField(
             name=where,
             time_ns=part.time_ns,
@@ -308,7 +315,7 @@ def read_model_field(
             temperature_k=part.values(t, level),
             humidity=part.values(humidity, level),
             height=np.empty(0) if height is None else part.values(height, level),
-            surface=np.empty(0) if surface is None else part.values(surface) / metre,
+            surface=np.empty(0) if surface is None else part.values(surface, fixed=True) / metre,
             log_surface_pa=part.values(log_surface) if of_model else np.empty(0),
             lead_h=part.lead_h,
             relative=specific is None,
@@ -356,7 +363,8 @@ class _Part:
         times = order[low : high + 1]
         if dim is not None:
             chosen[dim] = times
-        hours = max(float(np.abs(time_ns - t).min()) for t in (first, last)) / 3.6e12
+        away = np.abs(time_ns[order] - np.unique(area.time_ns)[:, None]).min(axis=1)
+        hours = float(away.max()) / 3.6e12
         if hours > FARTHEST_H:
             begin, end = _minutes(time_ns[order[[0, -1]]])
             raise InputError.of("MODEL-TIME", where, begin=begin, end=end, hours=hours)
@@ -376,8 +384,11 @@ class _Part:
         labels = {name: field[name].values for name in chosen}
         return cls(time_ns[times], lead_h[times], nodes[0], nodes[1], chosen, labels, where)
 
-    def values(self, field: Any, level: Array | None = None) -> Array:
-        """A field as (t, l, y, x), NaN where it has no value; of the surface l is 1."""
+    def values(self, field: Any, level: Array | None = None, *, fixed: bool = False) -> Array:
+        """A field as (t, l, y, x), NaN where it has no value; of the surface l is 1.
+
+        Refuses a field of other times, but of what is ``fixed``, as the ground.
+        """
         levels = _levels(field)
         version, axes = _dimension(field, _VERSIONS), list(self.chosen)[-2:]
         time = next((d for d in self.chosen if d not in axes and d in field.dims
@@ -388,8 +399,10 @@ class _Part:
         taken = field.isel({d: rows for d, rows in self.chosen.items() if d in field.dims})
         others += [d for d in taken.dims if d not in order and taken.sizes[d] > 1]
         others += [d for d in axes if d not in field.dims]
-        if time is None and self.time_ns.size > 1 and level is not None:
-            others.append("time")
+        if time is None and not fixed:
+            stamps = times_of(field, self.where)[1] if field.coords.keys() & _TIMES else ()
+            if not np.array_equal(self.time_ns, stamps):
+                others.append("time")
         if others:
             apart = ", ".join(others)
             raise InputError.of("MODEL-VARIABLE/other", self.where, name=field.name, apart=apart)

@@ -135,6 +135,7 @@ def test_every_count_agrees_with_its_noun():
         ("all 1 control points are used", "all 1 control point is used"),
         ("0.1 hours, CAM-1 images, 1,001 rows, 1 of the images", None),
         ("1 rows do not fit, 1 have none", "1 row does not fit, 1 has none"),
+        ("6746 messages of system 1, component 1 are missing; flight 1 images.csv", None),
     ],
 )
 def test_one_is_singular(text, expected):

@@ -181,6 +181,20 @@ def test_a_log_that_begins_in_the_air_has_no_take_off() -> None:
     assert found.temperature.accepted.all()
 
 
+def test_a_height_that_is_fused_with_the_barometer_says_nothing_of_temperatures() -> None:
+    """Pressures of the lowest 30 m give the level; with a receiver all are used, without a word."""
+    fused = channel("POS", 10, "position", h_msl_m=HEIGHT, **PLACE)
+    samples, notes = air_samples({"height": fused, "pressure": BARO}, HeightSystem(), 5.0)
+    assert samples.pressure is not None
+    assert samples.pressure.accepted.any()
+    assert samples.pressure.extent_m < 30.0
+    assert [(e.code, e.where) for e in notes] == [("AIR-HEIGHT-FUSED", "POS")]
+    samples, notes = air_samples({"height": GPS, "pressure": BARO}, HeightSystem(), 5.0)
+    assert samples.pressure is not None
+    assert samples.pressure.accepted.all()
+    assert notes == ()
+
+
 def test_the_ground_between_two_flights_is_not_the_air() -> None:
     twice = np.concatenate([HEIGHT, HEIGHT])
     time_ns = np.arange(twice.size, dtype=np.int64) * 10**9

@@ -235,6 +235,12 @@ REFUSED = {
         pressure_level=f.pressure_level / 7.0), "MODEL-UNITS", "not near the ground"),
     "humidity of other times": (lambda f: xarray.merge(
         [f.drop_vars("q"), f[["q"]].isel(valid_time=0, drop=True)]), "MODEL-VARIABLE", "time"),
+    "humidity of another day": (lambda f: xarray.merge(
+        [f.drop_vars("q").isel(valid_time=[0]), f[["q"]].isel(valid_time=[0], ).rename(
+            valid_time="time").assign_coords(time=np.array(["2017-01-01"], "M8[ns]"))]),
+                                "MODEL-VARIABLE", "time"),
+    "a ground in meters that would be geopotential": (lambda f: f.assign(
+        orog=(f.z[0, 0] * 0.0 + 12_000.0).assign_attrs(units="meters")), "MODEL-UNITS", "ground"),
     "a high ground": (lambda f: f.assign(orog=(f.z[0, 0] * 0.0 + 12_000.0).assign_attrs(units="m")),
                       "MODEL-UNITS", "ground"),
 }  # fmt: skip
@@ -268,6 +274,31 @@ def test_a_projected_grib_such_as_hrrr_is_refused_by_name(tmp_path):
     with pytest.raises(InputError, match="its grid is lambert") as refused:
         read(path)
     assert refused.value.code == "MODEL-GRID"
+
+
+def test_the_lead_time_of_a_forecast_is_found_as_each_program_writes_it(fields, tmp_path):
+    run = np.datetime64("2026-05-12T10:30", "ns")
+    stamped = {"forecast_reference_time": fields.assign_coords(forecast_reference_time=run),
+               "reftime": fields.assign_coords(reftime=run)}  # fmt: skip
+    for name, changed in stamped.items():
+        found = read(netcdf(tmp_path / f"{name}.nc", changed))
+        assert found.lead_h.tolist() == [47.5, 48.5], name
+    by_step = fields.isel(valid_time=[0]).rename(valid_time="time")
+    by_step = by_step.assign_coords(time=[run], step=np.timedelta64(48, "h").astype("m8[ns]"))
+    found = read(netcdf(tmp_path / "step.nc", by_step))
+    assert (found.time_ns.tolist(), found.lead_h.tolist()) == ([NOON], [48.0])
+
+
+def test_hours_between_the_times_of_a_file_are_too_far_from_both(fields, tmp_path):
+    apart = fields.assign_coords(
+        valid_time=np.array(["2026-05-13T10:30", "2026-05-15T10:30"], "M8[ns]")
+    )
+    path = netcdf(tmp_path / "apart.nc", apart)
+    times = np.array([NOON - 86_400 * 10**9, NOON, NOON + 86_400 * 10**9])
+    places = (np.full(3, angle) for angle in PLACE)
+    with pytest.raises(InputError, match=r"24\.0 h away") as refused:
+        read_model_field(path, FlightArea(*places, times), Ledger())
+    assert refused.value.code == "MODEL-TIME"
 
 
 def test_another_member_than_the_file_has_is_refused(fields, tmp_path):
