@@ -22,8 +22,6 @@ from pipeline.geodesy import longitudes_near
 from pipeline.ledger import Ledger
 from pipeline.units import DEGREE, HECTOPASCAL, STANDARD_GRAVITY, Array, Integers
 
-_TIMES = {"valid_time", "time"}
-_PER_SECOND = re.compile(r"s\s*(?:\*\*|\^)?\s*-\s*2|/\s*s")
 FARTHEST_H = 6.0
 """Farther from every time of the file a flight is refused [h]."""
 
@@ -41,6 +39,8 @@ _MODEL_LEVELS = ("hybrid", "model_level")
 _LEVELS = ("level", "pressure_level", "plev", "lev", *_MODEL_LEVELS)
 _LATITUDE, _LONGITUDE = ("latitude", "lat"), ("longitude", "lon")
 _MEMBERS, _VERSIONS = ("number", "member", "realization", "ensemble"), ("expver",)
+_TIMES, _RUNS = ("valid_time", "time"), ("forecast_reference_time", "reftime")
+_PER_SECOND = re.compile(r"s\s*(?:\*\*|\^)?\s*-\s*2|/\s*s")
 _HECTOPASCALS = ("hpa", "millibars", "millibar", "mbar", "mb")
 _GRIB_HEAD = 16
 _READ_GRID = "latitude-longitude"
@@ -188,7 +188,7 @@ def times_of(field: Any, where: str) -> tuple[str | None, Integers, Array]:
     if len(dims) > 1:
         runs = " and ".join(f"{field.sizes[d]} of {d}" for d in dims)
         raise InputError.of("MODEL-TIME/runs", where, runs=runs)
-    dim = dims[0] if dims else next((d for d in ("valid_time", "time") if d in field.dims), None)
+    dim = dims[0] if dims else next((d for d in _TIMES if d in field.dims), None)
     name = next((n for n in ("valid_time", dim, "time") if n in field.coords), None)
     stamps = np.empty(0) if name is None else np.atleast_1d(field[name].values)
     if stamps.dtype.kind != "M" or stamps.size != (1 if dim is None else field.sizes[dim]):
@@ -198,7 +198,7 @@ def times_of(field: Any, where: str) -> tuple[str | None, Integers, Array]:
         lead = lead + np.atleast_1d(field["step"].values) / np.timedelta64(1, "h")
         if "valid_time" not in field.coords:  # these times are those of the run
             stamps = stamps + np.atleast_1d(field["step"].values)
-    for run in {"forecast_reference_time", "reftime"} & field.coords.keys():
+    for run in (name for name in _RUNS if name in field.coords):
         lead = (stamps - np.atleast_1d(field[run].values)) / np.timedelta64(1, "h")
     return dim, stamps.ravel().astype("datetime64[ns]").astype(np.int64), lead
 
@@ -400,8 +400,8 @@ class _Part:
         others += [d for d in taken.dims if d not in order and taken.sizes[d] > 1]
         others += [d for d in axes if d not in field.dims]
         if time is None and not fixed:
-            stamps = times_of(field, self.where)[1] if field.coords.keys() & _TIMES else ()
-            if not np.array_equal(self.time_ns, stamps):
+            has_time = any(name in field.coords for name in _TIMES)
+            if not has_time or not np.array_equal(self.time_ns, times_of(field, self.where)[1]):
                 others.append("time")
         if others:
             apart = ", ".join(others)

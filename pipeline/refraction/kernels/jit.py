@@ -14,7 +14,7 @@ from typing import Any
 
 import numba
 
-from pipeline.caches import OF_COMPILED, user_cache
+from pipeline.caches import OF_COMPILED, compiled_code
 
 _ROOM = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 _KEPT_S = 7 * 86_400.0  # unused this long, the folder of another version is removed
@@ -45,7 +45,7 @@ def cache_folder() -> str | None:
     of other sources that were not used for a week are removed; a process that still uses one
     compiles again.
     """
-    base = numba.config.CACHE_DIR or os.path.join(user_cache(), "numba")
+    base = numba.config.CACHE_DIR or compiled_code()
     try:
         folder = os.path.join(base, f"unbend-{source_hash()}")
         os.makedirs(folder, exist_ok=True)
