@@ -51,7 +51,12 @@ def control_rows(manifest: Mapping[str, Any], most: int) -> list[tuple[str, ...]
         both = (*control[f"{name}_before_m"], *control[f"{name}_after_m"])
         rows.append((f"{name} of {control['used']}", "", *both, None))
     return [
-        (name, rays, *("" if v is None else f"{v:+.3f}" for v in values), significant(sigma, 2))
+        (
+            name,
+            rays,
+            *("" if v is None else f"{v:+.3f}" for v in values),
+            "" if sigma is None else significant(sigma, 2),
+        )
         for name, rays, *values, sigma in rows
     ]
 
