@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -34,8 +35,8 @@ from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
 from pipeline.tables.text_columns import Hashes, hashes_of
 from pipeline.units import Array
 
-Records = Callable[[int, list[str] | None], Iterator[pa.RecordBatch]]
-"""Reads a table: rows of a batch at most, where the file lets choose, and which columns."""
+Records = Callable[[int, list[str] | None, int], Iterator[pa.RecordBatch]]
+"""Reads a table: rows of a batch at most, where the file lets choose, which columns, from where."""
 
 # A user's column with one of these names would be taken for a result, in either direction.
 _OURS = OBSERVATION_COLUMNS.keys() | DISPLACED_COLUMNS.keys()
@@ -187,7 +188,7 @@ class Observations:
     has_points: bool = True
     sample: RowSample | None = field(repr=False, default=None)
     _sources: Mapping[str, str] = field(repr=False, default_factory=dict)
-    _records: Records = field(repr=False, default=lambda rows, only: iter(()))
+    _records: Records = field(repr=False, default=lambda rows, only, first: iter(()))
 
     def sampled(self, *, points: bool = False) -> Batch:
         """The rows that were drawn when the table was opened, without the user's columns.
@@ -232,7 +233,7 @@ class Observations:
         image, first, parts, numbers = self.columns["image"], 0, [], []
         wanted = {*self.columns.values(), self.ground_column, self.sigma_column}
         wanted -= {None, image, *unread}
-        for records in self._records(1 << 18, [image, *sorted(filter(None, wanted))]):
+        for records in self._records(1 << 18, [image, *sorted(filter(None, wanted))], 0):
             rows = chosen(records, first)
             parts.append(records.take(pa.array(rows)))
             numbers.append(rows + first)
@@ -242,12 +243,23 @@ class Observations:
         batch = self._batch(pa.Table.from_batches(parts), {})
         return replace(batch, numbers=np.concatenate(numbers))
 
-    def batches(self, batch_rows: int) -> Iterator[Batch]:
-        """The observations in slices of ``batch_rows``, each row once and in its place."""
+    def rows_of_part(self, batch_rows: int) -> int:
+        """Rows of a part of the results, but for the last; ``batch_rows`` or fewer."""
         # Keypoints are many more than tie points: their memory stays under 100 MB.
-        batch_rows = min(batch_rows, 1 << 15) if self.is_block else batch_rows
-        records, first_row = self._records(batch_rows, None), 0
-        for table in _slices(records, batch_rows):
+        return min(batch_rows, 1 << 15) if self.is_block else batch_rows
+
+    def batches(
+        self, batch_rows: int, first_part: int = 0, stop: int | None = None
+    ) -> Iterator[Batch]:
+        """The observations in slices of `rows_of_part`, each row once and in its place.
+
+        Those of the parts from the first up to ``stop``; what comes before is not decoded where a
+        file lets skip it.
+        """
+        batch_rows = self.rows_of_part(batch_rows)
+        first_row = first_part * batch_rows
+        slices = _slices(self._records(batch_rows, None, first_row), batch_rows)
+        for table in islice(slices, None if stop is None else stop - first_part):
             users = {f.name: self._sources[f.name] for f in self.user_fields}
             yield replace(self._batch(table, users), first_row=first_row)
             first_row += table.num_rows
@@ -356,7 +368,7 @@ def open_observations(
             ledger.note("OBS-CODES", text)
     else:
         rows, images, repeated = 0, set(), list[str]()
-        for batch in records(1 << 20, [named["image"], named["point"]][: 1 + (kind in BLOCKS)]):
+        for batch in records(1 << 20, [named["image"], named["point"]][: 1 + (kind in BLOCKS)], 0):
             rows += batch.num_rows
             if kind in BLOCKS and (tied := of_points(batch, *batch.schema.names)).size:
                 point, has_points = batch.column(1).take(tied).to_pandas(), True
@@ -416,7 +428,7 @@ def _opened(path: Path, kind: str) -> tuple[pa.Schema, Records]:
         raise InputError("OBS-MISSING", what, where=str(path), remedy="check observations.path")
     if kind in BLOCKS:
         rows = partial(_block_records, path, kind)
-        return next(rows(0, None), rows_of_image("", [])).schema, rows
+        return next(rows(0, None, 0), rows_of_image("", [])).schema, rows
     if kind == "csv":
         return pa.schema([(name, pa.string()) for name in csv_names(path)]), partial(
             _csv_records, path, {}
@@ -434,27 +446,41 @@ def _opened(path: Path, kind: str) -> tuple[pa.Schema, Records]:
 
 
 def _block_records(
-    path: Path, kind: str, rows: int, only: list[str] | None
+    path: Path, kind: str, rows: int, only: list[str] | None, first: int
 ) -> Iterator[pa.RecordBatch]:
-    for batch in block_rows(path, kind):
+    for batch in _from_row(first, block_rows(path, kind)):
         yield batch if only is None else batch.select(only)
 
 
 def _csv_records(
-    path: Path, types: Mapping[str, pa.DataType], rows: int, only: list[str] | None
+    path: Path, types: Mapping[str, pa.DataType], rows: int, only: list[str] | None, first: int
 ) -> Iterator[pa.RecordBatch]:
     with damage_in_table(path), open_csv(path, types, only) as reader:
-        yield from reader
+        yield from _from_row(first, reader)
 
 
-def _parquet_records(path: Path, rows: int, only: list[str] | None) -> Iterator[pa.RecordBatch]:
+def _parquet_records(
+    path: Path, rows: int, only: list[str] | None, first: int
+) -> Iterator[pa.RecordBatch]:
     # Images have few names: the first of some columns is left as it is encoded.
     encoded = None if only is None else only[:1]
     with (
         damage_in_table(path),
         pq.ParquetFile(path, memory_map=True, read_dictionary=encoded) as file,
     ):
-        yield from file.iter_batches(batch_size=rows, columns=only)
+        groups = [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)]
+        begins = np.cumsum([0, *groups])
+        group = max(int(np.searchsorted(begins, first, "right")) - 1, 0)
+        left = list(range(group, len(groups)))
+        batches = file.iter_batches(batch_size=rows, columns=only, row_groups=left)
+        yield from _from_row(first - int(begins[group]), batches)
+
+
+def _from_row(first: int, batches: Iterable[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+    """Batches without the rows before the first."""
+    for batch in batches:
+        yield batch.slice(min(first, batch.num_rows))
+        first = max(first - batch.num_rows, 0)
 
 
 @contextmanager

@@ -189,8 +189,8 @@ READING = """
 import sys, time
 from pipeline.tables.observations import Observations
 real = Observations.batches
-def slow(self, rows):
-    for batch in real(self, rows):
+def slow(self, *parts):
+    for batch in real(self, *parts):
         print("stalled", flush=True)
         time.sleep(600)
         yield batch

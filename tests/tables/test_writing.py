@@ -210,6 +210,48 @@ def test_batches_are_of_one_size_wherever_the_reader_cuts(tmp_path, monkeypatch,
     ]
 
 
+@pytest.mark.parametrize("name", ["o.csv", "o.parquet", "block"])
+def test_a_range_of_parts_is_what_the_whole_has_there(tmp_path, monkeypatch, name):
+    """From a CSV cut in blocks of three rows, row groups of 4 (one of them empty), and a block."""
+    monkeypatch.setattr(delimited, "_BLOCK_BYTES", 64)
+    table = pa.table({
+        "image": [f"image_{i % 3}" for i in range(31)], "point": [f"p{i}" for i in range(31)],
+        "x_px": np.arange(31.0), "y_px": np.arange(31.0) / 7, "own": np.arange(31),
+    })  # fmt: skip
+    if name == "o.csv":
+        write_csv_stream(tmp_path / name, table.schema, [table])
+    elif name == "o.parquet":
+        with pq.ParquetWriter(tmp_path / name, table.schema) as writer:
+            for first in (0, 12, 30):
+                writer.write_table(table.slice(first, {0: 12, 12: 18, 30: 1}[first]), 4)
+                writer.write_table(table.slice(0, 0))
+    else:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "cameras.txt").write_text("1 SIMPLE_PINHOLE 99 99 50 49 49\n")
+        points = " ".join(f"{i}.5 {i}.25 {i}" for i in range(9))
+        (tmp_path / name / "images.txt").write_text(
+            "".join(f"{k} 1 0 0 0 0 0 {k} 1 {k}.jpg\n{points}\n" for k in range(1, 4))
+        )
+        (tmp_path / name / "points3D.txt").write_text(
+            "".join(f"{i} 0 0 {i} 0 0 0 1 1 {i} 2 {i} 3 {i}\n" for i in range(9))
+        )
+    form = "colmap" if name == "block" else None
+    opened = open_observations(tmp_path / name, COLUMNS, None, Ledger(), file_format=form)
+    whole = list(opened.batches(4))
+    for first in range(len(whole) + 1):
+        for stop in (*range(first, len(whole) + 1), None):
+            some = list(opened.batches(4, first, stop))
+            assert len(some) == len(whole[first:stop])
+            for found, batch in zip(some, whole[first:stop], strict=True):
+                assert found.first_row == batch.first_row
+                assert found.image.equals(batch.image)
+                assert found.point.equals(batch.point)
+                assert found.x_px.tolist() == batch.x_px.tolist()
+                assert {k: v.to_pylist() for k, v in found.users.items()} == {
+                    k: v.to_pylist() for k, v in batch.users.items()
+                }
+
+
 def test_floats_are_split_by_bytes_and_all_else_has_a_dictionary(tmp_path):
     table = pa.table({
         "wide": np.linspace(0.0, 1.0, 1000),
