@@ -16,12 +16,10 @@ from dataclasses import dataclass
 from itertools import islice
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
-from pathlib import Path
 from types import FrameType
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from pipeline.batch.plan import Outcome
-from pipeline.config import load_mission
 from pipeline.errors import (
     EXIT_BUG,
     EXIT_DONE,
@@ -33,14 +31,17 @@ from pipeline.errors import (
     UnbendError,
 )
 
+if TYPE_CHECKING:
+    from pipeline.config.campaign import MissionRef
+
 # How long a worker that was asked to stop may clean up before it is killed.
 _GRACE_S = 3.0
 
 
 class RunMission(Protocol):
-    """Runs one mission file."""
+    """Runs one mission."""
 
-    def __call__(self, path: Path, *, progress: Any = None) -> Outcome: ...
+    def __call__(self, mission: MissionRef, /, *, progress: Any = None) -> Outcome: ...
 
 
 @dataclass(frozen=True)
@@ -53,10 +54,10 @@ class Bug:
 MissionEnd = Outcome | UnbendError | Bug
 
 
-def run_guarded(run_mission: RunMission, config: Path, progress: Any) -> MissionEnd:
+def run_guarded(run_mission: RunMission, mission: MissionRef, progress: Any) -> MissionEnd:
     """Run a mission; refusals and unexpected exceptions are returned, not raised."""
     try:
-        return run_mission(config, progress=progress)
+        return run_mission(mission, progress=progress)
     except UnbendError as error:
         return error
     except Exception:
@@ -70,11 +71,11 @@ class _Worker:
 
     process: SpawnProcess
     connection: Connection
-    config: Path
+    mission: MissionRef
 
     @classmethod
-    def start(cls, run_mission: RunMission, config: Path) -> _Worker:
-        """Start a process and send it the function that runs a mission file, and the first one."""
+    def start(cls, run_mission: RunMission, mission: MissionRef) -> _Worker:
+        """Start a process and send it the function that runs a mission, and the first one."""
         ours, theirs = multiprocessing.Pipe()
         process = multiprocessing.get_context("spawn").Process(
             target=_run_missions, args=(theirs,), daemon=True
@@ -83,15 +84,15 @@ class _Worker:
         theirs.close()  # otherwise the connection would not end when the worker dies
         with suppress(OSError):
             ours.send(run_mission)
-        worker = cls(process, ours, config)
-        worker.assign(config)
+        worker = cls(process, ours, mission)
+        worker.assign(mission)
         return worker
 
-    def assign(self, config: Path) -> None:
-        """Send a mission file to the worker."""
-        self.config = config
+    def assign(self, mission: MissionRef) -> None:
+        """Send a mission to the worker."""
+        self.mission = mission
         with suppress(OSError):  # a dead worker is noticed when its result is received
-            self.connection.send(config)
+            self.connection.send(mission)
 
     def result(self) -> MissionEnd | None:
         """How its mission ended; None if the process ended first."""
@@ -103,29 +104,29 @@ class _Worker:
 
 
 def side_by_side(
-    run_mission: RunMission, configs: Sequence[Path], jobs: int, lost: list[Path]
-) -> Iterator[tuple[Path, MissionEnd]]:
+    run_mission: RunMission, missions: Sequence[MissionRef], jobs: int, lost: list[MissionRef]
+) -> Iterator[tuple[MissionRef, MissionEnd]]:
     """Run missions in ``jobs`` processes; yields how each ended, as soon as it did.
 
     A mission is assigned when a worker is free for it. The missions of workers that died are
     added to ``lost``; the others go on. When the caller leaves early, the workers are stopped.
     """
-    waiting = iter(configs)
+    waiting = iter(missions)
     workers: dict[Connection, _Worker] = {}
     finished: list[_Worker] = []
 
-    def start(config: Path) -> None:
+    def start(mission: MissionRef) -> None:
         with _interrupts_blocked():
-            worker = _Worker.start(run_mission, config)
+            worker = _Worker.start(run_mission, mission)
             workers[worker.connection] = worker
 
     try:
-        for config in islice(waiting, jobs):
-            start(config)
+        for mission in islice(waiting, jobs):
+            start(mission)
         while workers:
             ready = wait(list(workers))
             for worker in [workers[c] for c in workers if c in ready]:
-                done, end = worker.config, worker.result()
+                done, end = worker.mission, worker.result()
                 following = next(waiting, None)
                 if following is not None and end is not None:
                     worker.assign(following)
@@ -188,54 +189,54 @@ def _run_missions(connection: Connection) -> None:
 
 def run_many(
     run_mission: RunMission,
-    configs: Sequence[Path],
+    missions: Sequence[MissionRef],
     jobs: int,
     bar: Callable[[str], AbstractContextManager[Any]],
-) -> Generator[tuple[Path, MissionEnd]]:
-    """Run mission files; yields how each ended, as soon as it did.
+) -> Generator[tuple[MissionRef, MissionEnd]]:
+    """Run missions; yields how each ended, as soon as it did.
 
     With one job, ``bar`` shows the progress of each; side by side none is shown. A mission whose
     process dies is run a second time, alone (refused with WORKER-LOST if that dies too).
     """
-    shared = shared_outputs(configs)
+    shared = shared_outputs(missions)
     waiting = []
-    for config in configs:
-        if config in shared:
-            yield config, shared[config]
+    for mission in missions:
+        if mission in shared:
+            yield mission, shared[mission]
         else:
-            waiting.append(config)
+            waiting.append(mission)
     if jobs == 1 or len(waiting) < 2:
-        for config in waiting:
-            with bar(config.stem) as progress:
-                end = run_guarded(run_mission, config, progress)
-            yield config, end
+        for mission in waiting:
+            with bar(mission.path.stem) as progress:
+                end = run_guarded(run_mission, mission, progress)
+            yield mission, end
         return
-    lost: list[Path] = []
+    lost: list[MissionRef] = []
     yield from side_by_side(run_mission, waiting, jobs, lost)
     # Most processes that die do so for want of memory: now each mission has the machine alone.
-    for config in lost:
-        lost_again: list[Path] = []
-        yield from side_by_side(run_mission, [config], 1, lost_again)
+    for mission in lost:
+        lost_again: list[MissionRef] = []
+        yield from side_by_side(run_mission, [mission], 1, lost_again)
         if lost_again:
-            yield (config, MissionError.of("WORKER-LOST", config))
+            yield (mission, MissionError.of("WORKER-LOST", mission.path))
 
 
-def shared_outputs(configs: Sequence[Path]) -> dict[Path, UnbendError]:
-    """Mission files whose results would be written to the folder of an earlier one.
+def shared_outputs(missions: Sequence[MissionRef]) -> dict[MissionRef, UnbendError]:
+    """Missions whose results would be written to the folder of an earlier one.
 
     Folders are compared after symbolic links are resolved, and on Windows without case.
     """
-    first_of: dict[str, Path] = {}
-    refused: dict[Path, UnbendError] = {}
-    for config in configs:
+    first_of: dict[str, MissionRef] = {}
+    refused: dict[MissionRef, UnbendError] = {}
+    for ref in missions:
         try:
-            mission = load_mission(config)
+            mission = ref.load()
         except UnbendError:
             continue  # raised again, and reported, when the mission is run
-        output = os.path.normcase(os.path.realpath(config.parent / mission.output.path))
-        first = first_of.setdefault(output, config)
-        if first is not config:
-            refused[config] = ConfigError.of("OUTPUT-SHARED", "output.path", first=first)
+        output = os.path.normcase(os.path.realpath(ref.folder / mission.output.path))
+        first = first_of.setdefault(output, ref)
+        if first is not ref:
+            refused[ref] = ConfigError.of("OUTPUT-SHARED", "output.path", first=first.path)
     return refused
 
 

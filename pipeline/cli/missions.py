@@ -35,15 +35,18 @@ def run(
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("loading"):
         from pipeline.batch.execute import Bug, run_many
+        from pipeline.config.campaign import MissionRef
         from pipeline.report.text.terminal import print_run
         from pipeline.stages.story import run_mission
 
     missions: list[dict[str, Any]] = []
     beside = nullcontext() if jobs == 1 else answer.progress(f"{len(configs)} missions")
     run_one = partial(run_mission, force=force, verify_inputs=verify_inputs)
-    outcomes = run_many(run_one, configs, jobs, answer.progress)
+    refs = [MissionRef(config) for config in configs]
+    outcomes = run_many(run_one, refs, jobs, answer.progress)
     with beside, closing(outcomes):
-        for config, end in outcomes:
+        for ref, end in outcomes:
+            config = ref.path
             if isinstance(end, UnbendError):
                 missions.append(_refused(config, end))
             elif isinstance(end, Bug):
@@ -88,18 +91,21 @@ def check(
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("loading"):
         from pipeline.batch.execute import shared_outputs
+        from pipeline.config.campaign import MissionRef
         from pipeline.report.text.terminal import print_check
         from pipeline.stages.rehearsal import input_lines, rehearsal_lines
         from pipeline.stages.story import check_mission
 
     missions: list[dict[str, Any]] = []
-    shared = shared_outputs(configs)
-    for config in configs:
+    refs = [MissionRef(config) for config in configs]
+    shared = shared_outputs(refs)
+    for ref in refs:
+        config = ref.path
         try:
-            if config in shared:
-                raise shared[config]
+            if ref in shared:
+                raise shared[ref]
             with answer.progress(f"checking {config.name}") as bar:
-                checked = check_mission(config, progress=bar)
+                checked = check_mission(ref, progress=bar)
                 lines = [*input_lines(checked), *rehearsal_lines(checked)]
         except UnbendError as error:
             missions.append(_refused(config, error))
@@ -125,14 +131,16 @@ def status(
     """
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("loading"):
+        from pipeline.config.campaign import MissionRef
         from pipeline.report.text.terminal import print_status
         from pipeline.stages.story import mission_status
 
     missions: list[dict[str, Any]] = []
-    for config in configs:
+    for ref in [MissionRef(config) for config in configs]:
+        config = ref.path
         try:
             with answer.progress(f"looking at {config.name}"):
-                plan, reasons = mission_status(config)
+                plan, reasons = mission_status(ref)
         except UnbendError as error:
             missions.append(_refused(config, error))
             continue

@@ -61,6 +61,12 @@ def load_mission(path: Path | str) -> Mission:
     Opens nothing but the file itself.
     """
     path = Path(path)
+    values, node = read_yaml(path)
+    return mission_of(values, node, str(path))
+
+
+def read_yaml(path: Path) -> tuple[dict[str, Any], yaml.Node]:
+    """The sections of a file, and its nodes, which know their lines; refuses what is not YAML."""
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
@@ -83,6 +89,14 @@ def load_mission(path: Path | str) -> Mission:
     if node is None or not isinstance(values, dict):
         required = [name for name, field in Mission.model_fields.items() if field.is_required()]
         raise ConfigError.of("CONFIG-EMPTY", path, required=", ".join(required))
+    return values, node
+
+
+def mission_of(
+    own: dict[str, Any], node: yaml.Node, where: str, defaults: dict[str, Any] | None = None
+) -> Mission:
+    """Check the values of a mission; ``defaults`` stand where it has none of its own."""
+    values = own if defaults is None else merged(defaults, own)
     mission: Mission | None = None
     refused: ValidationError | None = None
     try:
@@ -98,6 +112,21 @@ def load_mission(path: Path | str) -> Mission:
     code = "CONFIG-TODO" if todo else code
     several = f"{len(what)} {'questions are open' if todo else 'mistakes'}\n    "
     raise ConfigError(
-        code, what[0] if len(what) == 1 else several + "\n    ".join(what), where=str(path),
+        code, what[0] if len(what) == 1 else several + "\n    ".join(what), where=where,
         remedy="mend the file; `unbend help KEY` explains a key, `unbend schema` has them all",
     )  # fmt: skip
+
+
+def merged(defaults: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    """Sections of which each key is a mission's own, or else the default; null takes one away.
+
+    >>> merged({"a": {"x": 1, "y": 2}, "b": 3, "c": [4]}, {"a": {"y": 5}, "b": None, "c": [6]})
+    {'a': {'x': 1, 'y': 5}, 'c': [6]}
+    """
+    values = defaults | own
+    for key in defaults.keys() & own.keys():
+        if own[key] is None:
+            del values[key]
+        elif isinstance(defaults[key], dict) and isinstance(own[key], dict):
+            values[key] = merged(defaults[key], own[key])
+    return values

@@ -34,7 +34,7 @@ from pipeline.batch.store import (
 )
 from pipeline.block.image_rays import UNKNOWN_SIGMAS
 from pipeline.block.oriented_images import SIGMAS_OF_BLOCK
-from pipeline.config import load_mission
+from pipeline.config.campaign import MissionRef
 from pipeline.errors import ConfigError, StorageError, storage_errors
 from pipeline.flight.air_samples import air_samples
 from pipeline.flight.heights import heights_at, logged_terrain, undulation_notes
@@ -127,7 +127,7 @@ class CorrectedMission:
 
 
 def run_mission(
-    path: Path | str,
+    mission: MissionRef | Path | str,
     *,
     force: bool = False,
     verify_inputs: bool = False,
@@ -138,11 +138,11 @@ def run_mission(
     Does nothing where the same inputs, mission file and code gave these results before, unless
     ``force``. ``verify_inputs`` reads inputs that seem unchanged too.
     """
-    path, progress = Path(path), progress or NoProgress()
-    mission_file = load_mission(path)
+    progress = progress or NoProgress()
+    ref = MissionRef.of(mission)
+    mission_file = ref.load()
     progress.start("hashing the inputs")
-    plan = make_plan(mission_file, path.parent, verify=verify_inputs)
-    mission = plan.mission
+    plan = make_plan(mission_file, ref.folder, verify=verify_inputs)
     with open_folder(plan.output) as folder:
         earlier = finished_before(plan, force=force)
         if earlier is not None:
@@ -156,8 +156,8 @@ def run_mission(
                 observations,
                 setup,
                 into_folder(folder),
-                batch_rows=mission.output.batch_rows,
-                metadata=observation_metadata(mission),
+                batch_rows=plan.mission.output.batch_rows,
+                metadata=observation_metadata(plan.mission),
                 progress=progress.advance,
             )
 
@@ -170,14 +170,16 @@ def run_mission(
     return outcome_of(plan, manifest, repeated=False)
 
 
-def check_mission(path: Path | str, *, progress: Progress | None = None) -> CorrectedMission:
+def check_mission(
+    mission: MissionRef | Path | str, *, progress: Progress | None = None
+) -> CorrectedMission:
     """Rehearse a mission: all that `run_mission` does, on a sample, and nothing is written.
 
     Every station, and observations spread over all images, at most `SAMPLED_ROWS`; of a table with
     no more than that, all. Raises what a run would; counts are those expected of a run.
     """
-    path, progress = Path(path), progress or NoProgress()
-    plan = make_plan(load_mission(path), path.parent)
+    progress, ref = progress or NoProgress(), MissionRef.of(mission)
+    plan = make_plan(ref.load(), ref.folder)
     rehearse_folder(plan.output)
     finished_before(plan)
     prepared = prepare_mission(plan, progress, SAMPLED_ROWS)
@@ -190,13 +192,13 @@ def check_mission(path: Path | str, *, progress: Progress | None = None) -> Corr
     return correct_mission(prepared, correct_sample)
 
 
-def mission_status(path: Path | str) -> tuple[Plan, list[str]]:
+def mission_status(mission: MissionRef | Path | str) -> tuple[Plan, list[str]]:
     """Why `run_mission` would run a mission now, one reason each; none where it would not.
 
     Nothing is locked or written, and no input is read that did not change.
     """
-    path = Path(path)
-    plan = make_plan(load_mission(path), path.parent)
+    ref = MissionRef.of(mission)
+    plan = make_plan(ref.load(), ref.folder)
     manifest = read_manifest(plan.output, damaged=True)
     refuse_other_mission(plan, manifest)
     if manifest is None:
@@ -333,9 +335,10 @@ def write_results(corrected: CorrectedMission, folder: RunFolder) -> None:
     folder.seal("report.html")
 
 
-def read_mission(path: Path) -> PreparedMission:
+def read_mission(mission: MissionRef | Path) -> PreparedMission:
     """A mission with everything read, its stations built and its air estimated."""
-    return prepare_mission(make_plan(load_mission(path), path.parent), NoProgress())
+    ref = MissionRef.of(mission)
+    return prepare_mission(make_plan(ref.load(), ref.folder), NoProgress())
 
 
 def verify_run(path: Path) -> dict[str, Any]:

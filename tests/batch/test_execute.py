@@ -11,6 +11,7 @@ import pytest
 from pipeline.batch import execute
 from pipeline.batch.execute import Bug, exit_code_of, run_many, shared_outputs
 from pipeline.batch.plan import Outcome
+from pipeline.config.campaign import MissionRef
 from pipeline.errors import InputError
 
 
@@ -22,8 +23,8 @@ def test_folders_that_links_make_one_are_one(mission_factory, tmp_path):
     second.config["output"]["path"] = "../link"
     third.config["output"]["path"] = "../up/d/../a/results"
     files = [mission.save() for mission in (first, second, third, fourth)]
-    refused = shared_outputs(files)
-    assert sorted(refused) == files[1:3]
+    refused = shared_outputs([MissionRef(file) for file in files])
+    assert [ref.path for ref in refused] == files[1:3]
     for error in refused.values():
         assert error.code == "OUTPUT-SHARED"
         assert str(files[0]) in str(error)
@@ -33,7 +34,7 @@ def test_a_broken_mission_file_shares_nothing(mission_factory, tmp_path):
     first, second = (mission_factory(tmp_path / name) for name in "ab")
     files = [first.save(), second.save()]
     files[0].write_text("mission: [")
-    assert shared_outputs(files) == {}
+    assert shared_outputs([MissionRef(file) for file in files]) == {}
 
 
 def silent(_: str) -> contextlib.AbstractContextManager[None]:
@@ -43,7 +44,8 @@ def silent(_: str) -> contextlib.AbstractContextManager[None]:
 def test_missions_run_in_the_order_given_and_no_end_stops_the_rest():
     begun = []
 
-    def run_mission(path: Path, *, progress: object = None) -> Outcome:
+    def run_mission(mission: MissionRef, /, *, progress: object = None) -> Outcome:
+        path = mission.path
         begun.append((path.stem, progress))
         if path.stem == "buggy":
             raise KeyError("buggy")
@@ -55,10 +57,11 @@ def test_missions_run_in_the_order_given_and_no_end_stops_the_rest():
     def bar(name: str):
         yield f"bar of {name}"
 
-    configs = [Path(f"{name}.yaml") for name in ("buggy", "refused", "b", "a")]
-    ends = dict(run_many(run_mission, configs, 1, bar))
-    assert begun == [(path.stem, f"bar of {path.stem}") for path in configs]
-    assert list(ends) == configs
+    missions = [MissionRef(Path(f"{name}.yaml")) for name in ("buggy", "refused", "b", "a")]
+    ends = dict(run_many(run_mission, missions, 1, bar))
+    names = [mission.path.stem for mission in missions]
+    assert begun == [(name, f"bar of {name}") for name in names]
+    assert list(ends) == missions
     bug, refused, *done = ends.values()
     assert isinstance(bug, Bug)
     assert "KeyError" in bug.traceback
@@ -67,11 +70,11 @@ def test_missions_run_in_the_order_given_and_no_end_stops_the_rest():
 
 
 def test_interrupts_of_the_user_pass_through():
-    def run_mission(path: Path, *, progress: object = None) -> Outcome:
+    def run_mission(mission: MissionRef, /, *, progress: object = None) -> Outcome:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        list(run_many(run_mission, [Path("a.yaml")], 1, silent))
+        list(run_many(run_mission, [MissionRef(Path("a.yaml"))], 1, silent))
 
 
 @pytest.mark.parametrize(

@@ -15,22 +15,26 @@ import pytest
 # so the rooms that read them, a second and a half of each process, are not imported.
 MISSIONS = """
 import contextlib, json, os, signal, sys, time
-from dataclasses import make_dataclass
+from dataclasses import dataclass, make_dataclass
 from pathlib import Path
 from types import ModuleType
 from pipeline.errors import InputError
 
-def no_mission_file(path):
-    raise InputError("INPUT-MISSING", "none is read", where=str(path))
+@dataclass(frozen=True)
+class Unread:
+    path: Path
 
-plan, config = ModuleType("pipeline.batch.plan"), ModuleType("pipeline.config")
+    def load(self):
+        raise InputError("INPUT-MISSING", "none is read", where=str(self.path))
+
+plan = ModuleType("pipeline.batch.plan")
 Outcome = plan.Outcome = make_dataclass("Outcome", ["name", "path"], namespace={
     "__module__": "__main__"})
-config.load_mission = no_mission_file
-sys.modules |= {"pipeline.batch.plan": plan, "pipeline.config": config}
+sys.modules["pipeline.batch.plan"] = plan
 from pipeline.batch.execute import Bug, run_many
 
-def one(path, *, progress=None):
+def one(mission, *, progress=None):
+    path = mission.path
     name, here = path.stem, path.parent
     with (here / "begun").open("a") as file:
         print(name, os.getpid(), file=file)
@@ -45,10 +49,11 @@ def one(path, *, progress=None):
     return Outcome(name, path)
 
 if __name__ == "__main__":
-    configs = [Path(sys.argv[2]) / f"{name}.yaml" for name in sys.argv[3:]]
-    for config, end in run_many(one, configs, int(sys.argv[1]), lambda _: contextlib.nullcontext()):
+    missions = [Unread(Path(sys.argv[2]) / f"{name}.yaml") for name in sys.argv[3:]]
+    ends = run_many(one, missions, int(sys.argv[1]), lambda _: contextlib.nullcontext())
+    for mission, end in ends:
         word = {Outcome: "done", Bug: "bug"}.get(type(end)) or end.code
-        print(json.dumps([config.stem, word]), flush=True)
+        print(json.dumps([mission.path.stem, word]), flush=True)
 """
 
 
