@@ -16,6 +16,7 @@ from typing import Any
 
 import pipeline
 from pipeline.batch.file_hashes import remembered_hash
+from pipeline.batch.outcomes import Outcome
 from pipeline.batch.store import would_replace
 from pipeline.config import Mission
 from pipeline.config.station_sources import KnownPositions
@@ -96,17 +97,6 @@ class Plan:
     def input(self, role: str) -> Input:
         """The input of a role: log, observations, events, orientation, or ``sounding 1``."""
         return next(item for item in self.inputs if item.role == role)
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How a mission ended: where its results are, its manifest, and its exit code."""
-
-    name: str
-    output: Path
-    manifest: dict[str, Any]
-    exit_code: int
-    repeated: bool
 
 
 def outcome_of(plan: Plan, manifest: dict[str, Any], *, repeated: bool) -> Outcome:

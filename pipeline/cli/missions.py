@@ -35,6 +35,7 @@ def run(
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("loading"):
         from pipeline.batch.execute import Bug, run_many
+        from pipeline.batch.executors import Inline, Processes
         from pipeline.config.campaign import MissionRef
         from pipeline.report.text.terminal import print_run
         from pipeline.stages.story import run_mission
@@ -43,7 +44,9 @@ def run(
     beside = nullcontext() if jobs == 1 else answer.progress(f"{len(configs)} missions")
     run_one = partial(run_mission, force=force, verify_inputs=verify_inputs)
     refs = [MissionRef(config) for config in configs]
-    outcomes = run_many(run_one, refs, jobs, answer.progress)
+    apart = jobs > 1 and len(refs) > 1
+    executor = Processes(jobs) if apart else Inline(answer.progress)
+    outcomes = run_many(run_one, refs, executor)
     with beside, closing(outcomes):
         for ref, end in outcomes:
             config = ref.path

@@ -16,8 +16,8 @@ from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.estimate.adjusted_profile import unadjusted
 from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
 from pipeline.batch.changes import reasons_to_run
+from pipeline.batch.outcomes import Outcome
 from pipeline.batch.plan import (
-    Outcome,
     Plan,
     check_unchanged,
     make_plan,

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-import signal
+import pickle
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from pipeline.batch import execute
+from pipeline.batch import apart
+from pipeline.batch.apart import Child, stop_all
 from pipeline.batch.execute import Bug, exit_code_of, run_many, shared_outputs
-from pipeline.batch.plan import Outcome
+from pipeline.batch.executors import Inline
+from pipeline.batch.outcomes import Outcome, Receipt
 from pipeline.config.campaign import MissionRef
 from pipeline.errors import InputError
 
@@ -58,7 +61,7 @@ def test_missions_run_in_the_order_given_and_no_end_stops_the_rest():
         yield f"bar of {name}"
 
     missions = [MissionRef(Path(f"{name}.yaml")) for name in ("buggy", "refused", "b", "a")]
-    ends = dict(run_many(run_mission, missions, 1, bar))
+    ends = dict(run_many(run_mission, missions, Inline(bar)))
     names = [mission.path.stem for mission in missions]
     assert begun == [(name, f"bar of {name}") for name in names]
     assert list(ends) == missions
@@ -74,7 +77,7 @@ def test_interrupts_of_the_user_pass_through():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        list(run_many(run_mission, [MissionRef(Path("a.yaml"))], 1, silent))
+        list(run_many(run_mission, [MissionRef(Path("a.yaml"))], Inline(silent)))
 
 
 @pytest.mark.parametrize(
@@ -86,16 +89,16 @@ def test_the_exit_code_of_several(codes, code):
     assert exit_code_of(codes) == code
 
 
-def test_workers_start_where_no_signal_can_be_blocked(monkeypatch):
-    """Windows has no signal masks."""
-    monkeypatch.delattr(signal, "pthread_sigmask", raising=False)
-    with execute._interrupts_blocked():
-        pass
-
-
-@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no signal masks")
-def test_a_worker_is_born_with_ctrl_c_blocked():
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, [])
-    with execute._interrupts_blocked():
-        assert signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
-    assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == before
+def test_a_child_that_has_waited_too_long_is_replaced(monkeypatch):
+    child = Child()
+    task = pickle.dumps(partial(Receipt, "a", Path("out"), "f", 0, False))
+    monkeypatch.setattr(apart, "_SERVE", apart._SERVE.replace("serve()", "serve(0.01)"))
+    try:
+        assert child.run(task) == Receipt("a", Path("out"), "f", 0, False)
+        first = child._process
+        assert first is not None
+        assert first.wait(60.0) == 0
+        assert child.run(task) == Receipt("a", Path("out"), "f", 0, False)
+        assert child._process is not first
+    finally:
+        stop_all([child])

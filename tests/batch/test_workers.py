@@ -7,6 +7,8 @@ import os
 import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,10 +16,10 @@ import pytest
 # Each mission is named for what it does; every beginning is written down. No mission file is read,
 # so the rooms that read them, a second and a half of each process, are not imported.
 MISSIONS = """
-import contextlib, json, os, signal, sys, time
-from dataclasses import dataclass, make_dataclass
+import json, os, signal, sys, time
+from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
+from pipeline.batch.outcomes import Bug, Outcome
 from pipeline.errors import InputError
 
 @dataclass(frozen=True)
@@ -27,12 +29,6 @@ class Unread:
     def load(self):
         raise InputError("INPUT-MISSING", "none is read", where=str(self.path))
 
-plan = ModuleType("pipeline.batch.plan")
-Outcome = plan.Outcome = make_dataclass("Outcome", ["name", "path"], namespace={
-    "__module__": "__main__"})
-sys.modules["pipeline.batch.plan"] = plan
-from pipeline.batch.execute import Bug, run_many
-
 def one(mission, *, progress=None):
     path = mission.path
     name, here = path.stem, path.parent
@@ -41,28 +37,46 @@ def one(mission, *, progress=None):
     if name.startswith("deadly") or (name.startswith("unlucky") and not (here / name).exists()):
         (here / name).touch()
         os.kill(os.getpid(), signal.SIGKILL)
+    if name.startswith("leaving"):
+        os._exit(0)
     if name.startswith("buggy"):
         raise KeyError(name)
     if name.startswith("refused"):
         raise InputError("OBS-EMPTY", "nothing", where=str(path))
     time.sleep(float(os.environ.get("PACE", "0")))
-    return Outcome(name, path)
+    os.write(1, b"what a library prints\\n")
+    output = here / f"results of {name}"
+    manifest = {"fingerprint": name, "mission": name, "outputs": [], "exit_code": 3}
+    if not name.startswith("elsewhere"):
+        output.mkdir(exist_ok=True)
+        (output / "manifest.json").write_text(json.dumps(manifest))
+    return Outcome(name, output, manifest, 3, False)
 
-if __name__ == "__main__":
+def main():
+    from pipeline.batch.execute import run_many
+    from pipeline.batch.executors import Processes
     missions = [Unread(Path(sys.argv[2]) / f"{name}.yaml") for name in sys.argv[3:]]
-    ends = run_many(one, missions, int(sys.argv[1]), lambda _: contextlib.nullcontext())
-    for mission, end in ends:
-        word = {Outcome: "done", Bug: "bug"}.get(type(end)) or end.code
-        print(json.dumps([mission.path.stem, word]), flush=True)
+    for mission, end in run_many(one, missions, Processes(int(sys.argv[1]))):
+        word = "bug" if isinstance(end, Bug) else getattr(end, "code", None)
+        if isinstance(end, Outcome):
+            assert (end.name, end.exit_code, end.manifest["fingerprint"]) == (end.name, 3, end.name)
+            word = "done"
+        print(json.dumps([mission.path.stem, word, str(end)]), flush=True)
 """
 
 
 def ran(folder: Path, jobs: int, *names: str, pace: float = 0.0) -> tuple[dict[str, str], list]:
     """How each mission ended, and which began when and where."""
-    script = folder / "missions.py"
-    script.write_text(MISSIONS, encoding="utf-8")
+    ends, begun = told(folder, jobs, *names, pace=pace)
+    return {name: word for name, word, _ in ends}, begun
+
+
+def told(folder: Path, jobs: int, *names: str, pace: float = 0.0) -> tuple[list, list]:
+    """How each mission ended, in its order and with its text, and which began when and where."""
+    (folder / "missions.py").write_text(MISSIONS, encoding="utf-8")
+    code = f"import sys; sys.path.append({str(folder)!r}); import missions; missions.main()"
     done = subprocess.run(
-        [sys.executable, str(script), str(jobs), str(folder), *names],
+        [sys.executable, "-c", code, str(jobs), str(folder), *names],
         capture_output=True, text=True, timeout=300, env=os.environ | {"PACE": str(pace)},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -70,19 +84,23 @@ def ran(folder: Path, jobs: int, *names: str, pace: float = 0.0) -> tuple[dict[s
     ends = [json.loads(line) for line in done.stdout.splitlines()]
     assert len(ends) == len(names), "every mission ends, and once"
     begun = [line.split() for line in (folder / "begun").read_text().splitlines()]
-    return dict(ends), begun
+    return ends, begun
 
 
 def test_a_killed_worker_costs_one_mission_only(tmp_path):
-    names = ["deadly", "a", "b", "unlucky", "buggy", "refused", "c"]
-    ends, begun = ran(tmp_path, 2, *names)
+    names = ["deadly", "a", "b", "unlucky", "buggy", "refused", "elsewhere"]
+    told_ends, begun = told(tmp_path, 2, *names)
+    ends = {name: word for name, word, _ in told_ends}
     assert ends == {
         "deadly": "WORKER-LOST", "a": "done", "b": "done", "unlucky": "done", "buggy": "bug",
-        "refused": "OBS-EMPTY", "c": "done",
+        "refused": "OBS-EMPTY", "elsewhere": "RESULTS-ELSEWHERE",
     }  # fmt: skip
+    (lost,) = (text for _, word, text in told_ends if word == "WORKER-LOST")
+    assert lost.count("killed by SIGKILL") == 2
+    assert f"unbend run {tmp_path / 'deadly.yaml'}" in lost
     times = [name for name, _ in begun]
     assert {name: times.count(name) for name in names} == {
-        "deadly": 2, "unlucky": 2, "a": 1, "b": 1, "c": 1, "buggy": 1, "refused": 1,
+        "deadly": 2, "unlucky": 2, "a": 1, "b": 1, "buggy": 1, "refused": 1, "elsewhere": 1,
     }  # fmt: skip
     # The second attempts come when nothing else is at work.
     assert sorted(times[-2:]) == ["deadly", "unlucky"]
@@ -100,6 +118,34 @@ def test_workers_share_the_work_and_are_kept(tmp_path):
     ends, begun = ran(tmp_path, 2, *"abcdefgh", pace=0.2)
     assert set(ends.values()) == {"done"}
     assert len({process for _, process in begun}) == 2
+
+
+def test_a_process_that_leaves_with_0_is_dead_too(tmp_path):
+    ends, begun = ran(tmp_path, 2, "leaving", "a")
+    assert ends == {"leaving": "WORKER-LOST", "a": "done"}
+    assert [name for name, _ in begun].count("leaving") <= 3
+
+
+def test_no_process_outlives_its_parent(tmp_path):
+    (tmp_path / "missions.py").write_text(MISSIONS, encoding="utf-8")
+    code = f"import sys; sys.path.append({str(tmp_path)!r}); import missions; missions.main()"
+    parent = subprocess.Popen(
+        [sys.executable, "-c", code, "2", str(tmp_path), "a", "b"],
+        env=os.environ | {"PACE": "600"},
+    )  # fmt: skip
+    begun = tmp_path / "begun"
+    wait_until(lambda: begun.exists() and begun.read_text().count("\n") == 2)
+    parent.kill()
+    parent.wait()
+    workers = [int(line.split()[1]) for line in begun.read_text().splitlines()]
+    wait_until(lambda: all(map(gone, workers)), 5.0)
+
+
+def wait_until(happened: Callable[[], bool], seconds: float = 120.0) -> None:
+    limit = time.monotonic() + seconds
+    while not happened():
+        assert time.monotonic() < limit
+        time.sleep(0.02)
 
 
 # `unbend run`, with a step in which every worker waits to be hit; deaf ones do not hear SIGTERM.

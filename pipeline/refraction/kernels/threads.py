@@ -12,7 +12,12 @@ BLOCK_ROWS = 8_192
 
 
 def usable_cpus() -> int:
-    """How many CPUs this process may use: fewer than there are under taskset or a batch system."""
+    """How many CPUs this process may use: fewer than there are under taskset or a batch system.
+
+    UNBEND_THREADS states another number; a process beside others has its share of them.
+    """
+    if (stated := os.environ.get("UNBEND_THREADS", "")).isdecimal():
+        return max(1, int(stated))
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
