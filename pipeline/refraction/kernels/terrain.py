@@ -108,17 +108,21 @@ def _above(path, patch, t):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _crossing(path, patch, ends, sides):  # type: ignore[no-untyped-def]
-    """Distance and height where a ray meets a patch between two distances, on two sides of it.
+def _crossing(path, patch, ends, sides, square):  # type: ignore[no-untyped-def]
+    """Distance and height where a ray meets a patch between two distances, first above it.
 
-    ``sides`` are the heights above it there. Secant and bisection in turn.
+    ``sides`` are the heights above it there, between which a straight way is above it by a
+    parabola whose term of second order is ``square``: its root, then secant and bisection in turn.
     """
     (t_0, t_1), (f_0, f_1) = ends, sides
-    t, height = t_0, math.nan
+    fall = f_0 - f_1 + square
+    share = 2.0 * f_0 / (fall + math.sqrt(max(fall * fall - 4.0 * square * f_0, 0.0)))
+    t, height = t_0 + min(max(share, 0.0), 1.0) * (t_1 - t_0), math.nan
     for turn in range(100):
-        t = 0.5 * (t_0 + t_1)
-        if turn % 2 == 0:
+        if turn % 2 == 1:
             t = t_0 - f_0 * (t_1 - t_0) / (f_1 - f_0)
+        elif turn > 0:
+            t = 0.5 * (t_0 + t_1)
         f, _, _, height = _above(path, patch, t)
         if abs(f) < _FLAT_M or t_1 - t_0 < _CLOSE_M:
             break
@@ -132,7 +136,8 @@ def _crossing(path, patch, ends, sides):  # type: ignore[no-untyped-def]
 @jit
 def _in_patch(path, patch, t, t_1):  # type: ignore[no-untyped-def]
     """Heights above a patch at two distances, the nearest turn of that height between them (or the
-    second distance) with what it is there, and the change of the ray's height."""
+    second distance) with what it is there, the change of the ray's height, and what the first of
+    these heights has of second order between the distances."""
     tiles, slot, i, j, _, _ = patch
     f, row, column, height = _above(path, patch, t)
     f_1, row_1, column_1, height_1 = _above(path, patch, t_1)
@@ -145,7 +150,7 @@ def _in_patch(path, patch, t, t_1):  # type: ignore[no-untyped-def]
         share = -linear / (2.0 * square)
         t_turn = t + share * (t_1 - t)
         f_turn = _above(path, patch, t_turn)[0]
-    return f, f_1, t_turn, f_turn, height_1 - height
+    return f, f_1, t_turn, f_turn, height_1 - height, square
 
 
 @jit
@@ -223,10 +228,10 @@ def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
         step = min(_exit(top, bottom, row, v_row), _exit(left, right, column, v_column))
         f = f_1 = f_turn = height - high if over else height - low
         patch = grid.tiles, slot, a, b, top, left
-        t_turn, fall = t, 0.0
+        t_turn, fall, square = t, 0.0, 0.0
         if near:
             step = min(step, end - t)
-            f, f_1, t_turn, f_turn, fall = _in_patch(path, patch, t, t + step)
+            f, f_1, t_turn, f_turn, fall, square = _in_patch(path, patch, t, t + step)
         elif over and rise < 0.0:
             step = min(step, f / -rise + _CLOSE_M)
         elif under and rise > 0.0:
@@ -242,9 +247,10 @@ def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
             state.distance[ray], state.height[ray], state.factor[ray] = t, height, 1.0
             landed, result = True, WAITS
         elif near and not landed and (f_1 <= 0.0 or f_turn <= 0.0) and result == WAITS:
-            found = _crossing(path, patch, (t, t_turn), (f, f_turn))
+            share = (t_turn - t) / step
+            found = _crossing(path, patch, (t, t_turn), (f, f_turn), square * share * share)
             state.distance[ray], state.height[ray] = found
-            state.factor[ray] = abs(fall * ((t_turn - t) / step) / (f_turn - f))
+            state.factor[ray] = abs(fall * share / (f_turn - f))
             landed, f_turn = True, f_1
         if landed and result == WAITS:
             side = -1

@@ -14,15 +14,16 @@ from numpy.typing import NDArray
 from pipeline.errors import InputError
 from pipeline.ledger import Notes, note, warning
 from pipeline.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
-from pipeline.refraction.kernels.threads import in_blocks, usable_cpus
 from pipeline.tables.geodata.coordinate_systems import GridSystem, grid_system
 from pipeline.units import Array, Integers, Mask
 
 _TILES_IN_MEMORY = 100
 """Each takes 1 MB."""
 
-_CACHE_BYTES = 48_000_000
-"""Of GDAL, for blocks of files: a tile shares its edges with others."""
+_OF_GDAL = {"GDAL_CACHEMAX": 96_000_000, "GDAL_NUM_THREADS": "ALL_CPUS"}
+"""Bytes for blocks of files, which tiles share at their edges (by default 5 % of the memory).
+
+Half of the time of a tile is decompression: on all cores."""
 
 _LOWEST_M, _HIGHEST_M = -600.0, 9_000.0
 _METRES = {
@@ -129,19 +130,12 @@ class ElevationModel:
                 oldest = next(t for t in self._held if t not in wanted)
                 slot = self._held.pop(oldest)
                 grid.slot[divmod(oldest, grid.slot.shape[1])] = -1
-            self._held[tile] = slot
-
-        def read(some: slice) -> None:
-            for tile in wanted[some]:
-                place, slot = divmod(tile, grid.slot.shape[1]), self._held[tile]
-                grid.tiles[slot] = self._read(place[0] * TILE, place[1] * TILE)
-                low, high = grid.block_low[slot], grid.block_high[slot]
-                extremes_of_tile(grid.tiles[slot], low, high)
-                grid.low[place], grid.high[place] = low.min(), high.max()
-                grid.slot[place] = slot
-
-        # Half of the time is decompression; a thread has its own cache of a file.
-        in_blocks(read, len(wanted), at_once=-(-len(wanted) // usable_cpus()))
+            place = divmod(tile, grid.slot.shape[1])
+            grid.tiles[slot] = self._read(place[0] * TILE, place[1] * TILE)
+            low, high = grid.block_low[slot], grid.block_high[slot]
+            extremes_of_tile(grid.tiles[slot], low, high)
+            grid.low[place], grid.high[place] = low.min(), high.max()
+            grid.slot[place] = self._held[tile] = slot
 
     def _read(self, row: int, column: int) -> NDArray[np.float32]:
         """The nodes of a tile [m above sea level], NaN in holes and beside the rasters."""
@@ -205,7 +199,7 @@ class _Raster:
 
         try:
             window = Window(column, row, columns, rows)
-            with Env(GDAL_CACHEMAX=_CACHE_BYTES):  # by default 5 % of the memory
+            with Env(**_OF_GDAL):
                 source = self._open(self.path)
                 read = source.read(1, window=window, masked=self.holed, out_dtype=np.float32)
         except RasterioError as error:
@@ -241,13 +235,9 @@ def open_elevation(
     except ImportError:
         raise InputError.of("DEM-RASTERIO", "ground.height.dem") from None
     where, key = str(paths[0]), "ground.height.crs"
-    of_thread = lru_cache(maxsize=64)(lambda path, _: rasterio.open(path))
-
-    def open_raster(path: Path) -> Any:
-        return of_thread(path, threading.get_ident())
-
+    open_raster = lru_cache(maxsize=64)(rasterio.open)
     try:
-        with rasterio.Env(GDAL_CACHEMAX=_CACHE_BYTES):
+        with rasterio.Env(**_OF_GDAL):
             rasters = [_Raster(path, open_raster) for path in paths]
     except rasterio.errors.RasterioError as error:
         raise InputError.of("DEM-UNREADABLE", where, error=error) from None
