@@ -9,7 +9,7 @@ short without a word, streamed, and tested against what pycolmap writes.
 
 import re
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -18,9 +18,10 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from pipeline.errors import InputError
+from pipeline.errors import InputError, PhysicsError
 from pipeline.flight.rotations import matrices_of
 from pipeline.refraction.calibration import camera_of_model
+from pipeline.refraction.camera.camera import Camera
 from pipeline.tables.imports.blocks.image_points import (
     BinaryFile,
     CameraMakers,
@@ -57,8 +58,18 @@ def block_files(path: Path) -> tuple[Path, ...]:
 
 def read_cameras(path: Path) -> CameraMakers:
     """The cameras of a model, a cameras.txt or cameras.bin, or a database, by their numbers."""
-    return {str(number): partial(camera_of_model, model, int(width), int(height), [*map(float, p)])
-            for number, model, width, height, *p in _cameras(block_files(path)[0])}  # fmt: skip
+
+    def camera(line: int | None, model: str, width: float, height: float, *p: float) -> Camera:
+        try:
+            return camera_of_model(model, int(width), int(height), [*map(float, p)])
+        except PhysicsError as error:
+            if line is None:
+                raise
+            what = f"line {line}: {error.what}"
+            raise PhysicsError(error.code, what, remedy=error.remedy) from None
+
+    rows = _cameras(block_files(path)[0])
+    return {str(number): partial(camera, line, *row) for line, number, *row in rows}
 
 
 def read_images(path: Path) -> OrientationTable:
@@ -102,28 +113,28 @@ def read_points(path: Path) -> tuple[pa.StringArray, Array]:
                 places.append(place)
                 content.skip(8 * track)
     else:
-        for number, x, y, z, *_ in _text_rows(file, words=1, least=8):
+        for _, number, x, y, z, *_ in _text_rows(file, words=1, least=8):
             numbers.append(number)
             places.append([x, y, z])
     return pa.array(numbers, pa.string()), np.array(places, np.float64).reshape(-1, 3)
 
 
-def _cameras(file: Path) -> Iterator[tuple[Any, ...]]:
-    """Number, model, width, height and parameters of each camera."""
+def _cameras(file: Path) -> Iterator[Sequence[Any]]:
+    """Line in a text, else None; number, model, width, height and parameters of each camera."""
     if file.suffix.lower() == ".db":
         query = "SELECT camera_id, model, width, height, params FROM cameras"
         with closing(opened(file)) as database:
             for number, code, width, height, blob in database.execute(query):
-                yield number, _model(code, file)[0], width, height, *np.frombuffer(blob, "<f8")
+                model, _ = _model(code, file)
+                yield None, number, model, width, height, *np.frombuffer(blob, "<f8")
     elif file.suffix.lower() == ".bin":
         with BinaryFile(file) as content:
             for _ in range(content.take("Q")[0]):
                 number, code, width, height = content.take("iiQQ")
                 model, count = _model(code, file)
-                yield number, model, width, height, *content.take(f"{count}d")
+                yield None, number, model, width, height, *content.take(f"{count}d")
     else:
-        for number, model, *numbers in _text_rows(file, words=2, least=5):
-            yield number, model, *numbers
+        yield from _text_rows(file, words=2, least=5)
 
 
 def _images(path: Path) -> Iterator[tuple[str, str, Array, Array, Integers]]:
@@ -137,7 +148,7 @@ def _images(path: Path) -> Iterator[tuple[str, str, Array, Array, Integers]]:
                 record = content.array(_POINT2D, content.take("Q")[0])
                 yield name, str(camera), np.array(numbers), record["xy"], record["point"]
         return
-    count, cameras = 0, {str(number) for number, *_ in _cameras(_of_model(path)[0])}
+    count, cameras = 0, {str(number) for _, number, *_ in _cameras(_of_model(path)[0])}
     with TextFile(file) as lines:
         rows = iter(lines)
         for head in rows:
@@ -153,14 +164,14 @@ def _images(path: Path) -> Iterator[tuple[str, str, Array, Array, Integers]]:
 
 
 def _text_rows(file: Path, *, words: int, least: int) -> Iterator[list[Any]]:
-    """The fields, at least so many, of lines that are no comments: words, behind them numbers."""
+    """Number and fields, at least so many, of lines that are no comments: words, then numbers."""
     count = 0
     with TextFile(file) as lines:
         for fields in (line.split() for line in lines if line and not line.startswith("#")):
             if len(fields) < least:
                 raise ValueError
             count += 1
-            yield [*fields[:words], *map(float, fields[words:])]
+            yield [lines.number, *fields[:words], *map(float, fields[words:])]
     _refuse_fewer(file, count)
 
 

@@ -179,7 +179,11 @@ def test_other_versions_and_models(model):
     assert "8 bytes stand behind its last record" in refusal(folder / "bin", "colmap")
     text = (folder / "txt" / "cameras.txt").read_text()
     (folder / "txt" / "cameras.txt").write_text(text.replace("OPENCV", "THIN_PRISM_FISHEYE"))
-    assert "CAMERA-MODEL" in refusal(folder / "txt", "colmap")
+    refused = refusal(folder / "txt", "colmap")
+    line = 1 + text.splitlines().index(next(t for t in text.splitlines() if "OPENCV" in t))
+    assert "CAMERA-MODEL" in refused
+    assert f"line {line}: " in refused
+    assert "camera " in refused
 
 
 def test_an_image_of_a_camera_that_a_text_has_not(model):
