@@ -13,7 +13,7 @@ from survey import CAMERA, air, exposures, image_names, uncertainty, write_obser
 from pipeline.batch.store import open_folder
 from pipeline.ledger import Ledger
 from pipeline.refraction.ray import rays_by
-from pipeline.stages.correction import CorrectionSetup, correct_stream, into_folder
+from pipeline.stages.correction import CorrectionSetup, PartsOfRun, correct_stream
 from pipeline.stages.ground.ground_heights import GivenGround
 from pipeline.tables.observations import open_observations
 from pipeline.tables.writing import parquet_settings
@@ -36,7 +36,7 @@ def correct(source: Path, out: Path) -> None:
     observations = open_observations(source, COLUMNS, "h_g_m", Ledger())
     with open_folder(out) as folder:
         correct_stream(
-            observations, setup, into_folder(folder),
+            observations, setup, PartsOfRun(folder),
             batch_rows=BATCH_ROWS, metadata={}, progress=lambda _: None,
         )  # fmt: skip
         folder.commit({"outputs": folder.outputs()})

@@ -13,7 +13,7 @@ from survey import CAMERA, air, exposures, image_names, uncertainty, write_obser
 from pipeline.batch.store import open_folder
 from pipeline.ledger import Ledger
 from pipeline.refraction.ray import rays_by
-from pipeline.stages.correction import CorrectionSetup, correct_stream, into_folder
+from pipeline.stages.correction import CorrectionSetup, PartsOfRun, correct_stream
 from pipeline.stages.ground.ground_heights import GivenGround, TerrainGround
 from pipeline.tables.geodata.elevation import open_elevation
 from pipeline.tables.observations import open_observations
@@ -64,7 +64,7 @@ def correct(source: Path, out: Path, model: Path | None) -> None:
     observations = open_observations(source, COLUMNS, column, Ledger())
     with open_folder(out) as folder:
         statistics = correct_stream(
-            observations, setup, into_folder(folder),
+            observations, setup, PartsOfRun(folder),
             batch_rows=250_000, metadata={}, progress=lambda _: None,
         )  # fmt: skip
         folder.commit({"outputs": folder.outputs()})

@@ -8,7 +8,7 @@ import json
 import os
 import warnings
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias, TypeVar
@@ -44,6 +44,20 @@ _NAMES = {"lat_deg": "latitude", "lon_deg": "longitude", "sigma_tilt_deg": "sigm
 _HEIGHTS = {"h_msl_m": "msl", "h_ellipsoid_m": "ellipsoid"}
 _ANGLES = {"omega": "omega_phi_kappa", "roll": "roll_pitch_yaw", "q_w": "quaternion"}
 _FURTHER = ("camera", "time_utc", "sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
+
+
+@dataclass(frozen=True)
+class TablesInMemory:
+    """Parts of the observations by number, none of them there before."""
+
+    tables: dict[int, pa.Table]
+
+    def finished(self, number: int) -> None:
+        """None: each part is made."""
+
+    def write(self, number: int, table: pa.Table, statistics: Statistics) -> None:
+        """Keep a part."""
+        self.tables[number] = table
 
 
 def correct(
@@ -108,7 +122,7 @@ def correct(
 
             def correct_all(setup: CorrectionSetup) -> Statistics:
                 return correct_stream(
-                    prepared.observations, setup, tables.__setitem__,
+                    prepared.observations, setup, TablesInMemory(tables),
                     batch_rows=mission.output.batch_rows, metadata=observation_metadata(mission),
                     progress=NoProgress().advance,
                 )  # fmt: skip

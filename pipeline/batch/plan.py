@@ -40,6 +40,7 @@ _MISSION_FILE_KEYS = {
     "weather model": "atmosphere.model.path",
 }
 _EXIF_BYTES = 1 << 18
+_TIMES = ("st_mtime_ns", "st_ctime_ns")
 
 NOT_IN_KEY = ("output.batch_rows",)
 """Keys of a mission file that no number depends on."""
@@ -63,7 +64,7 @@ class Input:
     name: str
     path: Path
     sha256: str
-    stamp: tuple[int, int]
+    stamp: tuple[int, ...]
     program: str | None = None
 
 
@@ -212,12 +213,20 @@ def _refuse_among_results(role: str, path: Path, output: Path) -> None:
         raise ConfigError.of("OUTPUT-OVER-INPUT", path, role=role, output=output)
 
 
-def check_unchanged(plan: Plan) -> None:
-    """Refuse results whose inputs changed while they were made."""
+def check_unchanged(plan: Plan, *, folders: bool = True) -> None:
+    """Refuse results whose inputs changed while they were made; ``folders`` of images too."""
     for item in plan.inputs:
-        changed = _stamp(item.path, item.program) != item.stamp
-        if changed and _hash_input(item.path, item.program, verify=True) != item.sha256:
+        if not folders and item.program is None and item.path.is_dir():
+            continue
+        stamp = _stamp(item.path, item.program)
+        if stamp != item.stamp and _hash_then(item.path, item.program, stamp) != item.sha256:
             raise InputError.of("INPUT-CHANGED", str(item.path), role=item.role)
+
+
+@lru_cache(maxsize=256)
+def _hash_then(path: Path, program: str | None, stamp: tuple[int, ...]) -> str:
+    """The hash of an input as it is now; of one whose stamp stays it is computed once."""
+    return _hash_input(path, program, verify=True)
 
 
 def _hash_input(path: Path, program: str | None, *, verify: bool) -> str:
@@ -238,9 +247,11 @@ def _hash_input(path: Path, program: str | None, *, verify: bool) -> str:
     return digest.hexdigest()
 
 
-def _stamp(path: Path, program: str | None) -> tuple[int, int]:
+def _stamp(path: Path, program: str | None) -> tuple[int, ...]:
+    """What changes when a file, or one of several, is written to or replaced."""
     stats = [file.stat() for file in _files_of(path, program)]
-    return max((s.st_mtime_ns for s in stats), default=0), sum(s.st_size for s in stats)
+    latest = (max((getattr(s, name) for s in stats), default=0) for name in _TIMES)
+    return *latest, sum(s.st_size for s in stats), sum(s.st_ino for s in stats)
 
 
 def _files_of(path: Path, program: str | None) -> tuple[Path, ...]:

@@ -1,7 +1,9 @@
 """A run's folder: nothing visible is incomplete, one writer at a time, damage can be found.
 
 Results are written into a hidden staging folder. When all of them are there and on the disk, the
-old results are removed and the new ones renamed into their places, the manifest last.
+old results are removed and the new ones renamed into their places, the manifest last. A finished
+part of the observations has a receipt there, so that a run that is interrupted need not make it
+again.
 """
 
 import json
@@ -18,6 +20,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
+from pipeline.batch.kept import packed, unpacked
 from pipeline.errors import OutputInUseError, StorageError, storage_errors
 from pipeline.ingest import hash_file
 
@@ -25,6 +28,8 @@ MANIFEST = "manifest.json"
 _MANIFEST_KEYS = {"fingerprint", "mission", "outputs", "exit_code"}
 _STAGING = ".staging"
 _LOCK = ".lock"
+_KEY = "key"
+_RECEIPTS = "receipts"
 _PARTS = "observations"
 _PART = re.compile(r"part-[0-9]{5,}\.parquet")
 _RESULTS = (_PARTS, "stations.parquet", "profile.parquet", "report.html")
@@ -78,6 +83,41 @@ class RunFolder:
         with storage_errors(target):
             sync_file(target)
             self._seals[name] = (hash_file(target), target.stat().st_size)
+
+    def resume(self, key: str, *, anew: bool = False) -> None:
+        """Go on with the parts that a run of the same key left; other ones, or all, are removed."""
+        name = self.staging / _KEY
+        with storage_errors(name):
+            if anew or not name.is_file() or name.read_text(encoding="utf-8") != key:
+                _remove(self.staging)
+                self.staging.mkdir()
+                with atomic_write(name) as draft:
+                    draft.write_text(key, encoding="utf-8")
+
+    def write_receipt(self, name: str, value: Any) -> None:
+        """Keep a sealed part, and what is known of it, for the case that the run is interrupted."""
+        receipt = self.place(f"{_RECEIPTS}/{Path(name).name}")
+        with atomic_write(receipt) as draft:
+            draft.write_bytes(packed((self._seals[name], value)))
+        with storage_errors(receipt):
+            for folder in ((self.staging / name).parent, receipt.parent):
+                sync_folder(folder)
+
+    def read_receipt(self, name: str, *, verify: bool = True) -> Any:
+        """What is known of a part that is there and sealed; None where it must be made.
+
+        Its content is compared with its hash, unless ``verify`` is False: then its size.
+        """
+        part, receipt = self.staging / name, self.staging / _RECEIPTS / Path(name).name
+        with storage_errors(receipt):
+            found = unpacked(receipt.read_bytes()) if receipt.is_file() and part.is_file() else None
+            if found is None:
+                return None
+            seal, value = found
+            if part.stat().st_size != seal[1] or (verify and hash_file(part) != seal[0]):
+                return None
+        self._seals[name] = seal
+        return value
 
     def outputs(self) -> list[dict[str, str | int]]:
         """Name, hash and size of each sealed result, for the manifest."""
@@ -191,11 +231,13 @@ def rehearse_folder(path: Path) -> None:
 
 @contextmanager
 def open_folder(path: Path) -> Iterator[RunFolder]:
-    """Lock an output folder and remove what an interrupted run left in it.
+    """Lock an output folder and remove what an interrupted run left, but for its finished parts.
 
-    The lock ends with the process that holds it. Refuses a folder that another process writes to
-    (OUTPUT-IN-USE), one with symbolic links in the place of results (STORAGE-SYMLINK), and one
-    whose files are named like results but were written by another program (STORAGE-NOT-OURS).
+    These stay, hidden, when it is interrupted or the disk refuses to write: `RunFolder.resume`
+    takes them up. The lock ends with the process that holds it. Refuses a folder that another
+    process writes to (OUTPUT-IN-USE), one with symbolic links in the place of results
+    (STORAGE-SYMLINK), and one whose files are named like results but were written by another
+    program (STORAGE-NOT-OURS).
     """
     with storage_errors(path):
         path.mkdir(parents=True, exist_ok=True)
@@ -203,13 +245,17 @@ def open_folder(path: Path) -> Iterator[RunFolder]:
     lock = _locked(path)
     try:
         with storage_errors(path):
-            _clear_interrupted(path)
+            _clear_interrupted(path, resumable=True)
             (path / _STAGING).mkdir(exist_ok=True)
+        resumable = False
         try:
             yield RunFolder(path)
+        except (StorageError, MemoryError, KeyboardInterrupt, SystemExit):
+            resumable = True
+            raise
         finally:
             with suppress(OSError, StorageError):
-                _clear_interrupted(path)
+                _clear_interrupted(path, resumable=resumable)
     finally:
         lock.release()
 
@@ -243,22 +289,41 @@ def _refuse_strangers(path: Path) -> None:
         raise StorageError.of("STORAGE-NOT-OURS", path, results=", ".join(results))
 
 
-def _clear_interrupted(path: Path) -> None:
-    """Remove the staging folder; after an interrupted commit the results without manifest too."""
+def _clear_interrupted(path: Path, *, resumable: bool) -> None:
+    """Remove what is staged but for finished parts; of an interrupted commit the results too.
+
+    Parts stay only where a run may resume; a part of an interrupted commit goes back to them.
+    """
     _refuse_strangers(path)
+    staging = path / _STAGING
+    receipts = [file.name for file in (staging / _RECEIPTS).glob("part-*")] if resumable else []
+    kept = {_RECEIPTS, _KEY, _PARTS} if receipts else set()
     if not (path / MANIFEST).exists():
         # Only a commit puts a manifest into the staging folder: it began and did not end.
-        for file in [*_parts(path), *(path / name for name in _RESULTS if name != _PARTS)]:
-            file.unlink(missing_ok=True)
+        for part in _parts(path):
+            staged = staging / _PARTS / part.name
+            if part.name in receipts and not staged.exists():
+                staged.parent.mkdir(exist_ok=True)
+                replace_file(part, staged)
+            part.unlink(missing_ok=True)
+        for name in _RESULTS:
+            if name != _PARTS:
+                (path / name).unlink(missing_ok=True)
         with suppress(OSError):  # not empty: it holds files of the user
             (path / _PARTS).rmdir()
         if os.path.lexists(path / _PARTS):
             # The staged manifest stays until a commit ends: it shows that the folder is unbend's.
-            for file in (path / _STAGING).iterdir():
-                if file.name != MANIFEST:
-                    _remove(file)
-            return
-    _remove(path / _STAGING)
+            kept = kept | {MANIFEST}
+    if not kept:
+        return _remove(staging)
+    for file in [
+        *staging.iterdir(),
+        *(staging / _PARTS).glob("*"),
+        *(staging / _RECEIPTS).glob(".*"),
+    ]:
+        if file.name not in kept and file.name not in receipts:
+            _remove(file)
+    return None
 
 
 def read_manifest(path: Path, *, damaged: bool = False) -> dict[str, Any] | None:

@@ -6,12 +6,13 @@ part holds does not depend on how many are in progress.
 
 import math
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from itertools import groupby
+from typing import Any, Protocol
 
 import numpy as np
 import pyarrow as pa
@@ -154,48 +155,95 @@ def ground_of_mission(mission: Mission, stations: Stations, heights: HeightSyste
     return GivenGround(section.constant_m, offsets, section.sigma_m)
 
 
+class Parts(Protocol):
+    """Where the corrected parts of the observations go, by number."""
+
+    def finished(self, number: int) -> Statistics | None:
+        """The counts of a part that is there already; None where it must be made."""
+
+    def write(self, number: int, table: pa.Table, statistics: Statistics) -> None:
+        """Write a part; called on threads."""
+
+
 def correct_stream(
     observations: Observations,
     setup: CorrectionSetup,
-    write: Callable[[int, pa.Table], None],
+    parts: Parts,
     *,
     batch_rows: int,
     metadata: Mapping[str, str],
     progress: Callable[[int], None],
+    numbers: Sequence[int] | None = None,
 ) -> Statistics:
-    """Correct all observations and write them, table by numbered table.
+    """Correct all observations, or parts of these ``numbers``, and write them part by part.
 
-    Memory holds at most five batches, whatever the number of rows. ``write`` is called on threads,
-    ``progress`` with the number of rows of every batch that is written.
+    Parts that are finished are counted and not made again. Memory holds at most five batches,
+    whatever the number of rows. ``progress`` is called with the number of rows of every part.
     """
     columns = OBSERVATION_COLUMNS if setup.direction == "remove" else DISPLACED_COLUMNS
     schema = schema_of(columns, metadata, list(observations.user_fields))
+    there: dict[int, Statistics] = {}
 
     def correct_part(number: int, batch: Batch) -> Statistics:
         sampled = math.ceil(SAMPLED_ROWS * len(batch) / observations.rows)
         corrections, h_g, statistics = correct_counted(batch, setup, sampled)
         table = table_of_observations(batch, corrections, h_g, observations.pixels, schema)
-        write(number, table)
+        parts.write(number, table, statistics)
         return statistics
 
+    def is_there(number: int) -> bool:
+        if (statistics := parts.finished(number)) is not None:
+            there[number] = statistics
+        return statistics is not None
+
+    def in_order(of_all: Sequence[int]) -> Generator[Statistics]:
+        for finished, run in groupby(of_all, is_there):
+            if finished:
+                yield from (there.pop(number) for number in run)
+                continue
+            first, *others = run
+            batches = observations.batches(batch_rows, first, first + 1 + len(others))
+            # closing() waits for the threads before the caller removes the folder they write to.
+            with closing(on_threads(correct_part, batches, first)) as made:
+                yield from made
+
+    if numbers is None:
+        numbers = range(math.ceil(observations.rows / observations.rows_of_part(batch_rows)))
     total = Statistics.of(setup.cameras)
-    # closing() waits for the threads before the caller removes the folder they write to.
-    with closing(on_threads(correct_part, observations.batches(batch_rows))) as parts:
-        for part in parts:
+    with closing(in_order(numbers)) as counted:
+        for part in counted:
             total.merge(part)
             progress(part.rows)
     return total
 
 
-def into_folder(folder: RunFolder) -> Callable[[int, pa.Table], None]:
-    """Writes numbered tables as ``observations/part-*.parquet`` of a run."""
+@dataclass(frozen=True)
+class PartsOfRun:
+    """Parts as ``observations/part-*.parquet`` of a run, each with a receipt when it is written.
 
-    def write(number: int, table: pa.Table) -> None:
-        name = f"observations/part-{number:05d}.parquet"
-        write_parquet(table, folder.place(name))
-        folder.seal(name)
+    ``check`` is called before a receipt is written: it refuses inputs that changed meanwhile.
+    """
 
-    return write
+    folder: RunFolder
+    check: Callable[[], None] = lambda: None
+    verify: bool = True
+
+    def finished(self, number: int) -> Statistics | None:
+        """The counts of a part whose receipt says that it is whole; by its size unless verified."""
+        found: Statistics | None = self.folder.read_receipt(_name(number), verify=self.verify)
+        return found
+
+    def write(self, number: int, table: pa.Table, statistics: Statistics) -> None:
+        """Write, seal and receipt a part."""
+        name = _name(number)
+        write_parquet(table, self.folder.place(name))
+        self.folder.seal(name)
+        self.check()
+        self.folder.write_receipt(name, statistics)
+
+
+def _name(number: int) -> str:
+    return f"observations/part-{number:05d}.parquet"
 
 
 def correct_counted(
@@ -219,9 +267,9 @@ def correct_counted(
 
 
 def on_threads(
-    correct_part: Callable[[int, Batch], Statistics], batches: Iterator[Batch]
+    correct_part: Callable[[int, Batch], Statistics], batches: Iterator[Batch], first: int = 0
 ) -> Generator[Statistics, None, None]:
-    """Results for numbered batches, in their order, computed on threads.
+    """Results for batches, numbered from the first, in their order, computed on threads.
 
     At a time as many as this process may use CPUs, four at most; meanwhile one more is read.
     """
@@ -234,7 +282,7 @@ def on_threads(
             return pending.popleft().result()
 
     try:
-        for number, batch in enumerate(batches):  # a signal ends the reading at once
+        for number, batch in enumerate(batches, first):  # a signal ends the reading at once
             with held_back():
                 pending.append(pool.submit(correct_part, number, batch))
             if len(pending) > workers:

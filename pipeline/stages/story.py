@@ -5,6 +5,7 @@ Nothing is computed here: each step is a call of a stage, and each stage has a m
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -51,10 +52,10 @@ from pipeline.stages.cabin_air import with_cabin_air
 from pipeline.stages.correction import (
     TYPICAL_ROWS,
     CorrectionSetup,
+    PartsOfRun,
     correct_counted,
     correct_stream,
     correction_setup,
-    into_folder,
     with_uncertainties,
 )
 from pipeline.stages.exposure_setup import (
@@ -152,10 +153,12 @@ def run_mission(
         progress.start("correcting", observations.rows)
 
         def correct_all(setup: CorrectionSetup) -> Statistics:
+            check_unchanged(plan)
+            folder.resume(f"{plan.fingerprint} {plan.mission.output.batch_rows}", anew=force)
             return correct_stream(
                 observations,
                 setup,
-                into_folder(folder),
+                PartsOfRun(folder, partial(check_unchanged, plan, folders=False)),
                 batch_rows=plan.mission.output.batch_rows,
                 metadata=observation_metadata(plan.mission),
                 progress=progress.advance,

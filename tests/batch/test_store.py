@@ -159,7 +159,7 @@ def test_a_commit_that_ends_half_way_leaves_no_manifest_and_can_be_repeated(
                 run.place(name).write_text(name, encoding="utf-8")
                 run.seal(name)
             if killed:  # a killed process does not clean up
-                monkeypatch.setattr(store, "_clear_interrupted", lambda path: None)
+                monkeypatch.setattr(store, "_clear_interrupted", lambda path, resumable: None)
             run.commit({"fingerprint": "", "mission": "", "exit_code": 0, "outputs": run.outputs()})
 
     with pytest.raises(KeyboardInterrupt if killed else StorageError):

@@ -96,6 +96,16 @@ def visible(folder) -> dict[str, str]:
     }
 
 
+def finished_parts(folder) -> int:
+    """How many parts an interrupted run left to be taken up; nothing else is there."""
+    assert {p.name for p in folder.iterdir()} == {".lock", ".staging"}
+    left = {p.relative_to(folder / ".staging").as_posix() for p in (folder / ".staging").rglob("*")}
+    parts = {name.partition("/")[2] for name in left if name.startswith("receipts/")}
+    of_parts = {f"{kind}/{name}" for name in parts for kind in ("receipts", "observations")}
+    assert left == of_parts | {"key", "receipts", "observations"}
+    return len(parts)
+
+
 def stalled(mission, step: str, mode: str = "after") -> subprocess.Popen[str]:
     """A run in a process of its own that waits in the middle of a step."""
     return started(STALLING, step, mode, str(mission.save()))
@@ -132,7 +142,7 @@ def test_a_signal_leaves_nothing_half_done(mission, baseline, number, code):
     returned, text = ended(process)
     assert returned == code
     assert "Traceback" not in text
-    assert [p.name for p in mission.output.iterdir()] == [".lock"]
+    assert finished_parts(mission.output) == 1
     assert mission.run().code == 0
     assert visible(mission.output) == visible(baseline.output)
 
@@ -157,7 +167,7 @@ def test_impatience_does_no_harm_to_a_stream(mission, numbers, code):
     assert returned == code
     assert "Traceback" not in text
     assert "Exception ignored" not in text
-    assert [p.name for p in mission.output.iterdir()] == [".lock"]
+    assert 1 <= finished_parts(mission.output) < 11
 
 
 @pytest.mark.parametrize(
@@ -181,7 +191,7 @@ def test_a_signal_takes_no_lock_with_it(mission, where, number, code):
     assert text.split()[0] == "hit"
     assert returned == code, text
     assert "Traceback" not in text
-    assert [p.name for p in mission.output.iterdir()] == [".lock"]
+    assert finished_parts(mission.output) >= 1
 
 
 # Each batch takes ten minutes to be read, by the thread that hears signals.
