@@ -219,12 +219,12 @@ def check_unchanged(plan: Plan, *, folders: bool = True) -> None:
         if not folders and item.program is None and item.path.is_dir():
             continue
         stamp = _stamp(item.path, item.program)
-        if stamp != item.stamp and _hash_then(item.path, item.program, stamp) != item.sha256:
+        if stamp != item.stamp and hash_as_stamped(item.path, item.program, stamp) != item.sha256:
             raise InputError.of("INPUT-CHANGED", str(item.path), role=item.role)
 
 
 @lru_cache(maxsize=256)
-def _hash_then(path: Path, program: str | None, stamp: tuple[int, ...]) -> str:
+def hash_as_stamped(path: Path, program: str | None, stamp: tuple[int, ...]) -> str:
     """The hash of an input as it is now; of one whose stamp stays it is computed once."""
     return _hash_input(path, program, verify=True)
 
