@@ -1,4 +1,5 @@
-"""What is kept only because making it again takes time: compiled code, hashes of inputs.
+"""What is kept only because making it again takes time: compiled code, hashes of inputs,
+states of missions.
 
 All of it lies in one folder of the user's, and none of it is a result: without it everything is
 the same, later.
@@ -29,6 +30,7 @@ def cached() -> Iterator[tuple[str, str]]:
     for folder, what, ours in (
         (compiled_code(), "compiled code", OF_COMPILED),
         (user_cache(), "hashes of inputs", re.compile(r"hashes\.sqlite(-\w+)?")),
+        (user_cache(), "states of missions", re.compile(r"missions\.sqlite(-\w+)?")),
     ):
         names = sorted(os.listdir(folder)) if os.path.isdir(folder) else []
         yield from ((what, os.path.join(folder, name)) for name in names if ours.fullmatch(name))

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from pipeline.batch.executors import Executor, Task
@@ -43,13 +44,7 @@ def run_many(
     A mission whose process dies is run a second time, alone; if that dies too it is refused, with
     the command that repeats it (WORKER-LOST).
     """
-    tasks: dict[MissionRef, Task] = {}
-    shared = shared_outputs(missions)
-    for mission in missions:
-        if mission in shared:
-            yield mission, shared[mission]
-        else:
-            tasks[mission] = partial(run_mission, mission)
+    tasks: dict[MissionRef, Task] = {ref: partial(run_mission, ref) for ref in missions}
     lost: dict[MissionRef, Lost] = {}
     with closing(executor.run(tasks)) as ends:
         for mission, end in ends:
@@ -62,7 +57,7 @@ def run_many(
         with closing(executor.run({mission: tasks[mission]})) as ends:
             for _, end in ends:
                 if isinstance(end, Lost):
-                    replay = f"unbend run {shlex.quote(str(mission.path))}"
+                    replay = shlex.join(["unbend", "run", *mission.words])
                     end = MissionError.of(
                         "WORKER-LOST", mission.path, first=first.how, second=end.how, replay=replay
                     )
@@ -82,22 +77,19 @@ def _read(end: Outcome | Receipt | UnbendError | Bug) -> MissionEnd:
     return Outcome(end.name, end.output, manifest, end.exit_code, end.repeated)
 
 
-def shared_outputs(missions: Sequence[MissionRef]) -> dict[MissionRef, UnbendError]:
+def shared_outputs(folders: Iterable[tuple[MissionRef, Path]]) -> dict[MissionRef, UnbendError]:
     """Missions whose results would be written to the folder of an earlier one.
 
     Folders are compared after symbolic links are resolved, and on Windows without case.
     """
-    first_of: dict[str, MissionRef] = {}
+    first_of: dict[str, int] = {}
     refused: dict[MissionRef, UnbendError] = {}
-    for ref in missions:
-        try:
-            mission = ref.load()
-        except UnbendError:
-            continue  # raised again, and reported, when the mission is run
-        output = os.path.normcase(os.path.realpath(ref.folder / mission.output.path))
-        first = first_of.setdefault(output, ref)
-        if first is not ref:
-            refused[ref] = ConfigError.of("OUTPUT-SHARED", "output.path", first=first.path)
+    listed = list(folders)
+    for number, (ref, folder) in enumerate(listed):
+        first = first_of.setdefault(os.path.normcase(os.path.realpath(folder)), number)
+        if first != number:
+            path = listed[first][0].path
+            refused[ref] = ConfigError.of("OUTPUT-SHARED", "output.path", first=path)
     return refused
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from pipeline.caches import user_cache
 from pipeline.ingest import hash_file
 
-_SETTLED_NS = 2_000_000_000
+SETTLED_NS = 2_000_000_000
 """A file changed within this time may change again with the same times: FAT counts 2 s."""
 
 _MOST_FILES = 1_000_000
@@ -46,7 +46,7 @@ def remembered_hash(path: Path, *, verify: bool = False, first_bytes: int | None
         with path.open("rb") as stream:
             sha256 = hashlib.sha256(stream.read(first_bytes)).hexdigest()
     with suppress(sqlite3.Error, OSError):
-        if began - max(stat.st_mtime_ns, stat.st_ctime_ns) > _SETTLED_NS:
+        if began - max(stat.st_mtime_ns, stat.st_ctime_ns) > SETTLED_NS:
             with _database(user_cache()) as database:
                 row = place, stamp, sha256
                 database.execute("INSERT OR REPLACE INTO hashes VALUES (?, ?, ?)", row)

@@ -26,7 +26,7 @@ from pipeline.ingest import hash_file
 
 MANIFEST = "manifest.json"
 _MANIFEST_KEYS = {"fingerprint", "mission", "outputs", "exit_code"}
-_STAGING = ".staging"
+STAGING = ".staging"
 _LOCK = ".lock"
 _KEY = "key"
 _RECEIPTS = "receipts"
@@ -68,7 +68,7 @@ class RunFolder:
     @property
     def staging(self) -> Path:
         """The hidden folder that results are written to before they are committed."""
-        return self.path / _STAGING
+        return self.path / STAGING
 
     def place(self, name: str) -> Path:
         """The path in the staging folder to write a result to; its parent exists."""
@@ -207,7 +207,7 @@ def would_replace(folder: Path, path: Path) -> bool:
     >>> would_replace(Path("/r"), Path("/r/flight.bin"))
     False
     """
-    replaced = {*_RESULTS, MANIFEST, _STAGING, _LOCK}
+    replaced = {*_RESULTS, MANIFEST, STAGING, _LOCK}
     # A link may lie in one folder and lead to another: neither path may be among the results.
     for resolve in (os.path.abspath, os.path.realpath):
         results, file = Path(resolve(folder)), Path(resolve(path))
@@ -246,7 +246,7 @@ def open_folder(path: Path) -> Iterator[RunFolder]:
     try:
         with storage_errors(path):
             _clear_interrupted(path, resumable=True)
-            (path / _STAGING).mkdir(exist_ok=True)
+            (path / STAGING).mkdir(exist_ok=True)
         resumable = False
         try:
             yield RunFolder(path)
@@ -261,7 +261,7 @@ def open_folder(path: Path) -> Iterator[RunFolder]:
 
 
 def _refuse_links(path: Path) -> None:
-    for name in (_LOCK, _STAGING, *_RESULTS, MANIFEST):
+    for name in (_LOCK, STAGING, *_RESULTS, MANIFEST):
         if (path / name).is_symlink():
             raise StorageError.of("STORAGE-SYMLINK", path, name=name)
 
@@ -284,7 +284,7 @@ def _locked(path: Path) -> FileLock:
 def _refuse_strangers(path: Path) -> None:
     """Refuse files that are named like results where no manifest says whose they are."""
     results = [name for name in _RESULTS if os.path.lexists(path / name)]
-    manifests = (path / MANIFEST).exists() or (path / _STAGING / MANIFEST).is_file()
+    manifests = (path / MANIFEST).exists() or (path / STAGING / MANIFEST).is_file()
     if results and not manifests:
         raise StorageError.of("STORAGE-NOT-OURS", path, results=", ".join(results))
 
@@ -295,7 +295,7 @@ def _clear_interrupted(path: Path, *, resumable: bool) -> None:
     Parts stay only where a run may resume; a part of an interrupted commit goes back to them.
     """
     _refuse_strangers(path)
-    staging = path / _STAGING
+    staging = path / STAGING
     receipts = [file.name for file in (staging / _RECEIPTS).glob("part-*")] if resumable else []
     kept = {_RECEIPTS, _KEY, _PARTS} if receipts else set()
     if not (path / MANIFEST).exists():

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing, nullcontext
 from functools import cache, partial
 from inspect import Parameter, Signature
 from math import inf
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperCommand
@@ -18,12 +18,26 @@ from pipeline.cli.app import Answer, AsJson, Quiet, app, print_bug, print_error,
 from pipeline.errors import EXIT_BUG, EXIT_DONE, EXIT_LOSSES, ConfigError, UnbendError
 from pipeline.report.words import count
 
+if TYPE_CHECKING:
+    from pipeline.batch.execute import MissionEnd
+    from pipeline.config.campaign import MissionRef
 
-@app.command(epilog="Example: unbend run configs/*.yaml")
+
+Configs = Annotated[
+    list[Path], typer.Argument(help="mission files and campaign files", metavar="CONFIG...")
+]
+Names = Annotated[
+    list[str] | None,
+    typer.Option("--mission", help="only this mission of a campaign, by name or file"),
+]
+
+
+@app.command(epilog="Example: unbend run configs/*.yaml; unbend run season.yaml --jobs 2")
 def run(
-    configs: Annotated[list[Path], typer.Argument(help="mission files", metavar="CONFIG...")],
+    configs: Configs,
     jobs: Annotated[int, typer.Option(min=1, help="missions at the same time")] = 1,
     force: Annotated[bool, typer.Option(help="run even where nothing has changed")] = False,
+    names: Names = None,
     *,
     verify_inputs: Annotated[
         bool, typer.Option(help="read and hash inputs whose size and times did not change too")
@@ -31,45 +45,78 @@ def run(
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Correct missions; one that is refused does not stop the rest."""
+    """Correct missions; one that is refused does not stop the rest.
+
+    Of a campaign, campaign.html and campaign.parquet show all its missions.
+    """
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("loading"):
-        from pipeline.batch.execute import Bug, run_many
-        from pipeline.batch.executors import Inline, Processes
-        from pipeline.config.campaign import MissionRef
-        from pipeline.report.text.terminal import print_run
-        from pipeline.stages.story import run_mission
+        from pipeline.batch.outcomes import Bug
+        from pipeline.batch.store import read_manifest
+        from pipeline.report.text.terminal import print_unchanged
+        from pipeline.stages.campaigns.pages import write_pages
+        from pipeline.stages.campaigns.selection import keep_unchanged, select_missions
 
+        chosen = select_missions(configs, names or ())
+    several = len(chosen.missions) > 1
     missions: list[dict[str, Any]] = []
-    beside = nullcontext() if jobs == 1 else answer.progress(f"{len(configs)} missions")
-    run_one = partial(run_mission, force=force, verify_inputs=verify_inputs)
-    refs = [MissionRef(config) for config in configs]
-    apart = jobs > 1 and len(refs) > 1
-    executor = Processes(jobs) if apart else Inline(answer.progress)
-    outcomes = run_many(run_one, refs, executor)
+    unchanged: list[str] = []
+    ended: dict[Any, Any] = {}
+    beside = answer.progress(f"{len(chosen.missions)} missions") if jobs > 1 else nullcontext()
+    options = {"force": force, "verify_inputs": verify_inputs}
+    outcomes = chosen.ends(
+        partial(run_missions, answer, jobs, options), again=force or verify_inputs
+    )
     with beside, closing(outcomes):
         for ref, end in outcomes:
-            config = ref.path
+            ended[ref] = end
             if isinstance(end, UnbendError):
-                missions.append(_refused(config, end))
-            elif isinstance(end, Bug):
-                print_bug(end.traceback, str(config))
-                missions.append({"config": str(config), "exit_code": EXIT_BUG})
+                missions.append(_refused(ref.label, end))
+                continue
+            if isinstance(end, Bug):
+                print_bug(end.traceback, ref.label)
+                missions.append({"config": ref.label, "exit_code": EXIT_BUG})
+                continue
+            if end.repeated and several:
+                unchanged.append(end.name)
             else:
-                output = str(end.output)
-                print_run(answer.console, end.name, output, end.manifest, repeated=end.repeated)
-                missions.append(
-                    {"config": str(config), "output": output, "repeated": end.repeated,
-                     "exit_code": end.exit_code, "manifest": end.manifest}
-                )  # fmt: skip
+                from pipeline.report.text.terminal import print_run
+
+                print_run(
+                    answer.console, end.name, str(end.output), end.manifest, repeated=end.repeated
+                )
+            missions.append(
+                {"config": ref.label, "output": str(end.output), "repeated": end.repeated,
+                 "exit_code": end.exit_code}
+            )  # fmt: skip
+            if as_json:
+                missions[-1]["manifest"] = end.manifest or read_manifest(end.output)
+    if unchanged:
+        print_unchanged(answer.console, unchanged, len(chosen.missions))
+    keep_unchanged(chosen, ended)
+    answer.print_paths(str(page) for page in write_pages(chosen, ended))
     _end(answer, missions)
 
 
-def _refused(config: Path, error: UnbendError) -> dict[str, Any]:
+def run_missions(
+    answer: Answer, jobs: int, options: Mapping[str, Any], missions: list[MissionRef]
+) -> Generator[tuple[MissionRef, MissionEnd]]:
+    """Run missions in this process or in others."""
+    with answer.progress("loading"):
+        from pipeline.batch.execute import run_many
+        from pipeline.batch.executors import Inline, Processes
+        from pipeline.stages.story import run_mission
+
+    apart = jobs > 1 and len(missions) > 1
+    executor = Processes(jobs) if apart else Inline(answer.progress)
+    return run_many(partial(run_mission, **options), missions, executor)
+
+
+def _refused(config: str, error: UnbendError) -> dict[str, Any]:
     """Print the refusal of a mission; its entry in the JSON of the command."""
-    print_error(error, str(config))
+    print_error(error, config)
     parts = {"code": error.code, "what": error.what, "where": error.where, "to_do": error.remedy}
-    return {"config": str(config), "exit_code": error.exit_code, "refusal": parts}
+    return {"config": config, "exit_code": error.exit_code, "refusal": parts}
 
 
 def _end(answer: Answer, missions: Sequence[Mapping[str, Any]]) -> NoReturn:
@@ -82,7 +129,8 @@ def _end(answer: Answer, missions: Sequence[Mapping[str, Any]]) -> NoReturn:
 
 @app.command(epilog="Example: unbend check mission.yaml")
 def check(
-    configs: Annotated[list[Path], typer.Argument(help="mission files", metavar="CONFIG...")],
+    configs: Configs,
+    names: Names = None,
     *,
     quiet: Quiet = False,
     as_json: AsJson = False,
@@ -93,29 +141,26 @@ def check(
     """
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("loading"):
-        from pipeline.batch.execute import shared_outputs
-        from pipeline.config.campaign import MissionRef
         from pipeline.report.text.terminal import print_check
+        from pipeline.stages.campaigns.selection import select_missions
         from pipeline.stages.rehearsal import input_lines, rehearsal_lines
         from pipeline.stages.story import check_mission
 
+        chosen = select_missions(configs, names or ())
     missions: list[dict[str, Any]] = []
-    refs = [MissionRef(config) for config in configs]
-    shared = shared_outputs(refs)
-    for ref in refs:
-        config = ref.path
+    for ref in chosen.missions:
         try:
-            if ref in shared:
-                raise shared[ref]
-            with answer.progress(f"checking {config.name}") as bar:
+            if ref in chosen.refused:
+                raise chosen.refused[ref]
+            with answer.progress(f"checking {ref.path.name}") as bar:
                 checked = check_mission(ref, progress=bar)
                 lines = [*input_lines(checked), *rehearsal_lines(checked)]
         except UnbendError as error:
-            missions.append(_refused(config, error))
+            missions.append(_refused(ref.label, error))
             continue
-        print_check(answer.console, str(config), lines, checked.manifest)
+        print_check(answer.console, ref.label, lines, checked.manifest)
         missions.append(
-            {"config": str(config), "exit_code": checked.manifest["exit_code"],
+            {"config": ref.label, "exit_code": checked.manifest["exit_code"],
              "lines": dict(lines), "manifest": checked.manifest}
         )  # fmt: skip
     _end(answer, missions)
@@ -123,7 +168,8 @@ def check(
 
 @app.command(epilog="Example: unbend status configs/*.yaml")
 def status(
-    configs: Annotated[list[Path], typer.Argument(help="mission files", metavar="CONFIG...")],
+    configs: Configs,
+    names: Names = None,
     *,
     quiet: Quiet = False,
     as_json: AsJson = False,
@@ -134,26 +180,31 @@ def status(
     """
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("loading"):
-        from pipeline.config.campaign import MissionRef
         from pipeline.report.text.terminal import print_status
-        from pipeline.stages.story import mission_status
+        from pipeline.stages.campaigns.selection import select_missions
 
+        chosen = select_missions(configs, names or ())
     missions: list[dict[str, Any]] = []
-    for ref in [MissionRef(config) for config in configs]:
-        config = ref.path
+    for ref in chosen.missions:
         try:
-            with answer.progress(f"looking at {config.name}"):
-                plan, reasons = mission_status(ref)
+            (_, output), reasons = chosen.called.get(ref, ("", None)), list[str]()
+            if not chosen.is_unchanged(ref):
+                with answer.progress(f"looking at {ref.path.name}"):
+                    from pipeline.stages.story import mission_status
+
+                    plan, reasons = mission_status(ref)
+                    output = plan.output
         except UnbendError as error:
-            missions.append(_refused(config, error))
+            missions.append(_refused(ref.label, error))
             continue
-        print_status(answer.console, str(config), reasons)
+        if reasons or not chosen.campaigns:
+            print_status(answer.console, ref.label, reasons)
         missions.append(
-            {"config": str(config), "output": str(plan.output), "would_run": bool(reasons),
+            {"config": ref.label, "output": str(output), "would_run": bool(reasons),
              "reasons": reasons, "exit_code": EXIT_DONE}
         )  # fmt: skip
     runs = sum(mission.get("would_run", False) for mission in missions)
-    answer.console.print(f"{count(runs, 'mission')} of {len(configs)} would run")
+    answer.console.print(f"{count(runs, 'mission')} of {len(chosen.missions)} would run")
     _end(answer, missions)
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import yaml
-from pydantic import ValidationError
 
-from pipeline.config.schema import alternatives, as_written, in_words, nodes_at
+from pipeline.config.schema import alternatives, as_written, campaign_schema, in_words, nodes_at
 
 Place = tuple[str | int, ...]
 """The keys that lead to a value, and places in lists, from 0."""
@@ -56,18 +56,21 @@ def open_questions(values: Any) -> list[Place]:
 
 
 def sentences_of(
-    error: ValidationError | None, values: dict[str, Any], node: yaml.Node
+    items: Sequence[Mapping[str, Any]],
+    values: dict[str, Any],
+    node: yaml.Node,
+    own: dict[str, Any] | None = None,
 ) -> list[str]:
     """One sentence for each mistake, in the order of the file.
 
-    ``error`` is what the models refuse, ``values`` and ``node`` are the file. Open questions come
-    as such; what the models say of them, and of what holds them, is left out.
+    ``items`` is what the models refuse, ``values`` and ``node`` are the file. Open questions come
+    as such; what the models say of them, and of what holds them, is left out. What is not in
+    ``own``, where that is given, has no line in the file: a campaign's defaults say it.
     """
     todo = open_questions(values)
     found: dict[tuple[Place, str], None] = {
         (place, f"still TODO: {_allowed(place)}"): None for place in todo
     }
-    items = [] if error is None else error.errors(include_url=False, include_context=False)
     placed = [(*_found_at(values, item["loc"]), item) for item in items]
     for place, value, item in placed:
         of_question = any(t[: len(place)] == place or place[: len(t)] == t for t in todo)
@@ -80,7 +83,9 @@ def sentences_of(
             case "value_error":
                 what = item["msg"].removeprefix("Value error, ")
             case "extra_forbidden":
-                nodes = [arm for node in nodes_at(place[:-1]) for arm in alternatives(node)]
+                root = [campaign_schema()] if "campaign" in values else nodes_at(())
+                of_place = nodes_at(place[:-1]) if place[:-1] else root
+                nodes = [arm for node in of_place for arm in alternatives(node)]
                 known = sorted({key for arm in nodes for key in arm.get("properties", {})})
                 near = difflib.get_close_matches(str(place[-1]), known, 1, 0.5)
                 what = f"unknown key; there is {', '.join(known)}"
@@ -96,7 +101,12 @@ def sentences_of(
     for place, what in found:
         line = _line(node, place)
         key = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in place).removeprefix(".")
-        lines.append((line, f"line {line}: {key}: {what}" if key else f"line {line}: {what}"))
+        stands = place
+        while not _stands(values, stands):
+            stands = stands[:-1]
+        inherited = own is not None and not _stands(own, stands)
+        begin = "defaults of the campaign" if inherited else f"line {line}"
+        lines.append((line, f"{begin}: {key}: {what}" if key else f"{begin}: {what}"))
     return [text for _, text in sorted(dict.fromkeys(lines))]
 
 
@@ -112,6 +122,19 @@ def _found_at(values: Any, loc: tuple[int | str, ...]) -> tuple[Place, Any]:
             values = None
             place.append(part)  # a key that is missing
     return tuple(place), values
+
+
+def _stands(values: Any, place: Place) -> bool:
+    """Whether there is a value at a place."""
+    for key in place:
+        held: Any = values
+        inside = (isinstance(held, dict) and key in held) or (
+            isinstance(held, list) and isinstance(key, int) and key < len(held)
+        )
+        if not inside:
+            return False
+        values = held[key]
+    return True
 
 
 def _line(node: yaml.Node, place: Place) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,9 @@ from pydantic import ValidationError
 from pipeline.config.mistakes import of_yaml, open_questions, sentences_of
 from pipeline.config.sections import Mission
 from pipeline.errors import ConfigError
+
+WHOLE = ("ground.height",)
+"""Keys that take one of several sections: a mission's own replaces the default as a whole."""
 
 _REPLACED = ("bool", "int", "float", "timestamp")
 
@@ -96,37 +100,66 @@ def mission_of(
     own: dict[str, Any], node: yaml.Node, where: str, defaults: dict[str, Any] | None = None
 ) -> Mission:
     """Check the values of a mission; ``defaults`` stand where it has none of its own."""
+    if "campaign" in own and "mission" not in own:
+        raise ConfigError.of("CONFIG-CAMPAIGN", where)
     values = own if defaults is None else merged(defaults, own)
     mission: Mission | None = None
-    refused: ValidationError | None = None
+    items: list[Any] = []
     try:
         mission = Mission.model_validate(values)
     except ValidationError as error:
-        refused = error
-    todo = bool(open_questions(values))
-    if mission is not None and not todo:
+        items = error.errors(include_url=False, include_context=False)
+    if mission is not None and not open_questions(values):
         return mission
-    what = sentences_of(refused, values, node)
-    kinds = {item["type"] for item in ([] if refused is None else refused.errors())}
+    raise refusal_of(items, values, node, where, own=None if defaults is None else own)
+
+
+def refusal_of(
+    items: Sequence[Mapping[str, Any]],
+    values: dict[str, Any],
+    node: yaml.Node,
+    where: str,
+    *,
+    own: dict[str, Any] | None = None,
+) -> ConfigError:
+    """The refusal of a file with what the models refuse of it; ``own`` as in `sentences_of`."""
+    what = sentences_of(items, values, node, own)
+    todo = bool(open_questions(values))
+    kinds = {item["type"] for item in items}
     code = "CONFIG-UNKNOWN-KEY" if "extra_forbidden" in kinds else "CONFIG-INVALID"
     code = "CONFIG-TODO" if todo else code
     several = f"{len(what)} {'questions are open' if todo else 'mistakes'}\n    "
-    raise ConfigError(
+    return ConfigError(
         code, what[0] if len(what) == 1 else several + "\n    ".join(what), where=where,
         remedy="mend the file; `unbend help KEY` explains a key, `unbend schema` has them all",
     )  # fmt: skip
 
 
 def merged(defaults: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """Sections of which each key is a mission's own, or else the default; null takes one away.
+    """A mission's own values, and the defaults where it has none; null takes a default away.
 
-    >>> merged({"a": {"x": 1, "y": 2}, "b": 3, "c": [4]}, {"a": {"y": 5}, "b": None, "c": [6]})
-    {'a': {'x': 1, 'y': 5}, 'c': [6]}
+    ``{mission}`` in the path of results of the defaults is the name of the mission.
+
+    >>> merged({"log": {"path": "a", "max_gap_s": 2.0}, "ground": {"height": {"column": "h"}}},
+    ...        {"log": {"path": "b"}, "ground": {"height": {"dem": "c.tif"}}})
+    {'log': {'path': 'b', 'max_gap_s': 2.0}, 'ground': {'height': {'dem': 'c.tif'}}}
     """
+    values = _merged(defaults, own)
+    output, section = values.get("output"), values.get("mission")
+    stated = isinstance(own.get("output"), dict) and "path" in own["output"]
+    if isinstance(output, dict) and isinstance(section, dict) and not stated:
+        path, name = output.get("path"), section.get("name")
+        if isinstance(path, str) and isinstance(name, str):
+            values["output"] = output | {"path": path.replace("{mission}", name)}
+    return values
+
+
+def _merged(defaults: dict[str, Any], own: dict[str, Any], above: str = "") -> dict[str, Any]:
     values = defaults | own
     for key in defaults.keys() & own.keys():
+        place = f"{above}.{key}".removeprefix(".")
         if own[key] is None:
             del values[key]
-        elif isinstance(defaults[key], dict) and isinstance(own[key], dict):
-            values[key] = merged(defaults[key], own[key])
+        elif isinstance(defaults[key], dict) and isinstance(own[key], dict) and place not in WHOLE:
+            values[key] = _merged(defaults[key], own[key], place)
     return values

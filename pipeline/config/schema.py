@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 import typing
 from collections.abc import Iterator, Mapping
@@ -12,9 +13,12 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from pipeline.config.sections import Mission
+from pipeline.config.sections import CampaignFile, Mission
 
 Node = dict[str, Any]
+
+PATH = r"^[^\x00]+$"
+"""The pattern of keys that take a path."""
 
 # What validators fill in, where the value of another key makes it known: a block has its own path
 # and angles, heights that follow from the camera's are above mean sea level.
@@ -42,7 +46,7 @@ def key_texts() -> Mapping[str, Mapping[str, Mapping[str, Any]]]:
     return tomllib.loads(resources.files(__package__).joinpath("keys.toml").read_text("utf-8"))
 
 
-def all_sections(annotation: Any = Mission) -> dict[str, type[BaseModel]]:
+def all_sections(annotation: Any = Mission | CampaignFile) -> dict[str, type[BaseModel]]:
     """The sections that an annotation names and all within them, by the names of their classes."""
     found, inner = {}, list(typing.get_args(annotation))
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
@@ -59,10 +63,31 @@ def mission_schema() -> Node:
 
     What depends on several keys at once is not in it: `load_mission` refuses that.
     """
-    schema = Mission.model_json_schema()
+    schema = _with_texts(Mission.model_json_schema(), Mission)
+    control = schema["properties"]["control"]
+    control["anyOf"].append({"type": "string", "minLength": 1, "pattern": PATH})  # its path alone
+    return {"$schema": "http://json-schema.org/draft-07/schema#"} | schema
+
+
+@cache
+def campaign_schema() -> Node:
+    """The JSON schema (draft 7) of a campaign file; what its missions share, each may leave out."""
+    schema = _with_texts(CampaignFile.model_json_schema(), CampaignFile)
+    mission = json.loads(json.dumps(mission_schema()))
+    definitions = mission.pop("$defs") | {"Mission": mission}
+    for node in definitions.values():
+        node.pop("required", None)
+    schema["$defs"] |= definitions
+    schema["properties"]["defaults"]["$ref"] = "#/$defs/Mission"
+    schema["properties"]["missions"]["items"]["anyOf"][1] = {"$ref": "#/$defs/Mission"}
+    return {"$schema": mission.pop("$schema")} | schema
+
+
+def _with_texts(schema: Node, root: type[BaseModel]) -> Node:
+    """A schema with the description, unit, example and default of each key."""
     texts = key_texts()
-    for name, section in all_sections().items():
-        node = schema if name == "Mission" else schema["$defs"][name]
+    for name, section in all_sections(root).items():
+        node = schema if section is root else schema["$defs"][name]
         node["required"] = sorted({*node.get("required", ())} - _FILLED_IN.get(name, set()))
         for key, value in node["properties"].items():
             owner = next(c.__name__ for c in section.__mro__ if key in texts.get(c.__name__, {}))
@@ -74,15 +99,15 @@ def mission_schema() -> Node:
             value |= {"patternErrorMessage": entry["form"]} if "form" in entry else {}
             factory = section.model_fields[key].default_factory
             value |= {"default": factory()} if factory is not None else {}  # type: ignore[call-arg]
-    control = schema["properties"]["control"]
-    control["anyOf"].append({"type": "string", "minLength": 1})  # its path alone
-    return {"$schema": "http://json-schema.org/draft-07/schema#"} | schema
+    return schema
 
 
 def alternatives(node: Node) -> list[Node]:
     """The nodes that a node of the schema may stand for, without null; references are followed."""
     if "$ref" in node:
-        return [mission_schema()["$defs"][node["$ref"].rpartition("/")[2]]]
+        name = node["$ref"].rpartition("/")[2]
+        known = mission_schema()["$defs"]
+        return [known[name] if name in known else campaign_schema()["$defs"][name]]
     inner = node.get("anyOf") or node.get("oneOf")
     if inner is None:
         return [] if node.get("type") == "null" else [node]
@@ -90,8 +115,12 @@ def alternatives(node: Node) -> list[Node]:
 
 
 def nodes_at(keys: tuple[str | int, ...]) -> list[Node]:
-    """The nodes of the schema for a place in a mission file; empty where no key is called so."""
-    nodes: list[Node] = [mission_schema()]
+    """The nodes of the schema for a place in a mission file; empty where no key is called so.
+
+    The keys of a campaign file are none of a mission file: they lead to its own schema.
+    """
+    of_campaign = bool(keys) and keys[0] in CampaignFile.model_fields
+    nodes: list[Node] = [campaign_schema() if of_campaign else mission_schema()]
     for key in keys:
         inner = []
         for node in (found for outer in nodes for found in alternatives(outer)):

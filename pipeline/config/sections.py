@@ -31,6 +31,21 @@ class MissionSection(Section):
     geoid: Literal["egm96"] | PathText = "egm96"
 
 
+class CampaignSection(Section):
+    """Name of a campaign, and where its page and table go."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")
+    output: PathText
+
+
+class CampaignFile(Section):
+    """A campaign file: what its missions share, and which they are."""
+
+    campaign: CampaignSection
+    defaults: dict[str, Any] = Field({})
+    missions: list[PathText | dict[str, Any]] = Field(min_length=1)
+
+
 class NamedChannel(Section):
     """A channel by its name, with the unit it is really in."""
 

@@ -13,8 +13,9 @@ Columns = Mapping[str, tuple[pa.DataType, str, str]]
 """Type, unit and meaning of columns by their names, in their order."""
 
 _TYPES = {
-    "float64": pa.float64(), "float32": pa.float32(), "string": pa.string(), "int32": pa.int32(),
-    "int16": pa.int16(), "binary": pa.binary(), "timestamp": pa.timestamp("ns", "UTC"),
+    "float64": pa.float64(), "float32": pa.float32(), "string": pa.string(), "int64": pa.int64(),
+    "int32": pa.int32(), "int16": pa.int16(), "binary": pa.binary(),
+    "timestamp": pa.timestamp("ns", "UTC"),
 }  # fmt: skip
 _TEXTS = tomllib.loads(files("pipeline.tables").joinpath("data/columns.toml").read_text("utf-8"))
 

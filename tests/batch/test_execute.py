@@ -11,11 +11,12 @@ import pytest
 
 from pipeline.batch import apart
 from pipeline.batch.apart import Child, stop_all
-from pipeline.batch.execute import Bug, exit_code_of, run_many, shared_outputs
+from pipeline.batch.execute import Bug, exit_code_of, run_many
 from pipeline.batch.executors import Inline
 from pipeline.batch.outcomes import Outcome, Receipt
 from pipeline.config.campaign import MissionRef
 from pipeline.errors import InputError
+from pipeline.stages.campaigns.selection import select_missions
 
 
 def test_folders_that_links_make_one_are_one(mission_factory, tmp_path):
@@ -26,7 +27,7 @@ def test_folders_that_links_make_one_are_one(mission_factory, tmp_path):
     second.config["output"]["path"] = "../link"
     third.config["output"]["path"] = "../up/d/../a/results"
     files = [mission.save() for mission in (first, second, third, fourth)]
-    refused = shared_outputs([MissionRef(file) for file in files])
+    refused = select_missions(files).refused
     assert [ref.path for ref in refused] == files[1:3]
     for error in refused.values():
         assert error.code == "OUTPUT-SHARED"
@@ -37,7 +38,7 @@ def test_a_broken_mission_file_shares_nothing(mission_factory, tmp_path):
     first, second = (mission_factory(tmp_path / name) for name in "ab")
     files = [first.save(), second.save()]
     files[0].write_text("mission: [")
-    assert shared_outputs([MissionRef(file) for file in files]) == {}
+    assert select_missions(files).refused == {}
 
 
 def silent(_: str) -> contextlib.AbstractContextManager[None]:

@@ -74,7 +74,7 @@ def test_no_phrase_of_a_library_reaches_the_user():
             try:
                 Mission.model_validate(tree)
             except ValidationError as error:
-                said = sentences_of(error, tree, node)
+                said = sentences_of(error.errors(), tree, node)
             else:
                 continue
             tried += 1

@@ -17,6 +17,7 @@ from pipeline.report.words import count, shortened
 _COLOURS = {"finding": "red", "loss": "red", "warning": "yellow", "fallback": "cyan", "note": "dim"}
 
 _MOST_CONTROL = 12
+_MOST_UNCHANGED = 12
 _MOST_REASONS = 6
 
 
@@ -49,6 +50,17 @@ def print_run(
     print_labelled(console, [("" if i else "next", step) for i, step in enumerate(steps)])
     for label, path in (("results", output), ("report ", f"{output}/report.html")):
         console.print(f"  {label}  {shown(path)}", soft_wrap=True)
+
+
+def print_unchanged(console: Console, names: Sequence[str], total: int) -> None:
+    """Which of several missions needed no run; of many only how many."""
+    what = "nothing to do: mission file, inputs and code are those of the last run"
+    for name in names if len(names) <= _MOST_UNCHANGED else ():
+        console.print(f"[bold]{shown(name)}[/bold]")
+        console.print(f"  {what}")
+    if len(names) > _MOST_UNCHANGED:
+        console.print(f"{len(names):,} of {count(total, 'mission')}")
+        console.print(f"  {what}")
 
 
 def print_ledger(console: Console, entries: Sequence[Mapping[str, Any]]) -> None:

@@ -1,0 +1,188 @@
+"""Missions that are unchanged by the state of their files: nothing is read or parsed to know it.
+
+An entry repeats what `run` found when it read everything: that the results of a mission are those
+of its mission file, inputs, code and libraries. It holds as long as inode, size and both times of
+all these files stay, and as long as the program and the libraries do.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import sqlite3
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from pipeline.batch.changes import reasons_to_run
+from pipeline.batch.file_hashes import SETTLED_NS
+from pipeline.batch.plan import code_hash, input_paths, library_versions, make_plan
+from pipeline.batch.store import MANIFEST, STAGING, read_manifest
+from pipeline.caches import user_cache
+from pipeline.config.campaign import MissionRef
+from pipeline.errors import UnbendError
+
+Row = Mapping[str, Any]
+"""What a campaign's page shows of a mission."""
+
+_MOST_ENTRIES = 100_000
+"""Remembered; of more those that were written longest ago are forgotten."""
+
+_TABLE = "CREATE TABLE IF NOT EXISTS entries (key TEXT PRIMARY KEY, content TEXT)"
+_FORGET = "DELETE FROM entries WHERE rowid <= (SELECT max(rowid) FROM entries) - ?"
+
+
+@dataclass(frozen=True)
+class IndexEntry:
+    """A mission whose file is as it was: its name and folder, and whether all else is too."""
+
+    name: str
+    output: Path
+    exit_code: int
+    row: Row
+    unchanged: bool
+
+
+def look_up(refs: Iterable[MissionRef]) -> dict[MissionRef, IndexEntry]:
+    """What is known of missions whose file and defaults, and the program, are as they were."""
+    program, known = _program(), {}
+    for ref in refs:
+        content = _read(_key(ref))
+        if content is None or content["program"] != program:
+            continue
+        files, file = content["files"], os.path.abspath(ref.path)
+        if stamp(file) != files.get(file):
+            continue
+        # A run that is under way, or was interrupted, has a staging folder.
+        staged = os.path.lexists(os.path.join(content["output"], STAGING))
+        unchanged = not staged and all(stamp(path) == was for path, was in files.items())
+        output = Path(os.path.normpath(ref.folder / content["stated"]))
+        known[ref] = IndexEntry(
+            content["name"], output, content["exit_code"], content["row"], unchanged
+        )
+    return known
+
+
+def remember(refs: Iterable[MissionRef], describe: Callable[[Row], Row]) -> None:
+    """Keep which of these missions are unchanged, after everything was compared as `run` does.
+
+    ``describe`` makes the row of a manifest. Not kept is a mission with inputs that are folders or
+    blocks or lie in an object store, nor one of which a file changed in the last two seconds.
+    """
+    program, entries = _program(), {}
+    for ref in refs:
+        with suppress(UnbendError, OSError):
+            content = entry_of(ref, describe)
+            if content is not None:
+                entries[_key(ref)] = content | {"program": program}
+    _write(entries)
+
+
+def entry_of(ref: MissionRef, describe: Callable[[Row], Row]) -> dict[str, Any] | None:
+    """The entry of a mission that is unchanged, and stays so while it is looked at."""
+    file = os.path.abspath(ref.path)
+    began = stamp(file)
+    mission = ref.load()
+    inputs = input_paths(mission, ref.folder)
+    if any("://" in name for name, _ in inputs.values()) or "://" in mission.output.path:
+        return None
+    files = {os.path.abspath(path): stamp(path) for _, path in inputs.values()} | {file: began}
+    if not _settled(files):
+        return None
+    plan = make_plan(mission, ref.folder)
+    manifest = read_manifest(plan.output, damaged=True)
+    if manifest is None or any(i.program is not None or i.path.is_dir() for i in plan.inputs):
+        return None
+    results = [plan.output / str(item["name"]) for item in manifest["outputs"]]
+    results += {path.parent for path in results} - {plan.output}
+    files |= {os.path.abspath(path): stamp(path) for path in [*results, plan.output / MANIFEST]}
+    if not _settled(files) or reasons_to_run(plan, manifest):
+        return None
+    if any(stamp(path) != known for path, known in files.items()):
+        return None
+    return {
+        "name": mission.mission.name, "output": os.path.abspath(plan.output),
+        "stated": mission.output.path, "exit_code": int(manifest["exit_code"]),
+        "row": dict(describe(manifest)), "files": files,
+    }  # fmt: skip
+
+
+def stamp(path: str | Path) -> list[int] | None:
+    """Device, inode, size, time of content and of status [ns] of a file; None if it is not there.
+
+    A link stands for what it leads to.
+    """
+    try:
+        s = os.stat(path)
+    except OSError:
+        return None
+    return [s.st_dev, s.st_ino, s.st_size, s.st_mtime_ns, s.st_ctime_ns]
+
+
+def _settled(files: Mapping[str, list[int] | None]) -> bool:
+    """Whether all files are there, and changed so long ago that the next change will show."""
+    latest = time.time_ns() - SETTLED_NS
+    return all(known is not None and max(known[3:]) < latest for known in files.values())
+
+
+def known_stamps(name: str) -> dict[str, Any] | None:
+    """What `keep_stamps` was given under a name, if the files are as they were then."""
+    content = _read(name)
+    if content is None or any(stamp(path) != known for path, known in content["files"].items()):
+        return None
+    return content
+
+
+def keep_stamps(name: str, files: Iterable[Path], **content: Any) -> None:
+    """Keep values that hold as long as these files, which this process wrote, stay as they are."""
+    stamps = {os.path.abspath(path): stamp(path) for path in files}
+    _write({name: content | {"files": stamps}})
+
+
+def _key(ref: MissionRef) -> str:
+    words = [os.path.abspath(ref.path), ref.defaults, ref.own]
+    return hashlib.sha256(json.dumps(words).encode()).hexdigest()
+
+
+@lru_cache(maxsize=1)
+def installed() -> str:
+    """All that is installed, with versions: the names of the folders that describe it."""
+    folders = [folder for folder in sys.path if os.path.isdir(folder)]
+    names = {name for folder in folders for name in os.listdir(folder)}
+    return json.dumps(sorted(name for name in names if name.endswith((".dist-info", ".egg-info"))))
+
+
+def _program() -> str:
+    """SHA-256 over the code, Python, and every library that is installed, whether used or not."""
+    content = [code_hash(), sys.version, library_versions(), installed()]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _read(key: str) -> dict[str, Any] | None:
+    with suppress(sqlite3.Error, OSError, ValueError):
+        query = "SELECT content FROM entries WHERE key = ?"
+        if found := _database(user_cache()).execute(query, (key,)).fetchone():
+            return dict(json.loads(found[0]))
+    return None
+
+
+def _write(entries: Mapping[str, Row]) -> None:
+    with suppress(sqlite3.Error, OSError), _database(user_cache()) as database:
+        rows = [(key, json.dumps(content)) for key, content in entries.items()]
+        database.executemany("INSERT OR REPLACE INTO entries VALUES (?, ?)", rows)
+        database.execute(_FORGET, (_MOST_ENTRIES,))
+
+
+@lru_cache(maxsize=1)
+def _database(folder: str) -> sqlite3.Connection:
+    os.makedirs(folder, exist_ok=True)
+    name = os.path.join(folder, "missions.sqlite")
+    database = sqlite3.connect(name, timeout=10.0, check_same_thread=False)
+    database.execute(_TABLE)
+    return database

@@ -1,0 +1,184 @@
+"""Campaign files: what missions share, which they are, and what is refused with its line."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+import yaml
+
+from pipeline.config import reading
+from pipeline.config.campaign import Campaign, MissionRef, open_configs
+from pipeline.config.schema import alternatives, campaign_schema, mission_schema, nodes_at
+from pipeline.errors import ConfigError, UnbendError
+
+OWN = ("mission", "log", "observations", "events")
+
+
+@pytest.fixture
+def season(mission, tmp_path):
+    """A campaign file beside one mission, which keeps only what is its own."""
+
+    def write(**sections: Any) -> Path:
+        own = {key: value for key, value in mission.config.items() if key in OWN}
+        (mission.folder / "mission.yaml").write_text(yaml.safe_dump(own), encoding="utf-8")
+        shared = {k: v for k, v in mission.config.items() if k not in (*OWN, "output")}
+        content = {
+            "campaign": {"name": "season", "output": "out"},
+            "defaults": shared | sections.pop("defaults", {}),
+            "missions": ["mission/mission.yaml"],
+        } | sections
+        file = tmp_path / "season.yaml"
+        file.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+        return file
+
+    return write
+
+
+def opened(file: Path) -> tuple[list[MissionRef], Campaign]:
+    refs, campaigns = open_configs([file])
+    return refs, campaigns[0]
+
+
+def refusal(file: Path) -> ConfigError:
+    with pytest.raises(ConfigError) as refused:
+        open_configs([file])
+    return refused.value
+
+
+def test_a_mission_is_its_own_sections_and_the_defaults(season, mission):
+    (ref,), campaign = opened(season(defaults={"output": {"batch_rows": 5000}}))
+    loaded = ref.load()
+    whole = mission.config | {"output": {"path": "../out/simulated_bin", "batch_rows": 5000}}
+    assert loaded == type(loaded).model_validate(whole)
+    assert (campaign.name, campaign.output) == ("season", campaign.path.parent / "out")
+    assert pickle.loads(pickle.dumps(ref)) == ref  # as it travels to another process
+    assert len(pickle.dumps(ref)) < 10_000
+
+
+def test_paths_of_defaults_are_relative_to_the_campaign(season, mission, tmp_path):
+    sections = {
+        "control": "control.csv",
+        "atmosphere": {"soundings": [{"path": "air/s.csv"}, {"path": "/abs/s.csv"}]},
+        "ground": {"height": {"dem": ["a.tif", "s3://bucket/b.tif"]}, "reference": "msl"},
+        "mission": {"geoid": "egm96"},
+    }
+    (ref,), _ = opened(season(defaults=sections))
+    loaded = ref.load()
+    assert loaded.control.path == "../control.csv"
+    assert [s.path for s in loaded.atmosphere.soundings] == ["../air/s.csv", "/abs/s.csv"]
+    assert loaded.ground.model.paths == ("../a.tif", "s3://bucket/b.tif")
+    assert loaded.mission.geoid == "egm96"  # a word, not a path
+    assert loaded.log.path == mission.config["log"]["path"]  # the mission's own
+
+
+def test_from_a_folder_that_is_a_link_paths_are_absolute(season, mission, tmp_path):
+    (tmp_path / "far" / "away").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(mission.folder, target_is_directory=True)
+    (tmp_path / "far" / "away" / "link").symlink_to(mission.folder, target_is_directory=True)
+    file = season(defaults={"control": "c.csv"}, missions=["far/away/link/mission.yaml"])
+    (ref,), _ = opened(file)
+    assert ref.load().control.path == str(tmp_path / "c.csv")
+
+
+def test_own_values_replace_defaults_and_null_takes_them_away(season, mission, tmp_path):
+    file = season(defaults={
+        "atmosphere": {"standard": "us1976", "model": {"path": "m.nc"}}, "control": "c.csv",
+        "ground": {"height": {"column": "h_g_m"}, "reference": "msl"},
+    })  # fmt: skip
+    own = yaml.safe_load(mission.file.read_text()) | {
+        "atmosphere": {"model": None}, "control": None,
+        "ground": {"height": {"points": "p.csv", "crs": "EPSG:4326",
+                   "columns": {"latitude": "a", "longitude": "b"}}},
+    }  # fmt: skip
+    mission.file.write_text(yaml.safe_dump(own))
+    loaded = opened(file)[0][0].load()
+    assert (loaded.atmosphere.model, loaded.control) == (None, None)
+    assert loaded.atmosphere.standard == "us1976"
+    assert loaded.ground.points.points == "p.csv"  # one of several sections: not mixed
+    assert loaded.ground.reference == "msl"
+
+
+def test_sections_that_are_replaced_as_a_whole_are_those_of_which_there_are_several():
+    found = []
+
+    def walk(node: dict[str, Any], place: str) -> None:
+        arms = alternatives(node)
+        if sum("properties" in arm for arm in arms) > 1:
+            found.append(place)
+        for arm in arms:
+            for key, value in arm.get("properties", {}).items():
+                walk(value, f"{place}.{key}".removeprefix("."))
+
+    walk(mission_schema(), "")
+    assert tuple(found) == reading.WHOLE
+
+
+def test_missions_are_files_patterns_and_sections(season, mission, tmp_path):
+    for name in ("b", "a", "deep/er"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "m.yaml").write_text(f"mission: {{name: {name[:1]}}}")
+    inline = {"mission": {"name": "inline"}, "log": {"path": "x.bin"},
+              "observations": {"path": "o.csv"}, "events": mission.config["events"]}  # fmt: skip
+    stated = ["mission/mission.yaml", "**/m.yaml", "*.yaml", inline, "b/m.yaml"]
+    file = season(missions=stated)
+    with pytest.raises(ConfigError, match="CAMPAIGN-NO-MATCH"):  # *.yaml is itself alone
+        open_configs([file])
+    refs, _ = opened(season(missions=[s for s in stated if s != "*.yaml"]))
+    places = [ref.path.relative_to(tmp_path).as_posix() for ref in refs]
+    assert places == ["mission/mission.yaml", "a/m.yaml", "deep/er/m.yaml", "season.yaml",
+                      "b/m.yaml"]  # fmt: skip
+    assert refs[3].load().output.path == "out/inline"
+    assert refs[3].label.endswith("season.yaml: inline")
+    assert refs[3].words == (str(file), "--mission", "inline")
+    assert refs[1].words == (str(file), "--mission", str(tmp_path / "a" / "m.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("sections", "texts"),
+    [
+        ({"campaign": {"name": "a/b", "output": "x"}}, ["line 2: campaign.name"]),
+        ({"campaign": {"name": "a"}}, ["line 1: campaign.output: is missing"]),
+        ({"missions": []}, ["missions"]),
+        ({"missions": [7]}, ["missions[0]"]),
+        ({"misions": ["a"]}, ["misions: unknown key; perhaps 'missions'?"]),
+        ({"defaults": {"atmosfere": {}}}, ["defaults.atmosfere", "perhaps 'atmosphere'?"]),
+        ({"defaults": {"output": {"batch_rows": "many"}}}, ["defaults.output.batch_rows"]),
+        ({"defaults": {"output": {"batch_rows": "TODO"}}}, ["CONFIG-TODO", "batch_rows"]),
+        ({"missions": [{"mission": {"name": "x"}, "lag": 1}]}, ["missions[0].lag", "'log'"]),
+        ({"missions": [{"mission": {"name": "x"}}]}, ["missions[0].observations: is missing"]),
+    ],
+)
+def test_mistakes_are_refused_with_their_lines(season, sections, texts):
+    text = str(refusal(season(**sections)))
+    assert "line " in text
+    for part in texts:
+        assert part in text
+
+
+def test_what_defaults_leave_out_is_no_mistake_of_theirs(season):
+    refs, _ = opened(season(defaults={"stations": {"orientation": {"frame": "geographic"}}}))
+    with pytest.raises(UnbendError) as refused:
+        refs[0].load()  # now the path is missing
+    assert "defaults of the campaign: stations.orientation.path: is missing" in str(refused.value)
+
+
+def test_a_campaign_is_no_mission(season):
+    file = season()
+    with pytest.raises(ConfigError, match="CONFIG-CAMPAIGN"):
+        MissionRef(file).load()
+    assert open_configs([file.parent / "mission" / "mission.yaml"])[1] == []
+
+
+def test_the_schema_takes_what_the_program_takes(season, tmp_path):
+    schema = campaign_schema()
+    jsonschema.Draft7Validator.check_schema(schema)
+    file = season()
+    jsonschema.validate(yaml.safe_load(file.read_text()), schema)
+    wrong = yaml.safe_load(file.read_text()) | {"defaults": {"cameras": 7}}
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(wrong, schema)
+    assert nodes_at(("defaults", "log", "path")) == nodes_at(("log", "path"))
