@@ -64,7 +64,6 @@ def test_the_compiler_uses_the_same_folder(monkeypatch, tmp_path):
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    monkeypatch.setattr(jit.numba.config, "CACHE_DIR", "")
-    folder = jit.cache_folder()
+    folder = jit.cache_folder.__wrapped__()
     assert folder is not None
     assert ("compiled code", folder) in caches.cached()

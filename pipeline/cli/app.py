@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 _ORDER = (
     "init", "schema", "help", "run", "check", "status", "stations", "inspect", "angle", "radial",
     "tables", "profile", "compare", "simulate", "export", "verify", "clean",
+    "warm",
 )  # fmt: skip
 """Order of the commands in the help: the way in, missions, atmosphere and rays, results."""
 

@@ -9,9 +9,9 @@ from typing import Annotated
 
 import typer
 
-from pipeline.caches import empty_caches, user_cache
+from pipeline.caches import compiled_code, empty_caches, user_cache
 from pipeline.cli.app import Answer, AsJson, Quiet, app
-from pipeline.errors import ConfigError, storage_errors
+from pipeline.errors import ConfigError, StorageError, storage_errors
 from pipeline.report.words import count
 
 
@@ -133,3 +133,25 @@ def clean(*, quiet: Quiet = False, as_json: AsJson = False) -> None:
         answer.print_paths([f"  {what['path']}"])
     if not removed:
         answer.console.print("nothing is kept")
+
+
+@app.command(epilog="Example: unbend warm")
+def warm(*, quiet: Quiet = False, as_json: AsJson = False) -> None:
+    """Compile ahead all that runs may need: half a minute, once.
+
+    For images of containers and for many machines: the code goes where NUMBA_CACHE_DIR says, or to
+    the user's cache, and serves this version of the program on processors of this kind.
+    """
+    answer = Answer(quiet=quiet, as_json=as_json)
+    with answer.progress("compiling"):
+        from pipeline.library import compile_kernels
+        from pipeline.refraction.kernels.jit import cache_folder
+
+        folder = cache_folder()
+        if folder is None:
+            remedy = "mend its permissions, or name another folder in NUMBA_CACHE_DIR"
+            what = "compiled code cannot be kept there"
+            raise StorageError("STORAGE-WRITE", what, where=compiled_code(), remedy=remedy)
+        compile_kernels()
+    answer.print_json({"compiled": folder})
+    answer.print_paths([folder])

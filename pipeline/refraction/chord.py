@@ -16,6 +16,7 @@ from pipeline.refraction.kernels.columns import (
     ObservationColumns,
     RayColumns,
 )
+from pipeline.refraction.kernels.ray import ray_heights
 from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.ray import DEFAULT_RADIUS_M, PublishedRays, as_columns, bend
 from pipeline.refraction.ray_table import RayTable
@@ -68,9 +69,6 @@ def height_at_distance(
     >>> h_g.round(4).item(), status.item()
     (600.2176, 0)
     """
-    # The compiled functions are imported with the first ray, not with the package.
-    from pipeline.refraction.kernels.ray import ray_heights
-
     shape, (h_c, sin_z, cos_z, distance, radius) = as_columns(
         h_c, sin_zeta_c, cos_zeta_c, distance, radius
     )

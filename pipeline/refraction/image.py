@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.geodesy import principal_radii
 from pipeline.refraction.camera.camera import Camera
+from pipeline.refraction.kernels import image as kernel
 from pipeline.refraction.kernels.columns import (
     COS,
     H_C,
@@ -160,9 +161,6 @@ def correct_observations(
     1e-10 px, whatever the size of the pixel coordinates. Rows of one exposure that follow each
     other are fastest.
     """
-    # The compiled functions are imported with the first ray, not with the package.
-    from pipeline.refraction.kernels.image import shift_back
-
     n = x_px.size
     distance = np.full(n, np.nan) if distance_m is None else distance_m
     sigma_h_g = np.full(n, np.nan) if sigma_h_g is None else sigma_h_g
@@ -194,7 +192,7 @@ def correct_observations(
         part["r_c_rad"][:], status[rows] = r_c, traced.status
         part["zeta_c_rad"][:] = np.arctan2(rays[SIN], rays[COS])
         shifts = ShiftColumns(part["dx_px"], part["dy_px"], part["shift_ground_m"])
-        shift_back(observed, *setup, traced, shifts)
+        kernel.shift_back(observed, *setup, traced, shifts)
         part["x_px"][:] = observed.x + part["dx_px"]
         part["y_px"][:] = observed.y + part["dy_px"]
         if sigmas is not None and uncertainty is not None:
@@ -208,9 +206,6 @@ def outgoing_rays(
     observed: ObservationColumns, camera: CameraConstants, exposures: ExposureColumns
 ) -> tuple[Array, Array, NDArray[np.uint8]]:
     """The matrix of rays that pixels see outside the window, R_cc [rad] and status."""
-    # The compiled functions are imported with the first ray, not with the package.
-    from pipeline.refraction.kernels import image as kernel
-
     n = observed.x.size
     rays, r_cc, status = np.empty((RAY_ROWS, n)), np.empty(n), np.empty(n, np.uint8)
     kernel.outgoing_rays(observed, camera, exposures, rays, (status, r_cc))
@@ -260,9 +255,6 @@ def straight_reach(
     >>> straight_reach(3000.0, 1000.0, 0.8, radius=6371e3, far=[False, True]).round(3).tolist()
     [2500.221, 10195899.779]
     """
-    # The compiled functions are imported with the first ray, not with the package.
-    from pipeline.refraction.kernels import image as kernel
-
     shape, (h_c, h_g, cosine, radius, far) = as_columns(h_c, h_g, cos_zeta, radius, far)
     distance = np.empty(h_c.shape)
     kernel.straight_reach(

@@ -27,6 +27,7 @@ from pipeline.refraction.kernels.columns import (
     TerrainRays,
     TerrainState,
 )
+from pipeline.refraction.kernels.terrain import divide_differences, follow_rays
 from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.ray import PublishedRays, bend
 from pipeline.refraction.ray_table import RayTable, ray_table
@@ -274,9 +275,6 @@ def _follow(
     paths: TerrainRays, end: Array, at_end: NDArray[np.uint8], terrain: Terrain
 ) -> TerrainHeights:
     """Where rays land, with the tiles read that they come to."""
-    # The compiled functions are imported with the first ray, not with the package.
-    from pipeline.refraction.kernels.terrain import divide_differences, follow_rays
-
     n = end.size
     divide_differences(paths.knot, paths.bend)
     side, gap, wanted = np.zeros(n, np.int8), np.zeros(n, bool), np.full(n, -1)

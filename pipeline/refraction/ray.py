@@ -18,6 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
 from pipeline.refraction.kernels.columns import RayColumns
+from pipeline.refraction.kernels.ray import LEFT, bend_grazing_rays, bend_rays
+from pipeline.refraction.kernels.steep import WORTH_A_TABLE, bend_steep_rays
 from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.published import PUBLISHED
 from pipeline.refraction.published.column import Method, finite
@@ -131,10 +133,6 @@ def bend(
     """
     if isinstance(table, PublishedRays):
         return table.bend(h_c, h_g, sin_zeta_c, cos_zeta_c, radius)
-    # The compiled functions are imported with the first ray, not with the package.
-    from pipeline.refraction.kernels.ray import bend_rays
-    from pipeline.refraction.kernels.steep import LEFT, WORTH_A_TABLE, bend_steep_rays
-
     shape, flat = as_columns(h_c, h_g, sin_zeta_c, cos_zeta_c, radius, distance)
     r_c = np.empty(flat[0].shape)
     status = np.empty(flat[0].shape, np.uint8)
@@ -147,6 +145,9 @@ def bend(
             left = np.flatnonzero(status_rows == LEFT)
         if left.size:
             bend_rays(table.pieces, rays, left, r_c_rows, status_rows)
+            left = left[status_rows[left] == LEFT]
+        if left.size:
+            bend_grazing_rays(table.pieces, rays, left, r_c_rows, status_rows)
 
     in_blocks(bend_block, flat[0].size)
     return r_c.reshape(shape), status.reshape(shape)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,6 +14,7 @@ from numpy.typing import NDArray
 from pipeline.errors import InputError
 from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import SECONDS_PER_WEEK, utc_of_gps
+from pipeline.refraction.kernels.jit import entry
 from pipeline.tables.column_checks import no_such_column
 from pipeline.units import (
     NANOSECONDS_PER_SECOND,
@@ -29,6 +28,7 @@ from pipeline.units import (
 
 Hashes = NDArray[np.uint64]
 
+_FEW_NAMES = 50_000  # take less time letter by letter than compiled code takes to load
 _WEEK_NS = SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND
 
 
@@ -164,28 +164,36 @@ def utc_of_columns(
     return utc_of_weeks(np.where(good, week, np.nan), seconds, "gpst"), good
 
 
-@lru_cache(maxsize=1)
-def _compiled() -> Callable[..., Any]:
-    """FNV-1a of each of many names, its bits mixed: 10 ns a name. numba is imported here."""
-    from pipeline.refraction.kernels.jit import entry
+@entry(rows=2)
+def fnv_1a(data, begin, found):  # type: ignore[no-untyped-def]
+    """Fill ``found`` with FNV-1a of each of many names, its bits mixed: 10 ns a name."""
+    for row in range(found.size):
+        bits = np.uint64(0xCBF29CE484222325)
+        for k in range(begin[row], begin[row + 1]):
+            bits = (bits ^ np.uint64(data[k])) * np.uint64(0x100000001B3)
+        bits = (bits ^ (bits >> np.uint64(32))) * np.uint64(0xD6E8FEB86659FD93)
+        found[row] = bits ^ (bits >> np.uint64(32))
 
-    def fnv_1a(data, begin, found):  # type: ignore[no-untyped-def]
-        for row in range(found.size):
-            bits = np.uint64(0xCBF29CE484222325)
-            for k in range(begin[row], begin[row + 1]):
-                bits = (bits ^ np.uint64(data[k])) * np.uint64(0x100000001B3)
-            bits = (bits ^ (bits >> np.uint64(32))) * np.uint64(0xD6E8FEB86659FD93)
-            found[row] = bits ^ (bits >> np.uint64(32))
 
-    return entry(fnv_1a)
+def _of_few(text: NDArray[np.uint8], begin: NDArray[np.int32]) -> Hashes:
+    """What `fnv_1a` finds, letter by letter over all names: nothing is compiled."""
+    length, found = np.diff(begin), np.full(begin.size - 1, 0xCBF29CE484222325, np.uint64)
+    for k in range(length.max(initial=0)):
+        rows = np.flatnonzero(length > k)
+        found[rows] = (found[rows] ^ text[begin[rows] + k]) * np.uint64(0x100000001B3)
+    mixed = (found ^ (found >> np.uint64(32))) * np.uint64(0xD6E8FEB86659FD93)
+    return np.asarray(mixed ^ (mixed >> np.uint64(32)))
 
 
 def hashes_of(names: pa.StringArray) -> Hashes:
     """(n,) 64 bits of each name, the same for the same name anywhere; null as an empty name."""
     _, offsets, data = names.buffers()
     begin = np.frombuffer(offsets, np.int32, len(names) + 1, 4 * names.offset)
+    text = np.frombuffer(data or b"\0", np.uint8)
+    if len(names) <= _FEW_NAMES:
+        return _of_few(text, begin)
     found = np.empty(len(names), np.uint64)
-    _compiled()(np.frombuffer(data or b"\0", np.uint8), begin, found)
+    fnv_1a(text, begin, found)
     return found
 
 

@@ -22,6 +22,7 @@ pytestmark = pytest.mark.usefixtures("eighty_columns")
 COMMANDS = (
     "init", "schema", "help", "run", "check", "status", "stations", "inspect", "angle", "radial",
     "tables", "profile", "compare", "simulate", "export", "verify", "clean",
+    "warm",
 )  # fmt: skip
 
 

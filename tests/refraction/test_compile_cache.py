@@ -20,6 +20,8 @@ ROOM = Path(pipeline.__file__).parent / "refraction"
 DISTORTED = """
 import numpy as np
 from pipeline.refraction import BrownConrady, Camera
+from pipeline.refraction.kernels.jit import Kernel
+Kernel.always_compiled = True
 camera = Camera(1000, 1000, 1000.0, 1000.0, 0.0, 0.0, BrownConrady(k1=0.5))
 print(camera.rays(np.array([100.0]), np.array([0.0]))[0][0])
 """
@@ -81,7 +83,7 @@ def test_nothing_is_written_where_nothing_can_be(tree, tmp_path):
     blocked.write_text("")
     assert (
         run(
-            "from pipeline.refraction.kernels.jit import _CACHE as c; print(c)",
+            "from pipeline.refraction.kernels.jit import cache_folder; print(cache_folder())",
             tree,
             blocked / "cache",
         )

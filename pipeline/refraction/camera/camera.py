@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from pipeline.refraction.camera import model_of
 from pipeline.refraction.camera.brown_conrady import BrownConrady
 from pipeline.refraction.kernels.columns import RAY_ROWS, CameraConstants, U, V
+from pipeline.refraction.kernels.image import rays_of_pixels
 from pipeline.units import Array, Mask
 
 NO_DISTORTION = BrownConrady()
@@ -73,9 +74,6 @@ class Camera:
         >>> camera.project(u, v)[0].round(9).tolist(), covered.tolist()
         ([500.0, 950.0], [True, True])
         """
-        # The compiled functions are imported with the first ray, not with the package.
-        from pipeline.refraction.kernels.image import rays_of_pixels
-
         x, y = (np.ascontiguousarray(a, np.float64) for a in (x_px, y_px))
         rays = np.empty((RAY_ROWS, x.size))
         rays_of_pixels(x, y, self.constants, rays)

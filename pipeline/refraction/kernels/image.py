@@ -6,10 +6,8 @@ without a branch runs four rays at a time. ``span`` is the pair of first row and
 """
 
 import math
-from typing import Any
 
 import numpy as np
-from numba.extending import overload
 
 from pipeline.refraction.camera import model_of
 from pipeline.refraction.kernels.columns import (
@@ -23,7 +21,7 @@ from pipeline.refraction.kernels.columns import (
     U,
     V,
 )
-from pipeline.refraction.kernels.jit import entry, jit, within
+from pipeline.refraction.kernels.jit import OfType, entry, jit, within
 from pipeline.refraction.status_codes import (
     BAD_MEASUREMENT,
     FAR_BRANCH,
@@ -34,27 +32,8 @@ from pipeline.refraction.status_codes import (
     OUTSIDE_PROFILE,
 )
 
-
-def distort(u: Any, v: Any, parameters: Any) -> Any:
-    """`distort` of the model that the type of the parameters names; compiled code only."""
-    raise NotImplementedError
-
-
-def slopes(u: Any, v: Any, parameters: Any) -> Any:
-    """`slopes` of the model that the type of the parameters names; compiled code only."""
-    raise NotImplementedError
-
-
-@overload(distort)
-def _distort_of_model(u, v, parameters):  # type: ignore[no-untyped-def]
-    compiled = jit(model_of(parameters.instance_class).distort)
-    return lambda u, v, parameters: compiled(u, v, parameters)
-
-
-@overload(slopes)
-def _slopes_of_model(u, v, parameters):  # type: ignore[no-untyped-def]
-    compiled = jit(model_of(parameters.instance_class).slopes)
-    return lambda u, v, parameters: compiled(u, v, parameters)
+distort = OfType(lambda parameters: model_of(parameters).distort)
+slopes = OfType(lambda parameters: model_of(parameters).slopes)
 
 
 @jit
@@ -103,7 +82,7 @@ def _ideal(span, pixels, camera, change_px, rays):  # type: ignore[no-untyped-de
                 u[i], v[i] = a, b
 
 
-@entry
+@entry(rows=0, most=6000)
 def rays_of_pixels(x, y, camera, rays):  # type: ignore[no-untyped-def]
     """Fill the rows `U` and `V` of pixels; NaN where the camera does not cover them."""
     _ideal((np.uint64(0), np.uint64(x.size)), (x, y), camera, 0.0, rays)
@@ -122,7 +101,7 @@ def _snell(cos_in, sin2, excess):  # type: ignore[no-untyped-def]
     return forward, excess * excess * sin2 + forward * forward
 
 
-@entry
+@entry(rows=4, most=3000)
 def refract_directions(direction, normal, excess, change, angle):  # type: ignore[no-untyped-def]
     """Fill the change (n, 3) of directions at planes, and the angle it amounts to (n,) [rad]."""
     for i in range(angle.size):
@@ -132,7 +111,7 @@ def refract_directions(direction, normal, excess, change, angle):  # type: ignor
             cos_in = math.nan
         for k in range(3):
             tangent[k] = d[k] - cos_in * normal_i[k]
-        sin2 = tangent[0] ** 2 + tangent[1] ** 2 + tangent[2] ** 2
+        sin2 = tangent[0] * tangent[0] + tangent[1] * tangent[1] + tangent[2] * tangent[2]
         forward, length2 = _snell(cos_in, sin2, excess[i])
         for k in range(3):
             tangent[k] = excess[i] * tangent[k] + forward * normal_i[k]
@@ -243,7 +222,7 @@ def _flag_without_ray(span, rays, outside, r_cc, status):  # type: ignore[no-unt
                 rays[k, i] = math.nan
 
 
-@entry
+@entry(rows=0, most=6000)
 def outgoing_rays(observed, camera, exposures, rays, status_and_r_cc):  # type: ignore[no-untyped-def]
     """Fill the matrix of rays, a status where there is no ray to follow, and R_cc.
 
@@ -291,7 +270,7 @@ def _reach(cos_z, h_c, h_g, radius, far):  # type: ignore[no-untyped-def]
     return distance if distance >= 0.0 else math.nan
 
 
-@entry
+@entry(rows=2, most=3000)
 def straight_reach(rays, far, distance):  # type: ignore[no-untyped-def]
     """Fill the distances at which the straight lines of `RayColumns` meet their target heights.
 
@@ -301,7 +280,7 @@ def straight_reach(rays, far, distance):  # type: ignore[no-untyped-def]
         distance[i] = _reach(rays.cos_c[i], rays.h_c[i], rays.h_g[i], rays.r_e[i], far[i])
 
 
-@entry
+@entry(rows=0, most=6000)
 def shift_back(observed, camera, exposures, traced, shifts):  # type: ignore[no-untyped-def]
     """Fill the shifts in the image and on the ground that refraction angles amount to."""
     h_g, exposure = observed.h_g, observed.exposure
@@ -318,7 +297,8 @@ def shift_back(observed, camera, exposures, traced, shifts):  # type: ignore[no-
             apparent[k] = rays[APPARENT + k, i]
         # The direction turns towards the nadir; zero for a ray at the nadir.
         sin_z, cos_z = rays[SIN, i], rays[COS, i]
-        back, sin_r = -2.0 * math.sin(0.5 * r_c[i]) ** 2, math.sin(r_c[i])
+        half, sin_r = math.sin(0.5 * r_c[i]), math.sin(r_c[i])
+        back = -2.0 * (half * half)
         inward = sin_r * cos_z / sin_z if sin_z > 0.0 else 0.0
         lower[0], lower[1] = apparent[0] * (back - inward), apparent[1] * (back - inward)
         lower[2] = apparent[2] * back - sin_r * sin_z
@@ -345,5 +325,6 @@ def shift_back(observed, camera, exposures, traced, shifts):  # type: ignore[no-
         true = _reach(-apparent[2] - lower[2], h_c, h_g[i], radius, far)
         apart2 = 0.0
         for k in range(3):
-            apart2 += (seen[k] * raw - (apparent[k] + lower[k]) * true) ** 2
+            apart = seen[k] * raw - (apparent[k] + lower[k]) * true
+            apart2 += apart * apart
         shift_ground[i] = math.sqrt(apart2)

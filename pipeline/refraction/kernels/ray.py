@@ -30,6 +30,24 @@ from pipeline.refraction.status_codes import (
     OUTSIDE_PROFILE,
 )
 
+LEFT = 255
+"""Mark of a ray that is left to another kernel."""
+
+
+@jit
+def crosses_once(table, ray, h_g):  # type: ignore[no-untyped-def]
+    """Whether a ray meets a height once only, or is so steep that this needs no further test."""
+    h_c, r_e = ray.h_c, ray.r_e
+    # At the camera's own height the far crossing of a level ray is the near one.
+    if not (h_g < h_c or (h_g == h_c and ray.cos_c > 1e-9)):
+        return True
+    # Whether the ray turns above the ground, and so meets heights below h_c twice. The straight
+    # line's lowest point lies deeper than the ray's, by less than a fifth in any air in which n
+    # falls with height; a line that goes far below the floor needs no further test.
+    floor = max(table.edge[0], min(LOWEST_TERRAIN_M, h_g))
+    depth = h_c - floor + 100.0
+    return (r_e + h_c) * ray.cos_c * ray.cos_c > 2.0 * (1.0 + ray.sin_c) * depth
+
 
 @jit
 def crossing_meant(table, ray, angle, h_g, distance):  # type: ignore[no-untyped-def]
@@ -38,17 +56,10 @@ def crossing_meant(table, ray, angle, h_g, distance):  # type: ignore[no-untyped
     A ray that turns above the ground meets a height twice. ``distance`` is the slant range [m] that
     decides which crossing is meant; NaN where unknown: the near one, status `BEYOND_GRAZING`.
     """
-    h_c, r_e = ray.h_c, ray.r_e
-    # At the camera's own height the far crossing of a level ray is the near one.
-    if not (h_g < h_c or (h_g == h_c and ray.cos_c > 1e-9)):
+    h_c = ray.h_c
+    if crosses_once(table, ray, h_g):
         return angle, OK
-    # Whether the ray turns above the ground, and so meets heights below h_c twice. The straight
-    # line's lowest point lies deeper than the ray's, by less than a fifth in any air in which n
-    # falls with height; a line that goes far below the floor needs no further test.
     floor = max(table.edge[0], min(LOWEST_TERRAIN_M, h_g))
-    depth = h_c - floor + 100.0
-    if (r_e + h_c) * ray.cos_c * ray.cos_c > 2.0 * (1.0 + ray.sin_c) * depth:
-        return angle, OK
     if not excess(table, ray, piece(table.edge, floor), floor) < 0.0:
         return angle, OK
     if not distance > 0.0:
@@ -128,7 +139,7 @@ def small_angle(tangent):  # type: ignore[no-untyped-def]
     return tangent - tangent * square * (1.0 / 3.0 - square * (0.2 - square / 7.0))
 
 
-@entry
+@jit
 def bend_by_difference(table, ray, h_g):  # type: ignore[no-untyped-def]
     """R_c from the difference between straight and bent ray, both on their way to h_g.
 
@@ -140,7 +151,7 @@ def bend_by_difference(table, ray, h_g):  # type: ignore[no-untyped-def]
     index2 = index_c * index_c
     s = r_c * ray.sin_c
     # (r cos z)^2 along the straight line is linear in r^2.
-    b2_c = (r_c * ray.cos_c) ** 2
+    b2_c = (r_c * ray.cos_c) * (r_c * ray.cos_c)
     b2_g = b2_c - (h_c - h_g) * (r_c + r_g)
     steep = min(b2_g, b2_c) > 0.9 * max(b2_g, b2_c)
     low, high = min(h_c, h_g), max(h_c, h_g)
@@ -179,7 +190,7 @@ def bend_by_difference(table, ray, h_g):  # type: ignore[no-untyped-def]
     return math.atan2(aside, ahead)
 
 
-@entry
+@jit
 def bend_by_subtended(table, ray, h_g):  # type: ignore[no-untyped-def]
     """R_c from the subtended angle (Gyer 1996, Eq. 11, 12, 15), good at and beyond grazing."""
     h_c = ray.h_c
@@ -193,9 +204,13 @@ def bend_by_subtended(table, ray, h_g):  # type: ignore[no-untyped-def]
     return angle_to(ray, theta, h_g)
 
 
-@entry
+@entry(rows=2, most=6000)
 def bend_rays(table, rays, which, angle, status):  # type: ignore[no-untyped-def]
-    """Fill ``angle`` [rad] and ``status`` for the rays of `RayColumns` that ``which`` numbers."""
+    """Fill ``angle`` [rad] and ``status`` for the rays of `RayColumns` that ``which`` numbers.
+
+    Those that the difference form does not serve, or that may meet their height twice, get the
+    status `LEFT`, and the angle NaN or of the near crossing.
+    """
     slack = 1e-6
     bottom, top = table.edge[0] - slack, table.edge[-1] + slack
     for i in which:
@@ -211,17 +226,31 @@ def bend_rays(table, rays, which, angle, status):  # type: ignore[no-untyped-def
             status[i] = MISSES_GROUND
         else:
             ray = ray_at(table, h_c, sin_c, cos_c, r_e)
-            b2_c = ((r_e + h_c) * ray.cos_c) ** 2
+            level = (r_e + h_c) * ray.cos_c
+            b2_c = level * level
             b2_g = b2_c - (h_c - h_g) * (2.0 * r_e + h_c + h_g)
-            bent = 0.0 if h_g == h_c else math.nan
-            turns = h_g > h_c and ray.cos_c > 0.0
-            if h_g != h_c and not turns and min(b2_c, b2_g) >= _GRAZING_GUARD * max(b2_c, b2_g):
-                bent = bend_by_difference(table, ray, h_g)
-            if math.isnan(bent):
-                bent = bend_by_subtended(table, ray, h_g)
-            status[i] = MISSES_GROUND
-            if not math.isnan(bent):
-                angle[i], status[i] = crossing_meant(table, ray, bent, h_g, rays.distance[i])
+            if h_g == h_c:
+                angle[i] = 0.0
+            elif not (h_g > h_c and ray.cos_c > 0.0) and (
+                min(b2_c, b2_g) >= _GRAZING_GUARD * max(b2_c, b2_g)
+            ):
+                angle[i] = bend_by_difference(table, ray, h_g)
+            once = not math.isnan(angle[i]) and crosses_once(table, ray, h_g)
+            status[i] = OK if once else LEFT
+
+
+@entry(rows=2, most=100)
+def bend_grazing_rays(table, rays, which, angle, status):  # type: ignore[no-untyped-def]
+    """Fill ``angle`` [rad] and ``status`` for rays that `bend_rays` has left."""
+    for i in which:
+        h_g = rays.h_g[i]
+        ray = ray_at(table, rays.h_c[i], rays.sin_c[i], rays.cos_c[i], rays.r_e[i])
+        bent = angle[i]
+        if math.isnan(bent):
+            bent = bend_by_subtended(table, ray, h_g)
+        angle[i], status[i] = math.nan, MISSES_GROUND
+        if not math.isnan(bent):
+            angle[i], status[i] = crossing_meant(table, ray, bent, h_g, rays.distance[i])
 
 
 @jit
@@ -254,7 +283,8 @@ def _search_height(table, ray, distance, search):  # type: ignore[no-untyped-def
         above = excess(table, ray, piece(table.edge, h), h)
         r_c, r_h = ray.r_e + ray.h_c, ray.r_e + h
         turning = sense * ray.k / (r_h * math.sqrt(above * (above + 2.0 * ray.k)))
-        slope = 2.0 * (h - ray.h_c) + 4.0 * r_c * math.sin(0.5 * theta) ** 2
+        half = math.sin(0.5 * theta)
+        slope = 2.0 * (h - ray.h_c) + 4.0 * r_c * (half * half)
         slope += 2.0 * r_c * r_h * math.sin(theta) * turning
         step = -miss / (slope * 2.0 * s) if s > 0.0 else math.nan
         if not s_0 < s + step < s_1:  # also where the slope is no number
@@ -294,7 +324,7 @@ def _ray_height(table, ray, distance):  # type: ignore[no-untyped-def]
     return _search_height(table, ray, distance, search)
 
 
-@entry
+@entry(rows=2, most=100)
 def ray_heights(table, rays, height, status):  # type: ignore[no-untyped-def]
     """Fill ``height`` [m] and ``status`` for `RayColumns` at their distances; h_g is not read."""
     edge = table.edge

@@ -180,7 +180,8 @@ def _in_the_image(along, across, motion, air, s):  # type: ignore[no-untyped-def
     # A tilt turns the nadir: zeta by its part in the ray's plane, the plane by that across it.
     k_e, k_p = -motion.d_zeta * along, motion.swing * across
     turned2 = s[TILT2] * (k_e * k_e + k_p * k_p)
-    turned2 += s[YAW2] * (k_e * motion.yaw_along + k_p * motion.yaw_across) ** 2
+    by_yaw = k_e * motion.yaw_along + k_p * motion.yaw_across
+    turned2 += s[YAW2] * (by_yaw * by_yaw)
     lift = (along * motion.d_h_c + window * s[WINDOW_BEND]) * s[SIGMA_H]
     return by_air, math.sqrt(turned2 + lift * lift), along * motion.d_h_g
 
@@ -202,7 +203,7 @@ def _axes(turn, ray, east, north):  # type: ignore[no-untyped-def]
     return t, q
 
 
-@entry
+@entry(rows=0, most=6000)
 def propagate(observed, camera_and_rotation, traced, stations_and_air, sigmas):  # type: ignore[no-untyped-def]
     """Fill sigma of R_c [rad], of x and y [px] by air, station and ground, and by the cabin.
 

@@ -19,12 +19,9 @@ from numpy.typing import NDArray
 
 from pipeline.refraction.kernels.columns import HINT_M
 from pipeline.refraction.kernels.jit import entry, jit, within
-from pipeline.refraction.kernels.ray import Triangle, sides_of, small_angle
+from pipeline.refraction.kernels.ray import LEFT, Triangle, sides_of, small_angle
 from pipeline.refraction.status_codes import OK
 from pipeline.units import Array
-
-LEFT = 255
-"""Mark of a ray that must be integrated by itself."""
 
 # A table of moments costs as much as this many integrals.
 WORTH_A_TABLE = 24
@@ -259,7 +256,7 @@ def _to_interval(n, air, i, camera, rays):  # type: ignore[no-untyped-def]
         w[j] = 1.0 / (cos_c[j] * cos_c[j])
         x[j] = 1.0 / (r_e[j] + h_c)
     # Class of lengths of the series that is enough for all rays it serves.
-    largest, drop, bend, size = camera.table[i, -1], -1.0, -1.0, -1
+    largest, drop, bend, size = camera.table[i, -1], -1.0, -1.0, _DROP.size
     for j in range(n):
         if largest * w[j] <= _LARGEST_BEND:
             fall = 2.0 * (h_c - h_g[j]) * w[j] * x[j]
@@ -268,7 +265,7 @@ def _to_interval(n, air, i, camera, rays):  # type: ignore[no-untyped-def]
     for c in range(_DROP.size - 1, -1, -1):
         if bend >= 0.0 and drop <= _DROP[c] and bend <= _BEND[c]:
             size = c
-    if size < 0:
+    if size == _DROP.size:
         return False
     _series(n, camera.table[i + 1], size, camera.x, rays)
     _rest(n, air, i, camera, rays)
@@ -320,7 +317,7 @@ def _bend_group(air, group, table, numbers, rays):  # type: ignore[no-untyped-de
                 status[i] = LEFT
 
 
-@entry
+@entry(rows=2, most=2000)
 def bend_steep_rays(air, rays, angle, status):  # type: ignore[no-untyped-def]
     """Fill ``angle`` [rad] and ``status`` of the steep rays among many from the same heights.
 

@@ -253,16 +253,15 @@ def subtended_through_turn(table, ray):  # type: ignore[no-untyped-def]
 @jit
 def chord2(ray, theta, h):  # type: ignore[no-untyped-def]
     """Square of the straight distance to a point at height h that the ray sees theta away."""
-    return (ray.h_c - h) ** 2 + 4.0 * (ray.r_e + ray.h_c) * (ray.r_e + h) * math.sin(
-        0.5 * theta
-    ) ** 2
+    drop, half = ray.h_c - h, math.sin(0.5 * theta)
+    return drop * drop + 4.0 * (ray.r_e + ray.h_c) * (ray.r_e + h) * (half * half)
 
 
 @jit
 def angle_to(ray, theta, h_g):  # type: ignore[no-untyped-def]
     """R_c of the point at height h_g where the ray has subtended theta (Gyer 1996, Eq. 11)."""
-    across = math.sin(theta)
-    along = (ray.h_c - h_g) / (ray.r_e + h_g) + 2.0 * math.sin(0.5 * theta) ** 2
+    across, half = math.sin(theta), math.sin(0.5 * theta)
+    along = (ray.h_c - h_g) / (ray.r_e + h_g) + 2.0 * (half * half)
     return math.atan2(
         ray.sin_c * along - ray.cos_c * across, ray.cos_c * along + ray.sin_c * across
     )

@@ -264,7 +264,7 @@ def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
     state.t[ray], state.side[ray], state.gap[ray], state.result[ray] = t, side, gap, result
 
 
-@entry
+@entry(rows=1)
 def follow_rays(rays, which, grid, state):  # type: ignore[no-untyped-def]
     """Follow the rays that ``which`` numbers over a `TerrainGrid`, from where they are.
 
@@ -291,7 +291,7 @@ def follow_rays(rays, which, grid, state):  # type: ignore[no-untyped-def]
         _follow(path, grid, i, state)
 
 
-@entry
+@entry(rows=0)
 def divide_differences(knot, value):  # type: ignore[no-untyped-def]
     """Newton's divided differences of ``value`` (n, k) at ``knot`` (n, k), in its place."""
     for i in range(knot.shape[0]):
@@ -300,7 +300,7 @@ def divide_differences(knot, value):  # type: ignore[no-untyped-def]
                 value[i, k] = (value[i, k] - value[i, k - 1]) / (knot[i, k] - knot[i, k - order])
 
 
-@entry
+@entry(rows=0)
 def extremes_of_tile(tile, low, high):  # type: ignore[no-untyped-def]
     """Fill lowest and highest node of the blocks of a tile; infinite where all are unknown."""
     for k in range(low.shape[0]):

@@ -14,6 +14,7 @@ from pipeline.refraction.kernels.columns import (
     ObservationColumns,
     TracedColumns,
 )
+from pipeline.refraction.kernels.sigma import propagate
 from pipeline.refraction.uncertainty.air_sigma import AirMode, AirSigma
 from pipeline.units import Array, Rows
 
@@ -113,9 +114,6 @@ class Sigmas:
         traced: TracedColumns,
     ) -> None:
         """Fill in the standard deviations of observations that have been traced to the ground."""
-        # The compiled functions are imported with the first ray, not with the package.
-        from pipeline.refraction.kernels.sigma import propagate
-
         camera, exposures = setup
         propagate(
             observed, (camera, exposures.rotation), traced,

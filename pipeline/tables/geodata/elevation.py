@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pipeline.errors import InputError
 from pipeline.ledger import Notes, note, warning
 from pipeline.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
+from pipeline.refraction.kernels.terrain import extremes_of_tile
 from pipeline.tables.geodata.coordinate_systems import GridSystem, grid_system
 from pipeline.units import Array, Integers, Mask
 
@@ -120,8 +121,6 @@ class ElevationModel:
 
     def load(self, tiles: Integers) -> None:
         """Read tiles that are not in memory, as many as fit there, in the place of others."""
-        from pipeline.refraction.kernels.terrain import extremes_of_tile
-
         grid = self.grid
         wanted = sorted(tiles[: grid.tiles.shape[0]].tolist())  # neighbours share blocks of files
         for tile in wanted:
