@@ -135,7 +135,7 @@ def clean(*, quiet: Quiet = False, as_json: AsJson = False) -> None:
         answer.console.print("nothing is kept")
 
 
-@app.command(epilog="Example: unbend warm")
+@app.command(epilog="Example: unbend warm --json")
 def warm(*, quiet: Quiet = False, as_json: AsJson = False) -> None:
     """Compile ahead all that runs may need: half a minute, once.
 

@@ -158,7 +158,7 @@ def _linked(function: Any, compiled: bool, cache: bool = False) -> Callable[...,
     if isinstance(function, OfType):
         return function.compiled() if compiled else function
     within = function.__globals__
-    names = {} if compiled else {"math": _MATH, "np": _NUMPY}
+    names: dict[str, Any] = {} if compiled else {"math": _MATH, "np": _NUMPY}
     for name in function.__code__.co_names:
         value = within.get(name)
         if isinstance(value, OfType) or (isinstance(value, FunctionType) and value in _OPTIONS):
@@ -193,7 +193,7 @@ class Kernel:
     @property
     def cached(self) -> bool:
         """Whether the cache has it, for some types of arguments."""
-        code: Any = self.function.__code__  # type: ignore[attr-defined]
+        code: Any = self.function.__code__
         name = f"{self.function.__module__.rpartition('.')[2]}.{self.function.__qualname__}"
         python = f"py{sys.version_info.major}{sys.version_info.minor}{sys.abiflags}"
         return f"{name}-{code.co_firstlineno}.{python}.nbi" in _in_cache()
