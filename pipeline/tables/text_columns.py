@@ -175,26 +175,21 @@ def fnv_1a(data, begin, found):  # type: ignore[no-untyped-def]
         found[row] = bits ^ (bits >> np.uint64(32))
 
 
-def _of_few(text: NDArray[np.uint8], begin: NDArray[np.int32]) -> Hashes:
-    """What `fnv_1a` finds, letter by letter over all names: nothing is compiled."""
-    length, found = np.diff(begin), np.full(begin.size - 1, 0xCBF29CE484222325, np.uint64)
-    for k in range(length.max(initial=0)):
-        rows = np.flatnonzero(length > k)
-        found[rows] = (found[rows] ^ text[begin[rows] + k]) * np.uint64(0x100000001B3)
-    mixed = (found ^ (found >> np.uint64(32))) * np.uint64(0xD6E8FEB86659FD93)
-    return np.asarray(mixed ^ (mixed >> np.uint64(32)))
-
-
 def hashes_of(names: pa.StringArray) -> Hashes:
     """(n,) 64 bits of each name, the same for the same name anywhere; null as an empty name."""
     _, offsets, data = names.buffers()
     begin = np.frombuffer(offsets, np.int32, len(names) + 1, 4 * names.offset)
     text = np.frombuffer(data or b"\0", np.uint8)
-    if len(names) <= _FEW_NAMES:
-        return _of_few(text, begin)
-    found = np.empty(len(names), np.uint64)
-    fnv_1a(text, begin, found)
-    return found
+    if len(names) > _FEW_NAMES:
+        found = np.empty(len(names), np.uint64)
+        fnv_1a(text, begin, found)
+        return found
+    length, found = np.diff(begin), np.full(len(names), 0xCBF29CE484222325, np.uint64)
+    for k in range(length.max(initial=0)):  # letter by letter over all names
+        rows = np.flatnonzero(length > k)
+        found[rows] = (found[rows] ^ text[begin[rows] + k]) * np.uint64(0x100000001B3)
+    found = (found ^ (found >> np.uint64(32))) * np.uint64(0xD6E8FEB86659FD93)
+    return np.asarray(found ^ (found >> np.uint64(32)))
 
 
 def rows_among(hashes: Hashes, wanted: Hashes) -> Integers:

@@ -86,25 +86,6 @@ def cache_folder() -> str | None:
     return folder
 
 
-def _compiled(function: Callable[..., Any], cache: bool, **options: Any) -> Callable[..., Any]:
-    import numba
-
-    # numba looks for the folder when a function is decorated; others in this process keep theirs.
-    config, folder = numba.config, cache_folder()
-    theirs, config.CACHE_DIR = config.CACHE_DIR, folder or ""
-    try:
-        compiled: Callable[..., Any] = numba.njit(
-            cache=cache and folder is not None,
-            error_model="numpy",
-            nogil=True,
-            no_cfunc_wrapper=True,
-            **options,
-        )(function)
-        return compiled
-    finally:
-        config.CACHE_DIR = theirs
-
-
 def _of_libm(function: Callable[..., float]) -> Callable[..., Any]:
     """A function of the C library as compiled code has it: NaN where it has no value."""
 
@@ -169,12 +150,24 @@ def _linked(function: Any, compiled: bool, cache: bool = False) -> Callable[...,
     copy.__module__, copy.__qualname__ = function.__module__, function.__qualname__
     if not compiled:
         return copy
+    import numba
+
+    # numba looks for the folder when a function is decorated; others in this process keep theirs.
+    folder = cache_folder()
+    theirs, numba.config.CACHE_DIR = numba.config.CACHE_DIR, folder or ""
     options = {} if cache else _OPTIONS.get(function, {"no_cpython_wrapper": True})
-    return _compiled(copy, cache, **options)
+    try:
+        dispatcher: Callable[..., Any] = numba.njit(
+            cache=cache and folder is not None, error_model="numpy", nogil=True,
+            no_cfunc_wrapper=True, **options,
+        )(copy)  # fmt: skip
+        return dispatcher
+    finally:
+        numba.config.CACHE_DIR = theirs
 
 
 @lru_cache(maxsize=1)
-def _in_cache() -> frozenset[str]:
+def names_in_cache() -> frozenset[str]:
     """Names of the functions that were in the cache when this process began to ask."""
     walked = os.walk(cache_folder() or os.devnull)
     return frozenset(name for *_, names in walked for name in names if name.endswith(".nbi"))
@@ -196,7 +189,7 @@ class Kernel:
         code: Any = self.function.__code__
         name = f"{self.function.__module__.rpartition('.')[2]}.{self.function.__qualname__}"
         python = f"py{sys.version_info.major}{sys.version_info.minor}{sys.abiflags}"
-        return f"{name}-{code.co_firstlineno}.{python}.nbi" in _in_cache()
+        return f"{name}-{code.co_firstlineno}.{python}.nbi" in names_in_cache()
 
     def __call__(self, *arguments: Any) -> Any:
         if self._compiled is None and not Kernel.always_compiled:
