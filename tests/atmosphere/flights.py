@@ -162,6 +162,7 @@ class Sensors:
     pressure_drift_pa: float = 0.0
     pressure_ramp_pa: float = 0.0
     pressure_noise_pa: float = 0.0
+    pressure_scale: float = 0.0
     gnss_offset_m: float = 0.0
     gnss_drift_m: float = 0.0
     gnss_noise_m: float = 0.0
@@ -240,6 +241,7 @@ def fly(
     t += rng.normal(0.0, 1.0, n) * s.noise_k + s.drift_k * walk(rng, seconds, 600.0)
     t += np.where(rng.random(n) < s.outliers, s.outlier_k, 0.0)
     p = truth.at(truth.p, above) + s.pressure_offset_pa
+    p += s.pressure_scale * (truth.p[0] - truth.at(truth.p, above))
     p += s.pressure_drift_pa * walk(rng, seconds, 1200.0) + s.pressure_ramp_pa * seconds / 1380.0
     p += rng.normal(0.0, 1.0, n) * s.pressure_noise_pa
     h = truth.h[0] + above + s.gnss_offset_m + s.gnss_drift_m * walk(rng, seconds, 900.0)

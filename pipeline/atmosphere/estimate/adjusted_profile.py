@@ -36,7 +36,6 @@ from pipeline.atmosphere.estimate.estimate_checks import (
 )
 from pipeline.atmosphere.estimate.external_readings import TimeAndPlace, reason_uninformative
 from pipeline.atmosphere.estimate.sensors import (
-    FAULT_TEXTS,
     Barometer,
     Humidities,
     SensorSettings,
@@ -259,6 +258,7 @@ def _first_that_passes(
             check := has_information(made, background, moisture)
         ):
             check = Check(f"{candidate.reason}, but {check.reason}")
+            remaining = [other for other in remaining if other.basis != "barometer"]
         else:
             check = is_plausible(made, background)
             check = check and is_better_than_background(made, background, moisture)
@@ -315,14 +315,9 @@ def _note_estimate(candidate: Candidate, made: Estimate, ledger: Ledger) -> None
         ledger.fallback("AIR-HUMIDITY-EXPECTED", what)
     if not made.converged:
         ledger.warning("AIR-UNSETTLED", "the estimate did not converge: its last step still moved")
-    learnt = [f.in_units() for f in made.faults if f.sigma < 0.7 * f.prior_sigma]
+    learnt = [f for f in made.faults if f.sigma < 0.7 * f.prior_sigma]
     if learnt:
-        digits = [max(1 - math.floor(math.log10(f.sigma)), 0) for f in learnt]
-        texts = (
-            f"{FAULT_TEXTS[f.fault]} {f.value:.{n}f} ± {f.sigma:.{n}f}"
-            for f, n in zip(learnt, digits, strict=True)
-        )
-        ledger.note("AIR-SENSORS", "; ".join(texts))
+        ledger.note("AIR-SENSORS", "; ".join(map(sensor_checks.described_fault, learnt)))
     for fit in made.fits:
         few = fit.count < FEWEST_TO_INFLATE
         if fit.sigma_inflation > MISFIT or (few and fit.rms > MISFIT):

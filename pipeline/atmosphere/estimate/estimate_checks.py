@@ -219,7 +219,8 @@ def thermometer_is_outside(
     if temperature is None or pressure is None or settings.board_temperature:
         return PASSED
     flown = collect_readings(samples, background, settings)
-    layout = layout_of(flown, background)
+    ordinary = tuple(fault.ordinary for fault in flown.faults)
+    layout = layout_of(replace(flown, faults=ordinary), background)
     others = [readings for readings in flown.sets if not isinstance(readings, Thermometer)]
     prior = prior_of(layout, background, moisture or background)
     without = solve(layout, prior, others, background.profile)

@@ -148,8 +148,9 @@ def collect_readings(
     faults = []
     for fault in expected:
         known = settings.calibration.get(fault.name, SensorCalibration())
+        usual = fault if settings.large_drifts and known.sigma is None else fault.ordinary
         mean = fault.mean if known.mean is None else known.mean
-        faults.append(replace(fault, mean=mean, sigma=known.sigma_or(fault.sigma)))
+        faults.append(replace(usual, mean=mean, sigma=known.sigma_or(usual.sigma)))
     at_sea, level = np.zeros(1), np.array([background.spread.pressure_ratio])
     log_pressure = np.log(background.profile.pressure(at_sea))
     at_sea_level = Pressures("climatology", at_sea, log_pressure, level, robust=False)

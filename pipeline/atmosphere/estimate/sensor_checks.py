@@ -8,7 +8,7 @@ import numpy as np
 from pipeline.atmosphere.air_samples import BIN_M, AirSamples, SensorSamples, bin_by_height
 from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration, SensorSettings
-from pipeline.atmosphere.estimate.solver import Estimate
+from pipeline.atmosphere.estimate.solver import Estimate, FaultEstimate
 from pipeline.atmosphere.estimate.state import SensorFault
 from pipeline.atmosphere.hypsometry import Fall, fall_of_pressure
 from pipeline.atmosphere.profile import Profile
@@ -40,6 +40,12 @@ UNLIKELY_SIGMAS, IMPOSSIBLE_SIGMAS = 5.0, 10.0
 
 CONTRADICTED = 4.0
 """Sigmas between a calibration and the estimate from the flight, at which one must be wrong."""
+
+UNEXPECTED = 2.0
+"""Expected sigmas, and one of its own, beyond which an error that nobody stated is a warning."""
+
+LOST_SHARE, LOST_SIGMAS = 0.01, 3.0
+"""A static pressure that loses more of its change than this, by so many sigmas, is a warning."""
 
 _LEAST_LEARNT = 0.05  # of the expected sigma: an estimate that gained less is no evidence
 _READINGS = {
@@ -74,15 +80,23 @@ def subtract_known_biases(
 def check_calibration(made: Estimate, settings: SensorSettings, ledger: Ledger) -> None:
     """Report a stated calibration that the flight contradicts, and those that are not used.
 
+    An error that is not stated is reported where it is larger than any working sensor's.
+
     If both are right, an estimate departs from what was expected by a sigma whose square is that
     of the expectation less that of the estimate. One wrong value makes others seem wrong, so only
     the worst is named.
     """
     expected = {fault.name: fault.mean for fault in made.readings.faults}
     worst, text = CONTRADICTED, ""
+    large = []
     for estimated in made.faults:
         known, prior = settings.calibration.get(estimated.fault), estimated.prior_sigma
         learnt = prior**2 - estimated.sigma**2
+        limit = UNEXPECTED * prior + estimated.sigma
+        if estimated.fault == SensorFault.PRESSURE_SCALE:
+            limit = max(LOST_SHARE, LOST_SIGMAS * estimated.sigma)
+        if known is None and abs(estimated.value - expected[estimated.fault]) > limit:
+            large.append(described_fault(estimated))
         if known is None or learnt < (_LEAST_LEARNT * prior) ** 2:
             continue
         mean = expected[estimated.fault]
@@ -98,8 +112,18 @@ def check_calibration(made: Estimate, settings: SensorSettings, ledger: Ledger) 
             )
     if text:
         ledger.warning("AIR-CALIBRATION", text, where="atmosphere.sensors")
+    if large:
+        what = f"{'; '.join(large)}: larger than a working sensor's, or another source is wrong"
+        ledger.warning("AIR-SENSORS", what, count=len(large))
     drifts = {drift.name for drift in made.readings.drifts}
     note_unused_calibration(set(settings.calibration) - set(expected) - drifts, ledger)
+
+
+def described_fault(estimated: FaultEstimate) -> str:
+    """A sensor fault with its sigma, for the ledger."""
+    f = estimated.in_units()
+    digits = max(1 - math.floor(math.log10(f.sigma)), 0)
+    return f"{FAULT_TEXTS[f.fault]} {f.value:.{digits}f} ± {f.sigma:.{digits}f}"
 
 
 def note_unused_calibration(faults: set[SensorFault], ledger: Ledger) -> None:

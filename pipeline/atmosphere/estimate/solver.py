@@ -176,7 +176,7 @@ def estimate(
     )
     before = {estimated.fault: estimated for estimated in known}
     faults = [
-        replace(fault, mean=before[fault.name].value, sigma=before[fault.name].sigma)
+        replace(fault, mean=before[fault.name].value, sigma=before[fault.name].sigma, rare=1.0)
         if fault.name in before
         else fault
         for fault in readings.faults
@@ -188,7 +188,7 @@ def estimate(
     profile, covariance = solution.profile(background.profile)
     sigma = np.sqrt(np.diag(solution.covariance))
     estimated = tuple(
-        FaultEstimate(fault.name, float(solution.x[i]), float(sigma[i]), fault.sigma)
+        FaultEstimate(fault.name, float(solution.x[i]), float(sigma[i]), fault.prior_sigma)
         for i, fault in enumerate(layout.faults, layout.level + 1)
     )
     of_solution = (
@@ -249,8 +249,15 @@ def solve(
         converged = step > _HUBER_STEPS + 1 and settled and moved < _CONVERGED_K
         if converged:
             break
-    air = air_of(layout, x, pressure, background.constant)
     covariance = np.asarray(np.linalg.inv(normal), np.float64)
+    for i, fault in enumerate(layout.faults, layout.level + 1):
+        if fault.rare < 1.0:
+            own = float(covariance[i, i])
+            value, mixed = fault.mixed(float(x[i]), own)
+            by_fault = covariance[i] / own
+            x = layout.bounded(x + by_fault * (value - x[i]))
+            covariance += np.outer(by_fault, by_fault) * (mixed - own)
+    air = air_of(layout, x, pressure, background.constant)
     fits = tuple(
         replace(fit, signal_freedom=float(np.sum(covariance * information)))
         for fit, information in of_sets

@@ -10,6 +10,8 @@ import pytest
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.air_samples import AirSamples, SensorSamples, bin_by_height
 from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile, unadjusted
+from pipeline.atmosphere.estimate.sensors import SensorCalibration, SensorSettings
+from pipeline.atmosphere.estimate.state import SensorFault
 from pipeline.ledger import Kind, Ledger
 from pipeline.simulate.true_air import (
     TrueAir,
@@ -55,9 +57,16 @@ def measured(air: TrueAir, climb: float, *, t=True, p=True, rh=True, **change) -
     )
 
 
+EXACT = SensorSettings(calibration={SensorFault.PRESSURE_SCALE: SensorCalibration(sigma=1e-5)})
+"""These readings are clean: their static pressure loses nothing of its change."""
+
+
 def adjust(air_samples: AirSamples, standard=US1976):
     ledger = Ledger()
-    return build_adjusted_profile(air_samples, standard, LATITUDE, ledger), ledger
+    pressure = air_samples.pressure
+    settings = EXACT if pressure is not None and pressure.extent_m > 100.0 else None
+    found = build_adjusted_profile(air_samples, standard, LATITUDE, ledger, settings=settings)
+    return found, ledger
 
 
 def codes(ledger: Ledger, kind: Kind | None = None) -> list[str]:

@@ -25,6 +25,7 @@ LAG = SensorFault.THERMOMETER_LAG
 TRANSIENT = SensorFault.TAKEOFF_TRANSIENT
 OFFSET = SensorFault.PRESSURE_OFFSET
 HEIGHT = SensorFault.GNSS_HEIGHT_OFFSET
+SCALE = {SensorFault.PRESSURE_SCALE: SensorCalibration(sigma=1e-5)}
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +53,7 @@ GOOD = {
     LAG: SensorCalibration(0.0, 0.2),
     DRIFT: SensorCalibration(None, 0.02), OFFSET: SensorCalibration(0.0, 5.0),
     HYGROMETER: SensorCalibration(0.0, 0.005), HEIGHT: SensorCalibration(None, 0.1),
+    **SCALE,
 }  # fmt: skip
 WRONG = {
     BIAS: ({"bias_k": 2.0}, 2.0, 0.1, {"barometer": False}),
@@ -125,7 +127,7 @@ def test_a_thermometer_that_keeps_still_says_more(flights, truth):
 
 def test_a_flight_that_contradicts_the_calibration_says_so(flights, truth):
     sensors = flights.Sensors(bias_k=4.0)
-    _, ledger = flown(flights, truth, sensors, {BIAS: SensorCalibration(0.0, 0.1)})
+    _, ledger = flown(flights, truth, sensors, {BIAS: SensorCalibration(0.0, 0.1), **SCALE})
     (entry,) = [e for e in ledger if e.code == "AIR-CALIBRATION"]
     assert FAULT_TEXTS[BIAS] in entry.what
     assert "0 ± 0.1 by the mission file" in entry.what
@@ -178,7 +180,7 @@ def test_no_sensor_is_refused_for_a_fault_that_is_known(
 ):
     """8 K are too much for a thermometer of which nothing is known, and a barometer's 30 hPa look
     like that many kelvins."""
-    sensors, given = flights.Sensors(**wrong), {name: SensorCalibration(mean, sigma)}
+    sensors, given = flights.Sensors(**wrong), {name: SensorCalibration(mean, sigma), **SCALE}
     found, ledger = flown(flights, truth, sensors, given, descent=descent)
     assert found.basis in ("thermometer", "both")
     codes = {entry.code for entry in ledger}
