@@ -179,14 +179,25 @@ REALISTIC = Sensors(
 
 
 def drawn(rng: np.random.Generator) -> Sensors:
-    """Sensors as bad as the realistic ones are, each in its own way."""
+    """Sensors as bad as the realistic ones are, each in its own way.
+
+    A static pressure loses some 0.2 % of its change: half of what a data sheet allows.
+    """
     return replace(
         REALISTIC,
         bias_k=rng.normal(0.0, 2.0), transient_k=rng.normal(0.0, 4.0),
         transient_s=60.0 * math.exp(rng.normal(0.0, 0.3)), lag_s=rng.uniform(1.0, 25.0),
         drift_k=0.3, pressure_offset_pa=rng.normal(0.0, 40.0), pressure_drift_pa=15.0,
         gnss_offset_m=rng.normal(0.0, 2.0), humidity_bias=rng.normal(0.0, 0.03),
+        pressure_scale=rng.spawn(1)[0].normal(0.0, 0.002),
     )  # fmt: skip
+
+
+def with_any_static(sensors: Sensors, rng: np.random.Generator) -> Sensors:
+    """The same, of which one in ten has a static pressure that loses some per cent."""
+    other = rng.spawn(1)[0]
+    lost = other.normal(0.0, 0.03)
+    return replace(sensors, pressure_scale=lost) if other.random() < 0.1 else sensors
 
 
 def surveyed(rng: np.random.Generator) -> Sensors:
