@@ -1,5 +1,5 @@
 """What is kept only because making it again takes time: compiled code, hashes of inputs,
-states of missions.
+states of missions, templates.
 
 All of it lies in one folder of the user's, and none of it is a result: without it everything is
 the same, later.
@@ -25,11 +25,17 @@ def compiled_code() -> str:
     return os.environ.get("NUMBA_CACHE_DIR") or os.path.join(user_cache(), "numba")
 
 
+def parsed_templates() -> str:
+    """The folder for templates of reports, parsed."""
+    return os.path.join(user_cache(), "templates")
+
+
 def cached() -> Iterator[tuple[str, str]]:
     """What is kept and the path of each: files and folders that exist and are ours."""
     for folder, what, ours in (
         (compiled_code(), "compiled code", OF_COMPILED),
         (user_cache(), "hashes of inputs", re.compile(r"hashes\.sqlite(-\w+)?")),
+        (parsed_templates(), "templates", re.compile(r"\w+\.jinja")),
         (user_cache(), "states of missions", re.compile(r"missions\.sqlite(-\w+)?")),
     ):
         names = sorted(os.listdir(folder)) if os.path.isdir(folder) else []

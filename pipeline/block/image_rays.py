@@ -7,6 +7,7 @@ points (least squares of the angles across the rays), and derivatives of what th
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ MINIMUM_ANGLE_RAD = float(np.radians(3.0))
 """Least angle between two rays of a point that is used."""
 
 _LOWEST_GROUND_M = -600.0
+_standard_atmosphere = lru_cache(1)(standard_atmosphere)
 
 UNKNOWN_SIGMAS = (3.0, 3.0, 6.0, np.radians(1.0), np.radians(1.0), np.radians(3.0))
 """East, north, up [m], tilts and yaw [rad] of a station that does not say: judgement."""
@@ -234,7 +236,7 @@ def straightened(o: Orientations, rays: ImageRays) -> ImageRays:
     cosine = np.sum(down * r.direction, axis=1)
     able = r.oriented & (h_g > _LOWEST_GROUND_M) & (h_g < h_c) & (cosine > 0.05)
     bend, size = np.zeros(cosine.shape), np.sqrt(np.maximum(1.0 - cosine**2, 1e-30))
-    air = standard_atmosphere("us1976")
+    air = _standard_atmosphere("us1976")  # one object, which is tabulated once
     angle = np.arccos(np.clip(cosine[able], -1.0, 1.0))
     bend[able] = np.nan_to_num(refraction_angle(air, h_c[able], h_g[able], angle))
     toward = (down - cosine[:, None] * r.direction) / size[:, None]

@@ -1,16 +1,19 @@
 """``report.html``: one page a mission, without scripts and without anything from a network."""
 
 import json
+import os
 import tomllib
 from collections.abc import Mapping
-from functools import cache
+from contextlib import suppress
+from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FunctionLoader, StrictUndefined
+from jinja2 import Environment, FileSystemBytecodeCache, FunctionLoader, StrictUndefined
 from markupsafe import Markup, escape
 
+from pipeline.caches import parsed_templates
 from pipeline.report import summary, words
 from pipeline.report.flown import QUANTITIES, Flown, utc
 from pipeline.report.page.svg import Axes, arrows, field_arrows, light_png, map_axes
@@ -50,15 +53,20 @@ def report_page(manifest: Mapping[str, Any], flown: Flown) -> str:
     )
 
 
-@cache
+@lru_cache(maxsize=1)
 def environment() -> Environment:
     """Templates of the package; all that is no markup is escaped, unseen characters written out."""
+    cache, folder = None, parsed_templates()
+    with suppress(OSError):  # nothing can be kept: templates are parsed again
+        os.makedirs(folder, exist_ok=True)
+        cache = FileSystemBytecodeCache(folder, "%s.jinja") if os.access(folder, os.W_OK) else None
     made = Environment(
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         extensions=["jinja2.ext.do"],
+        bytecode_cache=cache,
         loader=FunctionLoader(lambda name: (_DATA / name).read_text("utf-8")),
         finalize=lambda value: value if isinstance(value, Markup) else words.visible(str(value)),
     )

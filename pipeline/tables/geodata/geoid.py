@@ -1,12 +1,12 @@
 """Grids of the geoid: EGM96 of the package, or a user's own as GTX or GeoTIFF."""
 
-import lzma
 import struct
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 
 from pipeline.errors import InputError
 from pipeline.geodesy import GeoidGrid
@@ -29,8 +29,11 @@ def package_geoid() -> GeoidGrid:
     >>> round(float(grid.undulation(0.0, 0.0)), 2)  # published: 17.16
     17.16
     """
-    packed = files("pipeline.tables").joinpath("data/egm96_15.gtx.xz").read_bytes()
-    return _grid_of_gtx(lzma.decompress(packed), "EGM96, 15 minutes")
+    # Of all values the first bytes, then the second ...: smaller, and read ten times as fast as xz.
+    packed = files("pipeline.tables").joinpath("data/egm96_15.gtx.zst").read_bytes()
+    content = pa.decompress(packed, _GTX.size + 4 * 721 * 1440, "zstd", asbytes=True)
+    planes = np.frombuffer(content, np.uint8, offset=_GTX.size).reshape(4, -1)
+    return _grid_of_gtx(content[: _GTX.size] + planes.T.tobytes(), "EGM96, 15 minutes")
 
 
 def read_geoid(path: Path) -> GeoidGrid:

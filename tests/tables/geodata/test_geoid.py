@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import lzma
+import hashlib
 import struct
 from importlib.resources import files
 
 import numpy as np
+import pyarrow as pa
 import pyproj
 import pytest
 
@@ -14,6 +15,8 @@ from pipeline.errors import InputError
 from pipeline.geodesy import GeoidGrid
 from pipeline.tables.geodata.geoid import package_geoid, read_geoid
 from pipeline.units import ARCSEC
+
+PUBLISHED_SHA256 = "c02a6eb70a7a78efebe5adf3ade626eb75390e170bb8b3f36136a2c28f5326a0"
 
 
 def gtx(values, south=40.0, west=10.0, step=0.5) -> bytes:
@@ -34,8 +37,12 @@ def places(count):
 
 def test_undulations_are_those_of_proj(tmp_path):
     path = tmp_path / "egm96_15.gtx"
-    packed = files("pipeline.tables").joinpath("data/egm96_15.gtx.xz").read_bytes()
-    path.write_bytes(lzma.decompress(packed))
+    packed = files("pipeline.tables").joinpath("data/egm96_15.gtx.zst").read_bytes()
+    planes = pa.decompress(packed, 40 + 4 * 721 * 1440, "zstd", asbytes=True)
+    values = np.frombuffer(planes, np.uint8, offset=40).reshape(4, -1).T
+    path.write_bytes(planes[:40] + values.tobytes())
+    # The file that PROJ distributes, bit for bit.
+    assert hashlib.sha256(path.read_bytes()).hexdigest() == PUBLISHED_SHA256
     shift = pyproj.Transformer.from_pipeline(f"+proj=vgridshift +grids={path} +multiplier=1")
     lat, lon = places(1000)
     # The forward shift takes a height above the geoid to one above the ellipsoid.
@@ -83,8 +90,12 @@ def test_a_plane_is_exact_and_outside_is_unknown(tmp_path):
 def test_deflections_are_differences_of_projs_undulations(tmp_path):
     """One second of arc around each place, on the ellipsoid by PROJ's own geodesic."""
     path = tmp_path / "egm96_15.gtx"
-    packed = files("pipeline.tables").joinpath("data/egm96_15.gtx.xz").read_bytes()
-    path.write_bytes(lzma.decompress(packed))
+    packed = files("pipeline.tables").joinpath("data/egm96_15.gtx.zst").read_bytes()
+    planes = pa.decompress(packed, 40 + 4 * 721 * 1440, "zstd", asbytes=True)
+    values = np.frombuffer(planes, np.uint8, offset=40).reshape(4, -1).T
+    path.write_bytes(planes[:40] + values.tobytes())
+    # The file that PROJ distributes, bit for bit.
+    assert hashlib.sha256(path.read_bytes()).hexdigest() == PUBLISHED_SHA256
     shift = pyproj.Transformer.from_pipeline(f"+proj=vgridshift +grids={path} +multiplier=1")
     rng, step = np.random.default_rng(3), 1.0 / 3600.0
     lat, lon = (
