@@ -8,7 +8,9 @@ the same, later.
 import os
 import re
 import shutil
+import time
 from collections.abc import Iterator
+from contextlib import nullcontext
 
 OF_COMPILED = re.compile(r"unbend-[0-9a-f]{16}")
 """Names of the folders of compiled code, one for each state of the sources."""
@@ -37,9 +39,40 @@ def cached() -> Iterator[tuple[str, str]]:
         (user_cache(), "hashes of inputs", re.compile(r"hashes\.sqlite(-\w+)?")),
         (parsed_templates(), "templates", re.compile(r"\w+\.jinja")),
         (user_cache(), "states of missions", re.compile(r"missions\.sqlite(-\w+)?")),
+        (user_cache(), "copies of inputs", re.compile("copies")),
+        (os.path.join(user_cache(), "results"), "results to be published", re.compile(".{32}")),
     ):
         names = sorted(os.listdir(folder)) if os.path.isdir(folder) else []
-        yield from ((what, os.path.join(folder, name)) for name in names if ours.fullmatch(name))
+        paths = [os.path.join(folder, name) for name in names if ours.fullmatch(name)]
+        yield from ((what, path) for path in paths if not in_use(path))
+
+
+def in_use(folder: str) -> bool:
+    """Whether a run holds the lock of a folder."""
+    from filelock import FileLock, Timeout
+
+    lock = FileLock(os.path.join(folder, ".lock"), timeout=0)
+    try:
+        with lock if os.path.exists(lock.lock_file) else nullcontext():
+            return False
+    except Timeout:
+        return True
+
+
+def forget_oldest(folder: str, most_bytes: int) -> None:
+    """Remove from a folder what was used longest ago, beyond a size, and not within a day."""
+    paths = [os.path.join(folder, name) for name in os.listdir(folder)]
+    excess = sum(map(size_of, paths)) - most_bytes
+    for path in sorted(paths, key=os.path.getmtime):
+        if excess > 0 and time.time() - os.path.getmtime(path) > 86_400.0:
+            excess -= size_of(path)
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def size_of(path: str) -> int:
+    """Bytes of a file, or of all files in a folder."""
+    inside = [os.path.join(root, name) for root, _, names in os.walk(path) for name in names]
+    return sum(os.path.getsize(file) for file in inside or [path])
 
 
 def empty_caches() -> list[dict[str, str | int]]:
@@ -49,8 +82,7 @@ def empty_caches() -> list[dict[str, str | int]]:
     """
     removed: list[dict[str, str | int]] = []
     for what, path in list(cached()):
-        inside = [os.path.join(root, name) for root, _, names in os.walk(path) for name in names]
-        size = sum(os.path.getsize(file) for file in inside or [path])
+        size = size_of(path)
         if os.path.isdir(path):
             shutil.rmtree(path)
         else:

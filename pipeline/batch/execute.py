@@ -7,7 +7,6 @@ import shlex
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from pipeline.batch.executors import Executor, Task
@@ -77,7 +76,9 @@ def _read(end: Outcome | Receipt | UnbendError | Bug) -> MissionEnd:
     return Outcome(end.name, end.output, manifest, end.exit_code, end.repeated)
 
 
-def shared_outputs(folders: Iterable[tuple[MissionRef, Path]]) -> dict[MissionRef, UnbendError]:
+def shared_outputs(
+    folders: Iterable[tuple[MissionRef, object]],
+) -> dict[MissionRef, UnbendError]:
     """Missions whose results would be written to the folder of an earlier one.
 
     Folders are compared after symbolic links are resolved, and on Windows without case.
@@ -86,7 +87,7 @@ def shared_outputs(folders: Iterable[tuple[MissionRef, Path]]) -> dict[MissionRe
     refused: dict[MissionRef, UnbendError] = {}
     listed = list(folders)
     for number, (ref, folder) in enumerate(listed):
-        first = first_of.setdefault(os.path.normcase(os.path.realpath(folder)), number)
+        first = first_of.setdefault(os.path.normcase(os.path.realpath(str(folder))), number)
         if first != number:
             path = listed[first][0].path
             refused[ref] = ConfigError.of("OUTPUT-SHARED", "output.path", first=path)

@@ -34,24 +34,33 @@ def remembered_hash(path: Path, *, verify: bool = False, first_bytes: int | None
     stat = path.stat()
     stamp = f"{stat.st_ino} {stat.st_size} {stat.st_mtime_ns} {stat.st_ctime_ns}"
     place = os.path.realpath(path) + ("" if first_bytes is None else f"\0{first_bytes}")
-    with suppress(sqlite3.Error, OSError):
-        if not verify:
-            query = "SELECT sha256 FROM hashes WHERE path = ? AND stamp = ?"
-            if known := _database(user_cache()).execute(query, (place, stamp)).fetchone():
-                return str(known[0])
+    if not verify and (known := recalled(place, stamp)):
+        return known
     began = time.time_ns()
     if first_bytes is None:
         sha256 = hash_file(path)
     else:
         with path.open("rb") as stream:
             sha256 = hashlib.sha256(stream.read(first_bytes)).hexdigest()
-    with suppress(sqlite3.Error, OSError):
-        if began - max(stat.st_mtime_ns, stat.st_ctime_ns) > SETTLED_NS:
-            with _database(user_cache()) as database:
-                row = place, stamp, sha256
-                database.execute("INSERT OR REPLACE INTO hashes VALUES (?, ?, ?)", row)
-                database.execute(_FORGET, (_MOST_FILES,))
+    if began - max(stat.st_mtime_ns, stat.st_ctime_ns) > SETTLED_NS:
+        remember(place, stamp, sha256)
     return sha256
+
+
+def recalled(place: str, stamp: str) -> str | None:
+    """The SHA-256 remembered of a path or URL with this stamp."""
+    with suppress(sqlite3.Error, OSError):
+        query = "SELECT sha256 FROM hashes WHERE path = ? AND stamp = ?"
+        if known := _database(user_cache()).execute(query, (place, stamp)).fetchone():
+            return str(known[0])
+    return None
+
+
+def remember(place: str, stamp: str, sha256: str) -> None:
+    """Remember the SHA-256 of a path or URL for as long as its stamp stays."""
+    with suppress(sqlite3.Error, OSError), _database(user_cache()) as database:
+        database.execute("INSERT OR REPLACE INTO hashes VALUES (?, ?, ?)", (place, stamp, sha256))
+        database.execute(_FORGET, (_MOST_FILES,))
 
 
 @lru_cache(maxsize=1)

@@ -22,7 +22,8 @@ from typing import Any
 
 from pipeline.batch.changes import reasons_to_run
 from pipeline.batch.file_hashes import SETTLED_NS
-from pipeline.batch.plan import code_hash, input_paths, library_versions, make_plan
+from pipeline.batch.object_store.place import Place
+from pipeline.batch.plan import code_hash, input_paths, library_versions, located, make_plan
 from pipeline.batch.store import MANIFEST, STAGING, read_manifest
 from pipeline.caches import user_cache
 from pipeline.config.campaign import MissionRef
@@ -89,25 +90,26 @@ def entry_of(ref: MissionRef, describe: Callable[[Row], Row]) -> dict[str, Any] 
     file = os.path.abspath(ref.path)
     began = stamp(file)
     mission = ref.load()
-    inputs = input_paths(mission, ref.folder)
-    if any("://" in name for name, _ in inputs.values()) or "://" in mission.output.path:
+    inputs = [path for _, path in input_paths(mission, ref.folder).values()]
+    output = located(mission.output.path, ref.folder)
+    if any(isinstance(path, Place) for path in (*inputs, output)):
         return None
-    files = {os.path.abspath(path): stamp(path) for _, path in inputs.values()} | {file: began}
+    files = {os.path.abspath(str(path)): stamp(str(path)) for path in inputs} | {file: began}
     if not _settled(files):
         return None
     plan = make_plan(mission, ref.folder)
-    manifest = read_manifest(plan.output, damaged=True)
+    manifest = read_manifest(plan.folder, damaged=True)
     if manifest is None or any(i.program is not None or i.path.is_dir() for i in plan.inputs):
         return None
-    results = [plan.output / str(item["name"]) for item in manifest["outputs"]]
-    results += {path.parent for path in results} - {plan.output}
-    files |= {os.path.abspath(path): stamp(path) for path in [*results, plan.output / MANIFEST]}
+    results = [plan.folder / str(item["name"]) for item in manifest["outputs"]]
+    results += {path.parent for path in results} - {plan.folder}
+    files |= {os.path.abspath(path): stamp(path) for path in [*results, plan.folder / MANIFEST]}
     if not _settled(files) or reasons_to_run(plan, manifest):
         return None
     if any(stamp(path) != known for path, known in files.items()):
         return None
     return {
-        "name": mission.mission.name, "output": os.path.abspath(plan.output),
+        "name": mission.mission.name, "output": os.path.abspath(plan.folder),
         "stated": mission.output.path, "exit_code": int(manifest["exit_code"]),
         "row": dict(describe(manifest)), "files": files,
     }  # fmt: skip

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pipeline.batch.object_store.place import Place
 from pipeline.errors import UnbendError
 
 
@@ -16,7 +17,7 @@ class Outcome:
     """How a mission ended: where its results are, its manifest, and its exit code."""
 
     name: str
-    output: Path
+    output: Path | Place
     manifest: dict[str, Any]
     exit_code: int
     repeated: bool
@@ -27,7 +28,7 @@ class Receipt:
     """An outcome from another process, in less than a kilobyte: its manifest is at ``output``."""
 
     name: str
-    output: Path
+    output: Path | Place
     fingerprint: str
     exit_code: int
     repeated: bool

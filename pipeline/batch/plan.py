@@ -7,7 +7,8 @@ import hashlib
 import json
 import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import metadata, resources
@@ -15,12 +16,15 @@ from pathlib import Path
 from typing import Any
 
 import pipeline
-from pipeline.batch.file_hashes import remembered_hash
+from pipeline.batch.file_hashes import recalled, remember, remembered_hash
+from pipeline.batch.object_store.copies import copy_of, fetched, version_of
+from pipeline.batch.object_store.place import Place, is_url
 from pipeline.batch.outcomes import Outcome
 from pipeline.batch.store import would_replace
+from pipeline.caches import user_cache
 from pipeline.config import Mission
 from pipeline.config.station_sources import KnownPositions
-from pipeline.errors import ConfigError, InputError
+from pipeline.errors import ConfigError, InputError, UnbendError
 from pipeline.tables.imports.blocks import BLOCKS, damage_refused
 from pipeline.tables.imports.exif import image_files
 
@@ -57,15 +61,17 @@ _LIBRARIES = (
 class Input:
     """A file the mission reads: as the mission file names it, where it is, and what it holds.
 
-    ``program`` is that of a block, whose path may be a folder, or name other files.
+    ``program`` is that of a block, whose path may be a folder, or name other files. Of an input in
+    object storage, at ``place``, the path is that of its copy here, which may not be made yet.
     """
 
     role: str
     name: str
     path: Path
     sha256: str
-    stamp: tuple[int, ...]
+    stamp: tuple[int, ...] | str
     program: str | None = None
+    place: Place | None = None
 
 
 @dataclass(frozen=True)
@@ -77,7 +83,7 @@ class Plan:
 
     mission: Mission
     inputs: tuple[Input, ...]
-    output: Path
+    output: Path | Place
     camera_names: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -95,6 +101,14 @@ class Plan:
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
+    @property
+    def folder(self) -> Path:
+        """The folder its results are made in: the output, or one in the user's cache."""
+        if isinstance(self.output, Path):
+            return self.output
+        key = hashlib.sha256(str(self.output).encode()).hexdigest()[:32]
+        return Path(user_cache()) / "results" / key / "run"
+
     def input(self, role: str) -> Input:
         """The input of a role: log, observations, events, orientation, or ``sounding 1``."""
         return next(item for item in self.inputs if item.role == role)
@@ -107,7 +121,12 @@ def outcome_of(plan: Plan, manifest: dict[str, Any], *, repeated: bool) -> Outco
     )
 
 
-def input_paths(mission: Mission, folder: Path) -> dict[str, tuple[str, Path]]:
+def located(name: str, folder: Path = Path()) -> Path | Place:
+    """Where a path of a mission file leads: from its folder, or a URL to object storage."""
+    return Place.of(name) if is_url(name) else folder / name
+
+
+def input_paths(mission: Mission, folder: Path) -> dict[str, tuple[str, Path | Place]]:
     """role -> (name in the mission file, path) of the files a mission reads."""
     named = {"observations": mission.observations.path}
     if mission.log is not None:
@@ -142,7 +161,7 @@ def input_paths(mission: Mission, folder: Path) -> dict[str, tuple[str, Path]]:
         named[sounding_role(number)] = sounding.path
     if mission.atmosphere.model is not None:
         named["weather model"] = mission.atmosphere.model.path
-    return {role: (name, folder / name) for role, name in named.items()}
+    return {role: (name, located(name, folder)) for role, name in named.items()}
 
 
 def sounding_role(number: int) -> str:
@@ -157,7 +176,8 @@ def make_plan(mission: Mission, folder: Path, *, verify: bool = False) -> Plan:
     of the plan have the numbers of their files. Refuses a mission that would write its results
     over one of its inputs.
     """
-    output = Path(os.path.normpath(folder / mission.output.path))
+    output = located(mission.output.path, folder)
+    output = output if isinstance(output, Place) else Path(os.path.normpath(output))
     _refuse_among_results("mission", folder, output)
     inputs = []
     orientation = mission.stations.orientation
@@ -168,10 +188,15 @@ def make_plan(mission: Mission, folder: Path, *, verify: bool = False) -> Plan:
                  "orientation": None if orientation is None else orientation.format}  # fmt: skip
     for role, (name, path) in input_paths(mission, folder).items():
         program = programs.get(role) if programs.get(role) in BLOCKS else None
+        may_be_folder, version = role in of_folders or program is not None, ""
         try:
-            if not path.is_file() and not (
-                path.is_dir() and (role in of_folders or program is not None)
-            ):
+            if isinstance(path, Place):
+                with suppress(FileNotFoundError):
+                    version = version_of(path) if may_be_folder or not path.is_folder else ""
+                is_there = bool(version)
+            else:
+                is_there = path.is_file() or (path.is_dir() and may_be_folder)
+            if not is_there:
                 other = {"events": "events.positions", "camera": "cameras.<name>.file",
                          "elevation": "ground.height.dem"}  # fmt: skip
                 key = _MISSION_FILE_KEYS.get(
@@ -181,9 +206,18 @@ def make_plan(mission: Mission, folder: Path, *, verify: bool = False) -> Plan:
                 remedy = f"check {key} in the mission file; paths are relative to it"
                 raise InputError("INPUT-MISSING", what, where=str(path), remedy=remedy)
             _refuse_among_results(role, path, output)
-            stamp = _stamp(path, program)
-            sha256 = _hash_input(path, program, verify=verify)
-            inputs.append(Input(role, name, path, sha256, stamp, program))
+            if isinstance(path, Place):
+                key, copy = f"{path} {program}", copy_of(path, version)
+                known = None if verify else recalled(key, version)
+                if known is None or role.startswith("camera "):  # that is read with the file
+                    copy = fetched(path, version, anew=verify)
+                sha256 = known or _hash_input(copy, program, verify=verify)
+                remember(key, version, sha256)
+                inputs.append(Input(role, name, copy, sha256, version, program, path))
+            else:
+                stamp = _stamp(path, program)
+                sha256 = _hash_input(path, program, verify=verify)
+                inputs.append(Input(role, name, path, sha256, stamp, program))
         except OSError as error:
             raise InputError(
                 "INPUT-UNREADABLE", str(error.strerror), where=str(path), remedy="mend permissions"
@@ -208,19 +242,57 @@ def refuse_other_mission(plan: Plan, manifest: dict[str, Any] | None) -> None:
         )
 
 
-def _refuse_among_results(role: str, path: Path, output: Path) -> None:
+def _refuse_among_results(role: str, path: Path | Place, output: Path | Place) -> None:
     if would_replace(output, path):
         raise ConfigError.of("OUTPUT-OVER-INPUT", path, role=role, output=output)
 
 
 def check_unchanged(plan: Plan, *, folders: bool = True) -> None:
-    """Refuse results whose inputs changed while they were made; ``folders`` of images too."""
+    """Refuse results whose inputs changed while they were made.
+
+    Without ``folders`` those of images are not looked at, and no object storage.
+    """
     for item in plan.inputs:
+        if item.place is not None:
+            if folders:
+                with suppress(FileNotFoundError):
+                    if version_of(item.place) == item.stamp:
+                        continue
+                raise InputError.of("INPUT-CHANGED", item.place, role=item.role)
+            continue
         if not folders and item.program is None and item.path.is_dir():
             continue
         stamp = _stamp(item.path, item.program)
         if stamp != item.stamp and hash_as_stamped(item.path, item.program, stamp) != item.sha256:
             raise InputError.of("INPUT-CHANGED", str(item.path), role=item.role)
+
+
+def fetch_inputs(plan: Plan) -> None:
+    """Copy the inputs in object storage that have no copy here, or a damaged one.
+
+    Refuses (INPUT-CHANGED) those that are not as they were when they were hashed.
+    """
+    for item in plan.inputs:
+        if item.place is None:
+            continue
+        for anew in (False, True):
+            copy = fetched(item.place, str(item.stamp), anew=anew)
+            if _hash_input(copy, item.program, verify=anew) == item.sha256:
+                break
+        else:
+            raise InputError.of("INPUT-CHANGED", item.place, role=item.role)
+
+
+@contextmanager
+def places_named(plan: Plan) -> Iterator[None]:
+    """Let a refusal name the URLs of the mission file, in the place of copies and folders here."""
+    try:
+        yield
+    except UnbendError as error:
+        for item in plan.inputs:
+            error.where = error.where.replace(str(item.path), str(item.place or item.path))
+        error.where = error.where.replace(str(plan.folder), str(plan.output))
+        raise
 
 
 @lru_cache(maxsize=256)

@@ -21,6 +21,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from pipeline.batch.kept import packed, unpacked
+from pipeline.batch.object_store.place import Place
 from pipeline.errors import OutputInUseError, StorageError, storage_errors
 from pipeline.ingest import hash_file
 
@@ -33,6 +34,7 @@ _RECEIPTS = "receipts"
 _PARTS = "observations"
 _PART = re.compile(r"part-[0-9]{5,}\.parquet")
 _RESULTS = (_PARTS, "stations.parquet", "profile.parquet", "report.html")
+_ATTEMPT = re.compile("[0-9a-f]{32}")
 
 # Windows refuses to replace a file that a virus scanner or a viewer has open; most let go soon.
 _REPLACE_ATTEMPTS = 20 if os.name == "nt" else 1
@@ -199,14 +201,19 @@ def _remove(path: Path) -> None:
         path.unlink()
 
 
-def would_replace(folder: Path, path: Path) -> bool:
-    """Whether a run that writes to a folder removes or replaces this file.
+def would_replace(folder: Path | Place, path: Path | Place) -> bool:
+    """Whether a run that writes to a folder removes or replaces this file, or one of this folder.
 
     >>> would_replace(Path("/r"), Path("/r/observations/own.parquet"))
     True
     >>> would_replace(Path("/r"), Path("/r/flight.bin"))
     False
     """
+    if isinstance(folder, Place) or isinstance(path, Place):
+        if not isinstance(folder, Place) or not isinstance(path, Place):
+            return False
+        own = (folder / name for name in ("attempts", "runs", MANIFEST))
+        return any(map(path.is_below, own)) or (path.is_folder and folder.is_below(path))
     replaced = {*_RESULTS, MANIFEST, STAGING, _LOCK}
     # A link may lie in one folder and lead to another: neither path may be among the results.
     for resolve in (os.path.abspath, os.path.realpath):
@@ -226,7 +233,7 @@ def rehearse_folder(path: Path) -> None:
     _refuse_links(path)
     _refuse_strangers(path)
     if (path / _LOCK).exists():
-        _locked(path).release()
+        lock_folder(path).release()
 
 
 @contextmanager
@@ -242,7 +249,7 @@ def open_folder(path: Path) -> Iterator[RunFolder]:
     with storage_errors(path):
         path.mkdir(parents=True, exist_ok=True)
     _refuse_links(path)
-    lock = _locked(path)
+    lock = lock_folder(path)
     try:
         with storage_errors(path):
             _clear_interrupted(path, resumable=True)
@@ -266,8 +273,8 @@ def _refuse_links(path: Path) -> None:
             raise StorageError.of("STORAGE-SYMLINK", path, name=name)
 
 
-def _locked(path: Path) -> FileLock:
-    """The lock of an output folder, acquired."""
+def lock_folder(path: Path) -> FileLock:
+    """The lock of a folder, acquired; refuses (OUTPUT-IN-USE) one that another process has."""
     lock = FileLock(path / _LOCK, timeout=0)
     try:
         lock.acquire()
@@ -326,43 +333,58 @@ def _clear_interrupted(path: Path, *, resumable: bool) -> None:
     return None
 
 
-def read_manifest(path: Path, *, damaged: bool = False) -> dict[str, Any] | None:
+def read_manifest(path: Path | Place, *, damaged: bool = False) -> dict[str, Any] | None:
     """The manifest of a run's folder; None where there is none, or ``damaged`` where it is that."""
+    file = path / MANIFEST
     try:
-        manifest = json.loads((path / MANIFEST).read_text(encoding="utf-8"))
+        content = file.read()[0] if isinstance(file, Place) else file.read_bytes()
+        if content is None:
+            return None
+        manifest = json.loads(content.decode("utf-8"))
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:
         if damaged:
             return None
-        raise StorageError.of("MANIFEST-UNREADABLE", str(path / MANIFEST), error=error) from None
+        raise StorageError.of("MANIFEST-UNREADABLE", str(file), error=error) from None
     outputs = manifest.get("outputs") if isinstance(manifest, dict) else None
     if (
         not isinstance(outputs, list)
         or not all(isinstance(item, dict) for item in outputs)
         or not manifest.keys() >= _MANIFEST_KEYS
+        or (isinstance(path, Place) and not _ATTEMPT.fullmatch(str(manifest.get("attempt"))))
     ):
         if damaged:
             return None
-        raise StorageError.of("MANIFEST-UNREADABLE/read-manifest", str(path / MANIFEST))
+        raise StorageError.of("MANIFEST-UNREADABLE/read-manifest", str(file))
     return dict(manifest)
 
 
-def find_damage(path: Path, manifest: dict[str, Any], *, read: bool = True) -> list[str]:
+def find_damage(path: Path | Place, manifest: dict[str, Any], *, read: bool = True) -> list[str]:
     """What is missing or changed in a run's folder, one line each; empty when nothing is.
 
-    ``read=False`` compares only names and sizes of the parts, and the content of the other files.
+    ``read=False`` compares only names and sizes of the parts, and the content of the other files;
+    in object storage, where no file of an attempt is written twice, names and sizes.
     """
     damage = []
     known = {str(item["name"]) for item in manifest["outputs"]}
+    if isinstance(path, Place):
+        path /= f"attempts/{manifest['attempt']}"
+        sizes = {name: meta["size"] for name, meta in path.objects().items()}
+        present = set(sizes)
+    else:
+        present = {f"{_PARTS}/{p.name}" for p in (path / _PARTS).glob("part-*.parquet")}
+        sizes = {name: (path / name).stat().st_size for name in known if (path / name).is_file()}
     for item in manifest["outputs"]:
-        file = path / str(item["name"])
-        if not file.is_file():
-            damage.append(f"{item['name']}: is missing")
-        elif file.stat().st_size != item["bytes"]:
-            damage.append(f"{item['name']}: {file.stat().st_size} bytes, not {item['bytes']}")
-        elif (read or file.parent == path) and hash_file(file) != item["sha256"]:
-            damage.append(f"{item['name']}: its content has changed")
-    present = {f"{_PARTS}/{p.name}" for p in (path / _PARTS).glob("part-*.parquet")}
+        name = str(item["name"])
+        if name not in sizes:
+            damage.append(f"{name}: is missing")
+        elif sizes[name] != item["bytes"]:
+            damage.append(f"{name}: {sizes[name]} bytes, not {item['bytes']}")
+        elif isinstance(path, Place):
+            if read and (path / name).sha256() != item["sha256"]:
+                damage.append(f"{name}: its content has changed")
+        elif (read or "/" not in name) and hash_file(path / name) != item["sha256"]:
+            damage.append(f"{name}: its content has changed")
     damage += [f"{name}: belongs to no run" for name in sorted(present - known)]
     return damage

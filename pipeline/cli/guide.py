@@ -118,13 +118,38 @@ def init(
     answer.print_paths([asked, f"  unbend check {out}"])
 
 
-@app.command(epilog="Example: unbend clean --quiet")
-def clean(*, quiet: Quiet = False, as_json: AsJson = False) -> None:
-    """Remove what is kept to save time: compiled code, hashes.
+@app.command(epilog="Example: unbend clean; unbend clean s3://bucket/results")
+def clean(
+    url: Annotated[
+        str | None, typer.Argument(help="results in object storage", metavar="[URL]")
+    ] = None,
+    recent: Annotated[
+        bool, typer.Option(help="with a URL: uploads of the last hour too, if no run goes on")
+    ] = False,
+    *,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Remove what is kept to save time: compiled code, hashes, copies.
 
     No result is touched. The next run compiles again, and reads all of its inputs for their hashes.
+    Of a URL: what interrupted runs left at results in object storage, there and below.
     """
     answer = Answer(quiet=quiet, as_json=as_json)
+    if url is not None:
+        with answer.progress(f"looking at {url}"):
+            from pipeline.batch.object_store.place import Place
+            from pipeline.batch.object_store.published import remove_orphans
+
+            orphans, young = remove_orphans(Place.of(url), recent=recent)
+        answer.print_json({"removed": orphans, "kept": young})
+        answer.print_paths(f"removed {name}" for name in orphans)
+        if young:
+            uploads = count(young, "upload")
+            answer.console.print(f"{uploads} of the last hour kept: --recent removes them too")
+        elif not orphans:
+            answer.console.print("nothing is left of interrupted runs")
+        return
     with storage_errors(Path(user_cache())):
         removed = empty_caches()
     answer.print_json({"removed": removed})

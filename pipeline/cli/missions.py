@@ -363,7 +363,7 @@ class _ExportCommand(TyperCommand):
 )
 def export(
     ctx: typer.Context,
-    run: Annotated[Path, typer.Argument(help="a folder of results", metavar="RUN")],
+    run: Annotated[str, typer.Argument(help="a folder of results, or their URL", metavar="RUN")],
     out: Annotated[Path, typer.Option(help="the file to write, or the folder that several go to")],
     ground_height: Annotated[
         float | None,
@@ -380,11 +380,12 @@ def export(
     answer = Answer(quiet=quiet, as_json=as_json)
     options = {name: value for name, value in ctx.obj.items() if value is not None}
     name = options.pop("format_name")
-    with answer.progress(f"exporting {run.name}"):
+    with answer.progress(f"exporting {run}"):
+        from pipeline.batch.plan import located
         from pipeline.stages.story import export_run
 
         written, ledger = export_run(
-            run, name, out, options, ground_height_m=ground_height, force=force
+            located(run), name, out, options, ground_height_m=ground_height, force=force
         )
     answer.print_paths([f"{out}: {count(written, 'row')}"])
     answer.end({"out": str(out), "format": name, "rows": written}, ledger)
@@ -425,17 +426,18 @@ def simulate(
 
 @app.command(epilog="Example: unbend verify results/survey")
 def verify(
-    run: Annotated[Path, typer.Argument(help="a folder of results", metavar="RUN")],
+    run: Annotated[str, typer.Argument(help="a folder of results, or their URL", metavar="RUN")],
     *,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
     """Whether the results of a run are whole and unchanged."""
     answer = Answer(quiet=quiet, as_json=as_json)
-    with answer.progress(f"hashing {run.name}"):
+    with answer.progress(f"hashing {run}"):
+        from pipeline.batch.plan import located
         from pipeline.stages.story import verify_run
 
-        manifest = verify_run(run)
+        manifest = verify_run(located(run))
     files = len(manifest["outputs"])
     are = "is" if files == 1 else "are"
     mission = manifest["mission"]

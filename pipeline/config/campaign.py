@@ -121,6 +121,8 @@ def campaign_of(path: Path, values: dict[str, Any], node: yaml.Node) -> Campaign
     if items or open_questions(values):
         raise refusal_of(items, whole, node, str(path))
     section = values["campaign"]
+    if "://" in section["output"]:
+        raise ConfigError.of("URL-INVALID/campaign", path)
     shared = merged({"output": {"path": os.path.join(section["output"], "{mission}")}}, defaults)
     refs = [
         MissionRef(file, json.dumps(_seen_from(shared, path.parent, file.parent)), own, str(path))
@@ -198,7 +200,7 @@ def _seen_from(values: Any, campaign: Path, mission: Path, place: Place = ()) ->
     return target if apart or linked else os.path.relpath(target, start)
 
 
-def refuse_twins(campaign: Campaign, named: Iterable[tuple[MissionRef, str, Path]]) -> None:
+def refuse_twins(campaign: Campaign, named: Iterable[tuple[MissionRef, str, object]]) -> None:
     """Refuse (ConfigError) a campaign with two missions of one name, or one folder of results.
 
     ``named`` : missions with their names and folders. Folders are compared after symbolic links
@@ -212,7 +214,7 @@ def refuse_twins(campaign: Campaign, named: Iterable[tuple[MissionRef, str, Path
             raise ConfigError.of(
                 "CAMPAIGN-SAME-NAME", campaign.path, name=name, first=other.path, second=ref.path
             )
-        folder = os.path.normcase(os.path.realpath(output))
+        folder = os.path.normcase(os.path.realpath(str(output)))
         first, of_first = folders.setdefault(folder, (ref, name))
         if first is not ref:
             raise ConfigError.of(

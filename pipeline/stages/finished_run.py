@@ -17,6 +17,7 @@ from pydantic import ValidationError
 from pipeline.atmosphere.profile import Layers, Profile
 from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.atmosphere.series.profile_series import ProfileSeries, TimedProfile
+from pipeline.batch.object_store.place import is_url
 from pipeline.config import Mission
 from pipeline.config.sections import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.errors import ConfigError, MissionError
@@ -199,7 +200,9 @@ def largest_difference_px(run: FinishedRun, table: pa.Table, station: Integers) 
 
 
 def refuse_output(run: Path, out: Path, *, force: bool) -> None:
-    """Refuse to write among the results of a run, or over a file that is there already."""
+    """Refuse to write among the results of a run, over a file that is there already, to a URL."""
+    if is_url(str(out)):
+        raise ConfigError.of("URL-INVALID/refuse-output", out)
     for resolve in (os.path.abspath, os.path.realpath):
         if Path(resolve(out)).is_relative_to(resolve(run)):
             raise ConfigError.of("EXPORT-INSIDE-RUN", out)

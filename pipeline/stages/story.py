@@ -3,6 +3,8 @@
 Nothing is computed here: each step is a call of a stage, and each stage has a module of its own.
 """
 
+import json
+import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,18 +19,25 @@ from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.estimate.adjusted_profile import unadjusted
 from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
 from pipeline.batch.changes import reasons_to_run
+from pipeline.batch.object_store.copies import fetched, version_of
+from pipeline.batch.object_store.place import Place
+from pipeline.batch.object_store.published import Publication, rehearse_place
 from pipeline.batch.outcomes import Outcome
 from pipeline.batch.plan import (
     Plan,
     check_unchanged,
+    fetch_inputs,
     make_plan,
     outcome_of,
+    places_named,
     refuse_other_mission,
 )
 from pipeline.batch.store import (
+    MANIFEST,
     RunFolder,
     atomic_write,
     find_damage,
+    lock_folder,
     open_folder,
     read_manifest,
     rehearse_folder,
@@ -144,7 +153,41 @@ def run_mission(
     mission_file = ref.load()
     progress.start("hashing the inputs")
     plan = make_plan(mission_file, ref.folder, verify=verify_inputs)
-    with open_folder(plan.output) as folder:
+    with places_named(plan):
+        if isinstance(plan.output, Place):
+            return run_and_publish(plan, plan.output, force=force, progress=progress)
+        return run_plan(plan, force=force, progress=progress)
+
+
+def run_and_publish(plan: Plan, place: Place, *, force: bool, progress: Progress) -> Outcome:
+    """Run a mission whose results go to object storage: made in the user's cache, then published.
+
+    A run whose publication was interrupted is only published.
+    """
+    before = Publication(place, plan.fingerprint)
+    earlier = finished_before(plan, force=force)
+    if earlier is not None:
+        return outcome_of(plan, earlier, repeated=True)
+    rehearse_place(place, writes=True)
+    with storage_errors(plan.folder):
+        plan.folder.mkdir(parents=True, exist_ok=True)
+    lock = lock_folder(plan.folder.parent)
+    try:
+        here = replace(plan, output=plan.folder)
+        run = run_plan(here, force=force, progress=progress)
+        if run.repeated and find_damage(plan.folder, run.manifest):
+            run = run_plan(here, force=True, progress=progress)
+        progress.start("uploading", sum(int(item["bytes"]) for item in run.manifest["outputs"]))
+        manifest = before.publish(plan.folder, run.manifest, progress.advance)
+        shutil.rmtree(plan.folder, ignore_errors=True)
+    finally:
+        lock.release()
+    return outcome_of(plan, manifest, repeated=False)
+
+
+def run_plan(plan: Plan, *, force: bool, progress: Progress) -> Outcome:
+    """Run a mission with its inputs hashed, whose results go to a folder."""
+    with open_folder(plan.folder) as folder:
         earlier = finished_before(plan, force=force)
         if earlier is not None:
             return outcome_of(plan, earlier, repeated=True)
@@ -183,8 +226,11 @@ def check_mission(
     """
     progress, ref = progress or NoProgress(), MissionRef.of(mission)
     plan = make_plan(ref.load(), ref.folder)
-    rehearse_folder(plan.output)
+    if isinstance(plan.output, Path):
+        rehearse_folder(plan.output)
     finished_before(plan)
+    if isinstance(plan.output, Place):
+        rehearse_place(plan.output)
     prepared = prepare_mission(plan, progress, SAMPLED_ROWS)
     progress.start("correcting a sample")
 
@@ -232,6 +278,9 @@ def prepare_mission(
     where they are known.
     """
     ledger = Ledger()
+    if any(item.place for item in plan.inputs):
+        progress.start("copying inputs from object storage")
+    fetch_inputs(plan)
     progress.start("reading the observations")
     observations = read_observations(plan, ledger, most_rows)
     progress.start("reading the log")
@@ -344,13 +393,34 @@ def read_mission(mission: MissionRef | Path) -> PreparedMission:
     return prepare_mission(make_plan(ref.load(), ref.folder), NoProgress())
 
 
-def verify_run(path: Path) -> dict[str, Any]:
-    """The manifest of a run whose results are whole and unchanged; refuses any other."""
+def manifest_of_run(path: Path | Place) -> dict[str, Any]:
+    """The manifest of a finished run; refuses (VERIFY-NO-MANIFEST) a place without."""
     manifest = read_manifest(path)
     if manifest is None:
         what = "there is no manifest: the run never finished here"
         raise StorageError("VERIFY-NO-MANIFEST", what, where=str(path), remedy="run the mission")
+    return manifest
+
+
+def copy_of_run(place: Place) -> Path:
+    """A copy in the user's cache of what is published at a place, as a folder of results."""
+    manifest = manifest_of_run(place)
+    attempt = Place.of(f"{place}/attempts/{manifest['attempt']}/")
+    copy = fetched(attempt, version_of(attempt))
+    with atomic_write(copy / MANIFEST) as draft:
+        draft.write_text(json.dumps(manifest), encoding="utf-8")
+    return copy
+
+
+def verify_run(path: Path | Place) -> dict[str, Any]:
+    """The manifest of a run whose results are whole and unchanged; refuses any other.
+
+    In object storage, results that are replaced meanwhile are looked at anew.
+    """
+    manifest = manifest_of_run(path)
     damage = find_damage(path, manifest)
+    if damage and isinstance(path, Place) and read_manifest(path) != manifest:
+        return verify_run(path)
     if damage:
         what = f"{len(damage)} results are damaged\n    " + "\n    ".join(damage)
         remedy = "run the mission again; finished results are made anew"
@@ -375,7 +445,7 @@ def air_of_mission_or_standard(
 
 
 def export_run(
-    path: Path,
+    path: Path | Place,
     name: str,
     out: Path,
     options: Mapping[str, Any],
@@ -389,6 +459,8 @@ def export_run(
     """
     form = find_format(name, out)
     values = form.values(options)
+    if isinstance(path, Place):
+        path = copy_of_run(path)
     refuse_output(path, out, force=force and bool(form.ending))
     ledger = Ledger()
     run = rebuild_run(path, verify_run(path), ground_height_m, ledger)

@@ -48,7 +48,8 @@ def print_run(
     print_ledger(console, [entry for entry in manifest["ledger"] if entry["kind"] != "note"])
     steps = next_steps(manifest)
     print_labelled(console, [("" if i else "next", step) for i, step in enumerate(steps)])
-    for label, path in (("results", output), ("report ", f"{output}/report.html")):
+    folder = f"{output}/attempts/{manifest['attempt']}" if "attempt" in manifest else output
+    for label, path in (("results", folder), ("report ", f"{folder}/report.html")):
         console.print(f"  {label}  {shown(path)}", soft_wrap=True)
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.batch.index import keep_stamps, known_stamps
+from pipeline.batch.object_store.place import Place
 from pipeline.batch.outcomes import Outcome
 from pipeline.batch.plan import code_hash
 from pipeline.batch.store import atomic_write, read_manifest
@@ -64,7 +65,9 @@ def page_row(
     """What the page in a folder shows of a mission."""
     name, folder = chosen.called.get(ref, (ref.label, None))
     folder, at = (end.output if isinstance(end, Outcome) else folder), {}
-    if folder is not None:
+    if isinstance(folder, Place):
+        at = {"results": str(folder)}
+    elif folder is not None:
         away, home = os.path.realpath(folder), os.path.realpath(page)
         with suppress(ValueError):  # on another drive
             away = os.path.relpath(away, home)

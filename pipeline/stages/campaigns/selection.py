@@ -12,7 +12,9 @@ from pathlib import Path
 
 from pipeline.batch.execute import MissionEnd, shared_outputs
 from pipeline.batch.index import IndexEntry, look_up, remember
+from pipeline.batch.object_store.place import Place
 from pipeline.batch.outcomes import Outcome
+from pipeline.batch.plan import located
 from pipeline.batch.store import read_manifest
 from pipeline.config.campaign import Campaign, MissionRef, open_configs, refuse_twins
 from pipeline.errors import ConfigError, UnbendError
@@ -29,7 +31,7 @@ class Selection:
 
     missions: tuple[MissionRef, ...]
     campaigns: tuple[Campaign, ...]
-    called: Mapping[MissionRef, tuple[str, Path]]
+    called: Mapping[MissionRef, tuple[str, Path | Place]]
     refused: Mapping[MissionRef, UnbendError]
     known: Mapping[MissionRef, IndexEntry]
 
@@ -68,14 +70,15 @@ def select_missions(configs: Iterable[Path], names: Sequence[str] = ()) -> Selec
     """
     missions, campaigns = open_configs(configs)
     known = look_up(missions)
-    listed: list[tuple[MissionRef, str, Path]] = []
+    listed: list[tuple[MissionRef, str, Path | Place]] = []
     for ref in missions:
         if ref in known:
             listed.append((ref, known[ref].name, known[ref].output))
             continue
         with suppress(UnbendError):  # raised again, and reported, when the mission is run
             mission = ref.load()
-            listed.append((ref, mission.mission.name, ref.folder / mission.output.path))
+            output = located(mission.output.path, ref.folder)
+            listed.append((ref, mission.mission.name, output))
     for campaign in campaigns:
         own = {*campaign.missions}
         refuse_twins(campaign, [item for item in listed if item[0] in own])

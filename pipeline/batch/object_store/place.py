@@ -1,0 +1,212 @@
+"""Places in object storage: which URLs name them, requests to them, and what a store refuses.
+
+Requests go through obstore (the extra ``cloud``), which is imported when a URL is first used. No
+text of a store is printed, as it may hold a signature: only the code of its answer is.
+"""
+
+import hashlib
+import os
+import re
+import tomllib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from datetime import timedelta
+from errno import ENOENT
+from functools import lru_cache
+from importlib.resources import files
+from typing import Any
+
+from pipeline.errors import ConfigError, InputError, StorageError
+
+_STORES = {"s3": "S3Store", "az": "AzureStore", "gs": "GCSStore"}
+_BUCKET = re.compile(r"[a-z0-9][a-z0-9._-]{1,62}")
+_CHUNK = 32 << 20
+
+_PLAIN_HTTP = "AWS_ALLOW_HTTP", "AZURE_ALLOW_HTTP", "AZURE_STORAGE_USE_EMULATOR"
+"""Variables of the environment that allow a store without encryption, such as one on this host."""
+
+
+def is_url(text: str) -> bool:
+    """Whether a path of a mission file or command is meant as a URL.
+
+    >>> is_url("s3://flights/1.bin"), is_url("C:/flights/1.bin"), is_url("flights/1.bin")
+    (True, False, False)
+    """
+    return re.match("[A-Za-z][A-Za-z0-9+.-]+:/", text) is not None
+
+
+@dataclass(frozen=True)
+class Place:
+    """An object, or the common start of the names of several, in a bucket or container.
+
+    >>> str(Place.of("s3://flights/2026/") / "manifest.json")
+    's3://flights/2026/manifest.json'
+    """
+
+    scheme: str
+    bucket: str
+    key: str
+    is_folder: bool = field(default=False, compare=False)
+
+    @classmethod
+    def of(cls, url: str) -> "Place":
+        """The place of a URL; refuses (ConfigError URL-INVALID) what names none.
+
+        A user, password, query or fragment is refused and not repeated: it may be a secret. The
+        key is written as the bucket has it, without percent-encoding.
+        """
+        scheme, _, rest = url.partition("://")
+        bucket, _, path = rest.partition("/")
+        key, why = path.removesuffix("/"), ""
+        shown = re.split(r"[?#]", f"{scheme}://{bucket.rpartition('@')[2]}/{key}")[0]
+        if scheme not in _STORES:
+            shown, why = "", f"it begins with none of {', '.join(f'{s}://' for s in _STORES)}"
+        elif set("@?#") & {*bucket, *re.findall("[?#]", url)}:
+            why = "it has a user, a password, a query or a fragment"
+        elif not _BUCKET.fullmatch(bucket):
+            why = "it has no name of a bucket or container, in lower case"
+        elif key and ({"", ".", ".."} & {*key.split("/")} or "\\" in key or not key.isprintable()):
+            why = "between slashes stands nothing, '.', '..' or a backslash"
+        if why:
+            raise ConfigError.of("URL-INVALID", shown, why=why)
+        return cls(scheme, bucket, key, path.endswith("/"))
+
+    def __str__(self) -> str:
+        return f"{self.scheme}://{self.bucket}/{self.key}".rstrip("/")
+
+    def __truediv__(self, name: str) -> "Place":
+        return Place(self.scheme, self.bucket, f"{self.key}/{name}".strip("/"))
+
+    @property
+    def name(self) -> str:
+        """The last part of the key."""
+        return self.key.rpartition("/")[2] or self.bucket
+
+    def is_below(self, other: "Place") -> bool:
+        """Whether it is the other place or lies below it."""
+        return f"{self}/".startswith(f"{other}/")
+
+    def read(self) -> tuple[bytes | None, dict[str, Any] | None]:
+        """The content of a small object, and its version for `put`; None where there is none."""
+        try:
+            got = ask("read", self, "get")
+        except FileNotFoundError:
+            return None, None
+        version = {key: got.meta[key] for key in ("e_tag", "version") if got.meta[key] is not None}
+        return bytes(got.bytes()), version
+
+    def put(self, content: Any, version: dict[str, Any] | str | None) -> bool:
+        """Write bytes or a file to an object, whole; False where its version is another.
+
+        None: it must not be there yet; "overwrite": whatever is there.
+        """
+        return ask("write", self, "put", content, mode=version or "create") is not None
+
+    def head(self) -> dict[str, Any]:
+        """Size, version and time of an object; FileNotFoundError."""
+        try:
+            return dict(ask("read", self, "head"))
+        except (FileNotFoundError, StorageError):  # that answer has no text: ask for one that has
+            return dict(ask("read", self, "get").meta)
+
+    def blocks(self) -> Iterator[bytes]:
+        """The content of an object, 32 MiB at a time; refuses (INPUT-CHANGED) two versions."""
+        meta = self.head()
+        for start in range(0, meta["size"], _CHUNK):
+            stop = min(start + _CHUNK, meta["size"])
+            options = {"range": (start, stop), "if_match": meta["e_tag"]}
+            got = ask("read", self, "get", options=options)
+            if got is None:
+                raise InputError.of("INPUT-CHANGED", self, role=self.name)
+            block = bytes(ask("read", self, got.bytes))
+            if len(block) != stop - start:
+                raise StorageError.of("CLOUD-FAILED", self, verb="read", answer="a part of it")
+            yield block
+
+    def sha256(self) -> str:
+        """The hash of an object; empty for one that is not there, or changes meanwhile."""
+        digest = hashlib.sha256()
+        try:
+            for block in self.blocks():
+                digest.update(block)
+        except (FileNotFoundError, InputError):
+            return ""
+        return digest.hexdigest()
+
+    def objects(self) -> dict[str, dict[str, Any]]:
+        """The objects below the place, as of `head`, by the rest of their names."""
+        start = f"{self.key}/" if self.key else ""
+        listed = ask(
+            "list", self, ask("list", Place(self.scheme, self.bucket, start), "list").collect
+        )
+        return {str(meta["path"]).removeprefix(start): meta for meta in listed}
+
+    def remove(self, names: Iterable[str]) -> None:
+        """Remove objects below the place; one that is not there is none."""
+        for name in names:
+            try:
+                ask("delete", self / name, "delete")
+            except FileNotFoundError:
+                continue
+
+
+@lru_cache(maxsize=1)
+def _answers() -> dict[str, dict[str, str]]:
+    return tomllib.loads(files(__package__).joinpath("answers.toml").read_text("utf-8"))
+
+
+@lru_cache(maxsize=64)
+def open_store(scheme: str, bucket: str) -> Any:
+    """The store of a bucket; what else it needs is taken from the environment."""
+    from obstore import store
+
+    # Where options are given, those of the environment are not looked at.
+    plain = any(os.environ.get(name, "").lower() == "true" for name in _PLAIN_HTTP)
+    options = {"timeout": "300s", "connect_timeout": "10s", "allow_http": plain}
+    retries = {"max_retries": 5, "retry_timeout": timedelta(seconds=60)}
+    return getattr(store, _STORES[scheme])(bucket, client_options=options, retry_config=retries)
+
+
+def ask(verb: str, place: Place, call: Any, *arguments: Any, **options: Any) -> Any:
+    """Call obstore by the name of its function, or something that it returned.
+
+    None where a condition of the request does not hold; FileNotFoundError where an object is not
+    there. ``verb`` is what a refusal (StorageError) says.
+    """
+    try:
+        import obstore
+        from obstore.exceptions import AlreadyExistsError, BaseError, PreconditionError
+    except ImportError:
+        raise ConfigError.of("CLOUD-EXTRA", place) from None
+    try:
+        if callable(call):
+            return call()
+        store = open_store(place.scheme, place.bucket)
+        return getattr(obstore, call)(store, place.key, *arguments, **options)
+    except (AlreadyExistsError, PreconditionError):
+        return None
+    except (BaseError, FileNotFoundError, ValueError) as error:
+        text, is_absent = str(error), isinstance(error, FileNotFoundError)
+    found = re.search(r"<Code>\s*(\w+)", text) or re.search(r"status code: (\d{3})", text)
+    answer = found[1] if found else "nothing"
+    for reason, known in _answers()["detail" if "<Code>" in text else "words"].items():
+        if re.search(known, text):
+            raise _refusal(reason, place, verb, answer)
+    for reason, known in _answers()["codes"].items():
+        if re.fullmatch(known, answer):
+            raise _refusal(reason, place, verb, answer)
+    if is_absent:
+        raise FileNotFoundError(ENOENT, os.strerror(ENOENT), str(place))
+    raise StorageError.of("CLOUD-FAILED", place, verb=verb, answer=answer)
+
+
+def _refusal(reason: str, place: Place, verb: str, answer: str) -> StorageError:
+    if reason == "clock":
+        return StorageError.of("CLOUD-CLOCK", place, answer=answer)
+    if reason == "bucket":
+        return StorageError.of("CLOUD-BUCKET", place, answer=answer)
+    if reason == "credentials":
+        return StorageError.of("CLOUD-CREDENTIALS", place, answer=answer)
+    if reason == "no credentials":
+        return StorageError.of("CLOUD-CREDENTIALS/none", place, scheme=place.scheme)
+    return StorageError.of("CLOUD-DENIED", place, verb=verb, answer=answer)

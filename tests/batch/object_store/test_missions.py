@@ -1,0 +1,215 @@
+"""Missions whose inputs and results are in object storage, through the command line."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+
+import pyarrow.parquet as pq
+import pytest
+
+from pipeline.batch.object_store.place import Place
+from pipeline.batch.object_store.published import Publication
+from pipeline.batch.plan import fetch_inputs, make_plan
+from pipeline.batch.store import find_damage, read_manifest, would_replace
+from pipeline.config import load_mission
+from pipeline.errors import ConfigError
+from pipeline.stages import story
+from pipeline.stages.story import run_mission
+
+pytestmark = pytest.mark.usefixtures("plain_report")
+
+
+@pytest.fixture
+def stored(mission, s3_place):
+    """The mission with its log, observations and results at URLs."""
+    for name in ("flight.bin", "observations.parquet"):
+        assert (s3_place / name).put(mission.folder / name, None)
+        (mission.folder / name).unlink()
+    mission.config["log"]["path"] = str(s3_place / "flight.bin")
+    mission.config["observations"]["path"] = str(s3_place / "observations.parquet")
+    mission.config["output"]["path"] = str(s3_place / "results")
+    return mission
+
+
+def run_reason(unbend, mission) -> list[str]:
+    ended = unbend("status", mission.file, "--json")
+    assert ended.code == 0, ended.text
+    return json.loads(ended.out)[0]["reasons"]
+
+
+def test_a_mission_in_object_storage(stored, s3_place, baseline, unbend, tmp_path):
+    results = s3_place / "results"
+    ended = stored.run()
+    assert ended.code == 0, ended.text
+    manifest = read_manifest(results)
+    attempt = results / f"attempts/{manifest['attempt']}"
+    assert f"results  {attempt}\n" in ended.out
+    # The observations are those of a run in a folder, byte for byte.
+    here = json.loads((baseline.output / "manifest.json").read_text())
+    for name in ("observations/part-00000.parquet", "stations.parquet", "profile.parquet"):
+        assert (attempt / name).read()[0] == (baseline.output / name).read_bytes(), name
+    assert manifest["observations"] == here["observations"]
+    assert set(results.objects()) == {
+        "manifest.json", f"runs/{manifest['fingerprint']}.json",
+        *(f"attempts/{manifest['attempt']}/{item['name']}" for item in manifest["outputs"]),
+    }  # fmt: skip
+    text = (results / "manifest.json").read()[0].decode() + ended.text
+    assert "not-to-be-printed" not in text
+    assert str(tmp_path) not in text.replace(str(stored.file), "")
+
+    assert run_reason(unbend, stored) == []
+    again = stored.run("--json")
+    assert json.loads(again.out)[0]["repeated"] is True
+    assert unbend("verify", results).code == 0
+    assert not any((tmp_path / "cache/unbend/results").rglob("*.parquet")), "published and removed"
+
+    # Repeated with the copies gone: their hashes are remembered by version, nothing is copied.
+    copies = tmp_path / "cache/unbend/copies"
+    shutil.rmtree(copies)
+    assert json.loads(stored.run("--json").out)[0]["repeated"] is True
+    assert not copies.exists()
+
+    for run, out in ((results, "there.geojson"), (baseline.output, "here.geojson")):
+        exported = unbend("export", run, "--format", "geojson", "--out", tmp_path / out)
+        assert exported.code == 0, exported.text
+    assert (tmp_path / "there.geojson").read_text() == (tmp_path / "here.geojson").read_text()
+    refused = unbend("export", results, "--format", "geojson", "--out", s3_place / "f.geojson")
+    assert refused.code == 2
+    assert "URL-INVALID" in refused.err
+
+    # A changed input: the new run takes the place of the old, of which nothing stays.
+    table = pq.read_table(baseline.folder / "observations.parquet")
+    pq.write_table(table.slice(0, table.num_rows - 1), tmp_path / "own.parquet")
+    observations = s3_place / "observations.parquet"
+    assert observations.put(tmp_path / "own.parquet", "overwrite")
+    assert run_reason(unbend, stored) == [f"observations changed ({observations})"]
+    ended = stored.run()
+    assert ended.code == 0, ended.text
+    now = read_manifest(results)
+    assert now["observations"]["rows"] == manifest["observations"]["rows"] - 1
+    assert {name.split("/")[1] for name in results.objects() if "/" in name} == {
+        now["attempt"], f"{now['fingerprint']}.json"
+    }  # fmt: skip
+
+
+def test_a_publication_that_was_cut_off_is_finished_without_a_run(stored, s3_place, monkeypatch):
+    results = s3_place / "results"
+    with monkeypatch.context() as patch:
+        patch.setattr(Publication, "publish", killed)
+        with pytest.raises(ZeroDivisionError):
+            run_mission(stored.save())
+    assert read_manifest(results) is None
+    monkeypatch.setattr(story, "prepare_mission", killed)
+    done = run_mission(stored.save())
+    assert find_damage(results, done.manifest) == []
+    with pytest.raises(ZeroDivisionError):
+        run_mission(stored.save(), force=True)
+
+
+def killed(*_, **__):
+    raise ZeroDivisionError
+
+
+def test_results_damaged_in_the_store_are_found_and_made_again(stored, s3_place, unbend):
+    results = s3_place / "results"
+    ended = stored.run()
+    assert ended.code == 0, ended.text
+    attempt = results / f"attempts/{read_manifest(results)['attempt']}"
+    stations = attempt / "stations.parquet"
+    content = bytearray(stations.read()[0])
+    content[len(content) // 2] ^= 1
+    assert stations.put(bytes(content), "overwrite")
+    verified = unbend("verify", results)
+    assert verified.code == 5
+    assert "stations.parquet: its content has changed" in verified.err
+    exported = unbend(
+        "export", results, "--format", "geojson", "--out", stored.folder / "f.geojson"
+    )
+    assert exported.code == 5, "damage is exported"
+    attempt.remove(["profile.parquet"])
+    assert run_reason(unbend, stored) == ["profile.parquet: is missing"]
+    ended = stored.run()
+    assert ended.code == 0, ended.text
+    assert unbend("verify", results).code == 0
+
+
+@pytest.mark.parametrize("when", ["before", "while"])
+def test_an_input_that_changes_meanwhile_is_refused(stored, s3_place, monkeypatch, when):
+    log, prepare = s3_place / "flight.bin", story.prepare_mission
+
+    def change(plan, *arguments):
+        if when == "while":
+            prepared = prepare(plan, *arguments)
+        assert log.put(log.read()[0] + b"\0", "overwrite")
+        if when == "before":
+            shutil.rmtree(plan.input("log").path.parent)
+            prepare(plan, *arguments)
+        return prepared
+
+    monkeypatch.setattr(story, "prepare_mission", change)
+    ended = stored.run()
+    assert ended.code == 6, ended.text
+    assert "INPUT-CHANGED" in ended.err
+    assert str(log) in ended.err
+    assert set((s3_place / "results").objects()) == set()
+
+
+def test_a_damaged_copy_is_made_again(stored, s3_place, tmp_path):
+    plan = make_plan(load_mission(stored.save()), stored.folder)
+    copy = plan.input("log").path
+    content = copy.read_bytes()
+    copy.write_bytes(content[:-1] + b"\0\0")
+    fetch_inputs(plan)
+    assert copy.read_bytes() == content
+
+
+def test_refusals_name_urls_and_not_copies(stored, s3_place, tmp_path):
+    assert (s3_place / "flight.bin").put(b"no log at all" * 100, "overwrite")
+    ended = stored.run()
+    assert ended.code == 6
+    assert str(s3_place / "flight.bin") in ended.err
+    assert str(tmp_path / "cache") not in ended.err
+
+
+def test_missions_that_would_share_a_place(stored, mission_factory, s3_place, unbend):
+    other = mission_factory(stored.folder / "other")
+    other.config["output"]["path"] = f"{stored.config['output']['path']}/"
+    ended = unbend("check", stored.save(), other.save())
+    assert ended.code == 6
+    assert "OUTPUT-SHARED" in ended.err
+    # And one that is not in the same command finds whose results they are.
+    ended = stored.run()
+    assert ended.code == 0, ended.text
+    before = (s3_place / "results/manifest.json").read()
+    other.config["mission"]["name"] = "other"
+    ended = other.run("--force")
+    assert ended.code == 2
+    assert "OUTPUT-OTHER" in ended.err
+    assert (s3_place / "results/manifest.json").read() == before
+
+
+def test_an_input_among_the_results_is_refused(stored, s3_place):
+    for path in (s3_place, s3_place / "flight.bin/attempts"):
+        stored.config["output"]["path"] = str(path)
+        plan = make_plan(load_mission(stored.save()), stored.folder)
+        assert plan.output == path
+    stored.config["log"]["path"] = str(s3_place / "results/runs/flight.bin")
+    stored.config["output"]["path"] = str(s3_place / "results")
+    assert (s3_place / "results/runs/flight.bin").put(b"log", None)
+    with pytest.raises(ConfigError) as refused:
+        make_plan(load_mission(stored.save()), stored.folder)
+    assert refused.value.code == "OUTPUT-OVER-INPUT"
+    folder = Place.of(f"{s3_place}/")
+    assert would_replace(s3_place / "results", folder), "results below a folder that is read"
+    assert would_replace(s3_place, folder), "results in a folder that is read"
+    assert not would_replace(s3_place / "results", s3_place / "results.bin")
+
+
+def test_a_url_costs_no_import_where_none_is_used():
+    code = "import pipeline.batch.object_store.published, pipeline.batch.plan, sys; "
+    code += "print('obstore' in sys.modules)"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout == "False\n"

@@ -1,0 +1,260 @@
+"""URLs, and what a store refuses: by name, before any work, without a secret."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import timedelta
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import pytest
+
+from pipeline.batch.object_store import copies, published
+from pipeline.batch.object_store.copies import copy_of, fetched, version_of
+from pipeline.batch.object_store.place import Place, is_url, open_store
+from pipeline.batch.object_store.published import rehearse_place
+from pipeline.batch.plan import located
+from pipeline.errors import ConfigError, InputError, UnbendError
+
+from .conftest import READER, S3, free_port
+
+SECRET = "hunter2"
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        f"s3://me:{SECRET}@bucket/key", f"az://container/key?sv=1&sig={SECRET}",
+        f"s3://bucket/key#{SECRET}", f"s3://{SECRET}@bucket", f"https://x/y?X-Amz-Signature={SECRET}",
+        f"s3://bucket?{SECRET}", f"S3://bucket/?{SECRET}",
+    ],
+)  # fmt: skip
+def test_secrets_in_a_url_are_refused_and_not_repeated(url, mission):
+    for key in ("log", "observations", "output"):
+        mission.config[key]["path"], before = url, mission.config[key]["path"]
+        ended = mission.run()
+        mission.config[key]["path"] = before
+        assert ended.code == 2
+        assert "URL-INVALID" in ended.err
+        assert SECRET not in ended.text
+    assert not mission.output.exists()
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "s3://bucket/../other", "s3://bucket/a/../../b", "s3://bucket/./a", "s3://bucket//a",
+        "s3://bucket/a//b", "s3://bucket/a\\..\\b", "s3://bucket/a\n", "s3:///key", "s3://",
+        "s3:/b/k", "s3://../key", "s3://Bucket/key", "S3://bucket/key", "gcs://bucket/key", "file:///etc/passwd",
+        "http://bucket/key", "s3://bucket:80/key", "s3://bucket/a\x00",
+    ],
+)  # fmt: skip
+def test_what_is_no_url_of_object_storage(url):
+    assert is_url(url)
+    with pytest.raises(ConfigError) as refused:
+        located(url)
+    assert refused.value.code == "URL-INVALID"
+
+
+def test_keys_are_taken_as_they_are(s3_place):
+    for name in ("x y", "x%20y", "ü", "a+b=c&d", "~", "CON", "a:b", "%2e%2e"):
+        place = Place.of(f"{s3_place}/{name}")
+        assert str(place) == f"{s3_place}/{name}"
+        assert place.put(name.encode(), None)
+        assert place.read()[0] == name.encode()
+        assert fetched(place, version_of(place)).read_bytes() == name.encode()
+        assert set(s3_place.objects()) == {name}
+        s3_place.remove([name])
+
+
+def test_the_folder_of_an_input(place):
+    folder = Place.of(f"{place}/sparse/")
+    assert folder.is_folder
+    with pytest.raises(FileNotFoundError):
+        version_of(folder)
+    for name, content in (("cameras.txt", b"1"), ("0/images.txt", b"2"), ("empty", b"")):
+        assert (folder / name).put(content, None)
+    version = version_of(folder)
+    copy = fetched(folder, version)
+    assert copy.name == "sparse"
+    assert {str(p.relative_to(copy)): p.read_bytes() for p in copy.rglob("*") if p.is_file()} == {
+        "cameras.txt": b"1", "0/images.txt": b"2", "empty": b""
+    }  # fmt: skip
+    assert (folder / "cameras.txt").put(b"3", "overwrite")
+    with pytest.raises(InputError) as refused:
+        fetched(folder, version, anew=True)
+    assert refused.value.code == "INPUT-CHANGED"
+    assert version_of(folder) != version
+
+
+def test_copies_beyond_the_bound_go_the_oldest_first(s3_place, monkeypatch):
+    monkeypatch.setattr(copies, "_MOST_BYTES", 250)
+    paths = []
+    for number in range(4):
+        place = s3_place / str(number)
+        assert place.put(b"x" * 100, None)
+        paths.append(fetched(place, version_of(place)))
+        os.utime(paths[-1].parent, (number, number))
+    assert [path.exists() for path in paths] == [False, False, True, True]
+    last = s3_place / "4"
+    assert last.put(b"x" * 100, None)
+    kept = fetched(last, version_of(last))
+    assert [path.exists() for path in paths] == [False, False, False, True]
+    assert kept.exists()
+
+
+def refusal(call, *arguments, **options) -> UnbendError:
+    with pytest.raises(UnbendError) as refused:
+        call(*arguments, **options)
+    text = str(refused.value)
+    assert S3["AWS_SECRET_ACCESS_KEY"] not in text
+    assert "http" not in text
+    return refused.value
+
+
+def test_a_bucket_that_is_not_there(place):
+    elsewhere = Place(place.scheme, "no-such-bucket", "a")
+    for call in (elsewhere.read, elsewhere.head, elsewhere.objects):
+        assert refusal(call).code == "CLOUD-BUCKET"
+
+
+def test_credentials_that_may_not_write_are_refused_before_any_work(
+    s3_place, use, seaweed, mission, monkeypatch
+):
+    from pipeline.stages import story
+
+    use(seaweed | READER)
+    for writes in (False, True):
+        error = refusal(rehearse_place, s3_place, writes=writes)
+        assert error.code == "CLOUD-DENIED"
+        assert "write" in error.what
+    mission.config["output"]["path"] = str(s3_place / "results")
+    monkeypatch.setattr(story, "prepare_mission", lambda *_: pytest.fail("work was done"))
+    ended = mission.run()
+    assert ended.code == 5
+    assert "CLOUD-DENIED" in ended.err
+    assert s3_place.objects() == {}
+
+
+def test_credentials_that_are_wrong_or_not_there(s3_place, use, seaweed, mission, unbend):
+    use(seaweed | {"AWS_SECRET_ACCESS_KEY": "another"})
+    assert refusal(s3_place.read).code == "CLOUD-CREDENTIALS"
+    nowhere = f"http://127.0.0.1:{free_port()}"
+    use({"AWS_METADATA_ENDPOINT": nowhere, "AWS_ALLOW_HTTP": "true"})
+    error = refusal(s3_place.read)
+    assert error.code == "CLOUD-CREDENTIALS"
+    assert "there are no credentials for s3://" in error.what
+    use({})
+    assert "there are no credentials for az://" in refusal(Place.of("az://season/a").read).what
+    mission.config["output"]["path"] = "az://season/results"
+    other = mission.save()
+    ended = unbend("run", other)
+    assert ended.code == 5
+    assert "CLOUD-CREDENTIALS" in ended.err
+
+
+def test_a_store_that_is_not_there(s3_place, use, seaweed):
+    use(seaweed | {"AWS_ENDPOINT_URL": f"http://127.0.0.1:{free_port()}"})
+    assert refusal(s3_place.read).code == "CLOUD-FAILED"
+
+
+def test_a_clock_that_is_off(s3_place, monkeypatch):
+    class Later(published.datetime):
+        @classmethod
+        def now(cls, zone=None):
+            return super().now(zone) - timedelta(minutes=20)
+
+    monkeypatch.setattr(published, "datetime", Later)
+    assert refusal(rehearse_place, s3_place, writes=True).code == "CLOUD-CLOCK"
+    assert s3_place.objects() == {}
+
+
+def test_the_extra_is_not_installed(monkeypatch, mission):
+    monkeypatch.setitem(sys.modules, "obstore", None)
+    open_store.cache_clear()
+    mission.config["log"]["path"] = "s3://season/flight.bin"
+    ended = mission.run()
+    assert ended.code == 2
+    assert "CLOUD-EXTRA" in ended.err
+    assert "unbend[cloud]" in ended.err
+
+
+@contextmanager
+def answering(status: int, body: bytes, headers: dict[str, str]) -> Iterator[str]:
+    """A store that has one answer to all that it is asked."""
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.rfile.read(int(self.headers.get("Content-Length") or 0))
+            self.send_response(status)
+            for name, value in ({"Content-Length": str(len(body))} | headers).items():
+                self.send_header(name, value)
+            self.end_headers()
+            if self.command != "HEAD":
+                self.wfile.write(body)
+            self.close_connection = True
+
+        do_PUT = do_HEAD = do_DELETE = do_POST = do_GET  # noqa: N815
+
+        def log_message(self, *_: object) -> None:
+            """Nothing."""
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True).start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}"
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+SKEWED = (
+    b"<Error><Code>RequestTimeTooSkewed</Code><Message>The difference between the request time and "
+    b"the current time is too large.</Message></Error>"
+)
+AZURE_SKEWED = (
+    b"<Error><Code>AuthenticationFailed</Code><Message>Server failed to authenticate the request."
+    b"</Message><AuthenticationErrorDetail>Request date header too old: 'Mon, 23 Nov 2026 01:00:00 "
+    b"GMT'</AuthenticationErrorDetail></Error>"
+)
+DENIED = b"<Error><Code>AccessDenied</Code><Message>Access Denied</Message></Error>"
+
+
+@pytest.mark.parametrize(
+    ("scheme", "status", "body", "code"),
+    [
+        ("s3", 403, SKEWED, "CLOUD-CLOCK"),
+        ("az", 403, AZURE_SKEWED, "CLOUD-CLOCK"),
+        ("s3", 403, DENIED, "CLOUD-DENIED"),
+        ("s3", 403, b"", "CLOUD-DENIED"),
+        ("s3", 418, b"", "CLOUD-FAILED"),
+        ("s3", 301, b"<Error><Code>PermanentRedirect</Code></Error>", "CLOUD-BUCKET"),
+    ],
+)
+def test_answers_of_a_store(use, scheme, status, body, code):
+    with answering(status, body, {}) as url:
+        use(S3 | {"AWS_ENDPOINT_URL": url} if scheme == "s3" else
+            {"AZURE_STORAGE_USE_EMULATOR": "true", "AZURITE_BLOB_STORAGE_URL": url})  # fmt: skip
+        place = Place.of(f"{scheme}://season/a")
+        for call in (place.read, place.head, place.objects, lambda: place.put(b"", None)):
+            assert refusal(call).code == code
+
+
+def test_a_store_that_overwrites_in_spite_of_a_condition(use):
+    with answering(200, b"", {"ETag": '"1"'}) as url:
+        use(S3 | {"AWS_ENDPOINT_URL": url})
+        assert refusal(rehearse_place, Place.of("s3://season/a")).code == "CLOUD-UNCONDITIONAL"
+
+
+def test_a_download_that_is_cut_off(use, tmp_path):
+    headers = {"ETag": '"1"', "Last-Modified": "Mon, 23 Nov 2026 01:00:00 GMT",
+               "Content-Length": "1000", "Content-Range": "bytes 0-999/1000"}  # fmt: skip
+    with answering(206, b"x" * 400, headers) as url:
+        use(S3 | {"AWS_ENDPOINT_URL": url})
+        place = Place.of("s3://season/a")
+        assert refusal(fetched, place, "1").code == "CLOUD-FAILED"
+        assert not copy_of(place, "1").exists()
+        assert list((tmp_path / "cache/unbend/copies").iterdir()) == []

@@ -1,0 +1,200 @@
+"""Publication: one winner, nothing partial to be seen, nothing left after cleaning."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import random
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from datetime import timedelta
+
+import pytest
+
+from pipeline.batch.object_store import place as place_module
+from pipeline.batch.object_store import published
+from pipeline.batch.object_store.place import Place
+from pipeline.batch.object_store.published import Publication, rehearse_place, remove_orphans
+from pipeline.batch.store import find_damage, read_manifest
+from pipeline.errors import OutputInUseError, StorageError
+from pipeline.stages.story import verify_run
+
+RACES = int(os.environ.get("UNBEND_RACES", "4"))
+
+
+def made(folder, run: int) -> dict:
+    """Results of a run in a folder: files that hold its number, and their manifest."""
+    outputs = []
+    for name in ("observations/part-00000.parquet", "stations.parquet"):
+        content = f"{run} {name}".encode() * 40
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+        digest = hashlib.sha256(content).hexdigest()
+        outputs.append({"name": name, "sha256": digest, "bytes": len(content)})
+    fingerprint = hashlib.sha256(str(run).encode()).hexdigest()
+    return {"fingerprint": fingerprint, "mission": "m", "outputs": outputs, "exit_code": 0}
+
+
+def publish(place, folder, run: int, together=lambda: None) -> dict | None:
+    """Publish a run from a folder; None where it is refused because another was published."""
+    manifest = made(folder, run)
+    before = Publication(place, manifest["fingerprint"])
+    together()
+    with suppress(OutputInUseError):
+        return before.publish(folder, manifest, lambda size: None)
+    return None
+
+
+def expected_at(manifest: dict) -> set[str]:
+    """The objects of a published run, and no others."""
+    files = {f"attempts/{manifest['attempt']}/{item['name']}" for item in manifest["outputs"]}
+    return {"manifest.json", f"runs/{manifest['fingerprint']}.json", *files}
+
+
+def test_races_of_two_writers(place, tmp_path, record_property):
+    seed = random.randrange(1 << 32)
+    print("seed", seed)
+    draw = random.Random(seed)
+    won = {"both the same run": 0, "two runs": 0}
+    for race in range(RACES):
+        at, same = place / str(race), draw.random() < 0.5
+        if draw.random() < 0.5:  # results of an earlier run are there
+            publish(at, tmp_path / "earlier", 0)
+        barrier, over = threading.Barrier(2), threading.Event()
+
+        def look(at=at, over=over) -> int:
+            seen = 0
+            while not over.is_set() or not seen:
+                if read_manifest(at) is not None:
+                    verify_run(at)  # refuses what is not whole
+                    seen += 1
+            return seen
+
+        def write(number: int, at=at, same=same, barrier=barrier) -> dict | None:
+            return publish(at, tmp_path / str(number), 1 if same else number, barrier.wait)
+
+        with ThreadPoolExecutor(3) as pool:
+            reader = pool.submit(look)
+            ends = list(pool.map(write, (1, 2)))
+            over.set()
+            assert reader.result() > 0
+        (winner,) = {end["attempt"]: end for end in ends if end is not None}.values()
+        assert ends.count(None) == (0 if same else 1), "one winner; of the same run both return it"
+        assert read_manifest(at) == winner
+        assert verify_run(at) == winner
+        assert remove_orphans(at, recent=True) == ([], 0)
+        assert set(at.objects()) == expected_at(winner), "something is left of the loser"
+        won["both the same run" if same else "two runs"] += 1
+    print(won)
+
+
+class Killed(BaseException):
+    """The process of a writer is gone: it does nothing more."""
+
+
+def test_writers_killed_at_each_request(s3_place, tmp_path, monkeypatch):
+    ask = place_module.ask
+    number = 0
+    while True:
+        number += 1
+        at, left = s3_place / str(number), number
+        old = publish(at, tmp_path, 0)
+
+        def counted(*arguments, **options):
+            nonlocal left
+            left -= 1
+            if left <= 0:
+                raise Killed
+            return ask(*arguments, **options)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(place_module, "ask", counted)
+            with suppress(Killed):
+                publish(at, tmp_path, 1)
+        seen = verify_run(at)
+        assert seen == old or seen["fingerprint"] == made(tmp_path, 1)["fingerprint"]
+        monkeypatch.setattr(published, "_WAIT_S", 0.0)
+        now = publish(at, tmp_path, 1)
+        assert verify_run(at) == now
+        remove_orphans(at, recent=True)
+        assert set(at.objects()) == expected_at(now)
+        if left > 0:
+            break
+    assert number > 12, "requests of a publication"
+
+
+@pytest.mark.parametrize("written", ["runs/", "manifest.json"])
+def test_an_answer_that_is_lost(s3_place, tmp_path, monkeypatch, written):
+    ask = place_module.ask
+
+    def deaf(verb, place, call, *arguments, **options):
+        answer = ask(verb, place, call, *arguments, **options)
+        if call == "put" and written in place.key:
+            answer = ask(verb, place, call, *arguments, **options)  # as the library tries again
+        return answer
+
+    monkeypatch.setattr(published, "_WAIT_S", 0.0)
+    monkeypatch.setattr(place_module, "ask", deaf)
+    done = publish(s3_place, tmp_path, 1)
+    assert done is not None
+    assert verify_run(s3_place) == done
+    assert set(s3_place.objects()) == expected_at(done)
+
+
+def test_orphans_of_the_last_hour_stay(s3_place, tmp_path, monkeypatch, unbend):
+    done = publish(s3_place / "one", tmp_path, 1)
+    orphan = f"one/attempts/{'0' * 32}/observations/part-00000.parquet"
+    others = {"one/attempts/mine.txt", "one/flight.bin", "one/runs/notes.json"}
+    for name in (orphan, *others):
+        assert (s3_place / name).put(b"x", None)
+    everything = set(s3_place.objects())
+    ended = unbend("clean", s3_place)
+    assert ended.code == 0, ended.text
+    assert ended.out == "1 upload of the last hour kept: --recent removes them too\n"
+    assert set(s3_place.objects()) == everything
+
+    class Later(published.datetime):
+        @classmethod
+        def now(cls, zone=None):
+            return super().now(zone) + timedelta(hours=2)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(published, "datetime", Later)
+        ended = unbend("clean", s3_place, "--json")
+    assert json.loads(ended.out) == {
+        "removed": [f"{s3_place}/one/attempts/{'0' * 32}/"], "kept": 0
+    }  # fmt: skip
+    assert set(s3_place.objects()) == everything - {orphan}
+    assert verify_run(s3_place / "one") == done
+    assert unbend("clean", s3_place).out == "nothing is left of interrupted runs\n"
+
+
+def test_a_manifest_that_leads_elsewhere_is_not_followed(s3_place, tmp_path):
+    done = publish(s3_place, tmp_path, 1)
+    for attempt in ("../../other", "", None):
+        content = json.dumps(done | {"attempt": attempt}).encode()
+        assert (s3_place / "manifest.json").put(content, "overwrite")
+        with pytest.raises(StorageError) as refused:
+            read_manifest(s3_place)
+        assert refused.value.code == "MANIFEST-UNREADABLE"
+        with pytest.raises(StorageError):
+            remove_orphans(s3_place, recent=True)
+    assert set(s3_place.objects()) == expected_at(done)
+
+
+def test_a_store_is_rehearsed(place):
+    rehearse_place(place)
+    rehearse_place(place, writes=True)
+    assert place.objects() == {}
+
+
+def test_what_lies_in_an_attempt_and_belongs_to_no_run(s3_place, tmp_path):
+    done = publish(s3_place, tmp_path, 1)
+    extra = s3_place / f"attempts/{done['attempt']}/observations/part-00001.parquet"
+    assert extra.put(b"x", None)
+    assert find_damage(s3_place, done, read=False) == [
+        "observations/part-00001.parquet: belongs to no run"
+    ]
+    assert isinstance(extra, Place)
