@@ -13,12 +13,12 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import suppress
 from functools import partial
 from queue import Empty, SimpleQueue
 from types import FrameType
-from typing import Any
+from typing import IO, cast
 
 from pipeline.batch.outcomes import Lost, Outcome, Receipt, TaskEnd, end_of
 from pipeline.errors import EXIT_INTERRUPTED
@@ -40,85 +40,64 @@ class Child:
 
     def __init__(self, threads: int | None = None) -> None:
         self._threads = threads
-        self._process: subprocess.Popen[bytes] | None = None
+        self.process: subprocess.Popen[bytes] | None = None
 
     def run(self, task: bytes) -> TaskEnd:
         """How a task ends: a pickled function without arguments, which returns an outcome."""
         while True:
-            known = self._process
-            process = self._process = known or self._start()
+            known = self.process
+            process = self.process = known or self.started()
             try:
-                end: TaskEnd = self._answer(process, task)
-                return end
-            except (OSError, EOFError, pickle.UnpicklingError):
-                self._process = None
-                code = _closed(process).wait()
-            if known is None or code != 0:
-                return Lost(_how(code))
+                pickle.dump(task, cast(IO[bytes], process.stdin))
+                cast(IO[bytes], process.stdin).flush()
+                return cast(TaskEnd, pickle.load(cast(IO[bytes], process.stdout)))
+            except (OSError, EOFError, ValueError, pickle.UnpicklingError):
+                self.process = None
+                ended(process, None)
+            if known is None or process.returncode != 0:
+                return Lost(way_of_death(process.returncode))
             # It had waited for so long that it ended before this task came: one more is started.
 
-    def _answer(self, process: subprocess.Popen[bytes], task: bytes) -> Any:
-        if process.stdin is None or process.stdout is None:
-            raise EOFError
-        pickle.dump(task, process.stdin)
-        process.stdin.flush()
-        return pickle.load(process.stdout)
-
-    def _start(self) -> subprocess.Popen[bytes]:
-        """Start the process: with our paths of modules, out of reach of a terminal's Ctrl-C."""
+    def started(self) -> subprocess.Popen[bytes]:
+        """The process, with our paths of modules, out of reach of a terminal's Ctrl-C."""
         own = {} if self._threads is None else {"UNBEND_THREADS": str(self._threads)}
         code = f"import sys; sys.path[:] = {sys.path!r}; {_SERVE}"
-        windows = os.name == "nt"
         return subprocess.Popen(
             [sys.executable, "-P", "-c", code],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=os.environ | own,
-            process_group=None if windows else 0,
+            process_group=None if os.name == "nt" else 0,
             creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
         )
-
-    def stop(self) -> None:
-        """Ask the process to stop, if there is one."""
-        if self._process is not None:
-            with suppress(OSError):
-                self._process.terminate()
-
-    def end(self, deadline: float) -> None:
-        """Wait for a process that was asked to stop; at a time of the monotonic clock kill it."""
-        process = self._process
-        if process is None:
-            return
-        try:
-            process.wait(max(0.0, deadline - time.monotonic()))
-        except subprocess.TimeoutExpired:
-            process.kill()
-        _closed(process).wait()
-
-
-def _closed(process: subprocess.Popen[bytes]) -> subprocess.Popen[bytes]:
-    """A process that has ended, or is about to, without its pipes."""
-    for pipe in (process.stdin, process.stdout):
-        if pipe is not None:
-            with suppress(OSError):  # what was written last has nobody who reads it
-                pipe.close()
-    return process
 
 
 def stop_all(children: Iterable[Child]) -> None:
     """Stop some processes, whatever they do; after three seconds they are killed."""
-    children = list(children)
-    for child in children:
-        child.stop()
+    processes = [child.process for child in children if child.process is not None]
+    for process in processes:
+        process.terminate()
     deadline = time.monotonic() + _GRACE_S
-    for child in children:
-        child.end(deadline)
+    for process in processes:
+        ended(process, max(0.0, deadline - time.monotonic()))
 
 
-def _how(code: int) -> str:
+def ended(process: subprocess.Popen[bytes], seconds: float | None) -> None:
+    """Wait for the end of a process, kill it after some seconds, and close its pipes."""
+    try:
+        process.wait(seconds)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    for pipe in (process.stdin, process.stdout):
+        with suppress(OSError):  # what was written last has nobody who reads it
+            cast(IO[bytes], pipe).close()
+
+
+def way_of_death(code: int) -> str:
     """What an exit code of a process says, in words.
 
-    >>> _how(-9), _how(3), _how(0xC0000005)
+    >>> way_of_death(-9), way_of_death(3), way_of_death(0xC0000005)
     ('killed by SIGKILL', 'exit code 3', 'exit code 0xC0000005')
     """
     if code < 0:
@@ -126,10 +105,9 @@ def _how(code: int) -> str:
     return f"exit code {code if code < 256 else f'0x{code:08X}'}"
 
 
-def _unpickled(task: bytes) -> Outcome:
+def run_pickled(task: bytes) -> TaskEnd:
     """Run a pickled task; to unpickle it imports what it needs."""
-    run: Callable[[], Outcome] = pickle.loads(task)
-    return run()
+    return cast(TaskEnd, pickle.loads(task)())
 
 
 def serve(idle_s: float = _IDLE_S) -> None:
@@ -158,7 +136,7 @@ def serve(idle_s: float = _IDLE_S) -> None:
     with suppress(Empty, BrokenPipeError):
         while True:
             task = tasks.get(timeout=idle_s)
-            end = end_of(partial(_unpickled, task))
+            end = end_of(partial(run_pickled, task))
             if isinstance(end, Outcome):
                 fingerprint = str(end.manifest["fingerprint"])
                 end = Receipt(end.name, end.output, fingerprint, end.exit_code, end.repeated)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
@@ -51,16 +52,29 @@ def run_many(
                 lost[mission] = end
             else:
                 yield mission, _read(end)
+    if not lost:
+        return
     # Most processes that die do so for want of memory: now each mission has the machine alone.
-    for mission, first in lost.items():
-        with closing(executor.run({mission: tasks[mission]})) as ends:
-            for _, end in ends:
-                if isinstance(end, Lost):
-                    replay = shlex.join(["unbend", "run", *mission.words])
-                    end = MissionError.of(
-                        "WORKER-LOST", mission.path, first=first.how, second=end.how, replay=replay
-                    )
-                yield mission, _read(end)
+    with closing(executor.run({mission: tasks[mission] for mission in lost}, alone=True)) as ends:
+        for mission, end in ends:
+            if isinstance(end, Lost):
+                replay, first = shlex.join(["unbend", "run", *mission.words]), lost[mission].how
+                end = MissionError.of(
+                    "WORKER-LOST", mission.path, first=first, second=end.how, replay=replay
+                )
+            yield mission, _read(end)
+
+
+def shard_of(shard: str | None) -> slice:
+    """The missions of one of several jobs, which have the same list; refuses (RUN-SHARD) others.
+
+    >>> "abcdefg"[shard_of("1/3")], "abcdefg"[shard_of(None)]
+    ('be', 'abcdefg')
+    """
+    found = re.fullmatch(r"(\d+)/(\d+)", shard or "0/1")
+    if found is None or not int(found[1]) < int(found[2]):
+        raise ConfigError.of("RUN-SHARD", "--shard", shard=shard)
+    return slice(int(found[1]), None, int(found[2]))
 
 
 def _read(end: Outcome | Receipt | UnbendError | Bug) -> MissionEnd:
@@ -97,17 +111,14 @@ def shared_outputs(
 def exit_code_of(codes: Sequence[int]) -> int:
     """The exit code of several missions: 1 for a bug, 6 for a refusal, else the worst done.
 
-    The code of a single mission is returned as it is.
+    The code of a single mission is returned as it is; without any it is 0.
 
     >>> exit_code_of([0, 3]), exit_code_of([2]), exit_code_of([0, 2]), exit_code_of([6, 1])
     (3, 2, 6, 1)
     """
-    if len(codes) == 1:
-        return codes[0]
+    if len(codes) < 2:
+        return codes[0] if codes else EXIT_DONE
     if EXIT_BUG in codes:
         return EXIT_BUG
     done = (EXIT_DONE, EXIT_LOSSES)
     return max(code if code in done else EXIT_REFUSED for code in codes)
-
-
-__all__ = ["Bug", "MissionEnd", "exit_code_of", "run_many", "shared_outputs"]

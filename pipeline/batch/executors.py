@@ -27,8 +27,11 @@ Ends = Generator[tuple["MissionRef", TaskEnd]]
 class Executor(Protocol):
     """Runs missions somewhere."""
 
-    def run(self, tasks: Mapping[MissionRef, Task]) -> Ends:
-        """How each ended, as soon as it did; what is left is stopped when the caller leaves."""
+    def run(self, tasks: Mapping[MissionRef, Task], *, alone: bool = False) -> Ends:
+        """How each ended, as soon as it did; what is left is stopped when the caller leaves.
+
+        ``alone`` : one after the other, with the machine to itself.
+        """
 
 
 class Inline:
@@ -37,7 +40,7 @@ class Inline:
     def __init__(self, bar: Callable[[str], AbstractContextManager[Any]]) -> None:
         self._bar = bar
 
-    def run(self, tasks: Mapping[MissionRef, Task]) -> Ends:
+    def run(self, tasks: Mapping[MissionRef, Task], *, alone: bool = True) -> Ends:
         """How each ended, in their order."""
         for mission, task in tasks.items():
             with self._bar(mission.path.stem) as progress:
@@ -51,14 +54,14 @@ class Processes:
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs
 
-    def run(self, tasks: Mapping[MissionRef, Task]) -> Ends:
+    def run(self, tasks: Mapping[MissionRef, Task], *, alone: bool = False) -> Ends:
         """How each ended, as soon as it did. A mission is assigned when a process is free."""
         waiting: SimpleQueue[tuple[MissionRef, bytes]] = SimpleQueue()
         for mission, task in tasks.items():
             waiting.put((mission, pickle.dumps(task)))
         # The main thread waits for nothing else: a signal interrupts that without a lock held.
         ends: SimpleQueue[tuple[MissionRef, TaskEnd]] = SimpleQueue()
-        jobs = min(self._jobs, len(tasks))
+        jobs = 1 if alone else min(self._jobs, len(tasks))
         children = [Child(max(1, usable_cpus() // jobs)) for _ in range(jobs)]
 
         def serve(child: Child) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing, nullcontext
+from dataclasses import replace
 from functools import cache, partial
 from inspect import Parameter, Signature
 from math import inf
@@ -42,30 +43,49 @@ def run(
     verify_inputs: Annotated[
         bool, typer.Option(help="read and hash inputs whose size and times did not change too")
     ] = False,
+    shard: Annotated[
+        str | None,
+        typer.Option(
+            metavar="K/N",
+            help="only part K of N of the missions, counted from 0: 0/8 to 7/8 in an array of jobs",
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="run on the workers of a Dask scheduler (tcp://... or its file)"
+        ),
+    ] = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
     """Correct missions; one that is refused does not stop the rest.
 
-    Of a campaign, campaign.html and campaign.parquet show all its missions.
+    Of a campaign, campaign.html and campaign.parquet show all its missions; a shard leaves them.
     """
+    if scheduler is not None and jobs > 1:
+        what = "--jobs and --scheduler do not go together"
+        remedy = "the workers of the scheduler say how many missions run at the same time"
+        raise ConfigError("RUN-ARGUMENTS", what, remedy=remedy)
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("loading"):
+        from pipeline.batch.execute import shard_of
         from pipeline.batch.outcomes import Bug
         from pipeline.batch.store import read_manifest
         from pipeline.report.text.terminal import print_unchanged
         from pipeline.stages.campaigns.pages import write_pages
         from pipeline.stages.campaigns.selection import keep_unchanged, select_missions
 
-        chosen = select_missions(configs, names or ())
+        chosen = select_missions(configs, names or (), shard_of(shard))
     several = len(chosen.missions) > 1
     missions: list[dict[str, Any]] = []
     unchanged: list[str] = []
     ended: dict[Any, Any] = {}
-    beside = answer.progress(f"{len(chosen.missions)} missions") if jobs > 1 else nullcontext()
+    apart = jobs > 1 or scheduler is not None
+    beside = answer.progress(f"{len(chosen.missions)} missions") if apart else nullcontext()
     options = {"force": force, "verify_inputs": verify_inputs}
     outcomes = chosen.ends(
-        partial(run_missions, answer, jobs, options), again=force or verify_inputs
+        partial(run_missions, answer, scheduler or jobs, options), again=force or verify_inputs
     )
     with beside, closing(outcomes):
         for ref, end in outcomes:
@@ -94,22 +114,30 @@ def run(
     if unchanged:
         print_unchanged(answer.console, unchanged, len(chosen.missions))
     keep_unchanged(chosen, ended)
-    answer.print_paths(str(page) for page in write_pages(chosen, ended))
+    if shard is None:
+        answer.print_paths(str(page) for page in write_pages(chosen, ended))
     _end(answer, missions)
 
 
 def run_missions(
-    answer: Answer, jobs: int, options: Mapping[str, Any], missions: list[MissionRef]
+    answer: Answer, where: int | str, options: Mapping[str, Any], missions: list[MissionRef]
 ) -> Generator[tuple[MissionRef, MissionEnd]]:
-    """Run missions in this process or in others."""
+    """Run missions in this process, in so many others, or on the workers of a scheduler."""
     with answer.progress("loading"):
+        from pipeline.batch.cluster import Cluster
         from pipeline.batch.execute import run_many
-        from pipeline.batch.executors import Inline, Processes
+        from pipeline.batch.executors import Executor, Inline, Processes
         from pipeline.stages.story import run_mission
 
-    apart = jobs > 1 and len(missions) > 1
-    executor = Processes(jobs) if apart else Inline(answer.progress)
-    return run_many(partial(run_mission, **options), missions, executor)
+    executor: Executor = Inline(answer.progress)
+    sent = {ref: ref for ref in missions}
+    if isinstance(where, str):
+        executor = Cluster(where)
+        sent = {replace(ref, path=ref.path.absolute()): ref for ref in missions}
+    elif where > 1 and len(missions) > 1:
+        executor = Processes(where)
+    with closing(run_many(partial(run_mission, **options), list(sent), executor)) as ends:
+        yield from ((sent[ref], end) for ref, end in ends)
 
 
 def _refused(config: str, error: UnbendError) -> dict[str, Any]:

@@ -5,15 +5,16 @@ from __future__ import annotations
 import contextlib
 import pickle
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import pytest
 
 from pipeline.batch import apart
 from pipeline.batch.apart import Child, stop_all
-from pipeline.batch.execute import Bug, exit_code_of, run_many
+from pipeline.batch.execute import exit_code_of, run_many, shard_of
 from pipeline.batch.executors import Inline
-from pipeline.batch.outcomes import Outcome, Receipt
+from pipeline.batch.outcomes import Bug, Outcome, Receipt
 from pipeline.config.campaign import MissionRef
 from pipeline.errors import InputError
 from pipeline.stages.campaigns.selection import select_missions
@@ -73,6 +74,37 @@ def test_missions_run_in_the_order_given_and_no_end_stops_the_rest():
     assert [end.name for end in done if isinstance(end, Outcome)] == ["b", "a"]
 
 
+def test_shards_are_all_missions_once():
+    missions = [MissionRef(Path(f"{name}.yaml")) for name in "abcdefg"]
+    for count in (1, 3, 9):
+        run = [missions[shard_of(f"{i}/{count}")] for i in range(count)]
+        assert sorted(chain(*run), key=missions.index) == missions
+        assert max(map(len, run)) - min(map(len, run)) <= 1
+
+
+def test_what_is_no_shard_is_refused(unbend, tmp_path):
+    for shard in ("3/3", "1", "-1/3", "a/b", "1/0", "0/", "1.0/3", "4/3"):
+        ended = unbend("run", tmp_path / "none.yaml", f"--shard={shard}")
+        assert ended.code == 2, shard
+        assert f"RUN-SHARD: {shard} is no part" in ended.err
+    ended = unbend("run", tmp_path / "none.yaml", "--shard", "1/2", "--json")
+    assert (ended.code, ended.out, ended.err) == (0, "[]\n", "")
+
+
+def test_a_scheduler_and_processes_do_not_go_together(unbend, tmp_path):
+    ended = unbend("run", tmp_path / "none.yaml", "--jobs", "2", "--scheduler", "tcp://127.0.0.1:9")
+    assert ended.code == 2
+    assert ended.err.startswith("RUN-ARGUMENTS: ")
+
+
+def test_a_scheduler_that_is_not_there_is_said_once(unbend, mission_factory, tmp_path):
+    missions = [mission_factory(tmp_path / name).save() for name in "ab"]
+    ended = unbend("run", *missions, "--scheduler", tmp_path / "none.json")
+    assert ended.code == 2
+    assert ended.err.count("SCHEDULER-FILE") == 1
+    assert not (tmp_path / "a" / "results").exists()
+
+
 def test_interrupts_of_the_user_pass_through():
     def run_mission(mission: MissionRef, /, *, progress: object = None) -> Outcome:
         raise KeyboardInterrupt
@@ -96,10 +128,10 @@ def test_a_child_that_has_waited_too_long_is_replaced(monkeypatch):
     monkeypatch.setattr(apart, "_SERVE", apart._SERVE.replace("serve()", "serve(0.01)"))
     try:
         assert child.run(task) == Receipt("a", Path("out"), "f", 0, False)
-        first = child._process
+        first = child.process
         assert first is not None
         assert first.wait(60.0) == 0
         assert child.run(task) == Receipt("a", Path("out"), "f", 0, False)
-        assert child._process is not first
+        assert child.process is not first
     finally:
         stop_all([child])

@@ -13,56 +13,7 @@ from pathlib import Path
 
 import pytest
 
-# Each mission is named for what it does; every beginning is written down. No mission file is read,
-# so the rooms that read them, a second and a half of each process, are not imported.
-MISSIONS = """
-import json, os, signal, sys, time
-from dataclasses import dataclass
-from pathlib import Path
-from pipeline.batch.outcomes import Bug, Outcome
-from pipeline.errors import InputError
-
-@dataclass(frozen=True)
-class Unread:
-    path: Path
-
-    def load(self):
-        raise InputError("INPUT-MISSING", "none is read", where=str(self.path))
-
-def one(mission, *, progress=None):
-    path = mission.path
-    name, here = path.stem, path.parent
-    with (here / "begun").open("a") as file:
-        print(name, os.getpid(), file=file)
-    if name.startswith("deadly") or (name.startswith("unlucky") and not (here / name).exists()):
-        (here / name).touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    if name.startswith("leaving"):
-        os._exit(0)
-    if name.startswith("buggy"):
-        raise KeyError(name)
-    if name.startswith("refused"):
-        raise InputError("OBS-EMPTY", "nothing", where=str(path))
-    time.sleep(float(os.environ.get("PACE", "0")))
-    os.write(1, b"what a library prints\\n")
-    output = here / f"results of {name}"
-    manifest = {"fingerprint": name, "mission": name, "outputs": [], "exit_code": 3}
-    if not name.startswith("elsewhere"):
-        output.mkdir(exist_ok=True)
-        (output / "manifest.json").write_text(json.dumps(manifest))
-    return Outcome(name, output, manifest, 3, False)
-
-def main():
-    from pipeline.batch.execute import run_many
-    from pipeline.batch.executors import Processes
-    missions = [Unread(Path(sys.argv[2]) / f"{name}.yaml") for name in sys.argv[3:]]
-    for mission, end in run_many(one, missions, Processes(int(sys.argv[1]))):
-        word = "bug" if isinstance(end, Bug) else getattr(end, "code", None)
-        if isinstance(end, Outcome):
-            assert (end.name, end.exit_code, end.manifest["fingerprint"]) == (end.name, 3, end.name)
-            word = "done"
-        print(json.dumps([mission.path.stem, word, str(end)]), flush=True)
-"""
+MISSIONS = str(Path(__file__).with_name("missions.py"))
 
 
 def ran(folder: Path, jobs: int, *names: str, pace: float = 0.0) -> tuple[dict[str, str], list]:
@@ -73,11 +24,10 @@ def ran(folder: Path, jobs: int, *names: str, pace: float = 0.0) -> tuple[dict[s
 
 def told(folder: Path, jobs: int, *names: str, pace: float = 0.0) -> tuple[list, list]:
     """How each mission ended, in its order and with its text, and which began when and where."""
-    (folder / "missions.py").write_text(MISSIONS, encoding="utf-8")
-    code = f"import sys; sys.path.append({str(folder)!r}); import missions; missions.main()"
+    (folder / "pace").write_text(str(pace))
     done = subprocess.run(
-        [sys.executable, "-c", code, str(jobs), str(folder), *names],
-        capture_output=True, text=True, timeout=300, env=os.environ | {"PACE": str(pace)},
+        [sys.executable, MISSIONS, str(jobs), str(folder), *names],
+        capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr, done.stderr
@@ -127,11 +77,9 @@ def test_a_process_that_leaves_with_0_is_dead_too(tmp_path):
 
 
 def test_no_process_outlives_its_parent(tmp_path):
-    (tmp_path / "missions.py").write_text(MISSIONS, encoding="utf-8")
-    code = f"import sys; sys.path.append({str(tmp_path)!r}); import missions; missions.main()"
+    (tmp_path / "pace").write_text("600")
     parent = subprocess.Popen(
-        [sys.executable, "-c", code, "2", str(tmp_path), "a", "b"],
-        env=os.environ | {"PACE": "600"},
+        [sys.executable, MISSIONS, "2", str(tmp_path), "a", "b"]
     )  # fmt: skip
     begun = tmp_path / "begun"
     wait_until(lambda: begun.exists() and begun.read_text().count("\n") == 2)
@@ -149,21 +97,29 @@ def wait_until(happened: Callable[[], bool], seconds: float = 120.0) -> None:
 
 
 # `unbend run`, with a step in which every worker waits to be hit; deaf ones do not hear SIGTERM.
+# Workers import this module because the function that runs a mission is one of its own.
 STALLING = """
 import os, signal, sys, time
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a child of nohup has it ignored
-from pipeline.stages import story as stages
-real = stages.write_tables
+from pipeline.stages import story
+real, run_real = story.write_tables, story.run_mission
 def stalled(*args):
     real(*args)
     if os.environ["DEAF"] == "yes":
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
     os.write(1, b"stalled %d\\n" % os.getpid())
     time.sleep(600)
-stages.write_tables = stalled
-if __name__ == "__main__":
-    from pipeline.cli import main
-    main()
+def run_mission(*args, **named):
+    story.write_tables = stalled
+    return run_real(*args, **named)
+"""
+RUN = """
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a child of nohup has it ignored
+sys.path.append(sys.argv.pop(1))
+import stalling
+stalling.story.run_mission = stalling.run_mission
+from pipeline.cli import main
+main()
 """
 
 
@@ -182,19 +138,19 @@ def gone(process: int) -> bool:
 )
 def test_a_signal_stops_all_and_begins_nothing(mission_factory, tmp_path, number, code, deaf):
     missions = [mission_factory(tmp_path / name) for name in "abcdef"]
-    script = tmp_path / "stalling.py"
-    script.write_text(STALLING, encoding="utf-8")
+    (tmp_path / "stalling.py").write_text(STALLING, encoding="utf-8")
     process = subprocess.Popen(
-        [sys.executable, str(script), "run", *(str(m.save()) for m in missions), "--jobs", "2"],
+        [sys.executable, "-c", RUN, str(tmp_path), "run", "--jobs", "2",
+         *(str(m.save()) for m in missions)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env=os.environ | {"DEAF": deaf},
     )  # fmt: skip
-    assert process.stdout is not None
-    workers = [int(process.stdout.readline().split()[1]) for _ in range(2)]
+    assert process.stderr is not None  # a worker's standard output is for its receipts alone
+    workers = [int(process.stderr.readline().split()[1]) for _ in range(2)]
     process.send_signal(number)
     out, err = process.communicate(timeout=300)  # the step itself takes 600 s
-    assert process.returncode == code
-    assert "stalled" not in out
+    assert process.returncode == code, err
+    assert "stalled" not in out + err
     assert "Traceback" not in err, err
     assert all(gone(worker) for worker in workers)
     begun = [m for m in missions if m.output.exists()]

@@ -61,12 +61,15 @@ class Selection:
             yield from run(waiting)
 
 
-def select_missions(configs: Iterable[Path], names: Sequence[str] = ()) -> Selection:
+def select_missions(
+    configs: Iterable[Path], names: Sequence[str] = (), part: slice = slice(None)
+) -> Selection:
     """The missions of mission files and campaign files; of them only those of ``names``.
 
-    A name is that of a mission, or the path of its file. Refuses (ConfigError) a campaign that is
-    wrong, or has two missions of one name or folder (CAMPAIGN-SAME-NAME, CAMPAIGN-SAME-OUTPUT), and
-    a name that no mission has (CAMPAIGN-MISSION). Nothing was touched then.
+    A name is that of a mission, or the path of its file; only a ``part`` is chosen. Refuses
+    (ConfigError) a campaign that is wrong, or has two missions of one name or folder
+    (CAMPAIGN-SAME-NAME, CAMPAIGN-SAME-OUTPUT), and a name that no mission has (CAMPAIGN-MISSION).
+    Nothing was touched then.
     """
     missions, campaigns = open_configs(configs)
     known = look_up(missions)
@@ -90,7 +93,7 @@ def select_missions(configs: Iterable[Path], names: Sequence[str] = ()) -> Selec
         raise ConfigError.of("CAMPAIGN-MISSION", name=name, known=there)
     chosen = [ref for ref in missions if not names or words.get(ref, set()) & {*names}]
     shared = shared_outputs((ref, folder) for ref, _, folder in listed)
-    return Selection(tuple(chosen), tuple(campaigns), called, shared, known)
+    return Selection(tuple(chosen[part]), tuple(campaigns), called, shared, known)
 
 
 def keep_unchanged(chosen: Selection, ended: Mapping[MissionRef, MissionEnd]) -> None:

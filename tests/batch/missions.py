@@ -1,0 +1,82 @@
+"""Missions that are named for what they do, and write down every beginning.
+
+No mission file is read, so the rooms that read them, a second and a half of each process, are not
+imported. As a program: runs some in so many processes, or on a cluster, and prints how each ended.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.batch.execute import run_many
+from pipeline.batch.outcomes import Bug, Outcome
+from pipeline.batch.store import open_folder, read_manifest
+from pipeline.errors import InputError
+
+
+@dataclass(frozen=True)
+class Unread:
+    """A reference to a mission whose file nobody reads."""
+
+    path: Path
+
+    @property
+    def words(self):
+        return (str(self.path),)
+
+
+def one(mission, *, progress=None):
+    name, here = mission.path.stem, mission.path.parent
+    output = here / f"results of {name}"
+    if (finished := read_manifest(output)) is not None:
+        return Outcome(name, output, finished, 3, True)
+    with open_folder(output) as folder:
+        with (here / "begun").open("a") as file:
+            print(name, os.getpid(), file=file)
+        if name.startswith("deadly") or (name.startswith("unlucky") and not (here / name).exists()):
+            (here / name).touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        if name.startswith("leaving"):
+            os._exit(0)
+        if name.startswith("buggy"):
+            raise KeyError(name)
+        if name.startswith("refused"):
+            raise InputError("OBS-EMPTY", "nothing", where=str(mission.path))
+        folder.place("stations.parquet").write_bytes(name.encode() * 1000)
+        time.sleep(float((here / "pace").read_text()))
+        os.write(1, b"what a library prints\n")
+        folder.seal("stations.parquet")
+        manifest = {"fingerprint": name, "mission": name, "exit_code": 3}
+        manifest["outputs"] = folder.outputs()
+        if not name.startswith("elsewhere"):
+            folder.commit(manifest)
+    return Outcome(name, output, manifest, 3, False)
+
+
+def main():
+    from pipeline.batch.cluster import Cluster
+    from pipeline.batch.executors import Processes
+
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # as the command line has it
+    where, folder, *names = sys.argv[1:]
+    executor = Processes(int(where)) if where.isdecimal() else Cluster(where)
+    missions = [Unread(Path(folder) / f"{name}.yaml") for name in names]
+    for mission, end in run_many(one, missions, executor):
+        word = "bug" if isinstance(end, Bug) else getattr(end, "code", None)
+        if isinstance(end, Outcome):
+            assert (end.name, end.exit_code, end.manifest["fingerprint"]) == (end.name, 3, end.name)
+            word = "repeated" if end.repeated else "done"
+        print(json.dumps([mission.path.stem, word, str(end)]), flush=True)
+
+
+if __name__ == "__main__":
+    # As any program would that is not this one: what is sent to others is of the module `missions`.
+    import missions
+
+    missions.main()
