@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterator
 
 from docs.snippets import printed_by
-from pipeline.config.schema import MissionKey, mission_keys
+from pipeline.config.schema import MissionKey, campaign_keys, mission_keys
 from pipeline.report import explanations
 from pipeline.tables import schemas
 
@@ -27,7 +27,7 @@ def keys_of(section: str) -> str:
     """The keys of a section of the mission file, each under a heading of its own."""
     found = [
         key
-        for key in mission_keys()
+        for key in (*mission_keys(), *campaign_keys())
         if key.path.split(".")[0] == section and not REPEATED.match(key.path)
     ]
     return "\n\n".join(lines for key in found for lines in key_lines(key))

@@ -32,6 +32,7 @@ import yaml
 
 from pipeline.cli import main as unbend_main
 from pipeline.config import load_mission
+from pipeline.config.campaign import campaign_of
 from pipeline.errors import UnbendError
 
 DOCS = Path(__file__).resolve().parent
@@ -41,7 +42,7 @@ FENCE = re.compile(
     r"^(?P<indent> *)```(?P<kind>\w*)(?P<rest>[^\n]*)\n(?P<body>.*?)^(?P=indent)```", re.M | re.S
 )
 TITLE = re.compile(r'title="([^"]+)"')
-SHELL = ("cat", "cp", "grep", "head", "ls", "mkdir", "rm", "tail", "wc")  # run as they stand
+SHELL = ("cat", "cp", "grep", "head", "ls", "mkdir", "rm", "tail", "touch", "wc")  # run as such
 NOT_RUN = ("#", "cd ", "env/", "exiftool ", "git ", "make", "pip ", "py", "python -m")
 ONE_CAMERA = """
 mission: {name: one}
@@ -214,6 +215,9 @@ def load_yaml(block: Block, whole: str) -> str:
     text = yaml.safe_load(block.body)
     if not isinstance(text, dict):
         raise ValueError(f"not a part of a mission file: {block.body}")
+    if "campaign" in text:
+        campaign_of(Path("season.yaml"), text, yaml.compose(block.body))
+        return whole
     if "cameras" in text and "output" in text:
         load_text(text)
         return block.body

@@ -18,6 +18,7 @@ from pipeline.report.words import count
 @app.command(epilog="Example: unbend schema --out mission.schema.json")
 def schema(
     out: Annotated[Path | None, typer.Option(help="the file to write")] = None,
+    campaign: Annotated[bool, typer.Option("--campaign", help="that of a campaign file")] = False,
     *,
     quiet: Quiet = False,
     as_json: AsJson = False,
@@ -29,9 +30,9 @@ def schema(
     """
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("listing the keys"):
-        from pipeline.config.schema import mission_schema
+        from pipeline.config.schema import campaign_schema, mission_schema
 
-        text = json.dumps(mission_schema(), indent=1)
+        text = json.dumps(campaign_schema() if campaign else mission_schema(), indent=1)
     if out is not None:
         with storage_errors(out):
             out.write_text(text + "\n", encoding="utf-8")

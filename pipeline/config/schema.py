@@ -198,7 +198,7 @@ def mission_keys(node: Node | None = None, above: str = "") -> Iterator[MissionK
             default = value.get("default")
             stated = "none" if default == {} else as_written(default)
             if "default" not in value:
-                filled_in = key not in arm["required"]
+                filled_in = key not in arm.get("required", ())
                 stated = "must be given" + ", unless other keys say it" * filled_in
             elif isinstance(default, dict) and default:
                 stated = "as its own keys"
@@ -207,3 +207,9 @@ def mission_keys(node: Node | None = None, above: str = "") -> Iterator[MissionK
                 as_written(value["examples"][0]) if "examples" in value else "",
             )  # fmt: skip
             yield from mission_keys(value, path)
+
+
+def campaign_keys() -> list[MissionKey]:
+    """The keys of a campaign file that are none of a mission file."""
+    keys = mission_keys(campaign_schema())
+    return [key for key in keys if not key.path.startswith(("defaults.", "missions."))]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 
-from pipeline.config.schema import mission_keys
+from pipeline.config.schema import campaign_keys, mission_keys
 from pipeline.errors import ConfigError
 
 _MOST_LISTED = 8
@@ -63,7 +63,7 @@ def explain(word: str) -> list[str]:
     known = codes()
     if code in known:
         return [code, *_lines_of(known[code])]
-    keys = list(mission_keys())
+    keys = [*mission_keys(), *campaign_keys()]
     parts = word.strip(".").lower().split(".")
     tails = [(key, key.path.split(".")[-len(parts) :]) for key in keys]
     found = [  # * of a key stands for any name

@@ -22,7 +22,7 @@ MISSIONS = [path.read_text(encoding="utf-8") for path in sorted(ROOT.glob("confi
     block
     for page in [ROOT / "README.md", *ROOT.glob("docs/**/*.md")]
     for block in re.findall(r"^```yaml\n(.*?)^```", page.read_text(encoding="utf-8"), re.S | re.M)
-    if "output:" in block and "mission:" in block
+    if "output:" in block and "mission:" in block and "missions:" not in block
 ]
 
 

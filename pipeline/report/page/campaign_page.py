@@ -15,7 +15,7 @@ from pipeline.report.verdict import verdict
 from pipeline.tables.schemas import columns_of, schema_of
 
 COLUMNS = columns_of("campaign")
-DONE, WITH_LOSSES = "done", "done with losses"
+DONE, WITH_LOSSES = "done", "done with losses or findings"
 
 
 def row_of(manifest: Mapping[str, Any]) -> dict[str, Any]:
