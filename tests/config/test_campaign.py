@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 from pathlib import Path
 from typing import Any
@@ -182,3 +183,9 @@ def test_the_schema_takes_what_the_program_takes(season, tmp_path):
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate(wrong, schema)
     assert nodes_at(("defaults", "log", "path")) == nodes_at(("log", "path"))
+
+
+def test_schema_and_help_know_campaigns(unbend):
+    assert json.loads(unbend("schema", "--campaign").out) == campaign_schema()
+    assert "flights/*/mission.yaml" in unbend("help", "missions").out
+    assert "folder of campaign.html" in unbend("help", "campaign.output").out
