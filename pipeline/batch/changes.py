@@ -4,7 +4,14 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import pipeline
-from pipeline.batch.plan import NOT_IN_KEY, Plan, code_hash, library_versions
+from pipeline.batch.keys import (
+    NOT_IN_KEY,
+    STAGES,
+    code_of_stages,
+    stage_of_key,
+    stage_of_role,
+)
+from pipeline.batch.plan import Plan
 from pipeline.batch.store import find_damage
 
 
@@ -19,32 +26,49 @@ def reasons_to_run(plan: Plan, manifest: Mapping[str, Any]) -> list[str]:
 def changes_since(plan: Plan, manifest: Mapping[str, Any]) -> list[str]:
     """What differs between a plan and the run of a manifest, one sentence part each.
 
-    Inputs by their role, keys of the mission file with both values, the program, its libraries.
-    Empty where the fingerprints agree.
+    Each by the stage that begins again for it, these in their order: inputs by their role, keys of
+    the mission file with both values, the program, its libraries. Empty where fingerprints agree.
     """
     if manifest["fingerprint"] == plan.fingerprint:
         return []
+    changes = [*changed_inputs(plan, manifest), *changed_keys(plan, manifest)]
+    of_run, codes = manifest.get("versions", {}), manifest.get("code", {})
+    for stage, code in code_of_stages().items():
+        if codes.get(stage) != code:
+            text = f"another version of unbend ({of_run.get('unbend')} -> {pipeline.__version__})"
+            changes.append((stage, text))
+            break  # the later ones begin again all the same
+    changes += [
+        (stage, f"{name} {_shown(of_run.get(name))} -> {_shown(version)}")
+        for stage, of_stage in plan.libraries.items()
+        for name, version in of_stage.items()
+        if of_run.get(name) != version
+    ]
+    if not changes:
+        return ["the mission file is read in another way"]
+    changes.sort(key=lambda change: STAGES.index(change[0]))
+    return [f"{stage}: {text}" for stage, text in changes]
+
+
+def changed_inputs(plan: Plan, manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """The inputs that differ from those of a run, each behind its stage."""
     before = {item["role"]: item["sha256"] for item in manifest.get("inputs", ())}
     now = {item.role: item for item in plan.inputs}
-    changes = [f"{role} is no longer read" for role in before if role not in now]
+    for role in before.keys() - now.keys():
+        yield stage_of_role(role), f"{role} is no longer read"
     for role, item in now.items():
         if before.get(role) != item.sha256:
-            changes.append(f"{role} {'changed' if role in before else 'is new'} ({item.name})")
+            how = "changed" if role in before else "is new"
+            yield stage_of_role(role), f"{role} {how} ({item.name})"
+
+
+def changed_keys(plan: Plan, manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """The keys of the mission file that differ, with both values, each behind its stage."""
     then = dict(_keys(manifest.get("config", {})))
     own = dict(_keys(plan.mission.model_dump(mode="json")))
     for key in sorted(then.keys() | own.keys()):
         if key not in NOT_IN_KEY and then.get(key) != own.get(key):
-            changes.append(f"{key}: {_shown(then.get(key))} -> {_shown(own.get(key))}")
-    of_run = manifest.get("versions", {})
-    if of_run.get("code_sha256") != code_hash():
-        of_both = f"{of_run.get('unbend')} -> {pipeline.__version__}"
-        changes.append(f"another version of unbend ({of_both})")
-    changes += [
-        f"{name} {of_run.get(name)} -> {version}"
-        for name, version in library_versions().items()
-        if of_run.get(name) != version
-    ]
-    return changes or ["the mission file is read in another way"]
+            yield stage_of_key(key), f"{key}: {_shown(then.get(key))} -> {_shown(own.get(key))}"
 
 
 def _keys(values: Any, key: str = "") -> Iterator[tuple[str, Any]]:

@@ -23,6 +23,7 @@ from typing import Any
 from pipeline.batch.changes import reasons_to_run
 from pipeline.batch.file_hashes import SETTLED_NS
 from pipeline.batch.object_store.place import Place
+from pipeline.batch.keys import GRIDS, grids_of_proj
 from pipeline.batch.plan import code_hash, input_paths, library_versions, located, make_plan
 from pipeline.batch.store import MANIFEST, STAGING, read_manifest
 from pipeline.caches import user_cache
@@ -59,6 +60,8 @@ def look_up(refs: Iterable[MissionRef]) -> dict[MissionRef, IndexEntry]:
             continue
         files, file = content["files"], os.path.abspath(ref.path)
         if stamp(file) != files.get(file):
+            continue
+        if content["grids"] not in (None, grids_of_proj()):
             continue
         # A run that is under way, or was interrupted, has a staging folder.
         staged = os.path.lexists(os.path.join(content["output"], STAGING))
@@ -112,6 +115,7 @@ def entry_of(ref: MissionRef, describe: Callable[[Row], Row]) -> dict[str, Any] 
         "name": mission.mission.name, "output": os.path.abspath(plan.folder),
         "stated": mission.output.path, "exit_code": int(manifest["exit_code"]),
         "row": dict(describe(manifest)), "files": files,
+        "grids": plan.libraries["air"].get(GRIDS),
     }  # fmt: skip
 
 
@@ -162,7 +166,7 @@ def installed() -> str:
 
 def _program() -> str:
     """SHA-256 over the code, Python, and every library that is installed, whether used or not."""
-    content = [code_hash(), sys.version, library_versions(), installed()]
+    content = [code_hash(), sys.version, installed()]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 

@@ -11,12 +11,13 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
-from importlib import metadata, resources
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import pipeline
 from pipeline.batch.file_hashes import recalled, remember, remembered_hash
+from pipeline.batch.keys import keys_of, libraries
 from pipeline.batch.object_store.copies import copy_of, fetched, version_of
 from pipeline.batch.object_store.place import Place, is_url
 from pipeline.batch.outcomes import Outcome
@@ -45,16 +46,6 @@ _MISSION_FILE_KEYS = {
 }
 _EXIF_BYTES = 1 << 18
 _TIMES = ("st_mtime_ns", "st_ctime_ns")
-
-NOT_IN_KEY = ("output.batch_rows",)
-"""Keys of a mission file that no number depends on."""
-
-_LIBRARIES = (
-    "numpy", "scipy", "numba", "llvmlite", "pandas", "pyarrow",  # arithmetic and tables
-    "pymavlink", "mcap", "mcap-ros2-support", "mcap-protobuf-support", "metar",  # decoding
-    "exifread",  # times of images
-    "pyproj",  # coordinate systems
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -87,19 +78,20 @@ class Plan:
     camera_names: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def fingerprint(self) -> str:
-        """SHA-256 over the mission file as understood, the inputs, the code and its libraries."""
+    def keys(self) -> dict[str, str]:
+        """The key of each stage, as in the manifest."""
         config = self.mission.model_dump(mode="json")
-        for key in NOT_IN_KEY:
-            section, name = key.split(".")
-            del config[section][name]
-        content = {
-            "config": config,
-            "inputs": {item.role: item.sha256 for item in self.inputs},
-            "code": code_hash(),
-            "libraries": library_versions(),
-        }
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+        return keys_of(config, {item.role: item.sha256 for item in self.inputs})
+
+    @property
+    def libraries(self) -> dict[str, dict[str, str | None]]:
+        """Versions of the libraries that its numbers depend on, by stage."""
+        return libraries([item.role for item in self.inputs], self.mission.atmosphere.standard)
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 over the keys of all stages."""
+        return fingerprint_of(self.keys)
 
     @property
     def folder(self) -> Path:
@@ -349,15 +341,15 @@ def hash_of_files(root: Path) -> str:
     return digest.hexdigest()
 
 
-def library_versions() -> dict[str, str]:
-    """Versions of the libraries that the numbers depend on."""
-    return {name: metadata.version(name) for name in _LIBRARIES}
-
-
-def versions() -> dict[str, Any]:
+def versions(plan: Plan) -> dict[str, Any]:
     """Versions of the code, Python and the libraries, for the manifest."""
-    return {
-        "unbend": pipeline.__version__,
-        "code_sha256": code_hash(),
-        "python": platform.python_version(),
-    } | library_versions()
+    found = {"unbend": pipeline.__version__, "code_sha256": code_hash()}
+    found |= {"python": platform.python_version()}
+    for of_stage in plan.libraries.values():
+        found |= {name: version for name, version in of_stage.items() if version is not None}
+    return found
+
+
+def fingerprint_of(keys: Mapping[str, str]) -> str:
+    """SHA-256 over the keys of the stages."""
+    return hashlib.sha256(json.dumps(keys, sort_keys=True).encode()).hexdigest()

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS
+from pipeline.batch.keys import code_of_stages
 from pipeline.batch.plan import MANIFEST_VERSION, Plan, versions
 from pipeline.batch.store import RunFolder
 from pipeline.config import Mission
@@ -72,11 +73,13 @@ def manifest_of(
         "manifest_version": MANIFEST_VERSION,
         "mission": plan.mission.mission.name,
         "fingerprint": plan.fingerprint,
+        "keys": plan.keys,
+        "code": code_of_stages(),
         "config": plan.mission.model_dump(mode="json"),
         "inputs": [
             {"role": item.role, "name": item.name, "sha256": item.sha256} for item in plan.inputs
         ],
-        "versions": versions(),
+        "versions": versions(plan),
         "log": log
         and {
             "format": log.format,

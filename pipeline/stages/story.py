@@ -197,7 +197,7 @@ def run_plan(plan: Plan, *, force: bool, progress: Progress) -> Outcome:
 
         def correct_all(setup: CorrectionSetup) -> Statistics:
             check_unchanged(plan)
-            folder.resume(f"{plan.fingerprint} {plan.mission.output.batch_rows}", anew=force)
+            folder.resume(f"{plan.keys['correction']} {plan.mission.output.batch_rows}", anew=force)
             return correct_stream(
                 observations,
                 setup,

@@ -7,8 +7,7 @@ import os
 
 import pytest
 
-from pipeline.batch import file_hashes
-from pipeline.batch import plan as planning
+from pipeline.batch import changes, file_hashes, keys
 from pipeline.stages.story import mission_status, run_mission
 
 
@@ -32,18 +31,25 @@ def test_a_mission_that_never_ran(mission):
     assert reasons(mission) == [f"{mission.output} has no results of it"]
 
 
-def test_each_change_is_named(done, monkeypatch):
+def test_each_change_is_named_with_the_stage_that_begins_again(done, monkeypatch):
     done.config["ground"]["sigma_m"] = 1.5
-    assert reasons(done) == ["ground.sigma_m: nothing -> 1.5"]
+    assert reasons(done) == ["air: ground.sigma_m: nothing -> 1.5"]
     with done.log.open("ab") as log:
         log.write(b"\0")
-    changed = f"log changed ({done.config['log']['path']})"
-    assert reasons(done) == [changed, "ground.sigma_m: nothing -> 1.5"]
+    changed = f"ingest: log changed ({done.config['log']['path']})"
+    assert reasons(done) == [changed, "air: ground.sigma_m: nothing -> 1.5"]
     del done.config["ground"]["sigma_m"]
-    versions = planning.library_versions()
-    changed_one = versions | {"numpy": "0.1"}
-    monkeypatch.setattr("pipeline.batch.changes.library_versions", lambda: changed_one)
-    assert reasons(done) == [changed, f"numpy {versions['numpy']} -> 0.1"]
+    original = keys.version
+    monkeypatch.setattr(keys, "version", lambda n: "0.1" if n == "numpy" else original(n))
+    assert reasons(done) == [changed, f"ingest: numpy {original('numpy')} -> 0.1"]
+
+
+def test_another_version_of_unbend_begins_with_the_stage_whose_code_it_is(done, monkeypatch):
+    own = keys.code_of_stages()
+    for stage in ("report", "ingest", "correction"):
+        for module in (keys, changes):
+            monkeypatch.setattr(module, "code_of_stages", lambda s=stage: own | {s: "other"})
+        assert reasons(done) == [f"{stage}: another version of unbend (0.2.0 -> 0.2.0)"]
 
 
 def test_the_size_of_batches_changes_no_number(done):
@@ -78,6 +84,6 @@ def test_a_manifest_without_its_inputs_is_no_bug(done):
     manifest = json.loads(file.read_text())
     file.write_text(json.dumps({key: manifest[key] for key in kept} | {"fingerprint": "0"}))
     found = reasons(done)
-    assert f"log is new ({done.config['log']['path']})" in found
+    assert f"ingest: log is new ({done.config['log']['path']})" in found
     assert not run_mission(done.save()).repeated
     assert reasons(done) == []

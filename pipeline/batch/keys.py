@@ -1,0 +1,229 @@
+"""Keys of the stages of a run: what each depends on, so that a change says which begins again.
+
+A key is a hash over the key of the stage before, the inputs and the part of the mission file that
+the stage reads, the libraries its numbers depend on, and the code it reaches: the modules that its
+own modules import, at any place, and the data files beside them.
+"""
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Iterable, Mapping
+from functools import lru_cache
+from importlib import metadata, resources
+from pathlib import Path
+from typing import Any
+
+import pipeline
+
+STAGES = ("ingest", "air", "correction", "report")
+"""In their order: a stage that begins again has all later ones begin again."""
+
+NOT_IN_KEY = ("output.batch_rows",)
+"""Keys of a mission file that no number depends on."""
+
+_STORY = "pipeline.stages.story"
+_AFTERWARDS = {"pipeline.tables.exports", "pipeline.stages.finished_run", "pipeline.batch.changes"}
+_MODULES = {
+    "ingest": {"pipeline.ingest"},
+    "air": {
+        "pipeline.stages.inputs",
+        "pipeline.stages.stations",
+        "pipeline.stages.air.adjusted_profile",
+        "pipeline.stages.ground.point_table",
+        "pipeline.stages.ground.ground_heights",
+        "pipeline.flight.air_samples",
+        "pipeline.flight.stations",
+        "pipeline.tables.geodata.geoid",
+    },
+}
+_SECTIONS = {"control": "correction", "accept": "correction", "output": "report"}
+_ROLES = {"log": "ingest", "control": "correction"}
+
+_LIBRARIES = {
+    "ingest": (
+        "numpy", "scipy", "numba", "llvmlite", "pandas", "pyarrow",  # arithmetic and tables
+        "pymavlink", "mcap", "mcap-ros2-support", "mcap-protobuf-support", "protobuf", "lz4",
+        "zstandard",
+    ),
+    "air": ("metar", "exifread", "pillow", "pyproj"),
+    "correction": (),
+    "report": ("jinja2", "markupsafe"),
+}  # fmt: skip
+_OF_ROLES = {
+    "weather": ("xarray", "h5netcdf", "h5py", "cfgrib", "eccodes", "eccodeslib", "ecmwflibs"),
+    "elevation": ("rasterio",),
+    "nrlmsis2.1": ("pymsis",),
+}
+"""Libraries for some inputs only, by the first word of the role, or for an atmosphere by its name;
+all of the stage air."""
+
+GRIDS = "grids of pyproj"
+"""The name of `grids_of_proj` among the libraries."""
+
+_WITHOUT_PROJ = re.compile(r"log|observations|events|images|sounding \d+|weather model")
+
+_GAP = r"(?:[ \t]|\\\n)+"
+_IMPORT = re.compile(
+    rf"\bfrom{_GAP}(\.*[\w.]*){_GAP}import{_GAP}(\((?:[^)#]|#[^\n]*)*\)|(?:\\\n|[^\n])*)"
+)
+_TYPES = re.compile(r"^if TYPE_CHECKING:\n(?:[ \t][^\n]*\n|\n)+", re.MULTILINE)
+_NAMED = re.compile(r"\bpipeline(?:\.\w+)+")
+
+
+def stage_of_role(role: str) -> str:
+    """The first stage that reads an input."""
+    return _ROLES.get(role, "air")
+
+
+def stage_of_key(key: str) -> str:
+    """The first stage that depends on a key of the mission file, as ``section.key``."""
+    return _SECTIONS.get(key.partition(".")[0], "air")
+
+
+def keys_of(config: Mapping[str, Any], inputs: Mapping[str, str]) -> dict[str, str]:
+    """The key of each stage: of a mission file as understood, and the hashes of its inputs."""
+    config = dict(config)
+    for key in NOT_IN_KEY:
+        section, name = key.split(".")
+        config[section] = {k: v for k, v in config[section].items() if k != name}
+    codes, known, before = code_of_stages(), libraries(inputs, config["atmosphere"]["standard"]), ""
+    keys = {}
+    for stage in STAGES:
+        content = {
+            "before": before,
+            "code": codes[stage],
+            "libraries": known[stage],
+            "inputs": {r: sha256 for r, sha256 in inputs.items() if stage_of_role(r) == stage},
+            "config": {n: s for n, s in config.items() if stage_of_key(n) == stage}
+            if stage != "ingest"
+            else {},
+        }
+        text = json.dumps(content, sort_keys=True)
+        keys[stage] = before = hashlib.sha256(text.encode()).hexdigest()
+    return keys
+
+
+def libraries(roles: Iterable[str], standard: str) -> dict[str, dict[str, str | None]]:
+    """Versions of the libraries that the numbers depend on, by stage; None if not installed.
+
+    ``roles`` of the inputs and the name of the atmosphere: some need libraries of their own.
+    """
+    known = {stage: {name: version(name) for name in _LIBRARIES[stage]} for stage in STAGES}
+    roles = list(roles)
+    words = {role.split()[0] for role in roles}
+    for word in sorted({*words, standard} & _OF_ROLES.keys()):
+        known["air"] |= {name: version(name) for name in _OF_ROLES[word]}
+    if not all(map(_WITHOUT_PROJ.fullmatch, roles)):
+        known["air"][GRIDS] = grids_of_proj()
+    return known
+
+
+@lru_cache
+def version(library: str) -> str | None:
+    """The installed version of a library; None where there is none."""
+    try:
+        return metadata.version(library)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+@lru_cache(maxsize=1)
+def grids_of_proj() -> str:
+    """What is in the folders of PROJ: its version, and a hash of names and sizes of its grids.
+
+    A grid that is installed later changes the coordinates that are computed with it.
+    """
+    import pyproj
+
+    folders = [*pyproj.datadir.get_data_dir().split(os.pathsep), pyproj.datadir.get_user_data_dir()]
+    files = [
+        f"{entry.name} {entry.stat().st_size}"
+        for folder in folders
+        if os.path.isdir(folder)
+        for entry in sorted(os.scandir(folder), key=lambda entry: entry.name)
+        if entry.is_file()
+    ]
+    digest = hashlib.sha256("\n".join(files).encode()).hexdigest()
+    return f"PROJ {pyproj.proj_version_str}, {digest[:16]}"
+
+
+def code_of_stages() -> dict[str, str]:
+    """SHA-256 of the code that each stage reaches, and of its data."""
+    return code_below(Path(str(resources.files(pipeline))))
+
+
+@lru_cache(maxsize=1)
+def code_below(root: Path) -> dict[str, str]:
+    """`code_of_stages` of a package in a folder."""
+    digests: dict[str, str] = {}
+    data: dict[str, list[str]] = {}
+    packages = {path.parent for path in root.rglob("__init__.py")}
+    texts: dict[str, set[str]] = {}
+    for path in sorted(root.rglob("*")):
+        if not path.is_file() or "__pycache__" in path.parts:
+            continue
+        content, place = path.read_bytes(), path.relative_to(root.parent)
+        name = place.as_posix()
+        if path.suffix == ".py":
+            name = ".".join(place.with_suffix("").parts).removesuffix(".__init__")
+            package = name if path.stem == "__init__" else name.rpartition(".")[0]
+            texts[name] = imported(content.decode(), package)
+        else:
+            folder = next(folder for folder in path.parents if folder in packages)
+            owner = ".".join(folder.relative_to(root.parent).parts)
+            data.setdefault(owner, []).append(name)
+        digests[name] = hashlib.sha256(content).hexdigest()
+    edges = {name: names & texts.keys() for name, names in texts.items()}
+    # Names of modules that these two hold are no imports: no module asks the first for one.
+    edges |= {root.name: set(), __name__: {root.name}}
+    codes = {}
+    for stage, modules in stage_modules(edges[_STORY]).items():
+        reached = closure(modules, edges)
+        reached |= {_STORY} if stage != "ingest" else set()
+        names = reached | {name for owner in reached for name in data.get(owner, ())}
+        text = "\n".join(f"{name} {digests[name]}" for name in sorted(names))
+        codes[stage] = hashlib.sha256(text.encode()).hexdigest()
+    return codes
+
+
+def imported(text: str, package: str = "pipeline") -> set[str]:
+    """Names in a source that may be modules: imported at any place, or written as text.
+
+    ``package`` : the one it lies in, from which relative names count.
+
+    >>> sorted(imported("def f():\\n    from pipeline.ingest import (\\n        log,\\n    )"))
+    ['pipeline', 'pipeline.ingest', 'pipeline.ingest.log']
+    """
+    text = _TYPES.sub("", text)
+    names = set(_NAMED.findall(text))
+    for module, members in _IMPORT.findall(text):
+        if module.startswith("."):
+            name = module.lstrip(".")
+            above = package.split(".")[: 1 - (len(module) - len(name)) or None]
+            module = ".".join([*above, *filter(None, [name])])
+        if module.partition(".")[0] == "pipeline":
+            names |= {module, *(f"{module}.{n}" for n in re.findall(r"\w+", members))}
+    return {
+        ".".join(parts[: k + 1])
+        for parts in (name.split(".") for name in names)
+        for k in range(len(parts))
+    }
+
+
+def stage_modules(story: Iterable[str]) -> dict[str, set[str]]:
+    """The modules each stage begins with; those of the later ones are what the story imports."""
+    after = {name for name in story if name.startswith("pipeline.report")}
+    return _MODULES | {"correction": {*story} - after - _AFTERWARDS, "report": after}
+
+
+def closure(modules: Iterable[str], edges: Mapping[str, set[str]]) -> set[str]:
+    """The modules that some reach, with themselves."""
+    reached: set[str] = set()
+    waiting = {*modules}
+    while waiting:
+        name = waiting.pop()
+        reached.add(name)
+        waiting |= edges[name] - reached
+    return reached

@@ -1,0 +1,285 @@
+"""Keys of the stages: nothing that a number depends on is missing, and nothing far away is in."""
+
+from __future__ import annotations
+
+import ast
+import json
+import shutil
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+import pipeline
+from pipeline.batch import keys
+from pipeline.batch.plan import make_plan
+from pipeline.config import load_mission
+
+PACKAGE = Path(pipeline.__file__).parent
+ALL = {"ingest", "air", "correction", "report"}
+
+# Distributions of which no number depends on: they read the mission file, lock folders, talk.
+# Drawings of methods compared, which no run makes, are matplotlib's.
+NO_NUMBERS = {"pydantic", "PyYAML", "rich", "filelock", "typer", "matplotlib"}
+
+
+def sources(root: Path = PACKAGE) -> dict[str, str]:
+    return {
+        ".".join(path.relative_to(root.parent).with_suffix("").parts).removesuffix(".__init__"):
+        path.read_text(encoding="utf-8")
+        for path in root.rglob("*.py")
+    }  # fmt: skip
+
+
+def reached() -> dict[str, set[str]]:
+    """The modules of each stage."""
+    texts = sources()
+    edges = {name: keys.imported(text) & texts.keys() for name, text in texts.items()}
+    edges |= {"pipeline": set(), "pipeline.batch.keys": {"pipeline"}}
+    modules = keys.stage_modules(edges["pipeline.stages.story"])
+    return {stage: keys.closure(names, edges) for stage, names in modules.items()}
+
+
+@pytest.fixture
+def copied(tmp_path) -> Path:
+    ignore = shutil.ignore_patterns("__pycache__")
+    return Path(shutil.copytree(PACKAGE, tmp_path / "pipeline", ignore=ignore))
+
+
+# Where an edit is planted, and the stages whose code it is. Modules that are imported inside
+# functions (h5netcdf's reader, elevation models, kernels), tables, texts and templates among them.
+PLANTED = {
+    "ingest/dataflash/records.py": ALL - {"report"},
+    "ingest/ulog/log.py": ALL - {"report"},
+    "ingest/data/messages.toml": ALL - {"report"},
+    "units.py": ALL,
+    "texts.toml": ALL,
+    "geodesy.py": ALL,
+    "atmosphere/data/afgl1986.csv": ALL,
+    "atmosphere/soundings/igra.py": {"air", "correction"},
+    "atmosphere/estimate/solver.py": {"air", "correction", "report"},
+    "tables/weather_files.py": {"air", "correction"},
+    "tables/geodata/elevation.py": {"air", "correction"},
+    "tables/data/egm96_15.gtx.zst": {"air", "correction"},
+    "tables/imports/blocks/metashape.py": {"air", "correction"},
+    "refraction/kernels/steep.py": {"air", "correction", "report"},
+    "refraction/statistics.py": {"correction"},
+    "stages/plausibility.py": {"correction"},
+    "stages/story.py": {"air", "correction", "report"},
+    "report/page/data/report.html.j2": {"report"},
+    "report/page/data/report.css": {"report"},
+    "report/verdict.py": {"report"},
+    "report/codes.toml": {"report"},
+    "cli/missions.py": set(),
+    "simulate/flight.py": set(),
+    "library.py": set(),
+    "stages/proposal/mission.yaml.j2": set(),
+    "tables/exports/opk.py": set(),
+}
+
+
+def test_an_edit_changes_the_stages_that_reach_it(copied):
+    before = keys.code_below.__wrapped__(copied)
+    assert before == keys.code_of_stages()
+    for name, stages in PLANTED.items():
+        content = (copied / name).read_bytes()
+        (copied / name).write_bytes(content + b"\n")
+        after = keys.code_below.__wrapped__(copied)
+        assert {stage for stage in ALL if after[stage] != before[stage]} >= stages, name
+        if name.startswith(("report/", "cli/", "simulate/", "library", "stages/proposal")):
+            assert {stage for stage in ALL if after[stage] != before[stage]} == stages, name
+        (copied / name).write_bytes(content)
+    (copied / "atmosphere" / "data" / "afgl1986.csv").rename(copied / "atmosphere" / "data" / "a")
+    assert keys.code_below.__wrapped__(copied)["ingest"] != before["ingest"]
+
+
+def test_compiled_code_does_not_count(copied):
+    before = keys.code_below.__wrapped__(copied)
+    (copied / "__pycache__").mkdir()
+    (copied / "__pycache__" / "units.cpython-311.pyc").write_bytes(b"compiled")
+    assert keys.code_below.__wrapped__(copied) == before
+
+
+@pytest.mark.parametrize(
+    "planted",
+    [
+        "def f():\n    from pipeline.stages import rehearsal\n",
+        "def f():\n    import pipeline.stages.rehearsal\n",
+        "from pipeline.stages import (  # (as text)\n    cabin_air,\n    rehearsal as other,\n)\n",
+        'KINDS = {"x": "pipeline.stages.rehearsal"}\n',
+        "if True: from pipeline.stages.rehearsal import check\n",
+        "from ..stages import rehearsal\n",
+        "from .. import stages\nfrom ..stages.rehearsal import check\n",
+        "import numpy, pipeline.stages.rehearsal\n",
+        "from pipeline.stages \\\n    import rehearsal\n",
+        "from pipeline.stages import cabin_air, \\\n    rehearsal\n",
+    ],
+    ids=[
+        "inside",
+        "module",
+        "lines",
+        "text",
+        "one-line",
+        "relative",
+        "above",
+        "second",
+        "continued",
+        "later",
+    ],
+)
+def test_a_module_that_is_newly_reached_counts(copied, planted):
+    """However it is imported: afterwards an edit of it changes the keys."""
+    module = copied / "ingest" / "registry.py"
+    module.write_text(module.read_text(encoding="utf-8") + "\n\n" + planted, encoding="utf-8")
+    before = keys.code_below.__wrapped__(copied)
+    edited = copied / "stages" / "rehearsal.py"
+    edited.write_text(edited.read_text(encoding="utf-8") + "\n", encoding="utf-8")
+    after = keys.code_below.__wrapped__(copied)
+    assert {stage for stage in ALL if after[stage] != before[stage]} >= ALL - {"report"}
+
+
+def test_imports_are_those_that_python_sees():
+    """By Python's own parser, of every module; and no module is imported by a computed name."""
+    texts = sources()
+    run = set.union(*reached().values()) | {"pipeline.stages.story"}
+    for name, text in texts.items():
+        seen = keys.imported(text)
+        for node in ast.walk(ast.parse(keys._TYPES.sub("", text))):
+            if isinstance(node, ast.Import):
+                assert {a.name for a in node.names if a.name in texts} <= seen, name
+            elif isinstance(node, ast.ImportFrom) and node.module in texts:
+                members = {f"{node.module}.{a.name}" for a in node.names}
+                assert {node.module, *(members & texts.keys())} <= seen, name
+                assert node.module != "pipeline", f"{name} has the package import by name"
+            elif isinstance(node, ast.Name | ast.Attribute) and name in run - {"pipeline"}:
+                called = node.id if isinstance(node, ast.Name) else node.attr
+                assert called not in ("import_module", "__import__", "exec", "eval"), name
+
+
+def test_all_that_is_read_before_the_correction_is_of_the_air():
+    """The names in `prepare_mission` come from modules that the air reaches."""
+    tree = ast.parse((PACKAGE / "stages" / "story.py").read_text(encoding="utf-8"))
+    origin = {
+        alias.name: node.module
+        for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for alias in node.names
+    }  # fmt: skip
+    (prepare,) = (n for n in tree.body if getattr(n, "name", "") == "prepare_mission")
+    used = {node.id for node in ast.walk(prepare) if isinstance(node, ast.Name)} & origin.keys()
+    modules = {str(origin[name]) for name in used if str(origin[name]).startswith("pipeline.")}
+    assert len(modules) > 8
+    assert modules - reached()["air"] <= {"pipeline.report.progress"}
+
+
+@pytest.mark.parametrize("stage", sorted(ALL))
+def test_every_library_is_known(stage):
+    """What a stage imports of others is in a key, or no number depends on it."""
+    texts = sources()
+    tops = {
+        name.partition(".")[0]
+        for module in reached()[stage]
+        for node in ast.walk(ast.parse(texts[module]))
+        for name in (
+            [alias.name for alias in node.names] if isinstance(node, ast.Import)
+            else [str(node.module)] if isinstance(node, ast.ImportFrom) else []
+        )
+    } - {*sys.stdlib_module_names, "pipeline"}  # fmt: skip
+    of_module = metadata.packages_distributions()
+    known = {name.lower() for names in keys._LIBRARIES.values() for name in names}
+    known |= {name.lower() for names in keys._OF_ROLES.values() for name in names}
+    for top in tops:
+        distributions = {name.lower() for name in of_module[top]}
+        assert distributions & (known | {name.lower() for name in NO_NUMBERS}), top
+
+
+# What a run has imported at its end, and which files of the package it has opened.
+WATCHED = """
+import json, sys
+opened = set()
+def watch(event, words):
+    if event == "open" and isinstance(words[0], str):
+        opened.add(words[0])
+from pipeline.batch import keys, plan
+keys.code_of_stages(), plan.code_hash()  # these read everything
+sys.addaudithook(watch)
+from pipeline.stages.story import run_mission
+run_mission(sys.argv[1])
+modules = [name for name in sys.modules if name.partition(".")[0] == "pipeline"]
+print(json.dumps([modules, sorted(opened)]))
+"""
+
+
+def test_a_run_reaches_nothing_that_no_key_holds(mission):
+    done = subprocess.run(
+        [sys.executable, "-c", WATCHED, str(mission.save())],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    modules, opened = json.loads(done.stdout.splitlines()[-1])
+    held = set.union(*reached().values()) | {"pipeline.stages.story"}
+    assert {*modules} - held <= keys._AFTERWARDS | {
+        name for name in modules if name.startswith("pipeline.tables.exports")
+    }
+    data = {
+        path.relative_to(PACKAGE)
+        for path in map(Path, opened)
+        if path.is_relative_to(PACKAGE) and path.suffix not in (".py", ".pyc")
+    }
+    assert len(data) >= 5, "tables, texts and templates"
+    for path in data:
+        owner = path.parent if path.parent.name != "data" else path.parent.parent
+        assert ".".join(("pipeline", *owner.parts)) in held, path
+
+
+def changed(mission, before: dict[str, str]) -> list[str]:
+    now = make_plan(load_mission(mission.save()), mission.folder).keys
+    return [stage for stage in keys.STAGES if now[stage] != before[stage]]
+
+
+def test_each_input_and_section_has_a_first_stage(mission, monkeypatch):
+    before = make_plan(load_mission(mission.save()), mission.folder).keys
+    assert changed(mission, before) == []
+    mission.config["output"]["batch_rows"] = 1000
+    assert changed(mission, before) == []
+    mission.config["output"]["path"] = "elsewhere"
+    assert changed(mission, before) == ["report"]
+    mission.config["accept"] = [{"code": "GROUND-FLAT", "reason": "a test"}]
+    assert changed(mission, before) == ["correction", "report"]
+    mission.config["ground"]["sigma_m"] = 1.5
+    assert changed(mission, before) == ["air", "correction", "report"]
+    with mission.log.open("ab") as log:
+        log.write(b"\0")
+    assert changed(mission, before) == list(keys.STAGES)
+
+
+@pytest.mark.parametrize(
+    ("library", "first"),
+    [("numpy", 0), ("numba", 0), ("pymavlink", 0), ("metar", 1), ("exifread", 1), ("jinja2", 3)],
+)
+def test_a_library_of_another_version_begins_its_stage_again(mission, monkeypatch, library, first):
+    before = make_plan(load_mission(mission.save()), mission.folder).keys
+    original = keys.version
+    monkeypatch.setattr(keys, "version", lambda name: "0" if name == library else original(name))
+    assert changed(mission, before) == list(keys.STAGES[first:])
+
+
+def test_libraries_that_read_some_inputs_only():
+    plain = keys.libraries(["log", "observations", "sounding 1"], "us1976")["air"]
+    assert plain.keys() == {*keys._LIBRARIES["air"]}
+    model = keys.libraries(["weather model"], "us1976")["air"]
+    assert {"xarray", "cfgrib", "eccodes"} <= model.keys()
+    raised = keys.libraries(["elevation model 2"], "us1976")["air"]
+    assert {"rasterio", "grids of pyproj"} <= raised.keys()
+    for role in ("orientation", "events of nadir", "object points", "trajectory"):
+        assert keys.GRIDS in keys.libraries(["log", role], "us1976")["air"], role
+    assert "pymsis" in keys.libraries(["log"], "nrlmsis2.1")["air"]
+    assert keys.version("no such library") is None
+
+
+def test_a_grid_that_is_installed_later_counts(monkeypatch, tmp_path):
+    import pyproj
+
+    monkeypatch.setattr(pyproj.datadir, "get_user_data_dir", lambda: str(tmp_path))
+    before = keys.grids_of_proj.__wrapped__()
+    (tmp_path / "us_noaa_g2018u0.tif").write_bytes(b"grid")
+    assert keys.grids_of_proj.__wrapped__() != before
