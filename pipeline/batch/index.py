@@ -22,9 +22,9 @@ from typing import Any
 
 from pipeline.batch.changes import reasons_to_run
 from pipeline.batch.file_hashes import SETTLED_NS
-from pipeline.batch.object_store.place import Place
 from pipeline.batch.keys import GRIDS, grids_of_proj
-from pipeline.batch.plan import code_hash, input_paths, library_versions, located, make_plan
+from pipeline.batch.object_store.place import Place
+from pipeline.batch.plan import code_hash, input_paths, located, make_plan
 from pipeline.batch.store import MANIFEST, STAGING, read_manifest
 from pipeline.caches import user_cache
 from pipeline.config.campaign import MissionRef

@@ -20,9 +20,11 @@ from pipeline.config import load_mission
 PACKAGE = Path(pipeline.__file__).parent
 ALL = {"ingest", "air", "correction", "report"}
 
-# Distributions of which no number depends on: they read the mission file, lock folders, talk.
+# Distributions that no number depends on: they read the mission file, lock folders, talk, or
+# copy and distribute what is compared by its hash.
 # Drawings of methods compared, which no run makes, are matplotlib's.
-NO_NUMBERS = {"pydantic", "PyYAML", "rich", "filelock", "typer", "matplotlib"}
+NO_NUMBERS = {"pydantic", "PyYAML", "rich", "filelock", "typer", "matplotlib", "obstore", "dask",
+              "distributed"}  # fmt: skip
 
 
 def sources(root: Path = PACKAGE) -> dict[str, str]:
