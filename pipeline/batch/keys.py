@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pipeline
+from pipeline.atmosphere.standard import MSIS
 
 STAGES = ("ingest", "air", "correction", "report")
 """In their order: a stage that begins again has all later ones begin again."""
@@ -54,7 +55,7 @@ _LIBRARIES = {
 _OF_ROLES = {
     "weather": ("xarray", "h5netcdf", "h5py", "cfgrib", "eccodes", "eccodeslib", "ecmwflibs"),
     "elevation": ("rasterio",),
-    "nrlmsis2.1": ("pymsis",),
+    MSIS: ("pymsis",),
 }
 """Libraries for some inputs only, by the first word of the role, or for an atmosphere by its name;
 all of the stage air."""

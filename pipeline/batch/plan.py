@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pipeline
+from pipeline.atmosphere.standard import MSIS
 from pipeline.batch.file_hashes import recalled, remember, remembered_hash
 from pipeline.batch.keys import keys_of, libraries
 from pipeline.batch.object_store.copies import copy_of, fetched, version_of
@@ -341,11 +342,15 @@ def hash_of_files(root: Path) -> str:
     return digest.hexdigest()
 
 
-def versions(plan: Plan) -> dict[str, Any]:
-    """Versions of the code, Python and the libraries, for the manifest."""
+def versions(plan: Plan | None = None) -> dict[str, Any]:
+    """Versions of the code, Python and the libraries, for the manifest.
+
+    Without a plan those of all libraries that a mission may need.
+    """
+    known = plan.libraries if plan else libraries(("weather model", "elevation model"), MSIS)
     found = {"unbend": pipeline.__version__, "code_sha256": code_hash()}
     found |= {"python": platform.python_version()}
-    for of_stage in plan.libraries.values():
+    for of_stage in known.values():
         found |= {name: version for name, version in of_stage.items() if version is not None}
     return found
 
