@@ -92,11 +92,14 @@ def test_own_values_replace_defaults_and_null_takes_them_away(season, mission, t
     })  # fmt: skip
     own = yaml.safe_load(mission.file.read_text()) | {
         "atmosphere": {"model": None}, "control": None,
+        "cameras": {"oblique": None}, "mount": {"oblique": None},
         "ground": {"height": {"points": "p.csv", "crs": "EPSG:4326",
                    "columns": {"latitude": "a", "longitude": "b"}}},
     }  # fmt: skip
+    del own["events"]["log"]["oblique"]
     mission.file.write_text(yaml.safe_dump(own))
     loaded = opened(file)[0][0].load()
+    assert list(loaded.cameras) == ["nadir"]
     assert (loaded.atmosphere.model, loaded.control) == (None, None)
     assert loaded.atmosphere.standard == "us1976"
     assert loaded.ground.points.points == "p.csv"  # one of several sections: not mixed

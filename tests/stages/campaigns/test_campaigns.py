@@ -19,6 +19,7 @@ import yaml
 from pipeline.batch import file_hashes, index
 from pipeline.stages.campaigns.selection import select_missions
 from tests.conftest import run_command, without_plots
+from tests.stages.test_adjusted_profile import sounding_text
 
 OWN = ("mission", "log", "observations", "events")
 
@@ -62,6 +63,8 @@ def make_season(mission, folder: Path, missions: int) -> Season:
         shutil.copy(mission.folder / "observations.parquet", flight)
         own = {key: mission.config[key] for key in OWN}
         own["mission"] = own["mission"] | {"name": f"flight-{number}"}
+        own["atmosphere"] = {"soundings": [{"path": "balloon.csv"}]}
+        (flight / "balloon.csv").write_text(sounding_text(), encoding="utf-8")
         (flight / "mission.yaml").write_text(yaml.safe_dump(own), encoding="utf-8")
     shared = {k: v for k, v in mission.config.items() if k not in (*OWN, "output")}
     content = {"campaign": {"name": "season", "output": "results"}, "defaults": shared,
@@ -106,20 +109,20 @@ def done(finished, tmp_path, own_cache, plain_report, unbend) -> Season:
     return season
 
 
-def test_only_what_changed_runs_again(done, unbend):
+def test_one_changed_sounding_runs_one_mission(done, unbend):
     before = [done.manifest(n).stat().st_mtime_ns for n in (0, 1)]
-    table = done.flight(1) / "observations.parquet"
-    rows = pq.read_table(table)
-    pq.write_table(rows.slice(1), table)
-    ended = unbend("status", done.file, "--json")
-    first, second = json.loads(ended.out)
+    (done.flight(1) / "balloon.csv").write_text(sounding_text(0.5), encoding="utf-8")
+    first, second = json.loads(unbend("status", done.file, "--json").out)
     assert (first["would_run"], second["would_run"]) == (False, True)
-    assert "observations changed" in str(second["reasons"])
+    assert "sounding 1 changed (balloon.csv)" in str(second["reasons"])
     assert unbend("run", done.file).code == 0
     after = [done.manifest(n).stat().st_mtime_ns for n in (0, 1)]
     assert [a == b for a, b in zip(before, after, strict=True)] == [True, False]
-    told = pq.read_table(done.folder / "results" / "campaign.parquet")["observations"].to_pylist()
-    assert told == [rows.num_rows, rows.num_rows - 1]
+    table = pq.read_table(done.folder / "results" / "campaign.parquet").to_pylist()
+    assert [row["fingerprint"] for row in table] == [
+        json.loads(done.manifest(n).read_text())["fingerprint"] for n in (0, 1)
+    ]
+    assert table[0]["shift_maximum_px"] != table[1]["shift_maximum_px"]  # another air
 
 
 OPENED = """
