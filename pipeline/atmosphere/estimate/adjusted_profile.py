@@ -152,6 +152,8 @@ def build_adjusted_profile(
         samples, settings or SensorSettings(), ledger
     )
     usable = sensor_checks.usable_sensors(samples, standard, settings, ledger)
+    indoors = sensor_checks.is_maybe_indoors(usable, standard, settings, ledger)
+    settings = replace(settings, maybe_indoors=indoors)
     unused: dict[str, str] = {}
     external = ExternalSources(tuple(soundings), tuple(surface))
     for source in external.sources:

@@ -218,6 +218,7 @@ def thermometer_is_outside(
     temperature, pressure = samples.temperature, samples.pressure
     if temperature is None or pressure is None or settings.board_temperature:
         return PASSED
+    indoors, settings = settings.maybe_indoors, replace(settings, maybe_indoors=False)
     flown = collect_readings(samples, background, settings)
     ordinary = tuple(fault.ordinary for fault in flown.faults)
     layout = layout_of(replace(flown, faults=ordinary), background)
@@ -232,7 +233,7 @@ def thermometer_is_outside(
         return estimate(part, background, settings=expected, moisture=moisture)
 
     expected = replace(settings, large_drifts=False)
-    drifted = max(made.drift_scales.values(), default=1.0) > LARGE_DRIFT
+    drifted = indoors or max(made.drift_scales.values(), default=1.0) > LARGE_DRIFT
     if drifted or _inflated_sigma_k(made) > MISFIT_K:
         # The flight until half an hour after its thermometer's first accepted reading.
         until = int(temperature.time_ns[temperature.accepted][0]) + round(TOGETHER_S * 1e9)

@@ -66,7 +66,7 @@ barometer alone nearer: between knots 45 s apart a walk is too smooth for a clim
 300 m errors of 1.35 sigma RMS, not 1), and where it judges a thermometer: 1 in 100 that work were
 refused over 500 m."""
 
-BAROMETER_SCALES, THERMOMETER_SCALES = (0.1, 4.0), (1.0, 3.0)
+BAROMETER_SCALES, THERMOMETER_SCALES = (0.1, 8.0), (1.0, 3.0)
 """Smallest and largest factor of the sigma of a drift that the residuals of a flight may give it:
 heights of a survey receiver wander by centimetres, those of an autopilot's by metres. Beside a
 thermometer no drift becomes smaller: its errors hide drifts (R erred by 1.3 sigma, not 1.15)."""
@@ -198,7 +198,7 @@ def _sensor_readings(
         climbing = sensors.get("pressure", sensor)
         rejected["temperature"], warm = _thermometer(sensor, samples, climbing, binning)
         sets.append(warm)
-        board = settings.board_temperature
+        board = settings.board_temperature or settings.maybe_indoors
         bias = replace(THERMOMETER_FAULTS[0], sigma=BOARD_BIAS_K if board else USUAL_BIAS_K)
         faults += [bias, *THERMOMETER_FAULTS[1:]]
         faults += [] if warm.heating is None else [RECOVERY_FACTOR]

@@ -5,7 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.atmosphere.air_samples import BIN_M, AirSamples, SensorSamples, bin_by_height
+from pipeline.atmosphere.air_samples import (
+    BIN_M,
+    AirSamples,
+    SensorSamples,
+    bin_by_height,
+    climb_of,
+)
 from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration, SensorSettings
 from pipeline.atmosphere.estimate.solver import Estimate, FaultEstimate
@@ -18,7 +24,7 @@ from pipeline.units import HECTOPASCAL, Mask
 CLIMB_TO_COMPARE_M = 200.0
 """Over less height the fall of pressure shows nothing [m]."""
 
-SHORT_CLIMB_M = 700.0
+SHORT_CLIMB_M = 1000.0
 """Over less height the barometer cannot show that a thermometer is indoors [m]."""
 
 ISOTHERMAL_K = 1.0
@@ -165,19 +171,45 @@ def usable_sensors(
         what = "does not fall with height" if implied is None else f"implies {implied:.0f} K"
         _reject_pressure(pressure, what, ledger)
         return replace(samples, pressure=None)
-    if temperature is None or settings.board_temperature:
-        return samples
-    extent = temperature.extent_m
-    if STUCK_M <= extent < SHORT_CLIMB_M:
-        _, binned = bin_by_height(gravity.geopotential_height(temperature.h_m), temperature, BIN_M)
-        if binned.size and np.ptp(binned) < ISOTHERMAL_K:
-            what = (
-                f"{temperature.name} reads the same within {np.ptp(binned):.1f} K over "
-                f"{extent:.0f} m: if it is indoors its temperatures are not those of the air "
-                "outside, and over so little height the barometer cannot show it"
-            )
-            ledger.warning("AIR-ISOTHERMAL", what, where=temperature.name)
     return samples
+
+
+def is_maybe_indoors(
+    samples: AirSamples, standard: Profile, settings: SensorSettings, ledger: Ledger
+) -> bool:
+    """Whether nothing in a short climb shows that the thermometer is outside.
+
+    Indoors temperatures change little, and with time: in the descent the same height reads another
+    temperature, farther from that of the climb than heights are from each other.
+    """
+    temperature = samples.temperature
+    if temperature is None or samples.pressure is None or settings.board_temperature:
+        return False
+    extent, at = temperature.extent_m, standard.gravity.geopotential_height(temperature.h_m)
+    if not STUCK_M <= extent < SHORT_CLIMB_M:
+        return False
+    climb = climb_of((temperature.time_ns - temperature.time_ns[0]) * 1e-9, at)
+    ways = [
+        dict(zip(np.floor(h / BIN_M), t, strict=True))
+        for way in (climb >= 0.0, climb < 0.0)
+        for h, t in [
+            bin_by_height(at, replace(temperature, accepted=temperature.accepted & way), BIN_M)
+        ]
+    ]
+    both = [(t, ways[1][h]) for h, t in ways[0].items() if h in ways[1]]
+    by_time = float(np.median([abs(up - down) for up, down in both])) if both else 0.0
+    _, binned = bin_by_height(at, temperature, BIN_M)
+    by_height = float(np.ptp(binned)) if binned.size else 0.0
+    if not binned.size or by_height >= max(ISOTHERMAL_K, by_time):
+        return False
+    what = (
+        f"{temperature.name} changes by {by_height:.1f} K over {extent:.0f} m of height, and by "
+        f"{by_time:.1f} K between climb and descent: if it is indoors its temperatures are not "
+        "those of the air outside, and over so little height the barometer cannot show it. Its "
+        "error is expected to be that of a circuit board's"
+    )
+    ledger.warning("AIR-ISOTHERMAL", what, where=temperature.name)
+    return True
 
 
 def _without_stuck(sensor: SensorSamples | None, name: str, ledger: Ledger) -> SensorSamples | None:

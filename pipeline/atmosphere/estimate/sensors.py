@@ -88,12 +88,14 @@ class SensorSettings:
 
     ``board_temperature``: the thermometer sits on a circuit board and is used all the same, as the
     air plus an unknown 10 K that wanders. ``calibration`` of the sensors, by fault.
-    ``large_drifts``: residuals may show drifts larger than expected.
+    ``large_drifts``: residuals may show drifts larger than expected. ``maybe_indoors``: nothing
+    shows that the thermometer is outside, and its errors are expected to be those of a board's.
     """
 
     board_temperature: bool = False
     calibration: Mapping[SensorFault, SensorCalibration] = field(default_factory=dict)
     large_drifts: bool = True
+    maybe_indoors: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,11 +7,13 @@ a stuck one reads is written here.
 from __future__ import annotations
 
 import copy
+import math
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
@@ -23,7 +25,7 @@ from pipeline.atmosphere.estimate.estimate_checks import (
     is_plausible,
     thermometer_is_outside,
 )
-from pipeline.atmosphere.estimate.sensor_checks import usable_sensors
+from pipeline.atmosphere.estimate.sensor_checks import is_maybe_indoors, usable_sensors
 from pipeline.atmosphere.estimate.sensors import SensorSettings
 from pipeline.atmosphere.estimate.solver import estimate
 from pipeline.ledger import Kind, Ledger
@@ -291,11 +293,31 @@ def test_a_thermometer_that_reads_the_same_over_little_height_is_told_of(flights
     samples = flown(flights, truth, 600.0, descent=True)
     noise = np.random.default_rng(2).normal(0.0, 0.2, samples.temperature.value.size)
     ledger = Ledger()
-    usable_sensors(with_t(samples, truth.t[0] - 1.0 + noise), US1976, SensorSettings(), ledger)
+    constant = with_t(samples, truth.t[0] - 1.0 + noise)
+    assert is_maybe_indoors(constant, US1976, SensorSettings(), ledger)
     assert [(e.code, e.kind) for e in ledger] == [("AIR-ISOTHERMAL", Kind.WARNING)]
     ledger = Ledger()
-    usable_sensors(samples, US1976, SensorSettings(), ledger)
+    assert not is_maybe_indoors(samples, US1976, SensorSettings(), ledger)
+    board = SensorSettings(board_temperature=True)
+    assert not is_maybe_indoors(constant, US1976, board, ledger)
     assert list(ledger) == []
+
+
+@pytest.mark.parametrize("tau_s", [300.0, 900.0, 3000.0])
+@pytest.mark.parametrize("warmer_k", [0.0, 6.0])
+def test_a_cabin_that_follows_the_ground_of_a_clear_night(flights, airs, tau_s, warmer_k):
+    """It changes with time, not with height: 4 to 6 sigma before, without a word."""
+    truth = airs[NIGHT]
+    rng = np.random.default_rng(7)
+    samples = flights.fly(
+        truth, 600.0, flights.drawn(rng), rng, humidity="none", descent=True, gate_s=60.0
+    )
+    t = samples.temperature
+    outside, keep = truth.at(truth.t, t.h_m - truth.h[0]), math.exp(-1.0 / tau_s)
+    cabin = lfilter([1.0 - keep], [1.0, -keep], outside, zi=[keep * outside[0]])[0] + warmer_k
+    found, ledger = adjust(truth, with_t(samples, cabin + rng.normal(0.0, 0.2, cabin.size)))
+    assert "AIR-ISOTHERMAL" in [entry.code for entry in ledger]
+    assert sigmas(truth, found, 600.0) < 1.5
 
 
 def test_honest_thermometers_are_believed(flights, airs):
