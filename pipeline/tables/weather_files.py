@@ -4,6 +4,7 @@ The only module that uses xarray. It imports pyproj first: loaded after ecCodes,
 """
 
 import re
+import traceback
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -26,6 +27,7 @@ FARTHEST_H = 6.0
 """Farther from every time of the file a flight is refused [h]."""
 
 _ENGINES = {b"CDF\x01": "scipy", b"CDF\x02": "scipy", b"\x89HDF": "h5netcdf", b"GRIB": "cfgrib"}
+_READERS = ("xarray", "scipy", "h5netcdf", "h5py", "cfgrib", "eccodes", "gribapi")
 _FORMATS = {"scipy": "netCDF classic", "h5netcdf": "netCDF-4", "cfgrib": "GRIB"}
 _NAMES = {
     "temperature": {"t", "ta", "tmp", "temperature", "air_temperature"},
@@ -90,6 +92,10 @@ def open_datasets(path: Path) -> Iterator[tuple[list[Any], str]]:
     except InputError:
         raise
     except Exception as error:  # of xarray, its engines and ecCodes, by what the damage hit
+        frames = traceback.walk_tb(error.__traceback__)
+        modules = {str(frame.f_globals.get("__name__")).partition(".")[0] for frame, _ in frames}
+        if modules.isdisjoint(_READERS):
+            raise
         raise InputError.of("MODEL-UNREADABLE", path, why=str(error)[:200]) from None
     finally:
         for dataset in datasets:
@@ -381,6 +387,16 @@ class _Part:
             high = int(np.searchsorted(node, place.max())) + 2
             chosen[axis] = rows[low:high]
             nodes.append(node[low:high])
+        known = (*chosen, *(d for d in field.dims if str(d).lower() in _VERSIONS))
+        levels = _levels(field)
+        unknown = {
+            str(d): size
+            for d, size in field.sizes.items()
+            if size > 1 and d not in known and (levels is None or d != levels.name)
+        }
+        if unknown:
+            dimensions = ", ".join(f"{name} ({size})" for name, size in unknown.items())
+            raise InputError.of("MODEL-VARIABLE/dimension", where, dimensions=dimensions)
         labels = {name: field[name].values for name in chosen}
         return cls(time_ns[times], lead_h[times], nodes[0], nodes[1], chosen, labels, where)
 

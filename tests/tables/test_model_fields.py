@@ -15,7 +15,7 @@ from pipeline.errors import InputError
 from pipeline.geodesy import normal_gravity
 from pipeline.ledger import Ledger
 from pipeline.simulate.true_air import temperature_k, true_air, vapour_pressure_pa
-from pipeline.tables.weather_files import FlightArea, read_model_field
+from pipeline.tables.weather_files import FlightArea, open_datasets, read_model_field
 from tests.model_files import dataset, grib, netcdf, on_model_levels
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "nwp"
@@ -55,6 +55,21 @@ def read(path, place=PLACE, time_ns=NOON, ledger=None, **how):
 
 def column(field, place=PLACE, time_ns=NOON, ground_h_m=450.0):
     return model_column(field, (*place, time_ns), ground_h_m=ground_h_m, highest_h_m=4000.0)
+
+
+def test_a_dimension_that_is_not_known_is_named(fields, tmp_path):
+    twice = fields.assign(t=xarray.concat([fields["t"], fields["t"]], dim="percentile"))
+    with pytest.raises(InputError, match=r"percentile \(2\)") as refused:
+        read(netcdf(tmp_path / "percentiles.nc", twice))
+    assert refused.value.code == "MODEL-VARIABLE"
+
+
+def test_a_bug_is_no_damaged_file(fields, tmp_path):
+    with (
+        pytest.raises(ZeroDivisionError),
+        open_datasets(netcdf(tmp_path / "era5.nc", fields)) as (datasets, _),
+    ):
+        assert 1 / (len(datasets) - 1)
 
 
 COLUMN = ("h_m", "temperature_k", "pressure_pa", "vapour_pressure_pa")

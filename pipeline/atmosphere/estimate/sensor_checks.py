@@ -189,15 +189,13 @@ def is_maybe_indoors(
     if not STUCK_M <= extent < SHORT_CLIMB_M:
         return False
     climb = climb_of((temperature.time_ns - temperature.time_ns[0]) * 1e-9, at)
-    ways = [
-        dict(zip(np.floor(h / BIN_M), t, strict=True))
-        for way in (climb >= 0.0, climb < 0.0)
-        for h, t in [
-            bin_by_height(at, replace(temperature, accepted=temperature.accepted & way), BIN_M)
-        ]
-    ]
-    both = [(t, ways[1][h]) for h, t in ways[0].items() if h in ways[1]]
-    by_time = float(np.median([abs(up - down) for up, down in both])) if both else 0.0
+    ways = []
+    for way in (climb >= 0.0, climb < 0.0):
+        part = replace(temperature, accepted=temperature.accepted & way)
+        h, t = bin_by_height(at, part, BIN_M)
+        ways.append(dict(zip(np.floor(h / BIN_M), t, strict=True)))
+    changes = [abs(t - ways[1][h]) for h, t in ways[0].items() if h in ways[1]]
+    by_time = float(np.median(changes)) if changes else 0.0
     _, binned = bin_by_height(at, temperature, BIN_M)
     by_height = float(np.ptp(binned)) if binned.size else 0.0
     if not binned.size or by_height >= max(ISOTHERMAL_K, by_time):
