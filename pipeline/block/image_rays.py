@@ -7,7 +7,7 @@ points (least squares of the angles across the rays), and derivatives of what th
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -139,16 +139,22 @@ class SortedRays:
         """(p, ...) sums over the rays of each point."""
         return np.asarray(np.add.reduceat(values, self.start, axis=0))
 
+    @cached_property
+    def squares(self) -> tuple[Array, Array]:
+        """(r, 3, 3) sums of the squares of ``across``, and their products with the centres."""
+        square = np.swapaxes(self.across, 1, 2) @ self.across
+        return square, np.einsum("rij,rj->ri", square, self.centre)
+
     def positions(self, good: Mask) -> Array:
         """(p, 3) points by least squares of the angles across their good rays."""
-        distance = np.ones(self.sigma.shape)
-        square = np.swapaxes(self.across, 1, 2) @ self.across
+        distance, (square, moment) = np.ones(self.sigma.shape), self.squares
+        few = self.sums(good * 1.0) < 2
         for _ in range(3):
             weight = np.where(good, (self.sigma * distance) ** -2.0, 0.0)
             normal = self.sums(weight[:, None, None] * square)
-            size = np.trace(normal, axis1=1, axis2=2) + (self.sums(good * 1.0) < 2)
+            size = np.trace(normal, axis1=1, axis2=2) + few
             normal += 1e-12 * size[:, None, None] * np.eye(3)
-            right = self.sums(weight[:, None] * np.einsum("rij,rj->ri", square, self.centre))
+            right = self.sums(weight[:, None] * moment)
             position = np.linalg.solve(normal, right[..., None])[..., 0]
             distance = np.linalg.norm(position[self.index] - self.centre, axis=1) + 1e-3
         return np.asarray(position, np.float64)

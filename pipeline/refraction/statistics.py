@@ -37,13 +37,16 @@ class Distribution:
 
     def add(self, values: Array) -> None:
         """Count values; zero falls into the lowest bin, NaN into none."""
-        values = values[np.isfinite(values)]
+        finite = np.isfinite(values)
+        values = values if finite.all() else values[finite]
         if values.size == 0:
             return
         with np.errstate(divide="ignore"):
-            exponent = (np.log10(values) - _LOWEST_EXPONENT) * _BINS_PER_DECADE
-        number = np.clip(np.nan_to_num(exponent, neginf=0.0), 0, self.counts.size - 1)
-        self.counts += np.bincount(number.astype(np.int64), minlength=self.counts.size)
+            exponent = np.log10(values)  # of zero minus infinity
+        exponent -= _LOWEST_EXPONENT
+        exponent *= _BINS_PER_DECADE
+        np.clip(exponent, 0, self.counts.size - 1, out=exponent)
+        self.counts += np.bincount(exponent.astype(np.int64), minlength=self.counts.size)
         self.maximum = max(self.maximum, float(values.max()))
         self.total += values.size
 

@@ -3,9 +3,9 @@
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from scipy.io import netcdf_file
 
 from pipeline.atmosphere.soundings import (
     RawLevels,
@@ -76,6 +76,8 @@ def read_sounding(
 
 def _netcdf(path: Path) -> RawLevels:
     """The levels of a classic netCDF file with ARM's names; fill values become NaN."""
+    from scipy.io import netcdf_file
+
     try:
         with netcdf_file(path, "r", mmap=False) as file:
             missing = [name for name in _VARIABLES if name not in file.variables]
@@ -117,7 +119,7 @@ def _netcdf(path: Path) -> RawLevels:
     )
 
 
-def _column(file: netcdf_file, name: str) -> Array:
+def _column(file: Any, name: str) -> Array:
     value = np.array(file.variables[name].data, dtype=np.float64)
     return np.where(np.isin(value, FILLS) | ~(np.abs(value) <= LARGEST), np.nan, value)
 

@@ -66,6 +66,15 @@ def table_of(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
             arrays.append(pa.nulls(rows, item.type))
         elif isinstance(values, pa.Array):
             arrays.append(values)
+        elif isinstance(values, np.ndarray) and values.dtype.kind == "f":
+            # Most columns have no gap, some nothing else: a look takes less than a bit a row.
+            gaps = np.isnan(values)
+            some = bool(gaps.any())
+            arrays.append(
+                pa.nulls(rows, item.type)
+                if some and bool(gaps.all())
+                else pa.array(values, item.type, from_pandas=some)
+            )
         else:
             arrays.append(pa.array(values, item.type, from_pandas=True))
     return pa.table(arrays, schema=schema)
