@@ -1,5 +1,5 @@
 """What is kept only because making it again takes time: compiled code, hashes of inputs,
-states of missions, templates.
+states of missions, templates, decoded logs.
 
 All of it lies in one folder of the user's, and none of it is a result: without it everything is
 the same, later.
@@ -32,6 +32,11 @@ def parsed_templates() -> str:
     return os.path.join(user_cache(), "templates")
 
 
+def kept_values() -> str:
+    """The folder for what logs and reports are made of."""
+    return os.path.join(user_cache(), "kept")
+
+
 def cached() -> Iterator[tuple[str, str]]:
     """What is kept and the path of each: files and folders that exist and are ours."""
     for folder, what, ours in (
@@ -40,6 +45,7 @@ def cached() -> Iterator[tuple[str, str]]:
         (parsed_templates(), "templates", re.compile(r"\w+\.jinja")),
         (user_cache(), "states of missions", re.compile(r"missions\.sqlite(-\w+)?")),
         (user_cache(), "copies of inputs", re.compile("copies")),
+        (kept_values(), "decoded logs", re.compile(r"\.?(log|flown)-[0-9a-f]{64}(\.\d+)?")),
         (os.path.join(user_cache(), "results"), "results to be published", re.compile(".{32}")),
     ):
         names = sorted(os.listdir(folder)) if os.path.isdir(folder) else []

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import pipeline
+from pipeline.batch.kept import is_kept
 from pipeline.batch.keys import (
     NOT_IN_KEY,
     STAGES,
@@ -28,6 +29,7 @@ def changes_since(plan: Plan, manifest: Mapping[str, Any]) -> list[str]:
 
     Each by the stage that begins again for it, these in their order: inputs by their role, keys of
     the mission file with both values, the program, its libraries. Empty where fingerprints agree.
+    The last one says where the log is still known as it was decoded.
     """
     if manifest["fingerprint"] == plan.fingerprint:
         return []
@@ -47,7 +49,11 @@ def changes_since(plan: Plan, manifest: Mapping[str, Any]) -> list[str]:
     if not changes:
         return ["the mission file is read in another way"]
     changes.sort(key=lambda change: STAGES.index(change[0]))
-    return [f"{stage}: {text}" for stage, text in changes]
+    texts = [f"{stage}: {text}" for stage, text in changes]
+    same = manifest.get("keys", {}).get("ingest") == plan.keys["ingest"]
+    if same and plan.mission.log is not None and is_kept(plan.decoded_log):
+        texts[-1] += "; the log is not read again"
+    return texts
 
 
 def changed_inputs(plan: Plan, manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

@@ -1,24 +1,37 @@
-"""Values of the package as bytes, to be kept between runs: its plain classes, arrays and numbers.
+"""Values of the package as bytes, kept between runs: its plain classes, arrays and numbers.
 
-Read back only if whole, and nothing in them is run: classes of the package that hold values, and
-what numpy needs for an array, are all that is looked up.
+In the user's cache those that were used longest ago are forgotten first. None is a result: without
+the cache all is made again. Read back only if whole, and nothing in them is run: classes of the
+package that hold values, and what numpy needs for an array, are all that is looked up.
 """
 
 import hashlib
 import io
+import os
 import pickle
-import zlib
+from contextlib import suppress
 from dataclasses import is_dataclass
 from enum import Enum
 from typing import Any
 
-_OF_NUMPY = {"_frombuffer", "_reconstruct", "scalar", "ndarray", "dtype"}
+from pipeline.caches import kept_values
+from pipeline.ledger import Ledger
+
+_OTHERS = {
+    "numpy": {"_frombuffer", "_reconstruct", "scalar", "ndarray", "dtype"},
+    "pathlib": {"PosixPath", "WindowsPath"},
+}
 _DIGEST_BYTES = 32
+
+MOST_BYTES = 2_000_000_000
+"""Of all values in the user's cache together."""
 
 
 def packed(value: Any) -> bytes:
     """A value as bytes, behind their SHA-256."""
-    content = zlib.compress(pickle.dumps(value, protocol=5), 1)
+    import zstandard
+
+    content = zstandard.ZstdCompressor(1).compress(pickle.dumps(value, protocol=5))
     return hashlib.sha256(content).digest() + content
 
 
@@ -28,22 +41,65 @@ def unpacked(content: bytes) -> Any:
     >>> unpacked(packed({"rows": 3})), unpacked(packed({"rows": 3})[:-1])
     ({'rows': 3}, None)
     """
+    import zstandard
+
     digest, content = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
     if hashlib.sha256(content).digest() != digest:
         return None
     try:
-        return _Reader(io.BytesIO(zlib.decompress(content))).load()
-    except (pickle.UnpicklingError, AttributeError, ImportError, TypeError, ValueError):
+        return _Reader(io.BytesIO(zstandard.ZstdDecompressor().decompress(content))).load()
+    except (
+        pickle.UnpicklingError,
+        AttributeError,
+        ImportError,
+        TypeError,
+        ValueError,
+        RuntimeError,
+    ):
         return None
+
+
+def keep(name: str, value: Any) -> None:
+    """Keep a value in the user's cache under a key, if it can be written."""
+    content, folder = packed(value), kept_values()
+    draft = os.path.join(folder, f".{name}.{os.getpid()}")
+    with suppress(OSError):
+        os.makedirs(folder, exist_ok=True)
+        with open(draft, "wb") as file:
+            file.write(content)
+        os.replace(draft, os.path.join(folder, name))
+        used = {e.path: e.stat() for e in os.scandir(folder)}
+        excess = sum(stat.st_size for stat in used.values()) - MOST_BYTES
+        for path in sorted(used, key=lambda path: used[path].st_mtime_ns):
+            if excess > 0:
+                os.remove(path)
+                excess -= used[path].st_size
+
+
+def is_kept(name: str) -> bool:
+    """Whether a value is kept under a key."""
+    return os.path.isfile(os.path.join(kept_values(), name))
+
+
+def recall(name: str) -> Any:
+    """The value that is kept under a key; None where there is none, or a damaged one."""
+    with suppress(OSError):
+        path = os.path.join(kept_values(), name)
+        with open(path, "rb") as file:
+            content = file.read()
+        os.utime(path)
+        return unpacked(content)
+    return None
 
 
 class _Reader(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         room = module.partition(".")[0]
-        if room == "numpy" and name in _OF_NUMPY:
+        if name in _OTHERS.get(room, ()):
             return super().find_class(module, name)
         if room == "pipeline":
             found = super().find_class(module, name)
-            if isinstance(found, type) and (is_dataclass(found) or issubclass(found, tuple | Enum)):
+            plain = isinstance(found, type) and issubclass(found, tuple | Enum | Ledger)
+            if plain or (isinstance(found, type) and is_dataclass(found)):
                 return found
         raise pickle.UnpicklingError(f"{module}.{name} is no plain value")

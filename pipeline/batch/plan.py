@@ -102,6 +102,12 @@ class Plan:
         key = hashlib.sha256(str(self.output).encode()).hexdigest()[:32]
         return Path(user_cache()) / "results" / key / "run"
 
+    @property
+    def decoded_log(self) -> str:
+        """What its log is kept under once it is decoded: its key, and its path, which it names."""
+        words = f"{self.keys['ingest']} {self.input('log').path}"
+        return f"log-{hashlib.sha256(words.encode()).hexdigest()}"
+
     def input(self, role: str) -> Input:
         """The input of a role: log, observations, events, orientation, or ``sounding 1``."""
         return next(item for item in self.inputs if item.role == role)

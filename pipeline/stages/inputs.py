@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from pipeline.batch.kept import keep, recall
 from pipeline.batch.plan import Plan
 from pipeline.errors import MissionError
 from pipeline.flight.channels import ROLE_COLUMNS, Channel
@@ -24,6 +25,9 @@ from pipeline.tables.geodata.geoid import package_geoid, read_geoid
 from pipeline.tables.imports import CAMERA_EVENTS, TRAJECTORIES, Stated, reader_of
 from pipeline.tables.imports.agreement import compare_with_log
 from pipeline.tables.observations import Observations, open_observations
+
+_MOST_KEPT_BYTES = 256_000_000
+"""Of the samples of a log that is kept: more are decoded again, within the memory of a run."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +105,7 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     channels: tuple[Channel, ...] = ()
     heads = {camera: m.attitude for camera, m in mission.mount.items() if m.attitude is not None}
     if mission.log is not None:
-        file = plan.input("log")
-        log = open_log(file.path, file.sha256)
+        log = decoded_log(plan)
         names = {role: stated.name for role, stated in mission.log.channels.named().items()}
         channels = stated_channels(plan, log.channels)
         for attitude in dict.fromkeys([names.get("attitude", ""), *heads.values()]):
@@ -160,6 +163,19 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     return FlightLog(
         log, channels, plausible, own, heights, suspect, own_suspect, accuracy, of_head
     )
+
+
+def decoded_log(plan: Plan) -> Log:
+    """The log of a mission: as it was decoded before by the same code, if that is still known."""
+    file, name = plan.input("log"), plan.decoded_log
+    known: Log | None = recall(name)
+    if known is not None:
+        return known
+    log = open_log(file.path, file.sha256)
+    arrays = (values for channel in log.channels for values in channel.columns.values())
+    if sum(values.nbytes for values in arrays) < _MOST_KEPT_BYTES:
+        keep(name, replace(log, table=None))  # which no run decodes
+    return log
 
 
 def geoid_of_mission(plan: Plan) -> GeoidGrid:
