@@ -122,7 +122,7 @@ def init(
 @app.command(epilog="Example: unbend clean; unbend clean s3://bucket/results")
 def clean(
     url: Annotated[
-        str | None, typer.Argument(help="results in object storage", metavar="[URL]")
+        str | None, typer.Argument(help="results in object storage", metavar="URL")
     ] = None,
     recent: Annotated[
         bool, typer.Option(help="with a URL: uploads of the last hour too, if no run goes on")

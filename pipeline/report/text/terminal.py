@@ -49,7 +49,7 @@ def print_run(
     steps = next_steps(manifest)
     print_labelled(console, [("" if i else "next", step) for i, step in enumerate(steps)])
     folder = f"{output}/attempts/{manifest['attempt']}" if "attempt" in manifest else output
-    for label, path in (("results", folder), ("report ", f"{folder}/report.html")):
+    for label, path in (("results", output), ("report ", f"{folder}/report.html")):
         console.print(f"  {label}  {shown(path)}", soft_wrap=True)
 
 

@@ -66,7 +66,8 @@ def page_row(
     name, folder = chosen.called.get(ref, (ref.label, None))
     folder, at = (end.output if isinstance(end, Outcome) else folder), {}
     if isinstance(folder, Place):
-        at = {"results": str(folder)}
+        published = read_manifest(folder, damaged=True) or {"attempt": ""}
+        at = {"results": f"{folder}/attempts/{published['attempt']}"}
     elif folder is not None:
         away, home = os.path.realpath(folder), os.path.realpath(page)
         with suppress(ValueError):  # on another drive

@@ -35,7 +35,7 @@ def free_port() -> int:
 
 @contextmanager
 def serving(command: list[str], port: int, folder: Path) -> Iterator[None]:
-    """A server, from its first answer to the end of the block; skips where it cannot run."""
+    """A server, from its first answer to the end of the block; skips where it cannot be started."""
     log = folder / "log.txt"
     with log.open("wb") as file:
         try:
@@ -51,7 +51,7 @@ def serving(command: list[str], port: int, folder: Path) -> Iterator[None]:
                 break
             except (URLError, OSError):
                 if process.poll() is not None or time.monotonic() > deadline:
-                    pytest.skip(f"{command[0]} ended: {log.read_text()[-500:]}")
+                    pytest.fail(f"{command[0]} does not answer: {log.read_text()[-500:]}")
                 time.sleep(0.05)
             else:
                 break
@@ -90,10 +90,15 @@ def seaweed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]
     ports = {name: free_port() for name in names}
     command = [in_environment("weed"), "server", f"-dir={folder}", "-ip=127.0.0.1",
                "-ip.bind=127.0.0.1", "-s3", "-s3.config=s3.json", "-s3.port.iceberg=0",
+               "-s3.port.lance=0", f"-filer.localSocket={folder}/filer.sock",
+               f"-s3.localSocket={folder}/s3.sock",
                "-master.volumeSizeLimitMB=64", "-volume.max=20"]  # fmt: skip
     command += [f"-{name}={port}" for name, port in ports.items()]
     with serving(command, ports["s3.port"], folder):
         yield S3 | {"AWS_ENDPOINT_URL": f"http://127.0.0.1:{ports['s3.port']}"}
+    for port in ports.values():  # of gRPC, which it puts there
+        for left in Path("/tmp").glob(f"seaweedfs-*-{port}.sock"):
+            left.unlink()
 
 
 @pytest.fixture(scope="session")

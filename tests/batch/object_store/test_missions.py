@@ -46,7 +46,7 @@ def test_a_mission_in_object_storage(stored, s3_place, baseline, unbend, tmp_pat
     assert ended.code == 0, ended.text
     manifest = read_manifest(results)
     attempt = results / f"attempts/{manifest['attempt']}"
-    assert f"results  {attempt}\n" in ended.out
+    assert f"results  {results}\n  report   {attempt}/report.html\n" in ended.out
     # The observations are those of a run in a folder, byte for byte.
     here = json.loads((baseline.output / "manifest.json").read_text())
     for name in ("observations/part-00000.parquet", "stations.parquet", "profile.parquet"):
