@@ -1,10 +1,10 @@
-"""Where missions are run: in this process, or side by side in processes of their own."""
+"""Where missions are run: in this process, or in several: side by side, or one in slices."""
 
 from __future__ import annotations
 
 import pickle
 import threading
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from functools import partial
 from queue import Empty, SimpleQueue
@@ -22,6 +22,9 @@ Task = Callable[..., Outcome]
 be pickled."""
 
 Ends = Generator[tuple["MissionRef", TaskEnd]]
+
+_SLICES_EACH = 3
+"""Slices for each process: few, for what they are made with is sent with each."""
 
 
 class Executor(Protocol):
@@ -82,3 +85,50 @@ class Processes:
                 while True:
                     waiting.get_nowait()
             stop_all(children)
+
+
+def make_parts(
+    make: Callable[..., Any],
+    numbers: Sequence[int],
+    processes: int,
+    progress: Callable[[int], None],
+) -> None:
+    """Call ``make(numbers=...)`` with slices of the numbers, here and in other processes.
+
+    Parts that a process leaves unmade, for it died or nothing can be sent to it, stay unmade.
+    ``progress`` is called with the number of parts that may be done now.
+    """
+    size = max(1, -(-len(numbers) // (processes * _SLICES_EACH)))
+    waiting: SimpleQueue[Sequence[int]] = SimpleQueue()
+    for first in range(0, len(numbers), size):
+        waiting.put(numbers[first : first + size])
+    finished: SimpleQueue[None] = SimpleQueue()
+    children = [Child(max(1, usable_cpus() // processes)) for _ in range(processes - 1)]
+
+    def send(child: Child, some: Sequence[int]) -> Any:
+        return child.run(pickle.dumps(partial(make, numbers=some)))
+
+    def serve(child: Child) -> None:
+        with suppress(Empty):
+            while True:
+                some = waiting.get_nowait()
+                if end_of(partial(send, child, some)) is not None:
+                    break
+                progress(len(some))
+        finished.put(None)
+
+    try:
+        for child in children:
+            threading.Thread(target=serve, args=(child,), daemon=True).start()
+        with suppress(Empty):
+            while True:
+                some = waiting.get_nowait()
+                make(numbers=some)
+                progress(len(some))
+        for _ in children:
+            finished.get()
+    finally:
+        with suppress(Empty):
+            while True:
+                waiting.get_nowait()
+        stop_all(children)

@@ -36,7 +36,10 @@ Names = Annotated[
 @app.command(epilog="Example: unbend run configs/*.yaml; unbend run season.yaml --jobs 2")
 def run(
     configs: Configs,
-    jobs: Annotated[int, typer.Option(min=1, help="missions at the same time")] = 1,
+    jobs: Annotated[
+        int,
+        typer.Option(min=1, help="processes: missions at the same time, slices of a single one"),
+    ] = 1,
     force: Annotated[bool, typer.Option(help="run even where nothing has changed")] = False,
     names: Names = None,
     *,
@@ -134,8 +137,10 @@ def run_missions(
     if isinstance(where, str):
         executor = Cluster(where)
         sent = {replace(ref, path=ref.path.absolute()): ref for ref in missions}
-    elif where > 1 and len(missions) > 1:
+    elif len(missions) > 1 < where:
         executor = Processes(where)
+    else:
+        options = {**options, "processes": where}
     with closing(run_many(partial(run_mission, **options), list(sent), executor)) as ends:
         yield from ((sent[ref], end) for ref, end in ends)
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import groupby
 from typing import Any, Protocol
 
@@ -18,6 +18,7 @@ import numpy as np
 import pyarrow as pa
 
 from pipeline.atmosphere.series.profile_series import ProfileSeries
+from pipeline.batch.executors import make_parts
 from pipeline.batch.store import RunFolder
 from pipeline.config import Mission
 from pipeline.flight.heights import HeightSystem, ground_offsets
@@ -244,6 +245,43 @@ class PartsOfRun:
 
 def _name(number: int) -> str:
     return f"observations/part-{number:05d}.parquet"
+
+
+def correct_in_slices(
+    observations: Observations,
+    setup: CorrectionSetup,
+    parts: PartsOfRun,
+    *,
+    processes: int,
+    progress: Callable[[int], None],
+    **named: Any,
+) -> Statistics:
+    """`correct_stream` in several processes, if the table lets read slices of it alone.
+
+    The counts are merged in the order of the parts, so that they are the same to the last bit.
+    """
+    make = partial(correct_stream, observations, setup, progress=no_progress, **named)
+    rows = observations.rows_of_part(named["batch_rows"])
+    count = math.ceil(observations.rows / rows)
+    if processes < 2 or count < 2 or observations.path.suffix.lower() != ".parquet":
+        return make(parts=parts, progress=progress)
+    missing = [number for number in range(count) if parts.finished(number) is None]
+    make_parts(
+        partial(correct_slice, make, parts), missing, processes, lambda made: progress(made * rows)
+    )
+    # What a process left unmade is made here.
+    return make(parts=replace(parts, verify=False))
+
+
+def correct_slice(
+    make: Callable[..., Statistics], parts: PartsOfRun, *, numbers: Sequence[int]
+) -> None:
+    """Correct the parts of a slice; their counts stay with them."""
+    make(parts=parts, numbers=numbers)
+
+
+def no_progress(_: int) -> None:
+    """Takes how many rows are done where nobody watches."""
 
 
 def correct_counted(

@@ -63,7 +63,7 @@ from pipeline.stages.correction import (
     CorrectionSetup,
     PartsOfRun,
     correct_counted,
-    correct_stream,
+    correct_in_slices,
     correction_setup,
     with_uncertainties,
 )
@@ -141,6 +141,7 @@ def run_mission(
     *,
     force: bool = False,
     verify_inputs: bool = False,
+    processes: int = 1,
     progress: Progress | None = None,
 ) -> Outcome:
     """Run one mission, from its file to its folder of results.
@@ -156,7 +157,7 @@ def run_mission(
     with places_named(plan):
         if isinstance(plan.output, Place):
             return run_and_publish(plan, plan.output, force=force, progress=progress)
-        return run_plan(plan, force=force, progress=progress)
+        return run_plan(plan, force=force, progress=progress, processes=processes)
 
 
 def run_and_publish(plan: Plan, place: Place, *, force: bool, progress: Progress) -> Outcome:
@@ -185,7 +186,7 @@ def run_and_publish(plan: Plan, place: Place, *, force: bool, progress: Progress
     return outcome_of(plan, manifest, repeated=False)
 
 
-def run_plan(plan: Plan, *, force: bool, progress: Progress) -> Outcome:
+def run_plan(plan: Plan, *, force: bool, progress: Progress, processes: int = 1) -> Outcome:
     """Run a mission with its inputs hashed, whose results go to a folder."""
     with open_folder(plan.folder) as folder:
         earlier = finished_before(plan, force=force)
@@ -198,10 +199,11 @@ def run_plan(plan: Plan, *, force: bool, progress: Progress) -> Outcome:
         def correct_all(setup: CorrectionSetup) -> Statistics:
             check_unchanged(plan)
             folder.resume(f"{plan.keys['correction']} {plan.mission.output.batch_rows}", anew=force)
-            return correct_stream(
+            return correct_in_slices(
                 observations,
                 setup,
                 PartsOfRun(folder, partial(check_unchanged, plan, folders=False)),
+                processes=processes,
                 batch_rows=plan.mission.output.batch_rows,
                 metadata=observation_metadata(plan.mission),
                 progress=progress.advance,
