@@ -48,7 +48,7 @@ def campaign(folder: Path) -> Path:
         shutil.copytree(folder / "flights" / "0000" / "results", place / "results")
         own: dict[str, Any] = {"mission": plan.mission.mission.name,
                                "config": plan.mission.model_dump(mode="json"),
-                               "fingerprint": plan.fingerprint}  # fmt: skip
+                               "fingerprint": plan.fingerprint, "keys": plan.keys}  # fmt: skip
         text = json.dumps(manifest | own, indent=2, sort_keys=True)
         (place / "results" / "manifest.json").write_text(text + "\n", encoding="utf-8")
         if number == MISSIONS - 1:

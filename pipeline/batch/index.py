@@ -33,7 +33,7 @@ from pipeline.errors import UnbendError
 Row = Mapping[str, Any]
 """What a campaign's page shows of a mission."""
 
-_MOST_ENTRIES = 100_000
+_MOST_ENTRIES = 20_000
 """Remembered; of more those that were written longest ago are forgotten."""
 
 _TABLE = "CREATE TABLE IF NOT EXISTS entries (key TEXT PRIMARY KEY, content TEXT)"

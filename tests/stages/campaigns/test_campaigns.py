@@ -338,3 +338,18 @@ def test_a_page_of_somebody_else_stays(season, unbend):
     ended = unbend("run", season.file)
     assert (ended.code, page.read_text()) == (5, "my own page")
     assert "STORAGE-NOT-OURS" in ended.err
+
+
+def test_code_and_summary_of_what_is_unchanged_are_those_of_the_run(done, unbend):
+    told = json.loads(done.manifest(0).read_text()) | {"exit_code": 3}
+    done.manifest(0).write_text(json.dumps(told))
+    done.older()
+    compared = unbend("run", done.file, "--mission", "flight-0", "--verify-inputs")
+    assert done.unchanged() == [0, 1]
+    known = unbend("run", done.file, "--mission", "flight-0")
+    assert (known.code, known.out) == (compared.code, compared.out) == (3, known.out)
+    assert "refraction of the air" in known.out  # one mission alone has its summary
+    both = json.loads(unbend("run", done.file, "--json").out)
+    assert [mission["exit_code"] for mission in both] == [3, 0]
+    assert both[0]["manifest"] == told
+    assert unbend("run", done.file).code == 3
