@@ -18,6 +18,7 @@ from pipeline.atmosphere.climatology import Climatology, climatology, month_of
 from pipeline.atmosphere.estimate.adjusted_profile import Adjustment, build_adjusted_profile
 from pipeline.atmosphere.estimate.sensors import SensorCalibration, SensorSettings
 from pipeline.atmosphere.estimate.state import SensorFault
+from pipeline.atmosphere.series.time_windows import part_of_flight
 from pipeline.ledger import Ledger
 
 US1976 = standard_atmosphere("us1976")
@@ -219,6 +220,44 @@ def test_the_sigma_decides_about_low_flights_without_a_thermometer(flights, real
         worse.append(np.abs(error) > np.abs(kept) + sigma)
     assert 0.7 <= rms(np.concatenate(departures)) <= 1.2
     assert np.mean(np.concatenate(worse)) <= 0.05
+
+
+PARTS = {"descent only": (0.6, 1.0), "begins in the air": (0.1, 1.0), "climb only": (0.0, 0.4)}
+"""Which part of a flight of climb, five minutes and descent the log has, as shares of its time."""
+
+
+@pytest.mark.parametrize("thermometer", [True, False])
+@pytest.mark.parametrize("part", PARTS)
+def test_a_log_of_a_part_of_the_flight(flights, real, extreme, part, thermometer):
+    """Used like a whole flight, and honest: 0.4 to 1.1 sigma RMS of ten flights each."""
+    rng = np.random.default_rng(31)
+    found = []
+    for truth in (real + extreme)[::3]:
+        for climb in (800.0, 3000.0):
+            samples = flights.fly(
+                truth, climb, flights.drawn(rng), rng, thermometer=thermometer, humidity="none",
+                descent=True,
+            )  # fmt: skip
+            time_ns = samples.pressure.time_ns
+            begin, end = (time_ns[round(share * (time_ns.size - 1))] for share in PARTS[part])
+            log = part_of_flight(samples, int(begin), int(end) + 1)
+            flown = log.pressure.h_m
+            made = build_adjusted_profile(
+                log, US1976, truth.latitude, Ledger(), background=background_of(truth, AUTO)
+            )
+            warm = thermometer and log.temperature.extent_m >= 300.0
+            assert made.basis in (("thermometer", "both") if warm else ("barometer",))
+            # R between the lowest and the highest that were flown, by Gyer's Eq. 24.
+            low, high = round(flown.min() - truth.h[0]) + 5, round(flown.max() - truth.h[0]) - 5
+            h = truth.h[low : high + 1]
+            right, ours = (
+                float(np.trapezoid(n - n[-1]))
+                for n in (truth.refractivity[low : high + 1], made.profile.refractivity(h))
+            )
+            sigma = made.covariance.relative_sigma(float(h[-1]), float(h[0]))
+            found.append((ours / right - 1.0) / sigma)
+    print(f"{part}, thermometer {thermometer}: {rms(np.array(found)):.2f} sigma")
+    assert 0.3 <= rms(np.array(found)) <= 1.4
 
 
 def test_barometric_pressures_pass_through_the_measured_ones(flights, real):
