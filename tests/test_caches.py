@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import json
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pipeline import caches
@@ -67,3 +70,27 @@ def test_the_compiler_uses_the_same_folder(monkeypatch, tmp_path):
     folder = jit.cache_folder.__wrapped__()
     assert folder is not None
     assert ("compiled code", folder) in caches.cached()
+
+
+def test_what_warm_compiles_is_what_missions_and_terrains_call(unbend, monkeypatch, tmp_path):
+    """Nothing is compiled for other types of arguments: those of real tables, logs and rasters."""
+    from pipeline.refraction.kernels.jit import Kernel, cache_folder
+    from pipeline.stages.story import check_mission
+    from pipeline.tables.geodata.elevation import open_elevation
+    from tests.refraction.test_terrain import landing, rays_from, relief
+    from tests.tables.geodata.test_elevation import write
+
+    ended = unbend("warm")
+    assert (ended.code, ended.out.strip()) == (0, cache_folder())
+    kernels = {k.function.__name__: k for k in gc.get_objects() if isinstance(k, Kernel)}
+    assert len(kernels) == 14
+    known = {name: list(kernel.compiled().signatures) for name, kernel in kernels.items()}
+    assert all(known.values()), known
+
+    monkeypatch.setattr(Kernel, "always_compiled", True)
+    check_mission(Path(__file__).parents[1] / "configs/sample_bin.yaml")
+    write(tmp_path / "dem.tif", relief(200, 200), 8.0, -17.0)
+    path = tmp_path / "dem.tif"
+    model, _ = open_elevation([path], None, reference="msl", undulation=np.zeros_like)
+    landing(model, *rays_from(30, -17.02, 8.02, 0.005, (3_000.0, 4_000.0), 3))
+    assert {name: list(k.compiled().signatures) for name, k in kernels.items()} == known
