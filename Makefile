@@ -37,11 +37,12 @@ docs: $(STAMP)
 # their first megabytes. 30 adjusted blocks for each flying height and all airs of docs/when.md;
 # `make test` does one. 1,600 flights with thermometers that work; `make test` does 24. Memory of all
 # five block exports; `make test` does two. 200 races of two writers in each object store, Azure's
-# emulator among them where there is npm; `make test` does 4 in each of two.
+# emulator among them where there is npm; `make test` does 4 in each of two. 20 runs on a cluster
+# of which six workers are killed each; `make test` does one with two.
 AZURITE := $(abspath $(VENV))/azurite
 faults: $(STAMP)
 	command -v npm > /dev/null && npm install --silent --no-fund --no-audit --prefix $(AZURITE) azurite || true
-	UNBEND_AZURITE=$(AZURITE) UNBEND_RACES=200 UNBEND_AIR_FLIGHTS=3 UNBEND_THERMOMETERS=1600 UNBEND_WHOLE_LOGS=1 UNBEND_MUTATIONS=100000 UNBEND_SNIPPETS=all UNBEND_FLIGHTS=1000 UNBEND_MISTAKES=100 UNBEND_BLOCKS=8 UNBEND_ADJUSTMENTS=30 $(BIN)/python -m pytest -n 2 --dist loadfile tests/faults tests/ingest tests/flight/test_injected_faults.py tests/atmosphere/test_estimate_montecarlo.py tests/atmosphere/estimate/test_honest_thermometers.py tests/atmosphere/test_model_montecarlo.py tests/batch/object_store tests/block tests/stages/test_mistakes.py tests/golden/test_block_heights.py tests/golden/test_when.py tests/contract/test_documentation.py tests/tables/exports/test_block_memory.py
+	UNBEND_AZURITE=$(AZURITE) UNBEND_RACES=200 UNBEND_AIR_FLIGHTS=3 UNBEND_CLUSTER_KILLS=20 UNBEND_THERMOMETERS=1600 UNBEND_WHOLE_LOGS=1 UNBEND_MUTATIONS=100000 UNBEND_SNIPPETS=all UNBEND_FLIGHTS=1000 UNBEND_MISTAKES=100 UNBEND_BLOCKS=8 UNBEND_ADJUSTMENTS=30 $(BIN)/python -m pytest -n 2 --dist loadfile tests/faults tests/batch/test_cluster.py tests/ingest tests/flight/test_injected_faults.py tests/atmosphere/test_estimate_montecarlo.py tests/atmosphere/estimate/test_honest_thermometers.py tests/atmosphere/test_model_montecarlo.py tests/batch/object_store tests/block tests/stages/test_mistakes.py tests/golden/test_block_heights.py tests/golden/test_when.py tests/contract/test_documentation.py tests/tables/exports/test_block_memory.py
 
 # Bugs planted one at a time: do the tests of their room notice? All, or ROOM=refraction; two hours.
 planted: $(STAMP)
