@@ -143,7 +143,8 @@ def connected(scheduler: str, command: str) -> Iterator[Any]:
     address = scheduler_address(scheduler)
     from distributed import Client
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)
+    for name in [name for name in logging.root.manager.loggerDict if name[:11] == "distributed"]:
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # each has a level of its own
     try:
         client = Client(address, timeout=_CONNECT_S, set_as_default=False, direct_to_workers=False)
     except (OSError, ValueError, TypeError, ImportError) as error:
