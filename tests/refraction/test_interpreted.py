@@ -137,3 +137,15 @@ def test_one_angle_needs_no_compiler():
     whole = [np.array([v]) for v in (1e4, 0.0, sine[0], cosine[0], 6_371_000.0, np.nan)]
     bend_rays.compiled()(TABLE.pieces, RayColumns(*whole), np.arange(1), kernel, angle)
     assert float.fromhex(value) == kernel[0]
+
+
+def test_a_ray_that_turns_below_a_near_target_may_mean_the_second_crossing():
+    """1 degree below the horizon from 3 km it turns 1.2 km lower: far from grazing at 2800 m."""
+    sine, cosine = np.sin(np.radians(89.0)), np.cos(np.radians(89.0))
+    near, status = bend(TABLE, 3000.0, 2800.0, sine, cosine)
+    assert STATUS_NAMES[int(status)] == "beyond_grazing"
+    again, status = bend(TABLE, 3000.0, 2800.0, sine, cosine, distance=12_000.0)
+    assert (STATUS_NAMES[int(status)], again) == ("ok", near)
+    far, status = bend(TABLE, 3000.0, 2800.0, sine, cosine, distance=240_000.0)
+    assert STATUS_NAMES[int(status)] == "far_branch"
+    assert far > 5.0 * near
