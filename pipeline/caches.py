@@ -45,7 +45,11 @@ def cached() -> Iterator[tuple[str, str]]:
         (parsed_templates(), "templates", re.compile(r"\w+\.jinja")),
         (user_cache(), "states of missions", re.compile(r"missions\.sqlite(-\w+)?")),
         (user_cache(), "copies of inputs", re.compile("copies")),
-        (kept_values(), "decoded logs", re.compile(r"\.?(log|flown)-[0-9a-f]{64}(\.\d+)?")),
+        (
+            kept_values(),
+            "decoded logs and figures",
+            re.compile(r"\.?(log|flown)-[0-9a-f]{64}(\.\d+)?"),
+        ),
         (os.path.join(user_cache(), "results"), "results to be published", re.compile(".{32}")),
     ):
         names = sorted(os.listdir(folder)) if os.path.isdir(folder) else []

@@ -9,6 +9,7 @@ from pipeline.batch.keys import (
     NOT_IN_KEY,
     STAGES,
     code_of_stages,
+    key_of_drawn,
     stage_of_key,
     stage_of_role,
 )
@@ -29,7 +30,7 @@ def changes_since(plan: Plan, manifest: Mapping[str, Any]) -> list[str]:
 
     Each by the stage that begins again for it, these in their order: inputs by their role, keys of
     the mission file with both values, the program, its libraries. Empty where fingerprints agree.
-    The last one says where the log is still known as it was decoded.
+    The last one says where the log is still known as it was decoded, or the corrections stay.
     """
     if manifest["fingerprint"] == plan.fingerprint:
         return []
@@ -50,10 +51,18 @@ def changes_since(plan: Plan, manifest: Mapping[str, Any]) -> list[str]:
         return ["the mission file is read in another way"]
     changes.sort(key=lambda change: STAGES.index(change[0]))
     texts = [f"{stage}: {text}" for stage, text in changes]
-    same = manifest.get("keys", {}).get("ingest") == plan.keys["ingest"]
-    if same and plan.mission.log is not None and is_kept(plan.decoded_log):
-        texts[-1] += "; the log is not read again"
+    before, now = manifest.get("keys", {}), plan.keys
+    if before.get("correction") == now["correction"] and is_kept(drawn_before(manifest)):
+        texts[-1] += "; nothing is corrected again"
+    elif before.get("ingest") == now["ingest"] and plan.mission.log is not None:
+        texts[-1] += "; the log is not read again" if is_kept(plan.decoded_log) else ""
     return texts
+
+
+def drawn_before(manifest: Mapping[str, Any]) -> str:
+    """What the figures of a finished run's report are kept under."""
+    batch_rows = manifest["config"]["output"]["batch_rows"]
+    return key_of_drawn(manifest["keys"]["correction"], batch_rows)
 
 
 def changed_inputs(plan: Plan, manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

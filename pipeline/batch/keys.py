@@ -152,12 +152,19 @@ def grids_of_proj() -> str:
 
 def code_of_stages() -> dict[str, str]:
     """SHA-256 of the code that each stage reaches, and of its data."""
-    return code_below(Path(str(resources.files(pipeline))))
+    codes = code_below(Path(str(resources.files(pipeline))))
+    return {stage: codes[stage] for stage in STAGES}
+
+
+def key_of_drawn(correction: str, batch_rows: int) -> str:
+    """What the figures of a report are kept under; rows that stand for all differ by the parts."""
+    code = code_below(Path(str(resources.files(pipeline))))["flown"]
+    return f"flown-{hashlib.sha256(f'{correction} {code} {batch_rows}'.encode()).hexdigest()}"
 
 
 @lru_cache(maxsize=1)
 def code_below(root: Path) -> dict[str, str]:
-    """`code_of_stages` of a package in a folder."""
+    """`code_of_stages` of a package in a folder, and of the figures of a report."""
     digests: dict[str, str] = {}
     data: dict[str, list[str]] = {}
     packages = {path.parent for path in root.rglob("__init__.py")}
@@ -183,7 +190,8 @@ def code_below(root: Path) -> dict[str, str]:
     for stage, modules in stage_modules(edges[_STORY]).items():
         reached = closure(modules, edges)
         reached |= {_STORY} if stage != "ingest" else set()
-        names = reached | {name for owner in reached for name in data.get(owner, ())}
+        owners = reached - {"pipeline.report"} if stage == "flown" else reached  # it reads no text
+        names = reached | {name for owner in owners for name in data.get(owner, ())}
         text = "\n".join(f"{name} {digests[name]}" for name in sorted(names))
         codes[stage] = hashlib.sha256(text.encode()).hexdigest()
     return codes
@@ -214,9 +222,16 @@ def imported(text: str, package: str = "pipeline") -> set[str]:
 
 
 def stage_modules(story: Iterable[str]) -> dict[str, set[str]]:
-    """The modules each stage begins with; those of the later ones are what the story imports."""
+    """The modules each stage begins with; those of the later ones are what the story imports.
+
+    ``flown`` is no stage: of the report the part whose result is kept.
+    """
     after = {name for name in story if name.startswith("pipeline.report")}
-    return _MODULES | {"correction": {*story} - after - _AFTERWARDS, "report": after}
+    return _MODULES | {
+        "correction": {*story} - after - _AFTERWARDS,
+        "report": after,
+        "flown": {"pipeline.report.flown"},
+    }
 
 
 def closure(modules: Iterable[str], edges: Mapping[str, set[str]]) -> set[str]:

@@ -11,7 +11,7 @@ import os
 import re
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from errno import EACCES
@@ -66,6 +66,7 @@ class RunFolder:
 
     path: Path
     _seals: dict[str, tuple[str, int]] = field(default_factory=dict)
+    _in_place: set[str] = field(default_factory=set)
 
     @property
     def staging(self) -> Path:
@@ -85,6 +86,11 @@ class RunFolder:
         with storage_errors(target):
             sync_file(target)
             self._seals[name] = (hash_file(target), target.stat().st_size)
+
+    def leave(self, item: Mapping[str, Any]) -> None:
+        """Let a visible result, as an earlier manifest has it, be one of this run too."""
+        self._seals[item["name"]] = item["sha256"], item["bytes"]
+        self._in_place.add(item["name"])
 
     def resume(self, key: str, *, anew: bool = False) -> None:
         """Go on with the parts that a run of the same key left; other ones, or all, are removed."""
@@ -140,20 +146,19 @@ class RunFolder:
             draft = self.staging / MANIFEST
             draft.write_text(text + "\n", encoding="utf-8", newline="\n")
             sync_file(draft)
-            for folder in sorted(
-                {(self.staging / name).parent for name in (*self._seals, MANIFEST)}
-            ):
+            staged = sorted(self._seals.keys() - self._in_place)
+            for folder in sorted({(self.staging / name).parent for name in (*staged, MANIFEST)}):
                 sync_folder(folder)
             (self.path / MANIFEST).unlink(missing_ok=True)
             sync_folder(self.path)
             for part in _parts(self.path):
                 if f"{_PARTS}/{part.name}" not in self._seals:
                     part.unlink()
-            for name in sorted(self._seals):
+            for name in staged:
                 target = self.path / name
                 target.parent.mkdir(exist_ok=True)
                 replace_file(self.staging / name, target)
-            for folder in sorted({(self.path / name).parent for name in self._seals}):
+            for folder in sorted({(self.path / name).parent for name in staged}):
                 sync_folder(folder)
             replace_file(draft, self.path / MANIFEST)
             sync_folder(self.path)

@@ -18,7 +18,9 @@ from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.estimate.adjusted_profile import unadjusted
 from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
-from pipeline.batch.changes import reasons_to_run
+from pipeline.batch.changes import drawn_before, reasons_to_run
+from pipeline.batch.kept import keep, recall
+from pipeline.batch.keys import code_of_stages, key_of_drawn
 from pipeline.batch.object_store.copies import fetched, version_of
 from pipeline.batch.object_store.place import Place
 from pipeline.batch.object_store.published import Publication, rehearse_place
@@ -31,6 +33,7 @@ from pipeline.batch.plan import (
     outcome_of,
     places_named,
     refuse_other_mission,
+    versions,
 )
 from pipeline.batch.store import (
     MANIFEST,
@@ -192,6 +195,9 @@ def run_plan(plan: Plan, *, force: bool, progress: Progress, processes: int = 1)
         earlier = finished_before(plan, force=force)
         if earlier is not None:
             return outcome_of(plan, earlier, repeated=True)
+        renewed = None if force else renew_report(plan, folder)
+        if renewed is not None:
+            return outcome_of(plan, renewed, repeated=False)
         prepared = prepare_mission(plan, progress)
         observations = prepared.observations
         progress.start("correcting", observations.rows)
@@ -387,6 +393,44 @@ def write_results(corrected: CorrectedMission, folder: RunFolder) -> None:
         )  # fmt: skip
         write_report(report, corrected.manifest, flown)
     folder.seal("report.html")
+    plan = prepared.plan
+    name = key_of_drawn(plan.keys["correction"], plan.mission.output.batch_rows)
+    keep(name, (corrected.manifest, flown))
+
+
+def renew_report(plan: Plan, folder: RunFolder) -> dict[str, Any] | None:
+    """Write only the report anew, where nothing before it changed; the manifest of that.
+
+    None, and nothing is written, where corrections changed or are damaged, or what the report is
+    made of is not known any more.
+    """
+    earlier, keys = read_manifest(plan.folder, damaged=True), plan.keys
+    if earlier is None or earlier.get("keys", {}).get("correction") != keys["correction"]:
+        return None
+    damage = find_damage(plan.folder, earlier, read=False)
+    known = recall(drawn_before(earlier))
+    if known is None or any(not line.startswith("report.html: ") for line in damage):
+        return None
+    before, flown = known
+    manifest: dict[str, Any] = before | {
+        "fingerprint": plan.fingerprint,
+        "keys": keys,
+        "code": code_of_stages(),
+        "config": plan.mission.model_dump(mode="json"),
+        "versions": versions(plan),
+    }
+    manifest["config"]["output"]["batch_rows"] = earlier["config"]["output"]["batch_rows"]
+    report = folder.place("report.html")
+    with storage_errors(report):
+        write_report(report, manifest, flown)
+    folder.seal("report.html")
+    for item in earlier["outputs"]:
+        if item["name"] != "report.html":
+            folder.leave(item)
+    check_unchanged(plan)
+    manifest |= {"outputs": folder.outputs()}
+    folder.commit(manifest)
+    return manifest
 
 
 def read_mission(mission: MissionRef | Path) -> PreparedMission:

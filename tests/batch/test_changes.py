@@ -49,7 +49,8 @@ def test_another_version_of_unbend_begins_with_the_stage_whose_code_it_is(done, 
     for stage in ("report", "ingest", "correction"):
         for module in (keys, changes):
             monkeypatch.setattr(module, "code_of_stages", lambda s=stage: own | {s: "other"})
-        end = "" if stage == "ingest" else "; the log is not read again"
+        end = {"report": "; nothing is corrected again", "ingest": ""}
+        end = end.get(stage, "; the log is not read again")
         assert reasons(done) == [f"{stage}: another version of unbend (0.2.0 -> 0.2.0){end}"]
 
 

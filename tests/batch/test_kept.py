@@ -5,16 +5,19 @@ from __future__ import annotations
 import json
 import os
 import random
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import pipeline
 from pipeline import caches
-from pipeline.batch import kept
+from pipeline.batch import kept, keys
 from pipeline.errors import LogError
-from pipeline.stages import inputs
-from pipeline.stages.story import run_mission
+from pipeline.stages import correction, inputs
+from pipeline.stages.story import mission_status, run_mission, verify_run
 
+PACKAGE = Path(pipeline.__file__).parent
 SEED = random.randrange(1 << 30)
 
 
@@ -39,7 +42,7 @@ def test_what_was_used_longest_ago_goes_first(cache, monkeypatch):
     assert sorted(path.name for path in cache.iterdir()) == [named(0), named(2), named(3)]
     assert kept.recall(named(1)) is None
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(cache.parent))
-    assert {what for what, _ in caches.cached()} == {"decoded logs"}
+    assert {what for what, _ in caches.cached()} == {"decoded logs and figures"}
     caches.empty_caches()
     assert list(cache.iterdir()) == []
 
@@ -73,7 +76,7 @@ def test_a_log_is_decoded_once_and_the_results_are_the_same(
     assert same == whole
     if kind != "bin":
         return
-    (entry,) = cache.iterdir()
+    (entry,) = cache.glob("log-*")
     content = bytearray(entry.read_bytes())
     place = random.Random(SEED).randrange(len(content) * 8)
     content[place // 8] ^= 1 << place % 8
@@ -96,3 +99,62 @@ def test_a_log_that_changed_is_decoded(mission, monkeypatch, plain_report):
         log.write(b"\0")
     decoded, _ = run_and_decode(mission, monkeypatch)
     assert decoded == 1
+
+
+def report_run(mission, monkeypatch) -> tuple[bool, dict[str, bytes]]:
+    """Whether a run corrects anything, and all that is in its folder."""
+    corrected = []
+    original = correction.correct_batch
+    with monkeypatch.context() as patch:
+        patch.setattr(correction, "correct_batch", lambda *w: corrected.append(1) or original(*w))
+        assert not run_mission(mission.save()).repeated
+    return bool(corrected), {
+        path.relative_to(mission.output).as_posix(): path.read_bytes()
+        for path in sorted(mission.output.rglob("*"))
+        if path.is_file() and path.name != ".lock"
+    }
+
+
+def test_another_report_is_written_without_correcting_anything(mission, cache, monkeypatch):
+    mission.config["output"]["batch_rows"] = 1000
+    fresh, whole = report_run(mission, monkeypatch)
+    assert fresh
+    own = keys.code_below(PACKAGE)
+    other = own | {"report": "other"}
+    monkeypatch.setattr(keys, "code_below", lambda root: other)
+    text = "report: another version of unbend (0.2.0 -> 0.2.0); nothing is corrected again"
+    assert mission_status(mission.file)[1] == [text]
+    again, renewed = report_run(mission, monkeypatch)
+    assert not again
+    before = json.loads(whole["manifest.json"])["keys"]
+    after = verify_run(mission.output)["keys"]
+    assert [stage for stage in keys.STAGES if after[stage] != before[stage]] == ["report"]
+    for name, content in whole.items():
+        same = name not in ("report.html", "manifest.json")
+        assert (renewed[name] == content) is same, name
+    # The same bytes as when everything is made: with an empty cache, that is.
+    caches.shutil.rmtree(cache)
+    (mission.output / "report.html").unlink()
+    again, made = report_run(mission, monkeypatch)
+    assert again
+    assert made == renewed
+    # A report that is lost is written again, and so is one with another folder in its settings.
+    (mission.output / "report.html").unlink()
+    again, made = report_run(mission, monkeypatch)
+    assert not again
+    assert made == renewed
+    # Corrections that are damaged are made again, and so are those of another ground.
+    (mission.output / "observations" / "part-00000.parquet").unlink()
+    again, made = report_run(mission, monkeypatch)
+    assert again
+    assert made == renewed
+    mission.config["ground"]["sigma_m"] = 1.5
+    assert report_run(mission, monkeypatch)[0]
+    # The figures' own code is no wording: what it made is not taken up.
+    monkeypatch.setattr(keys, "code_below", lambda root: own | {"report": "3", "flown": "3"})
+    assert report_run(mission, monkeypatch)[0]
+
+
+def test_the_figures_read_no_file_beside_their_module():
+    """Texts beside it are in no key of theirs."""
+    assert "files(" not in (PACKAGE / "report" / "flown.py").read_text(encoding="utf-8")
