@@ -116,7 +116,7 @@ def serve(idle_s: float = _IDLE_S) -> None:
     # what a library prints must not get among the replies.
     requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as the command line does
     tasks: SimpleQueue[bytes] = SimpleQueue()
 
     def receive() -> None:

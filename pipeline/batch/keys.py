@@ -8,6 +8,7 @@ own modules import, at any place, and the data files beside them.
 import hashlib
 import json
 import os
+import platform
 import re
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
@@ -45,7 +46,7 @@ _ROLES = {"log": "ingest", "control": "correction"}
 _LIBRARIES = {
     "ingest": (
         "numpy", "scipy", "numba", "llvmlite", "pandas", "pyarrow",  # arithmetic and tables
-        "pymavlink", "mcap", "mcap-ros2-support", "mcap-protobuf-support", "protobuf", "lz4",
+        "python", "pymavlink", "mcap", "mcap-ros2-support", "mcap-protobuf-support", "protobuf", "lz4",
         "zstandard",
     ),
     "air": ("metar", "exifread", "pillow", "pyproj"),
@@ -123,7 +124,9 @@ def libraries(roles: Iterable[str], standard: str) -> dict[str, dict[str, str | 
 
 @lru_cache
 def version(library: str) -> str | None:
-    """The installed version of a library; None where there is none."""
+    """The installed version of a library, or of Python; None where there is none."""
+    if library == "python":
+        return platform.python_version()
     try:
         return metadata.version(library)
     except metadata.PackageNotFoundError:

@@ -6,7 +6,6 @@ And how a mission ended.
 import hashlib
 import json
 import os
-import platform
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -247,9 +246,10 @@ def _refuse_among_results(role: str, path: Path | Place, output: Path | Place) -
 
 
 def check_unchanged(plan: Plan, *, folders: bool = True) -> None:
-    """Refuse results whose inputs changed while they were made.
+    """Refuse results whose inputs were written to, or replaced, while they were made.
 
-    Without ``folders`` those of images are not looked at, and no object storage.
+    By the same content too: another one may have been there in between, and read. Without
+    ``folders`` those of images are not looked at, and no object storage.
     """
     for item in plan.inputs:
         if item.place is not None:
@@ -261,8 +261,7 @@ def check_unchanged(plan: Plan, *, folders: bool = True) -> None:
             continue
         if not folders and item.program is None and item.path.is_dir():
             continue
-        stamp = _stamp(item.path, item.program)
-        if stamp != item.stamp and hash_as_stamped(item.path, item.program, stamp) != item.sha256:
+        if _stamp(item.path, item.program) != item.stamp:
             raise InputError.of("INPUT-CHANGED", str(item.path), role=item.role)
 
 
@@ -292,12 +291,6 @@ def places_named(plan: Plan) -> Iterator[None]:
             error.where = error.where.replace(str(item.path), str(item.place or item.path))
         error.where = error.where.replace(str(plan.folder), str(plan.output))
         raise
-
-
-@lru_cache(maxsize=256)
-def hash_as_stamped(path: Path, program: str | None, stamp: tuple[int, ...]) -> str:
-    """The hash of an input as it is now; of one whose stamp stays it is computed once."""
-    return _hash_input(path, program, verify=True)
 
 
 def _hash_input(path: Path, program: str | None, *, verify: bool) -> str:
@@ -355,7 +348,6 @@ def versions(plan: Plan | None = None) -> dict[str, Any]:
     """
     known = plan.libraries if plan else libraries(("weather model", "elevation model"), MSIS)
     found = {"unbend": pipeline.__version__, "code_sha256": code_hash()}
-    found |= {"python": platform.python_version()}
     for of_stage in known.values():
         found |= {name: version for name, version in of_stage.items() if version is not None}
     return found

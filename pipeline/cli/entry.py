@@ -76,8 +76,8 @@ def run_command(arguments: list[str]) -> int:
 def main() -> None:
     """Run the command line and leave with its exit code."""
     # With matrices of some hundred rows, threads are slower and make sums depend on their number.
-    # Takes effect if set before numpy is imported; a value of the user's is kept.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Takes effect if set before numpy is imported.
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
     # Colours of numba's messages: it resets them at the end, on terminals without colours too.
     os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
     for stream in (sys.stdout, sys.stderr):

@@ -246,7 +246,9 @@ def check_mission(
         _, _, statistics = correct_counted(prepared.observations.sampled(), setup)
         return statistics
 
-    return correct_mission(prepared, correct_sample)
+    corrected = correct_mission(prepared, correct_sample)
+    check_unchanged(plan)
+    return corrected
 
 
 def mission_status(mission: MissionRef | Path | str) -> tuple[Plan, list[str]]:

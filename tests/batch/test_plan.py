@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from pipeline.batch import plan as planning
 from pipeline.batch.plan import check_unchanged, hash_of_files, make_plan
 from pipeline.config import load_mission
 from pipeline.errors import ConfigError, InputError
+from pipeline.stages import inputs
 
 PACKAGE = Path(pipeline.__file__).parent
 
@@ -64,13 +66,36 @@ def test_inputs_mission_file_and_code_count(mission, plan, monkeypatch):
     assert len(fingerprints) == 4
 
 
-def test_the_same_file_at_another_time_is_unchanged(mission, plan):
-    mission.log.touch()
+def test_a_file_that_is_written_to_is_changed_even_if_its_content_is_there_again(mission, plan):
+    """Another content may have been there in between, and read."""
     check_unchanged(plan)
-    with mission.log.open("ab") as log:
-        log.write(b"\0")
+    content = mission.log.read_bytes()
+    times = mission.log.stat().st_atime_ns, mission.log.stat().st_mtime_ns
+    mission.log.write_bytes(content[:-9])
+    mission.log.write_bytes(content)
+    os.utime(mission.log, ns=times)  # as programs that copy files do
     with pytest.raises(InputError, match="INPUT-CHANGED"):
         check_unchanged(plan)
+
+
+def test_a_log_that_is_being_copied_is_not_kept_as_the_whole(mission, plan, monkeypatch):
+    """It was hashed when it was whole, and is decoded while it is copied over once more."""
+    content, decode = mission.log.read_bytes(), inputs.open_log
+
+    def decode_half(path, sha256):
+        path.write_bytes(content[: len(content) // 2])
+        log = decode(path, sha256)
+        path.write_bytes(content)
+        return log
+
+    whole = decode(mission.log).duration_s
+    monkeypatch.setattr(inputs, "open_log", decode_half)
+    with pytest.raises(InputError, match="INPUT-CHANGED"):
+        inputs.decoded_log(plan)
+    monkeypatch.undo()
+    again = make_plan(load_mission(mission.file), mission.folder)
+    assert again.fingerprint == plan.fingerprint
+    assert inputs.decoded_log(again).duration_s == whole
 
 
 def test_inputs_have_their_roles_and_their_places_in_the_mission_file(mission):
