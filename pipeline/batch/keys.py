@@ -46,8 +46,8 @@ _ROLES = {"log": "ingest", "control": "correction"}
 _LIBRARIES = {
     "ingest": (
         "numpy", "scipy", "numba", "llvmlite", "pandas", "pyarrow",  # arithmetic and tables
-        "python", "pymavlink", "mcap", "mcap-ros2-support", "mcap-protobuf-support", "protobuf", "lz4",
-        "zstandard",
+        "pymavlink", "mcap", "mcap-ros2-support", "mcap-protobuf-support", "protobuf", "lz4",
+        "zstandard", "python",
     ),
     "air": ("metar", "exifread", "pillow", "pyproj"),
     "correction": (),
