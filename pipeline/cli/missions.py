@@ -216,7 +216,7 @@ def status(
         from pipeline.report.text.terminal import print_status
         from pipeline.stages.campaigns.selection import select_missions
 
-        chosen = select_missions(configs, names or ())
+        chosen = select_missions(configs, names or (), writes=False)
     missions: list[dict[str, Any]] = []
     for ref in chosen.missions:
         try:

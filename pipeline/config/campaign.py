@@ -23,6 +23,7 @@ from pipeline.errors import ConfigError
 
 _NO_LINES = yaml.MappingNode("", [], yaml.Mark("", 0, 0, 0, None, 0))
 _IS_CAMPAIGN = re.compile(r"""^["']?(campaign|missions)["']?\s*:|^\s*\{""", re.MULTILINE)
+_URL = re.compile("[A-Za-z][A-Za-z0-9+.-]+:/")  # as `is_url` of the rooms above has it
 
 
 @dataclass(frozen=True)
@@ -83,12 +84,13 @@ class Campaign:
 def open_configs(paths: Iterable[Path]) -> tuple[list[MissionRef], list[Campaign]]:
     """The missions of mission files and campaign files, in their order, and the campaigns.
 
+    A file that is named twice is taken once.
     Refuses (ConfigError) a campaign as `campaign_of` does. A file that cannot be read, or is no
     YAML, is taken for a mission, which is refused when it is its turn.
     """
     missions: list[MissionRef] = []
     campaigns = []
-    for path in paths:
+    for path in {os.path.join(os.path.realpath(p.parent), p.name): p for p in paths}.values():
         values: dict[str, Any] = {}
         with suppress(OSError, UnicodeDecodeError, ConfigError):
             if _IS_CAMPAIGN.search(path.read_text(encoding="utf-8")):
@@ -121,7 +123,7 @@ def campaign_of(path: Path, values: dict[str, Any], node: yaml.Node) -> Campaign
     if items or open_questions(values):
         raise refusal_of(items, whole, node, str(path))
     section = values["campaign"]
-    if "://" in section["output"]:
+    if _URL.match(section["output"]):
         raise ConfigError.of("URL-INVALID/campaign", path)
     shared = merged({"output": {"path": os.path.join(section["output"], "{mission}")}}, defaults)
     refs = [
@@ -188,7 +190,7 @@ def _seen_from(values: Any, campaign: Path, mission: Path, place: Place = ()) ->
         return {k: _seen_from(v, campaign, mission, (*place, k)) for k, v in values.items()}
     if isinstance(values, list):
         return [_seen_from(v, campaign, mission, (*place, i)) for i, v in enumerate(values)]
-    if not isinstance(values, str) or "://" in values or os.path.isabs(values):
+    if not isinstance(values, str) or _URL.match(values) or os.path.isabs(values):
         return values
     arms = [arm for node in nodes_at(place) for arm in alternatives(node)]
     names = {arm.get("const") for arm in arms} | {n for arm in arms for n in arm.get("enum", ())}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,15 @@ from pipeline.config.mistakes import of_yaml, open_questions, sentences_of
 from pipeline.config.sections import Mission
 from pipeline.errors import ConfigError
 
-WHOLE = ("ground.height",)
-"""Keys that take one of several sections: a mission's own replaces the default as a whole."""
+WHOLE = (
+    "atmosphere.model", "atmosphere.sensors.*", "cameras.*", "control", "events.csv",
+    "events.first_image.*", "events.images", "events.positions.*", "ground.height",
+    "log.channels.*", "log.local_origin", "mount.*", "stations.orientation", "stations.trajectory",
+)  # fmt: skip
+"""Sections whose values belong together: a mission's own replaces the default as a whole."""
+
+LEADING = ("ground.height", "mission.geoid", "mission.undulation_m", "events.log.*.channel")
+"""Keys that the others of their section describe: of a mission that has one, these are its own."""
 
 _REPLACED = ("bool", "int", "float", "timestamp")
 
@@ -140,9 +148,11 @@ def merged(defaults: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
 
     ``{mission}`` in the path of results of the defaults is the name of the mission.
 
-    >>> merged({"log": {"path": "a", "max_gap_s": 2.0}, "ground": {"height": {"column": "h"}}},
-    ...        {"log": {"path": "b"}, "ground": {"height": {"dem": "c.tif"}}})
-    {'log': {'path': 'b', 'max_gap_s': 2.0}, 'ground': {'height': {'dem': 'c.tif'}}}
+    Values that belong together are all the mission's (`WHOLE`, `LEADING`).
+
+    >>> merged({"log": {"path": "a", "max_gap_s": 2.0}, "mount": {"nadir": {"roll_deg": 1.0}}},
+    ...        {"log": {"path": "b"}, "mount": {"nadir": {"yaw_deg": 90.0}}})
+    {'log': {'path': 'b', 'max_gap_s': 2.0}, 'mount': {'nadir': {'yaw_deg': 90.0}}}
     """
     values = _merged(defaults, own)
     output, section = values.get("output"), values.get("mission")
@@ -160,6 +170,12 @@ def _merged(defaults: dict[str, Any], own: dict[str, Any], above: str = "") -> d
         place = f"{above}.{key}".removeprefix(".")
         if own[key] is None:
             del values[key]
-        elif isinstance(defaults[key], dict) and isinstance(own[key], dict) and place not in WHOLE:
-            values[key] = _merged(defaults[key], own[key], place)
+        elif isinstance(defaults[key], dict) and isinstance(own[key], dict):
+            leading = any(_is_of(LEADING, f"{place}.{inner}") for inner in own[key])
+            if not leading and not _is_of(WHOLE, place):
+                values[key] = _merged(defaults[key], own[key], place)
     return values
+
+
+def _is_of(patterns: Sequence[str], place: str) -> bool:
+    return any(fnmatchcase(place, pattern) for pattern in patterns)

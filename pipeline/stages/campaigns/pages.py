@@ -29,8 +29,16 @@ MARK = '<meta name="generator" content="unbend campaign">'
 def refuse_foreign_page(output: Path) -> None:
     """Refuse (STORAGE-NOT-OURS) to replace a page or table that no campaign has written."""
     there = [name for name in (PAGE, TABLE) if (output / name).exists()]
-    with suppress(OSError, UnicodeDecodeError):
-        if not there or MARK in (output / PAGE).read_text(encoding="utf-8")[:2000]:
+    with suppress(OSError, ValueError):  # ValueError: no UTF-8, or no Parquet
+        if not there:
+            return
+        if PAGE in there:
+            ours = MARK in (output / PAGE).read_text(encoding="utf-8")[:2000]
+        else:  # the page was removed, or a run ended between the two
+            from pyarrow.parquet import read_schema
+
+            ours = b"unbend.campaign" in (read_schema(output / TABLE).metadata or {})
+        if ours:
             return
     raise StorageError.of("STORAGE-NOT-OURS", output, results=", ".join(there))
 

@@ -62,11 +62,13 @@ class Selection:
 
 
 def select_missions(
-    configs: Iterable[Path], names: Sequence[str] = (), part: slice = slice(None)
-) -> Selection:
+    configs: Iterable[Path], names: Sequence[str] = (), part: slice = slice(None),
+    *, writes: bool = True,
+) -> Selection:  # fmt: skip
     """The missions of mission files and campaign files; of them only those of ``names``.
 
-    A name is that of a mission, or the path of its file; only a ``part`` is chosen. Refuses
+    A name is that of a mission, or the path of its file; only a ``part`` is chosen. With ``writes``
+    a page of somebody else is refused. Refuses
     (ConfigError) a campaign that is wrong, or has two missions of one name or folder
     (CAMPAIGN-SAME-NAME, CAMPAIGN-SAME-OUTPUT), and a name that no mission has (CAMPAIGN-MISSION).
     Nothing was touched then.
@@ -85,7 +87,8 @@ def select_missions(
     for campaign in campaigns:
         own = {*campaign.missions}
         refuse_twins(campaign, [item for item in listed if item[0] in own])
-        refuse_foreign_page(campaign.output)
+        if writes:
+            refuse_foreign_page(campaign.output)
     called = {ref: (name, folder) for ref, name, folder in listed}
     words = {ref: {name, ref.words[-1]} for ref, (name, _) in called.items()}
     for name in {*names} - {word for of in words.values() for word in of}:

@@ -338,6 +338,22 @@ def test_a_page_of_somebody_else_stays(season, unbend):
     ended = unbend("run", season.file)
     assert (ended.code, page.read_text()) == (5, "my own page")
     assert "STORAGE-NOT-OURS" in ended.err
+    assert unbend("status", season.file).code == 0  # it writes no page
+
+
+def test_the_table_alone_is_known_as_ours(done, unbend):
+    """As after a run that was killed between the two, or where a user removed the page."""
+    page, table = (done.folder / "results" / f"campaign.{kind}" for kind in ("html", "parquet"))
+    before = page.read_bytes()
+    page.unlink()
+    ended = unbend("run", done.file)
+    assert (ended.code, page.read_bytes()) == (0, before), ended.text
+    for other in (b"my own table", b""):
+        page.unlink(missing_ok=True)
+        table.write_bytes(other)
+        ended = unbend("run", done.file)
+        assert (ended.code, table.read_bytes()) == (5, other)
+        assert "STORAGE-NOT-OURS" in ended.err
 
 
 def test_code_and_summary_of_what_is_unchanged_are_those_of_the_run(done, unbend):
