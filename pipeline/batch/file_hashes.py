@@ -24,24 +24,25 @@ _TABLE = "CREATE TABLE IF NOT EXISTS hashes (path TEXT PRIMARY KEY, stamp TEXT, 
 _FORGET = "DELETE FROM hashes WHERE rowid <= (SELECT max(rowid) FROM hashes) - ?"
 
 
-def remembered_hash(path: Path, *, verify: bool = False, first_bytes: int | None = None) -> str:
+def remembered_hash(path: Path, *, verify: bool = False, of_jpeg: int | None = None) -> str:
     """SHA-256 of a file; not read again while inode, size, time of content and of status stay.
 
-    Of its ``first_bytes`` only where these are given. ``verify`` reads it anyway. A file that
-    changed in the last two seconds is not remembered. Without a cache that can be written every
-    file is read.
+    Of a JPEG, whose EXIF comes first, only the first ``of_jpeg`` bytes where these are given.
+    ``verify`` reads it anyway. A file that changed in the last two seconds is not remembered.
+    Without a cache that can be written every file is read.
     """
     stat = path.stat()
     stamp = f"{stat.st_ino} {stat.st_size} {stat.st_mtime_ns} {stat.st_ctime_ns}"
-    place = os.path.realpath(path) + ("" if first_bytes is None else f"\0{first_bytes}")
+    place = os.path.realpath(path) + ("" if of_jpeg is None else f"\0{of_jpeg} of JPEG")
     if not verify and (known := recalled(place, stamp)):
         return known
     began = time.time_ns()
-    if first_bytes is None:
-        sha256 = hash_file(path)
-    else:
+    start = b""
+    if of_jpeg is not None:
         with path.open("rb") as stream:
-            sha256 = hashlib.sha256(stream.read(first_bytes)).hexdigest()
+            start = stream.read(of_jpeg)
+    is_jpeg = start.startswith(b"\xff\xd8")
+    sha256 = hashlib.sha256(start).hexdigest() if is_jpeg else hash_file(path)
     if began - max(stat.st_mtime_ns, stat.st_ctime_ns) > SETTLED_NS:
         remember(place, stamp, sha256)
     return sha256

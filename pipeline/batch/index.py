@@ -24,11 +24,13 @@ from pipeline.batch.changes import reasons_to_run
 from pipeline.batch.file_hashes import SETTLED_NS
 from pipeline.batch.keys import GRIDS, grids_of_proj
 from pipeline.batch.object_store.place import Place
-from pipeline.batch.plan import code_hash, input_paths, located, make_plan
+from pipeline.batch.plan import code_hash, input_paths, is_raster, located, make_plan
 from pipeline.batch.store import MANIFEST, STAGING, read_manifest
 from pipeline.caches import user_cache
 from pipeline.config.campaign import MissionRef
 from pipeline.errors import UnbendError
+from pipeline.tables.geodata.gdal import raster_files
+from pipeline.tables.imports.blocks import BLOCKS
 
 Row = Mapping[str, Any]
 """What a campaign's page shows of a mission."""
@@ -66,6 +68,7 @@ def look_up(refs: Iterable[MissionRef]) -> dict[MissionRef, IndexEntry]:
         # A run that is under way, or was interrupted, has a staging folder.
         staged = os.path.lexists(os.path.join(content["output"], STAGING))
         unchanged = not staged and all(stamp(path) == was for path, was in files.items())
+        unchanged = unchanged and _with_sidecars(content["rasters"]) <= files.keys()
         output = Path(os.path.normpath(ref.folder / content["stated"]))
         known[ref] = IndexEntry(
             content["name"], output, content["exit_code"], content["row"], unchanged
@@ -93,16 +96,19 @@ def entry_of(ref: MissionRef, describe: Callable[[Row], Row]) -> dict[str, Any] 
     file = os.path.abspath(ref.path)
     began = stamp(file)
     mission = ref.load()
-    inputs = [path for _, path in input_paths(mission, ref.folder).values()]
+    named = input_paths(mission, ref.folder)
+    inputs = [path for _, path in named.values()]
     output = located(mission.output.path, ref.folder)
     if any(isinstance(path, Place) for path in (*inputs, output)):
         return None
-    files = {os.path.abspath(str(path)): stamp(str(path)) for path in inputs} | {file: began}
+    rasters = [os.path.abspath(str(path)) for role, (_, path) in named.items() if is_raster(role)]
+    read = {os.path.abspath(str(path)) for path in inputs} | _with_sidecars(rasters)
+    files = {path: stamp(path) for path in read} | {file: began}
     if not _settled(files):
         return None
     plan = make_plan(mission, ref.folder)
     manifest = read_manifest(plan.folder, damaged=True)
-    if manifest is None or any(i.program is not None or i.path.is_dir() for i in plan.inputs):
+    if manifest is None or any(i.program in BLOCKS or i.path.is_dir() for i in plan.inputs):
         return None
     results = [plan.folder / str(item["name"]) for item in manifest["outputs"]]
     results += {path.parent for path in results} - {plan.folder}
@@ -115,8 +121,13 @@ def entry_of(ref: MissionRef, describe: Callable[[Row], Row]) -> dict[str, Any] 
         "name": mission.mission.name, "output": os.path.abspath(plan.folder),
         "stated": mission.output.path, "exit_code": int(manifest["exit_code"]),
         "row": dict(describe(manifest)), "files": files,
-        "grids": plan.libraries["air"].get(GRIDS),
+        "grids": plan.libraries["air"].get(GRIDS), "rasters": rasters,
     }  # fmt: skip
+
+
+def _with_sidecars(rasters: Iterable[str]) -> set[str]:
+    """Paths of rasters, and of the files beside them that are read with them."""
+    return {str(file) for raster in rasters for file in raster_files(Path(raster))}
 
 
 def stamp(path: str | Path) -> list[int] | None:

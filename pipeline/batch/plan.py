@@ -26,10 +26,12 @@ from pipeline.caches import user_cache
 from pipeline.config import Mission
 from pipeline.config.station_sources import KnownPositions
 from pipeline.errors import ConfigError, InputError, UnbendError
+from pipeline.tables.geodata.gdal import raster_files
 from pipeline.tables.imports.blocks import BLOCKS, damage_refused
 from pipeline.tables.imports.exif import image_files
 
 MANIFEST_VERSION = 1
+GDAL = "GDAL"
 _MISSION_FILE_KEYS = {
     "log": "log.path",
     "observations": "observations.path",
@@ -52,8 +54,9 @@ _TIMES = ("st_mtime_ns", "st_ctime_ns")
 class Input:
     """A file the mission reads: as the mission file names it, where it is, and what it holds.
 
-    ``program`` is that of a block, whose path may be a folder, or name other files. Of an input in
-    object storage, at ``place``, the path is that of its copy here, which may not be made yet.
+    ``program`` is that of a block, whose path may be a folder, or name other files; or GDAL, which
+    reads files beside a raster too. Of an input in object storage, at ``place``, the path is that
+    of its copy here, which may not be made yet; of a raster there GDAL has no other file.
     """
 
     role: str
@@ -167,6 +170,11 @@ def sounding_role(number: int) -> str:
     return f"sounding {number + 1}"
 
 
+def is_raster(role: str) -> bool:
+    """Whether GDAL reads the input of a role."""
+    return role == "geoid" or role.startswith("elevation model")
+
+
 def make_plan(mission: Mission, folder: Path, *, verify: bool = False) -> Plan:
     """Hash the inputs of a mission; relative paths resolve from the mission file's folder.
 
@@ -187,6 +195,7 @@ def make_plan(mission: Mission, folder: Path, *, verify: bool = False) -> Plan:
     for role, (name, path) in input_paths(mission, folder).items():
         program = programs.get(role) if programs.get(role) in BLOCKS else None
         may_be_folder, version = role in of_folders or program is not None, ""
+        program = GDAL if is_raster(role) else program
         try:
             if isinstance(path, Place):
                 with suppress(FileNotFoundError):
@@ -294,9 +303,9 @@ def places_named(plan: Plan) -> Iterator[None]:
 
 
 def _hash_input(path: Path, program: str | None, *, verify: bool) -> str:
-    """SHA-256 of a file; of a folder of images over their names, sizes and first 256 KiB.
+    """SHA-256 of a file; of a folder of images over names, sizes and first 256 KiB, or all bytes.
 
-    Of a block over the names and hashes of its files.
+    Of a block, and of a raster with files beside it, over the names and hashes of its files.
     """
     files = _files_of(path, program)
     if files == (path,):
@@ -306,7 +315,7 @@ def _hash_input(path: Path, program: str | None, *, verify: bool) -> str:
         if program is not None:
             digest.update(f"{file.name}\0{remembered_hash(file, verify=verify)}\0".encode())
             continue
-        start = remembered_hash(file, verify=verify, first_bytes=_EXIF_BYTES)
+        start = remembered_hash(file, verify=verify, of_jpeg=_EXIF_BYTES)
         digest.update(f"{file.relative_to(path)}\0{file.stat().st_size}\0{start}\0".encode())
     return digest.hexdigest()
 
@@ -319,6 +328,8 @@ def _stamp(path: Path, program: str | None) -> tuple[int, ...]:
 
 
 def _files_of(path: Path, program: str | None) -> tuple[Path, ...]:
+    if program == GDAL:
+        return raster_files(path)
     if program is not None:
         with damage_refused(path, program):
             return BLOCKS[program][0].block_files(path)

@@ -89,17 +89,17 @@ def test_a_cache_that_cannot_be_used_costs_time_only(reads, later, tmp_path, sta
     assert len(reads) == 2
 
 
-def test_the_start_of_a_file_has_a_hash_of_its_own(reads, later, tmp_path):
-    path = settled(tmp_path / "image.jpg", b"head and image")
-    assert remembered_hash(path, first_bytes=4) == hashlib.sha256(b"head").hexdigest()
-    assert remembered_hash(path) == hashlib.sha256(b"head and image").hexdigest()
-    assert remembered_hash(path, first_bytes=4) == hashlib.sha256(b"head").hexdigest()
+def test_the_start_of_a_jpeg_has_a_hash_of_its_own(reads, later, tmp_path):
+    path = settled(tmp_path / "image.jpg", b"\xff\xd8head and image")
+    assert remembered_hash(path, of_jpeg=6) == hashlib.sha256(b"\xff\xd8head").hexdigest()
+    assert remembered_hash(path) == hashlib.sha256(b"\xff\xd8head and image").hexdigest()
+    assert remembered_hash(path, of_jpeg=6) == hashlib.sha256(b"\xff\xd8head").hexdigest()
     opened, first = [], Path.open
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(Path, "open", lambda self, *a: opened.append(self) or first(self, *a))
-        remembered_hash(path, first_bytes=4)
+        remembered_hash(path, of_jpeg=6)
         assert opened == []
-        remembered_hash(path, first_bytes=4, verify=True)
+        remembered_hash(path, of_jpeg=6, verify=True)
         assert opened == [path]
 
 

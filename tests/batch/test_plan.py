@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 import pipeline
 from pipeline.batch import keys
 from pipeline.batch import plan as planning
+from pipeline.batch.file_hashes import remembered_hash
 from pipeline.batch.plan import check_unchanged, hash_of_files, make_plan
 from pipeline.config import load_mission
 from pipeline.errors import ConfigError, InputError
@@ -125,3 +127,44 @@ def test_a_mission_file_among_its_results_is_refused(mission):
         (mission.folder / name).write_text("x")
         with pytest.raises(ConfigError, match="OUTPUT-OVER-INPUT"):
             make_plan(load_mission(mission.save()), mission.folder)
+
+
+SIDECARS = ["dem.tif.aux.xml", "dem.tif.msk", "dem.tif.ovr", "dem.tfw", "DEM.prj", "dem"]
+OF_OTHERS = ["dem.yaml", "dem.log", "dem_2.tif.aux.xml", "demo.tfw"]
+
+
+def test_files_beside_a_raster_count_with_it(mission):
+    """A raster alone has the hash of its bytes."""
+    mission.config["ground"]["height"] = {"dem": "dem.tif"}
+    mission.config["mission"]["geoid"] = "sea.tif"
+
+    def now():
+        return make_plan(load_mission(mission.save()), mission.folder)
+
+    for name in ("dem.tif", "sea.tif", *OF_OTHERS):
+        (mission.folder / name).write_bytes(b"raster")
+    plan = now()
+    alone = hashlib.sha256(b"raster").hexdigest()
+    assert plan.input("elevation model 1").sha256 == plan.input("geoid").sha256 == alone
+    hashes = {alone}
+    for name in SIDECARS:
+        (mission.folder / name).write_bytes(b"x")
+        hashes.add(now().input("elevation model 1").sha256)
+        with pytest.raises(InputError, match="INPUT-CHANGED"):
+            check_unchanged(plan)
+        (mission.folder / name).write_bytes(b"y")
+        hashes.add(now().input("elevation model 1").sha256)
+        (mission.folder / name).unlink()
+    assert len(hashes) == 1 + 2 * len(SIDECARS)
+    (mission.folder / "sea.tif.aux.xml").write_bytes(b"x")
+    assert now().input("geoid").sha256 != alone == now().input("elevation model 1").sha256
+
+
+@pytest.mark.parametrize(("start", "counts"), [(b"\xff\xd8", False), (b"II*\0", True)])
+def test_only_of_a_jpeg_the_end_is_left_out(tmp_path, start, counts):
+    """EXIF may lie at the end of a TIFF file."""
+    image, hashes = tmp_path / "a.tif", set()
+    for end in (b"1", b"2"):
+        image.write_bytes(start + bytes(1 << 18) + end)
+        hashes.add(remembered_hash(image, verify=True, of_jpeg=1 << 18))
+    assert (len(hashes) == 2) == counts

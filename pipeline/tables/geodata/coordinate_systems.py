@@ -129,12 +129,14 @@ def _own_places(horizontal: Any, x: Array, y: Array) -> Array:
 
 
 def _to_wgs84(horizontal: Any, lon_lat: Array, where: str, key: str) -> tuple[Any, str, bool]:
-    """The one transformation that is best about (2, n) places with the grids that PROJ has, what it
+    """The one transformation that is best about (2, n) places with the grids that are here, what it
     is, and whether it is good to 1 m. No other takes its place where its grid ends.
     """
     from pyproj.aoi import AreaOfInterest
+    from pyproj.network import set_network_enabled
     from pyproj.transformer import TransformerGroup
 
+    set_network_enabled(False)  # whatever PROJ_NETWORK and proj.ini say
     corners = (*lon_lat.min(axis=1).tolist(), *lon_lat.max(axis=1).tolist())
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # the words say it

@@ -16,15 +16,11 @@ from pipeline.ledger import Notes, note, warning
 from pipeline.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
 from pipeline.refraction.kernels.terrain import extremes_of_tile
 from pipeline.tables.geodata.coordinate_systems import GridSystem, grid_system
+from pipeline.tables.geodata.gdal import GDAL_OPTIONS
 from pipeline.units import Array, Integers, Mask
 
 _TILES_IN_MEMORY = 100
 """Each takes 1 MB."""
-
-_OF_GDAL = {"GDAL_CACHEMAX": 96_000_000, "GDAL_NUM_THREADS": "ALL_CPUS"}
-"""Bytes for blocks of files, which tiles share at their edges (by default 5 % of the memory).
-
-Half of the time of a tile is decompression: on all cores."""
 
 _LOWEST_M, _HIGHEST_M = -600.0, 9_000.0
 _METRES = {
@@ -198,7 +194,7 @@ class _Raster:
 
         try:
             window = Window(column, row, columns, rows)
-            with Env(**_OF_GDAL):
+            with Env(**GDAL_OPTIONS):
                 source = self._open(self.path)
                 read = source.read(1, window=window, masked=self.holed, out_dtype=np.float32)
         except RasterioError as error:
@@ -236,7 +232,7 @@ def open_elevation(
     where, key = str(paths[0]), "ground.height.crs"
     open_raster = lru_cache(maxsize=64)(rasterio.open)
     try:
-        with rasterio.Env(**_OF_GDAL):
+        with rasterio.Env(**GDAL_OPTIONS):
             rasters = [_Raster(path, open_raster) for path in paths]
     except rasterio.errors.RasterioError as error:
         raise InputError.of("DEM-UNREADABLE", where, error=error) from None

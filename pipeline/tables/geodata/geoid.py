@@ -10,6 +10,7 @@ import pyarrow as pa
 
 from pipeline.errors import InputError
 from pipeline.geodesy import GeoidGrid
+from pipeline.tables.geodata.gdal import GDAL_OPTIONS
 
 _GTX = struct.Struct(">4d2i")
 """South edge, west edge, steps of latitude and longitude [deg], rows, columns: big-endian, then
@@ -77,7 +78,7 @@ def _grid_of_raster(path: Path) -> GeoidGrid:
     except ImportError:
         raise ValueError("a GeoTIFF needs rasterio: pip install 'unbend[rasters]'") from None
     try:
-        with rasterio.open(path) as raster:
+        with rasterio.Env(**GDAL_OPTIONS), rasterio.open(path) as raster:
             if raster.count != 1 or raster.crs is None or not raster.crs.is_geographic:
                 raise ValueError("one band in geographic coordinates is needed")
             a = raster.transform

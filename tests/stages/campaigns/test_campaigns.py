@@ -198,6 +198,20 @@ def test_the_index_is_never_stale(done, monkeypatch, tmp_path):
         assert done.unchanged() == [0, 1], what
 
 
+def test_a_new_file_beside_a_raster_is_a_change(done, monkeypatch):
+    file = done.flight(0) / "mission.yaml"
+    content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    content["mission"]["geoid"] = "geoid.tif"
+    file.write_text(yaml.safe_dump(content), encoding="utf-8")
+    (done.flight(0) / "geoid.tif").write_bytes(b"raster")
+    done.older()
+    monkeypatch.setattr(index, "reasons_to_run", lambda *_: [])  # as if it had run with it
+    index.remember(select_missions([done.file]).missions, lambda manifest: {})
+    assert done.unchanged() == [0, 1]
+    (done.flight(0) / "geoid.tif.aux.xml").write_text("<PAMDataset/>")
+    assert done.unchanged() == [1]
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [("code_hash", lambda: "other"), ("installed", lambda: "other")],

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pyproj
+import pyproj.network
 import pytest
 
 import pipeline
@@ -142,9 +143,22 @@ def test_positions_outside_the_area_of_the_system():
     assert placed("EPSG:3793", 3_500_000.0, 5_100_000.0)[0].lon_rad[0] < 0.0
 
 
+def test_the_network_of_proj_changes_nothing(monkeypatch):
+    """DHDN: the grid BETA2007, which PROJ would ask for, is not here."""
+    places, notes = placed("EPSG:31467", 3_500_000.0, 5_500_000.0)
+    monkeypatch.setenv("PROJ_NETWORK", "ON")
+    pyproj.network.set_network_enabled(True)
+    try:
+        again, notes_again = placed("EPSG:31467", 3_500_000.0, 5_500_000.0)
+    finally:
+        pyproj.network.set_network_enabled(False)
+    assert "needs de_adv_BETA2007.tif" in notes[0].what
+    assert (notes_again, again.lat_rad, again.lon_rad) == (notes, places.lat_rad, places.lon_rad)
+
+
 def test_one_module_uses_pyproj():
     package = Path(pipeline.__file__).parent
     at_start = re.compile(r"^\s*(import|from) pyproj", re.M)
     users = [path.name for path in package.rglob("*.py") if at_start.search(path.read_text())]
-    # The other only loads it, before ecCodes.
-    assert sorted(users) == ["coordinate_systems.py", "weather_files.py"]
+    # One lists the files of its grids, another only loads it, before ecCodes.
+    assert sorted(users) == ["coordinate_systems.py", "keys.py", "weather_files.py"]

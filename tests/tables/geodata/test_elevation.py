@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+import pytest
 import rasterio
 from rasterio import Affine
 
 from pipeline.refraction.status_codes import OK
 from pipeline.tables.geodata.elevation import open_elevation
+from pipeline.tables.geodata.gdal import raster_files
 from tests.refraction.array_terrain import ArrayTerrain
 from tests.refraction.test_terrain import STEP, landing, rays_from, relief
 
@@ -62,3 +66,34 @@ def test_rasters_either_side_of_the_date_line_are_one_model(tmp_path):
     ]  # fmt: skip
     row, column = model.nodes(*np.radians([[LAT, LAT, LAT], [179.9, -179.9, 0.0]]))
     assert np.isfinite(model.heights(row, column)).tolist() == [True, True, False]
+
+
+BESIDE = {"GDAL_GEOREF_SOURCES": "INTERNAL", "GDAL_PAM_ENABLED": "NO",
+          "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}  # fmt: skip
+
+
+@pytest.mark.parametrize("variable", [None, *BESIDE])
+def test_what_gdal_reads_beside_a_raster_is_known_and_the_environment_changes_nothing(
+    tmp_path, variable
+):
+    path, heights = tmp_path / "dem.tif", np.full((300, 300), 7.0, np.float32)
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=False), rasterio.open(
+        path, "w", driver="GTiff", height=300, width=300, count=1, dtype="float32",
+        transform=Affine(0.5, 0, 8.0, 0, -0.5, 50.0), tfw="YES", profile="BASELINE",
+    ) as out:  # fmt: skip
+        out.write(heights, 1)
+        out.offsets, mask = (100.0,), np.full((300, 300), 255, np.uint8)
+        mask[0, 0] = 0
+        out.write_mask(mask)
+    with rasterio.open(path) as source:
+        beside = {Path(name) for name in source.files}
+    assert {file.name for file in beside} == {
+        "dem.tif", "dem.tif.aux.xml", "dem.tif.msk", "dem.tfw"}  # fmt: skip
+    assert set(raster_files(path)) == beside
+    # As a variable of the environment does, which GDAL asks for behind its own options.
+    with rasterio.Env(**{variable: BESIDE[variable]} if variable else {}):
+        model, _ = open_elevation([path], "EPSG:4326", reference="msl", undulation=np.zeros_like)
+        read = model.heights(np.array([0.0, 3.0]), np.array([0.0, 3.0]))
+    np.testing.assert_array_equal(read, [np.nan, 107.0])
+    row, column = model.nodes(*np.radians([[49.75], [8.25]]))
+    np.testing.assert_allclose([row, column], 0.0, atol=1e-9)

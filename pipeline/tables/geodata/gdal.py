@@ -1,0 +1,49 @@
+"""What GDAL reads for a raster, and how: the same on every machine."""
+
+import os
+import re
+import time
+from functools import lru_cache
+from pathlib import Path
+
+GDAL_OPTIONS = {
+    "GDAL_CACHEMAX": 96_000_000, "GDAL_NUM_THREADS": "ALL_CPUS",
+    "GDAL_GEOREF_SOURCES": "PAM,INTERNAL,TABFILE,WORLDFILE,XML", "GDAL_PAM_ENABLED": "YES",
+    "GDAL_DISABLE_READDIR_ON_OPEN": "FALSE", "GTIFF_POINT_GEO_IGNORE": "FALSE",
+}  # fmt: skip
+"""Bytes for blocks of files, which tiles share at their edges (by default 5 % of the memory). Half
+of the time of a tile is decompression: on all cores. The rest are GDAL's defaults, which variables
+of the environment would change, and with them where a raster lies."""
+
+_OTHERS = re.compile(r"csv|err|html|log|mcap|out|parquet|tlog|toml|ulg|ya?ml")
+"""Endings of files that GDAL does not read beside a raster: a mission's may be called like it."""
+
+_SETTLED_NS = 2_000_000_000  # a folder changed within this time may change again unseen
+
+
+def raster_files(path: Path) -> tuple[Path, ...]:
+    """A raster and the files beside it that GDAL takes its frame, scale, unit and holes from.
+
+    Those that are called like its stem, with or without more behind a dot, in any case of letters:
+    of dem.tif dem.tif.aux.xml, dem.tif.msk, dem.tfw, DEM.prj. Of an Arc/Info grid (.adf) all that
+    are in its folder.
+    """
+    folder = path.parent
+    changed = folder.stat().st_mtime_ns if folder.is_dir() else 0
+    settled = changed + _SETTLED_NS < time.time_ns()
+    names = (_by_beginning if settled else _by_beginning.__wrapped__)(folder, changed)
+    beginning = "" if path.suffix.lower() == ".adf" else path.stem.lower()
+    beside = [folder / name for name in names.get(beginning, ()) if name != path.name]
+    return path, *(file for file in beside if file.is_file())
+
+
+@lru_cache(maxsize=64)
+def _by_beginning(folder: Path, changed: int) -> dict[str, list[str]]:
+    """The names in a folder, sorted, by each beginning that ends at a dot; "" is one too."""
+    found: dict[str, list[str]] = {}
+    for name in sorted(os.listdir(folder)) if changed else ():
+        words = name.lower().split(".")
+        if not _OTHERS.fullmatch(words[-1]):
+            for count in range(len(words) + 1):
+                found.setdefault(".".join(words[:count]), []).append(name)
+    return found
