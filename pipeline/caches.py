@@ -42,7 +42,7 @@ def cached() -> Iterator[tuple[str, str]]:
     for folder, what, ours in (
         (compiled_code(), "compiled code", OF_COMPILED),
         (user_cache(), "hashes of inputs", re.compile(r"hashes\.sqlite(-\w+)?")),
-        (parsed_templates(), "templates", re.compile(r"\w+\.jinja")),
+        (parsed_templates(), "templates", re.compile(r"[\w-]+\.jinja")),
         (user_cache(), "states of missions", re.compile(r"missions\.sqlite(-\w+)?")),
         (user_cache(), "copies of inputs", re.compile("copies")),
         (

@@ -6,10 +6,12 @@ import gc
 import json
 from pathlib import Path
 
+import jinja2
 import numpy as np
 import pytest
 
 from pipeline import caches
+from pipeline.report.page import html
 
 
 @pytest.fixture
@@ -43,6 +45,26 @@ def test_clean_removes_ours_and_nothing_else(folders, unbend):
     assert files(folders) == ["cache/unbend/hashes.txt", "numba/unbend-notes"]
     assert (folders / "numba" / "other_program").is_dir()
     assert unbend("clean").out == "nothing is kept\n"
+
+
+def test_templates_are_parsed_again_by_another_program(folders, unbend, monkeypatch):
+    def parsed():
+        html.environment.cache_clear()
+        html.environment().get_template("report.html.j2")
+        return files(folders / "cache" / "unbend" / "templates")
+
+    try:
+        (first,) = parsed()
+        assert parsed() == [first]
+        monkeypatch.setattr(jinja2, "__version__", "4.0.0")
+        assert len(parsed()) == 2
+        (folders / "report.py").write_text("a filter of its own")
+        monkeypatch.setattr(html, "files", lambda _: folders)
+        assert len(parsed()) == 3
+    finally:
+        html.environment.cache_clear()
+    removed = json.loads(unbend("clean", "--json").out)["removed"]
+    assert [r["what"] for r in removed].count("templates") == 3
 
 
 def test_clean_prints_where_it_was(folders, unbend):

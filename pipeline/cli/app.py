@@ -19,7 +19,7 @@ import typer
 from typer.core import TyperGroup
 
 import pipeline
-from pipeline.errors import EXIT_DONE, EXIT_LOSSES, UnbendError, storage_errors
+from pipeline.errors import EXIT_DONE, EXIT_LOSSES, ConfigError, UnbendError, storage_errors
 from pipeline.report.progress import DelayedProgressBar
 from pipeline.report.words import visible
 
@@ -40,6 +40,17 @@ class _Group(TyperGroup):
     def list_commands(self, ctx: Any) -> list[str]:
         """Names in the order of `_ORDER`; typer would list them by module."""
         return sorted(self.commands, key=_ORDER.index)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command and its words; refuses (URL-INVALID) a URL where paths are taken."""
+        name, command, words = super().resolve_command(ctx, args)
+        urls = [w.partition("=")[2] if w.startswith("--") else w for w in words if ":/" in w]
+        if urls and name not in {"run", "export", "verify", "clean"}:
+            from pipeline.batch.object_store.place import Place, is_url
+
+            for url in filter(is_url, urls):
+                raise ConfigError.of("URL-INVALID/command", Place.of(url), command=name)
+        return name, command, words
 
 
 app = typer.Typer(

@@ -6,6 +6,7 @@ Nothing is computed here: each step is a call of a stage, and each stage has a m
 import json
 import shutil
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -48,7 +49,7 @@ from pipeline.batch.store import (
 from pipeline.block.image_rays import UNKNOWN_SIGMAS
 from pipeline.block.oriented_images import SIGMAS_OF_BLOCK
 from pipeline.config.campaign import MissionRef
-from pipeline.errors import ConfigError, StorageError, storage_errors
+from pipeline.errors import ConfigError, InputError, StorageError, storage_errors
 from pipeline.flight.air_samples import air_samples
 from pipeline.flight.heights import heights_at, logged_terrain, undulation_notes
 from pipeline.flight.stations import Stations, append_unmatched_images, flag_height_misfits
@@ -451,13 +452,18 @@ def manifest_of_run(path: Path | Place) -> dict[str, Any]:
 
 
 def copy_of_run(place: Place) -> Path:
-    """A copy in the user's cache of what is published at a place, as a folder of results."""
+    """A copy in the user's cache of what is published at a place, as a folder; anew if replaced."""
     manifest = manifest_of_run(place)
     attempt = Place.of(f"{place}/attempts/{manifest['attempt']}/")
-    copy = fetched(attempt, version_of(attempt))
-    with atomic_write(copy / MANIFEST) as draft:
-        draft.write_text(json.dumps(manifest), encoding="utf-8")
-    return copy
+    with suppress(FileNotFoundError, InputError):
+        copy = fetched(attempt, version_of(attempt))
+        if not find_damage(place, manifest, read=False):  # all was there until now
+            with atomic_write(copy / MANIFEST) as draft:
+                draft.write_text(json.dumps(manifest), encoding="utf-8")
+            return copy
+    if verify_run(place) == manifest:
+        raise InputError.of("INPUT-CHANGED", place, role="results")
+    return copy_of_run(place)
 
 
 def verify_run(path: Path | Place) -> dict[str, Any]:

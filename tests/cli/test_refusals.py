@@ -491,3 +491,21 @@ def test_an_error_of_ours_costs_one_mission_only(mission_factory, tmp_path, unbe
     assert "Traceback" in ended.err
     assert "this is a bug in unbend" in ended.err
     assert (good.output / "manifest.json").is_file()
+
+
+# ---- URLs where paths are taken
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["simulate", "s3://bucket/flown"], ["inspect", "s3://bucket/flight.bin"],
+        ["init", "az://bucket/flight.bin"], ["profile", "--csv=s3://bucket/profile.csv"],
+        ["schema", "--out", "s3://bucket/s.json"], ["simulate", "s3://bucket/a?sig=hunter2"],
+    ],
+)  # fmt: skip
+def test_urls_where_paths_are_taken(words, unbend, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    said = refused(unbend(*words), "URL-INVALID", 2)
+    assert "hunter2" not in said
+    assert list(tmp_path.iterdir()) == []

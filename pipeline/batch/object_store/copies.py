@@ -49,7 +49,7 @@ def copy_of(place: Place, version: str) -> Path:
 def fetched(place: Place, version: str, *, anew: bool = False) -> Path:
     """The copy of a version of an input, made where it is not there yet, or ``anew``.
 
-    Refuses (INPUT-CHANGED) an object that changes while it is read.
+    Refuses (INPUT-CHANGED) an object that changes or goes while it is read.
     """
     copy = copy_of(place, version)
     kept, draft = copy.parent, copy.parent.with_suffix(f".{os.getpid()}.draft")
@@ -67,6 +67,8 @@ def fetched(place: Place, version: str, *, anew: bool = False) -> Path:
                     raise InputError.of("INPUT-CHANGED", place, role=place.name)
                 with suppress(OSError):  # another process was faster
                     draft.replace(kept)
+            except FileNotFoundError:  # one was removed since
+                raise InputError.of("INPUT-CHANGED", place, role=place.name) from None
             finally:
                 shutil.rmtree(draft, ignore_errors=True)
             forget_oldest(str(kept.parent), _MOST_BYTES)

@@ -93,7 +93,7 @@ class Place:
         except FileNotFoundError:
             return None, None
         version = {key: got.meta[key] for key in ("e_tag", "version") if got.meta[key] is not None}
-        return bytes(got.bytes()), version
+        return bytes(ask("read", self, got.bytes)), version
 
     def put(self, content: Any, version: dict[str, Any] | str | None) -> bool:
         """Write bytes or a file to an object, whole; False where its version is another.
@@ -136,9 +136,8 @@ class Place:
     def objects(self) -> dict[str, dict[str, Any]]:
         """The objects below the place, as of `head`, by the rest of their names."""
         start = f"{self.key}/" if self.key else ""
-        listed = ask(
-            "list", self, ask("list", Place(self.scheme, self.bucket, start), "list").collect
-        )
+        listing = ask("list", Place(self.scheme, self.bucket, start), "list")
+        listed = ask("list", self, listing.collect)
         return {str(meta["path"]).removeprefix(start): meta for meta in listed}
 
     def remove(self, names: Iterable[str]) -> None:

@@ -20,7 +20,8 @@ from pipeline.batch.object_store.place import Place
 from pipeline.batch.store import MANIFEST, find_damage, read_manifest
 from pipeline.errors import OutputInUseError, StorageError, UnbendError
 
-_OURS = re.compile(r"((?:.+/)?)(?:attempts/([0-9a-f]{32})/.+|runs/([0-9a-f]{64})\.json)")
+_OURS = re.compile(r"((?:.+/)?)(?:attempts/([0-9a-f]{32})/(.+)|runs/([0-9a-f]{64})\.json)")
+_FILE = re.compile(r"(observations/part-\d{5,}|stations|profile)\.parquet|report\.html|probe")
 _WAIT_S = 10.0
 _NEVER = {"e_tag": '"00000000000000000000000000000000"', "version": "1"}
 
@@ -119,26 +120,33 @@ def remove_orphans(place: Place, *, recent: bool = False) -> tuple[list[str], in
     """Remove what killed runs left at a place and below it; what, and how many of them stay.
 
     What was written within the last hour may belong to a run that is under way: it stays, except
-    with ``recent``. No manifest names what is removed; files of other names stay.
+    with ``recent``. No manifest names what is removed; of other programs' objects, none is.
     """
     objects = place.objects()
     orphans: dict[str, list[str]] = {}
     kept: dict[str, tuple[str, ...]] = {}
+    others: set[str] = set()
     for name in objects:
         if found := _OURS.fullmatch(name):
-            start, attempt, run = found.groups()
+            start, attempt, file, run = found.groups()
             if start not in kept:  # read after the listing: what is published now stays
                 now = read_manifest(place / start)
                 kept[start] = () if now is None else (now["attempt"], now["fingerprint"])
             if (attempt or run) not in kept[start]:
                 group = f"{start}attempts/{attempt}/" if attempt else name
                 orphans.setdefault(group, []).append(name)
+                content = b"" if attempt else (place / name).read()[0] or b""
+                if not (
+                    _FILE.fullmatch(file or "") or f'"fingerprint": "{run}"'.encode() in content
+                ):
+                    others.add(group)
     limit = datetime.now(UTC) - timedelta(hours=1)
     old = {
         group: names
         for group, names in orphans.items()
-        if recent or max(objects[name]["last_modified"] for name in names) < limit
+        if group not in others
+        and (recent or max(objects[name]["last_modified"] for name in names) < limit)
     }
     for names in old.values():
         place.remove(names)
-    return [f"{place}/{group}" for group in old], len(orphans) - len(old)
+    return [f"{place}/{group}" for group in old], len(orphans.keys() - others - old.keys())

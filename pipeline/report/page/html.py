@@ -1,5 +1,6 @@
 """``report.html``: one page a mission, without scripts and without anything from a network."""
 
+import hashlib
 import json
 import os
 import tomllib
@@ -10,6 +11,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import jinja2
 from jinja2 import Environment, FileSystemBytecodeCache, FunctionLoader, StrictUndefined
 from markupsafe import Markup, escape
 
@@ -57,9 +59,13 @@ def report_page(manifest: Mapping[str, Any], flown: Flown) -> str:
 def environment() -> Environment:
     """Templates of the package; all that is no markup is escaped, unseen characters written out."""
     cache, folder = None, parsed_templates()
+    # What is parsed depends on jinja2, on the options below and, for constants, on the filters.
+    code = [path.read_bytes() for path in sorted(Path(str(files("pipeline.report"))).rglob("*.py"))]
+    made_by = hashlib.sha256(repr([jinja2.__version__, code]).encode()).hexdigest()
     with suppress(OSError):  # nothing can be kept: templates are parsed again
         os.makedirs(folder, exist_ok=True)
-        cache = FileSystemBytecodeCache(folder, "%s.jinja") if os.access(folder, os.W_OK) else None
+        if os.access(folder, os.W_OK):
+            cache = FileSystemBytecodeCache(folder, f"{made_by[:16]}-%s.jinja")
     made = Environment(
         autoescape=True,
         undefined=StrictUndefined,

@@ -137,6 +137,31 @@ def test_results_damaged_in_the_store_are_found_and_made_again(stored, s3_place,
     assert unbend("verify", results).code == 0
 
 
+def test_results_that_are_replaced_while_they_are_exported(
+    stored, s3_place, monkeypatch, unbend, tmp_path
+):
+    results = s3_place / "results"
+    ended = stored.run()
+    assert ended.code == 0, ended.text
+    newer = read_manifest(results)
+    older = results / f"attempts/{'0' * 32}"
+    for number, left in enumerate(([], ["stations.parquet"])):  # removed, and half of it
+        for name in left:
+            assert (older / name).put(b"x", None)
+        answers = [newer | {"attempt": "0" * 32}]
+        monkeypatch.setattr(
+            story, "read_manifest", lambda at, a=answers: a.pop() if a else read_manifest(at)
+        )
+        out = tmp_path / f"{number}.geojson"
+        ended = unbend("export", results, "--format", "geojson", "--out", out)
+        assert ended.code == 0, ended.text
+    # An attempt that is gone for good is damage.
+    (results / f"attempts/{newer['attempt']}").remove(item["name"] for item in newer["outputs"])
+    ended = unbend("export", results, "--format", "geojson", "--out", tmp_path / "gone.geojson")
+    assert ended.code == 5, ended.text
+    assert "VERIFY-DAMAGED" in ended.err
+
+
 @pytest.mark.parametrize("when", ["before", "while"])
 def test_an_input_that_changes_meanwhile_is_refused(stored, s3_place, monkeypatch, when):
     log, prepare = s3_place / "flight.bin", story.prepare_mission

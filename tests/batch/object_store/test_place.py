@@ -17,6 +17,7 @@ from pipeline.batch.object_store.copies import copy_of, fetched, version_of
 from pipeline.batch.object_store.place import Place, is_url, open_store
 from pipeline.batch.object_store.published import rehearse_place
 from pipeline.batch.plan import located
+from pipeline.batch.store import read_manifest
 from pipeline.errors import ConfigError, InputError, UnbendError
 
 from .conftest import READER, S3, free_port
@@ -104,6 +105,13 @@ def test_copies_beyond_the_bound_go_the_oldest_first(s3_place, monkeypatch):
     kept = fetched(last, version_of(last))
     assert [path.exists() for path in paths] == [False, False, False, True]
     assert kept.exists()
+
+
+def test_an_object_that_goes_while_it_is_copied(s3_place, monkeypatch):
+    assert s3_place.put(b"x", None)
+    version, blocks = version_of(s3_place), Place.blocks
+    monkeypatch.setattr(Place, "blocks", lambda at: (at.remove([""]), blocks(at))[1])
+    assert refusal(fetched, s3_place, version).code == "INPUT-CHANGED"
 
 
 def refusal(call, *arguments, **options) -> UnbendError:
@@ -256,5 +264,6 @@ def test_a_download_that_is_cut_off(use, tmp_path):
         use(S3 | {"AWS_ENDPOINT_URL": url})
         place = Place.of("s3://season/a")
         assert refusal(fetched, place, "1").code == "CLOUD-FAILED"
+        assert refusal(read_manifest, place).code == "CLOUD-FAILED"
         assert not copy_of(place, "1").exists()
         assert list((tmp_path / "cache/unbend/copies").iterdir()) == []

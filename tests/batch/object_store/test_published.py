@@ -171,6 +171,24 @@ def test_orphans_of_the_last_hour_stay(s3_place, tmp_path, monkeypatch, unbend):
     assert unbend("clean", s3_place).out == "nothing is left of interrupted runs\n"
 
 
+def test_objects_of_other_programs_stay(s3_place, tmp_path, unbend):
+    ours = made(tmp_path, 1)
+    group, run = f"attempts/{'a' * 32}", f"one/runs/{ours['fingerprint']}.json"
+    removed = {run, f"one/{group}/stations.parquet", f"one/{group}/observations/part-00001.parquet"}
+    others = {
+        f"other/{group}/model.pkl", f"other/{group}/stations.parquet", f"mixed/{group}/report.html",
+        f"mixed/{group}/observations/part-1.parquet", f"other/runs/{'b' * 64}.json",
+        f"other/runs/{ours['fingerprint']}.json",
+    }  # fmt: skip
+    for name in removed | others:
+        assert (s3_place / name).put(b'{"fingerprint": "own"}', None)
+    assert (s3_place / run).put(json.dumps(ours, indent=2).encode(), "overwrite")
+    assert "2 uploads of the last hour kept" in unbend("clean", s3_place).out
+    ended = unbend("clean", s3_place, "--recent", "--json")
+    assert json.loads(ended.out)["kept"] == 0
+    assert set(s3_place.objects()) == others
+
+
 def test_a_manifest_that_leads_elsewhere_is_not_followed(s3_place, tmp_path):
     done = publish(s3_place, tmp_path, 1)
     for attempt in ("../../other", "", None):
