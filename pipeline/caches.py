@@ -28,7 +28,7 @@ def compiled_code() -> str:
 
 
 def parsed_templates() -> str:
-    """The folder for templates of reports, parsed."""
+    """The folder for templates of reports, parsed; names hold jinja2's version and our code."""
     return os.path.join(user_cache(), "templates")
 
 

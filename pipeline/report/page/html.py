@@ -59,13 +59,11 @@ def report_page(manifest: Mapping[str, Any], flown: Flown) -> str:
 def environment() -> Environment:
     """Templates of the package; all that is no markup is escaped, unseen characters written out."""
     cache, folder = None, parsed_templates()
-    # What is parsed depends on jinja2, on the options below and, for constants, on the filters.
     code = [path.read_bytes() for path in sorted(Path(str(files("pipeline.report"))).rglob("*.py"))]
-    made_by = hashlib.sha256(repr([jinja2.__version__, code]).encode()).hexdigest()
+    pattern = hashlib.sha256(repr([jinja2.__version__, code]).encode()).hexdigest() + "-%s.jinja"
     with suppress(OSError):  # nothing can be kept: templates are parsed again
         os.makedirs(folder, exist_ok=True)
-        if os.access(folder, os.W_OK):
-            cache = FileSystemBytecodeCache(folder, f"{made_by[:16]}-%s.jinja")
+        cache = FileSystemBytecodeCache(folder, pattern) if os.access(folder, os.W_OK) else None
     made = Environment(
         autoescape=True,
         undefined=StrictUndefined,
