@@ -88,7 +88,8 @@ def test_the_flights_own_sensors_win(modelled, fields):
     del modelled.config["atmosphere"]["model"]
     alone = read_mission(modelled.save()).air.adjustment
     h = np.linspace(500.0, 2900.0, 50)
-    assert np.abs(air.profile.temperature(h) - alone.profile.temperature(h)).max() < 0.3
+    # A thermometer and a barometer are good to 0.5 K together, an analysis to 1 K, and to 2 K low.
+    assert np.abs(air.profile.temperature(h) - alone.profile.temperature(h)).max() < 0.8
 
 
 def test_without_sensors_the_air_is_the_models(modelled):
