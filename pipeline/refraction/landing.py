@@ -43,6 +43,9 @@ from pipeline.units import Array, Integers
 # Some hundred bytes are needed for each.
 _ROWS_AT_ONCE = 65_536
 
+# One ray in so many goes first, for which tiles are read: the others seldom wait.
+_SCOUTS = 64
+
 # From here on down [m] a ray is under all land.
 _LOWEST_M, _HIGHEST_M = -500.0, 9_000.0
 
@@ -176,9 +179,7 @@ def _ways(
     with np.errstate(invalid="ignore"):
         east, north = rays[APPARENT : APPARENT + 2] / np.where(sine > 0, sine, 1)
     r_c /= knot
-    way = TerrainRays(
-        sine, cosine, h_c, radius, east, north, knot, r_c, chart, charts, reach
-    )  # fmt: skip
+    way = TerrainRays(sine, cosine, h_c, radius, east, north, knot, r_c, chart, charts, reach)
     return way, end, at_end
 
 
@@ -279,17 +280,20 @@ def _follow(
     divide_differences(paths.knot, paths.bend)
     side, gap, wanted = np.zeros(n, np.int8), np.zeros(n, bool), np.full(n, -1)
     height, distance, factor = np.full((3, n), np.nan)
-    result = np.full(n, NO_TERRAIN, np.uint8)
-    state = TerrainState(end, np.zeros(n), side, gap, distance, height, factor, wanted, result)
     usable = np.isfinite(paths.bend).all(axis=1) & np.isfinite(end)
-    going = np.flatnonzero(usable & (paths.reach[paths.chart] > 0.0))
+    follows = usable & (paths.reach[paths.chart] > 0.0)
+    result = np.where(follows, np.uint8(WAITS), np.uint8(NO_TERRAIN))
+    state = TerrainState(end, np.zeros(n), side, gap, distance, height, factor, wanted, result)
+    followed = np.flatnonzero(follows)
     with terrain.lock:
-        while going.size:
-            in_blocks(lambda rows: follow_rays(paths, going[rows], terrain.grid, state), going.size)  # noqa: B023
-            going = going[state.result[going] == WAITS]
-            tiles, count = np.unique(state.wanted[going], return_counts=True)
-            if tiles.size:
-                terrain.load(tiles[np.argsort(-count, kind="stable")])
+        for some in (followed[::_SCOUTS], followed):
+            while (going := some[state.result[some] == WAITS]).size:
+                in_blocks(
+                    lambda rows: follow_rays(paths, going[rows], terrain.grid, state), going.size
+                )
+                tiles, count = np.unique(state.wanted[going], return_counts=True)
+                tiles = tiles[np.argsort(-count, kind="stable")]
+                terrain.load(tiles[tiles >= 0])
     status_of = np.empty(WAITS + 1, np.uint8)
     status_of[[LANDED, EMERGES, HIDDEN, NO_TERRAIN]] = (
         OK, SEVERAL_CROSSINGS, MISSES_GROUND, NO_GROUND,

@@ -220,9 +220,8 @@ class TerrainState(NamedTuple):
 
     ``end`` and ``t`` are distances from the camera [m], ``side`` 1 above and -1 under the terrain
     and 0 where unknown, ``gap`` whether it is unknown at ``t``; ``distance`` and ``height`` [m]
-    of the first crossing, NaN without one, and ``factor`` what it changes by with the height
-    of the terrain;
-    ``wanted`` is the tile a ray waits for, or -1; ``result`` what becomes of it.
+    of the first crossing, NaN without one, and ``factor`` what it changes by with the height of the
+    terrain; ``wanted`` is the tile a ray waits for, or -1; ``result`` what becomes of it.
     """
 
     end: Array

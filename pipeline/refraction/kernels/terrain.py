@@ -27,8 +27,15 @@ from pipeline.refraction.kernels.jit import entry, jit
 _SKY_M, _DEEP_M = 9_000.0, 500.0
 
 # Steps end this far behind the edge of a cell, in cells.
-_BEHIND = 1e-7
-_CLOSE_M, _FLAT_M = 1e-6, 1e-8
+_BEHIND = 1e-5
+_CLOSE_M, _FLAT_M = 1e-6, 1e-7
+
+# So much of the way over the radius a steep ray is earlier at an edge than its speed says: without
+# air all of it.
+_FASTER = 0.75
+
+# So near to nodes of a tile its blocks are looked at, and cells of a block: steps fall short.
+_ABOUT_TILE_M, _ABOUT_BLOCK_M = 5.0, 0.01
 
 
 class _Path(NamedTuple):
@@ -49,11 +56,14 @@ class _Path(NamedTuple):
 
 @jit
 def _place(path, t):  # type: ignore[no-untyped-def]
-    """Row, column and height at a straight distance from the camera; arc, sine and cosine there."""
+    """Row, column and height at a straight distance from the camera; arc, sine and cosine of the
+    ray's own direction there."""
     knot, bend = path.knot, path.bend
-    angle = bend[-1]
+    angle, slope = bend[-1], 0.0
     for k in range(bend.size - 2, -1, -1):
+        slope = angle + (t - knot[k]) * slope
         angle = bend[k] + (t - knot[k]) * angle
+    turned = (angle + t * slope) * t
     angle *= t
     back = 1.0 - 0.5 * angle * angle
     sine = path.sin_c * back - path.cos_c * angle
@@ -68,12 +78,13 @@ def _place(path, t):  # type: ignore[no-untyped-def]
     for k in range(path.row.size - 2, -1, -1):
         row = row * arc + path.row[k]
         column = column * arc + path.column[k]
-    return row, column, height, arc, sine, cosine
+    return row, column, height, arc, sine - cosine * turned, cosine + sine * turned
 
 
 @jit
-def _velocity(path, height, arc, sine, cosine):  # type: ignore[no-untyped-def]
-    """Rows, columns and metres of height per metre of the way."""
+def _velocity(path, at):  # type: ignore[no-untyped-def]
+    """Rows, columns and metres of height per metre of the way, where `_place` is ``at``."""
+    _, _, height, arc, sine, cosine = at
     turned = arc / path.r_e
     along = (sine + turned * cosine) / (1.0 + height / path.r_e)
     row = column = 0.0
@@ -94,17 +105,16 @@ def _exit(low, high, place, speed):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _above(path, patch, t):  # type: ignore[no-untyped-def]
-    """Height above a bilinear patch at a distance; row, column and height of the ray there.
+def _above(patch, at):  # type: ignore[no-untyped-def]
+    """Height above a bilinear patch, where `_place` is ``at``.
 
     A patch is the cell of a tile, and the row and column of its first node in the grid.
     """
     tiles, slot, i, j, first_row, first_column = patch
-    row, column, height, _, _, _ = _place(path, t)
-    right = column - first_column
+    right = at[1] - first_column
     upper = tiles[slot, i, j] + right * (tiles[slot, i, j + 1] - tiles[slot, i, j])
     lower = tiles[slot, i + 1, j] + right * (tiles[slot, i + 1, j + 1] - tiles[slot, i + 1, j])
-    return height - (upper + (row - first_row) * (lower - upper)), row, column, height
+    return at[2] - (upper + (at[0] - first_row) * (lower - upper))
 
 
 @jit
@@ -123,7 +133,8 @@ def _crossing(path, patch, ends, sides, square):  # type: ignore[no-untyped-def]
             t = t_0 - f_0 * (t_1 - t_0) / (f_1 - f_0)
         elif turn > 0:
             t = 0.5 * (t_0 + t_1)
-        f, _, _, height = _above(path, patch, t)
+        at = _place(path, t)
+        f, height = _above(patch, at), at[2]
         if abs(f) < _FLAT_M or t_1 - t_0 < _CLOSE_M:
             break
         if (f > 0.0) == (f_0 > 0.0):
@@ -134,23 +145,22 @@ def _crossing(path, patch, ends, sides, square):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _in_patch(path, patch, t, t_1):  # type: ignore[no-untyped-def]
-    """Heights above a patch at two distances, the nearest turn of that height between them (or the
-    second distance) with what it is there, the change of the ray's height, and what the first of
-    these heights has of second order between the distances."""
-    tiles, slot, i, j, _, _ = patch
-    f, row, column, height = _above(path, patch, t)
-    f_1, row_1, column_1, height_1 = _above(path, patch, t_1)
+def _in_patch(path, patch, ends, at, at_1):  # type: ignore[no-untyped-def]
+    """Heights above a patch at two distances, where `_place` is ``at`` and ``at_1``; the nearest
+    turn of that height between them (or the second distance) with what it is there; and what the
+    first of these heights has of second order between the distances."""
+    (t, t_1), (tiles, slot, i, j, _, _) = ends, patch
+    f, f_1 = _above(patch, at), _above(patch, at_1)
     twist = tiles[slot, i, j] - tiles[slot, i, j + 1] - tiles[slot, i + 1, j]
     twist += tiles[slot, i + 1, j + 1]
-    square = -twist * (row_1 - row) * (column_1 - column)
+    square = -twist * (at_1[0] - at[0]) * (at_1[1] - at[1])
     linear = f_1 - f - square
     t_turn, f_turn = t_1, f_1
     if f * f_1 > 0.0 and square * f > 0.0 and 0.0 < -linear / (2.0 * square) < 1.0:
         share = -linear / (2.0 * square)
         t_turn = t + share * (t_1 - t)
-        f_turn = _above(path, patch, t_turn)[0]
-    return f, f_1, t_turn, f_turn, height_1 - height, square
+        f_turn = _above(patch, _place(path, t_turn))
+    return f, f_1, t_turn, f_turn, square
 
 
 @jit
@@ -172,7 +182,7 @@ def _box_at(grid, row, column, height):  # type: ignore[no-untyped-def]
     if 0 <= p < grid.low.shape[0] and 0 <= q < grid.low.shape[1]:
         tile = p * grid.low.shape[1] + q
         low, high = grid.low[p, q], grid.high[p, q]
-        if math.isnan(low) or low <= height <= high:
+        if math.isnan(low) or low - _ABOUT_TILE_M <= height <= high + _ABOUT_TILE_M:
             slot = grid.slot[p, q]
             if slot < 0:
                 slot = -2
@@ -208,37 +218,38 @@ def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
     landed = not math.isnan(state.height[ray])
     result = WAITS
     state.wanted[ray] = -1
+    at = _place(path, t)
     while result == WAITS and t < end:
-        row, column, height, arc, sine, cosine = _place(path, t)
-        v_row, v_column, rise = _velocity(path, height, arc, sine, cosine)
+        row, column, height, _, _, cosine = at
+        v_row, v_column, rise = _velocity(path, at)
         if height > _SKY_M:
             t = end if rise >= 0.0 else t + max((height - _SKY_M) / -rise, 1e-3)
+            at = _place(path, t)
             continue
-        tile, slot, (a, b), low, high, (top, bottom, left, right) = _box_at(
-            grid, row, column, height
-        )
+        tile, slot, (a, b), low, high, edges = _box_at(grid, row, column, height)
+        top, bottom, left, right = edges
         if slot == -2:
             state.wanted[ray] = tile
             break
-        over, under = height > high, height < low
+        over, under = height > high + _ABOUT_BLOCK_M, height < low
         near = not (over or under)
         if near:  # one cell, of which the corners are looked at
             top, left = math.floor(row), math.floor(column)
             bottom, right = top + 1.0, left + 1.0
         step = min(_exit(top, bottom, row, v_row), _exit(left, right, column, v_column))
         f = f_1 = f_turn = height - high if over else height - low
-        patch = grid.tiles, slot, a, b, top, left
-        t_turn, fall, square = t, 0.0, 0.0
-        if near:
-            step = min(step, end - t)
-            f, f_1, t_turn, f_turn, fall, square = _in_patch(path, patch, t, t + step)
-        elif over and rise < 0.0:
+        step = min(step * (1.0 - _FASTER * min(step, end - t) * cosine / path.r_e), end - t)
+        if over and rise < 0.0:
             step = min(step, f / -rise + _CLOSE_M)
-        elif under and rise > 0.0:
+        if under and rise > 0.0:
             step = min(step, -f / rise + _CLOSE_M)
+        patch, after = (grid.tiles, slot, a, b, top, left), _place(path, t + step)
+        t_turn, square = t, 0.0
+        if near:
+            f, f_1, t_turn, f_turn, square = _in_patch(path, patch, (t, t + step), at, after)
         if math.isnan(f) or (over and under):
             gap = True
-            t += step
+            t, at = t + step, after
             continue
         now = 1 if f > (_CLOSE_M if side < 0 else 0.0) else -1
         result = _change(side, now, gap, t)
@@ -250,7 +261,7 @@ def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
             share = (t_turn - t) / step
             found = _crossing(path, patch, (t, t_turn), (f, f_turn), square * share * share)
             state.distance[ray], state.height[ray] = found
-            state.factor[ray] = abs(fall * share / (f_turn - f))
+            state.factor[ray] = abs((after[2] - height) * share / (f_turn - f))
             landed, f_turn = True, f_1
         if landed and result == WAITS:
             side = -1
@@ -258,7 +269,7 @@ def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
                 result = EMERGES
             elif f_1 < -_DEEP_M:
                 result = LANDED
-        t += step
+        t, at = t + step, after
     if t >= end and result == WAITS:
         result = LANDED if landed else (PASSES if side != 0 and not gap else NO_TERRAIN)
     state.t[ray], state.side[ray], state.gap[ray], state.result[ray] = t, side, gap, result
@@ -284,10 +295,8 @@ def follow_rays(rays, which, grid, state):  # type: ignore[no-untyped-def]
                 column[degree] += rays.charts[chart, 1, term] * share
                 term += 1
         h_c, r_e = rays.h_c[i], rays.r_e[i]
-        path = _Path(
-            rays.sin_c[i], rays.cos_c[i], h_c, r_e, r_e + h_c, rays.knot[i], rays.bend[i], row,
-            column,
-        )  # fmt: skip
+        knot, bend = rays.knot[i], rays.bend[i]
+        path = _Path(rays.sin_c[i], rays.cos_c[i], h_c, r_e, r_e + h_c, knot, bend, row, column)
         _follow(path, grid, i, state)
 
 

@@ -87,11 +87,9 @@ class GivenGround:
         plausible = plausible_heights(given)
         offset = np.append(self.offset_m, np.nan)[station]
         # Without a station there is no offset; such an observation gets the status no_station.
-        return GroundHeights(
-            plausible + np.where(station < 0, 0.0, offset),
-            sigmas_given(batch, self.sigma_m),
-            implausible=int(np.count_nonzero(np.isfinite(given) & np.isnan(plausible))),
-        )
+        h_m = plausible + np.where(station < 0, 0.0, offset)
+        lost = int(np.count_nonzero(np.isfinite(given) & np.isnan(plausible)))
+        return GroundHeights(h_m, sigmas_given(batch, self.sigma_m), implausible=lost)
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -117,15 +115,10 @@ class SlantRangeGround:
         if batch.distance_m is not None:
             for rows, camera, profile in setup.groups(station):
                 h_g[rows] = target_heights(
-                    batch.x_px[rows],
-                    batch.y_px[rows],
-                    batch.distance_m[rows],
-                    station[rows],
-                    setup.exposures,
-                    camera=camera,
-                    table=setup.rays[profile],
+                    batch.x_px[rows], batch.y_px[rows], batch.distance_m[rows], station[rows],
+                    setup.exposures, camera=camera, table=setup.rays[profile],
                     ideal=setup.direction == "apply",
-                )
+                )  # fmt: skip
         return GroundHeights(plausible_heights(h_g), sigmas_given(batch, self.sigma_m))
 
 
@@ -185,16 +178,9 @@ class TerrainGround:
         found[3] = OK
         for rows, camera, profile in setup.groups(station):
             found[:, rows] = terrain_heights(
-                x_px[rows],
-                y_px[rows],
-                station[rows],
-                setup.exposures,
-                self.places,
-                camera=camera,
-                table=setup.rays[profile],
-                terrain=self.model,
-                ideal=setup.direction == "apply",
-            )
+                x_px[rows], y_px[rows], station[rows], setup.exposures, self.places, camera=camera,
+                table=setup.rays[profile], terrain=self.model, ideal=setup.direction == "apply",
+            )  # fmt: skip
         return found
 
 

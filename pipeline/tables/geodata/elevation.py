@@ -46,7 +46,7 @@ class ElevationModel:
         first = rasters[0]
         self._rasters, self._system, self._undulation = rasters, system, undulation
         self._step = first.step_x, first.step_y
-        self.lock = threading.RLock()
+        self.lock, self._projecting = threading.RLock(), threading.Lock()
         # In nodes from the north-west corner of all.
         west, north = min(r.west for r in rasters), max(r.north for r in rasters)
         self._corner = west, north
@@ -78,7 +78,7 @@ class ElevationModel:
 
     def nodes(self, lat_rad: Array, lon_rad: Array) -> tuple[Array, Array]:
         """Row and column of places on WGS 84 [rad], in nodes, which are centres of cells."""
-        with self.lock:
+        with self._projecting:
             x, y = self._system.to_grid(np.degrees(lon_rad), np.degrees(lat_rad))
         (west, north), (step_x, step_y) = self._corner, self._step
         if self._system.geographic:
@@ -98,16 +98,14 @@ class ElevationModel:
         return str(self._rasters[0].path)
 
     def heights(self, row: Array, column: Array) -> Array:
-        """(n,) heights above sea level [m] at places in nodes, bilinear; NaN in holes and outside.
-
-        A tile is read for each that they lie in.
-        """
+        """(n,) heights above sea level [m] at places in nodes, bilinear; NaN in holes, outside."""
         height, i, j = np.full(row.size, np.nan), np.floor(row), np.floor(column)
+        tile = np.empty((TILE + 1, TILE + 1), np.float32)
         tiles, of = np.unique(np.stack([i // TILE, j // TILE]), axis=1, return_inverse=True)
         for number, (p, q) in enumerate(np.int64(TILE) * tiles.T.astype(np.int64)):
             at = np.flatnonzero(of == number)
             with self.lock:
-                tile = self._read(int(p), int(q)).astype(np.float64)
+                self._read(int(p), int(q), tile)
             k, m = (i[at] - p).astype(int), (j[at] - q).astype(int)
             down, right = row[at] - i[at], column[at] - j[at]
             upper = tile[k, m] * (1.0 - right) + tile[k, m + 1] * right
@@ -126,15 +124,15 @@ class ElevationModel:
                 slot = self._held.pop(oldest)
                 grid.slot[divmod(oldest, grid.slot.shape[1])] = -1
             place = divmod(tile, grid.slot.shape[1])
-            grid.tiles[slot] = self._read(place[0] * TILE, place[1] * TILE)
+            self._read(place[0] * TILE, place[1] * TILE, grid.tiles[slot])
             low, high = grid.block_low[slot], grid.block_high[slot]
             extremes_of_tile(grid.tiles[slot], low, high)
             grid.low[place], grid.high[place] = low.min(), high.max()
             grid.slot[place] = self._held[tile] = slot
 
-    def _read(self, row: int, column: int) -> NDArray[np.float32]:
-        """The nodes of a tile [m above sea level], NaN in holes and beside the rasters."""
-        tile = np.full((TILE + 1, TILE + 1), np.nan, np.float32)
+    def _read(self, row: int, column: int, tile: NDArray[np.float32]) -> None:
+        """Fill a tile with its nodes [m above sea level], NaN in holes and beside the rasters."""
+        tile[:], fresh = np.nan, True
         turns = (0,) if self.grid.around == 0 else (-self.grid.around, 0, self.grid.around)
         for raster, (top, left) in zip(self._rasters, self._places, strict=True):
             for turn in turns:
@@ -146,9 +144,11 @@ class ElevationModel:
                 part = tile[i_0 - row : i_1 - row, j_0 - column : j_1 - column]
                 read = raster.read(i_0 - top, j_0 - left - turn, *part.shape)
                 read *= np.float32(raster.unit_m or self._system.unit_m)
-                np.copyto(part, read, where=np.isnan(part))
+                np.copyto(part, read, where=fresh or np.isnan(part))
+                fresh = False
         # Numbers for holes that the file does not declare are no heights either.
-        tile[~((tile > _LOWEST_M) & (tile < _HIGHEST_M))] = np.nan
+        if not (tile.min() > _LOWEST_M and tile.max() < _HIGHEST_M):
+            np.copyto(tile, np.float32(np.nan), where=(tile <= _LOWEST_M) | (tile >= _HIGHEST_M))
         if self._undulation is not None:
             # At every 64th node; between these a geoid is even to a millimetre.
             at = np.linspace(0.0, TILE, 9)
@@ -156,13 +156,13 @@ class ElevationModel:
             x, y = np.meshgrid(
                 west + (column + at + 0.5) * step_x, north - (row + at + 0.5) * step_y
             )
-            lon, lat = self._system.to_places(x.ravel(), y.ravel())
+            with self._projecting:
+                lon, lat = self._system.to_places(x.ravel(), y.ravel())
             above = self._undulation(np.radians(lat), np.radians(lon)).reshape(9, 9)
             weight = np.maximum(
                 0.0, 1.0 - np.abs(np.arange(TILE + 1)[:, None] / 64.0 - np.arange(9))
             )
             tile -= (weight @ above @ weight.T).astype(np.float32)
-        return tile
 
 
 class _Raster:
