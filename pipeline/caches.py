@@ -5,12 +5,15 @@ All of it lies in one folder of the user's, and none of it is a result: without 
 the same, later.
 """
 
+import json
 import os
 import re
 import shutil
 import time
-from collections.abc import Iterator
-from contextlib import nullcontext
+from collections.abc import Iterator, Mapping
+from contextlib import nullcontext, suppress
+from functools import lru_cache
+from typing import Any
 
 OF_COMPILED = re.compile(r"unbend-[0-9a-f]{16}")
 """Names of the folders of compiled code, one for each state of the sources."""
@@ -35,6 +38,42 @@ def parsed_templates() -> str:
 def kept_values() -> str:
     """The folder for what logs and reports are made of."""
     return os.path.join(user_cache(), "kept")
+
+
+def read_entry(name: str, key: str) -> Any:
+    """What a database of the cache has under a key; None where it has, or is, nothing."""
+    import sqlite3
+
+    with suppress(sqlite3.Error, OSError, ValueError):
+        query = "SELECT content FROM entries WHERE key = ?"
+        if found := _database(user_cache(), name).execute(query, (key,)).fetchone():
+            return json.loads(found[0])
+    return None
+
+
+def write_entries(name: str, entries: Mapping[str, Any], most: int) -> None:
+    """Keep what JSON can hold by its keys in a database of the cache, if one can be written.
+
+    Of more than ``most`` those that were written longest ago are forgotten.
+    """
+    import sqlite3
+
+    with suppress(sqlite3.Error, OSError), _database(user_cache(), name) as database:
+        rows = [(key, json.dumps(content)) for key, content in entries.items()]
+        database.executemany("INSERT OR REPLACE INTO entries VALUES (?, ?)", rows)
+        oldest = "DELETE FROM entries WHERE rowid <= (SELECT max(rowid) FROM entries) - ?"
+        database.execute(oldest, (most,))
+
+
+@lru_cache(maxsize=2)
+def _database(folder: str, name: str) -> Any:
+    import sqlite3
+
+    os.makedirs(folder, exist_ok=True)
+    file = os.path.join(folder, name)
+    database = sqlite3.connect(file, timeout=10.0, check_same_thread=False)
+    database.execute("CREATE TABLE IF NOT EXISTS entries (key TEXT PRIMARY KEY, content TEXT)")
+    return database
 
 
 def cached() -> Iterator[tuple[str, str]]:

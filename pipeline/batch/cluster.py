@@ -17,13 +17,13 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from functools import partial
-from importlib import metadata
 from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 from pipeline.batch.apart import Child, stop_all
 from pipeline.batch.executors import Ends, Task
+from pipeline.batch.keys import version, versions
 from pipeline.batch.outcomes import Bug, Lost, TaskEnd
 from pipeline.errors import ConfigError, MissionError, OutputInUseError
 from pipeline.interrupts import held_back
@@ -44,11 +44,8 @@ _SUBMISSIONS = 6
 _ATTEMPTS = 20
 """How often, twice a second, a mission is tried whose folder another process still holds."""
 
-_OPTIONAL = (
-    "dask", "distributed", "rasterio", "pycolmap", "pymsis", "xarray", "h5netcdf", "h5py",
-    "cfgrib", "eccodes", "obstore",
-)  # fmt: skip
-"""Libraries of the extras, which must be the same everywhere or nowhere."""
+_OPTIONAL = ("dask", "distributed", "pycolmap", "obstore")
+"""Libraries that no number depends on, but must be the same everywhere or nowhere."""
 
 _CHILDREN: dict[str, dict[Child, bool]] = {}
 """On a worker: the processes of each command, and whether they are busy."""
@@ -187,13 +184,8 @@ def refuse_other_versions(worker: str, own: Mapping[str, str], theirs: Mapping[s
 
 def versions_here() -> dict[str, str]:
     """Versions of the program, Python and all libraries in this process."""
-    from pipeline.batch.plan import versions
-
-    found = {name: str(version) for name, version in versions().items()}
-    for name in _OPTIONAL:
-        with suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found
+    found = versions() | {name: version(name) for name in _OPTIONAL}
+    return {name: str(known) for name, known in found.items() if known is not None}
 
 
 def about_worker(files: list[Path]) -> Any:

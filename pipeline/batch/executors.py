@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import pickle
 import threading
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from functools import partial
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from pipeline.batch.apart import Child, stop_all
-from pipeline.batch.outcomes import Outcome, TaskEnd, end_of
+from pipeline.batch.outcomes import Bug, Lost, Outcome, TaskEnd, end_of
+from pipeline.errors import UnbendError
 from pipeline.refraction.kernels.threads import usable_cpus
 
 if TYPE_CHECKING:
@@ -21,6 +23,7 @@ Task = Callable[..., Outcome]
 """Runs one mission; takes ``progress``. A function of a module with its arguments, so that it can
 be pickled."""
 
+T = TypeVar("T")
 Ends = Generator[tuple["MissionRef", TaskEnd]]
 
 _SLICES_EACH = 3
@@ -68,11 +71,7 @@ class Processes:
         children = [Child(max(1, usable_cpus() // jobs)) for _ in range(jobs)]
 
         def serve(child: Child) -> None:
-            while True:
-                try:
-                    mission, task = waiting.get_nowait()
-                except Empty:
-                    return
+            for mission, task in taken(waiting):
                 ends.put((mission, end_of(partial(child.run, task))))
 
         try:
@@ -81,10 +80,15 @@ class Processes:
             for _ in tasks:
                 yield ends.get()
         finally:
-            with suppress(Empty):
-                while True:
-                    waiting.get_nowait()
+            deque(taken(waiting), 0)
             stop_all(children)
+
+
+def taken(waiting: SimpleQueue[T]) -> Iterator[T]:
+    """What waits in a queue, taken one by one until nothing does."""
+    with suppress(Empty):
+        while True:
+            yield waiting.get_nowait()
 
 
 def make_parts(
@@ -109,26 +113,20 @@ def make_parts(
         return child.run(pickle.dumps(partial(make, numbers=some)))
 
     def serve(child: Child) -> None:
-        with suppress(Empty):
-            while True:
-                some = waiting.get_nowait()
-                if end_of(partial(send, child, some)) is not None:
-                    break
-                progress(len(some))
+        for some in taken(waiting):
+            if isinstance(end_of(partial(send, child, some)), (Lost, Bug, UnbendError)):
+                break
+            progress(len(some))
         finished.put(None)
 
     try:
         for child in children:
             threading.Thread(target=serve, args=(child,), daemon=True).start()
-        with suppress(Empty):
-            while True:
-                some = waiting.get_nowait()
-                make(numbers=some)
-                progress(len(some))
+        for some in taken(waiting):
+            make(numbers=some)
+            progress(len(some))
         for _ in children:
             finished.get()
     finally:
-        with suppress(Empty):
-            while True:
-                waiting.get_nowait()
+        deque(taken(waiting), 0)
         stop_all(children)

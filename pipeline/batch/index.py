@@ -10,9 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import sqlite3
 import sys
-import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -21,12 +19,12 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.batch.changes import reasons_to_run
-from pipeline.batch.file_hashes import SETTLED_NS
-from pipeline.batch.keys import GRIDS, grids_of_proj
+from pipeline.batch.file_hashes import is_settled, stamp
+from pipeline.batch.keys import GRIDS, code_hash, grids_of_proj
 from pipeline.batch.object_store.place import Place
-from pipeline.batch.plan import code_hash, input_paths, is_raster, located, make_plan
+from pipeline.batch.plan import input_paths, is_raster, located, make_plan
 from pipeline.batch.store import MANIFEST, STAGING, read_manifest
-from pipeline.caches import user_cache
+from pipeline.caches import read_entry, write_entries
 from pipeline.config.campaign import MissionRef
 from pipeline.errors import UnbendError
 from pipeline.tables.geodata.gdal import raster_files
@@ -38,8 +36,7 @@ Row = Mapping[str, Any]
 _MOST_ENTRIES = 20_000
 """Remembered; of more those that were written longest ago are forgotten."""
 
-_TABLE = "CREATE TABLE IF NOT EXISTS entries (key TEXT PRIMARY KEY, content TEXT)"
-_FORGET = "DELETE FROM entries WHERE rowid <= (SELECT max(rowid) FROM entries) - ?"
+_DATABASE = "missions.sqlite"
 
 
 @dataclass(frozen=True)
@@ -57,7 +54,7 @@ def look_up(refs: Iterable[MissionRef]) -> dict[MissionRef, IndexEntry]:
     """What is known of missions whose file and defaults, and the program, are as they were."""
     program, known = _program(), {}
     for ref in refs:
-        content = _read(_key(ref))
+        content = read_entry(_DATABASE, _key(ref))
         if content is None or content["program"] != program:
             continue
         files, file = content["files"], os.path.abspath(ref.path)
@@ -88,7 +85,7 @@ def remember(refs: Iterable[MissionRef], describe: Callable[[Row], Row]) -> None
             content = entry_of(ref, describe)
             if content is not None:
                 entries[_key(ref)] = content | {"program": program}
-    _write(entries)
+    write_entries(_DATABASE, entries, _MOST_ENTRIES)
 
 
 def entry_of(ref: MissionRef, describe: Callable[[Row], Row]) -> dict[str, Any] | None:
@@ -104,7 +101,7 @@ def entry_of(ref: MissionRef, describe: Callable[[Row], Row]) -> dict[str, Any] 
     rasters = [os.path.abspath(str(path)) for role, (_, path) in named.items() if is_raster(role)]
     read = {os.path.abspath(str(path)) for path in inputs} | _with_sidecars(rasters)
     files = {path: stamp(path) for path in read} | {file: began}
-    if not _settled(files):
+    if not all(map(is_settled, files.values())):
         return None
     plan = make_plan(mission, ref.folder)
     manifest = read_manifest(plan.folder, damaged=True)
@@ -113,7 +110,7 @@ def entry_of(ref: MissionRef, describe: Callable[[Row], Row]) -> dict[str, Any] 
     results = [plan.folder / str(item["name"]) for item in manifest["outputs"]]
     results += {path.parent for path in results} - {plan.folder}
     files |= {os.path.abspath(path): stamp(path) for path in [*results, plan.folder / MANIFEST]}
-    if not _settled(files) or reasons_to_run(plan, manifest):
+    if not all(map(is_settled, files.values())) or reasons_to_run(plan, manifest):
         return None
     if any(stamp(path) != known for path, known in files.items()):
         return None
@@ -130,27 +127,9 @@ def _with_sidecars(rasters: Iterable[str]) -> set[str]:
     return {str(file) for raster in rasters for file in raster_files(Path(raster))}
 
 
-def stamp(path: str | Path) -> list[int] | None:
-    """Device, inode, size, time of content and of status [ns] of a file; None if it is not there.
-
-    A link stands for what it leads to.
-    """
-    try:
-        s = os.stat(path)
-    except OSError:
-        return None
-    return [s.st_dev, s.st_ino, s.st_size, s.st_mtime_ns, s.st_ctime_ns]
-
-
-def _settled(files: Mapping[str, list[int] | None]) -> bool:
-    """Whether all files are there, and changed so long ago that the next change will show."""
-    latest = time.time_ns() - SETTLED_NS
-    return all(known is not None and max(known[3:]) < latest for known in files.values())
-
-
 def known_stamps(name: str) -> dict[str, Any] | None:
     """What `keep_stamps` was given under a name, if the files are as they were then."""
-    content = _read(name)
+    content: dict[str, Any] | None = read_entry(_DATABASE, name)
     if content is None or any(stamp(path) != known for path, known in content["files"].items()):
         return None
     return content
@@ -159,7 +138,7 @@ def known_stamps(name: str) -> dict[str, Any] | None:
 def keep_stamps(name: str, files: Iterable[Path], **content: Any) -> None:
     """Keep values that hold as long as these files, which this process wrote, stay as they are."""
     stamps = {os.path.abspath(path): stamp(path) for path in files}
-    _write({name: content | {"files": stamps}})
+    write_entries(_DATABASE, {name: content | {"files": stamps}}, _MOST_ENTRIES)
 
 
 def _key(ref: MissionRef) -> str:
@@ -179,27 +158,3 @@ def _program() -> str:
     """SHA-256 over the code, Python, and every library that is installed, whether used or not."""
     content = [code_hash(), sys.version, installed()]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
-def _read(key: str) -> dict[str, Any] | None:
-    with suppress(sqlite3.Error, OSError, ValueError):
-        query = "SELECT content FROM entries WHERE key = ?"
-        if found := _database(user_cache()).execute(query, (key,)).fetchone():
-            return dict(json.loads(found[0]))
-    return None
-
-
-def _write(entries: Mapping[str, Row]) -> None:
-    with suppress(sqlite3.Error, OSError), _database(user_cache()) as database:
-        rows = [(key, json.dumps(content)) for key, content in entries.items()]
-        database.executemany("INSERT OR REPLACE INTO entries VALUES (?, ?)", rows)
-        database.execute(_FORGET, (_MOST_ENTRIES,))
-
-
-@lru_cache(maxsize=1)
-def _database(folder: str) -> sqlite3.Connection:
-    os.makedirs(folder, exist_ok=True)
-    name = os.path.join(folder, "missions.sqlite")
-    database = sqlite3.connect(name, timeout=10.0, check_same_thread=False)
-    database.execute(_TABLE)
-    return database

@@ -153,6 +153,34 @@ def grids_of_proj() -> str:
     return f"PROJ {pyproj.proj_version_str}, {digest[:16]}"
 
 
+@lru_cache(maxsize=1)
+def code_hash() -> str:
+    """SHA-256 over all files of the package: sources, tables of the climatologies, constants."""
+    return hash_of_files(Path(str(resources.files(pipeline))))
+
+
+def hash_of_files(root: Path) -> str:
+    """SHA-256 over names and contents of the files below a folder, without compiled code."""
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*")):
+        if path.is_file() and "__pycache__" not in path.parts:
+            digest.update(path.relative_to(root).as_posix().encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def versions(known: Mapping[str, Mapping[str, str | None]] | None = None) -> dict[str, Any]:
+    """Versions of the code, Python and the libraries, for the manifest.
+
+    ``known`` : those of a plan; by default all libraries that a mission may need.
+    """
+    known = known or libraries(("weather model", "elevation model"), MSIS)
+    found = {"unbend": pipeline.__version__, "code_sha256": code_hash()}
+    for of_stage in known.values():
+        found |= {name: version for name, version in of_stage.items() if version is not None}
+    return found
+
+
 def code_of_stages() -> dict[str, str]:
     """SHA-256 of the code that each stage reaches, and of its data."""
     codes = code_below(Path(str(resources.files(pipeline))))

@@ -9,14 +9,10 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import lru_cache
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import pipeline
-from pipeline.atmosphere.standard import MSIS
-from pipeline.batch.file_hashes import recalled, remember, remembered_hash
+from pipeline.batch.file_hashes import recalled, remember, remembered_hash, stamp
 from pipeline.batch.keys import keys_of, libraries
 from pipeline.batch.object_store.copies import copy_of, fetched, version_of
 from pipeline.batch.object_store.place import Place, is_url
@@ -47,7 +43,6 @@ _MISSION_FILE_KEYS = {
     "weather model": "atmosphere.model.path",
 }
 _EXIF_BYTES = 1 << 18
-_TIMES = ("st_mtime_ns", "st_ctime_ns")
 
 
 @dataclass(frozen=True)
@@ -63,7 +58,7 @@ class Input:
     name: str
     path: Path
     sha256: str
-    stamp: tuple[int, ...] | str
+    stamp: tuple[list[int] | None, ...] | str
     program: str | None = None
     place: Place | None = None
 
@@ -209,9 +204,7 @@ def make_plan(mission: Mission, folder: Path, *, verify: bool = False) -> Plan:
                 key = _MISSION_FILE_KEYS.get(
                     role, other.get(role.split()[0], "atmosphere.soundings")
                 )
-                what = f"the {role} file is not there"
-                remedy = f"check {key} in the mission file; paths are relative to it"
-                raise InputError("INPUT-MISSING", what, where=str(path), remedy=remedy)
+                raise InputError.of("INPUT-MISSING/role", path, role=role, named=key)
             _refuse_among_results(role, path, output)
             if isinstance(path, Place):
                 key, copy = f"{path} {program}", copy_of(path, version)
@@ -222,9 +215,9 @@ def make_plan(mission: Mission, folder: Path, *, verify: bool = False) -> Plan:
                 remember(key, version, sha256)
                 inputs.append(Input(role, name, copy, sha256, version, program, path))
             else:
-                stamp = _stamp(path, program)
+                before = tuple(map(stamp, _files_of(path, program)))
                 sha256 = _hash_input(path, program, verify=verify)
-                inputs.append(Input(role, name, path, sha256, stamp, program))
+                inputs.append(Input(role, name, path, sha256, before, program))
         except OSError as error:
             raise InputError(
                 "INPUT-UNREADABLE", str(error.strerror), where=str(path), remedy="mend permissions"
@@ -270,7 +263,7 @@ def check_unchanged(plan: Plan, *, folders: bool = True) -> None:
             continue
         if not folders and item.program is None and item.path.is_dir():
             continue
-        if _stamp(item.path, item.program) != item.stamp:
+        if tuple(map(stamp, _files_of(item.path, item.program))) != item.stamp:
             raise InputError.of("INPUT-CHANGED", str(item.path), role=item.role)
 
 
@@ -320,13 +313,6 @@ def _hash_input(path: Path, program: str | None, *, verify: bool) -> str:
     return digest.hexdigest()
 
 
-def _stamp(path: Path, program: str | None) -> tuple[int, ...]:
-    """What changes when a file, or one of several, is written to or replaced."""
-    stats = [file.stat() for file in _files_of(path, program)]
-    latest = (max((getattr(s, name) for s in stats), default=0) for name in _TIMES)
-    return *latest, sum(s.st_size for s in stats), sum(s.st_ino for s in stats)
-
-
 def _files_of(path: Path, program: str | None) -> tuple[Path, ...]:
     if program == GDAL:
         return raster_files(path)
@@ -334,34 +320,6 @@ def _files_of(path: Path, program: str | None) -> tuple[Path, ...]:
         with damage_refused(path, program):
             return BLOCKS[program][0].block_files(path)
     return (path,) if path.is_file() else tuple(image_files(path))
-
-
-@lru_cache(maxsize=1)
-def code_hash() -> str:
-    """SHA-256 over all files of the package: sources, tables of the climatologies, constants."""
-    return hash_of_files(Path(str(resources.files(pipeline))))
-
-
-def hash_of_files(root: Path) -> str:
-    """SHA-256 over names and contents of the files below a folder, without compiled code."""
-    digest = hashlib.sha256()
-    for path in sorted(root.rglob("*")):
-        if path.is_file() and "__pycache__" not in path.parts:
-            digest.update(path.relative_to(root).as_posix().encode())
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
-def versions(plan: Plan | None = None) -> dict[str, Any]:
-    """Versions of the code, Python and the libraries, for the manifest.
-
-    Without a plan those of all libraries that a mission may need.
-    """
-    known = plan.libraries if plan else libraries(("weather model", "elevation model"), MSIS)
-    found = {"unbend": pipeline.__version__, "code_sha256": code_hash()}
-    for of_stage in known.values():
-        found |= {name: version for name, version in of_stage.items() if version is not None}
-    return found
 
 
 def fingerprint_of(keys: Mapping[str, str]) -> str:

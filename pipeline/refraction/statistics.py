@@ -162,10 +162,11 @@ class ShiftStatistics:
 
     def add(self, x_px: Array, y_px: Array, corrections: Corrections) -> None:
         """Add the corrections of points measured at (x, y); those without one do not count."""
-        good = np.isfinite(corrections.dx_px)
+        good: Any = np.isfinite(corrections.dx_px)
+        good = slice(None) if good.all() else good
         dx, dy = corrections.dx_px[good], corrections.dy_px[good]
         self.grid.add(x_px[good], y_px[good], dx, dy)
-        self.shift_px.add(np.hypot(dx, dy))
+        self.shift_px.add(np.sqrt(dx * dx + dy * dy))
         self.shift_ground_m.add(corrections.shift_ground_m[good])
         self.refraction_arcsec.add(corrections.r_c_rad[good] / ARCSEC)
         self.window_arcsec.add(np.abs(corrections.r_cc_rad[good]) / ARCSEC)

@@ -173,7 +173,7 @@ def correct_stream(
     *,
     batch_rows: int,
     metadata: Mapping[str, str],
-    progress: Callable[[int], None],
+    progress: Callable[[int], None] = lambda _: None,
     numbers: Sequence[int] | None = None,
 ) -> Statistics:
     """Correct all observations, or parts of these ``numbers``, and write them part by part.
@@ -260,28 +260,15 @@ def correct_in_slices(
 
     The counts are merged in the order of the parts, so that they are the same to the last bit.
     """
-    make = partial(correct_stream, observations, setup, progress=no_progress, **named)
+    make = partial(correct_stream, observations, setup, **named)
     rows = observations.rows_of_part(named["batch_rows"])
     count = math.ceil(observations.rows / rows)
     if processes < 2 or count < 2 or observations.path.suffix.lower() != ".parquet":
         return make(parts=parts, progress=progress)
     missing = [number for number in range(count) if parts.finished(number) is None]
-    make_parts(
-        partial(correct_slice, make, parts), missing, processes, lambda made: progress(made * rows)
-    )
+    make_parts(partial(make, parts=parts), missing, processes, lambda made: progress(made * rows))
     # What a process left unmade is made here.
     return make(parts=replace(parts, verify=False))
-
-
-def correct_slice(
-    make: Callable[..., Statistics], parts: PartsOfRun, *, numbers: Sequence[int]
-) -> None:
-    """Correct the parts of a slice; their counts stay with them."""
-    make(parts=parts, numbers=numbers)
-
-
-def no_progress(_: int) -> None:
-    """Takes how many rows are done where nobody watches."""
 
 
 def correct_counted(

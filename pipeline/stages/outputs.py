@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS
-from pipeline.batch.keys import code_of_stages
-from pipeline.batch.plan import MANIFEST_VERSION, Plan, versions
+from pipeline.batch.keys import code_of_stages, versions
+from pipeline.batch.plan import MANIFEST_VERSION, Plan
 from pipeline.batch.store import RunFolder
 from pipeline.config import Mission
 from pipeline.errors import EXIT_DONE, EXIT_LOSSES
@@ -79,7 +79,7 @@ def manifest_of(
         "inputs": [
             {"role": item.role, "name": item.name, "sha256": item.sha256} for item in plan.inputs
         ],
-        "versions": versions(plan),
+        "versions": versions(plan.libraries),
         "log": log
         and {
             "format": log.format,

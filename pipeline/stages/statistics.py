@@ -58,21 +58,20 @@ class SampledRows(NamedTuple):
     ) -> SampledRows:
         """Rows of a batch, evenly spaced."""
         rows = evenly_spaced(len(batch), most)
-        nothing = np.full(len(batch), np.nan)
-        weight = np.ones(len(batch)) if batch.weight is None else batch.weight
-        distance = nothing if batch.distance_m is None else batch.distance_m
+        weight = np.ones(rows.size) if batch.weight is None else batch.weight[rows]
+        nothing = np.full(rows.size, np.nan)
         return cls(
             station[rows],
             batch.x_px[rows],
             batch.y_px[rows],
             h_g[rows],
-            distance[rows],
+            nothing if batch.distance_m is None else batch.distance_m[rows],
             corrections.zeta_c_rad[rows],
             corrections.r_c_rad[rows],
-            np.hypot(corrections.dx_px, corrections.dy_px)[rows],
+            np.hypot(corrections.dx_px[rows], corrections.dy_px[rows]),
             corrections.shift_ground_m[rows],
             corrections.status[rows],
-            weight[rows] * len(batch) / rows.size,
+            weight * len(batch) / rows.size,
             sigma_parts(corrections, rows),
         )
 
@@ -127,12 +126,12 @@ class Statistics:
         counts = np.bincount(corrections.status, batch.weight, minlength=len(STATUS_NAMES))
         for name, count in zip(STATUS_NAMES, counts.tolist(), strict=True):
             self.status[name] = self.status.get(name, 0) + round(count)
-        places = np.arange(batch.first_row, batch.first_row + len(batch))
-        places = places if batch.numbers is None else batch.numbers
         for code in np.unique(corrections.status[corrections.status != OK]).tolist():
-            first = np.flatnonzero(corrections.status == code)[:3].tolist()
+            first = np.flatnonzero(corrections.status == code)[:3]
+            places = batch.first_row + first if batch.numbers is None else batch.numbers[first]
             self.examples[STATUS_NAMES[code]] = [
-                f"{batch.image[k]} {batch.point[k].as_py() or f'(row {places[k]})'}" for k in first
+                f"{batch.image[k]} {batch.point[k].as_py() or f'(row {place})'}"
+                for k, place in zip(first.tolist(), places.tolist(), strict=True)
             ]
         for number, shift_statistics in enumerate(self.shifts.values()):
             rows = camera == number
@@ -229,10 +228,8 @@ class Statistics:
         ``causes`` by status: what likely led to it.
         """
         if self.no_distance:
-            text = "slant ranges are zero, negative, infinite or no number: taken as absent"
-            ledger.warning("OBS-DISTANCE", f"{self.no_distance} {text}",
-                           where="observations.columns.distance_m",
-                           count=self.no_distance)  # fmt: skip
+            where = "observations.columns.distance_m"
+            ledger.warning("OBS-DISTANCE", where=where, count=self.no_distance)
         if self.no_sigma:
             ledger.warning("OBS-SIGMA", where="ground.sigma_column", count=self.no_sigma)
         if self.no_point:
@@ -240,10 +237,8 @@ class Statistics:
                 "POINTS-MISSING", where="ground.height.points", count=self.no_point, rows=self.rows
             )
         if self.implausible_heights:
-            text = f"heights of points are below {LOWEST_GROUND_M:.0f} or above "
-            text += f"{HIGHEST_GROUND_M:.0f} m, where no ground is: taken as unknown, their points "
-            ledger.loss("OBS-GROUND-RANGE", f"{self.implausible_heights} {text}are no_ground",
-                        where="ground.height", count=self.implausible_heights)  # fmt: skip
+            ledger.loss("OBS-GROUND-RANGE", where="ground.height", count=self.implausible_heights,
+                        low=LOWEST_GROUND_M, high=HIGHEST_GROUND_M)  # fmt: skip
         for name, count in self.status.items():
             what = f"{count} of {self.rows} observations are {name}"
             texts = self.examples.get(name, [])
@@ -254,9 +249,9 @@ class Statistics:
             if name == "beyond_grazing":
                 ledger.loss("OBS-BEYOND-GRAZING", what + "; near branch used", count=count)
             elif name == "several_crossings":
-                what += ": behind a ridge they would leave the ground again; the first place where "
-                what += "they meet it was used, which an error of the model's heights may change"
-                ledger.warning("OBS-SEVERAL-CROSSINGS", what, where="ground.height", count=count)
+                ledger.warning(
+                    "OBS-SEVERAL-CROSSINGS", where="ground.height", count=count, rows=what
+                )
             elif name == "far_branch":
                 ledger.note("OBS-FAR-BRANCH", what + ", by their slant range", count=count)
             else:

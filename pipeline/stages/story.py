@@ -21,7 +21,7 @@ from pipeline.atmosphere.estimate.adjusted_profile import unadjusted
 from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
 from pipeline.batch.changes import drawn_before, reasons_to_run
 from pipeline.batch.kept import keep, recall
-from pipeline.batch.keys import code_of_stages, key_of_drawn
+from pipeline.batch.keys import code_of_stages, key_of_drawn, versions
 from pipeline.batch.object_store.copies import fetched, version_of
 from pipeline.batch.object_store.place import Place
 from pipeline.batch.object_store.published import Publication, rehearse_place
@@ -34,7 +34,6 @@ from pipeline.batch.plan import (
     outcome_of,
     places_named,
     refuse_other_mission,
-    versions,
 )
 from pipeline.batch.store import (
     MANIFEST,
@@ -420,7 +419,7 @@ def renew_report(plan: Plan, folder: RunFolder) -> dict[str, Any] | None:
         "keys": keys,
         "code": code_of_stages(),
         "config": plan.mission.model_dump(mode="json"),
-        "versions": versions(plan),
+        "versions": versions(plan.libraries),
     }
     manifest["config"]["output"]["batch_rows"] = earlier["config"]["output"]["batch_rows"]
     report = folder.place("report.html")

@@ -380,9 +380,8 @@ def open_observations(
             if sample is not None:
                 sample.add(names)
         if repeated:
-            what = f"a point twice in an image, {len(repeated)} times, first {repeated[0]}: at "
-            what += "most one of both is its measurement"
-            ledger.loss("OBS-REPEATED-POINT", what, where=path.name, count=len(repeated))
+            count, first = len(repeated), repeated[0]
+            ledger.loss("OBS-REPEATED-POINT", where=path.name, count=count, first=first)
     if rows == 0:
         raise InputError.of("OBS-EMPTY/open-observations", path)
     replaced = set(named.values()) - {named.get("distance_m")}

@@ -31,6 +31,15 @@ class Unread:
         return (str(self.path),)
 
 
+def gone(process: int) -> bool:
+    """Whether a process has ended."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
 def one(mission, *, progress=None):
     name, here = mission.path.stem, mission.path.parent
     output = here / f"results of {name}"

@@ -215,13 +215,5 @@ def test_a_signal_stops_what_the_workers_do(machines, tmp_path):
     workers = [
         int(line.split()[1]) for line in (tmp_path / "stopped" / "begun").read_text().splitlines()
     ]
-
-    def gone(process: int) -> bool:
-        try:
-            os.kill(process, 0)
-        except ProcessLookupError:
-            return True
-        return False
-
-    wait_until(lambda: all(map(gone, workers)), 5.0)
+    wait_until(lambda: all(map(missions_module.gone, workers)), 5.0)
     assert begun(tmp_path / "stopped") == ["a"]

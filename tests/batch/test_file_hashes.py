@@ -82,7 +82,7 @@ def test_a_cache_that_cannot_be_used_costs_time_only(reads, later, tmp_path, sta
         file.mkdir()
     else:
         with sqlite3.connect(file) as database:
-            database.execute("CREATE TABLE hashes (name TEXT)")
+            database.execute("CREATE TABLE entries (name TEXT)")
     path = settled(tmp_path / "flight.bin", b"one")
     for _ in range(2):
         assert remembered_hash(path) == hashlib.sha256(b"one").hexdigest()

@@ -203,7 +203,7 @@ def watch(event, words):
     if event == "open" and isinstance(words[0], str):
         opened.add(words[0])
 from pipeline.batch import keys, plan
-keys.code_of_stages(), plan.code_hash()  # these read everything
+keys.code_of_stages(), keys.code_hash()  # these read everything
 sys.addaudithook(watch)
 from pipeline.stages.story import run_mission
 run_mission(sys.argv[1])

@@ -13,7 +13,8 @@ import pipeline
 from pipeline.batch import keys
 from pipeline.batch import plan as planning
 from pipeline.batch.file_hashes import remembered_hash
-from pipeline.batch.plan import check_unchanged, hash_of_files, make_plan
+from pipeline.batch.keys import code_hash, hash_of_files
+from pipeline.batch.plan import check_unchanged, make_plan
 from pipeline.config import load_mission
 from pipeline.errors import ConfigError, InputError
 from pipeline.stages import inputs
@@ -35,7 +36,7 @@ def copied(tmp_path) -> Path:
 
 def test_the_code_and_every_table_of_the_package_count(copied):
     before = hash_of_files(copied)
-    assert before == hash_of_files(PACKAGE) == planning.code_hash()
+    assert before == hash_of_files(PACKAGE) == code_hash()
     tables = sorted(copied.rglob("*.csv"))
     assert len(tables) >= 15, "the climatologies and constants"
     for path in (*tables, copied / "units.py", copied / "cli" / "entry.py"):

@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 
 MISSIONS = str(Path(__file__).with_name("missions.py"))
+sys.path.append(str(Path(MISSIONS).parent))
+from missions import gone  # noqa: E402
 
 
 def ran(folder: Path, jobs: int, *names: str, pace: float = 0.0) -> tuple[dict[str, str], list]:
@@ -121,14 +123,6 @@ stalling.story.run_mission = stalling.run_mission
 from pipeline.cli import main
 main()
 """
-
-
-def gone(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return True
-    return False
 
 
 @pytest.mark.parametrize(

@@ -268,7 +268,7 @@ def test_no_receipt_is_written_for_inputs_that_changed(mission, tmp_path):
     content = observed.read_bytes()
     check_unchanged(plan)
     observed.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
-    os.utime(observed, ns=(plan.input("observations").stamp[0],) * 2)
+    os.utime(observed, ns=(plan.input("observations").stamp[0][3],) * 2)
     with pytest.raises(InputError, match="INPUT-CHANGED"):
         check_unchanged(plan, folders=False)
 

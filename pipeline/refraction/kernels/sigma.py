@@ -1,7 +1,8 @@
 """Standard deviations of corrections, row by row, compiled."""
 
 import math
-from typing import NamedTuple
+
+import numpy as np
 
 from pipeline.refraction.kernels.columns import (
     APPARENT,
@@ -27,40 +28,22 @@ from pipeline.refraction.kernels.columns import (
     V,
 )
 from pipeline.refraction.kernels.image import slopes
-from pipeline.refraction.kernels.jit import entry, jit
+from pipeline.refraction.kernels.jit import entry, jit, within
 from pipeline.refraction.status_codes import FAR_BRANCH
 
+_TOGETHER = 256
+"""Rows that are worked on together, in a room that stays in a core's first cache."""
+
+_OF_RAYS = (U, V, APPARENT, APPARENT + 1, SIN, COS, RADIUS, H_C)
+
+# Rows of that room after those of a matrix of rays: what observations have, their places in the
+# tables, what the air does there, the slopes of the distortion (3), and the columns of `Sigmas`.
+_X, _Y, _R, _H_G, _SIGMA_H_G, _KEEP, _DROP, _WAY, _COARSE, _INCIDENCE, _GROUND = range(12, 23)
+_SPREAD, _STEEP, _MODE, _BEHIND, _SHARED, _SLOPES = range(23, 29)
+_OUT = _SLOPES + 3
+_ROOM = _OUT + 14
+
 _AT_NADIR = 1e-9  # the sine below which R / sin(zeta) is dR/dzeta, and no azimuth is known
-
-
-class _Ray(NamedTuple):
-    """A traced ray: nadir angle, radius and height of the camera [m], fall to the target [m], R."""
-
-    sin_z: float
-    cos_z: float
-    radius: float
-    h_c: float
-    drop: float
-    r: float
-
-
-class _Motion(NamedTuple):
-    """How the ray of an observation turns: tangent of its nadir angle, dR/dzeta, R/sin(zeta).
-
-    ``out_t``, ``out_q`` towards the nadir and across per unit of dN_c - dN_cc at the window;
-    ``d_h_c``, ``d_h_g`` dR/dh_c and dR/dh_g [rad/m]; ``yaw_along``, ``yaw_across`` the yaw axis in
-    the ray's vertical plane and across it.
-    """
-
-    tan_z: float
-    d_zeta: float
-    swing: float
-    out_t: float
-    out_q: float
-    d_h_c: float
-    d_h_g: float
-    yaw_along: float
-    yaw_across: float
 
 
 @jit
@@ -80,52 +63,63 @@ def _cell(position, count):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _of_the_air(ray, s, air):  # type: ignore[no-untyped-def]
-    """Of a ray [rad], NaN where it is nearly level.
+def _of_exposure(s, turn, air):  # type: ignore[no-untyped-def]
+    """A row of the matrix of stations and a rotation as numbers; sigma of y, the mode's part of y.
 
-    sigma_R / tan(zeta); dR/dzeta cos^2(zeta); sigma of x, its covariance with y over sigma of y,
-    and sigma of y, all zero without a plane window; by the unit of the leading mode's parameter
-    R / tan(zeta) and dN_c - dN_cc. ``s`` is the row of the station.
+    The last two are zero without a plane window.
     """
-    sigma, angle, factors, behind, lean = air.sigma, air.angle, air.factors, air.behind, air.lean
-    nothing = math.nan, math.nan, 0.0, 0.0, 0.0, math.nan, math.nan
-    drop, r_c = ray.drop, ray.radius + ray.h_c
-    r_g = ray.radius + ray.h_c - drop
-    level2 = (r_c * r_c * ray.cos_z * ray.cos_z - drop * (r_c + r_g)) / (r_g * r_g)
-    if not (drop > 0.0 and ray.cos_z > 0.0 and level2 > 0.0):
-        return nothing
-    root = math.sqrt(drop) - air.way_first
-    incidence = (1.0 / math.sqrt(math.sqrt(level2)) - 1.0) / air.incidence_step
-    if incidence > factors.shape[2] - 1.0:
-        return nothing
+    station = (
+        s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8], s[9],
+        s[10], s[11], s[12], s[13], s[14], s[15], s[16], s[17], s[18],
+    )  # fmt: skip
+    r_0, r_1, r_2 = turn[0], turn[1], turn[2]
+    rows = ((r_0[0], r_0[1], r_0[2]), (r_1[0], r_1[1], r_1[2]), (r_2[0], r_2[1], r_2[2]))
     i, a, window = int(s[NODE]), s[SHARE], int(s[WINDOW])
-    j, b = _cell(root / air.way_step, sigma.shape[1])
-    spread, turn = _bilinear(sigma, i, a, j, b), _bilinear(angle, i, a, j, b)
-    mode = _bilinear(air.mode, i, a, j, b)
-    x = shared = y = mode_y = 0.0
+    sigma_y = mode_y = 0.0
     if window >= 0:
-        x = _bilinear(behind[window, 0], i, a, j, b)
-        shared = _bilinear(behind[window, 1], i, a, j, b)
-        y = lean[window, i] + a * (lean[window, i + 1] - lean[window, i])
-        mode_lean = air.mode_lean[window]
-        mode_y = mode_lean[i] + a * (mode_lean[i + 1] - mode_lean[i])
-    j, b = _cell(root / air.coarse_step, factors.shape[1])
-    k, c = _cell(incidence, factors.shape[2])
+        lean, mode = air.lean[window], air.mode_lean[window]
+        sigma_y = lean[i] + a * (lean[i + 1] - lean[i])
+        mode_y = (mode[i] + a * (mode[i + 1] - mode[i])) / air.mode_sigma
+    return station, rows, (sigma_y, mode_y)
+
+
+@jit
+def _interpolate(room, count, air, s):  # type: ignore[no-untyped-def]
+    """Fill what the air does to rays by their places in the tables; NaN in, NaN out."""
+    sigma, angle, factors, behind = air.sigma, air.angle, air.factors, air.behind
+    i, a, window, refractivity = int(s[NODE]), s[SHARE], int(s[WINDOW]), air.refractivity
     e, share = _cell(s[SPAN] * (factors.shape[0] - 1), factors.shape[0])
-    spread_factor = turn_factor = 0.0
-    for n in range(8):  # the corners of a cell
-        f, g, h = n >> 2, (n >> 1) & 1, n & 1
-        weight = (share if f else 1.0 - share) * (b if g else 1.0 - b) * (c if h else 1.0 - c)
-        spread_factor += weight * factors[e + f, j + g, k + h, 0]
-        turn_factor += weight * factors[e + f, j + g, k + h, 1]
-        mode += weight * factors[e + f, j + g, k + h, 2]
-    mode, mode_y = mode * drop / air.mode_sigma, mode_y / air.mode_sigma
-    return spread * spread_factor * drop, turn * turn_factor * drop, x, shared, y, mode, mode_y
+    for r in range(count):
+        j, b = _cell(room[_WAY, r], sigma.shape[1])
+        drop = room[_DROP, r]
+        spread, turn = _bilinear(sigma, i, a, j, b), _bilinear(angle, i, a, j, b)
+        mode = _bilinear(air.mode, i, a, j, b)
+        room[_BEHIND, r] = room[_SHARED, r] = 0.0
+        if window >= 0:
+            room[_BEHIND, r] = _bilinear(behind[window, 0], i, a, j, b)
+            room[_SHARED, r] = _bilinear(behind[window, 1], i, a, j, b)
+        j, b = _cell(room[_COARSE, r], factors.shape[1])
+        k, c = _cell(room[_INCIDENCE, r], factors.shape[2])
+        spread_factor = turn_factor = 0.0
+        for n in range(8):  # the corners of a cell
+            f, g, h = n >> 2, (n >> 1) & 1, n & 1
+            weight = (share if f else 1.0 - share) * (b if g else 1.0 - b) * (c if h else 1.0 - c)
+            spread_factor += weight * factors[e + f, j + g, k + h, 0]
+            turn_factor += weight * factors[e + f, j + g, k + h, 1]
+            mode += weight * factors[e + f, j + g, k + h, 2]
+        room[_SPREAD, r] = spread * spread_factor * drop
+        room[_STEEP, r] = turn * turn_factor * drop
+        room[_MODE, r] = mode * drop / air.mode_sigma
+        j, b = _cell(room[_GROUND, r], refractivity.size)
+        room[_GROUND, r] = refractivity[j] + b * (refractivity[j + 1] - refractivity[j])
 
 
 @jit
 def _by_heights(ray, d_zeta, n_g, s):  # type: ignore[no-untyped-def]
-    """dR/dh_c and dR/dh_g [rad/m]; formulas of `pipeline.refraction.uncertainty.adjoint`."""
+    """dR/dh_c and dR/dh_g [rad/m]; formulas of `pipeline.refraction.uncertainty.adjoint`.
+
+    ``ray`` : sine and cosine of zeta, radius and camera's height [m], fall to the target [m], R.
+    """
     sin_z, cos_z, radius, h_c, drop, r = ray
     r_c, r_g, n_c = radius + h_c, radius + h_c - drop, s[N]
     sin_r = r * (1.0 - r * r / 6.0)
@@ -164,43 +158,133 @@ def _in_the_image(along, across, motion, air, s):  # type: ignore[no-untyped-def
 
     ``along`` and ``across`` are what a turn of the ray along the vertical plane and across it does
     to the pixel [px/rad]; ``air`` is sigma of R_c, sigma of x, its covariance with y over sigma of
-    y, and sigma of y.
+    y, and sigma of y; ``motion`` the tangent of the nadir angle, dR/dzeta, R/sin(zeta), how far the
+    ray turns towards the nadir and across per unit of dN_c - dN_cc at the window, dR/dh_c and
+    dR/dh_g [rad/m], and the yaw axis in the ray's vertical plane and across it.
     """
     sigma_r, sigma_x, shared, sigma_y = air
+    tan_z, d_zeta, swing, out_t, out_q, d_h_c, d_h_g, yaw_along, yaw_across = motion
     # What dN_c - dN_cc does at the window, and how much of it is not the x of a level one.
-    window = along * motion.out_t + across * motion.out_q
+    window = along * out_t + across * out_q
     by_air = abs(along) * sigma_r
     if s[WINDOW] >= 0.0:
-        straight = along * motion.tan_z
-        leaning = window - along * (motion.tan_z * (1.0 - motion.d_zeta))
+        straight = along * tan_z
+        leaning = window - along * (tan_z * (1.0 - d_zeta))
         both = straight * straight * sigma_x * sigma_x
         both += 2.0 * straight * leaning * shared * sigma_y
         both += leaning * leaning * sigma_y * sigma_y
         by_air = 0.0 if both < 0.0 else math.sqrt(both)
     # A tilt turns the nadir: zeta by its part in the ray's plane, the plane by that across it.
-    k_e, k_p = -motion.d_zeta * along, motion.swing * across
+    k_e, k_p = -d_zeta * along, swing * across
     turned2 = s[TILT2] * (k_e * k_e + k_p * k_p)
-    by_yaw = k_e * motion.yaw_along + k_p * motion.yaw_across
+    by_yaw = k_e * yaw_along + k_p * yaw_across
     turned2 += s[YAW2] * (by_yaw * by_yaw)
-    lift = (along * motion.d_h_c + window * s[WINDOW_BEND]) * s[SIGMA_H]
-    return by_air, math.sqrt(turned2 + lift * lift), along * motion.d_h_g
+    lift = (along * d_h_c + window * s[WINDOW_BEND]) * s[SIGMA_H]
+    return by_air, math.sqrt(turned2 + lift * lift), along * d_h_g
 
 
 @jit
-def _axes(turn, ray, east, north):  # type: ignore[no-untyped-def]
+def _axes(turn, sin_z, cos_z, east, north):  # type: ignore[no-untyped-def]
     """Unit vectors in the camera: towards the nadir, and across the ray's vertical plane."""
-    sin_z, cos_z = ray.sin_z, ray.cos_z
     t = (
         _towards(turn[0], east, north, sin_z, cos_z),
         _towards(turn[1], east, north, sin_z, cos_z),
         _towards(turn[2], east, north, sin_z, cos_z),
     )
     q = (
-        turn[0, 1] * east - turn[0, 0] * north,
-        turn[1, 1] * east - turn[1, 0] * north,
-        turn[2, 1] * east - turn[2, 0] * north,
+        turn[0][1] * east - turn[0][0] * north,
+        turn[1][1] * east - turn[1][0] * north,
+        turn[2][1] * east - turn[2][0] * north,
     )
     return t, q
+
+
+@within
+def _places(room, count, air):  # type: ignore[no-untyped-def]
+    """Fill where rays are in the tables; rays that are nearly level, or not kept, become NaN."""
+    way_first, way_step, coarse_step = air.way_first, air.way_step, air.coarse_step
+    incidence_step, most = air.incidence_step, air.factors.shape[2] - 1.0
+    ground_m, spacing_m = air.ground_m, air.spacing_m
+    for i in range(count):
+        h_c, cos_z, r_c = room[H_C, i], room[COS, i], room[RADIUS, i] + room[H_C, i]
+        drop = h_c - room[_H_G, i]
+        r_g = room[RADIUS, i] + h_c - drop
+        level2 = (r_c * r_c * cos_z * cos_z - drop * (r_c + r_g)) / (r_g * r_g)
+        root = math.sqrt(drop) - way_first
+        incidence = (1.0 / math.sqrt(math.sqrt(level2)) - 1.0) / incidence_step
+        served = (room[_KEEP, i] == 1.0) & (drop > 0.0) & (cos_z > 0.0) & (level2 > 0.0)
+        served &= incidence <= most
+        room[_DROP, i] = drop
+        room[_KEEP, i] = 1.0 if served else math.nan
+        room[_WAY, i] = root / way_step if served else 0.0
+        room[_COARSE, i] = root / coarse_step if served else 0.0
+        room[_INCIDENCE, i] = incidence if served else 0.0
+        room[_GROUND, i] = (room[_H_G, i] - ground_m) / spacing_m if served else 0.0
+
+
+@within
+def _spread(room, count, camera, exposure):  # type: ignore[no-untyped-def]
+    """Fill the columns of `Sigmas`; ``exposure`` as `_of_exposure` returns it.
+
+    A loop without a branch, over rows of one small array, runs four rays at a time.
+    """
+    fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
+    s, turn, (sigma_y, mode_y) = exposure
+    window = s[WINDOW] >= 0.0
+    no_window = 1.0 if window else math.nan
+    n_p, n_t, lens_p, lens_t = s[CABIN], s[CABIN + 1], s[CABIN + 2], s[CABIN + 3]
+    cabin = math.sqrt(n_p * n_p + n_t * n_t)
+    for i in range(count):
+        sin_z, cos_z, r = room[SIN, i], room[COS, i], room[_R, i]
+        ray = (sin_z, cos_z, room[RADIUS, i], room[H_C, i], room[_DROP, i], r)
+        secant, steep = 1.0 / cos_z, room[_STEEP, i]
+        keep = math.nan if math.isnan(steep) else room[_KEEP, i]
+        d_zeta = steep * secant * secant
+        sigma_r = room[_SPREAD, i] * sin_z * secant
+        d_h_c, d_h_g = _by_heights(ray, d_zeta, room[_GROUND, i], s)
+
+        # At the nadir any azimuth will do.
+        inverse, leans = 1.0 / sin_z, sin_z > _AT_NADIR
+        east = room[APPARENT, i] * inverse if leans else 1.0
+        north = room[APPARENT + 1, i] * inverse if leans else 0.0
+        swing = r * inverse if leans else d_zeta
+        t, q = _axes(turn, sin_z, cos_z, east, north)
+        u, v = room[U, i], room[V, i]
+        point = (u, v, math.sqrt(u * u + v * v + 1.0))
+        # How far it turns towards the nadir and across per unit of dN_c - dN_cc.
+        n0, n1, n2 = s[NORMAL], s[NORMAL + 1], s[NORMAL + 2]
+        out = (n0 * u + n1 * v + n2) / point[2]
+        out_t = (n0 * t[0] + n1 * t[1] + n2 * t[2]) / out * (1.0 - d_zeta) if window else 0.0
+        out_q = (n0 * q[0] + n1 * q[1] + n2 * q[2]) / out if window else 0.0
+        steepness = math.sqrt(max(0.0, 1.0 - out * out)) / out if window else 0.0
+        d_image = room[_SLOPES, i], room[_SLOPES + 1, i], room[_SLOPES + 2, i]
+        along_x, along_y = _moved(point, t, camera, d_image)
+        across_x, across_y = _moved(point, q, camera, d_image)
+        yaw = s[AXIS_N] * east - s[AXIS_E] * north, -s[AXIS_N] * north - s[AXIS_E] * east
+        motion = (sin_z * secant, d_zeta, swing, out_t, out_q, d_h_c, d_h_g, yaw[0], yaw[1])
+        air_of_ray = (sigma_r, room[_BEHIND, i], room[_SHARED, i], sigma_y)
+        air_x, station_x, ground_x = _in_the_image(along_x, across_x, motion, air_of_ray, s)
+        air_y, station_y, ground_y = _in_the_image(along_y, across_y, motion, air_of_ray, s)
+
+        # N in the cabin turns the ray at the window (Gyer 1996, Eq. 36), and its air the lens.
+        by_mode = room[_MODE, i] * (sin_z * secant)
+        turned_x = along_x * out_t + across_x * out_q
+        turned_y = along_y * out_t + across_y * out_q
+        x_lever, y_lever = (room[_X, i] - cx) / fx, (room[_Y, i] - cy) / fy
+        x_p, x_t = turned_x * n_p + x_lever * lens_p, turned_x * n_t + x_lever * lens_t
+        y_p, y_t = turned_y * n_p + y_lever * lens_p, turned_y * n_t + y_lever * lens_t
+        room[_OUT, i] = sigma_r * keep
+        room[_OUT + 1, i], room[_OUT + 2, i] = air_x * keep, air_y * keep
+        room[_OUT + 3, i], room[_OUT + 4, i] = station_x * keep, station_y * keep
+        room[_OUT + 5, i] = abs(ground_x) * room[_SIGMA_H_G, i] * keep
+        room[_OUT + 6, i] = abs(ground_y) * room[_SIGMA_H_G, i] * keep
+        room[_OUT + 7, i] = steepness * cabin * keep
+        room[_OUT + 8, i] = math.sqrt(x_p * x_p + x_t * x_t) * keep
+        room[_OUT + 9, i] = math.sqrt(y_p * y_p + y_t * y_t) * keep
+        room[_OUT + 10, i] = (along_x * by_mode + turned_x * mode_y) * keep
+        room[_OUT + 11, i] = (along_y * by_mode + turned_y * mode_y) * keep
+        room[_OUT + 12, i] = -turned_x * no_window * keep
+        room[_OUT + 13, i] = -turned_y * no_window * keep
 
 
 @entry(rows=0, most=6000)
@@ -209,79 +293,43 @@ def propagate(observed, camera_and_rotation, traced, stations_and_air, sigmas): 
 
     And the derivatives of x and y, with their signs, by the parameter of the leading mode, and by
     the refractivity behind a plane window. ``sigmas`` are the columns of `Sigmas`. NaN where not
-    known.
+    known. Rows of one exposure that follow each other are taken together.
     """
-    h_g, sigma_h_g, exposure = observed.h_g, observed.sigma_h_g, observed.exposure
+    x, y, h_g, sigma_h_g, exposure = observed
     camera, rotation = camera_and_rotation
     rays, r_c, status = traced
     stations, air = stations_and_air
-    sigma_r, air_x, air_y, station_x, station_y, ground_x, ground_y = sigmas[:7]
-    r_cc, cabin_x, cabin_y, mode_x, mode_y, ncc_x, ncc_y = sigmas[7:]
-    refractivity = air.refractivity
-    for i in range(h_g.size):
-        sigma_r[i] = math.nan
-        air_x[i] = air_y[i] = station_x[i] = station_y[i] = ground_x[i] = ground_y[i] = math.nan
-        r_cc[i] = cabin_x[i] = cabin_y[i] = math.nan
-        mode_x[i] = mode_y[i] = ncc_x[i] = ncc_y[i] = math.nan
-        r = r_c[i]
-        if math.isnan(r) or status[i] == FAR_BRANCH:
-            continue
-        s, turn = stations[exposure[i]], rotation[exposure[i]]
-        sin_z, cos_z, h_c = rays[SIN, i], rays[COS, i], rays[H_C, i]
-        ray = _Ray(sin_z, cos_z, rays[RADIUS, i], h_c, h_c - h_g[i], r)
-        spread, steep, sigma_x, shared, sigma_y, by_mode, lean = _of_the_air(ray, s, air)
-        if math.isnan(steep):
-            continue
-        secant = 1.0 / cos_z
-        d_zeta = steep * secant * secant
-        sigma_r[i] = spread * sin_z * secant
-        j, b = _cell((h_g[i] - air.ground_m) / air.spacing_m, refractivity.size)
-        n_g = refractivity[j] + b * (refractivity[j + 1] - refractivity[j])
-        d_h_c, d_h_g = _by_heights(ray, d_zeta, n_g, s)
-
-        # At the nadir any azimuth will do.
-        east, north, swing = 1.0, 0.0, d_zeta
-        if sin_z > _AT_NADIR:
-            inverse = 1.0 / sin_z
-            east, north = rays[APPARENT, i] * inverse, rays[APPARENT + 1, i] * inverse
-            swing = r * inverse
-        t, q = _axes(turn, ray, east, north)
-        u, v = rays[U, i], rays[V, i]
-        point = (u, v, math.sqrt(u * u + v * v + 1.0))
-        out_t = out_q = steepness = 0.0
-        if s[WINDOW] >= 0.0:
-            # How far it turns towards the nadir and across per unit of dN_c - dN_cc.
-            n0, n1, n2 = s[NORMAL], s[NORMAL + 1], s[NORMAL + 2]
-            out = (n0 * u + n1 * v + n2) / point[2]
-            out_t = (n0 * t[0] + n1 * t[1] + n2 * t[2]) / out * (1.0 - d_zeta)
-            out_q = (n0 * q[0] + n1 * q[1] + n2 * q[2]) / out
-            steepness = math.sqrt(max(0.0, 1.0 - out * out)) / out
-        d_image = slopes(u, v, camera.distortion)
-        along_x, along_y = _moved(point, t, camera, d_image)
-        across_x, across_y = _moved(point, q, camera, d_image)
-        motion = _Motion(
-            sin_z * secant, d_zeta, swing, out_t, out_q, d_h_c, d_h_g,
-            s[AXIS_N] * east - s[AXIS_E] * north, -s[AXIS_N] * north - s[AXIS_E] * east,
-        )  # fmt: skip
-        air_of_ray = (sigma_r[i], sigma_x, shared, sigma_y)
-        air_x[i], station_x[i], by_h_g = _in_the_image(along_x, across_x, motion, air_of_ray, s)
-        ground_x[i] = abs(by_h_g) * sigma_h_g[i]
-        air_y[i], station_y[i], by_h_g = _in_the_image(along_y, across_y, motion, air_of_ray, s)
-        ground_y[i] = abs(by_h_g) * sigma_h_g[i]
-
-        # N in the cabin turns the ray at the window (Gyer 1996, Eq. 36), and its air the lens.
-        n_p, n_t, lens_p, lens_t = s[CABIN], s[CABIN + 1], s[CABIN + 2], s[CABIN + 3]
-        r_cc[i] = steepness * math.hypot(n_p, n_t)
-        by_mode *= sin_z * secant
-        turned = along_x * out_t + across_x * out_q
-        mode_x[i] = along_x * by_mode + turned * lean
-        lever = (observed.x[i] - camera.cx) / camera.fx
-        cabin_x[i] = math.hypot(turned * n_p + lever * lens_p, turned * n_t + lever * lens_t)
-        if s[WINDOW] >= 0.0:
-            ncc_x[i] = -turned
-        turned = along_y * out_t + across_y * out_q
-        mode_y[i] = along_y * by_mode + turned * lean
-        if s[WINDOW] >= 0.0:
-            ncc_y[i] = -turned
-        lever = (observed.y[i] - camera.cy) / camera.fy
-        cabin_y[i] = math.hypot(turned * n_p + lever * lens_p, turned * n_t + lever * lens_t)
+    sigma_r, others = sigmas[0], sigmas[1:]
+    room = np.empty((_ROOM, _TOGETHER))
+    last = 0
+    while last < h_g.size:
+        first, e = last, exposure[last]
+        while last < h_g.size and last - first < _TOGETHER and exposure[last] == e:
+            last += 1
+        count = last - first
+        if not 0 <= e < stations.shape[0]:
+            for k in range(14):
+                for i in range(count):
+                    room[_OUT + k, i] = math.nan
+        else:
+            for k in _OF_RAYS:
+                for i in range(count):
+                    room[k, i] = rays[k, first + i]
+            for i in range(count):
+                j = first + i
+                room[_X, i], room[_Y, i], room[_R, i] = x[j], y[j], r_c[j]
+                room[_H_G, i], room[_SIGMA_H_G, i] = h_g[j], sigma_h_g[j]
+                far = status[j] == FAR_BRANCH
+                room[_KEEP, i] = math.nan if math.isnan(r_c[j]) or far else 1.0
+                uu, uv, vv = slopes(rays[U, j], rays[V, j], camera.distortion)
+                room[_SLOPES, i], room[_SLOPES + 1, i], room[_SLOPES + 2, i] = uu, uv, vv
+            of_exposure = _of_exposure(stations[e], rotation[e], air)
+            _places(room, count, air)
+            _interpolate(room, count, air, of_exposure[0])
+            _spread(room, count, camera, of_exposure)
+        for i in range(count):
+            sigma_r[first + i] = room[_OUT, i]
+        for k in range(13):
+            out = others[k]
+            for i in range(count):
+                out[first + i] = room[_OUT + 1 + k, i]

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.batch.index import keep_stamps, known_stamps
+from pipeline.batch.keys import code_hash
 from pipeline.batch.object_store.place import Place
 from pipeline.batch.outcomes import Outcome
-from pipeline.batch.plan import code_hash
 from pipeline.batch.store import atomic_write, read_manifest
 from pipeline.errors import EXIT_BUG, StorageError, UnbendError, storage_errors
 

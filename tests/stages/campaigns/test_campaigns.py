@@ -42,7 +42,7 @@ class Season:
 
     def older(self) -> None:
         """Files that were written some seconds ago; the index trusts no newer ones."""
-        time.sleep(max(0.0, index.SETTLED_NS * 1e-9 + 0.05 - (time.time() - self._latest())))
+        time.sleep(max(0.0, file_hashes.SETTLED_NS * 1e-9 + 0.05 - (time.time() - self._latest())))
 
     def _latest(self) -> float:
         files = [file for file in self.folder.rglob("*") if not file.is_symlink()]
@@ -77,8 +77,7 @@ def make_season(mission, folder: Path, missions: int) -> Season:
 def own_cache(tmp_path, monkeypatch):
     """A user's cache of the test's own, empty; a file settles in 0.2 s."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    for module in (index, file_hashes):
-        monkeypatch.setattr(module, "SETTLED_NS", 200_000_000)
+    monkeypatch.setattr(file_hashes, "SETTLED_NS", 200_000_000)
 
 
 @pytest.fixture
