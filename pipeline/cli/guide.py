@@ -175,9 +175,7 @@ def warm(*, quiet: Quiet = False, as_json: AsJson = False) -> None:
 
         folder = cache_folder()
         if folder is None:
-            remedy = "mend its permissions, or name another folder in NUMBA_CACHE_DIR"
-            what = "compiled code cannot be kept there"
-            raise StorageError("STORAGE-WRITE", what, where=compiled_code(), remedy=remedy)
+            raise StorageError.of("STORAGE-WRITE/warm", compiled_code())
         compile_kernels()
     answer.print_json({"compiled": folder})
     answer.print_paths([folder])

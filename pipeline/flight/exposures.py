@@ -245,9 +245,7 @@ def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Cha
             return best[0]
     there = ", ".join(f"{c.name} ({len(c)})" for c in able) or "no camera events at all"
     what = f"the log has no event channel {name!r}" if name else "which events are this camera's?"
-    what = f"{what}; the log has {there}"
-    remedy = "name one of them as channel, or give the times of the images in events.csv"
-    raise MissionError("EVENTS-CHANNEL", what, where="events.log", remedy=remedy)
+    raise MissionError.of("EVENTS-CHANNEL", "events.log", text=what, there=there)
 
 
 def trigger_notes(channels: tuple[Channel, ...], chosen: Channel) -> Notes:

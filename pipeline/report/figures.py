@@ -82,10 +82,7 @@ def as_png(figure: Figure) -> bytes:
 def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure as .png or .svg, by the name of the file."""
     if path.suffix.lower() not in (".png", ".svg"):
-        raise ConfigError(
-            "PLOT-FORMAT", "a plot is written as .png or .svg", where=str(path),
-            remedy="choose one of these endings",
-        )  # fmt: skip
+        raise ConfigError.of("PLOT-FORMAT", path)
     content = as_png(figure) if path.suffix.lower() == ".png" else as_svg(figure).encode()
     with storage_errors(path):
         path.write_bytes(content)

@@ -173,10 +173,7 @@ def choose_points(
             kept.append(candidate)
             room[images] -= 1
     if not pairs:
-        what = f"no ground point is seen by {FEWEST_IMAGES} of the {count} images"
-        raise MissionError(
-            "SIM-POINTS", what, remedy="fly more exposures a line, or lower the focal length"
-        )
+        raise MissionError.of("SIM-POINTS", fewest=FEWEST_IMAGES, number=count)
     pairs.sort()
     station, point = np.array(pairs, np.int64).T
     names = tuple(f"p{i:05d}" for i in range(1, len(kept) + 1))

@@ -50,10 +50,7 @@ class SimulationOptions:
         for name, (low, high) in _LIMITS.items():
             value = getattr(self, name)
             if not low <= value <= high:
-                what = f"{name} is {value}, outside {low} to {high}"
-                raise ConfigError(
-                    "SIM-OPTION", what, where=name, remedy=f"choose {name} between {low} and {high}"
-                )
+                raise ConfigError.of("SIM-OPTION", name, name=name, value=value, low=low, high=high)
 
 
 @dataclass(frozen=True)

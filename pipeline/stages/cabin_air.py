@@ -164,11 +164,7 @@ def with_cabin_air(
             above = int((ok & (h[rows] > SCHEDULE_CEILING_M)).sum())
         if cabin.source == "standard_schedule":
             where = f"cameras.{name}.window.cabin"
-            what = (
-                "the cabin's air is Gyer's schedule, dry and not measured: as outside to 3 km "
-                "pressure altitude, then 701.2 hPa; 21.1 degC"
-            )
-            ledger.note("CABIN-SCHEDULE", what, where=where)
+            ledger.note("CABIN-SCHEDULE", where=where)
             if above:
                 ledger.warning("CABIN-SCHEDULE-HIGH", where=where, count=above)
         ledger.extend(_implausible_air(name, ok, values, ambient[0]))

@@ -97,10 +97,6 @@ def refuse_other_pixels(
     for role in ("x_px", "y_px"):
         right = f"{role[0]}_{due}_px"
         if right in schema.names and columns[role] == role:
-            raise InputError(
-                "OBS-OTHER-PIXELS",
-                f"the column {role} beside {right} holds pixels {what}, which is not what "
-                f"refraction.direction: {direction} starts from",
-                where=str(path),
-                remedy=f"say observations.columns.{role}: {right}",
+            raise InputError.of(
+                "OBS-OTHER-PIXELS", path, role=role, right=right, text=what, direction=direction
             )

@@ -128,10 +128,7 @@ def block_format(path: Path) -> str:
         files = {"cameras.bin": "colmap", "cameras.txt": "colmap", _OPENSFM: "opensfm"}
         found = next((name for file, name in files.items() if (path / file).is_file()), "")
         if not found:
-            what = f"the folder is no block: it has none of {', '.join(files)}"
-            remedy = "name a log or a block: sparse/0 of COLMAP, the project of OpenSfM, a .psz or "
-            remedy += ".xml of Metashape, an .xml of DBAT; a folder of images goes with --images"
-            raise InputError("INPUT-MISSING", what, where=str(path), remedy=remedy)
+            raise InputError.of("INPUT-MISSING/block-format", path, files=", ".join(files))
         return found
     if path.suffix.lower() == ".xml" and path.is_file():
         head = path.read_bytes()[:4000].lower()

@@ -97,21 +97,14 @@ def _write(run: FinishedRun, values: Values, path: Path, ledger: Ledger) -> int:
         for name, stations in flying_heights(run, values["same_height"] / 100.0, ledger)
     ]
     if not found:
-        raise MissionError(
-            "EXPORT-NO-GROUND", "no usable image has a known ground below it", where="observations",
-            remedy="give a height of the ground: --ground-height",
-        )  # fmt: skip
+        raise MissionError.of("EXPORT-NO-GROUND/calibrations", "observations")
     for fitted in found:
         where = f"cameras.{fitted.camera_name}"
         left, effect = max(fitted.left_by_camera, fitted.left_by_change), fitted.effect
         what = f"calibration {fitted.name} leaves {100.0 * fitted.part:.0f} % of the refraction, "
         what += f"{left[0]:.3f} of {effect[0]:.3f} px, {left[1]:.3f} of {effect[1]:.3f} m"
         if fitted.part > _REFUSED and left[0] > _NOTHING_PX:
-            raise MissionError(
-                "EXPORT-RESIDUAL", f"{what}: none stands for these images",
-                where=where, remedy="export the lattice or corrected points; a camera that is "
-                "tilted otherwise from image to image has no calibration that does it",
-            )  # fmt: skip
+            raise MissionError.of("EXPORT-RESIDUAL/none", where, text=what)
         if fitted.part > _FLAGGED:
             ledger.loss("EXPORT-RESIDUAL", what, where=where, count=fitted.stations.size)
     advice = files("pipeline.tables").joinpath("data/calibrations.txt").read_text("utf-8")
@@ -185,11 +178,7 @@ def fit_calibration(
     """The calibration of some images of a camera, by as few parameters as do."""
     given = run.cameras[name]
     if given.has_refraction:
-        ledger.loss(
-            "EXPORT-CALIBRATION", f"the calibration of camera {name} was estimated on images with "
-            "refraction in, and holds that of its height: with the change it counts twice",
-            where=f"cameras.{name}.calibration",
-        )  # fmt: skip
+        ledger.loss("EXPORT-CALIBRATION", where=f"cameras.{name}.calibration", name=name)
     rays, moved, metres, judged = seen_rays(run, name, stations, observed)
 
     def rms(left: Array) -> tuple[float, float]:
@@ -228,11 +217,7 @@ def as_written(camera: Camera, name: str, ledger: Ledger) -> Camera:
     written = changed_camera(plain, pixels, FULL)
     misfit = float(np.hypot(*pixels.left_px(written).T).max())
     if misfit > _LARGEST_MISFIT_PX:
-        what = (
-            f"the lens of camera {name} is written with k1, k2, k3, p1, p2, which differ from its "
-            f"calibration by up to {misfit:.3f} px; the change for measured points does not"
-        )
-        ledger.loss("EXPORT-MODEL", what, where=f"cameras.{name}")
+        ledger.loss("EXPORT-MODEL", where=f"cameras.{name}", name=name, misfit=misfit)
     return written
 
 

@@ -85,11 +85,7 @@ def footprints(run: FinishedRun, ledger: Ledger) -> Array:
     without = np.isnan(corners).any(axis=(1, 2))
     count = int((without & run.exposures.usable).sum())
     if count:
-        what = (
-            f"{count} images have no footprint: no ground height is known (--ground-height gives "
-            "one), or a corner shows no ground"
-        )
-        ledger.loss("EXPORT-NO-GROUND", what, where="observations", count=count)
+        ledger.loss("EXPORT-NO-GROUND/footprints", where="observations", count=count)
     return corners
 
 

@@ -47,18 +47,10 @@ def radial_columns(table: RadialTable) -> dict[str, object]:
 def _radial(run: FinishedRun, _: Values, ledger: Ledger) -> tuple[pa.Schema, Iterator[pa.Table]]:
     """A table for each camera and each height above ground that its images share, lowest first."""
     if len(run.rays) > 1:
-        what = (
-            f"the air of the flight changes over {len(run.rays)} profiles: each radial table holds "
-            "the air of the middle one of its images; the lattice holds that of each"
-        )
-        ledger.warning("EXPORT-AIR-CHANGES", what, where="profile.parquet", count=len(run.rays))
+        ledger.warning("EXPORT-AIR-CHANGES", where="profile.parquet", count=len(run.rays))
     for name, camera in run.cameras.items():
         if camera.has_window:
-            what = (
-                f"camera {name} looks through a window: the radial tables hold the refraction of "
-                "the air outside alone; the lattice holds both"
-            )
-            ledger.warning("EXPORT-WINDOW", what, where=f"cameras.{name}.window")
+            ledger.warning("EXPORT-WINDOW", where=f"cameras.{name}.window", name=name)
     schema = schema_of(columns_of("radial"), run.metadata)
     groups = flying_heights(run, _SAME_HEIGHT, ledger)
     return schema, (_table(run, name, rows, schema) for name, rows in groups)

@@ -74,9 +74,7 @@ def read_orientation(path: Path, stated: Stated, ledger: Ledger) -> OrientationT
         read_ns, good = utc_of_columns(table, *clock)
         time_ns[good] = read_ns[good]
         if bad := int((~good).sum()):
-            what = (f"{bad} rows have no readable time, the first in line {np.argmin(good) + 2}: "
-                    "the air of the middle exposure is taken for them")  # fmt: skip
-            ledger.loss("ORIENTATION-TIME", what, where=path.name, count=bad)
+            ledger.loss("ORIENTATION-TIME", where=path.name, count=bad, line=np.argmin(good) + 2)
     camera = table[names["camera"]].to_numpy(object) if "camera" in names else None
     image = table[names["image"]].to_numpy(object)
     return OrientationTable(image, camera, time_ns, position, attitude, sigmas)

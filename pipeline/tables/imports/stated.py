@@ -87,13 +87,7 @@ def _settled(path: Path, key: str, found: str | None, stated: str | None, ledger
         ledger.warning("IMPORT-CONTRADICTED", what, where=path.name)
     known = stated or found
     if known is None:
-        raise InputError(
-            "IMPORT-UNSTATED",
-            f"it does not say its {key}: GPS time is 18 s ahead of UTC since 2017, heights above "
-            "ellipsoid and sea are up to 107 m apart",
-            where=str(path),
-            remedy="give time: {system: gpst} or {system: utc}, and heights: ellipsoid or msl",
-        )
+        raise InputError.of("IMPORT-UNSTATED", path, name=key)
     return known
 
 

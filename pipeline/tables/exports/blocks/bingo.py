@@ -62,9 +62,7 @@ def write_bingo(run: FinishedRun, values: Values, folder: Path, ledger: Ledger) 
     short = {kind: short_names(names, kind) for kind, names in given.items()}
     sizes = [pixel_mm(run, name, values) for name in block.cameras]
     for name in [name for name, size in zip(block.cameras, sizes, strict=True) if np.isnan(size)]:
-        what = f"the size of the pixels of camera {name} is unknown, or they are not square"
-        remedy = "give their size in micrometres: --pixel-um 4"
-        raise ConfigError("EXPORT-OPTION", what, where="--pixel-um", remedy=remedy)
+        raise ConfigError.of("EXPORT-OPTION/pixel", "--pixel-um", name=name)
     turn = np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), values["quarter_turns"])
     cameras = list(block.cameras.values())
     with (folder / "image.dat").open("w", encoding="utf-8") as file:

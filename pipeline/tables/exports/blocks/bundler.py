@@ -38,11 +38,7 @@ def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> 
     count = np.bincount(block.point[seen], minlength=block.count.size)
     missing = int(np.sum(~seen | (count[block.point] < 2)))
     if missing:
-        what = (
-            f"{missing} image points are left out: their points were measured in one image only, "
-            "or they lie beyond the radius to which the distortion of the camera is known"
-        )
-        ledger.loss("EXPORT-LEFT-OUT", what, where="observations", count=missing)
+        ledger.loss("EXPORT-LEFT-OUT/bundler", where="observations", count=missing)
     to_bundler = np.diag([1.0, -1.0, -1.0])
     order, begin, images = block.of_points()
     tied = np.flatnonzero(count > 1)

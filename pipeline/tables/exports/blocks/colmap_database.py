@@ -42,14 +42,10 @@ def write_database(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> i
     tables = rows_of_tables(block)
     unknown = int(np.isnan(block.frame.covariance_m2).any(axis=(1, 2)).sum())
     if unknown:
-        what = f"{unknown} stations have no sigma of their position: their pose priors have no "
-        what += "covariance, and COLMAP takes the one it is called with"
-        ledger.fallback("EXPORT-NO-SIGMA", what, where="stations.parquet", count=unknown)
+        ledger.fallback("EXPORT-NO-SIGMA", where="stations.parquet", count=unknown)
     rounding = max(np.abs(c - c.astype("<f4")).max(initial=0.0) for c in (block.x_px, block.y_px))
     if rounding > _LARGEST_ROUNDING_PX:
-        what = f"keypoints of a database are 32-bit numbers: up to {rounding:.4f} px are lost; the "
-        what += "model (--format colmap) loses nothing"
-        ledger.warning("EXPORT-ROUNDED", what, where="keypoints")
+        ledger.warning("EXPORT-ROUNDED", where="keypoints", rounding=rounding)
     schema = resources.files("pipeline.tables.exports.blocks").joinpath("colmap_4_2.sql")
     with closing(sqlite3.connect(path)) as database:
         # A draft that is interrupted is thrown away: no journal.
@@ -68,11 +64,7 @@ def write_database(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> i
             tied += 1
         database.commit()
     if not tied:
-        what = (
-            "nothing ties the images of the database: no point was measured in two images, and no "
-            "database with matches was read that is still in its place, unchanged"
-        )
-        ledger.loss("EXPORT-NO-TIES", what, where="observations")
+        ledger.loss("EXPORT-NO-TIES", where="observations")
     return int(block.point.size)
 
 

@@ -106,11 +106,7 @@ def write_model(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> in
     ids, tied, moved = point_ids(block, folder), len(block.point_m), block.moved_m
     ids[tied:] = -1
     if tied < ids.size:
-        what = (
-            f"{ids.size - tied} points were measured in one image only: their image points have no "
-            "object point"
-        )
-        ledger.note("EXPORT-SINGLE", what, where="observations", count=ids.size - tied)
+        ledger.note("EXPORT-SINGLE", where="observations", count=ids.size - tied)
     with (folder / "cameras.bin").open("wb") as file:
         file.write(struct.pack("<Q", len(block.cameras)))
         for number, (name, camera) in enumerate(block.cameras.items(), 1):

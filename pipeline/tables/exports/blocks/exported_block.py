@@ -103,16 +103,9 @@ def block_of(run: FinishedRun, ledger: Ledger, *, intersect: bool = True) -> Exp
     known = stations.ok & np.isfinite([*stations.quaternion.T, *place]).all(axis=0)
     rows = placed_stations(run, known, what, ledger)
     if rows.size == 0:
-        raise MissionError(
-            "EXPORT-NO-STATIONS", f"no station has a {what}", where="stations.parquet",
-            remedy="give the stations of the mission: log, stations.orientation or "
-            "stations.trajectory",
-        )  # fmt: skip
+        raise MissionError.of("EXPORT-NO-STATIONS", "stations.parquet", text=what)
     for camera in sorted(set(stations.camera[rows]) - run.cameras.keys()):
-        raise MissionError(
-            "EXPORT-CAMERA", f"camera {camera!r} has no calibration", where="stations.parquet",
-            remedy=f"give it under cameras.{camera} and run again",
-        )  # fmt: skip
+        raise MissionError.of("EXPORT-CAMERA", "stations.parquet", camera=camera)
     frame = stations_in_one_frame(run, rows)
     table, names = read_image_points(run, rows, ledger)
     image, point, x, y, h_g = (column.to_numpy() for column in table.columns)
@@ -138,18 +131,9 @@ def block_of(run: FinishedRun, ledger: Ledger, *, intersect: bool = True) -> Exp
         up = up @ frame.enu_from_ecef.T
         block.point_m[:], met = intersected_points(block, up, stations.h_msl_m[rows], h_g)
         if apart := int(np.sum(~met)):
-            what = (
-                f"the rays of {apart} points do not meet at 3 degrees or more: these points are "
-                "where the rays reach the height of the ground that the run took for them"
-            )
-            ledger.fallback("EXPORT-POINT-HEIGHT", what, where="observations", count=apart)
+            ledger.fallback("EXPORT-POINT-HEIGHT", where="observations", count=apart)
     lat, lon, h = frame.origin_deg.tolist()
-    what = (
-        f"x, y, z count to the east, north and up from {lat:.5f} N, {lon:.5f} E, {h:.0f} m above "
-        "the ellipsoid (WGS84), one frame for the block; neither earth curvature nor a map "
-        "projection is applied"
-    )
-    ledger.note("EXPORT-FRAME", what, where="stations.parquet")
+    ledger.note("EXPORT-FRAME", where="stations.parquet", lat=lat, lon=lon, h=h)
     what = f"x_corrected_px, y_corrected_px of {image.size:,} observations of {len(names):,} points"
     what += f" in {rows.size:,} images"
     ledger.note("EXPORT-POINTS", what, where="observations", count=image.size)
